@@ -1,0 +1,104 @@
+"""What one evaluated recording consists of: the tree handed to the result writers and the report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.fuse import Acceleration
+from fusion.manifest import Manifest
+from fusion.notices import AnyNotice
+from fusion.sensitivity import Sensitivity
+from photogram.motion import RigidMotion
+from shaker.signals.frequencies import Lines
+from shaker.signals.phasor import Phasors
+from shaker.signals.sine import SineFit
+from shaker.signals.sync import ClockTie, TriggerFit
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class StereoResult:
+    """Motion seen by one stereo pair, in the sensor frame.
+
+    `time_s` (F,): exposure middles on the first DAQ's clock. `motion`: from the first frame's pose.
+    `motion_from_mean`: re-referred to the mean pose, the series that `fit` (six components, m and rad) describes.
+    `reference_image` (H, W) and `subsets_px` (N, 2): first left image and the subsets tracked in it, None for points
+    of another program. `usable` (K,): which lines of the recording this camera rate can tell apart.
+    """
+
+    name: str
+    body: str
+    time_s: FloatArray
+    exposure_s: float
+    motion: RigidMotion
+    motion_from_mean: RigidMotion
+    fit: SineFit
+    usable: NDArray[np.bool_]
+    reprojection_px: float
+    reference_image: NDArray[np.uint16] | NDArray[np.uint8] | None = None
+    subsets_px: FloatArray | None = None
+    speckle_px: float | None = None
+    noise_grey: float | None = None
+    median_zncc: float | None = None
+
+
+@dataclass(frozen=True)
+class ChannelResult:
+    """One DAQ channel: phasors in SI at the recording's lines, and what the figures need.
+
+    `excerpt_s`, `excerpt`, `excerpt_fit` (S,): a short stretch with its fit. `spectrum_hz`, `spectrum` (B,):
+    amplitude spectrum of the signal; `residual_rms`: of what the lines leave, in the channel's SI unit.
+    """
+
+    name: str
+    daq: str
+    quantity: str
+    body: str
+    unit: str
+    sample_rate_hz: float
+    samples: int
+    phasors: Phasors
+    residual_rms: float
+    excerpt_s: FloatArray
+    excerpt: FloatArray
+    excerpt_fit: FloatArray
+    spectrum_hz: FloatArray
+    spectrum: FloatArray
+
+
+@dataclass(frozen=True)
+class ClockResult:
+    """One DAQ block: its file, the trigger found in it and its tie to the first block's clock (None for the first)."""
+
+    daq: str
+    file: Path
+    trigger: TriggerFit | None
+    tie: ClockTie | None
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Everything one recording yields.
+
+    `accelerations`: one entry per body and source (`fused` first). `load`: wrench phasors at the sensor origin, N and
+    N.m, with the manifest's sense. `settings`, `versions`, `input_hashes` (file -> SHA-256) say what was run on what.
+    """
+
+    manifest: Manifest
+    lines: Lines
+    clocks: tuple[ClockResult, ...]
+    channels: tuple[ChannelResult, ...]
+    stereo: tuple[StereoResult, ...]
+    accelerations: tuple[Acceleration, ...]
+    load: Phasors | None
+    sensitivity: Sensitivity | None
+    notices: tuple[AnyNotice, ...]
+    settings: dict[str, str | float | int]
+    versions: dict[str, str]
+    input_hashes: dict[str, str]
+    duration_s: float = field(default=0.0)

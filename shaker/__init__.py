@@ -1,0 +1,1 @@
+"""Signals and mechanics of shaker measurements. Knows nothing of images."""

@@ -1,0 +1,1 @@
+"""Time base, sines, spectra: from recorded channels to phasors."""

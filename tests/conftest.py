@@ -1,0 +1,25 @@
+"""Fixtures shared by all tests."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="session")
+def data_dir() -> Path:
+    """Folder of real data recorded by others; the test is skipped where it is absent."""
+    folder = Path(os.environ.get("SHAKERCAL_DATA", ROOT.parent / "shared" / "data"))
+    if not folder.is_dir():
+        pytest.skip(f"no real data: {folder} does not exist (set SHAKERCAL_DATA)")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def demo_recording() -> Path:
+    """The demo campaign folder in `sample_images`."""
+    return ROOT / "sample_images" / "demo"
