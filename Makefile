@@ -1,0 +1,43 @@
+# `make demo` runs the main job on a fresh machine; `make test` passes the tests. Both set up .venv themselves.
+PYTHON ?= python3
+BIN := .venv/bin
+export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+export OMP_WAIT_POLICY := passive
+
+.PHONY: demo test lint types fast sample-images benchmark wheel clean
+
+demo: .venv/installed
+	$(BIN)/shakercal run sample_images/demo -o demo-results --force
+
+test: lint types
+	$(BIN)/python -m pytest
+
+fast: .venv/installed
+	$(BIN)/python -m pytest -m "not slow"
+
+lint: .venv/installed
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: .venv/installed
+	$(BIN)/mypy
+
+sample-images: .venv/installed
+	$(BIN)/shakercal simulate sample_images/demo --preset demo --seed 1 --force
+
+benchmark: .venv/installed
+	$(BIN)/python benchmarks/nitsche2018.py
+	$(BIN)/python benchmarks/tracking.py
+
+wheel: .venv/installed
+	$(BIN)/python -m build
+
+.venv/installed: pyproject.toml constraints.txt
+	$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "shakercal needs Python 3.11 or newer")'
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --editable ".[dev]"
+	touch $@
+
+clean:
+	rm -rf .venv build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache demo-results
