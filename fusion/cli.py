@@ -1,0 +1,145 @@
+"""The command `shakercal`. Heavy modules are imported by the sub-command that needs them."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+EXIT_DONE, EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED = 0, 1, 2, 130
+
+log = logging.getLogger("shakercal")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit status (0 done, 1 not computable, 2 bad input, 130 interrupted)."""
+    options = _parser().parse_args(arguments)
+    level = logging.WARNING if options.quiet else logging.DEBUG if options.verbose else logging.INFO
+    logging.basicConfig(level=logging.WARNING, format="shakercal: %(message)s", stream=sys.stderr, force=True)
+    log.setLevel(level)
+    return _guarded(options)
+
+
+def _guarded(options: argparse.Namespace) -> int:
+    """Run the chosen sub-command; every failure becomes one sentence on stderr and an exit status."""
+    from fusion.errors import ComputeError, InputError
+
+    try:
+        return int(options.action(options))
+    except InputError as error:
+        log.error("%s", error)
+        return EXIT_INPUT
+    except ComputeError as error:
+        log.error("%s", error)
+        return EXIT_FAILED
+    except KeyboardInterrupt:
+        log.error("interrupted; nothing half-written was left behind")
+        return EXIT_INTERRUPTED
+    except Exception as error:
+        log.error("internal error (%s: %s); please report it, -v shows where", type(error).__name__, error)
+        log.debug("traceback", exc_info=True)
+        return EXIT_FAILED
+
+
+def _run(options: argparse.Namespace) -> int:
+    from fusion.campaign import run_path
+    from fusion.progress import progress_bar
+    from fusion.settings import Settings
+    from fusion.summary import print_outcomes
+
+    settings = Settings(subset_radius_px=options.subset_radius)
+    with progress_bar(enabled=not options.quiet) as progress:
+        outcomes = run_path(
+            options.recording,
+            options.output,
+            settings,
+            force=options.force,
+            allow_outside=options.allow_outside,
+            progress=progress,
+        )
+    print_outcomes(outcomes)
+    return EXIT_DONE if all(outcome.error is None for outcome in outcomes) else EXIT_FAILED
+
+
+def _check(options: argparse.Namespace) -> int:
+    from fusion.check import check
+    from fusion.manifest import find_recordings, load_manifest
+
+    for recording in find_recordings(options.recording):
+        print(check(load_manifest(recording, allow_outside=options.allow_outside)))
+    return EXIT_DONE
+
+
+def _simulate(options: argparse.Namespace) -> int:
+    from fusion.progress import progress_bar
+    from fusion.simulate import simulate
+
+    with progress_bar(enabled=not options.quiet) as progress:
+        folder = simulate(options.out, options.preset, options.seed, force=options.force, progress=progress)
+    print(f"simulated recording: {folder}")
+    return EXIT_DONE
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="shakercal",
+        description="From a shaker recording to the dynamic sensitivity of a multi-component force and moment sensor.",
+    )
+    parser.add_argument("--version", action=_Version)
+    common = argparse.ArgumentParser(add_help=False)
+    loudness = common.add_mutually_exclusive_group()
+    loudness.add_argument("-v", "--verbose", action="store_true", help="tell more on stderr")
+    loudness.add_argument("-q", "--quiet", action="store_true", help="warnings and errors only, no progress bar")
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+
+    run = commands.add_parser("run", parents=[common], help="evaluate one recording or a campaign of several")
+    _add_recording(run)
+    run.add_argument("-o", "--output", type=Path, metavar="RESULTS", help="result folder (default: RECORDING/results)")
+    run.add_argument("--force", action="store_true", help="compute again and overwrite result files that are there")
+    run.add_argument(
+        "--subset-radius", type=_radius, default=10, metavar="PX", help="half-width of a tracked subset (default: 10 px)"
+    )
+    run.set_defaults(action=_run)
+
+    check = commands.add_parser("check", parents=[common], help="say what a recording holds; compute nothing")
+    _add_recording(check)
+    check.set_defaults(action=_check)
+
+    simulate = commands.add_parser("simulate", parents=[common], help="write a simulated recording with its truth")
+    simulate.add_argument("out", type=Path, metavar="OUT", help="campaign folder to create")
+    simulate.add_argument("--preset", choices=("demo", "nitsche2018"), default="demo", help="which rig (default: demo)")
+    simulate.add_argument("--seed", type=int, default=1, help="seed of every random draw (default: 1)")
+    simulate.add_argument("--force", action="store_true", help="overwrite a simulation that is there")
+    simulate.set_defaults(action=_simulate)
+    return parser
+
+
+def _add_recording(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("recording", type=Path, metavar="RECORDING", help="folder of a recording or of a campaign")
+    parser.add_argument("--allow-outside", action="store_true", help="accept files outside the folder of rig.toml")
+
+
+def _radius(text: str) -> int:
+    value = int(text)
+    if not 4 <= value <= 100:
+        raise argparse.ArgumentTypeError(f"expected 4 to 100 pixels, found {value}")
+    return value
+
+
+class _Version(argparse.Action):
+    """Print the installed version, looked up only when asked for."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str) -> None:
+        super().__init__(option_strings, dest, nargs=0, help="print the version and exit")
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        from importlib.metadata import version
+
+        print(f"shakercal {version('shakercal')}")
+        parser.exit()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,59 @@
+"""The rules of the house: who may import whom, and in which order."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+FORBIDDEN = {"photogram": {"shaker", "fusion"}, "shaker": {"photogram", "fusion"}, "fusion": set[str]()}
+ORDER = {
+    "photogram": (
+        "_checks notice rigid camera calibration_file triangulate images point_tables interpolate subset search icgn "
+        "track motion synthetic"
+    ).split(),
+    "shaker.signals": "recording files sync phasor spectrum sine frequencies".split(),
+    "fusion": (
+        "notices errors settings manifest check body observe fuse sensitivity evaluation channels timing stereo_motion "
+        "evaluate provenance results plots report campaign simulate progress summary cli"
+    ).split(),
+}
+
+
+def _imports(path: Path) -> list[str]:
+    """Return every module that a file imports, also inside functions."""
+    found = []
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found.append(node.module)
+    return found
+
+
+@pytest.mark.parametrize("package", sorted(FORBIDDEN))
+def test_packages_keep_apart(package: str) -> None:
+    for path in (ROOT / package).rglob("*.py"):
+        tops = {name.split(".")[0] for name in _imports(path)}
+        assert not tops & FORBIDDEN[package], f"{path.relative_to(ROOT)} imports {tops & FORBIDDEN[package]}"
+
+
+def _module(package: str, dotted: str) -> str | None:
+    """Return the first name below `package` in a dotted module name, None for other packages."""
+    prefix = package + "."
+    return dotted[len(prefix) :].split(".")[0] if dotted.startswith(prefix) else None
+
+
+@pytest.mark.parametrize("package", sorted(ORDER))
+def test_modules_import_only_backwards(package: str) -> None:
+    order = {name: place for place, name in enumerate(ORDER[package])}
+    folder = ROOT / package.replace(".", "/")
+    for path in folder.rglob("*.py"):
+        name = path.relative_to(folder).parts[0].removesuffix(".py")
+        if name == "__init__":
+            continue
+        assert name in order, f"{path.relative_to(ROOT)} has no place in the written order of {package}"
+        for other in filter(None, (_module(package, dotted) for dotted in _imports(path))):
+            assert other == name or order[other] < order[name], f"{package}.{name} imports {package}.{other}"
