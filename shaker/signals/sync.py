@@ -8,7 +8,9 @@ import numpy as np
 
 from shaker._checks import FloatArray, IntArray, check_shape
 from shaker.notice import Notice
-from shaker.signals.edges import Edges as Edges
+from shaker.signals.edges import Edges
+
+__all__ = ["ClockTie", "Edges", "TriggerFit"]
 
 
 @dataclass(frozen=True)
