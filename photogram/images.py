@@ -1,20 +1,34 @@
-"""Image sequences from disk with their full bit depth: the only image reading of the package."""
+"""Image sequences from disk with their full bit depth: TIFF and PNG files, multi-page TIFF, high-speed video."""
 
 from __future__ import annotations
 
+import struct
+import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-GreyImage = NDArray[np.uint8] | NDArray[np.uint16]
+from photogram._checks import check_shape
+from photogram.mraw import open_mraw
+
+GreyImage = NDArray[np.uint8 | np.uint16]
+TIFF_SUFFIXES = (".tif", ".tiff")
+VIDEO_SUFFIXES = (".cih", ".cihx")
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+PNG_COLOURS = {2: "colour", 3: "palette colour", 4: "grey with transparency", 6: "colour with transparency"}
 
 
 @dataclass(frozen=True)
 class ImageSequence:
-    """Grey images of one size that are read one at a time: names (F), size_px (width, height), full_scale grey value."""
+    """Grey images of one size that are read one at a time: names (F), size_px (width, height), full_scale grey value.
+
+    `reader` returns frame i as it stands in its file; `read` is the checked access to it.
+    """
 
     names: tuple[str, ...]
     size_px: tuple[int, int]
@@ -26,14 +40,180 @@ class ImageSequence:
 
     def read(self, index: int) -> GreyImage:
         """Frame `index` as (H,W) uint8 or uint16 with every bit that the file has."""
-        raise NotImplementedError
+        image = self.reader(index)
+        name, (width, height) = self.names[index], self.size_px
+        if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
+            raise ValueError(f"{name}: expected a grey image of 8 or 16 bit, found {image.dtype} {image.shape}")
+        if image.shape != (height, width):
+            raise ValueError(f"{name}: expected {width} x {height} px, found {image.shape[1]} x {image.shape[0]}")
+        brightest = int(image.max())
+        if brightest > self.full_scale:
+            bits = self.full_scale.bit_length()
+            raise ValueError(
+                f"{name}: expected grey values up to {self.full_scale} (bit depth {bits}), found {brightest}"
+            )
+        return image
+
+
+@dataclass(frozen=True)
+class _Header:
+    """What a file says about its images without decoding them."""
+
+    size_px: tuple[int, int]
+    bits: int
+    pages: int
 
 
 def open_sequence(paths: Sequence[Path], bit_depth: int | None = None) -> ImageSequence:
-    """Open grey images: several TIFF or PNG files, one multi-page TIFF, or one .cih beside its .mraw."""
-    raise NotImplementedError
+    """Open grey images: TIFF or PNG files in the order given, one multi-page TIFF, or one .cih beside its .mraw.
+
+    Headers are checked at once (format, colour, size, truncation), pixels when a frame is read. Without `bit_depth`
+    the stored type counts: 8 bit → full scale 255, 16 bit → 65535, high-speed video → its header's bit depth.
+    """
+    if not paths:
+        raise ValueError("paths: expected at least one image file, found none")
+    if len(paths) == 1 and paths[0].suffix.lower() in VIDEO_SUFFIXES:
+        return _open_video(paths[0], bit_depth)
+    headers = [_read_header(path) for path in paths]
+    first = headers[0]
+    full_scale = _full_scale(paths[0], first.bits, bit_depth)
+    for path, header in zip(paths, headers, strict=True):
+        _check_like_first(path, header, first, alone=len(paths) == 1)
+    if first.pages > 1:
+        names = tuple(f"{paths[0]}[{page}]" for page in range(first.pages))
+        return ImageSequence(names, first.size_px, full_scale, partial(_read_tiff, paths[0], first.bits))
+    names = tuple(str(path) for path in paths)
+    return ImageSequence(names, first.size_px, full_scale, partial(_read_file, tuple(paths), first.bits))
 
 
-def saturated_fraction(image: GreyImage, area: NDArray[np.bool_] | None, full_scale: int) -> float:
-    """Fraction of the pixels inside `area` (H,W) that are at full scale."""
-    raise NotImplementedError
+def saturated_fraction(image: GreyImage, full_scale: int, area: NDArray[np.bool_] | None = None) -> float:
+    """Fraction of the pixels of `image` (H,W) that are at full scale, inside `area` (H,W) where one is given."""
+    if area is not None:
+        check_shape("area", area, image.shape)
+        if not area.any():
+            raise ValueError("area: expected at least one pixel, found none")
+    pixels = image if area is None else image[area]
+    return float(np.mean(pixels >= full_scale))
+
+
+def _open_video(header: Path, bit_depth: int | None) -> ImageSequence:
+    """High-speed video as a sequence."""
+    video = open_mraw(header)
+    names = tuple(f"{video.path}[{frame}]" for frame in range(video.frames))
+    return ImageSequence(names, video.size_px, _full_scale(header, video.bits, bit_depth), video.read)
+
+
+def _full_scale(path: Path, stored_bits: int, bit_depth: int | None) -> int:
+    """Largest grey value of `bit_depth` bits (default: all stored bits)."""
+    depth = stored_bits if bit_depth is None else bit_depth
+    if not 1 <= depth <= stored_bits:
+        raise ValueError(f"{path}: expected images of bit depth {bit_depth}, found {stored_bits} bits per pixel")
+    return int(2**depth - 1)
+
+
+def _check_like_first(path: Path, header: _Header, first: _Header, alone: bool) -> None:
+    """Refuse a file that differs from the first one, or that has pages where one image per file is expected."""
+    if header.size_px != first.size_px:
+        (width, height), (found_width, found_height) = first.size_px, header.size_px
+        raise ValueError(f"{path}: expected {width} x {height} px, found {found_width} x {found_height}")
+    if header.bits != first.bits:
+        raise ValueError(f"{path}: expected {first.bits} bits per pixel, found {header.bits}")
+    if header.pages > 1 and not alone:
+        raise ValueError(f"{path}: expected one image per file, found {header.pages} pages")
+
+
+def _read_header(path: Path) -> _Header:
+    """Header of a TIFF or PNG file."""
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file")
+    if path.suffix.lower() in TIFF_SUFFIXES:
+        return _tiff_header(path)
+    if path.suffix.lower() == ".png":
+        return _png_header(path)
+    raise ValueError(f"{path}: expected a .tif, .tiff, .png, .cih or .cihx file, found {path.suffix or 'no suffix'}")
+
+
+def _read_file(paths: tuple[Path, ...], bits: int, index: int) -> GreyImage:
+    """The only image of TIFF or PNG file `index`."""
+    path = paths[index]
+    return _read_png(path) if path.suffix.lower() == ".png" else _read_tiff(path, bits, 0)
+
+
+def _tiff_header(path: Path) -> _Header:
+    """Size, bits and pages of a TIFF file whose pixel data lie within the file."""
+    import tifffile
+
+    try:
+        with tifffile.TiffFile(path) as tiff:
+            pages = [tiff.pages[0], *tiff.pages[1:]]
+            length = tiff.filehandle.size
+            ends = [int(end) for page in pages for end in np.add(page.dataoffsets, page.databytecounts)]
+            shape, bits, colour = pages[0].shape, int(pages[0].bitspersample), pages[0].photometric
+            same = all(page.shape == shape and page.bitspersample == bits for page in pages)
+    except (ValueError, IndexError, KeyError, struct.error) as error:
+        raise ValueError(f"{path}: not a readable TIFF file ({error})") from error
+    if len(shape) != 2 or colour not in (tifffile.PHOTOMETRIC.MINISBLACK, tifffile.PHOTOMETRIC.MINISWHITE):
+        raise ValueError(f"{path}: expected a grey image, found {colour.name} of shape {shape}")
+    if not same:
+        raise ValueError(f"{path}: expected pages of one size and bit depth, found different ones")
+    if bits not in (8, 12, 16) or pages[0].dtype.kind != "u":
+        raise ValueError(f"{path}: expected 8, 12 or 16 bits per pixel, found {bits} ({pages[0].dtype})")
+    if not ends or max(ends) > length:
+        raise ValueError(f"{path}: truncated, expected {max(ends, default=0)} bytes, found {length}")
+    return _Header((shape[1], shape[0]), bits, len(pages))
+
+
+def _read_tiff(path: Path, bits: int, page: int) -> GreyImage:
+    """One page of a TIFF file; OpenCV takes what tifffile cannot decode alone (LZW, packed 12 bit)."""
+    import tifffile
+
+    try:
+        with tifffile.TiffFile(path) as tiff:
+            image: GreyImage = tiff.pages[page].asarray()
+            return image
+    except (NotImplementedError, ImportError):
+        return _read_tiff_opencv(path, bits, page)
+    except (ValueError, zlib.error, IndexError) as error:
+        if "imagecodecs" in str(error):
+            return _read_tiff_opencv(path, bits, page)
+        raise ValueError(f"{path}: not a readable TIFF file ({error})") from error
+
+
+def _read_tiff_opencv(path: Path, bits: int, page: int) -> GreyImage:
+    """One page of a TIFF file by OpenCV, which scales packed 12-bit values up to 16 bit: scaled back here."""
+    import cv2
+
+    data = np.fromfile(path, np.uint8)
+    _, pages = cv2.imdecodemulti(data, cv2.IMREAD_UNCHANGED, range=(page, page + 1))
+    if len(pages) != 1:
+        raise ValueError(f"{path}: not a readable TIFF file (page {page} cannot be decoded)")
+    image = cast(GreyImage, np.asarray(pages[0]))
+    return image >> np.uint16(4) if bits == 12 else image
+
+
+def _png_header(path: Path) -> _Header:
+    """Size and bits of a PNG file that has its end mark."""
+    with path.open("rb") as file:
+        head = file.read(26)
+        file.seek(max(0, path.stat().st_size - 64))
+        tail = file.read()
+    if len(head) < 26 or not head.startswith(PNG_SIGNATURE) or head[12:16] != b"IHDR":
+        raise ValueError(f"{path}: not a readable PNG file")
+    if b"IEND" not in tail:
+        raise ValueError(f"{path}: truncated, the end mark of the PNG file is missing")
+    width, height, bits, colour = struct.unpack(">IIBB", head[16:26])
+    if colour != 0:
+        raise ValueError(f"{path}: expected a grey image, found {PNG_COLOURS.get(colour, 'unknown colours')}")
+    if bits not in (8, 16):
+        raise ValueError(f"{path}: expected 8 or 16 bits per pixel, found {bits}")
+    return _Header((width, height), bits, 1)
+
+
+def _read_png(path: Path) -> GreyImage:
+    """The image of a PNG file."""
+    import cv2
+
+    image = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
+    if image is None:
+        raise ValueError(f"{path}: not a readable PNG file (its pixels cannot be decoded)")
+    return cast(GreyImage, np.asarray(image))
