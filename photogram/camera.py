@@ -85,14 +85,10 @@ class StereoRig:
     parameters: ClassVar[tuple[str, ...]] = RIG_PARAMETERS
 
     def __post_init__(self) -> None:
-        """Refuse a covariance of another shape, with NaN, or not symmetric."""
-        if self.covariance is None:
-            return
-        check_shape("covariance", self.covariance, (len(RIG_PARAMETERS), len(RIG_PARAMETERS)))
-        sigma = np.sqrt(np.abs(np.diagonal(self.covariance)))
-        asymmetry = np.abs(self.covariance - self.covariance.T)
-        if not (asymmetry <= 1e-9 * np.outer(sigma, sigma)).all() or (np.diagonal(self.covariance) < 0).any():
-            raise ValueError("covariance: expected a symmetric matrix of finite numbers with a diagonal >= 0")
+        """Refuse a covariance of another shape or that is none: NaN, not symmetric, a negative variance."""
+        if self.covariance is not None:
+            check_shape("covariance", self.covariance, (len(RIG_PARAMETERS), len(RIG_PARAMETERS)))
+            _check_covariance(self.covariance)
 
     def perturbed(self, delta: FloatArray) -> StereoRig:
         """Return the rig with its parameters changed by delta (24,), in the order of `RIG_PARAMETERS`."""
@@ -120,3 +116,17 @@ class StereoRig:
         essential = skew(self.right_from_left.translation_m) @ self.right_from_left.rotation
         matrix = np.linalg.inv(self.right.matrix).T @ essential @ np.linalg.inv(self.left.matrix)
         return np.asarray(matrix / np.linalg.norm(matrix))
+
+
+def _check_covariance(covariance: FloatArray) -> None:
+    """Raise `ValueError` unless the matrix is symmetric and its correlations are positive semidefinite."""
+    sigma = np.sqrt(np.abs(np.diagonal(covariance)))
+    scale = np.outer(sigma, sigma)
+    if not (np.abs(covariance - covariance.T) <= 1e-9 * scale).all():
+        raise ValueError("covariance: expected a symmetric matrix of finite numbers, zero where a variance is zero")
+    correlation = covariance / np.where(scale > 0, scale, 1.0)
+    lowest = float(np.linalg.eigvalsh(correlation)[0])
+    if lowest < -1e-9:
+        raise ValueError(
+            f"covariance: expected no negative variance in any direction, found {lowest:.1e} (correlation)"
+        )

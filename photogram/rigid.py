@@ -60,7 +60,7 @@ class RigidTransform:
 
 
 def skew(vector: FloatArray) -> FloatArray:
-    """Return the matrices (..., 3, 3) of the cross product by vectors (..., 3): skew(v)·x = v × x."""
+    """Return the matrices (..., 3, 3) that multiply like the cross product by vectors (..., 3): [v]×·x = v × x."""
     v = np.asarray(vector, dtype=np.float64)
     matrix = np.zeros((*v.shape, 3))
     matrix[..., 0, 1], matrix[..., 0, 2], matrix[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
@@ -79,7 +79,7 @@ def rotation_from_vector(vector_rad: FloatArray) -> FloatArray:
     first = np.sinc(angle / np.pi)
     second = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
     cross = skew(v)
-    return np.eye(3) + first * cross + second * (cross @ cross)
+    return np.asarray(np.eye(3) + first * cross + second * (cross @ cross))
 
 
 def vector_from_rotation(rotation: FloatArray) -> FloatArray:
@@ -93,7 +93,7 @@ def vector_from_rotation(rotation: FloatArray) -> FloatArray:
     sine = np.linalg.norm(imaginary, axis=-1, keepdims=True)
     half = np.arctan2(sine, real)
     ratio = np.where(sine > 0, 2 * half / np.where(sine > 0, sine, 1.0), 2.0)
-    return ratio * imaginary
+    return np.asarray(ratio * imaginary)
 
 
 def _quaternion(rotation: FloatArray) -> FloatArray:
@@ -126,7 +126,7 @@ def rotation_vector_rate(vector_rad: FloatArray) -> FloatArray:
     exact = (1 - half / np.tan(half)) / (4 * half**2)
     coefficient = np.where(small, 1 / 12 + angle**2 / 720 + angle**4 / 30240, exact)
     cross = skew(v)
-    return np.eye(3) - 0.5 * cross + coefficient * (cross @ cross)
+    return np.asarray(np.eye(3) - 0.5 * cross + coefficient * (cross @ cross))
 
 
 def nearest_rotation(matrix: FloatArray) -> FloatArray:

@@ -1,0 +1,284 @@
+"""Points through time to rigid motion, with covariance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+
+from photogram._checks import BoolArray, FloatArray, IntArray, check_shape
+from photogram._inverse import invert
+from photogram.rigid import (
+    fixes_rotation,
+    nearest_rotation,
+    rotation_from_vector,
+    rotation_vector_rate,
+    skew,
+    vector_from_rotation,
+)
+from photogram.triangulate import Points
+
+_START_ROUNDS = 8  # rounds of the robust start
+_CHOICE_ROUNDS = 8  # rounds in which points may be rejected and come back
+_ROUNDS = 16  # rounds altogether; two or three are the rule
+_REJECTED = 25.0  # squared distance, in scaled standard deviations, beyond which a point is an outlier
+_MEDIAN_CHI2 = 2.3659738843753377  # median of χ² with three degrees of freedom
+_FEWEST = 6  # with fewer points nobody is rejected
+_ROUNDING = 1e-12  # of the coordinates: errors below it are rounding, never outliers
+_SINGULAR = 1e-13  # smallest eigenvalue of a solvable system, scaled to a unit diagonal
+_CONVERGED = 1e-13  # a step (m, rad) this small ends the iteration
+
+
+@dataclass(frozen=True, eq=False)
+class RigidMotion:
+    """Rigid motion of a body through time: x' = R(r)·(x − o) + o + t of frame k against the reference.
+
+    pose (F, 6) = [t (m), r (rad, rotation vector)], covariance (F, 6, 6) of it, residual_m (F,) rms per coordinate,
+    points (F,) used, origin_m (3,) = o. A frame that could not be fitted has NaN and 0 points.
+    """
+
+    pose: FloatArray
+    covariance: FloatArray
+    residual_m: FloatArray
+    points: IntArray
+    origin_m: FloatArray
+
+    def __post_init__(self) -> None:
+        """Refuse shapes that do not belong together."""
+        check_shape("pose", self.pose, (None, 6))
+        frames = len(self.pose)
+        check_shape("covariance", self.covariance, (frames, 6, 6))
+        check_shape("residual_m", self.residual_m, (frames,))
+        check_shape("points", self.points, (frames,))
+        check_shape("origin_m", self.origin_m, (3,))
+
+
+def fit_motion(points: Points, reference_m: FloatArray | None, origin_m: FloatArray) -> RigidMotion:
+    """Return the rigid motion of every frame's points against reference (N, 3), by default the points of frame 0.
+
+    Minimises Σ dᵢ², dᵢ² = eᵢᵀ·Cᵢ⁻¹·eᵢ, eᵢ = x'ᵢ − R·(xᵢ − o) − o − t, with the points' own covariances Cᵢ by
+    Gauss-Newton. The start is Arun's fit (`rigid.nearest_rotation`) with Cauchy weights 1/(1 + eᵢ²/median e²), reweighted
+    eight times, so that outliers do not carry it away. Outliers: in each round the frame's scale s² is the median
+    of dᵢ² over that of χ² with 3 degrees of freedom, and points with dᵢ² > 25·s² are left out (2·10⁻⁵ of normal
+    ones); they may come back during the first eight rounds, and fewer than six points reject nobody.
+
+    The covariance is (Σ Jᵀ·C⁻¹·J)⁻¹ over the points used: the noise of this single frame as the points state it, not
+    enlarged or reduced by the residuals. The noise of the reference is left out: it moves all frames of a series
+    alike. Frame 0, whose pose against itself is exactly zero, gets a covariance of the same kind. A frame with fewer
+    than three usable points, or with all on one line, is NaN.
+    """
+    origin = np.asarray(origin_m, dtype=np.float64)
+    check_shape("origin_m", origin, (3,))
+    reference = points.position_m[0] if reference_m is None else np.asarray(reference_m, dtype=np.float64)
+    check_shape("reference_m", reference, (points.position_m.shape[1], 3))
+    if np.count_nonzero(np.isfinite(reference).all(axis=1)) < 3:
+        raise ValueError("reference_m: expected at least 3 finite points; give a reference when frame 0 has none")
+    source, target = reference - origin, points.position_m - origin
+    precision = _precisions(np.ascontiguousarray(points.covariance_m2, dtype=np.float64))
+    known = np.isfinite(precision).all(axis=(2, 3)) & np.isfinite(target).all(axis=2)
+    return _fit(source, target, precision, known & np.isfinite(source).all(axis=1), origin)
+
+
+def relative_to(motion: RigidMotion, mean_pose: FloatArray) -> RigidMotion:
+    """Return the motion T_k·T_mean⁻¹ against another pose (6,), such as the mean, about the same origin.
+
+    The origin then is the material point that is there in that pose. The pose is taken as exact: with T_k changed by
+    a small left rotation δ and shift τ, t changes by τ − δ × (R_rel·t_mean). Residuals and points stay.
+    """
+    mean = np.asarray(mean_pose, dtype=np.float64)
+    check_shape("mean_pose", mean, (6,))
+    rotation = rotation_from_vector(motion.pose[:, 3:])
+    relative = rotation @ rotation_from_vector(mean[3:]).T
+    carried = relative @ mean[:3]
+    vector = vector_from_rotation(relative)
+    jacobian = np.zeros((len(rotation), 6, 6))
+    jacobian[:, :3, :3] = np.eye(3)
+    rotations = np.linalg.inv(rotation_vector_rate(motion.pose[:, 3:]))
+    jacobian[:, :3, 3:] = skew(carried) @ rotations
+    jacobian[:, 3:, 3:] = rotation_vector_rate(vector) @ rotations
+    return replace(
+        motion,
+        pose=np.concatenate([motion.pose[:, :3] - carried, vector], axis=1),
+        covariance=jacobian @ motion.covariance @ np.swapaxes(jacobian, 1, 2),
+    )
+
+
+def points_with_estimated_noise(position_m: FloatArray, reference_m: FloatArray | None = None) -> Points:
+    """Return points (F, N, 3) of unknown covariance with the covariance that their own rigid fit shows.
+
+    One 3×3 covariance for all: the residuals of an unweighted rigid fit of every frame, about each point's mean over
+    time (which takes out the noise of the reference), pooled over points and frames, divided by the degrees of freedom
+    (F' − 1)·(N − 2) left of F' frames with a fit; outliers are left out as in `fit_motion`. `reprojection_px` is NaN.
+    """
+    position = np.asarray(position_m, dtype=np.float64)
+    check_shape("position_m", position, (None, None, 3))
+    unit = Points(position, np.broadcast_to(np.eye(3), (*position.shape, 3)), np.full(position.shape[:2], np.nan))
+    start = 1 if reference_m is None else 0
+    motion = fit_motion(unit, reference_m, np.zeros(3))
+    reference = position[0] if reference_m is None else np.asarray(reference_m, dtype=np.float64)
+    moved = reference @ np.swapaxes(rotation_from_vector(motion.pose[:, 3:]), 1, 2) + motion.pose[:, None, :3]
+    error = (position - moved)[start:]
+    covariance = _pooled(error, motion.residual_m[start:])
+    missing = ~np.isfinite(position).all(axis=2)
+    every = np.where(missing[..., None, None], np.nan, covariance)
+    return replace(unit, covariance_m2=every)
+
+
+def _pooled(error: FloatArray, residual: FloatArray) -> FloatArray:
+    """Return the covariance (3, 3) over time of errors (F, N, 3) without those beyond five of their frame's rms."""
+    inside = (error**2).sum(axis=2) <= _REJECTED * residual[:, None] ** 2
+    count = inside.sum(axis=0)
+    kept = inside & (count >= 2)
+    error = np.where(kept[..., None], error, 0.0)
+    deviation = np.where(kept[..., None], error - error.sum(axis=0) / np.maximum(count, 1)[:, None], 0.0)
+    tracks = np.count_nonzero(count >= 2)
+    freedom = (kept.sum() - tracks) * (1 - 2 / max(tracks, 3))
+    if tracks < 3:
+        raise ValueError("position_m: expected at least 3 points in 2 frames besides the reference to estimate noise")
+    return np.asarray(np.einsum("fni,fnj->ij", deviation, deviation) / freedom)
+
+
+def _fit(
+    source: FloatArray, target: FloatArray, precision: FloatArray, usable: BoolArray, origin: FloatArray
+) -> RigidMotion:
+    """Fit the frames that can be fitted and leave the others NaN."""
+    frames = len(target)
+    source, target = np.where(np.isfinite(source), source, 0.0), np.where(usable[..., None], target, 0.0)
+    rotation, translation, fixed = _robust_start(source, target, usable)
+    fixed &= usable.sum(axis=1) >= 3
+    used = usable & fixed[:, None]
+    normal = np.broadcast_to(np.eye(6), (frames, 6, 6)).copy()
+    for step_number in range(_ROUNDS):
+        before = used
+        if step_number < _CHOICE_ROUNDS:
+            used = _choose(source, target, precision, usable & fixed[:, None], rotation, translation)
+        normal, gradient = _normal_equations(source, target, precision, used, rotation, translation)
+        fixed &= _solvable(normal)
+        normal = np.where(fixed[:, None, None], normal, np.eye(6))
+        step = np.where(fixed[:, None], np.linalg.solve(normal, gradient[..., None])[..., 0], 0.0)
+        rotation, translation = rotation_from_vector(step[:, 3:]) @ rotation, translation + step[:, :3]
+        if np.abs(step).max(initial=0.0) <= _CONVERGED and np.array_equal(used, before):
+            break
+    used &= fixed[:, None]
+    pose = np.concatenate([translation, vector_from_rotation(rotation)], axis=1)
+    rate = np.broadcast_to(np.eye(6), (frames, 6, 6)).copy()
+    rate[:, 3:, 3:] = rotation_vector_rate(pose[:, 3:])
+    error = target - source @ np.swapaxes(rotation, 1, 2) - translation[:, None]
+    count = used.sum(axis=1)
+    squares = np.where(used, (error**2).sum(axis=2), 0.0).sum(axis=1)
+    return RigidMotion(
+        pose=np.where(fixed[:, None], pose, np.nan),
+        covariance=np.where(fixed[:, None, None], rate @ np.linalg.inv(normal) @ np.swapaxes(rate, 1, 2), np.nan),
+        residual_m=np.where(fixed, np.sqrt(squares / (3 * np.maximum(count, 1))), np.nan),
+        points=count.astype(np.int64),
+        origin_m=origin,
+    )
+
+
+def _robust_start(
+    source: FloatArray, target: FloatArray, usable: BoolArray
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Return rotations, translations and whether each frame's points fix them: Arun's fit with Cauchy weights."""
+    weight = usable.astype(np.float64)
+    rotation, translation = np.empty((len(target), 3, 3)), np.empty((len(target), 3))
+    fixed = np.ones(len(target), dtype=np.bool_)
+    for _ in range(_START_ROUNDS):
+        share = weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
+        source_mean, target_mean = share @ source, (share[:, None] @ target)[:, 0]
+        spread = np.swapaxes((target - target_mean[:, None]) * share[..., None], 1, 2)
+        scatter = spread @ (source - source_mean[:, None])
+        fixed = fixes_rotation(scatter)
+        rotation = nearest_rotation(scatter)
+        translation = target_mean - (rotation @ source_mean[..., None])[..., 0]
+        error = target - source @ np.swapaxes(rotation, 1, 2) - translation[:, None]
+        weight = _cauchy_weights((error**2).sum(axis=2), usable)
+    return rotation, translation, fixed
+
+
+@njit(cache=True)
+def _precisions(covariance: FloatArray) -> FloatArray:
+    """Return the inverses of covariances (F, N, 3, 3), NaN where one is not positive definite."""
+    frames, count = covariance.shape[:2]
+    precision = np.full((frames, count, 3, 3), np.nan)
+    inverse = np.empty((3, 3))
+    for f in range(frames):
+        for i in range(count):
+            one = covariance[f, i]
+            if one[0, 0] > 0.0 and one[1, 1] > 0.0 and one[2, 2] > 0.0 and invert(one, inverse):
+                precision[f, i] = inverse
+    return precision
+
+
+@njit(cache=True)
+def _cauchy_weights(squares: FloatArray, usable: BoolArray) -> FloatArray:
+    """Return 1/(1 + e²/m²) with m² the frame's median of the squared errors e², 0 where a point is not usable."""
+    weight = np.zeros(squares.shape)
+    for f in range(squares.shape[0]):
+        if usable[f].any():
+            median = max(np.median(squares[f][usable[f]]), 1e-300)
+            weight[f] = np.where(usable[f], 1.0 / (1.0 + squares[f] / median), 0.0)
+    return weight
+
+
+@njit(cache=True)
+def _choose(
+    source: FloatArray,
+    target: FloatArray,
+    precision: FloatArray,
+    usable: BoolArray,
+    rotation: FloatArray,
+    translation: FloatArray,
+) -> BoolArray:
+    """Return the usable points (F, N) whose Mahalanobis distance is no outlier among those of their frame."""
+    frames, count = usable.shape
+    used = usable.copy()
+    square = np.zeros(count)
+    for f in range(frames):
+        rounding = 0.0
+        for i in range(count):
+            if usable[f, i]:
+                y = target[f, i]
+                e = y - rotation[f] @ source[i] - translation[f]
+                square[i] = e @ (precision[f, i] @ e)
+                rounding = max(rounding, y @ (precision[f, i] @ y))
+        if usable[f].sum() >= _FEWEST:
+            scale = max(np.median(square[usable[f]]) / _MEDIAN_CHI2, _ROUNDING**2 * rounding)
+            used[f] = usable[f] & (square <= _REJECTED * scale)
+    return used
+
+
+@njit(cache=True)
+def _normal_equations(
+    source: FloatArray,
+    target: FloatArray,
+    precision: FloatArray,
+    used: BoolArray,
+    rotation: FloatArray,
+    translation: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return Σ Jᵀ·W·J (F, 6, 6) and Σ Jᵀ·W·e (F, 6), J = [I, −[R·x]×] for a shift and a small left rotation."""
+    frames, count = used.shape
+    normal, gradient = np.zeros((frames, 6, 6)), np.zeros((frames, 6))
+    jacobian = np.zeros((3, 6))
+    for k in range(3):
+        jacobian[k, k] = 1.0
+    for f in range(frames):
+        for i in range(count):
+            if used[f, i]:
+                arm = rotation[f] @ source[i]
+                jacobian[0, 4], jacobian[0, 5], jacobian[1, 5] = arm[2], -arm[1], arm[0]
+                jacobian[1, 3], jacobian[2, 3], jacobian[2, 4] = -arm[2], arm[1], -arm[0]
+                weighted = jacobian.T @ precision[f, i]
+                normal[f] += weighted @ jacobian
+                gradient[f] += weighted @ (target[f, i] - arm - translation[f])
+    return normal, gradient
+
+
+def _solvable(normal: FloatArray) -> BoolArray:
+    """Return which normal matrices (F, 6, 6) fix all six components."""
+    diagonal = np.diagonal(normal, axis1=1, axis2=2)
+    positive = (diagonal > 0).all(axis=1)
+    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    lowest = np.linalg.eigvalsh(normal / (scale[:, :, None] * scale[:, None, :]))[:, 0]
+    return np.asarray(positive & (lowest > _SINGULAR))
