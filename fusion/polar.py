@@ -1,0 +1,112 @@
+"""Magnitude and phase of a complex number with its uncertainty, and numbers rounded to their uncertainty."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+UNIFORM_PHASE_U = float(np.pi / np.sqrt(3.0))
+LARGEST_PLAIN = 1e5
+SMALLEST_PLAIN = 1e-2
+
+
+@dataclass(frozen=True)
+class Polar:
+    """A complex value as magnitude and phase in (-pi, pi] and as parts, with standard uncertainties (k = 1)."""
+
+    magnitude: float
+    phase_rad: float
+    u_magnitude: float
+    u_phase_rad: float
+    re: float
+    im: float
+    u_re: float
+    u_im: float
+    r: float
+
+
+def polar(value: complex, covariance: FloatArray) -> Polar:
+    """First-order propagation of the covariance (2, 2) of (Re, Im) of `value` to magnitude and phase.
+
+    u(|X|)^2 = e^T V e with e = (Re, Im)/|X|, u(arg X)^2 = n^T V n / |X|^2 with n = (-Im, Re)/|X| (JCGM 102, 9.4).
+    Where |X| is of the order of its uncertainty the expansion fails: u(arg X) is capped at pi/sqrt(3), the standard
+    deviation of a phase of which nothing is known, and at X = 0 u(|X|) is that of the mean direction.
+    """
+    re, im = float(value.real), float(value.imag)
+    magnitude = float(np.hypot(re, im))
+    u_re, u_im = (float(u) for u in np.sqrt(np.diag(covariance)))
+    r = float(covariance[0, 1]) / (u_re * u_im) if u_re * u_im > 0.0 else 0.0
+    u_magnitude, u_phase = _first_order(re, im, magnitude, covariance)
+    return Polar(magnitude, _phase(re, im), u_magnitude, u_phase, re, im, u_re, u_im, r)
+
+
+def element_covariance(covariance: FloatArray, element: int) -> FloatArray:
+    """Covariance (2, 2) of (Re, Im) of one element of a real-stacked covariance (2M, 2M)."""
+    pair = [element, element + covariance.shape[-1] // 2]
+    return covariance[np.ix_(pair, pair)]
+
+
+def _phase(re: float, im: float) -> float:
+    """Phase in (-pi, pi]; an imaginary part of -0 does not turn pi into -pi."""
+    return float(np.arctan2(im + 0.0, re))
+
+
+def _first_order(re: float, im: float, magnitude: float, covariance: FloatArray) -> tuple[float, float]:
+    """Standard uncertainties of magnitude and phase."""
+    if magnitude == 0.0:
+        return float(np.sqrt(np.trace(covariance) / 2.0)), UNIFORM_PHASE_U
+    along = np.array([re, im]) / magnitude
+    across = np.array([-im, re]) / magnitude
+    u_magnitude = float(np.sqrt(max(along @ covariance @ along, 0.0)))
+    u_phase = float(np.sqrt(max(across @ covariance @ across, 0.0))) / magnitude
+    if np.isnan(covariance).any():
+        return float("nan"), float("nan")
+    return u_magnitude, min(u_phase, UNIFORM_PHASE_U)
+
+
+class Rounded(NamedTuple):
+    """A value and its expanded uncertainty as decimal texts, both times ten to the power `exponent`."""
+
+    value: str
+    expanded: str
+    exponent: int
+
+
+def rounded(value: float, expanded: float) -> Rounded:
+    """Value rounded to the second significant digit of its expanded uncertainty (GUM 7.2.6).
+
+    Without a usable uncertainty the value is given with five significant digits and the uncertainty as a dash.
+    """
+    if not np.isfinite(value):
+        return Rounded("–", "–", 0)
+    if not np.isfinite(expanded) or expanded <= 0.0:
+        exponent = _power(abs(value))
+        return Rounded(_signed(f"{value * 10.0**-exponent:.5g}"), "–", exponent)
+    exponent = _power(max(abs(value), expanded))
+    while (decimals := _decimals(expanded * 10.0**-exponent)) < 0:
+        exponent += 3
+    scale = 10.0**-exponent
+    return Rounded(_signed(f"{value * scale:.{decimals}f}"), f"{expanded * scale:.{decimals}f}", exponent)
+
+
+def _decimals(expanded: float) -> int:
+    """Decimal places that show two significant digits."""
+    return 1 - int(f"{expanded:.1e}".partition("e")[2])
+
+
+def _power(size: float) -> int:
+    """Power of ten, a multiple of three, that brings `size` into a readable range."""
+    if size == 0.0 or SMALLEST_PLAIN <= size < LARGEST_PLAIN:
+        return 0
+    return 3 * int(np.floor(np.log10(size) / 3.0))
+
+
+def _signed(text: str) -> str:
+    """Typographic minus sign; no sign before zero."""
+    if text.startswith("-") and not text.strip("-0."):
+        return text[1:]
+    return text.replace("-", "\N{MINUS SIGN}")

@@ -1,0 +1,2 @@
+"""report.html: one self-contained page."""
+REPORT_FILE = "report.html"

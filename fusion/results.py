@@ -1,0 +1,82 @@
+"""The results folder: tables, HDF5 file and report, whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+from fusion.evaluation import Evaluation
+from fusion.provenance import RESULT_FILE, check_folder, read_provenance
+from fusion.report import REPORT_FILE, render_report
+from fusion.results_csv import merge_tables, result_tables
+from fusion.results_h5 import write_h5
+
+OWN_FILE = re.compile(r"(sensitivity|acceleration|load|motion-.+)\.csv|result\.h5|report\.html")
+
+
+def write_results(evaluation: Evaluation, folder: Path, *, force: bool = False) -> list[Path]:
+    """Write every result file of one recording and return their paths.
+
+    All files are made in a temporary folder beside `folder` and then moved, so a failure leaves `folder` as it was. A
+    folder that holds anything but results of the same inputs is refused unless `force`; even then only files of the
+    program's own names are replaced, and nothing else is touched.
+    """
+    folder = folder.resolve()
+    check_folder(folder, evaluation.input_hashes, force=force)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    temporary = folder.with_name(f".{folder.name}-{os.getpid()}")
+    temporary.mkdir()
+    try:
+        names = _fill(temporary, evaluation)
+        _move(temporary, folder, names)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+    return [folder / name for name in names]
+
+
+def merge_results(folders: Sequence[Path], out: Path) -> list[Path]:
+    """Join the tables of several recordings' results folders by rows and return the paths of the joint files."""
+    out.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for name, text in merge_tables(folders).items():
+        paths.append(out / name)
+        write_whole(paths[-1], text)
+    return paths
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a text file by a temporary name and one rename."""
+    temporary = path.with_name(f".{path.name}-{os.getpid()}")
+    try:
+        temporary.write_text(text, encoding="utf-8", newline="\n")
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _fill(folder: Path, evaluation: Evaluation) -> list[str]:
+    """Make all files in a folder; the HDF5 file, which says that the folder is complete, comes last."""
+    tables = result_tables(evaluation)
+    for name, text in tables.items():
+        (folder / name).write_text(text, encoding="utf-8", newline="\n")
+    (folder / REPORT_FILE).write_text(render_report(evaluation), encoding="utf-8", newline="\n")
+    names = [*tables, REPORT_FILE, RESULT_FILE]
+    write_h5(folder / RESULT_FILE, evaluation, names)
+    return names
+
+
+def _move(temporary: Path, folder: Path, names: Sequence[str]) -> None:
+    """Put the finished files in place: the folder in one step where there is none yet, else file by file."""
+    if not folder.exists():
+        os.replace(temporary, folder)
+        return
+    before = read_provenance(folder)
+    (folder / RESULT_FILE).unlink(missing_ok=True)
+    for name in before.files if before is not None else ():
+        if name not in names and OWN_FILE.fullmatch(name):
+            (folder / name).unlink(missing_ok=True)
+    for name in names:
+        os.replace(temporary / name, folder / name)

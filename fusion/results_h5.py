@@ -1,0 +1,84 @@
+"""result.h5: the whole evaluation, every covariance written out; the groups and names are those of the data classes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from pathlib import Path, PurePath
+from typing import Any
+
+import h5py
+import numpy as np
+
+from fusion.evaluation import Evaluation
+from fusion.provenance import Provenance, write_provenance
+
+FORMAT = 1
+COMPRESS_ABOVE = 512
+LEFT_OUT = {"manifest", "reference_image", "settings", "versions", "input_hashes"}
+"""Fields that are in the inputs, or stand in the group `provenance`."""
+
+
+def write_h5(path: Path, evaluation: Evaluation, files: Sequence[str]) -> None:
+    """Write the evaluation and its provenance to a new HDF5 file; `files` are the names of all result files."""
+    origin = Provenance(evaluation.input_hashes, evaluation.settings, evaluation.versions, tuple(files))
+    with h5py.File(path, "w", track_order=True) as file:
+        file.attrs["format"] = FORMAT
+        file.attrs["recording"] = evaluation.manifest.name
+        file.attrs["rig"] = evaluation.manifest.rig.name
+        file.attrs["phasors"] = "x(t) = Re{X exp(+j omega t)}; covariances of [all Re, all Im]; k = 1"
+        write_provenance(file, origin)
+        _write_fields(file, evaluation)
+
+
+def _write_fields(group: h5py.Group, item: Any) -> None:
+    """Write every field of a data class into a group."""
+    for field in fields(item):
+        if field.name not in LEFT_OUT:
+            _write(group, field.name, getattr(item, field.name))
+
+
+def _write(group: h5py.Group, name: str, value: Any) -> None:
+    """Write one value: data classes and mappings as groups, arrays and tuples as datasets, scalars as attributes."""
+    if value is None:
+        return
+    if is_dataclass(value):
+        _write_fields(group.create_group(name, track_order=True), value)
+    elif isinstance(value, Mapping):
+        inner = group.create_group(name, track_order=True)
+        for key, entry in value.items():
+            _write(inner, str(key), entry)
+    elif isinstance(value, np.ndarray):
+        _write_array(group, name, value)
+    elif isinstance(value, tuple | list):
+        _write_sequence(group, name, value)
+    else:
+        group.attrs[name] = value.as_posix() if isinstance(value, PurePath) else value
+
+
+def _write_sequence(group: h5py.Group, name: str, items: Sequence[Any]) -> None:
+    """Write data classes as numbered or named groups, texts and numbers as one dataset."""
+    if any(is_dataclass(item) for item in items):
+        inner = group.create_group(name, track_order=True)
+        for number, item in enumerate(items):
+            _write(inner, _label(item, number), item)
+    elif all(isinstance(item, str) for item in items):
+        group.create_dataset(name, data=np.array(items, dtype=object), dtype=h5py.string_dtype())
+    else:
+        _write_array(group, name, np.asarray(items))
+
+
+def _label(item: Any, number: int) -> str:
+    """Name of one entry of a list: its own where it has one, else its place."""
+    if hasattr(item, "body") and hasattr(item, "source"):
+        return f"{item.body}-{item.source}"
+    own = [getattr(item, key) for key in ("daq", "name") if isinstance(getattr(item, key, None), str)]
+    return "-".join(own).replace("/", "_") if own else f"{number:03d}"
+
+
+def _write_array(group: h5py.Group, name: str, array: np.typing.NDArray[Any]) -> None:
+    """Write an array, compressed where that is worth it."""
+    if array.size > COMPRESS_ABOVE:
+        group.create_dataset(name, data=array, compression="gzip", compression_opts=4, shuffle=True)
+    else:
+        group.create_dataset(name, data=array)
