@@ -58,10 +58,10 @@ def fit_motion(points: Points, reference_m: FloatArray | None, origin_m: FloatAr
     """Return the rigid motion of every frame's points against reference (N, 3), by default the points of frame 0.
 
     Minimises Σ dᵢ², dᵢ² = eᵢᵀ·Cᵢ⁻¹·eᵢ, eᵢ = x'ᵢ − R·(xᵢ − o) − o − t, with the points' own covariances Cᵢ by
-    Gauss-Newton. The start is Arun's fit (`rigid.nearest_rotation`) with Cauchy weights 1/(1 + eᵢ²/median e²), reweighted
-    eight times, so that outliers do not carry it away. Outliers: in each round the frame's scale s² is the median
-    of dᵢ² over that of χ² with 3 degrees of freedom, and points with dᵢ² > 25·s² are left out (2·10⁻⁵ of normal
-    ones); they may come back during the first eight rounds, and fewer than six points reject nobody.
+    Gauss-Newton. The start is Arun's fit (`rigid.nearest_rotation`) with Cauchy weights 1/(1 + eᵢ²/median e²),
+    reweighted eight times, so that outliers do not carry it away. In each round the frame's scale s² is the median of
+    dᵢ² over that of χ² with 3 degrees of freedom, and points with dᵢ² > 25·s² (2·10⁻⁵ of normal ones) are left out;
+    they may come back during the first eight rounds. Fewer than six points reject nobody.
 
     The covariance is (Σ Jᵀ·C⁻¹·J)⁻¹ over the points used: the noise of this single frame as the points state it, not
     enlarged or reduced by the residuals. The noise of the reference is left out: it moves all frames of a series
@@ -127,13 +127,13 @@ def points_with_estimated_noise(position_m: FloatArray, reference_m: FloatArray 
 
 def _pooled(error: FloatArray, residual: FloatArray) -> FloatArray:
     """Return the covariance (3, 3) over time of errors (F, N, 3) without those beyond five of their frame's rms."""
-    inside = (error**2).sum(axis=2) <= _REJECTED * residual[:, None] ** 2
-    count = inside.sum(axis=0)
+    inside = np.less_equal((error**2).sum(axis=2), _REJECTED * residual[:, None] ** 2)
+    count = np.asarray(inside.sum(axis=0))
     kept = inside & (count >= 2)
     error = np.where(kept[..., None], error, 0.0)
     deviation = np.where(kept[..., None], error - error.sum(axis=0) / np.maximum(count, 1)[:, None], 0.0)
-    tracks = np.count_nonzero(count >= 2)
-    freedom = (kept.sum() - tracks) * (1 - 2 / max(tracks, 3))
+    tracks = int(np.count_nonzero(count >= 2))
+    freedom = (int(kept.sum()) - tracks) * (1 - 2 / max(tracks, 3))
     if tracks < 3:
         raise ValueError("position_m: expected at least 3 points in 2 frames besides the reference to estimate noise")
     return np.asarray(np.einsum("fni,fnj->ij", deviation, deviation) / freedom)
@@ -143,17 +143,19 @@ def _fit(
     source: FloatArray, target: FloatArray, precision: FloatArray, usable: BoolArray, origin: FloatArray
 ) -> RigidMotion:
     """Fit the frames that can be fitted and leave the others NaN."""
-    frames = len(target)
     source, target = np.where(np.isfinite(source), source, 0.0), np.where(usable[..., None], target, 0.0)
     rotation, translation, fixed = _robust_start(source, target, usable)
     fixed &= usable.sum(axis=1) >= 3
-    used = usable & fixed[:, None]
-    normal = np.broadcast_to(np.eye(6), (frames, 6, 6)).copy()
-    for step_number in range(_ROUNDS):
+    used = usable = usable & fixed[:, None]
+    size = np.where(usable, np.trace(precision, axis1=2, axis2=3) * (target**2).sum(axis=2), 0.0)
+    smallest = _ROUNDING**2 * size.max(axis=1, initial=0.0)
+    for number in range(_ROUNDS):
         before = used
-        if step_number < _CHOICE_ROUNDS:
-            used = _choose(source, target, precision, usable & fixed[:, None], rotation, translation)
-        normal, gradient = _normal_equations(source, target, precision, used, rotation, translation)
+        if number < _CHOICE_ROUNDS:
+            used = _choose(_mahalanobis(source, target, precision, rotation, translation), smallest, usable)
+        arm = source @ np.swapaxes(rotation, 1, 2)
+        error = target - arm - translation[:, None]
+        normal, gradient = _normal_equations(arm, error, precision, used)
         fixed &= _solvable(normal)
         normal = np.where(fixed[:, None, None], normal, np.eye(6))
         step = np.where(fixed[:, None], np.linalg.solve(normal, gradient[..., None])[..., 0], 0.0)
@@ -161,19 +163,22 @@ def _fit(
         if np.abs(step).max(initial=0.0) <= _CONVERGED and np.array_equal(used, before):
             break
     used &= fixed[:, None]
-    pose = np.concatenate([translation, vector_from_rotation(rotation)], axis=1)
-    rate = np.broadcast_to(np.eye(6), (frames, 6, 6)).copy()
-    rate[:, 3:, 3:] = rotation_vector_rate(pose[:, 3:])
-    error = target - source @ np.swapaxes(rotation, 1, 2) - translation[:, None]
-    count = used.sum(axis=1)
     squares = np.where(used, (error**2).sum(axis=2), 0.0).sum(axis=1)
+    pose = np.concatenate([translation, vector_from_rotation(rotation)], axis=1)
     return RigidMotion(
         pose=np.where(fixed[:, None], pose, np.nan),
-        covariance=np.where(fixed[:, None, None], rate @ np.linalg.inv(normal) @ np.swapaxes(rate, 1, 2), np.nan),
-        residual_m=np.where(fixed, np.sqrt(squares / (3 * np.maximum(count, 1))), np.nan),
-        points=count.astype(np.int64),
+        covariance=np.where(fixed[:, None, None], _pose_covariance(normal, pose), np.nan),
+        residual_m=np.where(fixed, np.sqrt(squares / (3 * np.maximum(used.sum(axis=1), 1))), np.nan),
+        points=used.sum(axis=1).astype(np.int64),
         origin_m=origin,
     )
+
+
+def _pose_covariance(normal: FloatArray, pose: FloatArray) -> FloatArray:
+    """Return the covariance (F, 6, 6) of shift and rotation vector from that of shift and small left rotation."""
+    rate = np.broadcast_to(np.eye(6), normal.shape).copy()
+    rate[:, 3:, 3:] = rotation_vector_rate(pose[:, 3:])
+    return np.asarray(rate @ np.linalg.inv(normal) @ np.swapaxes(rate, 1, 2))
 
 
 def _robust_start(
@@ -192,7 +197,9 @@ def _robust_start(
         rotation = nearest_rotation(scatter)
         translation = target_mean - (rotation @ source_mean[..., None])[..., 0]
         error = target - source @ np.swapaxes(rotation, 1, 2) - translation[:, None]
-        weight = _cauchy_weights((error**2).sum(axis=2), usable)
+        squares = (error**2).sum(axis=2)
+        median = np.maximum(_median(squares, usable), 1e-300)
+        weight = np.where(usable, 1 / (1 + squares / median[:, None]), 0.0)
     return rotation, translation, fixed
 
 
@@ -210,68 +217,67 @@ def _precisions(covariance: FloatArray) -> FloatArray:
     return precision
 
 
-@njit(cache=True)
-def _cauchy_weights(squares: FloatArray, usable: BoolArray) -> FloatArray:
-    """Return 1/(1 + e²/m²) with m² the frame's median of the squared errors e², 0 where a point is not usable."""
-    weight = np.zeros(squares.shape)
-    for f in range(squares.shape[0]):
-        if usable[f].any():
-            median = max(np.median(squares[f][usable[f]]), 1e-300)
-            weight[f] = np.where(usable[f], 1.0 / (1.0 + squares[f] / median), 0.0)
-    return weight
+def _median(values: FloatArray, usable: BoolArray) -> FloatArray:
+    """Return each frame's median of the usable values (F, N), infinite where there is none."""
+    ordered = np.sort(np.where(usable, values, np.inf), axis=1)
+    count, frame = np.maximum(usable.sum(axis=1), 1), np.arange(len(values))
+    return np.asarray(0.5 * (ordered[frame, (count - 1) // 2] + ordered[frame, count // 2]))
+
+
+def _choose(squares: FloatArray, smallest: FloatArray, usable: BoolArray) -> BoolArray:
+    """Return the usable points (F, N) whose squared Mahalanobis distance is no outlier among those of their frame."""
+    scale = np.maximum(_median(squares, usable) / _MEDIAN_CHI2, smallest)
+    few = usable.sum(axis=1) < _FEWEST
+    return np.asarray(usable & (few[:, None] | (squares <= _REJECTED * scale[:, None])))
 
 
 @njit(cache=True)
-def _choose(
-    source: FloatArray,
-    target: FloatArray,
-    precision: FloatArray,
-    usable: BoolArray,
-    rotation: FloatArray,
-    translation: FloatArray,
-) -> BoolArray:
-    """Return the usable points (F, N) whose Mahalanobis distance is no outlier among those of their frame."""
-    frames, count = usable.shape
-    used = usable.copy()
-    square = np.zeros(count)
+def _mahalanobis(
+    source: FloatArray, target: FloatArray, precision: FloatArray, rotation: FloatArray, translation: FloatArray
+) -> FloatArray:
+    """Return the squared distances (F, N) of target from R·source + t, weighted by the precision."""
+    frames, count = target.shape[:2]
+    squares = np.empty((frames, count))
     for f in range(frames):
-        rounding = 0.0
+        r, t = rotation[f], translation[f]
         for i in range(count):
-            if usable[f, i]:
-                y = target[f, i]
-                e = y - rotation[f] @ source[i] - translation[f]
-                square[i] = e @ (precision[f, i] @ e)
-                rounding = max(rounding, y @ (precision[f, i] @ y))
-        if usable[f].sum() >= _FEWEST:
-            scale = max(np.median(square[usable[f]]) / _MEDIAN_CHI2, _ROUNDING**2 * rounding)
-            used[f] = usable[f] & (square <= _REJECTED * scale)
-    return used
+            x, y, w = source[i], target[f, i], precision[f, i]
+            e0 = y[0] - (r[0, 0] * x[0] + r[0, 1] * x[1] + r[0, 2] * x[2]) - t[0]
+            e1 = y[1] - (r[1, 0] * x[0] + r[1, 1] * x[1] + r[1, 2] * x[2]) - t[1]
+            e2 = y[2] - (r[2, 0] * x[0] + r[2, 1] * x[1] + r[2, 2] * x[2]) - t[2]
+            squares[f, i] = w[0, 0] * e0 * e0 + w[1, 1] * e1 * e1 + w[2, 2] * e2 * e2
+            squares[f, i] += 2.0 * (w[0, 1] * e0 * e1 + w[0, 2] * e0 * e2 + w[1, 2] * e1 * e2)
+    return squares
 
 
 @njit(cache=True)
 def _normal_equations(
-    source: FloatArray,
-    target: FloatArray,
-    precision: FloatArray,
-    used: BoolArray,
-    rotation: FloatArray,
-    translation: FloatArray,
+    arm: FloatArray, error: FloatArray, precision: FloatArray, used: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return Σ Jᵀ·W·J (F, 6, 6) and Σ Jᵀ·W·e (F, 6), J = [I, −[R·x]×] for a shift and a small left rotation."""
+    """Return Σ Jᵀ·W·J (F, 6, 6) and Σ Jᵀ·W·e (F, 6), J = [I, −[a]×], for a shift and a small left rotation.
+
+    Arms a = R·x and errors e are (F, N, 3); Jᵀ·v = [v, a × v].
+    """
     frames, count = used.shape
     normal, gradient = np.zeros((frames, 6, 6)), np.zeros((frames, 6))
-    jacobian = np.zeros((3, 6))
-    for k in range(3):
-        jacobian[k, k] = 1.0
+    row = np.empty((3, 6))
     for f in range(frames):
         for i in range(count):
             if used[f, i]:
-                arm = rotation[f] @ source[i]
-                jacobian[0, 4], jacobian[0, 5], jacobian[1, 5] = arm[2], -arm[1], arm[0]
-                jacobian[1, 3], jacobian[2, 3], jacobian[2, 4] = -arm[2], arm[1], -arm[0]
-                weighted = jacobian.T @ precision[f, i]
-                normal[f] += weighted @ jacobian
-                gradient[f] += weighted @ (target[f, i] - arm - translation[f])
+                a, w, e = arm[f, i], precision[f, i], error[f, i]
+                for k in range(3):
+                    row[k, 0], row[k, 1], row[k, 2] = w[k, 0], w[k, 1], w[k, 2]
+                    row[k, 3] = a[1] * w[k, 2] - a[2] * w[k, 1]
+                    row[k, 4] = a[2] * w[k, 0] - a[0] * w[k, 2]
+                    row[k, 5] = a[0] * w[k, 1] - a[1] * w[k, 0]
+                for j in range(6):
+                    normal[f, 0, j] += row[0, j]
+                    normal[f, 1, j] += row[1, j]
+                    normal[f, 2, j] += row[2, j]
+                    normal[f, 3, j] += a[1] * row[2, j] - a[2] * row[1, j]
+                    normal[f, 4, j] += a[2] * row[0, j] - a[0] * row[2, j]
+                    normal[f, 5, j] += a[0] * row[1, j] - a[1] * row[0, j]
+                    gradient[f, j] += row[0, j] * e[0] + row[1, j] * e[1] + row[2, j] * e[2]
     return normal, gradient
 
 
