@@ -28,7 +28,6 @@ sample-images: .venv/installed
 
 benchmark: .venv/installed
 	$(BIN)/python benchmarks/nitsche2018.py
-	$(BIN)/python benchmarks/tracking.py
 
 wheel: .venv/installed
 	$(BIN)/python -m build

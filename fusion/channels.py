@@ -1,0 +1,150 @@
+"""The DAQ channels of a recording turned into phasors in SI, delay and chain response taken off."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.errors import InputError
+from fusion.evaluation import ChannelResult
+from fusion.manifest import ChannelEntry, Manifest
+from fusion.records import DaqRecord
+from fusion.response import read_response
+from fusion.timing import TimeBase
+from shaker.signals.frequencies import Lines, find_lines
+from shaker.signals.phasor import Phasors
+from shaker.signals.sine import SineFit, fit_sines
+from shaker.signals.spectrum import amplitude_spectrum
+
+FloatArray = NDArray[np.float64]
+
+QUANTITY_UNITS = {
+    "displacement": "m",
+    "velocity": "m/s",
+    "acceleration": "m/s^2",
+    "angular_velocity": "rad/s",
+    "force": "N",
+    "voltage": "V",
+}
+EXCERPT_PERIODS = 4
+# The order in which quantities are preferred for finding the lines: those that show high frequencies best.
+LINE_QUANTITIES = ("acceleration", "velocity", "angular_velocity", "displacement", "output", "force", "voltage")
+
+
+def channel_unit(manifest: Manifest, channel: ChannelEntry) -> str:
+    """Return the unit of a channel after its scale."""
+    if channel.quantity == "output":
+        return manifest.rig.sensor.unit if manifest.rig.sensor else "1"
+    return QUANTITY_UNITS[channel.quantity]
+
+
+def find_channel_lines(manifest: Manifest, base: TimeBase) -> Lines | None:
+    """Find the lines in the fastest channel that shows the excitation; None where no block has such a channel."""
+    best = _line_channel(base)
+    if best is None:
+        return None
+    record, channel = best
+    time_s = base.to_base_s(record.entry.name, record.time_s(channel.name))
+    excitation = manifest.excitation
+    try:
+        return find_lines(time_s, record.values(channel)[:, None], excitation.frequencies, excitation.harmonics)
+    except ValueError as error:
+        expected = f"lines that stand out in channel {channel.name} of {record.entry.file.name}"
+        raise InputError(manifest.path, "excitation.frequencies", found=str(error), expected=expected) from error
+
+
+def _line_channel(base: TimeBase) -> tuple[DaqRecord, ChannelEntry] | None:
+    """Return the channel with the highest rate, of equally fast ones the first by quantity and place."""
+    candidates = [
+        (-record.raw[channel.name].sample_rate_hz, LINE_QUANTITIES.index(channel.quantity), place, record, channel)
+        for place, record in enumerate(base.records)
+        for channel in record.entry.channel
+        if channel.quantity in LINE_QUANTITIES
+    ]
+    if not candidates:
+        return None
+    *_, record, channel = min(candidates, key=lambda item: item[:3])
+    return record, channel
+
+
+def channel_results(manifest: Manifest, base: TimeBase, lines: Lines) -> tuple[ChannelResult, ...]:
+    """Fit the lines to every channel of every block and return the phasors with what the figures show."""
+    results: list[ChannelResult] = []
+    for record in base.records:
+        for group in _same_times(record):
+            results += _fit_group(manifest, base, record, group, lines)
+    return tuple(results)
+
+
+def _same_times(record: DaqRecord) -> list[list[ChannelEntry]]:
+    """Group a block's channels (triggers left out) by equal rate, start and length, to be fitted in one solve."""
+    groups: dict[tuple[float, float, int], list[ChannelEntry]] = {}
+    for channel in record.entry.channel:
+        if channel.quantity != "trigger":
+            raw = record.raw[channel.name]
+            groups.setdefault((raw.sample_rate_hz, raw.start_s, len(raw.samples)), []).append(channel)
+    return list(groups.values())
+
+
+def _fit_group(
+    manifest: Manifest, base: TimeBase, record: DaqRecord, group: Sequence[ChannelEntry], lines: Lines
+) -> list[ChannelResult]:
+    """Fit all channels of one group and split the result by channel."""
+    time_s = base.to_base_s(record.entry.name, record.time_s(group[0].name))
+    rate_hz = record.raw[group[0].name].sample_rate_hz
+    seen = lines.frequency_hz < rate_hz / 2.0
+    values = np.stack([record.values(channel) for channel in group], axis=1)
+    names = [channel.name for channel in group]
+    units = [channel_unit(manifest, channel) for channel in group]
+    fit = fit_sines(time_s, values, lines.frequency_hz[seen], names, units)
+    return [
+        _result(record, channel, time_s, values[:, c], fit, spread_lines(fit.phasors.select([channel.name]), seen, lines.frequency_hz))
+        for c, channel in enumerate(group)
+    ]
+
+
+def _result(
+    record: DaqRecord, channel: ChannelEntry, time_s: FloatArray, values: FloatArray, fit: SineFit, phasors: Phasors
+) -> ChannelResult:
+    """Correct one channel's phasors for delay and response, and keep what its figures need."""
+    place = fit.phasors.channels.index(channel.name)
+    rate_hz = record.raw[channel.name].sample_rate_hz
+    shown = slice(0, min(len(values), int(EXCERPT_PERIODS * rate_hz / fit.phasors.frequency_hz[0]) + 2))
+    spectrum = amplitude_spectrum(values, rate_hz)
+    return ChannelResult(
+        name=channel.name,
+        daq=record.entry.name,
+        quantity=channel.quantity,
+        body=channel.body,
+        unit=phasors.unit[0],
+        sample_rate_hz=rate_hz,
+        samples=len(values),
+        phasors=phasors.scaled(_correction(channel, phasors.frequency_hz)[:, None]),
+        residual_rms=float(np.sqrt(np.nanmean(fit.residual[:, place] ** 2))),
+        excerpt_s=time_s[shown],
+        excerpt=values[shown],
+        excerpt_fit=fit.model(time_s[shown])[:, place],
+        spectrum_hz=spectrum.frequency_hz,
+        spectrum=cast(FloatArray, spectrum.amplitude),
+    )
+
+
+def _correction(channel: ChannelEntry, frequency_hz: FloatArray) -> NDArray[np.complex128]:
+    """Return exp(+jω·delay) / response(f), the factor from a channel's phasor to the true one."""
+    factor = np.exp(2j * np.pi * frequency_hz * channel.delay)
+    if channel.response is None:
+        return np.asarray(factor)
+    return np.asarray(factor / read_response(channel.response, frequency_hz).value)
+
+
+def spread_lines(phasors: Phasors, mask: NDArray[np.bool_], frequency_hz: FloatArray) -> Phasors:
+    """Return phasors at all lines `frequency_hz` (K,) from those at the lines of `mask` (K,), NaN at the others."""
+    lines, channels = len(mask), len(phasors.channels)
+    value = np.full((lines, channels), np.nan, dtype=np.complex128)
+    covariance = np.full((lines, 2 * channels, 2 * channels), np.nan)
+    dof = np.zeros(lines)
+    value[mask], covariance[mask], dof[mask] = phasors.value, phasors.covariance, phasors.dof
+    return Phasors(frequency_hz, value, covariance, phasors.channels, phasors.unit, dof)

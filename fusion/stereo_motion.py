@@ -1,0 +1,297 @@
+"""From the image pairs (or points) of one stereo pair to the motion of its body and to displacement phasors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.channels import spread_lines
+from fusion.errors import ComputeError, InputError
+from fusion.evaluation import StereoResult
+from fusion.manifest import Images, Manifest, PointFiles, Stereo
+from fusion.notices import AnyNotice, Notice
+from fusion.settings import ProgressCallback, Settings
+from fusion.timing import TimeBase, exposure_middles
+from photogram.calibration_file import read_calibration
+from photogram.camera import StereoRig
+from photogram.images import GreyImage, ImageSequence, open_sequence, saturated_fraction
+from photogram.motion import RigidMotion, fit_motion, points_with_estimated_noise, relative_to
+from photogram.point_tables import read_point_tables
+from photogram.rigid import RigidTransform
+from photogram.track import StereoTracks, TrackSettings, TrackStatus, track_stereo
+from photogram.triangulate import Points, triangulate
+from shaker.signals.frequencies import Lines
+from shaker.signals.phasor import Phasors
+from shaker.signals.sine import SineFit, exposure_gain, fit_sines, usable_lines
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
+DISPLACEMENT_UNITS = ("m", "m", "m", "rad", "rad", "rad")
+MAX_SATURATED = 0.02  # fraction of pixels at full scale above which a camera is refused
+MIN_SUBSETS = 6
+
+
+@dataclass(frozen=True)
+class ImageView:
+    """What the images of one stereo pair gave: tracked subsets, their rig, and the first left image."""
+
+    tracks: StereoTracks
+    rig: StereoRig
+    reference_image: GreyImage
+
+
+@dataclass(frozen=True)
+class StereoMotion:
+    """Motion of one body in the sensor frame before any line is known.
+
+    `time_s` (F,) exposure middles on the first block's clock; `motion` from the first frame's pose about the sensor
+    origin; `view` is None for points of another program.
+    """
+
+    entry: Images | PointFiles
+    stereo: Stereo
+    time_s: FloatArray
+    motion: RigidMotion
+    reprojection_px: float
+    view: ImageView | None
+    notices: tuple[AnyNotice, ...]
+
+
+@dataclass(frozen=True)
+class StereoPhasors:
+    """Displacement phasors of one stereo pair at all lines, exposure loss corrected, and the calibration's effects.
+
+    `displacement`: six components, m and rad, NaN at lines that this camera rate cannot tell apart.
+    `calibration_effects` (P, K, 6): change of the phasors for one standard deviation of each principal component of the
+    calibration's covariance; P = 0 where the calibration has none.
+    """
+
+    result: StereoResult
+    displacement: Phasors
+    calibration_effects: ComplexArray
+    notices: tuple[AnyNotice, ...]
+
+
+def sensor_from_camera(stereo: Stereo) -> RigidTransform:
+    """Return the pose of the left camera (or of the frame of the points) in the sensor frame."""
+    return RigidTransform(np.array(stereo.rotation), np.array(stereo.translation))
+
+
+def measure_images(
+    manifest: Manifest, base: TimeBase, entry: Images, settings: Settings, progress: ProgressCallback
+) -> StereoMotion:
+    """Track the image pairs of one stereo pair and fit the rigid motion of the body it sees."""
+    stereo = manifest.rig.stereo[entry.stereo]
+    left, right = _open(manifest, entry, "left"), _open(manifest, entry, "right")
+    if len(left) != len(right):
+        key = f"images.{entry.stereo}.right"
+        raise InputError(manifest.path, key, found=f"{len(right)} images", expected=f"{len(left)} as on the left")
+    time_s = exposure_middles(manifest, base, entry, len(left))
+    rig = _calibration(manifest, stereo, left)
+    first = _read_first(manifest, entry, left, right)
+    tracks = _track(manifest, entry, left, right, rig, settings, progress)
+    points = triangulate(
+        rig,
+        tracks.left.position_px,
+        tracks.right.position_px,
+        tracks.left.covariance_px2,
+        tracks.right.covariance_px2,
+    ).transformed(sensor_from_camera(stereo))
+    motion = _fit(entry.stereo, points, None)
+    reprojection = float(np.sqrt(np.nanmean(points.reprojection_px**2)))
+    return StereoMotion(entry, stereo, time_s, motion, reprojection, ImageView(tracks, rig, first), tracks.notices)
+
+
+def measure_points(manifest: Manifest, base: TimeBase, entry: PointFiles) -> StereoMotion:
+    """Fit the rigid motion to the points of another program."""
+    stereo = manifest.rig.stereo[entry.stereo]
+    key = f"points.{entry.stereo}.files"
+    try:
+        table = read_point_tables(entry.files, entry.columns, entry.valid_status, entry.scale)
+    except (OSError, ValueError) as error:
+        raise InputError(manifest.path, key, found=str(error), expected="readable tables of points") from error
+    time_s = exposure_middles(manifest, base, entry, len(table.frames))
+    try:
+        points = points_with_estimated_noise(table.position_m, table.reference_m)
+    except ValueError as error:
+        raise InputError(manifest.path, key, found=str(error), expected="points of a rigid body") from error
+    placed = sensor_from_camera(stereo)
+    reference = None if table.reference_m is None else placed.apply(table.reference_m)
+    motion = _fit(entry.stereo, points.transformed(placed), reference)
+    return StereoMotion(entry, stereo, time_s, motion, float("nan"), None, ())
+
+
+def _open(manifest: Manifest, entry: Images, side: str) -> ImageSequence:
+    """Open one camera's images."""
+    paths = entry.left if side == "left" else entry.right
+    try:
+        return open_sequence(paths, entry.bit_depth)
+    except (OSError, ValueError) as error:
+        key = f"images.{entry.stereo}.{side}"
+        raise InputError(manifest.path, key, found=str(error), expected="a readable sequence of images") from error
+
+
+def _read_first(manifest: Manifest, entry: Images, left: ImageSequence, right: ImageSequence) -> GreyImage:
+    """Return the first left image; refuse cameras that are saturated."""
+    images = []
+    for side, sequence in (("left", left), ("right", right)):
+        key = f"images.{entry.stereo}.{side}"
+        try:
+            image = sequence.read(0)
+        except (OSError, ValueError) as error:
+            raise InputError(manifest.path, key, found=str(error), expected="readable images") from error
+        saturated = saturated_fraction(image, sequence.full_scale)
+        if saturated > MAX_SATURATED:
+            found = f"{sequence.names[0]} with {100 * saturated:.1f} % of its pixels at full scale"
+            raise InputError(manifest.path, key, found=found, expected="images that are not saturated")
+        images.append(image)
+    return images[0]
+
+
+def _calibration(manifest: Manifest, stereo: Stereo, images: ImageSequence) -> StereoRig:
+    """Read a stereo pair's calibration and refuse one made for images of another size."""
+    path = stereo.calibration
+    if path is None:
+        raise ComputeError("a stereo pair with images has no calibration")
+    try:
+        rig = read_calibration(path)
+    except (OSError, ValueError) as error:
+        raise InputError(path, "", found=str(error), expected="a readable stereo calibration") from error
+    size = tuple(int(length) for length in rig.left.size_px)
+    if size != images.size_px:
+        width, height = images.size_px
+        raise InputError(path, "image_size", found=f"{list(size)}", expected=f"[{width}, {height}] as {images.names[0]}")
+    return rig
+
+
+def _track(
+    manifest: Manifest,
+    entry: Images,
+    left: ImageSequence,
+    right: ImageSequence,
+    rig: StereoRig,
+    settings: Settings,
+    progress: ProgressCallback,
+) -> StereoTracks:
+    """Follow the subsets through both cameras' images."""
+    stage, total = f"track {entry.stereo}", 2 * len(left)
+    options = TrackSettings(radius_px=settings.subset_radius_px, degree=settings.spline_degree)
+    try:
+        return track_stereo(left, right, rig, options, lambda done: progress(stage, done, total))
+    except (OSError, ValueError) as error:
+        key = f"images.{entry.stereo}"
+        raise InputError(manifest.path, key, found=str(error), expected="images of a speckled body") from error
+
+
+def _fit(name: str, points: Points, reference_m: FloatArray | None) -> RigidMotion:
+    """Fit the rigid motion about the sensor origin; a series without any frame is an error."""
+    try:
+        motion = fit_motion(points, reference_m, np.zeros(3))
+    except ValueError as error:
+        raise ComputeError(f"stereo pair {name}: no rigid motion can be fitted ({error})") from error
+    if not np.isfinite(motion.pose).all(axis=1).any():
+        raise ComputeError(f"stereo pair {name}: no frame has enough points for a rigid motion; look at its images")
+    return motion
+
+
+def stereo_phasors(measured: StereoMotion, lines: Lines) -> StereoPhasors:
+    """Fit the lines to a body's motion about its mean pose."""
+    usable, folded = usable_lines(measured.time_s, lines.frequency_hz)
+    name = measured.entry.stereo
+    if not usable.any():
+        raise ComputeError(f"stereo pair {name}: its camera rate cannot tell any line of the recording apart")
+    frequency_hz = lines.frequency_hz[usable]
+    from_mean, fit = _fit_about_mean(name, measured, frequency_hz)
+    gain = exposure_gain(lines.frequency_hz, measured.entry.exposure)
+    displacement = spread_lines(fit.phasors, usable, lines.frequency_hz).scaled((1.0 / gain)[:, None])
+    effects = np.full((0, len(usable), 6), np.nan, dtype=np.complex128)
+    if measured.view is not None and measured.view.rig.covariance is not None:
+        changes = _calibration_effects(measured, measured.view, frequency_hz)
+        effects = np.full((len(changes), len(usable), 6), np.nan, dtype=np.complex128)
+        effects[:, usable] = changes / gain[usable][:, None]
+    notices = tuple(Notice(notice.severity, f"stereo pair {name}: {notice.text}", name) for notice in folded)
+    result = _result(measured, from_mean, fit, usable)
+    return StereoPhasors(result, displacement, effects, (*measured.notices, *notices))
+
+
+def _fit_about_mean(name: str, measured: StereoMotion, frequency_hz: FloatArray) -> tuple[RigidMotion, SineFit]:
+    """Fit the lines twice: the first fit's offset is the mean pose, to which the motion is re-referred."""
+    motion = measured.motion
+    try:
+        for _ in range(2):
+            fit = fit_sines(measured.time_s, motion.pose, frequency_hz, COMPONENTS, DISPLACEMENT_UNITS)
+            motion = relative_to(motion, fit.offset)
+        return motion, fit_sines(measured.time_s, motion.pose, frequency_hz, COMPONENTS, DISPLACEMENT_UNITS)
+    except ValueError as error:
+        raise ComputeError(f"stereo pair {name}: the lines cannot be fitted to its motion ({error})") from error
+
+
+def _calibration_effects(measured: StereoMotion, view: ImageView, frequency_hz: FloatArray) -> ComplexArray:
+    """Return (P, K, 6): the displacement phasors' change for each principal component of the calibration.
+
+    The path from the tracks onward is evaluated again with each perturbed rig. Phasors are linear in small pixel
+    displacements, so instead of all frames only the mean positions of the subsets and their displacement phasors at
+    each line are triangulated and fitted: 1 + 2K frames.
+    """
+    covariance = view.rig.covariance
+    if covariance is None:
+        return np.empty((0, len(frequency_hz), 6), dtype=np.complex128)
+    frames = _phasor_frames(measured.time_s, view.tracks, frequency_hz)
+    nominal = _phasor_motion(measured, view.rig, frames)
+    steps = _principal_components(covariance)
+    return np.array([_phasor_motion(measured, view.rig.perturbed(step), frames) - nominal for step in steps])
+
+
+def _phasor_frames(time_s: FloatArray, tracks: StereoTracks, frequency_hz: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return left and right positions (1 + 2K, N, 2): mean, mean + Re and mean + Im of each line's displacement."""
+    good = (tracks.left.status == TrackStatus.OK).all(axis=0) & (tracks.right.status == TrackStatus.OK).all(axis=0)
+    if np.count_nonzero(good) < MIN_SUBSETS:
+        raise ComputeError(f"only {np.count_nonzero(good)} subsets are followed through all frames; look at the images")
+    both = np.concatenate([tracks.left.position_px[:, good], tracks.right.position_px[:, good]], axis=1)
+    flat = both.reshape(len(time_s), -1)
+    names = tuple(str(i) for i in range(flat.shape[1]))
+    fit = fit_sines(time_s, flat, frequency_hz, names, ("px",) * len(names))
+    parts = [part for value in fit.phasors.value for part in (value.real, value.imag)]
+    frames = np.stack([fit.offset, *(fit.offset + part for part in parts)]).reshape(-1, 2, flat.shape[1] // 4, 2)
+    return frames[:, 0], frames[:, 1]
+
+
+def _phasor_motion(measured: StereoMotion, rig: StereoRig, frames: tuple[FloatArray, FloatArray]) -> ComplexArray:
+    """Return the displacement phasors (K, 6) that a rig makes of phasor frames."""
+    points = triangulate(rig, frames[0], frames[1], None, None).transformed(sensor_from_camera(measured.stereo))
+    pose = fit_motion(points, None, np.zeros(3)).pose[1:]
+    return np.asarray(pose[0::2] + 1j * pose[1::2])
+
+
+def _principal_components(covariance: FloatArray) -> FloatArray:
+    """Return steps (P, 24), one standard deviation along each principal component of a covariance."""
+    sigma = np.sqrt(np.diagonal(covariance))
+    scale = np.where(sigma > 0.0, sigma, 1.0)
+    eigenvalues, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    kept = eigenvalues > 1e-9 * eigenvalues[-1]
+    return np.asarray((vectors[:, kept] * np.sqrt(eigenvalues[kept])).T * sigma)
+
+
+def _result(measured: StereoMotion, from_mean: RigidMotion, fit: SineFit, usable: NDArray[np.bool_]) -> StereoResult:
+    """Collect what the result files and the report show of a stereo pair."""
+    view = measured.view
+    return StereoResult(
+        name=measured.entry.stereo,
+        body=measured.stereo.body,
+        time_s=measured.time_s,
+        exposure_s=measured.entry.exposure,
+        motion=measured.motion,
+        motion_from_mean=from_mean,
+        fit=fit,
+        usable=usable,
+        reprojection_px=measured.reprojection_px,
+        reference_image=None if view is None else view.reference_image,
+        subsets_px=None if view is None else view.tracks.left.position_px[0],
+        speckle_px=None if view is None else float(np.min(view.tracks.speckle_px)),
+        noise_grey=None if view is None else float(np.mean(view.tracks.noise_grey)),
+        median_zncc=None if view is None else float(np.nanmedian(view.tracks.left.zncc)),
+    )

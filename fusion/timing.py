@@ -1,0 +1,130 @@
+"""One time base for a recording: trigger edges tie the clocks and say when each frame was exposed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.errors import InputError
+from fusion.evaluation import ClockResult
+from fusion.manifest import ChannelEntry, Images, Manifest, PointFiles
+from fusion.records import DaqRecord
+from shaker.signals.sync import ClockTie, TriggerFit, find_edges, fit_trigger, tie_clocks
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TimeBase:
+    """The clocks of a recording. Time is counted on the first block's clock from its earliest sample.
+
+    `triggers`: per block and trigger channel, in seconds from the block's earliest sample. `ties`: per block, None for
+    the first.
+    """
+
+    records: tuple[DaqRecord, ...]
+    triggers: dict[tuple[str, str], TriggerFit]
+    ties: dict[str, ClockTie | None]
+
+    def to_base_s(self, daq: str, time_s: FloatArray) -> FloatArray:
+        """Return times of a block's own clock on the first block's clock."""
+        tie = self.ties[daq]
+        return time_s if tie is None else tie.to_base_s(time_s)
+
+    def results(self) -> tuple[ClockResult, ...]:
+        """Return one entry per block for the result tree."""
+        found = []
+        for record in self.records:
+            name = record.entry.name
+            fits = [fit for (daq, _), fit in self.triggers.items() if daq == name]
+            found.append(ClockResult(name, record.entry.file, fits[0] if fits else None, self.ties[name]))
+        return tuple(found)
+
+
+def tie_daqs(manifest: Manifest, records: Sequence[DaqRecord]) -> TimeBase:
+    """Find the trigger edges of all blocks and tie every block's clock to the first one's."""
+    triggers: dict[tuple[str, str], TriggerFit] = {}
+    for record in records:
+        for channel in record.entry.channel:
+            if channel.quantity == "trigger":
+                triggers[record.entry.name, channel.name] = _fit_trigger(record, channel)
+    ties: dict[str, ClockTie | None] = {}
+    for number, record in enumerate(records):
+        ties[record.entry.name] = _tie(manifest, records[0], record, triggers) if number else None
+    return TimeBase(tuple(records), triggers, ties)
+
+
+def _fit_trigger(record: DaqRecord, channel: ChannelEntry) -> TriggerFit:
+    """Fit the periodic model to a trigger channel's edges, in seconds from the block's earliest sample."""
+    raw = record.raw[channel.name]
+    try:
+        edges = find_edges(record.values(channel), raw.sample_rate_hz, channel.threshold, channel.edge)
+        fit = fit_trigger(edges)
+    except ValueError as error:
+        raise InputError(
+            record.entry.file, channel.name, found=str(error), expected="a periodic camera trigger"
+        ) from error
+    lag = record.lag_s(channel.name) - channel.delay
+    return replace(fit, start_s=fit.start_s + lag, edge_s=fit.edge_s + lag)
+
+
+def _tie(
+    manifest: Manifest, base: DaqRecord, other: DaqRecord, triggers: dict[tuple[str, str], TriggerFit]
+) -> ClockTie:
+    """Tie a block to the first one by the trigger they share."""
+    key = f"daq.{other.entry.name}.channel"
+    shared = [name for daq, name in triggers if daq == base.entry.name and (other.entry.name, name) in triggers]
+    if not shared:
+        wanted = f"a trigger channel of the same name as in block {base.entry.name}, which ties the two clocks"
+        raise InputError(manifest.path, key, found="none", expected=wanted)
+    first, second = triggers[base.entry.name, shared[0]], triggers[other.entry.name, shared[0]]
+    shift = other.entry.first_edge
+    try:
+        return tie_clocks(first, second, shift)
+    except ValueError as error:
+        shift = _shift_by_start_time(base, other, first, second)
+        if shift is not None:
+            return tie_clocks(first, second, shift)
+        wanted = f"pulses of {shared[0]} that fit those of block {base.entry.name} in one way only, or first_edge here"
+        raise InputError(
+            manifest.path, f"daq.{other.entry.name}.first_edge", found=str(error), expected=wanted
+        ) from error
+
+
+def _shift_by_start_time(base: DaqRecord, other: DaqRecord, first: TriggerFit, second: TriggerFit) -> int | None:
+    """Return the whole-period shift that the stated start times decide, None where one of them is not stated."""
+    starts = [record.entry.start_time or record.start_s for record in (base, other)]
+    if not all(starts):
+        return None
+    return round((starts[1] + second.start_s - starts[0] - first.start_s) / first.period_s)
+
+
+def exposure_middles(manifest: Manifest, base: TimeBase, entry: Images | PointFiles, frames: int) -> FloatArray:
+    """Return the middle of each frame's exposure (F,) on the first block's clock: edge + delay + exposure / 2."""
+    daq, trigger = _trigger_of(manifest, base, entry)
+    key = f"{'images' if isinstance(entry, Images) else 'points'}.{entry.stereo}.first_edge"
+    if entry.first_edge is None and trigger.edges > frames:
+        wanted = f"the number of the edge that belongs to the first of {frames} frames"
+        found = f"none, and {trigger.edges} edges in {entry.trigger}"
+        raise InputError(manifest.path, key, found=found, expected=wanted)
+    first = entry.first_edge or 0
+    if first + frames > trigger.edges:
+        wanted = f"at least {first + frames} edges in {entry.trigger} for {frames} frames"
+        raise InputError(
+            manifest.path, key.removesuffix("first_edge") + "trigger", found=str(trigger.edges), expected=wanted
+        )
+    edges = trigger.time_s(first + np.arange(frames))
+    return base.to_base_s(daq, edges) + entry.delay + entry.exposure / 2.0
+
+
+def _trigger_of(manifest: Manifest, base: TimeBase, entry: Images | PointFiles) -> tuple[str, TriggerFit]:
+    """Return the first block that records the trigger named, and its fit."""
+    for (daq, name), fit in base.triggers.items():
+        if name == entry.trigger:
+            return daq, fit
+    raise InputError(
+        manifest.path, f"images.{entry.stereo}.trigger", found=entry.trigger, expected="a trigger channel of a daq block"
+    )
