@@ -59,9 +59,11 @@ def fit_motion(points: Points, reference_m: FloatArray | None, origin_m: FloatAr
 
     Minimises Σ dᵢ², dᵢ² = eᵢᵀ·Cᵢ⁻¹·eᵢ, eᵢ = x'ᵢ − R·(xᵢ − o) − o − t, with the points' own covariances Cᵢ by
     Gauss-Newton. The start is Arun's fit (`rigid.nearest_rotation`) with Cauchy weights 1/(1 + eᵢ²/median e²),
-    reweighted eight times, so that outliers do not carry it away. In each round the frame's scale s² is the median of
-    dᵢ² over that of χ² with 3 degrees of freedom, and points with dᵢ² > 25·s² (2·10⁻⁵ of normal ones) are left out;
-    they may come back during the first eight rounds. Fewer than six points reject nobody.
+    reweighted eight times, so that up to a third of outliers do not carry it away. In each round the frame's scale is
+    s² = (1 + 5/(n − 2))²·median(dᵢ²)/2.366, the median of χ² with 3 degrees of freedom and the correction for few
+    points of Rousseeuw and Leroy (1987, Robust Regression and Outlier Detection, p. 202; two points are used up by
+    the six components); points with dᵢ² > 25·s² (1.5·10⁻⁵ of normal ones) are left out, and may come back during the
+    first eight rounds. Fewer than six points reject nobody.
 
     The covariance is (Σ Jᵀ·C⁻¹·J)⁻¹ over the points used: the noise of this single frame as the points state it, not
     enlarged or reduced by the residuals. The noise of the reference is left out: it moves all frames of a series
@@ -120,16 +122,15 @@ def points_with_estimated_noise(position_m: FloatArray, reference_m: FloatArray 
     moved = reference @ np.swapaxes(rotation_from_vector(motion.pose[:, 3:]), 1, 2) + motion.pose[:, None, :3]
     error = (position - moved)[start:]
     covariance = _pooled(error, motion.residual_m[start:])
-    missing = ~np.isfinite(position).all(axis=2)
-    every = np.where(missing[..., None, None], np.nan, covariance)
-    return replace(unit, covariance_m2=every)
+    known = np.asarray(np.isfinite(position).all(axis=2))[..., None, None]
+    return replace(unit, covariance_m2=np.where(known, covariance, np.nan))
 
 
 def _pooled(error: FloatArray, residual: FloatArray) -> FloatArray:
     """Return the covariance (3, 3) over time of errors (F, N, 3) without those beyond five of their frame's rms."""
     inside = np.less_equal((error**2).sum(axis=2), _REJECTED * residual[:, None] ** 2)
     count = np.asarray(inside.sum(axis=0))
-    kept = inside & (count >= 2)
+    kept = np.asarray(inside & (count >= 2), dtype=np.bool_)
     error = np.where(kept[..., None], error, 0.0)
     deviation = np.where(kept[..., None], error - error.sum(axis=0) / np.maximum(count, 1)[:, None], 0.0)
     tracks = int(np.count_nonzero(count >= 2))
@@ -151,10 +152,10 @@ def _fit(
     smallest = _ROUNDING**2 * size.max(axis=1, initial=0.0)
     for number in range(_ROUNDS):
         before = used
-        if number < _CHOICE_ROUNDS:
-            used = _choose(_mahalanobis(source, target, precision, rotation, translation), smallest, usable)
         arm = source @ np.swapaxes(rotation, 1, 2)
         error = target - arm - translation[:, None]
+        if number < _CHOICE_ROUNDS:
+            used = _choose(np.einsum("fni,fnij,fnj->fn", error, precision, error), smallest, usable)
         normal, gradient = _normal_equations(arm, error, precision, used)
         fixed &= _solvable(normal)
         normal = np.where(fixed[:, None, None], normal, np.eye(6))
@@ -226,28 +227,11 @@ def _median(values: FloatArray, usable: BoolArray) -> FloatArray:
 
 def _choose(squares: FloatArray, smallest: FloatArray, usable: BoolArray) -> BoolArray:
     """Return the usable points (F, N) whose squared Mahalanobis distance is no outlier among those of their frame."""
-    scale = np.maximum(_median(squares, usable) / _MEDIAN_CHI2, smallest)
-    few = usable.sum(axis=1) < _FEWEST
+    count = usable.sum(axis=1)
+    few = count < _FEWEST
+    correction = (1 + 5 / np.maximum(count - 2, 1)) ** 2
+    scale = np.maximum(correction * _median(squares, usable) / _MEDIAN_CHI2, smallest)
     return np.asarray(usable & (few[:, None] | (squares <= _REJECTED * scale[:, None])))
-
-
-@njit(cache=True)
-def _mahalanobis(
-    source: FloatArray, target: FloatArray, precision: FloatArray, rotation: FloatArray, translation: FloatArray
-) -> FloatArray:
-    """Return the squared distances (F, N) of target from R·source + t, weighted by the precision."""
-    frames, count = target.shape[:2]
-    squares = np.empty((frames, count))
-    for f in range(frames):
-        r, t = rotation[f], translation[f]
-        for i in range(count):
-            x, y, w = source[i], target[f, i], precision[f, i]
-            e0 = y[0] - (r[0, 0] * x[0] + r[0, 1] * x[1] + r[0, 2] * x[2]) - t[0]
-            e1 = y[1] - (r[1, 0] * x[0] + r[1, 1] * x[1] + r[1, 2] * x[2]) - t[1]
-            e2 = y[2] - (r[2, 0] * x[0] + r[2, 1] * x[1] + r[2, 2] * x[2]) - t[2]
-            squares[f, i] = w[0, 0] * e0 * e0 + w[1, 1] * e1 * e1 + w[2, 2] * e2 * e2
-            squares[f, i] += 2.0 * (w[0, 1] * e0 * e1 + w[0, 2] * e0 * e2 + w[1, 2] * e1 * e2)
-    return squares
 
 
 @njit(cache=True)

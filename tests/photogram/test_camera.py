@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from photogram.camera import RIG_PARAMETERS, Camera, StereoRig
@@ -63,6 +63,7 @@ def test_undistortion_agrees_with_opencv_iterated_to_the_end(distortion: tuple[f
 
 
 @given(st.sampled_from(DISTORTIONS), st.floats(0, 1), st.floats(0, 1), st.sampled_from([1600.0, 6607.6]))
+@settings(deadline=None)  # the first call compiles
 def test_undistortion_is_the_exact_inverse(distortion: tuple[float, ...], u: float, v: float, focal: float) -> None:
     one = camera(distortion, focal)
     normalised = (np.array([u, v]) * SIZE - one.matrix[:2, 2]) / np.diag(one.matrix)[:2]
