@@ -1,4 +1,4 @@
-"""Magnitude and phase of a complex number with its uncertainty, and numbers rounded to their uncertainty."""
+"""Complex numbers as magnitude and phase with uncertainty, and how numbers and units are printed."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ FloatArray = NDArray[np.float64]
 UNIFORM_PHASE_U = float(np.pi / np.sqrt(3.0))
 LARGEST_PLAIN = 1e5
 SMALLEST_PLAIN = 1e-2
+PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
+PLAIN_TO_TYPESET = (("^2", "²"), ("N.m", "N·m"))
 
 
 @dataclass(frozen=True)
@@ -110,3 +112,21 @@ def _signed(text: str) -> str:
     if text.startswith("-") and not text.strip("-0."):
         return text[1:]
     return text.replace("-", "\N{MINUS SIGN}")
+
+
+def prefix(values: FloatArray, *, coarse: bool = False) -> tuple[float, str]:
+    """Factor and SI prefix that bring the largest magnitude of `values` to a readable size (`coarse`: at least 1)."""
+    finite = np.abs(values[np.isfinite(values)])
+    largest = float(finite.max()) if finite.size else 1.0
+    threshold = 1.0 if coarse else 0.5
+    for factor, letter in PREFIXES:
+        if largest >= threshold * factor:
+            return factor, letter
+    return PREFIXES[-1]
+
+
+def typeset(unit: str) -> str:
+    """ASCII unit of the result files as it is printed: `m/s^2` becomes `m/s²`."""
+    for plain, nice in PLAIN_TO_TYPESET:
+        unit = unit.replace(plain, nice)
+    return unit

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import importlib.metadata
 import platform
@@ -65,7 +66,9 @@ def versions() -> dict[str, str]:
     """Versions of this program, of Python, of the system, and of the libraries that have been imported."""
     found = {PROGRAM: importlib.metadata.version(PROGRAM), "python": platform.python_version()}
     for module, distribution in LIBRARIES.items():
-        if module in sys.modules:
+        if module not in sys.modules:
+            continue
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
             found[distribution] = importlib.metadata.version(distribution)
     found["platform"] = f"{platform.system()} {platform.machine()}"
     return found

@@ -1,2 +1,80 @@
-"""report.html: one self-contained page."""
+"""report.html: one self-contained page with results, figures and origin of one recording."""
+
+from __future__ import annotations
+
+import base64
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+
+from fusion import report_tables as tables
+from fusion.evaluation import Evaluation
+from fusion.highlights import notices
+from fusion.plots.gallery import draw_all
+
 REPORT_FILE = "report.html"
+
+
+def render_report(evaluation: Evaluation) -> str:
+    """HTML text of the report; style and figures are inside, nothing is fetched from elsewhere."""
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).with_name("templates")),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["data_uri"] = data_uri
+    return environment.get_template("report.html").render(_context(evaluation)) + "\n"
+
+
+def data_uri(svg: str) -> Markup:
+    """SVG text as the source of an image element."""
+    coded = base64.b64encode(svg.encode("utf-8")).decode("ascii")
+    return Markup("data:image/svg+xml;base64,{}").format(coded)
+
+
+def _context(evaluation: Evaluation) -> dict[str, Any]:
+    """Everything the template shows."""
+    return {
+        "manifest": evaluation.manifest,
+        "subject": _subject(evaluation),
+        "headlines": tables.headlines(evaluation),
+        "notices": notices(evaluation),
+        "pictures": draw_all(evaluation),
+        "sensitivity": tables.sensitivity_table(evaluation),
+        "sources": tables.source_tables(evaluation),
+        "load": tables.load_table(evaluation),
+        "consistency": [
+            table for table in (tables.chi_square_table(evaluation), tables.consistency_table(evaluation)) if table
+        ],
+        "budget": tables.budget_table(evaluation),
+        "stereo": tables.stereo_table(evaluation.stereo),
+        "lines": tables.lines_table(evaluation),
+        "channels": tables.channels_table(evaluation),
+        "clocks": tables.clocks_table(evaluation),
+        "origin": tables.provenance_tables(evaluation),
+        "inputs": tables.inputs_table(evaluation),
+        "program": f"shakercal {evaluation.versions.get('shakercal', '')}".strip(),
+        "duration_s": evaluation.duration_s,
+    }
+
+
+def _subject(evaluation: Evaluation) -> list[tuple[str, str]]:
+    """What was measured: rig, sensor, load mass, excitation, surroundings."""
+    rig, excitation = evaluation.manifest.rig, evaluation.manifest.excitation
+    facts = [("Rig", rig.name)]
+    if rig.sensor is not None:
+        serial = f", serial number {rig.sensor.serial}" if rig.sensor.serial else ""
+        facts.append(("Sensor", f"{rig.sensor.name}{serial}"))
+    if rig.load is not None:
+        mass = tables.measured(rig.load.mass, 2.0 * rig.load.mass_uncertainty, "kg").striptags()
+        facts.append(("Load mass", f"{mass}, k = 2"))
+    nominal = ", ".join(f"{frequency:g} Hz" for frequency in excitation.frequencies or ())
+    direction = ", ".join(f"{element:g}" for element in excitation.direction)
+    facts.append(("Excitation", f"{excitation.kind}{f', {nominal}' if nominal else ''}, direction ({direction})"))
+    if rig.environment is not None and rig.environment.temperature is not None:
+        facts.append(("Temperature", f"{rig.environment.temperature:g} °C"))
+    return facts

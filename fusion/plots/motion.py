@@ -1,0 +1,247 @@
+"""Figures of one stereo pair: motion over time and folded, what the fit leaves, and the image it was seen in."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+
+from fusion.evaluation import StereoResult
+from fusion.plots.style import (
+    BLACK,
+    BLUE,
+    ORANGE,
+    RED,
+    FloatArray,
+    Picture,
+    drawing,
+    finish,
+    new_figure,
+)
+from fusion.polar import prefix
+from shaker.signals.sine import alias_frequency
+
+COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
+BASE_UNITS = ("m", "m", "m", "rad", "rad", "rad")
+POINT: dict[str, Any] = {"marker": "o", "linestyle": "none", "markersize": 2.6, "markeredgewidth": 0}
+COMPONENT_COLOURS = (BLUE, ORANGE, RED)
+CURVE_POINTS = 600
+LARGEST_IMAGE_PX = 900
+
+
+def motion_pictures(stereo: StereoResult) -> list[Picture]:
+    """All figures of one stereo pair."""
+    pictures = [draw_motion(stereo), draw_residuals(stereo)]
+    if len(stereo.time_s) >= 8:
+        pictures.append(draw_residual_spectrum(stereo))
+    if stereo.reference_image is not None and stereo.subsets_px is not None:
+        pictures.append(draw_subsets(stereo))
+    return pictures
+
+
+def draw_motion(stereo: StereoResult) -> Picture:
+    """Six components over time with the fitted lines as this camera rate sees them, and folded over one period."""
+    name = f"motion-{stereo.name}"
+    frequency = main_frequency(stereo)
+    rate = camera_rate_hz(stereo)
+    with drawing(name):
+        figure = new_figure(8.6)
+        panels = figure.subplots(6, 2, sharex="col", gridspec_kw={"width_ratios": [1.9, 1.0]})
+        for component, (over_time, folded) in enumerate(panels):
+            factor = _draw_component(over_time, stereo, component)
+            _draw_folded(folded, stereo, component, frequency, factor)
+        panels[0, 0].set_title("at the exposure times")
+        panels[0, 1].set_title("folded over one period")
+        panels[-1, 0].set_xlabel("time / s")
+        panels[-1, 1].set_xlabel(f"phase of {frequency:.4f} Hz / periods")
+        figure.align_ylabels(panels[:, 0])
+        beat = float(alias_frequency(frequency, rate))
+        caption = (
+            f"Motion of the {stereo.body} seen by stereo pair “{stereo.name}”, about its mean pose: "
+            f"{len(stereo.time_s)} frames at {rate:.4f} Hz. Points: measured; curves: sine approximation. Left, the "
+            f"curve is drawn at the beat frequency of {beat:.4f} Hz, to which this camera rate folds "
+            f"{frequency:.4f} Hz; it passes through the fit at every frame. Right, the frames are ordered by phase."
+        )
+        return finish(figure, name, f"Motion seen by {stereo.name}", caption)
+
+
+def draw_residuals(stereo: StereoResult) -> Picture:
+    """What the sine approximation leaves of each component, over time and as a histogram."""
+    name = f"residuals-{stereo.name}"
+    with drawing(name):
+        figure = new_figure(6.6)
+        panels = figure.subplots(6, 2, sharey="row", sharex="col", gridspec_kw={"width_ratios": [3.4, 1.0]})
+        for component, (over_time, histogram) in enumerate(panels):
+            residual = stereo.fit.residual[:, component]
+            factor, letter = prefix(residual)
+            scaled = residual / factor
+            over_time.plot(stereo.time_s, scaled, color=BLUE, **POINT)
+            over_time.axhline(0.0, color=BLACK, linewidth=0.6)
+            over_time.set_ylabel(f"{COMPONENTS[component]} / {letter}{BASE_UNITS[component]}")
+            _draw_histogram(histogram, scaled[np.isfinite(scaled)])
+        panels[-1, 0].set_xlabel("time / s")
+        panels[-1, 1].set_xlabel("frames")
+        figure.align_ylabels(panels[:, 0])
+        caption = (
+            "Measured motion minus sine approximation, frame by frame, and its distribution beside the normal "
+            "distribution of the same standard deviation s."
+        )
+        return finish(figure, name, f"Residuals of {stereo.name}", caption)
+
+
+def draw_residual_spectrum(stereo: StereoResult) -> Picture:
+    """Amplitude spectrum of the residuals up to half the camera rate, with the places to which the lines fold."""
+    name = f"residual-spectrum-{stereo.name}"
+    rate = camera_rate_hz(stereo)
+    spectrum_hz, amplitude = residual_spectrum(stereo)
+    with drawing(name):
+        figure = new_figure(3.1)
+        panels = figure.subplots(1, 2, sharex=True)
+        for axes, components, unit in zip(panels, ((0, 1, 2), (3, 4, 5)), ("m", "rad"), strict=True):
+            factor, letter = prefix(amplitude[1:, components], coarse=True)
+            for component, colour in zip(components, COMPONENT_COLOURS, strict=True):
+                line = amplitude[1:, component] / factor
+                axes.plot(spectrum_hz[1:], line, color=colour, linewidth=0.9, label=COMPONENTS[component])
+            axes.set_ylim(0.0, 1.25 * float(np.nanmax(amplitude[1:, components])) / factor)
+            axes.set_xlim(0.0, rate / 2.0)
+            axes.set_xlabel("frequency at the camera / Hz")
+            axes.set_ylabel(f"amplitude / {letter}{unit}")
+            _mark_lines(axes, stereo, rate)
+            axes.legend(ncols=3, loc="upper right")
+        caption = (
+            "Amplitude spectrum of the residuals over the frequency at which the camera sees them. Triangles: where "
+            "the fitted lines fold to. White noise alone gives a level spectrum; a peak elsewhere is a disturbance "
+            "or a line that was not fitted."
+        )
+        return finish(figure, name, f"Residual spectrum of {stereo.name}", caption)
+
+
+def draw_subsets(stereo: StereoResult) -> Picture:
+    """First left image with the subsets that were tracked."""
+    name = f"subsets-{stereo.name}"
+    image, points = stereo.reference_image, stereo.subsets_px
+    if image is None or points is None:
+        raise ValueError(f"stereo: expected images of pair {stereo.name}, found points of another program")
+    height, width = image.shape
+    step = max(1, -(-max(height, width) // LARGEST_IMAGE_PX))
+    with drawing(name):
+        shown = 5.4 if width >= height else 5.4 * width / height
+        figure = new_figure(shown * height / width + 0.45, shown + 0.6)
+        axes = figure.subplots()
+        low, high = np.percentile(image, (0.5, 99.5))
+        extent = (-0.5, width - 0.5, height - 0.5, -0.5)
+        axes.imshow(image[::step, ::step], cmap="gray", vmin=low, vmax=high, extent=extent, interpolation="nearest")
+        squares = _squares(points, _subset_size(points))
+        axes.add_collection(PolyCollection(squares, facecolor="none", edgecolor=ORANGE, linewidth=0.6))
+        axes.set_xlabel("x / px")
+        axes.set_ylabel("y / px")
+        axes.grid(visible=False)
+        speckle = f" Mean speckle size {stereo.speckle_px:.1f} px." if stereo.speckle_px is not None else ""
+        caption = f"First left image of “{stereo.name}”, contrast stretched, with its {len(points)} subsets.{speckle}"
+        return finish(figure, name, f"Subsets of {stereo.name}", caption)
+
+
+def main_frequency(stereo: StereoResult) -> float:
+    """Frequency of the strongest translational line of the fit."""
+    phasors = stereo.fit.phasors
+    return float(phasors.frequency_hz[np.argmax(np.abs(phasors.value[:, :3]).max(axis=1))])
+
+
+def camera_rate_hz(stereo: StereoResult) -> float:
+    """Mean frame rate: the median spacing is taken as one frame, gaps count as several."""
+    spacing = np.diff(stereo.time_s)
+    frames = np.round(spacing / np.median(spacing)).sum()
+    return float(frames / (stereo.time_s[-1] - stereo.time_s[0]))
+
+
+def beat_curve(stereo: StereoResult, time_s: FloatArray) -> FloatArray:
+    """Fitted curve (T, 6) with every line moved to its alias, so that it can be drawn between the frames.
+
+    At frame times t_n = t_0 + n/f_c, exp(j2πft_n) = exp(j2πft_0)·exp(j2π(f − m·f_c)(t_n − t_0)) for whole m.
+    """
+    rate, start = camera_rate_hz(stereo), float(stereo.time_s[0])
+    phasors = stereo.fit.phasors
+    alias = phasors.frequency_hz - rate * np.round(phasors.frequency_hz / rate)
+    turns = np.exp(2j * np.pi * (phasors.frequency_hz * start + np.multiply.outer(time_s - start, alias)))
+    drift = np.multiply.outer(time_s - stereo.fit.middle_s, stereo.fit.drift_per_s)
+    return np.asarray(stereo.fit.offset + drift + (turns @ phasors.value).real)
+
+
+def folded_curve(stereo: StereoResult, frequency_hz: float, phase: FloatArray) -> FloatArray:
+    """Fitted curve (T, 6) of one line and its multiples over its phase in periods."""
+    phasors = stereo.fit.phasors
+    multiple = phasors.frequency_hz / frequency_hz
+    own = np.abs(multiple - np.round(multiple)) * frequency_hz * np.ptp(stereo.time_s) < 0.02
+    turns = np.exp(2j * np.pi * np.multiply.outer(phase, np.round(multiple[own])))
+    return np.asarray((turns @ phasors.value[own]).real)
+
+
+def residual_spectrum(stereo: StereoResult) -> tuple[FloatArray, FloatArray]:
+    """Frequencies (B,) and amplitudes (B, 6) of the residuals; missing frames count as zero."""
+    spacing = np.diff(stereo.time_s)
+    place = np.concatenate([[0], np.cumsum(np.round(spacing / np.median(spacing)))]).astype(np.int64)
+    filled = np.zeros((place[-1] + 1, 6))
+    filled[place] = np.nan_to_num(stereo.fit.residual)
+    frequency = np.fft.rfftfreq(len(filled), 1.0 / camera_rate_hz(stereo))
+    present = int(np.isfinite(stereo.fit.residual).all(axis=1).sum())
+    return frequency, np.abs(np.fft.rfft(filled, axis=0)) * 2.0 / max(present, 1)
+
+
+def _draw_component(axes: Axes, stereo: StereoResult, component: int) -> float:
+    """One component over time; returns the unit's factor."""
+    pose = stereo.motion_from_mean.pose[:, component]
+    factor, letter = prefix(pose)
+    fine = np.linspace(stereo.time_s[0], stereo.time_s[-1], CURVE_POINTS)
+    axes.plot(fine, beat_curve(stereo, fine)[:, component] / factor, color=ORANGE, linewidth=1.0)
+    axes.plot(stereo.time_s, pose / factor, color=BLUE, **POINT)
+    axes.set_ylabel(f"{COMPONENTS[component]} / {letter}{BASE_UNITS[component]}")
+    return factor
+
+
+def _draw_folded(axes: Axes, stereo: StereoResult, component: int, frequency: float, factor: float) -> None:
+    """One component over the phase of the main line, other lines, offset and drift taken off."""
+    phase = np.mod(stereo.time_s * frequency, 1.0)
+    fine = np.linspace(0.0, 1.0, 241)
+    measured = folded_curve(stereo, frequency, phase)[:, component] + stereo.fit.residual[:, component]
+    axes.plot(phase, measured / factor, color=BLUE, **POINT)
+    axes.plot(fine, folded_curve(stereo, frequency, fine)[:, component] / factor, color=ORANGE, linewidth=1.2)
+    axes.set_xlim(0.0, 1.0)
+
+
+def _draw_histogram(axes: Axes, values: FloatArray) -> None:
+    """Horizontal histogram with the normal distribution of the same standard deviation."""
+    if len(values) < 3:
+        return
+    deviation = float(np.std(values, ddof=1))
+    counts, edges = np.histogram(values, bins=min(max(8, int(np.sqrt(len(values)))), 30))
+    axes.stairs(counts, edges, orientation="horizontal", fill=True, color=BLUE, alpha=0.45)
+    level = np.linspace(edges[0], edges[-1], 121)
+    if deviation > 0.0:
+        density = np.exp(-0.5 * (level / deviation) ** 2) / (np.sqrt(2.0 * np.pi) * deviation)
+        axes.plot(density * len(values) * (edges[1] - edges[0]), level, color=BLACK, linewidth=0.9)
+    axes.set_xlim(0.0, 1.75 * float(counts.max()))
+    axes.text(0.97, 0.5, f"s = {deviation:.2g}", transform=axes.transAxes, ha="right", va="center", fontsize=7.5)
+
+
+def _mark_lines(axes: Axes, stereo: StereoResult, rate: float) -> None:
+    """Triangles on the frequency axis where the fitted lines fold to."""
+    alias = alias_frequency(stereo.fit.phasors.frequency_hz, rate)
+    axes.plot(alias, np.zeros_like(alias), marker="^", linestyle="none", color=BLACK, markersize=4.5, clip_on=False)
+
+
+def _subset_size(points: FloatArray) -> float:
+    """Side of the squares drawn: the distance of neighbours on the grid."""
+    if len(points) < 2:
+        return 21.0
+    sample = points[:: max(1, len(points) // 200)]
+    distance = np.abs(sample[:, None, :] - points[None, :, :]).max(axis=2)
+    distance[distance < 0.5] = np.inf
+    return float(np.median(distance.min(axis=1)))
+
+
+def _squares(points: FloatArray, side: float) -> FloatArray:
+    """Corners (N, 4, 2) of squares about the points."""
+    corner = 0.46 * side * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    return np.asarray(points[:, None, :] + corner)

@@ -1,0 +1,116 @@
+"""One look for all figures: fonts, colours (Okabe and Ito's, distinct to colour-blind readers), units, SVG output."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+WIDTH_IN = 7.6
+BLACK, GREY, LIGHT = "#222222", "#7a7a7a", "#d9d9d9"
+BLUE, ORANGE, GREEN, RED, PURPLE, SKY = "#0072b2", "#e69f00", "#009e73", "#d55e00", "#cc79a7", "#56b4e9"
+SOURCE_COLOUR = {"fused": BLACK, "photogrammetry": BLUE, "vibrometer": RED, "accelerometer": GREEN}
+SOURCE_MARKER = {"fused": "o", "photogrammetry": "s", "vibrometer": "D", "accelerometer": "^"}
+STYLE = {
+    "font.family": "DejaVu Sans",
+    "font.size": 8.5,
+    "axes.labelsize": 8.5,
+    "axes.titlesize": 9.0,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.edgecolor": BLACK,
+    "axes.labelcolor": BLACK,
+    "axes.linewidth": 0.7,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.formatter.use_mathtext": True,
+    "axes.formatter.useoffset": False,
+    "grid.color": "#e8e8e8",
+    "grid.linewidth": 0.6,
+    "xtick.labelsize": 8.0,
+    "ytick.labelsize": 8.0,
+    "xtick.color": BLACK,
+    "ytick.color": BLACK,
+    "xtick.major.width": 0.7,
+    "ytick.major.width": 0.7,
+    "xtick.minor.width": 0.4,
+    "ytick.minor.width": 0.4,
+    "legend.frameon": False,
+    "legend.fontsize": 8.0,
+    "legend.handlelength": 1.6,
+    "lines.linewidth": 1.1,
+    "lines.markersize": 4.5,
+    "errorbar.capsize": 2.5,
+    "svg.fonttype": "path",
+    "figure.constrained_layout.use": True,
+    "figure.constrained_layout.h_pad": 0.03,
+    "figure.constrained_layout.w_pad": 0.04,
+}
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One figure: an identifier, a title, a caption of one or two sentences, and the SVG text."""
+
+    name: str
+    title: str
+    caption: str
+    svg: str
+
+
+@contextmanager
+def drawing(name: str) -> Iterator[None]:
+    """Apply the style, and make identifiers inside the SVG depend on the figure's name only."""
+    with mpl.rc_context({**STYLE, "svg.hashsalt": name}):
+        yield
+
+
+def new_figure(height_in: float, width_in: float = WIDTH_IN) -> Figure:
+    """Empty figure of the page's width."""
+    return Figure(figsize=(width_in, height_in))
+
+
+def finish(figure: Figure, name: str, title: str, caption: str) -> Picture:
+    """Turn a figure into SVG text without date or other metadata that would change from run to run."""
+    stream = io.StringIO()
+    figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
+    return Picture(name, title, caption, stream.getvalue())
+
+
+def thin_out(x: FloatArray, y: FloatArray, edges: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Largest `y` of each interval between `edges`, with its own `x`: peaks survive, the file stays small."""
+    order = np.searchsorted(edges, x, side="right")
+    starts = np.flatnonzero(np.diff(order, prepend=-1))
+    best = [start + int(np.argmax(y[start:stop])) for start, stop in zip(starts, [*starts[1:], len(x)], strict=True)]
+    return x[best], y[best]
+
+
+def padded(low: float, high: float, share: float = 0.15) -> tuple[float, float]:
+    """Axis limits with some room on both sides."""
+    room = share * (high - low) if high > low else share * max(abs(high), 1e-300)
+    return low - room, high + room
+
+
+def panel_label(axes: Axes, text: str) -> None:
+    """Short label in the upper left corner of a panel."""
+    axes.text(
+        0.01,
+        0.97,
+        text,
+        transform=axes.transAxes,
+        va="top",
+        ha="left",
+        fontweight="bold",
+        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0},
+    )

@@ -1,0 +1,340 @@
+"""The tables of the report: every number rounded to its expanded uncertainty, k = 2."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from markupsafe import Markup
+
+from fusion.evaluation import Evaluation, StereoResult
+from fusion.fuse import Acceleration
+from fusion.highlights import (
+    COMPONENTS,
+    LOAD_COMPONENTS,
+    acceleration,
+    bodies,
+    driven_channel,
+    driven_component,
+    main_line,
+    static_value,
+)
+from fusion.polar import Polar, element_covariance, polar, prefix, rounded, typeset
+from fusion.results_csv import sensitivity_element, sensitivity_unit
+from shaker.signals.phasor import Phasors
+
+LARGEST_PHASE_U = 1.0
+"""Expanded uncertainty in rad above which a phase is printed as not determined."""
+DASH = "–"
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table: caption, column heads, rows of cells, and per column `l` or `r` for its alignment."""
+
+    caption: str
+    head: tuple[str, ...]
+    align: str
+    rows: tuple[tuple[str, ...], ...]
+
+
+@dataclass(frozen=True)
+class Headline:
+    """One of the main results: what it is, its value with U, a remark."""
+
+    label: str
+    value: str
+    remark: str
+
+
+def measured(value: float, expanded: float, unit: str = "") -> Markup:
+    """Value and expanded uncertainty as HTML: `(2.0012 ± 0.0013) × 10⁻⁷ V/N`."""
+    text = rounded(value, expanded)
+    body = text.value if text.expanded == DASH else f"{text.value} ± {text.expanded}"
+    bracketed = f"({body})" if text.expanded != DASH and (unit or text.exponent) else body
+    minus = "\N{MINUS SIGN}" if text.exponent < 0 else ""
+    power = Markup(" × 10<sup>{}{}</sup>").format(minus, abs(text.exponent)) if text.exponent else Markup("")
+    return Markup("{}{}{}").format(bracketed, power, f" {typeset(unit)}" if unit else "")
+
+
+def phase(element: Polar) -> Markup:
+    """Phase with U, or a dash where it is not determined."""
+    expanded = 2.0 * element.u_phase_rad
+    return measured(element.phase_rad, expanded) if not expanded > LARGEST_PHASE_U else Markup(DASH)
+
+
+def headlines(evaluation: Evaluation) -> list[Headline]:
+    """The results to remember: sensitivity and phase, deviation from static, acceleration, load."""
+    component, line = driven_component(evaluation), main_line(evaluation)
+    found = []
+    if evaluation.sensitivity is not None:
+        found += _sensitivity_headlines(evaluation, line, component)
+    result = acceleration(evaluation, "load", "fused") or next(iter(evaluation.accelerations), None)
+    if result is not None and result.observed[line, component]:
+        found.append(_phasor_headline(result.phasors, line, component, f"Acceleration {COMPONENTS[component]}"))
+    if evaluation.load is not None and np.isfinite(evaluation.load.value[line, component]):
+        found.append(_phasor_headline(evaluation.load, line, component, f"Load {LOAD_COMPONENTS[component]}"))
+    return found
+
+
+def sensitivity_table(evaluation: Evaluation) -> Table | None:
+    """Every determined element of the sensitivity."""
+    found = evaluation.sensitivity
+    if found is None:
+        return None
+    rows = []
+    for k, frequency in enumerate(found.frequency_hz):
+        for c, j in np.argwhere(found.observed):
+            if not np.isfinite(found.value[k, c, j]):
+                continue
+            element = sensitivity_element(found, k, int(c), int(j))
+            unit = typeset(sensitivity_unit(found.unit, found.components[j]))
+            size = measured(element.magnitude, 2.0 * element.u_magnitude)
+            name = f"{found.channels[c]} per {found.components[j]}"
+            rows.append((f"{frequency:.4f}", name, size, unit, phase(element), _dof(found.dof[k]), found.kind[k]))
+    head = ("frequency / Hz", "output per load", "magnitude", "unit", "phase / rad", "dof", "kind")
+    return Table("Complex sensitivity with U (k = 2)", head, "rlrlrrl", tuple(rows))
+
+
+def source_tables(evaluation: Evaluation) -> list[Table]:
+    """Per body: six components at the strongest line, one column pair per source."""
+    line = main_line(evaluation)
+    tables = []
+    for body in bodies(evaluation):
+        results = [result for result in evaluation.accelerations if result.body == body]
+        rows = tuple(_source_row(results, line, c) for c in range(6))
+        head = ("", "unit", *(f"{r.source}: {what}" for r in results for what in ("amplitude", "phase / rad")))
+        frequency = float(results[0].phasors.frequency_hz[line])
+        caption = f"Acceleration of the {body} at the sensor origin, {frequency:.4f} Hz, with U (k = 2)"
+        tables.append(Table(caption, head, "ll" + "r" * (len(head) - 2), rows))
+    return tables
+
+
+def load_table(evaluation: Evaluation) -> Table | None:
+    """Load amplitude and phase at all lines; what is not determined has no row."""
+    phasors = evaluation.load
+    if phasors is None:
+        return None
+    rows = []
+    for k, frequency in enumerate(phasors.frequency_hz):
+        for c, name in enumerate(phasors.channels):
+            if np.isfinite(phasors.value[k, c]):
+                element = polar(complex(phasors.value[k, c]), element_covariance(phasors.covariance[k], c))
+                amplitude = measured(element.magnitude, 2.0 * element.u_magnitude)
+                unit = typeset(phasors.unit[c])
+                rows.append((f"{frequency:.4f}", name, amplitude, unit, phase(element), _dof(phasors.dof[k])))
+    head = ("frequency / Hz", "component", "amplitude", "unit", "phase / rad", "dof")
+    return Table("Load at the sensor origin with U (k = 2)", head, "rlrlrr", tuple(rows))
+
+
+def consistency_table(evaluation: Evaluation) -> Table | None:
+    """How each instrument agrees with the others."""
+    rows = []
+    for result in evaluation.accelerations:
+        for entry in result.consistency:
+            deviation = f"{entry.normalised_deviation:.2f}" if np.isfinite(entry.normalised_deviation) else DASH
+            ratio = entry.ratio
+            known = bool(np.isfinite(ratio))
+            amplitude = f"{100.0 * (abs(ratio) - 1.0):+.3f}".replace("-", "\N{MINUS SIGN}") if known else DASH
+            turn = f"{1e3 * np.angle(ratio):+.2f}".replace("-", "\N{MINUS SIGN}") if known else DASH
+            use = "fused" if entry.used else "compared only"
+            rows.append(
+                (result.body, result.source, entry.instrument, str(entry.channels), deviation, amplitude, turn, use)
+            )
+    head = ("body", "result", "instrument", "channels", "normalised deviation", "amplitude / %", "phase / mrad", "use")
+    caption = "Each instrument against the prediction of all others (normalised deviation: 1 is expected)"
+    return Table(caption, head, "lllrrrrl", tuple(dict.fromkeys(rows))) if rows else None
+
+
+def chi_square_table(evaluation: Evaluation) -> Table | None:
+    """Agreement of all instruments of a result together."""
+    rows = tuple(
+        (result.body, result.source, ", ".join(result.instruments), f"{result.chi2:.1f}", str(result.dof))
+        for result in evaluation.accelerations
+        if result.dof > 0
+    )
+    head = ("body", "result", "instruments", "χ²", "degrees of freedom")
+    return Table("Agreement of the instruments", head, "lllrr", rows) if rows else None
+
+
+def budget_table(evaluation: Evaluation) -> Table | None:
+    """Contributions to the driven sensitivity at the strongest line, largest first."""
+    found = evaluation.sensitivity
+    if found is None or not found.budget:
+        return None
+    line, channel = main_line(evaluation), driven_channel(evaluation)
+    entries = sorted(found.budget, key=lambda entry: -float(np.nan_to_num(entry.u_relative[line, channel])))
+    sizes = np.array([entry.u_relative[line, channel] for entry in entries])
+    turns = np.array([entry.u_phase_rad[line, channel] for entry in entries])
+    total = float(np.sum(sizes**2))
+    rows = [
+        (
+            entry.label,
+            entry.type,
+            f"{100.0 * u:.2g}",
+            f"{1e3 * turn:.2g}",
+            f"{100.0 * u**2 / total if total else 0.0:.1f}",
+        )
+        for entry, u, turn in zip(entries, sizes, turns, strict=True)
+    ]
+    combined = f"{100.0 * np.sqrt(total):.2g}", f"{1e3 * np.sqrt(np.sum(turns**2)):.2g}"
+    rows.append(("combined standard uncertainty (k = 1)", "", *combined, "100.0"))
+    head = ("contribution", "type", "u of the magnitude / %", "u of the phase / mrad", "share of the variance / %")
+    element = f"{found.channels[channel]} per {LOAD_COMPONENTS[driven_component(evaluation)]}"
+    caption = f"Budget of {element} at {found.frequency_hz[line]:.4f} Hz"
+    return Table(caption, head, "llrrr", tuple(rows))
+
+
+def lines_table(evaluation: Evaluation) -> Table:
+    """The lines evaluated and why."""
+    lines = evaluation.lines
+    rows = tuple(
+        (measured(f, 2.0 * u), f"{nominal:g}", str(int(multiple)), why)
+        for f, u, nominal, multiple, why in zip(
+            lines.frequency_hz, lines.u_frequency_hz, lines.nominal_hz, lines.multiple, lines.why, strict=True
+        )
+    )
+    head = ("frequency / Hz", "nominal / Hz", "multiple", "reason")
+    return Table("Lines evaluated, with U (k = 2)", head, "rrrl", rows)
+
+
+def channels_table(evaluation: Evaluation) -> Table | None:
+    """Every DAQ channel at the strongest line."""
+    line, rows = main_line(evaluation), []
+    for channel in evaluation.channels:
+        value = complex(channel.phasors.value[line, 0])
+        element = polar(value, element_covariance(channel.phasors.covariance[line], 0))
+        amplitude = measured(element.magnitude, 2.0 * element.u_magnitude, channel.unit)
+        sampling = (f"{channel.sample_rate_hz:g}", f"{channel.samples:d}")
+        rest = measured(channel.residual_rms, 0.0, channel.unit)
+        head = (channel.name, channel.daq, channel.quantity, channel.body)
+        rows.append((*head, *sampling, amplitude, phase(element), rest))
+    names = ("channel", "DAQ", "quantity", "body", "rate / Hz", "samples", "amplitude", "phase / rad", "residual rms")
+    caption = "Channels at the strongest line; U (k = 2) from the scatter alone"
+    return Table(caption, names, "llllrrrrr", tuple(rows)) if rows else None
+
+
+def clocks_table(evaluation: Evaluation) -> Table | None:
+    """Triggers and ties of the DAQ blocks."""
+    rows = []
+    for clock in evaluation.clocks:
+        trigger, tie = clock.trigger, clock.tie
+        cells = [clock.daq, clock.file.name]
+        if trigger is None:
+            cells += [DASH] * 5
+        else:
+            u_rate = 2.0 * np.sqrt(trigger.covariance[1, 1]) / trigger.period_s**2
+            missing = f"{len(trigger.missing)} / {trigger.spurious}"
+            jitter = measured(1e6 * trigger.jitter_s, 0.0)
+            cells += [str(len(trigger.number)), measured(1.0 / trigger.period_s, float(u_rate)), jitter, missing]
+            cells.append(measured(trigger.start_s, 2.0 * float(np.sqrt(trigger.covariance[0, 0]))))
+        if tie is None:
+            cells += ["time base" if clock is evaluation.clocks[0] else "not tied", DASH]
+        else:
+            u_offset, u_rate = 2.0 * np.sqrt(np.diag(tie.covariance))
+            cells += [measured(tie.offset_s, float(u_offset)), measured(1e6 * (tie.rate - 1.0), 1e6 * float(u_rate))]
+        rows.append(tuple(str(cell) if not isinstance(cell, Markup) else cell for cell in cells))
+    head = ("DAQ", "file", "edges", "trigger rate / Hz", "jitter / µs", "missing / spurious", "first edge / s")
+    head = (*head, "offset / s", "rate − 1 / 10⁻⁶")
+    return Table("Camera trigger and clocks, U (k = 2)", head, "llrrrrrrr", tuple(rows)) if rows else None
+
+
+def stereo_table(stereo: Sequence[StereoResult]) -> Table | None:
+    """Key figures of the stereo pairs, one column each."""
+    if not stereo:
+        return None
+    rows = [
+        ("body", *(item.body for item in stereo)),
+        ("frames, of which without a result", *(f"{len(item.time_s)}, {_failed(item)}" for item in stereo)),
+        ("first exposure / s", *(f"{item.time_s[0]:.6f}" for item in stereo)),
+        ("exposure / µs", *(f"{1e6 * item.exposure_s:g}" for item in stereo)),
+        ("subsets", *(str(len(item.subsets_px)) if item.subsets_px is not None else DASH for item in stereo)),
+        ("points per frame, median", *(f"{np.median(item.motion.points):.0f}" for item in stereo)),
+        ("reprojection rms / px", *(_number(item.reprojection_px) for item in stereo)),
+        (
+            "rigid residual, median / µm",
+            *(_number(1e6 * float(np.nanmedian(item.motion.residual_m))) for item in stereo),
+        ),
+        ("correlation ZNCC, median", *(_number(item.median_zncc) for item in stereo)),
+        ("speckle size / px", *(_number(item.speckle_px) for item in stereo)),
+        ("image noise / grey values", *(_number(item.noise_grey) for item in stereo)),
+        ("condition of the sine fit", *(_number(item.fit.condition) for item in stereo)),
+        ("lines told apart", *(f"{int(np.sum(item.usable))} of {len(item.usable)}" for item in stereo)),
+    ]
+    head = ("", *(f"“{item.name}”" for item in stereo))
+    return Table("Stereo pairs", head, "l" + "r" * len(stereo), tuple(rows))
+
+
+def provenance_tables(evaluation: Evaluation) -> list[Table]:
+    """Versions and settings."""
+    versions = tuple((name, version) for name, version in evaluation.versions.items())
+    settings = tuple((name, str(value)) for name, value in evaluation.settings.items())
+    return [
+        Table("Versions", ("program or library", "version"), "ll", versions),
+        Table("Settings", ("name", "value"), "ll", settings),
+    ]
+
+
+def inputs_table(evaluation: Evaluation) -> Table:
+    """Every input file with its hash."""
+    rows = tuple((name, Markup("<code>{}</code>").format(digest)) for name, digest in evaluation.input_hashes.items())
+    return Table("Input files", ("file", "SHA-256"), "ll", rows)
+
+
+def _sensitivity_headlines(evaluation: Evaluation, line: int, component: int) -> list[Headline]:
+    """Magnitude with its deviation from the static value, and phase."""
+    found = evaluation.sensitivity
+    channel = driven_channel(evaluation)
+    if found is None or not np.isfinite(found.value[line, channel, component]):
+        return []
+    element = sensitivity_element(found, line, channel, component)
+    unit = sensitivity_unit(found.unit, LOAD_COMPONENTS[component])
+    static = static_value(evaluation, channel, component)
+    remark = f"U (k = 2) = {200.0 * element.u_magnitude / element.magnitude:.2g} %"
+    if static is not None:
+        share, u_share = 100.0 * (element.magnitude / abs(static) - 1.0), 200.0 * element.u_magnitude / abs(static)
+        remark += f"; from static: {measured(share, u_share, '%').striptags()}"
+    where = f"{found.channels[channel]} per {LOAD_COMPONENTS[component]}, {found.frequency_hz[line]:.4f} Hz"
+    size = measured(element.magnitude, 2.0 * element.u_magnitude, unit)
+    turn = measured(element.phase_rad, 2.0 * element.u_phase_rad, "rad")
+    degrees = measured(np.degrees(element.phase_rad), 2.0 * np.degrees(element.u_phase_rad), "°").striptags()
+    return [Headline(f"Sensitivity {where}", size, remark), Headline("Phase of the output to the load", turn, degrees)]
+
+
+def _phasor_headline(phasors: Phasors, line: int, component: int, label: str) -> Headline:
+    """Amplitude of one component."""
+    element = polar(complex(phasors.value[line, component]), element_covariance(phasors.covariance[line], component))
+    value = measured(element.magnitude, 2.0 * element.u_magnitude, phasors.unit[component])
+    remark = f"U (k = 2) = {200.0 * element.u_magnitude / element.magnitude:.2g} %" if element.magnitude > 0.0 else ""
+    return Headline(f"{label}, amplitude", value, remark)
+
+
+def _source_row(results: Sequence[Acceleration], line: int, component: int) -> tuple[str, ...]:
+    """One component of all sources in one unit."""
+    values = np.array([abs(result.phasors.value[line, component]) for result in results])
+    factor, letter = prefix(values)
+    cells: list[str] = [COMPONENTS[component], letter + typeset(results[0].phasors.unit[component])]
+    for result in results:
+        value = complex(result.phasors.value[line, component])
+        if not result.observed[line, component] or not np.isfinite(value):
+            cells += [DASH, DASH]
+            continue
+        element = polar(value, element_covariance(result.phasors.covariance[line], component))
+        cells += [measured(element.magnitude / factor, 2.0 * element.u_magnitude / factor), phase(element)]
+    return tuple(cells)
+
+
+def _failed(stereo: StereoResult) -> int:
+    """Number of frames without a result."""
+    return int(np.sum(~np.isfinite(stereo.motion.pose).all(axis=1)))
+
+
+def _number(value: float | None) -> str:
+    """Three significant digits, a dash for what is unknown."""
+    return DASH if value is None or not np.isfinite(value) else f"{value:.3g}"
+
+
+def _dof(value: float) -> str:
+    """Degrees of freedom as a whole number."""
+    return f"{value:.0f}" if np.isfinite(value) else "∞"

@@ -1,0 +1,311 @@
+"""A synthetic evaluation with known numbers, as the recording of a shaker driven along z at 106.25 Hz would give it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.evaluation import ChannelResult, ClockResult, Evaluation, StereoResult
+from fusion.fuse import Acceleration, Consistency, Contribution
+from fusion.notices import Notice
+from fusion.sensitivity import BudgetEntry, Sensitivity
+from photogram.motion import RigidMotion
+from shaker.signals.frequencies import Lines
+from shaker.signals.phasor import Phasors
+from shaker.signals.sine import fit_sines
+from shaker.signals.sync import ClockTie, TriggerFit
+
+FREQUENCY_HZ = np.array([106.2503, 212.5006, 425.0012])
+COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
+LOADS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+UNITS = ("m/s^2",) * 3 + ("rad/s^2",) * 3
+ACCELERATION = np.array(
+    [
+        [0.31 - 0.12j, -0.18 + 0.05j, 189.3217 * np.exp(0.369j), 1.4 + 0.3j, -0.9 + 1.1j, 0.06 - 0.02j],
+        [0.02 + 0.01j, 0.01j, 0.38 - 0.21j, 0.11 + 0.02j, 0.09j, 0.0 + 0.01j],
+        [0.01 + 0.0j, 0.02 + 0.0j, 0.9596 * np.exp(-0.71j), 0.3 - 0.1j, 0.2 + 0.1j, 0.05 + 0.0j],
+    ]
+)
+RELATIVE_U = 6.5e-4
+WEAK_U = np.array([0.03, 0.03, 0.02, 0.25, 0.25, 0.4])
+STATIC = np.diag([5.1e-7, 5.1e-7, 2.0e-7, 9.1e-6, 9.1e-6, 8.2e-6])
+CROSS = np.array([2.1e-10 + 1e-11j, -8e-11 + 3e-11j, 1.972e-7 * np.exp(-0.0337j), 9e-10j, 4e-10 + 1e-10j, 1e-11 + 2e-11j])
+MASS_KG = 7.7295
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What the synthetic recording has: frames, sensor, images."""
+
+    frames: int = 211
+    sensor: bool = True
+    images: bool = True
+    name: str = "Fz 106.25 Hz"
+
+
+def make_evaluation(folder: Path, choice: Choice | None = None, seed: int = 0) -> Evaluation:
+    """Return a complete evaluation; `folder` is where its manifest would lie."""
+    choice = Choice() if choice is None else choice
+    rng = np.random.default_rng(seed)
+    accelerations = make_accelerations(rng)
+    stereo = tuple(_stereo(name, body, choice, rng) for name, body in (("top", "load"), ("base", "base")))
+    return Evaluation(
+        manifest=_manifest(folder, choice),
+        lines=_lines(),
+        clocks=_clocks(folder, rng),
+        channels=_channels(rng),
+        stereo=stereo if choice.images else (),
+        accelerations=accelerations,
+        load=_load(accelerations[0].phasors) if choice.sensor else None,
+        sensitivity=_sensitivity() if choice.sensor else None,
+        notices=_notices(),
+        settings={"subset_radius_px": 10, "spline_degree": 5},
+        versions={"shakercal": "0.1.0", "python": "3.11", "numpy": "2.0"},
+        input_hashes={"rig.toml": "ab" * 32, "Fz/recording.toml": "cd" * 32, "Fz/top-left/0000.tif": "ef" * 32},
+        duration_s=12.5,
+    )
+
+
+def make_accelerations(rng: np.random.Generator) -> tuple[Acceleration, ...]:
+    """Return the load's acceleration from three sources and fused, the base's from photogrammetry."""
+    found = [_acceleration("load", "fused", RELATIVE_U, 1.0, range(6), rng)]
+    found.append(_acceleration("load", "photogrammetry", 8e-4, 1.6, range(6), rng))
+    found.append(_acceleration("load", "vibrometer", 1.0e-3, 1.0, [2], rng))
+    found.append(_acceleration("load", "accelerometer", 4e-3, 3.0, [0, 1, 2], rng))
+    found.append(_acceleration("base", "fused", 9e-4, 1.6, range(6), rng))
+    found.append(_acceleration("base", "photogrammetry", 9e-4, 1.6, range(6), rng))
+    return tuple(found)
+
+
+def phasors(value: NDArray[Any], u: NDArray[Any], channels: tuple[str, ...], unit: tuple[str, ...]) -> Phasors:
+    """Return phasors with a little correlation of real and imaginary parts; `u` (K, C) of each part."""
+    lines, count = value.shape
+    covariance = np.zeros((lines, 2 * count, 2 * count))
+    diagonal = np.arange(count)
+    covariance[:, diagonal, diagonal] = u**2
+    covariance[:, diagonal + count, diagonal + count] = (0.6 * u) ** 2
+    covariance[:, diagonal, diagonal + count] = covariance[:, diagonal + count, diagonal] = 0.3 * 0.6 * u**2
+    return Phasors(FREQUENCY_HZ, value, covariance, channels, unit, np.full(lines, 204.0))
+
+
+def _acceleration(
+    body: str, source: Any, relative: float, weak: float, observed: Any, rng: np.random.Generator
+) -> Acceleration:
+    true = ACCELERATION * (1.0 if body == "load" else 0.93 * np.exp(0.004j))
+    u = np.hypot(np.abs(true) * relative, WEAK_U * weak)
+    error = 0.5 * u * (rng.standard_normal(u.shape) + 0.6j * rng.standard_normal(u.shape))
+    mask = np.zeros(true.shape, dtype=bool)
+    mask[:, list(observed)] = True
+    values = phasors(np.where(mask, true + error, np.nan), np.where(mask, u, np.nan), COMPONENTS, UNITS)
+    parts = (
+        Contribution("scatter of the sine approximation", "A", 0.2 * values.covariance),
+        Contribution("length scale of the stereo pair", "B", 0.8 * values.covariance),
+    )
+    consistency = (Consistency("stereo top", 1.12, 6), Consistency("laser", 0.94, 1, True, 1.0006 * np.exp(0.4e-3j)))
+    fused = source == "fused" and body == "load"
+    return Acceleration(
+        body=body,
+        source=source,
+        phasors=values,
+        observed=mask,
+        instruments=("stereo top", "laser") if fused else (source,),
+        contributions=parts,
+        consistency=consistency if fused else (),
+        chi2=14.2 if fused else 0.0,
+        dof=12 if fused else 0,
+        common=("laser scale",),
+        common_estimate=np.array([0.4]),
+        common_influence=np.zeros((1, 3, 12)),
+        notices=(),
+    )
+
+
+def _load(acceleration: Phasors) -> Phasors:
+    inertia = np.array([MASS_KG, MASS_KG, MASS_KG, 0.036, 0.036, 0.031])
+    return acceleration.scaled(inertia, ("N",) * 3 + ("N.m",) * 3)
+
+
+def _sensitivity() -> Sensitivity:
+    value = np.full((3, 6, 6), np.nan, dtype=complex)
+    slope = np.array([1.0, 0.995 * np.exp(-0.033j), 0.97 * np.exp(-0.1j)])
+    value[:, :, 2] = CROSS * slope[:, None]
+    u = np.array([1e-10, 1e-9, 2e-9])[:, None] * np.array([0.3, 0.3, 1.0, 2.0, 2.0, 0.5])
+    covariance = np.full((3, 6, 6, 2, 2), np.nan)
+    covariance[:, :, 2] = (u**2)[..., None, None] * np.array([[1.0, 0.2], [0.2, 1.0]])
+    observed = np.zeros((6, 6), dtype=bool)
+    observed[:, 2] = True
+    return Sensitivity(
+        frequency_hz=FREQUENCY_HZ,
+        value=value,
+        observed=observed,
+        covariance=covariance,
+        dof=np.array([204.0, 204.0, np.inf]),
+        channels=LOADS,
+        components=LOADS,
+        unit="V/V",
+        kind=("ratio", "harmonic", "harmonic"),
+        budget=_budget(),
+        notices=(),
+    )
+
+
+def _budget() -> tuple[BudgetEntry, ...]:
+    sizes = {
+        "length scale of stereo pair top": ("B", 2e-4),
+        "scale of the laser vibrometer": ("B", 2.5e-4),
+        "load mass": ("B", 1.4e-4),
+        "internal mass": ("B", 2.6e-4),
+        "scatter of the sine approximation": ("A", 0.6e-4),
+        "bridge amplifier response": ("B", 1.0e-4),
+        "pose of stereo pair top": ("B", 0.2e-4),
+        "delay of the exposure": ("B", 1e-7),
+    }
+    full = np.ones((3, 6))
+    return tuple(BudgetEntry(label, kind, u * full, 0.7 * u * full) for label, (kind, u) in sizes.items())
+
+
+def _stereo(name: str, body: str, choice: Choice, rng: np.random.Generator) -> StereoResult:
+    time = 0.970013 + np.arange(choice.frames) / 52.874
+    omega = 2.0 * np.pi * FREQUENCY_HZ
+    amplitude = -ACCELERATION / omega[:, None] ** 2 * (1.0 if body == "load" else 0.93)
+    noise = np.array([0.2e-6, 0.2e-6, 0.4e-6, 3e-6, 3e-6, 1e-6])
+    pose = (np.exp(1j * np.multiply.outer(time, omega)) @ amplitude).real
+    pose = pose + noise * rng.standard_normal(pose.shape)
+    if len(pose) > 60:
+        pose[57] = np.nan
+    covariance = np.tile(np.diag(noise**2), (choice.frames, 1, 1))
+    failed = ~np.isfinite(pose).all(axis=1)
+    covariance[failed] = np.nan
+    points = np.where(failed, 0, 437)
+    residual = np.where(failed, np.nan, 0.9e-6 + 5e-8 * rng.standard_normal(choice.frames))
+    fit = fit_sines(time, pose, FREQUENCY_HZ, COMPONENTS, ("m",) * 3 + ("rad",) * 3)
+    grid = np.stack(np.meshgrid(np.arange(40, 600, 22), np.arange(40, 480, 22)), axis=-1).reshape(-1, 2)
+    return StereoResult(
+        name=name,
+        body=body,
+        time_s=time,
+        exposure_s=40e-6,
+        motion=RigidMotion(pose - pose[0], covariance, residual, points, np.zeros(3)),
+        motion_from_mean=RigidMotion(pose, covariance, residual, points, np.zeros(3)),
+        fit=fit,
+        usable=np.ones(3, dtype=bool),
+        reprojection_px=0.021,
+        reference_image=_speckle(rng),
+        subsets_px=grid.astype(np.float64),
+        speckle_px=4.4,
+        noise_grey=9.3,
+        median_zncc=0.9971,
+    )
+
+
+def _speckle(rng: np.random.Generator) -> NDArray[np.uint16]:
+    raw = np.fft.rfft2(rng.standard_normal((512, 640)))
+    fy, fx = np.meshgrid(np.fft.fftfreq(512), np.fft.rfftfreq(640), indexing="ij")
+    smooth = np.fft.irfft2(raw * np.exp(-((fx**2 + fy**2) * (2.0 * np.pi * 1.6) ** 2) / 2.0), s=(512, 640))
+    return np.clip(2000.0 + 900.0 * np.tanh(1.5 * smooth / smooth.std()), 0, 4095).astype(np.uint16)
+
+
+def _channels(rng: np.random.Generator) -> tuple[ChannelResult, ...]:
+    velocity = ACCELERATION[:, 2] / (2j * np.pi * FREQUENCY_HZ)
+    found = [_channel("velocity", "vibrometer", "velocity", "m/s", 51200.0, velocity, 4e-5, rng)]
+    for name, ratio in zip(LOADS, CROSS, strict=True):
+        output = ratio * MASS_KG * ACCELERATION[:, 2]
+        found.append(_channel(name, "bridge", "output", "V/V", 10000.0, output, 2e-7, rng))
+    return tuple(found)
+
+
+def _channel(
+    name: str, daq: str, quantity: str, unit: str, rate: float, value: Any, noise: float, rng: np.random.Generator
+) -> ChannelResult:
+    time = np.arange(int(0.5 * rate)) / rate
+    clean = (np.exp(2j * np.pi * np.multiply.outer(time, FREQUENCY_HZ)) @ value).real
+    samples = clean + noise * rng.standard_normal(len(time))
+    spectrum = np.abs(np.fft.rfft(samples * np.hanning(len(time)))) * 4.0 / len(time)
+    short = slice(0, int(0.04 * rate), max(1, int(rate / 12800)))
+    return ChannelResult(
+        name=name,
+        daq=daq,
+        quantity=quantity,
+        body="load",
+        unit=unit,
+        sample_rate_hz=rate,
+        samples=len(time),
+        phasors=phasors(value[:, None], np.full((3, 1), noise / 100.0), (name,), (unit,)),
+        residual_rms=noise,
+        excerpt_s=0.96 + time[short],
+        excerpt=samples[short],
+        excerpt_fit=clean[short],
+        spectrum_hz=np.fft.rfftfreq(len(time), 1.0 / rate),
+        spectrum=spectrum,
+    )
+
+
+def _clocks(folder: Path, rng: np.random.Generator) -> tuple[ClockResult, ...]:
+    tie = ClockTie(-0.4312077, 1.0 + 4.2e-6, np.diag([(2e-7) ** 2, (1e-7) ** 2]), 0, ())
+    first = ClockResult("vibrometer", folder / "vibrometer.h5", _trigger(0.97, 1 / 51200, rng), None)
+    return first, ClockResult("bridge", folder / "bridge.tdms", _trigger(1.4012, 1e-4, rng), tie)
+
+
+def _trigger(start_s: float, resolution_s: float, rng: np.random.Generator) -> TriggerFit:
+    number = np.delete(np.arange(211), 90)
+    period = 1.0 / 52.874
+    edges = start_s + period * number + resolution_s * (rng.random(210) - 0.5)
+    covariance = np.diag([(resolution_s / 50) ** 2, (resolution_s / 6000) ** 2])
+    return TriggerFit(
+        start_s=start_s,
+        period_s=period,
+        number=number,
+        edge_s=edges,
+        covariance=covariance,
+        jitter_s=2e-7,
+        missing=(90,),
+        spurious=0,
+        idle_before=True,
+        idle_after=True,
+        resolution_s=resolution_s,
+        notices=(),
+    )
+
+
+def _lines() -> Lines:
+    return Lines(
+        frequency_hz=FREQUENCY_HZ,
+        u_frequency_hz=np.array([1e-5, 4e-4, 3e-4]),
+        nominal_hz=np.full(3, 106.25),
+        multiple=np.array([1, 2, 4]),
+        why=("nominal frequency, refined", "stands 32 dB out of the noise", "stands 40 dB out of the noise"),
+        notices=(),
+    )
+
+
+def _notices() -> tuple[Notice, ...]:
+    return (
+        Notice("info", "edge 90 of 211 is missing; its frame keeps its place", "camera_trigger"),
+        Notice("warning", "318.75 Hz is left out: <u> above its limit & more", "top"),
+    )
+
+
+def _manifest(folder: Path, choice: Choice) -> Any:
+    sensor = SimpleNamespace(
+        name="six-component transducer",
+        serial="0815",
+        channels=LOADS,
+        unit="V/V",
+        capacity=(2000.0, 2000.0, 4000.0, 100.0, 100.0, 100.0),
+        static_sensitivity=STATIC,
+    )
+    rig = SimpleNamespace(
+        name="10 kN shaker, load mass 7 kg",
+        sensor=sensor if choice.sensor else None,
+        load=SimpleNamespace(mass=6.9605, mass_uncertainty=0.0010),
+        environment=SimpleNamespace(temperature=23.0),
+    )
+    excitation = SimpleNamespace(kind="sine", direction=(0.0, 0.0, 1.0), frequencies=(106.25,))
+    return SimpleNamespace(
+        name=choice.name, path=folder / "recording.toml", folder=folder, root=folder, rig=rig, excitation=excitation
+    )
