@@ -2,18 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from shaker.signals.phasor import Phasors
+from fusion.body import cross_matrix
+from shaker.signals.phasor import Phasors, derivative_factor, stack_phasors
+
+if TYPE_CHECKING:
+    from fusion.manifest import ChannelEntry, Stereo
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 Kind = Literal["photogrammetry", "vibrometer", "accelerometer"]
+ORDER_BELOW_ACCELERATION = {"displacement": -2, "velocity": -1, "acceleration": 0, "angular_velocity": -1}
+KINDS: dict[str, Kind] = {
+    "displacement": "vibrometer",
+    "velocity": "vibrometer",
+    "acceleration": "accelerometer",
+    "angular_velocity": "accelerometer",
+}
+CLOCK_RATE = "clock rate"
 
 
 @dataclass(frozen=True)
@@ -53,3 +66,225 @@ class Observation:
     common: tuple[CommonError, ...]
     members: tuple[str, ...]
     stated: bool
+
+    def __post_init__(self) -> None:
+        shape = (*self.phasors.value.shape, 6)
+        for name, array in [("design", self.design), *((e.name, e.slope) for e in self.common)]:
+            if array.shape != shape:
+                raise ValueError(f"{name}: expected an array of shape {shape}, found {array.shape}")
+        if len(self.members) != shape[1]:
+            raise ValueError(f"members: expected {shape[1]} names, found {len(self.members)}")
+
+
+@dataclass(frozen=True)
+class ChainUncertainty:
+    """What the manifest does not say of a channel's chain: relative `u_magnitude` (K,) and `u_phase_rad` (K,) of its
+    response table, and `u_clock_s`, the standard uncertainty of the tie of its clock to the first block's.
+    """
+
+    u_magnitude: FloatArray | None = None
+    u_phase_rad: FloatArray | None = None
+    clock: str = ""
+    u_clock_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One channel: its manifest entry, its phasors (one channel, SI, delay and response taken off) and its chain."""
+
+    entry: ChannelEntry
+    phasors: Phasors
+    chain: ChainUncertainty
+
+
+@dataclass(frozen=True)
+class RelativeError:
+    """One unknown of a chain: complex `relative` (K, M) change of its M readings for one standard uncertainty `u`."""
+
+    name: str
+    label: str
+    u: float
+    relative: ComplexArray
+
+
+def chain_errors(readings: Sequence[Reading]) -> tuple[RelativeError, ...]:
+    """Return scale, delay, response and clock errors of channels that share one chain.
+
+    Scale multiplies by 1 + u; a delay not taken off by exp(-jω u) ≈ 1 - jω u; a response by 1 + u_m + j u_phi, its
+    error at all lines taken as one. `individual_uncertainty` is one unknown per channel.
+    """
+    name, frequency = chain_name(readings[0]), readings[0].phasors.frequency_hz
+    turn = -2j * np.pi * frequency
+    zero = np.zeros(len(frequency))
+    entries, chains = [r.entry for r in readings], [r.chain for r in readings]
+
+    def shared(kind: str, columns: list[ComplexArray], u: float, of: str = name) -> RelativeError:
+        return RelativeError(f"{of}: {kind}", f"{of}: {kind}", u, np.stack(columns, axis=1).astype(np.complex128))
+
+    def table(values: FloatArray | None) -> FloatArray:
+        return zero if values is None else values
+
+    errors = [
+        shared("scale", [zero + e.scale_uncertainty for e in entries], max(e.scale_uncertainty for e in entries)),
+        shared("delay", [turn * e.delay_uncertainty for e in entries], max(e.delay_uncertainty for e in entries)),
+        shared("response magnitude", [table(c.u_magnitude) + 0.0 for c in chains], 1.0),
+        shared("response phase", [1j * table(c.u_phase_rad) for c in chains], 1.0),
+    ]
+    for clock in sorted({c.clock for c in chains if c.u_clock_s > 0.0}):
+        times = [c.u_clock_s if c.clock == clock else 0.0 for c in chains]
+        errors.append(shared("time", [turn * t for t in times], max(times), f"clock {clock}"))
+    for place, entry in enumerate(entries):
+        own = np.zeros((len(frequency), len(entries)), dtype=np.complex128)
+        own[:, place] = entry.individual_uncertainty
+        label = f"{name}: individual scale"
+        errors.append(RelativeError(f"{label} {entry.name}", label, entry.individual_uncertainty, own))
+    return tuple(error for error in errors if np.any(error.relative != 0.0))
+
+
+def chain_name(reading: Reading) -> str:
+    """Return the name of the instrument that a channel belongs to: its `common`, or its own name."""
+    return reading.entry.common or reading.entry.name
+
+
+def observe_stereo(
+    name: str,
+    entry: Stereo,
+    phasors: Phasors,
+    calibration_effects: ComplexArray | None = None,
+    clock_uncertainty: float = 0.0,
+) -> Observation:
+    """Return the rows of a stereo pair: displacement phasors (K, 6) in m and rad about the sensor origin = -A/ω².
+
+    Common errors: scale of all lengths (translations), pose: position p of the sensor origin (translation changes by
+    theta × p) and rotation φ of the axes (vectors change by φ × v), delay of the exposure, and the
+    `calibration_effects` (P, K, 6), the change of the phasors for one standard deviation of each principal component of
+    the calibration's covariance. `clock_uncertainty`: relative, of the time base.
+    """
+    factor = derivative_factor(phasors.frequency_hz, -2)
+    design = factor[:, None, None] * np.eye(6)
+    geometry: list[tuple[str, str, float, ArrayLike]] = [
+        ("scale", "", entry.scale_uncertainty, np.diag([1.0, 1, 1, 0, 0, 0]))
+    ]
+    for axis, letter in enumerate("xyz"):
+        spin = cross_matrix(np.eye(3)[axis])
+        shift, turn = np.zeros((6, 6)), np.kron(np.eye(2), spin)
+        shift[:3, 3:] = -spin
+        geometry.append(("pose position", letter, entry.pose_uncertainty[axis], shift))
+        geometry.append(("pose rotation", letter, entry.pose_uncertainty[3 + axis], turn))
+    title = f"stereo {name}"
+    none = np.zeros_like(phasors.value)
+    common = [
+        CommonError(
+            f"{title}: {kind} {axis}".strip(), f"{title}: {kind}", u, factor[:, None, None] * (u * change), none
+        )
+        for kind, axis, u, change in ((k, a, u, np.asarray(c)) for k, a, u, c in geometry)
+        if u > 0.0
+    ]
+    if entry.delay_uncertainty > 0.0:
+        late = -2j * np.pi * phasors.frequency_hz * entry.delay_uncertainty
+        slope = late[:, None, None] * design
+        common.append(CommonError(f"{title}: delay", f"{title}: delay", entry.delay_uncertainty, slope, none))
+    for place, effect in enumerate(() if calibration_effects is None else calibration_effects):
+        label = f"{title}: calibration"
+        common.append(CommonError(f"{label} {place}", label, 1.0, np.zeros_like(design), np.asarray(effect)))
+    stated = bool(common)
+    common += _clock_rate(design, np.full(6, 2.0), clock_uncertainty)
+    return Observation(name, "photogrammetry", entry.body, phasors, design, tuple(common), (title,) * 6, stated)
+
+
+def observe_channels(
+    readings: Sequence[Reading], gravity_mps2: ArrayLike | None = None, clock_uncertainty: float = 0.0
+) -> tuple[Observation, ...]:
+    """Return the rows of all motion channels, one observation per instrument and body.
+
+    Row of a channel at r with direction d: [d, r × d] · {1, 1/(jω), -1/ω²} for acceleration, velocity, displacement;
+    an accelerometer reads d·(a - g) in body axes, so that its rotation part gains (d × g)/ω² when `gravity_mps2` (3,) is
+    given; a gyroscope reads d·alpha/(jω). Direction errors are two small rotations; a transverse sensitivity t of unknown
+    direction is two components of t/√2 across the axis.
+    """
+    groups: dict[tuple[str, str, str], list[Reading]] = {}
+    for reading in readings:
+        entry = reading.entry
+        if entry.quantity in KINDS:
+            groups.setdefault((chain_name(reading), str(entry.body), KINDS[entry.quantity]), []).append(reading)
+    gravity = None if gravity_mps2 is None else np.asarray(gravity_mps2, dtype=np.float64)
+    return tuple(_observe_group(group, gravity, clock_uncertainty) for group in groups.values())
+
+
+def _observe_group(readings: list[Reading], gravity: FloatArray | None, clock_uncertainty: float) -> Observation:
+    """Rows and common errors of the channels of one instrument on one body."""
+    phasors = stack_phasors([reading.phasors for reading in readings])
+    entries = [reading.entry for reading in readings]
+    frequency = phasors.frequency_hz
+    design = np.stack([_row(e, _unit(e), frequency, gravity) for e in entries], axis=1)
+    none = np.zeros_like(phasors.value)
+    common = [CommonError(e.name, e.label, e.u, e.relative[:, :, None] * design, none) for e in chain_errors(readings)]
+    for place, reading in enumerate(readings):
+        for kind, axis, u, row in _placement_errors(reading, gravity):
+            slope = np.zeros_like(design)
+            slope[:, place] = row
+            label = f"{chain_name(reading)}: {kind}"
+            common.append(CommonError(f"{label} {reading.entry.name} {axis}", label, u, slope, none))
+    stated = any(not error.name.startswith("clock ") for error in common)
+    orders = np.array([-ORDER_BELOW_ACCELERATION[e.quantity] for e in entries], dtype=np.float64)
+    common += _clock_rate(design, orders, clock_uncertainty)
+    entry = entries[0]
+    return Observation(
+        name=chain_name(readings[0]),
+        kind=KINDS[entry.quantity],
+        body=str(entry.body),
+        phasors=phasors,
+        design=design,
+        common=tuple(common),
+        members=tuple(e.name for e in entries),
+        stated=stated,
+    )
+
+
+def _unit(entry: ChannelEntry) -> FloatArray:
+    """Direction of a channel, normalised."""
+    direction = np.asarray(entry.direction, dtype=np.float64)
+    return np.asarray(direction / np.linalg.norm(direction))
+
+
+def _row(
+    entry: ChannelEntry, direction: FloatArray, frequency_hz: FloatArray, gravity: FloatArray | None
+) -> ComplexArray:
+    """Design row (K, 6) of a channel if it had this direction."""
+    factor = derivative_factor(frequency_hz, ORDER_BELOW_ACCELERATION[entry.quantity])
+    row = np.zeros((len(frequency_hz), 6))
+    if entry.quantity == "angular_velocity":
+        row[:, 3:] = direction
+        return np.asarray(factor[:, None] * row)
+    row[:, :3] = direction
+    row[:, 3:] = np.cross(np.asarray(entry.point, dtype=np.float64), direction)
+    if entry.quantity == "acceleration" and gravity is not None:
+        row[:, 3:] += np.cross(direction, gravity) / (2.0 * np.pi * frequency_hz[:, None]) ** 2
+    return np.asarray(factor[:, None] * row)
+
+
+def _placement_errors(reading: Reading, gravity: FloatArray | None) -> list[tuple[str, str, float, ComplexArray]]:
+    """Kind, axis, standard uncertainty and row change (K, 6) of where a channel measures and in which direction."""
+    entry, frequency = reading.entry, reading.phasors.frequency_hz
+    direction = _unit(entry)
+    factor = derivative_factor(frequency, ORDER_BELOW_ACCELERATION[entry.quantity])
+    found: list[tuple[str, str, float, ComplexArray]] = []
+    if entry.quantity != "angular_velocity":
+        for axis, u in enumerate(np.broadcast_to(np.asarray(entry.point_uncertainty, dtype=np.float64), (3,))):
+            lever = np.concatenate([np.zeros(3), np.cross(np.eye(3)[axis], direction) * u])
+            found.append(("point", "xyz"[axis], float(u), factor[:, None] * lever))
+    across = np.linalg.svd(direction[None])[2][1:]
+    for number, tangent in enumerate(across):
+        turned = _row(entry, tangent, frequency, gravity)
+        transverse = entry.transverse_sensitivity / np.sqrt(2.0)
+        found.append(("direction", str(number), entry.direction_uncertainty, entry.direction_uncertainty * turned))
+        found.append(("transverse sensitivity", str(number), transverse, transverse * turned))
+    return [item for item in found if item[2] > 0.0 and np.any(item[3] != 0.0)]
+
+
+def _clock_rate(design: ComplexArray, orders: FloatArray, clock_uncertainty: float) -> list[CommonError]:
+    """A time base that runs fast makes ω small: readings ∝ ω^-n seem larger by n times its relative error."""
+    slope = -clock_uncertainty * orders[:, None] * design
+    if not np.any(slope != 0.0):
+        return []
+    return [CommonError(CLOCK_RATE, CLOCK_RATE, clock_uncertainty, slope, np.zeros(design.shape[:2], np.complex128))]
