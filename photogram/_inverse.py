@@ -17,5 +17,7 @@ def invert(matrix: FloatArray, inverse: FloatArray) -> bool:
     determinant = matrix[0, 0] * inverse[0, 0] + matrix[0, 1] * inverse[1, 0] + matrix[0, 2] * inverse[2, 0]
     if not determinant > 0.0:
         return False
-    inverse /= determinant
+    for i in range(3):
+        for j in range(3):
+            inverse[i, j] /= determinant
     return True

@@ -68,8 +68,8 @@ def triangulate(
         _precision("covariance_left_px2", covariance_left_px2, left.shape),
         _precision("covariance_right_px2", covariance_right_px2, left.shape),
         np.stack([rig.left.parameters, rig.right.parameters]),
-        np.ascontiguousarray(transform.rotation, dtype=np.float64),
-        np.ascontiguousarray(transform.translation_m, dtype=np.float64),
+        np.stack([np.eye(3), transform.rotation]),
+        np.stack([np.zeros(3), transform.translation_m]),
     )
     frames, points = left.shape[:2]
     return Points(
@@ -100,24 +100,24 @@ def _triangulate_all(
     weight_left: FloatArray,
     weight_right: FloatArray,
     cameras: FloatArray,
-    rotation: FloatArray,
-    translation: FloatArray,
+    rotations: FloatArray,
+    translations: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Triangulate every point: position (M, 3), covariance (M, 3, 3), rms residual (M,)."""
+    """Triangulate every point: position (M, 3), covariance (M, 3, 3), rms residual (M,); left camera first."""
     count = left.shape[0]
     position = np.full((count, 3), np.nan)
     covariance = np.full((count, 3, 3), np.nan)
     reprojection = np.full(count, np.nan)
-    identity, zero = np.eye(3), np.zeros(3)
-    normal, gradient, inverse = np.empty((3, 3)), np.empty(3), np.empty((3, 3))
+    point, normal, gradient, inverse = np.empty(3), np.empty((3, 3)), np.empty(3), np.empty((3, 3))
     for i in range(count):
-        point = _midpoint(left[i], right[i], cameras, rotation, translation)
+        _midpoint(left[i], right[i], cameras, rotations[1], translations[1], point)
         for _ in range(_STEPS):
-            normal[:], gradient[:] = 0.0, 0.0
-            squares = _add_camera(point, left[i], weight_left[i], cameras[0], identity, zero, normal, gradient)
-            squares += _add_camera(
-                point, right[i], weight_right[i], cameras[1], rotation, translation, normal, gradient
-            )
+            normal.fill(0.0)
+            gradient.fill(0.0)
+            squares = 0.0
+            for side, pixel, weight in ((0, left[i], weight_left[i]), (1, right[i], weight_right[i])):
+                rotation, translation = rotations[side], translations[side]
+                squares += _add_camera(point, pixel, weight, cameras[side], rotation, translation, normal, gradient)
             if not invert(normal, inverse):
                 break
             largest = 0.0
@@ -126,19 +126,29 @@ def _triangulate_all(
                 point[a] += step
                 largest = max(largest, abs(step))
             if largest <= _CONVERGED * abs(point[2]):
-                position[i], covariance[i], reprojection[i] = point, inverse, 0.5 * math.sqrt(squares)
+                reprojection[i] = 0.5 * math.sqrt(squares)
+                for a in range(3):
+                    position[i, a] = point[a]
+                    for b in range(3):
+                        covariance[i, a, b] = inverse[a, b]
                 break
     return position, covariance, reprojection
 
 
 @njit(cache=True)
 def _midpoint(
-    left: FloatArray, right: FloatArray, cameras: FloatArray, rotation: FloatArray, translation: FloatArray
-) -> FloatArray:
-    """Return the middle of the shortest line between the two rays, in the left frame; NaN for parallel rays."""
+    left: FloatArray,
+    right: FloatArray,
+    cameras: FloatArray,
+    rotation: FloatArray,
+    translation: FloatArray,
+    point: FloatArray,
+) -> None:
+    """Set point (3,) to the middle of the shortest line between the rays, in the left frame; NaN if parallel."""
     xl, yl = _pinhole.undistort(left[0], left[1], cameras[0])
     xr, yr = _pinhole.undistort(right[0], right[1], cameras[1])
-    a, b, centre = np.array([xl, yl, 1.0]), np.empty(3), np.empty(3)
+    a, b, centre = np.ones(3), np.empty(3), np.empty(3)
+    a[0], a[1] = xl, yl
     for i in range(3):
         b[i] = rotation[0, i] * xr + rotation[1, i] * yr + rotation[2, i]
         centre[i] = -(
@@ -152,11 +162,11 @@ def _midpoint(
         ac += a[i] * centre[i]
         bc += b[i] * centre[i]
     determinant = aa * bb - ab * ab
-    if not determinant > 1e-14 * aa * bb:
-        return np.full(3, np.nan)
-    along_a = (bb * ac - ab * bc) / determinant
-    along_b = (ab * ac - aa * bc) / determinant
-    return 0.5 * (along_a * a + centre + along_b * b)
+    met = determinant > 1e-14 * aa * bb
+    along_a = (bb * ac - ab * bc) / determinant if met else math.nan
+    along_b = (ab * ac - aa * bc) / determinant if met else math.nan
+    for i in range(3):
+        point[i] = 0.5 * (along_a * a[i] + centre[i] + along_b * b[i])
 
 
 @njit(cache=True)
@@ -175,7 +185,7 @@ def _add_camera(
     for i in range(3):
         p[i] = rotation[i, 0] * point[0] + rotation[i, 1] * point[1] + rotation[i, 2] * point[2] + translation[i]
     if not p[2] > 0.0:
-        normal[:] = np.nan
+        normal.fill(math.nan)
         return math.nan
     x, y = p[0] / p[2], p[1] / p[2]
     xd, yd, dxx, dxy, dyy = _pinhole.distort(x, y, camera)
