@@ -81,25 +81,20 @@ def _tie(
         wanted = f"a trigger channel of the same name as in block {base.entry.name}, which ties the two clocks"
         raise InputError(manifest.path, key, found="none", expected=wanted)
     first, second = triggers[base.entry.name, shared[0]], triggers[other.entry.name, shared[0]]
-    shift = other.entry.first_edge
+    later_s = _start_difference_s(base, other)
     try:
-        return tie_clocks(first, second, shift)
+        return tie_clocks(first, second, other.entry.first_edge, start_difference_s=later_s)
     except ValueError as error:
-        shift = _shift_by_start_time(base, other, first, second)
-        if shift is not None:
-            return tie_clocks(first, second, shift)
         wanted = f"pulses of {shared[0]} that fit those of block {base.entry.name} in one way only, or first_edge here"
         raise InputError(
             manifest.path, f"daq.{other.entry.name}.first_edge", found=str(error), expected=wanted
         ) from error
 
 
-def _shift_by_start_time(base: DaqRecord, other: DaqRecord, first: TriggerFit, second: TriggerFit) -> int | None:
-    """Return the whole-period shift that the stated start times decide, None where one of them is not stated."""
+def _start_difference_s(base: DaqRecord, other: DaqRecord) -> float | None:
+    """Return how much later the other record started, None where one of the two states no start time."""
     starts = [record.entry.start_time or record.start_s for record in (base, other)]
-    if not all(starts):
-        return None
-    return round((starts[1] + second.start_s - starts[0] - first.start_s) / first.period_s)
+    return starts[1] - starts[0] if all(starts) else None
 
 
 def exposure_middles(manifest: Manifest, base: TimeBase, entry: Images | PointFiles, frames: int) -> FloatArray:
