@@ -2,67 +2,61 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from enum import IntEnum
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram._checks import FloatArray, check_shape
-from photogram.camera import StereoRig
-from photogram.images import ImageSequence
+from photogram._checks import BoolArray, FloatArray, check_shape
+from photogram.camera import Camera, StereoRig
+from photogram.follow import (
+    Tracks,
+    TrackSettings,
+    dropped,
+    find_by_search,
+    find_from,
+    find_from_neighbours,
+    follow,
+    identity,
+    saturated,
+    tracks_of,
+    without_saturated,
+)
+from photogram.icgn import TrackStatus, prepare_reference
+from photogram.images import GreyImage, ImageSequence
+from photogram.interpolate import spline_of_image
 from photogram.notice import Notice
+from photogram.predict import predict_warp
+from photogram.search import affine_starts, agreeing, epipolar_distance, match_features
+from photogram.subset import fine_texture_share, lay_grid, speckle_size, subsets_inside, textured_area
 
+__all__ = [
+    "StereoTracks",
+    "TrackSettings",
+    "TrackStatus",
+    "Tracks",
+    "match_stereo",
+    "track_sequence",
+    "track_stereo",
+]
+
+Image = NDArray[Any]
 Progress = Callable[[int], None]
-
-
-class TrackStatus(IntEnum):
-    """What became of one subset in one frame; every status but `OK` comes with NaN positions."""
-
-    OK = 0
-    NOT_CONVERGED = 1
-    LOW_CORRELATION = 2
-    LEFT_IMAGE = 3
-    FLAT = 4
-    SATURATED = 5
-    NO_START = 6
-
-
-@dataclass(frozen=True)
-class TrackSettings:
-    """How subsets are compared: size (2·radius+1)², spline degree, convergence in px, least correlation."""
-
-    radius_px: int = 10
-    step_px: int | None = None
-    degree: int = 5
-    max_iterations: int = 30
-    convergence_px: float = 1e-4
-    min_zncc: float = 0.6
-
-
-@dataclass(frozen=True)
-class Tracks:
-    """Subset positions: position_px (F,N,2), covariance_px2 (F,N,2,2), zncc (F,N), status (F,N) of `TrackStatus`."""
-
-    position_px: FloatArray
-    covariance_px2: FloatArray
-    zncc: FloatArray
-    status: NDArray[np.int8]
-
-    def __post_init__(self) -> None:
-        check_shape("position_px", self.position_px, (None, None, 2))
-        frames, points, _ = self.position_px.shape
-        check_shape("covariance_px2", self.covariance_px2, (frames, points, 2, 2))
-        check_shape("zncc", self.zncc, (frames, points))
-        check_shape("status", self.status, (frames, points))
+EPIPOLAR_TOLERANCE_PX = 2.0
+OVERLAP = 0.95
+HISTORY = 6
+SMALLEST_SPECKLE_PX = 3.0
+LARGEST_FINE_SHARE = 2e-3
+LARGEST_LOST_SHARE = 0.1
 
 
 @dataclass(frozen=True)
 class StereoTracks:
     """One body seen by two cameras: the same N subsets in `left` and `right`, and what the images are like.
 
-    `speckle_px` (2,) is the speckle size, `noise_grey` (2,) the image noise of the left and right camera.
+    speckle_px (2,): speckle size, noise_grey (2,): image noise in grey values, of the left and the right camera.
     """
 
     left: Tracks
@@ -71,26 +65,66 @@ class StereoTracks:
     speckle_px: FloatArray
     noise_grey: FloatArray
 
+    def __post_init__(self) -> None:
+        check_shape("right.position_px", self.right.position_px, self.left.position_px.shape)
+        check_shape("speckle_px", self.speckle_px, (2,))
+        check_shape("noise_grey", self.noise_grey, (2,))
+
 
 def match_stereo(
-    left_image: NDArray[np.generic],
-    right_image: NDArray[np.generic],
+    left_image: Image,
+    right_image: Image,
     points_px: FloatArray,
     settings: TrackSettings,
     fundamental: FloatArray | None = None,
 ) -> Tracks:
-    """Positions in the right image (F = 1) of the subsets centred at points_px (N,2) in the left image."""
-    raise NotImplementedError
+    """Positions in the right image (F = 1) of the subsets centred at points_px (N,2) in the left image.
+
+    Starts from local affine maps of matched features, then from neighbours that were found. With `fundamental` (3,3),
+    matches off the epipolar lines F·[left; 1] by more than 2 px from the median distance are dropped.
+    """
+    check_shape("points_px", points_px, (None, 2))
+    reference = prepare_reference(spline_of_image(left_image, settings.degree), points_px, settings.radius_px)
+    target = spline_of_image(right_image, settings.degree)
+    source, matched = match_features(left_image, right_image)
+    if fundamental is not None and len(source) > 0:
+        kept = agreeing(epipolar_distance(fundamental, source, matched), EPIPOLAR_TOLERANCE_PX)
+        source, matched = source[kept], matched[kept]
+    found = find_from(reference, target, affine_starts(points_px, source, matched), settings)
+    if not np.any(found.status == TrackStatus.OK):
+        anywhere = replace(settings, reach_px=max(right_image.shape))
+        found = find_by_search(reference, left_image, (right_image, target), np.zeros_like(found.warp), anywhere)
+    found = find_from_neighbours(reference, target, found, settings)
+    if fundamental is not None:
+        right_px = points_px + found.warp[:, [0, 3]]
+        kept = agreeing(epipolar_distance(fundamental, points_px, right_px), EPIPOLAR_TOLERANCE_PX)
+        found = dropped(found, ~kept & (found.status == TrackStatus.OK), TrackStatus.LOW_CORRELATION)
+    return tracks_of([found], reference, settings.degree)
 
 
 def track_sequence(
-    sequence: ImageSequence,
-    points_px: FloatArray,
-    settings: TrackSettings,
-    progress: Progress | None = None,
+    sequence: ImageSequence, points_px: FloatArray, settings: TrackSettings, progress: Progress | None = None
 ) -> Tracks:
-    """Positions in every frame of the subsets centred at points_px (N,2) in frame 0."""
-    raise NotImplementedError
+    """Positions in every frame of the subsets centred at points_px (N,2) in frame 0, which stays the reference.
+
+    Centres may lie between pixels; a NaN centre is carried along as `NO_START`. Frames are read one at a time.
+    `progress` is called with the number of finished frames.
+    """
+    check_shape("points_px", points_px, (None, 2))
+    first = sequence.read(0)
+    reference = prepare_reference(spline_of_image(first, settings.degree), points_px, settings.radius_px)
+    reference = without_saturated(reference, first, sequence.full_scale)
+    found = [identity(reference)]
+    _report(progress, 1)
+    for frame in range(1, len(sequence)):
+        image = sequence.read(frame)
+        target = spline_of_image(image, settings.degree)
+        start = predict_warp([past.warp for past in found[-HISTORY:]])
+        here = follow(reference, first, (image, target), start, settings)
+        full = saturated(image, sequence.full_scale, points_px + here.warp[:, [0, 3]], settings.radius_px)
+        found.append(dropped(here, full, TrackStatus.SATURATED))
+        _report(progress, frame + 1)
+    return tracks_of(found, reference, settings.degree)
 
 
 def track_stereo(
@@ -100,5 +134,109 @@ def track_stereo(
     settings: TrackSettings,
     progress: Progress | None = None,
 ) -> StereoTracks:
-    """Lay a grid over the body in the first left image, match it to the right image, follow both through time."""
-    raise NotImplementedError
+    """Lay a grid over the textured body in the first left image, match it to the right image, follow both through time.
+
+    Only subsets that were found in the first right image are kept. With `rig`, matches off the epipolar lines are
+    dropped. `progress` is called with the number of finished frames, first of the left, then of the right camera: 1…2F.
+    """
+    if len(left) != len(right):
+        raise ValueError(f"right: expected {len(left)} frames as in left, found {len(right)}")
+    images = left.read(0), right.read(0)
+    areas = tuple(textured_area(image) for image in images)
+    points = lay_grid(areas[0], settings.radius_px, settings.grid_step_px)
+    if len(points) < 3:
+        raise ValueError(f"left: expected a speckled body, found room for {len(points)} subsets in {left.names[0]}")
+    matched = match_stereo(images[0], images[1], points, settings)
+    right_px = matched.position_px[0]
+    kept = (matched.status[0] == TrackStatus.OK) & subsets_inside(areas[1], right_px, settings.radius_px, OVERLAP)
+    notices: list[Notice] = []
+    if rig is not None:
+        kept &= _on_epipolar_lines(rig, points, np.where(kept[:, None], right_px, np.nan), notices)
+    if kept.sum() < 3:
+        raise ValueError(
+            f"right: expected the body of {left.names[0]}, found {kept.sum()} of its {len(points)} subsets "
+            f"in {right.names[0]}"
+        )
+    left_tracks = track_sequence(left, points[kept], settings, progress)
+    after = None if progress is None else lambda done: progress(len(left) + done)
+    right_tracks = track_sequence(right, right_px[kept], settings, after)
+    tracks = (left_tracks, right_tracks)
+    speckle = np.array([speckle_size(image, area) for image, area in zip(images, areas, strict=True)])
+    noise = np.array([_middle(track.noise_grey) for track in tracks])
+    notices += _image_notices(images, areas, speckle, noise)
+    notices += [notice for side, track in zip(("left", "right"), tracks, strict=True) for notice in _lost(track, side)]
+    return StereoTracks(left_tracks, right_tracks, tuple(notices), speckle, noise)
+
+
+def _on_epipolar_lines(rig: StereoRig, left_px: FloatArray, right_px: FloatArray, notices: list[Notice]) -> BoolArray:
+    """Which matches lie within 2 px of the epipolar lines; a calibration that misses all of them is noted."""
+    essential = _cross(rig.right_from_left.translation_m) @ rig.right_from_left.rotation
+    rays = [_undistorted(camera, points) for camera, points in ((rig.left, left_px), (rig.right, right_px))]
+    focal = float(np.mean(np.diag(rig.right.matrix)[:2]))
+    distance = focal * epipolar_distance(essential, rays[0], rays[1])
+    off = _middle(distance)
+    if abs(off) > 1.0:
+        text = (
+            f"matched points lie {off:.1f} px off their epipolar lines on average: the calibration does not belong "
+            "to these images, or a camera has moved since"
+        )
+        notices.append(Notice("warning", text, "stereo calibration"))
+    return agreeing(distance, EPIPOLAR_TOLERANCE_PX)
+
+
+def _undistorted(camera: Camera, points_px: FloatArray) -> FloatArray:
+    """Normalised coordinates, NaN where the point is NaN."""
+    rays = np.full_like(points_px, np.nan)
+    known = np.isfinite(points_px).all(axis=1)
+    if known.any():
+        rays[known] = camera.undistort(points_px[known])
+    return rays
+
+
+def _cross(vector: FloatArray) -> FloatArray:
+    """The matrix of the cross product with a vector."""
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def _image_notices(
+    images: Sequence[GreyImage], areas: Sequence[BoolArray], speckle_px: FloatArray, noise_grey: FloatArray
+) -> list[Notice]:
+    """Warnings about speckle that the camera cannot resolve."""
+    notices = []
+    for side, image, area, size, noise in zip(("left", "right"), images, areas, speckle_px, noise_grey, strict=True):
+        share = fine_texture_share(image, area, noise)
+        if size < SMALLEST_SPECKLE_PX or share > LARGEST_FINE_SHARE:
+            text = (
+                f"speckle of {size:.1f} px is finer than the camera resolves ({100 * share:.1f} % of the texture is "
+                "beyond 0.4 cycles per pixel): positions carry errors periodic in the pixel, which appear as false "
+                "harmonics of the motion; use speckle of 4 to 5 px or defocus slightly"
+            )
+            notices.append(Notice("warning", text, f"{side} camera"))
+    return notices
+
+
+def _lost(tracks: Tracks, side: str) -> list[Notice]:
+    """A warning when many subsets were lost on the way."""
+    share = float(np.mean(tracks.status != TrackStatus.OK))
+    if share <= LARGEST_LOST_SHARE:
+        return []
+    reasons, counts = np.unique(tracks.status[tracks.status != TrackStatus.OK], return_counts=True)
+    why = TrackStatus(int(reasons[np.argmax(counts)])).name.lower().replace("_", " ")
+    return [
+        Notice(
+            "warning", f"{100 * share:.0f} % of the subset positions are missing, most often: {why}", f"{side} camera"
+        )
+    ]
+
+
+def _middle(values: FloatArray) -> float:
+    """Median of the finite values."""
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if len(finite) else float("nan")
+
+
+def _report(progress: Progress | None, done: int) -> None:
+    """Tell the caller how many frames are done."""
+    if progress is not None:
+        progress(done)

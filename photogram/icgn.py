@@ -1,0 +1,361 @@
+"""Inverse-compositional Gauss-Newton registration of many subsets of one reference image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from photogram._checks import FloatArray, IntArray, check_shape
+from photogram.interpolate import PADDING_PX, Spline, evaluate, noise_gain, weights_cubic, weights_quintic
+
+FLAT_CONDITION = 1e-12
+FREE_PARAMETERS = 8
+ALLOWED = {"contract", "reassoc", "nsz", "arcp"}
+
+
+class TrackStatus(IntEnum):
+    """What became of one subset in one frame; every status but `OK` comes with NaN positions."""
+
+    OK = 0
+    NOT_CONVERGED = 1
+    LOW_CORRELATION = 2
+    LEFT_IMAGE = 3
+    FLAT = 4
+    SATURATED = 5
+    NO_START = 6
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Square subsets of P = (2·radius+1)² pixels around centre_px (N,2), prepared once for a whole sequence.
+
+    pixels (N,3,P): grey value f̃ without its mean, gradient along x, gradient along y. mean (N,): of the grey values;
+    energy (N,): Σf̃². removed (N,2,6): mean of each steepest-descent image and its regression on f̃. inverse_hessian
+    (N,6,6): of the steepest-descent images without what is removed, so that gain and offset are free parameters.
+    noise_gain (N,): variance of the subset's grey values per variance of the pixels. status (N,): `OK`, `FLAT` or
+    `LEFT_IMAGE`.
+    """
+
+    centre_px: FloatArray
+    radius_px: int
+    pixels: FloatArray
+    mean: FloatArray
+    energy: FloatArray
+    removed: FloatArray
+    inverse_hessian: FloatArray
+    noise_gain: FloatArray
+    status: NDArray[np.int8]
+
+    def __post_init__(self) -> None:
+        check_shape("centre_px", self.centre_px, (None, 2))
+        count, size = len(self.centre_px), (2 * self.radius_px + 1) ** 2
+        check_shape("pixels", self.pixels, (count, 3, size))
+        check_shape("removed", self.removed, (count, 2, 6))
+        check_shape("inverse_hessian", self.inverse_hessian, (count, 6, 6))
+        for name in ("mean", "energy", "noise_gain", "status"):
+            check_shape(name, getattr(self, name), (count,))
+
+
+@dataclass(frozen=True)
+class Registration:
+    """How N subsets were found in an image.
+
+    warp (N,6) = [u, u_x, u_y, v, v_x, v_y]: reference point c + d lies at c + d + (u, v) + [[u_x, u_y], [v_x, v_y]] d.
+    zncc (N,): zero-normalised cross-correlation; gain (N,): contrast relative to the reference; residual_grey2 (N,):
+    variance of the grey values left over; status (N,) of `TrackStatus`; iterations (N,).
+    """
+
+    warp: FloatArray
+    zncc: FloatArray
+    gain: FloatArray
+    residual_grey2: FloatArray
+    status: NDArray[np.int8]
+    iterations: IntArray
+
+    def __post_init__(self) -> None:
+        check_shape("warp", self.warp, (None, 6))
+        for name in ("zncc", "gain", "residual_grey2", "status", "iterations"):
+            check_shape(name, getattr(self, name), (len(self.warp),))
+
+
+def prepare_reference(spline: Spline, centre_px: FloatArray, radius_px: int) -> Reference:
+    """Grey values, gradients and Hessians of the subsets of one image; centres (N,2) need not be whole pixels.
+
+    Steepest-descent images of the affine warp: [f_x, f_x dx, f_x dy, f_y, f_y dx, f_y dy] (Baker, Matthews 2004,
+    Int. J. Comput. Vis. 56, 221; Pan, Li, Tong 2013, Exp. Mech. 53, 1277), each without its mean and its part along f̃.
+    """
+    check_shape("centre_px", centre_px, (None, 2))
+    offsets = subset_offsets(radius_px)
+    count, size = len(centre_px), len(offsets)
+    points = (centre_px[:, None, :] + offsets).reshape(-1, 2)
+    values, gradients = evaluate(spline, points)
+    pixels = np.empty((count, 3, size))
+    pixels[:, 0] = values.reshape(count, size)
+    pixels[:, 1:] = np.moveaxis(gradients.reshape(count, size, 2), 2, 1)
+    mean = pixels[:, 0].mean(axis=1)
+    pixels[:, 0] -= mean[:, None]
+    energy = np.sum(pixels[:, 0] ** 2, axis=1)
+    removed, inverse_hessian, status = np.zeros((count, 2, 6)), np.full((count, 6, 6), np.nan), np.zeros(count, np.int8)
+    for n in range(count):
+        status[n] = _solve_hessian(pixels[n], energy[n], offsets, removed[n], inverse_hessian[n])
+    gain = noise_gain(centre_px[:, 0], spline.degree) * noise_gain(centre_px[:, 1], spline.degree)
+    return Reference(centre_px, radius_px, pixels, mean, energy, removed, inverse_hessian, gain, status)
+
+
+def register(
+    reference: Reference, target: Spline, start: FloatArray, max_iterations: int, convergence_px: float, min_zncc: float
+) -> Registration:
+    """Find every subset of `reference` in the image `target`, beginning at the warps `start` (N,6); NaN = no start.
+
+    Minimises the zero-normalised sum of squared differences (its gain and offset eliminated) over the affine warp, by
+    W(p) ← W(p) ∘ W(δ)⁻¹ with δ = H⁻¹ Σ SDᵀ g(W(p)) / gain, until no point of the subset moves by `convergence_px`.
+    """
+    count = len(reference.centre_px)
+    check_shape("start", start, (count, 6))
+    warp, scores = start.astype(np.float64), np.full((count, 3), np.nan)
+    outcome = np.column_stack([reference.status, np.zeros(count)]).astype(np.int64)
+    _register(
+        (reference.centre_px, reference.radius_px, reference.pixels, reference.mean, reference.energy),
+        (reference.removed, reference.inverse_hessian),
+        (target.coefficients, target.degree),
+        (max_iterations, convergence_px, min_zncc),
+        warp,
+        scores,
+        outcome,
+    )
+    status, iterations = outcome[:, 0].astype(np.int8), outcome[:, 1]
+    warp[status != TrackStatus.OK] = np.nan
+    return Registration(warp, scores[:, 0], scores[:, 1], scores[:, 2], status, iterations)
+
+
+def position_covariance(reference: Reference, found: Registration, noise_grey: FloatArray) -> FloatArray:
+    """Covariance (N,2,2) in px² of the found centres from white image noise of standard deviation noise_grey (N,).
+
+    A [H⁻¹]_tt Aᵀ σ²/gain² with the translation block of the inverse Hessian (affine parameters, gain and offset free)
+    and A the local deformation: the noise of the one image; that of the reference is constant over a series.
+    """
+    translation = reference.inverse_hessian[:, [0, 3]][:, :, [0, 3]]
+    deformation = np.eye(2) + found.warp[:, [1, 2, 4, 5]].reshape(-1, 2, 2)
+    scale = (noise_grey / found.gain) ** 2
+    covariance: FloatArray = deformation @ translation @ np.swapaxes(deformation, 1, 2) * scale[:, None, None]
+    return covariance
+
+
+def noise_of_residual(reference: Reference, found: Registration, degree: int) -> FloatArray:
+    """Noise (N,), as a standard deviation in grey values of the found image, that explains what is left over.
+
+    The residual g − gain·f̃ has the variance σ²(κ_g + gain²·κ_f) when both images carry white noise σ; κ is the
+    variance that interpolation leaves (`noise_gain`), for g the mean over nine points of the subset. Shot noise is
+    covered, since every subset has its own σ; a misfit of the affine warp counts as noise too.
+    """
+    places = subset_offsets(1) * (2.0 / 3.0 * reference.radius_px)
+    shift = found.warp[:, [0, 3]]
+    deformation = np.eye(2) + found.warp[:, [1, 2, 4, 5]].reshape(-1, 2, 2)
+    points = (reference.centre_px + shift)[:, None, :] + places @ np.swapaxes(deformation, 1, 2)
+    kept = np.mean(noise_gain(points[..., 0], degree) * noise_gain(points[..., 1], degree), axis=1)
+    variance: FloatArray = found.residual_grey2 / (kept + found.gain**2 * reference.noise_gain)
+    return np.sqrt(variance)
+
+
+def subset_offsets(radius_px: int) -> FloatArray:
+    """Pixels (P,2) of a subset relative to its centre, row by row."""
+    line = np.arange(-radius_px, radius_px + 1, dtype=np.float64)
+    rows, columns = np.meshgrid(line, line, indexing="ij")
+    return np.column_stack([columns.ravel(), rows.ravel()])
+
+
+def _solve_hessian(
+    pixels: FloatArray, energy: float, offsets: FloatArray, removed: FloatArray, inverse_hessian: FloatArray
+) -> int:
+    """Fill `removed` and `inverse_hessian` of one subset; its status says whether that was possible."""
+    if not np.all(np.isfinite(pixels)):
+        return TrackStatus.LEFT_IMAGE
+    shape = np.column_stack([np.ones(len(offsets)), offsets])
+    steepest = np.concatenate([pixels[1][:, None] * shape, pixels[2][:, None] * shape], axis=1)
+    if energy <= 0.0:
+        return TrackStatus.FLAT
+    removed[0] = steepest.mean(axis=0)
+    removed[1] = pixels[0] @ steepest / energy
+    steepest -= removed[0] + pixels[0][:, None] * removed[1]
+    hessian = steepest.T @ steepest
+    scale = np.sqrt(np.diag(hessian))
+    if scale.min() <= 0.0:
+        return TrackStatus.FLAT
+    scaled = hessian / np.outer(scale, scale)
+    if np.linalg.eigvalsh(scaled)[0] < FLAT_CONDITION:
+        return TrackStatus.FLAT
+    inverse_hessian[:] = np.linalg.inv(scaled) / np.outer(scale, scale)
+    return TrackStatus.OK
+
+
+@njit(cache=True, parallel=True)
+def _register(subsets, solved, target, limits, warp, scores, outcome):  # type: ignore[no-untyped-def]
+    """Every usable subset on its own; outcome (N,2) receives status and iterations."""
+    centres, radius, pixels, means, energies = subsets
+    removed, inverse = solved
+    for n in prange(centres.shape[0]):
+        if outcome[n, 0] != 0:
+            continue
+        outcome[n, 0], outcome[n, 1] = _register_one(
+            (centres[n, 0], centres[n, 1], radius, pixels[n], means[n], energies[n]),
+            (removed[n], inverse[n]),
+            target,
+            limits,
+            warp[n],
+            scores[n],
+        )
+
+
+@njit(cache=True, fastmath=ALLOWED)
+def _register_one(subset, solved, target, limits, warp, scores):  # type: ignore[no-untyped-def]
+    """Gauss-Newton steps of one subset until it stands still; returns status and iterations, fills warp and scores."""
+    _, _, radius, _, _, energy = subset
+    removed, inverse = solved
+    max_iterations, convergence, min_zncc = limits
+    count = (2 * radius + 1) ** 2
+    sums, step = np.empty(9), np.empty(6)
+    for value in warp:
+        if not np.isfinite(value):
+            return 6, 0
+    for iteration in range(1, max_iterations + 1):
+        if not _inside(subset, target, warp):
+            return 3, iteration
+        _correlate(subset, target, warp, sums)
+        spread = sums[1] - sums[0] * sums[0] / count
+        gain = sums[2] / energy
+        if spread <= 0.0 or gain <= 0.0:
+            return 2, iteration
+        for i in range(6):
+            step[i] = 0.0
+            for j in range(6):
+                step[i] += inverse[i, j] * (sums[3 + j] - removed[0, j] * sums[0] - removed[1, j] * sums[2])
+            step[i] /= gain
+        _compose_inverse(warp, step)
+        moved = step[0] ** 2 + step[3] ** 2
+        moved += radius**2 * (step[1] ** 2 + step[2] ** 2 + step[4] ** 2 + step[5] ** 2)
+        if moved < convergence**2:
+            zncc = sums[2] / np.sqrt(spread * energy)
+            scores[0] = zncc
+            scores[1] = gain
+            scores[2] = spread * max(0.0, 1.0 - zncc * zncc) / (count - FREE_PARAMETERS)
+            return (0 if zncc >= min_zncc else 2), iteration
+    return 1, max_iterations
+
+
+@njit(cache=True, inline="always")
+def _inside(subset, target, warp):  # type: ignore[no-untyped-def]
+    """Whether all corners of the warped subset lie within the image."""
+    centre_x, centre_y, radius, _, _, _ = subset
+    coefficients, _ = target
+    right, bottom = coefficients.shape[1] - 2.0 * PADDING_PX - 1.0, coefficients.shape[0] - 2.0 * PADDING_PX - 1.0
+    x, y = centre_x + warp[0], centre_y + warp[3]
+    reach_x = radius * (abs(1.0 + warp[1]) + abs(warp[2]))
+    reach_y = radius * (abs(warp[4]) + abs(1.0 + warp[5]))
+    return x - reach_x >= 0.0 and x + reach_x <= right and y - reach_y >= 0.0 and y + reach_y <= bottom
+
+
+@njit(cache=True, fastmath=ALLOWED)
+def _correlate(subset, target, warp, sums):  # type: ignore[no-untyped-def]
+    """Sums over the subset of g, g², f̃g and of the six steepest-descent images times g (g without the mean of f)."""
+    centre_x, centre_y, radius, pixels, mean, _ = subset
+    coefficients, degree = target
+    width = 2 * radius + 1
+    grey = np.empty(width)
+    sums[:] = 0.0
+    for row in range(width):
+        dy = row - radius
+        x = centre_x + warp[0] + warp[2] * dy - (1.0 + warp[1]) * radius
+        y = centre_y + warp[3] + (1.0 + warp[5]) * dy - warp[4] * radius
+        if degree == 5:
+            _sample_quintic(coefficients, x, y, 1.0 + warp[1], warp[4], grey)
+        else:
+            _sample_cubic(coefficients, x, y, 1.0 + warp[1], warp[4], grey)
+        first = row * width
+        total, square, product = 0.0, 0.0, 0.0
+        along, along_dx, down, down_dx = 0.0, 0.0, 0.0, 0.0
+        for i in range(width):
+            g = grey[i] - mean
+            dx = float(i - radius)
+            ag, dg = pixels[1, first + i] * g, pixels[2, first + i] * g
+            total += g
+            square += g * g
+            product += pixels[0, first + i] * g
+            along += ag
+            along_dx += ag * dx
+            down += dg
+            down_dx += dg * dx
+        sums[0] += total
+        sums[1] += square
+        sums[2] += product
+        sums[3] += along
+        sums[4] += along_dx
+        sums[5] += along * dy
+        sums[6] += down
+        sums[7] += down_dx
+        sums[8] += down * dy
+
+
+@njit(cache=True, fastmath=ALLOWED)
+def _sample_quintic(c, x, y, step_x, step_y, grey):  # type: ignore[no-untyped-def]
+    """Quintic spline values along a straight line of points."""
+    for i in range(grey.size):
+        column, row = int(x), int(y)
+        a0, a1, a2, a3, a4, a5 = weights_quintic(x - column)
+        b = weights_quintic(y - row)
+        column += PADDING_PX - 2
+        row += PADDING_PX - 2
+        value = 0.0
+        for k in range(6):
+            value += b[k] * (
+                a0 * c[row + k, column]
+                + a1 * c[row + k, column + 1]
+                + a2 * c[row + k, column + 2]
+                + a3 * c[row + k, column + 3]
+                + a4 * c[row + k, column + 4]
+                + a5 * c[row + k, column + 5]
+            )
+        grey[i] = value
+        x += step_x
+        y += step_y
+
+
+@njit(cache=True, fastmath=ALLOWED)
+def _sample_cubic(c, x, y, step_x, step_y, grey):  # type: ignore[no-untyped-def]
+    """Cubic spline values along a straight line of points."""
+    for i in range(grey.size):
+        column, row = int(x), int(y)
+        a0, a1, a2, a3 = weights_cubic(x - column)
+        b = weights_cubic(y - row)
+        column += PADDING_PX - 1
+        row += PADDING_PX - 1
+        value = 0.0
+        for k in range(4):
+            value += b[k] * (
+                a0 * c[row + k, column]
+                + a1 * c[row + k, column + 1]
+                + a2 * c[row + k, column + 2]
+                + a3 * c[row + k, column + 3]
+            )
+        grey[i] = value
+        x += step_x
+        y += step_y
+
+
+@njit(cache=True)
+def _compose_inverse(warp, step):  # type: ignore[no-untyped-def]
+    """Warp ← warp ∘ step⁻¹, both affine."""
+    a, b, c, d = 1.0 + step[1], step[2], step[4], 1.0 + step[5]
+    scale = 1.0 / (a * d - b * c)
+    ia, ib, ic, id_ = d * scale, -b * scale, -c * scale, a * scale
+    iu, iv = -(ia * step[0] + ib * step[3]), -(ic * step[0] + id_ * step[3])
+    p, q, r, s = 1.0 + warp[1], warp[2], warp[4], 1.0 + warp[5]
+    warp[0] += p * iu + q * iv
+    warp[3] += r * iu + s * iv
+    warp[1] = p * ia + q * ic - 1.0
+    warp[2] = p * ib + q * id_
+    warp[4] = r * ia + s * ic
+    warp[5] = r * ib + s * id_ - 1.0

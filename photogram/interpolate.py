@@ -1,0 +1,220 @@
+"""Exact B-spline interpolation of grey images: coefficients, values, gradients."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from math import sqrt
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from photogram._checks import FloatArray, check_shape
+
+PADDING_PX = 3
+POLES = {
+    3: (sqrt(3.0) - 2.0,),
+    5: (
+        sqrt(67.5 - sqrt(4436.25)) + sqrt(26.25) - 6.5,
+        sqrt(67.5 + sqrt(4436.25)) - sqrt(26.25) - 6.5,
+    ),
+}
+SMALLEST_TERM = 1e-17
+BLOCK = 64
+
+
+@dataclass(frozen=True)
+class Spline:
+    """An image as a B-spline of `degree` 3 or 5: coefficients (H+6,W+6), mirrored by three pixels on every side."""
+
+    coefficients: FloatArray
+    degree: int
+
+    def __post_init__(self) -> None:
+        check_shape("coefficients", self.coefficients, (None, None))
+        if self.degree not in POLES:
+            raise ValueError(f"degree: expected 3 or 5, found {self.degree}")
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Width and height of the image."""
+        height, width = self.coefficients.shape
+        return width - 2 * PADDING_PX, height - 2 * PADDING_PX
+
+
+def spline_of_image(image: NDArray[np.generic], degree: int = 5) -> Spline:
+    """The spline that passes exactly through the grey values of image (H,W), mirrored at the outermost pixels.
+
+    Recursive prefilter c = Π_z (1−z)(1−1/z) · causal and anticausal first-order filters with the poles z of the
+    B-spline (Unser, Aldroubi, Eden 1993, IEEE Trans. Signal Process. 41, 834, eqs 2.4 and 2.5), in rows and columns.
+    """
+    check_shape("image", image, (None, None))
+    if min(image.shape) < 2 * PADDING_PX:
+        raise ValueError(f"image: expected at least {2 * PADDING_PX} x {2 * PADDING_PX} px, found {image.shape}")
+    if degree not in POLES:
+        raise ValueError(f"degree: expected 3 or 5, found {degree}")
+    inside = np.ascontiguousarray(image, dtype=np.float64)
+    coefficients = _prefilter(inside, np.array(POLES[degree]))
+    return Spline(np.pad(coefficients, PADDING_PX, mode="reflect"), degree)
+
+
+def evaluate(spline: Spline, points_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Values (M,) and gradients (M,2) (∂/∂x, ∂/∂y) of the spline at points_px (M,2); NaN outside the image."""
+    check_shape("points_px", points_px, (None, 2))
+    values, gradients = np.empty(len(points_px)), np.empty((len(points_px), 2))
+    _evaluate(spline.coefficients, spline.degree, np.ascontiguousarray(points_px, dtype=np.float64), values, gradients)
+    return values, gradients
+
+
+def noise_gain(fraction_px: FloatArray, degree: int = 5) -> FloatArray:
+    """Variance of interpolated white noise of variance 1 at one-dimensional offsets `fraction_px` from a pixel.
+
+    Σ_k h(t−k)² of the cardinal spline h; in two dimensions the gains of x and y multiply.
+    """
+    table = _noise_gain_table(degree)
+    position = np.mod(fraction_px, 1.0) * (len(table) - 1)
+    gain: FloatArray = np.interp(position, np.arange(len(table)), table)
+    return gain
+
+
+@cache
+def _noise_gain_table(degree: int) -> FloatArray:
+    """`noise_gain` at 33 offsets from 0 to 1: the squared response to a unit impulse, summed over all pixels."""
+    impulse = np.zeros((2 * PADDING_PX, 65))
+    impulse[:] = np.arange(65) == 32
+    spline = spline_of_image(impulse, degree)
+    offsets = np.linspace(0.0, 1.0, 33)
+    x = (np.arange(1, 63)[:, None] + offsets).ravel()
+    values, _ = evaluate(spline, np.column_stack([x, np.full_like(x, PADDING_PX)]))
+    gains: FloatArray = np.sum(values.reshape(62, 33) ** 2, axis=0)
+    return gains
+
+
+@njit(cache=True, parallel=True)
+def _prefilter(image, poles):  # type: ignore[no-untyped-def]
+    """Spline coefficients of an image: every row, then blocks of columns."""
+    height, width = image.shape
+    out = image.copy()
+    for row in prange(height):
+        for pole in poles:
+            _filter_line(out[row], pole)
+    blocks = (width + BLOCK - 1) // BLOCK
+    for block in prange(blocks):
+        columns = out[:, block * BLOCK : min(width, (block + 1) * BLOCK)]
+        for pole in poles:
+            _filter_columns(columns, pole)
+    return out
+
+
+@njit(cache=True)
+def _filter_line(line, pole):  # type: ignore[no-untyped-def]
+    """Both recursions of one pole along one row, mirrored at its ends."""
+    count = line.size
+    gain = (1.0 - pole) * (1.0 - 1.0 / pole)
+    total, power = line[0], pole
+    for k in range(1, 2 * count - 2):
+        if abs(power) < SMALLEST_TERM:
+            break
+        total += power * line[k if k < count else 2 * count - 2 - k]
+        power *= pole
+    line[0] = gain * total / (1.0 - power)
+    for k in range(1, count):
+        line[k] = gain * line[k] + pole * line[k - 1]
+    line[-1] = pole / (pole * pole - 1.0) * (pole * line[-2] + line[-1])
+    for k in range(count - 2, -1, -1):
+        line[k] = pole * (line[k + 1] - line[k])
+
+
+@njit(cache=True)
+def _filter_columns(lines, pole):  # type: ignore[no-untyped-def]
+    """Both recursions of one pole down several neighbouring columns at once, mirrored at their ends."""
+    count, width = lines.shape
+    gain = (1.0 - pole) * (1.0 - 1.0 / pole)
+    total, power = lines[0].copy(), pole
+    for k in range(1, 2 * count - 2):
+        if abs(power) < SMALLEST_TERM:
+            break
+        source = k if k < count else 2 * count - 2 - k
+        for i in range(width):
+            total[i] += power * lines[source, i]
+        power *= pole
+    for i in range(width):
+        lines[0, i] = gain * total[i] / (1.0 - power)
+    for k in range(1, count):
+        for i in range(width):
+            lines[k, i] = gain * lines[k, i] + pole * lines[k - 1, i]
+    for i in range(width):
+        lines[-1, i] = pole / (pole * pole - 1.0) * (pole * lines[-2, i] + lines[-1, i])
+    for k in range(count - 2, -1, -1):
+        for i in range(width):
+            lines[k, i] = pole * (lines[k + 1, i] - lines[k, i])
+
+
+@njit(cache=True, inline="always")
+def weights_cubic(t):  # type: ignore[no-untyped-def]
+    """Values of the four cubic B-splines that reach offset t in [0,1) (Thévenaz et al. 2000, eq. 18)."""
+    last = t * t * t / 6.0
+    first = 1.0 / 6.0 + 0.5 * t * (t - 1.0) - last
+    third = t + first - 2.0 * last
+    return first, 1.0 - first - third - last, third, last
+
+
+@njit(cache=True, inline="always")
+def weights_quintic(t):  # type: ignore[no-untyped-def]
+    """Values of the six quintic B-splines that reach offset t in [0,1) (P. Thévenaz's factorisation)."""
+    t2 = t * t
+    last = t * t2 * t2 / 120.0
+    t2 = t2 - t
+    t4 = t2 * t2
+    h = t - 0.5
+    s = t2 * (t2 - 3.0)
+    first = (0.2 + t2 + t4) / 24.0 - last
+    even, odd = (t2 * (t2 - 5.0) + 9.2) / 24.0, -h * (s + 4.0) / 12.0
+    wide, skew = (1.8 - s) / 16.0, h * (t4 - t2 - 5.0) / 24.0
+    return first, wide + skew, even + odd, even - odd, wide - skew, last
+
+
+@njit(cache=True)
+def _basis(t, degree, values, slopes):  # type: ignore[no-untyped-def]
+    """Values and derivatives of the degree+1 B-splines that reach t in [0,1), by the recursion of de Boor and Cox.
+
+    β_n(x) = ((x + (n+1)/2) β_{n−1}(x+½) + ((n+1)/2 − x) β_{n−1}(x−½)) / n and β_n′(x) = β_{n−1}(x+½) − β_{n−1}(x−½).
+    """
+    values[:] = 0.0
+    values[0] = 1.0
+    for n in range(1, degree + 1):
+        if n == degree:
+            for j in range(degree + 1):
+                slopes[j] = (values[j - 1] if j > 0 else 0.0) - (values[j] if j < degree else 0.0)
+        for j in range(n, -1, -1):
+            left = (t + n - j) * values[j - 1] if j > 0 else 0.0
+            right = (j + 1.0 - t) * values[j] if j < n else 0.0
+            values[j] = (left + right) / n
+
+
+@njit(cache=True, parallel=True)
+def _evaluate(coefficients, degree, points, values, gradients):  # type: ignore[no-untyped-def]
+    """Value and gradient at every point."""
+    width, height = coefficients.shape[1] - 2 * PADDING_PX, coefficients.shape[0] - 2 * PADDING_PX
+    first = PADDING_PX - degree // 2
+    for m in prange(points.shape[0]):
+        x, y = points[m, 0], points[m, 1]
+        values[m] = np.nan
+        gradients[m] = np.nan
+        if not (x >= 0.0 and y >= 0.0 and x <= width - 1.0 and y <= height - 1.0):
+            continue
+        column, row = int(np.floor(x)), int(np.floor(y))
+        wx, sx, wy, sy = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
+        _basis(x - column, degree, wx, sx)
+        _basis(y - row, degree, wy, sy)
+        value, along, down = 0.0, 0.0, 0.0
+        for k in range(degree + 1):
+            for j in range(degree + 1):
+                c = coefficients[row + first + k, column + first + j]
+                value += wy[k] * wx[j] * c
+                along += wy[k] * sx[j] * c
+                down += sy[k] * wx[j] * c
+        values[m] = value
+        gradients[m, 0] = along
+        gradients[m, 1] = down

@@ -1,0 +1,179 @@
+"""Where subsets are laid, and what an image can tell: textured area, grid, speckle size, texture beyond the pixels."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photogram._checks import BoolArray, FloatArray, check_shape
+
+Image = NDArray[Any]
+CONTRAST_WINDOW_PX = 9
+CLEAR_SEPARATION = 3.0
+SMALLEST_SHARE = 0.2
+TILE_PX = 32
+FINE_TEXTURE = 0.4
+
+
+def textured_area(image: Image) -> BoolArray:
+    """Pixels (H,W) of the speckled body: background without texture and the body's rim are left out.
+
+    The local standard deviation (9 x 9 px) is split by Otsu's threshold on its logarithm (Otsu 1979, IEEE Trans. Syst.
+    Man Cybern. 9, 62), holes are closed, and the window's reach is taken off again. An image whose two classes differ
+    by less than a factor of 3 is textured everywhere.
+    """
+    from scipy import ndimage
+    from skimage.filters import threshold_otsu
+    from skimage.morphology import disk
+
+    check_shape("image", image, (None, None))
+    contrast = np.log(_local_contrast(image.astype(np.float64)) + 1e-3 * (1.0 + float(np.std(image))))
+    textured = contrast > threshold_otsu(contrast)
+    if textured.all() or not textured.any():
+        return np.ones(image.shape, dtype=np.bool_)
+    if contrast[textured].mean() - contrast[~textured].mean() < np.log(CLEAR_SEPARATION):
+        return np.ones(image.shape, dtype=np.bool_)
+    reach = CONTRAST_WINDOW_PX // 2
+    framed = np.pad(textured, 2 * CONTRAST_WINDOW_PX, mode="edge")
+    closed = ndimage.binary_closing(framed, disk(CONTRAST_WINDOW_PX))
+    opened = ndimage.binary_opening(ndimage.binary_fill_holes(closed), disk(CONTRAST_WINDOW_PX))
+    shrunk = ndimage.binary_erosion(opened, disk(reach + 1))
+    inside = shrunk[2 * CONTRAST_WINDOW_PX : -2 * CONTRAST_WINDOW_PX, 2 * CONTRAST_WINDOW_PX : -2 * CONTRAST_WINDOW_PX]
+    return _large_parts(inside)
+
+
+def lay_grid(area: BoolArray, radius_px: int, step_px: int) -> FloatArray:
+    """Centres (N,2) of square subsets that lie wholly in `area` (H,W), as many as rows of subsets can hold.
+
+    In each row subsets are set from left to right at least `step_px` apart; the heights of the rows, as far apart, are
+    those with the largest total (dynamic programming), so that round bodies are covered to their edge.
+    """
+    from scipy import ndimage
+
+    check_shape("area", area, (None, None))
+    if radius_px < 1 or step_px < 1:
+        raise ValueError(f"radius_px, step_px: expected at least 1, found {radius_px} and {step_px}")
+    side = 2 * radius_px + 1
+    possible = ndimage.binary_erosion(area, np.ones((side, side), dtype=np.bool_), border_value=0)
+    columns = [_packed(np.flatnonzero(line), step_px) for line in possible]
+    best = np.zeros(len(columns) + 1, dtype=np.int64)
+    for row, line in enumerate(columns):
+        best[row + 1] = max(best[row], len(line) + best[max(0, row + 1 - step_px)])
+    centres: list[tuple[float, float]] = []
+    row = len(columns)
+    while row > 0:
+        if best[row] == best[row - 1]:
+            row -= 1
+        else:
+            centres.extend((float(column), float(row - 1)) for column in columns[row - 1])
+            row = max(0, row - step_px)
+    return np.array(sorted(centres, key=lambda point: (point[1], point[0])), dtype=np.float64).reshape(-1, 2)
+
+
+def subsets_inside(area: BoolArray, points_px: FloatArray, radius_px: int, share: float) -> BoolArray:
+    """Whether at least `share` of every subset's pixels around points_px (N,2) lie in `area` (H,W)."""
+    return subset_mean(area, points_px, radius_px) >= share
+
+
+def subset_mean(values: Image, points_px: FloatArray, radius_px: int) -> FloatArray:
+    """Mean (N,) of values (H,W) over the subsets around points_px (N,2), rounded to pixels; beyond the image 0."""
+    height, width = values.shape
+    sums = np.zeros((height + 1, width + 1))
+    sums[1:, 1:] = np.cumsum(np.cumsum(values, axis=0, dtype=np.float64), axis=1)
+    centre = np.rint(np.nan_to_num(points_px, nan=-1e6)).astype(np.int64)
+    left, right = np.clip(centre[:, 0] - radius_px, 0, width), np.clip(centre[:, 0] + radius_px + 1, 0, width)
+    top, bottom = np.clip(centre[:, 1] - radius_px, 0, height), np.clip(centre[:, 1] + radius_px + 1, 0, height)
+    total = sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left]
+    mean: FloatArray = total / (2 * radius_px + 1) ** 2
+    return mean
+
+
+def speckle_size(image: Image, area: BoolArray) -> float:
+    """Speckle size in px: full width at half maximum of the texture's autocorrelation inside `area` (H,W).
+
+    The value at lag 0, raised by noise, is replaced by the parabola through lags 1 and 2 where that is lower.
+    """
+    check_shape("area", area, image.shape)
+    lags = _autocorrelation(image.astype(np.float64), area)
+    peak = min(lags[0], (4.0 * lags[1] - lags[2]) / 3.0)
+    below = np.flatnonzero(lags[1:] < 0.5 * peak)
+    if peak <= 0.0 or len(below) == 0:
+        return float("nan")
+    after = int(below[0]) + 1
+    before = peak if after == 1 else lags[after - 1]
+    return float(2.0 * (after - 1 + (before - 0.5 * peak) / (before - lags[after])))
+
+
+def fine_texture_share(image: Image, area: BoolArray, noise_grey: float) -> float:
+    """Share of the texture's power beyond 0.4 cycles per pixel in x or y, noise taken off; 0 where all is resolved.
+
+    Mean periodogram of Hann-windowed tiles of 32 x 32 px in `area`. Texture that still has power next to the Nyquist
+    frequency has some beyond it too, folded back: it moves unlike the body and makes errors periodic in the pixel.
+    """
+    window = np.outer(np.hanning(TILE_PX + 1)[:-1], np.hanning(TILE_PX + 1)[:-1])
+    centres = lay_grid(area, TILE_PX // 2, TILE_PX).astype(np.int64)
+    if len(centres) == 0:
+        return float("nan")
+    half = TILE_PX // 2
+    tiles = np.stack([image[y - half : y + half, x - half : x + half] for x, y in centres]).astype(np.float64)
+    tiles -= np.mean(tiles * window, axis=(1, 2), keepdims=True) / window.mean()
+    power = np.mean(np.abs(np.fft.fft2(tiles * window)) ** 2, axis=0) - noise_grey**2 * np.sum(window**2)
+    frequency = np.abs(np.fft.fftfreq(TILE_PX))
+    fine = np.maximum.outer(frequency, frequency) > FINE_TEXTURE
+    return float(max(0.0, power[fine].sum()) / power.sum()) if power.sum() > 0.0 else float("nan")
+
+
+def _local_contrast(image: FloatArray) -> FloatArray:
+    """Standard deviation in a window around every pixel."""
+    from scipy import ndimage
+
+    centred = image - image.mean()
+    mean = ndimage.uniform_filter(centred, CONTRAST_WINDOW_PX, mode="reflect")
+    square = ndimage.uniform_filter(centred**2, CONTRAST_WINDOW_PX, mode="reflect")
+    contrast: FloatArray = np.sqrt(np.maximum(square - mean**2, 0.0))
+    return contrast
+
+
+def _large_parts(mask: BoolArray) -> BoolArray:
+    """The connected parts that have at least a fifth of the largest one's pixels."""
+    from scipy import ndimage
+
+    labels, count = ndimage.label(mask)
+    if count == 0:
+        return mask
+    sizes = np.bincount(labels.ravel())
+    sizes[0] = 0
+    kept: BoolArray = (sizes >= SMALLEST_SHARE * sizes.max())[labels] & mask
+    return kept
+
+
+def _packed(columns: NDArray[np.int64], step: int) -> list[int]:
+    """As many of the possible columns as fit, at least `step` apart, from left to right; runs are centred."""
+    chosen: list[int] = []
+    for run in np.split(columns, np.flatnonzero(np.diff(columns) > 1) + 1):
+        if len(run) == 0:
+            continue
+        first = max(int(run[0]), chosen[-1] + step) if chosen else int(run[0])
+        if first > run[-1]:
+            continue
+        spare = (int(run[-1]) - first) % step
+        chosen.extend(range(first + spare // 2, int(run[-1]) + 1, step))
+    return chosen
+
+
+def _autocorrelation(image: FloatArray, area: BoolArray) -> FloatArray:
+    """Mean autocovariance along x and y of the grey values in the area at lags 0, 1, 2 … 31."""
+    from scipy import ndimage
+
+    background = ndimage.gaussian_filter(np.where(area, image, 0.0), TILE_PX)
+    weight = ndimage.gaussian_filter(area.astype(np.float64), TILE_PX)
+    texture = np.where(area, image - background / np.maximum(weight, 1e-9), 0.0)
+    lags = []
+    for lag in range(min(TILE_PX, min(image.shape) // 2)):
+        stop_y, stop_x = image.shape[0] - lag, image.shape[1] - lag
+        product = np.sum(texture[:, :stop_x] * texture[:, lag:]) + np.sum(texture[:stop_y] * texture[lag:])
+        pairs = np.sum(area[:, :stop_x] & area[:, lag:]) + np.sum(area[:stop_y] & area[lag:])
+        lags.append(product / max(1, pairs))
+    return np.array(lags)
