@@ -12,6 +12,7 @@ FloatArray = NDArray[np.float64]
 UNIFORM_PHASE_U = float(np.pi / np.sqrt(3.0))
 LARGEST_PLAIN = 1e5
 SMALLEST_PLAIN = 1e-2
+DASH = "–"
 PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 PLAIN_TO_TYPESET = (("^2", "²"), ("N.m", "N·m"))
 
@@ -78,21 +79,24 @@ class Rounded(NamedTuple):
     exponent: int
 
 
-def rounded(value: float, expanded: float) -> Rounded:
+def rounded(value: float, expanded: float, exponent: int | None = None) -> Rounded:
     """Value rounded to the second significant digit of its expanded uncertainty (GUM 7.2.6).
 
-    Without a usable uncertainty the value is given with five significant digits and the uncertainty as a dash.
+    `exponent`: power of ten to take off, by default none for sizes from 0.01 to 100 000 and else that of the larger of
+    the two. Without a usable uncertainty the value has five significant digits and the uncertainty is a dash.
     """
     if not np.isfinite(value):
-        return Rounded("–", "–", 0)
-    if not np.isfinite(expanded) or expanded <= 0.0:
-        exponent = _power(abs(value))
-        return Rounded(_signed(f"{value * 10.0**-exponent:.5g}"), "–", exponent)
-    exponent = _power(max(abs(value), expanded))
-    while (decimals := _decimals(expanded * 10.0**-exponent)) < 0:
-        exponent += 3
-    scale = 10.0**-exponent
-    return Rounded(_signed(f"{value * scale:.{decimals}f}"), f"{expanded * scale:.{decimals}f}", exponent)
+        return Rounded(DASH, DASH, 0)
+    usable = bool(np.isfinite(expanded)) and expanded > 0.0
+    power = _power(max(abs(value), expanded if usable else 0.0)) if exponent is None else exponent
+    scale = 10.0**-power
+    if not usable:
+        return Rounded(_signed(f"{value * scale:.5g}"), DASH, power)
+    decimals = _decimals(expanded * scale)
+    if decimals < 0 and exponent is None:
+        return rounded(value, expanded, power - decimals)
+    decimals = max(decimals, 0)
+    return Rounded(_signed(f"{value * scale:.{decimals}f}"), f"{expanded * scale:.{decimals}f}", power)
 
 
 def _decimals(expanded: float) -> int:
@@ -101,10 +105,10 @@ def _decimals(expanded: float) -> int:
 
 
 def _power(size: float) -> int:
-    """Power of ten, a multiple of three, that brings `size` into a readable range."""
+    """Power of ten that leaves one digit before the point, none where the number is readable as it is."""
     if size == 0.0 or SMALLEST_PLAIN <= size < LARGEST_PLAIN:
         return 0
-    return 3 * int(np.floor(np.log10(size) / 3.0))
+    return int(np.floor(np.log10(size)))
 
 
 def _signed(text: str) -> str:

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from markupsafe import Markup
+from numpy.typing import NDArray
 
-from fusion.evaluation import Evaluation, StereoResult
+from fusion.evaluation import ClockResult, Evaluation, StereoResult
 from fusion.fuse import Acceleration
 from fusion.highlights import (
     COMPONENTS,
@@ -20,13 +21,16 @@ from fusion.highlights import (
     main_line,
     static_value,
 )
-from fusion.polar import Polar, element_covariance, polar, prefix, rounded, typeset
+from fusion.polar import DASH, Polar, element_covariance, polar, prefix, rounded, typeset
 from fusion.results_csv import sensitivity_element, sensitivity_unit
 from shaker.signals.phasor import Phasors
 
+ComplexArray = NDArray[np.complex128]
+
+PREFIXED = ("m", "m/s", "m/s^2", "rad/s", "N")
+"""Units that take an SI prefix."""
 LARGEST_PHASE_U = 1.0
 """Expanded uncertainty in rad above which a phase is printed as not determined."""
-DASH = "–"
 
 
 @dataclass(frozen=True)
@@ -58,6 +62,22 @@ def measured(value: float, expanded: float, unit: str = "") -> Markup:
     return Markup("{}{}{}").format(bracketed, power, f" {typeset(unit)}" if unit else "")
 
 
+def fixed(value: float, expanded: float, exponent: int) -> Markup:
+    """Value and expanded uncertainty in units of a power of ten that stands elsewhere."""
+    text = rounded(value, expanded, exponent)
+    return Markup(text.value if text.expanded == DASH else f"{text.value} ± {text.expanded}")
+
+
+def times_ten(exponent: int, unit: str) -> Markup:
+    """Unit with a power of ten before it."""
+    minus = "\N{MINUS SIGN}" if exponent < 0 else ""
+    return (
+        Markup("10<sup>{}{}</sup> {}").format(minus, abs(exponent), typeset(unit))
+        if exponent
+        else Markup(typeset(unit))
+    )
+
+
 def phase(element: Polar) -> Markup:
     """Phase with U, or a dash where it is not determined."""
     expanded = 2.0 * element.u_phase_rad
@@ -84,13 +104,14 @@ def sensitivity_table(evaluation: Evaluation) -> Table | None:
     if found is None:
         return None
     rows = []
+    exponent = _common_exponent(found.value)
     for k, frequency in enumerate(found.frequency_hz):
         for c, j in np.argwhere(found.observed):
             if not np.isfinite(found.value[k, c, j]):
                 continue
             element = sensitivity_element(found, k, int(c), int(j))
-            unit = typeset(sensitivity_unit(found.unit, found.components[j]))
-            size = measured(element.magnitude, 2.0 * element.u_magnitude)
+            unit = times_ten(exponent, sensitivity_unit(found.unit, found.components[j]))
+            size = fixed(element.magnitude, 2.0 * element.u_magnitude, exponent)
             name = f"{found.channels[c]} per {found.components[j]}"
             rows.append((f"{frequency:.4f}", name, size, unit, phase(element), _dof(found.dof[k]), found.kind[k]))
     head = ("frequency / Hz", "output per load", "magnitude", "unit", "phase / rad", "dof", "kind")
@@ -104,9 +125,11 @@ def source_tables(evaluation: Evaluation) -> list[Table]:
     for body in bodies(evaluation):
         results = [result for result in evaluation.accelerations if result.body == body]
         rows = tuple(_source_row(results, line, c) for c in range(6))
-        head = ("", "unit", *(f"{r.source}: {what}" for r in results for what in ("amplitude", "phase / rad")))
+        head = ("", "unit", *(result.source for result in results))
         frequency = float(results[0].phasors.frequency_hz[line])
-        caption = f"Acceleration of the {body} at the sensor origin, {frequency:.4f} Hz, with U (k = 2)"
+        caption = (
+            f"Acceleration of the {body} at the sensor origin, {frequency:.4f} Hz: amplitude and phase with U (k = 2)"
+        )
         tables.append(Table(caption, head, "ll" + "r" * (len(head) - 2), rows))
     return tables
 
@@ -178,9 +201,9 @@ def budget_table(evaluation: Evaluation) -> Table | None:
         )
         for entry, u, turn in zip(entries, sizes, turns, strict=True)
     ]
-    combined = f"{100.0 * np.sqrt(total):.2g}", f"{1e3 * np.sqrt(np.sum(turns**2)):.2g}"
-    rows.append(("combined standard uncertainty (k = 1)", "", *combined, "100.0"))
-    head = ("contribution", "type", "u of the magnitude / %", "u of the phase / mrad", "share of the variance / %")
+    combined = _small(100.0 * np.sqrt(total)), _small(1e3 * float(np.sqrt(np.sum(turns**2))))
+    rows.append((Markup("<b>combined, k = 1</b>"), "", *combined, "100.0"))
+    head = ("contribution", "type", "u(magnitude) / %", "u(phase) / mrad", "share / %")
     element = f"{found.channels[channel]} per {LOAD_COMPONENTS[driven_component(evaluation)]}"
     caption = f"Budget of {element} at {found.frequency_hz[line]:.4f} Hz"
     return Table(caption, head, "llrrr", tuple(rows))
@@ -205,39 +228,38 @@ def channels_table(evaluation: Evaluation) -> Table | None:
     for channel in evaluation.channels:
         value = complex(channel.phasors.value[line, 0])
         element = polar(value, element_covariance(channel.phasors.covariance[line], 0))
-        amplitude = measured(element.magnitude, 2.0 * element.u_magnitude, channel.unit)
-        sampling = (f"{channel.sample_rate_hz:g}", f"{channel.samples:d}")
-        rest = measured(channel.residual_rms, 0.0, channel.unit)
-        head = (channel.name, channel.daq, channel.quantity, channel.body)
-        rows.append((*head, *sampling, amplitude, phase(element), rest))
-    names = ("channel", "DAQ", "quantity", "body", "rate / Hz", "samples", "amplitude", "phase / rad", "residual rms")
+        factor, letter = prefix(np.array([abs(value)])) if channel.unit in PREFIXED else (1.0, "")
+        amplitude = measured(element.magnitude / factor, 2.0 * element.u_magnitude / factor, letter + channel.unit)
+        rest = Markup("{} {}").format(_short(channel.residual_rms / factor), typeset(letter + channel.unit))
+        rows.append(
+            (
+                channel.name,
+                channel.daq,
+                channel.quantity,
+                f"{channel.sample_rate_hz:g}",
+                amplitude,
+                phase(element),
+                rest,
+            )
+        )
+    head = ("channel", "DAQ", "quantity", "rate / Hz", "amplitude", "phase / rad", "residual rms")
     caption = "Channels at the strongest line; U (k = 2) from the scatter alone"
-    return Table(caption, names, "llllrrrrr", tuple(rows)) if rows else None
+    return Table(caption, head, "lllrrrr", tuple(rows)) if rows else None
 
 
 def clocks_table(evaluation: Evaluation) -> Table | None:
-    """Triggers and ties of the DAQ blocks."""
-    rows = []
-    for clock in evaluation.clocks:
-        trigger, tie = clock.trigger, clock.tie
-        cells = [clock.daq, clock.file.name]
-        if trigger is None:
-            cells += [DASH] * 5
-        else:
-            u_rate = 2.0 * np.sqrt(trigger.covariance[1, 1]) / trigger.period_s**2
-            missing = f"{len(trigger.missing)} / {trigger.spurious}"
-            jitter = measured(1e6 * trigger.jitter_s, 0.0)
-            cells += [str(len(trigger.number)), measured(1.0 / trigger.period_s, float(u_rate)), jitter, missing]
-            cells.append(measured(trigger.start_s, 2.0 * float(np.sqrt(trigger.covariance[0, 0]))))
-        if tie is None:
-            cells += ["time base" if clock is evaluation.clocks[0] else "not tied", DASH]
-        else:
-            u_offset, u_rate = 2.0 * np.sqrt(np.diag(tie.covariance))
-            cells += [measured(tie.offset_s, float(u_offset)), measured(1e6 * (tie.rate - 1.0), 1e6 * float(u_rate))]
-        rows.append(tuple(str(cell) if not isinstance(cell, Markup) else cell for cell in cells))
-    head = ("DAQ", "file", "edges", "trigger rate / Hz", "jitter / µs", "missing / spurious", "first edge / s")
-    head = (*head, "offset / s", "rate − 1 / 10⁻⁶")
-    return Table("Camera trigger and clocks, U (k = 2)", head, "llrrrrrrr", tuple(rows)) if rows else None
+    """Triggers and ties of the DAQ blocks, one column each."""
+    if not evaluation.clocks:
+        return None
+    names = ("file", "edges found", "missing, spurious", "trigger rate / Hz", "jitter beyond sampling / µs")
+    names = (*names, "first edge / s", "offset / s", "rate − 1 / 10⁻⁶")
+    columns = [
+        (clock.file.name, *_trigger_cells(clock), *_tie_cells(clock, evaluation.clocks[0]))
+        for clock in evaluation.clocks
+    ]
+    rows = tuple((name, *(column[place] for column in columns)) for place, name in enumerate(names))
+    head = ("", *(clock.daq for clock in evaluation.clocks))
+    return Table("Camera trigger and clocks, U (k = 2)", head, "l" + "r" * len(columns), rows)
 
 
 def stereo_table(stereo: Sequence[StereoResult]) -> Table | None:
@@ -318,11 +340,38 @@ def _source_row(results: Sequence[Acceleration], line: int, component: int) -> t
     for result in results:
         value = complex(result.phasors.value[line, component])
         if not result.observed[line, component] or not np.isfinite(value):
-            cells += [DASH, DASH]
+            cells.append(DASH)
             continue
         element = polar(value, element_covariance(result.phasors.covariance[line], component))
-        cells += [measured(element.magnitude / factor, 2.0 * element.u_magnitude / factor), phase(element)]
+        amplitude = measured(element.magnitude / factor, 2.0 * element.u_magnitude / factor)
+        turn = phase(element)
+        below = "phase not determined" if turn == DASH else Markup("{} rad").format(turn)
+        cells.append(Markup('{}<br><span class="below">{}</span>').format(amplitude, below))
     return tuple(cells)
+
+
+def _trigger_cells(clock: ClockResult) -> list[str]:
+    """Edges, missing and spurious ones, rate, jitter, first edge."""
+    trigger = clock.trigger
+    if trigger is None:
+        return ["no trigger", *[DASH] * 4]
+    u_start, u_period = 2.0 * np.sqrt(np.diag(trigger.covariance))
+    return [
+        str(len(trigger.number)),
+        f"{len(trigger.missing)}, {trigger.spurious}",
+        measured(1.0 / trigger.period_s, float(u_period) / trigger.period_s**2),
+        _number(1e6 * trigger.jitter_s),
+        measured(trigger.start_s, float(u_start)),
+    ]
+
+
+def _tie_cells(clock: ClockResult, base: ClockResult) -> list[str]:
+    """Offset and rate against the first block."""
+    if clock.tie is None:
+        return ["time base" if clock is base else "not tied", DASH]
+    u_offset, u_rate = 2.0 * np.sqrt(np.diag(clock.tie.covariance))
+    rate = measured(1e6 * (clock.tie.rate - 1.0), 1e6 * float(u_rate))
+    return [measured(clock.tie.offset_s, float(u_offset)), rate]
 
 
 def _failed(stereo: StereoResult) -> int:
@@ -330,9 +379,30 @@ def _failed(stereo: StereoResult) -> int:
     return int(np.sum(~np.isfinite(stereo.motion.pose).all(axis=1)))
 
 
+def _short(value: float) -> Markup:
+    """Two significant digits, with a power of ten where that is shorter."""
+    exponent = rounded(value, 0.0).exponent
+    return (
+        Markup("{:.2g} × {}").format(value / 10.0**exponent, times_ten(exponent, ""))
+        if exponent
+        else Markup(f"{value:.2g}")
+    )
+
+
 def _number(value: float | None) -> str:
     """Three significant digits, a dash for what is unknown."""
     return DASH if value is None or not np.isfinite(value) else f"{value:.3g}"
+
+
+def _common_exponent(values: ComplexArray) -> int:
+    """Power of ten of the largest finite value, none where it is readable as it is."""
+    sizes = np.abs(values[np.isfinite(values)])
+    return rounded(float(sizes.max()), 0.0).exponent if sizes.size else 0
+
+
+def _small(value: float) -> str:
+    """Two significant digits of an uncertainty; what is far below the last place of interest is only bounded."""
+    return f"{value:#.2g}" if value >= 1e-3 else "< 0.001"
 
 
 def _dof(value: float) -> str:

@@ -19,6 +19,7 @@ from fusion.plots.style import (
     Picture,
     drawing,
     finish,
+    lay_out,
     new_figure,
 )
 from fusion.polar import element_covariance, polar, prefix, typeset
@@ -49,6 +50,7 @@ def draw_sources(evaluation: Evaluation, compared: list[str]) -> Picture:
             left.set_title(f"{body}, {COMPONENTS[component]}")
         panels[-1, 0].set_xlabel("deviation of the amplitude / %")
         panels[-1, 1].set_xlabel("deviation of the phase / mrad")
+        lay_out(figure, panels.flat, left=1.15, top=0.25, gap=(0.25, 0.35))
         frequency = float(evaluation.accelerations[0].phasors.frequency_hz[line])
         caption = (
             f"Driven acceleration at {frequency:.4f} Hz from each kind of instrument alone, relative to the fused "
@@ -62,7 +64,7 @@ def draw_components(evaluation: Evaluation, body: str) -> Picture:
     name = f"components-{body}"
     line, results = main_line(evaluation), _by_source(evaluation, body)
     with drawing(name):
-        figure = new_figure(5.3)
+        figure = new_figure(5.9)
         panels = figure.subplots(2, 3)
         for component, axes in enumerate(panels.flat):
             _draw_plane(axes, results, line, component)
@@ -74,7 +76,8 @@ def draw_components(evaluation: Evaluation, body: str) -> Picture:
             )
         ]
         labels = [result.source for result in results]
-        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+        lay_out(figure, panels.flat, bottom=0.75, top=0.25, gap=(0.8, 0.75), label=0.48)
+        figure.legend(handles, labels, loc="lower center", ncols=len(labels))
         frequency = float(results[0].phasors.frequency_hz[line])
         caption = (
             f"Acceleration phasors of the {body} at the sensor origin, {frequency:.4f} Hz, with 95 % regions. A "
@@ -90,9 +93,11 @@ def _by_source(evaluation: Evaluation, body: str) -> list[Acceleration]:
 
 
 def _usable_reference(evaluation: Evaluation, body: str) -> bool:
-    """Whether the fused driven component stands out of its uncertainty well enough to refer others to it."""
+    """Whether several instruments were fused, and the driven component stands out of its uncertainty."""
     fused = acceleration(evaluation, body, "fused")
     if fused is None:
+        return False
+    if len(fused.instruments) < 2:
         return False
     element = _element(fused, main_line(evaluation), driven_component(evaluation))
     return bool(element[0] != 0.0 and 2.0 * np.sqrt(np.trace(element[1])) < 0.5 * abs(element[0]))

@@ -7,7 +7,7 @@ import numpy as np
 from fusion.evaluation import Evaluation
 from fusion.highlights import LOAD_COMPONENTS, driven_channel, driven_component, main_line
 from fusion.plots.acceleration import acceleration_pictures
-from fusion.plots.motion import motion_pictures
+from fusion.plots.motion import motion_pictures, subset_pictures
 from fusion.plots.sensitivity import draw_budget, sensitivity_pictures
 from fusion.plots.signals import channel_pictures, trigger_pictures
 from fusion.plots.style import Picture
@@ -20,6 +20,7 @@ def draw_all(evaluation: Evaluation) -> dict[str, list[Picture]]:
         "acceleration": acceleration_pictures(evaluation),
         "budget": budget_pictures(evaluation),
         "motion": [picture for stereo in evaluation.stereo for picture in motion_pictures(stereo)],
+        "subsets": subset_pictures(evaluation),
         "channels": channel_pictures(evaluation),
         "trigger": trigger_pictures(evaluation),
     }

@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
+import cv2
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 
-from fusion.evaluation import StereoResult
+from fusion.evaluation import Evaluation, StereoResult
 from fusion.plots.style import (
     BLACK,
     BLUE,
     ORANGE,
     RED,
+    WIDTH_IN,
     FloatArray,
     Picture,
     drawing,
     finish,
+    lay_out,
     new_figure,
+    panel_label,
 )
 from fusion.polar import prefix
 from shaker.signals.sine import alias_frequency
@@ -28,7 +33,7 @@ BASE_UNITS = ("m", "m", "m", "rad", "rad", "rad")
 POINT: dict[str, Any] = {"marker": "o", "linestyle": "none", "markersize": 2.6, "markeredgewidth": 0}
 COMPONENT_COLOURS = (BLUE, ORANGE, RED)
 CURVE_POINTS = 600
-LARGEST_IMAGE_PX = 900
+LARGEST_IMAGE_PX = 520
 
 
 def motion_pictures(stereo: StereoResult) -> list[Picture]:
@@ -36,9 +41,13 @@ def motion_pictures(stereo: StereoResult) -> list[Picture]:
     pictures = [draw_motion(stereo), draw_residuals(stereo)]
     if len(stereo.time_s) >= 8:
         pictures.append(draw_residual_spectrum(stereo))
-    if stereo.reference_image is not None and stereo.subsets_px is not None:
-        pictures.append(draw_subsets(stereo))
     return pictures
+
+
+def subset_pictures(evaluation: Evaluation) -> list[Picture]:
+    """The reference images with their subsets, where there are images."""
+    seen = [item for item in evaluation.stereo if item.reference_image is not None and item.subsets_px is not None]
+    return [draw_subsets(seen)] if seen else []
 
 
 def draw_motion(stereo: StereoResult) -> Picture:
@@ -47,7 +56,7 @@ def draw_motion(stereo: StereoResult) -> Picture:
     frequency = main_frequency(stereo)
     rate = camera_rate_hz(stereo)
     with drawing(name):
-        figure = new_figure(8.6)
+        figure = new_figure(8.4)
         panels = figure.subplots(6, 2, sharex="col", gridspec_kw={"width_ratios": [1.9, 1.0]})
         for component, (over_time, folded) in enumerate(panels):
             factor = _draw_component(over_time, stereo, component)
@@ -56,7 +65,7 @@ def draw_motion(stereo: StereoResult) -> Picture:
         panels[0, 1].set_title("folded over one period")
         panels[-1, 0].set_xlabel("time / s")
         panels[-1, 1].set_xlabel(f"phase of {frequency:.4f} Hz / periods")
-        figure.align_ylabels(panels[:, 0])
+        lay_out(figure, panels.flat, top=0.25, gap=(0.5, 0.14))
         beat = float(alias_frequency(frequency, rate))
         caption = (
             f"Motion of the {stereo.body} seen by stereo pair “{stereo.name}”, about its mean pose: "
@@ -71,7 +80,7 @@ def draw_residuals(stereo: StereoResult) -> Picture:
     """What the sine approximation leaves of each component, over time and as a histogram."""
     name = f"residuals-{stereo.name}"
     with drawing(name):
-        figure = new_figure(6.6)
+        figure = new_figure(6.4)
         panels = figure.subplots(6, 2, sharey="row", sharex="col", gridspec_kw={"width_ratios": [3.4, 1.0]})
         for component, (over_time, histogram) in enumerate(panels):
             residual = stereo.fit.residual[:, component]
@@ -83,7 +92,7 @@ def draw_residuals(stereo: StereoResult) -> Picture:
             _draw_histogram(histogram, scaled[np.isfinite(scaled)])
         panels[-1, 0].set_xlabel("time / s")
         panels[-1, 1].set_xlabel("frames")
-        figure.align_ylabels(panels[:, 0])
+        lay_out(figure, panels.flat, gap=(0.12, 0.14))
         caption = (
             "Measured motion minus sine approximation, frame by frame, and its distribution beside the normal "
             "distribution of the same standard deviation s."
@@ -110,6 +119,7 @@ def draw_residual_spectrum(stereo: StereoResult) -> Picture:
             axes.set_ylabel(f"amplitude / {letter}{unit}")
             _mark_lines(axes, stereo, rate)
             axes.legend(ncols=3, loc="upper right")
+        lay_out(figure, panels.flat, gap=(0.75, 0.14))
         caption = (
             "Amplitude spectrum of the residuals over the frequency at which the camera sees them. Triangles: where "
             "the fitted lines fold to. White noise alone gives a level spectrum; a peak elsewhere is a disturbance "
@@ -118,29 +128,22 @@ def draw_residual_spectrum(stereo: StereoResult) -> Picture:
         return finish(figure, name, f"Residual spectrum of {stereo.name}", caption)
 
 
-def draw_subsets(stereo: StereoResult) -> Picture:
-    """First left image with the subsets that were tracked."""
-    name = f"subsets-{stereo.name}"
-    image, points = stereo.reference_image, stereo.subsets_px
-    if image is None or points is None:
-        raise ValueError(f"stereo: expected images of pair {stereo.name}, found points of another program")
-    height, width = image.shape
-    step = max(1, -(-max(height, width) // LARGEST_IMAGE_PX))
-    with drawing(name):
-        shown = 5.4 if width >= height else 5.4 * width / height
-        figure = new_figure(shown * height / width + 0.45, shown + 0.6)
-        axes = figure.subplots()
-        low, high = np.percentile(image, (0.5, 99.5))
-        extent = (-0.5, width - 0.5, height - 0.5, -0.5)
-        axes.imshow(image[::step, ::step], cmap="gray", vmin=low, vmax=high, extent=extent, interpolation="nearest")
-        squares = _squares(points, _subset_size(points))
-        axes.add_collection(PolyCollection(squares, facecolor="none", edgecolor=ORANGE, linewidth=0.6))
-        axes.set_xlabel("x / px")
-        axes.set_ylabel("y / px")
-        axes.grid(visible=False)
-        speckle = f" Mean speckle size {stereo.speckle_px:.1f} px." if stereo.speckle_px is not None else ""
-        caption = f"First left image of “{stereo.name}”, contrast stretched, with its {len(points)} subsets.{speckle}"
-        return finish(figure, name, f"Subsets of {stereo.name}", caption)
+def draw_subsets(stereo: Sequence[StereoResult]) -> Picture:
+    """First left image of every stereo pair with the subsets that were tracked in it."""
+    with drawing("subsets"):
+        columns = max(2, len(stereo))
+        figure = new_figure(
+            0.75 + (WIDTH_IN - 1.2) / columns * max(_shape(item)[0] / _shape(item)[1] for item in stereo)
+        )
+        panels = figure.subplots(1, columns, squeeze=False)[0]
+        for axes, item in zip(panels, stereo, strict=False):
+            _draw_image(axes, item)
+        for axes in panels[len(stereo) :]:
+            axes.set_axis_off()
+        panels[0].set_ylabel("y / px")
+        lay_out(figure, panels, left=0.6, top=0.25, gap=(0.45, 0.1), label=0.45)
+        caption = "First left images, contrast stretched, with the subsets tracked in them."
+        return finish(figure, "subsets", "Subsets", caption)
 
 
 def main_frequency(stereo: StereoResult) -> float:
@@ -194,7 +197,7 @@ def _draw_component(axes: Axes, stereo: StereoResult, component: int) -> float:
     pose = stereo.motion_from_mean.pose[:, component]
     factor, letter = prefix(pose)
     fine = np.linspace(stereo.time_s[0], stereo.time_s[-1], CURVE_POINTS)
-    axes.plot(fine, beat_curve(stereo, fine)[:, component] / factor, color=ORANGE, linewidth=1.0)
+    axes.plot(fine, beat_curve(stereo, fine)[:, component] / factor, color=RED, linewidth=1.1, zorder=3)
     axes.plot(stereo.time_s, pose / factor, color=BLUE, **POINT)
     axes.set_ylabel(f"{COMPONENTS[component]} / {letter}{BASE_UNITS[component]}")
     return factor
@@ -206,7 +209,7 @@ def _draw_folded(axes: Axes, stereo: StereoResult, component: int, frequency: fl
     fine = np.linspace(0.0, 1.0, 241)
     measured = folded_curve(stereo, frequency, phase)[:, component] + stereo.fit.residual[:, component]
     axes.plot(phase, measured / factor, color=BLUE, **POINT)
-    axes.plot(fine, folded_curve(stereo, frequency, fine)[:, component] / factor, color=ORANGE, linewidth=1.2)
+    axes.plot(fine, folded_curve(stereo, frequency, fine)[:, component] / factor, color=RED, linewidth=1.1, zorder=3)
     axes.set_xlim(0.0, 1.0)
 
 
@@ -229,6 +232,32 @@ def _mark_lines(axes: Axes, stereo: StereoResult, rate: float) -> None:
     """Triangles on the frequency axis where the fitted lines fold to."""
     alias = alias_frequency(stereo.fit.phasors.frequency_hz, rate)
     axes.plot(alias, np.zeros_like(alias), marker="^", linestyle="none", color=BLACK, markersize=4.5, clip_on=False)
+
+
+def _shape(stereo: StereoResult) -> tuple[int, int]:
+    """Height and width of the reference image."""
+    if stereo.reference_image is None:
+        raise ValueError(f"stereo: expected images of pair {stereo.name}, found points of another program")
+    return stereo.reference_image.shape
+
+
+def _draw_image(axes: Axes, stereo: StereoResult) -> None:
+    """One reference image, reduced to the size at which it is shown, with its subsets."""
+    image, points = stereo.reference_image, stereo.subsets_px
+    if image is None or points is None:
+        return
+    height, width = image.shape
+    low, high = np.percentile(image, (0.5, 99.5))
+    grey = np.clip((image - low) / max(float(high - low), 1.0), 0.0, 1.0).astype(np.float32)
+    scale = min(1.0, LARGEST_IMAGE_PX / max(height, width))
+    shown = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    extent = (-0.5, width - 0.5, height - 0.5, -0.5)
+    axes.imshow(shown, cmap="gray", vmin=0.0, vmax=1.0, extent=extent, interpolation="none")
+    squares = _squares(points, _subset_size(points))
+    axes.add_collection(PolyCollection(squares, facecolor="none", edgecolor=ORANGE, linewidth=0.5))
+    axes.set_xlabel("x / px")
+    axes.grid(visible=False)
+    panel_label(axes, f"{stereo.name}: {len(points)} subsets")
 
 
 def _subset_size(points: FloatArray) -> float:

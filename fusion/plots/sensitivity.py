@@ -20,6 +20,7 @@ from fusion.plots.style import (
     Picture,
     drawing,
     finish,
+    lay_out,
     new_figure,
     padded,
 )
@@ -96,7 +97,7 @@ def draw_curve(curve: Curve) -> Picture:
         lower.axhline(0.0, color=GREY, linewidth=0.8)
         _static_line(upper, curve, factor)
         upper.legend(loc="best")
-        figure.align_ylabels([upper, lower])
+        lay_out(figure, [upper, lower], right=0.75, left=0.8, label=0.62)
         hidden = len(curve.points) - len(shown)
         omitted = f" {hidden} line(s) with U above {HARMONIC_SHOWN_BELOW:.0%} are in the table only." if hidden else ""
         caption = f"Complex sensitivity, {curve.label}: magnitude and phase; bars: U (k = 2).{omitted}"
@@ -120,6 +121,7 @@ def draw_outputs(evaluation: Evaluation) -> Picture:
         axes.set_yticks(range(len(size)), [f"output {name}" for name in found.channels])
         axes.set_ylim(len(size) - 0.4, -0.6)
         axes.set_xlabel(f"{what} / %")
+        lay_out(figure, [axes], left=1.1)
         load = LOAD_COMPONENTS[component]
         caption = (
             f"All outputs under the {load} load at {found.frequency_hz[line]:.4f} Hz, {what}; bars: U (k = 2). An "
@@ -148,6 +150,7 @@ def draw_budget(labels: list[str], types: list[str], u_relative: FloatArray, wha
         axes.barh(-5.0, 0.0, color=BLUE, label="type A")
         axes.barh(-5.0, 0.0, color=ORANGE, label="type B")
         axes.legend(loc="lower right")
+        lay_out(figure, [axes], left=3.0)
         caption = f"Uncertainty budget of {what}; beside each bar its share of the variance."
         return finish(figure, "budget", "Uncertainty budget", caption)
 

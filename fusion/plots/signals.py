@@ -13,10 +13,12 @@ from fusion.plots.style import (
     BLUE,
     GREY,
     ORANGE,
+    RED,
     FloatArray,
     Picture,
     drawing,
     finish,
+    lay_out,
     new_figure,
     panel_label,
     thin_out,
@@ -44,18 +46,16 @@ def draw_channels(channels: Sequence[ChannelResult], evaluation: Evaluation) -> 
     exposures = evaluation.stereo[0].time_s if evaluation.stereo else np.empty(0)
     lines = evaluation.lines.frequency_hz
     with drawing("channels"):
-        figure = new_figure(0.6 + 1.15 * len(channels))
+        figure = new_figure(0.7 + 1.2 * len(channels))
         panels = figure.subplots(
             len(channels), 2, squeeze=False, gridspec_kw={"width_ratios": [1.15, 1.0]}, sharex="col"
         )
         for (excerpt, spectrum), channel in zip(panels, channels, strict=True):
             _draw_excerpt(excerpt, channel, exposures)
             _draw_spectrum(spectrum, channel, lines)
-        panels[0, 0].set_title("excerpt with fit")
-        panels[0, 1].set_title("amplitude spectrum")
         panels[-1, 0].set_xlabel("time / s")
         panels[-1, 1].set_xlabel("frequency / Hz")
-        figure.align_ylabels(panels[:, 0])
+        lay_out(figure, panels.flat, top=0.22, gap=(0.7, 0.28), label=0.5)
         marks = " Vertical lines: middles of the camera exposures." if len(exposures) else ""
         caption = f"Left: samples (points) and fitted lines (curve).{marks} Right: triangles mark the lines fitted."
         return finish(figure, "channels", "Channels", caption)
@@ -78,7 +78,7 @@ def draw_trigger(clocks: Sequence[ClockResult]) -> Picture:
             axes.set_ylabel(f"deviation / {letter}s")
             panel_label(axes, clock.daq)
         panels[-1].set_xlabel("number of the edge")
-        figure.align_ylabels(list(panels))
+        lay_out(figure, panels, top=0.22, gap=(0.5, 0.28))
         caption = "Camera trigger edges minus the fitted periodic model. Band: the interval that sampling leaves open."
         return finish(figure, "trigger", "Trigger", caption)
 
@@ -92,7 +92,7 @@ def _draw_excerpt(axes: Axes, channel: ChannelResult, exposures: FloatArray) -> 
         for instant in exposures[(exposures >= time[0]) & (exposures <= last)]:
             axes.axvline(float(instant), color=GREY, linewidth=0.9, linestyle=(0, (4, 2)))
     axes.plot(time[chosen], channel.excerpt[chosen] / factor, "o", color=BLUE, markersize=1.7, markeredgewidth=0)
-    axes.plot(time[chosen], channel.excerpt_fit[chosen] / factor, color=ORANGE, linewidth=0.9)
+    axes.plot(time[chosen], channel.excerpt_fit[chosen] / factor, color=RED, linewidth=0.9)
     axes.set_ylabel(f"{letter}{typeset(channel.unit)}")
     panel_label(axes, f"{channel.name} ({channel.daq})")
 
@@ -109,9 +109,10 @@ def _draw_spectrum(axes: Axes, channel: ChannelResult, lines: FloatArray) -> Non
     for line in lines[(lines >= frequency[0]) & (lines <= frequency[-1])]:
         near = np.abs(frequency - line) <= 2.0 * (frequency[1] - frequency[0] if len(frequency) > 1 else line)
         top = float(amplitude[near].max()) if near.any() else float(np.median(amplitude))
-        axes.plot(line, 2.2 * top, marker="v", color=ORANGE, markersize=4.5)
+        axes.plot(line, 2.2 * top, marker="v", color=RED, markersize=4.5)
     axes.set_ylim(0.3 * float(np.median(thin_amplitude)), 12.0 * float(amplitude.max()))
     axes.set_ylabel(typeset(channel.unit))
+    panel_label(axes, f"{channel.name}: amplitude spectrum")
 
 
 def _power(values: FloatArray) -> tuple[float, str]:

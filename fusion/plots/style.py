@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
-WIDTH_IN = 7.6
+WIDTH_IN = 8.4
 BLACK, GREY, LIGHT = "#222222", "#7a7a7a", "#d9d9d9"
 BLUE, ORANGE, GREEN, RED, PURPLE, SKY = "#0072b2", "#e69f00", "#009e73", "#d55e00", "#cc79a7", "#56b4e9"
 SOURCE_COLOUR = {"fused": BLACK, "photogrammetry": BLUE, "vibrometer": RED, "accelerometer": GREEN}
@@ -53,9 +53,6 @@ STYLE = {
     "lines.markersize": 4.5,
     "errorbar.capsize": 2.5,
     "svg.fonttype": "path",
-    "figure.constrained_layout.use": True,
-    "figure.constrained_layout.h_pad": 0.03,
-    "figure.constrained_layout.w_pad": 0.04,
 }
 
 
@@ -81,6 +78,36 @@ def new_figure(height_in: float, width_in: float = WIDTH_IN) -> Figure:
     return Figure(figsize=(width_in, height_in))
 
 
+def lay_out(
+    figure: Figure,
+    panels: Iterable[Axes],
+    *,
+    left: float = 0.72,
+    right: float = 0.12,
+    bottom: float = 0.45,
+    top: float = 0.12,
+    gap: tuple[float, float] = (0.6, 0.14),
+    label: float = 0.52,
+) -> None:
+    """Margins, gaps (across, down) and the distance of the y labels from their panel, all in inches."""
+    width, height = figure.get_size_inches()
+    every = list(panels)
+    grid = every[0].get_gridspec()
+    across, down = (grid.ncols, grid.nrows) if grid is not None else (1, 1)
+    panel_width = (width - left - right - (across - 1) * gap[0]) / across
+    panel_height = (height - bottom - top - (down - 1) * gap[1]) / down
+    figure.subplots_adjust(
+        left=left / width,
+        right=1.0 - right / width,
+        bottom=bottom / height,
+        top=1.0 - top / height,
+        wspace=gap[0] / panel_width,
+        hspace=gap[1] / panel_height,
+    )
+    for axes in every:
+        axes.yaxis.set_label_coords(-label / (axes.get_position().width * width), 0.5)
+
+
 def finish(figure: Figure, name: str, title: str, caption: str) -> Picture:
     """Turn a figure into SVG text without date or other metadata that would change from run to run."""
     stream = io.StringIO()
@@ -103,14 +130,5 @@ def padded(low: float, high: float, share: float = 0.15) -> tuple[float, float]:
 
 
 def panel_label(axes: Axes, text: str) -> None:
-    """Short label in the upper left corner of a panel."""
-    axes.text(
-        0.01,
-        0.97,
-        text,
-        transform=axes.transAxes,
-        va="top",
-        ha="left",
-        fontweight="bold",
-        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0},
-    )
+    """Short label above the upper left corner of a panel."""
+    axes.set_title(text, fontsize=8.0, fontweight="normal", pad=2.5)
