@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import permutations
 from typing import Literal
 
 import numpy as np
@@ -271,20 +272,33 @@ def _strangers(
         if height[top] <= _STRANGER:
             break
         frequency = float(spectrum.frequency_hz[top])
-        text = f"{_origin(frequency, resolution, fundamental)} at {frequency:.5g} Hz, {height[top]:.3g} times the noise"
+        text = f"{_origin(frequency, grid, fundamental)} at {frequency:.5g} Hz, {height[top]:.3g} times the noise"
         notices.append(Notice("info", text + ", is in no line", f"{frequency:.5g} Hz"))
         height[max(0, top - _SKIRT) : top + _SKIRT + 1] = 0.0
     return tuple(notices)
 
 
-def _origin(frequency: float, resolution: float, fundamental: FloatArray) -> str:
-    """Name what a peak most likely is."""
+def _origin(frequency: float, grid: SamplingGrid, fundamental: FloatArray) -> str:
+    """Name what a peak most likely is: a harmonic or combination (folded, maybe), mains hum, a sub-harmonic."""
+    resolution = grid.rate_hz / grid.length
+
+    def fits(wanted: float) -> bool:
+        return abs(float(alias_frequency(wanted, grid.rate_hz)) - frequency) <= resolution
+
+    for m in range(2, MAX_MULTIPLE + 1):
+        for f in fundamental:
+            if fits(m * f):
+                return f"harmonic {m} of {f:.6g} Hz"
+    for f, g in permutations(np.sort(fundamental)[::-1], 2):
+        for m, n in ((1, 1), (1, -1), (2, 1), (2, -1)):
+            if fits(m * f + n * g):
+                return f"the combination {'2·' if m == 2 else ''}{f:.6g} {'+' if n > 0 else '-'} {g:.6g} Hz"
     for mains in _MAINS_HZ:
         multiple = max(1, round(frequency / mains))
         if abs(frequency - multiple * mains) <= max(resolution, _MAINS_TOLERANCE * frequency) and multiple <= 7:
             return f"mains hum ({mains:g} Hz)" if multiple == 1 else f"mains hum (harmonic {multiple} of {mains:g} Hz)"
     for f in fundamental:
         for part in (2, 3):
-            if abs(frequency - f / part) <= resolution:
+            if fits(f / part):
                 return f"a sub-harmonic of {f:.6g} Hz"
     return "an unexplained peak"

@@ -14,8 +14,8 @@ _CAPTURE = 0.2  # of a period: an edge further from its place is spurious
 _IDLE = 1.05  # periods without an edge at an end of the record that show the burst to begin or end there
 _STRAY = 1e-6  # probability of an edge that the model does not explain
 _SAMPLED_JITTER = 0.8  # of a sample: scatter above which the intervals carry no more than their middles
-_JITTERS = 12  # grid of jitters, logarithmic
-_GRIDS = (13, 13, 13, 13, 17, 17, 21, 21, 21)  # points per axis of the successive posterior grids
+_JITTERS = 8  # grid of jitters, logarithmic
+_GRIDS = (9, 9, 11, 13, 13, 17, 21, 21)  # points per axis of the successive posterior grids
 
 
 @dataclass(frozen=True)
