@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -118,7 +118,7 @@ def chain_errors(readings: Sequence[Reading]) -> tuple[RelativeError, ...]:
     zero = np.zeros(len(frequency))
     entries, chains = [r.entry for r in readings], [r.chain for r in readings]
 
-    def shared(kind: str, columns: list[ComplexArray], u: float, of: str = name) -> RelativeError:
+    def shared(kind: str, columns: Sequence[NDArray[Any]], u: float, of: str = name) -> RelativeError:
         return RelativeError(f"{of}: {kind}", f"{of}: {kind}", u, np.stack(columns, axis=1).astype(np.complex128))
 
     def table(values: FloatArray | None) -> FloatArray:
@@ -143,7 +143,7 @@ def chain_errors(readings: Sequence[Reading]) -> tuple[RelativeError, ...]:
 
 def chain_name(reading: Reading) -> str:
     """Return the name of the instrument that a channel belongs to: its `common`, or its own name."""
-    return reading.entry.common or reading.entry.name
+    return str(reading.entry.common or reading.entry.name)
 
 
 def observe_stereo(
@@ -198,9 +198,9 @@ def observe_channels(
     """Return the rows of all motion channels, one observation per instrument and body.
 
     Row of a channel at r with direction d: [d, r × d] · {1, 1/(jω), -1/ω²} for acceleration, velocity, displacement;
-    an accelerometer reads d·(a - g) in body axes, so that its rotation part gains (d × g)/ω² when `gravity_mps2` (3,) is
-    given; a gyroscope reads d·alpha/(jω). Direction errors are two small rotations; a transverse sensitivity t of unknown
-    direction is two components of t/√2 across the axis.
+    an accelerometer reads d·(a - g) in body axes, so that its rotation part gains (d × g)/ω² when `gravity_mps2` (3,)
+    is given; a gyroscope reads d·alpha/(jω). Direction errors are two small rotations; a transverse sensitivity t of
+    unknown direction is two components of t/√2 across the axis.
     """
     groups: dict[tuple[str, str, str], list[Reading]] = {}
     for reading in readings:
