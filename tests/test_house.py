@@ -11,8 +11,8 @@ ROOT = Path(__file__).resolve().parent.parent
 FORBIDDEN = {"photogram": {"shaker", "fusion"}, "shaker": {"photogram", "fusion"}, "fusion": set[str]()}
 ORDER = {
     "photogram": (
-        "_checks notice _inverse _pinhole rigid camera calibration_file triangulate images point_tables interpolate "
-        "subset search icgn track motion synthetic"
+        "_checks notice _inverse _pinhole rigid camera calibration_file triangulate mraw images point_tables "
+        "interpolate subset search icgn follow predict track motion synthetic"
     ).split(),
     "shaker.signals": "recording files sync phasor spectrum sine frequencies".split(),
     "fusion": (
