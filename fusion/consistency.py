@@ -1,4 +1,4 @@
-"""Whether instruments agree: each against the prediction of the others, and how much they scatter beyond what is stated."""
+"""Whether instruments agree: each against the others' prediction, and their scatter beyond what is stated."""
 
 from __future__ import annotations
 

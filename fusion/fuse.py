@@ -88,7 +88,7 @@ def fuse(observations: Sequence[Observation], body: str = "load", source: Source
         covariance = covariance + birge.covariance
     value = np.where(system.observed, final.acceleration, complex(np.nan, np.nan))
     for observation in own:
-        if observation not in used:
+        if stated and not observation.stated:
             tests += compare(observation, value, covariance)
     frequency = used[0].phasors.frequency_hz
     influence = (final.gain @ final.effects).T.reshape(len(system.names), len(frequency), 12)
@@ -183,7 +183,7 @@ def _effective_dof(system: System, solution: Solution, contributions: Sequence[C
         freedom = np.nan_to_num(dof.get(entry.label, fallback), nan=np.inf, posinf=np.inf)
         weighted += own**2 / np.maximum(freedom, 1.0)
         total += own
-    return np.divide(total**2, weighted, out=np.full(lines, np.inf), where=weighted > 0.0)
+    return np.asarray(np.divide(total**2, weighted, out=np.full(lines, np.inf), where=weighted > 0.0))
 
 
 def _notices(

@@ -16,7 +16,7 @@ ORDER = {
     ).split(),
     "shaker.signals": "recording files sync phasor spectrum sine frequencies".split(),
     "fusion": (
-        "notices errors settings manifest check body observe estimate consistency fuse sensitivity evaluation channels timing stereo_motion "
+        "notices errors settings manifest check body observe estimate consistency fuse load sensitivity evaluation channels timing stereo_motion "
         "evaluate provenance results plots report campaign simulate progress summary cli"
     ).split(),
 }
