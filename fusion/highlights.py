@@ -53,6 +53,13 @@ def bodies(evaluation: Evaluation) -> list[str]:
     return list(dict.fromkeys(result.body for result in evaluation.accelerations))
 
 
+def by_source(evaluation: Evaluation, body: str) -> list[Acceleration]:
+    """Results of one body, fused first; only the fused one where it rests on a single instrument."""
+    results = [result for result in evaluation.accelerations if result.body == body]
+    fused = acceleration(evaluation, body, "fused")
+    return [fused] if fused is not None and len(fused.instruments) < 2 and len(results) < 3 else results
+
+
 def static_sensitivity(evaluation: Evaluation) -> np.typing.NDArray[np.float64] | None:
     """Static sensitivity (C, 6) of the outputs evaluated, None where the rig states none."""
     sensor, found = evaluation.manifest.rig.sensor, evaluation.sensitivity

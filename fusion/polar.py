@@ -62,13 +62,12 @@ def _first_order(re: float, im: float, magnitude: float, covariance: FloatArray)
     """Standard uncertainties of magnitude and phase."""
     if magnitude == 0.0:
         return float(np.sqrt(np.trace(covariance) / 2.0)), UNIFORM_PHASE_U
-    along = np.array([re, im]) / magnitude
-    across = np.array([-im, re]) / magnitude
-    u_magnitude = float(np.sqrt(max(along @ covariance @ along, 0.0)))
-    u_phase = float(np.sqrt(max(across @ covariance @ across, 0.0))) / magnitude
     if np.isnan(covariance).any():
         return float("nan"), float("nan")
-    return u_magnitude, min(u_phase, UNIFORM_PHASE_U)
+    along = np.array([re, im]) / magnitude
+    across = np.array([-im, re]) / magnitude
+    variance, turned = float(along @ covariance @ along), float(across @ covariance @ across)
+    return float(np.sqrt(max(variance, 0.0))), min(float(np.sqrt(max(turned, 0.0))) / magnitude, UNIFORM_PHASE_U)
 
 
 class Rounded(NamedTuple):
@@ -93,10 +92,12 @@ def rounded(value: float, expanded: float, exponent: int | None = None) -> Round
     if not usable:
         return Rounded(_signed(f"{value * scale:.5g}"), DASH, power)
     decimals = _decimals(expanded * scale)
-    if decimals < 0 and exponent is None:
-        return rounded(value, expanded, power - decimals)
-    decimals = max(decimals, 0)
-    return Rounded(_signed(f"{value * scale:.{decimals}f}"), f"{expanded * scale:.{decimals}f}", power)
+    return Rounded(_signed(_places(value * scale, decimals)), _places(expanded * scale, decimals), power)
+
+
+def _places(value: float, decimals: int) -> str:
+    """Decimal text; a negative number of places rounds to tens or hundreds."""
+    return f"{round(value, decimals):.{max(decimals, 0)}f}"
 
 
 def _decimals(expanded: float) -> int:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import base64
+import re
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
@@ -13,6 +14,7 @@ from fusion import report_tables as tables
 from fusion.evaluation import Evaluation
 from fusion.highlights import notices
 from fusion.plots.gallery import draw_all
+from fusion.report_numbers import measured
 
 REPORT_FILE = "report.html"
 
@@ -31,9 +33,9 @@ def render_report(evaluation: Evaluation) -> str:
 
 
 def data_uri(svg: str) -> Markup:
-    """SVG text as the source of an image element."""
-    coded = base64.b64encode(svg.encode("utf-8")).decode("ascii")
-    return Markup("data:image/svg+xml;base64,{}").format(coded)
+    """SVG text as the source of an image element; percent encoding is shorter than base64 for text."""
+    flat = re.sub(r"\s*\n\s*", " ", svg[svg.index("<svg") :]).replace('"', "'")
+    return Markup("data:image/svg+xml,{}").format(Markup(quote(flat, safe=" ='/:;,.()+-_!*@?&$[]{}|~")))
 
 
 def _context(evaluation: Evaluation) -> dict[str, Any]:
@@ -70,7 +72,7 @@ def _subject(evaluation: Evaluation) -> list[tuple[str, str]]:
         serial = f", serial number {rig.sensor.serial}" if rig.sensor.serial else ""
         facts.append(("Sensor", f"{rig.sensor.name}{serial}"))
     if rig.load is not None:
-        mass = tables.measured(rig.load.mass, 2.0 * rig.load.mass_uncertainty, "kg").striptags()
+        mass = measured(rig.load.mass, 2.0 * rig.load.mass_uncertainty, "kg").striptags()
         facts.append(("Load mass", f"{mass}, k = 2"))
     nominal = ", ".join(f"{frequency:g} Hz" for frequency in excitation.frequencies or ())
     direction = ", ".join(f"{element:g}" for element in excitation.direction)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from markupsafe import Markup
-from numpy.typing import NDArray
 
 from fusion.evaluation import ClockResult, Evaluation, StereoResult
 from fusion.fuse import Acceleration
@@ -16,21 +15,29 @@ from fusion.highlights import (
     LOAD_COMPONENTS,
     acceleration,
     bodies,
+    by_source,
     driven_channel,
     driven_component,
     main_line,
     static_value,
 )
-from fusion.polar import DASH, Polar, element_covariance, polar, prefix, rounded, typeset
+from fusion.polar import DASH, element_covariance, polar, prefix, typeset
+from fusion.report_numbers import (
+    common_exponent,
+    degrees_of_freedom,
+    fixed,
+    measured,
+    number,
+    phase,
+    short,
+    small,
+    times_ten,
+)
 from fusion.results_csv import sensitivity_element, sensitivity_unit
 from shaker.signals.phasor import Phasors
 
-ComplexArray = NDArray[np.complex128]
-
 PREFIXED = ("m", "m/s", "m/s^2", "rad/s", "N")
 """Units that take an SI prefix."""
-LARGEST_PHASE_U = 1.0
-"""Expanded uncertainty in rad above which a phase is printed as not determined."""
 
 
 @dataclass(frozen=True)
@@ -52,38 +59,6 @@ class Headline:
     remark: str
 
 
-def measured(value: float, expanded: float, unit: str = "") -> Markup:
-    """Value and expanded uncertainty as HTML: `(2.0012 ± 0.0013) × 10⁻⁷ V/N`."""
-    text = rounded(value, expanded)
-    body = text.value if text.expanded == DASH else f"{text.value} ± {text.expanded}"
-    bracketed = f"({body})" if text.expanded != DASH and (unit or text.exponent) else body
-    minus = "\N{MINUS SIGN}" if text.exponent < 0 else ""
-    power = Markup(" × 10<sup>{}{}</sup>").format(minus, abs(text.exponent)) if text.exponent else Markup("")
-    return Markup("{}{}{}").format(bracketed, power, f" {typeset(unit)}" if unit else "")
-
-
-def fixed(value: float, expanded: float, exponent: int) -> Markup:
-    """Value and expanded uncertainty in units of a power of ten that stands elsewhere."""
-    text = rounded(value, expanded, exponent)
-    return Markup(text.value if text.expanded == DASH else f"{text.value} ± {text.expanded}")
-
-
-def times_ten(exponent: int, unit: str) -> Markup:
-    """Unit with a power of ten before it."""
-    minus = "\N{MINUS SIGN}" if exponent < 0 else ""
-    return (
-        Markup("10<sup>{}{}</sup> {}").format(minus, abs(exponent), typeset(unit))
-        if exponent
-        else Markup(typeset(unit))
-    )
-
-
-def phase(element: Polar) -> Markup:
-    """Phase with U, or a dash where it is not determined."""
-    expanded = 2.0 * element.u_phase_rad
-    return measured(element.phase_rad, expanded) if not expanded > LARGEST_PHASE_U else Markup(DASH)
-
-
 def headlines(evaluation: Evaluation) -> list[Headline]:
     """The results to remember: sensitivity and phase, deviation from static, acceleration, load."""
     component, line = driven_component(evaluation), main_line(evaluation)
@@ -99,21 +74,24 @@ def headlines(evaluation: Evaluation) -> list[Headline]:
 
 
 def sensitivity_table(evaluation: Evaluation) -> Table | None:
-    """Every determined element of the sensitivity."""
+    """All outputs at the driven lines, the driven output at harmonics."""
     found = evaluation.sensitivity
     if found is None:
         return None
     rows = []
-    exponent = _common_exponent(found.value)
+    exponent, driven = common_exponent(found.value), driven_channel(evaluation)
     for k, frequency in enumerate(found.frequency_hz):
         for c, j in np.argwhere(found.observed):
-            if not np.isfinite(found.value[k, c, j]):
+            other = found.kind[k] == "harmonic" and c != driven
+            if other or not np.isfinite(found.value[k, c, j]):
                 continue
             element = sensitivity_element(found, k, int(c), int(j))
             unit = times_ten(exponent, sensitivity_unit(found.unit, found.components[j]))
             size = fixed(element.magnitude, 2.0 * element.u_magnitude, exponent)
             name = f"{found.channels[c]} per {found.components[j]}"
-            rows.append((f"{frequency:.4f}", name, size, unit, phase(element), _dof(found.dof[k]), found.kind[k]))
+            rows.append(
+                (f"{frequency:.4f}", name, size, unit, phase(element), degrees_of_freedom(found.dof[k]), found.kind[k])
+            )
     head = ("frequency / Hz", "output per load", "magnitude", "unit", "phase / rad", "dof", "kind")
     return Table("Complex sensitivity with U (k = 2)", head, "rlrlrrl", tuple(rows))
 
@@ -123,7 +101,7 @@ def source_tables(evaluation: Evaluation) -> list[Table]:
     line = main_line(evaluation)
     tables = []
     for body in bodies(evaluation):
-        results = [result for result in evaluation.accelerations if result.body == body]
+        results = by_source(evaluation, body)
         rows = tuple(_source_row(results, line, c) for c in range(6))
         head = ("", "unit", *(result.source for result in results))
         frequency = float(results[0].phasors.frequency_hz[line])
@@ -135,18 +113,20 @@ def source_tables(evaluation: Evaluation) -> list[Table]:
 
 
 def load_table(evaluation: Evaluation) -> Table | None:
-    """Load amplitude and phase at all lines; what is not determined has no row."""
+    """Load at the strongest line, and its driven component at the others."""
     phasors = evaluation.load
     if phasors is None:
         return None
-    rows = []
+    rows, strongest, driven = [], main_line(evaluation), driven_component(evaluation)
     for k, frequency in enumerate(phasors.frequency_hz):
         for c, name in enumerate(phasors.channels):
-            if np.isfinite(phasors.value[k, c]):
+            if np.isfinite(phasors.value[k, c]) and (k == strongest or c == driven):
                 element = polar(complex(phasors.value[k, c]), element_covariance(phasors.covariance[k], c))
                 amplitude = measured(element.magnitude, 2.0 * element.u_magnitude)
                 unit = typeset(phasors.unit[c])
-                rows.append((f"{frequency:.4f}", name, amplitude, unit, phase(element), _dof(phasors.dof[k])))
+                rows.append(
+                    (f"{frequency:.4f}", name, amplitude, unit, phase(element), degrees_of_freedom(phasors.dof[k]))
+                )
     head = ("frequency / Hz", "component", "amplitude", "unit", "phase / rad", "dof")
     return Table("Load at the sensor origin with U (k = 2)", head, "rlrlrr", tuple(rows))
 
@@ -191,17 +171,18 @@ def budget_table(evaluation: Evaluation) -> Table | None:
     sizes = np.array([entry.u_relative[line, channel] for entry in entries])
     turns = np.array([entry.u_phase_rad[line, channel] for entry in entries])
     total = float(np.sum(sizes**2))
-    rows = [
+    rows: list[tuple[str, ...]] = [
         (
             entry.label,
             entry.type,
-            f"{100.0 * u:.2g}",
-            f"{1e3 * turn:.2g}",
+            small(100.0 * u),
+            small(1e3 * turn),
             f"{100.0 * u**2 / total if total else 0.0:.1f}",
         )
         for entry, u, turn in zip(entries, sizes, turns, strict=True)
     ]
-    combined = _small(100.0 * np.sqrt(total)), _small(1e3 * float(np.sqrt(np.sum(turns**2))))
+    whole = sensitivity_element(found, line, channel, driven_component(evaluation))
+    combined = small(100.0 * whole.u_magnitude / whole.magnitude), small(1e3 * whole.u_phase_rad)
     rows.append((Markup("<b>combined, k = 1</b>"), "", *combined, "100.0"))
     head = ("contribution", "type", "u(magnitude) / %", "u(phase) / mrad", "share / %")
     element = f"{found.channels[channel]} per {LOAD_COMPONENTS[driven_component(evaluation)]}"
@@ -230,7 +211,7 @@ def channels_table(evaluation: Evaluation) -> Table | None:
         element = polar(value, element_covariance(channel.phasors.covariance[line], 0))
         factor, letter = prefix(np.array([abs(value)])) if channel.unit in PREFIXED else (1.0, "")
         amplitude = measured(element.magnitude / factor, 2.0 * element.u_magnitude / factor, letter + channel.unit)
-        rest = Markup("{} {}").format(_short(channel.residual_rms / factor), typeset(letter + channel.unit))
+        rest = Markup("{} {}").format(short(channel.residual_rms / factor), typeset(letter + channel.unit))
         rows.append(
             (
                 channel.name,
@@ -251,8 +232,8 @@ def clocks_table(evaluation: Evaluation) -> Table | None:
     """Triggers and ties of the DAQ blocks, one column each."""
     if not evaluation.clocks:
         return None
-    names = ("file", "edges found", "missing, spurious", "trigger rate / Hz", "jitter beyond sampling / µs")
-    names = (*names, "first edge / s", "offset / s", "rate − 1 / 10⁻⁶")
+    found = ["file", "edges found", "missing, spurious", "trigger rate / Hz", "jitter beyond sampling / µs"]
+    names = [*found, "first edge / s", "offset / s", "rate − 1 / 10⁻⁶"]
     columns = [
         (clock.file.name, *_trigger_cells(clock), *_tie_cells(clock, evaluation.clocks[0]))
         for clock in evaluation.clocks
@@ -273,15 +254,15 @@ def stereo_table(stereo: Sequence[StereoResult]) -> Table | None:
         ("exposure / µs", *(f"{1e6 * item.exposure_s:g}" for item in stereo)),
         ("subsets", *(str(len(item.subsets_px)) if item.subsets_px is not None else DASH for item in stereo)),
         ("points per frame, median", *(f"{np.median(item.motion.points):.0f}" for item in stereo)),
-        ("reprojection rms / px", *(_number(item.reprojection_px) for item in stereo)),
+        ("reprojection rms / px", *(number(item.reprojection_px) for item in stereo)),
         (
             "rigid residual, median / µm",
-            *(_number(1e6 * float(np.nanmedian(item.motion.residual_m))) for item in stereo),
+            *(number(1e6 * float(np.nanmedian(item.motion.residual_m))) for item in stereo),
         ),
-        ("correlation ZNCC, median", *(_number(item.median_zncc) for item in stereo)),
-        ("speckle size / px", *(_number(item.speckle_px) for item in stereo)),
-        ("image noise / grey values", *(_number(item.noise_grey) for item in stereo)),
-        ("condition of the sine fit", *(_number(item.fit.condition) for item in stereo)),
+        ("correlation ZNCC, median", *(number(item.median_zncc) for item in stereo)),
+        ("speckle size / px", *(number(item.speckle_px) for item in stereo)),
+        ("image noise / grey values", *(number(item.noise_grey) for item in stereo)),
+        ("condition of the sine fit", *(number(item.fit.condition) for item in stereo)),
         ("lines told apart", *(f"{int(np.sum(item.usable))} of {len(item.usable)}" for item in stereo)),
     ]
     head = ("", *(f"“{item.name}”" for item in stereo))
@@ -343,7 +324,7 @@ def _source_row(results: Sequence[Acceleration], line: int, component: int) -> t
             cells.append(DASH)
             continue
         element = polar(value, element_covariance(result.phasors.covariance[line], component))
-        amplitude = measured(element.magnitude / factor, 2.0 * element.u_magnitude / factor)
+        amplitude = fixed(element.magnitude / factor, 2.0 * element.u_magnitude / factor, 0)
         turn = phase(element)
         below = "phase not determined" if turn == DASH else Markup("{} rad").format(turn)
         cells.append(Markup('{}<br><span class="below">{}</span>').format(amplitude, below))
@@ -360,7 +341,7 @@ def _trigger_cells(clock: ClockResult) -> list[str]:
         str(len(trigger.number)),
         f"{len(trigger.missing)}, {trigger.spurious}",
         measured(1.0 / trigger.period_s, float(u_period) / trigger.period_s**2),
-        _number(1e6 * trigger.jitter_s),
+        number(1e6 * trigger.jitter_s),
         measured(trigger.start_s, float(u_start)),
     ]
 
@@ -377,34 +358,3 @@ def _tie_cells(clock: ClockResult, base: ClockResult) -> list[str]:
 def _failed(stereo: StereoResult) -> int:
     """Number of frames without a result."""
     return int(np.sum(~np.isfinite(stereo.motion.pose).all(axis=1)))
-
-
-def _short(value: float) -> Markup:
-    """Two significant digits, with a power of ten where that is shorter."""
-    exponent = rounded(value, 0.0).exponent
-    return (
-        Markup("{:.2g} × {}").format(value / 10.0**exponent, times_ten(exponent, ""))
-        if exponent
-        else Markup(f"{value:.2g}")
-    )
-
-
-def _number(value: float | None) -> str:
-    """Three significant digits, a dash for what is unknown."""
-    return DASH if value is None or not np.isfinite(value) else f"{value:.3g}"
-
-
-def _common_exponent(values: ComplexArray) -> int:
-    """Power of ten of the largest finite value, none where it is readable as it is."""
-    sizes = np.abs(values[np.isfinite(values)])
-    return rounded(float(sizes.max()), 0.0).exponent if sizes.size else 0
-
-
-def _small(value: float) -> str:
-    """Two significant digits of an uncertainty; what is far below the last place of interest is only bounded."""
-    return f"{value:#.2g}" if value >= 1e-3 else "< 0.001"
-
-
-def _dof(value: float) -> str:
-    """Degrees of freedom as a whole number."""
-    return f"{value:.0f}" if np.isfinite(value) else "∞"

@@ -142,7 +142,7 @@ def motion_rows(stereo: StereoResult) -> Iterator[Row]:
     ):
         failed = not np.isfinite(pose).all()
         numbers = np.full(13, np.nan) if failed else np.concatenate([pose, u, [residual]])
-        yield [float(time), *numbers.tolist(), 0 if failed else int(points)]
+        yield [float(time), *(float(number) for number in numbers), 0 if failed else int(points)]
 
 
 def merge_tables(folders: Sequence[Path]) -> dict[str, str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -34,7 +34,9 @@ ACCELERATION = np.array(
 RELATIVE_U = 6.5e-4
 WEAK_U = np.array([0.03, 0.03, 0.02, 0.25, 0.25, 0.4])
 STATIC = np.diag([5.1e-7, 5.1e-7, 2.0e-7, 9.1e-6, 9.1e-6, 8.2e-6])
-CROSS = np.array([2.1e-10 + 1e-11j, -8e-11 + 3e-11j, 1.972e-7 * np.exp(-0.0337j), 9e-10j, 4e-10 + 1e-10j, 1e-11 + 2e-11j])
+CROSS = np.array(
+    [2.1e-10 + 1e-11j, -8e-11 + 3e-11j, 1.972e-7 * np.exp(-0.0337j), 9e-10j, 4e-10 + 1e-10j, 1e-11 + 2e-11j]
+)
 MASS_KG = 7.7295
 
 
@@ -127,7 +129,8 @@ def _acceleration(
 
 def _load(acceleration: Phasors) -> Phasors:
     inertia = np.array([MASS_KG, MASS_KG, MASS_KG, 0.036, 0.036, 0.031])
-    return acceleration.scaled(inertia, ("N",) * 3 + ("N.m",) * 3)
+    load = acceleration.scaled(inertia, ("N",) * 3 + ("N.m",) * 3)
+    return replace(load, channels=LOADS)
 
 
 def _sensitivity() -> Sensitivity:

@@ -8,7 +8,7 @@ from matplotlib.patches import Ellipse
 
 from fusion.evaluation import Evaluation
 from fusion.fuse import Acceleration
-from fusion.highlights import COMPONENTS, acceleration, bodies, driven_component, main_line
+from fusion.highlights import COMPONENTS, acceleration, bodies, by_source, driven_component, main_line
 from fusion.plots.style import (
     BLACK,
     GREY,
@@ -31,7 +31,7 @@ ELLIPSE_95 = float(np.sqrt(-2.0 * np.log(0.05)))
 def acceleration_pictures(evaluation: Evaluation) -> list[Picture]:
     """All figures of the accelerations."""
     pictures = []
-    compared = [body for body in bodies(evaluation) if len(_by_source(evaluation, body)) > 1]
+    compared = [body for body in bodies(evaluation) if len(by_source(evaluation, body)) > 1]
     if any(_usable_reference(evaluation, body) for body in compared):
         pictures.append(draw_sources(evaluation, [body for body in compared if _usable_reference(evaluation, body)]))
     pictures += [draw_components(evaluation, body) for body in bodies(evaluation)]
@@ -42,11 +42,11 @@ def draw_sources(evaluation: Evaluation, compared: list[str]) -> Picture:
     """Driven component at the strongest line: each source's deviation from the fused value, in % and mrad."""
     component, line = driven_component(evaluation), main_line(evaluation)
     with drawing("sources"):
-        counts = [len(_by_source(evaluation, body)) for body in compared]
+        counts = [len(by_source(evaluation, body)) for body in compared]
         figure = new_figure(0.75 + 0.33 * sum(counts) + 0.25 * len(compared))
         panels = figure.subplots(len(compared), 2, squeeze=False, sharex="col", gridspec_kw={"height_ratios": counts})
         for (left, right), body in zip(panels, compared, strict=True):
-            _draw_deviations(left, right, _by_source(evaluation, body), line, component)
+            _draw_deviations(left, right, by_source(evaluation, body), line, component)
             left.set_title(f"{body}, {COMPONENTS[component]}")
         panels[-1, 0].set_xlabel("deviation of the amplitude / %")
         panels[-1, 1].set_xlabel("deviation of the phase / mrad")
@@ -62,7 +62,7 @@ def draw_sources(evaluation: Evaluation, compared: list[str]) -> Picture:
 def draw_components(evaluation: Evaluation, body: str) -> Picture:
     """Six components at the strongest line in the complex plane, with 95 % ellipses of every source."""
     name = f"components-{body}"
-    line, results = main_line(evaluation), _by_source(evaluation, body)
+    line, results = main_line(evaluation), by_source(evaluation, body)
     with drawing(name):
         figure = new_figure(5.9)
         panels = figure.subplots(2, 3)
@@ -87,11 +87,6 @@ def draw_components(evaluation: Evaluation, body: str) -> Picture:
         return finish(figure, name, f"Components of the {body} in the complex plane", caption)
 
 
-def _by_source(evaluation: Evaluation, body: str) -> list[Acceleration]:
-    """All results of one body."""
-    return [result for result in evaluation.accelerations if result.body == body]
-
-
 def _usable_reference(evaluation: Evaluation, body: str) -> bool:
     """Whether several instruments were fused, and the driven component stands out of its uncertainty."""
     fused = acceleration(evaluation, body, "fused")
@@ -112,7 +107,7 @@ def _element(result: Acceleration, line: int, component: int) -> tuple[complex, 
 
 def _draw_deviations(left: Axes, right: Axes, results: list[Acceleration], line: int, component: int) -> None:
     """Relative amplitude and phase differences from the first result, the fused one."""
-    names = []
+    names: list[str] = []
     reference = _element(results[0], line, component)[0]
     for result in results:
         value, covariance = _element(result, line, component)

@@ -15,6 +15,7 @@ from fusion.plots.style import (
     BLACK,
     BLUE,
     ORANGE,
+    RASTER_ABOVE,
     RED,
     WIDTH_IN,
     FloatArray,
@@ -86,7 +87,7 @@ def draw_residuals(stereo: StereoResult) -> Picture:
             residual = stereo.fit.residual[:, component]
             factor, letter = prefix(residual)
             scaled = residual / factor
-            over_time.plot(stereo.time_s, scaled, color=BLUE, **POINT)
+            over_time.plot(stereo.time_s, scaled, color=BLUE, rasterized=len(stereo.time_s) > RASTER_ABOVE, **POINT)
             over_time.axhline(0.0, color=BLACK, linewidth=0.6)
             over_time.set_ylabel(f"{COMPONENTS[component]} / {letter}{BASE_UNITS[component]}")
             _draw_histogram(histogram, scaled[np.isfinite(scaled)])
@@ -189,7 +190,7 @@ def residual_spectrum(stereo: StereoResult) -> tuple[FloatArray, FloatArray]:
     filled[place] = np.nan_to_num(stereo.fit.residual)
     frequency = np.fft.rfftfreq(len(filled), 1.0 / camera_rate_hz(stereo))
     present = int(np.isfinite(stereo.fit.residual).all(axis=1).sum())
-    return frequency, np.abs(np.fft.rfft(filled, axis=0)) * 2.0 / max(present, 1)
+    return np.asarray(frequency, dtype=np.float64), np.abs(np.fft.rfft(filled, axis=0)) * 2.0 / max(present, 1)
 
 
 def _draw_component(axes: Axes, stereo: StereoResult, component: int) -> float:
@@ -198,7 +199,7 @@ def _draw_component(axes: Axes, stereo: StereoResult, component: int) -> float:
     factor, letter = prefix(pose)
     fine = np.linspace(stereo.time_s[0], stereo.time_s[-1], CURVE_POINTS)
     axes.plot(fine, beat_curve(stereo, fine)[:, component] / factor, color=RED, linewidth=1.1, zorder=3)
-    axes.plot(stereo.time_s, pose / factor, color=BLUE, **POINT)
+    axes.plot(stereo.time_s, pose / factor, color=BLUE, rasterized=len(stereo.time_s) > RASTER_ABOVE, **POINT)
     axes.set_ylabel(f"{COMPONENTS[component]} / {letter}{BASE_UNITS[component]}")
     return factor
 
@@ -208,7 +209,7 @@ def _draw_folded(axes: Axes, stereo: StereoResult, component: int, frequency: fl
     phase = np.mod(stereo.time_s * frequency, 1.0)
     fine = np.linspace(0.0, 1.0, 241)
     measured = folded_curve(stereo, frequency, phase)[:, component] + stereo.fit.residual[:, component]
-    axes.plot(phase, measured / factor, color=BLUE, **POINT)
+    axes.plot(phase, measured / factor, color=BLUE, rasterized=len(stereo.time_s) > RASTER_ABOVE, **POINT)
     axes.plot(fine, folded_curve(stereo, frequency, fine)[:, component] / factor, color=RED, linewidth=1.1, zorder=3)
     axes.set_xlim(0.0, 1.0)
 
@@ -254,7 +255,7 @@ def _draw_image(axes: Axes, stereo: StereoResult) -> None:
     extent = (-0.5, width - 0.5, height - 0.5, -0.5)
     axes.imshow(shown, cmap="gray", vmin=0.0, vmax=1.0, extent=extent, interpolation="none")
     squares = _squares(points, _subset_size(points))
-    axes.add_collection(PolyCollection(squares, facecolor="none", edgecolor=ORANGE, linewidth=0.5))
+    axes.add_collection(PolyCollection(list(squares), facecolor="none", edgecolor=ORANGE, linewidth=0.5))
     axes.set_xlabel("x / px")
     axes.grid(visible=False)
     panel_label(axes, f"{stereo.name}: {len(points)} subsets")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,11 +19,13 @@ from fusion.plots.style import (
     RED,
     FloatArray,
     Picture,
+    decades,
     drawing,
     finish,
     lay_out,
     new_figure,
     padded,
+    power_text,
 )
 from fusion.polar import Polar, typeset
 from fusion.results_csv import sensitivity_element, sensitivity_unit
@@ -90,7 +93,7 @@ def draw_curve(curve: Curve) -> Picture:
         _limits(upper, shown, magnitude, u_magnitude, None if curve.static is None else abs(curve.static) / factor)
         _limits(lower, shown, phase, u_phase, 0.0)
         power = int(np.log10(factor))
-        times = f"10$^{{{power}}}$ " if power else ""
+        times = f"{power_text(power)} " if power else ""
         upper.set_ylabel(f"magnitude / {times}{typeset(curve.unit)}")
         lower.set_ylabel("phase / rad")
         lower.set_xlabel("frequency / Hz")
@@ -131,7 +134,7 @@ def draw_outputs(evaluation: Evaluation) -> Picture:
         return finish(figure, "outputs", f"All outputs under {load}", caption)
 
 
-def draw_budget(labels: list[str], types: list[str], u_relative: FloatArray, what: str) -> Picture:
+def draw_budget(labels: Sequence[str], types: Sequence[str], u_relative: FloatArray, what: str) -> Picture:
     """Contributions (M,) of an uncertainty budget, largest first, with each one's share of the variance."""
     order = np.argsort(u_relative)[::-1]
     order = order[u_relative[order] > 1e-3 * u_relative.max()][:BUDGET_ENTRIES]
@@ -195,9 +198,14 @@ def _static_line(axes: Axes, curve: Curve, factor: float) -> None:
         return
     static = abs(curve.static) / factor
     axes.axhline(static, color=RED, linewidth=1.0, linestyle=(0, (5, 3)), label="static sensitivity")
-    right = axes.secondary_yaxis(
-        "right", functions=(lambda m: 100.0 * (m / static - 1.0), lambda d: static * (1.0 + d / 100.0))
-    )
+
+    def deviation(magnitude: FloatArray) -> FloatArray:
+        return np.asarray(100.0 * (np.asarray(magnitude) / static - 1.0))
+
+    def magnitude(deviation: FloatArray) -> FloatArray:
+        return np.asarray(static * (1.0 + np.asarray(deviation) / 100.0))
+
+    right = axes.secondary_yaxis("right", functions=(deviation, magnitude))
     right.set_ylabel("deviation from static / %")
     right.spines["right"].set_visible(True)
 
@@ -220,6 +228,7 @@ def _output_scale(evaluation: Evaluation, driven: int, component: int) -> tuple[
 def _draw_levels(axes: Axes, size: FloatArray, expanded: FloatArray, driven: int) -> None:
     """Points on a logarithmic axis; where a value is below its U, an arrow from the bound."""
     axes.set_xscale("log")
+    decades(axes.xaxis)
     bound = size <= expanded
     for place, (value, half) in enumerate(zip(size, expanded, strict=True)):
         colour = BLACK if place == driven else BLUE

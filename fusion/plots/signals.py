@@ -16,17 +16,19 @@ from fusion.plots.style import (
     RED,
     FloatArray,
     Picture,
+    decades,
     drawing,
     finish,
     lay_out,
     new_figure,
     panel_label,
+    power_text,
     thin_out,
 )
 from fusion.polar import prefix, typeset
 
 SPECTRUM_POINTS = 700
-EXCERPT_POINTS = 500
+EXCERPT_POINTS = 300
 PREFIXED = ("m", "m/s", "m/s^2", "rad/s", "N", "V")
 
 
@@ -111,6 +113,8 @@ def _draw_spectrum(axes: Axes, channel: ChannelResult, lines: FloatArray) -> Non
         top = float(amplitude[near].max()) if near.any() else float(np.median(amplitude))
         axes.plot(line, 2.2 * top, marker="v", color=RED, markersize=4.5)
     axes.set_ylim(0.3 * float(np.median(thin_amplitude)), 12.0 * float(amplitude.max()))
+    decades(axes.xaxis)
+    decades(axes.yaxis)
     axes.set_ylabel(typeset(channel.unit))
     panel_label(axes, f"{channel.name}: amplitude spectrum")
 
@@ -119,7 +123,7 @@ def _power(values: FloatArray) -> tuple[float, str]:
     """Factor for units that take no prefix."""
     largest = float(np.nanmax(np.abs(values))) if values.size else 1.0
     power = 3 * int(np.floor(np.log10(largest) / 3.0)) if largest > 0.0 else 0
-    return (1.0, "") if power == 0 else (10.0**power, f"10$^{{{power}}}$ ")
+    return (1.0, "") if power == 0 else (10.0**power, f"{power_text(power)} ")
 
 
 def _half(width: float) -> tuple[float, float]:
