@@ -4,27 +4,25 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
-
-import numpy as np
 
 from fusion.channels import channel_results, find_channel_lines
 from fusion.errors import ComputeError, InputError
-from fusion.evaluation import ChannelResult, Evaluation
-from fusion.fuse import Acceleration, fuse
+from fusion.evaluation import Evaluation
+from fusion.fuse import Acceleration, fuse_sources
+from fusion.load import LoadResult, load_phasors
 from fusion.manifest import Manifest
-from fusion.notices import AnyNotice
-from fusion.observe import Observation, observe_channels, observe_stereo
+from fusion.notices import AnyNotice, Notice
+from fusion.observe import Observation, Reading
 from fusion.provenance import versions
+from fusion.readings import channel_readings, gravity, load_body, observations
 from fusion.records import read_daqs
-from fusion.sensitivity import LoadResult, Sensitivity, load_phasors, sensitivity_ratio
+from fusion.sensitivity import Sensitivity, sensitivity_ratio
 from fusion.settings import ProgressCallback, Settings, no_progress
-from fusion.stereo_motion import StereoMotion, StereoPhasors, measure_images, measure_points, stereo_phasors
+from fusion.stereo_motion import StereoMotion, measure_images, measure_points, motion_lines, stereo_phasors
 from fusion.timing import TimeBase, tie_daqs
 from shaker.signals.frequencies import Lines
 
 EVALUATED_KINDS = ("sine", "multisine")
-SOURCES = ("photogrammetry", "vibrometer", "accelerometer")
 
 
 def evaluate_recording(
@@ -42,12 +40,16 @@ def evaluate_recording(
     _check_kind(manifest)
     base = tie_daqs(manifest, read_daqs(manifest))
     motions = _measure_motions(manifest, base, settings, progress)
-    lines = find_channel_lines(manifest, base) or _motion_lines(manifest, motions)
+    lines = find_channel_lines(manifest, base) or motion_lines(manifest, motions)
     channels = channel_results(manifest, base, lines)
     stereo = tuple(stereo_phasors(motion, lines) for motion in motions)
-    accelerations = _fuse_bodies(_observe(manifest, channels, stereo))
+    readings = channel_readings(base, channels)
+    accelerations = _fuse_bodies(observations(manifest, readings, stereo))
     load = _load(manifest, accelerations)
-    sensitivity = _sensitivity(manifest, lines, channels, load)
+    sensitivity = _sensitivity(manifest, lines, readings, load)
+    notices = [*_clock_notices(base), *lines.notices, *(notice for item in stereo for notice in item.notices)]
+    notices += [notice for acceleration in accelerations[:1] for notice in acceleration.notices]
+    notices += [notice for result in (load, sensitivity) if result is not None for notice in result.notices]
     return Evaluation(
         manifest=manifest,
         lines=lines,
@@ -57,9 +59,66 @@ def evaluate_recording(
         accelerations=accelerations,
         load=load.phasors if load else None,
         sensitivity=sensitivity,
-        notices=_notices(base, lines, stereo, accelerations, load, sensitivity),
+        notices=tuple(dict.fromkeys(notices)),
         settings=settings.as_dict(),
         versions=versions(),
         input_hashes=input_hashes,
         duration_s=time.monotonic() - started,
     )
+
+
+def _check_kind(manifest: Manifest) -> None:
+    """Refuse recordings that this command does not evaluate."""
+    kind = manifest.excitation.kind
+    if kind not in EVALUATED_KINDS:
+        expected = f"{' or '.join(EVALUATED_KINDS)}, the kinds that shakercal run evaluates"
+        raise InputError(manifest.path, "excitation.kind", found=kind, expected=expected)
+    if manifest.take:
+        expected = "no takes: this version evaluates only what was recorded at once"
+        raise InputError(manifest.path, "take", found=f"{len(manifest.take)} takes", expected=expected)
+
+
+def _measure_motions(
+    manifest: Manifest, base: TimeBase, settings: Settings, progress: ProgressCallback
+) -> tuple[StereoMotion, ...]:
+    """Measure the motion seen by every stereo pair, from images or from points."""
+    images = [measure_images(manifest, base, entry, settings, progress) for entry in manifest.images]
+    return (*images, *(measure_points(manifest, base, entry) for entry in manifest.points))
+
+
+def _fuse_bodies(seen: Sequence[Observation]) -> tuple[Acceleration, ...]:
+    """Return load and base acceleration, fused and by source; a body that nobody observes is left out."""
+    bodies = [body for body in ("load", "base") if any(observation.body == body for observation in seen)]
+    if not bodies:
+        raise ComputeError("no channel or camera of this recording measures a motion; add one to recording.toml")
+    return tuple(acceleration for body in bodies for acceleration in fuse_sources(seen, body))
+
+
+def _load(manifest: Manifest, accelerations: Sequence[Acceleration]) -> LoadResult | None:
+    """Return the load on the sensor, None where the rig states no load mass or nobody observed the load's motion."""
+    body = load_body(manifest)
+    fused = next((a for a in accelerations if a.body == "load" and a.source == "fused"), None)
+    if body is None or fused is None:
+        return None
+    sensor = manifest.rig.sensor
+    return load_phasors(fused, body, gravity(manifest), "on_load" if sensor is None else sensor.sense)
+
+
+def _sensitivity(
+    manifest: Manifest, lines: Lines, readings: Sequence[Reading], load: LoadResult | None
+) -> Sensitivity | None:
+    """Return output over load of the driven component, None where there are no outputs or there is no load."""
+    sensor = manifest.rig.sensor
+    outputs = [reading for reading in readings if reading.entry.quantity == "output"]
+    if sensor is None or load is None or not outputs:
+        return None
+    outputs.sort(key=lambda reading: sensor.channels.index(str(reading.entry.channel)))
+    excitation = manifest.excitation
+    return sensitivity_ratio(outputs, load, excitation.direction, lines.multiple, sensor.unit, sensor.capacity)
+
+
+def _clock_notices(base: TimeBase) -> list[AnyNotice]:
+    """Return the remarks of triggers and clock ties, naming their block."""
+    found = [(daq, notice) for (daq, _), fit in base.triggers.items() for notice in fit.notices]
+    found += [(daq, notice) for daq, tie in base.ties.items() if tie is not None for notice in tie.notices]
+    return [Notice(notice.severity, f"{daq}: {notice.text}", daq) for daq, notice in found]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +23,7 @@ from photogram.point_tables import read_point_tables
 from photogram.rigid import RigidTransform
 from photogram.track import StereoTracks, TrackSettings, TrackStatus, track_stereo
 from photogram.triangulate import Points, triangulate
-from shaker.signals.frequencies import Lines
+from shaker.signals.frequencies import Lines, find_lines
 from shaker.signals.phasor import Phasors
 from shaker.signals.sine import SineFit, exposure_gain, fit_sines, usable_lines
 
@@ -164,7 +165,9 @@ def _calibration(manifest: Manifest, stereo: Stereo, images: ImageSequence) -> S
     size = tuple(int(length) for length in rig.left.size_px)
     if size != images.size_px:
         width, height = images.size_px
-        raise InputError(path, "image_size", found=f"{list(size)}", expected=f"[{width}, {height}] as {images.names[0]}")
+        raise InputError(
+            path, "image_size", found=f"{list(size)}", expected=f"[{width}, {height}] as {images.names[0]}"
+        )
     return rig
 
 
@@ -198,9 +201,23 @@ def _fit(name: str, points: Points, reference_m: FloatArray | None) -> RigidMoti
     return motion
 
 
+def motion_lines(manifest: Manifest, motions: Sequence[StereoMotion]) -> Lines:
+    """Find the lines in the motion itself, for recordings without any channel that shows the excitation."""
+    if not motions:
+        raise ComputeError("no channel or camera of this recording shows the excitation; add one to recording.toml")
+    excitation, first = manifest.excitation, motions[0]
+    try:
+        return find_lines(first.time_s, first.motion.pose, excitation.frequencies, excitation.harmonics)
+    except ValueError as error:
+        expected = f"lines that stand out in the motion seen by stereo pair {first.entry.stereo}"
+        raise InputError(manifest.path, "excitation.frequencies", found=str(error), expected=expected) from error
+
+
 def stereo_phasors(measured: StereoMotion, lines: Lines) -> StereoPhasors:
     """Fit the lines to a body's motion about its mean pose."""
-    usable, folded = usable_lines(measured.time_s, lines.frequency_hz)
+    order = np.lexsort((lines.frequency_hz, lines.multiple))  # fundamentals have precedence over harmonics
+    usable = np.zeros(len(order), dtype=np.bool_)
+    usable[order], folded = usable_lines(measured.time_s, lines.frequency_hz[order])
     name = measured.entry.stereo
     if not usable.any():
         raise ComputeError(f"stereo pair {name}: its camera rate cannot tell any line of the recording apart")

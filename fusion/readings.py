@@ -1,0 +1,83 @@
+"""From evaluated channels and the rig's entries to what the fusion takes: readings, observations, the body."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from fusion.body import Body, Part as RigidPart, make_part, true_mass
+from fusion.evaluation import ChannelResult
+from fusion.manifest import ChannelEntry, Load, Manifest, Part
+from fusion.observe import ChainUncertainty, Observation, Reading, observe_channels, observe_stereo
+from fusion.response import read_response
+from fusion.stereo_motion import StereoPhasors
+from fusion.timing import TimeBase
+
+
+def channel_readings(base: TimeBase, channels: Sequence[ChannelResult]) -> tuple[Reading, ...]:
+    """Return every channel with its manifest entry and the uncertainty of its chain and clock."""
+    entries = {(r.entry.name, c.name): c for r in base.records for c in r.entry.channel}
+    return tuple(_reading(base, channel, entries[channel.daq, channel.name]) for channel in channels)
+
+
+def _reading(base: TimeBase, channel: ChannelResult, entry: ChannelEntry) -> Reading:
+    """Return one channel with the uncertainty of its response table and of its clock's tie to the first one."""
+    tie = base.ties[channel.daq]
+    u_clock_s = 0.0 if tie is None else float(tie.u_to_base_s(np.asarray(channel.samples / channel.sample_rate_hz / 2)))
+    if entry.response is None:
+        return Reading(entry, channel.phasors, ChainUncertainty(clock=channel.daq, u_clock_s=u_clock_s))
+    response = read_response(entry.response, channel.phasors.frequency_hz)
+    chain = ChainUncertainty(response.u_magnitude, response.u_phase_rad, channel.daq, u_clock_s)
+    return Reading(entry, channel.phasors, chain)
+
+
+def observations(
+    manifest: Manifest, readings: Sequence[Reading], stereo: Sequence[StereoPhasors]
+) -> tuple[Observation, ...]:
+    """Return every instrument of the recording as rows of the linear model."""
+    clock = manifest.daq[0].clock_uncertainty if manifest.daq else 0.0
+    seen = [
+        observe_stereo(
+            item.result.name,
+            manifest.rig.stereo[item.result.name],
+            item.displacement,
+            item.calibration_effects,
+            clock,
+        )
+        for item in stereo
+    ]
+    return (*seen, *observe_channels(readings, gravity(manifest), clock))
+
+
+def gravity(manifest: Manifest) -> tuple[float, float, float] | None:
+    """Return the acceleration of gravity (m/s^2, sensor frame), None where the rig does not state it."""
+    environment = manifest.rig.environment
+    return None if environment is None else environment.gravity
+
+
+def load_body(manifest: Manifest) -> Body | None:
+    """Return all that moves above the elastic element: load, parts and internal mass; None without a `[load]`."""
+    load, sensor = manifest.rig.load, manifest.rig.sensor
+    if load is None:
+        return None
+    parts = [_part("load", load)]
+    parts += [_part(part.name, part) for part in manifest.part if part.body == "load"]
+    if sensor is not None and sensor.internal_mass > 0.0:
+        u = (
+            sensor.internal_mass_uncertainty,
+            sensor.internal_centre_of_mass_uncertainty,
+            sensor.internal_inertia_uncertainty,
+        )
+        centre, inertia = sensor.internal_centre_of_mass, sensor.internal_inertia
+        parts.append(make_part("internal mass", sensor.internal_mass, centre, inertia, u))
+    return Body(tuple(parts))
+
+
+def _part(name: str, entry: Load | Part) -> RigidPart:
+    """Return one table of the rig as a rigid part with its true mass."""
+    mass = entry.mass
+    if entry.mass_kind == "conventional" and entry.density is not None:
+        mass = true_mass(entry.mass, entry.density)
+    u = (entry.mass_uncertainty, entry.centre_of_mass_uncertainty, entry.inertia_uncertainty)
+    return make_part(name, mass, entry.centre_of_mass, entry.inertia, u)
