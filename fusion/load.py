@@ -45,10 +45,10 @@ def load_phasors(
 ) -> LoadResult:
     """Return the wrench L = ±(M A + gravity tilt) at the sensor origin, positive as it acts on the load ("on_load").
 
-    Its covariance is that of the acceleration carried through, contribution by contribution, plus one term per uncertain
-    parameter of the body, (dM/dp · A) u(p). Acceleration components that no instrument observed are taken as zero with
-    a standard uncertainty of 2 % of the observed motion's amplitude (rotations: of amplitude over 0.1 m), a type B
-    contribution "unobserved NAME"; a load component to which they bring more than 1 % is not given.
+    Its covariance is that of the acceleration carried through, contribution by contribution, plus one term per
+    uncertain parameter of the body, (dM/dp · A) u(p). Acceleration components that no instrument observed are taken as
+    zero with a standard uncertainty of 2 % of the observed motion's amplitude (rotations: of amplitude over 0.1 m), a
+    type B contribution "unobserved NAME"; a load component to which they bring more than 1 % is not given.
     """
     frequency = acceleration.phasors.frequency_hz
     gravity = None if gravity_mps2 is None else np.asarray(gravity_mps2, dtype=np.float64)
@@ -145,8 +145,8 @@ def _notices(acceleration: Acceleration, observed: BoolArray, hidden: FloatArray
     assumed = [name for place, name in enumerate(COMPONENTS) if np.any((hidden[:, :, place] > 0.0) & observed)]
     if assumed:
         text = (
-            f"{', '.join(assumed)} of the load were not observed at some lines: taken as zero with a standard uncertainty "
-            f"of {UNOBSERVED_MOTION:.0%} of the motion (rotations: over {BODY_SIZE_M} m)"
+            f"{', '.join(assumed)} of the load were not observed at some lines: taken as zero with a standard "
+            f"uncertainty of {UNOBSERVED_MOTION:.0%} of the motion (rotations: over {BODY_SIZE_M} m)"
         )
         found.append(Notice("warning", text, acceleration.body))
     missing = [name for place, name in enumerate(LOAD_COMPONENTS) if not np.any(observed[:, place])]

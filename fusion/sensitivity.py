@@ -25,7 +25,10 @@ Kind = Literal["ratio", "matrix", "harmonic"]
 
 @dataclass(frozen=True)
 class BudgetEntry:
-    """One contribution to the driven component's ratio: relative standard uncertainty of the magnitude, phase (K, C)."""
+    """One contribution to the driven component's ratio: relative standard uncertainty of the magnitude, and phase.
+
+    `u_relative`, `u_phase_rad`: (K, C).
+    """
 
     label: str
     type: Literal["A", "B"]
@@ -78,9 +81,9 @@ def sensitivity_ratio(
 ) -> Sensitivity:
     """Return output / load of the driven component for every output channel of one recording.
 
-    S = U/L; dS = dU/L - S dL/L. `outputs`: C channels with quantity "output", in the order wanted; `multiple` (K,): 1 at
-    a fundamental ("ratio"), else "harmonic". Outputs and load are taken as independent; errors of a chain (scale, delay,
-    response) enter once per `common` name.
+    S = U/L; dS = dU/L - S dL/L. `outputs`: C channels with quantity "output", in the order wanted; `multiple` (K,): 1
+    at a fundamental ("ratio"), else "harmonic". Outputs and load are taken as independent; errors of a chain (scale,
+    delay, response) enter once per `common` name.
     """
     if not outputs:
         raise ValueError("outputs: expected at least one output channel, found none")
@@ -199,6 +202,6 @@ def _notices(
     ]
     if others:
         basis = "" if capacity is None else " (in shares of the rated loads)"
-        text = f"beside {name} = 100 % the sensor was loaded with {', '.join(others)}{basis}; the ratio contains their part"
+        text = f"beside {name} = 100 % the sensor carried {', '.join(others)}{basis}; the ratio contains their part"
         found.append(Notice("info", text, "sensitivity"))
     return tuple(found)
