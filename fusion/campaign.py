@@ -41,9 +41,9 @@ def run_path(
 ) -> tuple[Outcome, ...]:
     """Evaluate a recording, or every recording of a campaign folder, and write the result files.
 
-    A recording writes to `output` (default RECORDING/results). A campaign writes one folder per recording below `output`
-    (default CAMPAIGN/results) and the merged tables at its top; a recording that fails does not stop the others. A
-    single recording's failure is raised.
+    A recording writes to `output` (default RECORDING/results). A campaign writes one folder per recording below
+    `output` (default CAMPAIGN/results) and the merged tables at its top; a recording that fails does not stop the
+    others. A single recording's failure is raised.
     """
     recordings = find_recordings(path)
     single = len(recordings) == 1 and recordings[0].parent.resolve() == path.resolve().parent / path.name

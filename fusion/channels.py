@@ -100,8 +100,9 @@ def _fit_group(
     names = [channel.name for channel in group]
     units = [channel_unit(manifest, channel) for channel in group]
     fit = fit_sines(time_s, values, lines.frequency_hz[seen], names, units)
+    spread = spread_lines(fit.phasors, seen, lines.frequency_hz)
     return [
-        _result(record, channel, time_s, values[:, c], fit, spread_lines(fit.phasors.select([channel.name]), seen, lines.frequency_hz))
+        _result(record, channel, time_s, values[:, c], fit, spread.select([channel.name]))
         for c, channel in enumerate(group)
     ]
 

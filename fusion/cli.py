@@ -99,7 +99,7 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("-o", "--output", type=Path, metavar="RESULTS", help="result folder (default: RECORDING/results)")
     run.add_argument("--force", action="store_true", help="compute again and overwrite result files that are there")
     run.add_argument(
-        "--subset-radius", type=_radius, default=10, metavar="PX", help="half-width of a tracked subset (default: 10 px)"
+        "--subset-radius", type=_radius, default=10, metavar="PX", help="half-width of the subsets (default: 10 px)"
     )
     run.set_defaults(action=_run)
 

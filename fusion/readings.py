@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fusion.body import Body, Part as RigidPart, make_part, true_mass
+from fusion.body import Body, make_part, true_mass
+from fusion.body import Part as RigidPart
 from fusion.evaluation import ChannelResult
 from fusion.manifest import ChannelEntry, Load, Manifest, Part
 from fusion.observe import ChainUncertainty, Observation, Reading, observe_channels, observe_stereo

@@ -27,8 +27,8 @@ class ChainResponse:
 def read_response(path: Path, frequency_hz: FloatArray) -> ChainResponse:
     """Read a response table and interpolate magnitude and unwrapped phase linearly to frequencies (K,) in Hz.
 
-    Columns: frequency_hz, magnitude, phase_rad, u_magnitude, u_phase_rad (the u_ are standard uncertainties in the units
-    of their column). Raises `InputError` for a missing column, a cell that is no number, and lines out of range.
+    Columns: frequency_hz, magnitude, phase_rad, u_magnitude, u_phase_rad (u_: standard uncertainty in the unit of the
+    column it belongs to). Raises `InputError` for a missing column, a cell that is no number, and lines out of range.
     """
     table = _read_table(path)
     frequency = table["frequency_hz"]

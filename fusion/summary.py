@@ -19,7 +19,7 @@ COVERAGE_FACTOR = 2.0
 
 def print_outcomes(outcomes: Sequence[Outcome]) -> None:
     """Print one block per recording: its sensitivity with expanded uncertainty (k = 2) and the path of its report."""
-    from rich.console import Console  # noqa: PLC0415 (slow import)
+    from rich.console import Console
 
     console = Console(width=None if sys.stdout.isatty() else PIPE_WIDTH, highlight=False, markup=False)
     for outcome in outcomes:
@@ -34,7 +34,7 @@ def print_outcomes(outcomes: Sequence[Outcome]) -> None:
 
 def sensitivity_table(rows: Sequence[dict[str, str]]) -> Table:
     """Return the rows of a sensitivity.csv as a table with U at k = 2, two significant digits of it."""
-    from rich.table import Table  # noqa: PLC0415 (slow import)
+    from rich.table import Table
 
     names = dict.fromkeys(row["recording"] for row in rows)
     table = Table(title=f"Sensitivity, {', '.join(names)} (U: expanded uncertainty, k = 2)", title_justify="left")

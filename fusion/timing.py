@@ -120,6 +120,5 @@ def _trigger_of(manifest: Manifest, base: TimeBase, entry: Images | PointFiles) 
     for (daq, name), fit in base.triggers.items():
         if name == entry.trigger:
             return daq, fit
-    raise InputError(
-        manifest.path, f"images.{entry.stereo}.trigger", found=entry.trigger, expected="a trigger channel of a daq block"
-    )
+    expected = "a trigger channel of a daq block"
+    raise InputError(manifest.path, f"images.{entry.stereo}.trigger", found=entry.trigger, expected=expected)
