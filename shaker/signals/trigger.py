@@ -72,7 +72,6 @@ def fit_trigger(edges: Edges) -> TriggerFit:
     sample, go by least squares. At least three edges are needed.
     """
     number, kept = _number(edges)
-    kept = _without_outliers(number, edges, kept)
     if np.count_nonzero(kept) < 3:
         raise ValueError(f"edges: expected at least 3 edges of one period, found {int(np.count_nonzero(kept))}")
     n = number[kept] - number[kept][0]
@@ -114,17 +113,25 @@ class _Estimate:
 
 
 def _number(edges: Edges) -> tuple[IntArray, BoolArray]:
-    """Number the edges by the period that most of them share; return numbers and which edges have one of their own."""
+    """Number the edges by the period that most of them share; return numbers and which edges are the period's own."""
     time = edges.estimate_s
     if len(time) < 3:
         raise ValueError(f"edges: expected at least 3 edges, found {len(time)}")
     period = _period(time, edges.upper_s - edges.lower_s)
-    phase = np.angle(np.mean(np.exp(2j * np.pi * time / period)))
-    place = time / period - phase / (2.0 * np.pi)
+    start = period * np.angle(np.mean(np.exp(2j * np.pi * time / period))) / (2.0 * np.pi)
+    # The first line is drawn aside by doubled edges; one through the edges that agree with each other is not.
+    for _ in range(3):
+        number, kept = _assigned((time - start) / period)
+        kept = _without_outliers(number, edges, kept)
+        period, start = np.polyfit(number[kept], time[kept], 1)
+    return number, kept
+
+
+def _assigned(place: FloatArray) -> tuple[IntArray, BoolArray]:
+    """Round places to numbers; of several edges with one number the nearest to its place stays."""
     number = np.round(place).astype(np.int64)
     distance = np.abs(place - number)
     kept = distance <= _CAPTURE
-    # Of several edges with one number the nearest to its place stays.
     order = np.lexsort((distance, number))
     kept[order[1:][np.diff(number[order]) == 0]] = False
     return number, kept
@@ -177,8 +184,11 @@ def _posterior(place: FloatArray, lower: FloatArray, upper: FloatArray, start: _
     """
     width = float(np.median(upper - lower))
     jitters = np.geomspace(1e-3 * width, 2.0 * start.jitter + 0.1 * width, _JITTERS)
-    mean, covariance = start.mean, 4.0 * start.covariance
-    jitter = start.jitter
+    mean, jitter = start.mean, start.jitter
+    # Rounding to samples scatters by 0.29 of one, except where period and sampling are commensurate; the grids then
+    # grow until they hold the whole polygon.
+    columns = np.stack([np.ones_like(place), place], axis=1)
+    covariance = np.linalg.inv(columns.T @ columns) * (2.0 * max(jitter, 0.3 * width)) ** 2
     for points in _GRIDS:
         axis = np.linspace(-4.5, 4.5, points)
         root = np.linalg.cholesky(covariance)
