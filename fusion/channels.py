@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,7 +128,7 @@ def _result(
         excerpt=values[shown],
         excerpt_fit=fit.model(time_s[shown])[:, place],
         spectrum_hz=spectrum.frequency_hz,
-        spectrum=cast(FloatArray, spectrum.amplitude),
+        spectrum=spectrum.amplitude,
     )
 
 

@@ -12,6 +12,7 @@ from fusion.fuse import Acceleration
 from fusion.manifest import Manifest
 from fusion.notices import AnyNotice
 from fusion.sensitivity import Sensitivity
+from photogram.images import GreyImage
 from photogram.motion import RigidMotion
 from shaker.signals.frequencies import Lines
 from shaker.signals.phasor import Phasors
@@ -40,7 +41,7 @@ class StereoResult:
     fit: SineFit
     usable: NDArray[np.bool_]
     reprojection_px: float
-    reference_image: NDArray[np.uint16] | NDArray[np.uint8] | None = None
+    reference_image: GreyImage | None = None
     subsets_px: FloatArray | None = None
     speckle_px: float | None = None
     noise_grey: float | None = None

@@ -112,7 +112,7 @@ def exposure_middles(manifest: Manifest, base: TimeBase, entry: Images | PointFi
             manifest.path, key.removesuffix("first_edge") + "trigger", found=str(trigger.edges), expected=wanted
         )
     edges = trigger.time_s(first + np.arange(frames))
-    return base.to_base_s(daq, edges) + entry.delay + entry.exposure / 2.0
+    return np.asarray(base.to_base_s(daq, edges) + entry.delay + entry.exposure / 2.0)
 
 
 def _trigger_of(manifest: Manifest, base: TimeBase, entry: Images | PointFiles) -> tuple[str, TriggerFit]:
