@@ -59,7 +59,7 @@ def load_phasors(
     parameters = body.parameters()
     changes = [(p, sign * p.change.load_matrix(frequency, gravity)) for p in parameters]
     hidden = _hidden_variances(acceleration, matrix, [change for _, change in changes])
-    spread = np.sqrt(hidden.sum(axis=2))
+    spread = np.sqrt(2.0 * hidden.sum(axis=2))
     size = np.abs(value)
     observed = np.any(acceleration.observed, axis=1)[:, None] & (spread <= UNOBSERVED_LIMIT * size)
     contributions = [

@@ -165,7 +165,8 @@ def _load_parts(load: LoadResult, component: int, ratio: ComplexArray, driven: C
 
 def _budget_entry(label: str, kind: Literal["A", "B"], part: FloatArray, ratio: ComplexArray) -> BudgetEntry:
     """Relative standard uncertainties along (magnitude) and across (phase) the ratio."""
-    turn = _multiply(1.0 / ratio)
+    # Of an output that is exactly zero nothing relative can be said.
+    turn = _multiply(1.0 / np.where(ratio == 0.0, complex(np.nan, np.nan), ratio))
     relative = turn @ part @ turn.swapaxes(-1, -2)
     return BudgetEntry(
         label, kind, np.sqrt(np.maximum(relative[..., 0, 0], 0.0)), np.sqrt(np.maximum(relative[..., 1, 1], 0.0))

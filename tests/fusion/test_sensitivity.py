@@ -1,0 +1,178 @@
+"""Load and ratio against a simulated experiment: closed forms, perturbed inputs, Monte Carlo coverage."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from fusion.body import Body, make_part
+from fusion.fuse import Acceleration, Contribution
+from fusion.load import load_phasors
+from fusion.observe import ChainUncertainty, Reading
+from fusion.sensitivity import Sensitivity, driven_component, sensitivity_ratio
+from shaker.signals.phasor import Phasors
+
+FREQUENCY = np.array([106.25, 212.5])
+MOTION = np.array([[0.5, -0.3j, 189.0, 4.0j, -3.0, 1.0], [0.01, 0.02, 0.9 - 0.2j, 0.1, 0.05j, 0.02]], dtype=complex)
+GRAVITY = (0.0, 0.0, -9.8125)
+OUTPUT = 2e-7 * np.exp(-0.01j)
+PARTS = (
+    ("load", 6.9605, [1e-3, 2e-3, 0.02], np.diag([0.036, 0.036, 0.031]), (1e-3, 1e-4, 1e-4)),
+    ("internal mass", 0.769, [0.0, 0.0, 0.0], np.zeros((3, 3)), (2e-3, 1e-3, 1e-5)),
+)
+BODY = Body(tuple(make_part(*part) for part in PARTS))
+
+
+def acceleration(motion: np.ndarray = MOTION, sigma: float = 1e-4, observed: np.ndarray | None = None) -> Acceleration:
+    seen = np.ones(motion.shape, dtype=bool) if observed is None else np.broadcast_to(observed, motion.shape)
+    spread = sigma**2 * np.array([1, 1, 1, 100, 100, 100.0]) * 189.0**2
+    covariance = np.repeat(np.diag(np.tile(spread, 2))[None], len(motion), axis=0)
+    mask = ~np.tile(seen, (1, 2))
+    covariance = np.where(mask[:, :, None] | mask[:, None, :], np.nan, covariance)
+    units = ("m/s^2",) * 3 + ("rad/s^2",) * 3
+    value = np.where(seen, motion, complex(np.nan, np.nan))
+    names = ("x", "y", "z", "rx", "ry", "rz")
+    found = Phasors(FREQUENCY, value, covariance, names, units, np.full(len(motion), 50.0))
+    noise = (Contribution("noise", "A", covariance),)
+    none = np.zeros(0)
+    return Acceleration("load", "fused", found, seen, ("top",), noise, (), 0.0, 0, (), none, np.zeros((0, 2, 12)), ())
+
+
+def output(value: np.ndarray, name: str = "Fz", u_noise: float = 1e-9, **changes: Any) -> Reading:
+    entry = {
+        "name": name, "channel": name, "quantity": "output", "common": None, "scale_uncertainty": 0.0,
+        "delay_uncertainty": 0.0, "individual_uncertainty": 0.0,
+    }  # fmt: skip
+    covariance = np.repeat(u_noise**2 * np.eye(2)[None], len(value), axis=0)
+    found = Phasors(
+        FREQUENCY, value[:, None].astype(complex), covariance, (name,), ("V/V",), np.full(len(value), 100.0)
+    )
+    return Reading(SimpleNamespace(**(entry | changes)), found, ChainUncertainty())
+
+
+def ratio(outputs: list[Reading], source: Acceleration, body: Body = BODY) -> Sensitivity:
+    load = load_phasors(source, body, GRAVITY)
+    return sensitivity_ratio(outputs, load, (0.0, 0.0, 1.0), [1, 2], "V/V", (2e3, 2e3, 4e3, 100, 100, 100))
+
+
+def test_force_of_a_centred_mass_is_mass_times_acceleration() -> None:
+    body = Body((make_part("load", 7.0, np.zeros(3), np.diag([1.0, 2.0, 3.0])),))
+    load = load_phasors(acceleration(), body)
+    np.testing.assert_allclose(load.phasors.value[:, :3], 7.0 * MOTION[:, :3])
+    np.testing.assert_allclose(load.phasors.value[:, 3:], MOTION[:, 3:] * [1, 2, 3])
+    np.testing.assert_allclose(load.phasors.u_re[:, 2], 7.0 * 189.0e-4)
+    reverse = load_phasors(acceleration(), body, sense="on_sensor")
+    np.testing.assert_allclose(reverse.phasors.value, -load.phasors.value)
+
+
+def test_gravity_tilt_pulls_a_tilted_mass_sideways() -> None:
+    # The weight of a body tilted by theta, in its own axes: F = m theta × g beyond the weight at rest.
+    body = Body((make_part("load", 7.0, np.zeros(3), np.zeros((3, 3))),))
+    motion = np.zeros((2, 6), complex)
+    motion[:, 2], motion[:, 4] = 1.0, 5.0
+    tilt = -5.0 / (2 * np.pi * FREQUENCY) ** 2
+    load = load_phasors(acceleration(motion), body, GRAVITY)
+    np.testing.assert_allclose(load.phasors.value[:, 0], 7.0 * tilt * GRAVITY[2])
+
+
+def test_parameter_contributions_are_the_change_of_the_load() -> None:
+    source = acceleration(sigma=0.0)
+    load = load_phasors(source, BODY, GRAVITY)
+    labels = {entry.label: entry for entry in load.contributions}
+    heavier = Body((make_part("load", 6.9615, *PARTS[0][2:4]), BODY.parts[1]))
+    change = load_phasors(source, heavier, GRAVITY).phasors.value - load.phasors.value
+    stacked = np.concatenate([change.real, change.imag], axis=1)
+    expected = stacked[:, :, None] * stacked[:, None, :]
+    np.testing.assert_allclose(labels["load: mass"].covariance, expected, rtol=1e-6, atol=1e-12)
+    assert {"load: mass", "load: centre of mass", "load: inertia", "internal mass: mass"} <= set(labels)
+    total = np.sum([entry.covariance for entry in load.contributions], axis=0)
+    np.testing.assert_allclose(total, load.phasors.covariance)
+
+
+def test_unobserved_motion_is_bounded_or_refused() -> None:
+    only_z = np.array([False, False, True, False, False, False])
+    centred = Body((make_part("load", 7.0, [0.0, 0.0, 0.05], np.diag([0.036, 0.036, 0.031]), (0.0, 1e-4, 0.0)),))
+    load = load_phasors(acceleration(observed=only_z), centred)
+    assert load.observed[0].tolist() == [False, False, True, False, False, False]
+    hidden = next(entry for entry in load.contributions if entry.label == "unobserved rx")
+    # 7 kg · 0.1 mm · (2 % of 189 m/s^2 over 0.1 m)/√2 in real and imaginary part.
+    assert np.sqrt(hidden.covariance[0, 2, 2]) == pytest.approx(7.0 * 1e-4 * 0.02 * 189.0 / 0.1 / np.sqrt(2))
+    assert any(notice.severity == "warning" for notice in load.notices)
+    eccentric = Body((make_part("load", 7.0, [0.06, 0.0, 0.05], np.diag([0.036, 0.036, 0.031])),))
+    refused = load_phasors(acceleration(observed=only_z), eccentric)
+    assert not refused.observed[0, 2]
+    assert np.isnan(refused.phasors.value[0, 2])
+    result = ratio([output(np.ones(2))], acceleration(observed=only_z), eccentric)
+    assert not result.observed.any()
+    assert "no sensitivity" in result.notices[0].text
+
+
+def test_ratio_returns_the_sensitivity() -> None:
+    load = load_phasors(acceleration(), BODY, GRAVITY)
+    force = load.phasors.value[:, 2]
+    result = ratio([output(OUTPUT * force), output(0.0 * force, "Fx")], acceleration())
+    np.testing.assert_allclose(result.value[:, 0, 2], OUTPUT, rtol=1e-12)
+    np.testing.assert_allclose(result.value[:, 1, 2], 0.0, atol=1e-20)
+    assert result.kind == ("ratio", "harmonic")
+    assert result.observed.tolist() == [[False, False, True, False, False, False]] * 2
+    assert np.isnan(result.value[:, :, [0, 1, 3, 4, 5]]).all()
+    # A vanishing output has the uncertainty of its noise over the force and none from the load.
+    u = np.sqrt(result.covariance[0, 1, 2, 0, 0])
+    assert u == pytest.approx(1e-9 / abs(force[0]), rel=1e-9)
+
+
+def test_budget_adds_up_and_knows_magnitude_from_phase() -> None:
+    force = load_phasors(acceleration(), BODY, GRAVITY).phasors.value[:, 2]
+    result = ratio([output(OUTPUT * force, scale_uncertainty=1e-4, delay_uncertainty=1e-6)], acceleration())
+    entries = {entry.label: entry for entry in result.budget}
+    np.testing.assert_allclose(entries["output scale"].u_relative[:, 0], 1e-4)
+    np.testing.assert_allclose(entries["output scale"].u_phase_rad, 0.0, atol=1e-12)
+    np.testing.assert_allclose(entries["output delay"].u_phase_rad[:, 0], 2 * np.pi * FREQUENCY * 1e-6)
+    np.testing.assert_allclose(entries["output delay"].u_relative, 0.0, atol=1e-12)
+    np.testing.assert_allclose(entries["load: mass"].u_relative[0], 1e-3 / 7.7295, rtol=1e-3)
+    variance = np.sum([e.u_relative**2 + e.u_phase_rad**2 for e in result.budget], axis=0)
+    trace = np.trace(result.covariance[:, :, 2], axis1=-2, axis2=-1)
+    np.testing.assert_allclose(variance * abs(OUTPUT) ** 2, trace, rtol=1e-9)
+
+
+def test_regions_cover_the_truth() -> None:
+    rng = np.random.default_rng(7)
+    trials, inside = 400, 0
+    truth = load_phasors(acceleration(), BODY, GRAVITY).phasors.value[:, 2]
+    for _ in range(trials):
+        drawn = []
+        for name, mass, centre, inertia, (u_mass, u_centre, u_inertia) in PARTS:
+            moved = centre + u_centre * rng.normal(size=3)
+            drawn.append(make_part(name, mass + u_mass * rng.normal(), moved, inertia, (u_mass, u_centre, u_inertia)))
+        source = acceleration(sigma=1e-4)
+        spread = np.sqrt(np.diagonal(source.phasors.covariance, axis1=1, axis2=2))
+        noise = spread * rng.normal(size=spread.shape)
+        shaken = replace(source.phasors, value=MOTION + noise[:, :6] + 1j * noise[:, 6:])
+        gain = 1 + 3e-4 * rng.normal() - 2j * np.pi * FREQUENCY * 1e-6 * rng.normal()
+        signal = OUTPUT * truth * gain + 1e-9 * (rng.normal(size=2) + 1j * rng.normal(size=2))
+        reading = output(signal, scale_uncertainty=3e-4, delay_uncertainty=1e-6)
+        result = ratio([reading], replace(source, phasors=shaken), Body(tuple(drawn)))
+        error = result.value[0, 0, 2] - OUTPUT
+        stacked = np.array([error.real, error.imag])
+        inside += stacked @ np.linalg.solve(result.covariance[0, 0, 2], stacked) < chi2.ppf(0.95, 2)
+    # 400 trials: 380 ± 4.4.
+    assert abs(inside - 0.95 * trials) < 18
+
+
+def test_driven_component() -> None:
+    assert driven_component((0.0, -1.0, 0.2)) == 1
+    assert driven_component((0.0, 0.0, 1.0, 0.5, 0.0, 0.0), (2e3, 2e3, 4e3, 100, 100, 100)) == 3
+    with pytest.raises(ValueError, match="direction"):
+        driven_component((0.0, 0.0, 0.0))
+
+
+def test_other_loads_are_stated() -> None:
+    force = load_phasors(acceleration(), BODY, GRAVITY).phasors.value[:, 2]
+    result = ratio([output(OUTPUT * force)], acceleration())
+    assert "beside Fz = 100 %" in result.notices[0].text
+    assert "Mx" in result.notices[0].text
