@@ -1,0 +1,30 @@
+"""recording.toml and rig.toml as checked, typed values: the contract is `docs/recording-format.md`.
+
+Attributes are named as the TOML keys. Paths are resolved, directions are unit vectors, a single number given for the
+uncertainty of a vector stands in each element, images and points carry the exposure of their stereo pair.
+"""
+
+from fusion.manifest.load import RECORDING_NAME, Manifest, find_recordings, load_manifest
+from fusion.manifest.recording import ChannelEntry, Daq, Excitation, Images, PointFiles, RecordingFile, Take
+from fusion.manifest.rig import Administration, Environment, Load, Part, Rig, Sensor, Stereo
+
+__all__ = [
+    "RECORDING_NAME",
+    "Administration",
+    "ChannelEntry",
+    "Daq",
+    "Environment",
+    "Excitation",
+    "Images",
+    "Load",
+    "Manifest",
+    "Part",
+    "PointFiles",
+    "RecordingFile",
+    "Rig",
+    "Sensor",
+    "Stereo",
+    "Take",
+    "find_recordings",
+    "load_manifest",
+]

@@ -1,0 +1,247 @@
+"""TOML text → checked models; every mistake becomes one InputError that names file and key."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, TypeVar, get_args
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from fusion.errors import InputError
+from fusion.manifest.cross import check_rig_and_recording
+from fusion.manifest.paths import PathScope, natural_key
+from fusion.manifest.recording import Daq, Excitation, Images, PointFiles, RecordingFile, Take
+from fusion.manifest.rig import Part, Rig
+from fusion.manifest.values import Block, Context, describe
+
+RECORDING_NAME = "recording.toml"
+LARGEST_TOML = 4_000_000  # bytes; no manifest is anywhere near
+AnyBlock = TypeVar("AnyBlock", bound=Block)
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """One recording with its rig, checked: every path resolved and existing, every reference known.
+
+    `path`: recording.toml; `folder`: where it stands; `root`: the folder of rig.toml. `part`: those of rig and
+    recording together. `files`: every input file, both manifests first.
+    """
+
+    path: Path
+    folder: Path
+    root: Path
+    rig_path: Path
+    rig: Rig
+    name: str
+    excitation: Excitation
+    daq: tuple[Daq, ...]
+    images: tuple[Images, ...]
+    points: tuple[PointFiles, ...]
+    take: tuple[Take, ...]
+    part: tuple[Part, ...]
+    files: tuple[Path, ...]
+
+
+def find_recordings(path: Path) -> list[Path]:
+    """List the recording.toml files a command is to work on: the one of a recording, or those of a campaign folder."""
+    if path.is_file():
+        return [path]
+    if not path.is_dir():
+        raise InputError(
+            path, "", "nothing at this path", "a recording folder, its recording.toml, or a campaign folder"
+        )
+    if (path / RECORDING_NAME).is_file():
+        return [path / RECORDING_NAME]
+    try:
+        below = sorted((entry for entry in path.iterdir() if entry.is_dir()), key=lambda entry: natural_key(entry.name))
+        found = [entry / RECORDING_NAME for entry in below if (entry / RECORDING_NAME).is_file()]
+    except OSError as error:
+        raise InputError(path, "", error.strerror or str(error), "a folder that can be read") from error
+    if not found:
+        raise InputError(path, "", "none", f"{RECORDING_NAME} in this folder or in a folder directly below it")
+    return found
+
+
+def load_manifest(recording: Path, allow_outside: bool = False) -> Manifest:
+    """Read and check recording.toml (or the folder it stands in) and the rig.toml it names."""
+    path = recording if recording.is_file() else recording / RECORDING_NAME
+    text = read_toml(path)
+    rig_path = _rig_path(path, text)
+    root, folder = rig_path.parent.resolve(), path.parent.resolve()
+    if not allow_outside and not folder.is_relative_to(root):
+        expected = "a rig.toml in a folder above the recording (--allow-outside permits others)"
+        raise InputError(path, "rig", f'"{text["rig"]}"', expected)
+    rig = validate(Rig, read_toml(rig_path), rig_path, Context(PathScope(root, root, allow_outside), {}))
+    record = validate(RecordingFile, text, path, Context(PathScope(folder, root, allow_outside), rig.stereo))
+    check_rig_and_recording(rig, rig_path, record, path)
+    return Manifest(
+        path=path,
+        folder=folder,
+        root=root,
+        rig_path=rig_path,
+        rig=rig,
+        name=record.name,
+        excitation=record.excitation,
+        daq=record.daq,
+        images=record.images,
+        points=record.points,
+        take=record.take,
+        part=rig.part + record.part,
+        files=_input_files(path, rig_path, rig, record),
+    )
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Read a TOML file; syntax errors tell the line."""
+    try:
+        if path.stat().st_size > LARGEST_TOML:
+            raise InputError(path, "", f"{path.stat().st_size} bytes", f"a manifest of at most {LARGEST_TOML} bytes")
+        return tomllib.loads(path.read_bytes().decode("utf-8-sig"))
+    except FileNotFoundError as error:
+        raise InputError(path, "", "no such file", "an existing file") from error
+    except OSError as error:
+        raise InputError(path, "", error.strerror or str(error), "a file that can be read") from error
+    except UnicodeDecodeError as error:
+        raise InputError(path, "", f"byte {error.start} is something else", "UTF-8 text") from error
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(path, "", str(error), "TOML") from error
+
+
+def validate(model: type[AnyBlock], text: dict[str, Any], path: Path, context: Context | None = None) -> AnyBlock:
+    """Check TOML values against a model; the first problem becomes an `InputError`."""
+    try:
+        return model.model_validate(text, context=context)
+    except ValidationError as error:
+        raise _input_error(model, text, path, error) from error
+
+
+def _rig_path(path: Path, text: dict[str, Any]) -> Path:
+    """Path of rig.toml as a recording names it."""
+    name = text.get("rig")
+    if not isinstance(name, str) or not name or "\\" in name:
+        raise InputError(path, "rig", describe(name), 'the path of rig.toml such as "../rig.toml"')
+    parts = [part for part in Path(name).parts if part != "."]
+    folder = path.parent
+    while parts and parts[0] == ".." and folder.name not in ("", "..") and not folder.is_symlink():
+        folder, parts = folder.parent, parts[1:]
+    rig_path = folder.joinpath(*parts)
+    if not rig_path.is_file():
+        raise InputError(path, "rig", f"no file {rig_path}", "an existing file")
+    return rig_path
+
+
+def _input_files(path: Path, rig_path: Path, rig: Rig, record: RecordingFile) -> tuple[Path, ...]:
+    """Every file that bears on the result, once each."""
+    groups: list[Iterable[Path]] = [(path.resolve(), rig_path.resolve()), rig.files]
+    for block in (record, *record.take):
+        groups += [[daq.file, *(entry.response for entry in daq.channel if entry.response)] for daq in block.daq]
+        groups += [[*images.left, *images.right] for images in block.images]
+        groups += [points.files for points in block.points]
+    if record.excitation.file is not None:
+        groups.append((record.excitation.file,))
+    listed = [file for group in groups for file in group]
+    return tuple(dict.fromkeys(beside for file in listed for beside in _with_companion(file)))
+
+
+def _with_companion(file: Path) -> tuple[Path, ...]:
+    """A .cih or .cihx header together with the .mraw that holds its frames."""
+    if file.suffix.lower() not in (".cih", ".cihx"):
+        return (file,)
+    frames = [file.with_suffix(suffix) for suffix in (".mraw", ".MRAW")]
+    return (file, *[frame for frame in frames if frame.is_file()][:1])
+
+
+def _input_error(model: type[Block], text: dict[str, Any], path: Path, error: ValidationError) -> InputError:
+    """The sentence about the first problem; an unknown key comes before the key that is missing in its stead."""
+    problems = error.errors(include_url=False)
+    first = min(problems, key=lambda problem: problem["type"] != "extra_forbidden")
+    place = list(first["loc"])
+    own = first.get("ctx", {}).get("key")
+    key = key_path(text, [*place, own] if own else place)
+    expected, found = _phrases(model, first)
+    return InputError(path, key, found, expected, more=len(problems) - 1)
+
+
+def key_path(text: dict[str, Any], place: list[int | str]) -> str:
+    """Key path for people: blocks of an array by their name, else counted from 1: `daq[bridge].channel[Fz].scale`."""
+    told, value = "", text
+    for step in place:
+        child = value[step] if _has(value, step) else None
+        if isinstance(step, int):
+            told += f"[{_block_name(value, child) or step + 1}]"
+        else:
+            told += f".{step}" if told else step
+        value = child  # type: ignore[assignment]
+    return told
+
+
+def _has(value: Any, step: int | str) -> bool:
+    """Whether the TOML values go on below `step`."""
+    if isinstance(step, int):
+        return isinstance(value, list | tuple) and step < len(value)
+    return isinstance(value, dict) and step in value
+
+
+def _block_name(siblings: Any, block: Any) -> str:
+    """What identifies a block among its siblings, empty if nothing does."""
+    for key in ("name", "stereo"):
+        names = [item.get(key) for item in siblings if isinstance(item, dict)] if isinstance(block, dict) else []
+        if isinstance(block, dict) and isinstance(block.get(key), str) and names.count(block[key]) == 1:
+            return str(block[key])
+    return ""
+
+
+def _phrases(model: type[Block], problem: ErrorDetails) -> tuple[str, str]:
+    """What was expected and what was found, for any error of pydantic's."""
+    kind, context = problem["type"], problem.get("ctx", {})
+    if kind == "refused":
+        return str(context["expected"]), str(context["found"])
+    if kind == "missing":
+        return "this key, which is required", "nothing"
+    if kind == "extra_forbidden":
+        return _known_keys(model, problem["loc"]), "an unknown key"
+    expected = {
+        "float_type": "a number",
+        "finite_number": "a finite number",
+        "int_type": "a whole number",
+        "bool_type": "true or false",
+        "string_type": "a text",
+        "string_too_short": "a text that is not empty",
+        "too_short": "at least {min_length} element",
+        "greater_than": "a number above {gt:g}",
+        "greater_than_equal": "a number of at least {ge:g}",
+        "less_than_equal": "a number of at most {le:g}",
+        "literal_error": "{expected}",
+        "model_type": "a table",
+        "dict_type": "a table",
+    }.get(kind, problem["msg"])
+    return expected.format(**context), describe(problem["input"])
+
+
+def _known_keys(model: type[Block], place: tuple[int | str, ...]) -> str:
+    """Which key was probably meant, else all keys of the table."""
+    known = _fields_at(model, place[:-1])
+    close = get_close_matches(str(place[-1]), known, n=1)
+    return f'a known key, probably "{close[0]}"' if close else "one of the keys " + ", ".join(known)
+
+
+def _fields_at(model: type[BaseModel], place: tuple[int | str, ...]) -> list[str]:
+    """Keys of the table at a place below a model."""
+    for step in place:
+        field = model.model_fields.get(step) if isinstance(step, str) else None
+        below = next(_models_in(field.annotation), None) if field is not None else None
+        model = below or model
+    return list(model.model_fields)
+
+
+def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    """The models that an annotation such as tuple[Daq, ...] names."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for argument in get_args(annotation):
+        yield from _models_in(argument)
