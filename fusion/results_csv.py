@@ -96,8 +96,8 @@ def sensitivity_rows(evaluation: Evaluation) -> Iterator[Row]:
                 continue
             element = sensitivity_element(found, k, int(c), int(j))
             unit = sensitivity_unit(found.unit, found.components[j])
-            head = [float(frequency), found.channels[c], found.components[j]]
-            tail = [float(found.dof[k]), unit, found.kind[k], evaluation.manifest.name]
+            head: Row = [float(frequency), found.channels[c], found.components[j]]
+            tail: Row = [float(found.dof[k]), unit, found.kind[k], evaluation.manifest.name]
             yield [*head, *_numbers(element), *tail]
 
 
@@ -129,7 +129,7 @@ def _phasor_rows(
             value = complex(phasors.value[k, c])
             if determined[k, c] and np.isfinite(value):
                 element = polar(value, element_covariance(phasors.covariance[k], c))
-                tail = [float(phasors.dof[k]), phasors.unit[c], source, recording]
+                tail: Row = [float(phasors.dof[k]), phasors.unit[c], source, recording]
                 yield [float(frequency), body, name, *_numbers(element), *tail]
 
 
@@ -142,7 +142,7 @@ def motion_rows(stereo: StereoResult) -> Iterator[Row]:
     ):
         failed = not np.isfinite(pose).all()
         numbers = np.full(13, np.nan) if failed else np.concatenate([pose, u, [residual]])
-        yield [float(time), *(float(number) for number in numbers), 0 if failed else int(points)]
+        yield [float(time), *map(float, numbers), 0 if failed else int(points)]
 
 
 def merge_tables(folders: Sequence[Path]) -> dict[str, str]:

@@ -16,8 +16,9 @@ ORDER = {
     ).split(),
     "shaker.signals": "recording files sync phasor spectrum sine frequencies".split(),
     "fusion": (
-        "notices errors settings manifest check body observe estimate consistency fuse load sensitivity evaluation channels timing stereo_motion "
-        "evaluate provenance results plots report campaign simulate progress summary cli"
+        "notices errors settings manifest check body observe estimate consistency fuse load sensitivity "
+        "evaluation channels timing stereo_motion provenance evaluate polar highlights results_csv results_h5 "
+        "plots report_numbers report_tables report results campaign simulate progress summary cli"
     ).split(),
 }
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -199,10 +200,10 @@ def _static_line(axes: Axes, curve: Curve, factor: float) -> None:
     static = abs(curve.static) / factor
     axes.axhline(static, color=RED, linewidth=1.0, linestyle=(0, (5, 3)), label="static sensitivity")
 
-    def deviation(magnitude: FloatArray) -> FloatArray:
+    def deviation(magnitude: Any) -> Any:
         return np.asarray(100.0 * (np.asarray(magnitude) / static - 1.0))
 
-    def magnitude(deviation: FloatArray) -> FloatArray:
+    def magnitude(deviation: Any) -> Any:
         return np.asarray(static * (1.0 + np.asarray(deviation) / 100.0))
 
     right = axes.secondary_yaxis("right", functions=(deviation, magnitude))

@@ -1,0 +1,144 @@
+"""The report: one well-formed page that needs nothing else and says what the numbers say."""
+
+from __future__ import annotations
+
+import dataclasses
+import html
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from evaluation_factory import Choice, make_evaluation
+from markupsafe import Markup
+
+from fusion.evaluation import Evaluation
+from fusion.report import render_report
+from fusion.report_numbers import fixed, measured, times_ten
+from fusion.report_tables import budget_table, headlines, source_tables
+
+VOID = {"meta", "img", "br", "link", "hr", "input"}
+
+
+class Outline(HTMLParser):
+    """Tags as they nest, identifiers, addresses, and the text."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.ids: list[str] = []
+        self.addresses: list[str] = []
+        self.text: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        found = dict(attrs)
+        self.ids += [found["id"]] if found.get("id") else []
+        self.addresses += [found[key] or "" for key in ("src", "href") if key in found]
+        assert tag != "script"
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if "style" not in self.open:
+            self.text.append(data)
+
+
+def outline(page: str) -> Outline:
+    parser = Outline()
+    parser.feed(page)
+    parser.close()
+    assert parser.open == []
+    return parser
+
+
+@pytest.fixture(scope="module")
+def evaluation(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
+    return make_evaluation(tmp_path_factory.mktemp("Fz"))
+
+
+@pytest.fixture(scope="module")
+def page(evaluation: Evaluation) -> str:
+    return render_report(evaluation)
+
+
+def test_page_is_well_formed_and_self_contained(page: str) -> None:
+    found = outline(page)
+    assert page.startswith("<!doctype html>")
+    assert len(found.ids) == len(set(found.ids))
+    anchors = [address[1:] for address in found.addresses if address.startswith("#")]
+    assert anchors
+    assert set(anchors) <= set(found.ids)
+    others = [address for address in found.addresses if not address.startswith("#")]
+    assert all(address.startswith("data:image/svg+xml,%3Csvg") for address in others)
+    assert not re.search(r"url\(|@import", page)
+    assert len(page.encode()) < 6_000_000
+
+
+def test_page_shows_results_warnings_and_origin(page: str) -> None:
+    text = "".join(outline(page).text)
+    assert "(1.9720 ± 0.0020) × 10−7 (V/V)/N" in text
+    assert "(−0.0337 ± 0.0010) rad" in text
+    assert "318.75 Hz is left out: <u> above its limit & more" in text
+    assert text.index("Warning") < text.index("Note")
+    assert "cd" * 32 in text
+    assert "subset_radius_px" in text
+    assert "(6.9605 ± 0.0020) kg" in text
+    assert "4.20 ± 0.20" in text  # clock rate in 1e-6
+
+
+def test_texts_are_escaped(evaluation: Evaluation) -> None:
+    manifest = evaluation.manifest
+    manifest.rig.name = "<script>alert(1)</script> & co"  # type: ignore[misc]
+    page = render_report(dataclasses.replace(evaluation, stereo=(), channels=(), clocks=()))
+    outline(page)
+    assert html.escape("<script>alert(1)</script> & co") in page
+
+
+def test_recording_without_anything_to_determine_still_has_a_page(evaluation: Evaluation) -> None:
+    bare = dataclasses.replace(
+        evaluation, stereo=(), channels=(), clocks=(), accelerations=(), load=None, sensitivity=None, notices=()
+    )
+    assert "neither an acceleration nor a sensitivity" in "".join(outline(render_report(bare)).text)
+
+
+def test_undetermined_values_do_not_break_the_page(tmp_path: Path) -> None:
+    evaluation = make_evaluation(tmp_path, Choice(frames=24))
+    sensitivity = evaluation.sensitivity
+    assert sensitivity is not None
+    lost = sensitivity.value.copy()
+    lost[0] = np.nan
+    changed = dataclasses.replace(sensitivity, value=lost, budget=())
+    page = render_report(dataclasses.replace(evaluation, sensitivity=changed, stereo=evaluation.stereo[:1]))
+    assert "nan" not in "".join(outline(page).text).lower().replace("resonan", "")
+
+
+def test_headlines_name_the_deviation_from_the_static_sensitivity(evaluation: Evaluation) -> None:
+    first = headlines(evaluation)[0]
+    assert first.label == "Sensitivity Fz per Fz, 106.2503 Hz"
+    assert "from static: (−1.400 ± 0.099) %" in first.remark  # 1.972/2 - 1, and 2 × 1e-10/2e-7 at 45°: 0.1 %
+
+
+def test_sources_stand_side_by_side(evaluation: Evaluation) -> None:
+    load, base = source_tables(evaluation)
+    assert load.head == ("", "unit", "fused", "photogrammetry", "vibrometer", "accelerometer")
+    assert base.head == ("", "unit", "fused")
+    assert load.rows[3][4] == "–"
+
+
+def test_budget_is_sorted_and_its_shares_make_a_whole(evaluation: Evaluation) -> None:
+    table = budget_table(evaluation)
+    assert table is not None
+    assert table.rows[0][0] == "internal mass"
+    assert sum(float(row[4]) for row in table.rows[:-1]) == pytest.approx(100.0, abs=0.3)
+
+
+def test_numbers_as_html() -> None:
+    assert measured(1.9719871e-7, 2.04e-10, "(V/V)/N") == Markup("(1.9720 ± 0.0020) × 10<sup>−7</sup> (V/V)/N")
+    assert measured(1.0, 0.5) == Markup("1.00 ± 0.50")
+    assert measured(2.5, 0.0, "m/s^2") == Markup("2.5 m/s²")
+    assert fixed(2.1e-10, 6.1e-11, -7) == Markup("0.00210 ± 0.00061")
+    assert times_ten(0, "N.m") == Markup("N·m")
