@@ -4,13 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
-if TYPE_CHECKING:
-    from fusion.manifest import Manifest
 
 FloatArray = NDArray[np.float64]
 
@@ -143,27 +139,6 @@ class Body:
     def parameters(self) -> tuple[BodyParameter, ...]:
         """Return every parameter with an uncertainty: mass, centre of mass and inertia of each part."""
         return tuple(parameter for part in self.parts for parameter in _parameters(part))
-
-
-def body_of(manifest: Manifest, body: str = "load") -> Body:
-    """Return the rigid parts of `body`: `[load]`, the sensor's internal mass, and every `[[part]]` on it."""
-    parts = []
-    load, sensor = manifest.rig.load, manifest.rig.sensor
-    named = [("load", load)] if load is not None and body == "load" else []
-    for name, entry in [*named, *((f"part {p.name}", p) for p in manifest.part if p.body == body)]:
-        conventional = entry.mass_kind == "conventional"
-        ratio = true_mass(1.0, float(entry.density or REFERENCE_DENSITY)) if conventional else 1.0
-        uncertainties = (entry.mass_uncertainty * ratio, entry.centre_of_mass_uncertainty, entry.inertia_uncertainty)
-        parts.append(make_part(name, entry.mass * ratio, entry.centre_of_mass, entry.inertia, uncertainties))
-    if sensor is not None and body == "load":
-        uncertainties = (
-            sensor.internal_mass_uncertainty,
-            sensor.internal_centre_of_mass_uncertainty,
-            sensor.internal_inertia_uncertainty,
-        )
-        centre, inertia = sensor.internal_centre_of_mass, sensor.internal_inertia
-        parts.append(make_part("internal mass", sensor.internal_mass, centre, inertia, uncertainties))
-    return Body(tuple(parts))
 
 
 def _terms(part: Part) -> InertialTerms:

@@ -90,7 +90,7 @@ def sensitivity_ratio(
     component = driven_component(direction, capacity)
     signals = stack_phasors([reading.phasors for reading in outputs])
     driven = load.phasors.value[:, component]
-    ratio = signals.value / driven[:, None]
+    ratio = _quotient(signals.value, driven[:, None])
     parts = _output_parts(outputs, signals, ratio, driven) + _load_parts(load, component, ratio, driven)
     covariance = np.sum([part for _, _, part in parts], axis=0)
     lines, channels = ratio.shape
@@ -123,6 +123,14 @@ def _multiply(factor: ComplexArray) -> FloatArray:
     return np.stack([np.stack([factor.real, -factor.imag], -1), np.stack([factor.imag, factor.real], -1)], -2)
 
 
+def _quotient(numerator: ComplexArray | float, denominator: ComplexArray) -> ComplexArray:
+    """Complex quotient, NaN where the denominator is zero or not known."""
+    shape = np.broadcast_shapes(np.shape(numerator), denominator.shape)
+    usable = np.isfinite(denominator) & (denominator != 0.0)
+    empty = np.full(shape, complex(np.nan, np.nan))
+    return np.asarray(np.divide(numerator, denominator, out=empty, where=usable))
+
+
 def _output_parts(
     outputs: Sequence[Reading], signals: Phasors, ratio: ComplexArray, driven: ComplexArray
 ) -> list[Part]:
@@ -130,7 +138,7 @@ def _output_parts(
     count = len(outputs)
     pair = np.stack([np.arange(count), np.arange(count) + count], axis=1)
     noise = signals.covariance[:, pair[:, :, None], pair[:, None, :]]
-    jacobian = np.broadcast_to(_multiply(1.0 / driven)[:, None], (*ratio.shape, 2, 2))
+    jacobian = np.broadcast_to(_multiply(_quotient(1.0, driven))[:, None], (*ratio.shape, 2, 2))
     found: list[Part] = [(NOISE, "A", jacobian @ noise @ jacobian.swapaxes(-1, -2))]
     chains: dict[str, list[int]] = {}
     for place, reading in enumerate(outputs):
@@ -154,7 +162,7 @@ def _outer(error: RelativeError, ratio: ComplexArray) -> FloatArray:
 
 def _load_parts(load: LoadResult, component: int, ratio: ComplexArray, driven: ComplexArray) -> list[Part]:
     """Covariances (K, C, 2, 2) of the ratios from every contribution of the load."""
-    jacobian = _multiply(-ratio / driven[:, None])
+    jacobian = _multiply(_quotient(-ratio, driven[:, None]))
     pair = np.array([component, component + 6])
     found: list[Part] = []
     for entry in load.contributions:
@@ -165,8 +173,7 @@ def _load_parts(load: LoadResult, component: int, ratio: ComplexArray, driven: C
 
 def _budget_entry(label: str, kind: Literal["A", "B"], part: FloatArray, ratio: ComplexArray) -> BudgetEntry:
     """Relative standard uncertainties along (magnitude) and across (phase) the ratio."""
-    # Of an output that is exactly zero nothing relative can be said.
-    turn = _multiply(1.0 / np.where(ratio == 0.0, complex(np.nan, np.nan), ratio))
+    turn = _multiply(_quotient(1.0, ratio))
     relative = turn @ part @ turn.swapaxes(-1, -2)
     return BudgetEntry(
         label, kind, np.sqrt(np.maximum(relative[..., 0, 0], 0.0)), np.sqrt(np.maximum(relative[..., 1, 1], 0.0))
