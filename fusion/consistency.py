@@ -137,14 +137,18 @@ def discrepancy(system: System, solution: Solution) -> FloatArray:
 
 
 def _row_sizes(observations: Sequence[Observation], acceleration: ComplexArray) -> FloatArray:
-    """Size of the motion in each real row's unit."""
-    total = np.linalg.norm(acceleration / SCALE, axis=1)[:, None]
-    rows = []
+    """Size of the motion in each real row's unit: the estimate's or, if larger, the largest reading's."""
+    size = np.linalg.norm(acceleration / SCALE, axis=1)
+    factors = []
     for observation in observations:
         shift = np.linalg.norm(observation.design[..., :3], axis=2)
         turn = np.linalg.norm(observation.design[..., 3:], axis=2) / BODY_SIZE_M
-        rows.append(real_rows(observation, np.where(shift > 0.0, shift, turn) * total * (1.0 + 1.0j)))
-    return np.concatenate(rows)
+        factors.append(np.where(shift > 0.0, shift, turn))
+        readings = np.nan_to_num(np.abs(observation.phasors.value)) / factors[-1]
+        size = np.maximum(size, np.max(readings, axis=1))
+    return np.concatenate(
+        [real_rows(o, factor * size[:, None] * (1.0 + 1.0j)) for o, factor in zip(observations, factors, strict=True)]
+    )
 
 
 def _chi2(log_tau: float, readings: FloatArray, design: FloatArray, spread: FloatArray, sizes: FloatArray) -> float:

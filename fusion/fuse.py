@@ -73,39 +73,23 @@ def fuse(observations: Sequence[Observation], body: str = "load", source: Source
     if not own:
         raise ValueError(f"observations: expected at least one of body {body}, found none")
     stated = [observation for observation in own if observation.stated]
-    used = stated or own
-    system = build_system(used)
+    system = build_system(stated or own)
     first = solve(system)
     tests = leave_one_out(system, first)
     failed = fails(first.chi2, first.dof)
-    extra = discrepancy(system, first) if failed else np.zeros(len(system.readings))
-    final = solve(system, extra) if np.any(extra > 0.0) else first
-    contributions = _contributions(system, final, extra)
-    covariance = np.sum([entry.covariance for entry in contributions], axis=0)
-    if failed and fails(final.chi2, final.dof):
-        birge = Contribution(INCONSISTENCY, "A", (final.chi2 / final.dof - 1.0) * covariance)
-        contributions = _merge([*contributions, birge])
-        covariance = covariance + birge.covariance
-    value = np.where(system.observed, final.acceleration, complex(np.nan, np.nan))
-    for observation in own:
-        if stated and not observation.stated:
-            tests += compare(observation, value, covariance)
-    frequency = used[0].phasors.frequency_hz
-    influence = (final.gain @ final.effects).T.reshape(len(system.names), len(frequency), 12)
+    final, contributions = _enlarged(system, first) if failed else (first, _contributions(system, first))
+    phasors = _phasors(system, final, contributions)
+    for observation in own if stated else ():
+        if not observation.stated:
+            tests += compare(observation, phasors.value, phasors.covariance)
     hidden = ~np.tile(system.observed, (1, 2))
+    influence = (final.gain @ final.effects).T.reshape(len(system.names), len(hidden), 12)
     return Acceleration(
         body=body,
         source=source,
-        phasors=Phasors(
-            frequency_hz=frequency,
-            value=value,
-            covariance=_hide(covariance, hidden),
-            channels=COMPONENTS,
-            unit=UNITS,
-            dof=_effective_dof(system, final, contributions),
-        ),
+        phasors=phasors,
         observed=system.observed,
-        instruments=tuple(_title(observation) for observation in used),
+        instruments=tuple(_title(observation) for observation in system.observations),
         contributions=tuple(Contribution(c.label, c.type, _hide(c.covariance, hidden)) for c in contributions),
         consistency=tests,
         chi2=first.chi2,
@@ -114,6 +98,31 @@ def fuse(observations: Sequence[Observation], body: str = "load", source: Source
         common_estimate=final.errors,
         common_influence=np.where(hidden, np.nan, influence),
         notices=_notices(body, system, bool(stated), tests, first if failed else None),
+    )
+
+
+def _enlarged(system: System, first: Solution) -> tuple[Solution, list[Contribution]]:
+    """Repeat an estimate that failed its test with a discrepancy in the failing lines, and enlarge what still fails."""
+    extra = discrepancy(system, first)
+    final = solve(system, extra)
+    contributions = _contributions(system, final, extra)
+    if fails(final.chi2, final.dof):
+        total = np.sum([entry.covariance for entry in contributions], axis=0)
+        birge = Contribution(INCONSISTENCY, "A", (final.chi2 / final.dof - 1.0) * total)
+        contributions = _merge([*contributions, birge])
+    return final, contributions
+
+
+def _phasors(system: System, solution: Solution, contributions: Sequence[Contribution]) -> Phasors:
+    """Estimate with its whole covariance, NaN where not observed."""
+    hidden = ~np.tile(system.observed, (1, 2))
+    return Phasors(
+        frequency_hz=system.observations[0].phasors.frequency_hz,
+        value=np.where(system.observed, solution.acceleration, complex(np.nan, np.nan)),
+        covariance=_hide(np.sum([entry.covariance for entry in contributions], axis=0), hidden),
+        channels=COMPONENTS,
+        unit=UNITS,
+        dof=_effective_dof(system, solution, contributions),
     )
 
 
@@ -140,8 +149,9 @@ def _hide(covariance: FloatArray, hidden: BoolArray) -> FloatArray:
     return np.where(hidden[:, :, None] | hidden[:, None, :], np.nan, covariance)
 
 
-def _contributions(system: System, solution: Solution, extra: FloatArray) -> list[Contribution]:
+def _contributions(system: System, solution: Solution, extra: FloatArray | None = None) -> list[Contribution]:
     """Split gain · V · gain^T of every line into noise per instrument, labelled common errors and discrepancy."""
+    extra = np.zeros(len(system.readings)) if extra is None else extra
     lines = len(system.observed)
     gain = solution.gain.reshape(lines, 12, -1)
     noise = solution.noise - np.diag(extra**2)

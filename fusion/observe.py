@@ -163,7 +163,7 @@ def observe_stereo(
     factor = derivative_factor(phasors.frequency_hz, -2)
     design = factor[:, None, None] * np.eye(6)
     geometry: list[tuple[str, str, float, ArrayLike]] = [
-        ("scale", "", entry.scale_uncertainty, np.diag([1.0, 1, 1, 0, 0, 0]))
+        ("scale", "", entry.scale_uncertainty or 0.0, np.diag([1.0, 1, 1, 0, 0, 0]))
     ]
     for axis, letter in enumerate("xyz"):
         spin = cross_matrix(np.eye(3)[axis])

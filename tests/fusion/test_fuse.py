@@ -108,13 +108,10 @@ def test_leave_one_out_equals_a_fit_without_the_instrument() -> None:
     stated = {"individual_uncertainty": 1e-3, "scale_uncertainty": 1e-3}
     every = noisy(lasers(CIRCLE, 1e-3, TRUTH[:1], **stated), rng)
     result = fuse([every])
-    kept = np.arange(1, 8)
-    both = np.concatenate([kept, kept + 8])
     less = replace(
         every,
         phasors=replace(every.phasors, value=np.where(np.arange(8) > 0, every.phasors.value, np.nan)),
     )
-    assert len(both) == 14
     others = fuse([less])
     system = build_system([less])
     solution = solve(system)
@@ -164,6 +161,31 @@ def test_one_laser_three_per_cent_off_is_named_and_covered(laser: int) -> None:
     u = np.hypot(result.phasors.u_re[0, 2], result.phasors.u_im[0, 2])
     assert abs(result.phasors.value[0, 2] - TRUTH[0, 2]) < 2 * u
     assert any(entry.label == "inconsistency of instruments" for entry in result.contributions)
+
+
+def test_an_artefact_at_a_harmonic_leaves_the_fundamental_alone() -> None:
+    rng = np.random.default_rng(8)
+    false = noisy(camera(**CAMERA), rng)
+    value = false.phasors.value.copy()
+    value[1, 2] *= 30.0
+    seen = [with_values(false, value), noisy(lasers(CIRCLE, 1e-5, **LASER), rng)]
+    result = fuse(seen)
+    error = np.abs(result.phasors.value[:, 2] - TRUTH[:, 2])
+    u = np.hypot(result.phasors.u_re, result.phasors.u_im)[:, 2]
+    assert u[0] < 5e-4 * 189.0
+    assert error[0] < 3 * u[0]
+    assert u[1] > 0.5 * abs(TRUTH[1, 2])
+    assert error[1] < 3 * u[1]
+    assert "stereo top lies" in result.notices[-1].text
+
+
+def test_errors_of_one_instrument_are_known_from_all_lines() -> None:
+    # A laser's delay of three standard uncertainties shows against an exact camera at both lines and is taken off.
+    exact = camera(1e-13, scale_uncertainty=1e-9)
+    late = lasers([(0.0, 0.0, 0.04)], 5e-6, delay_uncertainty=5e-7)
+    late = with_values(late, late.phasors.value * np.exp(-2j * np.pi * FREQUENCY[:, None] * 1.5e-6))
+    result = fuse([exact, late])
+    assert result.common_estimate[result.common.index("laser: delay")] == pytest.approx(3.0, rel=1e-2)
 
 
 def test_regions_cover_and_tests_pass_as_often_as_they_claim() -> None:
