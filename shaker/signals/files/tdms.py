@@ -13,7 +13,9 @@ def read_tdms(path: Path, names: Sequence[str] | None, sample_rate_hz: float | N
     """Read channels by `group/channel`, or by the channel's name alone where only one group has it."""
     from nptdms import TdmsFile
 
-    with TdmsFile.open(path) as file:
+    with path.open("rb") as stream, TdmsFile.open(stream) as file:
+        if file.file_status.incomplete_final_segment:
+            raise ValueError(f"{path}: expected a complete TDMS file, found its last segment cut off")
         channels = {
             f"{group.name}/{channel.name}": channel
             for group in file.groups()

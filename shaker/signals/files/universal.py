@@ -26,6 +26,8 @@ def read_universal(path: Path, names: Sequence[str] | None, sample_rate_hz: floa
     """
     import pyuff
 
+    if not path.read_bytes()[-1024:].rstrip().endswith(b"-1"):
+        raise ValueError(f"{path}: expected the end mark -1 of the last data set, found the file cut off")
     file = pyuff.UFF(str(path))
     kinds = [int(kind) for kind in file.get_set_types()]
     if not kinds:

@@ -24,7 +24,8 @@ def read_wave(path: Path, names: Sequence[str] | None, sample_rate_hz: float | N
         warnings.simplefilter("ignore", wavfile.WavFileWarning)
         warnings.filterwarnings("error", message="Reached EOF", category=wavfile.WavFileWarning)
         try:
-            rate, samples = wavfile.read(path)
+            with path.open("rb") as file:
+                rate, samples = wavfile.read(file)
         except wavfile.WavFileWarning as error:
             raise ValueError(f"{path}: expected a complete WAV file, found its end too early") from error
     columns = samples.reshape(len(samples), -1)
