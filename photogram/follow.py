@@ -10,16 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photogram._checks import BoolArray, FloatArray, check_shape
-from photogram.icgn import (
-    Reference,
-    Registration,
-    TrackStatus,
-    noise_of_residual,
-    position_covariance,
-    register,
-)
+from photogram.icgn import Registration, noise_of_residual, position_covariance, register
 from photogram.images import GreyImage
 from photogram.interpolate import Spline
+from photogram.reference import Reference, TrackStatus
 from photogram.search import affine_field, neighbour_starts, template_shifts
 from photogram.subset import subset_mean
 

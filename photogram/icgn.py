@@ -3,61 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
 from photogram._checks import FloatArray, IntArray, check_shape
-from photogram.interpolate import PADDING_PX, Spline, evaluate, noise_gain, weights_cubic, weights_quintic
+from photogram.interpolate import (
+    PADDING_PX,
+    Spline,
+    noise_gain,
+    weights_cubic,
+    weights_quintic,
+)
 
-FLAT_CONDITION = 1e-12
 FREE_PARAMETERS = 8
+SMALL_STEP = 0.1
 ALLOWED = {"contract", "reassoc", "nsz", "arcp"}
-
-
-class TrackStatus(IntEnum):
-    """What became of one subset in one frame; every status but `OK` comes with NaN positions."""
-
-    OK = 0
-    NOT_CONVERGED = 1
-    LOW_CORRELATION = 2
-    LEFT_IMAGE = 3
-    FLAT = 4
-    SATURATED = 5
-    NO_START = 6
-
-
-@dataclass(frozen=True)
-class Reference:
-    """Square subsets of P = (2·radius+1)² pixels around centre_px (N,2), prepared once for a whole sequence.
-
-    pixels (N,3,P): grey value f̃ without its mean, gradient along x, gradient along y. mean (N,): of the grey values;
-    energy (N,): Σf̃². removed (N,2,6): mean of each steepest-descent image and its regression on f̃. inverse_hessian
-    (N,6,6): of the steepest-descent images without what is removed, so that gain and offset are free parameters.
-    noise_gain (N,): variance of the subset's grey values per variance of the pixels. status (N,): `OK`, `FLAT` or
-    `LEFT_IMAGE`.
-    """
-
-    centre_px: FloatArray
-    radius_px: int
-    pixels: FloatArray
-    mean: FloatArray
-    energy: FloatArray
-    removed: FloatArray
-    inverse_hessian: FloatArray
-    noise_gain: FloatArray
-    status: NDArray[np.int8]
-
-    def __post_init__(self) -> None:
-        check_shape("centre_px", self.centre_px, (None, 2))
-        count, size = len(self.centre_px), (2 * self.radius_px + 1) ** 2
-        check_shape("pixels", self.pixels, (count, 3, size))
-        check_shape("removed", self.removed, (count, 2, 6))
-        check_shape("inverse_hessian", self.inverse_hessian, (count, 6, 6))
-        for name in ("mean", "energy", "noise_gain", "status"):
-            check_shape(name, getattr(self, name), (count,))
 
 
 @dataclass(frozen=True)
@@ -82,37 +44,14 @@ class Registration:
             check_shape(name, getattr(self, name), (len(self.warp),))
 
 
-def prepare_reference(spline: Spline, centre_px: FloatArray, radius_px: int) -> Reference:
-    """Grey values, gradients and Hessians of the subsets of one image; centres (N,2) need not be whole pixels.
-
-    Steepest-descent images of the affine warp: [f_x, f_x dx, f_x dy, f_y, f_y dx, f_y dy] (Baker, Matthews 2004,
-    Int. J. Comput. Vis. 56, 221; Pan, Li, Tong 2013, Exp. Mech. 53, 1277), each without its mean and its part along f̃.
-    """
-    check_shape("centre_px", centre_px, (None, 2))
-    offsets = subset_offsets(radius_px)
-    count, size = len(centre_px), len(offsets)
-    points = (centre_px[:, None, :] + offsets).reshape(-1, 2)
-    values, gradients = evaluate(spline, points)
-    pixels = np.empty((count, 3, size))
-    pixels[:, 0] = values.reshape(count, size)
-    pixels[:, 1:] = np.moveaxis(gradients.reshape(count, size, 2), 2, 1)
-    mean = pixels[:, 0].mean(axis=1)
-    pixels[:, 0] -= mean[:, None]
-    energy = np.sum(pixels[:, 0] ** 2, axis=1)
-    removed, inverse_hessian, status = np.zeros((count, 2, 6)), np.full((count, 6, 6), np.nan), np.zeros(count, np.int8)
-    for n in range(count):
-        status[n] = _solve_hessian(pixels[n], energy[n], offsets, removed[n], inverse_hessian[n])
-    gain = noise_gain(centre_px[:, 0], spline.degree) * noise_gain(centre_px[:, 1], spline.degree)
-    return Reference(centre_px, radius_px, pixels, mean, energy, removed, inverse_hessian, gain, status)
-
-
 def register(
     reference: Reference, target: Spline, start: FloatArray, max_iterations: int, convergence_px: float, min_zncc: float
 ) -> Registration:
     """Find every subset of `reference` in the image `target`, beginning at the warps `start` (N,6); NaN = no start.
 
     Minimises the zero-normalised sum of squared differences (its gain and offset eliminated) over the affine warp, by
-    W(p) ← W(p) ∘ W(δ)⁻¹ with δ = H⁻¹ Σ SDᵀ g(W(p)) / gain, until no point of the subset moves by `convergence_px`.
+    W(p) ← W(p) ∘ W(δ)⁻¹ with δ = H⁻¹ Σ SDᵀ g(W(p)) / gain, until no point of the subset moves by `convergence_px` or
+    the step is below a tenth of its standard uncertainty, δᵀ(gain² H/s²)δ < 0.01 with the residual variance s².
     """
     count = len(reference.centre_px)
     check_shape("start", start, (count, 6))
@@ -135,13 +74,14 @@ def register(
 def position_covariance(reference: Reference, found: Registration, noise_grey: FloatArray) -> FloatArray:
     """Covariance (N,2,2) in px² of the found centres from white image noise of standard deviation noise_grey (N,).
 
-    A [H⁻¹]_tt Aᵀ σ²/gain² with the translation block of the inverse Hessian (affine parameters, gain and offset free)
-    and A the local deformation: the noise of the one image; that of the reference is constant over a series.
+    A V Aᵀ σ²/gain² with V the `position_variance` of the subset (affine parameters, gain and offset free) and A the
+    local deformation: the noise of the one image; that of the reference is constant over a series.
     """
-    translation = reference.inverse_hessian[:, [0, 3]][:, :, [0, 3]]
     deformation = np.eye(2) + found.warp[:, [1, 2, 4, 5]].reshape(-1, 2, 2)
     scale = (noise_grey / found.gain) ** 2
-    covariance: FloatArray = deformation @ translation @ np.swapaxes(deformation, 1, 2) * scale[:, None, None]
+    covariance: FloatArray = (
+        deformation @ reference.position_variance @ np.swapaxes(deformation, 1, 2) * scale[:, None, None]
+    )
     return covariance
 
 
@@ -159,37 +99,6 @@ def noise_of_residual(reference: Reference, found: Registration, degree: int) ->
     kept = np.mean(noise_gain(points[..., 0], degree) * noise_gain(points[..., 1], degree), axis=1)
     variance: FloatArray = found.residual_grey2 / (kept + found.gain**2 * reference.noise_gain)
     return np.sqrt(variance)
-
-
-def subset_offsets(radius_px: int) -> FloatArray:
-    """Pixels (P,2) of a subset relative to its centre, row by row."""
-    line = np.arange(-radius_px, radius_px + 1, dtype=np.float64)
-    rows, columns = np.meshgrid(line, line, indexing="ij")
-    return np.column_stack([columns.ravel(), rows.ravel()])
-
-
-def _solve_hessian(
-    pixels: FloatArray, energy: float, offsets: FloatArray, removed: FloatArray, inverse_hessian: FloatArray
-) -> int:
-    """Fill `removed` and `inverse_hessian` of one subset; its status says whether that was possible."""
-    if not np.all(np.isfinite(pixels)):
-        return TrackStatus.LEFT_IMAGE
-    shape = np.column_stack([np.ones(len(offsets)), offsets])
-    steepest = np.concatenate([pixels[1][:, None] * shape, pixels[2][:, None] * shape], axis=1)
-    if energy <= 0.0:
-        return TrackStatus.FLAT
-    removed[0] = steepest.mean(axis=0)
-    removed[1] = pixels[0] @ steepest / energy
-    steepest -= removed[0] + pixels[0][:, None] * removed[1]
-    hessian = steepest.T @ steepest
-    scale = np.sqrt(np.diag(hessian))
-    if scale.min() <= 0.0:
-        return TrackStatus.FLAT
-    scaled = hessian / np.outer(scale, scale)
-    if np.linalg.eigvalsh(scaled)[0] < FLAT_CONDITION:
-        return TrackStatus.FLAT
-    inverse_hessian[:] = np.linalg.inv(scaled) / np.outer(scale, scale)
-    return TrackStatus.OK
 
 
 @njit(cache=True, parallel=True)
@@ -217,7 +126,7 @@ def _register_one(subset, solved, target, limits, warp, scores):  # type: ignore
     removed, inverse = solved
     max_iterations, convergence, min_zncc = limits
     count = (2 * radius + 1) ** 2
-    sums, step = np.empty(9), np.empty(6)
+    sums, step, slope = np.empty(9), np.empty(6), np.empty(6)
     for value in warp:
         if not np.isfinite(value):
             return 6, 0
@@ -229,19 +138,21 @@ def _register_one(subset, solved, target, limits, warp, scores):  # type: ignore
         gain = sums[2] / energy
         if spread <= 0.0 or gain <= 0.0:
             return 2, iteration
+        for j in range(6):
+            slope[j] = sums[3 + j] - removed[0, j] * sums[0] - removed[1, j] * sums[2]
+        improvement = 0.0
         for i in range(6):
             step[i] = 0.0
             for j in range(6):
-                step[i] += inverse[i, j] * (sums[3 + j] - removed[0, j] * sums[0] - removed[1, j] * sums[2])
-            step[i] /= gain
+                step[i] += inverse[i, j] * slope[j] / gain
+            improvement += step[i] * slope[i]
         _compose_inverse(warp, step)
+        zncc = sums[2] / np.sqrt(spread * energy)
+        residual = spread * max(0.0, 1.0 - zncc * zncc) / (count - FREE_PARAMETERS)
         moved = step[0] ** 2 + step[3] ** 2
         moved += radius**2 * (step[1] ** 2 + step[2] ** 2 + step[4] ** 2 + step[5] ** 2)
-        if moved < convergence**2:
-            zncc = sums[2] / np.sqrt(spread * energy)
-            scores[0] = zncc
-            scores[1] = gain
-            scores[2] = spread * max(0.0, 1.0 - zncc * zncc) / (count - FREE_PARAMETERS)
+        if moved < convergence**2 or gain * improvement < SMALL_STEP**2 * residual:
+            scores[0], scores[1], scores[2] = zncc, gain, residual
             return (0 if zncc >= min_zncc else 2), iteration
     return 1, max_iterations
 

@@ -91,6 +91,16 @@ def _noise_gain_table(degree: int) -> FloatArray:
     return gains
 
 
+@cache
+def slope_noise_gain(degree: int = 5) -> float:
+    """Variance of the spline's slope at a pixel for white noise of variance 1: Σ_k h′(k)² of the cardinal spline h."""
+    impulse = np.zeros((2 * PADDING_PX, 65))
+    impulse[:] = np.arange(65) == 32
+    points = np.column_stack([np.arange(65.0), np.full(65, float(PADDING_PX))])
+    _, gradients = evaluate(spline_of_image(impulse, degree), points)
+    return float(np.sum(gradients[:, 0] ** 2))
+
+
 @njit(cache=True, parallel=True)
 def _prefilter(image, poles):  # type: ignore[no-untyped-def]
     """Spline coefficients of an image: every row, then blocks of columns."""

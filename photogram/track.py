@@ -24,11 +24,11 @@ from photogram.follow import (
     tracks_of,
     without_saturated,
 )
-from photogram.icgn import TrackStatus, prepare_reference
 from photogram.images import GreyImage, ImageSequence
 from photogram.interpolate import spline_of_image
 from photogram.notice import Notice
 from photogram.predict import predict_warp
+from photogram.reference import TrackStatus, prepare_reference
 from photogram.search import affine_starts, agreeing, epipolar_distance, match_features
 from photogram.subset import fine_texture_share, lay_grid, speckle_size, subsets_inside, textured_area
 
@@ -149,6 +149,8 @@ def track_stereo(
     matched = match_stereo(images[0], images[1], points, settings)
     right_px = matched.position_px[0]
     kept = (matched.status[0] == TrackStatus.OK) & subsets_inside(areas[1], right_px, settings.radius_px, OVERLAP)
+    for image, camera, centres in ((images[0], left, points), (images[1], right, right_px)):
+        kept &= ~saturated(image, camera.full_scale, centres, settings.radius_px)
     notices: list[Notice] = []
     if rig is not None:
         kept &= _on_epipolar_lines(rig, points, np.where(kept[:, None], right_px, np.nan), notices)

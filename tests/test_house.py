@@ -12,7 +12,7 @@ FORBIDDEN = {"photogram": {"shaker", "fusion"}, "shaker": {"photogram", "fusion"
 ORDER = {
     "photogram": (
         "_checks notice _inverse _pinhole rigid camera calibration_file triangulate mraw images point_tables "
-        "interpolate subset search icgn follow predict track motion synthetic"
+        "interpolate subset search reference icgn follow predict track motion synthetic"
     ).split(),
     "shaker.signals": "recording files sync phasor spectrum sine frequencies".split(),
     "fusion": (
