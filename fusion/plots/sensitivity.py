@@ -51,8 +51,9 @@ def sensitivity_pictures(evaluation: Evaluation) -> list[Picture]:
     """All figures of the sensitivity of one recording."""
     if evaluation.sensitivity is None:
         return []
-    pictures = [draw_curve(driven_curve(evaluation))]
-    if len(evaluation.sensitivity.channels) > 1:
+    curve, ratio = driven_curve(evaluation), evaluation.sensitivity.value[main_line(evaluation)]
+    pictures = [draw_curve(curve)] if curve.points else []
+    if len(ratio) > 1 and np.isfinite(ratio[:, driven_component(evaluation)]).all():
         pictures.append(draw_outputs(evaluation))
     return pictures
 

@@ -41,7 +41,6 @@ STYLE: dict[str, Any] = {
     "axes.spines.right": False,
     "axes.grid": True,
     "axes.axisbelow": True,
-    "axes.formatter.use_mathtext": True,
     "axes.formatter.useoffset": False,
     "grid.color": "#e8e8e8",
     "grid.linewidth": 0.6,
