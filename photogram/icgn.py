@@ -9,13 +9,8 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from photogram._checks import FloatArray, IntArray, check_shape
-from photogram.interpolate import (
-    PADDING_PX,
-    Spline,
-    noise_gain,
-    weights_cubic,
-    weights_quintic,
-)
+from photogram.interpolate import PADDING_PX, Spline, noise_gain, weights_cubic, weights_quintic
+from photogram.reference import Reference, TrackStatus, subset_offsets
 
 FREE_PARAMETERS = 8
 SMALL_STEP = 0.1
