@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +41,15 @@ def channel_unit(manifest: Manifest, channel: ChannelEntry) -> str:
     return QUANTITY_UNITS[channel.quantity]
 
 
+def nominal_lines(manifest: Manifest) -> tuple[Sequence[float], Literal["auto"] | Sequence[int]]:
+    """Return the nominal fundamentals in Hz and the harmonics asked for; a multisine may state a band instead."""
+    excitation = manifest.excitation
+    if excitation.frequencies is None:
+        expected = "the frequencies of the lines, which shakercal run needs"
+        raise InputError(manifest.path, "excitation.frequencies", found="none", expected=expected)
+    return excitation.frequencies, excitation.harmonics
+
+
 def find_channel_lines(manifest: Manifest, base: TimeBase) -> Lines | None:
     """Find the lines in the fastest channel that shows the excitation; None where no block has such a channel."""
     best = _line_channel(base)
@@ -47,9 +57,9 @@ def find_channel_lines(manifest: Manifest, base: TimeBase) -> Lines | None:
         return None
     record, channel = best
     time_s = base.to_base_s(record.entry.name, record.time_s(channel.name))
-    excitation = manifest.excitation
+    nominal_hz, harmonics = nominal_lines(manifest)
     try:
-        return find_lines(time_s, record.values(channel)[:, None], excitation.frequencies, excitation.harmonics)
+        return find_lines(time_s, record.values(channel)[:, None], nominal_hz, harmonics)
     except ValueError as error:
         expected = f"lines that stand out in channel {channel.name} of {record.entry.file.name}"
         raise InputError(manifest.path, "excitation.frequencies", found=str(error), expected=expected) from error
@@ -118,7 +128,7 @@ def _result(
         name=channel.name,
         daq=record.entry.name,
         quantity=channel.quantity,
-        body=channel.body,
+        body=channel.body or "",
         unit=phasors.unit[0],
         sample_rate_hz=rate_hz,
         samples=len(values),

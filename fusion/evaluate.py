@@ -18,7 +18,7 @@ from fusion.readings import channel_readings, gravity, load_body, observations
 from fusion.records import read_daqs
 from fusion.sensitivity import Sensitivity, sensitivity_ratio
 from fusion.settings import ProgressCallback, Settings, no_progress
-from fusion.stereo_motion import StereoMotion, measure_images, measure_points, motion_lines, stereo_phasors
+from fusion.stereo_motion import StereoMotion, measure_images, measure_points, motion_lines, open_images, stereo_phasors
 from fusion.timing import TimeBase, tie_daqs
 from shaker.signals.frequencies import Lines
 
@@ -82,8 +82,9 @@ def _measure_motions(
     manifest: Manifest, base: TimeBase, settings: Settings, progress: ProgressCallback
 ) -> tuple[StereoMotion, ...]:
     """Measure the motion seen by every stereo pair, from images or from points."""
-    images = [measure_images(manifest, base, entry, settings, progress) for entry in manifest.images]
-    return (*images, *(measure_points(manifest, base, entry) for entry in manifest.points))
+    opened = [open_images(manifest, base, entry) for entry in manifest.images]
+    points = [measure_points(manifest, base, entry) for entry in manifest.points]
+    return (*(measure_images(manifest, images, settings, progress) for images in opened), *points)
 
 
 def _fuse_bodies(seen: Sequence[Observation]) -> tuple[Acceleration, ...]:
@@ -113,8 +114,10 @@ def _sensitivity(
     if sensor is None or load is None or not outputs:
         return None
     outputs.sort(key=lambda reading: sensor.channels.index(str(reading.entry.channel)))
-    excitation = manifest.excitation
-    return sensitivity_ratio(outputs, load, excitation.direction, lines.multiple, sensor.unit, sensor.capacity)
+    direction = manifest.excitation.direction
+    if direction is None:
+        return None
+    return sensitivity_ratio(outputs, load, direction, lines.multiple, sensor.unit, sensor.capacity)
 
 
 def _clock_notices(base: TimeBase) -> list[AnyNotice]:

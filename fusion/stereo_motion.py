@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.channels import spread_lines
+from fusion.channels import nominal_lines, spread_lines
 from fusion.errors import ComputeError, InputError
 from fusion.evaluation import StereoResult
 from fusion.manifest import Images, Manifest, PointFiles, Stereo
@@ -34,6 +34,19 @@ COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 DISPLACEMENT_UNITS = ("m", "m", "m", "rad", "rad", "rad")
 MAX_SATURATED = 0.02  # fraction of pixels at full scale above which a camera is refused
 MIN_SUBSETS = 6
+
+
+@dataclass(frozen=True)
+class OpenImages:
+    """The images of one stereo pair, opened and checked: sequences, exposure middles (F,), rig, first left image."""
+
+    entry: Images
+    stereo: Stereo
+    left: ImageSequence
+    right: ImageSequence
+    time_s: FloatArray
+    rig: StereoRig
+    first: GreyImage
 
 
 @dataclass(frozen=True)
@@ -82,29 +95,34 @@ def sensor_from_camera(stereo: Stereo) -> RigidTransform:
     return RigidTransform(np.array(stereo.rotation), np.array(stereo.translation))
 
 
-def measure_images(
-    manifest: Manifest, base: TimeBase, entry: Images, settings: Settings, progress: ProgressCallback
-) -> StereoMotion:
-    """Track the image pairs of one stereo pair and fit the rigid motion of the body it sees."""
+def open_images(manifest: Manifest, base: TimeBase, entry: Images) -> OpenImages:
+    """Open the images of one stereo pair and check all that can be checked before the work begins."""
     stereo = manifest.rig.stereo[entry.stereo]
     left, right = _open(manifest, entry, "left"), _open(manifest, entry, "right")
     if len(left) != len(right):
         key = f"images.{entry.stereo}.right"
         raise InputError(manifest.path, key, found=f"{len(right)} images", expected=f"{len(left)} as on the left")
     time_s = exposure_middles(manifest, base, entry, len(left))
-    rig = _calibration(manifest, stereo, left)
-    first = _read_first(manifest, entry, left, right)
-    tracks = _track(manifest, entry, left, right, rig, settings, progress)
+    rig = _calibration(stereo, left, right)
+    return OpenImages(entry, stereo, left, right, time_s, rig, _read_first(manifest, entry, left, right))
+
+
+def measure_images(
+    manifest: Manifest, images: OpenImages, settings: Settings, progress: ProgressCallback
+) -> StereoMotion:
+    """Track the image pairs of one stereo pair and fit the rigid motion of the body it sees."""
+    tracks = _track(manifest, images, settings, progress)
     points = triangulate(
-        rig,
+        images.rig,
         tracks.left.position_px,
         tracks.right.position_px,
         tracks.left.covariance_px2,
         tracks.right.covariance_px2,
-    ).transformed(sensor_from_camera(stereo))
-    motion = _fit(entry.stereo, points, None)
+    ).transformed(sensor_from_camera(images.stereo))
+    motion = _fit(images.entry.stereo, points, None)
     reprojection = float(np.sqrt(np.nanmean(points.reprojection_px**2)))
-    return StereoMotion(entry, stereo, time_s, motion, reprojection, ImageView(tracks, rig, first), tracks.notices)
+    view = ImageView(tracks, images.rig, images.first)
+    return StereoMotion(images.entry, images.stereo, images.time_s, motion, reprojection, view, tracks.notices)
 
 
 def measure_points(manifest: Manifest, base: TimeBase, entry: PointFiles) -> StereoMotion:
@@ -153,7 +171,7 @@ def _read_first(manifest: Manifest, entry: Images, left: ImageSequence, right: I
     return images[0]
 
 
-def _calibration(manifest: Manifest, stereo: Stereo, images: ImageSequence) -> StereoRig:
+def _calibration(stereo: Stereo, left: ImageSequence, right: ImageSequence) -> StereoRig:
     """Read a stereo pair's calibration and refuse one made for images of another size."""
     path = stereo.calibration
     if path is None:
@@ -162,32 +180,25 @@ def _calibration(manifest: Manifest, stereo: Stereo, images: ImageSequence) -> S
         rig = read_calibration(path)
     except (OSError, ValueError) as error:
         raise InputError(path, "", found=str(error), expected="a readable stereo calibration") from error
-    size = tuple(int(length) for length in rig.left.size_px)
-    if size != images.size_px:
-        width, height = images.size_px
-        raise InputError(
-            path, "image_size", found=f"{list(size)}", expected=f"[{width}, {height}] as {images.names[0]}"
-        )
+    size = [int(length) for length in rig.left.size_px]
+    for images in (left, right):
+        if size != list(images.size_px):
+            expected = f"{list(images.size_px)}, the size of {images.names[0]}"
+            raise InputError(path, "image_size", found=f"{size}", expected=expected)
     return rig
 
 
-def _track(
-    manifest: Manifest,
-    entry: Images,
-    left: ImageSequence,
-    right: ImageSequence,
-    rig: StereoRig,
-    settings: Settings,
-    progress: ProgressCallback,
-) -> StereoTracks:
+def _track(manifest: Manifest, images: OpenImages, settings: Settings, progress: ProgressCallback) -> StereoTracks:
     """Follow the subsets through both cameras' images."""
-    stage, total = f"track {entry.stereo}", 2 * len(left)
+    name, total = images.entry.stereo, 2 * len(images.left)
     options = TrackSettings(radius_px=settings.subset_radius_px, degree=settings.spline_degree)
     try:
-        return track_stereo(left, right, rig, options, lambda done: progress(stage, done, total))
+        return track_stereo(
+            images.left, images.right, images.rig, options, lambda done: progress(f"track {name}", done, total)
+        )
     except (OSError, ValueError) as error:
-        key = f"images.{entry.stereo}"
-        raise InputError(manifest.path, key, found=str(error), expected="images of a speckled body") from error
+        expected = "images of a speckled body"
+        raise InputError(manifest.path, f"images.{name}", found=str(error), expected=expected) from error
 
 
 def _fit(name: str, points: Points, reference_m: FloatArray | None) -> RigidMotion:
@@ -205,9 +216,9 @@ def motion_lines(manifest: Manifest, motions: Sequence[StereoMotion]) -> Lines:
     """Find the lines in the motion itself, for recordings without any channel that shows the excitation."""
     if not motions:
         raise ComputeError("no channel or camera of this recording shows the excitation; add one to recording.toml")
-    excitation, first = manifest.excitation, motions[0]
+    first, (nominal_hz, harmonics) = motions[0], nominal_lines(manifest)
     try:
-        return find_lines(first.time_s, first.motion.pose, excitation.frequencies, excitation.harmonics)
+        return find_lines(first.time_s, first.motion.pose, nominal_hz, harmonics)
     except ValueError as error:
         expected = f"lines that stand out in the motion seen by stereo pair {first.entry.stereo}"
         raise InputError(manifest.path, "excitation.frequencies", found=str(error), expected=expected) from error

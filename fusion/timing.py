@@ -93,8 +93,7 @@ def _tie(
 
 def _start_difference_s(base: DaqRecord, other: DaqRecord) -> float | None:
     """Return how much later the other record started, None where one of the two states no start time."""
-    starts = [record.entry.start_time or record.start_s for record in (base, other)]
-    return starts[1] - starts[0] if all(starts) else None
+    return other.start_s - base.start_s if base.start_s and other.start_s else None
 
 
 def exposure_middles(manifest: Manifest, base: TimeBase, entry: Images | PointFiles, frames: int) -> FloatArray:
