@@ -12,8 +12,16 @@ LOAD_COMPONENTS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
 
 def driven_component(evaluation: Evaluation) -> int:
-    """Place of the driven component among x, y, z, rx, ry, rz: the largest element of the excitation's direction."""
-    return int(np.argmax(np.abs(evaluation.manifest.excitation.direction)))
+    """Place of the driven component among x, y, z, rx, ry, rz.
+
+    The largest element of the excitation's direction; where none is stated, the translation that moves most.
+    """
+    direction = evaluation.manifest.excitation.direction
+    if direction is not None:
+        return int(np.argmax(np.abs(direction)))
+    sizes = [np.abs(result.phasors.value[:, :3]) for result in evaluation.accelerations]
+    moves = np.nan_to_num(np.concatenate(sizes)) if sizes else np.zeros((1, 3))
+    return int(np.argmax(moves.max(axis=0)))
 
 
 def driven_channel(evaluation: Evaluation) -> int:

@@ -75,8 +75,9 @@ def _subject(evaluation: Evaluation) -> list[tuple[str, str]]:
         mass = measured(rig.load.mass, 2.0 * rig.load.mass_uncertainty, "kg").striptags()
         facts.append(("Load mass", f"{mass}, k = 2"))
     nominal = ", ".join(f"{frequency:g} Hz" for frequency in excitation.frequencies or ())
-    direction = ", ".join(f"{element:g}" for element in excitation.direction)
-    facts.append(("Excitation", f"{excitation.kind}{f', {nominal}' if nominal else ''}, direction ({direction})"))
+    direction = ", ".join(f"{element:g}" for element in excitation.direction or ())
+    told = [excitation.kind, nominal, f"direction ({direction})" if direction else ""]
+    facts.append(("Excitation", ", ".join(filter(None, told))))
     if rig.environment is not None and rig.environment.temperature is not None:
         facts.append(("Temperature", f"{rig.environment.temperature:g} °C"))
     return facts
