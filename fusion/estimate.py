@@ -21,6 +21,8 @@ BODY_SIZE_M = 0.1
 RANK_TOLERANCE = 1e-6
 RESOLUTION_TOLERANCE = 1e-6
 NOISE_FLOOR = 1e-4
+UNOBSERVED_MOTION = 0.02
+"""Standard uncertainty of a component nobody observes, relative to the observed motion (rotations: over 0.1 m)."""
 SCALE = np.array([1.0, 1.0, 1.0, 1.0 / BODY_SIZE_M, 1.0 / BODY_SIZE_M, 1.0 / BODY_SIZE_M])
 
 
@@ -86,10 +88,30 @@ class System:
                 effects[self.observation == place, self.names.index(error.name)] += values
         return effects
 
+    def hidden_variances(self, acceleration: ComplexArray) -> FloatArray:
+        """Return (N,): variance of the readings from components nobody observes, through uncertain design rows.
+
+        A laser that may point 5 mrad aside sees that share of a transverse motion. Such components, zero in the
+        estimate A (K, 6), are given the standard uncertainty `hidden_motion`.
+        """
+        motion = hidden_motion(acceleration, self.observed)
+        rows = []
+        for observation in self.observations:
+            through = [np.abs(error.slope) ** 2 @ motion[:, :, None] ** 2 / 2.0 for error in observation.common]
+            total = np.sum(through, axis=0)[:, :, 0] if through else np.zeros(observation.phasors.value.shape)
+            rows.append(real_rows(observation, np.asarray(total * (1.0 + 1.0j), dtype=np.complex128)))
+        return np.concatenate(rows)
+
     def acceleration(self, unknowns: FloatArray) -> ComplexArray:
         """Return A (K, 6) from the reduced unknowns (P,); what no reading determines is zero."""
         stacked = (self.expand @ unknowns).reshape(-1, 12)
         return np.asarray(stacked[:, :6] + 1j * stacked[:, 6:])
+
+
+def hidden_motion(acceleration: ComplexArray, observed: BoolArray) -> FloatArray:
+    """Return (K, 6) standard uncertainties assumed of unobserved amplitudes: 2 % of the observed motion, else zero."""
+    size = np.max(np.where(observed, np.abs(acceleration / SCALE), 0.0), axis=1, keepdims=True)
+    return np.asarray(np.where(observed, 0.0, UNOBSERVED_MOTION * size * SCALE))
 
 
 def real_rows(observation: Observation, values: ComplexArray) -> FloatArray:
@@ -148,7 +170,8 @@ class Solution:
     """Estimate of a system: `acceleration` (K, 6), `errors` (E,) in standard uncertainties, `effects` (N, E) there.
 
     `gain` (12K, N): estimate = gain · readings; `projector` (N, N) = V^-1 - V^-1 X (X^T V^-1 X)^-1 X^T V^-1 with V the
-    covariance of noise and common errors, so that `chi2` = y^T P y; `dof`; `noise` (N, N) as it was used.
+    covariance of noise and common errors, so that `chi2` = y^T P y; `dof`; `noise` (N, N) as it was used, with the
+    discrepancy and the `hidden` (N,) variances in it.
     """
 
     acceleration: ComplexArray
@@ -159,6 +182,7 @@ class Solution:
     chi2: float
     dof: int
     noise: FloatArray
+    hidden: FloatArray
 
 
 def solve(system: System, discrepancy: FloatArray | None = None, iterations: int = 6) -> Solution:
@@ -172,7 +196,7 @@ def solve(system: System, discrepancy: FloatArray | None = None, iterations: int
     noise = system.noise + (0.0 if discrepancy is None else np.diag(discrepancy**2))
     acceleration = system.acceleration(_starting_point(system, noise))
     for _ in range(iterations):
-        solution = _step(system, noise, system.effects(acceleration))
+        solution = _step(system, noise, system.effects(acceleration), system.hidden_variances(acceleration))
         change = np.max(np.abs(solution.acceleration - acceleration), initial=0.0)
         acceleration = solution.acceleration
         if change <= 1e-12 * np.max(np.abs(acceleration), initial=0.0):
@@ -195,8 +219,9 @@ def _reading_size(system: System) -> FloatArray:
     return np.where(size > 0.0, size, 1.0)
 
 
-def _step(system: System, noise: FloatArray, effects: FloatArray) -> Solution:
-    """One linear solve at given effects (N, E)."""
+def _step(system: System, noise: FloatArray, effects: FloatArray, hidden: FloatArray) -> Solution:
+    """One linear solve at given effects (N, E) and variances from unobserved motion (N,)."""
+    noise = noise + np.diag(hidden)
     # Noise far below the common errors is raised to 1e-4 of them: invisible in U, and P keeps its digits.
     floor = (NOISE_FLOOR * np.linalg.norm(effects, axis=1)) ** 2 + (1e-12 * _reading_size(system)) ** 2
     noise = noise + np.diag(np.maximum(floor - np.diag(noise), 0.0))
@@ -223,4 +248,5 @@ def _step(system: System, noise: FloatArray, effects: FloatArray) -> Solution:
         chi2=float(readings @ white_projector @ readings),
         dof=count - unknowns,
         noise=noise,
+        hidden=hidden,
     )

@@ -26,6 +26,7 @@ Source = Literal["fused", "photogrammetry", "vibrometer", "accelerometer"]
 SINGLE_SOURCES: tuple[Source, ...] = ("photogrammetry", "vibrometer", "accelerometer")
 UNITS = ("m/s^2",) * 3 + ("rad/s^2",) * 3
 INCONSISTENCY = "inconsistency of instruments"
+UNOBSERVED = "unobserved motion"
 
 
 @dataclass(frozen=True)
@@ -154,7 +155,7 @@ def _contributions(system: System, solution: Solution, extra: FloatArray | None 
     extra = np.zeros(len(system.readings)) if extra is None else extra
     lines = len(system.observed)
     gain = solution.gain.reshape(lines, 12, -1)
-    noise = solution.noise - np.diag(extra**2)
+    noise = solution.noise - np.diag(extra**2 + solution.hidden)
     found = []
     for place, observation in enumerate(system.observations):
         rows = np.flatnonzero(system.observation == place)
@@ -165,6 +166,8 @@ def _contributions(system: System, solution: Solution, extra: FloatArray | None 
     for place, label in enumerate(system.labels):
         column = influence[:, :, place]
         found.append(Contribution(label, "B", column[:, :, None] * column[:, None, :]))
+    if np.any(solution.hidden > 0.0):
+        found.append(Contribution(UNOBSERVED, "B", (gain * solution.hidden) @ gain.swapaxes(1, 2)))
     if np.any(extra > 0.0):
         found.append(Contribution(INCONSISTENCY, "A", (gain * extra**2) @ gain.swapaxes(1, 2)))
     return _merge(found)

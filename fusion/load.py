@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fusion.body import COMPONENTS, Body, BodyParameter
-from fusion.estimate import BODY_SIZE_M, SCALE
+from fusion.estimate import BODY_SIZE_M, UNOBSERVED_MOTION, hidden_motion
 from fusion.fuse import Acceleration, Contribution
 from fusion.notices import AnyNotice, Notice
 from shaker.signals.phasor import Phasors
@@ -21,8 +21,6 @@ BoolArray = NDArray[np.bool_]
 
 LOAD_COMPONENTS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 LOAD_UNITS = ("N", "N", "N", "N.m", "N.m", "N.m")
-UNOBSERVED_MOTION = 0.02
-"""Standard uncertainty of an unobserved component, relative to the observed motion (rotations: over 0.1 m)."""
 UNOBSERVED_LIMIT = 0.01
 """Largest relative standard uncertainty that unobserved components may bring to a load component."""
 
@@ -108,9 +106,8 @@ def _hidden_variances(acceleration: Acceleration, matrix: FloatArray, changes: S
     """Variance (K, 6 loads, 6 accelerations) of real and of imaginary part from components nobody observed."""
     # Through the uncertain parameters an unobserved component acts even where its coefficient is zero.
     square = matrix**2 + sum((change**2 for change in changes), np.zeros_like(matrix))
-    size = np.max(np.nan_to_num(np.abs(acceleration.phasors.value / SCALE)), axis=1)
-    u = UNOBSERVED_MOTION * size[:, None] * np.where(np.arange(6) < 3, 1.0, 1.0 / BODY_SIZE_M)
-    variance = np.where(acceleration.observed, 0.0, u**2 / 2.0)
+    motion = hidden_motion(np.nan_to_num(acceleration.phasors.value), acceleration.observed)
+    variance = motion**2 / 2.0
     return np.asarray(square * variance[:, None, :])
 
 

@@ -206,6 +206,18 @@ def test_regions_cover_and_tests_pass_as_often_as_they_claim() -> None:
     assert failed <= 12
 
 
+def test_transverse_motion_that_nobody_sees_is_in_the_uncertainty() -> None:
+    # Eight lasers in z that point up to 5 mrad aside, on a body that also moves 0.3 % sideways.
+    rng = np.random.default_rng(9)
+    clean = lasers(CIRCLE, 1e-6, **LASER)
+    for _ in range(40):
+        result = fuse([noisy(clean, rng)])
+        assert not any(notice.severity == "warning" for notice in result.notices)
+    hidden = next(entry for entry in result.contributions if entry.label == "unobserved motion")
+    # 2 % of z in x and in y, each half real and half imaginary, times 5 mrad, over eight lasers.
+    assert np.sqrt(hidden.covariance[0, 2, 2]) == pytest.approx(0.02 * 189.0 * 5e-3 / np.sqrt(8), rel=0.05)
+
+
 def test_fused_is_no_worse_than_the_best_instrument() -> None:
     rng = np.random.default_rng(6)
     sources = fuse_sources([noisy(camera(**CAMERA), rng), noisy(lasers(CIRCLE, 1e-5, **LASER), rng)], "load")
