@@ -37,6 +37,14 @@ class SamplingGrid:
         """Number of grid places from the first to the last sample."""
         return int(self.index[-1]) + 1
 
+    def filled(self, values: FloatArray) -> FloatArray:
+        """Return values (S, C) on all places of the grid, zero in the gaps."""
+        if len(values) == self.length:
+            return values
+        full = np.zeros((self.length, values.shape[1]))
+        full[self.index] = values
+        return full
+
 
 def alias_frequency(frequency_hz: FloatArray | float, rate_hz: float) -> FloatArray:
     """Return where lines appear between zero and the Nyquist frequency: |f - rate·round(f / rate)|."""

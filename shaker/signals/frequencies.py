@@ -92,18 +92,20 @@ def find_lines(
 
 
 def _complete(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return times and values (S, C) of the samples without NaN."""
+    """Return times and values (S, C) of the samples without NaN, channels that never change left out."""
     check_shape("time_s", time_s, (None,))
     data = values[:, None] if values.ndim == 1 else values
     check_shape("values", data, (len(time_s), None))
     present = np.isfinite(data).all(axis=1)
-    return time_s[present], data[present]
+    moving = np.ptp(data[present], axis=0) > 0.0 if present.any() else np.zeros(data.shape[1], dtype=np.bool_)
+    if not moving.any():
+        raise ValueError(f"values: expected a channel that changes, found {data.shape[1]} without any change")
+    return time_s[present], data[present][:, moving]
 
 
 def _peak_near(nominal: float, all_nominal: FloatArray, grid: SamplingGrid, data: FloatArray) -> float:
     """Return the frequency of the peak nearest to a nominal frequency (at its alias), or raise `ValueError`."""
-    filled = np.zeros((grid.length, data.shape[1]))
-    filled[grid.index] = data - data.mean(axis=0)
+    filled = grid.filled(data - data.mean(axis=0))
     spectrum = amplitude_spectrum(filled, grid.rate_hz)
     resolution = grid.rate_hz / grid.length
     alias = float(alias_frequency(nominal, grid.rate_hz))
@@ -258,8 +260,7 @@ def _strangers(
     residual: FloatArray, grid: SamplingGrid, lines: FloatArray, fundamental: FloatArray, largest: float
 ) -> tuple[Notice, ...]:
     """Tell about the largest peaks of the residual that are no lines: mains, sub-harmonics, others."""
-    filled = np.zeros((grid.length, residual.shape[1]))
-    filled[grid.index] = residual
+    filled = grid.filled(residual)
     spectrum = amplitude_spectrum(filled, grid.rate_hz)
     height = np.max(spectrum.amplitude / np.maximum(noise_floor(spectrum), _SMALLEST * largest), axis=1)
     resolution = grid.rate_hz / grid.length

@@ -97,8 +97,7 @@ def noise_around(time: FloatArray, residual: FloatArray, lines: FloatArray, want
     grid = sampling_grid(time)
     if grid is None:
         return None
-    filled = np.zeros((grid.length, residual.shape[1]))
-    filled[grid.index] = residual
+    filled = grid.filled(residual)
     both = alias_frequency(np.concatenate([wanted, lines]), grid.rate_hz)
     all_bins = both * grid.length / grid.rate_hz
     noise = line_noise(filled, len(time), all_bins)

@@ -119,10 +119,13 @@ def fit_sines(
     """
     _check_arguments(time_s, values, frequency_hz, channels, unit)
     present = np.isfinite(values).all(axis=1)
-    time = time_s[present]
-    solution = solve_sines(sine_columns(time, frequency_hz, drift), values[present])
-    residual = np.full(values.shape, np.nan)
-    residual[present] = solution.residual
+    whole = bool(present.all())  # long records are not copied without need
+    time = time_s if whole else time_s[present]
+    solution = solve_sines(sine_columns(time, frequency_hz, drift), values if whole else values[present])
+    residual = solution.residual
+    if not whole:
+        residual = np.full(values.shape, np.nan)
+        residual[present] = solution.residual
     phasors, offset_covariance = _phasors(time, solution, frequency_hz, channels, unit)
     lines, samples = len(frequency_hz), len(time)
     offset = solution.coefficients[2 * lines] / np.sqrt(samples)
@@ -174,8 +177,7 @@ def _noise(time: FloatArray, residual: FloatArray, frequency_hz: FloatArray, whi
     """Return the noise at each line and, last, at the lowest bin for the offset."""
     grid = sampling_grid(time)
     if grid is not None:
-        filled = np.zeros((grid.length, residual.shape[1]))
-        filled[grid.index] = residual
+        filled = grid.filled(residual)
         line_bin = alias_frequency(frequency_hz, grid.rate_hz) * grid.length / grid.rate_hz
         noise = line_noise(filled, len(time), np.append(line_bin, 0.5))
         if noise is not None:

@@ -72,8 +72,6 @@ def fit_trigger(edges: Edges) -> TriggerFit:
     sample, go by least squares. At least three edges are needed.
     """
     number, kept = _number(edges)
-    if np.count_nonzero(kept) < 3:
-        raise ValueError(f"edges: expected at least 3 edges of one period, found {int(np.count_nonzero(kept))}")
     n = number[kept] - number[kept][0]
     lower, upper, middle = edges.lower_s[kept], edges.upper_s[kept], edges.estimate_s[kept]
     centre, half = (n[-1] / 2.0, n[-1] / 2.0)
@@ -123,6 +121,8 @@ def _number(edges: Edges) -> tuple[IntArray, BoolArray]:
     for _ in range(3):
         number, kept = _assigned((time - start) / period)
         kept = _without_outliers(number, edges, kept)
+        if np.count_nonzero(kept) < 3:
+            raise ValueError(f"edges: expected at least 3 edges of one period, found {int(np.count_nonzero(kept))}")
         period, start = np.polyfit(number[kept], time[kept], 1)
     return number, kept
 
@@ -156,11 +156,13 @@ def _without_outliers(number: IntArray, edges: Edges, kept: BoolArray) -> BoolAr
     """Drop edges far from a straight line through the others: beyond 6 robust standard deviations and 1.5 intervals."""
     interval = float(np.median(edges.upper_s - edges.lower_s))
     for _ in range(10):
+        if np.count_nonzero(kept) < 3:
+            break
         line = np.polynomial.Polynomial.fit(number[kept], edges.estimate_s[kept], 1)
         deviation = np.abs(edges.estimate_s - line(number))
         spread = 1.4826 * float(np.median(deviation[kept]))
         stay = kept & (deviation <= max(6.0 * spread, 1.5 * interval))
-        if np.array_equal(stay, kept) or np.count_nonzero(stay) < 3:
+        if np.array_equal(stay, kept):
             break
         kept = stay
     return kept

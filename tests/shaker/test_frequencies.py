@@ -143,3 +143,11 @@ def test_gaps_are_allowed_and_scattered_times_are_not() -> None:
     assert find_lines(time, values, [106.25]).frequency_hz[0] == pytest.approx(TRUE_HZ, abs=1e-3)
     with pytest.raises(ValueError, match="time_s: expected ascending times on a uniform grid"):
         find_lines(np.sort(np.random.default_rng(0).uniform(0, 1, 500)), values[:500], [106.25])
+
+
+def test_dead_channels_are_passed_over() -> None:
+    time, values = _record(np.random.default_rng(12), {1: 100.0}, 0.5, 1.0)
+    both = np.stack([np.full(len(time), 3.0), values], axis=1)
+    assert find_lines(time, both, [106.25]).frequency_hz[0] == find_lines(time, values, [106.25]).frequency_hz[0]
+    with pytest.raises(ValueError, match="values: expected a channel that changes"):
+        find_lines(time, both[:, 0], [106.25])

@@ -116,12 +116,17 @@ def _trials(rate: float, samples: int, lines: int, trials: int, seed: int) -> tu
                 pick = np.ix_([c, c + 2], [c, c + 2])
                 d = np.array([delta[k, c].real, delta[k, c].imag])
                 q = d @ np.linalg.solve(phasors.covariance[k][pick], d) / 2.0
-                covered.append(q < f_distribution.ppf(0.95, 2, phasors.dof[k]))
+                covered.append((q, phasors.dof[k]))
+    quotient, dof = np.array(covered).T
     e = np.array(error)
     # The bound for one quadrature of a sine of known frequency in white noise: 2 σ²/N.
     ratio = float(np.mean(e.real**2 + e.imag**2) / 2.0 / (2.0 / samples))
     bias = e.mean(axis=0) / (e.std(axis=0) / np.sqrt(trials))
-    return ratio, float(np.mean(covered)), np.abs(np.concatenate([bias.real, bias.imag]))
+    return (
+        ratio,
+        float(np.mean(quotient < f_distribution.ppf(0.95, 2, dof))),
+        np.abs(np.concatenate([bias.real, bias.imag])),
+    )
 
 
 @pytest.mark.parametrize(

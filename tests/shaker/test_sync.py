@@ -260,6 +260,11 @@ def test_too_few_edges_are_refused() -> None:
         fit_trigger(find_edges(_pulses(np.array([0.1, 0.2]), 1e4, 0.3), 1e4))
 
 
+def test_edges_without_a_period_are_refused() -> None:
+    with pytest.raises(ValueError, match="edges: expected at least 3 edges of one period, found 2"):
+        fit_trigger(find_edges(_pulses(np.array([0.05, 0.1, 0.73]), 1e4, 1.0), 1e4))
+
+
 @settings(max_examples=15, deadline=None)
 @example(first=0.19, period=0.005, count=5)
 @example(first=0.1, period=0.02, count=60)
