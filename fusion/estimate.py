@@ -224,7 +224,8 @@ def _step(system: System, noise: FloatArray, effects: FloatArray, hidden: FloatA
     noise = noise + np.diag(hidden)
     # Noise far below the common errors is raised to 1e-4 of them: invisible in U, and P keeps its digits.
     floor = (NOISE_FLOOR * np.linalg.norm(effects, axis=1)) ** 2 + (1e-12 * _reading_size(system)) ** 2
-    noise = noise + np.diag(np.maximum(floor - np.diag(noise), 0.0))
+    # A share of 1e-9 of the variances keeps covariances of channels that move alike positive definite.
+    noise = noise + np.diag(np.maximum(floor - np.diag(noise), 0.0) + 1e-9 * np.diag(noise))
     root = np.linalg.cholesky(noise)
     count, unknowns, errors = len(system.readings), system.design.shape[1], effects.shape[1]
     white = solve_triangular(root, np.column_stack([system.design, effects, system.readings]), lower=True)

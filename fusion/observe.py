@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fusion.body import cross_matrix
+from shaker._checks import check_shape
 from shaker.signals.phasor import Phasors, derivative_factor, stack_phasors
 
 if TYPE_CHECKING:
@@ -69,9 +70,10 @@ class Observation:
 
     def __post_init__(self) -> None:
         shape = (*self.phasors.value.shape, 6)
-        for name, array in [("design", self.design), *((e.name, e.slope) for e in self.common)]:
-            if array.shape != shape:
-                raise ValueError(f"{name}: expected an array of shape {shape}, found {array.shape}")
+        check_shape("design", self.design, shape)
+        for error in self.common:
+            check_shape(f"slope of {error.name}", error.slope, shape)
+            check_shape(f"offset of {error.name}", error.offset, shape[:2])
         if len(self.members) != shape[1]:
             raise ValueError(f"members: expected {shape[1]} names, found {len(self.members)}")
 

@@ -272,6 +272,20 @@ def test_an_instrument_without_stated_uncertainty_is_compared_not_fused() -> Non
     assert any("noise only" in notice.text for notice in alone.notices)
 
 
+def test_channels_whose_noise_is_one_and_the_same_are_no_obstacle() -> None:
+    array = lasers(CIRCLE, 1e-5, **LASER)
+    size = array.phasors.covariance[:, :1, :1]
+    one = np.kron(np.eye(2), np.ones((8, 8)))
+    result = fuse([replace(array, phasors=replace(array.phasors, covariance=size * one))])
+    np.testing.assert_allclose(result.phasors.value[0, 2], TRUTH[0, 2], rtol=1e-9)
+
+
+def test_effects_of_another_shape_are_refused() -> None:
+    entry = SimpleNamespace(body="load", scale_uncertainty=None, pose_uncertainty=(0.0,) * 6, delay_uncertainty=0.0)
+    with pytest.raises(ValueError, match=r"offset of stereo top: calibration 0: expected an array of shape \(2, 6\)"):
+        observe_stereo("top", entry, camera().phasors, np.zeros((3, 1, 6), complex))
+
+
 def test_no_instrument_of_the_body_is_refused() -> None:
     with pytest.raises(ValueError, match="body base"):
         fuse([camera(**CAMERA)], "base")
