@@ -121,8 +121,11 @@ def _number(edges: Edges) -> tuple[IntArray, BoolArray]:
     for _ in range(3):
         number, kept = _assigned((time - start) / period)
         kept = _without_outliers(number, edges, kept)
-        if np.count_nonzero(kept) < 3:
-            raise ValueError(f"edges: expected at least 3 edges of one period, found {int(np.count_nonzero(kept))}")
+        own = int(np.count_nonzero(kept))
+        if own < 3 or 2 * own < len(time):
+            raise ValueError(
+                f"edges: expected at least 3 edges of one period and half of all, found {own} of {len(time)}"
+            )
         period, start = np.polyfit(number[kept], time[kept], 1)
     return number, kept
 

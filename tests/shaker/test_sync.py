@@ -261,7 +261,9 @@ def test_too_few_edges_are_refused() -> None:
 
 
 def test_edges_without_a_period_are_refused() -> None:
-    with pytest.raises(ValueError, match="edges: expected at least 3 edges of one period, found 2"):
+    with pytest.raises(
+        ValueError, match="edges: expected at least 3 edges of one period and half of all, found 2 of 3"
+    ):
         fit_trigger(find_edges(_pulses(np.array([0.05, 0.1, 0.73]), 1e4, 1.0), 1e4))
 
 
