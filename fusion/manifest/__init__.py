@@ -5,7 +5,7 @@ uncertainty of a vector stands in each element, images and points carry the expo
 """
 
 from fusion.manifest.load import RECORDING_NAME, Manifest, find_recordings, load_manifest
-from fusion.manifest.recording import ChannelEntry, Daq, Excitation, Images, PointFiles, RecordingFile, Take
+from fusion.manifest.recording import ChannelEntry, Daq, Excitation, Frames, Images, PointFiles, RecordingFile, Take
 from fusion.manifest.rig import Administration, Environment, Load, Part, Rig, Sensor, Stereo
 
 __all__ = [
@@ -15,6 +15,7 @@ __all__ = [
     "Daq",
     "Environment",
     "Excitation",
+    "Frames",
     "Images",
     "Load",
     "Manifest",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,11 @@ def check_rig_and_recording(rig: Rig, rig_path: Path, record: RecordingFile, pat
     _check_parts(rig, record, path)
 
 
+def quoted(name: str) -> str:
+    """A name as part of a key path, in quotes unless TOML takes it bare."""
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else f'"{name}"'
+
+
 def measured_blocks(record: RecordingFile) -> Iterator[tuple[str, Measured]]:
     """Yield what was recorded at once, with its key prefix: the top level, then every take."""
     if record.daq or record.images or record.points:
@@ -41,7 +47,7 @@ def located_channels(block: Measured, prefix: str) -> Iterator[Located]:
     """Yield every channel of a block with its key path."""
     for daq in block.daq:
         for entry in daq.channel:
-            yield f"{prefix}daq[{daq.name}].channel[{entry.name}]", daq, entry
+            yield f"{prefix}daq.{quoted(daq.name)}.channel.{quoted(entry.name)}", daq, entry
 
 
 def _check_something_measured(record: RecordingFile, path: Path) -> None:
@@ -58,10 +64,10 @@ def _check_stereo(rig: Rig, rig_path: Path, record: RecordingFile) -> None:
         pair = rig.stereo[name]
         if name in pictured and pair.calibration is None:
             expected = f"the calibration that the images of {name} need"
-            raise InputError(rig_path, f"stereo.{name}.calibration", "no calibration", expected)
+            raise InputError(rig_path, f"stereo.{quoted(name)}.calibration", "no calibration", expected)
         if pair.scale_uncertainty is None and (name in tabled or not has_covariance(pair)):
             expected = "the relative standard uncertainty of all lengths, required without a calibration's covariance"
-            raise InputError(rig_path, f"stereo.{name}.scale_uncertainty", "nothing", expected)
+            raise InputError(rig_path, f"stereo.{quoted(name)}.scale_uncertainty", "nothing", expected)
 
 
 def has_covariance(pair: Stereo) -> bool:
@@ -86,11 +92,13 @@ def _check_triggers(block: Measured, prefix: str, path: Path) -> None:
             if frames.trigger not in triggers:
                 found = f'"{frames.trigger}"; trigger channels are {", ".join(sorted(triggers)) or "none"}'
                 expected = 'the name of a channel with quantity = "trigger"'
-                raise InputError(path, f"{prefix}{kind}[{frames.stereo}].trigger", found, expected)
+                raise InputError(path, f"{prefix}{kind}.{quoted(frames.stereo)}.trigger", found, expected)
     twice = repeated_name([frames.stereo for _, entries in kinds for frames in entries])
     if twice is not None:
         found = f'two blocks for "{twice}"'
-        raise InputError(path, f"{prefix}images[{twice}].stereo", found, "one images or points block per stereo pair")
+        raise InputError(
+            path, f"{prefix}images.{quoted(twice)}.stereo", found, "one images or points block per stereo pair"
+        )
 
 
 def _check_outputs(block: Measured, prefix: str, path: Path, rig: Rig, rig_path: Path) -> None:
@@ -111,18 +119,16 @@ def _check_outputs(block: Measured, prefix: str, path: Path, rig: Rig, rig_path:
 
 
 def _check_common(record: RecordingFile, path: Path) -> None:
-    """Channels of one instrument share scale, delay and response errors, hence state the same ones."""
+    """Channels of one instrument share a relative error, hence measure one quantity."""
     first: dict[str, ChannelEntry] = {}
     for prefix, block in measured_blocks(record):
         for key, _, entry in located_channels(block, prefix):
             if entry.common is None:
                 continue
             model = first.setdefault(entry.common, entry)
-            for shared in ("quantity", "scale_uncertainty", "delay_uncertainty"):
-                ours, theirs = getattr(entry, shared), getattr(model, shared)
-                if ours != theirs:
-                    expected = f'{theirs} as in channel {model.name}, which has common = "{entry.common}" too'
-                    raise InputError(path, f"{key}.{shared}", str(ours), expected)
+            if entry.quantity != model.quantity:
+                expected = f'"{model.quantity}" as in channel {model.name}, which has common = "{entry.common}" too'
+                raise InputError(path, f"{key}.quantity", f'"{entry.quantity}"', expected)
 
 
 def _check_reference(record: RecordingFile, path: Path) -> None:
@@ -164,5 +170,5 @@ def _check_parts(rig: Rig, record: RecordingFile, path: Path) -> None:
     twice = repeated_name([part.name for part in rig.part + record.part])
     if twice is not None:
         raise InputError(
-            path, f"part[{twice}].name", f'"{twice}" twice', "parts of different names in rig and recording"
+            path, f"part.{quoted(twice)}.name", f'"{twice}" twice', "parts of different names in rig and recording"
         )

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from fusion.errors import InputError
-from fusion.manifest.cross import check_rig_and_recording
+from fusion.manifest.cross import check_rig_and_recording, quoted
 from fusion.manifest.paths import PathScope, natural_key
 from fusion.manifest.recording import Daq, Excitation, Images, PointFiles, RecordingFile, Take
 from fusion.manifest.rig import Part, Rig
@@ -138,7 +138,8 @@ def _rig_path(path: Path, text: dict[str, Any]) -> Path:
 def _input_files(path: Path, rig_path: Path, rig: Rig, record: RecordingFile) -> tuple[Path, ...]:
     """Every file that bears on the result, once each."""
     groups: list[Iterable[Path]] = [(path.resolve(), rig_path.resolve()), rig.files]
-    for block in (record, *record.take):
+    measured: tuple[RecordingFile | Take, ...] = (record, *record.take)
+    for block in measured:
         groups += [[daq.file, *(entry.response for entry in daq.channel if entry.response)] for daq in block.daq]
         groups += [[*images.left, *images.right] for images in block.images]
         groups += [points.files for points in block.points]
@@ -168,15 +169,17 @@ def _input_error(model: type[Block], text: dict[str, Any], path: Path, error: Va
 
 
 def key_path(text: dict[str, Any], place: list[int | str]) -> str:
-    """Key path for people: blocks of an array by their name, else counted from 1: `daq[bridge].channel[Fz].scale`."""
-    told, value = "", text
+    """Key path for people: blocks of an array by their name, else counted from 1: `daq.bridge.channel.Fz.scale`."""
+    told = ""
+    value: Any = text
     for step in place:
         child = value[step] if _has(value, step) else None
-        if isinstance(step, int):
-            told += f"[{_block_name(value, child) or step + 1}]"
+        name = step if isinstance(step, str) else _block_name(value, child)
+        if name:
+            told += f".{quoted(name)}" if told else quoted(name)
         else:
-            told += f".{step}" if told else step
-        value = child  # type: ignore[assignment]
+            told += f"[{int(step) + 1}]"
+        value = child
     return told
 
 

@@ -1,0 +1,68 @@
+"""A small valid campaign on disk, made of the examples of docs/recording-format.md and files without content."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+FORMAT_DOC = Path(__file__).resolve().parents[2] / "docs" / "recording-format.md"
+FILES = (
+    *(f"{folder}/{frame:04d}.tif" for folder in ("top-left", "top-right") for frame in range(3)),
+    *(f"DIC_results/result_B{frame}.txt" for frame in (1, 2, 10)),
+    "vibrometer.h5",
+    "bridge.tdms",
+    "bridge-response.csv",
+)
+BASE_PAIR = """
+[stereo.base]
+body = "base"
+rotation = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+translation = [0.0, 0.0, -0.1]
+scale_uncertainty = 3e-4
+exposure = 40e-6
+"""
+
+
+def blocks_of(language: str) -> list[str]:
+    """Every example of the format's document that is marked with a language."""
+    return re.findall(rf"^```{language}\n(.*?)^```", FORMAT_DOC.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+
+
+@pytest.fixture(scope="session")
+def format_examples() -> dict[str, str]:
+    """The examples rig.toml, recording.toml and calibration/NAME.json of the format's document."""
+    rig, recording, *_ = blocks_of("toml")
+    return {"rig": rig, "recording": recording, "calibration": blocks_of("json")[0]}
+
+
+@pytest.fixture
+def make_campaign(tmp_path: Path, format_examples: dict[str, str]) -> Callable[..., Path]:
+    """Return a function that writes a campaign and returns the folder of its recording.
+
+    `rig`, `recording`: texts in place of the examples; `replace`: (file, old, new) changes to either of them.
+    """
+
+    def make(
+        rig: str | None = None, recording: str | None = None, replace: tuple[tuple[str, str, str], ...] = ()
+    ) -> Path:
+        texts = {
+            "rig.toml": format_examples["rig"] + BASE_PAIR if rig is None else rig,
+            "recording.toml": format_examples["recording"] if recording is None else recording,
+        }
+        for file, old, new in replace:
+            assert old in texts[file], f"{old!r} is not in {file}"
+            texts[file] = texts[file].replace(old, new, 1)
+        folder = tmp_path / "campaign" / "Fz-0106.25"
+        for name in FILES:
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_bytes(b"")
+        (folder.parent / "calibration").mkdir(exist_ok=True)
+        (folder.parent / "calibration" / "top.json").write_text(format_examples["calibration"], encoding="utf-8")
+        (folder.parent / "rig.toml").write_text(texts["rig.toml"], encoding="utf-8")
+        (folder / "recording.toml").write_text(texts["recording.toml"], encoding="utf-8")
+        return folder
+
+    return make

@@ -1,0 +1,156 @@
+"""Valid manifests: what a recording folder becomes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from fusion.errors import InputError
+from fusion.manifest import ChannelEntry, Load, Stereo, find_recordings, load_manifest
+
+Campaign = Callable[..., Path]
+FINITE = st.floats(-1e6, 1e6, allow_nan=False)
+SMALL = st.floats(0, 1e3, allow_nan=False)
+
+
+def test_the_example_of_the_format_loads_with_its_values(make_campaign: Campaign) -> None:
+    folder = make_campaign()
+    manifest = load_manifest(folder)
+    assert manifest.name == "Fz 106.25 Hz"
+    assert manifest.excitation.frequencies == (106.25,)
+    assert manifest.rig.load is not None
+    assert manifest.rig.load.mass == 6.9605
+    assert manifest.rig.load.centre_of_mass_uncertainty == (1e-4, 1e-4, 1e-4)
+    assert [daq.name for daq in manifest.daq] == ["vibrometer", "bridge"]
+    assert manifest.daq[0].file == (folder / "vibrometer.h5").resolve()
+    assert manifest.daq[0].channel[0].point_uncertainty == (1e-3,) * 3
+    assert manifest.part == manifest.rig.part
+    assert manifest.root == folder.parent.resolve()
+
+
+def test_a_recording_is_its_folder_or_its_file(make_campaign: Campaign) -> None:
+    folder = make_campaign()
+    assert load_manifest(folder) == load_manifest(folder / "recording.toml")
+
+
+def test_frames_take_the_exposure_of_their_pair_unless_they_override_it(make_campaign: Campaign) -> None:
+    plain = load_manifest(make_campaign()).images[0]
+    assert (plain.exposure, plain.delay, plain.delay_uncertainty, plain.bit_depth) == (40e-6, 0.0, 1e-6, 12)
+    line = 'right = "top-right/*.tif"'
+    changed = (("recording.toml", line, f"{line}\nexposure = 10e-6\ndelay = 5e-6\nbit_depth = 10"),)
+    own = load_manifest(make_campaign(replace=changed)).images[0]
+    assert (own.exposure, own.delay, own.delay_uncertainty, own.bit_depth) == (10e-6, 5e-6, 1e-6, 10)
+
+
+def test_files_are_ordered_by_the_value_of_their_numbers(make_campaign: Campaign) -> None:
+    manifest = load_manifest(make_campaign())
+    assert [file.name for file in manifest.points[0].files] == ["result_B1.txt", "result_B2.txt", "result_B10.txt"]
+
+
+def test_every_input_file_is_listed_once(make_campaign: Campaign) -> None:
+    folder = make_campaign()
+    files = load_manifest(folder).files
+    present = {path.resolve() for path in folder.parent.rglob("*") if path.is_file()}
+    assert set(files) == present
+    assert len(files) == len(present)
+
+
+def test_globs_do_not_recurse_and_match_case(make_campaign: Campaign) -> None:
+    folder = make_campaign()
+    for name in ("top-left/deeper/0009.tif", "top-left/0003.TIF", "top-left/.0004.tif"):
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_bytes(b"")
+    assert len(load_manifest(folder).images[0].left) == 3
+
+
+def test_a_folder_whose_name_looks_like_a_pattern_is_taken_by_its_name(make_campaign: Campaign) -> None:
+    folder = make_campaign(replace=(("recording.toml", '"vibrometer.h5"', '"run[1].h5"'),))
+    (folder / "run[1].h5").write_bytes(b"")
+    assert load_manifest(folder).daq[0].file.name == "run[1].h5"
+
+
+def test_mraw_belongs_to_the_input_files(make_campaign: Campaign) -> None:
+    changes = (("recording.toml", "top-left/*.tif", "left.cih"), ("recording.toml", "top-right/*.tif", "right.cih"))
+    folder = make_campaign(replace=changes)
+    for name in ("left.cih", "left.mraw", "right.cih", "right.mraw"):
+        (folder / name).write_bytes(b"")
+    manifest = load_manifest(folder)
+    assert len(manifest.images[0].left) == 1
+    assert {"left.mraw", "right.mraw"} <= {file.name for file in manifest.files}
+
+
+def test_paths_outside_are_followed_on_request(make_campaign: Campaign, tmp_path: Path) -> None:
+    folder = make_campaign(replace=(("recording.toml", '"vibrometer.h5"', '"../../elsewhere.h5"'),))
+    (tmp_path / "elsewhere.h5").write_bytes(b"")
+    assert load_manifest(folder, allow_outside=True).daq[0].file == (tmp_path / "elsewhere.h5").resolve()
+
+
+def test_a_campaign_lists_its_recordings_in_natural_order(tmp_path: Path) -> None:
+    for name in ("Fz-100", "Fz-20", "notes"):
+        (tmp_path / name).mkdir()
+        if name != "notes":
+            (tmp_path / name / "recording.toml").write_text("", encoding="utf-8")
+    assert [path.parent.name for path in find_recordings(tmp_path)] == ["Fz-20", "Fz-100"]
+    assert find_recordings(tmp_path / "Fz-20") == [tmp_path / "Fz-20" / "recording.toml"]
+    with pytest.raises(InputError, match=r"notes: expected recording\.toml"):
+        find_recordings(tmp_path / "notes")
+    with pytest.raises(InputError, match="nothing at this path"):
+        find_recordings(tmp_path / "absent")
+
+
+def test_directions_become_unit_vectors() -> None:
+    entry = ChannelEntry(name="a", quantity="acceleration", body="load", point=(0, 0, 0), direction=(0, 3.0, 4.0))
+    np.testing.assert_allclose(entry.direction or (), (0, 0.6, 0.8), rtol=1e-15)
+
+
+def test_conventional_mass_is_converted_by_the_definition_of_oiml_d28() -> None:
+    """A conventional mass balances the weight of 8000 kg/m^3 in air of 1.2 kg/m^3."""
+    load = Load(
+        mass=2.0, mass_kind="conventional", density=2700.0, centre_of_mass=(0, 0, 0), inertia=np.zeros((3, 3)).tolist()
+    )
+    pull_of_load = load.true_mass * (1 - 1.2 / 2700.0)
+    assert pull_of_load == pytest.approx(2.0 * (1 - 1.2 / 8000.0), rel=1e-15)
+    assert load.model_copy(update={"mass_kind": "true"}).true_mass == 2.0
+
+
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    translation=st.tuples(FINITE, FINITE, FINITE),
+    spread=st.tuples(*[SMALL] * 6),
+    exposure=SMALL,
+    scale=FINITE.filter(bool),
+    mass=st.floats(1e-6, 1e6),
+)
+def test_numbers_come_back_bit_for_bit(
+    make_campaign: Campaign,
+    translation: tuple[float, ...],
+    spread: tuple[float, ...],
+    exposure: float,
+    scale: float,
+    mass: float,
+) -> None:
+    changes = (
+        ("rig.toml", "translation = [0.0, 0.0, 0.30]", f"translation = {list(translation)}"),
+        ("rig.toml", "pose_uncertainty = [1e-4, 1e-4, 1e-4, 5e-4, 5e-4, 5e-4]", f"pose_uncertainty = {list(spread)}"),
+        ("rig.toml", "exposure = 40e-6", f"exposure = {exposure!r}"),
+        ("rig.toml", "mass = 6.9605", f"mass = {mass!r}"),
+        ("recording.toml", "scale = 0.125", f"scale = {scale!r}"),
+    )
+    manifest = load_manifest(make_campaign(replace=changes))
+    pair = manifest.rig.stereo["top"]
+    assert manifest.rig.load is not None
+    assert (pair.translation, pair.pose_uncertainty) == (translation, spread)
+    assert (manifest.images[0].exposure, manifest.daq[0].channel[0].scale) == (exposure, scale)
+    assert manifest.rig.load.mass == mass
+
+
+def test_models_are_frozen(make_campaign: Campaign) -> None:
+    pair = load_manifest(make_campaign()).rig.stereo["top"]
+    assert isinstance(pair, Stereo)
+    with pytest.raises(ValueError, match="frozen"):
+        pair.delay = 1.0

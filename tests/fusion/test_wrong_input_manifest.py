@@ -1,0 +1,245 @@
+"""Wrong input at the manifest: every mistake is one sentence with file and key."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from fusion.errors import InputError
+from fusion.manifest import load_manifest
+
+Campaign = Callable[..., Path]
+RIG, RECORDING = "rig.toml", "recording.toml"
+EYE = "rotation = [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]"
+INERTIA = "inertia = [[0.0360, 0.0, 0.0], [0.0, 0.0360, 0.0], [0.0, 0.0, 0.0310]]"
+POINT = "point = [0.030, 0.0, 0.040]"
+
+CASES = [
+    # file, old text, new text, key, expected, found
+    (RIG, "mass = 6.9605", "mass = 0.0", "load.mass", "above 0", "0"),
+    (RIG, "mass = 6.9605", 'mass = "6.96"', "load.mass", "a number", '"6.96"'),
+    (RIG, "mass = 6.9605", "mass = true", "load.mass", "a number", "true"),
+    (RIG, "mass = 6.9605", "mass = nan", "load.mass", "finite", "nan"),
+    (RIG, "mass = 6.9605", "mas = 6.9605", "load.mas", 'probably "mass"', "unknown key"),
+    (RIG, "mass_uncertainty = 0.0010", "mass_uncertainty = -1.0", "load.mass_uncertainty", "at least 0", "-1"),
+    (RIG, "mass = 6.9605", 'mass = 6.9605\nmass_kind = "conventional"', "load.density", "density", "nothing"),
+    (RIG, INERTIA, INERTIA.replace("[0.0360, 0.0,", "[0.0360, 0.001,"), "load.inertia", "symmetric", "0.001"),
+    (RIG, INERTIA, INERTIA.replace("0.0310", "0.0810"), "load.inertia", "sum of the others", "0.081"),
+    (RIG, INERTIA, INERTIA.replace("0.0310", "-0.0310"), "load.inertia", "positive principal", "-0.031"),
+    (RIG, INERTIA, "inertia = [0.036, 0.036, 0.031]", "load.inertia", "3 rows of 3 numbers", "0.036"),
+    (RIG, INERTIA + "   # about the centre of mass\n", "", "load.inertia", "required", "nothing"),
+    (RIG, "centre_of_mass = [0.0, 0.0, 0.010]", "centre_of_mass = [0.0, 0.010]", "part.", "3 numbers", "2 elements"),
+    (RIG, "mass = 0.412", "mass = 0", 'part."adapter plate".mass', "above 0", "0"),
+    (RIG, 'body = "load"\nmass = 0.412', 'body = "Load"\nmass = 0.412', "part.", "'load' or 'base'", '"Load"'),
+    (RIG, "internal_mass = 0.769", "internal_mass = [0.769]", "sensor.internal_mass", "a number", "list"),
+    (RIG, 'sense = "on_load"', 'sense = "up"', "sensor.sense", "'on_load' or 'on_sensor'", '"up"'),
+    (RIG, '"Fx", "Fy", "Fz"', '"Fx", "Fx", "Fz"', "sensor.channels", "different names", '"Fx" twice'),
+    (RIG, "[2000.0, 2000.0,", "[2000.0,", "sensor.capacity", "6 numbers", "5 elements"),
+    (RIG, "  [5.1e-7, 0.0, 0.0, 0.0, 0.0, 0.0],\n", "", "sensor.static_sensitivity", "6 rows", "5 rows"),
+    (RIG, "-9.8125", "-98.1", "environment.gravity", "m/s^2", "98.1"),
+    (RIG, EYE, EYE.replace("-1.0]]", "-1.001]]"), "stereo.top.rotation", "orthonormal", "0.002"),
+    (RIG, EYE, EYE.replace("-1.0]]", "1.0]]"), "stereo.top.rotation", "determinant +1", "mirror"),
+    (RIG, "[1e-4, 1e-4, 1e-4, 5e-4, 5e-4, 5e-4]", "1e-4", "stereo.top.pose_uncertainty", "6 numbers", "0.0001"),
+    (RIG, "[1e-4, 1e-4, 1e-4, 5e-4, 5e-4, 5e-4]", "[1e-4]", "stereo.top.pose_uncertainty", "6 numbers", "1 elements"),
+    (RIG, "scale_uncertainty = 2e-4 ", "#", "stereo.top.scale_uncertainty", "uncertainty of all lengths", "nothing"),
+    (RIG, 'calibration = "calibration/top.json"', "", "stereo.top.calibration", "images of top", "no calibration"),
+    (RIG, "calibration/top.json", "calibration/no.json", "stereo.top.calibration", "an existing file", "no.json"),
+    (RIG, "bit_depth = 12", "bit_depth = 12.0", "stereo.top.bit_depth", "a whole number", "12.0"),
+    (RIG, "bit_depth = 12", "bit_depth = 17", "stereo.top.bit_depth", "at most 16", "17"),
+    (RIG, "exposure = 40e-6", "exposre = 40e-6", "stereo.top.exposre", 'probably "exposure"', "unknown key"),
+    (RIG, "format = 1", "format = 2", "format", "1", "2"),
+    (RIG, "format = 1", "format = ", "", "TOML", "line 1"),
+    (RIG, "[sensor]", "[snsor]", "snsor", 'probably "sensor"', "unknown key"),
+    (RECORDING, '"../rig.toml"', '"../rg.toml"', "rig", "an existing file", "rg.toml"),
+    (RECORDING, 'kind = "sine"', 'kind = "sinus"', "excitation.kind", "'sine'", '"sinus"'),
+    (RECORDING, "[0.0, 0.0, 1.0]", "[0.0, 0.0, 0.0]", "excitation.direction", "a direction", "zero vector"),
+    (RECORDING, "[0.0, 0.0, 1.0]", "[0.0, 1.0]", "excitation.direction", "3 numbers, or 6", "2 elements"),
+    (RECORDING, "[106.25]", "[]", "excitation.frequencies", "a list of frequencies", "a list of 0"),
+    (RECORDING, "[106.25]", "[-106.25]", "excitation.frequencies", "above 0", "-106.25"),
+    (RECORDING, "[106.25]", '["106.25"]', "excitation.frequencies", "numbers", '"106.25"'),
+    (RECORDING, "frequencies = [106.25]", "", "excitation.frequencies", "required", "nothing"),
+    (RECORDING, 'harmonics = "auto"', 'harmonics = "all"', "excitation.harmonics", '"auto"', '"all"'),
+    (RECORDING, 'harmonics = "auto"', "harmonics = [2, 0]", "excitation.harmonics", "multiples", "0"),
+    (RECORDING, 'harmonics = "auto"', "band = [1, 2]", "excitation.band", 'no such key for kind = "sine"', "list of 2"),
+    (RECORDING, '"vibrometer.h5"', '"vibro.h5"', "daq.vibrometer.file", "an existing file", "vibro.h5"),
+    (RECORDING, '"vibrometer.h5"', '"../../vibro.h5"', "daq.vibrometer.file", "inside the folder", "../../vibro.h5"),
+    (RECORDING, '"vibrometer.h5"', '"/etc/passwd"', "daq.vibrometer.file", "relative", "/etc/passwd"),
+    (RECORDING, '"vibrometer.h5"', "'a\\b.h5'", "daq.vibrometer.file", "'/' between its parts", "a\\b.h5"),
+    (RECORDING, '"vibrometer.h5"', '"recording.toml"', "daq.vibrometer.file", "ends in one of .h5", "recording.toml"),
+    (RECORDING, 'name = "bridge"', 'name = "vibrometer"', "daq", "different names", '"vibrometer" twice'),
+    (RECORDING, 'quantity = "velocity"', 'quantity = "speed"', "channel.velocity.quantity", "'velocity'", '"speed"'),
+    (RECORDING, POINT, "", "daq.vibrometer.channel.velocity.point", "required for quantity", "nothing"),
+    (RECORDING, "scale = 0.125", "scale = 0", "channel.velocity.scale", "other than 0", "0"),
+    (RECORDING, "threshold = 2.5", "scale = 2.5", "channel.camera_trigger.scale", "no such key", "2.5"),
+    (RECORDING, 'channel = "Fz"', 'channel = "Fw"', "daq.bridge.channel.Fz.channel", "Fx, Fy, Fz", '"Fw"'),
+    (RECORDING, 'channel = "Fz"', "", "daq.bridge.channel.Fz.channel", "required", "nothing"),
+    (RECORDING, "bridge-response.csv", "no.csv", "daq.bridge.channel.Fz.response", "an existing file", "no.csv"),
+    (RECORDING, 'stereo = "top"', 'stereo = "tip"', "images.tip.stereo", "stereo pair of rig.toml", "top, base"),
+    (RECORDING, "top-left/*.tif", "top-left/*.png", "images.top.left", "at least one file", "*.png"),
+    (RECORDING, "top-left/*.tif", "**/*.tif", "images.top.left", "one folder", "**"),
+    (RECORDING, "top-left/*.tif", "top-left/000[01].tif", "images.top.right", "as many", "2 left and 3 right"),
+    (RECORDING, "top-right/*.tif", "top-left/*.tif", "images.top.right", "other images", "the same files"),
+    (RECORDING, 'trigger = "camera_trigger"\nfirst', 'trigger = "x"\nfirst', "images.top.trigger", "trigger", '"x"'),
+    (RECORDING, "first_edge = 0", "first_edge = -1", "images.top.first_edge", "at least 0", "-1"),
+    (RECORDING, '"x", "y", "z"]', '"x", "y"]', "points.base.columns", "x, y, z", "id_x"),
+    (RECORDING, '"id_x", "id_y"', '"id_x", "idy"', "points.base.columns", "columns of", '"idy"'),
+    (RECORDING, '"status", "status", "status"', '"_", "_", "_"', "points.base.columns", "status", "id_x"),
+    (RECORDING, "scale = 1e-3                            #", "scale = 0 #", "points.base.scale", "above 0", "0"),
+    (RECORDING, 'stereo = "base"', 'stereo = "top"', "images.top.stereo", "one images or points block", "two blocks"),
+]
+
+
+def _assert_one_sentence(error: InputError, file: str, key: str, expected: str, found: str) -> None:
+    text = str(error)
+    assert error.file.name == file
+    assert key in error.key, text
+    assert expected in error.expected, text
+    assert found in error.found, text
+    assert "\n" not in text
+    assert text.startswith(str(error.file))
+
+
+@pytest.mark.parametrize(("file", "old", "new", "key", "expected", "found"), CASES)
+def test_a_mistake_is_one_sentence(
+    make_campaign: Campaign, file: str, old: str, new: str, key: str, expected: str, found: str
+) -> None:
+    folder = make_campaign(replace=((file, old, new),))
+    with pytest.raises(InputError) as caught:
+        load_manifest(folder)
+    _assert_one_sentence(caught.value, file, key, expected, found)
+
+
+def test_the_sentence_reads_as_promised(make_campaign: Campaign) -> None:
+    folder = make_campaign(replace=((RIG, "mass = 6.9605", "mass = 0.0"), (RIG, "mass = 0.412", "mass = -1")))
+    with pytest.raises(InputError) as caught:
+        load_manifest(folder)
+    rig = folder.parent / RIG
+    assert str(caught.value) == f"{rig}: load.mass: expected a number above 0, found 0.0 (1 more problem in this file)"
+
+
+def test_a_covariance_makes_the_scale_uncertainty_optional(make_campaign: Campaign) -> None:
+    folder = make_campaign(replace=((RIG, "scale_uncertainty = 2e-4 ", "#"),))
+    calibration = folder.parent / "calibration" / "top.json"
+    calibration.write_text('{"covariance": {"parameters": [], "matrix": []}}', encoding="utf-8")
+    assert load_manifest(folder).rig.stereo["top"].scale_uncertainty is None
+    calibration.write_text("{", encoding="utf-8")
+    with pytest.raises(InputError, match=r"top\.json: expected JSON"):
+        load_manifest(folder)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links need a privilege on Windows")
+def test_a_link_that_leaves_the_campaign_is_refused(make_campaign: Campaign, tmp_path: Path) -> None:
+    folder = make_campaign()
+    (tmp_path / "elsewhere.h5").write_bytes(b"")
+    (folder / "vibrometer.h5").unlink()
+    (folder / "vibrometer.h5").symlink_to(tmp_path / "elsewhere.h5")
+    with pytest.raises(InputError, match=r"daq\.vibrometer\.file: expected a path inside the folder"):
+        load_manifest(folder)
+    assert load_manifest(folder, allow_outside=True)
+
+
+def test_a_rig_beside_the_recording_is_refused(make_campaign: Campaign) -> None:
+    folder = make_campaign(replace=((RECORDING, '"../rig.toml"', '"../other/rig.toml"'),))
+    (folder.parent / "other").mkdir()
+    (folder.parent / "rig.toml").rename(folder.parent / "other" / "rig.toml")
+    with pytest.raises(InputError, match=r"rig: expected a rig\.toml in a folder above the recording"):
+        load_manifest(folder)
+
+
+@pytest.mark.parametrize("content", [b"\xff\xfe", b"a = 1\na = 2\n", b"[[part]]\n[part]\n"])
+def test_what_is_not_toml_is_one_sentence(make_campaign: Campaign, content: bytes) -> None:
+    folder = make_campaign()
+    (folder / RECORDING).write_bytes(content)
+    with pytest.raises(InputError) as caught:
+        load_manifest(folder)
+    assert caught.value.file.name == RECORDING
+
+
+def test_a_recording_without_its_file_is_one_sentence(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"recording\.toml: expected an existing file"):
+        load_manifest(tmp_path)
+
+
+@pytest.mark.parametrize("section", ["sensor", "load", "stereo", "environment", "part"])
+def test_a_section_of_the_wrong_kind_is_one_sentence(make_campaign: Campaign, section: str) -> None:
+    folder = make_campaign(rig=f'format = 1\nname = "x"\n{section} = 3\n')
+    with pytest.raises(InputError) as caught:
+        load_manifest(folder)
+    _assert_one_sentence(caught.value, RIG, section, "", "3")
+
+
+def test_an_output_needs_a_sensor(make_campaign: Campaign, format_examples: dict[str, str]) -> None:
+    text = format_examples["rig"]
+    without = text[: text.index("[sensor]")] + text[text.index("[load]") :]
+    recording = format_examples["recording"].split("[[points]]")[0]
+    with pytest.raises(InputError, match=r"rig\.toml: sensor: expected the \[sensor\] whose output Fz"):
+        load_manifest(make_campaign(rig=without, recording=recording))
+
+
+TAKE = """
+[[take]]
+  [[take.daq]]
+  name = "scan"
+  file = "vibrometer.h5"
+    [[take.daq.channel]]
+    name = "velocity"
+    quantity = "velocity"
+    body = "load"
+    point = [0.0, 0.0, 0.0]
+    direction = [0.0, 0.0, 1.0]
+    [[take.daq.channel]]
+    name = "drive"
+    quantity = "voltage"
+    reference = true
+"""
+HEAD = """
+format = 1
+name = "scan"
+rig = "../rig.toml"
+[excitation]
+kind = "sine"
+direction = [0.0, 0.0, 1.0]
+frequencies = [100.0]
+"""
+
+
+def test_takes_share_one_reference(make_campaign: Campaign) -> None:
+    assert len(load_manifest(make_campaign(recording=HEAD + TAKE + TAKE)).take) == 2
+    with pytest.raises(InputError, match=r"take\[2\]\.daq: expected one channel with reference = true"):
+        load_manifest(make_campaign(recording=HEAD + TAKE + TAKE.replace("reference = true", "")))
+    with pytest.raises(InputError, match=r"take\[1\]\.daq\.scan\.channel\.drive\.reference: expected one channel"):
+        load_manifest(
+            make_campaign(recording=HEAD + TAKE.replace('velocity"\n    b', 'velocity"\n    reference=true\n    b'))
+        )
+    with pytest.raises(InputError, match="daq: expected at least one"):
+        load_manifest(make_campaign(recording=HEAD))
+
+
+KINDS = {
+    "multisine": "direction = [0, 0, 1]\nband = [10, 1000]\nperiod = 1.0\nsettle_periods = 2",
+    "chirp": "direction = [0, 0, 1]\nband = [10, 1000]\nresponse = ['velocity']\nreference = ['drive']",
+    "noise": "direction = [0, 0, 1]",
+    "impact": "direction = [0, 0, 1, 0, 0, 0]",
+    "step": "component = 'Fz'\nstep_amplitude = -12.0\nforce = 'drive'\nonset = 0.1",
+    "rotation": "file = 'bridge-response.csv'\nangle_unit = 'deg'\naxis = [1, 0, 0]\nzero_gravity = [0, 0, -1]\n"
+    "with_load = true",
+}
+
+
+@pytest.mark.parametrize("kind", sorted(KINDS))
+def test_every_kind_of_excitation_has_its_keys(make_campaign: Campaign, kind: str) -> None:
+    head = HEAD[: HEAD.index("kind")] + f'kind = "{kind}"\n{KINDS[kind]}\n'
+    assert load_manifest(make_campaign(recording=head + TAKE)).excitation.kind == kind
+    key = KINDS[kind].split(" ", maxsplit=1)[0]
+    lacking = head.replace(KINDS[kind].splitlines()[0], "")
+    with pytest.raises(InputError, match=f"excitation.{key}: expected this key, required for kind"):
+        load_manifest(make_campaign(recording=lacking + TAKE))
+
+
+def test_channels_that_the_excitation_names_are_recorded(make_campaign: Campaign) -> None:
+    head = HEAD[: HEAD.index("kind")] + 'kind = "chirp"\n' + KINDS["chirp"].replace("'drive'", "'x'")
+    with pytest.raises(InputError, match=r"excitation\.reference: expected the name of a recorded channel"):
+        load_manifest(make_campaign(recording=head + TAKE))
