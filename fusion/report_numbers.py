@@ -53,6 +53,8 @@ def common_exponent(values: ComplexArray) -> int:
 
 def short(value: float) -> Markup:
     """Two significant digits, with a power of ten where that is shorter."""
+    if not np.isfinite(value):
+        return Markup(DASH)
     exponent = rounded(value, 0.0).exponent
     return (
         Markup("{:.2g} × {}").format(value / 10.0**exponent, times_ten(exponent, ""))

@@ -169,6 +169,7 @@ def _frame(found: list[tuple[Acceleration, complex, FloatArray]], factor: float)
         points = np.append(points, 0.0)
         middle = complex((points.real.max() + points.real.min()) / 2.0, (points.imag.max() + points.imag.min()) / 2.0)
         half = 0.6 * max(np.ptp(points.real), np.ptp(points.imag))
+    half = max(half, 1e-6 * abs(middle), 1e-12)
     return middle - half * (1 + 1j), middle + half * (1 + 1j)
 
 
