@@ -125,7 +125,10 @@ def _register_one(subset, solved, target, limits, warp, scores):  # type: ignore
     for value in warp:
         if not np.isfinite(value):
             return 6, 0
+    start_x, start_y = warp[0], warp[3]
     for iteration in range(1, max_iterations + 1):
+        if abs(warp[0] - start_x) + abs(warp[3] - start_y) > 2.0 * radius:
+            return 1, iteration
         if not _inside(subset, target, warp):
             return 3, iteration
         _correlate(subset, target, warp, sums)

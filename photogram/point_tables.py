@@ -145,7 +145,7 @@ def _frame_of(name: str, numbers: FloatArray, columns: Sequence[str], valid_stat
     identity = numbers[:, [index for index, column in enumerate(columns) if column.startswith("id")]]
     status = numbers[:, [index for index, column in enumerate(columns) if column == "status"]]
     accepted = np.ones_like(status, dtype=np.bool_) if valid_status is None else status == valid_status
-    valid: BoolArray = np.hstack([np.isfinite(position), accepted]).all(axis=1)
+    valid = np.asarray(np.hstack([np.isfinite(position), accepted]).all(axis=1))
     if identity.shape[1] and len(np.unique(identity, axis=0)) < len(identity):
         raise ValueError(f"{name}: expected every point's identity once, found one twice")
     return _Frame(name, identity, position, reference, valid)

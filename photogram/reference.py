@@ -12,6 +12,7 @@ from photogram._checks import FloatArray, check_shape
 from photogram.interpolate import Spline, evaluate, noise_gain, slope_noise_gain
 
 SMALLEST_NOISE = 1e-9
+SMALLEST_CONTRAST = 1e-9
 LEAST_RATIO = 4.0
 SMALLEST_EXCESS = 1e-2
 
@@ -88,7 +89,9 @@ def prepare_reference(spline: Spline, centre_px: FloatArray, radius_px: int) -> 
     slope_noise2 = slope_noise_gain(spline.degree) * _pixel_noise(spline, centre_px, radius_px) ** 2
     for n in range(count):
         status[n] = TrackStatus.LEFT_IMAGE
-        if np.all(np.isfinite(pixels[n])):
+        if energy[n] <= size * (SMALLEST_CONTRAST * abs(mean[n])) ** 2:
+            status[n] = TrackStatus.FLAT
+        elif np.all(np.isfinite(pixels[n])):
             hessian, removed[n] = _hessian(pixels[n], energy[n], offsets)
             floor = max(slope_noise2[n], SMALLEST_NOISE * energy[n] / size)
             status[n], inverse_hessian[n], variance[n] = _invert(hessian, floor, offsets)
