@@ -85,7 +85,7 @@ def draw_residuals(stereo: StereoResult) -> Picture:
         panels = figure.subplots(6, 2, sharey="row", sharex="col", gridspec_kw={"width_ratios": [3.4, 1.0]})
         for component, (over_time, histogram) in enumerate(panels):
             residual = stereo.fit.residual[:, component]
-            factor, letter = prefix(residual)
+            factor, letter = prefix(stereo.fit.residual[:, :3] if component < 3 else stereo.fit.residual[:, 3:])
             scaled = residual / factor
             over_time.plot(stereo.time_s, scaled, color=BLUE, rasterized=len(stereo.time_s) > RASTER_ABOVE, **POINT)
             over_time.axhline(0.0, color=BLACK, linewidth=0.6)
@@ -226,7 +226,9 @@ def _draw_histogram(axes: Axes, values: FloatArray) -> None:
         density = np.exp(-0.5 * (level / deviation) ** 2) / (np.sqrt(2.0 * np.pi) * deviation)
         axes.plot(density * len(values) * (edges[1] - edges[0]), level, color=BLACK, linewidth=0.9)
     axes.set_xlim(0.0, 1.75 * float(counts.max()))
-    axes.text(0.97, 0.5, f"s = {deviation:.2g}", transform=axes.transAxes, ha="right", va="center", fontsize=7.5)
+    axes.text(
+        0.97, 0.97, f"s = {float(f'{deviation:.2g}'):g}", transform=axes.transAxes, ha="right", va="top", fontsize=7.5
+    )
 
 
 def _mark_lines(axes: Axes, stereo: StereoResult, rate: float) -> None:
