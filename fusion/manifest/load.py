@@ -108,7 +108,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(path, "", error.strerror or str(error), "a file that can be read") from error
     except UnicodeDecodeError as error:
         raise InputError(path, "", f"byte {error.start} is something else", "UTF-8 text") from error
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(path, "", str(error), "TOML") from error
 
 
@@ -175,10 +175,10 @@ def key_path(text: dict[str, Any], place: list[int | str]) -> str:
     for step in place:
         child = value[step] if _has(value, step) else None
         name = step if isinstance(step, str) else _block_name(value, child)
-        if name:
-            told += f".{quoted(name)}" if told else quoted(name)
+        if isinstance(step, int) and not name:
+            told += f"[{step + 1}]"
         else:
-            told += f"[{int(step) + 1}]"
+            told += f".{quoted(name)}" if told else quoted(name)
         value = child
     return told
 
@@ -222,8 +222,8 @@ def _phrases(model: type[Block], problem: ErrorDetails) -> tuple[str, str]:
         "literal_error": "{expected}",
         "model_type": "a table",
         "dict_type": "a table",
-    }.get(kind, problem["msg"])
-    return expected.format(**context), describe(problem["input"])
+    }.get(kind)
+    return expected.format(**context) if expected else problem["msg"], describe(problem["input"])
 
 
 def _known_keys(model: type[Block], place: tuple[int | str, ...]) -> str:

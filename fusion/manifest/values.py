@@ -6,6 +6,7 @@ elements of an uncertainty.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import date, time
@@ -65,12 +66,12 @@ def describe(value: Any) -> str:
         return f"a list of {len(value)}"
     if isinstance(value, date | time):
         return "a date or time"
-    return "nothing" if value is None else f"{value}"
+    return "nothing" if value is None else f"{value}"[:60]
 
 
 def _is_number(value: Any) -> bool:
     """Numbers are finite int and float; bool is none."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
 
 
 def _numbers(value: Any, count: int, expected: str) -> tuple[float, ...]:

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import copy
 import os
+import tomllib
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from fusion.errors import InputError
-from fusion.manifest import load_manifest
+from fusion.manifest import RecordingFile, Rig, load_manifest
+from fusion.manifest.load import validate
+from fusion.manifest.paths import PathScope
+from fusion.manifest.values import Context
 
 Campaign = Callable[..., Path]
 RIG, RECORDING = "rig.toml", "recording.toml"
@@ -149,7 +158,9 @@ def test_a_rig_beside_the_recording_is_refused(make_campaign: Campaign) -> None:
         load_manifest(folder)
 
 
-@pytest.mark.parametrize("content", [b"\xff\xfe", b"a = 1\na = 2\n", b"[[part]]\n[part]\n"])
+@pytest.mark.parametrize(
+    "content", [b"\xff\xfe", b"a = " + b"9" * 5000, b"a = " + b"[" * 5000, b"a = 1\na = 2\n", b"[[part]]\n[part]\n"]
+)
 def test_what_is_not_toml_is_one_sentence(make_campaign: Campaign, content: bytes) -> None:
     folder = make_campaign()
     (folder / RECORDING).write_bytes(content)
@@ -243,3 +254,36 @@ def test_channels_that_the_excitation_names_are_recorded(make_campaign: Campaign
     head = HEAD[: HEAD.index("kind")] + 'kind = "chirp"\n' + KINDS["chirp"].replace("'drive'", "'x'")
     with pytest.raises(InputError, match=r"excitation\.reference: expected the name of a recorded channel"):
         load_manifest(make_campaign(recording=head + TAKE))
+
+
+LEAF = st.one_of(
+    st.none(), st.booleans(), st.integers(), st.just(10**400), st.floats(), st.text(max_size=8), st.dates(), st.times()
+)
+JUNK = st.recursive(
+    LEAF, lambda inner: st.lists(inner, max_size=7) | st.dictionaries(st.text(max_size=4), inner), max_leaves=12
+)
+
+
+def _places(value: Any, here: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """Key paths of all values below a TOML value."""
+    steps = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    return [place for key, child in steps for place in ((*here, key), *_places(child, (*here, key)))]
+
+
+@settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data(), junk=JUNK)
+def test_any_value_anywhere_is_accepted_or_an_input_error(
+    make_campaign: Campaign, data: st.DataObject, junk: Any
+) -> None:
+    folder = make_campaign()
+    rig = load_manifest(folder).rig
+    file, model = data.draw(st.sampled_from([(folder.parent / RIG, Rig), (folder / RECORDING, RecordingFile)]))
+    text = copy.deepcopy(tomllib.loads(file.read_text(encoding="utf-8")))
+    *way, last = data.draw(st.sampled_from(_places(text)))
+    table: Any = text
+    for step in way:
+        table = table[step]
+    table[last] = junk
+    scope = PathScope(file.parent.resolve(), folder.parent.resolve())
+    with suppress(InputError):
+        validate(model, text, file, Context(scope, rig.stereo))
