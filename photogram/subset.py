@@ -24,9 +24,9 @@ def textured_area(image: Image) -> BoolArray:
     Man Cybern. 9, 62), holes are closed, and the window's reach is taken off again. An image whose two classes differ
     by less than a factor of 3 is textured everywhere.
     """
+    import cv2
     from scipy import ndimage
     from skimage.filters import threshold_otsu
-    from skimage.morphology import disk
 
     check_shape("image", image, (None, None))
     contrast = np.log(_local_contrast(image.astype(np.float64)) + 1e-3 * (1.0 + float(np.std(image))))
@@ -35,11 +35,11 @@ def textured_area(image: Image) -> BoolArray:
         return np.ones(image.shape, dtype=np.bool_)
     if contrast[textured].mean() - contrast[~textured].mean() < np.log(CLEAR_SEPARATION):
         return np.ones(image.shape, dtype=np.bool_)
-    reach = CONTRAST_WINDOW_PX // 2
-    framed = np.pad(textured, 2 * CONTRAST_WINDOW_PX, mode="edge")
-    closed = ndimage.binary_closing(framed, disk(CONTRAST_WINDOW_PX))
-    opened = ndimage.binary_opening(ndimage.binary_fill_holes(closed), disk(CONTRAST_WINDOW_PX))
-    shrunk = ndimage.binary_erosion(opened, disk(reach + 1))
+    ball = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * CONTRAST_WINDOW_PX + 1, 2 * CONTRAST_WINDOW_PX + 1))
+    framed = np.pad(textured, 2 * CONTRAST_WINDOW_PX, mode="edge").astype(np.uint8)
+    closed = ndimage.binary_fill_holes(cv2.morphologyEx(framed, cv2.MORPH_CLOSE, ball)).astype(np.uint8)
+    opened = cv2.morphologyEx(closed, cv2.MORPH_OPEN, ball)
+    shrunk = cv2.erode(opened, np.ones((CONTRAST_WINDOW_PX + 2, CONTRAST_WINDOW_PX + 2), np.uint8)) > 0
     inside = shrunk[2 * CONTRAST_WINDOW_PX : -2 * CONTRAST_WINDOW_PX, 2 * CONTRAST_WINDOW_PX : -2 * CONTRAST_WINDOW_PX]
     return _large_parts(inside)
 
@@ -50,13 +50,14 @@ def lay_grid(area: BoolArray, radius_px: int, step_px: int) -> FloatArray:
     In each row subsets are set from left to right at least `step_px` apart; the heights of the rows, as far apart, are
     those with the largest total (dynamic programming), so that round bodies are covered to their edge.
     """
-    from scipy import ndimage
+    import cv2
 
     check_shape("area", area, (None, None))
     if radius_px < 1 or step_px < 1:
         raise ValueError(f"radius_px, step_px: expected at least 1, found {radius_px} and {step_px}")
     side = 2 * radius_px + 1
-    possible = ndimage.binary_erosion(area, np.ones((side, side), dtype=np.bool_), border_value=0)
+    square = np.ones((side, side), np.uint8)
+    possible = cv2.erode(area.astype(np.uint8), square, borderType=cv2.BORDER_CONSTANT, borderValue=(0.0,)) > 0
     columns = [_packed(np.flatnonzero(line), step_px) for line in possible]
     best = np.zeros(len(columns) + 1, dtype=np.int64)
     for row, line in enumerate(columns):
@@ -93,17 +94,23 @@ def subset_mean(values: Image, points_px: FloatArray, radius_px: int) -> FloatAr
 def speckle_size(image: Image, area: BoolArray) -> float:
     """Speckle size in px: full width at half maximum of the texture's autocorrelation inside `area` (H,W).
 
-    The value at lag 0, raised by noise, is replaced by the parabola through lags 1 and 2 where that is lower.
+    The value at lag 0, raised by noise, is replaced by the Gaussian through lags 1 and 2 where that is lower; between
+    lags, too, the logarithm is taken as linear in the squared lag.
     """
     check_shape("area", area, image.shape)
     lags = _autocorrelation(image.astype(np.float64), area)
-    peak = min(lags[0], (4.0 * lags[1] - lags[2]) / 3.0)
+    peak = lags[0]
+    if lags[1] > 0.0 and lags[2] > 0.0:
+        peak = min(peak, lags[1] * (lags[1] / lags[2]) ** (1.0 / 3.0))
     below = np.flatnonzero(lags[1:] < 0.5 * peak)
     if peak <= 0.0 or len(below) == 0:
         return float("nan")
     after = int(below[0]) + 1
     before = peak if after == 1 else lags[after - 1]
-    return float(2.0 * (after - 1 + (before - 0.5 * peak) / (before - lags[after])))
+    if lags[after] <= 0.0:
+        return float(2.0 * (after - 1 + (before - 0.5 * peak) / (before - lags[after])))
+    part = np.log(2.0 * before / peak) / np.log(before / lags[after])
+    return float(2.0 * np.sqrt((after - 1) ** 2 + part * (2 * after - 1)))
 
 
 def fine_texture_share(image: Image, area: BoolArray, noise_grey: float) -> float:

@@ -46,6 +46,7 @@ Image = NDArray[Any]
 Progress = Callable[[int], None]
 EPIPOLAR_TOLERANCE_PX = 2.0
 OVERLAP = 0.95
+BORDER_PX = 5
 HISTORY = 6
 SMALLEST_SPECKLE_PX = 3.0
 LARGEST_FINE_SHARE = 2e-3
@@ -142,7 +143,7 @@ def track_stereo(
     if len(left) != len(right):
         raise ValueError(f"right: expected {len(left)} frames as in left, found {len(right)}")
     images = left.read(0), right.read(0)
-    areas = tuple(textured_area(image) for image in images)
+    areas = tuple(textured_area(image) & _away_from_border(image.shape) for image in images)
     points = lay_grid(areas[0], settings.radius_px, settings.grid_step_px)
     if len(points) < 3:
         raise ValueError(f"left: expected a speckled body, found room for {len(points)} subsets in {left.names[0]}")
@@ -168,6 +169,13 @@ def track_stereo(
     notices += _image_notices(images, areas, speckle, noise)
     notices += [notice for side, track in zip(("left", "right"), tracks, strict=True) for notice in _lost(track, side)]
     return StereoTracks(left_tracks, right_tracks, tuple(notices), speckle, noise)
+
+
+def _away_from_border(shape: tuple[int, ...]) -> BoolArray:
+    """Pixels that can move by a few pixels without leaving the image."""
+    inside = np.zeros(shape, dtype=np.bool_)
+    inside[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX] = True
+    return inside
 
 
 def _on_epipolar_lines(rig: StereoRig, left_px: FloatArray, right_px: FloatArray, notices: list[Notice]) -> BoolArray:
