@@ -40,7 +40,7 @@ DAQ_SUFFIXES = (".h5", ".hdf5", ".tdms", ".uff", ".unv", ".mat", ".csv", ".wav",
 MINIMUM_FRAMES = 3
 COORDINATES = ("x", "y", "z")
 REFERENCE_COORDINATES = ("x0", "y0", "z0")
-COLUMNS = ("id", "id_x", "id_y", "frame", "status", *REFERENCE_COORDINATES, *COORDINATES, "_")
+COLUMNS = ("frame", "status", *REFERENCE_COORDINATES, *COORDINATES, "_")
 
 
 def _driven(value: object) -> tuple[float, ...]:
@@ -95,9 +95,9 @@ def _columns(value: object) -> tuple[str, ...]:
     """What the columns of a point table hold."""
     if not isinstance(value, list | tuple) or not all(isinstance(name, str) for name in value):
         raise refusal("a list of column names", describe(value))
-    unknown = next((name for name in value if name not in COLUMNS), None)
+    unknown = next((name for name in value if name not in COLUMNS and not name.startswith("id")), None)
     if unknown is not None:
-        raise refusal("columns of " + ", ".join(COLUMNS), f'"{unknown}"')
+        raise refusal("columns of " + ", ".join(COLUMNS) + " and id…", f'"{unknown}"')
     single = [name for name in value if name not in ("_", "status")]
     twice = repeated_name(single)
     if twice is not None:
@@ -307,15 +307,15 @@ class PointFiles(Frames):
     """Tables of 3-D points from another DIC program: one file per frame, or one with a column `frame`."""
 
     files: ExistingFiles
-    columns: Annotated[tuple[str, ...] | None, BeforeValidator(_columns)] = None
+    columns: Annotated[tuple[str, ...], BeforeValidator(_columns)]
     valid_status: int | None = None
     scale: Positive = 1.0
 
     @model_validator(mode="after")
     def _columns_hold_what_is_used(self) -> Self:
-        if self.valid_status is not None and self.columns is not None and "status" not in self.columns:
+        if self.valid_status is not None and "status" not in self.columns:
             raise refusal('a column "status" for valid_status', ", ".join(self.columns), key="columns")
-        single = self.columns is not None and "frame" in self.columns
+        single = "frame" in self.columns
         if 1 < len(self.files) < MINIMUM_FRAMES and not single:
             raise refusal(f"at least {MINIMUM_FRAMES} frames", f"{len(self.files)}", key="files")
         if single and len(self.files) > 1:

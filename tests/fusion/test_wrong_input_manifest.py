@@ -94,7 +94,7 @@ CASES = [
     (RECORDING, 'trigger = "camera_trigger"\nfirst', 'trigger = "x"\nfirst', "images.top.trigger", "trigger", '"x"'),
     (RECORDING, "first_edge = 0", "first_edge = -1", "images.top.first_edge", "at least 0", "-1"),
     (RECORDING, '"x", "y", "z"]', '"x", "y"]', "points.base.columns", "x, y, z", "id_x"),
-    (RECORDING, '"id_x", "id_y"', '"id_x", "idy"', "points.base.columns", "columns of", '"idy"'),
+    (RECORDING, '"id_x", "id_y"', '"id_x", "yid"', "points.base.columns", "columns of", '"yid"'),
     (RECORDING, '"status", "status", "status"', '"_", "_", "_"', "points.base.columns", "status", "id_x"),
     (RECORDING, "scale = 1e-3                            #", "scale = 0 #", "points.base.scale", "above 0", "0"),
     (RECORDING, 'stereo = "base"', 'stereo = "top"', "images.top.stereo", "one images or points block", "two blocks"),
