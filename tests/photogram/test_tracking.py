@@ -115,6 +115,15 @@ def test_a_wrong_calibration_is_said(pair, rig: StereoRig) -> None:  # type: ign
     assert any("epipolar" in notice.text and notice.where == "stereo calibration" for notice in tracks.notices)
 
 
+def test_speckle_finer_than_the_pixels_is_said(make_texture) -> None:  # type: ignore[no-untyped-def]
+    image = 2000 + 400 * make_texture(seed=25, s=0.55, waves=100).image((160, 120))
+    frames = [np.round(image + np.random.default_rng(k).normal(0, 6, image.shape)).astype(np.uint16) for k in range(3)]
+    tracks = track_stereo(sequence(frames), sequence(frames[::-1]), None, TrackSettings())
+    warnings = [notice for notice in tracks.notices if "false harmonics" in notice.text]
+    assert [notice.where for notice in warnings] == ["left camera", "right camera"]
+    assert np.all(tracks.speckle_px < 3.0)
+
+
 def test_jumps_of_many_pixels_are_found_again(make_texture) -> None:  # type: ignore[no-untyped-def]
     texture = make_texture(seed=22, s=1.3, waves=60)
     jumps = np.array([[0, 0], [9.3, -4.2], [-8.6, 9.7], [0.2, 0.1]])
