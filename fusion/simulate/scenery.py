@@ -15,7 +15,8 @@ FloatArray = NDArray[np.float64]
 
 _LEFT_LENS = (-0.09, 0.12, 2e-4, -1.5e-4, 0.0)
 _RIGHT_LENS = (-0.085, 0.10, -1e-4, 2e-4, 0.0)
-_SPECKLE_PX = 4.5
+_SPECKLE_PX = 5.0
+_DOT_SOFTNESS_PX = 1.0
 _ALIASED_SPECKLE_PX = 2.0
 _BLUR_PX = 0.6
 _CORNER_NOISE_PX = 0.02
@@ -96,11 +97,15 @@ def _sensor_from_camera(setup: StereoSetup, angle_deg: float) -> RigidTransform:
 
 
 def face_of(setup: StereoSetup, aliased: bool, rng: np.random.Generator) -> Face:
-    """Return the speckled face: dots of 4.5 px behind the lens blur of 0.6 px, or sharp dots of 2 px (`aliased`)."""
+    """Return the speckled face: sprayed dots of 5 px behind the lens blur of 0.6 px, or sharp dots of 2 px (`aliased`).
+
+    The rims of sprayed dots are soft (σ 1 px), which leaves nothing beyond the Nyquist frequency of the pixels: sharp
+    discs of the same size alias by 1 % of their amplitude and move subsets by 1 to 2 thousandths of a pixel.
+    """
     normal, up = np.array(setup.face_normal), np.array(setup.face_up)
     pixel = setup.pixel_m
     speckle = _ALIASED_SPECKLE_PX if aliased else _SPECKLE_PX
-    blur = 0.0 if aliased else _BLUR_PX * pixel
+    blur = 0.0 if aliased else float(np.hypot(_BLUR_PX, _DOT_SOFTNESS_PX)) * pixel
     extent = (2 * setup.half_size[0] + 8 * pixel, 2 * setup.half_size[1] + 8 * pixel)
     texture = speckle_texture(extent, speckle * pixel, pixel / (5 if aliased else 4), blur, rng)
     half = np.array(setup.half_size)
