@@ -47,5 +47,5 @@ def simulate(out: Path, preset: str, seed: int, progress: Callable[[int], None] 
 def _replaceable(out: Path) -> bool:
     """Say whether a folder is empty or holds nothing but one simulated campaign."""
     recordings = {path.parent.name for path in out.glob("*/truth.json")}
-    allowed = {"rig.toml", "calibration", *recordings}
+    allowed = {"rig.toml", "calibration", "results", *recordings}
     return out.is_dir() and {path.name for path in out.iterdir()} <= allowed

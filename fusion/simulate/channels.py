@@ -37,7 +37,8 @@ def clock(daq: DaqSpec, draws: Draws) -> tuple[float, float]:
 def record(world: World, daq: DaqSpec, draws: Draws, noise: bool) -> Record:
     """Return what one recorder stores, rounded to its converter's steps."""
     start, rate = clock(daq, draws)
-    time = start + rate * np.arange(round(daq.duration_s * daq.sample_rate_hz)) / daq.sample_rate_hz
+    count = np.arange(round(daq.duration_s * daq.sample_rate_hz), dtype=np.float64)
+    time: FloatArray = start + rate * count / daq.sample_rate_hz
     samples, units = {}, {}
     for spec in daq.channels:
         if spec.quantity == "trigger":

@@ -39,4 +39,4 @@ def _slope(view: View, face: Face, pose: FloatArray, component: int, nodes: int)
     step[component] = _STEP_M if component < 3 else _STEP_RAD
     ahead = render(view, face, (pose + step)[None], np.ones(1), nodes)
     behind = render(view, face, (pose - step)[None], np.ones(1), nodes)
-    return (ahead - behind) / (2 * step[component])
+    return np.asarray((ahead - behind) / (2 * step[component]))

@@ -26,8 +26,8 @@ def render(view: View, face: Face, poses: FloatArray, weights: FloatArray, nodes
     maps = np.stack([view.homography(face, pose) for pose in poses])
     offsets, shares = _gauss_legendre(nodes, 1.0)
     image = np.empty(view.ray.shape[:2])
-    tone = np.array([face.dark, face.bright - face.dark, face.background, face.edge_blur_m])
-    size = np.array([face.half_size_m[0], face.half_size_m[1], 1.0 if face.round else 0.0])
+    tone = np.array([face.dark, face.bright - face.dark, face.background])
+    size = np.array([face.half_size_m[0], face.half_size_m[1], float(face.round), face.edge_blur_m])
     grid = np.array([face.texture.origin_m[0], face.texture.origin_m[1], 1.0 / face.texture.step_m])
     _integrate(
         view.ray,
@@ -65,7 +65,7 @@ def _gauss_legendre(nodes: int, length: float) -> tuple[FloatArray, FloatArray]:
     return points * length / 2, weights / 2
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def _integrate(
     ray: FloatArray,
     ray_x: FloatArray,
@@ -82,34 +82,34 @@ def _integrate(
 ) -> None:
     """Fill the image with the mean over aperture and exposure, in one pass over the pixels."""
     rows, columns = image.shape
+    nodes, poses = offsets.size, weights.size
     for i in range(rows):
         for j in range(columns):
+            centre_x, centre_y = ray[i, j, 0], ray[i, j, 1]
             total = 0.0
-            for a in range(offsets.size):
-                for b in range(offsets.size):
-                    x = ray[i, j, 0] + offsets[b] * ray_x[i, j, 0] + offsets[a] * ray_y[i, j, 0]
-                    y = ray[i, j, 1] + offsets[b] * ray_x[i, j, 1] + offsets[a] * ray_y[i, j, 1]
-                    share = shares[a] * shares[b]
-                    for e in range(weights.size):
-                        m = maps[e]
-                        w = 1.0 / (m[2, 0] * x + m[2, 1] * y + m[2, 2])
-                        u = (m[0, 0] * x + m[0, 1] * y + m[0, 2]) * w
-                        v = (m[1, 0] * x + m[1, 1] * y + m[1, 2]) * w
-                        total += share * weights[e] * _grey(coefficients, grid, size, tone, u, v)
+            for q in range(nodes * nodes):
+                down, across = offsets[q // nodes], offsets[q % nodes]
+                x = centre_x + across * ray_x[i, j, 0] + down * ray_y[i, j, 0]
+                y = centre_y + across * ray_x[i, j, 1] + down * ray_y[i, j, 1]
+                share = shares[q // nodes] * shares[q % nodes]
+                for e in range(poses):
+                    w = 1.0 / (maps[e, 2, 0] * x + maps[e, 2, 1] * y + maps[e, 2, 2])
+                    u = (maps[e, 0, 0] * x + maps[e, 0, 1] * y + maps[e, 0, 2]) * w
+                    v = (maps[e, 1, 0] * x + maps[e, 1, 1] * y + maps[e, 1, 2]) * w
+                    cover = _cover(size, u, v)
+                    value = tone[2]
+                    if cover > 0.0:
+                        column, row = (u - grid[0]) * grid[2], (v - grid[1]) * grid[2]
+                        value += cover * (tone[0] + tone[1] * spline_value(coefficients, column, row) - tone[2])
+                    total += share * weights[e] * value
             image[i, j] = total
 
 
-@numba.njit(cache=True, inline="always")
-def _grey(
-    coefficients: NDArray[np.float32], grid: FloatArray, size: FloatArray, tone: FloatArray, u: float, v: float
-) -> float:
-    """Return the grey level at the point (u, v) of the face's plane: face, background, or the blurred rim."""
-    inside = size[0] - math.hypot(u, v) if size[2] > 0.0 else min(size[0] - abs(u), size[1] - abs(v))
-    cover = inside / tone[3]
-    if cover < -_FAR:
-        return float(tone[2])
-    value = tone[0] + tone[1] * spline_value(coefficients, (u - grid[0]) * grid[2], (v - grid[1]) * grid[2])
+@numba.njit(cache=True, error_model="numpy")
+def _cover(size: FloatArray, u: float, v: float) -> float:
+    """Return how much of the point (u, v) is the face's: 1 inside, 0 outside, an error function across the rim."""
+    inside = size[0] - math.sqrt(u * u + v * v) if size[2] > 0.0 else min(size[0] - abs(u), size[1] - abs(v))
+    cover = inside / size[3]
     if cover > _FAR:
-        return float(value)
-    cover = 0.5 * (1.0 + math.erf(cover / math.sqrt(2.0)))
-    return float(cover * value + (1.0 - cover) * tone[2])
+        return 1.0
+    return 0.0 if cover < -_FAR else 0.5 * (1.0 + math.erf(cover / math.sqrt(2.0)))

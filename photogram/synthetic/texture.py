@@ -80,7 +80,7 @@ def _paint_dots(samples: FloatArray, x: FloatArray, y: FloatArray, radius: Float
                 samples[i, j] = min(samples[i, j], 1.0 - min(max(inside, 0.0), 1.0))
 
 
-@numba.njit(cache=True, inline="always")
+@numba.njit(cache=True)
 def spline_value(coefficients: NDArray[np.float32], x: float, y: float) -> float:
     """Return the cubic B-spline at column x and row y of the grid; outside, the outermost cell is continued."""
     rows, columns = coefficients.shape
@@ -93,16 +93,11 @@ def spline_value(coefficients: NDArray[np.float32], x: float, y: float) -> float
     a1, a2 = 2.0 / 3.0 - 0.5 * tx * tx * (2.0 - tx), 2.0 / 3.0 - 0.5 * sx * sx * (2.0 - sx)
     b0, b3 = sy * sy * sy / 6.0, ty * ty * ty / 6.0
     b1, b2 = 2.0 / 3.0 - 0.5 * ty * ty * (2.0 - ty), 2.0 / 3.0 - 0.5 * sy * sy * (2.0 - sy)
-    total = 0.0
-    for k in range(4):
-        row = coefficients[i - 1 + k]
-        line = a0 * row[j - 1] + a1 * row[j] + a2 * row[j + 1] + a3 * row[j + 2]
-        if k == 0:
-            total += b0 * line
-        elif k == 1:
-            total += b1 * line
-        elif k == 2:
-            total += b2 * line
-        else:
-            total += b3 * line
-    return total
+    c = coefficients
+    value: float = (
+        b0 * (a0 * c[i - 1, j - 1] + a1 * c[i - 1, j] + a2 * c[i - 1, j + 1] + a3 * c[i - 1, j + 2])
+        + b1 * (a0 * c[i, j - 1] + a1 * c[i, j] + a2 * c[i, j + 1] + a3 * c[i, j + 2])
+        + b2 * (a0 * c[i + 1, j - 1] + a1 * c[i + 1, j] + a2 * c[i + 1, j + 1] + a3 * c[i + 1, j + 2])
+        + b3 * (a0 * c[i + 2, j - 1] + a1 * c[i + 2, j] + a2 * c[i + 2, j + 1] + a3 * c[i + 2, j + 2])
+    )
+    return value

@@ -1,0 +1,204 @@
+"""The simulated campaign: rigid-body physics by hand and by numeric differentiation, files against formulas."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tomllib
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import tifffile
+
+from fusion.manifest import load_manifest
+from fusion.simulate import simulate
+from fusion.simulate.draws import Draws
+from fusion.simulate.mechanics import Motion, TruePart, acceleration_at, base_motion, harmonic, velocity_at, wrench
+from fusion.simulate.preset import PRESETS
+from fusion.simulate.toml_text import to_toml
+from fusion.simulate.world import make_world
+from photogram.rigid import rotation_from_vector
+
+GRAVITY = np.array([0.0, 0.0, -9.8125])
+FREQUENCY = np.array([40.0, 120.0])
+PART = TruePart(2.0, np.array([0.01, -0.02, 0.05]), np.array([[3e-3, 1e-4, 0], [1e-4, 4e-3, 2e-4], [0, 2e-4, 5e-3]]))
+
+
+def _motion(scale: float = 1.0) -> Motion:
+    rng = np.random.default_rng(3)
+    amplitude = np.array([3.0, 2.0, 40.0, 30.0, 20.0, 10.0]) * scale
+    phasors = amplitude * np.exp(2j * np.pi * rng.uniform(size=(2, 6)))
+    return Motion(FREQUENCY, phasors)
+
+
+def _derivatives(values: np.ndarray, step: float) -> np.ndarray:
+    """Second derivative of samples (7, ...) at the middle one, sixth order."""
+    weights = np.array([2, -27, 270, -490, 270, -27, 2]) / (180 * step**2)
+    return np.tensordot(weights, values, axes=1)
+
+
+def test_wrench_agrees_with_momentum_differentiated_numerically() -> None:
+    motion, step = _motion(1e-3), 2e-5  # small, so that terms of second order vanish
+    for time in (0.0, 0.0031, 0.0127):
+        stencil = time + step * np.arange(-3, 4)
+        poses = motion.pose(stencil)
+        rotation = rotation_from_vector(poses[:, 3:])
+        centre = poses[:, :3] + rotation @ PART.centre_of_mass_m
+        force = PART.mass_kg * (_derivatives(centre, step) - GRAVITY)
+        spin = _derivatives(poses[:, 3:], step)
+        moment = PART.inertia_kgm2 @ spin
+        body_force = rotation[3].T @ force
+        expected = np.concatenate([body_force, moment + np.cross(PART.centre_of_mass_m, body_force)])
+        still = -PART.mass_kg * GRAVITY
+        expected -= np.concatenate([still, np.cross(PART.centre_of_mass_m, still)])
+        found = harmonic(np.array(time), FREQUENCY, wrench(motion, [PART], GRAVITY))
+        np.testing.assert_allclose(found, expected, rtol=2e-4, atol=2e-7)
+
+
+def test_wrench_of_a_mass_on_an_arm_by_hand() -> None:
+    """A point of 2 kg, 0.1 m above the origin, rocks about x with 1 rad/s² at ω = 100/s."""
+    motion = Motion(np.array([100 / (2 * np.pi)]), np.array([[0, 0, 0, 1, 0, 0]], dtype=complex))
+    mass = TruePart(2.0, np.array([0, 0, 0.1]), np.zeros((3, 3)))
+    found = wrench(motion, [mass], GRAVITY)[0]
+    theta = -1e-4
+    force_y = 2 * (-0.1 - theta * -9.8125)  # α × c points to −y; the tilted axes see −θ·g_z of gravity
+    np.testing.assert_allclose(found, [0, force_y, 0, -0.1 * force_y, 0, 0], atol=1e-15)
+
+
+def test_laser_and_accelerometer_read_what_the_moving_point_does() -> None:
+    motion, step = _motion(1e-3), 2e-5
+    point, direction = np.array([0.03, -0.04, 0.06]), np.array([0.36, 0.48, 0.8])
+    velocity = velocity_at(motion, point, direction)
+    reading = acceleration_at(motion, point, direction, GRAVITY)
+    for time in (0.0, 0.0043):
+        poses = motion.pose(time + step * np.arange(-3, 4))
+        rotation = rotation_from_vector(poses[:, 3:])
+        path = poses[:, :3] + rotation @ point
+        speed = (path[4] - path[2]) / (2 * step) @ direction
+        assert harmonic(np.array(time), FREQUENCY, velocity[:, None])[0] == pytest.approx(speed, rel=1e-3)
+        felt = rotation[3].T @ (_derivatives(path, step) - GRAVITY) @ direction + GRAVITY @ direction
+        assert harmonic(np.array(time), FREQUENCY, reading[:, None])[0] == pytest.approx(felt, rel=1e-3, abs=1e-7)
+
+
+def test_base_moves_below_an_undamped_mount_by_one_minus_the_squared_ratio() -> None:
+    motion = _motion()
+    base = base_motion(motion, np.full(6, 400.0), 0.0)
+    factor = 1 - (FREQUENCY / 400.0) ** 2
+    np.testing.assert_allclose(base.acceleration, motion.acceleration * factor[:, None], rtol=1e-12)
+
+
+def test_without_errors_everything_is_as_stated() -> None:
+    world = make_world(PRESETS["demo"], Draws(1, False), 0.0)
+    assert all(not any(values) for values in Draws(1, False).values.values())
+    stereo = world.stereo[0]
+    both = stereo.left_from_sensor @ stereo.sensor_from_left
+    np.testing.assert_allclose(both.pose, 0, atol=1e-15)
+    np.testing.assert_array_equal(stereo.rig.left.parameters, stereo.nominal.left.parameters)
+    np.testing.assert_allclose(np.diff(world.trigger_s), 1 / 38.4, rtol=1e-12)
+
+
+def test_errors_are_drawn_with_the_stated_spread() -> None:
+    drawn = np.array([[Draws(seed, True).normal("a", 2.0)] for seed in range(2000)])
+    assert drawn.std() == pytest.approx(2.0, rel=5 / np.sqrt(4000))
+    covariance = np.array([[4.0, 1.2], [1.2, 1.0]])
+    pairs = np.array([Draws(seed, True).covariant("b", covariance) for seed in range(2000)])
+    np.testing.assert_allclose(np.cov(pairs.T), covariance, atol=0.6)
+    assert Draws(1, True).normal("a", 1.0) != Draws(1, True).normal("b", 1.0)
+
+
+def test_published_numbers_of_the_large_preset() -> None:
+    preset = PRESETS["nitsche2018"]
+    amplitude = np.abs(np.array(preset.acceleration))[:, 2]
+    assert amplitude[0] == pytest.approx(189.3217)
+    assert amplitude[3] == pytest.approx(0.9596)
+    assert (preset.load.mass, preset.internal.mass) == (6.9605, 0.769)
+    assert (preset.frames, preset.camera_rate_hz, preset.daqs[0].sample_rate_hz) == (211, 52.874, 51200.0)
+    assert amplitude[0] / (2 * np.pi * preset.fundamental_hz) ** 2 == pytest.approx(0.4248e-3, rel=1e-3)
+
+
+@pytest.mark.parametrize("name", ["demo", "nitsche2018"])
+def test_camera_rate_folds_every_line_apart(name: str) -> None:
+    preset = PRESETS[name]
+    time = np.arange(preset.frames) / preset.camera_rate_hz
+    angle = 2 * np.pi * time[:, None] * preset.frequencies_hz
+    design = np.column_stack([np.ones_like(time), np.cos(angle), np.sin(angle)])
+    assert np.linalg.cond(design) < 3
+    beat = np.abs(preset.fundamental_hz - preset.camera_rate_hz * round(preset.fundamental_hz / preset.camera_rate_hz))
+    assert beat * preset.frames / preset.camera_rate_hz > 1.99
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("simulated") / "small"
+    return simulate(out, "demo", 3, frames=4, image_scale=0.3)
+
+
+def test_recording_is_complete_and_its_manifest_valid(small: Path) -> None:
+    manifest = load_manifest(small)
+    assert [len(images.left) for images in manifest.images] == [4, 4]
+    image = tifffile.imread(manifest.images[0].left[0])
+    assert image.dtype == np.uint16
+    assert image.max() < 1023
+    truth = json.loads((small / "truth.json").read_text())
+    assert np.shape(truth["motion"]["top"]) == (4, 6)
+    assert np.shape(truth["sensitivity"]["re"]) == (3, 6, 6)
+    assert "top.calibration" in truth["drawn"]
+
+
+def test_same_seed_gives_the_same_bytes(small: Path, tmp_path: Path) -> None:
+    again = simulate(tmp_path / "again", "demo", 3, frames=4, image_scale=0.3)
+    other = simulate(tmp_path / "other", "demo", 4, frames=4, image_scale=0.3)
+    digests = [
+        {
+            str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+            for path in sorted(folder.rglob("*"))
+            if path.suffix in {".tif", ".json", ".toml", ".h5"}
+        }
+        for folder in (small, again, other)
+    ]
+    assert digests[0] == digests[1]
+    assert digests[0]["top-left/0000.tif"] != digests[2]["top-left/0000.tif"]
+
+
+def test_noise_free_channels_are_the_truth(tmp_path: Path) -> None:
+    folder = simulate(
+        tmp_path / "exact",
+        "demo",
+        1,
+        frames=3,
+        image_scale=0.3,
+        channel_noise=False,
+        systematic_errors=False,
+        trigger_jitter=False,
+    )
+    truth = json.loads((folder / "truth.json").read_text())
+    with h5py.File(folder / "vibrometer.h5") as file:
+        samples, rate = file["velocity_1"][:], file["velocity_1"].attrs["sample_rate"]
+        trigger = file["camera_trigger"][:]
+    time = np.arange(len(samples)) / rate
+    acceleration = np.array(truth["acceleration"]["load"]["re"]) + 1j * np.array(truth["acceleration"]["load"]["im"])
+    expected = np.zeros_like(time)
+    for frequency, a in zip(truth["frequencies"], acceleration, strict=True):
+        at_point = a[2] + a[3] * 0.0 - a[4] * 0.033  # z of a + α × r at (0.033, 0, ·)
+        omega = 2 * np.pi * frequency
+        expected += np.abs(at_point) / omega * np.sin(omega * time + np.angle(at_point))
+    np.testing.assert_allclose(samples * 0.1, expected, atol=0.1 * 20 / 2**16 * 0.51)
+    rising = np.flatnonzero((trigger[1:] > 2.5) & (trigger[:-1] < 2.5)) + 1
+    edges = np.array(truth["exposure_middle_s"]) - 30e-6
+    assert ((time[rising] >= edges) & (time[rising] - edges < 1 / rate)).all()
+
+
+def test_a_folder_of_other_things_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "thesis.txt").write_text("mine")
+    with pytest.raises(ValueError, match="out: expected a new folder"):
+        simulate(tmp_path, "demo", 1, frames=3, image_scale=0.3)
+    assert (tmp_path / "thesis.txt").read_text() == "mine"
+    with pytest.raises(ValueError, match="preset: expected one of"):
+        simulate(tmp_path / "x", "nitsche", 1)
+
+
+def test_toml_text_is_read_back() -> None:
+    tables = {"a": 1, "b": {"c": [[1.0, 2e-7]], "d": {"e": 'x"y'}}, "f": [{"g": True, "h": [{"i": 1}, {"i": 2}]}]}
+    assert tomllib.loads(to_toml(tables)) == tables

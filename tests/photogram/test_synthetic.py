@@ -1,0 +1,181 @@
+"""The renderer against the camera model, closed forms and its own statistics; no part of the tracker is used."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from photogram.camera import Camera, StereoRig
+from photogram.rigid import RigidTransform, rotation_from_vector
+from photogram.synthetic import (
+    Face,
+    ImageSensor,
+    Texture,
+    View,
+    motion_bound,
+    render,
+    render_exposure,
+    session_covariance,
+    speckle_texture,
+    texture_from_samples,
+    view_of,
+)
+
+PIXEL_M = 0.2e-3
+FOCAL_PX = 1500.0
+CAMERA = Camera(
+    np.array([[FOCAL_PX, 0, 61.0], [0, FOCAL_PX * 1.001, 46.5], [0, 0, 1]]),
+    np.array([-0.3, 0.4, 1e-3, -2e-3, 0.0]),
+    np.array([128, 96]),
+)
+POSE = RigidTransform(rotation_from_vector(np.array([np.pi - 0.3, 0.05, 0.02])), np.array([0.001, -0.002, 0.30]))
+
+
+def _face(texture: Texture, half: tuple[float, float] = (0.05, 0.05), round_: bool = False) -> Face:
+    return Face(np.zeros(3), np.eye(3)[0], np.eye(3)[1], np.array(half), round_, texture, 0.6 * PIXEL_M)
+
+
+def _gaussian_dot(centre: tuple[float, float], sigma_m: float) -> Texture:
+    step = PIXEL_M / 4
+    axis = np.arange(-300, 301) * step
+    x, y = np.meshgrid(axis, axis)
+    dot = np.exp(-((x - centre[0]) ** 2 + (y - centre[1]) ** 2) / (2 * sigma_m**2))
+    return texture_from_samples(dot, step)
+
+
+def _still(view: View, face: Face, pose: np.ndarray | None = None) -> np.ndarray:
+    return render(view, face, np.zeros((1, 6)) if pose is None else pose[None], np.ones(1))
+
+
+@pytest.mark.parametrize("pose", [np.zeros(6), np.array([4e-4, -3e-4, 6e-4, 0.01, -0.02, 0.03])])
+def test_a_dot_appears_where_the_camera_projects_it(pose: np.ndarray) -> None:
+    centre = (2.1e-3, -1.3e-3)
+    image = _still(view_of(CAMERA, POSE, falloff=0.0), _face(_gaussian_dot(centre, 2 * PIXEL_M)), pose)
+    weight = np.clip(image - 0.1601, 0, None)
+    v, u = np.mgrid[0 : image.shape[0], 0 : image.shape[1]]
+    found = np.array([(weight * u).sum(), (weight * v).sum()]) / weight.sum()
+    expected = CAMERA.project(POSE.apply(RigidTransform.from_pose(pose).apply(np.array([*centre, 0.0]))))
+    # The projected centre of a dot of finite size is not the centroid of its image; perspective gives some 0.01 px.
+    np.testing.assert_allclose(found, expected, atol=0.012)
+
+
+def test_pixels_follow_the_texture_through_an_ideal_camera() -> None:
+    camera = Camera(np.array([[FOCAL_PX, 0, 31.0], [0, FOCAL_PX, 31.0], [0, 0, 1]]), np.zeros(5), np.array([64, 64]))
+    down = RigidTransform(np.diag([1.0, -1.0, -1.0]), np.array([0, 0, FOCAL_PX * PIXEL_M]))
+    wave, step = 9.3 * PIXEL_M, PIXEL_M / 8
+    u = np.arange(-400, 401) * step
+    texture = texture_from_samples(np.tile(0.5 + 0.5 * np.cos(2 * np.pi * u / wave), (801, 1)), step)
+    image = _still(view_of(camera, down, falloff=0.0), _face(texture))
+    x = (np.arange(64) - 31.0) * PIXEL_M
+    aperture = np.sinc(PIXEL_M / wave)
+    expected = 0.16 + 0.64 * (0.5 + 0.5 * aperture * np.cos(2 * np.pi * x / wave))
+    # Two Gauss points instead of the whole aperture: 1e-5 of the amplitude at this wavelength.
+    np.testing.assert_allclose(image[30], expected, atol=3e-5)
+
+
+def test_exposure_blurs_a_moving_wave_by_the_integral_over_its_path() -> None:
+    camera = Camera(np.array([[FOCAL_PX, 0, 31.0], [0, FOCAL_PX, 31.0], [0, 0, 1]]), np.zeros(5), np.array([64, 16]))
+    down = RigidTransform(np.diag([1.0, -1.0, -1.0]), np.array([0, 0, FOCAL_PX * PIXEL_M]))
+    wave, step, speed, exposure = 8 * PIXEL_M, PIXEL_M / 8, 0.5, 200e-6
+    u = np.arange(-400, 401) * step
+    face = _face(texture_from_samples(np.tile(0.5 + 0.5 * np.cos(2 * np.pi * u / wave), (801, 1)), step))
+    view = view_of(camera, down, falloff=0.0)
+    still = _still(view, face)
+    moved = render_exposure(view, face, lambda t: np.array([speed * t, 0, 0, 0, 0, 0]), 0.0, exposure)
+    middle = 0.16 + 0.32
+    gain = np.sinc(speed * exposure / wave)
+    np.testing.assert_allclose(moved - middle, gain * (still - middle), atol=2e-6)
+
+
+def test_rim_of_a_face_is_an_error_function() -> None:
+    camera = Camera(np.array([[FOCAL_PX, 0, 31.0], [0, FOCAL_PX, 31.0], [0, 0, 1]]), np.zeros(5), np.array([64, 64]))
+    down = RigidTransform(np.diag([1.0, -1.0, -1.0]), np.array([0, 0, FOCAL_PX * PIXEL_M]))
+    plain = texture_from_samples(np.ones((40, 40)), 1e-3)
+    image = _still(view_of(camera, down, falloff=0.0), _face(plain, (20.3 * PIXEL_M, 0.05)))
+    row = image[31]
+    area = ((row - 0.06) / (0.80 - 0.06)).sum()
+    assert area == pytest.approx(2 * 20.3, abs=2e-3)  # the blurred rectangle keeps its width
+    assert row[0] == pytest.approx(0.06)
+    assert row[31] == pytest.approx(0.80)
+
+
+def test_noise_has_the_stated_variance_and_depth() -> None:
+    sensor = ImageSensor()
+    rng = np.random.default_rng(4)
+    for level in (0.1, 0.5, 0.8):
+        stored = sensor.digitise(np.full((400, 400), level), rng)
+        grey = level * 4095
+        assert stored.mean() == pytest.approx(grey, abs=5 * np.sqrt(sensor.variance(np.array(grey)) / 160000))
+        assert stored.var() == pytest.approx(grey / 8 + 36 + 1 / 12, rel=5 * np.sqrt(2 / 160000))
+    assert sensor.digitise(np.full((9, 9), 1.2), rng).max() == 4095
+    assert sensor.digitise(np.full((1, 1), 0.5), None)[0, 0] == round(0.5 * 4095)
+
+
+def _high_share(image: np.ndarray) -> float:
+    """Share of the spectrum's energy above 0.4 cycles per pixel."""
+    part = image[:96, :96] - image[:96, :96].mean()
+    window = np.hanning(96)
+    power = np.abs(np.fft.fft2(part * window * window[:, None])) ** 2
+    frequency = np.hypot(np.fft.fftfreq(96), np.fft.fftfreq(96)[:, None])
+    return float(power[frequency > 0.4].sum() / power.sum())
+
+
+def test_speckle_is_properly_sampled_unless_it_is_asked_not_to_be() -> None:
+    view = view_of(CAMERA, POSE)
+    proper = speckle_texture((0.04, 0.04), 4.5 * PIXEL_M, PIXEL_M / 4, 0.6 * PIXEL_M, np.random.default_rng(1))
+    sharp = speckle_texture((0.04, 0.04), 2.0 * PIXEL_M, PIXEL_M / 5, 0.0, np.random.default_rng(1))
+    assert _high_share(_still(view, _face(proper))) < 8e-3
+    assert _high_share(render(view, _face(sharp), np.zeros((1, 6)), np.ones(1), nodes=4)) > 0.05
+
+
+def test_speckle_depends_on_its_seed_alone_and_covers_half() -> None:
+    first, again, other = (
+        speckle_texture((0.02, 0.01), 8e-4, 5e-5, 1e-4, np.random.default_rng(seed)) for seed in (1, 1, 2)
+    )
+    np.testing.assert_array_equal(first.coefficients, again.coefficients)
+    assert not np.array_equal(first.coefficients, other.coefficients)
+    assert 0.35 < first.coefficients.mean() < 0.65
+
+
+def test_bound_of_the_motion_agrees_with_monte_carlo() -> None:
+    texture = speckle_texture((0.04, 0.04), 4.5 * PIXEL_M, PIXEL_M / 4, 0.6 * PIXEL_M, np.random.default_rng(1))
+    face, sensor = _face(texture), ImageSensor()
+    turned = RigidTransform(rotation_from_vector(np.array([0, 0.5, 0])), np.array([-0.14, 0, 0.04]))
+    views = (view_of(CAMERA, POSE), view_of(CAMERA, turned @ POSE))
+    bound = motion_bound(views, face, sensor)
+    # One Gauss-Newton step from the truth on noisy images, with derivatives of its own step width.
+    steps = np.array([1e-6] * 3 + [1e-5] * 3)
+    slopes, means = [], []
+    for view in views:
+        means.append(_still(view, face).ravel() * 4095)
+        slopes.append(
+            np.stack([(_still(view, face, e * s) - _still(view, face, -e * s)).ravel() / (2 * s) for e, s in
+                      zip(np.eye(6), steps, strict=True)], axis=-1) * 4095
+        )  # fmt: skip
+    slope, mean = np.concatenate(slopes), np.concatenate(means)
+    weighted = slope / sensor.variance(mean)[:, None]
+    rng = np.random.default_rng(2)
+    noisy = [np.concatenate([sensor.digitise((m / 4095)[None], rng)[0] for m in means]) - mean for _ in range(300)]
+    found = np.array(noisy) @ weighted @ np.linalg.inv(slope.T @ weighted)
+    ratio = found.std(axis=0) / np.sqrt(np.diagonal(bound))
+    np.testing.assert_allclose(ratio, 1.0, atol=4.5 / np.sqrt(2 * 300))
+
+
+def test_session_covariance_predicts_the_scatter_of_calibrations() -> None:
+    between = RigidTransform(rotation_from_vector(np.array([0, 0.4, 0])), np.array([-0.12, 0, 0.02]))
+    rig = StereoRig(CAMERA, CAMERA, between)
+    few, many = (
+        session_covariance(rig, np.array([0, 0, 0.3]), 0.025, 0.02, views, np.random.default_rng(1))
+        for views in (5, 40)
+    )
+    assert np.linalg.eigvalsh(few / np.sqrt(np.outer(np.diag(few), np.diag(few))))[0] > 0
+    assert (np.diag(many) <= np.diag(few) * 1.0001).all()
+    baseline = np.sqrt(np.diag(many)[21:]) / 0.12
+    assert (baseline < 5e-3).all()
+
+
+def test_wrong_shapes_are_named() -> None:
+    with pytest.raises(ValueError, match="coefficients"):
+        Texture(np.zeros((2, 9), np.float32), np.zeros(2), 1e-4)
+    with pytest.raises(ValueError, match="axis_u, axis_v"):
+        Face(np.zeros(3), np.ones(3), np.eye(3)[1], np.ones(2), False, _gaussian_dot((0, 0), 1e-3), 1e-4)
