@@ -24,17 +24,6 @@ def cross_matrix(vector: ArrayLike) -> FloatArray:
     return np.asarray(upper - upper.swapaxes(-1, -2))
 
 
-def true_mass(conventional_kg: float, density_kgm3: float) -> float:
-    """Return the true mass (kg) of a body of density `density_kgm3` whose conventional mass is given.
-
-    m = m_c (1 - 1.2/8000) / (1 - 1.2/rho) (OIML D 28:2004, definition of the conventional mass).
-    """
-    if not density_kgm3 > REFERENCE_AIR_DENSITY:
-        raise ValueError(f"density_kgm3: expected more than {REFERENCE_AIR_DENSITY} kg/m^3, found {density_kgm3}")
-    reference = 1.0 - REFERENCE_AIR_DENSITY / REFERENCE_DENSITY
-    return conventional_kg * reference / (1.0 - REFERENCE_AIR_DENSITY / density_kgm3)
-
-
 @dataclass(frozen=True)
 class Part:
     """A rigid part in the sensor frame, with standard uncertainties.

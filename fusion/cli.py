@@ -44,7 +44,7 @@ def _guarded(options: argparse.Namespace) -> int:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from fusion.campaign import run_path
+    from fusion.campaign import exit_status, run_path
     from fusion.progress import progress_bar
     from fusion.settings import Settings
     from fusion.summary import print_outcomes
@@ -60,24 +60,34 @@ def _run(options: argparse.Namespace) -> int:
             progress=progress,
         )
     print_outcomes(outcomes)
-    return EXIT_DONE if all(outcome.error is None for outcome in outcomes) else EXIT_FAILED
+    return exit_status(outcomes)
 
 
 def _check(options: argparse.Namespace) -> int:
     from fusion.check import check
     from fusion.manifest import find_recordings, load_manifest
 
+    status = EXIT_DONE
     for recording in find_recordings(options.recording):
-        print(check(load_manifest(recording, allow_outside=options.allow_outside)))
-    return EXIT_DONE
+        report = check(load_manifest(recording, allow_outside=options.allow_outside))
+        print(report)
+        status = EXIT_INPUT if report.problems else status
+    return status
 
 
 def _simulate(options: argparse.Namespace) -> int:
+    from fusion.errors import InputError
     from fusion.progress import progress_bar
     from fusion.simulate import simulate
 
+    if options.out.exists() and not options.force:
+        expected = "a new folder (--force replaces an earlier simulation)"
+        raise InputError(options.out, "", found="a file or folder of this name", expected=expected)
     with progress_bar(enabled=not options.quiet) as progress:
-        folder = simulate(options.out, options.preset, options.seed, force=options.force, progress=progress)
+        try:
+            folder = simulate(options.out, options.preset, options.seed, progress)
+        except ValueError as error:
+            raise InputError(options.out, "", found=str(error), expected="a place for a simulation") from error
     print(f"simulated recording: {folder}")
     return EXIT_DONE
 

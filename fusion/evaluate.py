@@ -44,7 +44,7 @@ def evaluate_recording(
     channels = channel_results(manifest, base, lines)
     stereo = tuple(stereo_phasors(motion, lines) for motion in motions)
     readings = channel_readings(base, channels)
-    accelerations = _fuse_bodies(observations(manifest, readings, stereo))
+    accelerations = _fuse_bodies(observations(manifest, base, readings, stereo))
     load = _load(manifest, accelerations)
     sensitivity = _sensitivity(manifest, lines, readings, load)
     notices = [*_clock_notices(base), *lines.notices, *(notice for item in stereo for notice in item.notices)]

@@ -154,13 +154,15 @@ def observe_stereo(
     phasors: Phasors,
     calibration_effects: ComplexArray | None = None,
     clock_uncertainty: float = 0.0,
+    trigger: tuple[str, float] = ("", 0.0),
 ) -> Observation:
     """Return the rows of a stereo pair: displacement phasors (K, 6) in m and rad about the sensor origin = -A/ω².
 
     Common errors: scale of all lengths (translations), pose: position p of the sensor origin (translation changes by
     theta × p) and rotation φ of the axes (vectors change by φ × v), delay of the exposure, and the
     `calibration_effects` (P, K, 6), the change of the phasors for one standard deviation of each principal component of
-    the calibration's covariance. `clock_uncertainty`: relative, of the time base.
+    the calibration's covariance. `clock_uncertainty`: relative, of the time base; `trigger`: name of the camera trigger
+    and standard uncertainty (s) of its fitted instants, one error for all pairs that follow it.
     """
     factor = derivative_factor(phasors.frequency_hz, -2)
     design = factor[:, None, None] * np.eye(6)
@@ -183,15 +185,21 @@ def observe_stereo(
         if u > 0.0
     ]
     if entry.delay_uncertainty > 0.0:
-        late = -2j * np.pi * phasors.frequency_hz * entry.delay_uncertainty
-        slope = late[:, None, None] * design
-        common.append(CommonError(f"{title}: delay", f"{title}: delay", entry.delay_uncertainty, slope, none))
+        common.append(_late(f"{title}: delay", entry.delay_uncertainty, phasors.frequency_hz, design))
     for place, effect in enumerate(() if calibration_effects is None else calibration_effects):
         label = f"{title}: calibration"
         common.append(CommonError(f"{label} {place}", label, 1.0, np.zeros_like(design), np.asarray(effect)))
     stated = bool(common)
+    if trigger[1] > 0.0:
+        common.append(_late(f"{trigger[0]}: time", trigger[1], phasors.frequency_hz, design))
     common += _clock_rate(design, np.full(6, 2.0), clock_uncertainty)
     return Observation(name, "photogrammetry", entry.body, phasors, design, tuple(common), (title,) * 6, stated)
+
+
+def _late(name: str, u_s: float, frequency_hz: FloatArray, design: ComplexArray) -> CommonError:
+    """Time error of all rows of a design: readings late by one standard uncertainty turn by exp(-jω u) ≈ 1 - jω u."""
+    slope = (-2j * np.pi * frequency_hz * u_s)[:, None, None] * design
+    return CommonError(name, name, u_s, slope, np.zeros(design.shape[:2], np.complex128))
 
 
 def observe_channels(

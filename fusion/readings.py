@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fusion.body import Body, make_part, true_mass
+from fusion.body import Body, make_part
 from fusion.body import Part as RigidPart
 from fusion.evaluation import ChannelResult
 from fusion.manifest import ChannelEntry, Load, Manifest, Part
@@ -34,20 +34,17 @@ def _reading(base: TimeBase, channel: ChannelResult, entry: ChannelEntry) -> Rea
 
 
 def observations(
-    manifest: Manifest, readings: Sequence[Reading], stereo: Sequence[StereoPhasors]
+    manifest: Manifest, base: TimeBase, readings: Sequence[Reading], stereo: Sequence[StereoPhasors]
 ) -> tuple[Observation, ...]:
     """Return every instrument of the recording as rows of the linear model."""
     clock = manifest.daq[0].clock_uncertainty if manifest.daq else 0.0
-    seen = [
-        observe_stereo(
-            item.result.name,
-            manifest.rig.stereo[item.result.name],
-            item.displacement,
-            item.calibration_effects,
-            clock,
-        )
-        for item in stereo
-    ]
+    seen = []
+    for item in stereo:
+        entry = manifest.rig.stereo[item.result.name]
+        entry = entry.model_copy(update={"delay_uncertainty": item.entry.delay_uncertainty})
+        trigger = (item.entry.trigger, base.u_trigger_s(item.entry.trigger))
+        effects = item.calibration_effects
+        seen.append(observe_stereo(item.result.name, entry, item.displacement, effects, clock, trigger))
     return (*seen, *observe_channels(readings, gravity(manifest), clock))
 
 
@@ -77,8 +74,5 @@ def load_body(manifest: Manifest) -> Body | None:
 
 def _part(name: str, entry: Load | Part) -> RigidPart:
     """Return one table of the rig as a rigid part with its true mass."""
-    mass = entry.mass
-    if entry.mass_kind == "conventional" and entry.density is not None:
-        mass = true_mass(entry.mass, entry.density)
     u = (entry.mass_uncertainty, entry.centre_of_mass_uncertainty, entry.inertia_uncertainty)
-    return make_part(name, mass, entry.centre_of_mass, entry.inertia, u)
+    return make_part(name, entry.true_mass, entry.centre_of_mass, entry.inertia, u)

@@ -84,6 +84,7 @@ class StereoPhasors:
     calibration's covariance; P = 0 where the calibration has none.
     """
 
+    entry: Images | PointFiles
     result: StereoResult
     displacement: Phasors
     calibration_effects: ComplexArray
@@ -241,9 +242,11 @@ def stereo_phasors(measured: StereoMotion, lines: Lines) -> StereoPhasors:
         changes = _calibration_effects(measured, measured.view, frequency_hz)
         effects = np.full((len(changes), len(usable), 6), np.nan, dtype=np.complex128)
         effects[:, usable] = changes / gain[usable][:, None]
-    notices = tuple(Notice(notice.severity, f"stereo pair {name}: {notice.text}", name) for notice in folded)
+    found = [(f"{name}, {notice.where}", notice) for notice in measured.notices]
+    found += [(name, notice) for notice in folded]
+    notices = tuple(Notice(notice.severity, f"stereo pair {where}: {notice.text}", name) for where, notice in found)
     result = _result(measured, from_mean, fit, usable)
-    return StereoPhasors(result, displacement, effects, (*measured.notices, *notices))
+    return StereoPhasors(measured.entry, result, displacement, effects, notices)
 
 
 def _fit_about_mean(name: str, measured: StereoMotion, frequency_hz: FloatArray) -> tuple[RigidMotion, SineFit]:

@@ -34,6 +34,11 @@ class TimeBase:
         tie = self.ties[daq]
         return time_s if tie is None else tie.to_base_s(time_s)
 
+    def u_trigger_s(self, trigger: str) -> float:
+        """Return the standard uncertainty of a trigger's fitted instants in the middle of the burst."""
+        fit = next(fit for (_, name), fit in self.triggers.items() if name == trigger)
+        return float(fit.u_time_s(np.asarray(fit.edges // 2)))
+
     def results(self) -> tuple[ClockResult, ...]:
         """Return one entry per block for the result tree."""
         found = []

@@ -1,1 +1,1 @@
-"""Images to rigid motion: stereo cameras, subset tracking, triangulation. Knows nothing of shakers, clocks or sensors."""
+"""Images to rigid motion: subset tracking, triangulation, rigid fit. Knows nothing of shakers, clocks or sensors."""

@@ -116,6 +116,8 @@ class Mounted(Block):
     def _conventional_mass_has_density(self) -> Self:
         if self.mass_kind == "conventional" and self.density is None:
             raise refusal('the density in kg/m^3 that mass_kind = "conventional" needs', "nothing", key="density")
+        if self.density is not None and self.density <= CONVENTIONAL_AIR_DENSITY:
+            raise refusal("a density above that of air", f"{self.density:g}", key="density")
         return self
 
     @property

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+from fusion.settings import ProgressCallback, no_progress
 
 _JITTER_S = 30e-9
 
 
-def simulate(out: Path, preset: str, seed: int, progress: Callable[[int], None] | None = None, **switches: Any) -> Path:
+def simulate(out: Path, preset: str, seed: int, progress: ProgressCallback = no_progress, **switches: Any) -> Path:
     """Write the campaign of a preset (`demo`, `nitsche2018`) into folder `out` and return its recording's folder.
 
     `switches` are the fields of `SimulationOptions`. The same seed gives the same files. A folder that holds

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import datetime
@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fusion.settings import ProgressCallback
 from fusion.simulate.channels import Record, record, response_table
 from fusion.simulate.draws import Draws
 from fusion.simulate.manifest_text import recording_tables, rig_tables, truth_tables
@@ -41,11 +42,11 @@ def write_campaign(
     draws: Draws,
     noise: tuple[bool, bool],
     aliased: bool,
-    progress: Callable[[int], None] | None,
+    progress: ProgressCallback,
 ) -> Path:
     """Write the campaign into the empty folder `out` and return its recording's folder.
 
-    `noise`: in the images, in the channels. `progress` is called with the number of images written.
+    `noise`: in the images, in the channels. `progress` hears of every image written.
     """
     preset = world.preset
     folder = out / preset.recording
@@ -114,10 +115,10 @@ def _shots(folder: Path, world: World, draws: Draws, aliased: bool) -> Iterator[
 
 
 def _write_images(
-    folder: Path, world: World, draws: Draws, noise: bool, aliased: bool, progress: Callable[[int], None] | None
+    folder: Path, world: World, draws: Draws, noise: bool, aliased: bool, progress: ProgressCallback
 ) -> None:
     """Render and write every image, frames in parallel: the work is done outside Python's lock."""
-    done = 0
+    done, total = 0, 2 * len(world.stereo) * world.preset.frames
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         for shot in _shots(folder, world, draws, aliased):
             shot.folder.mkdir()
@@ -125,8 +126,7 @@ def _write_images(
             for task in tasks:
                 task.result()
                 done += 1
-                if progress is not None:
-                    progress(done)
+                progress("render", done, total)
 
 
 def _shoot(shot: _Shot, world: World, draws: Draws, noise: bool, aliased: bool, frame: int) -> None:

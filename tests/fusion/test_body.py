@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fusion.body import Body, Part, make_part, true_mass
+from fusion.body import Body, Part, make_part
 
 GRAVITY = np.array([0.3, -0.2, -9.8125])
 
@@ -88,14 +88,6 @@ def test_parameter_changes_are_derivatives(gravity: np.ndarray | None) -> None:
         np.testing.assert_allclose(parameters[1 + axis].change.load_matrix(frequency, gravity), expected, atol=1e-9)
     assert np.count_nonzero(parameters[4].change.mass_matrix) == 1
     assert np.count_nonzero(parameters[7].change.mass_matrix) == 2
-
-
-def test_conventional_mass() -> None:
-    assert true_mass(1.0, 8000.0) == 1.0
-    # Aluminium, 2700 kg/m^3: true mass larger by 1.2 (1/2700 - 1/8000) to first order.
-    assert true_mass(1.0, 2700.0) - 1.0 == pytest.approx(1.2 * (1 / 2700 - 1 / 8000), rel=1e-3)
-    with pytest.raises(ValueError, match="density_kgm3"):
-        true_mass(1.0, 0.5)
 
 
 def test_refusals_name_the_argument() -> None:

@@ -96,7 +96,7 @@ def test_without_errors_everything_is_as_stated() -> None:
     both = stereo.left_from_sensor @ stereo.sensor_from_left
     np.testing.assert_allclose(both.pose, 0, atol=1e-15)
     np.testing.assert_array_equal(stereo.rig.left.parameters, stereo.nominal.left.parameters)
-    np.testing.assert_allclose(np.diff(world.trigger_s), 1 / 38.4, rtol=1e-12)
+    np.testing.assert_allclose(np.diff(world.trigger_s), 1 / 38.345, rtol=1e-12)
 
 
 def test_errors_are_drawn_with_the_stated_spread() -> None:
