@@ -1,0 +1,234 @@
+"""Recordings of other laboratories: the figures this program obtains, beside the published ones and the bars.
+
+Usage: python benchmarks/real_data.py [NAME ...]
+
+Prints the tables of docs/real-data.md. The data sets are looked for in the folder SHAKERCAL_DATA, by default
+`../shared/data` beside the repository; one that is not there is named and skipped. About a minute on two cores.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photogram.calibration_file import read_calibration
+from photogram.images import open_sequence
+from photogram.motion import fit_motion
+from photogram.rigid import fit_rigid
+from photogram.track import TrackSettings, TrackStatus, match_stereo, track_sequence, track_stereo
+from photogram.triangulate import triangulate
+from shaker.signals.files import read_channels
+from shaker.signals.folding import folded_harmonics
+from shaker.signals.frequencies import find_lines
+from shaker.signals.sine import fit_sines
+
+FloatArray = NDArray[np.float64]
+ROOT = Path(__file__).resolve().parent.parent
+UM = 1e-6
+TONES_HZ = [100.0, 120.0, 150.0]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One figure: what it is, what this program obtains, what others obtained, and the bar ("" where there is none)."""
+
+    figure: str
+    here: str
+    others: str = ""
+    bar: str = ""
+
+
+def duodic_rigid(folder: Path) -> Iterator[Row]:
+    """Matched points → triangulation → rigid motion, against the translation stage."""
+    rig = read_calibration(folder / "calibration.json")
+    with np.load(folder / "matched_points.npz") as file:
+        left, right, stage_m = file["left"], file["right"], file["stage_translation_m"]
+    points = triangulate(rig, left, right)
+    motion = fit_motion(points, None, np.nanmean(points.position_m[0], axis=0))
+    error = np.abs(np.linalg.norm(motion.pose[1:, :3], axis=1) - stage_m[1:]) / UM
+    angle = np.degrees(np.linalg.norm(motion.pose[1:, 3:], axis=1)) * 3600
+    residual = [_rigid_residual(points.position_m[0], now) / UM for now in points.position_m[1:]]
+    yield Row("reprojection, median", f"{np.nanmedian(points.reprojection_px):.3f} px")
+    yield Row(
+        "error of the translation, mean magnitude", f"{error.mean():.2f} µm", "1.3 µm (published), 1.7 µm", "≤ 1.8 µm"
+    )
+    yield Row("its standard deviation over the states", f"{error.std(ddof=1):.2f} µm", "1.1 µm (published), 1.1 µm")
+    yield Row("rotation, largest", f"{angle.max():.0f}″", "51″")
+    spread = f"{min(residual):.2f} to {max(residual):.2f} µm"
+    yield Row("rigid residual, rms per coordinate and state", spread, "0.6 to 0.96 µm", "≤ 1.0 µm")
+    yield Row("points kept, fewest of a state", f"{motion.points.min()} of {left.shape[1]}")
+
+
+def _rigid_residual(first: FloatArray, now: FloatArray) -> float:
+    """Return the rms per coordinate (m) that Arun's rigid fit of one state to the first leaves."""
+    known = np.isfinite(now).all(axis=1) & np.isfinite(first).all(axis=1)
+    moved = fit_rigid(first[known], now[known]).apply(first[known])
+    return float(np.sqrt(((now[known] - moved) ** 2).mean()))
+
+
+def gt4_stereo(folder: Path) -> Iterator[Row]:
+    """Another program's matches: found again in the images, and triangulated."""
+    table = np.genfromtxt(folder / "GT4-0273_0_epipolar_sift_r16.csv", delimiter=",", names=True)
+    points = _columns(table, "x", "y")
+    first = open_sequence([folder / "GT4-0000_0.tif"]).read(0)
+    yield Row("points in the peer's table", f"{len(table)}")
+    for image, column, title, bar in (
+        ("0273_0", "t1", "in time, left camera (t1)", "≤ 0.02 px"),
+        ("0000_1", "r2", "across the views (r2)", "≤ 0.05 px"),
+    ):
+        second = open_sequence([folder / f"GT4-{image}.tif"]).read(0)
+        tracks = match_stereo(first, second, points, TrackSettings(radius_px=16))
+        distance = np.hypot(*(tracks.position_px[0] - _columns(table, f"{column}_x", f"{column}_y")).T)
+        found = float(np.mean(tracks.status == TrackStatus.OK))
+        yield Row(f"{title}: points matched", f"{100 * found:.2f} %")
+        yield Row(f"{title}: median distance from the peer's", f"{np.nanmedian(distance):.4f} px", "0", bar)
+        yield Row(f"{title}: 95 % quantile of that distance", f"{np.nanquantile(distance, 0.95):.3f} px")
+    rig = read_calibration(folder / "calibration.json")
+    states = {"before": (points, "r2", "ref"), "loaded": (_columns(table, "t1_x", "t1_y"), "t2", "tar")}
+    for title, (left, column, name) in states.items():
+        made = triangulate(rig, left[None], _columns(table, f"{column}_x", f"{column}_y")[None])
+        peer = np.column_stack([table[f"{name}_{axis}"] for axis in "xyz"]) * 1e-3
+        distance = np.linalg.norm(made.position_m[0] - peer, axis=1) / UM
+        yield Row(f"triangulation, {title}: median distance from the peer's", f"{np.median(distance):.3f} µm", "0")
+        far = distance > 0.5
+        yield Row(f"triangulation, {title}: points beyond 0.5 µm", f"{np.count_nonzero(far)}", "0", "0")
+        where = f"{made.reprojection_px[0][far].min():.2f} px" if far.any() else "none"
+        yield Row(f"triangulation, {title}: smallest reprojection error among these", where)
+
+
+def _columns(table: NDArray[np.void], *names: str) -> FloatArray:
+    """Return named columns of a table side by side."""
+    return np.column_stack([table[name] for name in names])
+
+
+def static_stereo(folder: Path) -> Iterator[Row]:
+    """A scene at rest: whatever moves is noise."""
+    left, right = (open_sequence([folder / f"img_000{k}_{side}.tif" for k in range(3)]) for side in (0, 1))
+    stereo = track_stereo(left, right, None, TrackSettings(radius_px=13))
+    for name, tracks in (("left", stereo.left), ("right", stereo.right)):
+        moved = tracks.position_px[1:] - tracks.position_px[0]
+        scatter, mean = np.nanstd(moved, axis=1), np.abs(np.nanmean(moved, axis=1))
+        stated = np.sqrt(2.0 * np.nanmean(tracks.covariance_px2[1:][..., [0, 1], [0, 1]], axis=1))
+        found = float(np.mean(tracks.status == TrackStatus.OK))
+        count = tracks.position_px.shape[1]
+        yield Row(f"{name}: subsets, of which followed", f"{count}, {100 * found:.1f} %")
+        spread = f"{scatter.min():.4f} to {scatter.max():.4f} px"
+        yield Row(f"{name}: scatter of the displacement", spread, "0.003 to 0.005 px", "≤ 0.005 px")
+        yield Row(f"{name}: mean displacement, largest", f"{mean.max():.4f} px", "0.005 to 0.020 px")
+        ratio = scatter / stated
+        yield Row(f"{name}: scatter / stated uncertainty", f"{ratio.min():.2f} to {ratio.max():.2f}", "none stated")
+
+
+def undersampled_video(folder: Path) -> Iterator[Row]:
+    """Frames of a vibrating beam against every hundredth sample of a 15 kHz series."""
+    sequence = open_sequence([folder / "data_showcase.cih"])
+    series = np.load(folder / "displacements_lk.npy")[1:7, ::100, 0]
+    x = (20.0 + 40.0 * np.arange(1.0, 7.0)[:, None] + np.arange(-15.0, 16.0, 5.0)).ravel()
+    tracks = track_sequence(sequence, np.column_stack([x, np.full_like(x, 20.0)]), TrackSettings(radius_px=10))
+    frames = series.shape[1]
+    vertical, other = tracks.position_px[:frames, :, 1].mean(axis=1), series.mean(axis=0)
+    slope, offset = np.polyfit(other, vertical, 1)
+    left_over = vertical - slope * other - offset
+    followed = np.count_nonzero(tracks.status == TrackStatus.OK)
+    correlation = np.corrcoef(vertical, other)[0, 1]
+    yield Row("frames read, frames of both series", f"{len(sequence)}, {frames}", "75, 38")
+    yield Row("subsets followed through their frames", f"{followed} of {tracks.status.size}")
+    yield Row("peak to peak of the mean vertical motion", f"{np.ptp(vertical):.3f} px")
+    yield Row("correlation with the 15 kHz series", f"{correlation:.6f}", "0.99997", "≥ 0.9999")
+    yield Row("difference after scale and offset, rms", f"{left_over.std():.4f} px")
+
+
+def shaker_three_tone(folder: Path) -> Iterator[Row]:
+    """Three tones of a shaker, sampled well at ×16 and below their frequencies at ×256."""
+    ratio = {}
+    for factor, wanted in ((16, "100, 120, 150 Hz"), (256, "120, 150 Hz; 100 Hz refused")):
+        channels = read_channels(folder / f"data_set_1_downsampled_by_{factor}.lvm")
+        values = np.stack([channel.samples for channel in channels.values()], axis=1)
+        rate_hz = next(iter(channels.values())).sample_rate_hz
+        time_s = np.arange(len(values)) / rate_hz
+        lines = find_lines(time_s, values, TONES_HZ, [1])
+        fit = fit_sines(time_s, values, lines.frequency_hz, ["U", "F", "a"], ["V", "lb", "g"])
+        amplitude = np.abs(fit.phasors.value)
+        ratio[factor] = dict(zip(lines.nominal_hz.tolist(), amplitude[:, 2] / amplitude[:, 1], strict=True))
+        title = f"×{factor} ({rate_hz:g} Hz)"
+        yield Row(f"{title}: lines found", ", ".join(f"{f:.4f} Hz" for f in lines.frequency_hz), bar=wanted)
+        folded = np.abs(lines.frequency_hz - rate_hz * np.round(lines.frequency_hz / rate_hz))
+        if factor > 16:
+            yield Row(f"{title}: where they appear", ", ".join(f"{f:.2f} Hz" for f in folded), "80, 50 Hz", "80, 50 Hz")
+            refused = "; ".join(notice.text for notice in lines.notices if notice.where == "100 Hz")
+            yield Row(f"{title}: 100 Hz", refused, "on the Nyquist frequency", "refused, with the reason")
+        drive = ", ".join(f"{value:.4f} V" for value in amplitude[:, 0])
+        yield Row(f"{title}: drive", drive, "0.4994 V each" if factor == 16 else "")
+    others = {120.0: "0.0448 and 0.037 g/lb", 150.0: "0.0920 and 0.095 g/lb"}
+    for tone, bar in ((150.0, "within 5 %"), (120.0, "about −17 %, harmonics named")):
+        full, folded_ratio = ratio[16][tone], ratio[256][tone]
+        here = f"{full:.4f} and {folded_ratio:.4f} g/lb, {100 * (folded_ratio / full - 1):+.1f} %"
+        yield Row(f"acceleration / force at {tone:g} Hz, ×16 and ×256", here, others[tone], bar)
+    names = [f"{fold.frequency_hz:g} Hz" for fold in folded_harmonics(120.0, TONES_HZ, 200.0, 1.0 / 19.7)]
+    yield Row("harmonics and sums named as folding onto 120 Hz", ", ".join(names), bar="480 and 720 Hz among them")
+
+
+def uff(folder: Path) -> Iterator[Row]:
+    """Universal files of other programs."""
+    sine = read_channels(folder / "binary8byte.uff")["sine 5 Hz"]
+    error = np.abs(sine.samples - np.sin(2 * np.pi * 5.0 * np.arange(len(sine.samples)) / 100.0)).max()
+    yield Row("binary, 250 samples of a 5 Hz sine: largest error", f"{error:.1e}", "0", "≤ 1e-5")
+    microphone = read_channels(folder / "Sample_UFF58b_bin.uff")["Mic 01"]
+    here = f"{len(microphone.samples)} samples in {microphone.unit} at {microphone.sample_rate_hz:.1f} Hz"
+    yield Row("binary, microphone", here, "79292 samples in Pa at 65536 Hz")
+    short = read_channels(folder / "time-history-not-all-columns-filled.uff")["1x"]
+    yield Row("text, last line half filled", f"{len(short.samples)} samples at {short.sample_rate_hz:g} Hz", "13")
+    spectra = read_channels(folder / "sample_dataset58_psd.uff")
+    yield Row("text, spectra: time responses found", f"{len(spectra)}", "0", "0")
+
+
+def tdms(folder: Path) -> Iterator[Row]:
+    """TDMS files of other programs."""
+    raw = read_channels(folder / "raw1.tdms")
+    one = next(iter(raw.values()))
+    here = f"{len(raw)} channels of {len(one.samples)} samples at {one.sample_rate_hz:g} Hz"
+    yield Row("raw1.tdms", here, "7 channels of 2000 samples at 50000 Hz")
+    sweep = read_channels(folder / "big_endian.tdms", ["Phase sweep"])["Phase sweep"]
+    yield Row("big_endian.tdms, Phase sweep", f"{len(sweep.samples)} samples", "3500 samples")
+
+
+SETS: tuple[Callable[[Path], Iterator[Row]], ...] = (
+    duodic_rigid,
+    gt4_stereo,
+    static_stereo,
+    undersampled_video,
+    shaker_three_tone,
+    uff,
+    tdms,
+)
+
+
+def markdown(rows: Iterator[Row]) -> str:
+    """Return rows as a table."""
+    lines = ["| figure | this program | published or peer | bar |", "|---|---|---|---|"]
+    return "\n".join([*lines, *(f"| {row.figure} | {row.here} | {row.others} | {row.bar} |" for row in rows)])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    names = [evaluate.__name__ for evaluate in SETS]
+    parser.add_argument("name", nargs="*", help=f"data sets to evaluate, by default all: {', '.join(names)}")
+    wanted = parser.parse_args().name or names
+    if unknown := sorted(set(wanted) - set(names)):
+        parser.error(f"expected some of {', '.join(names)}, found {', '.join(unknown)}")
+    data = Path(os.environ.get("SHAKERCAL_DATA", ROOT.parent / "shared" / "data"))
+    for evaluate in SETS:
+        if evaluate.__name__ in wanted:
+            folder = data / evaluate.__name__
+            print(f"## {evaluate.__name__}\n")
+            print(markdown(evaluate(folder)) if folder.is_dir() else f"skipped: {folder} is not there", end="\n\n")
+
+
+if __name__ == "__main__":
+    main()

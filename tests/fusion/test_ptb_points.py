@@ -1,0 +1,225 @@
+"""Recordings without images: another program's points, lasers and outputs, made from an analytic motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from fusion.errors import InputError
+from fusion.evaluate import evaluate_recording
+from fusion.evaluation import Evaluation
+from fusion.fuse import Acceleration
+from fusion.manifest import load_manifest
+from fusion.settings import Settings
+from photogram.rigid import rotation_from_vector
+
+FREQUENCY_HZ = 106.2507
+OMEGA = 2 * np.pi * FREQUENCY_HZ
+# Displacement phasors of the base and of the load at the sensor origin, m and rad.
+BASE = np.array([4e-6 + 3e-6j, -2e-6, 2.4e-4 * np.exp(0.7j), 3e-5j, 2e-5 - 1e-5j, 1e-5])
+LOAD = BASE * np.array([1.1, 1.1, 1.02 * np.exp(-0.03j), 1.0, 1.0, 1.0])
+RATE_HZ, SAMPLES, FRAME_RATE_HZ, FRAMES = 20_000.0, 28_000, 49.7, 64
+FIRST_EDGE_S, DELAY_S, EXPOSURE_S = 0.02131, 3e-6, 40e-6
+MASS_KG, SENSITIVITY = 6.9605 + 0.769, 2.0e-7 * np.exp(-0.02j)  # (V/V)/N
+# Pose of the points' frame, as the rig states it: x_sensor = R x + t.
+ROTATION, TRANSLATION = np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, -0.05])
+
+RIG = """
+format = 1
+name = "points of another program"
+[sensor]
+name = "transducer"
+channels = ["Fz"]
+unit = "V/V"
+sense = "on_load"
+internal_mass = 0.769
+internal_mass_uncertainty = 0.002
+[load]
+mass = 6.9605
+mass_uncertainty = 0.001
+centre_of_mass = [0.0, 0.0, 0.0]
+inertia = [[0.036, 0.0, 0.0], [0.0, 0.036, 0.0], [0.0, 0.0, 0.031]]
+[stereo.base]
+body = "base"
+rotation = [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]
+translation = [0.0, 0.0, -0.05]
+pose_uncertainty = [1e-4, 1e-4, 1e-4, 5e-4, 5e-4, 5e-4]
+scale_uncertainty = 2e-4
+exposure = 40e-6
+delay = 3e-6
+delay_uncertainty = 1e-6
+"""
+RECORDING = """
+format = 1
+name = "no images"
+rig = "../rig.toml"
+[excitation]
+kind = "sine"
+direction = [0.0, 0.0, 1.0]
+frequencies = [106.25]
+[[daq]]
+name = "daq"
+file = "daq.h5"
+"""
+POINTS = """
+[[points]]
+stereo = "base"
+files = "DIC_results/result_B*.txt"
+columns = ["id_x", "id_y", "status", "status", "status", "x0", "y0", "z0", "x", "y", "z"]
+valid_status = 3
+scale = 1e-3
+trigger = "camera_trigger"
+"""
+TRIGGER = '[[daq.channel]]\nname = "camera_trigger"\nquantity = "trigger"\n'
+OUTPUT = '[[daq.channel]]\nname = "Fz"\nquantity = "output"\nchannel = "Fz"\nscale = 1e-3\nscale_uncertainty = 1e-4\n'
+SENSOR = """[[daq.channel]]
+name = "{name}"
+quantity = "{quantity}"
+body = "{body}"
+point = {point}
+point_uncertainty = 2e-4
+direction = [0.0, 0.0, 1.0]
+scale = 0.125
+scale_uncertainty = 5e-4
+{common}
+"""
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """A recording that is being written: its folder, the text of its manifest, its channels, a source of noise."""
+
+    folder: Path
+    text: list[str]
+    channels: dict[str, np.ndarray]
+    rng: np.random.Generator
+
+    def add_points(self) -> None:
+        """Write the tables and the trigger; scale and pose err as the rig states."""
+        (self.folder / "DIC_results").mkdir()
+        middle_s = FIRST_EDGE_S + np.arange(FRAMES) / FRAME_RATE_HZ + DELAY_S + EXPOSURE_S / 2
+        gain = np.sinc(FREQUENCY_HZ * EXPOSURE_S)
+        pose = gain * (BASE * np.exp(1j * OMEGA * middle_s)[:, None]).real
+        x, y = np.meshgrid(np.linspace(-0.05, 0.05, 8), np.linspace(-0.04, 0.04, 6))
+        rest = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, -0.03)])
+        moved = np.einsum("fij,nj->fni", rotation_from_vector(pose[:, 3:]), rest) + pose[:, None, :3]
+        turn = rotation_from_vector(self.rng.normal(size=3) * 5e-4)
+        shift, scale = self.rng.normal(size=3) * 1e-4, 1 + self.rng.normal() * 2e-4
+        seen = (moved @ turn.T + shift - TRANSLATION) @ ROTATION * scale
+        seen_mm = 1e3 * (seen + self.rng.normal(size=seen.shape) * [1e-6, 1e-6, 3e-6])
+        for frame, points in enumerate(seen_mm):
+            status = np.full((len(points), 3), 3)
+            status[self.rng.random(len(points)) < 0.02, 1] = 5  # a facet that was lost: its numbers mean nothing
+            points[(status != 3).any(axis=1)] = 0.0
+            table = np.column_stack([np.indices((6, 8)).reshape(2, -1).T, status, seen_mm[0], points])
+            name = self.folder / "DIC_results" / f"result_B{frame}.txt"
+            np.savetxt(name, table, fmt=["%d"] * 5 + ["%.6f"] * 6, delimiter="\t")
+        time_s = np.arange(SAMPLES) / RATE_HZ - FIRST_EDGE_S
+        number = np.floor(time_s * FRAME_RATE_HZ)
+        high = (number >= 0) & (number < FRAMES) & (time_s * FRAME_RATE_HZ - number < 0.25)
+        self.channels["camera_trigger"] = 5.0 * high
+        self.text.extend([TRIGGER, POINTS])
+
+    def add_sensor(self, name: str, quantity: str, motion: tuple[str, np.ndarray], point: list[float]) -> None:
+        """Write a laser or an accelerometer along z; several of one quantity are one instrument."""
+        body, displacement = motion
+        order = {"velocity": 1, "acceleration": 2}[quantity]
+        at_point = displacement[2] + displacement[3] * point[1] - displacement[4] * point[0]
+        self._add(name, (1j * OMEGA) ** order * at_point / 0.125 * (1 + 3e-4), 1e-4)
+        common = 'common = "laser"' if quantity == "velocity" else "transverse_sensitivity = 0.01"
+        self.text.insert(1, SENSOR.format(name=name, quantity=quantity, body=body, point=point, common=common))
+
+    def add_output(self) -> None:
+        """Write the sensor's output for the force that it exerts on the load."""
+        self._add("Fz", 1e3 * SENSITIVITY * MASS_KG * -(OMEGA**2) * LOAD[2], 1e-5)
+        self.text.insert(1, OUTPUT)
+
+    def _add(self, name: str, phasor: complex, noise: float) -> None:
+        time_s = np.arange(SAMPLES) / RATE_HZ
+        signal = (phasor * np.exp(1j * OMEGA * time_s)).real
+        self.channels[name] = signal + abs(phasor) * noise * self.rng.normal(size=SAMPLES)
+
+    def evaluate(self) -> Evaluation:
+        """Write the manifest and the channels, and evaluate the recording."""
+        with h5py.File(self.folder / "daq.h5", "w") as file:
+            file.attrs["sample_rate"] = RATE_HZ
+            for name, samples in self.channels.items():
+                file[name] = samples
+        (self.folder / "recording.toml").write_text("".join(self.text), encoding="utf-8")
+        return evaluate_recording(load_manifest(self.folder), Settings(), {})
+
+
+@pytest.fixture(params=[0, 1, 2])
+def campaign(tmp_path: Path, request: pytest.FixtureRequest) -> Campaign:
+    folder = tmp_path / "campaign" / "Fz-0106.25"
+    folder.mkdir(parents=True)
+    (tmp_path / "campaign" / "rig.toml").write_text(RIG, encoding="utf-8")
+    return Campaign(folder, [RECORDING], {}, np.random.default_rng(request.param))
+
+
+def source(evaluation: Evaluation, body: str, name: str) -> Acceleration:
+    return next(a for a in evaluation.accelerations if (a.body, a.source) == (body, name))
+
+
+def deviation(found: Acceleration, displacement: np.ndarray) -> np.ndarray:
+    """Errors of the real and imaginary parts (6, 2) over their standard uncertainties, NaN where not observed."""
+    line = int(np.argmin(np.abs(found.phasors.frequency_hz - FREQUENCY_HZ)))
+    error = found.phasors.value[line] + OMEGA**2 * displacement
+    return np.column_stack([error.real / found.phasors.u_re[line], error.imag / found.phasors.u_im[line]])
+
+
+def test_points_and_an_accelerometer(campaign: Campaign) -> None:
+    campaign.add_points()
+    campaign.add_sensor("base_z", "acceleration", ("base", BASE), [0.01, 0.02, 0.0])
+    evaluation = campaign.evaluate()
+    photogrammetry = source(evaluation, "base", "photogrammetry")
+    assert np.all(photogrammetry.observed)
+    assert np.abs(deviation(photogrammetry, BASE)).max() < 4
+    z = photogrammetry.phasors
+    assert z.u_re[0, 2] < 1e-3 * abs(z.value[0, 2])  # the stated uncertainty says something
+    assert np.abs(deviation(source(evaluation, "base", "fused"), BASE)).max() < 4
+    assert evaluation.stereo[0].motion.points.min() > 40
+    assert evaluation.load is None
+
+
+def test_points_and_a_trigger_only(campaign: Campaign) -> None:
+    campaign.add_points()
+    evaluation = campaign.evaluate()
+    assert not evaluation.channels
+    lines = evaluation.lines
+    assert lines.multiple.tolist() == [1]
+    assert abs(lines.frequency_hz[0] - FREQUENCY_HZ) < 4 * lines.u_frequency_hz[0] < 1e-3
+    assert np.abs(deviation(source(evaluation, "base", "fused"), BASE)).max() < 4
+
+
+def test_lasers_and_outputs_only(campaign: Campaign) -> None:
+    for name, point in (("a", [0.03, 0.0, 0.04]), ("b", [-0.02, 0.03, 0.04]), ("c", [-0.02, -0.03, 0.04])):
+        campaign.add_sensor(name, "velocity", ("load", LOAD), point)
+    campaign.add_output()
+    evaluation = campaign.evaluate()
+    fused = source(evaluation, "load", "fused")
+    assert fused.observed[0].tolist() == [False, False, True, True, True, False]
+    assert np.nanmax(np.abs(deviation(fused, LOAD)[fused.observed[0]])) < 4
+    sensitivity = evaluation.sensitivity
+    assert sensitivity is not None
+    assert not evaluation.stereo
+    error = sensitivity.value[0, 0, 2] - SENSITIVITY
+    u = np.sqrt(np.diagonal(sensitivity.covariance[0, 0, 2]))
+    assert abs(error.real) < 4 * u[0]
+    assert abs(error.imag) < 4 * u[1] + 1e-12
+    assert u[0] < 2e-3 * abs(SENSITIVITY)
+
+
+def test_tables_that_do_not_fit_are_named(campaign: Campaign) -> None:
+    campaign.add_points()
+    last = campaign.folder / "DIC_results" / "result_B63.txt"
+    last.write_text("1 2 3 3 3 0 0 0 0 0\n")
+    with pytest.raises(InputError, match=r"result_B63\.txt: line 1: expected 11 columns, found 10"):
+        campaign.evaluate()
+    last.unlink()
+    with pytest.raises(InputError, match=r"points\.base\.first_edge: expected .* of 63 frames, .* 64 edges"):
+        campaign.evaluate()
