@@ -9,9 +9,9 @@ from pathlib import Path
 
 from fusion.errors import ComputeError, InputError
 from fusion.evaluate import evaluate_recording
-from fusion.manifest import find_recordings, load_manifest
+from fusion.manifest import RECORDING_NAME, find_recordings, load_manifest
 from fusion.provenance import check_folder, hash_files, is_current
-from fusion.results import merge_results, write_results
+from fusion.results import check_campaign_folder, merge_results, write_results
 from fusion.settings import ProgressCallback, Settings, no_progress
 
 log = logging.getLogger("shakercal")
@@ -46,11 +46,11 @@ def run_path(
     others. A single recording's failure is raised.
     """
     recordings = find_recordings(path)
-    single = len(recordings) == 1 and recordings[0].parent.resolve() == path.resolve().parent / path.name
-    if path.is_file() or single:
+    if path.is_file() or (path / RECORDING_NAME).is_file():
         folder = recordings[0].parent / "results" if output is None else output
         return (_run(recordings[0], folder, settings, force, allow_outside, progress),)
     top = path / "results" if output is None else output
+    check_campaign_folder(top, [recording.parent.name for recording in recordings], force=force)
     outcomes = [
         _run_guarded(recording, top / recording.parent.name, settings, force, allow_outside, progress)
         for recording in recordings

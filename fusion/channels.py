@@ -61,8 +61,8 @@ def find_channel_lines(manifest: Manifest, base: TimeBase) -> Lines | None:
     try:
         return find_lines(time_s, record.values(channel)[:, None], nominal_hz, harmonics)
     except ValueError as error:
-        expected = f"lines that stand out in channel {channel.name} of {record.entry.file.name}"
-        raise InputError(manifest.path, "excitation.frequencies", found=str(error), expected=expected) from error
+        where = f"channel {channel.name} of {record.entry.file.name}"
+        raise InputError.told_by(ValueError(f"{error} ({where})"), manifest.path, "excitation.frequencies") from error
 
 
 def _line_channel(base: TimeBase) -> tuple[DaqRecord, ChannelEntry] | None:
@@ -108,7 +108,10 @@ def _fit_group(
     values = np.stack([record.values(channel) for channel in group], axis=1)
     names = [channel.name for channel in group]
     units = [channel_unit(manifest, channel) for channel in group]
-    fit = fit_sines(time_s, values, lines.frequency_hz[seen], names, units)
+    try:
+        fit = fit_sines(time_s, values, lines.frequency_hz[seen], names, units)
+    except ValueError as error:
+        raise InputError.told_by(error, record.entry.file, names[0]) from error
     spread = spread_lines(fit.phasors, seen, lines.frequency_hz)
     return [
         _result(record, channel, time_s, values[:, c], fit, spread.select([channel.name]))

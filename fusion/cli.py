@@ -16,10 +16,25 @@ log = logging.getLogger("shakercal")
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status (0 done, 1 not computable, 2 bad input, 130 interrupted)."""
     options = _parser().parse_args(arguments)
-    level = logging.WARNING if options.quiet else logging.DEBUG if options.verbose else logging.INFO
-    logging.basicConfig(level=logging.WARNING, format="shakercal: %(message)s", stream=sys.stderr, force=True)
-    log.setLevel(level)
+    _set_up_log(options)
     return _guarded(options)
+
+
+class _ToStderr(logging.Handler):
+    """Writes to what stderr is at the moment: a progress bar redirects it while it is drawn."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        print(self.format(record), file=sys.stderr)
+
+
+def _set_up_log(options: argparse.Namespace) -> None:
+    """Send the program's own messages to stderr; those of libraries, warnings included, only with -v."""
+    handler = _ToStderr()
+    handler.setFormatter(logging.Formatter("shakercal: %(message)s"))
+    log.handlers, log.propagate = [handler], False
+    log.setLevel(logging.WARNING if options.quiet else logging.DEBUG if options.verbose else logging.INFO)
+    logging.getLogger().handlers = [handler if options.verbose else logging.NullHandler()]
+    logging.captureWarnings(True)
 
 
 def _guarded(options: argparse.Namespace) -> int:
@@ -32,13 +47,14 @@ def _guarded(options: argparse.Namespace) -> int:
         log.error("%s", error)
         return EXIT_INPUT
     except ComputeError as error:
-        log.error("%s", error)
+        log.error("%s", " ".join(str(error).split()))
         return EXIT_FAILED
     except KeyboardInterrupt:
         log.error("interrupted; nothing half-written was left behind")
         return EXIT_INTERRUPTED
     except Exception as error:
-        log.error("internal error (%s: %s); please report it, -v shows where", type(error).__name__, error)
+        told = " ".join(f"{type(error).__name__}: {error}".split())
+        log.error("internal error (%s); please report it, -v shows where", told)
         log.debug("traceback", exc_info=True)
         return EXIT_FAILED
 
@@ -84,10 +100,7 @@ def _simulate(options: argparse.Namespace) -> int:
         expected = "a new folder (--force replaces an earlier simulation)"
         raise InputError(options.out, "", found="a file or folder of this name", expected=expected)
     with progress_bar(enabled=not options.quiet) as progress:
-        try:
-            folder = simulate(options.out, options.preset, options.seed, progress)
-        except ValueError as error:
-            raise InputError(options.out, "", found=str(error), expected="a place for a simulation") from error
+        folder = simulate(options.out, options.preset, options.seed, progress)
     print(f"simulated recording: {folder}")
     return EXIT_DONE
 
@@ -120,7 +133,7 @@ def _parser() -> argparse.ArgumentParser:
     simulate = commands.add_parser("simulate", parents=[common], help="write a simulated recording with its truth")
     simulate.add_argument("out", type=Path, metavar="OUT", help="campaign folder to create")
     simulate.add_argument("--preset", choices=("demo", "nitsche2018"), default="demo", help="which rig (default: demo)")
-    simulate.add_argument("--seed", type=int, default=1, help="seed of every random draw (default: 1)")
+    simulate.add_argument("--seed", type=_seed, default=1, help="seed of every random draw (default: 1)")
     simulate.add_argument("--force", action="store_true", help="overwrite a simulation that is there")
     simulate.set_defaults(action=_simulate)
     return parser
@@ -135,6 +148,13 @@ def _radius(text: str) -> int:
     value = int(text)
     if not 4 <= value <= 100:
         raise argparse.ArgumentTypeError(f"expected 4 to 100 pixels, found {value}")
+    return value
+
+
+def _seed(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"expected a whole number of at least 0, found {value}")
     return value
 
 

@@ -18,7 +18,7 @@ from fusion.readings import channel_readings, gravity, load_body, observations
 from fusion.records import read_daqs
 from fusion.sensitivity import Sensitivity, sensitivity_ratio
 from fusion.settings import ProgressCallback, Settings, no_progress
-from fusion.stereo_motion import StereoMotion, measure_images, measure_points, motion_lines, open_images, stereo_phasors
+from fusion.stereo_motion import measure_images, measure_points, motion_lines, open_images, stereo_phasors
 from fusion.timing import TimeBase, tie_daqs
 from shaker.signals.frequencies import Lines
 
@@ -39,9 +39,13 @@ def evaluate_recording(
     started = time.monotonic()
     _check_kind(manifest)
     base = tie_daqs(manifest, read_daqs(manifest))
-    motions = _measure_motions(manifest, base, settings, progress)
-    lines = find_channel_lines(manifest, base) or motion_lines(manifest, motions)
-    channels = channel_results(manifest, base, lines)
+    opened = [open_images(manifest, base, entry) for entry in manifest.images]
+    points = [measure_points(manifest, base, entry) for entry in manifest.points]
+    lines = find_channel_lines(manifest, base)
+    channels = () if lines is None else channel_results(manifest, base, lines)
+    motions = (*(measure_images(manifest, images, settings, progress) for images in opened), *points)
+    if lines is None:  # all channels are triggers
+        lines = motion_lines(manifest, motions)
     stereo = tuple(stereo_phasors(motion, lines) for motion in motions)
     readings = channel_readings(base, channels)
     accelerations = _fuse_bodies(observations(manifest, base, readings, stereo))
@@ -74,17 +78,8 @@ def _check_kind(manifest: Manifest) -> None:
         expected = f"{' or '.join(EVALUATED_KINDS)}, the kinds that shakercal run evaluates"
         raise InputError(manifest.path, "excitation.kind", found=kind, expected=expected)
     if manifest.take:
-        expected = "no takes: this version evaluates only what was recorded at once"
-        raise InputError(manifest.path, "take", found=f"{len(manifest.take)} takes", expected=expected)
-
-
-def _measure_motions(
-    manifest: Manifest, base: TimeBase, settings: Settings, progress: ProgressCallback
-) -> tuple[StereoMotion, ...]:
-    """Measure the motion seen by every stereo pair, from images or from points."""
-    opened = [open_images(manifest, base, entry) for entry in manifest.images]
-    points = [measure_points(manifest, base, entry) for entry in manifest.points]
-    return (*(measure_images(manifest, images, settings, progress) for images in opened), *points)
+        expected = "no [[take]] blocks, since shakercal run evaluates what was recorded at once"
+        raise InputError(manifest.path, "take", found=f"{len(manifest.take)}", expected=expected)
 
 
 def _fuse_bodies(seen: Sequence[Observation]) -> tuple[Acceleration, ...]:

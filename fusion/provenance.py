@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import importlib.metadata
+import os
 import platform
 import sys
 from collections.abc import Iterable, Mapping
@@ -51,9 +52,12 @@ class Provenance:
 def sha256(path: Path) -> str:
     """SHA-256 of a file as hexadecimal digits, read block by block."""
     digest = hashlib.sha256()
-    with path.open("rb") as stream:
-        while block := stream.read(BLOCK_BYTES):
-            digest.update(block)
+    try:
+        with path.open("rb") as stream:
+            while block := stream.read(BLOCK_BYTES):
+                digest.update(block)
+    except OSError as error:
+        raise InputError(path, "", found=error.strerror or str(error), expected="a file that can be read") from error
     return digest.hexdigest()
 
 
@@ -88,6 +92,10 @@ def check_folder(folder: Path, hashes: Mapping[str, str], *, force: bool) -> Non
     """Refuse a place for results that is no folder, or that holds something else than results of the same inputs."""
     if folder.exists() and not folder.is_dir():
         raise InputError(folder, "", found="a file", expected="a folder for the results")
+    above = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
+    if not above.is_dir() or not os.access(above, os.W_OK | os.X_OK):
+        what = "a folder that may not be written to" if above.is_dir() else "a file"
+        raise InputError(folder, "", found=f"{what} at {above}", expected="a place for a folder with the results")
     if force or not folder.exists() or not any(folder.iterdir()):
         return
     found = read_provenance(folder)

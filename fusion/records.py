@@ -47,9 +47,7 @@ def _read_daq(manifest: Manifest, daq: Daq) -> DaqRecord:
     try:
         raw = read_channels(daq.file, names, daq.sample_rate)
     except (OSError, ValueError) as error:
-        raise InputError(
-            manifest.path, f"daq.{daq.name}.file", found=str(error), expected="a file with the channels named"
-        ) from error
+        raise InputError.told_by(error, manifest.path, f"daq.{daq.name}.file") from error
     for name, channel in raw.items():
         _check_samples(daq, name, channel)
     return DaqRecord(daq, raw, min(channel.start_s for channel in raw.values()))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import math
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -51,16 +53,25 @@ def read_response(path: Path, frequency_hz: FloatArray) -> ChainResponse:
 
 def _read_table(path: Path) -> dict[str, FloatArray]:
     """Return the columns of a response table as arrays."""
-    with path.open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    found = tuple(rows[0]) if rows else ()
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.DictReader(file)
+            found, rows = tuple(reader.fieldnames or ()), list(reader)
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(path, "", found=str(error), expected="a table in UTF-8 text") from error
     missing = [name for name in COLUMNS if name not in found]
     if missing:
-        raise InputError(path, missing[0], found=f"columns {', '.join(found) or 'none'}", expected="this column")
-    columns = {}
-    for name in COLUMNS:
-        try:
-            columns[name] = np.array([float(row[name]) for row in rows])
-        except (TypeError, ValueError) as error:
-            raise InputError(path, name, found=str(error), expected="one number per row") from error
-    return columns
+        columns = ", ".join(str(name) for name in found) or "none"
+        raise InputError(path, missing[0], found=f"columns {columns}", expected="this column")
+    return {
+        name: np.array([_number(path, name, row[name], line) for line, row in enumerate(rows, 2)]) for name in COLUMNS
+    }
+
+
+def _number(path: Path, name: str, cell: str | None, line: int) -> float:
+    """Return a cell as the finite number it has to be."""
+    with suppress(TypeError, ValueError):
+        value = float(cell)  # type: ignore[arg-type]
+        if math.isfinite(value):
+            return value
+    raise InputError(path, name, found=f'"{cell or ""}" in line {line}', expected="one finite number per row")

@@ -8,10 +8,11 @@ import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
+from fusion.errors import InputError
 from fusion.evaluation import Evaluation
 from fusion.provenance import RESULT_FILE, check_folder, read_provenance
 from fusion.report import REPORT_FILE, render_report
-from fusion.results_csv import merge_tables, result_tables
+from fusion.results_csv import MERGED_FILES, merge_tables, result_tables
 from fusion.results_h5 import write_h5
 
 OWN_FILE = re.compile(r"(sensitivity|acceleration|load|motion-.+)\.csv|result\.h5|report\.html")
@@ -35,6 +36,21 @@ def write_results(evaluation: Evaluation, folder: Path, *, force: bool = False) 
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
     return [folder / name for name in names]
+
+
+def check_campaign_folder(top: Path, recordings: Sequence[str], *, force: bool) -> None:
+    """Refuse a place for a campaign's results that holds something else, or merged tables without their recordings.
+
+    `recordings`: names of the recordings' folders, each of which is checked when its turn comes. Hidden files are
+    none of the program's business.
+    """
+    check_folder(top, {}, force=True)
+    names = {entry.name for entry in top.iterdir()} if top.exists() and not force else set()
+    ours = {name for name in names if name in recordings or read_provenance(top / name) is not None}
+    other = {name for name in names - ours if not name.startswith(".") and not (ours and name in MERGED_FILES)}
+    if other:
+        expected = "results of this campaign only (--force writes beside them and replaces only result files)"
+        raise InputError(top, "", found=f"other files, for example {min(other)}", expected=expected)
 
 
 def merge_results(folders: Sequence[Path], out: Path) -> list[Path]:

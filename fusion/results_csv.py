@@ -51,6 +51,8 @@ PHASOR_COLUMNS = [
     "source",
     "recording",
 ]
+MERGED_FILES = {SENSITIVITY_FILE: SENSITIVITY_COLUMNS, ACCELERATION_FILE: PHASOR_COLUMNS, LOAD_FILE: PHASOR_COLUMNS}
+"""Columns of the tables that a campaign joins, by file name."""
 POSE_COLUMNS = ["x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad"]
 MOTION_COLUMNS = ["time_s", *POSE_COLUMNS, *(f"u_{name}" for name in POSE_COLUMNS), "residual_m", "points"]
 
@@ -151,9 +153,8 @@ def merge_tables(folders: Sequence[Path]) -> dict[str, str]:
     `folders`: the recordings' results folders, in the order of the rows. A folder without one of the tables is left
     out of that table.
     """
-    columns = {SENSITIVITY_FILE: SENSITIVITY_COLUMNS, ACCELERATION_FILE: PHASOR_COLUMNS, LOAD_FILE: PHASOR_COLUMNS}
     merged = {}
-    for name, header in columns.items():
+    for name, header in MERGED_FILES.items():
         lines = [",".join(header)]
         for folder in folders:
             lines += _body(folder / name, lines[0])

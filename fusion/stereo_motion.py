@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -133,12 +133,12 @@ def measure_points(manifest: Manifest, base: TimeBase, entry: PointFiles) -> Ste
     try:
         table = read_point_tables(entry.files, entry.columns, entry.valid_status, entry.scale)
     except (OSError, ValueError) as error:
-        raise InputError(manifest.path, key, found=str(error), expected="readable tables of points") from error
+        raise InputError.told_by(error, manifest.path, key) from error
     time_s = exposure_middles(manifest, base, entry, len(table.frames))
     try:
         points = points_with_estimated_noise(table.position_m, table.reference_m)
     except ValueError as error:
-        raise InputError(manifest.path, key, found=str(error), expected="points of a rigid body") from error
+        raise InputError.told_by(error, manifest.path, key) from error
     placed = sensor_from_camera(stereo)
     reference = None if table.reference_m is None else placed.apply(table.reference_m)
     motion = _fit(entry.stereo, points.transformed(placed), reference)
@@ -149,26 +149,33 @@ def _open(manifest: Manifest, entry: Images, side: str) -> ImageSequence:
     """Open one camera's images."""
     paths = entry.left if side == "left" else entry.right
     try:
-        return open_sequence(paths, entry.bit_depth)
+        return _unsaturated(open_sequence(paths, entry.bit_depth))
     except (OSError, ValueError) as error:
-        key = f"images.{entry.stereo}.{side}"
-        raise InputError(manifest.path, key, found=str(error), expected="a readable sequence of images") from error
+        raise InputError.told_by(error, manifest.path, f"images.{entry.stereo}.{side}") from error
+
+
+def _unsaturated(sequence: ImageSequence) -> ImageSequence:
+    """Return the same images, of which a saturated one is refused when it is read."""
+
+    def read(index: int) -> GreyImage:
+        image = sequence.read(index)
+        saturated = saturated_fraction(image, sequence.full_scale)
+        if saturated > MAX_SATURATED:
+            found = f"{100 * saturated:.1f} % of its pixels at full scale {sequence.full_scale}"
+            raise ValueError(f"{sequence.names[index]}: expected an image that is not saturated, found {found}")
+        return image
+
+    return replace(sequence, reader=read)
 
 
 def _read_first(manifest: Manifest, entry: Images, left: ImageSequence, right: ImageSequence) -> GreyImage:
-    """Return the first left image; refuse cameras that are saturated."""
+    """Return the first left image after a look at the first right one."""
     images = []
     for side, sequence in (("left", left), ("right", right)):
-        key = f"images.{entry.stereo}.{side}"
         try:
-            image = sequence.read(0)
+            images.append(sequence.read(0))
         except (OSError, ValueError) as error:
-            raise InputError(manifest.path, key, found=str(error), expected="readable images") from error
-        saturated = saturated_fraction(image, sequence.full_scale)
-        if saturated > MAX_SATURATED:
-            found = f"{sequence.names[0]} with {100 * saturated:.1f} % of its pixels at full scale"
-            raise InputError(manifest.path, key, found=found, expected="images that are not saturated")
-        images.append(image)
+            raise InputError.told_by(error, manifest.path, f"images.{entry.stereo}.{side}") from error
     return images[0]
 
 
@@ -180,7 +187,7 @@ def _calibration(stereo: Stereo, left: ImageSequence, right: ImageSequence) -> S
     try:
         rig = read_calibration(path)
     except (OSError, ValueError) as error:
-        raise InputError(path, "", found=str(error), expected="a readable stereo calibration") from error
+        raise InputError.told_by(error, path) from error
     size = [int(length) for length in rig.left.size_px]
     for images in (left, right):
         if size != list(images.size_px):
@@ -198,8 +205,7 @@ def _track(manifest: Manifest, images: OpenImages, settings: Settings, progress:
             images.left, images.right, images.rig, options, lambda done: progress(f"track {name}", done, total)
         )
     except (OSError, ValueError) as error:
-        expected = "images of a speckled body"
-        raise InputError(manifest.path, f"images.{name}", found=str(error), expected=expected) from error
+        raise InputError.told_by(error, manifest.path, f"images.{name}") from error
 
 
 def _fit(name: str, points: Points, reference_m: FloatArray | None) -> RigidMotion:
@@ -221,8 +227,8 @@ def motion_lines(manifest: Manifest, motions: Sequence[StereoMotion]) -> Lines:
     try:
         return find_lines(first.time_s, first.motion.pose, nominal_hz, harmonics)
     except ValueError as error:
-        expected = f"lines that stand out in the motion seen by stereo pair {first.entry.stereo}"
-        raise InputError(manifest.path, "excitation.frequencies", found=str(error), expected=expected) from error
+        told = ValueError(f"{error} (motion seen by stereo pair {first.entry.stereo})")
+        raise InputError.told_by(told, manifest.path, "excitation.frequencies") from error
 
 
 def stereo_phasors(measured: StereoMotion, lines: Lines) -> StereoPhasors:

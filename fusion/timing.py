@@ -69,9 +69,7 @@ def _fit_trigger(record: DaqRecord, channel: ChannelEntry) -> TriggerFit:
         edges = find_edges(record.values(channel), raw.sample_rate_hz, channel.threshold, channel.edge)
         fit = fit_trigger(edges)
     except ValueError as error:
-        raise InputError(
-            record.entry.file, channel.name, found=str(error), expected="a periodic camera trigger"
-        ) from error
+        raise InputError.told_by(error, record.entry.file, channel.name) from error
     lag = record.lag_s(channel.name) - channel.delay
     return replace(fit, start_s=fit.start_s + lag, edge_s=fit.edge_s + lag)
 
@@ -90,10 +88,7 @@ def _tie(
     try:
         return tie_clocks(first, second, other.entry.first_edge, start_difference_s=later_s)
     except ValueError as error:
-        wanted = f"pulses of {shared[0]} that fit those of block {base.entry.name} in one way only, or first_edge here"
-        raise InputError(
-            manifest.path, f"daq.{other.entry.name}.first_edge", found=str(error), expected=wanted
-        ) from error
+        raise InputError.told_by(error, manifest.path, f"{key}.{shared[0]}") from error
 
 
 def _start_difference_s(base: DaqRecord, other: DaqRecord) -> float | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,9 @@ def simulate(out: Path, preset: str, seed: int, progress: ProgressCallback = no_
     """Write the campaign of a preset (`demo`, `nitsche2018`) into folder `out` and return its recording's folder.
 
     `switches` are the fields of `SimulationOptions`. The same seed gives the same files. A folder that holds
-    anything but an earlier simulation is refused; it appears whole or not at all.
+    anything but an earlier simulation is refused with an `InputError`; it appears whole or not at all.
     """
+    from fusion.errors import InputError
     from fusion.simulate.draws import Draws
     from fusion.simulate.options import SimulationOptions
     from fusion.simulate.preset import PRESETS
@@ -28,12 +30,18 @@ def simulate(out: Path, preset: str, seed: int, progress: ProgressCallback = no_
         raise ValueError(f"preset: expected one of {', '.join(PRESETS)}, found {preset!r}")
     options = SimulationOptions(**switches)
     setup = PRESETS[preset].shrunk(options.frames, options.image_scale)
-    if out.exists() and not _replaceable(out):
-        raise ValueError(f"out: expected a new folder or an earlier simulation, found other files in {out}")
+    other = _not_simulated(out) if out.is_dir() else out if out.exists() else None
+    if other is not None:
+        expected = "a new folder, or an earlier simulation as it was written"
+        found = "a file" if other == out else f"{other.relative_to(out).as_posix()} in it"
+        raise InputError(out, "", found=found, expected=expected)
     draws = Draws(seed, options.systematic_errors)
     world = make_world(setup, draws, _JITTER_S if options.trigger_jitter else 0.0)
-    partial = out.with_name(out.name + f".partial-{os.getpid()}")
-    partial.mkdir(parents=True)
+    partial = out.absolute().with_name(f".{out.absolute().name}-{os.getpid()}")
+    try:
+        partial.mkdir(parents=True)
+    except OSError as error:
+        raise InputError.told_by(error, out) from error
     try:
         noise = (options.image_noise, options.channel_noise)
         write_campaign(partial, world, draws, noise, options.aliased, progress)
@@ -45,8 +53,15 @@ def simulate(out: Path, preset: str, seed: int, progress: ProgressCallback = no_
     return out / setup.recording
 
 
-def _replaceable(out: Path) -> bool:
-    """Say whether a folder is empty or holds nothing but one simulated campaign."""
-    recordings = {path.parent.name for path in out.glob("*/truth.json")}
-    allowed = {"rig.toml", "calibration", "results", *recordings}
-    return out.is_dir() and {path.name for path in out.iterdir()} <= allowed
+def _not_simulated(out: Path) -> Path | None:
+    """Return something in a folder that is neither named by a simulated recording nor its truth, None if all is."""
+    from fusion.errors import InputError
+    from fusion.manifest import load_manifest
+
+    written: set[Path] = set()
+    for truth in out.glob("*/truth.json"):
+        with suppress(InputError):
+            written.update(load_manifest(truth.parent).files, [truth.resolve()])
+    folders = {folder for file in written for folder in file.parents}
+    known = written | folders
+    return next((path for path in sorted(out.rglob("*")) if path.resolve() not in known), None)

@@ -90,7 +90,7 @@ def decide_shift(base: TriggerFit, other: TriggerFit, start_difference_s: float 
     raise ValueError(
         f"shift: expected burst start, burst end, gaps or start times to say which edges belong together, found "
         f"{high - low + 1} whole-period shifts from {low} to {high} that fit {base.edges} and {other.edges} edges; "
-        f"give the number of the first edge"
+        f"give first_edge"
     )
 
 

@@ -36,3 +36,22 @@ def test_errors_can_be_sent_between_processes(error: Exception) -> None:
     back = pickle.loads(pickle.dumps(error))
     assert type(back) is type(error)
     assert str(back) == str(error)
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (ValueError("{folder}/top/0003.tif: truncated"), "{file}: images.top: top/0003.tif: truncated"),
+        (ValueError("{file}: rotation: expected a, found b"), "{file}: images.top: rotation: expected a, found b"),
+        (ValueError("nominal_hz: expected a, found b"), "{file}: images.top: expected a, found b"),
+        (ValueError("a.tif: expected a, found b"), "{file}: images.top: a.tif: expected a, found b"),
+        (PermissionError(13, "Permission denied", "{folder}/a.h5"), "{file}: images.top: a.h5: Permission denied"),
+        (OSError("closed"), "{file}: images.top: closed"),
+    ],
+)
+def test_what_a_reader_says_is_told_once(error: Exception, told: str, tmp_path: Path) -> None:
+    names = {"folder": str(tmp_path), "file": str(tmp_path / "recording.toml")}
+    filled = type(error)(*(part.format(**names) if isinstance(part, str) else part for part in error.args))
+    if isinstance(error, OSError) and error.filename is not None:
+        filled = PermissionError(13, "Permission denied", error.filename.format(**names))
+    assert str(InputError.told_by(filled, Path(names["file"]), "images.top")) == told.format(**names)

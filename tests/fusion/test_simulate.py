@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import tifffile
 
+from fusion.errors import InputError
 from fusion.manifest import load_manifest
 from fusion.simulate import simulate
 from fusion.simulate.draws import Draws
@@ -192,7 +193,7 @@ def test_noise_free_channels_are_the_truth(tmp_path: Path) -> None:
 
 def test_a_folder_of_other_things_is_refused(tmp_path: Path) -> None:
     (tmp_path / "thesis.txt").write_text("mine")
-    with pytest.raises(ValueError, match="out: expected a new folder"):
+    with pytest.raises(InputError, match=r"expected a new folder.*found thesis.txt in it"):
         simulate(tmp_path, "demo", 1, frames=3, image_scale=0.3)
     assert (tmp_path / "thesis.txt").read_text() == "mine"
     with pytest.raises(ValueError, match="preset: expected one of"):

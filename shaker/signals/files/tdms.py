@@ -12,7 +12,10 @@ from shaker.signals.recording import RawChannel
 def read_tdms(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
     """Read channels by `group/channel`, or by the channel's name alone where only one group has it."""
     from nptdms import TdmsFile
+    from nptdms.log import log_manager
 
+    for logger in log_manager.loggers.values():  # else the library writes to stderr past all settings of logging
+        logger.removeHandler(log_manager.console_handler)
     with path.open("rb") as stream, TdmsFile.open(stream) as file:
         if file.file_status.incomplete_final_segment:
             raise ValueError(f"{path}: expected a complete TDMS file, found its last segment cut off")
