@@ -51,17 +51,20 @@ def nominal_lines(manifest: Manifest) -> tuple[Sequence[float], Literal["auto"] 
 
 
 def find_channel_lines(manifest: Manifest, base: TimeBase) -> Lines | None:
-    """Find the lines in the fastest channel that shows the excitation; None where no block has such a channel."""
+    """Find the lines in the fastest channel and all that were sampled with it; None where there are only triggers."""
     best = _line_channel(base)
     if best is None:
         return None
     record, channel = best
     time_s = base.to_base_s(record.entry.name, record.time_s(channel.name))
+    together = next(group for group in _same_times(record) if channel in group)
+    values = np.stack([record.values(member) for member in together], axis=1)
     nominal_hz, harmonics = nominal_lines(manifest)
     try:
-        return find_lines(time_s, record.values(channel)[:, None], nominal_hz, harmonics)
+        return find_lines(time_s, values, nominal_hz, harmonics)
     except ValueError as error:
-        where = f"channel {channel.name} of {record.entry.file.name}"
+        names = ", ".join(member.name for member in together)
+        where = f"{'channel' if len(together) == 1 else 'channels'} {names} of {record.entry.file.name}"
         raise InputError.told_by(ValueError(f"{error} ({where})"), manifest.path, "excitation.frequencies") from error
 
 

@@ -45,10 +45,10 @@ def evaluate_recording(
     channels = () if lines is None else channel_results(manifest, base, lines)
     motions = (*(measure_images(manifest, images, settings, progress) for images in opened), *points)
     if lines is None:  # all channels are triggers
-        lines = motion_lines(manifest, motions)
+        lines = motion_lines(manifest, base, motions)
     stereo = tuple(stereo_phasors(motion, lines) for motion in motions)
     readings = channel_readings(base, channels)
-    accelerations = _fuse_bodies(observations(manifest, base, readings, stereo))
+    accelerations = _fuse_bodies(observations(manifest, base, readings, stereo, lines))
     load = _load(manifest, accelerations)
     sensitivity = _sensitivity(manifest, lines, readings, load)
     notices = [*_clock_notices(base), *lines.notices, *(notice for item in stereo for notice in item.notices)]

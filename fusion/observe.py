@@ -79,6 +79,26 @@ class Observation:
 
 
 @dataclass(frozen=True)
+class LineTurns:
+    """How errors of the estimated line frequencies turn the phasors of a record whose middle is at `middle_s`.
+
+    A fit at f + u leaves the phase in the middle of the record as it is, so the phasor, which counts from time zero,
+    turns by exp(-j2π u middle_s). `nominal_hz`, `u_hz` (K,): fundamental and standard uncertainty of each line; the
+    lines of one fundamental err together, and so do all stereo pairs.
+    """
+
+    nominal_hz: FloatArray
+    u_hz: FloatArray
+    middle_s: float
+
+    def turns(self) -> dict[str, ComplexArray]:
+        """Return by the name of the unknown the relative change (K,) for one standard uncertainty."""
+        turn = -2j * np.pi * self.u_hz * self.middle_s
+        found = np.unique(self.nominal_hz).tolist()
+        return {f"frequency of {f:.6g} Hz": np.where(self.nominal_hz == f, turn, 0.0) for f in found}
+
+
+@dataclass(frozen=True)
 class ChainUncertainty:
     """What the manifest does not say of a channel's chain: relative `u_magnitude` (K,) and `u_phase_rad` (K,) of its
     response table, and `u_clock_s`, the standard uncertainty of the tie of its clock to the first block's.
@@ -155,6 +175,7 @@ def observe_stereo(
     calibration_effects: ComplexArray | None = None,
     clock_uncertainty: float = 0.0,
     trigger: tuple[str, float] = ("", 0.0),
+    turns: LineTurns | None = None,
 ) -> Observation:
     """Return the rows of a stereo pair: displacement phasors (K, 6) in m and rad about the sensor origin = -A/ω².
 
@@ -162,7 +183,8 @@ def observe_stereo(
     theta × p) and rotation φ of the axes (vectors change by φ × v), delay of the exposure, and the
     `calibration_effects` (P, K, 6), the change of the phasors for one standard deviation of each principal component of
     the calibration's covariance. `clock_uncertainty`: relative, of the time base; `trigger`: name of the camera trigger
-    and standard uncertainty (s) of its fitted instants, one error for all pairs that follow it.
+    and standard uncertainty (s) of its fitted instants, one error for all pairs that follow it. `turns`: where the line
+    frequencies are known from this motion only.
     """
     factor = derivative_factor(phasors.frequency_hz, -2)
     design = factor[:, None, None] * np.eye(6)
@@ -192,6 +214,8 @@ def observe_stereo(
     stated = bool(common)
     if trigger[1] > 0.0:
         common.append(_late(f"{trigger[0]}: time", trigger[1], phasors.frequency_hz, design))
+    for unknown, turned in ({} if turns is None else turns.turns()).items():
+        common.append(CommonError(unknown, unknown, 1.0, turned[:, None, None] * design, none))
     common += _clock_rate(design, np.full(6, 2.0), clock_uncertainty)
     return Observation(name, "photogrammetry", entry.body, phasors, design, tuple(common), (title,) * 6, stated)
 

@@ -10,10 +10,11 @@ from fusion.body import Body, make_part
 from fusion.body import Part as RigidPart
 from fusion.evaluation import ChannelResult
 from fusion.manifest import ChannelEntry, Load, Manifest, Part
-from fusion.observe import ChainUncertainty, Observation, Reading, observe_channels, observe_stereo
+from fusion.observe import ChainUncertainty, LineTurns, Observation, Reading, observe_channels, observe_stereo
 from fusion.response import read_response
 from fusion.stereo_motion import StereoPhasors
 from fusion.timing import TimeBase
+from shaker.signals.frequencies import Lines
 
 
 def channel_readings(base: TimeBase, channels: Sequence[ChannelResult]) -> tuple[Reading, ...]:
@@ -34,9 +35,13 @@ def _reading(base: TimeBase, channel: ChannelResult, entry: ChannelEntry) -> Rea
 
 
 def observations(
-    manifest: Manifest, base: TimeBase, readings: Sequence[Reading], stereo: Sequence[StereoPhasors]
+    manifest: Manifest, base: TimeBase, readings: Sequence[Reading], stereo: Sequence[StereoPhasors], lines: Lines
 ) -> tuple[Observation, ...]:
-    """Return every instrument of the recording as rows of the linear model."""
+    """Return every instrument of the recording as rows of the linear model.
+
+    Without any reading the lines were found in the motion itself, and what it leaves open of their frequencies turns
+    the phasors by as much as its noise does; a channel knows them far better than that.
+    """
     clock = manifest.daq[0].clock_uncertainty if manifest.daq else 0.0
     seen = []
     for item in stereo:
@@ -44,7 +49,9 @@ def observations(
         entry = entry.model_copy(update={"delay_uncertainty": item.entry.delay_uncertainty})
         trigger = (item.entry.trigger, base.u_trigger_s(item.entry.trigger))
         effects = item.calibration_effects
-        seen.append(observe_stereo(item.result.name, entry, item.displacement, effects, clock, trigger))
+        middle_s = float(np.mean(item.result.time_s))
+        turns = None if readings else LineTurns(lines.nominal_hz, lines.u_frequency_hz, middle_s)
+        seen.append(observe_stereo(item.result.name, entry, item.displacement, effects, clock, trigger, turns))
     return (*seen, *observe_channels(readings, gravity(manifest), clock))
 
 

@@ -219,16 +219,21 @@ def _fit(name: str, points: Points, reference_m: FloatArray | None) -> RigidMoti
     return motion
 
 
-def motion_lines(manifest: Manifest, motions: Sequence[StereoMotion]) -> Lines:
-    """Find the lines in the motion itself, for recordings without any channel that shows the excitation."""
+def motion_lines(manifest: Manifest, base: TimeBase, motions: Sequence[StereoMotion]) -> Lines:
+    """Find the lines in the motion itself, for recordings without any channel that shows the excitation.
+
+    The period of the camera trigger is their clock, and its uncertainty part of theirs.
+    """
     if not motions:
         raise ComputeError("no channel or camera of this recording shows the excitation; add one to recording.toml")
     first, (nominal_hz, harmonics) = motions[0], nominal_lines(manifest)
     try:
-        return find_lines(first.time_s, first.motion.pose, nominal_hz, harmonics)
+        lines = find_lines(first.time_s, first.motion.pose, nominal_hz, harmonics)
     except ValueError as error:
         told = ValueError(f"{error} (motion seen by stereo pair {first.entry.stereo})")
         raise InputError.told_by(told, manifest.path, "excitation.frequencies") from error
+    u_clock_hz = lines.frequency_hz * base.u_trigger_rate(first.entry.trigger)
+    return replace(lines, u_frequency_hz=np.hypot(lines.u_frequency_hz, u_clock_hz))
 
 
 def stereo_phasors(measured: StereoMotion, lines: Lines) -> StereoPhasors:

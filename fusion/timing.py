@@ -39,6 +39,11 @@ class TimeBase:
         fit = next(fit for (_, name), fit in self.triggers.items() if name == trigger)
         return float(fit.u_time_s(np.asarray(fit.edges // 2)))
 
+    def u_trigger_rate(self, trigger: str) -> float:
+        """Return the relative standard uncertainty of a trigger's fitted period."""
+        fit = next(fit for (_, name), fit in self.triggers.items() if name == trigger)
+        return float(np.sqrt(fit.covariance[1, 1])) / fit.period_s
+
     def results(self) -> tuple[ClockResult, ...]:
         """Return one entry per block for the result tree."""
         found = []

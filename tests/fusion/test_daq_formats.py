@@ -1,0 +1,139 @@
+"""One signal through the manifest in every file format that a laboratory may have: equal phasors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import pyuff
+import scipy.io
+from nptdms import ChannelObject, TdmsWriter
+
+from fusion.evaluate import evaluate_recording
+from fusion.evaluation import Evaluation
+from fusion.manifest import load_manifest
+from fusion.settings import Settings
+
+RATE_HZ, SAMPLES, FREQUENCY_HZ, PHASOR = 4096.0, 4096, 100.01, 0.6 * np.exp(1.1j)
+GRAVITY = 9.80665
+Signals = dict[str, np.ndarray]
+
+
+def _h5(path: Path, signals: Signals) -> None:
+    with h5py.File(path, "w") as file:
+        file.attrs["sample_rate"] = RATE_HZ
+        for name, samples in signals.items():
+            file[name] = samples
+
+
+def _tdms(path: Path, signals: Signals) -> None:
+    properties = {"wf_increment": 1.0 / RATE_HZ, "wf_start_offset": 0.0}
+    with TdmsWriter(str(path)) as writer:
+        writer.write_segment([ChannelObject("daq", name, s, properties=properties) for name, s in signals.items()])
+
+
+def _uff(path: Path, signals: Signals) -> None:
+    for node, (name, samples) in enumerate(signals.items(), 1):
+        data = pyuff.prepare_58(
+            binary=1, func_type=1, rsp_node=node, rsp_dir=3, ref_node=0, ref_dir=0, id1="a", rsp_ent_name=name,
+            ref_ent_name="NONE", ordinate_axis_units_lab="V", abscissa_spacing=1, abscissa_min=0.0,
+            abscissa_inc=1.0 / RATE_HZ, num_pts=SAMPLES, ord_data_type=4, data=samples,
+            x=np.arange(SAMPLES) / RATE_HZ, abscissa_spec_data_type=17, ordinate_spec_data_type=11,
+            orddenom_spec_data_type=0, z_axis_spec_data_type=0, z_axis_value=0.0,
+        )  # fmt: skip
+        pyuff.UFF(str(path)).write_sets([data], "add")
+
+
+def _mat(path: Path, signals: Signals) -> None:
+    scipy.io.savemat(path, signals)
+
+
+def _wav(path: Path, signals: Signals) -> None:
+    scipy.io.wavfile.write(path, int(RATE_HZ), np.stack(list(signals.values()), axis=1))
+
+
+def _csv(path: Path, signals: Signals) -> None:
+    columns = np.column_stack([np.arange(SAMPLES) / RATE_HZ, *signals.values()])
+    np.savetxt(path, columns, delimiter=",", header=",".join(["time", *signals]), comments="", fmt="%.12g")
+
+
+def _lvm(path: Path, signals: Signals) -> None:
+    head = ["LabVIEW Measurement\t", "Writer_Version\t2", "Separator\tTab", "Decimal_Separator\t,"]
+    head += ["X_Columns\tOne", "***End_of_Header***\t", "\t"]
+    part = [f"Channels\t{len(signals)}", f"Samples\t{SAMPLES}\t{SAMPLES}", "X0\t0,0\t0,0"]
+    part += [f"Delta_X\t{1 / RATE_HZ:.12g}\t{1 / RATE_HZ:.12g}".replace(".", ","), "***End_of_Header***\t"]
+    titles = "\t".join(["X_Value", *signals, "Comment"])
+    rows = np.column_stack([np.arange(SAMPLES) / RATE_HZ, *signals.values()])
+    text = ["\t".join(f"{value:.12g}".replace(".", ",") for value in row) for row in rows]
+    path.write_text("\n".join([*head, *part, titles, *text]) + "\n", encoding="latin-1")
+
+
+# Suffix → writer and what the format needs in the manifest's block: channel names, rate.
+FORMATS: dict[str, tuple[Callable[[Path, Signals], None], tuple[str, str], bool]] = {
+    "h5": (_h5, ("a", "b"), False),
+    "tdms": (_tdms, ("daq/a", "b"), False),
+    "uff": (_uff, ("a", "b"), False),
+    "mat": (_mat, ("a", "b"), True),
+    "wav": (_wav, ("1", "2"), False),
+    "csv": (_csv, ("a", "b"), False),
+    "lvm": (_lvm, ("a", "b"), False),
+}
+CHANNEL = """
+[[daq.channel]]
+name = "{name}"
+quantity = "acceleration"
+body = "{body}"
+point = [0.0, 0.0, 0.0]
+direction = [0.0, 0.0, 1.0]
+scale = {scale}
+scale_uncertainty = 1e-3
+"""
+
+
+def evaluate(folder: Path, frequencies: str, daq: str) -> Evaluation:
+    """Evaluate one DAQ block on a rig without anything."""
+    (folder / "rig.toml").write_text('format = 1\nname = "rig"\n', encoding="utf-8")
+    head = f'format = 1\nname = "r"\nrig = "rig.toml"\n[excitation]\nkind = "multisine"\nfrequencies = {frequencies}\n'
+    text = f'{head}direction = [0.0, 0.0, 1.0]\n[[daq]]\nname = "daq"\n{daq}'
+    (folder / "recording.toml").write_text(text, encoding="utf-8")
+    return evaluate_recording(load_manifest(folder), Settings(), {})
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # pyuff leaves files open
+@pytest.mark.parametrize("suffix", list(FORMATS))
+def test_phasors_are_equal_in_every_format(tmp_path: Path, suffix: str) -> None:
+    write, names, needs_rate = FORMATS[suffix]
+    time_s = np.arange(SAMPLES) / RATE_HZ
+    rng = np.random.default_rng(0)
+    wave = (PHASOR * np.exp(2j * np.pi * FREQUENCY_HZ * time_s)).real + 1e-5 * rng.normal(size=SAMPLES)
+    write(tmp_path / f"daq.{suffix}", {"a": wave, "b": -0.5 * wave})
+    block = f'file = "daq.{suffix}"\n' + (f"sample_rate = {RATE_HZ}\n" if needs_rate else "")
+    for name, body in zip(names, ("load", "base"), strict=True):
+        block += CHANNEL.format(name=name, body=body, scale=10.0)
+    evaluation = evaluate(tmp_path, "[100.0]", block)
+    assert [channel.name for channel in evaluation.channels] == list(names)
+    first, second = (channel.phasors for channel in evaluation.channels)
+    # Universal files keep six digits of the sampling interval.
+    assert first.frequency_hz[0] == pytest.approx(FREQUENCY_HZ, rel=2e-6 if suffix == "uff" else 1e-7)
+    for found, factor in ((first, 10.0), (second, -5.0)):
+        assert abs(found.value[0, 0] / (factor * PHASOR) - 1) < 1e-5
+    assert {a.body for a in evaluation.accelerations} == {"load", "base"}
+
+
+def test_a_decimated_labview_record_of_a_real_shaker(data_dir: Path, tmp_path: Path) -> None:
+    source = data_dir / "shaker_three_tone" / "data_set_1_downsampled_by_16.lvm"
+    (tmp_path / "shaker.lvm").write_bytes(source.read_bytes())
+    force = '[[daq.channel]]\nname = "Force"\nquantity = "force"\nscale = 4.4482216\n'
+    drive = '[[daq.channel]]\nname = "Voltage"\nquantity = "voltage"\n'
+    block = 'file = "shaker.lvm"\n' + CHANNEL.format(name="Acceleratio", body="load", scale=GRAVITY) + force + drive
+    evaluation = evaluate(tmp_path, "[100.0, 120.0, 150.0]", block)
+    acceleration, exerted, voltage = (channel.phasors for channel in evaluation.channels)
+    tones = np.flatnonzero(evaluation.lines.multiple == 1)
+    np.testing.assert_allclose(voltage.frequency_hz[tones], [99.9999, 119.9999, 149.9999], atol=5e-5)
+    np.testing.assert_allclose(np.abs(voltage.value[tones, 0]), 0.4994, atol=5e-5)
+    ratio = np.abs(acceleration.value[tones[2], 0] / exerted.value[tones[2], 0]) * 4.4482216 / GRAVITY
+    assert ratio == pytest.approx(0.0920, abs=5e-4)  # g/lb
+    assert acceleration.unit == ("m/s^2",)
