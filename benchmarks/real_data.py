@@ -24,7 +24,6 @@ from photogram.rigid import fit_rigid
 from photogram.track import TrackSettings, TrackStatus, match_stereo, track_sequence, track_stereo
 from photogram.triangulate import triangulate
 from shaker.signals.files import read_channels
-from shaker.signals.folding import folded_harmonics
 from shaker.signals.frequencies import find_lines
 from shaker.signals.sine import fit_sines
 
@@ -87,7 +86,7 @@ def gt4_stereo(folder: Path) -> Iterator[Row]:
         distance = np.hypot(*(tracks.position_px[0] - _columns(table, f"{column}_x", f"{column}_y")).T)
         found = float(np.mean(tracks.status == TrackStatus.OK))
         yield Row(f"{title}: points matched", f"{100 * found:.2f} %")
-        yield Row(f"{title}: median distance from the peer's", f"{np.nanmedian(distance):.4f} px", "0", bar)
+        yield Row(f"{title}: median distance from the peer's", f"{np.nanmedian(distance):.4f} px", "", bar)
         yield Row(f"{title}: 95 % quantile of that distance", f"{np.nanquantile(distance, 0.95):.3f} px")
     rig = read_calibration(folder / "calibration.json")
     states = {"before": (points, "r2", "ref"), "loaded": (_columns(table, "t1_x", "t1_y"), "t2", "tar")}
@@ -95,11 +94,11 @@ def gt4_stereo(folder: Path) -> Iterator[Row]:
         made = triangulate(rig, left[None], _columns(table, f"{column}_x", f"{column}_y")[None])
         peer = np.column_stack([table[f"{name}_{axis}"] for axis in "xyz"]) * 1e-3
         distance = np.linalg.norm(made.position_m[0] - peer, axis=1) / UM
-        yield Row(f"triangulation, {title}: median distance from the peer's", f"{np.median(distance):.3f} µm", "0")
+        yield Row(f"triangulation, {title}: median distance from the peer's", f"{np.median(distance):.3f} µm")
         far = distance > 0.5
-        yield Row(f"triangulation, {title}: points beyond 0.5 µm", f"{np.count_nonzero(far)}", "0", "0")
+        yield Row(f"triangulation, {title}: points beyond 0.5 µm", f"{np.count_nonzero(far)}", "", "0")
         where = f"{made.reprojection_px[0][far].min():.2f} px" if far.any() else "none"
-        yield Row(f"triangulation, {title}: smallest reprojection error among these", where)
+        yield Row(f"triangulation, {title}: their smallest reprojection error", where)
 
 
 def _columns(table: NDArray[np.void], *names: str) -> FloatArray:
@@ -170,22 +169,24 @@ def shaker_three_tone(folder: Path) -> Iterator[Row]:
         full, folded_ratio = ratio[16][tone], ratio[256][tone]
         here = f"{full:.4f} and {folded_ratio:.4f} g/lb, {100 * (folded_ratio / full - 1):+.1f} %"
         yield Row(f"acceleration / force at {tone:g} Hz, ×16 and ×256", here, others[tone], bar)
-    names = [f"{fold.frequency_hz:g} Hz" for fold in folded_harmonics(120.0, TONES_HZ, 200.0, 1.0 / 19.7)]
-    yield Row("harmonics and sums named as folding onto 120 Hz", ", ".join(names), bar="480 and 720 Hz among them")
+    named = "; ".join(notice.text for notice in lines.notices if notice.where == "120 Hz")
+    yield Row("×256 (200 Hz): 120 Hz", named, "", "480 and 720 Hz named")
 
 
 def uff(folder: Path) -> Iterator[Row]:
     """Universal files of other programs."""
     sine = read_channels(folder / "binary8byte.uff")["sine 5 Hz"]
     error = np.abs(sine.samples - np.sin(2 * np.pi * 5.0 * np.arange(len(sine.samples)) / 100.0)).max()
-    yield Row("binary, 250 samples of a 5 Hz sine: largest error", f"{error:.1e}", "0", "≤ 1e-5")
+    yield Row("binary, 250 samples of a 5 Hz sine: largest error", f"{error:.1e}", "", "≤ 1e-5")
     microphone = read_channels(folder / "Sample_UFF58b_bin.uff")["Mic 01"]
     here = f"{len(microphone.samples)} samples in {microphone.unit} at {microphone.sample_rate_hz:.1f} Hz"
     yield Row("binary, microphone", here, "79292 samples in Pa at 65536 Hz")
     short = read_channels(folder / "time-history-not-all-columns-filled.uff")["1x"]
-    yield Row("text, last line half filled", f"{len(short.samples)} samples at {short.sample_rate_hz:g} Hz", "13")
+    yield Row(
+        "text, last line half filled", f"{len(short.samples)} samples at {short.sample_rate_hz:g} Hz", "13 samples"
+    )
     spectra = read_channels(folder / "sample_dataset58_psd.uff")
-    yield Row("text, spectra: time responses found", f"{len(spectra)}", "0", "0")
+    yield Row("text, spectra: time responses found", f"{len(spectra)}", "none is one", "0")
 
 
 def tdms(folder: Path) -> Iterator[Row]:

@@ -11,7 +11,14 @@ import numpy as np
 
 from shaker._checks import FloatArray, IntArray, check_shape
 from shaker.notice import Notice
-from shaker.signals.folding import SamplingGrid, alias_frequency, sampling_grid, sine_columns, usable_lines
+from shaker.signals.folding import (
+    SamplingGrid,
+    alias_frequency,
+    folded_harmonics,
+    sampling_grid,
+    sine_columns,
+    usable_lines,
+)
 from shaker.signals.refine import Refined, noise_around, refine_frequency
 from shaker.signals.sine import solve_sines
 from shaker.signals.spectrum import amplitude_spectrum, noise_floor
@@ -29,6 +36,7 @@ _MAINS_HZ = (50.0, 60.0)
 _MAINS_TOLERANCE = 2e-3
 _STRANGER = 8.0  # noise floors above which a peak that is no line is worth a notice
 _SKIRT = 4  # bins beside a line in which its own modulation stands
+_NAMED = 4  # folded harmonics named in one notice
 _STRANGERS = 3  # notices about unexplained peaks
 
 
@@ -79,6 +87,7 @@ def find_lines(
     usable, notices = usable_lines(time, nominal)
     if not np.any(usable):
         raise ValueError(f"nominal_hz: expected a line that the sampling can tell apart, but {notices[0].text}")
+    notices += _unfiltered(nominal[usable], nominal, grid)
     nominal = nominal[usable]
     start = np.array([_peak_near(float(f), nominal, grid, data) for f in nominal])
     if harmonics == "auto":
@@ -126,6 +135,23 @@ def _peak_near(nominal: float, all_nominal: FloatArray, grid: SamplingGrid, data
     folded = float(spectrum.frequency_hz[top]) + fraction * resolution
     downwards = nominal - grid.rate_hz * np.floor(nominal / grid.rate_hz) > grid.rate_hz / 2.0
     return nominal + (alias - folded if downwards else folded - alias)
+
+
+def _unfiltered(nominal: FloatArray, all_nominal: FloatArray, grid: SamplingGrid) -> tuple[Notice, ...]:
+    """Name for each fundamental above the Nyquist frequency the harmonics that nothing can have kept off its alias."""
+    resolution = grid.rate_hz / grid.length
+    notices = []
+    for frequency in nominal[nominal > grid.rate_hz / 2.0].tolist():
+        folds = folded_harmonics(frequency, all_nominal.tolist(), grid.rate_hz, resolution, MAX_MULTIPLE)
+        if folds:
+            names = [f"{fold.frequency_hz:.6g} Hz ({fold.multiple} × {fold.fundamental_hz:.6g} Hz)" for fold in folds]
+            text = (
+                f"{frequency:.6g} Hz, sampled at {grid.rate_hz:.6g} Hz, is read at {folds[0].alias_hz:.5g} Hz, where "
+                f"these would be too and add to it: {', '.join(names[:_NAMED])}"
+            )
+            more = f" and {len(names) - _NAMED} higher ones" if len(names) > _NAMED else ""
+            notices.append(Notice("warning", text + more, f"{frequency:.6g} Hz"))
+    return tuple(notices)
 
 
 def _hann_offset(three: FloatArray) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -65,6 +66,8 @@ def test_undersampled_tones_are_found_at_their_aliases(data_dir: Path) -> None:
     time, values = _stacked(_three_tones(data_dir, 256))
     lines = find_lines(time, values, TONES_HZ, [1])
     np.testing.assert_allclose(lines.frequency_hz, [119.9999, 149.9999], atol=5e-5)
+    named = next(n.text for n in lines.notices if n.where == "120 Hz")
+    assert re.search(r"read at 80 Hz, .*: 480 Hz \(4 × 120 Hz\), 720 Hz \(6 × 120 Hz\)", named)
     refused = [n for n in lines.notices if n.where == "100 Hz"]
     assert len(refused) == 1
     assert "onto the Nyquist frequency" in refused[0].text
