@@ -52,6 +52,10 @@ def _guarded(options: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         log.error("interrupted; nothing half-written was left behind")
         return EXIT_INTERRUPTED
+    except OSError as error:
+        log.error("the system refused to read or write (%s)", " ".join(str(error).split()))
+        log.debug("traceback", exc_info=True)
+        return EXIT_FAILED
     except Exception as error:
         told = " ".join(f"{type(error).__name__}: {error}".split())
         log.error("internal error (%s); please report it, -v shows where", told)
@@ -81,11 +85,17 @@ def _run(options: argparse.Namespace) -> int:
 
 def _check(options: argparse.Namespace) -> int:
     from fusion.check import check
+    from fusion.errors import InputError
     from fusion.manifest import find_recordings, load_manifest
 
     status = EXIT_DONE
     for recording in find_recordings(options.recording):
-        report = check(load_manifest(recording, allow_outside=options.allow_outside))
+        try:
+            report = check(load_manifest(recording, allow_outside=options.allow_outside))
+        except InputError as error:
+            log.error("%s", error)
+            status = EXIT_INPUT
+            continue
         print(report)
         status = EXIT_INPUT if report.problems else status
     return status

@@ -119,7 +119,8 @@ def _write_images(
 ) -> None:
     """Render and write every image, frames in parallel: the work is done outside Python's lock."""
     done, total = 0, 2 * len(world.stereo) * world.preset.frames
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+    pool = ThreadPoolExecutor(os.cpu_count() or 1)
+    try:
         for shot in _shots(folder, world, draws, aliased):
             shot.folder.mkdir()
             tasks = [pool.submit(_shoot, shot, world, draws, noise, aliased, k) for k in range(world.preset.frames)]
@@ -127,6 +128,8 @@ def _write_images(
                 task.result()
                 done += 1
                 progress("render", done, total)
+    finally:
+        pool.shutdown(cancel_futures=True)  # who interrupts need not wait for the images that are left
 
 
 def _shoot(shot: _Shot, world: World, draws: Draws, noise: bool, aliased: bool, frame: int) -> None:

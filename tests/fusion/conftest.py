@@ -4,9 +4,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
+from evaluation_factory import Choice, make_evaluation
+
+from fusion.evaluation import Evaluation
+from fusion.manifest import Manifest
+from fusion.provenance import versions
+from fusion.settings import Settings
 
 FORMAT_DOC = Path(__file__).resolve().parents[2] / "docs" / "recording-format.md"
 FILES = (
@@ -66,3 +74,32 @@ def make_campaign(tmp_path: Path, format_examples: dict[str, str]) -> Callable[.
         return folder
 
     return make
+
+
+@pytest.fixture(scope="session")
+def ready_evaluation(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
+    """A complete synthetic evaluation, made once."""
+    return make_evaluation(tmp_path_factory.mktemp("ready"), Choice(frames=24, images=False))
+
+
+@pytest.fixture
+def evaluated(monkeypatch: pytest.MonkeyPatch, ready_evaluation: Evaluation) -> list[str]:
+    """Put the ready evaluation in place of tracking and fusion, and no figures into the report.
+
+    The list returned tells the folders of the recordings that were evaluated.
+    """
+    done: list[str] = []
+
+    def evaluate(manifest: Manifest, settings: Settings, hashes: dict[str, str], *_: Any) -> Evaluation:
+        done.append(manifest.folder.name)
+        return replace(
+            ready_evaluation,
+            manifest=manifest,
+            settings=settings.as_dict(),
+            versions=versions(),
+            input_hashes=hashes,
+        )
+
+    monkeypatch.setattr("fusion.campaign.evaluate_recording", evaluate)
+    monkeypatch.setattr("fusion.results.render_report", lambda evaluation: f"<!doctype html>{evaluation.manifest.name}")
+    return done

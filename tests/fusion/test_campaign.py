@@ -1,0 +1,244 @@
+"""A campaign of recordings: one folder each, merged tables, resumed runs, failures that stop nobody else."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import pytest
+
+from fusion import campaign as under_test
+from fusion.campaign import Outcome, exit_status, run_path
+from fusion.cli import EXIT_DONE, EXIT_FAILED, EXIT_INPUT, main
+from fusion.errors import ComputeError, InputError
+from fusion.settings import Settings
+
+Campaign = Callable[..., Path]
+Capture = pytest.CaptureFixture[str]
+NAMES = ["Fz-0106.25", "Fz-0375.90"]
+TABLES = {"sensitivity.csv", "acceleration.csv", "load.csv"}
+
+
+@pytest.fixture
+def campaign(make_campaign: Campaign) -> Path:
+    """Two recordings of one rig."""
+    first = make_campaign()
+    second = first.with_name(NAMES[1])
+    shutil.copytree(first, second)
+    _change(second / "recording.toml", 'name = "Fz 106.25 Hz"', 'name = "Fz 375.90 Hz"')
+    return first.parent
+
+
+def _change(path: Path, old: str, new: str) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+
+
+def _state(folder: Path) -> dict[str, tuple[bytes, int]]:
+    """Content and time of every file."""
+    files = (path for path in sorted(folder.rglob("*")) if path.is_file())
+    return {path.relative_to(folder).as_posix(): (path.read_bytes(), path.stat().st_mtime_ns) for path in files}
+
+
+def _recordings(path: Path) -> list[str]:
+    with path.open(encoding="utf-8", newline="") as stream:
+        return list(dict.fromkeys(row["recording"] for row in csv.DictReader(stream)))
+
+
+def test_one_folder_each_and_merged_tables_at_the_top(campaign: Path, evaluated: list[str], capsys: Capture) -> None:
+    assert main(["run", str(campaign)]) == EXIT_DONE
+    top = campaign / "results"
+    assert evaluated == NAMES
+    assert {path.name for path in top.iterdir()} == {*NAMES, *TABLES}
+    for name in NAMES:
+        assert {path.name for path in (top / name).iterdir()} == {*TABLES, "result.h5", "report.html"}
+    for table in TABLES:
+        assert _recordings(top / table) == ["Fz 106.25 Hz", "Fz 375.90 Hz"]
+        parts = [(top / name / table).read_text().splitlines() for name in NAMES]
+        assert (top / table).read_text().splitlines() == [*parts[0], *parts[1][1:]]
+    assert capsys.readouterr().out.count("report (written)") == 2
+
+
+def test_results_of_another_place(campaign: Path, evaluated: list[str], tmp_path: Path) -> None:
+    before = _state(campaign)
+    outcomes = run_path(campaign, tmp_path / "elsewhere", Settings())
+    assert [outcome.folder for outcome in outcomes] == [tmp_path / "elsewhere" / name for name in NAMES]
+    assert _state(campaign) == before
+    assert len(evaluated) == 2
+
+
+@pytest.mark.parametrize("named", ["folder", "file", "here"])
+def test_a_single_recording_writes_into_its_own_folder(
+    named: str, campaign: Path, evaluated: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = campaign / NAMES[0]
+    monkeypatch.chdir(folder)
+    path = {"folder": folder, "file": folder / "recording.toml", "here": Path(".")}[named]
+    (outcome,) = run_path(path, None, Settings())
+    assert outcome.folder.resolve() == folder / "results"
+    assert {path.name for path in (folder / "results").iterdir()} == {*TABLES, "result.h5", "report.html"}
+    assert evaluated == [NAMES[0]]
+
+
+def test_a_campaign_of_one_recording_is_a_campaign(make_campaign: Campaign, evaluated: list[str]) -> None:
+    top = make_campaign().parent
+    (outcome,) = run_path(top, None, Settings())
+    assert outcome.folder == top / "results" / NAMES[0]
+    assert (top / "results" / "sensitivity.csv").is_file()
+    assert len(evaluated) == 1
+
+
+@pytest.mark.parametrize(
+    ("error", "status"), [(InputError("a.h5", "Fz", "b", "c"), EXIT_INPUT), (ComputeError("no motion"), EXIT_FAILED)]
+)
+@pytest.mark.parametrize("failing", NAMES)
+def test_a_recording_that_fails_does_not_stop_the_other(
+    failing: str,
+    error: InputError | ComputeError,
+    status: int,
+    campaign: Path,
+    evaluated: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: Capture,
+) -> None:
+    good = under_test.evaluate_recording
+
+    def evaluate(manifest, *others):  # type: ignore[no-untyped-def]
+        if manifest.folder.name == failing:
+            raise error
+        return good(manifest, *others)
+
+    monkeypatch.setattr(under_test, "evaluate_recording", evaluate)
+    assert main(["run", str(campaign), "-q"]) == status
+    (other,) = set(NAMES) - {failing}
+    assert evaluated == [other]
+    assert {path.name for path in (campaign / "results").iterdir()} == {other, *TABLES}
+    told = capsys.readouterr()
+    assert f"shakercal: {error}\n" in told.err
+    assert f"{failing}: failed, {error}" in told.out
+    assert told.out.count("report (written)") == 1
+
+
+def test_a_broken_manifest_does_not_stop_the_other(campaign: Path, evaluated: list[str], capsys: Capture) -> None:
+    _change(campaign / NAMES[0] / "recording.toml", "scale =", "scal =")
+    assert main(["run", str(campaign)]) == EXIT_INPUT
+    assert evaluated == [NAMES[1]]
+    assert f"shakercal: {campaign / NAMES[0] / 'recording.toml'}: daq.vibrometer" in capsys.readouterr().err
+
+
+def test_when_all_fail_there_is_no_results_folder(
+    campaign: Path, evaluated: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise ComputeError("no motion")
+
+    monkeypatch.setattr(under_test, "evaluate_recording", fail)
+    before = _state(campaign)
+    assert main(["run", str(campaign)]) == EXIT_FAILED
+    assert _state(campaign) == before
+    assert not (campaign / "results").exists()
+    assert not evaluated
+
+
+def test_wrong_input_weighs_more_than_what_could_not_be_computed() -> None:
+    def outcome(error: InputError | ComputeError | None) -> Outcome:
+        return Outcome(Path("a"), Path("b"), error=error)
+
+    wrong, failed = InputError("a", "b", "c", "d"), ComputeError("e")
+    assert exit_status([outcome(None)]) == 0
+    assert exit_status([outcome(None), outcome(failed)]) == 1
+    assert exit_status([outcome(failed), outcome(wrong)]) == 2
+
+
+def test_the_second_run_computes_nothing_and_changes_no_byte(
+    campaign: Path, evaluated: list[str], capsys: Capture
+) -> None:
+    assert main(["run", str(campaign)]) == EXIT_DONE
+    first = _state(campaign / "results")
+    assert main(["run", str(campaign)]) == EXIT_DONE
+    second = _state(campaign / "results")
+    assert evaluated == NAMES
+    assert {name: content for name, (content, _) in first.items()} == {n: c for n, (c, _) in second.items()}
+    assert all(first[name] == second[name] for name in first if "/" in name)  # not even written again
+    assert capsys.readouterr().out.count("report (unchanged since the last run)") == 2
+
+
+def test_an_interrupted_campaign_goes_on_where_it_stopped(
+    campaign: Path, evaluated: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    good = under_test.evaluate_recording
+
+    def evaluate(manifest, *others):  # type: ignore[no-untyped-def]
+        if manifest.folder.name == NAMES[1]:
+            raise KeyboardInterrupt
+        return good(manifest, *others)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(under_test, "evaluate_recording", evaluate)
+        assert main(["run", str(campaign)]) == 130
+    assert {path.name for path in (campaign / "results").iterdir()} == {NAMES[0]}
+    assert main(["run", str(campaign)]) == EXIT_DONE
+    assert evaluated == NAMES
+    assert {path.name for path in (campaign / "results").iterdir()} == {*NAMES, *TABLES}
+
+
+def test_results_of_changed_input_are_refused_and_force_replaces_them(
+    campaign: Path, evaluated: list[str], capsys: Capture
+) -> None:
+    assert main(["run", str(campaign)]) == EXIT_DONE
+    with h5py.File(campaign / NAMES[1] / "vibrometer.h5", "w") as file:
+        file["velocity"] = [1.0]
+    before = _state(campaign / "results" / NAMES[1])
+    capsys.readouterr()
+    assert main(["run", str(campaign), "-q"]) == EXIT_INPUT
+    told = capsys.readouterr().err
+    assert told.startswith(f"shakercal: {campaign / 'results' / NAMES[1]}: expected an empty folder")
+    assert told.endswith("found results of other input files\n")
+    assert evaluated == NAMES
+    assert _state(campaign / "results" / NAMES[1]) == before
+    assert main(["run", str(campaign), "--force"]) == EXIT_DONE
+    assert evaluated == [*NAMES, *NAMES]
+    assert _recordings(campaign / "results" / "load.csv") == ["Fz 106.25 Hz", "Fz 375.90 Hz"]
+
+
+def test_other_settings_compute_again(campaign: Path, evaluated: list[str]) -> None:
+    assert main(["run", str(campaign)]) == EXIT_DONE
+    assert main(["run", str(campaign), "--subset-radius", "12"]) == EXIT_DONE
+    assert evaluated == [*NAMES, *NAMES]
+
+
+def test_damaged_results_are_computed_again(campaign: Path, evaluated: list[str]) -> None:
+    assert main(["run", str(campaign)]) == EXIT_DONE
+    (campaign / "results" / NAMES[0] / "report.html").unlink()
+    assert main(["run", str(campaign)]) == EXIT_DONE
+    assert evaluated == [*NAMES, NAMES[0]]
+    assert (campaign / "results" / NAMES[0] / "report.html").is_file()
+
+
+@pytest.mark.parametrize("name", ["thesis.txt", "sensitivity.csv", "Fz-0800.00/notes.txt"])
+def test_merged_tables_never_go_among_other_files(
+    name: str, campaign: Path, evaluated: list[str], tmp_path: Path, capsys: Capture
+) -> None:
+    top = tmp_path / "mine"
+    (top / name).parent.mkdir(parents=True)
+    (top / name).write_text("mine")
+    assert main(["run", str(campaign), "-o", str(top)]) == EXIT_INPUT
+    assert f"shakercal: {top}: expected results of this campaign only (--force" in capsys.readouterr().err
+    assert [path.name for path in top.iterdir()] == [name.split("/", maxsplit=1)[0]]
+    assert not evaluated
+    if name != "sensitivity.csv":
+        assert main(["run", str(campaign), "-o", str(top), "--force"]) == EXIT_DONE
+        assert (top / name).read_text() == "mine"
+
+
+def test_results_of_a_recording_that_is_gone_do_not_disturb(campaign: Path, evaluated: list[str]) -> None:
+    assert main(["run", str(campaign)]) == EXIT_DONE
+    shutil.rmtree(campaign / NAMES[0])
+    (campaign / "results" / ".DS_Store").write_text("of the system")
+    assert main(["run", str(campaign)]) == EXIT_DONE
+    assert evaluated == NAMES
+    assert _recordings(campaign / "results" / "sensitivity.csv") == ["Fz 375.90 Hz"]

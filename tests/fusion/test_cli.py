@@ -1,0 +1,352 @@
+"""The command line: what it prints where, its exit status, and that nothing half-made is left."""
+
+from __future__ import annotations
+
+import io
+import json
+import logging
+import os
+import re
+import shutil
+import subprocess
+import sys
+import warnings
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fusion import simulate as simulation
+from fusion.cli import EXIT_DONE, EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED, main
+from fusion.errors import ComputeError
+from fusion.progress import progress_bar
+
+HEAVY = ("torch", "kornia", "cv2", "numba", "matplotlib", "scipy", "skimage", "h5py", "rich", "pydantic", "numpy")
+Campaign = Callable[..., Path]
+Capture = pytest.CaptureFixture[str]
+
+
+def _usage(arguments: list[str], capsys: Capture) -> tuple[int, str, str]:
+    """Run what argparse itself answers."""
+    with pytest.raises(SystemExit) as left:
+        main(arguments)
+    told = capsys.readouterr()
+    return int(str(left.value.code)), told.out, told.err
+
+
+def test_version(capsys: Capture) -> None:
+    assert _usage(["--version"], capsys) == (0, f"shakercal {version('shakercal')}\n", "")
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"], ["--version"], ["run"]])
+def test_help_and_version_import_nothing_heavy(arguments: list[str]) -> None:
+    """Their time is that of the interpreter, which is what keeps them far below a second."""
+    program = (
+        "import sys\n"
+        "from fusion.cli import main\n"
+        "try:\n    main(sys.argv[1:])\n"
+        "except SystemExit:\n    pass\n"
+        f"print('heavy:', [name for name in {HEAVY} if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", program, *arguments], capture_output=True, text=True, check=True)
+    assert done.stdout.endswith("heavy: []\n")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        [],
+        ["evaluate"],
+        ["run"],
+        ["run", "a", "b"],
+        ["run", "a", "-q", "-v"],
+        ["run", "a", "--subset-radius", "3"],
+        ["run", "a", "--subset-radius", "ten"],
+        ["simulate", "a", "--seed", "-1"],
+        ["simulate", "a", "--preset", "nitsche"],
+    ],
+)
+def test_wrong_usage_is_status_2(arguments: list[str], capsys: Capture) -> None:
+    status, out, err = _usage(arguments, capsys)
+    assert (status, out) == (EXIT_INPUT, "")
+    assert err.startswith("usage: shakercal")
+
+
+def test_run_prints_the_sensitivity_and_where_the_report_lies(
+    make_campaign: Campaign, evaluated: list[str], capsys: Capture
+) -> None:
+    folder = make_campaign()
+    assert main(["run", str(folder)]) == EXIT_DONE
+    told = capsys.readouterr()
+    assert re.search(r"106\.2503.*Fz / Fz.*±.*V/V.*ratio", told.out)
+    assert told.out.endswith(f"report (written): {folder / 'results' / 'report.html'}\n")
+    assert evaluated == [folder.name]
+
+
+@pytest.mark.usefixtures("evaluated")
+@pytest.mark.parametrize(
+    ("flags", "warned", "informed"), [(["-q"], True, False), ([], True, False), (["-v"], True, True)]
+)
+def test_quiet_and_verbose(
+    flags: list[str], warned: bool, informed: bool, make_campaign: Campaign, capsys: Capture
+) -> None:
+    assert main(["run", str(make_campaign()), *flags]) == EXIT_DONE
+    told = capsys.readouterr().err
+    assert ("shakercal: 318.75 Hz is left out" in told) is warned
+    assert ("edge 90 of 211 is missing" in told) is informed
+
+
+@pytest.mark.usefixtures("evaluated")
+def test_nothing_to_compute_is_said_unless_quiet(make_campaign: Campaign, capsys: Capture) -> None:
+    folder = make_campaign()
+    told = []
+    for flags in ([], [], ["-q"]):
+        assert main(["run", str(folder), *flags]) == EXIT_DONE
+        told.append(capsys.readouterr())
+    assert told[1].err == f"shakercal: {folder / 'results'}: results of the same input are there, nothing to compute\n"
+    assert "report (unchanged since the last run)" in told[1].out
+    assert told[2].err == ""
+
+
+def test_libraries_are_heard_with_v_only(
+    make_campaign: Campaign, evaluated: list[str], monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    monkeypatch.setattr(logging, "_warnings_showwarning", None)  # else an earlier test's capture counts as this one
+
+    def warn(*_: Any) -> None:
+        logging.getLogger("nptdms.reader").warning("a remark of a library")
+        with warnings.catch_warnings():
+            warnings.simplefilter("always")
+            warnings.warn("a warning of a library", stacklevel=2)
+        raise ComputeError("no line found")
+
+    monkeypatch.setattr("fusion.campaign.evaluate_recording", warn)
+    folder = make_campaign()
+    assert main(["run", str(folder)]) == EXIT_FAILED
+    assert capsys.readouterr().err == "shakercal: no line found\n"
+    assert main(["run", str(folder), "-v"]) == EXIT_FAILED
+    told = capsys.readouterr().err
+    assert "a remark of a library" in told
+    assert "a warning of a library" in told
+    assert not evaluated
+
+
+def _raise(error: BaseException) -> Callable[..., None]:
+    def fail(*_: object, **__: object) -> None:
+        raise error
+
+    return fail
+
+
+@pytest.mark.usefixtures("evaluated")
+@pytest.mark.parametrize("place", ["fusion.campaign.evaluate_recording", "fusion.results.write_h5"])
+@pytest.mark.parametrize(
+    ("error", "status", "sentence"),
+    [
+        (KeyboardInterrupt(), EXIT_INTERRUPTED, "interrupted; nothing half-written was left behind"),
+        (ComputeError("the lines\n cannot be fitted"), EXIT_FAILED, "the lines cannot be fitted"),
+        (OSError(28, "disk full"), EXIT_FAILED, "the system refused to read or write ([Errno 28] disk full)"),
+        (RuntimeError("a\n b"), EXIT_FAILED, "internal error (RuntimeError: a b); please report it, -v shows where"),
+    ],
+)
+def test_failures_are_one_sentence_and_leave_nothing(
+    place: str,
+    error: BaseException,
+    status: int,
+    sentence: str,
+    make_campaign: Campaign,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: Capture,
+) -> None:
+    folder = make_campaign()
+    before = sorted(folder.parent.rglob("*"))
+    monkeypatch.setattr(place, _raise(error))
+    assert main(["run", str(folder), "-q"]) == status
+    told = capsys.readouterr()
+    lines = told.err.splitlines()
+    assert lines[-1] == f"shakercal: {sentence}"
+    assert len(lines) == (1 if place.endswith("evaluate_recording") else 2)  # the evaluation's warning before it
+    assert told.out == ""
+    assert sorted(folder.parent.rglob("*")) == before
+
+
+def test_where_an_internal_error_was_is_told_with_v(
+    make_campaign: Campaign, evaluated: list[str], monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    monkeypatch.setattr("fusion.campaign.evaluate_recording", _raise(RuntimeError("a")))
+    assert main(["run", str(make_campaign()), "-v"]) == EXIT_FAILED
+    assert "Traceback" in capsys.readouterr().err
+    assert not evaluated
+
+
+def test_check_tells_what_can_be_observed(demo_recording: Path, capsys: Capture) -> None:
+    assert main(["check", str(demo_recording / "Fz-0080")]) == EXIT_DONE
+    told = capsys.readouterr()
+    assert "can observe" in told.out
+    assert "load: stereo top: x y z rx ry rz" in told.out
+    assert "wrong" not in told.out
+    assert told.err == ""
+
+
+def test_check_tells_what_is_wrong(make_campaign: Campaign, capsys: Capture) -> None:
+    folder = make_campaign()
+    before = sorted(folder.parent.rglob("*"))
+    assert main(["check", str(folder)]) == EXIT_INPUT
+    told = capsys.readouterr().out
+    assert "wrong" in told
+    assert "vibrometer.h5" in told
+    assert sorted(folder.parent.rglob("*")) == before
+
+
+def test_check_of_a_campaign_goes_on_after_a_recording_that_is_wrong(make_campaign: Campaign, capsys: Capture) -> None:
+    folder = make_campaign()
+    (folder.parent / "Aa").mkdir()
+    (folder.parent / "Aa" / "recording.toml").write_text("format = 3\n")
+    assert main(["check", str(folder.parent)]) == EXIT_INPUT
+    told = capsys.readouterr()
+    assert told.err.startswith(f"shakercal: {folder.parent / 'Aa' / 'recording.toml'}: rig: expected")
+    assert told.out.startswith("Fz 106.25 Hz")
+
+
+class _Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize(
+    ("stream", "enabled", "drawn"), [(_Terminal, True, True), (_Terminal, False, False), (io.StringIO, True, False)]
+)
+def test_progress_on_a_terminal_only(
+    stream: type[io.StringIO], enabled: bool, drawn: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    screen = stream()
+    monkeypatch.setattr(sys, "stderr", screen)
+    with progress_bar(enabled=enabled) as progress:
+        for done in range(3):
+            progress("track top", done + 1, 3)
+    assert ("track top" in screen.getvalue()) is drawn
+    assert ("3/3" in screen.getvalue()) is drawn
+    if not drawn:
+        assert screen.getvalue() == ""
+
+
+@pytest.fixture
+def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make simulations of three frames of a few pixels."""
+    full = simulation.simulate
+    monkeypatch.setattr(simulation, "simulate", lambda *arguments: full(*arguments, frames=3, image_scale=0.3))
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A tiny simulation, made once."""
+    out = tmp_path_factory.mktemp("made") / "sim"
+    simulation.simulate(out, "demo", 1, frames=3, image_scale=0.3)
+    return out
+
+
+@pytest.fixture
+def simulated(made: Path, tmp_path: Path) -> Path:
+    """A copy of the tiny simulation for one test."""
+    return Path(shutil.copytree(made, tmp_path / "sim", copy_function=os.link))
+
+
+def _bytes(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def _refused(arguments: list[str], folder: Path, capsys: Capture) -> str:
+    before = _bytes(folder)
+    assert main(["simulate", *arguments]) == EXIT_INPUT
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert told.err.count("\n") == 1
+    assert _bytes(folder) == before
+    return told.err
+
+
+def test_simulate_refuses_what_is_there(simulated: Path, capsys: Capture) -> None:
+    told = _refused([str(simulated)], simulated.parent, capsys)
+    assert told.startswith(f"shakercal: {simulated}: expected a new folder (--force")
+
+
+def _results(folder: Path) -> None:
+    (folder / "Fz-0080" / "results").mkdir()
+    (folder / "Fz-0080" / "results" / "result.h5").write_bytes(b"work of a day")
+
+
+def _campaign_results(folder: Path) -> None:
+    (folder / "results" / "Fz-0080").mkdir(parents=True)
+    (folder / "results" / "sensitivity.csv").write_text("work of a day")
+
+
+def _own_file(folder: Path) -> None:
+    (folder / "Fz-0080" / "notes.txt").write_text("work of a day")
+
+
+def _own_folder(folder: Path) -> None:
+    (folder / "Fz-0080" / "empty").mkdir()
+
+
+def _own_recording(folder: Path) -> None:
+    shutil.copytree(folder / "Fz-0080", folder / "Fz-0100", ignore=shutil.ignore_patterns("truth.json"))
+
+
+def _no_simulation(folder: Path) -> None:
+    (folder / "Fz-0080" / "truth.json").unlink()
+
+
+def _broken_manifest(folder: Path) -> None:
+    (folder / "rig.toml").unlink()
+    (folder / "rig.toml").write_text("not mine any more")
+
+
+@pytest.mark.parametrize(
+    "add",
+    [_results, _campaign_results, _own_file, _own_folder, _own_recording, _no_simulation, _broken_manifest],
+)
+def test_force_never_deletes_what_a_user_made(add: Callable[[Path], None], simulated: Path, capsys: Capture) -> None:
+    add(simulated)
+    told = _refused([str(simulated), "--force"], simulated.parent, capsys)
+    assert told.startswith(f"shakercal: {simulated}: expected a new folder, or an earlier simulation as it was written")
+
+
+def test_force_does_not_replace_a_file(tmp_path: Path, capsys: Capture) -> None:
+    (tmp_path / "sim").write_text("mine")
+    assert "found a file" in _refused([str(tmp_path / "sim"), "--force"], tmp_path, capsys)
+    assert "sim/below" in _refused([str(tmp_path / "sim" / "below")], tmp_path, capsys)
+
+
+@pytest.mark.usefixtures("tiny")
+def test_force_replaces_an_earlier_simulation(simulated: Path, capsys: Capture) -> None:
+    before = _bytes(simulated)
+    assert main(["simulate", str(simulated), "--force", "--seed", "2"]) == EXIT_DONE
+    told = capsys.readouterr()
+    assert told.out == f"simulated recording: {simulated / 'Fz-0080'}\n"
+    assert told.err == ""
+    after = _bytes(simulated)
+    assert list(after) == list(before)
+    assert json.loads(after["Fz-0080/truth.json"]) != json.loads(before["Fz-0080/truth.json"])
+    assert [path.name for path in simulated.parent.iterdir()] == ["sim"]
+
+
+@pytest.mark.usefixtures("tiny")
+@pytest.mark.parametrize(("error", "status"), [(KeyboardInterrupt(), EXIT_INTERRUPTED), (OSError(28, "full"), 1)])
+def test_a_simulation_that_stops_leaves_nothing(
+    error: BaseException, status: int, simulated: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    def write(out: Path, *_: object) -> None:
+        (out / "rig.toml").write_text("half")
+        raise error
+
+    monkeypatch.setattr("fusion.simulate.write.write_campaign", write)
+    before = _bytes(simulated.parent)
+    for arguments in ([str(simulated.parent / "new")], [str(simulated), "--force"]):
+        assert main(["simulate", *arguments]) == status
+        assert capsys.readouterr().err.count("\n") == 1
+    assert _bytes(simulated.parent) == before
+    assert [path.name for path in simulated.parent.iterdir()] == ["sim"]
