@@ -39,28 +39,30 @@ def _set_up_log(options: argparse.Namespace) -> None:
 
 def _guarded(options: argparse.Namespace) -> int:
     """Run the chosen sub-command; every failure becomes one sentence on stderr and an exit status."""
-    from fusion.errors import ComputeError, InputError
-
     try:
         return int(options.action(options))
-    except InputError as error:
-        log.error("%s", error)
-        return EXIT_INPUT
-    except ComputeError as error:
-        log.error("%s", " ".join(str(error).split()))
-        return EXIT_FAILED
-    except KeyboardInterrupt:
-        log.error("interrupted; nothing half-written was left behind")
-        return EXIT_INTERRUPTED
-    except OSError as error:
-        log.error("the system refused to read or write (%s)", " ".join(str(error).split()))
-        log.debug("traceback", exc_info=True)
-        return EXIT_FAILED
-    except Exception as error:
-        told = " ".join(f"{type(error).__name__}: {error}".split())
-        log.error("internal error (%s); please report it, -v shows where", told)
-        log.debug("traceback", exc_info=True)
-        return EXIT_FAILED
+    except (Exception, KeyboardInterrupt) as error:
+        status, sentence, expected = _verdict(error)
+        log.error("%s", " ".join(sentence.split()))
+        if not expected:
+            log.debug("traceback", exc_info=True)
+        return status
+
+
+def _verdict(error: BaseException) -> tuple[int, str, bool]:
+    """Exit status and sentence for a failure, and whether it is one that the program expects."""
+    from fusion.errors import ComputeError, InputError
+
+    if isinstance(error, InputError):
+        return EXIT_INPUT, str(error), True
+    if isinstance(error, ComputeError):
+        return EXIT_FAILED, str(error), True
+    cause = error.__cause__ or error.__context__  # compiled code wraps an interruption into an error of its own
+    if isinstance(error, KeyboardInterrupt) or isinstance(cause, KeyboardInterrupt):
+        return EXIT_INTERRUPTED, "interrupted; nothing half-written was left behind", True
+    if isinstance(error, OSError):
+        return EXIT_FAILED, f"the system refused to read or write ({error})", False
+    return EXIT_FAILED, f"internal error ({type(error).__name__}: {error}); please report it, -v shows where", False
 
 
 def _run(options: argparse.Namespace) -> int:

@@ -172,6 +172,18 @@ def test_failures_are_one_sentence_and_leave_nothing(
     assert sorted(folder.parent.rglob("*")) == before
 
 
+def test_an_interruption_that_compiled_code_hands_on(
+    make_campaign: Campaign, evaluated: list[str], monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    def fail(*_: object) -> None:
+        raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
+
+    monkeypatch.setattr("fusion.campaign.evaluate_recording", fail)
+    assert main(["run", str(make_campaign())]) == EXIT_INTERRUPTED
+    assert capsys.readouterr().err == "shakercal: interrupted; nothing half-written was left behind\n"
+    assert not evaluated
+
+
 def test_where_an_internal_error_was_is_told_with_v(
     make_campaign: Campaign, evaluated: list[str], monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
