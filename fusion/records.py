@@ -48,16 +48,19 @@ def _read_daq(manifest: Manifest, daq: Daq) -> DaqRecord:
         raw = read_channels(daq.file, names, daq.sample_rate)
     except (OSError, ValueError) as error:
         raise InputError.told_by(error, manifest.path, f"daq.{daq.name}.file") from error
-    for name, channel in raw.items():
-        _check_samples(daq, name, channel)
+    for entry in daq.channel:
+        _check_samples(daq, entry, raw[entry.name])
     return DaqRecord(daq, raw, min(channel.start_s for channel in raw.values()))
 
 
-def _check_samples(daq: Daq, name: str, channel: RawChannel) -> None:
-    """Refuse an empty channel and samples that are not numbers."""
+def _check_samples(daq: Daq, entry: ChannelEntry, channel: RawChannel) -> None:
+    """Refuse an empty channel, samples that are not numbers, and a channel that has measured nothing."""
+    name = entry.name
     if len(channel.samples) < 2:
         raise InputError(daq.file, name, found=str(len(channel.samples)), expected="at least 2 samples")
     bad = np.flatnonzero(~np.isfinite(channel.samples))
     if len(bad):
         found = f"{len(bad)} of {len(channel.samples)} not finite, the first at sample {bad[0]}"
         raise InputError(daq.file, name, found=found, expected="finite samples")
+    if entry.quantity != "trigger" and np.ptp(channel.samples) == 0.0:
+        raise InputError(daq.file, name, found=f"{channel.samples[0]:g} throughout", expected="samples that change")

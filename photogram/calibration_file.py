@@ -25,7 +25,7 @@ def read_calibration(path: Path) -> StereoRig:
     path = Path(path)
     try:
         content = json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_without_repeats)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ValueError(f"{path}: expected a JSON text, found: {error}") from error
     try:
         return _rig(content)

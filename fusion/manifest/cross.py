@@ -78,7 +78,7 @@ def has_covariance(pair: Stereo) -> bool:
         content: Any = json.loads(pair.calibration.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(pair.calibration, "", error.strerror or str(error), "a file that can be read") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(pair.calibration, "", str(error), "JSON") from error
     return isinstance(content, dict) and content.get("covariance") is not None
 

@@ -262,6 +262,18 @@ CASES: list[tuple[str, Break, str, tuple[str, ...]]] = [
     ("no TOML", _text(RECORDING, "format = 1", "format = "), RECORDING, ("TOML", "line 1")),
     ("NaN in a channel", _channel(BRIDGE, "Fz", _with_nan), BRIDGE, ("Fz: expected finite samples", "sample 777")),
     (
+        "channel that never changes",
+        _channel(VIBROMETER, "velocity_2", np.zeros_like),
+        VIBROMETER,
+        ("velocity_2: expected samples that change, found 0 throughout",),
+    ),
+    (
+        "channel of a few samples",
+        _channel(BRIDGE, "Fz", lambda samples: samples[:5]),
+        BRIDGE,
+        ("Fz: expected more than", "complete samples, found 5"),
+    ),
+    (
         "channel absent from the file",
         _text(RECORDING, 'name = "velocity_3"', 'name = "velocity_9"'),
         RECORDING,
@@ -295,6 +307,7 @@ CASES: list[tuple[str, Break, str, tuple[str, ...]]] = [
     ),
     ("calibration that is no rotation", _stretched_rotation, CALIBRATION, (": rotation: expected an orthonormal",)),
     ("calibration that is no JSON", _bytes(CALIBRATION, b'{"format": 1,'), CALIBRATION, ("JSON",)),
+    ("calibration that is nested without end", _bytes(CALIBRATION, b"[" * 100_000), CALIBRATION, ("JSON",)),
     ("zero mass", _text(RIG, "mass = 2.4063", "mass = 0.0"), RIG, ("load.mass", "above 0")),
     (
         "non-symmetric inertia",
