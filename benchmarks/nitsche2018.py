@@ -24,11 +24,7 @@ from fusion.evaluation import Evaluation
 from fusion.manifest import find_recordings, load_manifest
 from fusion.settings import Settings
 from fusion.simulate import simulate
-from fusion.simulate.draws import Draws
-from fusion.simulate.preset import PRESETS
-from fusion.simulate.scenery import face_of
-from fusion.simulate.world import make_world
-from photogram.synthetic import motion_bound, view_of
+from fusion.simulate.bound import frame_bounds
 from shaker.signals.phasor import Phasors
 
 FloatArray = NDArray[np.float64]
@@ -95,16 +91,11 @@ def _normalised(found: Phasors, exact: NDArray[np.complex128], line: int) -> Flo
 
 def _scatter(evaluation: Evaluation, seed: int) -> dict[str, FloatArray]:
     """Return per stereo pair the motion's scatter about the fit over the Cramér-Rao bound of its images, (6,)."""
-    draws = Draws(seed, True)
-    world = make_world(PRESETS[PRESET], draws, 0.0)
+    bounds = frame_bounds(PRESET, seed)
     ratios = {}
-    for stereo, result in zip(world.stereo, evaluation.stereo, strict=True):
-        face = face_of(stereo.setup, False, draws.stream(f"{stereo.setup.name}.speckle"))
-        right_from_sensor = stereo.rig.right_from_left @ stereo.left_from_sensor
-        views = [view_of(stereo.rig.left, stereo.left_from_sensor), view_of(stereo.rig.right, right_from_sensor)]
-        bound = np.sqrt(np.diagonal(motion_bound(views, face, stereo.setup.sensor)))
-        parameters = 2 * len(result.fit.phasors.frequency_hz) + 1
-        ratios[result.name] = np.std(result.fit.residual, axis=0, ddof=parameters) / bound
+    for stereo in evaluation.stereo:
+        parameters = 2 * len(stereo.fit.phasors.frequency_hz) + 1
+        ratios[stereo.name] = np.std(stereo.fit.residual, axis=0, ddof=parameters) / bounds[stereo.name]
     return ratios
 
 
