@@ -91,6 +91,16 @@ def channel_results(manifest: Manifest, base: TimeBase, lines: Lines) -> tuple[C
     return tuple(results)
 
 
+def _fastest_rate_hz(base: TimeBase) -> float:
+    """Return the highest sampling rate of the channels that are no triggers."""
+    return max(
+        record.raw[channel.name].sample_rate_hz
+        for record in base.records
+        for channel in record.entry.channel
+        if channel.quantity != "trigger"
+    )
+
+
 def _same_times(record: DaqRecord) -> list[list[ChannelEntry]]:
     """Group a block's channels (triggers left out) by equal rate, start and length, to be fitted in one solve."""
     groups: dict[tuple[float, float, int], list[ChannelEntry]] = {}
@@ -104,10 +114,17 @@ def _same_times(record: DaqRecord) -> list[list[ChannelEntry]]:
 def _fit_group(
     manifest: Manifest, base: TimeBase, record: DaqRecord, group: Sequence[ChannelEntry], lines: Lines
 ) -> list[ChannelResult]:
-    """Fit all channels of one group and split the result by channel."""
+    """Fit all channels of one group and split the result by channel.
+
+    Lines above the Nyquist frequency are left out, since recorders filter them away, but not in the fastest channels,
+    where the lines were found.
+    """
     time_s = base.to_base_s(record.entry.name, record.time_s(group[0].name))
     rate_hz = record.raw[group[0].name].sample_rate_hz
-    seen = lines.frequency_hz < rate_hz / 2.0
+    seen = (lines.frequency_hz < rate_hz / 2.0) | (rate_hz >= _fastest_rate_hz(base))
+    if not seen.any():
+        expected = f"a sampling rate above {2.0 * lines.frequency_hz.min():g} Hz, or no such channel in recording.toml"
+        raise InputError(record.entry.file, group[0].name, found=f"{rate_hz:g} Hz", expected=expected)
     values = np.stack([record.values(channel) for channel in group], axis=1)
     names = [channel.name for channel in group]
     units = [channel_unit(manifest, channel) for channel in group]

@@ -52,7 +52,7 @@ def evaluate_recording(
     load = _load(manifest, accelerations)
     sensitivity = _sensitivity(manifest, lines, readings, load)
     notices = [*_clock_notices(base), *lines.notices, *(notice for item in stereo for notice in item.notices)]
-    notices += [notice for acceleration in accelerations[:1] for notice in acceleration.notices]
+    notices += [notice for a in accelerations if a.source == "fused" for notice in a.notices]
     notices += [notice for result in (load, sensitivity) if result is not None for notice in result.notices]
     return Evaluation(
         manifest=manifest,

@@ -12,6 +12,7 @@ import pyuff
 import scipy.io
 from nptdms import ChannelObject, TdmsWriter
 
+from fusion.errors import InputError
 from fusion.evaluate import evaluate_recording
 from fusion.evaluation import Evaluation
 from fusion.manifest import load_manifest
@@ -137,3 +138,30 @@ def test_a_decimated_labview_record_of_a_real_shaker(data_dir: Path, tmp_path: P
     ratio = np.abs(acceleration.value[tones[2], 0] / exerted.value[tones[2], 0]) * 4.4482216 / GRAVITY
     assert ratio == pytest.approx(0.0920, abs=5e-4)  # g/lb
     assert acceleration.unit == ("m/s^2",)
+
+
+def test_an_undersampled_record_of_a_real_shaker(data_dir: Path, tmp_path: Path) -> None:
+    """At 200 samples per second the 150 Hz tone is taken at its alias, 50 Hz; 100 Hz is the Nyquist frequency."""
+    source = data_dir / "shaker_three_tone" / "data_set_1_downsampled_by_256.lvm"
+    (tmp_path / "shaker.lvm").write_bytes(source.read_bytes())
+    force = '[[daq.channel]]\nname = "Force"\nquantity = "force"\nscale = 4.4482216\n'
+    block = 'file = "shaker.lvm"\n' + CHANNEL.format(name="Acceleratio", body="load", scale=GRAVITY) + force
+    evaluation = evaluate(tmp_path, "[100.0, 120.0, 150.0]", block)
+    acceleration, exerted = (channel.phasors for channel in evaluation.channels)
+    fundamental = np.flatnonzero(evaluation.lines.multiple == 1)
+    np.testing.assert_allclose(evaluation.lines.frequency_hz[fundamental], [119.9999, 149.9999], atol=1e-3)
+    ratio = np.abs(acceleration.value[fundamental[1], 0] / exerted.value[fundamental[1], 0]) * 4.4482216 / GRAVITY
+    assert ratio == pytest.approx(0.0920, rel=0.05)  # g/lb, as sampled 16 times faster
+    assert any("100" in notice.text for notice in evaluation.notices)
+
+
+def test_a_channel_too_slow_for_every_line_is_named(tmp_path: Path) -> None:
+    wave = np.sin(2 * np.pi * FREQUENCY_HZ * np.arange(SAMPLES) / RATE_HZ)
+    wave = wave + 1e-3 * np.random.default_rng(0).normal(size=SAMPLES)
+    with h5py.File(tmp_path / "daq.h5", "w") as file:
+        for name, step in (("fast", 1), ("slow", 64)):
+            file[name] = wave[::step]
+            file[name].attrs["sample_rate"] = RATE_HZ / step
+    block = 'file = "daq.h5"\n' + CHANNEL.format(name="fast", body="load", scale=1.0)
+    with pytest.raises(InputError, match="slow: expected a sampling rate above 200"):
+        evaluate(tmp_path, "[100.0]", block + '[[daq.channel]]\nname = "slow"\nquantity = "voltage"\n')
