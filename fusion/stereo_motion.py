@@ -25,7 +25,7 @@ from photogram.track import StereoTracks, TrackSettings, TrackStatus, track_ster
 from photogram.triangulate import Points, triangulate
 from shaker.signals.frequencies import Lines, find_lines
 from shaker.signals.phasor import Phasors
-from shaker.signals.sine import SineFit, exposure_gain, fit_sines, usable_lines
+from shaker.signals.sine import SineFit, exposure_gain, fit_sines, sine_amplitudes, usable_lines
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -295,10 +295,9 @@ def _phasor_frames(time_s: FloatArray, tracks: StereoTracks, frequency_hz: Float
         raise ComputeError(f"only {np.count_nonzero(good)} subsets are followed through all frames; look at the images")
     both = np.concatenate([tracks.left.position_px[:, good], tracks.right.position_px[:, good]], axis=1)
     flat = both.reshape(len(time_s), -1)
-    names = tuple(str(i) for i in range(flat.shape[1]))
-    fit = fit_sines(time_s, flat, frequency_hz, names, ("px",) * len(names))
-    parts = [part for value in fit.phasors.value for part in (value.real, value.imag)]
-    frames = np.stack([fit.offset, *(fit.offset + part for part in parts)]).reshape(-1, 2, flat.shape[1] // 4, 2)
+    mean, phasors = sine_amplitudes(time_s, flat, frequency_hz)
+    parts = [part for value in phasors for part in (value.real, value.imag)]
+    frames = np.stack([mean, *(mean + part for part in parts)]).reshape(-1, 2, flat.shape[1] // 4, 2)
     return frames[:, 0], frames[:, 1]
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shaker._checks import FloatArray, check_shape
+from shaker._checks import ComplexArray, FloatArray, check_shape
 from shaker.notice import Notice
 from shaker.signals.folding import (
     alias_frequency,
@@ -30,10 +30,12 @@ __all__ = [
     "exposure_gain",
     "fit_sines",
     "folded_harmonics",
+    "sine_amplitudes",
     "solve_sines",
     "usable_lines",
 ]
 
+_DEPENDENT = 1e-12  # smallest eigenvalue of a correlation matrix that counts, for channels that depend on others
 _SINGULAR = 1e6  # condition above which the normal equations carry no information about some line
 
 
@@ -114,8 +116,9 @@ def fit_sines(
 
     The three-parameter fit of IEEE 1057 and method 3 of ISO 16063-11 for any number of lines and channels at once,
     above or below the Nyquist rate alike. Rows with a NaN in any channel are dropped. The covariance of a line is
-    (XᵀX)⁻¹ ⊗ Σ: Σ (C, C) has the correlations of the residuals and, where the times lie on a grid and the record is
-    long enough, the residual's spectral density around the line's alias in place of the white variance.
+    (XᵀX)⁻¹ ⊗ Σ with the residuals' covariance Σ = F·Fᵀ (C, C). Where the times lie on a grid and the record is long
+    enough, Σ = F·diag(S)·Fᵀ instead, S the spectral density around the line's alias of the series F⁻¹·residual: noise
+    counts where it acts, and combinations of channels that are known better than each channel keep their own.
     """
     _check_arguments(time_s, values, frequency_hz, channels, unit)
     present = np.isfinite(values).all(axis=1)
@@ -134,6 +137,20 @@ def fit_sines(
     notices = (Notice("info", f"{lost} of {len(time_s)} samples are missing", ", ".join(channels)),) if lost else ()
     middle = float(np.mean(time))
     return SineFit(phasors, offset, offset_covariance, slope, middle, residual, solution.condition, notices)
+
+
+def sine_amplitudes(
+    time_s: FloatArray, values: FloatArray, frequency_hz: FloatArray
+) -> tuple[FloatArray, ComplexArray]:
+    """Return offset (C,) and phasors (K, C) of `values` (S, C) at `time_s` (S,) as `fit_sines`, without covariance.
+
+    For many channels, whose covariance matrix would be large.
+    """
+    check_shape("values", values, (len(time_s), None))
+    lines, samples = len(frequency_hz), len(time_s)
+    solution = solve_sines(sine_columns(time_s, frequency_hz), values)
+    offset = solution.coefficients[2 * lines] / np.sqrt(samples)
+    return offset, _amplitudes(solution, samples, lines)
 
 
 def _check_arguments(
@@ -159,35 +176,49 @@ def _phasors(
     """Turn coefficients into phasors with covariance, and give the offset's covariance."""
     lines, samples = len(frequency_hz), len(time)
     free = samples - len(solution.coefficients)
-    white = solution.residual.T @ solution.residual / free
-    noise = _noise(time, solution.residual, frequency_hz, white, free)
-    scale = np.sqrt(2.0 / samples)
-    value = scale * (solution.coefficients[0 : 2 * lines : 2] - 1j * solution.coefficients[1 : 2 * lines : 2])
-    sign = scale * np.array([1.0, -1.0])
+    factor, whitening = _factor(solution.residual.T @ solution.residual / free)
+    noise = _noise(time, np.asarray(solution.residual @ whitening.T), frequency_hz, free)
+    sign = np.sqrt(2.0 / samples) * np.array([1.0, -1.0])
     covariance = np.empty((lines, 2 * len(channels), 2 * len(channels)))
     for k in range(lines):
         block = solution.inverse[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] * np.multiply.outer(sign, sign)
-        covariance[k] = np.kron(block, _with_variance(white, noise.variance[k]))
+        covariance[k] = np.kron(block, factor * noise.variance[k] @ factor.T)
     last = solution.inverse[2 * lines, 2 * lines] / samples
-    offset_covariance = last * _with_variance(white, noise.variance[lines])
+    offset_covariance = last * (factor * noise.variance[lines] @ factor.T)
+    value = _amplitudes(solution, samples, lines)
     return Phasors(frequency_hz, value, covariance, tuple(channels), tuple(unit), noise.dof[:lines]), offset_covariance
 
 
-def _noise(time: FloatArray, residual: FloatArray, frequency_hz: FloatArray, white: FloatArray, free: int) -> LineNoise:
-    """Return the noise at each line and, last, at the lowest bin for the offset."""
+def _amplitudes(solution: SineSolution, samples: int, lines: int) -> ComplexArray:
+    """Return the phasors (K, C) of coefficients of scaled columns."""
+    cosine, sine = solution.coefficients[0 : 2 * lines : 2], solution.coefficients[1 : 2 * lines : 2]
+    return np.asarray(np.sqrt(2.0 / samples) * (cosine - 1j * sine))
+
+
+def _noise(time: FloatArray, whitened: FloatArray, frequency_hz: FloatArray, free: int) -> LineNoise:
+    """Return the noise of unit-variance series at each line and, last, at the lowest bin for the offset."""
     grid = sampling_grid(time)
     if grid is not None:
-        filled = grid.filled(residual)
+        filled = grid.filled(whitened)
         line_bin = alias_frequency(frequency_hz, grid.rate_hz) * grid.length / grid.rate_hz
         noise = line_noise(filled, len(time), np.append(line_bin, 0.5))
         if noise is not None:
             return LineNoise(noise.variance, np.minimum(noise.dof, float(free)))
     lines = len(frequency_hz) + 1
-    return LineNoise(np.tile(white.diagonal(), (lines, 1)), np.full(lines, float(free)))
+    return LineNoise(np.ones((lines, whitened.shape[1])), np.full(lines, float(free)))
 
 
-def _with_variance(covariance: FloatArray, variance: FloatArray) -> FloatArray:
-    """Return the covariance with the same correlations and other variances."""
-    old = covariance.diagonal()
-    factor = np.sqrt(np.divide(variance, old, out=np.zeros_like(old), where=old > 0.0))
-    return np.asarray(covariance * np.multiply.outer(factor, factor))
+def _factor(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return F (C, C) with F·Fᵀ = covariance, and F⁻¹, zero for channels without noise.
+
+    F = D·√R with the symmetric root of the correlation matrix: of all roots the one that mixes the channels least, and
+    the same in whatever order they stand.
+    """
+    sigma = np.sqrt(covariance.diagonal())
+    inverse_sigma = np.divide(1.0, sigma, out=np.zeros_like(sigma), where=sigma > 0.0)
+    correlation = covariance * np.multiply.outer(inverse_sigma, inverse_sigma)
+    eigenvalues, vectors = np.linalg.eigh(correlation)
+    root = np.sqrt(np.maximum(eigenvalues, _DEPENDENT))
+    factor = sigma[:, None] * ((vectors * root) @ vectors.T)
+    inverse = ((vectors / root) @ vectors.T) * inverse_sigma
+    return np.asarray(factor), np.asarray(inverse)
