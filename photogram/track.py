@@ -29,6 +29,7 @@ from photogram.interpolate import spline_of_image
 from photogram.notice import Notice
 from photogram.predict import predict_warp
 from photogram.reference import TrackStatus, prepare_reference
+from photogram.rigid import skew
 from photogram.search import affine_starts, agreeing, epipolar_distance, match_features
 from photogram.subset import fine_texture_share, lay_grid, speckle_size, subsets_inside, textured_area
 
@@ -180,7 +181,7 @@ def _away_from_border(shape: tuple[int, ...]) -> BoolArray:
 
 def _on_epipolar_lines(rig: StereoRig, left_px: FloatArray, right_px: FloatArray, notices: list[Notice]) -> BoolArray:
     """Which matches lie within 2 px of the epipolar lines; a calibration that misses all of them is noted."""
-    essential = _cross(rig.right_from_left.translation_m) @ rig.right_from_left.rotation
+    essential = skew(rig.right_from_left.translation_m) @ rig.right_from_left.rotation
     rays = [_undistorted(camera, points) for camera, points in ((rig.left, left_px), (rig.right, right_px))]
     focal = float(np.mean(np.diag(rig.right.matrix)[:2]))
     distance = focal * epipolar_distance(essential, rays[0], rays[1])
@@ -201,12 +202,6 @@ def _undistorted(camera: Camera, points_px: FloatArray) -> FloatArray:
     if known.any():
         rays[known] = camera.undistort(points_px[known])
     return rays
-
-
-def _cross(vector: FloatArray) -> FloatArray:
-    """The matrix of the cross product with a vector."""
-    x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def _image_notices(
