@@ -90,7 +90,7 @@ def follow(
     usable = reference.status == TrackStatus.OK
     if np.sum(found.status[usable] == TrackStatus.OK) < 0.5 * usable.sum():
         seeded = find_by_search(reference, first, frame, start, settings)
-        found = _merged(found, seeded)
+        found = merged(found, seeded)
     return find_from_neighbours(reference, frame[1], found, settings)
 
 
@@ -122,8 +122,21 @@ def find_from_neighbours(
         more = find_from(reference, target, start, settings)
         if not np.any(more.status[lost] == TrackStatus.OK):
             break
-        found = _merged(found, more)
+        found = merged(found, more)
     return found
+
+
+def merged(first: Registration, second: Registration) -> Registration:
+    """`first`, with the subsets that only `second` found."""
+    better = (first.status != TrackStatus.OK) & (second.status == TrackStatus.OK)
+    return Registration(
+        warp=np.where(better[:, None], second.warp, first.warp),
+        zncc=np.where(better, second.zncc, first.zncc),
+        gain=np.where(better, second.gain, first.gain),
+        residual_grey2=np.where(better, second.residual_grey2, first.residual_grey2),
+        status=np.where(better, second.status, first.status),
+        iterations=first.iterations + second.iterations,
+    )
 
 
 def dropped(found: Registration, which: BoolArray, status: TrackStatus) -> Registration:
@@ -182,16 +195,3 @@ def tracks_of(found: Sequence[Registration], reference: Reference, degree: int) 
     position[~ok], covariance[~ok] = np.nan, np.nan
     zncc = np.where(ok, np.stack([here.zncc for here in found]), np.nan)
     return Tracks(position, covariance, zncc, status, pooled)
-
-
-def _merged(first: Registration, second: Registration) -> Registration:
-    """`first`, with the subsets that only `second` found."""
-    better = (first.status != TrackStatus.OK) & (second.status == TrackStatus.OK)
-    return Registration(
-        warp=np.where(better[:, None], second.warp, first.warp),
-        zncc=np.where(better, second.zncc, first.zncc),
-        gain=np.where(better, second.gain, first.gain),
-        residual_grey2=np.where(better, second.residual_grey2, first.residual_grey2),
-        status=np.where(better, second.status, first.status),
-        iterations=first.iterations + second.iterations,
-    )
