@@ -1,0 +1,102 @@
+"""A speckled plane whose images need no interpolation: isotropic Gaussian dots, integrated exactly over square pixels.
+
+Turned and shifted, the dots stay isotropic Gaussians, so the image of the moved plane is as exact as the first. With a
+σ of 1.35 px the texture's power density at 0.4 cycles per pixel is 10⁻⁵ of that at zero: the pixels resolve it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import erf, pi, sqrt
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+DOT_SIGMA_PX = 1.35
+CELL_PX = 4.5
+LARGEST_SHIFT = 0.3
+REACH_SIGMA = 6.5
+MIDDLE, DEPTH = 0.5, 0.3
+DIFFERENCE_PX = 1e-3
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Dots: centre_px (M,2) in the resting image, depth (M,): grey value added at the centre, in full scales."""
+
+    centre_px: FloatArray
+    depth: FloatArray
+    size_px: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What the frames (F) see: points turn by angle_rad (F,) about pivot_px (2,), then move by shift_px (F,2)."""
+
+    shift_px: FloatArray
+    angle_rad: FloatArray
+    pivot_px: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.angle_rad)
+
+    def positions(self, points_px: FloatArray, frame: int) -> FloatArray:
+        """Positions (N,2) of the points (N,2) in one frame."""
+        cosine, sine = np.cos(self.angle_rad[frame]), np.sin(self.angle_rad[frame])
+        turn = np.array([[cosine, -sine], [sine, cosine]])
+        return (points_px - self.pivot_px) @ turn.T + self.pivot_px + self.shift_px[frame]
+
+
+def speckled_plane(size_px: tuple[int, int], margin_px: float, rng: np.random.Generator) -> Plane:
+    """Bright and dark dots at random, one to each cell of 4.5 px, off its middle by up to 0.3 cells in x and y.
+
+    Depths lie between 0.8 and 1 times the largest, which leaves no pixel at either end of the scale. The grid reaches
+    `margin_px` beyond the image of `size_px` (width, height), so that the plane may move by as much.
+    """
+    x, y = np.meshgrid(*(np.arange(-margin_px, length + margin_px, CELL_PX) for length in size_px))
+    grid = np.column_stack([x.ravel(), y.ravel()])
+    centre = grid + CELL_PX * LARGEST_SHIFT * rng.uniform(-1.0, 1.0, grid.shape)
+    depth = DEPTH * rng.uniform(0.8, 1.0, len(grid)) * rng.choice([-1.0, 1.0], len(grid))
+    return Plane(centre, depth, size_px)
+
+
+def render(plane: Plane, motion: Motion, frame: int) -> FloatArray:
+    """Noise-free image (H,W) of one frame, in full scales."""
+    width, height = plane.size_px
+    image = np.full((height, width), MIDDLE)
+    _paint(motion.positions(plane.centre_px, frame), plane.depth, DOT_SIGMA_PX, image)
+    return image
+
+
+def gradients(plane: Plane) -> FloatArray:
+    """Slopes (2,H,W) along x and y of the resting image, in full scales per pixel, from images 0.002 px apart."""
+    shift = DIFFERENCE_PX * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    nudges = Motion(shift, np.zeros(4), np.zeros(2))
+    images = [render(plane, nudges, k) for k in range(4)]
+    return np.stack([images[1] - images[0], images[3] - images[2]]) / (2.0 * DIFFERENCE_PX)
+
+
+@njit(cache=True)
+def _profile(centre, first, sigma, mean):  # type: ignore[no-untyped-def]
+    """Mean of one dot's profile exp(−t²/2σ²) over each pixel from `first` on."""
+    scale = sqrt(2.0) * sigma
+    for i in range(mean.size):
+        left, right = (first + i - 0.5 - centre) / scale, (first + i + 0.5 - centre) / scale
+        mean[i] = 0.5 * sqrt(pi) * scale * (erf(right) - erf(left))
+
+
+@njit(cache=True)
+def _paint(centres, depths, sigma, image):  # type: ignore[no-untyped-def]
+    """Add every dot to the image."""
+    height, width = image.shape
+    reach = int(REACH_SIGMA * sigma) + 1
+    across, down = np.empty(2 * reach + 1), np.empty(2 * reach + 1)
+    for k in range(depths.size):
+        column, row = round(centres[k, 0]) - reach, round(centres[k, 1]) - reach
+        _profile(centres[k, 0], column, sigma, across)
+        _profile(centres[k, 1], row, sigma, down)
+        for i in range(max(0, -row), min(2 * reach + 1, height - row)):
+            for j in range(max(0, -column), min(2 * reach + 1, width - column)):
+                image[row + i, column + j] += depths[k] * down[i] * across[j]

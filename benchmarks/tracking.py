@@ -1,0 +1,248 @@
+"""Subset tracking against the limit of the noise, and beside the programs that others wrote.
+
+Usage: python benchmarks/tracking.py [--programs NAME ...] [--peer-python PATH] [--threads 1] [--seed 1]
+
+Renders 21 frames of 1024 x 1024 px exactly (no interpolation; see speckle_plane.py), with noise of 1 grey level of 255
+and stored in 8 bit: a sine of 3 px along x and 2 px along y with 2 mrad of rotation. 8649 subsets of 31 x 31 px, 10 px
+apart, are tracked by every program that is installed; peers may have an environment of their own (`pip install pyvale
+pyidi al-dic`), named by --peer-python. Prints the tables of docs/performance.md; with all programs some ten minutes.
+
+- user CPU: per subset and tracked frame, reading included, imports and compilation excluded.
+- bound: standard deviation that white noise leaves to any unbiased program, σ = σ_n/√Σ(∂f/∂x)² with the exact gradient
+  of the subset's pixels and σ_n² = 1 + 1/12 (rounding); a pair of frames has the noise of both, √2·σ.
+- pair: scatter of the errors against the known motion about their mean over the frame, over √2·σ, all frames pooled.
+- series: scatter over time of each subset's errors about their own mean, over σ: the reference's noise is constant.
+- bias: mean error of a frame over all subsets, largest of all frames and of x and y.
+- bias in the pixel: mean error of all positions in one tenth of a pixel, largest of the ten; rotation spreads a frame
+  over several tenths, so that the mean over it hides some of what interpolation does.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import tifffile
+from numpy.typing import NDArray
+from speckle_plane import Motion, Plane, gradients, render, speckled_plane
+from tracking_programs import NOT_INSTALLED, PROGRAMS, Grid
+
+from photogram.subset import subset_mean
+
+FloatArray = NDArray[np.float64]
+SIZE_PX, FRAMES, MARGIN_PX = 1024, 21, 16.0
+GRID = Grid(first=52, step=10, count=93, radius=15)
+PEAK_PX, PEAK_RAD, CYCLES_PER_FRAME = (3.0, -2.0), 2e-3, 0.0977
+NOISE_GREY = 1.0
+ADAPTERS = Path(__file__).with_name("tracking_programs.py")
+OWN = "shakercal"
+MPX = 1e-3
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Frames in a folder: grey levels of `full_scale`, noise of noise_grey levels before rounding."""
+
+    folder: Path
+    full_scale: int
+    noise_grey: float
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of a stored pixel in full scales, rounding included."""
+        return float(np.sqrt(self.noise_grey**2 + 1.0 / 12.0)) / self.full_scale
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a program found: centres (N,2), positions (F,N,2) in px, and its time in s."""
+
+    centres: FloatArray
+    positions: FloatArray
+    user_s: float
+    wall_s: float
+    version: str
+
+
+def main() -> None:
+    """Render, run the programs asked for, print both tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--programs", nargs="+", default=list(PROGRAMS), choices=PROGRAMS, metavar="NAME")
+    parser.add_argument("--peer-python", type=Path, default=Path(sys.executable), help="interpreter with the peers")
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args()
+    rng = np.random.default_rng(options.seed)
+    plane, motion = speckled_plane((SIZE_PX, SIZE_PX), MARGIN_PX, rng), sine_motion()
+    with tempfile.TemporaryDirectory() as scratch:
+        images = [render(plane, motion, frame) for frame in range(FRAMES)]
+        noisy = record(Path(scratch) / "8bit", images, 255, NOISE_GREY, rng)
+        deep = record(Path(scratch) / "12bit", images, 4095, NOISE_GREY * 4095 / 255, rng)
+        clean = record(Path(scratch) / "clean", images, 65535, 0.0, rng)
+        compare(options.programs, noisy, plane, motion, options.peer_python, options.threads)
+        own = [name for name in options.programs if name.startswith(OWN)]
+        alone(own, (deep, clean), plane, motion, options.threads)
+
+
+def sine_motion() -> Motion:
+    """Translation and rotation in phase, about the middle of the image; frame 0 is at rest."""
+    swing = np.sin(2.0 * np.pi * CYCLES_PER_FRAME * np.arange(FRAMES))
+    return Motion(np.outer(swing, PEAK_PX), PEAK_RAD * swing, np.full(2, (SIZE_PX - 1) / 2.0))
+
+
+def record(
+    folder: Path, images: Sequence[FloatArray], full_scale: int, noise_grey: float, rng: np.random.Generator
+) -> Recording:
+    """Store the images with noise; a pixel at either end of the scale would no longer be exact and is refused."""
+    folder.mkdir()
+    for frame, image in enumerate(images):
+        grey = np.rint(image * full_scale + noise_grey * rng.standard_normal(image.shape))
+        if grey.min() < 0 or grey.max() > full_scale:
+            raise ValueError(f"images: expected grey levels within 0 to {full_scale}, found {grey.min()} {grey.max()}")
+        tifffile.imwrite(folder / f"{frame:04d}.tif", grey.astype(np.uint8 if full_scale == 255 else np.uint16))
+    return Recording(folder, full_scale, noise_grey)
+
+
+def run_program(name: str, recording: Recording, python: Path, threads: int) -> Result | str:
+    """Track a recording with one program in a process of its own; the reason where it is not installed."""
+    result = recording.folder.parent / "result.npz"
+    grid = [f"--{key}={getattr(GRID, key)}" for key in ("first", "step", "count", "radius")]
+    limits = {key: str(threads) for key in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
+    done = subprocess.run(
+        [python, ADAPTERS, name, recording.folder, result, *grid],
+        env={**os.environ, **limits, "OMP_WAIT_POLICY": "passive"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode == NOT_INSTALLED:
+        return done.stderr.strip()
+    if done.returncode != 0:
+        raise RuntimeError(f"{name}: {done.stderr[-2000:]}")
+    with np.load(result) as file:
+        found = (file["centres"], file["positions"], float(file["user_s"]), float(file["wall_s"]), str(file["version"]))
+    return Result(*found)
+
+
+def compare(
+    names: Sequence[str], recording: Recording, plane: Plane, motion: Motion, peer_python: Path, threads: int
+) -> None:
+    """Print the table of all programs on the 8-bit frames."""
+    print_head(
+        "program",
+        "user CPU, µs",
+        "points/s",
+        "std/bound, pair",
+        "series",
+        "bias, mpx",
+        "bias in the pixel, mpx",
+        "lost",
+    )
+    for name in names:
+        python = Path(sys.executable) if name.startswith(OWN) else peer_python
+        result = run_program(name, recording, python, threads)
+        if isinstance(result, str):
+            print(f"{name} skipped: {result}", file=sys.stderr)
+            continue
+        points = result.positions[1:, :, 0].size
+        sigma = bound(plane, result.centres, recording.noise)
+        error = result.positions - true_positions(motion, result.centres)
+        print_row(
+            f"{name} ({result.version})",
+            f"{1e6 * result.user_s / points:.0f}",
+            f"{points / result.wall_s:.0f}",
+            f"{pair_scatter(error, sigma):.3f}",
+            f"{series_scatter(error, sigma):.3f}",
+            f"{frame_bias(error) / MPX:.2f}",
+            f"{pixel_bias(error, result.positions) / MPX:.2f}",
+            f"{np.isnan(error[..., 0]).sum()}",
+        )
+
+
+def alone(
+    names: Sequence[str], recordings: tuple[Recording, Recording], plane: Plane, motion: Motion, threads: int
+) -> None:
+    """Print the table of this program on the frames of 12 bit, and of 16 bit without noise."""
+    deep, _ = recordings
+    print()
+    print_head(
+        "program", "12 bit: pair", "series", "bias, mpx", "noise-free: bias, mpx", "in the pixel, mpx", "std, mpx"
+    )
+    for name in names:
+        noisy, exact = (run_program(name, recording, Path(sys.executable), threads) for recording in recordings)
+        if isinstance(noisy, str) or isinstance(exact, str):
+            raise RuntimeError(f"{name}: expected to be installed beside this benchmark")
+        sigma = bound(plane, noisy.centres, deep.noise)
+        error = noisy.positions - true_positions(motion, noisy.centres)
+        left = exact.positions - true_positions(motion, exact.centres)
+        print_row(
+            name,
+            f"{pair_scatter(error, sigma):.3f}",
+            f"{series_scatter(error, sigma):.3f}",
+            f"{frame_bias(error) / MPX:.2f}",
+            f"{frame_bias(left) / MPX:.4f}",
+            f"{pixel_bias(left, exact.positions) / MPX:.4f}",
+            f"{np.nanstd(left[1:]) / MPX:.3f}",
+        )
+
+
+def true_positions(motion: Motion, centres: FloatArray) -> FloatArray:
+    """Positions (F,N,2) where the subsets' centres truly are."""
+    return np.stack([motion.positions(centres, frame) for frame in range(len(motion))])
+
+
+def bound(plane: Plane, centres: FloatArray, noise: float) -> FloatArray:
+    """Smallest standard deviations (N,2) of x and y that the noise of one frame allows: σ_n/√Σ(∂f/∂x)²."""
+    pixels = (2 * GRID.radius + 1) ** 2
+    power = [pixels * subset_mean(slope**2, centres, GRID.radius) for slope in gradients(plane)]
+    return noise / np.sqrt(np.stack(power, axis=-1))
+
+
+def pair_scatter(error: FloatArray, sigma: FloatArray) -> float:
+    """Standard deviation of the errors (F,N,2) about each frame's mean, over the bound of two frames."""
+    relative = error[1:] / (np.sqrt(2.0) * sigma)
+    return float(np.sqrt(np.nanmean(np.nanvar(relative, axis=1))))
+
+
+def series_scatter(error: FloatArray, sigma: FloatArray) -> float:
+    """Standard deviation over time of the errors (F,N,2) about each subset's mean, over the bound of one frame."""
+    return float(np.sqrt(np.nanmean(np.nanvar(error[1:] / sigma, axis=0, ddof=1))))
+
+
+def frame_bias(error: FloatArray) -> float:
+    """Largest mean error of a frame in px."""
+    return float(np.max(np.abs(np.nanmean(error[1:], axis=1))))
+
+
+def pixel_bias(error: FloatArray, positions: FloatArray) -> float:
+    """Largest mean error in px of the positions that lie in one tenth of a pixel."""
+    return max(abs(mean) for axis in range(2) for mean in _means_in_pixel(error[1:, :, axis], positions[1:, :, axis]))
+
+
+def _means_in_pixel(error: FloatArray, position: FloatArray) -> Iterator[float]:
+    """Yield the mean error within each tenth of a pixel."""
+    known = np.isfinite(error)
+    tenth = np.floor(10.0 * np.mod(position[known], 1.0)).astype(np.int64)
+    for part in range(10):
+        yield float(np.mean(error[known][tenth == part]))
+
+
+def print_head(*cells: str) -> None:
+    """Print the head of a table."""
+    print(f"| {' | '.join(cells)} |\n|{'---|' * len(cells)}")
+
+
+def print_row(*cells: str) -> None:
+    """Print one row."""
+    print(f"| {' | '.join(cells)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
