@@ -12,8 +12,8 @@ FORBIDDEN = {"photogram": {"shaker", "fusion"}, "shaker": {"photogram", "fusion"
 WRITTEN_ORDER = {
     "photogram": """
         _checks notice _inverse _pinhole rigid camera calibration_file triangulate mraw images point_tables
-        interpolate noise subset search reference quality icgn follow predict track overlap motion deformation
-        synthetic
+        interpolate sampling noise subset search reference quality icgn follow predict
+        device icgn_torch track overlap motion deformation synthetic
     """,
     "shaker.signals": "recording files edges trigger sync phasor folding spectrum sine refine frequencies",
     "fusion": """

@@ -1,0 +1,141 @@
+"""A series of images followed on a device, batch by batch."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photogram._checks import FloatArray
+from photogram.follow import NEIGHBOUR_ROUNDS, TrackSettings, follow, identity, merged
+from photogram.icgn import Registration
+from photogram.icgn_torch.frames import TorchSplines, spline_frames
+from photogram.icgn_torch.register import TorchReference, register_frames, torch_reference
+from photogram.interpolate import spline_of_image
+from photogram.predict import predict_warp
+from photogram.reference import Reference, TrackStatus
+from photogram.search import neighbour_starts
+
+Image = NDArray[Any]
+HISTORY = 6
+ENOUGH = 0.5
+
+
+@dataclass(frozen=True)
+class _Batch:
+    """Frames on the device, and what is looked for in them."""
+
+    reference: Reference
+    prepared: TorchReference
+    frames: TorchSplines
+    settings: TrackSettings
+
+    def find(self, start: FloatArray) -> tuple[Registration, ...]:
+        """Registration of all frames from the warps `start` (B,N,6) with the settings' limits."""
+        limits = (self.settings.max_iterations, self.settings.convergence_px, self.settings.min_zncc)
+        return register_frames(self.prepared, self.frames, start, *limits)
+
+
+def follow_frames(
+    reference: Reference,
+    first: Image,
+    images: Iterable[Image],
+    settings: TrackSettings,
+    device: str,
+    batch_frames: int = 32,
+    precision: str = "float64",
+) -> Iterator[tuple[Image, Registration]]:
+    """Every image after the `first` in turn, with where the subsets of `reference` are in it.
+
+    The first batch is one frame, and each next one twice as long up to `batch_frames`, since the starts of a batch are
+    foretold from the frames before it. Frames of which half is not found start again from the nearest frame found,
+    then single subsets from their neighbours as in `photogram.follow`; a frame still lost is searched on the CPU. A
+    thread reads the next batch meanwhile, so at most two batches are in memory.
+    """
+    if batch_frames < 1:
+        raise ValueError(f"batch_frames: expected at least 1, found {batch_frames}")
+    prepared = torch_reference(reference, device, precision)
+    history = [identity(reference).warp]
+    for stack in _read_ahead(images, batch_frames):
+        frames = spline_frames(np.stack(stack), settings.degree, device, precision)
+        batch = _Batch(reference, prepared, frames, settings)
+        found = list(batch.find(_forecast(history, len(stack))))
+        found = _from_neighbours(batch, _from_nearest_frames(batch, found, history[-1]))
+        for image, seen in zip(stack, found, strict=True):
+            here = seen
+            if not _is_found(reference.status, seen):
+                target = spline_of_image(image, settings.degree)
+                here = follow(reference, first, (image, target), history[-1], settings)
+            history = [*history[1 - HISTORY :], here.warp]
+            yield image, here
+
+
+def _read_ahead(images: Iterable[Image], batch_frames: int) -> Iterator[list[Image]]:
+    """Images in batches of 1, 2, 4 … `batch_frames`, of which a thread reads the next one in advance."""
+    source = iter(images)
+
+    def read(count: int) -> list[Image]:
+        return list(islice(source, count))
+
+    with ThreadPoolExecutor(max_workers=1) as reader:
+        size, coming = 1, reader.submit(read, 1)
+        while batch := coming.result():
+            size = min(2 * size, batch_frames)
+            coming = reader.submit(read, size)
+            yield batch
+
+
+def _forecast(history: Sequence[FloatArray], count: int) -> FloatArray:
+    """Warps (count,N,6) of the next frames, each foretold from the ones before, foretold ones included."""
+    known = list(history)
+    for _ in range(count):
+        known.append(predict_warp(known[-HISTORY:]))
+    return np.stack(known[-count:])
+
+
+def _is_found(status: NDArray[np.int8], found: Registration) -> bool:
+    """Whether half of the usable subsets (status (N,) of the reference) were found."""
+    usable = status == TrackStatus.OK
+    return bool(np.sum(found.status[usable] == TrackStatus.OK) >= ENOUGH * usable.sum())
+
+
+def _again(batch: _Batch, found: Sequence[Registration], start: FloatArray) -> list[Registration]:
+    """`found` with the subsets that only the warps `start` (B,N,6) lead to."""
+    return [merged(here, more) for here, more in zip(found, batch.find(start), strict=True)]
+
+
+def _from_nearest_frames(batch: _Batch, found: list[Registration], before: FloatArray) -> list[Registration]:
+    """Lost frames once more from the warps of the nearest frame that was found; `before` (N,6) precedes them all."""
+    places, tried = np.arange(1, len(found) + 1), np.full(len(found), -1)
+    while True:
+        seen = np.array([True, *(_is_found(batch.reference.status, here) for here in found)])
+        options = np.flatnonzero(seen)
+        nearest = options[np.argmin(np.abs(options[:, None] - places), axis=0)]
+        again = ~seen[1:] & (nearest != tried)
+        if not again.any():
+            return found
+        tried[again] = nearest[again]
+        warps = np.stack([before, *(here.warp for here in found)])
+        found = _again(batch, found, np.where(again[:, None, None], warps[nearest], np.nan))
+
+
+def _from_neighbours(batch: _Batch, found: list[Registration]) -> list[Registration]:
+    """Single lost subsets once more from their nearest neighbours, as `find_from_neighbours` does frame by frame."""
+    usable, centres = batch.reference.status == TrackStatus.OK, batch.reference.centre_px
+    going_on = [_is_found(batch.reference.status, here) for here in found]
+    for _ in range(NEIGHBOUR_ROUNDS):
+        start = np.full((len(found), len(usable), 6), np.nan)
+        for b, here in enumerate(found):
+            lost = usable & (here.status != TrackStatus.OK)
+            if going_on[b] and lost.any():
+                start[b, lost] = neighbour_starts(centres, here.warp)[lost]
+        if np.isnan(start).all():
+            break
+        before, found = found, _again(batch, found, start)
+        going_on = [bool(np.any(old.status != new.status)) for old, new in zip(before, found, strict=True)]
+    return found
