@@ -1,21 +1,21 @@
 """A speckled plane whose images need no interpolation: isotropic Gaussian dots, integrated exactly over square pixels.
 
-Turned and shifted, the dots stay isotropic Gaussians, so the image of the moved plane is as exact as the first. With a
-σ of 1.35 px the texture's power density at 0.4 cycles per pixel is 10⁻⁵ of that at zero: the pixels resolve it.
+Turned and shifted, the dots stay isotropic Gaussians, so the image of the moved plane is as exact as the first. The
+texture's power density is exp(−(2πfσ)²) times that of the pixel's aperture: for dots 4 px wide at half height
+(σ = 1.7 px), 10⁻⁸ of the largest at 0.4 cycles per pixel.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import erf, pi, sqrt
+from math import erf, log, pi, sqrt
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
-DOT_SIGMA_PX = 1.35
-CELL_PX = 4.5
+CELL = 1.4
 LARGEST_SHIFT = 0.3
 REACH_SIGMA = 6.5
 MIDDLE, DEPTH = 0.5, 0.3
@@ -24,10 +24,14 @@ DIFFERENCE_PX = 1e-3
 
 @dataclass(frozen=True)
 class Plane:
-    """Dots: centre_px (M,2) in the resting image, depth (M,): grey value added at the centre, in full scales."""
+    """Dots of standard deviation sigma_px, before an image of size_px (width, height).
+
+    centre_px (M,2): where they are at rest; depth (M,): what they add to the grey value there, in full scales.
+    """
 
     centre_px: FloatArray
     depth: FloatArray
+    sigma_px: float
     size_px: tuple[int, int]
 
 
@@ -46,27 +50,30 @@ class Motion:
         """Positions (N,2) of the points (N,2) in one frame."""
         cosine, sine = np.cos(self.angle_rad[frame]), np.sin(self.angle_rad[frame])
         turn = np.array([[cosine, -sine], [sine, cosine]])
-        return (points_px - self.pivot_px) @ turn.T + self.pivot_px + self.shift_px[frame]
+        moved: FloatArray = (points_px - self.pivot_px) @ turn.T + self.pivot_px + self.shift_px[frame]
+        return moved
 
 
-def speckled_plane(size_px: tuple[int, int], margin_px: float, rng: np.random.Generator) -> Plane:
-    """Bright and dark dots at random, one to each cell of 4.5 px, off its middle by up to 0.3 cells in x and y.
+def speckled_plane(size_px: tuple[int, int], dot_px: float, margin_px: float, rng: np.random.Generator) -> Plane:
+    """Bright and dark dots at random, `dot_px` wide at half height, one to each cell of 1.4 times that.
 
-    Depths lie between 0.8 and 1 times the largest, which leaves no pixel at either end of the scale. The grid reaches
-    `margin_px` beyond the image of `size_px` (width, height), so that the plane may move by as much.
+    A dot lies up to 0.3 cells off the middle of its cell in x and y; depths lie between 0.8 and 1 times the largest,
+    which leaves no pixel at either end of the scale. The cells reach `margin_px` beyond the image, so that the plane
+    may move by as much.
     """
-    x, y = np.meshgrid(*(np.arange(-margin_px, length + margin_px, CELL_PX) for length in size_px))
+    cell = CELL * dot_px
+    x, y = np.meshgrid(*(np.arange(-margin_px, length + margin_px, cell) for length in size_px))
     grid = np.column_stack([x.ravel(), y.ravel()])
-    centre = grid + CELL_PX * LARGEST_SHIFT * rng.uniform(-1.0, 1.0, grid.shape)
+    centre = grid + cell * LARGEST_SHIFT * rng.uniform(-1.0, 1.0, grid.shape)
     depth = DEPTH * rng.uniform(0.8, 1.0, len(grid)) * rng.choice([-1.0, 1.0], len(grid))
-    return Plane(centre, depth, size_px)
+    return Plane(centre, depth, dot_px / sqrt(8.0 * log(2.0)), size_px)
 
 
 def render(plane: Plane, motion: Motion, frame: int) -> FloatArray:
     """Noise-free image (H,W) of one frame, in full scales."""
     width, height = plane.size_px
     image = np.full((height, width), MIDDLE)
-    _paint(motion.positions(plane.centre_px, frame), plane.depth, DOT_SIGMA_PX, image)
+    _paint(motion.positions(plane.centre_px, frame), plane.depth, plane.sigma_px, image)
     return image
 
 

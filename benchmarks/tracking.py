@@ -2,19 +2,22 @@
 
 Usage: python benchmarks/tracking.py [--programs NAME ...] [--peer-python PATH] [--threads 1] [--seed 1]
 
-Renders 21 frames of 1024 x 1024 px exactly (no interpolation; see speckle_plane.py), with noise of 1 grey level of 255
-and stored in 8 bit: a sine of 3 px along x and 2 px along y with 2 mrad of rotation. 8649 subsets of 31 x 31 px, 10 px
-apart, are tracked by every program that is installed; peers may have an environment of their own (`pip install pyvale
-pyidi al-dic`), named by --peer-python. Prints the tables of docs/performance.md; with all programs some ten minutes.
+Renders 21 frames of 1024 x 1024 px exactly (no interpolation; see speckle_plane.py), with dots 4 px wide at half
+height: a sine of 3 px along x and 2 px along y with 2 mrad of rotation, noise of 1 grey level of 255, stored in 8 and
+in 12 bit. 8649 subsets of 31 x 31 px, 10 px apart, are tracked by every program that is installed; peers may have an
+environment of their own (`pip install pyvale pyidi al-dic`), named by --peer-python. Prints the tables of
+docs/performance.md; with all programs some ten minutes.
 
 - user CPU: per subset and tracked frame, reading included, imports and compilation excluded.
 - bound: standard deviation that white noise leaves to any unbiased program, σ = σ_n/√Σ(∂f/∂x)² with the exact gradient
-  of the subset's pixels and σ_n² = 1 + 1/12 (rounding); a pair of frames has the noise of both, √2·σ.
+  of the subset's pixels and σ_n² = 1 + 1/12 (rounding) at 8 bit; a pair of frames has the noise of both, √2·σ.
 - pair: scatter of the errors against the known motion about their mean over the frame, over √2·σ, all frames pooled.
 - series: scatter over time of each subset's errors about their own mean, over σ: the reference's noise is constant.
 - bias: mean error of a frame over all subsets, largest of all frames and of x and y.
 - bias in the pixel: mean error of all positions in one tenth of a pixel, largest of the ten; rotation spreads a frame
   over several tenths, so that the mean over it hides some of what interpolation does.
+
+The second table shows what interpolation leaves without noise, stored in 16 bit, for dots of several sizes.
 """
 
 from __future__ import annotations
@@ -24,7 +27,7 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -37,7 +40,8 @@ from tracking_programs import NOT_INSTALLED, PROGRAMS, Grid
 from photogram.subset import subset_mean
 
 FloatArray = NDArray[np.float64]
-SIZE_PX, FRAMES, MARGIN_PX = 1024, 21, 16.0
+SIZE_PX, FRAMES, MARGIN_PX = 1024, 21, 24.0
+DOT_PX, OTHER_DOTS_PX = 4.0, (3.2, 5.0)
 GRID = Grid(first=52, step=10, count=93, radius=15)
 PEAK_PX, PEAK_RAD, CYCLES_PER_FRAME = (3.0, -2.0), 2e-3, 0.0977
 NOISE_GREY = 1.0
@@ -48,8 +52,9 @@ MPX = 1e-3
 
 @dataclass(frozen=True)
 class Recording:
-    """Frames in a folder: grey levels of `full_scale`, noise of noise_grey levels before rounding."""
+    """Frames of a plane in a folder: grey levels up to full_scale, noise of noise_grey levels before rounding."""
 
+    plane: Plane
     folder: Path
     full_scale: int
     noise_grey: float
@@ -79,16 +84,27 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
+    own = [name for name in options.programs if name.startswith(OWN)]
+    pythons = {name: Path(sys.executable) if name in own else options.peer_python for name in options.programs}
     rng = np.random.default_rng(options.seed)
-    plane, motion = speckled_plane((SIZE_PX, SIZE_PX), MARGIN_PX, rng), sine_motion()
     with tempfile.TemporaryDirectory() as scratch:
-        images = [render(plane, motion, frame) for frame in range(FRAMES)]
-        noisy = record(Path(scratch) / "8bit", images, 255, NOISE_GREY, rng)
-        deep = record(Path(scratch) / "12bit", images, 4095, NOISE_GREY * 4095 / 255, rng)
-        clean = record(Path(scratch) / "clean", images, 65535, 0.0, rng)
-        compare(options.programs, noisy, plane, motion, options.peer_python, options.threads)
-        own = [name for name in options.programs if name.startswith(OWN)]
-        alone(own, (deep, clean), plane, motion, options.threads)
+        plane = speckled_plane((SIZE_PX, SIZE_PX), DOT_PX, MARGIN_PX, rng)
+        noisy = record(plane, Path(scratch) / "8bit", 255, NOISE_GREY, rng)
+        print_head(
+            "program", "user CPU, µs", "points/s", "std/bound, pair", "series", "bias, mpx", "in the pixel, mpx", "lost"
+        )
+        for name in options.programs:
+            print_noisy(name, noisy, pythons[name], options.threads)
+        deep = record(plane, Path(scratch) / "12bit", 4095, NOISE_GREY * 4095 / 255, rng)
+        for name in own:
+            print_noisy(name, deep, pythons[name], options.threads)
+        print()
+        print_head("program, without noise", "dots, px", "bias, mpx", "in the pixel, mpx", "std, mpx")
+        for dot_px in (DOT_PX, *OTHER_DOTS_PX):
+            other = speckled_plane((SIZE_PX, SIZE_PX), dot_px, MARGIN_PX, rng)
+            clean = record(other, Path(scratch) / f"{dot_px}px", 65535, 0.0, rng)
+            for name in own:
+                print_clean(name, dot_px, clean, pythons[name], options.threads)
 
 
 def sine_motion() -> Motion:
@@ -97,17 +113,17 @@ def sine_motion() -> Motion:
     return Motion(np.outer(swing, PEAK_PX), PEAK_RAD * swing, np.full(2, (SIZE_PX - 1) / 2.0))
 
 
-def record(
-    folder: Path, images: Sequence[FloatArray], full_scale: int, noise_grey: float, rng: np.random.Generator
-) -> Recording:
-    """Store the images with noise; a pixel at either end of the scale would no longer be exact and is refused."""
+def record(plane: Plane, folder: Path, full_scale: int, noise_grey: float, rng: np.random.Generator) -> Recording:
+    """Store the frames with noise; a pixel at either end of the scale would no longer be exact and is refused."""
     folder.mkdir()
-    for frame, image in enumerate(images):
+    motion = sine_motion()
+    for frame in range(len(motion)):
+        image = render(plane, motion, frame)
         grey = np.rint(image * full_scale + noise_grey * rng.standard_normal(image.shape))
         if grey.min() < 0 or grey.max() > full_scale:
-            raise ValueError(f"images: expected grey levels within 0 to {full_scale}, found {grey.min()} {grey.max()}")
+            raise ValueError(f"plane: expected grey levels of 0 to {full_scale}, found {grey.min()} to {grey.max()}")
         tifffile.imwrite(folder / f"{frame:04d}.tif", grey.astype(np.uint8 if full_scale == 255 else np.uint16))
-    return Recording(folder, full_scale, noise_grey)
+    return Recording(plane, folder, full_scale, noise_grey)
 
 
 def run_program(name: str, recording: Recording, python: Path, threads: int) -> Result | str:
@@ -131,78 +147,53 @@ def run_program(name: str, recording: Recording, python: Path, threads: int) -> 
     return Result(*found)
 
 
-def compare(
-    names: Sequence[str], recording: Recording, plane: Plane, motion: Motion, peer_python: Path, threads: int
-) -> None:
-    """Print the table of all programs on the 8-bit frames."""
-    print_head(
-        "program",
-        "user CPU, µs",
-        "points/s",
-        "std/bound, pair",
-        "series",
-        "bias, mpx",
-        "bias in the pixel, mpx",
-        "lost",
+def print_noisy(name: str, recording: Recording, python: Path, threads: int) -> None:
+    """Print what one program makes of frames with noise."""
+    result = run_program(name, recording, python, threads)
+    if isinstance(result, str):
+        print(f"{name} skipped: {result}", file=sys.stderr)
+        return
+    points = result.positions[1:, :, 0].size
+    sigma = bound(recording, result.centres)
+    error = result.positions - true_positions(result.centres)
+    print_row(
+        f"{name} ({result.version}), {recording.full_scale.bit_length()} bit",
+        f"{1e6 * result.user_s / points:.0f}",
+        f"{points / result.wall_s:.0f}",
+        f"{pair_scatter(error, sigma):.3f}",
+        f"{series_scatter(error, sigma):.3f}",
+        f"{frame_bias(error) / MPX:.2f}",
+        f"{pixel_bias(error, result.positions) / MPX:.2f}",
+        f"{np.isnan(error[..., 0]).sum()}",
     )
-    for name in names:
-        python = Path(sys.executable) if name.startswith(OWN) else peer_python
-        result = run_program(name, recording, python, threads)
-        if isinstance(result, str):
-            print(f"{name} skipped: {result}", file=sys.stderr)
-            continue
-        points = result.positions[1:, :, 0].size
-        sigma = bound(plane, result.centres, recording.noise)
-        error = result.positions - true_positions(motion, result.centres)
-        print_row(
-            f"{name} ({result.version})",
-            f"{1e6 * result.user_s / points:.0f}",
-            f"{points / result.wall_s:.0f}",
-            f"{pair_scatter(error, sigma):.3f}",
-            f"{series_scatter(error, sigma):.3f}",
-            f"{frame_bias(error) / MPX:.2f}",
-            f"{pixel_bias(error, result.positions) / MPX:.2f}",
-            f"{np.isnan(error[..., 0]).sum()}",
-        )
 
 
-def alone(
-    names: Sequence[str], recordings: tuple[Recording, Recording], plane: Plane, motion: Motion, threads: int
-) -> None:
-    """Print the table of this program on the frames of 12 bit, and of 16 bit without noise."""
-    deep, _ = recordings
-    print()
-    print_head(
-        "program", "12 bit: pair", "series", "bias, mpx", "noise-free: bias, mpx", "in the pixel, mpx", "std, mpx"
+def print_clean(name: str, dot_px: float, recording: Recording, python: Path, threads: int) -> None:
+    """Print what one program makes of frames without noise."""
+    result = run_program(name, recording, python, threads)
+    if isinstance(result, str):
+        raise RuntimeError(f"{name}: expected to be installed beside this benchmark, found {result}")
+    error = result.positions - true_positions(result.centres)
+    print_row(
+        name,
+        f"{dot_px}",
+        f"{frame_bias(error) / MPX:.3f}",
+        f"{pixel_bias(error, result.positions) / MPX:.3f}",
+        f"{np.nanstd(error[1:]) / MPX:.3f}",
     )
-    for name in names:
-        noisy, exact = (run_program(name, recording, Path(sys.executable), threads) for recording in recordings)
-        if isinstance(noisy, str) or isinstance(exact, str):
-            raise RuntimeError(f"{name}: expected to be installed beside this benchmark")
-        sigma = bound(plane, noisy.centres, deep.noise)
-        error = noisy.positions - true_positions(motion, noisy.centres)
-        left = exact.positions - true_positions(motion, exact.centres)
-        print_row(
-            name,
-            f"{pair_scatter(error, sigma):.3f}",
-            f"{series_scatter(error, sigma):.3f}",
-            f"{frame_bias(error) / MPX:.2f}",
-            f"{frame_bias(left) / MPX:.4f}",
-            f"{pixel_bias(left, exact.positions) / MPX:.4f}",
-            f"{np.nanstd(left[1:]) / MPX:.3f}",
-        )
 
 
-def true_positions(motion: Motion, centres: FloatArray) -> FloatArray:
+def true_positions(centres: FloatArray) -> FloatArray:
     """Positions (F,N,2) where the subsets' centres truly are."""
+    motion = sine_motion()
     return np.stack([motion.positions(centres, frame) for frame in range(len(motion))])
 
 
-def bound(plane: Plane, centres: FloatArray, noise: float) -> FloatArray:
+def bound(recording: Recording, centres: FloatArray) -> FloatArray:
     """Smallest standard deviations (N,2) of x and y that the noise of one frame allows: σ_n/√Σ(∂f/∂x)²."""
     pixels = (2 * GRID.radius + 1) ** 2
-    power = [pixels * subset_mean(slope**2, centres, GRID.radius) for slope in gradients(plane)]
-    return noise / np.sqrt(np.stack(power, axis=-1))
+    power = [pixels * subset_mean(slope**2, centres, GRID.radius) for slope in gradients(recording.plane)]
+    return recording.noise / np.sqrt(np.stack(power, axis=-1))
 
 
 def pair_scatter(error: FloatArray, sigma: FloatArray) -> float:

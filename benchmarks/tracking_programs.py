@@ -154,7 +154,8 @@ def _read(frame: Path) -> np.ndarray[Any, Any]:
 
 def _with_first(centres: Array, moved: Array) -> Array:
     """Return positions (F,N,2) from the displacements (F−1,N,2) of all frames but the first."""
-    return centres + np.concatenate([np.zeros((1, *centres.shape)), moved])
+    displacements: Array = np.concatenate([np.zeros((1, *centres.shape)), moved])
+    return centres + displacements
 
 
 def _user_s() -> float:
