@@ -18,7 +18,7 @@ FloatArray = NDArray[np.float64]
 CELL = 1.4
 LARGEST_SHIFT = 0.3
 REACH_SIGMA = 6.5
-MIDDLE, DEPTH = 0.5, 0.3
+MIDDLE, DEPTH = 0.5, 0.27
 DIFFERENCE_PX = 1e-3
 
 
