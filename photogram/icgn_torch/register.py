@@ -173,7 +173,7 @@ def _placed(reference: TorchReference, subset: Tensor, warp: Tensor, gone: Tenso
 def _correlate(
     reference: TorchReference, frames: TorchSplines, pair: tuple[Tensor, Tensor, Tensor, Tensor], polynomials: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Sums over every subset of g (n,), g² (n,) and (n,3,3) of f̃g, f_x g, f_y g times 1, dx, dy; g without the mean of f.
+    """Sums (n,) of g and of g², sums (n,3,3) of f̃g, f_x g, f_y g times 1, dx, dy; g without the mean of f.
 
     Points are placed relative to the pixel under the subset's centre, so that float32 resolves them to 1e-6 px.
     """
