@@ -15,12 +15,11 @@ from photogram.images import GreyImage
 from photogram.interpolate import Spline
 from photogram.reference import Reference, TrackStatus
 from photogram.search import affine_field, neighbour_starts, template_shifts
-from photogram.subset import subset_mean
+from photogram.subset import saturated
 
 Image = NDArray[Any]
 NEIGHBOUR_ROUNDS = 8
 SEEDS = 12
-SATURATED_SHARE = 0.01
 
 
 @dataclass(frozen=True)
@@ -169,13 +168,6 @@ def without_saturated(reference: Reference, image: GreyImage, full_scale: int) -
     full = saturated(image, full_scale, reference.centre_px, reference.radius_px)
     status = np.where(full, np.int8(TrackStatus.SATURATED), reference.status)
     return replace(reference, status=np.where(absent, np.int8(TrackStatus.NO_START), status))
-
-
-def saturated(image: GreyImage, full_scale: int, points_px: FloatArray, radius_px: int) -> BoolArray:
-    """Which subsets have more than 1 % of their pixels at full scale."""
-    if image.max() < full_scale:
-        return np.zeros(len(points_px), dtype=np.bool_)
-    return np.asarray(subset_mean(image >= full_scale, points_px, radius_px) > SATURATED_SHARE)
 
 
 def tracks_of(found: Sequence[Registration], reference: Reference, degree: int) -> Tracks:

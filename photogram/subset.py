@@ -17,6 +17,7 @@ CLEAR_SEPARATION = 3.0
 SMALLEST_SHARE = 0.2
 TILE_PX = 32
 FINE_TEXTURE = 0.4
+SATURATED_SHARE = 0.01
 
 
 def textured_area(image: Image) -> BoolArray:
@@ -84,6 +85,13 @@ def subset_mean(values: Image, points_px: FloatArray, radius_px: int) -> FloatAr
     total = sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left]
     mean: FloatArray = total / (2 * radius_px + 1) ** 2
     return mean
+
+
+def saturated(image: Image, full_scale: int, points_px: FloatArray, radius_px: int) -> BoolArray:
+    """Which subsets around points_px (N,2) have more than 1 % of their pixels at full scale."""
+    if image.max() < full_scale:
+        return np.zeros(len(points_px), dtype=np.bool_)
+    return np.asarray(subset_mean(image >= full_scale, points_px, radius_px) > SATURATED_SHARE)
 
 
 def speckle_size(image: Image, area: BoolArray) -> float:
