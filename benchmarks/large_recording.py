@@ -3,8 +3,8 @@
 Usage: python benchmarks/large_recording.py [--frames 211] [--keep FOLDER]
 
 Renders 20 poses of a round face in each camera, which repeat, each frame with noise of its own, and stores every frame
-as a TIFF file (2.6 MB each). Then both pairs are tracked with the default settings, reading included: about 1000 subsets
-of 21 x 21 px per camera. Prints wall and user CPU time, the peak memory of this process (rendering is done in another),
+as a TIFF file (2.6 MB each). Then both pairs are tracked with the default settings, reading included: about 1000
+subsets of 21 x 21 px per camera. Prints wall and user CPU time, the peak memory of this process (another one renders),
 and how well the subsets' motion agrees with the truth. With --keep, a recording that is already there is used again.
 """
 
@@ -77,8 +77,8 @@ def main() -> None:
 def setups() -> Iterator[StereoSetup]:
     """Yield the two pairs: those of the published set-up with twice the resolution, on a round face of 810 px."""
     for setup in PRESETS["nitsche2018"].stereo:
-        size = {"size_px": SIZE_PX, "pixel_m": PIXEL_M, "focal_px": FOCAL_PX}
-        yield replace(setup, **size, half_size=(RADIUS_M, RADIUS_M), round=True)
+        half = (RADIUS_M, RADIUS_M)
+        yield replace(setup, size_px=SIZE_PX, pixel_m=PIXEL_M, focal_px=FOCAL_PX, half_size=half, round=True)
 
 
 def camera_folder(setup: StereoSetup, side: str) -> str:
@@ -95,7 +95,8 @@ def cameras_from_world(setup: StereoSetup) -> tuple[StereoRig, tuple[RigidTransf
 
 def pose(frame: int) -> FloatArray:
     """Pose (6,) of the body in a frame: one sine in all components, at rest in frame 0."""
-    return PEAK * np.sin(2.0 * np.pi * (frame % POSES) / POSES)
+    swing: FloatArray = PEAK * np.sin(2.0 * np.pi * (frame % POSES) / POSES)
+    return swing
 
 
 def write_recording(folder: Path, frames: int) -> None:
@@ -106,9 +107,7 @@ def write_recording(folder: Path, frames: int) -> None:
         rig, places = cameras_from_world(setup)
         for side, camera, place in zip(SIDES, (rig.left, rig.right), places, strict=True):
             view = view_of(camera, place)
-            images = [
-                render(view, face, pose(k)[None], np.ones(1)).astype(np.float32) for k in range(min(POSES, frames))
-            ]
+            images = [render(view, face, pose(k)[None], np.ones(1)) for k in range(min(POSES, frames))]
             target = folder / camera_folder(setup, side)
             target.mkdir(parents=True)
             for frame in range(frames):
@@ -135,7 +134,7 @@ def _sequence(folder: Path, setup: StereoSetup, frames: int) -> ImageSequence:
 
 def count(pair: StereoTracks) -> int:
     """Number of subsets in each camera."""
-    return pair.left.position_px.shape[1]
+    return len(pair.left.noise_grey)
 
 
 def lost_share(pair: StereoTracks) -> float:

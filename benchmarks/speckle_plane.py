@@ -1,8 +1,8 @@
 """A speckled plane whose images need no interpolation: isotropic Gaussian dots, integrated exactly over square pixels.
 
 Turned and shifted, the dots stay isotropic Gaussians, so the image of the moved plane is as exact as the first. The
-texture's power density is exp(−(2πfσ)²) times that of the pixel's aperture: for dots 4 px wide at half height
-(σ = 1.7 px), 10⁻⁸ of the largest at 0.4 cycles per pixel.
+texture's power density falls as exp(−(2πfσ)²): for dots 4.5 px wide at half height (σ = 1.91 px) it is 10⁻¹⁰ of the
+largest at 0.4 cycles per pixel.
 """
 
 from __future__ import annotations

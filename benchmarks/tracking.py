@@ -1,19 +1,21 @@
 """Subset tracking against the limit of the noise, and beside the programs that others wrote.
 
-Usage: python benchmarks/tracking.py [--programs NAME ...] [--peer-python PATH] [--threads 1] [--seed 1]
+Usage: python benchmarks/tracking.py [--programs NAME ...] [--peer-python PATH] [--threads 1]
+       [--recordings 3]
 
-Renders 21 frames of 1024 x 1024 px exactly (no interpolation; see speckle_plane.py), with dots 4 px wide at half
-height: a sine of 3 px along x and 2 px along y with 2 mrad of rotation, noise of 1 grey level of 255, stored in 8 and
+Renders 21 frames of 1024 x 1024 px exactly (no interpolation; see speckle_plane.py), with dots 4.5 px wide at
+half height: a sine of 3 px along x and 2 px along y with 2 mrad of rotation, noise of 1 grey level of 255, stored in 8 and
 in 12 bit. 8649 subsets of 31 x 31 px, 10 px apart, are tracked by every program that is installed; peers may have an
 environment of their own (`pip install pyvale pyidi al-dic`), named by --peer-python. Prints the tables of
-docs/performance.md; with all programs some ten minutes.
+docs/performance.md; with all programs a quarter of an hour.
 
 - user CPU: per subset and tracked frame, reading included, imports and compilation excluded.
 - bound: standard deviation that white noise leaves to any unbiased program, σ = σ_n/√Σ(∂f/∂x)² with the exact gradient
   of the subset's pixels and σ_n² = 1 + 1/12 (rounding) at 8 bit; a pair of frames has the noise of both, √2·σ.
-- pair: scatter of the errors against the known motion about their mean over the frame, over √2·σ, all frames pooled.
+- pair: scatter of the errors against the known motion about their mean over the frame, over √2·σ, pooled.
 - series: scatter over time of each subset's errors about their own mean, over σ: the reference's noise is constant.
-- bias: mean error of a frame over all subsets, largest of all frames and of x and y.
+- bias: mean error of a frame over all subsets, largest of all frames and of x and y. Noise alone moves the mean of one
+  frame by 0.1 mpx (one σ), so recordings with noise of their own are averaged first.
 - bias in the pixel: mean error of all positions in one tenth of a pixel, largest of the ten; rotation spreads a frame
   over several tenths, so that the mean over it hides some of what interpolation does.
 
@@ -27,7 +29,6 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -41,7 +42,7 @@ from photogram.subset import subset_mean
 
 FloatArray = NDArray[np.float64]
 SIZE_PX, FRAMES, MARGIN_PX = 1024, 21, 24.0
-DOT_PX, OTHER_DOTS_PX = 4.0, (3.2, 5.0)
+DOT_PX, OTHER_DOTS_PX = 4.5, (3.8, 3.2)
 GRID = Grid(first=52, step=10, count=93, radius=15)
 PEAK_PX, PEAK_RAD, CYCLES_PER_FRAME = (3.0, -2.0), 2e-3, 0.0977
 NOISE_GREY = 1.0
@@ -52,10 +53,10 @@ MPX = 1e-3
 
 @dataclass(frozen=True)
 class Recording:
-    """Frames of a plane in a folder: grey levels up to full_scale, noise of noise_grey levels before rounding."""
+    """Frames of a plane, one folder for each draw of the noise: grey levels up to full_scale, noise before rounding."""
 
     plane: Plane
-    folder: Path
+    folders: tuple[Path, ...]
     full_scale: int
     noise_grey: float
 
@@ -67,10 +68,14 @@ class Recording:
 
 @dataclass(frozen=True)
 class Result:
-    """What a program found: centres (N,2), positions (F,N,2) in px, and its time in s."""
+    """What a program found in R recordings of F frames but the first, and its time in s for all of them.
+
+    centres (N,2): in frame 0; positions (R,F−1,N,2) in px; error (R,F−1,N,2): positions against the known motion.
+    """
 
     centres: FloatArray
     positions: FloatArray
+    error: FloatArray
     user_s: float
     wall_s: float
     version: str
@@ -82,27 +87,27 @@ def main() -> None:
     parser.add_argument("--programs", nargs="+", default=list(PROGRAMS), choices=PROGRAMS, metavar="NAME")
     parser.add_argument("--peer-python", type=Path, default=Path(sys.executable), help="interpreter with the peers")
     parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--recordings", type=int, default=3)
     options = parser.parse_args()
     own = [name for name in options.programs if name.startswith(OWN)]
     pythons = {name: Path(sys.executable) if name in own else options.peer_python for name in options.programs}
-    rng = np.random.default_rng(options.seed)
+    rng = np.random.default_rng(1)
     with tempfile.TemporaryDirectory() as scratch:
         plane = speckled_plane((SIZE_PX, SIZE_PX), DOT_PX, MARGIN_PX, rng)
-        noisy = record(plane, Path(scratch) / "8bit", 255, NOISE_GREY, rng)
+        noisy = record(plane, Path(scratch) / "8bit", options.recordings, 255, NOISE_GREY, rng)
         print_head(
             "program", "user CPU, µs", "points/s", "std/bound, pair", "series", "bias, mpx", "in the pixel, mpx", "lost"
         )
         for name in options.programs:
             print_noisy(name, noisy, pythons[name], options.threads)
-        deep = record(plane, Path(scratch) / "12bit", 4095, NOISE_GREY * 4095 / 255, rng)
+        deep = record(plane, Path(scratch) / "12bit", options.recordings, 4095, NOISE_GREY * 4095 / 255, rng)
         for name in own:
             print_noisy(name, deep, pythons[name], options.threads)
         print()
         print_head("program, without noise", "dots, px", "bias, mpx", "in the pixel, mpx", "std, mpx")
         for dot_px in (DOT_PX, *OTHER_DOTS_PX):
             other = speckled_plane((SIZE_PX, SIZE_PX), dot_px, MARGIN_PX, rng)
-            clean = record(other, Path(scratch) / f"{dot_px}px", 65535, 0.0, rng)
+            clean = record(other, Path(scratch) / f"{dot_px}px", 1, 65535, 0.0, rng)
             for name in own:
                 print_clean(name, dot_px, clean, pythons[name], options.threads)
 
@@ -113,74 +118,90 @@ def sine_motion() -> Motion:
     return Motion(np.outer(swing, PEAK_PX), PEAK_RAD * swing, np.full(2, (SIZE_PX - 1) / 2.0))
 
 
-def record(plane: Plane, folder: Path, full_scale: int, noise_grey: float, rng: np.random.Generator) -> Recording:
-    """Store the frames with noise; a pixel at either end of the scale would no longer be exact and is refused."""
-    folder.mkdir()
-    motion = sine_motion()
-    for frame in range(len(motion)):
-        image = render(plane, motion, frame)
-        grey = np.rint(image * full_scale + noise_grey * rng.standard_normal(image.shape))
-        if grey.min() < 0 or grey.max() > full_scale:
-            raise ValueError(f"plane: expected grey levels of 0 to {full_scale}, found {grey.min()} to {grey.max()}")
-        tifffile.imwrite(folder / f"{frame:04d}.tif", grey.astype(np.uint8 if full_scale == 255 else np.uint16))
-    return Recording(plane, folder, full_scale, noise_grey)
+def record(
+    plane: Plane, folder: Path, count: int, full_scale: int, noise_grey: float, rng: np.random.Generator
+) -> Recording:
+    """Store `count` series with noise; a pixel at either end of the scale would no longer be exact and is refused."""
+    folders = tuple(folder / f"{number}" for number in range(count))
+    for target in folders:
+        target.mkdir(parents=True)
+    for frame in range(FRAMES):
+        image = full_scale * render(plane, sine_motion(), frame)
+        for target in folders:
+            grey = np.rint(image + noise_grey * rng.standard_normal(image.shape))
+            if grey.min() < 0 or grey.max() > full_scale:
+                raise ValueError(f"plane: expected grey levels of 0 to {full_scale}, found {grey.min()} {grey.max()}")
+            tifffile.imwrite(target / f"{frame:04d}.tif", grey.astype(np.uint8 if full_scale == 255 else np.uint16))
+    return Recording(plane, folders, full_scale, noise_grey)
 
 
-def run_program(name: str, recording: Recording, python: Path, threads: int) -> Result | str:
-    """Track a recording with one program in a process of its own; the reason where it is not installed."""
-    result = recording.folder.parent / "result.npz"
+def run_program(name: str, recording: Recording, python: Path, threads: int) -> Result | None:
+    """Track all series of a recording with one program; None, and the reason printed, where it is not installed."""
+    series = []
+    for folder in recording.folders:
+        done = run_once(name, folder, python, threads)
+        if done.returncode == NOT_INSTALLED:
+            print(f"{name} skipped: {done.stderr.strip()}", file=sys.stderr)
+            return None
+        if done.returncode != 0:
+            raise RuntimeError(f"{name}: {done.stderr[-2000:]}")
+        with np.load(result_file(folder)) as file:
+            series.append(dict(file))
+    centres = series[0]["centres"]
+    positions = np.stack([one["positions"][1:] for one in series])
+    user_s, wall_s = (sum(float(one[key]) for one in series) for key in ("user_s", "wall_s"))
+    error = positions - true_positions(centres)[1:]
+    return Result(centres, positions, error, user_s, wall_s, str(series[0]["version"]))
+
+
+def run_once(name: str, folder: Path, python: Path, threads: int) -> subprocess.CompletedProcess[str]:
+    """Track one series with one program in a process of its own, which leaves the `result_file`."""
     grid = [f"--{key}={getattr(GRID, key)}" for key in ("first", "step", "count", "radius")]
     limits = {key: str(threads) for key in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
-    done = subprocess.run(
-        [python, ADAPTERS, name, recording.folder, result, *grid],
+    return subprocess.run(
+        [python, ADAPTERS, name, folder, result_file(folder), *grid],
         env={**os.environ, **limits, "OMP_WAIT_POLICY": "passive"},
         capture_output=True,
         text=True,
         check=False,
     )
-    if done.returncode == NOT_INSTALLED:
-        return done.stderr.strip()
-    if done.returncode != 0:
-        raise RuntimeError(f"{name}: {done.stderr[-2000:]}")
-    with np.load(result) as file:
-        found = (file["centres"], file["positions"], float(file["user_s"]), float(file["wall_s"]), str(file["version"]))
-    return Result(*found)
+
+
+def result_file(folder: Path) -> Path:
+    """Where a program leaves what it found in one series."""
+    return folder / "result.npz"
 
 
 def print_noisy(name: str, recording: Recording, python: Path, threads: int) -> None:
     """Print what one program makes of frames with noise."""
     result = run_program(name, recording, python, threads)
-    if isinstance(result, str):
-        print(f"{name} skipped: {result}", file=sys.stderr)
+    if result is None:
         return
-    points = result.positions[1:, :, 0].size
-    sigma = bound(recording, result.centres)
-    error = result.positions - true_positions(result.centres)
+    points = result.error[..., 0].size
+    relative = result.error / bound(recording, result.centres)
     print_row(
         f"{name} ({result.version}), {recording.full_scale.bit_length()} bit",
         f"{1e6 * result.user_s / points:.0f}",
         f"{points / result.wall_s:.0f}",
-        f"{pair_scatter(error, sigma):.3f}",
-        f"{series_scatter(error, sigma):.3f}",
-        f"{frame_bias(error) / MPX:.2f}",
-        f"{pixel_bias(error, result.positions) / MPX:.2f}",
-        f"{np.isnan(error[..., 0]).sum()}",
+        f"{pair_scatter(relative):.3f}",
+        f"{series_scatter(relative):.3f}",
+        f"{frame_bias(result.error) / MPX:.2f}",
+        f"{pixel_bias(result) / MPX:.2f}",
+        f"{np.isnan(relative[..., 0]).sum()}",
     )
 
 
 def print_clean(name: str, dot_px: float, recording: Recording, python: Path, threads: int) -> None:
     """Print what one program makes of frames without noise."""
     result = run_program(name, recording, python, threads)
-    if isinstance(result, str):
-        raise RuntimeError(f"{name}: expected to be installed beside this benchmark, found {result}")
-    error = result.positions - true_positions(result.centres)
-    print_row(
-        name,
-        f"{dot_px}",
-        f"{frame_bias(error) / MPX:.3f}",
-        f"{pixel_bias(error, result.positions) / MPX:.3f}",
-        f"{np.nanstd(error[1:]) / MPX:.3f}",
-    )
+    if result is not None:
+        print_row(
+            name,
+            f"{dot_px}",
+            f"{frame_bias(result.error) / MPX:.3f}",
+            f"{pixel_bias(result) / MPX:.3f}",
+            f"{np.nanstd(result.error) / MPX:.3f}",
+        )
 
 
 def true_positions(centres: FloatArray) -> FloatArray:
@@ -196,33 +217,31 @@ def bound(recording: Recording, centres: FloatArray) -> FloatArray:
     return recording.noise / np.sqrt(np.stack(power, axis=-1))
 
 
-def pair_scatter(error: FloatArray, sigma: FloatArray) -> float:
-    """Standard deviation of the errors (F,N,2) about each frame's mean, over the bound of two frames."""
-    relative = error[1:] / (np.sqrt(2.0) * sigma)
-    return float(np.sqrt(np.nanmean(np.nanvar(relative, axis=1))))
+def pair_scatter(relative: FloatArray) -> float:
+    """Standard deviation of the errors (R,F−1,N,2), in bounds, about each frame's mean, over √2."""
+    return float(np.sqrt(np.nanmean(np.nanvar(relative, axis=2)) / 2.0))
 
 
-def series_scatter(error: FloatArray, sigma: FloatArray) -> float:
-    """Standard deviation over time of the errors (F,N,2) about each subset's mean, over the bound of one frame."""
-    return float(np.sqrt(np.nanmean(np.nanvar(error[1:] / sigma, axis=0, ddof=1))))
+def series_scatter(relative: FloatArray) -> float:
+    """Standard deviation over time of the errors (R,F−1,N,2), in bounds, about each subset's mean."""
+    return float(np.sqrt(np.nanmean(np.nanvar(relative, axis=1, ddof=1))))
 
 
 def frame_bias(error: FloatArray) -> float:
-    """Largest mean error of a frame in px."""
-    return float(np.max(np.abs(np.nanmean(error[1:], axis=1))))
+    """Largest mean error in px of a frame, all recordings averaged."""
+    return float(np.max(np.abs(np.nanmean(error, axis=(0, 2)))))
 
 
-def pixel_bias(error: FloatArray, positions: FloatArray) -> float:
+def pixel_bias(result: Result) -> float:
     """Largest mean error in px of the positions that lie in one tenth of a pixel."""
-    return max(abs(mean) for axis in range(2) for mean in _means_in_pixel(error[1:, :, axis], positions[1:, :, axis]))
-
-
-def _means_in_pixel(error: FloatArray, position: FloatArray) -> Iterator[float]:
-    """Yield the mean error within each tenth of a pixel."""
-    known = np.isfinite(error)
-    tenth = np.floor(10.0 * np.mod(position[known], 1.0)).astype(np.int64)
-    for part in range(10):
-        yield float(np.mean(error[known][tenth == part]))
+    tenth = np.floor(10.0 * np.mod(result.positions, 1.0))
+    means = [
+        np.mean(result.error[..., axis][tenth[..., axis] == part])
+        for axis in range(2)
+        for part in range(10)
+        if np.any(tenth[..., axis] == part)
+    ]
+    return float(np.max(np.abs(means)))
 
 
 def print_head(*cells: str) -> None:
