@@ -3,8 +3,8 @@
 Usage: python benchmarks/tracking.py [--programs NAME ...] [--peer-python PATH] [--threads 1]
        [--recordings 3]
 
-Renders 21 frames of 1024 x 1024 px exactly (no interpolation; see speckle_plane.py), with dots 4.5 px wide at
-half height: a sine of 3 px along x and 2 px along y with 2 mrad of rotation, noise of 1 grey level of 255, stored in 8 and
+Renders 21 frames of 1024 x 1024 px exactly (no interpolation; see speckle_plane.py), with dots 4.5 px wide at half
+height: a sine of 3 px along x and 2 px along y with 2 mrad of rotation, noise of 1 grey level of 255, stored in 8 and
 in 12 bit. 8649 subsets of 31 x 31 px, 10 px apart, are tracked by every program that is installed; peers may have an
 environment of their own (`pip install pyvale pyidi al-dic`), named by --peer-python. Prints the tables of
 docs/performance.md; with all programs a quarter of an hour.
