@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
@@ -18,6 +19,9 @@ from photogram.rigid import (
     vector_from_rotation,
 )
 from photogram.triangulate import Points
+
+if TYPE_CHECKING:
+    from scipy.sparse import sparray
 
 _START_ROUNDS = 8  # rounds of the robust start
 _CHOICE_ROUNDS = 8  # rounds in which points may be rejected and come back
@@ -54,7 +58,9 @@ class RigidMotion:
         check_shape("origin_m", self.origin_m, (3,))
 
 
-def fit_motion(points: Points, reference_m: FloatArray | None, origin_m: FloatArray) -> RigidMotion:
+def fit_motion(
+    points: Points, reference_m: FloatArray | None, origin_m: FloatArray, correlation: sparray | None = None
+) -> RigidMotion:
     """Return the rigid motion of every frame's points against reference (N, 3), by default the points of frame 0.
 
     Minimises Σ dᵢ², dᵢ² = eᵢᵀ·Cᵢ⁻¹·eᵢ, eᵢ = x'ᵢ − R·(xᵢ − o) − o − t, with the points' own covariances Cᵢ by
@@ -69,6 +75,10 @@ def fit_motion(points: Points, reference_m: FloatArray | None, origin_m: FloatAr
     enlarged or reduced by the residuals. The noise of the reference is left out: it moves all frames of a series
     alike. Frame 0, whose pose against itself is exactly zero, gets a covariance of the same kind. A frame with fewer
     than three usable points, or with all on one line, is NaN.
+
+    Points of overlapping subsets have noise in common: with their `correlation` ρ (N, N) (`overlap_correlation`) and
+    C = L·Lᵀ the covariance of two points is ρ·Lₙ·Lₘᵀ, and that of the pose N⁻¹·(Σₙₘ ρₙₘ·Bₙᵀ·Bₘ)·N⁻¹ with B = L⁻¹·J and
+    N = Σ Bᵀ·B. Without it the points count as independent.
     """
     origin = np.asarray(origin_m, dtype=np.float64)
     check_shape("origin_m", origin, (3,))
@@ -79,7 +89,9 @@ def fit_motion(points: Points, reference_m: FloatArray | None, origin_m: FloatAr
     source, target = reference - origin, points.position_m - origin
     precision = _precisions(np.ascontiguousarray(points.covariance_m2, dtype=np.float64))
     known = np.isfinite(precision).all(axis=(2, 3)) & np.isfinite(target).all(axis=2)
-    return _fit(source, target, precision, known & np.isfinite(source).all(axis=1), origin)
+    if correlation is not None and correlation.shape != (len(reference), len(reference)):
+        raise ValueError(f"correlation: expected a matrix of {len(reference)} points, found {correlation.shape}")
+    return _fit(source, target, precision, known & np.isfinite(source).all(axis=1), origin, correlation)
 
 
 def relative_to(motion: RigidMotion, mean_pose: FloatArray) -> RigidMotion:
@@ -141,7 +153,12 @@ def _pooled(error: FloatArray, residual: FloatArray) -> FloatArray:
 
 
 def _fit(
-    source: FloatArray, target: FloatArray, precision: FloatArray, usable: BoolArray, origin: FloatArray
+    source: FloatArray,
+    target: FloatArray,
+    precision: FloatArray,
+    usable: BoolArray,
+    origin: FloatArray,
+    correlation: sparray | None,
 ) -> RigidMotion:
     """Fit the frames that can be fitted and leave the others NaN."""
     source, target = np.where(np.isfinite(source), source, 0.0), np.where(usable[..., None], target, 0.0)
@@ -166,20 +183,36 @@ def _fit(
     used &= fixed[:, None]
     squares = np.where(used, (error**2).sum(axis=2), 0.0).sum(axis=1)
     pose = np.concatenate([translation, vector_from_rotation(rotation)], axis=1)
+    step_covariance = np.linalg.inv(normal)
+    if correlation is not None:
+        step_covariance = step_covariance @ _correlated_normal(arm, precision, used, correlation) @ step_covariance
     return RigidMotion(
         pose=np.where(fixed[:, None], pose, np.nan),
-        covariance=np.where(fixed[:, None, None], _pose_covariance(normal, pose), np.nan),
+        covariance=np.where(fixed[:, None, None], _pose_covariance(step_covariance, pose), np.nan),
         residual_m=np.where(fixed, np.sqrt(squares / (3 * np.maximum(used.sum(axis=1), 1))), np.nan),
         points=used.sum(axis=1).astype(np.int64),
         origin_m=origin,
     )
 
 
-def _pose_covariance(normal: FloatArray, pose: FloatArray) -> FloatArray:
+def _pose_covariance(step_covariance: FloatArray, pose: FloatArray) -> FloatArray:
     """Return the covariance (F, 6, 6) of shift and rotation vector from that of shift and small left rotation."""
-    rate = np.broadcast_to(np.eye(6), normal.shape).copy()
+    rate = np.broadcast_to(np.eye(6), step_covariance.shape).copy()
     rate[:, 3:, 3:] = rotation_vector_rate(pose[:, 3:])
-    return np.asarray(rate @ np.linalg.inv(normal) @ np.swapaxes(rate, 1, 2))
+    return np.asarray(rate @ step_covariance @ np.swapaxes(rate, 1, 2))
+
+
+def _correlated_normal(arm: FloatArray, precision: FloatArray, used: BoolArray, correlation: sparray) -> FloatArray:
+    """Return Σₙₘ ρₙₘ·Bₙᵀ·Bₘ (F, 6, 6) over the points used, B = Gᵀ·[I, −[a]×] with precisions G·Gᵀ."""
+    count = used.shape[1]
+    total = np.empty((len(used), 6, 6))
+    for f, here in enumerate(used):
+        whitened = np.zeros((count, 3, 6))
+        root = np.swapaxes(np.linalg.cholesky(precision[f, here]), 1, 2)
+        whitened[here] = np.concatenate([root, -root @ skew(arm[f, here])], axis=2)
+        shared = np.asarray(correlation @ whitened.reshape(count, 18)).reshape(count, 3, 6)
+        total[f] = np.einsum("nki,nkj->ij", whitened, shared)
+    return total
 
 
 def _robust_start(
