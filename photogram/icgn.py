@@ -9,12 +9,12 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from photogram._checks import FloatArray, IntArray, check_shape
-from photogram.interpolate import PADDING_PX, Spline, noise_gain, weights_cubic, weights_quintic
+from photogram.interpolate import PADDING_PX, Spline, noise_gain
 from photogram.reference import Reference, TrackStatus, subset_offsets
+from photogram.sampling import ALLOWED, sample_line_cubic, sample_line_quintic
 
 FREE_PARAMETERS = 8
 SMALL_STEP = 0.1
-ALLOWED = {"contract", "reassoc", "nsz", "arcp"}
 
 
 @dataclass(frozen=True)
@@ -180,9 +180,9 @@ def _correlate(subset, target, warp, sums):  # type: ignore[no-untyped-def]
         x = centre_x + warp[0] + warp[2] * dy - (1.0 + warp[1]) * radius
         y = centre_y + warp[3] + (1.0 + warp[5]) * dy - warp[4] * radius
         if degree == 5:
-            _sample_quintic(coefficients, x, y, 1.0 + warp[1], warp[4], grey)
+            sample_line_quintic(coefficients, x, y, 1.0 + warp[1], warp[4], grey)
         else:
-            _sample_cubic(coefficients, x, y, 1.0 + warp[1], warp[4], grey)
+            sample_line_cubic(coefficients, x, y, 1.0 + warp[1], warp[4], grey)
         first = row * width
         total, square, product = 0.0, 0.0, 0.0
         along, along_dx, down, down_dx = 0.0, 0.0, 0.0, 0.0
@@ -206,52 +206,6 @@ def _correlate(subset, target, warp, sums):  # type: ignore[no-untyped-def]
         sums[6] += down
         sums[7] += down_dx
         sums[8] += down * dy
-
-
-@njit(cache=True, fastmath=ALLOWED)
-def _sample_quintic(c, x, y, step_x, step_y, grey):  # type: ignore[no-untyped-def]
-    """Quintic spline values along a straight line of points."""
-    for i in range(grey.size):
-        column, row = int(x), int(y)
-        a0, a1, a2, a3, a4, a5 = weights_quintic(x - column)
-        b = weights_quintic(y - row)
-        column += PADDING_PX - 2
-        row += PADDING_PX - 2
-        value = 0.0
-        for k in range(6):
-            value += b[k] * (
-                a0 * c[row + k, column]
-                + a1 * c[row + k, column + 1]
-                + a2 * c[row + k, column + 2]
-                + a3 * c[row + k, column + 3]
-                + a4 * c[row + k, column + 4]
-                + a5 * c[row + k, column + 5]
-            )
-        grey[i] = value
-        x += step_x
-        y += step_y
-
-
-@njit(cache=True, fastmath=ALLOWED)
-def _sample_cubic(c, x, y, step_x, step_y, grey):  # type: ignore[no-untyped-def]
-    """Cubic spline values along a straight line of points."""
-    for i in range(grey.size):
-        column, row = int(x), int(y)
-        a0, a1, a2, a3 = weights_cubic(x - column)
-        b = weights_cubic(y - row)
-        column += PADDING_PX - 1
-        row += PADDING_PX - 1
-        value = 0.0
-        for k in range(4):
-            value += b[k] * (
-                a0 * c[row + k, column]
-                + a1 * c[row + k, column + 1]
-                + a2 * c[row + k, column + 2]
-                + a3 * c[row + k, column + 3]
-            )
-        grey[i] = value
-        x += step_x
-        y += step_y
 
 
 @njit(cache=True)

@@ -13,7 +13,7 @@ WRITTEN_ORDER = {
     "photogram": """
         _checks notice _inverse _pinhole rigid camera calibration_file triangulate mraw images point_tables
         interpolate sampling noise subset search reference quality icgn follow predict
-        device icgn_torch track overlap motion deformation synthetic
+        device icgn_torch track overlap motion deformation surface cells direct measure synthetic
     """,
     "shaker.signals": "recording files edges trigger sync phasor folding spectrum sine refine frequencies",
     "fusion": """

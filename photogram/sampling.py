@@ -1,0 +1,212 @@
+"""Spline values along straight lines of points, eight points at a time: the inner loop of every registration.
+
+Neighbouring points of a line read neighbouring coefficients as long as the line does not pass into another row or drift
+by a column. Such runs are computed with vectors of eight points. Compilers do not find this by themselves (they cannot
+know that the grey values written are no coefficients), so the few vector operations are written out here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from llvmlite import ir
+from numba import njit, types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from photogram.interpolate import PADDING_PX, weights_cubic, weights_quintic
+
+ALLOWED = {"contract", "reassoc", "nsz", "arcp"}
+LANES = 8
+SMALLEST_DRIFT = 1e-30
+_REAL = ir.DoubleType()
+_REALS = ir.VectorType(_REAL, LANES)
+_INDEX = ir.IntType(64)
+_INDICES = ir.VectorType(_INDEX, LANES)
+_MASK = ir.VectorType(ir.IntType(1), LANES)
+
+
+@njit(cache=True, fastmath=ALLOWED)
+def sample_line_quintic(c, x, y, step_x, step_y, grey):  # type: ignore[no-untyped-def]
+    """Fill grey (n,) with quintic spline values at (x, y) + i·(step_x, step_y), all of them within the image.
+
+    c (H+6,W+6): `Spline.coefficients`. Runs in which int(x)−i and int(y) stay the same are computed eight points at a
+    time; the polynomials of two runs agree where they meet, so that it does not matter to which run a point is given.
+    """
+    start = 0
+    while start < grey.size:
+        at_x, at_y = x + start * step_x, y + start * step_y
+        column, row = int(at_x), int(at_y)
+        s, t = at_x - column, at_y - row
+        stop = _end_of_run(start, grey.size, s, t, step_x - 1.0, step_y)
+        _run_quintic(c, row + PADDING_PX - 2, column + PADDING_PX - 2, s, t, step_x - 1.0, step_y, grey, start, stop)
+        start = stop
+
+
+@njit(cache=True, fastmath=ALLOWED)
+def sample_line_cubic(c, x, y, step_x, step_y, grey):  # type: ignore[no-untyped-def]
+    """Fill grey (n,) with cubic spline values at (x, y) + i·(step_x, step_y), as `sample_line_quintic` does."""
+    start = 0
+    while start < grey.size:
+        at_x, at_y = x + start * step_x, y + start * step_y
+        column, row = int(at_x), int(at_y)
+        s, t = at_x - column, at_y - row
+        stop = _end_of_run(start, grey.size, s, t, step_x - 1.0, step_y)
+        _run_cubic(c, row + PADDING_PX - 1, column + PADDING_PX - 1, s, t, step_x - 1.0, step_y, grey, start, stop)
+        start = stop
+
+
+@njit(cache=True, inline="always")
+def _end_of_run(start, count, s, t, drift_x, drift_y):  # type: ignore[no-untyped-def]
+    """First point after `start` at which s + i·drift_x or t + i·drift_y has left [0, 1)."""
+    steps = float(count - start)
+    if drift_x > SMALLEST_DRIFT:
+        steps = min(steps, (1.0 - s) / drift_x)
+    elif drift_x < -SMALLEST_DRIFT:
+        steps = min(steps, -s / drift_x)
+    if drift_y > SMALLEST_DRIFT:
+        steps = min(steps, (1.0 - t) / drift_y)
+    elif drift_y < -SMALLEST_DRIFT:
+        steps = min(steps, -t / drift_y)
+    return min(count, start + 1 + int(steps))
+
+
+@dataclass(frozen=True)
+class _Lanes:
+    """Eight doubles in the code that is being generated, with the arithmetic that the spline weights are written in."""
+
+    builder: Any
+    value: Any
+
+    def _apply(self, operation: str, first: Any, second: Any) -> _Lanes:
+        """One operation on two vectors; a number stands for eight of it."""
+        values = [
+            one.value if isinstance(one, _Lanes) else ir.Constant(_REALS, [one] * LANES) for one in (first, second)
+        ]
+        return _Lanes(self.builder, getattr(self.builder, operation)(*values, flags=tuple(ALLOWED)))
+
+    def __add__(self, other: Any) -> _Lanes:
+        return self._apply("fadd", self, other)
+
+    def __radd__(self, other: Any) -> _Lanes:
+        return self._apply("fadd", other, self)
+
+    def __sub__(self, other: Any) -> _Lanes:
+        return self._apply("fsub", self, other)
+
+    def __rsub__(self, other: Any) -> _Lanes:
+        return self._apply("fsub", other, self)
+
+    def __mul__(self, other: Any) -> _Lanes:
+        return self._apply("fmul", self, other)
+
+    def __rmul__(self, other: Any) -> _Lanes:
+        return self._apply("fmul", other, self)
+
+    def __truediv__(self, other: float) -> _Lanes:
+        return self._apply("fmul", self, 1.0 / other)
+
+    def __neg__(self) -> _Lanes:
+        return self._apply("fsub", 0.0, self)
+
+
+def _spread(builder: Any, scalar: Any, kind: Any) -> Any:
+    """A vector that holds the scalar eight times."""
+    single = builder.insert_element(ir.Constant(kind, ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0))
+    return builder.shuffle_vector(single, single, ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES))
+
+
+def _fill_block(builder: Any, weights: Callable[..., Any], image: Any, offsets: Any, grey: Any, number: Any) -> None:
+    """Code for eight points: grey[0:number] = Σ_k b_k(t) Σ_j a_j(s) c[k, j + i]; all eight where number is None.
+
+    image: pointer to the first coefficient and the row's length. offsets: s and t of the points.
+    """
+    (first, width), (a, b) = image, (weights(offset) for offset in offsets)
+    vector, mask = _REALS.as_pointer(), None
+    if number is not None:
+        lanes = ir.Constant(_INDICES, list(range(LANES)))
+        mask = builder.icmp_signed("<", lanes, _spread(builder, number, _INDICES))
+    total = _Lanes(builder, ir.Constant(_REALS, [0.0] * LANES))
+    for k, down in enumerate(b):
+        line = _Lanes(builder, ir.Constant(_REALS, [0.0] * LANES))
+        for j, along in enumerate(a):
+            place = builder.add(builder.mul(ir.Constant(_INDEX, k), width), ir.Constant(_INDEX, j))
+            pointer = builder.bitcast(builder.gep(first, [place]), vector)
+            line = line + along * _Lanes(builder, _load(builder, pointer, mask))
+        total = total + down * line
+    _store(builder, total.value, builder.bitcast(grey, vector), mask)
+
+
+def _load(builder: Any, pointer: Any, mask: Any) -> Any:
+    """Eight doubles in a row, those outside the mask zero and their memory untouched."""
+    if mask is None:
+        return builder.load(pointer, align=8)
+    kind = ir.FunctionType(_REALS, [pointer.type, ir.IntType(32), _MASK, _REALS])
+    load = cgutils.get_or_insert_function(builder.module, kind, f"llvm.masked.load.v{LANES}f64.p0")
+    return builder.call(load, [pointer, ir.Constant(ir.IntType(32), 8), mask, ir.Constant(_REALS, [0.0] * LANES)])
+
+
+def _store(builder: Any, value: Any, pointer: Any, mask: Any) -> None:
+    """Write eight doubles in a row, only those of the mask."""
+    if mask is None:
+        builder.store(value, pointer, align=8)
+        return
+    kind = ir.FunctionType(ir.VoidType(), [_REALS, pointer.type, ir.IntType(32), _MASK])
+    store = cgutils.get_or_insert_function(builder.module, kind, f"llvm.masked.store.v{LANES}f64.p0")
+    builder.call(store, [value, pointer, ir.Constant(ir.IntType(32), 8), mask])
+
+
+def _run_code(weights: Callable[..., Any]) -> Callable[..., Any]:
+    """Generator of the code of one run for the B-spline weights of one degree: whole blocks, then a masked one."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Sequence[Any]) -> Any:
+        c, row, column, s, t, drift_x, drift_y, grey, start, stop = arguments
+        table = context.make_array(signature.args[0])(context, builder, c)
+        line = context.make_array(signature.args[7])(context, builder, grey)
+        width = cgutils.unpack_tuple(builder, table.shape)[1]
+        corner = builder.gep(table.data, [builder.add(builder.mul(row, width), column)])
+        count = builder.sub(stop, start)
+        full = builder.and_(count, ir.Constant(_INDEX, -LANES))
+
+        def block(index: Any, number: Any) -> None:
+            image = builder.gep(corner, [index]), width
+            offsets = [_along(builder, index, *pair) for pair in ((s, drift_x), (t, drift_y))]
+            _fill_block(builder, weights, image, offsets, builder.gep(line.data, [builder.add(start, index)]), number)
+
+        zero, step = ir.Constant(_INDEX, 0), ir.Constant(_INDEX, LANES)
+        with cgutils.for_range_slice(builder, zero, full, step, _INDEX) as (index, _):
+            block(index, None)
+        with builder.if_then(builder.icmp_signed("<", full, count)):
+            block(full, builder.sub(count, full))
+        return context.get_dummy_value()
+
+    return generate
+
+
+def _along(builder: Any, index: Any, begin: Any, drift: Any) -> _Lanes:
+    """Offsets begin + (index + lane)·drift of eight points."""
+    lanes = _Lanes(builder, ir.Constant(_REALS, [float(lane) for lane in range(LANES)]))
+    done = lanes + _Lanes(builder, _spread(builder, builder.sitofp(index, _REAL), _REALS))
+    return done * _Lanes(builder, _spread(builder, drift, _REALS)) + _Lanes(builder, _spread(builder, begin, _REALS))
+
+
+def _run_type(c: Any, grey: Any) -> Any:
+    """Types of a run's arguments; the arrays must be contiguous doubles."""
+    if (c.layout, c.dtype, grey.layout, grey.dtype) != ("C", types.float64, "C", types.float64):
+        raise TypeError(f"c, grey: expected contiguous float64 arrays, found {c} and {grey}")
+    whole, real = types.int64, types.float64
+    return types.void(c, whole, whole, real, real, real, real, grey, whole, whole)
+
+
+@intrinsic
+def _run_quintic(typing, c, row, column, s, t, drift_x, drift_y, grey, start, stop):  # type: ignore[no-untyped-def]
+    """Quintic values of the points start … stop of one run, whose coefficients begin at c[row, column]."""
+    return _run_type(c, grey), _run_code(weights_quintic.py_func)
+
+
+@intrinsic
+def _run_cubic(typing, c, row, column, s, t, drift_x, drift_y, grey, start, stop):  # type: ignore[no-untyped-def]
+    """Cubic values of the points start … stop of one run, whose coefficients begin at c[row, column]."""
+    return _run_type(c, grey), _run_code(weights_cubic.py_func)
