@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from math import comb, factorial
+from math import ceil, comb, factorial, log
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from photogram._checks import FloatArray, check_shape
-from photogram.interpolate import PADDING_PX, POLES
+from photogram.interpolate import PADDING_PX, POLES, SMALLEST_TERM
 
 if TYPE_CHECKING:
     from torch import Tensor
 
 PRECISIONS = ("float64", "float32")
+BLOCK = 128
 
 
 @dataclass(frozen=True)
@@ -51,24 +52,20 @@ def prefilter(images: NDArray[np.generic], degree: int, device: str, precision: 
     """Spline coefficients (B,H+6,W+6) of images (B,H,W), mirrored at the outermost pixels, on the device.
 
     C = A_H · image · A_Wᵀ with A the exact inverse of the B-spline sampled at whole pixels, its mirrored borders
-    included: the recursion of `spline_of_image` as two matrix products, which a GPU does faster than a recursion.
+    included: the recursion of `spline_of_image` as matrix products, which suit a GPU better. Blocks of A are multiplied
+    with what reaches them by more than 1e-17.
     """
     import torch
 
     check_shape("images", images, (None, None, None))
-    count, height, width = images.shape
+    _, height, width = images.shape
     if min(height, width) < 2 * PADDING_PX:
         raise ValueError(f"images: expected at least {2 * PADDING_PX} x {2 * PADDING_PX} px, found {images.shape[1:]}")
     if degree not in POLES:
         raise ValueError(f"degree: expected 3 or 5, found {degree}")
-    options = {"device": device, "dtype": torch_type(precision)}
-    down = torch.from_numpy(_inverse_filter(height, degree)).to(**options)
-    along = torch.from_numpy(_inverse_filter(width, degree)).to(**options).T
-    raw = torch.from_numpy(np.ascontiguousarray(images)).to(device)
-    coefficients = torch.empty((count, height + 2 * PADDING_PX, width + 2 * PADDING_PX), **options)
-    for image, place in zip(raw, coefficients, strict=True):
-        torch.matmul(down @ image.to(options["dtype"]), along, out=place)
-    return coefficients
+    raw = torch.from_numpy(np.ascontiguousarray(images)).to(device).to(torch_type(precision))
+    down = _filtered(raw.transpose(1, 2).contiguous(), degree)
+    return _filtered(down.transpose(1, 2).contiguous(), degree)
 
 
 def torch_type(precision: str) -> Any:
@@ -139,6 +136,19 @@ def _weights(fraction: Tensor, polynomials: Tensor) -> Tensor:
     return torch.matmul(powers.permute(1, 2, 0), polynomials)
 
 
+def _filtered(lines: Tensor, degree: int) -> Tensor:
+    """Coefficients (...,n+6) of lines of n pixels (...,n), mirrored by three at both ends."""
+    import torch
+
+    inverse = torch.from_numpy(_inverse_filter(lines.shape[-1], degree)).to(lines)
+    reach = 2 * PADDING_PX + ceil(log(SMALLEST_TERM) / log(max(map(abs, POLES[degree]))))
+    coefficients = lines.new_empty((*lines.shape[:-1], len(inverse)))
+    for first in range(0, len(inverse), BLOCK):
+        block, near = slice(first, first + BLOCK), slice(max(0, first - reach), first + BLOCK + reach)
+        coefficients[..., block] = torch.matmul(lines[..., near], inverse[block, near].T)
+    return coefficients
+
+
 @lru_cache(maxsize=4)
 def _inverse_filter(size: int, degree: int) -> FloatArray:
     """Matrix (size+6,size) from the pixels of a line to its spline coefficients, mirrored by three at both ends."""
@@ -149,4 +159,6 @@ def _inverse_filter(size: int, degree: int) -> FloatArray:
     for offset, value in zip(range(-reach, reach + 1), values, strict=True):
         neighbour = np.abs(pixel + offset)
         np.add.at(sampled, (pixel, np.minimum(neighbour, 2 * (size - 1) - neighbour)), value)
-    return np.pad(np.linalg.inv(sampled), ((PADDING_PX, PADDING_PX), (0, 0)), mode="reflect")
+    inverse = np.linalg.inv(sampled)
+    inverse[np.abs(inverse) < SMALLEST_TERM] = 0.0
+    return np.pad(inverse, ((PADDING_PX, PADDING_PX), (0, 0)), mode="reflect")
