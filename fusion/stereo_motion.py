@@ -18,10 +18,11 @@ from fusion.timing import TimeBase, exposure_middles
 from photogram.calibration_file import read_calibration
 from photogram.camera import StereoRig
 from photogram.images import GreyImage, ImageSequence, open_sequence, saturated_fraction
+from photogram.measure import BodyMotion, measure_body
 from photogram.motion import RigidMotion, fit_motion, points_with_estimated_noise, relative_to
 from photogram.point_tables import read_point_tables
 from photogram.rigid import RigidTransform
-from photogram.track import StereoTracks, TrackSettings, TrackStatus, track_stereo
+from photogram.track import StereoTracks, TrackSettings, TrackStatus
 from photogram.triangulate import Points, triangulate
 from shaker.signals.frequencies import Lines, find_lines
 from shaker.signals.phasor import Phasors
@@ -34,6 +35,7 @@ COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 DISPLACEMENT_UNITS = ("m", "m", "m", "rad", "rad", "rad")
 MAX_SATURATED = 0.02  # fraction of pixels at full scale above which a camera is refused
 MIN_SUBSETS = 6
+NO_MOTION = "no frame has enough points for a rigid motion"
 
 
 @dataclass(frozen=True)
@@ -112,18 +114,12 @@ def measure_images(
     manifest: Manifest, images: OpenImages, settings: Settings, progress: ProgressCallback
 ) -> StereoMotion:
     """Track the image pairs of one stereo pair and fit the rigid motion of the body it sees."""
-    tracks = _track(manifest, images, settings, progress)
-    points = triangulate(
-        images.rig,
-        tracks.left.position_px,
-        tracks.right.position_px,
-        tracks.left.covariance_px2,
-        tracks.right.covariance_px2,
-    ).transformed(sensor_from_camera(images.stereo))
-    motion = _fit(images.entry.stereo, points, None)
-    reprojection = float(np.sqrt(np.nanmean(points.reprojection_px**2)))
-    view = ImageView(tracks, images.rig, images.first)
-    return StereoMotion(images.entry, images.stereo, images.time_s, motion, reprojection, view, tracks.notices)
+    body = _measure(manifest, images, settings, progress)
+    if not np.isfinite(body.motion.pose).all(axis=1).any():
+        raise ComputeError(f"stereo pair {images.entry.stereo}: {NO_MOTION}; look at its images")
+    reprojection = float(np.sqrt(np.nanmean(body.points.reprojection_px**2)))
+    view = ImageView(body.tracks, images.rig, images.first)
+    return StereoMotion(images.entry, images.stereo, images.time_s, body.motion, reprojection, view, body.notices)
 
 
 def measure_points(manifest: Manifest, base: TimeBase, entry: PointFiles) -> StereoMotion:
@@ -196,13 +192,17 @@ def _calibration(stereo: Stereo, left: ImageSequence, right: ImageSequence) -> S
     return rig
 
 
-def _track(manifest: Manifest, images: OpenImages, settings: Settings, progress: ProgressCallback) -> StereoTracks:
-    """Follow the subsets through both cameras' images."""
+def _measure(manifest: Manifest, images: OpenImages, settings: Settings, progress: ProgressCallback) -> BodyMotion:
+    """Follow the body through both cameras' images."""
     name, total = images.entry.stereo, 2 * len(images.left)
     options = TrackSettings(radius_px=settings.subset_radius_px, degree=settings.spline_degree)
     try:
-        return track_stereo(
-            images.left, images.right, images.rig, options, lambda done: progress(f"track {name}", done, total)
+        return measure_body(
+            (images.left, images.right),
+            images.rig,
+            sensor_from_camera(images.stereo),
+            options,
+            lambda done: progress(f"track {name}", done, total),
         )
     except (OSError, ValueError) as error:
         raise InputError.told_by(error, manifest.path, f"images.{name}") from error
@@ -215,7 +215,7 @@ def _fit(name: str, points: Points, reference_m: FloatArray | None) -> RigidMoti
     except ValueError as error:
         raise ComputeError(f"stereo pair {name}: no rigid motion can be fitted ({error})") from error
     if not np.isfinite(motion.pose).all(axis=1).any():
-        raise ComputeError(f"stereo pair {name}: no frame has enough points for a rigid motion; look at its images")
+        raise ComputeError(f"stereo pair {name}: {NO_MOTION}; look at its points")
     return motion
 
 

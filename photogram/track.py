@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,25 +20,30 @@ from photogram.follow import (
     find_from_neighbours,
     follow,
     identity,
-    saturated,
     tracks_of,
     without_saturated,
 )
+from photogram.icgn import Registration
 from photogram.images import GreyImage, ImageSequence
-from photogram.interpolate import spline_of_image
+from photogram.interpolate import Spline, spline_of_image
 from photogram.notice import Notice
 from photogram.predict import predict_warp
-from photogram.reference import TrackStatus, prepare_reference
+from photogram.reference import Reference, TrackStatus, prepare_reference
 from photogram.rigid import skew
 from photogram.search import affine_starts, agreeing, epipolar_distance, match_features
-from photogram.subset import fine_texture_share, lay_grid, speckle_size, subsets_inside, textured_area
+from photogram.subset import fine_texture_share, lay_grid, saturated, speckle_size, subsets_inside, textured_area
 
 __all__ = [
+    "StereoGrid",
     "StereoTracks",
     "TrackSettings",
     "TrackStatus",
     "Tracks",
+    "follow_sequence",
+    "lay_stereo_grid",
     "match_stereo",
+    "prepare_sequence",
+    "stereo_tracks",
     "track_sequence",
     "track_stereo",
 ]
@@ -73,6 +78,20 @@ class StereoTracks:
         check_shape("noise_grey", self.noise_grey, (2,))
 
 
+@dataclass(frozen=True)
+class StereoGrid:
+    """Subsets of one body in the first images: left_px (N,2), right_px (N,2), the textured areas (H,W), and remarks."""
+
+    left_px: FloatArray
+    right_px: FloatArray
+    areas: tuple[BoolArray, BoolArray]
+    notices: tuple[Notice, ...]
+
+    def __post_init__(self) -> None:
+        check_shape("left_px", self.left_px, (None, 2))
+        check_shape("right_px", self.right_px, self.left_px.shape)
+
+
 def match_stereo(
     left_image: Image,
     right_image: Image,
@@ -104,47 +123,67 @@ def match_stereo(
     return tracks_of([found], reference, settings.degree)
 
 
-def track_sequence(
-    sequence: ImageSequence, points_px: FloatArray, settings: TrackSettings, progress: Progress | None = None
-) -> Tracks:
-    """Positions in every frame of the subsets centred at points_px (N,2) in frame 0, which stays the reference.
+def prepare_sequence(sequence: ImageSequence, points_px: FloatArray, settings: TrackSettings) -> Reference:
+    """The subsets centred at points_px (N,2) in frame 0, which stays the reference of the whole sequence.
 
-    Centres may lie between pixels; a NaN centre is carried along as `NO_START`. Frames are read one at a time.
-    `progress` is called with the number of finished frames.
+    Centres may lie between pixels; a NaN centre is carried along as `NO_START`.
     """
     check_shape("points_px", points_px, (None, 2))
     first = sequence.read(0)
     reference = prepare_reference(spline_of_image(first, settings.degree), points_px, settings.radius_px)
-    reference = without_saturated(reference, first, sequence.full_scale)
-    found = [identity(reference)]
-    _report(progress, 1)
+    return without_saturated(reference, first, sequence.full_scale)
+
+
+def follow_sequence(
+    sequence: ImageSequence, reference: Reference, settings: TrackSettings
+) -> Iterator[tuple[Spline, Registration]]:
+    """Every frame in turn, as a spline, with where the subsets of `reference` (`prepare_sequence`) are in it.
+
+    One frame at a time is read and held. A frame starts from where the last ones foretell the subsets.
+    """
+    first = sequence.read(0)
+    history = [identity(reference)]
+    yield spline_of_image(first, settings.degree), history[0]
     for frame in range(1, len(sequence)):
         image = sequence.read(frame)
         target = spline_of_image(image, settings.degree)
-        start = predict_warp([past.warp for past in found[-HISTORY:]])
+        start = predict_warp([past.warp for past in history])
         here = follow(reference, first, (image, target), start, settings)
-        full = saturated(image, sequence.full_scale, points_px + here.warp[:, [0, 3]], settings.radius_px)
-        found.append(dropped(here, full, TrackStatus.SATURATED))
-        _report(progress, frame + 1)
+        centres = reference.centre_px + here.warp[:, [0, 3]]
+        full = saturated(image, sequence.full_scale, centres, settings.radius_px)
+        history = [*history[1 - HISTORY :], dropped(here, full, TrackStatus.SATURATED)]
+        yield target, history[-1]
+
+
+def track_sequence(
+    sequence: ImageSequence, points_px: FloatArray, settings: TrackSettings, progress: Progress | None = None
+) -> Tracks:
+    """Positions in every frame of the subsets centred at points_px (N,2) in frame 0.
+
+    `progress` is called with the number of finished frames.
+    """
+    reference = prepare_sequence(sequence, points_px, settings)
+    found = []
+    for _, here in follow_sequence(sequence, reference, settings):
+        found.append(here)
+        if progress is not None:
+            progress(len(found))
     return tracks_of(found, reference, settings.degree)
 
 
-def track_stereo(
-    left: ImageSequence,
-    right: ImageSequence,
-    rig: StereoRig | None,
-    settings: TrackSettings,
-    progress: Progress | None = None,
-) -> StereoTracks:
-    """Lay a grid over the textured body in the first left image, match it to the right image, follow both through time.
+def lay_stereo_grid(
+    left: ImageSequence, right: ImageSequence, rig: StereoRig | None, settings: TrackSettings
+) -> StereoGrid:
+    """Lay a grid over the textured body in the first left image and match it to the first right image.
 
-    Only subsets that were found in the first right image are kept. With `rig`, matches off the epipolar lines are
-    dropped. `progress` is called with the number of finished frames, first of the left, then of the right camera: 1…2F.
+    Only subsets that were found there, that are not saturated and, with `rig`, that lie on their epipolar lines are
+    kept. Raises `ValueError` when the cameras have unlike numbers of frames or fewer than three subsets are left.
     """
     if len(left) != len(right):
         raise ValueError(f"right: expected {len(left)} frames as in left, found {len(right)}")
     images = left.read(0), right.read(0)
-    areas = tuple(textured_area(image) & _away_from_border(image.shape) for image in images)
+    areas = textured_area(images[0]), textured_area(images[1])
+    areas = areas[0] & _away_from_border(images[0].shape), areas[1] & _away_from_border(images[1].shape)
     points = lay_grid(areas[0], settings.radius_px, settings.grid_step_px)
     if len(points) < 3:
         raise ValueError(f"left: expected a speckled body, found room for {len(points)} subsets in {left.names[0]}")
@@ -161,15 +200,34 @@ def track_stereo(
             f"right: expected the body of {left.names[0]}, found {kept.sum()} of its {len(points)} subsets "
             f"in {right.names[0]}"
         )
-    left_tracks = track_sequence(left, points[kept], settings, progress)
+    return StereoGrid(points[kept], right_px[kept], areas, tuple(notices))
+
+
+def stereo_tracks(images: tuple[GreyImage, GreyImage], grid: StereoGrid, left: Tracks, right: Tracks) -> StereoTracks:
+    """The tracks of both cameras with what their first images are like, and remarks on both."""
+    speckle = np.array([speckle_size(image, area) for image, area in zip(images, grid.areas, strict=True)])
+    noise = np.array([_middle(track.noise_grey) for track in (left, right)])
+    notices = [*grid.notices, *_image_notices(images, grid.areas, speckle, noise)]
+    notices += [notice for side, track in (("left", left), ("right", right)) for notice in _lost(track, side)]
+    return StereoTracks(left, right, tuple(notices), speckle, noise)
+
+
+def track_stereo(
+    left: ImageSequence,
+    right: ImageSequence,
+    rig: StereoRig | None,
+    settings: TrackSettings,
+    progress: Progress | None = None,
+) -> StereoTracks:
+    """Follow the subsets of `lay_stereo_grid` through both cameras' images.
+
+    `progress` is called with the number of finished frames, first of the left, then of the right camera: 1…2F.
+    """
+    grid = lay_stereo_grid(left, right, rig, settings)
+    left_tracks = track_sequence(left, grid.left_px, settings, progress)
     after = None if progress is None else lambda done: progress(len(left) + done)
-    right_tracks = track_sequence(right, right_px[kept], settings, after)
-    tracks = (left_tracks, right_tracks)
-    speckle = np.array([speckle_size(image, area) for image, area in zip(images, areas, strict=True)])
-    noise = np.array([_middle(track.noise_grey) for track in tracks])
-    notices += _image_notices(images, areas, speckle, noise)
-    notices += [notice for side, track in zip(("left", "right"), tracks, strict=True) for notice in _lost(track, side)]
-    return StereoTracks(left_tracks, right_tracks, tuple(notices), speckle, noise)
+    right_tracks = track_sequence(right, grid.right_px, settings, after)
+    return stereo_tracks((left.read(0), right.read(0)), grid, left_tracks, right_tracks)
 
 
 def _away_from_border(shape: tuple[int, ...]) -> BoolArray:
@@ -239,9 +297,3 @@ def _middle(values: FloatArray) -> float:
     """Median of the finite values."""
     finite = values[np.isfinite(values)]
     return float(np.median(finite)) if len(finite) else float("nan")
-
-
-def _report(progress: Progress | None, done: int) -> None:
-    """Tell the caller how many frames are done."""
-    if progress is not None:
-        progress(done)

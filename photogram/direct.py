@@ -1,0 +1,190 @@
+"""The six components of a body's motion fitted to the grey values of all its pixels in all cameras at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from photogram._checks import BoolArray, FloatArray, check_shape
+from photogram.cells import Cells, CellSums, compare_cells, lay_cells, pixel_residuals, prepare_cells
+from photogram.interpolate import Spline
+from photogram.noise import NoiseModel, fit_noise_model
+from photogram.rigid import RigidTransform, rotation_vector_rate
+from photogram.surface import Patches, PlacedCamera, body_patches, patch_rates, patch_warps
+
+REACH_CELLS = 2.0  # how far from the nearest known point a cell's surface may lie
+EVALUATIONS = 12
+LAST_STEP = 0.3  # standard uncertainties; what remains after such a step is about a hundredth of it
+MISFIT = 3.0  # times the median misfit per pixel, beyond which a cell shows something else than the body
+REJECTED = 25.0  # squared standard deviations by which a cell may move unlike the body
+MEDIAN_CHI2 = 1.3862943611198906  # median of χ² with two degrees of freedom
+FEWEST_CELLS = 4
+SMALLEST_EXCESS = 1e-2
+
+
+@dataclass(frozen=True, eq=False)
+class BodyView:
+    """A body at rest as one camera sees it: cells of its image, their surface, and how both answer to a motion.
+
+    rates (C, 6, 6): change of the affine warps by the six components; information (C, 6, 6): of each cell about them,
+    per unit of gain², and information_noise (C, 6, 6) the part of it that is noise; translation (C, 2, 2): inverse
+    Hessian of the cell's own shift.
+    """
+
+    camera: PlacedCamera
+    cells: Cells
+    patches: Patches
+    rates: FloatArray
+    information: FloatArray
+    information_noise: FloatArray
+    translation: FloatArray
+
+    def __post_init__(self) -> None:
+        count = len(self.cells.centre_px)
+        for name in ("rates", "information", "information_noise"):
+            check_shape(name, getattr(self, name), (count, 6, 6))
+        check_shape("translation", self.translation, (count, 2, 2))
+
+
+@dataclass(frozen=True, eq=False)
+class DirectFit:
+    """One frame: moved = body's motion from rest, covariance (6, 6) of x y z (m) and the rotation vector (rad).
+
+    noise: variance of the grey values over the one that the noise models state; cells: used of all that are seen.
+    """
+
+    moved: RigidTransform
+    covariance: FloatArray
+    noise: float
+    cells: int
+
+
+def view_body(
+    camera: PlacedCamera,
+    image: tuple[Spline, BoolArray, float],
+    known_m: FloatArray,
+    side_px: int,
+    noise: NoiseModel,
+) -> BodyView:
+    """Return the body at rest in one camera: `image` = its spline, its textured area (H, W), and full scale.
+
+    known_m (N, 3): points of its surface in the body's frame, from which that of all cells is interpolated.
+    """
+    spline, area, full_scale = image
+    cells = prepare_cells(spline, lay_cells(area, side_px), side_px, noise, full_scale)
+    patches = body_patches(camera, known_m, cells.centre_px, side_px / 4, REACH_CELLS * side_px)
+    rates = patch_rates(camera, patches)
+    known = np.isfinite(rates).all(axis=(1, 2)) & np.isfinite(cells.energy)
+    rates = np.where(known[:, None, None], rates, 0.0)
+    turned = np.swapaxes(rates, 1, 2)
+    shift = cells.hessian[:, [[0, 0], [3, 3]], [[0, 3], [0, 3]]]
+    solvable = known & (np.linalg.det(shift) > 0.0)
+    shift = np.where(solvable[:, None, None], shift, np.eye(2))
+    return BodyView(
+        camera, cells, patches, rates, turned @ cells.hessian @ rates, turned @ cells.hessian_noise @ rates,
+        np.where(solvable[:, None, None], np.linalg.inv(shift), np.nan),
+    )  # fmt: skip
+
+
+def image_noise(view: BodyView, target: Spline, moved: RigidTransform) -> NoiseModel:
+    """Return the noise model that explains what is left over in one frame, the body having moved by `moved`."""
+    grey, squares = pixel_residuals(view.cells, target, patch_warps(view.camera, view.patches, moved))
+    known = np.isfinite(squares)
+    return fit_noise_model(grey[known], squares[known])
+
+
+def fit_direct(views: Sequence[BodyView], targets: Sequence[Spline], start: RigidTransform) -> DirectFit | None:
+    """Return the motion that explains the images `targets`, one per view, beginning at `start`; None if there is none.
+
+    Minimises Σ w·(g(W(p)) − a − b·f)² over all pixels of all cells, W(p) the cells' warps by the motion p, w = 1/noise
+    variance, with an offset a and a gain b of each cell eliminated. Inverse-compositional Gauss-Newton (Baker, Matthews
+    2004) on the rigid motions: T ← T·δ⁻¹ with (Σ b²·Bᵀ·H·B)·δ = Σ b·Bᵀ·slope, B the rates of the warps. It ends with a
+    step below 0.3 standard uncertainties. Cells with more than three times the median misfit, and cells whose own
+    remaining shift is beyond five scaled standard deviations, are left out.
+
+    The covariance is s²·H′⁻¹·H·H′⁻¹ with H′ = H less what the reference's noise adds to it, and s² the misfit per
+    expected misfit of the pixels used. It is that of the frame's own noise; the reference's moves all frames alike.
+    """
+    moved = start
+    for _ in range(EVALUATIONS):
+        sums = [
+            compare_cells(view.cells, target, patch_warps(view.camera, view.patches, moved))
+            for view, target in zip(views, targets, strict=True)
+        ]
+        used = [_rigid_cells(view, found) for view, found in zip(views, sums, strict=True)]
+        if sum(int(np.count_nonzero(cells)) for cells in used) < FEWEST_CELLS:
+            return None
+        information, noise_part, slope = _normal_equations(views, sums, used)
+        scale = _noise_scale(sums, used)
+        eigenvalues = np.linalg.eigvalsh(_scaled(information))
+        if not eigenvalues[0] > 1e-12:
+            return None
+        step = np.asarray(np.linalg.solve(information, slope), dtype=np.float64)
+        moved = moved @ RigidTransform.from_pose(step).inverse()
+        if step @ information @ step < LAST_STEP**2 * scale:
+            covariance = scale * _pose_covariance(information, scale * noise_part, moved)
+            return DirectFit(moved, covariance, scale, sum(int(np.count_nonzero(cells)) for cells in used))
+    return None
+
+
+def rest_covariance(views: Sequence[BodyView], noise: float) -> FloatArray:
+    """Return the covariance (6, 6) of a frame like the reference with `noise` times the models' noise variance."""
+    information = np.sum([view.information.sum(axis=0) for view in views], axis=0)
+    noise_part = np.sum([view.information_noise.sum(axis=0) for view in views], axis=0)
+    return noise * _pose_covariance(information, noise * noise_part, RigidTransform.identity())
+
+
+def _rigid_cells(view: BodyView, found: CellSums) -> BoolArray:
+    """Return which cells (C,) show the body: their misfit and their own remaining shift are like the others'."""
+    ratio = found.misfit / found.misfit_noise
+    known = np.isfinite(ratio) & np.isfinite(found.slope).all(axis=1) & np.isfinite(view.translation[:, 0, 0])
+    known &= view.rates.any(axis=(1, 2))
+    if not known.any():
+        return known
+    typical = float(np.median(ratio[known]))
+    known &= np.where(known, ratio, np.inf) <= MISFIT * typical
+    slope = found.slope[:, [0, 3]]
+    squares = np.einsum("ci,cij,cj->c", slope, view.translation, slope) / typical
+    limit = REJECTED * max(1.0, float(np.median(squares[known])) / MEDIAN_CHI2)
+    return np.asarray(known & (np.where(known, squares, np.inf) <= limit))
+
+
+def _normal_equations(
+    views: Sequence[BodyView], sums: Sequence[CellSums], used: Sequence[BoolArray]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return Σ b²·Bᵀ·H·B (6, 6), the part of it that is noise, and Σ b·Bᵀ·slope (6,) over the used cells."""
+    information, noise_part, slope = np.zeros((6, 6)), np.zeros((6, 6)), np.zeros(6)
+    for view, found, cells in zip(views, sums, used, strict=True):
+        square = found.gain[cells] ** 2
+        information += np.einsum("c,cij->ij", square, view.information[cells])
+        noise_part += np.einsum("c,cij->ij", square, view.information_noise[cells])
+        slope += np.einsum("c,cij,ci->j", found.gain[cells], view.rates[cells], found.slope[cells])
+    return information, noise_part, slope
+
+
+def _noise_scale(sums: Sequence[CellSums], used: Sequence[BoolArray]) -> float:
+    """Return the misfit of the used cells over what the noise models expect."""
+    misfit = sum(float(found.misfit[cells].sum()) for found, cells in zip(sums, used, strict=True))
+    expected = sum(float(found.misfit_noise[cells].sum()) for found, cells in zip(sums, used, strict=True))
+    return misfit / expected
+
+
+def _scaled(matrix: FloatArray) -> FloatArray:
+    """Return a symmetric matrix scaled to a unit diagonal; zeros where the diagonal is not positive."""
+    diagonal = np.diagonal(matrix)
+    scale = np.where(diagonal > 0.0, 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0)), 0.0)
+    return np.asarray(matrix * np.outer(scale, scale))
+
+
+def _pose_covariance(information: FloatArray, noise_part: FloatArray, moved: RigidTransform) -> FloatArray:
+    """Return H′⁻¹·H·H′⁻¹ of a right-multiplied δ as that (6, 6) of translation and rotation vector of `moved`."""
+    clean = information - noise_part
+    if not np.linalg.eigvalsh(_scaled(clean))[0] > SMALLEST_EXCESS * np.linalg.eigvalsh(_scaled(information))[0]:
+        clean = information
+    inverse = np.linalg.inv(clean)
+    turn = np.zeros((6, 6))
+    turn[:3, :3] = moved.rotation
+    turn[3:, 3:] = rotation_vector_rate(moved.pose[3:]) @ moved.rotation
+    return np.asarray(turn @ inverse @ information @ inverse @ turn.T)
