@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import islice
+from itertools import chain, count, islice, repeat
 from typing import Any
 
 import numpy as np
@@ -14,15 +14,16 @@ from numpy.typing import NDArray
 from photogram._checks import FloatArray
 from photogram.follow import NEIGHBOUR_ROUNDS, TrackSettings, follow, identity, merged
 from photogram.icgn import Registration
+from photogram.icgn_torch.forecast import forecast_warps
 from photogram.icgn_torch.frames import TorchSplines, spline_frames
 from photogram.icgn_torch.register import TorchReference, register_frames, torch_reference
 from photogram.interpolate import spline_of_image
-from photogram.predict import predict_warp
 from photogram.reference import Reference, TrackStatus
 from photogram.search import neighbour_starts
 
 Image = NDArray[Any]
-HISTORY = 6
+HISTORY = 64
+SINGLE_FRAMES = 8
 ENOUGH = 0.5
 
 
@@ -52,10 +53,10 @@ def follow_frames(
 ) -> Iterator[tuple[Image, Registration]]:
     """Every image after the `first` in turn, with where the subsets of `reference` are in it.
 
-    The first batch is one frame, and each next one twice as long up to `batch_frames`, since the starts of a batch are
-    foretold from the frames before it. Frames of which half is not found start again from the nearest frame found,
-    then single subsets from their neighbours as in `photogram.follow`; a frame still lost is searched on the CPU. A
-    thread reads the next batch meanwhile, so at most two batches are in memory.
+    The first eight frames come one by one, then batches of 8, 16 … `batch_frames`, since the starts of a batch are
+    foretold from the frames before it (`forecast_warps`). Frames of which half is not found start again from the
+    nearest frame found, then single subsets from their neighbours as in `photogram.follow`; a frame still lost is
+    searched on the CPU. A thread reads the next batch meanwhile, so at most two batches are in memory.
     """
     if batch_frames < 1:
         raise ValueError(f"batch_frames: expected at least 1, found {batch_frames}")
@@ -64,7 +65,7 @@ def follow_frames(
     for stack in _read_ahead(images, batch_frames):
         frames = spline_frames(np.stack(stack), settings.degree, device, precision)
         batch = _Batch(reference, prepared, frames, settings)
-        found = list(batch.find(_forecast(history, len(stack))))
+        found = list(batch.find(forecast_warps(history, len(stack))))
         found = _from_neighbours(batch, _from_nearest_frames(batch, found, history[-1]))
         for image, seen in zip(stack, found, strict=True):
             here = seen
@@ -76,26 +77,18 @@ def follow_frames(
 
 
 def _read_ahead(images: Iterable[Image], batch_frames: int) -> Iterator[list[Image]]:
-    """Images in batches of 1, 2, 4 … `batch_frames`, of which a thread reads the next one in advance."""
+    """Images in batches: eight of one frame, then of 8, 16 … `batch_frames`; a thread reads the next one in advance."""
     source = iter(images)
+    sizes = chain(repeat(1, SINGLE_FRAMES), (min(SINGLE_FRAMES * 2**k, batch_frames) for k in count()))
 
-    def read(count: int) -> list[Image]:
-        return list(islice(source, count))
+    def read() -> list[Image]:
+        return list(islice(source, next(sizes)))
 
     with ThreadPoolExecutor(max_workers=1) as reader:
-        size, coming = 1, reader.submit(read, 1)
+        coming = reader.submit(read)
         while batch := coming.result():
-            size = min(2 * size, batch_frames)
-            coming = reader.submit(read, size)
+            coming = reader.submit(read)
             yield batch
-
-
-def _forecast(history: Sequence[FloatArray], count: int) -> FloatArray:
-    """Warps (count,N,6) of the next frames, each foretold from the ones before, foretold ones included."""
-    known = list(history)
-    for _ in range(count):
-        known.append(predict_warp(known[-HISTORY:]))
-    return np.stack(known[-count:])
 
 
 def _is_found(status: NDArray[np.int8], found: Registration) -> bool:

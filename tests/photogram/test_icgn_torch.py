@@ -22,6 +22,7 @@ from photogram.icgn_torch import (
     spline_frames,
     torch_reference,
 )
+from photogram.icgn_torch.forecast import forecast_warps
 from photogram.icgn_torch.frames import basis_polynomials
 from photogram.interpolate import spline_of_image
 from photogram.predict import predict_warp
@@ -238,6 +239,31 @@ def test_a_jump_within_a_batch_is_survived(texture) -> None:  # type: ignore[no-
     found = [here for _, here in follow_frames(reference, images[0], images[1:], settings, "cpu", batch_frames=8)]
     for here in found[8:]:
         np.testing.assert_allclose(np.nanmedian(here.warp[:, [0, 3]], axis=0), [6.3, -5.2], atol=2e-3)
+
+
+@pytest.mark.parametrize("frequency", [0.17, 0.9, 3.0])
+def test_a_sine_is_foretold_over_a_whole_batch(frequency: float) -> None:
+    """Also one that is sampled about once a period; a subset that was lost once or always does not spoil the others."""
+    rng = np.random.default_rng(26)
+    amplitude, mean = rng.normal(0, 2, (2, 20, 6))
+    frames = np.arange(80)[:, None, None]
+    truth = mean + amplitude * np.sin(frequency * frames + rng.uniform(0, 6, 20)[:, None])
+    seen = truth + rng.normal(0, 5e-3, truth.shape)
+    seen[20, 3], seen[:, 4] = np.nan, np.nan
+    found = forecast_warps(list(seen[:48]), 32)
+    assert found.shape == (32, 20, 6)
+    assert np.isnan(found[:, 4]).all()
+    clean = np.setdiff1d(np.arange(20), [3, 4])
+    assert np.sqrt(np.mean((found - truth[48:])[:, clean] ** 2)) < 5e-3
+    assert np.nanmax(np.abs((found - truth[48:])[:, 3])) < 1.0
+
+
+def test_what_is_no_sine_is_expected_to_stay() -> None:
+    history = list(np.random.default_rng(27).normal(0, 1, (20, 5, 6)))
+    for past in (history, history[:5]):
+        np.testing.assert_array_equal(forecast_warps(past, 4), np.repeat(past[-1][None], 4, axis=0))
+    np.testing.assert_array_equal(forecast_warps(history, 1)[0], predict_warp(history[-6:]))
+    assert np.isnan(forecast_warps([np.full((5, 6), np.nan)] * 10, 3)).all()
 
 
 def test_no_more_than_two_batches_are_read_ahead(texture) -> None:  # type: ignore[no-untyped-def]
