@@ -96,13 +96,13 @@ def pyvale(frames: list[Path], grid: Grid, filter_px: int) -> Found:
 
 
 def pyidi(frames: list[Path], grid: Grid) -> Found:
-    """The Lucas–Kanade method of pyidi: translation only."""
+    """The Lucas–Kanade method of pyidi: translation only; a margin of 4 px, since a frame moves by up to 2 px."""
     from pyidi import LucasKanade, VideoReader
 
     with tempfile.TemporaryDirectory() as folder:
         video = VideoReader(np.stack([_read(frame) for frame in frames]), root=folder)
         method = LucasKanade(video)
-        method.configure(roi_size=(2 * grid.radius + 1,) * 2, verbose=0, show_pbar=False)
+        method.configure(roi_size=(2 * grid.radius + 1,) * 2, pad=4, verbose=0, show_pbar=False)
         method.set_points(grid.centres[:, ::-1].astype(np.int64))
         moved = method.get_displacements(autosave=False)
     return Found(grid.centres, grid.centres + np.swapaxes(moved[:, :, ::-1], 0, 1))
