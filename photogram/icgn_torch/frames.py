@@ -94,7 +94,7 @@ def basis_polynomials(degree: int) -> FloatArray:
 
 
 def sample(frames: TorchSplines, corner: Tensor, place_px: Tensor, polynomials: Tensor) -> Tensor:
-    """Grey values (n,P) at place_px (n,2,P) [x, y], relative to the pixels whose coefficients begin at corner (n,).
+    """Grey values (n,P) at place_px (2,n,P) [x, y], relative to the pixels whose coefficients begin at corner (n,).
 
     Every point gathers (degree+1) rows of neighbouring coefficients, overlapping windows of one long line, and sums
     them with its weights down; the weights along x follow.
@@ -106,12 +106,12 @@ def sample(frames: TorchSplines, corner: Tensor, place_px: Tensor, polynomials: 
     windows = line.as_strided((line.numel() - taps + 1, taps), (1, 1))
     stride = frames.coefficients.shape[2]
     whole = place_px.floor()
-    weights = _weights((place_px - whole).transpose(0, 1), polynomials)
-    cell = whole.to(corner.dtype)
+    along, down = _weights((place_px - whole).view(2, -1), polynomials)
+    column, row = whole.to(corner.dtype)
     rows = corner.new_tensor([k * stride for k in range(taps)])
-    first = (corner[:, None] + cell[:, 1] * stride + cell[:, 0]).view(-1, 1) + rows
-    summed = embedding_bag(first, windows, per_sample_weights=weights[1], mode="sum")
-    return summed.mul_(weights[0]).sum(dim=1).view(place_px.shape[0], -1)
+    first = (corner[:, None] + row * stride + column).view(-1, 1) + rows
+    summed = embedding_bag(first, windows, per_sample_weights=down, mode="sum")
+    return summed.mul_(along).sum(dim=1).view(place_px.shape[1:])
 
 
 def corner_of(frames: TorchSplines, frame: Tensor, pixel: Tensor) -> Tensor:
@@ -125,12 +125,11 @@ def corner_of(frames: TorchSplines, frame: Tensor, pixel: Tensor) -> Tensor:
 
 
 def _weights(fraction: Tensor, polynomials: Tensor) -> Tensor:
-    """Values (2,M,degree+1) of the B-splines that reach the offsets (2,...) of M points in [0,1)."""
+    """Values (2,M,degree+1) of the B-splines that reach the offsets (2,M) in [0,1)."""
     import torch
 
-    fraction = fraction.reshape(2, -1)
-    powers = fraction.new_ones((polynomials.shape[0], *fraction.shape))
-    powers[1] = fraction
+    powers = fraction.new_empty((len(polynomials), *fraction.shape))
+    powers[0], powers[1] = 1.0, fraction
     for k in range(2, len(powers)):
         torch.mul(powers[k - 1], fraction, out=powers[k])
     return torch.matmul(powers.permute(1, 2, 0), polynomials)

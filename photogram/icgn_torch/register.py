@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 RUNNING = -1
 LOW = int(TrackStatus.LOW_CORRELATION)
 WORKING_BYTES = {"cpu": 2**26, "cuda": 2**31}
-NUMBERS_PER_PIXEL = 64
+NUMBERS_PER_PIXEL = 48
 
 
 @dataclass(frozen=True)
@@ -181,9 +181,9 @@ def _correlate(
 
     frame, subset, centre, deformation = pair
     pixel = centre.floor()
-    affine = torch.cat([(centre - pixel)[:, :, None], deformation], dim=2).to(reference.shape.dtype)
+    affine = torch.cat([(centre - pixel)[:, :, None], deformation], dim=2).transpose(0, 1).to(reference.shape.dtype)
     corner = corner_of(frames, frame, pixel.to(torch.int64))
-    grey = sample(frames, corner, torch.matmul(affine, reference.shape), polynomials)
+    grey = sample(frames, corner, torch.matmul(affine.contiguous(), reference.shape), polynomials)
     grey -= reference.mean[subset, None].to(grey.dtype)
     products = reference.pixels[subset].mul_(grey[:, None])
     moments = torch.matmul(products, reference.shape.T).to(torch.float64)
