@@ -13,7 +13,7 @@ from photogram.noise import NoiseModel
 from photogram.sampling import sample_line_cubic, sample_line_quintic
 
 ALLOWED = {"contract", "reassoc", "nsz", "arcp"}
-LEAST_FILLED = 0.2  # of a cell's pixels in the area, below which it is left out
+LEAST_FILLED = 0.1  # of a cell, below which it is left out
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +70,7 @@ class CellSums:
 def lay_cells(area: BoolArray, side_px: int) -> tuple[FloatArray, IntArray, IntArray]:
     """Return centres (C, 2), runs (R, 4) and first runs (C + 1,) of the squares that cover `area` (H, W).
 
-    Squares stand side by side from the area's bounding box on; those less than a fifth filled are left out.
+    Squares stand side by side from the area's bounding box on; those less than a tenth filled are left out.
     """
     check_shape("area", area, (None, None))
     if side_px < 3:

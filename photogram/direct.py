@@ -14,9 +14,10 @@ from photogram.noise import NoiseModel, fit_noise_model
 from photogram.rigid import RigidTransform, rotation_vector_rate
 from photogram.surface import Patches, PlacedCamera, body_patches, patch_rates, patch_warps
 
-REACH_CELLS = 2.0  # how far from the nearest known point a cell's surface may lie
+REACH_CELLS = 4.0  # how far from the nearest known point a cell's surface may lie
 EVALUATIONS = 12
-LAST_STEP = 0.3  # standard uncertainties; what remains after such a step is about a hundredth of it
+LEFT_OVER = 0.02  # standard uncertainties that may remain between the motion and the converged one
+LARGEST_STEP = 10.0  # standard uncertainties of a step that may be the last one
 MISFIT = 3.0  # times the median misfit per pixel, beyond which a cell shows something else than the body
 REJECTED = 25.0  # squared standard deviations by which a cell may move unlike the body
 MEDIAN_CHI2 = 1.3862943611198906  # median of χ² with two degrees of freedom
@@ -100,8 +101,10 @@ def fit_direct(views: Sequence[BodyView], targets: Sequence[Spline], start: Rigi
 
     Minimises Σ w·(g(W(p)) − a − b·f)² over all pixels of all cells, W(p) the cells' warps by the motion p, w = 1/noise
     variance, with an offset a and a gain b of each cell eliminated. Inverse-compositional Gauss-Newton (Baker, Matthews
-    2004) on the rigid motions: T ← T·δ⁻¹ with (Σ b²·Bᵀ·H·B)·δ = Σ b·Bᵀ·slope, B the rates of the warps. It ends with a
-    step below 0.3 standard uncertainties. Cells with more than three times the median misfit, and cells whose own
+    2004) on the rigid motions: T ← T·δ⁻¹ with (Σ b²·Bᵀ·H·B)·δ = Σ b·Bᵀ·slope, B the rates of the warps. The
+    reference's noise makes Σ b²·Bᵀ·H·B too large by a known share, and every step too short by that share: iteration
+    ends when the share of the step is below 0.02 standard uncertainties. Cells with more than three times the median
+    misfit, and cells whose own
     remaining shift is beyond five scaled standard deviations, are left out.
 
     The covariance is s²·H′⁻¹·H·H′⁻¹ with H′ = H less what the reference's noise adds to it, and s² the misfit per
@@ -123,7 +126,9 @@ def fit_direct(views: Sequence[BodyView], targets: Sequence[Spline], start: Rigi
             return None
         step = np.asarray(np.linalg.solve(information, slope), dtype=np.float64)
         moved = moved @ RigidTransform.from_pose(step).inverse()
-        if step @ information @ step < LAST_STEP**2 * scale:
+        size = float(np.sqrt(step @ information @ step / scale))
+        share = scale * float(np.trace(np.linalg.solve(information, noise_part))) / 6.0
+        if size < LARGEST_STEP and share * size < LEFT_OVER:
             covariance = scale * _pose_covariance(information, scale * noise_part, moved)
             return DirectFit(moved, covariance, scale, sum(int(np.count_nonzero(cells)) for cells in used))
     return None
