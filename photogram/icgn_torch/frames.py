@@ -63,7 +63,8 @@ def prefilter(images: NDArray[np.generic], degree: int, device: str, precision: 
         raise ValueError(f"images: expected at least {2 * PADDING_PX} x {2 * PADDING_PX} px, found {images.shape[1:]}")
     if degree not in POLES:
         raise ValueError(f"degree: expected 3 or 5, found {degree}")
-    raw = torch.from_numpy(np.ascontiguousarray(images)).to(device).to(torch_type(precision))
+    native = np.ascontiguousarray(images, dtype=images.dtype.newbyteorder("="))
+    raw = torch.from_numpy(native).to(device).to(torch_type(precision))
     down = _filtered(raw.transpose(1, 2).contiguous(), degree)
     return _filtered(down.transpose(1, 2).contiguous(), degree)
 
