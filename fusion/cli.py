@@ -71,7 +71,7 @@ def _run(options: argparse.Namespace) -> int:
     from fusion.settings import Settings
     from fusion.summary import print_outcomes
 
-    settings = Settings(subset_radius_px=options.subset_radius)
+    settings = Settings(subset_radius_px=options.subset_radius, device=_device(options.device))
     with progress_bar(enabled=not options.quiet) as progress:
         outcomes = run_path(
             options.recording,
@@ -134,7 +134,16 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("-o", "--output", type=Path, metavar="RESULTS", help="result folder (default: RECORDING/results)")
     run.add_argument("--force", action="store_true", help="compute again and overwrite result files that are there")
     run.add_argument(
-        "--subset-radius", type=_radius, default=10, metavar="PX", help="half-width of the subsets (default: 10 px)"
+        "--subset-radius",
+        type=_radius,
+        metavar="PX",
+        help="half-width of the subsets (default: from the speckle size in the images, 10 px for speckle of 4 to 5 px)",
+    )
+    run.add_argument(
+        "--device",
+        choices=("auto", "cpu", "cuda"),
+        default="auto",
+        help="where subsets are tracked (default: auto, a GPU where torch finds one)",
     )
     run.set_defaults(action=_run)
 
@@ -161,6 +170,17 @@ def _radius(text: str) -> int:
     if not 4 <= value <= 100:
         raise argparse.ArgumentTypeError(f"expected 4 to 100 pixels, found {value}")
     return value
+
+
+def _device(choice: str) -> str:
+    """The device that is there, found before the work begins."""
+    from fusion.errors import ComputeError
+    from photogram.device import resolve_device
+
+    try:
+        return resolve_device(choice)
+    except ValueError as error:
+        raise ComputeError(str(error)) from error
 
 
 def _seed(text: str) -> int:

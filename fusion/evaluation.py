@@ -8,12 +8,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.deflection import DeflectionShape
 from fusion.fuse import Acceleration
 from fusion.manifest import Manifest
 from fusion.notices import AnyNotice
 from fusion.sensitivity import Sensitivity
 from photogram.images import GreyImage
 from photogram.motion import RigidMotion
+from photogram.noise import NoiseModel
 from shaker.signals.frequencies import Lines
 from shaker.signals.phasor import Phasors
 from shaker.signals.sine import SineFit
@@ -29,7 +31,8 @@ class StereoResult:
     `time_s` (F,): exposure middles on the first DAQ's clock. `motion`: from the first frame's pose.
     `motion_from_mean`: re-referred to the mean pose, the series that `fit` (six components, m and rad) describes.
     `reference_image` (H, W) and `subsets_px` (N, 2): first left image and the subsets tracked in it, None for points
-    of another program. `usable` (K,): which lines of the recording this camera rate can tell apart.
+    of another program. `usable` (K,): which lines of the recording this camera rate can tell apart. `deflection`: what
+    the points do beside the rigid motion at the usable lines. `noise`: of the left and the right camera.
     """
 
     name: str
@@ -46,6 +49,8 @@ class StereoResult:
     speckle_px: float | None = None
     noise_grey: float | None = None
     median_zncc: float | None = None
+    deflection: DeflectionShape | None = None
+    noise: tuple[NoiseModel, ...] = ()
 
 
 @dataclass(frozen=True)

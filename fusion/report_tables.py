@@ -261,12 +261,20 @@ def stereo_table(stereo: Sequence[StereoResult]) -> Table | None:
         ),
         ("correlation ZNCC, median", *(number(item.median_zncc) for item in stereo)),
         ("speckle size / px", *(number(item.speckle_px) for item in stereo)),
+        ("read noise / grey values", *(_noise(item, "read_variance_grey2", 0.5) for item in stereo)),
+        ("electrons per grey value", *(_noise(item, "variance_per_grey", -1.0) for item in stereo)),
         ("image noise / grey values", *(number(item.noise_grey) for item in stereo)),
         ("condition of the sine fit", *(number(item.fit.condition) for item in stereo)),
         ("lines told apart", *(f"{int(np.sum(item.usable))} of {len(item.usable)}" for item in stereo)),
     ]
     head = ("", *(f"“{item.name}”" for item in stereo))
     return Table("Stereo pairs", head, "l" + "r" * len(stereo), tuple(rows))
+
+
+def _noise(stereo: StereoResult, name: str, power: float) -> str:
+    """A power of one parameter of the noise models, left and right camera; a dash where there is none."""
+    values = [getattr(model, name) for model in stereo.noise]
+    return ", ".join(number(value**power) for value in values) if values and min(values) > 0.0 else DASH
 
 
 def provenance_tables(evaluation: Evaluation) -> list[Table]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.channels import nominal_lines, spread_lines
+from fusion.deflection import deflection_shape
 from fusion.errors import ComputeError, InputError
 from fusion.evaluation import StereoResult
 from fusion.manifest import Images, Manifest, PointFiles, Stereo
@@ -17,10 +18,14 @@ from fusion.settings import ProgressCallback, Settings
 from fusion.timing import TimeBase, exposure_middles
 from photogram.calibration_file import read_calibration
 from photogram.camera import StereoRig
+from photogram.deformation import Deformation, deformation
+from photogram.device import resolve_device
 from photogram.images import GreyImage, ImageSequence, open_sequence, saturated_fraction
 from photogram.measure import BodyMotion, measure_body
 from photogram.motion import RigidMotion, fit_motion, points_with_estimated_noise, relative_to
+from photogram.noise import NoiseModel
 from photogram.point_tables import read_point_tables
+from photogram.quality import suggested_radius_px
 from photogram.rigid import RigidTransform
 from photogram.track import StereoTracks, TrackSettings, TrackStatus
 from photogram.triangulate import Points, triangulate
@@ -53,11 +58,13 @@ class OpenImages:
 
 @dataclass(frozen=True)
 class ImageView:
-    """What the images of one stereo pair gave: tracked subsets, their rig, and the first left image."""
+    """What the images of one stereo pair gave: tracked subsets, their rig, the first left image, and
+    the noise models of both cameras."""
 
     tracks: StereoTracks
     rig: StereoRig
     reference_image: GreyImage
+    noise: tuple[NoiseModel, NoiseModel]
 
 
 @dataclass(frozen=True)
@@ -65,13 +72,14 @@ class StereoMotion:
     """Motion of one body in the sensor frame before any line is known.
 
     `time_s` (F,) exposure middles on the first block's clock; `motion` from the first frame's pose about the sensor
-    origin; `view` is None for points of another program.
+    origin; `deformation` what the points do beside it; `view` is None for points of another program.
     """
 
     entry: Images | PointFiles
     stereo: Stereo
     time_s: FloatArray
     motion: RigidMotion
+    deformation: Deformation
     reprojection_px: float
     view: ImageView | None
     notices: tuple[AnyNotice, ...]
@@ -118,8 +126,16 @@ def measure_images(
     if not np.isfinite(body.motion.pose).all(axis=1).any():
         raise ComputeError(f"stereo pair {images.entry.stereo}: {NO_MOTION}; look at its images")
     reprojection = float(np.sqrt(np.nanmean(body.points.reprojection_px**2)))
-    view = ImageView(body.tracks, images.rig, images.first)
-    return StereoMotion(images.entry, images.stereo, images.time_s, body.motion, reprojection, view, body.notices)
+    return StereoMotion(
+        images.entry,
+        images.stereo,
+        images.time_s,
+        body.motion,
+        deformation(body.points, body.motion),
+        reprojection,
+        ImageView(body.tracks, images.rig, images.first, body.noise),
+        body.notices,
+    )
 
 
 def measure_points(manifest: Manifest, base: TimeBase, entry: PointFiles) -> StereoMotion:
@@ -137,8 +153,10 @@ def measure_points(manifest: Manifest, base: TimeBase, entry: PointFiles) -> Ste
         raise InputError.told_by(error, manifest.path, key) from error
     placed = sensor_from_camera(stereo)
     reference = None if table.reference_m is None else placed.apply(table.reference_m)
-    motion = _fit(entry.stereo, points.transformed(placed), reference)
-    return StereoMotion(entry, stereo, time_s, motion, float("nan"), None, ())
+    points = points.transformed(placed)
+    motion = _fit(entry.stereo, points, reference)
+    beside = deformation(points, motion, reference)
+    return StereoMotion(entry, stereo, time_s, motion, beside, float("nan"), None, ())
 
 
 def _open(manifest: Manifest, entry: Images, side: str) -> ImageSequence:
@@ -195,7 +213,10 @@ def _calibration(stereo: Stereo, left: ImageSequence, right: ImageSequence) -> S
 def _measure(manifest: Manifest, images: OpenImages, settings: Settings, progress: ProgressCallback) -> BodyMotion:
     """Follow the body through both cameras' images."""
     name, total = images.entry.stereo, 2 * len(images.left)
-    options = TrackSettings(radius_px=settings.subset_radius_px, degree=settings.spline_degree)
+    radius = settings.subset_radius_px
+    if radius is None:
+        radius = suggested_radius_px(images.first)
+    options = TrackSettings(radius_px=radius, degree=settings.spline_degree)
     try:
         return measure_body(
             (images.left, images.right),
@@ -203,6 +224,7 @@ def _measure(manifest: Manifest, images: OpenImages, settings: Settings, progres
             sensor_from_camera(images.stereo),
             options,
             lambda done: progress(f"track {name}", done, total),
+            resolve_device(settings.device),
         )
     except (OSError, ValueError) as error:
         raise InputError.told_by(error, manifest.path, f"images.{name}") from error
@@ -256,7 +278,8 @@ def stereo_phasors(measured: StereoMotion, lines: Lines) -> StereoPhasors:
     found = [(f"{name}, {notice.where}", notice) for notice in measured.notices]
     found += [(name, notice) for notice in folded]
     notices = tuple(Notice(notice.severity, f"stereo pair {where}: {notice.text}", name) for where, notice in found)
-    result = _result(measured, from_mean, fit, usable)
+    shape = deflection_shape(measured.time_s, frequency_hz, measured.deformation, measured.entry.exposure)
+    result = replace(_result(measured, from_mean, fit, usable), deflection=shape)
     return StereoPhasors(measured.entry, result, displacement, effects, notices)
 
 
@@ -334,5 +357,6 @@ def _result(measured: StereoMotion, from_mean: RigidMotion, fit: SineFit, usable
         subsets_px=None if view is None else view.tracks.left.position_px[0],
         speckle_px=None if view is None else float(np.min(view.tracks.speckle_px)),
         noise_grey=None if view is None else float(np.mean(view.tracks.noise_grey)),
+        noise=() if view is None else view.noise,
         median_zncc=None if view is None else float(np.nanmedian(view.tracks.left.zncc)),
     )

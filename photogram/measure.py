@@ -13,7 +13,7 @@ from photogram.direct import BodyView, DirectFit, fit_direct, image_noise, rest_
 from photogram.follow import tracks_of
 from photogram.icgn import Registration
 from photogram.images import ImageSequence
-from photogram.interpolate import Spline
+from photogram.interpolate import Spline, spline_of_image
 from photogram.motion import RigidMotion, fit_motion
 from photogram.noise import NoiseModel
 from photogram.notice import Notice
@@ -21,6 +21,7 @@ from photogram.reference import Reference
 from photogram.rigid import RigidTransform
 from photogram.surface import PlacedCamera
 from photogram.track import (
+    FollowedFrame,
     StereoGrid,
     StereoTracks,
     TrackSettings,
@@ -73,6 +74,7 @@ def measure_body(
     body_from_left: RigidTransform,
     settings: TrackSettings,
     progress: Progress | None = None,
+    device: str = "cpu",
 ) -> BodyMotion:
     """Follow a body through the left and right `images` and fit its six components, about the origin of its frame.
 
@@ -85,9 +87,9 @@ def measure_body(
         prepare_sequence(side, px, settings) for side, px in zip(images, (grid.left_px, grid.right_px), strict=True)
     )
     scene = _Scene(images, rig, body_from_left, settings, grid, (left, right))
-    found, fits, views, noise = _follow(scene, progress)
+    found, fits, views, noise = _follow(scene, progress, device)
     tracks = [tracks_of(side, reference, settings.degree) for side, reference in zip(found, (left, right), strict=True)]
-    stereo = stereo_tracks((images[0].read(0), images[1].read(0)), grid, tracks[0], tracks[1])
+    stereo = stereo_tracks((images[0].read(0), images[1].read(0)), grid, (tracks[0], tracks[1]), settings)
     points = triangulate(
         rig, tracks[0].position_px, tracks[1].position_px, tracks[0].covariance_px2, tracks[1].covariance_px2
     ).transformed(body_from_left)
@@ -98,28 +100,31 @@ def measure_body(
 
 
 def _follow(
-    scene: _Scene, progress: Progress | None
+    scene: _Scene, progress: Progress | None, device: str
 ) -> tuple[tuple[list[Registration], list[Registration]], list[DirectFit | None], Views, Noise]:
     """Registrations of both cameras, direct fits of all frames but the first, the body's views and noise models."""
     found: tuple[list[Registration], list[Registration]] = ([], [])
     fits: list[DirectFit | None] = []
-    sides = (follow_sequence(*side, scene.settings) for side in zip(scene.images, scene.references, strict=True))
+    sides = (
+        follow_sequence(*side, scene.settings, device) for side in zip(scene.images, scene.references, strict=True)
+    )
     first: Splines | None = None
     rest, noise = np.empty((0, 3)), (UNIFORM, UNIFORM)
     views: Views = ()
-    for (left, left_found), (right, right_found) in zip(*sides, strict=True):
-        found[0].append(left_found)
-        found[1].append(right_found)
-        points = _place(scene, left_found, right_found)
+    for left, right in zip(*sides, strict=True):
+        found[0].append(left.found)
+        found[1].append(right.found)
+        points = _place(scene, left.found, right.found)
+        splines = _spline(left, scene.settings), _spline(right, scene.settings)
         if first is None:
-            first, rest = (left, right), points.position_m[0]
+            first, rest = splines, points.position_m[0]
             views = _views(scene, first, rest, noise)
         else:
             start = fit_motion(points, rest, np.zeros(3)).pose[0]
             if len(fits) == 0:
-                noise = _noise(views, (left, right), start)
+                noise = _noise(views, splines, start)
                 views = _views(scene, first, rest, noise)
-            fits.append(_fit(views, (left, right), start))
+            fits.append(_fit(views, splines, start))
         if progress is not None:
             progress(2 * len(found[0]))
     return found, fits, views, noise
@@ -132,6 +137,11 @@ def _place(scene: _Scene, left: Registration, right: Registration) -> Points:
         for reference, here in zip(scene.references, (left, right), strict=True)
     ]
     return triangulate(scene.rig, pixels[0], pixels[1]).transformed(scene.body_from_left)
+
+
+def _spline(frame: FollowedFrame, settings: TrackSettings) -> Spline:
+    """The frame's spline, made here when tracking needed none."""
+    return frame.spline if frame.spline is not None else spline_of_image(frame.image, settings.degree)
 
 
 def _views(scene: _Scene, splines: Splines, rest_m: FloatArray, noise: Noise) -> Views:

@@ -13,7 +13,7 @@ from photogram._checks import BoolArray, FloatArray, check_shape
 from photogram.noise import NoiseModel
 from photogram.notice import Notice
 from photogram.reference import Reference, TrackStatus
-from photogram.subset import fine_texture_share, lay_grid, saturated, speckle_size, subset_mean
+from photogram.subset import fine_texture_share, lay_grid, saturated, speckle_size, subset_mean, textured_area
 
 Image = NDArray[Any]
 USUAL_RADIUS_PX = 10
@@ -112,6 +112,11 @@ def default_radius_px(speckle_px: float) -> int:
     largest = max(smallest, floor((MOST_SPECKLES * speckle_px - 1.0) / 2.0))
     radius = min(max(USUAL_RADIUS_PX, smallest), largest)
     return min(max(radius, SMALLEST_RADIUS_PX), LARGEST_RADIUS_PX)
+
+
+def suggested_radius_px(image: Image) -> int:
+    """`default_radius_px` of the speckle size found in the textured area of image (H,W)."""
+    return default_radius_px(speckle_size(image, textured_area(image)))
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -28,12 +28,14 @@ from photogram.images import GreyImage, ImageSequence
 from photogram.interpolate import Spline, spline_of_image
 from photogram.notice import Notice
 from photogram.predict import predict_warp
+from photogram.quality import aliasing_notice
 from photogram.reference import Reference, TrackStatus, prepare_reference
 from photogram.rigid import skew
 from photogram.search import affine_starts, agreeing, epipolar_distance, match_features
-from photogram.subset import fine_texture_share, lay_grid, saturated, speckle_size, subsets_inside, textured_area
+from photogram.subset import lay_grid, saturated, speckle_size, subsets_inside, textured_area
 
 __all__ = [
+    "FollowedFrame",
     "StereoGrid",
     "StereoTracks",
     "TrackSettings",
@@ -54,8 +56,6 @@ EPIPOLAR_TOLERANCE_PX = 2.0
 OVERLAP = 0.95
 BORDER_PX = 5
 HISTORY = 6
-SMALLEST_SPECKLE_PX = 3.0
-LARGEST_FINE_SHARE = 2e-3
 LARGEST_LOST_SHARE = 0.1
 
 
@@ -76,6 +76,15 @@ class StereoTracks:
         check_shape("right.position_px", self.right.position_px, self.left.position_px.shape)
         check_shape("speckle_px", self.speckle_px, (2,))
         check_shape("noise_grey", self.noise_grey, (2,))
+
+
+@dataclass(frozen=True)
+class FollowedFrame:
+    """One frame, its spline where tracking made one, and where the subsets are in it."""
+
+    image: GreyImage
+    spline: Spline | None
+    found: Registration
 
 
 @dataclass(frozen=True)
@@ -135,28 +144,28 @@ def prepare_sequence(sequence: ImageSequence, points_px: FloatArray, settings: T
 
 
 def follow_sequence(
-    sequence: ImageSequence, reference: Reference, settings: TrackSettings
-) -> Iterator[tuple[Spline, Registration]]:
-    """Every frame in turn, as a spline, with where the subsets of `reference` (`prepare_sequence`) are in it.
+    sequence: ImageSequence, reference: Reference, settings: TrackSettings, device: str = "cpu"
+) -> Iterator[FollowedFrame]:
+    """Every frame in turn with where the subsets of `reference` (`prepare_sequence`) are in it.
 
-    One frame at a time is read and held. A frame starts from where the last ones foretell the subsets.
+    On the `device` "cpu" frames are read and held one at a time, and each starts from where the last ones foretell the
+    subsets; on "cuda" they are registered in batches (`icgn_torch.follow_frames`), to the same positions.
     """
     first = sequence.read(0)
-    history = [identity(reference)]
-    yield spline_of_image(first, settings.degree), history[0]
-    for frame in range(1, len(sequence)):
-        image = sequence.read(frame)
-        target = spline_of_image(image, settings.degree)
-        start = predict_warp([past.warp for past in history])
-        here = follow(reference, first, (image, target), start, settings)
-        centres = reference.centre_px + here.warp[:, [0, 3]]
-        full = saturated(image, sequence.full_scale, centres, settings.radius_px)
-        history = [*history[1 - HISTORY :], dropped(here, full, TrackStatus.SATURATED)]
-        yield target, history[-1]
+    yield FollowedFrame(first, spline_of_image(first, settings.degree), identity(reference))
+    frames = _follow_here if device == "cpu" else _follow_on_device
+    for frame in frames(sequence, first, reference, settings, device):
+        centres = reference.centre_px + frame.found.warp[:, [0, 3]]
+        full = saturated(frame.image, sequence.full_scale, centres, settings.radius_px)
+        yield replace(frame, found=dropped(frame.found, full, TrackStatus.SATURATED))
 
 
 def track_sequence(
-    sequence: ImageSequence, points_px: FloatArray, settings: TrackSettings, progress: Progress | None = None
+    sequence: ImageSequence,
+    points_px: FloatArray,
+    settings: TrackSettings,
+    progress: Progress | None = None,
+    device: str = "cpu",
 ) -> Tracks:
     """Positions in every frame of the subsets centred at points_px (N,2) in frame 0.
 
@@ -164,8 +173,8 @@ def track_sequence(
     """
     reference = prepare_sequence(sequence, points_px, settings)
     found = []
-    for _, here in follow_sequence(sequence, reference, settings):
-        found.append(here)
+    for frame in follow_sequence(sequence, reference, settings, device):
+        found.append(frame.found)
         if progress is not None:
             progress(len(found))
     return tracks_of(found, reference, settings.degree)
@@ -203,13 +212,20 @@ def lay_stereo_grid(
     return StereoGrid(points[kept], right_px[kept], areas, tuple(notices))
 
 
-def stereo_tracks(images: tuple[GreyImage, GreyImage], grid: StereoGrid, left: Tracks, right: Tracks) -> StereoTracks:
+def stereo_tracks(
+    images: tuple[GreyImage, GreyImage], grid: StereoGrid, tracks: tuple[Tracks, Tracks], settings: TrackSettings
+) -> StereoTracks:
     """The tracks of both cameras with what their first images are like, and remarks on both."""
     speckle = np.array([speckle_size(image, area) for image, area in zip(images, grid.areas, strict=True)])
-    noise = np.array([_middle(track.noise_grey) for track in (left, right)])
-    notices = [*grid.notices, *_image_notices(images, grid.areas, speckle, noise)]
-    notices += [notice for side, track in (("left", left), ("right", right)) for notice in _lost(track, side)]
-    return StereoTracks(left, right, tuple(notices), speckle, noise)
+    noise = np.array([_middle(track.noise_grey) for track in tracks])
+    notices = list(grid.notices)
+    for image, area, side, track in zip(images, grid.areas, ("left", "right"), tracks, strict=True):
+        unresolved = aliasing_notice(
+            image, area, _middle(track.noise_grey), settings.radius_px, settings.degree, f"{side} camera"
+        )
+        notices += [unresolved] if unresolved is not None else []
+        notices += _lost(track, side)
+    return StereoTracks(*tracks, tuple(notices), speckle, noise)
 
 
 def track_stereo(
@@ -227,7 +243,32 @@ def track_stereo(
     left_tracks = track_sequence(left, grid.left_px, settings, progress)
     after = None if progress is None else lambda done: progress(len(left) + done)
     right_tracks = track_sequence(right, grid.right_px, settings, after)
-    return stereo_tracks((left.read(0), right.read(0)), grid, left_tracks, right_tracks)
+    return stereo_tracks((left.read(0), right.read(0)), grid, (left_tracks, right_tracks), settings)
+
+
+def _follow_here(
+    sequence: ImageSequence, first: Image, reference: Reference, settings: TrackSettings, _: str
+) -> Iterator[FollowedFrame]:
+    """All frames but the first, one by one on the CPU."""
+    history = [identity(reference)]
+    for number in range(1, len(sequence)):
+        image = sequence.read(number)
+        target = spline_of_image(image, settings.degree)
+        start = predict_warp([past.warp for past in history])
+        found = follow(reference, first, (image, target), start, settings)
+        history = [*history[1 - HISTORY :], found]
+        yield FollowedFrame(image, target, found)
+
+
+def _follow_on_device(
+    sequence: ImageSequence, first: Image, reference: Reference, settings: TrackSettings, device: str
+) -> Iterator[FollowedFrame]:
+    """All frames but the first, in batches on a device."""
+    from photogram.icgn_torch import follow_frames
+
+    images = (sequence.read(number) for number in range(1, len(sequence)))
+    for image, found in follow_frames(reference, first, images, settings, device):
+        yield FollowedFrame(image, None, found)
 
 
 def _away_from_border(shape: tuple[int, ...]) -> BoolArray:
@@ -260,23 +301,6 @@ def _undistorted(camera: Camera, points_px: FloatArray) -> FloatArray:
     if known.any():
         rays[known] = camera.undistort(points_px[known])
     return rays
-
-
-def _image_notices(
-    images: Sequence[GreyImage], areas: Sequence[BoolArray], speckle_px: FloatArray, noise_grey: FloatArray
-) -> list[Notice]:
-    """Warnings about speckle that the camera cannot resolve."""
-    notices = []
-    for side, image, area, size, noise in zip(("left", "right"), images, areas, speckle_px, noise_grey, strict=True):
-        share = fine_texture_share(image, area, noise)
-        if size < SMALLEST_SPECKLE_PX or share > LARGEST_FINE_SHARE:
-            text = (
-                f"speckle of {size:.1f} px is finer than the camera resolves ({100 * share:.1f} % of the texture is "
-                "beyond 0.4 cycles per pixel): positions carry errors periodic in the pixel, which appear as false "
-                "harmonics of the motion; use speckle of 4 to 5 px or defocus slightly"
-            )
-            notices.append(Notice("warning", text, f"{side} camera"))
-    return notices
 
 
 def _lost(tracks: Tracks, side: str) -> list[Notice]:

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 
 from fusion.evaluation import Evaluation, StereoResult
+from fusion.plots.deformation import draw_deflection
 from fusion.plots.style import (
     BLACK,
     BLUE,
@@ -42,7 +43,17 @@ def motion_pictures(stereo: StereoResult) -> list[Picture]:
     pictures = [draw_motion(stereo), draw_residuals(stereo)]
     if len(stereo.time_s) >= 8:
         pictures.append(draw_residual_spectrum(stereo))
-    return pictures
+    bent = _deflection_picture(stereo)
+    return pictures if bent is None else [*pictures, bent]
+
+
+def _deflection_picture(stereo: StereoResult) -> Picture | None:
+    """The operating deflection shape at the line of the largest motion, where there are points."""
+    if stereo.deflection is None or len(stereo.fit.phasors.frequency_hz) == 0:
+        return None
+    rigid = stereo.fit.phasors.value
+    line = int(np.argmax(np.linalg.norm(rigid[:, :3], axis=1)))
+    return draw_deflection(stereo.deflection, line, rigid[line], stereo.name, stereo.body)
 
 
 def subset_pictures(evaluation: Evaluation) -> list[Picture]:
