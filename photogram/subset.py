@@ -222,13 +222,22 @@ def _autocorrelation(image: FloatArray, area: BoolArray) -> FloatArray:
     """Mean autocovariance along x and y of the grey values in the area at lags 0, 1, 2 … 31."""
     background, weight = _spread(np.where(area, image, 0.0)), _spread(area.astype(np.float64))
     texture = np.where(area, image - background / np.maximum(weight, 1e-9), 0.0)
-    lags = []
-    for lag in range(min(TILE_PX, min(image.shape) // 2)):
-        stop_y, stop_x = image.shape[0] - lag, image.shape[1] - lag
-        product = np.sum(texture[:, :stop_x] * texture[:, lag:]) + np.sum(texture[:stop_y] * texture[lag:])
-        pairs = np.sum(area[:, :stop_x] & area[:, lag:]) + np.sum(area[:stop_y] & area[lag:])
-        lags.append(product / max(1, pairs))
-    return np.array(lags)
+    count = min(TILE_PX, min(image.shape) // 2)
+    products, pairs = _lagged_products(texture, count), _lagged_products(area.astype(np.float64), count)
+    lags: FloatArray = products / np.maximum(1.0, np.rint(pairs))
+    return lags
+
+
+def _lagged_products(values: FloatArray, count: int) -> FloatArray:
+    """Σ v(x)·v(x+lag) over rows and columns for lags 0 … count − 1, from the power spectra of zero-padded lines."""
+    from scipy import fft
+
+    total = np.zeros(count)
+    for axis, length in enumerate(values.shape):
+        padded = fft.next_fast_len(length + count, real=True)
+        power = np.abs(fft.rfft(values, padded, axis=axis)) ** 2
+        total += fft.irfft(power.sum(axis=1 - axis), padded)[:count]
+    return total
 
 
 def _spread(values: FloatArray) -> FloatArray:
