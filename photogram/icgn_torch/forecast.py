@@ -1,4 +1,4 @@
-"""Where subsets will be in many frames to come: one sine through the frames so far."""
+"""Where subsets will be in many frames to come, from a long past."""
 
 from __future__ import annotations
 
@@ -11,34 +11,34 @@ from photogram._checks import FloatArray
 from photogram.predict import predict_warp
 
 FEWEST = 8
-FREE_PARAMETERS = 4
-GOOD_FIT = 0.5
+TRUSTED_PX = 0.5
 FINER = 33
 REFINEMENTS = 4
 
 
-def forecast_warps(history: Sequence[FloatArray], count: int) -> FloatArray:
-    """Warps (count,N,6) of the frames after those in `history` (oldest first, N,6 each).
+def forecast_warps(history: Sequence[FloatArray], most: int) -> FloatArray:
+    """Warps (K,N,6) of the next 1 ≤ K ≤ `most` frames after those in `history` (oldest first, N,6 each).
 
-    One frame is foretold by `predict_warp`. More are foretold by the sine with a mean, of one frequency for all
-    subsets, that fits at least eight frames in all components; where it leaves more than half of the motion, and with
-    fewer frames, by the last warps. In a frame in which it was lost, a subset counts as in the one before.
+    Frames stay where the last one was, or follow a sine with a mean and a drift, of one frequency for all subsets,
+    fitted to all frames: whichever would have foretold the last quarter of them better. Not more frames are foretold
+    than there were, and only the next one, by `predict_warp`, when that last quarter would have been missed by half a
+    pixel. In a frame in which it was lost, a subset counts as in the one before.
     """
-    if count == 1:
+    found = np.stack(history)
+    series = _filled(found)
+    kept = np.isfinite(found if np.isfinite(found).all(axis=(0, 2)).any() else series).all(axis=(0, 2))
+    shifts = series[:, kept][..., [0, 3]].reshape(len(series), -1)
+    count, tested = min(most, len(series)), len(series) // 4
+    if count == 1 or len(series) - tested < FEWEST or shifts.size == 0:
         return predict_warp(history[-6:])[None]
-    series = _filled(np.stack(history))
-    stay = np.repeat(series[-1:], count, axis=0)
-    shifts = _common(np.stack(history), series)
-    if len(series) < FEWEST or shifts.size == 0:
-        return stay
-    past, coming = np.split(np.arange(len(series) + count, dtype=np.float64), [len(series)])
-    frequency = _frequency(shifts)
-    fit = np.linalg.pinv(_design(frequency, past))
-    left = np.sum((shifts - _design(frequency, past) @ (fit @ shifts)) ** 2) * len(past)
-    if left > GOOD_FIT**2 * np.sum((shifts - shifts[-1]) ** 2) * (len(past) - FREE_PARAMETERS):
-        return stay
-    guess: FloatArray = _design(frequency, coming) @ (fit @ series.reshape(len(past), -1))
-    return guess.reshape(stay.shape)
+    known, truth = np.split(shifts, [len(series) - tested])
+    stayed = float(np.median(np.abs(known[-1] - truth)))
+    swung = float(np.median(np.abs(_continued(known, _frequency(known), tested) - truth)))
+    if min(stayed, swung) > TRUSTED_PX:
+        return predict_warp(history[-6:])[None]
+    if stayed < swung:
+        return np.repeat(series[-1:], count, axis=0)
+    return _continued(series.reshape(len(series), -1), _frequency(shifts), count).reshape(count, *series.shape[1:])
 
 
 def _filled(series: FloatArray) -> FloatArray:
@@ -49,17 +49,18 @@ def _filled(series: FloatArray) -> FloatArray:
     return filled
 
 
-def _common(found: FloatArray, filled: FloatArray) -> FloatArray:
-    """Shifts (M,K) of the subsets that were found in all frames (M,N,6); if there are none, of those filled in all."""
-    whole = [np.isfinite(series).all(axis=(0, 2)) for series in (found, filled)]
-    chosen = whole[0] if whole[0].any() else whole[1]
-    return filled[:, chosen][..., [0, 3]].reshape(len(filled), -1)
+def _continued(series: FloatArray, frequency: float, count: int) -> FloatArray:
+    """The next values (count,K) of a series (M,K) by least squares."""
+    past, coming = np.split(np.arange(len(series) + count, dtype=np.float64), [len(series)])
+    guess: FloatArray = _design(frequency, coming) @ (np.linalg.pinv(_design(frequency, past)) @ series)
+    return guess
 
 
 def _design(frequency: FloatArray | float, frames: FloatArray) -> FloatArray:
-    """Columns (...,M,3) of a mean, a cosine and a sine of `frequency` (...) in radians per frame."""
+    """Columns (...,M,4) of a mean, a drift, a cosine and a sine of `frequency` (...) in radians per frame."""
     phase = np.multiply.outer(frequency, frames)
-    columns: FloatArray = np.stack([np.ones_like(phase), np.cos(phase), np.sin(phase)], axis=-1)
+    drift = np.broadcast_to(frames, phase.shape)
+    columns: FloatArray = np.stack([np.ones_like(phase), drift, np.cos(phase), np.sin(phase)], axis=-1)
     return columns
 
 
@@ -68,10 +69,11 @@ def _frequency(shifts: FloatArray) -> float:
 
     At least half a period lies within the M frames. A grid of a quarter of the resolution is made finer four times.
     """
-    centred = shifts - shifts.mean(axis=0)
-    _, vectors = np.linalg.eigh(centred @ centred.T)
-    course, frames = vectors[:, -1], np.arange(len(shifts), dtype=np.float64)
-    lowest = np.pi / len(shifts)
+    frames = np.arange(len(shifts), dtype=np.float64)
+    line = np.stack([np.ones_like(frames), frames], axis=1)
+    left = shifts - line @ (np.linalg.pinv(line) @ shifts)
+    _, vectors = np.linalg.eigh(left @ left.T)
+    course, lowest = vectors[:, -1], np.pi / len(shifts)
     grid = np.linspace(lowest, np.pi, 4 * len(shifts))
     for _ in range(REFINEMENTS):
         basis, _ = np.linalg.qr(_design(grid, frames))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import chain, count, islice, repeat
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,6 @@ from photogram.search import neighbour_starts
 
 Image = NDArray[Any]
 HISTORY = 64
-SINGLE_FRAMES = 8
 ENOUGH = 0.5
 
 
@@ -53,42 +52,48 @@ def follow_frames(
 ) -> Iterator[tuple[Image, Registration]]:
     """Every image after the `first` in turn, with where the subsets of `reference` are in it.
 
-    The first eight frames come one by one, then batches of 8, 16 … `batch_frames`, since the starts of a batch are
-    foretold from the frames before it (`forecast_warps`). Frames of which half is not found start again from the
-    nearest frame found, then single subsets from their neighbours as in `photogram.follow`; a frame still lost is
-    searched on the CPU. A thread reads the next batch meanwhile, so at most two batches are in memory.
+    Images are read in batches, the next one by a thread meanwhile, so at most two are in memory. A batch is done at
+    once as far as its starts can be foretold (`forecast_warps`). Frames of which half is not found start again from
+    the nearest frame found, then single subsets from their neighbours as in `photogram.follow`; a frame still lost is
+    searched on the CPU.
     """
     if batch_frames < 1:
         raise ValueError(f"batch_frames: expected at least 1, found {batch_frames}")
     prepared = torch_reference(reference, device, precision)
     history = [identity(reference).warp]
-    for stack in _read_ahead(images, batch_frames):
-        frames = spline_frames(np.stack(stack), settings.degree, device, precision)
-        batch = _Batch(reference, prepared, frames, settings)
-        found = list(batch.find(forecast_warps(history, len(stack))))
-        found = _from_neighbours(batch, _from_nearest_frames(batch, found, history[-1]))
-        for image, seen in zip(stack, found, strict=True):
-            here = seen
-            if not _is_found(reference.status, seen):
-                target = spline_of_image(image, settings.degree)
-                here = follow(reference, first, (image, target), history[-1], settings)
-            history = [*history[1 - HISTORY :], here.warp]
-            yield image, here
+    for images_read in _read_ahead(images, batch_frames):
+        left = images_read
+        while left:
+            start = forecast_warps(history, len(left))
+            stack, left = left[: len(start)], left[len(start) :]
+            frames = spline_frames(np.stack(stack), settings.degree, device, precision)
+            found = _find(_Batch(reference, prepared, frames, settings), start, history[-1])
+            for image, seen in zip(stack, found, strict=True):
+                here = seen
+                if not _is_found(reference.status, seen):
+                    target = spline_of_image(image, settings.degree)
+                    here = follow(reference, first, (image, target), history[-1], settings)
+                history = [*history[1 - HISTORY :], here.warp]
+                yield image, here
 
 
 def _read_ahead(images: Iterable[Image], batch_frames: int) -> Iterator[list[Image]]:
-    """Images in batches: eight of one frame, then of 8, 16 … `batch_frames`; a thread reads the next one in advance."""
+    """Images in batches, of which a thread reads the next one in advance."""
     source = iter(images)
-    sizes = chain(repeat(1, SINGLE_FRAMES), (min(SINGLE_FRAMES * 2**k, batch_frames) for k in count()))
 
     def read() -> list[Image]:
-        return list(islice(source, next(sizes)))
+        return list(islice(source, batch_frames))
 
     with ThreadPoolExecutor(max_workers=1) as reader:
         coming = reader.submit(read)
         while batch := coming.result():
             coming = reader.submit(read)
             yield batch
+
+
+def _find(batch: _Batch, start: FloatArray, before: FloatArray) -> list[Registration]:
+    """The subsets of every frame from `start` (B,N,6), else from the nearest frame found, else from neighbours."""
+    return _from_neighbours(batch, _from_nearest_frames(batch, list(batch.find(start)), before))
 
 
 def _is_found(status: NDArray[np.int8], found: Registration) -> bool:
@@ -122,7 +127,7 @@ def _from_neighbours(batch: _Batch, found: list[Registration]) -> list[Registrat
     usable, centres = batch.reference.status == TrackStatus.OK, batch.reference.centre_px
     going_on = [_is_found(batch.reference.status, here) for here in found]
     for _ in range(NEIGHBOUR_ROUNDS):
-        start = np.full((len(found), len(usable), 6), np.nan)
+        start = np.full((len(found), *found[0].warp.shape), np.nan)
         for b, here in enumerate(found):
             lost = usable & (here.status != TrackStatus.OK)
             if going_on[b] and lost.any():
