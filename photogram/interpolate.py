@@ -186,7 +186,7 @@ def weights_quintic(t):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _basis(t, degree, values, slopes):  # type: ignore[no-untyped-def]
+def basis(t, degree, values, slopes):  # type: ignore[no-untyped-def]
     """Values and derivatives of the degree+1 B-splines that reach t in [0,1), by the recursion of de Boor and Cox.
 
     β_n(x) = ((x + (n+1)/2) β_{n−1}(x+½) + ((n+1)/2 − x) β_{n−1}(x−½)) / n and β_n′(x) = β_{n−1}(x+½) − β_{n−1}(x−½).
@@ -216,8 +216,8 @@ def _evaluate(coefficients, degree, points, values, gradients):  # type: ignore[
             continue
         column, row = int(np.floor(x)), int(np.floor(y))
         wx, sx, wy, sy = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
-        _basis(x - column, degree, wx, sx)
-        _basis(y - row, degree, wy, sy)
+        basis(x - column, degree, wx, sx)
+        basis(y - row, degree, wy, sy)
         value, along, down = 0.0, 0.0, 0.0
         for k in range(degree + 1):
             for j in range(degree + 1):

@@ -8,13 +8,16 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram._checks import FloatArray, check_shape
-from photogram.interpolate import Spline, evaluate, noise_gain, slope_noise_gain
+from photogram._checks import BoolArray, FloatArray, check_shape
+from photogram.interpolate import Spline, noise_gain, slope_noise_gain
+from photogram.sampling import sample_squares
 
 SMALLEST_NOISE = 1e-9
 SMALLEST_CONTRAST = 1e-9
 LEAST_RATIO = 4.0
 SMALLEST_EXCESS = 1e-2
+PARAMETERS = {0: 2, 1: 6, 2: 12}
+CHUNK = 256
 
 
 class TrackStatus(IntEnum):
@@ -34,11 +37,12 @@ class Reference:
     """Square subsets of P = (2·radius+1)² pixels around centre_px (N,2), prepared once for a whole sequence.
 
     pixels (N,3,P): grey value f̃ without its mean, gradient along x, gradient along y. mean (N,): of the grey values;
-    energy (N,): Σf̃². removed (N,2,6): mean of each steepest-descent image and its regression on f̃. inverse_hessian
-    (N,6,6): of the steepest-descent images without what is removed, so that gain and offset are free parameters; zero
-    along what the texture does not determine. position_variance (N,2,2): covariance of the translation in px² for
-    image noise of variance 1. noise_gain (N,): variance of the subset's grey values per variance of the pixels.
-    status (N,): `OK`, `FLAT` or `LEFT_IMAGE`.
+    energy (N,): Σf̃². order: of the shape function, 0 (translation), 1 (affine) or 2, with m = 2, 6 or 12 parameters.
+    removed (N,2,m): mean of each steepest-descent image and its regression on f̃. inverse_hessian (N,m,m): of the
+    steepest-descent images without what is removed, so that gain and offset are free parameters, and without what noise
+    of the reference adds; zero along what the texture does not determine. position_variance (N,2,2): covariance of the
+    translation in px² for image noise of variance 1. noise_gain (N,): variance of the subset's grey values per variance
+    of the pixels. status (N,): `OK`, `FLAT` or `LEFT_IMAGE`.
     """
 
     centre_px: FloatArray
@@ -51,52 +55,65 @@ class Reference:
     position_variance: FloatArray
     noise_gain: FloatArray
     status: NDArray[np.int8]
+    order: int = 1
 
     def __post_init__(self) -> None:
+        if self.order not in PARAMETERS:
+            raise ValueError(f"order: expected 0, 1 or 2, found {self.order}")
         check_shape("centre_px", self.centre_px, (None, 2))
         count, size = len(self.centre_px), (2 * self.radius_px + 1) ** 2
         check_shape("pixels", self.pixels, (count, 3, size))
-        check_shape("removed", self.removed, (count, 2, 6))
-        check_shape("inverse_hessian", self.inverse_hessian, (count, 6, 6))
+        parameters = PARAMETERS[self.order]
+        check_shape("removed", self.removed, (count, 2, parameters))
+        check_shape("inverse_hessian", self.inverse_hessian, (count, parameters, parameters))
         check_shape("position_variance", self.position_variance, (count, 2, 2))
         for name in ("mean", "energy", "noise_gain", "status"):
             check_shape(name, getattr(self, name), (count,))
 
 
-def prepare_reference(spline: Spline, centre_px: FloatArray, radius_px: int) -> Reference:
+def prepare_reference(spline: Spline, centre_px: FloatArray, radius_px: int, order: int = 1) -> Reference:
     """Grey values, gradients and Hessians of the subsets of one image; centres (N,2) need not be whole pixels.
 
     Steepest-descent images of the affine warp: [f_x, f_x dx, f_x dy, f_y, f_y dx, f_y dy] (Baker, Matthews 2004,
-    Int. J. Comput. Vis. 56, 221; Pan, Li, Tong 2013, Exp. Mech. 53, 1277), each without its mean and its part along f̃.
+    Int. J. Comput. Vis. 56, 221; Pan, Li, Tong 2013, Exp. Mech. 53, 1277), each without its mean and its part along f̃;
+    order 0 has f_x and f_y alone, order 2 further f_x and f_y times dx²/2, dx dy, dy²/2.
 
-    Noise of the reference makes gradients too, with the Hessian N = σ²γ·diag(1, dx², dy²) summed over the subset. In
+    Noise of the reference makes gradients too, with the Hessian N = σ²γ·diag(1, dx², dy² …) summed over the subset. In
     the basis H v = μ N v, directions with μ < 4 are noise, not texture (along an edge): they are held at their start.
-    The variance along v is μ/(μ−1)² instead of 1/μ, since N adds to H but not to what is found.
+    Since N adds to H but not to what is found, the inverse along v is 1/(μ−1), which makes a step as long as it should
+    be (with 1/μ every step falls short by 1/μ of itself), and the variance is μ/(μ−1)².
     """
     check_shape("centre_px", centre_px, (None, 2))
-    offsets = subset_offsets(radius_px)
-    count, size = len(centre_px), len(offsets)
-    points = (centre_px[:, None, :] + offsets).reshape(-1, 2)
-    values, gradients = evaluate(spline, points)
-    pixels = np.empty((count, 3, size))
-    pixels[:, 0] = values.reshape(count, size)
-    pixels[:, 1:] = np.moveaxis(gradients.reshape(count, size, 2), 2, 1)
+    if order not in PARAMETERS:
+        raise ValueError(f"order: expected 0, 1 or 2, found {order}")
+    pixels = sample_squares(spline, centre_px, radius_px)
+    count, size, parameters = len(centre_px), pixels.shape[2], PARAMETERS[order]
     mean = pixels[:, 0].mean(axis=1)
     pixels[:, 0] -= mean[:, None]
     energy = np.sum(pixels[:, 0] ** 2, axis=1)
-    removed, inverse_hessian = np.zeros((count, 2, 6)), np.full((count, 6, 6), np.nan)
-    variance, status = np.full((count, 2, 2), np.nan), np.zeros(count, np.int8)
-    slope_noise2 = slope_noise_gain(spline.degree) * _pixel_noise(spline, centre_px, radius_px) ** 2
-    for n in range(count):
-        status[n] = TrackStatus.LEFT_IMAGE
-        if energy[n] <= size * (SMALLEST_CONTRAST * abs(mean[n])) ** 2:
-            status[n] = TrackStatus.FLAT
-        elif np.all(np.isfinite(pixels[n])):
-            hessian, removed[n] = _hessian(pixels[n], energy[n], offsets)
-            floor = max(slope_noise2[n], SMALLEST_NOISE * energy[n] / size)
-            status[n], inverse_hessian[n], variance[n] = _invert(hessian, floor, offsets)
+    status = np.where(np.isfinite(pixels).all(axis=(1, 2)), np.int8(TrackStatus.OK), np.int8(TrackStatus.LEFT_IMAGE))
+    status[energy <= size * (SMALLEST_CONTRAST * np.abs(mean)) ** 2] = TrackStatus.FLAT
+    floor = slope_noise_gain(spline.degree) * _pixel_noise(spline, centre_px, radius_px) ** 2
+    floor = np.maximum(floor, SMALLEST_NOISE * energy / size)
+    shape = shape_values(subset_offsets(radius_px), order)
+    removed, inverse = np.zeros((count, 2, parameters)), np.full((count, parameters, parameters), np.nan)
+    variance = np.full((count, 2, 2), np.nan)
+    usable = np.flatnonzero(status == TrackStatus.OK)
+    for part in np.array_split(usable, range(CHUNK, len(usable), CHUNK)):
+        hessian, removed[part] = _hessians(pixels[part], energy[part], shape)
+        known, inverse[part], variance[part] = _invert(hessian, floor[part], np.sum(shape**2, axis=1))
+        status[part[~known]] = TrackStatus.FLAT
     gain = noise_gain(centre_px[:, 0], spline.degree) * noise_gain(centre_px[:, 1], spline.degree)
-    return Reference(centre_px, radius_px, pixels, mean, energy, removed, inverse_hessian, variance, gain, status)
+    return Reference(
+        centre_px, radius_px, pixels, mean, energy, removed, inverse, variance, gain, status.astype(np.int8), order
+    )
+
+
+def shape_values(offsets: FloatArray, order: int) -> FloatArray:
+    """Values (m/2,P) of one coordinate's shape functions at offsets (P,2): 1; dx, dy; dx²/2, dx dy, dy²/2."""
+    x, y = offsets.T
+    values: FloatArray = np.stack([np.ones_like(x), x, y, x * x / 2.0, x * y, y * y / 2.0])
+    return values[: PARAMETERS[order] // 2]
 
 
 def subset_offsets(radius_px: int) -> FloatArray:
@@ -112,35 +129,40 @@ def _pixel_noise(spline: Spline, centre_px: FloatArray, radius_px: int) -> Float
     The differences (1 −3 3 −1) in x and y suppress texture of a few pixels' size; |·| has the median 0.6745 · 20 σ.
     """
     side = 2 * radius_px + 1
-    points = (np.rint(centre_px)[:, None, :] + subset_offsets(radius_px)).reshape(-1, 2)
-    grey = evaluate(spline, points)[0].reshape(-1, side, side)
+    grey = sample_squares(spline, np.rint(centre_px), radius_px)[:, 0].reshape(-1, side, side)
     fine = np.abs(np.diff(np.diff(grey, n=3, axis=1), n=3, axis=2)).reshape(len(centre_px), -1)
     noise: FloatArray = np.nan_to_num(np.median(fine, axis=1)) / (0.6745 * 20.0)
     return noise
 
 
-def _hessian(pixels: FloatArray, energy: float, offsets: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Hessian (6,6) of one subset's steepest-descent images without their mean and part along f̃, and these (2,6)."""
-    shape = np.column_stack([np.ones(len(offsets)), offsets])
-    steepest = np.concatenate([pixels[1][:, None] * shape, pixels[2][:, None] * shape], axis=1)
-    mean = steepest.mean(axis=0)
-    part = pixels[0] @ steepest / energy if energy > 0.0 else np.zeros(6)
-    steepest -= mean + pixels[0][:, None] * part
-    return steepest.T @ steepest, np.stack([mean, part])
+def _hessians(pixels: FloatArray, energy: FloatArray, shape: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Hessians (n,m,m) of the steepest-descent images without their mean and part along f̃, and these (n,2,m)."""
+    size = pixels.shape[2]
+    steepest = np.concatenate(
+        [pixels[:, axis, None] * part for part in (shape[:3], shape[3:]) for axis in (1, 2)], axis=1
+    )
+    mean = steepest.mean(axis=2)
+    part = (steepest @ pixels[:, 0, :, None])[..., 0] / energy[:, None]
+    removed = np.stack([mean, part], axis=1)
+    hessian = steepest @ np.swapaxes(steepest, 1, 2)
+    hessian -= size * mean[:, :, None] * mean[:, None, :] + energy[:, None, None] * part[:, :, None] * part[:, None, :]
+    return hessian, removed
 
 
-def _invert(hessian: FloatArray, slope_noise2: float, offsets: FloatArray) -> tuple[int, FloatArray, FloatArray]:
-    """Status, inverse Hessian (6,6) of the determined directions, and variance (2,2) of the translation."""
-    if slope_noise2 <= 0.0:
-        return TrackStatus.FLAT, np.full((6, 6), np.nan), np.full((2, 2), np.nan)
-    extent = np.array([len(offsets), *np.sum(offsets**2, axis=0)])
-    scale = 1.0 / np.sqrt(slope_noise2 * np.concatenate([extent, extent]))
-    ratio, vectors = np.linalg.eigh(hessian * np.outer(scale, scale))
-    directions = vectors * scale[:, None]
+def _invert(
+    hessian: FloatArray, slope_noise2: FloatArray, extent: FloatArray
+) -> tuple[BoolArray, FloatArray, FloatArray]:
+    """Whether anything is determined (n,), inverse Hessians (n,m,m) of it, variances (n,2,2) of the translation."""
+    extents = np.concatenate([extent[:3], extent[:3], extent[3:], extent[3:]])
+    scale = 1.0 / np.sqrt(slope_noise2[:, None] * extents)
+    ratio, vectors = np.linalg.eigh(hessian * scale[:, :, None] * scale[:, None, :])
+    directions = vectors * scale[:, :, None]
     clear = ratio > LEAST_RATIO
-    if not clear.any():
-        return TrackStatus.FLAT, np.full((6, 6), np.nan), np.full((2, 2), np.nan)
-    inverse = (directions[:, clear] / ratio[clear]) @ directions[:, clear].T
-    weights = ratio / np.maximum(ratio - 1.0, SMALLEST_EXCESS) ** 2
-    translation = directions[[0, 3]]
-    return TrackStatus.OK, inverse, (translation * weights) @ translation.T
+    weights = np.where(clear, 1.0 / (np.maximum(ratio, LEAST_RATIO) - 1.0), 0.0)
+    inverse = (directions * weights[:, None, :]) @ np.swapaxes(directions, 1, 2)
+    translation = directions[:, [0, min(3, len(extent))]]
+    spread = ratio / np.maximum(ratio - 1.0, SMALLEST_EXCESS) ** 2
+    variance = (translation * spread[:, None, :]) @ np.swapaxes(translation, 1, 2)
+    known = np.asarray(clear.any(axis=1), dtype=np.bool_)
+    inverse[~known], variance[~known] = np.nan, np.nan
+    return known, inverse, variance

@@ -11,12 +11,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import njit, prange, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from photogram.interpolate import PADDING_PX, weights_cubic, weights_quintic
+from photogram._checks import FloatArray, check_shape
+from photogram.interpolate import PADDING_PX, Spline, basis, weights_cubic, weights_quintic
 
 ALLOWED = {"contract", "reassoc", "nsz", "arcp"}
 LANES = 8
@@ -26,6 +28,17 @@ _REALS = ir.VectorType(_REAL, LANES)
 _INDEX = ir.IntType(64)
 _INDICES = ir.VectorType(_INDEX, LANES)
 _MASK = ir.VectorType(ir.IntType(1), LANES)
+
+
+def sample_squares(spline: Spline, centre_px: FloatArray, radius_px: int) -> FloatArray:
+    """Values and gradients (N,3,P) [f, f_x, f_y] on P = (2·radius+1)² points, a pixel apart, around centre_px (N,2).
+
+    NaN for squares that are not wholly in the image. Points of a square have the same weights, applied along x, then y.
+    """
+    check_shape("centre_px", centre_px, (None, 2))
+    squares = np.full((len(centre_px), 3, (2 * radius_px + 1) ** 2), np.nan)
+    _sample_squares(spline.coefficients, spline.degree, np.ascontiguousarray(centre_px), radius_px, squares)
+    return squares
 
 
 @njit(cache=True, fastmath=ALLOWED)
@@ -58,6 +71,18 @@ def sample_line_cubic(c, x, y, step_x, step_y, grey):  # type: ignore[no-untyped
         start = stop
 
 
+@njit(cache=True, fastmath=ALLOWED)
+def sample_points(c, degree, x, y, grey):  # type: ignore[no-untyped-def]
+    """Fill grey (n,) with spline values of degree 3 or 5 at any points x (n,), y (n,) within the image."""
+    for i in range(grey.size):
+        column, row = int(x[i]), int(y[i])
+        s, t = x[i] - column, y[i] - row
+        if degree == 5:
+            _run_quintic(c, row + PADDING_PX - 2, column + PADDING_PX - 2, s, t, 0.0, 0.0, grey, i, i + 1)
+        else:
+            _run_cubic(c, row + PADDING_PX - 1, column + PADDING_PX - 1, s, t, 0.0, 0.0, grey, i, i + 1)
+
+
 @njit(cache=True, inline="always")
 def _end_of_run(start, count, s, t, drift_x, drift_y):  # type: ignore[no-untyped-def]
     """First point after `start` at which s + i·drift_x or t + i·drift_y has left [0, 1)."""
@@ -71,6 +96,44 @@ def _end_of_run(start, count, s, t, drift_x, drift_y):  # type: ignore[no-untype
     elif drift_y < -SMALLEST_DRIFT:
         steps = min(steps, -t / drift_y)
     return min(count, start + 1 + int(steps))
+
+
+@njit(cache=True, parallel=True)
+def _sample_squares(c, degree, centres, radius, squares):  # type: ignore[no-untyped-def]
+    """Every square that lies in the image."""
+    right, bottom = c.shape[1] - 2 * PADDING_PX - 1, c.shape[0] - 2 * PADDING_PX - 1
+    for n in prange(centres.shape[0]):
+        x, y = centres[n, 0] - radius, centres[n, 1] - radius
+        if x >= 0.0 and y >= 0.0 and x + 2 * radius <= right and y + 2 * radius <= bottom:
+            _sample_square(c, degree, x, y, 2 * radius + 1, squares[n])
+
+
+@njit(cache=True, fastmath=ALLOWED)
+def _sample_square(c, degree, x, y, side, square):  # type: ignore[no-untyped-def]
+    """One square with its first point at (x, y)."""
+    column, row = min(int(x), c.shape[1] - 2 * PADDING_PX - side), min(int(y), c.shape[0] - 2 * PADDING_PX - side)
+    wx, sx, wy, sy = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
+    basis(x - column, degree, wx, sx)
+    basis(y - row, degree, wy, sy)
+    left, top = column + PADDING_PX - degree // 2, row + PADDING_PX - degree // 2
+    smooth, slope = np.empty(side), np.empty(side)
+    square[:] = 0.0
+    for r in range(side + degree):
+        smooth[:] = 0.0
+        slope[:] = 0.0
+        for j in range(degree + 1):
+            line = c[top + r, left + j : left + j + side]
+            for i in range(side):
+                smooth[i] += wx[j] * line[i]
+                slope[i] += sx[j] * line[i]
+        for k in range(max(0, r - side + 1), min(degree, r) + 1):
+            first = (r - k) * side
+            value, along = square[0, first : first + side], square[1, first : first + side]
+            down = square[2, first : first + side]
+            for i in range(side):
+                value[i] += wy[k] * smooth[i]
+                along[i] += wy[k] * slope[i]
+                down[i] += sy[k] * smooth[i]
 
 
 @dataclass(frozen=True)
