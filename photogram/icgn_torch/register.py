@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from photogram._checks import FloatArray, check_shape
-from photogram.icgn import FREE_PARAMETERS, SMALL_STEP, Registration
+from photogram.icgn import GAIN_AND_OFFSET, LINEAR_PX, REMAINING, SMALL_STEP, Registration
 from photogram.icgn_torch.frames import TorchSplines, basis_polynomials, corner_of, sample, torch_type
-from photogram.reference import Reference, TrackStatus, subset_offsets
+from photogram.reference import Reference, TrackStatus, shape_values, subset_offsets
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -23,13 +23,14 @@ NUMBERS_PER_PIXEL = 48
 
 @dataclass(frozen=True)
 class TorchReference:
-    """A `Reference` on a device: N subsets of P pixels.
+    """A `Reference` on a device: N subsets of P pixels, with m = 2, 6 or 12 parameters of order 0, 1 or 2.
 
-    pixels (N,3,P) and shape (3,P) = [1, dx, dy] in the precision of the sampling; centre_px (N,2), mean (N,), energy
-    (N,), removed (N,2,6), inverse_hessian (N,6,6) in float64; status (N,).
+    pixels (N,3,P) and shape (s,P) = [1, dx, dy, dx²/2, dx dy, dy²/2], s = 3 or for order 2 six, in the precision of the
+    sampling; centre_px (N,2), mean (N,), energy (N,), removed (N,2,m), inverse_hessian (N,m,m) in float64; status (N,).
     """
 
     radius_px: int
+    order: int
     pixels: Tensor
     shape: Tensor
     centre_px: Tensor
@@ -38,6 +39,11 @@ class TorchReference:
     removed: Tensor
     inverse_hessian: Tensor
     status: Tensor
+
+    @property
+    def columns(self) -> int:
+        """Length of a warp: 6, or 12 for order 2."""
+        return 2 * len(self.shape)
 
 
 @dataclass(frozen=True)
@@ -54,11 +60,11 @@ def torch_reference(reference: Reference, device: str, precision: str = "float64
     import torch
 
     pixel_type = torch_type(precision)
-    offsets = subset_offsets(reference.radius_px)
-    shape = np.concatenate([np.ones((1, len(offsets))), offsets.T])
+    shape = shape_values(subset_offsets(reference.radius_px), max(reference.order, 1))
     fields = ("centre_px", "mean", "energy", "removed", "inverse_hessian", "status")
     return TorchReference(
         reference.radius_px,
+        reference.order,
         torch.from_numpy(reference.pixels).to(device, pixel_type),
         torch.from_numpy(shape).to(device, pixel_type),
         **{name: torch.from_numpy(getattr(reference, name)).to(device) for name in fields},
@@ -76,15 +82,17 @@ def register_frames(
 ) -> tuple[Registration, ...]:
     """Find every subset in every frame, beginning at the warps `start` (B,N,6); NaN = no start. One result per frame.
 
-    Same steps, stopping rule and statuses as `photogram.icgn.register`. Pairs of frame and subset are worked through
-    in portions that need about `working_bytes` on the device (64 MiB on a CPU, 2 GiB on a GPU).
+    Order 2 has warps (N,12) and takes starts (B,N,12) as well. Same steps, stopping rule and statuses as
+    `photogram.icgn.register`. Pairs of frame and subset are worked through in portions that need about `working_bytes`
+    on the device (64 MiB on a CPU, 2 GiB on a GPU).
     """
     import torch
 
-    count = len(reference.centre_px)
-    check_shape("start", start, (len(frames.coefficients), count, 6))
-    device = reference.centre_px.device
-    warp = torch.from_numpy(np.ascontiguousarray(start, dtype=np.float64)).to(device).reshape(-1, 6).clone()
+    count, columns, device = len(reference.centre_px), reference.columns, reference.centre_px.device
+    given = columns if start.shape[2:] == (columns,) else 6
+    check_shape("start", start, (len(frames.coefficients), count, given))
+    warp = torch.zeros((start.size // given, columns), dtype=torch.float64, device=device)
+    warp[:, :given] = torch.from_numpy(np.ascontiguousarray(start, dtype=np.float64)).to(device).view(-1, given)
     scores = torch.full((len(warp), 3), torch.nan, dtype=torch.float64, device=device)
     outcome = torch.zeros((len(warp), 2), dtype=torch.int64, device=device)
     usable = reference.status.repeat(len(start)).to(torch.int64)
@@ -100,8 +108,9 @@ def register_frames(
 
 def _registrations(warp: Tensor, scores: Tensor, outcome: Tensor, count: int) -> tuple[Registration, ...]:
     """Results of all pairs as one Registration of `count` subsets per frame."""
-    warps, ratings = warp.cpu().numpy().reshape(-1, count, 6), scores.cpu().numpy().reshape(-1, count, 3)
-    outcomes = outcome.cpu().numpy().reshape(-1, count, 2)
+    warps, ratings, outcomes = (
+        values.cpu().numpy().reshape(-1, count, values.shape[1]) for values in (warp, scores, outcome)
+    )
     status = outcomes[..., 0].astype(np.int8)
     warps[status != TrackStatus.OK] = np.nan
     return tuple(
@@ -125,16 +134,16 @@ def _register_pairs(
 
     all_warp, all_scores, outcome = state
     first_shift = all_warp[pairs][:, [0, 3]]
-    polynomials = torch.from_numpy(basis_polynomials(frames.degree)).to(reference.pixels)
+    basis = torch.from_numpy(basis_polynomials(frames.degree)).to(reference.pixels)
+    compose_inverse = _compose_inverse_quadratic if reference.order == 2 else _compose_inverse
     for iteration in range(1, limits.max_iterations + 1):
         warp = all_warp[pairs]
         frame, subset = pairs // len(reference.centre_px), pairs % len(reference.centre_px)
         gone = _gone(reference, frames, subset, warp, first_shift)
-        centre, deformation = _placed(reference, subset, warp, gone)
-        sums = _correlate(reference, frames, (frame, subset, centre, deformation), polynomials)
-        step, scores, improvement = _solve(reference, subset, *sums)
-        fate, scores = _judge(reference.radius_px, limits, gone, (step, scores, improvement))
-        all_warp[pairs], all_scores[pairs] = _compose_inverse(warp, step), scores
+        sums = _correlate(reference, frames, (frame, subset, warp, gone), basis)
+        step, scores, small = _solve(reference, subset, *sums)
+        fate, scores = _judge(reference.radius_px, limits, gone, (step, scores, small))
+        all_warp[pairs], all_scores[pairs] = compose_inverse(warp, step), scores
         outcome[pairs] = torch.stack([fate, torch.full_like(fate, iteration)], dim=1)
         going_on = torch.nonzero(fate == RUNNING)[:, 0]
         if len(going_on) == 0:
@@ -147,43 +156,35 @@ def _gone(reference: TorchReference, frames: TorchSplines, subset: Tensor, warp:
     """Status (n,) of the pairs that have run away or left the image, `RUNNING` for the others."""
     import torch
 
-    shift = warp[:, [0, 3]]
+    radius, shift = reference.radius_px, warp[:, [0, 3]]
     centre = reference.centre_px[subset] + shift
-    reach = reference.radius_px * torch.stack(
-        [(1.0 + warp[:, 1]).abs() + warp[:, 2].abs(), warp[:, 4].abs() + (1.0 + warp[:, 5]).abs()], dim=1
-    )
-    last = centre.new_tensor(frames.size_px) - 1.0
+    extent = warp.new_tensor([radius, radius, radius**2 / 2, radius**2, radius**2 / 2])
+    reach = _polynomials(warp)[:, :, 1:].abs() @ extent[: len(reference.shape) - 1]
+    last = warp.new_tensor(frames.size_px) - 1.0
     inside = ((centre - reach >= 0.0) & (centre + reach <= last)).all(dim=1)
-    far = (shift - first_shift).abs().sum(dim=1) > 2.0 * reference.radius_px
+    far = (shift - first_shift).abs().sum(dim=1) > 2.0 * radius
     fate = torch.where(inside, RUNNING, int(TrackStatus.LEFT_IMAGE))
     return torch.where(far, int(TrackStatus.NOT_CONVERGED), fate)
 
 
-def _placed(reference: TorchReference, subset: Tensor, warp: Tensor, gone: Tensor) -> tuple[Tensor, Tensor]:
-    """Centres (n,2) and deformations (n,2,2) of the warped subsets; those that are gone shrink to the first pixel."""
-    import torch
-
-    centre = reference.centre_px[subset] + warp[:, [0, 3]]
-    identity = torch.eye(2, dtype=warp.dtype, device=warp.device)
-    deformation = identity + warp[:, [1, 2, 4, 5]].view(-1, 2, 2)
-    here = gone == RUNNING
-    return torch.where(here[:, None], centre, 0.0), torch.where(here[:, None, None], deformation, 0.0)
-
-
 def _correlate(
-    reference: TorchReference, frames: TorchSplines, pair: tuple[Tensor, Tensor, Tensor, Tensor], polynomials: Tensor
+    reference: TorchReference, frames: TorchSplines, pair: tuple[Tensor, Tensor, Tensor, Tensor], basis: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Sums (n,) of g and of g², sums (n,3,3) of f̃g, f_x g, f_y g times 1, dx, dy; g without the mean of f.
+    """Sums (n,) of g and of g², sums (n,3,s) of f̃g, f_x g, f_y g times the shape functions; g without the mean of f.
 
-    Points are placed relative to the pixel under the subset's centre, so that float32 resolves them to 1e-6 px.
+    Pairs are frame, subset, warp and gone; those that are gone shrink to the first pixel. Points are placed relative to
+    the pixel under the subset's centre, so that float32 resolves them to 1e-6 px.
     """
     import torch
 
-    frame, subset, centre, deformation = pair
-    pixel = centre.floor()
-    affine = torch.cat([(centre - pixel)[:, :, None], deformation], dim=2).transpose(0, 1).to(reference.shape.dtype)
-    corner = corner_of(frames, frame, pixel.to(torch.int64))
-    grey = sample(frames, corner, torch.matmul(affine.contiguous(), reference.shape), polynomials)
+    frame, subset, warp, gone = pair
+    places = _polynomials(warp)
+    places[:, :, 0] += reference.centre_px[subset]
+    places = torch.where((gone == RUNNING)[:, None, None], places, 0.0)
+    pixel = places[:, :, 0].floor()
+    places[:, :, 0] -= pixel
+    placed = torch.matmul(places.transpose(0, 1).to(reference.shape.dtype).contiguous(), reference.shape)
+    grey = sample(frames, corner_of(frames, frame, pixel.to(torch.int64)), placed, basis)
     grey -= reference.mean[subset, None].to(grey.dtype)
     products = reference.pixels[subset].mul_(grey[:, None])
     moments = torch.matmul(products, reference.shape.T).to(torch.float64)
@@ -192,36 +193,60 @@ def _correlate(
 
 
 def _solve(
-    reference: TorchReference, subset: Tensor, total: Tensor, square: Tensor, products: Tensor
+    reference: TorchReference, subset: Tensor, total: Tensor, square: Tensor, moments: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Steps (n,6), scores (n,3) = [zncc, gain, residual variance] and improvements (n,); NaN without correlation."""
+    """Steps (n,6 or 12), scores (n,3) = [zncc, gain, residual variance] after them, and whether they are small (n,)."""
     import torch
 
     size, energy, removed = reference.shape.shape[1], reference.energy[subset], reference.removed[subset]
-    product = products[:, 0, 0]
+    product = moments[:, 0, 0]
     spread, gain = square - total.square() / size, product / energy
-    slope = products[:, 1:].reshape(-1, 6) - removed[:, 0] * total[:, None] - removed[:, 1] * product[:, None]
-    step = torch.matmul(reference.inverse_hessian[subset], slope[:, :, None])[:, :, 0] / gain[:, None]
-    zncc = product / torch.sqrt(spread * energy)
-    residual = spread * (1.0 - zncc.square()).clamp(min=0.0) / (size - FREE_PARAMETERS)
+    slope = moments[:, 1:, 0] if reference.order == 0 else _columns(moments[:, 1:])
+    slope = slope - removed[:, 0] * total[:, None] - removed[:, 1] * product[:, None]
+    solution = torch.matmul(reference.inverse_hessian[subset], slope[:, :, None])[:, :, 0] / gain[:, None]
+    improvement = (solution * slope).sum(dim=1)
+    left = (spread - (product + improvement) * gain).clamp(min=0.0)
+    zncc, residual = (1.0 - left / spread).clamp(min=0.0).sqrt(), left / (size - slope.shape[1] - GAIN_AND_OFFSET)
     correlated = (spread > 0.0) & (gain > 0.0)
     scores = torch.where(correlated[:, None], torch.stack([zncc, gain, residual], dim=1), torch.nan)
-    return step, scores, (step * slope).sum(dim=1)
+    small = gain * improvement < SMALL_STEP**2 * slope.shape[1] * residual
+    step = solution
+    if reference.order == 0:
+        step = torch.zeros((len(subset), 6), dtype=solution.dtype, device=solution.device)
+        step[:, [0, 3]] = solution
+    return step, scores, small
 
 
 def _judge(radius: int, limits: _Limits, gone: Tensor, solved: tuple[Tensor, Tensor, Tensor]) -> tuple[Tensor, Tensor]:
     """Status (n,) after this step, `RUNNING` where another is needed, and scores (n,3) of those that stand still."""
     import torch
 
-    step, scores, improvement = solved
-    zncc, gain, residual = scores.T
-    extent = step.new_tensor([1.0, radius, radius, 1.0, radius, radius])
-    still = (step * extent).square().sum(dim=1) < limits.convergence_px**2
-    still |= gain * improvement < SMALL_STEP**2 * residual
+    step, scores, small = solved
+    zncc = scores[:, 0]
+    extent = step.new_tensor([1.0, radius, radius, 1.0, radius, radius, *[radius**2 / 2] * 6])
+    moved = (step * extent[: step.shape[1]]).square().sum(dim=1)
+    still = (moved < LINEAR_PX**2) & (small | (REMAINING**2 * moved < limits.convergence_px**2))
+    still &= zncc.isfinite() & (gone == RUNNING)
     fate = torch.where(still, torch.where(zncc >= limits.min_zncc, int(TrackStatus.OK), LOW), RUNNING)
     fate = torch.where(zncc.isfinite(), fate, LOW)
-    fate = torch.where(gone == RUNNING, fate, gone)
-    return fate, torch.where((still & (gone == RUNNING))[:, None], scores, torch.nan)
+    return torch.where(gone == RUNNING, fate, gone), torch.where(still[:, None], scores, torch.nan)
+
+
+def _polynomials(warp: Tensor) -> Tensor:
+    """Where a warp (n,6 or 12) takes dx and dy: coefficients (n,2,s) of 1, dx, dy, dx²/2, dx dy, dy²/2."""
+    import torch
+
+    places = torch.cat([warp[:, :6].view(-1, 2, 3), warp[:, 6:].reshape(len(warp), 2, -1)], dim=2)
+    places[:, 0, 1] += 1.0
+    places[:, 1, 2] += 1.0
+    return places
+
+
+def _columns(values: Tensor) -> Tensor:
+    """Values (n,2,s) in the order of a warp (n,6 or 12)."""
+    import torch
+
+    return torch.cat([values[:, :, :3].flatten(1), values[:, :, 3:].flatten(1)], dim=1)
 
 
 def _compose_inverse(warp: Tensor, step: Tensor) -> Tensor:
@@ -236,3 +261,34 @@ def _compose_inverse(warp: Tensor, step: Tensor) -> Tensor:
     across = [warp[:, 0] + p * iu + q * iv, p * ia + q * ic - 1.0, p * ib + q * id_]
     down = [warp[:, 3] + r * iu + s * iv, r * ia + s * ic, r * ib + s * id_ - 1.0]
     return torch.stack(across + down, dim=1)
+
+
+def _compose_inverse_quadratic(warp: Tensor, step: Tensor) -> Tensor:
+    """Warps (n,12) ∘ steps⁻¹, both polynomials of second order, as matrices on their powers (Gao 2015)."""
+    import torch
+
+    product = torch.matmul(_matrices(warp), torch.linalg.inv_ex(_matrices(step)).inverse)
+    places = product[:, 1:3] * warp.new_tensor([1.0, 1.0, 1.0, 2.0, 1.0, 2.0])
+    places[:, 0, 1] -= 1.0
+    places[:, 1, 2] -= 1.0
+    return _columns(places)
+
+
+def _matrices(warp: Tensor) -> Tensor:
+    """How warps (n,12) map [1, dx, dy, dx², dx dy, dy²], (n,6,6), powers above the second left out."""
+    import torch
+
+    x, y = (_polynomials(warp) * warp.new_tensor([1.0, 1.0, 1.0, 0.5, 1.0, 0.5])).unbind(dim=1)
+    one = torch.zeros_like(x)
+    one[:, 0] = 1.0
+    return torch.stack([one, x, y, _product(x, x), _product(x, y), _product(y, y)], dim=1)
+
+
+def _product(p: Tensor, q: Tensor) -> Tensor:
+    """Product of polynomials (n,6) in [1, dx, dy, dx², dx dy, dy²], powers above the second left out."""
+    product = p[:, :1] * q + q[:, :1] * p
+    product[:, 0] = p[:, 0] * q[:, 0]
+    product[:, 3] += p[:, 1] * q[:, 1]
+    product[:, 4] += p[:, 1] * q[:, 2] + p[:, 2] * q[:, 1]
+    product[:, 5] += p[:, 2] * q[:, 2]
+    return product

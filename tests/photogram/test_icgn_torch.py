@@ -123,14 +123,23 @@ def test_polynomials_are_b_splines(degree: int) -> None:
     np.testing.assert_allclose(found, expected, atol=1e-14)
 
 
-@pytest.mark.parametrize("degree", [3, 5])
-def test_same_results_as_the_compiled_engine(noisy_frames, degree: int) -> None:  # type: ignore[no-untyped-def]
-    reference = prepare_reference(spline_of_image(noisy_frames[0], degree), CENTRES, 10)
+@pytest.mark.parametrize(("degree", "order"), [(3, 1), (5, 0), (5, 1), (5, 2)])
+def test_same_results_as_the_compiled_engine(noisy_frames, degree: int, order: int) -> None:  # type: ignore[no-untyped-def]
+    reference = prepare_reference(spline_of_image(noisy_frames[0], degree), CENTRES, 10, order)
     start = np.zeros((4, len(CENTRES), 6))
     start[2, :, 2], start[2, :, 4] = -0.02, 0.02
     for expected, found in both_engines(reference, noisy_frames, start, degree):
         assert np.sum(expected.status == TrackStatus.OK) > 0.9 * len(CENTRES)
         assert_same(expected, found)
+
+
+def test_curved_starts_give_the_same_results(noisy_frames) -> None:  # type: ignore[no-untyped-def]
+    """Starts of order 2 with curvature, of which some reach out of the image by it."""
+    reference = prepare_reference(spline_of_image(noisy_frames[0]), CENTRES, 10, order=2)
+    start = np.random.default_rng(23).normal(0, 2e-3, (4, len(CENTRES), 12))
+    start[3, ::5, 6:] *= 30.0
+    for expected, found in both_engines(reference, noisy_frames, start):
+        assert_same(expected, found, atol_px=1e-5)
 
 
 def test_float32_holds_1e_5_px(noisy_frames) -> None:  # type: ignore[no-untyped-def]
@@ -154,7 +163,7 @@ def test_failures_have_the_same_status(texture, noisy_frames) -> None:  # type: 
     start[:, 5, 0] = 7.0
     start[1, 6] = [0.0, -0.9, 0.5, 0.0, 0.4, -1.2]
     unlike = np.random.default_rng(3).normal(2000, 400, first.shape)
-    images = [first, noisy_frames[1], unlike, np.full_like(first, 100.0)]
+    images = [first, noisy_frames[1], unlike, 4095.0 - first]
     seen = set[int]()
     for limits in (LIMITS, (2, 1e-4, 0.75), (30, 1e-4, 0.9999)):
         for expected, found in both_engines(reference, images, start, limits=limits):
@@ -267,12 +276,19 @@ def test_a_sine_is_foretold_over_a_whole_batch(frequency: float) -> None:
     assert np.nanmax(np.abs((found - truth[48:])[:, 3])) < 1.0
 
 
-def test_what_is_no_sine_is_expected_to_stay() -> None:
-    history = list(np.random.default_rng(27).normal(0, 1, (20, 5, 6)))
-    for past in (history, history[:5]):
-        np.testing.assert_array_equal(forecast_warps(past, 4), np.repeat(past[-1][None], 4, axis=0))
-    np.testing.assert_array_equal(forecast_warps(history, 1)[0], predict_warp(history[-6:]))
-    assert np.isnan(forecast_warps([np.full((5, 6), np.nan)] * 10, 3)).all()
+def test_rest_is_expected_to_stay() -> None:
+    history = list(np.random.default_rng(27).normal(0, 1e-2, (20, 5, 6)))
+    found = forecast_warps(history, 12)
+    assert found.shape == (12, 5, 6)
+    assert np.abs(found).max() < 0.1
+
+
+def test_what_cannot_be_foretold_is_taken_frame_by_frame() -> None:
+    """Random motion; too short a past; nothing found so far."""
+    jumps = list(np.random.default_rng(28).normal(0, 3, (20, 5, 6)))
+    for past in (jumps, [np.zeros((5, 6))] * 3, [np.full((5, 6), np.nan)] * 20):
+        np.testing.assert_array_equal(forecast_warps(past, 12), predict_warp(past[-6:])[None])
+    assert len(forecast_warps([np.zeros((5, 6))] * 14, 32)) == 14
 
 
 def test_no_more_than_two_batches_are_read_ahead(texture) -> None:  # type: ignore[no-untyped-def]
