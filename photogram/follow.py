@@ -13,8 +13,8 @@ from photogram._checks import BoolArray, FloatArray, check_shape
 from photogram.icgn import Registration, noise_of_residual, position_covariance, register
 from photogram.images import GreyImage
 from photogram.interpolate import Spline
-from photogram.reference import Reference, TrackStatus
-from photogram.search import affine_field, neighbour_starts, template_shifts
+from photogram.reference import PARAMETERS, Reference, TrackStatus
+from photogram.search import affine_field, affine_starts, match_features, neighbour_starts, template_shifts
 from photogram.subset import saturated
 
 Image = NDArray[Any]
@@ -28,7 +28,8 @@ class TrackSettings:
 
     radius_px: subsets have (2·radius+1)² pixels; step_px: distance in the grid, by default just without overlap, so
     that their noise is independent; degree: of the spline, 3 or 5; convergence_px: movement below which a subset stands
-    still; min_zncc: correlation below which it is lost; reach_px: how far it is looked for when prediction fails.
+    still; min_zncc: correlation below which it is lost; reach_px: how far it is looked for when prediction fails,
+    before it is looked for in the whole image; shape_order: of the shape function, 0 (translation), 1 (affine) or 2.
     """
 
     radius_px: int = 10
@@ -38,8 +39,11 @@ class TrackSettings:
     convergence_px: float = 1e-4
     min_zncc: float = 0.75
     reach_px: int = 32
+    shape_order: int = 1
 
     def __post_init__(self) -> None:
+        if self.shape_order not in PARAMETERS:
+            raise ValueError(f"shape_order: expected 0, 1 or 2, found {self.shape_order}")
         if self.radius_px < 3:
             raise ValueError(f"radius_px: expected at least 3, found {self.radius_px}")
         if self.step_px is not None and self.step_px < 1:
@@ -84,13 +88,33 @@ def find_from(reference: Reference, target: Spline, start: FloatArray, settings:
 def follow(
     reference: Reference, first: Image, frame: tuple[Image, Spline], start: FloatArray, settings: TrackSettings
 ) -> Registration:
-    """Subsets of the first image in a later one: from the prediction, else from a few searched seeds and neighbours."""
+    """Subsets of the first image in a later one: from the prediction; where that loses most, by search.
+
+    Searched seeds within `reach_px` of the prediction, then in the whole image, then matched features, which stand
+    rotation as well; at last the lost ones from their neighbours.
+    """
     found = find_from(reference, frame[1], start, settings)
-    usable = reference.status == TrackStatus.OK
-    if np.sum(found.status[usable] == TrackStatus.OK) < 0.5 * usable.sum():
-        seeded = find_by_search(reference, first, frame, start, settings)
-        found = merged(found, seeded)
+    for attempt in range(3):
+        if np.sum(found.status == TrackStatus.OK) >= 0.5 * np.sum(reference.status == TrackStatus.OK):
+            break
+        if attempt < 2:
+            reach = settings.reach_px if attempt == 0 else max(frame[0].shape)
+            more = find_by_search(reference, first, frame, start, replace(settings, reach_px=reach))
+        else:
+            more = find_from_features(reference, first, frame, settings)
+        found = merged(found, more)
     return find_from_neighbours(reference, frame[1], found, settings)
+
+
+def find_from_features(
+    reference: Reference, first: Image, frame: tuple[Image, Spline], settings: TrackSettings
+) -> Registration:
+    """All subsets from the affine maps of matched features around them."""
+    source, moved = match_features(first, frame[0])
+    starts = np.full((len(reference.centre_px), 6), np.nan)
+    usable = reference.status == TrackStatus.OK
+    starts[usable] = affine_starts(reference.centre_px[usable], source, moved)
+    return find_from(reference, frame[1], starts, settings)
 
 
 def find_by_search(
@@ -153,7 +177,7 @@ def identity(reference: Reference) -> Registration:
     usable = reference.status == TrackStatus.OK
     ones = np.where(usable, 1.0, np.nan)
     return Registration(
-        np.where(usable[:, None], 0.0, np.nan) * np.ones(6),
+        np.where(usable[:, None], 0.0, np.nan) * np.ones(max(6, PARAMETERS[reference.order])),
         ones,
         ones,
         np.full(count, np.nan),

@@ -61,7 +61,10 @@ def affine_starts(points_px: FloatArray, source_px: FloatArray, target_px: Float
 
 
 def neighbour_starts(points_px: FloatArray, warp: FloatArray) -> FloatArray:
-    """Warps (N,6) carried over from the nearest point whose warp (N,6) is known, by that point's own affine map."""
+    """Warps (N,6) carried over from the nearest point whose warp (N,6) is known, by that point's own affine map.
+
+    Warps (N,12) of second order are carried over with the curvature of that point.
+    """
     from scipy.spatial import cKDTree
 
     known = np.isfinite(warp).all(axis=1) & np.isfinite(points_px).all(axis=1)
@@ -73,8 +76,14 @@ def neighbour_starts(points_px: FloatArray, warp: FloatArray) -> FloatArray:
     source = warp[known][nearest]
     distance = points_px[wanted] - points_px[known][nearest]
     starts[wanted] = source
-    starts[wanted, 0] += source[:, 1] * distance[:, 0] + source[:, 2] * distance[:, 1]
-    starts[wanted, 3] += source[:, 4] * distance[:, 0] + source[:, 5] * distance[:, 1]
+    x, y = distance.T
+    for u, curved in ((0, source[:, 6:9]), (3, source[:, 9:12])):
+        starts[wanted, u] += source[:, u + 1] * x + source[:, u + 2] * y
+        if curved.shape[1]:
+            xx, xy, yy = curved.T
+            starts[wanted, u] += xx * x * x / 2.0 + xy * x * y + yy * y * y / 2.0
+            starts[wanted, u + 1] += xx * x + xy * y
+            starts[wanted, u + 2] += xy * x + yy * y
     return starts
 
 

@@ -114,7 +114,8 @@ def match_stereo(
     matches off the epipolar lines F·[left; 1] by more than 2 px from the median distance are dropped.
     """
     check_shape("points_px", points_px, (None, 2))
-    reference = prepare_reference(spline_of_image(left_image, settings.degree), points_px, settings.radius_px)
+    spline = spline_of_image(left_image, settings.degree)
+    reference = prepare_reference(spline, points_px, settings.radius_px, settings.shape_order)
     target = spline_of_image(right_image, settings.degree)
     source, matched = match_features(left_image, right_image)
     if fundamental is not None and len(source) > 0:
@@ -139,7 +140,8 @@ def prepare_sequence(sequence: ImageSequence, points_px: FloatArray, settings: T
     """
     check_shape("points_px", points_px, (None, 2))
     first = sequence.read(0)
-    reference = prepare_reference(spline_of_image(first, settings.degree), points_px, settings.radius_px)
+    spline = spline_of_image(first, settings.degree)
+    reference = prepare_reference(spline, points_px, settings.radius_px, settings.shape_order)
     return without_saturated(reference, first, sequence.full_scale)
 
 
