@@ -13,6 +13,7 @@ from photogram.noise import NoiseModel
 from photogram.sampling import sample_line_cubic, sample_line_quintic
 
 ALLOWED = {"contract", "reassoc", "nsz", "arcp"}
+SMALLEST_GAIN = 0.1  # of the reference's contrast, below which a cell shows nothing
 LEAST_FILLED = 0.1  # of a cell, below which it is left out
 
 
@@ -58,7 +59,8 @@ class CellSums:
     """What another image says at given warps: gain (C,), misfit (C,) = Σw·r² of what gain and offset leave.
 
     slope (C, 6): Σw·SD·g over the projected steepest-descent images SD; misfit_noise (C,): expected misfit per unit of
-    noise variance ratio. A cell that leaves the image, or has no contrast there, is NaN.
+    noise variance ratio. A cell that leaves the image, or has less than a tenth of
+    its contrast there, is NaN.
     """
 
     gain: FloatArray
@@ -106,7 +108,7 @@ def prepare_cells(
     centre, runs, first = layout
     where = _pixel_places(runs)
     value, gradient = evaluate(spline, where)
-    weight = np.where((value < full_scale) & np.isfinite(value), 1.0 / noise.variance(value), 0.0)
+    weight = np.where((value < full_scale - 0.5) & np.isfinite(value), 1.0 / noise.variance(value), 0.0)
     pixels = np.stack([weight, value, gradient[:, 0], gradient[:, 1]])
     scalars, moments = np.zeros((len(centre), 4)), np.zeros((len(centre), 8, 8))
     extent = np.zeros((len(centre), 3))
@@ -138,7 +140,7 @@ def compare_cells(cells: Cells, target: Spline, warp: FloatArray) -> CellSums:
     gain = sums[:, 2] / cells.energy
     misfit = np.maximum(0.0, sums[:, 1] - sums[:, 0] ** 2 / cells.weight - gain**2 * cells.energy)
     slope = sums[:, 3:] - cells.removed[:, 0] * sums[:, :1] - cells.removed[:, 1] * sums[:, 2:3]
-    known = gain > 0.0
+    known = gain > SMALLEST_GAIN
     slope[~known] = np.nan
     kept = _interpolated_noise(cells, warp, target.degree)
     return CellSums(np.where(known, gain, np.nan), misfit, slope, (cells.count - 2) * (kept + gain**2))

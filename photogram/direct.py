@@ -23,6 +23,7 @@ REJECTED = 25.0  # squared standard deviations by which a cell may move unlike t
 MEDIAN_CHI2 = 1.3862943611198906  # median of χ² with two degrees of freedom
 FEWEST_CELLS = 4
 SMALLEST_EXCESS = 1e-2
+SMALLEST_MISFIT = 1e-12  # of the expected one: images without noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +149,7 @@ def _rigid_cells(view: BodyView, found: CellSums) -> BoolArray:
     known &= view.rates.any(axis=(1, 2))
     if not known.any():
         return known
-    typical = float(np.median(ratio[known]))
+    typical = max(float(np.median(ratio[known])), SMALLEST_MISFIT)
     known &= np.where(known, ratio, np.inf) <= MISFIT * typical
     slope = found.slope[:, [0, 3]]
     squares = np.einsum("ci,cij,cj->c", slope, view.translation, slope) / typical
