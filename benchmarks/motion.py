@@ -3,8 +3,8 @@
 Usage: python benchmarks/motion.py [--seeds 1 2 … 10] [--frames 96] [--keep FOLDER]
 
 Renders the published set-up (106.25 Hz, rocking, three harmonics) without errors of calibration and clocks, measures
-both stereo pairs, and takes the residual about the true lines. Rows: the motion fitted to the grey values, and that of the
-tracked points alone. Ratios are pooled over recordings and frames. Rendering takes about a minute per seed and two cores.
+both stereo pairs, and takes the residual about the true lines. Rows: the motion fitted to the grey values, and that of
+the tracked points alone. Ratios are pooled over recordings and frames. Rendering takes about a minute per seed.
 """
 
 from __future__ import annotations
