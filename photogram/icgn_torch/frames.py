@@ -100,6 +100,7 @@ def sample(frames: TorchSplines, corner: Tensor, place_px: Tensor, polynomials: 
     Every point gathers (degree+1) rows of neighbouring coefficients, overlapping windows of one long line, and sums
     them with its weights down; the weights along x follow.
     """
+    import torch
     from torch.nn.functional import embedding_bag
 
     taps = frames.degree + 1
@@ -109,7 +110,7 @@ def sample(frames: TorchSplines, corner: Tensor, place_px: Tensor, polynomials: 
     whole = place_px.floor()
     along, down = _weights((place_px - whole).view(2, -1), polynomials)
     column, row = whole.to(corner.dtype)
-    rows = corner.new_tensor([k * stride for k in range(taps)])
+    rows = stride * torch.arange(taps, dtype=corner.dtype, device=corner.device)
     first = (corner[:, None] + row * stride + column).view(-1, 1) + rows
     summed = embedding_bag(first, windows, per_sample_weights=down, mode="sum")
     return summed.mul_(along).sum(dim=1).view(place_px.shape[1:])

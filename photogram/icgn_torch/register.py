@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 RUNNING = -1
-LOW = int(TrackStatus.LOW_CORRELATION)
 WORKING_BYTES = {"cpu": 2**26, "cuda": 2**31}
 NUMBERS_PER_PIXEL = 48
 
@@ -26,13 +25,15 @@ class TorchReference:
     """A `Reference` on a device: N subsets of P pixels, with m = 2, 6 or 12 parameters of order 0, 1 or 2.
 
     pixels (N,3,P) and shape (s,P) = [1, dx, dy, dx²/2, dx dy, dy²/2], s = 3 or for order 2 six, in the precision of the
-    sampling; centre_px (N,2), mean (N,), energy (N,), removed (N,2,m), inverse_hessian (N,m,m) in float64; status (N,).
+    sampling; in float64 rim (s,): the largest values of these shape functions, centre_px (N,2), mean (N,), energy (N,),
+    removed (N,2,m), inverse_hessian (N,m,m); status (N,).
     """
 
     radius_px: int
     order: int
     pixels: Tensor
     shape: Tensor
+    rim: Tensor
     centre_px: Tensor
     mean: Tensor
     energy: Tensor
@@ -67,6 +68,7 @@ def torch_reference(reference: Reference, device: str, precision: str = "float64
         reference.order,
         torch.from_numpy(reference.pixels).to(device, pixel_type),
         torch.from_numpy(shape).to(device, pixel_type),
+        torch.from_numpy(shape.max(axis=1)).to(device),
         **{name: torch.from_numpy(getattr(reference, name)).to(device) for name in fields},
     )
 
@@ -133,7 +135,7 @@ def _register_pairs(
     import torch
 
     all_warp, all_scores, outcome = state
-    first_shift = all_warp[pairs][:, [0, 3]]
+    first_shift = all_warp[pairs][:, :6:3]
     basis = torch.from_numpy(basis_polynomials(frames.degree)).to(reference.pixels)
     compose_inverse = _compose_inverse_quadratic if reference.order == 2 else _compose_inverse
     for iteration in range(1, limits.max_iterations + 1):
@@ -142,7 +144,7 @@ def _register_pairs(
         gone = _gone(reference, frames, subset, warp, first_shift)
         sums = _correlate(reference, frames, (frame, subset, warp, gone), basis)
         step, scores, small = _solve(reference, subset, *sums)
-        fate, scores = _judge(reference.radius_px, limits, gone, (step, scores, small))
+        fate, scores = _judge(reference.rim, limits, gone, (step, scores, small))
         all_warp[pairs], all_scores[pairs] = compose_inverse(warp, step), scores
         outcome[pairs] = torch.stack([fate, torch.full_like(fate, iteration)], dim=1)
         going_on = torch.nonzero(fate == RUNNING)[:, 0]
@@ -156,15 +158,14 @@ def _gone(reference: TorchReference, frames: TorchSplines, subset: Tensor, warp:
     """Status (n,) of the pairs that have run away or left the image, `RUNNING` for the others."""
     import torch
 
-    radius, shift = reference.radius_px, warp[:, [0, 3]]
+    radius, shift = reference.radius_px, warp[:, :6:3]
     centre = reference.centre_px[subset] + shift
-    extent = warp.new_tensor([radius, radius, radius**2 / 2, radius**2, radius**2 / 2])
-    reach = _polynomials(warp)[:, :, 1:].abs() @ extent[: len(reference.shape) - 1]
-    last = warp.new_tensor(frames.size_px) - 1.0
-    inside = ((centre - reach >= 0.0) & (centre + reach <= last)).all(dim=1)
+    reach = _polynomials(warp)[:, :, 1:].abs() @ reference.rim[1:]
+    after, (right, bottom) = centre + reach, frames.size_px
+    inside = (centre >= reach).all(dim=1) & (after[:, 0] <= right - 1.0) & (after[:, 1] <= bottom - 1.0)
     far = (shift - first_shift).abs().sum(dim=1) > 2.0 * radius
-    fate = torch.where(inside, RUNNING, int(TrackStatus.LEFT_IMAGE))
-    return torch.where(far, int(TrackStatus.NOT_CONVERGED), fate)
+    fate = torch.full_like(subset, RUNNING).masked_fill_(~inside, int(TrackStatus.LEFT_IMAGE))
+    return fate.masked_fill_(far, int(TrackStatus.NOT_CONVERGED))
 
 
 def _correlate(
@@ -180,7 +181,7 @@ def _correlate(
     frame, subset, warp, gone = pair
     places = _polynomials(warp)
     places[:, :, 0] += reference.centre_px[subset]
-    places = torch.where((gone == RUNNING)[:, None, None], places, 0.0)
+    places.masked_fill_((gone != RUNNING)[:, None, None], 0.0)
     pixel = places[:, :, 0].floor()
     places[:, :, 0] -= pixel
     placed = torch.matmul(places.transpose(0, 1).to(reference.shape.dtype).contiguous(), reference.shape)
@@ -208,28 +209,29 @@ def _solve(
     left = (spread - (product + improvement) * gain).clamp(min=0.0)
     zncc, residual = (1.0 - left / spread).clamp(min=0.0).sqrt(), left / (size - slope.shape[1] - GAIN_AND_OFFSET)
     correlated = (spread > 0.0) & (gain > 0.0)
-    scores = torch.where(correlated[:, None], torch.stack([zncc, gain, residual], dim=1), torch.nan)
+    scores = torch.stack([zncc, gain, residual], dim=1).masked_fill_(~correlated[:, None], torch.nan)
     small = gain * improvement < SMALL_STEP**2 * slope.shape[1] * residual
     step = solution
     if reference.order == 0:
         step = torch.zeros((len(subset), 6), dtype=solution.dtype, device=solution.device)
-        step[:, [0, 3]] = solution
+        step[:, :6:3] = solution
     return step, scores, small
 
 
-def _judge(radius: int, limits: _Limits, gone: Tensor, solved: tuple[Tensor, Tensor, Tensor]) -> tuple[Tensor, Tensor]:
+def _judge(rim: Tensor, limits: _Limits, gone: Tensor, solved: tuple[Tensor, Tensor, Tensor]) -> tuple[Tensor, Tensor]:
     """Status (n,) after this step, `RUNNING` where another is needed, and scores (n,3) of those that stand still."""
     import torch
 
     step, scores, small = solved
     zncc = scores[:, 0]
-    extent = step.new_tensor([1.0, radius, radius, 1.0, radius, radius, *[radius**2 / 2] * 6])
-    moved = (step * extent[: step.shape[1]]).square().sum(dim=1)
+    moved = (step[:, :6].view(-1, 2, 3) * rim[:3]).square().sum(dim=(1, 2))
+    moved = moved + rim[1] ** 4 / 4.0 * step[:, 6:].square().sum(dim=1)
     still = (moved < LINEAR_PX**2) & (small | (REMAINING**2 * moved < limits.convergence_px**2))
     still &= zncc.isfinite() & (gone == RUNNING)
-    fate = torch.where(still, torch.where(zncc >= limits.min_zncc, int(TrackStatus.OK), LOW), RUNNING)
-    fate = torch.where(zncc.isfinite(), fate, LOW)
-    return torch.where(gone == RUNNING, fate, gone), torch.where(still[:, None], scores, torch.nan)
+    alike = zncc >= limits.min_zncc
+    fate = torch.full_like(gone, RUNNING).masked_fill_(still & alike, int(TrackStatus.OK))
+    fate.masked_fill_((still & ~alike) | ~zncc.isfinite(), int(TrackStatus.LOW_CORRELATION))
+    return torch.where(gone == RUNNING, fate, gone), scores.masked_fill(~still[:, None], torch.nan)
 
 
 def _polynomials(warp: Tensor) -> Tensor:
@@ -268,7 +270,8 @@ def _compose_inverse_quadratic(warp: Tensor, step: Tensor) -> Tensor:
     import torch
 
     product = torch.matmul(_matrices(warp), torch.linalg.inv_ex(_matrices(step)).inverse)
-    places = product[:, 1:3] * warp.new_tensor([1.0, 1.0, 1.0, 2.0, 1.0, 2.0])
+    places = product[:, 1:3].clone()
+    places[:, :, 3::2] *= 2.0
     places[:, 0, 1] -= 1.0
     places[:, 1, 2] -= 1.0
     return _columns(places)
@@ -278,7 +281,9 @@ def _matrices(warp: Tensor) -> Tensor:
     """How warps (n,12) map [1, dx, dy, dx², dx dy, dy²], (n,6,6), powers above the second left out."""
     import torch
 
-    x, y = (_polynomials(warp) * warp.new_tensor([1.0, 1.0, 1.0, 0.5, 1.0, 0.5])).unbind(dim=1)
+    places = _polynomials(warp)
+    places[:, :, 3::2] *= 0.5
+    x, y = places.unbind(dim=1)
     one = torch.zeros_like(x)
     one[:, 0] = 1.0
     return torch.stack([one, x, y, _product(x, x), _product(x, y), _product(y, y)], dim=1)

@@ -24,6 +24,7 @@ from photogram.icgn_torch import (
     spline_frames,
     torch_reference,
 )
+from photogram.icgn_torch import register as engine
 from photogram.icgn_torch.forecast import forecast_warps
 from photogram.icgn_torch.frames import basis_polynomials
 from photogram.interpolate import spline_of_image
@@ -180,6 +181,26 @@ def test_portions_change_nothing(noisy_frames) -> None:  # type: ignore[no-untyp
         parts = register_frames(reference, frames, start, *LIMITS, working_bytes)
         for expected, found in zip(whole, parts, strict=True):
             assert_same(expected, found, atol_px=1e-11)
+
+
+@pytest.mark.parametrize("order", [0, 1, 2])
+def test_every_tensor_is_made_on_the_device(noisy_frames, order: int) -> None:  # type: ignore[no-untyped-def]
+    """On torch's device without data, one step of the pairs fails where a tensor of the CPU is mixed in."""
+    import torch
+
+    reference = torch_reference(prepare_reference(spline_of_image(noisy_frames[0]), CENTRES, 10, order), "meta")
+    frames = spline_frames(noisy_frames, 5, "meta")
+    start = torch.zeros((9, reference.columns), dtype=torch.float64, device="meta")
+    frame = subset = torch.zeros(9, dtype=torch.int64, device="meta")
+    basis = torch.from_numpy(basis_polynomials(5)).to(reference.pixels)
+    gone = engine._gone(reference, frames, subset, start, start[:, :6:3])
+    solved = engine._solve(
+        reference, subset, *engine._correlate(reference, frames, (frame, subset, start, gone), basis)
+    )
+    fate, scores = engine._judge(reference.rim, engine._Limits(*LIMITS), gone, solved)
+    compose = engine._compose_inverse_quadratic if order == 2 else engine._compose_inverse
+    for tensor in (fate, scores, compose(start, solved[0])):
+        assert tensor.device.type == "meta"
 
 
 def test_starts_stay_as_they_were(noisy_frames) -> None:  # type: ignore[no-untyped-def]
