@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from photogram._checks import FloatArray, IntArray, check_shape
 from photogram.interpolate import PADDING_PX, Spline, noise_gain
 from photogram.reference import Reference, TrackStatus, subset_offsets
-from photogram.sampling import ALLOWED, sample_line_cubic, sample_line_quintic, sample_points
+from photogram.sampling import ALLOWED, sample_line, sample_points
 
 GAIN_AND_OFFSET = 2
 FREE_PARAMETERS = 6 + GAIN_AND_OFFSET
@@ -69,6 +69,7 @@ def register(
     outcome = np.column_stack([reference.status, np.zeros(count)]).astype(np.int64)
     _register(
         (reference.centre_px, reference.radius_px, reference.pixels, reference.mean, reference.energy),
+        np.ascontiguousarray(subset_offsets(reference.radius_px).T),
         (reference.removed, reference.inverse_hessian),
         (target.coefficients, target.degree),
         (max_iterations, convergence_px, min_zncc),
@@ -112,7 +113,7 @@ def noise_of_residual(reference: Reference, found: Registration, degree: int) ->
 
 
 @njit(cache=True, parallel=True)
-def _register(subsets, solved, target, limits, warp, scores, outcome):  # type: ignore[no-untyped-def]
+def _register(subsets, offsets, solved, target, limits, warp, scores, outcome):  # type: ignore[no-untyped-def]
     """Every usable subset on its own; outcome (N,2) receives status and iterations."""
     centres, radius, pixels, means, energies = subsets
     removed, inverse = solved
@@ -120,7 +121,7 @@ def _register(subsets, solved, target, limits, warp, scores, outcome):  # type: 
         if outcome[n, 0] != 0:
             continue
         outcome[n, 0], outcome[n, 1] = _register_one(
-            (centres[n, 0], centres[n, 1], radius, pixels[n], means[n], energies[n]),
+            (centres[n, 0], centres[n, 1], radius, pixels[n], means[n], energies[n], offsets),
             (removed[n], inverse[n]),
             target,
             limits,
@@ -132,12 +133,12 @@ def _register(subsets, solved, target, limits, warp, scores, outcome):  # type: 
 @njit(cache=True, fastmath=ALLOWED)
 def _register_one(subset, solved, target, limits, warp, scores):  # type: ignore[no-untyped-def]
     """Gauss-Newton steps of one subset until it stands still; returns status and iterations, fills warp and scores."""
-    _, _, radius, _, _, energy = subset
+    _, _, radius, _, _, energy, _ = subset
     removed, inverse = solved
     max_iterations, convergence, min_zncc = limits
     count, parameters = (2 * radius + 1) ** 2, inverse.shape[0]
     sums, solution, slope = np.empty(3 + parameters), np.empty(parameters), np.empty(parameters)
-    step = np.zeros(warp.size)
+    step, grey, room = np.zeros(warp.size), np.empty(count), np.empty((2, 2 * radius + 1))
     for value in warp:
         if not np.isfinite(value):
             return 6, 0
@@ -147,7 +148,8 @@ def _register_one(subset, solved, target, limits, warp, scores):  # type: ignore
             return 1, iteration
         if not _inside(subset, target, warp):
             return 3, iteration
-        _correlate(subset, target, warp, sums)
+        _sample(subset, target, warp, grey, room)
+        _correlate(subset, grey, sums)
         spread = sums[1] - sums[0] * sums[0] / count
         gain = sums[2] / energy
         if spread <= 0.0 or gain <= 0.0:
@@ -191,7 +193,7 @@ def _step_of(solution, radius, step):  # type: ignore[no-untyped-def]
 @njit(cache=True, inline="always")
 def _inside(subset, target, warp):  # type: ignore[no-untyped-def]
     """Whether all corners of the warped subset lie within the image."""
-    centre_x, centre_y, radius, _, _, _ = subset
+    centre_x, centre_y, radius, _, _, _, _ = subset
     coefficients, _ = target
     right, bottom = coefficients.shape[1] - 2.0 * PADDING_PX - 1.0, coefficients.shape[0] - 2.0 * PADDING_PX - 1.0
     x, y = centre_x + warp[0], centre_y + warp[3]
@@ -204,60 +206,53 @@ def _inside(subset, target, warp):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, fastmath=ALLOWED)
-def _correlate(subset, target, warp, sums):  # type: ignore[no-untyped-def]
+def _correlate(subset, grey, sums):  # type: ignore[no-untyped-def]
     """Sums over the subset of g, g², f̃g and of the steepest-descent images times g (g without the mean of f)."""
-    _, _, radius, pixels, mean, _ = subset
-    width, parameters = 2 * radius + 1, sums.size - 3
-    grey, xs, ys = np.empty(width), np.empty(width), np.empty(width)
-    sums[:] = 0.0
+    _, _, _, pixels, mean, _, offsets = subset
+    total, square, product, along, down = 0.0, 0.0, 0.0, 0.0, 0.0
+    along_dx, along_dy, down_dx, down_dy = 0.0, 0.0, 0.0, 0.0
+    for i in range(grey.size):
+        g, dx, dy = grey[i] - mean, offsets[0, i], offsets[1, i]
+        ag, dg = pixels[1, i] * g, pixels[2, i] * g
+        total += g
+        square += g * g
+        product += pixels[0, i] * g
+        along += ag
+        along_dx += ag * dx
+        along_dy += ag * dy
+        down += dg
+        down_dx += dg * dx
+        down_dy += dg * dy
+    sums[0], sums[1], sums[2], sums[3] = total, square, product, along
+    if sums.size == 5:
+        sums[4] = down
+        return
+    sums[4], sums[5], sums[6], sums[7], sums[8] = along_dx, along_dy, down, down_dx, down_dy
+    if sums.size == 15:
+        sums[9:] = 0.0
+        for i in range(grey.size):
+            g, dx, dy = grey[i] - mean, offsets[0, i], offsets[1, i]
+            ag, dg = pixels[1, i] * g, pixels[2, i] * g
+            sums[9] += ag * dx * dx / 2.0
+            sums[10] += ag * dx * dy
+            sums[11] += ag * dy * dy / 2.0
+            sums[12] += dg * dx * dx / 2.0
+            sums[13] += dg * dx * dy
+            sums[14] += dg * dy * dy / 2.0
+
+
+@njit(cache=True, fastmath=ALLOWED)
+def _sample(subset, target, warp, grey, room):  # type: ignore[no-untyped-def]
+    """Grey values (P,) of the target at the warped subset, row by row."""
+    radius, width = subset[2], room.shape[1]
     for row in range(width):
-        dy = row - radius
-        _sample_row(subset, target, warp, dy, grey, xs, ys)
-        first = row * width
-        total, square, product = 0.0, 0.0, 0.0
-        along, along_dx, down, down_dx = 0.0, 0.0, 0.0, 0.0
-        for i in range(width):
-            g = grey[i] - mean
-            dx = float(i - radius)
-            ag, dg = pixels[1, first + i] * g, pixels[2, first + i] * g
-            total += g
-            square += g * g
-            product += pixels[0, first + i] * g
-            along += ag
-            along_dx += ag * dx
-            down += dg
-            down_dx += dg * dx
-        sums[0] += total
-        sums[1] += square
-        sums[2] += product
-        if parameters == 2:
-            sums[3] += along
-            sums[4] += down
-            continue
-        sums[3] += along
-        sums[4] += along_dx
-        sums[5] += along * dy
-        sums[6] += down
-        sums[7] += down_dx
-        sums[8] += down * dy
-        if parameters == 12:
-            along_dx2, down_dx2 = 0.0, 0.0
-            for i in range(width):
-                dx2 = 0.5 * float(i - radius) ** 2 * (grey[i] - mean)
-                along_dx2 += pixels[1, first + i] * dx2
-                down_dx2 += pixels[2, first + i] * dx2
-            sums[9] += along_dx2
-            sums[10] += along_dx * dy
-            sums[11] += 0.5 * along * dy * dy
-            sums[12] += down_dx2
-            sums[13] += down_dx * dy
-            sums[14] += 0.5 * down * dy * dy
+        _sample_row(subset, target, warp, row - radius, grey[row * width : (row + 1) * width], room)
 
 
 @njit(cache=True, inline="always")
-def _sample_row(subset, target, warp, dy, grey, xs, ys):  # type: ignore[no-untyped-def]
-    """Grey values of the target at one row of the warped subset; xs and ys are room for points of a curved row."""
-    centre_x, centre_y, radius, _, _, _ = subset
+def _sample_row(subset, target, warp, dy, grey, room):  # type: ignore[no-untyped-def]
+    """Grey values of the target at one row of the warped subset; `room` is for points of a curved row."""
+    centre_x, centre_y, radius, _, _, _, _ = subset
     coefficients, degree = target
     x = centre_x + warp[0] + warp[2] * dy - (1.0 + warp[1]) * radius
     y = centre_y + warp[3] + (1.0 + warp[5]) * dy - warp[4] * radius
@@ -266,12 +261,10 @@ def _sample_row(subset, target, warp, dy, grey, xs, ys):  # type: ignore[no-unty
             dx = float(i - radius)
             curved_x = 0.5 * warp[6] * dx * dx + warp[7] * dx * dy + 0.5 * warp[8] * dy * dy
             curved_y = 0.5 * warp[9] * dx * dx + warp[10] * dx * dy + 0.5 * warp[11] * dy * dy
-            xs[i], ys[i] = x + i * (1.0 + warp[1]) + curved_x, y + i * warp[4] + curved_y
-        sample_points(coefficients, degree, xs, ys, grey)
-    elif degree == 5:
-        sample_line_quintic(coefficients, x, y, 1.0 + warp[1], warp[4], grey)
+            room[0, i], room[1, i] = x + i * (1.0 + warp[1]) + curved_x, y + i * warp[4] + curved_y
+        sample_points(coefficients, degree, room[0], room[1], grey)
     else:
-        sample_line_cubic(coefficients, x, y, 1.0 + warp[1], warp[4], grey)
+        sample_line(coefficients, degree, x, y, 1.0 + warp[1], warp[4], grey)
 
 
 @njit(cache=True)
