@@ -10,7 +10,7 @@ from numba import njit, prange
 from photogram._checks import BoolArray, FloatArray, IntArray, check_shape
 from photogram.interpolate import PADDING_PX, Spline, evaluate, noise_gain, slope_noise_gain
 from photogram.noise import NoiseModel
-from photogram.sampling import sample_line_cubic, sample_line_quintic
+from photogram.sampling import sample_line
 
 ALLOWED = {"contract", "reassoc", "nsz", "arcp"}
 SMALLEST_GAIN = 0.1  # of the reference's contrast, below which a cell shows nothing
@@ -246,10 +246,7 @@ def _sample_run(run, centre_x, centre_y, target, warp, grey):  # type: ignore[no
     dx, dy = run[1] - centre_x, run[0] - centre_y
     x = run[1] + warp[0] + warp[1] * dx + warp[2] * dy
     y = run[0] + warp[3] + warp[4] * dx + warp[5] * dy
-    if degree == 5:
-        sample_line_quintic(coefficients, x, y, 1.0 + warp[1], warp[4], grey)
-    else:
-        sample_line_cubic(coefficients, x, y, 1.0 + warp[1], warp[4], grey)
+    sample_line(coefficients, degree, x, y, 1.0 + warp[1], warp[4], grey)
 
 
 @njit(cache=True, parallel=True, fastmath=ALLOWED)

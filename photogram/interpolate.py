@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 
 from photogram._checks import FloatArray, check_shape
 
-PADDING_PX = 3
+PADDING_PX = 4
 POLES = {
     3: (sqrt(3.0) - 2.0,),
     5: (
         sqrt(67.5 - sqrt(4436.25)) + sqrt(26.25) - 6.5,
         sqrt(67.5 + sqrt(4436.25)) - sqrt(26.25) - 6.5,
     ),
+    7: (-0.53528043079643816554, -0.12255461519232669052, -0.0091486948096082769286),
 }
 SMALLEST_TERM = 1e-17
 BLOCK = 64
@@ -26,7 +27,7 @@ BLOCK = 64
 
 @dataclass(frozen=True)
 class Spline:
-    """An image as a B-spline of `degree` 3 or 5: coefficients (H+6,W+6), mirrored by three pixels on every side."""
+    """An image as a B-spline of `degree` 3, 5 or 7: coefficients (H+8,W+8), mirrored by four pixels on every side."""
 
     coefficients: FloatArray
     degree: int
@@ -34,7 +35,7 @@ class Spline:
     def __post_init__(self) -> None:
         check_shape("coefficients", self.coefficients, (None, None))
         if self.degree not in POLES:
-            raise ValueError(f"degree: expected 3 or 5, found {self.degree}")
+            raise ValueError(f"degree: expected 3, 5 or 7, found {self.degree}")
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -53,7 +54,7 @@ def spline_of_image(image: NDArray[np.generic], degree: int = 5) -> Spline:
     if min(image.shape) < 2 * PADDING_PX:
         raise ValueError(f"image: expected at least {2 * PADDING_PX} x {2 * PADDING_PX} px, found {image.shape}")
     if degree not in POLES:
-        raise ValueError(f"degree: expected 3 or 5, found {degree}")
+        raise ValueError(f"degree: expected 3, 5 or 7, found {degree}")
     inside = np.ascontiguousarray(image, dtype=np.float64)
     coefficients = _prefilter(inside, np.array(POLES[degree]))
     return Spline(np.pad(coefficients, PADDING_PX, mode="reflect"), degree)
@@ -185,6 +186,36 @@ def weights_quintic(t):  # type: ignore[no-untyped-def]
     return first, wide + skew, even + odd, even - odd, wide - skew, last
 
 
+@njit(cache=True, inline="always")
+def weights_septic(t):  # type: ignore[no-untyped-def]
+    """Values of the eight septic B-splines that reach offset t in [0,1).
+
+    With h = t − ½ the splines j and 7−j are E(h²) ± h·O(h²); polynomials from the sum of truncated powers (Unser 1999,
+    IEEE Signal Process. Mag. 16, 22, box 1).
+    """
+    h = t - 0.5
+    q = h * h
+    even0 = ((q / 1440.0 + 1.0 / 1152.0) * q + 1.0 / 7680.0) * q + 1.0 / 645120.0
+    odd0 = ((q / -5040.0 - 1.0 / 960.0) * q - 1.0 / 2304.0) * q - 1.0 / 46080.0
+    even1 = ((q / -288.0 + 19.0 / 1152.0) * q + 47.0 / 1536.0) * q + 2179.0 / 645120.0
+    odd1 = ((q / 720.0 - 1.0 / 960.0) * q - 73.0 / 2304.0) * q - 721.0 / 46080.0
+    even2 = ((q / 160.0 - 7.0 / 128.0) * q + 403.0 / 2560.0) * q + 20219.0 / 215040.0
+    odd2 = ((q / -240.0 + 19.0 / 960.0) * q - 5.0 / 2304.0) * q - 9821.0 / 46080.0
+    even3 = ((q / -288.0 + 43.0 / 1152.0) * q - 289.0 / 1536.0) * q + 259723.0 / 645120.0
+    odd3 = ((q / 144.0 - 3.0 / 64.0) * q + 43.0 / 256.0) * q - 289.0 / 1024.0
+    odd0, odd1, odd2, odd3 = h * odd0, h * odd1, h * odd2, h * odd3
+    return (
+        even0 + odd0,
+        even1 + odd1,
+        even2 + odd2,
+        even3 + odd3,
+        even3 - odd3,
+        even2 - odd2,
+        even1 - odd1,
+        even0 - odd0,
+    )
+
+
 @njit(cache=True)
 def basis(t, degree, values, slopes):  # type: ignore[no-untyped-def]
     """Values and derivatives of the degree+1 B-splines that reach t in [0,1), by the recursion of de Boor and Cox.
@@ -215,7 +246,7 @@ def _evaluate(coefficients, degree, points, values, gradients):  # type: ignore[
         if not (x >= 0.0 and y >= 0.0 and x <= width - 1.0 and y <= height - 1.0):
             continue
         column, row = int(np.floor(x)), int(np.floor(y))
-        wx, sx, wy, sy = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
+        wx, sx, wy, sy = np.empty(8), np.empty(8), np.empty(8), np.empty(8)
         basis(x - column, degree, wx, sx)
         basis(y - row, degree, wy, sy)
         value, along, down = 0.0, 0.0, 0.0

@@ -18,7 +18,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from photogram._checks import FloatArray, check_shape
-from photogram.interpolate import PADDING_PX, Spline, basis, weights_cubic, weights_quintic
+from photogram.interpolate import PADDING_PX, Spline, basis, weights_cubic, weights_quintic, weights_septic
 
 ALLOWED = {"contract", "reassoc", "nsz", "arcp"}
 LANES = 8
@@ -45,7 +45,7 @@ def sample_squares(spline: Spline, centre_px: FloatArray, radius_px: int) -> Flo
 def sample_line_quintic(c, x, y, step_x, step_y, grey):  # type: ignore[no-untyped-def]
     """Fill grey (n,) with quintic spline values at (x, y) + i·(step_x, step_y), all of them within the image.
 
-    c (H+6,W+6): `Spline.coefficients`. Runs in which int(x)−i and int(y) stay the same are computed eight points at a
+    c (H+8,W+8): `Spline.coefficients`. Runs in which int(x)−i and int(y) stay the same are computed eight points at a
     time; the polynomials of two runs agree where they meet, so that it does not matter to which run a point is given.
     """
     start = 0
@@ -72,12 +72,38 @@ def sample_line_cubic(c, x, y, step_x, step_y, grey):  # type: ignore[no-untyped
 
 
 @njit(cache=True, fastmath=ALLOWED)
+def sample_line_septic(c, x, y, step_x, step_y, grey):  # type: ignore[no-untyped-def]
+    """Fill grey (n,) with septic spline values at (x, y) + i·(step_x, step_y), as `sample_line_quintic` does."""
+    start = 0
+    while start < grey.size:
+        at_x, at_y = x + start * step_x, y + start * step_y
+        column, row = int(at_x), int(at_y)
+        s, t = at_x - column, at_y - row
+        stop = _end_of_run(start, grey.size, s, t, step_x - 1.0, step_y)
+        _run_septic(c, row + PADDING_PX - 3, column + PADDING_PX - 3, s, t, step_x - 1.0, step_y, grey, start, stop)
+        start = stop
+
+
+@njit(cache=True, fastmath=ALLOWED)
+def sample_line(c, degree, x, y, step_x, step_y, grey):  # type: ignore[no-untyped-def]
+    """Fill grey (n,) with values of a spline of degree 3, 5 or 7 at (x, y) + i·(step_x, step_y)."""
+    if degree == 7:
+        sample_line_septic(c, x, y, step_x, step_y, grey)
+    elif degree == 5:
+        sample_line_quintic(c, x, y, step_x, step_y, grey)
+    else:
+        sample_line_cubic(c, x, y, step_x, step_y, grey)
+
+
+@njit(cache=True, fastmath=ALLOWED)
 def sample_points(c, degree, x, y, grey):  # type: ignore[no-untyped-def]
-    """Fill grey (n,) with spline values of degree 3 or 5 at any points x (n,), y (n,) within the image."""
+    """Fill grey (n,) with spline values of degree 3, 5 or 7 at any points x (n,), y (n,) within the image."""
     for i in range(grey.size):
         column, row = int(x[i]), int(y[i])
         s, t = x[i] - column, y[i] - row
-        if degree == 5:
+        if degree == 7:
+            _run_septic(c, row + PADDING_PX - 3, column + PADDING_PX - 3, s, t, 0.0, 0.0, grey, i, i + 1)
+        elif degree == 5:
             _run_quintic(c, row + PADDING_PX - 2, column + PADDING_PX - 2, s, t, 0.0, 0.0, grey, i, i + 1)
         else:
             _run_cubic(c, row + PADDING_PX - 1, column + PADDING_PX - 1, s, t, 0.0, 0.0, grey, i, i + 1)
@@ -112,7 +138,7 @@ def _sample_squares(c, degree, centres, radius, squares):  # type: ignore[no-unt
 def _sample_square(c, degree, x, y, side, square):  # type: ignore[no-untyped-def]
     """One square with its first point at (x, y)."""
     column, row = min(int(x), c.shape[1] - 2 * PADDING_PX - side), min(int(y), c.shape[0] - 2 * PADDING_PX - side)
-    wx, sx, wy, sy = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
+    wx, sx, wy, sy = np.empty(8), np.empty(8), np.empty(8), np.empty(8)
     basis(x - column, degree, wx, sx)
     basis(y - row, degree, wy, sy)
     left, top = column + PADDING_PX - degree // 2, row + PADDING_PX - degree // 2
@@ -261,6 +287,12 @@ def _run_type(c: Any, grey: Any) -> Any:
         raise TypeError(f"c, grey: expected contiguous float64 arrays, found {c} and {grey}")
     whole, real = types.int64, types.float64
     return types.void(c, whole, whole, real, real, real, real, grey, whole, whole)
+
+
+@intrinsic
+def _run_septic(typing, c, row, column, s, t, drift_x, drift_y, grey, start, stop):  # type: ignore[no-untyped-def]
+    """Septic values of the points start … stop of one run, whose coefficients begin at c[row, column]."""
+    return _run_type(c, grey), _run_code(weights_septic.py_func)
 
 
 @intrinsic

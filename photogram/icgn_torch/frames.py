@@ -22,7 +22,7 @@ BLOCK = 128
 
 @dataclass(frozen=True)
 class TorchSplines:
-    """B images as B-splines of `degree` 3 or 5: coefficients (B,H+6,W+6) on their device, padded as in `Spline`."""
+    """B images as B-splines of `degree` 3, 5 or 7: coefficients (B,H+8,W+8) on their device, padded as in `Spline`."""
 
     coefficients: Tensor
     degree: int
@@ -34,7 +34,7 @@ class TorchSplines:
                 f"found {tuple(self.coefficients.shape)}"
             )
         if self.degree not in POLES:
-            raise ValueError(f"degree: expected 3 or 5, found {self.degree}")
+            raise ValueError(f"degree: expected 3, 5 or 7, found {self.degree}")
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -49,7 +49,7 @@ def spline_frames(images: NDArray[np.generic], degree: int, device: str, precisi
 
 
 def prefilter(images: NDArray[np.generic], degree: int, device: str, precision: str = "float64") -> Tensor:
-    """Spline coefficients (B,H+6,W+6) of images (B,H,W), mirrored at the outermost pixels, on the device.
+    """Spline coefficients (B,H+8,W+8) of images (B,H,W), mirrored at the outermost pixels, on the device.
 
     C = A_H · image · A_Wᵀ with A the exact inverse of the B-spline sampled at whole pixels, its mirrored borders
     included: the recursion of `spline_of_image` as matrix products, which suit a GPU better. Blocks of A are multiplied
@@ -62,7 +62,7 @@ def prefilter(images: NDArray[np.generic], degree: int, device: str, precision: 
     if min(height, width) < 2 * PADDING_PX:
         raise ValueError(f"images: expected at least {2 * PADDING_PX} x {2 * PADDING_PX} px, found {images.shape[1:]}")
     if degree not in POLES:
-        raise ValueError(f"degree: expected 3 or 5, found {degree}")
+        raise ValueError(f"degree: expected 3, 5 or 7, found {degree}")
     native = np.ascontiguousarray(images, dtype=images.dtype.newbyteorder("="))
     raw = torch.from_numpy(native).to(device).to(torch_type(precision))
     down = _filtered(raw.transpose(1, 2).contiguous(), degree)
@@ -138,7 +138,7 @@ def _weights(fraction: Tensor, polynomials: Tensor) -> Tensor:
 
 
 def _filtered(lines: Tensor, degree: int) -> Tensor:
-    """Coefficients (...,n+6) of lines of n pixels (...,n), mirrored by three at both ends."""
+    """Coefficients (...,n+8) of lines of n pixels (...,n), mirrored by four at both ends."""
     import torch
 
     inverse = torch.from_numpy(_inverse_filter(lines.shape[-1], degree)).to(lines)
@@ -152,7 +152,7 @@ def _filtered(lines: Tensor, degree: int) -> Tensor:
 
 @lru_cache(maxsize=4)
 def _inverse_filter(size: int, degree: int) -> FloatArray:
-    """Matrix (size+6,size) from the pixels of a line to its spline coefficients, mirrored by three at both ends."""
+    """Matrix (size+8,size) from the pixels of a line to its spline coefficients, mirrored by four at both ends."""
     reach = degree // 2
     values = basis_polynomials(degree)[0, : 2 * reach + 1]
     sampled = np.zeros((size, size))

@@ -338,9 +338,9 @@ def test_wrong_calls_are_refused(noisy_frames) -> None:  # type: ignore[no-untyp
         prefilter(noisy_frames[0], 5, "cpu")
     with pytest.raises(ValueError, match="images: expected at least 6 x 6 px"):
         prefilter(noisy_frames[:, :5], 5, "cpu")
-    with pytest.raises(ValueError, match="degree: expected 3 or 5, found 4"):
+    with pytest.raises(ValueError, match="degree: expected 3, 5 or 7, found 4"):
         prefilter(noisy_frames, 4, "cpu")
-    with pytest.raises(ValueError, match="degree: expected 3 or 5, found 4"):
+    with pytest.raises(ValueError, match="degree: expected 3, 5 or 7, found 4"):
         TorchSplines(frames.coefficients, 4)
     with pytest.raises(ValueError, match="coefficients: expected a contiguous tensor"):
         TorchSplines(frames.coefficients[0], 5)

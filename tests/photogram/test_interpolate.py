@@ -10,7 +10,7 @@ from photogram.interpolate import PADDING_PX, Spline, evaluate, noise_gain, slop
 
 
 @pytest.mark.parametrize("degree", [3, 5])
-@pytest.mark.parametrize("shape", [(6, 7), (37, 90), (130, 65)])
+@pytest.mark.parametrize("shape", [(8, 9), (37, 90), (130, 65)])
 def test_coefficients_and_values_are_scipys(degree: int, shape: tuple[int, int]) -> None:
     rng = np.random.default_rng(3)
     image = rng.normal(size=shape)
@@ -22,7 +22,7 @@ def test_coefficients_and_values_are_scipys(degree: int, shape: tuple[int, int])
     np.testing.assert_allclose(evaluate(spline, points)[0], expected, atol=1e-11)
 
 
-@pytest.mark.parametrize("degree", [3, 5])
+@pytest.mark.parametrize("degree", [3, 5, 7])
 def test_the_spline_passes_through_the_pixels(degree: int) -> None:
     image = np.random.default_rng(4).integers(0, 4096, (20, 24), dtype=np.uint16)
     rows, columns = np.indices(image.shape)
@@ -30,7 +30,7 @@ def test_the_spline_passes_through_the_pixels(degree: int) -> None:
     np.testing.assert_allclose(evaluate(spline_of_image(image, degree), points)[0], image.ravel(), atol=1e-9)
 
 
-@pytest.mark.parametrize("degree", [3, 5])
+@pytest.mark.parametrize("degree", [3, 5, 7])
 def test_polynomials_of_the_degree_are_exact_far_from_the_border(degree: int) -> None:
     x = np.arange(121.0) - 60.0
     image = np.add.outer((x / 10) ** degree, (x / 10) ** (degree - 1))
@@ -46,9 +46,12 @@ def test_speckle_is_interpolated_to_the_known_accuracy(make_texture) -> None:  #
     texture = make_texture(seed=6, s=1.5)
     image = texture.image((64, 64))
     points = np.random.default_rng(6).uniform(12, 52, (2000, 2))
-    error = {degree: np.std(evaluate(spline_of_image(image, degree), points)[0] - texture(points)) for degree in (3, 5)}
+    error = {
+        degree: np.std(evaluate(spline_of_image(image, degree), points)[0] - texture(points)) for degree in (3, 5, 7)
+    }
     assert error[5] < 1e-3
     assert error[3] > 3 * error[5]
+    assert error[5] > 2 * error[7]
 
 
 def test_points_outside_the_image_are_nan() -> None:
@@ -58,7 +61,7 @@ def test_points_outside_the_image_are_nan() -> None:
     assert np.isnan(gradients).all(axis=1).tolist() == [True, True, True, True, False]
 
 
-@pytest.mark.parametrize("degree", [3, 5])
+@pytest.mark.parametrize("degree", [3, 5, 7])
 def test_noise_gains_are_those_of_noise(degree: int) -> None:
     noise = np.random.default_rng(7).normal(size=(400, 400))
     spline = spline_of_image(noise, degree)
@@ -71,9 +74,9 @@ def test_noise_gains_are_those_of_noise(degree: int) -> None:
 
 
 def test_wrong_input_is_named() -> None:
-    with pytest.raises(ValueError, match="degree: expected 3 or 5, found 4"):
+    with pytest.raises(ValueError, match="degree: expected 3, 5 or 7, found 4"):
         spline_of_image(np.ones((10, 10)), 4)
-    with pytest.raises(ValueError, match="image: expected at least 6 x 6 px"):
+    with pytest.raises(ValueError, match="image: expected at least 8 x 8 px"):
         spline_of_image(np.ones((5, 10)))
-    with pytest.raises(ValueError, match="degree: expected 3 or 5"):
+    with pytest.raises(ValueError, match="degree: expected 3, 5 or 7"):
         Spline(np.ones((16, 16)), 2)

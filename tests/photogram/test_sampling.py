@@ -8,11 +8,11 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from photogram.interpolate import evaluate, spline_of_image
-from photogram.sampling import sample_line_cubic, sample_line_quintic
+from photogram.sampling import sample_line_cubic, sample_line_quintic, sample_line_septic
 
 IMAGE = np.random.default_rng(51).uniform(0, 4095, (64, 70))
-SPLINES = {degree: spline_of_image(IMAGE, degree) for degree in (3, 5)}
-SAMPLERS = {3: sample_line_cubic, 5: sample_line_quintic}
+SPLINES = {degree: spline_of_image(IMAGE, degree) for degree in (3, 5, 7)}
+SAMPLERS = {3: sample_line_cubic, 5: sample_line_quintic, 7: sample_line_septic}
 
 
 def check(degree: int, start: tuple[float, float], step: tuple[float, float], count: int) -> None:
@@ -22,7 +22,7 @@ def check(degree: int, start: tuple[float, float], step: tuple[float, float], co
     np.testing.assert_allclose(grey, evaluate(SPLINES[degree], points)[0], rtol=1e-12, atol=1e-12 * 4095)
 
 
-@pytest.mark.parametrize("degree", [3, 5])
+@pytest.mark.parametrize("degree", [3, 5, 7])
 @settings(max_examples=300, deadline=None)
 @given(
     x=st.floats(0, 69),
@@ -38,7 +38,7 @@ def test_lines_of_any_direction(degree: int, x: float, y: float, length: float, 
     check(degree, (x, y), step, count)
 
 
-@pytest.mark.parametrize("degree", [3, 5])
+@pytest.mark.parametrize("degree", [3, 5, 7])
 @pytest.mark.parametrize(
     ("start", "step", "count"),
     [
