@@ -261,6 +261,7 @@ def stereo_table(stereo: Sequence[StereoResult]) -> Table | None:
         ),
         ("correlation ZNCC, median", *(number(item.median_zncc) for item in stereo)),
         ("speckle size / px", *(number(item.speckle_px) for item in stereo)),
+        ("σ of a subset, predicted, found / px", *(_sigmas(item) for item in stereo)),
         ("read noise / grey values", *(_noise(item, "read_variance_grey2", 0.5) for item in stereo)),
         ("electrons per grey value", *(_noise(item, "variance_per_grey", -1.0) for item in stereo)),
         ("image noise / grey values", *(number(item.noise_grey) for item in stereo)),
@@ -269,6 +270,11 @@ def stereo_table(stereo: Sequence[StereoResult]) -> Table | None:
     ]
     head = ("", *(f"“{item.name}”" for item in stereo))
     return Table("Stereo pairs", head, "l" + "r" * len(stereo), tuple(rows))
+
+
+def _sigmas(stereo: StereoResult) -> str:
+    """Predicted and found standard deviation of a subset's coordinate; a dash where there are no images."""
+    return DASH if stereo.sigma_px is None else ", ".join(number(float(value)) for value in stereo.sigma_px)
 
 
 def _noise(stereo: StereoResult, name: str, power: float) -> str:

@@ -25,7 +25,7 @@ from photogram.measure import BodyMotion, measure_body
 from photogram.motion import RigidMotion, fit_motion, points_with_estimated_noise, relative_to
 from photogram.noise import NoiseModel
 from photogram.point_tables import read_point_tables
-from photogram.quality import suggested_radius_px
+from photogram.quality import SubsetQuality, suggested_radius_px
 from photogram.rigid import RigidTransform
 from photogram.track import StereoTracks, TrackSettings, TrackStatus
 from photogram.triangulate import Points, triangulate
@@ -40,6 +40,8 @@ COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 DISPLACEMENT_UNITS = ("m", "m", "m", "rad", "rad", "rad")
 MAX_SATURATED = 0.02  # fraction of pixels at full scale above which a camera is refused
 MIN_SUBSETS = 6
+PERIODIC_SHARE = 0.4  # standard uncertainty of a line over the amplitude of an error periodic in the pixel
+BIAS_STEP_PX = 0.01
 NO_MOTION = "no frame has enough points for a rigid motion"
 
 
@@ -59,12 +61,13 @@ class OpenImages:
 @dataclass(frozen=True)
 class ImageView:
     """What the images of one stereo pair gave: tracked subsets, their rig, the first left image, and
-    the noise models of both cameras."""
+    the noise models of both cameras and what their subsets promised."""
 
     tracks: StereoTracks
     rig: StereoRig
     reference_image: GreyImage
     noise: tuple[NoiseModel, NoiseModel]
+    quality: tuple[SubsetQuality, SubsetQuality]
 
 
 @dataclass(frozen=True)
@@ -133,7 +136,7 @@ def measure_images(
         body.motion,
         deformation(body.points, body.motion),
         reprojection,
-        ImageView(body.tracks, images.rig, images.first, body.noise),
+        ImageView(body.tracks, images.rig, images.first, body.noise, body.quality),
         body.notices,
     )
 
@@ -270,6 +273,8 @@ def stereo_phasors(measured: StereoMotion, lines: Lines) -> StereoPhasors:
     from_mean, fit = _fit_about_mean(name, measured, frequency_hz)
     gain = exposure_gain(lines.frequency_hz, measured.entry.exposure)
     displacement = spread_lines(fit.phasors, usable, lines.frequency_hz).scaled((1.0 / gain)[:, None])
+    if measured.view is not None:
+        displacement = _with_periodic_error(displacement, measured, measured.view)
     effects = np.full((0, len(usable), 6), np.nan, dtype=np.complex128)
     if measured.view is not None and measured.view.rig.covariance is not None:
         changes = _calibration_effects(measured, measured.view, frequency_hz)
@@ -293,6 +298,26 @@ def _fit_about_mean(name: str, measured: StereoMotion, frequency_hz: FloatArray)
         return motion, fit_sines(measured.time_s, motion.pose, frequency_hz, COMPONENTS, DISPLACEMENT_UNITS)
     except ValueError as error:
         raise ComputeError(f"stereo pair {name}: the lines cannot be fitted to its motion ({error})") from error
+
+
+def _with_periodic_error(displacement: Phasors, measured: StereoMotion, view: ImageView) -> Phasors:
+    """Enlarge the covariances of phasors (K, 6) by what errors periodic in the pixel may do to any line.
+
+    A mean error B·sin(2πu + φ) of all subsets moving as u(t) = a·cos ωt is at most 2·B·J₁(1.84) = 1.16·B at any
+    multiple of ω; over amplitudes and phases that is about 0.4·B, as a standard uncertainty of real and imaginary part
+    alike. It counts for x and y of either camera on its own, as the motion that shifts all their subsets by B.
+    """
+    tracks = view.tracks
+    left, right = (np.nanmean(side.position_px, axis=0) for side in (tracks.left, tracks.right))
+    known = np.isfinite(left).all(axis=1) & np.isfinite(right).all(axis=1)
+    shift = BIAS_STEP_PX * np.eye(4)
+    left, right = (side[known] + moved[:, None] for side, moved in ((left, shift[:, :2]), (right, shift[:, 2:])))
+    frames = [np.concatenate([side[:1] - moved, side]) for side, moved in ((left, shift[0, :2]), (right, shift[0, 2:]))]
+    paired = _phasor_motion(measured, view.rig, (frames[0], frames[1]))
+    motion = np.stack([paired[0].real, paired[0].imag, paired[1].real, paired[1].imag]) / BIAS_STEP_PX
+    motion *= PERIODIC_SHARE * np.nan_to_num(np.repeat(tracks.bias_px, 2))[:, None]
+    covariance = displacement.covariance + np.kron(np.eye(2), motion.T @ motion)
+    return replace(displacement, covariance=covariance)
 
 
 def _calibration_effects(measured: StereoMotion, view: ImageView, frequency_hz: FloatArray) -> ComplexArray:
@@ -340,6 +365,13 @@ def _principal_components(covariance: FloatArray) -> FloatArray:
     return np.asarray((vectors[:, kept] * np.sqrt(eigenvalues[kept])).T * sigma)
 
 
+def _sigmas(view: ImageView) -> FloatArray:
+    """Return predicted and found standard deviation (2,) of a subset's coordinate: median of both cameras."""
+    predicted = [side.predicted_sigma_px for side in view.quality]
+    variance = [np.diagonal(side.covariance_px2, axis1=2, axis2=3) for side in (view.tracks.left, view.tracks.right)]
+    return np.array([np.nanmedian(predicted), np.sqrt(np.nanmedian(variance))])
+
+
 def _result(measured: StereoMotion, from_mean: RigidMotion, fit: SineFit, usable: NDArray[np.bool_]) -> StereoResult:
     """Collect what the result files and the report show of a stereo pair."""
     view = measured.view
@@ -357,6 +389,7 @@ def _result(measured: StereoMotion, from_mean: RigidMotion, fit: SineFit, usable
         subsets_px=None if view is None else view.tracks.left.position_px[0],
         speckle_px=None if view is None else float(np.min(view.tracks.speckle_px)),
         noise_grey=None if view is None else float(np.mean(view.tracks.noise_grey)),
+        sigma_px=None if view is None else _sigmas(view),
         noise=() if view is None else view.noise,
         median_zncc=None if view is None else float(np.nanmedian(view.tracks.left.zncc)),
     )

@@ -17,6 +17,7 @@ from photogram.interpolate import Spline, spline_of_image
 from photogram.motion import RigidMotion, fit_motion
 from photogram.noise import NoiseModel
 from photogram.notice import Notice
+from photogram.quality import SubsetQuality, assess
 from photogram.reference import Reference
 from photogram.rigid import RigidTransform
 from photogram.surface import PlacedCamera
@@ -44,8 +45,8 @@ LARGEST_DIFFERENCE = 2.0  # rms, in standard uncertainties of the motion of the 
 class BodyMotion:
     """A body seen by a stereo pair: subsets, points in the body's frame, motion, and what the user should know.
 
-    motion: fitted to the grey values of all pixels, `motion_of_points` to the points alone. noise: noise models of the
-    left and the right camera.
+    motion: fitted to the grey values of all pixels, `motion_of_points` to the points alone. noise: noise: noise models,
+    quality: what the subsets promised before they were tracked, of the left and the right camera.
     """
 
     tracks: StereoTracks
@@ -53,6 +54,7 @@ class BodyMotion:
     motion: RigidMotion
     motion_of_points: RigidMotion
     noise: Noise
+    quality: tuple[SubsetQuality, SubsetQuality]
     notices: tuple[Notice, ...]
 
 
@@ -89,14 +91,20 @@ def measure_body(
     scene = _Scene(images, rig, body_from_left, settings, grid, (left, right))
     found, fits, views, noise = _follow(scene, progress, device)
     tracks = [tracks_of(side, reference, settings.degree) for side, reference in zip(found, (left, right), strict=True)]
-    stereo = stereo_tracks((images[0].read(0), images[1].read(0)), grid, (tracks[0], tracks[1]), settings)
+    firsts = images[0].read(0), images[1].read(0)
+    stereo = stereo_tracks(firsts, grid, (tracks[0], tracks[1]), settings)
+    quality = (
+        assess(left, firsts[0], noise[0], images[0].full_scale),
+        assess(right, firsts[1], noise[1], images[1].full_scale),
+    )
+    remarks = [*quality[0].notices("left camera"), *quality[1].notices("right camera")]
     points = triangulate(
         rig, tracks[0].position_px, tracks[1].position_px, tracks[0].covariance_px2, tracks[1].covariance_px2
     ).transformed(body_from_left)
     of_points = fit_motion(points, None, np.zeros(3))
     motion = _with_direct(of_points, fits, views)
-    notices = (*stereo.notices, *_direct_notices(motion, of_points, fits))
-    return BodyMotion(stereo, points, motion, of_points, noise, notices)
+    notices = (*stereo.notices, *remarks, *_direct_notices(motion, of_points, fits))
+    return BodyMotion(stereo, points, motion, of_points, noise, quality, notices)
 
 
 def _follow(

@@ -157,12 +157,12 @@ def aliasing_bias(image: Image, area: BoolArray, noise_grey: float, radius_px: i
     return AliasingBias(max(mean for mean, _ in both), max(single for _, single in both))
 
 
-def aliasing_notice(
-    image: Image, area: BoolArray, noise_grey: float, radius_px: int, degree: int, where: str
-) -> Notice | None:
-    """A warning about speckle that the camera cannot resolve: below 3 px, or with a mean bias beyond 0.5 mpx."""
+def aliasing_notice(image: Image, area: BoolArray, noise_grey: float, bias: AliasingBias, where: str) -> Notice | None:
+    """A warning about speckle that the camera cannot resolve: below 3 px, or with a mean bias beyond 0.5 mpx.
+
+    `bias`: the `aliasing_bias` of image (H,W) in `area` (H,W).
+    """
     size = speckle_size(image, area)
-    bias = aliasing_bias(image, area, noise_grey, radius_px, degree)
     if not (size < SMALLEST_SPECKLE_PX or bias.mean_px > LARGEST_BIAS_PX):
         return None
     share = fine_texture_share(image, area, float(np.nan_to_num(noise_grey)))

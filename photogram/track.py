@@ -28,7 +28,7 @@ from photogram.images import GreyImage, ImageSequence
 from photogram.interpolate import Spline, spline_of_image
 from photogram.notice import Notice
 from photogram.predict import predict_warp
-from photogram.quality import aliasing_notice
+from photogram.quality import AliasingBias, aliasing_bias, aliasing_notice
 from photogram.reference import Reference, TrackStatus, prepare_reference
 from photogram.rigid import skew
 from photogram.search import affine_starts, agreeing, epipolar_distance, match_features
@@ -63,7 +63,9 @@ LARGEST_LOST_SHARE = 0.1
 class StereoTracks:
     """One body seen by two cameras: the same N subsets in `left` and `right`, and what the images are like.
 
-    speckle_px (2,): speckle size, noise_grey (2,): image noise in grey values, of the left and the right camera.
+    speckle_px (2,): speckle size, noise_grey (2,): image noise in grey values, bias_px (2,): amplitude of the error,
+    periodic in the pixel, that sampling and interpolation may leave in the mean of all subsets (`aliasing_bias`), NaN
+    where it cannot be told; of the left and the right camera.
     """
 
     left: Tracks
@@ -71,11 +73,13 @@ class StereoTracks:
     notices: tuple[Notice, ...]
     speckle_px: FloatArray
     noise_grey: FloatArray
+    bias_px: FloatArray
 
     def __post_init__(self) -> None:
         check_shape("right.position_px", self.right.position_px, self.left.position_px.shape)
         check_shape("speckle_px", self.speckle_px, (2,))
         check_shape("noise_grey", self.noise_grey, (2,))
+        check_shape("bias_px", self.bias_px, (2,))
 
 
 @dataclass(frozen=True)
@@ -219,15 +223,16 @@ def stereo_tracks(
 ) -> StereoTracks:
     """The tracks of both cameras with what their first images are like, and remarks on both."""
     speckle = np.array([speckle_size(image, area) for image, area in zip(images, grid.areas, strict=True)])
-    noise = np.array([_middle(track.noise_grey) for track in tracks])
-    notices = list(grid.notices)
+    levels = np.array([_middle(track.noise_grey) for track in tracks])
+    notices, biases = list(grid.notices), list[AliasingBias]()
     for image, area, side, track in zip(images, grid.areas, ("left", "right"), tracks, strict=True):
-        unresolved = aliasing_notice(
-            image, area, _middle(track.noise_grey), settings.radius_px, settings.degree, f"{side} camera"
-        )
+        noise = _middle(track.noise_grey)
+        biases.append(aliasing_bias(image, area, noise, settings.radius_px, settings.degree))
+        unresolved = aliasing_notice(image, area, noise, biases[-1], f"{side} camera")
         notices += [unresolved] if unresolved is not None else []
         notices += _lost(track, side)
-    return StereoTracks(*tracks, tuple(notices), speckle, noise)
+    bias = np.array([found.mean_px for found in biases])
+    return StereoTracks(*tracks, tuple(notices), speckle, levels, bias)
 
 
 def track_stereo(

@@ -95,7 +95,7 @@ def test_bias_of_unresolved_texture_is_foretold(dot_px: float, blur_px: float) -
     bias = aliasing_bias(noisy, inner(), 12.0, 10)
     assert 0.5 < bias.subset_px / single < 2.0
     assert 0.4 < bias.mean_px / mean < 2.5
-    notice = aliasing_notice(noisy, inner(), 12.0, 10, 5, "left camera")
+    notice = aliasing_notice(noisy, inner(), 12.0, aliasing_bias(noisy, inner(), 12.0, 10), "left camera")
     assert (notice is None) == (blur_px == 0.8)
     if notice is not None:
         assert f"{bias.mean_px:.2g} px in the mean" in notice.text
@@ -105,7 +105,7 @@ def test_bias_of_unresolved_texture_is_foretold(dot_px: float, blur_px: float) -
 def test_soft_speckle_is_not_complained_of() -> None:
     image = SENSOR.digitise(images(5.0, 1.2, np.zeros(1))[0], np.random.default_rng(6))
     assert aliasing_bias(image, inner(), 18.0, 10).mean_px < 1.5e-4
-    assert aliasing_notice(image, inner(), 18.0, 10, 5, "left camera") is None
+    assert aliasing_notice(image, inner(), 18.0, aliasing_bias(image, inner(), 18.0, 10), "left camera") is None
     assert aliasing_bias(image, inner(), 18.0, 10, degree=3).mean_px > 3e-4  # cubic splines have a bias of their own
 
 
