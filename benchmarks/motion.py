@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from fusion.manifest import find_recordings, load_manifest
 from fusion.records import read_daqs
+from fusion.settings import Settings
 from fusion.simulate import simulate
 from fusion.simulate.bound import frame_bounds
 from fusion.stereo_motion import open_images, sensor_from_camera
@@ -42,11 +43,11 @@ def measure(folder: Path, seed: int, frames: int) -> dict[tuple[str, str], Float
     manifest, bounds = load_manifest(recording), frame_bounds(PRESET, seed)
     truth = json.loads((recording.parent / "truth.json").read_text(encoding="utf-8"))
     time_s, lines = np.array(truth["exposure_middle_s"]), np.array(truth["frequencies"])
-    base = tie_daqs(manifest, read_daqs(manifest))
+    base, settings = tie_daqs(manifest, read_daqs(manifest)), TrackSettings(degree=Settings().spline_degree)
     found = {}
     for entry in manifest.images:
         seen = open_images(manifest, base, entry)
-        body = measure_body((seen.left, seen.right), seen.rig, sensor_from_camera(seen.stereo), TrackSettings())
+        body = measure_body((seen.left, seen.right), seen.rig, sensor_from_camera(seen.stereo), settings)
         exact = np.array(truth["motion"][entry.stereo])
         for method, motion in (("grey values", body.motion), ("points", body.motion_of_points)):
             found[entry.stereo, method] = _ratios(motion, exact, time_s, lines, bounds[entry.stereo])

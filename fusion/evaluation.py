@@ -32,8 +32,8 @@ class StereoResult:
     `motion_from_mean`: re-referred to the mean pose, the series that `fit` (six components, m and rad) describes.
     `reference_image` (H, W) and `subsets_px` (N, 2): first left image and the subsets tracked in it, None for points
     of another program. `usable` (K,): which lines of the recording this camera rate can tell apart. `deflection`: what
-    the points do beside the rigid motion at the usable lines. `noise`: of the left and the right camera. `sigma_px` (2,):
-    median standard deviation of a subset's coordinate, as predicted from the first images and as found.
+    the points do beside the rigid motion at the usable lines. `noise`: of the left and the right camera. `sigma_px`
+    (2,): median standard deviation of a subset's coordinate, as predicted from the first images and as found.
     """
 
     name: str
