@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from numba import njit
-
 from photogram._checks import FloatArray
+from photogram._kernel import njit
 
 
-@njit(cache=True)
+@njit()
 def invert(matrix: FloatArray, inverse: FloatArray) -> bool:
     """Invert a symmetric positive definite (3, 3) by its cofactors; return whether it is one."""
     for i in range(3):

@@ -10,15 +10,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from photogram._checks import FloatArray
+from photogram._kernel import njit
 
 _STEPS = 60  # damped Newton steps of the inverse; a handful is the rule
 _RESIDUAL = 1e-13  # largest residual, in normalised units, of a converged inverse
 
 
-@njit(cache=True)
+@njit()
 def distort(x: float, y: float, camera: FloatArray) -> tuple[float, float, float, float, float]:
     """Return x_d, y_d and the derivatives ∂x_d/∂x, ∂x_d/∂y = ∂y_d/∂x, ∂y_d/∂y."""
     k1, k2, p1, p2, k3 = camera[4], camera[5], camera[6], camera[7], camera[8]
@@ -33,7 +33,7 @@ def distort(x: float, y: float, camera: FloatArray) -> tuple[float, float, float
     return xd, yd, dxx, dxy, dyy
 
 
-@njit(cache=True)
+@njit()
 def undistort(u: float, v: float, camera: FloatArray) -> tuple[float, float]:
     """Return the normalised x, y whose image is the pixel u, v; NaN where the distortion has no inverse.
 
@@ -65,7 +65,7 @@ def undistort(u: float, v: float, camera: FloatArray) -> tuple[float, float]:
     return x, y
 
 
-@njit(cache=True)
+@njit()
 def project_all(points: FloatArray, camera: FloatArray) -> FloatArray:
     """Return the pixels (N, 2) of points (N, 3) in the camera frame; NaN behind the camera."""
     pixels = np.full((points.shape[0], 2), np.nan)
@@ -78,7 +78,7 @@ def project_all(points: FloatArray, camera: FloatArray) -> FloatArray:
     return pixels
 
 
-@njit(cache=True)
+@njit()
 def undistort_all(pixels: FloatArray, camera: FloatArray) -> FloatArray:
     """Return the normalised coordinates (N, 2) of pixels (N, 2)."""
     normalised = np.empty((pixels.shape[0], 2))

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from photogram._checks import BoolArray, FloatArray, IntArray, check_shape
+from photogram._kernel import njit
 from photogram.interpolate import PADDING_PX, Spline, evaluate, noise_gain, slope_noise_gain
 from photogram.noise import NoiseModel
 from photogram.sampling import sample_line
@@ -196,7 +197,7 @@ def _interpolated_noise(cells: Cells, warp: FloatArray, degree: int) -> FloatArr
     return np.asarray(np.mean(noise_gain(x, degree) * noise_gain(y, degree), axis=1))
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 def _prepare(centre, runs, first, pixels, scalars, moments, extent):  # type: ignore[no-untyped-def]
     """Weight the pixels in place; mean, Σw, Σw·f̃² and count, moments of [1 f̃ SD…], Σ(w·variance)·(1, dx², dy²)."""
     for c in prange(centre.shape[0]):
@@ -229,7 +230,7 @@ def _prepare(centre, runs, first, pixels, scalars, moments, extent):  # type: ig
         scalars[c, 0], scalars[c, 1], scalars[c, 2] = mean, total, moments[c, 1, 1]
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _cell_inside(centre_x, centre_y, reach, warp, coefficients):  # type: ignore[no-untyped-def]
     """Whether all corners of the warped cell lie within the image; False for NaN."""
     right, bottom = coefficients.shape[1] - 2.0 * PADDING_PX - 1.0, coefficients.shape[0] - 2.0 * PADDING_PX - 1.0
@@ -239,7 +240,7 @@ def _cell_inside(centre_x, centre_y, reach, warp, coefficients):  # type: ignore
     return x - reach_x >= 0.0 and x + reach_x <= right and y - reach_y >= 0.0 and y + reach_y <= bottom
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _sample_run(run, centre_x, centre_y, target, warp, grey):  # type: ignore[no-untyped-def]
     """Grey values of the target along one warped run."""
     coefficients, degree = target
@@ -249,7 +250,7 @@ def _sample_run(run, centre_x, centre_y, target, warp, grey):  # type: ignore[no
     sample_line(coefficients, degree, x, y, 1.0 + warp[1], warp[4], grey)
 
 
-@njit(cache=True, parallel=True, fastmath=ALLOWED)
+@njit(parallel=True, fastmath=ALLOWED)
 def _sum_cells(shape, pixels, means, target, warps, sums):  # type: ignore[no-untyped-def]
     """Per cell Σw·g, Σw·g², Σw·f̃·g and the six Σw·SD·g, g without the mean of f; NaN where a cell leaves the image."""
     centres, runs, first, reach = shape
@@ -288,7 +289,7 @@ def _sum_cells(shape, pixels, means, target, warps, sums):  # type: ignore[no-un
         sums[c] = found
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 def _sample_cells(shape, target, warps, grey):  # type: ignore[no-untyped-def]
     """Grey values of the target at all warped pixels."""
     centres, runs, first, reach = shape

@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
 from photogram._checks import FloatArray, IntArray, check_shape
+from photogram._kernel import njit
 from photogram.interpolate import PADDING_PX, Spline, noise_gain
 from photogram.reference import Reference, TrackStatus, subset_offsets
 from photogram.sampling import ALLOWED, sample_line, sample_points
@@ -112,7 +113,7 @@ def noise_of_residual(reference: Reference, found: Registration, degree: int) ->
     return np.sqrt(variance)
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 def _register(subsets, offsets, solved, target, limits, warp, scores, outcome):  # type: ignore[no-untyped-def]
     """Every usable subset on its own; outcome (N,2) receives status and iterations."""
     centres, radius, pixels, means, energies = subsets
@@ -130,7 +131,7 @@ def _register(subsets, offsets, solved, target, limits, warp, scores, outcome): 
         )
 
 
-@njit(cache=True, fastmath=ALLOWED)
+@njit(fastmath=ALLOWED)
 def _register_one(subset, solved, target, limits, warp, scores):  # type: ignore[no-untyped-def]
     """Gauss-Newton steps of one subset until it stands still; returns status and iterations, fills warp and scores."""
     _, _, radius, _, _, energy, _ = subset
@@ -176,7 +177,7 @@ def _register_one(subset, solved, target, limits, warp, scores):  # type: ignore
     return 1, max_iterations
 
 
-@njit(cache=True)
+@njit()
 def _step_of(solution, radius, step):  # type: ignore[no-untyped-def]
     """Fill the warp `step` from the parameters found; returns the square of how far a point at the rim moves."""
     if solution.size == 2:
@@ -190,7 +191,7 @@ def _step_of(solution, radius, step):  # type: ignore[no-untyped-def]
     return moved
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _inside(subset, target, warp):  # type: ignore[no-untyped-def]
     """Whether all corners of the warped subset lie within the image."""
     centre_x, centre_y, radius, _, _, _, _ = subset
@@ -205,7 +206,7 @@ def _inside(subset, target, warp):  # type: ignore[no-untyped-def]
     return x - reach_x >= 0.0 and x + reach_x <= right and y - reach_y >= 0.0 and y + reach_y <= bottom
 
 
-@njit(cache=True, fastmath=ALLOWED)
+@njit(fastmath=ALLOWED)
 def _correlate(subset, grey, sums):  # type: ignore[no-untyped-def]
     """Sums over the subset of g, g², f̃g and of the steepest-descent images times g (g without the mean of f)."""
     _, _, _, pixels, mean, _, offsets = subset
@@ -241,7 +242,7 @@ def _correlate(subset, grey, sums):  # type: ignore[no-untyped-def]
             sums[14] += dg * dy * dy / 2.0
 
 
-@njit(cache=True, fastmath=ALLOWED)
+@njit(fastmath=ALLOWED)
 def _sample(subset, target, warp, grey, room):  # type: ignore[no-untyped-def]
     """Grey values (P,) of the target at the warped subset, row by row."""
     radius, width = subset[2], room.shape[1]
@@ -249,7 +250,7 @@ def _sample(subset, target, warp, grey, room):  # type: ignore[no-untyped-def]
         _sample_row(subset, target, warp, row - radius, grey[row * width : (row + 1) * width], room)
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _sample_row(subset, target, warp, dy, grey, room):  # type: ignore[no-untyped-def]
     """Grey values of the target at one row of the warped subset; `room` is for points of a curved row."""
     centre_x, centre_y, radius, _, _, _, _ = subset
@@ -267,7 +268,7 @@ def _sample_row(subset, target, warp, dy, grey, room):  # type: ignore[no-untype
         sample_line(coefficients, degree, x, y, 1.0 + warp[1], warp[4], grey)
 
 
-@njit(cache=True)
+@njit()
 def _compose_inverse(warp, step):  # type: ignore[no-untyped-def]
     """Warp ← warp ∘ step⁻¹, both affine."""
     a, b, c, d = 1.0 + step[1], step[2], step[4], 1.0 + step[5]
@@ -283,7 +284,7 @@ def _compose_inverse(warp, step):  # type: ignore[no-untyped-def]
     warp[5] = r * ib + s * id_ - 1.0
 
 
-@njit(cache=True)
+@njit()
 def _compose_inverse_quadratic(warp, step):  # type: ignore[no-untyped-def]
     """Warp ← warp ∘ step⁻¹ for polynomials of second order, as matrices on [dx², dx dy, dy², dx, dy, 1] (Gao 2015)."""
     product = _matrix_of(warp) @ np.linalg.inv(_matrix_of(step))
@@ -298,7 +299,7 @@ def _compose_inverse_quadratic(warp, step):  # type: ignore[no-untyped-def]
     warp[5] -= 1.0
 
 
-@njit(cache=True)
+@njit()
 def _matrix_of(warp):  # type: ignore[no-untyped-def]
     """How a warp of order 2 maps [dx², dx dy, dy², dx, dy, 1], powers above the second left out."""
     matrix = np.zeros((6, 6))

@@ -7,10 +7,11 @@ from functools import cache
 from math import sqrt
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
 from photogram._checks import FloatArray, check_shape
+from photogram._kernel import njit
 
 PADDING_PX = 4
 POLES = {
@@ -102,7 +103,7 @@ def slope_noise_gain(degree: int = 5) -> float:
     return float(np.sum(gradients[:, 0] ** 2))
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 def _prefilter(image, poles):  # type: ignore[no-untyped-def]
     """Spline coefficients of an image: every row, then blocks of columns."""
     height, width = image.shape
@@ -118,7 +119,7 @@ def _prefilter(image, poles):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(cache=True)
+@njit()
 def _filter_line(line, pole):  # type: ignore[no-untyped-def]
     """Both recursions of one pole along one row, mirrored at its ends."""
     count = line.size
@@ -137,7 +138,7 @@ def _filter_line(line, pole):  # type: ignore[no-untyped-def]
         line[k] = pole * (line[k + 1] - line[k])
 
 
-@njit(cache=True)
+@njit()
 def _filter_columns(lines, pole):  # type: ignore[no-untyped-def]
     """Both recursions of one pole down several neighbouring columns at once, mirrored at their ends."""
     count, width = lines.shape
@@ -162,7 +163,7 @@ def _filter_columns(lines, pole):  # type: ignore[no-untyped-def]
             lines[k, i] = pole * (lines[k + 1, i] - lines[k, i])
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def weights_cubic(t):  # type: ignore[no-untyped-def]
     """Values of the four cubic B-splines that reach offset t in [0,1) (Thévenaz et al. 2000, eq. 18)."""
     last = t * t * t / 6.0
@@ -171,7 +172,7 @@ def weights_cubic(t):  # type: ignore[no-untyped-def]
     return first, 1.0 - first - third - last, third, last
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def weights_quintic(t):  # type: ignore[no-untyped-def]
     """Values of the six quintic B-splines that reach offset t in [0,1) (P. Thévenaz's factorisation)."""
     t2 = t * t
@@ -186,7 +187,7 @@ def weights_quintic(t):  # type: ignore[no-untyped-def]
     return first, wide + skew, even + odd, even - odd, wide - skew, last
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def weights_septic(t):  # type: ignore[no-untyped-def]
     """Values of the eight septic B-splines that reach offset t in [0,1).
 
@@ -216,7 +217,7 @@ def weights_septic(t):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True)
+@njit()
 def basis(t, degree, values, slopes):  # type: ignore[no-untyped-def]
     """Values and derivatives of the degree+1 B-splines that reach t in [0,1), by the recursion of de Boor and Cox.
 
@@ -234,7 +235,7 @@ def basis(t, degree, values, slopes):  # type: ignore[no-untyped-def]
             values[j] = (left + right) / n
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 def _evaluate(coefficients, degree, points, values, gradients):  # type: ignore[no-untyped-def]
     """Value and gradient at every point."""
     width, height = coefficients.shape[1] - 2 * PADDING_PX, coefficients.shape[0] - 2 * PADDING_PX

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 
 from photogram._checks import BoolArray, FloatArray, IntArray, check_shape
 from photogram._inverse import invert
+from photogram._kernel import njit
 from photogram.rigid import (
     fixes_rotation,
     nearest_rotation,
@@ -237,7 +237,7 @@ def _robust_start(
     return rotation, translation, fixed
 
 
-@njit(cache=True)
+@njit()
 def _precisions(covariance: FloatArray) -> FloatArray:
     """Return the inverses of covariances (F, N, 3, 3), NaN where one is not positive definite."""
     frames, count = covariance.shape[:2]
@@ -267,7 +267,7 @@ def _choose(squares: FloatArray, smallest: FloatArray, usable: BoolArray) -> Boo
     return np.asarray(usable & (few[:, None] | (squares <= _REJECTED * scale[:, None])))
 
 
-@njit(cache=True)
+@njit()
 def _normal_equations(
     arm: FloatArray, error: FloatArray, precision: FloatArray, used: BoolArray
 ) -> tuple[FloatArray, FloatArray]:

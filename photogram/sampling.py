@@ -13,11 +13,12 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, prange, types
+from numba import prange, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
 from photogram._checks import FloatArray, check_shape
+from photogram._kernel import njit
 from photogram.interpolate import PADDING_PX, Spline, basis, weights_cubic, weights_quintic, weights_septic
 
 ALLOWED = {"contract", "reassoc", "nsz", "arcp"}
@@ -41,7 +42,7 @@ def sample_squares(spline: Spline, centre_px: FloatArray, radius_px: int) -> Flo
     return squares
 
 
-@njit(cache=True, fastmath=ALLOWED)
+@njit(fastmath=ALLOWED)
 def sample_line_quintic(c, x, y, step_x, step_y, grey):  # type: ignore[no-untyped-def]
     """Fill grey (n,) with quintic spline values at (x, y) + i·(step_x, step_y), all of them within the image.
 
@@ -58,7 +59,7 @@ def sample_line_quintic(c, x, y, step_x, step_y, grey):  # type: ignore[no-untyp
         start = stop
 
 
-@njit(cache=True, fastmath=ALLOWED)
+@njit(fastmath=ALLOWED)
 def sample_line_cubic(c, x, y, step_x, step_y, grey):  # type: ignore[no-untyped-def]
     """Fill grey (n,) with cubic spline values at (x, y) + i·(step_x, step_y), as `sample_line_quintic` does."""
     start = 0
@@ -71,7 +72,7 @@ def sample_line_cubic(c, x, y, step_x, step_y, grey):  # type: ignore[no-untyped
         start = stop
 
 
-@njit(cache=True, fastmath=ALLOWED)
+@njit(fastmath=ALLOWED)
 def sample_line_septic(c, x, y, step_x, step_y, grey):  # type: ignore[no-untyped-def]
     """Fill grey (n,) with septic spline values at (x, y) + i·(step_x, step_y), as `sample_line_quintic` does."""
     start = 0
@@ -84,7 +85,7 @@ def sample_line_septic(c, x, y, step_x, step_y, grey):  # type: ignore[no-untype
         start = stop
 
 
-@njit(cache=True, fastmath=ALLOWED)
+@njit(fastmath=ALLOWED)
 def sample_line(c, degree, x, y, step_x, step_y, grey):  # type: ignore[no-untyped-def]
     """Fill grey (n,) with values of a spline of degree 3, 5 or 7 at (x, y) + i·(step_x, step_y)."""
     if degree == 7:
@@ -95,7 +96,7 @@ def sample_line(c, degree, x, y, step_x, step_y, grey):  # type: ignore[no-untyp
         sample_line_cubic(c, x, y, step_x, step_y, grey)
 
 
-@njit(cache=True, fastmath=ALLOWED)
+@njit(fastmath=ALLOWED)
 def sample_points(c, degree, x, y, grey):  # type: ignore[no-untyped-def]
     """Fill grey (n,) with spline values of degree 3, 5 or 7 at any points x (n,), y (n,) within the image."""
     for i in range(grey.size):
@@ -109,7 +110,7 @@ def sample_points(c, degree, x, y, grey):  # type: ignore[no-untyped-def]
             _run_cubic(c, row + PADDING_PX - 1, column + PADDING_PX - 1, s, t, 0.0, 0.0, grey, i, i + 1)
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _end_of_run(start, count, s, t, drift_x, drift_y):  # type: ignore[no-untyped-def]
     """First point after `start` at which s + i·drift_x or t + i·drift_y has left [0, 1)."""
     steps = float(count - start)
@@ -124,7 +125,7 @@ def _end_of_run(start, count, s, t, drift_x, drift_y):  # type: ignore[no-untype
     return min(count, start + 1 + int(steps))
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 def _sample_squares(c, degree, centres, radius, squares):  # type: ignore[no-untyped-def]
     """Every square that lies in the image."""
     right, bottom = c.shape[1] - 2 * PADDING_PX - 1, c.shape[0] - 2 * PADDING_PX - 1
@@ -134,7 +135,7 @@ def _sample_squares(c, degree, centres, radius, squares):  # type: ignore[no-unt
             _sample_square(c, degree, x, y, 2 * radius + 1, squares[n])
 
 
-@njit(cache=True, fastmath=ALLOWED)
+@njit(fastmath=ALLOWED)
 def _sample_square(c, degree, x, y, side, square):  # type: ignore[no-untyped-def]
     """One square with its first point at (x, y)."""
     column, row = min(int(x), c.shape[1] - 2 * PADDING_PX - side), min(int(y), c.shape[0] - 2 * PADDING_PX - side)

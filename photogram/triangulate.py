@@ -6,11 +6,11 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 
 from photogram import _pinhole
 from photogram._checks import FloatArray, check_shape
 from photogram._inverse import invert
+from photogram._kernel import njit
 from photogram.camera import StereoRig
 from photogram.rigid import RigidTransform
 
@@ -93,7 +93,7 @@ def _precision(name: str, covariance: FloatArray | None, shape: tuple[int, ...])
     return np.stack([yy / determinant, -xy / determinant, xx / determinant], axis=1)
 
 
-@njit(cache=True)
+@njit()
 def _triangulate_all(
     left: FloatArray,
     right: FloatArray,
@@ -135,7 +135,7 @@ def _triangulate_all(
     return position, covariance, reprojection
 
 
-@njit(cache=True)
+@njit()
 def _midpoint(
     left: FloatArray,
     right: FloatArray,
@@ -169,7 +169,7 @@ def _midpoint(
         point[i] = 0.5 * (along_a * a[i] + centre[i] + along_b * b[i])
 
 
-@njit(cache=True)
+@njit()
 def _add_camera(
     point: FloatArray,
     pixel: FloatArray,

@@ -11,7 +11,7 @@ ROOT = Path(__file__).resolve().parent.parent
 FORBIDDEN = {"photogram": {"shaker", "fusion"}, "shaker": {"photogram", "fusion"}, "fusion": set[str]()}
 WRITTEN_ORDER = {
     "photogram": """
-        _checks notice _inverse _pinhole rigid camera calibration_file triangulate mraw images point_tables
+        _checks _kernel notice _inverse _pinhole rigid camera calibration_file triangulate mraw images point_tables
         interpolate sampling noise subset search reference quality icgn follow predict
         device icgn_torch track overlap motion deformation surface cells direct measure synthetic
     """,

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from photogram._checks import FloatArray
+from photogram._kernel import njit
 from photogram.synthetic.scene import Face, View
 from photogram.synthetic.texture import spline_value
 
@@ -65,7 +65,7 @@ def _gauss_legendre(nodes: int, length: float) -> tuple[FloatArray, FloatArray]:
     return points * length / 2, weights / 2
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def _integrate(
     ray: FloatArray,
     ray_x: FloatArray,
@@ -105,7 +105,7 @@ def _integrate(
             image[i, j] = total
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _cover(size: FloatArray, u: float, v: float) -> float:
     """Return how much of the point (u, v) is the face's: 1 inside, 0 outside, an error function across the rim."""
     inside = size[0] - math.sqrt(u * u + v * v) if size[2] > 0.0 else min(size[0] - abs(u), size[1] - abs(v))

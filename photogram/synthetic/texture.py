@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from photogram._checks import FloatArray, check_shape
+from photogram._kernel import njit
 
 _CELL = 1.15  # spacing of the speckle grid in speckle diameters: dots cover about half of the face
 _SHIFT = 0.35  # largest random shift of a dot in cells
@@ -68,7 +68,7 @@ def speckle_texture(
     return texture_from_samples(samples, step_m, blur_m)
 
 
-@numba.njit(cache=True)
+@njit()
 def _paint_dots(samples: FloatArray, x: FloatArray, y: FloatArray, radius: FloatArray) -> None:
     """Darken discs in place; their rims are one grid step soft."""
     rows, columns = samples.shape
@@ -80,7 +80,7 @@ def _paint_dots(samples: FloatArray, x: FloatArray, y: FloatArray, radius: Float
                 samples[i, j] = min(samples[i, j], 1.0 - min(max(inside, 0.0), 1.0))
 
 
-@numba.njit(cache=True)
+@njit()
 def spline_value(coefficients: NDArray[np.float32], x: float, y: float) -> float:
     """Return the cubic B-spline at column x and row y of the grid; outside, the outermost cell is continued."""
     rows, columns = coefficients.shape
