@@ -71,7 +71,7 @@ def _run(options: argparse.Namespace) -> int:
     from fusion.settings import Settings
     from fusion.summary import print_outcomes
 
-    settings = Settings(subset_radius_px=options.subset_radius, device=_device(options.device))
+    settings = Settings(subset_radius_px=options.subset_radius, device=options.device)
     with progress_bar(enabled=not options.quiet) as progress:
         outcomes = run_path(
             options.recording,
@@ -141,8 +141,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     run.add_argument(
         "--device",
-        choices=("auto", "cpu", "cuda"),
+        type=_device,
         default="auto",
+        metavar="{auto,cpu,cuda}",
         help="where subsets are tracked (default: auto, a GPU where torch finds one)",
     )
     run.set_defaults(action=_run)
@@ -173,14 +174,12 @@ def _radius(text: str) -> int:
 
 
 def _device(choice: str) -> str:
-    """The device that is there, found before the work begins."""
-    from fusion.errors import ComputeError
     from photogram.device import resolve_device
 
     try:
         return resolve_device(choice)
     except ValueError as error:
-        raise ComputeError(str(error)) from error
+        raise argparse.ArgumentTypeError(str(error).removeprefix("device: ")) from error
 
 
 def _seed(text: str) -> int:

@@ -17,6 +17,7 @@ from photogram.interpolate import Spline, spline_of_image
 from photogram.motion import RigidMotion, fit_motion
 from photogram.noise import NoiseModel
 from photogram.notice import Notice
+from photogram.overlap import overlap_correlation
 from photogram.quality import SubsetQuality, assess
 from photogram.reference import Reference
 from photogram.rigid import RigidTransform
@@ -101,7 +102,10 @@ def measure_body(
     points = triangulate(
         rig, tracks[0].position_px, tracks[1].position_px, tracks[0].covariance_px2, tracks[1].covariance_px2
     ).transformed(body_from_left)
-    of_points = fit_motion(points, None, np.zeros(3))
+    shared = None
+    if settings.grid_step_px <= 2 * settings.radius_px:
+        shared = overlap_correlation(grid.left_px, settings.radius_px)
+    of_points = fit_motion(points, None, np.zeros(3), shared)
     motion = _with_direct(of_points, fits, views)
     notices = (*stereo.notices, *remarks, *_direct_notices(motion, of_points, fits))
     return BodyMotion(stereo, points, motion, of_points, noise, quality, notices)

@@ -238,7 +238,7 @@ def _polynomials(warp: Tensor) -> Tensor:
     """Where a warp (n,6 or 12) takes dx and dy: coefficients (n,2,s) of 1, dx, dy, dx²/2, dx dy, dy²/2."""
     import torch
 
-    places = torch.cat([warp[:, :6].view(-1, 2, 3), warp[:, 6:].reshape(len(warp), 2, -1)], dim=2)
+    places = torch.cat([warp[:, :6].view(-1, 2, 3), warp[:, 6:].reshape(len(warp), 2, (warp.shape[1] - 6) // 2)], dim=2)
     places[:, 0, 1] += 1.0
     places[:, 1, 2] += 1.0
     return places

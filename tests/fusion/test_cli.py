@@ -64,6 +64,7 @@ def test_help_and_version_import_nothing_heavy(arguments: list[str]) -> None:
         ["run", "a", "-q", "-v"],
         ["run", "a", "--subset-radius", "3"],
         ["run", "a", "--subset-radius", "ten"],
+        ["run", "a", "--device", "gpu"],
         ["simulate", "a", "--seed", "-1"],
         ["simulate", "a", "--preset", "nitsche"],
     ],

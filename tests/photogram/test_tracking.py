@@ -12,7 +12,15 @@ from photogram.camera import Camera, StereoRig
 from photogram.images import ImageSequence
 from photogram.predict import predict_warp
 from photogram.rigid import RigidTransform
-from photogram.track import TrackSettings, TrackStatus, match_stereo, track_sequence, track_stereo
+from photogram.track import (
+    TrackSettings,
+    TrackStatus,
+    follow_sequence,
+    match_stereo,
+    prepare_sequence,
+    track_sequence,
+    track_stereo,
+)
 
 SIZE = (320, 256)
 FOCAL, DISTANCE_M, PIXEL_M = 1500.0, 0.5, 0.5 / 1500.0
@@ -166,6 +174,25 @@ def test_frames_are_read_one_by_one(make_texture) -> None:  # type: ignore[no-un
 
     track_sequence(ImageSequence(("a",) * 4, (60, 60), 4095, read), np.array([[30.0, 30.0]]), TrackSettings())
     assert order == [0, 0, 1, 2, 3]  # the first once for the reference
+
+
+def test_frames_in_batches_lead_to_the_same_tracks(make_texture) -> None:  # type: ignore[no-untyped-def]
+    """The engine for a GPU, here on torch's CPU device, in place of the compiled one; a saturated frame is told."""
+    texture, rng = make_texture(seed=25), np.random.default_rng(25)
+    images = [
+        np.round(2000 + 400 * texture.image((70, 60), lambda p, k=k: p - [0.3 * k, -0.2 * k])).astype(np.int64)
+        for k in range(5)
+    ]
+    images = [(image + np.round(rng.normal(0, 5, image.shape)).astype(np.int64)).astype(np.uint16) for image in images]
+    images[3][:] = 4095
+    frames, settings = sequence(images), TrackSettings(radius_px=8)
+    reference = prepare_sequence(frames, np.array([[25.0, 30.0], [42.0, 30.0]]), settings)
+    here = [frame.found for frame in follow_sequence(frames, reference, settings)]
+    batched = [frame.found for frame in follow_sequence(frames, reference, settings, device="cpu:0")]
+    assert len(here) == len(batched) == 5
+    for one, other in zip(here, batched, strict=True):
+        assert np.array_equal(one.status, other.status)
+        np.testing.assert_allclose(one.warp, other.warp, atol=1e-4)
 
 
 @pytest.mark.parametrize("step", [0.1, 1.2, 2.9])
