@@ -17,7 +17,7 @@ from photogram.sampling import ALLOWED, sample_line, sample_points
 GAIN_AND_OFFSET = 2
 FREE_PARAMETERS = 6 + GAIN_AND_OFFSET
 REMAINING = 0.02
-SMALL_STEP = 0.1 / REMAINING
+SMALL_STEP = 0.05 / REMAINING
 LINEAR_PX = 0.3
 
 
@@ -57,9 +57,9 @@ def register(
 
     After a step below 0.3 px the error left is about a hundredth of it: 0.4 to 0.7 % (31 px), 0.7 to 1.1 % (21 px), 1.5
     to 2.5 % (13 px) were measured with noise of 1/255 of full scale and dots of 4.5 px, 0.05 to 3 % without noise. So a
-    subset is found when a fiftieth of the step is below `convergence_px` at every point of the subset, or below a tenth
-    of the m parameters' standard uncertainties, 0.02² δᵀ(gain² H/s²)δ < 0.1² m with the residual variance s². What the
-    last step takes off the sum of squares, gain² δᵀHδ, is taken off in `zncc` and `residual_grey2` as well.
+    subset is found when a fiftieth of the step is below `convergence_px` at every point of the subset, or below a
+    twentieth of the m parameters' standard uncertainties, 0.02² δᵀ(gain² H/s²)δ < 0.05² m with the residual variance
+    s². What the last step takes off the sum of squares, gain² δᵀHδ, is taken off in `zncc` and `residual_grey2` as well.
     """
     count = len(reference.centre_px)
     columns = 12 if reference.order == 2 else 6

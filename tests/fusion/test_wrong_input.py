@@ -349,7 +349,7 @@ def no_tracking(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
         raise AssertionError("the mistake should have been seen before tracking")
 
-    monkeypatch.setattr(stereo_motion, "track_stereo", refuse)
+    monkeypatch.setattr(stereo_motion, "measure_body", refuse)
 
 
 def _state(folder: Path) -> dict[str, tuple[int, int, int]]:
@@ -405,11 +405,12 @@ def test_images_that_are_wrong_later_in_the_series(
 ) -> None:
     """Pixels are seen when the tracker reads them, hence a tracker that does nothing else."""
 
-    def read_all(left: Any, right: Any, *_: object) -> None:
+    def read_all(images: tuple[Any, Any], *_: object) -> None:
+        left, right = images
         for frame in range(len(left)):
             left.read(frame), right.read(frame)
 
-    monkeypatch.setattr(stereo_motion, "track_stereo", read_all)
+    monkeypatch.setattr(stereo_motion, "measure_body", read_all)
     change(campaign)
     told = _refused(["run", str(campaign / NAME)], campaign, capsys)
     assert told.startswith(f"shakercal: {campaign / RECORDING}: images.top: top-right/0002.tif: {sentence}")
