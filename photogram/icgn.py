@@ -59,7 +59,7 @@ def register(
     to 2.5 % (13 px) were measured with noise of 1/255 of full scale and dots of 4.5 px, 0.05 to 3 % without noise. So a
     subset is found when a fiftieth of the step is below `convergence_px` at every point of the subset, or below a
     twentieth of the m parameters' standard uncertainties, 0.02² δᵀ(gain² H/s²)δ < 0.05² m with the residual variance
-    s². What the last step takes off the sum of squares, gain² δᵀHδ, is taken off in `zncc` and `residual_grey2` as well.
+    s². What the last step takes off the sum of squares, gain² δᵀHδ, is taken off in `zncc` and `residual_grey2`.
     """
     count = len(reference.centre_px)
     columns = 12 if reference.order == 2 else 6
