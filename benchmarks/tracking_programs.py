@@ -135,6 +135,7 @@ def al_dic(frames: list[Path], grid: Grid) -> Found:
 PROGRAMS: dict[str, tuple[str, Callable[[list[Path], Grid], Found]]] = {
     "shakercal cubic": ("shakercal", partial(shakercal, degree=3)),
     "shakercal quintic": ("shakercal", partial(shakercal, degree=5)),
+    "shakercal septic": ("shakercal", partial(shakercal, degree=7)),
     "pyvale, no filter": ("pyvale", partial(pyvale, filter_px=1)),
     "pyvale, default": ("pyvale", partial(pyvale, filter_px=5)),
     "pyidi Lucas–Kanade": ("pyidi", pyidi),
