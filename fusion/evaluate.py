@@ -18,7 +18,8 @@ from fusion.readings import channel_readings, gravity, load_body, observations
 from fusion.records import read_daqs
 from fusion.sensitivity import Sensitivity, sensitivity_ratio
 from fusion.settings import ProgressCallback, Settings, no_progress
-from fusion.stereo_motion import measure_images, measure_points, motion_lines, open_images, stereo_phasors
+from fusion.stereo_motion import measure_images, measure_points, motion_lines, open_images
+from fusion.stereo_phasors import stereo_phasors
 from fusion.timing import TimeBase, tie_daqs
 from shaker.signals.frequencies import Lines
 

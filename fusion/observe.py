@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -28,6 +28,9 @@ KINDS: dict[str, Kind] = {
     "angular_velocity": "accelerometer",
 }
 CLOCK_RATE = "clock rate"
+
+
+CALIBRATION = "calibration"
 
 
 @dataclass(frozen=True)
@@ -172,7 +175,7 @@ def observe_stereo(
     name: str,
     entry: Stereo,
     phasors: Phasors,
-    calibration_effects: ComplexArray | None = None,
+    effects: Mapping[str, ComplexArray] | None = None,
     clock_uncertainty: float = 0.0,
     trigger: tuple[str, float] = ("", 0.0),
     turns: LineTurns | None = None,
@@ -180,11 +183,11 @@ def observe_stereo(
     """Return the rows of a stereo pair: displacement phasors (K, 6) in m and rad about the sensor origin = -A/ω².
 
     Common errors: scale of all lengths (translations), pose: position p of the sensor origin (translation changes by
-    theta × p) and rotation φ of the axes (vectors change by φ × v), delay of the exposure, and the
-    `calibration_effects` (P, K, 6), the change of the phasors for one standard deviation of each principal component of
-    the calibration's covariance. `clock_uncertainty`: relative, of the time base; `trigger`: name of the camera trigger
-    and standard uncertainty (s) of its fitted instants, one error for all pairs that follow it. `turns`: where the line
-    frequencies are known from this motion only.
+    theta × p) and rotation φ of the axes (vectors change by φ × v), delay of the exposure, and the `effects`: by name,
+    changes (P, K, 6) of the phasors for one standard uncertainty of further unknowns, such as the principal components
+    of the calibration's covariance (CALIBRATION, which counts as stated). `clock_uncertainty`: relative, of the time
+    base; `trigger`: name of the camera trigger and standard uncertainty (s) of its fitted instants, one error for all
+    pairs that follow it. `turns`: where the line frequencies are known from this motion only.
     """
     factor = derivative_factor(phasors.frequency_hz, -2)
     design = factor[:, None, None] * np.eye(6)
@@ -208,10 +211,12 @@ def observe_stereo(
     ]
     if entry.delay_uncertainty > 0.0:
         common.append(_late(f"{title}: delay", entry.delay_uncertainty, phasors.frequency_hz, design))
-    for place, effect in enumerate(() if calibration_effects is None else calibration_effects):
-        label = f"{title}: calibration"
-        common.append(CommonError(f"{label} {place}", label, 1.0, np.zeros_like(design), np.asarray(effect)))
-    stated = bool(common)
+    further = {} if effects is None else effects
+    stated = bool(common) or len(further.get(CALIBRATION, ())) > 0
+    for what, changes in further.items():
+        label = f"{title}: {what}"
+        for place, effect in enumerate(changes):
+            common.append(CommonError(f"{label} {place}", label, 1.0, np.zeros_like(design), np.asarray(effect)))
     if trigger[1] > 0.0:
         common.append(_late(f"{trigger[0]}: time", trigger[1], phasors.frequency_hz, design))
     for unknown, turned in ({} if turns is None else turns.turns()).items():

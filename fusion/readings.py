@@ -12,7 +12,7 @@ from fusion.evaluation import ChannelResult
 from fusion.manifest import ChannelEntry, Load, Manifest, Part
 from fusion.observe import ChainUncertainty, LineTurns, Observation, Reading, observe_channels, observe_stereo
 from fusion.response import read_response
-from fusion.stereo_motion import StereoPhasors
+from fusion.stereo_phasors import StereoPhasors
 from fusion.timing import TimeBase
 from shaker.signals.frequencies import Lines
 
@@ -48,7 +48,7 @@ def observations(
         entry = manifest.rig.stereo[item.result.name]
         entry = entry.model_copy(update={"delay_uncertainty": item.entry.delay_uncertainty})
         trigger = (item.entry.trigger, base.u_trigger_s(item.entry.trigger))
-        effects = item.calibration_effects
+        effects = item.effects
         middle_s = float(np.mean(item.result.time_s))
         turns = None if readings else LineTurns(lines.nominal_hz, lines.u_frequency_hz, middle_s)
         seen.append(observe_stereo(item.result.name, entry, item.displacement, effects, clock, trigger, turns))

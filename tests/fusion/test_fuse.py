@@ -283,7 +283,7 @@ def test_channels_whose_noise_is_one_and_the_same_are_no_obstacle() -> None:
 def test_effects_of_another_shape_are_refused() -> None:
     entry = SimpleNamespace(body="load", scale_uncertainty=None, pose_uncertainty=(0.0,) * 6, delay_uncertainty=0.0)
     with pytest.raises(ValueError, match=r"offset of stereo top: calibration 0: expected an array of shape \(2, 6\)"):
-        observe_stereo("top", entry, camera().phasors, np.zeros((3, 1, 6), complex))
+        observe_stereo("top", entry, camera().phasors, {"calibration": np.zeros((3, 1, 6), complex)})
 
 
 def test_no_instrument_of_the_body_is_refused() -> None:
