@@ -8,20 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from photogram.rigid import skew
+
 FloatArray = NDArray[np.float64]
 
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 REFERENCE_DENSITY = 8000.0
 REFERENCE_AIR_DENSITY = 1.2
 INERTIA_ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-
-
-def cross_matrix(vector: ArrayLike) -> FloatArray:
-    """Return the matrices [v]x (..., 3, 3) of vectors (..., 3), with [v]x w = v × w."""
-    v = np.asarray(vector, dtype=np.float64)
-    upper = np.zeros((*v.shape, 3))
-    upper[..., 0, 1], upper[..., 0, 2], upper[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
-    return np.asarray(upper - upper.swapaxes(-1, -2))
 
 
 @dataclass(frozen=True)
@@ -90,8 +84,8 @@ class InertialTerms:
         omega2 = (2.0 * np.pi * frequency_hz) ** 2
         matrix = np.repeat(self.mass_matrix[None], len(frequency_hz), axis=0)
         if gravity_mps2 is not None:
-            weight = cross_matrix(gravity_mps2)
-            tilt = np.concatenate([self.mass_kg * weight, cross_matrix(self.static_moment_kgm) @ weight])
+            weight = skew(gravity_mps2)
+            tilt = np.concatenate([self.mass_kg * weight, skew(self.static_moment_kgm) @ weight])
             matrix[:, :, 3:] += tilt / omega2[:, None, None]
         return matrix
 
@@ -132,7 +126,7 @@ class Body:
 
 def _terms(part: Part) -> InertialTerms:
     """Terms of one part about the sensor origin."""
-    mass, lever = part.mass_kg, cross_matrix(part.centre_of_mass_m)
+    mass, lever = part.mass_kg, skew(part.centre_of_mass_m)
     matrix = np.zeros((6, 6))
     matrix[:3, :3] = mass * np.eye(3)
     matrix[:3, 3:] = -mass * lever
@@ -160,7 +154,7 @@ def _centre_change(part: Part, axis: int) -> InertialTerms:
     """First-order change when the centre of mass moves by its uncertainty along one axis."""
     shift = np.zeros(3)
     shift[axis] = part.u_centre_of_mass_m[axis]
-    lever, change = cross_matrix(part.centre_of_mass_m), cross_matrix(shift)
+    lever, change = skew(part.centre_of_mass_m), skew(shift)
     matrix = np.zeros((6, 6))
     matrix[:3, 3:] = -part.mass_kg * change
     matrix[3:, :3] = part.mass_kg * change

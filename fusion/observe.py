@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fusion.body import cross_matrix
+from photogram.rigid import skew
 from shaker._checks import check_shape
 from shaker.signals.phasor import Phasors, derivative_factor, stack_phasors
 
@@ -195,7 +195,7 @@ def observe_stereo(
         ("scale", "", entry.scale_uncertainty or 0.0, np.diag([1.0, 1, 1, 0, 0, 0]))
     ]
     for axis, letter in enumerate("xyz"):
-        spin = cross_matrix(np.eye(3)[axis])
+        spin = skew(np.eye(3)[axis])
         shift, turn = np.zeros((6, 6)), np.kron(np.eye(2), spin)
         shift[:3, 3:] = -spin
         geometry.append(("pose position", letter, entry.pose_uncertainty[axis], shift))

@@ -92,20 +92,28 @@ def _fit_about_mean(name: str, measured: StereoMotion, frequency_hz: FloatArray)
 
 
 def _periodic_effects(measured: StereoMotion, view: ImageView, lines: int) -> ComplexArray:
-    """Return (8·K, K, 6): what errors periodic in the pixel may do to the phasors, each at one line only.
+    """Return (12·K, K, 6): what errors periodic in the pixel may do to the phasors, each at one line only.
 
     A mean error B·sin(2πu + φ) of all subsets moving as u(t) = a·cos ωt is at most 2·B·J₁(1.84) = 1.16·B at any
     multiple of ω; over amplitudes and phases that is about 0.4·B, as a standard uncertainty of real and imaginary part
-    alike. It counts for x and y of either camera on its own, as the motion that shifts all their subsets by B.
+    alike. Since u differs across the image, it counts for x and y of either camera as a shift of all subsets by B and
+    as displacements growing to B at the body's rim, along and across: twelve patterns, each on its own, of which the
+    motion has six independent combinations.
     """
     tracks = view.tracks
     seen = (tracks.left.status == TrackStatus.OK).any(axis=0) & (tracks.right.status == TrackStatus.OK).any(axis=0)
-    left, right = (np.nanmean(side.position_px[:, seen], axis=0) for side in (tracks.left, tracks.right))
-    shifts = BIAS_STEP_PX * np.concatenate([np.zeros((1, 4)), np.eye(4)])  # at rest, then left x, y, right x, y
-    paired = _phasor_motion(measured, view.rig, (left + shifts[:, None, :2], right + shifts[:, None, 2:]))
-    motion = np.stack([paired[0].real, paired[0].imag, paired[1].real, paired[1].imag]) / BIAS_STEP_PX
-    motion *= PERIODIC_SHARE * np.nan_to_num(np.repeat(tracks.bias_px, 2))[:, None]
-    parts = np.concatenate([motion, 1j * motion])
+    motions: list[FloatArray] = []
+    places = [np.nanmean(side.position_px[:, seen], axis=0) for side in (tracks.left, tracks.right)]
+    for side, bias in enumerate(np.nan_to_num(tracks.bias_px)):
+        centred = places[side] - places[side].mean(axis=0)
+        patterns = np.column_stack([np.ones(len(centred)), centred / np.abs(centred).max(axis=0)])
+        for pattern in patterns.T:
+            moved = [np.repeat(place[None], 3, axis=0) for place in places]  # at rest, along x, along y
+            moved[side][[1, 2], :, [0, 1]] += BIAS_STEP_PX * pattern
+            (both,) = _phasor_motion(measured, view.rig, (moved[0], moved[1]))
+            motions += [PERIODIC_SHARE * bias / BIAS_STEP_PX * part for part in (both.real, both.imag)]
+    combined = np.asarray(np.linalg.qr(np.array(motions), mode="r"))
+    parts = np.concatenate([combined, 1j * combined])
     return np.asarray(np.einsum("kl,pc->kplc", np.eye(lines), parts).reshape(-1, lines, 6))
 
 

@@ -214,7 +214,7 @@ def _direct_notices(motion: RigidMotion, of_points: RigidMotion, fits: list[Dire
     if ratio > LARGEST_DIFFERENCE:
         text = (
             f"the motion fitted to the grey values is {ratio:.1f} standard uncertainties off that of the tracked "
-            "points: the body bends, or something in front of it moves"
+            "points: the body bends, something in front of it moves, or its texture is not resolved"
         )
         notices.append(Notice("warning", text, "rigid motion"))
     return notices

@@ -121,7 +121,23 @@ def test_published_set_up_at_full_size(tmp_path: Path) -> None:
     assert evaluation.sensitivity is not None
     found = evaluation.sensitivity.value[0, 2, DRIVEN] / _complex(truth["ratio"])[0, 2]
     assert abs(abs(found) - 1.0) < 1e-3
-    assert all(np.all(ratio < 1.5) for ratio in _scatter_over_bound(evaluation))
+    # 1.04 to 1.09 on average (benchmarks/motion.py), and 211 frames leave 5 % of a standard deviation open.
+    assert all(np.all(ratio < 1.3) for ratio in _scatter_over_bound(evaluation))
+    weak = seen["load"].value[3, DRIVEN] / _complex(truth["acceleration"]["load"])[3, DRIVEN]
+    assert abs(abs(weak) - 1.0) < 0.15  # 0.96 m/s² at 425 Hz: 0.135 µm beside 425 µm
+
+
+@pytest.mark.slow
+def test_speckle_finer_than_the_pixels_is_told_and_costs_certainty(tmp_path: Path) -> None:
+    """Sharp dots of 2 px: errors periodic in the pixel, up to thirteen times the noise, are noticed and in U."""
+    recording = simulate(tmp_path / "campaign", "demo", 1, aliased=True) / "recording.toml"
+    evaluation, truth = evaluate_recording(load_manifest(recording), Settings(), {}), _truth(recording)
+    assert sum("finer than the camera resolves" in notice.text for notice in evaluation.notices) == 4
+    assert np.sqrt(np.mean(_normalised(evaluation, truth, "photogrammetry") ** 2)) < 1.6
+    fused = _normalised(evaluation, truth, "fused")
+    assert np.sqrt(np.mean(fused**2)) < 1.3
+    assert np.max(np.abs(fused)) < 5.0
+    assert any("error periodic in the pixel" in entry.label for entry in evaluation.sensitivity.budget)
 
 
 def _scatter_over_bound(evaluation: Evaluation) -> list[np.ndarray]:
