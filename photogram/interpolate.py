@@ -69,6 +69,20 @@ def evaluate(spline: Spline, points_px: FloatArray) -> tuple[FloatArray, FloatAr
     return values, gradients
 
 
+def grey_values(spline: Spline) -> FloatArray:
+    """The image (H,W) that the spline passes through: the coefficients weighted by the B-spline at whole pixels."""
+    weights, slopes = np.empty(8), np.empty(8)
+    basis(0.0, spline.degree, weights, slopes)
+    reach = spline.degree // 2
+    width, height = spline.size_px
+    first = PADDING_PX - reach
+    c = spline.coefficients[first : first + height + 2 * reach, first : first + width + 2 * reach]
+    taps = range(2 * reach + 1)
+    down = np.sum([weights[k] * c[k : k + height] for k in taps], axis=0)
+    values: FloatArray = np.sum([weights[k] * down[:, k : k + width] for k in taps], axis=0)
+    return values
+
+
 def noise_gain(fraction_px: FloatArray, degree: int = 5) -> FloatArray:
     """Variance of interpolated white noise of variance 1 at one-dimensional offsets `fraction_px` from a pixel.
 

@@ -6,10 +6,12 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
+from numba import prange
 from numpy.typing import NDArray
 
 from photogram._checks import BoolArray, FloatArray, check_shape
-from photogram.interpolate import Spline, noise_gain, slope_noise_gain
+from photogram._kernel import njit
+from photogram.interpolate import Spline, grey_values, noise_gain, slope_noise_gain
 from photogram.sampling import sample_squares
 
 SMALLEST_NOISE = 1e-9
@@ -128,11 +130,20 @@ def _pixel_noise(spline: Spline, centre_px: FloatArray, radius_px: int) -> Float
 
     The differences (1 −3 3 −1) in x and y suppress texture of a few pixels' size; |·| has the median 0.6745 · 20 σ.
     """
-    side = 2 * radius_px + 1
-    grey = sample_squares(spline, np.rint(centre_px), radius_px)[:, 0].reshape(-1, side, side)
-    fine = np.abs(np.diff(np.diff(grey, n=3, axis=1), n=3, axis=2)).reshape(len(centre_px), -1)
-    noise: FloatArray = np.nan_to_num(np.median(fine, axis=1)) / (0.6745 * 20.0)
-    return noise
+    fine = np.abs(np.diff(np.diff(grey_values(spline), n=3, axis=0), n=3, axis=1))
+    corner = np.rint(np.nan_to_num(centre_px, nan=-1e6)).astype(np.int64) - radius_px
+    middle = np.zeros(len(corner))
+    _medians(fine, corner, 2 * radius_px - 2, middle)
+    return middle / (0.6745 * 20.0)
+
+
+@njit(parallel=True)
+def _medians(values, corner, side, middle):  # type: ignore[no-untyped-def]
+    """Median of every square of values (H,W) whose first column and row are corner (N,2); 0 where it is not inside."""
+    for n in prange(corner.shape[0]):
+        x, y = corner[n, 0], corner[n, 1]
+        if x >= 0 and y >= 0 and x + side <= values.shape[1] and y + side <= values.shape[0]:
+            middle[n] = np.median(values[y : y + side, x : x + side])
 
 
 def _hessians(pixels: FloatArray, energy: FloatArray, shape: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from photogram.interpolate import PADDING_PX, Spline, evaluate, noise_gain, slope_noise_gain, spline_of_image
+from photogram.interpolate import (
+    PADDING_PX,
+    Spline,
+    evaluate,
+    grey_values,
+    noise_gain,
+    slope_noise_gain,
+    spline_of_image,
+)
 
 
 @pytest.mark.parametrize("degree", [3, 5])
@@ -28,6 +36,7 @@ def test_the_spline_passes_through_the_pixels(degree: int) -> None:
     rows, columns = np.indices(image.shape)
     points = np.column_stack([columns.ravel(), rows.ravel()]).astype(float)
     np.testing.assert_allclose(evaluate(spline_of_image(image, degree), points)[0], image.ravel(), atol=1e-9)
+    np.testing.assert_allclose(grey_values(spline_of_image(image, degree)), image, atol=1e-9)
 
 
 @pytest.mark.parametrize("degree", [3, 5, 7])
