@@ -62,8 +62,8 @@ class ImageView:
     tracks: StereoTracks
     rig: StereoRig
     reference_image: GreyImage
-    noise: tuple[NoiseModel, NoiseModel]
-    quality: tuple[SubsetQuality, SubsetQuality]
+    noise: tuple[NoiseModel, NoiseModel] | None
+    quality: tuple[SubsetQuality, SubsetQuality] | None
 
 
 @dataclass(frozen=True)

@@ -162,8 +162,10 @@ def _principal_components(covariance: FloatArray) -> FloatArray:
     return np.asarray((vectors[:, kept] * np.sqrt(eigenvalues[kept])).T * sigma)
 
 
-def _sigmas(view: ImageView) -> FloatArray:
+def _sigmas(view: ImageView) -> FloatArray | None:
     """Return predicted and found standard deviation (2,) of a subset's coordinate: median of both cameras."""
+    if view.quality is None:
+        return None
     predicted = [side.predicted_sigma_px for side in view.quality]
     variance = [np.diagonal(side.covariance_px2, axis1=2, axis2=3) for side in (view.tracks.left, view.tracks.right)]
     return np.array([np.nanmedian(predicted), np.sqrt(np.nanmedian(variance))])
@@ -187,6 +189,6 @@ def _result(measured: StereoMotion, from_mean: RigidMotion, fit: SineFit, usable
         speckle_px=None if view is None else float(np.min(view.tracks.speckle_px)),
         noise_grey=None if view is None else float(np.mean(view.tracks.noise_grey)),
         sigma_px=None if view is None else _sigmas(view),
-        noise=() if view is None else view.noise,
+        noise=() if view is None or view.noise is None else view.noise,
         median_zncc=None if view is None else float(np.nanmedian(view.tracks.left.zncc)),
     )

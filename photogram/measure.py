@@ -46,16 +46,17 @@ LARGEST_DIFFERENCE = 2.0  # rms, in standard uncertainties of the motion of the 
 class BodyMotion:
     """A body seen by a stereo pair: subsets, points in the body's frame, motion, and what the user should know.
 
-    motion: fitted to the grey values of all pixels, `motion_of_points` to the points alone. noise: noise: noise models,
-    quality: what the subsets promised before they were tracked, of the left and the right camera.
+    motion: fitted to the grey values of all pixels, `motion_of_points` to the points alone. Of the left and the right
+    camera: noise models, and quality, what the subsets promised before they were tracked; None when no frame could be
+    fitted to the grey values.
     """
 
     tracks: StereoTracks
     points: Points
     motion: RigidMotion
     motion_of_points: RigidMotion
-    noise: Noise
-    quality: tuple[SubsetQuality, SubsetQuality]
+    noise: Noise | None
+    quality: tuple[SubsetQuality, SubsetQuality] | None
     notices: tuple[Notice, ...]
 
 
@@ -82,8 +83,8 @@ def measure_body(
     """Follow a body through the left and right `images` and fit its six components, about the origin of its frame.
 
     Subsets are tracked, triangulated and fitted by a rigid motion (`motion.fit_motion`); from that start the motion is
-    fitted to the grey values (`direct.fit_direct`), weighted by the noise that the second frame shows. A frame in which
-    this fails keeps the motion of its points. `progress` is called with the number of finished images, 1…2F.
+    fitted to the grey values (`direct.fit_direct`), weighted by the noise that the first frame so fitted shows. A frame
+    in which this fails keeps the motion of its points. `progress` is called with the number of finished images, 1…2F.
     """
     grid = lay_stereo_grid(*images, rig, settings)
     left, right = (
@@ -94,11 +95,13 @@ def measure_body(
     tracks = [tracks_of(side, reference, settings.degree) for side, reference in zip(found, (left, right), strict=True)]
     firsts = images[0].read(0), images[1].read(0)
     stereo = stereo_tracks(firsts, grid, (tracks[0], tracks[1]), settings)
-    quality = (
-        assess(left, firsts[0], noise[0], images[0].full_scale),
-        assess(right, firsts[1], noise[1], images[1].full_scale),
-    )
-    remarks = [*quality[0].notices("left camera"), *quality[1].notices("right camera")]
+    quality, remarks = None, list[Notice]()
+    if noise is not None:
+        quality = (
+            assess(left, firsts[0], noise[0], images[0].full_scale),
+            assess(right, firsts[1], noise[1], images[1].full_scale),
+        )
+        remarks = [*quality[0].notices("left camera"), *quality[1].notices("right camera")]
     points = triangulate(
         rig, tracks[0].position_px, tracks[1].position_px, tracks[0].covariance_px2, tracks[1].covariance_px2
     ).transformed(body_from_left)
@@ -113,7 +116,7 @@ def measure_body(
 
 def _follow(
     scene: _Scene, progress: Progress | None, device: str
-) -> tuple[tuple[list[Registration], list[Registration]], list[DirectFit | None], Views, Noise]:
+) -> tuple[tuple[list[Registration], list[Registration]], list[DirectFit | None], Views, Noise | None]:
     """Registrations of both cameras, direct fits of all frames but the first, the body's views and noise models."""
     found: tuple[list[Registration], list[Registration]] = ([], [])
     fits: list[DirectFit | None] = []
@@ -121,8 +124,8 @@ def _follow(
         follow_sequence(*side, scene.settings, device) for side in zip(scene.images, scene.references, strict=True)
     )
     first: Splines | None = None
-    rest, noise = np.empty((0, 3)), (UNIFORM, UNIFORM)
-    views: Views = ()
+    rest, views = np.empty((0, 3)), tuple[BodyView, ...]()
+    noise: Noise | None = None
     for left, right in zip(*sides, strict=True):
         found[0].append(left.found)
         found[1].append(right.found)
@@ -130,13 +133,15 @@ def _follow(
         splines = _spline(left, scene.settings), _spline(right, scene.settings)
         if first is None:
             first, rest = splines, points.position_m[0]
-            views = _views(scene, first, rest, noise)
+            views = _views(scene, first, rest, (UNIFORM, UNIFORM))
         else:
             start = fit_motion(points, rest, np.zeros(3)).pose[0]
-            if len(fits) == 0:
-                noise = _noise(views, splines, start)
+            fit = _fit(views, splines, start)
+            if noise is None and fit is not None:
+                noise = _noise(views, splines, fit)
                 views = _views(scene, first, rest, noise)
-            fits.append(_fit(views, splines, start))
+                fit = _fit(views, splines, start)
+            fits.append(fit)
         if progress is not None:
             progress(2 * len(found[0]))
     return found, fits, views, noise
@@ -157,7 +162,11 @@ def _spline(frame: FollowedFrame, settings: TrackSettings) -> Spline:
 
 
 def _views(scene: _Scene, splines: Splines, rest_m: FloatArray, noise: Noise) -> Views:
-    """The body at rest in both cameras."""
+    """The body at rest in both cameras; `ValueError` where the calibration places no points of it."""
+    placed = int(np.count_nonzero(np.isfinite(rest_m).all(axis=1)))
+    if placed < 3:
+        text = f"at least 3 points that both cameras see in one place, found {placed} of {len(rest_m)}"
+        raise ValueError(f"rig: expected {text}; the calibration does not belong to these images")
     left_from_body = scene.body_from_left.inverse()
     cameras = (
         PlacedCamera(scene.rig.left, left_from_body),
@@ -177,11 +186,8 @@ def _fit(views: Views, splines: Splines, start: FloatArray) -> DirectFit | None:
     return fit_direct(views, splines, RigidTransform.from_pose(start)) if np.isfinite(start).all() else None
 
 
-def _noise(views: Views, splines: Splines, start: FloatArray) -> Noise:
+def _noise(views: Views, splines: Splines, fit: DirectFit) -> Noise:
     """Noise models of both cameras from what a fit with equal weights leaves over in one frame."""
-    fit = _fit(views, splines, start)
-    if fit is None:
-        return UNIFORM, UNIFORM
     left, right = (image_noise(view, spline, fit.moved) for view, spline in zip(views, splines, strict=True))
     return left, right
 
