@@ -23,7 +23,7 @@ POLES = {
     7: (-0.53528043079643816554, -0.12255461519232669052, -0.0091486948096082769286),
 }
 SMALLEST_TERM = 1e-17
-BLOCK = 64
+BLOCK = 16
 
 
 @dataclass(frozen=True)
@@ -57,8 +57,9 @@ def spline_of_image(image: NDArray[np.generic], degree: int = 5) -> Spline:
     if degree not in POLES:
         raise ValueError(f"degree: expected 3, 5 or 7, found {degree}")
     inside = np.ascontiguousarray(image, dtype=np.float64)
-    coefficients = _prefilter(inside, np.array(POLES[degree]))
-    return Spline(np.pad(coefficients, PADDING_PX, mode="reflect"), degree)
+    coefficients = _prefilter(inside, np.array(POLES[degree]), PADDING_PX)
+    _mirror(coefficients)
+    return Spline(coefficients, degree)
 
 
 def evaluate(spline: Spline, points_px: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -118,63 +119,67 @@ def slope_noise_gain(degree: int = 5) -> float:
 
 
 @njit(parallel=True)
-def _prefilter(image, poles):  # type: ignore[no-untyped-def]
-    """Spline coefficients of an image: every row, then blocks of columns."""
+def _prefilter(image, poles, padding):  # type: ignore[no-untyped-def]
+    """Spline coefficients of an image inside a frame of `padding` zeros: blocks of rows, then of columns.
+
+    A block is copied with its lines side by side, so that each step of the recursion is one for all of them at once.
+    """
     height, width = image.shape
-    out = image.copy()
-    for row in prange(height):
+    rows, out = np.empty((height, width)), np.zeros((height + 2 * padding, width + 2 * padding))
+    for block in prange((height + BLOCK - 1) // BLOCK):
+        first = block * BLOCK
+        count = min(BLOCK, height - first)
+        lines = np.zeros((width, BLOCK))
+        for i in range(count):
+            for k in range(width):
+                lines[k, i] = image[first + i, k]
         for pole in poles:
-            _filter_line(out[row], pole)
-    blocks = (width + BLOCK - 1) // BLOCK
-    for block in prange(blocks):
-        columns = out[:, block * BLOCK : min(width, (block + 1) * BLOCK)]
+            _filter_lines(lines, pole)
+        for i in range(count):
+            for k in range(width):
+                rows[first + i, k] = lines[k, i]
+    for block in prange((width + BLOCK - 1) // BLOCK):
+        first = block * BLOCK
+        count = min(BLOCK, width - first)
+        lines = np.zeros((height, BLOCK))
+        lines[:, :count] = rows[:, first : first + count]
         for pole in poles:
-            _filter_columns(columns, pole)
+            _filter_lines(lines, pole)
+        out[padding : padding + height, padding + first : padding + first + count] = lines[:, :count]
     return out
 
 
 @njit()
-def _filter_line(line, pole):  # type: ignore[no-untyped-def]
-    """Both recursions of one pole along one row, mirrored at its ends."""
-    count = line.size
-    gain = (1.0 - pole) * (1.0 - 1.0 / pole)
-    total, power = line[0], pole
-    for k in range(1, 2 * count - 2):
-        if abs(power) < SMALLEST_TERM:
-            break
-        total += power * line[k if k < count else 2 * count - 2 - k]
-        power *= pole
-    line[0] = gain * total / (1.0 - power)
-    for k in range(1, count):
-        line[k] = gain * line[k] + pole * line[k - 1]
-    line[-1] = pole / (pole * pole - 1.0) * (pole * line[-2] + line[-1])
-    for k in range(count - 2, -1, -1):
-        line[k] = pole * (line[k + 1] - line[k])
-
-
-@njit()
-def _filter_columns(lines, pole):  # type: ignore[no-untyped-def]
-    """Both recursions of one pole down several neighbouring columns at once, mirrored at their ends."""
-    count, width = lines.shape
+def _filter_lines(lines, pole):  # type: ignore[no-untyped-def]
+    """Both recursions of one pole along the first axis of lines (n,BLOCK), mirrored at their ends."""
+    count = lines.shape[0]
     gain = (1.0 - pole) * (1.0 - 1.0 / pole)
     total, power = lines[0].copy(), pole
     for k in range(1, 2 * count - 2):
         if abs(power) < SMALLEST_TERM:
             break
         source = k if k < count else 2 * count - 2 - k
-        for i in range(width):
+        for i in range(BLOCK):
             total[i] += power * lines[source, i]
         power *= pole
-    for i in range(width):
+    for i in range(BLOCK):
         lines[0, i] = gain * total[i] / (1.0 - power)
     for k in range(1, count):
-        for i in range(width):
+        for i in range(BLOCK):
             lines[k, i] = gain * lines[k, i] + pole * lines[k - 1, i]
-    for i in range(width):
+    for i in range(BLOCK):
         lines[-1, i] = pole / (pole * pole - 1.0) * (pole * lines[-2, i] + lines[-1, i])
     for k in range(count - 2, -1, -1):
-        for i in range(width):
+        for i in range(BLOCK):
             lines[k, i] = pole * (lines[k + 1, i] - lines[k, i])
+
+
+def _mirror(framed: FloatArray) -> None:
+    """Fill the frame of PADDING_PX around an image with its mirror image."""
+    for lines in (framed, framed.T):
+        for k in range(1, PADDING_PX + 1):
+            lines[PADDING_PX - k] = lines[PADDING_PX + k]
+            lines[-1 - PADDING_PX + k] = lines[-1 - PADDING_PX - k]
 
 
 @njit(inline="always")
