@@ -39,6 +39,7 @@ Splines = tuple[Spline, Spline]
 Noise = tuple[NoiseModel, NoiseModel]
 Views = tuple[BodyView, ...]
 UNIFORM = NoiseModel(1.0, 0.0)
+LARGEST_BENDING = 4.0  # rms, in standard deviations of the points; the reference's noise makes it 1.4
 LARGEST_DIFFERENCE = 2.0  # rms, in standard uncertainties of the motion of the points
 
 
@@ -110,7 +111,7 @@ def measure_body(
         shared = overlap_correlation(grid.left_px, settings.radius_px)
     of_points = fit_motion(points, None, np.zeros(3), shared)
     motion = _with_direct(of_points, fits, views)
-    notices = (*stereo.notices, *remarks, *_direct_notices(motion, of_points, fits))
+    notices = (*stereo.notices, *remarks, *_bending(points, of_points), *_direct_notices(motion, of_points, fits))
     return BodyMotion(stereo, points, motion, of_points, noise, quality, notices)
 
 
@@ -202,6 +203,23 @@ def _with_direct(of_points: RigidMotion, fits: list[DirectFit | None], views: Vi
         if fit is not None:
             pose[frame], covariance[frame] = fit.moved.pose, fit.covariance
     return replace(of_points, pose=pose, covariance=covariance)
+
+
+def _bending(points: Points, motion: RigidMotion) -> list[Notice]:
+    """A warning when the points depart from a rigid motion by much more than their noise."""
+    variance = np.trace(points.covariance_m2[1:], axis1=2, axis2=3) / 3.0
+    residual = motion.residual_m[1:]
+    known = np.isfinite(residual)
+    if not known.any():
+        return []
+    misfit, noise = float(np.median(residual[known])), float(np.sqrt(np.nanmedian(variance[known])))
+    if misfit < LARGEST_BENDING * noise:
+        return []
+    text = (
+        f"the points depart from a rigid motion by {1e6 * misfit:.1f} µm rms, {misfit / noise:.0f} times their noise: "
+        "the body bends, or parts of it move on their own"
+    )
+    return [Notice("warning", text, "rigid motion")]
 
 
 def _direct_notices(motion: RigidMotion, of_points: RigidMotion, fits: list[DirectFit | None]) -> list[Notice]:

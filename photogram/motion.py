@@ -28,6 +28,7 @@ _CHOICE_ROUNDS = 8  # rounds in which points may be rejected and come back
 _ROUNDS = 16  # rounds altogether; two or three are the rule
 _REJECTED = 25.0  # squared distance, in scaled standard deviations, beyond which a point is an outlier
 _MEDIAN_CHI2 = 2.3659738843753377  # median of χ² with three degrees of freedom
+_BENT = 25.0  # reduced χ² beyond which points depart from a rigid motion by more than their noise
 _FEWEST = 6  # with fewer points nobody is rejected
 _ROUNDING = 1e-12  # of the coordinates: errors below it are rounding, never outliers
 _SINGULAR = 1e-13  # smallest eigenvalue of a solvable system, scaled to a unit diagonal
@@ -75,6 +76,10 @@ def fit_motion(
     enlarged or reduced by the residuals. The noise of the reference is left out: it moves all frames of a series
     alike. Frame 0, whose pose against itself is exactly zero, gets a covariance of the same kind. A frame with fewer
     than three usable points, or with all on one line, is NaN.
+
+    Points that depart from a rigid motion by more than five times their noise (median(dᵢ²)/2.366 > 25 at the start)
+    belong to a body that bends. Their noise then says nothing about the misfit, and weights by it would turn the body
+    to where it is known worst; such a frame is fitted with Cᵢ = I·median(eᵢ²)/2.366.
 
     Points of overlapping subsets have noise in common: with their `correlation` ρ (N, N) (`overlap_correlation`) and
     C = L·Lᵀ the covariance of two points is ρ·Lₙ·Lₘᵀ, and that of the pose N⁻¹·(Σₙₘ ρₙₘ·Bₙᵀ·Bₘ)·N⁻¹ with B = L⁻¹·J and
@@ -165,6 +170,9 @@ def _fit(
     rotation, translation, fixed = _robust_start(source, target, usable)
     fixed &= usable.sum(axis=1) >= 3
     used = usable = usable & fixed[:, None]
+    precision = _without_noise_weights(
+        precision, target - source @ np.swapaxes(rotation, 1, 2) - translation[:, None], usable
+    )
     size = np.where(usable, np.trace(precision, axis1=2, axis2=3) * (target**2).sum(axis=2), 0.0)
     smallest = _ROUNDING**2 * size.max(axis=1, initial=0.0)
     for number in range(_ROUNDS):
@@ -193,6 +201,16 @@ def _fit(
         points=used.sum(axis=1).astype(np.int64),
         origin_m=origin,
     )
+
+
+def _without_noise_weights(precision: FloatArray, error: FloatArray, usable: BoolArray) -> FloatArray:
+    """Return precisions (F, N, 3, 3), in frames whose errors are far above the points' noise those of the errors."""
+    squares = np.einsum("fni,fnij,fnj->fn", error, np.where(usable[..., None, None], precision, 0.0), error)
+    bent = _median(squares, usable) > _BENT * _MEDIAN_CHI2
+    bent &= usable.sum(axis=1) >= _FEWEST
+    variance = np.where(bent, _median((error**2).sum(axis=2), usable) / _MEDIAN_CHI2, 1.0)
+    same = np.eye(3) / variance[:, None, None, None]
+    return np.where(bent[:, None, None, None], same, precision)
 
 
 def _pose_covariance(step_covariance: FloatArray, pose: FloatArray) -> FloatArray:

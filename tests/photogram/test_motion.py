@@ -263,3 +263,23 @@ def test_arguments_that_do_not_fit_are_named() -> None:
         fit_motion(points, reference, np.zeros(2))
     with pytest.raises(ValueError, match="covariance"):
         RigidMotion(np.zeros((2, 6)), np.zeros((2, 6)), np.zeros(2), np.zeros(2, int), np.zeros(3))
+
+
+def test_a_body_that_bends_is_not_turned_to_where_it_is_known_worst() -> None:
+    """A plate, known four times worse in depth, is stretched by 8 %: the rigid fit that is left is the plain one.
+
+    Weighted by the noise, a tilt of some 20° would explain the stretch at the cost of depth.
+    """
+    rng = np.random.default_rng(77)
+    x, y = (grid.ravel() for grid in np.meshgrid(np.linspace(-0.03, 0.03, 12), np.linspace(-0.02, 0.02, 10)))
+    reference = np.column_stack([x, y, np.zeros_like(x)])
+    covariance = np.diag([1e-6, 1e-6, 6e-6]) ** 2
+    stretched = reference * [1.0, 0.92, 1.0] + rng.multivariate_normal(np.zeros(3), covariance, len(reference))
+    shift = np.array([1e-4, 2e-4, -1e-4])
+    position = np.stack([reference, stretched + shift])
+    points = Points(position, np.broadcast_to(covariance, (*position.shape, 3)), np.zeros(position.shape[:2]))
+    motion = fit_motion(points, None, np.zeros(3))
+    np.testing.assert_allclose(motion.pose[1, :3], shift, atol=1e-5)
+    assert np.max(np.abs(motion.pose[1, 3:])) < 1e-3
+    assert np.sqrt(motion.covariance[1, 1, 1]) > 3e-5  # the misfit of a millimetre, not the noise of a micrometre
+    np.testing.assert_allclose(motion.residual_m[1], 0.08 * np.std(y) / np.sqrt(3), rtol=0.05)
