@@ -43,8 +43,8 @@ def sample_squares(spline: Spline, centre_px: FloatArray, radius_px: int) -> Flo
 
 
 @njit(fastmath=ALLOWED)
-def sample_line_quintic(c, x, y, step_x, step_y, grey):  # type: ignore[no-untyped-def]
-    """Fill grey (n,) with quintic spline values at (x, y) + i·(step_x, step_y), all of them within the image.
+def sample_line(c, degree, x, y, step_x, step_y, grey):  # type: ignore[no-untyped-def]
+    """Fill grey (n,) with values of a spline of degree 3, 5 or 7 at (x, y) + i·(step_x, step_y), all within the image.
 
     c (H+8,W+8): `Spline.coefficients`. Runs in which int(x)−i and int(y) stay the same are computed eight points at a
     time; the polynomials of two runs agree where they meet, so that it does not matter to which run a point is given.
@@ -52,62 +52,30 @@ def sample_line_quintic(c, x, y, step_x, step_y, grey):  # type: ignore[no-untyp
     start = 0
     while start < grey.size:
         at_x, at_y = x + start * step_x, y + start * step_y
-        column, row = int(at_x), int(at_y)
-        s, t = at_x - column, at_y - row
-        stop = _end_of_run(start, grey.size, s, t, step_x - 1.0, step_y)
-        _run_quintic(c, row + PADDING_PX - 2, column + PADDING_PX - 2, s, t, step_x - 1.0, step_y, grey, start, stop)
+        stop = _end_of_run(start, grey.size, at_x - int(at_x), at_y - int(at_y), step_x - 1.0, step_y)
+        _run(c, degree, at_x, at_y, step_x - 1.0, step_y, grey, start, stop)
         start = stop
-
-
-@njit(fastmath=ALLOWED)
-def sample_line_cubic(c, x, y, step_x, step_y, grey):  # type: ignore[no-untyped-def]
-    """Fill grey (n,) with cubic spline values at (x, y) + i·(step_x, step_y), as `sample_line_quintic` does."""
-    start = 0
-    while start < grey.size:
-        at_x, at_y = x + start * step_x, y + start * step_y
-        column, row = int(at_x), int(at_y)
-        s, t = at_x - column, at_y - row
-        stop = _end_of_run(start, grey.size, s, t, step_x - 1.0, step_y)
-        _run_cubic(c, row + PADDING_PX - 1, column + PADDING_PX - 1, s, t, step_x - 1.0, step_y, grey, start, stop)
-        start = stop
-
-
-@njit(fastmath=ALLOWED)
-def sample_line_septic(c, x, y, step_x, step_y, grey):  # type: ignore[no-untyped-def]
-    """Fill grey (n,) with septic spline values at (x, y) + i·(step_x, step_y), as `sample_line_quintic` does."""
-    start = 0
-    while start < grey.size:
-        at_x, at_y = x + start * step_x, y + start * step_y
-        column, row = int(at_x), int(at_y)
-        s, t = at_x - column, at_y - row
-        stop = _end_of_run(start, grey.size, s, t, step_x - 1.0, step_y)
-        _run_septic(c, row + PADDING_PX - 3, column + PADDING_PX - 3, s, t, step_x - 1.0, step_y, grey, start, stop)
-        start = stop
-
-
-@njit(fastmath=ALLOWED)
-def sample_line(c, degree, x, y, step_x, step_y, grey):  # type: ignore[no-untyped-def]
-    """Fill grey (n,) with values of a spline of degree 3, 5 or 7 at (x, y) + i·(step_x, step_y)."""
-    if degree == 7:
-        sample_line_septic(c, x, y, step_x, step_y, grey)
-    elif degree == 5:
-        sample_line_quintic(c, x, y, step_x, step_y, grey)
-    else:
-        sample_line_cubic(c, x, y, step_x, step_y, grey)
 
 
 @njit(fastmath=ALLOWED)
 def sample_points(c, degree, x, y, grey):  # type: ignore[no-untyped-def]
     """Fill grey (n,) with spline values of degree 3, 5 or 7 at any points x (n,), y (n,) within the image."""
     for i in range(grey.size):
-        column, row = int(x[i]), int(y[i])
-        s, t = x[i] - column, y[i] - row
-        if degree == 7:
-            _run_septic(c, row + PADDING_PX - 3, column + PADDING_PX - 3, s, t, 0.0, 0.0, grey, i, i + 1)
-        elif degree == 5:
-            _run_quintic(c, row + PADDING_PX - 2, column + PADDING_PX - 2, s, t, 0.0, 0.0, grey, i, i + 1)
-        else:
-            _run_cubic(c, row + PADDING_PX - 1, column + PADDING_PX - 1, s, t, 0.0, 0.0, grey, i, i + 1)
+        _run(c, degree, x[i], y[i], 0.0, 0.0, grey, i, i + 1)
+
+
+@njit(inline="always")
+def _run(c, degree, x, y, drift_x, drift_y, grey, start, stop):  # type: ignore[no-untyped-def]
+    """Points start … stop of one run, the first of them at (x, y)."""
+    column, row = int(x), int(y)
+    s, t = x - column, y - row
+    row, column = row + PADDING_PX - degree // 2, column + PADDING_PX - degree // 2
+    if degree == 7:
+        _run_septic(c, row, column, s, t, drift_x, drift_y, grey, start, stop)
+    elif degree == 5:
+        _run_quintic(c, row, column, s, t, drift_x, drift_y, grey, start, stop)
+    else:
+        _run_cubic(c, row, column, s, t, drift_x, drift_y, grey, start, stop)
 
 
 @njit(inline="always")

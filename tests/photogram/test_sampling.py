@@ -8,17 +8,16 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from photogram.interpolate import evaluate, spline_of_image
-from photogram.sampling import sample_line_cubic, sample_line_quintic, sample_line_septic
+from photogram.sampling import sample_line
 
 IMAGE = np.random.default_rng(51).uniform(0, 4095, (64, 70))
 SPLINES = {degree: spline_of_image(IMAGE, degree) for degree in (3, 5, 7)}
-SAMPLERS = {3: sample_line_cubic, 5: sample_line_quintic, 7: sample_line_septic}
 
 
 def check(degree: int, start: tuple[float, float], step: tuple[float, float], count: int) -> None:
     points = np.asarray(start) + np.arange(count)[:, None] * np.asarray(step)
     grey = np.full(count, np.nan)
-    SAMPLERS[degree](SPLINES[degree].coefficients, *start, *step, grey)
+    sample_line(SPLINES[degree].coefficients, degree, *start, *step, grey)
     np.testing.assert_allclose(grey, evaluate(SPLINES[degree], points)[0], rtol=1e-12, atol=1e-12 * 4095)
 
 
@@ -60,7 +59,7 @@ def test_lines_along_pixels_and_edges(
 
 def test_nothing_but_the_line_is_written() -> None:
     grey = np.full(40, -1.0)
-    sample_line_quintic(SPLINES[5].coefficients, 20.3, 30.1, 0.999, 0.2, grey[4:17])
+    sample_line(SPLINES[5].coefficients, 5, 20.3, 30.1, 0.999, 0.2, grey[4:17])
     assert np.all(grey[:4] == -1.0)
     assert np.all(grey[17:] == -1.0)
     assert np.all(grey[4:17] != -1.0)
