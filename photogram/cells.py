@@ -9,9 +9,9 @@ from numba import prange
 
 from photogram._checks import BoolArray, FloatArray, IntArray, check_shape
 from photogram._kernel import njit
-from photogram.interpolate import PADDING_PX, Spline, evaluate, noise_gain, slope_noise_gain
+from photogram.interpolate import Spline, evaluate, mean_noise_gain, slope_noise_gain
 from photogram.noise import NoiseModel
-from photogram.sampling import sample_line
+from photogram.sampling import box_inside, sample_line
 
 ALLOWED = {"contract", "reassoc", "nsz", "arcp"}
 SMALLEST_GAIN = 0.1  # of the reference's contrast, below which a cell shows nothing
@@ -192,9 +192,7 @@ def _interpolated_noise(cells: Cells, warp: FloatArray, degree: int) -> FloatArr
     third = cells.side_px / 3.0
     line = np.array([-third, 0.0, third])
     dx, dy = (grid.ravel() for grid in np.meshgrid(line, line))
-    x = cells.centre_px[:, :1] + warp[:, 0:1] + (1.0 + warp[:, 1:2]) * dx + warp[:, 2:3] * dy
-    y = cells.centre_px[:, 1:] + warp[:, 3:4] + warp[:, 4:5] * dx + (1.0 + warp[:, 5:6]) * dy
-    return np.asarray(np.mean(noise_gain(x, degree) * noise_gain(y, degree), axis=1))
+    return mean_noise_gain(cells.centre_px, warp, np.column_stack([dx, dy]), degree)
 
 
 @njit(parallel=True)
@@ -233,11 +231,10 @@ def _prepare(centre, runs, first, pixels, scalars, moments, extent):  # type: ig
 @njit(inline="always")
 def _cell_inside(centre_x, centre_y, reach, warp, coefficients):  # type: ignore[no-untyped-def]
     """Whether all corners of the warped cell lie within the image; False for NaN."""
-    right, bottom = coefficients.shape[1] - 2.0 * PADDING_PX - 1.0, coefficients.shape[0] - 2.0 * PADDING_PX - 1.0
     x, y = centre_x + warp[0], centre_y + warp[3]
     reach_x = reach * (abs(1.0 + warp[1]) + abs(warp[2]))
     reach_y = reach * (abs(warp[4]) + abs(1.0 + warp[5]))
-    return x - reach_x >= 0.0 and x + reach_x <= right and y - reach_y >= 0.0 and y + reach_y <= bottom
+    return box_inside(coefficients, x, y, reach_x, reach_y)
 
 
 @njit(inline="always")

@@ -105,8 +105,7 @@ def fit_direct(views: Sequence[BodyView], targets: Sequence[Spline], start: Rigi
     2004) on the rigid motions: T ← T·δ⁻¹ with (Σ b²·Bᵀ·H·B)·δ = Σ b·Bᵀ·slope, B the rates of the warps. The
     reference's noise makes Σ b²·Bᵀ·H·B too large by a known share, and every step too short by that share: iteration
     ends when the share of the step is below 0.02 standard uncertainties. Cells with more than three times the median
-    misfit, and cells whose own
-    remaining shift is beyond five scaled standard deviations, are left out.
+    misfit, and cells whose own remaining shift is beyond five scaled standard deviations, are left out.
 
     The covariance is s²·H′⁻¹·H·H′⁻¹ with H′ = H less what the reference's noise adds to it, and s² the misfit per
     expected misfit of the pixels used. It is that of the frame's own noise; the reference's moves all frames alike.

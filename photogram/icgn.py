@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from photogram._checks import FloatArray, IntArray, check_shape
 from photogram._kernel import njit
-from photogram.interpolate import PADDING_PX, Spline, noise_gain
+from photogram.interpolate import Spline, mean_noise_gain
 from photogram.reference import Reference, TrackStatus, subset_offsets
-from photogram.sampling import ALLOWED, sample_line, sample_points
+from photogram.sampling import ALLOWED, box_inside, sample_line, sample_points
 
 GAIN_AND_OFFSET = 2
 FREE_PARAMETERS = 6 + GAIN_AND_OFFSET
@@ -105,10 +105,7 @@ def noise_of_residual(reference: Reference, found: Registration, degree: int) ->
     covered, since every subset has its own σ; a misfit of the affine warp counts as noise too.
     """
     places = subset_offsets(1) * (2.0 / 3.0 * reference.radius_px)
-    shift = found.warp[:, [0, 3]]
-    deformation = np.eye(2) + found.warp[:, [1, 2, 4, 5]].reshape(-1, 2, 2)
-    points = (reference.centre_px + shift)[:, None, :] + places @ np.swapaxes(deformation, 1, 2)
-    kept = np.mean(noise_gain(points[..., 0], degree) * noise_gain(points[..., 1], degree), axis=1)
+    kept = mean_noise_gain(reference.centre_px, found.warp, places, degree)
     variance: FloatArray = found.residual_grey2 / (kept + found.gain**2 * reference.noise_gain)
     return np.sqrt(variance)
 
@@ -196,14 +193,13 @@ def _inside(subset, target, warp):  # type: ignore[no-untyped-def]
     """Whether all corners of the warped subset lie within the image."""
     centre_x, centre_y, radius, _, _, _, _ = subset
     coefficients, _ = target
-    right, bottom = coefficients.shape[1] - 2.0 * PADDING_PX - 1.0, coefficients.shape[0] - 2.0 * PADDING_PX - 1.0
     x, y = centre_x + warp[0], centre_y + warp[3]
     reach_x = radius * (abs(1.0 + warp[1]) + abs(warp[2]))
     reach_y = radius * (abs(warp[4]) + abs(1.0 + warp[5]))
     if warp.size == 12:
         reach_x += radius**2 * (0.5 * abs(warp[6]) + abs(warp[7]) + 0.5 * abs(warp[8]))
         reach_y += radius**2 * (0.5 * abs(warp[9]) + abs(warp[10]) + 0.5 * abs(warp[11]))
-    return x - reach_x >= 0.0 and x + reach_x <= right and y - reach_y >= 0.0 and y + reach_y <= bottom
+    return box_inside(coefficients, x, y, reach_x, reach_y)
 
 
 @njit(fastmath=ALLOWED)

@@ -95,6 +95,16 @@ def noise_gain(fraction_px: FloatArray, degree: int = 5) -> FloatArray:
     return gain
 
 
+def mean_noise_gain(centre_px: FloatArray, warp: FloatArray, offset_px: FloatArray, degree: int = 5) -> FloatArray:
+    """Variance (N,) of interpolated white noise of variance 1, mean over the offsets (P,2) from centre_px (N,2).
+
+    The points lie where the affine warps (N,6) [u, u_x, u_y, v, v_x, v_y] take them.
+    """
+    deformation = np.eye(2) + warp[:, [1, 2, 4, 5]].reshape(-1, 2, 2)
+    points = (centre_px + warp[:, [0, 3]])[:, None, :] + offset_px @ np.swapaxes(deformation, 1, 2)
+    return np.asarray(np.mean(noise_gain(points[..., 0], degree) * noise_gain(points[..., 1], degree), axis=1))
+
+
 @cache
 def _noise_gain_table(degree: int) -> FloatArray:
     """`noise_gain` at 33 offsets from 0 to 1: the squared response to a unit impulse, summed over all pixels."""

@@ -79,6 +79,13 @@ def _run(c, degree, x, y, drift_x, drift_y, grey, start, stop):  # type: ignore[
 
 
 @njit(inline="always")
+def box_inside(coefficients, x, y, reach_x, reach_y):  # type: ignore[no-untyped-def]
+    """Whether the rectangle about (x, y) lies within the image; False for NaN."""
+    right, bottom = coefficients.shape[1] - 2.0 * PADDING_PX - 1.0, coefficients.shape[0] - 2.0 * PADDING_PX - 1.0
+    return x - reach_x >= 0.0 and x + reach_x <= right and y - reach_y >= 0.0 and y + reach_y <= bottom
+
+
+@njit(inline="always")
 def _end_of_run(start, count, s, t, drift_x, drift_y):  # type: ignore[no-untyped-def]
     """First point after `start` at which s + i·drift_x or t + i·drift_y has left [0, 1)."""
     steps = float(count - start)
