@@ -13,14 +13,15 @@ WRITTEN_ORDER = {
     "photogram": """
         _checks _kernel notice _inverse _pinhole rigid camera calibration_file triangulate mraw images point_tables
         interpolate sampling noise subset search reference quality icgn follow predict
-        device icgn_torch track overlap motion deformation surface cells direct measure synthetic
+        device icgn_torch track overlap motion deformation surface cells direct measure
+        target calibrate calibration_import alignment epipolar synthetic
     """,
     "shaker.signals": "recording files edges trigger sync phasor folding spectrum sine refine frequencies",
     "fusion": """
         notices errors settings manifest check body observe estimate consistency fuse load sensitivity deflection
         evaluation records response timing channels stereo_motion stereo_phasors readings provenance evaluate
         polar highlights results_csv results_h5 plots report_numbers report_tables report results
-        campaign simulate progress summary cli
+        campaign simulate progress summary cameras align cli
     """,
 }
 ORDER = {package: text.split() for package, text in WRITTEN_ORDER.items()}

@@ -1,0 +1,1 @@
+"""Target views → stereo rig with covariance."""
