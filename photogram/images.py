@@ -19,6 +19,7 @@ from photogram.mraw import open_mraw
 GreyImage = NDArray[np.uint8 | np.uint16]
 TIFF_SUFFIXES = (".tif", ".tiff")
 VIDEO_SUFFIXES = (".cih", ".cihx")
+PICTURE_BITS = (8, 10, 12, 14, 16)
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 PNG_COLOURS = {2: "colour", 3: "palette colour", 4: "grey with transparency", 6: "colour with transparency"}
 
@@ -84,6 +85,26 @@ def open_sequence(paths: Sequence[Path], bit_depth: int | None = None) -> ImageS
         return ImageSequence(names, first.size_px, full_scale, partial(_read_tiff, paths[0], first.bits))
     names = tuple(str(path) for path in paths)
     return ImageSequence(names, first.size_px, full_scale, partial(_read_file, tuple(paths), first.bits))
+
+
+def read_picture(path: Path) -> tuple[GreyImage, int]:
+    """Single picture (H,W) of any common format as grey values, and its full scale.
+
+    Colours become their luminance. The full scale is that of the fewest bits among 8, 10, 12, 14, 16 that hold the
+    brightest pixel, since files of 16 bit do not tell how many the camera has.
+    """
+    import cv2
+
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file")
+    image = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE)
+    if image is None:
+        raise ValueError(f"{path}: not a readable picture")
+    if image.dtype not in (np.uint8, np.uint16):
+        raise ValueError(f"{path}: expected 8 or 16 bits per pixel, found {image.dtype}")
+    grey = cast(GreyImage, np.asarray(image))
+    bits = next(b for b in PICTURE_BITS if int(grey.max()) < 2**b)
+    return grey, 2**bits - 1
 
 
 def saturated_fraction(image: GreyImage, full_scale: int, area: NDArray[np.bool_] | None = None) -> float:
