@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import re
-from pathlib import Path
 from typing import Any
-from urllib.parse import quote
-
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from markupsafe import Markup
 
 from fusion import report_tables as tables
 from fusion.evaluation import Evaluation
 from fusion.highlights import notices
+from fusion.page import render_page
 from fusion.plots.gallery import draw_all
 from fusion.report_numbers import measured
 
@@ -21,21 +16,7 @@ REPORT_FILE = "report.html"
 
 def render_report(evaluation: Evaluation) -> str:
     """HTML text of the report; style and figures are inside, nothing is fetched from elsewhere."""
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).with_name("templates")),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["data_uri"] = data_uri
-    return environment.get_template("report.html").render(_context(evaluation)) + "\n"
-
-
-def data_uri(svg: str) -> Markup:
-    """SVG text as the source of an image element; percent encoding is shorter than base64 for text."""
-    flat = re.sub(r"\s*\n\s*", " ", svg[svg.index("<svg") :]).replace('"', "'")
-    return Markup("data:image/svg+xml,{}").format(Markup(quote(flat, safe=" ='/:;,.()+-_!*@?&$[]{}|~")))
+    return render_page("report.html", _context(evaluation))
 
 
 def _context(evaluation: Evaluation) -> dict[str, Any]:

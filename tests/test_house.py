@@ -20,8 +20,8 @@ WRITTEN_ORDER = {
     "fusion": """
         notices errors settings manifest check body observe estimate consistency fuse load sensitivity deflection
         evaluation records response timing channels stereo_motion stereo_phasors readings provenance evaluate
-        polar highlights results_csv results_h5 plots report_numbers report_tables report results
-        campaign simulate progress summary cameras align cli
+        polar highlights results_csv results_h5 camera_facts plots report_numbers report_tables page report results
+        camera_tables camera_report campaign simulate progress summary cameras align cli
     """,
 }
 ORDER = {package: text.split() for package, text in WRITTEN_ORDER.items()}
