@@ -16,7 +16,7 @@ from fusion.manifest import Images, PointFiles
 from fusion.notices import AnyNotice, Notice
 from fusion.observe import CALIBRATION
 from fusion.stereo_motion import ImageView, StereoMotion, sensor_from_camera
-from photogram.camera import StereoRig
+from photogram.camera import StereoRig, principal_components
 from photogram.motion import RigidMotion, fit_motion, relative_to
 from photogram.track import StereoTracks, TrackStatus
 from photogram.triangulate import triangulate
@@ -129,7 +129,7 @@ def _calibration_effects(measured: StereoMotion, view: ImageView, frequency_hz: 
         return np.empty((0, len(frequency_hz), 6), dtype=np.complex128)
     frames = _phasor_frames(measured.time_s, view.tracks, frequency_hz)
     nominal = _phasor_motion(measured, view.rig, frames)
-    steps = _principal_components(covariance)
+    steps = principal_components(covariance)
     return np.array([_phasor_motion(measured, view.rig.perturbed(step), frames) - nominal for step in steps])
 
 
@@ -151,15 +151,6 @@ def _phasor_motion(measured: StereoMotion, rig: StereoRig, frames: tuple[FloatAr
     points = triangulate(rig, frames[0], frames[1], None, None).transformed(sensor_from_camera(measured.stereo))
     pose = fit_motion(points, None, np.zeros(3)).pose[1:]
     return np.asarray(pose[0::2] + 1j * pose[1::2])
-
-
-def _principal_components(covariance: FloatArray) -> FloatArray:
-    """Return steps (P, 24), one standard deviation along each principal component of a covariance."""
-    sigma = np.sqrt(np.diagonal(covariance))
-    scale = np.where(sigma > 0.0, sigma, 1.0)
-    eigenvalues, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    kept = eigenvalues > 1e-9 * eigenvalues[-1]
-    return np.asarray((vectors[:, kept] * np.sqrt(eigenvalues[kept])).T * sigma)
 
 
 def _sigmas(view: ImageView) -> FloatArray | None:

@@ -118,6 +118,18 @@ class StereoRig:
         return np.asarray(matrix / np.linalg.norm(matrix))
 
 
+def principal_components(covariance: FloatArray) -> FloatArray:
+    """Return steps (P, N), one standard deviation along each principal component of a covariance (N, N).
+
+    Components of the correlation matrix, so that parameters of different units count alike: Σ sᵀ·s is the covariance.
+    """
+    sigma = np.sqrt(np.diagonal(covariance))
+    scale = np.where(sigma > 0.0, sigma, 1.0)
+    eigenvalues, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    kept = eigenvalues > 1e-9 * eigenvalues[-1]
+    return np.asarray((vectors[:, kept] * np.sqrt(eigenvalues[kept])).T * sigma)
+
+
 def _check_covariance(covariance: FloatArray) -> None:
     """Raise `ValueError` unless the matrix is symmetric and its correlations are positive semidefinite."""
     sigma = np.sqrt(np.abs(np.diagonal(covariance)))
