@@ -26,7 +26,7 @@ def _rays(row: int, camera: FloatArray, rays: FloatArray) -> None:
     """
     x, y = math.nan, math.nan
     for column in range(rays.shape[0]):
-        if x != x:
+        if math.isnan(x):
             x, y = undistort(float(column), float(row), camera)
         target_x, target_y = (column - camera[2]) / camera[0], (row - camera[3]) / camera[1]
         for _ in range(2):
@@ -78,21 +78,13 @@ def _interval(edges: FloatArray, value: float, guess: int) -> int:
 
 
 @njit(error_model="numpy")
-def _tile_value(
-    edges_x: FloatArray, edges_y: FloatArray, tiles: FloatArray, at: FloatArray, i0: int, i1: int, j0: int, j1: int
-) -> float:
-    """Return the softened value at (x, y, σ) of tiles i0 … i1, j0 … j1: tile k lies before edge k."""
-    total, lower_y = 0.0, 0.0
-    for j in range(j0, j1 + 1):
-        upper_y = _step(edges_y[j] - at[1], at[2]) if j < j1 else 1.0
-        line, lower_x = 0.0, 0.0
-        for i in range(i0, i1 + 1):
-            upper_x = _step(edges_x[i] - at[0], at[2]) if i < i1 else 1.0
-            line += tiles[j, i] * (upper_x - lower_x)
-            lower_x = upper_x
-        total += line * (upper_y - lower_y)
-        lower_y = upper_y
-    return total
+def _shares(edges: FloatArray, value: float, sigma: float, first: int, last: int, shares: FloatArray) -> None:
+    """Fill shares[first : last + 1] with what tiles `first` … `last` have at a place; tile k lies before edge k."""
+    lower = 0.0
+    for k in range(first, last + 1):
+        upper = _step(edges[k] - value, sigma) if k < last else 1.0
+        shares[k] = upper - lower
+        lower = upper
 
 
 @njit(nogil=True, error_model="numpy")
@@ -107,7 +99,7 @@ def render_tiles(
 ) -> None:
     """Fill image (H, W) with a pattern that is constant on the tiles (Y + 1, X + 1) between edges (X,) and (Y,)."""
     rays = np.empty((image.shape[1], 6))
-    at = np.array([0.0, 0.0, sigma])
+    share_x, share_y = np.empty(edges_x.size + 1), np.empty(edges_y.size + 1)
     for row in range(image.shape[0]):
         _rays(row, camera, rays)
         i0 = j0 = 0
@@ -118,18 +110,25 @@ def render_tiles(
             if not reach > 0.0:
                 image[row, column] = tiles[0, 0]
                 continue
-            i0, j0 = _interval(edges_x, u - reach, i0), _interval(edges_y, v - reach, j0)
-            i1, j1 = _interval(edges_x, u + reach, i0), _interval(edges_y, v + reach, j0)
+            i0, j0 = (
+                _interval(edges_x, u - reach, max(i0 - 1, 0)) + 1,
+                _interval(edges_y, v - reach, max(j0 - 1, 0)) + 1,
+            )
+            i1, j1 = _interval(edges_x, u + reach, i0 - 1) + 1, _interval(edges_y, v + reach, j0 - 1) + 1
             if i0 == i1 and j0 == j1:
-                image[row, column] = tiles[j0 + 1, i0 + 1]
+                image[row, column] = tiles[j0, i0]
                 continue
             total = 0.0
             for q in range(9):
                 down, across = 0.5 * _NODE * (q // 3 - 1), 0.5 * _NODE * (q % 3 - 1)
                 x, y = ray[0] + across * ray[2] + down * ray[3], ray[1] + across * ray[4] + down * ray[5]
-                at[0], at[1] = _plane(homography, x, y)
-                share = (8.0 if q // 3 == 1 else 5.0) * (8.0 if q % 3 == 1 else 5.0) / 324.0
-                total += share * _tile_value(edges_x, edges_y, tiles, at, i0 + 1, i1 + 1, j0 + 1, j1 + 1)
+                u, v = _plane(homography, x, y)
+                _shares(edges_x, u, sigma, i0, i1, share_x)
+                _shares(edges_y, v, sigma, j0, j1, share_y)
+                weight = (8.0 if q // 3 == 1 else 5.0) * (8.0 if q % 3 == 1 else 5.0) / 324.0
+                for j in range(j0, j1 + 1):
+                    for i in range(i0, i1 + 1):
+                        total += weight * share_y[j] * share_x[i] * tiles[j, i]
             image[row, column] = total
 
 
@@ -147,6 +146,21 @@ def _dots_value(spots: FloatArray, first: FloatArray, u: float, v: float, sigma:
                 black *= _step(distance - spots[row, column, 1], sigma)
             white *= 1.0 - black
     return 1.0 - white
+
+
+@njit(error_model="numpy")
+def _plain(spots: FloatArray, first: FloatArray, sheet: FloatArray, u: float, v: float, reach: float) -> bool:
+    """Return whether no edge of a dot, a hole or the sheet lies within `reach` of (u, v)."""
+    if abs(min(u - sheet[0], sheet[1] - u, v - sheet[2], sheet[3] - v)) < reach or not reach < 0.5:
+        return False
+    for k in range(4):
+        i, j = math.floor(u) + k % 2, math.floor(v) + k // 2
+        column, row = int(i - first[0]), int(j - first[1])
+        if 0 <= row < spots.shape[0] and 0 <= column < spots.shape[1]:
+            distance = math.hypot(u - i, v - j)
+            if abs(distance - spots[row, column, 0]) < reach or abs(distance - spots[row, column, 1]) < reach:
+                return False
+    return True
 
 
 @njit(nogil=True, error_model="numpy")
@@ -170,12 +184,14 @@ def render_dots(
         for column in range(image.shape[1]):
             ray = rays[column]
             black, cover = 0.0, 0.0
-            for q in range(9):
+            u, v = _plane(homography, ray[0], ray[1])
+            plain = _plain(spots, first, sheet, u, v, _reach(homography, ray, sigma))
+            for q in range(4, 5) if plain else range(9):
                 down, across = 0.5 * _NODE * (q // 3 - 1), 0.5 * _NODE * (q % 3 - 1)
                 x, y = ray[0] + across * ray[2] + down * ray[3], ray[1] + across * ray[4] + down * ray[5]
                 u, v = _plane(homography, x, y)
-                share = (8.0 if q // 3 == 1 else 5.0) * (8.0 if q % 3 == 1 else 5.0) / 324.0
-                inside = min(min(u - sheet[0], sheet[1] - u), min(v - sheet[2], sheet[3] - v))
+                share = 1.0 if plain else (8.0 if q // 3 == 1 else 5.0) * (8.0 if q % 3 == 1 else 5.0) / 324.0
+                inside = min(u - sheet[0], sheet[1] - u, v - sheet[2], sheet[3] - v)
                 if inside > -_FAR * sigma:
                     black += share * _dots_value(spots, first, u, v, sigma)
                     cover += share * _step(inside, sigma)
