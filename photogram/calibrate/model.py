@@ -29,7 +29,11 @@ class Seen:
 
 
 def see(
-    camera: Camera, camera_from_left: RigidTransform, left_from_target: RigidTransform, point_m: FloatArray, radius_m: float
+    camera: Camera,
+    camera_from_left: RigidTransform,
+    left_from_target: RigidTransform,
+    point_m: FloatArray,
+    radius_m: float,
 ) -> Seen:
     """Return where a camera sees points (N, 3) of the target; dots of `radius_m` > 0 by the centre of their ellipse.
 

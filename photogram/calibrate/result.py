@@ -46,8 +46,9 @@ class CalibratedPicture:
 
     @property
     def rms_px(self) -> float:
-        """Rms of the used points' residuals per coordinate."""
-        return float((self.residual_px[self.used] ** 2).mean() ** 0.5) if self.used.any() else float("nan")
+        """Rms length of the used points' residuals (OpenCV's definition of the reprojection error)."""
+        squares = (self.residual_px[self.used] ** 2).sum(axis=1)
+        return float(squares.mean() ** 0.5) if self.used.any() else float("nan")
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +77,9 @@ class Dropped:
 class Calibration:
     """A calibrated stereo pair and how it came about.
 
-    `rms_px` per coordinate over both cameras, and (left, right) apart; `sigma_factor`: √(reduced χ²), by which the
-    pictures' own noise has to be multiplied to explain the residuals: the covariance contains it where it is above 1.
+    `rms_px`: rms length of all residuals, OpenCV's definition of the reprojection error, `rms_sides_px` (left, right)
+    apart. `added_px` (left, right): noise per coordinate that comes on top of the points' own; `sigma_factor`:
+    √(reduced χ²) of `dof` degrees of freedom with both, a factor of the covariance.
     `shape_m` (P, 3): estimated positions of the target's points (`shape_index` (P, 2)), the flat lattice where it was
     held flat. `scale_u`: relative standard uncertainty of the target's spacing, contained in the rig's covariance.
     `covered`: (left, right), share of each picture's area within the points' cells. `tilt_rad` (V,): angles between
@@ -90,8 +92,9 @@ class Calibration:
     parameters: tuple[Parameter, ...]
     rms_px: float
     rms_sides_px: tuple[float, float]
+    added_px: tuple[float, float]
     sigma_factor: float
-    dof: int
+    dof: float
     shape_index: IntArray
     shape_m: FloatArray
     scale_u: float

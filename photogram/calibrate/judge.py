@@ -1,0 +1,141 @@
+"""What a calibration session was good for: which parameters it determines, what it covers, what to add."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from photogram._checks import FloatArray, IntArray
+from photogram.calibrate.adjust import Prior, parameters_of
+from photogram.calibrate.result import CalibratedPicture, Calibration, Determined, Parameter
+from photogram.camera import RIG_PARAMETERS, StereoRig
+from photogram.notice import Notice
+from photogram.rigid import RigidTransform
+
+_CELLS = (8, 6)  # columns and rows of the cells by which coverage is told
+_OPEN = 0.5  # share of the prior's standard deviation above which the views told nothing
+_DISTINCT = 2.0  # standard uncertainties beyond which a distortion is not zero
+_MANY_VIEWS = 8
+_NO_TURN_RAD = np.radians(2.0)
+_LITTLE_TURN_RAD = np.radians(5.0)
+_ENOUGH_COVER = 0.6
+_FOCAL_U = 0.005  # relative standard uncertainty of a focal length above which the user is told
+_FOCAL_LIMIT = 0.05  # and above which the calibration is refused
+_ADDED_PX = 0.15  # noise beyond the pictures' own, per coordinate, above which the user is told
+_UNITS = {"f": "px", "c": "px", "k": "1", "p": "1"}
+
+
+def rig_parameters(rig: StereoRig, prior: Prior) -> tuple[Parameter, ...]:
+    """Return the 24 parameters of a rig with covariance, and what the views say about each."""
+    covariance = np.zeros((24, 24)) if rig.covariance is None else rig.covariance
+    found = []
+    for number, (name, value) in enumerate(zip(RIG_PARAMETERS, parameters_of(rig), strict=True)):
+        u, kind = float(np.sqrt(covariance[number, number])), name.split(".")[1][0]
+        lens = not name.startswith(("rotation", "translation"))
+        unit = _UNITS[kind] if lens else ("rad" if name.startswith("rotation") else "m")
+        state: Determined = "determined"
+        if u > _OPEN * prior.sigma[number]:
+            state = "open"
+        elif lens and kind in "kp" and abs(value) < _DISTINCT * u:
+            state = "indistinct"
+        found.append(Parameter(name, float(value), u, unit, state))
+    return tuple(found)
+
+
+def covered_share(pictures: Sequence[CalibratedPicture], size_px: IntArray) -> float:
+    """Return the share of the picture's cells, 8 x 6, in which some point of some picture lies."""
+    points = np.concatenate([picture.position_px[picture.used] for picture in pictures])
+    cells = np.floor((points + 0.5) / size_px * _CELLS).astype(np.int64)
+    inside = np.clip(cells, 0, np.array(_CELLS) - 1)
+    return len(np.unique(inside, axis=0)) / (_CELLS[0] * _CELLS[1])
+
+
+def tilts_rad(poses: Sequence[RigidTransform]) -> FloatArray:
+    """Return the angles (V,) between the target's normal and the left camera's axis."""
+    return np.array([np.arccos(min(1.0, abs(float(pose.rotation[2, 2])))) for pose in poses])
+
+
+def refuse_similar_views(poses: Sequence[RigidTransform]) -> None:
+    """Raise `ValueError` when all views show the target under nearly one angle, which leaves the cameras open."""
+    spread, _ = _turned(poses)
+    if spread.max() < _NO_TURN_RAD:
+        raise ValueError(
+            f"all {len(poses)} views show the target under nearly one angle ({np.degrees(spread.max()):.1f} deg rms), "
+            "which does not determine the cameras; add views turned by 20 deg and more about both axes of the picture"
+        )
+
+
+def refuse_open_focal_lengths(parameters: Sequence[Parameter]) -> None:
+    """Raise `ValueError` when the views leave a focal length open."""
+    for item in parameters:
+        if item.name.endswith((".fx", ".fy")) and not item.u < _FOCAL_LIMIT * item.value:
+            raise ValueError(
+                f"the views leave {item.name} open: {item.value:.0f} px, standard uncertainty {item.u:.0f} px; "
+                "add views turned by 20 deg and more about both axes of the picture, and at other distances"
+            )
+
+
+def session_notices(calibration: Calibration) -> tuple[Notice, ...]:
+    """Return what the user should know of a calibration, and what to add to the session."""
+    found = _view_notices(calibration) + _parameter_notices(calibration) + _residual_notices(calibration)
+    if calibration.scale_u == 0:
+        text = "the uncertainty of the target's spacing is not stated, so that of all lengths lacks its share"
+        found.append(Notice("warning", text, "scale"))
+    return tuple(found)
+
+
+def _turned(poses: Sequence[RigidTransform]) -> tuple[FloatArray, FloatArray]:
+    """Return how far the target's normal spreads (2,), in rad, and along which directions (columns) of the picture."""
+    normal = np.array([pose.rotation[:, 2] * np.sign(pose.rotation[2, 2]) for pose in poses])
+    variance, axes = np.linalg.eigh(np.cov(normal[:, :2].T, bias=True))
+    return np.sqrt(np.maximum(variance, 0.0)), axes
+
+
+def _view_notices(calibration: Calibration) -> list[Notice]:
+    """Return what is missing in number, turn and place of the views."""
+    found = []
+    pairs = sum(view.left is not None and view.right is not None for view in calibration.views)
+    if pairs < _MANY_VIEWS:
+        found.append(
+            Notice("warning", f"only {pairs} pairs; {_MANY_VIEWS} to 20 make a calibration that can be judged", "views")
+        )
+    spread, axes = _turned([view.left_from_target for view in calibration.views])
+    if spread[0] < _LITTLE_TURN_RAD:
+        axis = "vertical" if abs(axes[0, 0]) > abs(axes[1, 0]) else "horizontal"
+        text = f"the target is hardly turned about the picture's {axis} axis ({np.degrees(spread[0]):.1f} deg rms)"
+        found.append(Notice("warning", f"{text}; add views turned by 20 deg and more about it", "views"))
+    for side, share in zip(("left", "right"), calibration.covered, strict=True):
+        if share < _ENOUGH_COVER:
+            text = (
+                f"the points cover {100 * share:.0f} % of the {side} picture; add views with the target near its edges"
+            )
+            found.append(Notice("warning", f"{text}, or measure within the part that is covered", side))
+    return found
+
+
+def _parameter_notices(calibration: Calibration) -> list[Notice]:
+    """Return what the views say about the parameters."""
+    found = []
+    for item in calibration.parameters:
+        if item.name.endswith((".fx", ".fy")) and item.u > _FOCAL_U * item.value:
+            text = f"{item.name} is known to {100 * item.u / item.value:.1f} % only (k = 1)"
+            found.append(Notice("warning", f"{text}; more turned views at other distances improve it", item.name))
+    states = {
+        "open": "not determined by these views (taken from an ordinary lens)",
+        "indistinct": "not distinguishable from zero",
+    }
+    for state, text in states.items():
+        names = [item.name for item in calibration.parameters if item.state == state]
+        if names:
+            found.append(Notice("info", f"{', '.join(names)}: {text}", "distortion"))
+    return found
+
+
+def _residual_notices(calibration: Calibration) -> list[Notice]:
+    """Return how far the residuals exceed what the pictures' noise explains."""
+    worst = max(calibration.added_px)
+    if worst < _ADDED_PX:
+        return []
+    text = f"the points are {worst:.2f} px (per coordinate) off beyond the pictures' noise: rough print, a bent target"
+    return [Notice("warning", f"{text} or a lens that the model does not describe; see the residual maps", "residuals")]
