@@ -1,0 +1,56 @@
+"""What a calibrated pair sees in the left camera's frame, with the calibration's effects on it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from photogram._checks import FloatArray
+from photogram.calibrate.pose import target_pose
+from photogram.camera import StereoRig, principal_components
+from photogram.rigid import RigidTransform, vector_from_rotation
+from photogram.target.view import Target, TargetView
+from photogram.triangulate import triangulate
+
+
+def calibration_steps(rig: StereoRig, scale_u: float = 0.0) -> FloatArray:
+    """Return the steps (P, 24) of the rig's parameters, one standard uncertainty each, that stand for its errors.
+
+    The principal components of its covariance, and the baseline's length by `scale_u`, relative, where that is stated
+    apart from it.
+    """
+    steps = [] if rig.covariance is None else [*principal_components(rig.covariance)]
+    if scale_u > 0.0:
+        steps.append(np.concatenate([np.zeros(21), scale_u * rig.right_from_left.translation_m]))
+    return np.array(steps).reshape(-1, 24)
+
+
+def seen_points(
+    rig: StereoRig, steps: FloatArray, left_px: FloatArray, right_px: FloatArray, u_px: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return points (N, 3) in the left camera's frame, covariance (N, 3, 3) of the pixels' noise, effects (P, N, 3).
+
+    `left_px`, `right_px` (N, 2) with standard uncertainty `u_px` in each coordinate; `steps` of `calibration_steps`.
+    """
+    noise = u_px**2 * np.eye(2)
+    found = triangulate(rig, left_px[None], right_px[None], noise, noise)
+    nominal = found.position_m[0]
+    effects = np.empty((len(steps), *nominal.shape))
+    for place, step in enumerate(steps):
+        effects[place] = triangulate(rig.perturbed(step), left_px[None], right_px[None]).position_m[0] - nominal
+    return nominal, found.covariance_m2[0], effects
+
+
+def seen_target(
+    rig: StereoRig, steps: FloatArray, target: Target, left: TargetView | None, right: TargetView | None
+) -> tuple[RigidTransform, FloatArray, FloatArray]:
+    """Return the pose `left_from_target`, covariance (6, 6) of the pictures' noise, and effects (P, 6).
+
+    Covariance and effects are those of translation (m) and left-multiplied rotation (rad); at least one picture.
+    """
+    pose, covariance = target_pose(rig, target, left, right)
+    effects = np.empty((len(steps), 6))
+    for place, step in enumerate(steps):
+        other, _ = target_pose(rig.perturbed(step), target, left, right)
+        effects[place, :3] = other.translation_m - pose.translation_m
+        effects[place, 3:] = vector_from_rotation(other.rotation @ pose.rotation.T)
+    return pose, covariance, effects
