@@ -13,7 +13,8 @@ from photogram.camera import RIG_PARAMETERS, StereoRig
 from photogram.notice import Notice
 from photogram.rigid import RigidTransform
 
-_CELLS = (8, 6)  # columns and rows of the cells by which coverage is told
+COVERAGE_CELLS = (8, 6)
+"""Columns and rows of the cells of a picture by which its coverage is told."""
 _OPEN = 0.5  # share of the prior's standard deviation above which the views told nothing
 _DISTINCT = 2.0  # standard uncertainties beyond which a distortion is not zero
 _MANY_VIEWS = 8
@@ -46,9 +47,9 @@ def rig_parameters(rig: StereoRig, prior: Prior) -> tuple[Parameter, ...]:
 def covered_share(pictures: Sequence[CalibratedPicture], size_px: IntArray) -> float:
     """Return the share of the picture's cells, 8 x 6, in which some point of some picture lies."""
     points = np.concatenate([picture.position_px[picture.used] for picture in pictures])
-    cells = np.floor((points + 0.5) / size_px * _CELLS).astype(np.int64)
-    inside = np.clip(cells, 0, np.array(_CELLS) - 1)
-    return len(np.unique(inside, axis=0)) / (_CELLS[0] * _CELLS[1])
+    cells = np.floor((points + 0.5) / size_px * COVERAGE_CELLS).astype(np.int64)
+    inside = np.clip(cells, 0, np.array(COVERAGE_CELLS) - 1)
+    return len(np.unique(inside, axis=0)) / (COVERAGE_CELLS[0] * COVERAGE_CELLS[1])
 
 
 def tilts_rad(poses: Sequence[RigidTransform]) -> FloatArray:
