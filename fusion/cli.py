@@ -117,6 +117,22 @@ def _simulate(options: argparse.Namespace) -> int:
     return EXIT_DONE
 
 
+def _cameras(options: argparse.Namespace) -> int:
+    from fusion.cameras import CameraSettings, run_cameras
+    from fusion.errors import InputError
+    from fusion.progress import progress_bar
+    from photogram.target.view import Target
+
+    try:
+        target = Target(options.target, options.spacing, options.size, options.dictionary)
+    except ValueError as error:
+        raise InputError("shakercal cameras", "--" + str(error).partition(":")[0], str(error), "") from error
+    settings = CameraSettings(target, options.shape, options.scale_uncertainty)
+    with progress_bar(enabled=not options.quiet) as progress:
+        run_cameras(options.pictures, settings, options.output, options.force, progress)
+    return EXIT_DONE
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="shakercal",
@@ -152,6 +168,8 @@ def _parser() -> argparse.ArgumentParser:
     _add_recording(check)
     check.set_defaults(action=_check)
 
+    _add_cameras(commands.add_parser("cameras", parents=[common], help="calibrate a stereo pair from target pictures"))
+
     simulate = commands.add_parser("simulate", parents=[common], help="write a simulated recording with its truth")
     simulate.add_argument("out", type=Path, metavar="OUT", help="campaign folder to create")
     simulate.add_argument("--preset", choices=("demo", "nitsche2018"), default="demo", help="which rig (default: demo)")
@@ -164,6 +182,70 @@ def _parser() -> argparse.ArgumentParser:
 def _add_recording(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recording", type=Path, metavar="RECORDING", help="folder of a recording or of a campaign")
     parser.add_argument("--allow-outside", action="store_true", help="accept files outside the folder of rig.toml")
+
+
+def _add_cameras(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "pictures",
+        nargs="+",
+        metavar="PICTURES",
+        help="left pictures, then the right ones in the same order; or two folders",
+    )
+    kinds = ("chessboard", "charuco", "dots", "asymmetric-dots")
+    parser.add_argument("--target", required=True, choices=kinds, help="dots: with three ring markers, or give --size")
+    parser.add_argument(
+        "--spacing",
+        required=True,
+        type=_positive,
+        metavar="M",
+        help="side of a square, or centre to centre of dots, in m",
+    )
+    parser.add_argument(
+        "--size",
+        type=_size,
+        metavar="9x6",
+        help="inner corners (chessboard), squares (charuco) or dots: columns x rows",
+    )
+    parser.add_argument("--dictionary", metavar="NAME", help="ArUco dictionary such as DICT_4X4_50 (default: found)")
+    parser.add_argument(
+        "--scale-uncertainty",
+        type=_not_negative,
+        default=0.0,
+        metavar="U",
+        help="relative standard uncertainty of the spacing, part of the covariance (default: 0, with a warning)",
+    )
+    parser.add_argument(
+        "--shape",
+        choices=("flat", "bowed", "free"),
+        default="flat",
+        help="target taken as flat (default), bowed, or with every point's offset estimated",
+    )
+    parser.add_argument(
+        "-o", "--output", required=True, type=Path, metavar="CALIBRATION", help="file NAME.json to write"
+    )
+    parser.add_argument("--force", action="store_true", help="replace a calibration that is there")
+    parser.set_defaults(action=_cameras)
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"expected a number above 0, found {text}")
+    return value
+
+
+def _not_negative(text: str) -> float:
+    value = float(text)
+    if not 0 <= value < float("inf"):
+        raise argparse.ArgumentTypeError(f"expected a number of at least 0, found {text}")
+    return value
+
+
+def _size(text: str) -> tuple[int, int]:
+    columns, cross, rows = text.lower().partition("x")
+    if not (cross and columns.isdigit() and rows.isdigit()):
+        raise argparse.ArgumentTypeError(f"expected columns x rows such as 9x6, found {text}")
+    return int(columns), int(rows)
 
 
 def _radius(text: str) -> int:
