@@ -75,7 +75,7 @@ def write_cameras(
     """Write the calibration file and, beside it, its page; return the page's path."""
     page = output.with_suffix(".html")
     told = {name: str(value) for name, value in asdict(settings.target).items() if value is not None}
-    used = {**told, "shape": str(settings.shape), "scale_uncertainty": settings.scale_u}
+    used: dict[str, str | float | int] = {**told, "shape": str(settings.shape), "scale_uncertainty": settings.scale_u}
     hashes = hash_files(pictures, _folder(pictures))
     provenance = Provenance(hashes, used, versions(), (output.name, page.name))
     text = render_camera_report(calibration, output.stem, provenance, duration_s)

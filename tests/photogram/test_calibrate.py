@@ -1,0 +1,281 @@
+"""Bundle adjustment of a stereo pair, on points projected by OpenCV with known truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from photogram.calibrate.model import ellipse_centres, see
+from photogram.calibrate.pose import target_pose
+from photogram.calibrate.result import Calibration
+from photogram.calibrate.session import calibrate_pair
+from photogram.calibrate.shape import make_shape
+from photogram.camera import Camera, StereoRig
+from photogram.rigid import RigidTransform, rotation_from_vector, vector_from_rotation
+from photogram.target.view import Target, TargetView
+
+SIZE = np.array([1280, 1024])
+SPACING = 0.012
+TARGET = Target("chessboard", SPACING, (12, 9))
+COLUMNS, ROWS = np.meshgrid(np.arange(12), np.arange(9))
+INDEX = np.stack([COLUMNS.ravel(), ROWS.ravel()], axis=-1)
+FLAT = np.column_stack([INDEX * SPACING, np.zeros(len(INDEX))])
+NOISE_PX = 0.04
+
+
+def _camera(side: int) -> Camera:
+    parameters = np.array([3000 + 40 * side, 3006, 650 - 30 * side, 500, -0.08, 0.05, 3e-4, -2e-4, 0.02])
+    return Camera.from_parameters(parameters, SIZE)
+
+
+RIG = StereoRig(
+    _camera(0),
+    _camera(1),
+    RigidTransform(rotation_from_vector(np.array([0.01, 0.32, -0.02])), np.array([-0.155, 0.002, 0.03])),
+)
+
+
+def _opencv_pixels(camera: Camera, transform: RigidTransform, points_m: np.ndarray) -> np.ndarray:
+    turn = vector_from_rotation(transform.rotation)
+    pixels, _ = cv2.projectPoints(points_m, turn, transform.translation_m, camera.matrix, camera.distortion)
+    return np.asarray(pixels).reshape(-1, 2)
+
+
+def _poses(rng: np.random.Generator, count: int, tilt: float = 0.5) -> list[RigidTransform]:
+    poses = []
+    for _ in range(count):
+        vector = np.array([*rng.uniform(-tilt, tilt, 2), rng.uniform(-0.3, 0.3)])
+        rotation = rotation_from_vector(vector)
+        middle = np.array([*rng.uniform(-0.02, 0.02, 2), rng.uniform(0.43, 0.57)])
+        poses.append(RigidTransform(rotation, middle - rotation @ FLAT.mean(axis=0)))
+    return poses
+
+
+def _views(
+    rng: np.random.Generator, poses: list[RigidTransform], rig: StereoRig = RIG, points: np.ndarray = FLAT
+) -> list[tuple[TargetView, TargetView]]:
+    """Views of the target with normal noise, points outside the picture left out."""
+    pairs = []
+    for number, pose in enumerate(poses):
+        sides = []
+        for side, camera, transform in (("L", rig.left, pose), ("R", rig.right, rig.right_from_left @ pose)):
+            pixels = _opencv_pixels(camera, transform, points)
+            inside = ((pixels > 0) & (pixels < SIZE - 1)).all(axis=1)
+            seen = pixels[inside] + rng.normal(0, NOISE_PX, (inside.sum(), 2))
+            covariance = np.tile(np.eye(2) * NOISE_PX**2, (len(seen), 1, 1))
+            sides.append(TargetView(f"{side}{number}", INDEX[inside], seen, covariance, 0.0, 0.7, SIZE))
+        pairs.append((sides[0], sides[1]))
+    return pairs
+
+
+def _errors(rig: StereoRig, truth: StereoRig = RIG) -> np.ndarray:
+    turn = vector_from_rotation(rig.right_from_left.rotation @ truth.right_from_left.rotation.T)
+    shift = rig.right_from_left.translation_m - truth.right_from_left.translation_m
+    lens = [rig.left.parameters - truth.left.parameters, rig.right.parameters - truth.right.parameters]
+    return np.concatenate([*lens, turn, shift])
+
+
+def _in_order(calibration: Calibration) -> np.ndarray:
+    """The target's points as found, in the order of FLAT."""
+    place = {tuple(index): point for index, point in zip(calibration.shape_index, calibration.shape_m, strict=True)}
+    return np.array([place[tuple(index)] for index in INDEX])
+
+
+def test_parameters_come_back_within_their_covariance() -> None:
+    normalised, lengths = [], []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        calibration = calibrate_pair(_views(rng, _poses(rng, 10)), TARGET)
+        assert calibration.rig.covariance is not None
+        error = _errors(calibration.rig)
+        normalised.append(error / np.sqrt(np.diagonal(calibration.rig.covariance)))
+        lengths.append(error @ np.linalg.solve(calibration.rig.covariance, error))
+        assert calibration.sigma_factor == pytest.approx(1.0, abs=0.05)
+        assert calibration.rms_px == pytest.approx(NOISE_PX * np.sqrt(2), rel=0.06)
+    assert np.abs(normalised).max() < 4.5
+    # χ² of 12·24 degrees of freedom has a standard deviation of 8.3 % of its mean; the lens prior takes a little away
+    assert 0.75 < np.mean(lengths) / 24 < 1.25
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_derivatives_of_the_model(side: int) -> None:
+    (pose,) = _poses(np.random.default_rng(1), 1)
+    camera, relative = ((RIG.left, RigidTransform.identity()), (RIG.right, RIG.right_from_left))[side]
+    seen = see(camera, relative, pose, FLAT, 0.0)
+    assert np.abs(seen.pixel - _opencv_pixels(camera, relative @ pose, FLAT)).max() < 1e-9
+    for number in range(6):
+        step = np.zeros(6)
+        step[number] = 1e-6
+        moved = [
+            RigidTransform(rotation_from_vector(s * step[3:]) @ pose.rotation, pose.translation_m + s * step[:3])
+            for s in (1, -1)
+        ]
+        ahead, behind = (_opencv_pixels(camera, relative @ there, FLAT) for there in moved)
+        assert np.abs((ahead - behind) / 2e-6 - seen.by_pose[:, :, number]).max() < 1e-4
+    by_x = (
+        see(camera, relative, pose, FLAT + np.array([1e-7, 0, 0]), 0.0).pixel
+        - see(camera, relative, pose, FLAT, 0.0).pixel
+    )
+    assert np.abs(by_x / 1e-7 - seen.by_point[:, :, 0]).max() < 0.5  # of some 6000 px/m
+
+
+def test_ellipse_centre_is_that_of_a_fitted_ellipse() -> None:
+    """Independent: OpenCV's direct ellipse fit to densely projected rim points, without and with lens distortion."""
+    (pose,) = _poses(np.random.default_rng(3), 1, tilt=0.7)
+    angle = np.linspace(0, 2 * np.pi, 720, endpoint=False)
+    radius = 0.4 * SPACING
+    rim = FLAT[:, None] + radius * np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=-1)
+    for camera, limit in ((replace(RIG.left, distortion=np.zeros(5)), 2e-3), (RIG.left, 4e-3)):
+        found = see(camera, RigidTransform.identity(), pose, FLAT, radius).pixel
+        for point in range(0, len(FLAT), 9):
+            pixels = _opencv_pixels(camera, pose, rim[point]) - found[point]
+            centre = np.array(cv2.fitEllipse((pixels * 64).astype(np.float32))[0]) / 64
+            assert np.abs(centre).max() < limit
+        bias = found - see(camera, RigidTransform.identity(), pose, FLAT, 0.0).pixel
+        assert np.abs(bias).max() > 0.02, "the correction matters in this view"
+
+
+def test_ellipse_centres_need_no_distortion_to_be_exact() -> None:
+    """The conic's centre by its matrix: pole of the line at infinity of the dot's conic seen by a homography."""
+    camera = Camera.from_parameters(np.array([1000, 1000, 0, 0, 0, 0, 0, 0, 0.0]), SIZE)
+    rotation = rotation_from_vector(np.array([0.6, -0.4, 0.2]))
+    centre, radius = np.array([0.03, -0.02, 0.4]), 0.02
+    homography = np.column_stack([rotation[:, 0], rotation[:, 1], centre])
+    inverse = np.linalg.inv(homography)
+    conic = inverse.T @ np.diag([1.0, 1.0, -(radius**2)]) @ inverse
+    expected = -np.linalg.solve(conic[:2, :2], conic[:2, 2])
+    assert np.abs(ellipse_centres(camera, centre[None], rotation, radius)[0] - expected).max() < 1e-12
+
+
+def test_outlying_points_and_pictures_are_named_and_left_out() -> None:
+    rng = np.random.default_rng(5)
+    pairs = _views(rng, _poses(rng, 10))
+    left, right = pairs[2]
+    moved = left.position_px.copy()
+    moved[[3, 30]] += [[2.0, 0.0], [0.0, -1.0]]
+    pairs[2] = (replace(left, position_px=moved), right)
+    shaken = pairs[7][1]
+    pairs[7] = (
+        pairs[7][0],
+        replace(shaken, position_px=shaken.position_px + rng.normal(0, 1.0, shaken.position_px.shape)),
+    )
+    calibration = calibrate_pair(pairs, TARGET)
+    told = {item.name: item for item in calibration.dropped}
+    assert told["L2"].points == 2
+    assert told["R7"].points == 0
+    assert set(told) == {"L2", "R7"}
+    assert calibration.rig.covariance is not None
+    assert np.abs(_errors(calibration.rig) / np.sqrt(np.diagonal(calibration.rig.covariance))).max() < 4.5
+
+
+def test_a_mirrored_or_exchanged_picture_is_dropped() -> None:
+    """A mirrored chessboard looks like one from another place: only its partner tells."""
+    rng = np.random.default_rng(6)
+    pairs = _views(rng, _poses(rng, 9))
+    left = pairs[4][0]
+    mirrored = left.position_px * [-1, 1] + [SIZE[0] - 1, 0]
+    pairs[4] = (replace(left, position_px=mirrored, index=left.index * [-1, 1] + [11, 0]), pairs[4][1])
+    calibration = calibrate_pair(pairs, TARGET)
+    assert [item.name for item in calibration.dropped if item.points == 0] == ["L4 and R4"]
+
+
+def test_left_and_right_in_different_order_are_refused() -> None:
+    rng = np.random.default_rng(7)
+    pairs = _views(rng, _poses(rng, 8))
+    mixed = [(pairs[n][0], pairs[(n + 3) % 8][1]) for n in range(8)]
+    with pytest.raises(ValueError, match="do not belong together"):
+        calibrate_pair(mixed, TARGET)
+
+
+def test_too_few_and_too_similar_views_are_refused() -> None:
+    rng = np.random.default_rng(8)
+    with pytest.raises(ValueError, match="at least 3"):
+        calibrate_pair(_views(rng, _poses(rng, 2)), TARGET)
+    with pytest.raises(ValueError, match="nearly one angle"):
+        calibrate_pair(_views(rng, _poses(rng, 6, tilt=0.01)), TARGET)
+
+
+def test_views_turned_about_one_axis_only_are_flagged() -> None:
+    rng = np.random.default_rng(9)
+    poses = []
+    for angle in np.linspace(-0.5, 0.5, 9):
+        rotation = rotation_from_vector(np.array([0.0, angle, 0.0]))
+        poses.append(RigidTransform(rotation, np.array([0, 0, 0.5]) - rotation @ FLAT.mean(axis=0)))
+    calibration = calibrate_pair(_views(rng, poses), TARGET)
+    (notice,) = (item for item in calibration.notices if "hardly turned" in item.text)
+    assert "horizontal axis" in notice.text
+
+
+def test_scale_uncertainty_lies_along_the_baseline() -> None:
+    rng = np.random.default_rng(10)
+    pairs = _views(rng, _poses(rng, 8))
+    plain, scaled = calibrate_pair(pairs, TARGET), calibrate_pair(pairs, TARGET, scale_u=1e-3)
+    assert plain.rig.covariance is not None
+    assert scaled.rig.covariance is not None
+    added = scaled.rig.covariance - plain.rig.covariance
+    baseline = scaled.rig.right_from_left.translation_m
+    assert np.allclose(added[21:, 21:], 1e-6 * np.outer(baseline, baseline), rtol=1e-6, atol=1e-16)
+    assert np.abs(added[:21]).max() < 1e-6 * np.abs(plain.rig.covariance).max()
+    assert any(item.where == "scale" for item in plain.notices)
+    assert not any(item.where == "scale" for item in scaled.notices)
+
+
+def test_views_of_one_camera_alone_still_count() -> None:
+    rng = np.random.default_rng(11)
+    pairs = _views(rng, _poses(rng, 10))
+    both = calibrate_pair(pairs[:6], TARGET)
+    more = calibrate_pair([*pairs[:6], *((left, None) for left, _ in pairs[6:])], TARGET)
+    assert both.rig.covariance is not None
+    assert more.rig.covariance is not None
+    u_both, u_more = (np.sqrt(np.diagonal(c)) for c in (both.rig.covariance, more.rig.covariance))
+    assert (u_more[:9] < u_both[:9]).all()
+
+
+def test_a_bowed_target_is_found_where_it_is_asked_for() -> None:
+    rng = np.random.default_rng(12)
+    place = (FLAT - FLAT.mean(axis=0))[:, :2]
+    height = 2e-4 * (place[:, 0] / place[:, 0].max()) ** 2
+    pairs = _views(rng, _poses(rng, 12), points=FLAT + np.column_stack([np.zeros((len(FLAT), 2)), height]))
+    flat, bowed = calibrate_pair(pairs, TARGET), calibrate_pair(pairs, TARGET, shape="bowed")
+    assert flat.rms_px > 1.5 * bowed.rms_px
+    assert bowed.sigma_factor == pytest.approx(1.0, abs=0.05)
+    found = _in_order(bowed)[:, 2] - np.mean(bowed.shape_m[:, 2])
+    assert np.abs(found - (height - height.mean())).max() < 1.5e-5
+
+
+def test_points_off_the_lattice_are_found_where_asked_for() -> None:
+    rng = np.random.default_rng(13)
+    print_error = rng.normal(0, 3e-5, FLAT.shape) * [1, 1, 0.5]
+    pairs = _views(rng, _poses(rng, 14), points=FLAT + print_error)
+    flat, free = calibrate_pair(pairs, TARGET), calibrate_pair(pairs, TARGET, shape="free")
+    assert flat.rms_px > 2 * free.rms_px
+    assert free.sigma_factor == pytest.approx(1.0, abs=0.06)
+    left_over = (_in_order(free) - FLAT - print_error)[:, :2]
+    similar = np.column_stack([FLAT[:, :2], np.ones(len(FLAT))])  # place, turn and scale of the whole are a convention
+    left_over -= similar @ np.linalg.lstsq(similar, left_over, rcond=None)[0]
+    assert left_over.std() < 0.2 * 3e-5
+    assert free.rig.covariance is not None
+    assert np.abs(_errors(free.rig) / np.sqrt(np.diagonal(free.rig.covariance))).max() < 4.5
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.tuples(*[st.floats(-0.5, 0.5)] * 2), st.floats(-3, 3), st.floats(0.4, 0.6))
+def test_target_pose_comes_back(tilt: tuple[float, float], turn: float, depth: float) -> None:
+    rotation = rotation_from_vector(np.array([*tilt, 0.0])) @ rotation_from_vector(np.array([0.0, 0.0, turn]))
+    pose = RigidTransform(rotation, np.array([0, 0, depth]) - rotation @ FLAT.mean(axis=0))
+    (pair,) = _views(np.random.default_rng(0), [pose])
+    for left, right in (pair, (pair[0], None), (None, pair[1])):
+        found, covariance = target_pose(RIG, TARGET, left, right)
+        turned = vector_from_rotation(found.rotation @ rotation.T)
+        error = np.concatenate([found.translation_m - pose.translation_m, turned])
+        assert error @ np.linalg.solve(covariance, error) < 40  # χ² of six: 40 is exceeded once in 2 million
+
+
+def test_shapes_start_flat() -> None:
+    for kind in ("flat", "bowed", "free"):
+        assert np.array_equal(make_shape(kind, INDEX, SPACING).points_m, FLAT)
