@@ -38,7 +38,7 @@ def read_opencv(text: str, extrinsics: str | None = None) -> Found:
     values = _values(text)
     if extrinsics is not None:
         values |= _values(extrinsics)
-    matrices, distortions = _pair(values, _MATRICES, "camera matrices"), _pair(values, _DISTORTIONS, "distortions")
+    matrices, distortions = _pair(values, _MATRICES, "M1 and M2"), _pair(values, _DISTORTIONS, "D1 and D2")
     lenses = [_lens(matrix, distortion) for matrix, distortion in zip(matrices, distortions, strict=True)]
     size = _size(values)
     rotation_name, rotation = _one(values, _ROTATIONS, "rotation R")
@@ -71,11 +71,16 @@ def _flat(prefix: str, content: Any) -> Iterator[tuple[str, Any]]:
     """Yield name and value of everything, the names of objects within objects joined by points."""
     if not isinstance(content, dict):
         yield prefix, content
-    elif "data" in content and "rows" in content:
-        yield prefix, np.reshape(numbers(prefix, content["data"], len(content["data"])), (int(content["rows"]), -1))
+    elif _is_array(content):
+        yield prefix, content["data"]
     else:
         for name, value in content.items():
             yield from _flat(f"{prefix}.{name}" if prefix else name, value)
+
+
+def _is_array(content: dict[str, Any]) -> bool:
+    """Whether a map is an OpenCV matrix: two-dimensional, or of any dimension as OpenCV 5 writes vectors."""
+    return "data" in content and ("rows" in content or "sizes" in content)
 
 
 def _storage(text: str) -> dict[str, Any]:
@@ -104,7 +109,7 @@ def _node(node: Any) -> Any:
     """Return a node as number, text, list, array, or object of such."""
     if node.isMap():
         children = dict(_children(node))
-        return np.asarray(node.mat(), dtype=np.float64) if {"rows", "cols", "data"} <= set(children) else children
+        return np.asarray(node.mat(), dtype=np.float64) if _is_array(children) else children
     if node.isSeq():
         return [_node(node.at(index)) for index in range(node.size())]
     return node.string() if node.isString() else node.real()
@@ -119,8 +124,8 @@ def _pair(values: Values, names: tuple[str, ...], what: str) -> tuple[tuple[str,
                     return values[left], values[right]
     single = [values[name][0] for name in names if name in values]
     if single:
-        raise ValueError(f"{single[0]}: expected {what} of two cameras, found the calibration of a single one")
-    raise ValueError(f"expected {what} of two cameras, as cameraMatrix1/2, M1/M2 or K_left/K_right, found none")
+        raise ValueError(f"{single[0]}: expected two cameras ({what}), found the calibration of a single one")
+    raise ValueError(f"expected {what}, or the same under another usual name, found neither")
 
 
 def _one(values: Values, names: tuple[str, ...], what: str) -> tuple[str, Any]:
