@@ -15,7 +15,7 @@ _SATURATED = 0.995  # of full scale: what counts as saturated
 _MOST_SATURATED = 0.1  # share of the target's pixels that may be saturated
 _LEAST_CONTRAST = 0.02  # between bright and dark, of full scale
 _LEAST_SIGNAL = 8.0  # the same, in standard deviations of the noise
-_BLUR_PX, _BLUR_CELL = 3.0, 0.12  # blur σ that always passes, in px, and in units of the target's cells
+_BLUR_PX, _BLUR_CELL = 2.6, 0.12  # blur σ that always passes, in px, and in units of the target's cells
 _FLAT = 0.02  # gradient per px, of the picture's contrast, below which a pixel counts as flat
 
 
@@ -38,7 +38,7 @@ def check_exposure(image: NDArray[Any], area: NDArray[Any], full_scale: float) -
 
 
 def check_blur(blur_px: float, cell_px: float) -> None:
-    """Raise `TargetNotFound` for edges blurred by σ = `blur_px` beyond both 3 px and 0.12 of a cell `cell_px`.
+    """Raise `TargetNotFound` for edges blurred by σ = `blur_px` beyond both 2.6 px and 0.12 of a cell `cell_px`.
 
     A cell is a square's side, or the dots' distance.
     """
@@ -62,7 +62,7 @@ def picture_fault(image: NDArray[Any], full_scale: float) -> str | None:
         return f"underexposed: bright and dark differ by {100 * (high - low) / full_scale:.1f} % of full scale"
     steepest = float(np.percentile(gaussian_gradient_magnitude(image.astype(np.float32), 1.0), 99.9))
     sigma = float(high - low) / (np.sqrt(2 * np.pi) * max(steepest, 1e-9))
-    if sigma > 1.2 * _BLUR_PX:
+    if sigma > 1.5 * _BLUR_PX:
         return f"blurred: no edge is sharper than σ = {sigma:.1f} px"
     return None
 
