@@ -133,6 +133,15 @@ def _cameras(options: argparse.Namespace) -> int:
     return EXIT_DONE
 
 
+def _import_calibration(options: argparse.Namespace) -> int:
+    from fusion.import_calibration import convert_calibration
+
+    source = options.calibration, options.extrinsics
+    found = convert_calibration(source, options.output, options.image_size, options.length_unit, options.force)
+    print(f"calibration of {found} written: {options.output}")
+    return EXIT_DONE
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="shakercal",
@@ -170,6 +179,9 @@ def _parser() -> argparse.ArgumentParser:
 
     _add_cameras(commands.add_parser("cameras", parents=[common], help="calibrate a stereo pair from target pictures"))
 
+    imports = "take over a calibration of OpenCV, DICe, VIC-3D, MATLAB or Bouguet's toolbox"
+    _add_import(commands.add_parser("import-calibration", parents=[common], help=imports))
+
     simulate = commands.add_parser("simulate", parents=[common], help="write a simulated recording with its truth")
     simulate.add_argument("out", type=Path, metavar="OUT", help="campaign folder to create")
     simulate.add_argument("--preset", choices=("demo", "nitsche2018"), default="demo", help="which rig (default: demo)")
@@ -182,6 +194,16 @@ def _parser() -> argparse.ArgumentParser:
 def _add_recording(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recording", type=Path, metavar="RECORDING", help="folder of a recording or of a campaign")
     parser.add_argument("--allow-outside", action="store_true", help="accept files outside the folder of rig.toml")
+
+
+def _add_import(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("calibration", type=Path, metavar="FILE", help="the other program's file")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="JSON", help="calibration file to write")
+    parser.add_argument("--extrinsics", type=Path, metavar="FILE", help="second file, where OpenCV's R and T are apart")
+    parser.add_argument("--image-size", type=_size, metavar="2448x2048", help="width x height, if the file has none")
+    parser.add_argument("--length-unit", choices=("m", "mm"), help="of the file's lengths, where it does not say it")
+    parser.add_argument("--force", action="store_true", help="overwrite a calibration file that is there")
+    parser.set_defaults(action=_import_calibration)
 
 
 def _add_cameras(parser: argparse.ArgumentParser) -> None:

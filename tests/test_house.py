@@ -21,7 +21,8 @@ WRITTEN_ORDER = {
         notices errors settings manifest check body observe estimate consistency fuse load sensitivity deflection
         evaluation records response timing channels stereo_motion stereo_phasors readings provenance evaluate
         polar highlights results_csv results_h5 camera_facts plots report_numbers report_tables page report results
-        camera_tables camera_report campaign simulate progress summary cameras align cli
+        camera_tables camera_report campaign simulate progress summary cameras align
+        import_calibration cli
     """,
 }
 ORDER = {package: text.split() for package, text in WRITTEN_ORDER.items()}
