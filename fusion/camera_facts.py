@@ -9,6 +9,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from photogram.calibrate.judge import COVERAGE_CELLS
 from photogram.calibrate.result import CalibratedPicture, CalibratedView, Calibration
 from photogram.camera import Camera, StereoRig
 from photogram.rigid import fit_rigid, skew
@@ -47,8 +48,8 @@ class Distortion:
 class ResidualMap:
     """Residuals of one camera in square cells: centre (K, 2), mean (K, 2), points (K,), in the cells that have points.
 
-    `within_px`: standard deviation per coordinate about the means; `systematic_px`: of the means themselves, their
-    scatter by chance taken off (one-way analysis of variance, random effects).
+    `within_px`: rms length about the means; `systematic_px`: rms length of the means themselves, their scatter by
+    chance taken off (one-way analysis of variance, random effects).
     """
 
     side_px: float
@@ -196,8 +197,8 @@ def residual_map(position_px: FloatArray, residual_px: FloatArray, side_px: floa
     sums = [np.bincount(member, weights=residual_px[:, axis], minlength=len(cells)) for axis in (0, 1)]
     mean = np.stack(sums, axis=1) / count[:, None]
     free = max(len(position_px) - len(cells), 1)
-    within = float(np.sum((residual_px - mean[member]) ** 2)) / (2 * free)
-    between = float(count @ (mean**2).sum(axis=1)) / (2 * max(len(position_px), 1))
+    within = float(np.sum((residual_px - mean[member]) ** 2)) / free
+    between = float(count @ (mean**2).sum(axis=1)) / max(len(position_px), 1)
     systematic = between - within * len(cells) / max(len(position_px), 1)
     return ResidualMap(side_px, (cells + 0.5) * side_px - 0.5, mean, count, _root(within), _root(systematic))
 
@@ -213,10 +214,10 @@ def target_shape(calibration: Calibration) -> TargetShape | None:
     return TargetShape(lattice[:, :2], departure[:, :2], departure[:, 2])
 
 
-def empty_cells(position_px: FloatArray, size_px: Sequence[int] | IntArray, columns: int) -> FloatArray:
-    """Corners (K, 4) x0 y0 x1 y1 of the cells of a picture, about square, in which there is no point."""
+def empty_cells(position_px: FloatArray, size_px: Sequence[int] | IntArray) -> FloatArray:
+    """Corners (K, 4) x0 y0 x1 y1 of the cells of a picture in which there is no point."""
     width, height = (float(size) for size in size_px)
-    rows = max(1, round(columns * height / width))
+    columns, rows = COVERAGE_CELLS
     across, down = np.linspace(-0.5, width - 0.5, columns + 1), np.linspace(-0.5, height - 0.5, rows + 1)
     counts, _, _ = np.histogram2d(position_px[:, 0], position_px[:, 1], bins=[across, down])
     i, j = np.nonzero(counts == 0)

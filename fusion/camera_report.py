@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+from fusion import camera_tables as tables
 from fusion.page import render_page
+from fusion.plots.cameras import draw_cameras
 from fusion.provenance import PROGRAM, Provenance
+from fusion.report_tables import inputs_table, provenance_tables
 from photogram.calibrate.result import Calibration
 
 
@@ -21,7 +24,19 @@ def _context(calibration: Calibration, name: str, provenance: Provenance, durati
     """Everything the template shows."""
     return {
         "name": name,
+        "subject": tables.subject(calibration),
+        "verdict": tables.verdict(calibration),
+        "headlines": tables.camera_headlines(calibration),
         "notices": sorted(calibration.notices, key=lambda notice: notice.severity != "warning"),
+        "pictures": draw_cameras(calibration),
+        "views": tables.views_table(calibration),
+        "dropped": tables.dropped_table(calibration),
+        "parameters": tables.parameters_table(calibration),
+        "correlations": tables.correlations_table(calibration),
+        "lengths": tables.lengths_table(calibration),
+        "scale_u": calibration.scale_u,
+        "origin": provenance_tables(provenance),
+        "inputs": inputs_table(provenance),
         "program": f"{PROGRAM} {provenance.versions.get(PROGRAM, '')}".strip(),
         "duration_s": duration_s,
         "files": provenance.files,

@@ -22,6 +22,7 @@ from fusion.highlights import (
     static_value,
 )
 from fusion.polar import DASH, element_covariance, polar, prefix, typeset
+from fusion.provenance import Provenance
 from fusion.report_numbers import (
     common_exponent,
     degrees_of_freedom,
@@ -283,19 +284,19 @@ def _noise(stereo: StereoResult, name: str, power: float) -> str:
     return ", ".join(number(value**power) for value in values) if values and min(values) > 0.0 else DASH
 
 
-def provenance_tables(evaluation: Evaluation) -> list[Table]:
+def provenance_tables(origin: Evaluation | Provenance) -> list[Table]:
     """Versions and settings."""
-    versions = tuple((name, version) for name, version in evaluation.versions.items())
-    settings = tuple((name, str(value)) for name, value in evaluation.settings.items())
+    versions = tuple((name, version) for name, version in origin.versions.items())
+    settings = tuple((name, str(value)) for name, value in origin.settings.items())
     return [
         Table("Versions", ("program or library", "version"), "ll", versions),
         Table("Settings", ("name", "value"), "ll", settings),
     ]
 
 
-def inputs_table(evaluation: Evaluation) -> Table:
+def inputs_table(origin: Evaluation | Provenance) -> Table:
     """Every input file with its hash."""
-    rows = tuple((name, Markup("<code>{}</code>").format(digest)) for name, digest in evaluation.input_hashes.items())
+    rows = tuple((name, Markup("<code>{}</code>").format(digest)) for name, digest in origin.input_hashes.items())
     return Table("Input files", ("file", "SHA-256"), "ll", rows)
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from photogram._checks import BoolArray, FloatArray
+from photogram.calibrate.judge import covered_share
 from photogram.calibrate.result import CalibratedPicture, CalibratedView, Calibration, Determined, Dropped, Parameter
 from photogram.camera import RIG_PARAMETERS, Camera, StereoRig
 from photogram.notice import Notice
@@ -67,7 +68,7 @@ def make_calibration(session: Session | None = None, seed: int = 0) -> Calibrati
         for place in range(session.views)
     )
     estimate = rig.perturbed(delta[:24])
-    return _calibration(StereoRig(*_parts(estimate), covariance[:24, :24]), views, shape, factor, session)
+    return _calibration(StereoRig(*_parts(estimate), covariance[:24, :24]), views, shape, session)
 
 
 def _parts(rig: StereoRig) -> tuple[Camera, Camera, RigidTransform]:
@@ -89,7 +90,8 @@ def _poses(count: int, rng: np.random.Generator) -> list[RigidTransform]:
 
 def _shape(bow_m: float) -> FloatArray:
     """Points of the target: the lattice with a bow and a little shear in its plane."""
-    flat = SPACING_M * np.column_stack([LATTICE, np.zeros(len(LATTICE))])
+    flat = np.zeros((len(LATTICE), 3))
+    flat[:, :2] = SPACING_M * LATTICE
     across = flat[:, 0] / np.abs(flat[:, 0]).max()
     flat[:, 2] += bow_m * (1 - across**2)
     flat[:, 1] += 0.05 * bow_m * across
@@ -110,7 +112,9 @@ def _look(
     inside = np.asarray(((pixel > 12) & (pixel < SIZE_PX - 12)).all(axis=-1))
     if alone:
         inside[1] = False
-    return rng.normal(0.0, session.noise_px, pixel.shape) + _unmodelled(pixel, session.unmodelled_px), inside
+    noise = rng.normal(0.0, session.noise_px, pixel.shape)
+    errors: FloatArray = noise + _unmodelled(pixel, session.unmodelled_px)
+    return errors, inside
 
 
 def _jacobian(rig: StereoRig, pose: RigidTransform, shape: FloatArray) -> FloatArray:
@@ -176,7 +180,8 @@ def _view(
             index=LATTICE[seen],
             position_px=(modelled[side] + residual[side])[seen],
             residual_px=residual[side][seen],
-            normalised=np.linalg.norm(residual[side][seen], axis=1) / session.noise_px,
+            normalised=np.linalg.norm(residual[side][seen], axis=1)
+            / np.hypot(session.noise_px, session.unmodelled_px / 2),
             used=used[side][seen],
         )
         pictures.append(found if seen.any() else None)
@@ -184,15 +189,13 @@ def _view(
     return CalibratedView(pose, covariance[own, own], *pictures)
 
 
-def _calibration(
-    rig: StereoRig, views: tuple[CalibratedView, ...], shape: FloatArray, factor: float, session: Session
-) -> Calibration:
+def _calibration(rig: StereoRig, views: tuple[CalibratedView, ...], shape: FloatArray, session: Session) -> Calibration:
     """The result around the adjustment."""
     sides = tuple(
         np.concatenate([p.residual_px[p.used] for p in pictures if p is not None])
         for pictures in ([view.left for view in views], [view.right for view in views])
     )
-    rms = [float(np.sqrt((side**2).mean())) for side in sides]
+    rms = [_rms(side) for side in sides]
     left_out = tuple(
         Dropped(picture.name, int((~picture.used).sum()), "residual more than 4 times its uncertainty")
         for view in views
@@ -204,14 +207,18 @@ def _calibration(
         target=Target("dots", SPACING_M),
         views=views,
         parameters=_parameters(rig),
-        rms_px=float(np.sqrt((np.concatenate(sides) ** 2).mean())),
+        rms_px=_rms(np.concatenate(sides)),
         rms_sides_px=(rms[0], rms[1]),
-        sigma_factor=factor,
+        added_px=(session.unmodelled_px / 2, session.unmodelled_px / 2),
+        sigma_factor=1.0,
         dof=2 * sum(map(len, sides)) - 24 - 6 * len(views),
         shape_index=LATTICE,
         shape_m=shape,
         scale_u=session.scale_u,
-        covered=(0.83, 0.79),
+        covered=(
+            covered_share([view.left for view in views if view.left is not None], SIZE_PX),
+            covered_share([view.right for view in views if view.right is not None], SIZE_PX),
+        ),
         tilt_rad=np.array([np.arccos(abs(view.left_from_target.rotation[2, 2])) for view in views]),
         dropped=(
             Dropped(f"{session.names[0]}-15.tif", 0, "blurred: edges of 6.1 px, sharp ones have 1.2 px"),
@@ -227,6 +234,11 @@ def _calibration(
             ),
         ),
     )
+
+
+def _rms(residual: FloatArray) -> float:
+    """Rms length of residuals (M, 2)."""
+    return float(np.sqrt((residual**2).sum(axis=1).mean()))
 
 
 def _parameters(rig: StereoRig) -> tuple[Parameter, ...]:

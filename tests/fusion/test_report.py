@@ -5,54 +5,18 @@ from __future__ import annotations
 import dataclasses
 import html
 import re
-from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
 from evaluation_factory import Choice, make_evaluation
 from markupsafe import Markup
+from page_outline import outline
 
 from fusion.evaluation import Evaluation
 from fusion.report import render_report
 from fusion.report_numbers import fixed, measured, times_ten
 from fusion.report_tables import budget_table, headlines, source_tables
-
-VOID = {"meta", "img", "br", "link", "hr", "input"}
-
-
-class Outline(HTMLParser):
-    """Tags as they nest, identifiers, addresses, and the text."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.ids: list[str] = []
-        self.addresses: list[str] = []
-        self.text: list[str] = []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        found = dict(attrs)
-        self.ids += [found["id"]] if found.get("id") else []
-        self.addresses += [found[key] or "" for key in ("src", "href") if key in found]
-        assert tag != "script"
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        if "style" not in self.open:
-            self.text.append(data)
-
-
-def outline(page: str) -> Outline:
-    parser = Outline()
-    parser.feed(page)
-    parser.close()
-    assert parser.open == []
-    return parser
 
 
 @pytest.fixture(scope="module")
