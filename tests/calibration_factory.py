@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from photogram._checks import BoolArray, FloatArray
-from photogram.calibrate.judge import covered_share
 from photogram.calibrate.result import CalibratedPicture, CalibratedView, Calibration, Determined, Dropped, Parameter
 from photogram.camera import RIG_PARAMETERS, Camera, StereoRig
 from photogram.notice import Notice
@@ -215,10 +214,7 @@ def _calibration(rig: StereoRig, views: tuple[CalibratedView, ...], shape: Float
         shape_index=LATTICE,
         shape_m=shape,
         scale_u=session.scale_u,
-        covered=(
-            covered_share([view.left for view in views if view.left is not None], SIZE_PX),
-            covered_share([view.right for view in views if view.right is not None], SIZE_PX),
-        ),
+        covered=(_covered([view.left for view in views]), _covered([view.right for view in views])),
         tilt_rad=np.array([np.arccos(abs(view.left_from_target.rotation[2, 2])) for view in views]),
         dropped=(
             Dropped(f"{session.names[0]}-15.tif", 0, "blurred: edges of 6.1 px, sharp ones have 1.2 px"),
@@ -234,6 +230,13 @@ def _calibration(rig: StereoRig, views: tuple[CalibratedView, ...], shape: Float
             ),
         ),
     )
+
+
+def _covered(pictures: list[CalibratedPicture | None]) -> float:
+    """Share of the 8 x 6 cells of the picture in which there is a point."""
+    points = np.concatenate([picture.position_px[picture.used] for picture in pictures if picture is not None])
+    counts, _, _ = np.histogram2d(points[:, 0], points[:, 1], bins=(8, 6), range=[[-0.5, n - 0.5] for n in SIZE_PX])
+    return float((counts > 0).mean())
 
 
 def _rms(residual: FloatArray) -> float:
