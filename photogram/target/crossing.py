@@ -232,7 +232,7 @@ def fit_crossings(
 
     fitted: parameters (10), covariance xx xy yy, reduced χ², share of saturated pixels, status.
     axes (N, 2, 2): a square's two sides in px. bend (N, 2): curvature of both edges, 1/px.
-    window (N, 3): see `_window`.     noise (3,): variance of a black pixel, its rise per grey value, its least value.
+    window (N, 3): see `_window`. noise (3,): variance of a black pixel, its rise per grey value, its least value.
     """
     buffer, weight = np.empty((_MOST_PIXELS, 2), dtype=np.int32), np.empty(_MOST_PIXELS)
     covariance, p, size = np.empty((2, 2)), np.empty(PARAMETERS), np.empty(3)
