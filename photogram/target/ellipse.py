@@ -24,9 +24,8 @@ class Ellipses:
     """N fitted ellipses (x − c)ᵀ S⁻¹ (x − c) = 1; all NaN where the fit failed.
 
     `centre_px` c (N, 2) and its `covariance_px2` (N, 2, 2); `shape_px2` S (N, 2, 2), of determinant (product of the
-    semi-axes)²; `blur_px` (N,): σ of the edge; `contrast` (N,): dot less background, grey values; `noise` (N,): standard
-    deviation of what is left, grey values; `roughness_px` (N,): rms over sixteen sectors of how far the edge lies off
-    the ellipse.
+    semi-axes)²; `blur_px` (N,): σ of the edge; `contrast` (N,): dot less background, grey values; `noise` (N,): rms of what is
+    left, grey values; `roughness_px` (N,): rms over sixteen sectors of how far the edge lies off the ellipse.
     """
 
     centre_px: FloatArray
@@ -115,7 +114,7 @@ def _fit_all(image, starts, precisions, reach, ring, found, spread):  # type: ig
 
 @njit()
 def _first_guess(image, origin, precision):  # type: ignore[no-untyped-def]
-    """Parameters (10,) cx cy, S⁻¹ as xx xy yy, σ, B, C, γx γy: means of the grey inside and just outside of the edge."""
+    """Parameters (10,) cx cy, S⁻¹ as xx xy yy, σ, B, C, γx γy, with B and C from the means on both sides of the edge."""
     parameters = np.zeros(PARAMETERS)
     parameters[0], parameters[1] = origin
     parameters[2], parameters[3], parameters[4] = precision[0, 0], precision[0, 1], precision[1, 1]
@@ -227,7 +226,7 @@ def _normal_equations(image, origin, band, parameters, matrix, vector):  # type:
 
 @njit()
 def _descend(image, origin, band, parameters, until):  # type: ignore[no-untyped-def]
-    """Levenberg–Marquardt until the centre and σ move less than a step, or so many steps; return whether it got there."""
+    """Levenberg–Marquardt until centre and σ move less than a step; return whether it got there."""
     small_step, most_steps = until
     matrix, trial_matrix = np.empty((PARAMETERS, PARAMETERS)), np.empty((PARAMETERS, PARAMETERS))
     vector, trial_vector = np.empty(PARAMETERS), np.empty(PARAMETERS)
