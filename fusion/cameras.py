@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 from fusion.camera_facts import axes_angle_rad, baseline_m
 from fusion.camera_report import render_camera_report
@@ -34,7 +35,7 @@ class CameraSettings:
     """What a user may choose: the target, how its shape is taken, and the relative uncertainty of its spacing."""
 
     target: Target
-    shape: ShapeKind = "flat"
+    shape: ShapeKind | Literal["auto"] = "auto"
     scale_u: float = 0.0
 
 

@@ -238,9 +238,9 @@ def _add_cameras(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--shape",
-        choices=("flat", "bowed", "free"),
-        default="flat",
-        help="target taken as flat (default), bowed, or with every point's offset estimated",
+        choices=("auto", "flat", "bowed", "free"),
+        default="auto",
+        help="target taken as flat, bowed, or with every point's offset estimated (default: auto, flat where it fits)",
     )
     parser.add_argument(
         "-o", "--output", required=True, type=Path, metavar="CALIBRATION", help="file NAME.json to write"

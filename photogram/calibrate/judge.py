@@ -6,19 +6,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from photogram._checks import FloatArray, IntArray
 from photogram.calibrate.adjust import Prior, parameters_of
-from photogram.calibrate.result import CalibratedPicture, Calibration, Determined, Parameter
+from photogram.calibrate.result import Calibration, Determined, Parameter
+from photogram.calibrate.views import spread_of_turns
 from photogram.camera import RIG_PARAMETERS, StereoRig
 from photogram.notice import Notice
-from photogram.rigid import RigidTransform
 
-COVERAGE_CELLS = (8, 6)
 """Columns and rows of the cells of a picture by which its coverage is told."""
 _OPEN = 0.5  # share of the prior's standard deviation above which the views told nothing
 _DISTINCT = 2.0  # standard uncertainties beyond which a distortion is not zero
 _MANY_VIEWS = 8
-_NO_TURN_RAD = np.radians(2.0)
 _LITTLE_TURN_RAD = np.radians(5.0)
 _ENOUGH_COVER = 0.6
 _FOCAL_U = 0.005  # relative standard uncertainty of a focal length above which the user is told
@@ -44,29 +41,6 @@ def rig_parameters(rig: StereoRig, prior: Prior) -> tuple[Parameter, ...]:
     return tuple(found)
 
 
-def covered_share(pictures: Sequence[CalibratedPicture], size_px: IntArray) -> float:
-    """Return the share of the picture's cells, 8 x 6, in which some point of some picture lies."""
-    points = np.concatenate([picture.position_px[picture.used] for picture in pictures])
-    cells = np.floor((points + 0.5) / size_px * COVERAGE_CELLS).astype(np.int64)
-    inside = np.clip(cells, 0, np.array(COVERAGE_CELLS) - 1)
-    return len(np.unique(inside, axis=0)) / (COVERAGE_CELLS[0] * COVERAGE_CELLS[1])
-
-
-def tilts_rad(poses: Sequence[RigidTransform]) -> FloatArray:
-    """Return the angles (V,) between the target's normal and the left camera's axis."""
-    return np.array([np.arccos(min(1.0, abs(float(pose.rotation[2, 2])))) for pose in poses])
-
-
-def refuse_similar_views(poses: Sequence[RigidTransform]) -> None:
-    """Raise `ValueError` when all views show the target under nearly one angle, which leaves the cameras open."""
-    spread, _ = _turned(poses)
-    if spread.max() < _NO_TURN_RAD:
-        raise ValueError(
-            f"all {len(poses)} views show the target under nearly one angle ({np.degrees(spread.max()):.1f} deg rms), "
-            "which does not determine the cameras; add views turned by 20 deg and more about both axes of the picture"
-        )
-
-
 def refuse_open_focal_lengths(parameters: Sequence[Parameter]) -> None:
     """Raise `ValueError` when the views leave a focal length open."""
     for item in parameters:
@@ -86,13 +60,6 @@ def session_notices(calibration: Calibration) -> tuple[Notice, ...]:
     return tuple(found)
 
 
-def _turned(poses: Sequence[RigidTransform]) -> tuple[FloatArray, FloatArray]:
-    """Return how far the target's normal spreads (2,), in rad, and along which directions (columns) of the picture."""
-    normal = np.array([pose.rotation[:, 2] * np.sign(pose.rotation[2, 2]) for pose in poses])
-    variance, axes = np.linalg.eigh(np.cov(normal[:, :2].T, bias=True))
-    return np.sqrt(np.maximum(variance, 0.0)), axes
-
-
 def _view_notices(calibration: Calibration) -> list[Notice]:
     """Return what is missing in number, turn and place of the views."""
     found = []
@@ -101,7 +68,7 @@ def _view_notices(calibration: Calibration) -> list[Notice]:
         found.append(
             Notice("warning", f"only {pairs} pairs; {_MANY_VIEWS} to 20 make a calibration that can be judged", "views")
         )
-    spread, axes = _turned([view.left_from_target for view in calibration.views])
+    spread, axes = spread_of_turns([view.left_from_target for view in calibration.views])
     if spread[0] < _LITTLE_TURN_RAD:
         axis = "vertical" if abs(axes[0, 0]) > abs(axes[1, 0]) else "horizontal"
         text = f"the target is hardly turned about the picture's {axis} axis ({np.degrees(spread[0]):.1f} deg rms)"
@@ -134,6 +101,20 @@ def _parameter_notices(calibration: Calibration) -> list[Notice]:
 
 
 def _residual_notices(calibration: Calibration) -> list[Notice]:
+    """Return how far the residuals exceed what the pictures' noise explains, and what the target's shape has to do."""
+    flat = np.column_stack([calibration.shape_index * calibration.target.spacing_m, np.zeros(len(calibration.shape_m))])
+    off = calibration.shape_m - flat
+    if off.any():
+        x, y, z = 1e6 * np.sqrt((off**2).mean(axis=0))
+        text = f"the target's points lie {x:.0f}, {y:.0f} um rms off their lattice and {z:.0f} um across it"
+        return [
+            Notice("info", f"{text}; this was estimated together with the cameras", "target"),
+            *_noise_notices(calibration),
+        ]
+    return _noise_notices(calibration)
+
+
+def _noise_notices(calibration: Calibration) -> list[Notice]:
     """Return how far the residuals exceed what the pictures' noise explains."""
     worst = max(calibration.added_px)
     if worst < _ADDED_PX:

@@ -37,22 +37,25 @@ def see(
 ) -> Seen:
     """Return where a camera sees points (N, 3) of the target; dots of `radius_m` > 0 by the centre of their ellipse.
 
-    The derivatives leave out that the ellipse's centre is off the dot's: it changes by less than 10⁻³ of it.
+    The derivatives leave out how the lens's bending of a dot's rim changes, some 10⁻⁵ of them.
     """
+    normal_left = left_from_target.rotation[:, 2]
+    normal = camera_from_left.rotation @ normal_left
     turned = point_m @ left_from_target.rotation.T
-    in_left = turned + left_from_target.translation_m
-    in_camera_turned = in_left @ camera_from_left.rotation.T
+    in_camera_turned = (turned + left_from_target.translation_m) @ camera_from_left.rotation.T
     in_camera = in_camera_turned + camera_from_left.translation_m
-    by_place, by_camera, pixel = _project(camera, in_camera)
-    by_left = by_place @ camera_from_left.rotation
+    flat, flat_by_place, flat_by_normal = ellipse_centres(in_camera, normal, radius_m)
+    placed, by_flat = distorted(camera, flat)
+    by_flat = np.array([camera.matrix[0, 0], camera.matrix[1, 1]])[:, None] * by_flat
+    by_place, by_normal = by_flat @ flat_by_place, by_flat @ flat_by_normal
+    by_left, by_left_normal = by_place @ camera_from_left.rotation, by_normal @ camera_from_left.rotation
     if radius_m > 0:
-        target = (camera_from_left @ left_from_target).rotation
-        pixel = camera_pixels(camera, ellipse_centres(camera, in_camera, target, radius_m))
+        placed = placed + _bent(camera, in_camera, camera_from_left.rotation @ left_from_target.rotation, radius_m)
     return Seen(
-        pixel,
-        by_camera,
-        np.concatenate([by_place, -by_place @ skew(in_camera_turned)], axis=-1),
-        np.concatenate([by_left, -by_left @ skew(turned)], axis=-1),
+        camera_pixels(camera, placed),
+        _by_camera(camera, flat, placed),
+        np.concatenate([by_place, -by_place @ skew(in_camera_turned) - by_normal @ skew(normal)], axis=-1),
+        np.concatenate([by_left, -by_left @ skew(turned) - by_left_normal @ skew(normal_left)], axis=-1),
         by_left @ left_from_target.rotation,
     )
 
@@ -63,19 +66,41 @@ def camera_pixels(camera: Camera, distorted: FloatArray) -> FloatArray:
     return np.asarray(distorted * [k[0, 0], k[1, 1]] + [k[0, 2], k[1, 2]])
 
 
-def ellipse_centres(camera: Camera, centre_m: FloatArray, rotation: FloatArray, radius_m: float) -> FloatArray:
-    """Return the centres (N, 2), distorted normalised, of the ellipses seen of dots around (N, 3) in a plane.
+def ellipse_centres(
+    centre_m: FloatArray, normal: FloatArray, radius_m: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the centres (N, 2), x/z and y/z, of the ellipses that an ideal camera sees of dots around c (N, 3), and
+    their derivatives (N, 2, 3) by c and by the normal n (3,) of the dots' plane.
 
-    Without distortion the centre is the pole of the line at infinity: with the plane's axes a, b (columns of
-    `rotation`) and the dual conic ρ²·(a·aᵀ + b·bᵀ) − c·cᵀ of a dot around c (Heikkilä 2000, IEEE PAMI 22, 1066, eq.
-    16), it is the last column of that. A lens bends the rim e beyond a linear map by q; the ellipse that fits
-    the bent rim best along its normals n lies (Σ n·nᵀ)⁻¹·Σ n·nᵀ·q further.
+    The cone through a dot of radius ρ has the dual conic ρ²·(I − n·nᵀ) − c·cᵀ, and the ellipse's centre is the pole
+    of the line at infinity, its last column (Heikkilä 2000, IEEE PAMI 22, 1066, eq. 16, written for n):
+    e = (c_xy·c_z + ρ²·n_xy·n_z)/(c_z² − ρ²·|n_xy|²).
     """
-    a, b, c, square = rotation[:, 0], rotation[:, 1], centre_m, radius_m**2
-    dual = square * (np.outer(a, a) + np.outer(b, b)) - c[:, :, None] * c[:, None, :]
-    centre = dual[:, :2, 2] / dual[:, 2:, 2]
+    across, depth = centre_m[:, :2], centre_m[:, 2:]
+    square = radius_m**2
+    over = depth**2 - square * float(normal[:2] @ normal[:2])
+    centre = (across * depth + square * normal[:2] * normal[2]) / over
+    by_place = np.zeros((len(centre_m), 2, 3))
+    by_place[:, 0, 0] = by_place[:, 1, 1] = (depth / over)[:, 0]
+    by_place[:, :, 2] = (across - 2 * centre * depth) / over
+    by_normal = np.empty((len(centre_m), 2, 3))
+    by_normal[:, :, :2] = 2 * square * centre[:, :, None] * normal[:2] / over[:, :, None]
+    by_normal[:, :, :2] += square * normal[2] * np.eye(2) / over[:, :, None]
+    by_normal[:, :, 2] = square * normal[:2] / over
+    return centre, by_place, by_normal
+
+
+def _bent(camera: Camera, centre_m: FloatArray, rotation: FloatArray, radius_m: float) -> FloatArray:
+    """Return how far (N, 2), normalised, a lens moves the ellipse beyond its centre, by bending the dot's rim.
+
+    It bends the rim e by q beyond a linear map; the ellipse that fits the bent rim best along its normals n lies
+    (Σ n·nᵀ)⁻¹·Σ n·nᵀ·q further.
+    """
+    centre = ellipse_centres(centre_m, rotation[:, 2], radius_m)[0]
     angle = 2 * np.pi * np.arange(_RIM_POINTS) / _RIM_POINTS
-    rim_m = c[:, None] + radius_m * (np.cos(angle)[:, None] * a + np.sin(angle)[:, None] * b)
+    rim_m = centre_m[:, None] + radius_m * (
+        np.cos(angle)[:, None] * rotation[:, 0] + np.sin(angle)[:, None] * rotation[:, 1]
+    )
     rim = rim_m[..., :2] / rim_m[..., 2:]
     placed, by_place = distorted(camera, centre)
     offset = np.einsum("nij,nkj->nki", by_place, rim - centre[:, None])
@@ -85,8 +110,7 @@ def ellipse_centres(camera: Camera, centre_m: FloatArray, rotation: FloatArray, 
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     along = np.einsum("nki,nki->nk", normal, bent)
     matrix = np.einsum("nki,nkj->nij", normal, normal)
-    shift = np.linalg.solve(matrix, np.einsum("nki,nk->ni", normal, along)[..., None])[..., 0]
-    return np.asarray(placed + shift)
+    return np.asarray(np.linalg.solve(matrix, np.einsum("nki,nk->ni", normal, along)[..., None])[..., 0])
 
 
 def distorted(camera: Camera, undistorted: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -105,16 +129,9 @@ def distorted(camera: Camera, undistorted: FloatArray) -> tuple[FloatArray, Floa
     )
 
 
-def _project(camera: Camera, place_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return ∂pixel/∂place (N, 2, 3), ∂pixel/∂parameters (N, 2, 9) and the pixels (N, 2) of points in the camera."""
+def _by_camera(camera: Camera, flat: FloatArray, placed: FloatArray) -> FloatArray:
+    """Return ∂pixel/∂parameters (N, 2, 9) at undistorted and distorted coordinates (N, 2)."""
     focal = np.array([camera.matrix[0, 0], camera.matrix[1, 1]])
-    depth = place_m[:, 2]
-    flat = place_m[:, :2] / depth[:, None]
-    placed, by_flat = distorted(camera, flat)
-    to_flat = np.zeros((len(place_m), 2, 3))
-    to_flat[:, 0, 0] = to_flat[:, 1, 1] = 1 / depth
-    to_flat[:, :, 2] = -flat / depth[:, None]
-    by_place = focal[:, None] * (by_flat @ to_flat)
     x, y = flat.T
     r2 = x * x + y * y
     by_distortion = np.stack(
@@ -127,8 +144,8 @@ def _project(camera: Camera, place_m: FloatArray) -> tuple[FloatArray, FloatArra
         ],
         axis=-1,
     )
-    by_camera = np.zeros((len(place_m), 2, 9))
+    by_camera = np.zeros((len(flat), 2, 9))
     by_camera[:, 0, 0], by_camera[:, 1, 1] = placed.T
     by_camera[:, 0, 2] = by_camera[:, 1, 3] = 1.0
     by_camera[:, :, 4:] = focal[:, None] * by_distortion
-    return by_place, by_camera, camera_pixels(camera, placed)
+    return by_camera

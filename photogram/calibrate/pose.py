@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from photogram._checks import FloatArray, IntArray
-from photogram.calibrate.adjust import Bundle, Picture
+from photogram.calibrate.adjust import Bundle, Picture, moved_pose
 from photogram.calibrate.shape import make_shape
 from photogram.camera import StereoRig
 from photogram.rigid import RigidTransform, rotation_from_vector
@@ -78,7 +80,8 @@ def _refined(bundle: Bundle, pictures: list[Picture]) -> tuple[RigidTransform, F
         if not np.isfinite(squares):
             break
         step = np.asarray(np.linalg.solve(normal, side), dtype=np.float64)
-        bundle = bundle.moved(np.zeros(24), step[None])
+        middle = bundle.shape.flat_m.mean(axis=0)
+        bundle = replace(bundle, poses=(moved_pose(middle, bundle.poses[0], step, np.zeros(2)),))
         if side @ step < _CONVERGED:
             return bundle.poses[0], np.asarray(np.linalg.inv(normal), dtype=np.float64), squares
     return bundle.poses[0], np.full((6, 6), np.nan), np.inf

@@ -4,23 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from photogram._checks import BoolArray, FloatArray
 from photogram.calibrate.adjust import Adjusted, Bundle, Picture, adjust, whitened_squares
 from photogram.calibrate.judge import (
-    covered_share,
     refuse_open_focal_lengths,
-    refuse_similar_views,
     rig_parameters,
     session_notices,
-    tilts_rad,
 )
 from photogram.calibrate.pose import picture_of
 from photogram.calibrate.result import CalibratedPicture, CalibratedView, Calibration, Dropped
 from photogram.calibrate.shape import ShapeKind
 from photogram.calibrate.start import Pair, lens_prior, start_bundle
+from photogram.calibrate.views import covered_share, tilts_rad
 from photogram.target.view import Target, TargetView
 
 _ROUNDS = 12
@@ -29,11 +28,13 @@ _REJECTED = 25.0  # squared distance, in standard deviations, beyond which a poi
 _MEDIAN_CHI2 = 2 * np.log(2.0)  # median of χ² with two degrees of freedom
 _REJECTED_SHARE = 0.3  # of a picture's points, beyond which the whole picture is dropped
 _SCATTER = 5.0  # times the median of all pictures, beyond which a picture is dropped
+_WORTH = 1.0  # unexplained over own variance above which offsets of the target's points are tried
+_VIEWS_FOR_SHAPE = 5
 _SETTLED = 0.01  # relative change of the added noise that ends the rounds
 
 
 def calibrate_pair(
-    pairs: Sequence[Pair], target: Target, shape: ShapeKind = "flat", scale_u: float = 0.0
+    pairs: Sequence[Pair], target: Target, shape: ShapeKind | Literal["auto"] = "auto", scale_u: float = 0.0
 ) -> Calibration:
     """Return the stereo pair that the target's views (left, right) tell, with the covariance of all its parameters.
 
@@ -41,18 +42,37 @@ def calibrate_pair(
     camera is estimated from the residuals (print and paper, blooming), then points beyond five standard deviations are
     left out, and pictures in which that are too many, until nothing changes. The covariance is that of the fit times
     the reduced χ²; `scale_u`, the relative standard uncertainty of the target's spacing, is added along the baseline,
-    for with the spacing all lengths grow alike. Raises `ValueError` when the views do not allow a calibration.
+    for with the spacing all lengths grow alike. `shape` "auto": flat, unless offsets of the single points, the same in
+    all views, explain most of what the pictures' noise does not. Raises `ValueError` when the views do not allow a
+    calibration.
     """
+    if shape != "auto":
+        return _result(*_calibrated(pairs, target, shape), target, scale_u)
+    fit, dropped = _calibrated(pairs, target, "flat")
+    if _unexplained(fit) > _WORTH and len(fit.adjusted.bundle.poses) >= _VIEWS_FOR_SHAPE:
+        freed, freed_dropped = _calibrated(pairs, target, "free")
+        if _unexplained(freed) < _unexplained(fit) / 2:
+            fit, dropped = freed, freed_dropped
+    return _result(fit, dropped, target, scale_u)
+
+
+def _calibrated(pairs: Sequence[Pair], target: Target, shape: ShapeKind) -> tuple[_Fit, tuple[Dropped, ...]]:
+    """Return the fit and what was dropped on the way, pictures that do not belong to the others included."""
     dropped: tuple[Dropped, ...] = ()
     while True:
         start = start_bundle(pairs, target, shape)
-        refuse_similar_views(start.bundle.poses)
         fit = _settle(start.bundle, _Session.of(start.bundle, start.pairs, target))
         bad = _bad_pictures(fit)
         dropped += (*start.dropped, *bad)
         pairs = _without(start.pairs, [item.name for item in bad])
         if not bad:
-            return _result(fit, target, scale_u, dropped)
+            return fit, dropped
+
+
+def _unexplained(fit: _Fit) -> float:
+    """Return the variance that had to be added to the points' own, in units of that."""
+    own = np.median([np.median(np.einsum("nii->n", view.covariance_px2) / 2) for view in fit.session.views])
+    return float(np.mean(np.square(fit.session.added_px)) / own)
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,7 +213,7 @@ def _without(pairs: Sequence[Pair], names: Sequence[str]) -> list[Pair]:
     return [(left, right) for left, right in kept if left is not None or right is not None]
 
 
-def _result(fit: _Fit, target: Target, scale_u: float, dropped: tuple[Dropped, ...]) -> Calibration:
+def _result(fit: _Fit, dropped: tuple[Dropped, ...], target: Target, scale_u: float) -> Calibration:
     """Collect everything that the calibration tells."""
     bundle, session, factor = fit.adjusted.bundle, fit.session, fit.variance_factor
     covariance = fit.adjusted.covariance[:24, :24] * factor

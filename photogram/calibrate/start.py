@@ -11,6 +11,7 @@ from photogram._checks import FloatArray
 from photogram.calibrate.adjust import Bundle, Prior
 from photogram.calibrate.result import Dropped
 from photogram.calibrate.shape import ShapeKind, make_shape
+from photogram.calibrate.views import refuse_similar_views
 from photogram.camera import Camera, StereoRig
 from photogram.rigid import RigidTransform, rotation_from_vector, vector_from_rotation
 from photogram.target.view import Target, TargetView
@@ -47,6 +48,8 @@ def start_bundle(pairs: Sequence[Pair], target: Target, shape: ShapeKind) -> Sta
     """
     sides = [_single(pairs, side, target) for side in (0, 1)]
     dropped = [item for side in sides for item in side.dropped]
+    for side in sides:
+        refuse_similar_views(list(side.poses.values()))
     relative, strange = _relative_pose([side.poses for side in sides])
     for view in strange:
         names = " and ".join(seen.name for seen in pairs[view] if seen is not None)
@@ -94,7 +97,7 @@ class _Single:
 
 
 def _single(pairs: Sequence[Pair], side: int, target: Target) -> _Single:
-    """Calibrate one camera by OpenCV (focal lengths, middle, k1), leaving out pictures that do not fit the others."""
+    """Calibrate one camera by OpenCV (focal length and k1), leaving out pictures that do not fit the others."""
     seen = {view: pair[side] for view, pair in enumerate(pairs)}
     views = {view: found for view, found in seen.items() if found is not None and len(found.index) >= FEWEST_POINTS}
     sizes = {tuple(found.size_px.tolist()) for found in views.values()}
@@ -135,8 +138,10 @@ def _opencv(views: Sequence[TargetView], target: Target) -> tuple[Camera, list[R
     size = views[0].size_px
     shape = (int(size[0]), int(size[1]))
     flags = cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST
+    flags |= cv2.CALIB_FIX_PRINCIPAL_POINT | cv2.CALIB_FIX_ASPECT_RATIO  # hardly determined with long focal lengths
+    centred = np.array([[shape[0], 0.0, (shape[0] - 1) / 2], [0.0, shape[0], (shape[1] - 1) / 2], [0.0, 0.0, 1.0]])
     try:
-        found = cv2.calibrateCameraExtended(objects, pixels, shape, np.eye(3), np.zeros(5), flags=flags)
+        found = cv2.calibrateCameraExtended(objects, pixels, shape, centred, np.zeros(5), flags=flags)
     except cv2.error as error:
         raise ValueError(f"the pictures of {views[0].name} and others do not determine a camera") from error
     _, matrix, distortion, turns, shifts, *_, rms = found

@@ -16,7 +16,7 @@ from photogram.calibrate.result import Calibration
 from photogram.calibrate.session import calibrate_pair
 from photogram.calibrate.shape import make_shape
 from photogram.camera import Camera, StereoRig
-from photogram.rigid import RigidTransform, rotation_from_vector, vector_from_rotation
+from photogram.rigid import RigidTransform, rotation_from_vector, skew, vector_from_rotation
 from photogram.target.view import Target, TargetView
 
 SIZE = np.array([1280, 1024])
@@ -140,16 +140,23 @@ def test_ellipse_centre_is_that_of_a_fitted_ellipse() -> None:
         assert np.abs(bias).max() > 0.02, "the correction matters in this view"
 
 
-def test_ellipse_centres_need_no_distortion_to_be_exact() -> None:
-    """The conic's centre by its matrix: pole of the line at infinity of the dot's conic seen by a homography."""
-    camera = Camera.from_parameters(np.array([1000, 1000, 0, 0, 0, 0, 0, 0, 0.0]), SIZE)
+def test_ellipse_centre_is_the_pole_of_the_line_at_infinity() -> None:
+    """The conic's centre by its matrix, that of the dot's circle seen by a homography; derivatives by differences."""
     rotation = rotation_from_vector(np.array([0.6, -0.4, 0.2]))
-    centre, radius = np.array([0.03, -0.02, 0.4]), 0.02
-    homography = np.column_stack([rotation[:, 0], rotation[:, 1], centre])
-    inverse = np.linalg.inv(homography)
+    centre, radius, normal = np.array([0.03, -0.02, 0.4]), 0.02, rotation[:, 2]
+    inverse = np.linalg.inv(np.column_stack([rotation[:, 0], rotation[:, 1], centre]))
     conic = inverse.T @ np.diag([1.0, 1.0, -(radius**2)]) @ inverse
     expected = -np.linalg.solve(conic[:2, :2], conic[:2, 2])
-    assert np.abs(ellipse_centres(camera, centre[None], rotation, radius)[0] - expected).max() < 1e-12
+    found, by_place, by_normal = ellipse_centres(centre[None], normal, radius)
+    assert np.abs(found[0] - expected).max() < 1e-12
+    for axis in range(3):
+        step = 1e-6 * np.eye(3)[axis]
+        ahead, behind = (ellipse_centres((centre + s * step)[None], normal, radius)[0] for s in (1, -1))
+        assert np.abs((ahead - behind) / 2e-6 - by_place[:, :, axis]).max() < 1e-8
+        turned = [rotation_from_vector(s * step) @ normal for s in (1, -1)]
+        ahead, behind = (ellipse_centres(centre[None], there, radius)[0] for there in turned)
+        by_turn = -by_normal[0] @ skew(normal)
+        assert np.abs((ahead - behind) / 2e-6 - by_turn[:, axis]).max() < 1e-8
 
 
 def test_outlying_points_and_pictures_are_named_and_left_out() -> None:
@@ -241,7 +248,7 @@ def test_a_bowed_target_is_found_where_it_is_asked_for() -> None:
     place = (FLAT - FLAT.mean(axis=0))[:, :2]
     height = 2e-4 * (place[:, 0] / place[:, 0].max()) ** 2
     pairs = _views(rng, _poses(rng, 12), points=FLAT + np.column_stack([np.zeros((len(FLAT), 2)), height]))
-    flat, bowed = calibrate_pair(pairs, TARGET), calibrate_pair(pairs, TARGET, shape="bowed")
+    flat, bowed = (calibrate_pair(pairs, TARGET, shape) for shape in ("flat", "bowed"))
     assert flat.rms_px > 1.5 * bowed.rms_px
     assert bowed.sigma_factor == pytest.approx(1.0, abs=0.05)
     found = _in_order(bowed)[:, 2] - np.mean(bowed.shape_m[:, 2])
@@ -252,7 +259,7 @@ def test_points_off_the_lattice_are_found_where_asked_for() -> None:
     rng = np.random.default_rng(13)
     print_error = rng.normal(0, 3e-5, FLAT.shape) * [1, 1, 0.5]
     pairs = _views(rng, _poses(rng, 14), points=FLAT + print_error)
-    flat, free = calibrate_pair(pairs, TARGET), calibrate_pair(pairs, TARGET, shape="free")
+    flat, free = calibrate_pair(pairs, TARGET, "flat"), calibrate_pair(pairs, TARGET)
     assert flat.rms_px > 2 * free.rms_px
     assert free.sigma_factor == pytest.approx(1.0, abs=0.06)
     left_over = (_in_order(free) - FLAT - print_error)[:, :2]
