@@ -9,8 +9,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.calibrate.views import COVERAGE_CELLS
 from photogram.calibrate.result import CalibratedPicture, CalibratedView, Calibration
+from photogram.calibrate.views import COVERAGE_CELLS
 from photogram.camera import Camera, StereoRig
 from photogram.rigid import fit_rigid, skew
 from photogram.triangulate import triangulate
