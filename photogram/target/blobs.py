@@ -12,7 +12,7 @@ from photogram._checks import BoolArray, FloatArray, check_shape
 
 LEAST_AREA_PX = 20
 EDGE_PX = 3
-WORKING_SIZE_PX = 1000
+WINDOW_CELLS = 24
 LEAST_CONTRAST = 0.15
 FULL_ELLIPSE = (0.85, 1.12)
 MOST_ELONGATED = 3.5
@@ -57,17 +57,18 @@ def _split(image: NDArray[Any], window_px: float) -> tuple[BoolArray, BoolArray]
     import cv2
 
     height, width = image.shape
-    factor = max(1, max(height, width) // WORKING_SIZE_PX)
-    grey = cv2.blur(np.asarray(image, dtype=np.float32), (3, 3)) if factor > 1 else np.asarray(image, dtype=np.float32)
-    small = cv2.resize(grey, (width // factor, height // factor), interpolation=cv2.INTER_AREA)
+    factor = max(1, int(window_px // WINDOW_CELLS))
+    grey = np.asarray(image, dtype=np.float32)
+    coarse = cv2.resize(grey, (max(1, width // factor), max(1, height // factor)), interpolation=cv2.INTER_AREA)
     side = max(3, round(window_px / factor) | 1)
     square = cv2.getStructuringElement(cv2.MORPH_RECT, (side, side))
-    upper, lower = (cv2.morphologyEx(small, kind, square) for kind in (cv2.MORPH_CLOSE, cv2.MORPH_OPEN))
+    upper, lower = (cv2.morphologyEx(coarse, kind, square) for kind in (cv2.MORPH_CLOSE, cv2.MORPH_OPEN))
     contrast = upper - lower
-    flat = contrast <= LEAST_CONTRAST * float(np.quantile(contrast, 0.9))
-    middle, band = ((upper + lower) / 2, np.where(flat, np.float32(np.inf), np.float32(0.0)))
-    level, off = (cv2.resize(part, (width, height), interpolation=cv2.INTER_NEAREST) for part in (middle, band))
-    return grey < level - off, grey > level + off
+    distinct = contrast > LEAST_CONTRAST * float(np.quantile(contrast, 0.9))
+    level = cv2.resize((upper + lower) / 2, (width, height), interpolation=cv2.INTER_LINEAR)
+    used = cv2.resize(distinct.view(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST).view(np.bool_)
+    smooth = cv2.blur(grey, (3, 3)) if factor > 1 else grey
+    return (smooth < level) & used, (smooth > level) & used
 
 
 @dataclass(frozen=True, eq=False)
