@@ -13,6 +13,7 @@ from fusion.fuse import Acceleration
 from fusion.manifest import Manifest
 from fusion.notices import AnyNotice
 from fusion.sensitivity import Sensitivity
+from photogram.epipolar import EpipolarCheck
 from photogram.images import GreyImage
 from photogram.motion import RigidMotion
 from photogram.noise import NoiseModel
@@ -34,6 +35,7 @@ class StereoResult:
     of another program. `usable` (K,): which lines of the recording this camera rate can tell apart. `deflection`: what
     the points do beside the rigid motion at the usable lines. `noise`: of the left and the right camera. `sigma_px`
     (2,): median standard deviation of a subset's coordinate, as predicted from the first images and as found.
+    `epipolar`: whether the cameras are what was calibrated, frame by frame; its notices are among the evaluation's.
     """
 
     name: str
@@ -53,6 +55,7 @@ class StereoResult:
     deflection: DeflectionShape | None = None
     noise: tuple[NoiseModel, ...] = ()
     sigma_px: FloatArray | None = None
+    epipolar: EpipolarCheck | None = None
 
 
 @dataclass(frozen=True)

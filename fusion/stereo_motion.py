@@ -18,6 +18,7 @@ from photogram.calibration_file import read_calibration
 from photogram.camera import StereoRig
 from photogram.deformation import Deformation, deformation
 from photogram.device import resolve_device
+from photogram.epipolar import EpipolarCheck, check_epipolar
 from photogram.images import GreyImage, ImageSequence, open_sequence, saturated_fraction
 from photogram.measure import BodyMotion, measure_body
 from photogram.motion import RigidMotion, fit_motion, points_with_estimated_noise
@@ -56,14 +57,15 @@ class OpenImages:
 
 @dataclass(frozen=True)
 class ImageView:
-    """What the images of one stereo pair gave: tracked subsets, their rig, the first left image, and
-    the noise models of both cameras and what their subsets promised."""
+    """What the images of one stereo pair gave: tracked subsets, their rig, the first left image, the noise models of
+    both cameras and what their subsets promised, and whether the pair still is what was calibrated."""
 
     tracks: StereoTracks
     rig: StereoRig
     reference_image: GreyImage
     noise: tuple[NoiseModel, NoiseModel] | None
     quality: tuple[SubsetQuality, SubsetQuality] | None
+    epipolar: EpipolarCheck
 
 
 @dataclass(frozen=True)
@@ -109,6 +111,7 @@ def measure_images(
     if not np.isfinite(body.motion.pose).all(axis=1).any():
         raise ComputeError(f"stereo pair {images.entry.stereo}: {NO_MOTION}; look at its images")
     reprojection = float(np.sqrt(np.nanmean(body.points.reprojection_px**2)))
+    epipolar = check_epipolar(body.tracks, images.rig)
     return StereoMotion(
         images.entry,
         images.stereo,
@@ -116,8 +119,8 @@ def measure_images(
         body.motion,
         deformation(body.points, body.motion),
         reprojection,
-        ImageView(body.tracks, images.rig, images.first, body.noise, body.quality),
-        body.notices,
+        ImageView(body.tracks, images.rig, images.first, body.noise, body.quality, epipolar),
+        (*body.notices, *epipolar.notices),
     )
 
 

@@ -182,4 +182,5 @@ def _result(measured: StereoMotion, from_mean: RigidMotion, fit: SineFit, usable
         sigma_px=None if view is None else _sigmas(view),
         noise=() if view is None or view.noise is None else view.noise,
         median_zncc=None if view is None else float(np.nanmedian(view.tracks.left.zncc)),
+        epipolar=None if view is None else replace(view.epipolar, notices=()),
     )

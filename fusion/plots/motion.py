@@ -12,6 +12,7 @@ from matplotlib.collections import PolyCollection
 
 from fusion.evaluation import Evaluation, StereoResult
 from fusion.plots.deformation import draw_deflection
+from fusion.plots.epipolar import draw_epipolar
 from fusion.plots.style import (
     BLACK,
     BLUE,
@@ -43,6 +44,8 @@ def motion_pictures(stereo: StereoResult) -> list[Picture]:
     pictures = [draw_motion(stereo), draw_residuals(stereo)]
     if len(stereo.time_s) >= 8:
         pictures.append(draw_residual_spectrum(stereo))
+    if stereo.epipolar is not None:
+        pictures.append(draw_epipolar(stereo.epipolar, stereo.time_s, stereo.name))
     bent = _deflection_picture(stereo)
     return pictures if bent is None else [*pictures, bent]
 

@@ -1,0 +1,306 @@
+"""Whether a stereo pair still is what was calibrated: epipolar residuals of the tracked points, frame by frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from photogram._checks import BoolArray, FloatArray, check_shape
+from photogram.camera import RIG_PARAMETERS, StereoRig
+from photogram.follow import Tracks
+from photogram.notice import Notice
+from photogram.rigid import skew
+from photogram.track import StereoTracks
+from photogram.triangulate import triangulate
+
+FEWEST_POINTS = 8
+FEWEST_FRAMES = 4
+UNCALIBRATED_PX = 0.1  # residual that is accepted where the calibration states no uncertainty
+REMARKABLE_PX = 0.02  # residual that is not worth a word, even if the calibration promised less
+MOVED_PX = 0.005  # change within a recording that is not worth a word
+RARE = 1e-4  # probability of a warning on a pair that is what was calibrated, for either test
+OUTLIER = 5.0  # robust standard deviations beyond which a point says nothing about the cameras
+COVERAGE = 2.0
+_STEP = 1e-3  # of a standard uncertainty, for derivatives by the parameters
+_WHERE = "epipolar residual"
+
+
+@dataclass(frozen=True, eq=False)
+class EpipolarCheck:
+    """Epipolar residuals of N points in F frames: how far the right point is off the left one's epipolar line, in px.
+
+    `course_px` (F, 3): mean of the residual and its change across the picture along x and y, the latter two as rms over
+    the points; `u_course_px` (F, 3) their standard uncertainties from the image noise; NaN where too few points are
+    seen. `pattern_px` (3,): the same of the residual's mean over the frames, `pattern_covariance` (3, 3) what the
+    calibration and the matching of the first pictures leave open in it, None without a calibration's covariance.
+    `position_px` (N, 2), `residual_px` (N,): mean left positions and residuals of the points, NaN for outliers.
+    """
+
+    course_px: FloatArray
+    u_course_px: FloatArray
+    pattern_px: FloatArray
+    pattern_covariance: FloatArray | None
+    position_px: FloatArray
+    residual_px: FloatArray
+    notices: tuple[Notice, ...]
+
+    def __post_init__(self) -> None:
+        """Refuse shapes that do not belong together."""
+        check_shape("course_px", self.course_px, (None, 3))
+        check_shape("u_course_px", self.u_course_px, self.course_px.shape)
+        check_shape("pattern_px", self.pattern_px, (3,))
+        check_shape("position_px", self.position_px, (None, 2))
+        check_shape("residual_px", self.residual_px, (len(self.position_px),))
+
+    @property
+    def mean_px(self) -> FloatArray:
+        """Mean residual of every frame (F,)."""
+        return self.course_px[:, 0]
+
+
+def epipolar_residual(
+    rig: StereoRig, left_px: FloatArray, right_px: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return residuals (...) in px of matches (..., 2), and their derivatives (..., 2) by the left and right pixels.
+
+    e = x'ᵀ·F·x / |(F·x)₁₂|, the signed distance of the right point from the epipolar line of the left one (Hartley and
+    Zisserman 2004, sections 9.2 and 11.4.3) in the undistorted picture: F = K_right⁻ᵀ·[t]×·R·K_left⁻¹ acts on pixels
+    without distortion. The derivatives take the distortion itself as constant over a point's noise.
+    """
+    left, right = _ideal(rig.left.undistort(left_px)), _ideal(rig.right.undistort(right_px))
+    essential = skew(rig.right_from_left.translation_m) @ rig.right_from_left.rotation
+    by_right, by_left = left @ essential.T, right @ essential
+    focal_left, focal_right = rig.left.matrix[[0, 1], [0, 1]], rig.right.matrix[[0, 1], [0, 1]]
+    slope_right, slope_left = by_right[..., :2] / focal_right, by_left[..., :2] / focal_left
+    length = np.linalg.norm(slope_right, axis=-1)
+    residual = (by_right * right).sum(axis=-1) / length
+    return residual, slope_left / length[..., None], slope_right / length[..., None]
+
+
+def check_epipolar(tracks: StereoTracks, rig: StereoRig) -> EpipolarCheck:
+    """Return the epipolar residuals of a recording, with warnings where the cameras are not what was calibrated.
+
+    Two tests, each with a chance of 10⁻⁴ to warn without cause. The pattern (mean and slopes) over all frames against
+    the covariance that the calibration and the matching give it, or against 0.1 px where the calibration has none.
+    And its course: the largest step between all frames before and all frames after an instant against the image noise,
+    which also finds a drift. A turn of the cameras about an axis across the plane of sight shifts points along the
+    epipolar lines and is not seen by either.
+    """
+    residual, by_left, by_right = epipolar_residual(rig, tracks.left.position_px, tracks.right.position_px)
+    variance = _variance(tracks.left, by_left) + _variance(tracks.right, by_right)
+    mean = _mean(residual)
+    position, other = _mean(tracks.left.position_px), _mean(tracks.right.position_px)
+    good = _good(mean, position)
+    if np.count_nonzero(good) < FEWEST_POINTS:
+        return _nothing(residual.shape, position)
+    basis = _basis(position[good])
+    change, u_course = _course(residual[:, good] - mean[good], variance[:, good], basis)
+    solver = np.linalg.pinv(basis)
+    pattern = solver @ mean[good]
+    left_over = mean[good] - basis @ pattern
+    derivative = _by_parameters(rig, position[good], other[good])
+    matching = float(left_over @ left_over) / (len(basis) - 3) * (solver @ solver.T)
+    covariance = None
+    if rig.covariance is not None:
+        covariance = solver @ derivative @ rig.covariance @ (solver @ derivative).T + matching
+    notices = [
+        _pattern_notice(pattern, covariance, _turn(rig, derivative, mean[good], (position[good], other[good]))),
+        _course_notice(change, u_course),
+    ]
+    return EpipolarCheck(
+        change + pattern,
+        u_course,
+        pattern,
+        covariance,
+        position,
+        np.where(good, mean, np.nan),
+        tuple(notice for notice in notices if notice is not None),
+    )
+
+
+def _ideal(normalised: FloatArray) -> FloatArray:
+    """Append the coordinate 1."""
+    return np.concatenate([normalised, np.ones((*normalised.shape[:-1], 1))], axis=-1)
+
+
+def _variance(tracks: Tracks, derivative: FloatArray) -> FloatArray:
+    """Return the residual's variance (F, N) by the noise of one camera."""
+    return np.asarray(np.einsum("fni,fnij,fnj->fn", derivative, tracks.covariance_px2, derivative))
+
+
+def _mean(values: FloatArray) -> FloatArray:
+    """Return the mean over the frames that are not NaN, NaN where none is."""
+    known = np.isfinite(values)
+    count = known.sum(axis=0)
+    return np.asarray(np.where(known, values, 0.0).sum(axis=0) / np.where(count > 0, count, np.nan))
+
+
+def _good(mean: FloatArray, position: FloatArray) -> BoolArray:
+    """Points (N,) that are known and no outliers among their neighbours."""
+    known = np.isfinite(mean) & np.isfinite(position).all(axis=1)
+    if np.count_nonzero(known) < FEWEST_POINTS:
+        return known
+    basis = np.zeros((len(mean), 3))
+    basis[known] = _basis(position[known])
+    good = known
+    for _ in range(3):
+        fit = basis @ np.linalg.pinv(basis[good]) @ mean[good]
+        away = np.abs(mean - fit)
+        good = known & (away <= OUTLIER * 1.4826 * np.median(away[good]) + 1e-12)
+    return good
+
+
+def _basis(position: FloatArray) -> FloatArray:
+    """Return constant, x and y (N, 3), uncorrelated and of rms 1 over the points; a direction of no extent is zero."""
+    columns = np.column_stack([np.ones(len(position)), position])
+    for place in (1, 2):
+        before = columns[:, :place]
+        columns[:, place] -= before @ (np.linalg.pinv(before) @ columns[:, place])
+        rms = np.sqrt(np.mean(columns[:, place] ** 2))
+        columns[:, place] = columns[:, place] / rms if rms > 1e-6 else 0.0
+    return columns
+
+
+def _course(residual: FloatArray, variance: FloatArray, basis: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the coefficients (F, 3) of every frame's residuals and their standard uncertainties (F, 3)."""
+    known = np.isfinite(residual) & np.isfinite(variance)
+    weight = known.astype(np.float64)
+    normal = np.einsum("fn,na,nb->fab", weight, basis, basis)
+    solver = np.linalg.pinv(normal, hermitian=True) @ (weight[:, None, :] * basis.T)
+    value = np.einsum("fan,fn->fa", solver, np.where(known, residual, 0.0))
+    u = np.sqrt(np.einsum("fan,fn->fa", solver**2, np.where(known, variance, 0.0)))
+    enough = (known.sum(axis=1) >= FEWEST_POINTS)[:, None]
+    return np.where(enough, value, np.nan), np.where(enough, u, np.nan)
+
+
+def _by_parameters(rig: StereoRig, left_px: FloatArray, right_px: FloatArray) -> FloatArray:
+    """Return the derivatives (N, 24) of the residuals by the rig's parameters, by central differences."""
+    sizes = np.array([1.0, 1.0, 1.0, 1.0, *[1e-3] * 5] * 2 + [1e-4] * 3 + [1e-4] * 3)
+    if rig.covariance is not None:
+        sigma = np.sqrt(np.diagonal(rig.covariance))
+        sizes = np.where(sigma > 0.0, sigma, sizes)
+    columns = []
+    for step in np.diag(_STEP * sizes):
+        ahead, back = (epipolar_residual(rig.perturbed(sign * step), left_px, right_px)[0] for sign in (1, -1))
+        columns.append((ahead - back) / (2.0 * step.max()))
+    return np.stack(columns, axis=1)
+
+
+@dataclass(frozen=True)
+class _Turn:
+    """The least turn of the right camera that explains a pattern: about x and the optical axis, and what it does."""
+
+    about_x_rad: float
+    about_z_rad: float
+    left_over_px: float
+    displaced_m: float
+
+
+def _turn(
+    rig: StereoRig, derivative: FloatArray, residual: FloatArray, matches: tuple[FloatArray, FloatArray]
+) -> _Turn:
+    """Return the least turn of the right camera by which the points would lie on their epipolar lines."""
+    axes = [RIG_PARAMETERS.index("rotation.x"), RIG_PARAMETERS.index("rotation.z")]
+    found, *_ = np.linalg.lstsq(derivative[:, axes], -residual, rcond=None)
+    left_over = residual + derivative[:, axes] @ found
+    change = np.zeros(len(RIG_PARAMETERS))
+    change[axes] = found
+    pairs = matches[0][None], matches[1][None]
+    moved = triangulate(rig.perturbed(change), *pairs).position_m - triangulate(rig, *pairs).position_m
+    displaced = float(np.sqrt(np.nanmean(np.sum(moved**2, axis=-1))))
+    return _Turn(float(found[0]), float(found[1]), float(np.sqrt(np.mean(left_over**2))), displaced)
+
+
+def _pattern_notice(pattern: FloatArray, covariance: FloatArray | None, turn: _Turn) -> Notice | None:
+    """A warning where the pattern over the recording is more than calibration and matching explain."""
+    from scipy.stats import chi2
+
+    size = float(np.linalg.norm(pattern))
+    if covariance is None:
+        if size <= UNCALIBRATED_PX:
+            return None
+        explained = f"a calibration without uncertainties is trusted within {UNCALIBRATED_PX} px"
+    else:
+        square = float(pattern @ np.linalg.pinv(covariance, hermitian=True) @ pattern)
+        if size <= REMARKABLE_PX or square <= chi2.isf(RARE, 3):
+            return None
+        explained = f"the calibration explains {COVERAGE * np.sqrt(np.trace(covariance)):.3f} px (k = 2)"
+    text = f"the cameras no longer are what was calibrated: the epipolar residual is {size:.3f} px, {explained}"
+    if turn.left_over_px < 0.3 * size:
+        text += (
+            f"; as if the right camera were turned by {_mrad(turn.about_x_rad)} mrad about its x axis and "
+            f"{_mrad(turn.about_z_rad)} mrad about its optical axis, which places the points at least "
+            f"{1e3 * turn.displaced_m:.3f} mm off"
+        )
+    return Notice("warning", f"{text}; calibrate again", _WHERE)
+
+
+def _mrad(angle_rad: float) -> str:
+    """The angle in mrad with two decimals and no negative zero."""
+    return f"{round(1e3 * angle_rad, 2) + 0.0:.2f}"
+
+
+def _course_notice(change: FloatArray, u: FloatArray) -> Notice | None:
+    """A warning where the pattern changes within the recording by more than its noise."""
+    from scipy.stats import chi2
+
+    frames = np.flatnonzero(np.isfinite(change).all(axis=1))
+    if len(frames) < FEWEST_FRAMES:
+        return None
+    values, weight = change[frames], 1.0 / (_excess(change[frames], u[frames]) * u[frames]) ** 2
+    split, step, square = _largest_step(values, weight)
+    size = float(np.linalg.norm(step))
+    if size <= MOVED_PX or square <= chi2.isf(RARE / len(frames), 3):
+        return None
+    drift, drift_px = _line_left_over(values, weight)
+    if drift < _step_left_over(values, weight, split):
+        text = (
+            f"a camera drifts during the recording: the epipolar residual changes by {drift_px:.3f} px from the first"
+        )
+        return Notice("warning", f"{text} to the last frame", _WHERE)
+    text = f"a camera moved during the recording, before frame {frames[split]} (counted from 0): the epipolar residual"
+    return Notice("warning", f"{text} changes by {size:.3f} px there", _WHERE)
+
+
+def _excess(values: FloatArray, u: FloatArray) -> float:
+    """Factor, at least 1, by which neighbouring frames differ more than their noise lets expect."""
+    difference = np.abs(np.diff(values, axis=0)) / np.sqrt(u[1:] ** 2 + u[:-1] ** 2)
+    return max(1.0, 1.4826 * float(np.median(difference)))
+
+
+def _largest_step(values: FloatArray, weight: FloatArray) -> tuple[int, FloatArray, float]:
+    """Return the first frame after the most significant step, the step (3,), and its square in standard uncertainties.
+
+    Both sides have at least two frames.
+    """
+    sums, totals = np.cumsum(weight * values, axis=0), np.cumsum(weight, axis=0)
+    before, after = totals[1:-2], totals[-1] - totals[1:-2]
+    steps = (sums[-1] - sums[1:-2]) / after - sums[1:-2] / before
+    squares = (steps**2 / (1.0 / before + 1.0 / after)).sum(axis=1)
+    place = int(np.argmax(squares))
+    return place + 2, steps[place], float(squares[place])
+
+
+def _step_left_over(values: FloatArray, weight: FloatArray, split: int) -> float:
+    """Weighted sum of squares that a step leaves."""
+    return sum(
+        float((weight[part] * (values[part] - np.average(values[part], axis=0, weights=weight[part])) ** 2).sum())
+        for part in (slice(None, split), slice(split, None))
+    )
+
+
+def _line_left_over(values: FloatArray, weight: FloatArray) -> tuple[float, float]:
+    """Weighted sum of squares that a straight line over the frames leaves, and its change over them in px."""
+    time = np.linspace(-0.5, 0.5, len(values))[:, None]
+    centred = time - np.average(time * np.ones(3), axis=0, weights=weight)
+    offset = np.average(values, axis=0, weights=weight)
+    slope = (weight * centred * values).sum(axis=0) / (weight * centred**2).sum(axis=0)
+    left_over = values - offset - slope * centred
+    return float((weight * left_over**2).sum()), float(np.linalg.norm(slope))
+
+
+def _nothing(shape: tuple[int, ...], position: FloatArray) -> EpipolarCheck:
+    """The check of a recording with too few points."""
+    course = np.full((shape[0], 3), np.nan)
+    return EpipolarCheck(course, course, np.full(3, np.nan), None, position, np.full(shape[1], np.nan), ())
