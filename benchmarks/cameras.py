@@ -1,0 +1,191 @@
+"""Calibration of random stereo pairs from rendered pictures of targets, against their truth; and the real dot grid.
+
+Usage: python benchmarks/cameras.py [--target NAME] [--rigs 50] [--first 0]
+
+For every target, `--rigs` random stereo pairs (field of view 16 to 50 deg, axes at 10 to 35 deg, distortion) look at
+12 random poses of it; the pictures, 800 x 640 px, 12 bit with shot and read noise, go through detection and bundle
+adjustment as those of a user. Printed: the errors of the points found, and the errors of the 24 parameters over their
+standard uncertainties. Some 15 s per pair on one core. Then the 14 real pairs of a dot grid, where SHAKERCAL_DATA (by
+default `../shared/data` beside the repository) has them, beside OpenCV's own calibration from the same points.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from photogram.calibrate.adjust import parameters_of
+from photogram.calibrate.model import see
+from photogram.calibrate.result import Calibration
+from photogram.calibrate.session import calibrate_pair
+from photogram.camera import Camera
+from photogram.images import read_picture
+from photogram.rigid import RigidTransform, vector_from_rotation
+from photogram.synthetic.board import Board, render_board
+from photogram.synthetic.board_session import random_poses, random_rig
+from photogram.synthetic.noise import ImageSensor
+from photogram.target.find import find_target
+from photogram.target.view import Target, TargetNotFound, TargetView
+
+FloatArray = NDArray[np.float64]
+ROOT = Path(__file__).resolve().parent.parent
+SIZE_PX = np.array([800, 640])
+VIEWS = 12
+FIELD_M = 0.15
+BOARDS = {
+    "chessboard": Board(Target("chessboard", 9e-3, (9, 7))),
+    "charuco": Board(Target("charuco", 9e-3, (11, 8), "DICT_4X4_100")),
+    "dots": Board(Target("dots", 8e-3, (11, 8))),
+    "ring-dots": Board(Target("dots", 8e-3), rings=(5, 3)),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """One random pair: normalised errors of its parameters (24,), errors of all points (N, 2), failed pictures."""
+
+    normalised: FloatArray
+    point_error_px: FloatArray
+    failed: tuple[str, ...]
+    calibration: Calibration
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--target", choices=tuple(BOARDS), help="one of the targets (default: all, then the real one)")
+    parser.add_argument("--rigs", type=int, default=50)
+    parser.add_argument("--first", type=int, default=0, help="seed of the first pair")
+    options = parser.parse_args()
+    for name in [options.target] if options.target else list(BOARDS):
+        outcomes = []
+        for seed in range(options.first, options.first + options.rigs):
+            outcomes.append(simulated(BOARDS[name], seed))
+            worst = np.abs(outcomes[-1].normalised).max()
+            print(f"  {name} {seed}: largest {worst:.2f}, {len(outcomes[-1].failed)} failed", flush=True)
+        report(name, outcomes)
+    if not options.target:
+        real_dot_grid()
+
+
+def simulated(board: Board, seed: int) -> Outcome:
+    """Render one session, calibrate from it, and compare with the truth."""
+    rng = np.random.default_rng(seed)
+    rig = random_rig(rng, SIZE_PX, FIELD_M)
+    poses = random_poses(rng, rig, board, VIEWS)
+    pairs, errors, failed = [], [], []
+    for number, pose in enumerate(poses):
+        sides: list[TargetView | None] = []
+        for side, (camera, relative) in enumerate(
+            ((rig.left, RigidTransform.identity()), (rig.right, rig.right_from_left))
+        ):
+            blur = float(rng.uniform(0.6, 1.2))
+            picture = ImageSensor().digitise(render_board(camera, relative @ pose, board, blur, slant=0.2), rng)
+            try:
+                view = find_target(picture, board.target, f"{'LR'[side]}{number}", ImageSensor().full_scale)
+            except TargetNotFound as error:
+                failed.append(str(error))
+                sides.append(None)
+                continue
+            sides.append(view)
+            errors.append(view.position_px - true_pixels(board, view, camera, relative, pose))
+        pairs.append((sides[0], sides[1]))
+    calibration = calibrate_pair(pairs, board.target)
+    found = calibration.rig
+    error = parameters_of(found) - parameters_of(rig)
+    error[18:21] = vector_from_rotation(found.right_from_left.rotation @ rig.right_from_left.rotation.T)
+    assert found.covariance is not None
+    return Outcome(error / np.sqrt(np.diagonal(found.covariance)), np.concatenate(errors), tuple(failed), calibration)
+
+
+def true_pixels(
+    board: Board, view: TargetView, camera: Camera, relative: RigidTransform, pose: RigidTransform
+) -> FloatArray:
+    """Return where the points (N, 2) of a view truly are."""
+    points = np.column_stack([view.index * board.target.spacing_m, np.zeros(len(view.index))])
+    radius = board.radius * board.target.spacing_m if view.radius > 0 else 0.0
+    return see(camera, relative, pose, points, radius).pixel
+
+
+def report(name: str, outcomes: list[Outcome]) -> None:
+    """Print one row of the table."""
+    normalised = np.array([outcome.normalised for outcome in outcomes])
+    errors = np.concatenate([outcome.point_error_px for outcome in outcomes])
+    bias = np.abs([outcome.point_error_px.mean(axis=0) for outcome in outcomes]).max()
+    within = np.abs(normalised)
+    factor = np.array([outcome.calibration.sigma_factor for outcome in outcomes])
+    scatter, mean = np.sqrt((errors**2).mean()), np.abs(errors.mean(axis=0)).max()
+    print(
+        f"| {name} | {len(outcomes)} | {len(errors)} | {scatter:.4f} | {mean:.4f} | {bias:.4f} "
+        f" | {np.median(factor):.3f} | {np.sqrt((normalised**2).mean()):.3f} | {within.max():.2f} "
+        f"| {100 * (within > 3).mean():.2f} % | {sum(len(outcome.failed) for outcome in outcomes)} |",
+        flush=True,
+    )
+    for outcome in outcomes:
+        for text in outcome.failed:
+            print(f"    failed: {text}")
+
+
+def real_dot_grid() -> None:
+    """Calibrate from the 14 real pairs, and by OpenCV from the same points."""
+    folder = Path(os.environ.get("SHAKERCAL_DATA", ROOT.parent / "shared" / "data")) / "dotgrid_stereo"
+    if not folder.is_dir():
+        print(f"{folder}: not there, skipped")
+        return
+    started, busy = time.perf_counter(), time.process_time()
+    target = Target("dots", 3.5e-3)
+    paths = [sorted(folder.glob(f"*_{side}.jpeg")) for side in (0, 1)]
+    with ThreadPoolExecutor(2) as workers:
+        views = [list(workers.map(lambda path: find_target(*_picture(path, target)), side)) for side in paths]
+    found = time.perf_counter() - started
+    pairs = list(zip(*views, strict=True))
+    for shape in ("flat", "auto"):
+        calibration = calibrate_pair(pairs, target, shape)
+        rig, focal = calibration.rig, [*calibration.rig.left.parameters[:2], *calibration.rig.right.parameters[:2]]
+        facts = f"{calibration.rms_px:.3f} | {_facts(rig.right_from_left, focal)}"
+        print(f"| this program, {shape} | {len(calibration.views)} | {facts} |")
+    wall, cpu = time.perf_counter() - started, time.process_time() - busy
+    print(f"points {found:.1f} s, all {wall:.1f} s wall, {cpu:.1f} s of CPU")
+    opencv_row(pairs, target)
+
+
+def _picture(path: Path, target: Target) -> tuple[NDArray[np.uint8], Target, str, int]:
+    image, full_scale = read_picture(path)
+    return image, target, path.name, full_scale
+
+
+def _facts(base: RigidTransform, focal_px: Sequence[float]) -> str:
+    angle, told = np.degrees(np.arccos(base.rotation[2, 2])), ", ".join(f"{value:.0f}" for value in focal_px)
+    return f"{1e3 * np.linalg.norm(base.translation_m):.2f} | {angle:.2f} | {told}"
+
+
+def opencv_row(pairs: list[tuple[TargetView, TargetView]], target: Target) -> None:
+    """Print what cv2.calibrateCamera and cv2.stereoCalibrate make of the same points."""
+    objects, pixels = [], [[], []]
+    for left, right in pairs:
+        common = {tuple(index) for index in left.index} & {tuple(index) for index in right.index}
+        order = sorted(common)
+        objects.append(np.array([(*index, 0) for index in order], np.float32) * np.float32(target.spacing_m))
+        for side, view in enumerate((left, right)):
+            place = {tuple(index): point for index, point in zip(view.index, view.position_px, strict=True)}
+            pixels[side].append(np.array([place[index] for index in order], np.float32))
+    size = tuple(int(n) for n in pairs[0][0].size_px)
+    single = [cv2.calibrateCamera(objects, side, size, None, None)[1:3] for side in pixels]
+    (k1, d1), (k2, d2) = single
+    found = cv2.stereoCalibrate(objects, *pixels, k1, d1, k2, d2, size, flags=cv2.CALIB_USE_INTRINSIC_GUESS)
+    rms, k1, _, k2, _, rotation, translation = found[:7]
+    focal = [k1[0, 0], k1[1, 1], k2[0, 0], k2[1, 1]]
+    base = RigidTransform(np.array(rotation, float), np.array(translation, float).ravel())
+    print(f"| OpenCV stereoCalibrate | {len(pairs)} | {rms:.3f} | {_facts(base, focal)} |")
+
+
+if __name__ == "__main__":
+    main()
