@@ -23,6 +23,8 @@ SIDES: tuple[Side, Side] = ("left", "right")
 ROTATION, TRANSLATION = slice(18, 21), slice(21, 24)
 """Places of the pair's rotation and translation among its parameters."""
 STEP = 1e-3  # of a parameter's uncertainty, by which it is moved for a derivative
+CELLS_ACROSS = 16  # of a picture, in which residuals are averaged
+NEIGHBOURS = 3  # points along a row and rows whose residuals are compared in one picture
 LENGTH_SHARE = 0.1  # length whose uncertainty is stated, as a share of the working distance
 
 
@@ -67,6 +69,22 @@ class TargetShape:
     lattice_m: FloatArray
     inside_m: FloatArray
     height_m: FloatArray
+
+
+@dataclass(frozen=True)
+class ResidualParts:
+    """Rms lengths of what residuals of one camera have in common, chance taken off; the parts overlap.
+
+    `place_px`: at the same place in the picture; `point_px`, `point_m`: at the same point of the target, seen in its
+    plane; `smooth_px`: among neighbours in one picture; `alone_px`: what neighbours do not share.
+    """
+
+    whole_px: float
+    place_px: float
+    point_px: float
+    point_m: float
+    smooth_px: float
+    alone_px: float
 
 
 def covariance_of(rig: StereoRig) -> FloatArray:
@@ -191,16 +209,28 @@ def used_points(calibration: Calibration, side: Side) -> tuple[FloatArray, Float
 
 def residual_map(position_px: FloatArray, residual_px: FloatArray, side_px: float) -> ResidualMap:
     """Means of residuals (M, 2) at positions (M, 2) in square cells of a side."""
-    cells, member = np.unique(np.floor((position_px + 0.5) / side_px), axis=0, return_inverse=True)
-    member = member.reshape(-1)
-    count = np.bincount(member, minlength=len(cells))
-    sums = [np.bincount(member, weights=residual_px[:, axis], minlength=len(cells)) for axis in (0, 1)]
-    mean = np.stack(sums, axis=1) / count[:, None]
-    free = max(len(position_px) - len(cells), 1)
-    within = float(np.sum((residual_px - mean[member]) ** 2)) / free
-    between = float(count @ (mean**2).sum(axis=1)) / max(len(position_px), 1)
-    systematic = between - within * len(cells) / max(len(position_px), 1)
-    return ResidualMap(side_px, (cells + 0.5) * side_px - 0.5, mean, count, _root(within), _root(systematic))
+    cells, member = _groups(np.floor((position_px + 0.5) / side_px))
+    mean, count, scatter = _one_way(residual_px, member)
+    return ResidualMap(side_px, (cells + 0.5) * side_px - 0.5, mean, count, *scatter)
+
+
+def cell_px(calibration: Calibration, side: Side) -> float:
+    """Side of the square cells of one camera's picture in which residuals are averaged."""
+    return float(_camera(calibration.rig, side)[0].size_px[0]) / CELLS_ACROSS
+
+
+def residual_parts(calibration: Calibration, side: Side) -> ResidualParts:
+    """What the residuals of one camera have in common."""
+    position, residual, view = used_points(calibration, side)
+    index = np.concatenate([p.index[p.used] for p in pictures(calibration, side) if p is not None])
+    on_target = _onto_target(calibration, side, index, residual, view)
+    _, _, (_, place) = _one_way(residual, _groups(np.floor((position + 0.5) / cell_px(calibration, side)))[1])
+    _, _, (_, print_m) = _one_way(on_target, _groups(index)[1])
+    around = _groups(np.column_stack([view, index // NEIGHBOURS]))[1]
+    _, _, (alone, smooth) = _one_way(residual, around)
+    whole = _root((residual**2).sum(axis=1).mean())
+    scale = whole / _root((on_target**2).sum(axis=1).mean())
+    return ResidualParts(whole, place, print_m * scale, print_m, smooth, alone)
 
 
 def target_shape(calibration: Calibration) -> TargetShape | None:
@@ -235,6 +265,41 @@ def _camera(rig: StereoRig, side: Side) -> tuple[Camera, FloatArray]:
     """One camera and the covariance (9, 9) of its parameters."""
     own = slice(0, 9) if side == "left" else slice(9, 18)
     return (rig.left if side == "left" else rig.right), covariance_of(rig)[own, own]
+
+
+def _onto_target(
+    calibration: Calibration, side: Side, index: IntArray, residual_px: FloatArray, view: IntArray
+) -> FloatArray:
+    """Residuals (M, 2) of points (M, 2) of the lattice in the target's plane, in m, views (M,)."""
+    spacing = calibration.target.spacing_m
+    step = 1e-3 * spacing * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    lattice = spacing * np.column_stack([index, np.zeros(len(index))])
+    found = np.empty_like(residual_px)
+    for number in np.unique(view):
+        mine = view == number
+        places = calibration.views[number].left_from_target.apply(lattice[mine, None] + step)
+        pixel = calibration.rig.project(places)[SIDES.index(side)]
+        jacobian = np.swapaxes(pixel[:, 1:] - pixel[:, :1], 1, 2) / (1e-3 * spacing)
+        found[mine] = np.linalg.solve(jacobian, residual_px[mine, :, None])[..., 0]
+    return found
+
+
+def _groups(key: FloatArray | IntArray) -> tuple[FloatArray, IntArray]:
+    """The different rows (K, C) of a key (M, C), and which of them each row is (M,)."""
+    rows, member = np.unique(np.asarray(key, dtype=np.float64), axis=0, return_inverse=True)
+    return rows, np.asarray(member.reshape(-1), dtype=np.int64)
+
+
+def _one_way(vector: FloatArray, member: IntArray) -> tuple[FloatArray, IntArray, tuple[float, float]]:
+    """Means (K, 2) and sizes (K,) of groups of vectors (M, 2), and the rms lengths within and between the groups.
+
+    Analysis of variance with random effects: the mean square between groups minus that which chance gives it.
+    """
+    count = np.bincount(member)
+    mean = np.stack([np.bincount(member, weights=vector[:, axis]) for axis in (0, 1)], axis=1) / count[:, None]
+    within = float(np.sum((vector - mean[member]) ** 2)) / max(len(vector) - len(count), 1)
+    between = float(count @ (mean**2).sum(axis=1)) / len(vector)
+    return mean, count, (_root(within), _root(between - within * len(count) / len(vector)))
 
 
 def _propagated(function: Callable[[FloatArray], FloatArray], covariance: FloatArray) -> FloatArray:

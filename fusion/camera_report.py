@@ -31,6 +31,7 @@ def _context(calibration: Calibration, name: str, provenance: Provenance, durati
         "pictures": draw_cameras(calibration),
         "views": tables.views_table(calibration),
         "dropped": tables.dropped_table(calibration),
+        "residuals": tables.residuals_table(calibration),
         "parameters": tables.parameters_table(calibration),
         "correlations": tables.correlations_table(calibration),
         "lengths": tables.lengths_table(calibration),

@@ -16,6 +16,7 @@ from fusion.camera_facts import (
     distance_m,
     length_u,
     pictures,
+    residual_parts,
     target_middles_m,
     tilts_rad,
     turns_rad,
@@ -133,6 +134,18 @@ def correlations_table(calibration: Calibration) -> Table:
         for n in order
     )
     return Table("Strongest correlations", ("parameter", "with", "coefficient"), "llr", rows)
+
+
+def residuals_table(calibration: Calibration) -> Table:
+    """What the residuals have in common."""
+    rows = []
+    for side in SIDES:
+        parts = residual_parts(calibration, side)
+        lengths = (parts.whole_px, parts.place_px, parts.point_px, parts.smooth_px, parts.alone_px)
+        rows.append((side, *(f"{length:.3f}" for length in lengths), f"{1e6 * parts.point_m:.1f}"))
+    shared = ("same place in the picture", "same point of the target", "neighbours in one picture", "each point alone")
+    head = ("camera", "all", *shared, "same point of the target / µm")
+    return Table("What the residuals have in common, rms length / px", head, "lrrrrrr", tuple(rows))
 
 
 def lengths_table(calibration: Calibration) -> Table:

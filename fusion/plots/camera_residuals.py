@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from fusion.camera_facts import SIDES, FloatArray, Side, pictures, residual_map, used_points
+from fusion.camera_facts import SIDES, FloatArray, Side, cell_px, pictures, residual_map, used_points
 from fusion.plots.camera_panels import KEY_IN, arrows, picture_panels, two_digits
 from fusion.plots.style import (
     BLACK,
@@ -26,7 +26,6 @@ from fusion.plots.style import (
 )
 from photogram.calibrate.result import Calibration
 
-CELLS_ACROSS = 16  # of a picture, in which residuals are averaged
 MEAN_QUANTILE = 1.731
 """Length of a mean of noise, in units of its rms length, that one in twenty exceeds: √(−ln 0.05)."""
 LONGEST_SHARE = 0.04  # of the picture's width, of the longest arrow
@@ -41,7 +40,7 @@ def draw_residuals(calibration: Calibration, side: Side) -> Picture:
     """All residuals of one camera, and their means in cells, which show what the model does not describe."""
     size = (calibration.rig.left if side == "left" else calibration.rig.right).size_px
     position, residual, _ = used_points(calibration, side)
-    cells = residual_map(position, residual, float(size[0]) / CELLS_ACROSS)
+    cells = residual_map(position, residual, cell_px(calibration, side))
     with drawing(f"residuals-{side}"):
         figure, panels = picture_panels(2, size, KEY_IN)
         arrows(panels[0], position, residual, LONGEST_SHARE * float(size[0]), SIDE_COLOUR[side], "px")

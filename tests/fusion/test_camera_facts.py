@@ -7,10 +7,10 @@ import dataclasses
 import cv2
 import numpy as np
 import pytest
-from calibration_factory import SIZE_PX, Session, make_calibration
+from calibration_factory import SIZE_PX, SPACING_M, Session, make_calibration
 
 from fusion import camera_facts as facts
-from photogram.calibrate.result import Calibration
+from photogram.calibrate.result import CalibratedPicture, CalibratedView, Calibration
 from photogram.camera import StereoRig
 from photogram.rigid import RigidTransform, rotation_from_vector
 
@@ -114,6 +114,41 @@ def test_systematic_part_of_residuals_is_told_from_noise() -> None:
     assert wavy.within_px == pytest.approx(0.2 * np.sqrt(2), rel=0.02)
     assert wavy.count.sum() == len(position)
     assert (np.abs(position[:, None] - wavy.centre_px).max(axis=2).min(axis=1) <= 50.0).all()
+
+
+def test_errors_of_the_print_are_told_from_those_of_the_lens(calibration: Calibration) -> None:
+    rng = np.random.default_rng(4)
+    shift = dict(zip(map(tuple, calibration.shape_index), rng.normal(0.0, 10e-6, (567, 2)), strict=True))
+
+    def moved(view: CalibratedView, side: int, picture: CalibratedPicture | None) -> CalibratedPicture | None:
+        if picture is None:
+            return None
+        flat = np.zeros((2, len(picture.index), 3))
+        flat[:, :, :2] = SPACING_M * picture.index
+        flat[1, :, :2] += [shift[tuple(index)] for index in picture.index]
+        true, wrong = calibration.rig.project(view.left_from_target.apply(flat))[side]
+        return dataclasses.replace(picture, residual_px=wrong - true + rng.normal(0.0, 0.02, true.shape))
+
+    views = tuple(
+        dataclasses.replace(view, left=moved(view, 0, view.left), right=moved(view, 1, view.right))
+        for view in calibration.views
+    )
+    for side in facts.SIDES:
+        found = facts.residual_parts(dataclasses.replace(calibration, views=views), side)
+        assert found.point_m == pytest.approx(10e-6 * np.sqrt(2), rel=0.06)
+        assert found.whole_px == pytest.approx(np.hypot(found.point_px, 0.02 * np.sqrt(2)), rel=0.02)
+        assert found.place_px < 0.2 * found.point_px
+        assert found.smooth_px < 0.2 * found.point_px
+
+
+def test_residuals_of_a_lens_that_the_model_does_not_follow(calibration: Calibration) -> None:
+    plain = make_calibration(Session(unmodelled_px=0.0))
+    for side in facts.SIDES:
+        wavy, noise = facts.residual_parts(calibration, side), facts.residual_parts(plain, side)
+        assert noise.alone_px == pytest.approx(0.12 * np.sqrt(2), rel=0.03)
+        assert max(noise.place_px, noise.point_px, noise.smooth_px) < 0.02
+        assert 0.06 < wavy.place_px <= wavy.smooth_px < 0.15
+        assert wavy.point_px < 0.02
 
 
 def test_tilt_has_angle_and_direction(calibration: Calibration) -> None:
