@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from photogram._checks import BoolArray, FloatArray, check_shape
-from photogram.camera import RIG_PARAMETERS, StereoRig
+from photogram.camera import StereoRig
 from photogram.follow import Tracks
 from photogram.notice import Notice
-from photogram.rigid import skew
+from photogram.rigid import RigidTransform, rotation_from_vector, skew
 from photogram.track import StereoTracks
 from photogram.triangulate import triangulate
 
@@ -23,6 +23,8 @@ RARE = 1e-4  # probability of a warning on a pair that is what was calibrated, f
 OUTLIER = 5.0  # robust standard deviations beyond which a point says nothing about the cameras
 COVERAGE = 2.0
 _STEP = 1e-3  # of a standard uncertainty, for derivatives by the parameters
+_TURN_RAD = 1e-5  # step of the derivatives by a turn
+_TURN_EXPLAINS = 0.3  # share of the residuals that a turn may leave and still count as their cause
 _WHERE = "epipolar residual"
 
 
@@ -98,14 +100,16 @@ def check_epipolar(tracks: StereoTracks, rig: StereoRig) -> EpipolarCheck:
     change, u_course = _course(residual[:, good] - mean[good], variance[:, good], basis)
     solver = np.linalg.pinv(basis)
     pattern = solver @ mean[good]
-    left_over = mean[good] - basis @ pattern
-    derivative = _by_parameters(rig, position[good], other[good])
-    matching = float(left_over @ left_over) / (len(basis) - 3) * (solver @ solver.T)
+    matches = position[good], other[good]
     covariance = None
     if rig.covariance is not None:
-        covariance = solver @ derivative @ rig.covariance @ (solver @ derivative).T + matching
+        left_over = mean[good] - basis @ pattern
+        matching = float(left_over @ left_over) / (len(basis) - 3) * (solver @ solver.T)
+        derivative = solver @ _by_parameters(rig, rig.covariance, matches)
+        covariance = derivative @ rig.covariance @ derivative.T + matching
+    excess = _unexplained(pattern, covariance)
     notices = [
-        _pattern_notice(pattern, covariance, _turn(rig, derivative, mean[good], (position[good], other[good]))),
+        None if excess is None else Notice("warning", excess + _turn_text(rig, matches) + "; calibrate again", _WHERE),
         _course_notice(change, u_course),
     ]
     return EpipolarCheck(
@@ -174,46 +178,47 @@ def _course(residual: FloatArray, variance: FloatArray, basis: FloatArray) -> tu
     return np.where(enough, value, np.nan), np.where(enough, u, np.nan)
 
 
-def _by_parameters(rig: StereoRig, left_px: FloatArray, right_px: FloatArray) -> FloatArray:
-    """Return the derivatives (N, 24) of the residuals by the rig's parameters, by central differences."""
-    sizes = np.array([1.0, 1.0, 1.0, 1.0, *[1e-3] * 5] * 2 + [1e-4] * 3 + [1e-4] * 3)
-    if rig.covariance is not None:
-        sigma = np.sqrt(np.diagonal(rig.covariance))
-        sizes = np.where(sigma > 0.0, sigma, sizes)
-    columns = []
-    for step in np.diag(_STEP * sizes):
-        ahead, back = (epipolar_residual(rig.perturbed(sign * step), left_px, right_px)[0] for sign in (1, -1))
-        columns.append((ahead - back) / (2.0 * step.max()))
-    return np.stack(columns, axis=1)
+def _by_parameters(rig: StereoRig, covariance: FloatArray, matches: tuple[FloatArray, FloatArray]) -> FloatArray:
+    """Return the derivatives (N, 24) of the residuals by the rig's parameters, zero for those without uncertainty."""
+    derivative = np.zeros((len(matches[0]), len(covariance)))
+    for place, step in enumerate(_STEP * np.sqrt(np.diagonal(covariance))):
+        if step > 0.0:
+            moved = (rig.perturbed(sign * step * np.eye(len(covariance))[place]) for sign in (1.0, -1.0))
+            ahead, back = (epipolar_residual(each, *matches)[0] for each in moved)
+            derivative[:, place] = (ahead - back) / (2.0 * step)
+    return derivative
 
 
-@dataclass(frozen=True)
-class _Turn:
-    """The least turn of the right camera that explains a pattern: about x and the optical axis, and what it does."""
+def _turn_text(rig: StereoRig, matches: tuple[FloatArray, FloatArray]) -> str:
+    """Say which turn of the right camera about its centre puts the points on their epipolar lines, if one does.
 
-    about_x_rad: float
-    about_z_rad: float
-    left_over_px: float
-    displaced_m: float
-
-
-def _turn(
-    rig: StereoRig, derivative: FloatArray, residual: FloatArray, matches: tuple[FloatArray, FloatArray]
-) -> _Turn:
-    """Return the least turn of the right camera by which the points would lie on their epipolar lines."""
-    axes = [RIG_PARAMETERS.index("rotation.x"), RIG_PARAMETERS.index("rotation.z")]
-    found, *_ = np.linalg.lstsq(derivative[:, axes], -residual, rcond=None)
-    left_over = residual + derivative[:, axes] @ found
-    change = np.zeros(len(RIG_PARAMETERS))
-    change[axes] = found
+    Of the turns that do, it is the one without a part across the plane of sight, which no residual shows.
+    """
+    residual, *_ = epipolar_residual(rig, *matches)
+    steps = _TURN_RAD * np.eye(3)[[0, 2]]
+    change = [epipolar_residual(_turned(rig, step), *matches)[0] - residual for step in steps]
+    derivative = np.stack(change, axis=1) / _TURN_RAD
+    found, *_ = np.linalg.lstsq(derivative, -residual, rcond=None)
+    if np.linalg.norm(residual + derivative @ found) > _TURN_EXPLAINS * np.linalg.norm(residual):
+        return ""
+    turned = _turned(rig, np.array([found[0], 0.0, found[1]]))
     pairs = matches[0][None], matches[1][None]
-    moved = triangulate(rig.perturbed(change), *pairs).position_m - triangulate(rig, *pairs).position_m
+    moved = triangulate(turned, *pairs).position_m - triangulate(rig, *pairs).position_m
     displaced = float(np.sqrt(np.nanmean(np.sum(moved**2, axis=-1))))
-    return _Turn(float(found[0]), float(found[1]), float(np.sqrt(np.mean(left_over**2))), displaced)
+    return (
+        f"; as if the right camera were turned by {_mrad(found[0])} mrad about its x axis and {_mrad(found[1])} mrad "
+        f"about its optical axis, which places the points at least {1e3 * displaced:.3f} mm off"
+    )
 
 
-def _pattern_notice(pattern: FloatArray, covariance: FloatArray | None, turn: _Turn) -> Notice | None:
-    """A warning where the pattern over the recording is more than calibration and matching explain."""
+def _turned(rig: StereoRig, vector_rad: FloatArray) -> StereoRig:
+    """Return the rig after a turn of the right camera about its centre, by a rotation vector (3,) in its own frame."""
+    turn = RigidTransform(rotation_from_vector(vector_rad), np.zeros(3))
+    return replace(rig, right_from_left=turn @ rig.right_from_left)
+
+
+def _unexplained(pattern: FloatArray, covariance: FloatArray | None) -> str | None:
+    """Return what is wrong where the pattern over the recording is more than calibration and matching explain."""
     from scipy.stats import chi2
 
     size = float(np.linalg.norm(pattern))
@@ -226,14 +231,7 @@ def _pattern_notice(pattern: FloatArray, covariance: FloatArray | None, turn: _T
         if size <= REMARKABLE_PX or square <= chi2.isf(RARE, 3):
             return None
         explained = f"the calibration explains {COVERAGE * np.sqrt(np.trace(covariance)):.3f} px (k = 2)"
-    text = f"the cameras no longer are what was calibrated: the epipolar residual is {size:.3f} px, {explained}"
-    if turn.left_over_px < 0.3 * size:
-        text += (
-            f"; as if the right camera were turned by {_mrad(turn.about_x_rad)} mrad about its x axis and "
-            f"{_mrad(turn.about_z_rad)} mrad about its optical axis, which places the points at least "
-            f"{1e3 * turn.displaced_m:.3f} mm off"
-        )
-    return Notice("warning", f"{text}; calibrate again", _WHERE)
+    return f"the cameras no longer are what was calibrated: the epipolar residual is {size:.3f} px, {explained}"
 
 
 def _mrad(angle_rad: float) -> str:

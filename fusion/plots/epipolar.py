@@ -41,7 +41,7 @@ def draw_epipolar(check: EpipolarCheck, time_s: FloatArray, name: str) -> Pictur
         )
         caption = (
             "How far the points of the right picture are off the epipolar lines of their left ones. Left: mean over "
-            f"the points, frame by frame, bars: image noise, k = 2. {explained}A camera that moves shows as a step or a "
+            f"the points, frame by frame, bars: image noise, k = 2. {explained}A camera that moves makes a step or a "
             "drift. Right: mean over the frames, over the left picture."
         )
         return finish(figure, title, f"Epipolar residuals of {name}", caption)

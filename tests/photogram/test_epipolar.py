@@ -1,0 +1,222 @@
+"""Self-check of a stereo pair: residuals against OpenCV and analytic values, alarms where due and nowhere else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import pytest
+
+from photogram.camera import RIG_PARAMETERS, Camera, StereoRig
+from photogram.epipolar import MOVED_PX, EpipolarCheck, check_epipolar, epipolar_residual
+from photogram.follow import Tracks
+from photogram.rigid import RigidTransform, rotation_from_vector
+from photogram.track import StereoTracks
+
+SIZE = np.array([1280, 1024])
+NOISE_PX = 0.01
+FRAMES = 40
+
+
+def _rig(u_px: float | None = 0.03) -> StereoRig:
+    """Two cameras 0.15 m apart, converging on a point 0.8 m away; `u_px` scales the covariance, None leaves it out."""
+    matrix = np.array([[3200.0, 0, 640], [0, 3210, 512], [0, 0, 1]])
+    turn = rotation_from_vector(np.array([0.002, 0.186, -0.001]))
+    centre = np.array([0.0, 0, 0.8])
+    transform = RigidTransform(turn, centre - turn @ (centre + np.array([0.15, 0.001, 0.0])))
+    camera = Camera(matrix, np.array([-0.08, 0.05, 1e-4, -2e-4, 0.0]), SIZE)
+    if u_px is None:
+        return StereoRig(camera, camera, transform)
+    sigma = dict.fromkeys(RIG_PARAMETERS, 0.0)
+    for side in ("left", "right"):
+        sigma |= {f"{side}.fx": 20 * u_px, f"{side}.fy": 20 * u_px, f"{side}.cx": u_px, f"{side}.cy": u_px}
+    sigma |= {f"rotation.{axis}": u_px / 3200 for axis in "xyz"} | {f"translation.{axis}": 1e-5 for axis in "xyz"}
+    return StereoRig(camera, camera, transform, np.diag(np.array([sigma[name] for name in RIG_PARAMETERS]) ** 2))
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """Points (N, 3) of a plane body and its displacement (F, 3), in the left camera's frame."""
+
+    points_m: np.ndarray
+    displacement_m: np.ndarray
+
+
+def _scene(frames: int = FRAMES) -> _Scene:
+    x, y = np.meshgrid(np.linspace(-0.1, 0.1, 12), np.linspace(-0.08, 0.08, 9))
+    points = np.column_stack([x.ravel(), y.ravel(), 0.8 + 0.2 * x.ravel()])
+    phase = 2 * np.pi * 0.137 * np.arange(frames)
+    return _Scene(points, 1e-4 * np.column_stack([np.cos(phase), np.sin(phase), 0.3 * np.cos(phase)]))
+
+
+def _side(position: np.ndarray, rng: np.random.Generator, noise_px: float, registration_px: float) -> Tracks:
+    """Tracks with the noise of their own frames, of the reference (from frame 1 on) and of the match across cameras."""
+    frames, points = position.shape[:2]
+    noise = noise_px * rng.standard_normal(position.shape)
+    noise[1:] -= noise[0]
+    noise[0] = 0.0
+    offset = registration_px * rng.standard_normal((points, 2))
+    covariance = np.broadcast_to(noise_px**2 * np.eye(2), (frames, points, 2, 2)).copy()
+    return Tracks(
+        position + noise + offset,
+        covariance,
+        np.ones((frames, points)),
+        np.zeros((frames, points), dtype=np.int8),
+        np.ones(points),
+    )
+
+
+def _tracks(scene: _Scene, rigs: list[StereoRig], seed: int = 0, noise_px: float = NOISE_PX) -> StereoTracks:
+    """What both cameras see of the moving body, the rig of every frame given."""
+    rng = np.random.default_rng(seed)
+    seen = [rig.project(scene.points_m + shift) for rig, shift in zip(rigs, scene.displacement_m, strict=True)]
+    left, right = (np.array([frame[side] for frame in seen]) for side in (0, 1))
+    sides = _side(left, rng, noise_px, 0.0), _side(right, rng, noise_px, 1.5 * noise_px)
+    return StereoTracks(sides[0], sides[1], (), np.full(2, 4.0), np.full(2, 5.0), np.full(2, 0.0))
+
+
+def _turned(rig: StereoRig, axis: int, angle_rad: float) -> StereoRig:
+    """The rig with its right camera turned about one of its own axes, its centre where it was."""
+    turn = rotation_from_vector(angle_rad * np.eye(3)[axis])
+    between = rig.right_from_left
+    return replace(rig, right_from_left=RigidTransform(turn @ between.rotation, turn @ between.translation_m))
+
+
+def _text(check: EpipolarCheck) -> str:
+    assert all(notice.severity == "warning" for notice in check.notices)
+    return " | ".join(notice.text for notice in check.notices)
+
+
+def test_residual_is_the_distance_from_opencvs_epipolar_line() -> None:
+    rig, rng = _rig(), np.random.default_rng(3)
+    left, right = rig.project(rng.uniform([-0.1, -0.1, 0.7], [0.1, 0.1, 0.9], (50, 3)))
+    right = right + rng.normal(0.0, 2.0, right.shape)
+    ideal = [
+        cv2.undistortPoints(pixel, camera.matrix, camera.distortion, P=camera.matrix).reshape(-1, 2)
+        for pixel, camera in ((left, rig.left), (right, rig.right))
+    ]
+    lines = cv2.computeCorrespondEpilines(ideal[0].reshape(-1, 1, 2), 1, rig.fundamental()).reshape(-1, 3)
+    expected = (lines * np.column_stack([ideal[1], np.ones(50)])).sum(axis=1)
+    found, _, _ = epipolar_residual(rig, left, right)
+    np.testing.assert_allclose(np.abs(found), np.abs(expected), atol=1e-4)
+
+
+def test_derivatives_are_those_of_the_residual() -> None:
+    rig = replace(_rig(None), left=replace(_rig().left, distortion=np.zeros(5)))
+    rig = replace(rig, right=replace(rig.right, distortion=np.zeros(5)))
+    left, right = rig.project(np.random.default_rng(1).uniform([-0.1, -0.1, 0.7], [0.1, 0.1, 0.9], (20, 3)))
+    _, by_left, by_right = epipolar_residual(rig, left, right)
+    for axis in (0, 1):
+        step = np.zeros(2)
+        step[axis] = 1e-3
+        numeric_left = epipolar_residual(rig, left + step, right)[0] - epipolar_residual(rig, left - step, right)[0]
+        numeric_right = epipolar_residual(rig, left, right + step)[0] - epipolar_residual(rig, left, right - step)[0]
+        np.testing.assert_allclose(by_left[:, axis], numeric_left / 2e-3, atol=1e-6)
+        np.testing.assert_allclose(by_right[:, axis], numeric_right / 2e-3, atol=1e-6)
+
+
+def test_course_has_the_stated_noise() -> None:
+    rig, scene = _rig(), _scene(200)
+    check = check_epipolar(_tracks(scene, [rig] * 200), rig)
+    scatter = check.course_px[1:].std(axis=0, ddof=1)
+    np.testing.assert_allclose(scatter, np.median(check.u_course_px, axis=0), rtol=0.15)
+    assert check.notices == ()
+
+
+def test_no_alarm_without_cause() -> None:
+    """60 recordings, each with a rig drawn from the calibration's covariance: mean residuals of 0.05 px are normal."""
+    nominal, scene = _rig(), _scene(24)
+    assert nominal.covariance is not None
+    sigma = np.sqrt(np.diagonal(nominal.covariance))
+    squares, sizes = [], []
+    for seed in range(60):
+        true = nominal.perturbed(sigma * np.random.default_rng(1000 + seed).standard_normal(24))
+        check = check_epipolar(_tracks(scene, [true] * 24, seed), nominal)
+        assert check.notices == (), _text(check)
+        assert check.pattern_covariance is not None
+        squares.append(check.pattern_px @ np.linalg.solve(check.pattern_covariance, check.pattern_px))
+        sizes.append(np.linalg.norm(check.pattern_px))
+    assert np.mean(squares) == pytest.approx(3.0, abs=4 * np.sqrt(6 / 60))  # chi-square with 3 degrees of freedom
+    assert np.median(sizes) > 0.03
+
+
+@pytest.mark.parametrize(("axis", "name"), [(0, "x axis"), (2, "optical axis")])
+@pytest.mark.parametrize("angle_rad", [5e-4, -1e-3])
+def test_a_turned_camera_is_told_with_its_angle(axis: int, name: str, angle_rad: float) -> None:
+    rig, scene = _rig(), _scene()
+    text = _text(check_epipolar(_tracks(scene, [_turned(rig, axis, angle_rad)] * FRAMES), rig))
+    assert text.startswith("the cameras no longer are what was calibrated: the epipolar residual is ")
+    assert "the calibration explains 0." in text
+    found = float(text.split(f" mrad about its {name}")[0].rpartition(" ")[2])
+    assert found == pytest.approx(1e3 * angle_rad, abs=0.03)
+
+
+def test_a_turn_across_the_plane_of_sight_is_not_seen() -> None:
+    """It shifts points along their epipolar lines, which nothing in the pictures reveals: a limit, not a feature."""
+    rig, scene = _rig(), _scene()
+    assert check_epipolar(_tracks(scene, [_turned(rig, 1, 5e-4)] * FRAMES), rig).notices == ()
+
+
+def test_without_a_covariance_a_tenth_of_a_pixel_is_trusted() -> None:
+    rig, scene = _rig(None), _scene()
+    small = _tracks(scene, [_turned(rig, 0, 0.08 / 3200)] * FRAMES)
+    large = _tracks(scene, [_turned(rig, 0, 0.12 / 3200)] * FRAMES)
+    assert check_epipolar(small, rig).notices == ()
+    assert check_epipolar(small, rig).pattern_covariance is None
+    assert "without uncertainties is trusted within 0.1 px" in _text(check_epipolar(large, rig))
+
+
+@pytest.mark.parametrize("frame", [2, 17, 38])
+def test_a_jump_is_told_with_its_frame_and_size(frame: int) -> None:
+    rig, scene = _rig(), _scene()
+    moved = _turned(rig, 0, 0.02 / 3200)
+    text = _text(check_epipolar(_tracks(scene, [rig] * frame + [moved] * (FRAMES - frame)), rig))
+    assert f"a camera moved during the recording, before frame {frame} (counted from 0)" in text
+    assert float(text.split("changes by ")[1].split(" px")[0]) == pytest.approx(0.02, abs=0.005)
+
+
+def test_a_turn_about_the_axis_that_keeps_the_mean_is_found_by_its_slope() -> None:
+    rig, scene = _rig(), _scene()
+    about = _turned(rig, 2, 1e-4)
+    tracks = _tracks(scene, [rig] * 20 + [about] * 20)
+    check = check_epipolar(tracks, rig)
+    step = check.course_px[20:].mean(axis=0) - check.course_px[:20].mean(axis=0)
+    assert abs(step[1]) > MOVED_PX
+    assert "before frame 20" in _text(check)
+
+
+def test_a_drift_is_told_as_a_drift() -> None:
+    rig, scene = _rig(), _scene()
+    rigs = [_turned(rig, 0, 0.03 / 3200 * frame / FRAMES) for frame in range(FRAMES)]
+    text = _text(check_epipolar(_tracks(scene, rigs), rig))
+    assert "a camera drifts during the recording" in text
+    assert float(text.split("changes by ")[1].split(" px")[0]) == pytest.approx(0.03, abs=0.005)
+
+
+def test_a_change_of_a_few_millipixels_is_no_news() -> None:
+    rig, scene = _rig(), _scene()
+    moved = _turned(rig, 0, 0.003 / 3200)
+    assert check_epipolar(_tracks(scene, [rig] * 20 + [moved] * 20, noise_px=1e-3), rig).notices == ()
+
+
+def test_missing_points_and_outliers_do_not_disturb() -> None:
+    rig, scene = _rig(), _scene()
+    tracks = _tracks(scene, [rig] * FRAMES)
+    position = tracks.right.position_px.copy()
+    position[:, 3] += 1.5  # a wrong match, constant in time
+    position[10:, 20:60] = np.nan
+    position[25] = np.nan
+    check = check_epipolar(replace(tracks, right=replace(tracks.right, position_px=position)), rig)
+    assert check.notices == ()
+    assert np.isnan(check.residual_px[3])
+    assert np.isnan(check.course_px[25]).all()
+    assert np.isfinite(np.delete(check.course_px, 25, axis=0)).all()
+
+
+def test_too_few_points_say_nothing() -> None:
+    rig, scene = _rig(), _scene()
+    few = _Scene(scene.points_m[:5], scene.displacement_m)
+    check = check_epipolar(_tracks(few, [rig] * FRAMES), rig)
+    assert check.notices == ()
+    assert np.isnan(check.mean_px).all()
