@@ -106,12 +106,15 @@ def _check(options: argparse.Namespace) -> int:
 def _simulate(options: argparse.Namespace) -> int:
     from fusion.errors import InputError
     from fusion.progress import progress_bar
-    from fusion.simulate import simulate
+    from fusion.simulate import simulate, simulate_targets
 
     if options.out.exists() and not options.force:
         expected = "a new folder (--force replaces an earlier simulation)"
         raise InputError(options.out, "", found="a file or folder of this name", expected=expected)
     with progress_bar(enabled=not options.quiet) as progress:
+        if options.preset == "targets":
+            print(f"simulated pictures of a target: {simulate_targets(options.out, options.seed, progress)}")
+            return EXIT_DONE
         folder = simulate(options.out, options.preset, options.seed, progress)
     print(f"simulated recording: {folder}")
     return EXIT_DONE
@@ -184,7 +187,12 @@ def _parser() -> argparse.ArgumentParser:
 
     simulate = commands.add_parser("simulate", parents=[common], help="write a simulated recording with its truth")
     simulate.add_argument("out", type=Path, metavar="OUT", help="campaign folder to create")
-    simulate.add_argument("--preset", choices=("demo", "nitsche2018"), default="demo", help="which rig (default: demo)")
+    simulate.add_argument(
+        "--preset",
+        choices=("demo", "nitsche2018", "targets"),
+        default="demo",
+        help="which rig (default: demo); targets: a camera calibration",
+    )
     simulate.add_argument("--seed", type=_seed, default=1, help="seed of every random draw (default: 1)")
     simulate.add_argument("--force", action="store_true", help="overwrite a simulation that is there")
     simulate.set_defaults(action=_simulate)

@@ -97,7 +97,8 @@ def read_picture(path: Path) -> tuple[GreyImage, int]:
 
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file")
-    image = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE)
+    data = np.fromfile(path, np.uint8)
+    image = cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE) if data.size else None
     if image is None:
         raise ValueError(f"{path}: not a readable picture")
     if image.dtype not in (np.uint8, np.uint16):

@@ -1,10 +1,11 @@
-"""A rig's digital twin: a campaign folder with one recording and its truth, by `shakercal simulate`."""
+"""A rig's digital twin, by `shakercal simulate`: a campaign folder with one recording, or pictures of a target."""
 
 from __future__ import annotations
 
 import os
 import shutil
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,6 @@ def simulate(out: Path, preset: str, seed: int, progress: ProgressCallback = no_
     `switches` are the fields of `SimulationOptions`. The same seed gives the same files. A folder that holds
     anything but an earlier simulation is refused with an `InputError`; it appears whole or not at all.
     """
-    from fusion.errors import InputError
     from fusion.simulate.draws import Draws
     from fusion.simulate.options import SimulationOptions
     from fusion.simulate.preset import PRESETS
@@ -30,35 +30,57 @@ def simulate(out: Path, preset: str, seed: int, progress: ProgressCallback = no_
         raise ValueError(f"preset: expected one of {', '.join(PRESETS)}, found {preset!r}")
     options = SimulationOptions(**switches)
     setup = PRESETS[preset].shrunk(options.frames, options.image_scale)
+    draws = Draws(seed, options.systematic_errors)
+    world = make_world(setup, draws, _JITTER_S if options.trigger_jitter else 0.0)
+    noise = (options.image_noise, options.channel_noise)
+    with _whole(out) as partial:
+        write_campaign(partial, world, draws, noise, options.aliased, progress)
+    return out / setup.recording
+
+
+def simulate_targets(out: Path, seed: int, progress: ProgressCallback = no_progress) -> Path:
+    """Write a calibration session, pictures of a ChArUco board and the true pair, into folder `out` and return it.
+
+    The same seed gives the same files; other folders are refused as by `simulate`.
+    """
+    from fusion.simulate.targets import write_session
+
+    with _whole(out) as partial:
+        write_session(partial, seed, progress)
+    return out
+
+
+@contextmanager
+def _whole(out: Path) -> Iterator[Path]:
+    """Yield a folder that takes the place of `out` when it is complete; refuse anything but an earlier simulation."""
+    from fusion.errors import InputError
+
     other = _not_simulated(out) if out.is_dir() else out if out.exists() else None
     if other is not None:
         expected = "a new folder, or an earlier simulation as it was written"
         found = "a file" if other == out else f"{other.relative_to(out).as_posix()} in it"
         raise InputError(out, "", found=found, expected=expected)
-    draws = Draws(seed, options.systematic_errors)
-    world = make_world(setup, draws, _JITTER_S if options.trigger_jitter else 0.0)
     partial = out.absolute().with_name(f".{out.absolute().name}-{os.getpid()}")
     try:
         partial.mkdir(parents=True)
     except OSError as error:
         raise InputError.told_by(error, out) from error
     try:
-        noise = (options.image_noise, options.channel_noise)
-        write_campaign(partial, world, draws, noise, options.aliased, progress)
+        yield partial
         if out.exists():
             shutil.rmtree(out)
         os.replace(partial, out)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
-    return out / setup.recording
 
 
 def _not_simulated(out: Path) -> Path | None:
     """Return something in a folder that is neither named by a simulated recording nor its truth, None if all is."""
     from fusion.errors import InputError
     from fusion.manifest import load_manifest
+    from fusion.simulate.targets import written_files
 
-    written: set[Path] = set()
+    written = written_files(out)
     for truth in out.glob("*/truth.json"):
         with suppress(InputError):
             written.update(load_manifest(truth.parent).files, [truth.resolve()])
