@@ -14,6 +14,7 @@ from fusion.evaluation import ChannelResult, ClockResult, Evaluation, StereoResu
 from fusion.fuse import Acceleration, Consistency, Contribution
 from fusion.notices import Notice
 from fusion.sensitivity import BudgetEntry, Sensitivity
+from photogram.epipolar import EpipolarCheck
 from photogram.motion import RigidMotion
 from shaker.signals.frequencies import Lines
 from shaker.signals.phasor import Phasors
@@ -203,7 +204,17 @@ def _stereo(name: str, body: str, choice: Choice, rng: np.random.Generator) -> S
         speckle_px=4.4,
         noise_grey=9.3,
         median_zncc=0.9971,
+        epipolar=_epipolar(grid.astype(np.float64), failed, rng),
     )
+
+
+def _epipolar(grid: NDArray[np.float64], failed: NDArray[np.bool_], rng: np.random.Generator) -> EpipolarCheck:
+    course = 0.004 + 4e-4 * rng.standard_normal((len(failed), 3))
+    course[failed] = np.nan
+    residual = 0.004 + 3e-3 * rng.standard_normal(len(grid))
+    residual[7] = np.nan
+    pattern, covariance = np.array([0.004, 0.0, 0.0]), np.diag([0.003, 0.002, 0.002]) ** 2
+    return EpipolarCheck(course, 4e-4 + 0.0 * course, pattern, covariance, grid, residual, ())
 
 
 def _speckle(rng: np.random.Generator) -> NDArray[np.uint16]:
