@@ -8,7 +8,7 @@ from photogram._checks import FloatArray
 
 LIMIT = 0.1
 """Standard uncertainty (m, rad) from which a component counts as open: nothing is evaluated with such a pose."""
-_SAME = 1e-3  # sine of the angle below which a direction is called by the name of an axis
+_SAME = 0.02  # sine of the angle below which a direction goes by the name of an axis
 _PURE = 1e-2  # share below which a displacement counts as one without rotation
 
 

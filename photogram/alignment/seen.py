@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from photogram._checks import FloatArray
+from photogram.calibrate.model import see
 from photogram.calibrate.pose import target_pose
 from photogram.camera import StereoRig, principal_components
-from photogram.rigid import RigidTransform, vector_from_rotation
+from photogram.rigid import RigidTransform
 from photogram.target.view import Target, TargetView
 from photogram.triangulate import triangulate
 
@@ -45,12 +46,26 @@ def seen_target(
 ) -> tuple[RigidTransform, FloatArray, FloatArray]:
     """Return the pose `left_from_target`, covariance (6, 6) of the pictures' noise, and effects (P, 6).
 
-    Covariance and effects are those of translation (m) and left-multiplied rotation (rad); at least one picture.
+    Covariance and effects are those of translation (m) and left-multiplied rotation (rad); at least one picture. With
+    J and G the derivatives of the pixels by pose and rig and W their weights, a step s of the rig changes the most
+    likely pose by −(Jᵀ·W·J)⁻¹·Jᵀ·W·G·s.
     """
     pose, covariance = target_pose(rig, target, left, right)
-    effects = np.empty((len(steps), 6))
-    for place, step in enumerate(steps):
-        other, _ = target_pose(rig.perturbed(step), target, left, right)
-        effects[place, :3] = other.translation_m - pose.translation_m
-        effects[place, 3:] = vector_from_rotation(other.rotation @ pose.rotation.T)
-    return pose, covariance, effects
+    change = np.zeros((6, 24))
+    for side, view in enumerate((left, right)):
+        if view is not None:
+            change -= covariance @ _pulled_by_rig(rig, target, pose, view, side)
+    return pose, covariance, steps @ change.T
+
+
+def _pulled_by_rig(rig: StereoRig, target: Target, pose: RigidTransform, view: TargetView, side: int) -> FloatArray:
+    """Return Jᵀ·W·G (6, 24) of one picture."""
+    points = target.spacing_m * np.column_stack([view.index, np.zeros(len(view.index))])
+    camera = rig.right if side else rig.left
+    relative = rig.right_from_left if side else RigidTransform.identity()
+    seen = see(camera, relative, pose, points, view.radius * target.spacing_m)
+    by_rig = np.zeros((len(points), 2, 24))
+    by_rig[..., 9 * side : 9 * side + 9] = seen.by_camera
+    if side:
+        by_rig[..., 18:21], by_rig[..., 21:] = seen.by_relative[..., 3:], seen.by_relative[..., :3]
+    return np.asarray(np.einsum("nki,nkl,nlj->ij", seen.by_pose, np.linalg.inv(view.covariance_px2), by_rig))

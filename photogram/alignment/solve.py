@@ -10,6 +10,7 @@ import numpy as np
 from photogram._checks import FloatArray, check_shape
 from photogram.alignment.evidence import Evidence
 from photogram.alignment.openness import OpenPose, open_components
+from photogram.alignment.residuals import CALIBRATION
 from photogram.alignment.start import starting_pose
 from photogram.alignment.system import System, assemble, sum_of_squares
 from photogram.notice import Notice
@@ -46,10 +47,12 @@ class Alignment:
     `covariance` (6, 6): of the small displacement (shift, rotation about the sensor origin; m and rad, sensor axes)
     that, multiplied from the left, leads from this pose to the true one; it contains the calibration's share and is
     enlarged by `enlargement`² where the evidence does not fit together (χ² beyond its 99 % quantile).
+    `held_covariance` (6, 6): the same if the calibration were exact.
     """
 
     sensor_from_camera: RigidTransform
     covariance: FloatArray
+    held_covariance: FloatArray
     chi2: float
     dof: int
     enlargement: float
@@ -57,8 +60,9 @@ class Alignment:
     notices: tuple[Notice, ...]
 
     def __post_init__(self) -> None:
-        """Refuse another shape of the covariance."""
+        """Refuse other shapes."""
         check_shape("covariance", self.covariance, (6, 6))
+        check_shape("held_covariance", self.held_covariance, (6, 6))
 
     @property
     def u(self) -> FloatArray:
@@ -110,9 +114,16 @@ def _judged(pose: RigidTransform, system: System) -> Alignment:
     pieces = tuple(_piece(system, name, chi2, dof) for name in system.names)
     fits = dof == 0 or chi2 <= chi_square.ppf(TEST_LEVEL, dof)
     enlargement = 1.0 if fits else float(np.sqrt(chi2 / dof))
-    covariance = enlargement**2 * np.linalg.inv(system.rows.T @ system.rows)[:6, :6]
-    notices = () if fits else (_misfit(pieces, chi2, dof),)
-    return Alignment(pose, (covariance + covariance.T) / 2, chi2, dof, enlargement, pieces, notices)
+    return Alignment(
+        pose,
+        enlargement**2 * system.covariance(),
+        enlargement**2 * system.covariance(known=CALIBRATION),
+        chi2,
+        dof,
+        enlargement,
+        pieces,
+        () if fits else (_misfit(pieces, chi2, dof),),
+    )
 
 
 def _piece(system: System, name: str, chi2: float, dof: int) -> Piece:

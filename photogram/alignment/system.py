@@ -20,15 +20,24 @@ class System:
     """Rows (M, 6 + Q) and residuals (M,) in units of their standard deviations.
 
     Unknown are the displacement of the pose and Q common errors, whose priors are the last Q rows. `piece` (M,): number
-    of each row's piece among `names`, −1 for priors of what several pieces share. `information` (6, 6): what the
-    evidence says about the components that it may determine, common errors and all.
+    of each row's piece among `names`, −1 for priors of common errors. `columns`: first column and number of each common
+    error's unknowns. `information` (6, 6): what the evidence says about the components that it may determine,
+    common errors and all.
     """
 
     rows: FloatArray
     residual: FloatArray
     piece: IntArray
     names: tuple[str, ...]
+    columns: dict[str, tuple[int, int]]
     information: FloatArray
+
+    def covariance(self, known: str = "") -> FloatArray:
+        """Return the covariance (6, 6) of the pose, on condition that the common errors of one name are known."""
+        first, count = self.columns.get(known, (0, 0))
+        rows = np.delete(self.rows, np.s_[first : first + count], axis=1)
+        covariance = np.linalg.inv(rows.T @ rows)[:6, :6]
+        return np.asarray((covariance + covariance.T) / 2)
 
 
 def assemble(evidence: Sequence[Evidence], pose: RigidTransform) -> System:
@@ -47,6 +56,7 @@ def assemble(evidence: Sequence[Evidence], pose: RigidTransform) -> System:
         np.concatenate([*(residual for _, residual, _ in blocks), np.zeros(total)]),
         np.concatenate([*piece, np.full(total, -1)]).astype(np.int64),
         names,
+        columns,
         _about_pose(claimed.T @ claimed),
     )
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from photogram._checks import ComplexArray, FloatArray, check_shape
 from photogram.alignment.residuals import across
+from photogram.alignment.system import sum_of_squares
 from photogram.motion import RigidMotion
 from photogram.rigid import rotation_from_vector, rotation_vector_rate, skew
 
@@ -81,7 +82,7 @@ def fit_axis(motion: RigidMotion) -> Axis:
         if np.abs(step[:4]).max() <= _CONVERGED * max(1.0, float(np.abs(line).max())):
             break
     rows, residual, tangents = _equations(pose, covariance, reference, line)
-    chi2, dof = float(residual @ residual), 4 * len(pose) - 4
+    chi2, dof = sum_of_squares(rows, residual)
     free = tangents @ np.linalg.inv(rows.T @ rows)[:4, :4] @ tangents.T
     origin = np.concatenate([motion.origin_m, np.zeros(3)])
     return Axis(line + origin, free * max(1.0, chi2 / dof), chi2, dof, float(np.ptp(spread)))
