@@ -7,6 +7,7 @@ from markupsafe import Markup
 
 from fusion.camera_facts import (
     LENGTH_SHARE,
+    ROTATION,
     SIDES,
     Side,
     axes_angle_rad,
@@ -23,10 +24,11 @@ from fusion.camera_facts import (
     working_point_m,
 )
 from fusion.polar import DASH, rounded
-from fusion.report_numbers import measured, number, small, times_ten
+from fusion.report_numbers import measured, small, times_ten
 from fusion.report_tables import Headline, Table
 from photogram.calibrate.result import CalibratedPicture, Calibration, Parameter
 from photogram.camera import RIG_PARAMETERS
+from photogram.rigid import vector_from_rotation
 
 STATES = {
     "determined": "determined",
@@ -92,7 +94,8 @@ def camera_headlines(calibration: Calibration) -> list[Headline]:
     rig = calibration.rig
     baseline, angle = baseline_m(rig), axes_angle_rad(rig)
     left, right = calibration.rms_sides_px
-    noise = ", ".join(number(value) for value in calibration.added_px)
+    noise = ", ".join(f"{value:.3f}" for value in calibration.added_px)
+    spacing = "included" if calibration.scale_u > 0 else "missing"
     share = 200.0 * baseline.u / baseline.value
     return [
         Headline(
@@ -104,7 +107,7 @@ def camera_headlines(calibration: Calibration) -> list[Headline]:
         Headline(
             "Baseline",
             measured(1e3 * baseline.value, 2e3 * baseline.u, "mm"),
-            f"U (k = 2) = {share:.2g} %, the spacing's uncertainty included",
+            f"U (k = 2) = {share:.2g} %, the spacing's uncertainty {spacing}",
         ),
         Headline(
             "Angle between the optical axes",
@@ -120,7 +123,9 @@ def camera_headlines(calibration: Calibration) -> list[Headline]:
 def parameters_table(calibration: Calibration) -> Table:
     """All parameters of the pair with their uncertainty and what the views say about them."""
     head = ("parameter", "meaning", "value", "u (k = 1)", "U (k = 2)", "unit", "state")
-    rows = tuple(_parameter_row(item) for item in calibration.parameters)
+    turn = vector_from_rotation(calibration.rig.right_from_left.rotation)
+    turns = dict(zip(RIG_PARAMETERS[ROTATION], turn, strict=True))
+    rows = tuple(_parameter_row(item, float(turns.get(item.name, item.value))) for item in calibration.parameters)
     return Table("Parameters of the pair", head, "llrrrll", rows)
 
 
@@ -229,10 +234,10 @@ def _scale_headline(calibration: Calibration) -> Headline:
     return Headline(label, f"U (k = 2) = {small(200.0 * calibration.scale_u)} %", "common to all points and all frames")
 
 
-def _parameter_row(item: Parameter) -> tuple[str, ...]:
-    """One parameter; value, u and U with the same power of ten."""
+def _parameter_row(item: Parameter, plain: float) -> tuple[str, ...]:
+    """One parameter of plain value; value, u and U with the same power of ten."""
     factor, unit = DISPLAY.get(item.unit, (1.0, item.unit))
-    value, u = factor * item.value, factor * item.u
+    value, u = factor * plain, factor * item.u
     text = rounded(value, 2.0 * u)
     standard = rounded(value, u, text.exponent).expanded
     part, _, name = item.name.partition(".")

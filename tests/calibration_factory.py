@@ -10,7 +10,7 @@ from photogram._checks import BoolArray, FloatArray
 from photogram.calibrate.result import CalibratedPicture, CalibratedView, Calibration, Determined, Dropped, Parameter
 from photogram.camera import RIG_PARAMETERS, Camera, StereoRig
 from photogram.notice import Notice
-from photogram.rigid import RigidTransform, rotation_from_vector, vector_from_rotation
+from photogram.rigid import RigidTransform, rotation_from_vector
 from photogram.target.view import Target
 
 SIZE_PX = np.array([2448, 2048])
@@ -251,7 +251,7 @@ def _parameters(rig: StereoRig) -> tuple[Parameter, ...]:
         [
             rig.left.parameters,
             rig.right.parameters,
-            vector_from_rotation(rig.right_from_left.rotation),
+            np.zeros(3),  # the rotation's parameters are a small turn beside the rotation itself
             rig.right_from_left.translation_m,
         ]
     )

@@ -86,10 +86,15 @@ def colour_bar(axes: Axes, drawn: ScalarMappable, label: str) -> Axes:
 
 def height_in(axes: Axes) -> float:
     """Height of a panel as laid out."""
+    return float(axes.get_position(original=True).height * figure_of(axes).get_size_inches()[1])
+
+
+def figure_of(axes: Axes) -> Figure:
+    """Figure that a panel belongs to."""
     figure = axes.get_figure(root=True)
     if figure is None:
         raise ValueError("axes: expected a panel of a figure")
-    return float(axes.get_position(original=True).height * figure.get_size_inches()[1])
+    return figure
 
 
 def two_digits(value: float) -> str:

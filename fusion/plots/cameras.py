@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection
@@ -19,7 +21,7 @@ from fusion.camera_facts import (
     used_points,
 )
 from fusion.plots.camera_lens import draw_correlation, draw_distortion, draw_shape
-from fusion.plots.camera_panels import picture_panels, view_colours
+from fusion.plots.camera_panels import figure_of, picture_panels, view_colours
 from fusion.plots.camera_residuals import draw_distribution, draw_pictures, draw_residuals
 from fusion.plots.style import (
     BLACK,
@@ -33,12 +35,16 @@ from fusion.plots.style import (
     finish,
     lay_out,
     new_figure,
+    padded,
     panel_label,
 )
 from photogram.calibrate.result import CalibratedView, Calibration
 
 CIRCLES_DEG = 15.0  # between the circles of the tilts
-MOST_NUMBERS = 40  # views up to which each is marked with its number
+LEAST_TURN_DEG, LEAST_DISTANCE_SHARE = 40.0, 0.2
+"""Least spans of the axes of turn and, of its median, of distance: views that are alike shall look so."""
+NUMBER_PT = np.array([9.0, 7.0])  # room that the number of a view takes
+POINTS_DRAWN = 8000.0  # from this number on points are drawn at their smallest
 HALO = [withStroke(linewidth=1.8, foreground="white")]
 
 
@@ -65,9 +71,9 @@ def draw_coverage(calibration: Calibration) -> Picture:
         for axes, side in zip(panels, SIDES, strict=True):
             _draw_points(axes, calibration, side)
         caption = (
-            "Found points over the picture area of either camera, one colour and number per view (at its outermost "
-            "point), in the order of the session; red crosses are points left out. Grey cells hold no point: there the "
-            "lens distortion is extrapolated. A good session reaches all corners."
+            "Found points over the picture area of either camera, one colour per view in the order of the session, "
+            "numbers at outermost points where there is room; red crosses are points left out. Grey cells hold no "
+            "point: there the lens distortion is extrapolated. A good session reaches all corners."
         )
         return finish(figure, "coverage", "Where the target was seen", caption)
 
@@ -78,15 +84,18 @@ def draw_views(calibration: Calibration) -> Picture:
         figure = new_figure(3.0)
         panels = figure.subplots(1, 3)
         colours = view_colours(len(calibration.views))
-        _draw_tilts(panels[0], np.degrees(tilts_rad(calibration)), colours)
+        tilt = np.degrees(tilts_rad(calibration))
+        _draw_tilts(panels[0], float(np.hypot(*tilt.T).max()))
         distance = 1e3 * np.linalg.norm(target_middles_m(calibration), axis=1)
         turn = np.degrees(turns_rad(calibration))
-        _mark(panels[1], np.stack([turn, distance], axis=1), colours)
-        panels[1].margins(0.15)
+        panels[1].set_xlim(*_at_least(turn, LEAST_TURN_DEG))
+        panels[1].set_ylim(*_at_least(distance, LEAST_DISTANCE_SHARE * float(np.median(distance))))
         panels[1].set_xlabel("turn in the left picture / °")
         panels[1].set_ylabel("distance from the left camera / mm")
         _draw_scene(panels[2], calibration, colours)
         lay_out(figure, panels, left=0.62, top=0.28, gap=(0.72, 0.1), label=0.5)
+        _mark(panels[0], tilt, colours)
+        _mark(panels[1], np.stack([turn, distance], axis=1), colours)
         caption = (
             "Left: direction and angle by which the target's normal is tilted off the left camera's axis; views with "
             "the same tilt add little, and focal length and distance are told apart by tilts of 30° and more in "
@@ -106,29 +115,32 @@ def _draw_points(axes: Axes, calibration: Calibration, side: Side) -> None:
     axes.add_collection(PatchCollection(patches, facecolor=LIGHT, edgecolor="white", linewidth=0.6))
     colours = view_colours(len(calibration.views))
     axes.scatter(
-        position[:, 0], position[:, 1], s=2.0, c=colours[view], linewidths=0.0, rasterized=len(view) > RASTER_ABOVE
+        position[:, 0],
+        position[:, 1],
+        s=np.clip(POINTS_DRAWN / len(view), 2.0, 7.0),
+        c=colours[view],
+        linewidths=0.0,
+        rasterized=len(view) > RASTER_ABOVE,
     )
     left_out = [p.position_px[~p.used] for p in pictures(calibration, side) if p is not None]
     crosses = np.concatenate([np.empty((0, 2)), *left_out])
     axes.plot(*crosses.T, "x", color=RED, markersize=3.5, markeredgewidth=0.9)
-    if len(calibration.views) <= MOST_NUMBERS:
-        away = np.linalg.norm(position - position.mean(axis=0), axis=1)
-        for number in np.unique(view):
-            _number(axes, position[np.argmax(np.where(view == number, away, -1.0))], int(number))
+    away = np.linalg.norm(position - position.mean(axis=0), axis=1)
+    seen = np.unique(view)
+    _number(axes, position[[np.argmax(np.where(view == number, away, -1.0)) for number in seen]], seen)
     share = calibration.covered[SIDES.index(side)]
     panel_label(axes, f"{side} camera: {len(view)} points, {100 * share:.0f} % of the picture covered")
 
 
-def _draw_tilts(axes: Axes, tilt: FloatArray, colours: FloatArray) -> None:
-    """Tilts (V, 2) in degrees among circles of equal angle."""
-    reach = CIRCLES_DEG * max(2.0, np.ceil(1.02 * np.hypot(*tilt.T).max(initial=0.0) / CIRCLES_DEG))
+def _draw_tilts(axes: Axes, largest: float) -> None:
+    """Circles of equal angle for tilts in degrees up to the largest."""
+    reach = CIRCLES_DEG * max(2.0, np.ceil(1.02 * largest / CIRCLES_DEG))
     angle = np.linspace(0.0, 2.0 * np.pi, 121)
     for radius in np.arange(CIRCLES_DEG, reach + 1.0, CIRCLES_DEG):
         axes.plot(radius * np.cos(angle), radius * np.sin(angle), color=LIGHT, linewidth=0.7, zorder=1)
         axes.text(0.707 * radius, -0.707 * radius, f"{radius:.0f}°", fontsize=6.5, color=GREY, path_effects=HALO)
     for line in (axes.axhline, axes.axvline):
         line(0.0, color=LIGHT, linewidth=0.7, zorder=1)
-    _mark(axes, tilt, colours)
     axes.set_xlim(-1.05 * reach, 1.05 * reach)
     axes.set_ylim(1.05 * reach, -1.05 * reach)
     axes.set_aspect("equal")
@@ -166,21 +178,32 @@ def _ends(calibration: Calibration, view: CalibratedView) -> FloatArray:
 
 
 def _mark(axes: Axes, place: FloatArray, colours: FloatArray) -> None:
-    """A disc per view at places (V, 2), with its number beside it."""
+    """A disc per view at places (V, 2), with its number beside it; axes that have their limits."""
     axes.scatter(place[:, 0], place[:, 1], s=22.0, c=colours, linewidths=0.0, zorder=3)
-    if len(place) <= MOST_NUMBERS:
-        for number, point in enumerate(place):
-            _number(axes, point, number)
+    _number(axes, place, range(len(place)))
 
 
-def _number(axes: Axes, place: FloatArray, number: int) -> None:
-    """Number of a view, counted from 1, beside a place."""
-    axes.annotate(
-        str(number + 1),
-        (float(place[0]), float(place[1])),
-        (3.5, 2.0),
-        textcoords="offset points",
-        fontsize=6.5,
-        path_effects=HALO,
-        zorder=4,
-    )
+def _number(axes: Axes, place: FloatArray, views: Iterable[int]) -> None:
+    """Numbers of views, counted from 1, beside places (V, 2), as far as they do not cover each other."""
+    taken = np.empty((0, 2))
+    for point, view in zip(place, views, strict=True):
+        shown = axes.transData.transform(point) * 72.0 / figure_of(axes).dpi
+        if (np.abs(taken - shown) < NUMBER_PT).all(axis=1).any():
+            continue
+        taken = np.vstack([taken, shown])
+        axes.annotate(
+            str(view + 1),
+            (float(point[0]), float(point[1])),
+            (3.5, 2.0),
+            textcoords="offset points",
+            fontsize=6.5,
+            path_effects=HALO,
+            zorder=4,
+        )
+
+
+def _at_least(values: FloatArray, span: float) -> tuple[float, float]:
+    """Limits that hold values with some room and span at least so much, so that alike looks alike."""
+    low, high = padded(float(values.min()), float(values.max()))
+    room = max(0.0, 0.5 * (span - (high - low)))
+    return low - room, high + room
