@@ -91,11 +91,25 @@ class Bundle:
 class Prior:
     """What is known of the rig before the pictures: expected parameters (24,) and standard deviations, inf for none.
 
-    The three of the rotation are no parameters with a value, so they have no prior.
+    The three of the rotation are no parameters with a value, so they have no prior. `aspect_px` (left, right): standard
+    deviation of fx − fy around zero.
     """
 
     value: FloatArray
     sigma: FloatArray
+    aspect_px: tuple[float, float]
+
+    def away(self, parameters: FloatArray) -> FloatArray:
+        """Return how far (26,) parameters are from what is expected, in standard deviations."""
+        aspect = (parameters[[0, 9]] - parameters[[1, 10]]) / self.aspect_px
+        return np.concatenate([(parameters - self.value) / self.sigma, aspect])
+
+    @property
+    def slope(self) -> FloatArray:
+        """The derivative (26, 24) of `away`."""
+        aspect = np.zeros((2, _RIG))
+        aspect[[0, 1], [0, 9]], aspect[[0, 1], [1, 10]] = 1 / np.array(self.aspect_px), -1 / np.array(self.aspect_px)
+        return np.concatenate([np.diag(1 / self.sigma), aspect])
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +186,7 @@ def _camera_moved(camera: Camera, step: FloatArray) -> Camera:
 def _cost(bundle: Bundle, pictures: Sequence[Picture], prior: Prior) -> float:
     """Return the sum of squares; infinite when a point falls behind a camera."""
     squares = sum(float(whitened_squares(bundle, picture)[1].sum()) for picture in pictures)
-    away = (parameters_of(bundle.rig) - prior.value) / prior.sigma
+    away = prior.away(parameters_of(bundle.rig))
     shape = bundle.shape.value_m / bundle.shape.prior_m
     total = squares + float(away @ away) + float(shape @ shape)
     return total if np.isfinite(total) else np.inf
@@ -222,9 +236,11 @@ def _normal(bundle: Bundle, pictures: Sequence[Picture], prior: Prior) -> _Norma
     """Return the normal equations at the bundle."""
     shape = bundle.shape
     size, views = _RIG + len(shape.value_m), len(bundle.poses)
-    common = np.diag(np.concatenate([prior.sigma**-2.0, shape.prior_m**-2.0]))
-    away = np.concatenate([prior.value - parameters_of(bundle.rig), -shape.value_m])
-    common_side = np.diagonal(common) * away
+    common = np.diag(np.concatenate([np.zeros(_RIG), shape.prior_m**-2.0]))
+    common[:_RIG, :_RIG] = prior.slope.T @ prior.slope
+    common_side = np.concatenate(
+        [-prior.slope.T @ prior.away(parameters_of(bundle.rig)), -shape.value_m / shape.prior_m**2]
+    )
     pose, coupling, pose_side = np.zeros((views, 6, 6)), np.zeros((views, size, 6)), np.zeros((views, 6))
     for picture in pictures:
         seen, view = bundle.see(picture), picture.view

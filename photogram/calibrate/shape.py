@@ -13,6 +13,7 @@ ShapeKind = Literal["flat", "bowed", "free"]
 
 _BOW = 0.01  # what is known of a bow beforehand: its height over the target's half diagonal
 _FREE = 0.01  # and of single points: their displacement over the spacing
+_STRETCH = 3.0  # rms displacement by stretch of one axis and by shear, over that of single points
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,7 +21,8 @@ class Shape:
     """Points of a target, flat_m (P, 3) + basis (P, 3, S)·value_m (S,), with what is known of the values beforehand.
 
     `index` (P, 2): lattice indices. `prior_m` (S,): standard deviations of the values around zero. `group` (S,): values
-    of one group have one prior; `from_data`: whether it is estimated together with them.
+    of one group have one prior; `from_data`: whether it is estimated together with them; that of the last group is then
+    `_STRETCH` times that of the first.
     """
 
     index: IntArray
@@ -55,8 +57,8 @@ class Shape:
         if not self.from_data:
             return self
         second = self.value_m**2 + variance_m2
-        prior = np.array([np.sqrt(second[self.group == group].mean()) for group in self.group])
-        return replace(self, prior_m=prior)
+        inside, across = (float(np.sqrt(second[self.group == group].mean())) for group in (0, 1))
+        return replace(self, prior_m=np.array([inside, across, _STRETCH * inside])[self.group])
 
 
 def make_shape(kind: ShapeKind, index: IntArray, spacing_m: float) -> Shape:
@@ -64,7 +66,8 @@ def make_shape(kind: ShapeKind, index: IntArray, spacing_m: float) -> Shape:
 
     `bowed`: height as a quadratic form of the place on the target. `free`: every point has an offset of its own, with
     one spread within the plane and one across; scale, place and turn of all points together stay those of the lattice
-    to within what the spread allows (Strobl and Hirzinger 2011, ICCV Workshops, 1068).
+    to within what the spread allows (Strobl and Hirzinger 2011, ICCV Workshops, 1068). Since printers stretch one axis
+    and shear, these two have an rms displacement of their own, three times that of the single points.
     """
     flat = np.column_stack([index * spacing_m, np.zeros(len(index))])
     points = len(index)
@@ -77,6 +80,12 @@ def make_shape(kind: ShapeKind, index: IntArray, spacing_m: float) -> Shape:
         basis = np.zeros((points, 3, 3))
         basis[:, 2] = np.column_stack([x * x, x * y, y * y])
         return Shape(index, flat, basis, np.zeros(3), np.full(3, _BOW * half), np.zeros(3, np.int64), False)
-    basis = np.eye(3 * points).reshape(points, 3, 3 * points)
-    group = np.tile([0, 0, 1], points)
-    return Shape(index, flat, basis, np.zeros(3 * points), np.full(3 * points, _FREE * spacing_m), group, True)
+    place = (flat - flat.mean(axis=0))[:, :2]
+    stretch, shear = np.zeros((points, 3, 1)), np.zeros((points, 3, 1))
+    stretch[:, :2, 0], shear[:, :2, 0] = place * [1, -1], place[:, ::-1]
+    size = np.sqrt((place**2).sum(axis=1).mean())
+    single = np.eye(3 * points).reshape(points, 3, 3 * points)
+    basis = np.concatenate([single, stretch / size, shear / size], axis=-1)
+    group = np.array([*np.tile([0, 0, 1], points), 2, 2])
+    prior = np.array([1.0, 1.0, _STRETCH])[group] * _FREE * spacing_m
+    return Shape(index, flat, basis, np.zeros(len(group)), prior, group, True)

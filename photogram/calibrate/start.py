@@ -29,6 +29,7 @@ _STRANGE_PAIR = 0.05  # relative disagreement of a pair with the others' relativ
 _CENTRE_SPREAD = 0.05
 _RADIAL_SPREAD = (0.1, 0.05, 0.05)
 _DECENTRING_SPREAD = 0.005
+_ASPECT_SPREAD = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +75,8 @@ def lens_prior(rig: StereoRig) -> Prior:
     """Return what is known of any two lenses: their middle and their distortion, nothing of focal lengths and places.
 
     Principal point within 5 % of the picture's width; at the picture's corner k1 changes the radius by 10 %, k2 and k3
-    by 5 %, the decentring terms by 0.5 % (standard deviations). Only what the views leave open keeps these values.
+    by 5 %, the decentring terms by 0.5 %; fx and fy differ by 0.1 % (standard deviations). Only what the views leave
+    open keeps these values.
     """
     value, sigma = np.zeros(24), np.full(24, np.inf)
     for first, camera in ((0, rig.left), (9, rig.right)):
@@ -84,7 +86,8 @@ def lens_prior(rig: StereoRig) -> Prior:
         k1, k2, k3 = (spread / corner**power for spread, power in zip(_RADIAL_SPREAD, (2, 4, 6), strict=True))
         tangential = _DECENTRING_SPREAD / corner
         sigma[first + 4 : first + 9] = k1, k2, tangential, tangential, k3
-    return Prior(value, sigma)
+    left, right = (_ASPECT_SPREAD * float(camera.parameters[0]) for camera in (rig.left, rig.right))
+    return Prior(value, sigma, (left, right))
 
 
 @dataclass(frozen=True, eq=False)
