@@ -84,10 +84,10 @@ def check_epipolar(tracks: StereoTracks, rig: StereoRig) -> EpipolarCheck:
     """Return the epipolar residuals of a recording, with warnings where the cameras are not what was calibrated.
 
     Two tests, each with a chance of 10⁻⁴ to warn without cause. The pattern (mean and slopes) over all frames against
-    the covariance that the calibration and the matching give it, or against 0.1 px where the calibration has none.
-    And its course: the largest step between all frames before and all frames after an instant against the image noise,
-    which also finds a drift. A turn of the cameras about an axis across the plane of sight shifts points along the
-    epipolar lines and is not seen by either.
+    the covariance that the calibration and the matching give it, or against 0.1 px where the calibration has none. And
+    its course: the largest step between all frames before and all frames after an instant against the image noise,
+    which also finds a drift. Both allow for errors periodic in the pixel (`StereoTracks.bias_px`). A turn of a camera
+    about an axis across the plane of sight shifts points along the epipolar lines and is not seen by either.
     """
     residual, by_left, by_right = epipolar_residual(rig, tracks.left.position_px, tracks.right.position_px)
     variance = _variance(tracks.left, by_left) + _variance(tracks.right, by_right)
@@ -100,17 +100,17 @@ def check_epipolar(tracks: StereoTracks, rig: StereoRig) -> EpipolarCheck:
     change, u_course = _course(residual[:, good] - mean[good], variance[:, good], basis)
     solver = np.linalg.pinv(basis)
     pattern = solver @ mean[good]
-    matches = position[good], other[good]
+    matches, bias_px = (position[good], other[good]), float(np.sqrt(np.nansum(tracks.bias_px**2)))
     covariance = None
     if rig.covariance is not None:
         left_over = mean[good] - basis @ pattern
-        matching = float(left_over @ left_over) / (len(basis) - 3) * (solver @ solver.T)
+        matching = float(left_over @ left_over) / (len(basis) - 3) * (solver @ solver.T) + bias_px**2 * np.eye(3)
         derivative = solver @ _by_parameters(rig, rig.covariance, matches)
         covariance = derivative @ rig.covariance @ derivative.T + matching
     excess = _unexplained(pattern, covariance)
     notices = [
         None if excess is None else Notice("warning", excess + _turn_text(rig, matches) + "; calibrate again", _WHERE),
-        _course_notice(change, u_course),
+        _course_notice(change, u_course, MOVED_PX + COVERAGE * bias_px),
     ]
     return EpipolarCheck(
         change + pattern,
@@ -239,8 +239,8 @@ def _mrad(angle_rad: float) -> str:
     return f"{round(1e3 * angle_rad, 2) + 0.0:.2f}"
 
 
-def _course_notice(change: FloatArray, u: FloatArray) -> Notice | None:
-    """A warning where the pattern changes within the recording by more than its noise."""
+def _course_notice(change: FloatArray, u: FloatArray, allowed_px: float) -> Notice | None:
+    """A warning where the pattern changes within the recording by more than its noise and by more than is allowed."""
     from scipy.stats import chi2
 
     frames = np.flatnonzero(np.isfinite(change).all(axis=1))
@@ -249,7 +249,7 @@ def _course_notice(change: FloatArray, u: FloatArray) -> Notice | None:
     values, weight = change[frames], 1.0 / (_excess(change[frames], u[frames]) * u[frames]) ** 2
     split, step, square = _largest_step(values, weight)
     size = float(np.linalg.norm(step))
-    if size <= MOVED_PX or square <= chi2.isf(RARE / len(frames), 3):
+    if size <= allowed_px or square <= chi2.isf(RARE / len(frames), 3):
         return None
     drift, drift_px = _line_left_over(values, weight)
     if drift < _step_left_over(values, weight, split):
