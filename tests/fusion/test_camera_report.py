@@ -163,7 +163,7 @@ def test_flat_target_and_missing_pictures_still_have_a_page() -> None:
 
 
 def test_figures_of_a_long_session_with_many_dropped_pictures() -> None:
-    made = make_calibration(Session(views=45, missing_right=()))
+    made = make_calibration(Session(views=24, missing_right=()))
     many = tuple(Dropped(f"picture-{n:03d}.tif", 0, "blurred") for n in range(12))
     changed = dataclasses.replace(made, dropped=many)
     for draw in (draw_coverage, draw_views, draw_pictures):
