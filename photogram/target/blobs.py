@@ -73,7 +73,7 @@ def _split(image: NDArray[Any], window_px: float) -> tuple[BoolArray, BoolArray]
 
 @dataclass(frozen=True, eq=False)
 class _Patches:
-    """Patches that may be dots or holes: area, first moments and second central moments, and their boxes x0 y0 x1 y1."""
+    """Patches that may be dots or holes: area, centre, second central moments, and boxes x0 y0 x1 y1."""
 
     area: FloatArray
     centre: FloatArray
@@ -85,7 +85,8 @@ class _Patches:
         """Patches of a mask that do not touch the picture's edge and fill their box as an ellipse or a ring may."""
         import cv2
 
-        _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.view(np.uint8), connectivity=4)
+        _, found, stats, _ = cv2.connectedComponentsWithStats(mask.view(np.uint8), connectivity=4)
+        labels = np.asarray(found, dtype=np.int32)
         left, top, width, height, area = np.asarray(stats, dtype=np.float64).T
         right, bottom = left + width, top + height
         inside = (left >= EDGE_PX) & (top >= EDGE_PX)
@@ -137,7 +138,9 @@ def _fill_holes(patches: _Patches, others: _Patches) -> tuple[FloatArray, FloatA
     whole = area + others.area[hole]
     share = others.area[hole] / whole
     ring = (share > HOLE[0]) & (share < HOLE[1]) & (distance < HOLE_OFF_CENTRE * np.sqrt(whole / np.pi))
-    ring &= (others.box[hole][:, :2] > patches.box[:, :2]).all(1) & (others.box[hole][:, 2:] < patches.box[:, 2:]).all(1)
+    ring &= (others.box[hole][:, :2] > patches.box[:, :2]).all(1) & (others.box[hole][:, 2:] < patches.box[:, 2:]).all(
+        1
+    )
     own, part, from_hole = 1 - share[ring], share[ring], hole[ring]
     apart = others.centre[from_hole] - patches.centre[ring]
     centre[ring] = patches.centre[ring] + part[:, None] * apart

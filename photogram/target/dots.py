@@ -71,9 +71,7 @@ def find_dots(image: NDArray[Any], target: Target, name: str, full_scale: int) -
     raise TargetNotFound(fault or worth.reason)
 
 
-def _attempt(
-    image: NDArray[Any], blobs: Blobs, target: Target, name: str, full_scale: int
-) -> TargetView | _Failure:
+def _attempt(image: NDArray[Any], blobs: Blobs, target: Target, name: str, full_scale: int) -> TargetView | _Failure:
     """The view that these patches are, or why they are none."""
     lattice = find_lattice(blobs.centre_px, blobs.shape_px2)
     if len(lattice.member) < LEAST_DOTS:
@@ -81,7 +79,9 @@ def _attempt(
     grid = _measure(image, blobs, lattice)
     dots = len(grid.index)
     if dots < LEAST_DOTS:
-        return _Failure(dots, f"no round dots: {len(lattice.member)} patches on a lattice, but only {dots} are elliptic")
+        return _Failure(
+            dots, f"no round dots: {len(lattice.member)} patches on a lattice, but only {dots} are elliptic"
+        )
     spacing_px = float(np.median(np.sqrt(np.abs(np.linalg.det(grid.jacobian)))))
     check_exposure(image, outline(grid.ellipses.centre_px), full_scale)
     check_blur(float(np.median(grid.ellipses.blur_px)), spacing_px)
@@ -93,7 +93,9 @@ def _attempt(
 
 def _too_few(dots: int) -> _Failure:
     """What to say of a picture with hardly any dots."""
-    return _Failure(dots, f"no grid of dots: {dots} on a lattice, at least {LEAST_DOTS} are needed" if dots else "no dots")
+    return _Failure(
+        dots, f"no grid of dots: {dots} on a lattice, at least {LEAST_DOTS} are needed" if dots else "no dots"
+    )
 
 
 def _measure(image: NDArray[Any], blobs: Blobs, lattice: Lattice) -> _Grid:
@@ -149,9 +151,7 @@ def _places_from_rings(grid: _Grid) -> IntArray | str:
     return "the three ring markers do not form an L"
 
 
-def _places_from_size(
-    grid: _Grid, target: Target, size: tuple[int, int], shape: tuple[int, ...]
-) -> IntArray | str:
+def _places_from_size(grid: _Grid, target: Target, size: tuple[int, int], shape: tuple[int, ...]) -> IntArray | str:
     """Places from the corner of a full grid."""
     asymmetric = target.kind == "asymmetric-dots"
     columns, rows = size

@@ -14,9 +14,13 @@ from photogram._kernel import njit
 
 PARAMETERS = 10
 SECTORS = 16
-PASSES = ((0.02, 8), (1e-5, 20))
-LEAST_BAND_PX = 2.0
-BAND_SIGMAS = 4.0
+FIRST_BLUR_PX = 1.5
+COARSE_RADIUS_PX = 12.0
+FIRST_STEP_PX, LAST_STEP_PX = 0.1, 0.003
+MOST_STEPS = 25
+FIRST_DAMPING = 1e-4
+BAND_SIGMAS, LEAST_BAND_PX = 3.0, 2.0
+RING_SHARE = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,8 +28,8 @@ class Ellipses:
     """N fitted ellipses (x − c)ᵀ S⁻¹ (x − c) = 1; all NaN where the fit failed.
 
     `centre_px` c (N, 2) and its `covariance_px2` (N, 2, 2); `shape_px2` S (N, 2, 2), of determinant (product of the
-    semi-axes)²; `blur_px` (N,): σ of the edge; `contrast` (N,): dot less background, grey values; `noise` (N,): rms of what is
-    left, grey values; `roughness_px` (N,): rms over sixteen sectors of how far the edge lies off the ellipse.
+    semi-axes)²; `blur_px` (N,): σ of the edge; `contrast` (N,): dot less background, grey values; `noise` (N,): rms of
+    what is left, grey values; `roughness_px` (N,): rms over sixteen sectors of how far the edge lies off the ellipse.
     """
 
     centre_px: FloatArray
@@ -66,7 +70,7 @@ def fit_ellipses(
 
     I(x) = (1 + γ·(x − x₀)) (B + C/2 erfc(s/(√2 σ))), s the distance of x from the ellipse, positive outside: centre,
     shape, σ, background B, contrast C and the slope γ of the lighting, by Levenberg–Marquardt over the pixels in a band
-    of ±(4 σ + 2 px) about the edge. s is the distance to first order (ρ − 1)/|∇ρ| with ρ² = (x − c)ᵀ S⁻¹ (x − c), exact
+    of ±(3 σ + 2 px) about the edge. s is the distance to first order (ρ − 1)/|∇ρ| with ρ² = (x − c)ᵀ S⁻¹ (x − c), exact
     for circles (Sampson 1982, Comput. Graph. Image Process. 18, 97). Blur and the pixels' area leave a dot symmetric
     about its centre, so a wrong profile of the edge does not move the centre. The covariance
     H⁻¹ (Σ r²/(1 − jᵀH⁻¹j) j jᵀ) H⁻¹, H = Σ j jᵀ, holds for noise that differs from pixel to pixel (White 1980,
@@ -99,57 +103,60 @@ def fit_ellipses(
 
 @njit()
 def _fit_all(image, starts, precisions, reach, ring, found, spread):  # type: ignore[no-untyped-def]
-    """Every dot on its own; a failed one stays NaN."""
+    """Every dot on its own, first on every second pixel of a row and column, then on all; a failed one stays NaN."""
     for n in range(len(starts)):
-        origin = (starts[n, 0], starts[n, 1])
-        parameters = _first_guess(image, origin, precisions[n])
+        parameters = np.zeros(PARAMETERS)
+        parameters[0], parameters[1] = starts[n]
+        parameters[2], parameters[3], parameters[4] = precisions[n, 0, 0], precisions[n, 0, 1], precisions[n, 1, 1]
+        parameters[5] = FIRST_BLUR_PX
+        determinant = parameters[2] * parameters[4] - parameters[3] ** 2
+        coarse = 2 if determinant * COARSE_RADIUS_PX**4 < 1.0 else 1
         good = True
-        for small_step, most_steps in PASSES:
-            band = _band(parameters, reach[n], ring[n])
-            good = good and _descend(image, origin, band, parameters, (small_step, most_steps))
+        for stride, small_step_px in ((coarse, FIRST_STEP_PX), (1, LAST_STEP_PX)):
+            if good:
+                pixels = _collect(image, starts[n], parameters, _band(parameters, reach[n], ring[n]), stride)
+                if parameters[7] == 0.0:
+                    _first_levels(pixels, parameters)
+                good = _descend(pixels, parameters, small_step_px)
         if good:
-            _judge(image, origin, band, parameters, spread[n])
+            _judge(pixels, parameters, spread[n])
             found[n] = parameters
 
 
 @njit()
-def _first_guess(image, origin, precision):  # type: ignore[no-untyped-def]
-    """Parameters (10,) cx cy, S⁻¹ as xx xy yy, σ, B, C, γx γy, with B and C from the means on both sides of the edge."""
-    parameters = np.zeros(PARAMETERS)
-    parameters[0], parameters[1] = origin
-    parameters[2], parameters[3], parameters[4] = precision[0, 0], precision[0, 1], precision[1, 1]
-    parameters[5] = 1.0
-    sums = np.zeros(4)
-    rows, columns = _box(image, parameters, 3.0)
-    for y in range(rows[0], rows[1]):
-        for x in range(columns[0], columns[1]):
-            _, distance, _ = _distance(parameters, x, y)
-            if -4.0 < distance < 4.0:
-                side = 0 if distance > 0.0 else 2
-                sums[side] += image[y, x]
-                sums[side + 1] += 1.0
-    if sums[1] > 0.0 and sums[3] > 0.0:
-        parameters[6] = sums[0] / sums[1]
-        parameters[7] = sums[2] / sums[3] - parameters[6]
-    return parameters
+def _band(parameters, reach, ring):  # type: ignore[no-untyped-def]
+    """How far inside and outside of the edge pixels are used."""
+    a, b, c = parameters[2], parameters[3], parameters[4]
+    half = (a + c) / 2.0
+    minor = 1.0 / math.sqrt(half + math.sqrt(max(half * half - (a * c - b * b), 0.0)))
+    wide = BAND_SIGMAS * parameters[5] + LEAST_BAND_PX
+    inside = min(wide, RING_SHARE * minor) if ring else wide
+    return inside, min(wide, max(reach, LEAST_BAND_PX))
 
 
 @njit()
-def _box(image, parameters, margin):  # type: ignore[no-untyped-def]
-    """Rows and columns, each (first, after last), that hold the ellipse and a margin, within the image."""
+def _collect(image, origin, parameters, band, stride):  # type: ignore[no-untyped-def]
+    """Return x − x₀, y − y₀ and grey value (3, K) of the pixels in the band about the ellipse, and x₀, y₀."""
     a, b, c = parameters[2], parameters[3], parameters[4]
     determinant = a * c - b * b
-    half_x = math.sqrt(c / determinant) + margin
-    half_y = math.sqrt(a / determinant) + margin
-    rows = max(0, math.ceil(parameters[1] - half_y)), min(image.shape[0], math.floor(parameters[1] + half_y) + 1)
-    columns = max(0, math.ceil(parameters[0] - half_x)), min(image.shape[1], math.floor(parameters[0] + half_x) + 1)
-    return rows, columns
+    half_x = math.sqrt(c / determinant) + band[1] + 1.0
+    half_y = math.sqrt(a / determinant) + band[1] + 1.0
+    top, bottom = max(0, math.ceil(parameters[1] - half_y)), min(image.shape[0], math.floor(parameters[1] + half_y) + 1)
+    left, right = max(0, math.ceil(parameters[0] - half_x)), min(image.shape[1], math.floor(parameters[0] + half_x) + 1)
+    pixels = np.empty((3, max(0, bottom - top) * max(0, right - left)))
+    count = 0
+    for y in range(top, bottom, stride):
+        for x in range(left, right, stride):
+            _, distance, _ = _distance(parameters, x - parameters[0], y - parameters[1])
+            if -band[0] <= distance <= band[1]:
+                pixels[0, count], pixels[1, count], pixels[2, count] = x - origin[0], y - origin[1], image[y, x]
+                count += 1
+    return pixels[:, :count].copy(), (origin[0], origin[1])
 
 
 @njit()
-def _distance(parameters, x, y):  # type: ignore[no-untyped-def]
-    """Return ρ, the distance from the ellipse and |S⁻¹ p| of a pixel at p from the centre."""
-    px, py = x - parameters[0], y - parameters[1]
+def _distance(parameters, px, py):  # type: ignore[no-untyped-def]
+    """Return ρ, the distance from the ellipse and |S⁻¹ p| at p from the centre."""
     gx = parameters[2] * px + parameters[3] * py
     gy = parameters[3] * px + parameters[4] * py
     rho = math.sqrt(max(px * gx + py * gy, 1e-12))
@@ -158,100 +165,132 @@ def _distance(parameters, x, y):  # type: ignore[no-untyped-def]
 
 
 @njit()
-def _band(parameters, reach, ring):  # type: ignore[no-untyped-def]
-    """Ellipse (5,) as it is now and how far inside and outside of its edge pixels are used: the same through a pass."""
-    a, b, c = parameters[2], parameters[3], parameters[4]
-    half = (a + c) / 2.0
-    minor = 1.0 / math.sqrt(half + math.sqrt(max(half * half - (a * c - b * b), 0.0)))
-    wide = BAND_SIGMAS * parameters[5] + LEAST_BAND_PX
-    inside = min(wide, 0.25 * minor) if ring else wide
-    return parameters[:5].copy(), inside, min(wide, max(reach, LEAST_BAND_PX))
+def _first_levels(pixels, parameters):  # type: ignore[no-untyped-def]
+    """Background and contrast from the means on both sides of the edge."""
+    values, origin = pixels
+    total, count = np.zeros(2), np.zeros(2)
+    for k in range(values.shape[1]):
+        px, py = values[0, k] + origin[0] - parameters[0], values[1, k] + origin[1] - parameters[1]
+        side = 0 if _distance(parameters, px, py)[0] > 1.0 else 1
+        total[side] += values[2, k]
+        count[side] += 1.0
+    parameters[6] = total[0] / max(count[0], 1.0)
+    parameters[7] = total[1] / max(count[1], 1.0) - parameters[6]
 
 
 @njit()
-def _model(parameters, origin, x, y, slope):  # type: ignore[no-untyped-def]
-    """Return the model's grey value at a pixel and write its derivatives to slope (10,)."""
-    rho, distance, length = _distance(parameters, x, y)
+def _evaluate(pixels, parameters, residual, jacobian, by_distance):  # type: ignore[no-untyped-def]
+    """Write residuals (K,), the model's derivatives by the parameters (10, K) and by the distance (K,)."""
+    values, origin = pixels
+    a, b, c = parameters[2], parameters[3], parameters[4]
     sigma, background, contrast = parameters[5], parameters[6], parameters[7]
-    u = distance / sigma
-    covered = 0.5 * math.erfc(u / math.sqrt(2.0))
-    light = 1.0 + parameters[8] * (x - origin[0]) + parameters[9] * (y - origin[1])
-    by_distance = -light * contrast * math.exp(-0.5 * u * u) / (math.sqrt(2.0 * math.pi) * sigma)
-    px, py = x - parameters[0], y - parameters[1]
-    a, b, c = parameters[2], parameters[3], parameters[4]
-    gx, gy = a * px + b * py, b * px + c * py
-    by_square = by_distance * (1.0 - 0.5 / rho) / length
-    by_length = -by_distance * distance / (length * length)
-    slope[0] = -2.0 * by_square * gx - by_length * (gx * a + gy * b)
-    slope[1] = -2.0 * by_square * gy - by_length * (gx * b + gy * c)
-    slope[2] = by_square * px * px + by_length * gx * px
-    slope[3] = 2.0 * by_square * px * py + by_length * (gx * py + gy * px)
-    slope[4] = by_square * py * py + by_length * gy * py
-    slope[5] = -by_distance * u
-    slope[6] = light
-    slope[7] = light * covered
-    level = background + contrast * covered
-    slope[8] = level * (x - origin[0])
-    slope[9] = level * (y - origin[1])
-    return light * level, by_distance
+    for k in range(values.shape[1]):
+        x, y = values[0, k], values[1, k]
+        px, py = x + origin[0] - parameters[0], y + origin[1] - parameters[1]
+        rho, distance, length = _distance(parameters, px, py)
+        u = distance / sigma
+        covered = 0.5 * math.erfc(u / math.sqrt(2.0))
+        light = 1.0 + parameters[8] * x + parameters[9] * y
+        level = background + contrast * covered
+        slope = -light * contrast * math.exp(-0.5 * u * u) / (math.sqrt(2.0 * math.pi) * sigma)
+        gx, gy = a * px + b * py, b * px + c * py
+        by_square = slope * (1.0 - 0.5 / rho) / length
+        by_length = -slope * distance / (length * length)
+        residual[k] = values[2, k] - light * level
+        by_distance[k] = slope
+        jacobian[0, k] = -2.0 * by_square * gx - by_length * (gx * a + gy * b)
+        jacobian[1, k] = -2.0 * by_square * gy - by_length * (gx * b + gy * c)
+        jacobian[2, k] = by_square * px * px + by_length * gx * px
+        jacobian[3, k] = 2.0 * by_square * px * py + by_length * (gx * py + gy * px)
+        jacobian[4, k] = by_square * py * py + by_length * gy * py
+        jacobian[5, k] = -slope * u
+        jacobian[6, k] = light
+        jacobian[7, k] = light * covered
+        jacobian[8, k] = level * x
+        jacobian[9, k] = level * y
+
+
+@njit(fastmath=True)
+def _dot(first, second):  # type: ignore[no-untyped-def]
+    """Scalar product, its terms in any order."""
+    total = 0.0
+    for k in range(len(first)):
+        total += first[k] * second[k]
+    return total
 
 
 @njit()
-def _normal_equations(image, origin, band, parameters, matrix, vector):  # type: ignore[no-untyped-def]
-    """Sum Jᵀ J and Jᵀ r over the band; return the sum of squares and the number of pixels."""
-    ellipse, inside, outside = band
-    matrix[:] = 0.0
-    vector[:] = 0.0
-    slope = np.empty(PARAMETERS)
-    squares, pixels = 0.0, 0
-    rows, columns = _box(image, ellipse, outside + 1.0)
-    for y in range(rows[0], rows[1]):
-        for x in range(columns[0], columns[1]):
-            _, distance, _ = _distance(ellipse, x, y)
-            if distance < -inside or distance > outside:
-                continue
-            value, _ = _model(parameters, origin, x, y, slope)
-            residual = image[y, x] - value
-            squares += residual * residual
-            pixels += 1
-            for i in range(PARAMETERS):
-                vector[i] += slope[i] * residual
-                for j in range(i + 1):
-                    matrix[i, j] += slope[i] * slope[j]
+def _normal_equations(residual, jacobian, matrix, vector):  # type: ignore[no-untyped-def]
+    """Write J Jᵀ scaled to a unit diagonal and J r scaled likewise; return the scale (10,)."""
+    scale = np.empty(PARAMETERS)
     for i in range(PARAMETERS):
-        for j in range(i):
+        scale[i] = math.sqrt(max(_dot(jacobian[i], jacobian[i]), 1e-300))
+        vector[i] = _dot(jacobian[i], residual) / scale[i]
+        for j in range(i + 1):
+            matrix[i, j] = _dot(jacobian[i], jacobian[j]) / (scale[i] * scale[j])
             matrix[j, i] = matrix[i, j]
-    return squares, pixels
+    return scale
 
 
 @njit()
-def _descend(image, origin, band, parameters, until):  # type: ignore[no-untyped-def]
+def _factorise(matrix, damping, lower):  # type: ignore[no-untyped-def]
+    """Write the Cholesky factor of a matrix of unit diagonal, that raised by the damping."""
+    for i in range(PARAMETERS):
+        for j in range(i + 1):
+            rest = matrix[i, j] - _dot(lower[i, :j], lower[j, :j])
+            if i == j:
+                lower[i, i] = math.sqrt(max(rest + damping, 1e-14))
+            else:
+                lower[i, j] = rest / lower[j, j]
+
+
+@njit()
+def _solve(lower, vector, solution):  # type: ignore[no-untyped-def]
+    """Write the solution of L Lᵀ x = vector."""
+    for i in range(PARAMETERS):
+        solution[i] = (vector[i] - _dot(lower[i, :i], solution[:i])) / lower[i, i]
+    for i in range(PARAMETERS - 1, -1, -1):
+        solution[i] = (solution[i] - _dot(lower[i + 1 :, i], solution[i + 1 :])) / lower[i, i]
+
+
+@njit()
+def _descend(pixels, parameters, small_step_px):  # type: ignore[no-untyped-def]
     """Levenberg–Marquardt until centre and σ move less than a step; return whether it got there."""
-    small_step, most_steps = until
-    matrix, trial_matrix = np.empty((PARAMETERS, PARAMETERS)), np.empty((PARAMETERS, PARAMETERS))
-    vector, trial_vector = np.empty(PARAMETERS), np.empty(PARAMETERS)
-    squares, pixels = _normal_equations(image, origin, band, parameters, matrix, vector)
-    damping = 1e-3
-    for _ in range(most_steps):
-        scale = np.sqrt(np.diag(matrix))
-        if pixels <= PARAMETERS or not scale.min() > 0.0:
-            return False
-        step = np.linalg.solve(matrix / np.outer(scale, scale) + damping * np.eye(PARAMETERS), vector / scale) / scale
+    count = pixels[0].shape[1]
+    if count <= PARAMETERS:
+        return False
+    residual, trial_residual, by_distance = np.empty(count), np.empty(count), np.empty(count)
+    jacobian, trial_jacobian = np.empty((PARAMETERS, count)), np.empty((PARAMETERS, count))
+    matrix, lower = np.empty((PARAMETERS, PARAMETERS)), np.zeros((PARAMETERS, PARAMETERS))
+    vector, step = np.empty(PARAMETERS), np.empty(PARAMETERS)
+    _evaluate(pixels, parameters, residual, jacobian, by_distance)
+    squares = _dot(residual, residual)
+    scale = _normal_equations(residual, jacobian, matrix, vector)
+    damping = FIRST_DAMPING
+    for _ in range(MOST_STEPS):
+        _factorise(matrix, damping, lower)
+        _solve(lower, vector, step)
+        for i in range(PARAMETERS):
+            step[i] /= scale[i]
         trial = parameters + step
-        moved = max(abs(step[0]), abs(step[1]), abs(step[5]))
-        if _possible(trial):
-            trial_squares, _ = _normal_equations(image, origin, band, trial, trial_matrix, trial_vector)
-            if trial_squares <= squares:
-                parameters[:] = trial
-                squares, damping = trial_squares, max(0.1 * damping, 1e-12)
-                matrix[:], vector[:] = trial_matrix, trial_vector
-                if moved < small_step:
-                    return True
-                continue
-            if moved < small_step:
+        small = max(abs(step[0]), abs(step[1]), abs(step[5])) < small_step_px
+        if not _possible(trial):
+            damping *= 10.0
+            continue
+        _evaluate(pixels, trial, trial_residual, trial_jacobian, by_distance)
+        trial_squares = _dot(trial_residual, trial_residual)
+        if trial_squares <= squares:
+            parameters[:] = trial
+            if small:
                 return True
-        damping *= 10.0
-    return small_step > 1e-3
+            squares, damping = trial_squares, 0.1 * damping
+            residual, trial_residual, jacobian, trial_jacobian = trial_residual, residual, trial_jacobian, jacobian
+            scale = _normal_equations(residual, jacobian, matrix, vector)
+        elif small:
+            return True
+        else:
+            damping *= 10.0
+    return False
 
 
 @njit()
@@ -266,32 +305,36 @@ def _possible(parameters):  # type: ignore[no-untyped-def]
 
 
 @njit()
-def _judge(image, origin, band, parameters, spread):  # type: ignore[no-untyped-def]
+def _judge(pixels, parameters, spread):  # type: ignore[no-untyped-def]
     """Write the centre's variances xx xy yy, the noise and the roughness of the edge."""
-    ellipse, inside, outside = band
-    matrix, covariance = np.zeros((PARAMETERS, PARAMETERS)), np.zeros((2, 2))
-    slope, vector = np.empty(PARAMETERS), np.empty(PARAMETERS)
+    values, origin = pixels
+    count = values.shape[1]
+    residual, by_distance, jacobian = np.empty(count), np.empty(count), np.empty((PARAMETERS, count))
+    matrix, vector = np.empty((PARAMETERS, PARAMETERS)), np.empty(PARAMETERS)
+    _evaluate(pixels, parameters, residual, jacobian, by_distance)
+    scale = _normal_equations(residual, jacobian, matrix, vector)
+    lower, inverse = np.zeros((PARAMETERS, PARAMETERS)), np.zeros((PARAMETERS, PARAMETERS))
+    pull = np.zeros(PARAMETERS)
+    _factorise(matrix, 1e-12, lower)
+    for i in range(PARAMETERS):
+        vector[:] = 0.0
+        vector[i] = 1.0
+        _solve(lower, vector, inverse[i])
     moved, weight = np.zeros(SECTORS), np.zeros(SECTORS)
-    squares, pixels = _normal_equations(image, origin, band, parameters, matrix, vector)
-    scale = np.sqrt(np.diag(matrix))
-    inverse = np.linalg.inv(matrix / np.outer(scale, scale) + 1e-12 * np.eye(PARAMETERS)) / np.outer(scale, scale)
-    rows, columns = _box(image, ellipse, outside + 1.0)
-    for y in range(rows[0], rows[1]):
-        for x in range(columns[0], columns[1]):
-            _, distance, _ = _distance(ellipse, x, y)
-            if distance < -inside or distance > outside:
-                continue
-            value, by_distance = _model(parameters, origin, x, y, slope)
-            residual = image[y, x] - value
-            turn = math.atan2(y - parameters[1], x - parameters[0]) / (2.0 * math.pi) + 0.5
-            sector = min(int(turn * SECTORS), SECTORS - 1)
-            moved[sector] += by_distance * residual
-            weight[sector] += by_distance * by_distance
-            pull = inverse @ slope
-            variance = residual * residual / (1.0 - slope @ pull)
-            for i in range(2):
-                for j in range(2):
-                    covariance[i, j] += pull[i] * pull[j] * variance
-    spread[0], spread[1], spread[2] = covariance[0, 0], covariance[0, 1], covariance[1, 1]
-    spread[3] = math.sqrt(squares / (pixels - PARAMETERS))
+    spread[:3] = 0.0
+    for k in range(count):
+        for i in range(PARAMETERS):
+            vector[i] = jacobian[i, k] / scale[i]
+        for i in range(PARAMETERS):
+            pull[i] = _dot(inverse[i], vector)
+        variance = residual[k] ** 2 / max(1.0 - _dot(pull, vector), 1e-3)
+        dx, dy = pull[0] / scale[0], pull[1] / scale[1]
+        spread[0] += dx * dx * variance
+        spread[1] += dx * dy * variance
+        spread[2] += dy * dy * variance
+        turn = math.atan2(values[1, k] + origin[1] - parameters[1], values[0, k] + origin[0] - parameters[0])
+        sector = min(int((turn / (2.0 * math.pi) + 0.5) * SECTORS), SECTORS - 1)
+        moved[sector] += by_distance[k] * residual[k]
+        weight[sector] += by_distance[k] ** 2
+    spread[3] = math.sqrt(_dot(residual, residual) / (count - PARAMETERS))
     spread[4] = math.sqrt(np.mean((moved / np.maximum(weight, 1e-12)) ** 2))

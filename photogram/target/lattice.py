@@ -105,10 +105,10 @@ def _seeds(centre: FloatArray, shape: FloatArray) -> IntArray:
     expected = np.einsum("ka,nai->nki", AROUND.astype(float), np.stack([first, across], axis=1))
     apart = np.linalg.norm(expected[:, :, None] - step[:, None], axis=3)
     nearest = apart.argmin(axis=2)
-    miss = np.minimum(apart.min(axis=2) / length[:, None], SEED_TOLERANCE)
-    hit = miss < SEED_TOLERANCE
+    miss: FloatArray = np.minimum(apart.min(axis=2) / length[:, None], SEED_TOLERANCE)
+    hit = np.less(miss, SEED_TOLERANCE)
     score = hit.sum(axis=1) - miss.mean(axis=1)
-    corner = np.stack([hit[:, a] & hit[:, (a + 1) % 4] for a in range(4)], axis=1)
+    corner = hit[:, :4] & np.roll(hit[:, :4], -1, axis=1)
     order = np.argsort(-score)
     order = order[corner.any(axis=1)[order] & (hit.sum(axis=1)[order] >= LEAST_SEED_MATCHES)][:SEEDS]
     first_axis = corner.argmax(axis=1)[order]
@@ -142,9 +142,11 @@ class _Growth:
     def _extend(self, places: list[tuple[int, int]], reach: int) -> list[tuple[int, int]]:
         """Look at the empty places within `reach` steps of places; return those that were filled."""
         steps = [(i, j) for i in range(-reach, reach + 1) for j in range(-reach, reach + 1)]
-        empty = dict.fromkeys((i + di, j + dj) for i, j in places for di, dj in steps if (i + di, j + dj) not in self.at)
+        empty = dict.fromkeys(
+            (i + di, j + dj) for i, j in places for di, dj in steps if (i + di, j + dj) not in self.at
+        )
         index, member = np.array(list(self.at)), np.array(list(self.at.values()))
-        wanted = {}
+        wanted: dict[int, tuple[tuple[int, int], float]] = {}
         for place in empty:
             found = self._look(np.array(place), index, member)
             if found is not None and (found[0] not in wanted or found[1] < wanted[found[0]][1]):
@@ -173,7 +175,7 @@ class _Growth:
 
 
 def _extrapolate(step: IntArray, position: FloatArray, order: int) -> tuple[FloatArray, FloatArray] | None:
-    """Return where the place 0 lies and the Jacobian there, from places at `step` (N, 2); None if they lie in a line."""
+    """Return where the place 0 lies and the Jacobian there, from places at `step` (N, 2); None if all in a line."""
     i, j = step.T.astype(np.float64)
     columns = [np.ones(len(step)), i, j]
     if order == 2:
