@@ -110,7 +110,8 @@ def _seeds(centre: FloatArray, shape: FloatArray) -> IntArray:
     score = hit.sum(axis=1) - miss.mean(axis=1)
     corner = hit[:, :4] & np.roll(hit[:, :4], -1, axis=1)
     order = np.argsort(-score)
-    order = order[corner.any(axis=1)[order] & (hit.sum(axis=1)[order] >= LEAST_SEED_MATCHES)][:SEEDS]
+    usable = np.asarray(corner.any(axis=1))
+    order = order[usable[order] & (hit.sum(axis=1)[order] >= LEAST_SEED_MATCHES)][:SEEDS]
     first_axis = corner.argmax(axis=1)[order]
     along, beside = (near[order, nearest[order, (first_axis + turn) % 4]] for turn in (0, 1))
     return np.column_stack([order, along, beside])
