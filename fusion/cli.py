@@ -136,6 +136,24 @@ def _cameras(options: argparse.Namespace) -> int:
     return EXIT_DONE
 
 
+def _align(options: argparse.Namespace) -> int:
+    from fusion.align import align_file
+    from fusion.progress import progress_bar
+    from fusion.settings import Settings
+
+    with progress_bar(enabled=not options.quiet) as progress:
+        text = align_file(
+            options.alignment,
+            options.output,
+            Settings(device=options.device),
+            force=options.force,
+            allow_outside=options.allow_outside,
+            progress=progress,
+        )
+    print(text, end="")
+    return EXIT_DONE
+
+
 def _import_calibration(options: argparse.Namespace) -> int:
     from fusion.import_calibration import convert_calibration
 
@@ -185,6 +203,9 @@ def _parser() -> argparse.ArgumentParser:
     imports = "take over a calibration of OpenCV, DICe, VIC-3D, MATLAB or Bouguet's toolbox"
     _add_import(commands.add_parser("import-calibration", parents=[common], help=imports))
 
+    aligns = "find where a stereo pair's camera stands in the sensor frame"
+    _add_align(commands.add_parser("align", parents=[common], help=aligns))
+
     simulate = commands.add_parser("simulate", parents=[common], help="write a simulated recording with its truth")
     simulate.add_argument("out", type=Path, metavar="OUT", help="campaign folder to create")
     simulate.add_argument(
@@ -212,6 +233,19 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--length-unit", choices=("m", "mm"), help="of the file's lengths, where it does not say it")
     parser.add_argument("--force", action="store_true", help="overwrite a calibration file that is there")
     parser.set_defaults(action=_import_calibration)
+
+
+def _add_align(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("alignment", type=Path, metavar="ALIGNMENT.toml", help="file that names the evidence")
+    parser.add_argument("-o", "--output", type=Path, metavar="POSE.toml", help="file for the block of rig.toml")
+    parser.add_argument("--force", action="store_true", help="overwrite the output that is there")
+    parser.add_argument(
+        "--allow-outside", action="store_true", help="accept files outside the folder of ALIGNMENT.toml"
+    )
+    parser.add_argument(
+        "--device", type=_device, default="auto", metavar="{auto,cpu,cuda}", help="where subsets are tracked"
+    )
+    parser.set_defaults(action=_align)
 
 
 def _add_cameras(parser: argparse.ArgumentParser) -> None:

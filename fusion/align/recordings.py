@@ -1,0 +1,254 @@
+"""Recordings of a body that moves along a known direction, or turns about a known axis → evidence.
+
+The recordings are evaluated here, not read from the results of a run: those contain the uncertainty of the pose that is
+sought, and no longer the calibration's share by its principal components, which all evidence has in common.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.align.manifest import AlignmentFile, AxisBlock, Motion
+from fusion.align.stills import Pair
+from fusion.channels import find_channel_lines
+from fusion.errors import ComputeError, InputError
+from fusion.manifest import Manifest, load_manifest
+from fusion.notices import AnyNotice
+from fusion.observe import CALIBRATION
+from fusion.provenance import sha256
+from fusion.records import read_daqs
+from fusion.settings import ProgressCallback, Settings
+from fusion.stereo_motion import (
+    StereoMotion,
+    measure_images,
+    measure_points,
+    motion_lines,
+    open_images,
+    sensor_from_camera,
+)
+from fusion.stereo_phasors import stereo_phasors
+from fusion.timing import TimeBase, tie_daqs
+from photogram.alignment import Evidence, KnownAxis, KnownDirection, fit_axis, linear_motion
+from photogram.camera import StereoRig
+from photogram.motion import RigidMotion, fit_motion
+from photogram.notice import Notice
+from photogram.rigid import RigidTransform
+from photogram.track import TrackStatus
+from photogram.triangulate import triangulate
+
+FloatArray = NDArray[np.float64]
+
+EFFECT_FRAMES = 12  # frames and subsets that show what the calibration does to an axis
+EFFECT_SUBSETS = 200
+FEWEST_SUBSETS = 6
+UNSTEADY = 4.0  # reduced chi-square of the frames against a fixed axis from which the user is told
+
+
+@dataclass(frozen=True, eq=False)
+class Moving:
+    """What the recordings say, the pose that the first of them states, and remarks."""
+
+    evidence: tuple[Evidence, ...]
+    stated: RigidTransform | None
+    notices: tuple[AnyNotice, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Recorded:
+    """One recording of the pair, evaluated up to the body's motion."""
+
+    manifest: Manifest
+    base: TimeBase
+    measured: StereoMotion
+
+    @property
+    def sensor_from_camera(self) -> RigidTransform:
+        """The pose that the recording's rig.toml states."""
+        return sensor_from_camera(self.measured.stereo)
+
+
+def moving_evidence(
+    path: Path,
+    file: AlignmentFile,
+    pair: Pair | None,
+    settings: Settings,
+    progress: ProgressCallback,
+    allow_outside: bool,
+) -> Moving:
+    """Evaluate all recordings that alignment.toml names."""
+    found: list[Evidence] = []
+    notices: list[AnyNotice] = []
+    stated = None
+    steps = 0 if pair is None else len(pair.steps)
+    blocks: list[Motion | AxisBlock] = [*file.motion, *file.axis]
+    for block in blocks:
+        kind = "motion" if isinstance(block, Motion) else "axis"
+        key = f"{kind}.{block.name}.recordings"
+        manifests = [load_manifest(recording, allow_outside=allow_outside) for recording in block.recordings]
+        recorded = [_record(path, key, file, manifest, settings, progress) for manifest in manifests]
+        stated = recorded[0].sensor_from_camera if stated is None else stated
+        evidence, remarks = (
+            _direction(path, block, recorded, steps) if isinstance(block, Motion) else _axis(block, recorded, pair)
+        )
+        found.append(evidence)
+        notices += remarks
+    return Moving(tuple(found), stated, tuple(notices))
+
+
+def _record(
+    path: Path, key: str, file: AlignmentFile, manifest: Manifest, settings: Settings, progress: ProgressCallback
+) -> _Recorded:
+    """Measure the motion that the pair sees in one recording."""
+    images = next((entry for entry in manifest.images if entry.stereo == file.stereo), None)
+    points = next((entry for entry in manifest.points if entry.stereo == file.stereo), None)
+    if images is None and points is None:
+        expected = f'images or points of the stereo pair "{file.stereo}"'
+        raise InputError(path, key, f"none in {manifest.path}", expected)
+    base = tie_daqs(manifest, read_daqs(manifest))
+    if points is not None:
+        return _Recorded(manifest, base, measure_points(manifest, base, points))
+    assert images is not None
+    calibration = manifest.rig.stereo[file.stereo].calibration
+    if file.calibration is None or calibration is None or sha256(calibration) != sha256(file.calibration):
+        found = "none" if file.calibration is None else "another calibration"
+        raise InputError(path, "calibration", found, f"the one that {manifest.rig_path} names for {file.stereo}")
+    opened = open_images(manifest, base, images)
+    return _Recorded(manifest, base, measure_images(manifest, opened, settings, progress))
+
+
+def _direction(
+    path: Path, block: Motion, recorded: Sequence[_Recorded], steps: int
+) -> tuple[KnownDirection, list[AnyNotice]]:
+    """Return the directions in which the body moved at its strongest line."""
+    direction = _known_direction(path, block, [item.manifest for item in recorded])
+    name, motions, covariances, points, effects = f"motion {block.name}", [], [], [], []
+    notices: list[AnyNotice] = []
+    for item in recorded:
+        moved, covariance, changes, minor = _strongest(item)
+        to_camera = item.sensor_from_camera.inverse()
+        turn = np.kron(np.eye(2), to_camera.rotation)
+        padded = np.zeros((steps, 6))
+        padded[: len(changes)] = changes @ turn.T
+        motions.append(turn @ moved)
+        covariances.append(turn @ covariance @ turn.T)
+        points.append(to_camera.translation_m)
+        effects.append(padded)
+        if minor > block.direction_uncertainty:
+            text = (
+                f"{item.manifest.name}: the body moves on an ellipse, {1e3 * minor:.2g} mrad wide, but direction_"
+                f"uncertainty is {1e3 * block.direction_uncertainty:.2g} mrad; is the direction known that well?"
+            )
+            notices.append(Notice("warning", text, name))
+    evidence = KnownDirection(
+        name,
+        np.array(motions),
+        np.array(covariances),
+        np.array(points),
+        direction,
+        np.stack(effects, axis=1),
+        block.direction_uncertainty,
+    )
+    return evidence, notices
+
+
+def _known_direction(path: Path, block: Motion, manifests: Sequence[Manifest]) -> FloatArray:
+    """Return the direction that the block states, else that of its recordings' excitation."""
+    if block.direction is not None:
+        return np.array(block.direction)
+    stated = [manifest.excitation.direction for manifest in manifests]
+    for manifest, direction in zip(manifests, stated, strict=True):
+        if direction is None or len(direction) != 3:
+            expected = f"3 numbers, or the key direction in motion.{block.name} of {path}"
+            raise InputError(manifest.path, "excitation.direction", "no direction of a translation", expected)
+        if direction != stated[0]:
+            expected = "recordings of one direction in a block, since its uncertainty is common to them"
+            raise InputError(path, f"motion.{block.name}.recordings", "several directions", expected)
+    return np.array(stated[0])
+
+
+def _strongest(item: _Recorded) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+    """Return motion (6,), covariance, effects of the calibration and ellipse at the strongest fundamental."""
+    lines = find_channel_lines(item.manifest, item.base) or motion_lines(item.manifest, item.base, [item.measured])
+    phasors = stereo_phasors(item.measured, lines)
+    value = phasors.displacement.value
+    size = np.where(lines.multiple == 1, np.linalg.norm(value[:, :3], axis=1), np.nan)
+    if not np.isfinite(size).any():
+        name = item.measured.entry.stereo
+        raise ComputeError(f"stereo pair {name}: its camera rate tells no fundamental of {item.manifest.path} apart")
+    line = int(np.nanargmax(size))
+    covariance = phasors.displacement.covariance[line].copy()
+    for what, changes in phasors.effects.items():
+        if what != CALIBRATION:
+            stacked = np.concatenate([changes[:, line].real, changes[:, line].imag], axis=1)
+            covariance += stacked.T @ stacked
+    calibration = phasors.effects.get(CALIBRATION)
+    effects = np.zeros((0, 6), dtype=np.complex128) if calibration is None else calibration[:, line]
+    return linear_motion(value[line], covariance, effects)
+
+
+def _axis(block: AxisBlock, recorded: Sequence[_Recorded], pair: Pair | None) -> tuple[KnownAxis, list[AnyNotice]]:
+    """Return the axes about which the body turned."""
+    name, lines, covariances, effects = f"axis {block.name}", [], [], []
+    notices: list[AnyNotice] = []
+    for item in recorded:
+        to_camera = item.sensor_from_camera.inverse()
+        turn = np.kron(np.eye(2), to_camera.rotation)
+        try:
+            axis = fit_axis(item.measured.motion)
+            changes = _axis_effects(item, pair, axis.line)
+        except ValueError as error:
+            raise ComputeError(f"{item.manifest.path}: {error}".replace("motion: ", "")) from error
+        lines.append(np.concatenate([to_camera.apply(axis.line[:3]), to_camera.rotation @ axis.line[3:]]))
+        covariances.append(turn @ axis.covariance @ turn.T)
+        effects.append(changes @ turn.T)
+        if axis.dof and axis.chi2 / axis.dof > UNSTEADY:
+            factor = np.sqrt(axis.chi2 / axis.dof)
+            text = f"{item.manifest.name}: the body turns about no fixed axis, its frames are off by {factor:.2g} times"
+            notices.append(Notice("warning", f"{text} their noise; the axis counts as that much less certain", name))
+    evidence = KnownAxis(
+        name,
+        np.array(lines),
+        np.array(covariances),
+        np.array(block.point),
+        np.array(block.direction),
+        np.stack(effects, axis=1),
+        np.array(block.point_uncertainty),
+        block.direction_uncertainty,
+    )
+    return evidence, notices
+
+
+def _axis_effects(item: _Recorded, pair: Pair | None, line: FloatArray) -> FloatArray:
+    """Return the changes (P, 6) of the axis for each step of the rig, from a few frames and subsets.
+
+    The path from the tracks onward is evaluated again with each perturbed rig. What the calibration does to an axis is
+    smooth over the image and the frames, so that twelve frames over the range of angles show it.
+    """
+    view = item.measured.view
+    if pair is None or view is None:
+        return np.zeros((0 if pair is None else len(pair.steps), 6))
+    motion = item.measured.motion
+    good = (view.tracks.left.status == TrackStatus.OK) & (view.tracks.right.status == TrackStatus.OK)
+    fitted = np.flatnonzero(np.isfinite(motion.pose).all(axis=1))
+    ordered = fitted[np.argsort(motion.pose[fitted, 3:] @ line[3:])]
+    chosen = ordered[np.unique(np.linspace(0, len(ordered) - 1, EFFECT_FRAMES).astype(int))]
+    common = np.flatnonzero(good[chosen].all(axis=0))
+    if len(common) < FEWEST_SUBSETS:
+        raise ValueError(f"only {len(common)} subsets are followed through all frames; look at the images")
+    subsets = common[np.unique(np.linspace(0, len(common) - 1, EFFECT_SUBSETS).astype(int))]
+    left, right = (side.position_px[np.ix_(chosen, subsets)] for side in (view.tracks.left, view.tracks.right))
+    covariance = motion.covariance[chosen]
+
+    def turned(rig: StereoRig) -> FloatArray:
+        points = triangulate(rig, left, right).transformed(item.sensor_from_camera)
+        seen: RigidMotion = replace(fit_motion(points, None, np.zeros(3)), covariance=covariance)
+        found = fit_axis(seen).line
+        return np.asarray(found * np.repeat([1.0, np.sign(found[3:] @ line[3:])], 3))
+
+    nominal = turned(pair.rig)
+    return np.array([turned(pair.rig.perturbed(step)) - nominal for step in pair.steps]).reshape(-1, 6)

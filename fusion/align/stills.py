@@ -1,0 +1,223 @@
+"""Points, faces and pictures of the target → evidence."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.align.manifest import AlignmentFile, CommonView, Face, OtherPair, Point, TargetBlock, TargetViewBlock
+from fusion.errors import InputError
+from photogram.alignment import (
+    Evidence,
+    KnownFace,
+    KnownPoints,
+    KnownPoses,
+    StatedFrame,
+    calibration_steps,
+    seen_points,
+    seen_target,
+)
+from photogram.alignment.residuals import displacement_jacobian
+from photogram.calibration_file import read_calibration
+from photogram.camera import StereoRig
+from photogram.images import read_picture
+from photogram.rigid import RigidTransform
+from photogram.target.find import find_target
+from photogram.target.view import Target, TargetView
+
+FloatArray = NDArray[np.float64]
+
+PIXEL_COLUMNS = ("left_x", "left_y", "right_x", "right_y")
+FEWEST_FACE_POINTS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """A calibrated stereo pair and the steps (P, 24) that stand for its calibration's errors."""
+
+    rig: StereoRig
+    steps: FloatArray
+
+
+def read_pair(path: Path, calibration: Path, scale_u: float | None, key: str = "") -> Pair:
+    """Read a calibration that `path` names; one without covariance needs a stated scale, under `key`."""
+    try:
+        rig = read_calibration(calibration)
+    except (OSError, ValueError) as error:
+        raise InputError.told_by(error, calibration) from error
+    if rig.covariance is None and scale_u is None:
+        expected = "the relative standard uncertainty of all lengths, required without a calibration's covariance"
+        raise InputError(path, f"{key}scale_uncertainty", "nothing", expected)
+    return Pair(rig, calibration_steps(rig, scale_u or 0.0))
+
+
+def still_evidence(path: Path, file: AlignmentFile, pair: Pair) -> list[Evidence]:
+    """Return the evidence of points, faces and target views."""
+    datum = StatedFrame("datum", np.array(file.datum_uncertainty))
+    found: list[Evidence] = [_points(path, file.point, pair, datum)] if file.point else []
+    found += [_face(path, face, pair, datum) for face in file.face]
+    if file.target is not None:
+        target = _target(path, file.target)
+        found += [_views(path, view, target, pair, datum) for view in file.target_view]
+        if file.other is not None and file.common_view:
+            found.append(_common(path, file.common_view, file.other, target, pair))
+    return found
+
+
+def known_pose(rotation: FloatArray, translation: FloatArray, u: FloatArray) -> Evidence:
+    """Return what was known of the pose before, u (6,) being those of sensor origin and rotation about it."""
+    pose = RigidTransform(rotation, translation)
+    moved = np.eye(6)
+    moved[:3] = displacement_jacobian(translation)
+    covariance = moved @ np.diag(u**2) @ moved.T
+    zero = np.zeros((1, 6, 6))
+    own = (RigidTransform.identity(),)
+    return KnownPoses(("the pose known before",), own, zero, (pose,), covariance[None], np.zeros((0, 1, 6)))
+
+
+def _points(path: Path, points: Sequence[Point], pair: Pair, datum: StatedFrame) -> KnownPoints:
+    """Return the fiducials, triangulated."""
+    seen = []
+    for point in points:
+        pixels = np.array([[point.left], [point.right]])
+        seen.append(seen_points(pair.rig, pair.steps, pixels[0], pixels[1], point.pixel_uncertainty))
+        if not np.isfinite(seen[-1][0]).all():
+            expected = "pixels of one point in front of both cameras"
+            raise InputError(path, f"point.{point.name}", "rays that do not meet", expected)
+    spread = np.array([point.position_uncertainty for point in points])
+    return KnownPoints(
+        tuple(f"point {point.name}" for point in points),
+        np.concatenate([position for position, _, _ in seen]),
+        np.concatenate([covariance for _, covariance, _ in seen]),
+        np.array([point.position for point in points]),
+        spread[:, :, None] ** 2 * np.eye(3),
+        np.concatenate([effects for _, _, effects in seen], axis=1),
+        datum,
+    )
+
+
+def _face(path: Path, face: Face, pair: Pair, datum: StatedFrame) -> KnownFace:
+    """Return the points of a face, triangulated; pixels whose rays do not meet are left out."""
+    pixels = _pixel_table(face.pixels)
+    position, covariance, effects = seen_points(
+        pair.rig, pair.steps, pixels[:, :2], pixels[:, 2:], face.pixel_uncertainty
+    )
+    met = np.isfinite(position).all(axis=1)
+    if np.count_nonzero(met) < FEWEST_FACE_POINTS:
+        expected = f"at least {FEWEST_FACE_POINTS} points in front of both cameras"
+        raise InputError(path, f"face.{face.name}.pixels", f"{np.count_nonzero(met)}", expected)
+    return KnownFace(
+        f"face {face.name}",
+        position[met],
+        covariance[met],
+        np.array(face.point),
+        np.array(face.normal),
+        effects[:, met],
+        face.offset_uncertainty,
+        face.normal_uncertainty,
+        datum,
+    )
+
+
+def _pixel_table(file: Path) -> FloatArray:
+    """Return the pixels (N, 4) of a table with the columns left_x, left_y, right_x, right_y."""
+    try:
+        with file.open(encoding="utf-8-sig", newline="") as stream:
+            reader = csv.DictReader(stream)
+            missing = [name for name in PIXEL_COLUMNS if name not in (reader.fieldnames or ())]
+            if missing:
+                found = ", ".join(reader.fieldnames or ()) or "nothing"
+                raise InputError(file, "", found, f"the columns {', '.join(PIXEL_COLUMNS)}")
+            rows = [[float(row[name]) for name in PIXEL_COLUMNS] for row in reader]
+    except OSError as error:
+        raise InputError(file, "", error.strerror or str(error), "a file that can be read") from error
+    except (TypeError, ValueError) as error:
+        raise InputError(file, "", str(error), "a number in each column") from error
+    return np.array(rows).reshape(-1, len(PIXEL_COLUMNS))
+
+
+def _target(path: Path, block: TargetBlock) -> Target:
+    """Return the target of the views."""
+    try:
+        return Target(block.kind, block.spacing, block.size, block.dictionary)
+    except ValueError as error:
+        raise InputError.told_by(error, path, "target") from error
+
+
+def _view(path: Path, key: str, picture: Path, target: Target, rig: StereoRig) -> TargetView:
+    """Return what one picture shows of the target."""
+    try:
+        image, full_scale = read_picture(picture)
+        view = find_target(image, target, picture.name, full_scale)
+    except (OSError, ValueError) as error:
+        raise InputError.told_by(error, path, key) from error
+    if list(view.size_px) != list(rig.left.size_px):
+        found = f"{picture.name} of {view.size_px[0]} x {view.size_px[1]} pixels"
+        raise InputError(path, key, found, f"{rig.left.size_px[0]} x {rig.left.size_px[1]} as the calibration")
+    return view
+
+
+def _seen(
+    path: Path, key: str, left: TargetView | None, right: TargetView | None, target: Target, pair: Pair
+) -> tuple[RigidTransform, FloatArray, FloatArray]:
+    """Return where a pair sees the target, with covariance and effects."""
+    try:
+        return seen_target(pair.rig, pair.steps, target, left, right)
+    except (ValueError, np.linalg.LinAlgError) as error:
+        raise InputError.told_by(error, path, key) from error
+
+
+def _views(path: Path, block: TargetViewBlock, target: Target, pair: Pair, datum: StatedFrame) -> KnownPoses:
+    """Return the pictures of the target at one known pose, whose error they share."""
+    key, count = f"target_view.{block.name}", max(len(block.left), len(block.right))
+    sides: list[list[TargetView | None]] = []
+    for side, pictures in (("left", block.left), ("right", block.right)):
+        views: list[TargetView | None] = [_view(path, f"{key}.{side}", p, target, pair.rig) for p in pictures]
+        sides.append(views or [None] * count)
+    seen = [_seen(path, key, left, right, target, pair) for left, right in zip(*sides, strict=True)]
+    name, u = f"target view {block.name}", np.array(block.pose_uncertainty)
+    kept = np.flatnonzero(u)
+    return KnownPoses(
+        (name,) * count,
+        tuple(pose for pose, _, _ in seen),
+        np.array([covariance for _, covariance, _ in seen]),
+        (RigidTransform(np.array(block.rotation), np.array(block.translation)),) * count,
+        np.zeros((count, 6, 6)),
+        np.stack([effects for _, _, effects in seen], axis=1),
+        {name: np.repeat(np.diag(u)[kept][:, None], count, axis=1)},
+        datum,
+    )
+
+
+def _common(path: Path, views: Sequence[CommonView], other: OtherPair, target: Target, pair: Pair) -> KnownPoses:
+    """Return the target seen by both pairs, its pose in the sensor frame (or the other camera's) by the other pair."""
+    second = read_pair(path, other.calibration, other.scale_uncertainty, "other.")
+    placed = RigidTransform.identity()
+    if other.rotation is not None and other.translation is not None:
+        placed = RigidTransform(np.array(other.rotation), np.array(other.translation))
+    turn = np.kron(np.eye(2), placed.rotation)
+    own: list[tuple[RigidTransform, FloatArray, FloatArray]] = []
+    known: list[tuple[RigidTransform, FloatArray, FloatArray]] = []
+    for view in views:
+        key = f"common_view.{view.name}"
+        for seer, sides, found in (
+            (pair, (("left", view.left), ("right", view.right)), own),
+            (second, (("other_left", view.other_left), ("other_right", view.other_right)), known),
+        ):
+            left, right = (_view(path, f"{key}.{side}", picture, target, seer.rig) for side, picture in sides)
+            found.append(_seen(path, key, left, right, target, seer))
+    return KnownPoses(
+        tuple(f"common view {view.name}" for view in views),
+        tuple(pose for pose, _, _ in own),
+        np.array([covariance for _, covariance, _ in own]),
+        tuple(placed @ pose for pose, _, _ in known),
+        np.array([turn @ covariance @ turn.T for _, covariance, _ in known]),
+        np.stack([effects for _, _, effects in own], axis=1),
+        {f"calibration of {other.stereo}": np.stack([effects @ turn.T for _, _, effects in known], axis=1)},
+        StatedFrame(f"pose of {other.stereo}", np.array(other.pose_uncertainty)),
+    )
