@@ -20,6 +20,7 @@ UNCALIBRATED_PX = 0.1  # residual that is accepted where the calibration states 
 REMARKABLE_PX = 0.02  # residual that is not worth a word, even if the calibration promised less
 MOVED_PX = 0.005  # change within a recording that is not worth a word
 RARE = 1e-4  # probability of a warning on a pair that is what was calibrated, for either test
+CLEAR = 3.0  # times the scatter of the frames that a change within the recording has to be
 OUTLIER = 5.0  # robust standard deviations beyond which a point says nothing about the cameras
 COVERAGE = 2.0
 _STEP = 1e-3  # of a standard uncertainty, for derivatives by the parameters
@@ -86,8 +87,10 @@ def check_epipolar(tracks: StereoTracks, rig: StereoRig) -> EpipolarCheck:
     Two tests, each with a chance of 10⁻⁴ to warn without cause. The pattern (mean and slopes) over all frames against
     the covariance that the calibration and the matching give it, or against 0.1 px where the calibration has none. And
     its course: the largest step between all frames before and all frames after an instant against the image noise,
-    which also finds a drift. Both allow for errors periodic in the pixel (`StereoTracks.bias_px`). A turn of a camera
-    about an axis across the plane of sight shifts points along the epipolar lines and is not seen by either.
+    which also finds a drift. Both allow for errors periodic in the pixel (`StereoTracks.bias_px`), the second one also
+    for what a body that goes far shows of a calibration that fits one part of the picture better than another.
+
+    A turn of a camera about an axis across the plane of sight shifts points along the epipolar lines: neither sees it.
     """
     residual, by_left, by_right = epipolar_residual(rig, tracks.left.position_px, tracks.right.position_px)
     variance = _variance(tracks.left, by_left) + _variance(tracks.right, by_right)
@@ -108,9 +111,11 @@ def check_epipolar(tracks: StereoTracks, rig: StereoRig) -> EpipolarCheck:
         derivative = solver @ _by_parameters(rig, rig.covariance, matches)
         covariance = derivative @ rig.covariance @ derivative.T + matching
     excess = _unexplained(pattern, covariance)
+    travel = _travel(tracks.left.position_px[:, good] - position[good], position[good])
+    passing_px = travel * float(np.sqrt(np.mean(mean[good] ** 2)))
     notices = [
         None if excess is None else Notice("warning", excess + _turn_text(rig, matches) + "; calibrate again", _WHERE),
-        _course_notice(change, u_course, MOVED_PX + COVERAGE * bias_px),
+        _course_notice(change, u_course, float(np.hypot(bias_px, passing_px))),
     ]
     return EpipolarCheck(
         change + pattern,
@@ -239,26 +244,39 @@ def _mrad(angle_rad: float) -> str:
     return f"{round(1e3 * angle_rad, 2) + 0.0:.2f}"
 
 
-def _course_notice(change: FloatArray, u: FloatArray, allowed_px: float) -> Notice | None:
-    """A warning where the pattern changes within the recording by more than its noise and by more than is allowed."""
+def _travel(displacement: FloatArray, position: FloatArray) -> float:
+    """Return how far the body goes, rms over the frames, over the extent of its points, both in the left picture.
+
+    A residual that belongs to places in the picture changes by about that share when the body passes over it.
+    """
+    moved = np.sqrt(np.nanmean(np.sum(_mean(displacement.swapaxes(0, 1)) ** 2, axis=-1)))
+    extent = np.sqrt(np.mean(np.sum((position - position.mean(axis=0)) ** 2, axis=-1)))
+    return float(moved / extent)
+
+
+def _course_notice(change: FloatArray, u_noise: FloatArray, bias_px: float) -> Notice | None:
+    """A warning where the pattern changes within the recording by more than noise, u, and other errors of a frame."""
     from scipy.stats import chi2
 
     frames = np.flatnonzero(np.isfinite(change).all(axis=1))
     if len(frames) < FEWEST_FRAMES:
         return None
-    values, weight = change[frames], 1.0 / (_excess(change[frames], u[frames]) * u[frames]) ** 2
+    values, u = change[frames], np.hypot(u_noise[frames], bias_px)
+    weight = 1.0 / (_excess(values, u) * u) ** 2
     split, step, square = _largest_step(values, weight)
-    size = float(np.linalg.norm(step))
-    if size <= allowed_px or square <= chi2.isf(RARE / len(frames), 3):
+    if square <= chi2.isf(RARE / len(frames), 3):
         return None
-    drift, drift_px = _line_left_over(values, weight)
-    if drift < _step_left_over(values, weight, split):
-        text = (
-            f"a camera drifts during the recording: the epipolar residual changes by {drift_px:.3f} px from the first"
-        )
-        return Notice("warning", f"{text} to the last frame", _WHERE)
-    text = f"a camera moved during the recording, before frame {frames[split]} (counted from 0): the epipolar residual"
-    return Notice("warning", f"{text} changes by {size:.3f} px there", _WHERE)
+    (slope, about_line), about_step = _line(values, weight), _about_step(values, weight, split)
+    drifts = float((weight * about_line**2).sum()) < float((weight * about_step**2).sum())
+    change_px = float(np.linalg.norm(slope if drifts else step))
+    scatter = float(np.sqrt(np.mean(np.sum((about_line if drifts else about_step) ** 2, axis=1))))
+    if change_px <= max(MOVED_PX + COVERAGE * bias_px, CLEAR * scatter):
+        return None
+    what = f"a camera moved during the recording, before frame {frames[split]} (counted from 0)"
+    where = "there"
+    if drifts:
+        what, where = "a camera drifts during the recording", "from the first to the last frame"
+    return Notice("warning", f"{what}: the epipolar residual changes by {change_px:.3f} px {where}", _WHERE)
 
 
 def _excess(values: FloatArray, u: FloatArray) -> float:
@@ -280,22 +298,18 @@ def _largest_step(values: FloatArray, weight: FloatArray) -> tuple[int, FloatArr
     return place + 2, steps[place], float(squares[place])
 
 
-def _step_left_over(values: FloatArray, weight: FloatArray, split: int) -> float:
-    """Weighted sum of squares that a step leaves."""
-    return sum(
-        float((weight[part] * (values[part] - np.average(values[part], axis=0, weights=weight[part])) ** 2).sum())
-        for part in (slice(None, split), slice(split, None))
-    )
+def _about_step(values: FloatArray, weight: FloatArray, split: int) -> FloatArray:
+    """Return what the means before and after an instant leave of the values (F, 3)."""
+    parts = (slice(None, split), slice(split, None))
+    return np.concatenate([values[p] - np.average(values[p], axis=0, weights=weight[p]) for p in parts])
 
 
-def _line_left_over(values: FloatArray, weight: FloatArray) -> tuple[float, float]:
-    """Weighted sum of squares that a straight line over the frames leaves, and its change over them in px."""
-    time = np.linspace(-0.5, 0.5, len(values))[:, None]
-    centred = time - np.average(time * np.ones(3), axis=0, weights=weight)
-    offset = np.average(values, axis=0, weights=weight)
+def _line(values: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the change (3,) of a straight line over all frames, and what it leaves of the values (F, 3)."""
+    time = np.broadcast_to(np.linspace(-0.5, 0.5, len(values))[:, None], values.shape)
+    centred = time - np.average(time, axis=0, weights=weight)
     slope = (weight * centred * values).sum(axis=0) / (weight * centred**2).sum(axis=0)
-    left_over = values - offset - slope * centred
-    return float((weight * left_over**2).sum()), float(np.linalg.norm(slope))
+    return slope, values - np.average(values, axis=0, weights=weight) - slope * centred
 
 
 def _nothing(shape: tuple[int, ...], position: FloatArray) -> EpipolarCheck:
