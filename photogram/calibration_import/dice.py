@@ -19,7 +19,9 @@ _POWERS = {  # of r in the factor by which x and y are multiplied
     "K1R1_K2R2_K3R3": (0, 1, 2),  # r + k1·r + k2·r² + k3·r³
     "K1R2_K2R4_K3R6": (1, 3, 5),
     "K1R3_K2R5_K3R7": EVEN,
+    "VIC3D_LENS_DISTORTION": EVEN,  # the numbers are VIC-3D's own
 }
+_LINEAR = "K1R1_K2R2_K3R3"
 _NONE = "NO_LENS_DISTORTION"
 _BEYOND = ("K4", "K5", "K6", "S1", "S2", "S3", "S4", "T1", "T2")
 _TEXT_ORDER = "cx cy fx fy fs k1 k2 k3 of either camera, alpha beta gamma or R11…R33, tx ty tz, [height width]"
@@ -44,7 +46,8 @@ def read_dice_xml(root: ElementTree.Element) -> Found:
     rotation, translation = second[2], second[3]
     if system.get("EXTRINSICS_RELATIVE_CAMERA_TO_CAMERA", "false").lower() != "true":
         rotation, translation = right_from_left((first[2], first[3]), (second[2], second[3]))
-    return Found(FORMAT, (first[0], second[0]), (first[1], second[1]), rotation, translation, "mm")
+    notices = _linear_notice(first[0], second[0])
+    return Found(FORMAT, (first[0], second[0]), (first[1], second[1]), rotation, translation, "mm", notices)
 
 
 def read_dice_text(text: str) -> Found:
@@ -67,6 +70,17 @@ def read_dice_text(text: str) -> Found:
         Lens(each[2:4], each[:2], each[5:8], np.zeros(2), skew_px=float(each[4])) for each in (values[:8], values[8:16])
     )
     return Found(FORMAT, (lenses[0], lenses[1]), (size, size), rotation, outer[-3:], "mm", _text_notices(values))
+
+
+def _linear_notice(*lenses: Lens) -> tuple[Notice, ...]:
+    """A warning where a distortion grows with r itself, which is a change of the focal length and seldom meant."""
+    if not any(lens.exponents == _POWERS[_LINEAR] and lens.radial.any() for lens in lenses):
+        return ()
+    text = (
+        f"the lenses are taken as {_LINEAR}, as the file says; DICe writes this also for files that it converted from "
+        "its former text, whose numbers are OpenCV's or VIC-3D's: K1R3_K2R5_K3R7 would be right there"
+    )
+    return (Notice("warning", text, "distortion"),)
 
 
 def _text_notices(values: FloatArray) -> tuple[Notice, ...]:

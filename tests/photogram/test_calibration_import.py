@@ -239,6 +239,15 @@ def test_dice_xml(tmp_path: Path, relative: bool) -> None:
     _same(none, (np.zeros(5), np.zeros(5)))
 
 
+def test_dice_model_linear_in_the_radius_is_a_longer_focal_length_and_told(tmp_path: Path) -> None:
+    text = _dice_xml("K1R1_K2R2_K3R3", True)
+    for old, new in ((-0.08, 0.015), (0.05, 0.0), (0.02, 0.0), (-0.07, 0.015), (0.03, 0.0), (0.01, 0.0)):
+        text = text.replace(f'"{old:.12g}" />\n<Parameter name="', f'"{new:.12g}" />\n<Parameter name="')
+    imported = import_calibration(_file(tmp_path, "cal.xml", text))
+    np.testing.assert_allclose(imported.rig.left.parameters[:2], 1.015 * K_LEFT[[0, 1], [0, 1]], rtol=1e-6)
+    assert any("K1R3_K2R5_K3R7 would be right there" in notice.text for notice in imported.notices)
+
+
 def test_dice_rotation_with_few_digits_is_told(tmp_path: Path) -> None:
     imported = import_calibration(_file(tmp_path, "cal.xml", _dice_xml("OPENCV_LENS_DISTORTION", True, digits=4)))
     assert [notice.where for notice in imported.notices if notice.severity == "warning"] == ["rotation"]
