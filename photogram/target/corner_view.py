@@ -16,6 +16,8 @@ from photogram.target.view import TargetNotFound, TargetView
 _LEAST_CONTRAST = 0.4  # of a corner, in units of the median over the target
 _ROOM = 0.75  # squares around the outermost corners that belong to the target's area
 _FEWEST = 6
+_STRIP = 0.08  # of a square, along the edges of squares with markers, at first
+_CLEAR, _NARROWEST, _WIDEST = 0.15, 0.05, 0.12  # the same later: the first less 2σ of the blur, between the others
 
 
 def corner_view(
@@ -25,25 +27,28 @@ def corner_view(
     axes_px: FloatArray,
     name: str,
     full_scale: float,
-    strip: float = np.inf,
+    markers: bool = False,
 ) -> TargetView:
     """Return the view of the corners `index` (N, 2) that are expected at start_px (N, 2), squares' sides axes_px.
 
     The corners are fitted twice: the second time with the curvature of the edges that the first found. A corner counts
     if it has the colours of its place in the lattice and at least 0.4 of the usual contrast.
+    `markers`: the bright squares hold some, and only a strip along the edges is used, the narrower the softer they are.
     Raises `TargetNotFound` for a bad exposure, a blur, or where fewer than 6 corners, or all on one line, remain.
     """
     area = outline(np.concatenate([start_px + _ROOM * side for side in _diagonals(axes_px)]))
     check_exposure(image, area, full_scale)
     noise = picture_noise(_cut(image, area))
-    first = refine_corners(image, start_px, axes_px, noise, full_scale, strip=strip)
+    first = refine_corners(image, start_px, axes_px, noise, full_scale, strip=_STRIP if markers else np.inf)
     good = first.status == GOOD
     if good.sum() < _FEWEST:
         raise TargetNotFound(_few(first.status, good))
     start = np.where(good[:, None], first.position_px, start_px)
     bend = lattice_bend(index, first.position_px)
-    corners = refine_corners(image, start, axes_px, noise, full_scale, bend, strip)
     side = float(np.median(np.sqrt(np.abs(np.linalg.det(axes_px)))))
+    soft = float(np.nanmedian(first.blur_px)) / side
+    strip = float(np.clip(_CLEAR - 2 * soft, _NARROWEST, _WIDEST)) if markers else np.inf
+    corners = refine_corners(image, start, axes_px, noise, full_scale, bend, strip)
     check_blur(float(np.nanmedian(corners.blur_px)), side)
     good = _belongs(index, corners)
     if good.sum() < _FEWEST or _on_a_line(index[good]):

@@ -68,9 +68,10 @@ def refine_corners(
     is point-symmetric about the corner but for the light's slope g, so that an imperfect edge profile moves nothing.
     Edges that the lens bends are not: bend_per_px (N, 2), the curvature of the edges along the second and the first
     direction, is taken as known (`lattice_bend`). The window ends 0.55 squares or 14 px from the corner; `strip`: in
-    bright squares only pixels within so many squares of an edge count (ChArUco: the markers lie beyond).
+    bright squares only pixels within so many squares of an edge count, the less the farther (ChArUco: the markers lie
+    beyond).
 
-    The covariance is the inverse of the normal matrix for the given noise, the other parameters unknown.
+    The covariance is that of the weighted fit for the given noise, the other parameters unknown.
     """
     check_shape("start_px", start_px, (None, 2))
     count = len(start_px)

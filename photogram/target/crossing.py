@@ -110,22 +110,30 @@ def _normal_equations(
 
 
 @njit(error_model="numpy")
-def _weigh(pixels: NDArray[np.int32], p: FloatArray, bend: FloatArray, noise: FloatArray, weight: FloatArray) -> None:
-    """Fill weights (M,), 1/variance of the noise at the modelled grey values."""
+def _weigh(
+    pixels: NDArray[np.int32], taper: FloatArray, p: FloatArray, bend: FloatArray, noise: FloatArray, weight: FloatArray
+) -> None:
+    """Fill weights (M,), taper/variance of the noise at the modelled grey values."""
     slope = np.empty(PARAMETERS)
     for k in range(pixels.shape[0]):
         expected = _model(p, bend, float(pixels[k, 0]), float(pixels[k, 1]), slope)
-        weight[k] = 1.0 / max(noise[0] + noise[1] * expected, noise[2])
+        weight[k] = taper[k] / max(noise[0] + noise[1] * expected, noise[2])
 
 
 @njit(error_model="numpy")
 def _window(
-    image: NDArray[np.float32], centre: FloatArray, axes: FloatArray, size: FloatArray, pixels: NDArray[np.int32]
+    image: NDArray[np.float32],
+    centre: FloatArray,
+    axes: FloatArray,
+    size: FloatArray,
+    pixels: NDArray[np.int32],
+    taper: FloatArray,
 ) -> int:
     """Fill the pixels (M, 2) of a corner's window; return their number, −1 if it runs over the picture's edge.
 
-    Along the lattice's axes the window reaches `size[0]` of a square to either side. Pixels farther than `size[1]` of
-    a square from both edges are left out in quadrants of the colour `size[2]`: 1 where both axes have the same sign.
+    Along the lattice's axes the window reaches `size[0]` of a square to either side. In quadrants of the colour
+    `size[2]`, 1 where both axes have the same sign, the weights `taper` (M,) fall to 0 within `size[1]` of a square
+    from the nearer edge, as (1 − x²)²: smoothly, so that what lies beyond moves nothing with the pixels' phase.
     """
     determinant = axes[0, 0] * axes[1, 1] - axes[0, 1] * axes[1, 0]
     half_x = size[0] * (abs(axes[0, 0]) + abs(axes[1, 0]))
@@ -140,9 +148,10 @@ def _window(
             rx, ry = column - centre[0], row - centre[1]
             s = (rx * axes[1, 1] - ry * axes[1, 0]) / determinant
             t = (ry * axes[0, 0] - rx * axes[0, 1]) / determinant
-            hidden = s * t * size[2] > 0.0 and min(abs(s), abs(t)) > size[1]
-            if abs(s) <= size[0] and abs(t) <= size[0] and not hidden and count < pixels.shape[0]:
+            far = min(abs(s), abs(t)) / size[1] if s * t * size[2] > 0.0 else 0.0
+            if abs(s) <= size[0] and abs(t) <= size[0] and far < 1.0 and count < pixels.shape[0]:
                 pixels[count, 0], pixels[count, 1] = column, row
+                taper[count] = (1.0 - far * far) ** 2
                 count += 1
     return count
 
@@ -176,11 +185,11 @@ def _fit(
     bend: FloatArray,
     weight: FloatArray,
     p: FloatArray,
-    covariance: FloatArray,
+    inverse: FloatArray,
 ) -> float:
-    """Improve the parameters by Levenberg's method; return the reduced χ², NaN without convergence.
+    """Improve the parameters by Levenberg's method; return the weighted sum of squares, NaN without convergence.
 
-    Fills covariance (2, 2) of the centre: its block of the inverse of the normal matrix.
+    Fills inverse (2, 10), the centre's rows of the inverse of the normal matrix.
     """
     matrix, factor = np.empty((PARAMETERS, PARAMETERS)), np.zeros((PARAMETERS, PARAMETERS))
     damped, vector = np.empty_like(matrix), np.empty(PARAMETERS)
@@ -210,11 +219,35 @@ def _fit(
     if not converged or not _cholesky(matrix, factor):
         return math.nan
     for i in range(2):
-        step[:] = 0.0
-        step[i] = 1.0
-        _solve(factor, step)
-        covariance[i, 0], covariance[i, 1] = step[0], step[1]
-    return float(cost / max(pixels.shape[0] - PARAMETERS, 1))
+        inverse[i] = 0.0
+        inverse[i, i] = 1.0
+        _solve(factor, inverse[i])
+    return float(cost)
+
+
+@njit(error_model="numpy")
+def _spread(
+    pixels: NDArray[np.int32],
+    taper: FloatArray,
+    weight: FloatArray,
+    p: FloatArray,
+    bend: FloatArray,
+    inverse: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Fill the covariance xx, xy, yy of the centre: N⁻¹·Jᵀ·W·V·W·J·N⁻¹ with N = Jᵀ·W·J, V = taper/weight."""
+    slope = np.empty(PARAMETERS)
+    out[:] = 0.0
+    for k in range(pixels.shape[0]):
+        _model(p, bend, float(pixels[k, 0]), float(pixels[k, 1]), slope)
+        x, y = 0.0, 0.0
+        for i in range(PARAMETERS):
+            x += inverse[0, i] * slope[i]
+            y += inverse[1, i] * slope[i]
+        share = taper[k] * weight[k]
+        out[0] += share * x * x
+        out[1] += share * x * y
+        out[2] += share * y * y
 
 
 @njit(nogil=True, error_model="numpy")
@@ -234,35 +267,35 @@ def fit_crossings(
     axes (N, 2, 2): a square's two sides in px. bend (N, 2): curvature of both edges, 1/px.
     window (N, 3): see `_window`. noise (3,): variance of a black pixel, its rise per grey value, its least value.
     """
-    buffer, weight = np.empty((_MOST_PIXELS, 2), dtype=np.int32), np.empty(_MOST_PIXELS)
-    covariance, p, size = np.empty((2, 2)), np.empty(PARAMETERS), np.empty(3)
+    buffer, weight, taper = np.empty((_MOST_PIXELS, 2), dtype=np.int32), np.empty(_MOST_PIXELS), np.empty(_MOST_PIXELS)
+    inverse, p, size = np.empty((2, PARAMETERS)), np.empty(PARAMETERS), np.empty(3)
     for n in range(start.shape[0]):
         out = fitted[n]
         out[:] = math.nan
         out[15] = OUTSIDE
         shorter = math.sqrt(min(axes[n, 0, 0] ** 2 + axes[n, 0, 1] ** 2, axes[n, 1, 0] ** 2 + axes[n, 1, 1] ** 2))
         size[:] = window[n]
-        count = _window(image, start[n], axes[n], size, buffer)
+        count = _window(image, start[n], axes[n], size, buffer, taper)
         while count < 0 and 0.8 * size[0] * shorter > _SMALLEST_WINDOW_PX:
             size[0] *= 0.8
-            count = _window(image, start[n], axes[n], size, buffer)
+            count = _window(image, start[n], axes[n], size, buffer, taper)
         if count < 2 * PARAMETERS:
             continue
         _start(image, buffer[:count], start[n], axes[n], p)
-        _weigh(buffer[:count], p, bend[n], noise, weight)
-        chi2 = _fit(image, buffer[:count], bend[n], weight, p, covariance)
-        away = math.hypot(p[0] - start[n, 0], p[1] - start[n, 1])
-        if not (chi2 >= 0.0 and away < _FARTHEST * shorter):
-            out[15] = NO_CROSSING
+        _weigh(buffer[:count], taper, p, bend[n], noise, weight)
+        cost = _fit(image, buffer[:count], bend[n], weight, p, inverse)
+        out[15] = NO_CROSSING
+        if not (cost >= 0.0 and math.hypot(p[0] - start[n, 0], p[1] - start[n, 1]) < _FARTHEST * shorter):
             continue
-        recount = _window(image, p[:2].copy(), axes[n], size, buffer)
-        count = recount if recount > 0 else _window(image, start[n], axes[n], size, buffer)
-        _weigh(buffer[:count], p, bend[n], noise, weight)
-        chi2 = _fit(image, buffer[:count], bend[n], weight, p, covariance)
+        recount = _window(image, p[:2].copy(), axes[n], size, buffer, taper)
+        count = recount if recount > 0 else _window(image, start[n], axes[n], size, buffer, taper)
+        _weigh(buffer[:count], taper, p, bend[n], noise, weight)
+        cost = _fit(image, buffer[:count], bend[n], weight, p, inverse)
+        if not cost >= 0.0:
+            continue
+        _spread(buffer[:count], taper, weight, p, bend[n], inverse, out[10:13])
         full = 0
         for k in range(count):
             full += image[buffer[k, 1], buffer[k, 0]] >= saturation
-        out[14] = full / count
-        out[15] = GOOD if chi2 >= 0.0 else NO_CROSSING
         out[:10] = p
-        out[10], out[11], out[12], out[13] = covariance[0, 0], covariance[0, 1], covariance[1, 1], chi2
+        out[13], out[14], out[15] = cost / max(taper[:count].sum() - PARAMETERS, 1.0), full / count, GOOD
