@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,9 @@ from photogram.camera import Camera
 from photogram.rigid import RigidTransform
 from photogram.synthetic.board_pixels import render_dots, render_tiles
 from photogram.target.view import Target
+
+_FINER = 2  # pixels are drawn as so many squares across
+_SOFT_PX = 0.5  # softening of the drawn edges, in these
 
 
 @dataclass(frozen=True)
@@ -86,27 +90,48 @@ def render_board(
 ) -> FloatArray:
     """Return the noise-free picture (H, W), fractions of full scale, of a board.
 
-    Edges are softened in the board's plane by a Gaussian of σ `blur_px` at the magnification of the board's middle
-    (the square root of the picture's area over the plane's), then averaged over each pixel's square. Light falls off
-    by `falloff` to the corners of the picture and rises by `slant` from its left to its right edge.
+    The lens blurs the picture by a Gaussian of σ `blur_px`, the same everywhere and in all directions: the pattern is
+    drawn at half the pixel's width with edges softened just enough (0.5 of these pixels) to be sampled, convolved with
+    the rest of the Gaussian, and averaged over each pixel's square. Light falls off by `falloff` to the corners of the
+    picture and rises by `slant` from its left to its right edge.
     """
+    from scipy.ndimage import gaussian_filter
+
+    fine = _with_finer_pixels(camera)
+    sharp = _drawn(fine, camera_from_target, board, _SOFT_PX)
+    rest = math.sqrt((_FINER * blur_px) ** 2 - _SOFT_PX**2)
+    blurred = gaussian_filter(sharp, rest, mode="nearest", truncate=6.0)
+    width, height = (int(n) for n in camera.size_px)
+    picture = blurred.reshape(height, _FINER, width, _FINER).mean(axis=(1, 3))
+    return np.asarray(picture * _light(width, height, falloff, slant))
+
+
+def _with_finer_pixels(camera: Camera) -> Camera:
+    """Return the camera with each pixel divided into squares."""
+    matrix = camera.matrix * _FINER
+    matrix[:2, 2] += (_FINER - 1) / 2
+    matrix[2, 2] = 1.0
+    return Camera(matrix, camera.distortion, camera.size_px * _FINER)
+
+
+def _drawn(camera: Camera, camera_from_target: RigidTransform, board: Board, soft_px: float) -> FloatArray:
+    """Return the pattern (H, W) with edges softened in its plane, `soft_px` at the magnification of its middle."""
     spacing = board.target.spacing_m
     plane_to_ray = camera_from_target.rotation * [spacing, spacing, 1.0]
     plane_to_ray[:, 2] = camera_from_target.translation_m
     homography = np.linalg.inv(plane_to_ray)
-    sigma = blur_px / _magnification(camera, camera_from_target, board)
+    sigma = soft_px / _magnification(camera, camera_from_target, board)
     width, height = (int(n) for n in camera.size_px)
     if board.target.kind in {"chessboard", "charuco"}:
         picture = np.empty((height, width))
         edges_x, edges_y, tiles = _tiles(board)
         render_tiles(camera.parameters, homography, edges_x, edges_y, tiles, sigma, picture)
-    else:
-        shares = np.empty((height, width, 2))
-        spots, first = _spots(board)
-        render_dots(camera.parameters, homography, spots, first, board.extent_m / spacing, sigma, shares)
-        sheet = board.bright - (board.bright - board.dark) * shares[..., 0]
-        picture = board.background + (sheet - board.background) * shares[..., 1]
-    return picture * _light(width, height, falloff, slant)
+        return picture
+    shares = np.empty((height, width, 2))
+    spots, first = _spots(board)
+    render_dots(camera.parameters, homography, spots, first, board.extent_m / spacing, sigma, shares)
+    sheet = board.bright - (board.bright - board.dark) * shares[..., 0]
+    return np.asarray(board.background + (sheet - board.background) * shares[..., 1])
 
 
 def _magnification(camera: Camera, camera_from_target: RigidTransform, board: Board) -> float:
