@@ -1,0 +1,168 @@
+"""The command `shakercal cameras`: rendered pictures of a known pair in, calibration and page out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from fusion.cli import EXIT_DONE, EXIT_INPUT, main
+from fusion.simulate.targets import BOARD
+from photogram.calibration_file import read_calibration
+from photogram.rigid import RigidTransform, vector_from_rotation
+from photogram.synthetic.board import render_board
+from photogram.synthetic.board_session import random_poses, random_rig
+
+SIZE = np.array([560, 448])
+TARGET = ["--target", "charuco", "--size", "11x8", "--spacing", "9e-3"]
+VIEWS = 7
+Capture = pytest.CaptureFixture[str]
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, object]:
+    """Folder with left and right pictures of a ChArUco board, 8 bit with noise, and the true pair."""
+    folder = tmp_path_factory.mktemp("session")
+    rng = np.random.default_rng(4)
+    rig = random_rig(rng, SIZE, 0.16)
+    relatives = (RigidTransform.identity(), rig.right_from_left)
+    for number, pose in enumerate(random_poses(rng, rig, BOARD, VIEWS)):
+        for side, camera, relative in zip(("left", "right"), (rig.left, rig.right), relatives, strict=True):
+            (folder / side).mkdir(exist_ok=True)
+            picture = 255 * render_board(camera, relative @ pose, BOARD) + rng.normal(0, 1.2, SIZE[::-1])
+            cv2.imwrite(str(folder / side / f"{number + 8}.png"), np.clip(np.rint(picture), 0, 255).astype(np.uint8))
+    return folder, rig
+
+
+@pytest.fixture
+def pictures(session: tuple[Path, object], tmp_path: Path) -> Path:
+    """A copy of the session whose pictures may be spoilt."""
+    for side in ("left", "right"):
+        (tmp_path / side).mkdir()
+        for path in (session[0] / side).iterdir():
+            (tmp_path / side / path.name).write_bytes(path.read_bytes())
+    return tmp_path
+
+
+def _run(folder: Path, *extra: str) -> int:
+    return main(
+        ["cameras", str(folder / "left"), str(folder / "right"), *TARGET, "-o", str(folder / "top.json"), *extra]
+    )
+
+
+def _spoil(path: Path, change: Callable[[np.ndarray], np.ndarray]) -> None:
+    cv2.imwrite(str(path), change(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)))
+
+
+def test_the_true_pair_comes_back(session: tuple[Path, object], pictures: Path, capsys: Capture) -> None:
+    assert _run(pictures, "--scale-uncertainty", "1e-4", "-q") == EXIT_DONE
+    told = capsys.readouterr().out
+    found, truth = read_calibration(pictures / "top.json"), session[1]
+    turn = vector_from_rotation(found.right_from_left.rotation @ truth.right_from_left.rotation.T)
+    shift = found.right_from_left.translation_m - truth.right_from_left.translation_m
+    lens = [found.left.parameters - truth.left.parameters, found.right.parameters - truth.right.parameters]
+    assert found.covariance is not None
+    normalised = np.concatenate([*lens, turn, shift]) / np.sqrt(np.diagonal(found.covariance))
+    assert np.abs(normalised).max() < 4.5
+    assert f"{VIEWS} pairs, rms 0.0" in told
+    assert "baseline " in told
+    assert "spacing is not stated" not in told
+    page = (pictures / "top.html").read_text(encoding="utf-8")
+    assert page.startswith("<!doctype html>")
+
+
+def test_pictures_in_the_order_of_their_numbers_and_by_pattern(pictures: Path, capsys: Capture) -> None:
+    """8.png … 14.png: natural order; one picture given by name on either side is none too many."""
+    arguments = [str(pictures / "left" / "*.png"), str(pictures / "right" / "*.png")]
+    assert main(["cameras", *arguments, *TARGET, "-o", str(pictures / "a.json"), "-q"]) == EXIT_DONE
+    every = [str(path) for side in ("left", "right") for path in sorted((pictures / side).iterdir())]
+    assert main(["cameras", *every, *TARGET, "-o", str(pictures / "b.json"), "-q"]) == EXIT_DONE
+    first, second = (read_calibration(pictures / name).right_from_left for name in ("a.json", "b.json"))
+    assert np.allclose(first.translation_m, second.translation_m, rtol=1e-5)
+
+
+def test_spoilt_pictures_are_named_with_the_reason_and_left_out(pictures: Path, capsys: Capture) -> None:
+    _spoil(pictures / "left" / "8.png", lambda image: cv2.GaussianBlur(image, (0, 0), 9.0))
+    _spoil(pictures / "left" / "9.png", lambda image: np.clip(3.0 * image, 0, 255).astype(np.uint8))
+    _spoil(pictures / "right" / "10.png", lambda image: image[:, ::-1].copy())
+    assert _run(pictures, "-q") == EXIT_DONE
+    told = capsys.readouterr().out
+    for name, reason in (("8.png", "blurred"), ("9.png", "overexposed"), ("10.png", "mirrored")):
+        (line,) = (line for line in told.splitlines() if name in line)
+        assert reason in line
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda image: cv2.GaussianBlur(image, (0, 0), 9.0), "blurred"),
+        (lambda image: np.clip(3.0 * image, 0, 255).astype(np.uint8), "overexposed"),
+        (lambda image: image[::-1].copy(), "mirrored"),
+        (lambda image: np.full_like(image, 90), "underexposed"),
+    ],
+)
+def test_no_calibration_from_spoilt_pictures(
+    pictures: Path, capsys: Capture, change: Callable[[np.ndarray], np.ndarray], reason: str
+) -> None:
+    for path in (pictures / "left").iterdir():
+        _spoil(path, change)
+    assert _run(pictures, "-q") == EXIT_INPUT
+    told = capsys.readouterr().err
+    assert reason in told
+    assert "8.png" in told
+    assert len(told.splitlines()) == 1
+    assert not (pictures / "top.json").exists()
+    assert not (pictures / "top.html").exists()
+
+
+def test_another_target_is_refused(pictures: Path, capsys: Capture) -> None:
+    arguments = ["cameras", str(pictures / "left"), str(pictures / "right"), "-o", str(pictures / "top.json"), "-q"]
+    assert main([*arguments, "--target", "dots", "--spacing", "9e-3"]) == EXIT_INPUT
+    assert "0 usable of 7 left pictures" in capsys.readouterr().err
+
+
+def test_an_earlier_calibration_is_kept(pictures: Path, capsys: Capture) -> None:
+    (pictures / "top.json").write_text("kept", encoding="utf-8")
+    assert _run(pictures, "-q") == EXIT_INPUT
+    assert "--force" in capsys.readouterr().err
+    assert (pictures / "top.json").read_text(encoding="utf-8") == "kept"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["left", "right", "--target", "charuco", "--spacing", "9e-3"], "--size"),
+        (["left/8.png", "left/9.png", "right/8.png", *TARGET], "1 and 2"),
+        (["left", "left", *TARGET], "both cameras"),
+        (["left", "nowhere/*.png", *TARGET], "no pictures"),
+        (["left/8.png", "right/8.png", *TARGET], "at least 3"),
+        (["left/8.png", "left/8.json", "right/8.png", "right/9.png", *TARGET], "8.json"),
+    ],
+)
+def test_wrong_arguments_get_one_sentence(
+    pictures: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch, arguments: list[str], told: str
+) -> None:
+    monkeypatch.chdir(pictures)
+    assert main(["cameras", *arguments, "-o", "top.json", "-q"]) == EXIT_INPUT
+    sentence = capsys.readouterr().err
+    assert told in sentence
+    assert len(sentence.splitlines()) == 1
+
+
+@pytest.mark.slow
+def test_the_real_dot_grid_is_calibrated_from_all_pairs(data_dir: Path, tmp_path: Path) -> None:
+    """Baseline and angle of the peer's calibration of the same pictures, plain OpenCV's rms 0.59 px."""
+    folder = data_dir / "dotgrid_stereo"
+    if not folder.is_dir():
+        pytest.skip(f"no real data: {folder} does not exist")
+    every = [str(path) for side in (0, 1) for path in sorted(folder.glob(f"*_{side}.jpeg"))]
+    output = tmp_path / "top.json"
+    assert main(["cameras", *every, "--target", "dots", "--spacing", "3.5e-3", "-o", str(output), "-q"]) == EXIT_DONE
+    found = read_calibration(output)
+    peer_baseline = np.linalg.norm([-86.494e-3, 0.582e-3, 23.53e-3])
+    assert np.linalg.norm(found.right_from_left.translation_m) == pytest.approx(peer_baseline, rel=0.03)
+    assert np.degrees(np.arccos(found.right_from_left.rotation[2, 2])) == pytest.approx(27.62, rel=0.03)
+    assert np.allclose(found.left.parameters[:2], [12577.41, 12575.82], rtol=0.03)
