@@ -1,4 +1,4 @@
-"""A simulated recording with its own calibration, and with one in which the right camera stood otherwise."""
+"""Self-check of a run: figure, data, and simulated recordings whose cameras stood otherwise than calibrated."""
 
 from __future__ import annotations
 
@@ -6,11 +6,16 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
+from evaluation_factory import make_evaluation
 
+from fusion.evaluation import Evaluation
 from fusion.manifest import find_recordings, load_manifest
+from fusion.plots.epipolar import draw_epipolar
 from fusion.records import read_daqs
+from fusion.results_h5 import write_h5
 from fusion.settings import Settings, no_progress
 from fusion.stereo_motion import StereoMotion, measure_images, open_images
 from fusion.timing import tie_daqs
@@ -18,6 +23,38 @@ from photogram.calibration_file import read_calibration, write_calibration
 from photogram.rigid import RigidTransform, rotation_from_vector
 
 PAIR = "base"
+
+
+@pytest.fixture(scope="module")
+def evaluation(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
+    """A synthetic evaluation."""
+    return make_evaluation(tmp_path_factory.mktemp("Fz"))
+
+
+@pytest.mark.parametrize("with_covariance", [True, False])
+def test_the_figure_says_what_the_calibration_explains(evaluation: Evaluation, with_covariance: bool) -> None:
+    check = evaluation.stereo[0].epipolar
+    assert check is not None
+    if not with_covariance:
+        check = replace(check, pattern_covariance=None)
+    picture = draw_epipolar(check, evaluation.stereo[0].time_s, "top")
+    assert ("what calibration and matching explain" in picture.caption) == with_covariance
+    assert picture.svg == draw_epipolar(check, evaluation.stereo[0].time_s, "top").svg
+
+
+def test_the_figure_of_a_recording_without_points(evaluation: Evaluation) -> None:
+    check = evaluation.stereo[0].epipolar
+    assert check is not None
+    nothing = replace(check, course_px=np.full_like(check.course_px, np.nan), residual_px=check.residual_px * np.nan)
+    assert draw_epipolar(nothing, evaluation.stereo[0].time_s, "top").svg
+
+
+def test_result_file_holds_the_check(evaluation: Evaluation, tmp_path: Path) -> None:
+    write_h5(tmp_path / "result.h5", evaluation, ())
+    with h5py.File(tmp_path / "result.h5") as file:
+        group = file[f"stereo/{evaluation.stereo[0].name}/epipolar"]
+        assert group["course_px"].shape == (len(evaluation.stereo[0].time_s), 3)
+        assert group["pattern_covariance"].shape == (3, 3)
 
 
 def _measured(campaign: Path) -> StereoMotion:
