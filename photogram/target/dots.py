@@ -82,7 +82,7 @@ def _attempt(image: NDArray[Any], blobs: Blobs, target: Target, name: str, full_
         return _Failure(
             dots, f"no round dots: {len(lattice.member)} patches on a lattice, but only {dots} are elliptic"
         )
-    spacing_px = float(np.median(np.sqrt(np.abs(np.linalg.det(grid.jacobian)))))
+    spacing_px = float(np.median(_spacing(grid.jacobian)))
     check_exposure(image, outline(grid.ellipses.centre_px), full_scale)
     check_blur(float(np.median(grid.ellipses.blur_px)), spacing_px)
     places = _places(grid, target, image.shape)
@@ -104,7 +104,7 @@ def _measure(image: NDArray[Any], blobs: Blobs, lattice: Lattice) -> _Grid:
     shape, ring = blobs.shape_px2[member], blobs.ring[member]
     _, jacobian = local_fit(index, blobs.centre_px[member])
     minor = np.sqrt(np.linalg.eigvalsh(shape)[:, 0])
-    apart = np.sqrt(np.abs(np.linalg.det(jacobian))) / np.sqrt(np.sqrt(np.linalg.det(shape)))
+    apart = _spacing(jacobian) / blobs.radius_px[member]
     reach = np.nan_to_num((apart / 2 - 1) * minor)
     ellipses = fit_ellipses(image, blobs.centre_px[member], shape, reach, ring)
     good = ellipses.roughness_px < np.maximum(ROUGHNESS[0], ROUGHNESS[1] * ellipses.radius_px)
@@ -113,6 +113,11 @@ def _measure(image: NDArray[Any], blobs: Blobs, lattice: Lattice) -> _Grid:
     jacobian = jacobian[off < OFF_LATTICE]
     flip = np.array([1, -1 if len(jacobian) and np.median(np.linalg.det(jacobian)) < 0 else 1])
     return _Grid(index[good] * flip, _select(ellipses, good), ring[good], jacobian * flip)
+
+
+def _spacing(jacobian: FloatArray) -> FloatArray:
+    """Lattice step (N,) in px: the root of the area of a cell, NaN without a Jacobian."""
+    return np.asarray(np.sqrt(np.abs(jacobian[:, 0, 0] * jacobian[:, 1, 1] - jacobian[:, 0, 1] * jacobian[:, 1, 0])))
 
 
 def _select(ellipses: Ellipses, kept: BoolArray) -> Ellipses:
@@ -158,20 +163,23 @@ def _places_from_size(grid: _Grid, target: Target, size: tuple[int, int], shape:
     wanted = {(2 * i + j % 2 if asymmetric else i, j) for i in range(columns) for j in range(rows)}
     basis = np.array([[1, -1], [1, 1]]) if asymmetric else np.eye(2, dtype=np.int64)
     mean = grid.jacobian.mean(axis=0) @ np.linalg.inv(basis)
-    fitting: list[tuple[float, IntArray]] = []
-    for turn in range(4):
-        axes = np.linalg.matrix_power(QUARTER_TURN, turn)
-        if _same(places := _from_corner(grid.index @ basis.T @ axes.T), wanted):
-            fitting.append((float((mean @ axes.T)[0, 0] / np.linalg.norm((mean @ axes.T)[:, 0])), places))
-        elif asymmetric and _same(_from_corner(grid.index @ basis.T @ axes.T * [-1, 1]), wanted):
-            return "mirrored: the rows of the dots are shifted the wrong way"
+    turns = [np.asarray(np.linalg.matrix_power(QUARTER_TURN, turn), dtype=np.int64) for turn in range(4)]
+    turned = [(axes, _from_corner(grid.index @ basis.T @ axes.T)) for axes in turns]
+    fitting = [(_rightward(mean @ axes.T), places) for axes, places in turned if _same(places, wanted)]
     if fitting:
         return max(fitting, key=lambda fit: fit[0])[1]
+    if any(_same(_from_corner(places * np.array([-1, 1])), wanted) for _, places in turned):
+        return "mirrored: the rows of the dots are shifted the wrong way"
     edge = "runs over the edge of the picture: " if _leaves(grid, shape) else ""
     if edge or len(grid.index) < len(wanted):
         return f"{edge}{len(grid.index)} dots on a lattice, expected all {columns} x {rows}"
     extent = np.ptp(grid.index, axis=0) + 1
     return f"another grid: {len(grid.index)} dots within {extent[0]} x {extent[1]} places, expected {columns} x {rows}"
+
+
+def _rightward(jacobian: FloatArray) -> float:
+    """Cosine between the first index's direction and the picture's x."""
+    return float(jacobian[0, 0] / np.linalg.norm(jacobian[:, 0]))
 
 
 def _from_corner(index: IntArray) -> IntArray:
@@ -198,14 +206,14 @@ def _view(grid: _Grid, places: IntArray, name: str, shape: tuple[int, ...]) -> T
     """The view with the dots in the order of their places."""
     ellipses = grid.ellipses
     _, jacobian = local_fit(places, ellipses.centre_px)
-    radius = ellipses.radius_px / np.sqrt(np.abs(np.linalg.det(jacobian)))
+    radius = ellipses.radius_px / _spacing(jacobian)
     order = np.lexsort(places.T)
     return TargetView(
         name=name,
         index=places[order],
         position_px=ellipses.centre_px[order],
         covariance_px2=ellipses.covariance_px2[order],
-        radius=float(np.median(radius[~grid.ring])),
+        radius=float(np.nanmedian(radius[~grid.ring])),
         blur_px=float(np.median(ellipses.blur_px)),
         size_px=np.array(shape[::-1], dtype=np.int64),
     )

@@ -55,7 +55,8 @@ class Ellipses:
 
         The edge of a disc that diffuses for the time σ²/2 obeys u_t = u_rr + u_r/r and so drifts at the speed −1/r.
         """
-        seen = np.sqrt(np.sqrt(np.linalg.det(self.shape_px2)))
+        (xx, xy), (_, yy) = np.moveaxis(self.shape_px2, 0, -1)
+        seen = (xx * yy - xy * xy) ** 0.25
         return np.asarray(seen + self.blur_px**2 / (2.0 * seen))
 
 
@@ -89,11 +90,12 @@ def fit_ellipses(
         np.ascontiguousarray(image, dtype=np.float32), start_px, np.linalg.inv(start_shape_px2), reach_px, ring, found,
         spread,
     )  # fmt: skip
-    precision = found[:, [2, 3, 3, 4]].reshape(-1, 2, 2)
+    a, b, c = found[:, 2:5].T
+    shape = np.stack([c, -b, -b, a], axis=-1).reshape(-1, 2, 2) / (a * c - b * b)[:, None, None]
     return Ellipses(
         centre_px=found[:, :2],
         covariance_px2=spread[:, [0, 1, 1, 2]].reshape(-1, 2, 2),
-        shape_px2=np.linalg.inv(precision),
+        shape_px2=shape,
         blur_px=found[:, 5],
         contrast=found[:, 7],
         noise=spread[:, 3],
@@ -117,7 +119,7 @@ def _fit_all(image, starts, precisions, reach, ring, found, spread):  # type: ig
                 pixels = _collect(image, starts[n], parameters, _band(parameters, reach[n], ring[n]), stride)
                 if parameters[7] == 0.0:
                     _first_levels(pixels, parameters)
-                good = _descend(pixels, parameters, small_step_px)
+                good = parameters[7] != 0.0 and _descend(pixels, parameters, small_step_px)
         if good:
             _judge(pixels, parameters, spread[n])
             found[n] = parameters
