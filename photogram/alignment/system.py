@@ -78,11 +78,11 @@ def _columns(parts: Sequence[Residuals]) -> dict[str, tuple[int, int]]:
     place = 6
     for part in parts:
         for name, changes in part.common.items():
-            if name in columns and columns[name][1] != len(changes):
+            if not len(changes):
+                continue
+            if columns.setdefault(name, (place, len(changes)))[1] != len(changes):
                 raise ValueError(f"{name}: expected {columns[name][1]} common errors as before, found {len(changes)}")
-            if len(changes) and name not in columns:
-                columns[name] = (place, len(changes))
-                place += len(changes)
+            place = max(place, sum(columns[name]))
     return columns
 
 
