@@ -97,6 +97,8 @@ def render_board(
     """
     from scipy.ndimage import gaussian_filter
 
+    if _FINER * blur_px < _SOFT_PX:
+        raise ValueError(f"blur_px: expected a blur of at least {_SOFT_PX / _FINER} px, found {blur_px}")
     fine = _with_finer_pixels(camera)
     sharp = _drawn(fine, camera_from_target, board, _SOFT_PX)
     rest = math.sqrt((_FINER * blur_px) ** 2 - _SOFT_PX**2)

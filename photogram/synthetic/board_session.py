@@ -9,7 +9,7 @@ from photogram.camera import Camera, StereoRig
 from photogram.rigid import RigidTransform, rotation_from_vector
 from photogram.synthetic.board import Board
 
-_TRIES = 20000  # random poses tried for a session before it is given up
+_TRIES = 1500  # random poses tried for each that is wanted
 _STEEPEST_RAD = 0.9  # between the board's normal and the ray to either camera
 
 
@@ -52,7 +52,7 @@ def random_poses(
     centre, facing, distance = _working_point(rig, board)
     lateral = 0.5 * distance * float(rig.left.size_px[0]) / rig.left.matrix[0, 0]
     poses: list[RigidTransform] = []
-    for _ in range(_TRIES):
+    for _ in range(_TRIES * count):
         turn = rotation_from_vector(np.array([0.0, 0.0, rng.uniform(-0.5, 0.5)]))
         rotation = facing @ rotation_from_vector(_tilt(rng, max_tilt_rad)) @ turn
         shift = rng.uniform(-1, 1, 3) * [lateral, lateral, 0.12 * distance]
@@ -61,7 +61,9 @@ def random_poses(
             poses.append(pose)
         if len(poses) == count:
             return poses
-    raise ValueError(f"board: expected one that fits into both pictures, found {len(poses)} poses in {_TRIES} tries")
+    raise ValueError(
+        f"board: expected one that fits into both pictures, found {len(poses)} poses in {_TRIES * count} tries"
+    )
 
 
 def _tilt(rng: np.random.Generator, max_tilt_rad: float) -> FloatArray:

@@ -127,24 +127,33 @@ def _rightward(lattice: FloatArray) -> float:
 
 def _reason(image: NDArray[Any], grey: NDArray[np.uint8], size: tuple[int, int], full_scale: float) -> str:
     """Return what is wrong with a picture in which the board was not found."""
-    import cv2
-
     fault = picture_fault(image, full_scale)
     if fault is not None:
         return fault
     small, _ = reduced(grey, _SEARCHED_PX)
-    found, corners, meta = cv2.findChessboardCornersSBWithMeta(
-        small, (3, 3), flags=cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE
-    )
     wanted = f"{size[0]} x {size[1]}"
-    if not found:
+    lattice = _largest(small, size)
+    if lattice is None:
         return f"no chessboard of {wanted} inner corners"
-    rows, columns = np.asarray(meta).shape[:2]
+    rows, columns = lattice.shape[:2]
     seen = f"{max(rows, columns)} x {min(rows, columns)}"
-    lattice = np.asarray(corners, dtype=np.float64).reshape(rows, columns, 2)
     if _near_edge(lattice, small.shape[1], small.shape[0]):
         return f"runs over the edge of the picture: {seen} of {wanted} inner corners are seen"
     return f"another target, or one partly covered: a chessboard of {seen} inner corners, expected {wanted}"
+
+
+def _largest(grey: NDArray[np.uint8], size: tuple[int, int]) -> FloatArray | None:
+    """Return the largest lattice (rows, columns, 2) of corners that OpenCV grows from smaller ones, None for none."""
+    import cv2
+
+    flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE
+    lattices = []
+    for less in (1, 2, 4, max(size)):
+        seed = (max(size[0] - less, 3), max(size[1] - less, 3))
+        found, corners, meta = cv2.findChessboardCornersSBWithMeta(grey, seed, flags=flags)
+        if found:
+            lattices.append(np.asarray(corners, dtype=np.float64).reshape(*np.asarray(meta).shape[:2], 2))
+    return max(lattices, key=lambda lattice: lattice.size, default=None)
 
 
 def _near_edge(lattice: FloatArray, width: int, height: int) -> bool:

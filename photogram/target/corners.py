@@ -103,7 +103,7 @@ def _bright_quadrants(grey: NDArray[np.float32], start_px: FloatArray, axes_px: 
 def _corners(fitted: FloatArray, noise: NoiseModel) -> Corners:
     """Return the fits as `Corners`, failed ones as NaN."""
     status = fitted[:, 15].astype(np.int64)
-    status[(status == GOOD) & (fitted[:, 14] > _MOST_SATURATED)] = SATURATED
+    status[(status != OUTSIDE) & (fitted[:, 14] > _MOST_SATURATED)] = SATURATED
     sigma = np.sqrt(noise.variance(fitted[:, 4]))
     status[(status == GOOD) & ~(np.abs(fitted[:, 5]) > _LEAST_SIGNAL * sigma)] = NO_CROSSING
     good = status == GOOD

@@ -281,6 +281,10 @@ def fit_crossings(
             count = _window(image, start[n], axes[n], size, buffer, taper)
         if count < 2 * PARAMETERS:
             continue
+        full = 0
+        for k in range(count):
+            full += image[buffer[k, 1], buffer[k, 0]] >= saturation
+        out[14] = full / count
         _start(image, buffer[:count], start[n], axes[n], p)
         _weigh(buffer[:count], taper, p, bend[n], noise, weight)
         cost = _fit(image, buffer[:count], bend[n], weight, p, inverse)
@@ -294,8 +298,5 @@ def fit_crossings(
         if not cost >= 0.0:
             continue
         _spread(buffer[:count], taper, weight, p, bend[n], inverse, out[10:13])
-        full = 0
-        for k in range(count):
-            full += image[buffer[k, 1], buffer[k, 0]] >= saturation
         out[:10] = p
-        out[13], out[14], out[15] = cost / max(taper[:count].sum() - PARAMETERS, 1.0), full / count, GOOD
+        out[13], out[15] = cost / max(taper[:count].sum() - PARAMETERS, 1.0), GOOD
