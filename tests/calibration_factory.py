@@ -215,7 +215,6 @@ def _calibration(rig: StereoRig, views: tuple[CalibratedView, ...], shape: Float
         shape_m=shape,
         scale_u=session.scale_u,
         covered=(_covered([view.left for view in views]), _covered([view.right for view in views])),
-        tilt_rad=np.array([np.arccos(abs(view.left_from_target.rotation[2, 2])) for view in views]),
         dropped=(
             Dropped(f"{session.names[0]}-15.tif", 0, "blurred: edges of 6.1 px, sharp ones have 1.2 px"),
             Dropped(f"{session.names[1]}-06.tif", 0, "no ring markers found"),

@@ -82,8 +82,7 @@ class Calibration:
     √(reduced χ²) of `dof` degrees of freedom with both, a factor of the covariance.
     `shape_m` (P, 3): estimated positions of the target's points (`shape_index` (P, 2)), the flat lattice where it was
     held flat. `scale_u`: relative standard uncertainty of the target's spacing, contained in the rig's covariance.
-    `covered`: (left, right), share of each picture's area within the points' cells. `tilt_rad` (V,): angles between
-    the target's normal and the left camera's axis.
+    `covered`: (left, right), share of each picture's area within the points' cells.
     """
 
     rig: StereoRig
@@ -99,6 +98,5 @@ class Calibration:
     shape_m: FloatArray
     scale_u: float
     covered: tuple[float, float]
-    tilt_rad: FloatArray
     dropped: tuple[Dropped, ...]
     notices: tuple[Notice, ...]

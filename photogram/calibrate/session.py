@@ -19,7 +19,7 @@ from photogram.calibrate.pose import picture_of
 from photogram.calibrate.result import CalibratedPicture, CalibratedView, Calibration, Dropped
 from photogram.calibrate.shape import ShapeKind
 from photogram.calibrate.start import Pair, lens_prior, start_bundle
-from photogram.calibrate.views import covered_share, tilts_rad
+from photogram.calibrate.views import covered_share
 from photogram.target.view import Target, TargetView
 
 _ROUNDS = 12
@@ -246,7 +246,6 @@ def _result(fit: _Fit, dropped: tuple[Dropped, ...], target: Target, scale_u: fl
         shape_m=bundle.shape.points_m,
         scale_u=scale_u,
         covered=(covered_share(by_side[0], rig.left.size_px), covered_share(by_side[1], rig.right.size_px)),
-        tilt_rad=tilts_rad(bundle.poses),
         dropped=(*dropped, *left_out),
         notices=(),
     )

@@ -22,11 +22,6 @@ def covered_share(pictures: Sequence[CalibratedPicture], size_px: IntArray) -> f
     return len(np.unique(inside, axis=0)) / (COVERAGE_CELLS[0] * COVERAGE_CELLS[1])
 
 
-def tilts_rad(poses: Sequence[RigidTransform]) -> FloatArray:
-    """Return the angles (V,) between the target's normal and the left camera's axis."""
-    return np.array([np.arccos(min(1.0, abs(float(pose.rotation[2, 2])))) for pose in poses])
-
-
 def spread_of_turns(poses: Sequence[RigidTransform]) -> tuple[FloatArray, FloatArray]:
     """Return how far the target's normal spreads (2,), in rad, and along which directions (columns) of the picture."""
     normal = np.array([pose.rotation[:, 2] * np.sign(pose.rotation[2, 2]) for pose in poses])
