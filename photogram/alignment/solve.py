@@ -82,7 +82,9 @@ def align(evidence: Sequence[Evidence], start: RigidTransform | None = None) -> 
     """
     pose = starting_pose(evidence) if start is None else start
     if pose is None:
-        raise ValueError("start: expected a first pose, since this evidence leaves open in which sense axes point")
+        raise ValueError(
+            "start: expected a first pose beside this evidence, which is not enough to find one; state what is known of it"
+        )
     for _ in range(_STEPS):
         system = assemble(evidence, pose)
         _refuse_open(system)
