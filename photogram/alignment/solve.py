@@ -83,7 +83,7 @@ def align(evidence: Sequence[Evidence], start: RigidTransform | None = None) -> 
     pose = starting_pose(evidence) if start is None else start
     if pose is None:
         raise ValueError(
-            "start: expected a first pose beside this evidence, which is not enough to find one; state what is known of it"
+            "start: expected a first pose beside this evidence, which is not enough to find one: state what is known"
         )
     for _ in range(_STEPS):
         system = assemble(evidence, pose)
