@@ -17,6 +17,7 @@ TOLERANCE = 0.25
 AREA_RATIO = (0.4, 2.5)
 RINGS_ABOUT_A_CELL = (2, 3)
 LEAST_POINTS = 9
+FEW_POINTS, LEAST_PAIRS = 40, 1.1
 AROUND = np.array([[1, 0], [0, 1], [-1, 0], [0, -1], [1, 1], [-1, 1], [-1, -1], [1, -1]])
 
 
@@ -133,12 +134,17 @@ class _Growth:
         self.at = dict(zip([(0, 0), (1, 0), (0, 1)], self.start.tolist(), strict=True))
         self.tree = cKDTree(self.centre)
         fresh = list(self.at)
-        while fresh:
+        while fresh and self._is_dense():
             fresh = self._extend(fresh, 1)
             if not fresh:
                 fresh = self._extend(list(self.at), 2)
         member = np.array(list(self.at.values()), dtype=np.int64)
         return Lattice(member, np.array(list(self.at), dtype=np.int64))
+
+    def _is_dense(self) -> bool:
+        """Whether most places beside filled ones are filled too, which chance finds among random patches are not."""
+        pairs = sum((i + 1, j) in self.at for i, j in self.at) + sum((i, j + 1) in self.at for i, j in self.at)
+        return len(self.at) < FEW_POINTS or pairs > LEAST_PAIRS * len(self.at)
 
     def _extend(self, places: list[tuple[int, int]], reach: int) -> list[tuple[int, int]]:
         """Look at the empty places within `reach` steps of places; return those that were filled."""
