@@ -50,8 +50,9 @@ def test_covariance_is_the_scatter_and_the_peer_scatters_more() -> None:
     truth, axes = truth_px(camera, pose, board, index), _axes(camera, pose, board, index)
     bend = lattice_bend(index, truth)
     whitened, error, peer = [], [], []
+    clean = render_board(camera, pose, board, slant=0.3)
     for seed in range(12):
-        image = picture(camera, pose, board, seed)
+        image = SENSOR.digitise(clean, np.random.default_rng(seed))
         corners = refine_corners(image, truth + 0.3, axes, picture_noise(image), SENSOR.full_scale, bend)
         error.append(corners.position_px - truth)
         whitened.append(np.linalg.solve(np.linalg.cholesky(corners.covariance_px2), error[-1][..., None]))
