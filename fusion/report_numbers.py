@@ -70,7 +70,7 @@ def number(value: float | None) -> str:
 
 def small(value: float) -> str:
     """Two significant digits of an uncertainty; what is far below the last place of interest is only bounded."""
-    return f"{value:#.2g}" if value >= 1e-3 else "< 0.001"
+    return f"{value:#.2g}".removesuffix(".") if value >= 1e-3 else "< 0.001"
 
 
 def degrees_of_freedom(value: float) -> str:

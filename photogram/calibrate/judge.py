@@ -47,7 +47,7 @@ def refuse_open_focal_lengths(parameters: Sequence[Parameter]) -> None:
         if item.name.endswith((".fx", ".fy")) and not item.u < _FOCAL_LIMIT * item.value:
             raise ValueError(
                 f"the views leave {item.name} open: {item.value:.0f} px, standard uncertainty {item.u:.0f} px; "
-                "add views turned by 20 deg and more about both axes of the picture, and at other distances"
+                "add views turned by 20° and more about both axes of the picture, and at other distances"
             )
 
 
@@ -71,8 +71,8 @@ def _view_notices(calibration: Calibration) -> list[Notice]:
     spread, axes = spread_of_turns([view.left_from_target for view in calibration.views])
     if spread[0] < _LITTLE_TURN_RAD:
         axis = "vertical" if abs(axes[0, 0]) > abs(axes[1, 0]) else "horizontal"
-        text = f"the target is hardly turned about the picture's {axis} axis ({np.degrees(spread[0]):.1f} deg rms)"
-        found.append(Notice("warning", f"{text}; add views turned by 20 deg and more about it", "views"))
+        text = f"the target is hardly turned about the picture's {axis} axis ({np.degrees(spread[0]):.1f}° rms)"
+        found.append(Notice("warning", f"{text}; add views turned by 20° and more about it", "views"))
     for side, share in zip(("left", "right"), calibration.covered, strict=True):
         if share < _ENOUGH_COVER:
             text = (
@@ -106,7 +106,7 @@ def _residual_notices(calibration: Calibration) -> list[Notice]:
     off = calibration.shape_m - flat
     if off.any():
         x, y, z = 1e6 * np.sqrt((off**2).mean(axis=0))
-        text = f"the target's points lie {x:.0f}, {y:.0f} um rms off their lattice and {z:.0f} um across it"
+        text = f"the target's points lie {x:.0f}, {y:.0f} µm rms off their lattice and {z:.0f} µm across it"
         return [
             Notice("info", f"{text}; this was estimated together with the cameras", "target"),
             *_noise_notices(calibration),

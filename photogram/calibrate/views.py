@@ -34,6 +34,6 @@ def refuse_similar_views(poses: Sequence[RigidTransform]) -> None:
     spread, _ = spread_of_turns(poses)
     if spread.max() < _NO_TURN_RAD:
         raise ValueError(
-            f"all {len(poses)} views show the target under nearly one angle ({np.degrees(spread.max()):.1f} deg rms), "
-            "which does not determine the cameras; add views turned by 20 deg and more about both axes of the picture"
+            f"all {len(poses)} views show the target under nearly one angle ({np.degrees(spread.max()):.1f}° rms), "
+            "which does not determine the cameras; add views turned by 20° and more about both axes of the picture"
         )

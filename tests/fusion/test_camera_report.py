@@ -64,7 +64,7 @@ def test_page_says_what_was_found(page: str) -> None:
     assert text.index("Warning · coverage") < text.index("Note · target")
     assert "(3.50000 ± 0.00020) mm, k = 2" in text
     assert "U (k = 2) = 0.0058 %" in text
-    assert "a displacement of 1 mm is uncertain by 29 nm (k = 1)" in text
+    assert "a displacement of 1 mm is uncertain by 0.029 µm (k = 1)" in text
     assert "same point of the target / µm" in text
     assert "blurred: edges of 6.1 px" in text
     assert "ab" * 32 in text
