@@ -41,7 +41,7 @@ def test_aperture_is_the_mean_over_the_pixel(kind: str) -> None:
     inside = (slice(4, -4), slice(4, -4))
     difference = (render_board(camera, pose, board, 0.7, falloff=0.0) - expected)[inside]
     assert np.sqrt((difference**2).mean()) < 1.5e-3
-    assert abs(difference.mean()) < 1e-4
+    assert abs(difference.mean()) < 6e-4  # softened dots cover π·(r² + σ²)
 
 
 def test_chessboard_is_point_symmetric_about_a_corner() -> None:
