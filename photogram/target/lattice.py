@@ -12,12 +12,13 @@ AREA_SPAN = 4.0
 NEIGHBOURS = 12
 SEED_TOLERANCE = 0.3
 LEAST_SEED_MATCHES = 3
+MOST_GROUPS = 4
 SEEDS = 4
-TOLERANCE = 0.25
+TOLERANCE = 0.2
 AREA_RATIO = (0.4, 2.5)
 RINGS_ABOUT_A_CELL = (2, 3)
 LEAST_POINTS = 9
-FEW_POINTS, LEAST_PAIRS = 40, 1.1
+FEW_POINTS, LEAST_PAIRS = 16, 1.0
 AROUND = np.array([[1, 0], [0, 1], [-1, 0], [0, -1], [1, 1], [-1, 1], [-1, -1], [1, -1]])
 
 
@@ -43,7 +44,7 @@ def find_lattice(centre_px: FloatArray, shape_px2: FloatArray) -> Lattice:
     Where perspective turns circles into ellipses, it turns the lattice likewise: measured in the ellipse of a dot, its
     four nearest neighbours lie at equal distances and right angles, at any tilt. From such a start the lattice grows,
     place by place, by affine extrapolation of the places around. Patches of different size from their neighbours do
-    not belong to it, nor those that lie more than a quarter of the spacing off.
+    not belong to it, nor those that lie more than a fifth of the spacing off.
     """
     check_shape("centre_px", centre_px, (None, 2))
     check_shape("shape_px2", shape_px2, (len(centre_px), 2, 2))
@@ -88,7 +89,8 @@ def _groups_of_like_size(area: FloatArray) -> list[IntArray]:
         return []
     octaves = np.arange(np.floor(np.log2(area.min())) - 1, np.ceil(np.log2(area.max())) + 1)
     groups = [np.flatnonzero((area >= 2.0**k) & (area < AREA_SPAN * 2.0**k)) for k in octaves]
-    return sorted((group for group in groups if len(group) >= LEAST_POINTS), key=lambda group: -area[group].sum())
+    large = [group for group in groups if len(group) >= LEAST_POINTS]
+    return sorted(large, key=lambda group: -area[group].sum())[:MOST_GROUPS]
 
 
 def _seeds(centre: FloatArray, shape: FloatArray) -> IntArray:
