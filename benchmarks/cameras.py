@@ -3,9 +3,9 @@
 Usage: python benchmarks/cameras.py [--target NAME] [--rigs 50] [--first 0]
 
 For every target, `--rigs` random stereo pairs (field of view 16 to 50 deg, axes at 10 to 35 deg, distortion) look at
-12 random poses of it; the pictures, 800 x 640 px, 12 bit with shot and read noise, go through detection and bundle
+12 random poses of it; the pictures, 640 x 512 px, 12 bit with shot and read noise, go through detection and bundle
 adjustment as those of a user. Printed: the errors of the points found, and the errors of the 24 parameters over their
-standard uncertainties. Some 15 s per pair on one core. Then the 14 real pairs of a dot grid, where SHAKERCAL_DATA (by
+standard uncertainties. Some 20 s per pair on one core. Then the 14 real pairs of a dot grid, where SHAKERCAL_DATA (by
 default `../shared/data` beside the repository) has them, beside OpenCV's own calibration from the same points.
 """
 
@@ -38,7 +38,7 @@ from photogram.target.view import Target, TargetNotFound, TargetView
 
 FloatArray = NDArray[np.float64]
 ROOT = Path(__file__).resolve().parent.parent
-SIZE_PX = np.array([800, 640])
+SIZE_PX = np.array([640, 512])
 VIEWS = 12
 FIELD_M = 0.15
 BOARDS = {
