@@ -10,12 +10,15 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from fusion.camera_facts import axes_angle_rad, baseline_m
 from fusion.camera_report import render_camera_report
 from fusion.errors import InputError
 from fusion.manifest.paths import natural_key
 from fusion.polar import rounded
 from fusion.provenance import Provenance, hash_files, versions
+from fusion.results import write_whole
 from fusion.settings import ProgressCallback, no_progress
 from photogram.calibrate.result import Calibration, Dropped
 from photogram.calibrate.session import calibrate_pair
@@ -80,13 +83,8 @@ def write_cameras(
     hashes = hash_files(pictures, _folder(pictures))
     provenance = Provenance(hashes, used, versions(), (output.name, page.name))
     text = render_camera_report(calibration, output.stem, provenance, duration_s)
-    temporary = page.with_name(f"{page.name}.{os.getpid()}.tmp")
-    try:
-        temporary.write_text(text, encoding="utf-8")
-        write_calibration(output, calibration.rig, calibration.rms_px)
-        os.replace(temporary, page)
-    finally:
-        temporary.unlink(missing_ok=True)
+    write_calibration(output, calibration.rig, calibration.rms_px)
+    write_whole(page, text)
     return page
 
 
@@ -114,7 +112,7 @@ def print_calibration(calibration: Calibration, output: Path, page: Path) -> Non
     baseline, angle = baseline_m(calibration.rig), axes_angle_rad(calibration.rig)
     print(f"{pairs} pairs, rms {calibration.rms_px:.3f} px (left {rms[0]:.3f}, right {rms[1]:.3f})")
     print(f"baseline {_with_u(baseline.value * 1e3, baseline.u * 1e3)} mm", end=", ")
-    print(f"axes at {_with_u(angle.value * 57.29577951308232, angle.u * 57.29577951308232)} deg (U: k = 2)")
+    print(f"axes at {_with_u(np.degrees(angle.value), np.degrees(angle.u))} deg (U: k = 2)")
     for item in calibration.parameters:
         if item.name.endswith((".fx", ".fy")):
             print(f"{item.name} {_with_u(item.value, item.u)} px")
