@@ -20,10 +20,11 @@ from fusion.polar import rounded
 from fusion.provenance import Provenance, hash_files, versions
 from fusion.results import write_whole
 from fusion.settings import ProgressCallback, no_progress
+from photogram.calibrate.pairing import Pair
 from photogram.calibrate.result import Calibration, Dropped
 from photogram.calibrate.session import calibrate_pair
 from photogram.calibrate.shape import ShapeKind
-from photogram.calibrate.start import FEWEST_VIEWS, Pair
+from photogram.calibrate.start import FEWEST_VIEWS
 from photogram.calibration_file import write_calibration
 from photogram.images import read_picture
 from photogram.target.find import find_target

@@ -15,10 +15,11 @@ from photogram.calibrate.judge import (
     rig_parameters,
     session_notices,
 )
+from photogram.calibrate.pairing import Pair
 from photogram.calibrate.pose import picture_of
 from photogram.calibrate.result import CalibratedPicture, CalibratedView, Calibration, Dropped
 from photogram.calibrate.shape import ShapeKind
-from photogram.calibrate.start import Pair, lens_prior, start_bundle
+from photogram.calibrate.start import lens_prior, start_bundle
 from photogram.calibrate.views import covered_share
 from photogram.target.view import Target, TargetView
 

@@ -9,20 +9,18 @@ import numpy as np
 
 from photogram._checks import FloatArray
 from photogram.calibrate.adjust import Bundle, Prior
+from photogram.calibrate.pairing import Pair, pair_up
 from photogram.calibrate.result import Dropped
 from photogram.calibrate.shape import ShapeKind, make_shape
 from photogram.calibrate.views import refuse_similar_views
 from photogram.camera import Camera, StereoRig
-from photogram.rigid import RigidTransform, rotation_from_vector, vector_from_rotation
+from photogram.rigid import RigidTransform, rotation_from_vector
 from photogram.target.view import Target, TargetView
-
-Pair = tuple[TargetView | None, TargetView | None]
 
 FEWEST_VIEWS = 3
 FEWEST_POINTS = 6
 _STRANGE = 5.0  # times the median rms of all pictures: beyond it a picture is not of this camera or target
 _TOLERATED_PX = 1.0  # rms that is never strange
-_STRANGE_PAIR = 0.05  # relative disagreement of a pair with the others' relative pose: rad, share of the distance
 
 # What is known of a lens beforehand: principal point off the middle in widths of the picture; the terms of distortion
 # at the picture's corner, radial relative to the radius (k1, k2, k3), decentring likewise.
@@ -51,7 +49,8 @@ def start_bundle(pairs: Sequence[Pair], target: Target, shape: ShapeKind) -> Sta
     dropped = [item for side in sides for item in side.dropped]
     for side in sides:
         refuse_similar_views(list(side.poses.values()))
-    relative, strange = _relative_pose([side.poses for side in sides])
+    pairing = pair_up(pairs, sides[0].poses, sides[1].poses, target)
+    relative, strange, pairs = pairing.right_from_left, pairing.strange, pairing.pairs
     for view in strange:
         names = " and ".join(seen.name for seen in pairs[view] if seen is not None)
         reason = "the two pictures do not show one position of the target (mixed up, mirrored, or it moved in between)"
@@ -64,7 +63,7 @@ def start_bundle(pairs: Sequence[Pair], target: Target, shape: ShapeKind) -> Sta
         if used[0] is None and used[1] is None:
             continue
         kept.append((used[0], used[1]))
-        poses.append(sides[0].poses[view] if used[0] is not None else relative.inverse() @ sides[1].poses[view])
+        poses.append(sides[0].poses[view] if used[0] is not None else relative.inverse() @ pairing.right_poses[view])
     _check_count(kept)
     rig = StereoRig(sides[0].camera, sides[1].camera, relative)
     index = np.unique(np.concatenate([seen.index for pair in kept for seen in pair if seen is not None]), axis=0)
@@ -154,33 +153,6 @@ def _opencv(views: Sequence[TargetView], target: Target) -> tuple[Camera, list[R
         for turn, shift in zip(turns, shifts, strict=True)
     ]
     return Camera.from_parameters(parameters, size), poses, np.array(rms, float).ravel()
-
-
-def _relative_pose(poses: Sequence[dict[int, RigidTransform]]) -> tuple[RigidTransform, list[int]]:
-    """Return `right_from_left` of the pair that agrees best with all others, and the views that do not agree."""
-    common = sorted(set(poses[0]) & set(poses[1]))
-    if not common:
-        raise ValueError(
-            "no position of the target is seen by both cameras; the two lists of pictures must be in one order"
-        )
-    found = [poses[1][view] @ poses[0][view].inverse() for view in common]
-    depth = float(np.median([np.linalg.norm(poses[0][view].translation_m) for view in common]))
-    apart = np.array([[_disagreement(a, b, depth) for b in found] for a in found])
-    best = int(np.argmin(np.median(apart, axis=1)))
-    limit = max(_STRANGE_PAIR, _STRANGE * float(np.median(apart[best])))
-    strange = [view for view, distance in zip(common, apart[best], strict=True) if distance > limit]
-    if len(strange) * 2 > len(common) or limit > 10 * _STRANGE_PAIR:
-        raise ValueError(
-            "the left and right pictures do not belong together: no relative pose of the cameras fits most pairs; "
-            "give all left pictures first, then all right ones in the same order"
-        )
-    return found[best], strange
-
-
-def _disagreement(a: RigidTransform, b: RigidTransform, depth_m: float) -> float:
-    """Return how far two relative poses are apart: rotation in rad or shift in distances, whichever is more."""
-    turn = float(np.linalg.norm(vector_from_rotation(a.rotation @ b.rotation.T)))
-    return max(turn, float(np.linalg.norm(a.translation_m - b.translation_m)) / depth_m)
 
 
 def _check_count(pairs: Sequence[Pair]) -> None:

@@ -17,7 +17,7 @@ from photogram.calibrate.session import calibrate_pair
 from photogram.calibrate.shape import make_shape
 from photogram.camera import Camera, StereoRig
 from photogram.rigid import RigidTransform, rotation_from_vector, skew, vector_from_rotation
-from photogram.target.view import Target, TargetView
+from photogram.target.view import Target, TargetKind, TargetView
 
 SIZE = np.array([1280, 1024])
 SPACING = 0.012
@@ -189,6 +189,35 @@ def test_a_mirrored_or_exchanged_picture_is_dropped() -> None:
     pairs[4] = (replace(left, position_px=mirrored, index=left.index * [-1, 1] + [11, 0]), pairs[4][1])
     calibration = calibrate_pair(pairs, TARGET)
     assert [item.name for item in calibration.dropped if item.points == 0] == ["L4 and R4"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "size", "turn"),
+    [("dots", (12, 9), -1), ("chessboard", (12, 10), -1), ("dots", (9, 9), 1j), ("dots", (9, 9), -1j)],
+)
+def test_a_target_numbered_from_another_corner(kind: TargetKind, size: tuple[int, int], turn: complex) -> None:
+    """A target that looks alike after a turn; a turn of the lattice is a product in the complex plane."""
+    rng = np.random.default_rng(14)
+    target = Target(kind, SPACING, size)
+    pairs = _views(rng, _poses(rng, 8))
+    cut = []
+    for left, right in pairs:
+        sides = []
+        for view in (left, right):
+            kept = (view.index < size).all(axis=1)
+            arrays = {name: getattr(view, name)[kept] for name in ("index", "position_px", "covariance_px2")}
+            sides.append(replace(view, **arrays))
+        cut.append((sides[0], sides[1]))
+    plain = calibrate_pair(cut, target, "flat")
+    middle = complex(size[0] - 1, size[1] - 1) / 2
+    for number in (2, 5):
+        left, right = cut[number]
+        place = (right.index @ [1, 1j] - middle) * turn + middle
+        cut[number] = (left, replace(right, index=np.rint(np.stack([place.real, place.imag], -1)).astype(np.int64)))
+    found = calibrate_pair(cut, target, "flat")
+    assert not [item for item in found.dropped if item.points == 0]
+    assert np.allclose(found.rig.left.parameters, plain.rig.left.parameters, rtol=1e-3, atol=1e-3)
+    assert found.rms_px == pytest.approx(plain.rms_px, rel=1e-3)
 
 
 def test_left_and_right_in_different_order_are_refused() -> None:
