@@ -74,6 +74,7 @@ def test_the_true_pair_comes_back(session: tuple[Path, object], pictures: Path, 
     assert page.startswith("<!doctype html>")
 
 
+@pytest.mark.slow
 def test_pictures_in_the_order_of_their_numbers_and_by_pattern(pictures: Path, capsys: Capture) -> None:
     """8.png … 14.png: natural order; one picture given by name on either side is none too many."""
     arguments = [str(pictures / "left" / "*.png"), str(pictures / "right" / "*.png")]
@@ -118,6 +119,7 @@ def test_no_calibration_from_spoilt_pictures(
     assert not (pictures / "top.html").exists()
 
 
+@pytest.mark.slow
 def test_another_target_is_refused(pictures: Path, capsys: Capture) -> None:
     arguments = ["cameras", str(pictures / "left"), str(pictures / "right"), "-o", str(pictures / "top.json"), "-q"]
     assert main([*arguments, "--target", "dots", "--spacing", "9e-3"]) == EXIT_INPUT
