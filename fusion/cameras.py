@@ -169,6 +169,8 @@ def _find_one(path: Path, target: Target) -> TargetView | TargetNotFound:
         return find_target(image, target, str(path), full_scale)
     except TargetNotFound as error:
         return error
+    except ValueError as error:
+        raise InputError.told_by(error, path) from error
 
 
 def _expanded(argument: str) -> list[Path]:

@@ -141,6 +141,7 @@ def test_an_earlier_calibration_is_kept(pictures: Path, capsys: Capture) -> None
         (["left", "left", *TARGET], "both cameras"),
         (["left", "nowhere/*.png", *TARGET], "no pictures"),
         (["left/8.png", "right/8.png", *TARGET], "at least 3"),
+        (["left", "right", *TARGET, "--dictionary", "DICT_OWN"], "DICT_OWN"),
         (["left/8.png", "left/8.json", "right/8.png", "right/9.png", *TARGET], "8.json"),
     ],
 )
