@@ -45,7 +45,7 @@ def observations(
     clock = manifest.daq[0].clock_uncertainty if manifest.daq else 0.0
     seen = []
     for item in stereo:
-        entry = manifest.rig.stereo[item.result.name]
+        entry = item.pair
         entry = entry.model_copy(update={"delay_uncertainty": item.entry.delay_uncertainty})
         trigger = (item.entry.trigger, base.u_trigger_s(item.entry.trigger))
         effects = item.effects

@@ -100,6 +100,7 @@ def open_images(manifest: Manifest, base: TimeBase, entry: Images) -> OpenImages
         raise InputError(manifest.path, key, found=f"{len(right)} images", expected=f"{len(left)} as on the left")
     time_s = exposure_middles(manifest, base, entry, len(left))
     rig = _calibration(stereo, left, right)
+    stereo = _without_calibration_share(stereo, rig)
     return OpenImages(entry, stereo, left, right, time_s, rig, _read_first(manifest, entry, left, right))
 
 
@@ -194,6 +195,19 @@ def _calibration(stereo: Stereo, left: ImageSequence, right: ImageSequence) -> S
             expected = f"{list(images.size_px)}, the size of {images.names[0]}"
             raise InputError(path, "image_size", found=f"{size}", expected=expected)
     return rig
+
+
+def _without_calibration_share(stereo: Stereo, rig: StereoRig) -> Stereo:
+    """Return the pair with the uncertainty of its pose as it were with an exact calibration.
+
+    The calibration's share, X·C·Xᵀ with X = `pose_by_calibration`, comes back with the calibration's own effects.
+    """
+    if stereo.pose_by_calibration is None or rig.covariance is None:
+        return stereo
+    answer = np.array(stereo.pose_by_calibration)
+    share = np.einsum("ij,jk,ik->i", answer, rig.covariance, answer)
+    left = np.sqrt(np.maximum(np.square(stereo.pose_uncertainty) - share, 0.0))
+    return stereo.model_copy(update={"pose_uncertainty": tuple(left.tolist())})
 
 
 def _measure(manifest: Manifest, images: OpenImages, settings: Settings, progress: ProgressCallback) -> BodyMotion:

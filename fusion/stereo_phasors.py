@@ -12,12 +12,13 @@ from fusion.channels import spread_lines
 from fusion.deflection import deflection_shape
 from fusion.errors import ComputeError
 from fusion.evaluation import StereoResult
-from fusion.manifest import Images, PointFiles
+from fusion.manifest import Images, PointFiles, Stereo
 from fusion.notices import AnyNotice, Notice
 from fusion.observe import CALIBRATION
 from fusion.stereo_motion import ImageView, StereoMotion, sensor_from_camera
 from photogram.camera import StereoRig, principal_components
 from photogram.motion import RigidMotion, fit_motion, relative_to
+from photogram.rigid import RigidTransform
 from photogram.track import StereoTracks, TrackStatus
 from photogram.triangulate import triangulate
 from shaker.signals.frequencies import Lines
@@ -38,12 +39,14 @@ BIAS_STEP_PX = 0.01
 class StereoPhasors:
     """Displacement phasors of one stereo pair at all lines, exposure loss corrected, and the calibration's effects.
 
-    `displacement`: six components, m and rad, NaN at lines that this camera rate cannot tell apart.
+    `pair`: as rig.toml has it, its pose without the calibration's share. `displacement`: six components, m and rad,
+    NaN at lines that this camera rate cannot tell apart.
     `effects`: by name, the changes (P, K, 6) of the phasors for one standard uncertainty of what is common to all
     frames: each principal component of the calibration's covariance, errors periodic in the pixel at each line.
     """
 
     entry: Images | PointFiles
+    pair: Stereo
     result: StereoResult
     displacement: Phasors
     effects: Mapping[str, ComplexArray]
@@ -76,7 +79,7 @@ def stereo_phasors(measured: StereoMotion, lines: Lines) -> StereoPhasors:
     notices = tuple(Notice(notice.severity, f"stereo pair {where}: {notice.text}", name) for where, notice in found)
     shape = deflection_shape(measured.time_s, frequency_hz, measured.deformation, measured.entry.exposure)
     result = replace(_result(measured, from_mean, fit, usable), deflection=shape)
-    return StereoPhasors(measured.entry, result, displacement, effects, notices)
+    return StereoPhasors(measured.entry, measured.stereo, result, displacement, effects, notices)
 
 
 def _fit_about_mean(name: str, measured: StereoMotion, frequency_hz: FloatArray) -> tuple[RigidMotion, SineFit]:
@@ -110,7 +113,7 @@ def _periodic_effects(measured: StereoMotion, view: ImageView, lines: int) -> Co
         for pattern in patterns.T:
             moved = [np.repeat(place[None], 3, axis=0) for place in places]  # at rest, along x, along y
             moved[side][[1, 2], :, [0, 1]] += BIAS_STEP_PX * pattern
-            (both,) = _phasor_motion(measured, view.rig, (moved[0], moved[1]))
+            (both,) = _phasor_motion(view.rig, sensor_from_camera(measured.stereo), (moved[0], moved[1]))
             motions += [PERIODIC_SHARE * bias / BIAS_STEP_PX * part for part in (both.real, both.imag)]
     combined = np.asarray(np.linalg.qr(np.array(motions), mode="r"))
     parts = np.concatenate([combined, 1j * combined])
@@ -128,9 +131,14 @@ def _calibration_effects(measured: StereoMotion, view: ImageView, frequency_hz: 
     if covariance is None:
         return np.empty((0, len(frequency_hz), 6), dtype=np.complex128)
     frames = _phasor_frames(measured.time_s, view.tracks, frequency_hz)
-    nominal = _phasor_motion(measured, view.rig, frames)
-    steps = principal_components(covariance)
-    return np.array([_phasor_motion(measured, view.rig.perturbed(step), frames) - nominal for step in steps])
+    change, pose = measured.stereo.pose_by_calibration, sensor_from_camera(measured.stereo)
+    answer = np.zeros((6, len(covariance))) if change is None else np.array(change)  # the pose was found with this rig
+    nominal = _phasor_motion(view.rig, pose, frames)
+    changes = []
+    for step in principal_components(covariance):
+        moved = RigidTransform.from_pose(answer @ step) @ pose
+        changes.append(_phasor_motion(view.rig.perturbed(step), moved, frames) - nominal)
+    return np.array(changes)
 
 
 def _phasor_frames(time_s: FloatArray, tracks: StereoTracks, frequency_hz: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -146,11 +154,11 @@ def _phasor_frames(time_s: FloatArray, tracks: StereoTracks, frequency_hz: Float
     return frames[:, 0], frames[:, 1]
 
 
-def _phasor_motion(measured: StereoMotion, rig: StereoRig, frames: tuple[FloatArray, FloatArray]) -> ComplexArray:
-    """Return the displacement phasors (K, 6) that a rig makes of phasor frames."""
-    points = triangulate(rig, frames[0], frames[1], None, None).transformed(sensor_from_camera(measured.stereo))
-    pose = fit_motion(points, None, np.zeros(3)).pose[1:]
-    return np.asarray(pose[0::2] + 1j * pose[1::2])
+def _phasor_motion(rig: StereoRig, pose: RigidTransform, frames: tuple[FloatArray, FloatArray]) -> ComplexArray:
+    """Return the displacement phasors (K, 6) that a rig, its left camera in this pose, makes of phasor frames."""
+    points = triangulate(rig, frames[0], frames[1], None, None).transformed(pose)
+    found = fit_motion(points, None, np.zeros(3)).pose[1:]
+    return np.asarray(found[0::2] + 1j * found[1::2])
 
 
 def _sigmas(view: ImageView) -> FloatArray | None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from fusion.align.manifest import AlignmentFile, read_alignment
 from fusion.align.recordings import moving_evidence
-from fusion.align.stills import known_pose, read_pair, still_evidence
+from fusion.align.stills import Pair, known_pose, read_pair, still_evidence
 from fusion.align.text import pose_text
 from fusion.errors import ComputeError, InputError
 from fusion.results import write_whole
@@ -37,7 +37,8 @@ def align_file(
     if output is not None and not output.absolute().parent.is_dir():
         raise InputError(output, "", found="no such folder", expected="a file in a folder that exists")
     file = read_alignment(path, allow_outside)
-    text = pose_text(file, align_cameras(path, file, settings, allow_outside=allow_outside, progress=progress))
+    found, pair = align_cameras(path, file, settings, allow_outside=allow_outside, progress=progress)
+    text = pose_text(file, found, pair)
     if output is not None:
         write_whole(output, text)
     return text
@@ -50,8 +51,11 @@ def align_cameras(
     *,
     allow_outside: bool = False,
     progress: ProgressCallback = no_progress,
-) -> Alignment:
-    """Return the pose of the left camera from all evidence that alignment.toml names; remarks go to the log."""
+) -> tuple[Alignment, Pair | None]:
+    """Return the pose of the left camera from all evidence that alignment.toml names, and the pair with its errors.
+
+    Remarks go to the log.
+    """
     pair = None if file.calibration is None else read_pair(path, file.calibration, file.scale_uncertainty)
     evidence = [] if pair is None else still_evidence(path, file, pair)
     moving = moving_evidence(path, file, pair, settings, progress, allow_outside)
@@ -68,4 +72,4 @@ def align_cameras(
         raise ComputeError(f"{path}: {error}".replace("start: ", "").replace("evidence: ", "")) from error
     for notice in (*moving.notices, *found.notices):
         log.log(logging.WARNING if notice.severity == "warning" else logging.INFO, "%s", notice.text)
-    return found
+    return found, pair

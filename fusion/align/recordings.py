@@ -118,7 +118,9 @@ def _record(
         found = "none" if file.calibration is None else "another calibration"
         raise InputError(path, "calibration", found, f"the one that {manifest.rig_path} names for {file.stereo}")
     opened = open_images(manifest, base, images)
-    return _Recorded(manifest, base, measure_images(manifest, opened, settings, progress))
+    measured = measure_images(manifest, opened, settings, progress)
+    fixed = measured.stereo.model_copy(update={"pose_by_calibration": None})  # effects in the camera's own frame
+    return _Recorded(manifest, base, replace(measured, stereo=fixed))
 
 
 def _direction(

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fusion.align.manifest import AlignmentFile
-from photogram.alignment import Alignment
+from fusion.align.stills import Pair
+from photogram.alignment import Alignment, by_parameters, calibration_steps
+
+FloatArray = NDArray[np.float64]
 
 COVERAGE = 2.0
 EVIDENCE = (
@@ -20,16 +25,22 @@ EVIDENCE = (
 )
 
 
-def pose_text(file: AlignmentFile, found: Alignment) -> str:
-    """Return the block in the syntax of rig.toml, with comments on its uncertainty and its origin."""
+def pose_text(file: AlignmentFile, found: Alignment, pair: Pair | None) -> str:
+    """Return the block in the syntax of rig.toml, with comments on its uncertainty and its origin.
+
+    How the pose answers the pair's calibration is written beside `pose_uncertainty`, which contains it, so that a run,
+    in which the same calibration's errors act again, can count them once.
+    """
     relative = file.other is not None and file.other.rotation is None
     frame = f"the left camera of {file.other.stereo}" if relative and file.other else "the sensor frame"
+    share = None if relative or pair is None else _calibration_share(found, pair)
+    u = found.u if share is None else share.u
     held = COVERAGE * np.sqrt(np.diagonal(found.held_covariance))
     comments = [
         f"Pose of the left camera of {file.stereo} in {frame}, from {_origin(file)}.",
-        f"U (k = 2): position {_numbers(1e3 * COVERAGE * found.u[:3])} mm, rotation "
-        f"{_numbers(1e3 * COVERAGE * found.u[3:])} mrad (x, y, z).",
-        f"Were the calibration exact: {_numbers(1e3 * held[:3])} mm and {_numbers(1e3 * held[3:])} mrad.",
+        f"U (k = 2): position {_numbers(1e3 * COVERAGE * u[:3])} mm, rotation "
+        f"{_numbers(1e3 * COVERAGE * u[3:])} mrad (x, y, z).",
+        f"Without the calibration's share: {_numbers(1e3 * held[:3])} mm and {_numbers(1e3 * held[3:])} mrad.",
         f"chi2 = {found.chi2:.3g} with {found.dof} degrees of freedom.",
     ]
     if found.enlargement > 1.0:
@@ -40,8 +51,31 @@ def pose_text(file: AlignmentFile, found: Alignment) -> str:
     header = f"[relative.{name}]" if relative else f"[stereo.{name}]"
     lines = [*(f"# {comment}" for comment in comments), header, f"rotation = [\n  {rows}]"]
     lines.append(f"translation = {_list(pose.translation_m)}")
-    lines.append(f"pose_uncertainty = [{', '.join(f'{float(u):.3g}' for u in found.u)}]")
+    lines.append(f"pose_uncertainty = {_list(u)}")
+    if share is not None:
+        rows = ",\n  ".join(_list(row) for row in share.by_parameters)
+        lines.append(f"pose_by_calibration = [\n  {rows}]")
     return "\n".join(lines) + "\n"
+
+
+@dataclass(frozen=True, eq=False)
+class _Share:
+    """How a pose answers the calibration's parameters (6, 24), and its standard uncertainties (6,), all told."""
+
+    by_parameters: FloatArray
+    u: FloatArray
+
+
+def _calibration_share(found: Alignment, pair: Pair) -> _Share | None:
+    """Return the calibration's share, None without a covariance.
+
+    The calibration counts as it is stated, also where this evidence would know it better, since a run does the same.
+    """
+    covered = 0 if pair.rig.covariance is None else len(calibration_steps(pair.rig))
+    if not covered:
+        return None
+    u = np.sqrt(np.diagonal(found.held_covariance) + (found.by_calibration**2).sum(axis=1))
+    return _Share(by_parameters(found.by_calibration[:, :covered], pair.steps[:covered]), u)
 
 
 def _origin(file: AlignmentFile) -> str:
@@ -56,11 +90,11 @@ def _origin(file: AlignmentFile) -> str:
     return " and ".join([", ".join(parts[:-1]), parts[-1]] if len(parts) > 1 else parts)
 
 
-def _numbers(values: np.typing.NDArray[np.float64]) -> str:
+def _numbers(values: FloatArray) -> str:
     """Three values with two digits."""
     return " ".join(f"{value:.2g}" for value in values)
 
 
-def _list(values: np.typing.NDArray[np.float64]) -> str:
+def _list(values: FloatArray) -> str:
     """A row of TOML with all digits."""
     return f"[{', '.join(repr(float(value)) for value in values)}]"

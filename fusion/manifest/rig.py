@@ -31,6 +31,7 @@ from fusion.manifest.values import (
     describe,
     refusal,
     repeated_name,
+    rows_of,
     texts,
     vector,
 )
@@ -159,6 +160,7 @@ class Stereo(Block):
     rotation: Rotation
     translation: FreeVector
     pose_uncertainty: PoseSpread = ZERO6
+    pose_by_calibration: Annotated[tuple[tuple[float, ...], ...] | None, BeforeValidator(rows_of(6, 24))] = None
     scale_uncertainty: NotNegative | None = None
     bit_depth: Annotated[int, Field(ge=1, le=16)] | None = None
     exposure: NotNegative

@@ -91,6 +91,19 @@ def vector(count: int) -> Callable[[Any], tuple[float, ...]]:
     return lambda value: _numbers(value, count, f"{count} numbers")
 
 
+def rows_of(rows: int, columns: int) -> Callable[[Any], tuple[tuple[float, ...], ...]]:
+    """Validator of a list of `rows` lists of `columns` numbers."""
+    expected = f"{rows} rows of {columns} numbers"
+
+    def checked(value: Any) -> tuple[tuple[float, ...], ...]:
+        if not isinstance(value, list | tuple) or len(value) != rows:
+            found = f"{len(value)} rows" if isinstance(value, list | tuple) else describe(value)
+            raise refusal(expected, found)
+        return tuple(_numbers(row, columns, expected) for row in value)
+
+    return checked
+
+
 def unit_vector(value: Any) -> tuple[float, ...]:
     """Normalise a direction of 3 numbers; the zero vector has none."""
     elements = _numbers(value, 3, "3 numbers that give a direction")

@@ -9,7 +9,7 @@ from photogram.alignment.evidence import (
     KnownPoses,
     StatedFrame,
 )
-from photogram.alignment.seen import calibration_steps, seen_points, seen_target
+from photogram.alignment.seen import by_parameters, calibration_steps, seen_points, seen_target
 from photogram.alignment.solve import Alignment, OpenPose, Piece, align
 from photogram.alignment.turning import Axis, fit_axis, linear_motion
 
@@ -26,6 +26,7 @@ __all__ = [
     "Piece",
     "StatedFrame",
     "align",
+    "by_parameters",
     "calibration_steps",
     "fit_axis",
     "linear_motion",

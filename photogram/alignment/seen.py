@@ -25,6 +25,16 @@ def calibration_steps(rig: StereoRig, scale_u: float = 0.0) -> FloatArray:
     return np.array(steps).reshape(-1, 24)
 
 
+def by_parameters(change: FloatArray, steps: FloatArray) -> FloatArray:
+    """Return the derivatives (6, 24) by the rig's parameters of what changes by `change` (6, P) with `steps` (P, 24).
+
+    The smallest ones, in units of the parameters' standard uncertainties, that give these changes.
+    """
+    sigma = np.sqrt((steps**2).sum(axis=0))
+    scale = np.where(sigma > 0.0, sigma, 1.0)
+    return np.asarray((np.linalg.pinv(steps / scale) @ change.T).T / scale)
+
+
 def seen_points(
     rig: StereoRig, steps: FloatArray, left_px: FloatArray, right_px: FloatArray, u_px: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -47,12 +47,14 @@ class Alignment:
     `covariance` (6, 6): of the small displacement (shift, rotation about the sensor origin; m and rad, sensor axes)
     that, multiplied from the left, leads from this pose to the true one; it contains the calibration's share and is
     enlarged by `enlargement`² where the evidence does not fit together (χ² beyond its 99 % quantile).
-    `held_covariance` (6, 6): the same if the calibration were exact.
+    `held_covariance` (6, 6): the same if the calibration were exact. `by_calibration` (6, P): the displacement for one
+    standard uncertainty of each of the calibration's P errors, in the order of the evidence's effects.
     """
 
     sensor_from_camera: RigidTransform
     covariance: FloatArray
     held_covariance: FloatArray
+    by_calibration: FloatArray
     chi2: float
     dof: int
     enlargement: float
@@ -63,6 +65,7 @@ class Alignment:
         """Refuse other shapes."""
         check_shape("covariance", self.covariance, (6, 6))
         check_shape("held_covariance", self.held_covariance, (6, 6))
+        check_shape("by_calibration", self.by_calibration, (6, None))
 
     @property
     def u(self) -> FloatArray:
@@ -120,6 +123,7 @@ def _judged(pose: RigidTransform, system: System) -> Alignment:
         pose,
         enlargement**2 * system.covariance(),
         enlargement**2 * system.covariance(known=CALIBRATION),
+        system.response(CALIBRATION),
         chi2,
         dof,
         enlargement,

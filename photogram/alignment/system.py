@@ -39,6 +39,13 @@ class System:
         covariance = np.linalg.inv(rows.T @ rows)[:6, :6]
         return np.asarray((covariance + covariance.T) / 2)
 
+    def response(self, known: str) -> FloatArray:
+        """Return how the pose (6, Q) answers one standard uncertainty of each common error of a name."""
+        first, count = self.columns.get(known, (0, 0))
+        chosen = self.rows[:, first : first + count]
+        others = np.delete(self.rows, np.s_[first : first + count], axis=1)
+        return np.asarray(-np.linalg.solve(others.T @ others, others.T @ chosen)[:6])
+
 
 def assemble(evidence: Sequence[Evidence], pose: RigidTransform) -> System:
     """Return the system of all evidence at a trial pose."""
