@@ -32,7 +32,7 @@ def _seen(distortions: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.nd
     return left.reshape(-1, 2), right.reshape(-1, 2)
 
 
-def _same(imported: ImportedCalibration, distortions: tuple[np.ndarray, np.ndarray] = (D_LEFT, D_RIGHT)) -> None:
+def _assert_same(imported: ImportedCalibration, distortions: tuple[np.ndarray, np.ndarray] = (D_LEFT, D_RIGHT)) -> None:
     """The imported rig projects as OpenCV does with the numbers of the file."""
     for found, expected in zip(imported.rig.project(POINTS_M), _seen(distortions), strict=True):
         np.testing.assert_allclose(found, expected, atol=1e-6)
@@ -80,14 +80,14 @@ def _opencv(matrices: tuple[str, str], distortions: tuple[str, str], rotation: s
 )
 def test_opencv_storage(tmp_path: Path, suffix: str, names: tuple[tuple[str, str], tuple[str, str]]) -> None:
     path = _storage(tmp_path / f"stereo.{suffix}", _opencv(*names))
-    _same(import_calibration(path, SIZE, "mm"))
+    _assert_same(import_calibration(path, SIZE, "mm"))
 
 
 def test_opencv_in_two_files_with_the_size_in_one(tmp_path: Path) -> None:
     content = _opencv(("M1", "M2"), ("D1", "D2"))
     inner = _storage(tmp_path / "intrinsics.yml", {k: content[k] for k in ("M1", "D1", "M2", "D2")})
     outer = {"R": content["R"], "T": content["T"], "image_width": SIZE[0], "image_height": SIZE[1]}
-    _same(import_calibration(inner, None, "mm", _storage(tmp_path / "extrinsics.yml", outer)))
+    _assert_same(import_calibration(inner, None, "mm", _storage(tmp_path / "extrinsics.yml", outer)))
     with pytest.raises(ValueError, match=r"intrinsics\.yml: expected the rotation R .* second file"):
         import_calibration(inner, SIZE, "mm")
 
@@ -100,7 +100,7 @@ def test_opencv_plain_json_with_objects_and_a_rotation_vector(tmp_path: Path) ->
         "T": (1e-3 * T_MM).tolist(),
         "imageSize": list(SIZE),
     }
-    _same(import_calibration(_file(tmp_path, "rig.json", json.dumps(content)), None, "m"))
+    _assert_same(import_calibration(_file(tmp_path, "rig.json", json.dumps(content)), None, "m"))
 
 
 def test_opencv_needs_a_unit_and_a_size(tmp_path: Path) -> None:
@@ -146,7 +146,7 @@ def _matlab(old: bool) -> dict[str, object]:
 
 @pytest.mark.parametrize("old", [False, True])
 def test_matlab(tmp_path: Path, old: bool) -> None:
-    _same(import_calibration(_file(tmp_path, "stereo.json", json.dumps(_matlab(old)))))
+    _assert_same(import_calibration(_file(tmp_path, "stereo.json", json.dumps(_matlab(old)))))
 
 
 def test_matlab_with_two_radial_coefficients_and_a_unit_nobody_knows(tmp_path: Path) -> None:
@@ -159,14 +159,14 @@ def test_matlab_with_two_radial_coefficients_and_a_unit_nobody_knows(tmp_path: P
     with pytest.raises(ValueError, match="length_unit"):
         import_calibration(path)
     two = [1, 1, 1, 1, 0]
-    _same(import_calibration(path, length_unit="mm"), (D_LEFT * two, D_RIGHT * two))
+    _assert_same(import_calibration(path, length_unit="mm"), (D_LEFT * two, D_RIGHT * two))
 
 
 def test_matlab_essential_matrix_reveals_a_transposed_rotation(tmp_path: Path) -> None:
     content = _matlab(old=False)
     cross = np.cross(np.eye(3), T_MM) * -1.0
     content["EssentialMatrix"] = (cross @ ROTATION).tolist()
-    _same(import_calibration(_file(tmp_path, "a.json", json.dumps(content))))
+    _assert_same(import_calibration(_file(tmp_path, "a.json", json.dumps(content))))
     content["PoseCamera2"] = {"R": ROTATION.T.tolist(), "Translation": T_MM.tolist()}
     with pytest.raises(ValueError, match="EssentialMatrix"):
         import_calibration(_file(tmp_path, "b.json", json.dumps(content)))
@@ -193,12 +193,12 @@ def _bouguet(skew: str = "0.00000") -> str:
 
 
 def test_bouguet(tmp_path: Path) -> None:
-    _same(import_calibration(_file(tmp_path, "Calib_Results_stereo.txt", _bouguet()), SIZE))
+    _assert_same(import_calibration(_file(tmp_path, "Calib_Results_stereo.txt", _bouguet()), SIZE))
 
 
 def test_bouguet_column_vectors_and_image_size(tmp_path: Path) -> None:
     text = _bouguet().replace("   ", " ;\n ") + "\nnx = 1280;\nny = 1024;"
-    _same(import_calibration(_file(tmp_path, "c.m", text.replace("± [ 1.00000 ;\n 2.00000 ]", ";"))))
+    _assert_same(import_calibration(_file(tmp_path, "c.m", text.replace("± [ 1.00000 ;\n 2.00000 ]", ";"))))
 
 
 def _dice_xml(model: str, relative: bool, digits: int = 12) -> str:
@@ -232,11 +232,11 @@ def _dice_xml(model: str, relative: bool, digits: int = 12) -> str:
 
 @pytest.mark.parametrize("relative", [True, False])
 def test_dice_xml(tmp_path: Path, relative: bool) -> None:
-    _same(import_calibration(_file(tmp_path, "cal.xml", _dice_xml("OPENCV_LENS_DISTORTION", relative))))
+    _assert_same(import_calibration(_file(tmp_path, "cal.xml", _dice_xml("OPENCV_LENS_DISTORTION", relative))))
     radial = import_calibration(_file(tmp_path, "r.xml", _dice_xml("K1R3_K2R5_K3R7", relative)))
-    _same(radial, (RADIAL_LEFT, RADIAL_RIGHT))
+    _assert_same(radial, (RADIAL_LEFT, RADIAL_RIGHT))
     none = import_calibration(_file(tmp_path, "n.xml", _dice_xml("NO_LENS_DISTORTION", relative)))
-    _same(none, (np.zeros(5), np.zeros(5)))
+    _assert_same(none, (np.zeros(5), np.zeros(5)))
 
 
 def test_dice_model_linear_in_the_radius_is_a_longer_focal_length_and_told(tmp_path: Path) -> None:
@@ -285,7 +285,7 @@ def _dice_text(fs: tuple[float, float] = (0.0, 0.0), size: bool = True, matrix: 
 @pytest.mark.parametrize("size", [False, True])
 def test_dice_text(tmp_path: Path, matrix: bool, size: bool) -> None:
     imported = import_calibration(_file(tmp_path, "cal.txt", _dice_text(size=size, matrix=matrix)), SIZE)
-    _same(imported, (RADIAL_LEFT, RADIAL_RIGHT))
+    _assert_same(imported, (RADIAL_LEFT, RADIAL_RIGHT))
 
 
 def _skewed(matrix: np.ndarray, distortion: np.ndarray, points_m: np.ndarray, skew: float) -> np.ndarray:
@@ -354,7 +354,7 @@ def _vic3d(split: bool, size: bool = True) -> str:
 def test_vic3d(tmp_path: Path, split: bool) -> None:
     path = tmp_path / "project.xml"
     path.write_text(_vic3d(split), encoding="latin-1")
-    _same(import_calibration(path), (RADIAL_LEFT, RADIAL_RIGHT))
+    _assert_same(import_calibration(path), (RADIAL_LEFT, RADIAL_RIGHT))
     path.write_text(
         _vic3d(split, size=False)
         .upper()
@@ -364,13 +364,13 @@ def test_vic3d(tmp_path: Path, split: bool) -> None:
         .replace("Ü", "U"),
         encoding="latin-1",
     )
-    _same(import_calibration(path, SIZE), (RADIAL_LEFT, RADIAL_RIGHT))
+    _assert_same(import_calibration(path, SIZE), (RADIAL_LEFT, RADIAL_RIGHT))
 
 
 def test_vic3d_zipped(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "a.z3d", "w") as archive:
         archive.writestr("project.xml", _vic3d(True).encode("latin-1"))
-    _same(import_calibration(tmp_path / "a.z3d"), (RADIAL_LEFT, RADIAL_RIGHT))
+    _assert_same(import_calibration(tmp_path / "a.z3d"), (RADIAL_LEFT, RADIAL_RIGHT))
 
 
 def test_round_trip_through_the_calibration_file(tmp_path: Path) -> None:
