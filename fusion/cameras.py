@@ -16,9 +16,9 @@ from fusion.camera_facts import axes_angle_rad, baseline_m
 from fusion.camera_report import render_camera_report
 from fusion.errors import InputError
 from fusion.manifest.paths import natural_key
+from fusion.output import check_new_file, write_whole
 from fusion.polar import rounded
 from fusion.provenance import Provenance, hash_files, versions
-from fusion.results import write_whole
 from fusion.settings import ProgressCallback, no_progress
 from photogram.calibrate.pairing import Pair
 from photogram.calibrate.result import Calibration, Dropped
@@ -131,22 +131,19 @@ def run_cameras(
 ) -> None:
     """Calibrate from the pictures that the arguments name, write calibration and page, print the summary."""
     started = time.monotonic()
-    check_output(output, force)
+    _check_output(output, force)
     left, right = split_pictures(arguments)
     calibration = calibrate_cameras(left, right, settings, progress)
     page = write_cameras(output, calibration, [*left, *right], settings, time.monotonic() - started)
     print_calibration(calibration, output, page)
 
 
-def check_output(output: Path, force: bool) -> None:
-    """Refuse a place for the calibration that is taken, or that is none."""
+def _check_output(output: Path, force: bool) -> None:
+    """Refuse a place for calibration and page that is taken, or that is none."""
     if output.suffix != ".json":
         raise InputError(output, "", found=output.suffix or "no suffix", expected="a name that ends in .json")
-    if not output.absolute().parent.is_dir():
-        raise InputError(output, "", found=f"no folder {output.parent}", expected="an existing folder")
     for path in (output, output.with_suffix(".html")):
-        if path.exists() and not force:
-            raise InputError(path, "", found="a file of this name", expected="a new file (--force replaces it)")
+        check_new_file(path, force=force)
 
 
 def _find(pictures: Sequence[Path], target: Target, progress: ProgressCallback) -> list[TargetView | TargetNotFound]:

@@ -6,6 +6,7 @@ import logging
 from pathlib import Path
 
 from fusion.errors import InputError
+from fusion.output import check_new_file
 from photogram.calibration_file import write_calibration
 from photogram.calibration_import import LengthUnit, import_calibration
 
@@ -23,8 +24,7 @@ def convert_calibration(
 
     What the user should know is logged, also the remarks that are no warnings: they say how the file was understood.
     """
-    if output.exists() and not force:
-        raise InputError(output, "", found="a file of this name", expected="a new file (--force replaces it)")
+    check_new_file(output, force=force)
     path, extrinsics = source
     try:
         imported = import_calibration(path, image_size, length_unit, extrinsics)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from fusion.errors import InputError
 from fusion.evaluation import Evaluation
+from fusion.output import write_whole
 from fusion.provenance import RESULT_FILE, check_folder, read_provenance
 from fusion.report import REPORT_FILE, render_report
 from fusion.results_csv import MERGED_FILES, merge_tables, result_tables
@@ -61,16 +62,6 @@ def merge_results(folders: Sequence[Path], out: Path) -> list[Path]:
         paths.append(out / name)
         write_whole(paths[-1], text)
     return paths
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Write a text file by a temporary name and one rename."""
-    temporary = path.with_name(f".{path.name}-{os.getpid()}")
-    try:
-        temporary.write_text(text, encoding="utf-8", newline="\n")
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _fill(folder: Path, evaluation: Evaluation) -> list[str]:

@@ -18,7 +18,7 @@ WRITTEN_ORDER = {
     """,
     "shaker.signals": "recording files edges trigger sync phasor folding spectrum sine refine frequencies",
     "fusion": """
-        notices errors settings manifest check body observe estimate consistency fuse load sensitivity deflection
+        notices errors output settings manifest check body observe estimate consistency fuse load sensitivity deflection
         evaluation records response timing channels stereo_motion stereo_phasors readings provenance evaluate
         polar highlights results_csv results_h5 camera_facts plots report_numbers report_tables page report results
         camera_tables camera_report campaign simulate progress summary cameras align

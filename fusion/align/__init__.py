@@ -11,8 +11,8 @@ from fusion.align.manifest import AlignmentFile, read_alignment
 from fusion.align.recordings import moving_evidence
 from fusion.align.stills import Pair, known_pose, read_pair, still_evidence
 from fusion.align.text import pose_text
-from fusion.errors import ComputeError, InputError
-from fusion.results import write_whole
+from fusion.errors import ComputeError
+from fusion.output import check_new_file, write_whole
 from fusion.settings import ProgressCallback, Settings, no_progress
 from photogram.alignment import Alignment, align
 
@@ -31,11 +31,8 @@ def align_file(
     progress: ProgressCallback = no_progress,
 ) -> str:
     """Return the block of rig.toml that alignment.toml leads to, and write it to `output` where one is given."""
-    if output is not None and output.exists() and not (force and output.is_file()):
-        expected = "a new file (--force replaces one)"
-        raise InputError(output, "", found="a file or folder of this name", expected=expected)
-    if output is not None and not output.absolute().parent.is_dir():
-        raise InputError(output, "", found="no such folder", expected="a file in a folder that exists")
+    if output is not None:
+        check_new_file(output, force=force)
     file = read_alignment(path, allow_outside)
     found, pair = align_cameras(path, file, settings, allow_outside=allow_outside, progress=progress)
     text = pose_text(file, found, pair)

@@ -74,8 +74,5 @@ def _pulled_by_rig(rig: StereoRig, target: Target, pose: RigidTransform, view: T
     camera = rig.right if side else rig.left
     relative = rig.right_from_left if side else RigidTransform.identity()
     seen = see(camera, relative, pose, points, view.radius * target.spacing_m)
-    by_rig = np.zeros((len(points), 2, 24))
-    by_rig[..., 9 * side : 9 * side + 9] = seen.by_camera
-    if side:
-        by_rig[..., 18:21], by_rig[..., 21:] = seen.by_relative[..., 3:], seen.by_relative[..., :3]
-    return np.asarray(np.einsum("nki,nkl,nlj->ij", seen.by_pose, np.linalg.inv(view.covariance_px2), by_rig))
+    weight = np.linalg.inv(view.covariance_px2)
+    return np.asarray(np.einsum("nki,nkl,nlj->ij", seen.by_pose, weight, seen.by_rig(side)))

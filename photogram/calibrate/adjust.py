@@ -259,10 +259,4 @@ def _normal(bundle: Bundle, pictures: Sequence[Picture], prior: Prior) -> _Norma
 
 def _common_slope(seen: Seen, picture: Picture, shape: Shape) -> FloatArray:
     """Return the derivatives (N, 2, 24 + S) of a picture's pixels by rig and shape."""
-    slope = np.zeros((len(seen.pixel), 2, _RIG + len(shape.value_m)))
-    camera = slice(9, 18) if picture.side else slice(0, 9)
-    slope[:, :, camera] = seen.by_camera
-    if picture.side:
-        slope[:, :, 18:21], slope[:, :, 21:24] = seen.by_relative[..., 3:], seen.by_relative[..., :3]
-    slope[:, :, _RIG:] = seen.by_point @ shape.basis[picture.point]
-    return slope
+    return np.concatenate([seen.by_rig(picture.side), seen.by_point @ shape.basis[picture.point]], axis=-1)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from photogram._checks import FloatArray
-from photogram.camera import Camera
+from photogram.camera import RIG_PARAMETERS, Camera
 from photogram.rigid import RigidTransform, skew
 
 _RIM_POINTS = 12  # points on the rim of a dot at which the lens's distortion is looked at
@@ -26,6 +26,14 @@ class Seen:
     by_relative: FloatArray
     by_pose: FloatArray
     by_point: FloatArray
+
+    def by_rig(self, side: int) -> FloatArray:
+        """Return the derivatives (N, 2, 24) by the parameters of a pair, this being its left (0) or right (1) side."""
+        slope = np.zeros((len(self.pixel), 2, len(RIG_PARAMETERS)))
+        slope[..., 9 * side : 9 * side + 9] = self.by_camera
+        if side:
+            slope[..., 18:21], slope[..., 21:24] = self.by_relative[..., 3:], self.by_relative[..., :3]
+        return slope
 
 
 def see(
