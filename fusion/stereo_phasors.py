@@ -23,7 +23,8 @@ from photogram.track import StereoTracks, TrackStatus
 from photogram.triangulate import triangulate
 from shaker.signals.frequencies import Lines
 from shaker.signals.phasor import Phasors
-from shaker.signals.sine import SineFit, exposure_gain, fit_sines, sine_amplitudes, usable_lines
+from shaker.signals.separation import usable_lines
+from shaker.signals.sine import SineFit, exposure_gain, fit_sines, sine_amplitudes
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -16,7 +16,11 @@ WRITTEN_ORDER = {
         device icgn_torch track overlap motion deformation surface cells direct measure
         target calibrate calibration_import alignment epipolar synthetic
     """,
-    "shaker.signals": "recording files edges trigger sync phasor folding spectrum sine refine frequencies",
+    "shaker.signals": """
+        recording files edges trigger sync phasor folding separation spectrum noise sine stationarity refine
+        frequencies survey chain transfer plan
+    """,
+    "shaker.models": "oscillator",
     "fusion": """
         notices errors output settings manifest check body observe estimate consistency fuse load sensitivity deflection
         evaluation records response timing channels stereo_motion stereo_phasors readings provenance evaluate

@@ -17,9 +17,9 @@ from shaker.signals.folding import (
     folded_harmonics,
     sampling_grid,
     sine_columns,
-    usable_lines,
 )
 from shaker.signals.refine import Refined, noise_around, refine_frequency
+from shaker.signals.separation import usable_lines
 from shaker.signals.sine import solve_sines
 from shaker.signals.spectrum import amplitude_spectrum, noise_floor
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from shaker._checks import FloatArray, check_shape
 from shaker.signals.folding import alias_frequency, sampling_grid, sine_columns
+from shaker.signals.noise import LineNoise, line_noise
 from shaker.signals.sine import solve_sines
-from shaker.signals.spectrum import LineNoise, line_noise
 
 _STEPS = 30
 

@@ -18,10 +18,9 @@ from shaker.signals.folding import (
     folded_harmonics,
     sampling_grid,
     sine_columns,
-    usable_lines,
 )
+from shaker.signals.noise import LineNoise, line_noise
 from shaker.signals.phasor import Phasors
-from shaker.signals.spectrum import LineNoise, line_noise
 
 __all__ = [
     "SineFit",
@@ -32,7 +31,6 @@ __all__ = [
     "folded_harmonics",
     "sine_amplitudes",
     "solve_sines",
-    "usable_lines",
 ]
 
 _DEPENDENT = 1e-12  # smallest eigenvalue of a correlation matrix that counts, for channels that depend on others

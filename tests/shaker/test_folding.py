@@ -15,8 +15,8 @@ from shaker.signals.folding import (
     folded_harmonics,
     sampling_grid,
     sine_columns,
-    usable_lines,
 )
+from shaker.signals.separation import usable_lines
 
 CAMERA_HZ = 52.874
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from shaker.signals.spectrum import amplitude_spectrum, line_noise, noise_floor, window_samples
+from shaker.signals.noise import line_noise
+from shaker.signals.spectrum import amplitude_spectrum, noise_floor, window_samples
 
 
 @pytest.mark.parametrize("window", ["rectangular", "hann", "flattop"])

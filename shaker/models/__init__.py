@@ -1,0 +1,1 @@
+"""Mechanical models of the sensor and its load."""
