@@ -26,7 +26,7 @@ WRITTEN_ORDER = {
         evaluation records response timing channels stereo_motion stereo_phasors readings provenance evaluate
         polar highlights results_csv results_h5 camera_facts plots report_numbers report_tables page report results
         camera_tables camera_report campaign simulate progress summary cameras align
-        import_calibration cli
+        import_calibration lines plan transfer commands cli
     """,
 }
 ORDER = {package: text.split() for package, text in WRITTEN_ORDER.items()}

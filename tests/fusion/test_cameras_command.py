@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
-from fusion.cli import EXIT_DONE, EXIT_INPUT, main
+from fusion.cli import main
+from fusion.commands.values import EXIT_DONE, EXIT_INPUT
 from fusion.simulate.targets import BOARD
 from photogram.calibration_file import read_calibration
 from photogram.rigid import RigidTransform, vector_from_rotation

@@ -12,7 +12,8 @@ import pytest
 
 from fusion import campaign as under_test
 from fusion.campaign import Outcome, exit_status, run_path
-from fusion.cli import EXIT_DONE, EXIT_FAILED, EXIT_INPUT, main
+from fusion.cli import main
+from fusion.commands.values import EXIT_DONE, EXIT_FAILED, EXIT_INPUT
 from fusion.errors import ComputeError, InputError
 from fusion.settings import Settings
 

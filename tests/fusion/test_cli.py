@@ -19,7 +19,8 @@ from typing import Any
 import pytest
 
 from fusion import simulate as simulation
-from fusion.cli import EXIT_DONE, EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED, main
+from fusion.cli import main
+from fusion.commands.values import EXIT_DONE, EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED
 from fusion.errors import ComputeError
 from fusion.progress import progress_bar
 

@@ -11,7 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
-from fusion.cli import EXIT_DONE, main
+from fusion.cli import main
+from fusion.commands.values import EXIT_DONE
 from fusion.evaluate import evaluate_recording
 from fusion.evaluation import Evaluation
 from fusion.manifest import find_recordings, load_manifest

@@ -15,7 +15,8 @@ import pytest
 import tifffile
 
 from fusion import stereo_motion
-from fusion.cli import EXIT_INPUT, main
+from fusion.cli import main
+from fusion.commands.values import EXIT_INPUT
 
 NAME = "Fz-0080"
 RIG, RECORDING = "rig.toml", f"{NAME}/recording.toml"

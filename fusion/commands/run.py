@@ -1,0 +1,52 @@
+"""`shakercal run`: evaluate recordings."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from fusion.commands.values import Commands, add_recording, device, radius
+
+
+def add(commands: Commands, common: argparse.ArgumentParser) -> None:
+    """Add the command's parser."""
+    parser = commands.add_parser("run", parents=[common], help="evaluate one recording or a campaign of several")
+    add_recording(parser)
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="RESULTS", help="result folder (default: RECORDING/results)"
+    )
+    parser.add_argument("--force", action="store_true", help="compute again and overwrite result files that are there")
+    parser.add_argument(
+        "--subset-radius",
+        type=radius,
+        metavar="PX",
+        help="half-width of the subsets (default: from the speckle size in the images, 10 px for speckle of 4 to 5 px)",
+    )
+    parser.add_argument(
+        "--device",
+        type=device,
+        default="auto",
+        metavar="{auto,cpu,cuda}",
+        help="where subsets are tracked (default: auto, a GPU where torch finds one)",
+    )
+    parser.set_defaults(action=_act)
+
+
+def _act(options: argparse.Namespace) -> int:
+    from fusion.campaign import exit_status, run_path
+    from fusion.progress import progress_bar
+    from fusion.settings import Settings
+    from fusion.summary import print_outcomes
+
+    settings = Settings(subset_radius_px=options.subset_radius, device=options.device)
+    with progress_bar(enabled=not options.quiet) as progress:
+        outcomes = run_path(
+            options.recording,
+            options.output,
+            settings,
+            force=options.force,
+            allow_outside=options.allow_outside,
+            progress=progress,
+        )
+    print_outcomes(outcomes)
+    return exit_status(outcomes)

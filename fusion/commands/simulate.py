@@ -1,0 +1,40 @@
+"""`shakercal simulate`: recordings with known truth."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from fusion.commands.values import EXIT_DONE, Commands, seed
+
+
+def add(commands: Commands, common: argparse.ArgumentParser) -> None:
+    """Add the command's parser."""
+    parser = commands.add_parser("simulate", parents=[common], help="write a simulated recording with its truth")
+    parser.add_argument("out", type=Path, metavar="OUT", help="campaign folder to create")
+    parser.add_argument(
+        "--preset",
+        choices=("demo", "nitsche2018", "targets"),
+        default="demo",
+        help="which rig (default: demo); targets: a camera calibration",
+    )
+    parser.add_argument("--seed", type=seed, default=1, help="seed of every random draw (default: 1)")
+    parser.add_argument("--force", action="store_true", help="overwrite a simulation that is there")
+    parser.set_defaults(action=_act)
+
+
+def _act(options: argparse.Namespace) -> int:
+    from fusion.errors import InputError
+    from fusion.progress import progress_bar
+    from fusion.simulate import simulate, simulate_targets
+
+    if options.out.exists() and not options.force:
+        expected = "a new folder (--force replaces an earlier simulation)"
+        raise InputError(options.out, "", found="a file or folder of this name", expected=expected)
+    with progress_bar(enabled=not options.quiet) as progress:
+        if options.preset == "targets":
+            print(f"simulated pictures of a target: {simulate_targets(options.out, options.seed, progress)}")
+            return EXIT_DONE
+        folder = simulate(options.out, options.preset, options.seed, progress)
+    print(f"simulated recording: {folder}")
+    return EXIT_DONE

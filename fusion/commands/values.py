@@ -1,0 +1,67 @@
+"""Types of command-line arguments that several sub-commands share."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TypeAlias
+
+Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
+
+EXIT_DONE, EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED = 0, 1, 2, 130
+
+
+def add_recording(parser: argparse.ArgumentParser) -> None:
+    """Add the recording or campaign a command works on."""
+    parser.add_argument("recording", type=Path, metavar="RECORDING", help="folder of a recording or of a campaign")
+    parser.add_argument("--allow-outside", action="store_true", help="accept files outside the folder of rig.toml")
+
+
+def positive(text: str) -> float:
+    """Return a number above 0."""
+    value = float(text)
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"expected a number above 0, found {text}")
+    return value
+
+
+def not_negative(text: str) -> float:
+    """Return a number of at least 0."""
+    value = float(text)
+    if not 0 <= value < float("inf"):
+        raise argparse.ArgumentTypeError(f"expected a number of at least 0, found {text}")
+    return value
+
+
+def size(text: str) -> tuple[int, int]:
+    """Return columns and rows of a text such as 9x6."""
+    columns, cross, rows = text.lower().partition("x")
+    if not (cross and columns.isdigit() and rows.isdigit()):
+        raise argparse.ArgumentTypeError(f"expected columns x rows such as 9x6, found {text}")
+    return int(columns), int(rows)
+
+
+def radius(text: str) -> int:
+    """Return the half-width of a subset in pixels."""
+    value = int(text)
+    if not 4 <= value <= 100:
+        raise argparse.ArgumentTypeError(f"expected 4 to 100 pixels, found {value}")
+    return value
+
+
+def device(choice: str) -> str:
+    """Return the processor chosen, checked to be there."""
+    from photogram.device import resolve_device
+
+    try:
+        return resolve_device(choice)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error).removeprefix("device: ")) from error
+
+
+def seed(text: str) -> int:
+    """Return the seed of a random generator."""
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"expected a whole number of at least 0, found {value}")
+    return value
