@@ -1,16 +1,18 @@
-"""Which lines a series of sampling times can tell apart."""
+"""Which lines a series of sampling times can tell apart, and the nearest rate that can."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from shaker._checks import BoolArray, FloatArray
+from shaker._checks import BoolArray, FloatArray, check_shape
 from shaker.notice import Notice
-from shaker.signals.folding import alias_frequency, condition_number, sampling_grid, sine_columns
+from shaker.signals.folding import SamplingGrid, alias_frequency, condition_number, sampling_grid, sine_columns
 
 MAX_CONDITION = 10.0  # above it, the standard uncertainty of a line is several times that of well-spread sampling
+CLEAR_BINS = 1.25
+"""Distance, in bins of rate/frames, of lines that are clear of each other: the condition number is then at most 3."""
+_MAX_CHANGE = 0.2  # of the rate: a cure that lies farther away is a new measurement, not a change of this one
+_RATE_STEP_HZ = 1e-3
 
 
 def usable_lines(
@@ -19,28 +21,99 @@ def usable_lines(
     """Return which lines (K,) these sampling times can tell apart, and a notice for each that is dropped.
 
     Lines are taken in the order given (fundamentals first, please); one is dropped when, with the lines kept so far
-    and the offset, it lifts the condition number of the design matrix above `max_condition`.
+    and the offset, it lifts the condition number of the design matrix above `max_condition`. The notice says what it
+    folds onto and which nearby rate would separate all the lines.
     """
     columns = sine_columns(time_s, frequency_hz, drift)
     gram = columns.T @ columns
     constant = list(range(2 * len(frequency_hz), columns.shape[1]))
     kept: list[int] = []
-    notices: list[Notice] = []
+    dropped: list[int] = []
     for k in range(len(frequency_hz)):
         chosen = [i for line in [*kept, k] for i in (2 * line, 2 * line + 1)] + constant
-        if condition_number(gram[np.ix_(chosen, chosen)]) <= max_condition:
-            kept.append(k)
-        else:
-            notices.append(_dropped(time_s, float(frequency_hz[k]), [float(frequency_hz[i]) for i in kept]))
+        usable = condition_number(gram[np.ix_(chosen, chosen)]) <= max_condition
+        (kept if usable else dropped).append(k)
     mask = np.zeros(len(frequency_hz), dtype=np.bool_)
     mask[kept] = True
-    return mask, tuple(notices)
-
-
-def _dropped(time_s: FloatArray, frequency: float, kept: Sequence[float]) -> Notice:
-    """Say why a line cannot be used: what it folds onto, with the alias frequencies."""
-    where = f"{frequency:.6g} Hz"
+    if not dropped:
+        return mask, ()
     grid = sampling_grid(time_s)
+    lines = np.asarray(frequency_hz, dtype=np.float64)
+    return mask, tuple(_dropped(grid, float(lines[k]), lines[[i for i in kept if i < k]], lines) for k in dropped)
+
+
+def separation_bins(frequency_hz: FloatArray, rate_hz: float, frames: int) -> float:
+    """Return how far apart lines (K,) and zero lie when sampled uniformly, in bins of rate/frames.
+
+    The smallest distance, modulo the rate, between any two of the complex exponentials at 0 and ±f that the lines
+    are made of; a line's distance from the Nyquist frequency thus counts twice. A distance of s > 1 bins bounds the
+    condition number of the design matrix by √((s + 1)/(s - 1)), whatever the number of lines (Moitra, Proc. 47th
+    ACM Symp. Theory of Computing (2015), Theorem 2.3, for many frames).
+    """
+    turns = differences_hz(frequency_hz) / rate_hz
+    return float(frames * np.min(np.abs(turns - np.round(turns)), initial=0.5))
+
+
+def differences_hz(frequency_hz: FloatArray) -> FloatArray:
+    """Return the distances f_i, 2·f_i, f_i + f_j and |f_i - f_j| of the exponentials at 0 and ±f of lines (K,)."""
+    check_shape("frequency_hz", frequency_hz, (None,))
+    first, second = np.triu_indices(len(frequency_hz), k=1)
+    f, g = frequency_hz[first], frequency_hz[second]
+    return np.concatenate([frequency_hz, 2.0 * frequency_hz, f + g, np.abs(f - g)])
+
+
+def nearest_clear_rate(
+    frequency_hz: FloatArray,
+    rate_hz: float,
+    frames: int,
+    *,
+    separation: float = CLEAR_BINS,
+    step_hz: float = _RATE_STEP_HZ,
+    max_change: float = _MAX_CHANGE,
+) -> float | None:
+    """Return the rate nearest to `rate_hz` at which lines (K,) are `separation` bins apart, None if there is none.
+
+    Only multiples of `step_hz` within `max_change`·`rate_hz` count. Two exponentials that differ by F are too close
+    where |F/rate - k| < separation/frames for a whole number k, which is an interval of rates; from the present rate
+    outwards, each interval met is left at its far end, so no rate is missed and few are looked at.
+    """
+    if not (rate_hz > 0.0 and step_hz > 0.0):
+        raise ValueError(f"rate_hz, step_hz: expected numbers above 0, found {rate_hz} and {step_hz}")
+    differences = differences_hz(frequency_hz)
+    margin = separation / frames
+    limits = (rate_hz * (1.0 - max_change), rate_hz * (1.0 + max_change))
+    found = [
+        rate
+        for direction, limit in zip((-1, 1), limits, strict=True)
+        if (rate := _clear_rate_towards(differences, margin, rate_hz, step_hz * direction, limit)) is not None
+    ]
+    return min(found, key=lambda rate: abs(rate - rate_hz), default=None)
+
+
+def _clear_rate_towards(
+    differences: FloatArray, margin: float, start: float, step: float, limit: float
+) -> float | None:
+    """Return the first multiple of `step` from `start` towards `limit` that no interval excludes."""
+    outward = 1.0 if step > 0.0 else -1.0
+    count = np.ceil(start / step - 1e-9)  # a negative step turns "next above" into "next below"
+    while outward * (limit - count * step) >= 0.0:
+        rate = count * step
+        turns = differences / rate
+        nearest = np.round(turns)
+        close = np.abs(turns - nearest) < margin
+        if not close.any():
+            return float(np.round(rate, 9))
+        ends = nearest[close] - outward * margin
+        if np.any(ends <= 0.0):  # these two come no farther apart in this direction
+            return None
+        edge = outward * np.max(outward * differences[close] / ends)
+        count = max(count + 1.0, np.ceil(edge / step))
+    return None
+
+
+def _dropped(grid: SamplingGrid | None, frequency: float, kept: FloatArray, wanted: FloatArray) -> Notice:
+    """Say why a line cannot be used: what it folds onto, with the alias frequencies, and the rate that cures it."""
+    where = f"{frequency:.6g} Hz"
     if grid is None:
         return Notice("warning", f"{where} cannot be told apart from the other lines at these sampling times", where)
     rate, resolution = grid.rate_hz, grid.rate_hz / grid.length
@@ -55,4 +128,14 @@ def _dropped(time_s: FloatArray, frequency: float, kept: Sequence[float]) -> Not
         f"{where} is dropped: sampled at {rate:.6g} Hz it folds to {alias:.4g} Hz, {close}, "
         f"and {grid.length / rate:.4g} s of record resolve {resolution:.3g} Hz"
     )
-    return Notice("warning", text, where)
+    return Notice("warning", text + _cure(grid, wanted, np.append(kept, frequency)), where)
+
+
+def _cure(grid: SamplingGrid, *choices: FloatArray) -> str:
+    """Name the nearest rate that separates the first of several sets of lines that any nearby rate separates."""
+    for lines in choices:
+        rate = nearest_clear_rate(lines, grid.rate_hz, grid.length)
+        if rate is not None:
+            what = "all lines" if lines is choices[0] else "it"
+            return f"; a camera rate of {rate:.3f} Hz ({rate - grid.rate_hz:+.3f} Hz) would separate {what}"
+    return ""
