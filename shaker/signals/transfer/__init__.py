@@ -1,0 +1,14 @@
+"""Transfer functions between sampled channels: periodic excitation, noise, impacts.
+
+Source of the notions: Pintelon and Schoukens, System Identification, 2nd ed. (2012); Bendat and Piersol, Random Data,
+4th ed. (2010).
+"""
+
+from shaker.signals.transfer.result import Estimator, TransferFunction, TransferRecord, ratio_unit
+
+__all__ = [
+    "Estimator",
+    "TransferFunction",
+    "TransferRecord",
+    "ratio_unit",
+]
