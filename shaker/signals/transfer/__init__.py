@@ -1,9 +1,10 @@
 """Transfer functions between sampled channels: periodic excitation, noise, impacts.
 
-Source of the notions: Pintelon and Schoukens, System Identification, 2nd ed. (2012); Bendat and Piersol, Random Data,
+Sources of the notions: Pintelon and Schoukens, System Identification, 2nd ed. (2012); Bendat and Piersol, Random Data,
 4th ed. (2010).
 """
 
+from shaker.signals.transfer.periodic import transfer_periodic
 from shaker.signals.transfer.result import Estimator, TransferFunction, TransferRecord, ratio_unit
 
 __all__ = [
@@ -11,4 +12,5 @@ __all__ = [
     "TransferFunction",
     "TransferRecord",
     "ratio_unit",
+    "transfer_periodic",
 ]
