@@ -9,6 +9,7 @@ import numpy as np
 
 from shaker._checks import FloatArray
 
+BLOCK = 1 << 20  # bytes read at a time
 UNIFORM = 0.5  # of a sampling interval: how far a time column may stray from a uniform one
 
 
@@ -31,6 +32,11 @@ def listed(names: Sequence[str], most: int = 12) -> str:
     return ", ".join(f'"{name}"' for name in names[:most]) + more
 
 
+def is_time(name: str) -> bool:
+    """Tell whether a channel or column is the time by its name, in whatever case."""
+    return name.strip().lower() == "time"
+
+
 def checked_rate(path: Path, rate: float | None, where: str) -> float:
     """Return a sampling rate, or raise `ValueError` where there is none or it is not positive."""
     if rate is None:
@@ -49,7 +55,7 @@ def numbers(path: Path, name: str, samples: object) -> FloatArray:
         )
     if not len(array):
         raise ValueError(f'{path}: channel "{name}": expected samples, found none')
-    return array.astype(np.float64)
+    return np.ascontiguousarray(array, dtype=np.float64)
 
 
 def rate_of_times(path: Path, time_s: FloatArray, where: str) -> tuple[float, float]:

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
 from shaker._checks import FloatArray
 from shaker.signals.files.common import chosen
+from shaker.signals.files.text import TextLayout, count_lines, decoded, find_bytes, read_columns
 from shaker.signals.recording import RawChannel
 
-_END = "***End_of_Header***"
+_END, _CHANNELS = b"***End_of_Header***", b"\nChannels"
+_SPECIAL, _SPECIAL_END = "***Start_Special***", "***End_Special***"
 _SEPARATORS = {"Tab": "\t", "Comma": ",", "Semicolon": ";"}
 _COMMENT, _TIMES = "Comment", "X_Value"
 _GAP = 0.5  # of a sampling interval: how far a segment or a time may lie from where the last one left off
@@ -21,112 +24,156 @@ _GAP = 0.5  # of a sampling interval: how far a segment or a time may lie from w
 
 @dataclass(frozen=True)
 class _Segment:
-    """One block of a file: header entries, column titles, numbers (S, columns) and the line of its titles."""
+    """One block of a file: header entries, column titles, layout, bytes of its rows and the line of the first."""
 
     header: dict[str, list[str]]
     titles: list[str]
-    rows: FloatArray
+    layout: TextLayout
+    start: int
+    stop: int
     line: int
+
+
+@dataclass(frozen=True)
+class _Part:
+    """One channel in one segment: samples, their times where there is an X column, the segment, its own place."""
+
+    samples: FloatArray
+    times: FloatArray | None
+    segment: _Segment
+    index: int
 
 
 def read_labview(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
     """Read the channels of a LabVIEW measurement file by their column titles.
 
-    The sampling interval is the header's `Delta_X`. Where an X column contradicts it, the column counts: such a file
-    was decimated after recording and kept its old header; an interval that is a whole multiple of `Delta_X` is then
-    taken as exactly that. Several segments must continue one another (by `X0` or the X column, and their time stamps)
-    and are joined. The `Comment` column is passed over. `sample_rate_hz` serves files that state no interval.
+    Titles that occur twice get their number (`Force #1`, `Force #2`). The sampling interval is the header's `Delta_X`.
+    Where an X column contradicts it, the column counts: such a file was decimated after recording and kept its old
+    header; an interval that is a whole multiple of `Delta_X` is then taken as exactly that. Several segments must
+    continue one another (by `X0` or the X column, and their time stamps) and are joined. The `Comment` column and
+    special blocks are passed over. `sample_rate_hz` serves files that state no interval. Memory: the result and one
+    block.
     """
-    segments = list(_segments(path))
-    first = segments[0]
-    names_present = [title for title in first.titles if title not in (_TIMES, _COMMENT)]
-    wanted = chosen(path, names, names_present)
-    return {name: _channel(path, segments, name, names_present.index(name), sample_rate_hz) for name in wanted}
+    with path.open("rb") as stream:
+        segments = list(_segments(path, stream))
+    wanted = chosen(path, names, _channel_columns(segments[0].titles))
+    parts: dict[str, list[_Part]] = {name: [] for name in wanted}
+    for segment in segments:
+        for name, part in _read_segment(path, segment, wanted).items():
+            parts[name].append(part)
+    return {name: _joined(path, parts.pop(name), sample_rate_hz) for name in wanted}
 
 
-def _segments(path: Path) -> Iterator[_Segment]:
-    """Yield the segments of a file."""
-    lines = path.read_text(encoding="latin-1").splitlines()
-    if not lines or not lines[0].startswith("LabVIEW Measurement"):
+def _segments(path: Path, stream: BinaryIO) -> Iterator[_Segment]:
+    """Yield the segments of a file, their headers read."""
+    if not stream.readline().startswith(b"LabVIEW Measurement"):
         raise ValueError(f"{path}: expected the first line of a LabVIEW measurement, found another")
-    ends = [i for i, line in enumerate(lines) if line.startswith(_END)]
-    if len(ends) < 2:
-        raise ValueError(f"{path}: expected the header of a file and of a segment, found {len(ends)} headers")
-    file_header = _entries(lines[1 : ends[0]])
+    place, size = stream.tell(), stream.seek(0, 2)
+    file_header, place, line = _header(path, stream, place, size, 2, "\t")
     separator = _SEPARATORS.get(file_header.get("Separator", ["Tab"])[0], "\t")
-    comma = file_header.get("Decimal_Separator", ["."])[0] == ","
-    starts = [ends[0], *(_segment_start(lines, ends[i], ends[i + 1]) for i in range(1, len(ends) - 1))]
-    for i, (start, end) in enumerate(zip(starts, ends[1:], strict=True)):
-        stop = starts[i + 1] if i + 1 < len(starts) else len(lines)
-        header = {**file_header, **_entries(lines[start + 1 : end], separator)}
-        if end + 1 >= len(lines):
-            raise ValueError(f"{path}: line {end + 1}: expected column titles after the header, found the end")
-        titles = [title.strip() for title in lines[end + 1].rstrip("\r\n").split(separator)]
-        yield _Segment(header, titles, _rows(path, lines, end + 2, stop, titles, separator, comma), end + 2)
+    comma = file_header.get("Decimal_Separator", ["."])[0] == "," and separator != ","
+    while place < size:
+        header, place, line = _header(path, stream, place, size, line, separator)
+        titles = [title.strip() for title in decoded(stream.readline()).rstrip("\r\n").split(separator)]
+        if titles == [""]:
+            raise ValueError(f"{path}: line {line}: expected column titles after the header, found none")
+        start = stream.tell()
+        columns = len(titles) - (1 if titles[-1] in (_COMMENT, "") else 0)
+        layout = TextLayout(path, columns, separator, comma, remarks=True)
+        stop = find_bytes(stream, _CHANNELS, start, size) + 1 or size
+        special = find_bytes(stream, _SPECIAL.encode(), start, stop)
+        rows_end = special if special >= 0 else stop
+        yield _Segment({**file_header, **header}, titles, layout, start, rows_end, line + 1)
+        if special >= 0 and find_bytes(stream, _END, special, size) < 0:
+            return
+        line, place = line + 1 + count_lines(stream, start, rows_end), rows_end
 
 
-def _segment_start(lines: Sequence[str], end: int, next_end: int) -> int:
-    """Return the line before the header of the next segment."""
-    for i in range(end + 1, next_end):
-        if lines[i].startswith("Channels"):
-            return i - 1
-    return next_end - 1
+def _header(
+    path: Path, stream: BinaryIO, start: int, size: int, line: int, separator: str
+) -> tuple[dict[str, list[str]], int, int]:
+    """Return the entries of a header, the byte behind it and the number of the line there."""
+    end = find_bytes(stream, _END, start, size)
+    if end < 0:
+        raise ValueError(f"{path}: line {line}: expected ***End_of_Header***, found the end of the file")
+    stream.seek(start)
+    raw = stream.read(end - start) + stream.readline()
+    return _entries(decoded(raw).splitlines(), separator), start + len(raw), line + raw.count(b"\n")
 
 
-def _entries(lines: Sequence[str], separator: str = "\t") -> dict[str, list[str]]:
-    """Return header lines as key and values."""
-    split = [[cell.strip() for cell in line.split(separator)] for line in lines if line.strip()]
-    return {cells[0]: cells[1:] for cells in split if cells[0] and len(cells) > 1}
+def _entries(lines: Sequence[str], separator: str) -> dict[str, list[str]]:
+    """Return header lines as key and values, without those of special blocks."""
+    entries: dict[str, list[str]] = {}
+    special = False
+    for line in lines:
+        special = (special or line.startswith(_SPECIAL)) and not line.startswith(_SPECIAL_END)
+        cells = [cell.strip() for cell in line.split(separator)]
+        if not special and cells[0] and len(cells) > 1:
+            entries[cells[0]] = cells[1:]
+    return entries
 
 
-def _rows(
-    path: Path, lines: Sequence[str], start: int, stop: int, titles: Sequence[str], separator: str, comma: bool
-) -> FloatArray:
-    """Return the numbers of a segment; a missing X column is NaN."""
-    columns = len(titles) - (1 if titles[-1] in (_COMMENT, "") else 0)
-    rows = []
-    for i in range(start, stop):
-        line = lines[i].replace(",", ".") if comma and separator != "," else lines[i]
-        if not line.strip():
-            continue
-        cells = line.split(separator)[:columns]
-        try:
-            rows.append([float(cell) if cell.strip() else np.nan for cell in cells])
-        except ValueError as error:
-            raise ValueError(f"{path}: line {i + 1}: expected numbers, found {line.strip()[:60]!r}") from error
-        if len(cells) != columns:
-            raise ValueError(f"{path}: line {i + 1}: expected {columns} columns, found {len(cells)}")
-    if not rows:
-        raise ValueError(f"{path}: line {start}: expected rows of numbers, found none")
-    return np.array(rows)
+def _channel_columns(titles: Sequence[str]) -> dict[str, int]:
+    """Return the columns of channels by unique names."""
+    columns = [i for i, title in enumerate(titles) if title not in (_TIMES, _COMMENT, "")]
+    plain = [titles[i] for i in columns]
+    seen = [plain[: i + 1].count(name) for i, name in enumerate(plain)]
+    return {
+        name if plain.count(name) == 1 else f"{name} #{number}": i
+        for name, number, i in zip(plain, seen, columns, strict=True)
+    }
 
 
-def _channel(
-    path: Path, segments: Sequence[_Segment], name: str, index: int, sample_rate_hz: float | None
-) -> RawChannel:
-    """Join one channel over the segments."""
-    parts, first_times, step = [], [], 0.0
-    for number, segment in enumerate(segments):
-        if name not in segment.titles:
+def _read_segment(path: Path, segment: _Segment, wanted: Sequence[str]) -> dict[str, _Part]:
+    """Read the channels wanted of a segment, and the X columns that belong to them."""
+    channels = _channel_columns(segment.titles)
+    for name in wanted:
+        if name not in channels:
             raise ValueError(f'{path}: line {segment.line}: expected the channel "{name}" in every segment')
-        column = segment.titles.index(name)
-        times = _times(segment, column)
-        step_here = _interval(path, segment, times, index, sample_rate_hz)
-        start = float(times[0]) if times is not None else _value(segment, "X0", index, 0.0)
-        if number and abs(step_here - step) > 1e-6 * step:
-            raise ValueError(f"{path}: line {segment.line}: expected one sampling interval, found {step_here} s")
-        step = step_here
-        first_times.append(start + _stamp(segment, index) - _stamp(segments[0], index))
-        parts.append(segment.rows[:, column])
-    _check_joined(path, segments, parts, first_times, step)
-    units = segments[0].header.get("Y_Unit_Label", [])
-    return RawChannel(np.concatenate(parts), 1.0 / step, first_times[0], units[index] if index < len(units) else "")
+    own = {name: channels[name] for name in wanted}
+    before = {name: [i for i in range(column) if segment.titles[i] == _TIMES] for name, column in own.items()}
+    needed = sorted({*own.values(), *(i for places in before.values() for i in places)})
+    read = read_columns(segment.layout, segment.start, segment.stop, segment.line, needed)
+    columns = dict(zip(needed, read, strict=True))
+    numbers = list(channels)
+    return {name: _part(segment, columns, own[name], before[name], numbers.index(name)) for name in wanted}
 
 
-def _times(segment: _Segment, column: int) -> FloatArray | None:
-    """Return the X column that belongs to a channel: the last one before it that holds numbers."""
-    before = [i for i in range(column) if segment.titles[i] == _TIMES and np.isfinite(segment.rows[:, i]).all()]
-    return segment.rows[:, before[-1]] if before else None
+def _part(
+    segment: _Segment, columns: Mapping[int, FloatArray], column: int, before: Sequence[int], index: int
+) -> _Part:
+    """Put a channel of a segment together; columns shorter than others (X_Columns Multi) end where the header says."""
+    samples = columns[column]
+    stated = int(_value(segment, "Samples", index, len(samples)))
+    if 0 < stated < len(samples) and np.isnan(samples[stated:]).all():
+        samples = samples[:stated]
+    times = [columns[i][: len(samples)] for i in before if np.isfinite(columns[i][: len(samples)]).all()]
+    return _Part(samples, times[-1] if times else None, segment, index)
+
+
+def _joined(path: Path, parts: Sequence[_Part], sample_rate_hz: float | None) -> RawChannel:
+    """Join one channel over the segments, which must continue one another."""
+    steps = [_interval(path, part, sample_rate_hz) for part in parts]
+    first = parts[0]
+    start = expected = _start(first)
+    for part, step in zip(parts, steps, strict=True):
+        line = part.segment.line - 1
+        if abs(step - steps[0]) > 1e-6 * steps[0]:
+            raise ValueError(f"{path}: line {line}: expected one sampling interval, found {step} s")
+        here = _start(part) + _stamp(part) - _stamp(first)
+        if abs(here - expected) > _GAP * steps[0]:
+            raise ValueError(
+                f"{path}: line {line}: expected a segment that goes on at {expected:.6f} s, found one from {here:.6f} s"
+            )
+        expected += len(part.samples) * steps[0]
+    samples = first.samples if len(parts) == 1 else np.concatenate([part.samples for part in parts])
+    units = first.segment.header.get("Y_Unit_Label", [])
+    return RawChannel(samples, 1.0 / steps[0], start, units[first.index] if first.index < len(units) else "")
+
+
+def _start(part: _Part) -> float:
+    """Return the time of a part's first sample, from its X column or header."""
+    return float(part.times[0]) if part.times is not None else _value(part.segment, "X0", part.index, 0.0)
 
 
 def _value(segment: _Segment, key: str, index: int, default: float) -> float:
@@ -135,17 +182,19 @@ def _value(segment: _Segment, key: str, index: int, default: float) -> float:
     return float(cells[min(index, len(cells) - 1)].replace(",", ".")) if cells else default
 
 
-def _interval(
-    path: Path, segment: _Segment, times: FloatArray | None, index: int, sample_rate_hz: float | None
-) -> float:
-    """Return the sampling interval of a segment, the X column ruling the header."""
-    stated = _value(segment, "Delta_X", index, 1.0 / sample_rate_hz if sample_rate_hz else 0.0)
-    count = len(segment.rows)
-    if times is not None and count > 1:
+def _interval(path: Path, part: _Part, sample_rate_hz: float | None) -> float:
+    """Return the sampling interval of a channel in a segment (s)."""
+    given = 1.0 / sample_rate_hz if sample_rate_hz is not None else 0.0
+    stated, count = _value(part.segment, "Delta_X", part.index, given), len(part.samples)
+    line = part.segment.line - 1
+    if part.times is not None and count > 1:
+        times = part.times
         measured = float(times[-1] - times[0]) / (count - 1)
-        stray = np.max(np.abs(times - times[0] - measured * np.arange(count))) if measured > 0.0 else np.inf
-        if not stray <= _GAP * measured:
-            raise ValueError(f"{path}: line {segment.line}: expected an X column in uniform steps, found others")
+        if not measured > 0.0:
+            raise ValueError(f"{path}: line {line}: expected a rising X column, found {measured} s per sample")
+        stray = np.max(np.abs(times - times[0] - measured * np.arange(count)))
+        if stray > _GAP * measured:
+            raise ValueError(f"{path}: line {line}: expected an X column in uniform steps, found gaps or steps back")
         multiple = round(measured / stated) if stated > 0.0 else 0
         # The column is printed with few digits; the header's interval, or a multiple of it, has them all.
         exact = multiple > 0 and abs(multiple * stated - measured) * (count - 1) <= _GAP * measured
@@ -153,34 +202,21 @@ def _interval(
             return multiple * stated if exact else measured
     if not stated > 0.0:
         raise ValueError(f"{path}: expected a sampling interval Delta_X, found none; give sample_rate")
-    samples = int(_value(segment, "Samples", index, count))
+    samples = int(_value(part.segment, "Samples", part.index, count))
     if count < samples:
-        raise ValueError(f"{path}: line {segment.line}: expected {samples} samples as the header says, found {count}")
+        raise ValueError(f"{path}: line {line}: expected {samples} samples as the header says, found {count}")
     return stated
 
 
-def _stamp(segment: _Segment, index: int) -> float:
+def _stamp(part: _Part) -> float:
     """Return a segment's time stamp in seconds, 0 where it has none."""
-    dates, times = segment.header.get("Date", []), segment.header.get("Time", [])
+    dates, times = part.segment.header.get("Date", []), part.segment.header.get("Time", [])
     if not dates or not times:
         return 0.0
-    date, time = dates[min(index, len(dates) - 1)], times[min(index, len(times) - 1)].replace(",", ".")
+    date = dates[min(part.index, len(dates) - 1)]
+    time = times[min(part.index, len(times) - 1)].replace(",", ".")
     if not date or not time:
         return 0.0
     clock, _, fraction = time.partition(".")
     seconds = (datetime.strptime(f"{date} {clock}", "%Y/%m/%d %H:%M:%S") - datetime(2000, 1, 1)).total_seconds()
     return seconds + float(f"0.{fraction or 0}")
-
-
-def _check_joined(
-    path: Path, segments: Sequence[_Segment], parts: Sequence[FloatArray], first_times: Sequence[float], step: float
-) -> None:
-    """Refuse segments with a gap between them."""
-    expected = first_times[0]
-    for segment, part, start in zip(segments, parts, first_times, strict=True):
-        if abs(start - expected) > _GAP * step:
-            raise ValueError(
-                f"{path}: line {segment.line}: expected a segment that goes on at {expected:.6f} s, "
-                f"found one from {start:.6f} s"
-            )
-        expected += len(part) * step

@@ -1,43 +1,241 @@
-"""NI TDMS: channels `group/channel`, `wf_increment`, `wf_start_offset`, `unit_string`."""
+"""NI TDMS: channels `group/channel` with their scales, in one pass over the file, block by block."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
 from pathlib import Path
+from typing import Any, BinaryIO
 
-from shaker.signals.files.common import checked_rate, chosen, numbers
+import numpy as np
+from numpy.typing import NDArray
+
+from shaker._checks import FloatArray
+from shaker.signals.files.common import BLOCK, checked_rate, chosen, is_time, rate_of_times
+from shaker.signals.files.tdms_index import DAQMX, Field, Region, TdmsIndex, path_parts, read_index
 from shaker.signals.recording import RawChannel
+
+_SCALES = ("Polynomial", "Linear", "RTD", "Strain", "Table", "Thermistor", "Thermocouple", "Add", "Subtract")
+_SCALE_KEY = re.compile(r"NI_Scale\[\d+\]_Scale_Type")
+_SCALE_BLOCK = 1 << 15  # samples scaled at a time: their intermediate results stay in the cache
+_Key = tuple[str, int]  # a channel's path and the number of its raw scale
+
+
+@dataclass
+class _Sink:
+    """Values (S,) of a channel, and how many are in."""
+
+    values: FloatArray
+    filled: int = 0
+
+
+@dataclass(frozen=True)
+class _Raw:
+    """What the library's scales take: values, or values by the number of the raw scale."""
+
+    data: FloatArray | None
+    scaler_data: dict[int, FloatArray] = field(default_factory=dict)
 
 
 def read_tdms(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
-    """Read channels by `group/channel`, or by the channel's name alone where only one group has it."""
-    from nptdms import TdmsFile
-    from nptdms.log import log_manager
+    """Read channels by `group/channel`, or by the channel's name alone where only one group has it.
 
-    for logger in log_manager.loggers.values():  # else the library writes to stderr past all settings of logging
-        logger.removeHandler(log_manager.console_handler)
-    with path.open("rb") as stream, TdmsFile.open(stream) as file:
-        if file.file_status.incomplete_final_segment:
-            raise ValueError(f"{path}: expected a complete TDMS file, found its last segment cut off")
-        channels = {
-            f"{group.name}/{channel.name}": channel
-            for group in file.groups()
-            for channel in group.channels()
-            if len(channel) and channel.dtype.kind in "biuf"
+    The interval is `wf_increment`; without it, a channel `time` (numbers in seconds, or time stamps) of the same group
+    and length counts, then `sample_rate_hz`. A channel starts at `wf_start_offset`, plus the lead of its
+    `wf_start_time` over the earliest of the file. Scales of the hardware (`NI_Scale`) are applied. Texts and complex
+    numbers are passed over. Memory: the result and one block.
+    """
+    with path.open("rb") as stream:
+        index = read_index(path, stream)
+        types = {own.path: own.dtype for region in index.regions for own in region.fields}
+        lengths = _lengths(index.regions)
+        present = {
+            "/".join(path_parts(name)): name
+            for name, dtype in types.items()
+            if dtype.kind in "biuf" and any(lengths[key] for key in lengths if key[0] == name)
         }
-        bare = [name.rsplit("/", 1)[1] for name in channels]
-        alone = {tail: name for tail, name in zip(bare, channels, strict=True) if bare.count(tail) == 1}
+        bare = [path_parts(name)[-1] for name in present.values()]
+        alone = {tail: name for tail, name in zip(bare, present.values(), strict=True) if bare.count(tail) == 1}
         if names is not None:
-            chosen(path, names, [*channels, *alone])
-        result = {}
-        for name in channels if names is None else names:
-            channel = channels[name if name in channels else alone[name]]
-            step = channel.properties.get("wf_increment")
-            rate = 1.0 / float(step) if step else sample_rate_hz
-            result[name] = RawChannel(
-                numbers(path, name, channel[:]),
-                checked_rate(path, rate, f'channel "{name}"'),
-                float(channel.properties.get("wf_start_offset", 0.0)),
-                str(channel.properties.get("unit_string", "")),
-            )
-        return result
+            chosen(path, names, [*present, *(tail for tail in alone if tail not in present)])
+        paths = present if names is None else {name: present.get(name) or alone[name] for name in names}
+        times = {name: _time_of(name, index, types, lengths) for name in paths.values()}
+        wanted = {*paths.values(), *(time for time in times.values() if time)}
+        values = _scaled(path, index, _values(path, stream, index, wanted))
+        starts = _starts(stream, index, types)
+    result = {}
+    for name, own in paths.items():
+        rate, start = _clock(path, name, index.properties.get(own, {}), values, times[own], sample_rate_hz)
+        result[name] = RawChannel(
+            values[own],
+            rate,
+            start + starts.get(times[own] or own, 0.0),
+            str(index.properties.get(own, {}).get("unit_string", "")),
+        )
+    return result
+
+
+def _lengths(regions: Iterable[Region]) -> dict[_Key, int]:
+    """Return the number of values of every channel and raw scale."""
+    lengths: dict[_Key, int] = {}
+    for region in regions:
+        for own in region.fields:
+            key = own.path, own.scale
+            lengths[key] = lengths.get(key, 0) + own.count * region.repeats
+    return lengths
+
+
+def _time_of(
+    name: str, index: TdmsIndex, types: Mapping[str, np.dtype[Any]], lengths: Mapping[_Key, int]
+) -> str | None:
+    """Return the time channel that belongs to a channel without `wf_increment`."""
+    if index.properties.get(name, {}).get("wf_increment"):
+        return None
+    group, *_ = path_parts(name)
+    for other in types:
+        own_group, *tail = path_parts(other)
+        fits = lengths.get((other, DAQMX)) == lengths.get((name, DAQMX))
+        if other != name and own_group == group and tail and is_time(tail[0]) and fits:
+            return other
+    return None
+
+
+def _values(path: Path, stream: BinaryIO, index: TdmsIndex, wanted: set[str]) -> dict[_Key, FloatArray]:
+    """Return the raw values of the channels wanted, as float64; time stamps in seconds from their first second."""
+    sinks = {key: _Sink(np.empty(length)) for key, length in _lengths(index.regions).items() if key[0] in wanted}
+    bases: dict[str, int] = {}
+    for region in index.regions:
+        fields = [own for own in region.fields if own.path in wanted]
+        if fields:
+            _read_region(path, stream, region, fields, sinks, bases)
+    return {key: sink.values for key, sink in sinks.items()}
+
+
+def _read_region(
+    path: Path,
+    stream: BinaryIO,
+    region: Region,
+    fields: Sequence[Field],
+    sinks: Mapping[_Key, _Sink],
+    bases: dict[str, int],
+) -> None:
+    """Read a region block by block into the channels' arrays."""
+    if region.stride > BLOCK:
+        for position, part in _pieces(region, fields):
+            _store(part, _read(path, stream, position, part.count * part.dtype.itemsize), 0, sinks, bases)
+        return
+    rows = max(1, BLOCK // max(1, region.stride))
+    for first in range(0, region.repeats, rows):
+        count = min(rows, region.repeats - first)
+        block = _read(path, stream, region.position + first * region.stride, count * region.stride)
+        for own in fields:
+            _store(own, block, region.stride, sinks, bases)
+
+
+def _pieces(region: Region, fields: Sequence[Field]) -> Iterable[tuple[int, Field]]:
+    """Yield position and values of pieces no larger than a block, where a record is larger than that."""
+    for repeat in range(region.repeats):
+        for own in fields:
+            size = own.dtype.itemsize
+            for first in range(0, own.count, BLOCK // size):
+                count = min(BLOCK // size, own.count - first)
+                position = region.position + repeat * region.stride + own.offset + first * size
+                yield position, Field(own.path, 0, count, own.dtype, own.scale, own.bit)
+
+
+def _read(path: Path, stream: BinaryIO, position: int, size: int) -> bytes:
+    """Read bytes, all of them."""
+    stream.seek(position)
+    block = stream.read(size)
+    if len(block) < size:
+        raise ValueError(f"{path}: expected a complete TDMS file, found its end at byte {position + len(block)}")
+    return block
+
+
+def _store(own: Field, block: bytes, stride: int, sinks: Mapping[_Key, _Sink], bases: dict[str, int]) -> None:
+    """Put a channel's values from a block of records into its array."""
+    sink = sinks[own.path, own.scale]
+    repeats = len(block) // stride if stride else 1
+    raw: NDArray[Any] = np.ndarray((repeats, own.count), own.dtype, block, own.offset, (stride, own.dtype.itemsize))
+    if own.bit is not None:
+        raw = raw >> own.bit & 1
+    elif own.dtype.names:
+        base = bases.setdefault(own.path, int(raw["seconds"][0, 0]))
+        raw = (raw["seconds"] - base) + raw["fraction"] * 2.0**-64
+    target = sink.values[sink.filled : sink.filled + repeats * own.count]
+    target.reshape(repeats, own.count)[...] = raw
+    sink.filled += len(target)
+
+
+def _scaled(path: Path, index: TdmsIndex, raw: Mapping[_Key, FloatArray]) -> dict[str, FloatArray]:
+    """Apply the scales of the hardware, in place; a card's channel without scale is its one raw scale."""
+    result = {}
+    for name in dict.fromkeys(key[0] for key in raw):
+        by_scale = {scale: values for (own, scale), values in raw.items() if own == name}
+        values = by_scale.get(DAQMX, next(iter(by_scale.values())))
+        scale = _scale(path, name, index)
+        if scale is not None:
+            plain = DAQMX in by_scale
+            for first in range(0, len(values), _SCALE_BLOCK):
+                part = slice(first, first + _SCALE_BLOCK)
+                numbers = {number: own[part] for number, own in by_scale.items()}
+                values[part] = scale.scale(_Raw(numbers[DAQMX] if plain else None, numbers))
+        result[name] = values
+    return result
+
+
+def _scale(path: Path, name: str, index: TdmsIndex) -> Any:
+    """Return the library's scale of a channel, None where it has none, or raise `ValueError` for an unknown one."""
+    parts = path_parts(name)
+    layers = [index.properties.get(key, {}) for key in (name, "/'" + parts[0].replace("'", "''") + "'", "/")]
+    kinds = [str(value) for layer in layers for key, value in layer.items() if _SCALE_KEY.fullmatch(key)]
+    if not kinds and not any("NI_Number_Of_Scales" in layer for layer in layers):
+        return None
+    for kind in kinds:
+        if kind not in (*_SCALES, "AdvancedAPI"):
+            raise ValueError(f'{path}: channel "{"/".join(parts)}": expected a known scale, found {kind!r}')
+    from nptdms.scaling import get_scaling
+
+    return get_scaling(*layers)
+
+
+def _starts(stream: BinaryIO, index: TdmsIndex, types: Mapping[str, np.dtype[Any]]) -> dict[str, float]:
+    """Return by how many seconds every channel begins after the earliest of the file, from their time stamps."""
+    stamps: dict[str, Fraction] = {}
+    for name, properties in index.properties.items():
+        stamp = properties.get("wf_start_time")
+        if isinstance(stamp, Fraction | int) and stamp > 0:  # 0 is the year 1904: no time was set
+            stamps[name] = Fraction(stamp)
+    for name, dtype in types.items():
+        if dtype.names:
+            stamps[name] = Fraction(_first_second(stream, index, name))
+    earliest = min(stamps.values(), default=Fraction(0))
+    return {name: round(float(stamp - earliest), 12) for name, stamp in stamps.items()}
+
+
+def _first_second(stream: BinaryIO, index: TdmsIndex, name: str) -> int:
+    """Return the whole seconds of a channel's first time stamp."""
+    for region in index.regions:
+        for own in region.fields:
+            if own.path == name and own.count and region.repeats:
+                stream.seek(region.position + own.offset)
+                return int(np.frombuffer(stream.read(own.dtype.itemsize), own.dtype)["seconds"][0])
+    return 0
+
+
+def _clock(
+    path: Path,
+    name: str,
+    properties: Mapping[str, Any],
+    values: Mapping[str, FloatArray],
+    time: str | None,
+    sample_rate_hz: float | None,
+) -> tuple[float, float]:
+    """Return rate and start of a channel by its own properties, its time channel, or the rate given."""
+    where = f'channel "{name}"'
+    if time is not None:
+        return rate_of_times(path, values[time], f'{where}: time channel "{path_parts(time)[-1]}"')
+    step, start = properties.get("wf_increment"), properties.get("wf_start_offset", 0.0)
+    return checked_rate(path, 1.0 / float(step) if step else sample_rate_hz, where), float(start)

@@ -1,83 +1,123 @@
-"""Universal file format: time responses of data set 58, text and binary."""
+"""Universal files: time responses and other functions of data set 58, text and binary."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from shaker.signals.files.common import checked_rate, chosen, numbers
+import numpy as np
+from numpy.typing import NDArray
+
+from shaker._checks import FloatArray, check_shape
+from shaker.signals.files.common import checked_rate, chosen, numbers, rate_of_times
+from shaker.signals.files.universal_sets import DataSet, FunctionHeader, data_sets, function_header, function_values
 from shaker.signals.recording import RawChannel
 
-_TIME_RESPONSE = 1  # function type of data set 58
-_DIRECTIONS = {0: "", 1: "+X", -1: "-X", 2: "+Y", -2: "-Y", 3: "+Z", -3: "-Z"}
-_DIRECTIONS |= {4: "+RX", -4: "-RX", 5: "+RY", -5: "-RY", 6: "+RZ", -6: "-RZ"}
-_NOTHING = ("", "NONE", "none")
+_TIME_RESPONSE = 1
+_KINDS = (
+    "general", "time response", "auto spectrum", "cross spectrum", "frequency response", "transmissibility",
+    "coherence", "auto correlation", "cross correlation", "power spectral density", "energy spectral density",
+    "probability density", "spectrum",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class UniversalFunction:
+    """A function of data set 58: `value` (N,), real or complex as stored, over `abscissa` (N,).
+
+    `kind` in words ("frequency response", "spectrum", …); `response` and `reference` are node and direction (`12+Z`);
+    `unit` is the ordinate's, over that of its denominator where it has one (`(m/s^2)/N`); texts are empty where the
+    file says nothing. Frequency responses follow the file's own sign; universal files state none, and exp(+jωt) is
+    usual.
+    """
+
+    name: str
+    kind: str
+    abscissa: FloatArray
+    value: NDArray[np.float64] | NDArray[np.complex128]
+    abscissa_unit: str
+    unit: str
+    response: str
+    reference: str
+    titles: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_shape("abscissa", self.abscissa, (None,))
+        check_shape("value", self.value, (len(self.abscissa),))
 
 
 def read_universal(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
     """Read the time responses of a universal file.
 
-    A channel is called by its response entity name (`rsp_ent_name`) where it has one, else by the label of its
-    ordinate, else by node and direction (`12+Z`); names that occur twice get node and direction after them
-    (`Mic 3+X`), and where these do not tell them apart either, the place in the file (`Mic #2`). Its unit is the
-    ordinate's units label. Data sets of other kinds are passed over. Text headers hold the sampling interval with
-    six digits, so a clock read from them may be wrong by several parts in 10⁷; the trigger edges put that right.
+    A channel is called by its response entity name where it has one, else by the label of its ordinate, else by node
+    and direction (`12+Z`); names that occur twice get node and direction after them (`Mic 3+X`), and where these do
+    not tell them apart either, the place in the file (`Mic #2`). Its unit is the ordinate's units label. Data sets of
+    other kinds are passed over. Text headers hold the sampling interval with six digits, so a clock read from them may
+    be wrong by several parts in 10⁷; the trigger edges put that right.
     """
-    import pyuff
+    headers = _headers(path)
+    present = {name: item for name, item in _named(headers).items() if item[1].kind == _TIME_RESPONSE}
+    result = {}
+    with path.open("rb") as stream:
+        for name in chosen(path, names, present):
+            data, head = present[name]
+            times, values = function_values(path, stream, data, head)
+            where = f'channel "{name}"'
+            if head.even:
+                rate, start = checked_rate(path, 1.0 / head.step if head.step else sample_rate_hz, where), head.start
+            else:
+                rate, start = rate_of_times(path, times, where)
+            result[name] = RawChannel(numbers(path, name, values), rate, start, head.ordinate.unit)
+    return result
 
-    if not path.read_bytes()[-1024:].rstrip().endswith(b"-1"):
-        raise ValueError(f"{path}: expected the end mark -1 of the last data set, found the file cut off")
-    file = pyuff.UFF(str(path))
-    kinds = [int(kind) for kind in file.get_set_types()]
-    if not kinds:
-        raise ValueError(f"{path}: expected data sets of a universal file, found none")
-    sets = [file.read_sets(i) for i, kind in enumerate(kinds) if kind == 58]
-    records = {name: record for name, record in _named(sets).items() if record["func_type"] == _TIME_RESPONSE}
-    wanted = chosen(path, names, records)
-    return {name: _channel(path, name, records[name], sample_rate_hz) for name in wanted}
+
+def read_universal_functions(path: Path) -> tuple[UniversalFunction, ...]:
+    """Read all functions of data set 58 of a universal file: frequency responses, spectra, and time responses."""
+    headers = _headers(path)
+    with path.open("rb") as stream:
+        return tuple(
+            _function(name, head, *function_values(path, stream, data, head))
+            for name, (data, head) in _named(headers).items()
+        )
 
 
-def _named(sets: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Return the data sets by unique names."""
-    plain = [_plain_name(record) for record in sets]
+def _headers(path: Path) -> list[tuple[DataSet, FunctionHeader]]:
+    """Return the functions of a file without their numbers."""
+    with path.open("rb") as stream:
+        found = list(data_sets(path, stream))
+        if not found:
+            raise ValueError(f"{path}: expected data sets of a universal file, found none")
+        headers = []
+        for data in found:
+            if data.kind == 58:
+                stream.seek(data.start)
+                records = [stream.readline() for _ in range(11)]
+                headers.append((data, function_header(path, records, data.line)))
+    return headers
+
+
+def _function(
+    name: str, head: FunctionHeader, abscissa: FloatArray, value: NDArray[np.float64] | NDArray[np.complex128]
+) -> UniversalFunction:
+    """Put a function together."""
+    unit = head.ordinate.unit
+    if head.denominator.unit:
+        unit = f"({unit})/({head.denominator.unit})"
+    kind = _KINDS[head.kind] if 0 <= head.kind < len(_KINDS) else f"function type {head.kind}"
+    return UniversalFunction(
+        name, kind, abscissa, value, head.abscissa.unit, unit, head.response_point, head.reference_point, head.titles
+    )
+
+
+def _named(headers: list[tuple[DataSet, FunctionHeader]]) -> dict[str, tuple[DataSet, FunctionHeader]]:
+    """Return the functions by unique names."""
+    plain = [head.response_name or head.ordinate.label or head.response_point for _, head in headers]
     full = [
-        name if plain.count(name) == 1 else f"{name} {_point(record)}".strip()
-        for name, record in zip(plain, sets, strict=True)
+        name if plain.count(name) == 1 else f"{name} {head.response_point}".strip()
+        for name, (_, head) in zip(plain, headers, strict=True)
     ]
     return {
-        name if full.count(name) == 1 else f"{name} #{i + 1}": record
-        for i, (name, record) in enumerate(zip(full, sets, strict=True))
+        name if full.count(name) == 1 else f"{name} #{i + 1}": item
+        for i, (name, item) in enumerate(zip(full, headers, strict=True))
     }
-
-
-def _plain_name(record: dict[str, Any]) -> str:
-    """Return the entity name, the ordinate's label, or node and direction."""
-    for key in ("rsp_ent_name", "ordinate_axis_lab"):
-        text = str(record.get(key, "")).strip()
-        if text not in _NOTHING:
-            return text
-    return _point(record)
-
-
-def _point(record: dict[str, Any]) -> str:
-    """Return response node and direction, as 12+Z."""
-    return f"{int(record['rsp_node'])}{_DIRECTIONS.get(int(record['rsp_dir']), '')}"
-
-
-def _channel(path: Path, name: str, record: dict[str, Any], sample_rate_hz: float | None) -> RawChannel:
-    """Turn one data set into a channel."""
-    step = float(record.get("abscissa_inc", 0.0))
-    if not step and len(record["x"]) > 1:
-        step = float(record["x"][-1] - record["x"][0]) / (len(record["x"]) - 1)
-    unit = str(record.get("ordinate_axis_units_lab", "")).strip()
-    expected = int(record["num_pts"])
-    samples = numbers(path, name, record["data"])
-    if len(samples) != expected:
-        raise ValueError(f'{path}: channel "{name}": expected {expected} samples, found {len(samples)}')
-    return RawChannel(
-        samples,
-        checked_rate(path, 1.0 / step if step else sample_rate_hz, f'channel "{name}"'),
-        float(record.get("abscissa_min", 0.0)),
-        "" if unit in _NOTHING else unit,
-    )

@@ -14,8 +14,8 @@ def read_wave(path: Path, names: Sequence[str] | None, sample_rate_hz: float | N
     """Read channels by number, counted from 1, in the file's own numbers.
 
     16- and 32-bit integers come as they are, 24-bit ones as the upper bytes of 32 bits (times 256), 8-bit ones from 0
-    to 255; floats as they are. The channel's scale has to turn these into SI units. The file states its own sampling
-    rate, and `sample_rate_hz` is not used.
+    to 255; floats as they are. The channel's scale has to turn these into SI units. RIFF, RIFX and RF64 files are
+    read. The file states its own sampling rate, and `sample_rate_hz` is not used.
     """
     from scipy.io import wavfile
 

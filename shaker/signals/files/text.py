@@ -1,0 +1,172 @@
+"""Rows of numbers in text files: whole blocks at once, line by line only where a block holds anything unusual."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from shaker._checks import FloatArray
+from shaker.signals.files.common import BLOCK
+
+_NEWLINE, _COMMENT = 0x0A, "#"
+_COMMA_TO_POINT = bytes.maketrans(b",", b".")
+
+
+@dataclass(frozen=True)
+class TextLayout:
+    """How rows are written: number of columns, delimiter (empty: white space), decimal comma or point.
+
+    `remarks` tells whether what follows the last column is a remark; else it has to be empty.
+    """
+
+    path: Path
+    columns: int
+    delimiter: str
+    comma: bool
+    remarks: bool = False
+
+
+def read_columns(layout: TextLayout, start: int, stop: int, line: int, wanted: Sequence[int]) -> list[FloatArray]:
+    """Return the columns wanted, each (S,), of the rows in bytes `start` to `stop`, which begin at line number `line`.
+
+    Empty cells are NaN; empty lines and lines that begin with # are passed over. Memory: the result and one block.
+    """
+    columns = [np.empty(0) for _ in wanted]
+    filled = 0
+    with layout.path.open("rb") as stream:
+        for place, block in _whole_lines(stream, start, stop):
+            rows = _rows(layout, block, line)
+            line += block.count(b"\n")
+            if columns and filled + len(rows) > len(columns[0]):
+                share = (place - start) / (stop - start)
+                room = max(filled + len(rows), int((filled + len(rows)) / share * 1.01))
+                for column in columns:
+                    column.resize(room, refcheck=False)
+            for column, index in zip(columns, wanted, strict=True):
+                column[filled : filled + len(rows)] = rows[:, index]
+            filled += len(rows)
+    for column in columns:
+        column.resize(filled, refcheck=False)
+    if not filled:
+        raise ValueError(f"{layout.path}: line {line}: expected rows of numbers, found none")
+    return columns
+
+
+def find_bytes(stream: BinaryIO, text: bytes, start: int, stop: int) -> int:
+    """Return where a text first stands in bytes `start` to `stop` of a file, -1 where it does not."""
+    position, tail = start, b""
+    stream.seek(start)
+    while block := stream.read(min(BLOCK, stop - position)):
+        found = (tail + block).find(text)
+        if found >= 0:
+            return position - len(tail) + found
+        position += len(block)
+        tail = (tail + block)[1 - len(text) :]
+    return -1
+
+
+def count_lines(stream: BinaryIO, start: int, stop: int) -> int:
+    """Return the number of line ends in bytes `start` to `stop` of a file."""
+    stream.seek(start)
+    lines = 0
+    while start < stop and (block := stream.read(min(BLOCK, stop - start))):
+        start += len(block)
+        lines += block.count(b"\n")
+    return lines
+
+
+def decoded(raw: bytes) -> str:
+    """Return text that is UTF-8, with or without mark, or else Latin-1."""
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return raw.decode("latin-1")
+
+
+def _whole_lines(stream: BinaryIO, start: int, stop: int) -> Iterator[tuple[int, bytes]]:
+    """Yield blocks of whole lines, each ending with a line end, and the place behind them."""
+    stream.seek(start)
+    rest = b""
+    while start < stop and (block := stream.read(min(BLOCK, stop - start))):
+        start += len(block)
+        head, mark, tail = block.rpartition(b"\n")
+        if mark:
+            yield start - len(tail), rest + head + mark
+            rest = tail
+        else:
+            rest += tail
+    if rest.strip():
+        yield stop, rest + b"\n"
+
+
+def _rows(layout: TextLayout, block: bytes, line: int) -> FloatArray:
+    """Return the rows (S, columns) of a block of whole lines."""
+    rows = _spaced(layout, block) if not layout.delimiter else _delimited(layout, block)
+    return _line_by_line(layout, block, line) if rows is None else rows
+
+
+def _delimited(layout: TextLayout, block: bytes) -> FloatArray | None:
+    """Return the rows of a block in which every row has the same cells and all hold numbers, else None."""
+    delimiter = layout.delimiter.encode()
+    block = block.replace(b"\r\n", b"\n").replace(b'"', b"")
+    if layout.comma:
+        block = block.translate(_COMMA_TO_POINT)
+    empty_first = block.startswith(delimiter)
+    if empty_first:
+        block = block[1:].replace(b"\n" + delimiter, b"\n")
+    if block.find(delimiter + b"\n", 0, block.find(b"\n") + 1) >= 0:
+        block = block.replace(delimiter + b"\n", b"\n")
+    marks = np.frombuffer(block, np.uint8)
+    ends = np.flatnonzero((marks == delimiter[0]) | (marks == _NEWLINE))
+    columns = layout.columns - empty_first
+    if columns < 1 or len(ends) % columns or np.any(marks[ends[columns - 1 :: columns]] != _NEWLINE):
+        return None
+    if len(ends) // columns != block.count(b"\n"):
+        return None
+    try:
+        values = np.array(block[:-1].replace(b"\n", delimiter).split(delimiter), dtype=np.float64)
+    except ValueError:
+        return None
+    rows = values.reshape(-1, columns)
+    return np.pad(rows, ((0, 0), (1, 0)), constant_values=np.nan) if empty_first else rows
+
+
+def _spaced(layout: TextLayout, block: bytes) -> FloatArray | None:
+    """Return the rows of a block with white space between numbers, None where any row is unusual."""
+    if layout.comma:
+        block = block.translate(_COMMA_TO_POINT)
+    rows = [row.split() for row in block.splitlines()]
+    if any(len(row) != layout.columns for row in rows):
+        return None
+    try:
+        return np.array(rows, dtype=np.float64)
+    except ValueError:
+        return None
+
+
+def _line_by_line(layout: TextLayout, block: bytes, line: int) -> FloatArray:
+    """Return the rows of a block, or raise `ValueError` naming the line."""
+    rows = []
+    for number, text in enumerate(decoded(block.replace(b"\r\n", b"\n")).split("\n"), line):
+        if not text.strip() or text.startswith(_COMMENT):
+            continue
+        cells = text.split(layout.delimiter or None)
+        if layout.remarks or not any(cell.strip() for cell in cells[layout.columns :]):
+            cells = cells[: layout.columns]
+        if len(cells) != layout.columns:
+            raise ValueError(f"{layout.path}: line {number}: expected {layout.columns} columns, found {len(cells)}")
+        try:
+            rows.append([number_of(cell, layout.comma) for cell in cells])
+        except ValueError as error:
+            raise ValueError(f"{layout.path}: line {number}: expected numbers, found {text.strip()[:60]!r}") from error
+    return np.array(rows).reshape(-1, layout.columns)
+
+
+def number_of(cell: str, comma: bool) -> float:
+    """Return the number in a cell, NaN where it is empty."""
+    cell = cell.strip().strip('"')
+    return float(cell.replace(",", ".") if comma else cell) if cell else float("nan")
