@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.errors import InputError
 from fusion.manifest import ChannelEntry, Daq, Frames, Images, Manifest, PointFiles, Take
+from fusion.response import check_response
 
 BODIES = ("load", "base")
 MOTION = ("x", "y", "z", "rx", "ry", "rz")
@@ -112,6 +114,7 @@ def _contents(manifest: Manifest) -> tuple[list[str], list[str]]:
         told = [_read_daq(daq) for daq in block.daq]
         told += [_read_images(images) for images in block.images]
         told += [_describe_points(points) for points in block.points]
+        problems += _unreadable_responses(block)
         contents += [line for line, _ in told]
         problems += [problem for _, wrong in told for problem in wrong]
     mounted = [f"{part.name} {part.true_mass:g} kg on the {part.body}" for part in manifest.part]
@@ -135,6 +138,17 @@ def _read_daq(daq: Daq) -> tuple[str, list[str]]:
     holes = [name for name in names if not np.isfinite(channels[name].samples).all()]
     told += f"; {first.samples.size} samples at {first.sample_rate_hz:g} Hz"
     return told, [f"daq {daq.name}: channel {name} holds values that are no finite numbers" for name in holes]
+
+
+def _unreadable_responses(block: Manifest | Take) -> list[str]:
+    """What is wrong with the response files that channels name."""
+    wrong = []
+    for path in dict.fromkeys(entry.response for daq in block.daq for entry in daq.channel if entry.response):
+        try:
+            check_response(path)
+        except InputError as error:
+            wrong.append(str(error))
+    return wrong
 
 
 def _read_images(images: Images) -> tuple[str, list[str]]:

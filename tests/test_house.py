@@ -22,8 +22,8 @@ WRITTEN_ORDER = {
     """,
     "shaker.models": "oscillator",
     "fusion": """
-        notices errors output settings manifest check body observe estimate consistency fuse load sensitivity deflection
-        evaluation records response timing channels stereo_motion stereo_phasors readings provenance evaluate
+        notices errors output settings manifest response check body observe estimate consistency fuse load sensitivity deflection
+        evaluation records timing channels stereo_motion stereo_phasors readings provenance evaluate
         polar highlights results_csv results_h5 camera_facts plots report_numbers report_tables page report results
         camera_tables camera_report campaign simulate progress summary cameras align
         import_calibration lines plan transfer commands cli
