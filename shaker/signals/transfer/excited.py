@@ -21,18 +21,18 @@ def excited_lines(reference: ComplexArray) -> BoolArray:
     """
     from scipy.ndimage import maximum_filter1d
 
-    count, lines = reference.shape
+    lines = reference.shape[1]
     magnitude = np.abs(reference.mean(axis=0))
     signal = magnitude > _SIGNAL * _u_mean(reference)
     nearby = maximum_filter1d(magnitude, size=min(2 * _NEARBY + 1, lines), mode="nearest")
     strong = signal & (magnitude > _STRONG * nearby) & (magnitude > _WEAKEST * magnitude.max(initial=0.0))
     if not strong.any():
-        return strong
+        return np.asarray(strong)
     place = np.flatnonzero(strong)
     inside = np.zeros(lines, dtype=np.bool_)
     inside[place[0] : place[-1] + 1] = True
     dense = np.count_nonzero(strong) > _DENSE * np.count_nonzero(inside)
-    return inside & signal if dense else strong
+    return np.asarray(inside & signal if dense else strong)
 
 
 def _u_mean(reference: ComplexArray) -> FloatArray:

@@ -21,7 +21,7 @@ def period_notices(
 ) -> tuple[Notice, ...]:
     """Return the notices on the periods of a record; `lines.value` (M, K, 1 + C), `ratio` (E, C) at excited lines."""
     rate = record.sample_rate_hz
-    frequency = lines.harmonic * (rate / period.samples)
+    frequency = np.asarray(lines.harmonic * (rate / period.samples), dtype=np.float64)
     value = lines.value[:, excited]
     found = [_choice(record, period, int(np.count_nonzero(excited)))]
     found += _reference_drift(value[:, :, 0], record.reference_name)
@@ -37,7 +37,7 @@ def _choice(record: TransferRecord, period: Period, lines: int) -> Notice:
     seconds = period.samples / record.sample_rate_hz
     text = (
         f"periodic excitation, {period.count} periods of {seconds:.9g} s (u {period.u_samples / period.samples:.1e}), "
-        f"{lines} lines: ratio of the means over periods, which leaks nothing and is unbiased by noise on either channel"
+        f"{lines} lines: ratio of the means over periods, leaks nothing, not biased by noise on either channel"
     )
     return Notice("info", text, record.reference_name)
 
@@ -72,11 +72,11 @@ def _unsettled(error: ComplexArray, response: ComplexArray, frequency: FloatArra
             "settled; leave out one period more (settle_periods)"
         )
         return [Notice("warning", text, name)]
-    trend = _differs(error, np.arange(count) - 0.5 * (count - 1), frequency)
+    trend = _differs(error, np.arange(0.0, count) - 0.5 * (count - 1), frequency)
     if trend.any():
         text = (
             f"response over reference drifts over the periods between {frequency[trend].min():.6g} and "
-            f"{frequency[trend].max():.6g} Hz: the transfer function is that of the mean, its uncertainty covers the drift"
+            f"{frequency[trend].max():.6g} Hz: what is given is the mean"
         )
         return [Notice("warning", text, name)]
     return []

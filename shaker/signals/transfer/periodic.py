@@ -55,7 +55,7 @@ def transfer_periodic(
             f"record: expected a reference that excites lines, found only noise in {record.reference_name}"
         )
     estimate = _estimate(lines.value[:, excited])
-    frequency = lines.harmonic * (rate / period.samples)
+    frequency = np.asarray(lines.harmonic * (rate / period.samples), dtype=np.float64)
     notices = period_notices(record, period, lines, excited, estimate.ratio)
     kept = int(np.count_nonzero(excited))
     return TransferFunction(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shaker._checks import BoolArray, ComplexArray, FloatArray, IntArray
+from shaker._checks import ComplexArray, FloatArray, IntArray
 
 _SOFT_SAMPLES = 128  # length of the seam of two soft windows, at most
 _SOFT_ORDER = 8
@@ -56,7 +56,7 @@ def find_period(reference: FloatArray, samples: float, settle_periods: int) -> P
             break
         spectrum = period_phasors(reference[:, None], Period(samples, 0.0, start, count), (0.0, 0.45)).value[:, :, 0]
         error, u_samples = _period_error(spectrum, samples)
-        if step == 0 and abs(error) <= _SAME_PERIOD * u_samples or abs(error) <= 0.05 * u_samples:
+        if (step == 0 and abs(error) <= _SAME_PERIOD * u_samples) or abs(error) <= 0.05 * u_samples:
             break
         samples += error
     if abs(samples - stated) > _TOLERANCE * stated:
@@ -177,7 +177,7 @@ def _windows(index: IntArray, period: Period, harmonic: IntArray) -> list[_Seen]
     for number in range(period.count):
         begin = period.start + number * samples
         low, high = np.searchsorted(index, [begin - 0.5 * seam, begin + samples + 0.5 * seam])
-        time = index[low:high] - begin
+        time = np.asarray(index[low:high] - begin, dtype=np.float64)
         length = int(high - low)
         if length not in transforms:
             transforms[length] = CZT(length, m=len(harmonic), w=step, a=1.0 / step)

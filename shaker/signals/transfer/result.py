@@ -38,8 +38,10 @@ class TransferRecord:
             raise ValueError(f"sample_rate_hz: expected a positive number, found {self.sample_rate_hz}")
         if len(self.unit) != len(self.channels):
             raise ValueError(f"unit: expected {len(self.channels)} units, one per response, found {len(self.unit)}")
-        finite = [np.isfinite(self.reference).all(), *np.isfinite(self.responses).all(axis=0)]
-        gaps = [name for name, good in zip((self.reference_name, *self.channels), finite, strict=True) if not good]
+        named = {self.reference_name: self.reference} | dict(zip(self.channels, self.responses.T, strict=True))
+        if len(named) != 1 + len(self.channels):
+            raise ValueError(f"channels: expected names that differ, found {self.reference_name}, {self.channels}")
+        gaps = [name for name, samples in named.items() if not np.isfinite(samples).all()]
         if gaps:
             raise ValueError(f"responses: expected samples without gaps, found NaN in {', '.join(gaps)}")
 
