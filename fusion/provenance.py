@@ -88,8 +88,11 @@ def is_current(folder: Path, hashes: Mapping[str, str], settings: Mapping[str, S
     return same_program and found.input_hashes == dict(hashes) and found.settings == dict(settings)
 
 
-def check_folder(folder: Path, hashes: Mapping[str, str], *, force: bool) -> None:
-    """Refuse a place for results that is no folder, or that holds something else than results of the same inputs."""
+def check_folder(folder: Path, hashes: Mapping[str, str], *, force: bool, marker: str = RESULT_FILE) -> None:
+    """Refuse a place for results that is no folder, or that holds something else than results of the same inputs.
+
+    `marker`: the file of the results that carries their provenance.
+    """
     if folder.exists() and not folder.is_dir():
         raise InputError(folder, "", found="a file", expected="a folder for the results")
     above = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
@@ -98,16 +101,16 @@ def check_folder(folder: Path, hashes: Mapping[str, str], *, force: bool) -> Non
         raise InputError(folder, "", found=f"{what} at {above}", expected="a place for a folder with the results")
     if force or not folder.exists() or not any(folder.iterdir()):
         return
-    found = read_provenance(folder)
+    found = read_provenance(folder, marker)
     if found is None or found.input_hashes != dict(hashes):
         what = "other files" if found is None else "results of other input files"
         expected = "an empty folder for the results (--force writes into this one and replaces only result files)"
         raise InputError(folder, "", found=what, expected=expected)
 
 
-def read_provenance(folder: Path) -> Provenance | None:
+def read_provenance(folder: Path, marker: str = RESULT_FILE) -> Provenance | None:
     """Provenance of the results in a folder; None where there are none, or where their file cannot be read."""
-    path = folder / RESULT_FILE
+    path = folder / marker
     if not path.is_file() or not h5py.is_hdf5(path):
         return None
     with h5py.File(path, "r") as file:

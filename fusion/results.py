@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import re
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 from fusion.errors import InputError
@@ -20,20 +21,35 @@ OWN_FILE = re.compile(r"(sensitivity|acceleration|load|motion-.+)\.csv|result\.h
 
 
 def write_results(evaluation: Evaluation, folder: Path, *, force: bool = False) -> list[Path]:
-    """Write every result file of one recording and return their paths.
+    """Write every result file of one recording and return their paths, as `write_folder` does."""
+    fill = partial(_fill, evaluation=evaluation)
+    return write_folder(folder, evaluation.input_hashes, fill, force=force, marker=RESULT_FILE, own=OWN_FILE)
 
-    All files are made in a temporary folder beside `folder` and then moved, so a failure leaves `folder` as it was. A
-    folder that holds anything but results of the same inputs is refused unless `force`; even then only files of the
-    program's own names are replaced, and nothing else is touched.
+
+def write_folder(
+    folder: Path,
+    hashes: Mapping[str, str],
+    fill: Callable[[Path], Sequence[str]],
+    *,
+    force: bool,
+    marker: str,
+    own: re.Pattern[str],
+) -> list[Path]:
+    """Write a folder of results of the inputs `hashes` and return the paths of its files.
+
+    `fill` makes all files in a temporary folder beside `folder` and names them; then they are moved, so a failure
+    leaves `folder` as it was. A folder that holds anything but results of the same inputs (its file `marker` says so)
+    is refused unless `force`; even then only files of the program's `own` names are replaced, and nothing else is
+    touched.
     """
     folder = folder.resolve()
-    check_folder(folder, evaluation.input_hashes, force=force)
+    check_folder(folder, hashes, force=force, marker=marker)
     folder.parent.mkdir(parents=True, exist_ok=True)
     temporary = folder.with_name(f".{folder.name}-{os.getpid()}")
     temporary.mkdir()
     try:
-        names = _fill(temporary, evaluation)
-        _move(temporary, folder, names)
+        names = fill(temporary)
+        _move(temporary, folder, names, marker, own)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
     return [folder / name for name in names]
@@ -75,15 +91,15 @@ def _fill(folder: Path, evaluation: Evaluation) -> list[str]:
     return names
 
 
-def _move(temporary: Path, folder: Path, names: Sequence[str]) -> None:
+def _move(temporary: Path, folder: Path, names: Sequence[str], marker: str, own: re.Pattern[str]) -> None:
     """Put the finished files in place: the folder in one step where there is none yet, else file by file."""
     if not folder.exists():
         os.replace(temporary, folder)
         return
-    before = read_provenance(folder)
-    (folder / RESULT_FILE).unlink(missing_ok=True)
+    before = read_provenance(folder, marker)
+    (folder / marker).unlink(missing_ok=True)
     for name in before.files if before is not None else ():
-        if name not in names and OWN_FILE.fullmatch(name):
+        if name not in names and own.fullmatch(name):
             (folder / name).unlink(missing_ok=True)
     for name in names:
         os.replace(temporary / name, folder / name)

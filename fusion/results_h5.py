@@ -28,11 +28,11 @@ def write_h5(path: Path, evaluation: Evaluation, files: Sequence[str]) -> None:
         file.attrs["rig"] = evaluation.manifest.rig.name
         file.attrs["phasors"] = "x(t) = Re{X exp(+j omega t)}; covariances of [all Re, all Im]; k = 1"
         write_provenance(file, origin)
-        _write_fields(file, evaluation)
+        write_fields(file, evaluation)
 
 
-def _write_fields(group: h5py.Group, item: Any) -> None:
-    """Write every field of a data class into a group."""
+def write_fields(group: h5py.Group, item: Any) -> None:
+    """Write every field of a data class into a group: groups and names are those of the classes."""
     for field in fields(item):
         if field.name not in LEFT_OUT:
             _write(group, field.name, getattr(item, field.name))
@@ -43,7 +43,7 @@ def _write(group: h5py.Group, name: str, value: Any) -> None:
     if value is None:
         return
     if is_dataclass(value):
-        _write_fields(group.create_group(name, track_order=True), value)
+        write_fields(group.create_group(name, track_order=True), value)
     elif isinstance(value, Mapping):
         inner = group.create_group(name, track_order=True)
         for key, entry in value.items():
