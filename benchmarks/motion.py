@@ -61,7 +61,7 @@ def _ratios(
     error = (motion.pose - exact)[1:]  # the first frame is the reference and exact by definition
     fit = fit_sines(time_s[1:], error, lines, COMPONENTS, UNITS)
     freedom = len(error) - 2 * len(lines) - 1
-    variance = np.sum(fit.residual**2, axis=0) / freedom
+    variance = fit.residual_rms**2 * len(error) / freedom
     stated = np.diagonal(motion.covariance[1:], axis1=1, axis2=2).mean(axis=0)
     return np.stack([variance / bound**2, variance / stated, np.full(6, float(freedom))])
 

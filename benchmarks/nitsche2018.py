@@ -114,7 +114,8 @@ def _scatter(evaluation: Evaluation, seed: int) -> dict[str, FloatArray]:
     ratios = {}
     for stereo in evaluation.stereo:
         parameters = 2 * len(stereo.fit.phasors.frequency_hz) + 1
-        ratios[stereo.name] = np.std(stereo.fit.residual, axis=0, ddof=parameters) / bounds[stereo.name]
+        residual = stereo.fit.residual_of(stereo.time_s, stereo.motion_from_mean.pose)
+        ratios[stereo.name] = np.std(residual, axis=0, ddof=parameters) / bounds[stereo.name]
     return ratios
 
 

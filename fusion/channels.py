@@ -156,7 +156,7 @@ def _result(
         sample_rate_hz=rate_hz,
         samples=len(values),
         phasors=phasors.scaled(_correction(channel, phasors.frequency_hz)[:, None]),
-        residual_rms=float(np.sqrt(np.nanmean(fit.residual[:, place] ** 2))),
+        residual_rms=float(fit.residual_rms[place]),
         excerpt_s=time_s[shown],
         excerpt=values[shown],
         excerpt_fit=fit.model(time_s[shown])[:, place],
