@@ -17,11 +17,11 @@ def check_new_file(path: Path, *, force: bool) -> None:
         raise InputError(path, "", found=f"no folder {path.parent}", expected="a file in an existing folder")
 
 
-def write_whole(path: Path, text: str) -> None:
-    """Write a text file by a temporary name and one rename."""
+def write_whole(path: Path, content: str | bytes) -> None:
+    """Write a file by a temporary name and one rename; text as UTF-8 with its line ends as they are."""
     temporary = path.with_name(f".{path.name}-{os.getpid()}")
     try:
-        temporary.write_text(text, encoding="utf-8", newline="\n")
+        temporary.write_bytes(content if isinstance(content, bytes) else content.encode("utf-8"))
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)

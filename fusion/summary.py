@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from fusion.campaign import Outcome
+from fusion.console import stdout_console
 from fusion.polar import rounded
 from fusion.results_csv import SENSITIVITY_FILE, read_rows
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-PIPE_WIDTH = 120
 COVERAGE_FACTOR = 2.0
 
 
 def print_outcomes(outcomes: Sequence[Outcome]) -> None:
     """Print one block per recording: its sensitivity with expanded uncertainty (k = 2) and the path of its report."""
-    from rich.console import Console
-
-    console = Console(width=None if sys.stdout.isatty() else PIPE_WIDTH, highlight=False, markup=False)
+    console = stdout_console()
     for outcome in outcomes:
         if outcome.error is not None:
             console.print(f"{outcome.recording.parent.name}: failed, {outcome.error}", soft_wrap=True)

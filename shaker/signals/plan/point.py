@@ -57,7 +57,7 @@ class Lines:
     @property
     def fundamentals_hz(self) -> FloatArray:
         """Frequencies excited, (E,)."""
-        return self.frequency_hz[self.multiple == 1]
+        return np.asarray(self.frequency_hz[self.multiple == 1])
 
 
 @dataclass(frozen=True)
