@@ -5,6 +5,7 @@ Sources of the notions: Pintelon and Schoukens, System Identification, 2nd ed. (
 """
 
 from shaker.signals.transfer.periodic import transfer_periodic
+from shaker.signals.transfer.random import transfer_random
 from shaker.signals.transfer.result import Estimator, TransferFunction, TransferRecord, ratio_unit
 
 __all__ = [
@@ -13,4 +14,5 @@ __all__ = [
     "TransferRecord",
     "ratio_unit",
     "transfer_periodic",
+    "transfer_random",
 ]
