@@ -95,7 +95,7 @@ class _Overlap:
 
     @classmethod
     def of(cls, samples: int, length: int) -> _Overlap:
-        """Lay segments of a length over a record; noise in two segments d apart correlates as Σ w(n)·w(n+d)·e^{-jωn}."""
+        """Lay segments over a record; noise in two of them d apart correlates as Σ w(n)·w(n+d)·exp(-jωn)."""
         window = window_samples("hann", length)
         hop = max(1, length // _HOP)
         starts = tuple(range(0, samples - length + 1, hop))

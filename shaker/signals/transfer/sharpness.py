@@ -32,8 +32,9 @@ def resolution_notices(frequency_hz: FloatArray, ratio: ComplexArray, u_ratio: F
         return []
     spacing = float(frequency_hz[1] - frequency_hz[0])
     listed = ", ".join(f"{frequency_hz[p]:.6g}" for p in peaks[narrow][:6])
+    width = float(widths[narrow].min())
     text = (
-        f"half-power width of {widths[narrow].min():.2g} lines at {listed} Hz: leakage lowers and widens such a peak; a "
-        f"resolution of {spacing * max(1.0, widths[narrow].min()) / (2.0 * _LEAST):.2g} Hz would show it"
+        f"half-power width of {width:.2g} lines at {listed} Hz: leakage lowers and widens such a peak; lines "
+        f"{spacing * max(1.0, width) / (2.0 * _LEAST):.2g} Hz apart would show it"
     )
     return [Notice("warning", text, name)]
