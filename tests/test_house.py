@@ -24,8 +24,8 @@ WRITTEN_ORDER = {
     "fusion": """
         notices errors output console settings manifest response check body observe estimate consistency fuse load
         sensitivity deflection evaluation records timing channels stereo_motion stereo_phasors readings provenance
-        evaluate polar highlights results_csv results_h5 camera_facts plan plots report_numbers report_tables page report
-        results camera_tables camera_report campaign simulate progress summary plan_tables cameras align
+        evaluate polar highlights results_csv results_h5 camera_facts plan plots report_numbers report_tables page
+        report results camera_tables camera_report campaign simulate progress summary plan_tables cameras align
         import_calibration lines transfer commands cli
     """,
 }
