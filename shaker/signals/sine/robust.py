@@ -65,6 +65,6 @@ def _scale(samples: Samples, columns: Columns, coefficients: FloatArray) -> Floa
     chosen = []
     for b, _, residual, root in residual_blocks(samples, columns, coefficients):
         rows = slice(-int(samples.timeline.edges[b]) % step, None, step)
-        part = residual[rows] if root is None else residual[rows] * root[rows]
+        part = residual[rows].copy() if root is None else residual[rows] * root[rows]
         chosen.append(part if root is None else part[(root[rows] > 0.0).all(axis=1)])
     return np.asarray(np.median(np.abs(np.concatenate(chosen)), axis=0) / 0.6744897501960817)
