@@ -6,13 +6,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shaker._checks import BoolArray, FloatArray, IntArray
+from shaker._checks import BoolArray, ComplexArray, FloatArray, IntArray, check_shape
 
-_NEIGHBOURS = 48  # bins from which the noise around a line is estimated
+_NEIGHBOURS = 96  # bins from which the noise around a line is estimated
 _MIN_NEIGHBOURS = 12
 _CLEARANCE = 0.75  # bins beside a line that its own fit has emptied
-_WHITTLE_STEPS = 200
-_COLOURED_DOF = 10.0  # of a level read off A + B/j, from the scatter of that level in trials (corner 5 Hz, 4 s)
+_OFFSET_BIN = 0.5  # where the noise of the offset is read
+# Shapes that the noise may have: S(j) = s·(1 + (corner/j)^exponent), the corner in bins.
+_CORNERS = 2.0 ** np.arange(0, 10)
+_EXPONENTS = (1.0, 2.0)  # 1/f noise, drift
+_WHITE_WEIGHT = 0.6  # prior weight of white noise
+_TONE_LIMIT = 9.2  # height of a sine over the level: exceeded by pure noise once in 10⁴ places
+_TONES = 12
+_TONE_CLEARANCE = 1.9  # bins beside a line within which a peak is the line's own unrest
+_BLOCK_BINS = 4  # ordinates nearest to a line, which say what blocks of the record scatter by
+_BLOCK_LIMIT = 2.51  # their mean over the level: exceeded by pure noise once in 100 lines
+_NEWTON_STEPS = 30
 
 
 @dataclass(frozen=True)
@@ -26,18 +35,44 @@ class LineNoise:
     dof: FloatArray
 
 
+@dataclass(frozen=True)
+class _Levels:
+    """What `count` ordinates (K, M, C) say of N shapes: `shape` (K, N, M), `weight` and `scale` (K, N, C)."""
+
+    shape: FloatArray
+    weight: FloatArray
+    scale: FloatArray
+    count: int
+
+    @property
+    def mean(self) -> FloatArray:
+        """Level at the bins, (K, M, C)."""
+        return np.asarray(self.shape.swapaxes(1, 2) @ (self.weight * self.scale))
+
+
 def line_noise(residual: FloatArray, samples: int, line_bin: FloatArray) -> LineNoise | None:
     """Return the noise of lines at fractional bins (K,) from the residual (L, C) of their fit, zero-filled in gaps.
 
-    `samples` is the number of samples present. None where the record has too few bins.
+    `samples` is the number of samples present. Sines that stand out between the lines (mains) are no noise: they are
+    taken off, and what they leave in a line is added to its variance. None where the record has too few bins.
     """
     bins = neighbour_bins(len(residual), line_bin)
     if bins is None:
         return None
     # The transposed copy makes every channel's transform contiguous, several times faster for long records.
     transform = np.fft.rfft(np.ascontiguousarray(residual.T), axis=1)
-    power = np.abs(transform[:, bins]) ** 2 / samples
-    return level_at_lines(np.moveaxis(power, 0, -1), bins.astype(np.float64), line_bin)
+    ordinates = np.moveaxis(transform[:, bins], 0, -1) / np.sqrt(samples)
+    return noise_of_ordinates(ordinates, bins.astype(np.float64), line_bin)
+
+
+def noise_of_ordinates(ordinates: ComplexArray, bins: FloatArray, line_bin: FloatArray) -> LineNoise:
+    """Return the noise of lines (K,) from ordinates (K, M, C), DFT over the root of the number of samples, near each.
+
+    As `level_at_lines`, but sines that stand out between the lines are taken off first.
+    """
+    rest, leaked = _without_tones(ordinates, bins, line_bin)
+    noise = level_at_lines(np.abs(rest) ** 2, bins, line_bin)
+    return LineNoise(noise.variance + leaked, noise.dof)
 
 
 def neighbour_bins(length: int, line_bin: FloatArray) -> IntArray | None:
@@ -58,20 +93,33 @@ def neighbour_bins(length: int, line_bin: FloatArray) -> IntArray | None:
 def level_at_lines(power: FloatArray, bins: FloatArray, line_bin: FloatArray) -> LineNoise:
     """Return the noise of lines at fractional bins (K,) from periodogram ordinates (K, M, C) at bins (K, M) near each.
 
-    Ordinates are |DFT|² over the number of samples, so that white noise of variance σ² has mean σ². They are fitted by
-    S(j) = A + B/j with A, B ≥ 0 by maximum Whittle likelihood, and read at the line; drift and 1/f noise thus count
-    where they act, and white noise at the lowest bins is overstated somewhat. The multiplicative iteration is that of
-    Févotte, Bertin and Durrieu, Neural Computation 21 (2009), for the Itakura-Saito divergence.
+    Ordinates are |DFT|² over the number of samples, so that white noise of variance σ² has mean σ². Each is its level
+    S(j) times a standard exponential variable (Whittle's likelihood); S(j) = s·h(j) with shapes h white, 1/f and 1/f²
+    above white noise of various corners. With the prior 1/s a shape has the weight Π 1/h(j)·Q^-M, Q = Σ I(j)/h(j), and
+    s the inverse gamma distribution (M, Q). The noise of the line, s·h(line), is distributed as their mixture, from
+    which come its degrees of freedom and the variance whose 95 % region is that of the mixture: drift and 1/f noise
+    count where they act, as far as they are known. The noise is no smaller than the scatter between blocks of the
+    record, which is the mean of the ordinates nearest to the line, where that is significantly larger. A place below
+    half a bin is that of the offset.
     """
-    variance, coloured = _whittle_level(power, bins, np.maximum(line_bin, 0.5))
-    count = power.shape[1]
-    return LineNoise(variance, np.where(coloured.any(axis=1), min(_COLOURED_DOF, count), float(count)))
+    check_shape("line_bin", line_bin, (None,))
+    check_shape("bins", bins, (len(line_bin), None))
+    check_shape("power", power, (*bins.shape, None))
+    floor = np.maximum(power.max(axis=1, keepdims=True), np.finfo(np.float64).tiny ** 0.25)
+    relative = np.maximum(power / floor, 1e-30) / (1.0 - _loss(bins, line_bin))[:, :, None]
+    levels = _fit_levels(relative, _shapes(bins))
+    at_line = _shapes(np.maximum(line_bin, _OFFSET_BIN)[:, None])[:, :, 0]
+    variance, dof = _mixture(levels, at_line)
+    variance, dof = _not_below_blocks(relative, bins, line_bin, levels, variance, dof)
+    # One number of degrees of freedom for all channels of a line, and their 95 % regions kept.
+    common = 1.0 / np.mean(1.0 / dof, axis=1)
+    return LineNoise(variance * floor[:, 0] * _limit(dof) / _limit(common)[:, None], common)
 
 
 def _free_bins(bins: FloatArray, line_bin: FloatArray) -> BoolArray:
-    """Tell which bins no fitted line has emptied."""
+    """Tell which bins no fitted line has emptied; the offset empties bin 0 only."""
     free = np.ones(len(bins), dtype=np.bool_)
-    for j in line_bin:
+    for j in line_bin[line_bin > _OFFSET_BIN]:
         low, high = np.searchsorted(bins, [j - _CLEARANCE, j + _CLEARANCE])
         free[low:high] = False
     return free
@@ -86,21 +134,138 @@ def _nearest(candidates: IntArray, j: float, count: int) -> IntArray:
     return np.asarray(window[order[:count]], dtype=np.int64)
 
 
-def _whittle_level(power: FloatArray, bins: FloatArray, line_bin: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Fit A + B·(line/j) to periodograms (K, M, C) at bins (K, M); return A + B (K, C) and where B matters.
+def _shapes(bins: FloatArray) -> FloatArray:
+    """Return the shapes (K, N, M) at bins (K, M), white noise first."""
+    ratio = _CORNERS[:, None] / bins[:, None, :]
+    return np.concatenate([np.ones_like(bins)[:, None], *(1.0 + ratio**power for power in _EXPONENTS)], axis=1)
 
-    It matters where it raises the log-likelihood by more than 1 (Akaike's criterion).
+
+def _prior() -> FloatArray:
+    """Return the prior weights (N,) of the shapes."""
+    coloured = len(_EXPONENTS) * len(_CORNERS)
+    return np.append(_WHITE_WEIGHT, np.full(coloured, (1.0 - _WHITE_WEIGHT) / coloured))
+
+
+def _fit_levels(power: FloatArray, shape: FloatArray) -> _Levels:
+    """Return weight and scale of each shape given ordinates (K, M, C)."""
+    count = power.shape[1]
+    total = (1.0 / shape) @ power + np.finfo(np.float64).tiny
+    log_weight = np.log(_prior())[:, None] - np.log(shape).sum(axis=2, keepdims=True) - count * np.log(total)
+    weight = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
+    return _Levels(shape, weight / weight.sum(axis=1, keepdims=True), total / count, count)
+
+
+def _highest_peak(
+    ordinates: ComplexArray, level: FloatArray, bins: FloatArray, line_bin: FloatArray
+) -> tuple[IntArray, BoolArray]:
+    """Return the index (K, C) of the lower of the two ordinates where a sine stands highest, and whether it is one.
+
+    Ordinates on a bin and, as half the squared difference of neighbours, between two bins are standard exponential
+    variables over the level where there is no sine. Near a line a peak is the line's own unrest.
     """
-    basis = np.stack([np.ones_like(bins), line_bin[:, None] / bins], axis=-1)
-    tiny = np.finfo(np.float64).tiny ** 0.25
-    white = power.mean(axis=1) + tiny
-    level = np.repeat((white / 2.0)[:, None, :], 2, axis=1)
-    for _ in range(_WHITTLE_STEPS):
-        model = basis @ level
-        up = basis.swapaxes(1, 2) @ (power / model**2)
-        down = basis.swapaxes(1, 2) @ (1.0 / model)
-        level = level * up / down + tiny
-    model = basis @ level
-    gain = power.shape[1] * (np.log(white) + 1.0) - np.sum(np.log(model) + power / model, axis=1)
-    coloured = gain > 1.0
-    return level.sum(axis=1), coloured
+    relative = ordinates / np.sqrt(level)
+    between = np.abs(relative[:, 1:] - relative[:, :-1]) ** 2 / 2.0
+    height = np.maximum(between, np.maximum(np.abs(relative[:, 1:]) ** 2, np.abs(relative[:, :-1]) ** 2))
+    away = np.abs(bins[:, None, :] - line_bin[None, :, None]).min(axis=1) > _TONE_CLEARANCE
+    allowed = (np.diff(bins, axis=1) == 1.0) & away[:, :-1] & away[:, 1:]
+    height = np.where(allowed[:, :, None], height, 0.0)
+    # Of the two pairs that an ordinate belongs to, the one with the higher partner.
+    pair = np.abs(relative[:, 1:]) ** 2 + np.abs(relative[:, :-1]) ** 2
+    top = height.max(axis=1, keepdims=True)
+    place = np.argmax(np.where(height >= top, pair, -1.0), axis=1)
+    return place, top[:, 0] > _TONE_LIMIT
+
+
+def _without_tones(ordinates: ComplexArray, bins: FloatArray, line_bin: FloatArray) -> tuple[ComplexArray, FloatArray]:
+    """Take sines off the ordinates (K, M, C); return the rest and the power (K, C) that they leave in the lines.
+
+    The sine that is highest over the level of the others is placed by the ratio of its two highest ordinates, which
+    for a rectangular window are as 1/distance, of opposite sign; then the next one.
+    """
+    rest = ordinates.copy()
+    leaked = np.zeros((len(bins), ordinates.shape[2]))
+    shape = _shapes(bins)
+    for _ in range(_TONES):
+        level = _fit_levels(np.abs(rest) ** 2, shape).mean
+        place, found = _highest_peak(rest, level, bins, line_bin)
+        if not found.any():
+            break
+        low = np.take_along_axis(rest, place[:, None, :], axis=1)[:, 0]
+        high = np.take_along_axis(rest, place[:, None, :] + 1, axis=1)[:, 0]
+        share = np.clip((high / np.where(found, high - low, 1.0)).real, 0.0, 1.0)
+        where = np.take_along_axis(bins[:, :, None], place[:, None, :], axis=1)[:, 0] + share
+        before, after = _kernel(-share), _kernel(1.0 - share)
+        top = (low * before.conj() + high * after.conj()) / (np.abs(before) ** 2 + np.abs(after) ** 2)
+        top = np.where(found, top, 0.0)
+        rest -= top[:, None, :] * _kernel(bins[:, :, None] - where[:, None, :])
+        leaked += np.abs(top * _kernel(line_bin[:, None] - where)) ** 2
+    return rest, leaked
+
+
+def _kernel(distance: FloatArray) -> ComplexArray:
+    """Return the transform of a sine at `distance` bins from it, 1 at its place, for many samples."""
+    return np.asarray(np.sinc(distance) * np.exp(-1j * np.pi * distance))
+
+
+def _loss(bins: FloatArray, line_bin: FloatArray) -> FloatArray:
+    """Return the share of the noise at bins (K, M) that the fit of the lines has taken away."""
+    distance = bins[None, :, :] - line_bin[line_bin > _OFFSET_BIN][:, None, None]
+    return np.asarray(np.minimum(np.sum(np.sinc(distance) ** 2, axis=0), 0.8))
+
+
+def _mixture(levels: _Levels, at_line: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return variance and degrees of freedom (K, C) for the mixture of the level at the line, shapes (K, N) there.
+
+    |error|²/2 over the level is a standard exponential variable, so P(|error|²/2 > r) = Σ w (1 + r/(h·Q))^-M. The
+    degrees of freedom are those of the scaled inverse χ² distribution with the same variance of the logarithm.
+    """
+    count = levels.count
+    total = at_line[:, :, None] * levels.scale * count
+    logs = np.log(total)
+    mean = np.sum(levels.weight * logs, axis=1, keepdims=True)
+    spread = np.sum(levels.weight * (logs - mean) ** 2, axis=1) + _trigamma(np.asarray(float(count)))
+    dof = 2.0 * _inverse_trigamma(spread)
+    log_radius = np.log(3.0 / count) + mean[:, 0]
+    for _ in range(_NEWTON_STEPS):
+        ratio = np.exp(log_radius)[:, None] / total
+        tails = levels.weight * (1.0 + ratio) ** -count
+        tail = tails.sum(axis=1)
+        slope = -np.sum(tails * count * ratio / (1.0 + ratio), axis=1) / tail
+        log_radius -= np.clip(np.log(tail / 0.05) / slope, -1.0, 1.0)
+    return np.exp(log_radius) / _limit(dof), dof
+
+
+def _limit(dof: FloatArray) -> FloatArray:
+    """Return the 95 % point of Fisher's distribution with 2 and `dof` degrees of freedom."""
+    return np.asarray(dof / 2.0 * (0.05 ** (-2.0 / dof) - 1.0))
+
+
+def _trigamma(x: FloatArray) -> FloatArray:
+    """Return ψ'(x) for x ≥ 1 within 2 % (Abramowitz and Stegun, 6.4.12)."""
+    return np.asarray(1.0 / x + 1.0 / (2.0 * x**2) + 1.0 / (6.0 * x**3))
+
+
+def _inverse_trigamma(value: FloatArray) -> FloatArray:
+    """Return x with ψ'(x) = value, at least 1."""
+    x = 1.0 / value + 0.5
+    for _ in range(6):
+        x = np.maximum(x + (_trigamma(x) - value) / (1.0 / x**2 + 1.0 / x**3 + 1.0 / (2.0 * x**4)), 1.0)
+    return x
+
+
+def _not_below_blocks(
+    power: FloatArray,
+    bins: FloatArray,
+    line_bin: FloatArray,
+    levels: _Levels,
+    variance: FloatArray,
+    dof: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Raise the variance (K, C) to the scatter between blocks where that is significantly larger."""
+    order = np.argsort(np.abs(bins - line_bin[:, None]), axis=1, kind="stable")[:, :_BLOCK_BINS, None]
+    relative = np.mean(np.take_along_axis(power / levels.mean, order, axis=1), axis=1)
+    scatter = np.mean(np.take_along_axis(power, order, axis=1), axis=1)
+    unrest = relative > _BLOCK_LIMIT
+    return np.where(unrest, np.maximum(variance, scatter), variance), np.where(
+        unrest, np.minimum(dof, 2.0 * _BLOCK_BINS), dof
+    )

@@ -8,7 +8,7 @@ import numpy as np
 
 from shaker._checks import ComplexArray, FloatArray, IntArray
 from shaker.signals.folding import alias_frequency, sampling_grid
-from shaker.signals.noise import LineNoise, level_at_lines, line_noise, neighbour_bins
+from shaker.signals.noise import LineNoise, line_noise, neighbour_bins, noise_of_ordinates
 from shaker.signals.sine.normal import Columns, Samples, residual_blocks
 from shaker.signals.sine.ordinates import Demodulator
 from shaker.signals.sine.times import LONG
@@ -65,9 +65,9 @@ def noise_at_lines(
     `time_s`: the times of a record whose residual is held. None where times lie on no grid or are too few.
     """
     if left.transform is not None and left.bins is not None:
-        power = np.abs(left.transform @ whitening.T) ** 2 / samples.count
+        ordinates = left.transform @ whitening.T / np.sqrt(samples.count)
         line_bin = line_bins(columns, samples.timeline.samples, rate_hz(samples))
-        return level_at_lines(power, left.bins.astype(np.float64), line_bin)
+        return noise_of_ordinates(ordinates, left.bins.astype(np.float64), line_bin)
     if left.held is None or time_s is None:
         return None
     kept = samples.kept()
