@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,7 +76,7 @@ def _fit_trigger(record: DaqRecord, channel: ChannelEntry) -> TriggerFit:
     except ValueError as error:
         raise InputError.told_by(error, record.entry.file, channel.name) from error
     lag = record.lag_s(channel.name) - channel.delay
-    return replace(fit, start_s=fit.start_s + lag, edge_s=fit.edge_s + lag)
+    return fit.later_by(lag)
 
 
 def _tie(

@@ -17,7 +17,8 @@ WRITTEN_ORDER = {
         target calibrate calibration_import alignment epipolar synthetic
     """,
     "shaker.signals": """
-        recording files edges trigger sync phasor folding separation spectrum noise sine stationarity refine
+        recording files edges numbering posterior rise trigger shift clock_line sync
+        phasor folding separation spectrum noise sine stationarity refine
         frequencies survey chain transfer plan
     """,
     "shaker.models": "oscillator",

@@ -9,7 +9,7 @@ import numpy as np
 
 from shaker._checks import FloatArray, IntArray, check_shape
 
-EdgeKind = Literal["sampled", "band_limited"]
+EdgeKind = Literal["sampled", "resolved"]
 
 _HYSTERESIS = 0.1  # of the distance from the threshold to the nearer level
 _ON_RISE = 0.12  # of the step: samples beside the crossings further than this from their level lie on the rise
@@ -21,16 +21,17 @@ _KAISER = 8.0
 class Edges:
     """Edges of a trigger signal, in seconds from the record's first sample.
 
-    Each true crossing lies in (`lower_s`, `upper_s`] (E,); `estimate_s` (E,) is its best single estimate, free of the
-    half-sample bias. `kind`: "sampled" where no sample lies on the rise (the interval is one sample wide),
-    "band_limited" where the rise is resolved (the interval is the interpolation's uncertainty). `record_s` is the
-    record's length, `threshold` the level used.
+    Each crossing lies in (`lower_s`, `upper_s`] (E,), between the last sample below the level and the first at or above
+    it. `estimate_s` (E,): without the half-sample bias, the middle where no sample lies on the rise (`kind` "sampled"),
+    the crossing of the reconstructed signal where the rise is "resolved"; `u_reading_s` is then what the noise of the
+    samples does to it. `record_s` is the record's length, `threshold` the level used.
     """
 
     lower_s: FloatArray
     upper_s: FloatArray
     estimate_s: FloatArray
     kind: EdgeKind
+    u_reading_s: float
     record_s: float
     threshold: float
 
@@ -50,8 +51,9 @@ def find_edges(
 
     Default threshold: midway between the 5 % and 95 % quantiles; where these do not span the signal (pulses shorter
     than 5 % of the record), midway between the smallest and largest sample. A hysteresis of 10 % of the step keeps
-    noise from counting twice. Where no sample lies on the rise, a crossing is known to lie between two samples; where
-    the input is band-limited, it is the crossing of the reconstructed (Kaiser-windowed sinc) signal.
+    noise from counting twice. Where most edges have a sample on the rise, the crossing is that of the signal
+    reconstructed by a Kaiser-windowed sinc: exact for a band-limited input, and a start for `shaker.signals.rise`
+    where the rise is another.
     """
     check_shape("samples", samples, (None,))
     if not np.all(np.isfinite(samples)):
@@ -68,26 +70,12 @@ def find_edges(
             f"signal stays between {samples.min():.6g} and {samples.max():.6g}"
         )
     after = _crossings(signal, level, _HYSTERESIS * min(level - low, high - level))
-    length = len(samples) / sample_rate_hz
+    step = 1.0 / sample_rate_hz
+    upper = np.asarray(step * after, dtype=np.float64)
     if len(after) and _on_rise(signal, after, level):
-        lower, upper, estimate = _reconstructed(signal, after, level)
-        return Edges(
-            lower / sample_rate_hz,
-            upper / sample_rate_hz,
-            estimate / sample_rate_hz,
-            "band_limited",
-            length,
-            sign * level,
-        )
-    upper = after.astype(np.float64)
-    return Edges(
-        (upper - 1.0) / sample_rate_hz,
-        upper / sample_rate_hz,
-        (upper - 0.5) / sample_rate_hz,
-        "sampled",
-        length,
-        sign * level,
-    )
+        crossing, noise = _reconstructed(signal, after, level)
+        return Edges(upper - step, upper, step * crossing, "resolved", step * noise, step * len(samples), sign * level)
+    return Edges(upper - step, upper, upper - step / 2.0, "sampled", 0.0, step * len(samples), sign * level)
 
 
 def _levels(signal: FloatArray) -> tuple[float, float]:
@@ -123,8 +111,8 @@ def _on_rise(signal: FloatArray, after: IntArray, level: float) -> bool:
     return bool(np.median(np.maximum(before_off, after_off)) > _ON_RISE)
 
 
-def _reconstructed(signal: FloatArray, after: IntArray, level: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return interval and crossing of the band-limited signal between sample after-1 and after, in samples."""
+def _reconstructed(signal: FloatArray, after: IntArray, level: float) -> tuple[FloatArray, float]:
+    """Return the crossings of the band-limited signal between sample after-1 and after, and their noise, in samples."""
     tap = np.arange(-_HALF_WIDTH, _HALF_WIDTH)
     index = np.clip(after[:, None] + tap, 0, len(signal) - 1)
     local = signal[index] - level
@@ -137,9 +125,7 @@ def _reconstructed(signal: FloatArray, after: IntArray, level: float) -> tuple[F
     slope = (_interpolate(local, tap, estimate + 0.05) - _interpolate(local, tap, estimate - 0.05)) / 0.1
     # Noise of single samples, seen in second differences where the signal is at rest, divided by the slope.
     noise = float(np.median(np.abs(np.diff(signal, 2)))) / (0.6745 * np.sqrt(6.0))
-    u = np.maximum(noise / np.abs(slope), 1e-4)
-    crossing = after + estimate
-    return crossing - np.sqrt(3.0) * u, crossing + np.sqrt(3.0) * u, crossing
+    return after + estimate, noise / float(np.median(np.abs(slope)))
 
 
 def _interpolate(local: FloatArray, tap: IntArray, place: FloatArray) -> FloatArray:
