@@ -11,11 +11,21 @@ from shaker.signals.files.matlab import read_matlab
 from shaker.signals.files.scan import Scan, read_scan_asc, read_scan_channels
 from shaker.signals.files.table import read_table
 from shaker.signals.files.tdms import read_tdms
-from shaker.signals.files.universal import read_universal
+from shaker.signals.files.universal import UniversalFunction, read_universal, read_universal_functions
+from shaker.signals.files.universal_shapes import UniversalShape, read_universal_shapes
 from shaker.signals.files.wave import read_wave
 from shaker.signals.recording import RawChannel
 
-__all__ = ["SUFFIXES", "Scan", "read_channels", "read_scan_asc"]
+__all__ = [
+    "SUFFIXES",
+    "Scan",
+    "UniversalFunction",
+    "UniversalShape",
+    "read_channels",
+    "read_scan_asc",
+    "read_universal_functions",
+    "read_universal_shapes",
+]
 
 _Reader = Callable[[Path, Sequence[str] | None, float | None], dict[str, RawChannel]]
 

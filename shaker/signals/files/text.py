@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
 
@@ -12,7 +13,7 @@ import numpy as np
 from shaker._checks import FloatArray
 from shaker.signals.files.common import BLOCK
 
-_NEWLINE, _COMMENT = 0x0A, "#"
+_COMMENT = "#"
 _COMMA_TO_POINT = bytes.maketrans(b",", b".")
 
 
@@ -39,7 +40,8 @@ def read_columns(layout: TextLayout, start: int, stop: int, line: int, wanted: S
     filled = 0
     with layout.path.open("rb") as stream:
         for place, block in _whole_lines(stream, start, stop):
-            rows = _rows(layout, block, line)
+            rows = _whole_block(layout, block)
+            rows = _line_by_line(layout, block, line) if rows is None else rows
             line += block.count(b"\n")
             if columns and filled + len(rows) > len(columns[0]):
                 share = (place - start) / (stop - start)
@@ -103,47 +105,29 @@ def _whole_lines(stream: BinaryIO, start: int, stop: int) -> Iterator[tuple[int,
         yield stop, rest + b"\n"
 
 
-def _rows(layout: TextLayout, block: bytes, line: int) -> FloatArray:
-    """Return the rows (S, columns) of a block of whole lines."""
-    rows = _spaced(layout, block) if not layout.delimiter else _delimited(layout, block)
-    return _line_by_line(layout, block, line) if rows is None else rows
-
-
-def _delimited(layout: TextLayout, block: bytes) -> FloatArray | None:
+def _whole_block(layout: TextLayout, block: bytes) -> FloatArray | None:
     """Return the rows of a block in which every row has the same cells and all hold numbers, else None."""
     delimiter = layout.delimiter.encode()
-    block = block.replace(b"\r\n", b"\n").replace(b'"', b"")
+    block = block.replace(b"\r\n", b"\n")
     if layout.comma:
         block = block.translate(_COMMA_TO_POINT)
-    empty_first = block.startswith(delimiter)
+    empty_first = bool(delimiter) and block.startswith(delimiter)
     if empty_first:
         block = block[1:].replace(b"\n" + delimiter, b"\n")
-    if block.find(delimiter + b"\n", 0, block.find(b"\n") + 1) >= 0:
+    if delimiter and block.find(delimiter + b"\n", 0, block.find(b"\n") + 1) >= 0:
         block = block.replace(delimiter + b"\n", b"\n")
-    marks = np.frombuffer(block, np.uint8)
-    ends = np.flatnonzero((marks == delimiter[0]) | (marks == _NEWLINE))
-    columns = layout.columns - empty_first
-    if columns < 1 or len(ends) % columns or np.any(marks[ends[columns - 1 :: columns]] != _NEWLINE):
+    rows = plain_rows(block, layout.delimiter)
+    if rows is None or rows.shape[1] != layout.columns - empty_first:
         return None
-    if len(ends) // columns != block.count(b"\n"):
-        return None
-    try:
-        values = np.array(block[:-1].replace(b"\n", delimiter).split(delimiter), dtype=np.float64)
-    except ValueError:
-        return None
-    rows = values.reshape(-1, columns)
     return np.pad(rows, ((0, 0), (1, 0)), constant_values=np.nan) if empty_first else rows
 
 
-def _spaced(layout: TextLayout, block: bytes) -> FloatArray | None:
-    """Return the rows of a block with white space between numbers, None where any row is unusual."""
-    if layout.comma:
-        block = block.translate(_COMMA_TO_POINT)
-    rows = [row.split() for row in block.splitlines()]
-    if any(len(row) != layout.columns for row in rows):
+def plain_rows(block: bytes, delimiter: str) -> FloatArray | None:
+    """Return the rows (S, columns) of a block with nothing but numbers in equally many cells, else None."""
+    if not block.strip():
         return None
     try:
-        return np.array(rows, dtype=np.float64)
+        return np.loadtxt(BytesIO(block), delimiter=delimiter or None, quotechar='"', ndmin=2)
     except ValueError:
         return None
 

@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shaker._checks import FloatArray
+from shaker.signals.files.common import BLOCK
+from shaker.signals.files.text import plain_rows
 
 _MARK = b"-1"
 _HEADER = 11  # text records before the numbers of data set 58
@@ -166,40 +168,54 @@ def function_values(
     stream.seek(data.start)
     for _ in range(_HEADER):
         stream.readline()
-    raw = stream.read(data.stop - stream.tell())
-    binary = data.more[:1].lower() == b"b"
-    columns = _binary(path, data, head, raw) if binary else _text(path, data, head, raw)
-    abscissa = head.start + head.step * np.arange(head.count) if head.even else columns[:, 0]
+    read = _binary if data.more[:1].lower() == b"b" else _text
+    columns = read(path, stream, data, head)
+    abscissa: FloatArray = head.start + head.step * np.arange(head.count, dtype=np.float64)
+    if not head.even:
+        abscissa = columns[0]
     first = 0 if head.even else 1
-    values = columns[:, first] + 1j * columns[:, first + 1] if head.is_complex else columns[:, first]
-    return np.ascontiguousarray(abscissa), np.ascontiguousarray(values)
+    return abscissa, columns[first] + 1j * columns[first + 1] if head.is_complex else columns[first]
 
 
-def _binary(path: Path, data: DataSet, head: FunctionHeader, raw: bytes) -> FloatArray:
-    """Return the numbers of a binary function (N, columns)."""
+def _binary(path: Path, stream: BinaryIO, data: DataSet, head: FunctionHeader) -> FloatArray:
+    """Return the numbers of a binary function (columns, N), read block by block."""
     order, floats = _integer(data.more[1:7]), _integer(data.more[7:13])
     if order not in _ORDERS or floats != _IEEE:
         found = f"byte order {order}, number format {_FLOATS.get(floats, floats)}"
         raise ValueError(f"{path}: line {data.line}: expected byte order 1 or 2 and IEEE 754 numbers, found {found}")
     value = ("f8" if head.is_double else "f4",) * (2 if head.is_complex else 1)
-    width = len(raw) // max(head.count, 1)
-    own = sum(int(code[1]) for code in value)
-    types = value if head.even else (f"f{width - own}", *value)
+    width = (data.stop - stream.tell()) // max(head.count, 1)
+    types = value if head.even else (f"f{width - sum(int(code[1]) for code in value)}", *value)
     record = np.dtype([(str(i), _ORDERS[order] + code) for i, code in enumerate(types)])
-    rows = np.frombuffer(raw, record, head.count)
-    return np.stack([rows[name].astype(np.float64) for name in rows.dtype.names or ()], axis=1)
+    columns = np.empty((len(types), head.count))
+    rows = BLOCK // record.itemsize
+    for first in range(0, head.count, rows):
+        block = np.frombuffer(stream.read(record.itemsize * min(rows, head.count - first)), record)
+        for column, name in zip(columns, block.dtype.names or (), strict=True):
+            column[first : first + len(block)] = block[name]
+    return columns
 
 
-def _text(path: Path, data: DataSet, head: FunctionHeader, raw: bytes) -> FloatArray:
-    """Return the numbers of a text function (N, columns), by the field widths of its case or else by blanks."""
+def _text(path: Path, stream: BinaryIO, data: DataSet, head: FunctionHeader) -> FloatArray:
+    """Return the numbers of a text function (columns, N), by the field widths of its case or else by blanks."""
     columns = (2 if head.is_complex else 1) + (0 if head.even else 1)
-    numbers = fixed_width(raw, _widths(head))
-    if numbers is None or len(numbers) != columns * head.count:
-        numbers = free_width(raw)
-    if numbers is None or len(numbers) != columns * head.count:
-        found = "others" if numbers is None else f"{len(numbers)}"
-        raise ValueError(f"{path}: line {data.line}: expected {columns * head.count} numbers, found {found}")
-    return numbers.reshape(-1, columns)
+    start = stream.tell()
+    numbers, filled = np.empty(columns * head.count), 0
+    while (left := data.stop - stream.tell()) > 0:
+        block = fixed_width(stream.readlines(min(BLOCK, max(left - 1, 1))), _widths(head))
+        if block is None or filled + len(block) > len(numbers):
+            filled = -1
+            break
+        numbers[filled : filled + len(block)] = block
+        filled += len(block)
+    if filled != len(numbers):
+        stream.seek(start)
+        free = free_width(stream.read(data.stop - start))
+        if free is None or len(free) != len(numbers):
+            found = "others" if free is None else f"{len(free)}"
+            raise ValueError(f"{path}: line {data.line}: expected {len(numbers)} numbers, found {found}")
+        numbers = free
+    return np.ascontiguousarray(numbers.reshape(-1, columns).T)
 
 
 def _widths(head: FunctionHeader) -> tuple[int, ...]:
@@ -211,17 +227,22 @@ def _widths(head: FunctionHeader) -> tuple[int, ...]:
     return (13, 20, 20) if head.is_complex else (13, 20, 13, 20)
 
 
-def fixed_width(raw: bytes, widths: Sequence[int]) -> FloatArray | None:
-    """Return the numbers in lines of fields of fixed width, None where a field is no number; blank fields count not."""
+def fixed_width(lines: Sequence[bytes], widths: Sequence[int]) -> FloatArray | None:
+    """Return the numbers in lines of fields of fixed width, None where one is no number; the last line may end early."""
     total = sum(widths)
-    lines = [line.ljust(total)[:total] for line in raw.splitlines()]
-    table = np.frombuffer(b"".join(lines), np.uint8).reshape(-1, total)
+    padded = b"".join(line.rstrip(b"\r\n").ljust(total)[:total] for line in lines)
+    table = np.frombuffer(padded.translate(_EXPONENT), np.uint8).reshape(-1, total)
     spaced = np.full((len(table), total + len(widths)), ord(" "), np.uint8)
+    spaced[:, -1] = ord("\n")
     place = 0
     for i, width in enumerate(widths):
         spaced[:, place + i : place + i + width] = table[:, place : place + width]
         place += width
-    return free_width(spaced.tobytes())
+    last = free_width(spaced[-1:].tobytes())
+    if len(spaced) < 2 or last is None:
+        return last
+    rows = plain_rows(spaced[:-1].tobytes(), "")
+    return None if rows is None or rows.shape[1] != len(widths) else np.append(rows, last)
 
 
 def free_width(raw: bytes) -> FloatArray | None:

@@ -109,7 +109,7 @@ def _integers(text: bytes, count: int) -> list[int]:
 
 def _reals(path: Path, line: int, lines: list[bytes], count: int | None = None) -> np.ndarray:
     """Return the numbers of records of format 6E13.5, or between blanks, `count` of them where it is known."""
-    for numbers in (fixed_width(b"\n".join(lines), (13,) * 6), free_width(b" ".join(lines))):
+    for numbers in (fixed_width(lines, (13,) * 6), free_width(b" ".join(lines))):
         if numbers is not None and count in (None, len(numbers)):
             return numbers
     raise ValueError(f"{path}: line {line}: expected {count or 'some'} numbers of data set 55, found others")
