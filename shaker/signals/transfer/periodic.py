@@ -6,16 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shaker._checks import BoolArray, ComplexArray, FloatArray
+from shaker._checks import ComplexArray, FloatArray
 from shaker.signals.phasor import Phasors
 from shaker.signals.transfer.excited import excited_lines
 from shaker.signals.transfer.period_notices import period_notices
 from shaker.signals.transfer.periods import find_period, period_phasors
+from shaker.signals.transfer.pooling import pooled_scatter
 from shaker.signals.transfer.result import TransferFunction, TransferRecord, circular_covariance
 
-_NEIGHBOURS = 4  # lines on either side that share one estimate of the noise
-_ALIKE = 1.25  # factor between |H| of lines that share one estimate of the noise
-_STANDS_OUT = 1e-5  # probability below which a line counts as noisier than its neighbours
 _HIGHEST = 0.45  # share of the sampling rate up to which lines are taken where no band is named
 
 
@@ -90,39 +88,9 @@ def _estimate(value: ComplexArray) -> _Estimate:
     ratio = responses.mean(axis=0) / mean[:, None]
     error = responses - ratio * reference[:, :, None]
     scatter = np.einsum("mkc,mkd->kcd", error, error.conj()) / (count - 1)
-    pooled, lines = _pooled(scatter, ratio, count)
+    pooled, lines = pooled_scatter(scatter, ratio, 2.0 * (count - 1))
     covariance = circular_covariance(pooled / (count * np.abs(mean[:, None, None]) ** 2))
     cross = np.abs(np.sum(responses * reference.conj()[:, :, None], axis=0)) ** 2
     power = np.sum(np.abs(reference) ** 2, axis=0)[:, None] * np.sum(np.abs(responses) ** 2, axis=0)
     coherence = np.divide(cross, power, out=np.ones_like(power), where=power > 0.0)
     return _Estimate(ratio, covariance, 2.0 * (count - 1) * lines, np.minimum(coherence, 1.0))
-
-
-def _pooled(scatter: ComplexArray, ratio: ComplexArray, count: int) -> tuple[ComplexArray, FloatArray]:
-    """Return the noise (K, C, C) averaged over neighbouring lines alike, and how many lines (K,) each average has."""
-    lines = len(scatter)
-    level = np.einsum("kcc->kc", scatter).real
-    index = np.arange(lines)
-    alone = _stands_out(level, count)
-    magnitude = np.abs(ratio)
-    total, number = scatter.copy(), np.ones(lines)
-    for offset in (*range(-_NEIGHBOURS, 0), *range(1, _NEIGHBOURS + 1)):
-        other = index + offset
-        inside = (other >= 0) & (other < lines)
-        other = np.clip(other, 0, lines - 1)
-        quotient = magnitude[other] / np.maximum(magnitude, np.finfo(np.float64).tiny)
-        alike = inside & np.all((quotient < _ALIKE) & (quotient > 1.0 / _ALIKE), axis=1)
-        alike &= ~alone & ~alone[other]
-        total[alike] += scatter[other[alike]]
-        number += alike
-    return total / number[:, None, None], number
-
-
-def _stands_out(level: FloatArray, count: int) -> BoolArray:
-    """Tell which lines are noisier than a common noise lets a line be (mains, spurs) in any channel of `level`."""
-    from scipy.ndimage import median_filter
-    from scipy.special import chdtri
-
-    around = median_filter(level, size=(min(4 * _NEIGHBOURS + 1, len(level)), 1), mode="nearest")
-    dof = 2.0 * (count - 1)
-    return np.asarray(np.any(level > chdtri(dof, _STANDS_OUT) / chdtri(dof, 0.5) * around, axis=1))

@@ -1,0 +1,231 @@
+"""Transfer functions from hammer blows: windows, average over hits, covariance over hits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from shaker._checks import ComplexArray, FloatArray
+from shaker.notice import Notice
+from shaker.signals.phasor import Phasors
+from shaker.signals.spectrum import window_samples
+from shaker.signals.transfer.estimators import Choice, Spectra, choose_estimator, transfer_of
+from shaker.signals.transfer.hits import Hit, find_hits
+from shaker.signals.transfer.pooling import pooled_scatter
+from shaker.signals.transfer.result import TransferFunction, TransferRecord, circular_covariance
+
+_END = 1e-3  # share of a response's beginning that its end may keep
+_STANDS_OUT = 8.0  # factor over the lines around from which a line still rings
+_AROUND = 41  # lines that are around
+_EXCITED = 0.01  # share of the force spectrum's maximum below which nothing is excited
+_ENOUGH = 5  # hits from which the coherence tells where the noise is
+_REST = 8  # samples before the hits from which noise can be read
+_REACH = 512  # lines over which errors correlate under an exponential window, at most
+
+
+def transfer_impact(
+    record: TransferRecord,
+    duration_s: float,
+    *,
+    pretrigger_s: float | None = None,
+    added_decay_per_s: float | None = None,
+    estimator: Literal["auto", "H1", "H2", "Hv"] = "auto",
+    band_hz: tuple[float, float] | None = None,
+) -> TransferFunction:
+    """Return H from hammer blows: windows of `duration_s` around every hit that counts, averaged.
+
+    Hits with a second pulse, an overload or a window beyond the record do not count, with a notice. The force keeps its
+    pulse only (force window with a cosine flank). Force and responses are multiplied by exp(-at), t from the hit: the
+    ratio is then exactly H(a + jω), also if the response outlasts the window but for exp(-a·duration). a is
+    `added_decay_per_s`; None takes the one that lets the slowest mode end at 0.1 % of its beginning, zero if it
+    pulse only (force window with cosine flanks). Force and responses are multiplied by exp(-at), t from the hit: the
+    the noise before it, taken as white. `pretrigger_s` is what the window shows before a hit, None 5 % of it.
+    """
+    rate = record.sample_rate_hz
+    length = round(duration_s * rate)
+    wanted = round((0.05 * duration_s if pretrigger_s is None else pretrigger_s) * rate)
+    if not 0 <= wanted < length // 2 or length < 64:
+        raise ValueError(
+            f"duration_s: expected 64 samples or more and a shorter pretrigger_s, found {length} and {wanted} samples"
+        )
+    hits = find_hits(record, length)
+    taken = [hit for hit in hits if not hit.refused]
+    if not taken:
+        raise ValueError(f"record: expected a hit that counts, found {len(hits)}: {'; '.join(h.refused for h in hits)}")
+    blows = _cut(record, taken, length, min([wanted, *(hit.first for hit in taken)]))
+    decay = _needed_decay(blows) if added_decay_per_s is None else added_decay_per_s
+    lines = _transformed(blows, decay, band_hz or (0.0, 0.5 * rate))
+    spectra = Spectra(np.mean(lines.value[:, :, :, None] * lines.value.conj()[:, :, None, :], axis=0), len(taken))
+    choice = _choice(spectra, estimator, record.reference_name)
+    found = transfer_of(spectra, choice)
+    correlation = _line_correlation(blows, decay, len(lines.frequency_hz))
+    covariance, dof = _covariance(lines, found.ratio, correlation)
+    return TransferFunction(
+        ratio=Phasors(lines.frequency_hz, found.ratio, covariance, record.channels, record.ratio_unit, dof),
+        coherence=found.coherence,
+        estimator=choice.estimator,
+        reference=record.reference_name,
+        averages=np.full(len(dof), float(len(taken))),
+        line_spacing_hz=rate / length,
+        line_correlation=correlation,
+        notices=_notices(record, hits, choice, decay, lines),
+        added_decay_per_s=decay,
+    )
+
+
+@dataclass(frozen=True)
+class _Blows:
+    """Windows (N samples) of n hits: `time_s` (N,) from the hit, `samples` (n, N, 1 + C) without offset, force first.
+
+    `force_window` (n, N); `noise` (1 + C, 1 + C): covariance of the samples before the hits, of `noise_dof` degrees of
+    freedom, zero where there are too few.
+    """
+
+    time_s: FloatArray
+    samples: FloatArray
+    force_window: FloatArray
+    noise: FloatArray
+    noise_dof: float
+
+
+@dataclass(frozen=True)
+class _Lines:
+    """Transforms `value` (n, K, 1 + C) at the lines excited; `noise` (K, 1 + C, 1 + C) that stands in each of them."""
+
+    frequency_hz: FloatArray
+    value: ComplexArray
+    noise: FloatArray
+    noise_dof: float
+
+
+def _cut(record: TransferRecord, hits: list[Hit], length: int, before: int) -> _Blows:
+    """Cut the windows and take offsets off: of the force that before the hit, of the responses that of the second half.
+
+    A Hann weight keeps what still rings out of a response's offset.
+    """
+    together = np.column_stack([record.reference, record.responses])
+    windows = np.stack([together[hit.first - before : hit.first - before + length] for hit in hits])
+    rest = windows[:, :before] - windows[:, :before].mean(axis=1, keepdims=True) if before else windows[:, :0]
+    half = length // 2
+    offset = np.einsum("l,nlc->nc", window_samples("hann", half) / half, windows[:, -half:])
+    offset[:, 0] = windows[:, :before, 0].mean(axis=1) if before else np.median(record.reference)
+    windows = windows - offset[:, None, :]
+    rest = rest.reshape(-1, together.shape[1])
+    dof = len(hits) * (before - 1.0) if before >= _REST else 0.0
+    noise = rest.T @ rest / dof if dof else np.zeros((together.shape[1],) * 2)
+    force_window = np.stack([_force_window(length, before, hit.last - hit.first + 1) for hit in hits])
+    return _Blows((np.arange(length) - before) / record.sample_rate_hz, windows, force_window, noise, dof)
+
+
+def _force_window(length: int, before: int, pulse: int) -> FloatArray:
+    """Return a window (N,) that is one over the pulse and half its length on either side, with cosine flanks."""
+    half = max(2, pulse // 2)
+    outside = np.maximum(before - half - np.arange(length), np.arange(length) - (before + pulse - 1 + half))
+    return np.asarray(0.5 + 0.5 * np.cos(np.pi * np.clip(outside / half, 0.0, 1.0)))
+
+
+def _needed_decay(blows: _Blows) -> float:
+    """Return the decay per second that lets the slowest mode end at its share, zero where none is needed.
+
+    Modes are the lines that stand out of the spectrum of the window's last quarter; how much lower they are than in the
+    first quarter tells their own decay.
+    """
+    from scipy.ndimage import median_filter
+
+    begin = int(np.searchsorted(blows.time_s, 0.0))
+    quarter = (len(blows.time_s) - begin) // 4
+    taper = window_samples("hann", quarter)[:, None]
+    first, last = (
+        np.sqrt(np.mean(np.abs(np.fft.rfft(part * taper, axis=1)[:, 2:]) ** 2, axis=0))
+        for part in (blows.samples[:, begin : begin + quarter, 1:], blows.samples[:, -quarter:, 1:])
+    )
+    around = median_filter(last, size=(min(_AROUND, len(last)), 1), mode="nearest")
+    rings = last > _STANDS_OUT * around
+    if not rings.any():
+        return 0.0
+    # Three quarters lie between the two, four between the hit and the end.
+    share = float(np.max(last[rings] / np.maximum(first[rings], np.finfo(np.float64).tiny))) ** (4.0 / 3.0)
+    return float(np.log(min(1.0, max(share, _END)) / _END) / blows.time_s[-1])
+
+
+def _transformed(blows: _Blows, decay: float, band_hz: tuple[float, float]) -> _Lines:
+    """Return the transforms of the windows at the lines of the band that the force excites without a gap from zero."""
+    length = len(blows.time_s)
+    window = np.exp(-decay * blows.time_s)
+    seen = blows.samples * window[:, None]
+    seen[:, :, 0] *= blows.force_window
+    rate = 1.0 / (blows.time_s[1] - blows.time_s[0])
+    frequency = np.fft.rfftfreq(length, 1.0 / rate)
+    value = np.fft.rfft(seen, axis=1)
+    force = np.sqrt(np.mean(np.abs(value[:, :, 0]) ** 2, axis=0))
+    weak = np.flatnonzero(force < _EXCITED * force.max())
+    inside = (frequency >= band_hz[0]) & (frequency <= band_hz[1])
+    inside[0] = inside[-1] = False
+    inside[weak[0] if len(weak) else len(inside) :] = False
+    if not inside.any():
+        raise ValueError(
+            f"band_hz: expected lines that the force excites, found none in {band_hz[0]} to {band_hz[1]} Hz"
+        )
+    # White noise of the samples, as the windows let it through.
+    share = np.append(
+        np.mean(np.sum((window * blows.force_window) ** 2, axis=1)), np.full(value.shape[2] - 1, window @ window)
+    )
+    noise = blows.noise * np.sqrt(np.multiply.outer(share, share))
+    noise[0, 1:] = noise[1:, 0] = 0.0
+    return _Lines(np.asarray(frequency[inside], dtype=np.float64), value[:, inside], noise, blows.noise_dof)
+
+
+def _choice(spectra: Spectra, wanted: Literal["auto", "H1", "H2", "Hv"], reference_name: str) -> Choice:
+    """Return the estimator to take; few hits do not tell where the noise is."""
+    if wanted == "auto" and spectra.averages < _ENOUGH:
+        return Choice("H1", 1.0, f"fewer than {_ENOUGH} hits, and the window keeps noise off the force")
+    return choose_estimator(spectra, wanted, 1.0 if spectra.averages < _ENOUGH else None, reference_name)
+
+
+def _line_correlation(blows: _Blows, decay: float, lines: int) -> ComplexArray:
+    """Return the correlation (D,) of the errors of lines 0, 1, 2 … apart under the exponential window."""
+    if decay == 0.0:
+        return np.ones(1, dtype=np.complex128)
+    square = np.exp(-2.0 * decay * blows.time_s)
+    found = np.fft.fft(np.roll(square, -int(np.searchsorted(blows.time_s, 0.0))))
+    return np.asarray(found[: min(_REACH, lines)] / found[0])
+
+
+def _covariance(lines: _Lines, ratio: ComplexArray, correlation: ComplexArray) -> tuple[FloatArray, FloatArray]:
+    """Return the covariance (K, 2C, 2C) of the ratio and its dof (K,)."""
+    count = len(lines.value)
+    force = np.sum(np.abs(lines.value[:, :, 0]) ** 2, axis=0)[:, None, None]
+    if count > 1:
+        error = lines.value[:, :, 1:] - ratio * lines.value[:, :, :1]
+        scatter = np.einsum("nkc,nkd->kcd", error, error.conj()) / (count - 1)
+        pooled, number = pooled_scatter(scatter, ratio, 2.0 * (count - 1))
+        # Lines that correlate count as fewer.
+        worth = np.maximum(1.0, number / (1.0 + 2.0 * np.sum(np.abs(correlation[1:9]) ** 2)))
+        return circular_covariance(pooled / force), 2.0 * (count - 1) * worth
+    if lines.noise_dof == 0.0:
+        size = 2 * ratio.shape[1]
+        return np.full((len(ratio), size, size), np.nan), np.full(len(ratio), np.nan)
+    through = ratio[:, :, None] * ratio.conj()[:, None, :] * lines.noise[0, 0]
+    return circular_covariance((lines.noise[1:, 1:] + through) / force), np.full(len(ratio), lines.noise_dof)
+
+
+def _notices(
+    record: TransferRecord, hits: list[Hit], choice: Choice, decay: float, lines: _Lines
+) -> tuple[Notice, ...]:
+    """Return what the user should know about hits, windows and estimator."""
+    count = len(lines.value)
+    found = [choice.notice(record.reference_name, f"{count} of {len(hits)} hits")]
+    for number, hit in enumerate(hits, start=1):
+        if hit.refused:
+            seconds = hit.peak / record.sample_rate_hz
+            text = f"hit {number} at {seconds:.6g} s does not count: {hit.refused}"
+            found.append(Notice("warning", text, record.reference_name))
+    if decay > 0.0:
+        text = f"exponential window exp(-{decay:.6g}/s·t): the transfer function is H(a + jω), fits take the window off"
+        found.append(Notice("info", text, record.reference_name))
+    if count == 1:
+        known = "is the noise before it" if lines.noise_dof else "is not known: too few samples before it"
+        found.append(Notice("warning", f"a single hit: its uncertainty {known}", record.reference_name))
+    return tuple(found)
