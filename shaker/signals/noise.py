@@ -50,11 +50,12 @@ class _Levels:
         return np.asarray(self.shape.swapaxes(1, 2) @ (self.weight * self.scale))
 
 
-def line_noise(residual: FloatArray, samples: int, line_bin: FloatArray) -> LineNoise | None:
+def line_noise(residual: FloatArray, samples: int, line_bin: FloatArray, *, blocks: bool = True) -> LineNoise | None:
     """Return the noise of lines at fractional bins (K,) from the residual (L, C) of their fit, zero-filled in gaps.
 
     `samples` is the number of samples present. Sines that stand out between the lines (mains) are no noise: they are
-    taken off, and what they leave in a line is added to its variance. None where the record has too few bins.
+    taken off, and what they leave in a line is added to its variance. Without `blocks` the noise may be smaller than
+    the scatter between blocks. None where the record has too few bins.
     """
     bins = neighbour_bins(len(residual), line_bin)
     if bins is None:
@@ -62,16 +63,18 @@ def line_noise(residual: FloatArray, samples: int, line_bin: FloatArray) -> Line
     # The transposed copy makes every channel's transform contiguous, several times faster for long records.
     transform = np.fft.rfft(np.ascontiguousarray(residual.T), axis=1)
     ordinates = np.moveaxis(transform[:, bins], 0, -1) / np.sqrt(samples)
-    return noise_of_ordinates(ordinates, bins.astype(np.float64), line_bin)
+    return noise_of_ordinates(ordinates, bins.astype(np.float64), line_bin, blocks=blocks)
 
 
-def noise_of_ordinates(ordinates: ComplexArray, bins: FloatArray, line_bin: FloatArray) -> LineNoise:
+def noise_of_ordinates(
+    ordinates: ComplexArray, bins: FloatArray, line_bin: FloatArray, *, blocks: bool = True
+) -> LineNoise:
     """Return the noise of lines (K,) from ordinates (K, M, C), DFT over the root of the number of samples, near each.
 
     As `level_at_lines`, but sines that stand out between the lines are taken off first.
     """
     rest, leaked = _without_tones(ordinates, bins, line_bin)
-    noise = level_at_lines(np.abs(rest) ** 2, bins, line_bin)
+    noise = level_at_lines(np.abs(rest) ** 2, bins, line_bin, blocks=blocks)
     return LineNoise(noise.variance + leaked, noise.dof)
 
 
@@ -90,7 +93,7 @@ def neighbour_bins(length: int, line_bin: FloatArray) -> IntArray | None:
     return np.stack([np.sort(candidates[_nearest(candidates, j, count)]) for j in line_bin])
 
 
-def level_at_lines(power: FloatArray, bins: FloatArray, line_bin: FloatArray) -> LineNoise:
+def level_at_lines(power: FloatArray, bins: FloatArray, line_bin: FloatArray, *, blocks: bool = True) -> LineNoise:
     """Return the noise of lines at fractional bins (K,) from periodogram ordinates (K, M, C) at bins (K, M) near each.
 
     Ordinates are |DFT|² over the number of samples, so that white noise of variance σ² has mean σ². Each is its level
@@ -110,7 +113,8 @@ def level_at_lines(power: FloatArray, bins: FloatArray, line_bin: FloatArray) ->
     levels = _fit_levels(relative, _shapes(bins))
     at_line = _shapes(np.maximum(line_bin, _OFFSET_BIN)[:, None])[:, :, 0]
     variance, dof = _mixture(levels, at_line)
-    variance, dof = _not_below_blocks(relative, bins, line_bin, levels, variance, dof)
+    if blocks:
+        variance, dof = _not_below_blocks(relative, bins, line_bin, levels, variance, dof)
     # One number of degrees of freedom for all channels of a line, and their 95 % regions kept.
     common = 1.0 / np.mean(1.0 / dof, axis=1)
     return LineNoise(variance * floor[:, 0] * _limit(dof) / _limit(common)[:, None], common)
