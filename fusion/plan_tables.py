@@ -9,7 +9,7 @@ import numpy as np
 
 from fusion.console import stdout_console
 from fusion.plan import FloatArray, Plan, Point, Size
-from fusion.polar import prefix
+from fusion.polar import DASH, prefix
 from shaker.signals.plan.point import RatePlan
 from shaker.signals.plan.search import PREFERRED
 from shaker.signals.separation import CLEAR_BINS
@@ -47,7 +47,7 @@ def _setting(plan: Plan) -> str:
         ends = f"{min(request.frequency_hz):.9g} to {max(request.frequency_hz):.9g}"
         frequencies = f"{len(request.frequency_hz)} frequencies, {ends}"
     together = " at the same time" if request.together else ""
-    fitted = "fundamental alone" if sampling.harmonics == 1 else f"with harmonics up to the {sampling.harmonics}th"
+    fitted = "fundamentals alone" if sampling.harmonics == 1 else f"harmonics 1 to {sampling.harmonics}"
     rates = "" if request.rate_hz else f", camera rate {request.limits_hz[0]:g} to {request.limits_hz[1]:g} Hz"
     return (
         f"Excitation {frequencies} Hz{together}, {fitted}; {sampling.frames} frames, exposure "
@@ -251,7 +251,7 @@ def _excitation(point: Point) -> str:
 def _range(values: FloatArray, decimals: int) -> str:
     """Return one value, or the ends of several."""
     ends = sorted({f"{value:.{decimals}f}" for value in (float(np.min(values)), float(np.max(values)))}, key=float)
-    return " to ".join(ends)
+    return DASH.join(ends)
 
 
 def _noise(size: Size) -> tuple[float, str]:
