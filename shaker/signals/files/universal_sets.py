@@ -228,7 +228,7 @@ def _widths(head: FunctionHeader) -> tuple[int, ...]:
 
 
 def fixed_width(lines: Sequence[bytes], widths: Sequence[int]) -> FloatArray | None:
-    """Return the numbers in lines of fields of fixed width, None where one is no number; the last line may end early."""
+    """Return the numbers in lines of fixed fields, None where one is no number; the last line may end early."""
     total = sum(widths)
     padded = b"".join(line.rstrip(b"\r\n").ljust(total)[:total] for line in lines)
     table = np.frombuffer(padded.translate(_EXPONENT), np.uint8).reshape(-1, total)
