@@ -125,7 +125,7 @@ class Columns:
 class Normal:
     """Sums over all samples: `gram` (D, D, P, P) of the weighted columns, `right` (P, C), `power` (C,) of the values.
 
-    D = 1 where all channels have the same weights, else C.
+    D = 1 where all channels have the same weights, else C; the power is summed only where there are slopes.
     """
 
     gram: FloatArray
@@ -149,7 +149,8 @@ def normal_equations(samples: Samples, columns: Columns) -> Normal:
         data, root = samples.block(b)
         basis = common if b == 0 or timeline.is_full(b) else columns.local(timeline.local(b))
         weighted = data if root is None else data * root**2
-        power += np.einsum("ij,ij->j", weighted, data)
+        if columns.slopes:
+            power += np.einsum("ij,ij->j", weighted, data)
         local_right[b] = basis.T @ weighted
         if root is None and basis is common:
             alike.append(b)

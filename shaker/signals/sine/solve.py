@@ -13,8 +13,8 @@ from shaker.signals.sine.dense import check_condition
 from shaker.signals.sine.normal import Columns, Normal, Samples, Tones, as_complex, normal_equations
 
 _STEPS = 40
-_CONVERGED = 1e-3  # of the standard uncertainty: the last step is taken on the exact residual
-_FARTHEST = 1.0  # rad by which one step may turn the ends of the record against its middle
+_CONVERGED = 1e-2  # of the standard uncertainty: the last step is taken on the exact residual
+_FARTHEST = 2.0  # rad by which one step may turn the ends of the record against its middle
 _ROUNDING = 1e-14  # of a channel's power: below it, differences of sums are rounding
 _SINGULAR = 1e-12
 
@@ -150,8 +150,14 @@ def moved(tones: Tones, exponents: ComplexArray, change: FloatArray) -> Tones:
     return Tones(tones.frequency_hz + exponent.imag / (2.0 * np.pi), tones.decay_per_s - exponent.real)
 
 
+def _turn(exponent_change: ComplexArray, value: ComplexArray) -> float:
+    """Return the rate at which a change of the exponents (K,) turns the lines (K, C), in rad/s, rms by their power."""
+    power = np.sum(np.abs(value) ** 2, axis=1)
+    return float(np.sqrt(power @ np.abs(exponent_change) ** 2 / np.sum(power))) if power.any() else 0.0
+
+
 def estimate(samples: Samples, frequency_hz: FloatArray, model: SineModel) -> tuple[Columns, System, FloatArray]:
-    """Return columns, normal equations and linear parameters (P, C), frequencies and decays within 1/1000 of their u.
+    """Return columns, normal equations and linear parameters (P, C), frequencies and decays within 1/100 of their u.
 
     One pass over the data where frequencies are known and nothing decays, else one per step.
     """
@@ -172,7 +178,7 @@ def estimate(samples: Samples, frequency_hz: FloatArray, model: SineModel) -> tu
         step = frequency_step(system, normal.right, value, exponents, variance)
         if np.all(np.abs(step.change) <= _CONVERGED * np.sqrt(step.inverse.diagonal())):
             return columns, system, coefficients
-        turn = float(np.max(np.abs(exponents @ step.change))) * half_s
+        turn = half_s * _turn(exponents @ step.change, value)
         shorter = min(1.0, _FARTHEST / turn) if turn > 0.0 else 1.0
         columns = replace(columns, tones=moved(columns.tones, exponents, shorter * step.change))
     listed = ", ".join(f"{f:.6g}" for f in frequency_hz)
