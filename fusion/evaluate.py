@@ -14,12 +14,12 @@ from fusion.manifest import Manifest
 from fusion.notices import AnyNotice, Notice
 from fusion.observe import Observation, Reading
 from fusion.provenance import versions
-from fusion.readings import channel_readings, gravity, load_body, observations
+from fusion.readings import channel_readings, gravity, load_body, observations, unseen_fundamentals
 from fusion.records import read_daqs
 from fusion.sensitivity import Sensitivity, sensitivity_ratio
 from fusion.settings import ProgressCallback, Settings, no_progress
 from fusion.stereo_motion import measure_images, measure_points, motion_lines, open_images
-from fusion.stereo_phasors import stereo_phasors
+from fusion.stereo_phasors import pairs_phasors
 from fusion.timing import TimeBase, tie_daqs
 from shaker.signals.frequencies import Lines
 
@@ -47,12 +47,15 @@ def evaluate_recording(
     motions = (*(measure_images(manifest, images, settings, progress) for images in opened), *points)
     if lines is None:  # all channels are triggers
         lines = motion_lines(manifest, base, motions)
-    stereo = tuple(stereo_phasors(motion, lines) for motion in motions)
+    stereo, folded = pairs_phasors(motions, lines)
     readings = channel_readings(base, channels)
-    accelerations = _fuse_bodies(observations(manifest, base, readings, stereo, lines))
+    seen = observations(manifest, base, readings, stereo, lines)
+    unseen = unseen_fundamentals(seen, lines, folded)
+    accelerations = _fuse_bodies(seen)
     load = _load(manifest, accelerations)
     sensitivity = _sensitivity(manifest, lines, readings, load)
-    notices = [*_clock_notices(base), *lines.notices, *(notice for item in stereo for notice in item.notices)]
+    notices = [*_clock_notices(base), *lines.notices, *folded, *unseen]
+    notices += [notice for item in stereo for notice in item.notices]
     notices += [notice for a in accelerations if a.source == "fused" for notice in a.notices]
     notices += [notice for result in (load, sensitivity) if result is not None for notice in result.notices]
     return Evaluation(

@@ -8,8 +8,10 @@ import numpy as np
 
 from fusion.body import Body, make_part
 from fusion.body import Part as RigidPart
+from fusion.errors import ComputeError
 from fusion.evaluation import ChannelResult
 from fusion.manifest import ChannelEntry, Load, Manifest, Part
+from fusion.notices import AnyNotice, Notice
 from fusion.observe import ChainUncertainty, LineTurns, Observation, Reading, observe_channels, observe_stereo
 from fusion.response import read_response
 from fusion.stereo_phasors import StereoPhasors
@@ -53,6 +55,31 @@ def observations(
         turns = None if readings else LineTurns(lines.nominal_hz, lines.u_frequency_hz, middle_s)
         seen.append(observe_stereo(item.result.name, entry, item.displacement, effects, clock, trigger, turns))
     return (*seen, *observe_channels(readings, gravity(manifest), clock))
+
+
+def unseen_fundamentals(
+    seen: Sequence[Observation], lines: Lines, folded: Sequence[AnyNotice]
+) -> tuple[AnyNotice, ...]:
+    """Return a notice for each driven line at which no instrument sees a motion, and refuse a recording without any.
+
+    `folded`: what was said of the lines that camera rates cannot tell apart.
+    """
+    driven = lines.frequency_hz[lines.multiple == 1]
+    lost = [f for f in driven if not any(_sees(observation, float(f)) for observation in seen)]
+    if len(driven) and len(lost) == len(driven) and (seen or folded):
+        listed = " and ".join(f"{f:.6g} Hz" for f in lost)
+        reasons = dict.fromkeys(notice.text for notice in folded if any(f"{f:.6g} Hz" in notice.text for f in lost))
+        why = f" ({'; '.join(reasons)})" if reasons else ""
+        raise ComputeError(f"no instrument sees the motion of the driven line at {listed}{why}")
+    return tuple(
+        Notice("warning", f"no instrument sees the motion at {f:.6g} Hz, a driven line", f"{f:.6g} Hz") for f in lost
+    )
+
+
+def _sees(observation: Observation, frequency_hz: float) -> bool:
+    """Tell whether an instrument has a reading at a line."""
+    line = observation.phasors.frequency_hz == frequency_hz
+    return bool(np.isfinite(observation.phasors.value[line]).any())
 
 
 def gravity(manifest: Manifest) -> tuple[float, float, float] | None:

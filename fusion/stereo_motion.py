@@ -29,6 +29,7 @@ from photogram.rigid import RigidTransform
 from photogram.track import StereoTracks, TrackSettings
 from photogram.triangulate import Points
 from shaker.signals.frequencies import Lines, find_lines
+from shaker.signals.separation import usable_lines
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -248,7 +249,8 @@ def motion_lines(manifest: Manifest, base: TimeBase, motions: Sequence[StereoMot
     """
     if not motions:
         raise ComputeError("no channel or camera of this recording shows the excitation; add one to recording.toml")
-    first, (nominal_hz, harmonics) = motions[0], nominal_lines(manifest)
+    nominal_hz, harmonics = nominal_lines(manifest)
+    first = _first_that_tells(motions, nominal_hz)
     try:
         lines = find_lines(first.time_s, first.motion.pose, nominal_hz, harmonics)
     except ValueError as error:
@@ -256,3 +258,15 @@ def motion_lines(manifest: Manifest, base: TimeBase, motions: Sequence[StereoMot
         raise InputError.told_by(told, manifest.path, "excitation.frequencies") from error
     u_clock_hz = lines.frequency_hz * base.u_trigger_rate(first.entry.trigger)
     return replace(lines, u_frequency_hz=np.hypot(lines.u_frequency_hz, u_clock_hz))
+
+
+def _first_that_tells(motions: Sequence[StereoMotion], nominal_hz: Sequence[float]) -> StereoMotion:
+    """Return the first stereo pair whose frames tell a fundamental from zero, the Nyquist rate and the others."""
+    reasons: list[str] = []
+    for motion in motions:
+        usable, notices = usable_lines(motion.time_s, np.array(nominal_hz, dtype=np.float64))
+        if usable.any():
+            return motion
+        reasons += [f"stereo pair {motion.entry.stereo}: {notice.text}" for notice in notices]
+    listed = " and ".join(f"{frequency:g} Hz" for frequency in nominal_hz)
+    raise ComputeError(f"no instrument sees the motion of the driven line at {listed} ({'; '.join(reasons)})")

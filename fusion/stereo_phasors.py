@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,6 +34,7 @@ DISPLACEMENT_UNITS = ("m", "m", "m", "rad", "rad", "rad")
 MIN_SUBSETS = 6
 PERIODIC_SHARE = 0.4  # standard uncertainty of a line over the amplitude of an error periodic in the pixel
 BIAS_STEP_PX = 0.01
+NO_LINE = "its camera rate tells no line of the recording apart"
 
 
 @dataclass(frozen=True)
@@ -54,14 +55,40 @@ class StereoPhasors:
     notices: tuple[AnyNotice, ...]
 
 
-def stereo_phasors(measured: StereoMotion, lines: Lines) -> StereoPhasors:
-    """Fit the lines to a body's motion about its mean pose."""
+def pairs_phasors(
+    motions: Sequence[StereoMotion], lines: Lines
+) -> tuple[tuple[StereoPhasors, ...], tuple[AnyNotice, ...]]:
+    """Fit the lines to the motion of every stereo pair, and leave out the pairs whose rate tells no line apart.
+
+    The notices name what was left out, line by line and pair by pair.
+    """
+    kept: list[StereoMotion] = []
+    notices: list[AnyNotice] = []
+    for measured in motions:
+        name = measured.entry.stereo
+        usable, folded = _usable(measured, lines)
+        notices += [Notice(notice.severity, f"stereo pair {name}: {notice.text}", name) for notice in folded]
+        if usable.any():
+            kept.append(measured)
+        else:
+            notices.append(Notice("warning", f"stereo pair {name} is left out: {NO_LINE}", name))
+    return tuple(stereo_phasors(measured, lines) for measured in kept), tuple(notices)
+
+
+def _usable(measured: StereoMotion, lines: Lines) -> tuple[NDArray[np.bool_], tuple[Notice, ...]]:
+    """Return which lines (K,) the frames tell apart, and a notice for each that is dropped."""
     order = np.lexsort((lines.frequency_hz, lines.multiple))  # fundamentals have precedence over harmonics
     usable = np.zeros(len(order), dtype=np.bool_)
     usable[order], folded = usable_lines(measured.time_s, lines.frequency_hz[order])
+    return usable, folded
+
+
+def stereo_phasors(measured: StereoMotion, lines: Lines) -> StereoPhasors:
+    """Fit those lines to a body's motion about its mean pose that its frames tell apart."""
     name = measured.entry.stereo
+    usable, _ = _usable(measured, lines)
     if not usable.any():
-        raise ComputeError(f"stereo pair {name}: its camera rate cannot tell any line of the recording apart")
+        raise ComputeError(f"stereo pair {name}: {NO_LINE}")
     frequency_hz = lines.frequency_hz[usable]
     from_mean, fit = _fit_about_mean(name, measured, frequency_hz)
     gain = exposure_gain(lines.frequency_hz, measured.entry.exposure)
@@ -76,7 +103,6 @@ def stereo_phasors(measured: StereoMotion, lines: Lines) -> StereoPhasors:
             effects[what] = np.full((len(changes), len(usable), 6), np.nan, dtype=np.complex128)
             effects[what][:, usable] = changes / gain[usable][:, None]
     found = [(f"{name}, {notice.where}", notice) for notice in measured.notices]
-    found += [(name, notice) for notice in folded]
     notices = tuple(Notice(notice.severity, f"stereo pair {where}: {notice.text}", name) for where, notice in found)
     shape = deflection_shape(measured.time_s, frequency_hz, measured.deformation, measured.entry.exposure)
     result = replace(_result(measured, from_mean, fit, usable), deflection=shape)
