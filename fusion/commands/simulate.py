@@ -14,9 +14,9 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
     parser.add_argument("out", type=Path, metavar="OUT", help="campaign folder to create")
     parser.add_argument(
         "--preset",
-        choices=("demo", "nitsche2018", "targets"),
+        choices=("demo", "nitsche2018", "targets", "chirp"),
         default="demo",
-        help="which rig (default: demo); targets: a camera calibration",
+        help="which rig (default: demo); targets: a camera calibration; chirp: a recording for shakercal transfer",
     )
     parser.add_argument("--seed", type=seed, default=1, help="seed of every random draw (default: 1)")
     parser.add_argument("--force", action="store_true", help="overwrite a simulation that is there")
@@ -26,7 +26,7 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
 def _act(options: argparse.Namespace) -> int:
     from fusion.errors import InputError
     from fusion.progress import progress_bar
-    from fusion.simulate import simulate, simulate_targets
+    from fusion.simulate import simulate, simulate_chirp, simulate_targets
 
     if options.out.exists() and not options.force:
         expected = "a new folder (--force replaces an earlier simulation)"
@@ -35,6 +35,11 @@ def _act(options: argparse.Namespace) -> int:
         if options.preset == "targets":
             print(f"simulated pictures of a target: {simulate_targets(options.out, options.seed, progress)}")
             return EXIT_DONE
-        folder = simulate(options.out, options.preset, options.seed, progress)
+        chirp = options.preset == "chirp"
+        folder = (
+            simulate_chirp(options.out, options.seed)
+            if chirp
+            else simulate(options.out, options.preset, options.seed, progress)
+        )
     print(f"simulated recording: {folder}")
     return EXIT_DONE

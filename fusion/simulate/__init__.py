@@ -50,6 +50,18 @@ def simulate_targets(out: Path, seed: int, progress: ProgressCallback = no_progr
     return out
 
 
+def simulate_chirp(out: Path, seed: int) -> Path:
+    """Write an oscillator's chirp recording, channels only, into folder `out` and return its recording's folder.
+
+    The same seed gives the same files; other folders are refused as by `simulate`.
+    """
+    from fusion.simulate.chirp import RECORDING, write_chirp
+
+    with _whole(out) as partial:
+        write_chirp(partial, seed)
+    return out / RECORDING
+
+
 @contextmanager
 def _whole(out: Path) -> Iterator[Path]:
     """Yield a folder that takes the place of `out` when it is complete; refuse anything but an earlier simulation."""

@@ -1,0 +1,58 @@
+"""Which estimate a recording calls for, and what the user is told where it cannot be made."""
+
+from __future__ import annotations
+
+from fusion.errors import InputError
+from fusion.manifest import Manifest
+from fusion.transfer.result import TransferSettings
+from shaker.signals.transfer import (
+    TransferFunction,
+    TransferRecord,
+    transfer_impact,
+    transfer_periodic,
+    transfer_random,
+)
+
+_SEGMENTS = 16  # segments beside each other in a record where no line spacing is wanted
+_BLOW_S = 1.0  # window around a blow where no line spacing is wanted
+_KEYS = {
+    "period_s": "excitation.period",
+    "band_hz": "excitation.band",
+    "record": "excitation.reference",
+    "reference": "excitation.reference",
+    "resolution_hz": "--resolution",
+    "duration_s": "--resolution",
+}
+"""Where the user can mend what an argument of the estimate says."""
+
+
+def estimated(manifest: Manifest, record: TransferRecord, settings: TransferSettings) -> TransferFunction:
+    """Return the transfer functions as recorded, by the estimator wanted or by the excitation's kind.
+
+    With a period: ratio of the means over whole periods. Impacts: windows around the blows. Else averaged spectra of
+    overlapping segments. Raises `InputError` naming the key of the manifest, or the option, at fault.
+    """
+    excitation = manifest.excitation
+    periodic = settings.estimator == "periodic" or (settings.estimator == "auto" and excitation.period is not None)
+    if periodic and excitation.period is None:
+        expected = "the period in s, which the periodic estimate needs"
+        raise InputError(manifest.path, "excitation.period", found="nothing", expected=expected)
+    try:
+        if periodic and excitation.period is not None:
+            settle, band = excitation.settle_periods, excitation.band
+            return transfer_periodic(record, excitation.period, settle_periods=settle, band_hz=band)
+        return _averaged(manifest, record, settings)
+    except ValueError as error:
+        argument = str(error).partition(":")[0]
+        raise InputError.told_by(error, manifest.path, _KEYS.get(argument, "excitation")) from error
+
+
+def _averaged(manifest: Manifest, record: TransferRecord, settings: TransferSettings) -> TransferFunction:
+    """Return the transfer functions from averaged spectra, of blows or of segments."""
+    estimator = "auto" if settings.estimator == "periodic" else settings.estimator
+    length_s = len(record.reference) / record.sample_rate_hz
+    band = manifest.excitation.band
+    if manifest.excitation.kind == "impact":
+        window_s = min(_BLOW_S, 0.5 * length_s) if settings.resolution_hz is None else 1.0 / settings.resolution_hz
+        return transfer_impact(record, window_s, estimator=estimator, band_hz=band)
+    return transfer_random(record, settings.resolution_hz or _SEGMENTS / length_s, estimator=estimator, band_hz=band)
