@@ -16,7 +16,8 @@ from shaker.signals.transfer.hits import Hit, find_hits
 from shaker.signals.transfer.pooling import pooled_scatter
 from shaker.signals.transfer.result import TransferFunction, TransferRecord, circular_covariance
 
-_END = 1e-3  # share of a response's beginning that its end may keep
+_END = (1e-6, 1e-3)  # least and largest share of a response's beginning that its end may keep
+_HIDDEN = 0.3  # share of the noise at which the end of a response is hidden in it
 _STANDS_OUT = 8.0  # factor over the lines around from which a line still rings
 _AROUND = 41  # lines that are around
 _EXCITED = 0.01  # share of the force spectrum's maximum below which nothing is excited
@@ -37,11 +38,11 @@ def transfer_impact(
     """Return H from hammer blows: windows of `duration_s` around every hit that counts, averaged.
 
     Hits with a second pulse, an overload or a window beyond the record do not count, with a notice. The force keeps its
-    pulse only (force window with a cosine flank). Force and responses are multiplied by exp(-at), t from the hit: the
-    ratio is then exactly H(a + jω), also if the response outlasts the window but for exp(-a·duration). a is
-    `added_decay_per_s`; None takes the one that lets the slowest mode end at 0.1 % of its beginning, zero if it
     pulse only (force window with cosine flanks). Force and responses are multiplied by exp(-at), t from the hit: the
-    the noise before it, taken as white. `pretrigger_s` is what the window shows before a hit, None 5 % of it.
+    ratio is then exactly H(a + jω), also if the response outlasts the window but for exp(-a·duration). a is
+    `added_decay_per_s`; None takes the smallest that hides what the slowest mode still does at the end in its noise,
+    often zero. The covariance is the scatter over the hits, pooled over neighbouring lines alike; that of a single hit
+    is the noise before it, taken as white. `pretrigger_s` is what the window shows before a hit, None 5 % of it.
     """
     rate = record.sample_rate_hz
     length = round(duration_s * rate)
@@ -127,7 +128,7 @@ def _force_window(length: int, before: int, pulse: int) -> FloatArray:
 
 
 def _needed_decay(blows: _Blows) -> float:
-    """Return the decay per second that lets the slowest mode end at its share, zero where none is needed.
+    """Return the decay per second that lets every mode end below the noise, zero where none is needed.
 
     Modes are the lines that stand out of the spectrum of the window's last quarter; how much lower they are than in the
     first quarter tells their own decay.
@@ -145,9 +146,11 @@ def _needed_decay(blows: _Blows) -> float:
     rings = last > _STANDS_OUT * around
     if not rings.any():
         return 0.0
-    # Three quarters lie between the two, four between the hit and the end.
-    share = float(np.max(last[rings] / np.maximum(first[rings], np.finfo(np.float64).tiny))) ** (4.0 / 3.0)
-    return float(np.log(min(1.0, max(share, _END)) / _END) / blows.time_s[-1])
+    start = np.maximum(first[rings], np.finfo(np.float64).tiny)
+    allowed = np.clip(_HIDDEN * around[rings] / start, *_END)
+    # Three quarters of the window lie between the two, four between the hit and the end.
+    left = np.minimum(last[rings] / start, 1.0) ** (4.0 / 3.0)
+    return max(0.0, float(np.max(np.log(left / allowed)) / blows.time_s[-1]))
 
 
 def _transformed(blows: _Blows, decay: float, band_hz: tuple[float, float]) -> _Lines:

@@ -7,7 +7,7 @@ import numpy as np
 from shaker._checks import BoolArray, ComplexArray, FloatArray
 
 _NEIGHBOURS = 4  # lines on either side that share one estimate of the noise
-_ALIKE = 1.25  # factor between |H| of lines that share one estimate of the noise
+_ALIKE = 1.12  # factor between |H| of lines that share one estimate of the noise
 _STANDS_OUT = 1e-5  # probability below which a line counts as noisier than its neighbours
 
 
