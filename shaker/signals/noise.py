@@ -15,7 +15,7 @@ _OFFSET_BIN = 0.5  # where the noise of the offset is read
 # Shapes that the noise may have: S(j) = s·(1 + (corner/j)^exponent), the corner in bins.
 _CORNERS = 2.0 ** np.arange(0, 10)
 _EXPONENTS = (1.0, 2.0)  # 1/f noise, drift
-_WHITE_WEIGHT = 0.6  # prior weight of white noise
+_WHITE_WEIGHT = 0.5  # prior weight of white noise
 _TONE_LIMIT = 9.2  # height of a sine over the level: exceeded by pure noise once in 10⁴ places
 _TONES = 12
 _TONE_CLEARANCE = 1.9  # bins beside a line within which a peak is the line's own unrest
@@ -235,7 +235,10 @@ def _mixture(levels: _Levels, at_line: FloatArray) -> tuple[FloatArray, FloatArr
         tails = levels.weight * (1.0 + ratio) ** -count
         tail = tails.sum(axis=1)
         slope = -np.sum(tails * count * ratio / (1.0 + ratio), axis=1) / tail
-        log_radius -= np.clip(np.log(tail / 0.05) / slope, -1.0, 1.0)
+        step = np.log(tail / 0.05) / slope
+        log_radius -= np.clip(step, -1.0, 1.0)
+        if np.max(np.abs(step)) < 1e-6:
+            break
     return np.exp(log_radius) / _limit(dof), dof
 
 

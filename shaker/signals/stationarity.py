@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -15,6 +15,8 @@ from shaker.signals.separation import MAX_CONDITION
 from shaker.signals.sine import SineSolution, solve_sines
 
 MAX_BLOCKS = 10
+_SLOPES = ("amplitude_per_s", "u_amplitude_per_s", "phase_rad_per_s", "u_phase_rad_per_s", "p_value")
+_NOISE_SAMPLES = 1 << 17  # of a longer record no more are needed for its noise density
 
 
 @dataclass(frozen=True)
@@ -47,9 +49,22 @@ class Stationarity:
         check_shape("time_s", self.time_s, (None,))
         for name in ("value", "u"):
             check_shape(name, getattr(self, name), (len(self.time_s), lines, channels))
-        slopes = ("amplitude_per_s", "u_amplitude_per_s", "phase_rad_per_s", "u_phase_rad_per_s", "p_value")
-        for name in slopes:
+        for name in _SLOPES:
             check_shape(name, getattr(self, name), (lines, channels))
+
+    @property
+    def length_s(self) -> float:
+        """Time from the beginning of the first block to the end of the last."""
+        return float(self.time_s[-1] - self.time_s[0]) + self.block_s
+
+    def select(self, channel: str) -> Stationarity:
+        """Return one channel."""
+        if channel not in self.channels:
+            raise ValueError(f"channel: expected one of {', '.join(self.channels)}, found {channel}")
+        place = self.channels.index(channel)
+        names = ("value", "u", *_SLOPES)
+        chosen = {name: getattr(self, name)[..., place : place + 1] for name in names}
+        return replace(self, channels=(channel,), **chosen)
 
 
 def stationarity(
@@ -130,7 +145,9 @@ def _phasors(solved: Sequence[SineSolution], samples: Sequence[int], lines: int)
 
 
 def _noise(time: FloatArray, data: FloatArray, frequency_hz: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the noise variance (K, C) around the lines, and its degrees of freedom (K,)."""
+    """Return the noise variance (K, C) around the lines, and its degrees of freedom (K,), from the record's middle."""
+    first = max(0, (len(time) - _NOISE_SAMPLES) // 2)
+    time, data = time[first : first + _NOISE_SAMPLES], data[first : first + _NOISE_SAMPLES]
     solution = solve_sines(sine_columns(time, frequency_hz), data)
     residual, free = solution.residual, float(len(time) - len(solution.coefficients))
     lines = len(frequency_hz)
