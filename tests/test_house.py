@@ -19,7 +19,7 @@ WRITTEN_ORDER = {
     "shaker.signals": """
         recording files edges numbering posterior rise trigger shift clock_line sync
         phasor folding separation spectrum noise sine stationarity refine
-        frequencies survey chain transfer plan
+        survey frequencies chain transfer plan
     """,
     "shaker.models": "oscillator",
     "fusion": """
