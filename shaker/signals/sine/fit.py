@@ -90,7 +90,7 @@ def _fitted(
     spread = found.system.spread()[:, :, 2 * lines, 2 * lines]
     middle = samples.timeline.middle_s
     return SineFit(
-        phasors=phasors_at_zero(found, _to_zero(found.tones, samples.timeline), middle, dof[:lines], names),
+        phasors=phasors_at_zero(found, covariance, _to_zero(found.tones, samples.timeline), middle, dof[:lines], names),
         offset=found.coefficients[2 * lines],
         offset_covariance=spread * found.noise_between(lines, lines) + change @ covariance @ change.T,
         drift_per_s=found.coefficients[2 * lines + 1] if model.drift else np.zeros(len(names[0])),

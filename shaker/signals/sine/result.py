@@ -8,7 +8,7 @@ import numpy as np
 
 from shaker._checks import ComplexArray, FloatArray, IntArray, check_shape
 from shaker.notice import Notice
-from shaker.signals.phasor import Phasors, real_stacked_diagonal
+from shaker.signals.phasor import Phasors
 from shaker.signals.sine.normal import Tones, as_complex
 from shaker.signals.sine.solve import Step, System
 
@@ -97,28 +97,28 @@ class Estimate:
         """Return the covariance (Q, Q) of the unknown frequencies and decay rates, with the noise of each line."""
         if self.step is None:
             return np.zeros((0, 0))
-        information = self.system.information()
-        shape = (*information.shape[:2], self.lines, 2, self.lines, 2)
-        levels = np.sqrt(self.noise[: self.lines])
-        noise = np.einsum("ca,ka,la,da->cdkl", self.factor, levels, levels, self.factor, optimize=True)
-        both = information.reshape(shape) * noise[:, :, :, None, :, None]
-        both = both.reshape(*noise.shape[:2], 2 * self.lines, 2 * self.lines)
-        pull = self.step.derivative * self.step.weight[:, None, None]
-        middle = np.einsum("ciq,cdij,djr->qr", pull, both, pull, optimize=True)
+        seen = np.repeat(self.factor[:, None, :] * np.sqrt(self.noise[: self.lines]), 2, axis=1)
+        noise = np.tensordot(seen, seen, axes=(2, 2))  # channel and slope, channel and slope
+        both = noise * self.system.information().transpose(0, 2, 1, 3)
+        pull = self.step.pull.reshape(-1, self.step.pull.shape[2])
+        middle = pull.T @ both.reshape(len(pull), len(pull)) @ pull
         return np.asarray(self.step.inverse @ middle @ self.step.inverse)
 
     def linear_change(self) -> FloatArray:
         """Return the derivative (P, C, Q) of the linear parameters by the unknown frequencies and decay rates."""
-        channels = self.coefficients.shape[1]
         if self.step is None:
             return np.zeros((*self.coefficients.shape, 0))
-        carried = self.system.project[:, : self.system.linear]
-        carried = np.broadcast_to(carried, (channels, *carried.shape[1:]))
-        return np.asarray(np.einsum("cpk,ckq->pcq", carried, self.step.derivative))
+        carried = self.system.project[:, : self.system.linear] @ self.step.derivative
+        return np.asarray(carried.transpose(1, 0, 2))
 
 
 def phasors_at_zero(
-    found: Estimate, factor: ComplexArray, middle_s: float, dof: FloatArray, names: tuple[tuple[str, ...], ...]
+    found: Estimate,
+    exponent_covariance: FloatArray,
+    factor: ComplexArray,
+    middle_s: float,
+    dof: FloatArray,
+    names: tuple[tuple[str, ...], tuple[str, ...]],
 ) -> Phasors:
     """Return the phasors at time zero from those about the middle, `factor` (K,) = exp(-s·middle) apart.
 
@@ -127,7 +127,7 @@ def phasors_at_zero(
     """
     lines, channels = found.lines, found.coefficients.shape[1]
     value = as_complex(found.coefficients, lines)
-    spread, exponent_covariance = found.system.spread(), found.exponent_covariance()
+    spread = found.system.spread()
     change = as_complex(found.linear_change(), lines) - middle_s * value[:, :, None] * found.exponents[:, None, :]
     covariance = np.empty((lines, 2 * channels, 2 * channels))
     for k in range(lines):
@@ -136,7 +136,5 @@ def phasors_at_zero(
         stacked = np.concatenate([change[k].real, change[k].imag])
         covariance[k] = block.transpose(2, 0, 3, 1).reshape(2 * channels, 2 * channels)
         covariance[k] += stacked @ exponent_covariance @ stacked.T
-    middle = Phasors(found.tones.frequency_hz, value, covariance, names[0], names[1], dof)
-    turn = real_stacked_diagonal(np.repeat(factor[:, None], channels, axis=1))
-    turned = turn @ covariance @ turn.swapaxes(1, 2)
-    return Phasors(middle.frequency_hz, value * factor[:, None], turned, names[0], names[1], dof)
+    middle = Phasors(found.tones.frequency_hz, value, covariance, *names, dof)
+    return middle.scaled(factor[:, None])

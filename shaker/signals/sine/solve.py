@@ -64,25 +64,32 @@ class System:
 
     def coefficients(self, right: FloatArray) -> FloatArray:
         """Return the linear parameters (P, C) of right-hand sides (P', C)."""
-        return np.asarray(np.einsum("cpq,qc->pc", self._each(self.inverse, right), right[: self.linear]))
+        return _products(self.inverse, right[: self.linear])
 
     def slopes(self, right: FloatArray) -> FloatArray:
         """Return the projected slopes' products (2K, C) with the values."""
-        return np.asarray(np.einsum("cpk,pc->kc", self._each(self.project, right), right))
+        return _products(self.project.swapaxes(1, 2), right)
 
     def information(self) -> FloatArray:
         """Return the products (D, D, 2K, 2K) of the projected slopes of one channel with those of another."""
-        return np.asarray(np.einsum("cpk,cdpq,dql->cdkl", self.project, self.gram, self.project, optimize=True))
+        return np.asarray(self.project.swapaxes(1, 2)[:, None] @ self.gram @ self.project[None])
+
+    def own_information(self) -> FloatArray:
+        """Return the products (D, 2K, 2K) of each channel's projected slopes with themselves."""
+        own = np.einsum("ddpq->dpq", self.gram)
+        return np.asarray(self.project.swapaxes(1, 2) @ own @ self.project)
 
     def spread(self) -> FloatArray:
         """Return G⁻¹·XᵀX·G⁻¹ (D, D, P, P): the linear parameters' covariance between channels for unit noise."""
         gram = self.gram[:, :, : self.linear, : self.linear]
         return np.asarray(self.inverse[:, None] @ gram @ self.inverse[None])
 
-    @staticmethod
-    def _each(matrices: FloatArray, right: FloatArray) -> FloatArray:
-        """Return one matrix per channel."""
-        return np.broadcast_to(matrices, (right.shape[1], *matrices.shape[1:]))
+
+def _products(matrices: FloatArray, right: FloatArray) -> FloatArray:
+    """Return the products (N, C) of one matrix (1, N, M), or of each channel's own (C, N, M), with columns (M, C)."""
+    if len(matrices) == 1:
+        return np.asarray(matrices[0] @ right)
+    return np.asarray((matrices @ right.T[:, :, None])[:, :, 0].T)
 
 
 def solved(normal: Normal, columns: Columns) -> System:
@@ -106,15 +113,15 @@ def solved(normal: Normal, columns: Columns) -> System:
 
 @dataclass(frozen=True)
 class Step:
-    """A Gauss-Newton step: `change` (Q,) of the unknowns, their white `covariance` (Q, Q).
+    """A Gauss-Newton step: `change` (Q,) of the unknowns, `inverse` (Q, Q) of the Hessian.
 
-    `weighted` (C, 2K, Q): derivative of each channel's slopes' coefficients, over its noise variance; `inverse` (Q, Q).
+    `derivative` (C, 2K, Q): of the slopes' coefficients in each channel; `pull`: the same over its noise variance.
     """
 
     change: FloatArray
     inverse: FloatArray
     derivative: FloatArray
-    weight: FloatArray
+    pull: FloatArray
 
 
 def frequency_step(
@@ -128,20 +135,15 @@ def frequency_step(
     product = value.T[:, :, None] * exponents[None]
     derivative = np.stack([product.real, product.imag], axis=2).reshape(len(variance), -1, exponents.shape[1])
     weight = np.divide(1.0, variance, out=np.zeros_like(variance), where=variance > 0.0)
-    information = np.einsum("cckl->ckl", system.information())
-    hessian = np.einsum("ckq,ckl,clr,c->qr", derivative, _as_many(information, len(weight)), derivative, weight)
+    pull = derivative * weight[:, None, None]
+    hessian = np.sum(pull.swapaxes(1, 2) @ system.own_information() @ derivative, axis=0)
     size = np.sqrt(hessian.diagonal())
     scaled = hessian / np.multiply.outer(size, size) if np.all(size > 0.0) else np.zeros_like(hessian)
     if not np.linalg.eigvalsh(scaled)[0] > _SINGULAR:
         raise ValueError("frequency_hz: expected lines whose frequencies and decays the record tells, found none")
     inverse = np.linalg.inv(scaled) / np.multiply.outer(size, size)
-    gradient = np.einsum("ckq,kc,c->q", derivative, system.slopes(right), weight)
-    return Step(inverse @ gradient, inverse, derivative, weight)
-
-
-def _as_many(matrices: FloatArray, channels: int) -> FloatArray:
-    """Return one matrix per channel."""
-    return np.broadcast_to(matrices, (channels, *matrices.shape[1:]))
+    gradient = np.einsum("ckq,kc->q", pull, system.slopes(right))
+    return Step(inverse @ gradient, inverse, derivative, pull)
 
 
 def moved(tones: Tones, exponents: ComplexArray, change: FloatArray) -> Tones:
