@@ -78,9 +78,10 @@ def _print_choices(console: Console, plan: Plan) -> None:
             table.add_row(name, *_rate_cells(size, choice), end_section=number == len(point.choices))
     if table.row_count:
         console.print(table)
+    fewer = "fewer harmonics, or know the frequencies better (--tolerance)"
     for point in plan.points:
         if not point.choices:
-            _say(console, f"{_excitation(point)} Hz: no such rate keeps all lines apart; take more frames")
+            _say(console, f"{_excitation(point)} Hz: no such rate keeps all lines apart; take more frames or {fewer}")
     first = [point.choices[0] for point in plan.points if point.choices]
     if len(plan.points) > 1 and first:
         _say(console, f"{_of_all(first, plan)}, each at its first rate: {_total(plan, first)}")
@@ -167,12 +168,10 @@ def _print_explained(console: Console, size: Size, point: Point) -> None:
     for remark in _remarks(plan):
         _say(console, remark)
     if point.nearby is not None:
-        better = point.nearby
-        _say(
-            console,
-            f"Nearest good rate: {better.rate_hz:.3f} Hz ({better.rate_hz - plan.rate_hz:+.3f} Hz); "
-            f"worst u {float(np.max(better.u_amplitude)) / float(np.max(plan.u_amplitude)):.2g} of the present one",
-        )
+        rate = point.nearby.rate_hz
+        share = float(np.max(point.nearby.u_amplitude)) / float(np.max(plan.u_amplitude))
+        gain = f", worst u {share:.2g} times the present one" if share > 0.0 else ""
+        _say(console, f"Nearest good rate: {rate:.3f} Hz ({rate - plan.rate_hz:+.3f} Hz){gain}")
 
 
 def _beat(frequency: float, alias: float, plan: RatePlan) -> str:

@@ -16,7 +16,7 @@ PREFERRED = (0.1, 0.4)
 _NEAR_BEST = 1.05  # uncertainties this close are equal, and the distance between lines decides
 _APART = 0.02  # of the range of rates: choices closer than this are one choice
 _POINTS_PER_INTERVAL = 4  # rates tried within the narrowest interval in which two lines meet
-_MAX_ENTRIES = 20_000_000  # points times rates held at a time
+_MAX_ENTRIES = 4_000_000  # points times rates held at a time
 _MAX_GRAM_ENTRIES = 1_000_000  # of Gram matrices formed at a time
 _UNMIXED_BINS = 1.0  # between a fitted line and a harmonic that is not
 
@@ -27,7 +27,8 @@ class Scan:
 
     `margin_bins`, smallest distance of two lines less what the tolerance may take of it; `penalty`, the largest factor
     by which 1/f noise raises a line's uncertainty above that of white noise; `preferred`, number of fundamentals
-    between 0.1 and 0.4 of the rate; `unmixed`, whether no harmonic that is not fitted comes within a bin of a line.
+    between 0.1 and 0.4 of the rate; `unmixed`, the clear rates at which no harmonic that is not fitted comes within a
+    bin of a line.
     """
 
     rate_hz: FloatArray
@@ -81,7 +82,9 @@ def candidate_rates(
 def scan_rates(lines: Lines, rate_hz: FloatArray, sampling: Sampling) -> Scan:
     """Look at every rate (R,) for the lines of one point, by their aliases alone."""
     margin = _margin_bins(*_differences(lines), rate_hz, sampling)
-    mixed = _margin_bins(*_watched_differences(lines, sampling.harmonics), rate_hz, sampling) < _UNMIXED_BINS
+    unmixed = margin >= CLEAR_BINS  # the other rates are not good whatever else folds there
+    watched = _watched_differences(lines, sampling.harmonics)
+    unmixed[unmixed] = _margin_bins(*watched, rate_hz[unmixed], sampling) >= _UNMIXED_BINS
     penalty = np.zeros(len(rate_hz))
     preferred = np.zeros(len(rate_hz), dtype=np.int64)
     for frequency, multiple in zip(lines.frequency_hz, lines.multiple, strict=True):
@@ -90,7 +93,7 @@ def scan_rates(lines: Lines, rate_hz: FloatArray, sampling: Sampling) -> Scan:
         lowest = np.maximum(share, 0.5 / sampling.frames)
         penalty = np.maximum(penalty, np.sqrt(1.0 + sampling.corner_hz / (lowest * rate_hz)))
         preferred += (multiple == 1) & (share >= PREFERRED[0]) & (share <= PREFERRED[1])
-    return Scan(rate_hz, margin, penalty, preferred, ~mixed)
+    return Scan(rate_hz, margin, penalty, preferred, unmixed)
 
 
 def best_rates(scan: Scan, count: int = 3) -> tuple[float, ...]:
