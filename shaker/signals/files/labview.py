@@ -18,7 +18,7 @@ from shaker.signals.recording import RawChannel
 _END, _CHANNELS = b"***End_of_Header***", b"\nChannels"
 _SPECIAL, _SPECIAL_END = "***Start_Special***", "***End_Special***"
 _SEPARATORS = {"Tab": "\t", "Comma": ",", "Semicolon": ";"}
-_COMMENT, _TIMES = "Comment", "X_Value"
+_COMMENT, _TIMES, _SEPARATOR = "Comment", "X_Value", "Separator"
 _GAP = 0.5  # of a sampling interval: how far a segment or a time may lie from where the last one left off
 
 
@@ -69,8 +69,8 @@ def _segments(path: Path, stream: BinaryIO) -> Iterator[_Segment]:
     if not stream.readline().startswith(b"LabVIEW Measurement"):
         raise ValueError(f"{path}: expected the first line of a LabVIEW measurement, found another")
     place, size = stream.tell(), stream.seek(0, 2)
-    file_header, place, line = _header(path, stream, place, size, 2, "\t")
-    separator = _SEPARATORS.get(file_header.get("Separator", ["Tab"])[0], "\t")
+    file_header, place, line = _header(path, stream, place, size, 2, None)
+    separator = _SEPARATORS.get(file_header.get(_SEPARATOR, ["Tab"])[0], "\t")
     comma = file_header.get("Decimal_Separator", ["."])[0] == "," and separator != ","
     while place < size:
         header, place, line = _header(path, stream, place, size, line, separator)
@@ -90,15 +90,20 @@ def _segments(path: Path, stream: BinaryIO) -> Iterator[_Segment]:
 
 
 def _header(
-    path: Path, stream: BinaryIO, start: int, size: int, line: int, separator: str
+    path: Path, stream: BinaryIO, start: int, size: int, line: int, separator: str | None
 ) -> tuple[dict[str, list[str]], int, int]:
-    """Return the entries of a header, the byte behind it and the number of the line there."""
+    """Return the entries of a header, the byte behind it and the number of the line there.
+
+    The header of the file (`separator` None) is split by what stands behind its key Separator.
+    """
     end = find_bytes(stream, _END, start, size)
     if end < 0:
         raise ValueError(f"{path}: line {line}: expected ***End_of_Header***, found the end of the file")
     stream.seek(start)
     raw = stream.read(end - start) + stream.readline()
-    return _entries(decoded(raw).splitlines(), separator), start + len(raw), line + raw.count(b"\n")
+    lines = decoded(raw).splitlines()
+    own = next((line[len(_SEPARATOR)] for line in lines if line.startswith(_SEPARATOR) and line != _SEPARATOR), "\t")
+    return _entries(lines, own if separator is None else separator), start + len(raw), line + raw.count(b"\n")
 
 
 def _entries(lines: Sequence[str], separator: str) -> dict[str, list[str]]:

@@ -124,10 +124,10 @@ def _whole_block(layout: TextLayout, block: bytes) -> FloatArray | None:
 
 def plain_rows(block: bytes, delimiter: str) -> FloatArray | None:
     """Return the rows (S, columns) of a block with nothing but numbers in equally many cells, else None."""
-    if not block.strip():
+    if not block.strip() or _COMMENT.encode() in block:
         return None
     try:
-        return np.loadtxt(BytesIO(block), delimiter=delimiter or None, quotechar='"', ndmin=2)
+        return np.loadtxt(BytesIO(block), delimiter=delimiter or None, comments=None, quotechar='"', ndmin=2)
     except ValueError:
         return None
 

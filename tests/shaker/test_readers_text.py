@@ -1,0 +1,164 @@
+"""CSV and LVM: what laboratories' programs write, and the two ways of reading it against each other."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from shaker.signals.files import read_channels, text
+from shaker.signals.recording import RawChannel
+
+
+def read(folder: Path, content: str | bytes, suffix: str = ".csv", rate: float | None = None) -> dict[str, RawChannel]:
+    path = folder / f"a{suffix}"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return read_channels(path, sample_rate_hz=rate)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "time,Fz [N],Fx [kN]\n0.0,1.5,2\n0.5,2.5,3\n1.0,3.5,4\n",
+        "Time [ms];Fz (N);Fx (kN)\r\n0;1,5;2\r\n500;2,5;3\r\n1000;3,5;4\r\n",
+        "sep=;\nTime;Fz [N];Fx [kN]\ns;;\n0,0;1,5;2\n0,5;2,5;3\n1,0;3,5;4\n",
+        '\ufeffTIME (us)\t"Fz"\tFx\n\tN\tkN\n0\t1.5\t2\n5e5\t2.5\t3\n1e6\t3.5\t4\n',
+        "# recorder 7\n\ntime,Fz,Fx\ns,N,kN\n# begin\n0.0,1.5,2\n0.5,2.5,3\n# pause\n\n1.0,3.5,4\n",
+        'time,"Fz","Fx"\n"s","N","kN"\n"0.0","1.5","2"\n"0.5","2.5","3"\n"1.0","3.5","4"',
+        "time Fz Fx\ns   N kN\n 0.0  1.5 2\n0.5 2.5   3\n1.0 3.5\t4\n",
+        "time;Fz;Fx;\ns;N;kN;\n0,0;1,5;2;\n0,5;2,5;3;\n1,0;3,5;4;\n",
+        "time, Fz, Fx\ns, N, kN\n0.0, 1.5, 2\n0.5, +2.5, 3e0\n1.0, .35E1, 4.\n",
+    ],
+)
+@pytest.mark.parametrize("block", [8, 1 << 20])
+def test_csv_dialects(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: str, block: int) -> None:
+    monkeypatch.setattr(text, "BLOCK", block)
+    found = read(tmp_path, content)
+    force, other = (next(c for name, c in found.items() if name.startswith(start)) for start in ("Fz", "Fx"))
+    np.testing.assert_array_equal(force.samples, [1.5, 2.5, 3.5])
+    np.testing.assert_array_equal(other.samples, [2.0, 3.0, 4.0])
+    assert (force.unit, other.unit) == ("N", "kN")
+    assert force.sample_rate_hz == pytest.approx(2.0)
+
+
+def test_csv_channels_answer_to_their_names_without_units(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text('"Fz [N]",Fz [kN],"a, top (g)"\n1,2,3\n4,5,6\n')
+    assert list(read_channels(path, sample_rate_hz=1.0)) == ["Fz [N]", "Fz [kN]", "a, top (g)"]
+    assert read_channels(path, ["a, top"], 1.0)["a, top"].unit == "g"
+    np.testing.assert_array_equal(read_channels(path, ["Fz [kN]"], 1.0)["Fz [kN]"].samples, [2.0, 5.0])
+    with pytest.raises(ValueError, match=r'a\.csv: expected a channel "Fz", found'):
+        read_channels(path, ["Fz"], 1.0)
+
+
+def test_csv_latin_1_and_the_unit_1(tmp_path: Path) -> None:
+    found = read(tmp_path, "time;Drehung;Dehnung\ns;°;1\n0;1;2\n1;3;4\n".encode("latin-1"))
+    assert [channel.unit for channel in found.values()] == ["°", "1"]
+    np.testing.assert_array_equal(found["Dehnung"].samples, [2.0, 4.0])
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("time,Fz\n0,1\n1,OVER\n2,3\n", "line 3: expected numbers, found '1,OVER'"),
+        ("time,Fz\n0,OVER\n1,2\n2,3\n", "line 2: expected numbers, found '0,OVER'"),
+        ("time,Fz\n0,1\n1,2,3\n", "line 3: expected 2 columns, found 3"),
+        ("time,Fz\n0,1\n1,2\n2\n", "line 4: expected 2 columns, found 1"),
+        ("time [days],Fz\n0,1\n1,2\n", "expected s, ms, us, ns or min, found 'days'"),
+        ("time,Fz,Fz\n0,1,2\n1,2,3\n", "line 1: expected a header with one name per column"),
+        ("time;Fz\n0,0;1.234,5\n0,1;2\n", "line 2: expected numbers"),
+        ("time,Fz\ns,N\n", "expected rows of numbers, found none"),
+        ("", "expected a header and rows of numbers"),
+    ],
+)
+@pytest.mark.parametrize("block", [6, 1 << 20])
+def test_csv_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: str, message: str, block: int) -> None:
+    monkeypatch.setattr(text, "BLOCK", block)
+    with pytest.raises(ValueError, match=r"a\.csv: ") as caught:
+        read(tmp_path, content)
+    assert message in str(caught.value)
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=st.data())
+def test_whole_blocks_and_single_lines_read_the_same(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    """Numbers of any spelling, empty cells, remarks and line ends: both ways agree with `float` to the last bit."""
+    delimiter = data.draw(st.sampled_from([",", ";", "\t"]))
+    number = st.floats(allow_nan=False, allow_infinity=False, width=64)
+    cell = st.one_of(number.map(repr), number.map("{:.3e}".format), st.integers(-999, 999).map(str), st.just(""))
+    columns = data.draw(st.integers(2, 4))
+    rows = data.draw(st.lists(st.lists(cell, min_size=columns, max_size=columns), min_size=1, max_size=6))
+    rows = [row if any(row) else ["0"] * columns for row in rows]
+    expected = np.array([[float(c) if c else np.nan for c in row] for row in rows])
+    end = data.draw(st.sampled_from(["\n", "\r\n"]))
+    body = "".join(delimiter.join(row) + end for row in rows)
+    if delimiter != ",":
+        body = body.replace(".", data.draw(st.sampled_from([".", ","])))
+    path = tmp_path_factory.mktemp("csv") / "a.csv"
+    path.write_bytes((delimiter.join(f"c{i}" for i in range(columns)) + end + body).encode())
+    found = read_channels(path, sample_rate_hz=1.0)
+    np.testing.assert_array_equal(np.stack([c.samples for c in found.values()], axis=1), expected)
+
+
+def test_long_columns_grow_block_by_block(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(text, "BLOCK", 1000)
+    rng = np.random.default_rng(0)
+    table = rng.normal(size=(5000, 3)) * 10.0 ** rng.integers(0, 9, (5000, 1))
+    body = "\n".join(",".join(map(repr, row)) for row in table.tolist())
+    found = read(tmp_path, "a,b,c\n" + body, rate=1.0)
+    np.testing.assert_array_equal(np.stack([c.samples for c in found.values()], axis=1), table)
+
+
+HEAD = "LabVIEW Measurement\t\nWriter_Version\t2\nSeparator\t{name}\nDecimal_Separator\t{point}\nX_Columns\t{x}\n"
+END = "***End_of_Header***\t\n"
+
+
+def lvm(body: str, channels: str, x: str = "No", separator: str = "\t", point: str = ".") -> str:
+    name = {"\t": "Tab", ",": "Comma", ";": "Semicolon"}[separator]
+    return (HEAD.format(name=name, point=point, x=x) + END + "\n" + channels + END + body).replace("\t", separator)
+
+
+def test_lvm_with_a_time_column_of_every_channel(tmp_path: Path) -> None:
+    channels = "Channels\t2\nSamples\t3\t2\nX0\t0\t0\nDelta_X\t0.5\t1.0\nY_Unit_Label\tV\tA\n"
+    body = "X_Value\tU\tX_Value\tI\tComment\n0.0\t1\t10.0\t4\t\n0.5\t2\t11.0\t5\tlate\n1.0\t3\t\t\t\n"
+    found = read(tmp_path, lvm(body, channels, "Multi"), ".lvm")
+    np.testing.assert_array_equal(found["U"].samples, [1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(found["I"].samples, [4.0, 5.0])
+    assert [(c.sample_rate_hz, c.start_s, c.unit) for c in found.values()] == [(2.0, 0.0, "V"), (1.0, 10.0, "A")]
+
+
+@pytest.mark.parametrize(("separator", "point"), [(",", "."), (";", ","), ("\t", ","), (";", ".")])
+def test_lvm_separators(tmp_path: Path, separator: str, point: str) -> None:
+    channels = f"Channels\t2\nSamples\t2\t2\nDelta_X\t0{point}25\t0{point}25\n"
+    body = f"X_Value\tU\tU\tComment\n\t1{point}5\t-2\n\t2{point}5E+1\t-3\n"
+    found = read(tmp_path, lvm(body, channels, separator=separator, point=point), ".lvm")
+    np.testing.assert_array_equal(found["U #1"].samples, [1.5, 25.0])
+    np.testing.assert_array_equal(found["U #2"].samples, [-2.0, -3.0])
+    assert found["U #1"].sample_rate_hz == 4.0
+
+
+def test_lvm_special_blocks_are_passed_over(tmp_path: Path) -> None:
+    special = "***Start_Special***\t\nSamples\t99\nHarmonic\t3\n***End_Special***\t\n\n"
+    channels = "Channels\t1\nSamples\t2\nX0\t{x0}\nDelta_X\t0.5\n"
+    body = "X_Value\tU\tComment\n\t1\n\t2\n\n"
+    content = lvm(body, special + channels.format(x0=0)) + special + channels.format(x0=1) + END + body + special
+    np.testing.assert_array_equal(read(tmp_path, content, ".lvm")["U"].samples, [1.0, 2.0, 1.0, 2.0])
+
+
+@pytest.mark.parametrize("block", [16, 100, 1 << 20])
+def test_lvm_in_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, block: int) -> None:
+    """Headers and rows cut anywhere, remarks in some rows, and the line numbers of errors."""
+    monkeypatch.setattr(text, "BLOCK", block)
+    channels = "Channels\t1\nSamples\t4\nX0\t{x0}\nDelta_X\t0.5\n"
+    body = "X_Value\tU\tComment\n\t1\ta remark, 7\n\t2\n\t3\t\n\t4\n\n"
+    content = lvm(body, channels.format(x0=0)) + channels.format(x0=2) + END + body
+    np.testing.assert_array_equal(read(tmp_path, content, ".lvm")["U"].samples, [1, 2, 3, 4, 1, 2, 3, 4])
+    wrong = content[:-4] + "\tx\n"
+    line = wrong.count("\n")
+    with pytest.raises(ValueError, match=rf"a\.lvm: line {line}: expected numbers, found 'x'"):
+        read(tmp_path, wrong, ".lvm")
