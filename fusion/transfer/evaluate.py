@@ -35,7 +35,7 @@ def evaluate_transfer(
     Raises `InputError` for what the user can mend in the files.
     """
     started = time.monotonic()
-    _check_kind(manifest)
+    check_kind(manifest)
     found = [_evaluated(manifest, together, settings) for together in read_together(manifest)]
     notices = [notice for _, told in found for notice in told]
     return TransferEvaluation(
@@ -50,7 +50,7 @@ def evaluate_transfer(
     )
 
 
-def _check_kind(manifest: Manifest) -> None:
+def check_kind(manifest: Manifest) -> None:
     """Refuse recordings that this command does not evaluate."""
     excitation = manifest.excitation
     if excitation.kind not in KINDS:

@@ -1,0 +1,47 @@
+"""`shakercal transfer`: transfer functions of chirps, multisines, noise and blows."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from fusion.commands.values import EXIT_DONE, Commands, add_recording, positive
+
+
+def add(commands: Commands, common: argparse.ArgumentParser) -> None:
+    """Add the command's parser."""
+    parser = commands.add_parser(
+        "transfer", parents=[common], help="transfer functions and resonances from a chirp, multisine, noise or blows"
+    )
+    add_recording(parser)
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="RESULTS", help="result folder (default: RECORDING/transfer)"
+    )
+    parser.add_argument(
+        "--estimator",
+        choices=("auto", "H1", "H2", "Hv", "periodic"),
+        default="auto",
+        help="default: auto, the ratio of means over periods where a period is stated, else what the coherence advises",
+    )
+    parser.add_argument(
+        "--resolution",
+        type=positive,
+        metavar="HZ",
+        help="line spacing of averaged spectra (default: 16 segments side by side; of blows: 1 Hz)",
+    )
+    parser.add_argument(
+        "--quantity",
+        choices=("displacement", "velocity", "acceleration"),
+        help="turn every motion into this quantity (default: as it was measured)",
+    )
+    parser.add_argument("--force", action="store_true", help="overwrite result files that are there")
+    parser.set_defaults(action=_act)
+
+
+def _act(options: argparse.Namespace) -> int:
+    from fusion.transfer.result import TransferSettings
+    from fusion.transfer.run import run_transfer
+
+    settings = TransferSettings(options.estimator, options.resolution, options.quantity)
+    run_transfer(options.recording, options.output, settings, force=options.force, allow_outside=options.allow_outside)
+    return EXIT_DONE
