@@ -79,7 +79,8 @@ def _check_kind(manifest: Manifest) -> None:
     """Refuse recordings that this command does not evaluate."""
     kind = manifest.excitation.kind
     if kind not in EVALUATED_KINDS:
-        expected = f"{' or '.join(EVALUATED_KINDS)}, the kinds that shakercal run evaluates"
+        other = " (shakercal transfer takes this one)" if kind in ("chirp", "noise", "impact") else ""
+        expected = f"{' or '.join(EVALUATED_KINDS)}, the kinds that shakercal run evaluates{other}"
         raise InputError(manifest.path, "excitation.kind", found=kind, expected=expected)
     if manifest.take:
         expected = "no [[take]] blocks, since shakercal run evaluates what was recorded at once"
