@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from shaker.signals.files.common import reading
 from shaker.signals.files.hdf5 import read_hdf5
 from shaker.signals.files.labview import read_labview
 from shaker.signals.files.matlab import read_matlab
@@ -55,16 +56,5 @@ def read_channels(
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
         raise ValueError(f"{path}: expected a file of type {' '.join(SUFFIXES)}, found {path.suffix or 'no suffix'}")
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: expected a file, found none")
-    try:
+    with reading(path):
         return reader(path, names, sample_rate_hz)
-    except MemoryError:
-        raise
-    except Exception as error:
-        # The libraries answer damaged files with errors of every kind; here they become one.
-        text = " ".join(str(error).split())
-        if isinstance(error, OSError | ValueError) and text.startswith(str(path)):
-            raise
-        kind, cause = path.suffix.lower(), f"{type(error).__name__}: {text}"
-        raise ValueError(f"{path}: expected a readable {kind} file, found a damaged one ({cause})") from error

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,24 @@ from shaker._checks import FloatArray
 
 BLOCK = 1 << 20  # bytes read at a time
 UNIFORM = 0.5  # of a sampling interval: how far a time column may stray from a uniform one
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Turn whatever goes wrong with a file into `OSError` or `ValueError`: one sentence that begins with its path."""
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: expected a file, found none")
+    try:
+        yield
+    except MemoryError:
+        raise
+    except Exception as error:
+        # The libraries answer damaged files with errors of every kind; here they become one.
+        text = " ".join(str(error).split())
+        if isinstance(error, OSError | ValueError) and text.startswith(str(path)):
+            raise
+        kind, cause = path.suffix.lower(), f"{type(error).__name__}: {text}"
+        raise ValueError(f"{path}: expected a readable {kind} file, found a damaged one ({cause})") from error
 
 
 def chosen(path: Path, names: Sequence[str] | None, present: Iterable[str]) -> list[str]:

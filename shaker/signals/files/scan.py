@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 
 from shaker._checks import FloatArray, check_shape
-from shaker.signals.files.common import chosen
+from shaker.signals.files.common import chosen, reading
 from shaker.signals.recording import RawChannel
 
 _FIRST_POINT = 19  # line number, counted from 1
@@ -54,6 +54,12 @@ class Scan:
 
 def read_scan_asc(path: Path) -> Scan:
     """Read a scanning vibrometer's text; every scan point is a take of its own."""
+    with reading(path):
+        return _scan(path)
+
+
+def _scan(path: Path) -> Scan:
+    """Read points, acquisition and data blocks."""
     lines = path.read_text(encoding="latin-1").splitlines()
     rows = [_numbers(line) for line in lines[_FIRST_POINT - 1 :]]
     count = next((i for i, row in enumerate(rows) if row is None or len(row) != 3), len(rows))

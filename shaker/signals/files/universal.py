@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shaker._checks import FloatArray, check_shape
-from shaker.signals.files.common import checked_rate, chosen, numbers, rate_of_times
+from shaker.signals.files.common import checked_rate, chosen, numbers, rate_of_times, reading
 from shaker.signals.files.universal_sets import DataSet, FunctionHeader, data_sets, function_header, function_values
 from shaker.signals.recording import RawChannel
 
@@ -74,12 +74,13 @@ def read_universal(path: Path, names: Sequence[str] | None, sample_rate_hz: floa
 
 def read_universal_functions(path: Path) -> tuple[UniversalFunction, ...]:
     """Read all functions of data set 58 of a universal file: frequency responses, spectra, and time responses."""
-    headers = _headers(path)
-    with path.open("rb") as stream:
-        return tuple(
-            _function(name, head, *function_values(path, stream, data, head))
-            for name, (data, head) in _named(headers).items()
-        )
+    with reading(path):
+        headers = _headers(path)
+        with path.open("rb") as stream:
+            return tuple(
+                _function(name, head, *function_values(path, stream, data, head))
+                for name, (data, head) in _named(headers).items()
+            )
 
 
 def _headers(path: Path) -> list[tuple[DataSet, FunctionHeader]]:

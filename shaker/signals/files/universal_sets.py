@@ -200,6 +200,8 @@ def _text(path: Path, stream: BinaryIO, data: DataSet, head: FunctionHeader) -> 
     """Return the numbers of a text function (columns, N), by the field widths of its case or else by blanks."""
     columns = (2 if head.is_complex else 1) + (0 if head.even else 1)
     start = stream.tell()
+    if columns * head.count > data.stop - start:
+        raise ValueError(f"{path}: line {data.line}: expected {columns * head.count} numbers, found far fewer")
     numbers, filled = np.empty(columns * head.count), 0
     while (left := data.stop - stream.tell()) > 0:
         block = fixed_width(stream.readlines(min(BLOCK, max(left - 1, 1))), _widths(head))

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from shaker._checks import ComplexArray, IntArray, check_shape
+from shaker.signals.files.common import reading
 from shaker.signals.files.universal_sets import data_sets, fixed_width, free_width
 
 _ANALYSES = (
@@ -44,7 +45,7 @@ class UniversalShape:
 def read_universal_shapes(path: Path) -> tuple[UniversalShape, ...]:
     """Read all shapes of a universal file, in its order; data sets of other kinds are passed over."""
     shapes = []
-    with path.open("rb") as stream:
+    with reading(path), path.open("rb") as stream:
         for data in list(data_sets(path, stream)):
             if data.kind == 55:
                 stream.seek(data.start)
