@@ -1,43 +1,43 @@
-"""Which lines a recording contains: fundamentals refined, harmonics that stand out of the noise."""
+"""Which lines a recording contains: fundamentals refined, harmonics that stand out, and what else there is."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import permutations
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
-from shaker._checks import FloatArray, IntArray, check_shape
+from shaker._checks import BoolArray, FloatArray, IntArray, check_shape
 from shaker.notice import Notice
-from shaker.signals.folding import (
-    SamplingGrid,
-    alias_frequency,
-    folded_harmonics,
-    sampling_grid,
-    sine_columns,
-)
-from shaker.signals.refine import Refined, noise_around, refine_frequency
+from shaker.signals.folding import SamplingGrid, alias_frequency, folded_harmonics, sampling_grid
+from shaker.signals.refine import Refined, refine_frequency
 from shaker.signals.separation import usable_lines
-from shaker.signals.sine import solve_sines
-from shaker.signals.spectrum import amplitude_spectrum, noise_floor
+from shaker.signals.sine import SineFit, SineModel, fit_sines
+from shaker.signals.survey import (
+    FALSE_ALARM,
+    LineList,
+    Survey,
+    excess_power,
+    expected_places,
+    look,
+    name_lines,
+    no_lines,
+    relative_strength,
+)
 
 __all__ = ["Lines", "Refined", "find_lines", "refine_frequency"]
 
 MAX_MULTIPLE = 20  # harmonics looked for
-FALSE_ALARM = 1e-3  # probability that noise alone adds any harmonic to the list
 _CAPTURE = 5e-3  # relative: how far a fundamental may lie from its nominal frequency, besides two bins
-_PROMINENT = 6.0  # noise floors that a fundamental must reach; exp(-36) by chance in one bin
+_PROMINENT = 36.0  # times the noise power that a fundamental must reach; exp(-36) by chance in one bin
 _NYQUIST_SHARE = 0.98  # of the Nyquist frequency up to which harmonics are looked for
-_SMALLEST = 1e-9  # of the fundamental: below it, rounding looks like harmonics
-_ROUNDS = 6
-_MAINS_HZ = (50.0, 60.0)
-_MAINS_TOLERANCE = 2e-3
-_STRANGER = 8.0  # noise floors above which a peak that is no line is worth a notice
-_SKIRT = 4  # bins beside a line in which its own modulation stands
+_SMALLEST = 1e-9  # of the strongest line: below it, rounding looks like lines
+_ROUNDS = 4  # of fitting and looking at what is left, where gaps let lines leak
+_LEAK = 0.1  # of a line's uncertainty: what another line may leave in it before it is fitted too
+_MOST_NUISANCES = 12
 _NAMED = 4  # folded harmonics named in one notice
-_STRANGERS = 3  # notices about unexplained peaks
+_STRANGERS = 3  # other lines named in one notice
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,9 @@ class Lines:
     """Lines of a recording in ascending frequency.
 
     `frequency_hz`, `u_frequency_hz` (K,) on the clock of the times given; `nominal_hz` (K,) the nominal fundamental
-    each belongs to, `multiple` (K,) its harmonic number; `why` (K,) why it is in the list.
+    each belongs to, `multiple` (K,) its harmonic number; `why` (K,) why it is in the list. `others`: what else the
+    recording holds, at the places where the spectrum shows it, and what it most likely is. `nuisance_hz` (N,): those of
+    the others that would leak into the lines and are to be fitted with them, though they are no result.
     """
 
     frequency_hz: FloatArray
@@ -54,6 +56,8 @@ class Lines:
     multiple: IntArray
     why: tuple[str, ...]
     notices: tuple[Notice, ...]
+    others: Survey = field(default_factory=no_lines)
+    nuisance_hz: FloatArray = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
         check_shape("frequency_hz", self.frequency_hz, (None,))
@@ -61,6 +65,7 @@ class Lines:
         check_shape("u_frequency_hz", self.u_frequency_hz, lines)
         check_shape("nominal_hz", self.nominal_hz, lines)
         check_shape("multiple", self.multiple, lines)
+        check_shape("nuisance_hz", self.nuisance_hz, (None,))
         if len(self.why) != lines[0]:
             raise ValueError(f"why: expected {lines[0]} texts, one per line, found {len(self.why)}")
 
@@ -74,10 +79,11 @@ def find_lines(
     """Find the lines of a recording in its fastest channels: `values` (S,) or (S, C) at uniform `time_s` (S,).
 
     Each nominal fundamental must stand out of the spectrum within 0.5 % and two bins and is refined by least squares;
-    below the Nyquist rate it is looked for at its alias. "auto" adds the harmonics (up to the 20th, below 0.98 of the
-    Nyquist frequency) whose power in the residual exceeds the local noise so much that noise alone would add any with
-    probability 1e-3 only: F test with (2, ν) degrees of freedom, repeated with the lines found so far subtracted, so
-    that no line's leakage passes for another. A list adds those multiples. Lines folding onto another are left out.
+    below the Nyquist rate it is looked for at its alias. What the fit leaves is searched for further lines as
+    `survey_lines` does: "auto" adds the harmonics among them (up to the 20th, below 0.98 of the Nyquist frequency), so
+    that noise alone adds any with probability 1e-3 only; a list adds those multiples instead. All else is told as
+    `others`; those that would leak into a line by more than a tenth of its uncertainty are fitted with them. Lines
+    folding onto another are left out.
     """
     time, data = _complete(time_s, values)
     grid = sampling_grid(time)
@@ -89,15 +95,170 @@ def find_lines(
         raise ValueError(f"nominal_hz: expected a line that the sampling can tell apart, but {notices[0].text}")
     notices += _unfiltered(nominal[usable], nominal, grid)
     nominal = nominal[usable]
-    start = np.array([_peak_near(float(f), nominal, grid, data) for f in nominal])
-    if harmonics == "auto":
-        multiples: list[list[int]] = [[1] for _ in nominal]
-        refined = _add_harmonics(time, data, start, multiples)
-    else:
+    record = _Record(time, data, grid)
+    chosen = _Chosen(record.peaks_near(nominal), [[1] for _ in nominal], np.empty(0))
+    if harmonics != "auto":
         multiples, above = _listed(nominal, harmonics, grid)
-        notices += above
-        refined = refine_frequency(time, data, start, multiples)
-    return _as_lines(time, data, grid, nominal, multiples, refined, notices, harmonics == "auto")
+        chosen, notices = _Chosen(chosen.fundamental, multiples, np.empty(0)), notices + above
+    fitted, others = _settle(record, chosen, harmonics == "auto")
+    return _as_lines(fitted, others, nominal, notices, harmonics == "auto")
+
+
+def _settle(record: _Record, chosen: _Chosen, auto: bool) -> tuple[_Fitted, Survey]:
+    """Fit, look at what is left and fit again, until nothing new is to be fitted."""
+    fitted = record.fit(chosen)
+    for _ in range(_ROUNDS if record.has_gaps else 1):
+        others = record.look(fitted)
+        wanted = _extended(record, fitted, others, auto)
+        added = wanted.lines.size > fitted.chosen.lines.size or wanted.nuisance.size > fitted.chosen.nuisance.size
+        others = others.select(~_near(others.frequency_hz, record.alias(wanted.lines), record.resolution_hz))
+        if not added:
+            break
+        fitted = record.fit(wanted)
+    return fitted, others
+
+
+@dataclass(frozen=True)
+class _Chosen:
+    """What is fitted: fundamentals (Q,) in Hz with their multiples, and nuisances (N,) in Hz."""
+
+    fundamental: FloatArray
+    multiples: list[list[int]]
+    nuisance: FloatArray
+
+    @property
+    def place(self) -> list[tuple[int, int]]:
+        """Fundamental and multiple of each line."""
+        return [(q, m) for q, orders in enumerate(self.multiples) for m in orders]
+
+    @property
+    def lines(self) -> FloatArray:
+        """All lines (K,) in Hz, fundamental by fundamental."""
+        return np.array([m * self.fundamental[q] for q, m in self.place])
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """The lines chosen, at their refined frequencies, and their fit, nuisances last."""
+
+    chosen: _Chosen
+    u_fundamental: FloatArray
+    fit: SineFit
+
+
+@dataclass(frozen=True)
+class _Record:
+    """Complete samples (S, C) on a grid."""
+
+    time_s: FloatArray
+    data: FloatArray
+    grid: SamplingGrid
+
+    @property
+    def has_gaps(self) -> bool:
+        """Whether samples are missing on the grid."""
+        return len(self.time_s) < self.grid.length
+
+    @property
+    def resolution_hz(self) -> float:
+        """One bin."""
+        return self.grid.rate_hz / self.grid.length
+
+    def alias(self, frequency_hz: FloatArray) -> FloatArray:
+        """Return where lines appear."""
+        return alias_frequency(frequency_hz, self.grid.rate_hz)
+
+    def peaks_near(self, nominal: FloatArray) -> FloatArray:
+        """Return the frequencies of the peaks nearest to nominal ones (at their aliases), or raise `ValueError`."""
+        alias = self.alias(nominal)
+        apart = np.abs(np.subtract.outer(alias, alias)) + np.where(np.eye(len(alias)) > 0.0, np.inf, 0.0)
+        capture = np.minimum(_CAPTURE * nominal + 2.0 * self.resolution_hz, apart.min(axis=1) / 2.0)
+        capture = np.maximum(capture, self.resolution_hz)
+        intervals = np.stack([alias - capture, alias + capture], axis=1) / self.resolution_hz
+        filled = self.grid.filled(self.data - self.data.mean(axis=0))
+        found = [excess_power(np.ascontiguousarray(column), intervals) for column in filled.T]
+        height = np.stack([ratio for ratio, _, _ in found], axis=1)
+        for q in np.flatnonzero(~(height.max(axis=1) > _PROMINENT)):
+            raise ValueError(
+                f"nominal_hz: expected {nominal[q]:.6g} Hz to stand out of the spectrum, found no peak above "
+                f"{np.sqrt(_PROMINENT):g} times the noise within {capture[q]:.3g} Hz"
+            )
+        best = np.argmax(height, axis=1)
+        folded = np.array([found[c][1][q] for q, c in enumerate(best)]) * self.resolution_hz
+        downwards = nominal - self.grid.rate_hz * np.floor(nominal / self.grid.rate_hz) > self.grid.rate_hz / 2.0
+        return np.asarray(nominal + np.where(downwards, alias - folded, folded - alias))
+
+    def fit(self, chosen: _Chosen) -> _Fitted:
+        """Refine the fundamentals jointly with their harmonics, nuisances free beside them."""
+        label = [q for q, _ in chosen.place] + [len(chosen.fundamental) + n for n in range(len(chosen.nuisance))]
+        start = np.concatenate([chosen.lines, chosen.nuisance])
+        names = [str(c) for c in range(self.data.shape[1])]
+        try:
+            fit = fit_sines(self.time_s, self.data, start, names, names, model=SineModel(free=tuple(label)))
+        except ValueError:
+            if not len(chosen.nuisance):
+                raise
+            return self.fit(_Chosen(chosen.fundamental, chosen.multiples, np.empty(0)))
+        first = [label.index(q) for q in range(len(chosen.fundamental))]
+        found = fit.phasors.frequency_hz
+        order = np.array([chosen.place[k][1] for k in first], dtype=np.float64)
+        refined = _Chosen(found[first] / order, chosen.multiples, found[len(chosen.lines) :])
+        return _Fitted(refined, fit.u_frequency_hz[first] / order, fit)
+
+    def look(self, fitted: _Fitted) -> Survey:
+        """Return the lines in what a fit leaves, and its nuisances, named."""
+        lines, fit = fitted.chosen.lines, fitted.fit
+        amplitude = np.abs(fit.phasors.value)
+        residual = self.grid.filled(fit.residual_of(self.time_s, self.data))
+        found = look(
+            residual,
+            self.grid.rate_hz,
+            FALSE_ALARM,
+            expected_places(fitted.chosen.fundamental, self.grid.rate_hz),
+            fit.phasors.frequency_hz,
+            _SMALLEST * amplitude.max(axis=0),
+        )
+        found = _with_nuisances(found, fitted)
+        frequency = np.concatenate([self.alias(lines), found.frequency_hz])
+        u = np.concatenate([fit.u_frequency_hz[: len(lines)], found.u_frequency_hz])
+        strength = relative_strength(np.concatenate([amplitude[: len(lines)], found.amplitude]))
+        every = LineList(frequency, u, strength, self.grid.rate_hz, self.resolution_hz)
+        return found.named(name_lines(every, fitted.chosen.fundamental)[len(lines) :])
+
+
+def _with_nuisances(found: Survey, fitted: _Fitted) -> Survey:
+    """Return the survey of a residual with the nuisances that were fitted put back."""
+    first, phasors = len(fitted.chosen.lines), fitted.fit.phasors
+    if first == len(phasors.frequency_hz):
+        return found
+    amplitude, u = np.abs(phasors.value[first:]), np.sqrt((phasors.u_re**2 + phasors.u_im**2) / 2.0)[first:]
+    return found.joined(phasors.frequency_hz[first:], fitted.fit.u_frequency_hz[first:], amplitude, u)
+
+
+def _extended(record: _Record, fitted: _Fitted, others: Survey, auto: bool) -> _Chosen:
+    """Return what is to be fitted: the lines so far, harmonics among the others, and others that leak into them."""
+    multiples = [list(orders) for orders in fitted.chosen.multiples]
+    limit = _NYQUIST_SHARE * record.grid.rate_hz / 2.0
+    for frequency, origin in zip(others.frequency_hz, others.origin, strict=True):
+        if auto and origin.kind == "harmonic" and origin.multiple <= MAX_MULTIPLE and frequency < limit:
+            q = int(np.argmin(np.abs(fitted.chosen.fundamental - origin.fundamental_hz)))
+            multiples[q] = sorted({*multiples[q], origin.multiple})
+    chosen = _Chosen(fitted.chosen.fundamental, multiples, fitted.chosen.nuisance)
+    lines = record.alias(chosen.lines)
+    left = others.select(~_near(others.frequency_hz, lines, record.resolution_hz))
+    if not len(left.frequency_hz):
+        return chosen
+    phasors = fitted.fit.phasors
+    u = np.sqrt((phasors.u_re**2 + phasors.u_im**2) / 2.0)[: len(fitted.chosen.lines)].min(axis=0)
+    apart = np.min(np.abs(np.subtract.outer(left.frequency_hz, lines)), axis=1) / record.resolution_hz
+    leak = np.max(np.nan_to_num(left.amplitude) / np.maximum(u, np.finfo(np.float64).tiny), axis=1) / (np.pi * apart)
+    strongest = np.argsort(-leak, kind="stable")[:_MOST_NUISANCES]
+    return _Chosen(chosen.fundamental, multiples, np.sort(left.frequency_hz[strongest[leak[strongest] > _LEAK]]))
+
+
+def _near(frequency_hz: FloatArray, lines: FloatArray, resolution_hz: float) -> BoolArray:
+    """Tell which frequencies (L,) are those of lines."""
+    return np.asarray(np.any(np.abs(np.subtract.outer(frequency_hz, lines)) < 1.5 * resolution_hz, axis=1))
 
 
 def _complete(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -110,31 +271,6 @@ def _complete(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, Float
     if not moving.any():
         raise ValueError(f"values: expected a channel that changes, found {data.shape[1]} without any change")
     return time_s[present], data[present][:, moving]
-
-
-def _peak_near(nominal: float, all_nominal: FloatArray, grid: SamplingGrid, data: FloatArray) -> float:
-    """Return the frequency of the peak nearest to a nominal frequency (at its alias), or raise `ValueError`."""
-    filled = grid.filled(data - data.mean(axis=0))
-    spectrum = amplitude_spectrum(filled, grid.rate_hz)
-    resolution = grid.rate_hz / grid.length
-    alias = float(alias_frequency(nominal, grid.rate_hz))
-    others = alias_frequency(all_nominal[all_nominal != nominal], grid.rate_hz)
-    room = float(np.min(np.abs(others - alias), initial=np.inf)) / 2.0
-    capture = max(min(_CAPTURE * nominal + 2.0 * resolution, room), resolution)
-    low, high = np.searchsorted(spectrum.frequency_hz, [alias - capture, alias + capture])
-    low, high = max(int(low), 1), min(max(int(high), int(low) + 1), len(spectrum.frequency_hz) - 1)
-    height = np.max(spectrum.amplitude / np.maximum(noise_floor(spectrum), np.finfo(np.float64).tiny), axis=1)
-    if not np.max(height[low:high], initial=0.0) > _PROMINENT:
-        raise ValueError(
-            f"nominal_hz: expected {nominal:.6g} Hz to stand out of the spectrum, found no peak above "
-            f"{_PROMINENT:g} times the noise within {capture:.3g} Hz"
-        )
-    top = low + int(np.argmax(height[low:high]))
-    channel = int(np.argmax(spectrum.amplitude[top] / data.std(axis=0)))
-    fraction = _hann_offset(spectrum.amplitude[top - 1 : top + 2, channel])
-    folded = float(spectrum.frequency_hz[top]) + fraction * resolution
-    downwards = nominal - grid.rate_hz * np.floor(nominal / grid.rate_hz) > grid.rate_hz / 2.0
-    return nominal + (alias - folded if downwards else folded - alias)
 
 
 def _unfiltered(nominal: FloatArray, all_nominal: FloatArray, grid: SamplingGrid) -> tuple[Notice, ...]:
@@ -152,69 +288,6 @@ def _unfiltered(nominal: FloatArray, all_nominal: FloatArray, grid: SamplingGrid
             more = f" and {len(names) - _NAMED} higher ones" if len(names) > _NAMED else ""
             notices.append(Notice("warning", text + more, f"{frequency:.6g} Hz"))
     return tuple(notices)
-
-
-def _hann_offset(three: FloatArray) -> float:
-    """Return where a sine lies between the bins, from three Hann amplitudes around its peak: ±(2r - 1) / (r + 1)."""
-    left, top, right = (float(a) for a in three)
-    larger, sign = (right, 1.0) if right > left else (left, -1.0)
-    ratio = larger / top
-    return sign * float(np.clip((2.0 * ratio - 1.0) / (ratio + 1.0), 0.0, 0.5))
-
-
-def _add_harmonics(time: FloatArray, data: FloatArray, start: FloatArray, multiples: list[list[int]]) -> Refined:
-    """Extend `multiples` by the harmonics that stand out until none is left; return the fundamentals refined."""
-    refined = refine_frequency(time, data, start, multiples)
-    for _ in range(_ROUNDS):
-        found = _standing_out(time, data, refined.frequency_hz, multiples)
-        if not found:
-            break
-        for q, m in found:
-            multiples[q].append(m)
-            multiples[q].sort()
-        refined = refine_frequency(time, data, refined.frequency_hz, multiples)
-    return refined
-
-
-def _line_list(fundamental: FloatArray, multiples: Sequence[Sequence[int]]) -> FloatArray:
-    """Return all lines, fundamental by fundamental."""
-    return np.array([m * f for f, orders in zip(fundamental, multiples, strict=True) for m in orders])
-
-
-def _standing_out(
-    time: FloatArray, data: FloatArray, fundamental: FloatArray, multiples: Sequence[Sequence[int]]
-) -> list[tuple[int, int]]:
-    """Return (fundamental, multiple) of the harmonics not yet listed whose power is significant in any channel."""
-    lines = _line_list(fundamental, multiples)
-    candidates = _candidates(fundamental, lines, time)
-    if not candidates:
-        return []
-    solution = solve_sines(sine_columns(time, lines), data)
-    wanted = np.array([m * fundamental[q] for q, m in candidates])
-    noise = noise_around(time, solution.residual, lines, wanted)
-    if noise is None:
-        return []
-    turns = np.exp(-2j * np.pi * np.mod(np.multiply.outer(wanted, time), 1.0))
-    power = np.abs(turns @ solution.residual) ** 2 / len(time)
-    strongest = np.sum(solution.coefficients[:-1] ** 2, axis=0)
-    ratio = power / np.maximum(noise.variance, np.finfo(np.float64).tiny)
-    chance = (1.0 + 2.0 * ratio / noise.dof[:, None]) ** (-noise.dof[:, None] / 2.0)
-    clear = (chance < FALSE_ALARM / chance.size) & (power > _SMALLEST**2 * strongest)
-    return [candidate for candidate, yes in zip(candidates, clear.any(axis=1), strict=True) if yes]
-
-
-def _candidates(fundamental: FloatArray, lines: FloatArray, time: FloatArray) -> list[tuple[int, int]]:
-    """Return the harmonics below the Nyquist frequency that are no line yet, each frequency once."""
-    rate = (len(time) - 1) / float(time[-1] - time[0])
-    apart = 1.5 / float(time[-1] - time[0])
-    taken = list(lines)
-    found = []
-    for m in range(2, MAX_MULTIPLE + 1):
-        for q, f in enumerate(fundamental):
-            if m * f < _NYQUIST_SHARE * rate / 2.0 and np.min(np.abs(np.array(taken) - m * f)) > apart:
-                taken.append(m * f)
-                found.append((q, m))
-    return found
 
 
 def _listed(
@@ -240,24 +313,13 @@ def _listed(
     return multiples, tuple(notices)
 
 
-def _as_lines(
-    time: FloatArray,
-    data: FloatArray,
-    grid: SamplingGrid,
-    nominal: FloatArray,
-    multiples: Sequence[Sequence[int]],
-    refined: Refined,
-    notices: tuple[Notice, ...],
-    auto: bool,
-) -> Lines:
+def _as_lines(fitted: _Fitted, others: Survey, nominal: FloatArray, notices: tuple[Notice, ...], auto: bool) -> Lines:
     """Assemble the result in ascending frequency, with reasons and remarks."""
-    lines = _line_list(refined.frequency_hz, multiples)
-    solution = solve_sines(sine_columns(time, lines), data)
-    amplitude = np.hypot(solution.coefficients[0:-1:2], solution.coefficients[1:-1:2])
-    noise = noise_around(time, solution.residual, lines, lines)
-    level = np.sqrt(noise.variance) if noise is not None else np.tile(solution.residual.std(axis=0), (len(lines), 1))
+    chosen, phasors = fitted.chosen, fitted.fit.phasors
+    place, lines = chosen.place, chosen.lines
+    amplitude = np.abs(phasors.value)[: len(lines)]
+    level = np.sqrt((phasors.u_re**2 + phasors.u_im**2) / 2.0)[: len(lines)]
     height = np.max(amplitude / np.maximum(level, np.finfo(np.float64).tiny), axis=1)
-    place = [(q, m) for q, orders in enumerate(multiples) for m in orders]
     first = {q: k for k, (q, m) in enumerate(place) if m == 1}
     why = []
     for k, (q, m) in enumerate(place):
@@ -274,58 +336,22 @@ def _as_lines(
     order_of = np.array([m for _, m in place])
     return Lines(
         frequency_hz=lines[order],
-        u_frequency_hz=(order_of * refined.u_frequency_hz[index])[order],
+        u_frequency_hz=(order_of * fitted.u_fundamental[index])[order],
         nominal_hz=nominal[index][order],
         multiple=order_of[order],
         why=tuple(why[i] for i in order),
-        notices=notices + _strangers(solution.residual, grid, lines, refined.frequency_hz, float(amplitude.max())),
+        notices=notices + _strangers(others),
+        others=others,
+        nuisance_hz=chosen.nuisance,
     )
 
 
-def _strangers(
-    residual: FloatArray, grid: SamplingGrid, lines: FloatArray, fundamental: FloatArray, largest: float
-) -> tuple[Notice, ...]:
-    """Tell about the largest peaks of the residual that are no lines: mains, sub-harmonics, others."""
-    filled = grid.filled(residual)
-    spectrum = amplitude_spectrum(filled, grid.rate_hz)
-    height = np.max(spectrum.amplitude / np.maximum(noise_floor(spectrum), _SMALLEST * largest), axis=1)
-    resolution = grid.rate_hz / grid.length
-    for f in [0.0, grid.rate_hz / 2.0, *alias_frequency(lines, grid.rate_hz)]:
-        centre = round(float(f) / resolution)
-        height[max(0, centre - _SKIRT) : centre + _SKIRT + 1] = 0.0
-    notices = []
-    for _ in range(_STRANGERS):
-        top = int(np.argmax(height))
-        if height[top] <= _STRANGER:
-            break
-        frequency = float(spectrum.frequency_hz[top])
-        text = f"{_origin(frequency, grid, fundamental)} at {frequency:.5g} Hz, {height[top]:.3g} times the noise"
-        notices.append(Notice("info", text + ", is in no line", f"{frequency:.5g} Hz"))
-        height[max(0, top - _SKIRT) : top + _SKIRT + 1] = 0.0
-    return tuple(notices)
-
-
-def _origin(frequency: float, grid: SamplingGrid, fundamental: FloatArray) -> str:
-    """Name what a peak most likely is: a harmonic or combination (folded, maybe), mains hum, a sub-harmonic."""
-    resolution = grid.rate_hz / grid.length
-
-    def fits(wanted: float) -> bool:
-        return abs(float(alias_frequency(wanted, grid.rate_hz)) - frequency) <= resolution
-
-    for m in range(2, MAX_MULTIPLE + 1):
-        for f in fundamental:
-            if fits(m * f):
-                return f"harmonic {m} of {f:.6g} Hz"
-    for f, g in permutations(np.sort(fundamental)[::-1], 2):
-        for m, n in ((1, 1), (1, -1), (2, 1), (2, -1)):
-            if fits(m * f + n * g):
-                return f"the combination {'2·' if m == 2 else ''}{f:.6g} {'+' if n > 0 else '-'} {g:.6g} Hz"
-    for mains in _MAINS_HZ:
-        multiple = max(1, round(frequency / mains))
-        if abs(frequency - multiple * mains) <= max(resolution, _MAINS_TOLERANCE * frequency) and multiple <= 7:
-            return f"mains hum ({mains:g} Hz)" if multiple == 1 else f"mains hum (harmonic {multiple} of {mains:g} Hz)"
-    for f in fundamental:
-        for part in (2, 3):
-            if fits(f / part):
-                return f"a sub-harmonic of {f:.6g} Hz"
-    return "an unexplained peak"
+def _strangers(others: Survey) -> tuple[Notice, ...]:
+    """Tell about the lines that stand out most and are in no fit."""
+    told = []
+    for i in np.argsort(-others.snr, kind="stable")[:_STRANGERS].tolist():
+        told.append(f"{others.frequency_hz[i]:.6g} Hz ({others.why[i]})")
+    if not told:
+        return ()
+    more = f" and {len(others.snr) - len(told)} more" if len(others.snr) > len(told) else ""
+    return (Notice("info", f"no results for other lines of the record: {'; '.join(told)}{more}", "lines"),)

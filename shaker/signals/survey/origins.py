@@ -194,13 +194,15 @@ def _pairs(state: _State) -> Iterator[tuple[float, float, float]]:
 
 
 def _harmonic(state: _State, i: int) -> Origin | None:
-    """Explain a line as a multiple of a fundamental."""
+    """Explain a line as a multiple of a fundamental, the lowest there is."""
+    found: Origin | None = None
     for f, u, strength in _pairs(state):
         m = round(float(state.lines.frequency_hz[i]) / f)
-        if 2 <= m <= MAX_MULTIPLE and m * f < state.lines.rate_hz / 2.0 and state.fits(i, m * f, m * u):
+        fits = 2 <= m <= MAX_MULTIPLE and m * f < state.lines.rate_hz / 2.0 and state.fits(i, m * f, m * u)
+        if fits and (found is None or m < found.multiple):
             share = float(state.lines.strength[i]) / strength
-            return Origin("harmonic", f"harmonic {m} of {f:.6g} Hz, {share:.2g} of it", f, m)
-    return None
+            found = Origin("harmonic", f"harmonic {m} of {f:.6g} Hz, {share:.2g} of it", f, m)
+    return found
 
 
 def _mains(state: _State, i: int, multiples: range) -> Origin | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -65,6 +66,25 @@ def find_peaks(
         if not state.grow() and not state.grow_expected():
             break
     return state.result()
+
+
+def excess_power(samples: FloatArray, place: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the highest power over the noise floor within each of the intervals `place` (Q, 2) in bins, and where.
+
+    Samples (S,) → ratio (Q,), fitted place of the peak (Q,), and its amplitude (Q,).
+    """
+    spectrum = centred_spectrum(samples)
+    power = spectrum.real**2 + spectrum.imag**2
+    level = np.maximum(noise_level(power)[0], np.finfo(np.float64).tiny)
+    found = []
+    for low, high in place:
+        first = min(max(math.ceil(low), 1), len(power) - 2)
+        last = min(max(math.floor(high), first), len(power) - 2)
+        top = first + int(np.argmax(power[first : last + 1] / level[first : last + 1]))
+        line = fit_line(spectrum, len(samples), float(top), float(level[top]))
+        found.append((float(power[top] / level[top]), line.place, abs(line.value)))
+    ratio, where, amplitude = np.array(found).T
+    return ratio, where, amplitude
 
 
 class _Search:

@@ -22,6 +22,7 @@ _CAPTURE = 5e-3  # relative: how far a fundamental may lie from its nominal freq
 _FEWEST = 32  # samples
 _MOST_COMBINED = 6  # fundamentals whose sums and differences are expected
 _FLOOR_POINTS = 400
+_HANN_NOISE = 3.0  # noise power in a Hann bin over the variance of a fitted quadrature: 6 σ²/N over 2 σ²/N
 
 
 @dataclass(frozen=True)
@@ -77,6 +78,33 @@ class Survey:
             self.floor,
             self.notices,
         )
+
+    def named(self, origin: tuple[Origin, ...]) -> Survey:
+        """Return the same lines under other names."""
+        return replace(self, origin=origin)
+
+    def joined(
+        self, frequency_hz: FloatArray, u_frequency_hz: FloatArray, amplitude: FloatArray, u_amplitude: FloatArray
+    ) -> Survey:
+        """Return the lines with others (N,) of amplitude (N, C) that had been taken out of the record."""
+        power = np.max(amplitude**2 / np.maximum(_HANN_NOISE * u_amplitude**2, np.finfo(np.float64).tiny), axis=1)
+        order = np.argsort(np.concatenate([self.frequency_hz, frequency_hz]), kind="stable")
+        origin = (*self.origin, *(Origin("unexplained", "unexplained"),) * len(frequency_hz))
+        return replace(
+            self,
+            frequency_hz=np.concatenate([self.frequency_hz, frequency_hz])[order],
+            u_frequency_hz=np.concatenate([self.u_frequency_hz, u_frequency_hz])[order],
+            amplitude=np.concatenate([self.amplitude, amplitude])[order],
+            u_amplitude=np.concatenate([self.u_amplitude, u_amplitude])[order],
+            snr=np.concatenate([self.snr, power])[order],
+            origin=tuple(origin[int(i)] for i in order),
+        )
+
+
+def no_lines() -> Survey:
+    """Return a survey of nothing."""
+    nothing, none = np.empty(0), np.empty((0, 0))
+    return Survey(nothing, nothing, none, none, nothing, (), nothing, none)
 
 
 def decibel(power_ratio: float) -> float:
