@@ -140,8 +140,8 @@ def _rate_cells(size: Size, plan: RatePlan) -> list[str]:
         _range(plan.alias_hz[fundamental] / plan.rate_hz, 3),
         f"{plan.distance_bins:.2f}",
         f"{plan.condition:.2f}",
-        f"{noise * plan.u_amplitude[k]:#.3g}",
-        f"{noise * float(np.max(plan.u_amplitude)):#.3g}",
+        _figures(noise * plan.u_amplitude[k]),
+        _figures(noise * float(np.max(plan.u_amplitude))),
         *_relative_cells(size, plan, k),
         f"{100.0 * (1.0 - plan.gain[k]):.3f}",
         f"{plan.duration_s:.2f}",
@@ -155,7 +155,7 @@ def _relative_cells(size: Size, plan: RatePlan, k: int) -> list[str]:
     relative = size.relative(float(plan.lines.frequency_hz[k]), float(plan.u_amplitude[k]))
     if plan.lines.multiple[k] != 1 or relative is None:
         return ["", ""]
-    return [f"{100.0 * relative:#.3g}", f"{1e3 * relative:#.3g}"]
+    return [_figures(100.0 * relative), _figures(1e3 * relative)]
 
 
 def _print_explained(console: Console, size: Size, point: Point) -> None:
@@ -229,7 +229,7 @@ def _lines_table(size: Size, plan: RatePlan) -> Table:
             f"{plan.distance_hz[k] / plan.resolution_hz:.2f}",
             _neighbour(float(plan.neighbour_hz[k])),
             f"{100.0 * (1.0 - plan.gain[k]):.3f}",
-            f"{noise * plan.u_amplitude[k]:#.3g}",
+            _figures(noise * plan.u_amplitude[k]),
             *_relative_cells(size, plan, k),
         )
     return table
@@ -251,6 +251,11 @@ def _range(values: FloatArray, decimals: int) -> str:
     """Return one value, or the ends of several."""
     ends = sorted({f"{value:.{decimals}f}" for value in (float(np.min(values)), float(np.max(values)))}, key=float)
     return DASH.join(ends)
+
+
+def _figures(value: float) -> str:
+    """Return a number with three significant digits."""
+    return f"{value:#.3g}".rstrip(".")
 
 
 def _noise(size: Size) -> tuple[float, str]:

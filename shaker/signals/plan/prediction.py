@@ -7,7 +7,7 @@ import numpy as np
 from shaker._checks import FloatArray, check_shape
 from shaker.signals.folding import condition_number, sine_columns
 
-_REFINEMENT = 8  # points of the noise integral per bin of the record
+_REFINEMENT = 16  # points of the noise integral per bin of the record
 
 
 def amplitude_covariance(
