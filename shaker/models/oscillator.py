@@ -144,18 +144,6 @@ def fit_transfer_resonance(
     )
 
 
-def resonance_band(frequency_hz: FloatArray, value: ComplexArray, widths: float = 5.0) -> tuple[float, float]:
-    """Return the band of `widths` half-power widths on either side of the largest |H| (K,), for a start."""
-    magnitude = np.abs(value)
-    peak = int(np.argmax(magnitude))
-    above = magnitude >= np.sqrt(0.5) * magnitude[peak]
-    low = peak - int(np.argmin(np.append(above[peak::-1], False))) + 1
-    high = peak + int(np.argmin(np.append(above[peak:], False))) - 1
-    spacing = float(np.min(np.diff(frequency_hz))) if len(frequency_hz) > 1 else 0.0
-    width = max(float(frequency_hz[high] - frequency_hz[low]), spacing)
-    return float(frequency_hz[peak] - widths * width), float(frequency_hz[peak] + widths * width)
-
-
 def _names(delay: bool, residual_terms: bool) -> tuple[str, ...]:
     """Return the names of the parameters that are fitted."""
     names = ["frequency_hz", "damping_ratio", "gain_re", "gain_im"]
