@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from fusion.errors import InputError
 from fusion.manifest import Manifest
+from fusion.notices import Notice
 from fusion.transfer.result import TransferSettings
 from shaker.signals.transfer import (
     TransferFunction,
@@ -33,7 +36,8 @@ def estimated(manifest: Manifest, record: TransferRecord, settings: TransferSett
     overlapping segments. Raises `InputError` naming the key of the manifest, or the option, at fault.
     """
     excitation = manifest.excitation
-    periodic = settings.estimator == "periodic" or (settings.estimator == "auto" and excitation.period is not None)
+    repeats = excitation.period is not None or excitation.kind == "multisine"
+    periodic = settings.estimator == "periodic" or (settings.estimator == "auto" and repeats)
     if periodic and excitation.period is None:
         expected = "the period in s, which the periodic estimate needs"
         raise InputError(manifest.path, "excitation.period", found="nothing", expected=expected)
@@ -41,10 +45,11 @@ def estimated(manifest: Manifest, record: TransferRecord, settings: TransferSett
         if periodic and excitation.period is not None:
             settle, band = excitation.settle_periods, excitation.band
             return transfer_periodic(record, excitation.period, settle_periods=settle, band_hz=band)
-        return _averaged(manifest, record, settings)
+        found = _averaged(manifest, record, settings)
     except ValueError as error:
         argument = str(error).partition(":")[0]
         raise InputError.told_by(error, manifest.path, _KEYS.get(argument, "excitation")) from error
+    return replace(found, notices=(*found.notices, *_single_sweep(manifest)))
 
 
 def _averaged(manifest: Manifest, record: TransferRecord, settings: TransferSettings) -> TransferFunction:
@@ -56,3 +61,14 @@ def _averaged(manifest: Manifest, record: TransferRecord, settings: TransferSett
         window_s = min(_BLOW_S, 0.5 * length_s) if settings.resolution_hz is None else 1.0 / settings.resolution_hz
         return transfer_impact(record, window_s, estimator=estimator, band_hz=band)
     return transfer_random(record, settings.resolution_hz or _SEGMENTS / length_s, estimator=estimator, band_hz=band)
+
+
+def _single_sweep(manifest: Manifest) -> tuple[Notice, ...]:
+    """Say what a chirp without a period loses."""
+    if manifest.excitation.kind != "chirp" or manifest.excitation.period is not None:
+        return ()
+    text = (
+        "no period is stated, so the chirp is averaged like noise, with leakage at sharp resonances; of a chirp that "
+        "repeats, state the period"
+    )
+    return (Notice("warning", text, "excitation.period"),)
