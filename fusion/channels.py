@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -14,10 +15,14 @@ from fusion.manifest import ChannelEntry, Manifest
 from fusion.records import DaqRecord
 from fusion.response import read_response
 from fusion.timing import TimeBase
+from shaker.notice import Notice
+from shaker.signals.folding import alias_frequency
 from shaker.signals.frequencies import Lines, find_lines
 from shaker.signals.phasor import Phasors
 from shaker.signals.sine import SineFit, fit_sines
 from shaker.signals.spectrum import amplitude_spectrum
+from shaker.signals.stationarity import stationarity
+from shaker.signals.survey import relative_strength, survey_lines
 
 FloatArray = NDArray[np.float64]
 
@@ -30,6 +35,10 @@ QUANTITY_UNITS = {
     "voltage": "V",
 }
 EXCERPT_PERIODS = 4
+DRIVEN = 0.05
+"""Of the strongest line: what a line of a multisine without stated frequencies must reach."""
+APART_PERIODS = 2.0
+"""Periods of the beat with every wanted line that a record must hold for another line to be fitted beside them."""
 # The order in which quantities are preferred for finding the lines: those that show high frequencies best.
 LINE_QUANTITIES = ("acceleration", "velocity", "angular_velocity", "displacement", "output", "force", "voltage")
 
@@ -42,10 +51,10 @@ def channel_unit(manifest: Manifest, channel: ChannelEntry) -> str:
 
 
 def nominal_lines(manifest: Manifest) -> tuple[Sequence[float], Literal["auto"] | Sequence[int]]:
-    """Return the nominal fundamentals in Hz and the harmonics asked for; a multisine may state a band instead."""
+    """Return the nominal fundamentals in Hz and the harmonics asked for, as the manifest states them."""
     excitation = manifest.excitation
     if excitation.frequencies is None:
-        expected = "the frequencies of the lines, which shakercal run needs"
+        expected = "the frequencies of the lines, since no channel shows them"
         raise InputError(manifest.path, "excitation.frequencies", found="none", expected=expected)
     return excitation.frequencies, excitation.harmonics
 
@@ -59,13 +68,44 @@ def find_channel_lines(manifest: Manifest, base: TimeBase) -> Lines | None:
     time_s = base.to_base_s(record.entry.name, record.time_s(channel.name))
     together = next(group for group in _same_times(record) if channel in group)
     values = np.stack([record.values(member) for member in together], axis=1)
-    nominal_hz, harmonics = nominal_lines(manifest)
+    harmonics = manifest.excitation.harmonics
     try:
-        return find_lines(time_s, values, nominal_hz, harmonics)
+        if manifest.excitation.frequencies is not None:
+            return find_lines(time_s, values, manifest.excitation.frequencies, harmonics)
+        nominal_hz, told = _driven_lines(manifest, time_s, values, [member.name for member in together])
+        lines = find_lines(time_s, values, nominal_hz, harmonics)
+        return replace(lines, notices=(told, *lines.notices))
     except ValueError as error:
         names = ", ".join(member.name for member in together)
         where = f"{'channel' if len(together) == 1 else 'channels'} {names} of {record.entry.file.name}"
         raise InputError.told_by(ValueError(f"{error} ({where})"), manifest.path, "excitation.frequencies") from error
+
+
+def _driven_lines(
+    manifest: Manifest, time_s: FloatArray, values: FloatArray, names: Sequence[str]
+) -> tuple[Sequence[float], Notice]:
+    """Return the lines in the band of a multisine that states no frequencies, and a notice that lists them.
+
+    Of the reference channels where they are among these, else of all: what reaches a twentieth of the strongest line
+    and, where the period is stated, lies at a multiple of its inverse.
+    """
+    excitation = manifest.excitation
+    chosen = [c for c, name in enumerate(names) if name in excitation.reference] or list(range(len(names)))
+    rate_hz = (len(time_s) - 1) / float(time_s[-1] - time_s[0])
+    found = survey_lines(values[:, chosen], rate_hz)
+    low, high = excitation.band or (0.0, rate_hz / 2.0)
+    in_band = found.select((found.frequency_hz >= low) & (found.frequency_hz <= high))
+    kept = in_band.select(relative_strength(in_band.amplitude) >= DRIVEN) if len(in_band.frequency_hz) else in_band
+    nominal_hz = [float(f"{f:.6g}") for f in kept.frequency_hz]
+    if excitation.period is not None:
+        turns = [(f, round(f * excitation.period) / excitation.period) for f in kept.frequency_hz.tolist()]
+        nominal_hz = [whole for f, whole in turns if abs(f - whole) <= rate_hz / len(time_s)]
+    if not nominal_hz:
+        raise ValueError(
+            f"band: expected lines between {low:g} and {high:g} Hz that stand out of the noise, found none"
+        )
+    listed = ", ".join(f"{f:.6g}" for f in nominal_hz)
+    return nominal_hz, Notice("info", f"no frequencies are stated; found in the band: {listed} Hz", "excitation.band")
 
 
 def _line_channel(base: TimeBase) -> tuple[DaqRecord, ChannelEntry] | None:
@@ -128,15 +168,39 @@ def _fit_group(
     values = np.stack([record.values(channel) for channel in group], axis=1)
     names = [channel.name for channel in group]
     units = [channel_unit(manifest, channel) for channel in group]
+    wanted = lines.frequency_hz[seen]
+    frequency_hz = np.concatenate([wanted, _nuisances(lines, time_s, rate_hz)])
     try:
-        fit = fit_sines(time_s, values, lines.frequency_hz[seen], names, units)
+        fit = fit_sines(time_s, values, frequency_hz, names, units)
     except ValueError as error:
         raise InputError.told_by(error, record.entry.file, names[0]) from error
-    spread = spread_lines(fit.phasors, seen, lines.frequency_hz)
-    return [
+    spread = spread_lines(_first_lines(fit.phasors, len(wanted)), seen, lines.frequency_hz)
+    steady = stationarity(time_s, values, lines.frequency_hz[seen], names)
+    found = [
         _result(record, channel, time_s, values[:, c], fit, spread.select([channel.name]))
         for c, channel in enumerate(group)
     ]
+    return found if steady is None else [replace(one, stationarity=steady.select(one.name)) for one in found]
+
+
+def _nuisances(lines: Lines, time_s: FloatArray, rate_hz: float) -> FloatArray:
+    """Return the other lines (N,) to be fitted beside the wanted ones: below Nyquist, and so far off that they can."""
+    apart = np.abs(np.subtract.outer(lines.nuisance_hz, alias_frequency(lines.frequency_hz, rate_hz)))
+    clear = np.all(apart * float(time_s[-1] - time_s[0]) >= APART_PERIODS, axis=1)
+    return np.asarray(lines.nuisance_hz[clear & (lines.nuisance_hz < rate_hz / 2.0)])
+
+
+def _first_lines(phasors: Phasors, count: int) -> Phasors:
+    """Return the phasors of the first lines only."""
+    part = slice(0, count)
+    return Phasors(
+        phasors.frequency_hz[part],
+        phasors.value[part],
+        phasors.covariance[part],
+        phasors.channels,
+        phasors.unit,
+        phasors.dof[part],
+    )
 
 
 def _result(

@@ -6,6 +6,7 @@ import time
 from collections.abc import Sequence
 
 from fusion.channels import channel_results, find_channel_lines
+from fusion.drift import drift_notices, drifts
 from fusion.errors import ComputeError, InputError
 from fusion.evaluation import Evaluation
 from fusion.fuse import Acceleration, fuse_sources
@@ -56,6 +57,7 @@ def evaluate_recording(
     sensitivity = _sensitivity(manifest, lines, readings, load)
     notices = [*_clock_notices(base), *lines.notices, *folded, *unseen]
     notices += [notice for item in stereo for notice in item.notices]
+    notices += drift_notices(drifts(channels, [item.result for item in stereo], lines))
     notices += [notice for a in accelerations if a.source == "fused" for notice in a.notices]
     notices += [notice for result in (load, sensitivity) if result is not None for notice in result.notices]
     return Evaluation(

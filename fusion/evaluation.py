@@ -20,6 +20,7 @@ from photogram.noise import NoiseModel
 from shaker.signals.frequencies import Lines
 from shaker.signals.phasor import Phasors
 from shaker.signals.sine import SineFit
+from shaker.signals.stationarity import Stationarity
 from shaker.signals.sync import ClockTie, TriggerFit
 
 FloatArray = NDArray[np.float64]
@@ -36,6 +37,7 @@ class StereoResult:
     the points do beside the rigid motion at the usable lines. `noise`: of the left and the right camera. `sigma_px`
     (2,): median standard deviation of a subset's coordinate, as predicted from the first images and as found.
     `epipolar`: whether the cameras are what was calibrated, frame by frame; its notices are among the evaluation's.
+    `stationarity`: the six components over blocks of whole beats, exposure loss not corrected.
     """
 
     name: str
@@ -56,6 +58,7 @@ class StereoResult:
     noise: tuple[NoiseModel, ...] = ()
     sigma_px: FloatArray | None = None
     epipolar: EpipolarCheck | None = None
+    stationarity: Stationarity | None = None
 
 
 @dataclass(frozen=True)
@@ -64,6 +67,7 @@ class ChannelResult:
 
     `excerpt_s`, `excerpt`, `excerpt_fit` (S,): a short stretch with its fit. `spectrum_hz`, `spectrum` (B,):
     amplitude spectrum of the signal; `residual_rms`: of what the lines leave, in the channel's SI unit.
+    `stationarity`: phasors over blocks of whole periods, delay and response not corrected.
     """
 
     name: str
@@ -80,6 +84,7 @@ class ChannelResult:
     excerpt_fit: FloatArray
     spectrum_hz: FloatArray
     spectrum: FloatArray
+    stationarity: Stationarity | None = None
 
 
 @dataclass(frozen=True)

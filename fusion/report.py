@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from fusion import report_tables as tables
+from fusion.drift_tables import drift_table
 from fusion.evaluation import Evaluation
 from fusion.highlights import notices
 from fusion.page import render_page
@@ -37,6 +38,7 @@ def _context(evaluation: Evaluation) -> dict[str, Any]:
         "stereo": tables.stereo_table(evaluation.stereo),
         "lines": tables.lines_table(evaluation),
         "channels": tables.channels_table(evaluation),
+        "drift": drift_table(evaluation),
         "clocks": tables.clocks_table(evaluation),
         "origin": tables.provenance_tables(evaluation),
         "inputs": tables.inputs_table(evaluation),

@@ -25,6 +25,7 @@ from shaker.signals.frequencies import Lines
 from shaker.signals.phasor import Phasors
 from shaker.signals.separation import usable_lines
 from shaker.signals.sine import SineFit, exposure_gain, fit_sines, sine_amplitudes
+from shaker.signals.stationarity import stationarity
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -105,7 +106,8 @@ def stereo_phasors(measured: StereoMotion, lines: Lines) -> StereoPhasors:
     found = [(f"{name}, {notice.where}", notice) for notice in measured.notices]
     notices = tuple(Notice(notice.severity, f"stereo pair {where}: {notice.text}", name) for where, notice in found)
     shape = deflection_shape(measured.time_s, frequency_hz, measured.deformation, measured.entry.exposure)
-    result = replace(_result(measured, from_mean, fit, usable), deflection=shape)
+    steady = stationarity(measured.time_s, from_mean.pose, frequency_hz, COMPONENTS)
+    result = replace(_result(measured, from_mean, fit, usable), deflection=shape, stationarity=steady)
     return StereoPhasors(measured.entry, measured.stereo, result, displacement, effects, notices)
 
 

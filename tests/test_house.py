@@ -24,9 +24,9 @@ WRITTEN_ORDER = {
     "shaker.models": "oscillator",
     "fusion": """
         notices errors output console settings manifest response check body observe estimate consistency fuse load
-        sensitivity deflection evaluation records timing channels stereo_motion stereo_phasors readings provenance
-        evaluate polar highlights results_csv results_h5 camera_facts plan plots report_numbers report_tables page
-        report results camera_tables camera_report campaign simulate progress summary plan_tables cameras align
+        sensitivity deflection evaluation drift records timing channels stereo_motion stereo_phasors readings provenance
+        evaluate polar highlights results_csv results_h5 camera_facts plan plots report_numbers report_tables drift_tables
+        page report results camera_tables camera_report campaign simulate progress summary plan_tables cameras align
         import_calibration lines transfer commands cli
     """,
 }

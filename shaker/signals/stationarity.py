@@ -11,10 +11,12 @@ import numpy as np
 from shaker._checks import ComplexArray, FloatArray, IntArray, check_shape
 from shaker.signals.folding import alias_frequency, sampling_grid, sine_columns
 from shaker.signals.noise import line_noise
-from shaker.signals.separation import MAX_CONDITION
+from shaker.signals.separation import MAX_CONDITION, separation_bins
 from shaker.signals.sine import SineSolution, solve_sines
 
 MAX_BLOCKS = 10
+_UNUSED = 0.02  # of the record may be left over for the sake of more blocks
+_APART = 8.0  # bins between lines from which on a drift can be taken off without touching their noise
 _SLOPES = ("amplitude_per_s", "u_amplitude_per_s", "phase_rad_per_s", "u_phase_rad_per_s", "p_value")
 _NOISE_SAMPLES = 1 << 17  # of a longer record no more are needed for its noise density
 
@@ -109,8 +111,11 @@ def _block_length(time: FloatArray, frequency_hz: FloatArray) -> tuple[float, fl
     total = int(np.floor(length * seen_hz + 0.1))
     if total < 2:
         return length / 2.0, length * seen_hz / 2.0, False
-    periods = -(-total // MAX_BLOCKS)
-    return min(periods / seen_hz, length / (total // periods)), float(periods), True
+    counts = np.arange(2, min(total, MAX_BLOCKS) + 1)
+    used = counts * (total // counts)
+    count = int(np.max(counts[used >= min((1.0 - _UNUSED) * total, used.max())]))
+    periods = total // count
+    return min(periods / seen_hz, length / count), float(periods), True
 
 
 def _blocks(time: FloatArray, block_s: float) -> list[slice]:
@@ -148,10 +153,13 @@ def _noise(time: FloatArray, data: FloatArray, frequency_hz: FloatArray) -> tupl
     """Return the noise variance (K, C) around the lines, and its degrees of freedom (K,), from the record's middle."""
     first = max(0, (len(time) - _NOISE_SAMPLES) // 2)
     time, data = time[first : first + _NOISE_SAMPLES], data[first : first + _NOISE_SAMPLES]
-    solution = solve_sines(sine_columns(time, frequency_hz), data)
+    columns, lines, grid = sine_columns(time, frequency_hz), len(frequency_hz), sampling_grid(time)
+    if grid is not None and separation_bins(frequency_hz, grid.rate_hz, grid.length) >= _APART:
+        # A drift of amplitude and phase makes skirts around each line that would count as noise.
+        span = np.sqrt(3.0) * (2.0 * (time - time[0]) / (time[-1] - time[0]) - 1.0)
+        columns = np.hstack([columns, columns[:, : 2 * lines] * span[:, None]])
+    solution = solve_sines(columns, data)
     residual, free = solution.residual, float(len(time) - len(solution.coefficients))
-    lines = len(frequency_hz)
-    grid = sampling_grid(time)
     if grid is not None:
         line_bin = alias_frequency(frequency_hz, grid.rate_hz) * grid.length / grid.rate_hz
         noise = line_noise(grid.filled(residual), len(time), line_bin, blocks=False)

@@ -1,0 +1,62 @@
+"""A drive that grows while it is recorded: notices, table and result file say by how much."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import h5py
+import pytest
+from drive_factory import CLEAR_HZ, DRIVEN_HZ, evaluate, recording
+
+from fusion.drift import drift_notices, drifts
+from fusion.drift_tables import drift_table
+from fusion.evaluation import Evaluation
+from fusion.results_h5 import write_h5
+
+GROWTH = 4e-3  # per second
+
+
+@pytest.fixture(scope="module")
+def grown(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
+    return evaluate(recording(tmp_path_factory.mktemp("grown"), CLEAR_HZ, laser=True, growth=GROWTH))
+
+
+def test_the_change_over_each_record_is_found(grown: Evaluation) -> None:
+    laser, pair = drifts(grown.channels, grown.stereo, grown.lines)
+    assert (laser.name, pair.name) == ("laser", "stereo pair base")
+    assert laser.frequency_hz == pytest.approx(DRIVEN_HZ, rel=1e-6)
+    assert laser.amplitude == pytest.approx(GROWTH * 1.4 * 147 / 148.75, rel=0.005)  # 147 whole periods of 1.4 s
+    assert laser.u_amplitude < 1e-5
+    assert laser.chance < 1e-6
+    assert abs(pair.amplitude - GROWTH * 64 / CLEAR_HZ) < 4.0 * pair.u_amplitude
+    assert abs(pair.phase_rad) < 4.0 * pair.u_phase_rad
+    assert laser.whole
+    assert pair.whole
+
+
+def test_the_user_is_told(grown: Evaluation) -> None:
+    told = [notice for notice in grown.notices if "changes over the record" in notice.text]
+    assert len(told) == 1
+    assert told[0].severity == "warning"
+    assert "the amplitude at 106.25 Hz changes over the record: +0.55 % in laser" in told[0].text
+    table = drift_table(grown)
+    assert table is not None
+    assert [row[0] for row in table.rows] == ["laser", "stereo pair base"]
+    assert "0.552" in table.rows[0][4]
+    assert table.rows[0][6] == "below 0.0001"
+
+
+def test_the_blocks_stand_in_the_result_file(grown: Evaluation, tmp_path: Path) -> None:
+    write_h5(tmp_path / "result.h5", grown, ())
+    with h5py.File(tmp_path / "result.h5") as file:
+        group = file["channels/daq-laser/stationarity"]
+        assert group["value"].shape == (len(group["time_s"]), len(grown.lines.frequency_hz), 1)
+        assert group.attrs["whole"]
+        assert file["stereo/base/stationarity/u_amplitude_per_s"].shape == (len(grown.lines.frequency_hz), 6)
+
+
+def test_a_steady_drive_gives_no_notice(tmp_path: Path) -> None:
+    steady = evaluate(recording(tmp_path, CLEAR_HZ, laser=True))
+    found = drifts(steady.channels, steady.stereo, steady.lines)
+    assert len(found) == 2
+    assert drift_notices(found) == ()
