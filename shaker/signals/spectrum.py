@@ -1,4 +1,4 @@
-"""Spectra of records, and the noise density around a line."""
+"""Amplitude spectra of records."""
 
 from __future__ import annotations
 
@@ -57,15 +57,3 @@ def amplitude_spectrum(samples: FloatArray, sample_rate_hz: float, window: Windo
     if count % 2 == 0:
         amplitude[-1] /= 2.0
     return Spectrum(np.asarray(np.fft.rfftfreq(count, 1.0 / sample_rate_hz), dtype=np.float64), np.asarray(amplitude))
-
-
-def noise_floor(spectrum: Spectrum, half_width: int = 32) -> FloatArray:
-    """Return the local noise floor of an amplitude spectrum: the median over ±`half_width` bins, as an rms amplitude.
-
-    For Gaussian noise a bin's amplitude has a Rayleigh distribution, median/rms = √ln 2; the median passes over lines.
-    """
-    from scipy.ndimage import median_filter
-
-    size = min(2 * half_width + 1, len(spectrum.frequency_hz))
-    footprint = (size,) + (1,) * (spectrum.amplitude.ndim - 1)
-    return np.asarray(median_filter(spectrum.amplitude, size=footprint, mode="nearest") / np.sqrt(np.log(2.0)))

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shaker.signals.frequencies import find_lines, refine_frequency
+from shaker.signals.sine import fit_sines
 
 RATE = 12_800.0
 TRUE_HZ = 106.2495
@@ -119,6 +120,42 @@ def test_mains_is_told_and_is_no_line() -> None:
     assert lines.multiple.tolist() == [1]
     assert [n.severity for n in lines.notices] == ["info"]
     assert "mains hum (50 Hz)" in lines.notices[0].text
+    assert [origin.kind for origin in lines.others.origin] == ["mains"]
+    np.testing.assert_allclose(lines.others.frequency_hz, [50.01], atol=1e-3)
+    np.testing.assert_allclose(lines.others.amplitude, [[0.5]], atol=0.05)
+
+
+def test_a_neighbour_that_leaks_is_fitted_too() -> None:
+    rng = np.random.default_rng(20)
+    time = np.arange(12_800) / RATE
+    error: dict[bool, list[float]] = {True: [], False: []}
+    for _ in range(12):
+        hum = 0.02 * np.cos(2 * np.pi * 50.03 * time + rng.uniform(0.0, 2 * np.pi))
+        values = np.cos(2 * np.pi * 53.7 * time) + hum + 0.01 * rng.normal(size=len(time))
+        lines = find_lines(time, values, [53.7])
+        assert lines.multiple.tolist() == [1]
+        np.testing.assert_allclose(lines.nuisance_hz, [50.03], atol=0.05)
+        assert abs(lines.frequency_hz[0] - 53.7) < 5 * lines.u_frequency_hz[0]
+        for use in error:
+            frequency = np.append(53.7, lines.nuisance_hz if use else [])
+            fit = fit_sines(time, values[:, None], frequency, ["a"], ["m/s^2"])
+            error[use].append(abs(fit.phasors.value[0, 0] - 1.0))
+    # Noise alone: 0.01·sqrt(4/12800) = 1.8e-4 for both quadratures; the hum leaks up to 0.02/(π·3.7) = 1.7e-3.
+    assert np.sqrt(np.mean(np.square(error[True]))) < 2.6e-4
+    assert np.sqrt(np.mean(np.square(error[False]))) > 1e-3
+
+
+def test_everything_else_is_in_the_list_with_a_reason() -> None:
+    time, values = _record(np.random.default_rng(21), {1: 100.0, 2: 1.0, 25: 0.2})
+    rng = np.random.default_rng(22)
+    for frequency, amplitude in ((TRUE_HZ / 2, 0.2), (150.06, 0.2), (777.7, 0.2)):
+        values += amplitude * np.cos(2 * np.pi * frequency * time + rng.uniform(0.0, 2 * np.pi))
+    lines = find_lines(time, values, [106.25])
+    assert lines.multiple.tolist() == [1, 2]
+    assert [o.kind for o in lines.others.origin] == ["sub-harmonic", "mains", "unexplained", "harmonic"]
+    assert lines.others.origin[-1].multiple == 25
+    assert all("dB over the noise floor" in why for why in lines.others.why)
+    assert "and 1 more" in lines.notices[0].text
 
 
 def test_absent_fundamental_is_refused() -> None:

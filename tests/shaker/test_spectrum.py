@@ -7,7 +7,7 @@ import pytest
 import scipy.signal
 
 from shaker.signals.noise import line_noise
-from shaker.signals.spectrum import amplitude_spectrum, noise_floor, window_samples
+from shaker.signals.spectrum import amplitude_spectrum, window_samples
 
 
 @pytest.mark.parametrize("window", ["rectangular", "hann", "flattop"])
@@ -36,15 +36,6 @@ def test_channels_are_independent() -> None:
     data = np.random.default_rng(0).normal(size=(300, 2))
     both = amplitude_spectrum(data, 100.0)
     np.testing.assert_allclose(both.amplitude[:, 1], amplitude_spectrum(data[:, 1], 100.0).amplitude)
-
-
-def test_noise_floor_ignores_lines() -> None:
-    rng = np.random.default_rng(5)
-    t = np.arange(20_000) / 1e4
-    noise = rng.normal(size=len(t))
-    spectrum = amplitude_spectrum(noise + 5.0 * np.sin(2 * np.pi * 1000.0 * t), 1e4, "rectangular")
-    # White noise of variance 1: E|2/N Σ|² = 4/N per bin.
-    assert np.median(noise_floor(spectrum)) == pytest.approx(2.0 / np.sqrt(len(t)), rel=0.05)
 
 
 def test_white_noise_is_measured_as_white() -> None:
