@@ -13,7 +13,8 @@ from shaker.signals.sine.dense import check_condition
 from shaker.signals.sine.normal import Columns, Normal, Samples, Tones, as_complex, normal_equations
 
 _STEPS = 40
-_CONVERGED = 1e-2  # of the standard uncertainty: the last step is taken on the exact residual
+_CONVERGED = 1e-3  # of the standard uncertainty: the last step is taken on the exact residual
+_STANDS = 1e-9  # rad: a step that turns the ends of the record by less is the last, too
 _FARTHEST = 2.0  # rad by which one step may turn the ends of the record against its middle
 _ROUNDING = 1e-14  # of a channel's power: below it, differences of sums are rounding
 _SINGULAR = 1e-12
@@ -159,7 +160,7 @@ def _turn(exponent_change: ComplexArray, value: ComplexArray) -> float:
 
 
 def estimate(samples: Samples, frequency_hz: FloatArray, model: SineModel) -> tuple[Columns, System, FloatArray]:
-    """Return columns, normal equations and linear parameters (P, C), frequencies and decays within 1/100 of their u.
+    """Return columns, normal equations and linear parameters (P, C), frequencies and decays within 1/1000 of their u.
 
     One pass over the data where frequencies are known and nothing decays, else one per step.
     """
@@ -178,9 +179,9 @@ def estimate(samples: Samples, frequency_hz: FloatArray, model: SineModel) -> tu
         variance = np.maximum(left, _ROUNDING * normal.power) / samples.timeline.samples
         value = as_complex(coefficients, len(frequency_hz))
         step = frequency_step(system, normal.right, value, exponents, variance)
-        if np.all(np.abs(step.change) <= _CONVERGED * np.sqrt(step.inverse.diagonal())):
-            return columns, system, coefficients
         turn = half_s * _turn(exponents @ step.change, value)
+        if turn <= _STANDS or np.all(np.abs(step.change) <= _CONVERGED * np.sqrt(step.inverse.diagonal())):
+            return columns, system, coefficients
         shorter = min(1.0, _FARTHEST / turn) if turn > 0.0 else 1.0
         columns = replace(columns, tones=moved(columns.tones, exponents, shorter * step.change))
     listed = ", ".join(f"{f:.6g}" for f in frequency_hz)
