@@ -29,7 +29,7 @@ class Sampling:
     exposure_s: float = 0.0
     harmonics: int = 5
     corner_hz: float = 5.0
-    tolerance: float = 5e-5
+    tolerance: float = 1e-4
 
     def __post_init__(self) -> None:
         if self.frames < 4 or self.harmonics < 1:
