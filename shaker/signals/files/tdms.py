@@ -18,7 +18,8 @@ from shaker.signals.files.tdms_index import DAQMX, Field, Region, TdmsIndex, pat
 from shaker.signals.recording import RawChannel
 
 _SCALES = ("Polynomial", "Linear", "RTD", "Strain", "Table", "Thermistor", "Thermocouple", "Add", "Subtract")
-_SCALE_KEY = re.compile(r"NI_Scale\[\d+\]_Scale_Type")
+_SCALE_KEY = re.compile(r"NI_Scale\[(\d+)\]_Scale_Type")
+_MOST_SCALES = 1000
 _SCALE_BLOCK = 1 << 15  # samples scaled at a time: their intermediate results stay in the cache
 _Key = tuple[str, int]  # a channel's path and the number of its raw scale
 
@@ -190,12 +191,19 @@ def _scale(path: Path, name: str, index: TdmsIndex) -> Any:
     """Return the library's scale of a channel, None where it has none, or raise `ValueError` for an unknown one."""
     parts = path_parts(name)
     layers = [index.properties.get(key, {}) for key in (name, "/'" + parts[0].replace("'", "''") + "'", "/")]
-    kinds = [str(value) for layer in layers for key, value in layer.items() if _SCALE_KEY.fullmatch(key)]
-    if not kinds and not any("NI_Number_Of_Scales" in layer for layer in layers):
+    scales = {
+        match[1]: str(value) for layer in layers for key, value in layer.items() if (match := _SCALE_KEY.fullmatch(key))
+    }
+    numbers = [int(layer["NI_Number_Of_Scales"]) for layer in layers if "NI_Number_Of_Scales" in layer]
+    if not scales and not numbers:
         return None
-    for kind in kinds:
+    where = f'{path}: channel "{"/".join(parts)}"'
+    for kind in scales.values():
         if kind not in (*_SCALES, "AdvancedAPI"):
-            raise ValueError(f'{path}: channel "{"/".join(parts)}": expected a known scale, found {kind!r}')
+            raise ValueError(f"{where}: expected a known scale, found {kind!r}")
+    most = max([*map(int, scales), *numbers])
+    if most > _MOST_SCALES:
+        raise ValueError(f"{where}: expected at most {_MOST_SCALES} scales, found {most}")
     from nptdms.scaling import get_scaling
 
     return get_scaling(*layers)
