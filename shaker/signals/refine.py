@@ -8,8 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from shaker._checks import FloatArray, check_shape
-from shaker.signals.folding import alias_frequency, sampling_grid
-from shaker.signals.noise import LineNoise, line_noise
 from shaker.signals.sine import SineModel, UniformTimes, fit_sines
 
 
@@ -36,15 +34,3 @@ def refine_frequency(
     fit = fit_sines(time_s, values, order * start_hz[list(label)], names, names, model=SineModel(free=label))
     first = [label.index(q) for q in range(len(start_hz))]
     return Refined(fit.phasors.frequency_hz[first] / order[first], fit.u_frequency_hz[first] / order[first])
-
-
-def noise_around(time: FloatArray, residual: FloatArray, lines: FloatArray, wanted: FloatArray) -> LineNoise | None:
-    """Return the noise at the wanted frequencies (W,) in the residual (S, C) of `lines`, None where too short."""
-    grid = sampling_grid(time)
-    if grid is None:
-        return None
-    filled = grid.filled(residual)
-    both = alias_frequency(np.concatenate([wanted, lines]), grid.rate_hz)
-    all_bins = both * grid.length / grid.rate_hz
-    noise = line_noise(filled, len(time), all_bins)
-    return None if noise is None else LineNoise(noise.variance[: len(wanted)], noise.dof[: len(wanted)])
