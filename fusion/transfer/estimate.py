@@ -48,6 +48,10 @@ def estimated(manifest: Manifest, record: TransferRecord, settings: TransferSett
         found = _averaged(manifest, record, settings)
     except ValueError as error:
         argument = str(error).partition(":")[0]
+        if periodic and argument == "record":
+            found_text = f"{excitation.period:g} s, at whose harmonics {record.reference_name} holds only noise"
+            expected = "the period with which the excitation repeats"
+            raise InputError(manifest.path, "excitation.period", found=found_text, expected=expected) from error
         raise InputError.told_by(error, manifest.path, _KEYS.get(argument, "excitation")) from error
     return replace(found, notices=(*found.notices, *_single_sweep(manifest)))
 

@@ -1,0 +1,291 @@
+"""`shakercal transfer` end to end: simulated recordings against their truth, and recordings that it refuses."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import shutil
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from fusion.cli import main
+from fusion.errors import InputError
+from fusion.manifest import load_manifest
+from fusion.simulate.chirp import ChirpRig, transmissibility, write_chirp
+from fusion.transfer.evaluate import evaluate_transfer
+from fusion.transfer.result import ReferenceResult, TransferSettings
+from fusion.transfer.run import run_transfer
+
+RIG = ChirpRig(sample_rate_hz=10240.0, period_s=0.5, periods=5, band_hz=(300.0, 2800.0))
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small chirp recording with its truth."""
+    return write_chirp(tmp_path_factory.mktemp("chirp"), 3, RIG)
+
+
+@pytest.fixture
+def recording(simulated: Path, tmp_path: Path) -> Path:
+    """A copy of the recording that a test may spoil."""
+    shutil.copytree(simulated.parent, tmp_path / "campaign")
+    return tmp_path / "campaign" / simulated.name
+
+
+def _evaluated(folder: Path, **choices: object) -> ReferenceResult:
+    settings = TransferSettings(**choices)  # type: ignore[arg-type]
+    return evaluate_transfer(load_manifest(folder), settings, {}).references[0]
+
+
+def _joint_chi2(result: ReferenceResult, true: np.ndarray) -> tuple[float, np.ndarray]:
+    """χ² of all lines together with the common errors as unknowns of unit variance, and those unknowns."""
+    ratio = result.transfer.ratio
+    rows, columns = [], []
+    for k, block in enumerate(result.random_covariance):
+        whiten = np.linalg.inv(np.linalg.cholesky(block))
+        deviation = ratio.value[k, 0] - true[k]
+        rows.append(whiten @ [deviation.real, deviation.imag])
+        effects = true[k] * np.array([error.relative[k, 0] for error in result.errors])
+        columns.append(whiten @ np.stack([effects.real, effects.imag]))
+    y, design = np.concatenate(rows), np.concatenate(columns)
+    unknown = np.linalg.solve(design.T @ design + np.eye(design.shape[1]), design.T @ y)
+    return float(np.sum((y - design @ unknown) ** 2) + np.sum(unknown**2)), unknown
+
+
+def test_the_curve_is_the_truth_within_its_covariance(simulated: Path) -> None:
+    result = _evaluated(simulated)
+    frequency = result.transfer.ratio.frequency_hz
+    truth = json.loads((simulated / "truth.json").read_text())
+    np.testing.assert_allclose(frequency, truth["frequency_hz"], rtol=1e-7)
+    true = np.array(truth["transfer"]["re"]) + 1j * np.array(truth["transfer"]["im"])
+    chi2, unknown = _joint_chi2(result, true)
+    freedom = 2 * len(frequency)
+    # The covariance of a line is itself an estimate of some 40 degrees of freedom, hence the wider limits.
+    assert 0.85 * freedom < chi2 < 1.2 * freedom
+    assert np.all(np.abs(unknown) < 3.5)
+    assert {error.name for error in result.errors} == {
+        "base: scale",
+        "base: delay",
+        "top: scale",
+        "top: delay",
+        "top: frequency of amplifier",
+    }
+
+
+def test_the_resonance_is_found(simulated: Path) -> None:
+    (found,) = _evaluated(simulated).resonances
+    assert abs(found.fit.frequency_hz - RIG.frequency_hz) < 3.0 * found.u_frequency_hz
+    assert abs(found.fit.damping_ratio - RIG.damping_ratio) < 3.0 * found.u_damping_ratio
+    assert abs(found.fit.frequency_hz / RIG.frequency_hz - 1.0) < 5e-5
+    assert abs(found.fit.damping_ratio / RIG.damping_ratio - 1.0) < 0.01
+    assert found.fit.kind == "transmissibility"
+    assert found.budget["rate of the clock"][0] == pytest.approx(1e-6 * found.fit.frequency_hz)
+
+
+def test_averaged_spectra_agree(simulated: Path) -> None:
+    result = _evaluated(simulated, estimator="H1", resolution_hz=8.0)
+    assert result.transfer.estimator == "H1"
+    assert result.transfer.line_spacing_hz == pytest.approx(8.0)
+
+
+def test_files_of_a_run(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["transfer", str(recording)]) == 0
+    told = capsys.readouterr().out
+    assert "resonance of top / base: 1477.3" in told
+    folder = recording / "transfer"
+    assert sorted(path.name for path in folder.iterdir()) == ["transfer.csv", "transfer.h5", "transfer.html"]
+    with (folder / "transfer.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    with h5py.File(folder / "transfer.h5") as file:
+        group = file["references/base"]
+        value = group["transfer/ratio/value"][:, 0]
+        covariance = group["transfer/ratio/covariance"][()]
+        assert list(file["provenance/files"].asstr()) == ["transfer.csv", "transfer.html", "transfer.h5"]
+        assert len(file["provenance/input_file"]) == 4
+    assert len(rows) == len(value) == 1251
+    np.testing.assert_array_equal([complex(float(row["re"]), float(row["im"])) for row in rows], value)
+    np.testing.assert_allclose([float(row["u_re"]) ** 2 for row in rows], covariance[:, 0, 0], rtol=1e-12)
+    assert {(row["response"], row["reference"], row["estimator"], row["unit"]) for row in rows} == {
+        ("top", "base", "periodic", "1")
+    }
+    page = (folder / "transfer.html").read_text(encoding="utf-8")
+    assert "http" not in re.sub(r'xmlns[^"\']*["\'][^"\']*["\']|DOCTYPE|data:image[^"]*', "", page)
+    assert "Budget of the resonance of top / base" in page
+
+
+def test_results_of_the_same_input_are_replaced_and_others_refused(recording: Path) -> None:
+    run_transfer(recording, None, TransferSettings())
+    first = (recording / "transfer" / "transfer.csv").read_bytes()
+    run_transfer(recording, None, TransferSettings())
+    assert (recording / "transfer" / "transfer.csv").read_bytes() == first
+    (recording / "amplifier.toml").write_text("[[element]]\nfilter = 'bessel'\norder = 2\ncorner = 3e4\n")
+    with pytest.raises(InputError, match="results of other input files"):
+        run_transfer(recording, None, TransferSettings())
+    run_transfer(recording, None, TransferSettings(), force=True)
+    assert (recording / "transfer" / "transfer.csv").read_bytes() != first
+
+
+def test_a_quantity_turns_response_and_reference(recording: Path) -> None:
+    _change(
+        recording / "recording.toml", 'name = "top"\nquantity = "acceleration"', 'name = "top"\nquantity = "velocity"'
+    )
+    mixed = _evaluated(recording)
+    assert mixed.transfer.ratio.unit == ("(m/s)/(m/s^2)",)
+    same = _evaluated(recording, quantity="displacement")
+    assert same.transfer.ratio.unit == ("1",)
+    omega = 2.0 * np.pi * same.transfer.ratio.frequency_hz
+    np.testing.assert_allclose(same.transfer.ratio.value, mixed.transfer.ratio.value * 1j * omega[:, None])
+
+
+def test_what_channels_share_cancels(recording: Path) -> None:
+    text = (recording / "recording.toml").read_text()
+    (recording / "recording.toml").write_text(text.replace("scale = 100.0", 'scale = 100.0\ncommon = "amplifier"'))
+    names = {error.name for error in _evaluated(recording).errors}
+    assert names == {"amplifier: frequency of amplifier"}
+
+
+def test_blows_on_a_mass_give_its_receptance(tmp_path: Path) -> None:
+    rate, mass, rng = 10240.0, 0.5, np.random.default_rng(2)
+    force = np.zeros(round(8.0 * rate))
+    pulse = np.sin(np.pi * np.arange(1, 10) / 10.0) ** 2
+    for hit in range(7):
+        start = round((0.3 + 1.1 * hit + 0.01 * rng.random()) * rate)
+        force[start : start + len(pulse)] += 100.0 * (1.0 + 0.2 * rng.random()) * pulse
+    rig = ChirpRig(frequency_hz=640.0, damping_ratio=0.01)
+    frequency = np.fft.rfftfreq(2 * len(force), 1.0 / rate)
+    p = 1j * frequency / rig.frequency_hz
+    accelerance = -(frequency**2) / rig.frequency_hz**2 / (1.0 + 2.0 * rig.damping_ratio * p + p * p) / mass
+    top = np.fft.irfft(np.fft.rfft(force, 2 * len(force)) * accelerance)[: len(force)]
+    folder = _blow_recording(tmp_path, rate, force, top, rng)
+    result = _evaluated(folder, quantity="displacement")
+    assert result.transfer.ratio.unit == ("m/N",)
+    (found,) = result.resonances
+    assert found.fit.kind == "receptance"
+    assert abs(found.fit.frequency_hz - rig.frequency_hz) < 4.0 * found.u_frequency_hz
+    assert abs(found.fit.damping_ratio - rig.damping_ratio) < 4.0 * found.u_damping_ratio
+    stiffness = mass * (2.0 * np.pi * rig.frequency_hz) ** 2
+    assert found.fit.gain.real * stiffness == pytest.approx(1.0, rel=0.01)
+
+
+def _blow_recording(folder: Path, rate: float, force: np.ndarray, top: np.ndarray, rng: np.random.Generator) -> Path:
+    """Write a recording of blows with a little noise on both channels."""
+    with h5py.File(folder / "daq.h5", "w") as file:
+        for name, values, noise in (("hammer", force, 0.02), ("top", top, 0.02)):
+            file[name] = values + noise * rng.standard_normal(len(values))
+            file[name].attrs["sample_rate"] = rate
+    (folder / "rig.toml").write_text('format = 1\nname = "mass on a spring"\n')
+    (folder / "recording.toml").write_text("""
+format = 1
+name = "blows"
+rig = "rig.toml"
+[excitation]
+kind = "impact"
+direction = [0, 0, 1]
+band = [100.0, 1500.0]
+reference = ["hammer"]
+[[daq]]
+name = "daq"
+file = "daq.h5"
+[[daq.channel]]
+name = "hammer"
+quantity = "force"
+scale_uncertainty = 1e-3
+[[daq.channel]]
+name = "top"
+quantity = "acceleration"
+body = "load"
+point = [0, 0, 0]
+direction = [0, 0, 1]
+scale_uncertainty = 1e-3
+""")
+    return folder
+
+
+def _change(path: Path, old: str, new: str) -> None:
+    """Replace a text that must be there."""
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new), encoding="utf-8")
+
+
+CASES = [
+    ("recording.toml", 'kind = "chirp"', 'kind = "noise"', "excitation.period", "no such key"),
+    ("recording.toml", 'reference = ["base"]\n', "", "excitation.reference", "the name of the channel over which"),
+    ("recording.toml", 'reference = ["base"]', 'reference = ["nobody"]', "excitation.reference", "nobody"),
+    ("recording.toml", 'response = ["top"]', 'response = ["base"]', "excitation.response", "other channels than"),
+    ("recording.toml", "period = 0.5", "period = 0.4", "excitation.period", "holds only noise"),
+    ("recording.toml", "period = 0.5", "period = 5.0", "excitation.period", "2 whole periods"),
+    ("recording.toml", "settle_periods = 1", "settle_periods = 4", "excitation.period", "2 whole periods"),
+    ("recording.toml", "band = [300.0, 2800.0]", "band = [6000.0, 8000.0]", "excitation.band", "band"),
+    ("amplifier.toml", "order = 4", "order = 0", "element.amplifier.order", "at least 1"),
+    (
+        "amplifier.toml",
+        "corner = 20000.0",
+        "corner = 20000.0\npoles = [[-1.0, 2.0]]",
+        "element.amplifier.poles",
+        "no such",
+    ),
+]
+
+
+@pytest.mark.parametrize(("file", "old", "new", "key", "words"), CASES)
+def test_a_wrong_recording_is_one_sentence(
+    recording: Path, capsys: pytest.CaptureFixture[str], file: str, old: str, new: str, key: str, words: str
+) -> None:
+    _change(recording / file, old, new)
+    assert main(["transfer", str(recording), "-q"]) == 2
+    told = capsys.readouterr().err
+    assert len(told.strip().splitlines()) == 1, told
+    assert f"{recording / file}: {key}: " in told
+    assert words in told
+    assert not (recording / "transfer").exists()
+
+
+def test_a_response_that_ends_below_the_band(recording: Path) -> None:
+    table = "frequency_hz,magnitude,phase_rad,u_magnitude,u_phase_rad\n10,1,0,0,0\n1000,1,0,0,0\n"
+    (recording / "table.csv").write_text(table)
+    _change(recording / "recording.toml", "amplifier.toml", "table.csv")
+    with pytest.raises(InputError, match=r"table.csv: frequency_hz: expected a range that contains 100\d"):
+        _evaluated(recording)
+
+
+def test_sines_and_chirps_are_told_where_to_go(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", str(recording), "-q"]) == 2
+    assert "shakercal transfer takes this one" in capsys.readouterr().err
+    text = (recording / "recording.toml").read_text()
+    head, tail = text.index("[excitation]"), text.index("[[daq]]")
+    sine = '[excitation]\nkind = "sine"\ndirection = [0, 0, 1]\nfrequencies = [100.0]\n\n'
+    (recording / "recording.toml").write_text(text[:head] + sine + text[tail:])
+    assert main(["transfer", str(recording), "-q"]) == 2
+    assert "shakercal run evaluates sines" in capsys.readouterr().err
+
+
+def test_a_folder_with_other_files_is_refused(recording: Path) -> None:
+    (recording / "transfer").mkdir()
+    (recording / "transfer" / "notes.txt").write_text("mine")
+    with pytest.raises(InputError, match="other files"):
+        run_transfer(recording, None, TransferSettings())
+    run_transfer(recording, None, TransferSettings(), force=True)
+    assert (recording / "transfer" / "notes.txt").read_text() == "mine"
+
+
+def test_every_recording_of_a_campaign_gets_a_folder(recording: Path, tmp_path: Path) -> None:
+    shutil.copytree(recording, recording.parent / "again")
+    run_transfer(recording.parent, tmp_path / "out", TransferSettings())
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["again", "chirp"]
+
+
+def test_the_command_simulates_and_overwrites_its_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "sim"
+    assert main(["simulate", str(out), "--preset", "chirp"]) == 0
+    assert main(["simulate", str(out), "--preset", "chirp", "--force", "--seed", "2"]) == 0
+    assert main(["check", str(out)]) == 0
+    assert "excitation: chirp" in capsys.readouterr().out
+    truth = json.loads((out / "chirp" / "truth.json").read_text())
+    value = transmissibility(ChirpRig(), np.array(truth["frequency_hz"]))
+    np.testing.assert_allclose(truth["transfer"]["re"], value.real)
+    assert truth["drawn"]["amplifier.corner"] != [0.0]
