@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -59,8 +59,18 @@ def nominal_lines(manifest: Manifest) -> tuple[Sequence[float], Literal["auto"] 
     return excitation.frequencies, excitation.harmonics
 
 
-def find_channel_lines(manifest: Manifest, base: TimeBase) -> Lines | None:
-    """Find the lines in the fastest channel and all that were sampled with it; None where there are only triggers."""
+@dataclass(frozen=True)
+class LineRecord:
+    """The channels in which a recording's lines are looked for: `values` (S, C) in SI at `time_s` (S,)."""
+
+    record: DaqRecord
+    channels: tuple[ChannelEntry, ...]
+    time_s: FloatArray
+    values: FloatArray
+
+
+def line_record(base: TimeBase) -> LineRecord | None:
+    """Return the fastest channel and all that were sampled with it; None where there are only triggers."""
     best = _line_channel(base)
     if best is None:
         return None
@@ -68,6 +78,18 @@ def find_channel_lines(manifest: Manifest, base: TimeBase) -> Lines | None:
     time_s = base.to_base_s(record.entry.name, record.time_s(channel.name))
     together = next(group for group in _same_times(record) if channel in group)
     values = np.stack([record.values(member) for member in together], axis=1)
+    return LineRecord(record, tuple(together), time_s, values)
+
+
+def find_channel_lines(manifest: Manifest, base: TimeBase) -> Lines | None:
+    """Find the lines in the fastest channels; None where there are only triggers."""
+    found = line_record(base)
+    return None if found is None else lines_in(manifest, found)
+
+
+def lines_in(manifest: Manifest, found: LineRecord) -> Lines:
+    """Find the lines that the manifest states, their harmonics and all else in the channels chosen for it."""
+    record, together, time_s, values = found.record, found.channels, found.time_s, found.values
     harmonics = manifest.excitation.harmonics
     try:
         if manifest.excitation.frequencies is not None:

@@ -1,0 +1,80 @@
+"""`shakercal lines`: which lines a file or a recording holds, and why."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from fusion.commands.values import EXIT_DONE, Commands, not_negative, positive
+
+FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
+
+
+def add(commands: Commands, common: argparse.ArgumentParser) -> None:
+    """Add the command's parser."""
+    parser = commands.add_parser("lines", parents=[common], help="list every line of a file or recording, and why")
+    parser.add_argument(
+        "source", type=Path, metavar="SOURCE", help="DAQ file, or a recording: its folder or its recording.toml"
+    )
+    parser.add_argument(
+        "--channel", action="append", metavar="NAME", help="channel of the file, may be repeated (default: all)"
+    )
+    parser.add_argument("--sample-rate", type=positive, metavar="HZ", help="of a file that states none")
+    parser.add_argument("--band", type=band, metavar="LOW:HIGH", help="list lines of the file between these, in Hz")
+    parser.add_argument("--figure", type=figure, metavar="FILE", help="draw spectrum and floor (.png, .svg, .pdf)")
+    parser.add_argument("--csv", type=Path, metavar="FILE", help="write the list as a table")
+    parser.add_argument("--force", action="store_true", help="overwrite files that are there")
+    parser.add_argument("--allow-outside", action="store_true", help="accept files outside the folder of rig.toml")
+    parser.set_defaults(action=_act)
+
+
+def band(text: str) -> tuple[float, float]:
+    """Return the two frequencies of a text such as 10:2000."""
+    low, colon, high = text.partition(":")
+    if not colon:
+        raise argparse.ArgumentTypeError(f"expected two frequencies such as 10:2000, found {text}")
+    found = not_negative(low), positive(high)
+    if found[0] >= found[1]:
+        raise argparse.ArgumentTypeError(f"expected the lower frequency first, found {text}")
+    return found
+
+
+def figure(text: str) -> Path:
+    """Return the path of a figure of a known format."""
+    path = Path(text)
+    if path.suffix.lower() not in FIGURE_SUFFIXES:
+        raise argparse.ArgumentTypeError(f"expected a name that ends in {', '.join(FIGURE_SUFFIXES)}, found {text}")
+    return path
+
+
+def _act(options: argparse.Namespace) -> int:
+    from fusion.line_tables import print_lines
+    from fusion.lines import lines_csv, lines_of_file, lines_of_recording
+    from fusion.manifest import load_manifest
+    from fusion.output import check_new_file, write_whole
+
+    for path in filter(None, (options.figure, options.csv)):
+        check_new_file(path, force=options.force)
+    if options.source.is_dir() or options.source.suffix.lower() == ".toml":
+        _refuse_file_options(options)
+        lists = [lines_of_recording(load_manifest(options.source, allow_outside=options.allow_outside))]
+    else:
+        lists = lines_of_file(options.source, options.channel, options.sample_rate, options.band)
+    if options.csv:
+        write_whole(options.csv, lines_csv(lists))
+    if options.figure:
+        from fusion.plots.lines import draw_lines
+
+        write_whole(options.figure, draw_lines(lists, options.figure.suffix.lower().removeprefix(".")))
+    print_lines(lists)
+    return EXIT_DONE
+
+
+def _refuse_file_options(options: argparse.Namespace) -> None:
+    """Refuse what a recording states itself."""
+    from fusion.errors import InputError
+
+    for name in ("channel", "sample_rate", "band"):
+        if getattr(options, name) is not None:
+            option = f"--{name.replace('_', '-')}"
+            raise InputError(options.source, "", found=option, expected="no such option, recording.toml states it")

@@ -1,0 +1,69 @@
+"""What `shakercal lines` prints: every line with its size, its height over the noise, what it is and why."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from fusion.console import stdout_console
+from fusion.lines import Entry, LineList
+from fusion.polar import DASH, rounded
+
+COVERAGE = 2.0
+LISTED = "lines"
+"""Where notices are about that only say what the table shows."""
+
+
+def print_lines(lists: Sequence[LineList]) -> None:
+    """Print the lines to stdout, a table for each group of channels."""
+    from rich import box
+    from rich.table import Table
+
+    console = stdout_console()
+    for item in lists:
+        console.print(_heading(item), soft_wrap=True)
+        if not item.entries:
+            console.print("  no line stands out of the noise")
+            continue
+        table = Table(box=box.SIMPLE, pad_edge=False)
+        table.add_column("frequency / Hz", justify="right", no_wrap=True)
+        for name, unit in zip(item.channels, item.units, strict=True):
+            table.add_column(f"{name} / {unit}" if unit else name, justify="right")
+        table.add_column("dB", justify="right")
+        table.add_column("what and why")
+        if any(entry.use for entry in item.entries):
+            table.add_column("use")
+        for name, rate in item.cameras:
+            table.add_column(f"{name} at {rate:.6g} Hz", justify="right")
+        for entry in item.entries:
+            table.add_row(*_cells(item, entry))
+        console.print(table)
+    for notice in dict.fromkeys(notice for item in lists for notice in item.notices if notice.where != LISTED):
+        console.print(f"{notice.severity}: {notice.text}", soft_wrap=True)
+    console.print("U (k = 2) of frequencies and amplitudes; dB: power over the noise in a bin of the Hann spectrum")
+
+
+def _heading(item: LineList) -> str:
+    """Say what the table is of."""
+    duration = item.samples / item.rate_hz
+    names = ", ".join(item.channels)
+    return f"{item.source.name}: {names}; {item.samples} samples at {item.rate_hz:.9g} Hz, {duration:.4g} s"
+
+
+def _cells(item: LineList, entry: Entry) -> list[str]:
+    """Return the cells of one line."""
+    cells = [_with_u(entry.frequency_hz, entry.u_frequency_hz, 0)]
+    for amplitude, u in zip(entry.amplitude.tolist(), entry.u_amplitude.tolist(), strict=True):
+        cells.append(_with_u(amplitude, u) if np.isfinite(amplitude) else DASH)
+    cells += [f"{entry.floor_db:.0f}", entry.what]
+    if any(other.use for other in item.entries):
+        cells.append(entry.use)
+    return [*cells, *(f"{place:.4f}" for place in entry.places)]
+
+
+def _with_u(value: float, u: float, exponent: int | None = None) -> str:
+    """Return a number with its expanded uncertainty."""
+    text, uncertainty, power = rounded(value, COVERAGE * u, exponent)
+    both = f"{text} ± {uncertainty}"
+    return f"({both})e{power}" if power else both

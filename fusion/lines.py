@@ -1,0 +1,213 @@
+"""`shakercal lines`: every line of a file or of a recording, how far it stands out, what it is, and who sees it."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.channels import channel_unit, line_record, lines_in
+from fusion.errors import InputError
+from fusion.manifest import Manifest
+from fusion.notices import AnyNotice
+from fusion.records import read_daqs
+from fusion.timing import TimeBase, tie_daqs
+from shaker.signals.files import read_channels
+from shaker.signals.folding import alias_frequency
+from shaker.signals.frequencies import Lines
+from shaker.signals.recording import RawChannel
+from shaker.signals.sine import fit_sines
+from shaker.signals.spectrum import amplitude_spectrum
+from shaker.signals.survey import Survey, decibel, survey_lines
+
+FloatArray = NDArray[np.float64]
+
+COLUMNS = ("channel", "frequency_hz", "u_frequency_hz", "amplitude", "u_amplitude", "unit", "floor_db", "what", "use")
+_SAME_U, _SAME_HZ = 6.0, 1e-6  # how far a line moves when it is fitted beside others
+_HANN_NOISE = 3.0  # noise power in a bin of the figure's spectrum over the variance of a fitted quadrature
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One line: `amplitude`, `u_amplitude` (C,) NaN where it does not stand out; `floor_db` above the noise in a bin.
+
+    `use`: what a run does with it (empty for a file); `places`: where each camera sees it, in Hz.
+    """
+
+    frequency_hz: float
+    u_frequency_hz: float
+    amplitude: FloatArray
+    u_amplitude: FloatArray
+    floor_db: float
+    what: str
+    use: str = ""
+    places: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class LineList:
+    """Lines of channels sampled together, in ascending frequency, with the spectrum they stand in.
+
+    `cameras`: name and rate (Hz) of what sees the lines aliased. `spectrum_hz` (B,), `spectrum` (B, C), `floor_hz`
+    (D,), `floor` (D, C): amplitudes for the figure.
+    """
+
+    source: Path
+    channels: tuple[str, ...]
+    units: tuple[str, ...]
+    rate_hz: float
+    samples: int
+    entries: tuple[Entry, ...]
+    cameras: tuple[tuple[str, float], ...]
+    spectrum_hz: FloatArray
+    spectrum: FloatArray
+    floor_hz: FloatArray
+    floor: FloatArray
+    notices: tuple[AnyNotice, ...]
+
+
+def lines_of_file(
+    path: Path, names: Sequence[str] | None, rate_hz: float | None, band_hz: tuple[float, float] | None
+) -> list[LineList]:
+    """Survey the channels of a DAQ file, those sampled alike together; a band keeps the lines in it."""
+    try:
+        channels = read_channels(path, names, rate_hz)
+    except (OSError, ValueError) as error:
+        raise InputError.told_by(error, path) from error
+    groups: dict[tuple[float, int], dict[str, RawChannel]] = {}
+    for name, channel in channels.items():
+        groups.setdefault((channel.sample_rate_hz, len(channel.samples)), {})[name] = channel
+    if not groups:
+        raise InputError(path, "", found="none", expected="a channel of samples over time")
+    return [_file_group(path, group, band_hz) for group in groups.values()]
+
+
+def lines_of_recording(manifest: Manifest) -> LineList:
+    """Return the lines that a run of this recording fits, all others of the same channels, and the cameras' aliases."""
+    base = tie_daqs(manifest, read_daqs(manifest))
+    chosen = line_record(base)
+    if chosen is None:
+        raise InputError(manifest.path, "daq", found="triggers only", expected="a channel that shows the excitation")
+    lines = lines_in(manifest, chosen)
+    names = [channel.name for channel in chosen.channels]
+    units = [channel_unit(manifest, channel) for channel in chosen.channels]
+    cameras = _cameras(manifest, base)
+    rate_hz = chosen.record.raw[names[0]].sample_rate_hz
+    entries = [*_fitted(chosen.time_s, chosen.values, lines, rate_hz), *_others(lines.others, lines.nuisance_hz)]
+    entries = [_seen_by(entry, [rate for _, rate in cameras]) for entry in entries]
+    entries.sort(key=lambda entry: entry.frequency_hz)
+    return _as_list(
+        chosen.record.entry.file, names, units, rate_hz, chosen.values, entries, cameras, lines.others, lines.notices
+    )
+
+
+def lines_csv(lists: Sequence[LineList]) -> str:
+    """Return all lines as a table: a row per line and channel in which it stands out."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    cameras = [f"alias_hz_{name}" for name, _ in lists[0].cameras]
+    writer.writerow((*COLUMNS, *cameras))
+    for item in lists:
+        for entry in item.entries:
+            places = [f"{place:.9g}" for place in entry.places]
+            frequency = [f"{entry.frequency_hz:.12g}", f"{entry.u_frequency_hz:.3g}"]
+            for c in np.flatnonzero(np.isfinite(entry.amplitude)):
+                size = [f"{entry.amplitude[c]:.9g}", f"{entry.u_amplitude[c]:.3g}", item.units[c]]
+                own = [*size, f"{entry.floor_db:.1f}", entry.what, entry.use, *places]
+                writer.writerow([item.channels[c], *frequency, *own])
+    return stream.getvalue()
+
+
+def _file_group(path: Path, group: dict[str, RawChannel], band_hz: tuple[float, float] | None) -> LineList:
+    """Survey channels that were sampled alike."""
+    names, first = list(group), next(iter(group.values()))
+    values = np.stack([channel.samples for channel in group.values()], axis=1)
+    for name, channel in group.items():
+        missing = int(np.count_nonzero(~np.isfinite(channel.samples)))
+        if missing:
+            raise InputError(path, name, found=f"{missing} that are not", expected="finite samples")
+    try:
+        survey = survey_lines(values, first.sample_rate_hz)
+    except ValueError as error:
+        raise InputError.told_by(error, path, names[0]) from error
+    if band_hz is not None:
+        survey = survey.select((survey.frequency_hz >= band_hz[0]) & (survey.frequency_hz <= band_hz[1]))
+    units = [channel.unit for channel in group.values()]
+    entries = _others(survey, None)
+    return _as_list(path, names, units, first.sample_rate_hz, values, entries, (), survey, survey.notices)
+
+
+def _as_list(
+    path: Path,
+    names: Sequence[str],
+    units: Sequence[str],
+    rate_hz: float,
+    values: FloatArray,
+    entries: Sequence[Entry],
+    cameras: tuple[tuple[str, float], ...],
+    survey: Survey,
+    notices: tuple[AnyNotice, ...],
+) -> LineList:
+    """Put a list together with the spectrum of its channels."""
+    spectrum = amplitude_spectrum(values, rate_hz)
+    return LineList(
+        source=path,
+        channels=tuple(names),
+        units=tuple(units),
+        rate_hz=rate_hz,
+        samples=len(values),
+        entries=tuple(entries),
+        cameras=cameras,
+        spectrum_hz=spectrum.frequency_hz,
+        spectrum=spectrum.amplitude,
+        floor_hz=survey.floor_hz,
+        floor=survey.floor,
+        notices=notices,
+    )
+
+
+def _fitted(time_s: FloatArray, values: FloatArray, lines: Lines, rate_hz: float) -> list[Entry]:
+    """Return the lines that a run fits."""
+    names = [str(c) for c in range(values.shape[1])]
+    both = np.concatenate([lines.frequency_hz, lines.nuisance_hz])
+    phasors = fit_sines(time_s, values, both, names, names).phasors
+    amplitude = np.abs(phasors.value)
+    u = np.sqrt((phasors.u_re**2 + phasors.u_im**2) / 2.0)
+    entries = []
+    for k, (frequency, u_frequency) in enumerate(zip(lines.frequency_hz, lines.u_frequency_hz, strict=True)):
+        height = decibel(float(np.max((amplitude[k] / np.maximum(u[k], np.finfo(np.float64).tiny)) ** 2)) / _HANN_NOISE)
+        folded = f", read at {float(alias_frequency(frequency, rate_hz)):.6g} Hz" if frequency > rate_hz / 2.0 else ""
+        what = f"{lines.why[k]}{folded}"
+        entries.append(Entry(float(frequency), float(u_frequency), amplitude[k], u[k], height, what, "fitted"))
+    return entries
+
+
+def _others(survey: Survey, nuisance_hz: FloatArray | None) -> list[Entry]:
+    """Return lines of a survey; beside a fit, those that are fitted with its lines are marked."""
+    entries = []
+    for i, origin in enumerate(survey.origin):
+        frequency = float(survey.frequency_hz[i])
+        use = ""
+        if nuisance_hz is not None:
+            beside = bool(np.any(np.abs(nuisance_hz - frequency) <= _SAME_U * survey.u_frequency_hz[i] + _SAME_HZ))
+            use = "fitted beside, no result" if beside else "not fitted"
+        numbers = frequency, float(survey.u_frequency_hz[i]), survey.amplitude[i], survey.u_amplitude[i]
+        entries.append(Entry(*numbers, decibel(float(survey.snr[i])), origin.text, use))
+    return entries
+
+
+def _cameras(manifest: Manifest, base: TimeBase) -> tuple[tuple[str, float], ...]:
+    """Return name and rate of every stereo pair."""
+    rates = {name: 1.0 / fit.period_s for (_, name), fit in base.triggers.items()}
+    frames = [*manifest.images, *manifest.points]
+    return tuple((entry.stereo, rates[entry.trigger]) for entry in frames if entry.trigger in rates)
+
+
+def _seen_by(entry: Entry, rates: Sequence[float]) -> Entry:
+    """Return a line with the places at which cameras see it."""
+    return replace(entry, places=tuple(float(alias_frequency(entry.frequency_hz, rate)) for rate in rates))
