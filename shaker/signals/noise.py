@@ -20,7 +20,7 @@ _TONE_LIMIT = 9.2  # height of a sine over the level: exceeded by pure noise onc
 _TONES = 12
 _TONE_CLEARANCE = 1.9  # bins beside a line within which a peak is the line's own unrest
 _BLOCK_BINS = 4  # ordinates nearest to a line, which say what blocks of the record scatter by
-_BLOCK_LIMIT = 2.51  # their mean over the level: exceeded by pure noise once in 100 lines
+_BLOCK_LIMIT = 3.27  # their mean over the level: exceeded by pure noise once in 1000 lines
 _NEWTON_STEPS = 30
 
 
@@ -63,17 +63,17 @@ def line_noise(residual: FloatArray, samples: int, line_bin: FloatArray, *, bloc
     # The transposed copy makes every channel's transform contiguous, several times faster for long records.
     transform = np.fft.rfft(np.ascontiguousarray(residual.T), axis=1)
     ordinates = np.moveaxis(transform[:, bins], 0, -1) / np.sqrt(samples)
-    return noise_of_ordinates(ordinates, bins.astype(np.float64), line_bin, blocks=blocks)
+    return noise_of_ordinates(ordinates, bins.astype(np.float64), line_bin, len(residual), blocks=blocks)
 
 
 def noise_of_ordinates(
-    ordinates: ComplexArray, bins: FloatArray, line_bin: FloatArray, *, blocks: bool = True
+    ordinates: ComplexArray, bins: FloatArray, line_bin: FloatArray, length: int, *, blocks: bool = True
 ) -> LineNoise:
     """Return the noise of lines (K,) from ordinates (K, M, C), DFT over the root of the number of samples, near each.
 
-    As `level_at_lines`, but sines that stand out between the lines are taken off first.
+    As `level_at_lines`, but sines that stand out between the lines are taken off first. `length`: of the record.
     """
-    rest, leaked = _without_tones(ordinates, bins, line_bin)
+    rest, leaked = _without_tones(ordinates, bins, line_bin, length)
     noise = level_at_lines(np.abs(rest) ** 2, bins, line_bin, blocks=blocks)
     return LineNoise(noise.variance + leaked, noise.dof)
 
@@ -180,7 +180,9 @@ def _highest_peak(
     return place, top[:, 0] > _TONE_LIMIT
 
 
-def _without_tones(ordinates: ComplexArray, bins: FloatArray, line_bin: FloatArray) -> tuple[ComplexArray, FloatArray]:
+def _without_tones(
+    ordinates: ComplexArray, bins: FloatArray, line_bin: FloatArray, length: int
+) -> tuple[ComplexArray, FloatArray]:
     """Take sines off the ordinates (K, M, C); return the rest and the power (K, C) that they leave in the lines.
 
     The sine that is highest over the level of the others is placed by the ratio of its two highest ordinates, which
@@ -198,17 +200,23 @@ def _without_tones(ordinates: ComplexArray, bins: FloatArray, line_bin: FloatArr
         high = np.take_along_axis(rest, place[:, None, :] + 1, axis=1)[:, 0]
         share = np.clip((high / np.where(found, high - low, 1.0)).real, 0.0, 1.0)
         where = np.take_along_axis(bins[:, :, None], place[:, None, :], axis=1)[:, 0] + share
-        before, after = _kernel(-share), _kernel(1.0 - share)
+        before, after = _kernel(-share, length), _kernel(1.0 - share, length)
         top = (low * before.conj() + high * after.conj()) / (np.abs(before) ** 2 + np.abs(after) ** 2)
         top = np.where(found, top, 0.0)
-        rest -= top[:, None, :] * _kernel(bins[:, :, None] - where[:, None, :])
-        leaked += np.abs(top * _kernel(line_bin[:, None] - where)) ** 2
+        rest -= _sine(bins[:, :, None], where[:, None, :], top[:, None, :], length)
+        leaked += np.abs(_sine(line_bin[:, None], where, top, length)) ** 2
     return rest, leaked
 
 
-def _kernel(distance: FloatArray) -> ComplexArray:
-    """Return the transform of a sine at `distance` bins from it, 1 at its place, for many samples."""
-    return np.asarray(np.sinc(distance) * np.exp(-1j * np.pi * distance))
+def _sine(bins: FloatArray, place: FloatArray, top: ComplexArray, length: int) -> ComplexArray:
+    """Return the transform at `bins` of a real sine: `top` at its place, and its image below zero."""
+    return np.asarray(top * _kernel(bins - place, length) + top.conj() * _kernel(bins + place, length))
+
+
+def _kernel(distance: FloatArray, length: int) -> ComplexArray:
+    """Return the transform of a complex sine of `length` samples at `distance` bins from it, 1 at its place."""
+    turn = np.exp(-1j * np.pi * distance * (1.0 - 1.0 / length))
+    return np.asarray(np.sinc(distance) / np.sinc(distance / length) * turn)
 
 
 def _loss(bins: FloatArray, line_bin: FloatArray) -> FloatArray:

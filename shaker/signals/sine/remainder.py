@@ -67,7 +67,7 @@ def noise_at_lines(
     if left.transform is not None and left.bins is not None:
         ordinates = left.transform @ whitening.T / np.sqrt(samples.count)
         line_bin = line_bins(columns, samples.timeline.samples, rate_hz(samples))
-        return noise_of_ordinates(ordinates, left.bins.astype(np.float64), line_bin)
+        return noise_of_ordinates(ordinates, left.bins.astype(np.float64), line_bin, samples.timeline.samples)
     if left.held is None or time_s is None:
         return None
     kept = samples.kept()
