@@ -41,7 +41,7 @@ def transfer_impact(
     pulse only (force window with cosine flanks). Force and responses are multiplied by exp(-at), t from the hit: the
     ratio is then exactly H(a + jω), also if the response outlasts the window but for exp(-a·duration). a is
     `added_decay_per_s`; None takes the smallest that hides what the slowest mode still does at the end in its noise,
-    often zero. The covariance is the scatter over the hits, pooled over neighbouring lines alike; that of a single hit
+    often zero. The covariance is the scatter over the hits, pooled over neighbouring lines; that of a single hit
     is the noise before it, taken as white. `pretrigger_s` is what the window shows before a hit, None 5 % of it.
     """
     rate = record.sample_rate_hz
@@ -205,7 +205,7 @@ def _covariance(lines: _Lines, ratio: ComplexArray, correlation: ComplexArray) -
         scatter = np.einsum("nkc,nkd->kcd", error, error.conj()) / (count - 1)
         pooled, number = pooled_scatter(scatter, ratio, 2.0 * (count - 1))
         # Lines that correlate count as fewer.
-        worth = np.maximum(1.0, number / (1.0 + 2.0 * np.sum(np.abs(correlation[1:9]) ** 2)))
+        worth = np.maximum(1.0, number / (1.0 + 2.0 * np.sum(np.abs(correlation[1:17]) ** 2)))
         return circular_covariance(pooled / force), 2.0 * (count - 1) * worth
     if lines.noise_dof == 0.0:
         size = 2 * ratio.shape[1]

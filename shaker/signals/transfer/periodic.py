@@ -29,8 +29,8 @@ def transfer_periodic(
     The maximum-likelihood estimate with noise on reference and responses (Pintelon and Schoukens, System
     Identification, 2nd ed., section 2.7.2): phasors are averaged over the M periods after the first `settle_periods`,
     then divided. The period is refined on the reference, so that an excitation clock beside the DAQ's leaks nothing.
-    The covariance follows from the scatter of Y_m - H·X_m over the periods (M ≥ 2), pooled over up to 9 neighbouring
-    lines with a like |H|; `dof` is 2(M-1) times the lines pooled.
+    The covariance follows from the scatter of Y_m - H·X_m over the periods (M ≥ 2), pooled over up to 17
+    neighbouring lines; `dof` is 2(M-1) times the lines pooled.
     """
     rate = record.sample_rate_hz
     if settle_periods < 0 or not period_s * rate >= 16.0:

@@ -11,7 +11,6 @@ from shaker._checks import ComplexArray, FloatArray, IntArray
 
 _SOFT_SAMPLES = 128  # length of the seam of two soft windows, at most
 _SOFT_ORDER = 8
-_MISSING_ROUNDS = 5
 _WHOLE = 1e-7  # distance from a whole number of samples that no record notices
 _STEPS = 8
 _TOLERANCE = 1e-3  # error of a stated period that is put right
@@ -54,7 +53,9 @@ def find_period(reference: FloatArray, samples: float, settle_periods: int) -> P
         count = count_periods(len(reference), start, samples)
         if count < 2:
             break
-        spectrum = period_phasors(reference[:, None], Period(samples, 0.0, start, count), (0.0, 0.45)).value[:, :, 0]
+        spectrum = period_phasors(reference[:, None], Period(samples, 0.0, start, count), (0.0, 0.45), rounds=2).value[
+            :, :, 0
+        ]
         error, u_samples = _period_error(spectrum, samples)
         if (step == 0 and abs(error) <= _SAME_PERIOD * u_samples) or abs(error) <= 0.05 * u_samples:
             break
@@ -101,14 +102,15 @@ def _coarse_error(cross: ComplexArray, samples: float) -> float:
     return float(place * samples / points)
 
 
-def period_phasors(data: FloatArray, period: Period, share: tuple[float, float]) -> Periods:
+def period_phasors(data: FloatArray, period: Period, share: tuple[float, float], rounds: int = 5) -> Periods:
     """Return the phasors of every period of `data` (S, C) at the harmonics between two shares of the sampling rate.
 
     A period of a whole number of samples is transformed as it is. Otherwise each period is seen through a window that
     rises and falls as 1 - rise of the next one, so that all windows add to one: then Σ w(t)·exp(j2πnt/T) is zero for
     every n but 0 to 1e-7 or better (at 0.4 of the rate 1e-11), and the harmonics do not leak into one another. The
     harmonics of 1/T lie on no grid of a fast Fourier transform; the chirp z-transform (Rabiner, Schafer and Rader
-    1969) reaches them. What the seams at both ends of the record lack comes from the mean period.
+    1969) reaches them. What the seams at both ends of the record lack comes from the mean
+    period, in some rounds.
     """
     harmonic = np.arange(max(1, int(np.ceil(share[0] * period.samples))), int(share[1] * period.samples) + 1)
     if not len(harmonic):
@@ -118,7 +120,7 @@ def period_phasors(data: FloatArray, period: Period, share: tuple[float, float])
         kept = data[start : start + period.count * samples].reshape(period.count, samples, -1)
         value = np.stack([np.fft.rfft(part, axis=0)[harmonic] for part in kept])
         return Periods(harmonic, 2.0 / samples * value)
-    return Periods(harmonic, _soft_phasors(data, period, harmonic))
+    return Periods(harmonic, _soft_phasors(data, period, harmonic, rounds))
 
 
 @dataclass(frozen=True)
@@ -135,7 +137,7 @@ class _Seen:
         return self.turn[:, None] * self.transform(self.window[:, None] * padded[self.part], axis=0)
 
 
-def _soft_phasors(data: FloatArray, period: Period, harmonic: IntArray) -> ComplexArray:
+def _soft_phasors(data: FloatArray, period: Period, harmonic: IntArray, rounds: int) -> ComplexArray:
     """Return phasors (M, K, C) through windows whose sum is one."""
     half = int(np.ceil(0.5 * _seam(period.samples))) + 1
     first = int(np.floor(period.start)) - half
@@ -152,7 +154,7 @@ def _soft_phasors(data: FloatArray, period: Period, harmonic: IntArray) -> Compl
     weight = weight[missing] / period.count
     turns = 2j * np.pi / period.samples * (index[missing] - period.start)
     basis = np.exp(np.multiply.outer(turns, np.arange(1.0, value.shape[1] + 1.0)))
-    for _ in range(_MISSING_ROUNDS if missing.any() else 0):
+    for _ in range(rounds if missing.any() else 0):
         model = (basis @ value.mean(axis=0)).real
         # A sample that is missing lowers the mean it is taken from by its own weight.
         padded[missing] += (model - padded[missing]) / (1.0 - weight[:, None])

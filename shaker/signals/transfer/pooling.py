@@ -1,4 +1,4 @@
-"""Noise of neighbouring lines taken together, where the lines are alike."""
+"""Noise of neighbouring lines taken together."""
 
 from __future__ import annotations
 
@@ -6,31 +6,57 @@ import numpy as np
 
 from shaker._checks import BoolArray, ComplexArray, FloatArray
 
-_NEIGHBOURS = 4  # lines on either side that share one estimate of the noise
-_ALIKE = 1.12  # factor between |H| of lines that share one estimate of the noise
+_NEIGHBOURS = 8  # lines on either side that share one estimate of the noise
+_BLOCK = 64  # lines over which the shares of the noise are steady
+_SHAPE_STEPS = 60
 _STANDS_OUT = 1e-5  # probability below which a line counts as noisier than its neighbours
 
 
 def pooled_scatter(scatter: ComplexArray, ratio: ComplexArray, dof: float) -> tuple[ComplexArray, FloatArray]:
-    """Return the noise (K, C, C) averaged over up to 9 neighbouring lines, and how many lines (K,) each average has.
+    """Return the noise (K, C, C) averaged over up to 17 neighbouring lines, and how many lines (K,) each average has.
 
-    Lines share where |H| (K, C) is alike in all channels, so that noise which passes through the structure, or noise of
-    the reference seen through H, may follow a resonance. A line that is noisier than `dof` degrees of freedom allow
-    (mains, a spur) keeps its own noise to itself.
+    Across a resonance the noise of y - Hx is not level: that of the response is, that of the reference arrives times
+    |H|², and so does what shakes the base. So every line's scatter is first divided by a shape A + B|H|², A, B ≥ 0
+    steady over 64 lines, then averaged, then multiplied by the shape again. A line that is noisier than `dof` degrees
+    of freedom allow (mains, a spur) keeps its own noise to itself.
     """
     lines = len(scatter)
-    index = np.arange(lines)
-    alone = _stands_out(np.einsum("kcc->kc", scatter).real, dof)
-    magnitude = np.maximum(np.abs(ratio), np.finfo(np.float64).tiny)
-    total, number = scatter.copy(), np.ones(lines)
-    for offset in (*range(-_NEIGHBOURS, 0), *range(1, _NEIGHBOURS + 1)):
-        other = np.clip(index + offset, 0, lines - 1)
-        quotient = magnitude[other] / magnitude
-        alike = (other == index + offset) & np.all((quotient < _ALIKE) & (quotient > 1.0 / _ALIKE), axis=1)
-        alike &= ~alone & ~alone[other]
-        total[alike] += scatter[other[alike]]
-        number += alike
-    return total / number[:, None, None], number
+    level = np.einsum("kcc->kc", scatter).real
+    shape = np.sqrt(_shape(level, np.abs(ratio) ** 2))
+    product = shape[:, :, None] * shape[:, None, :]
+    even = scatter / product
+    alone = _stands_out(level / shape**2, dof)
+    counted = np.where(alone[:, None, None], 0.0, even)
+    total, number = np.zeros_like(counted), np.zeros(lines)
+    for offset in range(-min(_NEIGHBOURS, lines - 1), min(_NEIGHBOURS, lines - 1) + 1):
+        first, last = max(0, -offset), min(lines, lines - offset)
+        total[first:last] += counted[first + offset : last + offset]
+        number[first:last] += ~alone[first + offset : last + offset]
+    mean = np.where(alone[:, None, None], even, total / np.maximum(number, 1.0)[:, None, None])
+    return np.asarray(mean * product), np.where(alone, 1.0, number)
+
+
+def _shape(level: FloatArray, gain: FloatArray) -> FloatArray:
+    """Return A + B·gain (K, C) of noise levels with an exponential-like scatter, by maximum Whittle likelihood.
+
+    The multiplicative steps are those of Févotte, Bertin and Durrieu, Neural Computation 21 (2009).
+    """
+    tiny = np.finfo(np.float64).tiny ** 0.25
+    lines = len(level)
+    size = min(_BLOCK, lines)
+    blocks = max(1, lines // size)
+    edges = np.linspace(0, lines, blocks + 1).astype(np.int64)[:-1]
+    count = np.diff(np.append(edges, lines))
+    basis = np.stack([np.ones_like(gain), gain], axis=-1)
+    white = np.add.reduceat(level, edges, axis=0) / count[:, None] + tiny
+    steady = np.add.reduceat(basis, edges, axis=0) / count[:, None, None] + tiny
+    coefficients = 0.5 * white[:, :, None] / steady
+    for _ in range(_SHAPE_STEPS):
+        model = np.sum(basis * np.repeat(coefficients, count, axis=0), axis=-1)
+        up = np.add.reduceat(basis * (level / model**2)[:, :, None], edges, axis=0)
+        down = np.add.reduceat(basis / model[:, :, None], edges, axis=0)
+        coefficients = coefficients * np.sqrt(up / down) + tiny**2
+    return np.asarray(np.sum(basis * np.repeat(coefficients, count, axis=0), axis=-1) + tiny)
 
 
 def _stands_out(level: FloatArray, dof: float) -> BoolArray:
@@ -38,5 +64,5 @@ def _stands_out(level: FloatArray, dof: float) -> BoolArray:
     from scipy.ndimage import median_filter
     from scipy.special import chdtri
 
-    around = median_filter(level, size=(min(4 * _NEIGHBOURS + 1, len(level)), 1), mode="nearest")
+    around = median_filter(level, size=(min(2 * _NEIGHBOURS + 1, len(level)), 1), mode="nearest")
     return np.asarray(np.any(level > chdtri(dof, _STANDS_OUT) / chdtri(dof, 0.5) * around, axis=1))
