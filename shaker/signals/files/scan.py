@@ -22,14 +22,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
 from shaker._checks import FloatArray, check_shape
 from shaker.signals.files.common import chosen, reading
+from shaker.signals.files.text import plain_rows, whole_lines
 from shaker.signals.recording import RawChannel
 
 _FIRST_POINT = 19  # line number, counted from 1
+_PLAIN = bytes.maketrans(b",;", b". ")  # decimal comma to point, semicolon to blank
 
 
 @dataclass(frozen=True)
@@ -60,24 +63,27 @@ def read_scan_asc(path: Path) -> Scan:
 
 def _scan(path: Path) -> Scan:
     """Read points, acquisition and data blocks."""
-    lines = path.read_text(encoding="latin-1").splitlines()
-    rows = [_numbers(line) for line in lines[_FIRST_POINT - 1 :]]
-    count = next((i for i, row in enumerate(rows) if row is None or len(row) != 3), len(rows))
-    if not count:
-        raise ValueError(f"{path}: line {_FIRST_POINT}: expected x, y, z of the first scan point, found none")
-    place, samples, interval = _acquisition(path, rows, count)
-    data = [row for row in rows[place + 1 :] if row is not None]
-    values = np.array([value for row in data for value in row])
+    with path.open("rb") as stream:
+        for _ in range(_FIRST_POINT - 1):
+            stream.readline()
+        points = []
+        while len(row := _numbers(line := stream.readline())) == 3:
+            points.append(row)
+        if not points:
+            raise ValueError(f"{path}: line {_FIRST_POINT}: expected x, y, z of the first scan point, found none")
+        samples, interval = _acquisition(path, stream, line)
+        start, stop = stream.tell(), stream.seek(0, 2)
+        values, widths = _data(stream, start, stop)
+    count = len(points)
     block = count * samples
     if not len(values) or len(values) % block:
         raise ValueError(
             f"{path}: expected whole blocks of {count} points with {samples} samples ({block} numbers), "
             f"found {len(values)} numbers"
         )
-    by_rows = count > 1 and all(len(row) == count for row in data)
+    by_rows = count > 1 and widths == {count}
     shaped = values.reshape(-1, samples, count).swapaxes(1, 2) if by_rows else values.reshape(-1, count, samples)
-    points = np.array([row for row in rows[:count] if row is not None])
-    return Scan(points, np.ascontiguousarray(shaped), 1.0 / interval)
+    return Scan(np.array(points), np.ascontiguousarray(shaped), 1.0 / interval)
 
 
 def read_scan_channels(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
@@ -93,20 +99,36 @@ def read_scan_channels(path: Path, names: Sequence[str] | None, sample_rate_hz: 
     return {name: present[name] for name in chosen(path, names, present)}
 
 
-def _numbers(line: str) -> list[float] | None:
-    """Return a line's numbers, None where it holds anything else or nothing."""
+def _numbers(line: bytes) -> list[float]:
+    """Return a line's numbers, none where it holds anything else."""
     try:
-        return [float(cell.replace(",", ".")) for cell in line.replace(";", " ").split()] or None
+        return [float(cell) for cell in line.translate(_PLAIN).split()]
     except ValueError:
-        return None
+        return []
 
 
-def _acquisition(path: Path, rows: Sequence[list[float] | None], start: int) -> tuple[int, int, float]:
-    """Return place, number of samples and sampling interval of the acquisition line."""
-    for i in range(start, len(rows)):
-        row = rows[i]
-        if row is not None:
+def _acquisition(path: Path, stream: BinaryIO, line: bytes) -> tuple[int, float]:
+    """Return number of samples and sampling interval from the first line of numbers, which is to be theirs."""
+    while line:
+        row = _numbers(line)
+        if row:
             if len(row) == 2 and row[0] >= 1.0 and row[0] == int(row[0]) and row[1] > 0.0:
-                return i, int(row[0]), row[1]
+                return int(row[0]), row[1]
             break
+        line = stream.readline()
     raise ValueError(f"{path}: expected a line with the number of samples and the sampling interval, found none")
+
+
+def _data(stream: BinaryIO, start: int, stop: int) -> tuple[FloatArray, set[int]]:
+    """Return all numbers behind the acquisition line one after another, and the lengths of their rows."""
+    parts, widths = [], set()
+    for _, block in whole_lines(stream, start, stop):
+        rows = plain_rows(block.translate(_PLAIN), "")
+        if rows is not None:
+            parts.append(rows.reshape(-1))
+            widths.add(rows.shape[1])
+            continue
+        single = [row for row in map(_numbers, block.splitlines()) if row]
+        parts.append(np.array([value for row in single for value in row]))
+        widths |= {len(row) for row in single}
+    return np.concatenate(parts) if parts else np.empty(0), widths

@@ -39,7 +39,7 @@ def read_columns(layout: TextLayout, start: int, stop: int, line: int, wanted: S
     columns = [np.empty(0) for _ in wanted]
     filled = 0
     with layout.path.open("rb") as stream:
-        for place, block in _whole_lines(stream, start, stop):
+        for place, block in whole_lines(stream, start, stop):
             rows = _whole_block(layout, block)
             rows = _line_by_line(layout, block, line) if rows is None else rows
             line += block.count(b"\n")
@@ -89,7 +89,7 @@ def decoded(raw: bytes) -> str:
         return raw.decode("latin-1")
 
 
-def _whole_lines(stream: BinaryIO, start: int, stop: int) -> Iterator[tuple[int, bytes]]:
+def whole_lines(stream: BinaryIO, start: int, stop: int) -> Iterator[tuple[int, bytes]]:
     """Yield blocks of whole lines, each ending with a line end, and the place behind them."""
     stream.seek(start)
     rest = b""
