@@ -17,7 +17,7 @@ WRITTEN_ORDER = {
         target calibrate calibration_import alignment epipolar synthetic
     """,
     "shaker.signals": """
-        recording files edges numbering posterior rise trigger shift clock_line sync
+        recording files edges numbering posterior rise trigger shift clock_line sync resample
         phasor folding separation spectrum noise sine stationarity refine
         survey frequencies chain transfer plan
     """,

@@ -7,6 +7,7 @@ from dataclasses import replace
 from fusion.errors import InputError
 from fusion.manifest import Manifest
 from fusion.notices import Notice
+from fusion.transfer.records import Together
 from fusion.transfer.result import TransferSettings
 from shaker.signals.transfer import (
     TransferFunction,
@@ -29,13 +30,13 @@ _KEYS = {
 """Where the user can mend what an argument of the estimate says."""
 
 
-def estimated(manifest: Manifest, record: TransferRecord, settings: TransferSettings) -> TransferFunction:
+def estimated(manifest: Manifest, together: Together, settings: TransferSettings) -> TransferFunction:
     """Return the transfer functions as recorded, by the estimator wanted or by the excitation's kind.
 
     With a period: ratio of the means over whole periods. Impacts: windows around the blows. Else averaged spectra of
     overlapping segments. Raises `InputError` naming the key of the manifest, or the option, at fault.
     """
-    excitation = manifest.excitation
+    excitation, record, band = manifest.excitation, together.samples, _band(manifest, together)
     repeats = excitation.period is not None or excitation.kind == "multisine"
     periodic = settings.estimator == "periodic" or (settings.estimator == "auto" and repeats)
     if periodic and excitation.period is None:
@@ -43,9 +44,8 @@ def estimated(manifest: Manifest, record: TransferRecord, settings: TransferSett
         raise InputError(manifest.path, "excitation.period", found="nothing", expected=expected)
     try:
         if periodic and excitation.period is not None:
-            settle, band = excitation.settle_periods, excitation.band
-            return transfer_periodic(record, excitation.period, settle_periods=settle, band_hz=band)
-        found = _averaged(manifest, record, settings)
+            return transfer_periodic(record, excitation.period, settle_periods=excitation.settle_periods, band_hz=band)
+        found = _averaged(record, settings, band, blows=excitation.kind == "impact")
     except ValueError as error:
         argument = str(error).partition(":")[0]
         if periodic and argument == "record":
@@ -56,15 +56,28 @@ def estimated(manifest: Manifest, record: TransferRecord, settings: TransferSett
     return replace(found, notices=(*found.notices, *_single_sweep(manifest)))
 
 
-def _averaged(manifest: Manifest, record: TransferRecord, settings: TransferSettings) -> TransferFunction:
+def _band(manifest: Manifest, together: Together) -> tuple[float, float] | None:
+    """Return the band to evaluate: the excitation's, and no more than the samples allow."""
+    band, highest = manifest.excitation.band, together.highest_hz
+    if highest is None:
+        return band
+    if band is not None and band[0] >= highest:
+        expected = f"a band that begins below {highest:.6g} Hz, what the slowest channel can show"
+        raise InputError(manifest.path, "excitation.band", found=f"{band[0]:g} to {band[1]:g} Hz", expected=expected)
+    return (0.0, highest) if band is None else (band[0], min(band[1], highest))
+
+
+def _averaged(
+    record: TransferRecord, settings: TransferSettings, band_hz: tuple[float, float] | None, *, blows: bool
+) -> TransferFunction:
     """Return the transfer functions from averaged spectra, of blows or of segments."""
     estimator = "auto" if settings.estimator == "periodic" else settings.estimator
     length_s = len(record.reference) / record.sample_rate_hz
-    band = manifest.excitation.band
-    if manifest.excitation.kind == "impact":
+    if blows:
         window_s = min(_BLOW_S, 0.5 * length_s) if settings.resolution_hz is None else 1.0 / settings.resolution_hz
-        return transfer_impact(record, window_s, estimator=estimator, band_hz=band)
-    return transfer_random(record, settings.resolution_hz or _SEGMENTS / length_s, estimator=estimator, band_hz=band)
+        return transfer_impact(record, window_s, estimator=estimator, band_hz=band_hz)
+    resolution_hz = settings.resolution_hz or _SEGMENTS / length_s
+    return transfer_random(record, resolution_hz, estimator=estimator, band_hz=band_hz)
 
 
 def _single_sweep(manifest: Manifest) -> tuple[Notice, ...]:

@@ -36,12 +36,14 @@ def evaluate_transfer(
     """
     started = time.monotonic()
     check_kind(manifest)
-    found = [_evaluated(manifest, together, settings) for together in read_together(manifest)]
+    read = read_together(manifest)
+    found = [_evaluated(manifest, together, settings) for together in read]
+    base = next((together.base for together in read if together.base is not None), None)
     notices = [notice for _, told in found for notice in told]
     return TransferEvaluation(
         manifest=manifest,
         references=tuple(result for result, _ in found),
-        clocks=(),
+        clocks=() if base is None else base.results(),
         notices=tuple(dict.fromkeys(notices)),
         settings=settings.as_dict(),
         versions=versions(),
@@ -66,15 +68,14 @@ def _evaluated(
     manifest: Manifest, together: Together, settings: TransferSettings
 ) -> tuple[ReferenceResult, list[Notice]]:
     """Return the transfer functions over one reference with what is to be said of them."""
-    raw = estimated(manifest, together.samples, settings)
+    raw = estimated(manifest, together, settings)
     reference = _chain(together.reference, raw)
     responses = [_chain(item, raw) for item in together.responses]
     errors = ratio_errors(reference, responses)
     factor = np.stack([chain.correction / reference.correction for chain in responses], axis=1)
     corrected = _converted(raw, factor, together, settings.quantity)
     kinds = [_kind(reference.entry, chain.entry, settings.quantity) for chain in responses]
-    u_clock = together.reference.record.entry.clock_uncertainty
-    resonances, told = find_resonances(corrected, errors, kinds, u_clock)
+    resonances, told = find_resonances(corrected, errors, kinds, together.u_clock)
     result = ReferenceResult(
         name=reference.entry.name,
         transfer=_with_errors(corrected, errors),
@@ -82,7 +83,7 @@ def _evaluated(
         errors=errors,
         resonances=resonances,
     )
-    return result, [*raw.notices, *told, *_silent([reference, *responses])]
+    return result, [*together.notices, *raw.notices, *told, *_silent([reference, *responses])]
 
 
 def _chain(channel: Located, raw: TransferFunction) -> ChannelChain:

@@ -1,4 +1,4 @@
-"""Reference and responses of a recording on one clock."""
+"""Reference and responses of a recording on one clock and at one rate."""
 
 from __future__ import annotations
 
@@ -6,31 +6,49 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fusion.channels import channel_unit
 from fusion.errors import InputError
 from fusion.manifest import ChannelEntry, Manifest
+from fusion.notices import Notice
 from fusion.records import DaqRecord, read_daqs
+from fusion.timing import TimeBase, tie_daqs
+from shaker.signals.resample import PASS_BAND, kernel_reach, resampled
 from shaker.signals.transfer import TransferRecord
+
+FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Located:
-    """A channel, the block that recorded it, and the uncertainty of that block's tie to the reference's clock."""
+    """A channel, the block that recorded it, and the standard uncertainty of that block's tie to the first clock."""
 
     entry: ChannelEntry
     record: DaqRecord
     u_clock_s: float
 
+    @property
+    def rate_hz(self) -> float:
+        """Sampling rate on the block's own clock."""
+        return self.record.raw[self.entry.name].sample_rate_hz
+
 
 @dataclass(frozen=True)
 class Together:
-    """One reference and its responses with their samples; `base` where clocks had to be tied."""
+    """One reference and its responses with their samples on one grid.
+
+    `highest_hz`: up to where the samples may be used, None where they are those of the file. `base`: the clocks, where
+    they had to be tied. `u_clock`: relative standard uncertainty of the clock that counts the time.
+    """
 
     reference: Located
     responses: tuple[Located, ...]
     samples: TransferRecord
-    base: None
+    u_clock: float
+    highest_hz: float | None
+    base: TimeBase | None
+    notices: tuple[Notice, ...]
 
 
 def read_together(manifest: Manifest) -> tuple[Together, ...]:
@@ -50,8 +68,8 @@ def read_together(manifest: Manifest) -> tuple[Together, ...]:
     for key, names in (("reference", excitation.reference), ("response", named)):
         for name in names:
             _check_named(manifest, key, name, places)
-    records = {record.entry.name: record for record in read_daqs(manifest)}
-    return tuple(_together(manifest, records, places, name, named) for name in excitation.reference)
+    records = read_daqs(manifest)
+    return tuple(_together(manifest, records, places, [name, *named]) for name in excitation.reference)
 
 
 def _places(manifest: Manifest) -> dict[str, list[tuple[str, ChannelEntry]]]:
@@ -78,35 +96,99 @@ def _check_named(manifest: Manifest, key: str, name: str, places: dict[str, list
 
 def _together(
     manifest: Manifest,
-    records: dict[str, DaqRecord],
+    records: Sequence[DaqRecord],
     places: dict[str, list[tuple[str, ChannelEntry]]],
-    reference: str,
-    responses: Sequence[str],
+    names: Sequence[str],
 ) -> Together:
-    """Return a reference and its responses, all of which one block has recorded alike."""
-    block, entry = places[reference][0]
-    record = records[block]
-    model = record.raw[reference]
-    for name in responses:
-        other, _ = places[name][0]
-        raw = records[other].raw[name]
-        same = (raw.sample_rate_hz, raw.start_s, len(raw.samples)) == (
-            model.sample_rate_hz,
-            model.start_s,
-            len(model.samples),
-        )
-        if other != block or not same:
-            expected = f"channels recorded in one block at one rate with the reference {reference}"
-            found = f'"{name}" of block {other}'
-            raise InputError(manifest.path, "excitation.response", found=found, expected=expected)
-    located = tuple(Located(places[name][0][1], record, 0.0) for name in responses)
+    """Return channels, the reference first, as they were sampled together or else on a common grid."""
+    blocks = {record.entry.name: record for record in records}
+    used = dict.fromkeys(places[name][0][0] for name in names)
+    base = None
+    if len(used) > 1:
+        base = tie_daqs(manifest, [record for record in records if record is records[0] or record.entry.name in used])
+    channels = []
+    for name in names:
+        block, entry = places[name][0]
+        channels.append(Located(entry, blocks[block], _u_clock_s(base, blocks[block], name)))
+    alike = {(c.record.entry.name, c.rate_hz, c.record.lag_s(c.entry.name), _length(c)) for c in channels}
+    grid = None if len(alike) == 1 else _common_grid(manifest, channels, base)
+    values = [c.record.values(c.entry) if grid is None else grid.read(c, base) for c in channels]
+    clock = records[0] if base is not None else channels[0].record
+    units = [channel_unit(manifest, channel.entry) for channel in channels]
     samples = TransferRecord(
-        reference=record.values(entry),
-        responses=np.stack([record.values(item.entry) for item in located], axis=1),
-        sample_rate_hz=model.sample_rate_hz,
-        reference_name=reference,
-        reference_unit=channel_unit(manifest, entry),
-        channels=tuple(responses),
-        unit=tuple(channel_unit(manifest, item.entry) for item in located),
+        reference=values[0],
+        responses=np.stack(values[1:], axis=1),
+        sample_rate_hz=channels[0].rate_hz if grid is None else grid.rate_hz,
+        reference_name=names[0],
+        reference_unit=units[0],
+        channels=tuple(names[1:]),
+        unit=tuple(units[1:]),
     )
-    return Together(Located(entry, record, 0.0), located, samples, None)
+    return Together(
+        channels[0],
+        tuple(channels[1:]),
+        samples,
+        clock.entry.clock_uncertainty,
+        None if grid is None else PASS_BAND * grid.rate_hz,
+        base,
+        () if grid is None else (grid.notice(),),
+    )
+
+
+def _length(channel: Located) -> int:
+    """Return the number of samples of a channel."""
+    return len(channel.record.raw[channel.entry.name].samples)
+
+
+def _u_clock_s(base: TimeBase | None, record: DaqRecord, name: str) -> float:
+    """Return the standard uncertainty of a block's tie in the middle of a channel's record."""
+    tie = None if base is None else base.ties[record.entry.name]
+    return 0.0 if tie is None else float(tie.u_to_base_s(np.asarray(record.time_s(name).mean())))
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """Times (T,) on the first clock at which all channels are read: those of the slowest one."""
+
+    time_s: FloatArray
+    rate_hz: float
+    slowest: str
+
+    def read(self, channel: Located, base: TimeBase | None) -> FloatArray:
+        """Return the samples (T,) of a channel at the times of the grid."""
+        values = channel.record.values(channel.entry)
+        return resampled(values, _position(channel, base, self.time_s), min(1.0, self.rate_hz / channel.rate_hz))
+
+    def notice(self) -> Notice:
+        """Say what was done."""
+        text = (
+            f"channels of different clocks or rates are read at the times of {self.slowest}, {self.rate_hz:.9g} Hz of "
+            f"the first clock, and used up to {PASS_BAND * self.rate_hz:.6g} Hz"
+        )
+        return Notice("info", text, self.slowest)
+
+
+def _position(channel: Located, base: TimeBase | None, time_s: FloatArray) -> FloatArray:
+    """Return where times of the first clock lie in a channel's record, in samples from its first one."""
+    tie = None if base is None else base.ties[channel.record.entry.name]
+    own = time_s if tie is None else (time_s - tie.offset_s) / tie.rate
+    return np.asarray((own - channel.record.lag_s(channel.entry.name)) * channel.rate_hz)
+
+
+def _common_grid(manifest: Manifest, channels: Sequence[Located], base: TimeBase | None) -> _Grid:
+    """Return the times of the slowest channel that lie well inside the records of all."""
+    slowest = min(channels, key=lambda channel: channel.rate_hz)
+    own = slowest.record.time_s(slowest.entry.name)
+    name = slowest.record.entry.name
+    time_s = own if base is None else base.to_base_s(name, own)
+    tie = None if base is None else base.ties[name]
+    rate_hz = slowest.rate_hz if tie is None else slowest.rate_hz / tie.rate
+    inside = np.ones(len(time_s), dtype=np.bool_)
+    for channel in channels:
+        position = _position(channel, base, time_s)
+        reach = kernel_reach(min(1.0, rate_hz / channel.rate_hz))
+        inside &= (position >= reach) & (position <= _length(channel) - 1 - reach)
+    if np.count_nonzero(inside) < 2 * len(channels):
+        expected = "channels that were recorded at the same time"
+        raise InputError(manifest.path, "excitation.response", found="records that do not overlap", expected=expected)
+    return _Grid(time_s[inside], rate_hz, slowest.entry.name)

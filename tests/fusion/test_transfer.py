@@ -21,6 +21,7 @@ from fusion.transfer.result import ReferenceResult, TransferSettings
 from fusion.transfer.run import run_transfer
 
 RIG = ChirpRig(sample_rate_hz=10240.0, period_s=0.5, periods=5, band_hz=(300.0, 2800.0))
+SLOW = ChirpRig(frequency_hz=400.0, damping_ratio=0.01)
 
 
 @pytest.fixture(scope="module")
@@ -203,6 +204,67 @@ direction = [0, 0, 1]
 scale_uncertainty = 1e-3
 """)
     return folder
+
+
+def _two_clocks(folder: Path, rates: tuple[float, float]) -> Path:
+    """Write a periodic recording whose reference and response stand in two blocks with clocks of their own.
+
+    The second starts 37 ms later and runs 170 ppm fast; pulses at 53 Hz in both tie them.
+    """
+    rng = np.random.default_rng(8)
+    period, length_s, start = 0.25, 3.0, (0.0, 0.0371)
+    frequency = np.arange(25, 201) / period
+    drive = np.exp(1j * rng.uniform(0.0, 2.0 * np.pi, len(frequency)))
+    h = transmissibility(SLOW, frequency)
+    pulses = 0.2 + np.arange(120) / 53.0
+    blocks = ""
+    for number, (name, value, rate) in enumerate((("base", drive, rates[0]), ("top", drive * h, rates[1]))):
+        clock = 1.0 - 170e-6 * number  # true seconds in one of this clock
+        time = start[number] + clock * np.arange(round((length_s - start[number]) * rate)) / rate
+        signal = sum((v * np.exp(2j * np.pi * f * time)).real for v, f in zip(value, frequency, strict=True))
+        last = np.clip(np.searchsorted(pulses, time, side="right") - 1, 0, None)
+        trigger = np.where((time >= pulses[last]) & (time < pulses[last] + 5e-3), 5.0, 0.0)
+        with h5py.File(folder / f"{name}.h5", "w") as file:
+            for channel, values in ((name, signal + 0.02 * rng.standard_normal(len(time))), ("pulses", trigger)):
+                file[channel] = values
+                file[channel].attrs["sample_rate"] = rate
+        place = 'quantity = "acceleration"\nbody = "load"\npoint = [0, 0, 0]\ndirection = [0, 0, 1]'
+        blocks += f'[[daq]]\nname = "{name} box"\nfile = "{name}.h5"\n[[daq.channel]]\nname = "{name}"\n{place}\n'
+        blocks += 'scale_uncertainty = 1e-4\n[[daq.channel]]\nname = "pulses"\nquantity = "trigger"\n'
+    (folder / "rig.toml").write_text('format = 1\nname = "two clocks"\n')
+    excitation = f'kind = "multisine"\ndirection = [0, 0, 1]\nband = [100.0, 800.0]\nperiod = {period}\n'
+    head = f'format = 1\nname = "two"\nrig = "rig.toml"\n[excitation]\n{excitation}reference = ["base"]\n'
+    (folder / "recording.toml").write_text(head + blocks)
+    return folder
+
+
+@pytest.mark.parametrize("rates", [(2048.0, 2560.0), (2560.0, 2048.0), (2560.0, 2560.0)])
+def test_channels_of_two_clocks_are_read_on_one(tmp_path: Path, rates: tuple[float, float]) -> None:
+    folder = _two_clocks(tmp_path, rates)
+    evaluation = evaluate_transfer(load_manifest(folder), TransferSettings(), {})
+    (result,) = evaluation.references
+    assert len(evaluation.clocks) == 2
+    assert any("different clocks" in notice.text for notice in evaluation.notices)
+    frequency = result.transfer.ratio.frequency_hz
+    assert len(frequency) == 176
+    true = transmissibility(SLOW, frequency)
+    chi2, unknown = _joint_chi2(result, true)
+    assert chi2 < 1.2 * 2 * len(frequency)  # less, where the clocks' rates are known less well than the samples
+    assert np.all(np.abs(unknown) < 3.5)
+    late = 1.0 + np.stack([error.relative[:, 0] for error in result.errors], axis=1) @ unknown
+    np.testing.assert_allclose(result.transfer.ratio.value[:, 0] / (true * late), 1.0, atol=5e-3)
+    assert "clock top box" in {error.name for error in result.errors}
+    (found,) = result.resonances
+    assert abs(found.fit.frequency_hz - SLOW.frequency_hz) < 4.0 * found.u_frequency_hz
+
+
+def test_blocks_without_a_common_trigger_are_refused(tmp_path: Path) -> None:
+    folder = _two_clocks(tmp_path, (2048.0, 2048.0))
+    text = (folder / "recording.toml").read_text()
+    place = text.rindex('[[daq.channel]]\nname = "pulses"')
+    (folder / "recording.toml").write_text(text[:place])
+    with pytest.raises(InputError, match="a trigger channel of the same name as in block base box"):
+        _evaluated(folder)
 
 
 def _change(path: Path, old: str, new: str) -> None:
