@@ -114,8 +114,7 @@ def _scatter(evaluation: Evaluation, seed: int) -> dict[str, FloatArray]:
     ratios = {}
     for stereo in evaluation.stereo:
         parameters = 2 * len(stereo.fit.phasors.frequency_hz) + 1
-        residual = stereo.fit.residual_of(stereo.time_s, stereo.motion_from_mean.pose)
-        ratios[stereo.name] = np.std(residual, axis=0, ddof=parameters) / bounds[stereo.name]
+        ratios[stereo.name] = np.std(stereo.residual, axis=0, ddof=parameters) / bounds[stereo.name]
     return ratios
 
 

@@ -193,7 +193,7 @@ def _fit_group(
     wanted = lines.frequency_hz[seen]
     frequency_hz = np.concatenate([wanted, _nuisances(lines, time_s, rate_hz)])
     try:
-        fit = fit_sines(time_s, values, frequency_hz, names, units)
+        fit = fit_sines(time_s, values, frequency_hz, names, units, robust=True)
     except ValueError as error:
         raise InputError.told_by(error, record.entry.file, names[0]) from error
     spread = spread_lines(_first_lines(fit.phasors, len(wanted)), seen, lines.frequency_hz)
@@ -230,12 +230,12 @@ def _result(
 ) -> ChannelResult:
     """Correct one channel's phasors for delay and response, and keep what its figures need."""
     place = fit.phasors.channels.index(channel.name)
-    rate_hz = record.raw[channel.name].sample_rate_hz
+    rate_hz, block = record.raw[channel.name].sample_rate_hz, record.entry.name
     shown = slice(0, min(len(values), int(EXCERPT_PERIODS * rate_hz / fit.phasors.frequency_hz[0]) + 2))
     spectrum = amplitude_spectrum(values, rate_hz)
     return ChannelResult(
         name=channel.name,
-        daq=record.entry.name,
+        daq=block,
         quantity=channel.quantity,
         body=channel.body or "",
         unit=phasors.unit[0],
@@ -248,6 +248,7 @@ def _result(
         excerpt_fit=fit.model(time_s[shown])[:, place],
         spectrum_hz=spectrum.frequency_hz,
         spectrum=spectrum.amplitude,
+        notices=tuple(Notice(n.severity, f"{block}, {n.where}: {n.text}", block) for n in fit.notices),
     )
 
 

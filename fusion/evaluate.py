@@ -56,6 +56,7 @@ def evaluate_recording(
     load = _load(manifest, accelerations)
     sensitivity = _sensitivity(manifest, lines, readings, load)
     notices = [*_clock_notices(base), *lines.notices, *folded, *unseen]
+    notices += [notice for channel in channels for notice in channel.notices]
     notices += [notice for item in stereo for notice in item.notices]
     notices += drift_notices(drifts(channels, [item.result for item in stereo], lines))
     notices += [notice for a in accelerations if a.source == "fused" for notice in a.notices]

@@ -31,7 +31,8 @@ class StereoResult:
     """Motion seen by one stereo pair, in the sensor frame.
 
     `time_s` (F,): exposure middles on the first DAQ's clock. `motion`: from the first frame's pose.
-    `motion_from_mean`: re-referred to the mean pose, the series that `fit` (six components, m and rad) describes.
+    `motion_from_mean`: re-referred to the mean pose, the series that `fit` (six components, m and rad) describes and
+    of which it leaves `residual` (F, 6).
     `reference_image` (H, W) and `subsets_px` (N, 2): first left image and the subsets tracked in it, None for points
     of another program. `usable` (K,): which lines of the recording this camera rate can tell apart. `deflection`: what
     the points do beside the rigid motion at the usable lines. `noise`: of the left and the right camera. `sigma_px`
@@ -47,6 +48,7 @@ class StereoResult:
     motion: RigidMotion
     motion_from_mean: RigidMotion
     fit: SineFit
+    residual: FloatArray = field(init=False)
     usable: NDArray[np.bool_]
     reprojection_px: float
     reference_image: GreyImage | None = None
@@ -60,6 +62,10 @@ class StereoResult:
     epipolar: EpipolarCheck | None = None
     stationarity: Stationarity | None = None
 
+    def __post_init__(self) -> None:
+        residual = self.fit.residual_of(self.time_s, self.motion_from_mean.pose)
+        object.__setattr__(self, "residual", residual)
+
 
 @dataclass(frozen=True)
 class ChannelResult:
@@ -67,7 +73,8 @@ class ChannelResult:
 
     `excerpt_s`, `excerpt`, `excerpt_fit` (S,): a short stretch with its fit. `spectrum_hz`, `spectrum` (B,):
     amplitude spectrum of the signal; `residual_rms`: of what the lines leave, in the channel's SI unit.
-    `stationarity`: phasors over blocks of whole periods, delay and response not corrected.
+    `stationarity`: phasors over blocks of whole periods, delay and response not corrected. `notices`: what its fit
+    wants the user to know.
     """
 
     name: str
@@ -85,6 +92,7 @@ class ChannelResult:
     spectrum_hz: FloatArray
     spectrum: FloatArray
     stationarity: Stationarity | None = None
+    notices: tuple[AnyNotice, ...] = ()
 
 
 @dataclass(frozen=True)

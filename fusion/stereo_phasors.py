@@ -104,6 +104,7 @@ def stereo_phasors(measured: StereoMotion, lines: Lines) -> StereoPhasors:
             effects[what] = np.full((len(changes), len(usable), 6), np.nan, dtype=np.complex128)
             effects[what][:, usable] = changes / gain[usable][:, None]
     found = [(f"{name}, {notice.where}", notice) for notice in measured.notices]
+    found += [(name, notice) for notice in fit.notices if notice.severity == "warning"]
     notices = tuple(Notice(notice.severity, f"stereo pair {where}: {notice.text}", name) for where, notice in found)
     shape = deflection_shape(measured.time_s, frequency_hz, measured.deformation, measured.entry.exposure)
     steady = stationarity(measured.time_s, from_mean.pose, frequency_hz, COMPONENTS)
@@ -116,9 +117,10 @@ def _fit_about_mean(name: str, measured: StereoMotion, frequency_hz: FloatArray)
     motion = measured.motion
     try:
         for _ in range(2):
-            fit = fit_sines(measured.time_s, motion.pose, frequency_hz, COMPONENTS, DISPLACEMENT_UNITS)
+            fit = fit_sines(measured.time_s, motion.pose, frequency_hz, COMPONENTS, DISPLACEMENT_UNITS, robust=True)
             motion = relative_to(motion, fit.offset)
-        return motion, fit_sines(measured.time_s, motion.pose, frequency_hz, COMPONENTS, DISPLACEMENT_UNITS)
+        fit = fit_sines(measured.time_s, motion.pose, frequency_hz, COMPONENTS, DISPLACEMENT_UNITS, robust=True)
+        return motion, fit
     except ValueError as error:
         raise ComputeError(f"stereo pair {name}: the lines cannot be fitted to its motion ({error})") from error
 

@@ -97,7 +97,7 @@ def draw_residuals(stereo: StereoResult) -> Picture:
     with drawing(name):
         figure = new_figure(6.4)
         panels = figure.subplots(6, 2, sharey="row", sharex="col", gridspec_kw={"width_ratios": [3.4, 1.0]})
-        residual = residual_of(stereo)
+        residual = stereo.residual
         for component, (over_time, histogram) in enumerate(panels):
             factor, letter = prefix(residual[:, :3] if component < 3 else residual[:, 3:])
             scaled = residual[:, component] / factor
@@ -196,20 +196,14 @@ def folded_curve(stereo: StereoResult, frequency_hz: float, phase: FloatArray) -
     return np.asarray((turns @ phasors.value[own]).real)
 
 
-def residual_of(stereo: StereoResult) -> FloatArray:
-    """Motion about the mean pose (F, 6) less its sine approximation."""
-    return stereo.fit.residual_of(stereo.time_s, stereo.motion_from_mean.pose)
-
-
 def residual_spectrum(stereo: StereoResult) -> tuple[FloatArray, FloatArray]:
     """Frequencies (B,) and amplitudes (B, 6) of the residuals; missing frames count as zero."""
     spacing = np.diff(stereo.time_s)
     place = np.concatenate([[0], np.cumsum(np.round(spacing / np.median(spacing)))]).astype(np.int64)
     filled = np.zeros((place[-1] + 1, 6))
-    residual = residual_of(stereo)
-    filled[place] = np.nan_to_num(residual)
+    filled[place] = np.nan_to_num(stereo.residual)
     frequency = np.fft.rfftfreq(len(filled), 1.0 / camera_rate_hz(stereo))
-    present = int(np.isfinite(residual).all(axis=1).sum())
+    present = int(np.isfinite(stereo.residual).all(axis=1).sum())
     return np.asarray(frequency, dtype=np.float64), np.abs(np.fft.rfft(filled, axis=0)) * 2.0 / max(present, 1)
 
 
@@ -228,7 +222,7 @@ def _draw_folded(axes: Axes, stereo: StereoResult, component: int, frequency: fl
     """One component over the phase of the main line, other lines, offset and drift taken off."""
     phase = np.mod(stereo.time_s * frequency, 1.0)
     fine = np.linspace(0.0, 1.0, 241)
-    measured = folded_curve(stereo, frequency, phase)[:, component] + residual_of(stereo)[:, component]
+    measured = folded_curve(stereo, frequency, phase)[:, component] + stereo.residual[:, component]
     axes.plot(phase, measured / factor, color=BLUE, rasterized=len(stereo.time_s) > RASTER_ABOVE, **POINT)
     axes.plot(fine, folded_curve(stereo, frequency, fine)[:, component] / factor, color=RED, linewidth=1.1, zorder=3)
     axes.set_xlim(0.0, 1.0)

@@ -146,8 +146,5 @@ def _scatter_over_bound(evaluation: Evaluation) -> list[np.ndarray]:
     ratios = []
     for stereo in evaluation.stereo:
         parameters = 2 * len(stereo.fit.phasors.frequency_hz) + 1
-        ratios.append(
-            np.std(stereo.fit.residual_of(stereo.time_s, stereo.motion_from_mean.pose), axis=0, ddof=parameters)
-            / bounds[stereo.name]
-        )
+        ratios.append(np.std(stereo.residual, axis=0, ddof=parameters) / bounds[stereo.name])
     return ratios

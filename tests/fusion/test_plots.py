@@ -73,7 +73,7 @@ def test_residual_spectrum_shows_the_amplitude_of_what_was_not_fitted(evaluation
     stereo = evaluation.stereo[0]
     rate = camera_rate_hz(stereo)
     bins = 40 * rate / len(stereo.time_s)
-    stereo.motion_from_mean.pose[:, 0] += 2e-6 * np.cos(2.0 * np.pi * bins * (stereo.time_s - stereo.time_s[0]))
+    stereo.residual[:, 0] += 2e-6 * np.cos(2.0 * np.pi * bins * (stereo.time_s - stereo.time_s[0]))
     frequency, amplitude = residual_spectrum(stereo)
     peak = int(np.argmax(amplitude[:, 0]))
     assert frequency[peak] == pytest.approx(bins)

@@ -131,7 +131,7 @@ def test_result_file_holds_everything(folder: Path, evaluation: Evaluation) -> N
         assert file["sensitivity/covariance"].shape == (3, 6, 6, 2, 2)
         assert file["sensitivity/budget/003"].attrs["type"] == "B"
         assert file["stereo/top/motion/covariance"].shape == (62, 6, 6)
-        assert file["stereo/base/fit/residual"].shape == (62, 6)
+        assert file["stereo/base/residual"].shape == (62, 6)
         assert file["clocks/bridge/tie"].attrs["rate"] == 1.0 + 4.2e-6
         assert file["lines/why"].asstr()[0] == "nominal frequency, refined"
         assert file["channels/vibrometer-velocity"].attrs["unit"] == "m/s"
