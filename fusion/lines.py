@@ -110,7 +110,7 @@ def lines_csv(lists: Sequence[LineList]) -> str:
     """Return all lines as a table: a row per line and channel in which it stands out."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    cameras = [f"alias_hz_{name}" for name, _ in lists[0].cameras]
+    cameras = [f"alias_hz_{name.replace(', ', '_')}" for name, _ in lists[0].cameras]
     writer.writerow((*COLUMNS, *cameras))
     for item in lists:
         for entry in item.entries:
@@ -182,9 +182,18 @@ def _fitted(time_s: FloatArray, values: FloatArray, lines: Lines, rate_hz: float
     for k, (frequency, u_frequency) in enumerate(zip(lines.frequency_hz, lines.u_frequency_hz, strict=True)):
         height = decibel(float(np.max((amplitude[k] / np.maximum(u[k], np.finfo(np.float64).tiny)) ** 2)) / _HANN_NOISE)
         folded = f", read at {float(alias_frequency(frequency, rate_hz)):.6g} Hz" if frequency > rate_hz / 2.0 else ""
-        what = f"{lines.why[k]}{folded}"
+        what = f"{_named(lines, k, amplitude)}{folded}"
         entries.append(Entry(float(frequency), float(u_frequency), amplitude[k], u[k], height, what, "fitted"))
     return entries
+
+
+def _named(lines: Lines, k: int, amplitude: FloatArray) -> str:
+    """Say what line k of a fit is, and how large beside its fundamental."""
+    if lines.multiple[k] == 1:
+        return f"fundamental, nominally {lines.nominal_hz[k]:.6g} Hz"
+    first = int(np.flatnonzero((lines.multiple == 1) & (lines.nominal_hz == lines.nominal_hz[k]))[0])
+    share = float(np.max(amplitude[k] / amplitude[first]))
+    return f"harmonic {lines.multiple[k]} of {lines.nominal_hz[k]:.6g} Hz, {share:.2g} of it"
 
 
 def _others(survey: Survey, nuisance_hz: FloatArray | None) -> list[Entry]:
@@ -195,17 +204,20 @@ def _others(survey: Survey, nuisance_hz: FloatArray | None) -> list[Entry]:
         use = ""
         if nuisance_hz is not None:
             beside = bool(np.any(np.abs(nuisance_hz - frequency) <= _SAME_U * survey.u_frequency_hz[i] + _SAME_HZ))
-            use = "fitted beside, no result" if beside else "not fitted"
+            use = "fitted beside" if beside else "not fitted"
         numbers = frequency, float(survey.u_frequency_hz[i]), survey.amplitude[i], survey.u_amplitude[i]
         entries.append(Entry(*numbers, decibel(float(survey.snr[i])), origin.text, use))
     return entries
 
 
 def _cameras(manifest: Manifest, base: TimeBase) -> tuple[tuple[str, float], ...]:
-    """Return name and rate of every stereo pair."""
+    """Return name and rate of the stereo pairs, those of one trigger together."""
     rates = {name: 1.0 / fit.period_s for (_, name), fit in base.triggers.items()}
-    frames = [*manifest.images, *manifest.points]
-    return tuple((entry.stereo, rates[entry.trigger]) for entry in frames if entry.trigger in rates)
+    pairs: dict[str, list[str]] = {}
+    for entry in (*manifest.images, *manifest.points):
+        if entry.trigger in rates:
+            pairs.setdefault(entry.trigger, []).append(entry.stereo)
+    return tuple((", ".join(names), rates[trigger]) for trigger, names in pairs.items())
 
 
 def _seen_by(entry: Entry, rates: Sequence[float]) -> Entry:

@@ -39,6 +39,8 @@ from shaker.signals.phasor import Phasors
 
 PREFIXED = ("m", "m/s", "m/s^2", "rad/s", "N")
 """Units that take an SI prefix."""
+OTHER_LINES = 30
+"""Lines without results that are listed, those that stand out most."""
 
 
 @dataclass(frozen=True)
@@ -192,16 +194,24 @@ def budget_table(evaluation: Evaluation) -> Table | None:
 
 
 def lines_table(evaluation: Evaluation) -> Table:
-    """The lines evaluated and why."""
-    lines = evaluation.lines
-    rows = tuple(
-        (measured(f, 2.0 * u), f"{nominal:g}", str(int(multiple)), why)
+    """The lines evaluated, the others that stand out most, and why."""
+    lines, others = evaluation.lines, evaluation.lines.others
+    rows = [
+        (float(f), (measured(f, 2.0 * u), f"{nominal:g}", str(int(multiple)), "result", why))
         for f, u, nominal, multiple, why in zip(
             lines.frequency_hz, lines.u_frequency_hz, lines.nominal_hz, lines.multiple, lines.why, strict=True
         )
-    )
-    head = ("frequency / Hz", "nominal / Hz", "multiple", "reason")
-    return Table("Lines evaluated, with U (k = 2)", head, "rrrl", rows)
+    ]
+    for i in np.argsort(-others.snr, kind="stable")[:OTHER_LINES].tolist():
+        f, u = float(others.frequency_hz[i]), float(others.u_frequency_hz[i])
+        beside = bool(np.any(np.abs(lines.nuisance_hz - f) <= 6.0 * u))
+        use = "fitted beside" if beside else "not fitted"
+        rows.append((f, (measured(f, 2.0 * u), DASH, DASH, use, others.why[i])))
+    rows.sort(key=lambda row: row[0])
+    more = len(others.snr) - OTHER_LINES
+    head = ("frequency / Hz", "nominal / Hz", "multiple", "use", "reason")
+    caption = "Lines of the record, with U (k = 2)" + (f"; {more} weaker ones are left out" if more > 0 else "")
+    return Table(caption, head, "rrrll", tuple(cells for _, cells in rows))
 
 
 def channels_table(evaluation: Evaluation) -> Table | None:

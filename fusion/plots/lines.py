@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -24,8 +25,11 @@ from fusion.plots.style import (
     panel_label,
     thin_out,
 )
+from shaker.signals.survey.floor import FIRST_BIN
 
 POINTS = 1600
+DETAILS = re.compile(r" of |[,(]|(?<=combination) ")
+"""Where the details of what a line is begin."""
 LABELLED = 12  # lines of a panel that are named, the highest
 UNDATED: dict[str, dict[str, Any]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {}}
 
@@ -47,11 +51,12 @@ def draw_lines(lists: Sequence[LineList], kind: str) -> bytes:
 
 def _draw_channel(axes: Axes, item: LineList, c: int) -> None:
     """One channel's spectrum with its lines."""
-    frequency, amplitude = item.spectrum_hz[1:], item.spectrum[1:, c]
+    frequency, amplitude = item.spectrum_hz[FIRST_BIN:], item.spectrum[FIRST_BIN:, c]
     edges = np.geomspace(frequency[0], frequency[-1] * 1.0001, POINTS)
     axes.loglog(*thin_out(frequency, amplitude, edges), color=BLUE, linewidth=0.6)
     if len(item.floor_hz):
-        axes.plot(item.floor_hz, item.floor[:, c], color=BLACK, linewidth=0.9)
+        above = item.floor_hz >= frequency[0]
+        axes.plot(item.floor_hz[above], item.floor[above, c], color=BLACK, linewidth=0.9)
     shown = [entry for entry in item.entries if np.isfinite(entry.amplitude[c])]
     for entry in shown:
         place = _place(entry, item.rate_hz)
@@ -60,14 +65,15 @@ def _draw_channel(axes: Axes, item: LineList, c: int) -> None:
         axes.annotate(
             _short(entry),
             (_place(entry, item.rate_hz), float(entry.amplitude[c])),
-            xytext=(2, 4),
+            xytext=(0, 5),
             textcoords="offset points",
             fontsize=5.5,
-            rotation=40,
+            rotation=90,
+            ha="center",
             color=_colour(entry),
         )
     floor = item.floor[:, c] if len(item.floor_hz) else amplitude[amplitude > 0.0]
-    axes.set_ylim(0.2 * float(np.min(floor)), 60.0 * float(amplitude.max()))
+    axes.set_ylim(0.2 * float(np.min(floor)), 1e4 * float(amplitude.max()))
     decades(axes.yaxis)
     unit = f" / {item.units[c]}" if item.units[c] else ""
     axes.set_ylabel(f"amplitude{unit}")
@@ -87,5 +93,5 @@ def _colour(entry: Entry) -> str:
 
 
 def _short(entry: Entry) -> str:
-    """Return a line's frequency and the first words of what it is."""
-    return f"{entry.frequency_hz:.5g} {entry.what.partition(',')[0].partition(' of ')[0].partition(' (')[0]}"
+    """Return a line's frequency and what it is, without the details."""
+    return f"{entry.frequency_hz:.5g} {DETAILS.split(entry.what)[0].strip()}"

@@ -1,0 +1,151 @@
+"""`shakercal lines` and the lines of a run, against records whose lines are known."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from fusion.channels import find_channel_lines
+from fusion.cli import main
+from fusion.manifest import load_manifest
+from fusion.records import read_daqs
+from fusion.timing import tie_daqs
+
+RATE = 12_800.0
+RIG = 'format = 1\nname = "test"\n'
+RECORDING = """
+format = 1
+name = "three lines"
+rig = "../rig.toml"
+
+[excitation]
+kind = "multisine"
+direction = [0.0, 0.0, 1.0]
+EXCITATION
+
+[[daq]]
+name = "vibrometer"
+file = "signals.h5"
+
+  [[daq.channel]]
+  name = "a"
+  quantity = "acceleration"
+  body = "load"
+  point = [0.0, 0.0, 0.0]
+  direction = [0.0, 0.0, 1.0]
+"""
+
+
+def _signals(path: Path, tones: dict[float, float], seconds: float = 2.0, noise: float = 0.01) -> Path:
+    rng = np.random.default_rng(0)
+    time = np.arange(round(seconds * RATE)) / RATE
+    values = noise * rng.normal(size=len(time))
+    for frequency, amplitude in tones.items():
+        values += amplitude * np.cos(2 * np.pi * frequency * time + rng.uniform(0.0, 2 * np.pi))
+    with h5py.File(path, "w") as file:
+        file["a"] = values
+        file["a"].attrs["sample_rate"] = RATE
+        file["a"].attrs["unit"] = "m/s^2"
+    return path
+
+
+def _recording(folder: Path, excitation: str, tones: dict[float, float]) -> Path:
+    (folder / "rig.toml").write_text(RIG)
+    (folder / "run").mkdir()
+    _signals(folder / "run" / "signals.h5", tones)
+    (folder / "run" / "recording.toml").write_text(RECORDING.replace("EXCITATION", excitation))
+    return folder / "run"
+
+
+def _rows(table: Path) -> list[dict[str, str]]:
+    return list(csv.DictReader(table.read_text(encoding="utf-8").splitlines()))
+
+
+def test_a_file_is_listed_with_reasons(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = _signals(tmp_path / "signals.h5", {106.25: 1.0, 318.75: 0.02, 50.02: 0.05})
+    table, picture = tmp_path / "lines.csv", tmp_path / "lines.png"
+    assert main(["lines", str(file), "--csv", str(table), "--figure", str(picture)]) == 0
+    told = capsys.readouterr().out
+    assert "signals.h5: a; 25600 samples at 12800 Hz, 2 s" in told
+    for text in ("fundamental", "harmonic 3 of 106.25 Hz, 0.02 of it", "mains hum (50 Hz)"):
+        assert text in told
+    rows = _rows(table)
+    assert [float(row["frequency_hz"]) for row in rows] == pytest.approx([50.02, 106.25, 318.75], abs=5e-3)
+    assert [float(row["amplitude"]) for row in rows] == pytest.approx([0.05, 1.0, 0.02], rel=0.02)
+    assert {row["unit"] for row in rows} == {"m/s^2"}
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_band_keeps_its_lines(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = _signals(tmp_path / "signals.h5", {106.25: 1.0, 318.75: 0.02})
+    assert main(["lines", str(file), "--band", "200:400", "--channel", "a"]) == 0
+    told = capsys.readouterr().out
+    assert "harmonic 3" in told
+    assert "fundamental\n" not in told
+    assert main(["lines", str(file), "--band", "1000:1001"]) == 0
+    assert "no line stands out of the noise" in capsys.readouterr().out
+
+
+def test_wrong_input_is_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = _signals(tmp_path / "signals.h5", {106.25: 1.0})
+    (tmp_path / "there.csv").write_text("")
+    for arguments, sentence in (
+        ([str(tmp_path / "none.h5")], "expected a file, found none"),
+        ([str(file), "--channel", "b"], 'found "a"'),
+        ([str(file), "--csv", str(tmp_path / "there.csv")], "--force replaces it"),
+        ([str(tmp_path)], "recording.toml"),
+    ):
+        assert main(["lines", *arguments]) == 2
+        told = capsys.readouterr().err
+        assert sentence in told
+        assert told.count("\n") == 1
+    run = _recording(tmp_path, "frequencies = [106.25]", {106.25: 1.0})
+    assert main(["lines", str(run), "--band", "1:2"]) == 2
+    assert "recording.toml states it" in capsys.readouterr().err
+    for wrong in ("5", "7:3", "a:b"):
+        with pytest.raises(SystemExit, match="2"):
+            main(["lines", str(file), "--band", wrong])
+
+
+def test_a_recording_says_what_is_fitted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    tones = {53.7: 1.0, 107.4: 0.01, 50.02: 0.05, 777.7: 0.001}
+    run = _recording(tmp_path, "frequencies = [53.7]", tones)
+    table = tmp_path / "lines.csv"
+    assert main(["lines", str(run), "--csv", str(table)]) == 0
+    rows = {round(float(row["frequency_hz"]), 1): row for row in _rows(table)}
+    uses = {frequency: row["use"] for frequency, row in rows.items()}
+    assert uses == {53.7: "fitted", 107.4: "fitted", 50.0: "fitted beside", 777.7: "not fitted"}
+    assert float(rows[53.7]["amplitude"]) == pytest.approx(1.0, abs=2e-3)
+    assert rows[107.4]["what"] == "harmonic 2 of 53.7 Hz, 0.0099 of it"
+    assert "fitted beside" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("period", ["", "period = 0.1"])
+def test_a_multisine_may_state_a_band_only(tmp_path: Path, period: str) -> None:
+    tones = {100.0: 1.0, 120.0: 0.8, 150.0: 0.9, 50.03: 0.5, 300.0: 0.02, 1000.0: 1.0}
+    run = _recording(tmp_path, f"band = [80.0, 400.0]\n{period or 'period = 1.0'}", tones)
+    manifest = load_manifest(run)
+    lines = find_channel_lines(manifest, tie_daqs(manifest, read_daqs(manifest)))
+    assert lines is not None
+    assert lines.nominal_hz[lines.multiple == 1].tolist() == pytest.approx([100.0, 120.0, 150.0])
+    assert lines.notices[0].text == "no frequencies are stated; found in the band: 100, 120, 150 Hz"
+
+
+def test_a_band_without_lines_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = _recording(tmp_path, "band = [2000.0, 3000.0]\nperiod = 1.0", {100.0: 1.0})
+    assert main(["lines", str(run)]) == 2
+    assert "expected lines between 2000 and 3000 Hz" in capsys.readouterr().err
+
+
+def test_three_tones_of_a_shaker(data_dir: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = data_dir / "shaker_three_tone" / "data_set_1_downsampled_by_256.lvm"
+    assert main(["lines", str(file), "--channel", "Voltage"]) == 0
+    told = capsys.readouterr().out
+    assert "0.499299" in told  # 150 Hz, seen at 50 Hz
+    assert "0.499368" in told  # 120 Hz, seen at 80 Hz
+    assert main(["lines", str(data_dir / "undersampled_video" / "acceleration.lvm")]) == 0
+    assert "50030 samples at 50000 Hz" in capsys.readouterr().out
