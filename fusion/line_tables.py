@@ -11,7 +11,7 @@ from fusion.lines import Entry, LineList
 from fusion.polar import rounded
 
 COVERAGE = 2.0
-WHY_WIDTH = 22
+WHY_WIDTH = 18
 LISTED = "lines"
 """Where notices are about that only say what the table shows."""
 
@@ -36,8 +36,6 @@ def print_lines(lists: Sequence[LineList]) -> None:
             table.add_column("in channel", overflow="fold")
         table.add_column("dB", justify="right")
         table.add_column("what and why", min_width=WHY_WIDTH)
-        if any(entry.use for entry in item.entries):
-            table.add_column("use")
         for entry in item.entries:
             table.add_row(*_cells(item, entry))
         console.print(table)
@@ -67,10 +65,7 @@ def _cells(item: LineList, entry: Entry) -> list[str]:
     cells.append(f"{size} {item.units[best]}".strip())
     if len(item.channels) > 1:
         cells.append(item.channels[best])
-    cells += [f"{entry.floor_db:.0f}", entry.what]
-    if any(other.use for other in item.entries):
-        cells.append(entry.use)
-    return cells
+    return [*cells, f"{entry.floor_db:.0f}", f"{entry.use}: {entry.what}" if entry.use else entry.what]
 
 
 def _with_u(value: float, u: float, exponent: int | None = None) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -11,9 +12,13 @@ import pytest
 
 from fusion.channels import find_channel_lines
 from fusion.cli import main
+from fusion.evaluation import Evaluation
 from fusion.manifest import load_manifest
 from fusion.records import read_daqs
+from fusion.report_tables import lines_table
+from fusion.results_h5 import write_h5
 from fusion.timing import tie_daqs
+from shaker.signals.frequencies import find_lines
 
 RATE = 12_800.0
 RIG = 'format = 1\nname = "test"\n'
@@ -149,3 +154,22 @@ def test_three_tones_of_a_shaker(data_dir: Path, capsys: pytest.CaptureFixture[s
     assert "0.499368" in told  # 120 Hz, seen at 80 Hz
     assert main(["lines", str(data_dir / "undersampled_video" / "acceleration.lvm")]) == 0
     assert "50030 samples at 50000 Hz" in capsys.readouterr().out
+
+
+def test_report_and_result_file_hold_the_other_lines(tmp_path: Path, ready_evaluation: Evaluation) -> None:
+    rng = np.random.default_rng(1)
+    time = np.arange(25_600) / RATE
+    values = np.cos(2 * np.pi * 106.25 * time) + 0.01 * rng.normal(size=len(time))
+    values += 0.1 * np.cos(2 * np.pi * 50.02 * time) + 0.05 * np.cos(2 * np.pi * 777.7 * time)
+    lines = find_lines(time, values, [106.25])
+    table = lines_table(replace(ready_evaluation, lines=lines))
+    assert [(row[3], row[4].partition(",")[0]) for row in table.rows] == [
+        ("fitted beside", "mains hum (50 Hz)"),
+        ("result", "fundamental"),
+        ("not fitted", "unexplained"),
+    ]
+    write_h5(tmp_path / "result.h5", replace(ready_evaluation, lines=lines), [])
+    with h5py.File(tmp_path / "result.h5") as file:
+        others = file["lines/others"]
+        np.testing.assert_allclose(others["frequency_hz"], lines.others.frequency_hz)
+        assert others["origin/000"].attrs["kind"] == "mains"
