@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -90,14 +90,30 @@ def _draw_magnitude(axes: Axes, curve: TransferCurve) -> None:
     axes.fill_between(curve.frequency_hz, low, high, color=BLUE, alpha=0.25, linewidth=0, zorder=1)
     axes.plot(curve.frequency_hz, size, color=BLUE, linewidth=0.9, zorder=2)
     axes.set_yscale("log")
-    for fit, band in curve.resonances:
+    for place, (_, band) in enumerate(curve.resonances):
         frequency = np.linspace(*band, 400)
-        axes.plot(frequency, np.abs(fit.model(frequency)), color=RED, linewidth=0.9, linestyle=(0, (4, 2)), zorder=2.5)
+        axes.plot(
+            frequency,
+            np.abs(_fitted(curve, place, frequency)),
+            color=RED,
+            linewidth=0.9,
+            linestyle=(0, (4, 2)),
+            zorder=2.5,
+        )
     axes.set_ylim(0.7 * float(size.min()), 1.6 * float(size.max()))
     _few_decades(axes, size)
     unit = typeset(curve.unit)
     axes.set_ylabel("|H|" if unit == "1" else f"|H| / ({unit})")
     panel_label(axes, f"{curve.response} over {curve.reference}: magnitude")
+
+
+def _fitted(curve: TransferCurve, place: int, frequency_hz: FloatArray) -> ComplexArray:
+    """One oscillator with the rest of the modes outside the band, and all other oscillators."""
+    own = curve.resonances[place][0].model(frequency_hz)
+    others = [fit for number, (fit, _) in enumerate(curve.resonances) if number != place]
+    for fit in others:
+        own = own + replace(fit, residual=np.zeros(2, dtype=np.complex128)).model(frequency_hz)
+    return own
 
 
 def _draw_phase(axes: Axes, curve: TransferCurve) -> None:

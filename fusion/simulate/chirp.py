@@ -39,6 +39,7 @@ class ChirpRig:
     scale_uncertainty: float = 2e-3
     delay_uncertainty: float = 0.2e-6
     corner_uncertainty: float = 0.01
+    clock_uncertainty: float = 1e-6
 
 
 def write_chirp(folder: Path, seed: int, rig: ChirpRig | None = None) -> Path:
@@ -84,7 +85,8 @@ def _samples(rig: ChirpRig, draws: Draws) -> dict[str, NDArray[np.float32]]:
     length = round(rig.period_s * rig.sample_rate_hz)
     silent = 2  # periods of rest, in which what the transform wraps around has decayed
     drive = np.concatenate([np.zeros(silent * length), np.tile(_sweep(rig, length), rig.periods)])
-    frequency = np.asarray(np.fft.rfftfreq(len(drive), 1.0 / rig.sample_rate_hz), dtype=np.float64)
+    clock = 1.0 + float(draws.normal("daq.clock", rig.clock_uncertainty))  # generator and converter share it
+    frequency = clock * np.asarray(np.fft.rfftfreq(len(drive), 1.0 / rig.sample_rate_hz), dtype=np.float64)
     spectrum = np.fft.rfft(drive)
     found = {}
     for name, motion in (("base", np.ones(len(frequency))), ("top", transmissibility(rig, frequency))):
@@ -141,7 +143,7 @@ def _recording(rig: ChirpRig) -> dict[str, Any]:
             {
                 "name": "daq",
                 "file": DAQ_FILE,
-                "clock_uncertainty": 1e-6,
+                "clock_uncertainty": rig.clock_uncertainty,
                 "channel": [
                     {"name": "base", **place, "body": "base", "point": [0.0, 0.0, -0.05], **stated},
                     {"name": "top", **place, "body": "load", "point": [0.0, 0.0, 0.05], **stated}

@@ -45,7 +45,7 @@ def estimated(manifest: Manifest, together: Together, settings: TransferSettings
     try:
         if periodic and excitation.period is not None:
             return transfer_periodic(record, excitation.period, settle_periods=excitation.settle_periods, band_hz=band)
-        found = _averaged(record, settings, band, blows=excitation.kind == "impact")
+        found = _averaged(_settled(manifest, record), settings, band, blows=excitation.kind == "impact")
     except ValueError as error:
         argument = str(error).partition(":")[0]
         if periodic and argument == "record":
@@ -65,6 +65,13 @@ def _band(manifest: Manifest, together: Together) -> tuple[float, float] | None:
         expected = f"a band that begins below {highest:.6g} Hz, what the slowest channel can show"
         raise InputError(manifest.path, "excitation.band", found=f"{band[0]:g} to {band[1]:g} Hz", expected=expected)
     return (0.0, highest) if band is None else (band[0], min(band[1], highest))
+
+
+def _settled(manifest: Manifest, record: TransferRecord) -> TransferRecord:
+    """Return a record without the periods in which it settles."""
+    excitation = manifest.excitation
+    left_out = round(excitation.settle_periods * (excitation.period or 0.0) * record.sample_rate_hz)
+    return replace(record, reference=record.reference[left_out:], responses=record.responses[left_out:])
 
 
 def _averaged(

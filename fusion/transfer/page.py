@@ -46,7 +46,7 @@ def _curves(result: ReferenceResult) -> list[TransferCurve]:
     transfer, curves = result.transfer, []
     for c, name in enumerate(transfer.ratio.channels):
         noise = _noise(result, c)
-        fits = tuple((found.fit, found.band_hz) for found in result.resonances if found.name == name)
+        fits = tuple((found.fit, found.band_hz) for found in result.resonances if found.response == name)
         one = transfer.ratio.select([name])
         curves.append(
             TransferCurve(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,8 @@ _DOWN_TO = 1.0 / 8.0  # of the peak: lines around it that are fitted
 _FEWEST_LINES = 6
 _POOR_FIT = 2.0  # χ² per degree of freedom from which the rest of all other modes is fitted too
 _MOST = 12
+_ROUNDS = 4  # of fitting peaks one after the other, each without all others
+_DEPARTS = 3.0  # residuals over the noise, rms, from which one oscillator does not explain a peak
 
 
 @dataclass(frozen=True)
@@ -43,27 +45,57 @@ def find_resonances(
     `transfer` with the covariance of its noise alone; `kinds` (C) say which form an oscillator takes in each response;
     `u_clock`: relative standard uncertainty of the clock, and so of every frequency.
     """
-    found, notices = [], []
+    found: list[FoundResonance] = []
+    notices: list[Notice] = []
     for c, (name, kind) in enumerate(zip(transfer.ratio.channels, kinds, strict=True)):
         own = {error.name: error.relative[:, c] for error in errors if np.any(error.relative[:, c] != 0.0)}
         curve = _Curve(name, transfer, transfer.ratio.value[:, c], transfer.channel_covariance(name), own, kind)
-        for peak, lines in _peaks(curve):
-            where = f"{name}/{transfer.reference}"
-            frequency = float(transfer.ratio.frequency_hz[peak])
-            try:
-                found.append(_fitted(curve, lines, u_clock))
-            except (ValueError, np.linalg.LinAlgError) as error:
-                text = f"no oscillator was fitted to the peak at {frequency:.6g} Hz ({error})"
-                notices.append(Notice("info", text, where))
-                continue
-            quotient = found[-1].fit.chi_squared / found[-1].fit.dof
-            if quotient > 10.0:
-                text = (
-                    f"the peak at {frequency:.6g} Hz departs from one oscillator by {np.sqrt(quotient):.2g} times the "
-                    "noise; its frequency and damping depend on the lines that are fitted"
-                )
-                notices.append(Notice("warning", text, where))
+        peaks = _peaks(curve)
+        for (peak, lines), one in zip(peaks, _separated(curve, [lines for _, lines in peaks]), strict=True):
+            if isinstance(one, _Mode):
+                found.append(_with_budget(curve, lines, one, u_clock))
+            notices += _remarks(one, float(transfer.ratio.frequency_hz[peak]), f"{name}/{transfer.reference}")
     return tuple(found), tuple(notices)
+
+
+@dataclass(frozen=True)
+class _Mode:
+    """One oscillator, and the values (L,) of its lines that it was fitted to, all other oscillators taken off."""
+
+    fit: Resonance
+    value: ComplexArray
+
+
+def _remarks(one: _Mode | str, peak_hz: float, where: str) -> list[Notice]:
+    """Say of a peak that no oscillator was fitted, or that one does not explain it."""
+    if isinstance(one, str):
+        return [Notice("info", f"no oscillator was fitted to the peak at {peak_hz:.6g} Hz ({one})", where)]
+    departs = np.sqrt(one.fit.chi_squared / one.fit.dof)
+    if departs < _DEPARTS:
+        return []
+    text = (
+        f"the peak at {peak_hz:.6g} Hz departs from one oscillator by {departs:.2g} times the noise; its frequency and "
+        "damping depend on the lines that are fitted"
+    )
+    return [Notice("warning", text, where)]
+
+
+def _separated(curve: _Curve, windows: Sequence[slice]) -> list[_Mode | str]:
+    """Fit every peak with the oscillators of all others taken off, in rounds; a text where there is no fit."""
+    found: list[_Mode | str] = ["no fit" for _ in windows]
+    for _ in range(_ROUNDS if len(windows) > 1 else 1):
+        for place, lines in enumerate(windows):
+            frequency = curve.transfer.ratio.frequency_hz[lines]
+            value = curve.value[lines].copy()
+            for other in (*found[:place], *found[place + 1 :]):
+                if isinstance(other, _Mode):
+                    alone = replace(other.fit, residual=np.zeros(2, dtype=np.complex128))
+                    value -= alone.model(frequency, curve.transfer.added_decay_per_s)
+            try:
+                found[place] = _Mode(_best(curve, lines, value), value)
+            except (ValueError, np.linalg.LinAlgError) as error:
+                found[place] = str(error)
+    return found
 
 
 def _peaks(curve: _Curve) -> list[tuple[int, slice]]:
@@ -89,19 +121,25 @@ def _peaks(curve: _Curve) -> list[tuple[int, slice]]:
     return windows
 
 
-def _fitted(curve: _Curve, lines: slice, u_clock: float) -> FoundResonance:
-    """Fit the lines of one peak, and again for one standard deviation of every common error."""
-    frequency, value = curve.transfer.ratio.frequency_hz[lines], curve.value[lines]
+def _best(curve: _Curve, lines: slice, value: ComplexArray) -> Resonance:
+    """Fit one oscillator to values (L,) of some lines, with the rest of all other modes where that explains more."""
+    frequency = curve.transfer.ratio.frequency_hz[lines]
     fit = _fit(curve, lines, value, residual_terms=False)
     if fit.chi_squared > _POOR_FIT * fit.dof and len(frequency) >= 2 * _FEWEST_LINES:
         richer = _fit(curve, lines, value, residual_terms=True)
         fit = richer if richer.chi_squared / richer.dof < 0.5 * fit.chi_squared / fit.dof else fit
     if not frequency[0] <= fit.frequency_hz <= frequency[-1]:
         raise ValueError(f"its frequency would be {fit.frequency_hz:.6g} Hz")
-    residual_terms = len(fit.parameters) > 4
+    return fit
+
+
+def _with_budget(curve: _Curve, lines: slice, mode: _Mode, u_clock: float) -> FoundResonance:
+    """Return a fit with its uncertainty: noise, and what one standard deviation of every common error changes."""
+    frequency, fit = curve.transfer.ratio.frequency_hz[lines], mode.fit
+    residual_terms = "constant_re" in fit.parameters
     budget = {"noise": (fit.u("frequency_hz"), fit.u("damping_ratio"))}
     for name, relative in curve.errors.items():
-        moved = _fit(curve, lines, value * (1.0 + relative[lines]), residual_terms=residual_terms)
+        moved = _fit(curve, lines, mode.value * (1.0 + relative[lines]), residual_terms=residual_terms)
         budget[name] = (moved.frequency_hz - fit.frequency_hz, moved.damping_ratio - fit.damping_ratio)
     if u_clock > 0.0:
         budget["rate of the clock"] = (u_clock * fit.frequency_hz, 0.0)

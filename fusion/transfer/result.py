@@ -60,13 +60,13 @@ class CommonError:
 
 @dataclass(frozen=True)
 class FoundResonance:
-    """A resonance of one response over its reference, fitted over the lines between `band_hz`.
+    """A resonance of one `response` over its reference, fitted over the lines between `band_hz`.
 
     `u_frequency_hz`, `u_damping_ratio`: standard uncertainties, noise and all common errors together; `budget`: by
     cause what one standard deviation changes of frequency (Hz) and damping ratio.
     """
 
-    name: str
+    response: str
     reference: str
     fit: Resonance
     band_hz: tuple[float, float]

@@ -103,7 +103,7 @@ def resonances_table(evaluation: TransferEvaluation) -> Table | None:
         u_quality = fit.quality * found.u_damping_ratio / fit.damping_ratio
         rows.append(
             (
-                f"{found.name} / {found.reference}",
+                f"{found.response} / {found.reference}",
                 measured(fit.frequency_hz, 2.0 * found.u_frequency_hz),
                 zeta,
                 measured(fit.quality, 2.0 * u_quality),
@@ -134,7 +134,7 @@ def headlines(evaluation: TransferEvaluation) -> list[Headline]:
     told = []
     for found in resonances(evaluation)[:3]:
         fit = found.fit
-        where = f"{found.name} / {found.reference}"
+        where = f"{found.response} / {found.reference}"
         value = measured(fit.frequency_hz, 2.0 * found.u_frequency_hz, "Hz")
         u_frequency = 200.0 * found.u_frequency_hz / fit.frequency_hz
         told.append(Headline(f"Resonance of {where}", value, f"U (k = 2) = {u_frequency:.2g} %"))
@@ -161,7 +161,8 @@ def printed(evaluation: TransferEvaluation) -> Iterator[str]:
         frequency_text = rounded(fit.frequency_hz, 2.0 * found.u_frequency_hz, 0)
         damping = rounded(100.0 * fit.damping_ratio, 200.0 * found.u_damping_ratio, 0)
         yield (
-            f"  resonance of {found.name} / {found.reference}: {frequency_text.value} ± {frequency_text.expanded} Hz, "
+            f"  resonance of {found.response} / {found.reference}: "
+            f"{frequency_text.value} ± {frequency_text.expanded} Hz, "
             f"damping ratio {damping.value} ± {damping.expanded} %, Q {fit.quality:.4g}"
         )
 
@@ -175,5 +176,5 @@ def _budget_table(found: FoundResonance) -> Table:
     ]
     total = (1e6 * found.u_frequency_hz / fit.frequency_hz, 100.0 * found.u_damping_ratio / fit.damping_ratio)
     rows.append(("combined, k = 1", *map(small, total)))
-    caption = f"Budget of the resonance of {found.name} / {found.reference} at {fit.frequency_hz:.6g} Hz"
+    caption = f"Budget of the resonance of {found.response} / {found.reference} at {fit.frequency_hz:.6g} Hz"
     return Table(caption, ("contribution", "u(f₀) / 10⁻⁶ f₀", "u(ζ) / % of ζ"), "lrr", tuple(rows))

@@ -6,6 +6,7 @@ import csv
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -17,7 +18,9 @@ from fusion.errors import InputError
 from fusion.manifest import load_manifest
 from fusion.simulate.chirp import ChirpRig, transmissibility, write_chirp
 from fusion.transfer.evaluate import evaluate_transfer
+from fusion.transfer.resonances import find_resonances
 from fusion.transfer.result import ReferenceResult, TransferSettings
+from fusion.transfer.results import write_transfer
 from fusion.transfer.run import run_transfer
 
 RIG = ChirpRig(sample_rate_hz=10240.0, period_s=0.5, periods=5, band_hz=(300.0, 2800.0))
@@ -85,6 +88,46 @@ def test_the_resonance_is_found(simulated: Path) -> None:
     assert abs(found.fit.damping_ratio / RIG.damping_ratio - 1.0) < 0.01
     assert found.fit.kind == "transmissibility"
     assert found.budget["rate of the clock"][0] == pytest.approx(1e-6 * found.fit.frequency_hz)
+
+
+def test_every_peak_of_a_curve_is_a_resonance_of_its_own(simulated: Path, tmp_path: Path) -> None:
+    evaluation = evaluate_transfer(load_manifest(simulated), TransferSettings(), {})
+    (result,) = evaluation.references
+    frequency = result.transfer.ratio.frequency_hz
+    true = ((700.0, 0.004), (1450.0, 0.01), (2500.0, 0.006))
+    rigs = [ChirpRig(frequency_hz=f, damping_ratio=z) for f, z in true]
+    value = np.sum([transmissibility(rig, frequency) for rig in rigs], axis=0)[:, None]
+    noise = np.random.default_rng(5).standard_normal((2, len(frequency))) * 1e-3
+    ratio = replace(
+        result.transfer.ratio,
+        value=value + (noise[0] + 1j * noise[1])[:, None],
+        covariance=np.tile(1e-6 * np.eye(2), (len(frequency), 1, 1)),
+    )
+    found, notices = find_resonances(replace(result.transfer, ratio=ratio), (), ["transmissibility"], 0.0)
+    assert [round(one.fit.frequency_hz) for one in found] == [f for f, _ in true]
+    for one, (f, z) in zip(found, true, strict=True):
+        assert abs(one.fit.frequency_hz - f) < 5.0 * one.u_frequency_hz
+        assert abs(one.fit.damping_ratio - z) < 5.0 * one.u_damping_ratio
+    assert not notices
+    write_transfer(replace(evaluation, references=(replace(result, resonances=found),)), tmp_path / "out")
+    with h5py.File(tmp_path / "out" / "transfer.h5") as file:
+        assert len(file["references/base/resonances"]) == 3
+
+
+@pytest.mark.slow
+def test_the_uncertainty_of_a_resonance_covers(tmp_path: Path) -> None:
+    """Noise, scales, delays, corner and clock drawn anew: deviations over their standard uncertainties."""
+    deviations = []
+    for seed in range(60):
+        (found,) = _evaluated(write_chirp(tmp_path / f"{seed}", seed, RIG)).resonances
+        deviations.append(
+            [
+                (found.fit.frequency_hz - RIG.frequency_hz) / found.u_frequency_hz,
+                (found.fit.damping_ratio - RIG.damping_ratio) / found.u_damping_ratio,
+            ]
+        )
+    spread = np.sqrt(np.mean(np.square(deviations), axis=0))
+    assert np.all((spread > 0.75) & (spread < 1.28))  # 99.5 % limits of the rms of 60 normal deviates
 
 
 def test_averaged_spectra_agree(simulated: Path) -> None:
