@@ -20,15 +20,16 @@ from shaker.signals.recording import RawChannel
 _SCALES = ("Polynomial", "Linear", "RTD", "Strain", "Table", "Thermistor", "Thermocouple", "Add", "Subtract")
 _SCALE_KEY = re.compile(r"NI_Scale\[(\d+)\]_Scale_Type")
 _MOST_SCALES = 1000
-_SCALE_BLOCK = 1 << 15  # samples scaled at a time: their intermediate results stay in the cache
+_SCALE_BLOCK = 1 << 14  # samples scaled at a time: their intermediate results stay in the cache
 _Key = tuple[str, int]  # a channel's path and the number of its raw scale
 
 
 @dataclass
 class _Sink:
-    """Values (S,) of a channel, and how many are in."""
+    """Values (S,) of a channel, how many are in, and the scale that each block gets at once (None: none, or later)."""
 
     values: FloatArray
+    scale: Any = None
     filled: int = 0
 
 
@@ -64,7 +65,7 @@ def read_tdms(path: Path, names: Sequence[str] | None, sample_rate_hz: float | N
         paths = present if names is None else {name: present.get(name) or alone[name] for name in names}
         times = {name: _time_of(name, index, types, lengths) for name in paths.values()}
         wanted = {*paths.values(), *(time for time in times.values() if time)}
-        values = _scaled(path, index, _values(path, stream, index, wanted))
+        values = _values(path, stream, index, wanted)
         starts = _starts(stream, index, types)
     result = {}
     for name, own in paths.items():
@@ -103,15 +104,26 @@ def _time_of(
     return None
 
 
-def _values(path: Path, stream: BinaryIO, index: TdmsIndex, wanted: set[str]) -> dict[_Key, FloatArray]:
-    """Return the raw values of the channels wanted, as float64; time stamps in seconds from their first second."""
+def _values(path: Path, stream: BinaryIO, index: TdmsIndex, wanted: set[str]) -> dict[str, FloatArray]:
+    """Return the values of the channels wanted, scaled; time stamps in seconds from their first second.
+
+    A card's channel without scale is its first raw scale.
+    """
     sinks = {key: _Sink(np.empty(length)) for key, length in _lengths(index.regions).items() if key[0] in wanted}
+    keys = {name: [key for key in sinks if key[0] == name] for name in wanted}
+    scales = {name: _scale(path, name, index) for name in wanted}
+    for name, own in keys.items():
+        if len(own) == 1:
+            sinks[own[0]].scale = scales[name]
     bases: dict[str, int] = {}
     for region in index.regions:
         fields = [own for own in region.fields if own.path in wanted]
         if fields:
             _read_region(path, stream, region, fields, sinks, bases)
-    return {key: sink.values for key, sink in sinks.items()}
+    for name, own in keys.items():
+        if len(own) > 1 and scales[name] is not None:
+            _apply(scales[name], {key[1]: sinks[key].values for key in own})
+    return {name: sinks[own[0]].values for name, own in keys.items()}
 
 
 def _read_region(
@@ -168,23 +180,16 @@ def _store(own: Field, block: bytes, stride: int, sinks: Mapping[_Key, _Sink], b
     target = sink.values[sink.filled : sink.filled + repeats * own.count]
     target.reshape(repeats, own.count)[...] = raw
     sink.filled += len(target)
+    if sink.scale is not None:
+        _apply(sink.scale, {own.scale: target})
 
 
-def _scaled(path: Path, index: TdmsIndex, raw: Mapping[_Key, FloatArray]) -> dict[str, FloatArray]:
-    """Apply the scales of the hardware, in place; a card's channel without scale is its one raw scale."""
-    result = {}
-    for name in dict.fromkeys(key[0] for key in raw):
-        by_scale = {scale: values for (own, scale), values in raw.items() if own == name}
-        values = by_scale.get(DAQMX, next(iter(by_scale.values())))
-        scale = _scale(path, name, index)
-        if scale is not None:
-            plain = DAQMX in by_scale
-            for first in range(0, len(values), _SCALE_BLOCK):
-                part = slice(first, first + _SCALE_BLOCK)
-                numbers = {number: own[part] for number, own in by_scale.items()}
-                values[part] = scale.scale(_Raw(numbers[DAQMX] if plain else None, numbers))
-        result[name] = values
-    return result
+def _apply(scale: Any, raw: Mapping[int, FloatArray]) -> None:
+    """Put scaled values in the place of the first raw ones, some thousand at a time: they stay in the cache."""
+    target = next(iter(raw.values()))
+    for first in range(0, len(target), _SCALE_BLOCK):
+        numbers = {number: values[first : first + _SCALE_BLOCK] for number, values in raw.items()}
+        target[first : first + _SCALE_BLOCK] = scale.scale(_Raw(numbers.get(DAQMX), numbers))
 
 
 def _scale(path: Path, name: str, index: TdmsIndex) -> Any:
