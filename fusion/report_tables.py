@@ -243,8 +243,8 @@ def clocks_table(evaluation: Evaluation) -> Table | None:
     """Triggers and ties of the DAQ blocks, one column each."""
     if not evaluation.clocks:
         return None
-    found = ["file", "edges found", "missing, spurious", "trigger rate / Hz", "jitter beyond sampling / µs"]
-    names = [*found, "first edge / s", "offset / s", "rate − 1 / 10⁻⁶"]
+    found = ["file", "edges found", "missing, doubled, spurious", "trigger rate / Hz", "jitter beyond sampling / µs"]
+    names = [*found, "first edge / s", "offset in the middle / s", "rate − 1 / 10⁻⁶", "edges paired by"]
     columns = [
         (clock.file.name, *_trigger_cells(clock), *_tie_cells(clock, evaluation.clocks[0]))
         for clock in evaluation.clocks
@@ -357,14 +357,14 @@ def _source_row(results: Sequence[Acceleration], line: int, component: int) -> t
 
 
 def _trigger_cells(clock: ClockResult) -> list[str]:
-    """Edges, missing and spurious ones, rate, jitter, first edge."""
+    """Edges, missing, doubled and spurious ones, rate, jitter, first edge."""
     trigger = clock.trigger
     if trigger is None:
         return ["no trigger", *[DASH] * 4]
     u_start, u_period = 2.0 * np.sqrt(np.diag(trigger.covariance))
     return [
         str(len(trigger.number)),
-        f"{len(trigger.missing)}, {trigger.spurious}",
+        f"{len(trigger.missing)}, {trigger.doubled}, {trigger.spurious}",
         measured(1.0 / trigger.period_s, float(u_period) / trigger.period_s**2),
         number(1e6 * trigger.jitter_s),
         measured(trigger.start_s, float(u_start)),
@@ -372,12 +372,14 @@ def _trigger_cells(clock: ClockResult) -> list[str]:
 
 
 def _tie_cells(clock: ClockResult, base: ClockResult) -> list[str]:
-    """Offset and rate against the first block."""
-    if clock.tie is None:
-        return ["time base" if clock is base else "not tied", DASH]
-    u_offset, u_rate = 2.0 * np.sqrt(np.diag(clock.tie.covariance))
-    rate = measured(1e6 * (clock.tie.rate - 1.0), 1e6 * float(u_rate))
-    return [measured(clock.tie.offset_s, float(u_offset)), rate]
+    """Offset in the middle of the common edges and rate against the first block, and what paired the edges."""
+    tie = clock.tie
+    if tie is None:
+        return ["time base" if clock is base else "not tied", DASH, DASH]
+    middle = np.asarray(tie.middle_s)
+    offset = measured(float(tie.to_base_s(middle)) - tie.middle_s, 2.0 * float(tie.u_to_base_s(middle)))
+    rate = measured(1e6 * (tie.rate - 1.0), 2e6 * float(np.sqrt(tie.covariance[1, 1])))
+    return [offset, rate, f"{tie.decided_by} ({tie.pairs})"]
 
 
 def _failed(stereo: StereoResult) -> int:

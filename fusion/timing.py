@@ -12,6 +12,7 @@ from fusion.errors import InputError
 from fusion.evaluation import ClockResult
 from fusion.manifest import ChannelEntry, Images, Manifest, PointFiles
 from fusion.records import DaqRecord
+from shaker.signals.instants import edge_instants
 from shaker.signals.sync import ClockTie, TriggerFit, find_edges, fit_trigger, tie_clocks
 
 FloatArray = NDArray[np.float64]
@@ -84,7 +85,7 @@ def _tie(
 ) -> ClockTie:
     """Tie a block to the first one by the trigger they share."""
     key = f"daq.{other.entry.name}.channel"
-    shared = [name for daq, name in triggers if daq == base.entry.name and (other.entry.name, name) in triggers]
+    shared = _shared_triggers(triggers, base.entry.name, other.entry.name)
     if not shared:
         wanted = f"a trigger channel of the same name as in block {base.entry.name}, which ties the two clocks"
         raise InputError(manifest.path, key, found="none", expected=wanted)
@@ -96,13 +97,21 @@ def _tie(
         raise InputError.told_by(error, manifest.path, f"{key}.{shared[0]}") from error
 
 
+def _shared_triggers(triggers: dict[tuple[str, str], TriggerFit], first: str, second: str) -> list[str]:
+    """Return the triggers that two blocks record; the first of them ties their clocks."""
+    return [name for daq, name in triggers if daq == first and (second, name) in triggers]
+
+
 def _start_difference_s(base: DaqRecord, other: DaqRecord) -> float | None:
     """Return how much later the other record started, None where one of the two states no start time."""
     return other.start_s - base.start_s if base.start_s and other.start_s else None
 
 
 def exposure_middles(manifest: Manifest, base: TimeBase, entry: Images | PointFiles, frames: int) -> FloatArray:
-    """Return the middle of each frame's exposure (F,) on the first block's clock: edge + delay + exposure / 2."""
+    """Return the middle of each frame's exposure (F,) on the first block's clock: edge + delay + exposure / 2.
+
+    The edge is the periodic model's where the trigger has no jitter, and follows what was seen of it where it has.
+    """
     daq, trigger = _trigger_of(manifest, base, entry)
     key = f"{'images' if isinstance(entry, Images) else 'points'}.{entry.stereo}.first_edge"
     if entry.first_edge is None and trigger.edges > frames:
@@ -115,8 +124,19 @@ def exposure_middles(manifest: Manifest, base: TimeBase, entry: Images | PointFi
         raise InputError(
             manifest.path, key.removesuffix("first_edge") + "trigger", found=str(trigger.edges), expected=wanted
         )
-    edges = trigger.time_s(first + np.arange(frames))
-    return np.asarray(base.to_base_s(daq, edges) + entry.delay + entry.exposure / 2.0)
+    edges = edge_instants(trigger, first + np.arange(frames), _seen_elsewhere(base, daq, entry.trigger))
+    return np.asarray(base.to_base_s(daq, edges.time_s) + entry.delay + entry.exposure / 2.0)
+
+
+def _seen_elsewhere(base: TimeBase, daq: str, trigger: str) -> list[tuple[TriggerFit, ClockTie]]:
+    """Return what other blocks saw of the edges of a block's trigger, where these edges tie them to it."""
+    if daq != base.records[0].entry.name:
+        return []
+    found = []
+    for other, tie in base.ties.items():
+        if tie is not None and _shared_triggers(base.triggers, daq, other)[:1] == [trigger]:
+            found.append((base.triggers[other, trigger], tie))
+    return found
 
 
 def _trigger_of(manifest: Manifest, base: TimeBase, entry: Images | PointFiles) -> tuple[str, TriggerFit]:

@@ -277,6 +277,7 @@ def _trigger(start_s: float, resolution_s: float, rng: np.random.Generator) -> T
         lower_s=edges - resolution_s / 2,
         upper_s=edges + resolution_s / 2,
         edge_s=edges,
+        correction_s=np.zeros(len(number)),
         kind="sampled",
         covariance=covariance,
         jitter_s=2e-7,
@@ -286,6 +287,7 @@ def _trigger(start_s: float, resolution_s: float, rng: np.random.Generator) -> T
         idle_before=True,
         idle_after=True,
         resolution_s=resolution_s,
+        open_s=0.0,
         notices=(),
     )
 

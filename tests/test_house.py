@@ -17,8 +17,8 @@ WRITTEN_ORDER = {
         target calibrate calibration_import alignment epipolar synthetic
     """,
     "shaker.signals": """
-        recording files edges numbering posterior rise trigger shift clock_line sync resample
-        phasor folding separation spectrum noise sine stationarity refine
+        recording files edges numbering posterior rise trigger shift clock_line sync instants pulses
+        resample phasor folding separation spectrum noise sine stationarity refine
         survey frequencies chain transfer plan
     """,
     "shaker.models": "oscillator",

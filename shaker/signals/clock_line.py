@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -55,17 +55,20 @@ def clock_line(base: TriggerFit, other: TriggerFit, shift: int) -> ClockLine:
     single = _from_models(base, other, shift)
     if len(here) < _LEAST_PAIRS:
         return single
-    if base.kind == other.kind == "resolved":
-        paired = _from_crossings(base, other, here, there)
+    if base.kind == other.kind:
+        fit_pairs = _from_crossings if base.kind == "resolved" else _from_middles
+        paired = fit_pairs(base, other, here, there)
+        middle = np.asarray(np.mean(other.edge_s[there]))
+        line = paired if paired.u_at(middle) < single.u_at(middle) else single
+        if base.kind == "sampled":
+            line = _from_intervals(base, other, shift, line, line is paired)
+        elif line is single:
+            return line
     elif base.kind == "resolved":
-        return _from_one_resolved(base, other, here, there).inverse()
-    elif other.kind == "resolved":
-        return _from_one_resolved(other, base, there, here)
+        line = _from_one_resolved(base, other, here, there).inverse()
     else:
-        paired = _from_middles(base, other, here, there)
-    middle = np.asarray(np.mean(other.edge_s[there]))
-    best = paired if paired.u_at(middle) < single.u_at(middle) else single
-    return best if base.kind == "resolved" else _from_intervals(base, other, shift, best, best is paired)
+        line = _from_one_resolved(other, base, there, here)
+    return replace(line, covariance=line.covariance + np.diag([(base.open_s**2 + other.open_s**2) / 12.0, 0.0]))
 
 
 def _from_models(base: TriggerFit, other: TriggerFit, shift: int) -> ClockLine:
@@ -91,8 +94,10 @@ def _from_middles(base: TriggerFit, other: TriggerFit, here: IntArray, there: In
 
 def _from_crossings(base: TriggerFit, other: TriggerFit, here: IntArray, there: IntArray) -> ClockLine:
     """Fit a line to paired resolved crossings, free of the trigger's jitter."""
-    place, unscale = _scaled(other.edge_s[there])
-    fit = fit_resolved(base.edge_s[here], place, [base.phase[here], other.phase[there]])
+    place, unscale = _scaled(other.crossing_s[there])
+    y, x = base.crossing_s[here], other.crossing_s[there]
+    phases = [(y - base.lower_s[here]) / base.sample_s, (x - other.lower_s[there]) / other.sample_s]
+    fit = fit_resolved(y, place, phases)
     return unscale(Posterior(fit.mean, fit.covariance, fit.scatter_s))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import comb
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from shaker._checks import FloatArray
 from shaker.signals.trigger import TriggerFit
 
 _GAP_MATCH = 0.8  # share of the missing edges that must be missing in both records for gaps to decide the shift
+_GAP_CHANCE = 1e-3  # probability of as many coincidences at any shift by chance, where gaps lie outside the overlap
 _START_MATCH = 0.25  # of a period: how well start times must agree with a whole number of periods
 _JITTER_EDGES = 20
 _JITTER_SHARE = 0.4  # of an edge's interval: jitter that rises above the pattern which sampling makes
@@ -94,10 +96,19 @@ def _by_gaps(base: TriggerFit, other: TriggerFit, low: int, high: int) -> int | 
         first, last = max(0, shift), min(base.edges, other.edges + shift) - 1
         here = {i for i in base.missing if first <= i <= last}
         there = {i + shift for i in other.missing if first <= i + shift <= last}
-        overlap = last - first + 1
-        if here & there and len(here & there) >= _GAP_MATCH * len(here | there) and 2 * overlap >= other.edges:
+        both, overlap = len(here & there), last - first + 1
+        if not both or both < _GAP_MATCH * len(here | there) or 2 * overlap < other.edges:
+            continue
+        everything = both >= _GAP_MATCH * max(len(base.missing), len(other.missing))
+        if everything or (high - low + 1) * _by_chance(both, overlap, len(here), len(there)) < _GAP_CHANCE:
             matching.append(shift)
     return matching[0] if len(matching) == 1 else None
+
+
+def _by_chance(both: int, edges: int, here: int, there: int) -> float:
+    """Return the probability that at least `both` of two independent sets of missing edges coincide."""
+    ways = sum(comb(here, k) * comb(edges - here, there - k) for k in range(both, min(here, there) + 1))
+    return ways / comb(edges, there)
 
 
 def _by_jitter(base: TriggerFit, other: TriggerFit, low: int, high: int) -> int | None:
@@ -122,7 +133,7 @@ def _by_jitter(base: TriggerFit, other: TriggerFit, low: int, high: int) -> int 
 def _jitters(fit: TriggerFit) -> bool:
     """Tell whether the jitter rises above what sampling and the shape of the rise do to an edge."""
     least = 1.0 if fit.kind == "sampled" else _JITTER_RESOLVED
-    return fit.jitter_s > _JITTER_SHARE * max(fit.resolution_s, least * float(np.median(fit.upper_s - fit.lower_s)))
+    return fit.jitter_s > _JITTER_SHARE * max(fit.resolution_s, least * fit.sample_s)
 
 
 def _deviations(fit: TriggerFit) -> FloatArray:

@@ -16,7 +16,8 @@ from shaker.signals.rise import fit_resolved
 LEAST_JITTER = 1e-4  # of a sample
 _IDLE = 1.05  # periods without an edge at an end of the record that show the burst to begin or end there
 _LOCKED = 0.15  # of a sample: no edge over this range of phases once there are enough of them
-_LOCKED_RISE = 0.02  # of a sample: error of a reconstructed crossing that no other phase averages out
+_LOCKED_RISE = 0.1  # of a sample: interval of a reconstructed crossing's error that no other phase averages out
+_RINGING = 1e-3  # of a sample: interval that the ringing of the pulse's other edge leaves open of a resolved one
 
 
 @dataclass(frozen=True)
@@ -24,11 +25,12 @@ class TriggerFit:
     """Periodic model t_k = start_s + k·period_s of a trigger, in seconds from the record's first sample.
 
     `number` (E,): count of each edge kept (0 = first), which lies in (`lower_s`, `upper_s`] (E,); `edge_s` (E,) their
-    own estimates. `kind`: what the model rests on, the intervals ("sampled") or the estimates ("resolved");
-    `resolution_s`: √12 times what sampling and noise leave open of one edge. `covariance` (2, 2) of
-    (start_s, period_s); `jitter_s` standard deviation of the edges about the model beyond what sampling explains;
-    `missing` numbers without an edge, `doubled` and `spurious` edges dropped. `idle_before`, `idle_after`: the record
-    shows that the burst begins or ends here.
+    own estimates, from which `correction_s` (E,) for the shape of the rise is taken off already. `kind`: what the model
+    rests on, the intervals ("sampled") or the estimates ("resolved"); `resolution_s`: √12 times what sampling and noise
+    leave open of one edge; `open_s`: of all edges alike, because they keep falling on the same places between samples
+    or for the ringing of others. `covariance` (2, 2) of (start_s, period_s); `jitter_s` standard deviation of the edges
+    about the model beyond what sampling explains; `missing` numbers without an edge, `doubled` and `spurious` edges
+    dropped. `idle_before`, `idle_after`: the record shows that the burst begins or ends here.
     """
 
     start_s: float
@@ -37,6 +39,7 @@ class TriggerFit:
     lower_s: FloatArray
     upper_s: FloatArray
     edge_s: FloatArray
+    correction_s: FloatArray
     kind: EdgeKind
     covariance: FloatArray
     jitter_s: float
@@ -46,11 +49,12 @@ class TriggerFit:
     idle_before: bool
     idle_after: bool
     resolution_s: float
+    open_s: float
     notices: tuple[Notice, ...]
 
     def __post_init__(self) -> None:
         check_shape("number", self.number, (None,))
-        for name in ("lower_s", "upper_s", "edge_s"):
+        for name in ("lower_s", "upper_s", "edge_s", "correction_s"):
             check_shape(name, getattr(self, name), self.number.shape)
         check_shape("covariance", self.covariance, (2, 2))
 
@@ -60,9 +64,14 @@ class TriggerFit:
         return int(self.number[-1]) + 1
 
     @property
-    def phase(self) -> FloatArray:
-        """Place of each edge between the two samples beside it, 0 to 1, (E,)."""
-        return np.asarray((self.edge_s - self.lower_s) / (self.upper_s - self.lower_s))
+    def crossing_s(self) -> FloatArray:
+        """Edges as reconstructed, without the correction, (E,)."""
+        return self.edge_s + self.correction_s
+
+    @property
+    def sample_s(self) -> float:
+        """Sampling interval."""
+        return float(np.median(self.upper_s - self.lower_s))
 
     def time_s(self, number: IntArray) -> FloatArray:
         """Return the modelled times of the edges numbered (any shape), seconds from the record's first sample."""
@@ -102,15 +111,15 @@ def fit_trigger(edges: Edges) -> TriggerFit:
     sample = float(np.median(upper - lower))
     kind: EdgeKind = "sampled"
     line, resolution = _from_intervals(place, lower, upper), sample
-    edge = (lower + upper) / 2.0
+    edge, correction = (lower + upper) / 2.0, np.zeros(len(n))
     if edges.kind == "resolved":
-        resolved, correction = _from_crossings(place, estimate, (estimate - lower) / sample, edges.u_reading_s)
+        resolved, learnt = _from_crossings(place, estimate, (estimate - lower) / sample, edges.u_reading_s)
         if resolved.covariance[0, 0] < line.covariance[0, 0]:
-            line, kind, edge = resolved, "resolved", estimate - correction
+            line, kind, edge, correction = resolved, "resolved", estimate - learnt, learnt
             resolution = np.sqrt(12.0) * edges.u_reading_s
-    locked = _is_locked(n, line.mean[1] / half / sample, line.jitter_s / sample)
-    if locked and kind == "resolved":
-        line = replace(line, covariance=line.covariance + np.diag([(_LOCKED_RISE * sample) ** 2, 0.0]))
+    locked = _locked_gap(n, line.mean[1] / half / sample, line.jitter_s / sample)
+    open_s = sample * (locked if kind == "sampled" else _LOCKED_RISE if locked else _RINGING)
+    line = replace(line, covariance=line.covariance + np.diag([open_s**2 / 12.0, 0.0]))
     # From (middle, half span) to (start, period).
     jacobian = np.array([[1.0, -1.0], [0.0, 1.0 / half]])
     start, period = jacobian @ line.mean
@@ -122,6 +131,7 @@ def fit_trigger(edges: Edges) -> TriggerFit:
         lower_s=lower,
         upper_s=upper,
         edge_s=edge,
+        correction_s=correction,
         kind=kind,
         covariance=jacobian @ line.covariance @ jacobian.T,
         jitter_s=line.jitter_s,
@@ -131,9 +141,10 @@ def fit_trigger(edges: Edges) -> TriggerFit:
         idle_before=bool(start > _IDLE * period),
         idle_after=bool(edges.record_s - (start + n[-1] * period) > _IDLE * period),
         resolution_s=float(resolution),
+        open_s=open_s,
         notices=(),
     )
-    return replace(fit, notices=_notices(fit, locked))
+    return replace(fit, notices=_notices(fit))
 
 
 def straight_line(place: FloatArray, time: FloatArray, least_scatter: float) -> Posterior:
@@ -163,16 +174,14 @@ def _from_crossings(
     return Posterior(fit.mean, fit.covariance, jitter), fit.correction_s
 
 
-def _is_locked(number: IntArray, period: float, jitter: float) -> bool:
-    """Tell whether the edges fall on few places between samples: period and jitter in samples."""
-    if jitter > _LOCKED:
-        return False
+def _locked_gap(number: IntArray, period: float, jitter: float) -> float:
+    """Return the largest gap between the edges' places between samples if they take few, else 0; all in samples."""
     phase = np.sort(number * period % 1.0)
-    gap = np.max(np.append(np.diff(phase), phase[0] + 1.0 - phase[-1]))
-    return bool(gap > max(_LOCKED, 10.0 / len(number)))
+    gap = float(np.max(np.append(np.diff(phase), phase[0] + 1.0 - phase[-1])))
+    return gap if gap > max(_LOCKED, 10.0 / len(number)) and jitter < _LOCKED else 0.0
 
 
-def _notices(fit: TriggerFit, locked: bool) -> tuple[Notice, ...]:
+def _notices(fit: TriggerFit) -> tuple[Notice, ...]:
     """Tell about edges that were not where the period puts them."""
     found = []
     if fit.missing:
@@ -185,7 +194,7 @@ def _notices(fit: TriggerFit, locked: bool) -> tuple[Notice, ...]:
     if fit.jitter_s > 1e-3 * fit.period_s:
         text = f"jitter of {fit.jitter_s * 1e6:.3g} us, over 0.1 % of the period"
         found.append(Notice("warning", text, "trigger"))
-    if locked:
+    if fit.open_s > _RINGING * fit.sample_s:
         u_middle = float(fit.u_time_s(np.asarray(fit.edges // 2)))
         text = (
             f"the edges always fall on the same places between two samples, which leaves their instants open to "

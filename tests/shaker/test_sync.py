@@ -204,6 +204,7 @@ def _fit(first: float, edges: int, *, before: bool, after: bool, missing: tuple[
         lower_s=first + 0.02 * number - 1e-5,
         upper_s=first + 0.02 * number + 1e-5,
         edge_s=first + 0.02 * number,
+        correction_s=np.zeros(len(number)),
         kind="sampled",
         covariance=np.diag([1e-14, 1e-20]),
         jitter_s=0.0,
@@ -213,6 +214,7 @@ def _fit(first: float, edges: int, *, before: bool, after: bool, missing: tuple[
         idle_before=before,
         idle_after=after,
         resolution_s=2e-5,
+        open_s=0.0,
         notices=(),
     )
 
