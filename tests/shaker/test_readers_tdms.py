@@ -144,6 +144,7 @@ def test_channels_start_by_their_time_stamps(tmp_path: Path) -> None:
     found = read(tmp_path, tdms.segment(entries, bytes(6)))
     assert found["daq/a"].start_s == pytest.approx(0.251, abs=1e-12)
     assert (found["daq/b"].start_s, found["daq/c"].start_s) == (0.25, 0.25)
+    assert read_channels(tmp_path / "a.tdms", ["a"])["a"].start_s == 0.25
 
 
 @pytest.mark.parametrize("order", ["<", ">"])

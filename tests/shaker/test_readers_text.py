@@ -54,6 +54,14 @@ def test_csv_channels_answer_to_their_names_without_units(tmp_path: Path) -> Non
         read_channels(path, ["Fz"], 1.0)
 
 
+def test_csv_columns_of_text_do_not_matter_to_others(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("clock;Fz;state\n;N;\n12:00:01;1,5;ok\n12:00:02;2,5;late\n")
+    np.testing.assert_array_equal(read_channels(path, ["Fz"], 1.0)["Fz"].samples, [1.5, 2.5])
+    with pytest.raises(ValueError, match=r"a\.csv: line 3: expected numbers, found '12:00:01;1,5;ok'"):
+        read_channels(path, ["Fz", "state"], 1.0)
+
+
 def test_csv_latin_1_and_the_unit_1(tmp_path: Path) -> None:
     found = read(tmp_path, "time;Drehung;Dehnung\ns;°;1\n0;1;2\n1;3;4\n".encode("latin-1"))
     assert [channel.unit for channel in found.values()] == ["°", "1"]

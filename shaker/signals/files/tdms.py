@@ -46,8 +46,8 @@ def read_tdms(path: Path, names: Sequence[str] | None, sample_rate_hz: float | N
 
     The interval is `wf_increment`; without it, a channel `time` (numbers in seconds, or time stamps) of the same group
     and length counts, then `sample_rate_hz`. A channel starts at `wf_start_offset`, plus the lead of its
-    `wf_start_time` over the earliest of the file. Scales of the hardware (`NI_Scale`) are applied. Texts and complex
-    numbers are passed over. Memory: the result and one block.
+    `wf_start_time` over the earliest of the channels asked for. Scales of the hardware (`NI_Scale`) are applied. Texts
+    and complex numbers are passed over. Memory: the result and one block.
     """
     with path.open("rb") as stream:
         index = read_index(path, stream)
@@ -66,7 +66,7 @@ def read_tdms(path: Path, names: Sequence[str] | None, sample_rate_hz: float | N
         times = {name: _time_of(name, index, types, lengths) for name in paths.values()}
         wanted = {*paths.values(), *(time for time in times.values() if time)}
         values = _values(path, stream, index, wanted)
-        starts = _starts(stream, index, types)
+        starts = _starts(stream, index, types, {times[own] or own for own in paths.values()})
     result = {}
     for name, own in paths.items():
         rate, start = _clock(path, name, index.properties.get(own, {}), values, times[own], sample_rate_hz)
@@ -214,16 +214,17 @@ def _scale(path: Path, name: str, index: TdmsIndex) -> Any:
     return get_scaling(*layers)
 
 
-def _starts(stream: BinaryIO, index: TdmsIndex, types: Mapping[str, np.dtype[Any]]) -> dict[str, float]:
-    """Return by how many seconds every channel begins after the earliest of the file, from their time stamps."""
+def _starts(
+    stream: BinaryIO, index: TdmsIndex, types: Mapping[str, np.dtype[Any]], wanted: Iterable[str]
+) -> dict[str, float]:
+    """Return by how many seconds every channel begins after the earliest of those wanted, from their time stamps."""
     stamps: dict[str, Fraction] = {}
-    for name, properties in index.properties.items():
-        stamp = properties.get("wf_start_time")
-        if isinstance(stamp, Fraction | int) and stamp > 0:  # 0 is the year 1904: no time was set
-            stamps[name] = Fraction(stamp)
-    for name, dtype in types.items():
-        if dtype.names:
+    for name in wanted:
+        stamp = index.properties.get(name, {}).get("wf_start_time")
+        if types[name].names:
             stamps[name] = Fraction(_first_second(stream, index, name))
+        elif isinstance(stamp, Fraction | int) and stamp > 0:  # 0 is the year 1904: no time was set
+            stamps[name] = Fraction(stamp)
     earliest = min(stamps.values(), default=Fraction(0))
     return {name: round(float(stamp - earliest), 12) for name, stamp in stamps.items()}
 

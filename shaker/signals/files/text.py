@@ -41,15 +41,15 @@ def read_columns(layout: TextLayout, start: int, stop: int, line: int, wanted: S
     with layout.path.open("rb") as stream:
         for place, block in whole_lines(stream, start, stop):
             rows = _whole_block(layout, block)
-            rows = _line_by_line(layout, block, line) if rows is None else rows
+            rows = _line_by_line(layout, block, line, wanted) if rows is None else rows[:, list(wanted)]
             line += block.count(b"\n")
             if columns and filled + len(rows) > len(columns[0]):
                 share = (place - start) / (stop - start)
                 room = max(filled + len(rows), int((filled + len(rows)) / share * 1.01))
                 for column in columns:
                     column.resize(room, refcheck=False)
-            for column, index in zip(columns, wanted, strict=True):
-                column[filled : filled + len(rows)] = rows[:, index]
+            for column, own in zip(columns, rows.T, strict=True):
+                column[filled : filled + len(rows)] = own
             filled += len(rows)
     for column in columns:
         column.resize(filled, refcheck=False)
@@ -132,8 +132,8 @@ def plain_rows(block: bytes, delimiter: str) -> FloatArray | None:
         return None
 
 
-def _line_by_line(layout: TextLayout, block: bytes, line: int) -> FloatArray:
-    """Return the rows of a block, or raise `ValueError` naming the line."""
+def _line_by_line(layout: TextLayout, block: bytes, line: int, wanted: Sequence[int]) -> FloatArray:
+    """Return the columns wanted (S, W) of a block, or raise `ValueError` naming the line; others may hold texts."""
     rows = []
     for number, text in enumerate(decoded(block.replace(b"\r\n", b"\n")).split("\n"), line):
         if not text.strip() or text.startswith(_COMMENT):
@@ -144,10 +144,10 @@ def _line_by_line(layout: TextLayout, block: bytes, line: int) -> FloatArray:
         if len(cells) != layout.columns:
             raise ValueError(f"{layout.path}: line {number}: expected {layout.columns} columns, found {len(cells)}")
         try:
-            rows.append([number_of(cell, layout.comma) for cell in cells])
+            rows.append([number_of(cells[i], layout.comma) for i in wanted])
         except ValueError as error:
             raise ValueError(f"{layout.path}: line {number}: expected numbers, found {text.strip()[:60]!r}") from error
-    return np.array(rows).reshape(-1, layout.columns)
+    return np.array(rows).reshape(-1, len(wanted))
 
 
 def number_of(cell: str, comma: bool) -> float:
