@@ -22,6 +22,7 @@ _TONE_CLEARANCE = 1.9  # bins beside a line within which a peak is the line's ow
 _BLOCK_BINS = 4  # ordinates nearest to a line, which say what blocks of the record scatter by
 _BLOCK_LIMIT = 3.27  # their mean over the level: exceeded by pure noise once in 1000 lines
 _NEWTON_STEPS = 30
+_NOTHING = 1e-77  # power of an ordinate below which there is no noise
 
 
 @dataclass(frozen=True)
@@ -71,11 +72,18 @@ def noise_of_ordinates(
 ) -> LineNoise:
     """Return the noise of lines (K,) from ordinates (K, M, C), DFT over the root of the number of samples, near each.
 
-    As `level_at_lines`, but sines that stand out between the lines are taken off first. `length`: of the record.
+    As `level_at_lines`, but sines that stand out between the lines are taken off first, and so is what a straight-line
+    change of a line's amplitude and phase makes of it, where that stands out: the mean over the record is as well
+    known as that of a steady line, and `stationarity` tells the change. The noise is no smaller than the scatter
+    between blocks of the record about that straight line, which is the mean of the ordinates nearest to the line,
+    where that is significantly larger. `length`: of the record.
     """
-    rest, leaked = _without_tones(ordinates, bins, line_bin, length)
-    noise = level_at_lines(np.abs(rest) ** 2, bins, line_bin, blocks=blocks)
-    return LineNoise(noise.variance + leaked, noise.dof)
+    steady = _without_drift(ordinates, bins, line_bin, length)
+    rest, leaked = _without_tones(steady, bins, line_bin, length)
+    variance, dof, level = _levels_at_lines(np.abs(rest) ** 2, bins, line_bin)
+    if blocks:
+        variance, dof = _not_below_blocks(np.abs(steady) ** 2, level, np.abs(bins - line_bin[:, None]), variance, dof)
+    return _with_one_dof(variance + leaked, dof)
 
 
 def neighbour_bins(length: int, line_bin: FloatArray) -> IntArray | None:
@@ -93,7 +101,7 @@ def neighbour_bins(length: int, line_bin: FloatArray) -> IntArray | None:
     return np.stack([np.sort(candidates[_nearest(candidates, j, count)]) for j in line_bin])
 
 
-def level_at_lines(power: FloatArray, bins: FloatArray, line_bin: FloatArray, *, blocks: bool = True) -> LineNoise:
+def level_at_lines(power: FloatArray, bins: FloatArray, line_bin: FloatArray) -> LineNoise:
     """Return the noise of lines at fractional bins (K,) from periodogram ordinates (K, M, C) at bins (K, M) near each.
 
     Ordinates are |DFT|² over the number of samples, so that white noise of variance σ² has mean σ². Each is its level
@@ -101,23 +109,32 @@ def level_at_lines(power: FloatArray, bins: FloatArray, line_bin: FloatArray, *,
     above white noise of various corners. With the prior 1/s a shape has the weight Π 1/h(j)·Q^-M, Q = Σ I(j)/h(j), and
     s the inverse gamma distribution (M, Q). The noise of the line, s·h(line), is distributed as their mixture, from
     which come its degrees of freedom and the variance whose 95 % region is that of the mixture: drift and 1/f noise
-    count where they act, as far as they are known. The noise is no smaller than the scatter between blocks of the
-    record, which is the mean of the ordinates nearest to the line, where that is significantly larger. A place below
-    half a bin is that of the offset.
+    count where they act, as far as they are known. A place up to half a bin is that of the offset.
     """
     check_shape("line_bin", line_bin, (None,))
     check_shape("bins", bins, (len(line_bin), None))
     check_shape("power", power, (*bins.shape, None))
-    floor = np.maximum(power.max(axis=1, keepdims=True), np.finfo(np.float64).tiny ** 0.25)
-    relative = np.maximum(power / floor, 1e-30) / (1.0 - _loss(bins, line_bin))[:, :, None]
+    variance, dof, _ = _levels_at_lines(power, bins, line_bin)
+    return _with_one_dof(variance, dof)
+
+
+def _levels_at_lines(
+    power: FloatArray, bins: FloatArray, line_bin: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return variance and degrees of freedom (K, C) at the lines, and the level (K, M, C) at the bins."""
+    # What the fit of the lines has taken away is put back; numbers of any size become moderate ones.
+    top = np.maximum(power.max(axis=1, keepdims=True), _NOTHING)
+    relative = np.maximum(power / top, 1e-30) / (1.0 - _loss(bins, line_bin))[:, :, None]
     levels = _fit_levels(relative, _shapes(bins))
     at_line = _shapes(np.maximum(line_bin, _OFFSET_BIN)[:, None])[:, :, 0]
     variance, dof = _mixture(levels, at_line)
-    if blocks:
-        variance, dof = _not_below_blocks(relative, bins, line_bin, levels, variance, dof)
-    # One number of degrees of freedom for all channels of a line, and their 95 % regions kept.
+    return variance * top[:, 0], dof, levels.mean * top
+
+
+def _with_one_dof(variance: FloatArray, dof: FloatArray) -> LineNoise:
+    """Give all channels of a line the same degrees of freedom and keep their 95 % regions."""
     common = 1.0 / np.mean(1.0 / dof, axis=1)
-    return LineNoise(variance * floor[:, 0] * _limit(dof) / _limit(common)[:, None], common)
+    return LineNoise(variance * _limit(dof) / _limit(common)[:, None], common)
 
 
 def _free_bins(bins: FloatArray, line_bin: FloatArray) -> BoolArray:
@@ -153,7 +170,7 @@ def _prior() -> FloatArray:
 def _fit_levels(power: FloatArray, shape: FloatArray) -> _Levels:
     """Return weight and scale of each shape given ordinates (K, M, C)."""
     count = power.shape[1]
-    total = (1.0 / shape) @ power + np.finfo(np.float64).tiny
+    total = (1.0 / shape) @ power
     log_weight = np.log(_prior())[:, None] - np.log(shape).sum(axis=2, keepdims=True) - count * np.log(total)
     weight = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
     return _Levels(shape, weight / weight.sum(axis=1, keepdims=True), total / count, count)
@@ -192,7 +209,7 @@ def _without_tones(
     leaked = np.zeros((len(bins), ordinates.shape[2]))
     shape = _shapes(bins)
     for _ in range(_TONES):
-        level = _fit_levels(np.abs(rest) ** 2, shape).mean
+        level = _fit_levels(np.abs(rest) ** 2 + _NOTHING, shape).mean
         place, found = _highest_peak(rest, level, bins, line_bin)
         if not found.any():
             break
@@ -208,6 +225,21 @@ def _without_tones(
     return rest, leaked
 
 
+def _without_drift(ordinates: ComplexArray, bins: FloatArray, line_bin: FloatArray, length: int) -> ComplexArray:
+    """Take off the ordinates (K, M, C) what straight-line changes of the lines among them make."""
+    rest = ordinates.copy()
+    shape = _shapes(bins)
+    for place in line_bin[line_bin > _OFFSET_BIN]:
+        near = (bins[:, 0] < place) & (place < bins[:, -1])
+        ramp = np.where(near[:, None], _ramp_kernel(bins - place, length), 0.0)[:, :, None]
+        level = _fit_levels(np.abs(rest) ** 2 + _NOTHING, shape).mean
+        seen = np.sum(np.abs(ramp) ** 2 / level, axis=1)
+        change = np.sum(ramp.conj() * rest / level, axis=1) / np.where(near[:, None], seen, 1.0)
+        change = np.where(np.abs(change) ** 2 * seen > _TONE_LIMIT, change, 0.0)[:, None, :]
+        rest -= change * ramp + change.conj() * _ramp_kernel(bins + place, length)[:, :, None]
+    return rest
+
+
 def _sine(bins: FloatArray, place: FloatArray, top: ComplexArray, length: int) -> ComplexArray:
     """Return the transform at `bins` of a real sine: `top` at its place, and its image below zero."""
     return np.asarray(top * _kernel(bins - place, length) + top.conj() * _kernel(bins + place, length))
@@ -217,6 +249,13 @@ def _kernel(distance: FloatArray, length: int) -> ComplexArray:
     """Return the transform of a complex sine of `length` samples at `distance` bins from it, 1 at its place."""
     turn = np.exp(-1j * np.pi * distance * (1.0 - 1.0 / length))
     return np.asarray(np.sinc(distance) / np.sinc(distance / length) * turn)
+
+
+def _ramp_kernel(distance: FloatArray, length: int) -> ComplexArray:
+    """Return the transform of a complex sine that grows from -1 to 1 over the record, at `distance` bins from it."""
+    angle = np.pi * distance
+    size = (np.cos(angle) - np.sinc(distance)) / np.where(angle == 0.0, 1.0, angle)
+    return np.asarray(1j * size * np.exp(-1j * angle * (1.0 - 1.0 / length)))
 
 
 def _loss(bins: FloatArray, line_bin: FloatArray) -> FloatArray:
@@ -269,18 +308,11 @@ def _inverse_trigamma(value: FloatArray) -> FloatArray:
 
 
 def _not_below_blocks(
-    power: FloatArray,
-    bins: FloatArray,
-    line_bin: FloatArray,
-    levels: _Levels,
-    variance: FloatArray,
-    dof: FloatArray,
+    power: FloatArray, level: FloatArray, distance: FloatArray, variance: FloatArray, dof: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Raise the variance (K, C) to the scatter between blocks where that is significantly larger."""
-    order = np.argsort(np.abs(bins - line_bin[:, None]), axis=1, kind="stable")[:, :_BLOCK_BINS, None]
-    relative = np.mean(np.take_along_axis(power / levels.mean, order, axis=1), axis=1)
-    scatter = np.mean(np.take_along_axis(power, order, axis=1), axis=1)
-    unrest = relative > _BLOCK_LIMIT
-    return np.where(unrest, np.maximum(variance, scatter), variance), np.where(
-        unrest, np.minimum(dof, 2.0 * _BLOCK_BINS), dof
-    )
+    """Raise variance (K, C) to the scatter between blocks, of ordinates nearest to the line, where that is larger."""
+    nearest = np.argsort(distance, axis=1, kind="stable")[:, :_BLOCK_BINS, None]
+    relative = np.mean(np.take_along_axis(power / level, nearest, axis=1), axis=1)
+    scatter = np.mean(np.take_along_axis(power, nearest, axis=1), axis=1)
+    unrest = (relative > _BLOCK_LIMIT) & (scatter > variance)
+    return np.where(unrest, scatter, variance), np.where(unrest, np.minimum(dof, 2.0 * _BLOCK_BINS), dof)
