@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.errors import ARGUMENT
 from fusion.notices import Notice
 from fusion.transfer.result import CommonError, FoundResonance
 from shaker.models.oscillator import Kind, Resonance, fit_resonance
@@ -20,6 +21,7 @@ _SIGNIFICANT = 8.0  # standard uncertainties by which a peak stands out
 _DOWN_TO = 1.0 / 8.0  # of the peak: lines around it that are fitted
 _FEWEST_LINES = 6
 _POOR_FIT = 2.0  # χ² per degree of freedom from which the rest of all other modes is fitted too
+_VAGUE = 0.25  # relative standard uncertainty of the damping above which a peak is no resonance
 _MOST = 12
 _ROUNDS = 4  # of fitting peaks one after the other, each without all others
 _DEPARTS = 3.0  # residuals over the noise, rms, from which one oscillator does not explain a peak
@@ -94,7 +96,7 @@ def _separated(curve: _Curve, windows: Sequence[slice]) -> list[_Mode | str]:
             try:
                 found[place] = _Mode(_best(curve, lines, value), value)
             except (ValueError, np.linalg.LinAlgError) as error:
-                found[place] = str(error)
+                found[place] = ARGUMENT.sub("", str(error))
     return found
 
 
@@ -106,7 +108,7 @@ def _peaks(curve: _Curve) -> list[tuple[int, slice]]:
     relative = np.sqrt(np.trace(curve.covariance, axis1=1, axis2=2) / 2.0) / size
     logarithm = np.log(size)
     places, found = find_peaks(logarithm, prominence=_PROMINENCE)
-    keep = found["prominences"] > _SIGNIFICANT * relative[places]
+    keep = (found["prominences"] > _SIGNIFICANT * relative[places]) & (relative[places] < 1.0 / _SIGNIFICANT)
     places = places[keep]
     largest = np.sort(places[np.argsort(-found["prominences"][keep])[:_MOST]])
     windows = []
@@ -130,6 +132,8 @@ def _best(curve: _Curve, lines: slice, value: ComplexArray) -> Resonance:
         fit = richer if richer.chi_squared / richer.dof < 0.5 * fit.chi_squared / fit.dof else fit
     if not frequency[0] <= fit.frequency_hz <= frequency[-1]:
         raise ValueError(f"its frequency would be {fit.frequency_hz:.6g} Hz")
+    if fit.u("damping_ratio") > _VAGUE * fit.damping_ratio:
+        raise ValueError("the noise leaves its damping open")
     return fit
 
 
