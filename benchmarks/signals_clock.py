@@ -74,6 +74,7 @@ class Case:
     rates_hz: tuple[float, float] = RATES_HZ
     period_s: float = PERIOD_S
     spread: float = 0.0  # relative range of periods drawn
+    barred: bool = False  # all cases, where others take an eighth of them
 
 
 def sampled(rise: Rise, instants: FloatArray, rate: float, length_s: float, noise: FloatArray) -> FloatArray:
@@ -171,9 +172,9 @@ LATCHED = Case()
 FILTERED = Case(rises=(ideal, ideal))
 CONVERTER = Case(rises=(decimated(), decimated(0.47)))
 CASES = {
-    "sampled edges": LATCHED,
+    "sampled edges": replace(LATCHED, barred=True),
     "the same, periods drawn within 3 %": replace(LATCHED, spread=0.03),
-    "10 % of the edges missing, doubled or spurious": replace(LATCHED, damage=0.1),
+    "10 % of the edges missing, doubled or spurious": replace(LATCHED, damage=0.1, barred=True),
     "jitter 30 ns": replace(LATCHED, jitter_s=30e-9),
     "jitter 2 us": replace(LATCHED, jitter_s=2e-6),
     "jitter 2 us and 10 % damaged": replace(LATCHED, jitter_s=2e-6, damage=0.1),
@@ -185,7 +186,7 @@ CASES = {
     "rise of 3 samples": Case(rises=(ramp(3.0), ramp(3.0))),
     "RC input, time constant 0.5 samples": Case(rises=(charging(0.5), charging(0.5))),
     "RC input, time constant 2 samples": Case(rises=(charging(2.0), charging(2.0))),
-    "band-limited, ideal low-pass": FILTERED,
+    "band-limited, ideal low-pass": replace(FILTERED, barred=True),
     "ideal low-pass, 10 % damaged": replace(FILTERED, damage=0.1),
     "ideal low-pass, jitter 2 us": replace(FILTERED, jitter_s=2e-6),
     "ideal low-pass, jitter 20 us": replace(FILTERED, jitter_s=20e-6),
@@ -248,7 +249,7 @@ def main(cases: int = 200, only: str = "") -> None:
     print(head + "| rate error/u | thresholded late/us | s |\n|---|" + "---|" * 11)
     for name, case in CASES.items():
         if only in name:
-            print(row(name, case, cases), flush=True)
+            print(row(name, case, cases if case.barred else cases // 8), flush=True)
     if not only:
         print("\n| width of pulses of 2 ms, input | rms/us | mean/us | max/us | stated u/us | within 2u | error/u |")
         print("|---|" + "---|" * 6)

@@ -8,8 +8,8 @@ import numpy as np
 
 from shaker._checks import FloatArray, check_shape
 
-_POINTS = 1000  # while the proposals settle
-_LAST_POINTS = 3000
+_POINTS = 500  # while the proposals settle
+_LAST_POINTS = 2000
 _WIDER = 1.35  # of the standard deviation: proposals reach over the corners of a polygon
 _ROUNDS = 30
 _SETTLED = 0.15  # relative change of the standard deviations below which the sampling has settled
