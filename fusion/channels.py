@@ -197,12 +197,21 @@ def _fit_group(
     except ValueError as error:
         raise InputError.told_by(error, record.entry.file, names[0]) from error
     spread = spread_lines(_first_lines(fit.phasors, len(wanted)), seen, lines.frequency_hz)
-    steady = stationarity(time_s, values, lines.frequency_hz[seen], names)
+    steady = stationarity(time_s, _without(values, fit.spikes), frequency_hz, names)
     found = [
         _result(record, channel, time_s, values[:, c], fit, spread.select([channel.name]))
         for c, channel in enumerate(group)
     ]
     return found if steady is None else [replace(one, stationarity=steady.select(one.name)) for one in found]
+
+
+def _without(values: FloatArray, spikes: NDArray[np.int64]) -> FloatArray:
+    """Return values (S, C) with NaN in the rows of spikes."""
+    if not len(spikes):
+        return values
+    left = values.copy()
+    left[spikes] = np.nan
+    return left
 
 
 def _nuisances(lines: Lines, time_s: FloatArray, rate_hz: float) -> FloatArray:

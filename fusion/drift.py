@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion.evaluation import ChannelResult, StereoResult
+from fusion.evaluation import ChannelResult, ClockResult, StereoResult
 from fusion.notices import AnyNotice, Notice
 from shaker.signals.frequencies import Lines
 from shaker.signals.stationarity import Stationarity
@@ -36,16 +36,22 @@ class Drift:
     chance: float
 
 
-def drifts(channels: Sequence[ChannelResult], stereo: Sequence[StereoResult], lines: Lines) -> tuple[Drift, ...]:
-    """Return the changes of the driven lines in every channel and in the strongest component of every stereo pair."""
+def drifts(
+    channels: Sequence[ChannelResult], stereo: Sequence[StereoResult], lines: Lines, clocks: Sequence[ClockResult]
+) -> tuple[Drift, ...]:
+    """Return the changes of the driven lines in every channel and in the strongest component of every stereo pair.
+
+    The rate of a clock that is tied to the first one is known no better than its edges tell, and so is a phase's drift.
+    """
+    u_rate = {clock.daq: float(np.sqrt(clock.tie.covariance[1, 1])) for clock in clocks if clock.tie is not None}
     driven = lines.frequency_hz[lines.multiple == 1]
     found: list[Drift] = []
     for channel in channels:
         if channel.stationarity is not None:
-            found += _of_lines(channel.name, channel.stationarity, driven)
+            found += _of_lines(channel.name, channel.stationarity, driven, u_rate.get(channel.daq, 0.0))
     for pair in stereo:
         if pair.stationarity is not None:
-            found += _of_lines(f"stereo pair {pair.name}", pair.stationarity, driven)
+            found += _of_lines(f"stereo pair {pair.name}", pair.stationarity, driven, 0.0)
     return tuple(found)
 
 
@@ -73,15 +79,17 @@ def _listed(texts: Sequence[str]) -> str:
     return ", ".join(texts[:NAMED]) + more
 
 
-def _of_lines(name: str, steady: Stationarity, driven: Sequence[float]) -> Iterator[Drift]:
+def _of_lines(name: str, steady: Stationarity, driven: Sequence[float], u_rate: float) -> Iterator[Drift]:
     """Return the changes of the driven lines, each in the channel that shows it best."""
+    length = steady.length_s
     for frequency in driven:
         for line in np.flatnonzero(steady.frequency_hz == frequency):
             mean = np.abs(steady.value[:, line].mean(axis=0))
             clear = mean / np.maximum(steady.u_amplitude_per_s[line], np.finfo(np.float64).tiny)
             c = int(np.argmax(clear))
             if mean[c] > 0.0:
-                part = steady.length_s / mean[c]
+                part = length / mean[c]
+                u_phase = np.hypot(steady.u_phase_rad_per_s[line, c], 2.0 * np.pi * frequency * u_rate)
                 yield Drift(
                     name,
                     float(frequency),
@@ -90,7 +98,7 @@ def _of_lines(name: str, steady: Stationarity, driven: Sequence[float]) -> Itera
                     steady.whole,
                     float(steady.amplitude_per_s[line, c] * part),
                     float(steady.u_amplitude_per_s[line, c] * part),
-                    float(steady.phase_rad_per_s[line, c] * steady.length_s),
-                    float(steady.u_phase_rad_per_s[line, c] * steady.length_s),
+                    float(steady.phase_rad_per_s[line, c] * length),
+                    float(u_phase * length),
                     float(steady.p_value[line, c]),
                 )

@@ -12,11 +12,14 @@ LEAST_CHANCE = 1e-4
 
 def drift_table(evaluation: Evaluation) -> Table | None:
     """Return the changes of the driven lines over the record, one row per instrument; None without any."""
-    found = drifts(evaluation.channels, evaluation.stereo, evaluation.lines)
+    found = drifts(evaluation.channels, evaluation.stereo, evaluation.lines, evaluation.clocks)
     if not found:
         return None
     head = ("instrument", "line / Hz", "blocks", "periods in each", "amplitude / %", "phase / mrad", "chance of noise")
-    caption = "Change of amplitude and phase over the record, with U (k = 2), from blocks of whole periods or beats"
+    caption = (
+        "Change of amplitude and phase over the record, with U (k = 2) that has the rates of the clocks in it, from "
+        "blocks of whole periods or beats"
+    )
     return Table(caption, head, "lrrrrrr", tuple(_row(drift) for drift in found))
 
 

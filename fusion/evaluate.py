@@ -58,7 +58,7 @@ def evaluate_recording(
     notices = [*_clock_notices(base), *lines.notices, *folded, *unseen]
     notices += [notice for channel in channels for notice in channel.notices]
     notices += [notice for item in stereo for notice in item.notices]
-    notices += drift_notices(drifts(channels, [item.result for item in stereo], lines))
+    notices += drift_notices(drifts(channels, [item.result for item in stereo], lines, base.results()))
     notices += [notice for a in accelerations if a.source == "fused" for notice in a.notices]
     notices += [notice for result in (load, sensitivity) if result is not None for notice in result.notices]
     return Evaluation(

@@ -107,7 +107,9 @@ def stereo_phasors(measured: StereoMotion, lines: Lines) -> StereoPhasors:
     found += [(name, notice) for notice in fit.notices if notice.severity == "warning"]
     notices = tuple(Notice(notice.severity, f"stereo pair {where}: {notice.text}", name) for where, notice in found)
     shape = deflection_shape(measured.time_s, frequency_hz, measured.deformation, measured.entry.exposure)
-    steady = stationarity(measured.time_s, from_mean.pose, frequency_hz, COMPONENTS)
+    pose = from_mean.pose.copy()
+    pose[fit.spikes] = np.nan
+    steady = stationarity(measured.time_s, pose, frequency_hz, COMPONENTS)
     result = replace(_result(measured, from_mean, fit, usable), deflection=shape, stationarity=steady)
     return StereoPhasors(measured.entry, measured.stereo, result, displacement, effects, notices)
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
+import numpy as np
 import pytest
 from drive_factory import CLEAR_HZ, DRIVEN_HZ, evaluate, recording
 
@@ -12,6 +14,7 @@ from fusion.drift import drift_notices, drifts
 from fusion.drift_tables import drift_table
 from fusion.evaluation import Evaluation
 from fusion.results_h5 import write_h5
+from shaker.signals.sync import ClockTie
 
 GROWTH = 4e-3  # per second
 
@@ -22,7 +25,7 @@ def grown(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
 
 
 def test_the_change_over_each_record_is_found(grown: Evaluation) -> None:
-    laser, pair = drifts(grown.channels, grown.stereo, grown.lines)
+    laser, pair = drifts(grown.channels, grown.stereo, grown.lines, grown.clocks)
     assert (laser.name, pair.name) == ("laser", "stereo pair base")
     assert laser.frequency_hz == pytest.approx(DRIVEN_HZ, rel=1e-6)
     assert laser.amplitude == pytest.approx(GROWTH * 1.4 * 147 / 148.75, rel=0.005)  # 147 whole periods of 1.4 s
@@ -57,6 +60,16 @@ def test_the_blocks_stand_in_the_result_file(grown: Evaluation, tmp_path: Path) 
 
 def test_a_steady_drive_gives_no_notice(tmp_path: Path) -> None:
     steady = evaluate(recording(tmp_path, CLEAR_HZ, laser=True))
-    found = drifts(steady.channels, steady.stereo, steady.lines)
+    found = drifts(steady.channels, steady.stereo, steady.lines, steady.clocks)
     assert len(found) == 2
     assert drift_notices(found) == ()
+
+
+def test_the_rate_of_a_tied_clock_is_part_of_a_phase(grown: Evaluation) -> None:
+    (clock,) = grown.clocks
+    tie = ClockTie(0.0, 1.0, np.diag([1e-14, 25e-12]), 0, "numbers", 64, 0.7, ())
+    alone = drifts(grown.channels, (), grown.lines, grown.clocks)[0]
+    tied = drifts(grown.channels, (), grown.lines, (replace(clock, tie=tie),))[0]
+    # 5 ppm over 147 periods.
+    assert tied.u_phase_rad == pytest.approx(np.hypot(alone.u_phase_rad, 5e-6 * 2 * np.pi * 147), rel=1e-3)
+    assert tied.u_amplitude == alone.u_amplitude
