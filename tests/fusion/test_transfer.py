@@ -40,6 +40,12 @@ def recording(simulated: Path, tmp_path: Path) -> Path:
     return tmp_path / "campaign" / simulated.name
 
 
+@pytest.fixture
+def no_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave the page empty where its figures are not what is tested."""
+    monkeypatch.setattr("fusion.transfer.results.render_transfer_page", lambda _: "")
+
+
 def _evaluated(folder: Path, **choices: object) -> ReferenceResult:
     settings = TransferSettings(**choices)  # type: ignore[arg-type]
     return evaluate_transfer(load_manifest(folder), settings, {}).references[0]
@@ -161,6 +167,7 @@ def test_files_of_a_run(recording: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert "Budget of the resonance of top / base" in page
 
 
+@pytest.mark.usefixtures("no_page")
 def test_results_of_the_same_input_are_replaced_and_others_refused(recording: Path) -> None:
     run_transfer(recording, None, TransferSettings())
     first = (recording / "transfer" / "transfer.csv").read_bytes()
@@ -358,6 +365,18 @@ def test_a_response_that_ends_below_the_band(recording: Path) -> None:
         _evaluated(recording)
 
 
+def test_a_line_spacing_that_the_record_does_not_allow(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["transfer", str(recording), "--estimator", "H1", "--resolution", "0.1", "-q"]) == 2
+    assert "--resolution: expected two segments or more" in capsys.readouterr().err
+
+
+def test_the_example_of_the_guide_is_a_recording(recording: Path) -> None:
+    guide = (Path(__file__).resolve().parents[2] / "docs" / "transfer.md").read_text(encoding="utf-8")
+    (example,) = re.findall(r"^```toml\n(.*?)^```", guide, re.DOTALL | re.MULTILINE)
+    (recording / "recording.toml").write_text(example.replace("period = 1.0", "period = 0.5"), encoding="utf-8")
+    assert len(_evaluated(recording).resonances) == 1
+
+
 def test_sines_and_chirps_are_told_where_to_go(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", str(recording), "-q"]) == 2
     assert "shakercal transfer takes this one" in capsys.readouterr().err
@@ -369,6 +388,7 @@ def test_sines_and_chirps_are_told_where_to_go(recording: Path, capsys: pytest.C
     assert "shakercal run evaluates sines" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("no_page")
 def test_a_folder_with_other_files_is_refused(recording: Path) -> None:
     (recording / "transfer").mkdir()
     (recording / "transfer" / "notes.txt").write_text("mine")
@@ -378,6 +398,7 @@ def test_a_folder_with_other_files_is_refused(recording: Path) -> None:
     assert (recording / "transfer" / "notes.txt").read_text() == "mine"
 
 
+@pytest.mark.usefixtures("no_page")
 def test_every_recording_of_a_campaign_gets_a_folder(recording: Path, tmp_path: Path) -> None:
     shutil.copytree(recording, recording.parent / "again")
     run_transfer(recording.parent, tmp_path / "out", TransferSettings())
