@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 import pytest
 
-from fusion.channels import find_channel_lines
+from fusion.channels import channel_results, find_channel_lines
 from fusion.cli import main
 from fusion.evaluation import Evaluation
 from fusion.manifest import load_manifest
@@ -127,6 +127,19 @@ def test_a_recording_says_what_is_fitted(tmp_path: Path, capsys: pytest.CaptureF
     assert float(rows[53.7]["amplitude"]) == pytest.approx(1.0, abs=2e-3)
     assert rows[107.4]["what"] == "harmonic 2 of 53.7 Hz, 0.0099 of it"
     assert "fitted beside" in capsys.readouterr().out
+
+
+def test_channels_are_fitted_with_what_leaks_into_their_lines(tmp_path: Path) -> None:
+    run = _recording(tmp_path, "frequencies = [53.7]", {53.7: 1.0, 50.02: 0.5})
+    manifest = load_manifest(run)
+    base = tie_daqs(manifest, read_daqs(manifest))
+    lines = find_channel_lines(manifest, base)
+    assert lines is not None
+    (channel,) = channel_results(manifest, base, lines)
+    np.testing.assert_array_equal(channel.phasors.frequency_hz, lines.frequency_hz)
+    # The hum alone would leak up to 0.5/(π·7.4) = 2e-2.
+    assert np.abs(channel.phasors.value[0, 0]) == pytest.approx(1.0, abs=5e-4)
+    assert channel.residual_rms == pytest.approx(0.01, rel=0.05)
 
 
 @pytest.mark.parametrize("period", ["", "period = 0.1"])

@@ -121,7 +121,7 @@ def test_mains_is_told_and_is_no_line() -> None:
     assert [n.severity for n in lines.notices] == ["info"]
     assert "mains hum (50 Hz)" in lines.notices[0].text
     assert [origin.kind for origin in lines.others.origin] == ["mains"]
-    np.testing.assert_allclose(lines.others.frequency_hz, [50.01], atol=1e-3)
+    np.testing.assert_allclose(lines.others.frequency_hz, [50.01], atol=6e-3)
     np.testing.assert_allclose(lines.others.amplitude, [[0.5]], atol=0.05)
 
 
@@ -136,10 +136,10 @@ def test_a_neighbour_that_leaks_is_fitted_too() -> None:
         assert lines.multiple.tolist() == [1]
         np.testing.assert_allclose(lines.nuisance_hz, [50.03], atol=0.05)
         assert abs(lines.frequency_hz[0] - 53.7) < 5 * lines.u_frequency_hz[0]
-        for use in error:
+        for use, found in error.items():
             frequency = np.append(53.7, lines.nuisance_hz if use else [])
             fit = fit_sines(time, values[:, None], frequency, ["a"], ["m/s^2"])
-            error[use].append(abs(fit.phasors.value[0, 0] - 1.0))
+            found.append(abs(fit.phasors.value[0, 0] - 1.0))
     # Noise alone: 0.01·sqrt(4/12800) = 1.8e-4 for both quadratures; the hum leaks up to 0.02/(π·3.7) = 1.7e-3.
     assert np.sqrt(np.mean(np.square(error[True]))) < 2.6e-4
     assert np.sqrt(np.mean(np.square(error[False]))) > 1e-3
