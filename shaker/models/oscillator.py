@@ -15,7 +15,7 @@ Kind = Literal["transmissibility", "receptance", "mobility", "accelerance"]
 _ORDER: dict[str, int] = {"transmissibility": 0, "receptance": 0, "mobility": 1, "accelerance": 2}
 _START_ROUNDS = 10
 _STEPS = 60
-_SMALL_STEP = 1e-5  # step in standard uncertainties at which a fit has converged
+_SMALL_STEP = 1e-5  # change of the whitened model at which a fit has converged
 _LARGEST_DAMPING = 1e6  # of a Levenberg-Marquardt step
 
 
@@ -229,37 +229,42 @@ def _start(
         pole = np.array([np.abs(q[np.argmax(np.abs(response))]) ** 2, 0.02])
     vector = np.zeros(len(names))
     vector[:2] = np.sqrt(pole[0]) * middle / (2.0 * np.pi), 0.5 * pole[1] / np.sqrt(pole[0])
-    linear = [i for i, name in enumerate(names) if name.endswith(("_re", "_im"))]
-    columns = _real(whitening, _evaluate(kind, names, s, vector)[1][:, linear])
-    vector[linear] = _least_squares(columns, _real(whitening, value[:, None])[:, :, 0])
     return vector
 
 
 def _adjusted(
     kind: Kind, names: tuple[str, ...], s: ComplexArray, value: ComplexArray, whitening: FloatArray, start: FloatArray
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Return the parameters of least squares, the whitened derivatives (K, 2, P) there, and χ²."""
+    """Return the parameters of least squares, the whitened derivatives (K, 2, P) there, and χ².
 
-    def at(vector: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    Gain and residual terms are linear and follow every step of the others (variable projection).
+    """
+    linear = [i for i, name in enumerate(names) if name.endswith(("_re", "_im"))]
+    measured = _real(whitening, value[:, None])[:, :, 0]
+
+    def at(tried: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+        vector = tried.copy()
+        columns = _real(whitening, _evaluate(kind, names, s, vector)[1][:, linear])
+        vector[linear] = _least_squares(columns, measured)
         model, derivative = _evaluate(kind, names, s, vector)
-        residual = _real(whitening, (value - model)[:, None])[:, :, 0]
-        return residual, _real(whitening, derivative), float(np.sum(residual**2))
+        residual = measured - _real(whitening, model[:, None])[:, :, 0]
+        return vector, residual, _real(whitening, derivative), float(np.sum(residual**2))
 
-    vector, damping = start, 1e-6
-    residual, jacobian, chi_squared = at(vector)
+    damping = 1e-6
+    vector, residual, jacobian, chi_squared = at(start)
     for _ in range(_STEPS):
         flat = jacobian.reshape(-1, len(names))
         scale = np.linalg.norm(flat, axis=0)
-        normal = (flat / scale).T @ (flat / scale)
-        right = (flat / scale).T @ residual.reshape(-1)
-        step = np.linalg.solve(normal + damping * np.eye(len(names)), right) / scale
+        damped = np.vstack([flat / scale, np.sqrt(damping) * np.eye(len(names))])
+        right = np.append(residual.reshape(-1), np.zeros(len(names)))
+        step = np.linalg.lstsq(damped, right, rcond=None)[0] / scale
         tried = vector + step
         if tried[0] > 0.0 and tried[1] > 0.0:
-            new_residual, new_jacobian, new_chi_squared = at(tried)
-            if new_chi_squared <= chi_squared * (1.0 + 1e-12):
-                vector, residual, jacobian, chi_squared = tried, new_residual, new_jacobian, new_chi_squared
+            new = at(tried)
+            if new[-1] <= chi_squared * (1.0 + 1e-12):
+                vector, residual, jacobian, chi_squared = new
                 damping *= 0.1
-                if np.max(np.abs(step) * scale) < _SMALL_STEP:
+                if np.sum((flat @ step) ** 2) < _SMALL_STEP**2:
                     return vector, jacobian, chi_squared
                 continue
         damping = max(10.0 * damping, 1e-6)
@@ -277,7 +282,8 @@ def _parameter_covariance(
     flat = jacobian.reshape(-1, jacobian.shape[-1])
     scale = np.linalg.norm(flat, axis=0)
     flat = flat / scale
-    inverse = np.linalg.inv(flat.T @ flat)
+    root = np.linalg.inv(np.linalg.qr(flat, mode="r"))
+    inverse = root @ root.T
     if line_correlation is not None and len(line_correlation) > 1:
         place = np.round((frequency_hz - frequency_hz.min()) / np.min(np.diff(np.sort(frequency_hz)))).astype(np.int64)
         grid = np.zeros((place.max() + len(line_correlation), flat.shape[1]), dtype=np.complex128)
