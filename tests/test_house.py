@@ -18,7 +18,7 @@ WRITTEN_ORDER = {
     """,
     "shaker.signals": """
         recording files edges numbering posterior rise trigger shift clock_line sync instants pulses
-        resample phasor folding separation spectrum noise sine stationarity refine
+        resample phasor folding separation spectrum noise sine stationarity
         survey frequencies chain transfer plan
     """,
     "shaker.models": "oscillator",

@@ -11,7 +11,6 @@ import numpy as np
 from shaker._checks import BoolArray, FloatArray, IntArray, check_shape
 from shaker.notice import Notice
 from shaker.signals.folding import SamplingGrid, alias_frequency, folded_harmonics, sampling_grid
-from shaker.signals.refine import Refined, refine_frequency
 from shaker.signals.separation import usable_lines
 from shaker.signals.sine import SineFit, SineModel, fit_sines
 from shaker.signals.survey import (
@@ -25,8 +24,6 @@ from shaker.signals.survey import (
     no_lines,
     relative_strength,
 )
-
-__all__ = ["Lines", "Refined", "find_lines", "refine_frequency"]
 
 MAX_MULTIPLE = 20  # harmonics looked for
 _CAPTURE = 5e-3  # relative: how far a fundamental may lie from its nominal frequency, besides two bins

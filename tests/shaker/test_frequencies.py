@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shaker.signals.frequencies import find_lines, refine_frequency
-from shaker.signals.sine import fit_sines
+from shaker.signals.frequencies import find_lines
+from shaker.signals.sine import SineModel, fit_sines
 
 RATE = 12_800.0
 TRUE_HZ = 106.2495
@@ -22,6 +22,14 @@ def _record(
     for multiple, amplitude in amplitudes.items():
         values += amplitude * np.cos(2 * np.pi * multiple * TRUE_HZ * time + rng.uniform(0.0, 2 * np.pi))
     return time, values
+
+
+def _refined(time: np.ndarray, values: np.ndarray, start: float, multiples: tuple[int, ...]) -> tuple[float, float]:
+    """Return a fundamental refined jointly with its harmonics, and its standard uncertainty."""
+    names = [str(c) for c in range(values.shape[1])]
+    model = SineModel(free=(0,) * len(multiples))
+    fit = fit_sines(time, values, start * np.array(multiples, dtype=float), names, names, model=model)
+    return float(fit.phasors.frequency_hz[0]), float(fit.u_frequency_hz[0])
 
 
 def test_published_excitation_is_found() -> None:
@@ -63,9 +71,9 @@ def test_refined_frequency_reaches_the_bound() -> None:
     errors, stated = [], []
     for _ in range(80):
         time, values = _record(rng, {1: amplitude}, noise, seconds)
-        refined = refine_frequency(time, values[:, None], np.array([106.3]), [[1]])
-        errors.append(refined.frequency_hz[0] - TRUE_HZ)
-        stated.append(refined.u_frequency_hz[0])
+        refined = _refined(time, values[:, None], 106.3, (1,))
+        errors.append(refined[0] - TRUE_HZ)
+        stated.append(refined[1])
     # Rife and Boorstyn 1974: var f = 6 σ² / (π² a² N T²) for real sines.
     bound = np.sqrt(6.0 * noise**2 / (np.pi**2 * amplitude**2 * seconds * RATE)) / seconds
     assert np.std(errors) == pytest.approx(bound, rel=0.25)
@@ -76,21 +84,21 @@ def test_refined_frequency_reaches_the_bound() -> None:
 def test_harmonics_and_channels_sharpen_the_frequency() -> None:
     rng = np.random.default_rng(4)
     time, values = _record(rng, {1: 1.0, 3: 1.0}, 1.0, 1.0)
-    alone = refine_frequency(time, values[:, None], np.array([106.25]), [[1]])
-    joint = refine_frequency(time, values[:, None], np.array([106.25]), [[1, 3]])
+    alone = _refined(time, values[:, None], 106.25, (1,))
+    joint = _refined(time, values[:, None], 106.25, (1, 3))
     pair = np.stack([values, 1e-3 * _record(rng, {1: 1.0, 3: 1.0}, 1.0, 1.0)[1]], axis=1)
-    two = refine_frequency(time, pair, np.array([106.25]), [[1, 3]])
-    assert joint.u_frequency_hz[0] == pytest.approx(alone.u_frequency_hz[0] / np.sqrt(10.0), rel=0.15)
-    assert two.u_frequency_hz[0] == pytest.approx(joint.u_frequency_hz[0] / np.sqrt(2.0), rel=0.15)
+    two = _refined(time, pair, 106.25, (1, 3))
+    assert joint[1] == pytest.approx(alone[1] / np.sqrt(10.0), rel=0.15)
+    assert two[1] == pytest.approx(joint[1] / np.sqrt(2.0), rel=0.15)
 
 
 @settings(max_examples=8, deadline=None)
 @given(st.floats(0.1, 10.0), st.floats(-1e-3, 1e-3))
 def test_frequency_follows_the_clock(scale: float, stretch: float) -> None:
     time, values = _record(np.random.default_rng(5), {1: 10.0}, 0.1, 0.5)
-    plain = refine_frequency(time, values[:, None], np.array([106.25]), [[1]])
-    other = refine_frequency(time * (1 + stretch), scale * values[:, None], np.array([106.25]), [[1]])
-    assert other.frequency_hz[0] * (1 + stretch) == pytest.approx(plain.frequency_hz[0], rel=1e-9)
+    plain = _refined(time, values[:, None], 106.25, (1,))
+    other = _refined(time * (1 + stretch), scale * values[:, None], 106.25, (1,))
+    assert other[0] * (1 + stretch) == pytest.approx(plain[0], rel=1e-9)
 
 
 def test_several_fundamentals_share_a_harmonic_once() -> None:
