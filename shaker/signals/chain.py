@@ -230,7 +230,8 @@ def ratio_unit(above: str, below: str) -> str:
     """Return the unit of a ratio, parts that are compound in brackets: `(m/s^2)/N`; 1 for equal units."""
     if above == below:
         return "1"
-    top, bottom = (f"({part})" if any(sign in part for sign in "/.") else part for part in (above, below))
+    parts = (part or "1" for part in (above, below))
+    top, bottom = (f"({part})" if any(sign in part for sign in "/.·* ") else part for part in parts)
     return f"{top}/{bottom}"
 
 

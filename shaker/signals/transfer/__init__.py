@@ -4,10 +4,11 @@ Sources of the notions: Pintelon and Schoukens, System Identification, 2nd ed. (
 4th ed. (2010).
 """
 
+from shaker.signals.chain import ratio_unit
 from shaker.signals.transfer.impact import transfer_impact
 from shaker.signals.transfer.periodic import transfer_periodic
 from shaker.signals.transfer.random import transfer_random
-from shaker.signals.transfer.result import Estimator, TransferFunction, TransferRecord, ratio_unit
+from shaker.signals.transfer.result import Estimator, TransferFunction, TransferRecord
 
 __all__ = [
     "Estimator",

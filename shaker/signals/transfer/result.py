@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from shaker._checks import ComplexArray, FloatArray, check_shape
 from shaker.notice import Notice
+from shaker.signals.chain import ratio_unit
 from shaker.signals.phasor import Phasors
 
 Estimator = Literal["H1", "H2", "Hv", "periodic"]
@@ -99,17 +100,6 @@ class TransferFunction:
     def channel_covariance(self, channel: str) -> FloatArray:
         """Return the covariance (K, 2, 2) of [Re, Im] of one response."""
         return self.ratio.select([channel]).covariance
-
-
-def ratio_unit(response: str, reference: str) -> str:
-    """Return the unit of a ratio: "(m/s^2)/N", or "1" where the two are the same."""
-    if response == reference:
-        return "1"
-
-    def wrapped(unit: str) -> str:
-        return f"({unit})" if any(sign in unit for sign in "/·* ") else unit
-
-    return f"{wrapped(response or '1')}/{wrapped(reference or '1')}"
 
 
 def circular_covariance(complex_covariance: ComplexArray) -> FloatArray:
