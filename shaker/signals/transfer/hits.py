@@ -13,8 +13,8 @@ _HIT = 0.1  # share of the largest force from which a pulse is a hit
 _FOOT = 0.01  # share of a pulse's peak at which it begins and ends
 _AGAIN = 0.05  # share of a pulse's peak from which a second pulse is a second hit
 _NOISE = 6.0  # standard deviations of the force at rest that no foot goes below
+_FAR = 0.3  # share of the largest excursion from which an end of the range is not the level at rest
 _CLIPPED = 3  # equal samples in a row at the range's end that tell an overload
-_QUIET = 200  # quantiles of the record that its rest level is read from
 
 
 @dataclass(frozen=True)
@@ -30,8 +30,8 @@ class Hit:
 def find_hits(record: TransferRecord, length: int) -> list[Hit]:
     """Return the hits of a record whose reference is a force, judged for windows of `length` samples.
 
-    A hit does not count where the record ends before its window does, where a second pulse stands in the window, and
-    where any channel is overloaded in it.
+    A hit does not count where the record ends before its window does, where a second pulse stands in the window (which
+    is no hit of its own), and where any channel is overloaded in it.
     """
     force, noise = _pulses_up(record.reference)
     largest = float(force.max(initial=0.0))
@@ -41,7 +41,7 @@ def find_hits(record: TransferRecord, length: int) -> list[Hit]:
     above = _runs(force > _HIT * largest)
     hits: list[Hit] = []
     for low, high in above:
-        if hits and low < hits[-1].last + max(1, hits[-1].last - hits[-1].first):
+        if hits and low < hits[-1].first + length:
             continue
         hits.append(_judged(force, noise, overloaded, _foot(force, noise, low, high), length))
     return hits
@@ -91,7 +91,11 @@ def _overloads(record: TransferRecord) -> BoolArray:
     """Tell the samples (S,) where any channel stays at the end of its range."""
     found = np.zeros(len(record.reference), dtype=np.bool_)
     for samples in (record.reference, *record.responses.T):
+        rest = float(np.median(samples))
+        far = _FAR * float(np.max(np.abs(samples - rest)))
         for end in (samples.min(), samples.max()):
+            if abs(end - rest) < far:
+                continue
             for low, high in _runs(samples == end):
                 if high - low + 1 >= _CLIPPED:
                     found[low : high + 1] = True
