@@ -69,7 +69,7 @@ def curves_table(evaluation: TransferEvaluation) -> Table:
                 )
             )
     head = (
-        "response / reference",
+        "curve",
         "unit",
         "estimator",
         "lines",
@@ -113,7 +113,7 @@ def resonances_table(evaluation: TransferEvaluation) -> Table | None:
             )
         )
     head = (
-        "response / reference",
+        "curve",
         "f₀ / Hz",
         "damping ratio ζ / %",
         "quality Q",
