@@ -14,7 +14,7 @@ from shaker.signals.trigger import TriggerFit
 
 @dataclass(frozen=True)
 class EdgeInstants:
-    """Times (F,) of edges on the base clock, and the standard uncertainty (F,) of each beyond that of the model."""
+    """Times (F,) of edges on the base clock and their standard uncertainty (F,), which holds that of model and ties."""
 
     time_s: FloatArray
     u_time_s: FloatArray
@@ -34,7 +34,7 @@ def edge_instants(
     much follow what was seen, and one that no record has seen keeps the model's time and the jitter as uncertainty.
     """
     records = [(base, base.number, None), *((fit, fit.number + tie.shift, tie) for fit, tie in others)]
-    mean, variance = np.zeros(len(number)), np.full(len(number), base.jitter_s**2)
+    mean, variance = np.zeros(len(number)), base.jitter_s**2 + base.u_time_s(number) ** 2
     below, above = np.full(len(number), -np.inf), np.full(len(number), np.inf)
     model = base.time_s(number)
     for fit, seen, tie in records:
@@ -44,7 +44,8 @@ def edge_instants(
             for time in (fit.lower_s[which], fit.upper_s[which], fit.edge_s[which])
         )
         if fit.kind == "resolved":
-            noise = max(fit.resolution_s**2 / 12.0, 1e-30)
+            u_tie = np.zeros(len(at)) if tie is None else tie.u_to_base_s(fit.edge_s[which])
+            noise = np.maximum(fit.resolution_s**2 / 12.0 + u_tie**2, 1e-30)
             gain = variance[at] / (variance[at] + noise)
             mean[at] += gain * (edge - mean[at])
             variance[at] *= 1.0 - gain
