@@ -60,14 +60,16 @@ def read_columns(layout: TextLayout, start: int, stop: int, line: int, wanted: S
 
 def find_bytes(stream: BinaryIO, text: bytes, start: int, stop: int) -> int:
     """Return where a text first stands in bytes `start` to `stop` of a file, -1 where it does not."""
-    position, tail = start, b""
+    position, tail, overlap = start, b"", len(text) - 1
     stream.seek(start)
     while block := stream.read(min(BLOCK, stop - position)):
-        found = (tail + block).find(text)
-        if found >= 0:
-            return position - len(tail) + found
+        seam = tail + block[:overlap]
+        for place, part in ((position - len(tail), seam), (position, block)):
+            found = part.find(text)
+            if found >= 0:
+                return place + found
         position += len(block)
-        tail = (tail + block)[1 - len(text) :]
+        tail = (seam if len(block) < overlap else block)[-overlap:]
     return -1
 
 
