@@ -188,6 +188,17 @@ def test_spikes_of_a_long_record() -> None:
     assert fit.residual_rms[0] == pytest.approx(0.1, rel=0.01)
 
 
+def test_what_is_no_spike_stays() -> None:
+    time, frequency = np.arange(600) / 1000.0, np.array([80.0])
+    exact = np.cos(2 * np.pi * 80.0 * time)[:, None] * np.array([1.0, 0.0])
+    assert len(_fit(time, exact, frequency, robust=True).spikes) == 0
+    late = np.where(time[:, None] < 0.18, 0.0, exact)  # a drive that starts late is no spike either
+    assert (
+        len(_fit(time, late + 1e-3 * np.random.default_rng(10).normal(size=(600, 2)), frequency, robust=True).spikes)
+        == 0
+    )
+
+
 def test_clean_records_lose_nothing() -> None:
     rng = np.random.default_rng(8)
     time, frequency, lost = np.arange(60) / 1000.0, np.array([80.0]), 0

@@ -15,6 +15,8 @@ import numpy as np
 from shaker._checks import BoolArray, ComplexArray, FloatArray
 from shaker.signals.sine.times import Timeline
 
+_CHUNK = 1 << 16  # values worked on at a time: they stay in the processor's cache
+
 
 @dataclass(frozen=True)
 class Samples:
@@ -44,18 +46,66 @@ class Samples:
             return replace(self, root=(~rows).astype(np.float64))
         return replace(self, root=np.where(rows if self.root.ndim == 1 else rows[:, None], 0.0, self.root))
 
-    def block(self, index: int) -> tuple[FloatArray, FloatArray | None]:
-        """Return a block's values (n, C), zero where left out, and its weights (n, 1) or (n, C), None for ones."""
-        rows = self.timeline.rows(index)
-        data = self.values[rows]
-        if self.root is None:
-            return data, None
-        root = self.root[rows]
-        if np.all(root == 1.0):
-            return data, None
-        root = root.reshape(len(root), -1)
+    def chunks(self) -> Iterator[Chunk]:
+        """Yield all blocks: those with the same columns side by side, the others alone.
+
+        Few large products instead of many small ones, which threads of the linear algebra would fight over.
+        """
+        times = self.timeline
+        blocks, length, channels = len(times.centre_s), int(times.edges[1]), self.values.shape[1]
+        most = max(1, _CHUNK // (length * channels))
+        for first in range(0, blocks, most):
+            last = min(first + most, blocks)
+            rows = slice(int(times.edges[first]), int(times.edges[last]))
+            if times.is_full(last - 1) and (self.root is None or np.all(self.root[rows] == 1.0)):
+                values = self.values[rows].reshape(last - first, length, channels).transpose(1, 0, 2)
+                yield Chunk(first, last, channels, values.reshape(length, -1), None)
+            else:
+                yield from (self._alone(b) for b in range(first, last))
+
+    def _alone(self, block: int) -> Chunk:
+        """Return one block, its values zero where left out."""
+        rows, channels = self.timeline.rows(block), self.values.shape[1]
+        root = None if self.root is None else self.root[rows].reshape(rows.stop - rows.start, -1)
+        if root is None or np.all(root == 1.0):
+            return Chunk(block, block + 1, channels, self.values[rows], None)
         gone = (root == 0.0).any(axis=1)
-        return (np.where(gone[:, None], 0.0, data) if gone.any() else data), root
+        return Chunk(block, block + 1, channels, np.where(gone[:, None], 0.0, self.values[rows]), root)
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Blocks `first` to `last` - 1 side by side: `values` (n, B·C), weights `root` (n, 1) or (n, C), None for ones.
+
+    A block with weights stands alone.
+    """
+
+    first: int
+    last: int
+    channels: int
+    values: FloatArray
+    root: FloatArray | None
+
+    def weighted(self, values: FloatArray, power: int) -> FloatArray:
+        """Return values times a power of their weights."""
+        return values if self.root is None else values * self.root**power
+
+    def columns(self, columns: Columns, timeline: Timeline, common: FloatArray) -> FloatArray:
+        """Return the columns of these blocks, `common` those of the first one and all full ones."""
+        shared = self.first == 0 or timeline.is_full(self.first)
+        return common if shared else columns.local(timeline.local(self.first))
+
+    def by_block(self, sums: FloatArray) -> FloatArray:
+        """Return sums (P, B·C) of the blocks as (B, P, C)."""
+        return sums.reshape(len(sums), -1, self.channels).swapaxes(0, 1)
+
+    def side_by_side(self, parts: FloatArray) -> FloatArray:
+        """Return parts (B, P, C) of the blocks as (P, B·C)."""
+        return parts.swapaxes(0, 1).reshape(parts.shape[1], -1)
+
+    def in_order(self, values: FloatArray) -> FloatArray:
+        """Return values (n, B·C) as samples (B·n, C) in the order of time."""
+        return self.by_block(values).reshape(-1, self.channels)
 
 
 @dataclass(frozen=True)
@@ -142,21 +192,21 @@ def normal_equations(samples: Samples, columns: Columns) -> Normal:
     common_gram = common.T @ common
     each = samples.root is not None and samples.root.ndim == 2
     gram = np.zeros((channels, channels, size, size) if each else (1, 1, size, size))
-    alike: list[int] = []
+    alike = np.zeros(len(timeline.centre_s), dtype=np.bool_)
     local_right = np.empty((len(timeline.centre_s), size, channels))
     power = np.zeros(channels)
-    for b in range(len(timeline.centre_s)):
-        data, root = samples.block(b)
-        basis = common if b == 0 or timeline.is_full(b) else columns.local(timeline.local(b))
-        weighted = data if root is None else data * root**2
+    for chunk in samples.chunks():
+        basis = chunk.columns(columns, timeline, common)
+        weighted = chunk.weighted(chunk.values, 2)
         if columns.slopes:
-            power += np.einsum("ij,ij->j", weighted, data)
-        local_right[b] = basis.T @ weighted
-        if root is None and basis is common:
-            alike.append(b)
+            pair = weighted.reshape(-1, channels), chunk.values.reshape(-1, channels)
+            power += np.einsum("ij,ij->j", *pair)
+        local_right[chunk.first : chunk.last] = chunk.by_block(basis.T @ weighted)
+        if chunk.root is None and basis is common:
+            alike[chunk.first : chunk.last] = True
         else:
-            own = _weighted_gram(basis, root)
-            gram += turned[b].T @ own @ turned[b]
+            turn = turned[chunk.first]
+            gram += turn.T @ _weighted_gram(basis, chunk.root) @ turn
     chosen = turned[alike]
     gram += np.sum(chosen.swapaxes(1, 2) @ common_gram @ chosen, axis=0)
     right = np.sum(turned.swapaxes(1, 2) @ local_right, axis=0)
@@ -172,24 +222,20 @@ def _weighted_gram(basis: FloatArray, root: FloatArray | None) -> FloatArray:
     return np.asarray((weighted.T @ weighted).reshape(kinds, size, kinds, size).transpose(0, 2, 1, 3))
 
 
-def residual_blocks(
+def residuals(
     samples: Samples, columns: Columns, coefficients: FloatArray
-) -> Iterator[tuple[int, FloatArray, FloatArray, FloatArray | None]]:
-    """Yield for each block its number, columns (n, P), residual (n, C) and weights.
+) -> Iterator[tuple[Chunk, FloatArray, FloatArray]]:
+    """Yield chunk by chunk the blocks, their columns (n, P) and their residual (n, B·C), weighted, zero where left out.
 
-    `coefficients` (P or fewer, C): those of the first columns. The residual is not weighted, and zero in rows left out.
+    `coefficients` (P or fewer, C): those of the first columns.
     """
     timeline = samples.timeline
-    count = len(coefficients)
-    own = columns.turned(timeline)[:, :, :count] @ coefficients
+    own = columns.turned(timeline)[:, :, : len(coefficients)] @ coefficients
     common = columns.local(timeline.local(0))
-    for b in range(len(timeline.centre_s)):
-        data, root = samples.block(b)
-        basis = common if b == 0 or timeline.is_full(b) else columns.local(timeline.local(b))
-        residual = data - basis @ own[b]
-        if root is not None:
-            residual = np.where((root == 0.0).any(axis=1)[:, None], 0.0, residual)
-        yield b, basis, residual, root
+    for chunk in samples.chunks():
+        basis = chunk.columns(columns, timeline, common)
+        residual = chunk.values - basis @ chunk.side_by_side(own[chunk.first : chunk.last])
+        yield chunk, basis, chunk.weighted(residual, 1)
 
 
 def as_complex(coefficients: FloatArray, lines: int) -> ComplexArray:

@@ -9,7 +9,7 @@ import numpy as np
 from shaker._checks import ComplexArray, FloatArray, IntArray
 from shaker.signals.folding import alias_frequency, sampling_grid
 from shaker.signals.noise import LineNoise, line_noise, neighbour_bins, noise_of_ordinates
-from shaker.signals.sine.normal import Columns, Samples, residual_blocks
+from shaker.signals.sine.normal import Columns, Samples, residuals
 from shaker.signals.sine.ordinates import Demodulator
 from shaker.signals.sine.times import LONG
 
@@ -44,14 +44,15 @@ def remainder(samples: Samples, columns: Columns, coefficients: FloatArray) -> R
     held = None if long else np.empty(samples.values.shape)
     local_right = np.empty((len(turned), turned.shape[1], channels))
     power = np.zeros((channels, channels))
-    for b, basis, residual, root in residual_blocks(samples, columns, coefficients):
-        weighted = residual if root is None else residual * root
-        power += weighted.T @ weighted
-        local_right[b] = basis.T @ (weighted if root is None else weighted * root)
+    for chunk, basis, residual in residuals(samples, columns, coefficients):
+        blocks = slice(chunk.first, chunk.last)
+        single = residual.reshape(-1, channels)
+        power += single.T @ single
+        local_right[blocks] = chunk.by_block(basis.T @ chunk.weighted(residual, 1))
         if demodulator is not None:
-            moments[b] = down[: len(weighted)].T @ weighted
+            moments[blocks] = chunk.by_block(down[: len(residual)].T @ residual)
         if held is not None:
-            held[timeline.rows(b)] = weighted
+            held[timeline.edges[chunk.first] : timeline.edges[chunk.last]] = chunk.in_order(residual)
     right = np.asarray(np.sum(turned.swapaxes(1, 2) @ local_right, axis=0))
     transform = None if demodulator is None else demodulator.transform(moments)
     return Remainder(right, power, held, transform, bins)

@@ -6,13 +6,16 @@ import numpy as np
 
 from shaker._checks import BoolArray, FloatArray
 from shaker.notice import Notice
-from shaker.signals.sine.normal import Columns, Samples, residual_blocks
+from shaker.signals.sine.normal import Columns, Samples, residuals
 from shaker.signals.sine.solve import SineModel, estimate
 
 _FALSE_ALARM = 0.01  # samples of a whole record that Gaussian noise may lose
 _SCATTER = 1.16  # relative standard deviation of a median absolute deviation, times the root of the samples
 _SAMPLE = 1 << 16  # residuals from which the scale of a long record is read
+_NORMAL_MEDIAN = 0.6744897501960817  # of |x| for a standard normal x
 _ROUNDS = 20
+_ROUNDING = 1e-12  # of the largest coefficient: no residual is judged more finely
+_MOST = 0.25  # of the samples: more are no spikes
 
 
 def find_spikes(samples: Samples, frequency_hz: FloatArray, model: SineModel) -> BoolArray:
@@ -20,7 +23,8 @@ def find_spikes(samples: Samples, frequency_hz: FloatArray, model: SineModel) ->
 
     Fit, take away what stands out by more than `spike_limit` standard deviations, fit again, until it is the same set;
     every row is judged anew each time. The deviation is that of the median absolute residual, which half of the rows
-    may spoil (Hampel, J. Am. Stat. Assoc. 69 (1974) 383).
+    may spoil (Hampel, J. Am. Stat. Assoc. 69 (1974) 383). Where more than a quarter stands out, this is no Gaussian
+    noise with spikes, and nothing is left out.
     """
     limit = spike_limit(samples, len(frequency_hz), model)
     spikes = np.zeros(samples.timeline.samples, dtype=np.bool_)
@@ -28,9 +32,11 @@ def find_spikes(samples: Samples, frequency_hz: FloatArray, model: SineModel) ->
         columns, _, coefficients = estimate(samples.without(spikes) if spikes.any() else samples, frequency_hz, model)
         scale = _scale(samples, columns, coefficients)
         found = np.zeros_like(spikes)
-        for b, _, residual, root in residual_blocks(samples, columns, coefficients):
-            weighted = residual if root is None else residual * root
-            found[samples.timeline.rows(b)] = (np.abs(weighted) > limit * scale).any(axis=1)
+        for chunk, _, residual in residuals(samples, columns, coefficients):
+            rows = slice(samples.timeline.edges[chunk.first], samples.timeline.edges[chunk.last])
+            found[rows] = (np.abs(chunk.in_order(residual)) > limit * scale).any(axis=1)
+        if np.count_nonzero(found) > _MOST * samples.count:
+            return np.zeros_like(spikes)
         if np.array_equal(found, spikes):
             break
         spikes = found
@@ -63,8 +69,9 @@ def _scale(samples: Samples, columns: Columns, coefficients: FloatArray) -> Floa
     """Return the standard deviation (C,) of the weighted residual, from evenly spaced rows, by its median."""
     step = -(-samples.timeline.samples // _SAMPLE)
     chosen = []
-    for b, _, residual, root in residual_blocks(samples, columns, coefficients):
-        rows = slice(-int(samples.timeline.edges[b]) % step, None, step)
-        part = residual[rows].copy() if root is None else residual[rows] * root[rows]
-        chosen.append(part if root is None else part[(root[rows] > 0.0).all(axis=1)])
-    return np.asarray(np.median(np.abs(np.concatenate(chosen)), axis=0) / 0.6744897501960817)
+    for chunk, _, residual in residuals(samples, columns, coefficients):
+        rows = slice(-int(samples.timeline.edges[chunk.first]) % step, None, step)
+        part = chunk.in_order(residual)[rows]
+        chosen.append(part.copy() if chunk.root is None else part[(chunk.root[rows] > 0.0).all(axis=1)])
+    scale = np.median(np.abs(np.concatenate(chosen)), axis=0) / _NORMAL_MEDIAN
+    return np.asarray(np.maximum(scale, _ROUNDING * np.max(np.abs(coefficients), axis=0)))
