@@ -14,10 +14,12 @@ coherence states, and through peak picking with half-power points.
 from __future__ import annotations
 
 import argparse
+import importlib
 import importlib.util
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,9 +45,9 @@ FIT_HZ = (1000.0, 2000.0)
 class Peer:
     """What pyFRF made of a record: frequencies, ratio, coherence, averages, and the decay of its response window."""
 
-    frequency_hz: FloatArray
+    frequency_hz: NDArray[Any]
     ratio: ComplexArray
-    coherence: FloatArray
+    coherence: NDArray[Any]
     averages: float
     decay_per_s: float = 0.0
 
@@ -62,8 +64,9 @@ class Case:
     bound: FloatArray | None = None
 
 
-def response(kind: Kind, s: ComplexArray) -> ComplexArray:
+def response(kind: Kind, frequency_hz: NDArray[Any], decay_per_s: float = 0.0) -> ComplexArray:
     """Return the oscillator's transfer function at s = a + jω, of stiffness 1e8 N/m where driven by a force."""
+    s = decay_per_s + 2j * np.pi * frequency_hz
     p = s / (2.0 * np.pi * F0_HZ)
     pole = 1.0 + 2.0 * ZETA * p + p * p
     return np.asarray((1.0 + 2.0 * ZETA * p) / pole if kind == "transmissibility" else 1e-8 * s * s / pole)
@@ -89,7 +92,7 @@ def chirp_case(name: str, noise: float, seconds: float = 1.0, ppm: float = 0.0, 
     harmonic = np.arange(int(100.0 * seconds), int(3000.0 * seconds) + 1)
     count = len(harmonic)
     base = np.sqrt(2.0 / count) * np.exp(-1j * np.pi * (harmonic - harmonic[0]) ** 2 / count)
-    top = base * response("transmissibility", 2j * np.pi * rate / period * harmonic)
+    top = base * response("transmissibility", harmonic * (rate / period))
     pair = tuple(harmonic_sum(harmonic, phasor, period, 4 * length) for phasor in (base, top))
     spread = noise * pair[0].std(), noise * pair[1].std()
     truth = top / base
@@ -116,7 +119,7 @@ def harmonic_sum(harmonic: NDArray[np.int64], phasor: ComplexArray, period: floa
     return signal
 
 
-def bound_of(kind: Kind, frequency: FloatArray, truth: ComplexArray, variance: FloatArray) -> FloatArray:
+def bound_of(kind: Kind, frequency: NDArray[Any], truth: ComplexArray, variance: NDArray[Any]) -> FloatArray:
     """Return the Cramér-Rao bound of f0 and damping from lines inside the fitted band; gain and phase are unknown."""
     inside = (frequency >= FIT_HZ[0]) & (frequency <= FIT_HZ[1])
     covariance = variance[inside, None, None] * np.eye(2)
@@ -132,7 +135,7 @@ def noise_case(name: str, noise: float, resolution: float, seconds: float = 20.0
         frequency = np.fft.rfftfreq(2 * samples, 1.0 / rate)
         spectrum = rng.standard_normal(len(frequency)) + 1j * rng.standard_normal(len(frequency))
         spectrum *= np.sqrt(samples) * ((frequency > 50.0) & (frequency < 4000.0))
-        driven = spectrum * response("transmissibility", 2j * np.pi * frequency)
+        driven = spectrum * response("transmissibility", frequency)
         base, top = (np.fft.irfft(part, 2 * samples)[:samples] for part in (spectrum, driven))
         return recorded((base, top), rate, (noise * base.std(), noise * top.std()), rng)
 
@@ -150,13 +153,13 @@ def blow_case(name: str, noise: float, hits: int, window_s: float, rate: float =
     samples, before = round(rate), round(0.1 * rate)
 
     def make(rng: np.random.Generator) -> TransferRecord:
-        s = 2j * np.pi * np.fft.rfftfreq(samples, 1.0 / rate)
+        through = response("accelerance", np.fft.rfftfreq(samples, 1.0 / rate))
         forces = []
         for _ in range(hits):
             width = 8e-5 * rng.uniform(0.9, 1.2)
             time = (np.arange(samples) - before) / rate
             forces.append(100.0 * rng.uniform(0.6, 1.2) * np.exp(-0.5 * (time / width - 3.5) ** 2))
-        responses = [np.fft.irfft(np.fft.rfft(force) * response("accelerance", s), samples) for force in forces]
+        responses = [np.fft.irfft(np.fft.rfft(force) * through, samples) for force in forces]
         pair = np.concatenate(forces), np.concatenate(responses)
         spread = 100.0 * noise, noise * float(np.abs(pair[1]).max())
         return recorded(pair, rate, spread, rng, ("force", "top"), ("N", "m/s^2"))
@@ -183,8 +186,6 @@ def peer_of(
     record: TransferRecord, blocks: int, length: int, nperseg: int | None = None, window: str | tuple[str, str] = "none"
 ) -> Peer:
     """Return pyFRF's H1 of a record cut into blocks, or of Hann segments of a length."""
-    from pyFRF import FRF
-
     exc = record.reference[: blocks * length].reshape(blocks, length)
     resp = record.responses[: blocks * length, 0].reshape(blocks, length)
     rate = round(record.sample_rate_hz)
@@ -192,11 +193,13 @@ def peer_of(
     chosen = "hann" if nperseg else window
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        made = FRF(rate, exc, resp, exc_type="f", resp_type="d", window=chosen, fft_len=size, nperseg=nperseg)
+        made = importlib.import_module("pyFRF").FRF(
+            rate, exc, resp, exc_type="f", resp_type="d", window=chosen, fft_len=size, nperseg=nperseg
+        )
         ratio, coherence = np.ravel(made.get_H1()), np.ravel(made.get_coherence()).real
     averages = blocks if nperseg is None else 2.0 * length / nperseg
     decay = np.log(100.0) / (length - 1) * rate if isinstance(window, tuple) else 0.0
-    return Peer(np.fft.rfftfreq(size, 1.0 / rate), ratio, coherence, averages, decay)
+    return Peer(np.asarray(np.fft.rfftfreq(size, 1.0 / rate)), ratio, coherence, averages, decay)
 
 
 def peer_results(kind: Kind, peer: Peer) -> FloatArray:
@@ -244,7 +247,7 @@ def run(case: Case, seed: int) -> Trial:
     found = case.estimate(record)
     fit: Resonance = fit_transfer_resonance(found, "top", case.kind, FIT_HZ)
     part = found.between(FIT_HZ).ratio
-    error = part.value[:, 0] - response(case.kind, found.added_decay_per_s + 2j * np.pi * part.frequency_hz)
+    error = part.value[:, 0] - response(case.kind, part.frequency_hz, found.added_decay_per_s)
     both = np.stack([error.real, error.imag], axis=1)
     lengths = np.einsum("ki,kij,kj->k", both, np.linalg.inv(part.covariance), both) / 2.0
     inside = lengths < fisher.ppf(0.95, 2, part.dof)
@@ -287,7 +290,7 @@ def main(trials: int = 200) -> None:
         "| pyFRF, same fit, over ours | with its coherence | peak picking |"
     )
     print("|---|---|---|---|---|---|---|---|---|")
-    cases = (
+    cases: tuple[tuple[int, Callable[[], Case]], ...] = (
         (1, lambda: chirp_case("chirp, 4 × 1 s at 51.2 kHz, 60 dB", 1e-3)),
         (1, lambda: chirp_case("the same, 40 dB", 1e-2)),
         (1, lambda: chirp_case("the same, 20 dB", 1e-1)),

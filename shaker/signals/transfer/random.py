@@ -11,7 +11,7 @@ from shaker._checks import BoolArray, ComplexArray, FloatArray
 from shaker.signals.phasor import Phasors
 from shaker.signals.spectrum import window_samples
 from shaker.signals.transfer.estimators import Spectra, choose_estimator, transfer_of
-from shaker.signals.transfer.result import TransferFunction, TransferRecord
+from shaker.signals.transfer.result import TransferFunction, TransferRecord, circular_covariance
 from shaker.signals.transfer.sharpness import resolution_notices
 
 _HOP = 3  # segments begin every third of their length: 67 % overlap
@@ -34,8 +34,9 @@ def transfer_random(
     H1 = S_xy/S_xx suffers from noise on the reference, H2 = S_yy/S_yx from noise on the response, Hv (total least
     squares) from neither if the ratio of the noise powers, response over reference, is that of `noise_ratio`; None
     takes it from the coherence. Covariance: S_ee/(n S_xx) of what H leaves of the responses (Bendat and Piersol,
-    Random Data, 4th ed., eqs. 9.89 and 9.90, without the approximation for large n), `dof` 2(n-1). "auto" says in a
-    notice what it took and why.
+    Random Data, 4th ed., eqs. 9.89 and 9.90, without the approximation for large n), `dof` 2(n-1);
+    added is the square of the leading bias by the window, H''/6 per line squared: the average of H over |W|², whose
+    second moment is 1/3 for Hann. "auto" says in a notice what it took and why.
     """
     rate = record.sample_rate_hz
     if not 0.0 < resolution_hz < rate / 16.0:
@@ -56,6 +57,7 @@ def transfer_random(
     spectra = _averaged(record, overlap, inside)
     choice = choose_estimator(spectra, estimator, noise_ratio, record.reference_name)
     found = transfer_of(spectra, choice)
+    covariance = found.covariance + circular_covariance(_leakage(found.ratio))
     chosen = np.asarray(frequency[inside], dtype=np.float64)
     notices = [choice.notice(record.reference_name, overlap.text())]
     for c, name in enumerate(record.channels):
@@ -65,7 +67,7 @@ def transfer_random(
         ratio=Phasors(
             chosen,
             found.ratio,
-            found.covariance,
+            covariance,
             record.channels,
             record.ratio_unit,
             np.full(lines, 2.0 * (overlap.independent - 1.0)),
@@ -78,6 +80,13 @@ def transfer_random(
         line_correlation=overlap.line_correlation,
         notices=tuple(notices),
     )
+
+
+def _leakage(ratio: ComplexArray) -> ComplexArray:
+    """Return b·bᴴ (K, C, C) of the bias b = H''/6 that a Hann window gives H (K, C), zero at both ends."""
+    bias = np.zeros_like(ratio)
+    bias[1:-1] = (ratio[2:] - 2.0 * ratio[1:-1] + ratio[:-2]) / 6.0
+    return np.asarray(bias[:, :, None] * bias.conj()[:, None, :])
 
 
 @dataclass(frozen=True)
