@@ -17,7 +17,7 @@ _CORNERS = 2.0 ** np.arange(0, 10)
 _EXPONENTS = (1.0, 2.0)  # 1/f noise, drift
 _WHITE_WEIGHT = 0.5  # prior weight of white noise
 _TONE_LIMIT = 9.2  # height of a sine over the level: exceeded by pure noise once in 10⁴ places
-_TONES = 12
+_TONES = 16  # sines and changes that are looked for
 _TONE_CLEARANCE = 1.9  # bins beside a line within which a peak is the line's own unrest
 _BLOCK_BINS = 4  # ordinates nearest to a line, which say what blocks of the record scatter by
 _BLOCK_LIMIT = 3.27  # their mean over the level: exceeded by pure noise once in 1000 lines
@@ -78,8 +78,7 @@ def noise_of_ordinates(
     between blocks of the record about that straight line, which is the mean of the ordinates nearest to the line,
     where that is significantly larger. `length`: of the record.
     """
-    steady = _without_drift(ordinates, bins, line_bin, length)
-    rest, leaked = _without_tones(steady, bins, line_bin, length)
+    rest, steady, leaked = _without_sines(ordinates, bins, line_bin, length)
     variance, dof, level = _levels_at_lines(np.abs(rest) ** 2, bins, line_bin)
     if blocks:
         variance, dof = _not_below_blocks(np.abs(steady) ** 2, level, np.abs(bins - line_bin[:, None]), variance, dof)
@@ -178,8 +177,8 @@ def _fit_levels(power: FloatArray, shape: FloatArray) -> _Levels:
 
 def _highest_peak(
     ordinates: ComplexArray, level: FloatArray, bins: FloatArray, line_bin: FloatArray
-) -> tuple[IntArray, BoolArray]:
-    """Return the index (K, C) of the lower of the two ordinates where a sine stands highest, and whether it is one.
+) -> tuple[IntArray, FloatArray]:
+    """Return the index (K, C) of the lower of the two ordinates where a sine stands highest, and its height there.
 
     Ordinates on a bin and, as half the squared difference of neighbours, between two bins are standard exponential
     variables over the level where there is no sine. Near a line a peak is the line's own unrest.
@@ -194,50 +193,70 @@ def _highest_peak(
     pair = np.abs(relative[:, 1:]) ** 2 + np.abs(relative[:, :-1]) ** 2
     top = height.max(axis=1, keepdims=True)
     place = np.argmax(np.where(height >= top, pair, -1.0), axis=1)
-    return place, top[:, 0] > _TONE_LIMIT
+    return place, top[:, 0]
 
 
-def _without_tones(
+def _without_sines(
     ordinates: ComplexArray, bins: FloatArray, line_bin: FloatArray, length: int
-) -> tuple[ComplexArray, FloatArray]:
-    """Take sines off the ordinates (K, M, C); return the rest and the power (K, C) that they leave in the lines.
+) -> tuple[ComplexArray, ComplexArray, FloatArray]:
+    """Take sines and straight-line changes of the lines off the ordinates (K, M, C), the highest over the level first.
 
-    The sine that is highest over the level of the others is placed by the ratio of its two highest ordinates, which
-    for a rectangular window are as 1/distance, of opposite sign; then the next one.
+    Return the rest, the ordinates without the changes only, and the power (K, C) that the sines leave in the lines.
     """
-    rest = ordinates.copy()
+    rest, changed = ordinates.copy(), np.zeros_like(ordinates)
     leaked = np.zeros((len(bins), ordinates.shape[2]))
     shape = _shapes(bins)
+    places = line_bin[line_bin > _OFFSET_BIN]
     for _ in range(_TONES):
         level = _fit_levels(np.abs(rest) ** 2 + _NOTHING, shape).mean
-        place, found = _highest_peak(rest, level, bins, line_bin)
-        if not found.any():
+        place, height = _highest_peak(rest, level, bins, line_bin)
+        change, drift_height = _highest_change(rest, level, bins, places, length)
+        drifts = (drift_height > height) & (drift_height > _TONE_LIMIT)
+        peaks = (height >= drift_height) & (height > _TONE_LIMIT)
+        if not (drifts.any() or peaks.any()):
             break
-        low = np.take_along_axis(rest, place[:, None, :], axis=1)[:, 0]
-        high = np.take_along_axis(rest, place[:, None, :] + 1, axis=1)[:, 0]
-        share = np.clip((high / np.where(found, high - low, 1.0)).real, 0.0, 1.0)
-        where = np.take_along_axis(bins[:, :, None], place[:, None, :], axis=1)[:, 0] + share
-        before, after = _kernel(-share, length), _kernel(1.0 - share, length)
-        top = (low * before.conj() + high * after.conj()) / (np.abs(before) ** 2 + np.abs(after) ** 2)
-        top = np.where(found, top, 0.0)
-        rest -= _sine(bins[:, :, None], where[:, None, :], top[:, None, :], length)
+        where, top = _sine_at(rest, place, bins, length)
+        top = np.where(peaks, top, 0.0)
+        change = np.where(drifts[:, None, :], change, 0.0)
         leaked += np.abs(_sine(line_bin[:, None], where, top, length)) ** 2
-    return rest, leaked
+        rest -= change + _sine(bins[:, :, None], where[:, None, :], top[:, None, :], length)
+        changed += change
+    return rest, ordinates - changed, leaked
 
 
-def _without_drift(ordinates: ComplexArray, bins: FloatArray, line_bin: FloatArray, length: int) -> ComplexArray:
-    """Take off the ordinates (K, M, C) what straight-line changes of the lines among them make."""
-    rest = ordinates.copy()
-    shape = _shapes(bins)
-    for place in line_bin[line_bin > _OFFSET_BIN]:
+def _sine_at(
+    ordinates: ComplexArray, place: IntArray, bins: FloatArray, length: int
+) -> tuple[FloatArray, ComplexArray]:
+    """Return place in bins and transform (K, C) of the sine between the ordinates `place` and the next.
+
+    For a rectangular window these are as 1/distance from it, of opposite sign.
+    """
+    low = np.take_along_axis(ordinates, place[:, None, :], axis=1)[:, 0]
+    high = np.take_along_axis(ordinates, place[:, None, :] + 1, axis=1)[:, 0]
+    difference = high - low
+    share = np.clip((high / np.where(difference == 0.0, 1.0, difference)).real, 0.0, 1.0)
+    where = np.take_along_axis(bins[:, :, None], place[:, None, :], axis=1)[:, 0] + share
+    before, after = _kernel(-share, length), _kernel(1.0 - share, length)
+    top = (low * before.conj() + high * after.conj()) / (np.abs(before) ** 2 + np.abs(after) ** 2)
+    return where, np.asarray(top)
+
+
+def _highest_change(
+    ordinates: ComplexArray, level: FloatArray, bins: FloatArray, places: FloatArray, length: int
+) -> tuple[ComplexArray, FloatArray]:
+    """Return what the straight-line change of a line that stands highest makes (K, M, C), and its height (K, C)."""
+    best, height = np.zeros_like(ordinates), np.zeros((len(bins), ordinates.shape[2]))
+    for place in places:
         near = (bins[:, 0] < place) & (place < bins[:, -1])
         ramp = np.where(near[:, None], _ramp_kernel(bins - place, length), 0.0)[:, :, None]
-        level = _fit_levels(np.abs(rest) ** 2 + _NOTHING, shape).mean
         seen = np.sum(np.abs(ramp) ** 2 / level, axis=1)
-        change = np.sum(ramp.conj() * rest / level, axis=1) / np.where(near[:, None], seen, 1.0)
-        change = np.where(np.abs(change) ** 2 * seen > _TONE_LIMIT, change, 0.0)[:, None, :]
-        rest -= change * ramp + change.conj() * _ramp_kernel(bins + place, length)[:, :, None]
-    return rest
+        size = np.sum(ramp.conj() * ordinates / level, axis=1) / np.where(near[:, None], seen, 1.0)
+        own = np.abs(size) ** 2 * seen
+        size = size[:, None, :]
+        made = size * ramp + size.conj() * _ramp_kernel(bins + place, length)[:, :, None]
+        best = np.where((own > height)[:, None, :], made, best)
+        height = np.maximum(own, height)
+    return best, height
 
 
 def _sine(bins: FloatArray, place: FloatArray, top: ComplexArray, length: int) -> ComplexArray:
