@@ -32,7 +32,6 @@ LIBRARIES = {
     "h5py": "h5py",
     "tifffile": "tifffile",
     "nptdms": "npTDMS",
-    "pyuff": "pyuff",
     "matplotlib": "matplotlib",
     "jinja2": "jinja2",
 }
