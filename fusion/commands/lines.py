@@ -5,9 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from fusion.commands.values import EXIT_DONE, Commands, not_negative, positive
-
-FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
+from fusion.commands.values import EXIT_DONE, Commands, figure, not_negative, positive
 
 
 def add(commands: Commands, common: argparse.ArgumentParser) -> None:
@@ -37,14 +35,6 @@ def band(text: str) -> tuple[float, float]:
     if found[0] >= found[1]:
         raise argparse.ArgumentTypeError(f"expected the lower frequency first, found {text}")
     return found
-
-
-def figure(text: str) -> Path:
-    """Return the path of a figure of a known format."""
-    path = Path(text)
-    if path.suffix.lower() not in FIGURE_SUFFIXES:
-        raise argparse.ArgumentTypeError(f"expected a name that ends in {', '.join(FIGURE_SUFFIXES)}, found {text}")
-    return path
 
 
 def _act(options: argparse.Namespace) -> int:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from fusion.commands.values import EXIT_DONE, Commands, not_negative, positive
+from fusion.commands.values import EXIT_DONE, Commands, figure, not_negative, positive
 
 DECIMALS = 6  # of frequencies within a range, in Hz
-FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
 
 
 def add(commands: Commands, common: argparse.ArgumentParser) -> None:
@@ -77,14 +76,6 @@ def count(text: str) -> int:
     if value < 1:
         raise argparse.ArgumentTypeError(f"expected a whole number of at least 1, found {text}")
     return value
-
-
-def figure(text: str) -> Path:
-    """Return the path of a figure of a known format."""
-    path = Path(text)
-    if path.suffix.lower() not in FIGURE_SUFFIXES:
-        raise argparse.ArgumentTypeError(f"expected a name that ends in {', '.join(FIGURE_SUFFIXES)}, found {text}")
-    return path
 
 
 def _item(text: str) -> list[float]:

@@ -8,6 +8,7 @@ from typing import TypeAlias
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
+FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
 EXIT_DONE, EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED = 0, 1, 2, 130
 
 
@@ -39,6 +40,14 @@ def size(text: str) -> tuple[int, int]:
     if not (cross and columns.isdigit() and rows.isdigit()):
         raise argparse.ArgumentTypeError(f"expected columns x rows such as 9x6, found {text}")
     return int(columns), int(rows)
+
+
+def figure(text: str) -> Path:
+    """Return the path of a figure of a known format."""
+    path = Path(text)
+    if path.suffix.lower() not in FIGURE_SUFFIXES:
+        raise argparse.ArgumentTypeError(f"expected a name that ends in {', '.join(FIGURE_SUFFIXES)}, found {text}")
+    return path
 
 
 def radius(text: str) -> int:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import io
 import re
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,8 +14,8 @@ from fusion.plots.style import (
     BLUE,
     GREY,
     ORANGE,
-    RASTER_DPI,
     RED,
+    as_file,
     decades,
     drawing,
     lay_out,
@@ -31,7 +29,6 @@ POINTS = 1600
 DETAILS = re.compile(r" of |[,(]|(?<=combination) ")
 """Where the details of what a line is begin."""
 LABELLED = 12  # lines of a panel that are named, the highest
-UNDATED: dict[str, dict[str, Any]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {}}
 
 
 def draw_lines(lists: Sequence[LineList], kind: str) -> bytes:
@@ -44,9 +41,7 @@ def draw_lines(lists: Sequence[LineList], kind: str) -> bytes:
             _draw_channel(axes, item, c)
         every[-1].set_xlabel("frequency / Hz")
         lay_out(figure, every, top=0.25, gap=(0.5, 0.42))
-        stream = io.BytesIO()
-        figure.savefig(stream, format=kind, dpi=RASTER_DPI, metadata=UNDATED[kind])
-    return stream.getvalue()
+        return as_file(figure, kind)
 
 
 def _draw_channel(axes: Axes, item: LineList, c: int) -> None:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import io
-from typing import Any
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -12,7 +9,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from fusion.plan import FloatArray, Plan
-from fusion.plots.style import BLUE, GREY, ORANGE, RASTER_DPI, RED, decades, drawing, lay_out, new_figure, panel_label
+from fusion.plots.style import BLUE, GREY, ORANGE, RED, as_file, decades, drawing, lay_out, new_figure, panel_label
 from shaker.signals.plan.search import Scan, condition_over_rate, scan_rates
 from shaker.signals.separation import MAX_CONDITION
 
@@ -20,7 +17,6 @@ COLUMNS = 420  # of a panel; each shows the largest condition of the rates in it
 RATES_PER_COLUMN = 6
 TOP = 100.0  # where the axis ends
 PREFERRED_COLOUR = "#e3f3ec"
-UNDATED: dict[str, dict[str, Any]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {}}
 
 
 def draw_plan(plan: Plan, kind: str) -> bytes:
@@ -40,9 +36,7 @@ def draw_plan(plan: Plan, kind: str) -> bytes:
         decades(panels[-1].yaxis)
         lay_out(figure, panels, top=0.55, gap=(0.5, 0.2))
         _legend(figure, plan)
-        stream = io.BytesIO()
-        figure.savefig(stream, format=kind, dpi=RASTER_DPI, metadata=UNDATED[kind])
-    return stream.getvalue()
+        return as_file(figure, kind)
 
 
 def _draw_curves(axes: Axes, scan: Scan, condition: FloatArray) -> None:

@@ -27,6 +27,7 @@ BLUE, ORANGE, GREEN, RED, PURPLE, SKY = "#0072b2", "#e69f00", "#009e73", "#d55e0
 SOURCE_COLOUR = {"fused": BLACK, "photogrammetry": BLUE, "vibrometer": RED, "accelerometer": GREEN}
 SOURCE_MARKER = {"fused": "o", "photogrammetry": "s", "vibrometer": "D", "accelerometer": "^"}
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+UNDATED: dict[str, dict[str, Any]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {}}
 STYLE: dict[str, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 8.5,
@@ -120,6 +121,13 @@ def finish(figure: Figure, name: str, title: str, caption: str) -> Picture:
     stream = io.StringIO()
     figure.savefig(stream, format="svg", dpi=RASTER_DPI, metadata={"Date": None, "Creator": None})
     return Picture(name, title, caption, stream.getvalue())
+
+
+def as_file(figure: Figure, kind: str) -> bytes:
+    """Turn a figure into a png, svg or pdf file without a date."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format=kind, dpi=RASTER_DPI, metadata=UNDATED[kind])
+    return stream.getvalue()
 
 
 def thin_out(x: FloatArray, y: FloatArray, edges: FloatArray) -> tuple[FloatArray, FloatArray]:

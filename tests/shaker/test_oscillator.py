@@ -94,14 +94,14 @@ def test_errors_are_those_of_the_bound_and_intervals_hold() -> None:
     bound = np.linalg.inv(np.einsum("kia,kij,kjb->ab", both, np.linalg.inv(covariance), both))
     rng = np.random.default_rng(11)
     lengths, chi = [], []
-    for _ in range(300):
+    for _ in range(200):
         fit = fit_resonance(FREQUENCY, value + noise(covariance, rng), covariance, "transmissibility")
         error = np.array([fit.frequency_hz, fit.damping_ratio, fit.gain.real, fit.gain.imag]) - truth
         lengths.append(error @ np.linalg.solve(bound, error))
         chi.append(fit.chi_squared)
-    # χ² of 4 degrees of freedom: 300 trials put its mean within 4 ± 0.16.
-    assert np.mean(lengths) == pytest.approx(4.0, abs=0.5)
-    assert np.mean(np.array(lengths) < 9.488) == pytest.approx(0.95, abs=0.035)
+    # χ² of 4 degrees of freedom: 200 trials put its mean within 4 ± 0.2.
+    assert np.mean(lengths) == pytest.approx(4.0, abs=0.6)
+    assert np.mean(np.array(lengths) < 9.488) == pytest.approx(0.95, abs=0.045)
     assert np.mean(chi) == pytest.approx(2 * len(FREQUENCY) - 4, rel=0.01)
     unit = np.sqrt(bound.diagonal())
     np.testing.assert_allclose(fit.covariance / np.outer(unit, unit), bound / np.outer(unit, unit), atol=0.2)
@@ -116,12 +116,12 @@ def test_correlated_lines_widen_the_uncertainty_as_they_widen_the_scatter() -> N
     covariance = even(value, 1e-3)
     size = np.sqrt(covariance[0, 0, 0])
     error, u = [], 0.0
-    for _ in range(300):
+    for _ in range(150):
         draw = root @ (rng.standard_normal(len(value)) + 1j * rng.standard_normal(len(value)))
         fit = fit_resonance(FREQUENCY, value + size * draw, covariance, "receptance", line_correlation=kernel + 0j)
         error.append(fit.frequency_hz - 1477.35)
         u = fit.u("frequency_hz")
-    assert np.std(error) == pytest.approx(u, rel=0.15)
+    assert np.std(error) == pytest.approx(u, rel=0.2)
 
 
 def test_a_misfit_enlarges_the_uncertainty() -> None:
