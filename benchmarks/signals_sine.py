@@ -210,7 +210,7 @@ def print_peers(trials: int) -> None:
 def print_large(seconds: float) -> None:
     """Fit 5 lines to a large record in a process of its own for each way."""
     print(
-        f"| {LARGE_RATE_HZ:g} Hz, {seconds:g} s, {LARGE_CHANNELS} channels, 5 lines | s | processor s | peak memory / data |"
+        f"| {LARGE_RATE_HZ:g} Hz, {seconds:g} s, {LARGE_CHANNELS} channels, 5 lines | s | CPU s | peak memory / data |"
     )
     print("|---|---|---|---|")
     for way in ("known", "array of times", "unknown", "robust", "lstsq"):
