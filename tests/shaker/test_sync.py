@@ -170,25 +170,14 @@ def test_clock_offset_and_rate_without_jitter() -> None:
 def test_clock_offset_and_rate_over_many_cases() -> None:
     rng = np.random.default_rng(17)
     cases = []
-    for _ in range(40):
+    for _ in range(30):
         base, other, true_rate, there, here = _two_clocks(rng)
         tie = tie_clocks(base, other)
         cases.append((float(tie.to_base_s(np.array(there))) - here, tie.rate - true_rate))
     offset, rate = np.array(cases).T
     assert np.sqrt(np.mean(offset**2)) < 0.10e-6
-    assert abs(np.mean(offset)) < 3.0 * 0.07e-6 / np.sqrt(40)
-    assert np.sqrt(np.mean(rate**2)) < 0.1e-6 * (1.0 + 2.0 / np.sqrt(80))
-
-
-@pytest.mark.slow
-def test_stated_uncertainty_covers_real_jitter() -> None:
-    rng = np.random.default_rng(18)
-    ratio = []
-    for _ in range(30):
-        base, other, _, there, here = _two_clocks(rng, jitter_s=2e-6)
-        tie = tie_clocks(base, other)
-        ratio.append((float(tie.to_base_s(np.array(there))) - here) / float(tie.u_to_base_s(np.array(there))))
-    assert np.mean(np.abs(ratio) < 1.96) >= 0.86
+    assert abs(np.mean(offset)) < 3.0 * 0.07e-6 / np.sqrt(30)
+    assert np.sqrt(np.mean(rate**2)) < 0.1e-6 * (1.0 + 2.0 / np.sqrt(60))
 
 
 def test_roles_of_the_clocks_can_be_exchanged() -> None:
