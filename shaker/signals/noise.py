@@ -81,7 +81,10 @@ def noise_of_ordinates(
     rest, steady, leaked = _without_sines(ordinates, bins, line_bin, length)
     variance, dof, level = _levels_at_lines(np.abs(rest) ** 2, bins, line_bin)
     if blocks:
-        variance, dof = _not_below_blocks(np.abs(steady) ** 2, level, np.abs(bins - line_bin[:, None]), variance, dof)
+        distance = np.abs(bins - line_bin[:, None])
+        # Beside the line a sine may be the line's own unrest; farther off it is another's.
+        near = np.where((distance < _TONE_CLEARANCE + 0.5)[:, :, None], steady, rest)
+        variance, dof = _not_below_blocks(np.abs(near) ** 2, level, distance, variance, dof)
     return _with_one_dof(variance + leaked, dof)
 
 
