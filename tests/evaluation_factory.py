@@ -260,7 +260,9 @@ def _channel(
 
 
 def _clocks(folder: Path, rng: np.random.Generator) -> tuple[ClockResult, ...]:
-    tie = ClockTie(-0.4312077, 1.0 + 4.2e-6, np.diag([(2e-7) ** 2, (1e-7) ** 2]), 0, "burst start and end", 210, 3.39, ())
+    tie = ClockTie(
+        -0.4312077, 1.0 + 4.2e-6, np.diag([(2e-7) ** 2, (1e-7) ** 2]), 0, "burst start and end", 210, 3.39, ()
+    )
     first = ClockResult("vibrometer", folder / "vibrometer.h5", _trigger(0.97, 1 / 51200, rng), None)
     return first, ClockResult("bridge", folder / "bridge.tdms", _trigger(1.4012, 1e-4, rng), tie)
 
