@@ -4,15 +4,22 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from fusion.commands.values import EXIT_DONE, Commands, figure, not_negative, positive
+
+if TYPE_CHECKING:
+    from fusion.manifest import Manifest
 
 
 def add(commands: Commands, common: argparse.ArgumentParser) -> None:
     """Add the command's parser."""
     parser = commands.add_parser("lines", parents=[common], help="list every line of a file or recording, and why")
     parser.add_argument(
-        "source", type=Path, metavar="SOURCE", help="DAQ file, or a recording: its folder or its recording.toml"
+        "source",
+        type=Path,
+        metavar="SOURCE",
+        help="DAQ file, a recording (its folder or recording.toml), or a campaign of several",
     )
     parser.add_argument(
         "--channel", action="append", metavar="NAME", help="channel of the file, may be repeated (default: all)"
@@ -40,14 +47,12 @@ def band(text: str) -> tuple[float, float]:
 def _act(options: argparse.Namespace) -> int:
     from fusion.line_tables import print_lines
     from fusion.lines import lines_csv, lines_of_file, lines_of_recording
-    from fusion.manifest import load_manifest
     from fusion.output import check_new_file, write_whole
 
     for path in filter(None, (options.figure, options.csv)):
         check_new_file(path, force=options.force)
     if options.source.is_dir() or options.source.suffix.lower() == ".toml":
-        _refuse_file_options(options)
-        lists = [lines_of_recording(load_manifest(options.source, allow_outside=options.allow_outside))]
+        lists = [lines_of_recording(manifest) for manifest in _manifests(options)]
     else:
         lists = lines_of_file(options.source, options.channel, options.sample_rate, options.band)
     if options.csv:
@@ -60,11 +65,17 @@ def _act(options: argparse.Namespace) -> int:
     return EXIT_DONE
 
 
-def _refuse_file_options(options: argparse.Namespace) -> None:
-    """Refuse what a recording states itself."""
+def _manifests(options: argparse.Namespace) -> list[Manifest]:
+    """Load the recordings of a folder; only one fits a table or figure, and none takes a file's options."""
     from fusion.errors import InputError
+    from fusion.manifest import find_recordings, load_manifest
 
     for name in ("channel", "sample_rate", "band"):
         if getattr(options, name) is not None:
             option = f"--{name.replace('_', '-')}"
             raise InputError(options.source, "", found=option, expected="no such option, recording.toml states it")
+    found = find_recordings(options.source)
+    if len(found) > 1 and (options.csv or options.figure):
+        expected = "one recording for --csv and --figure"
+        raise InputError(options.source, "", found=f"{len(found)} recordings", expected=expected)
+    return [load_manifest(recording, allow_outside=options.allow_outside) for recording in found]

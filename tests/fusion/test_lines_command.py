@@ -129,6 +129,19 @@ def test_a_recording_says_what_is_fitted(tmp_path: Path, capsys: pytest.CaptureF
     assert "fitted beside" in capsys.readouterr().out
 
 
+def test_a_campaign_is_listed_recording_by_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = _recording(tmp_path, "frequencies = [53.7]", {53.7: 1.0})
+    run.rename(tmp_path / "first")
+    _recording(tmp_path, "frequencies = [61.1]", {61.1: 1.0})
+    assert main(["lines", str(tmp_path)]) == 0
+    text = capsys.readouterr().out
+    assert "53.7000" in text
+    assert "61.1000" in text
+    assert main(["lines", str(tmp_path), "--csv", str(tmp_path / "lines.csv")]) == 2
+    assert "2 recordings" in capsys.readouterr().err
+    assert not (tmp_path / "lines.csv").exists()
+
+
 def test_channels_are_fitted_with_what_leaks_into_their_lines(tmp_path: Path) -> None:
     run = _recording(tmp_path, "frequencies = [53.7]", {53.7: 1.0, 50.02: 0.5})
     manifest = load_manifest(run)
