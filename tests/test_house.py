@@ -18,14 +18,14 @@ WRITTEN_ORDER = {
     """,
     "shaker.signals": """
         recording files edges numbering posterior rise trigger shift clock_line sync instants pulses
-        resample phasor folding separation spectrum noise sine stationarity
+        resample phasor folding separation spectrum tones noise sine stationarity
         survey frequencies chain transfer plan
     """,
     "shaker.models": "oscillator",
     "fusion": """
-        notices errors output console settings manifest response check body observe estimate consistency fuse load
+        notices errors output console settings manifest response body observe estimate consistency fuse load
         sensitivity deflection evaluation drift records timing channels stereo_motion stereo_phasors readings provenance
-        evaluate polar highlights results_csv results_h5 camera_facts plan lines plots report_numbers report_tables
+        evaluate polar check highlights results_csv results_h5 camera_facts plan lines plots report_numbers report_tables
         drift_tables page report results camera_tables camera_report campaign simulate progress summary plan_tables
         line_tables cameras align import_calibration transfer commands cli
     """,

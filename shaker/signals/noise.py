@@ -7,18 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from shaker._checks import BoolArray, ComplexArray, FloatArray, IntArray, check_shape
+from shaker.signals.tones import OFFSET_BIN, TONE_CLEARANCE, take_tones_off
 
 _NEIGHBOURS = 96  # bins from which the noise around a line is estimated
 _MIN_NEIGHBOURS = 12
 _CLEARANCE = 0.75  # bins beside a line that its own fit has emptied
-_OFFSET_BIN = 0.5  # where the noise of the offset is read
 # Shapes that the noise may have: S(j) = s·(1 + (corner/j)^exponent), the corner in bins.
 _CORNERS = 2.0 ** np.arange(0, 10)
 _EXPONENTS = (1.0, 2.0)  # 1/f noise, drift
 _WHITE_WEIGHT = 0.5  # prior weight of white noise
-_TONE_LIMIT = 9.2  # height of a sine over the level: exceeded by pure noise once in 10⁴ places
-_TONES = 16  # sines and changes that are looked for
-_TONE_CLEARANCE = 1.9  # bins beside a line within which a peak is the line's own unrest
 _BLOCK_BINS = 4  # ordinates nearest to a line, which say what blocks of the record scatter by
 _BLOCK_LIMIT = 3.27  # their mean over the level: exceeded by pure noise once in 1000 lines
 _NEWTON_STEPS = 30
@@ -78,14 +75,17 @@ def noise_of_ordinates(
     between blocks of the record about that straight line, which is the mean of the ordinates nearest to the line,
     where that is significantly larger. `length`: of the record.
     """
-    rest, steady, leaked = _without_sines(ordinates, bins, line_bin, length)
-    variance, dof, level = _levels_at_lines(np.abs(rest) ** 2, bins, line_bin)
+    shape = _shapes(bins)
+    found = take_tones_off(
+        ordinates, bins, line_bin, length, lambda rest: _fit_levels(np.abs(rest) ** 2 + _NOTHING, shape).mean
+    )
+    variance, dof, level = _levels_at_lines(np.abs(found.rest) ** 2, bins, line_bin)
     if blocks:
         distance = np.abs(bins - line_bin[:, None])
         # Beside the line a sine may be the line's own unrest; farther off it is another's.
-        near = np.where((distance < _TONE_CLEARANCE + 0.5)[:, :, None], steady, rest)
+        near = np.where((distance < TONE_CLEARANCE + 0.5)[:, :, None], found.steady, found.rest)
         variance, dof = _not_below_blocks(np.abs(near) ** 2, level, distance, variance, dof)
-    return _with_one_dof(variance + leaked, dof)
+    return _with_one_dof(variance + found.leaked, dof)
 
 
 def neighbour_bins(length: int, line_bin: FloatArray) -> IntArray | None:
@@ -128,7 +128,7 @@ def _levels_at_lines(
     top = np.maximum(power.max(axis=1, keepdims=True), _NOTHING)
     relative = np.maximum(power / top, 1e-30) / (1.0 - _loss(bins, line_bin))[:, :, None]
     levels = _fit_levels(relative, _shapes(bins))
-    at_line = _shapes(np.maximum(line_bin, _OFFSET_BIN)[:, None])[:, :, 0]
+    at_line = _shapes(np.maximum(line_bin, OFFSET_BIN)[:, None])[:, :, 0]
     variance, dof = _mixture(levels, at_line)
     return variance * top[:, 0], dof, levels.mean * top
 
@@ -142,7 +142,7 @@ def _with_one_dof(variance: FloatArray, dof: FloatArray) -> LineNoise:
 def _free_bins(bins: FloatArray, line_bin: FloatArray) -> BoolArray:
     """Tell which bins no fitted line has emptied; the offset empties bin 0 only."""
     free = np.ones(len(bins), dtype=np.bool_)
-    for j in line_bin[line_bin > _OFFSET_BIN]:
+    for j in line_bin[line_bin > OFFSET_BIN]:
         low, high = np.searchsorted(bins, [j - _CLEARANCE, j + _CLEARANCE])
         free[low:high] = False
     return free
@@ -178,111 +178,9 @@ def _fit_levels(power: FloatArray, shape: FloatArray) -> _Levels:
     return _Levels(shape, weight / weight.sum(axis=1, keepdims=True), total / count, count)
 
 
-def _highest_peak(
-    ordinates: ComplexArray, level: FloatArray, bins: FloatArray, line_bin: FloatArray
-) -> tuple[IntArray, FloatArray]:
-    """Return the index (K, C) of the lower of the two ordinates where a sine stands highest, and its height there.
-
-    Ordinates on a bin and, as half the squared difference of neighbours, between two bins are standard exponential
-    variables over the level where there is no sine. Near a line a peak is the line's own unrest.
-    """
-    relative = ordinates / np.sqrt(level)
-    between = np.abs(relative[:, 1:] - relative[:, :-1]) ** 2 / 2.0
-    height = np.maximum(between, np.maximum(np.abs(relative[:, 1:]) ** 2, np.abs(relative[:, :-1]) ** 2))
-    away = np.abs(bins[:, None, :] - line_bin[None, :, None]).min(axis=1) > _TONE_CLEARANCE
-    allowed = (np.diff(bins, axis=1) == 1.0) & away[:, :-1] & away[:, 1:]
-    height = np.where(allowed[:, :, None], height, 0.0)
-    # Of the two pairs that an ordinate belongs to, the one with the higher partner.
-    pair = np.abs(relative[:, 1:]) ** 2 + np.abs(relative[:, :-1]) ** 2
-    top = height.max(axis=1, keepdims=True)
-    place = np.argmax(np.where(height >= top, pair, -1.0), axis=1)
-    return place, top[:, 0]
-
-
-def _without_sines(
-    ordinates: ComplexArray, bins: FloatArray, line_bin: FloatArray, length: int
-) -> tuple[ComplexArray, ComplexArray, FloatArray]:
-    """Take sines and straight-line changes of the lines off the ordinates (K, M, C), the highest over the level first.
-
-    Return the rest, the ordinates without the changes only, and the power (K, C) that the sines leave in the lines.
-    """
-    rest, changed = ordinates.copy(), np.zeros_like(ordinates)
-    leaked = np.zeros((len(bins), ordinates.shape[2]))
-    shape = _shapes(bins)
-    places = line_bin[line_bin > _OFFSET_BIN]
-    for _ in range(_TONES):
-        level = _fit_levels(np.abs(rest) ** 2 + _NOTHING, shape).mean
-        place, height = _highest_peak(rest, level, bins, line_bin)
-        change, drift_height = _highest_change(rest, level, bins, places, length)
-        drifts = (drift_height > height) & (drift_height > _TONE_LIMIT)
-        peaks = (height >= drift_height) & (height > _TONE_LIMIT)
-        if not (drifts.any() or peaks.any()):
-            break
-        where, top = _sine_at(rest, place, bins, length)
-        top = np.where(peaks, top, 0.0)
-        change = np.where(drifts[:, None, :], change, 0.0)
-        leaked += np.abs(_sine(line_bin[:, None], where, top, length)) ** 2
-        rest -= change + _sine(bins[:, :, None], where[:, None, :], top[:, None, :], length)
-        changed += change
-    return rest, ordinates - changed, leaked
-
-
-def _sine_at(
-    ordinates: ComplexArray, place: IntArray, bins: FloatArray, length: int
-) -> tuple[FloatArray, ComplexArray]:
-    """Return place in bins and transform (K, C) of the sine between the ordinates `place` and the next.
-
-    For a rectangular window these are as 1/distance from it, of opposite sign.
-    """
-    low = np.take_along_axis(ordinates, place[:, None, :], axis=1)[:, 0]
-    high = np.take_along_axis(ordinates, place[:, None, :] + 1, axis=1)[:, 0]
-    difference = high - low
-    share = np.clip((high / np.where(difference == 0.0, 1.0, difference)).real, 0.0, 1.0)
-    where = np.take_along_axis(bins[:, :, None], place[:, None, :], axis=1)[:, 0] + share
-    before, after = _kernel(-share, length), _kernel(1.0 - share, length)
-    top = (low * before.conj() + high * after.conj()) / (np.abs(before) ** 2 + np.abs(after) ** 2)
-    return where, np.asarray(top)
-
-
-def _highest_change(
-    ordinates: ComplexArray, level: FloatArray, bins: FloatArray, places: FloatArray, length: int
-) -> tuple[ComplexArray, FloatArray]:
-    """Return what the straight-line change of a line that stands highest makes (K, M, C), and its height (K, C)."""
-    best, height = np.zeros_like(ordinates), np.zeros((len(bins), ordinates.shape[2]))
-    for place in places:
-        near = (bins[:, 0] < place) & (place < bins[:, -1])
-        ramp = np.where(near[:, None], _ramp_kernel(bins - place, length), 0.0)[:, :, None]
-        seen = np.sum(np.abs(ramp) ** 2 / level, axis=1)
-        size = np.sum(ramp.conj() * ordinates / level, axis=1) / np.where(near[:, None], seen, 1.0)
-        own = np.abs(size) ** 2 * seen
-        size = size[:, None, :]
-        made = size * ramp + size.conj() * _ramp_kernel(bins + place, length)[:, :, None]
-        best = np.where((own > height)[:, None, :], made, best)
-        height = np.maximum(own, height)
-    return best, height
-
-
-def _sine(bins: FloatArray, place: FloatArray, top: ComplexArray, length: int) -> ComplexArray:
-    """Return the transform at `bins` of a real sine: `top` at its place, and its image below zero."""
-    return np.asarray(top * _kernel(bins - place, length) + top.conj() * _kernel(bins + place, length))
-
-
-def _kernel(distance: FloatArray, length: int) -> ComplexArray:
-    """Return the transform of a complex sine of `length` samples at `distance` bins from it, 1 at its place."""
-    turn = np.exp(-1j * np.pi * distance * (1.0 - 1.0 / length))
-    return np.asarray(np.sinc(distance) / np.sinc(distance / length) * turn)
-
-
-def _ramp_kernel(distance: FloatArray, length: int) -> ComplexArray:
-    """Return the transform of a complex sine that grows from -1 to 1 over the record, at `distance` bins from it."""
-    angle = np.pi * distance
-    size = (np.cos(angle) - np.sinc(distance)) / np.where(angle == 0.0, 1.0, angle)
-    return np.asarray(1j * size * np.exp(-1j * angle * (1.0 - 1.0 / length)))
-
-
 def _loss(bins: FloatArray, line_bin: FloatArray) -> FloatArray:
     """Return the share of the noise at bins (K, M) that the fit of the lines has taken away."""
-    distance = bins[None, :, :] - line_bin[line_bin > _OFFSET_BIN][:, None, None]
+    distance = bins[None, :, :] - line_bin[line_bin > OFFSET_BIN][:, None, None]
     return np.asarray(np.minimum(np.sum(np.sinc(distance) ** 2, axis=0), 0.8))
 
 
