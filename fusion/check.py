@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion.errors import InputError
-from fusion.manifest import ChannelEntry, Daq, Frames, Images, Manifest, PointFiles, Take
+from fusion.manifest import PULSE, ChannelEntry, Daq, Frames, Images, Manifest, PointFiles, Take
+from fusion.polar import rounded
+from fusion.records import read_daqs
 from fusion.response import check_response
+from fusion.timing import channel_pulse_width, no_pulse_width
 
 BODIES = ("load", "base")
 MOTION = ("x", "y", "z", "rx", "ry", "rz")
@@ -114,6 +117,7 @@ def _contents(manifest: Manifest) -> tuple[list[str], list[str]]:
         told = [_read_daq(daq) for daq in block.daq]
         told += [_read_images(images) for images in block.images]
         told += [_describe_points(points) for points in block.points]
+        told += [_measure_exposure(manifest, block, frames) for frames in _pulse_exposed(block)]
         problems += _unreadable_responses(block)
         contents += [line for line, _ in told]
         problems += [problem for _, wrong in told for problem in wrong]
@@ -174,6 +178,26 @@ def _describe_points(points: PointFiles) -> tuple[str, list[str]]:
     empty = [path.name for path in points.files if path.stat().st_size == 0]
     told = f"points {points.stereo}: {len(points.files)} files, {_size(points.files)}"
     return told, [f"points {points.stereo}: {empty[0]} is empty ({len(empty)} such files)"] if empty else []
+
+
+def _pulse_exposed(block: Manifest | Take) -> list[Frames]:
+    """Images and points whose exposure is the width of the trigger's pulses."""
+    return [frames for frames in (*block.images, *block.points) if frames.exposure == PULSE]
+
+
+def _measure_exposure(manifest: Manifest, block: Manifest | Take, frames: Frames) -> tuple[str, list[str]]:
+    """How wide the pulses are that the first block has of the trigger."""
+    daq = next(daq for daq in block.daq if frames.trigger in [entry.name for entry in daq.channel])
+    told = f"exposure of {frames.stereo}: width of the pulses of {frames.trigger} in {daq.name}"
+    try:
+        (record,) = read_daqs(replace(manifest, daq=(daq,)))
+        pulse = channel_pulse_width(record, frames.trigger)
+    except InputError as error:
+        return told, [str(error)]
+    except ValueError as error:
+        return told, [str(no_pulse_width(manifest, daq.name, frames, error))]
+    width, expanded, _ = rounded(1e6 * pulse.width_s, 2e6 * pulse.u_width_s, 0)
+    return f"{told}, ({width} ± {expanded}) µs, U (k = 2)", []
 
 
 def _size(paths: Sequence[Path]) -> str:

@@ -38,7 +38,8 @@ class StereoResult:
     the points do beside the rigid motion at the usable lines. `noise`: of the left and the right camera. `sigma_px`
     (2,): median standard deviation of a subset's coordinate, as predicted from the first images and as found.
     `epipolar`: whether the cameras are what was calibrated, frame by frame; its notices are among the evaluation's.
-    `stationarity`: the six components over blocks of whole beats, exposure loss not corrected.
+    `stationarity`: the six components over blocks of whole beats, exposure loss not corrected. `u_exposure_s`: 0 where
+    the exposure is stated.
     """
 
     name: str
@@ -61,6 +62,7 @@ class StereoResult:
     sigma_px: FloatArray | None = None
     epipolar: EpipolarCheck | None = None
     stationarity: Stationarity | None = None
+    u_exposure_s: float = 0.0
 
     def __post_init__(self) -> None:
         residual = self.fit.residual_of(self.time_s, self.motion_from_mean.pose)
@@ -97,12 +99,17 @@ class ChannelResult:
 
 @dataclass(frozen=True)
 class ClockResult:
-    """One DAQ block: its file, the trigger found in it and its tie to the first block's clock (None for the first)."""
+    """One DAQ block: its file, the trigger found in it and its tie to the first block's clock (None for the first).
+
+    `pulse_width_s`, `u_pulse_width_s`: of the trigger's pulses, None where their ends cannot be told.
+    """
 
     daq: str
     file: Path
     trigger: TriggerFit | None
     tie: ClockTie | None
+    pulse_width_s: float | None = None
+    u_pulse_width_s: float | None = None
 
 
 @dataclass(frozen=True)

@@ -102,6 +102,24 @@ class LineTurns:
 
 
 @dataclass(frozen=True)
+class PulseExposure:
+    """An exposure as long as the pulses of a trigger: its name, `width_s` as measured, and `u_s`, 0 where stated."""
+
+    trigger: str
+    width_s: float
+    u_s: float
+
+    def change(self, frequency_hz: FloatArray) -> ComplexArray:
+        """Return the relative change (K,) of phasors for one standard uncertainty of the width T.
+
+        Frames whose exposures seem longer by u seem later by u/2, and their loss sin(x)/x, x = πfT, which was taken
+        off, seems greater: u·[(1 - x·cot x)/T - jπf].
+        """
+        x = np.pi * frequency_hz * self.width_s
+        return np.asarray(self.u_s * ((1.0 - x / np.tan(x)) / self.width_s - 1j * np.pi * frequency_hz))
+
+
+@dataclass(frozen=True)
 class ChainUncertainty:
     """What the manifest does not say of a channel's chain: relative `u_magnitude` (K,) and `u_phase_rad` (K,) of its
     response table, and `u_clock_s`, the standard uncertainty of the tie of its clock to the first block's.
@@ -179,6 +197,7 @@ def observe_stereo(
     clock_uncertainty: float = 0.0,
     trigger: tuple[str, float] = ("", 0.0),
     turns: LineTurns | None = None,
+    pulse: PulseExposure | None = None,
 ) -> Observation:
     """Return the rows of a stereo pair: displacement phasors (K, 6) in m and rad about the sensor origin = -A/ω².
 
@@ -187,7 +206,8 @@ def observe_stereo(
     changes (P, K, 6) of the phasors for one standard uncertainty of further unknowns, such as the principal components
     of the calibration's covariance (CALIBRATION, which counts as stated). `clock_uncertainty`: relative, of the time
     base; `trigger`: name of the camera trigger and standard uncertainty (s) of its fitted instants, one error for all
-    pairs that follow it. `turns`: where the line frequencies are known from this motion only.
+    pairs that follow it. `turns`: where the line frequencies are known from this motion only. `pulse`: what the
+    exposure was measured from, one error for all pairs that expose as long as that trigger's pulses.
     """
     factor = derivative_factor(phasors.frequency_hz, -2)
     design = factor[:, None, None] * np.eye(6)
@@ -219,6 +239,9 @@ def observe_stereo(
             common.append(CommonError(f"{label} {place}", label, 1.0, np.zeros_like(design), np.asarray(effect)))
     if trigger[1] > 0.0:
         common.append(_late(f"{trigger[0]}: time", trigger[1], phasors.frequency_hz, design))
+    if pulse is not None and pulse.u_s > 0.0:
+        unknown, slope = f"{pulse.trigger}: pulse width", pulse.change(phasors.frequency_hz)[:, None, None] * design
+        common.append(CommonError(unknown, unknown, pulse.u_s, slope, none))
     for unknown, turned in ({} if turns is None else turns.turns()).items():
         common.append(CommonError(unknown, unknown, 1.0, turned[:, None, None] * design, none))
     common += _clock_rate(design, np.full(6, 2.0), clock_uncertainty)

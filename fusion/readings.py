@@ -12,7 +12,15 @@ from fusion.errors import ComputeError
 from fusion.evaluation import ChannelResult
 from fusion.manifest import ChannelEntry, Load, Manifest, Part
 from fusion.notices import AnyNotice, Notice
-from fusion.observe import ChainUncertainty, LineTurns, Observation, Reading, observe_channels, observe_stereo
+from fusion.observe import (
+    ChainUncertainty,
+    LineTurns,
+    Observation,
+    PulseExposure,
+    Reading,
+    observe_channels,
+    observe_stereo,
+)
 from fusion.response import read_response
 from fusion.stereo_phasors import StereoPhasors
 from fusion.timing import TimeBase
@@ -53,7 +61,8 @@ def observations(
         effects = item.effects
         middle_s = float(np.mean(item.result.time_s))
         turns = None if readings else LineTurns(lines.nominal_hz, lines.u_frequency_hz, middle_s)
-        seen.append(observe_stereo(item.result.name, entry, item.displacement, effects, clock, trigger, turns))
+        pulse = PulseExposure(item.entry.trigger, item.result.exposure_s, item.result.u_exposure_s)
+        seen.append(observe_stereo(item.result.name, entry, item.displacement, effects, clock, trigger, turns, pulse))
     return (*seen, *observe_channels(readings, gravity(manifest), clock))
 
 

@@ -244,7 +244,8 @@ def clocks_table(evaluation: Evaluation) -> Table | None:
     if not evaluation.clocks:
         return None
     found = ["file", "edges found", "missing, doubled, spurious", "trigger rate / Hz", "jitter beyond sampling / µs"]
-    names = [*found, "first edge / s", "offset in the middle / s", "rate − 1 / 10⁻⁶", "edges paired by"]
+    found += ["first edge / s", "pulse width / µs"]
+    names = [*found, "offset in the middle / s", "rate − 1 / 10⁻⁶", "edges paired by"]
     columns = [
         (clock.file.name, *_trigger_cells(clock), *_tie_cells(clock, evaluation.clocks[0]))
         for clock in evaluation.clocks
@@ -262,7 +263,7 @@ def stereo_table(stereo: Sequence[StereoResult]) -> Table | None:
         ("body", *(item.body for item in stereo)),
         ("frames, of which without a result", *(f"{len(item.time_s)}, {_failed(item)}" for item in stereo)),
         ("first exposure / s", *(f"{item.time_s[0]:.6f}" for item in stereo)),
-        ("exposure / µs", *(f"{1e6 * item.exposure_s:g}" for item in stereo)),
+        ("exposure / µs", *(_exposure(item) for item in stereo)),
         ("subsets", *(str(len(item.subsets_px)) if item.subsets_px is not None else DASH for item in stereo)),
         ("points per frame, median", *(f"{np.median(item.motion.points):.0f}" for item in stereo)),
         ("reprojection rms / px", *(number(item.reprojection_px) for item in stereo)),
@@ -281,6 +282,13 @@ def stereo_table(stereo: Sequence[StereoResult]) -> Table | None:
     ]
     head = ("", *(f"“{item.name}”" for item in stereo))
     return Table("Stereo pairs", head, "l" + "r" * len(stereo), tuple(rows))
+
+
+def _exposure(stereo: StereoResult) -> str:
+    """The exposure in µs as stated, or as measured with U."""
+    if stereo.u_exposure_s == 0.0:
+        return f"{1e6 * stereo.exposure_s:g}"
+    return _microseconds(stereo.exposure_s, stereo.u_exposure_s)
 
 
 def _sigmas(stereo: StereoResult) -> str:
@@ -360,7 +368,7 @@ def _trigger_cells(clock: ClockResult) -> list[str]:
     """Edges, missing, doubled and spurious ones, rate, jitter, first edge."""
     trigger = clock.trigger
     if trigger is None:
-        return ["no trigger", *[DASH] * 4]
+        return ["no trigger", *[DASH] * 5]
     u_start, u_period = 2.0 * np.sqrt(np.diag(trigger.covariance))
     return [
         str(len(trigger.number)),
@@ -368,7 +376,13 @@ def _trigger_cells(clock: ClockResult) -> list[str]:
         measured(1.0 / trigger.period_s, float(u_period) / trigger.period_s**2),
         number(1e6 * trigger.jitter_s),
         measured(trigger.start_s, float(u_start)),
+        _microseconds(clock.pulse_width_s, clock.u_pulse_width_s),
     ]
+
+
+def _microseconds(value_s: float | None, u_s: float | None) -> str:
+    """A duration with U, a dash where it is not known."""
+    return DASH if value_s is None or u_s is None else measured(1e6 * value_s, 2e6 * u_s)
 
 
 def _tie_cells(clock: ClockResult, base: ClockResult) -> list[str]:

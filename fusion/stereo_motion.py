@@ -13,7 +13,7 @@ from fusion.errors import ComputeError, InputError
 from fusion.manifest import Images, Manifest, PointFiles, Stereo
 from fusion.notices import AnyNotice
 from fusion.settings import ProgressCallback, Settings
-from fusion.timing import TimeBase, exposure_middles
+from fusion.timing import Exposure, TimeBase, exposure_middles, exposure_of
 from photogram.calibration_file import read_calibration
 from photogram.camera import StereoRig
 from photogram.deformation import Deformation, deformation
@@ -45,12 +45,13 @@ NO_MOTION = "no frame has enough points for a rigid motion"
 
 @dataclass(frozen=True)
 class OpenImages:
-    """The images of one stereo pair, opened and checked: sequences, exposure middles (F,), rig, first left image."""
+    """The images of one stereo pair, opened and checked: sequences, exposures, middles (F,), rig, first left image."""
 
     entry: Images
     stereo: Stereo
     left: ImageSequence
     right: ImageSequence
+    exposure: Exposure
     time_s: FloatArray
     rig: StereoRig
     first: GreyImage
@@ -79,6 +80,7 @@ class StereoMotion:
 
     entry: Images | PointFiles
     stereo: Stereo
+    exposure: Exposure
     time_s: FloatArray
     motion: RigidMotion
     deformation: Deformation
@@ -102,7 +104,8 @@ def open_images(manifest: Manifest, base: TimeBase, entry: Images) -> OpenImages
     time_s = exposure_middles(manifest, base, entry, len(left))
     rig = _calibration(stereo, left, right)
     stereo = _without_calibration_share(stereo, rig)
-    return OpenImages(entry, stereo, left, right, time_s, rig, _read_first(manifest, entry, left, right))
+    first = _read_first(manifest, entry, left, right)
+    return OpenImages(entry, stereo, left, right, exposure_of(manifest, base, entry), time_s, rig, first)
 
 
 def measure_images(
@@ -117,6 +120,7 @@ def measure_images(
     return StereoMotion(
         images.entry,
         images.stereo,
+        images.exposure,
         images.time_s,
         body.motion,
         deformation(body.points, body.motion),
@@ -144,7 +148,8 @@ def measure_points(manifest: Manifest, base: TimeBase, entry: PointFiles) -> Ste
     points = points.transformed(placed)
     motion = _fit(entry.stereo, points, reference)
     beside = deformation(points, motion, reference)
-    return StereoMotion(entry, stereo, time_s, motion, beside, float("nan"), None, ())
+    exposure = exposure_of(manifest, base, entry)
+    return StereoMotion(entry, stereo, exposure, time_s, motion, beside, float("nan"), None, ())
 
 
 def _open(manifest: Manifest, entry: Images, side: str) -> ImageSequence:

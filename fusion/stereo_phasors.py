@@ -92,7 +92,7 @@ def stereo_phasors(measured: StereoMotion, lines: Lines) -> StereoPhasors:
         raise ComputeError(f"stereo pair {name}: {NO_LINE}")
     frequency_hz = lines.frequency_hz[usable]
     from_mean, fit = _fit_about_mean(name, measured, frequency_hz)
-    gain = exposure_gain(lines.frequency_hz, measured.entry.exposure)
+    gain = exposure_gain(lines.frequency_hz, measured.exposure.length_s)
     displacement = spread_lines(fit.phasors, usable, lines.frequency_hz).scaled((1.0 / gain)[:, None])
     effects = {}
     if measured.view is not None:
@@ -106,7 +106,7 @@ def stereo_phasors(measured: StereoMotion, lines: Lines) -> StereoPhasors:
     found = [(f"{name}, {notice.where}", notice) for notice in measured.notices]
     found += [(name, notice) for notice in fit.notices if notice.severity == "warning"]
     notices = tuple(Notice(notice.severity, f"stereo pair {where}: {notice.text}", name) for where, notice in found)
-    shape = deflection_shape(measured.time_s, frequency_hz, measured.deformation, measured.entry.exposure)
+    shape = deflection_shape(measured.time_s, frequency_hz, measured.deformation, measured.exposure.length_s)
     pose = from_mean.pose.copy()
     pose[fit.spikes] = np.nan
     steady = stationarity(measured.time_s, pose, frequency_hz, COMPONENTS)
@@ -210,7 +210,8 @@ def _result(measured: StereoMotion, from_mean: RigidMotion, fit: SineFit, usable
         name=measured.entry.stereo,
         body=measured.stereo.body,
         time_s=measured.time_s,
-        exposure_s=measured.entry.exposure,
+        exposure_s=measured.exposure.length_s,
+        u_exposure_s=measured.exposure.u_length_s,
         motion=measured.motion,
         motion_from_mean=from_mean,
         fit=fit,

@@ -4,18 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.errors import InputError
+from fusion.errors import ARGUMENT, InputError
 from fusion.evaluation import ClockResult
-from fusion.manifest import ChannelEntry, Images, Manifest, PointFiles
+from fusion.manifest import PULSE, ChannelEntry, Frames, Images, Manifest, PointFiles
 from fusion.records import DaqRecord
 from shaker.signals.instants import edge_instants
+from shaker.signals.pulses import PulseWidth, pulse_width
 from shaker.signals.sync import ClockTie, TriggerFit, find_edges, fit_trigger, tie_clocks
 
 FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """Length of the exposures of a stereo pair and its standard uncertainty, 0 where the manifest states the length."""
+
+    length_s: float
+    u_length_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -45,13 +55,32 @@ class TimeBase:
         fit = next(fit for (_, name), fit in self.triggers.items() if name == trigger)
         return float(np.sqrt(fit.covariance[1, 1])) / fit.period_s
 
+    @cached_property
+    def pulses(self) -> dict[tuple[str, str], PulseWidth]:
+        """Width of the pulses per block and trigger channel, where both flanks can be told."""
+        found = {}
+        for daq, name in self.triggers:
+            try:
+                found[daq, name] = self.pulse_width(daq, name)
+            except ValueError:
+                continue
+        return found
+
+    def pulse_width(self, daq: str, trigger: str) -> PulseWidth:
+        """Measure the width of a trigger's pulses in a block; a `ValueError` says why it cannot be."""
+        record = next(record for record in self.records if record.entry.name == daq)
+        return channel_pulse_width(record, trigger)
+
     def results(self) -> tuple[ClockResult, ...]:
         """Return one entry per block for the result tree."""
         found = []
         for record in self.records:
             name = record.entry.name
-            fits = [fit for (daq, _), fit in self.triggers.items() if daq == name]
-            found.append(ClockResult(name, record.entry.file, fits[0] if fits else None, self.ties[name]))
+            own = [key for key in self.triggers if key[0] == name]
+            pulse = self.pulses.get(own[0]) if own else None
+            width = (None, None) if pulse is None else (pulse.width_s, pulse.u_width_s)
+            trigger = self.triggers[own[0]] if own else None
+            found.append(ClockResult(name, record.entry.file, trigger, self.ties[name], *width))
         return tuple(found)
 
 
@@ -66,6 +95,13 @@ def tie_daqs(manifest: Manifest, records: Sequence[DaqRecord]) -> TimeBase:
     for number, record in enumerate(records):
         ties[record.entry.name] = _tie(manifest, records[0], record, triggers) if number else None
     return TimeBase(tuple(records), triggers, ties)
+
+
+def channel_pulse_width(record: DaqRecord, trigger: str) -> PulseWidth:
+    """Measure the width of the pulses of a trigger channel; a `ValueError` says why it cannot be."""
+    channel = next(channel for channel in record.entry.channel if channel.name == trigger)
+    rate_hz = record.raw[trigger].sample_rate_hz
+    return pulse_width(record.values(channel), rate_hz, channel.threshold, channel.edge)
 
 
 def _fit_trigger(record: DaqRecord, channel: ChannelEntry) -> TriggerFit:
@@ -107,6 +143,28 @@ def _start_difference_s(base: DaqRecord, other: DaqRecord) -> float | None:
     return other.start_s - base.start_s if base.start_s and other.start_s else None
 
 
+def exposure_of(manifest: Manifest, base: TimeBase, entry: Images | PointFiles) -> Exposure:
+    """Return how long each frame was exposed: as stated, or as long as the first block saw the trigger's pulses."""
+    if entry.exposure != PULSE:
+        return Exposure(entry.exposure)
+    daq, _ = _trigger_of(manifest, base, entry)
+    try:
+        pulse = base.pulses.get((daq, entry.trigger)) or base.pulse_width(daq, entry.trigger)
+    except ValueError as error:
+        raise no_pulse_width(manifest, daq, entry, error) from error
+    return Exposure(pulse.width_s, pulse.u_width_s)
+
+
+def no_pulse_width(manifest: Manifest, daq: str, entry: Frames, error: ValueError) -> InputError:
+    """Say at the key that asked for it why the width of a trigger's pulses cannot be measured."""
+    file, key = manifest.path, f"{'images' if isinstance(entry, Images) else 'points'}.{entry.stereo}.exposure"
+    if manifest.rig.stereo[entry.stereo].exposure == PULSE:
+        file, key = manifest.rig_path, f"stereo.{entry.stereo}.exposure"
+    reason = ARGUMENT.sub("", str(error), count=1)
+    found = f'"{PULSE}", but the width of the pulses of {entry.trigger} in {daq} cannot be told ({reason})'
+    return InputError(file, key, found=found, expected="the exposure in s")
+
+
 def exposure_middles(manifest: Manifest, base: TimeBase, entry: Images | PointFiles, frames: int) -> FloatArray:
     """Return the middle of each frame's exposure (F,) on the first block's clock: edge + delay + exposure / 2.
 
@@ -125,7 +183,8 @@ def exposure_middles(manifest: Manifest, base: TimeBase, entry: Images | PointFi
             manifest.path, key.removesuffix("first_edge") + "trigger", found=str(trigger.edges), expected=wanted
         )
     edges = edge_instants(trigger, first + np.arange(frames), _seen_elsewhere(base, daq, entry.trigger))
-    return np.asarray(base.to_base_s(daq, edges.time_s) + entry.delay + entry.exposure / 2.0)
+    exposure = exposure_of(manifest, base, entry)
+    return np.asarray(base.to_base_s(daq, edges.time_s) + entry.delay + exposure.length_s / 2.0)
 
 
 def _seen_elsewhere(base: TimeBase, daq: str, trigger: str) -> list[tuple[TriggerFit, ClockTie]]:

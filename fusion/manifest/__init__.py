@@ -7,8 +7,10 @@ uncertainty of a vector stands in each element, images and points carry the expo
 from fusion.manifest.load import RECORDING_NAME, Manifest, find_recordings, load_manifest
 from fusion.manifest.recording import ChannelEntry, Daq, Excitation, Frames, Images, PointFiles, RecordingFile, Take
 from fusion.manifest.rig import Administration, Environment, Load, Part, Rig, Sensor, Stereo
+from fusion.manifest.values import PULSE
 
 __all__ = [
+    "PULSE",
     "RECORDING_NAME",
     "Administration",
     "ChannelEntry",

@@ -17,6 +17,7 @@ from fusion.manifest.values import (
     Direction,
     ExistingFile,
     ExistingFiles,
+    Exposure,
     FreeVector,
     NotNegative,
     Number,
@@ -260,7 +261,7 @@ class Frames(Block):
     stereo: Text
     trigger: Text
     first_edge: Annotated[int, Field(ge=0)] | None = None
-    exposure: NotNegative
+    exposure: Exposure
     delay: Number
     delay_uncertainty: NotNegative
 

@@ -15,6 +15,7 @@ from fusion.manifest.values import (
     Block,
     BodyName,
     ExistingFile,
+    Exposure,
     FreeVector,
     Inertia,
     InertiaSpread,
@@ -163,7 +164,7 @@ class Stereo(Block):
     pose_by_calibration: Annotated[tuple[tuple[float, ...], ...] | None, BeforeValidator(rows_of(6, 24))] = None
     scale_uncertainty: NotNegative | None = None
     bit_depth: Annotated[int, Field(ge=1, le=16)] | None = None
-    exposure: NotNegative
+    exposure: Exposure
     delay: Number = 0.0
     delay_uncertainty: NotNegative = 0.0
 

@@ -28,6 +28,7 @@ Matrix3 = tuple[Vector3, Vector3, Vector3]
 BodyName = Literal["load", "base"]
 Component = Literal["Fx", "Fy", "Fz", "Mx", "My", "Mz"]
 
+PULSE: Literal["pulse"] = "pulse"
 ORTHONORMAL_TOLERANCE = 1e-6
 SYMMETRY_TOLERANCE = 1e-6
 ROUNDING_TOLERANCE = 0.01  # of the largest principal moment: tables of two or three digits
@@ -132,6 +133,15 @@ def pose_spread(value: Any) -> tuple[float, ...]:
     if min(elements) < 0:
         raise refusal("6 numbers (3 in m, 3 in rad), none negative", f"{min(elements):g}")
     return elements
+
+
+def exposure(value: Any) -> float | str:
+    """Check the length of an exposure in s, or the word that stands for the width of the trigger's pulses."""
+    if value == PULSE:
+        return PULSE
+    if not _is_number(value) or value < 0:
+        raise refusal(f'a number of at least 0, or "{PULSE}" for the width of the trigger\'s pulses', describe(value))
+    return float(value)
 
 
 def matrix3(value: Any) -> tuple[tuple[float, ...], ...]:
@@ -249,6 +259,7 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Text = Annotated[str, Field(min_length=1)]
 Texts = Annotated[tuple[str, ...], BeforeValidator(texts)]
+Exposure = Annotated[float | Literal["pulse"], BeforeValidator(exposure)]
 FreeVector = Annotated[Vector3, BeforeValidator(vector(3))]
 Direction = Annotated[Vector3, BeforeValidator(unit_vector)]
 Spread3 = Annotated[Vector3, BeforeValidator(spread(3))]

@@ -12,6 +12,11 @@ from shaker.notice import Notice
 from shaker.signals.edges import find_edges
 from shaker.signals.trigger import TriggerFit, fit_trigger
 
+_LEAST = 1.5  # samples: pulses shorter than one fall between the samples, and those seen seem one long
+_LEAST_RESOLVED = 4.0  # samples: shorter pulses do not reach their level
+_RINGS = 24.0  # samples for which an input filter rings
+_RINGING = 0.2  # standard uncertainty in samples² over the width: crossings of one flank on the ringing of the other
+
 
 @dataclass(frozen=True)
 class PulseWidth:
@@ -33,10 +38,14 @@ def pulse_width(
 ) -> PulseWidth:
     """Measure the width of the pulses that begin with `edge` in samples (S,), where they cross `threshold`.
 
-    Both flanks follow the same periodic model (`fit_trigger`); the width is the distance of their lines in the middle
-    of the burst, where neither depends on the period. Independent errors are assumed: jitter common to both flanks
-    makes the uncertainty too large, never too small.
+    Default threshold: half height, midway between the medians of the samples of either level. Both flanks follow the
+    same periodic model (`fit_trigger`); the width is the distance of their lines in the middle of the burst, where
+    neither depends on the period. Independent errors are assumed: jitter common to both flanks makes the uncertainty
+    too large, never too small. Behind a low-pass filter one flank lies on the ringing of the other, an ideal filter's
+    being sin(πx)/(π²x) at x samples from it, which the uncertainty of short pulses allows for.
     """
+    if threshold is None:
+        threshold = _half_height(samples, find_edges(samples, sample_rate_hz, None, edge).threshold)
     ends: Literal["rising", "falling"] = "falling" if edge == "rising" else "rising"
     begin = fit_trigger(find_edges(samples, sample_rate_hz, threshold, edge))
     end = fit_trigger(find_edges(samples, sample_rate_hz, threshold, ends))
@@ -50,5 +59,21 @@ def pulse_width(
     partner = np.asarray(np.ceil((begin.time_s(middle) - end.start_s) / end.period_s), dtype=np.int64)
     width = float(end.time_s(partner) - begin.time_s(middle))
     u = float(np.hypot(begin.u_time_s(middle), end.u_time_s(partner)))
+    in_samples = width / begin.sample_s
+    resolved = "resolved" in (begin.kind, end.kind)
+    least = _LEAST_RESOLVED if resolved else _LEAST
+    if in_samples < least:
+        raise ValueError(
+            f"samples: expected pulses of at least {least:g} samples, {least * begin.sample_s * 1e6:.3g} us, found "
+            f"some of {width * 1e6:.3g} us"
+        )
+    if resolved and in_samples < _RINGS:
+        u = float(np.hypot(u, _RINGING / in_samples * begin.sample_s))
     notices = tuple(dict.fromkeys(begin.notices + end.notices))
     return PulseWidth(width, u, min(len(begin.number), len(end.number)), begin, end, notices)
+
+
+def _half_height(samples: FloatArray, level: float) -> float:
+    """Return the middle between the medians of the samples below and above a level between them."""
+    high = samples >= level
+    return float((np.median(samples[~high]) + np.median(samples[high])) / 2.0)

@@ -47,6 +47,14 @@ def test_frames_take_the_exposure_of_their_pair_unless_they_override_it(make_cam
     assert (own.exposure, own.delay, own.delay_uncertainty, own.bit_depth) == (10e-6, 5e-6, 1e-6, 10)
 
 
+def test_an_exposure_may_be_the_width_of_the_pulses(make_campaign: Campaign) -> None:
+    pulses = load_manifest(make_campaign(replace=(("rig.toml", "exposure = 40e-6", 'exposure = "pulse"'),)))
+    assert (pulses.rig.stereo["top"].exposure, pulses.images[0].exposure) == ("pulse", "pulse")
+    line = 'right = "top-right/*.tif"'
+    own = load_manifest(make_campaign(replace=(("recording.toml", line, f'{line}\nexposure = "pulse"'),)))
+    assert (own.rig.stereo["top"].exposure, own.images[0].exposure) == (40e-6, "pulse")
+
+
 def test_files_are_ordered_by_the_value_of_their_numbers(make_campaign: Campaign) -> None:
     manifest = load_manifest(make_campaign())
     assert [file.name for file in manifest.points[0].files] == ["result_B1.txt", "result_B2.txt", "result_B10.txt"]

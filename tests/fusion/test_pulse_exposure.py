@@ -1,0 +1,217 @@
+"""Cameras that expose as long as the trigger is active: the width of its pulses measured, used and told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from fusion.check import check
+from fusion.cli import main
+from fusion.errors import InputError
+from fusion.evaluate import evaluate_recording
+from fusion.evaluation import Evaluation
+from fusion.manifest import load_manifest
+from fusion.observe import PulseExposure
+from fusion.records import read_daqs
+from fusion.report_tables import clocks_table, stereo_table
+from fusion.settings import Settings
+from fusion.timing import Exposure, exposure_middles, exposure_of, tie_daqs
+from photogram.rigid import rotation_from_vector
+
+FREQUENCY_HZ = 106.2507
+OMEGA = 2 * np.pi * FREQUENCY_HZ
+MOTION = np.array([4e-6 + 3e-6j, -2e-6, 2.4e-4 * np.exp(0.7j), 3e-5j, 2e-5 - 1e-5j, 1e-5])  # m and rad
+RATE_HZ, FRAME_RATE_HZ, FIRST_EDGE_S, DELAY_S = 20_000.0, 49.7, 0.02131, 3e-6
+WIDTH_S = 2.3137e-3
+"""A quarter of a period of the motion: 9 % of the amplitude is lost, and the middles move by 0.77 rad."""
+
+RIG = """
+format = 1
+name = "points"
+[stereo.base]
+body = "base"
+rotation = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+translation = [0.0, 0.0, 0.0]
+scale_uncertainty = 1e-6
+exposure = EXPOSURE
+delay = 3e-6
+"""
+RECORDING = """
+format = 1
+name = "pulses"
+rig = "../rig.toml"
+[excitation]
+kind = "sine"
+direction = [0.0, 0.0, 1.0]
+frequencies = [106.25]
+harmonics = []
+[[daq]]
+name = "daq"
+file = "daq.h5"
+  [[daq.channel]]
+  name = "z"
+  quantity = "acceleration"
+  body = "load"
+  point = [0.0, 0.0, 0.0]
+  direction = [0.0, 0.0, 1.0]
+  [[daq.channel]]
+  name = "camera_trigger"
+  quantity = "trigger"
+[[points]]
+stereo = "base"
+files = "points.csv"
+columns = ["frame", "id_x", "x", "y", "z"]
+trigger = "camera_trigger"
+OVERRIDE
+"""
+
+
+@dataclass(frozen=True)
+class Shot:
+    """What the synthetic recording is like: width of the pulses, number of frames, input filter, record's end."""
+
+    width_s: float = WIDTH_S
+    frames: int = 40
+    filtered: bool = False
+    end_s: float = 0.05
+
+
+def _filter_step(place: np.ndarray) -> np.ndarray:
+    """A rise behind a decimation filter, half amplitude at half the sampling rate; place in samples."""
+    fine = np.arange(-24 * 64, 24 * 64 + 1) / 64.0
+    taps = np.sinc(fine) * np.kaiser(len(fine), 8.0)
+    return np.interp(place - 0.5 / 64.0, fine, np.cumsum(taps) / taps.sum(), left=0.0, right=1.0)
+
+
+def _write(folder: Path, shot: Shot, exposure: str, override: str = "") -> Path:
+    """Write points of a body in motion, exposed while the trigger is high, and return the recording's folder."""
+    rng = np.random.default_rng(31)
+    run = folder / "campaign" / "run"
+    run.mkdir(parents=True, exist_ok=True)
+    (run.parent / "rig.toml").write_text(RIG.replace("EXPOSURE", exposure), encoding="utf-8")
+    (run / "recording.toml").write_text(RECORDING.replace("OVERRIDE", override), encoding="utf-8")
+    edge_s = FIRST_EDGE_S + np.arange(shot.frames) / FRAME_RATE_HZ
+    phase = np.exp(1j * OMEGA * (edge_s + DELAY_S + shot.width_s / 2))[:, None]
+    pose = np.sinc(FREQUENCY_HZ * shot.width_s) * (MOTION * phase).real
+    rest = np.column_stack([*(axis.ravel() for axis in np.meshgrid([-0.05, 0.0, 0.06], [-0.04, 0.05])), np.zeros(6)])
+    seen = np.einsum("fij,nj->fni", rotation_from_vector(pose[:, 3:]), rest) + pose[:, None, :3]
+    seen += 1e-8 * rng.normal(size=seen.shape)
+    number = np.indices((shot.frames, 6)).reshape(2, -1).T
+    rows = np.column_stack([number, seen.reshape(-1, 3)])
+    np.savetxt(run / "points.csv", rows, fmt=["%d"] * 2 + ["%.12f"] * 3, delimiter=",", header="frame,id_x,x,y,z")
+    time_s = np.arange(int((edge_s[-1] + shot.end_s) * RATE_HZ)) / RATE_HZ
+    step = _filter_step if shot.filtered else lambda x: np.where(x >= 0.0, 1.0, 0.0)
+    trigger = 2e-3 * rng.normal(size=len(time_s))
+    for edge in edge_s:
+        near = slice(max(int((edge - 2e-3) * RATE_HZ), 0), int((edge + shot.width_s + 2e-3) * RATE_HZ))
+        place = time_s[near] * RATE_HZ
+        trigger[near] += 5.0 * (step(place - edge * RATE_HZ) - step(place - (edge + shot.width_s) * RATE_HZ))
+    with h5py.File(run / "daq.h5", "w") as file:
+        file.attrs["sample_rate"] = RATE_HZ
+        file["z"] = np.cos(OMEGA * time_s) + 1e-4 * rng.normal(size=len(time_s))
+        file["camera_trigger"] = trigger
+    return run
+
+
+def _evaluated(run: Path) -> Evaluation:
+    return evaluate_recording(load_manifest(run), Settings(), {})
+
+
+def _base(evaluation: Evaluation) -> np.ndarray:
+    found = next(a for a in evaluation.accelerations if (a.body, a.source) == ("base", "photogrammetry"))
+    return found.phasors.value[0]
+
+
+@pytest.mark.parametrize("filtered", [False, True])
+@pytest.mark.parametrize("width_s", [WIDTH_S, 413e-6])
+def test_the_exposure_is_the_width_recorded(tmp_path: Path, filtered: bool, width_s: float) -> None:
+    run = _write(tmp_path, Shot(width_s=width_s, filtered=filtered), '"pulse"')
+    manifest = load_manifest(run)
+    base = tie_daqs(manifest, read_daqs(manifest))
+    found = exposure_of(manifest, base, manifest.points[0])
+    assert abs(found.length_s - width_s) < 4.0 * found.u_length_s
+    assert found.u_length_s < 0.05 / RATE_HZ
+    middle_s = exposure_middles(manifest, base, manifest.points[0], 40)
+    true_s = FIRST_EDGE_S + np.arange(40) / FRAME_RATE_HZ + DELAY_S + width_s / 2
+    u = np.hypot(base.u_trigger_s("camera_trigger"), found.u_length_s / 2)
+    assert np.max(np.abs(middle_s - true_s)) < 4.0 * u
+
+
+def test_a_stated_exposure_is_exact(tmp_path: Path) -> None:
+    manifest = load_manifest(_write(tmp_path, Shot(), '"pulse"', "exposure = 1e-3"))
+    base = tie_daqs(manifest, read_daqs(manifest))
+    assert exposure_of(manifest, base, manifest.points[0]) == Exposure(1e-3, 0.0)
+
+
+def test_a_run_is_that_with_the_width_stated(tmp_path: Path) -> None:
+    measured = _evaluated(_write(tmp_path, Shot(), '"pulse"'))
+    stated = _evaluated(_write(tmp_path, Shot(), repr(WIDTH_S)))
+    (pair,) = measured.stereo
+    assert abs(pair.exposure_s - WIDTH_S) < 4.0 * pair.u_exposure_s
+    assert (stated.stereo[0].exposure_s, stated.stereo[0].u_exposure_s) == (WIDTH_S, 0.0)
+    change = PulseExposure("camera_trigger", pair.exposure_s, pair.u_exposure_s).change(np.array([FREQUENCY_HZ]))[0]
+    ratio = _base(measured)[2] / _base(stated)[2] - 1.0
+    assert abs(ratio) < 4.0 * abs(change)
+    error = _base(measured) / (-(OMEGA**2) * MOTION) - 1.0
+    assert abs(error[2]) < 1e-3
+    labels = {c.label for a in measured.accelerations if a.body == "base" for c in a.contributions}
+    assert "camera_trigger: pulse width" in labels
+    assert not any("pulse width" in c.label for a in stated.accelerations for c in a.contributions)
+
+
+def test_the_effect_of_a_width_is_that_of_evaluating_with_another(tmp_path: Path) -> None:
+    u_s = 2e-6
+    run = _write(tmp_path, Shot(), repr(WIDTH_S - u_s / 2))
+    before = _base(_evaluated(run))
+    rig = run.parent / "rig.toml"
+    rig.write_text(RIG.replace("EXPOSURE", repr(WIDTH_S + u_s / 2)), encoding="utf-8")
+    ratio = _base(_evaluated(run)) / before - 1.0
+    expected = PulseExposure("camera_trigger", WIDTH_S, u_s).change(np.array([FREQUENCY_HZ]))
+    np.testing.assert_allclose(ratio, np.repeat(expected, 6), rtol=2e-3)
+
+
+def test_every_run_tells_the_width(tmp_path: Path) -> None:
+    evaluation = _evaluated(_write(tmp_path, Shot(), "40e-6"))
+    (clock,) = evaluation.clocks
+    assert clock.pulse_width_s == pytest.approx(WIDTH_S, abs=2e-6)
+    table = clocks_table(evaluation)
+    assert table is not None
+    (cell,) = next(row[1:] for row in table.rows if row[0] == "pulse width / µs")
+    assert str(cell).startswith("2313.")
+    pairs = stereo_table(evaluation.stereo)
+    assert pairs is not None
+    assert ("exposure / µs", "40") in pairs.rows
+    assert not any("pulse" in notice.text for notice in evaluation.notices)
+
+
+def test_check_tells_what_the_exposure_will_be(tmp_path: Path) -> None:
+    told = str(check(load_manifest(_write(tmp_path, Shot(), '"pulse"'))))
+    assert "exposure of base: width of the pulses of camera_trigger in daq, (2313." in told
+    assert "exposure of" not in str(check(load_manifest(_write(tmp_path, Shot(), "1e-3"))))
+
+
+@pytest.mark.parametrize(
+    ("shot", "reason"),
+    [
+        (Shot(width_s=0.9 / RATE_HZ), "expected pulses of at least 1.5 samples"),
+        (Shot(frames=3, end_s=1e-3), "expected at least 3 edges"),
+    ],
+)
+def test_pulses_that_cannot_be_measured_are_refused(
+    tmp_path: Path, shot: Shot, reason: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = _write(tmp_path, shot, '"pulse"')
+    assert main(["run", str(run)]) == 2
+    told = capsys.readouterr().err
+    assert "rig.toml: stereo.base.exposure: expected the exposure in s" in told
+    assert reason in told
+    assert any("stereo.base.exposure" in problem for problem in check(load_manifest(run)).problems)
+    manifest = load_manifest(_write(tmp_path, shot, "1e-3", 'exposure = "pulse"'))
+    base = tie_daqs(manifest, read_daqs(manifest))
+    with pytest.raises(InputError, match=r"recording\.toml: points\.base\.exposure: expected the exposure in s"):
+        exposure_of(manifest, base, manifest.points[0])
+    assert base.results()[0].pulse_width_s is None
