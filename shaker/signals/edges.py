@@ -64,6 +64,9 @@ def find_edges(
     signal = sign * samples
     low, high = _levels(signal)
     level = (low + high) / 2.0 if threshold is None else sign * threshold
+    lowest, highest = float(signal.min()), float(signal.max())
+    if not low < level < high and abs(level - (lowest + highest) / 2.0) < 0.4 * (highest - lowest):
+        low, high = lowest, highest  # a quantile lies on the rise
     if not low < level < high:
         raise ValueError(
             f"threshold: expected a level that the signal crosses, found {sign * level:.6g} while the "

@@ -13,8 +13,8 @@ from shaker.signals.edges import find_edges
 from shaker.signals.trigger import TriggerFit, fit_trigger
 
 _LEAST = 1.5  # samples: pulses shorter than one fall between the samples, and those seen seem one long
-_LEAST_RESOLVED = 4.0  # samples: shorter pulses do not reach their level
-_RINGS = 24.0  # samples for which an input filter rings
+_LEAST_RISES = 5.0  # of the rise: shorter pulses do not settle at their level
+_NEAR = 16  # samples beside a flank on which its rise is looked for
 _RINGING = 0.2  # standard uncertainty in samples² over the width: crossings of one flank on the ringing of the other
 
 
@@ -44,11 +44,11 @@ def pulse_width(
     too large, never too small. Behind a low-pass filter one flank lies on the ringing of the other, an ideal filter's
     being sin(πx)/(π²x) at x samples from it, which the uncertainty of short pulses allows for.
     """
-    if threshold is None:
-        threshold = _half_height(samples, find_edges(samples, sample_rate_hz, None, edge).threshold)
     ends: Literal["rising", "falling"] = "falling" if edge == "rising" else "rising"
-    begin = fit_trigger(find_edges(samples, sample_rate_hz, threshold, edge))
-    end = fit_trigger(find_edges(samples, sample_rate_hz, threshold, ends))
+    low, high = _levels(samples, find_edges(samples, sample_rate_hz, threshold, edge).threshold)
+    level = (low + high) / 2.0 if threshold is None else threshold
+    begin = fit_trigger(find_edges(samples, sample_rate_hz, level, edge))
+    end = fit_trigger(find_edges(samples, sample_rate_hz, level, ends))
     if abs(end.period_s / begin.period_s - 1.0) > 0.5 / begin.edges:
         raise ValueError(
             f"samples: expected pulses, found {edge} edges every {begin.period_s:.6g} s and {ends} ones every "
@@ -58,22 +58,28 @@ def pulse_width(
     # The first end after this beginning.
     partner = np.asarray(np.ceil((begin.time_s(middle) - end.start_s) / end.period_s), dtype=np.int64)
     width = float(end.time_s(partner) - begin.time_s(middle))
-    u = float(np.hypot(begin.u_time_s(middle), end.u_time_s(partner)))
-    in_samples = width / begin.sample_s
-    resolved = "resolved" in (begin.kind, end.kind)
-    least = _LEAST_RESOLVED if resolved else _LEAST
-    if in_samples < least:
+    flanks = sample_rate_hz * np.concatenate([begin.edge_s, end.edge_s])
+    least = max(_LEAST, _LEAST_RISES * _rise((samples - low) / (high - low), flanks))
+    if width * sample_rate_hz < least:
         raise ValueError(
-            f"samples: expected pulses of at least {least:g} samples, {least * begin.sample_s * 1e6:.3g} us, found "
-            f"some of {width * 1e6:.3g} us"
+            f"samples: expected pulses of at least {least:.2g} samples, {1e6 * least / sample_rate_hz:.3g} us, found "
+            f"some of {1e6 * width:.3g} us"
         )
-    if resolved and in_samples < _RINGS:
-        u = float(np.hypot(u, _RINGING / in_samples * begin.sample_s))
+    u = float(np.hypot(begin.u_time_s(middle), end.u_time_s(partner)))
+    if "resolved" in (begin.kind, end.kind):
+        u = float(np.hypot(u, _RINGING / (width * sample_rate_hz**2)))
     notices = tuple(dict.fromkeys(begin.notices + end.notices))
     return PulseWidth(width, u, min(len(begin.number), len(end.number)), begin, end, notices)
 
 
-def _half_height(samples: FloatArray, level: float) -> float:
-    """Return the middle between the medians of the samples below and above a level between them."""
-    high = samples >= level
-    return float((np.median(samples[~high]) + np.median(samples[high])) / 2.0)
+def _levels(samples: FloatArray, between: float) -> tuple[float, float]:
+    """Return the medians of the samples below and above a level between them."""
+    above = samples >= between
+    return float(np.median(samples[~above])), float(np.median(samples[above]))
+
+
+def _rise(height: FloatArray, flanks: FloatArray) -> float:
+    """Return how many samples per flank, these at places (E,), lie between 10 % and 90 % of the height (S,)."""
+    near = np.rint(flanks).astype(np.int64)[:, None] + np.arange(-_NEAR, _NEAR + 1)
+    beside = height[np.unique(np.clip(near, 0, len(height) - 1))]
+    return float(np.count_nonzero(np.abs(beside - 0.5) < 0.4) / len(flanks))

@@ -203,17 +203,60 @@ def test_single_gaps_that_coincide_by_chance_decide_nothing() -> None:
         decide_shift(base, other)
 
 
-@pytest.mark.parametrize("rise", [None, _half_band])
-def test_pulse_width(rise: Rise | None) -> None:
+def _jump(x: np.ndarray) -> np.ndarray:
+    """A latched input."""
+    return np.where(x >= 0.0, 1.0, 0.0)
+
+
+def _brick_wall(x: np.ndarray) -> np.ndarray:
+    """An ideal low-pass at half the sampling rate, which rings for hundreds of samples."""
+    place = np.arange(-400 * 16, 400 * 16 + 1) / 16.0
+    taps = np.sinc(place)
+    return np.interp(x - 0.5 / 16.0, place, np.cumsum(taps) / taps.sum(), left=0.0, right=1.0)
+
+
+def _pulses(rise: Rise, first: np.ndarray, width: float, rng: np.random.Generator) -> np.ndarray:
+    """Pulses of a width in s with that rise on a little noise."""
+    signal = 1e-3 * rng.normal(size=int((first[-1] + 0.05) * RATE_HZ))
+    near = np.arange(-60, int(width * RATE_HZ) + 60)
+    for instant in first:
+        index = int(instant * RATE_HZ) + near
+        signal[index] += rise(index - instant * RATE_HZ) - rise(index - (instant + width) * RATE_HZ)
+    return signal
+
+
+@pytest.mark.parametrize(
+    ("rise", "samples"),
+    [
+        (_jump, (1.7, 2.3, 6.3)),
+        (_half_band, (5.3, 8.2, 12.3)),
+        (_brick_wall, (5.3, 24.3, 51.0)),
+        (_ramp, (16.6, 51.0)),  # 51 of 968 samples: the 95 % quantile lies on the rise
+        (_charging, (24.3,)),
+    ],
+)
+def test_short_pulses_are_as_uncertain_as_stated(rise: Rise, samples: tuple[float, ...]) -> None:
+    rng = np.random.default_rng(32)
+    for long in samples:
+        found = pulse_width(_pulses(rise, _instants(rng)[0], long / RATE_HZ, rng), RATE_HZ)
+        assert abs(found.width_s * RATE_HZ - long) < 2.5 * found.u_width_s * RATE_HZ
+        assert found.u_width_s * RATE_HZ < max(0.02, 0.3 / long)
+
+
+@pytest.mark.parametrize(("rise", "samples"), [(_jump, 0.8), (_half_band, 2.0), (_ramp, 4.4), (_charging, 8.2)])
+def test_pulses_that_do_not_settle_are_refused(rise: Rise, samples: float) -> None:
+    rng = np.random.default_rng(33)
+    signal = _pulses(rise, _instants(rng)[0], samples / RATE_HZ, rng)
+    with pytest.raises(ValueError, match=r"samples: expected pulses of at least [\d.]+ samples, .* found some of"):
+        pulse_width(signal, RATE_HZ)
+
+
+@pytest.mark.parametrize("rise", [_jump, _half_band])
+def test_pulse_width(rise: Rise) -> None:
     rng = np.random.default_rng(29)
     first, _ = _instants(rng)
     width = 2e-3
-    signal = 1e-3 * rng.normal(size=int((first[-1] + 0.05) * RATE_HZ))
-    shape = rise or (lambda x: np.where(x >= 0.0, 1.0, 0.0))
-    near = np.arange(-40, int(width * RATE_HZ) + 40)
-    for instant in first:
-        index = int(instant * RATE_HZ) + near
-        signal[index] += shape(index - instant * RATE_HZ) - shape(index - (instant + width) * RATE_HZ)
+    signal = _pulses(rise, first, width, rng)
     found = pulse_width(signal, RATE_HZ)
     assert found.pulses == EDGES
     assert found.width_s == pytest.approx(width, abs=0.5e-6)
