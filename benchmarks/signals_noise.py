@@ -3,9 +3,19 @@
 Usage: python benchmarks/signals_noise.py [--trials 4000]
 
 211 frames at 52.874 Hz of a line at 106.25 Hz, which appears at 0.502 Hz, and its three harmonics; other records are
-named in the table. Truth is the mean amplitude over the record. For every case: coverage of the region that the stated
-covariance and degrees of freedom give, and of that of the white-noise formula from the same fit; the median of the
-region's radius over the one constant radius that would have covered 95 %, and the radius that one record in 20 exceeds.
+named in the table. The noise has the power density σ²·(1 + (corner/f)^exponent), exponent 1 if not named, and is cut
+from a record 32 times as long, so that it holds what is slower than the record. The drive's amplitude grows or falls by
+0.05 % of itself from the first frame to the last, along a straight line (or wanders by as much), and mains of 50 Hz,
+amplitude 1σ, stands between the lines. Truth is the mean phasor over the record.
+
+Coverages are those of the 95 % region of both parts, from the stated covariance and degrees of freedom and from the
+white-noise formula of the same fit (residual sum of squares over its degrees of freedom), and of the 95 % interval of
+one part, real or imaginary, whichever is covered less. At the slow beat the white formula's interval of one part covers
+59 to 60 %, its region of both 45 %: 4000 trials scatter by 0.8 %. Noise periodic in the record covers up to 3 %
+better, a corner in the amplitude density (1 + corner/f)² far worse (29 and 15 %).
+
+Then the median of the region's radius over the one constant radius that would have covered 95 %, and the radius that
+one record in 20 exceeds.
 """
 
 from __future__ import annotations
@@ -15,6 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import t as student
 
 from shaker.signals.sine import alias_frequency, fit_sines
 
@@ -44,6 +55,7 @@ CASES = (
     Case("all: corner 5 Hz, drift 0.05 %, mains 1σ"),
     Case("the same, drive as a random walk", walk=True),
     Case("the same, amplitude 5000σ", amplitude=5000.0),
+    Case("the same, mains 2σ", mains=2.0),
     Case("the same, mains 5σ", mains=5.0),
     Case("the same, one line", lines_hz=(106.25,)),
     Case("the same, 4th line", line=3),
@@ -65,8 +77,11 @@ CASES = (
 
 def main(trials: int = 4000) -> None:
     """Print the table."""
-    print("| record | bin | coverage, % | white formula, % | radius / needed, median | 19 in 20 below | dof, median |")
-    print("|---|---|---|---|---|---|---|")
+    print(
+        "| record | bin | coverage, % | one part, % | white formula, % | its one part, % "
+        "| radius / needed, median | 19 in 20 below | dof, median |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|")
     for case in CASES:
         count = trials if case.frames < 1000 else max(trials // 10, 20)
         found = trial_table(case, count, np.random.default_rng(1))
@@ -76,18 +91,23 @@ def main(trials: int = 4000) -> None:
 
 def _summary(found: FloatArray) -> str:
     """Return the cells of a row from what the trials gave."""
-    squared, limit, white, white_limit, dof = found.T
+    squared, level, dof, white, free = found[:, :5].T
+    parts = found[:, 5:].T
+    allowed, allowed_white = level * limit(dof), white * limit(free)
     needed = np.sqrt(np.quantile(squared, 0.95))
-    radius = np.sqrt(limit) / needed
-    inside, inside_white = 100.0 * np.mean(squared < limit), 100.0 * np.mean(squared < white * white_limit)
+    radius = np.sqrt(allowed) / needed
+    inside, inside_white = 100.0 * np.mean(squared < allowed), 100.0 * np.mean(squared < allowed_white)
+    part = 100.0 * np.mean(parts < level * student.ppf(0.975, dof) ** 2, axis=1).min()
+    part_white = 100.0 * np.mean(parts < white * student.ppf(0.975, free) ** 2, axis=1).min()
     return (
-        f"{inside:.1f} | {inside_white:.1f} | {np.median(radius):.2f} | {np.quantile(radius, 0.95):.2f} | "
-        f"{np.median(dof):.0f}"
+        f"{inside:.1f} | {part:.1f} | {inside_white:.1f} | {part_white:.1f} | {np.median(radius):.2f} | "
+        f"{np.quantile(radius, 0.95):.2f} | {np.median(dof):.0f}"
     )
 
 
 def trial_table(case: Case, trials: int, rng: np.random.Generator) -> FloatArray:
-    """Return (trials, 5): |error|²/2 over the geometry of the fit, limit stated, white variance, its limit, dof."""
+    """Return (trials, 7): |error|²/2 over the geometry of the fit, level and dof stated, those of white noise, and
+    the squared error of either part over the geometry."""
     time = np.arange(case.frames) / case.rate_hz
     rows = []
     for _ in range(trials):
@@ -102,13 +122,13 @@ def trial_table(case: Case, trials: int, rng: np.random.Generator) -> FloatArray
         # The stated covariance over the stated level is the geometry, the same for both formulas.
         level = float(np.sqrt(np.linalg.det(covariance))) * case.frames / 2.0
         squared = float(error @ np.linalg.solve(covariance / level, error)) / 2.0
-        rows.append([squared, level * limit(dof), white, limit(free), dof])
+        rows.append([squared, level, dof, white, free, *(error**2 / np.diag(covariance / level))])
     return np.array(rows)
 
 
-def limit(dof: float) -> float:
+def limit(dof: FloatArray) -> FloatArray:
     """Return the 95 % point of Fisher's distribution with 2 and `dof` degrees of freedom."""
-    return dof / 2.0 * (0.05 ** (-2.0 / dof) - 1.0)
+    return np.asarray(dof / 2.0 * (0.05 ** (-2.0 / dof) - 1.0))
 
 
 def record(case: Case, time: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, complex]:

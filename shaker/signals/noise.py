@@ -13,9 +13,9 @@ _NEIGHBOURS = 96  # bins from which the noise around a line is estimated
 _MIN_NEIGHBOURS = 12
 _CLEARANCE = 0.75  # bins beside a line that its own fit has emptied
 # Shapes that the noise may have: S(j) = s·(1 + (corner/j)^exponent), the corner in bins.
-_CORNERS = 2.0 ** np.arange(0, 10)
-_EXPONENTS = (1.0, 2.0)  # 1/f noise, drift
-_WHITE_WEIGHT = 0.5  # prior weight of white noise
+# With a corner below four bins a steep one differs from white noise in the first ordinates only, which tell too little.
+_CORNERS = {1.0: 2.0 ** np.arange(0, 10), 2.0: 2.0 ** np.arange(2, 10), 3.0: 2.0 ** np.arange(2, 10)}
+_WHITE_WEIGHT = 0.25  # prior weight of white noise; the exponents share the rest
 _BLOCK_BINS = 4  # ordinates nearest to a line, which say what blocks of the record scatter by
 _BLOCK_LIMIT = 3.27  # their mean over the level: exceeded by pure noise once in 1000 lines
 _NEWTON_STEPS = 30
@@ -107,9 +107,9 @@ def level_at_lines(power: FloatArray, bins: FloatArray, line_bin: FloatArray) ->
     """Return the noise of lines at fractional bins (K,) from periodogram ordinates (K, M, C) at bins (K, M) near each.
 
     Ordinates are |DFT|² over the number of samples, so that white noise of variance σ² has mean σ². Each is its level
-    S(j) times a standard exponential variable (Whittle's likelihood); S(j) = s·h(j) with shapes h white, 1/f and 1/f²
-    above white noise of various corners. With the prior 1/s a shape has the weight Π 1/h(j)·Q^-M, Q = Σ I(j)/h(j), and
-    s the inverse gamma distribution (M, Q). The noise of the line, s·h(line), is distributed as their mixture, from
+    S(j) times a standard exponential variable (Whittle's likelihood); S(j) = s·h(j) with shapes h white, 1/f, 1/f² and
+    1/f³ above white noise of various corners. With the prior 1/s a shape has the weight Π 1/h(j)·Q^-M, Q = Σ I(j)/h(j),
+    and s the inverse gamma distribution (M, Q). The noise of the line, s·h(line), is distributed as their mixture, from
     which come its degrees of freedom and the variance whose 95 % region is that of the mixture: drift and 1/f noise
     count where they act, as far as they are known. A place up to half a bin is that of the offset.
     """
@@ -159,14 +159,15 @@ def _nearest(candidates: IntArray, j: float, count: int) -> IntArray:
 
 def _shapes(bins: FloatArray) -> FloatArray:
     """Return the shapes (K, N, M) at bins (K, M), white noise first."""
-    ratio = _CORNERS[:, None] / bins[:, None, :]
-    return np.concatenate([np.ones_like(bins)[:, None], *(1.0 + ratio**power for power in _EXPONENTS)], axis=1)
+    place = bins[:, None, :]
+    coloured = [1.0 + (corner[:, None] / place) ** exponent for exponent, corner in _CORNERS.items()]
+    return np.concatenate([np.ones_like(place), *coloured], axis=1)
 
 
 def _prior() -> FloatArray:
     """Return the prior weights (N,) of the shapes."""
-    coloured = len(_EXPONENTS) * len(_CORNERS)
-    return np.append(_WHITE_WEIGHT, np.full(coloured, (1.0 - _WHITE_WEIGHT) / coloured))
+    share = (1.0 - _WHITE_WEIGHT) / len(_CORNERS)
+    return np.concatenate([[_WHITE_WEIGHT], *(np.full(len(c), share / len(c)) for c in _CORNERS.values())])
 
 
 def _fit_levels(power: FloatArray, shape: FloatArray) -> _Levels:

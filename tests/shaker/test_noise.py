@@ -155,7 +155,8 @@ def test_regions_of_a_slow_beat_cover() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("corner_hz", "lowest", "highest"), [(5.0, 0.94, 0.975), (0.0, 0.94, 0.975)])
-def test_regions_of_a_slow_beat_cover_in_many_trials(corner_hz: float, lowest: float, highest: float) -> None:
-    stated, _ = coverage(1500, 7, corner_hz)
-    assert lowest < stated < highest
+@pytest.mark.parametrize("corner_hz", [5.0, 1.0, 0.0])
+def test_regions_of_a_slow_beat_cover_in_many_trials(corner_hz: float) -> None:
+    stated, _ = coverage(900, 7, corner_hz)
+    # 92 to 98 %; coverages of 97 % scatter by 0.6 % in 900 trials.
+    assert 0.92 < stated < 0.986
