@@ -19,15 +19,16 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--estimator",
-        choices=("auto", "H1", "H2", "Hv", "periodic"),
+        choices=("auto", "periodic", "local", "H1", "H2", "Hv"),
         default="auto",
-        help="default: auto, the ratio of means over periods where a period is stated, else what the coherence advises",
+        help="default: auto, the ratio of means over periods where a period is stated, of noise local polynomials, of "
+        "blows what the coherence advises",
     )
     parser.add_argument(
         "--resolution",
         type=positive,
         metavar="HZ",
-        help="line spacing of averaged spectra (default: 16 segments side by side; of blows: 1 Hz)",
+        help="line spacing where no period is stated (default: 16 segments side by side; of blows: 1 Hz)",
     )
     parser.add_argument(
         "--quantity",

@@ -82,7 +82,8 @@ def _averaged(
     length_s = len(record.reference) / record.sample_rate_hz
     if blows:
         window_s = min(_BLOW_S, 0.5 * length_s) if settings.resolution_hz is None else 1.0 / settings.resolution_hz
-        return transfer_impact(record, window_s, estimator=estimator, band_hz=band_hz)
+        advised = "auto" if estimator == "local" else estimator
+        return transfer_impact(record, window_s, estimator=advised, band_hz=band_hz)
     resolution_hz = settings.resolution_hz or _SEGMENTS / length_s
     return transfer_random(record, resolution_hz, estimator=estimator, band_hz=band_hz)
 

@@ -16,7 +16,7 @@ from shaker.signals.transfer import TransferFunction
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-EstimatorChoice = Literal["auto", "H1", "H2", "Hv", "periodic"]
+EstimatorChoice = Literal["auto", "periodic", "local", "H1", "H2", "Hv"]
 Quantity = Literal["displacement", "velocity", "acceleration"]
 
 

@@ -7,22 +7,24 @@ from typing import Literal
 
 import numpy as np
 
-from shaker._checks import ComplexArray, FloatArray, check_shape
+from shaker._checks import BoolArray, ComplexArray, FloatArray, check_shape
 from shaker.notice import Notice
 from shaker.signals.transfer.result import circular_covariance
 
 _TOLERANCE = 0.3  # bias of an estimator, over its standard uncertainty, that is accepted
+_TELLING = 0.5  # coherence from which 1 - γ² is about the sum of the two noise-to-signal ratios
 
 
 @dataclass(frozen=True)
 class Spectra:
-    """Averaged spectra `power` (K, 1 + C, 1 + C) = E[z zᴴ] of [reference, responses], worth `averages` independent."""
+    """Averaged spectra `power` (K, 1 + C, 1 + C) = E[z zᴴ] of [reference, responses], each worth `averages` (K,)."""
 
     power: ComplexArray
-    averages: float
+    averages: FloatArray
 
     def __post_init__(self) -> None:
         check_shape("power", self.power, (None, self.power.shape[-1], self.power.shape[-1]))
+        check_shape("averages", self.averages, (len(self.power),))
 
     @property
     def reference(self) -> FloatArray:
@@ -78,10 +80,10 @@ def transfer_of(spectra: Spectra, choice: Choice) -> Estimate:
     left = power[:, 1:, 1:] - cross - cross.conj().swapaxes(1, 2)
     left = left + ratio[:, :, None] * ratio.conj()[:, None, :] * power[:, :1, :1]
     coherence = spectra.coherence
-    if averages > 1.0:
-        noise = left / (power[:, :1, :1].real * (averages - 1.0))
+    if np.all(averages > 1.0):
+        noise = left / (power[:, :1, :1].real * (averages[:, None, None] - 1.0))
         if choice.estimator != "H1":
-            loss = 1.0 / np.sqrt(np.maximum(coherence, 1.0 / averages))
+            loss = 1.0 / np.sqrt(np.maximum(coherence, 1.0 / averages[:, None]))
             noise = noise * loss[:, :, None] * loss[:, None, :]
         covariance = circular_covariance(_positive(noise))
     else:
@@ -149,18 +151,26 @@ def _noise_shares(spectra: Spectra) -> tuple[float, float, float, float]:
     from scipy.optimize import nnls
 
     coherence = spectra.coherence
-    bias = (1.0 - coherence) ** 2 / spectra.averages
+    bias = (1.0 - coherence) ** 2 / spectra.averages[:, None]
     missing = np.maximum(1.0 - coherence - bias, 0.0)
     # The estimate of 1 - γ² scatters by about √2 γ (1 - γ²)/√n; a smooth stand-in weighs the lines.
     scale = 1.0 / np.maximum(missing, np.maximum(np.median(missing), 1e-12))
     fits, shares = [], []
     for c in range(coherence.shape[1]):
-        columns = np.stack([1.0 / spectra.reference, 1.0 / spectra.responses[:, c]], axis=1) * scale[:, c, None]
+        told = _telling(coherence[:, c])
+        x, y, averages = spectra.reference[told], spectra.responses[told, c], spectra.averages[told]
+        columns = np.stack([1.0 / x, 1.0 / y], axis=1) * scale[told, c, None]
         unit = np.linalg.norm(columns, axis=0)
-        level = nnls(columns / unit, missing[:, c] * scale[:, c])[0] / unit
+        level = nnls(columns / unit, missing[told, c] * scale[told, c])[0] / unit
         fits.append(level)
-        u_relative = np.sqrt(np.maximum(missing[:, c], 1e-12) / spectra.averages)
-        shares.append([level[0] / spectra.reference / u_relative, level[1] / spectra.responses[:, c] / u_relative])
+        u_relative = np.sqrt(np.maximum(missing[told, c], 1e-12) / averages)
+        shares.append(np.quantile([level[0] / x / u_relative, level[1] / y / u_relative], 0.95, axis=1))
     noise = np.median(fits, axis=0)
-    bias_h1, bias_h2 = np.quantile(np.array(shares), 0.95, axis=2).max(axis=0)
+    bias_h1, bias_h2 = np.max(shares, axis=0)
     return float(noise[0]), float(noise[1]), float(bias_h1), float(bias_h2)
+
+
+def _telling(coherence: FloatArray) -> BoolArray:
+    """Tell the lines (K,) whose signal is above the noise, all where none is: beside a band, noise is all there is."""
+    above = coherence > _TELLING
+    return np.asarray(above if above.any() else np.ones_like(above))

@@ -58,7 +58,8 @@ def transfer_impact(
     blows = _cut(record, taken, length, min([wanted, *(hit.first for hit in taken)]))
     decay = _needed_decay(blows) if added_decay_per_s is None else added_decay_per_s
     lines = _transformed(blows, decay, band_hz or (0.0, 0.5 * rate))
-    spectra = Spectra(np.mean(lines.value[:, :, :, None] * lines.value.conj()[:, :, None, :], axis=0), len(taken))
+    averages = np.full(len(lines.frequency_hz), float(len(taken)))
+    spectra = Spectra(np.mean(lines.value[:, :, :, None] * lines.value.conj()[:, :, None, :], axis=0), averages)
     choice = _choice(spectra, estimator, record.reference_name)
     found = transfer_of(spectra, choice)
     correlation = _line_correlation(blows, decay, len(lines.frequency_hz))
@@ -68,7 +69,7 @@ def transfer_impact(
         coherence=found.coherence,
         estimator=choice.estimator,
         reference=record.reference_name,
-        averages=np.full(len(dof), float(len(taken))),
+        averages=averages,
         line_spacing_hz=rate / length,
         line_correlation=correlation,
         notices=_notices(record, hits, choice, decay, lines),
@@ -182,9 +183,10 @@ def _transformed(blows: _Blows, decay: float, band_hz: tuple[float, float]) -> _
 
 def _choice(spectra: Spectra, wanted: Literal["auto", "H1", "H2", "Hv"], reference_name: str) -> Choice:
     """Return the estimator to take; few hits do not tell where the noise is."""
-    if wanted == "auto" and spectra.averages < _ENOUGH:
+    few = bool(spectra.averages[0] < _ENOUGH)
+    if wanted == "auto" and few:
         return Choice("H1", 1.0, f"fewer than {_ENOUGH} hits, and the window keeps noise off the force")
-    return choose_estimator(spectra, wanted, 1.0 if spectra.averages < _ENOUGH else None, reference_name)
+    return choose_estimator(spectra, wanted, 1.0 if few else None, reference_name)
 
 
 def _line_correlation(blows: _Blows, decay: float, lines: int) -> ComplexArray:

@@ -13,7 +13,7 @@ from shaker.notice import Notice
 from shaker.signals.chain import ratio_unit
 from shaker.signals.phasor import Phasors
 
-Estimator = Literal["H1", "H2", "Hv", "periodic"]
+Estimator = Literal["H1", "H2", "Hv", "periodic", "local"]
 
 
 @dataclass(frozen=True)
