@@ -299,6 +299,7 @@ def main(trials: int = 200) -> None:
         (2, lambda: noise_case("noise, 20 s, lines 1 Hz apart, 60 dB", 1e-3, 1.0)),
         (2, lambda: noise_case("the same, 20 dB", 1e-1, 1.0)),
         (2, lambda: noise_case("the same, lines 4 Hz apart", 1e-1, 4.0)),
+        (2, lambda: noise_case("the same, lines 4 Hz apart, 60 dB", 1e-3, 4.0)),
         (2, lambda: blow_case("5 blows, 0.5 s each, 60 dB", 1e-3, 5, 0.5)),
         (2, lambda: blow_case("the same, windows of 50 ms", 1e-3, 5, 0.05)),
         (2, lambda: blow_case("one blow, 0.5 s, 60 dB", 1e-3, 1, 0.5)),

@@ -33,8 +33,8 @@ _KEYS = {
 def estimated(manifest: Manifest, together: Together, settings: TransferSettings) -> TransferFunction:
     """Return the transfer functions as recorded, by the estimator wanted or by the excitation's kind.
 
-    With a period: ratio of the means over whole periods. Impacts: windows around the blows. Else averaged spectra of
-    overlapping segments. Raises `InputError` naming the key of the manifest, or the option, at fault.
+    With a period: ratio of the means over whole periods. Impacts: windows around the blows. Else local polynomials, or
+    averaged spectra of overlapping segments. Raises `InputError` naming the manifest's key, or the option, at fault.
     """
     excitation, record, band = manifest.excitation, together.samples, _band(manifest, together)
     repeats = excitation.period is not None or excitation.kind == "multisine"
@@ -93,7 +93,7 @@ def _single_sweep(manifest: Manifest) -> tuple[Notice, ...]:
     if manifest.excitation.kind != "chirp" or manifest.excitation.period is not None:
         return ()
     text = (
-        "no period is stated, so the chirp is averaged like noise, with leakage at sharp resonances; of a chirp that "
-        "repeats, state the period"
+        "no period is stated, so the chirp is taken like noise, which leaves its uncertainty to neighbouring lines; of "
+        "a chirp that repeats, state the period"
     )
     return (Notice("warning", text, "excitation.period"),)

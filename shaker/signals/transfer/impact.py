@@ -13,7 +13,7 @@ from shaker.signals.phasor import Phasors
 from shaker.signals.spectrum import window_samples
 from shaker.signals.transfer.estimators import Choice, Spectra, choose_estimator, transfer_of
 from shaker.signals.transfer.hits import Hit, find_hits
-from shaker.signals.transfer.pooling import pooled_scatter
+from shaker.signals.transfer.pooling import pooled_scatter, share_of_reference
 from shaker.signals.transfer.result import TransferFunction, TransferRecord, circular_covariance
 
 _END = (1e-6, 1e-3)  # least and largest share of a response's beginning that its end may keep
@@ -63,7 +63,7 @@ def transfer_impact(
     choice = _choice(spectra, estimator, record.reference_name)
     found = transfer_of(spectra, choice)
     correlation = _line_correlation(blows, decay, len(lines.frequency_hz))
-    covariance, dof = _covariance(lines, found.ratio, correlation)
+    covariance, dof = _covariance(lines, found.ratio, (correlation, _force_correlation(blows, decay)))
     return TransferFunction(
         ratio=Phasors(lines.frequency_hz, found.ratio, covariance, record.channels, record.ratio_unit, dof),
         coherence=found.coherence,
@@ -198,16 +198,35 @@ def _line_correlation(blows: _Blows, decay: float, lines: int) -> ComplexArray:
     return np.asarray(found[: min(_REACH, lines)] / found[0])
 
 
-def _covariance(lines: _Lines, ratio: ComplexArray, correlation: ComplexArray) -> tuple[FloatArray, FloatArray]:
-    """Return the covariance (K, 2C, 2C) of the ratio and its dof (K,)."""
+def _force_correlation(blows: _Blows, decay: float) -> ComplexArray:
+    """Return the correlation (D,) of the force's noise at lines 0, 1, 2 … apart, under the force window."""
+    square = np.mean(blows.force_window**2, axis=0) * np.exp(-2.0 * decay * blows.time_s)
+    found = np.fft.fft(square)
+    return np.asarray(found / found[0])
+
+
+def _worth(number: FloatArray, correlation: ComplexArray) -> FloatArray:
+    """Return as how many independent lines `number` (K,) neighbours count whose errors correlate (D,)."""
+    return np.asarray(np.maximum(1.0, number / (1.0 + 2.0 * np.sum(np.abs(correlation[1:17]) ** 2))))
+
+
+def _covariance(
+    lines: _Lines, ratio: ComplexArray, correlations: tuple[ComplexArray, ComplexArray]
+) -> tuple[FloatArray, FloatArray]:
+    """Return the covariance (K, 2C, 2C) of the ratio and its dof (K,), given how lines correlate: all, force alone.
+
+    The force window leaves the force's noise in one hit about the same over many lines: what it does to them is known
+    from the hits only. Flat noise and noise times |H|² add as Welch and Satterthwaite say: 1/ν = (1 - s)²/ν₁ + s²/ν₂.
+    """
     count = len(lines.value)
     force = np.sum(np.abs(lines.value[:, :, 0]) ** 2, axis=0)[:, None, None]
     if count > 1:
         error = lines.value[:, :, 1:] - ratio * lines.value[:, :, :1]
         scatter = np.einsum("nkc,nkd->kcd", error, error.conj()) / (count - 1)
         pooled, number = pooled_scatter(scatter, ratio, 2.0 * (count - 1))
-        # Lines that correlate count as fewer.
-        worth = np.maximum(1.0, number / (1.0 + 2.0 * np.sum(np.abs(correlation[1:17]) ** 2)))
+        flat, through = (_worth(number, correlation) for correlation in correlations)
+        share = np.max(share_of_reference(scatter, ratio), axis=1)
+        worth = 1.0 / ((1.0 - share) ** 2 / flat + share**2 / np.minimum(flat, through))
         return circular_covariance(pooled / force), 2.0 * (count - 1) * worth
     if lines.noise_dof == 0.0:
         size = 2 * ratio.shape[1]

@@ -22,7 +22,7 @@ def pooled_scatter(scatter: ComplexArray, ratio: ComplexArray, dof: float) -> tu
     """
     lines = len(scatter)
     level = np.einsum("kcc->kc", scatter).real
-    shape = np.sqrt(_shape(level, np.abs(ratio) ** 2))
+    shape = np.sqrt(np.sum(_shape(level, np.abs(ratio) ** 2), axis=0))
     product = shape[:, :, None] * shape[:, None, :]
     even = scatter / product
     alone = _stands_out(level / shape**2, dof)
@@ -36,8 +36,15 @@ def pooled_scatter(scatter: ComplexArray, ratio: ComplexArray, dof: float) -> tu
     return np.asarray(mean * product), np.where(alone, 1.0, number)
 
 
+def share_of_reference(scatter: ComplexArray, ratio: ComplexArray) -> FloatArray:
+    """Return the share (K, C) that arrives times |H|² in the noise (K, C, C) of y - Hx, as `pooled_scatter` sees it."""
+    level, gain = np.einsum("kcc->kc", scatter).real, np.abs(ratio) ** 2
+    flat, through = _shape(level, gain)
+    return np.asarray(through / (flat + through))
+
+
 def _shape(level: FloatArray, gain: FloatArray) -> FloatArray:
-    """Return A + B·gain (K, C) of noise levels with an exponential-like scatter, by maximum Whittle likelihood.
+    """Return A and B·gain (2, K, C) of noise levels with an exponential-like scatter, by maximum Whittle likelihood.
 
     The multiplicative steps are those of Févotte, Bertin and Durrieu, Neural Computation 21 (2009).
     """
@@ -56,7 +63,7 @@ def _shape(level: FloatArray, gain: FloatArray) -> FloatArray:
         up = np.add.reduceat(basis * (level / model**2)[:, :, None], edges, axis=0)
         down = np.add.reduceat(basis / model[:, :, None], edges, axis=0)
         coefficients = coefficients * np.sqrt(up / down) + tiny**2
-    return np.asarray(np.sum(basis * np.repeat(coefficients, count, axis=0), axis=-1) + tiny)
+    return np.asarray(np.moveaxis(basis * np.repeat(coefficients, count, axis=0), -1, 0) + 0.5 * tiny)
 
 
 def _stands_out(level: FloatArray, dof: float) -> BoolArray:

@@ -51,8 +51,9 @@ def transfer_random(
     found = transfer_of(source.spectra, choice)
     covariance = found.covariance if local else found.covariance + circular_covariance(_leakage(found.ratio))
     notices = [choice.notice(record.reference_name, source.text)]
+    cause = "a polynomial over five lines" if local else "leakage"
     for c, name in enumerate(record.channels):
-        notices += resolution_notices(chosen, found.ratio[:, c], np.sqrt(found.covariance[:, c, c]), name)
+        notices += resolution_notices(chosen, found.ratio[:, c], np.sqrt(found.covariance[:, c, c]), name, cause)
     return TransferFunction(
         ratio=Phasors(chosen, found.ratio, covariance, record.channels, record.ratio_unit, source.dof),
         coherence=found.coherence,

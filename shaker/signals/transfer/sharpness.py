@@ -7,14 +7,16 @@ import numpy as np
 from shaker._checks import ComplexArray, FloatArray
 from shaker.notice import Notice
 
-_LEAST = 6.0  # lines of a Hann window between half-power points below which a peak reads low
+_LEAST = 6.0  # lines of a Hann window, or of local polynomials, between half-power points below which a peak reads low
 _PROMINENCE = 2.0  # factor by which a peak stands above its surroundings
 _REACH = 40  # lines on either side that are its surroundings
 _CERTAIN = 0.1  # relative uncertainty of |H| from which a peak may be noise
 
 
-def resolution_notices(frequency_hz: FloatArray, ratio: ComplexArray, u_ratio: FloatArray, name: str) -> list[Notice]:
-    """Tell peaks of |H| (K,), uncertainty `u_ratio` (K,), so narrow that the window lowers and widens them."""
+def resolution_notices(
+    frequency_hz: FloatArray, ratio: ComplexArray, u_ratio: FloatArray, name: str, cause: str
+) -> list[Notice]:
+    """Tell peaks of |H| (K,), uncertainty `u_ratio` (K,), so narrow that the `cause` named lowers and widens them."""
     from scipy.signal import find_peaks, peak_widths
 
     magnitude = np.abs(ratio)
@@ -34,7 +36,7 @@ def resolution_notices(frequency_hz: FloatArray, ratio: ComplexArray, u_ratio: F
     listed = ", ".join(f"{frequency_hz[p]:.6g}" for p in peaks[narrow][:6])
     width = float(widths[narrow].min())
     text = (
-        f"half-power width of {width:.2g} lines at {listed} Hz: leakage lowers and widens such a peak; lines "
+        f"half-power width of {width:.2g} lines at {listed} Hz: {cause} lowers and widens such a peak; lines "
         f"{spacing * max(1.0, width) / (2.0 * _LEAST):.2g} Hz apart would show it"
     )
     return [Notice("warning", text, name)]
