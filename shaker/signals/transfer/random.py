@@ -39,8 +39,8 @@ def transfer_random(
     squares) from neither if the ratio of the noise powers, response over reference, is that of `noise_ratio`; None
     takes it from the coherence. A notice says what was taken and why. Covariance: S_ee/(n S_xx) of what H leaves of the
     responses (Bendat and Piersol, Random Data, 4th ed., eqs. 9.89 and 9.90, without the approximation for large n);
-    of segments, added is the square of the leading bias by the window, H''/6 per line squared: the average of H over
-    |W|², whose second moment is 1/3 for Hann.
+    added is the square of the bias: of segments its leading term, H''/6 per line squared (the average of H over |W|²,
+    whose second moment is 1/3 for Hann), of polynomials what a lower order makes of H.
     """
     length = _length(record, resolution_hz)
     chosen = _lines(record.sample_rate_hz, length, band_hz)
@@ -49,7 +49,8 @@ def transfer_random(
     wanted = "auto" if estimator == "local" else estimator
     choice = choose_estimator(source.spectra, wanted, noise_ratio, record.reference_name)
     found = transfer_of(source.spectra, choice)
-    covariance = found.covariance if local else found.covariance + circular_covariance(_leakage(found.ratio))
+    bias = _leakage(found.ratio) if source.bias is None else source.bias
+    covariance = found.covariance + circular_covariance(bias[:, :, None] * bias.conj()[:, None, :])
     notices = [choice.notice(record.reference_name, source.text)]
     cause = "a polynomial over five lines" if local else "leakage"
     for c, name in enumerate(record.channels):
@@ -68,9 +69,10 @@ def transfer_random(
 
 @dataclass(frozen=True)
 class _Source:
-    """Spectra at K lines, `dof` (K,) of their noise, correlation of lines (D,), and how they were made."""
+    """Spectra at K lines, bias (K, C) if known, `dof` (K,) of noise, correlation of lines (D,), how they were made."""
 
     spectra: Spectra
+    bias: ComplexArray | None
     dof: FloatArray
     line_correlation: ComplexArray
     text: str
@@ -109,7 +111,9 @@ def _local(record: TransferRecord, length: int, frequency_hz: FloatArray) -> _So
         expected = f"expected lines at least {least:.3g} Hz apart for local polynomials"
         raise ValueError(f"resolution_hz: {expected}, found {record.sample_rate_hz / length:.6g} Hz")
     found = local_spectra(record, length, frequency_hz)
-    return _Source(found.spectra, np.full(len(frequency_hz), found.dof), found.line_correlation, found.text())
+    return _Source(
+        found.spectra, found.bias, np.full(len(frequency_hz), found.dof), found.line_correlation, found.text()
+    )
 
 
 def _segments(record: TransferRecord, length: int, frequency_hz: FloatArray) -> _Source:
@@ -118,14 +122,14 @@ def _segments(record: TransferRecord, length: int, frequency_hz: FloatArray) -> 
     first = round(float(frequency_hz[0]) * length / record.sample_rate_hz)
     spectra = _averaged(record, overlap, slice(first, first + len(frequency_hz)))
     dof = np.full(len(frequency_hz), 2.0 * (overlap.independent - 1.0))
-    return _Source(spectra, dof, overlap.line_correlation, overlap.text())
+    return _Source(spectra, None, dof, overlap.line_correlation, overlap.text())
 
 
 def _leakage(ratio: ComplexArray) -> ComplexArray:
-    """Return b·bᴴ (K, C, C) of the bias b = H''/6 that a Hann window gives H (K, C), zero at both ends."""
+    """Return the bias H''/6 (K, C) that a Hann window gives H (K, C), zero at both ends."""
     bias = np.zeros_like(ratio)
     bias[1:-1] = (ratio[2:] - 2.0 * ratio[1:-1] + ratio[:-2]) / 6.0
-    return np.asarray(bias[:, :, None] * bias.conj()[:, None, :])
+    return bias
 
 
 @dataclass(frozen=True)
