@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from fusion import camera_tables as tables
+from fusion.notices import warnings_first
 from fusion.page import render_page
 from fusion.plots.cameras import draw_cameras
 from fusion.provenance import PROGRAM, Provenance
@@ -27,7 +28,7 @@ def _context(calibration: Calibration, name: str, provenance: Provenance, durati
         "subject": tables.subject(calibration),
         "verdict": tables.verdict(calibration),
         "headlines": tables.camera_headlines(calibration),
-        "notices": sorted(calibration.notices, key=lambda notice: notice.severity != "warning"),
+        "notices": warnings_first(calibration.notices),
         "pictures": draw_cameras(calibration),
         "views": tables.views_table(calibration),
         "dropped": tables.dropped_table(calibration),

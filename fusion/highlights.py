@@ -81,9 +81,3 @@ def static_value(evaluation: Evaluation, channel: int, component: int) -> float 
     """One element of the static sensitivity, None where it is not stated or zero."""
     static = static_sensitivity(evaluation)
     return float(static[channel, component]) if static is not None and static[channel, component] != 0.0 else None
-
-
-def notices(evaluation: Evaluation) -> list[tuple[str, str, str]]:
-    """All distinct notices as (severity, where, text), warnings first."""
-    distinct = dict.fromkeys((notice.severity, notice.where, notice.text) for notice in evaluation.notices)
-    return sorted(distinct, key=lambda notice: notice[0] != "warning")

@@ -7,7 +7,7 @@ from typing import Any
 from fusion import report_tables as tables
 from fusion.drift_tables import drift_table
 from fusion.evaluation import Evaluation
-from fusion.highlights import notices
+from fusion.notices import warnings_first
 from fusion.page import render_page
 from fusion.plots.gallery import draw_all
 from fusion.report_numbers import measured
@@ -26,7 +26,7 @@ def _context(evaluation: Evaluation) -> dict[str, Any]:
         "manifest": evaluation.manifest,
         "subject": _subject(evaluation),
         "headlines": tables.headlines(evaluation),
-        "notices": notices(evaluation),
+        "notices": warnings_first(evaluation.notices),
         "pictures": draw_all(evaluation),
         "sensitivity": tables.sensitivity_table(evaluation),
         "sources": tables.source_tables(evaluation),

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from fusion.notices import warnings_first
 from fusion.page import render_page
 from fusion.plots.transfer import TransferCurve, draw_transfer
 from fusion.provenance import PROGRAM, Provenance
@@ -28,7 +29,7 @@ def _context(evaluation: TransferEvaluation) -> dict[str, Any]:
         "name": evaluation.manifest.name,
         "subject": _subject(evaluation),
         "headlines": tables.headlines(evaluation),
-        "notices": sorted(evaluation.notices, key=lambda notice: notice.severity != "warning"),
+        "notices": warnings_first(evaluation.notices),
         "pictures": [draw_transfer(curve) for result in evaluation.references for curve in _curves(result)],
         "curves": tables.curves_table(evaluation),
         "resonances": tables.resonances_table(evaluation),
