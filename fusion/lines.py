@@ -101,9 +101,8 @@ def lines_of_recording(manifest: Manifest) -> LineList:
     entries = [*_fitted(chosen.time_s, chosen.values, lines, rate_hz), *_others(lines.others, lines.nuisance_hz)]
     entries = [_seen_by(entry, [rate for _, rate in cameras]) for entry in entries]
     entries.sort(key=lambda entry: entry.frequency_hz)
-    return _as_list(
-        chosen.record.entry.file, names, units, rate_hz, chosen.values, entries, cameras, lines.others, lines.notices
-    )
+    empty = _as_list(chosen.record.entry.file, names, units, rate_hz, chosen.values, lines.others)
+    return replace(empty, entries=tuple(entries), cameras=cameras, notices=lines.notices)
 
 
 def lines_csv(lists: Sequence[LineList]) -> str:
@@ -138,22 +137,14 @@ def _file_group(path: Path, group: dict[str, RawChannel], band_hz: tuple[float, 
     if band_hz is not None:
         survey = survey.select((survey.frequency_hz >= band_hz[0]) & (survey.frequency_hz <= band_hz[1]))
     units = [channel.unit for channel in group.values()]
-    entries = _others(survey, None)
-    return _as_list(path, names, units, first.sample_rate_hz, values, entries, (), survey, survey.notices)
+    empty = _as_list(path, names, units, first.sample_rate_hz, values, survey)
+    return replace(empty, entries=tuple(_others(survey, None)), notices=survey.notices)
 
 
 def _as_list(
-    path: Path,
-    names: Sequence[str],
-    units: Sequence[str],
-    rate_hz: float,
-    values: FloatArray,
-    entries: Sequence[Entry],
-    cameras: tuple[tuple[str, float], ...],
-    survey: Survey,
-    notices: tuple[AnyNotice, ...],
+    path: Path, names: Sequence[str], units: Sequence[str], rate_hz: float, values: FloatArray, survey: Survey
 ) -> LineList:
-    """Put a list together with the spectrum of its channels."""
+    """Return a list of no lines yet, with the spectrum of its channels."""
     spectrum = amplitude_spectrum(values, rate_hz)
     return LineList(
         source=path,
@@ -161,13 +152,13 @@ def _as_list(
         units=tuple(units),
         rate_hz=rate_hz,
         samples=len(values),
-        entries=tuple(entries),
-        cameras=cameras,
+        entries=(),
+        cameras=(),
         spectrum_hz=spectrum.frequency_hz,
         spectrum=spectrum.amplitude,
         floor_hz=survey.floor_hz,
         floor=survey.floor,
-        notices=notices,
+        notices=(),
     )
 
 

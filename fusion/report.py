@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from fusion import report_tables as tables
-from fusion.drift_tables import drift_table
 from fusion.evaluation import Evaluation
 from fusion.notices import warnings_first
 from fusion.page import render_page
 from fusion.plots.gallery import draw_all
 from fusion.report_numbers import measured
+from fusion.signal_tables import channels_table, clocks_table, drift_table, lines_table
 
 REPORT_FILE = "report.html"
 
@@ -36,10 +36,10 @@ def _context(evaluation: Evaluation) -> dict[str, Any]:
         ],
         "budget": tables.budget_table(evaluation),
         "stereo": tables.stereo_table(evaluation.stereo),
-        "lines": tables.lines_table(evaluation),
-        "channels": tables.channels_table(evaluation),
+        "lines": lines_table(evaluation),
+        "channels": channels_table(evaluation),
         "drift": drift_table(evaluation),
-        "clocks": tables.clocks_table(evaluation),
+        "clocks": clocks_table(evaluation),
         "origin": tables.provenance_tables(evaluation),
         "inputs": tables.inputs_table(evaluation),
         "program": f"shakercal {evaluation.versions.get('shakercal', '')}".strip(),

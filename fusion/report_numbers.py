@@ -76,3 +76,8 @@ def small(value: float) -> str:
 def degrees_of_freedom(value: float) -> str:
     """Degrees of freedom as a whole number."""
     return f"{value:.0f}" if np.isfinite(value) else "∞"
+
+
+def microseconds(value_s: float | None, u_s: float | None) -> str:
+    """A duration with U, a dash where it is not known."""
+    return DASH if value_s is None or u_s is None else measured(1e6 * value_s, 2e6 * u_s)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup
 
-from fusion.evaluation import ClockResult, Evaluation, StereoResult
+from fusion.evaluation import Evaluation, StereoResult
 from fusion.fuse import Acceleration
 from fusion.highlights import (
     COMPONENTS,
@@ -28,9 +28,9 @@ from fusion.report_numbers import (
     degrees_of_freedom,
     fixed,
     measured,
+    microseconds,
     number,
     phase,
-    short,
     small,
     times_ten,
 )
@@ -39,8 +39,6 @@ from shaker.signals.phasor import Phasors
 
 PREFIXED = ("m", "m/s", "m/s^2", "rad/s", "N")
 """Units that take an SI prefix."""
-OTHER_LINES = 30
-"""Lines without results that are listed, those that stand out most."""
 
 
 @dataclass(frozen=True)
@@ -193,68 +191,6 @@ def budget_table(evaluation: Evaluation) -> Table | None:
     return Table(caption, head, "llrrr", tuple(rows))
 
 
-def lines_table(evaluation: Evaluation) -> Table:
-    """The lines evaluated, the others that stand out most, and why."""
-    lines, others = evaluation.lines, evaluation.lines.others
-    rows = [
-        (float(f), (measured(f, 2.0 * u), f"{nominal:g}", str(int(multiple)), "result", why))
-        for f, u, nominal, multiple, why in zip(
-            lines.frequency_hz, lines.u_frequency_hz, lines.nominal_hz, lines.multiple, lines.why, strict=True
-        )
-    ]
-    for i in np.argsort(-others.snr, kind="stable")[:OTHER_LINES].tolist():
-        f, u = float(others.frequency_hz[i]), float(others.u_frequency_hz[i])
-        beside = bool(np.any(np.abs(lines.nuisance_hz - f) <= 6.0 * u))
-        use = "fitted beside" if beside else "not fitted"
-        rows.append((f, (measured(f, 2.0 * u), DASH, DASH, use, others.why[i])))
-    rows.sort(key=lambda row: row[0])
-    more = len(others.snr) - OTHER_LINES
-    head = ("frequency / Hz", "nominal / Hz", "multiple", "use", "reason")
-    caption = "Lines of the record, with U (k = 2)" + (f"; {more} weaker ones are left out" if more > 0 else "")
-    return Table(caption, head, "rrrll", tuple(cells for _, cells in rows))
-
-
-def channels_table(evaluation: Evaluation) -> Table | None:
-    """Every DAQ channel at the strongest line."""
-    line, rows = main_line(evaluation), []
-    for channel in evaluation.channels:
-        value = complex(channel.phasors.value[line, 0])
-        element = polar(value, element_covariance(channel.phasors.covariance[line], 0))
-        factor, letter = prefix(np.array([abs(value)])) if channel.unit in PREFIXED else (1.0, "")
-        amplitude = measured(element.magnitude / factor, 2.0 * element.u_magnitude / factor, letter + channel.unit)
-        rest = Markup("{} {}").format(short(channel.residual_rms / factor), typeset(letter + channel.unit))
-        rows.append(
-            (
-                channel.name,
-                channel.daq,
-                channel.quantity,
-                f"{channel.sample_rate_hz:g}",
-                amplitude,
-                phase(element),
-                rest,
-            )
-        )
-    head = ("channel", "DAQ", "quantity", "rate / Hz", "amplitude", "phase / rad", "residual rms")
-    caption = "Channels at the strongest line; U (k = 2) from the scatter alone"
-    return Table(caption, head, "lllrrrr", tuple(rows)) if rows else None
-
-
-def clocks_table(evaluation: Evaluation) -> Table | None:
-    """Triggers and ties of the DAQ blocks, one column each."""
-    if not evaluation.clocks:
-        return None
-    found = ["file", "edges found", "missing, doubled, spurious", "trigger rate / Hz", "jitter beyond sampling / µs"]
-    found += ["first edge / s", "pulse width / µs"]
-    names = [*found, "offset in the middle / s", "rate − 1 / 10⁻⁶", "edges paired by"]
-    columns = [
-        (clock.file.name, *_trigger_cells(clock), *_tie_cells(clock, evaluation.clocks[0]))
-        for clock in evaluation.clocks
-    ]
-    rows = tuple((name, *(column[place] for column in columns)) for place, name in enumerate(names))
-    head = ("", *(clock.daq for clock in evaluation.clocks))
-    return Table("Camera trigger and clocks, U (k = 2)", head, "l" + "r" * len(columns), rows)
-
-
 def stereo_table(stereo: Sequence[StereoResult]) -> Table | None:
     """Key figures of the stereo pairs, one column each."""
     if not stereo:
@@ -288,7 +224,7 @@ def _exposure(stereo: StereoResult) -> str:
     """The exposure in µs as stated, or as measured with U."""
     if stereo.u_exposure_s == 0.0:
         return f"{1e6 * stereo.exposure_s:g}"
-    return _microseconds(stereo.exposure_s, stereo.u_exposure_s)
+    return microseconds(stereo.exposure_s, stereo.u_exposure_s)
 
 
 def _sigmas(stereo: StereoResult) -> str:
@@ -362,38 +298,6 @@ def _source_row(results: Sequence[Acceleration], line: int, component: int) -> t
         below = "phase not determined" if turn == DASH else Markup("{} rad").format(turn)
         cells.append(Markup('{}<br><span class="below">{}</span>').format(amplitude, below))
     return tuple(cells)
-
-
-def _trigger_cells(clock: ClockResult) -> list[str]:
-    """Edges, missing, doubled and spurious ones, rate, jitter, first edge."""
-    trigger = clock.trigger
-    if trigger is None:
-        return ["no trigger", *[DASH] * 5]
-    u_start, u_period = 2.0 * np.sqrt(np.diag(trigger.covariance))
-    return [
-        str(len(trigger.number)),
-        f"{len(trigger.missing)}, {trigger.doubled}, {trigger.spurious}",
-        measured(1.0 / trigger.period_s, float(u_period) / trigger.period_s**2),
-        number(1e6 * trigger.jitter_s),
-        measured(trigger.start_s, float(u_start)),
-        _microseconds(clock.pulse_width_s, clock.u_pulse_width_s),
-    ]
-
-
-def _microseconds(value_s: float | None, u_s: float | None) -> str:
-    """A duration with U, a dash where it is not known."""
-    return DASH if value_s is None or u_s is None else measured(1e6 * value_s, 2e6 * u_s)
-
-
-def _tie_cells(clock: ClockResult, base: ClockResult) -> list[str]:
-    """Offset in the middle of the common edges and rate against the first block, and what paired the edges."""
-    tie = clock.tie
-    if tie is None:
-        return ["time base" if clock is base else "not tied", DASH, DASH]
-    middle = np.asarray(tie.middle_s)
-    offset = measured(float(tie.to_base_s(middle)) - tie.middle_s, 2.0 * float(tie.u_to_base_s(middle)))
-    rate = measured(1e6 * (tie.rate - 1.0), 2e6 * float(np.sqrt(tie.covariance[1, 1])))
-    return [offset, rate, f"{tie.decided_by} ({tie.pairs})"]
 
 
 def _failed(stereo: StereoResult) -> int:

@@ -26,7 +26,7 @@ WRITTEN_ORDER = {
         notices errors output console settings manifest response body observe estimate consistency fuse load
         sensitivity deflection evaluation drift records timing channels stereo_motion stereo_phasors readings provenance
         evaluate polar check highlights results_csv results_h5 camera_facts plan lines plots report_numbers
-        report_tables drift_tables page report results camera_tables camera_report campaign simulate progress summary
+        report_tables signal_tables page report results camera_tables camera_report campaign simulate progress summary
         plan_tables line_tables cameras align import_calibration transfer commands cli
     """,
 }

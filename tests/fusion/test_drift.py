@@ -11,9 +11,9 @@ import pytest
 from drive_factory import CLEAR_HZ, DRIVEN_HZ, evaluate, recording
 
 from fusion.drift import drift_notices, drifts
-from fusion.drift_tables import drift_table
 from fusion.evaluation import Evaluation
 from fusion.results_h5 import write_h5
+from fusion.signal_tables import drift_table
 from shaker.signals.sync import ClockTie
 
 GROWTH = 4e-3  # per second

@@ -15,8 +15,8 @@ from fusion.cli import main
 from fusion.evaluation import Evaluation
 from fusion.manifest import load_manifest
 from fusion.records import read_daqs
-from fusion.report_tables import lines_table
 from fusion.results_h5 import write_h5
+from fusion.signal_tables import lines_table
 from fusion.timing import tie_daqs
 from shaker.signals.frequencies import find_lines
 

@@ -17,8 +17,9 @@ from fusion.evaluation import Evaluation
 from fusion.manifest import load_manifest
 from fusion.observe import PulseExposure
 from fusion.records import read_daqs
-from fusion.report_tables import clocks_table, stereo_table
+from fusion.report_tables import stereo_table
 from fusion.settings import Settings
+from fusion.signal_tables import clocks_table
 from fusion.timing import Exposure, exposure_middles, exposure_of, tie_daqs
 from photogram.rigid import rotation_from_vector
 
