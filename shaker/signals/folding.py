@@ -96,13 +96,9 @@ def sine_columns(time_s: FloatArray, frequency_hz: FloatArray, drift: bool = Fal
         columns[:, 2 * k + 1] = scale * np.sin(angle)
     columns[:, 2 * lines] = np.sqrt(1.0 / samples)
     if drift:
-        columns[:, 2 * lines + 1] = (time_s - _middle(time_s)) / drift_length(time_s)
+        centred = time_s - np.mean(time_s)
+        columns[:, 2 * lines + 1] = centred / np.linalg.norm(centred)
     return columns
-
-
-def drift_length(time_s: FloatArray) -> float:
-    """Return the length of the drift column before scaling, in s·√samples."""
-    return float(np.linalg.norm(time_s - _middle(time_s)))
 
 
 def condition_number(gram: FloatArray) -> float:
@@ -134,8 +130,3 @@ def folded_harmonics(
             if abs(other_alias - alias) <= resolution_hz and not same_line and not known:
                 found[other] = Fold(other, float(fundamental), multiple, other_alias)
     return tuple(sorted(found.values(), key=lambda fold: fold.frequency_hz))
-
-
-def _middle(time_s: FloatArray) -> float:
-    """Return the mean time, about which drift is counted."""
-    return float(np.mean(time_s))
