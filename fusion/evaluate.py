@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 
+from fusion.analyse import Inputs, analyse
 from fusion.channels import channel_results, find_channel_lines
 from fusion.drift import drift_notices, drifts
-from fusion.errors import ComputeError, InputError
+from fusion.errors import InputError
 from fusion.evaluation import Evaluation
-from fusion.fuse import Acceleration, fuse_sources
-from fusion.load import LoadResult, load_phasors
 from fusion.manifest import Manifest
 from fusion.notices import AnyNotice, Notice
-from fusion.observe import Observation, Reading
 from fusion.provenance import versions
-from fusion.readings import channel_readings, gravity, load_body, observations, unseen_fundamentals
+from fusion.readings import channel_readings, observations, unseen_fundamentals
 from fusion.records import read_daqs
-from fusion.sensitivity import Sensitivity, sensitivity_ratio
 from fusion.settings import ProgressCallback, Settings, no_progress
 from fusion.stereo_motion import measure_images, measure_points, motion_lines, open_images
 from fusion.stereo_phasors import pairs_phasors
 from fusion.timing import TimeBase, tie_daqs
-from shaker.signals.frequencies import Lines
 
 EVALUATED_KINDS = ("sine", "multisine")
 
@@ -52,24 +47,21 @@ def evaluate_recording(
     readings = channel_readings(base, channels)
     seen = observations(manifest, base, readings, stereo, lines)
     unseen = unseen_fundamentals(seen, lines, folded)
-    accelerations = _fuse_bodies(seen)
-    load = _load(manifest, accelerations)
-    sensitivity = _sensitivity(manifest, lines, readings, load)
+    found = analyse(Inputs.of(manifest, lines, seen, readings))
     notices = [*_clock_notices(base), *lines.notices, *folded, *unseen]
     notices += [notice for channel in channels for notice in channel.notices]
     notices += [notice for item in stereo for notice in item.notices]
     notices += drift_notices(drifts(channels, [item.result for item in stereo], lines, base.results()))
-    notices += [notice for a in accelerations if a.source == "fused" for notice in a.notices]
-    notices += [notice for result in (load, sensitivity) if result is not None for notice in result.notices]
+    notices += found.notices
     return Evaluation(
         manifest=manifest,
         lines=lines,
         clocks=base.results(),
         channels=channels,
         stereo=tuple(item.result for item in stereo),
-        accelerations=accelerations,
-        load=load.phasors if load else None,
-        sensitivity=sensitivity,
+        accelerations=found.accelerations,
+        load=found.load.phasors if found.load else None,
+        sensitivity=found.sensitivity,
         notices=tuple(dict.fromkeys(notices)),
         settings=settings.as_dict(),
         versions=versions(),
@@ -88,39 +80,6 @@ def _check_kind(manifest: Manifest) -> None:
     if manifest.take:
         expected = "no [[take]] blocks, since shakercal run evaluates what was recorded at once"
         raise InputError(manifest.path, "take", found=f"{len(manifest.take)}", expected=expected)
-
-
-def _fuse_bodies(seen: Sequence[Observation]) -> tuple[Acceleration, ...]:
-    """Return load and base acceleration, fused and by source; a body that nobody observes is left out."""
-    bodies = [body for body in ("load", "base") if any(observation.body == body for observation in seen)]
-    if not bodies:
-        raise ComputeError("no channel or camera of this recording measures a motion; add one to recording.toml")
-    return tuple(acceleration for body in bodies for acceleration in fuse_sources(seen, body))
-
-
-def _load(manifest: Manifest, accelerations: Sequence[Acceleration]) -> LoadResult | None:
-    """Return the load on the sensor, None where the rig states no load mass or nobody observed the load's motion."""
-    body = load_body(manifest)
-    fused = next((a for a in accelerations if a.body == "load" and a.source == "fused"), None)
-    if body is None or fused is None:
-        return None
-    sensor = manifest.rig.sensor
-    return load_phasors(fused, body, gravity(manifest), "on_load" if sensor is None else sensor.sense)
-
-
-def _sensitivity(
-    manifest: Manifest, lines: Lines, readings: Sequence[Reading], load: LoadResult | None
-) -> Sensitivity | None:
-    """Return output over load of the driven component, None where there are no outputs or there is no load."""
-    sensor = manifest.rig.sensor
-    outputs = [reading for reading in readings if reading.entry.quantity == "output"]
-    if sensor is None or load is None or not outputs:
-        return None
-    outputs.sort(key=lambda reading: sensor.channels.index(str(reading.entry.channel)))
-    direction = manifest.excitation.direction
-    if direction is None:
-        return None
-    return sensitivity_ratio(outputs, load, direction, lines.multiple, sensor.unit, sensor.capacity)
 
 
 def _clock_notices(base: TimeBase) -> list[AnyNotice]:
