@@ -12,11 +12,13 @@ import numpy as np
 
 from fusion.evaluation import Evaluation
 from fusion.provenance import Provenance, write_provenance
+from fusion.uncertainty import Contribution, Uncertainty
 
-FORMAT = 1
+FORMAT = 2
 COMPRESS_ABOVE = 512
 LEFT_OUT = {"manifest", "reference_image", "settings", "versions", "input_hashes"}
 """Fields that are in the inputs, or stand in the group `provenance`."""
+INFLUENCE_TEXTS = ("name", "label", "unit", "scope", "type")
 
 
 def write_h5(path: Path, evaluation: Evaluation, files: Sequence[str]) -> None:
@@ -42,7 +44,9 @@ def _write(group: h5py.Group, name: str, value: Any) -> None:
     """Write one value: data classes and mappings as groups, arrays and tuples as datasets, scalars as attributes."""
     if value is None:
         return
-    if is_dataclass(value):
+    if isinstance(value, Uncertainty):
+        write_uncertainty(group.create_group(name, track_order=True), value)
+    elif is_dataclass(value):
         write_fields(group.create_group(name, track_order=True), value)
     elif isinstance(value, Mapping):
         inner = group.create_group(name, track_order=True)
@@ -74,6 +78,40 @@ def _label(item: Any, number: int) -> str:
         return f"{item.body}-{item.source}"
     own = [getattr(item, key) for key in ("daq", "name") if isinstance(getattr(item, key, None), str)]
     return "-".join(own).replace("/", "_") if own else f"{number:03d}"
+
+
+def write_uncertainty(group: h5py.Group, uncertainty: Uncertainty) -> None:
+    """Write an uncertainty into a group, so that `fusion.read_results.read_uncertainty` returns it to the last bit.
+
+    `random/LABEL`: covariance (K, 2C, 2C) and dof (K,) of each random contribution; `name`, `label`, `u`, `unit`,
+    `scope`, `type` (E,) and `effect` (E, K, 2C) of the influences; `covariance` (K, 2C, 2C): of everything together.
+    """
+    random = group.create_group("random", track_order=True)
+    for part in uncertainty.random:
+        _write_contribution(random.create_group(_free_name(random, part.label)), part)
+    for field in INFLUENCE_TEXTS:
+        texts = [getattr(influence, field) for influence in uncertainty.influences]
+        group.create_dataset(field, data=np.array(texts, dtype=object), dtype=h5py.string_dtype())
+    group.create_dataset("u", data=np.array([influence.u for influence in uncertainty.influences], dtype=np.float64))
+    shape = (0, *uncertainty.random[0].covariance.shape[:2])
+    effects = [influence.effect for influence in uncertainty.influences]
+    _write_array(group, "effect", np.stack(effects) if effects else np.zeros(shape))
+    _write_array(group, "covariance", uncertainty.covariance)
+
+
+def _write_contribution(group: h5py.Group, part: Contribution) -> None:
+    """Write one random contribution."""
+    group.attrs["label"] = part.label
+    group.attrs["type"] = part.type
+    _write_array(group, "covariance", part.covariance)
+    if part.dof is not None:
+        group.create_dataset("dof", data=part.dof)
+
+
+def _free_name(group: h5py.Group, label: str) -> str:
+    """Name of a group that no other has: the label without the separator of paths, numbered where it is taken."""
+    name = label.replace("/", "_")
+    return name if name not in group else f"{name} {len(group)}"
 
 
 def _write_array(group: h5py.Group, name: str, array: np.typing.NDArray[Any]) -> None:

@@ -25,8 +25,9 @@ WRITTEN_ORDER = {
     "fusion": """
         notices errors output console settings uncertainty manifest response body observe estimate consistency fuse load
         sensitivity deflection evaluation drift records timing channels stereo_motion stereo_phasors readings analyse
-        provenance evaluate polar check highlights results_csv results_h5 camera_facts plan lines plots report_numbers
-        report_tables signal_tables page report results camera_tables camera_report campaign simulate progress summary
+        provenance evaluate polar check highlights results_csv results_h5 read_results camera_facts plan lines plots
+        report_numbers report_tables signal_tables page report results camera_tables camera_report campaign_tables
+        campaign_report campaign_results campaign simulate progress summary
         plan_tables line_tables cameras align import_calibration transfer commands cli
     """,
 }
