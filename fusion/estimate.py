@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from fusion.observe import Observation
+from fusion.observe import CommonError, Observation
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -63,7 +63,7 @@ class System:
 
     `readings` (N,), `design` (N, P) on the reduced unknowns, `noise` (N, N), `line`, `observation`, `member` (N,):
     where each row belongs; `member_names`; `expand` (12K, P) from the unknowns to [Re A_k, Im A_k] of all lines;
-    `observed` (K, 6); `names`, `labels` of the E common errors.
+    `observed` (K, 6); `common`: the E common errors, each once (their effects are those of all observations).
     """
 
     observations: tuple[Observation, ...]
@@ -76,16 +76,16 @@ class System:
     member_names: tuple[str, ...]
     expand: FloatArray
     observed: BoolArray
-    names: tuple[str, ...]
-    labels: tuple[str, ...]
+    common: tuple[CommonError, ...]
 
     def effects(self, acceleration: ComplexArray) -> FloatArray:
         """Return (N, E): change of the readings for one standard uncertainty of each common error, at A (K, 6)."""
-        effects = np.zeros((len(self.readings), len(self.names)))
+        effects = np.zeros((len(self.readings), len(self.common)))
+        columns = {error.name: column for column, error in enumerate(self.common)}
         for place, observation in enumerate(self.observations):
             for error in observation.common:
                 values = real_rows(observation, error.effect(acceleration))
-                effects[self.observation == place, self.names.index(error.name)] += values
+                effects[self.observation == place, columns[error.name]] += values
         return effects
 
     def hidden_variances(self, acceleration: ComplexArray) -> FloatArray:
@@ -139,7 +139,7 @@ def build_system(observations: Sequence[Observation]) -> System:
             blocks.append(observation.phasors.covariance[k][np.ix_(both, both)])
             where += [(k, place, names.index(observation.members[m])) for m in np.tile(usable, 2)]
     index = np.array(where, dtype=np.int64).reshape(-1, 3)
-    common = {error.name: error.label for o in observations for error in o.common}
+    common = {error.name: error for o in reversed(observations) for error in reversed(o.common)}
     return System(
         observations=tuple(observations),
         readings=np.concatenate(readings),
@@ -151,8 +151,7 @@ def build_system(observations: Sequence[Observation]) -> System:
         member_names=names,
         expand=expand,
         observed=np.array([observed_components(basis) for basis in bases]),
-        names=tuple(common),
-        labels=tuple(common.values()),
+        common=tuple(reversed(common.values())),
     )
 
 
@@ -169,6 +168,7 @@ def _block_diagonal(blocks: Sequence[FloatArray]) -> FloatArray:
 class Solution:
     """Estimate of a system: `acceleration` (K, 6), `errors` (E,) in standard uncertainties, `effects` (N, E) there.
 
+    `remaining` (E,): standard uncertainty of the errors after the estimate over that before.
     `gain` (12K, N): estimate = gain · readings; `projector` (N, N) = V^-1 - V^-1 X (X^T V^-1 X)^-1 X^T V^-1 with V the
     covariance of noise and common errors, so that `chi2` = y^T P y; `dof`; `noise` (N, N) as it was used, with the
     discrepancy and the `hidden` (N,) variances in it.
@@ -176,6 +176,7 @@ class Solution:
 
     acceleration: ComplexArray
     errors: FloatArray
+    remaining: FloatArray
     effects: FloatArray
     gain: FloatArray
     projector: FloatArray
@@ -243,6 +244,7 @@ def _step(system: System, noise: FloatArray, effects: FloatArray, hidden: FloatA
     return Solution(
         acceleration=system.acceleration(inverse[:unknowns] @ readings / scale),
         errors=inverse[unknowns:] @ readings,
+        remaining=np.linalg.norm(solve_triangular(r[unknowns:, unknowns:], np.eye(errors)), axis=1),
         effects=effects,
         gain=system.expand @ (gain[:unknowns] / scale[:, None]),
         projector=solve_triangular(root, half.T, lower=True, trans="T"),

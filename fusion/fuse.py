@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -14,9 +14,10 @@ from fusion.consistency import Consistency, compare, discrepancy, fails, leave_o
 from fusion.estimate import SCALE, Solution, System, build_system, solve
 from fusion.notices import AnyNotice, Notice
 from fusion.observe import Observation
+from fusion.uncertainty import Contribution, Influence, Uncertainty, merge_contributions
 from shaker.signals.phasor import Phasors
 
-__all__ = ["Acceleration", "Consistency", "Contribution", "Source", "fuse", "fuse_sources"]
+__all__ = ["Acceleration", "CommonEstimate", "Consistency", "Contribution", "Source", "fuse", "fuse_sources"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -30,21 +31,27 @@ UNOBSERVED = "unobserved motion"
 
 
 @dataclass(frozen=True)
-class Contribution:
-    """One entry of an uncertainty budget: `covariance` (K, 12, 12) of [6 Re, 6 Im], NaN where unobserved."""
+class CommonEstimate:
+    """What the data say of one common error: `estimate` in standard uncertainties `u` (in `unit`), and what remains.
 
+    `remaining`: standard uncertainty after the estimate over that before; 1 where the data cannot test it.
+    """
+
+    name: str
     label: str
-    type: Literal["A", "B"]
-    covariance: FloatArray
+    u: float
+    unit: str
+    estimate: float
+    remaining: float
 
 
 @dataclass(frozen=True)
 class Acceleration:
     """Six-component acceleration phasors of one body at the sensor origin.
 
-    `phasors` (K, 6) in m/s^2 and rad/s^2, NaN where not `observed` (K, 6). `contributions` add up to the covariance.
-    The common errors (E of them): `common` names, `common_estimate` (E,) in standard uncertainties, and
-    `common_influence` (E, K, 12), what one standard uncertainty of each does to the estimate in all lines at once.
+    `phasors` (K, 6) in m/s^2 and rad/s^2, NaN where not `observed` (K, 6). `uncertainty` of the six components, NaN
+    where not observed: noise of every instrument and the common errors, which act on all lines at once. `unknowns`:
+    what the data say of those.
     """
 
     body: str
@@ -52,14 +59,17 @@ class Acceleration:
     phasors: Phasors
     observed: BoolArray
     instruments: tuple[str, ...]
-    contributions: tuple[Contribution, ...]
+    uncertainty: Uncertainty
     consistency: tuple[Consistency, ...]
     chi2: float
     dof: int
-    common: tuple[str, ...]
-    common_estimate: FloatArray
-    common_influence: FloatArray
+    unknowns: tuple[CommonEstimate, ...]
     notices: tuple[AnyNotice, ...]
+
+    @property
+    def contributions(self) -> tuple[Contribution, ...]:
+        """Return the budget: one contribution per label; they add up to the covariance of the phasors."""
+        return self.uncertainty.grouped()
 
 
 def fuse(observations: Sequence[Observation], body: str = "load", source: Source = "fused") -> Acceleration:
@@ -78,52 +88,45 @@ def fuse(observations: Sequence[Observation], body: str = "load", source: Source
     first = solve(system)
     tests = leave_one_out(system, first)
     failed = fails(first.chi2, first.dof)
-    final, contributions = _enlarged(system, first) if failed else (first, _contributions(system, first))
-    phasors = _phasors(system, final, contributions)
+    extra = discrepancy(system, first) if failed else np.zeros(len(system.readings))
+    final = solve(system, extra) if failed else first
+    uncertainty = _uncertainty(system, final, extra)
+    phasors = _phasors(system, final, uncertainty)
     for observation in own if stated else ():
         if not observation.stated:
             tests += compare(observation, phasors.value, phasors.covariance)
-    hidden = ~np.tile(system.observed, (1, 2))
-    influence = (final.gain @ final.effects).T.reshape(len(system.names), len(hidden), 12)
     return Acceleration(
         body=body,
         source=source,
         phasors=phasors,
         observed=system.observed,
         instruments=tuple(_title(observation) for observation in system.observations),
-        contributions=tuple(Contribution(c.label, c.type, _hide(c.covariance, hidden)) for c in contributions),
+        uncertainty=uncertainty,
         consistency=tests,
         chi2=first.chi2,
         dof=first.dof,
-        common=system.names,
-        common_estimate=final.errors,
-        common_influence=np.where(hidden, np.nan, influence),
+        unknowns=_unknowns(system, final),
         notices=_notices(body, system, bool(stated), tests, first if failed else None),
     )
 
 
-def _enlarged(system: System, first: Solution) -> tuple[Solution, list[Contribution]]:
-    """Repeat an estimate that failed its test with a discrepancy in the failing lines, and enlarge what still fails."""
-    extra = discrepancy(system, first)
-    final = solve(system, extra)
-    contributions = _contributions(system, final, extra)
-    if fails(final.chi2, final.dof):
-        total = np.sum([entry.covariance for entry in contributions], axis=0)
-        birge = Contribution(INCONSISTENCY, "A", (final.chi2 / final.dof - 1.0) * total)
-        contributions = _merge([*contributions, birge])
-    return final, contributions
+def _unknowns(system: System, solution: Solution) -> tuple[CommonEstimate, ...]:
+    """Every common error with its estimate."""
+    found = zip(system.common, solution.errors.tolist(), solution.remaining.tolist(), strict=True)
+    return tuple(CommonEstimate(c.name, c.label, c.u, c.unit, value, left) for c, value, left in found)
 
 
-def _phasors(system: System, solution: Solution, contributions: Sequence[Contribution]) -> Phasors:
-    """Estimate with its whole covariance, NaN where not observed."""
-    hidden = ~np.tile(system.observed, (1, 2))
+def _phasors(system: System, solution: Solution, uncertainty: Uncertainty) -> Phasors:
+    """Estimate with its whole covariance, NaN where not observed; degrees of freedom of the largest component."""
+    lines = np.arange(len(system.observed))
+    component = np.argmax(np.where(system.observed, np.abs(solution.acceleration / SCALE), -1.0), axis=1)
     return Phasors(
         frequency_hz=system.observations[0].phasors.frequency_hz,
         value=np.where(system.observed, solution.acceleration, complex(np.nan, np.nan)),
-        covariance=_hide(np.sum([entry.covariance for entry in contributions], axis=0), hidden),
+        covariance=uncertainty.covariance,
         channels=COMPONENTS,
         unit=UNITS,
-        dof=_effective_dof(system, solution, contributions),
+        dof=uncertainty.dof()[lines, component],
     )
 
 
@@ -150,10 +153,10 @@ def _hide(covariance: FloatArray, hidden: BoolArray) -> FloatArray:
     return np.where(hidden[:, :, None] | hidden[:, None, :], np.nan, covariance)
 
 
-def _contributions(system: System, solution: Solution, extra: FloatArray | None = None) -> list[Contribution]:
-    """Split gain · V · gain^T of every line into noise per instrument, labelled common errors and discrepancy."""
-    extra = np.zeros(len(system.readings)) if extra is None else extra
+def _uncertainty(system: System, solution: Solution, extra: FloatArray) -> Uncertainty:
+    """Split gain · V · gain^T of every line into noise per instrument, discrepancy and common errors."""
     lines = len(system.observed)
+    hidden = ~np.tile(system.observed, (1, 2))
     gain = solution.gain.reshape(lines, 12, -1)
     noise = solution.noise - np.diag(extra**2 + solution.hidden)
     found = []
@@ -161,42 +164,24 @@ def _contributions(system: System, solution: Solution, extra: FloatArray | None 
         rows = np.flatnonzero(system.observation == place)
         part = gain[:, :, rows]
         covariance = part @ noise[np.ix_(rows, rows)] @ part.swapaxes(1, 2)
-        found.append(Contribution(f"{_title(observation)}: noise", "A", covariance))
-    influence = gain @ solution.effects
-    for place, label in enumerate(system.labels):
-        column = influence[:, :, place]
-        found.append(Contribution(label, "B", column[:, :, None] * column[:, None, :]))
+        dof = np.nan_to_num(observation.phasors.dof, nan=np.inf, posinf=np.inf)
+        found.append(Contribution(f"{_title(observation)}: noise", "A", covariance, dof))
     if np.any(solution.hidden > 0.0):
         found.append(Contribution(UNOBSERVED, "B", (gain * solution.hidden) @ gain.swapaxes(1, 2)))
     if np.any(extra > 0.0):
-        found.append(Contribution(INCONSISTENCY, "A", (gain * extra**2) @ gain.swapaxes(1, 2)))
-    return _merge(found)
-
-
-def _merge(entries: Sequence[Contribution]) -> list[Contribution]:
-    """Add up entries of equal label, in the order of their first appearance."""
-    merged: dict[str, Contribution] = {}
-    for entry in entries:
-        known = merged.get(entry.label)
-        total = entry.covariance if known is None else known.covariance + entry.covariance
-        merged[entry.label] = Contribution(entry.label, entry.type, total)
-    return list(merged.values())
-
-
-def _effective_dof(system: System, solution: Solution, contributions: Sequence[Contribution]) -> FloatArray:
-    """Welch-Satterthwaite degrees of freedom (K,) of the largest component of each line (JCGM 100, G.4.1)."""
-    dof = {f"{_title(o)}: noise": o.phasors.dof for o in system.observations}
-    lines = len(system.observed)
-    component = np.argmax(np.abs(solution.acceleration / SCALE), axis=1)
-    weighted, total = np.zeros(lines), np.zeros(lines)
-    for entry in contributions:
-        variance = entry.covariance.diagonal(axis1=1, axis2=2).reshape(lines, 2, 6).sum(axis=1)
-        own = variance[np.arange(lines), component]
-        fallback = np.full(lines, max(solution.dof / lines, 1.0) if entry.label == INCONSISTENCY else np.inf)
-        freedom = np.nan_to_num(dof.get(entry.label, fallback), nan=np.inf, posinf=np.inf)
-        weighted += own**2 / np.maximum(freedom, 1.0)
-        total += own
-    return np.asarray(np.divide(total**2, weighted, out=np.full(lines, np.inf), where=weighted > 0.0))
+        dof = np.full(lines, max(solution.dof / lines, 1.0))
+        found.append(Contribution(INCONSISTENCY, "A", (gain * extra**2) @ gain.swapaxes(1, 2), dof))
+    if fails(solution.chi2, solution.dof):
+        dof = np.full(lines, max(solution.dof / lines, 1.0))
+        spread = solution.noise + solution.effects @ solution.effects.T
+        birge = (solution.chi2 / solution.dof - 1.0) * gain @ spread @ gain.swapaxes(1, 2)
+        found.append(Contribution(INCONSISTENCY, "A", birge, dof))
+    effects = np.where(hidden[:, :, None], np.nan, gain @ solution.effects)
+    influences = [
+        Influence(c.name, c.label, c.u, c.unit, effects[:, :, place], c.scope) for place, c in enumerate(system.common)
+    ]
+    random = [replace(part, covariance=_hide(part.covariance, hidden)) for part in found]
+    return Uncertainty(merge_contributions(random), tuple(influences))
 
 
 def _notices(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fusion.uncertainty import Scope
 from photogram.rigid import skew
 from shaker._checks import check_shape
 from shaker.signals.phasor import Phasors, derivative_factor, stack_phasors
@@ -28,23 +29,26 @@ KINDS: dict[str, Kind] = {
     "angular_velocity": "accelerometer",
 }
 CLOCK_RATE = "clock rate"
-
-
 CALIBRATION = "calibration"
+PERIODIC = "error periodic in the pixel"
 
 
 @dataclass(frozen=True)
 class CommonError:
     """One real unknown that several readings share, with a normal prior of zero mean and standard uncertainty `u`.
 
-    `name` identifies the unknown: equal names in several observations are the same unknown. `label` groups it in a
-    budget. Its effect on the phasors for one standard uncertainty is slope · A + offset, with `slope` (K, M, 6) and
-    `offset` (K, M), so that it follows the estimate A (K, 6) and never the readings.
+    `name` identifies the unknown: equal names in several observations are the same unknown; it contains where a channel
+    was placed, so that a channel placed elsewhere is another unknown. `label` groups it in a budget, `u` is in `unit`,
+    `scope` says how long the unknown keeps its value. Its effect on the phasors for one standard uncertainty is
+    slope · A + offset, with `slope` (K, M, 6) and `offset` (K, M), so that it follows the estimate A (K, 6) and never
+    the readings.
     """
 
     name: str
     label: str
     u: float
+    unit: str
+    scope: Scope
     slope: ComplexArray
     offset: ComplexArray
 
@@ -142,11 +146,16 @@ class Reading:
 
 @dataclass(frozen=True)
 class RelativeError:
-    """One unknown of a chain: complex `relative` (K, M) change of its M readings for one standard uncertainty `u`."""
+    """One unknown of a chain: complex `relative` (K, M) change of its M readings for one standard uncertainty `u`.
+
+    `u` is in `unit`; `scope`: how long the unknown keeps its value.
+    """
 
     name: str
     label: str
     u: float
+    unit: str
+    scope: Scope
     relative: ComplexArray
 
 
@@ -161,26 +170,29 @@ def chain_errors(readings: Sequence[Reading]) -> tuple[RelativeError, ...]:
     zero = np.zeros(len(frequency))
     entries, chains = [r.entry for r in readings], [r.chain for r in readings]
 
-    def shared(kind: str, columns: Sequence[NDArray[Any]], u: float, of: str = name) -> RelativeError:
-        return RelativeError(f"{of}: {kind}", f"{of}: {kind}", u, np.stack(columns, axis=1).astype(np.complex128))
+    def shared(kind: str, unit: str, columns: Sequence[NDArray[Any]], u: float) -> RelativeError:
+        relative = np.stack(columns, axis=1).astype(np.complex128)
+        return RelativeError(f"{name}: {kind}", f"{name}: {kind}", u, unit, "rig", relative)
 
     def table(values: FloatArray | None) -> FloatArray:
         return zero if values is None else values
 
     errors = [
-        shared("scale", [zero + e.scale_uncertainty for e in entries], max(e.scale_uncertainty for e in entries)),
-        shared("delay", [turn * e.delay_uncertainty for e in entries], max(e.delay_uncertainty for e in entries)),
-        shared("response magnitude", [table(c.u_magnitude) + 0.0 for c in chains], 1.0),
-        shared("response phase", [1j * table(c.u_phase_rad) for c in chains], 1.0),
+        shared("scale", "1", [zero + e.scale_uncertainty for e in entries], max(e.scale_uncertainty for e in entries)),
+        shared("delay", "s", [turn * e.delay_uncertainty for e in entries], max(e.delay_uncertainty for e in entries)),
+        shared("response magnitude", "1", [table(c.u_magnitude) + 0.0 for c in chains], 1.0),
+        shared("response phase", "1", [1j * table(c.u_phase_rad) for c in chains], 1.0),
     ]
     for clock in sorted({c.clock for c in chains if c.u_clock_s > 0.0}):
-        times = [c.u_clock_s if c.clock == clock else 0.0 for c in chains]
-        errors.append(shared("time", [turn * t for t in times], max(times), f"clock {clock}"))
+        times = np.array([c.u_clock_s if c.clock == clock else 0.0 for c in chains])
+        unknown = f"clock {clock}: time"
+        late = turn[:, None] * times
+        errors.append(RelativeError(unknown, unknown, float(np.max(times)), "s", "recording", late))
     for place, entry in enumerate(entries):
         own = np.zeros((len(frequency), len(entries)), dtype=np.complex128)
         own[:, place] = entry.individual_uncertainty
         label = f"{name}: individual scale"
-        errors.append(RelativeError(f"{label} {entry.name}", label, entry.individual_uncertainty, own))
+        errors.append(RelativeError(f"{label} {entry.name}", label, entry.individual_uncertainty, "1", "rig", own))
     return tuple(error for error in errors if np.any(error.relative != 0.0))
 
 
@@ -211,47 +223,47 @@ def observe_stereo(
     """
     factor = derivative_factor(phasors.frequency_hz, -2)
     design = factor[:, None, None] * np.eye(6)
-    geometry: list[tuple[str, str, float, ArrayLike]] = [
-        ("scale", "", entry.scale_uncertainty or 0.0, np.diag([1.0, 1, 1, 0, 0, 0]))
+    geometry: list[tuple[str, str, str, float, ArrayLike]] = [
+        ("scale", "", "1", entry.scale_uncertainty or 0.0, np.diag([1.0, 1, 1, 0, 0, 0]))
     ]
     for axis, letter in enumerate("xyz"):
         spin = skew(np.eye(3)[axis])
         shift, turn = np.zeros((6, 6)), np.kron(np.eye(2), spin)
         shift[:3, 3:] = -spin
-        geometry.append(("pose position", letter, entry.pose_uncertainty[axis], shift))
-        geometry.append(("pose rotation", letter, entry.pose_uncertainty[3 + axis], turn))
+        geometry.append(("pose position", letter, "m", entry.pose_uncertainty[axis], shift))
+        geometry.append(("pose rotation", letter, "rad", entry.pose_uncertainty[3 + axis], turn))
     title = f"stereo {name}"
     none = np.zeros_like(phasors.value)
-    common = [
-        CommonError(
-            f"{title}: {kind} {axis}".strip(), f"{title}: {kind}", u, factor[:, None, None] * (u * change), none
-        )
-        for kind, axis, u, change in ((k, a, u, np.asarray(c)) for k, a, u, c in geometry)
-        if u > 0.0
-    ]
+    common = []
+    for kind, letter, unit, u, change in geometry:
+        if u > 0.0:
+            unknown, slope = f"{title}: {kind} {letter}".strip(), factor[:, None, None] * (u * np.asarray(change))
+            common.append(CommonError(unknown, f"{title}: {kind}", u, unit, "rig", slope, none))
     if entry.delay_uncertainty > 0.0:
-        common.append(_late(f"{title}: delay", entry.delay_uncertainty, phasors.frequency_hz, design))
+        common.append(_late(f"{title}: delay", entry.delay_uncertainty, "rig", phasors.frequency_hz, design))
     further = {} if effects is None else effects
     stated = bool(common) or len(further.get(CALIBRATION, ())) > 0
     for what, changes in further.items():
         label = f"{title}: {what}"
-        for place, effect in enumerate(changes):
-            common.append(CommonError(f"{label} {place}", label, 1.0, np.zeros_like(design), np.asarray(effect)))
+        scope: Scope = "recording" if what == PERIODIC else "rig"
+        for place, effect in enumerate(np.asarray(changes)):
+            common.append(CommonError(f"{label} {place}", label, 1.0, "1", scope, np.zeros_like(design), effect))
     if trigger[1] > 0.0:
-        common.append(_late(f"{trigger[0]}: time", trigger[1], phasors.frequency_hz, design))
+        common.append(_late(f"{trigger[0]}: time", trigger[1], "recording", phasors.frequency_hz, design))
     if pulse is not None and pulse.u_s > 0.0:
         unknown, slope = f"{pulse.trigger}: pulse width", pulse.change(phasors.frequency_hz)[:, None, None] * design
-        common.append(CommonError(unknown, unknown, pulse.u_s, slope, none))
+        common.append(CommonError(unknown, unknown, pulse.u_s, "s", "recording", slope, none))
     for unknown, turned in ({} if turns is None else turns.turns()).items():
-        common.append(CommonError(unknown, unknown, 1.0, turned[:, None, None] * design, none))
+        slope = turned[:, None, None] * design
+        common.append(CommonError(unknown, unknown, 1.0, "1", "recording", slope, none))
     common += _clock_rate(design, np.full(6, 2.0), clock_uncertainty)
     return Observation(name, "photogrammetry", entry.body, phasors, design, tuple(common), (title,) * 6, stated)
 
 
-def _late(name: str, u_s: float, frequency_hz: FloatArray, design: ComplexArray) -> CommonError:
+def _late(name: str, u_s: float, scope: Scope, frequency_hz: FloatArray, design: ComplexArray) -> CommonError:
     """Time error of all rows of a design: readings late by one standard uncertainty turn by exp(-jω u) ≈ 1 - jω u."""
     slope = (-2j * np.pi * frequency_hz * u_s)[:, None, None] * design
-    return CommonError(name, name, u_s, slope, np.zeros(design.shape[:2], np.complex128))
+    return CommonError(name, name, u_s, "s", scope, slope, np.zeros(design.shape[:2], np.complex128))
 
 
 def observe_channels(
@@ -280,13 +292,17 @@ def _observe_group(readings: list[Reading], gravity: FloatArray | None, clock_un
     frequency = phasors.frequency_hz
     design = np.stack([_row(e, _unit(e), frequency, gravity) for e in entries], axis=1)
     none = np.zeros_like(phasors.value)
-    common = [CommonError(e.name, e.label, e.u, e.relative[:, :, None] * design, none) for e in chain_errors(readings)]
+    common = [
+        CommonError(e.name, e.label, e.u, e.unit, e.scope, e.relative[:, :, None] * design, none)
+        for e in chain_errors(readings)
+    ]
     for place, reading in enumerate(readings):
-        for kind, axis, u, row in _placement_errors(reading, gravity):
+        for kind, unit, axis, u, row in _placement_errors(reading, gravity):
             slope = np.zeros_like(design)
             slope[:, place] = row
             label = f"{chain_name(reading)}: {kind}"
-            common.append(CommonError(f"{label} {reading.entry.name} {axis}", label, u, slope, none))
+            name = f"{label} {_where(reading.entry, kind)} {axis}"
+            common.append(CommonError(name, label, u, unit, "mounting", slope, none))
     stated = any(not error.name.startswith("clock ") for error in common)
     orders = np.array([-ORDER_BELOW_ACCELERATION[e.quantity] for e in entries], dtype=np.float64)
     common += _clock_rate(design, orders, clock_uncertainty)
@@ -325,23 +341,32 @@ def _row(
     return np.asarray(factor[:, None] * row)
 
 
-def _placement_errors(reading: Reading, gravity: FloatArray | None) -> list[tuple[str, str, float, ComplexArray]]:
-    """Kind, axis, standard uncertainty and row change (K, 6) of where a channel measures and in which direction."""
+def _where(entry: ChannelEntry, kind: str) -> str:
+    """Return a channel's name with its stated place, and its direction where that errs."""
+    at = "" if entry.point is None else f" at ({', '.join(f'{x:.9g}' for x in entry.point)})"
+    along = "" if kind == "point" else f" along ({', '.join(f'{x:.9g}' for x in entry.direction or ())})"
+    return f"{entry.name}{at}{along}"
+
+
+def _placement_errors(reading: Reading, gravity: FloatArray | None) -> list[tuple[str, str, str, float, ComplexArray]]:
+    """Kind, unit, axis, standard uncertainty and row change (K, 6) of where a channel measures, in which direction."""
     entry, frequency = reading.entry, reading.phasors.frequency_hz
     direction = _unit(entry)
     factor = derivative_factor(frequency, ORDER_BELOW_ACCELERATION[entry.quantity])
-    found: list[tuple[str, str, float, ComplexArray]] = []
+    found: list[tuple[str, str, str, float, ComplexArray]] = []
     if entry.quantity != "angular_velocity":
         for axis, u in enumerate(np.broadcast_to(np.asarray(entry.point_uncertainty, dtype=np.float64), (3,))):
             lever = np.concatenate([np.zeros(3), np.cross(np.eye(3)[axis], direction) * u])
-            found.append(("point", "xyz"[axis], float(u), factor[:, None] * lever))
+            found.append(("point", "m", "xyz"[axis], float(u), factor[:, None] * lever))
     across = np.linalg.svd(direction[None])[2][1:]
     for number, tangent in enumerate(across):
         turned = _row(entry, tangent, frequency, gravity)
         transverse = entry.transverse_sensitivity / np.sqrt(2.0)
-        found.append(("direction", str(number), entry.direction_uncertainty, entry.direction_uncertainty * turned))
-        found.append(("transverse sensitivity", str(number), transverse, transverse * turned))
-    return [item for item in found if item[2] > 0.0 and np.any(item[3] != 0.0)]
+        found.append(
+            ("direction", "rad", str(number), entry.direction_uncertainty, entry.direction_uncertainty * turned)
+        )
+        found.append(("transverse sensitivity", "1", str(number), transverse, transverse * turned))
+    return [item for item in found if item[3] > 0.0 and np.any(item[4] != 0.0)]
 
 
 def _clock_rate(design: ComplexArray, orders: FloatArray, clock_uncertainty: float) -> list[CommonError]:
@@ -349,4 +374,5 @@ def _clock_rate(design: ComplexArray, orders: FloatArray, clock_uncertainty: flo
     slope = -clock_uncertainty * orders[:, None] * design
     if not np.any(slope != 0.0):
         return []
-    return [CommonError(CLOCK_RATE, CLOCK_RATE, clock_uncertainty, slope, np.zeros(design.shape[:2], np.complex128))]
+    none = np.zeros(design.shape[:2], np.complex128)
+    return [CommonError(CLOCK_RATE, CLOCK_RATE, clock_uncertainty, "1", "rig", slope, none)]

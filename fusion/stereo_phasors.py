@@ -14,7 +14,7 @@ from fusion.errors import ComputeError
 from fusion.evaluation import StereoResult
 from fusion.manifest import Images, PointFiles, Stereo
 from fusion.notices import AnyNotice, Notice
-from fusion.observe import CALIBRATION
+from fusion.observe import CALIBRATION, PERIODIC
 from fusion.stereo_motion import ImageView, StereoMotion, sensor_from_camera
 from photogram.camera import StereoRig, principal_components
 from photogram.motion import RigidMotion, fit_motion, relative_to
@@ -98,7 +98,7 @@ def stereo_phasors(measured: StereoMotion, lines: Lines) -> StereoPhasors:
     if measured.view is not None:
         found_effects = {
             CALIBRATION: _calibration_effects(measured, measured.view, frequency_hz),
-            "error periodic in the pixel": _periodic_effects(measured, measured.view, len(frequency_hz)),
+            PERIODIC: _periodic_effects(measured, measured.view, len(frequency_hz)),
         }
         for what, changes in found_effects.items():
             effects[what] = np.full((len(changes), len(usable), 6), np.nan, dtype=np.complex128)

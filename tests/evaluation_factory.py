@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.evaluation import ChannelResult, ClockResult, Evaluation, StereoResult
-from fusion.fuse import Acceleration, Consistency, Contribution
+from fusion.fuse import Acceleration, CommonEstimate, Consistency
 from fusion.notices import Notice
 from fusion.sensitivity import BudgetEntry, Sensitivity
+from fusion.uncertainty import Contribution, Uncertainty
 from photogram.epipolar import EpipolarCheck
 from photogram.motion import RigidMotion
 from shaker.signals.frequencies import Lines
@@ -117,13 +118,11 @@ def _acceleration(
         phasors=values,
         observed=mask,
         instruments=("stereo top", "laser") if fused else (source,),
-        contributions=parts,
+        uncertainty=Uncertainty(parts),
         consistency=consistency if fused else (),
         chi2=14.2 if fused else 0.0,
         dof=12 if fused else 0,
-        common=("laser scale",),
-        common_estimate=np.array([0.4]),
-        common_influence=np.zeros((1, 3, 12)),
+        unknowns=(CommonEstimate("laser: scale", "laser: scale", 2.5e-4, "1", 0.4, 0.9),) if fused else (),
         notices=(),
     )
 

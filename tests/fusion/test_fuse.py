@@ -185,7 +185,10 @@ def test_errors_of_one_instrument_are_known_from_all_lines() -> None:
     late = lasers([(0.0, 0.0, 0.04)], 5e-6, delay_uncertainty=5e-7)
     late = with_values(late, late.phasors.value * np.exp(-2j * np.pi * FREQUENCY[:, None] * 1.5e-6))
     result = fuse([exact, late])
-    assert result.common_estimate[result.common.index("laser: delay")] == pytest.approx(3.0, rel=1e-2)
+    delay = next(unknown for unknown in result.unknowns if unknown.name == "laser: delay")
+    assert delay.estimate == pytest.approx(3.0, rel=1e-2)
+    assert (delay.u, delay.unit) == (5e-7, "s")
+    assert delay.remaining < 0.1
 
 
 def test_regions_cover_and_tests_pass_as_often_as_they_claim() -> None:

@@ -11,10 +11,11 @@ import pytest
 from scipy.stats import chi2
 
 from fusion.body import Body, make_part
-from fusion.fuse import Acceleration, Contribution
+from fusion.fuse import Acceleration
 from fusion.load import load_phasors
 from fusion.observe import ChainUncertainty, Reading
 from fusion.sensitivity import Sensitivity, driven_component, sensitivity_ratio
+from fusion.uncertainty import Contribution, Uncertainty
 from shaker.signals.phasor import Phasors
 
 FREQUENCY = np.array([106.25, 212.5])
@@ -38,9 +39,8 @@ def acceleration(motion: np.ndarray = MOTION, sigma: float = 1e-4, observed: np.
     value = np.where(seen, motion, complex(np.nan, np.nan))
     names = ("x", "y", "z", "rx", "ry", "rz")
     found = Phasors(FREQUENCY, value, covariance, names, units, np.full(len(motion), 50.0))
-    noise = (Contribution("noise", "A", covariance),)
-    none = np.zeros(0)
-    return Acceleration("load", "fused", found, seen, ("top",), noise, (), 0.0, 0, (), none, np.zeros((0, 2, 12)), ())
+    noise = Uncertainty((Contribution("noise", "A", covariance, found.dof),))
+    return Acceleration("load", "fused", found, seen, ("top",), noise, (), 0.0, 0, (), ())
 
 
 def output(value: np.ndarray, name: str = "Fz", u_noise: float = 1e-9, **changes: Any) -> Reading:
