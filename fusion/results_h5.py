@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
+from itertools import count
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -111,7 +112,8 @@ def _write_contribution(group: h5py.Group, part: Contribution) -> None:
 def _free_name(group: h5py.Group, label: str) -> str:
     """Name of a group that no other has: the label without the separator of paths, numbered where it is taken."""
     name = label.replace("/", "_")
-    return name if name not in group else f"{name} {len(group)}"
+    candidates = (name if number == 1 else f"{name} ({number})" for number in count(1))
+    return next(candidate for candidate in candidates if candidate not in group)
 
 
 def _write_array(group: h5py.Group, name: str, array: np.typing.NDArray[Any]) -> None:

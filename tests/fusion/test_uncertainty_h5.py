@@ -8,7 +8,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -62,6 +62,7 @@ def uncertainties(draw: st.DrawFn) -> Uncertainty:
     return Uncertainty(tuple(random), tuple(influences))
 
 
+@settings(max_examples=30, deadline=None)
 @given(uncertainties())
 @pytest.mark.filterwarnings("ignore:overflow encountered", "ignore:invalid value encountered")
 def test_what_is_read_is_what_was_written(uncertainty: Uncertainty) -> None:
