@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -142,6 +142,33 @@ class Reading:
     entry: ChannelEntry
     phasors: Phasors
     chain: ChainUncertainty
+
+
+@dataclass(frozen=True)
+class StereoReading:
+    """One stereo pair: `pair` as rig.toml has it, displacement phasors (K, 6), and what `observe_stereo` takes."""
+
+    name: str
+    pair: Stereo
+    phasors: Phasors
+    effects: Mapping[str, ComplexArray] = field(default_factory=dict)
+    clock_uncertainty: float = 0.0
+    trigger: tuple[str, float] = ("", 0.0)
+    turns: LineTurns | None = None
+    pulse: PulseExposure | None = None
+
+    def observed(self) -> Observation:
+        """Return the rows of the pair."""
+        return observe_stereo(
+            self.name,
+            self.pair,
+            self.phasors,
+            self.effects,
+            self.clock_uncertainty,
+            self.trigger,
+            self.turns,
+            self.pulse,
+        )
 
 
 @dataclass(frozen=True)

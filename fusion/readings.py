@@ -18,8 +18,8 @@ from fusion.observe import (
     Observation,
     PulseExposure,
     Reading,
+    StereoReading,
     observe_channels,
-    observe_stereo,
 )
 from fusion.response import read_response
 from fusion.stereo_phasors import StereoPhasors
@@ -44,25 +44,33 @@ def _reading(base: TimeBase, channel: ChannelResult, entry: ChannelEntry) -> Rea
     return Reading(entry, channel.phasors, chain)
 
 
-def observations(
+def stereo_readings(
     manifest: Manifest, base: TimeBase, readings: Sequence[Reading], stereo: Sequence[StereoPhasors], lines: Lines
-) -> tuple[Observation, ...]:
-    """Return every instrument of the recording as rows of the linear model.
+) -> tuple[StereoReading, ...]:
+    """Return every stereo pair with its phasors and all that is known of their errors.
 
-    Without any reading the lines were found in the motion itself, and what it leaves open of their frequencies turns
-    the phasors by as much as its noise does; a channel knows them far better than that.
+    Without any reading of a channel the lines were found in the motion itself, and what it leaves open of their
+    frequencies turns the phasors by as much as its noise does; a channel knows them far better than that.
     """
     clock = manifest.daq[0].clock_uncertainty if manifest.daq else 0.0
     seen = []
     for item in stereo:
-        entry = item.pair
-        entry = entry.model_copy(update={"delay_uncertainty": item.entry.delay_uncertainty})
+        pair = item.pair.model_copy(update={"delay_uncertainty": item.entry.delay_uncertainty})
         trigger = (item.entry.trigger, base.u_trigger_s(item.entry.trigger))
-        effects = item.effects
         middle_s = float(np.mean(item.result.time_s))
         turns = None if readings else LineTurns(lines.nominal_hz, lines.u_frequency_hz, middle_s)
         pulse = PulseExposure(item.entry.trigger, item.result.exposure_s, item.result.u_exposure_s)
-        seen.append(observe_stereo(item.result.name, entry, item.displacement, effects, clock, trigger, turns, pulse))
+        reading = StereoReading(item.result.name, pair, item.displacement, item.effects, clock, trigger, turns, pulse)
+        seen.append(reading)
+    return tuple(seen)
+
+
+def observations(
+    manifest: Manifest, base: TimeBase, readings: Sequence[Reading], stereo: Sequence[StereoPhasors], lines: Lines
+) -> tuple[Observation, ...]:
+    """Return every instrument of the recording as rows of the linear model."""
+    clock = manifest.daq[0].clock_uncertainty if manifest.daq else 0.0
+    seen = [pair.observed() for pair in stereo_readings(manifest, base, readings, stereo, lines)]
     return (*seen, *observe_channels(readings, gravity(manifest), clock))
 
 
