@@ -28,8 +28,9 @@ AnyBlock = TypeVar("AnyBlock", bound=Block)
 class Manifest:
     """One recording with its rig, checked: every path resolved and existing, every reference known.
 
-    `path`: recording.toml; `folder`: where it stands; `root`: the folder of rig.toml. `part`: those of rig and
-    recording together. `files`: every input file, both manifests first.
+    `path`: recording.toml; `folder`: where it stands; `root`: the folder of rig.toml. `mounting`: recordings with
+    another text were mounted anew. `part`: those of rig and recording together. `files`: every input file, both
+    manifests first.
     """
 
     path: Path
@@ -38,6 +39,7 @@ class Manifest:
     rig_path: Path
     rig: Rig
     name: str
+    mounting: str
     excitation: Excitation
     daq: tuple[Daq, ...]
     images: tuple[Images, ...]
@@ -86,6 +88,7 @@ def load_manifest(recording: Path, allow_outside: bool = False) -> Manifest:
         rig_path=rig_path,
         rig=rig,
         name=record.name,
+        mounting=record.mounting,
         excitation=record.excitation,
         daq=record.daq,
         images=record.images,

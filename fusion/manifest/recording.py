@@ -350,6 +350,7 @@ class RecordingFile(Block):
     format: Literal[1]
     name: Text
     rig: Text
+    mounting: Text = "1"
     excitation: Excitation
     part: Annotated[tuple[Part, ...], BeforeValidator(array_of_tables)] = ()
     daq: Annotated[tuple[Daq, ...], BeforeValidator(array_of_tables)] = ()

@@ -85,6 +85,7 @@ class Sensor(Block):
     sense: Literal["on_load", "on_sensor"]
     capacity: Annotated[Vector6 | None, BeforeValidator(_rated_loads)] = None
     static_sensitivity: Annotated[tuple[Vector6, ...] | None, BeforeValidator(_sensitivity_rows)] = None
+    static_sensitivity_uncertainty: NotNegative = 0.0
     internal_mass: NotNegative
     internal_mass_uncertainty: NotNegative = 0.0
     internal_centre_of_mass: FreeVector = ZERO3

@@ -1,0 +1,125 @@
+"""One driven line of one recording as several recordings are compared: load, outputs, and which unknowns they share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.uncertainty import Contribution, Influence, Uncertainty
+from shaker._checks import check_shape
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+LOADS = 6
+FREQUENCY_TOLERANCE = 0.01
+"""Relative width of a group of lines taken as one frequency: a multi-axis shaker drives several lines side by side."""
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One driven line (its fundamental) of one recording.
+
+    `mounting`: recordings with another text were mounted anew. `direction`: 3 or 6 numbers of the excitation. `load`
+    (6,) in N and N·m, whole, with the uncertainty of what nobody observed; `outputs` (C,) in the sensor's unit, NaN
+    where a channel has no usable reading; their uncertainties have one line (K = 1) and the names of the recording.
+    """
+
+    recording: str
+    mounting: str
+    frequency_hz: float
+    nominal_hz: float
+    direction: tuple[float, ...]
+    load: ComplexArray
+    load_uncertainty: Uncertainty
+    outputs: ComplexArray
+    outputs_uncertainty: Uncertainty
+    channels: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        channels = len(self.channels)
+        check_shape("load", self.load, (LOADS,))
+        check_shape("outputs", self.outputs, (channels,))
+        check_shape("load_uncertainty", self.load_uncertainty.random[0].covariance, (1, 2 * LOADS, 2 * LOADS))
+        check_shape(
+            "outputs_uncertainty", self.outputs_uncertainty.random[0].covariance, (1, 2 * channels, 2 * channels)
+        )
+
+    @property
+    def name(self) -> str:
+        """Return what tells this drive from others: its recording and its frequency."""
+        return f"{self.recording} ({self.nominal_hz:g} Hz)"
+
+    def shared(self) -> tuple[Uncertainty, Uncertainty]:
+        """Return the uncertainties of load and outputs with the names that hold between recordings."""
+        return (
+            between_recordings(self.load_uncertainty, self.recording, self.mounting),
+            between_recordings(self.outputs_uncertainty, self.recording, self.mounting),
+        )
+
+
+def between_recordings(uncertainty: Uncertainty, recording: str, mounting: str) -> Uncertainty:
+    """Return the uncertainty with every unknown under the name that identifies it among all recordings of a campaign.
+
+    An unknown of the rig keeps its name; one of the mounting is the same in recordings of equal `mounting` only, one of
+    the recording in this recording only. The names are final: all scopes become "rig".
+    """
+    return replace(
+        uncertainty, influences=tuple(_between(influence, recording, mounting) for influence in uncertainty.influences)
+    )
+
+
+def _between(influence: Influence, recording: str, mounting: str) -> Influence:
+    """One unknown under its name among all recordings."""
+    suffix = {"rig": "", "mounting": f" [{mounting}]", "recording": f" [{recording}]"}[influence.scope]
+    return replace(influence, name=f"{influence.name}{suffix}", scope="rig")
+
+
+def at_line(uncertainty: Uncertainty, line: int) -> Uncertainty:
+    """Return the uncertainty of the values at one of the K lines."""
+    here = slice(line, line + 1)
+    random = tuple(
+        replace(part, covariance=part.covariance[here], dof=None if part.dof is None else part.dof[here])
+        for part in uncertainty.random
+    )
+    return Uncertainty(random, tuple(replace(i, effect=i.effect[here]) for i in uncertainty.influences))
+
+
+def over_lines(parts: Sequence[Uncertainty]) -> Uncertainty:
+    """Return uncertainties of the same C values at single lines, joined to one of K lines, unknowns of one name as one.
+
+    Names must hold between the recordings that the parts come from (`between_recordings`).
+    """
+    lines, size = len(parts), parts[0].random[0].covariance.shape[1]
+    random: dict[str, Contribution] = {}
+    influences: dict[str, Influence] = {}
+    for line, part in enumerate(parts):
+        for own in Uncertainty(part.random).grouped():
+            known = random.get(own.label)
+            if known is None:
+                empty = np.zeros((lines, size, size))
+                known = random[own.label] = Contribution(own.label, own.type, empty, np.full(lines, np.inf))
+            known.covariance[line] = own.covariance[0]
+            if own.dof is not None and known.dof is not None:
+                known.dof[line] = own.dof[0]
+        for influence in part.influences:
+            if influence.name not in influences:
+                influences[influence.name] = replace(influence, effect=np.zeros((lines, size)))
+            influences[influence.name].effect[line] = influence.effect[0]
+    return Uncertainty(tuple(random.values()), tuple(influences.values()))
+
+
+def group_by_frequency(
+    drives: Sequence[Drive], tolerance: float = FREQUENCY_TOLERANCE
+) -> tuple[tuple[Drive, ...], ...]:
+    """Return the drives in groups of one frequency, ascending, each at most `tolerance` (relative) wide."""
+    groups: list[list[Drive]] = []
+    for drive in sorted(drives, key=lambda drive: drive.frequency_hz):
+        if groups and drive.frequency_hz <= groups[-1][0].frequency_hz * (1.0 + tolerance):
+            groups[-1].append(drive)
+        else:
+            groups.append([drive])
+    return tuple(tuple(group) for group in groups)
