@@ -62,8 +62,12 @@ def _write(group: h5py.Group, name: str, value: Any) -> None:
 
 
 def _write_sequence(group: h5py.Group, name: str, items: Sequence[Any]) -> None:
-    """Write data classes as numbered or named groups, texts and numbers as one dataset."""
-    if any(is_dataclass(item) for item in items):
+    """Write data classes as numbered or named groups or as a table, texts and numbers as one dataset."""
+    if items and all(_is_row(item) and type(item) is type(items[0]) for item in items):
+        inner = group.create_group(name, track_order=True)
+        for field in fields(items[0]):
+            _write_sequence(inner, field.name, [getattr(item, field.name) for item in items])
+    elif any(is_dataclass(item) for item in items):
         inner = group.create_group(name, track_order=True)
         for number, item in enumerate(items):
             _write(inner, _label(item, number), item)
@@ -71,6 +75,13 @@ def _write_sequence(group: h5py.Group, name: str, items: Sequence[Any]) -> None:
         group.create_dataset(name, data=np.array(items, dtype=object), dtype=h5py.string_dtype())
     else:
         _write_array(group, name, np.asarray(items))
+
+
+def _is_row(item: Any) -> bool:
+    """Whether an item is a data class of texts and numbers only: a row of a table with one dataset per field."""
+    return is_dataclass(item) and all(
+        isinstance(getattr(item, field.name), str | int | float | complex) for field in fields(item)
+    )
 
 
 def _label(item: Any, number: int) -> str:

@@ -135,7 +135,8 @@ def test_result_file_holds_everything(folder: Path, evaluation: Evaluation) -> N
         assert file["clocks/bridge/tie"].attrs["rate"] == 1.0 + 4.2e-6
         assert file["lines/why"].asstr()[0] == "nominal frequency, refined"
         assert file["channels/vibrometer-velocity"].attrs["unit"] == "m/s"
-        assert file["notices/001"].attrs["severity"] == "warning"
+        assert file["notices/severity"].asstr()[()].tolist() == ["info", "warning"]
+        assert file["accelerations/load-fused/consistency/normalised_deviation"].shape == (2,)
         assert file["provenance/input_file"].asstr()[1] == "Fz/recording.toml"
         assert file["provenance/versions"].attrs["numpy"] == "2.0"
 
