@@ -178,7 +178,8 @@ def _uncertainty(system: System, solution: Solution, extra: FloatArray) -> Uncer
         found.append(Contribution(INCONSISTENCY, "A", birge, dof))
     effects = np.where(hidden[:, :, None], np.nan, gain @ solution.effects)
     influences = [
-        Influence(c.name, c.label, c.u, c.unit, effects[:, :, place], c.scope) for place, c in enumerate(system.common)
+        Influence(c.name, c.label, c.u, c.unit, effects[:, :, place], c.scope, c.type)
+        for place, c in enumerate(system.common)
     ]
     random = [replace(part, covariance=_hide(part.covariance, hidden)) for part in found]
     return Uncertainty(merge_contributions(random), tuple(influences))

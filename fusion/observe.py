@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fusion.uncertainty import Kind as ErrorType
 from fusion.uncertainty import Scope
 from photogram.rigid import skew
 from shaker._checks import check_shape
@@ -51,6 +52,7 @@ class CommonError:
     scope: Scope
     slope: ComplexArray
     offset: ComplexArray
+    type: ErrorType = "B"
 
     def effect(self, acceleration: ComplexArray) -> ComplexArray:
         """Return the change (K, M) of the phasors for one standard uncertainty, at the acceleration (K, 6)."""
@@ -137,16 +139,23 @@ class ChainUncertainty:
 
 @dataclass(frozen=True)
 class Reading:
-    """One channel: its manifest entry, its phasors (one channel, SI, delay and response taken off) and its chain."""
+    """One channel: its manifest entry, its phasors (one channel, SI, delay and response taken off) and its chain.
+
+    `further`: relative errors (K, 1) that it has beside those of its chain.
+    """
 
     entry: ChannelEntry
     phasors: Phasors
     chain: ChainUncertainty
+    further: tuple[RelativeError, ...] = ()
 
 
 @dataclass(frozen=True)
 class StereoReading:
-    """One stereo pair: `pair` as rig.toml has it, displacement phasors (K, 6), and what `observe_stereo` takes."""
+    """One stereo pair: `pair` as rig.toml has it, displacement phasors (K, 6), and what `observe_stereo` takes.
+
+    `further`: relative errors (K, 1) of all six phasors beside those.
+    """
 
     name: str
     pair: Stereo
@@ -156,10 +165,11 @@ class StereoReading:
     trigger: tuple[str, float] = ("", 0.0)
     turns: LineTurns | None = None
     pulse: PulseExposure | None = None
+    further: tuple[RelativeError, ...] = ()
 
     def observed(self) -> Observation:
         """Return the rows of the pair."""
-        return observe_stereo(
+        seen = observe_stereo(
             self.name,
             self.pair,
             self.phasors,
@@ -169,6 +179,7 @@ class StereoReading:
             self.turns,
             self.pulse,
         )
+        return replace(seen, common=seen.common + _of_rows(self.further, seen.design))
 
 
 @dataclass(frozen=True)
@@ -184,13 +195,15 @@ class RelativeError:
     unit: str
     scope: Scope
     relative: ComplexArray
+    type: ErrorType = "B"
 
 
 def chain_errors(readings: Sequence[Reading]) -> tuple[RelativeError, ...]:
     """Return scale, delay, response and clock errors of channels that share one chain.
 
     Scale multiplies by 1 + u; a delay not taken off by exp(-jω u) ≈ 1 - jω u; a response by 1 + u_m + j u_phi, its
-    error at all lines taken as one. `individual_uncertainty` is one unknown per channel.
+    error at all lines taken as one. `individual_uncertainty` is one unknown per channel. What a reading has beside that
+    comes last.
     """
     name, frequency = chain_name(readings[0]), readings[0].phasors.frequency_hz
     turn = -2j * np.pi * frequency
@@ -220,7 +233,30 @@ def chain_errors(readings: Sequence[Reading]) -> tuple[RelativeError, ...]:
         own[:, place] = entry.individual_uncertainty
         label = f"{name}: individual scale"
         errors.append(RelativeError(f"{label} {entry.name}", label, entry.individual_uncertainty, "1", "rig", own))
-    return tuple(error for error in errors if np.any(error.relative != 0.0))
+    for place, reading in enumerate(readings):
+        for error in reading.further:
+            own = np.zeros((len(frequency), len(entries)), dtype=np.complex128)
+            own[:, place] = error.relative[:, 0]
+            errors.append(replace(error, relative=own))
+    return tuple(error for error in _merged(errors) if np.any(error.relative != 0.0))
+
+
+def _merged(errors: Sequence[RelativeError]) -> list[RelativeError]:
+    """Add up the effects of equal names."""
+    found: dict[str, RelativeError] = {}
+    for error in errors:
+        known = found.get(error.name)
+        found[error.name] = error if known is None else replace(known, relative=known.relative + error.relative)
+    return list(found.values())
+
+
+def _of_rows(errors: Sequence[RelativeError], design: ComplexArray) -> tuple[CommonError, ...]:
+    """Return relative errors (K, M) or (K, 1) as common errors of the rows of a design (K, M, 6)."""
+    none = np.zeros(design.shape[:2], np.complex128)
+    return tuple(
+        CommonError(e.name, e.label, e.u, e.unit, e.scope, e.relative[:, :, None] * design, none, e.type)
+        for e in errors
+    )
 
 
 def chain_name(reading: Reading) -> str:
@@ -272,7 +308,7 @@ def observe_stereo(
     stated = bool(common) or len(further.get(CALIBRATION, ())) > 0
     for what, changes in further.items():
         label = f"{title}: {what}"
-        scope: Scope = "recording" if what == PERIODIC else "rig"
+        scope: Scope = "recording" if what.startswith(PERIODIC) else "rig"
         for place, effect in enumerate(np.asarray(changes)):
             common.append(CommonError(f"{label} {place}", label, 1.0, "1", scope, np.zeros_like(design), effect))
     if trigger[1] > 0.0:
@@ -319,10 +355,7 @@ def _observe_group(readings: list[Reading], gravity: FloatArray | None, clock_un
     frequency = phasors.frequency_hz
     design = np.stack([_row(e, _unit(e), frequency, gravity) for e in entries], axis=1)
     none = np.zeros_like(phasors.value)
-    common = [
-        CommonError(e.name, e.label, e.u, e.unit, e.scope, e.relative[:, :, None] * design, none)
-        for e in chain_errors(readings)
-    ]
+    common = [*_of_rows(chain_errors(readings), design)]
     for place, reading in enumerate(readings):
         for kind, unit, axis, u, row in _placement_errors(reading, gravity):
             slope = np.zeros_like(design)
@@ -330,7 +363,7 @@ def _observe_group(readings: list[Reading], gravity: FloatArray | None, clock_un
             label = f"{chain_name(reading)}: {kind}"
             name = f"{label} {_where(reading.entry, kind)} {axis}"
             common.append(CommonError(name, label, u, unit, "mounting", slope, none))
-    stated = any(not error.name.startswith("clock ") for error in common)
+    stated = any(error.scope != "recording" for error in common)
     orders = np.array([-ORDER_BELOW_ACCELERATION[e.quantity] for e in entries], dtype=np.float64)
     common += _clock_rate(design, orders, clock_uncertainty)
     entry = entries[0]
