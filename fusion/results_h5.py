@@ -12,6 +12,7 @@ import h5py
 import numpy as np
 
 from fusion.evaluation import Evaluation
+from fusion.manifest import Manifest
 from fusion.provenance import Provenance, write_provenance
 from fusion.uncertainty import Contribution, Uncertainty
 
@@ -19,6 +20,16 @@ FORMAT = 2
 COMPRESS_ABOVE = 512
 LEFT_OUT = {"manifest", "reference_image", "settings", "versions", "input_hashes"}
 """Fields that are in the inputs, or stand in the group `provenance`."""
+SENSOR_FIELDS = (
+    "name",
+    "serial",
+    "channels",
+    "unit",
+    "sense",
+    "capacity",
+    "static_sensitivity",
+    "static_sensitivity_uncertainty",
+)
 INFLUENCE_TEXTS = ("name", "label", "unit", "scope", "type")
 
 
@@ -31,7 +42,20 @@ def write_h5(path: Path, evaluation: Evaluation, files: Sequence[str]) -> None:
         file.attrs["rig"] = evaluation.manifest.rig.name
         file.attrs["phasors"] = "x(t) = Re{X exp(+j omega t)}; covariances of [all Re, all Im]; k = 1"
         write_provenance(file, origin)
+        _write_subject(file, evaluation.manifest)
         write_fields(file, evaluation)
+
+
+def _write_subject(file: h5py.File, manifest: Manifest) -> None:
+    """Write what was driven, how it was mounted, and which sensor was tested: what a campaign has to know."""
+    file.attrs["mounting"] = manifest.mounting
+    driven = file.create_group("excitation")
+    for name in ("kind", "direction", "frequencies"):
+        _write(driven, name, getattr(manifest.excitation, name))
+    if manifest.rig.sensor is not None:
+        sensor = file.create_group("sensor")
+        for name in SENSOR_FIELDS:
+            _write(sensor, name, getattr(manifest.rig.sensor, name))
 
 
 def write_fields(group: h5py.Group, item: Any) -> None:

@@ -50,6 +50,7 @@ class Choice:
     sensor: bool = True
     images: bool = True
     name: str = "Fz 106.25 Hz"
+    mounting: str = "1"
 
 
 def make_evaluation(folder: Path, choice: Choice | None = None, seed: int = 0) -> Evaluation:
@@ -317,8 +318,10 @@ def _manifest(folder: Path, choice: Choice) -> Any:
         serial="0815",
         channels=LOADS,
         unit="V/V",
+        sense="on_load",
         capacity=(2000.0, 2000.0, 4000.0, 100.0, 100.0, 100.0),
         static_sensitivity=STATIC,
+        static_sensitivity_uncertainty=1e-3,
     )
     rig = SimpleNamespace(
         name="10 kN shaker, load mass 7 kg",
@@ -328,5 +331,11 @@ def _manifest(folder: Path, choice: Choice) -> Any:
     )
     excitation = SimpleNamespace(kind="sine", direction=(0.0, 0.0, 1.0), frequencies=(106.25,))
     return SimpleNamespace(
-        name=choice.name, path=folder / "recording.toml", folder=folder, root=folder, rig=rig, excitation=excitation
+        name=choice.name,
+        mounting=choice.mounting,
+        path=folder / "recording.toml",
+        folder=folder,
+        root=folder,
+        rig=rig,
+        excitation=excitation,
     )
