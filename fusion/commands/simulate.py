@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from fusion.commands.values import EXIT_DONE, Commands, seed
+from fusion.settings import ProgressCallback
 
 
 def add(commands: Commands, common: argparse.ArgumentParser) -> None:
@@ -14,9 +15,10 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
     parser.add_argument("out", type=Path, metavar="OUT", help="campaign folder to create")
     parser.add_argument(
         "--preset",
-        choices=("demo", "nitsche2018", "targets", "chirp"),
+        choices=("demo", "nitsche2018", "sweep", "matrix", "targets", "chirp"),
         default="demo",
-        help="which rig (default: demo); targets: a camera calibration; chirp: a recording for shakercal transfer",
+        help="which rig (default: demo); sweep, matrix: campaigns for a curve over frequency and for the 6x6; "
+        "targets: a camera calibration; chirp: a recording for shakercal transfer",
     )
     parser.add_argument("--seed", type=seed, default=1, help="seed of every random draw (default: 1)")
     parser.add_argument("--force", action="store_true", help="overwrite a simulation that is there")
@@ -26,20 +28,24 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
 def _act(options: argparse.Namespace) -> int:
     from fusion.errors import InputError
     from fusion.progress import progress_bar
-    from fusion.simulate import simulate, simulate_chirp, simulate_targets
 
     if options.out.exists() and not options.force:
         expected = "a new folder (--force replaces an earlier simulation)"
         raise InputError(options.out, "", found="a file or folder of this name", expected=expected)
     with progress_bar(enabled=not options.quiet) as progress:
-        if options.preset == "targets":
-            print(f"simulated pictures of a target: {simulate_targets(options.out, options.seed, progress)}")
-            return EXIT_DONE
-        chirp = options.preset == "chirp"
-        folder = (
-            simulate_chirp(options.out, options.seed)
-            if chirp
-            else simulate(options.out, options.preset, options.seed, progress)
-        )
-    print(f"simulated recording: {folder}")
+        told = _write(options.out, options.preset, options.seed, progress)
+    print(told)
     return EXIT_DONE
+
+
+def _write(out: Path, preset: str, seed: int, progress: ProgressCallback) -> str:
+    """Write what a preset is, and return the sentence about it."""
+    from fusion.simulate import simulate, simulate_campaign, simulate_chirp, simulate_targets
+
+    if preset == "targets":
+        return f"simulated pictures of a target: {simulate_targets(out, seed, progress)}"
+    if preset in ("sweep", "matrix"):
+        folders = simulate_campaign(out, preset, seed, progress)
+        return f"simulated campaign: {out} ({len(folders)} recordings)"
+    folder = simulate_chirp(out, seed) if preset == "chirp" else simulate(out, preset, seed, progress)
+    return f"simulated recording: {folder}"

@@ -1,4 +1,4 @@
-"""A rig's digital twin, by `shakercal simulate`: a campaign folder with one recording, or pictures of a target."""
+"""A rig's digital twin, by `shakercal simulate`: campaign folders with one or many recordings, pictures of a target."""
 
 from __future__ import annotations
 
@@ -36,6 +36,24 @@ def simulate(out: Path, preset: str, seed: int, progress: ProgressCallback = no_
     with _whole(out) as partial:
         write_campaign(partial, world, draws, noise, options.aliased, progress)
     return out / setup.recording
+
+
+def simulate_campaign(
+    out: Path, preset: str, seed: int, progress: ProgressCallback = no_progress, **switches: Any
+) -> tuple[Path, ...]:
+    """Write a campaign of many recordings (`sweep`, `matrix`) into folder `out` and return their folders.
+
+    `switches` are the fields of `CampaignOptions`. The same seed gives the same files; other folders are refused as by
+    `simulate`.
+    """
+    from fusion.simulate.campaign import CAMPAIGNS, CampaignOptions, write_runs
+
+    if preset not in CAMPAIGNS:
+        raise ValueError(f"preset: expected one of {', '.join(CAMPAIGNS)}, found {preset!r}")
+    options = CampaignOptions(**switches)
+    with _whole(out) as partial:
+        write_runs(partial, preset, seed, options, progress)
+    return tuple(sorted(truth.parent for truth in out.glob("*/truth.json")))
 
 
 def simulate_targets(out: Path, seed: int, progress: ProgressCallback = no_progress) -> Path:

@@ -10,6 +10,11 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
+MOUNTED = ("point", "direction", "transverse", "centre_of_mass")
+"""Last parts of the names of errors that are made anew whenever something is mounted."""
+RECORDED = ("noise", "trigger jitter", "points")
+"""Last parts of the names of what no two recordings share."""
+
 
 @dataclass(frozen=True)
 class Draws:
@@ -41,3 +46,23 @@ class Draws:
         value = scale * (lower @ self.stream(name).standard_normal(len(scale))) * (1.0 if self.systematic else 0.0)
         self.values[name] = [float(v) for v in value]
         return np.asarray(value)
+
+
+@dataclass(frozen=True)
+class CampaignDraws(Draws):
+    """The errors of one recording of a campaign: those of the rig are its other recordings' too.
+
+    Where something was mounted (`MOUNTED`) differs from `mounting` to mounting, noise (`RECORDED`) from `recording` to
+    recording. The sensor's own parts are never taken off.
+    """
+
+    mounting: str = ""
+    recording: str = ""
+
+    def stream(self, name: str) -> np.random.Generator:
+        """Return the generator of a name, within its mounting or its recording."""
+        last = name.rpartition(".")[2]
+        if last in RECORDED:
+            return super().stream(f"{name} [{self.recording}]")
+        own = name.startswith("internal.")
+        return super().stream(f"{name} [{self.mounting}]" if last in MOUNTED and not own else name)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from fusion.simulate.channels import clock
 from fusion.simulate.draws import Draws
 from fusion.simulate.preset import ChannelSpec, DaqSpec, PartSpec, Preset
+from fusion.simulate.scenery import StereoSetup, left_camera
 from fusion.simulate.world import TrueStereo, World
 from photogram.rigid import RigidTransform
 
@@ -21,19 +22,20 @@ def rig_tables(world: World) -> dict[str, Any]:
         "format": 1,
         "name": preset.rig_name,
         "sensor": _sensor(world),
-        "load": _part(preset.load),
+        "load": part_keys(preset.load),
     }
     if preset.parts:
-        tables["part"] = [{"name": part.name, "body": "load", **_part(part)} for part in preset.parts]
-    tables["environment"] = {"gravity": [0.0, 0.0, -preset.gravity], "temperature": 23.0, "air_density": 1.19}
-    tables["stereo"] = {stereo.setup.name: _stereo(stereo, preset) for stereo in world.stereo}
+        tables["part"] = [part_table(part) for part in preset.parts]
+    tables["environment"] = {"gravity": preset.gravity_mps2.tolist(), "temperature": 23.0, "air_density": 1.19}
+    pairs = {stereo.setup.name: _stereo(stereo, preset) for stereo in world.stereo}
+    tables["stereo"] = pairs | {setup.name: _points_pair(setup, preset) for setup in preset.points}
     return tables
 
 
 def _sensor(world: World) -> dict[str, Any]:
     """Return the block of the sensor under test."""
     preset = world.preset
-    internal = {f"internal_{key}": value for key, value in _part(preset.internal).items()}
+    internal = {f"internal_{key}": value for key, value in part_keys(preset.internal).items()}
     return {
         "name": preset.sensor_name,
         "serial": preset.serial,
@@ -46,7 +48,12 @@ def _sensor(world: World) -> dict[str, Any]:
     }
 
 
-def _part(spec: PartSpec) -> dict[str, Any]:
+def part_table(spec: PartSpec) -> dict[str, Any]:
+    """Return the block of a further part of the load."""
+    return {"name": spec.name, "body": "load", **part_keys(spec)}
+
+
+def part_keys(spec: PartSpec) -> dict[str, Any]:
     """Return the keys of a rigid part."""
     return {
         "mass": spec.mass,
@@ -61,18 +68,28 @@ def _part(spec: PartSpec) -> dict[str, Any]:
 def _stereo(stereo: TrueStereo, preset: Preset) -> dict[str, Any]:
     """Return the block of one stereo pair."""
     setup = stereo.setup
+    file, placed = f"calibration/{setup.name}.json", _placed(setup, stereo.sensor_from_left)
+    return {"body": setup.body, "calibration": file, **placed, "bit_depth": setup.bit_depth, **_exposed(setup, preset)}
+
+
+def _points_pair(setup: StereoSetup, preset: Preset) -> dict[str, Any]:
+    """Return the block of a stereo pair whose points another program computed."""
+    return {"body": setup.body, **_placed(setup, left_camera(setup)), **_exposed(setup, preset)}
+
+
+def _placed(setup: StereoSetup, sensor_from_left: RigidTransform) -> dict[str, Any]:
+    """Return the keys of where a stereo pair stands and what that is worth."""
     return {
-        "body": setup.body,
-        "calibration": f"calibration/{setup.name}.json",
-        "rotation": stereo.sensor_from_left.rotation.tolist(),
-        "translation": stereo.sensor_from_left.translation_m.tolist(),
+        "rotation": sensor_from_left.rotation.tolist(),
+        "translation": sensor_from_left.translation_m.tolist(),
         "pose_uncertainty": list(setup.pose_uncertainty),
         "scale_uncertainty": setup.scale_uncertainty,
-        "bit_depth": setup.bit_depth,
-        "exposure": preset.exposure_s,
-        "delay": 0.0,
-        "delay_uncertainty": setup.delay_uncertainty,
     }
+
+
+def _exposed(setup: StereoSetup, preset: Preset) -> dict[str, Any]:
+    """Return the keys of when a stereo pair exposes."""
+    return {"exposure": preset.exposure_s, "delay": 0.0, "delay_uncertainty": setup.delay_uncertainty}
 
 
 def recording_tables(preset: Preset) -> dict[str, Any]:
@@ -87,7 +104,7 @@ def recording_tables(preset: Preset) -> dict[str, Any]:
             "frequencies": [round(preset.fundamental_hz, 2)],
             "harmonics": "auto",
         },
-        "daq": [_daq(daq) for daq in preset.daqs],
+        "daq": [daq_table(daq) for daq in preset.daqs],
         "images": [
             {
                 "stereo": setup.name,
@@ -100,7 +117,7 @@ def recording_tables(preset: Preset) -> dict[str, Any]:
     }
 
 
-def _daq(daq: DaqSpec) -> dict[str, Any]:
+def daq_table(daq: DaqSpec) -> dict[str, Any]:
     """Return the block of one recorder."""
     channels = [_channel(spec, daq.response) for spec in daq.channels]
     return {"name": daq.name, "file": daq.file, "clock_uncertainty": daq.clock_uncertainty, "channel": channels}
@@ -135,14 +152,14 @@ def truth_tables(world: World, draws: Draws, seed: int) -> dict[str, Any]:
         "preset": preset.name,
         "seed": seed,
         "frequencies": preset.frequencies_hz.tolist(),
-        "acceleration": {body: _complex(motion_.acceleration) for body, motion_ in world.motion.items()},
-        "load": _complex(world.load_wrench),
-        "outputs": _complex(world.outputs),
-        "sensitivity": _complex(world.sensitivity),
-        "ratio": _complex(ratio),
+        "acceleration": {body: complex_table(motion_.acceleration) for body, motion_ in world.motion.items()},
+        "load": complex_table(world.load_wrench),
+        "outputs": complex_table(world.outputs),
+        "sensitivity": complex_table(world.sensitivity),
+        "ratio": complex_table(ratio),
         "motion": motion,
         "exposure_middle_s": (middle / clock(preset.daqs[0], draws)[1]).tolist(),
-        "clock": _tie(preset, draws),
+        "clock": clock_tie(preset, draws),
         "drawn": draws.values,
     }
 
@@ -155,12 +172,12 @@ def true_motion(world: World, stereo: TrueStereo) -> NDArray[np.float64]:
     return np.stack([(pose @ start).pose for pose in poses])
 
 
-def _tie(preset: Preset, draws: Draws) -> dict[str, float]:
+def clock_tie(preset: Preset, draws: Draws) -> dict[str, float]:
     """Return t_first = offset_s + rate · t_second of the two recorders' clocks."""
     (start, rate), (other_start, other_rate) = (clock(daq, draws) for daq in preset.daqs)
     return {"offset_s": (other_start - start) / rate, "rate": other_rate / rate}
 
 
-def _complex(value: NDArray[np.complex128]) -> dict[str, Any]:
+def complex_table(value: NDArray[np.complex128]) -> dict[str, Any]:
     """Return real and imaginary part as nested lists."""
     return {"re": value.real.tolist(), "im": value.imag.tolist()}

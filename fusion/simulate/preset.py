@@ -58,7 +58,10 @@ class DaqSpec:
 
 @dataclass(frozen=True)
 class Preset:
-    """A whole set-up. Phasors (K, 6) are true accelerations of the load at the lines `fundamental_hz`·`multiples`."""
+    """A whole set-up. Phasors (K, 6) are true accelerations of the load at the lines `fundamental_hz`·`multiples`.
+
+    `points`: stereo pairs of which another program's points are written instead of images. `down`: of gravity.
+    """
 
     name: str
     rig_name: str
@@ -86,11 +89,18 @@ class Preset:
     exposure_s: float
     stereo: tuple[StereoSetup, ...]
     daqs: tuple[DaqSpec, ...]
+    points: tuple[StereoSetup, ...] = ()
+    down: tuple[float, float, float] = (0.0, 0.0, -1.0)
 
     @property
     def frequencies_hz(self) -> FloatArray:
         """The lines (K,) that are present."""
         return self.fundamental_hz * np.array(self.multiples, dtype=np.float64)
+
+    @property
+    def gravity_mps2(self) -> FloatArray:
+        """Acceleration of gravity (3,) in the sensor frame."""
+        return self.gravity * np.array(self.down)
 
     def shrunk(self, frames: int | None, image_scale: float) -> Preset:
         """Return the preset with fewer frames and smaller images."""
@@ -104,7 +114,7 @@ def _polar(*terms: tuple[float, float]) -> tuple[complex, ...]:
     return tuple(complex(amplitude * np.exp(1j * phase)) for amplitude, phase in terms)
 
 
-def _laser(name: str, point: tuple[float, float, float], scale: float) -> ChannelSpec:
+def laser(name: str, point: tuple[float, float, float], scale: float) -> ChannelSpec:
     """Return one vibrometer channel on the load, along z."""
     stated = {
         "point_uncertainty": 5e-4,
@@ -116,8 +126,10 @@ def _laser(name: str, point: tuple[float, float, float], scale: float) -> Channe
     return ChannelSpec(name, "velocity", scale, 4e-4, 20 / 2**16, "load", point, (0.0, 0.0, 1.0), stated, "laser")
 
 
-def _accelerometer(name: str, body: str, point: tuple[float, float, float]) -> ChannelSpec:
-    """Return one accelerometer channel along z, 10 mV per m/s²."""
+def accelerometer(
+    name: str, body: str, point: tuple[float, float, float], direction: tuple[float, float, float] = (0.0, 0.0, 1.0)
+) -> ChannelSpec:
+    """Return one accelerometer channel, along z if nothing else is said, 10 mV per m/s²."""
     stated = {
         "point_uncertainty": 1e-3,
         "direction_uncertainty": 5e-3,
@@ -125,10 +137,10 @@ def _accelerometer(name: str, body: str, point: tuple[float, float, float]) -> C
         "transverse_sensitivity": 0.01,
         "delay_uncertainty": 1e-6,
     }
-    return ChannelSpec(name, "acceleration", 100.0, 4e-4, 20 / 2**16, body, point, (0.0, 0.0, 1.0), stated)
+    return ChannelSpec(name, "acceleration", 100.0, 4e-4, 20 / 2**16, body, point, direction, stated)
 
 
-def _bridge(names: tuple[str, ...], noise: float) -> tuple[ChannelSpec, ...]:
+def bridge(names: tuple[str, ...], noise: float) -> tuple[ChannelSpec, ...]:
     """Return the sensor's output channels in mV/V, from one amplifier."""
     stated = {"scale_uncertainty": 1e-4, "delay_uncertainty": 2e-7}
     return tuple(
@@ -137,8 +149,8 @@ def _bridge(names: tuple[str, ...], noise: float) -> tuple[ChannelSpec, ...]:
     )
 
 
-_TRIGGER = ChannelSpec("camera_trigger", "trigger", 1.0, 0.01, 20 / 2**12)
-_OUTPUTS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+TRIGGER = ChannelSpec("camera_trigger", "trigger", 1.0, 0.01, 20 / 2**12)
+OUTPUTS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
 NITSCHE2018 = Preset(
     name="nitsche2018",
@@ -209,14 +221,14 @@ NITSCHE2018 = Preset(
             0.0,
             5.5,
             (
-                _laser("velocity_1", (0.045, 0.0, 0.0973), 0.125),
-                _laser("velocity_2", (-0.0225, 0.0390, 0.0973), 0.125),
-                _laser("velocity_3", (-0.0225, -0.0390, 0.0973), 0.125),
-                _accelerometer("base_acceleration", "base", (0.120, 0.0, -0.045)),
-                _TRIGGER,
+                laser("velocity_1", (0.045, 0.0, 0.0973), 0.125),
+                laser("velocity_2", (-0.0225, 0.0390, 0.0973), 0.125),
+                laser("velocity_3", (-0.0225, -0.0390, 0.0973), 0.125),
+                accelerometer("base_acceleration", "base", (0.120, 0.0, -0.045)),
+                TRIGGER,
             ),
         ),
-        DaqSpec("bridge", "bridge.tdms", 50000.0, 1e-6, 0.3137, 5.0, (*_bridge(_OUTPUTS, 2e-5), _TRIGGER), ""),
+        DaqSpec("bridge", "bridge.tdms", 50000.0, 1e-6, 0.3137, 5.0, (*bridge(OUTPUTS, 2e-5), TRIGGER), ""),
     ),
 )
 
@@ -294,11 +306,11 @@ DEMO = Preset(
             0.0,
             1.1,
             (
-                _laser("velocity_1", (0.033, 0.0, 0.069), 0.1),
-                _laser("velocity_2", (-0.0165, 0.0286, 0.069), 0.1),
-                _laser("velocity_3", (-0.0165, -0.0286, 0.069), 0.1),
-                _accelerometer("base_acceleration", "base", (0.090, 0.0, -0.030)),
-                _TRIGGER,
+                laser("velocity_1", (0.033, 0.0, 0.069), 0.1),
+                laser("velocity_2", (-0.0165, 0.0286, 0.069), 0.1),
+                laser("velocity_3", (-0.0165, -0.0286, 0.069), 0.1),
+                accelerometer("base_acceleration", "base", (0.090, 0.0, -0.030)),
+                TRIGGER,
             ),
         ),
         DaqSpec(
@@ -308,7 +320,7 @@ DEMO = Preset(
             1e-6,
             0.0837,
             0.95,
-            (*_bridge(_OUTPUTS, 2e-5), _TRIGGER),
+            (*bridge(OUTPUTS, 2e-5), TRIGGER),
             "bridge-response.csv",
         ),
     ),

@@ -84,6 +84,11 @@ def nominal_rig(setup: StereoSetup) -> tuple[StereoRig, RigidTransform]:
     return replace(rig, covariance=covariance), poses[0]
 
 
+def left_camera(setup: StereoSetup) -> RigidTransform:
+    """Return sensor_from_left of a pair as the laboratory states it, as exact as a file of numbers is."""
+    return _sensor_from_camera(setup, -setup.stereo_deg / 2)
+
+
 def _sensor_from_camera(setup: StereoSetup, angle_deg: float) -> RigidTransform:
     """Return the pose of a camera that looks at the face's centre from `angle_deg` beside the middle direction."""
     normal, up, centre = (np.array(v) for v in (setup.face_normal, setup.face_up, setup.face_centre))

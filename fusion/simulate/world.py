@@ -50,7 +50,7 @@ class World:
 
 def make_world(preset: Preset, draws: Draws, jitter_s: float) -> World:
     """Return the truth of a preset with errors drawn."""
-    gravity = np.array([0.0, 0.0, -preset.gravity])
+    gravity = preset.gravity_mps2
     frequency = preset.frequencies_hz
     load = Motion(frequency, np.array(preset.acceleration))
     base = base_motion(load, np.array(preset.mount_hz), preset.mount_damping)
@@ -105,9 +105,13 @@ def true_stereo(setup: StereoSetup, draws: Draws) -> TrueStereo:
     scale = 1 + float(draws.normal(f"{setup.name}.scale", setup.scale_uncertainty))
     between = rig.right_from_left
     rig = StereoRig(rig.left, rig.right, RigidTransform(between.rotation, between.translation_m * scale))
-    error = draws.normal(f"{setup.name}.pose", np.array(setup.pose_uncertainty), 6)
-    turn = rotation_from_vector(error[3:])
-    stretched = sensor_from_left.translation_m * scale
-    true = RigidTransform(turn @ sensor_from_left.rotation, turn @ stretched + error[:3])
+    true = true_pose(setup, sensor_from_left, scale, draws)
     delay = float(draws.normal(f"{setup.name}.delay", setup.delay_uncertainty))
     return TrueStereo(setup, nominal, sensor_from_left, rig, true.inverse(), delay)
+
+
+def true_pose(setup: StereoSetup, stated: RigidTransform, scale: float, draws: Draws) -> RigidTransform:
+    """Return sensor_from_left as it is, where lengths are `scale` times those that the stated pose was found with."""
+    error = draws.normal(f"{setup.name}.pose", np.array(setup.pose_uncertainty), 6)
+    turn = rotation_from_vector(error[3:])
+    return RigidTransform(turn @ stated.rotation, turn @ (stated.translation_m * scale) + error[:3])

@@ -55,7 +55,7 @@ def write_campaign(
     for stereo in world.stereo:
         write_calibration(out / "calibration" / f"{stereo.setup.name}.json", stereo.nominal, 0.02)
     for daq in preset.daqs:
-        _write_record(folder / daq.file, record(world, daq, draws, noise[1]))
+        write_record(folder / daq.file, record(world, daq, draws, noise[1]))
         if daq.response:
             (folder / daq.response).write_text(response_table(), encoding="utf-8", newline="\n")
     _write_images(folder, world, draws, noise[0], aliased, progress)
@@ -67,7 +67,7 @@ def write_campaign(
     return folder
 
 
-def _write_record(path: Path, recorded: Record) -> None:
+def write_record(path: Path, recorded: Record) -> None:
     """Write one DAQ file, HDF5 or TDMS by its suffix."""
     if path.suffix == ".tdms":
         _write_tdms(path, recorded)
