@@ -17,6 +17,9 @@ from fusion.report import REPORT_FILE, render_report
 from fusion.results_csv import MERGED_FILES, merge_tables, result_tables
 from fusion.results_h5 import write_h5
 
+CURVE_FILE, CROSSTALK_FILE, CAMPAIGN_FILE = "curve.csv", "crosstalk.csv", "campaign.h5"
+CAMPAIGN_FILES = (*MERGED_FILES, CURVE_FILE, CROSSTALK_FILE, REPORT_FILE, CAMPAIGN_FILE)
+"""Files at the top of a campaign's results."""
 OWN_FILE = re.compile(r"(sensitivity|acceleration|load|motion-.+)\.csv|result\.h5|report\.html")
 
 
@@ -56,7 +59,7 @@ def write_folder(
 
 
 def check_campaign_folder(top: Path, recordings: Sequence[str], *, force: bool) -> None:
-    """Refuse a place for a campaign's results that holds something else, or merged tables without their recordings.
+    """Refuse a place for a campaign's results that holds something else, or joint files without their recordings.
 
     `recordings`: names of the recordings' folders, each of which is checked when its turn comes. Hidden files are
     none of the program's business.
@@ -64,7 +67,7 @@ def check_campaign_folder(top: Path, recordings: Sequence[str], *, force: bool) 
     check_folder(top, {}, force=True)
     names = {entry.name for entry in top.iterdir()} if top.exists() and not force else set()
     ours = {name for name in names if name in recordings or read_provenance(top / name) is not None}
-    other = {name for name in names - ours if not name.startswith(".") and not (ours and name in MERGED_FILES)}
+    other = {name for name in names - ours if not name.startswith(".") and not (ours and name in CAMPAIGN_FILES)}
     if other:
         expected = "results of this campaign only (--force writes beside them and replaces only result files)"
         raise InputError(top, "", found=f"other files, for example {min(other)}", expected=expected)
