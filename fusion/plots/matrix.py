@@ -34,18 +34,26 @@ DARK_ABOVE = 0.55
 
 @dataclass(frozen=True)
 class CrosstalkMap:
-    """Cross-talk at one frequency: `size` (C, 6) in per cent of the rated main output, NaN on the main elements.
+    """Cross-talk at one frequency: `size` (C, 6) in per cent of the rated main output.
 
-    `expanded` (C, 6): radius of the 95 % region; where it holds zero, `size` is only bounded by the sum of both.
-    `main` (C, 6): which elements are the main ones.
+    `half_axis` (C, 6): of the 95 % region, in per cent; `holds_zero` (C, 6): whether the region holds zero, so that
+    `size` is only bounded, by the sum of both; `main` (C,): component of each channel.
     """
 
     frequency_hz: float
     channels: tuple[str, ...]
     components: tuple[str, ...]
     size: FloatArray
-    expanded: FloatArray
-    main: NDArray[np.bool_]
+    half_axis: FloatArray
+    holds_zero: NDArray[np.bool_]
+    main: tuple[int, ...]
+
+    @property
+    def shown(self) -> FloatArray:
+        """Return size or upper bound (C, 6) of every element, NaN at the main ones."""
+        bound = np.where(self.holds_zero, self.size + self.half_axis, self.size)
+        bound[np.arange(len(self.main)), list(self.main)] = np.nan
+        return bound
 
 
 @dataclass(frozen=True)
@@ -93,20 +101,20 @@ def draw_excitation(items: Sequence[ExcitationDrawing]) -> Picture:
         axes.axhline(items[0].least, color=RED, linewidth=1.0, linestyle=(0, (5, 3)), label="least that determines")
         axes.set_xticks(range(1, 7))
         axes.set_xlabel("independent excitation")
-        axes.set_ylabel("singular value")
+        axes.set_ylabel("amplitude / standard uncertainty")
         axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0))
         lay_out(figure, [axes], right=1.9)
         caption = (
-            "Singular values of the whitened loads of all recordings: with six above the line the whole matrix is "
-            "determined."
+            "Singular values of the loads of all recordings: amplitude of each independent load in its standard "
+            "uncertainties. Six above the line determine the whole matrix."
         )
         return finish(figure, "excitation", "Independent excitations", caption)
 
 
 def _norm(maps: Sequence[CrosstalkMap]) -> LogNorm:
     """Colour scale that holds all cells: three decades at most."""
-    bounds = [np.where(item.size > item.expanded, item.size, item.size + item.expanded) for item in maps]
-    sizes = np.concatenate([bound[np.isfinite(bound) & (bound > 0.0)] for bound in bounds])
+    shown = np.concatenate([item.shown.ravel() for item in maps])
+    sizes = shown[np.isfinite(shown) & (shown > 0.0)]
     high = float(sizes.max()) if sizes.size else 1.0
     low = max(float(sizes.min()), 1e-3 * high) if sizes.size else 0.1
     return LogNorm(low, high if high > low else 10.0 * low)
@@ -114,14 +122,13 @@ def _norm(maps: Sequence[CrosstalkMap]) -> LogNorm:
 
 def _draw_map(axes: Axes, item: CrosstalkMap, norm: LogNorm) -> None:
     """One map with its numbers."""
-    bound = np.where(item.size > item.expanded, item.size, item.size + item.expanded)
+    shown = item.shown
     colours = mpl.colormaps["Blues"].with_extremes(bad=LIGHT)
-    axes.imshow(np.ma.masked_invalid(np.where(item.main, np.nan, bound)), cmap=colours, norm=norm, aspect="auto")
-    for i, j in np.ndindex(item.size.shape):
-        text, weak = _cell(item, i, j)
-        dark = not item.main[i, j] and np.isfinite(bound[i, j]) and float(norm(bound[i, j])) > DARK_ABOVE
-        colour = "white" if dark else GREY if weak else BLACK
-        axes.text(j, i, text, ha="center", va="center", fontsize=7.5, color=colour)
+    axes.imshow(np.ma.masked_invalid(shown), cmap=colours, norm=norm, aspect="auto")
+    for i, j in np.ndindex(shown.shape):
+        dark = np.isfinite(shown[i, j]) and float(norm(shown[i, j])) > DARK_ABOVE
+        colour = "white" if dark else GREY if item.holds_zero[i, j] else BLACK
+        axes.text(j, i, _cell(item, i, j), ha="center", va="center", fontsize=7.5, color=colour)
     axes.set_xticks(range(len(item.components)), list(item.components))
     axes.set_yticks(range(len(item.channels)), list(item.channels))
     axes.tick_params(length=0, labeltop=False)
@@ -135,16 +142,14 @@ def _draw_map(axes: Axes, item: CrosstalkMap, norm: LogNorm) -> None:
     panel_label(axes, f"{item.frequency_hz:.6g} Hz: outputs down, loads across, per cent")
 
 
-def _cell(item: CrosstalkMap, i: int, j: int) -> tuple[str, bool]:
-    """Text of one cell, and whether it is an upper bound only."""
-    if item.main[i, j]:
-        return "1", False
-    size, expanded = float(item.size[i, j]), float(item.expanded[i, j])
-    if not np.isfinite(size):
-        return "–", True
-    if size <= expanded:
-        return f"< {_short(size + expanded)}", True
-    return _short(size), False
+def _cell(item: CrosstalkMap, i: int, j: int) -> str:
+    """Text of one cell: an upper bound where the region holds zero."""
+    if item.main[i] == j:
+        return "1"
+    shown = float(item.shown[i, j])
+    if not np.isfinite(shown):
+        return "–"
+    return f"< {_short(shown)}" if item.holds_zero[i, j] else _short(shown)
 
 
 def _short(size: float) -> str:
