@@ -1,0 +1,271 @@
+"""Coverage of the 95 % regions at the level of tracks and channels: every systematic error drawn, no image rendered.
+
+    python benchmarks/coverage_tracks.py [--trials 400]
+
+One stereo pair on the load (48 frames, 60 subsets with 0.02 px noise), three laser points and six outputs on a recorder
+of their own. Subsets are projected through the true cameras at the true middles of the exposures, channels are sampled
+on the true clocks; from there on it is the program's own path.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from coverage_statistics import HEAD, Tally, row
+from numpy.typing import NDArray
+
+from fusion.analyse import Analysis, Inputs, analyse
+from fusion.channels import channel_results, find_channel_lines
+from fusion.errors import ComputeError
+from fusion.manifest import Manifest, load_manifest
+from fusion.readings import channel_readings, observations
+from fusion.records import DaqRecord
+from fusion.simulate.channels import record
+from fusion.simulate.draws import Draws
+from fusion.simulate.manifest_text import recording_tables, rig_tables
+from fusion.simulate.preset import NITSCHE2018, ChannelSpec, Preset
+from fusion.simulate.toml_text import to_toml
+from fusion.simulate.world import TrueStereo, World, make_world
+from fusion.stereo_motion import ImageView, StereoMotion, sensor_from_camera
+from fusion.stereo_phasors import pairs_phasors
+from fusion.timing import Exposure, TimeBase, exposure_middles, tie_daqs
+from photogram.calibration_file import read_calibration, write_calibration
+from photogram.deformation import deformation
+from photogram.epipolar import check_epipolar
+from photogram.motion import fit_motion
+from photogram.rigid import RigidTransform
+from photogram.track import StereoTracks, Tracks
+from photogram.triangulate import triangulate
+from shaker.signals.recording import RawChannel
+from shaker.signals.sine import exposure_gain
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+NOISE_PX = 0.02
+FRAMES = 48
+SIDE = 8
+TRIGGER_JITTER_S = 30e-9
+
+
+@dataclass(frozen=True)
+class Case:
+    """A direction of the excitation: driven load component, the true acceleration (1, 6), where the lasers look."""
+
+    name: str
+    driven: int
+    direction: tuple[float, ...]
+    acceleration: tuple[tuple[complex, ...], ...]
+    laser_points: tuple[tuple[float, float, float], ...]
+    laser_direction: tuple[float, float, float]
+
+
+def _motion(driven: int, size: float, lever: float = 0.0) -> tuple[tuple[complex, ...], ...]:
+    """Return the phasors of a fundamental: one component driven, the others small."""
+    main = np.array([0.52 - 0.8j, -0.6 + 0.5j, 0.7 + 0.4j, 2.1 + 1.2j, -2.4 - 1.9j, 0.5 + 0.7j])
+    main[driven] = size * np.exp(0.369j)
+    if lever:
+        main[0] = lever * main[driven]
+    return (tuple(main.tolist()),)
+
+
+TOP = ((0.045, 0.0, 0.0973), (-0.0225, 0.0390, 0.0973), (-0.0225, -0.0390, 0.0973))
+SIDE_FACE = ((0.05, 0.0, 0.02), (0.05, 0.03, 0.08), (0.05, -0.03, 0.08))
+CASES = (
+    Case("uniaxial z", 2, (0.0, 0.0, 1.0), _motion(2, 189.32), TOP, (0.0, 0.0, 1.0)),
+    Case("transverse x", 0, (1.0, 0.0, 0.0), _motion(0, 90.0), SIDE_FACE, (1.0, 0.0, 0.0)),
+    Case("moment My", 4, (0.0, 0.0, 0.0, 0.0, 1.0, 0.0), _motion(4, 900.0, 0.01), TOP, (0.0, 0.0, 1.0)),
+)
+
+
+def case_preset(case: Case) -> Preset:
+    """Return the set-up of a case: one pair, fewer frames, shorter records."""
+    daqs = []
+    for daq, duration in zip(NITSCHE2018.daqs, (1.3, 1.2), strict=True):
+        channels = [_placed(spec, case) for spec in daq.channels if spec.body != "base"]
+        daqs.append(replace(daq, sample_rate_hz=20480.0, duration_s=duration, channels=tuple(channels)))
+    return replace(
+        NITSCHE2018,
+        multiples=(1,),
+        acceleration=case.acceleration,
+        frames=FRAMES,
+        first_frame_s=0.15,
+        stereo=NITSCHE2018.stereo[:1],
+        daqs=(daqs[0], replace(daqs[1], start_s=0.06)),
+    )
+
+
+def _placed(spec: ChannelSpec, case: Case) -> ChannelSpec:
+    """Return a channel, lasers where the case has them."""
+    if spec.common != "laser":
+        return spec
+    point = case.laser_points[int(spec.name[-1]) - 1]
+    return replace(spec, point=point, direction=case.laser_direction)
+
+
+def write_manifest(folder: Path, case: Case, world: World) -> Manifest:
+    """Write the manifests of a case, its calibration and empty files in place of data, and load them."""
+    preset = world.preset
+    recording = folder / preset.recording
+    (folder / "calibration").mkdir(parents=True)
+    recording.mkdir()
+    for stereo in world.stereo:
+        write_calibration(folder / "calibration" / f"{stereo.setup.name}.json", stereo.nominal, 0.02)
+        for side in ("left", "right"):
+            (recording / f"{stereo.setup.name}-{side}").mkdir()
+            for frame in range(preset.frames):
+                (recording / f"{stereo.setup.name}-{side}" / f"{frame:04d}.tif").touch()
+    for daq in preset.daqs:
+        (recording / daq.file).touch()
+    tables = recording_tables(preset)
+    tables["excitation"] |= {"direction": list(case.direction), "harmonics": [1]}
+    (folder / "rig.toml").write_text(to_toml(rig_tables(world)), encoding="utf-8")
+    (recording / "recording.toml").write_text(to_toml(tables), encoding="utf-8")
+    return load_manifest(recording)
+
+
+def time_base(manifest: Manifest, world: World, draws: Draws) -> TimeBase:
+    """Return the recorders' samples as if they had been read from their files."""
+    records = []
+    for daq, entry in zip(world.preset.daqs, manifest.daq, strict=True):
+        taken = record(world, daq, draws, True)
+        raw = {
+            name: RawChannel(samples.astype(np.float64), taken.sample_rate_hz)
+            for name, samples in taken.samples.items()
+        }
+        records.append(DaqRecord(entry, raw, 0.0))
+    return tie_daqs(manifest, records)
+
+
+def stereo_motion(manifest: Manifest, base: TimeBase, world: World, draws: Draws) -> StereoMotion:
+    """Return the motion of the body that the pair sees, from tracks of its subsets."""
+    (stereo,), (entry,) = world.stereo, manifest.images
+    pair = manifest.rig.stereo[entry.stereo]
+    assert pair.calibration is not None
+    rig = read_calibration(pair.calibration)
+    tracks = subset_tracks(world, stereo, draws)
+    points = triangulate(
+        rig, tracks.left.position_px, tracks.right.position_px, tracks.left.covariance_px2, tracks.right.covariance_px2
+    ).transformed(sensor_from_camera(pair))
+    motion = fit_motion(points, None, np.zeros(3))
+    epipolar = check_epipolar(tracks, rig)
+    view = ImageView(tracks, rig, np.zeros((1, 1)), None, None, epipolar)
+    time_s = exposure_middles(manifest, base, entry, world.preset.frames)
+    reprojection = float(np.sqrt(np.mean(points.reprojection_px**2)))
+    exposure = Exposure(world.preset.exposure_s)
+    return StereoMotion(
+        entry, pair, exposure, time_s, motion, deformation(points, motion), reprojection, view, epipolar.notices
+    )
+
+
+def subset_tracks(world: World, stereo: TrueStereo, draws: Draws) -> StereoTracks:
+    """Return the subsets' true pixels, averaged over each exposure, with noise in both cameras."""
+    middle = world.trigger_s + stereo.delay_s + world.preset.exposure_s / 2
+    motion = world.motion[stereo.setup.body]
+    gain = exposure_gain(motion.frequency_hz, world.preset.exposure_s)
+    poses = replace(motion, acceleration=motion.acceleration * gain[:, None]).pose(middle)
+    half = 0.8 * np.array(stereo.setup.half_size)
+    axis = np.linspace(-1.0, 1.0, SIDE)
+    u, v = np.meshgrid(axis * half[0], axis * half[1])
+    up, normal = np.array(stereo.setup.face_up), np.array(stereo.setup.face_normal)
+    face = np.array(stereo.setup.face_centre) + u.reshape(-1, 1) * np.cross(up, normal) + v.reshape(-1, 1) * up
+    moved = np.stack([RigidTransform.from_pose(pose).apply(face) for pose in poses])
+    pixels = stereo.rig.project(stereo.left_from_sensor.apply(moved))
+    sides = [_track(place, draws.stream(f"subsets.{name}")) for name, place in zip("lr", pixels, strict=True)]
+    return StereoTracks(sides[0], sides[1], (), np.full(2, 5.0), np.full(2, 6.0), np.zeros(2))
+
+
+def _track(place: FloatArray, rng: np.random.Generator) -> Tracks:
+    """Return one camera's subsets with noise."""
+    frames, points, _ = place.shape
+    noisy = place + NOISE_PX * rng.standard_normal(place.shape)
+    covariance = np.broadcast_to(NOISE_PX**2 * np.eye(2), (frames, points, 2, 2)).copy()
+    status = np.zeros((frames, points), dtype=np.int8)
+    return Tracks(noisy, covariance, np.ones((frames, points)), status, np.full(points, 6.0))
+
+
+def evaluate_trial(manifest: Manifest, world: World, draws: Draws) -> Analysis:
+    """Return what the program makes of one drawn recording."""
+    base = time_base(manifest, world, draws)
+    lines = find_channel_lines(manifest, base)
+    if lines is None:
+        raise ComputeError("no channel shows the lines")
+    readings = channel_readings(base, channel_results(manifest, base, lines))
+    stereo, _ = pairs_phasors([stereo_motion(manifest, base, world, draws)], lines)
+    return analyse(Inputs.of(manifest, lines, observations(manifest, base, readings, stereo, lines), readings))
+
+
+@dataclass
+class Counts:
+    """Tallies of one case by quantity and component."""
+
+    acceleration: list[Tally]
+    load: list[Tally]
+    sensitivity: list[Tally]
+
+    @classmethod
+    def empty(cls) -> Counts:
+        """Return six tallies of each quantity."""
+        return cls(*([Tally() for _ in range(6)] for _ in range(3)))
+
+    def add(self, case: Case, world: World, found: Analysis) -> None:
+        """Take in the fundamental of one recording."""
+        fused = next(a for a in found.accelerations if (a.body, a.source) == ("load", "fused"))
+        true = world.motion["load"].acceleration[0]
+        _add(self.acceleration, fused.phasors.value[0] - true, fused.phasors.covariance[0], fused.uncertainty.dof()[0])
+        if found.load is not None:
+            load = found.load.phasors
+            _add(self.load, load.value[0] - world.load_wrench[0], load.covariance[0], found.load.uncertainty.dof()[0])
+        if found.sensitivity is not None:
+            ratio = world.outputs[0] / world.load_wrench[0, case.driven]
+            error = found.sensitivity.value[0, :, case.driven] - ratio
+            for tally, one, spread, dof in zip(
+                self.sensitivity,
+                error,
+                found.sensitivity.covariance[0, :, case.driven],
+                found.sensitivity.dof[0, :, case.driven],
+                strict=True,
+            ):
+                tally.add(complex(one), spread, dof)
+
+    def rows(self, case: Case) -> Iterator[str]:
+        """Yield the rows of the table."""
+        for name in ("acceleration", "load", "sensitivity"):
+            yield row(case.name, name, getattr(self, name))
+
+
+def _add(tallies: list[Tally], error: ComplexArray, covariance: FloatArray, dof: FloatArray) -> None:
+    """Take in six components."""
+    for place, tally in enumerate(tallies):
+        both = np.ix_([place, place + 6], [place, place + 6])
+        tally.add(complex(error[place]), covariance[both], float(dof[place]))
+
+
+def run_case(case: Case, seeds: range) -> Counts:
+    """Simulate and evaluate one case."""
+    counts, preset = Counts.empty(), case_preset(case)
+    with tempfile.TemporaryDirectory() as scratch:
+        manifest = write_manifest(Path(scratch) / "campaign", case, make_world(preset, Draws(0, False), 0.0))
+        for seed in seeds:
+            draws = Draws(seed, True)
+            world = make_world(preset, draws, TRIGGER_JITTER_S)
+            counts.add(case, world, evaluate_trial(manifest, world, draws))
+    return counts
+
+
+def main(trials: int = 400) -> None:
+    """Run all cases and print the table."""
+    print(HEAD)
+    for case in CASES:
+        for line in run_case(case, range(1, trials + 1)).rows(case):
+            print(line, flush=True)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--trials", type=int, default=400)
+    main(parser.parse_args().trials)
