@@ -360,8 +360,7 @@ def _observe_group(readings: list[Reading], gravity: FloatArray | None, clock_un
         for kind, unit, axis, u, row in _placement_errors(reading, gravity):
             slope = np.zeros_like(design)
             slope[:, place] = row
-            label = f"{chain_name(reading)}: {kind}"
-            name = f"{label} {_where(reading.entry, kind)} {axis}"
+            name, label = placement_name(reading, kind, axis), f"{chain_name(reading)}: {kind}"
             common.append(CommonError(name, label, u, unit, "mounting", slope, none))
     stated = any(error.scope != "recording" for error in common)
     orders = np.array([-ORDER_BELOW_ACCELERATION[e.quantity] for e in entries], dtype=np.float64)
@@ -401,11 +400,20 @@ def _row(
     return np.asarray(factor[:, None] * row)
 
 
-def _where(entry: ChannelEntry, kind: str) -> str:
-    """Return a channel's name with its stated place, and its direction where that errs."""
+def placement_name(reading: Reading, kind: str, axis: str) -> str:
+    """Return the name of an unknown of a channel's placement: with the stated place, and its direction where that errs.
+
+    `kind`: "point" (axis x, y, z), "direction" or "transverse sensitivity" (axis 0, 1 of `across`).
+    """
+    entry = reading.entry
     at = "" if entry.point is None else f" at ({', '.join(f'{x:.9g}' for x in entry.point)})"
     along = "" if kind == "point" else f" along ({', '.join(f'{x:.9g}' for x in entry.direction or ())})"
-    return f"{entry.name}{at}{along}"
+    return f"{chain_name(reading)}: {kind} {entry.name}{at}{along} {axis}"
+
+
+def across(direction: FloatArray) -> FloatArray:
+    """Return two unit vectors (2, 3) at right angles to a direction and to each other."""
+    return np.asarray(np.linalg.svd(direction[None])[2][1:])
 
 
 def _placement_errors(reading: Reading, gravity: FloatArray | None) -> list[tuple[str, str, str, float, ComplexArray]]:
@@ -418,8 +426,7 @@ def _placement_errors(reading: Reading, gravity: FloatArray | None) -> list[tupl
         for axis, u in enumerate(np.broadcast_to(np.asarray(entry.point_uncertainty, dtype=np.float64), (3,))):
             lever = np.concatenate([np.zeros(3), np.cross(np.eye(3)[axis], direction) * u])
             found.append(("point", "m", "xyz"[axis], float(u), factor[:, None] * lever))
-    across = np.linalg.svd(direction[None])[2][1:]
-    for number, tangent in enumerate(across):
+    for number, tangent in enumerate(across(direction)):
         turned = _row(entry, tangent, frequency, gravity)
         transverse = entry.transverse_sensitivity / np.sqrt(2.0)
         found.append(
