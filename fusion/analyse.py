@@ -12,6 +12,7 @@ from fusion.load import LoadResult, load_phasors
 from fusion.manifest import Manifest, Sensor
 from fusion.notices import AnyNotice
 from fusion.observe import Observation, Reading
+from fusion.outputs import Outputs, output_phasors
 from fusion.readings import gravity, load_body
 from fusion.sensitivity import Sensitivity, sensitivity_ratio
 from shaker.signals.frequencies import Lines
@@ -56,10 +57,11 @@ class Inputs:
 
 @dataclass(frozen=True)
 class Analysis:
-    """Acceleration of every body, fused first and then by source; load and sensitivity where they can be told."""
+    """Acceleration of every body, fused first and then by source; outputs, load and sensitivity where there are any."""
 
     accelerations: tuple[Acceleration, ...]
     load: LoadResult | None
+    outputs: Outputs | None
     sensitivity: Sensitivity | None
 
     @property
@@ -81,7 +83,8 @@ def analyse(inputs: Inputs) -> Analysis:
         raise ComputeError("no channel or camera of this recording measures a motion; add one to recording.toml")
     accelerations = tuple(acceleration for body in bodies for acceleration in fuse_sources(seen, body))
     load = _load(inputs, accelerations)
-    return Analysis(accelerations, load, _sensitivity(inputs, load))
+    outputs = output_phasors(inputs.outputs) if inputs.outputs else None
+    return Analysis(accelerations, load, outputs, _sensitivity(inputs, load, outputs))
 
 
 def _load(inputs: Inputs, accelerations: Sequence[Acceleration]) -> LoadResult | None:
@@ -93,9 +96,9 @@ def _load(inputs: Inputs, accelerations: Sequence[Acceleration]) -> LoadResult |
     return load_phasors(fused, inputs.body, inputs.gravity_mps2, sense)
 
 
-def _sensitivity(inputs: Inputs, load: LoadResult | None) -> Sensitivity | None:
+def _sensitivity(inputs: Inputs, load: LoadResult | None, outputs: Outputs | None) -> Sensitivity | None:
     """Return output over load of the driven component, None where there are no outputs or there is no load."""
     sensor, direction = inputs.sensor, inputs.direction
-    if sensor is None or load is None or direction is None or not inputs.outputs:
+    if sensor is None or load is None or direction is None or outputs is None:
         return None
-    return sensitivity_ratio(inputs.outputs, load, direction, inputs.lines.multiple, sensor.unit, sensor.capacity)
+    return sensitivity_ratio(outputs, load, direction, inputs.lines.multiple, sensor.unit, sensor.capacity)

@@ -10,13 +10,16 @@ from numpy.typing import NDArray
 
 from fusion.deflection import DeflectionShape
 from fusion.fuse import Acceleration
+from fusion.load import LoadResult
 from fusion.manifest import Manifest
 from fusion.notices import AnyNotice
+from fusion.outputs import Outputs
 from fusion.sensitivity import Sensitivity
 from photogram.epipolar import EpipolarCheck
 from photogram.images import GreyImage
 from photogram.motion import RigidMotion
 from photogram.noise import NoiseModel
+from shaker._checks import check_shape
 from shaker.signals.frequencies import Lines
 from shaker.signals.phasor import Phasors
 from shaker.signals.sine import SineFit
@@ -24,6 +27,7 @@ from shaker.signals.stationarity import Stationarity
 from shaker.signals.sync import ClockTie, TriggerFit
 
 FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
@@ -113,11 +117,35 @@ class ClockResult:
 
 
 @dataclass(frozen=True)
+class TakeResult:
+    """What ties one take to the first: its reference channel, and the exact lines on its own clock.
+
+    `frequency_hz` (K,) in the order of the evaluation's lines; `value` (K,) phasors R_i of the reference, counted on
+    the take's own clock; `factor` (K,): R_1/R_i, by which all phasors of the take were multiplied, NaN where the
+    reference does not stand out; `drift` (K,): |R_i/R_1| - 1 and its standard uncertainty from noise.
+    """
+
+    name: str
+    reference: str
+    frequency_hz: FloatArray
+    value: ComplexArray
+    factor: ComplexArray
+    drift: FloatArray
+    u_drift: FloatArray
+
+    def __post_init__(self) -> None:
+        lines = self.frequency_hz.shape
+        for name in ("value", "factor", "drift", "u_drift"):
+            check_shape(name, getattr(self, name), lines)
+
+
+@dataclass(frozen=True)
 class Evaluation:
     """Everything one recording yields.
 
     `accelerations`: one entry per body and source (`fused` first). `load`: wrench phasors at the sensor origin, N and
-    N.m, with the manifest's sense. `settings`, `versions`, `input_hashes` (file -> SHA-256) say what was run on what.
+    N.m, with the manifest's sense. `outputs`: of the sensor. `settings`, `versions`, `input_hashes` (file -> SHA-256)
+    say what was run on what.
     """
 
     manifest: Manifest
@@ -126,10 +154,12 @@ class Evaluation:
     channels: tuple[ChannelResult, ...]
     stereo: tuple[StereoResult, ...]
     accelerations: tuple[Acceleration, ...]
-    load: Phasors | None
+    load: LoadResult | None
+    outputs: Outputs | None
     sensitivity: Sensitivity | None
     notices: tuple[AnyNotice, ...]
     settings: dict[str, str | float | int]
     versions: dict[str, str]
     input_hashes: dict[str, str]
     duration_s: float = field(default=0.0)
+    takes: tuple[TakeResult, ...] = ()

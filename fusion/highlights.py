@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from fusion import sensitivity
 from fusion.evaluation import Evaluation
 from fusion.fuse import Acceleration
 
@@ -14,11 +15,12 @@ LOAD_COMPONENTS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 def driven_component(evaluation: Evaluation) -> int:
     """Place of the driven component among x, y, z, rx, ry, rz.
 
-    The largest element of the excitation's direction; where none is stated, the translation that moves most.
+    The largest element of the excitation's direction, forces and moments in shares of the rated loads; where none is
+    stated, the translation that moves most.
     """
-    direction = evaluation.manifest.excitation.direction
+    direction, sensor = evaluation.manifest.excitation.direction, evaluation.manifest.rig.sensor
     if direction is not None:
-        return int(np.argmax(np.abs(direction)))
+        return sensitivity.driven_component(direction, None if sensor is None else sensor.capacity)
     sizes = [np.abs(result.phasors.value[:, :3]) for result in evaluation.accelerations]
     moves = np.nan_to_num(np.concatenate(sizes)) if sizes else np.zeros((1, 3))
     return int(np.argmax(moves.max(axis=0)))
@@ -37,6 +39,14 @@ def driven_channel(evaluation: Evaluation) -> int:
     sizes = np.abs(found.value[main_line(evaluation), :, component] if static is None else static[:, component])
     usable = np.where(found.observed[:, component] & np.isfinite(sizes), sizes, -1.0)
     return int(np.argmax(usable))
+
+
+def driven_element(evaluation: Evaluation) -> int:
+    """Place of the driven channel and component among the elements of the sensitivity."""
+    found = evaluation.sensitivity
+    if found is None:
+        raise ValueError("evaluation: expected a sensitivity, found none")
+    return found.elements.index((driven_channel(evaluation), driven_component(evaluation)))
 
 
 def main_line(evaluation: Evaluation) -> int:

@@ -1,18 +1,20 @@
-"""The load at the sensor origin: mass matrix and gravity tilt applied to the acceleration, with its budget."""
+"""The load at the sensor origin: mass matrix and gravity tilt applied to the acceleration, with its uncertainty."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fusion.body import COMPONENTS, Body, BodyParameter
-from fusion.estimate import BODY_SIZE_M, UNOBSERVED_MOTION, hidden_motion
-from fusion.fuse import Acceleration, Contribution
+from fusion.body import COMPONENTS, Body, MatrixChange
+from fusion.estimate import BODY_SIZE_M, UNOBSERVED_MOTION, hidden_motion, real_design, real_stack
+from fusion.fuse import Acceleration
 from fusion.notices import AnyNotice, Notice
+from fusion.uncertainty import Contribution, Influence, Uncertainty, total_variance
+from shaker._checks import check_shape
 from shaker.signals.phasor import Phasors
 
 FloatArray = NDArray[np.float64]
@@ -27,12 +29,40 @@ UNOBSERVED_LIMIT = 0.01
 
 @dataclass(frozen=True)
 class LoadResult:
-    """Wrench phasors at the sensor origin (K, 6) in N and N.m, NaN where not `observed` (K, 6), and their budget."""
+    """Wrench phasors at the sensor origin in N and N.m, with the manifest's sense.
 
-    phasors: Phasors
+    `value` (K, 6): the whole estimate, with components of the motion that nobody observed at zero; NaN at lines without
+    any reading. `uncertainty`: of all six, in which those components are contributions of their own. `observed` (K, 6):
+    which components are given as results, since the unobserved ones matter little to them.
+    """
+
+    frequency_hz: FloatArray
+    value: ComplexArray
+    uncertainty: Uncertainty
     observed: BoolArray
-    contributions: tuple[Contribution, ...]
     notices: tuple[AnyNotice, ...]
+
+    def __post_init__(self) -> None:
+        lines = len(self.frequency_hz)
+        check_shape("value", self.value, (lines, 6))
+        check_shape("observed", self.observed, (lines, 6))
+        check_shape("covariance", self.uncertainty.covariance, (lines, 12, 12))
+
+    @property
+    def phasors(self) -> Phasors:
+        """Return the components that are given as results, NaN elsewhere; `dof` of the largest force of each line."""
+        mask = ~np.tile(self.observed, (1, 2))
+        covariance = np.where(mask[:, :, None] | mask[:, None, :], np.nan, self.uncertainty.covariance)
+        value = np.where(self.observed, self.value, complex(np.nan, np.nan))
+        size = np.abs(self.value) / np.where(np.arange(6) < 3, 1.0, BODY_SIZE_M)
+        largest = np.argmax(np.where(self.observed, size, -1.0), axis=1)
+        dof = self.uncertainty.dof()[np.arange(len(value)), largest]
+        return Phasors(self.frequency_hz, value, covariance, LOAD_COMPONENTS, LOAD_UNITS, dof)
+
+    @property
+    def contributions(self) -> tuple[Contribution, ...]:
+        """Return the budget: one contribution per label; they add up to the covariance of `value`."""
+        return self.uncertainty.grouped()
 
 
 def load_phasors(
@@ -40,106 +70,62 @@ def load_phasors(
     body: Body,
     gravity_mps2: ArrayLike | None = None,
     sense: Literal["on_load", "on_sensor"] = "on_load",
+    u_gravity_mps2: ArrayLike | None = None,
 ) -> LoadResult:
     """Return the wrench L = ±(M A + gravity tilt) at the sensor origin, positive as it acts on the load ("on_load").
 
-    Its covariance is that of the acceleration carried through, contribution by contribution, plus one term per
-    uncertain parameter of the body, (dM/dp · A) u(p). Acceleration components that no instrument observed are taken as
-    zero with a standard uncertainty of 2 % of the observed motion's amplitude (rotations: of amplitude over 0.1 m), a
-    type B contribution "unobserved NAME"; a load component to which they bring more than 1 % is not given.
+    Its uncertainty is that of the acceleration carried through, and one influence per uncertain number of body, joint
+    and gravity, (dM/dp · A) u(p). Acceleration components that no instrument observed are taken as zero with a standard
+    uncertainty of 2 % of the observed motion's amplitude (rotations: of amplitude over 0.1 m), a type B contribution
+    "unobserved NAME"; a load component to which they bring more than 1 % is not given.
     """
     frequency = acceleration.phasors.frequency_hz
-    gravity = None if gravity_mps2 is None else np.asarray(gravity_mps2, dtype=np.float64)
+    gravity, u_gravity = (None if g is None else np.asarray(g, np.float64) for g in (gravity_mps2, u_gravity_mps2))
     sign = {"on_load": 1.0, "on_sensor": -1.0}[sense]
-    matrix = sign * body.terms.load_matrix(frequency, gravity)
+    # At a line without any reading nothing is known, neither what is zero nor how uncertain it is.
+    seen = np.where(np.any(acceleration.observed, axis=1), sign, np.nan)[:, None, None]
+    matrix = seen * body.load_matrix(frequency, gravity)
+    changes = [replace(c, change=seen * c.change) for c in body.matrix_changes(frequency, gravity, u_gravity)]
     known = np.nan_to_num(acceleration.phasors.value)
     value = np.einsum("kij,kj->ki", matrix, known)
-    parameters = body.parameters()
-    changes = [(p, sign * p.change.load_matrix(frequency, gravity)) for p in parameters]
-    hidden = _hidden_variances(acceleration, matrix, [change for _, change in changes])
-    spread = np.sqrt(2.0 * hidden.sum(axis=2))
-    size = np.abs(value)
-    observed = np.any(acceleration.observed, axis=1)[:, None] & (spread <= UNOBSERVED_LIMIT * size)
-    contributions = [
-        Contribution(c.label, c.type, carry(matrix, np.nan_to_num(c.covariance))) for c in acceleration.contributions
-    ]
-    contributions += _parameter_contributions(changes, known) + _hidden_contributions(hidden)
-    mask = ~np.tile(observed, (1, 2))
-    contributions = [Contribution(c.label, c.type, _hide(c.covariance, mask)) for c in contributions]
-    phasors = Phasors(
-        frequency_hz=frequency,
-        value=np.where(observed, value, complex(np.nan, np.nan)),
-        covariance=_hide(np.sum([c.covariance for c in contributions], axis=0), mask),
-        channels=LOAD_COMPONENTS,
-        unit=LOAD_UNITS,
-        dof=_load_dof(acceleration, contributions, value),
+    hidden = _hidden_contributions(acceleration, matrix, changes)
+    spread = np.sum([np.zeros(value.shape), *(total_variance(part.covariance) for part in hidden.values())], axis=0)
+    observed = np.isfinite(value) & (np.sqrt(spread) <= UNOBSERVED_LIMIT * np.abs(value))
+    carried = _where_observed(acceleration.uncertainty).transformed(real_design(matrix))
+    own = tuple(
+        Influence(c.name, c.label, c.u, c.unit, real_stack(np.einsum("kij,kj->ki", c.change, known)), c.scope)
+        for c in changes
     )
-    return LoadResult(phasors, observed, tuple(contributions), _notices(acceleration, observed, hidden))
+    total = Uncertainty((*carried.random, *hidden.values()), (*carried.influences, *own))
+    return LoadResult(frequency, value, total, observed, _notices(acceleration, observed, hidden))
 
 
-def carry(matrix: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Return the real-stacked covariance (K, 12, 12) of real matrices (K, 6, 6) times complex vectors."""
-    both = np.zeros((len(matrix), 12, 12))
-    both[:, :6, :6] = both[:, 6:, 6:] = matrix
-    return np.asarray(both @ covariance @ both.swapaxes(1, 2))
+def _where_observed(uncertainty: Uncertainty) -> Uncertainty:
+    """Acceleration's uncertainty with nothing in place of what is not observed: that has a contribution of its own."""
+    random = tuple(replace(part, covariance=np.nan_to_num(part.covariance)) for part in uncertainty.random)
+    return Uncertainty(random, tuple(replace(i, effect=np.nan_to_num(i.effect)) for i in uncertainty.influences))
 
 
-def _hide(covariance: FloatArray, hidden: BoolArray) -> FloatArray:
-    """NaN in the rows and columns of components that are not given."""
-    return np.where(hidden[:, :, None] | hidden[:, None, :], np.nan, covariance)
-
-
-def _parameter_contributions(
-    changes: Sequence[tuple[BodyParameter, FloatArray]], acceleration: ComplexArray
-) -> list[Contribution]:
-    """One type B contribution per label of the body's parameters."""
-    merged: dict[str, FloatArray] = {}
-    for parameter, change in changes:
-        effect = np.einsum("kij,kj->ki", change, acceleration)
-        column = np.concatenate([effect.real, effect.imag], axis=1)
-        covariance = column[:, :, None] * column[:, None, :]
-        merged[parameter.label] = merged.get(parameter.label, 0.0) + covariance
-    return [Contribution(label, "B", covariance) for label, covariance in merged.items()]
-
-
-def _hidden_variances(acceleration: Acceleration, matrix: FloatArray, changes: Sequence[FloatArray]) -> FloatArray:
-    """Variance (K, 6 loads, 6 accelerations) of real and of imaginary part from components nobody observed."""
+def _hidden_contributions(
+    acceleration: Acceleration, matrix: ComplexArray, changes: Sequence[MatrixChange]
+) -> dict[str, Contribution]:
+    """One type B contribution per component nobody observed; its real and imaginary parts are independent."""
+    variance = hidden_motion(np.nan_to_num(acceleration.phasors.value), acceleration.observed) ** 2 / 2.0
     # Through the uncertain parameters an unobserved component acts even where its coefficient is zero.
-    square = matrix**2 + sum((change**2 for change in changes), np.zeros_like(matrix))
-    motion = hidden_motion(np.nan_to_num(acceleration.phasors.value), acceleration.observed)
-    variance = motion**2 / 2.0
-    return np.asarray(square * variance[:, None, :])
-
-
-def _hidden_contributions(hidden: FloatArray) -> list[Contribution]:
-    """One type B contribution per unobserved component; its real and imaginary parts are independent."""
-    found = []
+    ways = np.stack([matrix, *(c.change for c in changes)])
+    found = {}
     for place, name in enumerate(COMPONENTS):
-        if np.any(hidden[:, :, place] > 0.0):
-            diagonal = np.tile(hidden[:, :, place], (1, 2))
-            found.append(Contribution(f"unobserved {name}", "B", diagonal[:, :, None] * np.eye(12)))
+        if np.any(variance[:, place] > 0.0):
+            columns = real_design(ways[..., place, None])
+            covariance = np.einsum("wkia,wkja,k->kij", columns, columns, variance[:, place])
+            found[name] = Contribution(f"unobserved {name}", "B", covariance)
     return found
 
 
-def _load_dof(acceleration: Acceleration, contributions: Sequence[Contribution], value: ComplexArray) -> FloatArray:
-    """Degrees of freedom (K,) of the largest force: those of the acceleration, diluted by the share of the rest."""
-    lines = np.arange(len(value))
-    weight = np.abs(np.nan_to_num(value)) / np.where(np.arange(6) < 3, 1.0, BODY_SIZE_M)
-    component = np.argmax(weight, axis=1)
-    from_motion, total = np.zeros(len(value)), np.zeros(len(value))
-    inherited = {contribution.label for contribution in acceleration.contributions}
-    for entry in contributions:
-        variance = entry.covariance[lines, component, component] + entry.covariance[lines, component + 6, component + 6]
-        total += variance
-        from_motion += variance if entry.label in inherited else 0.0
-    share = np.divide(total, from_motion, out=np.ones(len(value)), where=from_motion > 0.0)
-    return np.asarray(acceleration.phasors.dof * share**2)
-
-
-def _notices(acceleration: Acceleration, observed: BoolArray, hidden: FloatArray) -> tuple[Notice, ...]:
+def _notices(acceleration: Acceleration, observed: BoolArray, hidden: Mapping[str, Contribution]) -> tuple[Notice, ...]:
     """Say which load components rest on assumed zeros and which are not given."""
     found = []
-    assumed = [name for place, name in enumerate(COMPONENTS) if np.any((hidden[:, :, place] > 0.0) & observed)]
+    assumed = [name for name, part in hidden.items() if np.any((total_variance(part.covariance) > 0.0) & observed)]
     if assumed:
         text = (
             f"{', '.join(assumed)} of the load were not observed at some lines: taken as zero with a standard "

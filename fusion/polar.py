@@ -8,6 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.coverage import Region, coverage_factor, region
+
 FloatArray = NDArray[np.float64]
 UNIFORM_PHASE_U = float(np.pi / np.sqrt(3.0))
 LARGEST_PLAIN = 1e5
@@ -19,7 +21,10 @@ PLAIN_TO_TYPESET = (("^2", "²"), ("N.m", "N·m"))
 
 @dataclass(frozen=True)
 class Polar:
-    """A complex value as magnitude and phase in (-pi, pi] and as parts, with standard uncertainties (k = 1)."""
+    """A complex value as magnitude and phase in (-pi, pi] and as parts, with standard uncertainties (k = 1).
+
+    `r`: correlation of real and imaginary part; `dof`: effective degrees of freedom, which decide the coverage factor.
+    """
 
     magnitude: float
     phase_rad: float
@@ -30,9 +35,32 @@ class Polar:
     u_re: float
     u_im: float
     r: float
+    dof: float = np.inf
+
+    @property
+    def k(self) -> float:
+        """Return the coverage factor of magnitude and phase for 95 %."""
+        return coverage_factor(self.dof)
+
+    @property
+    def expanded_magnitude(self) -> float:
+        """Return U of the magnitude, k·u."""
+        return self.k * self.u_magnitude
+
+    @property
+    def expanded_phase_rad(self) -> float:
+        """Return U of the phase, k·u."""
+        return self.k * self.u_phase_rad
+
+    @property
+    def region(self) -> Region:
+        """Return the 95 % region of the complex value."""
+        mixed = self.r * self.u_re * self.u_im
+        covariance = np.array([[self.u_re**2, mixed], [mixed, self.u_im**2]])
+        return region(complex(self.re, self.im), covariance, self.dof)
 
 
-def polar(value: complex, covariance: FloatArray) -> Polar:
+def polar(value: complex, covariance: FloatArray, dof: float = np.inf) -> Polar:
     """First-order propagation of the covariance (2, 2) of (Re, Im) of `value` to magnitude and phase.
 
     u(|X|)^2 = e^T V e with e = (Re, Im)/|X|, u(arg X)^2 = n^T V n / |X|^2 with n = (-Im, Re)/|X| (JCGM 102, 9.4).
@@ -44,7 +72,7 @@ def polar(value: complex, covariance: FloatArray) -> Polar:
     u_re, u_im = (float(u) for u in np.sqrt(np.diag(covariance)))
     r = float(covariance[0, 1]) / (u_re * u_im) if u_re * u_im > 0.0 else 0.0
     u_magnitude, u_phase = _first_order(re, im, magnitude, covariance)
-    return Polar(magnitude, _phase(re, im), u_magnitude, u_phase, re, im, u_re, u_im, r)
+    return Polar(magnitude, _phase(re, im), u_magnitude, u_phase, re, im, u_re, u_im, r, dof)
 
 
 def element_covariance(covariance: FloatArray, element: int) -> FloatArray:

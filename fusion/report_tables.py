@@ -18,6 +18,7 @@ from fusion.highlights import (
     by_source,
     driven_channel,
     driven_component,
+    driven_element,
     main_line,
     static_value,
 )
@@ -69,8 +70,8 @@ def headlines(evaluation: Evaluation) -> list[Headline]:
     result = acceleration(evaluation, "load", "fused") or next(iter(evaluation.accelerations), None)
     if result is not None and result.observed[line, component]:
         found.append(_phasor_headline(result.phasors, line, component, f"Acceleration {COMPONENTS[component]}"))
-    if evaluation.load is not None and np.isfinite(evaluation.load.value[line, component]):
-        found.append(_phasor_headline(evaluation.load, line, component, f"Load {LOAD_COMPONENTS[component]}"))
+    if evaluation.load is not None and evaluation.load.observed[line, component]:
+        found.append(_phasor_headline(evaluation.load.phasors, line, component, f"Load {LOAD_COMPONENTS[component]}"))
     return found
 
 
@@ -91,7 +92,7 @@ def sensitivity_table(evaluation: Evaluation) -> Table | None:
             size = fixed(element.magnitude, 2.0 * element.u_magnitude, exponent)
             name = f"{found.channels[c]} per {found.components[j]}"
             rows.append(
-                (f"{frequency:.4f}", name, size, unit, phase(element), degrees_of_freedom(found.dof[k]), found.kind[k])
+                (f"{frequency:.4f}", name, size, unit, phase(element), degrees_of_freedom(element.dof), found.kind[k])
             )
     head = ("frequency / Hz", "output per load", "magnitude", "unit", "phase / rad", "dof", "kind")
     return Table("Complex sensitivity with U (k = 2)", head, "rlrlrrl", tuple(rows))
@@ -115,9 +116,9 @@ def source_tables(evaluation: Evaluation) -> list[Table]:
 
 def load_table(evaluation: Evaluation) -> Table | None:
     """Load at the strongest line, and its driven component at the others."""
-    phasors = evaluation.load
-    if phasors is None:
+    if evaluation.load is None:
         return None
+    phasors = evaluation.load.phasors
     rows, strongest, driven = [], main_line(evaluation), driven_component(evaluation)
     for k, frequency in enumerate(phasors.frequency_hz):
         for c, name in enumerate(phasors.channels):
@@ -165,12 +166,14 @@ def chi_square_table(evaluation: Evaluation) -> Table | None:
 def budget_table(evaluation: Evaluation) -> Table | None:
     """Contributions to the driven sensitivity at the strongest line, largest first."""
     found = evaluation.sensitivity
-    if found is None or not found.budget:
+    if found is None:
         return None
-    line, channel = main_line(evaluation), driven_channel(evaluation)
-    entries = sorted(found.budget, key=lambda entry: -float(np.nan_to_num(entry.u_relative[line, channel])))
-    sizes = np.array([entry.u_relative[line, channel] for entry in entries])
-    turns = np.array([entry.u_phase_rad[line, channel] for entry in entries])
+    line, place, channel = main_line(evaluation), driven_element(evaluation), driven_channel(evaluation)
+    if not np.isfinite(found.value[line, channel, driven_component(evaluation)]):
+        return None
+    entries = sorted(found.budget, key=lambda entry: -float(np.nan_to_num(entry.u_relative[line, place])))
+    sizes = np.array([entry.u_relative[line, place] for entry in entries])
+    turns = np.array([entry.u_phase_rad[line, place] for entry in entries])
     total = float(np.sum(sizes**2))
     rows: list[tuple[str, ...]] = [
         (

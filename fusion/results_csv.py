@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fusion.evaluation import Evaluation, StereoResult
 from fusion.polar import Polar, element_covariance, polar
@@ -56,6 +57,7 @@ MERGED_FILES = {SENSITIVITY_FILE: SENSITIVITY_COLUMNS, ACCELERATION_FILE: PHASOR
 POSE_COLUMNS = ["x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad"]
 MOTION_COLUMNS = ["time_s", *POSE_COLUMNS, *(f"u_{name}" for name in POSE_COLUMNS), "residual_m", "points"]
 
+FloatArray = NDArray[np.float64]
 Cell = str | float | int
 Row = list[Cell]
 
@@ -89,50 +91,50 @@ def sensitivity_unit(output_unit: str, component: str) -> str:
 
 def sensitivity_rows(evaluation: Evaluation) -> Iterator[Row]:
     """One row per line and element of the sensitivity that could be determined."""
-    found = evaluation.sensitivity
-    if found is None:
-        return
-    for k, frequency in enumerate(found.frequency_hz):
-        for c, j in np.argwhere(found.observed):
-            if not np.isfinite(found.value[k, c, j]):
-                continue
-            element = sensitivity_element(found, k, int(c), int(j))
-            unit = sensitivity_unit(found.unit, found.components[j])
-            head: Row = [float(frequency), found.channels[c], found.components[j]]
-            tail: Row = [float(found.dof[k]), unit, found.kind[k], evaluation.manifest.name]
-            yield [*head, *_numbers(element), *tail]
+    if evaluation.sensitivity is not None:
+        yield from element_rows(evaluation.sensitivity, evaluation.manifest.name)
+
+
+def element_rows(found: Sensitivity, recording: str) -> Iterator[Row]:
+    """Rows of a sensitivity that comes from `recording`, or from a campaign of this name."""
+    covariance, dof = found.covariance, found.dof
+    for k, c, j in np.argwhere(np.isfinite(found.value)).tolist():
+        element = polar(complex(found.value[k, c, j]), covariance[k, c, j], float(dof[k, c, j]))
+        unit = sensitivity_unit(found.unit, found.components[j])
+        head: Row = [float(found.frequency_hz[k]), found.channels[c], found.components[j]]
+        yield [*head, *_numbers(element), unit, found.kind[k], recording]
 
 
 def sensitivity_element(sensitivity: Sensitivity, line: int, channel: int, component: int) -> Polar:
     """One element of the sensitivity at one line, as magnitude and phase."""
-    value = complex(sensitivity.value[line, channel, component])
-    return polar(value, sensitivity.covariance[line, channel, component])
+    place = line, channel, component
+    return polar(complex(sensitivity.value[place]), sensitivity.covariance[place], float(sensitivity.dof[place]))
 
 
 def acceleration_rows(evaluation: Evaluation) -> Iterator[Row]:
     """One row per body, source, line and component that this source determines."""
     for result in evaluation.accelerations:
-        yield from _phasor_rows(result.phasors, result.body, result.source, evaluation.manifest.name, result.observed)
+        tail: Row = [result.source, evaluation.manifest.name]
+        determined = result.observed & np.isfinite(result.phasors.value)
+        yield from _phasor_rows(result.phasors, result.uncertainty.dof(), determined, result.body, tail)
 
 
 def load_rows(evaluation: Evaluation) -> Iterator[Row]:
     """One row per line and load component."""
     load = evaluation.load
     if load is not None:
-        yield from _phasor_rows(load, "load", "fused", evaluation.manifest.name, np.isfinite(load.value))
+        phasors, tail = load.phasors, ["fused", evaluation.manifest.name]
+        yield from _phasor_rows(phasors, load.uncertainty.dof(), np.isfinite(phasors.value), "load", tail)
 
 
 def _phasor_rows(
-    phasors: Phasors, body: str, source: str, recording: str, determined: np.typing.NDArray[np.bool_]
+    phasors: Phasors, dof: FloatArray, determined: NDArray[np.bool_], body: str, tail: Sequence[Cell]
 ) -> Iterator[Row]:
-    """Rows of the elements marked `determined` (K, C)."""
-    for k, frequency in enumerate(phasors.frequency_hz):
-        for c, name in enumerate(phasors.channels):
-            value = complex(phasors.value[k, c])
-            if determined[k, c] and np.isfinite(value):
-                element = polar(value, element_covariance(phasors.covariance[k], c))
-                tail: Row = [float(phasors.dof[k]), phasors.unit[c], source, recording]
-                yield [float(frequency), body, name, *_numbers(element), *tail]
+    """Rows of the elements marked `determined` (K, C), each with its own degrees of freedom (K, C)."""
+    for k, c in np.argwhere(determined):
+        element = polar(complex(phasors.value[k, c]), element_covariance(phasors.covariance[k], c), float(dof[k, c]))
+        head: Row = [float(phasors.frequency_hz[k]), body, phasors.channels[c]]
+        yield [*head, *_numbers(element), phasors.unit[c], *tail]
 
 
 def motion_rows(stereo: StereoResult) -> Iterator[Row]:
@@ -179,7 +181,7 @@ def _body(path: Path, header: str) -> list[str]:
 
 
 def _numbers(element: Polar) -> list[Cell]:
-    """The nine numeric cells shared by all tables of phasors."""
+    """The ten numeric cells shared by all tables of phasors."""
     return [
         element.magnitude,
         element.phase_rad,
@@ -190,6 +192,7 @@ def _numbers(element: Polar) -> list[Cell]:
         element.u_re,
         element.u_im,
         element.r,
+        element.dof,
     ]
 
 

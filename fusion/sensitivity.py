@@ -1,20 +1,21 @@
-"""The complex ratio of the sensor's outputs to the load that was driven, with its budget."""
+"""The complex sensitivity: elements by output channel and load component, and the ratio of one recording."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fusion.load import LOAD_COMPONENTS, LoadResult, load_phasors
+from fusion.budget import BudgetEntry, budget
+from fusion.estimate import real_design
+from fusion.load import LOAD_COMPONENTS, LoadResult
 from fusion.notices import AnyNotice, Notice
-from fusion.observe import Reading, RelativeError, chain_errors, chain_name
-from shaker.signals.phasor import Phasors, stack_phasors
-
-__all__ = ["LOAD_COMPONENTS", "BudgetEntry", "LoadResult", "Sensitivity", "load_phasors", "sensitivity_ratio"]
+from fusion.outputs import Outputs
+from fusion.uncertainty import Uncertainty
+from shaker._checks import check_shape
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -24,38 +25,56 @@ Kind = Literal["ratio", "matrix", "harmonic"]
 
 
 @dataclass(frozen=True)
-class BudgetEntry:
-    """One contribution to the driven component's ratio: relative standard uncertainty of the magnitude, and phase.
-
-    `u_relative`, `u_phase_rad`: (K, C).
-    """
-
-    label: str
-    type: Literal["A", "B"]
-    u_relative: FloatArray
-    u_phase_rad: FloatArray
-
-
-@dataclass(frozen=True)
 class Sensitivity:
-    """Complex ratios of C sensor outputs to six load components at K lines.
+    """Complex sensitivities of C sensor outputs to six load components at K lines.
 
-    `value` (K, C, 6), NaN where not determined; `observed` (C, 6); `covariance` (K, C, 6, 2, 2) of (Re, Im);
-    `dof` (K,); `unit` of the outputs ("V/V"), so that an element's unit is (unit)/N or (unit)/(N.m); `kind` per line;
-    `budget` of the driven component.
+    `value` (K, C, 6), NaN where not determined; `elements`: channel and component of the E elements determined at any
+    line, of which `uncertainty` is, NaN at lines without a value; `unit` of the outputs ("V/V"), so that an element's
+    unit is (unit)/N or (unit)/(N.m); `kind` per line; `budget` of the E elements.
     """
 
     frequency_hz: FloatArray
     value: ComplexArray
-    observed: BoolArray
-    covariance: FloatArray
-    dof: FloatArray
+    elements: tuple[tuple[int, int], ...]
+    uncertainty: Uncertainty
     channels: tuple[str, ...]
     components: tuple[str, ...]
     unit: str
     kind: tuple[Kind, ...]
-    budget: tuple[BudgetEntry, ...]
     notices: tuple[AnyNotice, ...]
+    budget: tuple[BudgetEntry, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        lines, count = len(self.frequency_hz), len(self.elements)
+        check_shape("value", self.value, (lines, len(self.channels), len(self.components)))
+        if len(self.kind) != lines:
+            raise ValueError(f"kind: expected {lines} words, one per line, found {len(self.kind)}")
+        check_shape("uncertainty", self.uncertainty.random[0].covariance, (lines, 2 * count, 2 * count))
+        object.__setattr__(self, "budget", budget(self.uncertainty, self.value[:, *self._places()]))
+
+    @property
+    def observed(self) -> BoolArray:
+        """Return which elements (C, 6) have a value at any line."""
+        return np.asarray(np.any(np.isfinite(self.value), axis=0))
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Return the covariance (K, C, 6, 2, 2) of (Re, Im) of every element, NaN where there is none."""
+        found = np.full((*self.value.shape, 2, 2), np.nan)
+        pair = np.arange(len(self.elements))[:, None] + [0, len(self.elements)]
+        found[:, *self._places()] = self.uncertainty.covariance[:, pair[:, :, None], pair[:, None, :]]
+        return found
+
+    @property
+    def dof(self) -> FloatArray:
+        """Return the effective degrees of freedom (K, C, 6) of every element, NaN where there is none."""
+        found = np.full(self.value.shape, np.nan)
+        found[:, *self._places()] = self.uncertainty.dof()
+        return found
+
+    def _places(self) -> tuple[list[int], list[int]]:
+        """Channels and components of the elements, as indices."""
+        return [channel for channel, _ in self.elements], [component for _, component in self.elements]
 
 
 def driven_component(direction: Sequence[float], capacity: Sequence[float] | None = None) -> int:
@@ -72,7 +91,7 @@ def driven_component(direction: Sequence[float], capacity: Sequence[float] | Non
 
 
 def sensitivity_ratio(
-    outputs: Sequence[Reading],
+    outputs: Outputs,
     load: LoadResult,
     direction: Sequence[float],
     multiple: ArrayLike,
@@ -81,114 +100,35 @@ def sensitivity_ratio(
 ) -> Sensitivity:
     """Return output / load of the driven component for every output channel of one recording.
 
-    S = U/L; dS = dU/L - S dL/L. `outputs`: C channels with quantity "output", in the order wanted; `multiple` (K,): 1
-    at a fundamental ("ratio"), else "harmonic". Outputs and load are taken as independent; errors of a chain (scale,
-    delay, response) enter once per `common` name.
+    S = U/L; dS = dU/L - S dL/L, in which an unknown that acts on both (a clock, an amplifier) is one change.
+    `multiple` (K,): 1 at a fundamental ("ratio"), else "harmonic".
     """
-    if not outputs:
-        raise ValueError("outputs: expected at least one output channel, found none")
-    component = driven_component(direction, capacity)
-    signals = stack_phasors([reading.phasors for reading in outputs])
-    driven = load.phasors.value[:, component]
-    ratio = _quotient(signals.value, driven[:, None])
-    parts = _output_parts(outputs, signals, ratio, driven) + _load_parts(load, component, ratio, driven)
-    covariance = np.sum([part for _, _, part in parts], axis=0)
-    lines, channels = ratio.shape
-    value = np.full((lines, channels, 6), complex(np.nan, np.nan))
+    channels, component = outputs.phasors.channels, driven_component(direction, capacity)
+    driven = np.where(load.observed[:, component], load.value[:, component], np.nan)[:, None]
+    ratio = quotient(outputs.phasors.value, driven)
+    from_load = load.uncertainty.at([component]).transformed(real_design(quotient(-ratio, driven)[:, :, None]))
+    from_outputs = outputs.uncertainty.scaled(np.broadcast_to(quotient(1.0, driven), ratio.shape))
+    value = np.full((*ratio.shape, 6), complex(np.nan, np.nan))
     value[:, :, component] = ratio
-    spread = np.full((lines, channels, 6, 2, 2), np.nan)
-    spread[:, :, component] = covariance
-    names = tuple(str(reading.entry.channel or reading.entry.name) for reading in outputs)
     return Sensitivity(
-        frequency_hz=signals.frequency_hz,
+        frequency_hz=outputs.phasors.frequency_hz,
         value=value,
-        observed=np.any(np.isfinite(value), axis=0),
-        covariance=spread,
-        dof=_dof(parts, signals.dof, load.phasors.dof, covariance),
-        channels=names,
+        elements=tuple((channel, component) for channel in range(len(channels))),
+        uncertainty=from_load.plus(from_outputs),
+        channels=channels,
         components=LOAD_COMPONENTS,
         unit=unit,
         kind=tuple("ratio" if m == 1 else "harmonic" for m in np.asarray(multiple).tolist()),
-        budget=tuple(_budget_entry(label, kind, part, ratio) for label, kind, part in parts),
         notices=_notices(load, component, ratio, capacity),
     )
 
 
-Part = tuple[str, Literal["A", "B"], FloatArray]
-NOISE = "output noise"
-
-
-def _multiply(factor: ComplexArray) -> FloatArray:
-    """Real matrices (..., 2, 2) of multiplication by complex numbers (...)."""
-    return np.stack([np.stack([factor.real, -factor.imag], -1), np.stack([factor.imag, factor.real], -1)], -2)
-
-
-def _quotient(numerator: ComplexArray | float, denominator: ComplexArray) -> ComplexArray:
-    """Complex quotient, NaN where the denominator is zero or not known."""
+def quotient(numerator: ComplexArray | float, denominator: ComplexArray) -> ComplexArray:
+    """Return the complex quotient, NaN where the denominator is zero or not known."""
     shape = np.broadcast_shapes(np.shape(numerator), denominator.shape)
     usable = np.isfinite(denominator) & (denominator != 0.0)
     empty = np.full(shape, complex(np.nan, np.nan))
     return np.asarray(np.divide(numerator, denominator, out=empty, where=usable))
-
-
-def _output_parts(
-    outputs: Sequence[Reading], signals: Phasors, ratio: ComplexArray, driven: ComplexArray
-) -> list[Part]:
-    """Covariances (K, C, 2, 2) of the ratios from the outputs' noise and chain errors."""
-    count = len(outputs)
-    pair = np.stack([np.arange(count), np.arange(count) + count], axis=1)
-    noise = signals.covariance[:, pair[:, :, None], pair[:, None, :]]
-    jacobian = np.broadcast_to(_multiply(_quotient(1.0, driven))[:, None], (*ratio.shape, 2, 2))
-    found: list[Part] = [(NOISE, "A", jacobian @ noise @ jacobian.swapaxes(-1, -2))]
-    chains: dict[str, list[int]] = {}
-    for place, reading in enumerate(outputs):
-        chains.setdefault(chain_name(reading), []).append(place)
-    merged: dict[str, FloatArray] = {}
-    for places in chains.values():
-        for error in chain_errors([outputs[place] for place in places]):
-            label = "output " + error.label.rpartition(": ")[2]
-            own = np.zeros((*ratio.shape, 2, 2))
-            own[:, places] = _outer(error, ratio[:, places])
-            merged[label] = merged.get(label, 0.0) + own
-    return found + [(label, "B", covariance) for label, covariance in merged.items()]
-
-
-def _outer(error: RelativeError, ratio: ComplexArray) -> FloatArray:
-    """Covariance (K, C, 2, 2) from one relative error of the outputs."""
-    change = error.relative * ratio
-    column = np.stack([change.real, change.imag], axis=-1)
-    return column[..., :, None] * column[..., None, :]
-
-
-def _load_parts(load: LoadResult, component: int, ratio: ComplexArray, driven: ComplexArray) -> list[Part]:
-    """Covariances (K, C, 2, 2) of the ratios from every contribution of the load."""
-    jacobian = _multiply(_quotient(-ratio, driven[:, None]))
-    pair = np.array([component, component + 6])
-    found: list[Part] = []
-    for entry in load.contributions:
-        own = entry.covariance[:, pair[:, None], pair][:, None]
-        found.append((entry.label, entry.type, jacobian @ own @ jacobian.swapaxes(-1, -2)))
-    return found
-
-
-def _budget_entry(label: str, kind: Literal["A", "B"], part: FloatArray, ratio: ComplexArray) -> BudgetEntry:
-    """Relative standard uncertainties along (magnitude) and across (phase) the ratio."""
-    turn = _multiply(_quotient(1.0, ratio))
-    relative = turn @ part @ turn.swapaxes(-1, -2)
-    return BudgetEntry(
-        label, kind, np.sqrt(np.maximum(relative[..., 0, 0], 0.0)), np.sqrt(np.maximum(relative[..., 1, 1], 0.0))
-    )
-
-
-def _dof(parts: Sequence[Part], output_dof: FloatArray, load_dof: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Welch-Satterthwaite degrees of freedom (K,), the least of all channels: output noise, and the load as a whole."""
-    trace = np.trace(covariance, axis1=-2, axis2=-1)
-    noise = np.trace(next(part for label, _, part in parts if label == NOISE), axis1=-2, axis2=-1)
-    output = np.sum([np.trace(p, axis1=-2, axis2=-1) for name, _, p in parts if name.startswith("output ")], axis=0)
-    weighted = noise**2 / np.maximum(output_dof, 1.0)[:, None]
-    weighted = weighted + (trace - output) ** 2 / np.maximum(np.nan_to_num(load_dof, nan=np.inf), 1.0)[:, None]
-    dof = np.divide(trace**2, weighted, out=np.full(trace.shape, np.inf), where=weighted > 0.0)
-    return np.asarray(np.min(dof, axis=1))
 
 
 def _notices(
@@ -198,10 +138,11 @@ def _notices(
     name, found = LOAD_COMPONENTS[component], []
     if not np.any(np.isfinite(ratio)):
         return (Notice("warning", f"{name} could not be determined: no sensitivity", "sensitivity"),)
-    line = int(np.nanargmax(np.abs(load.phasors.value[:, component])))
+    given = np.abs(np.where(load.observed, load.value, np.nan))
+    line = int(np.nanargmax(given[:, component]))
     rated = np.ones(6) if capacity is None else np.asarray(capacity, dtype=np.float64)
     comparable = np.arange(6) // 3 == component // 3 if capacity is None else np.ones(6, dtype=np.bool_)
-    share = np.abs(load.phasors.value[line] / rated)
+    share = given[line] / rated
     share = share / share[component]
     others = [
         f"{LOAD_COMPONENTS[i]} {share[i]:.2%}"

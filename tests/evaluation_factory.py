@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 
 from fusion.evaluation import ChannelResult, ClockResult, Evaluation, StereoResult
 from fusion.fuse import Acceleration, CommonEstimate, Consistency
+from fusion.load import LoadResult
 from fusion.notices import Notice
-from fusion.sensitivity import BudgetEntry, Sensitivity
-from fusion.uncertainty import Contribution, Uncertainty
+from fusion.outputs import Outputs
+from fusion.sensitivity import Sensitivity
+from fusion.uncertainty import Contribution, Influence, Uncertainty
 from photogram.epipolar import EpipolarCheck
 from photogram.motion import RigidMotion
 from shaker.signals.frequencies import Lines
@@ -67,6 +69,7 @@ def make_evaluation(folder: Path, choice: Choice | None = None, seed: int = 0) -
         stereo=stereo if choice.images else (),
         accelerations=accelerations,
         load=_load(accelerations[0].phasors) if choice.sensor else None,
+        outputs=_outputs() if choice.sensor else None,
         sensitivity=_sensitivity() if choice.sensor else None,
         notices=_notices(),
         settings={"subset_radius_px": 10, "spline_degree": 5},
@@ -108,7 +111,7 @@ def _acceleration(
     mask[:, list(observed)] = True
     values = phasors(np.where(mask, true + error, np.nan), np.where(mask, u, np.nan), COMPONENTS, UNITS)
     parts = (
-        Contribution("scatter of the sine approximation", "A", 0.2 * values.covariance),
+        Contribution("scatter of the sine approximation", "A", 0.2 * values.covariance, np.full(3, 8.16)),
         Contribution("length scale of the stereo pair", "B", 0.8 * values.covariance),
     )
     consistency = (Consistency("stereo top", 1.12, 6), Consistency("laser", 0.94, 1, True, 1.0006 * np.exp(0.4e-3j)))
@@ -128,49 +131,57 @@ def _acceleration(
     )
 
 
-def _load(acceleration: Phasors) -> Phasors:
+def _load(acceleration: Phasors) -> LoadResult:
     inertia = np.array([MASS_KG, MASS_KG, MASS_KG, 0.036, 0.036, 0.031])
     load = acceleration.scaled(inertia, ("N",) * 3 + ("N.m",) * 3)
-    return replace(load, channels=LOADS)
+    noise = Contribution("scatter of the sine approximation", "A", load.covariance, load.dof)
+    return LoadResult(FREQUENCY_HZ, load.value, Uncertainty((noise,)), np.ones((3, 6), dtype=bool), ())
+
+
+def _outputs() -> Outputs:
+    value = CROSS * MASS_KG * ACCELERATION[:, 2:3]
+    found = phasors(value, np.full((3, 6), 2e-9), LOADS, ("V/V",) * 6)
+    return Outputs(found, Uncertainty((Contribution("output noise", "A", found.covariance, found.dof),)))
 
 
 def _sensitivity() -> Sensitivity:
     value = np.full((3, 6, 6), np.nan, dtype=complex)
     slope = np.array([1.0, 0.995 * np.exp(-0.033j), 0.97 * np.exp(-0.1j)])
     value[:, :, 2] = CROSS * slope[:, None]
-    u = np.array([1e-10, 1e-9, 2e-9])[:, None] * np.array([0.3, 0.3, 1.0, 2.0, 2.0, 0.5])
-    covariance = np.full((3, 6, 6, 2, 2), np.nan)
-    covariance[:, :, 2] = (u**2)[..., None, None] * np.array([[1.0, 0.2], [0.2, 1.0]])
-    observed = np.zeros((6, 6), dtype=bool)
-    observed[:, 2] = True
+    u = np.array([0.45e-10, 1e-9, 2e-9])[:, None] * np.array([0.3, 0.3, 1.0, 2.0, 2.0, 0.5])
+    covariance = np.zeros((3, 12, 12))
+    place = np.arange(6)
+    covariance[:, place, place] = covariance[:, place + 6, place + 6] = u**2
+    covariance[:, place, place + 6] = covariance[:, place + 6, place] = 0.2 * u**2
+    noise = Contribution("scatter of the sine approximation", "A", covariance, np.array([204.0, 204.0, np.inf]))
     return Sensitivity(
         frequency_hz=FREQUENCY_HZ,
         value=value,
-        observed=observed,
-        covariance=covariance,
-        dof=np.array([204.0, 204.0, np.inf]),
+        elements=tuple((channel, 2) for channel in range(6)),
+        uncertainty=Uncertainty((noise,), _influences(value[:, :, 2])),
         channels=LOADS,
         components=LOADS,
         unit="V/V",
         kind=("ratio", "harmonic", "harmonic"),
-        budget=_budget(),
         notices=(),
     )
 
 
-def _budget() -> tuple[BudgetEntry, ...]:
-    sizes = {
-        "length scale of stereo pair top": ("B", 2e-4),
-        "scale of the laser vibrometer": ("B", 2.5e-4),
-        "load mass": ("B", 1.4e-4),
-        "internal mass": ("B", 2.6e-4),
-        "scatter of the sine approximation": ("A", 0.6e-4),
-        "bridge amplifier response": ("B", 1.0e-4),
-        "pose of stereo pair top": ("B", 0.2e-4),
-        "delay of the exposure": ("B", 1e-7),
+def _influences(value: NDArray[Any]) -> tuple[Influence, ...]:
+    known = {
+        "length scale of stereo pair top": (2e-4, 1.0, "1", 1.0 + 1.0j),
+        "scale of the laser vibrometer": (2.5e-4, 1.0, "1", 1.0 - 1.0j),
+        "load mass": (0.001, 0.14, "kg", -1.0 + 1.0j),
+        "internal mass": (0.002, 0.13, "kg", -1.0 - 1.0j),
+        "bridge amplifier response": (1.0, 1.0e-4, "1", 1.0 + 1.0j),
+        "pose of stereo pair top": (1e-4, 0.2, "m", 1.0 + 1.0j),
+        "delay of the exposure": (1e-7, 667.0, "s", -1.0j),
     }
-    full = np.ones((3, 6))
-    return tuple(BudgetEntry(label, kind, u * full, 0.7 * u * full) for label, (kind, u) in sizes.items())
+    found = []
+    for name, (u, slope, unit, turn) in known.items():
+        change = value * u * slope * turn
+        found.append(Influence(name, name, u, unit, np.concatenate([change.real, change.imag], axis=1), "rig"))
+    return tuple(found)
 
 
 def _stereo(name: str, body: str, choice: Choice, rng: np.random.Generator) -> StereoResult:

@@ -23,9 +23,9 @@ WRITTEN_ORDER = {
     """,
     "shaker.models": "oscillator",
     "fusion": """
-        notices errors output console settings uncertainty coverage manifest response joint body observe estimate
+        notices errors output console settings uncertainty coverage polar manifest response elastic_joint body observe estimate
         consistency fuse outputs load budget sensitivity other_loads deflection evaluation drive repeats matrix curve drift records timing channels stereo_motion stereo_phasors readings analyse
-        provenance evaluate polar check highlights results_csv results_h5 read_results camera_facts plan lines plots
+        provenance evaluate check highlights results_csv results_h5 read_results camera_facts plan lines plots
         report_numbers report_tables signal_tables page report results camera_tables camera_report campaign_tables
         campaign_report campaign_results campaign simulate progress summary
         plan_tables line_tables cameras align import_calibration transfer commands cli

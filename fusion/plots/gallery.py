@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fusion.evaluation import Evaluation
-from fusion.highlights import LOAD_COMPONENTS, driven_channel, driven_component, main_line
+from fusion.highlights import LOAD_COMPONENTS, driven_channel, driven_component, driven_element, main_line
 from fusion.plots.acceleration import acceleration_pictures
 from fusion.plots.motion import motion_pictures, subset_pictures
 from fusion.plots.sensitivity import draw_budget, sensitivity_pictures
@@ -29,10 +29,11 @@ def draw_all(evaluation: Evaluation) -> dict[str, list[Picture]]:
 def budget_pictures(evaluation: Evaluation) -> list[Picture]:
     """The budget of the driven sensitivity at the strongest line, where there is one."""
     found = evaluation.sensitivity
-    if found is None or not found.budget:
+    if found is None:
         return []
     line, channel, component = main_line(evaluation), driven_channel(evaluation), driven_component(evaluation)
-    u_relative = np.array([entry.u_relative[line, channel] for entry in found.budget])
+    element = driven_element(evaluation)
+    u_relative = np.array([entry.u_relative[line, element] for entry in found.budget])
     if not np.isfinite(u_relative).all() or not u_relative.any():
         return []
     frequency = found.frequency_hz[line]

@@ -75,7 +75,7 @@ def test_undetermined_values_do_not_break_the_page(tmp_path: Path) -> None:
     assert sensitivity is not None
     lost = sensitivity.value.copy()
     lost[0] = np.nan
-    changed = dataclasses.replace(sensitivity, value=lost, budget=())
+    changed = dataclasses.replace(sensitivity, value=lost)
     page = render_report(dataclasses.replace(evaluation, sensitivity=changed, stereo=evaluation.stereo[:1]))
     assert "nan" not in "".join(outline(page).text).lower().replace("resonan", "")
 

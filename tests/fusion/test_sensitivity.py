@@ -14,6 +14,7 @@ from fusion.body import Body, make_part
 from fusion.fuse import Acceleration
 from fusion.load import load_phasors
 from fusion.observe import ChainUncertainty, Reading
+from fusion.outputs import output_phasors
 from fusion.sensitivity import Sensitivity, driven_component, sensitivity_ratio
 from fusion.uncertainty import Contribution, Uncertainty
 from shaker.signals.phasor import Phasors
@@ -57,7 +58,9 @@ def output(value: np.ndarray, name: str = "Fz", u_noise: float = 1e-9, **changes
 
 def ratio(outputs: list[Reading], source: Acceleration, body: Body = BODY) -> Sensitivity:
     load = load_phasors(source, body, GRAVITY)
-    return sensitivity_ratio(outputs, load, (0.0, 0.0, 1.0), [1, 2], "V/V", (2e3, 2e3, 4e3, 100, 100, 100))
+    return sensitivity_ratio(
+        output_phasors(outputs), load, (0.0, 0.0, 1.0), [1, 2], "V/V", (2e3, 2e3, 4e3, 100, 100, 100)
+    )
 
 
 def test_force_of_a_centred_mass_is_mass_times_acceleration() -> None:
