@@ -238,16 +238,16 @@ def chain_errors(readings: Sequence[Reading]) -> tuple[RelativeError, ...]:
             own = np.zeros((len(frequency), len(entries)), dtype=np.complex128)
             own[:, place] = error.relative[:, 0]
             errors.append(replace(error, relative=own))
-    return tuple(error for error in _merged(errors) if np.any(error.relative != 0.0))
+    return added_up(errors)
 
 
-def _merged(errors: Sequence[RelativeError]) -> list[RelativeError]:
-    """Add up the effects of equal names."""
+def added_up(errors: Sequence[RelativeError]) -> tuple[RelativeError, ...]:
+    """Return every unknown once, its effects added up; what acts on nothing is left out."""
     found: dict[str, RelativeError] = {}
     for error in errors:
         known = found.get(error.name)
         found[error.name] = error if known is None else replace(known, relative=known.relative + error.relative)
-    return list(found.values())
+    return tuple(error for error in found.values() if np.any(error.relative != 0.0))
 
 
 def _of_rows(errors: Sequence[RelativeError], design: ComplexArray) -> tuple[CommonError, ...]:

@@ -1,14 +1,18 @@
-"""The DAQ blocks of a recording as read from their files, checked for what a user can get wrong."""
+"""The DAQ blocks of a recording as read from their files, take by take, checked for what a user can get wrong."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.errors import InputError
+from fusion.errors import ComputeError, InputError
 from fusion.manifest import ChannelEntry, Daq, Manifest
+from fusion.scans import split_scan
 from shaker.signals.files import read_channels
 from shaker.signals.recording import RawChannel
 
@@ -37,12 +41,59 @@ class DaqRecord:
         return np.asarray(self.raw[channel.name].samples * channel.scale)
 
 
+@dataclass(frozen=True)
+class TakeRecords:
+    """What was recorded at once: its share of the manifest, its DAQ blocks, and its place in recording.toml."""
+
+    manifest: Manifest
+    records: tuple[DaqRecord, ...]
+    where: str
+
+
 def read_daqs(manifest: Manifest) -> tuple[DaqRecord, ...]:
-    """Read every DAQ block of a recording; raises `InputError` naming file and channel."""
+    """Read every DAQ block of what was recorded at once; raises `InputError` naming file and channel."""
     return tuple(_read_daq(manifest, daq) for daq in manifest.daq)
 
 
-def _read_daq(manifest: Manifest, daq: Daq) -> DaqRecord:
+def read_takes(manifest: Manifest) -> tuple[TakeRecords, ...]:
+    """Read a recording take by take: its top level, then every `[[take]]`, a scan of several points point by point."""
+    parts = [("", replace(manifest, take=()))] if manifest.daq or not manifest.take else []
+    for number, take in enumerate(manifest.take, 1):
+        part = replace(manifest, daq=take.daq, images=take.images, points=take.points, take=())
+        parts.append((f"take[{number}].", part))
+    return tuple(found for where, part in parts for found in _read_part(where, part))
+
+
+@contextmanager
+def told_in(path: Path, where: str, name: str = "") -> Iterator[None]:
+    """Say in which take of the recording `path` something went wrong: its place there, its name elsewhere."""
+    try:
+        yield
+    except InputError as error:
+        inside = error.file == path and error.key.split(".")[0] in ("daq", "images", "points")
+        key = where + error.key if inside else error.key
+        raise InputError(error.file, key, error.found, error.expected, error.more) from error
+    except ComputeError as error:
+        raise ComputeError(f"{name}: {error}" if name else str(error)) from error
+
+
+def _read_part(where: str, part: Manifest) -> list[TakeRecords]:
+    """Read a block of a manifest: one take, or one for each point of its scan."""
+    found = []
+    with told_in(part.path, where):
+        for manifest, point in split_scan(part):
+            scanned = None if point is None else DaqRecord(point.daq, point.raw, 0.0)
+            records = tuple(_read_daq(manifest, daq, scanned) for daq in manifest.daq)
+            found.append(TakeRecords(manifest, records, where))
+    return found
+
+
+def _read_daq(manifest: Manifest, daq: Daq, scanned: DaqRecord | None = None) -> DaqRecord:
+    """Read and check a block; the point of a scan has been read and is checked only."""
+    if scanned is not None and scanned.entry is daq:
+        for entry in daq.channel:
+            _check_samples(daq, entry, scanned.raw[entry.name])
+        return scanned
     names = [channel.name for channel in daq.channel]
     try:
         raw = read_channels(daq.file, names, daq.sample_rate)
