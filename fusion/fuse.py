@@ -89,7 +89,7 @@ def fuse(observations: Sequence[Observation], body: str = "load", source: Source
     tests = leave_one_out(system, first)
     failed = fails(first.chi2, first.dof)
     extra = discrepancy(system, first) if failed else np.zeros(len(system.readings))
-    final = solve(system, extra) if failed else first
+    final = solve(system, np.diag(extra**2)) if failed else first
     uncertainty = _uncertainty(system, final, extra)
     phasors = _phasors(system, final, uncertainty)
     for observation in own if stated else ():
