@@ -8,11 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.evaluation import Evaluation
+from fusion.load import LoadResult
+from fusion.outputs import Outputs
 from fusion.uncertainty import Contribution, Influence, Uncertainty
 from shaker._checks import check_shape
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+IntArray = NDArray[np.int64]
 
 LOADS = 6
 FREQUENCY_TOLERANCE = 0.01
@@ -59,6 +63,46 @@ class Drive:
             between_recordings(self.load_uncertainty, self.recording, self.mounting),
             between_recordings(self.outputs_uncertainty, self.recording, self.mounting),
         )
+
+
+def drives_of(evaluation: Evaluation) -> tuple[Drive, ...]:
+    """Return the driven lines of a recording, none without a load, an output or a stated direction."""
+    manifest, load, outputs = evaluation.manifest, evaluation.load, evaluation.outputs
+    if load is None or outputs is None or manifest.excitation.direction is None:
+        return ()
+    lines, direction = evaluation.lines, manifest.excitation.direction
+    return line_drives(manifest.name, manifest.mounting, direction, lines.nominal_hz, lines.multiple, load, outputs)
+
+
+def line_drives(
+    recording: str,
+    mounting: str,
+    direction: Sequence[float],
+    nominal_hz: FloatArray,
+    multiple: IntArray,
+    load: LoadResult,
+    outputs: Outputs,
+) -> tuple[Drive, ...]:
+    """Return the drives of one recording: its lines of multiple 1 at which the load is known.
+
+    `nominal_hz`, `multiple` (K,): of the lines of `load` and `outputs`.
+    """
+    driven = np.flatnonzero((multiple == 1) & np.isfinite(load.value).all(axis=1))
+    return tuple(
+        Drive(
+            recording=recording,
+            mounting=mounting,
+            frequency_hz=float(load.frequency_hz[line]),
+            nominal_hz=float(nominal_hz[line]),
+            direction=tuple(float(number) for number in direction),
+            load=load.value[line],
+            load_uncertainty=at_line(load.uncertainty, line),
+            outputs=outputs.phasors.value[line],
+            outputs_uncertainty=at_line(outputs.uncertainty, line),
+            channels=outputs.phasors.channels,
+        )
+        for line in driven.tolist()
+    )
 
 
 def between_recordings(uncertainty: Uncertainty, recording: str, mounting: str) -> Uncertainty:

@@ -1,0 +1,238 @@
+"""The complex matrix of sensitivities at one frequency, from several recordings, with all that makes it uncertain."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from fusion.consistency import fails
+from fusion.drive import FREQUENCY_TOLERANCE, LOADS, Drive
+from fusion.load import LOAD_COMPONENTS
+from fusion.matrix.rank import Excitation, excitation, require_six
+from fusion.matrix.solve import Solution, solve
+from fusion.matrix.stack import Stack, stack_drives
+from fusion.notices import Notice
+from fusion.sensitivity import Sensitivity
+from fusion.uncertainty import Contribution, Uncertainty, merge_contributions
+from shaker.signals.phasor import real_stacked_diagonal
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+IntArray = NDArray[np.int64]
+
+DISAGREEMENT = "disagreement of the recordings"
+DISCREPANCY_RANGE = (1e-9, 10.0)
+RANK_TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How one drive agrees with the matrix that all others give.
+
+    `normalised_deviation`: root of chi-square per degree of freedom of its outputs (1 is expected, NaN where the others
+    do not determine a matrix); `readings`: number of real readings it was judged by.
+    """
+
+    recording: str
+    mounting: str
+    frequency_hz: float
+    normalised_deviation: float
+    readings: int
+
+
+@dataclass(frozen=True)
+class MatrixFit:
+    """Matrix `value` (C, 6) of outputs over loads at one frequency.
+
+    `uncertainty` (K = 1) of its 6C elements, channel by channel, its unknowns under names that hold between
+    recordings; `load_size` (6,): largest loads of the drives; `excitation`: how well they tell the columns apart;
+    `chi2` and `dof` as stated uncertainties give them; `discrepancy`: what had to be added, relative to the outputs, 0
+    where the recordings agree; `agreement` of every drive, `worst`: the one that agrees least, None where nothing tests
+    it.
+    """
+
+    frequency_hz: float
+    channels: tuple[str, ...]
+    value: ComplexArray
+    uncertainty: Uncertainty
+    load_size: FloatArray
+    excitation: Excitation
+    chi2: float
+    dof: int
+    discrepancy: float
+    agreement: tuple[Agreement, ...]
+    notices: tuple[Notice, ...]
+
+    @property
+    def worst(self) -> Agreement | None:
+        """Return the drive that agrees least with the others."""
+        tested = [item for item in self.agreement if np.isfinite(item.normalised_deviation)]
+        return max(tested, key=lambda item: item.normalised_deviation, default=None)
+
+    def sensitivity(self, unit: str) -> Sensitivity:
+        """Return the matrix as a sensitivity of one line, `unit` being that of the outputs."""
+        return Sensitivity(
+            frequency_hz=np.array([self.frequency_hz]),
+            value=self.value[None],
+            elements=tuple((c, j) for c in range(len(self.channels)) for j in range(LOADS)),
+            uncertainty=self.uncertainty,
+            channels=self.channels,
+            components=LOAD_COMPONENTS,
+            unit=unit,
+            kind=("matrix",),
+            notices=self.notices,
+        )
+
+
+def fit_matrix(
+    drives: Sequence[Drive], channels: Sequence[str] | None = None, tolerance: float = FREQUENCY_TOLERANCE
+) -> MatrixFit:
+    """Return the matrix S of outputs = S · load at the frequency of several drives, by maximum likelihood.
+
+    Loads and outputs err, and what drives share is one unknown for all of them (`fusion.matrix.solve`). All six
+    columns are determined or none: where the drives do not excite six independent loads,
+    `MissingExcitationError` says what to add, and only ratios of single recordings are left. Where recordings disagree
+    beyond what is stated (chi-square above its 99 % quantile), every output gets the further standard deviation
+    τ·max_j|S_ij|·|load| that makes chi-square equal its degrees of freedom (Paule & Mandel 1982, J. Res. NBS 87, 377);
+    within one mounting and direction it counts as one error, since mounting anew is its usual cause. `channels`: order
+    of the outputs, by default that of the drives; one that is not recorded in enough drives has no row.
+    """
+    _check_frequencies(drives, tolerance)
+    wanted = tuple(dict.fromkeys(name for drive in drives for name in drive.channels) if channels is None else channels)
+    stack = stack_drives(drives, wanted)
+    found = excitation(stack)
+    require_six(found, len(drives))
+    kept = [c for c in range(len(wanted)) if excitation(stack, np.flatnonzero(stack.usable[:, c])).determines]
+    if not kept:
+        raise ValueError("drives: expected an output recorded under six independent loads, found none")
+    notices = _left_out([name for c, name in enumerate(wanted) if c not in kept])
+    stack = stack_drives(drives, [wanted[c] for c in kept])
+    first = solve(stack)
+    tau = _discrepancy(stack, first)
+    solution = first if tau == 0.0 else solve(stack, _spread(stack, first, tau))
+    agreement = _agreement(stack, first)
+    fit = MatrixFit(
+        frequency_hz=stack.frequency_hz,
+        channels=stack.channels,
+        value=solution.matrix * stack.output_size[:, None] / stack.load_size,
+        uncertainty=_uncertainty(stack, solution, None if tau == 0.0 else _spread(stack, first, tau)),
+        load_size=stack.load_size,
+        excitation=found,
+        chi2=first.chi2,
+        dof=first.dof,
+        discrepancy=tau,
+        agreement=agreement,
+        notices=notices,
+    )
+    return replace(fit, notices=(*notices, *_consistency_notices(fit)))
+
+
+def _check_frequencies(drives: Sequence[Drive], tolerance: float) -> None:
+    """Refuse drives of different frequencies."""
+    if not drives:
+        raise ValueError("drives: expected at least one, found none")
+    low, high = (limit(drive.frequency_hz for drive in drives) for limit in (min, max))
+    if high > low * (1.0 + tolerance):
+        raise ValueError(f"drives: expected one frequency within {tolerance:.2%}, found {low:g} Hz to {high:g} Hz")
+
+
+def _left_out(channels: Sequence[str]) -> tuple[Notice, ...]:
+    """Say which outputs have no row."""
+    if not channels:
+        return ()
+    text = f"{', '.join(channels)}: no row of the matrix, the recordings that have it excite too few independent loads"
+    return (Notice("warning", text, "matrix"),)
+
+
+def _agreement(stack: Stack, solution: Solution) -> tuple[Agreement, ...]:
+    """Every drive's outputs against what all others say of them (deletion formula of generalised least squares)."""
+    left = solution.projector @ solution.residual
+    sizes = np.sqrt(np.diag(solution.noise + solution.effects @ solution.effects.T))
+    found = []
+    for r, drive in enumerate(stack.drives):
+        rows = np.flatnonzero(solution.drive == r)
+        scale = sizes[rows]
+        values, vectors = np.linalg.eigh(solution.projector[np.ix_(rows, rows)] * np.outer(scale, scale))
+        kept = values > RANK_TOLERANCE
+        chi2 = float(np.sum((vectors[:, kept].T @ (left[rows] * scale)) ** 2 / values[kept]))
+        count = int(np.count_nonzero(kept))
+        deviation = float(np.sqrt(chi2 / count)) if count else np.nan
+        found.append(Agreement(drive.recording, drive.mounting, drive.frequency_hz, deviation, count))
+    return tuple(found)
+
+
+def _spread(stack: Stack, solution: Solution, tau: float) -> FloatArray:
+    """Standard deviations (R, C) of real and imaginary parts of the outputs for a relative disagreement."""
+    largest = np.max(np.abs(solution.matrix), axis=1)
+    return np.asarray(tau * np.linalg.norm(stack.load, axis=1)[:, None] * largest)
+
+
+def _discrepancy(stack: Stack, first: Solution) -> float:
+    """Relative disagreement that makes chi-square equal its degrees of freedom, 0 where the test passes."""
+    if not fails(first.chi2, first.dof):
+        return 0.0
+
+    def excess(log_tau: float) -> float:
+        return solve(stack, _spread(stack, first, float(np.exp(log_tau)))).chi2 - first.dof
+
+    low, high = np.log(DISCREPANCY_RANGE)
+    if excess(high) > 0.0:
+        raise ValueError("drives: expected recordings of one sensor, found outputs that no matrix describes")
+    return float(np.exp(brentq(excess, low, high, xtol=1e-2)))
+
+
+def _uncertainty(stack: Stack, solution: Solution, spread: FloatArray | None) -> Uncertainty:
+    """Uncertainty of the 6C elements in their units: readings' own errors, shared unknowns, disagreement."""
+    usable = np.tile(stack.usable, (1, 2))
+    parts: list[Contribution] = []
+    for r in range(len(stack.drives)):
+        gain = np.zeros((len(solution.gain), usable.shape[1]))
+        gain[:, usable[r]] = solution.gain[:, solution.drive == r]
+        parts += stack.output_noise[r].transformed(gain[None]).random
+        parts += stack.load_noise[r].transformed(-(gain @ solution.through[r])[None]).random
+    if spread is not None:
+        parts.append(_disagreement(stack, solution, spread))
+    effects = solution.effects.T @ solution.gain.T
+    influences = tuple(
+        replace(unknown, effect=effect[None]) for unknown, effect in zip(stack.unknowns, effects, strict=True)
+    )
+    # Elements are brought to comparable sizes before contributions are joined, so that degrees of freedom are theirs.
+    units = np.asarray((stack.output_size[:, None] / stack.load_size).reshape(1, -1), dtype=np.complex128)
+    return Uncertainty(merge_contributions(parts), influences).transformed(real_stacked_diagonal(units))
+
+
+def _disagreement(stack: Stack, solution: Solution, spread: FloatArray) -> Contribution:
+    """Covariance of the matrix from what recordings disagree by, one error for drives mounted and driven alike."""
+    doubled = np.tile(spread, (1, 2))
+    usable = np.tile(stack.usable, (1, 2))
+    alike: dict[tuple[str, tuple[float, ...]], list[int]] = {}
+    for r, drive in enumerate(stack.drives):
+        alike.setdefault((drive.mounting, drive.direction), []).append(r)
+    total = np.zeros((len(solution.gain),) * 2)
+    for members in alike.values():
+        effect = np.zeros((len(solution.gain), usable.shape[1]))
+        for r in members:
+            effect[:, usable[r]] += solution.gain[:, solution.drive == r] * doubled[r, usable[r]]
+        total += effect @ effect.T
+    dof = np.array([float(max(solution.dof, 1))])
+    return Contribution(DISAGREEMENT, "A", total[None], dof)
+
+
+def _consistency_notices(fit: MatrixFit) -> tuple[Notice, ...]:
+    """Say whether the recordings agree, and which does not."""
+    worst = fit.worst
+    if fit.dof == 0 or worst is None:
+        text = f"{len(fit.agreement)} recordings at {fit.frequency_hz:.6g} Hz just determine the matrix: none tests it"
+        return (Notice("info", text, "matrix"),)
+    if fit.discrepancy == 0.0:
+        return ()
+    text = (
+        f"recordings at {fit.frequency_hz:.6g} Hz disagree beyond their uncertainties (chi-square {fit.chi2:.3g} on "
+        f"{fit.dof}), most of all {worst.recording} ({worst.normalised_deviation:.3g} times what is expected): "
+        f"U covers a further {fit.discrepancy:.2g} of every output"
+    )
+    return (Notice("warning", text, "matrix"),)
