@@ -1,0 +1,206 @@
+"""Parallel vibrometer points: rigid motion by hand, numpy's own statistics, drawn errors, shared clocks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fusion.body import Body, make_part
+from fusion.fuse import fuse
+from fusion.load import load_phasors
+from fusion.observe import ChainUncertainty, Observation, Reading, observe_channels
+from fusion.outputs import Outputs, output_phasors
+from fusion.point_spread import PointRatios, PointSpread, point_spreads, with_ratios
+from fusion.sensitivity import Sensitivity, sensitivity_ratio
+from shaker.signals.phasor import Phasors
+
+ComplexArray = NDArray[np.complex128]
+FREQUENCY = np.array([375.9, 751.8])
+OMEGA = 2 * np.pi * FREQUENCY
+TRUTH = np.array([[0, 0, 60.0, 9j, -14.0, 0], [0, 0, 0.3 - 0.1j, 0.05, 0.02j, 0]], dtype=np.complex128)
+ANGLE = np.deg2rad([0, 90, 180, 270, 45, 135, 225, 315])
+RADIUS = np.repeat([0.022, 0.048], 4)
+POINTS = [(r * np.cos(a), r * np.sin(a), 0.0973) for r, a in zip(RADIUS, ANGLE, strict=True)]
+STATED = {"scale_uncertainty": 2.5e-4, "point_uncertainty": (5e-4,) * 3, "individual_uncertainty": 1e-4}
+BODY = Body((make_part("load", 6.9605, [0, 0, 0], np.diag([0.01] * 3), (1e-3, 0.0, 0.0)),))
+SENSITIVITY = 2e-7 * np.exp(-0.1j)
+
+
+def _entry(**changes: Any) -> Any:
+    base = {
+        "name": "v", "quantity": "velocity", "body": "load", "point": (0.0, 0.0, 0.0), "point_uncertainty": (0.0,) * 3,
+        "direction": (0.0, 0.0, 1.0), "direction_uncertainty": 0.0, "scale_uncertainty": 0.0, "common": "laser",
+        "individual_uncertainty": 0.0, "transverse_sensitivity": 0.0, "delay_uncertainty": 0.0, "channel": None,
+    }  # fmt: skip
+    return SimpleNamespace(**(base | changes))
+
+
+def _reading(value: ComplexArray, sigma: float, unit: str, chain: ChainUncertainty, **entry: Any) -> Reading:
+    covariance = np.repeat(sigma**2 * np.eye(2)[None], len(FREQUENCY), axis=0)
+    name = str(entry["name"])
+    found = Phasors(FREQUENCY, value[:, None], covariance, (name,), (unit,), np.full(len(FREQUENCY), 200.0))
+    return Reading(_entry(**entry), found, chain)
+
+
+def lasers(
+    points: Sequence[Sequence[float]] = POINTS, sigma: float = 1e-8, u_clock_s: float = 0.0, **stated: Any
+) -> Observation:
+    """Velocities along z without any error, as v = (a_z + α_x·y − α_y·x)/(jω)."""
+    chain = ChainUncertainty(clock="daq", u_clock_s=u_clock_s)
+    readings = []
+    for number, point in enumerate(points):
+        value = (TRUTH[:, 2] + TRUTH[:, 3] * point[1] - TRUTH[:, 4] * point[0]) / (1j * OMEGA)
+        readings.append(_reading(value, sigma, "m/s", chain, name=f"p{number}", point=tuple(point), **stated))
+    (observation,) = observe_channels(readings)
+    return observation
+
+
+def spread_of(observation: Observation) -> PointSpread:
+    (found,) = point_spreads([observation], [fuse([observation])])
+    return found
+
+
+def _shifted(observation: Observation, error: ComplexArray) -> Observation:
+    return replace(observation, phasors=replace(observation.phasors, value=observation.phasors.value + error))
+
+
+def test_a_rigid_motion_is_a_plane() -> None:
+    spread = spread_of(lasers())
+    expected = np.array([TRUTH[:, 2] + TRUTH[:, 3] * y - TRUTH[:, 4] * x for x, y, _ in POINTS]).T
+    np.testing.assert_allclose(spread.value, expected, rtol=1e-12)
+    np.testing.assert_allclose(spread.plane, TRUTH[:, 2:5], rtol=1e-10)
+    np.testing.assert_allclose(spread.residual, 0.0, atol=1e-12)
+    np.testing.assert_allclose(spread.axes, [[1, 0, 0], [0, 1, 0]], atol=1e-15)
+    np.testing.assert_allclose(spread.place_m, np.array(POINTS)[:, :2], atol=1e-15)
+    np.testing.assert_allclose(spread.rocking_rad, -TRUTH[:, 3:5] / OMEGA[:, None] ** 2, rtol=1e-10)
+    assert spread.channels == tuple(f"p{n}" for n in range(8))
+    np.testing.assert_allclose(spread.amplitude_spread[0], np.std(np.abs(expected[0]), ddof=1) / 60.0, rtol=1e-12)
+
+
+def test_one_point_apart_is_what_the_plane_leaves() -> None:
+    """The plane through seven equal points and one 3 % higher, by numpy's least squares."""
+    error = np.zeros((2, 8), dtype=np.complex128)
+    observation = lasers()
+    error[:, 5] = 0.03 * observation.phasors.value[:, 5]
+    spread = spread_of(_shifted(observation, error))
+    columns = np.array([[1.0, y, -x] for x, y, _ in POINTS])
+    best = np.linalg.lstsq(columns.astype(np.complex128), spread.value.T, rcond=None)[0]
+    np.testing.assert_allclose(spread.plane, best.T, rtol=1e-9)
+    np.testing.assert_allclose(spread.residual, spread.value - (columns @ best).T, atol=1e-10)
+    assert int(np.argmax(np.abs(spread.residual[0]))) == 5
+    assert spread.left_relative[0] > 10 * spread.left_expected[0]
+
+
+def test_points_may_look_the_other_way_and_along_any_axis() -> None:
+    entries = [(0.05, 0.03, 0.0), (0.05, -0.03, 0.02), (0.05, 0.0, -0.04)]
+    chain = ChainUncertainty(clock="daq")
+    sign = (1.0, -1.0, 1.0)
+    value = [TRUTH[:, 4] * z - TRUTH[:, 5] * y for _, y, z in entries]
+    readings = [
+        _reading(s * v / (1j * OMEGA), 1e-8, "m/s", chain, name=f"p{n}", point=p, direction=(s, 0.0, 0.0))
+        for n, (s, v, p) in enumerate(zip(sign, value, entries, strict=True))
+    ]
+    (observation,) = observe_channels(readings)
+    spread = spread_of(observation)
+    np.testing.assert_allclose(spread.direction, [1.0, 0.0, 0.0], atol=1e-15)
+    np.testing.assert_allclose(spread.value, np.array(value).T, atol=1e-12)
+    np.testing.assert_allclose(spread.plane[:, 1:], TRUTH[:, 4:6], atol=1e-9)
+
+
+@pytest.mark.parametrize("points", [POINTS[:2], [(x, 0.0, 0.0) for x in (-0.04, 0.0, 0.02, 0.04)]])
+def test_fewer_than_three_points_or_a_line_of_them_are_no_plane(points: list[tuple[float, ...]]) -> None:
+    observation = lasers(points)
+    assert point_spreads([observation], [fuse([observation])]) == ()
+
+
+def test_a_common_scale_is_in_the_mean_and_not_in_what_the_plane_leaves() -> None:
+    spread = spread_of(lasers(sigma=1e-12, scale_uncertainty=2.5e-4))
+    u_mean = np.sqrt(np.trace(spread.plane_uncertainty.at([0]).covariance, axis1=1, axis2=2))
+    np.testing.assert_allclose(u_mean, 2.5e-4 * np.abs(TRUTH[:, 2]), rtol=1e-4)
+    assert (spread.left_expected < 1e-6).all()
+
+
+def test_drawn_errors_are_covered() -> None:
+    """800 draws of scale, placement and noise: normalised errors of mean and rocking have unit variance."""
+    rng = np.random.default_rng(4)
+    observation = lasers(sigma=2e-6, **STATED)
+    spread = spread_of(observation)
+    u = np.sqrt(spread.plane_uncertainty.covariance.diagonal(axis1=1, axis2=2))
+    left = []
+    normalised = []
+    for _ in range(800):
+        error = sum(rng.normal() * common.effect(TRUTH) for common in observation.common)
+        error = error + 2e-6 * (rng.normal(size=(2, 8)) + 1j * rng.normal(size=(2, 8)))
+        value = (observation.phasors.value + error) * (1j * OMEGA[:, None])
+        plane = np.linalg.lstsq(np.array([[1.0, y, -x] for x, y, _ in POINTS]), value.T, rcond=None)[0].T
+        normalised.append(np.concatenate([(plane - TRUTH[:, 2:5]).real, (plane - TRUTH[:, 2:5]).imag], axis=1) / u)
+        rest = value - plane @ np.array([[1.0, y, -x] for x, y, _ in POINTS]).T
+        left.append(np.mean(np.abs(rest) ** 2, axis=1))
+    np.testing.assert_allclose(np.std(normalised, axis=0), 1.0, atol=0.1)
+    np.testing.assert_allclose(np.sqrt(np.mean(left, axis=0)) / np.abs(spread.mean), spread.left_expected, rtol=0.03)
+
+
+def _outputs(u_clock_s: float) -> Outputs:
+    value = SENSITIVITY * 6.9605 * TRUTH[:, 2]
+    chain = ChainUncertainty(clock="daq", u_clock_s=u_clock_s)
+    return output_phasors(
+        [_reading(value, 1e-13, "V/V", chain, name="Fz", channel="Fz", common=None, quantity="output")]
+    )
+
+
+def _with_ratios(observation: Observation, u_clock_s: float = 0.0) -> tuple[PointRatios, Sensitivity]:
+    acceleration = fuse([observation])
+    outputs = _outputs(u_clock_s)
+    load = load_phasors(acceleration, BODY)
+    found = sensitivity_ratio(outputs, load, (0.0, 0.0, 1.0), (1, 2), "V/V")
+    (spread,) = point_spreads([observation], [acceleration])
+    ratios = with_ratios(spread, outputs, found, BODY, "on_load").ratios
+    assert ratios is not None
+    return ratios, found
+
+
+def test_ratios_of_the_points_are_output_over_mass_times_acceleration() -> None:
+    ratios, found = _with_ratios(lasers())
+    expected = (
+        SENSITIVITY
+        * TRUTH[:, 2:3]
+        / np.array([TRUTH[:, 2] + TRUTH[:, 3] * y - TRUTH[:, 4] * x for x, y, _ in POINTS]).T
+    )
+    np.testing.assert_allclose(ratios.value, expected, rtol=1e-10)
+    np.testing.assert_allclose(ratios.mean_magnitude, np.mean(np.abs(expected), axis=1), rtol=1e-12)
+    np.testing.assert_allclose(ratios.magnitude_spread, np.std(np.abs(expected), axis=1, ddof=1), rtol=1e-12)
+    np.testing.assert_allclose(ratios.phase_spread_rad, np.std(np.angle(expected), axis=1, ddof=1), rtol=1e-6)
+    np.testing.assert_allclose(ratios.fused, found.value[:, 0, 2])
+    assert (ratios.channel, ratios.component) == ("Fz", "Fz")
+
+
+def test_mass_and_scale_are_in_every_ratio() -> None:
+    ratios, _ = _with_ratios(lasers(sigma=1e-12, scale_uncertainty=2.5e-4))
+    u = np.sqrt(np.trace(ratios.uncertainty.at([3]).covariance, axis1=1, axis2=2))
+    np.testing.assert_allclose(u / np.abs(ratios.value[:, 3]), np.hypot(2.5e-4, 1e-3 / 6.9605), rtol=1e-4)
+
+
+def test_a_clock_of_both_sides_cancels() -> None:
+    """A microsecond of one clock turns output and acceleration alike; of the points alone it turns the ratio."""
+    both, _ = _with_ratios(lasers(sigma=1e-12, u_clock_s=1e-6), 1e-6)
+    alone, _ = _with_ratios(lasers(sigma=1e-12, u_clock_s=1e-6), 0.0)
+    turned = [np.sqrt(np.trace(r.uncertainty.at([0]).covariance, axis1=1, axis2=2)) for r in (both, alone)]
+    mass = 1e-3 / 6.9605 * np.abs(both.value[:, 0])
+    np.testing.assert_allclose(turned[0], mass, rtol=1e-2)
+    np.testing.assert_allclose(turned[1], np.hypot(mass, OMEGA * 1e-6 * np.abs(both.value[:, 0])), rtol=1e-3)
+
+
+def test_points_across_the_driven_force_have_no_ratios() -> None:
+    observation = lasers()
+    acceleration = fuse([observation])
+    outputs = _outputs(0.0)
+    load = load_phasors(acceleration, BODY)
+    other = sensitivity_ratio(outputs, load, (1.0, 0.0, 0.0), (1, 2), "V/V")
+    (spread,) = point_spreads([observation], [acceleration])
+    assert with_ratios(spread, outputs, other, BODY, "on_load").ratios is None
