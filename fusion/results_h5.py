@@ -51,21 +51,21 @@ def _write_subject(file: h5py.File, manifest: Manifest) -> None:
     file.attrs["mounting"] = manifest.mounting
     driven = file.create_group("excitation")
     for name in ("kind", "direction", "frequencies"):
-        _write(driven, name, getattr(manifest.excitation, name))
+        write_value(driven, name, getattr(manifest.excitation, name))
     if manifest.rig.sensor is not None:
         sensor = file.create_group("sensor")
         for name in SENSOR_FIELDS:
-            _write(sensor, name, getattr(manifest.rig.sensor, name))
+            write_value(sensor, name, getattr(manifest.rig.sensor, name))
 
 
 def write_fields(group: h5py.Group, item: Any) -> None:
     """Write every field of a data class into a group: groups and names are those of the classes."""
     for field in fields(item):
         if field.name not in LEFT_OUT:
-            _write(group, field.name, getattr(item, field.name))
+            write_value(group, field.name, getattr(item, field.name))
 
 
-def _write(group: h5py.Group, name: str, value: Any) -> None:
+def write_value(group: h5py.Group, name: str, value: Any) -> None:
     """Write one value: data classes and mappings as groups, arrays and tuples as datasets, scalars as attributes."""
     if value is None:
         return
@@ -76,7 +76,7 @@ def _write(group: h5py.Group, name: str, value: Any) -> None:
     elif isinstance(value, Mapping):
         inner = group.create_group(name, track_order=True)
         for key, entry in value.items():
-            _write(inner, str(key), entry)
+            write_value(inner, str(key), entry)
     elif isinstance(value, np.ndarray):
         _write_array(group, name, value)
     elif isinstance(value, tuple | list):
@@ -94,7 +94,7 @@ def _write_sequence(group: h5py.Group, name: str, items: Sequence[Any]) -> None:
     elif any(is_dataclass(item) for item in items):
         inner = group.create_group(name, track_order=True)
         for number, item in enumerate(items):
-            _write(inner, _label(item, number), item)
+            write_value(inner, _label(item, number), item)
     elif all(isinstance(item, str) for item in items):
         group.create_dataset(name, data=np.array(items, dtype=object), dtype=h5py.string_dtype())
     else:
