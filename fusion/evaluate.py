@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import time
 
-from fusion.analyse import Inputs, analyse
+from fusion.analyse import Analysis, Inputs, analyse
 from fusion.errors import InputError
 from fusion.evaluation import Evaluation
 from fusion.manifest import Manifest
+from fusion.point_spread import PointSpread, point_spreads, with_ratios
 from fusion.provenance import versions
 from fusion.readings import unseen_fundamentals
 from fusion.referral import referrals
@@ -38,7 +39,8 @@ def evaluate_recording(
     joined = join_takes([measure_take(take, settings, progress) for take in takes], tied)
     seen = joined.observations(manifest)
     unseen = unseen_fundamentals(seen, joined.lines, joined.folded)
-    found = analyse(Inputs.of(manifest, joined.lines, seen, joined.readings))
+    inputs = Inputs.of(manifest, joined.lines, seen, joined.readings)
+    found = analyse(inputs)
     return Evaluation(
         manifest=manifest,
         lines=joined.lines,
@@ -55,7 +57,17 @@ def evaluate_recording(
         input_hashes=input_hashes,
         duration_s=time.monotonic() - started,
         takes=joined.takes,
+        points=_points(inputs, found),
     )
+
+
+def _points(inputs: Inputs, found: Analysis) -> tuple[PointSpread, ...]:
+    """Return the spread of parallel vibrometer points, with the ratio of every point where their force was driven."""
+    spreads = point_spreads(inputs.observations, found.accelerations)
+    sensor, body, outputs, sensitivity = inputs.sensor, inputs.body, found.outputs, found.sensitivity
+    if sensor is None or body is None or outputs is None or sensitivity is None:
+        return spreads
+    return tuple(with_ratios(spread, outputs, sensitivity, body, sensor.sense) for spread in spreads)
 
 
 def _check_kind(manifest: Manifest) -> None:

@@ -14,6 +14,7 @@ from fusion.load import LoadResult
 from fusion.manifest import Manifest
 from fusion.notices import AnyNotice
 from fusion.outputs import Outputs
+from fusion.point_spread import PointSpread
 from fusion.sensitivity import Sensitivity
 from photogram.epipolar import EpipolarCheck
 from photogram.images import GreyImage
@@ -144,8 +145,8 @@ class Evaluation:
     """Everything one recording yields.
 
     `accelerations`: one entry per body and source (`fused` first). `load`: wrench phasors at the sensor origin, N and
-    N.m, with the manifest's sense. `outputs`: of the sensor. `settings`, `versions`, `input_hashes` (file -> SHA-256)
-    say what was run on what.
+    N.m, with the manifest's sense. `outputs`: of the sensor. `points`: vibrometer points that look along one
+    direction. `settings`, `versions`, `input_hashes` (file -> SHA-256) say what was run on what.
     """
 
     manifest: Manifest
@@ -163,3 +164,4 @@ class Evaluation:
     input_hashes: dict[str, str]
     duration_s: float = field(default=0.0)
     takes: tuple[TakeResult, ...] = ()
+    points: tuple[PointSpread, ...] = ()

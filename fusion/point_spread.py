@@ -169,7 +169,7 @@ def _points(observation: Observation, acceleration: ComplexArray) -> list[_Point
         size = np.linalg.norm(row[:, :3], axis=1)
         largest = row[np.arange(len(row)), np.full(len(row), np.argmax(np.abs(row[0, :3])))]
         factor = size * largest / np.abs(largest)
-        unit = np.asarray((row[0] / factor[0]).real)
+        unit = np.asarray((row[0] / factor[0]).real) + 0.0
         found.append(_Point(name, observation, column, unit[:3], unit[3:], factor, acceleration))
     return found
 

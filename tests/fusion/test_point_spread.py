@@ -27,7 +27,7 @@ TRUTH = np.array([[0, 0, 60.0, 9j, -14.0, 0], [0, 0, 0.3 - 0.1j, 0.05, 0.02j, 0]
 ANGLE = np.deg2rad([0, 90, 180, 270, 45, 135, 225, 315])
 RADIUS = np.repeat([0.022, 0.048], 4)
 POINTS = [(r * np.cos(a), r * np.sin(a), 0.0973) for r, a in zip(RADIUS, ANGLE, strict=True)]
-STATED = {"scale_uncertainty": 2.5e-4, "point_uncertainty": (5e-4,) * 3, "individual_uncertainty": 1e-4}
+STATED: dict[str, Any] = {"scale_uncertainty": 2.5e-4, "point_uncertainty": (5e-4,) * 3, "individual_uncertainty": 1e-4}
 BODY = Body((make_part("load", 6.9605, [0, 0, 0], np.diag([0.01] * 3), (1e-3, 0.0, 0.0)),))
 SENSITIVITY = 2e-7 * np.exp(-0.1j)
 
@@ -135,7 +135,7 @@ def test_drawn_errors_are_covered() -> None:
     left = []
     normalised = []
     for _ in range(800):
-        error = sum(rng.normal() * common.effect(TRUTH) for common in observation.common)
+        error = np.sum([rng.normal() * common.effect(TRUTH) for common in observation.common], axis=0)
         error = error + 2e-6 * (rng.normal(size=(2, 8)) + 1j * rng.normal(size=(2, 8)))
         value = (observation.phasors.value + error) * (1j * OMEGA[:, None])
         plane = np.linalg.lstsq(np.array([[1.0, y, -x] for x, y, _ in POINTS]), value.T, rcond=None)[0].T
