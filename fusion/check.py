@@ -10,15 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.errors import InputError
-from fusion.manifest import PULSE, ChannelEntry, Daq, Frames, Images, Manifest, PointFiles, Take
+from fusion.manifest import PULSE, ChannelEntry, Daq, Frames, Images, Manifest, PointFiles
 from fusion.polar import rounded
-from fusion.records import read_daqs
+from fusion.records import read_takes, take_blocks
 from fusion.response import check_response
+from fusion.scans import ScannedPoint, scanned_points, split_scan
 from fusion.timing import channel_pulse_width, no_pulse_width
+from shaker.signals.recording import RawChannel
 
 BODIES = ("load", "base")
 MOTION = ("x", "y", "z", "rx", "ry", "rz")
 LOADS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+NO_REFERENCE = "no channel"
 ROW_TOLERANCE = 1e-9
 """Relative singular value below which instruments do not tell two motions apart."""
 
@@ -91,43 +94,62 @@ def geometric_row(entry: ChannelEntry) -> NDArray[np.float64]:
 
 def check(manifest: Manifest) -> CheckReport:
     """Look at what a manifest names, without tracking or fitting anything."""
-    contents, problems = _contents(manifest)
-    observed = _observed(manifest)
+    takes = _takes(manifest)
+    contents, problems = _contents(manifest, takes)
+    observed = _observed(manifest, takes)
     return CheckReport(
         name=manifest.name,
         path=manifest.path,
         contents=tuple(contents),
         observed=tuple(observed),
-        remarks=tuple(_remarks(manifest, observed)),
+        remarks=tuple(_remarks(manifest, takes, observed)),
         problems=tuple(problems),
     )
 
 
-def _blocks(manifest: Manifest) -> list[Manifest | Take]:
-    """What was recorded at once: the top level, then every take."""
-    return [manifest, *manifest.take]
+def _takes(manifest: Manifest) -> list[Manifest]:
+    """What was recorded at once: the top level, every take, every point of a scan that can be read."""
+    found: list[Manifest] = []
+    for _, block in take_blocks(manifest):
+        try:
+            found += [part for part, _ in split_scan(block)]
+        except InputError:
+            found.append(block)
+    return found
 
 
-def _contents(manifest: Manifest) -> tuple[list[str], list[str]]:
+def _contents(manifest: Manifest, takes: Sequence[Manifest]) -> tuple[list[str], list[str]]:
     """One line for each file group, and what is wrong with it."""
     excitation = manifest.excitation
     lines = ", ".join(f"{line:g} Hz" for line in excitation.frequencies or ())
     contents, problems = [f"excitation: {excitation.kind}" + (f" at {lines}" if lines else "")], []
-    for block in _blocks(manifest):
-        told = [_read_daq(daq) for daq in block.daq]
+    if len(takes) > 1:
+        contents.append(f"takes: {len(takes)}, tied by {_reference(takes)}")
+    blocks = take_blocks(manifest)
+    for where, block in blocks:
+        told = [_read_daq(block, daq) for daq in block.daq]
         told += [_read_images(images) for images in block.images]
         told += [_describe_points(points) for points in block.points]
-        told += [_measure_exposure(manifest, block, frames) for frames in _pulse_exposed(block)]
+        told += [_measure_exposure(block, frames) for frames in _pulse_exposed(block)]
         problems += _unreadable_responses(block)
-        contents += [line for line, _ in told]
-        problems += [problem for _, wrong in told for problem in wrong]
+        prefix = f"{where.rstrip('.')} " if len(blocks) > 1 and where else ""
+        contents += [prefix + line for line, _ in told]
+        problems += [prefix + problem for _, wrong in told for problem in wrong]
+    if len(takes) > 1 and _reference(takes) == NO_REFERENCE:
+        problems.append("takes: no channel with reference = true that is the same in every take")
     mounted = [f"{part.name} {part.true_mass:g} kg on the {part.body}" for part in manifest.part]
     if manifest.rig.load is not None:
         contents.append(f"load mass: {manifest.rig.load.true_mass:g} kg" + "".join(f", {part}" for part in mounted))
     return contents, problems
 
 
-def _read_daq(daq: Daq) -> tuple[str, list[str]]:
+def _reference(takes: Sequence[Manifest]) -> str:
+    """Name of the channel that ties takes to each other."""
+    named = [{entry.name for daq in take.daq for entry in daq.channel if entry.reference} for take in takes]
+    return ", ".join(sorted(set.intersection(*named))) or NO_REFERENCE
+
+
+def _read_daq(block: Manifest, daq: Daq) -> tuple[str, list[str]]:
     """Channels of a DAQ file, with samples and rate as the file has them."""
     from shaker.signals.files import read_channels
 
@@ -135,16 +157,23 @@ def _read_daq(daq: Daq) -> tuple[str, list[str]]:
     listed = ", ".join(f"{entry.name} ({entry.quantity})" for entry in daq.channel)
     told = f"daq {daq.name}: {daq.file.name}, {_size([daq.file])}: {listed}"
     try:
-        channels = read_channels(daq.file, names, daq.sample_rate)
-    except (OSError, ValueError, KeyError) as error:
+        points = scanned_points(block, daq)
+        channels = read_channels(daq.file, names, daq.sample_rate) if points is None else _of_all(points)
+    except (OSError, ValueError, KeyError, InputError) as error:
         return told, [f"daq {daq.name}: {' '.join(str(error).split())}"]
-    first = channels[names[0]]
-    holes = [name for name in names if not np.isfinite(channels[name].samples).all()]
+    first = next(iter(channels.values()))
+    holes = [name for name, channel in channels.items() if not np.isfinite(channel.samples).all()]
     told += f"; {first.samples.size} samples at {first.sample_rate_hz:g} Hz"
+    told += "" if points is None else f", a scan of {len(points)} points, each a take"
     return told, [f"daq {daq.name}: channel {name} holds values that are no finite numbers" for name in holes]
 
 
-def _unreadable_responses(block: Manifest | Take) -> list[str]:
+def _of_all(points: Sequence[ScannedPoint]) -> dict[str, RawChannel]:
+    """Channels of all points of a scan by block and point."""
+    return {f"{name}/{point.number}": channel for point in points for name, channel in point.raw.items()}
+
+
+def _unreadable_responses(block: Manifest) -> list[str]:
     """What is wrong with the response files that channels name."""
     wrong = []
     for path in dict.fromkeys(entry.response for daq in block.daq for entry in daq.channel if entry.response):
@@ -180,22 +209,22 @@ def _describe_points(points: PointFiles) -> tuple[str, list[str]]:
     return told, [f"points {points.stereo}: {empty[0]} is empty ({len(empty)} such files)"] if empty else []
 
 
-def _pulse_exposed(block: Manifest | Take) -> list[Frames]:
+def _pulse_exposed(block: Manifest) -> list[Frames]:
     """Images and points whose exposure is the width of the trigger's pulses."""
     return [frames for frames in (*block.images, *block.points) if frames.exposure == PULSE]
 
 
-def _measure_exposure(manifest: Manifest, block: Manifest | Take, frames: Frames) -> tuple[str, list[str]]:
-    """How wide the pulses are that the first block has of the trigger."""
+def _measure_exposure(block: Manifest, frames: Frames) -> tuple[str, list[str]]:
+    """How wide the pulses are that the first DAQ block has of the trigger."""
     daq = next(daq for daq in block.daq if frames.trigger in [entry.name for entry in daq.channel])
     told = f"exposure of {frames.stereo}: width of the pulses of {frames.trigger} in {daq.name}"
     try:
-        (record,) = read_daqs(replace(manifest, daq=(daq,)))
+        record = read_takes(replace(block, daq=(daq,), images=(), points=()))[0].records[0]
         pulse = channel_pulse_width(record, frames.trigger)
     except InputError as error:
         return told, [str(error)]
     except ValueError as error:
-        return told, [str(no_pulse_width(manifest, daq.name, frames, error))]
+        return told, [str(no_pulse_width(block, daq.name, frames, error))]
     width, expanded, _ = rounded(1e6 * pulse.width_s, 2e6 * pulse.u_width_s, 0)
     return f"{told}, ({width} ± {expanded}) µs, U (k = 2)", []
 
@@ -210,12 +239,10 @@ def _size(paths: Sequence[Path]) -> str:
     return f"{size:.3g} GB"
 
 
-def _observed(manifest: Manifest) -> list[Observability]:
+def _observed(manifest: Manifest, takes: Sequence[Manifest]) -> list[Observability]:
     """Rows of every instrument, then of all instruments of a body together."""
-    single = [
-        *(_stereo(manifest, frames) for block in _blocks(manifest) for frames in (*block.images, *block.points)),
-        *_instruments(manifest),
-    ]
+    frames = {entry.stereo: entry for take in takes for entry in (*take.images, *take.points)}
+    single = [*(_stereo(manifest, entry) for entry in frames.values()), *_instruments(takes)]
     found = []
     for body in BODIES:
         own = [item for item in single if item.body == body]
@@ -230,11 +257,11 @@ def _stereo(manifest: Manifest, frames: Frames) -> Observability:
     return Observability(manifest.rig.stereo[frames.stereo].body, f"stereo {frames.stereo}", np.eye(6))
 
 
-def _instruments(manifest: Manifest) -> list[Observability]:
+def _instruments(takes: Sequence[Manifest]) -> list[Observability]:
     """Single-axis channels, those of one `common` name or else of one DAQ file taken together."""
     groups: dict[tuple[str, str], list[NDArray[np.float64]]] = {}
-    for block in _blocks(manifest):
-        for daq in block.daq:
+    for take in takes:
+        for daq in take.daq:
             for entry in daq.channel:
                 if entry.quantity in ChannelEntry.MOTION and entry.body is not None:
                     rows = groups.setdefault((entry.body, entry.common or f"{daq.name}.{entry.name}"), [])
@@ -242,7 +269,7 @@ def _instruments(manifest: Manifest) -> list[Observability]:
     return [Observability(body, name, np.stack(rows)) for (body, name), rows in groups.items()]
 
 
-def _remarks(manifest: Manifest, observed: list[Observability]) -> list[str]:
+def _remarks(manifest: Manifest, takes: Sequence[Manifest], observed: list[Observability]) -> list[str]:
     """What the results will lack, and why."""
     rig, told = manifest.rig, []
     together = {body: _all_rows(observed, body) for body in BODIES}
@@ -259,25 +286,24 @@ def _remarks(manifest: Manifest, observed: list[Observability]) -> list[str]:
         told.append("rig.toml has no [load]: no load and no sensitivity")
     if rig.sensor is None:
         told.append("rig.toml has no [sensor]: no sensitivity")
-    elif not any(entry.quantity == "output" for entry in _entries(manifest)):
+    elif not any(entry.quantity == "output" for entry in _entries(takes)):
         told.append("no channel is an output of the sensor: no sensitivity")
     if rig.environment is None or rig.environment.gravity is None:
         told.append("rig.toml states no gravity: tilt is not corrected")
     told += [
         f"channel {entry.name} states no uncertainty of its scale: compared with the others, not fused"
-        for entry in _entries(manifest)
+        for entry in _entries(takes)
         if entry.quantity in ChannelEntry.MOTION and not (entry.scale_uncertainty or entry.individual_uncertainty)
     ]
     told += [
-        f"daq {name} shares no trigger channel with another block: its clock cannot be tied"
-        for name in _loose(manifest)
+        f"daq {name} shares no trigger channel with another block: its clock cannot be tied" for name in _loose(takes)
     ]
     return told
 
 
-def _entries(manifest: Manifest) -> list[ChannelEntry]:
-    """Every channel of a recording."""
-    return [entry for block in _blocks(manifest) for daq in block.daq for entry in daq.channel]
+def _entries(takes: Sequence[Manifest]) -> list[ChannelEntry]:
+    """Every channel of a recording, once by its name."""
+    return list({entry.name: entry for take in takes for daq in take.daq for entry in daq.channel}.values())
 
 
 def _all_rows(observed: list[Observability], body: str) -> NDArray[np.float64]:
@@ -300,10 +326,10 @@ def _driven_but_unseen(manifest: Manifest, rows: NDArray[np.float64]) -> list[st
     return [LOADS[i] for i in np.flatnonzero(direction) if len(rows) and not seen[i]]
 
 
-def _loose(manifest: Manifest) -> list[str]:
+def _loose(takes: Sequence[Manifest]) -> list[str]:
     """DAQ blocks recorded with others whose triggers none of them shares."""
     loose = []
-    for block in _blocks(manifest):
+    for block in takes:
         triggers = {d.name: {e.name for e in d.channel if e.quantity == "trigger"} for d in block.daq}
         for name, own in triggers.items():
             others = set[str]().union(*(theirs for other, theirs in triggers.items() if other != name))

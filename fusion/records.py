@@ -57,11 +57,16 @@ def read_daqs(manifest: Manifest) -> tuple[DaqRecord, ...]:
 
 def read_takes(manifest: Manifest) -> tuple[TakeRecords, ...]:
     """Read a recording take by take: its top level, then every `[[take]]`, a scan of several points point by point."""
-    parts = [("", replace(manifest, take=()))] if manifest.daq or not manifest.take else []
+    return tuple(found for where, part in take_blocks(manifest) for found in _read_block(where, part))
+
+
+def take_blocks(manifest: Manifest) -> list[tuple[str, Manifest]]:
+    """Return the top level of a recording, where it holds anything, and every `[[take]]`, each with its key prefix."""
+    blocks = [("", replace(manifest, take=()))] if manifest.daq or not manifest.take else []
     for number, take in enumerate(manifest.take, 1):
         part = replace(manifest, daq=take.daq, images=take.images, points=take.points, take=())
-        parts.append((f"take[{number}].", part))
-    return tuple(found for where, part in parts for found in _read_part(where, part))
+        blocks.append((f"take[{number}].", part))
+    return blocks
 
 
 @contextmanager
@@ -77,7 +82,7 @@ def told_in(path: Path, where: str, name: str = "") -> Iterator[None]:
         raise ComputeError(f"{name}: {error}" if name else str(error)) from error
 
 
-def _read_part(where: str, part: Manifest) -> list[TakeRecords]:
+def _read_block(where: str, part: Manifest) -> list[TakeRecords]:
     """Read a block of a manifest: one take, or one for each point of its scan."""
     found = []
     with told_in(part.path, where):

@@ -2,31 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fusion.errors import InputError
-from fusion.manifest import ChannelEntry, Daq, Manifest
+from fusion.manifest import ChannelEntry, Daq, Frames, Manifest
 from shaker.signals.files import Scan, read_scan_asc
 from shaker.signals.recording import RawChannel
 
+FloatArray = NDArray[np.float64]
+
 SUFFIX = ".asc"
+AnyFrames = TypeVar("AnyFrames", bound=Frames)
 
 
 @dataclass(frozen=True)
 class ScannedPoint:
-    """One point of a scan: the DAQ block as it was there, its channels named by their block alone, their samples."""
+    """One point of a scan: the DAQ block as it was there, its channels named by their block alone, their samples.
 
+    `number`: as channels name the point, counted from "1".
+    """
+
+    number: str
     daq: Daq
     raw: dict[str, RawChannel]
-
-
-def named_point(entry: ChannelEntry) -> tuple[str, int | None]:
-    """Return the block and the point, counted from 1, that a channel of a scan names; None stands for all points."""
-    block, slash, point = entry.name.partition("/")
-    return (block, int(point)) if slash and point.isdecimal() else (entry.name, None)
 
 
 def scanned_points(manifest: Manifest, daq: Daq) -> tuple[ScannedPoint, ...] | None:
@@ -43,15 +46,23 @@ def scanned_points(manifest: Manifest, daq: Daq) -> tuple[ScannedPoint, ...] | N
         raise InputError.told_by(error, manifest.path, f"daq.{daq.name}.file") from error
     if len(scan.point_m) == 1:
         return None
-    named = [named_point(entry)[1] for entry in daq.channel]
-    chosen = range(1, len(scan.point_m) + 1) if None in named else sorted({point for point in named if point})
-    return tuple(_point(daq, scan, point) for point in chosen)
+    present = [str(number + 1) for number in range(len(scan.point_m))]
+    sets = [daq.data_set(entry) for entry in daq.channel]
+    for entry, (block, point) in zip(daq.channel, sets, strict=True):
+        if point and (block, "") in sets:
+            found = f"{block} beside it, which is recorded at every point"
+            raise InputError(manifest.path, f"daq.{daq.name}.channel.{entry.name}", found, "each data set once")
+        if point not in ("", *present) or block not in scan.take(0):
+            expected = f"block/point of {len(scan.samples)} blocks and {len(present)} points, or a block alone"
+            raise InputError(daq.file, entry.name, found="no such data set", expected=expected)
+    named = {point for _, point in sets}
+    return tuple(_point(daq, scan, place) for place, point in enumerate(present) if named & {"", point})
 
 
 def split_scan(manifest: Manifest) -> Iterator[tuple[Manifest, ScannedPoint | None]]:
     """Yield what was recorded at once of a block of a manifest: itself, or one part for each point of its scan.
 
-    What was recorded beside a scan belongs to its first point.
+    What was recorded beside a scan belongs to its first point, images and points whose trigger names a point to that.
     """
     scans = {daq.name: points for daq in manifest.daq if (points := scanned_points(manifest, daq)) is not None}
     if len(scans) > 1:
@@ -60,29 +71,45 @@ def split_scan(manifest: Manifest) -> Iterator[tuple[Manifest, ScannedPoint | No
     if not scans:
         yield manifest, None
     for name, points in scans.items():
-        for number, point in enumerate(points):
-            alone = replace(manifest, daq=(point.daq,), images=(), points=())
-            beside = tuple(point.daq if daq.name == name else daq for daq in manifest.daq)
-            yield (alone if number else replace(manifest, daq=beside)), point
+        for point in points:
+            first = point is points[0]
+            daq = tuple(
+                point.daq if block.name == name else block for block in manifest.daq if first or block.name == name
+            )
+            images = tuple(_of_point(manifest.images, point, first))
+            yield (
+                replace(manifest, daq=daq, images=images, points=tuple(_of_point(manifest.points, point, first))),
+                point,
+            )
 
 
-def _point(daq: Daq, scan: Scan, point: int) -> ScannedPoint:
-    """Return what a block holds at a scan point, counted from 1."""
-    entries = [_entry(entry, scan, point) for entry in daq.channel if named_point(entry)[1] in (None, point)]
-    present = scan.take(point - 1) if point <= len(scan.point_m) else {}
-    for entry in entries:
-        if entry.name not in present:
-            blocks, points = len(scan.samples), len(scan.point_m)
-            expected = f"block/point of {blocks} blocks and {points} points, or a block alone"
-            raise InputError(daq.file, f"{entry.name}/{point}", found="no such data set", expected=expected)
-    block = daq.model_copy(update={"channel": tuple(entries)})
-    return ScannedPoint(block, {entry.name: present[entry.name] for entry in entries})
+def _of_point(frames: Sequence[AnyFrames], point: ScannedPoint, first: bool) -> Iterator[AnyFrames]:
+    """Yield the images or points of a scan point, their trigger named as its channels are."""
+    for entry in frames:
+        block, slash, number = entry.trigger.partition("/")
+        if slash and block in point.raw and number.isdecimal():
+            if number == point.number:
+                yield entry.model_copy(update={"trigger": block})
+        elif first:
+            yield entry
 
 
-def _entry(entry: ChannelEntry, scan: Scan, point: int) -> ChannelEntry:
+def _point(daq: Daq, scan: Scan, place: int) -> ScannedPoint:
+    """Return what a block holds at a scan point, by its place."""
+    entries = tuple(
+        _entry(entry, daq, scan.point_m[place])
+        for entry in daq.channel
+        if daq.data_set(entry)[1] in ("", str(place + 1))
+    )
+    samples = scan.take(place)
+    raw = {entry.name: samples[entry.name] for entry in entries}
+    return ScannedPoint(str(place + 1), daq.model_copy(update={"channel": entries}), raw)
+
+
+def _entry(entry: ChannelEntry, daq: Daq, point_m: FloatArray) -> ChannelEntry:
     """Return a channel as it was at a scan point, named by its block."""
-    block, own = named_point(entry)
-    if own is not None or entry.point is None or point > len(scan.point_m):
+    block, point = daq.data_set(entry)
+    if point or entry.point is None:
         return entry.model_copy(update={"name": block})
-    place = np.asarray(entry.point, dtype=np.float64) + scan.point_m[point - 1]
+    place = np.asarray(entry.point, dtype=np.float64) + point_m
     return entry.model_copy(update={"name": block, "point": tuple(place.tolist())})

@@ -102,9 +102,9 @@ def _check_triggers(block: Measured, prefix: str, path: Path) -> None:
 
 
 def _check_outputs(block: Measured, prefix: str, path: Path, rig: Rig, rig_path: Path) -> None:
-    """Outputs belong to the sensor under test, each of its channels once."""
-    seen: list[str] = []
-    for key, _, entry in located_channels(block, prefix):
+    """Outputs belong to the sensor under test, each of its channels once at a time."""
+    seen: list[tuple[str, str]] = []
+    for key, daq, entry in located_channels(block, prefix):
         if entry.channel is None:
             continue
         if rig.sensor is None:
@@ -112,10 +112,11 @@ def _check_outputs(block: Measured, prefix: str, path: Path, rig: Rig, rig_path:
         if entry.channel not in rig.sensor.channels:
             expected = "one of the sensor's channels " + ", ".join(rig.sensor.channels)
             raise InputError(path, f"{key}.channel", f'"{entry.channel}"', expected)
-        if entry.channel in seen:
+        output = entry.channel, daq.data_set(entry)[1]
+        if output in seen:
             found = f'"{entry.channel}" twice'
             raise InputError(path, f"{key}.channel", found, "each output of the sensor once")
-        seen.append(entry.channel)
+        seen.append(output)
 
 
 def _check_common(record: RecordingFile, path: Path) -> None:
@@ -134,11 +135,15 @@ def _check_common(record: RecordingFile, path: Path) -> None:
 def _check_reference(record: RecordingFile, path: Path) -> None:
     """Takes need one reference channel, the same in each of them."""
     marked = [
-        [(key, daq.name, entry.name) for key, daq, entry in located_channels(block, prefix) if entry.reference]
+        [
+            (key, daq.name, daq.data_set(entry)[0])
+            for key, daq, entry in located_channels(block, prefix)
+            if entry.reference
+        ]
         for prefix, block in measured_blocks(record)
     ]
     for keys in marked:
-        if len(keys) > 1:
+        if len({(daq, name) for _, daq, name in keys}) > 1:
             found = f"{len(keys)} of them"
             raise InputError(path, f"{keys[1][0]}.reference", found, "one channel with reference = true")
     if not record.take:

@@ -245,6 +245,11 @@ class Daq(Block):
     first_edge: int | None = None
     channel: Annotated[tuple[ChannelEntry, ...], BeforeValidator(array_of_tables), Field(min_length=1)]
 
+    def data_set(self, entry: ChannelEntry) -> tuple[str, str]:
+        """Name of a channel and the scan point it names, empty where it names none: of a scan, `2/3` is ("2", "3")."""
+        block, _, point = entry.name.partition("/")
+        return (block, point) if self.file.suffix.lower() == ".asc" else (entry.name, "")
+
     @model_validator(mode="after")
     def _channels_have_different_names(self) -> Self:
         twice = repeated_name([entry.name for entry in self.channel])

@@ -127,14 +127,6 @@ def _without_bridge_trigger(campaign: Path) -> None:
     _replace(campaign / RECORDING, (text[: text.rindex("[[daq.channel]]", 0, images)] + text[images:]).encode())
 
 
-def _as_take(campaign: Path) -> None:
-    text = (campaign / RECORDING).read_text().replace("[[daq", "[[take.daq").replace("[[images", "[[take.images")
-    text = text.replace("[[take.daq]]", "[[take]]\n[[take.daq]]", 1)
-    _replace(
-        campaign / RECORDING, text.replace('name = "velocity_1"', 'name = "velocity_1"\nreference = true').encode()
-    )
-
-
 def _outside(campaign: Path) -> None:
     (campaign.parent / "secret.csv").write_text("frequency_hz\n")
     _text(RECORDING, '"bridge-response.csv"', '"../../secret.csv"')(campaign)
@@ -322,7 +314,6 @@ CASES: list[tuple[str, Break, str, tuple[str, ...]]] = [
         RECORDING,
         ("excitation.kind", "sine", "chirp"),
     ),
-    ("takes", _as_take, RECORDING, ("take", "no [[take]] blocks", "found 1")),
     (
         "frequency not present",
         _text(RECORDING, "frequencies = [80.0]", "frequencies = [95.0]"),

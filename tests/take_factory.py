@@ -1,0 +1,149 @@
+"""Recordings in takes without images: a laser that looks at one point after another, a reference, an output."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+FREQUENCY_HZ = 106.2507
+RATE_HZ, SAMPLES = 4000.0, 6000
+# Acceleration of the load at the sensor origin, m/s^2 and rad/s^2; that of the base's reference point along z.
+LOAD = np.array([0.4 - 0.2j, 0.3j, 106.0 * np.exp(0.7j), 2.0 + 1.0j, -3.0 + 0.5j, 0.0])
+BASE_Z = 95.0 * np.exp(0.75j)
+MASS_KG, SENSITIVITY = 6.9605 + 0.769, 2.0e-7 * np.exp(-0.02j)
+LASER_V, ACCELEROMETER_V, BRIDGE_V = 0.125, 98.1, 1e-3  # SI per file value
+SCALE_U = 2.5e-4
+POINTS = tuple(
+    (float(0.04 * np.cos(angle)), float(0.04 * np.sin(angle)), 0.05) for angle in np.arange(8) * np.pi / 4.0
+)
+
+RIG = """
+format = 1
+name = "laser that looks at one point after another"
+[sensor]
+name = "transducer"
+channels = ["Fz"]
+unit = "V/V"
+sense = "on_load"
+internal_mass = 0.769
+internal_mass_uncertainty = 0.002
+[load]
+mass = 6.9605
+mass_uncertainty = 0.001
+centre_of_mass = [0.0, 0.0, 0.0]
+inertia = [[0.036, 0.0, 0.0], [0.0, 0.036, 0.0], [0.0, 0.0, 0.031]]
+"""
+HEAD = """
+format = 1
+name = "takes"
+rig = "../rig.toml"
+[excitation]
+kind = "sine"
+direction = [0.0, 0.0, 1.0]
+frequencies = [106.25]
+harmonics = {harmonics}
+"""
+DAQ = '[[{at}daq]]\nname = "daq"\nfile = "{file}"\n'
+LASER = """[[{at}daq.channel]]
+name = "{name}"
+quantity = "velocity"
+body = "load"
+point = {point}
+direction = [0.0, 0.0, 1.0]
+scale = 0.125
+scale_uncertainty = 2.5e-4
+common = "laser"
+"""
+REFERENCE = """[[{at}daq.channel]]
+name = "{name}"
+quantity = "acceleration"
+body = "base"
+point = [0.0, 0.0, -0.1]
+direction = [0.0, 0.0, 1.0]
+scale = 98.1
+scale_uncertainty = 5e-3
+reference = {mark}
+"""
+OUTPUT = """[[{at}daq.channel]]
+name = "{name}"
+quantity = "output"
+channel = "Fz"
+scale = 1e-3
+scale_uncertainty = 1e-4
+"""
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One take: complex `level` against the first, exact frequency, points looked at; shares of harmonics; noise."""
+
+    points: Sequence[Sequence[float]]
+    level: complex = 1.0
+    frequency_hz: float = FREQUENCY_HZ
+    harmonics: Mapping[int, float] = field(default_factory=dict)
+    noise: float = 1e-5
+    reference: complex = BASE_Z
+    samples: int = SAMPLES
+
+
+def at_point(point: Sequence[float]) -> complex:
+    """Acceleration along z of a point of the load."""
+    return complex(LOAD[2] + LOAD[3] * point[1] - LOAD[4] * point[0])
+
+
+def signals(shot: Shot, rng: np.random.Generator) -> dict[str, NDArray[np.float64]]:
+    """Samples of a take as its file has them: `velocity_1` …, `drive`, `Fz`."""
+    time_s = np.arange(shot.samples) / RATE_HZ
+    omega = 2.0 * np.pi * shot.frequency_hz
+    values = {}
+    lasers = {f"velocity_{n}": (at_point(p), LASER_V, 1) for n, p in enumerate(shot.points, 1)}
+    channels = {
+        **lasers,
+        "drive": (shot.reference, ACCELEROMETER_V, 0),
+        "Fz": (SENSITIVITY * MASS_KG * LOAD[2], BRIDGE_V, 0),
+    }
+    for name, (acceleration, scale, integrals) in channels.items():
+        signal = np.zeros(shot.samples)
+        for multiple, share in {1: 1.0, **shot.harmonics}.items():
+            phasor = shot.level**multiple * share * acceleration / (1j * multiple * omega) ** integrals / scale
+            signal += (phasor * np.exp(1j * multiple * omega * time_s)).real
+        size = abs(acceleration / (1j * omega) ** integrals / scale)
+        values[name] = signal + shot.noise * max(size, 1e-9) * rng.normal(size=shot.samples)
+    return values
+
+
+def write_shot(path: Path, values: Mapping[str, NDArray[np.float64]]) -> None:
+    """Write a take's samples."""
+    with h5py.File(path, "w") as file:
+        file.attrs["sample_rate"] = RATE_HZ
+        for name, samples in values.items():
+            file[name] = samples
+
+
+def block(file: str, points: Sequence[Sequence[float]], at: str = "take.", mark: str = "true") -> str:
+    """The DAQ block of one take."""
+    text = ("[[take]]\n" if at else "") + DAQ.format(at=at, file=file)
+    text += REFERENCE.format(at=at, name="drive", mark=mark) + OUTPUT.format(at=at, name="Fz")
+    return text + "".join(
+        LASER.format(at=at, name=f"velocity_{n}", point=list(p)) for n, p in enumerate(points, 1)
+    )
+
+
+def write_takes(
+    folder: Path, shots: Sequence[Shot], rng: np.random.Generator, harmonics: str = '"auto"', top: bool = False
+) -> Path:
+    """Write a recording of several takes, the first at the top level where `top`; return its folder."""
+    recording = folder / "takes"
+    recording.mkdir(parents=True)
+    (folder / "rig.toml").write_text(RIG, encoding="utf-8")
+    text = HEAD.format(harmonics=harmonics)
+    for number, shot in enumerate(shots, 1):
+        write_shot(recording / f"{number}.h5", signals(shot, rng))
+        text += block(f"{number}.h5", shot.points, "" if top and number == 1 else "take.")
+    (recording / "recording.toml").write_text(text, encoding="utf-8")
+    return recording
