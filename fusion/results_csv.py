@@ -102,7 +102,7 @@ def element_rows(found: Sensitivity, recording: str) -> Iterator[Row]:
         element = polar(complex(found.value[k, c, j]), covariance[k, c, j], float(dof[k, c, j]))
         unit = sensitivity_unit(found.unit, found.components[j])
         head: Row = [float(found.frequency_hz[k]), found.channels[c], found.components[j]]
-        yield [*head, *_numbers(element), unit, found.kind[k], recording]
+        yield [*head, *polar_cells(element), unit, found.kind[k], recording]
 
 
 def sensitivity_element(sensitivity: Sensitivity, line: int, channel: int, component: int) -> Polar:
@@ -134,7 +134,7 @@ def _phasor_rows(
     for k, c in np.argwhere(determined):
         element = polar(complex(phasors.value[k, c]), element_covariance(phasors.covariance[k], c), float(dof[k, c]))
         head: Row = [float(phasors.frequency_hz[k]), body, phasors.channels[c]]
-        yield [*head, *_numbers(element), phasors.unit[c], *tail]
+        yield [*head, *polar_cells(element), phasors.unit[c], *tail]
 
 
 def motion_rows(stereo: StereoResult) -> Iterator[Row]:
@@ -180,7 +180,7 @@ def _body(path: Path, header: str) -> list[str]:
     return body
 
 
-def _numbers(element: Polar) -> list[Cell]:
+def polar_cells(element: Polar) -> list[Cell]:
     """The ten numeric cells shared by all tables of phasors."""
     return [
         element.magnitude,

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from fusion.plots.style import (
     BLACK,
-    GREY,
     LIGHT,
     RED,
     FloatArray,
@@ -127,7 +126,7 @@ def _draw_map(axes: Axes, item: CrosstalkMap, norm: LogNorm) -> None:
     axes.imshow(np.ma.masked_invalid(shown), cmap=colours, norm=norm, aspect="auto")
     for i, j in np.ndindex(shown.shape):
         dark = np.isfinite(shown[i, j]) and float(norm(shown[i, j])) > DARK_ABOVE
-        colour = "white" if dark else GREY if item.holds_zero[i, j] else BLACK
+        colour = "white" if dark else BLACK
         axes.text(j, i, _cell(item, i, j), ha="center", va="center", fontsize=7.5, color=colour)
     axes.set_xticks(range(len(item.components)), list(item.components))
     axes.set_yticks(range(len(item.channels)), list(item.channels))

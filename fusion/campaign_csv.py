@@ -1,0 +1,53 @@
+"""The joint tables of a campaign: its matrices among the sensitivities, and their cross-talk."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from fusion.campaign_evaluation import CampaignEvaluation
+from fusion.matrix import CrossTalk
+from fusion.polar import polar
+from fusion.results import CROSSTALK_FILE
+from fusion.results_csv import (
+    SENSITIVITY_COLUMNS,
+    SENSITIVITY_FILE,
+    Row,
+    csv_text,
+    element_rows,
+    merge_tables,
+    polar_cells,
+)
+
+CROSSTALK_COLUMNS = [*SENSITIVITY_COLUMNS[:13], "U_region", "holds_zero"]
+
+
+def campaign_tables(evaluation: CampaignEvaluation, folders: Sequence[Path]) -> dict[str, str]:
+    """Return the text of every joint table, by file name; `folders`: of the recordings, in the order of the rows."""
+    tables = merge_tables(folders)
+    matrices = csv_text(SENSITIVITY_COLUMNS, matrix_rows(evaluation)).partition("\n")[2]
+    tables[SENSITIVITY_FILE] += matrices
+    rows = (row for found in evaluation.cross_talks for row in crosstalk_rows(found))
+    tables[CROSSTALK_FILE] = csv_text(CROSSTALK_COLUMNS, rows)
+    return tables
+
+
+def matrix_rows(evaluation: CampaignEvaluation) -> Iterator[Row]:
+    """One row per frequency and element of the matrices, the campaign in place of a recording."""
+    if evaluation.sensor is not None:
+        for fit in evaluation.matrices:
+            yield from element_rows(fit.sensitivity(evaluation.sensor.unit), evaluation.name)
+
+
+def crosstalk_rows(found: CrossTalk) -> Iterator[Row]:
+    """One row per element beside the main ones."""
+    covariance, dof, count = found.uncertainty.covariance[0], found.uncertainty.dof()[0], found.value.size
+    for place, (c, j) in enumerate(np.ndindex(found.value.shape)):
+        if found.main[c] != j:
+            both = [place, place + count]
+            element = polar(complex(found.value[c, j]), covariance[np.ix_(both, both)], float(dof[place]))
+            head: Row = [found.frequency_hz, found.channels[c], found.components[j]]
+            zero = "yes" if found.holds_zero[c, j] else "no"
+            yield [*head, *polar_cells(element), float(found.half_axis[c, j]), zero]
