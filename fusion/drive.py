@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.evaluation import Evaluation
-from fusion.load import LoadResult
-from fusion.outputs import Outputs
 from fusion.uncertainty import Contribution, Influence, Uncertainty
 from shaker._checks import check_shape
+
+if TYPE_CHECKING:
+    from fusion.evaluation import Evaluation
+    from fusion.load import LoadResult
+    from fusion.outputs import Outputs
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from fusion.coverage import region
 from fusion.drive import LOADS
-from fusion.estimate import real_design
 from fusion.load import LOAD_COMPONENTS
 from fusion.matrix.fit import MatrixFit
+from fusion.system import real_design
 from fusion.uncertainty import Uncertainty
 from shaker._checks import check_shape
 

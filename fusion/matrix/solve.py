@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from fusion.drive import LOADS
-from fusion.estimate import real_design
 from fusion.matrix.stack import Stack
+from fusion.system import real_design
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
