@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from fusion.body import Body
 from fusion.errors import ComputeError
@@ -12,9 +14,10 @@ from fusion.load import LoadResult, load_phasors
 from fusion.manifest import Manifest, Sensor
 from fusion.notices import AnyNotice
 from fusion.observe import Observation, Reading
+from fusion.other_loads import other_loads
 from fusion.outputs import Outputs, output_phasors
 from fusion.readings import gravity, load_body
-from fusion.sensitivity import Sensitivity, sensitivity_ratio
+from fusion.sensitivity import Sensitivity, driven_component, sensitivity_ratio
 from shaker.signals.frequencies import Lines
 
 
@@ -24,7 +27,7 @@ class Inputs:
 
     `lines`: the K lines; `observations`: the instruments as rows of the linear model; `outputs`: the sensor's channels
     in its own order; `body`: all that moves above the elastic element, None without a load; `gravity_mps2`: None where
-    the rig does not state it; `direction`: 3 or 6 numbers.
+    the rig does not state it, `u_gravity_mps2`: its standard uncertainty; `direction`: 3 or 6 numbers.
     """
 
     lines: Lines
@@ -34,13 +37,14 @@ class Inputs:
     gravity_mps2: tuple[float, float, float] | None
     sensor: Sensor | None
     direction: tuple[float, ...] | None
+    u_gravity_mps2: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @classmethod
     def of(
         cls, manifest: Manifest, lines: Lines, observations: Sequence[Observation], readings: Sequence[Reading]
     ) -> Inputs:
         """Return the inputs that a manifest and the phasors found for it make."""
-        sensor = manifest.rig.sensor
+        sensor, environment = manifest.rig.sensor, manifest.rig.environment
         outputs = [reading for reading in readings if reading.entry.quantity == "output"]
         if sensor is not None:
             outputs.sort(key=lambda reading: sensor.channels.index(str(reading.entry.channel)))
@@ -52,6 +56,7 @@ class Inputs:
             gravity_mps2=gravity(manifest),
             sensor=sensor,
             direction=manifest.excitation.direction,
+            u_gravity_mps2=(0.0, 0.0, 0.0) if environment is None else environment.gravity_uncertainty,
         )
 
 
@@ -93,7 +98,7 @@ def _load(inputs: Inputs, accelerations: Sequence[Acceleration]) -> LoadResult |
     if inputs.body is None or fused is None:
         return None
     sense = "on_load" if inputs.sensor is None else inputs.sensor.sense
-    return load_phasors(fused, inputs.body, inputs.gravity_mps2, sense)
+    return load_phasors(fused, inputs.body, inputs.gravity_mps2, sense, inputs.u_gravity_mps2)
 
 
 def _sensitivity(inputs: Inputs, load: LoadResult | None, outputs: Outputs | None) -> Sensitivity | None:
@@ -101,4 +106,19 @@ def _sensitivity(inputs: Inputs, load: LoadResult | None, outputs: Outputs | Non
     sensor, direction = inputs.sensor, inputs.direction
     if sensor is None or load is None or direction is None or outputs is None:
         return None
-    return sensitivity_ratio(outputs, load, direction, inputs.lines.multiple, sensor.unit, sensor.capacity)
+    found = sensitivity_ratio(outputs, load, direction, inputs.lines.multiple, sensor.unit, sensor.capacity)
+    return replace(found, notices=(*found.notices, *_other_loads(sensor, outputs, load, direction)))
+
+
+def _other_loads(
+    sensor: Sensor, outputs: Outputs, load: LoadResult, direction: Sequence[float]
+) -> tuple[AnyNotice, ...]:
+    """Return what the driven output owes to other loads at the strongest line, by the static sensitivity."""
+    if sensor.static_sensitivity is None:
+        return ()
+    channels, component = outputs.phasors.channels, driven_component(direction, sensor.capacity)
+    static = np.asarray(sensor.static_sensitivity)[[sensor.channels.index(name) for name in channels]]
+    driven = int(np.argmax(np.abs(static[:, component])))
+    line = int(np.argmax(np.nan_to_num(np.abs(load.value[:, component]))))
+    where = f"output {channels[driven]} at {outputs.phasors.frequency_hz[line]:.6g} Hz"
+    return other_loads(outputs, load, static, component).notices(line, driven, where)

@@ -9,7 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from fusion.estimate import real_design
 from fusion.load import LoadResult
+from fusion.notices import Notice
 from fusion.outputs import Outputs
+from fusion.polar import Polar, element_covariance, polar, rounded
 from fusion.sensitivity import quotient
 from fusion.uncertainty import Uncertainty
 
@@ -27,6 +29,26 @@ class OtherLoads:
 
     value: ComplexArray
     uncertainty: Uncertainty
+
+    def element(self, line: int, channel: int) -> Polar:
+        """Return one share with its uncertainty; its real part enlarges the output, its imaginary part turns it."""
+        pair = element_covariance(self.uncertainty.covariance[line], channel)
+        return polar(complex(self.value[line, channel]), pair, float(self.uncertainty.dof()[line, channel]))
+
+    def notices(self, line: int, channel: int, where: str) -> tuple[Notice, ...]:
+        """Return what the output of one channel at one line owes to other loads; `where` names both."""
+        if not abs(self.value[line, channel]) > 0.0:
+            return ()
+        share = self.element(line, channel)
+        more, turn = (
+            rounded(100.0 * share.re, 100.0 * share.k * share.u_re, 0),
+            rounded(1e3 * share.im, 1e3 * share.k * share.u_im, 0),
+        )
+        text = (
+            f"by the static sensitivity the other load components make ({more.value} ± {more.expanded}) % of {where} "
+            f"and turn it by ({turn.value} ± {turn.expanded}) mrad"
+        )
+        return (Notice("info", text, "sensitivity"),)
 
 
 def other_loads(outputs: Outputs, load: LoadResult, static: ArrayLike, component: int) -> OtherLoads:

@@ -8,6 +8,7 @@ import numpy as np
 
 from fusion.body import Body, make_part
 from fusion.body import Part as RigidPart
+from fusion.elastic_joint import make_joint
 from fusion.errors import ComputeError
 from fusion.evaluation import ChannelResult
 from fusion.manifest import ChannelEntry, Load, Manifest, Part
@@ -106,12 +107,16 @@ def gravity(manifest: Manifest) -> tuple[float, float, float] | None:
 
 
 def load_body(manifest: Manifest) -> Body | None:
-    """Return all that moves above the elastic element: load, parts and internal mass; None without a `[load]`."""
-    load, sensor = manifest.rig.load, manifest.rig.sensor
+    """Return all that moves above the elastic element: load, parts and internal mass; None without a `[load]`.
+
+    The sensor's own mass lies below the load's joint, where there is one.
+    """
+    load, sensor, environment = manifest.rig.load, manifest.rig.sensor, manifest.rig.environment
     if load is None:
         return None
-    parts = [_part("load", load)]
-    parts += [_part(part.name, part) for part in manifest.part if part.body == "load"]
+    air = 0.0 if environment is None else environment.air_density or 0.0
+    parts = [_part("load", load, air)]
+    parts += [_part(part.name, part, air, part.below_joint) for part in manifest.part if part.body == "load"]
     if sensor is not None and sensor.internal_mass > 0.0:
         u = (
             sensor.internal_mass_uncertainty,
@@ -119,11 +124,15 @@ def load_body(manifest: Manifest) -> Body | None:
             sensor.internal_inertia_uncertainty,
         )
         centre, inertia = sensor.internal_centre_of_mass, sensor.internal_inertia
-        parts.append(make_part("internal mass", sensor.internal_mass, centre, inertia, u))
-    return Body(tuple(parts))
+        parts.append(make_part("internal mass", sensor.internal_mass, centre, inertia, u, below_joint=True))
+    if load.elastic_frequency is None:
+        return Body(tuple(parts))
+    joint = make_joint(load.elastic_frequency, load.elastic_frequency_uncertainty, load.elastic_damping)
+    return Body(tuple(parts), joint)
 
 
-def _part(name: str, entry: Load | Part) -> RigidPart:
-    """Return one table of the rig as a rigid part with its true mass."""
+def _part(name: str, entry: Load | Part, air_density: float, below_joint: bool = False) -> RigidPart:
+    """Return one table of the rig as a rigid part with its true mass, in air of a density in kg/m^3 (0: not stated)."""
     u = (entry.mass_uncertainty, entry.centre_of_mass_uncertainty, entry.inertia_uncertainty)
-    return make_part(name, entry.true_mass, entry.centre_of_mass, entry.inertia, u)
+    share = 0.0 if entry.density is None else air_density / entry.density
+    return make_part(name, entry.true_mass, entry.centre_of_mass, entry.inertia, u, share, below_joint)

@@ -127,16 +127,26 @@ class Uncertainty:
     def dof(self) -> FloatArray:
         """Return the effective degrees of freedom (K, C) of every value.
 
-        Welch-Satterthwaite with the total variance of a complex value in place of a variance (Willink & Hall 2002,
-        Metrologia 39, 361), contributions of one label grouped first (JCGM 100, G.4.1).
+        ν = (2V_rr² + V_rr V_ii + V_ri² + 2V_ii²) / Σ (the same of a contribution)/ν_j, which makes the covariance of a
+        value scatter as much in all as a sample covariance of ν + 1 complex readings would (Willink & Hall 2002,
+        Metrologia 39, 361); contributions of one label are grouped first (JCGM 100, G.4.1).
         """
-        total = total_variance(self.covariance)
+        total = _scatter(self.covariance)
         weighted = np.zeros_like(total)
         for part in self.grouped():
             if part.dof is not None:
-                weighted += total_variance(part.covariance) ** 2 / np.maximum(part.dof, 1.0)[:, None]
+                weighted += _scatter(part.covariance) / np.maximum(part.dof, 1.0)[:, None]
         empty = np.full(total.shape, np.inf)
-        return np.asarray(np.divide(total**2, weighted, out=empty, where=weighted > 0.0))
+        return np.asarray(np.divide(total, weighted, out=empty, where=weighted > 0.0))
+
+
+def _scatter(covariance: FloatArray) -> FloatArray:
+    """Sum (K, C) of the variances of the elements of a sample covariance of (Re, Im), per degree of freedom."""
+    diagonal = covariance.diagonal(axis1=1, axis2=2)
+    size = diagonal.shape[1] // 2
+    real, imaginary = diagonal[:, :size], diagonal[:, size:]
+    mixed = covariance[:, :size, size:].diagonal(axis1=1, axis2=2)
+    return np.asarray(2.0 * real**2 + real * imaginary + mixed**2 + 2.0 * imaginary**2)
 
 
 def total_variance(covariance: FloatArray) -> FloatArray:

@@ -33,6 +33,7 @@ from fusion.manifest.values import (
     refusal,
     repeated_name,
     rows_of,
+    spread,
     texts,
     vector,
 )
@@ -73,6 +74,14 @@ def _sensitivity_rows(value: object) -> tuple[tuple[float, ...], ...]:
     if not isinstance(value, list | tuple):
         raise refusal("one row of 6 numbers per channel", describe(value))
     return tuple(vector(6)(row) for row in value)
+
+
+def _elastic_frequency(value: object) -> tuple[float, ...]:
+    """Resonances of the six components, all positive; one number holds for all."""
+    frequencies = spread(6)(value)
+    if min(frequencies) <= 0:
+        raise refusal("a number or 6 numbers, all above 0", f"{min(frequencies):g}")
+    return frequencies
 
 
 class Sensor(Block):
@@ -133,9 +142,16 @@ class Mounted(Block):
 
 
 class Load(Mounted):
-    """Everything mounted above the sensor, without the sensor's own part."""
+    """Everything mounted above the sensor, without the sensor's own part.
+
+    `elastic_frequency`: at which the load resonates on its joint with the lower side held, Hz, component by component;
+    without an uncertainty it is only named: nothing is corrected, and the whole effect is uncertain.
+    """
 
     inertia: Inertia
+    elastic_frequency: Annotated[Vector6 | None, BeforeValidator(_elastic_frequency)] = None
+    elastic_frequency_uncertainty: Annotated[Vector6, BeforeValidator(spread(6))] = ZERO6
+    elastic_damping: NotNegative = 0.0
 
 
 class Part(Mounted):
@@ -144,12 +160,14 @@ class Part(Mounted):
     name: Text
     body: BodyName
     inertia: Inertia = ZERO33
+    below_joint: bool = False
 
 
 class Environment(Block):
     """The surroundings: gravity m/s^2 in sensor axes, air temperature °C and density kg/m^3."""
 
     gravity: Annotated[Vector3 | None, BeforeValidator(_gravity)] = None
+    gravity_uncertainty: Spread3 = ZERO3
     temperature: Number | None = None
     air_density: Positive | None = None
 

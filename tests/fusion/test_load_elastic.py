@@ -1,0 +1,146 @@
+"""Load of a body in air and on an elastic joint: against a chain of two masses, weighed clouds, perturbed inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fusion.body import Body, make_part
+from fusion.elastic_joint import make_joint
+from fusion.errors import InputError
+from fusion.fuse import Acceleration
+from fusion.load import LoadResult, load_phasors
+from fusion.manifest import load_manifest
+from fusion.readings import load_body
+from fusion.uncertainty import Contribution, Uncertainty
+from shaker.signals.phasor import Phasors
+
+FREQUENCY = np.array([106.25, 1000.0])
+MOTION = np.array([[0.5, -0.3j, 189.0, 4.0j, -3.0, 1.0], [0.01, 0.02, 0.9 - 0.2j, 0.1, 0.05j, 0.02]], dtype=complex)
+GRAVITY = np.array([0.3, 0.1, -9.8125])
+UPPER = ("load", 6.96, [1e-3, 2e-3, 0.05], np.diag([0.036, 0.036, 0.031]))
+LOWER = ("internal mass", 0.77, [0.0, 1e-3, -0.01], np.diag([1e-4, 1e-4, 2e-4]))
+
+
+def acceleration() -> Acceleration:
+    covariance = np.repeat(1e-6 * np.eye(12)[None], 2, axis=0)
+    found = Phasors(
+        FREQUENCY, MOTION, covariance, ("x", "y", "z", "rx", "ry", "rz"), ("m/s^2",) * 3 + ("rad/s^2",) * 3, np.ones(2)
+    )
+    noise = Uncertainty((Contribution("noise", "A", covariance),))
+    return Acceleration("load", "fused", found, np.ones((2, 6), bool), ("top",), noise, (), 0.0, 0, (), ())
+
+
+def load_on(frequency: float, u: float = 0.0, damping: float = 0.0) -> LoadResult:
+    parts = make_part(*UPPER), make_part(*LOWER, below_joint=True)
+    return load_phasors(acceleration(), Body(parts, make_joint(frequency, u, damping)), GRAVITY)
+
+
+def test_force_below_an_elastic_joint_is_that_of_a_chain_of_two_masses() -> None:
+    # Sensor spring under m, joint (k, b) between m and M: the sensor's force is what moves both, F = M a_M + m a_m.
+    upper, lower, resonance, damping = 6.96, 0.77, 3500.0, 0.02
+    stiffness = upper * (2.0 * np.pi * resonance) ** 2
+    damper = 2.0 * damping * upper * 2.0 * np.pi * resonance
+    omega = 2.0 * np.pi * FREQUENCY
+    coupling = stiffness + 1j * omega * damper
+    force = np.empty(2, complex)
+    for line, w in enumerate(omega):
+        # Unknown displacements of both masses for a unit force at the bottom of the lower one.
+        chain = np.array(
+            [[coupling[line] - w**2 * lower, -coupling[line]], [-coupling[line], coupling[line] - w**2 * upper]]
+        )
+        _, above = np.linalg.solve(chain, [1.0, 0.0])
+        force[line] = 1.0 / (-(w**2) * above) * MOTION[line, 2]
+    parts = (
+        make_part("load", upper, [0, 0, 0], np.zeros((3, 3))),
+        make_part("m", lower, [0, 0, 0], np.zeros((3, 3)), below_joint=True),
+    )
+    found = load_phasors(acceleration(), Body(parts, make_joint(resonance, 10.0, damping)))
+    np.testing.assert_allclose(found.value[:, 2], force, rtol=1e-12)
+    assert abs(found.value[1, 2] / (7.73 * MOTION[1, 2])) == pytest.approx(1.0 - 0.0081, abs=2e-4)
+
+
+def test_a_joint_is_one_unknown_per_component_and_mounting() -> None:
+    base, step = load_on(3500.0, 50.0, 0.01), load_on(3500.1, 50.0, 0.01)
+    unknowns = [i for i in base.uncertainty.influences if i.label == "joint of the load"]
+    assert [(i.u, i.unit, i.scope) for i in unknowns] == [(50.0, "Hz", "mounting")] * 6
+    assert len({i.name for i in unknowns}) == 6
+    change = (step.value - base.value) / 0.1 * 50.0
+    total = np.sum([i.effect for i in unknowns], axis=0)
+    np.testing.assert_allclose(total[:, :6] + 1j * total[:, 6:], change, rtol=2e-4, atol=1e-9)
+
+
+def test_a_joint_that_is_only_named_corrects_nothing_and_is_uncertain_as_a_whole() -> None:
+    named, stated, rigid = load_on(3500.0), load_on(3500.0, 1e-9), load_on(1e9, 1.0)
+    np.testing.assert_allclose(named.value, rigid.value, rtol=1e-9)
+    total = np.sum([i.effect for i in named.uncertainty.influences], axis=0)
+    np.testing.assert_allclose(total[:, :6] + 1j * total[:, 6:], (stated.value - rigid.value) / np.sqrt(3.0), rtol=1e-5)
+
+
+def test_weight_in_air_and_the_air_moved_along() -> None:
+    # A cube of 1 kg/dm³ in air of 1.2 kg/m³: tilted, it is carried by 0.9988 of its weight; moved, it takes air along.
+    share = 1.2 / 1000.0
+    body = Body((make_part("load", 2.0, [0.0, 0.0, 0.04], np.zeros((3, 3)), air_share=share),))
+    bare = Body((make_part("load", 2.0, [0.0, 0.0, 0.04], np.zeros((3, 3))),))
+    tilt = body.load_matrix(FREQUENCY, GRAVITY) - body.load_matrix(FREQUENCY, None)
+    expected = bare.load_matrix(FREQUENCY, GRAVITY) - bare.load_matrix(FREQUENCY, None)
+    np.testing.assert_allclose(tilt, (1.0 - share) * expected, rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(body.mass_matrix, bare.mass_matrix * (1.0 + 0.5 * share), rtol=1e-12)
+    (air,) = body.matrix_changes(FREQUENCY, GRAVITY)
+    assert air.label == "load: air moved along"
+    assert air.u == pytest.approx(2.0 * share * 0.5 / np.sqrt(3.0))
+    np.testing.assert_allclose(air.change, bare.load_matrix(FREQUENCY, None) * air.u / 2.0)
+
+
+def test_uncertain_gravity_acts_through_the_tilt_only() -> None:
+    parts = make_part(*UPPER), make_part(*LOWER, below_joint=True)
+    for body in (Body(parts), Body(parts, make_joint(3500.0, 50.0))):
+        base = load_phasors(acceleration(), body, GRAVITY, u_gravity_mps2=[0.02, 0.0, 0.01])
+        found = {i.name: i for i in base.uncertainty.influences if i.label == "gravity"}
+        assert set(found) == {"gravity x", "gravity z"}
+        shifted = load_phasors(acceleration(), body, GRAVITY + np.array([0.02, 0.0, 0.0]))
+        change, effect = shifted.value - base.value, found["gravity x"].effect
+        np.testing.assert_allclose(effect[:, :6] + 1j * effect[:, 6:], change, rtol=1e-6, atol=1e-12)
+        assert found["gravity z"].scope == "rig"
+
+
+def test_names_tell_another_load_and_another_place_from_the_same() -> None:
+    def names(mass: float, height: float) -> set[str]:
+        part = make_part("load", mass, [0.0, 0.0, height], np.eye(3), (1e-3, 1e-4, 1e-5))
+        return {change.name for change in Body((part,)).matrix_changes(FREQUENCY, None)}
+
+    assert names(7.0, 0.05) == names(7.0, 0.05)
+    assert not names(7.0, 0.05) & names(3.0, 0.05)
+    moved = names(7.0, 0.05) & names(7.0, 0.06)
+    assert len(moved) == 7  # the mass and six elements of the inertia
+    scopes = {c.label: c.scope for c in Body((make_part(*UPPER, (1e-3, 1e-4, 1e-5)),)).matrix_changes(FREQUENCY, None)}
+    assert scopes == {"load: mass": "rig", "load: centre of mass": "mounting", "load: inertia": "rig"}
+
+
+def test_manifest_states_joint_air_and_parts_below(make_campaign: Callable[..., Path]) -> None:
+    folder = make_campaign(
+        replace=(
+            ("rig.toml", "mass = 6.9605 ", 'mass_kind = "conventional"\ndensity = 2700.0\nelastic_frequency = 3500.0\n'
+             "elastic_frequency_uncertainty = [0, 0, 100, 0, 0, 0]\nelastic_damping = 0.01\nmass = 6.9605 "),
+            ("rig.toml", "mass = 0.412", "below_joint = true\nmass = 0.412"),
+        )
+    )  # fmt: skip
+    body = load_body(load_manifest(folder / "recording.toml"))
+    assert body is not None
+    assert body.joint is not None
+    assert [part.below_joint for part in body.parts] == [False, True, True]
+    assert body.parts[0].mass_kg == pytest.approx(6.9605 * (1.0 - 1.2 / 8000.0) / (1.0 - 1.2 / 2700.0), rel=1e-12)
+    assert [part.air_share for part in body.parts] == pytest.approx([1.19 / 2700.0, 0.0, 0.0])
+    assert body.joint.u_frequency_hz.tolist() == [0, 0, 100, 0, 0, 0]
+    assert body.joint.damping == 0.01
+    assert load_body(load_manifest(make_campaign() / "recording.toml")).joint is None  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("value", ["0.0", "[1.0, 2.0, 3.0]", "[1, 2, 3, 4, 5, -6]"])
+def test_a_resonance_is_above_zero(make_campaign: Callable[..., Path], value: str) -> None:
+    folder = make_campaign(replace=(("rig.toml", "mass = 6.9605 ", f"elastic_frequency = {value}\nmass = 6.9605 "),))
+    with pytest.raises(InputError, match="elastic_frequency"):
+        load_manifest(folder / "recording.toml")
