@@ -9,6 +9,7 @@ from fusion.drive import Drive, group_by_frequency
 from fusion.matrix import CrossTalk, MatrixFit, MissingExcitationError, cross_talk, fit_matrix
 from fusion.notices import Notice
 from fusion.read_results import Recorded, SensorFacts
+from shaker.notice import Severity
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ def evaluate_campaign(name: str, recorded: Sequence[Recorded], failed: Mapping[s
         matrices=matrices,
         cross_talks=() if capacity is None else tuple(cross_talk(fit, capacity.tolist()) for fit in matrices),
         refused=refused,
-        notices=(*notices, *found),
+        notices=(*notices, *(notice for notice in refused if notice.severity == "warning"), *found),
     )
 
 
@@ -65,32 +66,33 @@ def distinct_names(recorded: Sequence[Recorded]) -> tuple[Recorded, ...]:
 def fit_matrices(drives: Sequence[Drive], channels: Sequence[str]) -> tuple[tuple[MatrixFit, ...], tuple[Notice, ...]]:
     """Return the matrix of every frequency that determines one, and why the others do not."""
     fits: list[MatrixFit] = []
-    refused: dict[str, list[float]] = {}
+    refused: dict[tuple[Severity, str], list[float]] = {}
     recorded = [name for name in channels if any(name in drive.channels for drive in drives)]
     for group in group_by_frequency(drives):
         try:
             fits.append(fit_matrix(group, recorded))
-        except MissingExcitationError as error:
+        except ValueError as error:
             refused.setdefault(_reason(error), []).append(group[0].frequency_hz)
-    notices = tuple(_refusal(reason, places) for reason, places in refused.items())
+    notices = tuple(_refusal(*reason, places) for reason, places in refused.items())
     return tuple(fits), notices
 
 
-def _reason(error: MissingExcitationError) -> str:
-    """Why a matrix was refused, without the numbers of recordings."""
-    return str(error).partition("; ")[2]
+def _reason(error: ValueError) -> tuple[Severity, str]:
+    """Why there is no matrix, and how severe that is: ratios need no matrix, a fit that fails is a surprise."""
+    if isinstance(error, MissingExcitationError):
+        return "info", "the recordings excite too few independent loads; " + str(error).partition("; ")[2]
+    return "warning", str(error)
 
 
-def _refusal(reason: str, frequency_hz: Sequence[float]) -> Notice:
-    """One sentence for all frequencies at which a matrix was refused for the same reason."""
+def _refusal(severity: Severity, reason: str, frequency_hz: Sequence[float]) -> Notice:
+    """One sentence for all frequencies without a matrix for the same reason."""
     first, last = min(frequency_hz), max(frequency_hz)
     where = (
         f"{first:.6g} Hz"
         if len(frequency_hz) == 1
         else f"{len(frequency_hz)} frequencies, {first:.6g} to {last:.6g} Hz"
     )
-    text = f"no matrix at {where}, since the recordings excite too few independent loads: {reason}"
-    return Notice("info", text, "matrix")
+    return Notice(severity, f"no matrix at {where}: {reason}", "matrix")
 
 
 def _renamed(entry: Recorded, name: str) -> Recorded:
