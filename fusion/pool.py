@@ -138,7 +138,7 @@ def _between_takes(readings: Sequence[Reading], value: ComplexArray) -> FloatArr
 
     Relative errors count at the median amplitude, never at the reading itself.
     """
-    size = np.nan_to_num(np.nanmedian(np.abs(np.where(np.isfinite(value), value, np.nan)), axis=0))
+    size = np.array([np.median(np.abs(v[np.isfinite(v)])) if np.isfinite(v).any() else 0.0 for v in value.T])
     own = np.array([np.trace(reading.phasors.covariance, axis1=1, axis2=2) for reading in readings])
     own = np.nan_to_num(own) + (LEAST_SPREAD * size) ** 2
     covariance = np.einsum("tk,ts->kts", own, np.eye(len(readings)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -87,7 +87,7 @@ def referrals(takes: Sequence[OpenTake]) -> tuple[Referral, ...]:
     cancel; its noise in take i is one complex unknown per line for all phasors of that take, its noise in the first
     take one for all other takes and for itself. A drift of its amplitude between the takes is made good, but what else
     changed with it is not known: d = ||R_i/R_1| - 1|, less its noise and with twice the relative change of the
-    frequency, acts on magnitude and phase of all phasors of take i (type B, rectangular with half-width d).
+    frequency, acts on magnitude and phase of all phasors of take i at that line (type B, rectangular of half-width d).
     """
     references = [_reference(take) for take in takes]
     return tuple(_referral(takes, references, place) for place in range(len(takes)))
@@ -142,7 +142,7 @@ def _referral(takes: Sequence[OpenTake], references: Sequence[Reading], place: i
         inherited = [*_noise(takes[0].name, first, base_hz, stands_out), *_clock_error(takes[0].name, first)]
         lost = [*noise, *_clock_error(take.name, own)]
         taken_off = [replace(error, relative=-error.relative) for error in lost]
-        errors = added_up([*inherited, *taken_off, *_drift(take.name, np.where(stands_out, half_width, 0.0))])
+        errors = added_up([*inherited, *taken_off, *_drift(take.name, base_hz, np.where(stands_out, half_width, 0.0))])
     result = TakeResult(
         name=take.name,
         reference=own.entry.name,
@@ -208,11 +208,13 @@ def _clock_error(name: str, reading: Reading) -> tuple[RelativeError, ...]:
     return (RelativeError(f"clock {name}: {chain.clock}: time", label, chain.u_clock_s, "s", "recording", relative),)
 
 
-def _drift(name: str, half_width: FloatArray) -> tuple[RelativeError, ...]:
+def _drift(name: str, frequency_hz: FloatArray, half_width: FloatArray) -> Iterator[RelativeError]:
     """Relative errors (K, 1) of magnitude and phase of all phasors of a take whose reference drifted this far."""
-    u = half_width[:, None] / np.sqrt(3.0)
     label = "drift between takes"
-    return tuple(
-        RelativeError(f"{label}, {name}: {part}", label, float(np.max(u, initial=0.0)), unit, "recording", u * turn)
-        for part, unit, turn in (("magnitude", "1", 1.0 + 0.0j), ("phase", "rad", 1.0j))
-    )
+    for k in np.flatnonzero(half_width > 0.0):
+        u = float(half_width[k]) / np.sqrt(3.0)
+        for part, unit, turn in (("magnitude", "1", 1.0 + 0.0j), ("phase", "rad", 1.0j)):
+            relative = np.zeros((len(frequency_hz), 1), dtype=np.complex128)
+            relative[k, 0] = u * turn
+            unknown = f"{label}: {part} of {name} at {frequency_hz[k]:.9g} Hz"
+            yield RelativeError(unknown, label, u, unit, "recording", relative)

@@ -18,9 +18,7 @@ BASE_Z = 95.0 * np.exp(0.75j)
 MASS_KG, SENSITIVITY = 6.9605 + 0.769, 2.0e-7 * np.exp(-0.02j)
 LASER_V, ACCELEROMETER_V, BRIDGE_V = 0.125, 98.1, 1e-3  # SI per file value
 SCALE_U = 2.5e-4
-POINTS = tuple(
-    (float(0.04 * np.cos(angle)), float(0.04 * np.sin(angle)), 0.05) for angle in np.arange(8) * np.pi / 4.0
-)
+POINTS = tuple((float(0.04 * np.cos(angle)), float(0.04 * np.sin(angle)), 0.05) for angle in np.arange(8) * np.pi / 4.0)
 
 RIG = """
 format = 1
@@ -129,9 +127,7 @@ def block(file: str, points: Sequence[Sequence[float]], at: str = "take.", mark:
     """The DAQ block of one take."""
     text = ("[[take]]\n" if at else "") + DAQ.format(at=at, file=file)
     text += REFERENCE.format(at=at, name="drive", mark=mark) + OUTPUT.format(at=at, name="Fz")
-    return text + "".join(
-        LASER.format(at=at, name=f"velocity_{n}", point=list(p)) for n, p in enumerate(points, 1)
-    )
+    return text + "".join(LASER.format(at=at, name=f"velocity_{n}", point=list(p)) for n, p in enumerate(points, 1))
 
 
 def write_takes(

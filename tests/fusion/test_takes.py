@@ -1,0 +1,242 @@
+"""Takes: points measured one after another come out as if they had been measured at once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from take_factory import (
+    FREQUENCY_HZ,
+    HEAD,
+    LOAD,
+    POINTS,
+    RIG,
+    SENSITIVITY,
+    Shot,
+    block,
+    signals,
+    write_shot,
+    write_takes,
+)
+
+from fusion.cli import main
+from fusion.commands.values import EXIT_DONE, EXIT_INPUT
+from fusion.evaluate import evaluate_recording
+from fusion.evaluation import Evaluation
+from fusion.manifest import load_manifest
+from fusion.results_csv import result_tables
+from fusion.settings import Settings
+
+SEEN = [2, 3, 4]  # z, rx, ry
+HARMONICS = {2: 0.01, 3: 0.004}
+
+
+def _evaluate(folder: Path) -> Evaluation:
+    return evaluate_recording(load_manifest(folder), Settings(), {})
+
+
+def _shots(rng: np.random.Generator, count: int = 8, drift: float = 0.005) -> list[Shot]:
+    """One laser point per take; level drifts, phase is whatever it was when the recording was started."""
+    levels = (1.0 + drift * rng.normal(size=count)) * np.exp(2j * np.pi * rng.random(count))
+    levels[0] = 1.0
+    ppm = 1.0 + 2e-6 * rng.normal(size=count)
+    return [
+        Shot([point], complex(level), FREQUENCY_HZ * float(f), HARMONICS)
+        for point, level, f in zip(POINTS, levels, ppm, strict=False)
+    ]
+
+
+@pytest.fixture(scope="module")
+def eight(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
+    rng = np.random.default_rng(5)
+    return _evaluate(write_takes(tmp_path_factory.mktemp("eight"), _shots(rng), rng, top=True))
+
+
+def test_eight_points_one_after_another_give_the_motion(eight: Evaluation) -> None:
+    """The phase of every take and its level are those of the first; what is stated of the drift covers what is left."""
+    load = next(a for a in eight.accelerations if a.body == "load" and a.source == "fused")
+    assert load.observed[0].tolist() == [False, False, True, True, True, False]
+    error = (load.phasors.value[0] - LOAD)[SEEN]
+    u = np.sqrt(load.phasors.covariance[0].diagonal())
+    assert np.all(np.abs(error.real) < 2.0 * u[SEEN])
+    assert np.all(np.abs(error.imag) < 2.0 * u[6:][SEEN])
+    assert abs(error[0] / LOAD[2]) < 2e-6  # noise: the drift itself is taken off
+    assert load.instruments == ("laser",)
+    assert {f"take {number}: velocity_1" for number in range(1, 9)} <= {test.instrument for test in load.consistency}
+
+
+def test_the_drift_between_takes_is_part_of_the_uncertainty(eight: Evaluation) -> None:
+    load = next(a for a in eight.accelerations if a.body == "load" and a.source == "fused")
+    size = abs(LOAD[2])
+    budget = {part.label: np.sqrt(part.covariance[0, 2, 2]) / size for part in load.uncertainty.grouped()}
+    # By hand: eight points, each with what its take drifted by, and three unknowns.
+    variance = np.array([take.drift[0] for take in eight.takes]) ** 2 / 3.0 + 1e-14
+    points = np.array(POINTS)
+    geometry = np.column_stack([np.ones(8), points[:, 1], -points[:, 0]])
+    at_point = np.abs(geometry @ LOAD[SEEN])
+    covariance = np.linalg.inv(geometry.T @ (geometry / (variance * at_point**2)[:, None]))
+    assert budget["drift between takes"] == pytest.approx(np.sqrt(covariance[0, 0]) / size, rel=0.02)
+    assert budget["reference noise"] < 2e-6
+    assert {part.type for part in load.uncertainty.grouped() if part.label == "reference noise"} == {"A"}
+    drift = [take.drift[0] for take in eight.takes]
+    assert drift[0] == 0.0
+    assert np.std(drift) == pytest.approx(0.005, rel=0.6)
+    told = [notice for notice in eight.notices if "level is made good" in notice.text]
+    assert {notice.where for notice in told} == {t.name for t in eight.takes if abs(t.drift[0]) > 1e-3}
+
+
+def test_output_of_all_takes_is_one_and_gives_the_sensitivity(eight: Evaluation) -> None:
+    found = eight.sensitivity
+    assert found is not None
+    assert eight.outputs is not None
+    assert eight.outputs.phasors.channels == ("Fz",)
+    value, covariance = found.value[0, 0, 2], found.covariance[0, 0, 2]
+    error = np.array([(value - SENSITIVITY).real, (value - SENSITIVITY).imag])
+    assert error @ np.linalg.solve(covariance, error) < 9.0
+    assert value == pytest.approx(SENSITIVITY, rel=3e-4)
+
+
+def test_harmonics_are_referred_by_the_reference_at_their_own_line(eight: Evaluation) -> None:
+    load = next(a for a in eight.accelerations if a.body == "load" and a.source == "fused")
+    assert eight.lines.multiple.tolist() == [1, 2, 3]
+    for line, (multiple, share) in enumerate(HARMONICS.items(), 1):
+        error = load.phasors.value[line, 2] - share * LOAD[2]
+        assert abs(error) < 3.0 * np.sqrt(load.phasors.covariance[line, 2, 2])
+        assert abs(error) < 2e-3 * share * abs(LOAD[2]), multiple
+
+
+def test_everything_says_which_take_it_is_of(eight: Evaluation) -> None:
+    assert [clock.daq for clock in eight.clocks] == [f"take {number}: daq" for number in range(1, 9)]
+    names = [channel.name for channel in eight.channels]
+    assert names[:3] == ["take 1: drive", "take 1: Fz", "take 1: velocity_1"]
+    assert len(set(names)) == 24
+    assert [take.name for take in eight.takes] == [f"take {number}" for number in range(1, 9)]
+    phases = [channel.phasors.value[0, 0] for channel in eight.channels if channel.name.endswith("Fz")]
+    assert np.ptp(np.angle(phases)) < 1e-4  # all on the time base of the first take
+    assert set(result_tables(eight)) == {"sensitivity.csv", "acceleration.csv", "load.csv"}
+
+
+def test_takes_cut_from_one_recording_give_what_the_recording_gives(tmp_path: Path) -> None:
+    """The same samples, once as one take of eight lasers and once as eight takes of one."""
+    rng = np.random.default_rng(8)
+    values = signals(Shot(POINTS), rng)
+    folder = tmp_path / "takes"
+    folder.mkdir()
+    (tmp_path / "rig.toml").write_text(RIG)
+    write_shot(folder / "all.h5", values)
+    head = HEAD.format(harmonics="[1]")
+    (folder / "recording.toml").write_text(head + block("all.h5", POINTS, at=""))
+    whole = _evaluate(folder)
+    common, *lasers = block("all.h5", POINTS).split('[[take.daq.channel]]\nname = "velocity_')
+    text = "".join(f'{common}[[take.daq.channel]]\nname = "velocity_{laser}' for laser in lasers)
+    (folder / "recording.toml").write_text(head + text)
+    takes = _evaluate(folder)
+    assert len(takes.takes) == 8
+    assert whole.takes == ()
+    for one, eight in zip(whole.accelerations, takes.accelerations, strict=True):
+        assert (one.body, one.source) == (eight.body, eight.source)
+        size = abs(one.phasors.value[0, 2])
+        np.testing.assert_allclose(eight.phasors.value[0], one.phasors.value[0], rtol=0, atol=3e-6 * size)
+        # Reference noise, which cancels here, may add to what is stated; nothing else does.
+        u, stated = np.sqrt(one.phasors.covariance[0, 2, 2]), np.sqrt(eight.phasors.covariance[0, 2, 2])
+        assert u * (1.0 - 1e-6) <= stated < u * 1.02
+    assert whole.sensitivity is not None
+    assert takes.sensitivity is not None
+    np.testing.assert_allclose(takes.sensitivity.value[0, 0, 2], whole.sensitivity.value[0, 0, 2], rtol=3e-6)
+
+
+def test_a_channel_in_every_take_is_one_reading_and_its_scatter_counts(tmp_path: Path) -> None:
+    """An output whose gain jumps from take to take says so, and its uncertainty grows with it."""
+    rng = np.random.default_rng(11)
+    shots = [Shot([point]) for point in POINTS[:5]]
+    folder = write_takes(tmp_path, shots, rng, harmonics="[1]")
+    gains = 1.0 + 0.01 * np.array([1.0, -1.2, 0.4, 0.9, -0.7])
+    for number, (shot, gain) in enumerate(zip(shots, gains, strict=True), 1):
+        values = signals(shot, rng)
+        write_shot(folder / f"{number}.h5", values | {"Fz": gain * values["Fz"]})
+    found = _evaluate(folder)
+    assert found.outputs is not None
+    u = np.sqrt(found.outputs.uncertainty.random[0].covariance[0, 0, 0]) / abs(found.outputs.phasors.value[0, 0])
+    assert u * np.sqrt(2.0) == pytest.approx(np.std(gains, ddof=1) / np.sqrt(5.0), rel=0.05)
+    assert found.outputs.uncertainty.random[0].dof is not None
+    assert found.outputs.uncertainty.random[0].dof[0] == pytest.approx(4.0, rel=0.01)
+    assert any(notice.where == "Fz" and "differs from take to take by" in notice.text for notice in found.notices)
+
+
+def test_a_large_drift_and_another_frequency_are_warnings(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    shots = [Shot(POINTS[:1]), Shot(POINTS[1:2], 1.05), Shot(POINTS[2:3], frequency_hz=FREQUENCY_HZ * 1.0005)]
+    found = _evaluate(write_takes(tmp_path, shots, rng, harmonics="[1]"))
+    told = {notice.where: notice.text for notice in found.notices if notice.severity == "warning"}
+    assert "take 2: the reference drive reads +5 %" in told["take 2"]
+    assert "take 3: driven at 106.3038 Hz, in the first take at 106.251 Hz" in told["take 3"]
+
+
+def _without_reference(folder: Path) -> None:
+    text = (folder / "recording.toml").read_text()
+    before, _, after = text.rpartition("reference = true")
+    (folder / "recording.toml").write_text(f"{before}reference = false{after}")
+
+
+def _dead_reference(folder: Path) -> None:
+    rng = np.random.default_rng(0)
+    values = signals(Shot(POINTS[1:2]), rng)
+    write_shot(folder / "2.h5", values | {"drive": 1e-3 * rng.normal(size=len(values["drive"]))})
+
+
+def _still_reference(folder: Path) -> None:
+    values = signals(Shot(POINTS[1:2]), np.random.default_rng(0))
+    write_shot(folder / "2.h5", values | {"drive": np.zeros(len(values["drive"]))})
+
+
+def _other_line(folder: Path) -> None:
+    write_shot(folder / "2.h5", signals(Shot(POINTS[1:2], frequency_hz=160.0), np.random.default_rng(0)))
+
+
+def _missing_channel(folder: Path) -> None:
+    values = signals(Shot(POINTS[1:2]), np.random.default_rng(0))
+    write_shot(folder / "2.h5", {name: samples for name, samples in values.items() if name != "drive"})
+
+
+@pytest.mark.parametrize(
+    ("damage", "sentence"),
+    [
+        (_without_reference, "take[2].daq: expected one channel with reference = true, the same in every take"),
+        (_dead_reference, "take[2].daq.daq.channel.drive.reference: expected a channel that shows the driven line at"),
+        (_still_reference, "2.h5: drive: expected samples that change, found 0 throughout"),
+        (_other_line, "excitation.frequencies: expected 106.25 Hz to stand out of the spectrum"),
+        (_missing_channel, "take[2].daq.daq.file: 2.h5"),
+    ],
+)
+def test_wrong_takes_are_one_sentence(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], damage: object, sentence: str
+) -> None:
+    rng = np.random.default_rng(2)
+    folder = write_takes(tmp_path, [Shot(POINTS[:1]), Shot(POINTS[1:2])], rng)
+    assert callable(damage)
+    damage(folder)
+    assert main(["run", str(folder)]) == EXIT_INPUT
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1
+    assert sentence in told
+    assert not (folder / "results").exists()
+
+
+def test_check_shows_takes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = write_takes(tmp_path, [Shot(POINTS[:1]), Shot(POINTS[1:2])], np.random.default_rng(2))
+    assert main(["check", str(folder)]) == EXIT_DONE
+    told = capsys.readouterr().out
+    assert "takes: 2, tied by drive" in told
+    assert "take[2] daq daq: 2.h5" in told
+    assert "load: laser: z" in told or "load: laser: no component by itself" in told
+
+
+def test_reference_at_a_weak_harmonic_leaves_that_line_to_the_other_takes(tmp_path: Path) -> None:
+    """Where the reference does not stand out, a take says nothing at that line instead of noise."""
+    rng = np.random.default_rng(4)
+    strong, weak = Shot(POINTS[:1], harmonics={2: 1e-3}), Shot(POINTS[1:2], harmonics={2: 0.0})
+    found = _evaluate(write_takes(tmp_path, [strong, weak], rng, harmonics="[2]"))
+    referred = {channel.name: channel.phasors.value[:, 0] for channel in found.channels}
+    assert np.isfinite(referred["take 1: velocity_1"]).all()
+    assert np.isfinite(referred["take 2: velocity_1"]).tolist() == [True, False]
