@@ -1,33 +1,46 @@
-"""One recording or a folder of several: evaluate, write, resume, merge."""
+"""One recording or a folder of several: evaluate here, by several processes or on a cluster; resume, merge."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Any, Protocol
 
-from fusion.errors import ComputeError, InputError
-from fusion.evaluate import evaluate_recording
-from fusion.manifest import RECORDING_NAME, find_recordings, load_manifest
-from fusion.provenance import check_folder, hash_files, is_current
-from fusion.results import check_campaign_folder, merge_results, write_results
+from fusion.cluster import connected
+from fusion.errors import InputError, is_interruption, told
+from fusion.job import Job, Outcome, run_job
+from fusion.manifest import RECORDING_NAME, find_recordings
+from fusion.output import remove_abandoned
+from fusion.results import check_campaign_folder, merge_results
 from fusion.settings import ProgressCallback, Settings, no_progress
+from fusion.task import Answer
+from fusion.workers import Workers
 
+RECORDINGS = "recordings"
+LISTEN_S = 0.5  # between looks for an interruption
 log = logging.getLogger("shakercal")
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What became of one recording: its results folder, or the reason why there is none.
+class Pending(Protocol):
+    """The answer of a task that another process computes."""
 
-    `resumed`: the results of the same inputs, settings and program version were there already.
-    """
+    def result(self) -> Answer:
+        """Return it, or raise why there is none."""
 
-    recording: Path
-    folder: Path
-    resumed: bool = False
-    error: InputError | ComputeError | None = None
+    def add_done_callback(self, told: Callable[[Any], object]) -> None:
+        """Have a function called as soon as there is an answer or none will be."""
+
+
+class Crew(Protocol):
+    """Those who compute tasks."""
+
+    def submit(self, rank: int, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Have a function called; of the tasks that wait, the lowest rank comes first."""
 
 
 def run_path(
@@ -37,56 +50,37 @@ def run_path(
     *,
     force: bool = False,
     allow_outside: bool = False,
+    workers: int = 1,
+    scheduler: str | None = None,
     progress: ProgressCallback = no_progress,
 ) -> tuple[Outcome, ...]:
     """Evaluate a recording, or every recording of a campaign folder, and write the result files.
 
     A recording writes to `output` (default RECORDING/results). A campaign writes one folder per recording below
-    `output` (default CAMPAIGN/results) and the merged tables at its top; a recording that fails does not stop the
-    others. A single recording's failure is raised.
+    `output` (default CAMPAIGN/results) and what they tell together at its top; a recording that fails does not stop
+    the others. A single recording's failure is raised. More than one of `workers` are processes of this machine,
+    `scheduler` is the address of a Dask cluster's; where it is computed changes no digit of a result.
     """
     recordings = find_recordings(path)
-    if path.is_file() or (path / RECORDING_NAME).is_file():
-        folder = recordings[0].parent / "results" if output is None else output
-        return (_run(recordings[0], folder, settings, force, allow_outside, progress),)
-    top = path / "results" if output is None else output
-    check_campaign_folder(top, [recording.parent.name for recording in recordings], force=force)
-    outcomes = [
-        _run_guarded(recording, top / recording.parent.name, settings, force, allow_outside, progress)
-        for recording in recordings
+    alone = path.is_file() or (path / RECORDING_NAME).is_file()
+    top = (recordings[0].parent if alone else path) / "results" if output is None else output
+    folders = [top] if alone else [top / recording.parent.name for recording in recordings]
+    jobs = [
+        Job(recording, folder, settings, force, allow_outside)
+        for recording, folder in zip(recordings, folders, strict=True)
     ]
+    if not alone:
+        check_campaign_folder(top, [folder.name for folder in folders], force=force)
+    with _clean_end(top.parent if alone else top), _crew(workers, scheduler) as crew:
+        if alone and crew is None:
+            return (run_job(jobs[0], progress),)
+        outcomes = _run_here(jobs, progress) if crew is None else _run_elsewhere(jobs, crew, progress)
+    if alone:
+        return _raised(outcomes)
     finished = [outcome.folder for outcome in outcomes if outcome.error is None]
     if finished:
         merge_results(finished, top)
-    return tuple(outcomes)
-
-
-def _run_guarded(
-    recording: Path, folder: Path, settings: Settings, force: bool, allow_outside: bool, progress: ProgressCallback
-) -> Outcome:
-    """Run one recording of a campaign; its failure is kept in the outcome."""
-    try:
-        return _run(recording, folder, settings, force, allow_outside, progress)
-    except (InputError, ComputeError) as error:
-        log.error("%s", error)
-        return Outcome(recording, folder, error=error)
-
-
-def _run(
-    recording: Path, folder: Path, settings: Settings, force: bool, allow_outside: bool, progress: ProgressCallback
-) -> Outcome:
-    """Evaluate one recording unless its results are there, and write them."""
-    manifest = load_manifest(recording, allow_outside=allow_outside)
-    hashes = hash_files(manifest.files, manifest.root)
-    if not force and is_current(folder, hashes, settings.as_dict()):
-        log.info("%s: results of the same input are there, nothing to compute", folder)
-        return Outcome(recording, folder, resumed=True)
-    check_folder(folder, hashes, force=force)
-    evaluation = evaluate_recording(manifest, settings, hashes, progress)
-    for notice in evaluation.notices:
-        log.log(logging.WARNING if notice.severity == "warning" else logging.DEBUG, "%s", notice.text)
-    write_results(evaluation, folder, force=force)
-    return Outcome(recording, folder)
+    return outcomes
 
 
 def exit_status(outcomes: Sequence[Outcome]) -> int:
@@ -95,3 +89,84 @@ def exit_status(outcomes: Sequence[Outcome]) -> int:
     if any(isinstance(error, InputError) for error in errors):
         return 2
     return 1 if errors else 0
+
+
+@contextmanager
+def _clean_end(folder: Path) -> Iterator[None]:
+    """Remove from the folder above the results what processes left unfinished that have ended: before and after."""
+    remove_abandoned(folder)
+    try:
+        yield
+    finally:
+        remove_abandoned(folder)
+
+
+def _crew(workers: int, scheduler: str | None) -> AbstractContextManager[Crew | None]:
+    """Return those who compute; None is this process."""
+    if scheduler is not None:
+        return connected(scheduler)
+    return Workers(workers) if workers > 1 else nullcontext()
+
+
+def _run_here(jobs: Sequence[Job], progress: ProgressCallback) -> tuple[Outcome, ...]:
+    """Run one recording after another; what fails is kept in its outcome."""
+    outcomes = []
+    for done, job in enumerate(jobs):
+        progress(RECORDINGS, done, len(jobs))
+        outcomes.append(_outcome(job, partial(run_job, job, progress)))
+    return tuple(outcomes)
+
+
+def _run_elsewhere(jobs: Sequence[Job], crew: Crew, progress: ProgressCallback) -> tuple[Outcome, ...]:
+    """Have all recordings computed by others; the outcomes are in the recordings' order, whoever was first."""
+    heard: SimpleQueue[tuple[int, Pending]] = SimpleQueue()
+    for rank, job in enumerate(jobs):
+        pending = crew.submit(rank, run_job, job.placed())
+        pending.add_done_callback(partial(_tell, heard, rank))
+    outcomes: dict[int, Outcome] = {}
+    while len(outcomes) < len(jobs):
+        progress(RECORDINGS, len(outcomes), len(jobs))
+        rank, pending = _next(heard)
+        outcomes[rank] = _outcome(jobs[rank], partial(_received, jobs[rank], pending))
+    return tuple(outcomes[rank] for rank in range(len(jobs)))
+
+
+def _tell(heard: SimpleQueue[tuple[int, Pending]], rank: int, pending: Pending) -> None:
+    """Say that the answer of a recording is there."""
+    heard.put((rank, pending))
+
+
+def _next(heard: SimpleQueue[tuple[int, Pending]]) -> tuple[int, Pending]:
+    """Wait for the next answer, open to interruptions on every system."""
+    while True:
+        with suppress(Empty):
+            return heard.get(timeout=LISTEN_S)
+
+
+def _received(job: Job, pending: Pending) -> Outcome:
+    """Return the outcome that a task brings, in the paths that the user knows, after what it logged."""
+    answer = pending.result()
+    answer.log(job.name)
+    outcome: Outcome = answer.opened()
+    return replace(outcome, recording=job.recording, folder=job.folder)
+
+
+def _outcome(job: Job, work: Callable[[], Outcome]) -> Outcome:
+    """Do the work for a recording of a campaign; its failure is kept in the outcome."""
+    try:
+        return work()
+    except Exception as error:
+        if is_interruption(error):
+            raise
+        failure = told(error)
+        log.error("%s", failure)
+        log.debug("traceback", exc_info=error)
+        return Outcome(job.recording, job.folder, error=failure)
+
+
+def _raised(outcomes: tuple[Outcome, ...]) -> tuple[Outcome, ...]:
+    """Return the outcomes unless one is a failure, which is raised."""
+    for outcome in outcomes:
+        if outcome.error is not None:
+            raise outcome.error
+    return outcomes

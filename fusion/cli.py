@@ -51,18 +51,13 @@ def _guarded(options: argparse.Namespace) -> int:
 
 def _verdict(error: BaseException) -> tuple[int, str, bool]:
     """Exit status and sentence for a failure, and whether it is one that the program expects."""
-    from fusion.errors import ComputeError, InputError
+    from fusion.errors import ComputeError, InputError, is_interruption, told
 
+    if is_interruption(error) or not isinstance(error, Exception):
+        return EXIT_INTERRUPTED, "interrupted; nothing half-written was left behind", True
     if isinstance(error, InputError):
         return EXIT_INPUT, str(error), True
-    if isinstance(error, ComputeError):
-        return EXIT_FAILED, str(error), True
-    cause = error.__cause__ or error.__context__  # compiled code wraps an interruption into an error of its own
-    if isinstance(error, KeyboardInterrupt) or isinstance(cause, KeyboardInterrupt):
-        return EXIT_INTERRUPTED, "interrupted; nothing half-written was left behind", True
-    if isinstance(error, OSError):
-        return EXIT_FAILED, f"the system refused to read or write ({error})", False
-    return EXIT_FAILED, f"internal error ({type(error).__name__}: {error}); please report it, -v shows where", False
+    return EXIT_FAILED, str(told(error)), isinstance(error, ComputeError)
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -45,3 +45,18 @@ class InputError(Exception):
 
 class ComputeError(Exception):
     """Something could not be computed although the input could be read; the text says what to do."""
+
+
+def is_interruption(error: BaseException) -> bool:
+    """Whether the user interrupted; compiled code wraps an interruption into an error of its own."""
+    cause = error.__cause__ or error.__context__
+    return isinstance(error, KeyboardInterrupt) or isinstance(cause, KeyboardInterrupt)
+
+
+def told(error: Exception) -> InputError | ComputeError:
+    """Return a failure as one that the user can be told; what the program does not expect becomes a `ComputeError`."""
+    if isinstance(error, InputError | ComputeError):
+        return error
+    if isinstance(error, OSError):
+        return ComputeError(f"the system refused to read or write ({error})")
+    return ComputeError(f"internal error ({type(error).__name__}: {error}); please report it, -v shows where")

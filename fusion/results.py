@@ -11,7 +11,7 @@ from pathlib import Path
 
 from fusion.errors import InputError
 from fusion.evaluation import Evaluation
-from fusion.output import write_whole
+from fusion.output import temporary_beside, write_whole
 from fusion.provenance import RESULT_FILE, check_folder, read_provenance
 from fusion.report import REPORT_FILE, render_report
 from fusion.results_csv import MERGED_FILES, merge_tables, result_tables
@@ -48,7 +48,7 @@ def write_folder(
     folder = folder.resolve()
     check_folder(folder, hashes, force=force, marker=marker)
     folder.parent.mkdir(parents=True, exist_ok=True)
-    temporary = folder.with_name(f".{folder.name}-{os.getpid()}")
+    temporary = temporary_beside(folder)
     temporary.mkdir()
     try:
         names = fill(temporary)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from fusion.campaign import Outcome
 from fusion.console import stdout_console
+from fusion.job import Outcome
 from fusion.polar import rounded
 from fusion.results_csv import SENSITIVITY_FILE, read_rows
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from fusion.commands.values import EXIT_DONE, Commands, figure, not_negative, positive
+from fusion.commands.values import EXIT_DONE, Commands, count, figure, not_negative, positive
 
 DECIMALS = 6  # of frequencies within a range, in Hz
 
@@ -68,14 +68,6 @@ def frequencies(text: str) -> tuple[float, ...]:
     if repeated is not None:
         raise argparse.ArgumentTypeError(f"expected every frequency once, found {repeated:g} Hz twice")
     return tuple(found)
-
-
-def count(text: str) -> int:
-    """Return a whole number of at least 1."""
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"expected a whole number of at least 1, found {text}")
-    return value
 
 
 def _item(text: str) -> list[float]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from fusion.commands.values import Commands, add_recording, device, radius
+from fusion.commands.values import Commands, add_recording, count, device, radius
 
 
 def add(commands: Commands, common: argparse.ArgumentParser) -> None:
@@ -29,6 +29,20 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
         metavar="{auto,cpu,cuda}",
         help="where subsets are tracked (default: auto, a GPU where torch finds one)",
     )
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument(
+        "--workers",
+        type=count,
+        default=1,
+        metavar="N",
+        help="processes that share the work on this machine (default: 1); results are the same to the last digit",
+    )
+    where.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="have the work done by the Dask cluster whose scheduler is at ADDRESS, such as tcp://10.0.0.1:8786: its "
+        'workers see the same files by the same paths (needs pip install "shakercal[cluster]")',
+    )
     parser.set_defaults(action=_act)
 
 
@@ -46,6 +60,8 @@ def _act(options: argparse.Namespace) -> int:
             settings,
             force=options.force,
             allow_outside=options.allow_outside,
+            workers=options.workers,
+            scheduler=options.scheduler,
             progress=progress,
         )
     print_outcomes(outcomes)

@@ -34,6 +34,14 @@ def not_negative(text: str) -> float:
     return value
 
 
+def count(text: str) -> int:
+    """Return a whole number of at least 1."""
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"expected a whole number of at least 1, found {value}")
+    return value
+
+
 def size(text: str) -> tuple[int, int]:
     """Return columns and rows of a text such as 9x6."""
     columns, cross, rows = text.lower().partition("x")

@@ -100,6 +100,6 @@ def evaluated(monkeypatch: pytest.MonkeyPatch, ready_evaluation: Evaluation) -> 
             input_hashes=hashes,
         )
 
-    monkeypatch.setattr("fusion.campaign.evaluate_recording", evaluate)
+    monkeypatch.setattr("fusion.job.evaluate_recording", evaluate)
     monkeypatch.setattr("fusion.results.render_report", lambda evaluation: f"<!doctype html>{evaluation.manifest.name}")
     return done

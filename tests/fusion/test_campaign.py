@@ -10,11 +10,12 @@ from pathlib import Path
 import h5py
 import pytest
 
-from fusion import campaign as under_test
-from fusion.campaign import Outcome, exit_status, run_path
+from fusion import job as under_test
+from fusion.campaign import exit_status, run_path
 from fusion.cli import main
 from fusion.commands.values import EXIT_DONE, EXIT_FAILED, EXIT_INPUT
 from fusion.errors import ComputeError, InputError
+from fusion.job import Outcome
 from fusion.settings import Settings
 
 Campaign = Callable[..., Path]

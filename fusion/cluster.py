@@ -1,0 +1,95 @@
+"""Workers of a Dask cluster (`pip install "shakercal[cluster]"`)."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import logging
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, cast
+
+from fusion.errors import ComputeError, InputError
+from fusion.provenance import PROGRAM
+from fusion.task import Answer, call
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+ANSWER_S = 10.0
+"""How long a scheduler may take to answer."""
+OPTION = "--scheduler"
+log = logging.getLogger("shakercal")
+
+
+class Cluster:
+    """The workers that a Dask scheduler has; they see the same files as this process, by the same paths."""
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+
+    def submit(self, rank: int, function: Callable[..., Any], *arguments: Any) -> ClusterAnswer:
+        """Have a module's function called by a worker; of the tasks that wait, the lowest rank comes first.
+
+        Answers among the arguments are there: the function receives what they hold, from wherever that is. A worker
+        that dies is nobody's loss: Dask computes again, elsewhere, what it had.
+        """
+        held = [argument.future if isinstance(argument, ClusterAnswer) else argument for argument in arguments]
+        return ClusterAnswer(self._client.submit(call, function, *held, priority=-rank, pure=False))
+
+
+class ClusterAnswer:
+    """The answer of a task, which lies where it was computed until its `result` is asked for."""
+
+    def __init__(self, future: Future[Answer]) -> None:
+        self.future = future
+
+    def add_done_callback(self, told: Callable[[ClusterAnswer], object]) -> None:
+        """Have a function called as soon as there is an answer or none will be."""
+        self.future.add_done_callback(lambda _: told(self))
+
+    def result(self) -> Answer:
+        """Fetch the answer; `ComputeError` where the cluster has none."""
+        from distributed import CancelledError
+        from distributed.scheduler import KilledWorker
+
+        try:
+            return cast(Answer, self.future.result())
+        except KilledWorker as error:
+            text = "several workers of the cluster ended while they computed it; does their memory suffice?"
+            raise ComputeError(text) from error
+        except (CancelledError, OSError) as error:
+            raise ComputeError("the Dask scheduler is gone; start the run again where there is one") from error
+
+
+@contextmanager
+def connected(address: str) -> Iterator[Cluster]:
+    """Yield the cluster whose scheduler answers at an address such as tcp://10.0.0.1:8786; leave it as it is."""
+    try:
+        from distributed import Client
+    except ImportError as error:
+        expected = 'the packages that pip install "shakercal[cluster]" brings'
+        raise InputError(OPTION, "", found=f"none ({error})", expected=expected) from error
+    try:
+        client = Client(address, timeout=ANSWER_S, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        expected = "the address of a Dask scheduler that answers, such as tcp://10.0.0.1:8786"
+        raise InputError(OPTION, "", found=f"{address}, where none does", expected=expected) from error
+    with client:
+        _check_versions(client)
+        yield Cluster(client)
+
+
+def _check_versions(client: Client) -> None:
+    """Refuse a cluster whose workers would compute something else; workers that are still to come are not asked."""
+    own = _version()
+    found = client.run(_version, on_error="return")
+    log.info("%s has %d worker%s", client.scheduler.address, len(found), "" if len(found) == 1 else "s")
+    for worker, version in found.items():
+        if version != own:
+            what = f"{PROGRAM} {version}" if isinstance(version, str) else f"none ({version})"
+            raise InputError(OPTION, "", found=f"{what} at {worker}", expected=f"workers with {PROGRAM} {own}")
+
+
+def _version() -> str:
+    """Return this program's version."""
+    return importlib.metadata.version(PROGRAM)
