@@ -1,17 +1,16 @@
-"""Whether instruments agree: each against the others' prediction, and their scatter beyond what is stated."""
+"""Whether instruments agree: all together, each against the others' prediction, each unknown against what is stated."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
-from scipy.stats import chi2 as chi_square
 
-from fusion.estimate import BODY_SIZE_M, SCALE, Solution, System, real_design, real_rows, real_stack
-from fusion.observe import Observation
+from fusion.estimate import Solution
+from fusion.observe import CommonError, Observation
+from fusion.system import System, real_design, real_stack
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -19,16 +18,48 @@ IntArray = NDArray[np.int64]
 
 TEST_LEVEL = 0.99
 RANK_TOLERANCE = 1e-11
-DISCREPANCY_RANGE = (1e-9, 10.0)
+UNTESTED = 0.99
+"""An unknown of which more of its stated uncertainty remains after the estimate cannot be judged by the data."""
+
+
+@dataclass(frozen=True)
+class CommonEstimate:
+    """What the data say of one common error: `estimate` in standard uncertainties `u` (in `unit`), and what remains.
+
+    `remaining`: standard uncertainty after the estimate over that before; 1 where the data cannot test it.
+    """
+
+    name: str
+    label: str
+    u: float
+    unit: str
+    estimate: float
+    remaining: float
+
+    @property
+    def deviation(self) -> float:
+        """Return the estimate over its standard deviation, standard normal if all is as stated; NaN if not testable.
+
+        The variance of a posterior mean is 1 - remaining² in units of the prior's.
+        """
+        if not self.remaining < UNTESTED:
+            return float("nan")
+        return self.estimate / float(np.sqrt(1.0 - self.remaining**2))
+
+    @property
+    def wanted(self) -> float:
+        """Return the value, in `unit`, that the readings ask for if nothing were stated of this unknown."""
+        return self.u * self.estimate / (1.0 - self.remaining**2) if self.remaining < UNTESTED else float("nan")
 
 
 @dataclass(frozen=True)
 class Consistency:
-    """How one instrument agrees with the prediction of all others.
+    """How one instrument, or one channel of it, agrees with the prediction of all others.
 
     `normalised_deviation`: root of chi-square per degree of freedom of the leave-one-out difference (1 is expected,
     NaN where the others cannot predict it); `channels` of it; `used` in the fused estimate or only compared;
-    `ratio`: measured over predicted at its largest reading, complex, NaN where it has no prediction.
+    `ratio`: measured over predicted at its largest reading, complex, NaN where it has no prediction; `suspect`: it
+    deviates, and without it all others agree.
     """
 
     instrument: str
@@ -36,51 +67,91 @@ class Consistency:
     channels: int
     used: bool = True
     ratio: complex = complex(np.nan, np.nan)
+    suspect: bool = False
 
 
-def fails(chi2: float, dof: int) -> bool:
-    """Return whether chi-square is beyond its 99 % quantile."""
-    return dof > 0 and chi2 > float(chi_square.ppf(TEST_LEVEL, dof))
+def fails(chi2: float, dof: int, level: float = TEST_LEVEL) -> bool:
+    """Return whether chi-square is beyond its quantile."""
+    from scipy.special import chdtrc
+
+    return dof > 0 and bool(chdtrc(dof, chi2) < 1.0 - level)
+
+
+def estimates(common: Sequence[CommonError], solution: Solution) -> tuple[CommonEstimate, ...]:
+    """Return every common error with its estimate."""
+    found = zip(common, solution.errors.tolist(), solution.remaining.tolist(), strict=True)
+    return tuple(CommonEstimate(c.name, c.label, c.u, c.unit, value, left) for c, value, left in found)
+
+
+def contradicts(solution: Solution, unknowns: Sequence[CommonEstimate]) -> bool:
+    """Tell at 1 % whether readings contradict what is stated: by chi-square, or by the deviation of a single unknown.
+
+    A camera that was turned hardly shows in the chi-square of a hundred readings, but in the unknown that is its turn.
+    """
+    from scipy.special import ndtr
+
+    half = (1.0 + TEST_LEVEL) / 2.0
+    deviations = np.array([unknown.deviation for unknown in unknowns])
+    tested = np.abs(deviations[np.isfinite(deviations)])
+    extreme = len(tested) > 0 and 2.0 * ndtr(-np.max(tested)) * len(tested) < 1.0 - half
+    return bool(extreme) or fails(solution.chi2, solution.dof, half)
 
 
 def leave_one_out(system: System, solution: Solution) -> tuple[Consistency, ...]:
-    """Return for each member its readings against what all others predict for them.
+    """Return for each channel or stereo pair, and each instrument of several channels, its readings against the others.
 
     With q = P y the difference is d = P_II^-1 q_I with covariance P_II^-1 (deletion formula of generalised least
-    squares), so that no fit is repeated; chi-square is q_I^T P_II^+ q_I on the rank of P_II.
+    squares), so that no fit is repeated; chi-square is q_I^T P_II^+ q_I on the rank of P_II, and that of the others is
+    smaller by as much.
     """
-    sizes = np.sqrt(np.diag(solution.noise))
-    projector = solution.projector * np.outer(sizes, sizes)
-    weighted = projector @ (system.readings / sizes)
-    found = []
-    for member, name in enumerate(system.member_names):
-        rows = np.flatnonzero(system.member == member)
-        values, vectors = np.linalg.eigh(projector[np.ix_(rows, rows)])
-        kept = values > RANK_TOLERANCE
-        turned = vectors[:, kept].T @ weighted[rows]
-        channels = sum(o.members.count(name) for o in system.observations)
-        deviation, ratio = np.nan, complex(np.nan, np.nan)
-        if np.any(kept):
-            deviation = float(np.sqrt(np.sum(turned**2 / values[kept]) / np.count_nonzero(kept)))
-        if np.all(kept) and len(rows):
-            difference = sizes[rows] * (vectors @ (turned / values))
-            ratio = _largest_ratio(system, rows, system.readings[rows] - difference)
-        found.append(Consistency(name, deviation, channels, True, ratio))
+    groups = [(name, system.member == place) for place, name in enumerate(system.member_names)]
+    for place, observation in enumerate(system.observations):
+        if len(set(observation.members)) > 1:
+            groups.append((f"{observation.title} as a whole", system.observation == place))
+    found: list[Consistency] = []
+    single: list[IntArray] = []
+    for name, mask in groups:
+        rows = np.flatnonzero(mask)
+        test, chi2, dof = _left_out(system, solution, name, rows)
+        agrees = not fails(solution.chi2 - chi2, solution.dof - dof)
+        suspect = agrees and fails(chi2, dof, 1.0 - (1.0 - TEST_LEVEL) / len(groups))
+        # An instrument is not suspect for one of its channels.
+        suspect = suspect and not any(np.all(mask[other]) for other in single)
+        single += [rows] if suspect else []
+        found.append(replace(test, suspect=suspect))
     return tuple(found)
 
 
+def _left_out(system: System, solution: Solution, name: str, rows: IntArray) -> tuple[Consistency, float, int]:
+    """One group of readings against all others, with chi-square and degrees of freedom of their difference."""
+    sizes = np.sqrt(np.diag(solution.noise))
+    values, vectors = np.linalg.eigh(solution.projector[np.ix_(rows, rows)] * np.outer(sizes[rows], sizes[rows]))
+    kept = values > RANK_TOLERANCE
+    dof = int(np.count_nonzero(kept))
+    channels = len(set(zip(system.observation[rows].tolist(), system.channel[rows].tolist(), strict=True)))
+    if not dof:
+        return Consistency(name, np.nan, channels), 0.0, 0
+    turned = vectors[:, kept].T @ (sizes[rows] * (solution.projector[rows] @ system.readings))
+    chi2 = float(np.sum(turned**2 / values[kept]))
+    ratio = complex(np.nan, np.nan)
+    if np.all(kept):
+        difference = sizes[rows] * (vectors @ (turned / values))
+        ratio = _largest_ratio(system, rows, system.readings[rows] - difference)
+    return Consistency(name, float(np.sqrt(chi2 / dof)), channels, True, ratio), chi2, dof
+
+
 def _largest_ratio(system: System, rows: IntArray, predicted: FloatArray) -> complex:
-    """Measured over predicted phasor of the row pair (Re, Im) of a member with the largest prediction."""
-    measured, best, size = system.readings[rows], complex(np.nan, np.nan), 0.0
-    keys = np.stack([system.line[rows], system.observation[rows]], axis=1)
-    for key in np.unique(keys, axis=0):
-        both = np.flatnonzero(np.all(keys == key, axis=1)).reshape(2, -1)
-        true = predicted[both[0]] + 1j * predicted[both[1]]
-        place = int(np.argmax(np.abs(true)))
-        if abs(true[place]) > size:
-            size = float(abs(true[place]))
-            best = complex((measured[both[0][place]] + 1j * measured[both[1][place]]) / true[place])
-    return best
+    """Measured over predicted phasor of the reading among some rows with the largest prediction."""
+    values = np.zeros(len(system.readings))
+    values[rows] = predicted
+    own = np.isin(system.pairs[:, 0], rows)
+    pairs = system.pairs[own]
+    phasor = values[pairs[:, 0]] + 1j * values[pairs[:, 1]]
+    largest = int(np.argmax(np.abs(phasor)))
+    if phasor[largest] == 0.0:
+        return complex(np.nan, np.nan)
+    re, im = pairs[largest]
+    return complex((system.readings[re] + 1j * system.readings[im]) / phasor[largest])
 
 
 def compare(observation: Observation, acceleration: ComplexArray, covariance: FloatArray) -> tuple[Consistency, ...]:
@@ -109,53 +180,3 @@ def compare(observation: Observation, acceleration: ComplexArray, covariance: Fl
         deviation = float(np.sqrt(chi2 / count)) if count else np.nan
         found.append(Consistency(name, deviation, int(np.sum(names == name)), False, ratio))
     return tuple(found)
-
-
-def discrepancy(system: System, solution: Solution) -> FloatArray:
-    """Return (N,) standard deviations that make every failing line consistent, zero in lines that pass.
-
-    A reading of one line gets tau times the motion's size at the instrument (translation and 0.1 m times rotation),
-    tau such that chi-square of that line alone equals its degrees of freedom (Paule & Mandel 1982, J. Res. NBS 87, 377,
-    with the common errors kept in the covariance).
-    """
-    sizes = _row_sizes(system.observations, solution.acceleration)
-    found = np.zeros(len(system.readings))
-    for line in np.unique(system.line):
-        rows = np.flatnonzero(system.line == line)
-        design = system.design[rows]
-        design = design[:, np.any(design != 0.0, axis=0)]
-        spread = solution.noise[np.ix_(rows, rows)] + solution.effects[rows] @ solution.effects[rows].T
-        dof = len(rows) - design.shape[1]
-        args = (system.readings[rows], design, spread, sizes[rows])
-        if not fails(_chi2(-np.inf, *args), dof):
-            continue
-        low, high = np.log(DISCREPANCY_RANGE)
-        inside = _chi2(low, *args) > dof > _chi2(high, *args)
-        log_tau = float(brentq(lambda t, a=args, d=dof: _chi2(t, *a) - d, low, high, xtol=1e-3)) if inside else high
-        found[rows] = np.exp(log_tau) * sizes[rows]
-    return found
-
-
-def _row_sizes(observations: Sequence[Observation], acceleration: ComplexArray) -> FloatArray:
-    """Size of the motion in each real row's unit: the estimate's or, if larger, the largest reading's."""
-    size = np.linalg.norm(acceleration / SCALE, axis=1)
-    factors = []
-    for observation in observations:
-        shift = np.linalg.norm(observation.design[..., :3], axis=2)
-        turn = np.linalg.norm(observation.design[..., 3:], axis=2) / BODY_SIZE_M
-        factors.append(np.where(shift > 0.0, shift, turn))
-        readings = np.nan_to_num(np.abs(observation.phasors.value)) / factors[-1]
-        size = np.maximum(size, np.max(readings, axis=1))
-    return np.concatenate(
-        [real_rows(o, factor * size[:, None] * (1.0 + 1.0j)) for o, factor in zip(observations, factors, strict=True)]
-    )
-
-
-def _chi2(log_tau: float, readings: FloatArray, design: FloatArray, spread: FloatArray, sizes: FloatArray) -> float:
-    """Minimum chi-square of one line with the additional standard deviations exp(log_tau) · sizes."""
-    root = np.linalg.cholesky(spread + np.diag((np.exp(log_tau) * sizes) ** 2))
-    white = np.linalg.solve(root, np.column_stack([design, readings]))
-    white[:, :-1] /= np.linalg.norm(white[:, :-1], axis=0)
-    basis = np.linalg.qr(white[:, :-1])[0]
-    residual = white[:, -1] - basis @ (basis.T @ white[:, -1])
-    return float(residual @ residual)

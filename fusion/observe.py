@@ -86,6 +86,11 @@ class Observation:
         if len(self.members) != shape[1]:
             raise ValueError(f"members: expected {shape[1]} names, found {len(self.members)}")
 
+    @property
+    def title(self) -> str:
+        """Return the name of the instrument as it stands in budgets."""
+        return f"stereo {self.name}" if self.kind == "photogrammetry" else self.name
+
 
 @dataclass(frozen=True)
 class LineTurns:

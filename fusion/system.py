@@ -76,10 +76,10 @@ class System:
     """All usable readings of a set of observations as N real rows.
 
     `readings` (N,), `design` (N, P) on the reduced unknowns, `noise` (N, N), `size` (N,) the largest reading of the
-    row's instrument at its line; `line`, `observation`, `member` (N,): where each row belongs; `pairs` (N/2, 2): the
-    rows of the real and the imaginary part of every reading; `member_names`; `expand` (12K, P) from the unknowns to
-    [Re A_k, Im A_k] of all lines; `observed` (K, 6); `common`: the E common errors, each once; `errors`: their effects,
-    observation by observation.
+    row's instrument at its line; `line`, `observation`, `channel` (of the observation), `member` (N,): where each row
+    belongs; `pairs` (N/2, 2): the rows of the real and the imaginary part of every reading; `member_names`; `expand`
+    (12K, P) from the unknowns to [Re A_k, Im A_k] of all lines; `observed` (K, 6); `common`: the E common errors, each
+    once; `errors`: their effects, observation by observation.
     """
 
     observations: tuple[Observation, ...]
@@ -89,6 +89,7 @@ class System:
     size: FloatArray
     line: IntArray
     observation: IntArray
+    channel: IntArray
     member: IntArray
     pairs: IntArray
     member_names: tuple[str, ...]
@@ -200,6 +201,7 @@ def build_system(observations: Sequence[Observation]) -> System:
         size=_reading_size(readings, where * lines + line),
         line=line,
         observation=where,
+        channel=np.concatenate([place.channel for place in places]),
         member=np.concatenate(
             [
                 np.array([names.index(m) for m in o.members])[p.channel]

@@ -1,0 +1,300 @@
+"""Disagreement beyond what is stated, as variance components: scatter within instruments, differences between them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.estimate import Solution
+from fusion.observe import Observation
+from fusion.system import BODY_SIZE_M, SCALE, Places, System
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+IntArray = NDArray[np.int64]
+
+TEST_LEVEL = 0.99
+RANK_TOLERANCE = 1e-6
+ITERATIONS = 100
+NOTHING = np.zeros(0)
+SMALL_READING = 0.1
+"""A reading below this share of the motion has no direction in the complex plane of its own."""
+LEAST_DOF = 4.0
+"""Degrees of freedom of a difference between instruments are never taken as fewer: two instruments that differ by D
+then get u = D/2 about their middle and U = 1.4 D, which covers both."""
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Standard deviations by which the readings of one instrument scatter beyond what is stated of them.
+
+    `amplitude`, `phase` (K,): of the part in phase with the reading and of that at right angles, relative to the size
+    of the motion at the line; `dof` (K, 2): degrees of freedom of either.
+    """
+
+    instrument: str
+    amplitude: FloatArray
+    phase: FloatArray
+    dof: FloatArray
+
+
+@dataclass(frozen=True)
+class Discrepancy:
+    """A further covariance (N, N) of the readings of a system, with its `label` and degrees of freedom (K,)."""
+
+    label: str
+    covariance: FloatArray
+    dof: FloatArray
+
+
+@dataclass(frozen=True)
+class Contrasts:
+    """Combinations of readings of one line that no motion changes.
+
+    `values` (n,), their `spread` (n, n) as stated; `patterns` (C, n, n): covariance of each component of variance one.
+    """
+
+    values: FloatArray
+    spread: FloatArray
+    patterns: FloatArray
+
+    def chi2(self, components: FloatArray) -> float:
+        """Return chi-square of n degrees of freedom, given the components (C,)."""
+        spread = self.spread + np.tensordot(components, self.patterns, 1) if len(components) else self.spread
+        return float(self.values @ np.linalg.solve(spread, self.values))
+
+    def normal_equations(self, components: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return F (C, C) and right side (C,) whose solution are the next components.
+
+        F_cd = tr(P D_c P D_d) = right side's derivative, right side y^T P D_c P y - tr(P D_c P V_0): restricted maximum
+        likelihood as iterated minimum norm estimates (Rao 1971; Searle, Casella, McCulloch, Variance Components, 1992,
+        sec. 6.6), P the inverse covariance of the contrasts.
+        """
+        inverse = np.linalg.inv(self.spread + np.tensordot(components, self.patterns, 1))
+        turned = inverse @ self.patterns
+        weighted = inverse @ self.values
+        right = np.einsum("i,cij,j->c", weighted, self.patterns, weighted)
+        right = right - np.einsum("cij,ji->c", turned @ inverse, self.spread)
+        return np.einsum("cij,dji->cd", turned, turned), right
+
+
+def variance_components(groups: Sequence[Contrasts]) -> tuple[FloatArray, FloatArray]:
+    """Return variances (C,) common to independent groups, none negative, and their degrees of freedom (C,).
+
+    An error that is the same at all lines shows itself again at each: the groups together therefore do not have more
+    degrees of freedom than the one that knows most. 2 θ²/ν is the asymptotic variance of an estimate θ.
+    """
+    components = np.zeros(len(groups[0].patterns))
+    for _ in range(ITERATIONS):
+        parts = [group.normal_equations(components) for group in groups]
+        found = _not_negative(np.sum([f for f, _ in parts], axis=0), np.sum([r for _, r in parts], axis=0))
+        change, components = np.max(np.abs(found - components)), found
+        if change <= 1e-6 * np.max(components):
+            break
+    dof = np.zeros(len(components))
+    kept = components > 0.0
+    for group in groups:
+        information = group.normal_equations(components)[0][np.ix_(kept, kept)]
+        scale = np.outer(components[kept], components[kept])
+        dof[kept] = np.maximum(dof[kept], 1.0 / np.diag(np.linalg.pinv(information * scale, hermitian=True)))
+    return components, dof
+
+
+def _not_negative(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    """Minimum of x^T F x - 2 b^T x over x ≥ 0; components about which the data say nothing are zero."""
+    from scipy.optimize import nnls
+
+    scale = np.sqrt(np.diag(matrix))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
+    kept = values > 1e-10 * values[-1]
+    root = np.sqrt(values[kept])
+    found, _ = nnls(root[:, None] * vectors[:, kept].T, vectors[:, kept].T @ (right / scale) / root)
+    return np.asarray(found / scale)
+
+
+def estimate_scatter(system: System, solution: Solution) -> tuple[Scatter, ...]:
+    """Return the scatter of every instrument whose own readings contradict a rigid motion, before they are weighted.
+
+    Each is tested by itself, line by line, against all that is stated of it. An instrument that has no more readings
+    than it sees components cannot be tested and gets none. Where one relative scatter explains all lines it is
+    estimated from all; else every line has its own.
+    """
+    sizes = row_sizes(system, solution.acceleration)
+    lines = range(len(system.observed))
+    tests = [[_of_instrument(system, solution, place, k, sizes) for k in lines] for place in _places(system)]
+    count = sum(group is not None for groups in tests for group in groups)
+    found = []
+    for place, groups in zip(_places(system), tests, strict=True):
+        if any(group is not None and _improbable(group, NOTHING, count) for group in groups):
+            patterns = _own_patterns(system, solution.acceleration, sizes)
+            whole = {k: _of_instrument(system, solution, place, k, sizes, patterns) for k in lines}
+            usable = {k: group for k, group in whole.items() if group is not None}
+            found.append(_scatter(system.observations[place], usable, len(lines)))
+    return tuple(found)
+
+
+def _places(system: System) -> range:
+    """Places of the observations."""
+    return range(len(system.observations))
+
+
+def _of_instrument(
+    system: System, solution: Solution, place: int, line: int, sizes: FloatArray, patterns: FloatArray | None = None
+) -> Contrasts | None:
+    """Contrasts among the readings of one instrument at one line."""
+    rows = np.flatnonzero((system.observation == place) & (system.line == line))
+    return _contrasts(system, solution, rows, sizes, None if patterns is None else patterns[:, rows[:, None], rows])
+
+
+def _scatter(observation: Observation, groups: dict[int, Contrasts], lines: int) -> Scatter:
+    """Components of one instrument, pooled over its lines where that explains each of them."""
+    found, dof = np.zeros((lines, 2)), np.zeros((lines, 2))
+    pooled = variance_components(list(groups.values()))
+    together = not any(_improbable(group, pooled[0], len(groups), both=True) for group in groups.values())
+    for k, group in groups.items():
+        found[k], dof[k] = pooled if together else variance_components([group])
+    return Scatter(observation.title, np.sqrt(found[:, 0]), np.sqrt(found[:, 1]), dof)
+
+
+def _improbable(group: Contrasts, components: FloatArray, tests: int, both: bool = False) -> bool:
+    """Tell whether chi-square is too great, or also too small, for one of several tests together at 1 %."""
+    from scipy.stats import chi2
+
+    tail = (1.0 - TEST_LEVEL) / tests
+    value, dof = group.chi2(components), len(group.values)
+    return bool(chi2.sf(value, dof) < tail or (both and chi2.cdf(value, dof) < tail))
+
+
+def scatter_covariances(system: System, acceleration: ComplexArray, found: Sequence[Scatter]) -> list[Discrepancy]:
+    """Return what the scatter of instruments adds to the covariance of the readings, amplitudes and phases apart."""
+    if not found:
+        return []
+    sizes, parts = row_sizes(system, acceleration), []
+    patterns = _own_patterns(system, acceleration, sizes)
+    titles = np.array([observation.title for observation in system.observations])[system.observation]
+    for scatter in found:
+        for number, (what, deviations) in enumerate((("amplitudes", scatter.amplitude), ("phases", scatter.phase))):
+            spread = np.where(titles == scatter.instrument, deviations[system.line] * sizes, 0.0)
+            if np.any(spread > 0.0):
+                label = f"{scatter.instrument}: unexplained scatter of {what}"
+                covariance = patterns[number] * np.outer(spread, spread)
+                parts.append(Discrepancy(label, covariance, scatter.dof[:, number]))
+    return parts
+
+
+def disagreement(system: System, solution: Solution, label: str) -> Discrepancy:
+    """Return what instruments differ by, as a motion that each sees beside the true one.
+
+    It has a variance of its own in every component, apart for the parts in phase with the motion and at right angles.
+    Lines whose chi-square fails at 1 % get one, all where none fails by itself.
+    """
+    sizes = row_sizes(system, solution.acceleration)
+    lines = len(system.observed)
+    groups, patterns = {}, {}
+    for k in range(lines):
+        rows = np.flatnonzero(system.line == k)
+        pattern = _common_patterns(system, solution.acceleration, rows, sizes)
+        found = _contrasts(system, solution, rows, sizes, pattern)
+        if found is not None:
+            groups[k], patterns[k] = found, (rows, pattern)
+    failing = {k: group for k, group in groups.items() if _improbable(group, NOTHING, len(groups))} or groups
+    covariance, dof = np.zeros((len(sizes), len(sizes))), np.full(lines, np.inf)
+    for k, group in failing.items():
+        components, freedom = variance_components([group])
+        rows, pattern = patterns[k]
+        covariance[np.ix_(rows, rows)] = np.tensordot(components, pattern, 1) * np.outer(sizes[rows], sizes[rows])
+        dof[k] = max(np.min(freedom[components > 0.0], initial=np.inf), LEAST_DOF)
+    return Discrepancy(label, covariance, dof)
+
+
+def row_sizes(system: System, acceleration: ComplexArray) -> FloatArray:
+    """Return the size of the motion in each row's unit (N,): the estimate's or, if larger, the largest reading's."""
+    size = np.linalg.norm(acceleration / SCALE, axis=1)
+    factors = []
+    for observation in system.observations:
+        shift = np.linalg.norm(observation.design[..., :3], axis=2)
+        turn = np.linalg.norm(observation.design[..., 3:], axis=2) / BODY_SIZE_M
+        factors.append(np.where(shift > 0.0, shift, turn))
+        readings = np.nan_to_num(np.abs(observation.phasors.value)) / factors[-1]
+        size = np.maximum(size, np.max(readings, axis=1))
+    size = np.where(size > 0.0, size, 1.0)
+    return np.concatenate(
+        [
+            Places.of(observation).rows(factor * size[:, None] * (1.0 + 1.0j))
+            for observation, factor in zip(system.observations, factors, strict=True)
+        ]
+    )
+
+
+def _contrasts(
+    system: System, solution: Solution, rows: IntArray, sizes: FloatArray, patterns: FloatArray | None
+) -> Contrasts | None:
+    """Combinations of some rows of one line that no motion changes, with patterns (C, n, n); None if there are none."""
+    if not len(rows):
+        return None
+    size = sizes[rows]
+    design = system.design[rows][:, np.any(system.design[rows] != 0.0, axis=0)] / size[:, None]
+    left, singular, _ = np.linalg.svd(design)
+    across = left[:, np.count_nonzero(singular > RANK_TOLERANCE * singular[0]) :]
+    if not across.shape[1]:
+        return None
+    effects = solution.effects[rows]
+    spread = (solution.noise[np.ix_(rows, rows)] + effects @ effects.T) / np.outer(size, size)
+    turned = np.zeros((0, 0, 0)) if patterns is None else across.T @ patterns @ across
+    return Contrasts(across.T @ (system.readings[rows] / size), across.T @ spread @ across, turned)
+
+
+def _own_patterns(system: System, acceleration: ComplexArray, sizes: FloatArray) -> FloatArray:
+    """Return (2, N, N) for independent errors of all readings, relative to the row sizes: in phase, at right angles."""
+    directions = _directions(system, acceleration, sizes)
+    pairs = system.pairs
+    found = np.zeros((2, len(sizes), len(sizes)))
+    for number, turn in enumerate((1.0, 1.0j)):
+        along = directions * turn
+        parts = np.stack([along.real, along.imag], axis=1)
+        found[number, pairs[:, :, None], pairs[:, None, :]] = parts[:, :, None] * parts[:, None, :]
+    return found
+
+
+def _directions(system: System, acceleration: ComplexArray, sizes: FloatArray) -> ComplexArray:
+    """Direction (N/2,) of every reading in the complex plane: its prediction's, or the motion's where that is small."""
+    predicted, coefficient = [], []
+    for observation in system.observations:
+        places = Places.of(observation)
+        line, channel = places.line[~places.imaginary], places.channel[~places.imaginary]
+        rows = observation.design[line, channel]
+        predicted.append(np.einsum("nj,nj->n", rows, acceleration[line]))
+        largest = rows[np.arange(len(rows)), np.argmax(np.abs(rows), axis=1)]
+        coefficient.append(largest / np.abs(largest) * _motion_phase(acceleration)[line])
+    value, other = np.concatenate(predicted), np.concatenate(coefficient)
+    own = np.abs(value) > SMALL_READING * sizes[system.pairs[:, 0]]
+    return np.where(own, value / np.where(own, np.abs(value), 1.0), other)
+
+
+def _motion_phase(acceleration: ComplexArray) -> ComplexArray:
+    """Direction (K,) along which the components of a line lie best in the complex plane."""
+    squares = np.sum((acceleration / SCALE) ** 2, axis=1)
+    return np.asarray(np.exp(0.5j * np.angle(squares)))
+
+
+def _common_patterns(system: System, acceleration: ComplexArray, rows: IntArray, sizes: FloatArray) -> FloatArray:
+    """Return (12, n, n) for a motion that each instrument sees beside the true one, by component and phase."""
+    line = system.line[rows[0]] if len(rows) else 0
+    direction = _motion_phase(acceleration)[line]
+    size = np.linalg.norm(acceleration[line] / SCALE)
+    unit = np.concatenate([np.diag(SCALE * direction), np.diag(SCALE * direction * 1j)]) * size
+    found = np.zeros((12, len(rows), len(rows)))
+    start = 0
+    for observation in system.observations:
+        places = Places.of(observation)
+        chosen = places.line == line
+        seen = places.design(observation.design)[chosen] @ np.concatenate([unit.real, unit.imag], axis=1).T
+        end = start + len(seen)
+        scaled = seen / sizes[rows[start:end], None]
+        found[:, start:end, start:end] = np.einsum("nc,mc->cnm", scaled, scaled)
+        start = end
+    return found
