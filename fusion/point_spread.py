@@ -127,6 +127,14 @@ class PointSpread:
         return np.asarray(np.sqrt(trace / len(self.channels)) / np.abs(self.mean))
 
 
+def axis_name(direction: FloatArray) -> str:
+    """Return x, y or z for a direction along an axis, else its three numbers."""
+    place = int(np.argmax(np.abs(direction)))
+    if abs(direction[place]) > 1.0 - 1e-6:
+        return ("" if direction[place] > 0.0 else "\N{MINUS SIGN}") + "xyz"[place]
+    return "(" + ", ".join(f"{component:.3g}" for component in direction) + ")"
+
+
 def phase_spread(value: ComplexArray) -> FloatArray:
     """Return the standard deviation (K,) of the phases of phasors (K, N) about their mean direction, rad."""
     mean = np.mean(value / np.abs(value), axis=1, keepdims=True)

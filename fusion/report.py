@@ -5,10 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from fusion import report_tables as tables
+from fusion.budget_tables import budget_tables, other_loads_table
 from fusion.evaluation import Evaluation
 from fusion.notices import warnings_first
 from fusion.page import render_page
 from fusion.plots.gallery import draw_all
+from fusion.point_tables import point_tables
 from fusion.report_numbers import measured
 from fusion.signal_tables import channels_table, clocks_table, drift_table, lines_table
 
@@ -31,10 +33,12 @@ def _context(evaluation: Evaluation) -> dict[str, Any]:
         "sensitivity": tables.sensitivity_table(evaluation),
         "sources": tables.source_tables(evaluation),
         "load": tables.load_table(evaluation),
+        "points": point_tables(evaluation),
         "consistency": [
             table for table in (tables.chi_square_table(evaluation), tables.consistency_table(evaluation)) if table
         ],
-        "budget": tables.budget_table(evaluation),
+        "others": other_loads_table(evaluation),
+        "budgets": budget_tables(evaluation),
         "stereo": tables.stereo_table(evaluation.stereo),
         "lines": lines_table(evaluation),
         "channels": channels_table(evaluation),

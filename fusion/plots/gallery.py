@@ -8,6 +8,7 @@ from fusion.evaluation import Evaluation
 from fusion.highlights import LOAD_COMPONENTS, driven_channel, driven_component, driven_element, main_line
 from fusion.plots.acceleration import acceleration_pictures
 from fusion.plots.motion import motion_pictures, subset_pictures
+from fusion.plots.points import point_pictures
 from fusion.plots.sensitivity import draw_budget, sensitivity_pictures
 from fusion.plots.signals import channel_pictures, trigger_pictures
 from fusion.plots.style import Picture
@@ -18,6 +19,7 @@ def draw_all(evaluation: Evaluation) -> dict[str, list[Picture]]:
     return {
         "sensitivity": sensitivity_pictures(evaluation),
         "acceleration": acceleration_pictures(evaluation),
+        "points": point_pictures(evaluation),
         "budget": budget_pictures(evaluation),
         "motion": [picture for stereo in evaluation.stereo for picture in motion_pictures(stereo)],
         "subsets": subset_pictures(evaluation),
