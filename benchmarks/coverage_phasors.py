@@ -235,8 +235,8 @@ def run_case(case: Case, seeds: range) -> Counts:
     """Simulate and evaluate one case."""
     counts, setup = Counts(), case_setup(case)
     for seed in seeds:
-        inputs, truth = simulate_phasors(setup, Draws(seed, True))
-        counts.add(case, analyse(inputs), truth)
+        known, truth = simulate_phasors(setup, Draws(seed, True))
+        counts.add(case, analyse(known.inputs), truth)
     return counts
 
 

@@ -8,6 +8,7 @@ from fusion.analyse import Analysis, Inputs, analyse
 from fusion.errors import InputError
 from fusion.evaluation import Evaluation
 from fusion.manifest import Manifest
+from fusion.monte_carlo import Known, propagate
 from fusion.point_spread import PointSpread, point_spreads, with_ratios
 from fusion.provenance import versions
 from fusion.readings import unseen_fundamentals
@@ -41,6 +42,10 @@ def evaluate_recording(
     unseen = unseen_fundamentals(seen, joined.lines, joined.folded)
     inputs = Inputs.of(manifest, joined.lines, seen, joined.readings)
     found = analyse(inputs)
+    drawn = None
+    if settings.monte_carlo:
+        drawn = propagate(Known(inputs, joined.pairs, joined.readings), found, settings.monte_carlo, settings.seed)
+    told = [*joined.notices, *unseen, *found.notices, *(drawn.notices if drawn else ())]
     return Evaluation(
         manifest=manifest,
         lines=joined.lines,
@@ -51,13 +56,14 @@ def evaluate_recording(
         load=found.load,
         outputs=found.outputs,
         sensitivity=found.sensitivity,
-        notices=tuple(dict.fromkeys([*joined.notices, *unseen, *found.notices])),
+        notices=tuple(dict.fromkeys(told)),
         settings=settings.as_dict(),
         versions=versions(),
         input_hashes=input_hashes,
         duration_s=time.monotonic() - started,
         takes=joined.takes,
         points=_points(inputs, found),
+        monte_carlo=drawn,
     )
 
 

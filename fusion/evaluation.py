@@ -15,6 +15,7 @@ from fusion.manifest import Manifest
 from fusion.notices import AnyNotice
 from fusion.outputs import Outputs
 from fusion.point_spread import PointSpread
+from fusion.propagated import MonteCarlo
 from fusion.sensitivity import Sensitivity
 from photogram.epipolar import EpipolarCheck
 from photogram.images import GreyImage
@@ -146,7 +147,8 @@ class Evaluation:
 
     `accelerations`: one entry per body and source (`fused` first). `load`: wrench phasors at the sensor origin, N and
     N.m, with the manifest's sense. `outputs`: of the sensor. `points`: vibrometer points that look along one
-    direction. `settings`, `versions`, `input_hashes` (file -> SHA-256) say what was run on what.
+    direction. `monte_carlo`: where it was asked for. `settings`, `versions`, `input_hashes` (file -> SHA-256) say what
+    was run on what.
     """
 
     manifest: Manifest
@@ -165,3 +167,4 @@ class Evaluation:
     duration_s: float = field(default=0.0)
     takes: tuple[TakeResult, ...] = ()
     points: tuple[PointSpread, ...] = ()
+    monte_carlo: MonteCarlo | None = None

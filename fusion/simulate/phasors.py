@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from fusion.analyse import Inputs
 from fusion.body import Body, Part
 from fusion.manifest import ChannelEntry, Sensor
+from fusion.monte_carlo import Known
 from fusion.observe import ChainUncertainty, Observation, Reading, StereoReading, observe_channels
 from fusion.simulate.draws import Draws
 from fusion.simulate.mechanics import Motion, TruePart, acceleration_at, velocity_at, wrench
@@ -82,8 +83,8 @@ class PhasorTruth:
     outputs: ComplexArray
 
 
-def simulate_phasors(setup: PhasorSetup, draws: Draws) -> tuple[Inputs, PhasorTruth]:
-    """Draw every error of a set-up, and return the readings as the program gets them beside the truth."""
+def simulate_phasors(setup: PhasorSetup, draws: Draws) -> tuple[Known, PhasorTruth]:
+    """Draw every error of a set-up, and return what the program gets beside the truth."""
     rate = 1.0 + float(draws.normal("clock rate", setup.clock_uncertainty))
     motion = Motion(setup.lines.frequency_hz * rate, setup.acceleration)
     gravity = np.array(setup.gravity_mps2)
@@ -97,7 +98,8 @@ def simulate_phasors(setup: PhasorSetup, draws: Draws) -> tuple[Inputs, PhasorTr
         for channel in setup.channels
     ]
     outputs = [_reading(channel, stated_hz, signals[:, c], draws) for c, channel in enumerate(setup.outputs)]
-    seen: list[Observation] = [_pair(pair, motion, draws).observed() for pair in setup.pairs]
+    pairs = [_pair(pair, motion, draws) for pair in setup.pairs]
+    seen: list[Observation] = [pair.observed() for pair in pairs]
     seen += observe_channels(readings, setup.gravity_mps2, setup.clock_uncertainty)
     inputs = Inputs(
         lines=setup.lines,
@@ -108,7 +110,7 @@ def simulate_phasors(setup: PhasorSetup, draws: Draws) -> tuple[Inputs, PhasorTr
         sensor=setup.sensor,
         direction=setup.direction,
     )
-    return inputs, PhasorTruth(motion.acceleration, load, signals)
+    return Known(inputs, tuple(pairs), tuple(readings)), PhasorTruth(motion.acceleration, load, signals)
 
 
 def _true_part(part: Part, draws: Draws) -> TruePart:

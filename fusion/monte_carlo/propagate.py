@@ -1,0 +1,229 @@
+"""The Monte Carlo run: all that follows tracks and channels, once per draw of everything uncertain."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.analyse import Analysis, Inputs
+from fusion.body import COMPONENTS
+from fusion.estimate import solve
+from fusion.fuse import UNOBSERVED, Acceleration
+from fusion.load import LOAD_COMPONENTS, LOAD_UNITS
+from fusion.monte_carlo.deviates import Deviates
+from fusion.monte_carlo.estimator import Estimator
+from fusion.monte_carlo.instruments import Instrument, draw_instrument, pair_up
+from fusion.monte_carlo.loads import draw_load_matrices
+from fusion.notices import Notice
+from fusion.observe import Reading, StereoReading
+from fusion.propagated import FirstOrder, MonteCarlo, Propagated, refuted_elements, summarise
+from fusion.system import build_system, hidden_motion
+from fusion.uncertainty import Uncertainty
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+BoolArray = NDArray[np.bool_]
+
+BLOCK = 2000
+"""Draws that are in memory at once; each block has streams of its own, so that blocks may be computed in any order."""
+
+
+@dataclass(frozen=True)
+class Known:
+    """What a Monte Carlo run draws from: the inputs of the analysis, and what its observations were made of."""
+
+    inputs: Inputs
+    pairs: tuple[StereoReading, ...]
+    readings: tuple[Reading, ...]
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """The fused acceleration of a body and how it comes from its instruments."""
+
+    fused: Acceleration
+    instruments: tuple[Instrument, ...]
+    estimator: Estimator
+
+    @property
+    def estimate(self) -> ComplexArray:
+        """Return the estimate (K, 6), zero where not observed."""
+        return np.asarray(np.nan_to_num(self.fused.phasors.value))
+
+
+def propagate(known: Known, found: Analysis, draws: int, seed: int) -> MonteCarlo:
+    """Return what N draws of everything uncertain make of acceleration, load and sensitivity at the driven lines.
+
+    JCGM 101 and 102: noise from multivariate t-distributions with its degrees of freedom; masses, points, directions,
+    poses, scales, delays, clocks from normal distributions of their stated standard uncertainties, each once by its
+    name; places, finite rotations, products and delays enter exactly. Motion that nobody observes and disagreement
+    between instruments are drawn as the evaluation states them. The weights of the instruments are the evaluation's.
+    """
+    motions = _motions(known, found)
+    driven = np.flatnonzero(known.inputs.lines.multiple == 1)
+    blocks = [(number, min(BLOCK, draws - start)) for number, start in enumerate(range(0, draws, BLOCK))]
+    parts = [_draw(known, found, motions, Deviates(seed, number, count)) for number, count in blocks]
+    results = []
+    for first in _first_order(found):
+        values = np.concatenate([part[first.name][:, driven] for part in parts])
+        results.append(_summary(first, driven, values))
+    return MonteCarlo(draws, seed, tuple(results), _notices(results, draws))
+
+
+def _motions(known: Known, found: Analysis) -> tuple[_Motion, ...]:
+    """Every fused acceleration with the instruments that took part in it."""
+    inputs = known.inputs
+    gravity = None if inputs.gravity_mps2 is None else np.array(inputs.gravity_mps2)
+    instruments = pair_up(inputs.observations, known.pairs, known.readings, gravity)
+    motions = []
+    for fused in found.accelerations:
+        if fused.source == "fused":
+            own = [one for one in instruments if one.observation.body == fused.body]
+            used = [one for one in own if one.observation.stated] or own
+            seen = [one.observation for one in used]
+            system = build_system(seen)
+            motions.append(_Motion(fused, tuple(used), Estimator.of(seen, system.expand, solve(system))))
+    return tuple(motions)
+
+
+def _draw(known: Known, found: Analysis, motions: Sequence[_Motion], deviates: Deviates) -> dict[str, ComplexArray]:
+    """One block of draws of every result, by its name: (N, K, components)."""
+    drawn: dict[str, ComplexArray] = {}
+    for motion in motions:
+        drawn[_acceleration_name(motion.fused)] = acceleration = _draw_motion(motion, deviates)
+        if motion.fused.body == "load" and found.load is not None:
+            drawn["load"] = _draw_load(known.inputs, acceleration, deviates)
+    if found.outputs is not None and found.sensitivity is not None:
+        outputs = _draw_values(found.outputs.phasors.value, found.outputs.uncertainty, deviates, "outputs")
+        places = np.array(found.sensitivity.elements)
+        drawn["sensitivity"] = outputs[:, :, places[:, 0]] / drawn["load"][:, :, places[:, 1]]
+    return drawn
+
+
+def _draw_motion(motion: _Motion, deviates: Deviates) -> ComplexArray:
+    """Accelerations (N, K, 6) of a body; where nobody observed a component, what it may be."""
+    fused, estimate = motion.fused, motion.estimate
+    parts = deviates.normal(f"unobserved motion of the {fused.body}", *estimate.shape, 2)
+    hidden = hidden_motion(estimate, fused.observed) / np.sqrt(2.0) * (parts[..., 0] + 1j * parts[..., 1])
+    readings = [draw_instrument(one, estimate, deviates) for one in motion.instruments]
+    value = motion.estimator.acceleration(readings, estimate, hidden)
+    value = value + _further(motion, deviates)
+    return np.where(fused.observed, value, hidden)
+
+
+def _further(motion: _Motion, deviates: Deviates) -> ComplexArray:
+    """Changes (N, K, 6) by what is in the estimate's uncertainty beside the instruments' own errors: disagreement."""
+    fused = motion.fused
+    own = {f"{name}: noise" for name in fused.instruments} | {UNOBSERVED}
+    known = {error.name for one in motion.instruments for error in one.observation.common}
+    change = np.zeros((deviates.count, *fused.observed.shape), dtype=np.complex128)
+    for part in fused.uncertainty.random:
+        if part.label not in own:
+            dof = np.full(len(part.covariance), np.inf) if part.dof is None else part.dof
+            change += _complex(deviates.noise(f"{part.label} of the {fused.body}", part.covariance, dof))
+    for influence in fused.uncertainty.influences:
+        if influence.name not in known:
+            effect = np.nan_to_num(influence.effect)
+            change += _complex(deviates.normal(influence.name)[:, None, None] * effect)
+    return change
+
+
+def _draw_load(inputs: Inputs, acceleration: ComplexArray, deviates: Deviates) -> ComplexArray:
+    """Wrenches (N, K, 6) in the sensor's sense."""
+    assert inputs.body is not None
+    gravity = None if inputs.gravity_mps2 is None else np.array(inputs.gravity_mps2)
+    frequency = inputs.lines.frequency_hz
+    matrices = draw_load_matrices(inputs.body, frequency, gravity, np.array(inputs.u_gravity_mps2), deviates)
+    sign = -1.0 if inputs.sensor is not None and inputs.sensor.sense == "on_sensor" else 1.0
+    return np.asarray(sign * np.einsum("nkij,nkj->nki", matrices, acceleration))
+
+
+def _draw_values(value: ComplexArray, uncertainty: Uncertainty, deviates: Deviates, name: str) -> ComplexArray:
+    """Values (N, K, C) with noise, without their chains' relative errors, which act exactly: (1 + Re c)·exp(j·Im c)."""
+    drawn = np.repeat(value[None], deviates.count, axis=0)
+    for part in uncertainty.random:
+        dof = np.full(len(part.covariance), np.inf) if part.dof is None else part.dof
+        drawn = drawn + _complex(deviates.noise(f"{part.label} of {name}", part.covariance, dof))
+    for influence in uncertainty.influences:
+        effect = _complex(influence.effect[None])[0]
+        relative = np.divide(effect, value, out=np.zeros_like(value), where=(value != 0.0) & np.isfinite(effect))
+        size = deviates.normal(influence.name)[:, None, None]
+        drawn = drawn / ((1.0 + size * relative.real) * np.exp(1j * size * relative.imag))
+    return np.asarray(drawn)
+
+
+def _complex(values: FloatArray) -> ComplexArray:
+    """Values (N, K, C) of [all Re, all Im]."""
+    half = values.shape[-1] // 2
+    return np.asarray(values[..., :half] + 1j * values[..., half:])
+
+
+def _acceleration_name(fused: Acceleration) -> str:
+    """Name of an acceleration among the results."""
+    return f"acceleration of the {fused.body}"
+
+
+def _first_order(found: Analysis) -> Iterable[FirstOrder]:
+    """Every result with its first-order uncertainty, all lines and elements."""
+    for fused in found.accelerations:
+        if fused.source == "fused":
+            seen = fused.phasors
+            yield _of(_acceleration_name(fused), COMPONENTS, seen.unit, seen.value, fused.uncertainty, found)
+    if found.load is not None:
+        value = np.where(found.load.observed, found.load.value, complex(np.nan, np.nan))
+        yield _of("load", LOAD_COMPONENTS, LOAD_UNITS, value, found.load.uncertainty, found)
+    ratio = found.sensitivity
+    if ratio is not None and found.outputs is not None:
+        names = tuple(f"{ratio.channels[c]} per {ratio.components[j]}" for c, j in ratio.elements)
+        units = tuple(f"({ratio.unit})/{'N' if j < 3 else '(N.m)'}" for _, j in ratio.elements)
+        places = np.array(ratio.elements)
+        yield _of("sensitivity", names, units, ratio.value[:, places[:, 0], places[:, 1]], ratio.uncertainty, found)
+
+
+def _of(
+    name: str,
+    elements: Sequence[str],
+    units: Sequence[str],
+    value: ComplexArray,
+    uncertainty: Uncertainty,
+    found: Analysis,
+) -> FirstOrder:
+    """Collect one result."""
+    count = len(elements)
+    pair = np.arange(count)[:, None] + [0, count]
+    covariance = uncertainty.covariance[:, pair[:, :, None], pair[:, None, :]]
+    frequency = found.accelerations[0].phasors.frequency_hz
+    return FirstOrder(name, frequency, tuple(elements), tuple(units), value, covariance, uncertainty.dof())
+
+
+def _summary(first: FirstOrder, driven: NDArray[np.int64], values: ComplexArray) -> Propagated:
+    """Compare the driven lines of a result with its draws, leaving out what none of them determines."""
+    kept = np.flatnonzero(np.isfinite(first.value[driven]).any(axis=0))
+    place = np.ix_(driven, kept)
+    own = FirstOrder(
+        name=first.name,
+        frequency_hz=first.frequency_hz[driven],
+        elements=tuple(first.elements[q] for q in kept),
+        unit=tuple(first.unit[q] for q in kept),
+        value=first.value[place],
+        covariance=first.covariance[place],
+        dof=first.dof[place],
+    )
+    missing = ~np.isfinite(own.value)
+    return summarise(own, np.where(missing, complex(np.nan, np.nan), values[:, :, kept]))
+
+
+def _notices(results: Sequence[Propagated], draws: int) -> tuple[Notice, ...]:
+    """Say whether first-order propagation holds."""
+    refuted = refuted_elements(results, draws)
+    if not refuted:
+        return ()
+    named = "; ".join(refuted[:4]) + (f" and {len(refuted) - 4} more" if len(refuted) > 4 else "")
+    text = (
+        f"{draws} Monte Carlo draws do not confirm first-order propagation: {named}; the intervals and regions of the "
+        "Monte Carlo run hold there"
+    )
+    return (Notice("warning", text, "monte carlo"),)
