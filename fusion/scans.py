@@ -17,6 +17,7 @@ from shaker.signals.recording import RawChannel
 FloatArray = NDArray[np.float64]
 
 SUFFIX = ".asc"
+SCANNING = ("velocity", "displacement")
 AnyFrames = TypeVar("AnyFrames", bound=Frames)
 
 
@@ -35,8 +36,9 @@ class ScannedPoint:
 def scanned_points(manifest: Manifest, daq: Daq) -> tuple[ScannedPoint, ...] | None:
     """Return the points that a block of a scan holds, in the order of the scan; None for any other file.
 
-    A channel that names its block alone was recorded at every point. Its `point` is where the origin of the file's
-    coordinates lies in the sensor frame, whose axes they share; a channel that names its point stands at its own.
+    A channel that names its block alone was recorded at every point. A velocity or displacement that does so, and is
+    not the reference, is what looked at the points: its `point` is where the origin of the file's coordinates lies in
+    the sensor frame, whose axes they share. All others stand at their own.
     """
     if daq.file.suffix.lower() != SUFFIX:
         return None
@@ -109,7 +111,7 @@ def _point(daq: Daq, scan: Scan, place: int) -> ScannedPoint:
 def _entry(entry: ChannelEntry, daq: Daq, point_m: FloatArray) -> ChannelEntry:
     """Return a channel as it was at a scan point, named by its block."""
     block, point = daq.data_set(entry)
-    if point or entry.point is None:
+    if point or entry.point is None or entry.reference or entry.quantity not in SCANNING:
         return entry.model_copy(update={"name": block})
     place = np.asarray(entry.point, dtype=np.float64) + point_m
     return entry.model_copy(update={"name": block, "point": tuple(place.tolist())})
