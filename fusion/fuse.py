@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,14 +58,8 @@ def fuse(
         raise ValueError(f"observations: expected at least one of body {body}, found none")
     stated = [observation for observation in own if observation.stated]
     system = build_system(stated or own)
-    first = solve(system)
-    unknowns = estimates(system.common, first)
-    found = estimate_scatter(system, first) if scatter is None else scatter
-    parts = scatter_covariances(system, first.acceleration, found)
-    final = solve(system, _total(parts)) if parts else first
-    if contradicts(final, estimates(system.common, final) if parts else unknowns):
-        parts.append(disagreement(system, final, INCONSISTENCY))
-        final = solve(system, _total(parts))
+    solved = solve_consistently(system, scatter)
+    first, final, parts, unknowns = solved.stated, solved.final, solved.parts, estimates(system.common, solved.stated)
     tests = leave_one_out(system, first) if parts or source == "fused" else ()
     uncertainty = _uncertainty(system, final, parts)
     phasors = _phasors(system, final, uncertainty)
@@ -84,10 +78,35 @@ def fuse(
         dof=first.dof,
         unknowns=estimates(system.common, final) if parts else unknowns,
         notices=(),
-        scatter=found,
+        scatter=solved.scatter,
     )
     failed = unknowns if contradicts(first, unknowns) else None
     return replace(result, notices=verdict(result, bool(stated), failed))
+
+
+@dataclass(frozen=True)
+class Solved:
+    """A system solved with what is `stated`, and, where this is contradicted, with discrepancies (`parts`): `final`.
+
+    `scatter`: of the instruments whose own readings contradict a rigid motion.
+    """
+
+    stated: Solution
+    final: Solution
+    scatter: tuple[Scatter, ...]
+    parts: tuple[Discrepancy, ...]
+
+
+def solve_consistently(system: System, scatter: tuple[Scatter, ...] | None = None) -> Solved:
+    """Solve a system; readings that contradict what is stated get the discrepancies that `fuse` tells of."""
+    first = solve(system)
+    found = estimate_scatter(system, first) if scatter is None else scatter
+    parts = scatter_covariances(system, first.acceleration, found)
+    final = solve(system, _total(parts)) if parts else first
+    if contradicts(final, estimates(system.common, final)):
+        parts.append(disagreement(system, final, INCONSISTENCY))
+        final = solve(system, _total(parts))
+    return Solved(first, final, found, tuple(parts))
 
 
 def _total(parts: Sequence[Discrepancy]) -> FloatArray:

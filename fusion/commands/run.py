@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from fusion.commands.values import Commands, add_recording, count, device, radius
+from fusion.commands.values import Commands, add_recording, count, device, draws, radius, seed
+from fusion.settings import DEFAULT_SEED, FEWEST_DRAWS, MOST_DRAWS
 
 
 def add(commands: Commands, common: argparse.ArgumentParser) -> None:
@@ -28,6 +29,17 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
         default="auto",
         metavar="{auto,cpu,cuda}",
         help="where subsets are tracked (default: auto, a GPU where torch finds one)",
+    )
+    parser.add_argument(
+        "--monte-carlo",
+        type=draws,
+        default=0,
+        metavar="N",
+        help="check the uncertainties with N draws of everything uncertain "
+        f"({FEWEST_DRAWS} to {MOST_DRAWS}; 100000 are good for two digits of U; default: none)",
+    )
+    parser.add_argument(
+        "--seed", type=seed, default=DEFAULT_SEED, metavar="S", help=f"of these draws (default: {DEFAULT_SEED})"
     )
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
@@ -52,7 +64,12 @@ def _act(options: argparse.Namespace) -> int:
     from fusion.settings import Settings
     from fusion.summary import print_outcomes
 
-    settings = Settings(subset_radius_px=options.subset_radius, device=options.device)
+    settings = Settings(
+        subset_radius_px=options.subset_radius,
+        device=options.device,
+        monte_carlo=options.monte_carlo,
+        seed=options.seed,
+    )
     with progress_bar(enabled=not options.quiet) as progress:
         outcomes = run_path(
             options.recording,

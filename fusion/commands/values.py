@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TypeAlias
 
+from fusion.settings import FEWEST_DRAWS, MOST_DRAWS
+
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
 FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
@@ -81,4 +83,12 @@ def seed(text: str) -> int:
     value = int(text)
     if value < 0:
         raise argparse.ArgumentTypeError(f"expected a whole number of at least 0, found {value}")
+    return value
+
+
+def draws(text: str) -> int:
+    """Return a number of Monte Carlo draws."""
+    value = int(text)
+    if not FEWEST_DRAWS <= value <= MOST_DRAWS:
+        raise argparse.ArgumentTypeError(f"expected {FEWEST_DRAWS} to {MOST_DRAWS} draws, found {value}")
     return value

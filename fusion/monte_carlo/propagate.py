@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.acceleration import Acceleration
 from fusion.analyse import Analysis, Inputs
 from fusion.body import COMPONENTS
-from fusion.estimate import solve
-from fusion.fuse import UNOBSERVED, Acceleration
+from fusion.fuse import UNOBSERVED, solve_consistently
 from fusion.load import LOAD_COMPONENTS, LOAD_UNITS
 from fusion.monte_carlo.deviates import Deviates
 from fusion.monte_carlo.estimator import Estimator
@@ -85,7 +85,8 @@ def _motions(known: Known, found: Analysis) -> tuple[_Motion, ...]:
             used = [one for one in own if one.observation.stated] or own
             seen = [one.observation for one in used]
             system = build_system(seen)
-            motions.append(_Motion(fused, tuple(used), Estimator.of(seen, system.expand, solve(system))))
+            solution = solve_consistently(system, fused.scatter).final
+            motions.append(_Motion(fused, tuple(used), Estimator.of(seen, system.expand, solution)))
     return tuple(motions)
 
 
