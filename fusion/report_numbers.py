@@ -6,11 +6,13 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
+from fusion.coverage import Region, region_factor
 from fusion.polar import DASH, Polar, rounded, typeset
 
 ComplexArray = NDArray[np.complex128]
 LARGEST_PHASE_U = 1.0
 """Expanded uncertainty in rad above which a phase is printed as not determined."""
+WEAK = "not distinguishable from 0"
 
 
 def measured(value: float, expanded: float, unit: str = "") -> Markup:
@@ -41,8 +43,40 @@ def times_ten(exponent: int, unit: str) -> Markup:
 
 def phase(element: Polar) -> Markup:
     """Phase with U, or a dash where it is not determined."""
-    expanded = 2.0 * element.u_phase_rad
-    return measured(element.phase_rad, expanded) if not expanded > LARGEST_PHASE_U else Markup(DASH)
+    expanded = element.expanded_phase_rad
+    determined = expanded <= LARGEST_PHASE_U and not element.region.holds_zero
+    return measured(element.phase_rad, expanded) if determined else Markup(DASH)
+
+
+def polar_cells(element: Polar, exponent: int | None = None) -> tuple[str, str, str]:
+    """Magnitude and phase with U, and k; of a value that may be zero the half-axes of its region, and their factor.
+
+    `exponent`: power of ten that stands elsewhere, by default with the magnitude.
+    """
+    region = element.region
+    if region.holds_zero:
+        return half_axes(region, exponent), WEAK, factor(region_factor(element.dof))
+    size, expanded = element.magnitude, element.expanded_magnitude
+    cell = measured(size, expanded) if exponent is None else fixed(size, expanded, exponent)
+    return cell, phase(element), factor(element.k)
+
+
+def half_axes(region: Region, exponent: int | None = None) -> Markup:
+    """Half-axes of a region, to two digits of the larger one."""
+    if not np.isfinite(region.half_axes[0]):
+        return Markup(DASH)
+    large, small_axis = region.half_axes
+    first = rounded(large, large, exponent)
+    second = rounded(small_axis, large, first.exponent)
+    power = times_ten(first.exponent, "") if exponent is None and first.exponent else Markup("")
+    return Markup("region ± {}, ± {}{}").format(
+        first.value, second.value, Markup(" × {}").format(power) if power else ""
+    )
+
+
+def factor(value: float) -> str:
+    """A coverage factor."""
+    return f"{value:.2f}" if np.isfinite(value) else DASH
 
 
 def common_exponent(values: ComplexArray) -> int:

@@ -1,4 +1,4 @@
-"""The tables of the report: every number rounded to its expanded uncertainty, k = 2."""
+"""The tables of the report: every number rounded to its expanded uncertainty, whose coverage factor stands with it."""
 
 from __future__ import annotations
 
@@ -18,21 +18,20 @@ from fusion.highlights import (
     by_source,
     driven_channel,
     driven_component,
-    driven_element,
     main_line,
     static_value,
 )
-from fusion.polar import DASH, element_covariance, polar, prefix, typeset
+from fusion.polar import DASH, Polar, element_covariance, polar, prefix, typeset
 from fusion.provenance import Provenance
 from fusion.report_numbers import (
+    WEAK,
     common_exponent,
     degrees_of_freedom,
-    fixed,
+    half_axes,
     measured,
     microseconds,
     number,
-    phase,
-    small,
+    polar_cells,
     times_ten,
 )
 from fusion.results_csv import sensitivity_element, sensitivity_unit
@@ -69,9 +68,11 @@ def headlines(evaluation: Evaluation) -> list[Headline]:
         found += _sensitivity_headlines(evaluation, line, component)
     result = acceleration(evaluation, "load", "fused") or next(iter(evaluation.accelerations), None)
     if result is not None and result.observed[line, component]:
-        found.append(_phasor_headline(result.phasors, line, component, f"Acceleration {COMPONENTS[component]}"))
+        dof = float(result.uncertainty.dof()[line, component])
+        found.append(_phasor_headline(result.phasors, dof, line, component, f"Acceleration {COMPONENTS[component]}"))
     if evaluation.load is not None and evaluation.load.observed[line, component]:
-        found.append(_phasor_headline(evaluation.load.phasors, line, component, f"Load {LOAD_COMPONENTS[component]}"))
+        load, dof = evaluation.load, float(evaluation.load.uncertainty.dof()[line, component])
+        found.append(_phasor_headline(load.phasors, dof, line, component, f"Load {LOAD_COMPONENTS[component]}"))
     return found
 
 
@@ -89,13 +90,12 @@ def sensitivity_table(evaluation: Evaluation) -> Table | None:
                 continue
             element = sensitivity_element(found, k, int(c), int(j))
             unit = times_ten(exponent, sensitivity_unit(found.unit, found.components[j]))
-            size = fixed(element.magnitude, 2.0 * element.u_magnitude, exponent)
+            size, turn, factor = polar_cells(element, exponent)
             name = f"{found.channels[c]} per {found.components[j]}"
-            rows.append(
-                (f"{frequency:.4f}", name, size, unit, phase(element), degrees_of_freedom(element.dof), found.kind[k])
-            )
-    head = ("frequency / Hz", "output per load", "magnitude", "unit", "phase / rad", "dof", "kind")
-    return Table("Complex sensitivity with U (k = 2)", head, "rlrlrrl", tuple(rows))
+            dof = degrees_of_freedom(element.dof)
+            rows.append((f"{frequency:.4f}", name, size, unit, turn, factor, dof, found.kind[k]))
+    head = ("frequency / Hz", "output per load", "magnitude", "unit", "phase / rad", "k", "dof", "kind")
+    return Table("Complex sensitivity with U = k·u (95 %)", head, "rlrlrrrl", tuple(rows))
 
 
 def source_tables(evaluation: Evaluation) -> list[Table]:
@@ -107,9 +107,7 @@ def source_tables(evaluation: Evaluation) -> list[Table]:
         rows = tuple(_source_row(results, line, c) for c in range(6))
         head = ("", "unit", *(result.source for result in results))
         frequency = float(results[0].phasors.frequency_hz[line])
-        caption = (
-            f"Acceleration of the {body} at the sensor origin, {frequency:.4f} Hz: amplitude and phase with U (k = 2)"
-        )
+        caption = f"Acceleration of the {body} at the sensor origin, {frequency:.4f} Hz, with U = k·u (95 %)"
         tables.append(Table(caption, head, "ll" + "r" * (len(head) - 2), rows))
     return tables
 
@@ -118,19 +116,18 @@ def load_table(evaluation: Evaluation) -> Table | None:
     """Load at the strongest line, and its driven component at the others."""
     if evaluation.load is None:
         return None
-    phasors = evaluation.load.phasors
+    phasors, dof = evaluation.load.phasors, evaluation.load.uncertainty.dof()
     rows, strongest, driven = [], main_line(evaluation), driven_component(evaluation)
     for k, frequency in enumerate(phasors.frequency_hz):
         for c, name in enumerate(phasors.channels):
             if np.isfinite(phasors.value[k, c]) and (k == strongest or c == driven):
-                element = polar(complex(phasors.value[k, c]), element_covariance(phasors.covariance[k], c))
-                amplitude = measured(element.magnitude, 2.0 * element.u_magnitude)
-                unit = typeset(phasors.unit[c])
-                rows.append(
-                    (f"{frequency:.4f}", name, amplitude, unit, phase(element), degrees_of_freedom(phasors.dof[k]))
-                )
-    head = ("frequency / Hz", "component", "amplitude", "unit", "phase / rad", "dof")
-    return Table("Load at the sensor origin with U (k = 2)", head, "rlrlrr", tuple(rows))
+                pair = element_covariance(phasors.covariance[k], c)
+                element = polar(complex(phasors.value[k, c]), pair, float(dof[k, c]))
+                amplitude, turn, factor = polar_cells(element)
+                unit, freedom = typeset(phasors.unit[c]), degrees_of_freedom(element.dof)
+                rows.append((f"{frequency:.4f}", name, amplitude, unit, turn, factor, freedom))
+    head = ("frequency / Hz", "component", "amplitude", "unit", "phase / rad", "k", "dof")
+    return Table("Load at the sensor origin with U = k·u (95 %)", head, "rlrlrrr", tuple(rows))
 
 
 def consistency_table(evaluation: Evaluation) -> Table | None:
@@ -161,37 +158,6 @@ def chi_square_table(evaluation: Evaluation) -> Table | None:
     )
     head = ("body", "result", "instruments", "χ²", "degrees of freedom")
     return Table("Agreement of the instruments", head, "lllrr", rows) if rows else None
-
-
-def budget_table(evaluation: Evaluation) -> Table | None:
-    """Contributions to the driven sensitivity at the strongest line, largest first."""
-    found = evaluation.sensitivity
-    if found is None:
-        return None
-    line, place, channel = main_line(evaluation), driven_element(evaluation), driven_channel(evaluation)
-    if not np.isfinite(found.value[line, channel, driven_component(evaluation)]):
-        return None
-    entries = sorted(found.budget, key=lambda entry: -float(np.nan_to_num(entry.u_relative[line, place])))
-    sizes = np.array([entry.u_relative[line, place] for entry in entries])
-    turns = np.array([entry.u_phase_rad[line, place] for entry in entries])
-    total = float(np.sum(sizes**2))
-    rows: list[tuple[str, ...]] = [
-        (
-            entry.label,
-            entry.type,
-            small(100.0 * u),
-            small(1e3 * turn),
-            f"{100.0 * u**2 / total if total else 0.0:.1f}",
-        )
-        for entry, u, turn in zip(entries, sizes, turns, strict=True)
-    ]
-    whole = sensitivity_element(found, line, channel, driven_component(evaluation))
-    combined = small(100.0 * whole.u_magnitude / whole.magnitude), small(1e3 * whole.u_phase_rad)
-    rows.append((Markup("<b>combined, k = 1</b>"), "", *combined, "100.0"))
-    head = ("contribution", "type", "u(magnitude) / %", "u(phase) / mrad", "share / %")
-    element = f"{found.channels[channel]} per {LOAD_COMPONENTS[driven_component(evaluation)]}"
-    caption = f"Budget of {element} at {found.frequency_hz[line]:.4f} Hz"
-    return Table(caption, head, "llrrr", tuple(rows))
 
 
 def stereo_table(stereo: Sequence[StereoResult]) -> Table | None:
@@ -266,40 +232,50 @@ def _sensitivity_headlines(evaluation: Evaluation, line: int, component: int) ->
     element = sensitivity_element(found, line, channel, component)
     unit = sensitivity_unit(found.unit, LOAD_COMPONENTS[component])
     static = static_value(evaluation, channel, component)
-    remark = f"U (k = 2) = {200.0 * element.u_magnitude / element.magnitude:.2g} %"
+    remark = _relative(element)
     if static is not None:
-        share, u_share = 100.0 * (element.magnitude / abs(static) - 1.0), 200.0 * element.u_magnitude / abs(static)
+        share, u_share = (
+            100.0 * (element.magnitude / abs(static) - 1.0),
+            100.0 * element.expanded_magnitude / abs(static),
+        )
         remark += f"; from static: {measured(share, u_share, '%').striptags()}"
     where = f"{found.channels[channel]} per {LOAD_COMPONENTS[component]}, {found.frequency_hz[line]:.4f} Hz"
-    size = measured(element.magnitude, 2.0 * element.u_magnitude, unit)
-    turn = measured(element.phase_rad, 2.0 * element.u_phase_rad, "rad")
-    degrees = measured(np.degrees(element.phase_rad), 2.0 * np.degrees(element.u_phase_rad), "°").striptags()
+    size = measured(element.magnitude, element.expanded_magnitude, unit)
+    turn = measured(element.phase_rad, element.expanded_phase_rad, "rad")
+    degrees = measured(np.degrees(element.phase_rad), np.degrees(element.expanded_phase_rad), "°").striptags()
     return [Headline(f"Sensitivity {where}", size, remark), Headline("Phase of the output to the load", turn, degrees)]
 
 
-def _phasor_headline(phasors: Phasors, line: int, component: int, label: str) -> Headline:
+def _phasor_headline(phasors: Phasors, dof: float, line: int, component: int, label: str) -> Headline:
     """Amplitude of one component."""
-    element = polar(complex(phasors.value[line, component]), element_covariance(phasors.covariance[line], component))
-    value = measured(element.magnitude, 2.0 * element.u_magnitude, phasors.unit[component])
-    remark = f"U (k = 2) = {200.0 * element.u_magnitude / element.magnitude:.2g} %" if element.magnitude > 0.0 else ""
-    return Headline(f"{label}, amplitude", value, remark)
+    pair = element_covariance(phasors.covariance[line], component)
+    element = polar(complex(phasors.value[line, component]), pair, dof)
+    if element.region.holds_zero:
+        return Headline(f"{label}, amplitude", WEAK, f"95 % {half_axes(element.region)}")
+    value = measured(element.magnitude, element.expanded_magnitude, phasors.unit[component])
+    return Headline(f"{label}, amplitude", value, _relative(element))
+
+
+def _relative(element: Polar) -> str:
+    """Relative expanded uncertainty of a magnitude, with its coverage factor."""
+    return f"U = {100.0 * element.expanded_magnitude / element.magnitude:.2g} % (k = {element.k:.2f})"
 
 
 def _source_row(results: Sequence[Acceleration], line: int, component: int) -> tuple[str, ...]:
     """One component of all sources in one unit."""
     values = np.array([abs(result.phasors.value[line, component]) for result in results])
-    factor, letter = prefix(values)
+    scale, letter = prefix(values)
     cells: list[str] = [COMPONENTS[component], letter + typeset(results[0].phasors.unit[component])]
     for result in results:
         value = complex(result.phasors.value[line, component])
         if not result.observed[line, component] or not np.isfinite(value):
             cells.append(DASH)
             continue
-        element = polar(value, element_covariance(result.phasors.covariance[line], component))
-        amplitude = fixed(element.magnitude / factor, 2.0 * element.u_magnitude / factor, 0)
-        turn = phase(element)
-        below = "phase not determined" if turn == DASH else Markup("{} rad").format(turn)
-        cells.append(Markup('{}<br><span class="below">{}</span>').format(amplitude, below))
+        pair = element_covariance(result.phasors.covariance[line], component)
+        element = polar(value / scale, pair / scale**2, float(result.uncertainty.dof()[line, component]))
+        amplitude, turn, factor = polar_cells(element, 0)
+        below = turn if turn in (WEAK, DASH) else Markup("{} rad").format(turn)
+        cells.append(Markup('{}<br><span class="below">{}<br>k = {}</span>').format(amplitude, below, factor))
     return tuple(cells)
 
 

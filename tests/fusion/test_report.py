@@ -16,7 +16,8 @@ from page_outline import outline
 from fusion.evaluation import Evaluation
 from fusion.report import render_report
 from fusion.report_numbers import fixed, measured, times_ten
-from fusion.report_tables import budget_table, headlines, source_tables
+from fusion.budget_tables import budget_tables, other_loads_table
+from fusion.report_tables import headlines, source_tables
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +45,7 @@ def test_page_is_well_formed_and_self_contained(page: str) -> None:
 
 def test_page_shows_results_warnings_and_origin(page: str) -> None:
     text = "".join(outline(page).text)
-    assert "(1.9720 ± 0.0020) × 10−7 (V/V)/N" in text
+    assert "(1.9720 ± 0.0019) × 10−7 (V/V)/N" in text
     assert "(−0.0337 ± 0.0010) rad" in text
     assert "318.75 Hz is left out: <u> above its limit & more" in text
     assert text.index("Warning") < text.index("Note")
@@ -83,7 +84,7 @@ def test_undetermined_values_do_not_break_the_page(tmp_path: Path) -> None:
 def test_headlines_name_the_deviation_from_the_static_sensitivity(evaluation: Evaluation) -> None:
     first = headlines(evaluation)[0]
     assert first.label == "Sensitivity Fz per Fz, 106.2503 Hz"
-    assert "from static: (−1.400 ± 0.099) %" in first.remark  # 1.972/2 - 1, and 2 × 1e-10/2e-7 at 45°: 0.1 %
+    assert "from static: (−1.400 ± 0.097) %" in first.remark  # 1.972/2 - 1, and 1.96 × 4.9e-4
 
 
 def test_sources_stand_side_by_side(evaluation: Evaluation) -> None:
@@ -94,10 +95,36 @@ def test_sources_stand_side_by_side(evaluation: Evaluation) -> None:
 
 
 def test_budget_is_sorted_and_its_shares_make_a_whole(evaluation: Evaluation) -> None:
-    table = budget_table(evaluation)
-    assert table is not None
+    table, load, motion = budget_tables(evaluation)
     assert table.rows[0][0] == "internal mass"
-    assert sum(float(row[4]) for row in table.rows[:-1]) == pytest.approx(100.0, abs=0.3)
+    assert table.rows[0][2:5] == (Markup("2 × 10<sup>−3</sup> kg"), "−0.13", "−0.13")
+    for column in (6, 8):
+        assert sum(float(row[column]) for row in table.rows[:-1]) == pytest.approx(100.0, abs=0.4)
+    by_name = {row[0]: row for row in table.rows}
+    assert by_name["scatter of the sine approximation"][2:5] == ("–", "–", "–")
+    assert by_name["scatter of the sine approximation"][-1] == "204"
+    assert "load Fz" in load.caption
+    assert "acceleration z of the load" in motion.caption
+
+
+def test_what_other_loads_explain(evaluation: Evaluation) -> None:
+    table = other_loads_table(evaluation)
+    assert table is not None
+    shares = {row[0]: row[1:] for row in table.rows}
+    assert shares["Fz"][0] == "0"  # the static sensitivity of the factory is diagonal
+    # Fx: 5.1e-7 V/V/N times 0.33 m/s² times 7.7 kg over an output of 3e-7 V/V: several times the whole output.
+    assert float(shares["Fx"][0].partition(" ")[0].replace("−", "-")) != 0.0
+    assert other_loads_table(dataclasses.replace(evaluation, load=None)) is None
+
+
+def test_weak_components_are_judged_by_their_region(evaluation: Evaluation) -> None:
+    load = source_tables(evaluation)[0]
+    weak = load.rows[5][2]  # rz: 0.06 - 0.02j rad/s² ± 0.4
+    assert "not distinguishable from 0" in weak
+    assert weak.startswith("region ± ")
+    strong = load.rows[2][2]
+    assert "189" in strong
+    assert "k = 1.97" in strong
 
 
 def test_numbers_as_html() -> None:
