@@ -98,13 +98,13 @@ def alike(
 
 
 def _same(first: Drive, other: Drive, component: int, *, amplitudes_apart: bool) -> bool:
-    """Whether two drives are one excitation; phases depend on the start of the recording and do not matter."""
+    """Whether two drives are one excitation; phases follow the start of the recording, and a sign is one of them."""
     if abs(np.log(other.frequency_hz / first.frequency_hz)) > SAME_FREQUENCY:
         return False
     if len(first.direction) != len(other.direction):
         return False
     units = [np.array(drive.direction) / np.linalg.norm(drive.direction) for drive in (first, other)]
-    if np.max(np.abs(units[0] - units[1])) > SAME_DIRECTION:
+    if min(np.max(np.abs(units[0] - units[1])), np.max(np.abs(units[0] + units[1]))) > SAME_DIRECTION:
         return False
     loads = [np.abs(drive.load) * LEVERS for drive in (first, other)]
     if not amplitudes_apart:
