@@ -7,6 +7,7 @@ from typing import Any
 from fusion import report_tables as tables
 from fusion.budget_tables import budget_tables, other_loads_table
 from fusion.evaluation import Evaluation
+from fusion.monte_carlo_tables import monte_carlo_tables
 from fusion.notices import warnings_first
 from fusion.page import render_page
 from fusion.plots.gallery import draw_all
@@ -39,6 +40,7 @@ def _context(evaluation: Evaluation) -> dict[str, Any]:
         ],
         "others": other_loads_table(evaluation),
         "budgets": budget_tables(evaluation),
+        "monte_carlo": monte_carlo_tables(evaluation),
         "stereo": tables.stereo_table(evaluation.stereo),
         "lines": lines_table(evaluation),
         "channels": channels_table(evaluation),

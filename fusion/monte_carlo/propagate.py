@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from fusion.acceleration import Acceleration
 from fusion.analyse import Analysis, Inputs
 from fusion.body import COMPONENTS
+from fusion.discrepancy import LEAST_DOF
 from fusion.fuse import UNOBSERVED, solve_consistently
 from fusion.load import LOAD_COMPONENTS, LOAD_UNITS
 from fusion.monte_carlo.deviates import Deviates
@@ -116,14 +117,18 @@ def _draw_motion(motion: _Motion, deviates: Deviates) -> ComplexArray:
 
 
 def _further(motion: _Motion, deviates: Deviates) -> ComplexArray:
-    """Changes (N, K, 6) by what is in the estimate's uncertainty beside the instruments' own errors: disagreement."""
+    """Changes (N, K, 6) by what is in the estimate's uncertainty beside the instruments' own errors: disagreement.
+
+    A variance of it that the data hardly tell from zero has nominally less than one degree of freedom, of which no
+    distribution follows; it is drawn with no fewer than `LEAST_DOF`.
+    """
     fused = motion.fused
     own = {f"{name}: noise" for name in fused.instruments} | {UNOBSERVED}
     known = {error.name for one in motion.instruments for error in one.observation.common}
     change = np.zeros((deviates.count, *fused.observed.shape), dtype=np.complex128)
     for part in fused.uncertainty.random:
         if part.label not in own:
-            dof = np.full(len(part.covariance), np.inf) if part.dof is None else part.dof
+            dof = np.full(len(part.covariance), np.inf) if part.dof is None else np.maximum(part.dof, LEAST_DOF)
             change += _complex(deviates.noise(f"{part.label} of the {fused.body}", part.covariance, dof))
     for influence in fused.uncertainty.influences:
         if influence.name not in known:
