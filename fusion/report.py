@@ -14,6 +14,7 @@ from fusion.plots.gallery import draw_all
 from fusion.point_tables import point_tables
 from fusion.report_numbers import measured
 from fusion.signal_tables import channels_table, clocks_table, drift_table, lines_table
+from fusion.take_tables import takes_table
 
 REPORT_FILE = "report.html"
 
@@ -45,6 +46,7 @@ def _context(evaluation: Evaluation) -> dict[str, Any]:
         "lines": lines_table(evaluation),
         "channels": channels_table(evaluation),
         "drift": drift_table(evaluation),
+        "takes": takes_table(evaluation),
         "clocks": clocks_table(evaluation),
         "origin": tables.provenance_tables(evaluation),
         "inputs": tables.inputs_table(evaluation),

@@ -29,23 +29,25 @@ from fusion.polar import prefix, typeset
 
 SPECTRUM_POINTS = 700
 EXCERPT_POINTS = 300
+MOST_CHANNELS = 24
+"""Channels and triggers that a figure has room for."""
 PREFIXED = ("m", "m/s", "m/s^2", "rad/s", "N", "V")
 
 
 def channel_pictures(evaluation: Evaluation) -> list[Picture]:
     """The figure of all channels, where there are any."""
-    return [draw_channels(evaluation.channels, evaluation)] if evaluation.channels else []
+    return [draw_channels(evaluation.channels[:MOST_CHANNELS], evaluation)] if evaluation.channels else []
 
 
 def trigger_pictures(evaluation: Evaluation) -> list[Picture]:
     """The figure of all camera triggers, where there are any."""
     clocks = [clock for clock in evaluation.clocks if clock.trigger is not None and len(clock.trigger.number) > 2]
-    return [draw_trigger(clocks)] if clocks else []
+    return [draw_trigger(clocks[:MOST_CHANNELS])] if clocks else []
 
 
 def draw_channels(channels: Sequence[ChannelResult], evaluation: Evaluation) -> Picture:
     """An excerpt of every channel with its fit and the exposures, and its amplitude spectrum with the lines found."""
-    exposures = evaluation.stereo[0].time_s if evaluation.stereo else np.empty(0)
+    exposures = evaluation.stereo[0].time_s if evaluation.stereo and not evaluation.takes else np.empty(0)
     lines = evaluation.lines.frequency_hz
     with drawing("channels"):
         figure = new_figure(0.7 + 1.2 * len(channels))
@@ -59,7 +61,9 @@ def draw_channels(channels: Sequence[ChannelResult], evaluation: Evaluation) -> 
         panels[-1, 1].set_xlabel("frequency / Hz")
         lay_out(figure, panels.flat, top=0.22, gap=(0.7, 0.28), label=0.5)
         marks = " Vertical lines: middles of the camera exposures." if len(exposures) else ""
+        more = len(evaluation.channels) - len(channels)
         caption = f"Left: samples (points) and fitted lines (curve).{marks} Right: triangles mark the lines fitted."
+        caption += f" {more} more channels are not drawn." if more else ""
         return finish(figure, "channels", "Channels", caption)
 
 
