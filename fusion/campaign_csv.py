@@ -1,4 +1,4 @@
-"""The joint tables of a campaign: its matrices among the sensitivities, and their cross-talk."""
+"""The joint tables of a campaign: matrices among the sensitivities, curves over frequency, cross-talk."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from fusion.campaign_evaluation import CampaignEvaluation
+from fusion.campaign_points import curve_points
 from fusion.matrix import CrossTalk
 from fusion.polar import polar
-from fusion.results import CROSSTALK_FILE
+from fusion.results import CROSSTALK_FILE, CURVE_FILE
 from fusion.results_csv import (
     SENSITIVITY_COLUMNS,
     SENSITIVITY_FILE,
@@ -21,6 +22,19 @@ from fusion.results_csv import (
     polar_cells,
 )
 
+CURVE_COLUMNS = [
+    *SENSITIVITY_COLUMNS[:13],
+    "k",
+    "U_magnitude",
+    "U_phase_rad",
+    "relative",
+    "u_relative",
+    "U_relative",
+    "unit",
+    "recordings",
+    "mountings",
+    "kind",
+]
 CROSSTALK_COLUMNS = [*SENSITIVITY_COLUMNS[:13], "U_region", "holds_zero"]
 
 
@@ -29,6 +43,7 @@ def campaign_tables(evaluation: CampaignEvaluation, folders: Sequence[Path]) -> 
     tables = merge_tables(folders)
     matrices = csv_text(SENSITIVITY_COLUMNS, matrix_rows(evaluation)).partition("\n")[2]
     tables[SENSITIVITY_FILE] += matrices
+    tables[CURVE_FILE] = csv_text(CURVE_COLUMNS, curve_rows(evaluation))
     rows = (row for found in evaluation.cross_talks for row in crosstalk_rows(found))
     tables[CROSSTALK_FILE] = csv_text(CROSSTALK_COLUMNS, rows)
     return tables
@@ -39,6 +54,18 @@ def matrix_rows(evaluation: CampaignEvaluation) -> Iterator[Row]:
     if evaluation.sensor is not None:
         for fit in evaluation.matrices:
             yield from element_rows(fit.sensitivity(evaluation.sensor.unit), evaluation.name)
+
+
+def curve_rows(evaluation: CampaignEvaluation) -> Iterator[Row]:
+    """One row per frequency and element of the curves; what is not relative to a static sensitivity is `nan` there."""
+    for point in curve_points(evaluation):
+        element, relative = point.element, point.relative
+        head: Row = [point.frequency_hz, point.channel, point.component, *polar_cells(element)]
+        expanded: Row = [element.k, element.expanded_magnitude, element.expanded_phase_rad]
+        ratio: Row = [np.nan] * 3
+        if relative is not None:
+            ratio = [relative.magnitude, relative.u_magnitude, relative.expanded_magnitude]
+        yield [*head, *expanded, *ratio, point.unit, point.recordings, point.mountings, point.kind]
 
 
 def crosstalk_rows(found: CrossTalk) -> Iterator[Row]:

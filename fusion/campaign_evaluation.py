@@ -5,10 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
+from fusion.curve import Curve, matrix_curve, ratio_curves, relative_curve
 from fusion.drive import Drive, group_by_frequency
+from fusion.linearity import Linearity, find_linearity
+from fusion.load import LOAD_COMPONENTS
 from fusion.matrix import CrossTalk, MatrixFit, MissingExcitationError, cross_talk, fit_matrix
 from fusion.notices import Notice
 from fusion.read_results import Recorded, SensorFacts
+from fusion.repeats import Repeats, find_repeats
 from shaker.notice import Severity
 
 
@@ -17,38 +23,91 @@ class CampaignEvaluation:
     """All that several recordings of one sensor yield together.
 
     `name` of the campaign; `recorded`: what could be evaluated, in order; `failed`: why others could not, by folder;
-    `matrices` and `cross_talks` (none where rated loads are not stated): one per frequency that determines a matrix;
-    `refused`: why the other frequencies do not.
+    `curves`: ratios by driven component, then elements of matrices; `relative`: each over its static sensitivity, None
+    where none is stated; `repeats`: every excitation that was recorded more than once; `matrices` and `cross_talks`
+    (none where rated loads are not stated): one per frequency that determines a matrix; `refused`: why the other
+    frequencies do not.
     """
 
     name: str
     recorded: tuple[Recorded, ...]
     failed: Mapping[str, str]
     sensor: SensorFacts | None
+    curves: tuple[Curve, ...]
+    relative: tuple[Curve | None, ...]
+    repeats: tuple[Repeats, ...]
+    linearity: tuple[Linearity, ...]
     matrices: tuple[MatrixFit, ...]
     cross_talks: tuple[CrossTalk, ...]
     refused: tuple[Notice, ...]
     notices: tuple[Notice, ...]
 
+    @property
+    def drives(self) -> tuple[Drive, ...]:
+        """Return the driven lines of all recordings."""
+        return tuple(drive for entry in self.recorded for drive in entry.drives)
+
 
 def evaluate_campaign(name: str, recorded: Sequence[Recorded], failed: Mapping[str, str]) -> CampaignEvaluation:
     """Evaluate the recordings of a campaign together, in the order given."""
     known = distinct_names(recorded)
-    sensor, notices = _one_sensor(known)
+    sensor, several = _one_sensor(known)
     drives = [drive for entry in known for drive in entry.drives] if sensor is not None else []
+    capacity = None if sensor is None or sensor.capacity is None else sensor.capacity.tolist()
     matrices, refused = fit_matrices(drives, () if sensor is None else sensor.channels)
-    capacity = None if sensor is None else sensor.capacity
+    curves = (*ratio_curves(drives, capacity), *matrix_curves(matrices))
+    repeats = tuple(found for found in find_repeats(drives, capacity) if len(found.recordings) > 1)
+    failures = tuple(notice for notice in refused if notice.severity == "warning")
     found = [notice for fit in matrices for notice in fit.notices]
+    found += [notice for repeated in repeats for notice in repeated.notices]
     return CampaignEvaluation(
         name=name,
         recorded=known,
         failed=dict(failed),
         sensor=sensor,
+        curves=curves,
+        relative=tuple(None if sensor is None else over_static(curve, sensor) for curve in curves),
+        repeats=repeats,
+        linearity=find_linearity(drives, capacity),
         matrices=matrices,
-        cross_talks=() if capacity is None else tuple(cross_talk(fit, capacity.tolist()) for fit in matrices),
+        cross_talks=() if capacity is None else tuple(cross_talk(fit, capacity) for fit in matrices),
         refused=refused,
-        notices=(*notices, *(notice for notice in refused if notice.severity == "warning"), *found),
+        notices=(*several, *_failures(failed), *failures, *found),
     )
+
+
+def matrix_curves(fits: Sequence[MatrixFit]) -> tuple[Curve, ...]:
+    """Return the matrices of all frequencies as one curve for each set of outputs that they have."""
+    sets = dict.fromkeys(fit.channels for fit in fits)
+    return tuple(matrix_curve([fit for fit in fits if fit.channels == channels]) for channels in sets)
+
+
+def over_static(curve: Curve, sensor: SensorFacts) -> Curve | None:
+    """Return a curve over the static sensitivity, None where that is not stated."""
+    if sensor.static is None:
+        return None
+    rows = [sensor.channels.index(channel) for channel in curve.channels]
+    return relative_curve(curve, sensor.static[rows], sensor.u_static)
+
+
+def main_channel(evaluation: CampaignEvaluation, channels: Sequence[str], component: int) -> int:
+    """Return which of the outputs belongs to a load component.
+
+    The one of the same name, else the largest by static sensitivity, else the largest found.
+    """
+    sensor = evaluation.sensor
+    if LOAD_COMPONENTS[component] in channels:
+        return list(channels).index(LOAD_COMPONENTS[component])
+    if sensor is not None and sensor.static is not None:
+        rows = [sensor.channels.index(channel) for channel in channels]
+        return int(np.argmax(np.abs(sensor.static[rows, component])))
+    size = np.zeros(len(channels))
+    for curve in evaluation.curves:
+        for e, (channel, j) in enumerate(curve.elements):
+            if j == component and curve.channels[channel] in channels:
+                place = list(channels).index(curve.channels[channel])
+                size[place] = max(size[place], float(np.nanmax(np.abs(curve.value[:, e]), initial=0.0)))
+    return int(np.argmax(size))
 
 
 def distinct_names(recorded: Sequence[Recorded]) -> tuple[Recorded, ...]:
@@ -93,6 +152,14 @@ def _refusal(severity: Severity, reason: str, frequency_hz: Sequence[float]) -> 
         else f"{len(frequency_hz)} frequencies, {first:.6g} to {last:.6g} Hz"
     )
     return Notice(severity, f"no matrix at {where}: {reason}", "matrix")
+
+
+def _failures(failed: Mapping[str, str]) -> tuple[Notice, ...]:
+    """Name the recordings that could not be evaluated."""
+    if not failed:
+        return ()
+    text = f"{len(failed)} of the recordings could not be evaluated and are in no result: {', '.join(failed)}"
+    return (Notice("warning", text, "campaign"),)
 
 
 def _renamed(entry: Recorded, name: str) -> Recorded:

@@ -12,7 +12,7 @@ from fusion.provenance import Provenance, write_provenance
 from fusion.read_results import Recorded
 from fusion.results_h5 import FORMAT, write_fields, write_value
 
-JOINT_FIELDS = ("matrices", "cross_talks", "notices")
+JOINT_FIELDS = ("curves", "repeats", "linearity", "matrices", "cross_talks", "notices")
 
 
 def campaign_h5(evaluation: CampaignEvaluation, files: Sequence[str]) -> bytes:

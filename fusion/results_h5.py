@@ -86,7 +86,7 @@ def write_value(group: h5py.Group, name: str, value: Any) -> None:
 
 
 def _write_sequence(group: h5py.Group, name: str, items: Sequence[Any]) -> None:
-    """Write data classes as numbered or named groups or as a table, texts and numbers as one dataset."""
+    """Write data classes as groups or as a table, lists of texts numbered, the rest as one dataset."""
     if items and all(_is_row(item) and type(item) is type(items[0]) for item in items):
         inner = group.create_group(name, track_order=True)
         for field in fields(items[0]):
@@ -95,6 +95,10 @@ def _write_sequence(group: h5py.Group, name: str, items: Sequence[Any]) -> None:
         inner = group.create_group(name, track_order=True)
         for number, item in enumerate(items):
             write_value(inner, _label(item, number), item)
+    elif any(isinstance(item, tuple | list) and any(isinstance(inner, str) for inner in item) for item in items):
+        inner = group.create_group(name, track_order=True)
+        for number, item in enumerate(items):
+            _write_sequence(inner, f"{number:03d}", item)
     elif all(isinstance(item, str) for item in items):
         group.create_dataset(name, data=np.array(items, dtype=object), dtype=h5py.string_dtype())
     else:
