@@ -44,9 +44,11 @@ def channels_table(evaluation: Evaluation) -> Table | None:
     line, rows = main_line(evaluation), []
     for channel in evaluation.channels:
         value = complex(channel.phasors.value[line, 0])
-        element = polar(value, element_covariance(channel.phasors.covariance[line], 0))
+        element = polar(
+            value, element_covariance(channel.phasors.covariance[line], 0), float(channel.phasors.dof[line])
+        )
         factor, letter = prefix(np.array([abs(value)])) if channel.unit in PREFIXED else (1.0, "")
-        amplitude = measured(element.magnitude / factor, 2.0 * element.u_magnitude / factor, letter + channel.unit)
+        amplitude = measured(element.magnitude / factor, element.expanded_magnitude / factor, letter + channel.unit)
         rest = Markup("{} {}").format(short(channel.residual_rms / factor), typeset(letter + channel.unit))
         rows.append(
             (
@@ -60,7 +62,7 @@ def channels_table(evaluation: Evaluation) -> Table | None:
             )
         )
     head = ("channel", "DAQ", "quantity", "rate / Hz", "amplitude", "phase / rad", "residual rms")
-    caption = "Channels at the strongest line; U (k = 2) from the scatter alone"
+    caption = "Channels at the strongest line; U (95 %) from the scatter alone"
     return Table(caption, head, "lllrrrr", tuple(rows)) if rows else None
 
 

@@ -15,17 +15,13 @@ from fusion.plots.style import (
     LIGHT,
     SOURCE_COLOUR,
     SOURCE_MARKER,
-    FloatArray,
     Picture,
     drawing,
     finish,
     lay_out,
     new_figure,
 )
-from fusion.polar import element_covariance, polar, prefix, typeset
-
-ELLIPSE_95 = float(np.sqrt(-2.0 * np.log(0.05)))
-"""Radius, in standard deviations, that holds 95 % of a two-dimensional normal distribution."""
+from fusion.polar import Polar, element_covariance, polar, prefix, typeset
 
 
 def acceleration_pictures(evaluation: Evaluation) -> list[Picture]:
@@ -54,7 +50,7 @@ def draw_sources(evaluation: Evaluation, compared: list[str]) -> Picture:
         frequency = float(evaluation.accelerations[0].phasors.frequency_hz[line])
         caption = (
             f"Driven acceleration at {frequency:.4f} Hz from each kind of instrument alone, relative to the fused "
-            f"value; bars: U (k = 2) of each; band: U of the fused value, to which all of them contribute."
+            f"value; bars: U (95 %) of each; band: U of the fused value, to which all of them contribute."
         )
         return finish(figure, "sources", "Acceleration by source", caption)
 
@@ -95,29 +91,30 @@ def _usable_reference(evaluation: Evaluation, body: str) -> bool:
     if len(fused.instruments) < 2:
         return False
     element = _element(fused, main_line(evaluation), driven_component(evaluation))
-    return bool(element[0] != 0.0 and 2.0 * np.sqrt(np.trace(element[1])) < 0.5 * abs(element[0]))
+    return element is not None and element.region.half_axes[0] < 0.5 * element.magnitude
 
 
-def _element(result: Acceleration, line: int, component: int) -> tuple[complex, FloatArray]:
-    """Value and covariance (2, 2) of one component; zero where it is not determined."""
+def _element(result: Acceleration, line: int, component: int) -> Polar | None:
+    """One component with its degrees of freedom, None where it is not determined."""
     value = complex(result.phasors.value[line, component])
-    determined = bool(result.observed[line, component]) and np.isfinite(value)
-    return (value if determined else 0.0), element_covariance(result.phasors.covariance[line], component)
+    if not result.observed[line, component] or not np.isfinite(value):
+        return None
+    pair = element_covariance(result.phasors.covariance[line], component)
+    return polar(value, pair, float(result.uncertainty.dof()[line, component]))
 
 
 def _draw_deviations(left: Axes, right: Axes, results: list[Acceleration], line: int, component: int) -> None:
     """Relative amplitude and phase differences from the first result, the fused one."""
     names: list[str] = []
-    reference = _element(results[0], line, component)[0]
+    reference = complex(results[0].phasors.value[line, component])
     for result in results:
-        value, covariance = _element(result, line, component)
-        if value == 0.0:
+        element = _element(result, line, component)
+        if element is None:
             continue
-        element = polar(value, covariance)
         amplitude = 100.0 * (element.magnitude / abs(reference) - 1.0)
-        u_amplitude = 200.0 * element.u_magnitude / abs(reference)
-        phase = 1e3 * float(np.angle(value / reference))
-        u_phase = 2e3 * element.u_phase_rad
+        u_amplitude = 100.0 * element.expanded_magnitude / abs(reference)
+        phase = 1e3 * float(np.angle(complex(element.re, element.im) / reference))
+        u_phase = 1e3 * element.expanded_phase_rad
         colour, marker = SOURCE_COLOUR[result.source], SOURCE_MARKER[result.source]
         for axes, middle, half in ((left, amplitude, u_amplitude), (right, phase, u_phase)):
             axes.errorbar(middle, len(names), xerr=half, fmt=marker, color=colour)
@@ -133,20 +130,19 @@ def _draw_deviations(left: Axes, right: Axes, results: list[Acceleration], line:
 
 def _draw_plane(axes: Axes, results: list[Acceleration], line: int, component: int) -> None:
     """One component of all sources in the complex plane."""
-    found = [(result, *_element(result, line, component)) for result in results]
-    found = [entry for entry in found if entry[1] != 0.0]
+    found = [(result, element) for result in results if (element := _element(result, line, component)) is not None]
     unit = results[0].phasors.unit[component]
     axes.set_title(COMPONENTS[component])
     if not found:
         axes.text(0.5, 0.5, "not observed", ha="center", va="center", color=GREY, transform=axes.transAxes)
         axes.set_axis_off()
         return
-    factor, letter = prefix(np.array([abs(value) for _, value, _ in found]))
-    low, high = _frame(found, factor)
-    for result, value, covariance in found:
+    factor, letter = prefix(np.array([element.magnitude for _, element in found]))
+    low, high = _frame([element for _, element in found], factor)
+    for result, element in found:
         colour = SOURCE_COLOUR[result.source]
-        axes.add_patch(_ellipse(value, covariance, factor, colour))
-        axes.plot(value.real / factor, value.imag / factor, SOURCE_MARKER[result.source], color=colour, markersize=3.5)
+        axes.add_patch(_ellipse(element, factor, colour))
+        axes.plot(element.re / factor, element.im / factor, SOURCE_MARKER[result.source], color=colour, markersize=3.5)
     axes.plot(0.0, 0.0, "+", color=BLACK, markersize=8)
     axes.set_aspect("equal", adjustable="box")
     axes.set_xlim(low.real, high.real)
@@ -156,11 +152,12 @@ def _draw_plane(axes: Axes, results: list[Acceleration], line: int, component: i
     axes.set_ylabel(f"Im / {letter}{typeset(unit)}")
 
 
-def _frame(found: list[tuple[Acceleration, complex, FloatArray]], factor: float) -> tuple[complex, complex]:
+def _frame(found: list[Polar], factor: float) -> tuple[complex, complex]:
     """Corners of a square that holds the regions, and the origin where it is not far outside."""
-    reach = [ELLIPSE_95 * float(np.sqrt(np.linalg.eigvalsh(covariance)[-1])) for _, _, covariance in found]
     corners = [
-        (value + sign * size * (1 + 1j)) for (_, value, _), size in zip(found, reach, strict=True) for sign in (-1, 1)
+        complex(element.re, element.im) + sign * element.region.half_axes[0] * (1 + 1j)
+        for element in found
+        for sign in (-1, 1)
     ]
     points = np.array(corners) / factor
     middle = complex((points.real.max() + points.real.min()) / 2.0, (points.imag.max() + points.imag.min()) / 2.0)
@@ -173,10 +170,9 @@ def _frame(found: list[tuple[Acceleration, complex, FloatArray]], factor: float)
     return middle - half * (1 + 1j), middle + half * (1 + 1j)
 
 
-def _ellipse(value: complex, covariance: FloatArray, factor: float, colour: str) -> Ellipse:
+def _ellipse(element: Polar, factor: float, colour: str) -> Ellipse:
     """95 % region of a complex value."""
-    variance, axes = np.linalg.eigh(covariance)
-    height, width = 2.0 * ELLIPSE_95 * np.sqrt(np.maximum(variance, 0.0)) / factor
-    angle = float(np.degrees(np.arctan2(axes[1, 1], axes[0, 1])))
-    centre = (value.real / factor, value.imag / factor)
-    return Ellipse(centre, float(width), float(height), angle=angle, facecolor="none", edgecolor=colour, linewidth=1.1)
+    region = element.region
+    width, height = (2.0 * axis / factor for axis in region.half_axes)
+    centre, angle = (element.re / factor, element.im / factor), float(np.degrees(region.angle_rad))
+    return Ellipse(centre, width, height, angle=angle, facecolor="none", edgecolor=colour, linewidth=1.1)

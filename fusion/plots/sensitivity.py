@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
 
 from fusion.evaluation import Evaluation
 from fusion.highlights import LOAD_COMPONENTS, driven_channel, driven_component, main_line, static_sensitivity
@@ -76,20 +77,20 @@ def driven_curve(evaluation: Evaluation) -> Curve:
 
 
 def draw_curve(curve: Curve) -> Picture:
-    """Magnitude and phase of one element over frequency with U (k = 2), and the static value."""
+    """Magnitude and phase of one element over frequency with U (95 %), and the static value."""
     with drawing("sensitivity"):
         figure = new_figure(4.3)
         upper, lower = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [1.5, 1.0]})
         shown = [
             k
             for k, point in enumerate(curve.points)
-            if point.u_magnitude < HARMONIC_SHOWN_BELOW / 2.0 * point.magnitude
+            if point.expanded_magnitude < HARMONIC_SHOWN_BELOW * point.magnitude
         ]
         factor = _power_of_ten(curve)
         magnitude = np.array([point.magnitude for point in curve.points]) / factor
-        u_magnitude = np.array([2.0 * point.u_magnitude for point in curve.points]) / factor
+        u_magnitude = np.array([point.expanded_magnitude for point in curve.points]) / factor
         phase = np.array([point.phase_rad for point in curve.points])
-        u_phase = np.array([2.0 * point.u_phase_rad for point in curve.points])
+        u_phase = np.array([point.expanded_phase_rad for point in curve.points])
         _points(upper, curve, shown, magnitude, u_magnitude)
         _points(lower, curve, shown, phase, u_phase)
         _limits(upper, shown, magnitude, u_magnitude, None if curve.static is None else abs(curve.static) / factor)
@@ -105,7 +106,7 @@ def draw_curve(curve: Curve) -> Picture:
         lay_out(figure, [upper, lower], right=0.75, left=0.8, label=0.62)
         hidden = len(curve.points) - len(shown)
         omitted = f" {hidden} line(s) with U above {HARMONIC_SHOWN_BELOW:.0%} are in the table only." if hidden else ""
-        caption = f"Complex sensitivity, {curve.label}: magnitude and phase; bars: U (k = 2).{omitted}"
+        caption = f"Complex sensitivity, {curve.label}: magnitude and phase; bars: U (95 %).{omitted}"
         return finish(figure, "sensitivity", "Sensitivity over frequency", caption)
 
 
@@ -118,20 +119,21 @@ def draw_outputs(evaluation: Evaluation) -> Picture:
     scale, what = _output_scale(evaluation, driven, component)
     elements = [sensitivity_element(found, line, c, component) for c in range(len(found.channels))]
     size = 100.0 * np.array([element.magnitude for element in elements]) / scale
-    expanded = 200.0 * np.array([element.u_magnitude for element in elements]) / scale
+    expanded = 100.0 * np.array([_reach(element) for element in elements]) / scale
+    bound = np.array([element.region.holds_zero for element in elements])
     with drawing("outputs"):
         figure = new_figure(0.9 + 0.3 * len(size))
         axes = figure.subplots()
-        _draw_levels(axes, size, expanded, driven)
+        _draw_levels(axes, size, expanded, driven, bound)
         axes.set_yticks(range(len(size)), [f"output {name}" for name in found.channels])
         axes.set_ylim(len(size) - 0.4, -0.6)
         axes.set_xlabel(f"{what} / %")
         lay_out(figure, [axes], left=1.1)
         load = LOAD_COMPONENTS[component]
         caption = (
-            f"All outputs under the {load} load at {found.frequency_hz[line]:.4f} Hz, {what}; bars: U (k = 2). An "
-            f"arrow is an upper bound where the signal is below its U. A cross output of one recording holds both the "
-            f"sensor's cross-talk and its answer to loads that were not meant to act."
+            f"All outputs under the {load} load at {found.frequency_hz[line]:.4f} Hz, {what}; bars: U (95 %). An "
+            f"arrow is an upper bound where the output is not distinguishable from 0. A cross output of one recording "
+            f"holds both the sensor's cross-talk and its answer to loads that were not meant to act."
         )
         return finish(figure, "outputs", f"All outputs under {load}", caption)
 
@@ -227,11 +229,15 @@ def _output_scale(evaluation: Evaluation, driven: int, component: int) -> tuple[
     return np.full(len(found.channels), size), f"ratio to output {found.channels[driven]}"
 
 
-def _draw_levels(axes: Axes, size: FloatArray, expanded: FloatArray, driven: int) -> None:
-    """Points on a logarithmic axis; where a value is below its U, an arrow from the bound."""
+def _reach(element: Polar) -> float:
+    """U of a magnitude; where the value may be zero, how far its region reaches beyond it."""
+    return element.region.half_axes[0] if element.region.holds_zero else element.expanded_magnitude
+
+
+def _draw_levels(axes: Axes, size: FloatArray, expanded: FloatArray, driven: int, bound: NDArray[np.bool_]) -> None:
+    """Points on a logarithmic axis; where a value may be zero (`bound`), an arrow from the end of its region."""
     axes.set_xscale("log")
     decades(axes.xaxis)
-    bound = size <= expanded
     for place, (value, half) in enumerate(zip(size, expanded, strict=True)):
         colour = BLACK if place == driven else BLUE
         if bound[place]:
