@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,8 @@ from fusion.sensitivity import Sensitivity
 from shaker.signals.phasor import Phasors
 
 SENSITIVITY_FILE, ACCELERATION_FILE, LOAD_FILE = "sensitivity.csv", "acceleration.csv", "load.csv"
+POLAR_COLUMNS = ("magnitude", "phase_rad", "u_magnitude", "u_phase_rad", "re", "im", "u_re", "u_im", "r", "dof")
+"""Columns of a complex value in sensitivity.csv, in the order of the fields of `Polar`."""
 SENSITIVITY_COLUMNS = [
     "frequency_hz",
     "channel",
@@ -109,6 +111,11 @@ def sensitivity_element(sensitivity: Sensitivity, line: int, channel: int, compo
     """One element of the sensitivity at one line, as magnitude and phase."""
     place = line, channel, component
     return polar(complex(sensitivity.value[place]), sensitivity.covariance[place], float(sensitivity.dof[place]))
+
+
+def row_element(row: Mapping[str, str]) -> Polar:
+    """One element of a sensitivity.csv, from the texts of its row."""
+    return Polar(*(float(row[name]) for name in POLAR_COLUMNS))
 
 
 def acceleration_rows(evaluation: Evaluation) -> Iterator[Row]:

@@ -6,18 +6,17 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from fusion.console import stdout_console
+from fusion.coverage import region_factor
 from fusion.job import Outcome
-from fusion.polar import rounded
-from fusion.results_csv import SENSITIVITY_FILE, read_rows
+from fusion.polar import Polar, rounded
+from fusion.results_csv import SENSITIVITY_FILE, read_rows, row_element
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-COVERAGE_FACTOR = 2.0
-
 
 def print_outcomes(outcomes: Sequence[Outcome]) -> None:
-    """Print one block per recording: its sensitivity with expanded uncertainty (k = 2) and the path of its report."""
+    """Print one block per recording: its sensitivity with expanded uncertainty and the path of its report."""
     console = stdout_console()
     for outcome in outcomes:
         if outcome.error is not None:
@@ -30,27 +29,42 @@ def print_outcomes(outcomes: Sequence[Outcome]) -> None:
 
 
 def sensitivity_table(rows: Sequence[dict[str, str]]) -> Table:
-    """Return the rows of a sensitivity.csv as a table with U at k = 2, two significant digits of it."""
+    """Return the rows of a sensitivity.csv as a table with U = k·u for 95 %, two significant digits of it.
+
+    Of a value that is not distinguishable from 0 the half-axes of its region stand in place of magnitude and phase.
+    """
     from rich.table import Table
 
     names = dict.fromkeys(row["recording"] for row in rows)
-    table = Table(title=f"Sensitivity, {', '.join(names)} (U: expanded uncertainty, k = 2)", title_justify="left")
+    table = Table(title=f"Sensitivity, {', '.join(names)} (U = k·u, 95 %)", title_justify="left")
     table.add_column("frequency / Hz", justify="right")
     table.add_column("element")
     table.add_column("magnitude ± U", justify="right")
     table.add_column("unit")
     table.add_column("phase ± U / rad", justify="right")
+    table.add_column("k", justify="right")
     table.add_column("kind")
     for row in rows:
-        magnitude = _with_u(float(row["magnitude"]), float(row["u_magnitude"]))
-        phase = _with_u(float(row["phase_rad"]), float(row["u_phase_rad"]))
-        element = f"{row['channel']} / {row['component']}"
-        table.add_row(f"{float(row['frequency_hz']):.4f}", element, magnitude, row["unit"], phase, row["kind"])
+        name = f"{row['channel']} / {row['component']}"
+        magnitude, phase, factor = _cells(row_element(row))
+        table.add_row(f"{float(row['frequency_hz']):.4f}", name, magnitude, row["unit"], phase, factor, row["kind"])
     return table
 
 
-def _with_u(value: float, u: float) -> str:
+def _cells(element: Polar) -> tuple[str, str, str]:
+    """Magnitude and phase with U, and k."""
+    if not element.region.holds_zero:
+        magnitude = _with_u(element.magnitude, element.expanded_magnitude)
+        return magnitude, _with_u(element.phase_rad, element.expanded_phase_rad), f"{element.k:.2f}"
+    large, small = element.region.half_axes
+    first = rounded(large, large)
+    second = rounded(small, large, first.exponent)
+    pair = f"(region ± {first.value}, ± {second.value})" + (f"e{first.exponent:d}" if first.exponent else "")
+    return pair, "not distinguishable from 0", f"{region_factor(element.dof):.2f}"
+
+
+def _with_u(value: float, expanded: float) -> str:
     """Return value ± U with the power of ten they share."""
-    text = rounded(value, COVERAGE_FACTOR * u)
+    text = rounded(value, expanded)
     pair = f"{text.value} ± {text.expanded}"
     return f"({pair})e{text.exponent:d}" if text.exponent else pair
