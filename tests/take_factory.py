@@ -115,10 +115,10 @@ def signals(shot: Shot, rng: np.random.Generator) -> dict[str, NDArray[np.float6
     return values
 
 
-def write_shot(path: Path, values: Mapping[str, NDArray[np.float64]]) -> None:
+def write_shot(path: Path, values: Mapping[str, NDArray[np.float64]], rate_hz: float = RATE_HZ) -> None:
     """Write a take's samples."""
     with h5py.File(path, "w") as file:
-        file.attrs["sample_rate"] = RATE_HZ
+        file.attrs["sample_rate"] = rate_hz
         for name, samples in values.items():
             file[name] = samples
 
