@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from take_factory import (
-    BASE_Z,
     FREQUENCY_HZ,
     HEAD,
     LOAD,
@@ -95,7 +94,7 @@ def _write(folder: Path) -> Path:
     text = HEAD.format(harmonics="[1]")
     for number, look in enumerate(LOOKS, 1):
         time_s = np.arange(SAMPLES) / RATE_HZ
-        drive = _sine(look.level * BASE_Z / 98.1, time_s) + 1e-5 * rng.normal(size=SAMPLES)
+        drive = _sine(look.level * BASE[2] / 98.1, time_s) + 1e-5 * rng.normal(size=SAMPLES)
         write_shot(recording / f"{number}.h5", {"camera": _trigger(time_s), "drive": drive}, RATE_HZ)
         bridge_s = np.arange(int(SAMPLES / RATE_HZ * BRIDGE_RATE_HZ) - 300) / BRIDGE_RATE_HZ + 0.0031 * number
         force = _sine(look.level * SENSITIVITY * MASS_KG * LOAD[2] / 1e-3, bridge_s)
