@@ -121,4 +121,5 @@ def _other_loads(
     driven = int(np.argmax(np.abs(static[:, component])))
     line = int(np.argmax(np.nan_to_num(np.abs(load.value[:, component]))))
     where = f"output {channels[driven]} at {outputs.phasors.frequency_hz[line]:.6g} Hz"
-    return other_loads(outputs, load, static, component).notices(line, driven, where)
+    shares = other_loads(outputs, load, static, component, sensor.static_sensitivity_uncertainty)
+    return shares.notices(line, driven, where)

@@ -109,11 +109,11 @@ def _slope(value: float) -> str:
 def other_loads_table(evaluation: Evaluation) -> Table | None:
     """What the other load components explain of each output at the strongest line, by the static sensitivity."""
     found, outputs, load = evaluation.sensitivity, evaluation.outputs, evaluation.load
-    static = static_sensitivity(evaluation)
-    if found is None or outputs is None or load is None or static is None:
+    sensor, static = evaluation.manifest.rig.sensor, static_sensitivity(evaluation)
+    if found is None or outputs is None or load is None or sensor is None or static is None:
         return None
     line, component = main_line(evaluation), driven_component(evaluation)
-    shares = other_loads(outputs, load, static, component)
+    shares = other_loads(outputs, load, static, component, sensor.static_sensitivity_uncertainty)
     rows = [_share_row(shares, line, c, name) for c, name in enumerate(outputs.phasors.channels)]
     frequency = f"{found.frequency_hz[line]:.4f}"
     head = ("output", "in phase / %", "across / %", "k", "dof")

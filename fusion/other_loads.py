@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fusion.estimate import real_design
-from fusion.load import LoadResult
+from fusion.estimate import real_design, real_stack
+from fusion.load import LOAD_COMPONENTS, LoadResult
 from fusion.notices import Notice
 from fusion.outputs import Outputs
 from fusion.polar import Polar, element_covariance, polar, rounded
 from fusion.sensitivity import quotient
-from fusion.uncertainty import Uncertainty
+from fusion.uncertainty import Influence, Uncertainty
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -51,17 +52,36 @@ class OtherLoads:
         return (Notice("info", text, "sensitivity"),)
 
 
-def other_loads(outputs: Outputs, load: LoadResult, static: ArrayLike, component: int) -> OtherLoads:
+def other_loads(
+    outputs: Outputs, load: LoadResult, static: ArrayLike, component: int, u_static: float = 0.0
+) -> OtherLoads:
     """Return z = Σ_{j≠d} S_cj L_j / U_c over the load components j other than the driven one d.
 
-    `static` (C, 6): static sensitivity of the channels, taken as exact. dz = Σ S_cj dL_j / U_c - z dU_c / U_c, with
-    unknowns that act on both as one; components of the motion that nobody observed are in L at zero with their
-    uncertainty.
+    `static` (C, 6): static sensitivity of the channels; `u_static`: relative standard uncertainty of each element by
+    itself. dz = Σ (S_cj dL_j + dS_cj L_j) / U_c - z dU_c / U_c, with unknowns that act on both load and outputs as one;
+    components of the motion that nobody observed are in L at zero with their uncertainty.
     """
     matrix = np.array(static, dtype=np.complex128)
     matrix[:, component] = 0.0
     signal = outputs.phasors.value
     slope = quotient(matrix, np.broadcast_to(signal[:, :, None], (*signal.shape, 6)))
-    value = np.einsum("kcj,kj->kc", slope, load.value)
+    parts = slope * load.value[:, None, :]
+    value = np.sum(parts, axis=2)
     from_load = load.uncertainty.transformed(real_design(slope))
-    return OtherLoads(value, from_load.plus(outputs.uncertainty.scaled(quotient(-value, signal))))
+    total = from_load.plus(outputs.uncertainty.scaled(quotient(-value, signal)))
+    own = tuple(
+        _static_influence(parts[:, channel, j], channel, j, outputs.phasors.channels, u_static)
+        for channel, j in np.argwhere(matrix != 0.0).tolist()
+        if u_static > 0.0
+    )
+    return OtherLoads(value, Uncertainty(total.random, (*total.influences, *own)))
+
+
+def _static_influence(
+    part: ComplexArray, channel: int, component: int, channels: Sequence[str], u_static: float
+) -> Influence:
+    """One element of the static sensitivity, which explains `part` (K,) of a channel's output."""
+    change = np.zeros((len(part), len(channels)), dtype=np.complex128)
+    change[:, channel] = u_static * part
+    name = f"static sensitivity {channels[channel]} per {LOAD_COMPONENTS[component]}"
+    return Influence(name, "static sensitivity", u_static, "1", real_stack(change), "rig")
