@@ -234,10 +234,10 @@ def _sensitivity_headlines(evaluation: Evaluation, line: int, component: int) ->
     static = static_value(evaluation, channel, component)
     remark = _relative(element)
     if static is not None:
-        sensor, size = evaluation.manifest.rig.sensor, element.magnitude / abs(static)
+        sensor, relative = evaluation.manifest.rig.sensor, element.magnitude / abs(static)
         u_static = 0.0 if sensor is None else sensor.static_sensitivity_uncertainty
-        share = 100.0 * (size - 1.0)
-        u_share = 100.0 * element.k * float(np.hypot(element.u_magnitude / abs(static), size * u_static))
+        share = 100.0 * (relative - 1.0)
+        u_share = 100.0 * element.k * float(np.hypot(element.u_magnitude / abs(static), relative * u_static))
         remark += f"; from static: {measured(share, u_share, '%').striptags()}"
     where = f"{found.channels[channel]} per {LOAD_COMPONENTS[component]}, {found.frequency_hz[line]:.4f} Hz"
     size = measured(element.magnitude, element.expanded_magnitude, unit)
