@@ -13,7 +13,7 @@ from fusion.consistency import fails
 from fusion.drive import FREQUENCY_TOLERANCE, LOADS, Drive
 from fusion.load import LOAD_COMPONENTS
 from fusion.matrix.rank import Excitation, excitation, require_six
-from fusion.matrix.solve import Solution, solve
+from fusion.matrix.solve import Solution, judge, solve
 from fusion.matrix.stack import Stack, stack_drives
 from fusion.notices import Notice
 from fusion.sensitivity import Sensitivity
@@ -27,6 +27,8 @@ IntArray = NDArray[np.int64]
 DISAGREEMENT = "disagreement of the recordings"
 DISCREPANCY_RANGE = (1e-9, 10.0)
 RANK_TOLERANCE = 1e-9
+FAR = 100.0
+"""Chi-square per degree of freedom beyond which readings are not described by what is stated."""
 
 
 @dataclass(frozen=True)
@@ -111,15 +113,13 @@ def fit_matrix(
         raise ValueError("drives: expected an output recorded under six independent loads, found none")
     notices = _left_out([name for c, name in enumerate(wanted) if c not in kept])
     stack = stack_drives(drives, [wanted[c] for c in kept])
-    first = solve(stack)
-    tau = _discrepancy(stack, first)
-    solution = first if tau == 0.0 else solve(stack, _spread(stack, first, tau))
+    solution, first, tau = _solve(stack)
     agreement = _agreement(stack, first)
     fit = MatrixFit(
         frequency_hz=stack.frequency_hz,
         channels=stack.channels,
         value=solution.matrix * stack.output_size[:, None] / stack.load_size,
-        uncertainty=_uncertainty(stack, solution, None if tau == 0.0 else _spread(stack, first, tau)),
+        uncertainty=_uncertainty(stack, solution, tau),
         load_size=stack.load_size,
         excitation=found,
         chi2=first.chi2,
@@ -165,27 +165,42 @@ def _agreement(stack: Stack, solution: Solution) -> tuple[Agreement, ...]:
     return tuple(found)
 
 
-def _spread(stack: Stack, solution: Solution, tau: float) -> FloatArray:
+def _solve(stack: Stack) -> tuple[Solution, Solution, float]:
+    """Solution, what stated uncertainties alone say of it, and the relative disagreement it needs (0: none)."""
+    start = judge(stack)
+    if start.chi2 < FAR * max(start.dof, 1):
+        plain = solve(stack)
+        if not fails(plain.chi2, plain.dof):
+            return plain, plain, 0.0
+    solution, tau = _disagreeing(stack)
+    return solution, judge(stack, solution), tau
+
+
+def _spread(stack: Stack, tau: float) -> FloatArray:
     """Standard deviations (R, C) of real and imaginary parts of the outputs for a relative disagreement."""
-    largest = np.max(np.abs(solution.matrix), axis=1)
-    return np.asarray(tau * np.linalg.norm(stack.load, axis=1)[:, None] * largest)
+    matrix = judge(stack).matrix
+    return np.asarray(tau * np.linalg.norm(stack.load, axis=1)[:, None] * np.max(np.abs(matrix), axis=1))
 
 
-def _discrepancy(stack: Stack, first: Solution) -> float:
-    """Relative disagreement that makes chi-square equal its degrees of freedom, 0 where the test passes."""
-    if not fails(first.chi2, first.dof):
-        return 0.0
+def _disagreeing(stack: Stack) -> tuple[Solution, float]:
+    """Solution with the least relative disagreement that makes chi-square its degrees of freedom, from above."""
+    unit = _spread(stack, 1.0)
 
     def excess(log_tau: float) -> float:
-        return solve(stack, _spread(stack, first, float(np.exp(log_tau)))).chi2 - first.dof
+        found = solve(stack, float(np.exp(log_tau)) * unit)
+        return found.chi2 - found.dof
 
-    low, high = np.log(DISCREPANCY_RANGE)
+    high, lowest = np.log(DISCREPANCY_RANGE[::-1])
     if excess(high) > 0.0:
         raise ValueError("drives: expected recordings of one sensor, found outputs that no matrix describes")
-    return float(np.exp(brentq(excess, low, high, xtol=1e-2)))
+    low = high - 1.0
+    while low > lowest and excess(low) < 0.0:
+        low, high = low - 1.0, low
+    tau = float(np.exp(brentq(excess, low, high, xtol=1e-2)))
+    return solve(stack, tau * unit), tau
 
 
-def _uncertainty(stack: Stack, solution: Solution, spread: FloatArray | None) -> Uncertainty:
+def _uncertainty(stack: Stack, solution: Solution, tau: float) -> Uncertainty:
     """Uncertainty of the 6C elements in their units: readings' own errors, shared unknowns, disagreement."""
     usable = np.tile(stack.usable, (1, 2))
     parts: list[Contribution] = []
@@ -194,8 +209,8 @@ def _uncertainty(stack: Stack, solution: Solution, spread: FloatArray | None) ->
         gain[:, usable[r]] = solution.gain[:, solution.drive == r]
         parts += stack.output_noise[r].transformed(gain[None]).random
         parts += stack.load_noise[r].transformed(-(gain @ solution.through[r])[None]).random
-    if spread is not None:
-        parts.append(_disagreement(stack, solution, spread))
+    if tau > 0.0:
+        parts.append(_disagreement(stack, solution, _spread(stack, tau)))
     effects = solution.effects.T @ solution.gain.T
     influences = tuple(
         replace(unknown, effect=effect[None]) for unknown, effect in zip(stack.unknowns, effects, strict=True)

@@ -49,8 +49,8 @@ class Excitation:
     """How strongly R drives excite six independent loads.
 
     `singular` (6,): of the loads whitened by their covariance, largest first: amplitude of an independent load in its
-    standard uncertainties; `share` (6,): singular values of the loads in units of their own size, relative to the
-    largest. `missing`: components that are not excited, alone or only in fixed proportion.
+    standard uncertainties; `share` (6,): singular values of the loads, every component in units of its own size,
+    relative to the largest. `missing`: components that are not excited, alone or only in fixed proportion.
     """
 
     singular: FloatArray
@@ -68,8 +68,9 @@ def excitation(stack: Stack, drives: Sequence[int] | NDArray[np.int64] | None = 
 
     With w_r the loads and Γ_r their complex covariances, the whitened singular values are the roots of
     vᴴ(Σ w̄_r w_rᵀ)v / vᴴ(Σ Γ̄_r)v at its extremes, a generalised eigenvalue problem: a direction v that is not excited
-    has about 1. A direction counts as excited at `LEAST_SINGULAR` standard uncertainties and `LEAST_SHARE` of the
-    largest excitation.
+    has 1 or less. A direction counts as excited where vᴴ(Σ w̄_r w_rᵀ)v exceeds the squares of both `LEAST_SINGULAR`
+    standard uncertainties and `LEAST_SHARE` of the largest excitation; the others are the negative eigenspace of the
+    difference.
     """
     from scipy.linalg import eigh
 
@@ -77,22 +78,26 @@ def excitation(stack: Stack, drives: Sequence[int] | NDArray[np.int64] | None = 
     load = stack.load[chosen]
     signal = load.conj().T @ load
     noise = np.sum(_complex_covariance(stack.load_covariance()[chosen]).conj(), axis=0)
-    noise = noise + FLOOR**2 * np.trace(signal).real / LOADS * np.eye(LOADS)
-    values, vectors = eigh(signal, noise)
-    singular = np.sqrt(np.maximum(values, 0.0))
-    _, sizes, right = np.linalg.svd(np.concatenate([load, np.zeros((LOADS, LOADS))]))
-    share = sizes[:LOADS] / sizes[0] if sizes[0] > 0.0 else np.zeros(LOADS)
-    lacking = np.concatenate([vectors[:, singular < LEAST_SINGULAR], right[share < LEAST_SHARE].conj().T], axis=1)
-    return Excitation(singular[::-1], share, _missing(_projector(lacking)))
+    # Components in units of what is there of them, load or uncertainty, so that none is large or small by itself.
+    size = np.sqrt(np.diag(signal).real + np.diag(noise).real)
+    size = np.where(size > 0.0, size, 1.0)
+    signal, noise = signal / np.outer(size, size), noise / np.outer(size, size) + FLOOR**2 * np.eye(LOADS)
+    singular = np.sqrt(np.maximum(eigh(signal, noise, eigvals_only=True), 0.0))[::-1]
+    share = np.sqrt(np.maximum(np.linalg.eigvalsh(signal), 0.0))[::-1]
+    least = LEAST_SINGULAR**2 * noise + (LEAST_SHARE * share[0]) ** 2 * np.eye(LOADS)
+    values, vectors = np.linalg.eigh(signal - least)
+    lacking = vectors[:, values < 0.0]
+    missing = _missing(np.asarray(lacking @ lacking.conj().T))
+    return Excitation(singular, share / (share[0] if share[0] > 0.0 else 1.0), missing)
 
 
 def require_six(found: Excitation, drives: int) -> None:
     """Raise `MissingExcitationError` unless the drives excite six independent loads, saying what to add."""
     if found.determines:
         return
-    told = " and ".join(_told(group) for group in found.missing)
+    told = ", nor ".join(_told(group) for group in found.missing)
     wanted = "; ".join(_remedy(group) for group in found.missing)
-    text = f"drives: expected loads in six independent directions, found {drives} drives that do not excite {told}"
+    text = f"drives: expected loads in six independent directions, found {drives} that do not excite {told}"
     raise MissingExcitationError(f"{text}; add {wanted}", found.missing)
 
 
@@ -102,15 +107,6 @@ def _complex_covariance(covariance: FloatArray) -> ComplexArray:
     re, im = covariance[:, :half, :half], covariance[:, half:, half:]
     cross = covariance[:, half:, :half] - covariance[:, :half, half:]
     return np.asarray(re + im + 1j * cross)
-
-
-def _projector(vectors: ComplexArray) -> ComplexArray:
-    """Projector (6, 6) on the span of columns."""
-    if not vectors.shape[1]:
-        return np.zeros((LOADS, LOADS), np.complex128)
-    left, sizes, _ = np.linalg.svd(vectors / np.linalg.norm(vectors, axis=0), full_matrices=False)
-    basis = left[:, sizes > MEMBER * sizes[0]]
-    return np.asarray(basis @ basis.conj().T)
 
 
 def _missing(projector: ComplexArray) -> tuple[tuple[str, ...], ...]:
@@ -131,14 +127,16 @@ def _missing(projector: ComplexArray) -> tuple[tuple[str, ...], ...]:
 
 def _told(group: tuple[str, ...]) -> str:
     """A missing excitation in words."""
-    if len(group) == 1:
-        return group[0]
-    return f"{', '.join(group[:-1])} and {group[-1]} but together"
+    return group[0] if len(group) == 1 else f"{_listed(group)} other than together"
 
 
 def _remedy(group: tuple[str, ...]) -> str:
     """What would add a missing excitation."""
     if len(group) == 1:
         return HOW[group[0]]
-    names = f"{', '.join(group[:-1])} and {group[-1]}"
-    return f"a recording with {names} in another proportion, such as {HOW[group[-1]].removeprefix('a recording ')}"
+    return f"{HOW[group[-1]]}, so that {_listed(group)} are in another proportion"
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    """Names in a sentence."""
+    return f"{', '.join(names[:-1])} and {names[-1]}"

@@ -85,15 +85,28 @@ def solve(stack: Stack, discrepancy: FloatArray | None = None) -> Solution:
     loads (York 1969, Earth Planet. Sci. Lett. 5, 320, for a line). `discrepancy` (R, C): further standard deviations
     of the real and the imaginary part of the outputs.
     """
-    point = _start(stack)
     extra = np.zeros(stack.output.shape) if discrepancy is None else discrepancy
+    solution = _from(stack, _start(stack), extra)
     for _ in range(ITERATIONS):
-        linear = _linearise(stack, point)
-        solution = _step(stack, point, linear, extra)
         if solution.step <= CONVERGED:
             return solution
-        point = _Point(solution.matrix, solution.load, solution.errors)
+        solution = _from(stack, _Point(solution.matrix, solution.load, solution.errors), extra)
     raise ValueError(f"drives: expected loads that determine a matrix, found none after {ITERATIONS} iterations")
+
+
+def judge(stack: Stack, solution: Solution | None = None) -> Solution:
+    """Return one step from a solution, or from the start, with stated uncertainties only: what they say of it.
+
+    Where readings disagree a thousandfold, the greatest likelihood drives the unknowns far beyond where the model is
+    linear, and what it says of a single reading is meaningless; one step does not.
+    """
+    point = _start(stack) if solution is None else _Point(solution.matrix, solution.load, solution.errors)
+    return _from(stack, point, np.zeros(stack.output.shape))
+
+
+def _from(stack: Stack, point: _Point, discrepancy: FloatArray) -> Solution:
+    """One step from a point."""
+    return _step(stack, point, _linearise(stack, point), discrepancy)
 
 
 def _start(stack: Stack) -> _Point:
