@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 
 from fusion import campaign_tables as tables
+from fusion.campaign_curves import curve_pictures, curve_table, headlines, main_points, output_pictures
 from fusion.campaign_evaluation import CampaignEvaluation
 from fusion.campaign_h5 import campaign_origin
+from fusion.campaign_points import curve_points
 from fusion.matrix import LEAST_SINGULAR, CrossTalk
 from fusion.notices import warnings_first
 from fusion.page import render_page
@@ -29,21 +31,22 @@ def render_campaign(evaluation: CampaignEvaluation) -> str:
 def _context(evaluation: CampaignEvaluation) -> dict[str, Any]:
     """Everything the template shows."""
     origin = campaign_origin(evaluation.recorded, ())
+    mains = main_points(evaluation, curve_points(evaluation))
     return {
         "name": evaluation.name,
         "subject": _subject(evaluation),
-        "headlines": [],
+        "headlines": headlines(evaluation, mains),
         "notices": warnings_first(evaluation.notices),
-        "curves": [],
-        "curve": None,
-        "outputs": [],
+        "curves": curve_pictures(evaluation, mains),
+        "curve": curve_table(mains),
+        "outputs": output_pictures(evaluation),
         "maps": crosstalk_pictures(evaluation),
         "crosstalk": tables.crosstalk_tables(evaluation),
         "rank": tables.rank_sentences(evaluation),
         "excitations": excitation_pictures(evaluation),
         "agreement": tables.agreement_table(evaluation),
-        "repeats": None,
-        "linearity": None,
+        "repeats": tables.repeats_table(evaluation),
+        "linearity": tables.linearity_table(evaluation),
         "recordings": tables.recording_rows(evaluation),
         "origin": provenance_tables(origin),
         "inputs": inputs_table(origin),

@@ -1,4 +1,4 @@
-"""The tables of a campaign's page: every number rounded to its expanded uncertainty."""
+"""The tables of a campaign's page: recordings, matrices, repeats and linearity."""
 
 from __future__ import annotations
 
@@ -9,12 +9,15 @@ from urllib.parse import quote
 import numpy as np
 from markupsafe import Markup
 
-from fusion.campaign_evaluation import CampaignEvaluation
+from fusion.campaign_evaluation import CampaignEvaluation, main_channel
+from fusion.linearity import Linearity
+from fusion.load import LOAD_COMPONENTS, LOAD_UNITS
 from fusion.matrix import LEAST_SINGULAR, CrossTalk, MatrixFit
-from fusion.polar import DASH
+from fusion.polar import DASH, element_covariance, polar, typeset
 from fusion.read_results import Recorded
+from fusion.repeats import Repeats
 from fusion.report import REPORT_FILE
-from fusion.report_numbers import fixed, number
+from fusion.report_numbers import fixed, number, small
 from fusion.report_tables import Table
 
 
@@ -70,6 +73,75 @@ def rank_sentences(evaluation: CampaignEvaluation) -> list[str]:
     """What the excitations determine, or what is missing."""
     told = [_determined(evaluation.matrices)] if evaluation.matrices else []
     return told + [_sentence(notice.text) for notice in evaluation.refused]
+
+
+def repeats_table(evaluation: CampaignEvaluation) -> Table | None:
+    """What recordings and mountings of one excitation scatter by, for the output that belongs to the load."""
+    rows = tuple(_repeats_row(evaluation, found) for found in evaluation.repeats)
+    head = ("frequency / Hz", "load", "amplitude", "recordings", "mountings", "within / %", "between / %", "U / %", "k")
+    caption = (
+        "Repeats: relative standard deviation of a recording (within) and of a mounting (between) beyond what is "
+        "stated for them, and U of the mean"
+    )
+    return Table(caption, head, "rlrrrrrrr", rows) if rows else None
+
+
+def linearity_table(evaluation: CampaignEvaluation) -> Table | None:
+    """How the sensitivity changes with amplitude, for the output that belongs to the load."""
+    rows = tuple(_linearity_row(evaluation, found) for found in evaluation.linearity)
+    head = (
+        "frequency / Hz",
+        "load",
+        "amplitudes",
+        "recordings",
+        "change of magnitude / %",
+        "of phase / mrad",
+        "verdict",
+    )
+    caption = "Linearity: change of the sensitivity from the smallest to the largest amplitude, with U"
+    return Table(caption, head, "rlrrrrl", rows) if rows else None
+
+
+def _repeats_row(evaluation: CampaignEvaluation, found: Repeats) -> tuple[str, ...]:
+    """One excitation that was recorded more than once."""
+    channel = main_channel(evaluation, found.channels, found.component)
+    covariance = element_covariance(found.uncertainty.covariance[0], channel)
+    element = polar(complex(found.value[channel]), covariance, float(found.uncertainty.dof()[0, channel]))
+    return (
+        f"{found.frequency_hz:.4f}",
+        LOAD_COMPONENTS[found.component],
+        f"{found.amplitude:.4g} {typeset(LOAD_UNITS[found.component])}",
+        str(len(found.recordings)),
+        str(len(set(found.mountings))),
+        _percent(found.within[channel]),
+        _percent(found.between[channel]),
+        small(100.0 * element.expanded_magnitude / element.magnitude),
+        f"{element.k:.2f}",
+    )
+
+
+def _linearity_row(evaluation: CampaignEvaluation, found: Linearity) -> tuple[str, ...]:
+    """One series of amplitudes."""
+    channel = main_channel(evaluation, found.channels, found.component)
+    change = complex(found.change[channel])
+    expanded = polar(1.0 + 0.0j, found.covariance[channel], found.dof)
+    low, high = float(np.min(found.amplitude)), float(np.max(found.amplitude))
+    return (
+        f"{found.frequency_hz:.4f}",
+        LOAD_COMPONENTS[found.component],
+        f"{low:.4g} to {high:.4g} {typeset(LOAD_UNITS[found.component])}",
+        str(len(found.recordings)),
+        fixed(100.0 * change.real, 100.0 * expanded.expanded_magnitude, 0),
+        fixed(1e3 * change.imag, 1e3 * expanded.expanded_phase_rad, 0),
+        "linear within U" if found.linear[channel] else "not linear",
+    )
+
+
+def _percent(share: float) -> str:
+    """A relative standard deviation in per cent: a dash where nothing tells it, zero where nothing is left."""
+    if not np.isfinite(share):
+        return DASH
+    return small(100.0 * share) if share > 0.0 else "0"
 
 
 def _recording_row(entry: Recorded) -> RecordingRow:

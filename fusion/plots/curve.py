@@ -38,6 +38,8 @@ IntArray = NDArray[np.int64]
 OUTPUT_COLOURS = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY)
 OUTPUT_MARKERS = ("o", "s", "D", "^", "v", "P")
 MOUNTING_MARKERS = ("o", "s", "^", "v", "D")
+BESIDE_SHARE = 0.012
+"""How far ratios stand to the left of elements of matrices, as a share of the axis."""
 SPREAD_SHARE = 0.008
 """Distance of the mountings from each other beside their frequency, as a share of the axis."""
 
@@ -239,7 +241,8 @@ def _bars(axes: Axes, curve: CurveDrawing, value: FloatArray, expanded: FloatArr
         own = curve.matrix == matrix
         if np.any(own):
             colour = ORANGE if matrix else BLUE
-            place = curve.value.frequency_hz[own]
+            aside = BESIDE_SHARE * _right_end(curve) if not matrix and np.any(curve.matrix) else 0.0
+            place = curve.value.frequency_hz[own] - aside
             axes.errorbar(
                 place, value[own], expanded[own], fmt=marker, color=colour, elinewidth=1.1, label=label, zorder=3
             )
@@ -286,6 +289,8 @@ def _legend_above(figure: Figure, panels: Sequence[Axes]) -> None:
 def _caption(curve: CurveDrawing, repeated: bool) -> str:
     """What the figure shows."""
     text = f"Complex sensitivity, {curve.label}: magnitude and phase over frequency; bars and band: U."
+    if np.any(curve.matrix) and not np.all(curve.matrix):
+        text += " Ratios stand to the left of their frequency; they contain what the other loads do."
     if not repeated:
         return text
     return (
