@@ -18,6 +18,7 @@ IntArray = NDArray[np.int64]
 
 TEST_LEVEL = 0.99
 RANK_TOLERANCE = 1e-6
+VISIBLE = 1e-4
 ITERATIONS = 100
 NOTHING = np.zeros(0)
 SMALL_READING = 0.1
@@ -32,7 +33,7 @@ class Scatter:
     """Standard deviations by which the readings of one instrument scatter beyond what is stated of them.
 
     `amplitude`, `phase` (K,): of the part in phase with the reading and of that at right angles, relative to the size
-    of the motion at the line; `dof` (K, 2): degrees of freedom of either.
+    of the motion at the line; `dof` (K,): degrees of freedom of both together, of which neither has more by itself.
     """
 
     instrument: str
@@ -99,7 +100,8 @@ def variance_components(groups: Sequence[Contrasts]) -> tuple[FloatArray, FloatA
     for group in groups:
         information = group.normal_equations(components)[0][np.ix_(kept, kept)]
         scale = np.outer(components[kept], components[kept])
-        dof[kept] = np.maximum(dof[kept], 1.0 / np.diag(np.linalg.pinv(information * scale, hermitian=True)))
+        variance = np.diag(np.linalg.pinv(information * scale, hermitian=True))
+        dof[kept] = np.maximum(dof[kept], np.divide(1.0, variance, out=np.zeros_like(variance), where=variance > 1e-9))
     return components, dof
 
 
@@ -107,7 +109,7 @@ def _not_negative(matrix: FloatArray, right: FloatArray) -> FloatArray:
     """Minimum of x^T F x - 2 b^T x over x ≥ 0; components about which the data say nothing are zero."""
     from scipy.optimize import nnls
 
-    scale = np.sqrt(np.diag(matrix))
+    scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     scale = np.where(scale > 0.0, scale, 1.0)
     values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
     kept = values > 1e-10 * values[-1]
@@ -157,7 +159,15 @@ def _scatter(observation: Observation, groups: dict[int, Contrasts], lines: int)
     together = not any(_improbable(group, pooled[0], len(groups), both=True) for group in groups.values())
     for k, group in groups.items():
         found[k], dof[k] = pooled if together else variance_components([group])
-    return Scatter(observation.title, np.sqrt(found[:, 0]), np.sqrt(found[:, 1]), dof)
+    return Scatter(observation.title, np.sqrt(found[:, 0]), np.sqrt(found[:, 1]), _joint_dof(found, dof))
+
+
+def _joint_dof(components: FloatArray, dof: FloatArray) -> FloatArray:
+    """Degrees of freedom (K,) of two variances (K, 2) together, no more than one has: their ratio is estimated too."""
+    total = np.sum(components, axis=1)
+    weighted = np.sum(components**2 / np.maximum(dof, 1e-3), axis=1)
+    joint = np.divide(total**2, weighted, out=np.full(len(total), np.inf), where=weighted > 0.0)
+    return np.where(total > 0.0, np.minimum(joint, np.max(dof, axis=1)), np.inf)
 
 
 def _improbable(group: Contrasts, components: FloatArray, tests: int, both: bool = False) -> bool:
@@ -170,19 +180,18 @@ def _improbable(group: Contrasts, components: FloatArray, tests: int, both: bool
 
 
 def scatter_covariances(system: System, acceleration: ComplexArray, found: Sequence[Scatter]) -> list[Discrepancy]:
-    """Return what the scatter of instruments adds to the covariance of the readings, amplitudes and phases apart."""
+    """Return what the scatter of instruments adds to the covariance of the readings."""
     if not found:
         return []
     sizes, parts = row_sizes(system, acceleration), []
     patterns = _own_patterns(system, acceleration, sizes)
     titles = np.array([observation.title for observation in system.observations])[system.observation]
     for scatter in found:
-        for number, (what, deviations) in enumerate((("amplitudes", scatter.amplitude), ("phases", scatter.phase))):
-            spread = np.where(titles == scatter.instrument, deviations[system.line] * sizes, 0.0)
-            if np.any(spread > 0.0):
-                label = f"{scatter.instrument}: unexplained scatter of {what}"
-                covariance = patterns[number] * np.outer(spread, spread)
-                parts.append(Discrepancy(label, covariance, scatter.dof[:, number]))
+        size = np.where(titles == scatter.instrument, sizes, 0.0)
+        if np.any(size > 0.0):
+            both = zip(patterns, (scatter.amplitude, scatter.phase), strict=True)
+            covariance = np.sum([pattern * (u**2)[system.line] for pattern, u in both], axis=0) * np.outer(size, size)
+            parts.append(Discrepancy(f"{scatter.instrument}: unexplained scatter", covariance, scatter.dof))
     return parts
 
 
@@ -244,8 +253,14 @@ def _contrasts(
         return None
     effects = solution.effects[rows]
     spread = (solution.noise[np.ix_(rows, rows)] + effects @ effects.T) / np.outer(size, size)
-    turned = np.zeros((0, 0, 0)) if patterns is None else across.T @ patterns @ across
+    turned = np.zeros((0, 0, 0)) if patterns is None else _visible(across.T @ patterns @ across, patterns)
     return Contrasts(across.T @ (system.readings[rows] / size), across.T @ spread @ across, turned)
+
+
+def _visible(turned: FloatArray, patterns: FloatArray) -> FloatArray:
+    """Patterns (C, n, n) of contrasts, zero where next to nothing of a component is left: its variance is unknowable."""
+    left = np.trace(turned, axis1=1, axis2=2) > VISIBLE * np.trace(patterns, axis1=1, axis2=2)
+    return np.where(left[:, None, None], turned, 0.0)
 
 
 def _own_patterns(system: System, acceleration: ComplexArray, sizes: FloatArray) -> FloatArray:

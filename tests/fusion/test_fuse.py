@@ -163,7 +163,7 @@ def test_one_laser_three_per_cent_off_is_named_and_covered(laser: int) -> None:
     assert "without it all others agree" in warning.text
     assert f"individual scale p{laser} would have to be 0.03 " in warning.text
     assert [test.instrument for test in result.consistency if test.suspect] == [f"p{laser}"]
-    assert any(entry.label == "laser: unexplained scatter of amplitudes" for entry in result.contributions)
+    assert any(entry.label == "laser: unexplained scatter" for entry in result.contributions)
 
 
 def test_an_artefact_at_a_harmonic_leaves_the_fundamental_alone() -> None:
