@@ -11,14 +11,16 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any, Protocol
 
+from fusion.campaign_results import write_campaign
 from fusion.cluster import connected
 from fusion.errors import InputError, is_interruption, told
 from fusion.job import Job, Outcome, run_job
 from fusion.manifest import RECORDING_NAME, find_recordings
 from fusion.output import remove_abandoned
-from fusion.results import check_campaign_folder, merge_results
+from fusion.results import check_campaign_folder
 from fusion.settings import ProgressCallback, Settings, no_progress
 from fusion.task import Answer
+from fusion.threads import one_blas_thread
 from fusion.workers import Workers
 
 RECORDINGS = "recordings"
@@ -62,7 +64,7 @@ def run_path(
     `scheduler` is the address of a Dask cluster's; where it is computed changes no digit of a result.
     """
     recordings = find_recordings(path)
-    alone = path.is_file() or (path / RECORDING_NAME).is_file()
+    alone = not is_campaign(path)
     top = (recordings[0].parent if alone else path) / "results" if output is None else output
     folders = [top] if alone else [top / recording.parent.name for recording in recordings]
     jobs = [
@@ -77,10 +79,13 @@ def run_path(
         outcomes = _run_here(jobs, progress) if crew is None else _run_elsewhere(jobs, crew, progress)
     if alone:
         return _raised(outcomes)
-    finished = [outcome.folder for outcome in outcomes if outcome.error is None]
-    if finished:
-        merge_results(finished, top)
+    _write_campaign(top, path.resolve().name, outcomes)
     return outcomes
+
+
+def is_campaign(path: Path) -> bool:
+    """Whether a path is a folder of recordings instead of one of them."""
+    return path.is_dir() and not (path / RECORDING_NAME).is_file()
 
 
 def exit_status(outcomes: Sequence[Outcome]) -> int:
@@ -146,7 +151,7 @@ def _next(heard: SimpleQueue[tuple[int, Pending]]) -> tuple[int, Pending]:
 def _received(job: Job, pending: Pending) -> Outcome:
     """Return the outcome that a task brings, in the paths that the user knows, after what it logged."""
     answer = pending.result()
-    answer.log(job.name)
+    answer.log(job.recording.absolute().parent.name)
     outcome: Outcome = answer.opened()
     return replace(outcome, recording=job.recording, folder=job.folder)
 
@@ -162,6 +167,15 @@ def _outcome(job: Job, work: Callable[[], Outcome]) -> Outcome:
         log.error("%s", failure)
         log.debug("traceback", exc_info=error)
         return Outcome(job.recording, job.folder, error=failure)
+
+
+def _write_campaign(top: Path, name: str, outcomes: Sequence[Outcome]) -> None:
+    """Write what the recordings tell together, unless all of them failed."""
+    finished = [outcome.folder for outcome in outcomes if outcome.error is None]
+    failed = {outcome.name: str(outcome.error) for outcome in outcomes if outcome.error is not None}
+    if finished:
+        with one_blas_thread():
+            write_campaign(top, name, finished, failed)
 
 
 def _raised(outcomes: tuple[Outcome, ...]) -> tuple[Outcome, ...]:

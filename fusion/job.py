@@ -28,11 +28,6 @@ class Job:
     force: bool = False
     allow_outside: bool = False
 
-    @property
-    def name(self) -> str:
-        """Name of the recording's folder."""
-        return self.recording.absolute().parent.name
-
     def placed(self) -> Job:
         """Return the job with paths that hold for a process of any working folder."""
         return replace(self, recording=self.recording.absolute(), folder=self.folder.absolute())
@@ -49,6 +44,11 @@ class Outcome:
     folder: Path
     resumed: bool = False
     error: InputError | ComputeError | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of the recording's folder."""
+        return self.recording.absolute().parent.name
 
 
 def run_job(job: Job, progress: ProgressCallback = no_progress) -> Outcome:

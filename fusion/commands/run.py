@@ -14,7 +14,7 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
     parser = commands.add_parser("run", parents=[common], help="evaluate one recording or a campaign of several")
     add_recording(parser)
     parser.add_argument(
-        "-o", "--output", type=Path, metavar="RESULTS", help="result folder (default: RECORDING/results)"
+        "-o", "--output", type=Path, metavar="RESULTS", help="folder of the results (default: RECORDING/results)"
     )
     parser.add_argument("--force", action="store_true", help="compute again and overwrite result files that are there")
     parser.add_argument(
@@ -59,7 +59,8 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
 
 
 def _act(options: argparse.Namespace) -> int:
-    from fusion.campaign import exit_status, run_path
+    from fusion.campaign import exit_status, is_campaign, run_path
+    from fusion.campaign_summary import print_campaign
     from fusion.progress import progress_bar
     from fusion.settings import Settings
     from fusion.summary import print_outcomes
@@ -81,5 +82,5 @@ def _act(options: argparse.Namespace) -> int:
             scheduler=options.scheduler,
             progress=progress,
         )
-    print_outcomes(outcomes)
+    (print_campaign if is_campaign(options.recording) else print_outcomes)(outcomes)
     return exit_status(outcomes)

@@ -102,4 +102,7 @@ def evaluated(monkeypatch: pytest.MonkeyPatch, ready_evaluation: Evaluation) -> 
 
     monkeypatch.setattr("fusion.job.evaluate_recording", evaluate)
     monkeypatch.setattr("fusion.results.render_report", lambda evaluation: f"<!doctype html>{evaluation.manifest.name}")
+    monkeypatch.setattr(
+        "fusion.campaign_results.render_campaign", lambda evaluation: f"<!doctype html>{evaluation.name}"
+    )
     return done

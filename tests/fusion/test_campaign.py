@@ -16,12 +16,14 @@ from fusion.cli import main
 from fusion.commands.values import EXIT_DONE, EXIT_FAILED, EXIT_INPUT
 from fusion.errors import ComputeError, InputError
 from fusion.job import Outcome
+from fusion.results import CAMPAIGN_FILES
 from fusion.settings import Settings
 
 Campaign = Callable[..., Path]
 Capture = pytest.CaptureFixture[str]
 NAMES = ["Fz-0106.25", "Fz-0375.90"]
 TABLES = {"sensitivity.csv", "acceleration.csv", "load.csv"}
+JOINT = set(CAMPAIGN_FILES)
 
 
 @pytest.fixture
@@ -55,7 +57,7 @@ def test_one_folder_each_and_merged_tables_at_the_top(campaign: Path, evaluated:
     assert main(["run", str(campaign)]) == EXIT_DONE
     top = campaign / "results"
     assert evaluated == NAMES
-    assert {path.name for path in top.iterdir()} == {*NAMES, *TABLES}
+    assert {path.name for path in top.iterdir()} == {*NAMES, *JOINT}
     for name in NAMES:
         assert {path.name for path in (top / name).iterdir()} == {*TABLES, "result.h5", "report.html"}
     for table in TABLES:
@@ -118,7 +120,7 @@ def test_a_recording_that_fails_does_not_stop_the_other(
     assert main(["run", str(campaign), "-q"]) == status
     (other,) = set(NAMES) - {failing}
     assert evaluated == [other]
-    assert {path.name for path in (campaign / "results").iterdir()} == {other, *TABLES}
+    assert {path.name for path in (campaign / "results").iterdir()} == {other, *JOINT}
     told = capsys.readouterr()
     assert f"shakercal: {error}\n" in told.err
     assert f"{failing}: failed, {error}" in told.out
@@ -185,7 +187,7 @@ def test_an_interrupted_campaign_goes_on_where_it_stopped(
     assert {path.name for path in (campaign / "results").iterdir()} == {NAMES[0]}
     assert main(["run", str(campaign)]) == EXIT_DONE
     assert evaluated == NAMES
-    assert {path.name for path in (campaign / "results").iterdir()} == {*NAMES, *TABLES}
+    assert {path.name for path in (campaign / "results").iterdir()} == {*NAMES, *JOINT}
 
 
 def test_results_of_changed_input_are_refused_and_force_replaces_them(
