@@ -15,7 +15,7 @@ from fusion.channels import channel_unit, line_record, lines_in
 from fusion.errors import InputError
 from fusion.manifest import Manifest
 from fusion.notices import AnyNotice
-from fusion.records import read_daqs
+from fusion.records import read_takes, take_blocks, told_in
 from fusion.timing import TimeBase, tie_daqs
 from shaker.signals.files import read_channels
 from shaker.signals.folding import alias_frequency
@@ -88,8 +88,14 @@ def lines_of_file(
 
 
 def lines_of_recording(manifest: Manifest) -> LineList:
-    """Return the lines that a run of this recording fits, all others of the same channels, and the cameras' aliases."""
-    base = tie_daqs(manifest, read_daqs(manifest))
+    """Return the lines that a run of this recording fits, all others of the same channels, and the cameras' aliases.
+
+    Of a recording in takes these are those of the first one.
+    """
+    where, block = take_blocks(manifest)[0]
+    with told_in(block.path, where):
+        first = read_takes(block)[0]
+        manifest, base = first.manifest, tie_daqs(first.manifest, first.records)
     chosen = line_record(base)
     if chosen is None:
         raise InputError(manifest.path, "daq", found="triggers only", expected="a channel that shows the excitation")

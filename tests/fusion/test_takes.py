@@ -240,3 +240,12 @@ def test_reference_at_a_weak_harmonic_leaves_that_line_to_the_other_takes(tmp_pa
     referred = {channel.name: channel.phasors.value[:, 0] for channel in found.channels}
     assert np.isfinite(referred["take 1: velocity_1"]).all()
     assert np.isfinite(referred["take 2: velocity_1"]).tolist() == [True, False]
+
+
+def test_lines_are_those_of_the_first_take(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shots = [Shot(POINTS[:1], harmonics=HARMONICS), Shot(POINTS[1:2])]
+    folder = write_takes(tmp_path, shots, np.random.default_rng(2))
+    assert main(["lines", str(folder)]) == EXIT_DONE
+    told = capsys.readouterr().out
+    assert "fundamental" in told
+    assert "harmonic 3" in told
