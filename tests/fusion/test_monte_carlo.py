@@ -1,0 +1,274 @@
+"""Propagation of distributions against closed forms, first-order propagation and the exact simulator."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from evaluation_factory import make_evaluation
+from scipy.stats import norm
+
+from fusion.analyse import Analysis, Inputs, analyse
+from fusion.body import Body, make_part
+from fusion.cli import main
+from fusion.coverage import region_factor
+from fusion.elastic_joint import make_joint
+from fusion.manifest import ChannelEntry, Stereo
+from fusion.monte_carlo import Known, propagate
+from fusion.monte_carlo.deviates import Deviates
+from fusion.monte_carlo.instruments import channel_rows
+from fusion.monte_carlo.loads import draw_load_matrices
+from fusion.monte_carlo_tables import monte_carlo_tables
+from fusion.observe import ChainUncertainty, Reading, StereoReading, observe_channels
+from fusion.propagated import FirstOrder, MonteCarlo, Propagated, shortest_interval, summarise, tolerance
+from fusion.results_h5 import write_h5
+from fusion.settings import Settings
+from fusion.simulate.draws import Draws
+from fusion.simulate.phasor_cases import CASES, case_setup
+from fusion.simulate.phasors import lines_at, simulate_phasors
+from shaker.signals.phasor import Phasors
+
+LINES = lines_at([100.0], [1])
+OMEGA = 2.0 * np.pi * LINES.frequency_hz
+DRAWS = 4000
+
+
+def channel(quantity: str, direction: tuple[float, ...], **stated: Any) -> ChannelEntry:
+    text = {"name": f"c{direction}", "quantity": quantity, "body": "load", "point": [0.0, 0.0, 0.0]}
+    return ChannelEntry.model_validate(text | {"direction": list(direction)} | stated)
+
+
+def reading(entry: ChannelEntry, value: complex, u: float, dof: float = 1e6) -> Reading:
+    covariance = u**2 * np.eye(2)[None]
+    phasors = Phasors(LINES.frequency_hz, np.array([[value]]), covariance, (entry.name,), ("m/s^2",), np.array([dof]))
+    return Reading(entry, phasors, ChainUncertainty())
+
+
+def known_of(readings: tuple[Reading, ...] = (), pairs: tuple[StereoReading, ...] = ()) -> Known:
+    seen = (*(pair.observed() for pair in pairs), *observe_channels(readings))
+    return Known(Inputs(LINES, seen, (), None, None, None, None), pairs, readings)
+
+
+def run(known: Known, draws: int = DRAWS, seed: int = 1) -> tuple[Analysis, MonteCarlo]:
+    found = analyse(known.inputs)
+    return found, propagate(known, found, draws, seed)
+
+
+def element(result: Propagated, name: str) -> int:
+    return result.elements.index(name)
+
+
+@cache
+def simulated(case: int) -> tuple[Known, Analysis, MonteCarlo]:
+    known, _ = simulate_phasors(case_setup(CASES[case]), Draws(3, True))
+    return known, *run(known)
+
+
+def test_shortest_interval_of_a_skew_distribution_starts_at_its_mode() -> None:
+    # Exponential: the density falls from 0, so the shortest 95 % interval is [0, -ln 0.05].
+    low, high = shortest_interval(np.random.default_rng(1).exponential(size=(200_000, 1)))
+    assert low[0] == pytest.approx(0.0, abs=1e-3)
+    assert high[0] == pytest.approx(-np.log(0.05), rel=0.01)
+
+
+def test_tolerances_of_the_guide() -> None:
+    # JCGM 101, 7.9.2: u = 0.35 mg to two digits 35e-5 g, delta = 0.5e-5 g; u = 2 K to one digit, delta = 0.5 K.
+    np.testing.assert_allclose(tolerance(np.array([0.00035]), 2), 0.5e-5)
+    np.testing.assert_allclose(tolerance(np.array([2.0]), 1), 0.5)
+    assert np.isnan(tolerance(np.array([0.0, np.nan]), 2)).all()
+
+
+def normal_draws(value: complex, spread: np.ndarray, count: int = 100_000) -> Propagated:
+    parts = np.random.default_rng(2).multivariate_normal(np.zeros(2), spread, count)
+    draws = (value + parts[:, 0] + 1j * parts[:, 1])[:, None, None]
+    dof = np.array([[np.inf]])
+    first = FirstOrder("load", np.array([1.0]), ("Fz",), ("N",), np.array([[value]]), spread[None, None], dof)
+    return summarise(first, draws)
+
+
+def test_normal_draws_far_from_zero_confirm_first_order_propagation() -> None:
+    found = normal_draws(3000.0 - 4000.0j, np.array([[1.0, 0.3], [0.3, 0.5]]))
+    assert found.first_holds[0, 0] == pytest.approx(0.95, abs=0.003)
+    assert found.factor[0, 0] == pytest.approx(region_factor(np.inf), rel=0.01)
+    along = np.array([0.6, -0.8])
+    expected = np.sqrt(along @ np.array([[1.0, 0.3], [0.3, 0.5]]) @ along)
+    assert found.magnitude.u[0, 0] == pytest.approx(expected, rel=0.01)
+    half = norm.ppf(0.975) * expected
+    assert found.magnitude.high[0, 0] - found.magnitude.low[0, 0] == pytest.approx(2.0 * half, rel=0.02)
+    assert found.magnitude.digits[0, 0] >= 1
+    assert not found.weak[0, 0]
+    assert found.refuted(100_000, 0, 0) == ()
+
+
+def test_of_a_value_near_zero_only_the_region_is_judged() -> None:
+    found = normal_draws(0.5 + 0.0j, np.eye(2))
+    assert found.weak[0, 0]
+    # Rice distribution: the mean magnitude of X = 0.5 + noise is 1.33, not 0.5.
+    assert found.magnitude.mean[0, 0] == pytest.approx(1.3304, rel=0.01)
+    assert found.magnitude.refuted[0, 0]
+    assert found.refuted(100_000, 0, 0) == ()
+
+
+def test_a_magnitude_across_a_long_ellipse_is_refuted() -> None:
+    # 8 u across, 0.01 u along: second order adds u_across²/2|X| to the magnitude, many times u_along.
+    found = normal_draws(8.0 + 0.0j, np.diag([1e-4, 1.0]))
+    assert found.refuted(100_000, 0, 0) == ("magnitude",)
+
+
+def test_few_degrees_of_freedom_give_students_distribution() -> None:
+    entry = channel("acceleration", (0.0, 0.0, 1.0), scale_uncertainty=1e-9)
+    found, drawn = run(known_of((reading(entry, 100.0, 0.01, 6.0),)), 20_000)
+    (result,) = drawn.results
+    spread = np.sqrt(result.covariance[0, 0].diagonal())
+    np.testing.assert_allclose(spread, 0.01 * np.sqrt(6.0 / 4.0), rtol=0.05)
+    assert result.magnitude.high[0, 0] - 100.0 == pytest.approx(2.447 * 0.01, rel=0.06)
+    assert found.accelerations[0].uncertainty.dof()[0, 2] == pytest.approx(6.0, rel=1e-3)
+
+
+def test_a_transverse_sensitivity_of_unknown_direction_is_arc_sine_distributed() -> None:
+    # The z channel leaks 5 % of a sideways motion from an angle of which nothing is known: error = 0.05·a_x·cos(angle).
+    tiny = {"scale_uncertainty": 1e-9}
+    entries = [channel("acceleration", tuple(axis), **tiny) for axis in np.eye(3)[:2].tolist()]
+    entries.append(channel("acceleration", (0.0, 0.0, 1.0), **tiny, transverse_sensitivity=0.05))
+    values = (20.0, 0.0, 100.0)
+    known = known_of(tuple(reading(e, v, 1e-6) for e, v in zip(entries, values, strict=True)))
+    found, drawn = run(known, 20_000)
+    (result,) = drawn.results
+    z = element(result, "z")
+    assert result.magnitude.u[0, z] == pytest.approx(1.0 / np.sqrt(2.0), rel=0.02)
+    # The shortest interval leaves out the thinner 5 % at one end: from -1 to cos(0.05π).
+    length = result.magnitude.high[0, z] - result.magnitude.low[0, z]
+    assert length == pytest.approx(1.0 + np.cos(0.05 * np.pi), abs=2e-3)
+    first = np.sqrt(found.accelerations[0].uncertainty.covariance[0, 2, 2])
+    assert first == pytest.approx(1.0 / np.sqrt(2.0), rel=1e-3)
+    # ±1.96 u is wider than all there is, and the larger u makes the first digit of U wrong by 0.39 u.
+    assert result.magnitude.first_high[0, z] == pytest.approx(101.386, abs=0.01)
+    assert "magnitude" in result.refuted(20_000, 0, z)
+
+
+def test_a_frame_turned_by_finite_angles_shortens_what_it_shows() -> None:
+    # Rotations of 0.1 rad about x and y: mean of cos is 1 - u² to second order, first order knows nothing of it.
+    pair = Stereo.model_validate(
+        {
+            "body": "load", "rotation": np.eye(3).tolist(), "translation": [0.0, 0.0, 0.3], "exposure": 4e-5,
+            "pose_uncertainty": [0.0, 0.0, 0.0, 0.1, 0.1, 0.1],
+        }
+    )  # fmt: skip
+    motion = np.array([[0.0, 0.0, 100.0, 0.0, 0.0, 0.0]], dtype=complex)
+    covariance = 1e-20 * np.eye(12)[None]
+    names, units = ("x", "y", "z", "rx", "ry", "rz"), ("m", "m", "m", "rad", "rad", "rad")
+    phasors = Phasors(LINES.frequency_hz, -motion / OMEGA[:, None] ** 2, covariance, names, units, np.array([1e6]))
+    _, drawn = run(known_of(pairs=(StereoReading("top", pair, phasors),)), 20_000)
+    (result,) = drawn.results
+    z = element(result, "z")
+    # The mean of cos φ + (1 - cos φ)·n_z² over isotropic rotation vectors φ·n is 1 - u² to fourth order.
+    assert result.mean[0, z].real == pytest.approx(100.0 * (1.0 - 0.1**2), abs=0.06)
+    length = np.sqrt(np.sum(np.abs(result.mean[0]) ** 2) + np.trace(result.covariance[0].sum(axis=0)))
+    assert length == pytest.approx(100.0, rel=1e-4)  # a rotation keeps the length
+
+
+@pytest.mark.parametrize("case", [0, 2])
+def test_first_order_propagation_holds_for_a_whole_recording(case: int) -> None:
+    _, _, drawn = simulated(case)
+    assert [result.name for result in drawn.results] == ["acceleration of the load", "load", "sensitivity"]
+    for result in drawn.results:
+        total = [np.sqrt(np.trace(c, axis1=-2, axis2=-1)) for c in (result.covariance, result.first_covariance)]
+        np.testing.assert_allclose(total[0], total[1], rtol=0.06)
+        assert np.all(np.abs(result.first_holds - 0.95) < 0.016)  # 4.6 standard deviations of 4000 draws
+        assert np.all(np.abs(result.mean - result.value) < 0.1 * total[1])
+
+
+def test_an_error_that_outputs_and_load_share_cancels() -> None:
+    own, shared = (simulated(case)[2].results for case in (0, 3))
+    place = element(own[2], "Fz per Fz")
+    assert shared[1].phase.u[0, 2] == pytest.approx(own[1].phase.u[0, 2], rel=0.7)
+    assert shared[2].phase.u[0, place] < 0.9 * own[2].phase.u[0, place]
+    first = np.abs(shared[2].phase.u / shared[2].phase.first_u - 1.0)
+    assert first[0, place] < 0.06
+
+
+def test_the_same_seed_gives_the_same_numbers_and_another_others() -> None:
+    known, found, drawn = simulated(0)
+    again, other = propagate(known, found, DRAWS, 1), propagate(known, found, DRAWS, 2)
+    for first, second, third in zip(drawn.results, again.results, other.results, strict=True):
+        np.testing.assert_array_equal(first.mean, second.mean)
+        assert not np.any(first.mean == third.mean)
+
+
+def test_equal_names_are_the_same_unknown_whatever_else_is_drawn() -> None:
+    first, second = Deviates(5, 0, 10), Deviates(5, 0, 10)
+    second.normal("something else")
+    np.testing.assert_array_equal(first.normal("laser: scale"), second.normal("laser: scale"))
+    assert not np.any(first.normal("laser: scale") == Deviates(5, 1, 10).normal("laser: scale"))
+
+
+def test_rows_without_errors_are_those_of_the_fusion() -> None:
+    known, _, _ = simulated(0)
+    for seen in known.inputs.observations[1:]:
+        entries = [r.entry for r in known.readings if r.entry.name in seen.members]
+        for place, entry in enumerate(entries):
+            point, along = (np.array([getattr(entry, key)]) for key in ("point", "direction"))
+            gravity = np.array(known.inputs.gravity_mps2)
+            rows = channel_rows(entry, point, along, seen.phasors.frequency_hz, gravity)
+            np.testing.assert_allclose(rows[0], seen.design[:, place], rtol=1e-12, atol=1e-15)
+
+
+def test_load_matrices_are_those_of_bodies_with_the_drawn_numbers() -> None:
+    frequency, gravity = np.array([80.0, 300.0]), np.array([0.1, -0.2, -9.8])
+    inertia = np.array([[0.02, 1e-3, 0.0], [1e-3, 0.03, 2e-3], [0.0, 2e-3, 0.01]])
+    u = (0.1, np.array([1e-2, 2e-2, 3e-2]), np.full((3, 3), 1e-3))
+    upper = make_part("upper", 3.0, (0.01, 0.02, 0.05), inertia, u, air_share=0.2)
+    lower = make_part("lower", 1.0, (0.0, 0.01, 0.01), inertia / 9.0, u, below_joint=True)
+    joint = make_joint(900.0, 0.0, 0.02)
+    deviates = Deviates(7, 0, 3)
+    drawn = draw_load_matrices(Body((upper, lower), joint), frequency, gravity, None, deviates)
+    for number in range(3):
+        parts = []
+        for part in (upper, lower):
+            six = deviates.normal(f"{part.name}: inertia", 6)[number] * 1e-3
+            change = np.array([[six[0], six[3], six[4]], [six[3], six[1], six[5]], [six[4], six[5], six[2]]])
+            mass = part.mass_kg + 0.1 * deviates.normal(f"{part.name}: mass")[number]
+            centre = part.centre_of_mass_m + u[1] * deviates.normal(f"{part.name}: centre of mass", 3)[number]
+            parts.append(replace(part, mass_kg=mass, centre_of_mass_m=centre, inertia_kgm2=part.inertia_kgm2 + change))
+        expected = Body(tuple(parts), joint).load_matrix(frequency, gravity)
+        for change in Body((upper, lower), joint).matrix_changes(frequency, gravity):
+            if change.label in ("upper: air moved along", "joint of the load"):
+                expected = expected + deviates.normal(change.name)[number] * change.change
+        np.testing.assert_allclose(drawn[number], expected, rtol=1e-10, atol=1e-10)
+
+
+def test_report_and_result_file_hold_the_run(tmp_path: Path) -> None:
+    _, _, drawn = simulated(0)
+    evaluation = replace(make_evaluation(tmp_path), monte_carlo=drawn)
+    tables = monte_carlo_tables(evaluation)
+    assert [table.caption.partition(":")[0] for table in tables] == ["Sensitivity", "Load", "Acceleration of the load"]
+    assert all(len(row) == len(table.head) == len(table.align) for table in tables for row in table.rows)
+    assert monte_carlo_tables(make_evaluation(tmp_path)) == []
+    write_h5(tmp_path / "result.h5", evaluation, [])
+    with h5py.File(tmp_path / "result.h5") as file:
+        group = file["monte_carlo"]
+        assert group.attrs["draws"] == DRAWS
+        stored = group["results/sensitivity/magnitude/low"][()]
+    np.testing.assert_array_equal(stored, drawn.results[2].magnitude.low)
+
+
+def test_settings_know_the_run_only_where_there_is_one() -> None:
+    assert "seed" not in Settings().as_dict()
+    assert (
+        Settings(monte_carlo=5000, seed=3).as_dict() | {"monte_carlo": 5000, "seed": 3}
+        == Settings(monte_carlo=5000, seed=3).as_dict()
+    )
+    with pytest.raises(ValueError, match="monte_carlo: expected 1000 to 1000000, found 10"):
+        Settings(monte_carlo=10)
+
+
+def test_too_few_draws_are_refused_by_the_command(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(["run", "nowhere", "--monte-carlo", "10"])
+    assert stopped.value.code == 2
+    assert "expected 1000 to 1000000 draws, found 10" in capsys.readouterr().err
