@@ -1,0 +1,232 @@
+"""Joint results of a campaign: curves, matrices and cross-talk against a known truth, their files, and the page."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from campaign_factory import CAPACITY, LOADS, MATRIX_HZ, SENSOR, STATIC, SWEEP_HZ, eight, sweep, truth
+from evaluation_factory import Choice, make_evaluation
+from page_outline import outline
+
+from fusion import campaign_results, results
+from fusion.campaign_csv import CROSSTALK_COLUMNS, CURVE_COLUMNS, campaign_tables
+from fusion.campaign_evaluation import CampaignEvaluation, evaluate_campaign
+from fusion.campaign_h5 import campaign_h5
+from fusion.campaign_report import render_campaign
+from fusion.campaign_results import write_campaign
+from fusion.errors import InputError
+from fusion.read_results import read_uncertainty
+from fusion.results import CAMPAIGN_FILES, check_campaign_folder, write_results
+
+RESULTS_DOC = Path(__file__).resolve().parents[2] / "docs" / "results.md"
+FAILED = {"Fz-0999": "recording.toml: daq.laser.scale: expected a number, found <nothing>"}
+
+
+@pytest.fixture(scope="module")
+def swept() -> CampaignEvaluation:
+    return evaluate_campaign("sweep along z", sweep(), FAILED)
+
+
+@pytest.fixture(scope="module")
+def matrix() -> CampaignEvaluation:
+    return evaluate_campaign("eight recordings", eight(), {})
+
+
+def table(text: str) -> list[dict[str, str]]:
+    return list(csv.DictReader(io.StringIO(text)))
+
+
+def complex_of(row: dict[str, str]) -> complex:
+    return complex(float(row["re"]), float(row["im"]))
+
+
+def within(row: dict[str, str], true: complex, times: float = 5.0) -> bool:
+    """Whether both parts lie within some standard uncertainties of the truth."""
+    error = complex_of(row) - true
+    return abs(error.real) < times * float(row["u_re"]) and abs(error.imag) < times * float(row["u_im"])
+
+
+def test_one_curve_over_frequency(swept: CampaignEvaluation) -> None:
+    rows = table(campaign_tables(swept, [])["curve.csv"])
+    assert list(rows[0]) == CURVE_COLUMNS
+    assert [float(row["frequency_hz"]) for row in rows[::6]] == pytest.approx(SWEEP_HZ, rel=1e-6)
+    assert {(row["component"], row["kind"], row["recordings"], row["mountings"]) for row in rows} == {
+        ("Fz", "ratio", "4", "2")
+    }
+    for row in rows:
+        assert all(row.values())
+        true = truth(float(row["frequency_hz"]))
+        load = np.array([2.0, 1.5j, 460.0, 0.1, 0.05j, 0.02])
+        place = LOADS.index(row["channel"])
+        assert within(row, complex((true @ load)[place] / load[2]))
+        assert float(row["U_magnitude"]) == pytest.approx(float(row["k"]) * float(row["u_magnitude"]), rel=1e-12)
+
+
+def test_relative_to_static_where_that_is_stated(swept: CampaignEvaluation) -> None:
+    rows = table(campaign_tables(swept, [])["curve.csv"])
+    main = [row for row in rows if row["channel"] == "Fz"]
+    for row in main:
+        assert float(row["relative"]) == pytest.approx(float(row["magnitude"]) / STATIC[2, 2], rel=1e-12)
+        share = float(row["u_magnitude"]) / float(row["magnitude"])
+        assert float(row["u_relative"]) / float(row["relative"]) == pytest.approx(np.hypot(share, 1e-4), rel=1e-9)
+    assert {row["relative"] for row in rows if row["channel"] != "Fz"} == {"nan"}
+
+
+def test_what_is_shared_does_not_average_away(swept: CampaignEvaluation) -> None:
+    main = next(row for row in table(campaign_tables(swept, [])["curve.csv"]) if row["channel"] == "Fz")
+    shared = np.sqrt(2.5e-4**2 + 1.4e-4**2 + 2e-4**2)
+    share = float(main["u_magnitude"]) / float(main["magnitude"])
+    assert share > np.hypot(shared, 3e-4 / np.sqrt(2.0)) * 0.999
+    assert share < np.hypot(shared, 3e-4) * 2.0
+
+
+def test_elements_of_the_matrix_stand_among_the_sensitivities(matrix: CampaignEvaluation) -> None:
+    rows = table(campaign_tables(matrix, [])["sensitivity.csv"])
+    assert {(row["kind"], row["recording"]) for row in rows} == {("matrix", "eight recordings")}
+    assert len(rows) == 36 * len(MATRIX_HZ)
+    for row in rows:
+        true = truth(float(row["frequency_hz"]))[LOADS.index(row["channel"]), LOADS.index(row["component"])]
+        assert within(row, complex(true))
+    assert {row["unit"] for row in rows if row["component"] == "Mx"} == {"(V/V)/(N.m)"}
+
+
+def test_cross_talk_at_rated_loads(matrix: CampaignEvaluation) -> None:
+    rows = table(campaign_tables(matrix, [])["crosstalk.csv"])
+    assert list(rows[0]) == CROSSTALK_COLUMNS
+    assert len(rows) == 30 * len(MATRIX_HZ)
+    for row in rows:
+        i, j = LOADS.index(row["channel"]), LOADS.index(row["component"])
+        true = truth(float(row["frequency_hz"]))
+        assert within(row, complex(true[i, j] * CAPACITY[j] / (true[i, i] * CAPACITY[i])))
+        assert float(row["U_region"]) >= 1.9 * max(float(row["u_re"]), float(row["u_im"]))
+        if float(row["magnitude"]) > float(row["U_region"]):
+            assert row["holds_zero"] == "no"
+
+
+def test_uncertainties_are_kept_with_their_names(matrix: CampaignEvaluation) -> None:
+    with h5py.File(io.BytesIO(campaign_h5(matrix, ["a.csv"]))) as file:
+        assert file.attrs["campaign"] == "eight recordings"
+        assert file["provenance/files"].asstr()[()].tolist() == ["a.csv"]
+        assert len(file["provenance/input_file"]) == 8
+        fit = file["matrices/000"]
+        assert np.array_equal(fit["value"][()], matrix.matrices[0].value)
+        back, kept = read_uncertainty(fit["uncertainty"]), matrix.matrices[0].uncertainty
+        assert [i.name for i in back.influences] == [i.name for i in kept.influences]
+        assert np.array_equal(back.covariance, kept.covariance)
+        assert file["cross_talks/001/holds_zero"].shape == (6, 6)
+        assert file["recordings/name"].asstr()[2] == "run 3"
+        kinds = [curve.attrs["kind"] for curve in file["curves"].values()]
+    assert kinds[-1] == "matrix"
+
+
+def test_equal_input_gives_equal_bytes(swept: CampaignEvaluation) -> None:
+    again = evaluate_campaign("sweep along z", sweep(), FAILED)
+    assert campaign_tables(swept, []) == campaign_tables(again, [])
+    assert campaign_h5(swept, []) == campaign_h5(again, [])
+
+
+def test_the_example_of_the_page_combines_two_elements(
+    swept: CampaignEvaluation, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "results").mkdir()
+    (tmp_path / "results" / "campaign.h5").write_bytes(campaign_h5(swept, []))
+    code = next(
+        c for c in re.findall(r"```python\n(.*?)```", RESULTS_DOC.read_text(encoding="utf-8"), re.S) if "curves" in c
+    )
+    monkeypatch.chdir(tmp_path)
+    found: dict[str, np.ndarray] = {}
+    exec(code, found)
+    curve = swept.curves[0]
+    assert np.array_equal(found["ratio"], curve.value[:, 2] / curve.value[:, 0])
+    both = curve.uncertainty.at([2, 0])
+    change = np.stack([1.0 / curve.value[:, 2], -1.0 / curve.value[:, 0]], axis=1)[:, None]
+    jacobian = np.block([[change.real, -change.imag], [change.imag, change.real]])
+    expected = both.transformed(jacobian).covariance
+    assert found["u_relative"] == pytest.approx(np.sqrt(expected[:, 0, 0]), rel=1e-9)
+    assert found["u_phase_rad"] == pytest.approx(np.sqrt(expected[:, 1, 1]), rel=1e-9)
+    line = found["over_frequency"]
+    assert line.shape == (6, 2, 6, 2)
+    assert line[0, 0, 0, 0] == pytest.approx(both.covariance[0, 0, 0], rel=1e-9)
+    assert line[0, 0, 5, 0] / np.sqrt(line[0, 0, 0, 0] * line[5, 0, 5, 0]) > 0.5
+
+
+def test_without_six_loads_there_is_no_matrix(swept: CampaignEvaluation) -> None:
+    assert swept.matrices == ()
+    assert table(campaign_tables(swept, [])["crosstalk.csv"]) == []
+    assert "too few independent loads" in swept.refused[0].text
+
+
+def test_page_of_a_sweep(swept: CampaignEvaluation) -> None:
+    page = render_campaign(swept)
+    found = outline(page)
+    assert "No matrix at" in "".join(found.text)
+    assert {"result", "notices", "sensitivity", "outputs", "matrix", "repeats", "recordings", "origin"} <= set(
+        found.ids
+    )
+    assert "figure-curve-Fz-Fz" in found.ids
+    assert "Fz-53.7-Hz-1a/report.html" in found.addresses
+    text = "".join(found.text)
+    assert "could not be evaluated and are in no result: Fz-0999" in text
+    assert "failed: recording.toml: daq.laser.scale: expected a number, found <nothing>" in text
+    assert "Mounting anew, standard deviation" in text
+    assert "http" not in re.sub(r'xmlns[^"\']*["\'][^"\']*["\']|DOCTYPE|data:image[^"]*', "", page)
+
+
+def test_page_of_a_matrix(matrix: CampaignEvaluation) -> None:
+    found = outline(render_campaign(replace(matrix, curves=matrix.curves[-1:], relative=matrix.relative[-1:])))
+    assert {"figure-crosstalk", "figure-excitation", "figure-curve-Mz-Mz"} <= set(found.ids)
+    text = "".join(found.text)
+    assert "Largest cross-talk that is certain" in text
+    assert "the recordings excite six independent loads" in text
+    assert "χ² / degrees of freedom" in text
+
+
+def test_recordings_of_one_name_are_told_apart() -> None:
+    first, second = (replace(entry, name="the same") for entry in sweep()[:2])
+    found = evaluate_campaign("twice", (first, second), {})
+    assert [entry.name for entry in found.recorded] == [f"the same [{entry.folder}]" for entry in (first, second)]
+    assert [drive.recording for drive in found.drives] == [entry.name for entry in found.recorded]
+
+
+def test_several_sensors_have_nothing_to_say_together() -> None:
+    first, second = sweep()[:2]
+    found = evaluate_campaign("two", (first, replace(second, sensor=replace(SENSOR, serial="4711"))), {})
+    assert found.curves == ()
+    assert "tested several sensors" in found.notices[0].text
+
+
+def test_no_sensor_leaves_a_page_without_sensitivity() -> None:
+    bare = replace(sweep()[0], sensor=None, drives=())
+    found = evaluate_campaign("bare", (bare,), {})
+    assert found.curves == ()
+    assert "no load or no output" in "".join(outline(render_campaign(found)).text)
+
+
+def test_files_are_written_from_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(results, "render_report", lambda _: "<!doctype html>\n")
+    monkeypatch.setattr(campaign_results, "render_campaign", lambda evaluation: f"<!doctype html>{evaluation.name}\n")
+    top, folders = tmp_path / "results", []
+    for number, mounting in enumerate(("1", "1", "2")):
+        folders.append(top / f"run-{number}")
+        choice = Choice(frames=24, images=False, name=f"run {number}", mounting=mounting)
+        write_results(make_evaluation(tmp_path, choice), folders[-1])
+    paths = write_campaign(top, "three", folders, {})
+    assert {path.name for path in paths} == set(CAMPAIGN_FILES)
+    before = {path.name: path.read_bytes() for path in paths}
+    assert all(write_campaign(top, "three", folders, {}))
+    assert {path.name: path.read_bytes() for path in paths} == before
+    rows = table(before["curve.csv"].decode())
+    assert {(row["channel"], row["recordings"], row["mountings"]) for row in rows} == {
+        (name, "3", "2") for name in LOADS
+    }
+    check_campaign_folder(top, [folder.name for folder in folders], force=False)
+    (top / "notes.txt").write_text("mine", encoding="utf-8")
+    with pytest.raises(InputError, match="results of this campaign only"):
+        check_campaign_folder(top, [folder.name for folder in folders], force=False)
