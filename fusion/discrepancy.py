@@ -109,13 +109,15 @@ def _not_negative(matrix: FloatArray, right: FloatArray) -> FloatArray:
     """Minimum of x^T F x - 2 b^T x over x ≥ 0; components about which the data say nothing are zero."""
     from scipy.optimize import nnls
 
-    scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
-    scale = np.where(scale > 0.0, scale, 1.0)
-    values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
-    kept = values > 1e-10 * values[-1]
+    told = np.diag(matrix) > 0.0
+    scale = np.sqrt(np.diag(matrix)[told])
+    values, vectors = np.linalg.eigh(matrix[np.ix_(told, told)] / np.outer(scale, scale))
+    kept = values > 1e-10 * values[-1:]
     root = np.sqrt(values[kept])
-    found, _ = nnls(root[:, None] * vectors[:, kept].T, vectors[:, kept].T @ (right / scale) / root)
-    return np.asarray(found / scale)
+    found = np.zeros(len(right))
+    best, _ = nnls(root[:, None] * vectors[:, kept].T, vectors[:, kept].T @ (right[told] / scale) / root)
+    found[told] = best / scale
+    return found
 
 
 def estimate_scatter(system: System, solution: Solution) -> tuple[Scatter, ...]:
@@ -195,28 +197,31 @@ def scatter_covariances(system: System, acceleration: ComplexArray, found: Seque
     return parts
 
 
-def disagreement(system: System, solution: Solution, label: str) -> Discrepancy:
-    """Return what instruments differ by, as a motion that each sees beside the true one.
+def failing_lines(system: System, solution: Solution) -> tuple[int, ...]:
+    """Return the lines whose readings contradict each other by themselves, at 1 % for all lines together."""
+    sizes = row_sizes(system, solution.acceleration)
+    every = [np.flatnonzero(system.line == k) for k in range(len(system.observed))]
+    groups = [_contrasts(system, solution, rows, sizes, None) for rows in every]
+    count = sum(group is not None for group in groups)
+    return tuple(k for k, group in enumerate(groups) if group is not None and _improbable(group, NOTHING, count))
+
+
+def disagreement(system: System, solution: Solution, lines: Sequence[int], label: str) -> Discrepancy:
+    """Return what instruments differ by at some lines, as a motion that each sees beside the true one.
 
     It has a variance of its own in every component, apart for the parts in phase with the motion and at right angles.
-    Lines whose chi-square fails at 1 % get one, all where none fails by itself.
     """
     sizes = row_sizes(system, solution.acceleration)
-    lines = len(system.observed)
-    groups, patterns = {}, {}
-    for k in range(lines):
+    covariance, dof = np.zeros((len(sizes), len(sizes))), np.full(len(system.observed), np.inf)
+    for k in lines:
         rows = np.flatnonzero(system.line == k)
-        pattern = _common_patterns(system, solution.acceleration, rows, sizes)
-        found = _contrasts(system, solution, rows, sizes, pattern)
-        if found is not None:
-            groups[k], patterns[k] = found, (rows, pattern)
-    failing = {k: group for k, group in groups.items() if _improbable(group, NOTHING, len(groups))} or groups
-    covariance, dof = np.zeros((len(sizes), len(sizes))), np.full(lines, np.inf)
-    for k, group in failing.items():
-        components, freedom = variance_components([group])
-        rows, pattern = patterns[k]
-        covariance[np.ix_(rows, rows)] = np.tensordot(components, pattern, 1) * np.outer(sizes[rows], sizes[rows])
-        dof[k] = max(np.min(freedom[components > 0.0], initial=np.inf), LEAST_DOF)
+        patterns = _common_patterns(system, solution.acceleration, rows, sizes)
+        group = _contrasts(system, solution, rows, sizes, patterns)
+        if group is not None:
+            components, freedom = variance_components([group])
+            size = np.outer(sizes[rows], sizes[rows])
+            covariance[np.ix_(rows, rows)] = np.tensordot(components, patterns, 1) * size
+            dof[k] = max(float(_joint_dof(components[None], freedom[None])[0]), LEAST_DOF)
     return Discrepancy(label, covariance, dof)
 
 
@@ -258,7 +263,7 @@ def _contrasts(
 
 
 def _visible(turned: FloatArray, patterns: FloatArray) -> FloatArray:
-    """Patterns (C, n, n) of contrasts, zero where next to nothing of a component is left: its variance is unknowable."""
+    """Patterns (C, n, n) of contrasts, zero where next to nothing of a component is left: nobody can know it."""
     left = np.trace(turned, axis1=1, axis2=2) > VISIBLE * np.trace(patterns, axis1=1, axis2=2)
     return np.where(left[:, None, None], turned, 0.0)
 

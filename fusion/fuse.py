@@ -19,7 +19,7 @@ from fusion.consistency import (
     fails,
     leave_one_out,
 )
-from fusion.discrepancy import Discrepancy, Scatter, disagreement, estimate_scatter, scatter_covariances
+from fusion.discrepancy import Discrepancy, Scatter, disagreement, estimate_scatter, failing_lines, scatter_covariances
 from fusion.estimate import Solution, solve
 from fusion.observe import Observation
 from fusion.system import SCALE, System, build_system
@@ -61,7 +61,7 @@ def fuse(
     solved = solve_consistently(system, scatter)
     first, final, parts, unknowns = solved.stated, solved.final, solved.parts, estimates(system.common, solved.stated)
     tests = leave_one_out(system, first) if parts or source == "fused" else ()
-    uncertainty = _uncertainty(system, final, parts)
+    uncertainty = _uncertainty(system, solved)
     phasors = _phasors(system, final, uncertainty)
     for observation in own if stated else ():
         if not observation.stated:
@@ -88,13 +88,15 @@ def fuse(
 class Solved:
     """A system solved with what is `stated`, and, where this is contradicted, with discrepancies (`parts`): `final`.
 
-    `scatter`: of the instruments whose own readings contradict a rigid motion.
+    `scatter`: of the instruments whose own readings contradict a rigid motion; `birge`: by which factor variances grow
+    where the lines agree by themselves and contradict each other only together.
     """
 
     stated: Solution
     final: Solution
     scatter: tuple[Scatter, ...]
     parts: tuple[Discrepancy, ...]
+    birge: float = 1.0
 
 
 def solve_consistently(system: System, scatter: tuple[Scatter, ...] | None = None) -> Solved:
@@ -103,10 +105,13 @@ def solve_consistently(system: System, scatter: tuple[Scatter, ...] | None = Non
     found = estimate_scatter(system, first) if scatter is None else scatter
     parts = scatter_covariances(system, first.acceleration, found)
     final = solve(system, _total(parts)) if parts else first
+    birge = 1.0
     if contradicts(final, estimates(system.common, final)):
-        parts.append(disagreement(system, final, INCONSISTENCY))
+        failing = failing_lines(system, final)
+        parts.append(disagreement(system, final, failing or range(len(system.observed)), INCONSISTENCY))
         final = solve(system, _total(parts))
-    return Solved(first, final, found, tuple(parts))
+        birge = final.chi2 / final.dof if not failing and fails(final.chi2, final.dof) else 1.0
+    return Solved(first, final, found, tuple(parts), birge)
 
 
 def _total(parts: Sequence[Discrepancy]) -> FloatArray:
@@ -156,14 +161,14 @@ def _hide(covariance: FloatArray, hidden: BoolArray) -> FloatArray:
     return np.where(hidden[:, :, None] | hidden[:, None, :], np.nan, covariance)
 
 
-def _uncertainty(system: System, solution: Solution, parts: Sequence[Discrepancy]) -> Uncertainty:
+def _uncertainty(system: System, solved: Solved) -> Uncertainty:
     """Split gain · V · gain^T of every line into noise per instrument, discrepancies and common errors."""
-    lines = len(system.observed)
+    solution, lines = solved.final, len(system.observed)
     hidden = ~np.tile(system.observed, (1, 2))
     gain = solution.gain.reshape(lines, 12, -1)
     noise = solution.noise - np.diag(solution.hidden)
     found = []
-    for part in parts:
+    for part in solved.parts:
         noise = noise - part.covariance
         found.append(Contribution(part.label, "A", _carried(gain, part.covariance), part.dof))
     for place, observation in enumerate(system.observations):
@@ -173,10 +178,9 @@ def _uncertainty(system: System, solution: Solution, parts: Sequence[Discrepancy
         found.append(Contribution(f"{observation.title}: noise", "A", covariance, dof))
     if np.any(solution.hidden > 0.0):
         found.append(Contribution(UNOBSERVED, "B", _carried(gain, np.diag(solution.hidden))))
-    if fails(solution.chi2, solution.dof):
-        spread = solution.noise + solution.effects @ solution.effects.T
-        birge = (solution.chi2 / solution.dof - 1.0) * _carried(gain, spread)
-        found.append(Contribution(INCONSISTENCY, "A", birge, np.full(lines, max(solution.dof / lines, 1.0))))
+    if solved.birge > 1.0:
+        excess = (solved.birge - 1.0) * _carried(gain, solution.noise + solution.effects @ solution.effects.T)
+        found.append(Contribution(INCONSISTENCY, "A", excess, np.full(lines, max(solution.dof / lines, 1.0))))
     effects = np.where(hidden[:, :, None], np.nan, gain @ solution.effects)
     influences = [
         Influence(c.name, c.label, c.u, c.unit, effects[:, :, place], c.scope, c.type)
