@@ -49,6 +49,7 @@ ComplexArray = NDArray[np.complex128]
 NOISE_PX = 0.02
 FRAMES = 48
 SIDE = 8
+RATES_HZ = (25600.0, 20000.0)
 TRIGGER_JITTER_S = 30e-9
 
 
@@ -85,9 +86,10 @@ CASES = (
 def case_preset(case: Case) -> Preset:
     """Return the set-up of a case: one pair, fewer frames, shorter records."""
     daqs = []
-    for daq, duration in zip(NITSCHE2018.daqs, (1.3, 1.2), strict=True):
-        channels = [_placed(spec, case) for spec in daq.channels if spec.body != "base"]
-        daqs.append(replace(daq, sample_rate_hz=20480.0, duration_s=duration, channels=tuple(channels)))
+    for daq, rate_hz, duration_s, start_s in zip(NITSCHE2018.daqs, RATES_HZ, (1.3, 1.2), (0.0, 0.06), strict=True):
+        channels = tuple(_placed(spec, case) for spec in daq.channels if spec.body != "base")
+        shifted = replace(daq, sample_rate_hz=rate_hz, duration_s=duration_s, start_s=start_s)
+        daqs.append(replace(shifted, channels=channels))
     return replace(
         NITSCHE2018,
         multiples=(1,),
@@ -95,8 +97,15 @@ def case_preset(case: Case) -> Preset:
         frames=FRAMES,
         first_frame_s=0.15,
         stereo=NITSCHE2018.stereo[:1],
-        daqs=(daqs[0], replace(daqs[1], start_s=0.06)),
+        daqs=tuple(daqs),
     )
+
+
+def started(preset: Preset, draws: Draws) -> Preset:
+    """Return the set-up with the second recorder and the camera started at any instant of a sampling interval."""
+    shifts = draws.stream("starts").uniform(0.0, 1.0, 2) / np.array(RATES_HZ)
+    second = replace(preset.daqs[1], start_s=preset.daqs[1].start_s + shifts[1])
+    return replace(preset, first_frame_s=preset.first_frame_s + shifts[0], daqs=(preset.daqs[0], second))
 
 
 def _placed(spec: ChannelSpec, case: Case) -> ChannelSpec:
@@ -252,7 +261,7 @@ def run_case(case: Case, seeds: range) -> Counts:
         manifest = write_manifest(Path(scratch) / "campaign", case, make_world(preset, Draws(0, False), 0.0))
         for seed in seeds:
             draws = Draws(seed, True)
-            world = make_world(preset, draws, TRIGGER_JITTER_S)
+            world = make_world(started(preset, draws), draws, TRIGGER_JITTER_S)
             counts.add(case, world, evaluate_trial(manifest, world, draws))
     return counts
 
