@@ -11,7 +11,7 @@ from fusion.manifest import Manifest
 from fusion.monte_carlo import Known, propagate
 from fusion.point_spread import PointSpread, point_spreads, with_ratios
 from fusion.provenance import versions
-from fusion.readings import unseen_fundamentals
+from fusion.readings import all_rows, unseen_fundamentals
 from fusion.referral import referrals
 from fusion.settings import ProgressCallback, Settings, no_progress
 from fusion.take import measure_take, open_takes
@@ -38,7 +38,7 @@ def evaluate_recording(
     takes = open_takes(manifest)
     tied = referrals(takes) if len(takes) > 1 else ()
     joined = join_takes([measure_take(take, settings, progress) for take in takes], tied)
-    seen = joined.observations(manifest)
+    seen = all_rows(manifest, joined.readings, joined.pairs)
     unseen = unseen_fundamentals(seen, joined.lines, joined.folded)
     inputs = Inputs.of(manifest, joined.lines, seen, joined.readings)
     found = analyse(inputs)

@@ -69,10 +69,17 @@ def stereo_readings(
 def observations(
     manifest: Manifest, base: TimeBase, readings: Sequence[Reading], stereo: Sequence[StereoPhasors], lines: Lines
 ) -> tuple[Observation, ...]:
-    """Return every instrument of the recording as rows of the linear model."""
-    clock = manifest.daq[0].clock_uncertainty if manifest.daq else 0.0
-    seen = [pair.observed() for pair in stereo_readings(manifest, base, readings, stereo, lines)]
-    return (*seen, *observe_channels(readings, gravity(manifest), clock))
+    """Return every instrument of what was recorded at once as rows of the linear model."""
+    return all_rows(manifest, readings, stereo_readings(manifest, base, readings, stereo, lines))
+
+
+def all_rows(
+    manifest: Manifest, readings: Sequence[Reading], pairs: Sequence[StereoReading]
+) -> tuple[Observation, ...]:
+    """Return channels and stereo pairs as rows of the linear model, the first block's clock being their time base."""
+    first = manifest.daq or manifest.take[0].daq
+    channels = observe_channels(readings, gravity(manifest), first[0].clock_uncertainty)
+    return (*(pair.observed() for pair in pairs), *channels)
 
 
 def unseen_fundamentals(

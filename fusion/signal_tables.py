@@ -128,7 +128,7 @@ def _tie_cells(clock: ClockResult, base: ClockResult) -> list[str]:
     """Offset in the middle of the common edges and rate against the first block, and what paired the edges."""
     tie = clock.tie
     if tie is None:
-        return ["time base" if clock is base else "not tied", DASH, DASH]
+        return ["time base" if clock is base else "time base of its take", DASH, DASH]
     middle = np.asarray(tie.middle_s)
     offset = measured(float(tie.to_base_s(middle)) - tie.middle_s, 2.0 * float(tie.u_to_base_s(middle)))
     rate = measured(1e6 * (tie.rate - 1.0), 2e6 * float(np.sqrt(tie.covariance[1, 1])))

@@ -11,11 +11,9 @@ from numpy.typing import NDArray
 from fusion.drift import drift_notices as steadiness_notices
 from fusion.drift import drifts
 from fusion.evaluation import ChannelResult, ClockResult, StereoResult, TakeResult
-from fusion.manifest import Manifest
 from fusion.notices import AnyNotice
-from fusion.observe import Observation, Reading, StereoReading, observe_channels
+from fusion.observe import Reading, StereoReading
 from fusion.pool import pool_readings
-from fusion.readings import gravity
 from fusion.referral import Referral, drift_notices
 from fusion.take import MeasuredTake
 from shaker.signals.frequencies import Lines
@@ -40,12 +38,6 @@ class Joined:
     takes: tuple[TakeResult, ...]
     folded: tuple[AnyNotice, ...]
     notices: tuple[AnyNotice, ...]
-
-    def observations(self, manifest: Manifest) -> tuple[Observation, ...]:
-        """Return every instrument as rows of the linear model, the first take's first clock being the time base."""
-        daq = manifest.daq[0] if manifest.daq else manifest.take[0].daq[0]
-        channels = observe_channels(self.readings, gravity(manifest), daq.clock_uncertainty)
-        return (*(pair.observed() for pair in self.pairs), *channels)
 
 
 def join_takes(takes: Sequence[MeasuredTake], tied: Sequence[Referral]) -> Joined:
