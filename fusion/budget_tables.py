@@ -26,6 +26,10 @@ from fusion.report_numbers import degrees_of_freedom, factor, fixed, short, smal
 from fusion.report_tables import Table
 from fusion.uncertainty import Uncertainty
 
+SMALLEST_SHARE = 0.05
+"""Share of the variance in % from which a contribution has a row of its own."""
+SMALLEST_SLOPE = 1e-6
+"""Share of the variance in % below which a sensitivity coefficient is rounding."""
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
@@ -57,37 +61,32 @@ def _budget_of(uncertainty: Uncertainty, value: ComplexArray, component: int) ->
 
 def _budget_table(entries: Sequence[BudgetEntry], line: int, place: int, what: str, frequency_hz: float) -> Table:
     """One budget: what acts, how much of it, how it acts, and what it contributes to magnitude and phase."""
-    sizes = np.array([entry.u_relative[line, place] for entry in entries])
-    turns = np.array([entry.u_phase_rad[line, place] for entry in entries])
-    weight = sizes**2 + turns**2
-    totals = float(np.sum(sizes**2)), float(np.sum(turns**2))
+    u = np.array([[entry.u_relative[line, place], entry.u_phase_rad[line, place]] for entry in entries])
+    total = np.sqrt(np.sum(u**2, axis=0))
+    share = 100.0 * np.divide(u**2, total**2, out=np.zeros_like(u), where=total > 0.0)
+    order = np.argsort(-np.sum(u**2, axis=1), kind="stable")
+    shown = [int(place) for place in order if np.max(share[place]) >= SMALLEST_SHARE]
     rows: list[tuple[str, ...]] = []
-    for index in np.argsort(-weight, kind="stable"):
-        entry, size, turn = entries[index], float(sizes[index]), float(turns[index])
-        slopes = (_slope(entry.coefficient[part, line, place]) for part in (0, 1))
-        shares = (
-            f"{100.0 * u**2 / total if total else 0.0:.1f}" for u, total in zip((size, turn), totals, strict=True)
-        )
-        magnitude, phase = shares
-        dof = degrees_of_freedom(entry.dof[line])
-        row = (
-            entry.label,
-            entry.type,
-            _input(entry),
-            *slopes,
-            small(100.0 * size),
-            magnitude,
-            small(1e3 * turn),
-            phase,
-        )
-        rows.append((*row, dof))
-    combined = (small(100.0 * np.sqrt(totals[0])), "100.0", small(1e3 * np.sqrt(totals[1])), "100.0", "")
-    rows.append((Markup("<b>combined, k = 1</b>"), "", "", "", "", *combined))
+    for number in shown:
+        entry = entries[number]
+        slopes = (_slope(entry.coefficient[part, line, place], share[number, part]) for part in (0, 1))
+        kind = f"{entry.type}, {degrees_of_freedom(entry.dof[line])}"
+        rows.append((entry.label, kind, _input(entry), *slopes, *_contribution(u[number], share[number])))
+    rest = np.delete(np.arange(len(entries)), shown)
+    if len(rest):
+        left = _contribution(np.sqrt(np.sum(u[rest] ** 2, axis=0)), np.sum(share[rest], axis=0))
+        rows.append((f"{len(rest)} smaller ones together", "", "", "", "", *left))
+    rows.append((Markup("<b>combined, k = 1</b>"), "", "", "", "", *_contribution(total, np.sum(share, axis=0))))
     head = (
-        *("contribution", "type", "u of the input", "magnitude per unit", "rad per unit"),
-        *("u(magnitude) / %", "share / %", "u(phase) / mrad", "share / %", "dof"),
+        *("contribution", "type, dof", "u of the input", "magnitude per unit", "rad per unit"),
+        *("u(magnitude) / %", "share / %", "u(phase) / mrad", "share / %"),
     )
-    return Table(f"Budget of {what} at {frequency_hz:.4f} Hz", head, "llrrrrrrrr", tuple(rows))
+    return Table(f"Budget of {what} at {frequency_hz:.4f} Hz", head, "llrrrrrrr", tuple(rows))
+
+
+def _contribution(u: FloatArray, share: FloatArray) -> tuple[str, str, str, str]:
+    """Contribution (2,) to relative magnitude and phase, each with its share of the variance in %."""
+    return small(100.0 * u[0]), f"{share[0]:.1f}", small(1e3 * u[1]), f"{share[1]:.1f}"
 
 
 def _input(entry: BudgetEntry) -> str:
@@ -96,14 +95,14 @@ def _input(entry: BudgetEntry) -> str:
         return f"{entry.count} unknowns" if entry.count > 1 else DASH
     unit = "" if entry.unit == "1" else typeset(entry.unit)
     each = f", {entry.count} times" if entry.count > 1 else ""
-    return Markup("{} {}").format(Markup(short(entry.u).strip()), unit).strip() + each
+    return Markup("{} {}").format(short(entry.u), unit).strip() + each
 
 
-def _slope(value: float) -> str:
-    """Sensitivity coefficient, with its sign."""
+def _slope(value: float, share: float) -> str:
+    """Sensitivity coefficient, with its sign; of what contributes nothing only that it is about zero."""
     if not np.isfinite(value):
         return DASH
-    return Markup("{}{}").format("\N{MINUS SIGN}" if value < 0.0 else "", short(abs(value)))
+    return short(value) if share >= SMALLEST_SLOPE else "≈ 0"
 
 
 def other_loads_table(evaluation: Evaluation) -> Table | None:

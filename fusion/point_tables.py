@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from fusion.evaluation import Evaluation
@@ -118,7 +119,7 @@ def _ratios_table(spread: PointSpread, ratios: PointRatios) -> Table:
             )
         )
     unit = times_ten(exponent, typeset(sensitivity_unit(ratios.unit, ratios.component)))
-    caption = f"Output {ratios.channel} over load mass times acceleration, point by point, in {unit}"
+    caption = Markup("Output {} over load mass times acceleration, point by point, in {}").format(ratios.channel, unit)
     head = (
         *("frequency / Hz", "mean", "spread / %", "phase / rad", "spread / mrad"),
         *("to the fused ratio / %", "to the fused ratio / mrad"),

@@ -12,6 +12,7 @@ from fusion.polar import DASH, Polar, rounded, typeset
 ComplexArray = NDArray[np.complex128]
 LARGEST_PHASE_U = 1.0
 """Expanded uncertainty in rad above which a phase is printed as not determined."""
+LARGEST_DOF = 1000
 WEAK = "not distinguishable from 0"
 
 
@@ -89,12 +90,11 @@ def short(value: float) -> Markup:
     """Two significant digits, with a power of ten where that is shorter."""
     if not np.isfinite(value):
         return Markup(DASH)
+    value = float(f"{value:.1e}")
     exponent = rounded(value, 0.0).exponent
-    return (
-        Markup("{:.2g} × {}").format(value / 10.0**exponent, times_ten(exponent, ""))
-        if exponent
-        else Markup(f"{value:.2g}")
-    )
+    text = f"{value / 10.0**exponent:.2g}" if exponent else f"{value:.6g}"
+    text = text.replace("-", "\N{MINUS SIGN}")
+    return Markup("{} × {}").format(text, times_ten(exponent, "").strip()) if exponent else Markup(text)
 
 
 def number(value: float | None) -> str:
@@ -108,8 +108,8 @@ def small(value: float) -> str:
 
 
 def degrees_of_freedom(value: float) -> str:
-    """Degrees of freedom as a whole number."""
-    return f"{value:.0f}" if np.isfinite(value) else "∞"
+    """Degrees of freedom as a whole number; thousands of them are as good as any number."""
+    return f"{value:.0f}" if value <= LARGEST_DOF else ("∞" if np.isinf(value) else f"> {LARGEST_DOF}")
 
 
 def microseconds(value_s: float | None, u_s: float | None) -> str:

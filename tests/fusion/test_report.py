@@ -16,7 +16,7 @@ from page_outline import outline
 from fusion.budget_tables import budget_tables, other_loads_table
 from fusion.evaluation import Evaluation
 from fusion.report import render_report
-from fusion.report_numbers import fixed, measured, times_ten
+from fusion.report_numbers import degrees_of_freedom, fixed, measured, short, times_ten
 from fusion.report_tables import headlines, source_tables
 
 
@@ -101,8 +101,8 @@ def test_budget_is_sorted_and_its_shares_make_a_whole(evaluation: Evaluation) ->
     for column in (6, 8):
         assert sum(float(row[column]) for row in table.rows[:-1]) == pytest.approx(100.0, abs=0.4)
     by_name = {row[0]: row for row in table.rows}
-    assert by_name["scatter of the sine approximation"][2:5] == ("–", "–", "–")
-    assert by_name["scatter of the sine approximation"][-1] == "204"
+    assert by_name["scatter of the sine approximation"][1:5] == ("A, 204", "–", "–", "–")
+    assert by_name["delay of the exposure"][2:5] == (Markup("1 × 10<sup>−7</sup> s"), "≈ 0", "−670")
     assert "load Fz" in load.caption
     assert "acceleration z of the load" in motion.caption
 
@@ -128,6 +128,9 @@ def test_weak_components_are_judged_by_their_region(evaluation: Evaluation) -> N
 
 
 def test_numbers_as_html() -> None:
+    assert short(9.97e-5) == Markup("1 × 10<sup>−4</sup>")
+    assert short(-502.0) == Markup("−500")
+    assert (degrees_of_freedom(999.6), degrees_of_freedom(1e5), degrees_of_freedom(np.inf)) == ("1000", "> 1000", "∞")
     assert measured(1.9719871e-7, 2.04e-10, "(V/V)/N") == Markup("(1.9720 ± 0.0020) × 10<sup>−7</sup> (V/V)/N")
     assert measured(1.0, 0.5) == Markup("1.00 ± 0.50")
     assert measured(2.5, 0.0, "m/s^2") == Markup("2.5 m/s²")
