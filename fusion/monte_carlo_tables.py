@@ -66,5 +66,6 @@ def _interval(low: float, high: float, u: float, unit: str) -> str:
     """Two ends with the digits that u deserves, and the unit with its power of ten."""
     exponent = rounded(max(abs(low), abs(high)), u).exponent
     texts = [rounded(end, u, exponent).value for end in (low, high)]
-    scale = times_ten(exponent, unit) if exponent else Markup(typeset(unit))
-    return Markup("{} … {} {}").format(texts[0], texts[1], scale)
+    if exponent:
+        return Markup("({} … {}) × {}").format(*texts, times_ten(exponent, unit))
+    return Markup("{} … {} {}").format(*texts, typeset(unit))

@@ -18,10 +18,12 @@ from fusion.body import Body, make_part
 from fusion.cli import main
 from fusion.coverage import region_factor
 from fusion.elastic_joint import make_joint
+from fusion.estimate import solve
 from fusion.manifest import ChannelEntry, Stereo
 from fusion.monte_carlo import Known, propagate
 from fusion.monte_carlo.deviates import Deviates
-from fusion.monte_carlo.instruments import channel_rows
+from fusion.monte_carlo.estimator import Estimator
+from fusion.monte_carlo.instruments import channel_rows, draw_instrument, pair_up
 from fusion.monte_carlo.loads import draw_load_matrices
 from fusion.monte_carlo_tables import monte_carlo_tables
 from fusion.observe import ChainUncertainty, Reading, StereoReading, observe_channels
@@ -31,6 +33,7 @@ from fusion.settings import Settings
 from fusion.simulate.draws import Draws
 from fusion.simulate.phasor_cases import CASES, case_setup
 from fusion.simulate.phasors import lines_at, simulate_phasors
+from fusion.system import build_system
 from shaker.signals.phasor import Phasors
 
 LINES = lines_at([100.0], [1])
@@ -181,6 +184,29 @@ def test_first_order_propagation_holds_for_a_whole_recording(case: int) -> None:
         np.testing.assert_allclose(total[0], total[1], rtol=0.06)
         assert np.all(np.abs(result.first_holds - 0.95) < 0.016)  # 4.6 standard deviations of 4000 draws
         assert np.all(np.abs(result.mean - result.value) < 0.1 * total[1])
+
+
+def test_draws_are_what_fusing_them_anew_gives() -> None:
+    known, found, _ = simulated(2)
+    fused = found.accelerations[0]
+    assert known.inputs.gravity_mps2 is not None
+    gravity = np.array(known.inputs.gravity_mps2)
+    instruments = pair_up(known.inputs.observations, known.pairs, known.readings, gravity)
+    system = build_system(known.inputs.observations)
+    estimator = Estimator.of(known.inputs.observations, system.expand, solve(system))
+    drawn = [draw_instrument(one, fused.phasors.value, Deviates(11, 0, 5)) for one in instruments]
+    none = np.zeros((5, *fused.observed.shape), dtype=complex)
+    estimates = estimator.acceleration(drawn, fused.phasors.value, none)
+    u = np.sqrt(fused.phasors.u_re**2 + fused.phasors.u_im**2)
+    for number in range(5):
+        again = [
+            replace(seen, phasors=replace(seen.phasors, value=one.readings[number]), design=one.design[number])
+            for seen, one in zip(known.inputs.observations, drawn, strict=True)
+        ]
+        value = solve(build_system(again)).acceleration
+        assert np.all(np.abs(value - fused.phasors.value).max(axis=0) > 0.0)
+        # The weights follow the draw in one and not in the other, which the small harmonic shows a little.
+        assert np.all(np.abs(value - estimates[number]) < np.array([[0.03], [0.2]]) * u)
 
 
 def test_an_error_that_outputs_and_load_share_cancels() -> None:
