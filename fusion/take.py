@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fusion.channels import channel_results, find_channel_lines
+from fusion.channels import APART_PERIODS, channel_results, find_channel_lines, line_record
 from fusion.errors import InputError
 from fusion.evaluation import ChannelResult
 from fusion.manifest import Manifest
@@ -19,6 +19,7 @@ from fusion.settings import ProgressCallback, Settings
 from fusion.stereo_motion import OpenImages, StereoMotion, measure_images, measure_points, motion_lines, open_images
 from fusion.stereo_phasors import StereoPhasors, pairs_phasors
 from fusion.timing import TimeBase, tie_daqs
+from shaker.signals.folding import alias_frequency
 from shaker.signals.frequencies import Lines
 
 Key = tuple[float, int]
@@ -117,7 +118,15 @@ def _lines(takes: Sequence[OpenTake]) -> list[Lines | None]:
         found.append(_same_fundamentals(take, lines, nominal))
     known = {key: f for lines in reversed(found) for key, f in zip(_keys(lines), lines.frequency_hz, strict=True)}
     keys = sorted(known, key=lambda key: float(known[key]))
-    return [_extended(lines, keys) for lines in found]
+    folded = {key: take.name for take, lines in zip(takes, found, strict=True) for key in _folded(take, lines, keys)}
+    found[0] = replace(found[0], notices=(*found[0].notices, *(_left_out(*item) for item in folded.items())))
+    return [_extended(lines, [key for key in keys if key not in folded]) for lines in found]
+
+
+def _left_out(key: Key, take: str) -> Notice:
+    """Say that a harmonic of one take is no line of the recording."""
+    text = f"harmonic {key[1]} of {key[0]:g} Hz is left out: {take} cannot tell it from another line"
+    return Notice("warning", text, f"{key[0] * key[1]:g} Hz")
 
 
 def _same_fundamentals(take: OpenTake, lines: Lines | None, nominal: Sequence[float]) -> Lines:
@@ -136,12 +145,31 @@ def _keys(lines: Lines) -> list[Key]:
     return list(zip(lines.nominal_hz.tolist(), lines.multiple.tolist(), strict=True))
 
 
+def _folded(take: OpenTake, lines: Lines, keys: Sequence[Key]) -> Iterator[Key]:
+    """Yield the lines of other takes that the fastest channel of this one cannot tell from another or from zero."""
+    record = line_record(take.base)
+    added = set(keys) - set(_keys(lines))
+    if record is None or not added:
+        return
+    length_s = float(record.time_s[-1] - record.time_s[0])
+    rate_hz = (len(record.time_s) - 1) / length_s
+    places = alias_frequency(_extended(lines, keys).frequency_hz, rate_hz)
+    for k, key in enumerate(keys):
+        others = np.concatenate([np.delete(places, k), [0.0, rate_hz / 2.0]])
+        if key in added and np.min(np.abs(others - places[k])) * length_s < APART_PERIODS:
+            yield key
+
+
 def _extended(lines: Lines, keys: Sequence[Key]) -> Lines:
-    """Return the lines named by `keys`, in that order; those that did not stand out here are multiples of their own."""
+    """Return the lines named by `keys`, in that order; those that did not stand out here are multiples of their own.
+
+    Lines that are not named are fitted beside them.
+    """
     own = {key: place for place, key in enumerate(_keys(lines))}
     if list(own) == list(keys):
         return lines
     base = np.array([own.get(key, own[key[0], 1]) for key in keys])
+    beside = [f for key, f in zip(own, lines.frequency_hz.tolist(), strict=True) if key not in keys]
     factor = np.array([1.0 if key in own else float(key[1]) for key in keys])
     return replace(
         lines,
@@ -149,6 +177,7 @@ def _extended(lines: Lines, keys: Sequence[Key]) -> Lines:
         u_frequency_hz=lines.u_frequency_hz[base] * factor,
         nominal_hz=np.array([nominal for nominal, _ in keys]),
         multiple=np.array([multiple for _, multiple in keys], dtype=np.int64),
+        nuisance_hz=np.concatenate([lines.nuisance_hz, beside]),
         why=tuple(lines.why[own[key]] if key in own else "stands out in another take" for key in keys),
     )
 

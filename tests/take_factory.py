@@ -87,6 +87,7 @@ class Shot:
     noise: float = 1e-5
     reference: complex = BASE_Z
     samples: int = SAMPLES
+    rate_hz: float = RATE_HZ
 
 
 def at_point(point: Sequence[float]) -> complex:
@@ -96,7 +97,7 @@ def at_point(point: Sequence[float]) -> complex:
 
 def signals(shot: Shot, rng: np.random.Generator) -> dict[str, NDArray[np.float64]]:
     """Samples of a take as its file has them: `velocity_1` …, `drive`, `Fz`."""
-    time_s = np.arange(shot.samples) / RATE_HZ
+    time_s = np.arange(shot.samples) / shot.rate_hz
     omega = 2.0 * np.pi * shot.frequency_hz
     values = {}
     lasers = {f"velocity_{n}": (at_point(p), LASER_V, 1) for n, p in enumerate(shot.points, 1)}
@@ -139,7 +140,7 @@ def write_takes(
     (folder / "rig.toml").write_text(RIG, encoding="utf-8")
     text = HEAD.format(harmonics=harmonics)
     for number, shot in enumerate(shots, 1):
-        write_shot(recording / f"{number}.h5", signals(shot, rng))
+        write_shot(recording / f"{number}.h5", signals(shot, rng), shot.rate_hz)
         text += block(f"{number}.h5", shot.points, "" if top and number == 1 else "take.")
     (recording / "recording.toml").write_text(text, encoding="utf-8")
     return recording

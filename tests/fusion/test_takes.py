@@ -249,3 +249,11 @@ def test_lines_are_those_of_the_first_take(tmp_path: Path, capsys: pytest.Captur
     told = capsys.readouterr().out
     assert "fundamental" in told
     assert "harmonic 3" in told
+
+
+def test_a_harmonic_that_folds_in_one_take_is_left_out_of_all(tmp_path: Path) -> None:
+    """Sampled at four times the line, its third harmonic cannot be told from it."""
+    slow = Shot(POINTS[1:2], rate_hz=4.0 * FREQUENCY_HZ, samples=1200)
+    found = _evaluate(write_takes(tmp_path, [Shot(POINTS[:1], harmonics=HARMONICS), slow], np.random.default_rng(2)))
+    assert found.lines.multiple.tolist() == [1]
+    assert any("harmonic 3 of 106.25 Hz is left out: take 2 cannot tell it" in notice.text for notice in found.notices)
