@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fusion.drive import Drive
 from fusion.uncertainty import Contribution, Influence, Scope, Uncertainty
@@ -14,19 +14,19 @@ from fusion.uncertainty import Contribution, Influence, Scope, Uncertainty
 AnyArray = NDArray[Any]
 
 
-def uncertainty(noise: AnyArray, unknowns: Sequence[tuple[str, Scope, AnyArray]] = ()) -> Uncertainty:
+def uncertainty(noise: ArrayLike, unknowns: Sequence[tuple[str, str, ArrayLike]] = ()) -> Uncertainty:
     """Noise (N,) of real and imaginary parts alike, and unknowns as name, scope and complex effect (N,)."""
     covariance = np.diag(np.tile(np.asarray(noise, dtype=np.float64) ** 2, 2))[None]
     influences = tuple(
-        Influence(name, name, 1.0, "1", np.concatenate([effect.real, effect.imag])[None], scope)
+        Influence(name, name, 1.0, "1", np.concatenate([effect.real, effect.imag])[None], cast("Scope", scope))
         for name, scope, effect in ((n, s, np.asarray(e, dtype=np.complex128)) for n, s, e in unknowns)
     )
     return Uncertainty((Contribution("noise", "A", covariance, np.array([50.0])),), influences)
 
 
 def plain_drive(
-    load: AnyArray,
-    outputs: AnyArray,
+    load: ArrayLike,
+    outputs: ArrayLike,
     of_load: Uncertainty,
     of_outputs: Uncertainty,
     *,
@@ -37,7 +37,7 @@ def plain_drive(
     channels: Sequence[str] | None = None,
 ) -> Drive:
     """Return a drive, its channels numbered unless they are named."""
-    names = tuple(f"U{n}" for n in range(len(outputs))) if channels is None else tuple(channels)
+    names = tuple(f"U{n}" for n in range(np.size(outputs))) if channels is None else tuple(channels)
     return Drive(
         recording=recording,
         mounting=mounting,

@@ -1,0 +1,198 @@
+"""Repeats and linearity: variance components against their formulae, what does not average away, what counts as one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from plain_drives import plain_drive, uncertainty
+
+from fusion.coverage import region_factor
+from fusion.drive import Drive, between_recordings, group_by_frequency, over_lines
+from fusion.linearity import find_linearity
+from fusion.repeats import BETWEEN, WITHIN, find_repeats
+from fusion.simulate.drives import CAPACITY, DriveErrors, drive_setup, simulate_drives, true_matrix
+
+AnyArray = NDArray[Any]
+LOAD = np.array([3.0, 1.0, 1000.0, 0.5, 0.1, 0.2])
+NOISE = 1e-9 * LOAD
+
+
+def recorded(value: complex, recording: str, mounting: str = "1", **changes: Any) -> Drive:
+    """A drive of 1000 N along z with one output per newton, and a scale of load and outputs that the rig shares."""
+    scale = changes.pop("scale", 1e-3)
+    load = changes.pop("load", LOAD)
+    outputs = np.array([value * load[2], 0.1 * value * load[2]])
+    of_load = uncertainty(NOISE, [("laser: scale", "rig", scale * load)])
+    return plain_drive(
+        load, outputs, of_load, uncertainty(NOISE[:2]), recording=recording, mounting=mounting, **changes
+    )
+
+
+def test_variance_components_are_those_of_an_unbalanced_analysis_of_variance() -> None:
+    # The textbook formulae, with real numbers by hand: groups of three, two and one.
+    groups = {"a": [1.002, 1.004, 1.003], "b": [0.998, 0.997], "c": [1.001]}
+    drives = [recorded(v, f"{m}{n}", m) for m, values in groups.items() for n, v in enumerate(values)]
+    (found,) = find_repeats(drives)
+    everything = np.concatenate(list(groups.values()))
+    relative = {m: np.array(v) / everything.mean() for m, v in groups.items()}
+    within = sum(np.sum((v - v.mean()) ** 2) for v in relative.values()) / 3
+    between = sum(len(v) * (v.mean() - 1.0) ** 2 for v in relative.values()) / 2
+    each = (6 - (9 + 4 + 1) / 6) / 2
+    assert found.within_dof == 3
+    assert found.between_dof == 2
+    np.testing.assert_allclose(found.within, np.sqrt(within), rtol=1e-5)
+    np.testing.assert_allclose(found.between, np.sqrt((between - within) / each), rtol=1e-5)
+    weights = 1.0 / ((between - within) / each + within / np.array([3, 2, 1]))
+    weights = weights / weights.sum()
+    mean = sum(w * np.mean(v) for w, v in zip(weights, groups.values(), strict=True))
+    np.testing.assert_allclose(found.value, [mean, 0.1 * mean], rtol=1e-9)
+    parts = {part.label: part for part in found.uncertainty.random}
+    expected = (between - within) / each * np.sum(weights**2) * mean**2
+    assert parts[BETWEEN].covariance[0, 0, 0] == pytest.approx(expected, rel=1e-5)
+    assert parts[BETWEEN].dof == pytest.approx([2.0])
+    assert parts[WITHIN].dof == pytest.approx([3.0])
+
+
+def test_what_all_recordings_share_does_not_average_away() -> None:
+    rng = np.random.default_rng(2)
+    drives = [recorded(1.0 + 1e-6 * rng.standard_normal(), f"{n}", f"{n % 5}") for n in range(25)]
+    (found,) = find_repeats(drives)
+    u = np.sqrt(found.uncertainty.covariance[0, 0, 0])
+    assert u == pytest.approx(1e-3, rel=1e-4)
+    assert np.all(found.within < 3e-6)
+    assert found.recordings[:2] == ("0", "1")
+    assert found.weight.sum() == pytest.approx(1.0)
+
+
+def test_stated_errors_of_a_recording_are_not_counted_again_as_scatter() -> None:
+    # Trigger times of 1e-3 rad scatter the phases as stated: nothing is left for a further component on average.
+    rng, left = np.random.default_rng(4), []
+    for _ in range(100):
+        drives = []
+        for n in range(6):
+            turn = [("trigger: time", "recording", -1e-3j * LOAD)]
+            late = 1.0 - 1e-3j * rng.standard_normal()
+            drives.append(plain_drive(LOAD * late, np.array([1000.0]), uncertainty(NOISE, turn), uncertainty([1e-6]),
+                                      recording=f"{n}", mounting=f"{n // 2}"))  # fmt: skip
+        (found,) = find_repeats(drives)
+        left.append([found.within[0] ** 2, found.between[0] ** 2])
+    # The positive part of an estimate about zero keeps some of its spread.
+    assert np.all(np.sqrt(np.mean(left, axis=0)) < 0.8e-3)
+    assert np.mean(np.array(left) == 0.0) > 0.4
+
+
+def test_one_recording_has_no_components_and_one_mounting_says_so() -> None:
+    (single,) = find_repeats([recorded(1.0, "a")])
+    assert np.isnan(single.within).all()
+    assert np.isnan(single.between).all()
+    assert not single.notices
+    (same,) = find_repeats([recorded(1.0, "a"), recorded(1.001, "b")])
+    assert same.within_dof == 1
+    assert same.between_dof == 0
+    assert "are of one mounting" in same.notices[0].text
+
+
+def test_what_counts_as_a_repeat() -> None:
+    first = recorded(1.0, "a")
+    louder = recorded(1.0, "b", load=1.5 * LOAD)
+    eccentric = recorded(1.0, "c", load=LOAD + 30.0 * np.eye(6)[4])
+    along_x = replace(first, recording="d", direction=(1.0, 0.0, 0.0))
+    late = replace(first, recording="e", load=1j * LOAD, outputs=1j * first.outputs)
+    upside = replace(first, recording="f", direction=(0.0, 0.0, -1.0), load=-LOAD, outputs=-first.outputs)
+    apart = replace(first, recording="g", frequency_hz=100.1)
+    groups = [set(r.recordings) for r in find_repeats([first, louder, eccentric, along_x, late, upside, apart])]
+    assert {"a", "e", "f"} in groups
+    assert len(groups) == 5
+    merged = [set(r.recordings) for r in find_repeats([first, louder, late], amplitudes_apart=False)]
+    assert merged == [{"a", "b", "e"}]
+
+
+def test_an_output_that_one_recording_lacks_has_no_mean() -> None:
+    partial = recorded(1.0, "b")
+    partial = replace(partial, outputs=np.array([partial.outputs[0], complex(np.nan, np.nan)]))
+    (found,) = find_repeats([recorded(1.0, "a"), partial])
+    assert found.channels == ("U0",)
+    with pytest.raises(ValueError, match="expected an output that all recordings"):
+        find_repeats([replace(partial, outputs=np.full(2, complex(np.nan, np.nan)))])
+
+
+def test_outputs_and_load_on_one_clock_forget_its_time() -> None:
+    late = ("clock bridge: time", "recording")
+    of_load = uncertainty(NOISE, [(*late, -1e-2j * LOAD)])
+    of_outputs = uncertainty([1e-9], [(*late, np.array([-1e-2j]))])
+    drive = plain_drive(LOAD, np.array([1.0]), of_load, of_outputs)
+    (found,) = find_repeats([drive])
+    assert np.max(np.abs(found.uncertainty.influences[0].effect)) < 1e-15
+
+
+@pytest.mark.slow
+def test_the_mean_over_mountings_is_covered() -> None:
+    rng, inside = np.random.default_rng(6), []
+    truth = true_matrix(rng, 0.0)
+    base = drive_setup(rng, "", "z", (0.0, 0.0, 0.08))
+    for _ in range(120):
+        mounted = 3e-3 * rng.standard_normal(5)
+        setups = [
+            replace(base, recording=f"{m}-{n}", mounting=f"{m}", step=mounted[m] + 1e-3 * rng.standard_normal())
+            for m in range(5)
+            for n in range(1 + m % 2)
+        ]
+        (found,) = find_repeats(simulate_drives(setups, truth, DriveErrors(rng)), CAPACITY.tolist())
+        error = found.value[2] - truth[2, 2]
+        covariance, dof = found.uncertainty.covariance[0][np.ix_([2, 8], [2, 8])], found.uncertainty.dof()[0, 2]
+        pair = np.array([error.real, error.imag])
+        inside.append(pair @ np.linalg.solve(covariance, pair) <= region_factor(float(dof)) ** 2)
+    assert 0.89 < np.mean(inside) <= 1.0
+
+
+def test_linearity_finds_the_slope_and_forgets_the_scale() -> None:
+    drives = [recorded(1.0 + 2e-3 * a, f"{a}", load=a * LOAD, scale=1e-2) for a in (0.5, 1.0, 1.5, 2.0)]
+    (found,) = find_linearity(drives)
+    mean = 1.0 + 2e-3 * 1.25
+    np.testing.assert_allclose(found.change, 3e-3 / mean, rtol=1e-6)
+    np.testing.assert_allclose(found.slope, 3e-3 / mean / 1500.0, rtol=1e-6)
+    assert np.all(found.covariance[:, 0, 0] < 1e-10)
+    assert not found.linear.any()
+    assert find_linearity(drives[:1]) == ()
+
+
+def test_scatter_of_a_series_enlarges_the_uncertainty_of_its_slope() -> None:
+    rng, inside = np.random.default_rng(8), []
+    for _ in range(80):
+        values = 1.0 + 1e-3 * (rng.standard_normal(6) + 1j * rng.standard_normal(6))
+        drives = [recorded(v, f"{n}", load=(1.0 + 0.2 * n) * LOAD) for n, v in enumerate(values)]
+        (found,) = find_linearity(drives)
+        inside.append(found.linear[0])
+    assert found.dof == 8.0
+    assert 0.9 < np.mean(inside) <= 1.0
+
+
+def test_names_between_recordings() -> None:
+    effect = np.ones(1)
+    parts = [("laser: scale", "rig", effect), ("point x", "mounting", effect), ("trigger: time", "recording", effect)]
+    names = [i.name for i in between_recordings(uncertainty([1.0], parts), "Fz 100", "B").influences]
+    assert names == ["laser: scale", "point x [B]", "trigger: time [Fz 100]"]
+    again = between_recordings(between_recordings(uncertainty([1.0], parts), "Fz 100", "B"), "other", "C")
+    assert [i.name for i in again.influences] == names
+
+
+def test_lines_joined_keep_what_they_share() -> None:
+    parts = [
+        between_recordings(uncertainty([0.1 * n], [("scale", "rig", [1.0]), ("time", "recording", [2.0])]), str(n), "1")
+        for n in (1, 2)
+    ]
+    joined = over_lines(parts)
+    assert {i.name: i.effect[:, 0].tolist() for i in joined.influences} == {
+        "scale": [1.0, 1.0], "time [1]": [2.0, 0.0], "time [2]": [0.0, 2.0],
+    }  # fmt: skip
+    np.testing.assert_allclose(joined.covariance[:, 0, 0], [5.01, 5.04])
+    np.testing.assert_allclose(joined.covariance, np.concatenate([part.covariance for part in parts]))
+
+
+def test_groups_of_one_frequency() -> None:
+    drives = [replace(recorded(1.0, f"{f}"), frequency_hz=f) for f in (200.0, 100.0, 100.9, 101.5)]
+    assert [[d.frequency_hz for d in g] for g in group_by_frequency(drives)] == [[100.0, 100.9], [101.5], [200.0]]
