@@ -97,7 +97,9 @@ def load_phasors(
         for c in changes
     )
     total = Uncertainty((*carried.random, *hidden.values()), (*carried.influences, *own))
-    return LoadResult(frequency, value, total, observed, _notices(acceleration, observed, hidden))
+    rigid = np.einsum("kij,kj->ki", seen * replace(body, joint=None).load_matrix(frequency, gravity), known)
+    notices = (*_notices(acceleration, observed, hidden), *_joint_notice(body, frequency, value, rigid))
+    return LoadResult(frequency, value, total, observed, notices)
 
 
 def _where_observed(uncertainty: Uncertainty) -> Uncertainty:
@@ -137,3 +139,23 @@ def _notices(acceleration: Acceleration, observed: BoolArray, hidden: Mapping[st
         text = f"no value of {', '.join(missing)}: components of the motion that were not observed may dominate them"
         found.append(Notice("info", text, "load"))
     return tuple(found)
+
+
+def _joint_notice(body: Body, frequency_hz: FloatArray, value: ComplexArray, rigid: ComplexArray) -> tuple[Notice, ...]:
+    """Say what the elastic joint does to the largest force, at the line where that is most."""
+    if body.joint is None:
+        return ()
+    sizes = np.nan_to_num(np.abs(rigid))
+    largest, lines = np.argmax(sizes[:, :3], axis=1), np.arange(len(value))
+    before, after = sizes[lines, largest], np.abs(value)[lines, largest]
+    change = np.divide(after, before, out=np.full(len(value), np.nan), where=before > 0.0) - 1.0
+    if not np.any(np.isfinite(change)):
+        return ()
+    line = int(np.nanargmax(np.abs(change)))
+    name, resonance = LOAD_COMPONENTS[largest[line]], body.joint.frequency_hz[largest[line]]
+    where = f"{name} at {frequency_hz[line]:.6g} Hz"
+    if body.joint.u_frequency_hz[largest[line]] == 0.0:
+        text = f"the load's joint ({resonance:.6g} Hz) is only named: {where} is not corrected for it, U contains it"
+    else:
+        text = f"the load's joint ({resonance:.6g} Hz) changes {where} by {change[line]:+.2%} from that of a rigid body"
+    return (Notice("info", text, "load"),)

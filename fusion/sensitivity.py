@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -57,7 +58,7 @@ class Sensitivity:
         """Return which elements (C, 6) have a value at any line."""
         return np.asarray(np.any(np.isfinite(self.value), axis=0))
 
-    @property
+    @cached_property
     def covariance(self) -> FloatArray:
         """Return the covariance (K, C, 6, 2, 2) of (Re, Im) of every element, NaN where there is none."""
         found = np.full((*self.value.shape, 2, 2), np.nan)
@@ -65,7 +66,7 @@ class Sensitivity:
         found[:, *self._places()] = self.uncertainty.covariance[:, pair[:, :, None], pair[:, None, :]]
         return found
 
-    @property
+    @cached_property
     def dof(self) -> FloatArray:
         """Return the effective degrees of freedom (K, C, 6) of every element, NaN where there is none."""
         found = np.full(self.value.shape, np.nan)

@@ -61,6 +61,7 @@ def test_force_below_an_elastic_joint_is_that_of_a_chain_of_two_masses() -> None
     found = load_phasors(acceleration(), Body(parts, make_joint(resonance, 10.0, damping)))
     np.testing.assert_allclose(found.value[:, 2], force, rtol=1e-12)
     assert abs(found.value[1, 2] / (7.73 * MOTION[1, 2])) == pytest.approx(1.0 - 0.0081, abs=2e-4)
+    assert found.notices[0].text.endswith("(3500 Hz) changes Fz at 1000 Hz by -0.81% from that of a rigid body")
 
 
 def test_a_joint_is_one_unknown_per_component_and_mounting() -> None:
@@ -76,6 +77,7 @@ def test_a_joint_is_one_unknown_per_component_and_mounting() -> None:
 def test_a_joint_that_is_only_named_corrects_nothing_and_is_uncertain_as_a_whole() -> None:
     named, stated, rigid = load_on(3500.0), load_on(3500.0, 1e-9), load_on(1e9, 1.0)
     np.testing.assert_allclose(named.value, rigid.value, rtol=1e-9)
+    assert "only named: Fz at" in named.notices[0].text
     total = np.sum([i.effect for i in named.uncertainty.influences], axis=0)
     np.testing.assert_allclose(total[:, :6] + 1j * total[:, 6:], (stated.value - rigid.value) / np.sqrt(3.0), rtol=1e-5)
 

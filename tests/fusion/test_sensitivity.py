@@ -115,6 +115,50 @@ def test_unobserved_motion_is_bounded_or_refused() -> None:
     assert "no sensitivity" in result.notices[0].text
 
 
+def test_unobserved_motion_is_one_cause_of_all_load_components() -> None:
+    only_z = np.array([False, False, True, False, False, False])
+    body = Body((make_part("load", 7.0, [0.0, 0.0, 0.05], np.diag([0.036, 0.036, 0.031])),))
+    load = load_phasors(acceleration(observed=only_z), body)
+    hidden = next(entry for entry in load.contributions if entry.label == "unobserved rx")
+    # A rotation about x pushes the raised mass along -y and turns it: Fy/Mx = -m c/(J + m c²), one cause.
+    fy, mx = np.sqrt(hidden.covariance[0, [1, 3], [1, 3]])
+    assert fy / mx == pytest.approx(7.0 * 0.05 / (0.036 + 7.0 * 0.05**2))
+    assert hidden.covariance[0, 1, 3] == pytest.approx(-fy * mx)
+    assert hidden.covariance[0, 1, 9] == 0.0
+    # The whole estimate keeps what is not given: zero, as uncertain as the unobserved motion makes it.
+    assert load.value[0, 1] == 0.0
+    assert np.isnan(load.phasors.value[0, 1])
+    assert np.all(np.isfinite(load.uncertainty.covariance))
+
+
+def test_a_line_that_nobody_read_has_no_load() -> None:
+    seen = np.array([[True] * 6, [False] * 6])
+    load = load_phasors(acceleration(observed=seen), BODY, GRAVITY)
+    assert load.observed.all(axis=1).tolist() == [True, False]
+    assert np.isnan(load.value[1]).all()
+    assert np.isfinite(load.uncertainty.covariance[0]).all()
+    assert np.isnan(load.uncertainty.covariance[1]).all()
+    result = ratio([output(OUTPUT * np.ones(2))], acceleration(observed=seen))
+    assert np.isfinite(result.value[:, 0, 2]).tolist() == [True, False]
+
+
+def test_channels_of_one_amplifier_share_its_errors() -> None:
+    value = np.array([1e-5, 2e-6])
+    own = {"scale_uncertainty": 1e-3, "individual_uncertainty": 2e-4}
+    pair = output_phasors(
+        [output(value, "Fz", common="amplifier", **own), output(value, "Fx", common="amplifier", **own)]
+    )
+    names = {i.name: i for i in pair.uncertainty.influences}
+    assert set(names) == {"amplifier: scale", *(f"amplifier: individual scale {name}" for name in ("Fz", "Fx"))}
+    np.testing.assert_allclose(names["amplifier: scale"].effect[:, :2], 1e-3 * np.stack([value, value], axis=1))
+    assert {i.label for i in names.values()} == {"output scale", "output individual scale"}
+    np.testing.assert_allclose(names["amplifier: individual scale Fx"].effect[0], [0.0, 2e-4 * value[0], 0.0, 0.0])
+    apart = output_phasors([output(value, "Fz", **own), output(value, "Fx", **own)])
+    assert len(apart.uncertainty.influences) == 4
+    with pytest.raises(ValueError, match="at least one"):
+        output_phasors([])
+
+
 def test_ratio_returns_the_sensitivity() -> None:
     load = load_phasors(acceleration(), BODY, GRAVITY)
     force = load.phasors.value[:, 2]
