@@ -6,6 +6,7 @@ from typing import Any
 
 from fusion import report_tables as tables
 from fusion.budget_tables import budget_tables, other_loads_table
+from fusion.consistency_tables import consistency_tables
 from fusion.evaluation import Evaluation
 from fusion.monte_carlo_tables import monte_carlo_tables
 from fusion.notices import warnings_first
@@ -36,9 +37,7 @@ def _context(evaluation: Evaluation) -> dict[str, Any]:
         "sources": tables.source_tables(evaluation),
         "load": tables.load_table(evaluation),
         "points": point_tables(evaluation),
-        "consistency": [
-            table for table in (tables.chi_square_table(evaluation), tables.consistency_table(evaluation)) if table
-        ],
+        "consistency": consistency_tables(evaluation),
         "others": other_loads_table(evaluation),
         "budgets": budget_tables(evaluation),
         "monte_carlo": monte_carlo_tables(evaluation),

@@ -140,7 +140,7 @@ def consistency_table(evaluation: Evaluation) -> Table | None:
             known = bool(np.isfinite(ratio))
             amplitude = f"{100.0 * (abs(ratio) - 1.0):+.3f}".replace("-", "\N{MINUS SIGN}") if known else DASH
             turn = f"{1e3 * np.angle(ratio):+.2f}".replace("-", "\N{MINUS SIGN}") if known else DASH
-            use = "fused" if entry.used else "compared only"
+            use = ("fused, suspect" if entry.suspect else "fused") if entry.used else "compared only"
             rows.append(
                 (result.body, result.source, entry.instrument, str(entry.channels), deviation, amplitude, turn, use)
             )
