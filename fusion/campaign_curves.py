@@ -15,7 +15,7 @@ from fusion.matrix import CrossTalk
 from fusion.plots.curve import CurveDrawing, OutputsDrawing, Points, draw_campaign_curve, draw_campaign_outputs
 from fusion.plots.style import Picture
 from fusion.polar import Polar
-from fusion.report_numbers import common_exponent, fixed, measured, polar_cells, times_ten
+from fusion.report_numbers import common_exponent, fixed, measured, polar_cells, small, times_ten
 from fusion.report_tables import Headline, Table
 
 BETWEEN_POINTS = 121
@@ -128,8 +128,8 @@ def _scatter_headline(evaluation: CampaignEvaluation) -> list[Headline]:
         float(np.sqrt(np.mean([value[place] ** 2 for value, place in zip(values, places, strict=True)])))
         for values in ([found.between for found in known], [found.within for found in known])
     ]
-    remark = f"a recording: {100.0 * sizes[1]:.2g} %; rms of {len(known)} excitations, beyond what is stated"
-    return [Headline("Mounting anew, standard deviation", f"{100.0 * sizes[0]:.2g} %", remark)]
+    remark = f"a recording: {small(100.0 * sizes[1])} %; rms of {len(known)} excitations, beyond what is stated"
+    return [Headline("Mounting anew, standard deviation", f"{small(100.0 * sizes[0])} %", remark)]
 
 
 def _crosstalk_headline(evaluation: CampaignEvaluation) -> list[Headline]:

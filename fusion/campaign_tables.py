@@ -146,12 +146,12 @@ def _percent(share: float) -> str:
 
 def _recording_row(entry: Recorded) -> RecordingRow:
     """One recording that was evaluated."""
-    direction = ", ".join(f"{number:g}" for number in entry.direction)
+    direction = ",\N{NO-BREAK SPACE}".join(f"{number:.4g}" for number in entry.direction)
     return RecordingRow(
         name=entry.name,
         folder=entry.folder,
         mounting=entry.mounting,
-        excitation=f"{entry.kind} ({direction})" if direction else entry.kind,
+        excitation=f"{entry.kind}\N{NO-BREAK SPACE}({direction})" if direction else entry.kind,
         frequency=", ".join(f"{drive.frequency_hz:.6g}" for drive in entry.drives) or DASH,
         warnings=str(sum(notice.severity == "warning" for notice in entry.notices)),
         result="evaluated" if entry.drives else "no load or no output",

@@ -19,10 +19,12 @@ from fusion import campaign_results, results
 from fusion.campaign_csv import CROSSTALK_COLUMNS, CURVE_COLUMNS, campaign_tables
 from fusion.campaign_evaluation import CampaignEvaluation, evaluate_campaign
 from fusion.campaign_h5 import campaign_h5
+from fusion.campaign_points import curve_points
 from fusion.campaign_report import render_campaign
 from fusion.campaign_results import write_campaign
+from fusion.campaign_tables import linearity_table, repeats_table
 from fusion.errors import InputError
-from fusion.read_results import read_uncertainty
+from fusion.read_results import Recorded, read_uncertainty
 from fusion.results import CAMPAIGN_FILES, check_campaign_folder, write_results
 
 RESULTS_DOC = Path(__file__).resolve().parents[2] / "docs" / "results.md"
@@ -180,12 +182,46 @@ def test_page_of_a_sweep(swept: CampaignEvaluation) -> None:
 
 
 def test_page_of_a_matrix(matrix: CampaignEvaluation) -> None:
-    found = outline(render_campaign(replace(matrix, curves=matrix.curves[-1:], relative=matrix.relative[-1:])))
+    found = outline(render_campaign(replace(matrix, curves=matrix.curves[-2:], relative=matrix.relative[-2:])))
     assert {"figure-crosstalk", "figure-excitation", "figure-curve-Mz-Mz"} <= set(found.ids)
     text = "".join(found.text)
     assert "Largest cross-talk that is certain" in text
     assert "the recordings excite six independent loads" in text
     assert "χ² / degrees of freedom" in text
+
+
+def weaker(entry: Recorded, share: float) -> Recorded:
+    """The same recording with a smaller load."""
+    factor = np.full((1, 6), share, dtype=np.complex128)
+    drives = tuple(
+        replace(
+            drive,
+            recording=f"{entry.name}, weak",
+            load=share * drive.load,
+            load_uncertainty=drive.load_uncertainty.scaled(factor),
+            outputs=share * drive.outputs,
+            outputs_uncertainty=drive.outputs_uncertainty.scaled(factor),
+        )
+        for drive in entry.drives
+    )
+    return replace(entry, name=f"{entry.name}, weak", folder=f"{entry.folder}-weak", drives=drives)
+
+
+def test_a_series_of_amplitudes_tells_linearity() -> None:
+    strong = sweep()[:4]
+    found = evaluate_campaign("series", (*strong, *(weaker(entry, 0.5) for entry in strong)), {})
+    assert [len(repeated.recordings) for repeated in found.repeats] == [4, 4]
+    assert [point.recordings for point in curve_points(found)] == [8] * 6
+    series, repeats = linearity_table(found), repeats_table(found)
+    assert series is not None
+    assert repeats is not None
+    assert re.fullmatch(r"2(29|30)\S* to 4(59|60)\S* N", series.rows[0][2])
+    assert (series.rows[0][1], series.rows[0][3]) == ("Fz", "8")
+    assert series.rows[0][-1] == "linear within U"
+    assert [row[3:5] for row in repeats.rows] == [("4", "2"), ("4", "2")]
+    with h5py.File(io.BytesIO(campaign_h5(found, []))) as file:
+        assert file["linearity/000/amplitude"].shape == (8,)
+        assert file["repeats/001/mountings"].asstr()[()].tolist().count("2") == 2
 
 
 def test_recordings_of_one_name_are_told_apart() -> None:
