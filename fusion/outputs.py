@@ -61,4 +61,4 @@ def _influence(error: RelativeError, change: ComplexArray) -> Influence:
     """One unknown of the outputs; a budget names that of a chain by its kind, whichever channel has it."""
     label = error.label if error.scope == "recording" else "output " + error.label.rpartition(": ")[2]
     effect = np.concatenate([change.real, change.imag], axis=1)
-    return Influence(error.name, label, error.u, error.unit, effect, error.scope)
+    return Influence(error.name, label, error.u, error.unit, effect, error.scope, error.type)
