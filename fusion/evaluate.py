@@ -44,7 +44,8 @@ def evaluate_recording(
     found = analyse(inputs)
     drawn = None
     if settings.monte_carlo:
-        drawn = propagate(Known(inputs, joined.pairs, joined.readings), found, settings.monte_carlo, settings.seed)
+        known = Known(inputs, joined.pairs, joined.readings)
+        drawn = propagate(known, found, settings.monte_carlo, settings.seed, progress)
     told = [*joined.notices, *unseen, *found.notices, *(drawn.notices if drawn else ())]
     return Evaluation(
         manifest=manifest,

@@ -21,12 +21,13 @@ from fusion.monte_carlo.loads import draw_load_matrices
 from fusion.notices import Notice
 from fusion.observe import Reading, StereoReading
 from fusion.propagated import FirstOrder, MonteCarlo, Propagated, refuted_elements, summarise
+from fusion.settings import ProgressCallback, no_progress
 from fusion.system import build_system, hidden_motion
 from fusion.uncertainty import Uncertainty
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
 
 BLOCK = 2000
 """Draws that are in memory at once; each block has streams of its own, so that blocks may be computed in any order."""
@@ -55,7 +56,9 @@ class _Motion:
         return np.asarray(np.nan_to_num(self.fused.phasors.value))
 
 
-def propagate(known: Known, found: Analysis, draws: int, seed: int) -> MonteCarlo:
+def propagate(
+    known: Known, found: Analysis, draws: int, seed: int, progress: ProgressCallback = no_progress
+) -> MonteCarlo:
     """Return what N draws of everything uncertain make of acceleration, load and sensitivity at the driven lines.
 
     JCGM 101 and 102: noise from multivariate t-distributions with its degrees of freedom; masses, points, directions,
@@ -65,12 +68,15 @@ def propagate(known: Known, found: Analysis, draws: int, seed: int) -> MonteCarl
     """
     motions = _motions(known, found)
     driven = np.flatnonzero(known.inputs.lines.multiple == 1)
-    blocks = [(number, min(BLOCK, draws - start)) for number, start in enumerate(range(0, draws, BLOCK))]
-    parts = [_draw(known, found, motions, Deviates(seed, number, count)) for number, count in blocks]
-    results = []
-    for first in _first_order(found):
-        values = np.concatenate([part[first.name][:, driven] for part in parts])
-        results.append(_summary(first, driven, values))
+    firsts = [_at(first, driven) for first in _first_order(found)]
+    drawn: dict[str, list[ComplexArray]] = {first.name: [] for first, _ in firsts}
+    for number, start in enumerate(range(0, draws, BLOCK)):
+        deviates = Deviates(seed, number, min(BLOCK, draws - start))
+        values = _draw(known, found, motions, deviates)
+        for first, kept in firsts:
+            drawn[first.name].append(values[first.name][:, driven][:, :, kept])
+        progress("Monte Carlo", start + deviates.count, draws)
+    results = [summarise(first, _where_known(first, drawn.pop(first.name))) for first, _ in firsts]
     return MonteCarlo(draws, seed, tuple(results), _notices(results, draws))
 
 
@@ -205,8 +211,8 @@ def _of(
     return FirstOrder(name, frequency, tuple(elements), tuple(units), value, covariance, uncertainty.dof())
 
 
-def _summary(first: FirstOrder, driven: NDArray[np.int64], values: ComplexArray) -> Propagated:
-    """Compare the driven lines of a result with its draws, leaving out what none of them determines."""
+def _at(first: FirstOrder, driven: IntArray) -> tuple[FirstOrder, IntArray]:
+    """Take the driven lines of a result and those elements that any of them determines; return their places as well."""
     kept = np.flatnonzero(np.isfinite(first.value[driven]).any(axis=0))
     place = np.ix_(driven, kept)
     own = FirstOrder(
@@ -218,8 +224,12 @@ def _summary(first: FirstOrder, driven: NDArray[np.int64], values: ComplexArray)
         covariance=first.covariance[place],
         dof=first.dof[place],
     )
-    missing = ~np.isfinite(own.value)
-    return summarise(own, np.where(missing, complex(np.nan, np.nan), values[:, :, kept]))
+    return own, kept
+
+
+def _where_known(first: FirstOrder, blocks: Sequence[ComplexArray]) -> ComplexArray:
+    """Join blocks of draws, NaN where a line does not determine an element."""
+    return np.where(np.isfinite(first.value), np.concatenate(blocks), complex(np.nan, np.nan))
 
 
 def _notices(results: Sequence[Propagated], draws: int) -> tuple[Notice, ...]:
