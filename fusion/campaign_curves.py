@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -191,8 +192,14 @@ def _between(curve: Curve, element: int) -> Points | None:
     if np.count_nonzero(usable) < LEAST_POINTS:
         return None
     frequency = curve.frequency_hz[usable]
-    fine = interpolate(curve, np.linspace(float(frequency.min()), float(frequency.max()), BETWEEN_POINTS))
-    found = [row[element] for row in curve_elements(fine)]
+    alone = replace(
+        curve,
+        elements=(curve.elements[element],),
+        value=curve.value[:, [element]],
+        uncertainty=curve.uncertainty.at([element]),
+    )
+    fine = interpolate(alone, np.linspace(float(frequency.min()), float(frequency.max()), BETWEEN_POINTS))
+    found = [row[0] for row in curve_elements(fine)]
     return _points([(f, p) for f, p in zip(fine.frequency_hz.tolist(), found, strict=True) if p is not None])
 
 

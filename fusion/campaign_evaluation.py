@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -16,6 +17,8 @@ from fusion.notices import Notice
 from fusion.read_results import Recorded, SensorFacts
 from fusion.repeats import Repeats, find_repeats
 from shaker.notice import Severity
+
+Joint = TypeVar("Joint")
 
 
 @dataclass(frozen=True)
@@ -55,9 +58,13 @@ def evaluate_campaign(name: str, recorded: Sequence[Recorded], failed: Mapping[s
     drives = [drive for entry in known for drive in entry.drives] if sensor is not None else []
     capacity = None if sensor is None or sensor.capacity is None else sensor.capacity.tolist()
     matrices, refused = fit_matrices(drives, () if sensor is None else sensor.channels)
-    curves = (*ratio_curves(drives, capacity), *matrix_curves(matrices))
-    repeats = tuple(found for found in find_repeats(drives, capacity) if len(found.recordings) > 1)
-    failures = tuple(notice for notice in refused if notice.severity == "warning")
+    ratios, no_ratios = _attempt("curves of ratios", lambda: ratio_curves(drives, capacity))
+    alike, no_repeats = _attempt("means of repeats", lambda: find_repeats(drives, capacity))
+    series, no_series = _attempt("linearity", lambda: find_linearity(drives, capacity))
+    curves = (*ratios, *matrix_curves(matrices))
+    repeats = tuple(found for found in alike if len(found.recordings) > 1)
+    failures = [notice for notice in refused if notice.severity == "warning"]
+    failures += [*no_ratios, *no_repeats, *no_series]
     found = [notice for fit in matrices for notice in fit.notices]
     found += [notice for repeated in repeats for notice in repeated.notices]
     return CampaignEvaluation(
@@ -68,12 +75,20 @@ def evaluate_campaign(name: str, recorded: Sequence[Recorded], failed: Mapping[s
         curves=curves,
         relative=tuple(None if sensor is None else over_static(curve, sensor) for curve in curves),
         repeats=repeats,
-        linearity=find_linearity(drives, capacity),
+        linearity=series,
         matrices=matrices,
         cross_talks=() if capacity is None else tuple(cross_talk(fit, capacity) for fit in matrices),
         refused=refused,
         notices=(*several, *_failures(failed), *failures, *found),
     )
+
+
+def _attempt(what: str, make: Callable[[], tuple[Joint, ...]]) -> tuple[tuple[Joint, ...], tuple[Notice, ...]]:
+    """Return joint results, or why there are none: recordings that do not fit together keep their own results."""
+    try:
+        return make(), ()
+    except ValueError as error:
+        return (), (Notice("warning", f"no {what}: {error}", "campaign"),)
 
 
 def matrix_curves(fits: Sequence[MatrixFit]) -> tuple[Curve, ...]:

@@ -238,6 +238,14 @@ def test_several_sensors_have_nothing_to_say_together() -> None:
     assert "tested several sensors" in found.notices[0].text
 
 
+def test_recordings_that_have_no_output_in_common_keep_their_own_results() -> None:
+    first, second = sweep()[:2]
+    only = tuple(replace(d, channels=tuple(f"{name}'" for name in d.channels)) for d in second.drives)
+    found = evaluate_campaign("apart", (first, replace(second, drives=only)), {})
+    assert found.curves == ()
+    assert "no curves of ratios: drives: expected an output" in found.notices[0].text
+
+
 def test_no_sensor_leaves_a_page_without_sensitivity() -> None:
     bare = replace(sweep()[0], sensor=None, drives=())
     found = evaluate_campaign("bare", (bare,), {})
