@@ -15,6 +15,7 @@ from fusion.system import System, real_design, real_stack
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 TEST_LEVEL = 0.99
 RANK_TOLERANCE = 1e-11
@@ -97,27 +98,33 @@ def contradicts(solution: Solution, unknowns: Sequence[CommonEstimate]) -> bool:
     return bool(extreme) or fails(solution.chi2, solution.dof, half)
 
 
-def leave_one_out(system: System, solution: Solution) -> tuple[Consistency, ...]:
+def leave_one_out(system: System, solution: Solution, contradicted: bool) -> tuple[Consistency, ...]:
     """Return for each channel or stereo pair, and each instrument of several channels, its readings against the others.
+
+    Where readings are `contradicted`, those are suspect without which all others agree and whose chi-square is beyond
+    what is expected by at least half of what any other's is.
 
     With q = P y the difference is d = P_II^-1 q_I with covariance P_II^-1 (deletion formula of generalised least
     squares), so that no fit is repeated; chi-square is q_I^T P_II^+ q_I on the rank of P_II, and that of the others is
     smaller by as much.
     """
     groups = [(name, system.member == place) for place, name in enumerate(system.member_names)]
+    several = len(system.observations) > 1
     for place, observation in enumerate(system.observations):
-        if len(set(observation.members)) > 1:
+        if several and len(set(observation.members)) > 1:
             groups.append((f"{observation.title} as a whole", system.observation == place))
+    tests = [_left_out(system, solution, name, np.flatnonzero(mask)) for name, mask in groups]
+    if not contradicted:
+        return tuple(test for test, _, _ in tests)
+    most = max(chi2 - dof for _, chi2, dof in tests)
     found: list[Consistency] = []
-    single: list[IntArray] = []
-    for name, mask in groups:
-        rows = np.flatnonzero(mask)
-        test, chi2, dof = _left_out(system, solution, name, rows)
+    single: list[BoolArray] = []
+    for (test, chi2, dof), (_, mask) in zip(tests, groups, strict=True):
         agrees = not fails(solution.chi2 - chi2, solution.dof - dof)
-        suspect = agrees and fails(chi2, dof, 1.0 - (1.0 - TEST_LEVEL) / len(groups))
         # An instrument is not suspect for one of its channels.
-        suspect = suspect and not any(np.all(mask[other]) for other in single)
-        single += [rows] if suspect else []
+        own = not any(np.all(mask[other]) for other in single)
+        suspect = agrees and own and dof > 0 and chi2 - dof >= 0.5 * most
+        single += [mask] if suspect else []
         found.append(replace(test, suspect=suspect))
     return tuple(found)
 

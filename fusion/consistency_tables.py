@@ -16,7 +16,7 @@ MINUS = "\N{MINUS SIGN}"
 
 
 def consistency_tables(evaluation: Evaluation) -> list[Table]:
-    """Return the tables on chi-square, every instrument, scatter, and what the data say of the unknowns, if anything."""
+    """Return the tables on chi-square, every instrument, scatter, and what the data say of the stated unknowns."""
     fused = [result for result in evaluation.accelerations if result.source == "fused"]
     found = (
         chi_square_table(evaluation),

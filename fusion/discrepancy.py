@@ -64,8 +64,15 @@ class Contrasts:
 
     def chi2(self, components: FloatArray) -> float:
         """Return chi-square of n degrees of freedom, given the components (C,)."""
-        spread = self.spread + np.tensordot(components, self.patterns, 1) if len(components) else self.spread
-        return float(self.values @ np.linalg.solve(spread, self.values))
+        return float(self.values @ np.linalg.solve(self._spread(components), self.values))
+
+    def deviance(self, components: FloatArray) -> float:
+        """Return minus twice the restricted logarithmic likelihood of components (C,), up to a constant."""
+        return self.chi2(components) + float(np.linalg.slogdet(self._spread(components))[1])
+
+    def _spread(self, components: FloatArray) -> FloatArray:
+        """Covariance with some components, (C,) or none."""
+        return self.spread + np.tensordot(components, self.patterns, 1) if len(components) else self.spread
 
     def normal_equations(self, components: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return F (C, C) and right side (C,) whose solution are the next components.
@@ -74,7 +81,7 @@ class Contrasts:
         likelihood as iterated minimum norm estimates (Rao 1971; Searle, Casella, McCulloch, Variance Components, 1992,
         sec. 6.6), P the inverse covariance of the contrasts.
         """
-        inverse = np.linalg.inv(self.spread + np.tensordot(components, self.patterns, 1))
+        inverse = np.linalg.inv(self._spread(components))
         turned = inverse @ self.patterns
         weighted = inverse @ self.values
         right = np.einsum("i,cij,j->c", weighted, self.patterns, weighted)
@@ -133,7 +140,7 @@ def estimate_scatter(system: System, solution: Solution) -> tuple[Scatter, ...]:
     count = sum(group is not None for groups in tests for group in groups)
     found = []
     for place, groups in zip(_places(system), tests, strict=True):
-        if any(group is not None and _improbable(group, NOTHING, count) for group in groups):
+        if any(group is not None and _improbable(group, count) for group in groups):
             patterns = _own_patterns(system, solution.acceleration, sizes)
             whole = {k: _of_instrument(system, solution, place, k, sizes, patterns) for k in lines}
             usable = {k: group for k, group in whole.items() if group is not None}
@@ -155,12 +162,16 @@ def _of_instrument(
 
 
 def _scatter(observation: Observation, groups: dict[int, Contrasts], lines: int) -> Scatter:
-    """Components of one instrument, pooled over its lines where that explains each of them."""
+    """Components of one instrument, pooled over its lines unless a likelihood ratio says that these differ."""
+    from scipy.stats import chi2
+
     found, dof = np.zeros((lines, 2)), np.zeros((lines, 2))
     pooled = variance_components(list(groups.values()))
-    together = not any(_improbable(group, pooled[0], len(groups), both=True) for group in groups.values())
-    for k, group in groups.items():
-        found[k], dof[k] = pooled if together else variance_components([group])
+    own = {k: variance_components([group]) for k, group in groups.items()}
+    gain = sum(group.deviance(pooled[0]) - group.deviance(own[k][0]) for k, group in groups.items())
+    together = gain <= chi2.ppf(TEST_LEVEL, 2 * len(groups) - 2) if len(groups) > 1 else True
+    for k in groups:
+        found[k], dof[k] = pooled if together else own[k]
     return Scatter(observation.title, np.sqrt(found[:, 0]), np.sqrt(found[:, 1]), _joint_dof(found, dof))
 
 
@@ -172,13 +183,11 @@ def _joint_dof(components: FloatArray, dof: FloatArray) -> FloatArray:
     return np.where(total > 0.0, np.minimum(joint, np.max(dof, axis=1)), np.inf)
 
 
-def _improbable(group: Contrasts, components: FloatArray, tests: int, both: bool = False) -> bool:
-    """Tell whether chi-square is too great, or also too small, for one of several tests together at 1 %."""
-    from scipy.stats import chi2
+def _improbable(group: Contrasts, tests: int) -> bool:
+    """Tell whether chi-square of what is stated is too great for one of several tests together at 1 %."""
+    from scipy.special import chdtrc
 
-    tail = (1.0 - TEST_LEVEL) / tests
-    value, dof = group.chi2(components), len(group.values)
-    return bool(chi2.sf(value, dof) < tail or (both and chi2.cdf(value, dof) < tail))
+    return bool(chdtrc(len(group.values), group.chi2(NOTHING)) < (1.0 - TEST_LEVEL) / tests)
 
 
 def scatter_covariances(system: System, acceleration: ComplexArray, found: Sequence[Scatter]) -> list[Discrepancy]:
@@ -203,7 +212,7 @@ def failing_lines(system: System, solution: Solution) -> tuple[int, ...]:
     every = [np.flatnonzero(system.line == k) for k in range(len(system.observed))]
     groups = [_contrasts(system, solution, rows, sizes, None) for rows in every]
     count = sum(group is not None for group in groups)
-    return tuple(k for k, group in enumerate(groups) if group is not None and _improbable(group, NOTHING, count))
+    return tuple(k for k, group in enumerate(groups) if group is not None and _improbable(group, count))
 
 
 def disagreement(system: System, solution: Solution, lines: Sequence[int], label: str) -> Discrepancy:

@@ -60,7 +60,8 @@ def fuse(
     system = build_system(stated or own)
     solved = solve_consistently(system, scatter)
     first, final, parts, unknowns = solved.stated, solved.final, solved.parts, estimates(system.common, solved.stated)
-    tests = leave_one_out(system, first) if parts or source == "fused" else ()
+    failed = unknowns if contradicts(first, unknowns) else None
+    tests = leave_one_out(system, first, failed is not None) if parts or source == "fused" else ()
     uncertainty = _uncertainty(system, solved)
     phasors = _phasors(system, final, uncertainty)
     for observation in own if stated else ():
@@ -80,7 +81,6 @@ def fuse(
         notices=(),
         scatter=solved.scatter,
     )
-    failed = unknowns if contradicts(first, unknowns) else None
     return replace(result, notices=verdict(result, bool(stated), failed))
 
 

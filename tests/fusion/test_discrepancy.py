@@ -1,0 +1,331 @@
+"""Discrepancies against closed forms and drawn errors: scatter, differences, suspects, and what is not tested."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import binom, chi2, t
+
+from fusion.acceleration import Acceleration
+from fusion.discrepancy import Contrasts, variance_components
+from fusion.fuse import fuse, fuse_sources
+from fusion.observe import ChainUncertainty, Observation, Reading, observe_channels, observe_stereo
+from fusion.verdict import untested
+from shaker.signals.phasor import Phasors
+
+FREQUENCY = np.array([106.25, 212.5])
+OMEGA = 2.0 * np.pi * FREQUENCY
+TRUTH = np.array(
+    [[0.5, -0.3j, 189.0, 4.0j, -3.0, 1.0], [0.01, 0.02, 0.9 - 0.2j, 0.1, 0.05j, 0.02]], dtype=np.complex128
+)
+AXIAL = np.zeros((2, 6), dtype=np.complex128)
+AXIAL[:, 2] = 189.0 * np.exp(0.369j), 1.9 * np.exp(-1.2j)
+CIRCLE = [(0.04 * np.cos(a), 0.04 * np.sin(a), 0.03) for a in 2 * np.pi * np.arange(8) / 8]
+GRAVITY = np.array([0.0, 0.0, -9.8125])
+CAMERA = {"scale_uncertainty": 2e-4, "pose_uncertainty": (1e-4,) * 3 + (5e-4,) * 3, "delay_uncertainty": 1e-6}
+LASER = {
+    "scale_uncertainty": 2.5e-4, "delay_uncertainty": 5e-7, "individual_uncertainty": 1e-4,
+    "point_uncertainty": (1e-3,) * 3, "direction_uncertainty": 5e-3, "common": "laser",
+}  # fmt: skip
+TRIAXIAL = {
+    "scale_uncertainty": 2e-3, "individual_uncertainty": 1e-3, "direction_uncertainty": 5e-4,
+    "transverse_sensitivity": 1e-3, "point_uncertainty": (1e-3,) * 3, "common": "triaxial",
+}  # fmt: skip
+BEAM = LASER | {"direction_uncertainty": 5e-4, "common": "side"}
+BARE = {"scale_uncertainty": 2.5e-4, "common": "laser"}
+
+
+def phasors(value: np.ndarray, sigma: np.ndarray, dof: float = 200.0) -> Phasors:
+    lines, count = value.shape
+    covariance = np.tile(np.broadcast_to(sigma, value.shape), (1, 2))[:, :, None] ** 2 * np.eye(2 * count)
+    names = tuple(f"c{i}" for i in range(count))
+    return Phasors(FREQUENCY[:lines], value.astype(complex), covariance, names, ("SI",) * count, np.full(lines, dof))
+
+
+def channels(rows: Sequence[tuple[str, Any, Any]], noise: np.ndarray, quantity: str, **stated: Any) -> Observation:
+    """Channels (name, point, direction) without any error; `noise` (K,) of each."""
+    base = {
+        "quantity": quantity, "body": "load", "point_uncertainty": (0.0,) * 3, "direction_uncertainty": 0.0,
+        "scale_uncertainty": 0.0, "individual_uncertainty": 0.0, "transverse_sensitivity": 0.0,
+        "delay_uncertainty": 0.0, "channel": None,
+    } | stated  # fmt: skip
+    blank = phasors(np.zeros((len(noise), 1)), noise[:, None])
+    entries: list[Any] = [SimpleNamespace(**base, name=n, point=p, direction=d) for n, p, d in rows]
+    return observe_channels([Reading(entry, blank, ChainUncertainty()) for entry in entries], GRAVITY)[0]
+
+
+def lasers(count: int, noise: float = 1e-5, truth: np.ndarray = TRUTH, **stated: Any) -> Observation:
+    rows = [(f"p{i}", point, (0.0, 0.0, 1.0)) for i, point in enumerate(CIRCLE[:count])]
+    return channels(rows, noise * np.abs(truth[:, 2]) / OMEGA, "velocity", **(stated or LASER))
+
+
+def beam() -> Observation:
+    return channels([("side", (0.05, 0.0, 0.02), (1.0, 0.0, 0.0))], 1e-5 * 189.0 / OMEGA, "velocity", **BEAM)
+
+
+def triaxial() -> Observation:
+    rows = [("a" + "xyz"[i], (0.02, -0.03, 0.06), tuple(np.eye(3)[i])) for i in range(3)]
+    return channels(rows, np.full(2, 2e-5 * 189.0), "acceleration", **TRIAXIAL)
+
+
+def camera(**stated: Any) -> Observation:
+    entry: Any = SimpleNamespace(**({"body": "load"} | CAMERA | stated))
+    return observe_stereo("top", entry, phasors(np.zeros((2, 6)), 1e-9 * np.array([1, 1, 3, 30, 30, 10.0])))
+
+
+def measured(
+    seen: Sequence[Observation], rng: np.random.Generator, truth: np.ndarray = TRUTH, drawn: bool = True
+) -> list[Observation]:
+    """What instruments read of a motion, with drawn common errors and noise."""
+    found = []
+    for observation in seen:
+        value = np.einsum("kmj,kj->km", observation.design, truth)
+        for error in observation.common if drawn else ():
+            value = value + rng.normal() * error.effect(truth)
+        sd = np.sqrt(observation.phasors.covariance.diagonal(axis1=1, axis2=2))[:, : value.shape[1]]
+        noise = sd * (rng.normal(size=value.shape) + 1j * rng.normal(size=value.shape))
+        found.append(with_values(observation, value + noise))
+    return found
+
+
+def with_values(observation: Observation, value: np.ndarray) -> Observation:
+    return replace(observation, phasors=replace(observation.phasors, value=value))
+
+
+def turned(observation: Observation, axis: int, angle_rad: float) -> Observation:
+    """A camera frame that is turned: translations and rotations come out in other axes."""
+    matrix = np.kron(np.eye(2), Rotation.from_rotvec(angle_rad * np.eye(3)[axis]).as_matrix())
+    return with_values(observation, observation.phasors.value @ matrix.T)
+
+
+def expanded(result: Acceleration, component: int) -> float:
+    """U of the complex value at the first line, with the t-factor of its degrees of freedom."""
+    u = np.hypot(result.phasors.u_re[0, component], result.phasors.u_im[0, component])
+    return float(u * t.ppf(0.975, min(result.uncertainty.dof()[0, component], 1e6)))
+
+
+def error(result: Acceleration, component: int, truth: np.ndarray = TRUTH) -> float:
+    return float(abs(result.phasors.value[0, component] - truth[0, component]))
+
+
+def warning(result: Acceleration) -> str:
+    return next(notice.text for notice in result.notices if notice.severity == "warning")
+
+
+def scattered(noise: float, count: int, seed: int) -> tuple[Contrasts, float]:
+    """Contrasts of repeated readings of one constant, and their sample variance."""
+    values = np.random.default_rng(seed).normal(size=count)
+    across = np.linalg.svd(np.ones((count, 1)))[0][:, 1:]
+    spread = noise * np.eye(count - 1)
+    return Contrasts(across.T @ values, spread, np.eye(count - 1)[None]), float(np.var(values, ddof=1))
+
+
+@pytest.mark.parametrize("noise", [1e-12, 0.2])
+def test_one_component_is_the_excess_of_the_sample_variance(noise: float) -> None:
+    group, variance = scattered(noise, 9, 1)
+    (component,), (dof,) = variance_components([group])
+    assert component == pytest.approx(variance - noise, rel=1e-5)
+    # Satterthwaite: the variance 2 s⁴/8 of the estimate as 2 θ²/ν.
+    assert dof == pytest.approx(8 * ((variance - noise) / variance) ** 2, rel=1e-4)
+    assert variance_components([replace(group, spread=10.0 * np.eye(8))])[0][0] == 0.0
+
+
+def test_the_same_errors_at_all_lines_count_once() -> None:
+    group, variance = scattered(1e-12, 9, 2)
+    components, dof = variance_components([group] * 4)
+    assert components[0] == pytest.approx(variance, rel=1e-5)
+    assert dof[0] == pytest.approx(8.0, rel=1e-4)
+
+
+def test_an_instrument_that_cannot_test_itself_has_no_scatter_of_its_own() -> None:
+    rng = np.random.default_rng(3)
+    seen = measured([camera(), lasers(3), triaxial()], rng)
+    seen[0] = turned(seen[0], 1, 0.02)
+    result = fuse(seen)
+    assert result.scatter == ()
+    assert any(c.label == "inconsistency of instruments" for c in result.uncertainty.random)
+
+
+@pytest.mark.parametrize("spread", [1.0, 1.0j])
+def test_scatter_of_amplitudes_is_told_from_that_of_phases(spread: complex) -> None:
+    rng = np.random.default_rng(4)
+    (clean,) = measured([lasers(8, 2e-7, AXIAL, **BARE)], rng, AXIAL)
+    value = clean.phasors.value * (1 + 1e-3 * spread * rng.normal(size=8))
+    (found,) = fuse([with_values(clean, value)]).scatter
+    large, small = (found.amplitude, found.phase) if spread == 1.0 else (found.phase, found.amplitude)
+    np.testing.assert_allclose(large, 1e-3, rtol=0.6)
+    assert np.all(small < 1e-5)
+    # Eight readings, three components; the second line repeats what the first one says.
+    np.testing.assert_allclose(found.dof, 5.0, rtol=5e-2)
+
+
+def test_scatter_at_a_harmonic_stays_there() -> None:
+    rng = np.random.default_rng(5)
+    (clean,) = measured([lasers(8, 1e-5, AXIAL, **BARE)], rng, AXIAL)
+    value = clean.phasors.value * (1 + np.array([[1e-4], [0.1]]) * rng.normal(size=(2, 8)))
+    (found,) = fuse([with_values(clean, value)]).scatter
+    assert found.amplitude[0] < 3e-4
+    assert found.amplitude[1] == pytest.approx(0.1, rel=0.6)
+
+
+def test_two_instruments_of_different_scale_are_both_covered_and_nothing_else_is() -> None:
+    rng = np.random.default_rng(6)
+    optical, array = measured([camera(), lasers(8)], rng)
+    agreed = fuse([optical, array])
+    result = fuse([optical, with_values(array, array.phasors.value * 1.01)])
+    assert {test.instrument for test in result.consistency if test.suspect} == {"stereo top", "laser as a whole"}
+    for truth in (TRUTH, 1.01 * TRUTH):
+        assert error(result, 2, truth) < expanded(result, 2) < 0.03 * 189.0
+    for component in (0, 1, 5):
+        assert expanded(result, component) == pytest.approx(expanded(agreed, component), rel=0.1)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("others", ["triaxial", "beam", "both"])
+def test_a_turned_camera_is_named_and_covered(others: str, axis: int) -> None:
+    rng = np.random.default_rng(7)
+    more = {"triaxial": [triaxial()], "beam": [beam()], "both": [beam(), triaxial()]}[others]
+    seen = measured([camera(), lasers(3), *more], rng)
+    result = fuse([turned(seen[0], axis, 5e-3), *seen[1:]])
+    if others == "beam" and axis == 0:
+        # A beam along x says nothing of a turn about x, and the report says so.
+        assert "stereo top: pose rotation x" in {row.name for row in untested(result)}
+        return
+    suspects = {test.instrument for test in result.consistency if test.suspect}
+    assert "stereo top" in suspects
+    assert len(suspects) == (1 if others == "both" and axis == 1 else 2)
+    assert f"stereo top: pose rotation {'xy'[axis]} would have to be 0.00" in warning(result)
+    assert "U was enlarged" in warning(result)
+    assert error(result, 1 - axis) < expanded(result, 1 - axis)
+    for component in range(6):
+        assert error(result, component) < 1.6 * expanded(result, component)
+
+
+def test_axial_beams_alone_do_not_test_a_turn_and_the_result_says_so() -> None:
+    seen = measured([camera(), lasers(8)], np.random.default_rng(8))
+    result = fuse([turned(seen[0], 1, 5e-3), *seen[1:]])
+    assert not any(notice.severity == "warning" for notice in result.notices)
+    rows = {row.name: row for row in untested(result)}
+    assert {"stereo top: pose rotation x", "stereo top: pose rotation y"} <= set(rows)
+    row = rows["stereo top: pose rotation y"]
+    assert (row.component, row.u, row.unit) == ("x", 5e-4, "rad")
+    assert row.share > 0.9
+    assert row.relative == pytest.approx(5e-4 * 189.0 / abs(result.phasors.value[0, 0]), rel=1e-3)
+    (text,) = (notice.text for notice in result.notices if "not tested" in notice.text)
+    assert "stereo top: pose rotation y (100% of the variance of x)" in text
+
+
+def test_where_instruments_agree_fused_is_no_worse_than_the_best_of_them() -> None:
+    rng = np.random.default_rng(9)
+    for _ in range(5):
+        fused, *single = fuse_sources(measured([camera(), lasers(8), triaxial()], rng), "load")
+        assert not any(notice.severity == "warning" for notice in fused.notices)
+        for component in range(6):
+            best = min(expanded(one, component) for one in single if one.observed[0, component])
+            assert expanded(fused, component) <= best * (1 + 1e-3)
+
+
+def test_one_kind_of_instrument_alone_is_the_fused_result() -> None:
+    fused, single = fuse_sources(measured([lasers(8)], np.random.default_rng(10)), "load")
+    assert single.source == "vibrometer"
+    np.testing.assert_array_equal(single.phasors.value, fused.phasors.value)
+
+
+def test_readings_of_a_body_really_moved_give_its_acceleration() -> None:
+    # A triaxial accelerometer, which gravity tilts, a triaxial gyroscope, and three lasers, from finite rotations.
+    shift, turn = np.array([2.0, -1.0, 9.0]) * 1e-7, np.array([3.0, -1.0, 2.0]) * 1e-6
+    point = np.array([0.02, -0.03, 0.06])
+    step, times = 2e-5, np.arange(256) / 256 / FREQUENCY[0]
+
+    def place(at: np.ndarray, r: np.ndarray) -> np.ndarray:
+        return np.asarray(shift * np.cos(OMEGA[0] * at)[:, None] + pose(at).apply(r))
+
+    def pose(at: np.ndarray) -> Rotation:
+        return Rotation.from_rotvec(turn * np.sin(OMEGA[0] * at)[:, None])
+
+    def first(series: np.ndarray) -> np.ndarray:
+        return np.asarray(2.0 / len(times) * np.exp(-1j * OMEGA[0] * times) @ series)
+
+    second = (place(times + step, point) - 2 * place(times, point) + place(times - step, point)) / step**2
+    reading = first(pose(times).inv().apply(second - GRAVITY))
+    # The second difference of a sine is smaller than its derivative by (sin x / x)², x = ω·step/2.
+    small = np.sinc(OMEGA[0] * step / 2 / np.pi)
+    static = first(pose(times).inv().apply(-GRAVITY[None]))
+    reading = (reading - static) / small**2 + static
+    spin = (pose(times - step).inv() * pose(times + step)).as_rotvec() / (2 * step) / np.sinc(OMEGA[0] * step / np.pi)
+    axes = [(letter, tuple(point), tuple(np.eye(3)[i])) for i, letter in enumerate("xyz")]
+    stated = {"scale_uncertainty": 1e-3}
+    inertial = channels(axes, np.array([1e-6]), "acceleration", common="triaxial", **stated)
+    gyroscope = channels(axes, np.array([1e-8]), "angular_velocity", common="gyroscope", **stated)
+    result = fuse([with_values(inertial, reading[None]), with_values(gyroscope, first(spin)[None])])
+    motion = -(OMEGA[0] ** 2) * np.concatenate([shift, -1j * turn])
+    np.testing.assert_allclose(result.phasors.value[0, :3], motion[:3], rtol=0, atol=2e-5 * np.abs(motion[2]))
+    np.testing.assert_allclose(result.phasors.value[0, 3:], motion[3:], rtol=2e-5)
+    assert result.chi2 < 1.0
+
+
+@dataclass
+class Trials:
+    """Errors (N, 2) along and across the true phasor, U (N, 2), and which regions held the truth."""
+
+    errors: np.ndarray
+    expanded: np.ndarray
+    inside: np.ndarray
+
+    @property
+    def ratio(self) -> float:
+        """Median U along the phasor over the half-width that holds 95 % of the errors."""
+        return float(np.median(self.expanded[:, 0]) / np.quantile(np.abs(self.errors[:, 0]), 0.95))
+
+
+def repeat(make: Callable[[], list[Observation]], truth: np.ndarray, count: int) -> Trials:
+    """Driven component of many results."""
+    errors, spread, inside = [], [], []
+    unit = truth[0, 2] / abs(truth[0, 2])
+    turn = np.array([[unit.real, unit.imag], [-unit.imag, unit.real]])
+    for _ in range(count):
+        result = fuse(make())
+        dof = min(float(result.uncertainty.dof()[0, 2]), 1e6)
+        covariance = turn @ result.phasors.covariance[0][np.ix_([2, 8], [2, 8])] @ turn.T
+        off = turn @ np.array([(e := result.phasors.value[0, 2] - truth[0, 2]).real, e.imag])
+        limit = chi2.ppf(0.95, 2) if dof > 1e5 else dof * (0.05 ** (-2 / (dof - 1)) - 1)
+        errors.append(off)
+        spread.append(t.ppf(0.975, dof) * np.sqrt(np.diag(covariance)))
+        inside.append(off @ np.linalg.solve(covariance, off) < limit)
+    return Trials(np.array(errors), np.array(spread), np.array(inside))
+
+
+@pytest.mark.slow
+def test_eight_lasers_with_unstated_scatter_are_unbiased_and_covered() -> None:
+    rng = np.random.default_rng(11)
+    clean = lasers(8, 2e-7, AXIAL, **BARE)
+
+    def make() -> list[Observation]:
+        (read,) = measured([clean], rng, AXIAL)
+        return [with_values(read, read.phasors.value * (1 + 1e-3 * rng.normal(size=8)))]
+
+    count = 400
+    found = repeat(make, AXIAL, count)
+    assert abs(found.errors[:, 0].mean()) / 189.0 < 1e-4
+    covered = np.sum(np.abs(found.errors[:, 0]) <= found.expanded[:, 0])
+    low, high = binom.ppf([0.001, 0.999], count, 0.95)
+    assert low <= covered <= high
+    assert np.sum(found.inside) >= low
+    assert found.ratio < 1.2
+
+
+@pytest.mark.slow
+def test_nothing_is_inflated_where_all_is_as_stated() -> None:
+    rng = np.random.default_rng(12)
+    count = 400
+    clean = [camera(), lasers(8), triaxial()]
+    found = repeat(lambda: measured(clean, rng), TRUTH, count)
+    low, high = binom.ppf([0.001, 0.999], count, 0.95)
+    assert low <= np.sum(found.inside) <= high
+    assert found.ratio < 1.2
