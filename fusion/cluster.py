@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, cast
 from fusion.errors import ComputeError, InputError
 from fusion.provenance import PROGRAM
 from fusion.task import Answer, call
+from fusion.threads import with_one_thread
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -34,7 +35,7 @@ class Cluster:
         that dies is nobody's loss: Dask computes again, elsewhere, what it had.
         """
         held = [argument.future if isinstance(argument, ClusterAnswer) else argument for argument in arguments]
-        return ClusterAnswer(self._client.submit(call, function, *held, priority=-rank, pure=False))
+        return ClusterAnswer(self._client.submit(call, with_one_thread, function, *held, priority=-rank, pure=False))
 
 
 class ClusterAnswer:

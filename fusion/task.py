@@ -10,10 +10,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from fusion.threads import one_thread
-
 log = logging.getLogger("shakercal")
-_ALONE = threading.Lock()  # threads of one process share the logger and the libraries' numbers of threads
+_ALONE = threading.Lock()  # threads of one process share the logger and what the libraries are limited to
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,14 +36,13 @@ class Answer:
 
 
 def call(function: Callable[..., Any], *arguments: Any) -> Answer:
-    """Call a function with one thread per library, one call at a time; answers among its arguments are opened.
+    """Call a function, one at a time in a process; answers among its arguments are opened.
 
     An exception carries the place it came from as its note.
     """
     with _ALONE, _kept_log() as told:
         try:
-            with one_thread():
-                return Answer(function(*(_opened(argument) for argument in arguments)), None, tuple(told))
+            return Answer(function(*(_opened(argument) for argument in arguments)), None, tuple(told))
         except Exception as error:
             error.add_note(traceback.format_exc())
             return Answer(None, error, tuple(told))

@@ -7,11 +7,12 @@ result change. Everything a run computes is therefore done with one of them, whe
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "NUMBA_NUM_THREADS")
-ONE_THREAD = dict.fromkeys(LIMITS, "1")
+ONE_THREAD = dict.fromkeys((*LIMITS, "OPENCV_FOR_THREADS_NUM"), "1")
 """What a process has to be started with for its libraries to use one thread each."""
 
 
@@ -23,6 +24,12 @@ def one_blas_thread() -> Iterator[None]:
 
     with threadpool_limits(1, user_api="blas"):
         yield
+
+
+def with_one_thread(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Call a function while every library computes with one thread."""
+    with one_thread():
+        return function(*arguments)
 
 
 @contextmanager

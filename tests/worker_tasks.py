@@ -1,0 +1,89 @@
+"""What tests have other processes do: they import it by its name."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+from unittest.mock import patch
+
+from fusion.errors import InputError
+
+if TYPE_CHECKING:
+    from fusion.job import Job, Outcome
+
+
+def whole_job(job: Job) -> Outcome:
+    """Everything that a run does with a recording but its figures, which take most of the time."""
+    from fusion.job import run_job
+
+    with patch("fusion.results.render_report", lambda evaluation: f"<!doctype html>{evaluation.manifest.name}"):
+        return run_job(job)
+
+
+def slow_job(job: Job) -> Outcome:
+    """The same, but not before the test may have looked at it."""
+    (job.folder.parent.parent / f"begun-{job.folder.name}").write_text(str(os.getpid()))
+    time.sleep(0.5)
+    return whole_job(job)
+
+
+def product(a: float, b: float) -> float:
+    """A task without anything else."""
+    return a * b
+
+
+def process() -> int:
+    """Who computes it."""
+    return os.getpid()
+
+
+def die_until(tries: Path, deaths: int) -> int:
+    """Be killed as often as is asked for, then return the number of tries."""
+    with tries.open("a") as stream:
+        stream.write(".")
+    if tries.stat().st_size <= deaths:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return tries.stat().st_size
+
+
+def refuse(kind: str) -> None:
+    """Log, and fail in one of several ways."""
+    logging.getLogger("shakercal").warning("a remark about %s", kind)
+    if kind == "input":
+        raise InputError("a.h5", "Fz", found="b", expected="c", more=2)
+    if kind == "unpicklable":
+        raise ValueError(lambda: kind)
+    raise OSError(28, "disk full")
+
+
+def sum_of_products() -> bytes:
+    """A number whose last digits depend on the threads of linear algebra."""
+    import numpy as np
+
+    values = np.random.default_rng(1).normal(size=(2, 400_000))
+    return np.asarray(values @ values.T).tobytes()
+
+
+def threads() -> dict[str, int]:
+    """How many threads the libraries may use."""
+    import cv2
+    import numba
+    import threadpoolctl
+
+    found = {pool["prefix"]: pool["num_threads"] for pool in threadpoolctl.threadpool_info()}
+    return {**found, "numba": numba.get_num_threads(), "cv2": cv2.getNumThreads()}
+
+
+def wait_for_ever(begun: Path) -> None:
+    """Say who waits, and do so."""
+    partial = begun.with_name(f".partial-{os.getpid()}")
+    try:
+        partial.write_text("")
+        begun.write_text(str(os.getpid()))
+        time.sleep(600.0)
+    finally:
+        partial.unlink()
