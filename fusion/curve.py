@@ -203,7 +203,8 @@ def _point_variance(curve: Curve) -> FloatArray:
 
 def _interpolated(curve: Curve, weight: FloatArray, between: FloatArray, dof: float) -> Uncertainty:
     """Uncertainty of weighted sums (Q, K, 2E) of the points, and of what lies between them (Q, 2E)."""
-    size = np.maximum(np.abs(np.nan_to_num(curve.value)), np.finfo(np.float64).tiny)
+    size = np.abs(curve.value)
+    size = np.where(size > 0.0, size, np.inf)
     random = [_averaged(part, weight, size) for part in curve.uncertainty.random]
     spread = between[:, :, None] * np.eye(between.shape[1])
     random.append(Contribution(INTERPOLATION, "A", spread, np.full(len(between), dof)))

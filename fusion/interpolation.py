@@ -16,6 +16,7 @@ _SIZES = np.geomspace(1e-6, 1.0, 7)
 """Standard deviations tried first, in units of the values."""
 _JITTER = 1e-9
 """Standard deviation in units of the values that keeps matrices of noiseless points regular."""
+_DIGITS = 1e-13
 
 
 @dataclass(frozen=True)
@@ -53,18 +54,18 @@ def interpolation_weights(
     trend, trend_wanted = _parabola(frequency_hz, high), _parabola(wanted_hz, high)
     place, wanted = np.log(frequency_hz), np.log(wanted_hz)
     distance = np.abs(place[:, None] - place)
-    best = _restricted_maximum(distance, trend, data, noise)
+    contrasts = np.linalg.qr(trend, mode="complete")[0][:, trend.shape[1] :]
+    best = _restricted_maximum(distance, contrasts, data, noise)
     covariance = _matern(distance, best)
-    inverse = np.asarray(np.linalg.inv(covariance + np.diag(noise)))
-    factor = _left_out(inverse, trend, data)
     across = _matern(np.abs(wanted[:, None] - place), best)
-    normal = trend.T @ inverse @ trend
-    missing = trend_wanted - across @ inverse @ trend
-    weight = across @ inverse + missing @ np.linalg.solve(normal, trend.T @ inverse)
+    readings = covariance + np.diag(noise + _rounding(best))
+    projector = contrasts @ np.linalg.solve(contrasts.T @ readings @ contrasts, contrasts.T)
+    plain = trend_wanted @ np.linalg.pinv(trend)
+    weight = plain + (across - plain @ readings) @ projector
     between = np.exp(2.0 * best[0]) - 2.0 * np.sum(weight * across, axis=1)
     between = np.maximum(between + np.einsum("qk,kl,ql->q", weight, covariance, weight), 0.0)
-    dof = float(len(frequency_hz) - trend.shape[1])
-    return Weights(weight, factor * between * size**2, dof)
+    factor = _left_out(projector, data)
+    return Weights(weight, factor * between * size**2, float(contrasts.shape[1]))
 
 
 def _parabola(frequency_hz: FloatArray, high: float) -> FloatArray:
@@ -79,17 +80,25 @@ def _matern(distance: FloatArray, log_parameters: FloatArray) -> FloatArray:
     return np.asarray(size**2 * (1.0 + ratio + ratio**2 / 3.0) * np.exp(-ratio))
 
 
-def _restricted_maximum(distance: FloatArray, trend: FloatArray, data: FloatArray, noise: FloatArray) -> FloatArray:
+def _rounding(log_parameters: FloatArray) -> float:
+    """Variance of what rounding leaves of a covariance."""
+    return _DIGITS * float(np.exp(2.0 * log_parameters[0]))
+
+
+def _restricted_maximum(distance: FloatArray, contrasts: FloatArray, data: FloatArray, noise: FloatArray) -> FloatArray:
     """Logarithms of size and length of greatest restricted likelihood: the best of a grid, refined."""
     from scipy.optimize import minimize
 
     span = float(np.max(distance))
     bounds = np.log([[1e-9, 10.0], [_LENGTHS[0] * span, _LENGTHS[-1] * span]])
+    left = contrasts.T @ data
 
     def cost(parameters: FloatArray) -> float:
         inside = np.clip(parameters, bounds[:, 0], bounds[:, 1])
-        outside = float(np.sum((parameters - inside) ** 2))
-        return _negative_likelihood(_matern(distance, inside) + np.diag(noise), trend, data) + outside
+        readings = _matern(distance, inside) + np.diag(noise + _rounding(inside))
+        return _negative_likelihood(contrasts.T @ readings @ contrasts, left) + float(
+            np.sum((parameters - inside) ** 2)
+        )
 
     grid = [np.log([size, length * span]) for size in _SIZES for length in _LENGTHS]
     start = min(grid, key=cost)
@@ -97,22 +106,12 @@ def _restricted_maximum(distance: FloatArray, trend: FloatArray, data: FloatArra
     return np.asarray(np.clip(found.x, bounds[:, 0], bounds[:, 1]))
 
 
-def _negative_likelihood(covariance: FloatArray, trend: FloatArray, data: FloatArray) -> float:
-    """Minus twice the restricted log-likelihood of columns with one covariance, up to a constant."""
+def _negative_likelihood(covariance: FloatArray, left: FloatArray) -> float:
+    """Minus twice the log-likelihood of what contrasts free of the trend leave, up to a constant."""
     root = np.linalg.cholesky(covariance)
-    white = np.linalg.solve(root, np.concatenate([trend, data], axis=1))
-    basis, upper = np.linalg.qr(white[:, : trend.shape[1]])
-    rest = white[:, trend.shape[1] :]
-    rest = rest - basis @ (basis.T @ rest)
-    columns = data.shape[1]
-    logs = np.sum(np.log(np.diag(root))) + np.sum(np.log(np.abs(np.diag(upper))))
-    return float(2.0 * columns * logs + np.sum(rest**2))
+    return float(2.0 * np.sum(np.log(np.diag(root))) + np.sum(np.linalg.solve(root, left) ** 2))
 
 
-def _left_out(inverse: FloatArray, trend: FloatArray, data: FloatArray) -> float:
+def _left_out(projector: FloatArray, data: FloatArray) -> float:
     """Mean normalised square of what points left out differ by from their prediction, at least 1."""
-    projector = inverse - inverse @ trend @ np.linalg.solve(trend.T @ inverse @ trend, trend.T @ inverse)
-    own = np.diag(projector)
-    kept = own > 1e-9 * np.diag(inverse)
-    squares = (projector @ data)[kept] ** 2 / own[kept, None]
-    return max(1.0, float(np.mean(squares)))
+    return max(1.0, float(np.mean((projector @ data) ** 2 / np.diag(projector)[:, None])))

@@ -1,0 +1,199 @@
+"""One curve over frequency: which recordings make it, relative to static, and interpolation with uncertainty."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike, NDArray
+
+from fusion.curve import INTERPOLATION, Curve, interpolate, matrix_curve, ratio_curves, relative_curve
+from fusion.drive import Drive
+from fusion.interpolation import LEAST_POINTS, interpolation_weights
+from fusion.matrix import fit_matrix
+from fusion.simulate.drives import (
+    CAPACITY,
+    CHANNELS,
+    MAIN,
+    DriveErrors,
+    drive_setup,
+    eight_setups,
+    simulate_drives,
+    true_matrix,
+)
+
+AnyArray = NDArray[Any]
+RESONANCE_HZ = 2500.0
+
+
+def response(frequency_hz: ArrayLike) -> AnyArray:
+    return np.asarray(1.0 / (1.0 - (np.asarray(frequency_hz) / RESONANCE_HZ) ** 2))
+
+
+def sweep(seed: int = 1, lines: int = 12) -> tuple[list[Drive], AnyArray]:
+    """Two mountings of an axial recording at every frequency, below a resonance; and the matrix at rest."""
+    rng = np.random.default_rng(seed)
+    truth, errors = true_matrix(rng), DriveErrors(rng)
+    found: list[Drive] = []
+    for frequency in np.geomspace(50.0, 1000.0, lines).tolist():
+        base = replace(drive_setup(rng, "", "z", (0.0, 0.0, 0.08)), frequency_hz=frequency)
+        setups = [replace(base, recording=f"{frequency:.0f}-{m}", mounting=f"{m}") for m in range(2)]
+        found += simulate_drives(setups, truth * response(frequency), errors)
+    return found, truth
+
+
+def test_ratios_make_one_curve_per_driven_component() -> None:
+    drives, truth = sweep()
+    rng = np.random.default_rng(3)
+    setup = replace(drive_setup(rng, "x", "x", (0.0, 0.0, 0.05)), frequency_hz=drives[0].frequency_hz)
+    along_x, along_z = ratio_curves([*simulate_drives([setup], truth, DriveErrors(rng)), *drives], CAPACITY.tolist())
+    assert along_x.elements == tuple((c, 0) for c in range(6))
+    assert along_z.elements == tuple((c, 2) for c in range(6))
+    assert along_z.value.shape == (12, 6)
+    assert along_z.recordings[0] == ("50-0", "50-1")
+    assert along_z.name(2) == "Fz/Fz"
+    u = np.sqrt(along_z.uncertainty.covariance[:, 2, 2])
+    true = truth[2, 2].real * response(along_z.frequency_hz)
+    # Other components of the motion, one per cent of it, come in by the cross-talk of two per cent.
+    assert np.all(np.abs(along_z.value[:, 2].real - true) < 4.0 * u + 2e-3 * np.abs(true))
+    assert along_z.kind == "ratio"
+
+
+def test_of_several_lever_arms_the_purest_is_on_the_curve() -> None:
+    rng = np.random.default_rng(5)
+    setups = [drive_setup(rng, name, "z", (x, 0.0, 0.08)) for name, x in (("arm", 0.15), ("axis", 0.0), ("far", -0.2))]
+    (curve,) = ratio_curves(simulate_drives(setups, true_matrix(rng), DriveErrors(rng)), CAPACITY.tolist())
+    assert curve.recordings == (("axis",),)
+
+
+def test_an_output_that_a_frequency_lacks_is_no_number_there() -> None:
+    drives, _ = sweep(lines=6)
+    partial = [
+        replace(
+            d, outputs=d.outputs[:3], outputs_uncertainty=d.outputs_uncertainty.at([0, 1, 2]), channels=CHANNELS[:3]
+        )
+        if n < 2
+        else d
+        for n, d in enumerate(drives)
+    ]
+    (curve,) = ratio_curves(partial, CAPACITY.tolist())
+    assert curve.channels == CHANNELS
+    assert np.isnan(curve.value[0, 3:]).all()
+    assert np.isfinite(curve.value[0, :3]).all()
+    covariance = curve.uncertainty.covariance
+    assert np.isnan(covariance[0, 3, 3])
+    assert np.isfinite(covariance[0, :3, :3]).all()
+    assert np.isfinite(covariance[1:]).all()
+    wanted = np.array([200.0, 500.0])
+    between = interpolate(curve, wanted)
+    assert np.isfinite(between.value).all()
+    few = interpolate(replace(curve, value=np.where(np.arange(6)[:, None] < 2, np.nan, curve.value)), wanted)
+    assert np.isnan(few.value).all()
+    assert np.isnan(few.uncertainty.covariance[0, 0, 0])
+
+
+def test_matrices_make_a_curve_that_shares_its_unknowns() -> None:
+    rng = np.random.default_rng(7)
+    truth, errors = true_matrix(rng), DriveErrors(rng)
+    setups = eight_setups(rng)
+    fits = []
+    for frequency in (200.0, 100.0):
+        there = [replace(setup, frequency_hz=frequency) for setup in setups]
+        fits.append(fit_matrix(simulate_drives(there, truth * response(frequency), errors)))
+    curve = matrix_curve(fits)
+    assert curve.frequency_hz.tolist() == [100.0, 200.0]
+    assert curve.kind == "matrix"
+    assert curve.value.shape == (2, 36)
+    assert len(curve.recordings[0]) == 8
+    effects = {i.name: i.effect for i in curve.uncertainty.influences}
+    assert np.all(effects["laser: scale"][:, 14] != 0.0)
+    covariance = np.concatenate([fits[1].uncertainty.covariance, fits[0].uncertainty.covariance])
+    np.testing.assert_allclose(curve.uncertainty.covariance, covariance, rtol=1e-9, atol=1e-30)
+    with pytest.raises(ValueError, match="matrices of the same outputs"):
+        matrix_curve([fits[0], replace(fits[1], channels=CHANNELS[::-1])])
+
+
+def test_relative_to_static() -> None:
+    drives, _ = sweep()
+    (curve,) = ratio_curves(drives, CAPACITY.tolist())
+    found = relative_curve(curve, np.diag(MAIN), 1e-3)
+    assert found is not None
+    assert found.elements == ((2, 2),)
+    np.testing.assert_allclose(found.value[:, 0], curve.value[:, 2] / MAIN[2])
+    parts = {part.label: part.covariance for part in found.uncertainty.grouped()}
+    np.testing.assert_allclose(np.sqrt(parts["static sensitivity"][:, 0, 0]), 1e-3 * found.value[:, 0].real, rtol=1e-6)
+    exact = relative_curve(curve, np.diag(MAIN))
+    assert exact is not None
+    assert len(exact.uncertainty.influences) == len(curve.uncertainty.influences)
+    assert relative_curve(curve, np.zeros((6, 6))) is None
+
+
+def test_interpolation_keeps_what_all_points_share() -> None:
+    drives, truth = sweep()
+    (curve,) = ratio_curves(drives, CAPACITY.tolist())
+    found = interpolate(curve, np.linspace(60.0, 950.0, 9))
+    true = truth[2, 2] * response(found.frequency_hz)
+    covariance = found.uncertainty.covariance
+    u = np.sqrt(covariance[:, 2, 2])
+    assert np.all(np.abs((found.value[:, 2] - true).real) < 4.0 * u + 2e-3 * np.abs(true))
+    effects = {i.name: i.effect[:, 2] for i in found.uncertainty.influences}
+    np.testing.assert_allclose(effects["laser: scale"] / -found.value[:, 2].real, 2.5e-4, rtol=1e-3)
+    # Scales of motion, amplifier and channel, and the mass.
+    assert np.all(u / np.abs(found.value[:, 2]) > np.linalg.norm([2.5e-4, 1e-4, 1e-4, 1e-3 / 9.73]) * 0.999)
+    assert INTERPOLATION in {part.label for part in found.uncertainty.random}
+    assert found.recordings == ((),) * 9
+    with pytest.raises(ValueError, match="the range of the points, found 2000"):
+        interpolate(curve, np.array([2000.0]))
+
+
+def test_weights_reproduce_a_parabola_and_points_without_noise() -> None:
+    rng = np.random.default_rng(0)
+    frequency = np.sort(rng.uniform(50.0, 1000.0, 14))
+    value = response(frequency) + 1e-4 * rng.standard_normal(14)
+    wanted = np.linspace(frequency[0], frequency[-1], 21)
+    found = interpolation_weights(frequency, value, np.full(14, 1e-8), wanted)
+    np.testing.assert_allclose(found.weight.sum(axis=1), 1.0, atol=1e-9)
+    np.testing.assert_allclose(found.weight @ frequency**2, wanted**2, rtol=1e-6)
+    assert found.dof == 11.0
+    predicted = found.weight @ value
+    error = np.abs(predicted - response(wanted))
+    noise = found.weight**2 @ np.full(14, 1e-8)
+    assert np.all(error < 4.5 * np.sqrt(found.variance + noise))
+    exact = interpolation_weights(frequency, value, np.zeros(14), frequency)
+    np.testing.assert_allclose(exact.weight @ value, value, rtol=1e-6)
+    assert np.all(exact.variance < 1e-10)
+
+
+def test_too_few_points_are_refused() -> None:
+    few = np.arange(1.0, LEAST_POINTS)
+    with pytest.raises(ValueError, match=f"at least {LEAST_POINTS} points, found {LEAST_POINTS - 1}"):
+        interpolation_weights(few, few, few, few)
+
+
+@pytest.mark.slow
+def test_interpolated_values_are_covered() -> None:
+    from scipy.stats import t
+
+    rng, inside, ratio = np.random.default_rng(1), [], []
+    for _ in range(60):
+        frequency = np.sort(np.concatenate([[50.0, 1000.0], rng.uniform(50.0, 1000.0, 10)]))
+        resonance = rng.uniform(1400.0, 3000.0)
+        wanted = np.linspace(60.0, 980.0, 40)
+        noise = 10.0 ** rng.uniform(-5.0, -3.0)
+        value = 1.0 / (1.0 - (frequency / resonance) ** 2) + noise * rng.standard_normal(12)
+        found = interpolation_weights(frequency, value, np.full(12, noise**2), wanted)
+        u = np.sqrt(found.variance + found.weight**2 @ np.full(12, noise**2))
+        error = found.weight @ value - 1.0 / (1.0 - (wanted / resonance) ** 2)
+        inside.append(np.abs(error) <= t.ppf(0.975, found.dof) * u)
+        ratio.append(np.median(u) / noise)
+    assert 0.9 < np.mean(inside) < 0.99
+    assert np.median(ratio) < 10.0
+
+
+def test_a_curve_says_what_is_wrong_with_its_shape() -> None:
+    (curve,) = ratio_curves(sweep(lines=2)[0], CAPACITY.tolist())
+    with pytest.raises(ValueError, match="expected 2 lists"):
+        replace(curve, recordings=())
+    assert isinstance(curve, Curve)
