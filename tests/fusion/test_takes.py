@@ -257,3 +257,30 @@ def test_a_harmonic_that_folds_in_one_take_is_left_out_of_all(tmp_path: Path) ->
     found = _evaluate(write_takes(tmp_path, [Shot(POINTS[:1], harmonics=HARMONICS), slow], np.random.default_rng(2)))
     assert found.lines.multiple.tolist() == [1]
     assert any("harmonic 3 of 106.25 Hz is left out: take 2 cannot tell it" in notice.text for notice in found.notices)
+
+
+def test_an_output_can_be_the_reference_and_its_noise_then_cancels_in_the_ratio(tmp_path: Path) -> None:
+    rng = np.random.default_rng(9)
+    folder = write_takes(tmp_path, [Shot([point]) for point in POINTS], rng, harmonics="[1]")
+    text = (folder / "recording.toml").read_text()
+    text = text.replace("reference = true", "reference = false").replace(
+        'channel = "Fz"', 'channel = "Fz"\nreference = true'
+    )
+    (folder / "recording.toml").write_text(text)
+    found = _evaluate(folder)
+    ratio = found.sensitivity
+    assert ratio is not None
+    assert ratio.value[0, 0, 2] == pytest.approx(SENSITIVITY, rel=1e-5)
+    load = next(a for a in found.accelerations if a.body == "load" and a.source == "fused")
+    noise = {part.label: part.covariance[0] for part in load.uncertainty.grouped()}["reference noise"]
+    entry = next(entry for entry in ratio.budget if entry.label == "reference noise")
+    assert entry.type == "A"
+    # By hand: equal noise of all; that of the first reference is in all points but the first, and in the output.
+    others = np.arange(8) > 0
+    covariance = np.diag(1.0 + others) + np.outer(others, others)
+    geometry = np.column_stack([np.ones(8), np.array(POINTS)[:, 1], -np.array(POINTS)[:, 0]])
+    gain = np.linalg.pinv(np.linalg.cholesky(np.linalg.inv(covariance)).T @ geometry)[0]
+    gain = gain @ np.linalg.cholesky(np.linalg.inv(covariance)).T
+    share = np.linalg.norm(gain) / np.linalg.norm([1.0 - gain[0], *gain[1:]])
+    along = np.sqrt((noise[2, 2] + noise[8, 8]) / 2.0) / abs(LOAD[2])
+    assert entry.u_relative[0, 0] == pytest.approx(along * share, rel=0.15)
