@@ -147,8 +147,8 @@ class Evaluation:
 
     `accelerations`: one entry per body and source (`fused` first). `load`: wrench phasors at the sensor origin, N and
     N.m, with the manifest's sense. `outputs`: of the sensor. `points`: vibrometer points that look along one
-    direction. `monte_carlo`: where it was asked for. `settings`, `versions`, `input_hashes` (file -> SHA-256) say what
-    was run on what.
+    direction. `monte_carlo`: where it was asked for. `takes`: how they were tied, none where all was recorded at once.
+    `settings`, `versions`, `input_hashes` (file -> SHA-256) say what was run on what.
     """
 
     manifest: Manifest
