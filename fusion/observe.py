@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fusion.chain import ChainUncertainty, Reading, RelativeError, added_up, chain_errors, chain_name
 from fusion.uncertainty import Kind as ErrorType
 from fusion.uncertainty import Scope
 from photogram.rigid import skew
@@ -17,6 +18,27 @@ from shaker.signals.phasor import Phasors, derivative_factor, stack_phasors
 
 if TYPE_CHECKING:
     from fusion.manifest import ChannelEntry, Stereo
+
+__all__ = [
+    "CALIBRATION",
+    "CLOCK_RATE",
+    "KINDS",
+    "ORDER_BELOW_ACCELERATION",
+    "PERIODIC",
+    "ChainUncertainty",
+    "CommonError",
+    "LineTurns",
+    "Observation",
+    "PulseExposure",
+    "Reading",
+    "RelativeError",
+    "StereoReading",
+    "added_up",
+    "chain_errors",
+    "chain_name",
+    "observe_channels",
+    "observe_stereo",
+]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -131,31 +153,6 @@ class PulseExposure:
 
 
 @dataclass(frozen=True)
-class ChainUncertainty:
-    """What the manifest does not say of a channel's chain: relative `u_magnitude` (K,) and `u_phase_rad` (K,) of its
-    response table, and `u_clock_s`, the standard uncertainty of the tie of its clock to the first block's.
-    """
-
-    u_magnitude: FloatArray | None = None
-    u_phase_rad: FloatArray | None = None
-    clock: str = ""
-    u_clock_s: float = 0.0
-
-
-@dataclass(frozen=True)
-class Reading:
-    """One channel: its manifest entry, its phasors (one channel, SI, delay and response taken off) and its chain.
-
-    `further`: relative errors (K, 1) that it has beside those of its chain.
-    """
-
-    entry: ChannelEntry
-    phasors: Phasors
-    chain: ChainUncertainty
-    further: tuple[RelativeError, ...] = ()
-
-
-@dataclass(frozen=True)
 class StereoReading:
     """One stereo pair: `pair` as rig.toml has it, displacement phasors (K, 6), and what `observe_stereo` takes.
 
@@ -187,74 +184,6 @@ class StereoReading:
         return replace(seen, common=seen.common + _of_rows(self.further, seen.design))
 
 
-@dataclass(frozen=True)
-class RelativeError:
-    """One unknown of a chain: complex `relative` (K, M) change of its M readings for one standard uncertainty `u`.
-
-    `u` is in `unit`; `scope`: how long the unknown keeps its value.
-    """
-
-    name: str
-    label: str
-    u: float
-    unit: str
-    scope: Scope
-    relative: ComplexArray
-    type: ErrorType = "B"
-
-
-def chain_errors(readings: Sequence[Reading]) -> tuple[RelativeError, ...]:
-    """Return scale, delay, response and clock errors of channels that share one chain.
-
-    Scale multiplies by 1 + u; a delay not taken off by exp(-jω u) ≈ 1 - jω u; a response by 1 + u_m + j u_phi, its
-    error at all lines taken as one. `individual_uncertainty` is one unknown per channel. What a reading has beside that
-    comes last.
-    """
-    name, frequency = chain_name(readings[0]), readings[0].phasors.frequency_hz
-    turn = -2j * np.pi * frequency
-    zero = np.zeros(len(frequency))
-    entries, chains = [r.entry for r in readings], [r.chain for r in readings]
-
-    def shared(kind: str, unit: str, columns: Sequence[NDArray[Any]], u: float) -> RelativeError:
-        relative = np.stack(columns, axis=1).astype(np.complex128)
-        return RelativeError(f"{name}: {kind}", f"{name}: {kind}", u, unit, "rig", relative)
-
-    def table(values: FloatArray | None) -> FloatArray:
-        return zero if values is None else values
-
-    errors = [
-        shared("scale", "1", [zero + e.scale_uncertainty for e in entries], max(e.scale_uncertainty for e in entries)),
-        shared("delay", "s", [turn * e.delay_uncertainty for e in entries], max(e.delay_uncertainty for e in entries)),
-        shared("response magnitude", "1", [table(c.u_magnitude) + 0.0 for c in chains], 1.0),
-        shared("response phase", "1", [1j * table(c.u_phase_rad) for c in chains], 1.0),
-    ]
-    for clock in sorted({c.clock for c in chains if c.u_clock_s > 0.0}):
-        times = np.array([c.u_clock_s if c.clock == clock else 0.0 for c in chains])
-        unknown = f"clock {clock}: time"
-        late = turn[:, None] * times
-        errors.append(RelativeError(unknown, unknown, float(np.max(times)), "s", "recording", late))
-    for place, entry in enumerate(entries):
-        own = np.zeros((len(frequency), len(entries)), dtype=np.complex128)
-        own[:, place] = entry.individual_uncertainty
-        label = f"{name}: individual scale"
-        errors.append(RelativeError(f"{label} {entry.name}", label, entry.individual_uncertainty, "1", "rig", own))
-    for place, reading in enumerate(readings):
-        for error in reading.further:
-            own = np.zeros((len(frequency), len(entries)), dtype=np.complex128)
-            own[:, place] = error.relative[:, 0]
-            errors.append(replace(error, relative=own))
-    return added_up(errors)
-
-
-def added_up(errors: Sequence[RelativeError]) -> tuple[RelativeError, ...]:
-    """Return every unknown once, its effects added up; what acts on nothing is left out."""
-    found: dict[str, RelativeError] = {}
-    for error in errors:
-        known = found.get(error.name)
-        found[error.name] = error if known is None else replace(known, relative=known.relative + error.relative)
-    return tuple(error for error in found.values() if np.any(error.relative != 0.0))
-
-
 def _of_rows(errors: Sequence[RelativeError], design: ComplexArray) -> tuple[CommonError, ...]:
     """Return relative errors (K, M) or (K, 1) as common errors of the rows of a design (K, M, 6)."""
     none = np.zeros(design.shape[:2], np.complex128)
@@ -262,11 +191,6 @@ def _of_rows(errors: Sequence[RelativeError], design: ComplexArray) -> tuple[Com
         CommonError(e.name, e.label, e.u, e.unit, e.scope, e.relative[:, :, None] * design, none, e.type)
         for e in errors
     )
-
-
-def chain_name(reading: Reading) -> str:
-    """Return the name of the instrument that a channel belongs to: its `common`, or its own name."""
-    return str(reading.entry.common or reading.entry.name)
 
 
 def observe_stereo(

@@ -24,10 +24,10 @@ WRITTEN_ORDER = {
     "shaker.models": "oscillator",
     "fusion": """
         notices errors output console settings uncertainty coverage polar propagated manifest response
-        elastic_joint body observe system estimate consistency discrepancy acceleration verdict fuse outputs
-        load budget sensitivity point_spread other_loads deflection evaluation drive repeats linearity matrix
-        interpolation curve drift scans records timing channels stereo_motion stereo_phasors readings take
-        referral pool takes analyse monte_carlo provenance evaluate check highlights results_csv results_h5
+        elastic_joint body chain observe system estimate consistency discrepancy acceleration verdict fuse
+        outputs load budget sensitivity point_spread other_loads deflection evaluation drive repeats linearity
+        matrix interpolation curve drift scans records timing channels stereo_motion stereo_phasors readings
+        take referral pool takes analyse monte_carlo provenance evaluate check highlights results_csv results_h5
         read_results camera_facts plan lines plots report_numbers report_tables consistency_tables budget_tables
         point_tables monte_carlo_tables signal_tables take_tables page report results camera_tables
         camera_report campaign_evaluation campaign_points campaign_h5 campaign_csv campaign_tables
