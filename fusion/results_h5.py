@@ -94,7 +94,7 @@ def _write_sequence(group: h5py.Group, name: str, items: Sequence[Any]) -> None:
     elif any(is_dataclass(item) for item in items):
         inner = group.create_group(name, track_order=True)
         for number, item in enumerate(items):
-            write_value(inner, _label(item, number), item)
+            write_value(inner, _free_name(inner, _label(item, number)), item)
     elif any(isinstance(item, tuple | list) and any(isinstance(inner, str) for inner in item) for item in items):
         inner = group.create_group(name, track_order=True)
         for number, item in enumerate(items):
@@ -117,7 +117,8 @@ def _label(item: Any, number: int) -> str:
     if hasattr(item, "body") and hasattr(item, "source"):
         return f"{item.body}-{item.source}"
     own = [getattr(item, key) for key in ("daq", "name") if isinstance(getattr(item, key, None), str)]
-    return "-".join(own).replace("/", "_") if own else f"{number:03d}"
+    own = own or [getattr(item, key) for key in ("label", "instrument") if isinstance(getattr(item, key, None), str)]
+    return "-".join(own) if own else f"{number:03d}"
 
 
 def write_uncertainty(group: h5py.Group, uncertainty: Uncertainty) -> None:
