@@ -43,9 +43,16 @@ def _row(result: Propagated, draws: int, line: int, element: int) -> tuple[str, 
     unit, cells = result.unit[element], []
     for what, own in ((result.magnitude, unit), (result.phase, "")):
         cells += _real_cells(what, line, element, own)
-    refuted = result.refuted(draws, line, element)
-    verdict = f"not confirmed: {', '.join(refuted)}" if refuted else _digits(result, line, element)
-    return (*cells, f"{100.0 * result.first_holds[line, element]:.1f} %", verdict)
+    return (*cells, f"{100.0 * result.first_holds[line, element]:.1f} %", _verdict(result, draws, line, element))
+
+
+def _verdict(result: Propagated, draws: int, line: int, element: int) -> str:
+    """Whether first-order propagation holds."""
+    small = result.too_small(draws, line, element)
+    if small:
+        return f"first-order U too small: {', '.join(small)}"
+    large = result.refuted(draws, line, element)
+    return f"first-order U larger than need be: {', '.join(large)}" if large else _digits(result, line, element)
 
 
 def _digits(result: Propagated, line: int, element: int) -> str:

@@ -67,8 +67,16 @@ class RealSpread:
     @property
     def refuted(self) -> BoolArray:
         """Return (L, Q) whether the ends differ in the first digit of u, by more than the number of draws explains."""
-        apart = np.maximum(self.d_low, self.d_high)
-        return np.asarray(apart > tolerance(self.first_u, 1) + SIGNIFICANT * self.u_end)
+        return self._beyond(np.maximum(self.d_low, self.d_high))
+
+    @property
+    def too_narrow(self) -> BoolArray:
+        """Return (L, Q) whether the draws' interval reaches beyond the first-order one by as much."""
+        return self._beyond(np.maximum(self.first_low - self.low, self.high - self.first_high))
+
+    def _beyond(self, distance: FloatArray) -> BoolArray:
+        """Whether a distance (L, Q) of ends counts."""
+        return np.asarray(distance > tolerance(self.first_u, 1) + SIGNIFICANT * self.u_end)
 
 
 @dataclass(frozen=True)
@@ -117,11 +125,21 @@ class Propagated:
 
     def refuted(self, draws: int, line: int, element: int) -> tuple[str, ...]:
         """Return what of one quantity first-order propagation gets wrong: "region", "magnitude", "phase"."""
+        return self._wrong(draws, line, element, two_sided=True)
+
+    def too_small(self, draws: int, line: int, element: int) -> tuple[str, ...]:
+        """Return those of them whose first-order U does not cover what it should."""
+        return self._wrong(draws, line, element, two_sided=False)
+
+    def _wrong(self, draws: int, line: int, element: int, *, two_sided: bool) -> tuple[str, ...]:
+        """Return what differs, or, one-sided, what is too small."""
         chance = SIGNIFICANT * np.sqrt(COVERAGE * (1.0 - COVERAGE) / draws)
-        found = ["region"] if abs(self.first_holds[line, element] - COVERAGE) > REGION_TOLERANCE + chance else []
+        missing = COVERAGE - float(self.first_holds[line, element])
+        found = ["region"] if (abs(missing) if two_sided else missing) > REGION_TOLERANCE + chance else []
         if not self.weak[line, element]:
-            spreads = {"magnitude": self.magnitude, "phase": self.phase}
-            found += [what for what, spread in spreads.items() if spread.refuted[line, element]]
+            for what, spread in (("magnitude", self.magnitude), ("phase", self.phase)):
+                wrong = spread.refuted if two_sided else spread.too_narrow
+                found += [what] if wrong[line, element] else []
         return tuple(found)
 
 
@@ -247,12 +265,14 @@ def tolerance(u: FloatArray, digits: int) -> FloatArray:
     return np.where(usable, 0.5 * 10.0**power, np.nan)
 
 
-def refuted_elements(results: Sequence[Propagated], draws: int) -> tuple[str, ...]:
-    """Return the quantities whose first-order U does not hold, as texts."""
-    found = []
+def judged(results: Sequence[Propagated], draws: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the quantities whose first-order U is too small, and those where it is merely larger than need be."""
+    small: list[str] = []
+    large: list[str] = []
     for result in results:
         for line, element in np.ndindex(result.value.shape):
+            where = f"{result.elements[element]}, {result.frequency_hz[line]:.6g} Hz"
+            short = result.too_small(draws, line, element)
             for what in result.refuted(draws, line, element):
-                where = f"{result.elements[element]}, {result.frequency_hz[line]:.6g} Hz"
-                found.append(f"{what} of the {result.name} ({where})")
-    return tuple(found)
+                (small if what in short else large).append(f"{what} of the {result.name} ({where})")
+    return tuple(small), tuple(large)

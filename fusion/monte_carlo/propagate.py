@@ -20,7 +20,7 @@ from fusion.monte_carlo.instruments import Instrument, draw_instrument, pair_up
 from fusion.monte_carlo.loads import draw_load_matrices
 from fusion.notices import Notice
 from fusion.observe import Reading, StereoReading
-from fusion.propagated import FirstOrder, MonteCarlo, Propagated, refuted_elements, summarise
+from fusion.propagated import FirstOrder, MonteCarlo, Propagated, judged, summarise
 from fusion.settings import ProgressCallback, no_progress
 from fusion.system import build_system, hidden_motion
 from fusion.uncertainty import Uncertainty
@@ -29,8 +29,9 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 IntArray = NDArray[np.int64]
 
+NAMED = 4  # quantities named in a notice
 BLOCK = 2000
-"""Draws that are in memory at once; each block has streams of its own, so that blocks may be computed in any order."""
+"""Draws that are made at once; each block has streams of its own, so that blocks may be computed in any order."""
 
 
 @dataclass(frozen=True)
@@ -233,13 +234,21 @@ def _where_known(first: FirstOrder, blocks: Sequence[ComplexArray]) -> ComplexAr
 
 
 def _notices(results: Sequence[Propagated], draws: int) -> tuple[Notice, ...]:
-    """Say whether first-order propagation holds."""
-    refuted = refuted_elements(results, draws)
-    if not refuted:
-        return ()
-    named = "; ".join(refuted[:4]) + (f" and {len(refuted) - 4} more" if len(refuted) > 4 else "")
-    text = (
-        f"{draws} Monte Carlo draws do not confirm first-order propagation: {named}; the intervals and regions of the "
-        "Monte Carlo run hold there"
-    )
-    return (Notice("warning", text, "monte carlo"),)
+    """Say where first-order propagation does not hold: a warning where its U is too small, else a remark."""
+    small, large = judged(results, draws)
+    found = []
+    if small:
+        text = (
+            f"{draws} Monte Carlo draws do not confirm first-order propagation, whose U is too small: {_some(small)}; "
+            "the intervals and regions of the Monte Carlo run hold there"
+        )
+        found.append(Notice("warning", text, "monte carlo"))
+    if large:
+        text = f"first-order U is larger than {draws} Monte Carlo draws need it to be: {_some(large)}"
+        found.append(Notice("info", text, "monte carlo"))
+    return tuple(found)
+
+
+def _some(texts: Sequence[str]) -> str:
+    """Join the first texts and count the others."""
+    return "; ".join(texts[:NAMED]) + (f" and {len(texts) - NAMED} more" if len(texts) > NAMED else "")
