@@ -99,7 +99,8 @@ def _longest(points: Sequence[CurvePoint]) -> list[CurvePoint]:
 def _sensitivity_headline(point: CurvePoint) -> Headline:
     """One value with its deviation from static."""
     element = point.element
-    remark = f"U = {100.0 * element.expanded_magnitude / element.magnitude:.2g} % (k = {element.k:.2f}), {point.kind}"
+    share = small(100.0 * element.expanded_magnitude / element.magnitude)
+    remark = f"U = {share} % (k = {element.k:.2f}), {point.kind}"
     if point.relative is not None:
         remark += f"; from static: {_deviation(point.relative)}"
     label = f"Sensitivity {point.channel} per {point.component}, {point.frequency_hz:.4f} Hz"
@@ -114,7 +115,7 @@ def _course_headlines(points: Sequence[CurvePoint]) -> list[Headline]:
     if last.relative is not None:
         label = f"Deviation from static at {last.frequency_hz:.4f} Hz"
         expanded = [100.0 * p.element.expanded_magnitude / p.element.magnitude for p in points]
-        remark = f"U of the curve's magnitudes: {min(expanded):.2g} % to {max(expanded):.2g} %"
+        remark = f"U of the curve's magnitudes: {small(min(expanded))} % to {small(max(expanded))} %"
         found.insert(0, Headline(label, _deviation(last.relative), remark))
     return found
 

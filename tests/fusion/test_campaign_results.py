@@ -18,7 +18,7 @@ from page_outline import outline
 from fusion import campaign_results, results
 from fusion.campaign_csv import CROSSTALK_COLUMNS, CURVE_COLUMNS, campaign_tables
 from fusion.campaign_evaluation import CampaignEvaluation, evaluate_campaign
-from fusion.campaign_h5 import campaign_h5
+from fusion.campaign_h5 import campaign_h5, campaign_origin
 from fusion.campaign_points import curve_points
 from fusion.campaign_report import render_campaign
 from fusion.campaign_results import write_campaign
@@ -222,6 +222,16 @@ def test_a_series_of_amplitudes_tells_linearity() -> None:
     with h5py.File(io.BytesIO(campaign_h5(found, []))) as file:
         assert file["linearity/000/amplitude"].shape == (8,)
         assert file["repeats/001/mountings"].asstr()[()].tolist().count("2") == 2
+
+
+def test_inputs_of_all_recordings_are_known_by_name() -> None:
+    first, second = sweep()[:2]
+    hashes = {"rig.toml": "cd" * 32, **first.origin.input_hashes}
+    other = replace(second.origin, input_hashes={"rig.toml": "ef" * 32})
+    origin = campaign_origin(
+        [replace(first, origin=replace(first.origin, input_hashes=hashes)), replace(second, origin=other)], ()
+    )
+    assert origin.input_hashes == {**hashes, f"{second.folder}: rig.toml": "ef" * 32}
 
 
 def test_recordings_of_one_name_are_told_apart() -> None:
