@@ -51,6 +51,10 @@ class Influence:
     scope: Scope = "recording"
     type: Kind = "B"
 
+    def acting(self, effect: FloatArray) -> Influence:
+        """Return the same unknown with another effect."""
+        return Influence(self.name, self.label, self.u, self.unit, effect, self.scope, self.type)
+
 
 @dataclass(frozen=True)
 class Uncertainty:
@@ -86,10 +90,13 @@ class Uncertainty:
 
     def grouped(self) -> tuple[Contribution, ...]:
         """Return one contribution per label, in the order of their first appearance: the lines of a budget."""
-        parts = list(self.random)
+        groups: dict[str, list[Influence]] = {}
         for influence in self.influences:
-            outer = influence.effect[:, :, None] * influence.effect[:, None, :]
-            parts.append(Contribution(influence.label, influence.type, outer))
+            groups.setdefault(influence.label, []).append(influence)
+        parts = list(self.random)
+        for label, group in groups.items():
+            effects = np.stack([influence.effect for influence in group])
+            parts.append(Contribution(label, group[0].type, np.einsum("eki,ekj->kij", effects, effects)))
         return merge_contributions(parts)
 
     def transformed(self, jacobian: FloatArray) -> Uncertainty:
@@ -97,11 +104,10 @@ class Uncertainty:
         random = tuple(
             replace(part, covariance=jacobian @ part.covariance @ jacobian.swapaxes(1, 2)) for part in self.random
         )
-        influences = tuple(
-            replace(influence, effect=np.einsum("kij,kj->ki", jacobian, influence.effect))
-            for influence in self.influences
-        )
-        return Uncertainty(random, influences)
+        if not self.influences:
+            return Uncertainty(random)
+        effects = np.einsum("kij,ekj->eki", jacobian, np.stack([influence.effect for influence in self.influences]))
+        return Uncertainty(random, tuple(i.acting(effect) for i, effect in zip(self.influences, effects, strict=True)))
 
     def scaled(self, factor: ComplexArray) -> Uncertainty:
         """Return the uncertainty of the values times complex factors (K, C)."""
@@ -113,7 +119,7 @@ class Uncertainty:
         for influence in other.influences:
             known = merged.get(influence.name)
             total = influence.effect if known is None else known.effect + influence.effect
-            merged[influence.name] = replace(influence if known is None else known, effect=total)
+            merged[influence.name] = (influence if known is None else known).acting(total)
         return Uncertainty(merge_contributions([*self.random, *other.random]), tuple(merged.values()))
 
     def at(self, values: IntArray | Sequence[int]) -> Uncertainty:
@@ -122,7 +128,7 @@ class Uncertainty:
         index = np.asarray(values, dtype=np.int64)
         both = np.concatenate([index, index + size])
         random = tuple(replace(part, covariance=part.covariance[:, both[:, None], both]) for part in self.random)
-        return Uncertainty(random, tuple(replace(i, effect=i.effect[:, both]) for i in self.influences))
+        return Uncertainty(random, tuple(i.acting(i.effect[:, both]) for i in self.influences))
 
     def dof(self) -> FloatArray:
         """Return the effective degrees of freedom (K, C) of every value.
@@ -133,7 +139,9 @@ class Uncertainty:
         """
         total = _scatter(self.covariance)
         weighted = np.zeros_like(total)
-        for part in self.grouped():
+        labels = {influence.label for influence in self.influences}
+        shared = any(part.label in labels for part in self.random)
+        for part in self.grouped() if shared else merge_contributions(self.random):
             if part.dof is not None:
                 weighted += _scatter(part.covariance) / np.maximum(part.dof, 1.0)[:, None]
         empty = np.full(total.shape, np.inf)

@@ -89,7 +89,7 @@ def _missing(result: Acceleration) -> list[Notice]:
     """Components that no reading determines."""
     found = []
     titles = ", ".join(result.instruments)
-    for pattern in np.unique(~result.observed, axis=0):
+    for pattern in [] if np.all(result.observed) else np.unique(~result.observed, axis=0):
         lines = int(np.sum(np.all(result.observed == ~pattern, axis=1)))
         if np.any(pattern):
             missing = ", ".join(name for name, hidden in zip(COMPONENTS, pattern, strict=True) if hidden)
