@@ -71,10 +71,12 @@ def connected(address: str) -> Iterator[Cluster]:
         expected = 'the packages that pip install "shakercal[cluster]" brings'
         raise InputError(OPTION, "", found=f"none ({error})", expected=expected) from error
     try:
+        if not address:
+            raise ValueError("no address")
         client = Client(address, timeout=ANSWER_S, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         expected = "the address of a Dask scheduler that answers, such as tcp://10.0.0.1:8786"
-        raise InputError(OPTION, "", found=f"{address}, where none does", expected=expected) from error
+        raise InputError(OPTION, "", found=f"{address or 'nothing'}, where none does", expected=expected) from error
     with client:
         _check_versions(client)
         yield Cluster(client)

@@ -1,0 +1,223 @@
+"""A campaign by several processes and on a Dask cluster: equal to the serial run to the last bit, whoever is killed."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import worker_tasks as tasks
+
+from fusion import campaign as under_test
+from fusion.campaign import run_path
+from fusion.cli import main
+from fusion.cluster import connected
+from fusion.commands.values import EXIT_INPUT
+from fusion.errors import ComputeError, InputError
+from fusion.job import Outcome
+from fusion.settings import Settings
+from fusion.simulate import simulate_campaign
+
+PATIENCE_S = 300.0
+ROOT = Path(__file__).resolve().parents[2]
+RECORDINGS = 3
+RUN = """
+import sys, worker_tasks
+from unittest.mock import patch
+from fusion.cli import main
+if __name__ == "__main__":
+    with patch("fusion.campaign.run_job", worker_tasks.slow_job), \\
+         patch("fusion.campaign_results.render_campaign", lambda evaluation: evaluation.name):
+        sys.exit(main(sys.argv[1:]))
+"""
+
+
+class Cluster:
+    """A scheduler and two workers, each a process of its own, as a laboratory starts them."""
+
+    def __init__(self, folder: Path) -> None:
+        file = folder / "scheduler.json"
+        arguments = ["--scheduler-file", str(file), "--no-dashboard"]
+        self._processes = [_start("scheduler", *arguments, "--host", "127.0.0.1", "--port", "0", folder=folder)]
+        _wait_until(lambda: file.exists() and bool(file.read_text().strip()))
+        self.address = json.loads(file.read_text())["address"]
+        self.workers = [self._worker(folder) for _ in range(2)]
+
+    def _worker(self, folder: Path) -> subprocess.Popen[bytes]:
+        options = ("--nthreads", "1", "--no-nanny", "--no-dashboard", "--local-directory", str(folder))
+        self._processes.append(_start("worker", self.address, *options, folder=folder))
+        return self._processes[-1]
+
+    def end(self) -> None:
+        """End all processes."""
+        for process in reversed(self._processes):
+            process.kill()
+            process.wait()
+
+
+def _environment() -> dict[str, str]:
+    return {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
+
+
+def _start(what: str, *arguments: str, folder: Path) -> subprocess.Popen[bytes]:
+    command = [sys.executable, "-m", "dask", what, *arguments]
+    with (folder / f"{what}.log").open("ab") as log:
+        return subprocess.Popen(command, env=_environment(), stdout=log, stderr=log, cwd=folder)
+
+
+def _wait_until(condition: Callable[[], bool]) -> None:
+    end = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.05)
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    """A cluster for all tests of this module."""
+    cluster = Cluster(tmp_path_factory.mktemp("cluster"))
+    yield cluster
+    cluster.end()
+
+
+@pytest.fixture(scope="module")
+def sweep(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A few recordings of another program's points."""
+    folder = tmp_path_factory.mktemp("sweep") / "campaign"
+    simulate_campaign(folder, "sweep", 3, recordings=RECORDINGS)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def serial(sweep: Path) -> dict[str, bytes]:
+    """Every table that the serial run writes."""
+    outcomes = _run(sweep, sweep.with_name("serial"))
+    assert all(outcome.error is None for outcome in outcomes)
+    tables = _tables(sweep.with_name("serial"))
+    assert len(tables) > 5 * RECORDINGS
+    return tables
+
+
+def _run(campaign: Path, out: Path, job: Any = tasks.whole_job, **where: Any) -> tuple[Outcome, ...]:
+    """Run a campaign without its figures."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(under_test, "run_job", (lambda job, _: tasks.whole_job(job)) if not where else job)
+        patch.setattr("fusion.campaign_results.render_campaign", lambda evaluation: evaluation.name)
+        return run_path(campaign, out, Settings(), **where)
+
+
+def _tables(folder: Path) -> dict[str, bytes]:
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in sorted(folder.rglob("*.csv"))}
+
+
+def _hidden(folder: Path) -> list[str]:
+    return [path.name for path in folder.rglob(".*")]
+
+
+@pytest.mark.slow
+def test_two_processes_give_the_tables_of_one(sweep: Path, serial: dict[str, bytes]) -> None:
+    outcomes = _run(sweep, sweep.with_name("two"), workers=2)
+    assert [outcome.folder.name for outcome in outcomes] == sorted(path.parent.name for path in sweep.glob("*/*.toml"))
+    assert _tables(sweep.with_name("two")) == serial
+
+
+@pytest.mark.slow
+def test_a_cluster_gives_the_same_tables_and_a_killed_worker_loses_nothing(
+    sweep: Path, serial: dict[str, bytes], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    cluster = Cluster(tmp_path_factory.mktemp("killed"))
+    killed: list[int] = []
+
+    def kill_the_first(stage: str, done: int, total: int) -> None:
+        if done == 0:
+            _wait_until(lambda: len(list(sweep.parent.glob("begun-*"))) > 0)
+            killed.append(int(next(sweep.parent.glob("begun-*")).read_text()))
+            os.kill(killed[0], signal.SIGKILL)
+
+    try:
+        _run(sweep, sweep.with_name("dask"), tasks.slow_job, scheduler=cluster.address, progress=kill_the_first)
+        assert killed[0] in [worker.pid for worker in cluster.workers]
+        assert _tables(sweep.with_name("dask")) == serial
+        assert _hidden(sweep.with_name("dask")) == []
+    finally:
+        cluster.end()
+
+
+@pytest.mark.slow
+def test_a_run_that_was_killed_goes_on_to_the_same_tables(
+    sweep: Path, serial: dict[str, bytes], tmp_path: Path
+) -> None:
+    script, out = tmp_path / "run.py", tmp_path / "out"
+    script.write_text(RUN)
+    command = [sys.executable, script, "run", sweep, "-o", out, "--workers", "2"]
+    with subprocess.Popen(command, env=_environment(), stdout=subprocess.DEVNULL) as run:
+        _wait_until(lambda: len(list(out.glob("Fz*/result.h5"))) > 0)
+        run.kill()
+    done = {path.parent.name: path.stat().st_mtime_ns for path in out.glob("Fz*/result.h5")}
+    assert not (out / "sensitivity.csv").exists()
+    assert subprocess.run(command, env=_environment(), stdout=subprocess.DEVNULL, check=False).returncode == 0
+    assert _tables(out) == serial
+    assert _hidden(out) == []
+    assert all((out / name / "result.h5").stat().st_mtime_ns == when for name, when in done.items())
+
+
+def test_tasks_of_a_cluster_come_back_like_those_of_processes(cluster: Cluster, tmp_path: Path) -> None:
+    with connected(cluster.address) as crew:
+        first = crew.submit(0, tasks.product, 2.0, 3.0)
+        assert first.result().opened() == 6.0
+        assert crew.submit(0, tasks.product, first, 7.0).result().opened() == 42.0
+        assert set(crew.submit(0, tasks.threads).result().opened().values()) == {1}
+        answer = crew.submit(0, tasks.refuse, "input").result()
+        assert [record.getMessage() for record in answer.told] == ["a remark about input"]
+        with pytest.raises(InputError, match=r"a\.h5: Fz"):
+            answer.opened()
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense", "foo://a:1", ""])
+def test_an_address_where_nothing_answers_is_refused(
+    address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("fusion.cluster.ANSWER_S", 0.5)
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "recording.toml").write_text("")
+    assert main(["run", str(tmp_path), "--scheduler", address]) == EXIT_INPUT
+    told = capsys.readouterr().err
+    assert told == (
+        "shakercal: --scheduler: expected the address of a Dask scheduler that answers, such as tcp://10.0.0.1:8786, "
+        f"found {address or 'nothing'}, where none does\n"
+    )
+
+
+def test_without_the_extra_the_command_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    (tmp_path / "recording.toml").write_text("")
+    assert main(["run", str(tmp_path), "--scheduler", "tcp://127.0.0.1:9"]) == EXIT_INPUT
+    told = capsys.readouterr().err
+    assert told.startswith('shakercal: --scheduler: expected the packages that pip install "shakercal[cluster]" brings')
+    assert told.count("\n") == 1
+
+
+def test_workers_of_another_version_are_refused(cluster: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fusion.cluster.PROGRAM", "numpy")
+    with pytest.raises(InputError, match=r"expected workers with numpy .*, found numpy 0.1.0 at tcp:"):  # noqa: SIM117
+        with connected(cluster.address):
+            pass
+
+
+def test_a_scheduler_that_goes_is_told(tmp_path: Path) -> None:
+    cluster = Cluster(tmp_path)
+    with connected(cluster.address) as crew:
+        waiting = crew.submit(0, tasks.wait_for_ever, tmp_path / "begun")
+        _wait_until((tmp_path / "begun").exists)
+        cluster.end()
+        with pytest.raises(ComputeError, match="the Dask scheduler is gone"):
+            waiting.result()
