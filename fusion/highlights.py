@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from fusion import sensitivity
 from fusion.evaluation import Evaluation
 from fusion.fuse import Acceleration
+from fusion.sensitivity import driven_component as driven_load
 
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 LOAD_COMPONENTS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
@@ -20,7 +20,7 @@ def driven_component(evaluation: Evaluation) -> int:
     """
     direction, sensor = evaluation.manifest.excitation.direction, evaluation.manifest.rig.sensor
     if direction is not None:
-        return sensitivity.driven_component(direction, None if sensor is None else sensor.capacity)
+        return driven_load(direction, None if sensor is None else sensor.capacity)
     sizes = [np.abs(result.phasors.value[:, :3]) for result in evaluation.accelerations]
     moves = np.nan_to_num(np.concatenate(sizes)) if sizes else np.zeros((1, 3))
     return int(np.argmax(moves.max(axis=0)))

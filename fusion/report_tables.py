@@ -77,25 +77,25 @@ def headlines(evaluation: Evaluation) -> list[Headline]:
 
 
 def sensitivity_table(evaluation: Evaluation) -> Table | None:
-    """All outputs at the driven lines, the driven output at harmonics."""
+    """All outputs at the driven lines, the driven output at harmonics; a ratio has one load, hence one unit."""
     found = evaluation.sensitivity
     if found is None:
         return None
     rows = []
     exponent, driven = common_exponent(found.value), driven_channel(evaluation)
     for k, frequency in enumerate(found.frequency_hz):
-        for c, j in np.argwhere(found.observed):
+        for c, j in found.elements:
             other = found.kind[k] == "harmonic" and c != driven
             if other or not np.isfinite(found.value[k, c, j]):
                 continue
-            element = sensitivity_element(found, k, int(c), int(j))
-            unit = times_ten(exponent, sensitivity_unit(found.unit, found.components[j]))
-            size, turn, factor = polar_cells(element, exponent)
+            element = sensitivity_element(found, k, c, j)
             name = f"{found.channels[c]} per {found.components[j]}"
             dof = degrees_of_freedom(element.dof)
-            rows.append((f"{frequency:.4f}", name, size, unit, turn, factor, dof, found.kind[k]))
-    head = ("frequency / Hz", "output per load", "magnitude", "unit", "phase / rad", "k", "dof", "kind")
-    return Table("Complex sensitivity with U = k·u (95 %)", head, "rlrlrrrl", tuple(rows))
+            rows.append((f"{frequency:.4f}", name, *polar_cells(element, exponent), dof, found.kind[k]))
+    unit = times_ten(exponent, sensitivity_unit(found.unit, LOAD_COMPONENTS[driven_component(evaluation)]))
+    magnitude = Markup("magnitude / ({})").format(unit)
+    head = ("frequency / Hz", "output per load", magnitude, "phase / rad", "k", "dof", "kind")
+    return Table("Complex sensitivity with U = k·u (95 %)", head, "rlrrrrl", tuple(rows))
 
 
 def source_tables(evaluation: Evaluation) -> list[Table]:
