@@ -1,6 +1,6 @@
 """Coverage of the 95 % regions at the level of phasors: every systematic error drawn from what is stated of it.
 
-    python benchmarks/coverage_phasors.py [--trials 4000] [--seed 1] [--case NAME ...]
+    python benchmarks/coverage_phasors.py [--trials 4000] [--seed 1] [--case NAME ...] [--processes 2]
 
 One stereo pair (six components), three laser points, a triaxial accelerometer that gravity tilts, a load of several
 parts, six outputs recorded on a clock of their own. Readings come from exact rigid kinematics with finite errors
@@ -12,8 +12,12 @@ one clock; eight laser points that scatter a thousandth more than is stated.
 from __future__ import annotations
 
 import argparse
+import os
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
+from itertools import repeat
+from multiprocessing import get_context
 
 import numpy as np
 from coverage_statistics import HEAD, Tally, row
@@ -26,6 +30,10 @@ from fusion.simulate.phasors import PhasorTruth, simulate_phasors
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+
+
+CHUNK = 100
+"""Recordings that a process simulates before it tells what it counted."""
 
 
 @dataclass
@@ -56,6 +64,16 @@ class Counts:
             for c, tally in enumerate(self.sensitivity):
                 tally.add(complex(error[c]), ratio.covariance[0, c, case.driven], float(ratio.dof[0, c, case.driven]))
 
+    def join(self, other: Counts) -> None:
+        """Take in what was counted elsewhere."""
+        for name in ("acceleration", "load", "sensitivity"):
+            for own, found in zip(getattr(self, name), getattr(other, name), strict=True):
+                own.errors += found.errors
+                own.covariances += found.covariances
+                own.dofs += found.dofs
+        self.driven += other.driven
+        self.warned += other.warned
+
 
 def _add(tallies: Sequence[Tally], error: ComplexArray, covariance: FloatArray, dof: FloatArray) -> None:
     """Take in six components."""
@@ -75,6 +93,16 @@ def run_case(case: Case, seeds: range) -> Counts:
     return counts
 
 
+def count_case(case: Case, seeds: range, processes: int) -> Counts:
+    """Run one case in several processes; what is counted does not depend on their number."""
+    parts = [seeds[start : start + CHUNK] for start in range(0, len(seeds), CHUNK)]
+    counts = Counts()
+    with ProcessPoolExecutor(processes, get_context("spawn")) as pool:
+        for found in pool.map(run_case, repeat(case), parts):
+            counts.join(found)
+    return counts
+
+
 def bias_row(case: Case, counts: Counts) -> str:
     """Return what is left of the driven acceleration's errors in the mean, and how often the instruments disagree."""
     errors = np.array(counts.driven)
@@ -85,14 +113,14 @@ def bias_row(case: Case, counts: Counts) -> str:
     return "| " + " | ".join(cells) + " |"
 
 
-def main(trials: int = 4000, seed: int = 1, names: Sequence[str] = ()) -> None:
+def main(trials: int = 4000, seed: int = 1, names: Sequence[str] = (), processes: int = os.cpu_count() or 1) -> None:
     """Run the cases and print their tables."""
     print(HEAD)
     bias = []
     for case in CASES:
         if names and not any(name in case.name for name in names):
             continue
-        counts = run_case(case, range(seed, seed + trials))
+        counts = count_case(case, range(seed, seed + trials), processes)
         for quantity in ("acceleration", "load", "sensitivity"):
             print(row(case.name, quantity, getattr(counts, quantity)), flush=True)
             for place, tally in enumerate(getattr(counts, quantity)):
@@ -110,5 +138,6 @@ if __name__ == "__main__":
     parser.add_argument("--trials", type=int, default=4000)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--case", nargs="+", default=[], help="parts of the names of the cases to run")
+    parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
     options = parser.parse_args()
-    main(options.trials, options.seed, options.case)
+    main(options.trials, options.seed, options.case, options.processes)

@@ -83,7 +83,7 @@ def draw_instrument(instrument: Instrument, acceleration: ComplexArray, deviates
     scatter about the estimate is not counted a second time. A relative error c of a reading, the same complex factor
     for all motions, is taken off as (1 + Re c)·exp(j·Im c), which is exact for scales, delays and responses; places and
     directions make new rows, the pose of a pair turns its vectors; what remains (calibration, errors periodic in the
-    pixel) acts as its first-order effect.
+    pixel) acts as its first-order effect, to which a calibration's second order adds some thousandths.
     """
     seen = instrument.observation
     value = np.einsum("kmj,kj->km", seen.design, acceleration)
