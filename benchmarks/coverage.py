@@ -8,20 +8,32 @@ The tables of docs/uncertainty.md. All parts take about an hour on one core.
 from __future__ import annotations
 
 import argparse
-from importlib import import_module
 
-PARTS = ("phasors", "tracks", "rendered", "matrix")
-# Numba imports a package `coverage` where there is one, and finds this file while the folder is on the path: the parts,
-# which import numba, must not be imported before they are run.
+if __name__ != "__main__":
+    raise ImportError(
+        "a script, not the package of this name that numba asks for when it finds this folder on its path"
+    )
+
+import coverage_matrix
+import coverage_phasors
+import coverage_rendered
+import coverage_tracks
+
+PARTS = {
+    "phasors": coverage_phasors.main,
+    "tracks": coverage_tracks.main,
+    "rendered": coverage_rendered.main,
+    "matrix": coverage_matrix.main,
+}
 
 
 def main() -> None:
     """Run the parts asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--part", nargs="+", choices=PARTS, default=PARTS)
+    parser.add_argument("--part", nargs="+", choices=PARTS, default=list(PARTS))
     for name in parser.parse_args().part:
         print(f"\n## {name}\n")
-        import_module(f"coverage_{name}").main()
+        PARTS[name]()
 
 
 if __name__ == "__main__":
