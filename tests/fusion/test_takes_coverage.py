@@ -132,7 +132,7 @@ def test_regions_hold_the_truth(rig: Rig) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("drift", [0.0, DRIFT])
 def test_regions_hold_the_truth_as_often_as_stated(rig: Rig, drift: float) -> None:
-    trials = 200
+    trials = 150
     for hits in _count(rig, trials, drift):
         assert binom.cdf(hits, trials, 0.95) > 1e-3
         assert hits < trials  # no larger than needed
