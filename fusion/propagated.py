@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -199,10 +199,9 @@ def summarise(first: FirstOrder, draws: ComplexArray) -> Propagated:
     )
 
 
-def _each(factor: object, dof: FloatArray) -> FloatArray:
+def _each(factor: Callable[[float], float], dof: FloatArray) -> FloatArray:
     """Return a coverage factor for each number of degrees of freedom, NaN where there is none."""
-    assert callable(factor)
-    found = [factor(value) if np.isfinite(value) or value == np.inf else np.nan for value in dof.ravel()]
+    found = [np.nan if np.isnan(value) else factor(value) for value in dof.ravel().tolist()]
     return np.array(found, dtype=np.float64).reshape(dof.shape)
 
 
