@@ -56,12 +56,14 @@ class Workers:
         return self
 
     def __exit__(self, *reason: object) -> None:
-        """End the workers, whatever they are doing; tasks without an answer are left."""
+        """End the workers, whatever they are doing; tasks without an answer are cancelled."""
         self._stopper.close()
         for _ in self._leaders:
             self.submit(-NOTHING_MORE, call)
         for leader in self._leaders:
             leader.join()
+        while not self._queue.empty():
+            self._queue.get().future.cancel()
         self._stop.close()
 
     def submit(self, rank: int, function: Callable[..., Any], *arguments: Any) -> Future[Answer]:
@@ -90,19 +92,23 @@ class Workers:
     def _complete(self, task: _Task, worker: _Worker | None) -> _Worker | None:
         """Have a task computed and return the worker that is still there; a task that ends its workers fails."""
         for _ in range(ATTEMPTS):
+            if self._stop.poll():
+                break
             worker = worker or self._new_worker()
             answer = worker.ask((task.function, task.arguments), self._stop)
             if answer is not None:
                 task.future.set_result(answer)
                 return worker
             if self._stop.poll():
-                task.future.cancel()
-                return worker
+                break
             status, worker = worker.end(), None
             log.warning("a worker process ended with status %s; another one begins its work again", status)
-        text = f"{ATTEMPTS} worker processes ended while they computed it; does the memory suffice?"
-        task.future.set_result(Answer(None, ComputeError(text), ()))
-        return None
+        if self._stop.poll():
+            task.future.cancel()
+        else:
+            text = f"{ATTEMPTS} worker processes ended while they computed it; does the memory suffice?"
+            task.future.set_result(Answer(None, ComputeError(text), ()))
+        return worker
 
     def _new_worker(self) -> _Worker:
         """Start a process; the environment it is given is that of this one meanwhile."""

@@ -115,7 +115,7 @@ def test_the_end_leaves_no_process_and_nothing_half_written(tmp_path: Path) -> N
         never = workers.submit(1, tasks.product, 1.0, 1.0)
         _wait_until(lambda: begun.exists() and begun.read_text())
     assert waiting.cancelled()
-    assert not never.done()
+    assert never.cancelled()
     assert not _is_running(int(begun.read_text()))
     assert [path.name for path in tmp_path.iterdir()] == ["begun"]
 
