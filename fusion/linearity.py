@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fusion.coverage import region
 from fusion.drive import Drive
-from fusion.repeats import alike, drive_ratio, relative_uncertainty, stack_values
+from fusion.repeats import alike, common_outputs, drive_ratio, plain_mean, relative_uncertainty, stack_values
 from fusion.sensitivity import driven_component
 from fusion.system import real_design
 
@@ -60,10 +60,15 @@ def linearity(drives: Sequence[Drive], component: int) -> Linearity:
 
     S_n/S̄ = a + b·(A_n - Ā), slope b/a; scales common to all recordings cancel, since their covariance is kept. Scatter
     beyond what is stated enlarges the covariance by chi-square per degree of freedom (Birge 1932, Phys. Rev. 40, 207).
+    Only outputs with a reading other than zero in all recordings have a slope.
     """
-    channels = [name for name in drives[0].channels if all(name in drive.channels for drive in drives)]
+    channels = [
+        name
+        for name in common_outputs(drives)
+        if all(drive.outputs[drive.channels.index(name)] != 0.0 for drive in drives)
+    ]
     found = [drive_ratio(drive, component, channels) for drive in drives]
-    plain = np.mean([value for value, _ in found], axis=0)
+    plain = plain_mean([value for value, _ in found])
     readings, stated = stack_values(
         [(value / plain, relative_uncertainty(uncertainty, plain)) for value, uncertainty in found]
     )

@@ -121,22 +121,18 @@ def mean_ratio(drives: Sequence[Drive], component: int) -> Repeats:
     Components, 3.6). Mountings weigh by the inverse of their variance in the best known channel; shared unknowns do not
     average away. Only channels with a reading in all recordings have a value.
     """
-    usable = [
-        name
-        for name in drives[0].channels
-        if all(name in d.channels and np.isfinite(d.outputs[d.channels.index(name)]) for d in drives)
-    ]
+    usable = common_outputs(drives)
     if not usable:
         raise ValueError("drives: expected an output that all recordings of one excitation have, found none")
     found = [drive_ratio(drive, component, usable) for drive in drives]
-    plain = np.mean([value for value, _ in found], axis=0)
+    plain = plain_mean([value for value, _ in found])
     scaled = [(value / plain, relative_uncertainty(uncertainty, plain)) for value, uncertainty in found]
     mountings = [drive.mounting for drive in drives]
     scatter = _components(scaled, mountings)
     weight = _weights(scaled, mountings, scatter)
     value = np.einsum("n,nc->c", weight, np.array([value for value, _ in found]))
     uncertainty = _weighted_sum([uncertainty for _, uncertainty in found], weight)
-    extra = _contributions(scatter, weight, mountings, value)
+    extra = _contributions(scatter, weight, mountings, plain)
     return Repeats(
         frequency_hz=float(np.mean([drive.frequency_hz for drive in drives])),
         direction=drives[0].direction,
@@ -164,6 +160,21 @@ class _Scatter:
     between: FloatArray
     within_dof: int
     between_dof: int
+
+
+def common_outputs(drives: Sequence[Drive]) -> list[str]:
+    """Return the outputs that have a reading in all drives."""
+    return [
+        name
+        for name in drives[0].channels
+        if all(name in d.channels and np.isfinite(d.outputs[d.channels.index(name)]) for d in drives)
+    ]
+
+
+def plain_mean(values: Sequence[ComplexArray]) -> ComplexArray:
+    """Return the mean (C,) that values are measured in, 1 for an output that is dead."""
+    mean = np.mean(values, axis=0)
+    return np.asarray(np.where(mean == 0.0, 1.0, mean))
 
 
 def relative_uncertainty(uncertainty: Uncertainty, value: ComplexArray) -> Uncertainty:
@@ -244,11 +255,11 @@ def _weighted_sum(parts: Sequence[Uncertainty], weight: FloatArray) -> Uncertain
 
 
 def _contributions(
-    scatter: _Scatter, weight: FloatArray, mountings: Sequence[str], value: ComplexArray
+    scatter: _Scatter, weight: FloatArray, mountings: Sequence[str], plain: ComplexArray
 ) -> list[Contribution]:
     """What recordings and mountings scatter by beyond what is stated, in the mean."""
     shares = np.array([np.sum(weight[[m == kind for m in mountings]]) for kind in dict.fromkeys(mountings)])
-    turn = real_stacked_diagonal(value[None])[0]
+    turn = real_stacked_diagonal(plain[None])[0]
     parts = (
         (WITHIN, scatter.within, float(np.sum(weight**2)), scatter.within_dof),
         (BETWEEN, scatter.between, float(np.sum(shares**2)), scatter.between_dof),

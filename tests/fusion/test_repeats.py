@@ -51,7 +51,7 @@ def test_variance_components_are_those_of_an_unbalanced_analysis_of_variance() -
     mean = sum(w * np.mean(v) for w, v in zip(weights, groups.values(), strict=True))
     np.testing.assert_allclose(found.value, [mean, 0.1 * mean], rtol=1e-9)
     parts = {part.label: part for part in found.uncertainty.random}
-    expected = (between - within) / each * np.sum(weights**2) * mean**2
+    expected = (between - within) / each * np.sum(weights**2) * everything.mean() ** 2
     assert parts[BETWEEN].covariance[0, 0, 0] == pytest.approx(expected, rel=1e-5)
     assert parts[BETWEEN].dof == pytest.approx([2.0])
     assert parts[WITHIN].dof == pytest.approx([3.0])
@@ -118,6 +118,16 @@ def test_an_output_that_one_recording_lacks_has_no_mean() -> None:
     assert found.channels == ("U0",)
     with pytest.raises(ValueError, match="expected an output that all recordings"):
         find_repeats([replace(partial, outputs=np.full(2, complex(np.nan, np.nan)))])
+
+
+def test_a_dead_output_has_a_mean_of_zero_and_no_slope() -> None:
+    drives = [recorded(1.0 + 1e-3 * n, f"{n}", load=n * LOAD) for n in (1, 2, 3)]
+    dead = [replace(drive, outputs=drive.outputs * [1.0, 0.0]) for drive in drives]
+    (found,) = find_repeats(dead, amplitudes_apart=False)
+    assert found.value[1] == 0.0
+    assert np.isfinite(found.uncertainty.covariance).all()
+    (series,) = find_linearity(dead)
+    assert series.channels == ("U0",)
 
 
 def test_outputs_and_load_on_one_clock_forget_its_time() -> None:
