@@ -113,17 +113,36 @@ def variance_components(groups: Sequence[Contrasts]) -> tuple[FloatArray, FloatA
 
 
 def _not_negative(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    """Minimum of x^T F x - 2 b^T x over x ≥ 0; components about which the data say nothing are zero."""
-    from scipy.optimize import nnls
+    """Minimum of x^T F x - 2 b^T x over x ≥ 0 (Lawson and Hanson 1974, algorithm 23.10, on the normal equations).
 
-    told = np.diag(matrix) > 0.0
-    scale = np.sqrt(np.diag(matrix)[told])
-    values, vectors = np.linalg.eigh(matrix[np.ix_(told, told)] / np.outer(scale, scale))
-    kept = values > 1e-10 * values[-1:]
-    root = np.sqrt(values[kept])
+    Components about which the data say nothing are zero.
+    """
+    diagonal = np.diag(matrix)
+    scale = np.sqrt(np.where(diagonal > 0.0, diagonal, np.inf))
+    square, target = matrix / np.outer(scale, scale), right / scale
     found = np.zeros(len(right))
-    best, _ = nnls(root[:, None] * vectors[:, kept].T, vectors[:, kept].T @ (right[told] / scale) / root)
-    found[told] = best / scale
+    free = np.zeros(len(right), dtype=np.bool_)
+    for _ in range(ITERATIONS):
+        slope = np.where(free, -np.inf, target - square @ found)
+        if np.max(slope) <= 1e-10 * np.max(np.abs(target)):
+            break
+        free[np.argmax(slope)] = True
+        best = _free_minimum(square, target, free)
+        while np.any(best[free] <= 0.0):
+            blocking = np.flatnonzero(free & (best <= 0.0))
+            steps = found[blocking] / np.maximum(found[blocking] - best[blocking], 1e-300)
+            found = found + np.min(steps) * (best - found)
+            free[blocking[steps <= np.min(steps)]] = False
+            found = np.where(free, found, 0.0)
+            best = _free_minimum(square, target, free)
+        found = best
+    return np.asarray(found / scale)
+
+
+def _free_minimum(square: FloatArray, target: FloatArray, free: NDArray[np.bool_]) -> FloatArray:
+    """Minimum over the free components alone, the others zero."""
+    found = np.zeros(len(target))
+    found[free] = np.linalg.lstsq(square[np.ix_(free, free)], target[free], rcond=1e-10)[0]
     return found
 
 

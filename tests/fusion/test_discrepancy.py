@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom, chi2, t
 
@@ -268,6 +270,25 @@ def test_readings_of_a_body_really_moved_give_its_acceleration() -> None:
     np.testing.assert_allclose(result.phasors.value[0, :3], motion[:3], rtol=0, atol=2e-5 * np.abs(motion[2]))
     np.testing.assert_allclose(result.phasors.value[0, 3:], motion[3:], rtol=2e-5)
     assert result.chi2 < 1.0
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=12, deadline=None, derandomize=True)
+def test_whatever_is_missing_or_wrong_values_have_uncertainties(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    every = [camera(), lasers(int(rng.integers(1, 9))), triaxial(), beam()]
+    seen = []
+    for observation in measured([o for o in every if rng.random() < 0.7] or [lasers(8)], rng):
+        value = observation.phasors.value * (1 + 10 ** rng.uniform(-5, 1) * rng.normal(size=len(observation.members)))
+        value = np.where(rng.random(value.shape) < 0.15, complex(np.nan, np.nan), value)
+        missing = np.tile(np.isnan(value), (1, 2))
+        either = missing[:, :, None] | missing[:, None, :]
+        covariance = np.where(either, np.nan, observation.phasors.covariance)
+        seen.append(replace(observation, phasors=replace(observation.phasors, value=value, covariance=covariance)))
+    for result in fuse_sources(seen, "load"):
+        assert np.array_equal(np.isfinite(result.phasors.value), result.observed)
+        variances = result.phasors.covariance.diagonal(axis1=1, axis2=2)
+        assert np.array_equal(variances >= 0.0, np.tile(result.observed, (1, 2)))
 
 
 @dataclass
