@@ -95,14 +95,36 @@ def _fill(folder: Path, evaluation: Evaluation) -> list[str]:
 
 
 def _move(temporary: Path, folder: Path, names: Sequence[str], marker: str, own: re.Pattern[str]) -> None:
-    """Put the finished files in place: the folder in one step where there is none yet, else file by file."""
+    """Put the finished files in place: the folder as a whole, else, where it holds files of others, file by file."""
     if not folder.exists():
         os.replace(temporary, folder)
         return
     before = read_provenance(folder, marker)
+    written = before.files if before is not None else ()
+    if {entry.name for entry in folder.iterdir()} <= {marker, *written} and _swapped(temporary, folder):
+        return
     (folder / marker).unlink(missing_ok=True)
-    for name in before.files if before is not None else ():
+    for name in written:
         if name not in names and own.fullmatch(name):
             (folder / name).unlink(missing_ok=True)
     for name in names:
         os.replace(temporary / name, folder / name)
+
+
+def _swapped(temporary: Path, folder: Path) -> bool:
+    """Put one folder in the place of another, so that whoever is killed meanwhile leaves no half of either.
+
+    False where the system does not give the place free, such as a mounted folder.
+    """
+    old = temporary_beside(folder.with_name(f"{folder.name}.old"))
+    try:
+        os.replace(folder, old)
+    except OSError:
+        return False
+    try:
+        os.replace(temporary, folder)
+    except OSError:
+        os.replace(old, folder)
+        raise
+    shutil.rmtree(old, ignore_errors=True)
+    return True

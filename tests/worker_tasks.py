@@ -31,6 +31,12 @@ def slow_job(job: Job) -> Outcome:
     return whole_job(job)
 
 
+def endless_job(job: Job) -> None:
+    """A recording that is never done."""
+    job.folder.parent.mkdir(exist_ok=True)
+    wait_for_ever(job.folder.parent / f"begun-{job.folder.name}")
+
+
 def product(a: float, b: float) -> float:
     """A task without anything else."""
     return a * b

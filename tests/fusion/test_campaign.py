@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -246,3 +247,35 @@ def test_results_of_a_recording_that_is_gone_do_not_disturb(campaign: Path, eval
     assert main(["run", str(campaign)]) == EXIT_DONE
     assert evaluated == NAMES
     assert _recordings(campaign / "results" / "sensitivity.csv") == ["Fz 375.90 Hz"]
+
+
+@pytest.mark.parametrize("kept", [False, True])
+def test_new_results_take_the_place_of_old_ones_as_a_whole(
+    kept: bool, campaign: Path, evaluated: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert main(["run", str(campaign)]) == EXIT_DONE
+    before = _state(campaign / "results" / NAMES[0])
+    replaced = os.replace
+
+    def killed_after_the_first_step(source: Path, target: Path) -> None:
+        replaced(source, target)
+        if ".old-" in str(target):
+            raise SystemExit
+
+    def refused(source: Path, target: Path) -> None:
+        if ".old-" in str(target):
+            raise PermissionError(13, "a mounted folder")
+        replaced(source, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("fusion.results.os.replace", refused if kept else killed_after_the_first_step)
+        if kept:
+            assert main(["run", str(campaign), "--subset-radius", "12"]) == EXIT_DONE
+        else:
+            with pytest.raises(SystemExit):
+                run_path(campaign, None, Settings(subset_radius_px=12))
+    assert main(["run", str(campaign), "--subset-radius", "12"]) == EXIT_DONE
+    after = _state(campaign / "results" / NAMES[0])
+    assert set(after) == set(before)
+    assert after["result.h5"] != before["result.h5"]
+    assert evaluated == ([*NAMES, *NAMES] if kept else [*NAMES, NAMES[0], *NAMES])

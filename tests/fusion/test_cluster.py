@@ -19,7 +19,7 @@ from fusion import campaign as under_test
 from fusion.campaign import run_path
 from fusion.cli import main
 from fusion.cluster import connected
-from fusion.commands.values import EXIT_INPUT
+from fusion.commands.values import EXIT_INPUT, EXIT_INTERRUPTED
 from fusion.errors import ComputeError, InputError
 from fusion.job import Outcome
 from fusion.settings import Settings
@@ -33,7 +33,7 @@ import sys, worker_tasks
 from unittest.mock import patch
 from fusion.cli import main
 if __name__ == "__main__":
-    with patch("fusion.campaign.run_job", worker_tasks.slow_job), \\
+    with patch("fusion.campaign.run_job", getattr(worker_tasks, sys.argv.pop(1))), \\
          patch("fusion.campaign_results.render_campaign", lambda evaluation: evaluation.name):
         sys.exit(main(sys.argv[1:]))
 """
@@ -156,7 +156,7 @@ def test_a_run_that_was_killed_goes_on_to_the_same_tables(
 ) -> None:
     script, out = tmp_path / "run.py", tmp_path / "out"
     script.write_text(RUN)
-    command = [sys.executable, script, "run", sweep, "-o", out, "--workers", "2"]
+    command = [sys.executable, script, "slow_job", "run", sweep, "-o", out, "--workers", "2"]
     with subprocess.Popen(command, env=_environment(), stdout=subprocess.DEVNULL) as run:
         _wait_until(lambda: len(list(out.glob("Fz*/result.h5"))) > 0)
         run.kill()
@@ -166,6 +166,23 @@ def test_a_run_that_was_killed_goes_on_to_the_same_tables(
     assert _tables(out) == serial
     assert _hidden(out) == []
     assert all((out / name / "result.h5").stat().st_mtime_ns == when for name, when in done.items())
+
+
+def test_an_interruption_ends_all_workers_and_leaves_nothing_half_written(tmp_path: Path) -> None:
+    script, out = tmp_path / "run.py", tmp_path / "out"
+    script.write_text(RUN)
+    for name in ("a", "b", "c"):
+        (tmp_path / "campaign" / name).mkdir(parents=True)
+        (tmp_path / "campaign" / name / "recording.toml").write_text("")
+    command = [sys.executable, script, "endless_job", "run", tmp_path / "campaign", "-o", out, "--workers", "2"]
+    with subprocess.Popen(command, env=_environment(), stderr=subprocess.PIPE, start_new_session=True) as run:
+        _wait_until(lambda: len([path for path in out.glob("begun-*") if path.read_text()]) == 2)
+        os.killpg(run.pid, signal.SIGINT)  # as a terminal does
+        assert run.wait(PATIENCE_S) == EXIT_INTERRUPTED
+        assert run.stderr is not None
+        assert run.stderr.read() == b"shakercal: interrupted; nothing half-written was left behind\n"
+    assert not any(Path(f"/proc/{path.read_text()}").exists() for path in out.glob("begun-*"))
+    assert _hidden(out) == []
 
 
 def test_tasks_of_a_cluster_come_back_like_those_of_processes(cluster: Cluster, tmp_path: Path) -> None:
