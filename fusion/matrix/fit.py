@@ -183,7 +183,7 @@ def _spread(stack: Stack, tau: float) -> FloatArray:
 
 
 def _disagreeing(stack: Stack) -> tuple[Solution, float]:
-    """Solution with the least relative disagreement that makes chi-square its degrees of freedom, from above."""
+    """Solution with the relative disagreement that makes chi-square its degrees of freedom, approached from above."""
     unit = _spread(stack, 1.0)
 
     def excess(log_tau: float) -> float:
@@ -196,6 +196,8 @@ def _disagreeing(stack: Stack) -> tuple[Solution, float]:
     low = high - 1.0
     while low > lowest and excess(low) < 0.0:
         low, high = low - 1.0, low
+    if excess(low) < 0.0:
+        return solve(stack), 0.0
     tau = float(np.exp(brentq(excess, low, high, xtol=1e-2)))
     return solve(stack, tau * unit), tau
 
