@@ -173,7 +173,9 @@ def true_motion(world: World, stereo: TrueStereo) -> NDArray[np.float64]:
 
 
 def clock_tie(preset: Preset, draws: Draws) -> dict[str, float]:
-    """Return t_first = offset_s + rate · t_second of the two recorders' clocks."""
+    """Return t_first = offset_s + rate · t_second of the two recorders' clocks, nothing where there is only one."""
+    if len(preset.daqs) == 1:
+        return {}
     (start, rate), (other_start, other_rate) = (clock(daq, draws) for daq in preset.daqs)
     return {"offset_s": (other_start - start) / rate, "rate": other_rate / rate}
 

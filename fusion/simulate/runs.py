@@ -38,11 +38,11 @@ class Run:
 
 
 def timed(preset: Preset, camera_rate_hz: float) -> Preset:
-    """Return the preset with a camera rate, and records of both recorders that begin and end beside the frames."""
+    """Return the preset with a camera rate, and records of its one or two recorders that hold all frames."""
     end = LEAD_S + preset.frames / camera_rate_hz + LEAD_S
     starts = (0.0, BRIDGE_START_S)
     daqs: tuple[DaqSpec, ...] = tuple(
-        replace(daq, start_s=start, duration_s=end - start) for daq, start in zip(preset.daqs, starts, strict=True)
+        replace(daq, start_s=start, duration_s=end - start) for daq, start in zip(preset.daqs, starts, strict=False)
     )
     return replace(preset, camera_rate_hz=camera_rate_hz, first_frame_s=LEAD_S, daqs=daqs)
 
