@@ -93,7 +93,8 @@ def contradicts(solution: Solution, unknowns: Sequence[CommonEstimate]) -> bool:
 
     half = (1.0 + TEST_LEVEL) / 2.0
     deviations = np.array([unknown.deviation for unknown in unknowns])
-    tested = np.abs(deviations[np.isfinite(deviations)])
+    # Unknowns that the readings cannot tell apart deviate alike: together they are one test.
+    tested = np.unique(np.round(np.abs(deviations[np.isfinite(deviations)]), 2))
     extreme = len(tested) > 0 and 2.0 * ndtr(-np.max(tested)) * len(tested) < 1.0 - half
     return bool(extreme) or fails(solution.chi2, solution.dof, half)
 

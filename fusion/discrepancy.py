@@ -241,7 +241,7 @@ def disagreement(system: System, solution: Solution, lines: Sequence[int], label
     """
     sizes = row_sizes(system, solution.acceleration)
     covariance, dof = np.zeros((len(sizes), len(sizes))), np.full(len(system.observed), np.inf)
-    for k in lines:
+    for k in (k for k in lines if np.any(system.line == k)):
         rows = np.flatnonzero(system.line == k)
         patterns = _common_patterns(system, solution.acceleration, rows, sizes)
         group = _contrasts(system, solution, rows, sizes, patterns)
@@ -331,7 +331,7 @@ def _motion_phase(acceleration: ComplexArray) -> ComplexArray:
 
 def _common_patterns(system: System, acceleration: ComplexArray, rows: IntArray, sizes: FloatArray) -> FloatArray:
     """Return (12, n, n) for a motion that each instrument sees beside the true one, by component and phase."""
-    line = system.line[rows[0]] if len(rows) else 0
+    line = system.line[rows[0]]
     direction = _motion_phase(acceleration)[line]
     size = np.linalg.norm(acceleration[line] / SCALE)
     unit = np.concatenate([np.diag(SCALE * direction), np.diag(SCALE * direction * 1j)]) * size
