@@ -74,11 +74,9 @@ def run_path(
     if not alone:
         check_campaign_folder(top, [folder.name for folder in folders], force=force)
     with _clean_end(top.parent if alone else top), _crew(workers, scheduler) as crew:
-        if alone and crew is None:
-            return (run_job(jobs[0], progress),)
+        if alone:
+            return (_run_alone(jobs[0], crew, progress),)
         outcomes = _run_here(jobs, progress) if crew is None else _run_elsewhere(jobs, crew, progress)
-    if alone:
-        return _raised(outcomes)
     _write_campaign(top, path.resolve().name, outcomes)
     return outcomes
 
@@ -111,6 +109,11 @@ def _crew(workers: int, scheduler: str | None) -> AbstractContextManager[Crew | 
     if scheduler is not None:
         return connected(scheduler)
     return Workers(workers) if workers > 1 else nullcontext()
+
+
+def _run_alone(job: Job, crew: Crew | None, progress: ProgressCallback) -> Outcome:
+    """Run the only recording; its failure is raised."""
+    return run_job(job, progress) if crew is None else _received(job, crew.submit(0, run_job, job.placed()))
 
 
 def _run_here(jobs: Sequence[Job], progress: ProgressCallback) -> tuple[Outcome, ...]:
@@ -176,11 +179,3 @@ def _write_campaign(top: Path, name: str, outcomes: Sequence[Outcome]) -> None:
     if finished:
         with one_blas_thread():
             write_campaign(top, name, finished, failed)
-
-
-def _raised(outcomes: tuple[Outcome, ...]) -> tuple[Outcome, ...]:
-    """Return the outcomes unless one is a failure, which is raised."""
-    for outcome in outcomes:
-        if outcome.error is not None:
-            raise outcome.error
-    return outcomes

@@ -6,6 +6,7 @@ import csv
 import os
 import shutil
 from collections.abc import Callable
+from concurrent.futures import Future
 from pathlib import Path
 
 import h5py
@@ -19,6 +20,7 @@ from fusion.errors import ComputeError, InputError
 from fusion.job import Outcome
 from fusion.results import CAMPAIGN_FILES
 from fusion.settings import Settings
+from fusion.task import Answer, call
 
 Campaign = Callable[..., Path]
 Capture = pytest.CaptureFixture[str]
@@ -279,3 +281,90 @@ def test_new_results_take_the_place_of_old_ones_as_a_whole(
     assert set(after) == set(before)
     assert after["result.h5"] != before["result.h5"]
     assert evaluated == ([*NAMES, *NAMES] if kept else [*NAMES, NAMES[0], *NAMES])
+
+
+class Inline:
+    """Workers that are this process and answer in the opposite order."""
+
+    def __init__(self, size: int) -> None:
+        self.waiting: list[tuple[Future[Answer], Callable[..., object], tuple[object, ...]]] = []
+        self.size = size
+
+    def __enter__(self) -> Inline:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        assert not self.waiting
+
+    def submit(self, rank: int, function: Callable[..., object], *arguments: object) -> Future[Answer]:
+        future: Future[Answer] = Future()
+        self.waiting.append((future, function, arguments))
+        if len(self.waiting) == self.size:
+            while self.waiting:
+                late, work, given = self.waiting.pop()
+                late.set_result(call(work, *given))
+        return future
+
+
+def test_outcomes_are_in_the_order_of_the_recordings_whoever_was_first(
+    campaign: Path, evaluated: list[str], monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    monkeypatch.setattr("fusion.campaign.Workers", Inline)
+    assert main(["run", str(campaign), "--workers", "2"]) == EXIT_DONE
+    told = capsys.readouterr()
+    assert evaluated == NAMES[::-1]
+    lines = told.out.splitlines()
+    assert [line.split(":")[0] for line in lines] == [*NAMES, "2 recordings", "report of all"]
+    assert lines[2] == "2 recordings: 2 evaluated"
+    assert [f"shakercal: {name}: 318.75 Hz" in told.err for name in NAMES] == [True, True]
+    assert main(["run", str(campaign), "--workers", "2"]) == EXIT_DONE
+    assert "2 recordings: 2 unchanged since the last run" in capsys.readouterr().out
+    assert _recordings(campaign / "results" / "load.csv") == ["Fz 106.25 Hz", "Fz 375.90 Hz"]
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "sentence"),
+    [
+        (InputError("a.h5", "Fz", "b", "c"), EXIT_INPUT, "a.h5: Fz: expected c, found b"),
+        (OSError(28, "disk full"), EXIT_FAILED, "the system refused to read or write ([Errno 28] disk full)"),
+        (KeyError("x"), EXIT_FAILED, "internal error (KeyError: 'x'); please report it, -v shows where"),
+    ],
+)
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_any_failure_of_a_recording_is_its_own(
+    workers: str,
+    error: Exception,
+    status: int,
+    sentence: str,
+    campaign: Path,
+    evaluated: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: Capture,
+) -> None:
+    good = under_test.evaluate_recording
+
+    def evaluate(manifest, *others):  # type: ignore[no-untyped-def]
+        if manifest.folder.name == NAMES[0]:
+            raise error
+        return good(manifest, *others)
+
+    monkeypatch.setattr("fusion.campaign.Workers", Inline)
+    monkeypatch.setattr(under_test, "evaluate_recording", evaluate)
+    assert main(["run", str(campaign), "-q", "--workers", workers]) == status
+    told = capsys.readouterr()
+    assert f"shakercal: {sentence}\n" in told.err
+    assert f"{NAMES[0]}: failed, {sentence}\n" in told.out
+    assert "2 recordings: 1 evaluated, 1 failed" in told.out
+    assert evaluated == [NAMES[1]]
+
+
+def test_the_failure_of_a_single_recording_is_told_once(
+    campaign: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    def fail(*_: object) -> None:
+        raise ComputeError("no motion")
+
+    monkeypatch.setattr("fusion.campaign.Workers", lambda _: Inline(1))
+    monkeypatch.setattr(under_test, "evaluate_recording", fail)
+    assert main(["run", str(campaign / NAMES[0]), "--workers", "2"]) == EXIT_FAILED
+    assert capsys.readouterr().err == "shakercal: no motion\n"
