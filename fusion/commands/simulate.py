@@ -46,6 +46,6 @@ def _write(out: Path, preset: str, seed: int, progress: ProgressCallback) -> str
         return f"simulated pictures of a target: {simulate_targets(out, seed, progress)}"
     if preset in ("sweep", "matrix"):
         folders = simulate_campaign(out, preset, seed, progress)
-        return f"simulated campaign: {out} ({len(folders)} recordings)"
+        return f"simulated campaign: {out}, {len(folders)} recording{'s' * (len(folders) > 1)}"
     folder = simulate_chirp(out, seed) if preset == "chirp" else simulate(out, preset, seed, progress)
     return f"simulated recording: {folder}"

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from fusion.cli import main
 from fusion.errors import InputError
 from fusion.manifest import load_manifest
 from fusion.simulate import simulate_campaign
@@ -170,3 +171,13 @@ def test_the_same_seed_gives_the_same_files_and_another_folder_is_refused(tmp_pa
         simulate_campaign(tmp_path / "one", "sweep", 4, recordings=1)
     with pytest.raises(ValueError, match="preset: expected one of sweep, matrix"):
         simulate_campaign(tmp_path / "x", "demo", 1)
+
+
+def test_the_command_writes_a_campaign_and_counts_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    every = CAMPAIGNS["matrix"]()
+    monkeypatch.setitem(CAMPAIGNS, "matrix", lambda: every[:1])
+    assert main(["simulate", str(tmp_path / "m"), "--preset", "matrix", "--quiet"]) == 0
+    assert capsys.readouterr().out == f"simulated campaign: {tmp_path / 'm'}, 1 recording\n"
+    assert load_manifest(tmp_path / "m" / "1-z").excitation.kind == "multisine"
