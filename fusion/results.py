@@ -11,10 +11,10 @@ from pathlib import Path
 
 from fusion.errors import InputError
 from fusion.evaluation import Evaluation
-from fusion.output import temporary_beside, write_whole
+from fusion.output import temporary_beside
 from fusion.provenance import RESULT_FILE, check_folder, read_provenance
 from fusion.report import REPORT_FILE, render_report
-from fusion.results_csv import MERGED_FILES, merge_tables, result_tables
+from fusion.results_csv import MERGED_FILES, result_tables
 from fusion.results_h5 import write_h5
 
 CURVE_FILE, CROSSTALK_FILE, CAMPAIGN_FILE = "curve.csv", "crosstalk.csv", "campaign.h5"
@@ -71,16 +71,6 @@ def check_campaign_folder(top: Path, recordings: Sequence[str], *, force: bool) 
     if other:
         expected = "results of this campaign only (--force writes beside them and replaces only result files)"
         raise InputError(top, "", found=f"other files, for example {min(other)}", expected=expected)
-
-
-def merge_results(folders: Sequence[Path], out: Path) -> list[Path]:
-    """Join the tables of several recordings' results folders by rows and return the paths of the joint files."""
-    out.mkdir(parents=True, exist_ok=True)
-    paths = []
-    for name, text in merge_tables(folders).items():
-        paths.append(out / name)
-        write_whole(paths[-1], text)
-    return paths
 
 
 def _fill(folder: Path, evaluation: Evaluation) -> list[str]:

@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 import worker_tasks as tasks
+from distributed import Client
 
 from fusion import campaign as under_test
 from fusion.campaign import run_path
@@ -49,6 +50,8 @@ class Cluster:
         _wait_until(lambda: file.exists() and bool(file.read_text().strip()))
         self.address = json.loads(file.read_text())["address"]
         self.workers = [self._worker(folder) for _ in range(2)]
+        with Client(self.address, set_as_default=False) as client:
+            client.wait_for_workers(len(self.workers), PATIENCE_S)
 
     def _worker(self, folder: Path) -> subprocess.Popen[bytes]:
         options = ("--nthreads", "1", "--no-nanny", "--no-dashboard", "--local-directory", str(folder))

@@ -15,7 +15,8 @@ from fusion import results
 from fusion.errors import InputError
 from fusion.evaluation import Evaluation
 from fusion.provenance import is_current
-from fusion.results import merge_results, write_results
+from fusion.results import write_results
+from fusion.results_csv import merge_tables
 
 SENSITIVITY = (
     "frequency_hz,channel,component,magnitude,phase_rad,u_magnitude,u_phase_rad,re,im,u_re,u_im,r,dof,unit,kind,"
@@ -235,18 +236,19 @@ def test_campaign_tables_are_the_recordings_rows_in_order(tmp_path: Path) -> Non
     for name in ("Fz, first", 'Fz "second"'):
         folders.append(tmp_path / str(len(folders)))
         write_results(make_evaluation(tmp_path, Choice(frames=24, name=name)), folders[-1])
-    paths = merge_results(folders, tmp_path / "all")
-    assert {path.name for path in paths} == {"sensitivity.csv", "acceleration.csv", "load.csv"}
-    for path in paths:
-        separate = rows(folders[0] / path.name) + rows(folders[1] / path.name)
-        assert rows(path) == separate
-    assert rows(tmp_path / "all" / "load.csv")[-1]["recording"] == 'Fz "second"'
+    tables = merge_tables(folders)
+    assert set(tables) == {"sensitivity.csv", "acceleration.csv", "load.csv"}
+    for name, text in tables.items():
+        (tmp_path / name).write_text(text, encoding="utf-8", newline="\n")
+        separate = rows(folders[0] / name) + rows(folders[1] / name)
+        assert rows(tmp_path / name) == separate
+    assert rows(tmp_path / "load.csv")[-1]["recording"] == 'Fz "second"'
 
 
 def test_campaign_refuses_a_table_of_another_format(tmp_path: Path) -> None:
     (tmp_path / "load.csv").write_text("a,b\n1,2\n", encoding="utf-8")
     with pytest.raises(ValueError, match=r"load\.csv: expected the columns"):
-        merge_results([tmp_path], tmp_path / "all")
+        merge_tables([tmp_path])
 
 
 def test_true_acceleration_lies_within_its_uncertainty(folder: Path) -> None:

@@ -78,13 +78,15 @@ def test_one_thread_of_linear_algebra_gives_the_same_digits_everywhere(two: Work
     ],
 )
 def test_failures_and_remarks_come_back(
-    kind: str, error: type[Exception], sentence: str, two: Workers, caplog: pytest.LogCaptureFixture
+    kind: str, error: type[Exception], sentence: str, two: Workers, capsys: pytest.CaptureFixture[str]
 ) -> None:
     answer = two.submit(0, tasks.refuse, kind).result(PATIENCE_S)
-    logging.getLogger("shakercal").propagate = True
-    with caplog.at_level(logging.INFO, "shakercal"):
+    log = logging.getLogger("shakercal")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(log, "handlers", [logging.StreamHandler(sys.stderr)])
+        patch.setattr(log, "propagate", False)
         answer.log("Fz-0100")
-    assert [record.getMessage() for record in caplog.records] == [f"Fz-0100: a remark about {kind}"]
+    assert capsys.readouterr().err == f"Fz-0100: a remark about {kind}\n"
     with pytest.raises(error) as raised:
         answer.opened()
     assert str(raised.value).startswith(sentence)
