@@ -128,8 +128,8 @@ def _run_here(jobs: Sequence[Job], progress: ProgressCallback) -> tuple[Outcome,
 def _run_elsewhere(jobs: Sequence[Job], crew: Crew, progress: ProgressCallback) -> tuple[Outcome, ...]:
     """Have all recordings computed by others; the outcomes are in the recordings' order, whoever was first."""
     heard: SimpleQueue[tuple[int, Pending]] = SimpleQueue()
-    for rank, job in enumerate(jobs):
-        pending = crew.submit(rank, run_job, job.placed())
+    all_pending = [crew.submit(rank, run_job, job.placed()) for rank, job in enumerate(jobs)]
+    for rank, pending in enumerate(all_pending):
         pending.add_done_callback(partial(_tell, heard, rank))
     outcomes: dict[int, Outcome] = {}
     while len(outcomes) < len(jobs):
