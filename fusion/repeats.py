@@ -118,8 +118,8 @@ def mean_ratio(drives: Sequence[Drive], component: int) -> Repeats:
     One-way random effects, unbalanced: mean squares within and between M mountings, from which what is stated for
     them is taken off with all its correlations; what is left are variances of a recording (N - M degrees of freedom)
     and of a mounting (M - 1) beyond what is stated, none where negative (Searle, Casella & McCulloch 1992, Variance
-    Components, 3.6). Mountings weigh by the inverse of their variance in the best known channel; shared unknowns do not
-    average away. Only channels with a reading in all recordings have a value.
+    Components, 3.6). Recordings and mountings weigh by the inverse of their own variances in the best known
+    channel; shared unknowns do not average away. Only channels with a reading in all recordings have a value.
     """
     usable = common_outputs(drives)
     if not usable:
@@ -231,18 +231,34 @@ def _positive(matrix: FloatArray) -> FloatArray:
 def _weights(
     values: Sequence[tuple[ComplexArray, Uncertainty]], mountings: Sequence[str], scatter: _Scatter
 ) -> FloatArray:
-    """Weights (N,) of recordings in the mean: mountings by their inverse variance, recordings of one alike."""
-    noise = np.array([np.sum([part.covariance[0] for part in u.random], axis=0).diagonal() for _, u in values])
-    channels = noise.shape[1] // 2
-    total = np.mean(noise[:, :channels] + noise[:, channels:], axis=0)
-    best = int(np.argmin(total))
-    within, between = (float(part[best, best] + part[best + channels, best + channels]) for part in
-                       (scatter.within, scatter.between))  # fmt: skip
-    counts = {mounting: mountings.count(mounting) for mounting in mountings}
-    variance = np.array([between + (within + total[best]) / counts[mounting] for mounting in mountings])
-    share = np.array([1.0 / counts[mounting] for mounting in mountings])
-    weight = share / variance if np.all(variance > 0.0) else np.ones(len(mountings))
+    """Weights (N,) of recordings in the mean: recordings of a mounting by the inverse of their own variance, mountings
+    by that of what their recordings and mounting anew leave, both in the best known channel.
+    """
+    own = np.array([_own_variance(uncertainty) for _, uncertainty in values])
+    best = int(np.argmin(np.sum(own, axis=0)))
+    within, between = (_total(part)[best] for part in (scatter.within, scatter.between))
+    variance = own[:, best] + within
+    if not np.all(variance > 0.0):
+        return np.full(len(values), 1.0 / len(values))
+    weight = np.zeros(len(values))
+    for kind in dict.fromkeys(mountings):
+        rows = [place for place, mounting in enumerate(mountings) if mounting == kind]
+        precision = 1.0 / variance[rows]
+        weight[rows] = precision / np.sum(precision) / (between + 1.0 / np.sum(precision))
     return np.asarray(weight / np.sum(weight))
+
+
+def _own_variance(uncertainty: Uncertainty) -> FloatArray:
+    """Variance (C,) of Re and Im together from what no other recording shares: noise, and unknowns of the recording."""
+    random = np.sum([part.covariance[0] for part in uncertainty.random], axis=0)
+    shared = [influence.effect[0] for influence in uncertainty.influences if influence.scope == "recording"]
+    return _total(random) + np.sum([_total(np.outer(effect, effect)) for effect in shared], axis=0)
+
+
+def _total(matrix: FloatArray) -> FloatArray:
+    """Sum (C,) of the variances of real and imaginary parts."""
+    variance = np.diag(matrix)
+    return np.asarray(variance[: len(variance) // 2] + variance[len(variance) // 2 :])
 
 
 def _weighted_sum(parts: Sequence[Uncertainty], weight: FloatArray) -> Uncertainty:
@@ -273,9 +289,8 @@ def _contributions(
 
 def _deviation(matrix: FloatArray, dof: int) -> FloatArray:
     """Relative standard deviation (C,) of the whole complex value: root of the sum of both parts' variances."""
-    variance = np.diag(matrix)
-    size = len(variance) // 2
-    return np.asarray(np.sqrt(variance[:size] + variance[size:]) if dof else np.full(size, np.nan))
+    variance = _total(matrix)
+    return np.sqrt(variance) if dof else np.full_like(variance, np.nan)
 
 
 def _notices(drives: Sequence[Drive], scatter: _Scatter) -> tuple[Notice, ...]:
