@@ -11,17 +11,17 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any, Protocol
 
-from fusion.campaign_results import write_campaign
-from fusion.cluster import connected
 from fusion.errors import InputError, is_interruption, told
-from fusion.job import Job, Outcome, run_job
+from fusion.execution.cluster import connected
+from fusion.execution.job import Job, Outcome, run_job
+from fusion.execution.task import Answer
+from fusion.execution.threads import one_blas_thread
+from fusion.execution.workers import Workers
+from fusion.joint.write import write_campaign
 from fusion.manifest import RECORDING_NAME, find_recordings
 from fusion.output import remove_abandoned
 from fusion.results import check_campaign_folder
 from fusion.settings import ProgressCallback, Settings, no_progress
-from fusion.task import Answer
-from fusion.threads import one_blas_thread
-from fusion.workers import Workers
 
 RECORDINGS = "recordings"
 LISTEN_S = 0.5  # between looks for an interruption

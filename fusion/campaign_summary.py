@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from fusion.console import stdout_console
-from fusion.job import Outcome
+from fusion.execution.job import Outcome
 from fusion.report import REPORT_FILE
 
 

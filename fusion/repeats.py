@@ -290,7 +290,7 @@ def _contributions(
 def _deviation(matrix: FloatArray, dof: int) -> FloatArray:
     """Relative standard deviation (C,) of the whole complex value: root of the sum of both parts' variances."""
     variance = _total(matrix)
-    return np.sqrt(variance) if dof else np.full_like(variance, np.nan)
+    return np.asarray(np.sqrt(variance) if dof else np.full_like(variance, np.nan))
 
 
 def _notices(drives: Sequence[Drive], scatter: _Scatter) -> tuple[Notice, ...]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from fusion.console import stdout_console
 from fusion.coverage import region_factor
-from fusion.job import Outcome
+from fusion.execution.job import Outcome
 from fusion.polar import Polar, rounded
 from fusion.results_csv import SENSITIVITY_FILE, read_rows, row_element
 

@@ -30,10 +30,8 @@ WRITTEN_ORDER = {
         take referral pool takes analyse monte_carlo provenance evaluate check highlights results_csv results_h5
         read_results camera_facts plan lines plots report_numbers report_tables consistency_tables budget_tables
         point_tables monte_carlo_tables signal_tables take_tables page report results camera_tables
-        camera_report campaign_evaluation campaign_points campaign_h5 campaign_csv campaign_tables
-        campaign_curves campaign_report campaign_results threads task workers cluster job campaign
-        campaign_summary simulate progress summary plan_tables line_tables cameras align import_calibration
-        transfer commands cli
+        camera_report joint execution campaign campaign_summary simulate progress summary plan_tables
+        line_tables cameras align import_calibration transfer commands cli
     """,
 }
 ORDER = {package: text.split() for package, text in WRITTEN_ORDER.items()}

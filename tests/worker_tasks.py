@@ -13,12 +13,12 @@ from unittest.mock import patch
 from fusion.errors import InputError
 
 if TYPE_CHECKING:
-    from fusion.job import Job, Outcome
+    from fusion.execution.job import Job, Outcome
 
 
 def whole_job(job: Job) -> Outcome:
     """Everything that a run does with a recording but its figures, which take most of the time."""
-    from fusion.job import run_job
+    from fusion.execution.job import run_job
 
     with patch("fusion.results.render_report", lambda evaluation: f"<!doctype html>{evaluation.manifest.name}"):
         return run_job(job)

@@ -100,9 +100,7 @@ def evaluated(monkeypatch: pytest.MonkeyPatch, ready_evaluation: Evaluation) -> 
             input_hashes=hashes,
         )
 
-    monkeypatch.setattr("fusion.job.evaluate_recording", evaluate)
+    monkeypatch.setattr("fusion.execution.job.evaluate_recording", evaluate)
     monkeypatch.setattr("fusion.results.render_report", lambda evaluation: f"<!doctype html>{evaluation.manifest.name}")
-    monkeypatch.setattr(
-        "fusion.campaign_results.render_campaign", lambda evaluation: f"<!doctype html>{evaluation.name}"
-    )
+    monkeypatch.setattr("fusion.joint.write.render_campaign", lambda evaluation: f"<!doctype html>{evaluation.name}")
     return done

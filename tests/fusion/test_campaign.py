@@ -12,15 +12,15 @@ from pathlib import Path
 import h5py
 import pytest
 
-from fusion import job as under_test
 from fusion.campaign import exit_status, run_path
 from fusion.cli import main
 from fusion.commands.values import EXIT_DONE, EXIT_FAILED, EXIT_INPUT
 from fusion.errors import ComputeError, InputError
-from fusion.job import Outcome
+from fusion.execution import job as under_test
+from fusion.execution.job import Outcome
+from fusion.execution.task import Answer, call
 from fusion.results import CAMPAIGN_FILES
 from fusion.settings import Settings
-from fusion.task import Answer, call
 
 Campaign = Callable[..., Path]
 Capture = pytest.CaptureFixture[str]

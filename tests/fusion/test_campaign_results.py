@@ -15,15 +15,16 @@ from campaign_factory import CAPACITY, LOADS, MATRIX_HZ, SENSOR, STATIC, SWEEP_H
 from evaluation_factory import Choice, make_evaluation
 from page_outline import outline
 
-from fusion import campaign_results, results
-from fusion.campaign_csv import CROSSTALK_COLUMNS, CURVE_COLUMNS, campaign_tables
-from fusion.campaign_evaluation import CampaignEvaluation, evaluate_campaign
-from fusion.campaign_h5 import campaign_h5, campaign_origin
-from fusion.campaign_points import curve_points
-from fusion.campaign_report import render_campaign
-from fusion.campaign_results import write_campaign
-from fusion.campaign_tables import linearity_table, repeats_table
+from fusion import results
 from fusion.errors import InputError
+from fusion.joint import write as joint_write
+from fusion.joint.csv_files import CROSSTALK_COLUMNS, CURVE_COLUMNS, campaign_tables
+from fusion.joint.evaluation import CampaignEvaluation, evaluate_campaign
+from fusion.joint.h5_file import campaign_h5, campaign_origin
+from fusion.joint.page import render_campaign
+from fusion.joint.points import curve_points
+from fusion.joint.tables import linearity_table, repeats_table
+from fusion.joint.write import write_campaign
 from fusion.read_results import Recorded, read_uncertainty
 from fusion.results import CAMPAIGN_FILES, check_campaign_folder, write_results
 
@@ -265,7 +266,7 @@ def test_no_sensor_leaves_a_page_without_sensitivity() -> None:
 
 def test_files_are_written_from_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(results, "render_report", lambda _: "<!doctype html>\n")
-    monkeypatch.setattr(campaign_results, "render_campaign", lambda evaluation: f"<!doctype html>{evaluation.name}\n")
+    monkeypatch.setattr(joint_write, "render_campaign", lambda evaluation: f"<!doctype html>{evaluation.name}\n")
     top, folders = tmp_path / "results", []
     for number, mounting in enumerate(("1", "1", "2")):
         folders.append(top / f"run-{number}")

@@ -124,7 +124,7 @@ def test_libraries_are_heard_with_v_only(
             warnings.warn("a warning of a library", stacklevel=2)
         raise ComputeError("no line found")
 
-    monkeypatch.setattr("fusion.job.evaluate_recording", warn)
+    monkeypatch.setattr("fusion.execution.job.evaluate_recording", warn)
     folder = make_campaign()
     assert main(["run", str(folder)]) == EXIT_FAILED
     assert capsys.readouterr().err == "shakercal: no line found\n"
@@ -143,7 +143,7 @@ def _raise(error: BaseException) -> Callable[..., None]:
 
 
 @pytest.mark.usefixtures("evaluated")
-@pytest.mark.parametrize("place", ["fusion.job.evaluate_recording", "fusion.results.write_h5"])
+@pytest.mark.parametrize("place", ["fusion.execution.job.evaluate_recording", "fusion.results.write_h5"])
 @pytest.mark.parametrize(
     ("error", "status", "sentence"),
     [
@@ -180,7 +180,7 @@ def test_an_interruption_that_compiled_code_hands_on(
     def fail(*_: object) -> None:
         raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
 
-    monkeypatch.setattr("fusion.job.evaluate_recording", fail)
+    monkeypatch.setattr("fusion.execution.job.evaluate_recording", fail)
     assert main(["run", str(make_campaign())]) == EXIT_INTERRUPTED
     assert capsys.readouterr().err == "shakercal: interrupted; nothing half-written was left behind\n"
     assert not evaluated
@@ -189,7 +189,7 @@ def test_an_interruption_that_compiled_code_hands_on(
 def test_where_an_internal_error_was_is_told_with_v(
     make_campaign: Campaign, evaluated: list[str], monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
-    monkeypatch.setattr("fusion.job.evaluate_recording", _raise(RuntimeError("a")))
+    monkeypatch.setattr("fusion.execution.job.evaluate_recording", _raise(RuntimeError("a")))
     assert main(["run", str(make_campaign()), "-v"]) == EXIT_FAILED
     assert "Traceback" in capsys.readouterr().err
     assert not evaluated

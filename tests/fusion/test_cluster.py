@@ -19,10 +19,10 @@ from distributed import Client
 from fusion import campaign as under_test
 from fusion.campaign import run_path
 from fusion.cli import main
-from fusion.cluster import connected
 from fusion.commands.values import EXIT_INPUT, EXIT_INTERRUPTED
 from fusion.errors import ComputeError, InputError
-from fusion.job import Outcome
+from fusion.execution.cluster import connected
+from fusion.execution.job import Outcome
 from fusion.settings import Settings
 from fusion.simulate import simulate_campaign
 
@@ -35,7 +35,7 @@ from unittest.mock import patch
 from fusion.cli import main
 if __name__ == "__main__":
     with patch("fusion.campaign.run_job", getattr(worker_tasks, sys.argv.pop(1))), \\
-         patch("fusion.campaign_results.render_campaign", lambda evaluation: evaluation.name):
+         patch("fusion.joint.write.render_campaign", lambda evaluation: evaluation.name):
         sys.exit(main(sys.argv[1:]))
 """
 
@@ -112,7 +112,7 @@ def _run(campaign: Path, out: Path, job: Any = tasks.whole_job, **where: Any) ->
     """Run a campaign without its figures."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(under_test, "run_job", (lambda job, _: tasks.whole_job(job)) if not where else job)
-        patch.setattr("fusion.campaign_results.render_campaign", lambda evaluation: evaluation.name)
+        patch.setattr("fusion.joint.write.render_campaign", lambda evaluation: evaluation.name)
         return run_path(campaign, out, Settings(), **where)
 
 
@@ -204,7 +204,7 @@ def test_tasks_of_a_cluster_come_back_like_those_of_processes(cluster: Cluster, 
 def test_an_address_where_nothing_answers_is_refused(
     address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("fusion.cluster.ANSWER_S", 0.5)
+    monkeypatch.setattr("fusion.execution.cluster.ANSWER_S", 0.5)
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "recording.toml").write_text("")
     assert main(["run", str(tmp_path), "--scheduler", address]) == EXIT_INPUT
@@ -227,7 +227,7 @@ def test_without_the_extra_the_command_says_what_to_install(
 
 
 def test_workers_of_another_version_are_refused(cluster: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fusion.cluster.PROGRAM", "numpy")
+    monkeypatch.setattr("fusion.execution.cluster.PROGRAM", "numpy")
     with pytest.raises(InputError, match=r"expected workers with numpy .*, found numpy 0.1.0 at tcp:"):  # noqa: SIM117
         with connected(cluster.address):
             pass

@@ -9,7 +9,7 @@ from urllib.parse import quote
 import numpy as np
 from markupsafe import Markup
 
-from fusion.campaign_evaluation import CampaignEvaluation, main_channel
+from fusion.joint.evaluation import CampaignEvaluation, main_channel
 from fusion.linearity import Linearity
 from fusion.load import LOAD_COMPONENTS, LOAD_UNITS
 from fusion.matrix import LEAST_SINGULAR, CrossTalk, MatrixFit

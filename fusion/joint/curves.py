@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from fusion.campaign_evaluation import CampaignEvaluation, main_channel
-from fusion.campaign_points import CurvePoint, curve_elements, single_points
 from fusion.curve import Curve, interpolate
 from fusion.interpolation import LEAST_POINTS
+from fusion.joint.evaluation import CampaignEvaluation, main_channel
+from fusion.joint.points import CurvePoint, curve_elements, single_points
 from fusion.load import LOAD_COMPONENTS
 from fusion.matrix import CrossTalk
 from fusion.plots.curve import CurveDrawing, OutputsDrawing, Points, draw_campaign_curve, draw_campaign_outputs

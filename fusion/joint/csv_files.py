@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fusion.campaign_evaluation import CampaignEvaluation
-from fusion.campaign_points import curve_points
+from fusion.joint.evaluation import CampaignEvaluation
+from fusion.joint.points import curve_points
 from fusion.matrix import CrossTalk
 from fusion.polar import polar
 from fusion.results import CROSSTALK_FILE, CURVE_FILE

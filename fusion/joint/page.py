@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from fusion import campaign_tables as tables
-from fusion.campaign_curves import curve_pictures, curve_table, headlines, main_points, output_pictures
-from fusion.campaign_evaluation import CampaignEvaluation
-from fusion.campaign_h5 import campaign_origin
-from fusion.campaign_points import curve_points
+from fusion.joint import tables
+from fusion.joint.curves import curve_pictures, curve_table, headlines, main_points, output_pictures
+from fusion.joint.evaluation import CampaignEvaluation
+from fusion.joint.h5_file import campaign_origin
+from fusion.joint.points import curve_points
 from fusion.matrix import LEAST_SINGULAR, CrossTalk
 from fusion.notices import warnings_first
 from fusion.page import render_page

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from fusion.campaign_csv import campaign_tables
-from fusion.campaign_evaluation import evaluate_campaign
-from fusion.campaign_h5 import campaign_h5
-from fusion.campaign_report import render_campaign
+from fusion.joint.csv_files import campaign_tables
+from fusion.joint.evaluation import evaluate_campaign
+from fusion.joint.h5_file import campaign_h5
+from fusion.joint.page import render_campaign
 from fusion.output import write_whole
 from fusion.read_results import read_recorded
 from fusion.report import REPORT_FILE

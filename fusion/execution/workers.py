@@ -18,8 +18,8 @@ from queue import PriorityQueue
 from typing import Any, cast
 
 from fusion.errors import ComputeError
-from fusion.task import Answer, call
-from fusion.threads import ONE_THREAD
+from fusion.execution.task import Answer, call
+from fusion.execution.threads import ONE_THREAD
 
 ATTEMPTS = 3
 """How often a task is begun before the death of its workers counts as the task's own failure."""

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import h5py
 
-from fusion.campaign_evaluation import CampaignEvaluation
+from fusion.joint.evaluation import CampaignEvaluation
 from fusion.provenance import Provenance, write_provenance
 from fusion.read_results import Recorded
 from fusion.results_h5 import FORMAT, write_fields, write_value

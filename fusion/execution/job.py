@@ -8,12 +8,12 @@ from pathlib import Path
 
 from fusion.errors import ComputeError, InputError
 from fusion.evaluate import evaluate_recording
+from fusion.execution.threads import one_blas_thread
 from fusion.manifest import load_manifest
 from fusion.output import remove_abandoned
 from fusion.provenance import check_folder, hash_files, is_current
 from fusion.results import write_results
 from fusion.settings import ProgressCallback, Settings, no_progress
-from fusion.threads import one_blas_thread
 
 log = logging.getLogger("shakercal")
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.campaign_evaluation import CampaignEvaluation
 from fusion.curve import Curve
+from fusion.joint.evaluation import CampaignEvaluation
 from fusion.load import LOAD_COMPONENTS
 from fusion.polar import Polar, element_covariance, polar
 from fusion.repeats import drive_ratio

@@ -9,9 +9,9 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, cast
 
 from fusion.errors import ComputeError, InputError
+from fusion.execution.task import Answer, call
+from fusion.execution.threads import with_one_thread
 from fusion.provenance import PROGRAM
-from fusion.task import Answer, call
-from fusion.threads import with_one_thread
 
 if TYPE_CHECKING:
     from distributed import Client, Future
