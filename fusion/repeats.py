@@ -250,9 +250,11 @@ def _weights(
 
 def _own_variance(uncertainty: Uncertainty) -> FloatArray:
     """Variance (C,) of Re and Im together from what no other recording shares: noise, and unknowns of the recording."""
-    random = np.sum([part.covariance[0] for part in uncertainty.random], axis=0)
-    shared = [influence.effect[0] for influence in uncertainty.influences if influence.scope == "recording"]
-    return _total(random) + np.sum([_total(np.outer(effect, effect)) for effect in shared], axis=0)
+    own = np.sum([part.covariance[0] for part in uncertainty.random], axis=0)
+    for influence in uncertainty.influences:
+        if influence.scope == "recording":
+            own = own + np.outer(influence.effect[0], influence.effect[0])
+    return _total(own)
 
 
 def _total(matrix: FloatArray) -> FloatArray:
