@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from markupsafe import Markup
 
 from fusion.curve import Curve, interpolate
 from fusion.interpolation import LEAST_POINTS
@@ -48,34 +49,33 @@ def headlines(evaluation: CampaignEvaluation, mains: dict[str, list[CurvePoint]]
     return [*found, *_scatter_headline(evaluation), *_crosstalk_headline(evaluation)]
 
 
-def curve_table(mains: dict[str, list[CurvePoint]]) -> Table | None:
-    """The main elements over frequency, ratios first."""
-    rows = [row for points in mains.values() for row in _curve_rows(points)]
-    head = (
-        "frequency / Hz",
-        "output per load",
-        "magnitude",
-        "unit",
-        "phase / rad",
-        "from static / %",
-        "k",
-        "kind (recordings, mountings)",
-    )
-    caption = "Complex sensitivity of the main elements with U = k·u (95 %)"
-    return Table(caption, head, "rlrrrrrl", tuple(rows)) if rows else None
+def curve_tables(mains: dict[str, list[CurvePoint]]) -> list[Table]:
+    """One table per main element over frequency, ratios first."""
+    return [_curve_table(points) for points in mains.values()]
 
 
-def _curve_rows(points: Sequence[CurvePoint]) -> list[tuple[str, ...]]:
-    """One main element over frequency, in one unit."""
+def _curve_table(points: Sequence[CurvePoint]) -> Table:
+    """One main element over frequency, its unit in the head."""
     exponent = common_exponent(np.array([complex(point.element.re, point.element.im) for point in points]))
     rows: list[tuple[str, ...]] = []
     for point in sorted(points, key=lambda point: (point.kind != "ratio", point.frequency_hz)):
         size, turn, k = polar_cells(point.element, exponent)
-        unit = times_ten(exponent, point.unit)
-        name = f"{point.channel} per {point.component}".replace(" ", "\N{NO-BREAK SPACE}")
-        kind = f"{point.kind} ({point.recordings}, {point.mountings})"
-        rows.append((f"{point.frequency_hz:.4f}", name, size, unit, turn, _from_static(point), k, kind))
-    return rows
+        cells = (point.kind, f"{point.recordings}", f"{point.mountings}")
+        rows.append((f"{point.frequency_hz:.4f}", size, turn, _from_static(point), k, *cells))
+    first = points[0]
+    unit = times_ten(exponent, first.unit)
+    head = (
+        "frequency / Hz",
+        Markup("magnitude / {}").format(unit),
+        "phase / rad",
+        "from static / %",
+        "k",
+        "kind",
+        "recordings",
+        "mountings",
+    )
+    caption = f"Output {first.channel} per load {first.component} with U = k·u (95 %)"
+    return Table(caption, head, "rrrrrlrr", tuple(rows))
 
 
 def curve_pictures(evaluation: CampaignEvaluation, mains: dict[str, list[CurvePoint]]) -> list[Picture]:

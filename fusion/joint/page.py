@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from fusion.joint import tables
-from fusion.joint.curves import curve_pictures, curve_table, headlines, main_points, output_pictures
+from fusion.joint.curves import curve_pictures, curve_tables, headlines, main_points, output_pictures
 from fusion.joint.evaluation import CampaignEvaluation
 from fusion.joint.h5_file import campaign_origin
 from fusion.joint.points import curve_points
@@ -38,7 +38,7 @@ def _context(evaluation: CampaignEvaluation) -> dict[str, Any]:
         "headlines": headlines(evaluation, mains),
         "notices": warnings_first(evaluation.notices),
         "curves": curve_pictures(evaluation, mains),
-        "curve": curve_table(mains),
+        "curve_tables": curve_tables(mains),
         "outputs": output_pictures(evaluation),
         "maps": crosstalk_pictures(evaluation),
         "crosstalk": tables.crosstalk_tables(evaluation),
