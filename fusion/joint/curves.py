@@ -60,7 +60,7 @@ def _curve_table(points: Sequence[CurvePoint]) -> Table:
     rows: list[tuple[str, ...]] = []
     for point in sorted(points, key=lambda point: (point.kind != "ratio", point.frequency_hz)):
         size, turn, k = polar_cells(point.element, exponent)
-        cells = (point.kind, f"{point.recordings}", f"{point.mountings}")
+        cells = (point.kind, f"{point.recordings} ({point.mountings})")
         rows.append((f"{point.frequency_hz:.4f}", size, turn, _from_static(point), k, *cells))
     first = points[0]
     unit = times_ten(exponent, first.unit)
@@ -71,11 +71,10 @@ def _curve_table(points: Sequence[CurvePoint]) -> Table:
         "from static / %",
         "k",
         "kind",
-        "recordings",
-        "mountings",
+        "recordings (mountings)",
     )
     caption = f"Output {first.channel} per load {first.component} with U = k·u (95 %)"
-    return Table(caption, head, "rrrrrlrr", tuple(rows))
+    return Table(caption, head, "rrrrrlr", tuple(rows))
 
 
 def curve_pictures(evaluation: CampaignEvaluation, mains: dict[str, list[CurvePoint]]) -> list[Picture]:
