@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -73,7 +74,7 @@ def make_evaluation(folder: Path, choice: Choice | None = None, seed: int = 0) -
         sensitivity=_sensitivity() if choice.sensor else None,
         notices=_notices(),
         settings={"subset_radius_px": 10, "spline_degree": 5},
-        versions={"shakercal": "0.1.0", "python": "3.11", "numpy": "2.0"},
+        versions={"shakercal": version("shakercal"), "python": "3.11", "numpy": "2.0"},
         input_hashes={"rig.toml": "ab" * 32, "Fz/recording.toml": "cd" * 32, "Fz/top-left/0000.tif": "ef" * 32},
         duration_s=12.5,
     )
