@@ -30,6 +30,7 @@ from fusion.plots.style import (
     new_figure,
     padded,
     power_text,
+    static_axis,
 )
 from fusion.polar import typeset
 
@@ -156,22 +157,7 @@ def _draw_magnitude(axes: Axes, curve: CurveDrawing, factor: float, label: str) 
     axes.yaxis.set_major_locator(MaxNLocator(6))
     axes.set_ylabel(label)
     if curve.static is not None:
-        _static_axis(axes, curve.static / factor)
-
-
-def _static_axis(axes: Axes, static: float) -> None:
-    """Line of the static sensitivity, and on the right the deviation from it."""
-    axes.axhline(static, color=RED, linewidth=1.0, linestyle=(0, (5, 3)), label="static")
-
-    def deviation(magnitude: Any) -> Any:
-        return np.asarray(100.0 * (np.asarray(magnitude) / static - 1.0))
-
-    def magnitude(deviation: Any) -> Any:
-        return np.asarray(static * (1.0 + np.asarray(deviation) / 100.0))
-
-    right = axes.secondary_yaxis("right", functions=(deviation, magnitude))
-    right.set_ylabel("deviation from static / %")
-    right.spines["right"].set_visible(True)
+        static_axis(axes, curve.static / factor, "static")
 
 
 def _draw_phase(axes: Axes, curve: CurveDrawing) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -18,7 +17,6 @@ from fusion.plots.style import (
     BLUE,
     GREY,
     ORANGE,
-    RED,
     FloatArray,
     Picture,
     decades,
@@ -28,6 +26,7 @@ from fusion.plots.style import (
     new_figure,
     padded,
     power_text,
+    static_axis,
 )
 from fusion.polar import Polar, typeset
 from fusion.results_csv import sensitivity_element, sensitivity_unit
@@ -200,18 +199,7 @@ def _static_line(axes: Axes, curve: Curve, factor: float) -> None:
     axes.set_xlim(0.0, 1.12 * float(curve.frequency_hz.max(initial=1.0)))
     if curve.static is None:
         return
-    static = abs(curve.static) / factor
-    axes.axhline(static, color=RED, linewidth=1.0, linestyle=(0, (5, 3)), label="static sensitivity")
-
-    def deviation(magnitude: Any) -> Any:
-        return np.asarray(100.0 * (np.asarray(magnitude) / static - 1.0))
-
-    def magnitude(deviation: Any) -> Any:
-        return np.asarray(static * (1.0 + np.asarray(deviation) / 100.0))
-
-    right = axes.secondary_yaxis("right", functions=(deviation, magnitude))
-    right.set_ylabel("deviation from static / %")
-    right.spines["right"].set_visible(True)
+    static_axis(axes, abs(curve.static) / factor, "static sensitivity")
 
 
 def _output_scale(evaluation: Evaluation, driven: int, component: int) -> tuple[FloatArray, str]:

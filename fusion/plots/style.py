@@ -161,3 +161,18 @@ def decades(axis: Axis) -> None:
 def panel_label(axes: Axes, text: str) -> None:
     """Short label above the upper left corner of a panel."""
     axes.set_title(text, fontsize=8.0, fontweight="normal", pad=2.5)
+
+
+def static_axis(axes: Axes, static: float, label: str) -> None:
+    """Draw a line at the static sensitivity, and on the right the deviation from it."""
+    axes.axhline(static, color=RED, linewidth=1.0, linestyle=(0, (5, 3)), label=label)
+
+    def deviation(magnitude: Any) -> Any:
+        return np.asarray(100.0 * (np.asarray(magnitude) / static - 1.0))
+
+    def magnitude(deviation: Any) -> Any:
+        return np.asarray(static * (1.0 + np.asarray(deviation) / 100.0))
+
+    right = axes.secondary_yaxis("right", functions=(deviation, magnitude))
+    right.set_ylabel("deviation from static / %")
+    right.spines["right"].set_visible(True)
