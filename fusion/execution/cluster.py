@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import importlib.metadata
 import logging
+import socket
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, cast
+from urllib.parse import urlsplit
 
 from fusion.errors import ComputeError, InputError
 from fusion.execution.task import Answer, call
@@ -18,6 +20,8 @@ if TYPE_CHECKING:
 
 ANSWER_S = 10.0
 """How long a scheduler may take to answer."""
+SCHEDULER_PORT = 8786
+"""Where Dask's schedulers listen unless told otherwise."""
 OPTION = "--scheduler"
 log = logging.getLogger("shakercal")
 
@@ -71,8 +75,7 @@ def connected(address: str) -> Iterator[Cluster]:
         expected = 'the packages that pip install "shakercal[cluster]" brings'
         raise InputError(OPTION, "", found=f"none ({error})", expected=expected) from error
     try:
-        if not address:
-            raise ValueError("no address")
+        _knock(address)
         client = Client(address, timeout=ANSWER_S, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         expected = "the address of a Dask scheduler that answers, such as tcp://10.0.0.1:8786"
@@ -80,6 +83,15 @@ def connected(address: str) -> Iterator[Cluster]:
     with client:
         _check_versions(client)
         yield Cluster(client)
+
+
+def _knock(address: str) -> None:
+    """Raise `OSError` or `ValueError` where nobody listens: a client that waits in vain does not end in silence."""
+    parts = urlsplit(address if "://" in address else f"tcp://{address}")
+    if not parts.hostname:
+        raise ValueError("no address")
+    with socket.create_connection((parts.hostname, parts.port or SCHEDULER_PORT), timeout=ANSWER_S):
+        pass
 
 
 def _check_versions(client: Client) -> None:
