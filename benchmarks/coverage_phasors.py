@@ -15,71 +15,19 @@ import argparse
 import os
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field
 from itertools import repeat
 from multiprocessing import get_context
 
 import numpy as np
-from coverage_statistics import HEAD, Tally, row
-from numpy.typing import NDArray
+from coverage_statistics import HEAD, Counts, row
 
-from fusion.analyse import Analysis, analyse
+from fusion.analyse import analyse
 from fusion.simulate.draws import Draws
 from fusion.simulate.phasor_cases import CASES, Case, case_setup
-from fusion.simulate.phasors import PhasorTruth, simulate_phasors
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-
+from fusion.simulate.phasors import simulate_phasors
 
 CHUNK = 100
 """Recordings that a process simulates before it tells what it counted."""
-
-
-@dataclass
-class Counts:
-    """Tallies of the fundamental by quantity and component; relative errors of the driven acceleration (N,).
-
-    `warned`: recordings whose instruments were found to disagree.
-    """
-
-    acceleration: list[Tally] = field(default_factory=lambda: [Tally() for _ in range(6)])
-    load: list[Tally] = field(default_factory=lambda: [Tally() for _ in range(6)])
-    sensitivity: list[Tally] = field(default_factory=lambda: [Tally() for _ in range(6)])
-    driven: list[complex] = field(default_factory=list)
-    warned: int = 0
-
-    def add(self, case: Case, found: Analysis, truth: PhasorTruth) -> None:
-        """Take in one recording."""
-        fused = next(a for a in found.accelerations if (a.body, a.source) == ("load", "fused"))
-        value, true = fused.phasors.value[0], truth.acceleration[0]
-        self.driven.append(complex(value[case.driven] / true[case.driven] - 1.0))
-        _add(self.acceleration, value - true, fused.uncertainty.covariance[0], fused.uncertainty.dof()[0])
-        if found.load is not None:
-            phasors, uncertainty = found.load.phasors, found.load.uncertainty
-            _add(self.load, phasors.value[0] - truth.load[0], uncertainty.covariance[0], uncertainty.dof()[0])
-        ratio = found.sensitivity
-        if ratio is not None:
-            error = ratio.value[0, :, case.driven] - truth.outputs[0] / truth.load[0, case.driven]
-            for c, tally in enumerate(self.sensitivity):
-                tally.add(complex(error[c]), ratio.covariance[0, c, case.driven], float(ratio.dof[0, c, case.driven]))
-
-    def join(self, other: Counts) -> None:
-        """Take in what was counted elsewhere."""
-        for name in ("acceleration", "load", "sensitivity"):
-            for own, found in zip(getattr(self, name), getattr(other, name), strict=True):
-                own.errors += found.errors
-                own.covariances += found.covariances
-                own.dofs += found.dofs
-        self.driven += other.driven
-        self.warned += other.warned
-
-
-def _add(tallies: Sequence[Tally], error: ComplexArray, covariance: FloatArray, dof: FloatArray) -> None:
-    """Take in six components."""
-    for place, tally in enumerate(tallies):
-        both = np.ix_([place, place + 6], [place, place + 6])
-        tally.add(complex(error[place]), covariance[both], float(dof[place]))
 
 
 def run_case(case: Case, seeds: range) -> Counts:
@@ -87,9 +35,7 @@ def run_case(case: Case, seeds: range) -> Counts:
     counts, setup = Counts(), case_setup(case)
     for seed in seeds:
         known, truth = simulate_phasors(setup, Draws(seed, True))
-        found = analyse(known.inputs)
-        counts.add(case, found, truth)
-        counts.warned += any(notice.severity == "warning" for notice in found.accelerations[0].notices)
+        counts.add(case.driven, analyse(known.inputs), truth.acceleration[0], truth.load[0], truth.outputs[0])
     return counts
 
 

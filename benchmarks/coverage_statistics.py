@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binom, f, t
 
+from fusion.analyse import Analysis
+
 FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+QUANTITIES = ("acceleration", "load", "sensitivity")
 LEVEL = 0.95
 HEAD = (
     "| case | quantity | values | covered | acceptance at 95 % | U / half-width | largest error / u |\n"
@@ -76,3 +81,57 @@ def row(case: str, quantity: str, tallies: list[Tally]) -> str:
     worst = max(float(np.max(np.abs(tally.normalised))) for tally in used)
     cells = [case, quantity, f"{len(covered)}", f"{100 * covered.mean():.1f} %", f"{100 * low:.1f}–{100 * high:.1f} %"]
     return "| " + " | ".join([*cells, f"{ratio:.2f}", f"{worst:.2f}"]) + " |"
+
+
+@dataclass
+class Counts:
+    """Tallies of the fundamental by quantity and component; relative errors of the driven acceleration (N,).
+
+    `warned`: recordings whose instruments were found to disagree.
+    """
+
+    acceleration: list[Tally] = field(default_factory=lambda: [Tally() for _ in range(6)])
+    load: list[Tally] = field(default_factory=lambda: [Tally() for _ in range(6)])
+    sensitivity: list[Tally] = field(default_factory=lambda: [Tally() for _ in range(6)])
+    driven: list[complex] = field(default_factory=list)
+    warned: int = 0
+
+    def add(
+        self, driven: int, found: Analysis, acceleration: ComplexArray, load: ComplexArray, outputs: ComplexArray
+    ) -> None:
+        """Take in one recording, its driven load component, and the truth: motion (6,), wrench (6,), outputs (C,)."""
+        fused = next(a for a in found.accelerations if (a.body, a.source) == ("load", "fused"))
+        value = fused.phasors.value[0]
+        self.driven.append(complex(value[driven] / acceleration[driven] - 1.0))
+        self.warned += any(notice.severity == "warning" for notice in fused.notices)
+        _add(self.acceleration, value - acceleration, fused.uncertainty.covariance[0], fused.uncertainty.dof()[0])
+        if found.load is not None:
+            phasors, uncertainty = found.load.phasors, found.load.uncertainty
+            _add(self.load, phasors.value[0] - load, uncertainty.covariance[0], uncertainty.dof()[0])
+        ratio = found.sensitivity
+        if ratio is not None:
+            error = ratio.value[0, :, driven] - outputs / load[driven]
+            for c, tally in enumerate(self.sensitivity):
+                tally.add(complex(error[c]), ratio.covariance[0, c, driven], float(ratio.dof[0, c, driven]))
+
+    def join(self, other: Counts) -> None:
+        """Take in what was counted elsewhere."""
+        for name in QUANTITIES:
+            for own, found in zip(getattr(self, name), getattr(other, name), strict=True):
+                own.errors += found.errors
+                own.covariances += found.covariances
+                own.dofs += found.dofs
+        self.driven += other.driven
+        self.warned += other.warned
+
+    def rows(self, case: str) -> Iterator[str]:
+        """Yield a row of the table for each quantity."""
+        for name in QUANTITIES:
+            yield row(case, name, getattr(self, name))
+
+
+def _add(tallies: Sequence[Tally], error: ComplexArray, covariance: FloatArray, dof: FloatArray) -> None:
+    """Take in six components."""
+    for place, tally in enumerate(tallies):
+        both = np.ix_([place, place + 6], [place, place + 6])
+        tally.add(complex(error[place]), covariance[both], float(dof[place]))

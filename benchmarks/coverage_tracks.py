@@ -11,12 +11,11 @@ from __future__ import annotations
 
 import argparse
 import tempfile
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from coverage_statistics import HEAD, Tally, row
+from coverage_statistics import HEAD, Counts
 from numpy.typing import NDArray
 
 from fusion.analyse import Analysis, Inputs, analyse
@@ -208,61 +207,16 @@ def evaluate_trial(manifest: Manifest, world: World, draws: Draws) -> Analysis:
     return analyse(Inputs.of(manifest, lines, observations(manifest, base, readings, stereo, lines), readings))
 
 
-@dataclass
-class Counts:
-    """Tallies of one case by quantity and component."""
-
-    acceleration: list[Tally]
-    load: list[Tally]
-    sensitivity: list[Tally]
-
-    @classmethod
-    def empty(cls) -> Counts:
-        """Return six tallies of each quantity."""
-        return cls(*([Tally() for _ in range(6)] for _ in range(3)))
-
-    def add(self, case: Case, world: World, found: Analysis) -> None:
-        """Take in the fundamental of one recording."""
-        fused = next(a for a in found.accelerations if (a.body, a.source) == ("load", "fused"))
-        true = world.motion["load"].acceleration[0]
-        _add(self.acceleration, fused.phasors.value[0] - true, fused.phasors.covariance[0], fused.uncertainty.dof()[0])
-        if found.load is not None:
-            load = found.load.phasors
-            _add(self.load, load.value[0] - world.load_wrench[0], load.covariance[0], found.load.uncertainty.dof()[0])
-        if found.sensitivity is not None:
-            ratio = world.outputs[0] / world.load_wrench[0, case.driven]
-            error = found.sensitivity.value[0, :, case.driven] - ratio
-            for tally, one, spread, dof in zip(
-                self.sensitivity,
-                error,
-                found.sensitivity.covariance[0, :, case.driven],
-                found.sensitivity.dof[0, :, case.driven],
-                strict=True,
-            ):
-                tally.add(complex(one), spread, dof)
-
-    def rows(self, case: Case) -> Iterator[str]:
-        """Yield the rows of the table."""
-        for name in ("acceleration", "load", "sensitivity"):
-            yield row(case.name, name, getattr(self, name))
-
-
-def _add(tallies: list[Tally], error: ComplexArray, covariance: FloatArray, dof: FloatArray) -> None:
-    """Take in six components."""
-    for place, tally in enumerate(tallies):
-        both = np.ix_([place, place + 6], [place, place + 6])
-        tally.add(complex(error[place]), covariance[both], float(dof[place]))
-
-
 def run_case(case: Case, seeds: range) -> Counts:
     """Simulate and evaluate one case."""
-    counts, preset = Counts.empty(), case_preset(case)
+    counts, preset = Counts(), case_preset(case)
     with tempfile.TemporaryDirectory() as scratch:
         manifest = write_manifest(Path(scratch) / "campaign", case, make_world(preset, Draws(0, False), 0.0))
         for seed in seeds:
             draws = Draws(seed, True)
             world = make_world(started(preset, draws), draws, TRIGGER_JITTER_S)
-            counts.add(case, world, evaluate_trial(manifest, world, draws))
+            true = world.motion["load"].acceleration[0], world.load_wrench[0], world.outputs[0]
+            counts.add(case.driven, evaluate_trial(manifest, world, draws), *true)
     return counts
 
 
@@ -270,7 +224,7 @@ def main(trials: int = 400) -> None:
     """Run all cases and print the table."""
     print(HEAD)
     for case in CASES:
-        for line in run_case(case, range(1, trials + 1)).rows(case):
+        for line in run_case(case, range(1, trials + 1)).rows(case.name):
             print(line, flush=True)
 
 
