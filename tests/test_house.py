@@ -21,7 +21,9 @@ WRITTEN_ORDER = {
         resample phasor folding separation spectrum tones noise sine stationarity
         survey frequencies chain transfer plan
     """,
-    "shaker.models": "oscillator",
+    "shaker.models": """
+        oscillator measured gravity load_mass peak identification suspension mass_chain sensor_response correction
+    """,
     "fusion": """
         notices errors output console settings uncertainty coverage polar propagated manifest response
         elastic_joint body chain observe system estimate consistency discrepancy acceleration verdict fuse
@@ -31,7 +33,7 @@ WRITTEN_ORDER = {
         read_results camera_facts plan lines plots report_numbers report_tables consistency_tables budget_tables
         point_tables monte_carlo_tables signal_tables take_tables page report results camera_tables
         camera_report joint execution campaign campaign_summary simulate progress summary plan_tables
-        line_tables cameras align import_calibration transfer commands cli
+        line_tables cameras align import_calibration transfer rotate identify commands cli
     """,
 }
 ORDER = {package: text.split() for package, text in WRITTEN_ORDER.items()}
