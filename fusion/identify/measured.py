@@ -1,0 +1,170 @@
+"""From an evaluated transfer recording and its rig to the curve that a model of the sensor is fitted to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.body import Body
+from fusion.errors import InputError
+from fusion.load import LOAD_UNITS
+from fusion.manifest import ChannelEntry, Manifest
+from fusion.notices import Notice
+from fusion.readings import load_body
+from fusion.transfer.evaluate import evaluate_transfer
+from fusion.transfer.result import ReferenceResult, TransferSettings
+from shaker.models.measured import InertiaError, MeasuredTransfer, RelativeError, Sight
+from shaker.signals.transfer import TransferFunction
+
+FloatArray = NDArray[np.float64]
+SETTINGS = TransferSettings(quantity="acceleration")
+"""Every motion as an acceleration, so that a ratio has no unit."""
+TRANSLATIONS = ("displacement", "velocity", "acceleration")
+_ALONG = 1e-3  # share of the drive that the reference must see
+
+
+def measured_transfer(
+    manifest: Manifest, name: str, band_hz: tuple[float, float] | None
+) -> tuple[MeasuredTransfer, tuple[Notice, ...]]:
+    """Evaluate a recording and return its curves of load over base by the `name` that tells it from the others.
+
+    Of several references on the base the first is used; responses that are no translation of the load are left out.
+    Raises `InputError` for what the user can mend.
+    """
+    entries = {entry.name: entry for daq in manifest.daq for entry in daq.channel if entry.quantity != "trigger"}
+    drive, body = drive_of(manifest), rigid_load(manifest)
+    base = _base_entry(manifest, entries, drive)
+    evaluation = evaluate_transfer(manifest, SETTINGS, {})
+    result = next(result for result in evaluation.references if result.name == base.name)
+    tops = [entries[channel] for channel in result.transfer.ratio.channels if _on_load(entries[channel])]
+    if not tops:
+        expected = 'a displacement, velocity or acceleration with body = "load"'
+        raise InputError(manifest.path, "excitation.response", found="none on the load", expected=expected)
+    clock, u_clock = _clock(manifest, [base, *tops])
+    transfer, errors = _selected(result, [entry.name for entry in tops], name)
+    measured = MeasuredTransfer(
+        name=name,
+        ratio=transfer.ratio,
+        tops=tuple(_sight(entry) for entry in tops),
+        base=_sight(base),
+        drive=drive,
+        mass_matrix=body.mass_matrix,
+        errors=errors,
+        inertia_errors=inertia_errors(manifest, body),
+        line_correlation=transfer.line_correlation,
+        added_decay_per_s=transfer.added_decay_per_s,
+        clock=clock,
+        u_clock=u_clock,
+    )
+    return _in_band(measured, manifest, band_hz), tuple(_named(notice, name) for notice in evaluation.notices)
+
+
+def drive_of(manifest: Manifest) -> FloatArray:
+    """Return the direction (6,) in which the base is driven."""
+    direction = manifest.excitation.direction or ()
+    return np.asarray([*direction, *[0.0] * (6 - len(direction))], dtype=np.float64)
+
+
+def component_of(drive: FloatArray) -> int:
+    """Return which of the six components is driven most."""
+    return int(np.argmax(np.abs(drive)))
+
+
+def rigid_load(manifest: Manifest) -> Body:
+    """Return load and parts without what moves inside the sensor; `InputError` without a load."""
+    sensor = manifest.rig.sensor
+    bare = None if sensor is None else sensor.model_copy(update={"internal_mass": 0.0})
+    body = load_body(replace(manifest, rig=manifest.rig.model_copy(update={"sensor": bare})))
+    if body is None:
+        expected = "[load] with the mass, centre of mass and inertia of what is mounted on the sensor"
+        raise InputError(manifest.rig_path, "load", found="nothing", expected=expected)
+    return replace(body, joint=None)
+
+
+def inertia_errors(manifest: Manifest, body: Body) -> tuple[InertiaError, ...]:
+    """Return what every uncertain number of load and parts does to the mass matrix, by names that hold everywhere.
+
+    What holds until something is mounted anew is another unknown in every mounting.
+    """
+    found = []
+    for change in body.matrix_changes(np.ones(1), None):
+        suffix = "" if change.scope == "rig" else f" [{manifest.mounting}]"
+        found.append(InertiaError(f"{change.name}{suffix}", change.change[0].real))
+    return tuple(found)
+
+
+def mass_unit(component: int) -> str:
+    """Return the unit of what resists an acceleration component."""
+    return "kg" if LOAD_UNITS[component] == "N" else "kg.m^2"
+
+
+def _base_entry(manifest: Manifest, entries: dict[str, ChannelEntry], drive: FloatArray) -> ChannelEntry:
+    """Return the first reference that measures the base; the others are refused where there is none."""
+    named = [entries[name] for name in manifest.excitation.reference if name in entries]
+    for entry in named:
+        if entry.body == "base" and entry.quantity in TRANSLATIONS:
+            if abs(float(_sight(entry).row @ drive)) < _ALONG * float(np.linalg.norm(drive)):
+                found = f'"{entry.name}", which looks across excitation.direction'
+                raise InputError(manifest.path, "excitation.reference", found, "a motion along the excitation")
+            return entry
+    expected = 'a displacement, velocity or acceleration with body = "base", over which the motion of the load is taken'
+    told = ", ".join(f'"{entry.name}" ({entry.quantity} of {entry.body or "no body"})' for entry in named)
+    raise InputError(manifest.path, "excitation.reference", found=told or "nothing", expected=expected)
+
+
+def _on_load(entry: ChannelEntry) -> bool:
+    """Whether a channel measures how the load moves along a direction."""
+    return entry.body == "load" and entry.quantity in TRANSLATIONS
+
+
+def _sight(entry: ChannelEntry) -> Sight:
+    """Return where and along what a channel measures."""
+    return Sight(np.asarray(entry.point, dtype=np.float64), np.asarray(entry.direction, dtype=np.float64))
+
+
+def _clock(manifest: Manifest, entries: Sequence[ChannelEntry]) -> tuple[str, float]:
+    """Return name and relative uncertainty of the clock that counts: the block's own, the first one's of several."""
+    blocks = [daq for daq in manifest.daq if any(entry in daq.channel for entry in entries)]
+    clock = blocks[0] if len(blocks) == 1 else manifest.daq[0]
+    return f"clock of {clock.name}", clock.clock_uncertainty
+
+
+def _selected(
+    result: ReferenceResult, channels: Sequence[str], recording: str
+) -> tuple[TransferFunction, tuple[RelativeError, ...]]:
+    """Return the ratios of some responses with the covariance of their noise, and their common errors.
+
+    A delay has the sign it has in a run (a signal that is later than stated), and a clock's tie is one recording's own.
+    """
+    places = [result.transfer.ratio.channels.index(channel) for channel in channels]
+    ratio = replace(result.transfer.ratio, covariance=result.random_covariance).select(channels)
+    errors = []
+    for error in result.errors:
+        relative = error.relative[:, places] * (-1.0 if error.name.endswith(": delay") else 1.0)
+        name = f"{error.name} [{recording}]" if error.name.startswith("clock ") else error.name
+        if np.any(relative != 0.0):
+            errors.append(RelativeError(name, relative))
+    coherence, averages = result.transfer.coherence[:, places], result.transfer.averages
+    return replace(result.transfer, ratio=ratio, coherence=coherence, averages=averages), tuple(errors)
+
+
+def _in_band(measured: MeasuredTransfer, manifest: Manifest, band_hz: tuple[float, float] | None) -> MeasuredTransfer:
+    """Return the lines inside the band, and refuse a band that holds none."""
+    if band_hz is None:
+        return measured
+    frequency = measured.ratio.frequency_hz
+    chosen = (frequency >= band_hz[0]) & (frequency <= band_hz[1])
+    if not np.any(chosen):
+        found = f"{band_hz[0]:g} to {band_hz[1]:g} Hz"
+        expected = f"a --band that holds lines between {frequency[0]:.6g} and {frequency[-1]:.6g} Hz"
+        raise InputError(manifest.path, "excitation.band", found=found, expected=expected)
+    errors = tuple(RelativeError(error.name, error.relative[chosen]) for error in measured.errors)
+    return replace(measured, ratio=measured.ratio.at_lines(chosen), errors=errors)
+
+
+def _named(notice: Notice, name: str) -> Notice:
+    """A remark on a channel with the recording it belongs to."""
+    return replace(notice, where=f"{name}: {notice.where}" if notice.where else name)
