@@ -1,0 +1,58 @@
+"""Poles of measured curves from a linear rational fit: where an identification starts."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from shaker._checks import ComplexArray, FloatArray
+from shaker.models.measured import MeasuredTransfer
+
+_ROUNDS = 6
+
+
+def measured_poles(record: MeasuredTransfer, count: int) -> ComplexArray:
+    """Return `count` poles (Im λ > 0, ascending |λ|) of the common denominator of all responses of a recording.
+
+    Ratios are fitted by polynomials Nᶜ(s)/D(s) of degree 2·count, linearised (Levy, IRE Trans. Autom. Control 4, 1959)
+    and weighted anew in rounds (Sanathanan and Koerner, IEEE Trans. Autom. Control 8, 1963). Unstable poles are
+    mirrored; in place of real ones stand poles above the band.
+    """
+    value, s = record.ratio.value, record.s
+    middle = float(np.sqrt(np.abs(s).min() * np.abs(s).max()))
+    q = s / middle
+    noise = np.sqrt(record.ratio.u_re**2 + record.ratio.u_im**2)
+    power = q[:, None] ** np.arange(2 * count)
+    top = np.concatenate([power, q[:, None] ** (2 * count)], axis=1)
+    weight = 1.0 / noise
+    denominator = np.zeros(2 * count)
+    for _ in range(_ROUNDS):
+        denominator = _round(value, power, top, q ** (2 * count), weight)
+        at = np.abs(q ** (2 * count) + power @ denominator)
+        weight = 1.0 / (noise * np.maximum(at, 1e-9 * at.max())[:, None])
+    roots = np.roots([1.0, *denominator[::-1]])
+    roots = -np.abs(roots.real) + 1j * roots.imag
+    found = roots[roots.imag > 1e-9 * np.abs(roots)] * middle
+    above = float(np.abs(s).max()) * 2.0 ** np.arange(1, count - len(found) + 1) * (-0.02 + 1j)
+    return np.concatenate([found[np.argsort(np.abs(found))], above])
+
+
+def _round(
+    value: ComplexArray, power: ComplexArray, top: ComplexArray, highest: ComplexArray, weight: FloatArray
+) -> FloatArray:
+    """Return the denominator's coefficients of one weighted linear fit, numerators projected out of each response."""
+    left, right = [], []
+    for c in range(value.shape[1]):
+        w = weight[:, c, None]
+        own, shared = _stacked(top * w), _stacked(-value[:, c, None] * power * w)
+        wanted = _stacked((value[:, c] * highest)[:, None] * w)
+        basis = np.linalg.qr(own)[0]
+        rest = np.concatenate([shared, wanted], axis=1)
+        rest = rest - basis @ (basis.T @ rest)
+        left.append(rest[:, :-1])
+        right.append(rest[:, -1])
+    return np.asarray(np.linalg.lstsq(np.concatenate(left), np.concatenate(right), rcond=None)[0])
+
+
+def _stacked(columns: ComplexArray) -> FloatArray:
+    """Return complex columns as real ones, real parts above imaginary ones."""
+    return np.concatenate([columns.real, columns.imag])
