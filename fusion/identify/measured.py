@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from fusion.manifest import ChannelEntry, Manifest
 from fusion.notices import Notice
 from fusion.readings import load_body
 from fusion.transfer.evaluate import evaluate_transfer
-from fusion.transfer.result import ReferenceResult, TransferSettings
+from fusion.transfer.result import FoundResonance, ReferenceResult, TransferSettings
 from shaker.models.measured import InertiaError, MeasuredTransfer, RelativeError, Sight
 from shaker.signals.transfer import TransferFunction
 
@@ -26,9 +26,36 @@ TRANSLATIONS = ("displacement", "velocity", "acceleration")
 _ALONG = 1e-3  # share of the drive that the reference must see
 
 
-def measured_transfer(
-    manifest: Manifest, name: str, band_hz: tuple[float, float] | None
-) -> tuple[MeasuredTransfer, tuple[Notice, ...]]:
+@dataclass(frozen=True)
+class Prepared:
+    """A curve to be fitted, the recording it comes from, and the `resonances` found in its responses one by one."""
+
+    manifest: Manifest
+    measured: MeasuredTransfer
+    resonances: tuple[FoundResonance, ...] = ()
+
+    @property
+    def component(self) -> int:
+        """Which of the six components is driven most."""
+        return component_of(self.measured.drive)
+
+    @property
+    def load_kg(self) -> float:
+        """Mass, or moment of inertia, along the driven component of what is mounted on the sensor."""
+        return float(self.measured.mass_matrix[self.component, self.component])
+
+    @property
+    def u_load_kg(self) -> float:
+        """Its standard uncertainty."""
+        changes = [error.change[self.component, self.component] for error in self.measured.inertia_errors]
+        return float(np.sqrt(np.sum(np.square(changes))))
+
+    def peaks_hz(self, response: str) -> tuple[float, ...]:
+        """Return the frequencies of the resonances of one response, ascending."""
+        return tuple(sorted(found.fit.frequency_hz for found in self.resonances if found.response == response))
+
+
+def prepare(manifest: Manifest, name: str, band_hz: tuple[float, float] | None) -> tuple[Prepared, tuple[Notice, ...]]:
     """Evaluate a recording and return its curves of load over base by the `name` that tells it from the others.
 
     Of several references on the base the first is used; responses that are no translation of the load are left out.
@@ -59,7 +86,9 @@ def measured_transfer(
         clock=clock,
         u_clock=u_clock,
     )
-    return _in_band(measured, manifest, band_hz), tuple(_named(notice, name) for notice in evaluation.notices)
+    found = tuple(item for item in result.resonances if item.response in transfer.ratio.channels)
+    notices = tuple(_named(notice, name) for notice in evaluation.notices)
+    return Prepared(manifest, _in_band(measured, manifest, band_hz), found), notices
 
 
 def drive_of(manifest: Manifest) -> FloatArray:

@@ -82,9 +82,10 @@ def sensitivities(
     drives = [drive for item in recordings for drive in item.recorded.drives]
     if sensor is None or not drives:
         return ()
+    capacity = None if sensor.capacity is None else sensor.capacity.tolist()
     groups: dict[int, list[Drive]] = {}
     for drive in drives:
-        groups.setdefault(driven_component(drive.direction, sensor.capacity), []).append(drive)
+        groups.setdefault(driven_component(drive.direction, capacity), []).append(drive)
     found = [_sensitivity(sensor, j, group, referrals.get(j)) for j, group in sorted(groups.items())]
     return tuple(item for item in found if item is not None)
 
