@@ -12,13 +12,14 @@ from queue import Empty, SimpleQueue
 from typing import Any, Protocol
 
 from fusion.errors import InputError, is_interruption, told
+from fusion.evaluate import EVALUATED_KINDS
 from fusion.execution.cluster import connected
 from fusion.execution.job import Job, Outcome, run_job
 from fusion.execution.task import Answer
 from fusion.execution.threads import one_blas_thread
 from fusion.execution.workers import Workers
 from fusion.joint.write import write_campaign
-from fusion.manifest import RECORDING_NAME, find_recordings
+from fusion.manifest import RECORDING_NAME, find_recordings, for_kinds
 from fusion.output import remove_abandoned
 from fusion.results import check_campaign_folder
 from fusion.settings import ProgressCallback, Settings, no_progress
@@ -59,12 +60,15 @@ def run_path(
     """Evaluate a recording, or every recording of a campaign folder, and write the result files.
 
     A recording writes to `output` (default RECORDING/results). A campaign writes one folder per recording below
-    `output` (default CAMPAIGN/results) and what they tell together at its top; a recording that fails does not stop
-    the others. A single recording's failure is raised. More than one of `workers` are processes of this machine,
-    `scheduler` is the address of a Dask cluster's; where it is computed changes no digit of a result.
+    `output` (default CAMPAIGN/results) and what they tell together at its top; recordings of kinds that are not
+    evaluated here, such as chirps, are left out, and one that fails does not stop the others. A single recording's
+    failure is raised. More than one of `workers` are processes of this machine, `scheduler` is the address of a Dask
+    cluster's; where it is computed changes no digit of a result.
     """
     recordings = find_recordings(path)
     alone = not is_campaign(path)
+    if not alone:
+        recordings = for_kinds(recordings, EVALUATED_KINDS)
     top = (recordings[0].parent if alone else path) / "results" if output is None else output
     folders = [top] if alone else [top / recording.parent.name for recording in recordings]
     jobs = [

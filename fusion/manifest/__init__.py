@@ -4,7 +4,7 @@ Attributes are named as the TOML keys. Paths are resolved, directions are unit v
 uncertainty of a vector stands in each element, images and points carry the exposure of their stereo pair.
 """
 
-from fusion.manifest.load import RECORDING_NAME, Manifest, find_recordings, load_manifest
+from fusion.manifest.load import RECORDING_NAME, Manifest, find_recordings, for_kinds, load_manifest
 from fusion.manifest.recording import ChannelEntry, Daq, Excitation, Frames, Images, PointFiles, RecordingFile, Take
 from fusion.manifest.rig import Administration, Environment, Load, Part, Rig, Sensor, Stereo
 from fusion.manifest.values import PULSE
@@ -29,5 +29,6 @@ __all__ = [
     "Stereo",
     "Take",
     "find_recordings",
+    "for_kinds",
     "load_manifest",
 ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
@@ -69,6 +69,15 @@ def find_recordings(path: Path) -> list[Path]:
     return found
 
 
+def for_kinds(recordings: list[Path], kinds: Collection[str]) -> list[Path]:
+    """Return the recordings of a campaign whose excitation a command evaluates; what cannot be read is not left out.
+
+    Where none is left, all are returned, so that the command says of each what it expects.
+    """
+    kept = [recording for recording in recordings if _kind(recording) in (None, *kinds)]
+    return kept or recordings
+
+
 def load_manifest(recording: Path, allow_outside: bool = False) -> Manifest:
     """Read and check recording.toml (or the folder it stands in) and the rig.toml it names."""
     path = recording if recording.is_file() else recording / RECORDING_NAME
@@ -113,6 +122,16 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(path, "", f"byte {error.start} is something else", "UTF-8 text") from error
     except (ValueError, RecursionError) as error:
         raise InputError(path, "", str(error), "TOML") from error
+
+
+def _kind(recording: Path) -> str | None:
+    """The kind of excitation that a recording.toml names, None where it names none."""
+    try:
+        excitation = read_toml(recording).get("excitation")
+    except InputError:
+        return None
+    kind = excitation.get("kind") if isinstance(excitation, dict) else None
+    return kind if isinstance(kind, str) else None
 
 
 def validate(model: type[AnyBlock], text: dict[str, Any], path: Path, context: Context | None = None) -> AnyBlock:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import logging
 from pathlib import Path
 
-from fusion.manifest import Manifest, find_recordings, load_manifest
+from fusion.manifest import Manifest, find_recordings, for_kinds, load_manifest
 from fusion.provenance import check_folder, hash_files
-from fusion.transfer.evaluate import check_kind, evaluate_transfer
+from fusion.transfer.evaluate import KINDS, check_kind, evaluate_transfer
 from fusion.transfer.page import PAGE_FILE
 from fusion.transfer.result import TransferSettings
 from fusion.transfer.results import H5_FILE, write_transfer
@@ -22,9 +22,10 @@ def run_transfer(
 ) -> None:
     """Evaluate the recording, or every recording of a campaign folder, write the results and print the summary.
 
-    Results stand in the recording's own folder `transfer`, or in `output` (of a campaign: in a folder each).
+    Results stand in the recording's own folder `transfer`, or in `output` (of a campaign: in a folder each). Of a
+    campaign, recordings of other kinds are left out.
     """
-    recordings = find_recordings(path)
+    recordings = for_kinds(find_recordings(path), KINDS)
     manifests = [load_manifest(recording, allow_outside=allow_outside) for recording in recordings]
     for manifest in manifests:
         check_kind(manifest)
