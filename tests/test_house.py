@@ -22,7 +22,8 @@ WRITTEN_ORDER = {
         survey frequencies chain transfer plan
     """,
     "shaker.models": """
-        oscillator measured gravity load_mass noisy_curve circle peak_shape peak identification suspension mass_chain sensor_response correction
+        oscillator measured gravity load_mass noisy_curve circle peak_shape peak identification suspension mass_chain
+        spring_damper chain_shape sensitivity_fit sensor_response sensor_model correction
     """,
     "fusion": """
         notices errors output console settings uncertainty coverage polar propagated manifest response

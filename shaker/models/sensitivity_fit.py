@@ -1,0 +1,233 @@
+"""The sensor's damper and one shape of the chain fitted to a measured sensitivity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from shaker._checks import ComplexArray, FloatArray, check_shape
+from shaker.models.chain_shape import CHAIN_PARAMETERS, Chain, ChainKind
+from shaker.models.identification import NamedUnknown
+from shaker.models.measured import MeasuredSensitivity, ParameterEstimate
+from shaker.models.spring_damper import SpringPrior
+
+LABELS = {"spring_time_s": "b/k of the sensor", "delay_s": "delay of the chain", "lag_s": "lag of the chain"}
+_SMALLEST_TURN = 0.01  # rad at the highest line with which a lag starts, lest it be the same as a delay
+
+
+@dataclass(frozen=True)
+class SensitivityFit:
+    """S(f) = S₀ / (1 + jωτ) · chain(f), τ = b/k, fitted to a measured sensitivity under one shape of the chain.
+
+    `sensitivity` S₀ in `unit`; `spring_time_s` τ. `parameters` (P,) names what was fitted, in the order of
+    `covariance` (P, P): `sensitivity`, `spring_time_s` (where it is unknown), then those of the chain. `residual` (K,):
+    measured less the model with all common errors found. `chi_squared` holds residuals, common errors and what is known
+    beforehand of τ and S₀; `dof`, and the `probability` of a χ² as large by chance. The noise is enlarged to χ²/dof in
+    the covariance where that exceeds one.
+    """
+
+    sensitivity: float
+    spring_time_s: float
+    chain: Chain
+    unit: str
+    parameters: tuple[str, ...]
+    covariance: FloatArray
+    unknowns: tuple[NamedUnknown, ...]
+    residual: ComplexArray
+    chi_squared: float
+    dof: int
+    probability: float
+
+    def __post_init__(self) -> None:
+        check_shape("covariance", self.covariance, (len(self.parameters), len(self.parameters)))
+
+    def model(self, frequency_hz: FloatArray) -> ComplexArray:
+        """Return S(f) (K,) of the fitted parameters, without common errors."""
+        s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)
+        return np.asarray(self.sensitivity / (1.0 + s * self.spring_time_s) * self.chain.response(frequency_hz))
+
+    def u(self, parameter: str) -> float:
+        """Return the standard uncertainty of a parameter, 0 of one that was not fitted."""
+        if parameter not in self.parameters:
+            return 0.0
+        place = self.parameters.index(parameter)
+        return float(np.sqrt(self.covariance[place, place]))
+
+    @property
+    def estimates(self) -> tuple[ParameterEstimate, ...]:
+        """Parameters in the order of `covariance`, then corner frequency and damping ratio of a low-pass."""
+        values = {"sensitivity": self.sensitivity, "spring_time_s": self.spring_time_s}
+        values |= dict(zip(self.chain.names, self.chain.parameters.tolist(), strict=True))
+        found = [
+            ParameterEstimate("sensitivity", "static sensitivity", self.sensitivity, self.u("sensitivity"), self.unit)
+        ]
+        for name in self.parameters[1:]:
+            label, unit = LABELS.get(name, "square term of the chain"), "s²" if name == "square_s2" else "s"
+            found.append(ParameterEstimate(name, label, values[name], self.u(name), unit))
+        count = len(self.chain.names)
+        corner = self.chain.corner(self.covariance[-count:, -count:]) if count else None
+        if corner is not None:
+            (frequency, u_frequency), (damping, u_damping) = corner
+            found.append(ParameterEstimate("corner_hz", "corner frequency of the chain", frequency, u_frequency, "Hz"))
+            found.append(ParameterEstimate("damping_ratio", "damping ratio of the chain", damping, u_damping, "1"))
+        return tuple(found)
+
+
+def fit_chain(
+    measured: MeasuredSensitivity, kind: ChainKind, spring: SpringPrior | None, *, spring_free: bool = False
+) -> SensitivityFit:
+    """Fit S₀, τ = b/k and a chain of one kind to a measured sensitivity (K lines).
+
+    Measured is S₀ / (1 + jωτ) · chain · exp(Σ z r): r are the relative errors by name, z ~ N(0, 1) unknown, so that no
+    covariance is made of the readings. τ is held by `spring` within its uncertainty; `spring_free` lets it be any;
+    without either it is 0, since a lag of the chain and one of the spring are the same curve. A static sensitivity
+    that is stated is one more reading of S₀. Levenberg-Marquardt (MINPACK) on whitened residuals.
+    """
+    from scipy import optimize, special
+
+    lines = len(measured.frequency_hz)
+    if lines < 4:
+        raise ValueError(f"frequency_hz: expected at least 4 lines, found {lines}")
+    problem = _problem(measured, kind, spring, spring_free)
+    solution = optimize.least_squares(
+        problem.residual, problem.start(), problem.jacobian, method="lm", x_scale="jac", ftol=1e-12, xtol=1e-12
+    )
+    if not solution.success:
+        raise ValueError(f"value: expected a sensitivity that a chain of kind {kind} meets: {solution.message}")
+    chi_squared, dof = float(2.0 * solution.cost), len(solution.fun) - len(solution.x)
+    jacobian = problem.jacobian(solution.x)
+    jacobian[: 2 * lines] /= np.sqrt(max(1.0, chi_squared / dof))
+    covariance = _inverse_normal(jacobian)
+    count = len(problem.names)
+    remaining = np.sqrt(covariance.diagonal()[count:])
+    scale, tau, chain = problem.split(solution.x)
+    return SensitivityFit(
+        sensitivity=scale,
+        spring_time_s=tau,
+        chain=chain,
+        unit=measured.unit,
+        parameters=problem.names,
+        covariance=covariance[:count, :count],
+        unknowns=tuple(
+            NamedUnknown(error.name, float(z), float(left))
+            for error, z, left in zip(measured.errors, solution.x[count:], remaining, strict=True)
+        ),
+        residual=np.asarray(measured.value - problem.curve(solution.x)),
+        chi_squared=chi_squared,
+        dof=dof,
+        probability=float(special.chdtrc(dof, chi_squared)),
+    )
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """Residuals of a measured sensitivity over unknowns x = [S₀, τ where unknown, chain, z of each common error].
+
+    `names`: the unknowns but for z; `time_s`: τ where it is none of them, else where to start; `known`: (place, value,
+    u) of unknowns known beforehand; `relative` (K, E); `whitening` (K, 2, 2) turns noise into that of variance one.
+    """
+
+    frequency_hz: FloatArray
+    value: ComplexArray
+    whitening: FloatArray
+    relative: ComplexArray
+    kind: ChainKind
+    names: tuple[str, ...]
+    time_s: float
+    known: tuple[tuple[int, float, float], ...]
+
+    def split(self, x: FloatArray) -> tuple[float, float, Chain]:
+        """Return S₀, τ and the chain of the unknowns."""
+        time = float(x[1]) if "spring_time_s" in self.names else self.time_s
+        end = len(self.names)
+        return float(x[0]), time, Chain(self.kind, np.array(x[end - len(CHAIN_PARAMETERS[self.kind]) : end]))
+
+    def curve(self, x: FloatArray) -> ComplexArray:
+        """Return the sensitivity (K,) with common errors."""
+        scale, time, chain = self.split(x)
+        errors = np.exp(self.relative @ x[len(self.names) :])
+        return np.asarray(scale / (1.0 + self._s * time) * chain.response(self.frequency_hz) * errors)
+
+    def residual(self, x: FloatArray) -> FloatArray:
+        """Return measured less curve, whitened, then what is known beforehand and z: the sum of their squares is χ²."""
+        known = np.array([(x[place] - value) / u for place, value, u in self.known])
+        away = self._whitened((self.value - self.curve(x))[:, None])[:, 0]
+        return np.concatenate([away, known, x[len(self.names) :]])
+
+    def jacobian(self, x: FloatArray) -> FloatArray:
+        """Return the derivatives of `residual` by the unknowns."""
+        _, time, chain = self.split(x)
+        slopes = [np.full((len(self.value), 1), 1.0 / x[0])]
+        slopes += [(-self._s / (1.0 + self._s * time))[:, None]] if "spring_time_s" in self.names else []
+        slopes += [chain.log_slopes(self.frequency_hz), self.relative]
+        unit = np.eye(len(x))
+        known = [unit[place] / u for place, _, u in self.known]
+        lines = -self._whitened(self.curve(x)[:, None] * np.concatenate(slopes, axis=1))
+        return np.vstack([lines, *known, unit[len(self.names) :]])
+
+    def start(self) -> FloatArray:
+        """Return starting values: sign and delay from the phases, S₀ from the magnitudes."""
+        sign, delay = _sign_and_delay(self.frequency_hz, self.value)
+        lag = np.copysign(max(abs(delay), _SMALLEST_TURN / float(np.abs(self._s).max())), delay)
+        shapes = {"none": (), "delay_lag": (0.5 * lag, 0.5 * lag), "second_order": (lag, 0.25 * lag * lag)}
+        shape = shapes.get(self.kind, (lag,))
+        time = () if "spring_time_s" not in self.names else (self.time_s if len(self.known) > 0 else lag,)
+        scale = sign * float(np.median(np.abs(self.value)))
+        return np.array([scale, *time, *shape, *np.zeros(self.relative.shape[1])])
+
+    @property
+    def _s(self) -> ComplexArray:
+        """Laplace variable jω (K,)."""
+        return np.asarray(2j * np.pi * self.frequency_hz)
+
+    def _whitened(self, columns: ComplexArray) -> FloatArray:
+        """Return complex columns (K, P) as real ones (2K, P) in units of the noise."""
+        both = np.stack([columns.real, columns.imag], axis=1)
+        return np.asarray((self.whitening @ both).reshape(-1, columns.shape[1]))
+
+
+def _problem(measured: MeasuredSensitivity, kind: ChainKind, spring: SpringPrior | None, spring_free: bool) -> _Problem:
+    """Return the least-squares problem of a measured sensitivity."""
+    known: list[tuple[int, float, float]] = []
+    if measured.static is not None:
+        if not measured.u_static > 0.0:
+            raise ValueError(f"u_static: expected a value above 0, found {measured.u_static:g}")
+        known.append((0, measured.static, measured.u_static))
+    held = spring is not None and not spring_free and spring.u_time_s > 0.0
+    if held and spring is not None:
+        known.append((1, spring.time_s, spring.u_time_s))
+    try:
+        whitening = np.linalg.inv(np.linalg.cholesky(measured.covariance))
+    except np.linalg.LinAlgError as error:
+        raise ValueError("covariance: expected positive definite matrices (K, 2, 2), found others") from error
+    lines = len(measured.frequency_hz)
+    return _Problem(
+        frequency_hz=np.asarray(measured.frequency_hz, dtype=np.float64),
+        value=measured.value,
+        whitening=np.asarray(whitening),
+        relative=np.concatenate([np.empty((lines, 0)), *(error.relative for error in measured.errors)], axis=1),
+        kind=kind,
+        names=("sensitivity", *(("spring_time_s",) if held or spring_free else ()), *CHAIN_PARAMETERS[kind]),
+        time_s=spring.time_s if spring is not None else 0.0,
+        known=tuple(known),
+    )
+
+
+def _sign_and_delay(frequency_hz: FloatArray, value: ComplexArray) -> tuple[float, float]:
+    """Return the sign of S₀ and the delay that together leave the smallest phases."""
+    angular = 2.0 * np.pi * frequency_hz
+    best = (np.inf, 1.0, 0.0)
+    for sign in (1.0, -1.0):
+        phase = np.unwrap(np.angle(sign * value))
+        for delay in (0.0, -float(angular @ phase / (angular @ angular))):
+            left = float(np.sum(np.abs(np.angle(sign * value * np.exp(1j * angular * delay)))))
+            best = min(best, (left, sign, delay))
+    return best[1], best[2]
+
+
+def _inverse_normal(jacobian: FloatArray) -> FloatArray:
+    """Return (JᵀJ)⁻¹ by QR of scaled columns."""
+    scale = np.linalg.norm(jacobian, axis=0)
+    root = np.linalg.inv(np.linalg.qr(jacobian / scale, mode="r"))
+    return np.asarray(root @ root.T / np.multiply.outer(scale, scale))
