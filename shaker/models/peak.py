@@ -124,7 +124,8 @@ def _width_note(lines: float) -> str:
     """Return the note on a width that the line spacing does not resolve."""
     if not np.isfinite(lines) or lines >= _RESOLVED_LINES:
         return ""
-    return f"{lines:.1f} lines in the half-power width, fewer than {_RESOLVED_LINES:.0f}: read as one oscillator between lines"
+    few = f"{lines:.1f} lines in the half-power width, fewer than {_RESOLVED_LINES:.0f}"
+    return f"{few}: between them the curve is taken to be that of one oscillator"
 
 
 def _bin(curve: NoisyCurve, top: Place, width_hz: float) -> PeakReading:

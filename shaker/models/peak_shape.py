@@ -73,34 +73,48 @@ def read_shape(curve: NoisyCurve) -> tuple[Place, dict[Width, tuple[Place, Place
 
 def _first_look(curve: NoisyCurve) -> tuple[float, float, float]:
     """Return the line of the maximum and where the lines next to it first fall below 1/√2 of it, mirrored if absent."""
-    magnitude = np.abs(curve.value)
-    peak = int(np.argmax(magnitude))
+    power = _smoothed_power(curve)
+    peak = int(np.argmax(power))
     at = float(curve.frequency_hz[peak])
-    below = np.flatnonzero(magnitude < magnitude[peak] / np.sqrt(2.0))
+    below = np.flatnonzero(power < 0.5 * power[peak])
     left, right = below[below < peak], below[below > peak]
     reach = [at - curve.frequency_hz[left[-1]]] if len(left) else []
     reach += [curve.frequency_hz[right[0]] - at] if len(right) else []
-    if not reach:
-        reach = [curve.frequency_hz[-1] - curve.frequency_hz[0]]
-    return at, at - float(np.min(reach)), at + float(np.min(reach))
+    nearest = float(np.min(reach)) if reach else float(curve.frequency_hz[-1] - curve.frequency_hz[0])
+    return at, at - nearest, at + nearest
+
+
+def _smoothed_power(curve: NoisyCurve) -> FloatArray:
+    """Return |H|² (K,) averaged over as many lines as make 3 % of its noise at the maximum, a twentieth at most."""
+    magnitude = np.abs(curve.value)
+    peak = int(np.argmax(magnitude))
+    noise = 2.0 * np.sqrt(np.trace(curve.covariance[peak]) / 2.0) / magnitude[peak]
+    length = int(np.clip(np.ceil((noise / 0.03) ** 2), 1, max(1, len(magnitude) // 20)))
+    window = np.ones(length)
+    total = np.convolve(magnitude**2, window, mode="same")
+    return np.asarray(total / np.convolve(np.ones(len(magnitude)), window, mode="same"))
 
 
 def _parabola(curve: NoisyCurve, frequency_hz: float, reach_hz: float, fewest: int) -> _Parabola:
-    """Fit 1/|H|² by a weighted parabola over f² to the lines within reach of a frequency, the nearest at least."""
+    """Fit 1/|H|² by a weighted parabola over f² to the lines within reach of a frequency, the nearest at least.
+
+    Noise of variances σᵣ², σₜ² along and across H makes 1/|H|² too large by (3σᵣ² - σₜ²)/|H|⁴ on average.
+    """
     distance = np.abs(curve.frequency_hz - frequency_hz)
     reach = max(reach_hz, float(np.sort(distance)[fewest - 1]))
     chosen: BoolArray = distance <= reach
     centre, scale = frequency_hz**2, 2.0 * frequency_hz * reach
     u = (curve.frequency_hz[chosen] ** 2 - centre) / scale
     powers = np.stack([np.ones(len(u)), u, u * u], axis=1)
-    inverse = np.abs(curve.value[chosen]) ** -2.0
-    radial = curve.variance_along(curve.value / np.abs(curve.value))[chosen]
-    smooth = inverse
+    unit = curve.value / np.abs(curve.value)
+    radial, tangential = (curve.variance_along(direction)[chosen] for direction in (unit, 1j * unit))
+    smooth = np.abs(curve.value[chosen]) ** -2.0
+    inverse = smooth - (3.0 * radial - tangential) * smooth**2
     for _ in range(2):
         root = smooth**-1.5 / np.sqrt(radial)
         solve = np.linalg.pinv(powers * root[:, None]) * root
         coefficients = solve @ inverse
-        smooth = np.maximum(powers @ coefficients, 0.1 * inverse)
+        smooth = np.maximum(powers @ coefficients, 0.1 * smooth)
     by_line = np.zeros((3, len(distance)))
     by_line[:, chosen] = solve
     return _Parabola(centre, scale, coefficients, by_line)
