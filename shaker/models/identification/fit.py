@@ -4,9 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 
-from shaker.models.identification.mechanics import Structure
-from shaker.models.identification.result import Identification
-from shaker.models.measured import MeasuredTransfer
+import numpy as np
+
+from shaker._checks import FloatArray
+from shaker.models.identification.mechanics import Structure, poles
+from shaker.models.identification.problem import DELAY_UNIT_S, Problem, build, factor_name
+from shaker.models.identification.remarks import remarks
+from shaker.models.identification.result import FreeFactor, Identification, ModeEstimate, NamedUnknown
+from shaker.models.identification.solve import Spread, State, solve, spread
+from shaker.models.identification.start import starting_vectors
+from shaker.models.measured import MeasuredTransfer, ParameterEstimate
+
+_FIRST_STEPS = 25  # by which the best of several starts is found
+_NOISE_ROUNDS = 3
 
 
 def identify(
@@ -25,4 +35,125 @@ def identify(
     `each_recording`: parameters that have a value of their own in every recording. `gain`, `delay`: channels whose
     complex gain, or delay, is free in every recording, the scale being unstated.
     """
-    raise ValueError(f"records: expected a structure that can be fitted, found {structure}")
+    problem = build(records, structure, known or {}, each_recording, gain, delay)
+    lines = sum(2 * record.ratio.value.size for record in records)
+    if lines <= np.count_nonzero((problem.precision == 0.0) & ~problem.fixed):
+        raise ValueError(f"records: expected more real values than unknowns, found {lines} for {len(problem.names)}")
+    vectors = starting_vectors(problem, structure.starts(records))
+    if len(vectors) > 1:
+        tried = [solve(problem, vector, 1.0, _FIRST_STEPS) for vector in vectors]
+        vectors = [min(tried, key=lambda state: state.chi_squared + state.prior).vector]
+    state = solve(problem, vectors[0], 1.0)
+    found, noise = spread(problem, state, 1.0), 1.0
+    for _ in range(_NOISE_ROUNDS):
+        larger = max(1.0, state.chi_squared / (lines - found.effective))
+        if abs(larger / noise - 1.0) < 0.01:
+            break
+        noise = larger
+        state = solve(problem, state.vector, noise)
+        found = spread(problem, state, noise)
+    return _result(problem, state, found, noise, lines - found.effective)
+
+
+def _result(problem: Problem, state: State, found: Spread, noise: float, dof: float) -> Identification:
+    """Return what a solution says."""
+    count = len(problem.kind)
+    estimates = _estimates(problem, state, found)
+    model = tuple(curve.modelled(state.vector)[0] for curve in problem.curves)
+    unknowns = tuple(
+        NamedUnknown(
+            name.removeprefix("error: "), float(state.vector[place]), found.u(np.eye(len(problem.names))[place])
+        )
+        for place, name in enumerate(problem.names)
+        if name.startswith("error: ") and place >= count
+    )
+    return Identification(
+        estimates=estimates,
+        covariance=found.covariance_of(np.eye(count, len(problem.names))),
+        derived=_lags(problem, state, found),
+        modes=_modes(problem, state, found),
+        unknowns=unknowns,
+        factors=_factors(problem, state, found),
+        model=model,
+        residual=tuple(curve.record.ratio.value - value for curve, value in zip(problem.curves, model, strict=True)),
+        chi_squared=state.chi_squared,
+        dof=dof,
+        notices=remarks(problem, state, found, estimates, noise, dof),
+    )
+
+
+def _estimates(problem: Problem, state: State, found: Spread) -> tuple[ParameterEstimate, ...]:
+    """Return the parameters with their uncertainties."""
+    unit = np.eye(len(problem.names))
+    return tuple(
+        ParameterEstimate(p.name, p.label, float(state.vector[place]), found.u(unit[place]), p.unit)
+        for place, p in enumerate(problem.parameters)
+    )
+
+
+def _lags(problem: Problem, state: State, found: Spread) -> tuple[ParameterEstimate, ...]:
+    """Return b/k of every damper with its spring: what S(f) of the sensor would show."""
+    places = {parameter.name: place for place, parameter in enumerate(problem.parameters)}
+    derived = []
+    for name, place in places.items():
+        spring = name.replace("damping_", "stiffness_", 1)
+        shared = places.get(spring, places.get(spring.partition(":")[0]))
+        if not name.startswith("damping_") or shared is None:
+            continue
+        ending, b, k = name.removeprefix("damping_"), state.vector[place], state.vector[shared]
+        gradient = np.zeros(len(state.vector))
+        gradient[place], gradient[shared] = 1.0 / k, -b / k**2
+        derived.append(ParameterEstimate(f"lag_{ending}", f"b/k, {ending}", float(b / k), found.u(gradient), "s"))
+    return tuple(derived)
+
+
+def _modes(problem: Problem, state: State, found: Spread) -> tuple[ModeEstimate, ...]:
+    """Return the modes of every recording, from the poles of its fitted mechanics."""
+    modes = []
+    for curve in problem.curves:
+        roots, by_term = poles(curve.mechanics, curve.weights(state.vector))
+        for number, (root, change) in enumerate(zip(roots, by_term, strict=True)):
+            by_unknown = np.zeros(len(state.vector), dtype=np.complex128)
+            np.add.at(by_unknown, curve.terms, change)
+            size = abs(root)
+            by_size = (by_unknown * root.conj()).real / size
+            by_ratio = -by_unknown.real / size + root.real / size**2 * by_size
+            u_frequency, u_ratio = found.u(by_size / (2.0 * np.pi)), found.u(by_ratio)
+            ratio = float(-root.real / size)
+            modes.append(
+                ModeEstimate(curve.record.name, number, float(size / (2.0 * np.pi)), u_frequency, ratio, u_ratio)
+            )
+    return tuple(modes)
+
+
+def _factors(problem: Problem, state: State, found: Spread) -> tuple[FreeFactor, ...]:
+    """Return the gains and delays that were free."""
+    places = {name: place for place, name in enumerate(problem.names)}
+
+    def of(name: str) -> tuple[float, float]:
+        place = places.get(name)
+        if place is None:
+            return 0.0, 0.0
+        gradient: FloatArray = np.eye(len(problem.names))[place]
+        return float(state.vector[place]), found.u(gradient)
+
+    factors = []
+    for curve in problem.curves:
+        for channel in curve.record.ratio.channels:
+            size, phase, delay = (
+                of(factor_name(kind, curve.record, channel)) for kind in ("ln gain", "gain phase", "delay")
+            )
+            if size[1] > 0.0 or delay[1] > 0.0:
+                gain = complex(np.exp(complex(size[0], phase[0])))
+                factors.append(
+                    FreeFactor(
+                        curve.record.name,
+                        channel,
+                        gain,
+                        size[1],
+                        phase[1],
+                        delay[0] * DELAY_UNIT_S,
+                        delay[1] * DELAY_UNIT_S,
+                    )
+                )
+    return tuple(factors)

@@ -62,9 +62,9 @@ class FreeFactor:
 class Identification:
     """Parameters of a structure from all recordings together.
 
-    `estimates` (P): parameters, those of one recording as "name: recording"; `covariance` (P, P) of them, infinite
+    `estimates` (P): parameters, of one recording alone "name: recording"; `covariance` (P, P) of them, infinite
     where the recordings leave one open. `derived`: b/k of each spring and damper. `modes`: of each recording.
-    `unknowns`: named errors. `factors`: free gains and delays. `model`, `residual` (K, C): per recording, the curve with
+    `unknowns`: named errors. `factors`: free gains and delays. `model`, `residual` (K, C): per recording, curve with
     all errors found, and what was measured less the model. `chi_squared` over `dof`: residuals and priors in their
     uncertainties as given; the noise is enlarged to χ²/dof where that exceeds one.
     """

@@ -1,0 +1,172 @@
+"""Levenberg-Marquardt over all recordings, and the covariance of what it finds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from shaker._checks import ComplexArray, FloatArray
+from shaker.models.identification.problem import Curve, Problem
+
+_STEPS = 100
+_SMALL_STEP = 1e-4  # change of the whitened model and unknowns at which a fit has converged
+_LARGEST_DAMPING = 1e8
+_OPEN = 1e-10  # singular value, columns of unit length, below which a direction is open
+
+
+@dataclass(frozen=True)
+class State:
+    """Unknowns (N,) with the whitened residuals (K, 2C) and derivatives (K, 2C, N) of every curve.
+
+    `normal` (N, N) = Σ JᵀJ and `gradient` (N,) = Σ Jᵀr of the lines, `chi_squared` of the lines, `prior` that of what
+    was known beforehand.
+    """
+
+    vector: FloatArray
+    residuals: tuple[FloatArray, ...]
+    jacobians: tuple[FloatArray, ...]
+    normal: FloatArray
+    gradient: FloatArray
+    chi_squared: float
+    prior: float
+
+
+def evaluate(problem: Problem, vector: FloatArray) -> State:
+    """Return residuals and derivatives at a vector of unknowns."""
+    residuals, jacobians = [], []
+    count = len(vector)
+    normal, gradient, chi_squared = np.zeros((count, count)), np.zeros(count), 0.0
+    for curve in problem.curves:
+        value, by_place = curve.modelled(vector)
+        residual = curve.whitened((curve.record.ratio.value - value)[:, :, None])[:, :, 0]
+        columns = curve.whitened(by_place)
+        jacobian = np.zeros((*columns.shape[:2], count))
+        for column, place in enumerate(curve.places):
+            jacobian[:, :, place] += columns[:, :, column]
+        jacobian[:, :, problem.fixed] = 0.0
+        flat = jacobian.reshape(-1, count)
+        normal += flat.T @ flat
+        gradient += residual.reshape(-1) @ flat
+        chi_squared += float(np.sum(residual**2))
+        residuals.append(residual)
+        jacobians.append(jacobian)
+    prior = float(np.sum(problem.precision * (problem.expected - vector) ** 2))
+    return State(vector, tuple(residuals), tuple(jacobians), normal, gradient, chi_squared, prior)
+
+
+def solve(problem: Problem, start: FloatArray, noise: float, steps: int = _STEPS) -> State:
+    """Return the unknowns of least χ²/`noise` + prior, `noise` the factor on the covariance of the lines.
+
+    Damping after Marquardt (J. SIAM 11, 1963). The result after `steps` is returned also where more would be needed.
+    """
+    state = evaluate(problem, start)
+    damping = 1e-3
+    for _ in range(steps):
+        normal = state.normal / noise + np.diag(problem.precision)
+        gradient = state.gradient / noise + problem.precision * (problem.expected - state.vector)
+        scale = np.sqrt(np.maximum(normal.diagonal(), np.finfo(np.float64).tiny))
+        unit = normal / np.multiply.outer(scale, scale)
+        while True:
+            step = np.linalg.solve(unit + damping * np.eye(len(scale)), gradient / scale) / scale
+            new = _tried(problem, state.vector + step)
+            if new is not None and _cost(new, noise) <= _cost(state, noise) * (1.0 + 1e-12):
+                break
+            damping *= 10.0
+            if damping > _LARGEST_DAMPING:
+                return state
+        moved = float(step @ normal @ step)
+        state, damping = new, max(1e-12, 0.03 * damping)
+        if moved < _SMALL_STEP**2:
+            break
+    return state
+
+
+def _cost(state: State, noise: float) -> float:
+    """Return what is minimised."""
+    return state.chi_squared / noise + state.prior
+
+
+def _tried(problem: Problem, vector: FloatArray) -> State | None:
+    """Return the state at a vector, None where a mass or a stiffness would not be positive."""
+    for curve in problem.curves:
+        (mass, _, stiffness), _ = curve.mechanics.at(curve.weights(vector))
+        if min(mass[0, 0], stiffness[0, 0]) <= 0.0:
+            return None
+        if len(mass) > 1 and min(np.linalg.eigvalsh(mass)[0], np.linalg.eigvalsh(stiffness)[0]) <= 0.0:
+            return None
+    state = evaluate(problem, vector)
+    return state if np.isfinite(state.chi_squared) else None
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Covariance of all unknowns, and the directions that the recordings leave open.
+
+    `covariance` (N, N) of the determined part, `opened` (Z, N) orthonormal directions in units of `scale` (N,);
+    `effective`: number of unknowns that the lines determine.
+    """
+
+    covariance: FloatArray
+    opened: FloatArray
+    scale: FloatArray
+    effective: float
+
+    def u(self, gradient: FloatArray) -> float:
+        """Return the standard uncertainty of a number with a `gradient` (N,), infinite where it is open."""
+        own = gradient * self.scale
+        size = float(np.linalg.norm(own))
+        if size > 0.0 and len(self.opened) and np.linalg.norm(self.opened @ own) > 1e-4 * size:
+            return float("inf")
+        return float(np.sqrt(max(0.0, gradient @ self.covariance @ gradient)))
+
+    def covariance_of(self, gradients: FloatArray) -> FloatArray:
+        """Return the covariance (G, G) of numbers with `gradients` (G, N): open ones infinite, and without relation."""
+        found = gradients @ self.covariance @ gradients.T
+        size = np.array([self.u(gradient) for gradient in gradients])
+        unknown = ~np.isfinite(size)
+        found[unknown] = 0.0
+        found[:, unknown] = 0.0
+        found[unknown, unknown] = np.inf
+        return np.asarray(found)
+
+
+def spread(problem: Problem, state: State, noise: float) -> Spread:
+    """Return the covariance A⁻¹ (JᵀRJ/λ + P) A⁻¹, A = JᵀJ/λ + P: λ = `noise`, R the correlation of lines, P priors."""
+    count, free = len(state.vector), ~problem.fixed
+    rows = [jacobian.reshape(-1, count) / np.sqrt(noise) for jacobian in state.jacobians]
+    stacked = np.concatenate([*rows, np.diag(np.sqrt(problem.precision))])
+    size = np.linalg.norm(stacked, axis=0)
+    size[size == 0.0] = 1.0
+    triangle = np.linalg.qr((stacked / size)[:, free], mode="r")
+    singular, found = np.linalg.svd(triangle)[1:]
+    directions = np.zeros((len(found), count))
+    directions[:, free] = found
+    determined = singular > _OPEN * singular.max()
+    inverse = (directions[determined].T / singular[determined] ** 2) @ directions[determined]
+    pair = np.multiply.outer(size, size)
+    noise_part = np.zeros((count, count))
+    for curve, jacobian in zip(problem.curves, state.jacobians, strict=True):
+        noise_part += _correlated(curve, jacobian) / noise
+    covariance = inverse @ ((noise_part + np.diag(problem.precision)) / pair) @ inverse / pair
+    effective = float(np.sum(inverse * (state.normal / noise / pair)))
+    return Spread(0.5 * (covariance + covariance.T), directions[~determined], 1.0 / size, effective)
+
+
+def _correlated(curve: Curve, jacobian: FloatArray) -> FloatArray:
+    """Return JᵀRJ of whitened derivatives (K, 2C, N), R the correlation of neighbouring lines."""
+    flat = jacobian.reshape(-1, jacobian.shape[2])
+    correlation = curve.record.line_correlation
+    if correlation is None or len(correlation) <= 1:
+        return flat.T @ flat
+    frequency = curve.record.ratio.frequency_hz
+    place = np.round((frequency - frequency.min()) / np.min(np.diff(np.sort(frequency)))).astype(np.int64)
+    length, channels = int(place.max()) + 1, jacobian.shape[1] // 2
+    grid: ComplexArray = np.zeros((length + len(correlation), channels, jacobian.shape[2]), dtype=np.complex128)
+    grid[place] = jacobian[:, :channels] + 1j * jacobian[:, channels:]
+    here = grid[:length].reshape(-1, jacobian.shape[2])
+    total = flat.T @ flat
+    for apart, value in enumerate(correlation[1:], start=1):
+        pair = value * (grid[apart : apart + length].reshape(-1, jacobian.shape[2]).conj().T @ here)
+        total = total + (pair + pair.conj().T).real
+    return np.asarray(total)
