@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -37,31 +40,53 @@ class Campaign:
     notices: tuple[Notice, ...]
 
 
-def read_campaign(path: Path, *, allow_outside: bool = False) -> Campaign:
-    """Read the manifests of a campaign folder, or of one recording, and check that they tell of one sensor.
+def read_campaign(paths: Sequence[Path], *, allow_outside: bool = False) -> Campaign:
+    """Read the manifests of campaign folders or recordings, and check that they tell of one sensor.
 
-    Raises `InputError` where no recording has transfer functions.
+    A folder may hold recordings, or folders of recordings. Raises `InputError` where none has transfer functions.
     """
-    folder = (path.parent if path.is_file() else path).resolve()
-    manifests = [load_manifest(recording, allow_outside=allow_outside) for recording in find_recordings(path)]
+    folder = top_folder(paths)
+    found = dict.fromkeys(recording.resolve() for path in paths for recording in _recordings(path))
+    manifests = [load_manifest(recording, allow_outside=allow_outside) for recording in found]
     transfers = tuple(manifest for manifest in manifests if manifest.excitation.kind in KINDS)
     if not transfers:
         kinds = ", ".join(dict.fromkeys(manifest.excitation.kind for manifest in manifests))
-        where = manifests[0].path if len(manifests) == 1 else path
+        where = manifests[0].path if len(manifests) == 1 else paths[0]
         expected = f"a recording whose excitation.kind is {', '.join(KINDS[:-1])} or {KINDS[-1]}"
         raise InputError(where, "excitation.kind", found=f"only {kinds}", expected=expected)
-    sines, notices = _sines(folder, [manifest for manifest in manifests if manifest.excitation.kind == "sine"])
+    sines, notices = _sines([manifest for manifest in manifests if manifest.excitation.kind == "sine"])
     _check_one_sensor([*transfers, *(item.manifest for item in sines)])
     files = [file for manifest in (*transfers, *(item.manifest for item in sines)) for file in manifest.files]
     hashes = hash_files([*files, *(item.results / RESULT_FILE for item in sines)], folder)
     return Campaign(folder.name, folder, transfers, sines, hashes, notices)
 
 
-def _sines(folder: Path, manifests: list[Manifest]) -> tuple[tuple[EvaluatedSines, ...], tuple[Notice, ...]]:
+def top_folder(paths: Sequence[Path]) -> Path:
+    """Return the folder that holds all that was named."""
+    folders = [(path.parent if path.is_file() else path).resolve() for path in paths]
+    return Path(os.path.commonpath(folders))
+
+
+def _recordings(path: Path) -> list[Path]:
+    """Return the recordings of a campaign folder, or, where it holds none itself, of the folders in it."""
+    try:
+        return find_recordings(path)
+    except InputError as error:
+        below = sorted(entry for entry in path.iterdir() if entry.is_dir()) if path.is_dir() else []
+        found = []
+        for entry in below:
+            with suppress(InputError):
+                found += find_recordings(entry)
+        if not found:
+            raise error from None
+        return found
+
+
+def _sines(manifests: list[Manifest]) -> tuple[tuple[EvaluatedSines, ...], tuple[Notice, ...]]:
     """Return the recordings of sines with results of these very files, and a remark on those without."""
     found, missing = [], []
     for manifest in manifests:
-        results = _results(folder, manifest)
+        results = _results(manifest)
         if results is None:
             missing.append(manifest.name)
         else:
@@ -76,9 +101,9 @@ def _sines(folder: Path, manifests: list[Manifest]) -> tuple[tuple[EvaluatedSine
     return tuple(found), (Notice("info", text, ", ".join(missing)),)
 
 
-def _results(folder: Path, manifest: Manifest) -> Path | None:
+def _results(manifest: Manifest) -> Path | None:
     """Return the folder with results of a recording, its own or the campaign's; results of other files are refused."""
-    places = (manifest.folder / RESULTS, folder / RESULTS / manifest.folder.name)
+    places = (manifest.folder / RESULTS, manifest.folder.parent / RESULTS / manifest.folder.name)
     found = [(place, read_provenance(place)) for place in places]
     there = [(place, origin) for place, origin in found if origin is not None]
     if not there:
