@@ -1,0 +1,227 @@
+"""Readings over the angle of an indexing head as harmonics: all channels in one solve, only what the data show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from shaker._checks import ComplexArray, FloatArray, check_shape
+
+CHANCE = 1e-3
+"""Probability with which a term that is not there may enter a fit."""
+HIGHEST_ORDER = 8
+LEAST_DOF = 3
+LARGEST_CONDITION = 30.0
+SAME_ANGLE_RAD = 1e-3
+ROUNDING = 1e-12
+
+
+class Reversal(NamedTuple):
+    """What turning back changes: `angle_rad` (K,) read in both senses, `difference` (K, C) forward less backward."""
+
+    angle_rad: FloatArray
+    difference: FloatArray
+
+
+@dataclass(frozen=True)
+class AngleFit:
+    """Readings (N, C) at angles (N,) as a sum of terms: reading = design · coefficient + residual.
+
+    `terms` (P,) names the columns of `design` (N, P): offset, cos 1, sin 1, and where the data show them cos n, sin n,
+    drift (over the order of the readings, from -1 to 1) and sense (difference between turning forward and back).
+    `inverse` (P, P): (XᵀX)⁻¹; `noise` (C, C): covariance of a reading with `dof` degrees of freedom, so that the
+    covariance of coefficients p, q of channels c, d is noise[c, d]·inverse[p, q].
+    """
+
+    channels: tuple[str, ...]
+    angle_rad: FloatArray
+    reading: FloatArray
+    terms: tuple[str, ...]
+    design: FloatArray
+    coefficient: FloatArray
+    inverse: FloatArray
+    noise: FloatArray
+    dof: float
+
+    def __post_init__(self) -> None:
+        count, channels, terms = len(self.angle_rad), len(self.channels), len(self.terms)
+        check_shape("reading", self.reading, (count, channels))
+        check_shape("design", self.design, (count, terms))
+        check_shape("coefficient", self.coefficient, (terms, channels))
+        check_shape("inverse", self.inverse, (terms, terms))
+        check_shape("noise", self.noise, (channels, channels))
+
+    @property
+    def residual(self) -> FloatArray:
+        """Return what the terms leave of the readings (N, C)."""
+        return np.asarray(self.reading - self.design @ self.coefficient)
+
+    @property
+    def orders(self) -> tuple[int, ...]:
+        """Return the harmonics in the fit, ascending."""
+        return tuple(int(name[4:]) for name in self.terms if name.startswith("cos "))
+
+    @property
+    def offset(self) -> FloatArray:
+        """Return the mean reading over a turn (C,)."""
+        return np.asarray(self.coefficient[0])
+
+    def amplitude(self, order: int = 1) -> ComplexArray:
+        """Return A (C,) of a harmonic, so that the reading is Re{A exp(+j·order·angle)}."""
+        cosine, sine = self._places(order)
+        return np.asarray(self.coefficient[cosine] - 1j * self.coefficient[sine])
+
+    def covariance(self, order: int = 1) -> FloatArray:
+        """Return the covariance (2C, 2C) of [all Re, all Im] of a harmonic's amplitude, the noise alone."""
+        places = self._places(order)
+        turn = np.array([[1.0, -1.0], [-1.0, 1.0]])
+        return np.asarray(np.kron(turn * self.inverse[np.ix_(places, places)], self.noise))
+
+    def u_coefficient(self) -> FloatArray:
+        """Return the standard uncertainties (P, C) of the coefficients, of noise alone."""
+        return np.asarray(np.sqrt(np.outer(np.diag(self.inverse), np.diag(self.noise))))
+
+    def curve(self, angle_rad: FloatArray) -> FloatArray:
+        """Return offset and harmonics at angles (M,) as (M, C), without drift and sense."""
+        columns = np.zeros((len(angle_rad), len(self.terms)))
+        for place, name in enumerate(self.terms):
+            columns[:, place] = _periodic(name, angle_rad)
+        return np.asarray(columns @ self.coefficient)
+
+    def reversal(self) -> Reversal:
+        """Return the differences between readings of both senses of turning at angles that were met in both."""
+        sense, turned = turning_sense(self.angle_rad), np.mod(self.angle_rad, 2.0 * np.pi)
+        found, differences = [], []
+        for angle in _distinct(turned):
+            here = np.abs(np.angle(np.exp(1j * (turned - angle)))) < SAME_ANGLE_RAD
+            forward, back = here & (sense > 0.0), here & (sense < 0.0)
+            if forward.any() and back.any():
+                found.append(angle)
+                differences.append(self.reading[forward].mean(axis=0) - self.reading[back].mean(axis=0))
+        return Reversal(np.array(found), np.reshape(differences, (len(found), len(self.channels))))
+
+    def _places(self, order: int) -> list[int]:
+        """Columns of a harmonic."""
+        if order not in self.orders:
+            raise ValueError(f"order: expected one of {self.orders}, found {order}")
+        return [self.terms.index(f"{part} {order}") for part in ("cos", "sin")]
+
+
+def fit_angles(channels: tuple[str, ...], angle_rad: FloatArray, reading: FloatArray) -> AngleFit:
+    """Fit offset and first harmonic to readings (N, C) of C channels at angles (N,), and further terms that they show.
+
+    Offered are harmonics 2, 3, … as far as the angles tell them apart, a linear drift over the order of the readings
+    and, where the head was turned both ways, the difference of the two (offset and first harmonic). A term enters, the
+    clearest first, where an F test of one channel gives it to chance less than once in 1000, all channels together.
+    Angles in any order, repeated or not. A reading is at least as uncertain as its smallest step (a²/12).
+    """
+    angle, values = np.asarray(angle_rad, np.float64), np.asarray(reading, np.float64)
+    check_shape("angle_rad", angle, (None,))
+    check_shape("reading", values, (len(angle), len(channels)))
+    if not (np.isfinite(angle).all() and np.isfinite(values).all()):
+        raise ValueError("reading: expected finite angles and readings, found others")
+    terms, blocks = _offered(angle)
+    design = np.stack([columns for _, columns in terms], axis=1)
+    if len(angle) <= design.shape[1] or np.linalg.cond(design) > LARGEST_CONDITION:
+        spread = f"{len(angle)} readings at {len(_distinct(np.mod(angle, 2.0 * np.pi)))} angles"
+        raise ValueError(f"angle_rad: expected at least four angles spread over most of a turn, found {spread}")
+    floor = _resolution(values) ** 2 / 12.0 + (ROUNDING * np.abs(values).max(axis=0)) ** 2
+    names = [name for name, _ in terms]
+    while (entering := _clearest(design, blocks, values, floor)) is not None:
+        block = blocks.pop(entering)
+        names += [name for name, _ in block]
+        design = np.column_stack([design, *(column for _, column in block)])
+    return _fitted(channels, angle, values, tuple(names), design, floor)
+
+
+def turning_sense(angle_rad: FloatArray) -> FloatArray:
+    """Return +1 or -1 (N,): in which sense the head came to each angle, by the shorter way; 0 for a single reading.
+
+    The first reading counts as come to like the second, one at the same angle like the one before.
+    """
+    step = np.angle(np.exp(1j * np.diff(angle_rad)))
+    sense = np.where(np.abs(step) < SAME_ANGLE_RAD, 0.0, np.sign(step))
+    for i in range(1, len(sense)):
+        sense[i] = sense[i] or sense[i - 1]
+    moved = sense[sense != 0.0]
+    first = moved[0] if len(moved) else 0.0
+    return np.concatenate([[first], np.where(sense == 0.0, first, sense)])
+
+
+Term = tuple[str, FloatArray]
+
+
+def _offered(angle: FloatArray) -> tuple[list[Term], list[list[Term]]]:
+    """Terms of every fit, and the blocks of terms that the data may add."""
+    count = len(_distinct(np.mod(angle, 2.0 * np.pi)))
+    always = [(name, _periodic(name, angle)) for name in ("offset", "cos 1", "sin 1")]
+    highest = min(HIGHEST_ORDER, (count - 1) // 2)
+    pairs = [(f"cos {order}", f"sin {order}") for order in range(2, highest + 1)]
+    blocks = [[(name, _periodic(name, angle)) for name in pair] for pair in pairs]
+    blocks.append([("drift", np.linspace(-1.0, 1.0, len(angle)))])
+    sense = turning_sense(angle)
+    if np.ptp(sense) > 0.0:
+        blocks.append([(f"sense {name}".removesuffix(" offset"), sense * column) for name, column in always])
+    return always, blocks
+
+
+def _periodic(name: str, angle: FloatArray) -> FloatArray:
+    """Column of a term that depends on the angle alone, zeros for the others."""
+    kind, _, order = name.partition(" ")
+    if kind in ("cos", "sin"):
+        return np.asarray(getattr(np, kind)(int(order) * angle))
+    return np.full(len(angle), float(name == "offset"))
+
+
+def _distinct(turned: FloatArray) -> FloatArray:
+    """Angles within a turn that differ by more than what counts as the same."""
+    ordered = np.sort(turned)
+    kept = ordered[np.diff(ordered, prepend=-np.inf) > SAME_ANGLE_RAD]
+    wraps = len(kept) > 1 and kept[0] + 2.0 * np.pi - kept[-1] < SAME_ANGLE_RAD
+    return np.asarray(kept[:-1] if wraps else kept)
+
+
+def _resolution(values: FloatArray) -> FloatArray:
+    """Smallest step between different readings of every channel (C,)."""
+    steps = [np.diff(np.unique(column)) for column in values.T]
+    return np.array([step.min() if len(step) else 0.0 for step in steps])
+
+
+def _clearest(design: FloatArray, blocks: list[list[Term]], values: FloatArray, floor: FloatArray) -> int | None:
+    """Which block the readings show most clearly, None where it may be chance."""
+    from scipy.special import fdtrc
+
+    before = np.sum((values - design @ np.linalg.lstsq(design, values, rcond=None)[0]) ** 2, axis=0)
+    best, least = None, CHANCE / max(1, len(floor))
+    for place, block in enumerate(blocks):
+        wider = np.column_stack([design, *(column for _, column in block)])
+        dof = len(wider) - wider.shape[1]
+        if dof < LEAST_DOF or np.linalg.cond(wider) > LARGEST_CONDITION:
+            continue
+        after = np.sum((values - wider @ np.linalg.lstsq(wider, values, rcond=None)[0]) ** 2, axis=0)
+        own = np.maximum(after / dof, floor)
+        ratio = np.maximum(before - after, 0.0) / len(block) / np.where(own > 0.0, own, 1.0)
+        chance = float(np.min(fdtrc(len(block), dof, ratio)))
+        if chance < least:
+            best, least = place, chance
+    return best
+
+
+def _fitted(
+    channels: tuple[str, ...],
+    angle: FloatArray,
+    values: FloatArray,
+    terms: tuple[str, ...],
+    design: FloatArray,
+    floor: FloatArray,
+) -> AngleFit:
+    """Least squares of all channels with the terms chosen."""
+    inverse: FloatArray = np.asarray(np.linalg.inv(design.T @ design), np.float64)
+    coefficient = inverse @ design.T @ values
+    residual = values - design @ coefficient
+    dof = len(design) - len(terms)
+    noise = residual.T @ residual / dof
+    noise += np.diag(np.maximum(0.0, floor - np.diag(noise)))
+    return AngleFit(channels, angle, values, terms, design, coefficient, inverse, noise, float(dof))
