@@ -10,8 +10,8 @@ export OMP_WAIT_POLICY := passive
 demo: .venv/installed
 	$(BIN)/shakercal run sample_images/demo -o demo-results --force
 
-# One process per core, each with one thread.
-PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile
+# One process per core, each with one thread; files in their order, since the longest ones have few tests and must not come last.
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 test: lint types
 	$(PYTEST)
