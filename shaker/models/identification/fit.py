@@ -79,7 +79,21 @@ def _result(problem: Problem, state: State, found: Spread, noise: float, dof: fl
         chi_squared=state.chi_squared,
         dof=dof,
         notices=remarks(problem, state, found, estimates, noise, dof),
+        budget=_budget(problem, found),
     )
+
+
+def _budget(problem: Problem, found: Spread) -> dict[str, FloatArray]:
+    """Return what every cause changes of the parameters."""
+    count = len(problem.kind)
+    causes: dict[str, FloatArray] = {}
+    for place, name in enumerate(problem.names):
+        if problem.precision[place] > 0.0:
+            words = name.removeprefix("error: ") if place >= count else f"{name} as stated"
+            causes[words] = found.prior[:count, place]
+    known = np.sum([np.zeros(count), *(change**2 for change in causes.values())], axis=0)
+    left = found.covariance.diagonal()[:count] - known
+    return {"noise": np.sqrt(np.maximum(left, 0.0)), **causes}
 
 
 def _estimates(problem: Problem, state: State, found: Spread) -> tuple[ParameterEstimate, ...]:

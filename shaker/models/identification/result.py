@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -66,7 +67,9 @@ class Identification:
     where the recordings leave one open. `derived`: b/k of each spring and damper. `modes`: of each recording.
     `unknowns`: named errors. `factors`: free gains and delays. `model`, `residual` (K, C): per recording, curve with
     all errors found, and what was measured less the model. `chi_squared` over `dof`: residuals and priors in their
-    uncertainties as given; the noise is enlarged to χ²/dof where that exceeds one.
+    uncertainties as given; the noise is enlarged to χ²/dof where that exceeds one. `budget` by cause: change (P,) of
+    the parameters for one standard deviation of a named error or of a number stated beforehand, and what "noise" adds;
+    their squares sum up to the variances.
     """
 
     estimates: tuple[ParameterEstimate, ...]
@@ -80,6 +83,7 @@ class Identification:
     chi_squared: float
     dof: float
     notices: tuple[Notice, ...]
+    budget: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_shape("covariance", self.covariance, (len(self.estimates), len(self.estimates)))

@@ -104,13 +104,15 @@ class Spread:
     """Covariance of all unknowns, and the directions that the recordings leave open.
 
     `covariance` (N, N) of the determined part, `opened` (Z, N) orthonormal directions in units of `scale` (N,);
-    `effective`: number of unknowns that the lines determine.
+    `effective`: number of unknowns that the lines determine; `prior` (N, N): change of all unknowns (rows) for one
+    standard deviation of what was known beforehand of each (columns).
     """
 
     covariance: FloatArray
     opened: FloatArray
     scale: FloatArray
     effective: float
+    prior: FloatArray
 
     def u(self, gradient: FloatArray) -> float:
         """Return the standard uncertainty of a number with a `gradient` (N,), infinite where it is open."""
@@ -150,7 +152,8 @@ def spread(problem: Problem, state: State, noise: float) -> Spread:
         noise_part += _correlated(curve, jacobian) / noise
     covariance = inverse @ ((noise_part + np.diag(problem.precision)) / pair) @ inverse / pair
     effective = float(np.sum(inverse * (state.normal / noise / pair)))
-    return Spread(0.5 * (covariance + covariance.T), directions[~determined], 1.0 / size, effective)
+    prior = inverse / pair * np.sqrt(problem.precision)
+    return Spread(0.5 * (covariance + covariance.T), directions[~determined], 1.0 / size, effective, prior)
 
 
 def _correlated(curve: Curve, jacobian: FloatArray) -> FloatArray:
