@@ -80,6 +80,22 @@ def simulate_chirp(out: Path, seed: int) -> Path:
     return out / RECORDING
 
 
+def simulate_loads(out: Path, preset: str, seed: int, progress: ProgressCallback = no_progress) -> Path:
+    """Write the campaign of two loads on a sensor's springs (`masses`, `pitching`) into folder `out` and return it.
+
+    The same seed gives the same files; other folders are refused as by `simulate`.
+    """
+    from fusion.simulate.masses import write_masses
+    from fusion.simulate.pitching import write_pitching
+
+    with _whole(out) as partial:
+        if preset == "masses":
+            write_masses(partial, seed, progress)
+        else:
+            write_pitching(partial, seed)
+    return out
+
+
 @contextmanager
 def _whole(out: Path) -> Iterator[Path]:
     """Yield a folder that takes the place of `out` when it is complete; refuse anything but an earlier simulation."""
@@ -114,6 +130,8 @@ def _not_simulated(out: Path) -> Path | None:
     for truth in out.glob("*/truth.json"):
         with suppress(InputError):
             written.update(load_manifest(truth.parent).files, [truth.resolve()])
+    if written:
+        written.add((out / "truth.json").resolve())
     folders = {folder for file in written for folder in file.parents}
     known = written | folders
     return next((path for path in sorted(out.rglob("*")) if path.resolve() not in known), None)

@@ -44,24 +44,26 @@ def write_runs(out: Path, preset: str, seed: int, options: CampaignOptions, prog
     for number, run in enumerate(runs, 1):
         draws = CampaignDraws(seed, options.systematic_errors, mounting=run.mounting, recording=run.preset.recording)
         world = make_world(run.preset, draws, jitter_s)
-        _write_run(out, run, world, draws, options.noise)
+        write_run(out, run, world, draws, options.noise)
+        rig = to_toml(rig_tables(replace(world, preset=run.rig)))
+        (out / run.rig_file).write_text(rig, encoding="utf-8", newline="\n")
         progress("write", number, len(runs))
 
 
-def _write_run(out: Path, run: Run, world: World, draws: CampaignDraws, noise: bool) -> None:
-    """Write one recording, and the rig it stands on where it is the first to do so."""
+def write_run(out: Path, run: Run, world: World, draws: CampaignDraws, noise: bool) -> None:
+    """Write one recording into the folder of a campaign, where its rig is or will be."""
     folder = out / run.preset.recording
     folder.mkdir()
     for daq in run.preset.daqs:
         write_record(folder / daq.file, record(world, daq, draws, noise))
     for setup in run.preset.points:
         write_points(folder / points_file(setup.name), point_series(world, setup, draws, noise))
-    rig = to_toml(rig_tables(replace(world, preset=run.rig)))
-    texts = {out / run.rig_file: rig, folder / "recording.toml": to_toml(recording_tables(run))}
-    for path, text in texts.items():
-        path.write_text(text, encoding="utf-8", newline="\n")
-    truth = json.dumps(truth_tables(run, world, draws))
-    (folder / "truth.json").write_text(truth, encoding="utf-8", newline="\n")
+    texts = {
+        "recording.toml": to_toml(recording_tables(run)),
+        "truth.json": json.dumps(truth_tables(run, world, draws)),
+    }
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8", newline="\n")
 
 
 def points_file(stereo: str) -> str:

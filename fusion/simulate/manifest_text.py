@@ -21,7 +21,7 @@ def rig_tables(world: World) -> dict[str, Any]:
     tables: dict[str, Any] = {
         "format": 1,
         "name": preset.rig_name,
-        "sensor": _sensor(world),
+        "sensor": sensor_keys(preset, world.static_stated),
         "load": part_keys(preset.load),
     }
     if preset.parts:
@@ -32,9 +32,8 @@ def rig_tables(world: World) -> dict[str, Any]:
     return tables
 
 
-def _sensor(world: World) -> dict[str, Any]:
-    """Return the block of the sensor under test."""
-    preset = world.preset
+def sensor_keys(preset: Preset, static: NDArray[np.float64]) -> dict[str, Any]:
+    """Return the block of the sensor under test, with its static sensitivity (6, 6) as it is stated."""
     internal = {f"internal_{key}": value for key, value in part_keys(preset.internal).items()}
     return {
         "name": preset.sensor_name,
@@ -43,7 +42,7 @@ def _sensor(world: World) -> dict[str, Any]:
         "unit": "V/V",
         "sense": preset.sense,
         "capacity": list(preset.capacity),
-        "static_sensitivity": [[float(f"{v:.6e}") for v in row] for row in world.static_stated],
+        "static_sensitivity": [[float(f"{v:.6e}") for v in row] for row in static],
         **internal,
     }
 

@@ -20,7 +20,7 @@ _ROCKING_DAMPING = 0.03
 _ROCKING_PER_M = ((0.022, 2.1), (0.034, -0.4))  # angular over linear acceleration far below resonance, about x and y
 _DRIVE_MPS2 = 60.0
 _FREQUENCY_ERROR = 2.4e-6
-_RECORDERS_HZ = (25600.0, 20000.0)
+RECORDERS_HZ = (25600.0, 20000.0)
 _BEATS = (0.27, 0.33)  # cycles that a line may advance from frame to frame beyond whole ones
 _FRAMES = 48
 _TOP_M = 0.0973
@@ -48,13 +48,13 @@ def _rig() -> Preset:
     recorder = DaqSpec(
         "vibrometer",
         "vibrometer.h5",
-        _RECORDERS_HZ[0],
+        RECORDERS_HZ[0],
         1e-6,
         0.0,
         1.2,
         (*lasers, *triaxial((0.020, -0.030, 0.0973)), TRIGGER),
     )
-    amplifier = DaqSpec("bridge", "bridge.h5", _RECORDERS_HZ[1], 1e-6, 0.0, 1.2, (*bridge(OUTPUTS, 2e-5), TRIGGER))
+    amplifier = DaqSpec("bridge", "bridge.h5", RECORDERS_HZ[1], 1e-6, 0.0, 1.2, (*bridge(OUTPUTS, 2e-5), TRIGGER))
     return replace(
         NITSCHE2018,
         name="sweep",
@@ -92,7 +92,7 @@ def camera_rate(frequency_hz: float) -> float:
     smallest gaps between their places in the sampling intervals: the gap is what the trigger's instant stays open to.
     """
     rates = frequency_hz / (np.floor(frequency_hz / 53.0) + np.linspace(*_BEATS, 61))
-    return float(min(rates, key=lambda rate: max(_gap_s(float(rate), sampling) for sampling in _RECORDERS_HZ)))
+    return float(min(rates, key=lambda rate: max(_gap_s(float(rate), sampling) for sampling in RECORDERS_HZ)))
 
 
 def _gap_s(rate_hz: float, sampling_hz: float) -> float:

@@ -15,6 +15,8 @@ from photogram.camera import StereoRig
 from photogram.rigid import RigidTransform, rotation_from_vector
 
 FloatArray = NDArray[np.float64]
+STATIC_UNCERTAINTY = 1e-3
+"""Relative change of a sensor since its static calibration, one standard deviation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +59,7 @@ def make_world(preset: Preset, draws: Draws, jitter_s: float) -> World:
     parts = [true_part(spec, draws) for spec in (preset.load, preset.internal, *preset.parts)]
     sign = 1.0 if preset.sense == "on_load" else -1.0
     force = sign * wrench(load, parts, gravity)
-    stated, true = _static(preset, draws)
+    stated, true = static_sensitivity(preset, draws)
     matrix = sensitivity(frequency, true, np.array(preset.damping_s), preset.lag_s)
     outputs = np.einsum("kcj,kj->kc", matrix, force)
     edges = preset.first_frame_s + np.arange(preset.frames) / preset.camera_rate_hz
@@ -77,7 +79,7 @@ def true_part(spec: PartSpec, draws: Draws) -> TruePart:
     return TruePart(mass, np.array(spec.centre_of_mass) + centre, np.diag(spec.inertia) + error)
 
 
-def _static(preset: Preset, draws: Draws) -> tuple[FloatArray, FloatArray]:
+def static_sensitivity(preset: Preset, draws: Draws) -> tuple[FloatArray, FloatArray]:
     """Return the static sensitivity (6, 6) of an earlier calibration, and today's, 0.1 % of its diagonal away.
 
     Cross-talk is stated relative to the rated loads: output i for component j is up to `cross_talk` of its rated
@@ -87,7 +89,7 @@ def _static(preset: Preset, draws: Draws) -> tuple[FloatArray, FloatArray]:
     share = np.random.default_rng(6).uniform(-preset.cross_talk, preset.cross_talk, (6, 6))
     np.fill_diagonal(share, 1.0)
     stated = share * rated[:, None] / np.array(preset.capacity)
-    change = draws.normal("static_sensitivity", 1e-3, 36).reshape(6, 6) * np.diagonal(share)[:, None]
+    change = draws.normal("static_sensitivity", STATIC_UNCERTAINTY, 36).reshape(6, 6) * np.diagonal(share)[:, None]
     return stated, stated * (1 + change)
 
 
