@@ -23,7 +23,7 @@ WRITTEN_ORDER = {
     """,
     "shaker.models": """
         oscillator measured gravity harmonics load_mass noisy_curve circle peak_shape peak identification suspension mass_chain
-        spring_damper chain_shape sensitivity_fit sensor_response sensor_model correction
+        spring_damper chain_shape sensitivity_fit sensor_response sensor_model usable_band correction
     """,
     "fusion": """
         notices errors output console settings uncertainty coverage polar propagated manifest response

@@ -58,12 +58,12 @@ class Chain:
 
     def response(self, frequency_hz: FloatArray) -> ComplexArray:
         """Return the response (K,) at frequencies in Hz."""
-        s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)
+        s = laplace(frequency_hz)
         return np.asarray(np.exp(-s * self.delay_s) / self._divisor(s))
 
     def log_slopes(self, frequency_hz: FloatArray) -> ComplexArray:
         """Return the derivatives (K, P) of the logarithm of the response by the parameters."""
-        s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)
+        s = laplace(frequency_hz)
         divisor = self._divisor(s)
         by_lag = -s * (1.0 + s * self.lag_s) if self.kind == "butterworth" else -s
         columns = {"delay_s": -s, "lag_s": by_lag / divisor, "square_s2": -s * s / divisor}
@@ -74,7 +74,7 @@ class Chain:
 
     def log_frequency_slope(self, frequency_hz: FloatArray) -> ComplexArray:
         """Return the derivative (K,) of the logarithm of the response by the frequency, in 1/Hz."""
-        s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)
+        s = laplace(frequency_hz)
         by_s = -self.delay_s - (self.lag_s + 2.0 * self.square_s2 * s) / self._divisor(s)
         return np.asarray(2j * np.pi * by_s)
 
@@ -88,12 +88,11 @@ class Chain:
         root = float(np.sqrt(self.square_s2))
         frequency, damping = 1.0 / (2.0 * np.pi * root), 0.5 * self.lag_s / root
         if self.kind == "butterworth":
-            by_frequency, by_damping = np.array([-frequency / self.lag_s]), np.zeros(1)
+            slopes = np.array([[-frequency / self.lag_s], [0.0]])
         else:
-            by_frequency = np.array([0.0, -0.5 * frequency / self.square_s2])
-            by_damping = np.array([0.5 / root, -0.5 * damping / self.square_s2])
-        u_frequency, u_damping = (float(np.sqrt(max(0.0, d @ covariance @ d))) for d in (by_frequency, by_damping))
-        return (frequency, u_frequency), (damping, u_damping)
+            slopes = np.array([[0.0, -0.5 * frequency], [0.5 * self.square_s2 / root, -0.5 * damping]]) / self.square_s2
+        u = np.sqrt(np.maximum((slopes @ covariance @ slopes.T).diagonal(), 0.0)).tolist()
+        return (frequency, u[0]), (damping, u[1])
 
     def _value(self, name: str) -> float:
         """Return a parameter, 0 where the shape has none of this name."""
@@ -102,6 +101,11 @@ class Chain:
     def _divisor(self, s: ComplexArray) -> ComplexArray:
         """Return 1 + a₁s + a₂s²."""
         return np.asarray(1.0 + self.lag_s * s + self.square_s2 * s * s)
+
+
+def laplace(frequency_hz: FloatArray) -> ComplexArray:
+    """Return s = jω (K,) of frequencies in Hz."""
+    return np.asarray(2j * np.pi * np.asarray(frequency_hz, dtype=np.float64), dtype=np.complex128)
 
 
 NO_CHAIN = Chain("none", np.empty(0))

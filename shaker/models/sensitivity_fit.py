@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from shaker._checks import ComplexArray, FloatArray, check_shape
-from shaker.models.chain_shape import CHAIN_PARAMETERS, Chain, ChainKind
+from shaker.models.chain_shape import CHAIN_PARAMETERS, Chain, ChainKind, laplace
 from shaker.models.identification import NamedUnknown
 from shaker.models.measured import MeasuredSensitivity, ParameterEstimate
 from shaker.models.spring_damper import SpringPrior
@@ -44,8 +44,8 @@ class SensitivityFit:
 
     def model(self, frequency_hz: FloatArray) -> ComplexArray:
         """Return S(f) (K,) of the fitted parameters, without common errors."""
-        s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)
-        return np.asarray(self.sensitivity / (1.0 + s * self.spring_time_s) * self.chain.response(frequency_hz))
+        lag = 1.0 + laplace(frequency_hz) * self.spring_time_s
+        return np.asarray(self.sensitivity / lag * self.chain.response(frequency_hz))
 
     def u(self, parameter: str) -> float:
         """Return the standard uncertainty of a parameter, 0 of one that was not fitted."""
@@ -179,7 +179,7 @@ class _Problem:
     @property
     def _s(self) -> ComplexArray:
         """Laplace variable jω (K,)."""
-        return np.asarray(2j * np.pi * self.frequency_hz)
+        return laplace(self.frequency_hz)
 
     def _whitened(self, columns: ComplexArray) -> FloatArray:
         """Return complex columns (K, P) as real ones (2K, P) in units of the noise."""

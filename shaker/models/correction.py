@@ -1,0 +1,149 @@
+"""Force on the load from the sensor's output: the model's response taken off, with the uncertainty of the model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from shaker._checks import ComplexArray, FloatArray, check_shape
+from shaker.models.sensor_model import Load, SensorModel
+from shaker.notice import Notice
+from shaker.signals.chain import common_covariance, split_ratio
+from shaker.signals.phasor import Phasors
+
+TRANSITION = 0.25
+"""Share of the band above its limit in which the taper falls to nothing."""
+ATTENUATION_DB = 100.0
+"""Attenuation of the taper beyond, and so its ripple below: 1e-5."""
+
+
+@dataclass(frozen=True)
+class CorrectedPhasors:
+    """Phasors of the force (random covariance only) and `errors` (E, K, 1): what the model's parameters may add.
+
+    `errors` are relative deviations common to all lines and channels, of E independent causes.
+    """
+
+    phasors: Phasors
+    errors: ComplexArray
+
+    def __post_init__(self) -> None:
+        check_shape("errors", self.errors, (None, len(self.phasors.frequency_hz), 1))
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance (K, 2C, 2C) of both together."""
+        return np.asarray(self.phasors.covariance + common_covariance(self.phasors.value, self.errors))
+
+
+@dataclass(frozen=True)
+class CorrectedRecord:
+    """Force on the load (N,) at the instants of the output's samples, up to `band_hz`.
+
+    `u` (N,) standard uncertainty from noise and model; `errors` (E, N) force that one standard deviation of each of E
+    independent causes of the model makes. Within `settling` samples of either end the result depends on what was
+    before and after the record. `beyond`: rms of what the output held above the band, as force by the static factor.
+    """
+
+    force: FloatArray
+    u: FloatArray
+    errors: FloatArray
+    unit: str
+    sample_rate_hz: float
+    band_hz: float
+    settling: int
+    beyond: float
+    notices: tuple[Notice, ...]
+
+    def __post_init__(self) -> None:
+        check_shape("u", self.u, self.force.shape)
+        check_shape("errors", self.errors, (None, len(self.force)))
+
+
+def correct_phasors(phasors: Phasors, model: SensorModel, load: Load) -> CorrectedPhasors:
+    """Return the force on the load from phasors (K, C) of the output, all channels by the same model: X / factor."""
+    output, force = split_ratio(model.unit)
+    other = [unit for unit in phasors.unit if unit != output]
+    if other:
+        raise ValueError(f"phasors: expected the output in {output}, found {', '.join(other)}")
+    response = model.response(phasors.frequency_hz, load)
+    corrected = phasors.scaled(1.0 / response.value[:, None], [force] * len(phasors.unit))
+    return CorrectedPhasors(corrected, response.errors[:, :, None])
+
+
+def correct_record(
+    output: FloatArray, sample_rate_hz: float, model: SensorModel, load: Load, band_hz: float, *, u_noise: float = 0.0
+) -> CorrectedRecord:
+    """Return the force on the load from a uniformly sampled record (N,) of the output.
+
+    The spectrum is divided by `output_factor` and multiplied by a taper of zero phase: 1 up to `band_hz`, 0 from
+    (1 + `TRANSITION`)·`band_hz`, the response of a symmetric Kaiser-window filter of 2h + 1 taps. The record is
+    continued by its odd reflection over h samples (and the chain's delay) at both ends, so that no end sees the other.
+    `u_noise`: standard deviation of white noise of one sample. The model's covariance is carried by derivatives.
+    """
+    check_shape("output", output, (None,))
+    from scipy import fft
+
+    taps = _taper(sample_rate_hz, band_hz)
+    settling = len(taps) // 2 + int(np.ceil(abs(model.chain.delay_s) * sample_rate_hz))
+    if len(output) <= settling:
+        raise ValueError(
+            f"output: expected more than {settling} samples for a band of {band_hz:g} Hz at {sample_rate_hz:g} Hz, "
+            f"found {len(output)}"
+        )
+    size = fft.next_fast_len(len(output) + 2 * settling, real=True)
+    frequency = np.arange(size // 2 + 1) * (sample_rate_hz / size)
+    taper = np.fft.rfft(np.roll(np.pad(taps, (0, size - len(taps))), -(len(taps) // 2))).real
+    spectrum = np.fft.rfft(_continued(output, settling), size)
+    inverse = taper / model.output_factor(frequency, load)
+
+    def back(values: ComplexArray) -> FloatArray:
+        return np.asarray(np.fft.irfft(values, size, axis=-1)[..., settling : settling + len(output)])
+
+    causes = (model.log_slopes(frequency, load) @ model.covariance_root(load)).T
+    errors = back(-causes * inverse * spectrum)
+    noise = u_noise * float(np.sqrt(np.mean(np.fft.irfft(inverse, size) ** 2) * size))
+    u = np.sqrt(noise**2 + np.sum(errors**2, axis=0))
+    static = float(model.output_factor(np.zeros(1), load)[0].real)
+    beyond = float(np.std(output - back(taper * spectrum)) / abs(static))
+    unit = split_ratio(model.unit)[1]
+    return CorrectedRecord(
+        force=back(inverse * spectrum),
+        u=u,
+        errors=errors,
+        unit=unit,
+        sample_rate_hz=sample_rate_hz,
+        band_hz=band_hz,
+        settling=settling,
+        beyond=beyond,
+        notices=_notices(beyond, float(np.sqrt(np.mean(u**2))), unit, band_hz),
+    )
+
+
+def _taper(sample_rate_hz: float, band_hz: float) -> FloatArray:
+    """Return the taps (2h + 1,) of the taper."""
+    highest = 0.5 * sample_rate_hz / (1.0 + TRANSITION)
+    if not 0.0 < band_hz <= highest:
+        raise ValueError(f"band_hz: expected up to {highest:g} Hz for {sample_rate_hz:g} Hz, found {band_hz:g}")
+    from scipy import signal
+
+    width = TRANSITION * band_hz
+    count, beta = signal.kaiserord(ATTENUATION_DB, 2.0 * width / sample_rate_hz)
+    middle = min(band_hz + 0.5 * width, 0.499999 * sample_rate_hz)
+    return np.asarray(signal.firwin(count | 1, middle, window=("kaiser", beta), fs=sample_rate_hz))
+
+
+def _continued(samples: FloatArray, count: int) -> FloatArray:
+    """Return a record with its odd reflection at both ends, `count` samples each."""
+    before = 2.0 * samples[0] - samples[count:0:-1]
+    after = 2.0 * samples[-1] - samples[-2 : -count - 2 : -1]
+    return np.concatenate([before, samples, after])
+
+
+def _notices(beyond: float, u: float, unit: str, band_hz: float) -> tuple[Notice, ...]:
+    """Say what the band limit has taken away where that is more than the uncertainty."""
+    if beyond <= u:
+        return ()
+    text = f"the output holds {beyond:.3g} {unit} rms above {band_hz:g} Hz, which is removed, not corrected"
+    return (Notice("warning", text, "band"),)
