@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import permutations
 
 import numpy as np
 
 from shaker._checks import FloatArray
 from shaker.models.identification.mechanics import Mechanics, Parameter
-from shaker.models.identification.rational import measured_poles
 from shaker.models.measured import MeasuredTransfer
 
+_APART = 1.5  # factor between the resonances of the components where a fit starts
+_DAMPING_RATIO = 0.01  # where a fit starts
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 
@@ -81,18 +83,12 @@ class Suspension:
         )
 
     def starts(self, records: Sequence[MeasuredTransfer]) -> FloatArray:
-        """Return starting values (S, P) from poles fitted to each recording, modes in every order to the components."""
-        from itertools import permutations
-
-        size, count = len(self.components), len(self.parameters)
-        found = []
-        for record in records[:1]:
-            poles = measured_poles(record, size)
-            inertia = record.mass_matrix.diagonal()[list(self.components)]
-            for order in permutations(range(size)):
-                pole = poles[list(order)]
-                start = np.zeros(count)
-                start[:size] = np.abs(pole) ** 2 * inertia
-                start[size : 2 * size] = np.maximum(-2.0 * pole.real, 1e-3 * np.abs(pole)) * inertia
-                found.append(start)
-        return np.array(found)
+        """Return starting values (S, P): a resonance of each component around the largest ratio, in every order."""
+        size = len(self.components)
+        largest = max(records, key=lambda record: float(np.abs(record.ratio.value).max()))
+        line = int(np.argmax(np.abs(largest.ratio.value).max(axis=1)))
+        omega = 2.0 * np.pi * largest.ratio.frequency_hz[line] * _APART ** (np.arange(size) - 0.5 * (size - 1))
+        orders = np.array(list(permutations(omega)))
+        inertia = largest.mass_matrix.diagonal()[list(self.components)]
+        damping = 2.0 * _DAMPING_RATIO * orders * inertia
+        return np.hstack([orders**2 * inertia, damping, np.zeros((len(orders), len(self._internal)))])

@@ -75,26 +75,36 @@ class Response:
 def respond(mechanics: Mechanics, weights: FloatArray, s: ComplexArray) -> Response:
     """Return the ratios of responses to reference at s (K,) for weights (1+P+E,), with their derivatives.
 
-    With D = M s² + B s + K and y = Dᵀ⁻¹ (rows - H · reference) / reference reading: dH = y · (-s² df - dD p).
+    With D = M s² + B s + K and y = D⁻¹ (rows - H · reference) / reference reading: dH = -y · (s² df + dD p). D is
+    symmetric; dD and df are linear in the terms, so that all derivatives are one product of [s² yp, s yp, yp, s² y]
+    with the entries of the terms' matrices.
     """
     (mass, damping, stiffness), forcing = mechanics.at(weights)
     s1 = s[:, None]
     s2 = s1 * s1
-    dynamic = s2[:, :, None] * mass + s1[:, :, None] * damping + stiffness
-    inverse = np.linalg.inv(dynamic)
+    inverse = _inverse(s2[:, :, None] * mass + s1[:, :, None] * damping + stiffness)
     motion = -s2 * (inverse @ forcing)
     below = mechanics.reference_offset + motion @ mechanics.reference
     value = (mechanics.offset + motion @ mechanics.rows.T) / below[:, None]
-    adjoint = ((mechanics.rows - value[:, :, None] * mechanics.reference) @ inverse) / below[:, None, None]
-    acted = np.tensordot(motion, mechanics.matrices[1:], (1, 3))  # (K, Q, 3, n)
+    readings = (mechanics.rows - value[:, :, None] * mechanics.reference) / below[:, None, None]
+    adjoint = readings @ inverse
+    size = len(forcing)
+    pairs = (adjoint[:, :, :, None] * motion[:, None, None, :]).reshape(*value.shape, size * size)
     s3 = s[:, None, None]
-    changed = (s3 * (acted[:, :, 0] + mechanics.forcing[1:]) + acted[:, :, 1]) * s3 + acted[:, :, 2]
+    pairs1 = s3 * pairs
+    parts = np.concatenate([s3 * pairs1, pairs1, pairs, (s3 * s3) * adjoint], axis=2)
+    terms = mechanics.matrices[1:].reshape(-1, 3 * size * size)
     faster = 2.0 * s2 * (forcing + motion @ mass) + s1 * (motion @ damping)
     return Response(
         value=value,
-        by_term=-(adjoint @ changed.swapaxes(1, 2)),
-        by_log_s=-(adjoint @ faster[:, :, None])[:, :, 0],
+        by_term=-(parts @ np.concatenate([terms, mechanics.forcing[1:]], axis=1).T),
+        by_log_s=-np.sum(adjoint * faster[:, None], axis=2),
     )
+
+
+def _inverse(matrix: ComplexArray) -> ComplexArray:
+    """Return the inverses of matrices (K, n, n)."""
+    return np.asarray(1.0 / matrix if matrix.shape[1] == 1 else np.linalg.inv(matrix))
 
 
 def poles(mechanics: Mechanics, weights: FloatArray) -> tuple[ComplexArray, ComplexArray]:

@@ -7,7 +7,8 @@ import numpy as np
 from shaker._checks import ComplexArray, FloatArray
 from shaker.models.measured import MeasuredTransfer
 
-_ROUNDS = 6
+_ROUNDS = 8
+_SETTLED = 1e-4  # change of the denominator's coefficients that no longer moves a start
 
 
 def measured_poles(record: MeasuredTransfer, count: int) -> ComplexArray:
@@ -26,8 +27,10 @@ def measured_poles(record: MeasuredTransfer, count: int) -> ComplexArray:
     weight = 1.0 / noise
     denominator = np.zeros(2 * count)
     for _ in range(_ROUNDS):
-        denominator = _round(value, power, top, q ** (2 * count), weight)
+        before, denominator = denominator, _round(value, power, top, q ** (2 * count), weight)
         at = np.abs(q ** (2 * count) + power @ denominator)
+        if np.abs(denominator - before).max() < _SETTLED:
+            break
         weight = 1.0 / (noise * np.maximum(at, 1e-9 * at.max())[:, None])
     roots = np.roots([1.0, *denominator[::-1]])
     roots = -np.abs(roots.real) + 1j * roots.imag

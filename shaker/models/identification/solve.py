@@ -10,14 +10,15 @@ from shaker._checks import ComplexArray, FloatArray
 from shaker.models.identification.problem import Curve, Problem
 
 _STEPS = 100
-_SMALL_STEP = 1e-4  # change of the whitened model and unknowns at which a fit has converged
-_LARGEST_DAMPING = 1e8
+_SMALL_STEP = 1e-3  # length of a step in standard uncertainties at which a fit has converged
+_FIRST_DAMPING, _LEAST_DAMPING, _LARGEST_DAMPING = 1e-6, 1e-12, 1e8
+_FREE_DAMPING = 1e-2  # below it a small step is small because little is left to gain
 _OPEN = 1e-10  # singular value, columns of unit length, below which a direction is open
 
 
 @dataclass(frozen=True)
 class State:
-    """Unknowns (N,) with the whitened residuals (K, 2C) and derivatives (K, 2C, N) of every curve.
+    """Unknowns (N,) with the whitened residuals (K, 2C) and derivatives (K, 2C, L) of every curve by its own unknowns.
 
     `normal` (N, N) = Σ JᵀJ and `gradient` (N,) = Σ Jᵀr of the lines, `chi_squared` of the lines, `prior` that of what
     was known beforehand.
@@ -39,18 +40,19 @@ def evaluate(problem: Problem, vector: FloatArray) -> State:
     normal, gradient, chi_squared = np.zeros((count, count)), np.zeros(count), 0.0
     for curve in problem.curves:
         value, by_place = curve.modelled(vector)
-        residual = curve.whitened((curve.record.ratio.value - value)[:, :, None])[:, :, 0]
-        columns = curve.whitened(by_place)
-        jacobian = np.zeros((*columns.shape[:2], count))
-        for column, place in enumerate(curve.places):
-            jacobian[:, :, place] += columns[:, :, column]
-        jacobian[:, :, problem.fixed] = 0.0
-        flat = jacobian.reshape(-1, count)
-        normal += flat.T @ flat
-        gradient += residual.reshape(-1) @ flat
-        chi_squared += float(np.sum(residual**2))
+        both = curve.whitened(np.concatenate([(curve.record.ratio.value - value)[:, :, None], by_place], axis=2))
+        residual, jacobian = both[:, :, 0], both[:, :, 1:]
+        product = both.reshape(-1, both.shape[2])
+        product = product.T @ product
+        places = curve.places
+        np.add.at(normal, (places[:, None], places), product[1:, 1:])
+        np.add.at(gradient, places, product[1:, 0])
+        chi_squared += float(product[0, 0])
         residuals.append(residual)
         jacobians.append(jacobian)
+    normal[problem.fixed] = 0.0
+    normal[:, problem.fixed] = 0.0
+    gradient[problem.fixed] = 0.0
     prior = float(np.sum(problem.precision * (problem.expected - vector) ** 2))
     return State(vector, tuple(residuals), tuple(jacobians), normal, gradient, chi_squared, prior)
 
@@ -61,7 +63,7 @@ def solve(problem: Problem, start: FloatArray, noise: float, steps: int = _STEPS
     Damping after Marquardt (J. SIAM 11, 1963). The result after `steps` is returned also where more would be needed.
     """
     state = evaluate(problem, start)
-    damping = 1e-3
+    damping = _FIRST_DAMPING
     for _ in range(steps):
         normal = state.normal / noise + np.diag(problem.precision)
         gradient = state.gradient / noise + problem.precision * (problem.expected - state.vector)
@@ -69,16 +71,15 @@ def solve(problem: Problem, start: FloatArray, noise: float, steps: int = _STEPS
         unit = normal / np.multiply.outer(scale, scale)
         while True:
             step = np.linalg.solve(unit + damping * np.eye(len(scale)), gradient / scale) / scale
+            if damping < _FREE_DAMPING and step @ normal @ step < _SMALL_STEP**2:
+                return state
             new = _tried(problem, state.vector + step)
             if new is not None and _cost(new, noise) <= _cost(state, noise) * (1.0 + 1e-12):
                 break
             damping *= 10.0
             if damping > _LARGEST_DAMPING:
                 return state
-        moved = float(step @ normal @ step)
-        state, damping = new, max(1e-12, 0.03 * damping)
-        if moved < _SMALL_STEP**2:
-            break
+        state, damping = new, max(_LEAST_DAMPING, 0.03 * damping)
     return state
 
 
@@ -136,7 +137,8 @@ class Spread:
 def spread(problem: Problem, state: State, noise: float) -> Spread:
     """Return the covariance A⁻¹ (JᵀRJ/λ + P) A⁻¹, A = JᵀJ/λ + P: λ = `noise`, R the correlation of lines, P priors."""
     count, free = len(state.vector), ~problem.fixed
-    rows = [jacobian.reshape(-1, count) / np.sqrt(noise) for jacobian in state.jacobians]
+    wide = [_wide(problem, curve, part) for curve, part in zip(problem.curves, state.jacobians, strict=True)]
+    rows = [jacobian.reshape(-1, count) / np.sqrt(noise) for jacobian in wide]
     stacked = np.concatenate([*rows, np.diag(np.sqrt(problem.precision))])
     size = np.linalg.norm(stacked, axis=0)
     size[size == 0.0] = 1.0
@@ -148,12 +150,21 @@ def spread(problem: Problem, state: State, noise: float) -> Spread:
     inverse = (directions[determined].T / singular[determined] ** 2) @ directions[determined]
     pair = np.multiply.outer(size, size)
     noise_part = np.zeros((count, count))
-    for curve, jacobian in zip(problem.curves, state.jacobians, strict=True):
+    for curve, jacobian in zip(problem.curves, wide, strict=True):
         noise_part += _correlated(curve, jacobian) / noise
     covariance = inverse @ ((noise_part + np.diag(problem.precision)) / pair) @ inverse / pair
     effective = float(np.sum(inverse * (state.normal / noise / pair)))
     prior = inverse / pair * np.sqrt(problem.precision)
     return Spread(0.5 * (covariance + covariance.T), directions[~determined], 1.0 / size, effective, prior)
+
+
+def _wide(problem: Problem, curve: Curve, jacobian: FloatArray) -> FloatArray:
+    """Return derivatives (K, 2C, N) by all unknowns of those (K, 2C, L) by a curve's own, none by fixed ones."""
+    wide = np.zeros((*jacobian.shape[:2], len(problem.names)))
+    for column, place in enumerate(curve.places):
+        wide[:, :, place] += jacobian[:, :, column]
+    wide[:, :, problem.fixed] = 0.0
+    return wide
 
 
 def _correlated(curve: Curve, jacobian: FloatArray) -> FloatArray:
