@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -12,6 +12,7 @@ from shaker.models.chain_shape import CHAIN_PARAMETERS, ChainKind
 from shaker.models.measured import MeasuredSensitivity
 from shaker.models.sensitivity_fit import SensitivityFit, fit_chain
 from shaker.models.spring_damper import SpringPrior
+from shaker.notice import Notice
 
 Verdict = Literal["supported", "more than needed", "refuted"]
 
@@ -19,14 +20,19 @@ SIGNIFICANCE = 0.01
 """Probability below which a test refutes."""
 SMALLEST_WEIGHT = 0.05
 """Akaike weight, relative to the best, below which an explanation is refuted by a better one."""
+FARTHEST_ERROR = 3.0
+"""Standard uncertainties of a common error beyond which the fit stretches it."""
 CHAIN_WORDS: dict[ChainKind, str] = {
     "none": "the sensor's damper alone",
-    "delay": "a delay of the chain",
-    "lag": "a first-order lag of the chain",
-    "butterworth": "a Butterworth low-pass of second order",
+    "delay": "a delay",
+    "lag": "a first-order lag",
+    "butterworth": "a Butterworth low-pass",
     "second_order": "a low-pass of second order",
-    "delay_lag": "a delay and a first-order lag of the chain",
+    "delay_lag": "a delay with a first-order lag",
 }
+"""What each explanation says of the chain, where the resonance tells the sensor's own damping."""
+WORDS_WITHOUT_RESONANCE = CHAIN_WORDS | {"none": "a constant sensitivity"}
+"""What each says where nothing does: its lag is that of the chain and of the sensor's damper together."""
 _PART_OF: dict[ChainKind, tuple[ChainKind, ...]] = {
     "none": (),
     "delay": ("none",),
@@ -72,6 +78,7 @@ class SensitivityComparison:
     spring: SpringPrior | None
     damping: DampingTest | None
     text: str
+    notices: tuple[Notice, ...]
 
     def __post_init__(self) -> None:
         check_shape("weight", self.weight, (len(self.fits),))
@@ -86,29 +93,36 @@ class SensitivityComparison:
         """Return the fit of one kind of chain."""
         return next(fit for fit in self.fits if fit.chain.kind == kind)
 
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """What each explanation says, in words."""
+        words = WORDS_WITHOUT_RESONANCE if self.spring is None else CHAIN_WORDS
+        return tuple(words[fit.chain.kind] for fit in self.fits)
+
 
 def fit_sensitivity(measured: MeasuredSensitivity, spring: SpringPrior | None = None) -> SensitivityComparison:
     """Fit every explanation of a sensitivity over frequency, compare them, and test the damping against the resonance.
 
-    With `spring` every explanation has the sensor's own lag b/k, held within its uncertainty. Without it nothing tells
-    that lag from one of the chain, 1/(1 + jωb/k) being one: it stands in the explanation without a chain only.
+    With `spring` every explanation has the sensor's own lag 1/(1 + jωb/k), b/k held within its uncertainty. Without it
+    nothing tells that lag from one of the chain, they being the same curve: the fits then have one lag for both.
     Weights: AICc = χ²/ĉ + 2p + 2p(p + 1)/(n - p - 1) of p free parameters and n real readings, ĉ = χ²/dof of the
-    explanation that fits best, where that exceeds one (Burnham and Anderson, Model selection, 2002, 2.5).
-    Refuted is what leaves a χ² too large (`SIGNIFICANCE`) or has too small a weight; more than needed is an explanation
-    of which a part is supported as well.
+    explanation that fits best, where that exceeds one (Burnham and Anderson, Model selection, 2002, 2.5). Refuted is
+    what leaves a χ² too large (`SIGNIFICANCE`), or has too small a weight and no part that is supported; more than
+    needed is an explanation of which a part is supported as well.
     """
-    alone = spring is None
-    fits = tuple(fit_chain(measured, kind, spring, spring_free=alone and kind == "none") for kind in CHAIN_PARAMETERS)
-    weight = _weights(fits, 2 * len(measured.value) + (measured.static is not None), alone)
+    fits = tuple(fit_chain(measured, kind, spring) for kind in CHAIN_PARAMETERS)
+    weight = _weights(fits, 2 * len(measured.value) + (measured.static is not None))
     verdict = _verdicts(fits, weight)
     damping = None if spring is None else _damping_test(fit_chain(measured, "none", None, spring_free=True), spring)
-    return SensitivityComparison(fits, weight, verdict, spring, damping, _sentence(fits, verdict, alone))
+    text = _sentence(fits, verdict, spring is None)
+    compared = SensitivityComparison(fits, weight, verdict, spring, damping, text, ())
+    return replace(compared, notices=_notices(compared.best, measured.channel))
 
 
-def _weights(fits: tuple[SensitivityFit, ...], readings: int, alone: bool) -> FloatArray:
+def _weights(fits: tuple[SensitivityFit, ...], readings: int) -> FloatArray:
     """Return the Akaike weights of the fits."""
     enlarged = max(1.0, min(fit.chi_squared / fit.dof for fit in fits))
-    free = np.array([1 + len(fit.chain.names) + (alone and fit.chain.kind == "none") for fit in fits])
+    free = np.array([1.0 + len(fit.chain.names) for fit in fits])
     chi_squared = np.array([fit.chi_squared for fit in fits])
     criterion = chi_squared / enlarged + 2.0 * free + 2.0 * free * (free + 1.0) / (readings - free - 1.0)
     weight = np.exp(-0.5 * (criterion - criterion.min()))
@@ -117,15 +131,17 @@ def _weights(fits: tuple[SensitivityFit, ...], readings: int, alone: bool) -> Fl
 
 def _verdicts(fits: tuple[SensitivityFit, ...], weight: FloatArray) -> tuple[Verdict, ...]:
     """Return what the data say of each explanation."""
-    possible = {
-        fit.chain.kind
-        for fit, share in zip(fits, weight / weight.max(), strict=True)
-        if fit.probability >= SIGNIFICANCE and share >= SMALLEST_WEIGHT
+    acceptable = {fit.chain.kind for fit in fits if fit.probability >= SIGNIFICANCE}
+    likely = {
+        fit.chain.kind for fit, share in zip(fits, weight / weight.max(), strict=True) if share >= SMALLEST_WEIGHT
     }
+    supported = acceptable & likely
     found: list[Verdict] = []
     for kind in (fit.chain.kind for fit in fits):
-        larger = possible.intersection(_PART_OF[kind])
-        found.append("refuted" if kind not in possible else "more than needed" if larger else "supported")
+        if kind in acceptable and supported.intersection(_PART_OF[kind]):
+            found.append("more than needed")
+        else:
+            found.append("supported" if kind in supported else "refuted")
     return tuple(found)
 
 
@@ -142,6 +158,9 @@ def _damping_test(needed: SensitivityFit, spring: SpringPrior) -> DampingTest:
     text = (
         f"With no chain the sensitivity needs b/k = {from_curve}, the width of the resonance gives {from_width}: {says}"
     )
+    text += f" (normalised deviation {deviation:.1f})"
+    if needed.probability < SIGNIFICANCE:
+        text += f", and even so the curve does not fit (χ²/dof = {needed.chi_squared / needed.dof:.1f})"
     return DampingTest(
         needed_s=needed.spring_time_s,
         u_needed_s=needed.u("spring_time_s"),
@@ -149,37 +168,77 @@ def _damping_test(needed: SensitivityFit, spring: SpringPrior) -> DampingTest:
         u_resonance_s=spring.u_time_s,
         deviation=deviation,
         probability=probability,
-        text=f"{text} (normalised deviation {deviation:.1f}).",
+        text=f"{text}.",
     )
 
 
 def _sentence(fits: tuple[SensitivityFit, ...], verdict: tuple[Verdict, ...], alone: bool) -> str:
     """Say in one sentence which explanations the data support and which they refute."""
+    words = WORDS_WITHOUT_RESONANCE if alone else CHAIN_WORDS
     told: dict[Verdict, list[str]] = {"supported": [], "more than needed": [], "refuted": []}
     for fit, found in zip(fits, verdict, strict=True):
-        told[found].append(_told(fit) if found == "supported" else CHAIN_WORDS[fit.chain.kind])
+        told[found].append(_told(fit, alone) if found == "supported" else words[fit.chain.kind])
     if not told["supported"]:
         best = min(fits, key=lambda fit: fit.chi_squared / fit.dof)
-        return (
-            f"The data support none of these explanations: even {_told(best)} leaves χ²/dof = "
-            f"{best.chi_squared / best.dof:.1f}, so that a cause is missing or the uncertainties are stated too small."
-        )
-    parts = [f"The data support {' or '.join(told['supported'])}"]
-    parts += [f"they do not need {' or '.join(told['more than needed'])}"] if told["more than needed"] else []
-    parts += [f"they refute {', '.join(told['refuted'])}"] if told["refuted"] else []
-    parts += ["a lag of the chain and one of the sensor's damper are the same curve"] if alone else []
-    return "; ".join(parts) + "."
+        text = f"The data support none of these explanations: even {_told(best, alone)} leaves χ²/dof = "
+        return f"{text}{best.chi_squared / best.dof:.1f}; a cause is missing, or uncertainties are stated too small."
+    parts = [f"The data support {_listed(told['supported'], 'or')}"]
+    parts += [f"do not need {_listed(told['more than needed'], 'or')}"] if told["more than needed"] else []
+    parts += [f"refute {_listed(told['refuted'], 'and')}"] if told["refuted"] else []
+    return "; they ".join(parts) + "."
 
 
-def _told(fit: SensitivityFit) -> str:
+def _told(fit: SensitivityFit, alone: bool) -> str:
     """Return an explanation with its numbers."""
-    names = ("spring_time_s",) if fit.chain.kind == "none" else fit.chain.names
-    values = {"spring_time_s": fit.spring_time_s, "delay_s": fit.chain.delay_s, "lag_s": fit.chain.lag_s}
-    numbers = [_microseconds(values[name], fit.u(name)) for name in names if name in values]
-    corner = [f"f_c = {e.value:.4g} Hz ± {2.0 * e.u:.2g} Hz" for e in fit.estimates if e.name == "corner_hz"]
-    return f"{CHAIN_WORDS[fit.chain.kind]} ({', '.join(corner or numbers)})"
+    kind, chain = fit.chain.kind, fit.chain
+    times = {"delay_s": chain.delay_s, "lag_s": chain.lag_s}
+    told = {name: _microseconds(time, fit.u(name)) for name, time in times.items()}
+    told |= {estimate.name: _with_u(estimate.value, estimate.u, estimate.unit) for estimate in fit.estimates[-2:]}
+    corner = f" with f_c = {told['corner_hz']}" if "corner_hz" in told else f" delaying by {told['lag_s']}"
+    damping = f" and ζ = {told['damping_ratio']}" if "damping_ratio" in told else ""
+    where = " in the chain or the sensor's damper" if alone and "lag_s" in chain.names else " in the chain"
+    text: dict[ChainKind, str] = {
+        "none": (WORDS_WITHOUT_RESONANCE if alone else CHAIN_WORDS)["none"],
+        "delay": f"a delay of {told['delay_s']} in the chain",
+        "lag": f"a first-order lag of {told['lag_s']}{where}",
+        "butterworth": f"a Butterworth low-pass{corner} in the chain",
+        "second_order": f"a low-pass of second order{corner}{damping}{where}",
+        "delay_lag": f"a delay of {told['delay_s']} with a first-order lag of {told['lag_s']}{where}",
+    }
+    return text[kind]
+
+
+def _listed(words: list[str], last: str) -> str:
+    """Return words as a list in prose."""
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}"
+
+
+def _notices(fit: SensitivityFit, channel: str) -> tuple[Notice, ...]:
+    """Say of the explanation to use what a reader should doubt."""
+    found = []
+    values = {"delay_s": fit.chain.delay_s, "lag_s": fit.chain.lag_s}
+    for name in fit.chain.names:
+        if values.get(name, 0.0) < -2.0 * fit.u(name):
+            text = (
+                f"the output leads by {_microseconds(-values[name], fit.u(name))}: no chain does, the reference is late"
+            )
+            found.append(Notice("warning", text, channel))
+    for error in fit.unknowns:
+        if abs(error.estimate) > FARTHEST_ERROR:
+            text = f"{error.name} is found {error.estimate:.1f} of its standard uncertainties away: stated too small"
+            found.append(Notice("warning", text, channel))
+    return tuple(found)
 
 
 def _microseconds(value_s: float, u_s: float) -> str:
     """Return a time with its expanded uncertainty, k = 2, in µs."""
-    return f"{1e6 * value_s:.4g} µs ± {2e6 * u_s:.2g} µs"
+    return _with_u(1e6 * value_s, 1e6 * u_s, "µs")
+
+
+def _with_u(value: float, u: float, unit: str) -> str:
+    """Return a number with its expanded uncertainty, k = 2, to two digits of the latter."""
+    if not u > 0.0:
+        return f"{value:.4g} {unit}"
+    digits = max(0, 1 - int(np.floor(np.log10(2.0 * u))))
+    text = f"{value:.{digits}f} ± {2.0 * u:.{digits}f}"
+    return text if unit == "1" else f"({text}) {unit}"
