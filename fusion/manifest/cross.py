@@ -51,8 +51,8 @@ def located_channels(block: Measured, prefix: str) -> Iterator[Located]:
 
 
 def _check_something_measured(record: RecordingFile, path: Path) -> None:
-    """A recording needs a clock."""
-    if not record.daq and not record.take:
+    """A recording needs a clock, but for one whose readings stand in the table that its excitation names."""
+    if not record.daq and not record.take and record.excitation.file is None:
         raise InputError(path, "daq", "none", "at least one [[daq]] or [[take]] block")
 
 

@@ -137,6 +137,8 @@ class Excitation(Block):
     axis: Direction | None = None
     zero_gravity: Direction | None = None
     with_load: bool | None = None
+    angle_uncertainty: NotNegative = 0.0
+    scale: Number = 1.0
 
     REQUIRED: ClassVar[dict[str, tuple[str, ...]]] = {
         "sine": ("direction", "frequencies"),
@@ -154,7 +156,7 @@ class Excitation(Block):
         "noise": ("band", "response", "reference"),
         "impact": ("band", "response", "reference"),
         "step": ("direction", "onset", "force"),
-        "rotation": (),
+        "rotation": ("angle_uncertainty", "scale"),
     }
 
     @model_validator(mode="after")
@@ -164,6 +166,8 @@ class Excitation(Block):
         _refuse_foreign(self, {"kind", *required, *self.ALLOWED[self.kind]}, f'kind = "{self.kind}"')
         if self.kind == "multisine" and self.frequencies is None and (self.band is None or self.period is None):
             raise refusal('frequencies, or band and period, for kind = "multisine"', "neither", key="frequencies")
+        if self.scale == 0.0:
+            raise refusal("a number other than 0", "0", key="scale")
         if self.step_amplitude == 0.0:
             raise refusal("a step other than 0", "0", key="step_amplitude")
         return self

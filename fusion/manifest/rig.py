@@ -164,12 +164,19 @@ class Part(Mounted):
 
 
 class Environment(Block):
-    """The surroundings: gravity m/s^2 in sensor axes, air temperature °C and density kg/m^3."""
+    """The surroundings: gravity m/s^2 in sensor axes, the place, the air.
+
+    `latitude` °, `height` m above the sea; `temperature` °C, `air_density` kg/m^3, `pressure` Pa, relative `humidity`.
+    """
 
     gravity: Annotated[Vector3 | None, BeforeValidator(_gravity)] = None
     gravity_uncertainty: Spread3 = ZERO3
     temperature: Number | None = None
     air_density: Positive | None = None
+    latitude: Annotated[float | None, Field(ge=-90, le=90, allow_inf_nan=False)] = None
+    height: Annotated[float | None, Field(ge=-500, le=9000, allow_inf_nan=False)] = None
+    pressure: Annotated[float | None, Field(ge=3e4, le=1.2e5, allow_inf_nan=False)] = None
+    humidity: Annotated[float | None, Field(ge=0, le=1, allow_inf_nan=False)] = None
 
 
 class Stereo(Block):
