@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from functools import cached_property
+from typing import Literal, NamedTuple, TypeVar
 
 import numpy as np
 
 from shaker._checks import BoolArray, ComplexArray, FloatArray, IntArray, check_shape
 
+ArrayOf = TypeVar("ArrayOf", FloatArray, ComplexArray)
 FORCES = 3
 OWN = 7
 """Unknowns of a recording: weight N, first moment N·m (3), zero angle rad, tilt of the axis rad (2)."""
@@ -48,14 +50,14 @@ class SensorOutputs:
         check_shape("sensitivity", self.sensitivity, (None, 6))
         check_shape("u", self.u, self.sensitivity.shape)
 
-    @property
+    @cached_property
     def inverse(self) -> FloatArray:
         """Return the calibration matrix (6, C), load per output: the pseudo-inverse, columns scaled to one size."""
         size = np.linalg.norm(self.sensitivity, axis=0)
         scale = np.where(size > 0.0, size, 1.0)
         return np.asarray(np.linalg.pinv(self.sensitivity / scale, rcond=1e-9) / scale[:, None])
 
-    @property
+    @cached_property
     def determined(self) -> BoolArray:
         """Return (6,): which load components the outputs tell from all others."""
         identity = self.inverse @ self.sensitivity
@@ -85,16 +87,16 @@ class Turned:
         if np.linalg.norm(np.cross(self.axis, self.down)) < 0.5:
             raise ValueError("axis: expected one across gravity, found one within 30 degrees of it")
 
-    @property
+    @cached_property
     def frame(self) -> tuple[float, FloatArray, FloatArray]:
         """Return the share of gravity that turns, its direction at θ = 0, and that across it: axis × direction."""
         across = self.down - self.axis * float(self.axis @ self.down)
         share = float(np.linalg.norm(across))
-        return share, across / share, np.cross(self.axis, across / share)
+        return share, across / share, _skew(self.axis) @ across / share
 
 
 class Source(NamedTuple):
-    """Independent errors of one kind: `effect` (V, r) of r unit deviates on all V numbers of a fit, with their `dof`."""
+    """Independent errors of one kind: `effect` (V, r) of r unit deviates on all V numbers of a fit, with `dof`."""
 
     name: str
     kind: Literal["A", "B"]
@@ -167,7 +169,7 @@ class _Problem:
     outputs: SensorOutputs
     u_angle_rad: float
 
-    @property
+    @cached_property
     def elements(self) -> IntArray:
         """Rows (E, 2) of the uncertain elements of the sensitivity."""
         return np.argwhere(self.outputs.u > 0.0)
@@ -177,7 +179,7 @@ class _Problem:
         """Number of unknowns that all recordings share: elements, then twice-per-turn errors (cos, sin) of the head."""
         return len(self.elements) + (2 if self.u_angle_rad > 0.0 else 0)
 
-    @property
+    @cached_property
     def weight(self) -> FloatArray:
         """One over the variance of every real row."""
         variance = np.concatenate([np.diag(record.covariance) for record in self.records])
@@ -227,6 +229,12 @@ class _Problem:
         return np.sqrt(np.diag(inverse)), inverse @ right, np.asarray(inverse)
 
 
+def _skew(vector: ArrayOf) -> ArrayOf:
+    """Return the matrix (3, 3) whose product with w is vector × w."""
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]], dtype=vector.dtype)
+
+
 def _turning(record: Turned, tilt: FloatArray) -> ComplexArray:
     """U (3,): the phasor of gravity's direction in sensor axes, its axis tilted along and across gravity at zero."""
     share, along, across = record.frame
@@ -247,11 +255,11 @@ def _load(record: Turned, own: FloatArray, sense: int) -> tuple[ComplexArray, Co
     tilts = turn * share * np.outer(record.axis, [-1.0, -1j])
     columns = np.zeros((6, OWN), np.complex128)
     columns[:3, 0] = phasor
-    columns[3:, 1:4] = np.cross(np.eye(3), phasor).T
+    columns[3:, 1:4] = -_skew(phasor)
     load = columns[:, :4] @ own[:4]
     columns[:, 4] = 1j * load
     columns[:3, 5:] = own[0] * tilts
-    columns[3:, 5:] = np.cross(own[1:4], tilts.T).T
+    columns[3:, 5:] = _skew(own[1:4]) @ tilts
     return np.asarray(load), columns
 
 
