@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -40,46 +37,24 @@ class Campaign:
     notices: tuple[Notice, ...]
 
 
-def read_campaign(paths: Sequence[Path], *, allow_outside: bool = False) -> Campaign:
-    """Read the manifests of campaign folders or recordings, and check that they tell of one sensor.
+def read_campaign(path: Path, *, allow_outside: bool = False) -> Campaign:
+    """Read the manifests of a campaign folder, or of one recording, and check that they tell of one sensor.
 
-    A folder may hold recordings, or folders of recordings. Raises `InputError` where none has transfer functions.
+    Raises `InputError` where no recording has transfer functions.
     """
-    folder = top_folder(paths)
-    found = dict.fromkeys(recording.resolve() for path in paths for recording in _recordings(path))
-    manifests = [load_manifest(recording, allow_outside=allow_outside) for recording in found]
+    folder = (path.parent if path.is_file() else path).resolve()
+    manifests = [load_manifest(recording, allow_outside=allow_outside) for recording in find_recordings(path)]
     transfers = tuple(manifest for manifest in manifests if manifest.excitation.kind in KINDS)
     if not transfers:
         kinds = ", ".join(dict.fromkeys(manifest.excitation.kind for manifest in manifests))
-        where = manifests[0].path if len(manifests) == 1 else paths[0]
-        expected = f"a recording whose excitation.kind is {', '.join(KINDS[:-1])} or {KINDS[-1]}"
+        where = manifests[0].path if len(manifests) == 1 else path
+        expected = f"a recording of the kind {', '.join(KINDS[:-1])} or {KINDS[-1]}, which shows a transfer function"
         raise InputError(where, "excitation.kind", found=f"only {kinds}", expected=expected)
     sines, notices = _sines([manifest for manifest in manifests if manifest.excitation.kind == "sine"])
     _check_one_sensor([*transfers, *(item.manifest for item in sines)])
     files = [file for manifest in (*transfers, *(item.manifest for item in sines)) for file in manifest.files]
     hashes = hash_files([*files, *(item.results / RESULT_FILE for item in sines)], folder)
     return Campaign(folder.name, folder, transfers, sines, hashes, notices)
-
-
-def top_folder(paths: Sequence[Path]) -> Path:
-    """Return the folder that holds all that was named."""
-    folders = [(path.parent if path.is_file() else path).resolve() for path in paths]
-    return Path(os.path.commonpath(folders))
-
-
-def _recordings(path: Path) -> list[Path]:
-    """Return the recordings of a campaign folder, or, where it holds none itself, of the folders in it."""
-    try:
-        return find_recordings(path)
-    except InputError as error:
-        below = sorted(entry for entry in path.iterdir() if entry.is_dir()) if path.is_dir() else []
-        found = []
-        for entry in below:
-            with suppress(InputError):
-                found += find_recordings(entry)
-        if not found:
-            raise error from None
-        return found
 
 
 def _sines(manifests: list[Manifest]) -> tuple[tuple[EvaluatedSines, ...], tuple[Notice, ...]]:

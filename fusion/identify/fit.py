@@ -11,8 +11,10 @@ from fusion.body import COMPONENTS
 from fusion.errors import ARGUMENT, ComputeError, InputError
 from fusion.identify.measured import Prepared, mass_unit
 from fusion.identify.settings import IdentifySettings
+from fusion.manifest import Sensor
 from fusion.notices import Notice
 from shaker.models.identification import Identification, Structure, identify
+from shaker.models.mass_chain import ChainStructure
 from shaker.models.suspension import Suspension
 
 _DIFFERENT = 0.01  # relative difference of load masses from which they tell mass from stiffness
@@ -20,6 +22,7 @@ _MISFIT = 3.0  # residuals over their uncertainty, rms, from which one translati
 _BETTER = 0.5  # share of χ² per degree of freedom that a richer model has to reach
 _PITCHES_WITH = {0: 4, 1: 3}
 INTERNAL_MASS = "internal_mass"
+"""Name of the mass that moves with the load inside the sensor among the parameters."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +61,7 @@ def joint_fits(prepared: Sequence[Prepared], settings: IdentifySettings) -> tupl
 def _joint_fit(component: int, group: Sequence[Prepared], settings: IdentifySettings) -> JointFit:
     """Fit one component."""
     free = _mass_is_free(component, group, settings)
-    known = {} if free else {_mass_name(component): _stated_mass(component, group)}
+    known = {} if free else {mass_name(component): _stated_in(component, group)}
     model = "translation" if settings.model == "auto" else settings.model
     structure = _structure(model, component, group)
     found = _fitted(group, structure, known, settings)
@@ -77,6 +80,8 @@ def _structure(model: str, component: int, group: Sequence[Prepared]) -> Structu
     """Return the structure of a model for a driven component."""
     if model == "translation":
         return Suspension((component,))
+    if model == "adapter":
+        return ChainStructure(component)
     if component not in _PITCHES_WITH:
         expected = (
             "a drive along x or y for --model pitching, which turns a load whose centre of mass is not at the origin"
@@ -121,19 +126,24 @@ def _mass_is_free(component: int, group: Sequence[Prepared], settings: IdentifyS
     return differ if settings.internal_mass == "auto" else settings.internal_mass == "free"
 
 
-def _stated_mass(component: int, group: Sequence[Prepared]) -> tuple[float, float]:
-    """Return the internal mass, or moment of inertia, that the rig states, with its standard uncertainty."""
+def _stated_in(component: int, group: Sequence[Prepared]) -> tuple[float, float]:
+    """Return the internal mass, or moment of inertia, that a rig of the group states, with its standard uncertainty."""
     sensor = next((item.manifest.rig.sensor for item in group if item.manifest.rig.sensor is not None), None)
     if sensor is None:
         expected = "[sensor] with internal_mass, which recordings of one load mass cannot tell from the stiffness"
         raise InputError(group[0].manifest.rig_path, "sensor", found="nothing", expected=expected)
+    return stated_mass(sensor, component)
+
+
+def stated_mass(sensor: Sensor, component: int) -> tuple[float, float]:
+    """Return what moves with the load inside the sensor along a component as the rig states it, and its u."""
     if component < 3:
         return sensor.internal_mass, sensor.internal_mass_uncertainty
     axis = component - 3
     return float(sensor.internal_inertia[axis][axis]), float(sensor.internal_inertia_uncertainty[axis][axis])
 
 
-def _mass_name(component: int) -> str:
+def mass_name(component: int) -> str:
     """Name of the parameter that moves with the load inside the sensor."""
     return INTERNAL_MASS if component < 3 else f"internal_inertia_{COMPONENTS[component]}"
 
@@ -168,15 +178,8 @@ def _pitches(group: Sequence[Prepared], found: Identification, other: Identifica
 
 
 def _misfit(component: int, group: Sequence[Prepared], found: Identification, model: str) -> tuple[Notice, ...]:
-    """Say where the model chosen leaves more than the noise."""
-    if departure(found) < _MISFIT:
+    """Say what else could explain a second peak that the model leaves over."""
+    if departure(found) < _MISFIT or model != "translation" or len(_most_peaks(group)) < 2:
         return ()
-    several = model == "translation" and len(_most_peaks(group)) > 1
-    hint = (
-        "a second peak calls for --model adapter or pitching" if several else "--band leaves out lines of other modes"
-    )
-    text = (
-        f"the model of {COMPONENTS[component]} ({model}) leaves residuals of {departure(found):.2g} times their "
-        f"uncertainty, and its parameters depend on the lines that are fitted; {hint}"
-    )
+    text = "one translation does not explain the second peak; --model adapter or pitching, or --band, may"
     return (Notice("warning", text, f"model {COMPONENTS[component]}"),)

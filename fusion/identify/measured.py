@@ -125,6 +125,11 @@ def inertia_errors(manifest: Manifest, body: Body) -> tuple[InertiaError, ...]:
     return tuple(found)
 
 
+def load_along(manifest: Manifest, component: int) -> float:
+    """Return the mass, or moment of inertia, along a component of what is mounted on the sensor."""
+    return float(rigid_load(manifest).mass_matrix[component, component])
+
+
 def mass_unit(component: int) -> str:
     """Return the unit of what resists an acceleration component."""
     return "kg" if LOAD_UNITS[component] == "N" else "kg.m^2"

@@ -6,19 +6,12 @@ from dataclasses import dataclass
 
 from fusion.identify.fit import JointFit
 from fusion.identify.readings import Reading
+from fusion.identify.sensor import SensitivityResult
 from fusion.manifest import Sensor
 from fusion.notices import Notice
-from shaker.models.correction import SensorModel, UsableBand
-from shaker.models.measured import MeasuredSensitivity, ParameterEstimate
-from shaker.models.sensor_response import SensitivityComparison
-
-
-@dataclass(frozen=True)
-class SensitivityResult:
-    """The sensitivity of one output over frequency, as measured and as explained."""
-
-    measured: MeasuredSensitivity
-    comparison: SensitivityComparison
+from shaker.models.measured import ParameterEstimate
+from shaker.models.sensor_model import SensorModel
+from shaker.models.usable_band import UsableBand
 
 
 @dataclass(frozen=True)
@@ -26,7 +19,8 @@ class ComponentResult:
     """Everything found of one component of the sensor.
 
     `internal_mass`: value, u and unit of what moves with the load inside the sensor; `sensitivity`: None without
-    evaluated sines of this component; `model`: what a correction needs; `bands`: one per load mass `loads`.
+    evaluated sines of this component; `model`: what a correction needs, supported by data in `range_hz`; `bands`: one
+    per load mass `loads`.
     """
 
     fit: JointFit
@@ -34,6 +28,7 @@ class ComponentResult:
     readings: tuple[Reading, ...]
     sensitivity: SensitivityResult | None
     model: SensorModel
+    range_hz: tuple[float, float]
     loads: tuple[float, ...]
     bands: tuple[UsableBand, ...]
 
