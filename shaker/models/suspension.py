@@ -13,6 +13,7 @@ from shaker.models.identification.mechanics import Mechanics, Parameter
 from shaker.models.measured import MeasuredTransfer
 
 _APART = 1.5  # factor between the resonances of the components where a fit starts
+_FAR_APART = 6.0  # the same where only the lowest is seen
 _DAMPING_RATIO = 0.01  # where a fit starts
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 
@@ -83,12 +84,14 @@ class Suspension:
         )
 
     def starts(self, records: Sequence[MeasuredTransfer]) -> FloatArray:
-        """Return starting values (S, P): a resonance of each component around the largest ratio, in every order."""
+        """Return starts (S, P): resonances of the components around the largest ratio and above it, in every order."""
         size = len(self.components)
         largest = max(records, key=lambda record: float(np.abs(record.ratio.value).max()))
         line = int(np.argmax(np.abs(largest.ratio.value).max(axis=1)))
-        omega = 2.0 * np.pi * largest.ratio.frequency_hz[line] * _APART ** (np.arange(size) - 0.5 * (size - 1))
-        orders = np.array(list(permutations(omega)))
+        peak = 2.0 * np.pi * float(largest.ratio.frequency_hz[line])
+        rank = np.arange(size)
+        spacings = [peak * _APART ** (rank - 0.5 * (size - 1)), peak * _FAR_APART**rank]
+        orders = np.array([order for omega in spacings[: 1 if size == 1 else 2] for order in permutations(omega)])
         inertia = largest.mass_matrix.diagonal()[list(self.components)]
         damping = 2.0 * _DAMPING_RATIO * orders * inertia
         return np.hstack([orders**2 * inertia, damping, np.zeros((len(orders), len(self._internal)))])

@@ -11,11 +11,11 @@ from shaker.models.identification.mechanics import Structure, poles
 from shaker.models.identification.problem import DELAY_UNIT_S, Problem, build, factor_name
 from shaker.models.identification.remarks import remarks
 from shaker.models.identification.result import FreeFactor, Identification, ModeEstimate, NamedUnknown
-from shaker.models.identification.solve import Spread, State, solve, spread
+from shaker.models.identification.solve import Spread, State, evaluate, solve, spread
 from shaker.models.identification.start import starting_vectors
 from shaker.models.measured import MeasuredTransfer, ParameterEstimate
 
-_FIRST_STEPS = 25  # by which the best of several starts is found
+_EXPLAINED = 4.0  # χ² per line below which no other start is tried
 _NOISE_ROUNDS = 3
 
 
@@ -39,11 +39,7 @@ def identify(
     lines = sum(2 * record.ratio.value.size for record in records)
     if lines <= np.count_nonzero((problem.precision == 0.0) & ~problem.fixed):
         raise ValueError(f"records: expected more real values than unknowns, found {lines} for {len(problem.names)}")
-    vectors = starting_vectors(problem, structure.starts(records))
-    if len(vectors) > 1:
-        tried = [solve(problem, vector, 1.0, _FIRST_STEPS) for vector in vectors]
-        vectors = [min(tried, key=lambda state: state.chi_squared + state.prior).vector]
-    state = solve(problem, vectors[0], 1.0)
+    state = _best(problem, starting_vectors(problem, structure.starts(records)), lines)
     found, noise = spread(problem, state, 1.0), 1.0
     for _ in range(_NOISE_ROUNDS):
         larger = max(1.0, state.chi_squared / (lines - found.effective))
@@ -53,6 +49,22 @@ def identify(
         state = solve(problem, state.vector, noise)
         found = spread(problem, state, noise)
     return _result(problem, state, found, noise, lines - found.effective)
+
+
+def _best(problem: Problem, vectors: Sequence[FloatArray], lines: int) -> State:
+    """Return the first solution that explains the curves, from the most promising start on, else the best of all."""
+    started = sorted((evaluate(problem, vector) for vector in vectors), key=_cost)
+    tried: list[State] = []
+    for start in started:
+        tried.append(solve(problem, start.vector, 1.0))
+        if _cost(tried[-1]) < _EXPLAINED * lines:
+            break
+    return min(tried, key=_cost)
+
+
+def _cost(state: State) -> float:
+    """Return χ² of lines and priors together."""
+    return state.chi_squared + state.prior
 
 
 def _result(problem: Problem, state: State, found: Spread, noise: float, dof: float) -> Identification:

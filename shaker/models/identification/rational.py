@@ -8,6 +8,7 @@ from shaker._checks import ComplexArray, FloatArray
 from shaker.models.measured import MeasuredTransfer
 
 _ROUNDS = 8
+_SIGNIFICANT = 30.0  # decrease of χ² per real number by which a pole is more than a feature of the noise
 _SETTLED = 1e-4  # change of the denominator's coefficients that no longer moves a start
 
 
@@ -37,6 +38,38 @@ def measured_poles(record: MeasuredTransfer, count: int) -> ComplexArray:
     found = roots[roots.imag > 1e-9 * np.abs(roots)] * middle
     above = float(np.abs(s).max()) * 2.0 ** np.arange(1, count - len(found) + 1) * (-0.02 + 1j)
     return np.concatenate([found[np.argsort(np.abs(found))], above])
+
+
+def significant_poles(record: MeasuredTransfer, poles: ComplexArray) -> ComplexArray:
+    """Return those of some poles without which a sum of partial fractions explains the ratios clearly worse.
+
+    Basis: 1/(s - λ) and 1/(s - λ*) of each pole, 1, s and s², for each response by itself.
+    """
+    if len(poles) < 2:
+        return poles
+    value, s = record.ratio.value, record.s
+    noise = np.sqrt(0.5 * (record.ratio.u_re**2 + record.ratio.u_im**2))
+    unit = float(np.abs(s).max())
+    smooth = (s[:, None] / unit) ** np.arange(3)
+    fractions = [np.stack([unit / (s - pole), unit / (s - pole.conjugate())], axis=1) for pole in poles]
+    kept = []
+    every = _misfit(np.concatenate([*fractions, smooth], axis=1), value, noise)
+    for place in range(len(poles)):
+        others = [*fractions[:place], *fractions[place + 1 :], smooth]
+        lost = _misfit(np.concatenate(others, axis=1), value, noise) - every
+        kept.append(lost > _SIGNIFICANT * 4.0 * value.shape[1])
+    return np.asarray(poles[np.array(kept)])
+
+
+def _misfit(columns: ComplexArray, value: ComplexArray, noise: FloatArray) -> float:
+    """Return χ² of the best sums of columns (K, B) for values (K, C), each with its own coefficients."""
+    total = 0.0
+    for c in range(value.shape[1]):
+        basis, right = columns / noise[:, c, None], value[:, c] / noise[:, c]
+        basis = np.linalg.qr(basis)[0]
+        rest = right - basis @ (basis.conj().T @ right)
+        total += float(np.sum(np.abs(rest) ** 2))
+    return total
 
 
 def _round(

@@ -10,7 +10,7 @@ import numpy as np
 from shaker._checks import BoolArray, ComplexArray, FloatArray
 from shaker.models.identification.mechanics import Mechanics
 from shaker.models.identification.problem import Curve, Problem, factor_name
-from shaker.models.identification.rational import measured_poles
+from shaker.models.identification.rational import measured_poles, significant_poles
 
 _ROUNDS = 12
 _POLE_PRECISION = 3e-3  # relative, of the frequency of a measured pole
@@ -48,12 +48,12 @@ def starting_vectors(problem: Problem, starts: FloatArray) -> list[FloatArray]:
 
 
 def _believed(curve: Curve) -> ComplexArray:
-    """Return the measured poles of a recording that lie in its band and ring."""
+    """Return the measured poles of a recording that lie in its band, ring and stand out."""
     count = curve.mechanics.forcing.shape[1]
     poles = measured_poles(curve.record, count)
     size = np.abs(poles)
     inside = (size > 0.7 * np.abs(curve.record.s).min()) & (size < 1.3 * np.abs(curve.record.s).max())
-    return np.asarray(poles[inside & (-poles.real < _LARGEST_DAMPING_RATIO * size)])
+    return significant_poles(curve.record, poles[inside & (-poles.real < _LARGEST_DAMPING_RATIO * size)])
 
 
 def _terms(problem: Problem, vector: FloatArray) -> _Terms:
