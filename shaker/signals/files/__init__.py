@@ -10,7 +10,7 @@ from shaker.signals.files.hdf5 import read_hdf5
 from shaker.signals.files.labview import read_labview
 from shaker.signals.files.matlab import read_matlab
 from shaker.signals.files.scan import Scan, read_scan_asc, read_scan_channels
-from shaker.signals.files.table import read_table
+from shaker.signals.files.table import read_table, read_table_columns, table_units
 from shaker.signals.files.tdms import read_tdms
 from shaker.signals.files.universal import UniversalFunction, read_universal, read_universal_functions
 from shaker.signals.files.universal_shapes import UniversalShape, read_universal_shapes
@@ -24,8 +24,10 @@ __all__ = [
     "UniversalShape",
     "read_channels",
     "read_scan_asc",
+    "read_table_columns",
     "read_universal_functions",
     "read_universal_shapes",
+    "table_units",
 ]
 
 _Reader = Callable[[Path, Sequence[str] | None, float | None], dict[str, RawChannel]]

@@ -9,7 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-from shaker.signals.files.common import checked_rate, chosen, is_time, rate_of_times
+import numpy as np
+
+from shaker._checks import FloatArray
+from shaker.signals.files.common import checked_rate, chosen, is_time, rate_of_times, reading
 from shaker.signals.files.text import TextLayout, decoded, number_of, read_columns
 from shaker.signals.recording import RawChannel
 
@@ -61,6 +64,28 @@ def read_table(path: Path, names: Sequence[str] | None, sample_rate_hz: float | 
             raise ValueError(f"{path}: {where}: expected s, ms, us, ns or min, found {head.units[time]!r}")
         rate, start = rate_of_times(path, columns.pop(time) * factor, where)
     return {name: RawChannel(columns[i], rate, start, head.units[i]) for name, i in places.items()}
+
+
+def table_units(path: Path) -> dict[str, str]:
+    """Return the columns of a text table, named without their units, and the unit of each."""
+    with reading(path):
+        with path.open("rb") as stream:
+            head = _head(path, stream)
+        short = [_split_unit(name)[0] for name in head.names]
+        names = [own if short.count(own) == 1 else name for own, name in zip(short, head.names, strict=True)]
+        return dict(zip(names, head.units, strict=True))
+
+
+def read_table_columns(path: Path, names: Sequence[str]) -> FloatArray:
+    """Read columns, named as `table_units` does, of a text table whose rows need no times, as (S, len(names))."""
+    places = list(table_units(path))
+    with reading(path):
+        chosen(path, names, places)
+        with path.open("rb") as stream:
+            head = _head(path, stream)
+        wanted = sorted({places.index(name) for name in names})
+        columns = read_columns(head.layout, head.start, path.stat().st_size, head.line, wanted)
+        return np.stack([columns[wanted.index(places.index(name))] for name in names], axis=1)
 
 
 def _head(path: Path, stream: BinaryIO) -> _Head:
