@@ -31,7 +31,7 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
         "--internal-mass",
         choices=("auto", "free", "stated"),
         default="auto",
-        help="default: auto, fitted where two load masses or more tell it from the stiffness, else as rig.toml states it",
+        help="default: auto, fitted where two load masses or more tell it from the stiffness, else that of rig.toml",
     )
     parser.add_argument(
         "--band", nargs=2, type=not_negative, metavar=("LOW", "HIGH"), help="lines to fit, in Hz (default: all)"
@@ -39,7 +39,7 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--load-mass",
         nargs="+",
-        type=not_negative,
+        type=positive,
         default=(),
         metavar="KG",
         help="masses for which corrections and usable bands are given (default: those of the recordings)",

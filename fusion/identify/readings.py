@@ -13,6 +13,8 @@ from fusion.identify.measured import Prepared
 from fusion.notices import Notice
 from shaker.models.peak import PeakReading, peak_readings, stiffness
 
+FEWEST_LINES = 20
+"""Lines of a recording below which it has no curve to be read or drawn: steps of sines."""
 LABELS = {
     "maximum_bin": "line of the maximum",
     "maximum": "maximum between the lines",
@@ -52,7 +54,7 @@ def read_curves(fit: JointFit, internal_mass: float) -> tuple[tuple[Reading, ...
     found: list[Reading] = []
     notices: list[Notice] = []
     for item in fit.prepared:
-        if len(item.measured.ratio.frequency_hz) < 2:
+        if len(item.measured.ratio.frequency_hz) < FEWEST_LINES:
             continue
         for response in item.measured.ratio.channels:
             moved = item.load_kg + internal_mass

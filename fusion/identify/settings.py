@@ -33,8 +33,8 @@ class IdentifySettings:
                 raise ValueError(f"{name}: expected {', '.join(get_args(choices))}, found {getattr(self, name)}")
         if self.band_hz is not None and not 0.0 <= self.band_hz[0] < self.band_hz[1]:
             raise ValueError(f"band_hz: expected the lower frequency first, found {self.band_hz}")
-        if any(not mass >= 0.0 for mass in self.load_masses_kg):
-            raise ValueError(f"load_masses_kg: expected masses of at least 0, found {self.load_masses_kg}")
+        if any(not mass > 0.0 for mass in self.load_masses_kg):
+            raise ValueError(f"load_masses_kg: expected masses above 0, found {self.load_masses_kg}")
         if not 0.0 < self.permitted < 1.0:
             raise ValueError(f"permitted: expected a share between 0 and 1, found {self.permitted}")
 

@@ -127,8 +127,8 @@ def draw_outputs_over_load(name: str, loads: Sequence[LoadedOutput], permitted: 
 
 
 def _limit(axes: Axes, loads: Sequence[LoadedOutput], permitted: float) -> None:
-    """Limits of four times the error permitted, up to a little beyond the widest band."""
-    axes.set_ylim(-400.0 * permitted, 400.0 * permitted)
+    """Limits of three times the error permitted, up to a little beyond the widest band."""
+    axes.set_ylim(-300.0 * permitted, 300.0 * permitted)
     bands = [load.band_hz for load in loads if np.isfinite(load.band_hz)]
     highest = 1.6 * max(bands) if bands else float(loads[0].frequency_hz[-1])
     axes.set_xlim(0.0, min(highest, float(loads[0].frequency_hz[-1])))

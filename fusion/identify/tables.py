@@ -1,0 +1,230 @@
+"""An identification as tables: those of the page, and what the command prints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from markupsafe import Markup
+
+from fusion.coverage import coverage_factor
+from fusion.identify.readings import LABELS, Reading, of_curve
+from fusion.identify.result import ComponentResult, IdentifyEvaluation
+from fusion.identify.rows import numbers
+from fusion.load import LOAD_COMPONENTS
+from fusion.polar import DASH, rounded, typeset
+from fusion.report_numbers import measured, small
+from fusion.report_tables import Headline, Table
+from shaker.models.measured import ParameterEstimate
+from shaker.models.sensor_response import CHAIN_WORDS
+from shaker.models.usable_band import UsableBand
+
+K = coverage_factor(np.inf)
+LIMITS = {"rise": "resonance", "drop": "fall of the output", "phase": "phase", "nothing": "nothing"}
+_LARGEST_CAUSES = 12
+
+
+def parameters_table(component: ComponentResult) -> Table:
+    """Parameters, lags and modes of a component with U."""
+    rows = []
+    for estimate, method in numbers(component):
+        if not estimate.name.startswith("usable_band"):
+            relative = DASH if estimate.value == 0.0 else _percent(K * estimate.u / abs(estimate.value))
+            cell = measured(estimate.value, K * estimate.u, "" if estimate.unit == "1" else typeset(estimate.unit))
+            rows.append((estimate.label, cell, relative, method))
+    head = ("parameter", "value ± U", "U / %", "method")
+    return Table(f"Parameters of {component.name}, U = k·u with k = {K:.2f} (95 %)", head, "lrrl", tuple(rows))
+
+
+def correlation_table(component: ComponentResult) -> Table:
+    """Correlation of the parameters of the joint fit."""
+    found = component.fit.identification
+    labels = [estimate.label for estimate in found.estimates]
+    rows = tuple(
+        (label, *(f"{value:+.3f}".replace("-", "\N{MINUS SIGN}") for value in row))
+        for label, row in zip(labels, found.correlation.tolist(), strict=True)
+    )
+    return Table("Correlation of the parameters", ("", *labels), "l" + "r" * len(labels), rows)
+
+
+def budget_table(component: ComponentResult) -> Table:
+    """What every cause adds to the uncertainty of the parameters, largest first."""
+    found = component.fit.identification
+    value = np.array([estimate.value for estimate in found.estimates])
+    share = {cause: np.abs(change) / np.abs(value) for cause, change in found.budget.items()}
+    ordered = sorted(share.items(), key=lambda item: -float(np.max(item[1])))
+    largest = float(np.max(ordered[0][1])) if ordered else 0.0
+    kept = [item for item in ordered if float(np.max(item[1])) > 1e-3 * largest][:_LARGEST_CAUSES]
+    rows = [(cause, *(small(1e6 * float(part)) for part in parts)) for cause, parts in kept]
+    total = [small(1e6 * estimate.u / abs(estimate.value)) for estimate in found.estimates]
+    rows.append(("combined, k = 1", *total))
+    head = ("contribution", *(f"u({estimate.label}) / 10⁻⁶" for estimate in found.estimates))
+    return Table("Budget, relative to each parameter", head, "l" + "r" * len(total), tuple(rows))
+
+
+def readings_tables(component: ComponentResult) -> list[Table]:
+    """What every method reads from every curve."""
+    curves = dict.fromkeys((reading.recording, reading.response) for reading in component.readings)
+    return [_readings_table(component, *curve) for curve in curves]
+
+
+def explanations_table(component: ComponentResult) -> Table | None:
+    """The explanations of the sensitivity side by side."""
+    if component.sensitivity is None:
+        return None
+    comparison = component.sensitivity.comparison
+    rows = []
+    for fit, weight, verdict in zip(comparison.fits, comparison.weight, comparison.verdict, strict=True):
+        told = [
+            f"{estimate.label} {measured(*_scaled(estimate))}"
+            for estimate in fit.estimates
+            if estimate.name in ("delay_s", "lag_s", "corner_hz")
+        ]
+        rows.append(
+            (
+                CHAIN_WORDS[fit.chain.kind],
+                Markup("; ").join(Markup(text) for text in told) if told else DASH,
+                f"{fit.chi_squared:.1f} / {fit.dof}",
+                small(fit.probability),
+                small(float(weight)),
+                verdict,
+            )
+        )
+    head = ("explanation beside b/k of the resonance", "found", "χ² / dof", "probability", "Akaike weight", "verdict")
+    return Table("What makes the sensitivity change with frequency", head, "llrrrl", tuple(rows))
+
+
+def bands_table(component: ComponentResult, permitted: float) -> Table:
+    """Usable band without correction for each load mass."""
+    unit = "kg" if component.fit.component < 3 else "kg·m²"
+    rows = tuple(
+        (f"{load:.6g}", *_band_cells(band)) for load, band in zip(component.loads, component.bands, strict=True)
+    )
+    caption = (
+        f"Frequencies up to which the uncorrected output stays within ±{100.0 * permitted:g} % of its static value"
+    )
+    head = (f"load / {unit}", "up to", "U / %", "ends by")
+    return Table(caption, head, "rrrl", rows)
+
+
+def recordings_table(component: ComponentResult) -> Table:
+    """The recordings behind the joint fit."""
+    rows = []
+    for item in component.fit.prepared:
+        frequency = item.measured.ratio.frequency_hz
+        unit = "kg" if component.fit.component < 3 else "kg·m²"
+        rows.append(
+            (
+                item.measured.name,
+                item.manifest.excitation.kind,
+                measured(item.load_kg, K * item.u_load_kg, unit),
+                ", ".join(item.measured.ratio.channels),
+                f"{len(frequency)}",
+                f"{frequency.min():.6g} to {frequency.max():.6g}",
+            )
+        )
+    head = ("recording", "kind", "load", "load over base", "lines", "band / Hz")
+    return Table("Recordings of the joint fit", head, "llrlrr", tuple(rows))
+
+
+def headlines(evaluation: IdentifyEvaluation) -> list[Headline]:
+    """Stiffness, damping, internal mass and lag of the chain."""
+    found = []
+    for component in evaluation.components:
+        for estimate in component.fit.identification.estimates[:3]:
+            share = _percent(K * estimate.u / abs(estimate.value)) if estimate.value else DASH
+            cell = measured(estimate.value, K * estimate.u, typeset(estimate.unit))
+            found.append(Headline(_upper(estimate.label), cell, f"U (k = {K:.2f}) = {share} %"))
+        found += _chain_headline(component)
+    return found
+
+
+def printed(evaluation: IdentifyEvaluation) -> Iterator[str]:
+    """Lines for the terminal: parameters with U at 95 %, then bands."""
+    for component in evaluation.components:
+        fit = component.fit
+        yield f"{component.name}: {fit.model} ({fit.reason}), {len(fit.prepared)} recordings"
+        for estimate in (*fit.identification.estimates, *fit.identification.derived):
+            yield f"  {estimate.label}: {_plain_number(estimate)}"
+        if component.sensitivity is not None:
+            for estimate in component.sensitivity.comparison.best.estimates:
+                if estimate.name != "spring_time_s":
+                    yield f"  {estimate.label}: {_plain_number(estimate)}"
+        for load, band in zip(component.loads, component.bands, strict=True):
+            text = rounded(band.upper_hz, K * band.u_upper_hz, 0)
+            yield f"  usable up to ({band.permitted:.2%}, load {load:.6g}): {text.value} ± {text.expanded} Hz"
+
+
+def _plain_number(estimate: ParameterEstimate) -> str:
+    """A number with U as plain text."""
+    text = rounded(estimate.value, K * estimate.u)
+    power = f"e{text.exponent}" if text.exponent else ""
+    return f"({text.value} ± {text.expanded}){power} {typeset(estimate.unit)}"
+
+
+def _readings_table(component: ComponentResult, recording: str, response: str) -> Table:
+    """All methods on one curve."""
+    turning = component.fit.component >= 3
+    rows = [_reading_row(reading) for reading in of_curve(component.readings, recording, response)]
+    head = (
+        "method",
+        "f / Hz",
+        "width / Hz",
+        "ζ / %",
+        "k / (N·m/rad)" if turning else "k / (N/m)",
+        "b / (N·m·s/rad)" if turning else "b / (N·s/m)",
+        "remark",
+    )
+    return Table(f"{recording}: {response}", head, "lrrrrrl", tuple(rows))
+
+
+def _reading_row(reading: Reading) -> tuple[str, ...]:
+    """One method."""
+    damping = f"{reading.damping:.5g}" if np.isfinite(reading.damping) else DASH
+    return (
+        LABELS[reading.method],
+        measured(reading.frequency_hz, K * reading.u_frequency_hz),
+        measured(reading.width_hz, K * reading.u_width_hz),
+        measured(100.0 * reading.damping_ratio, 100.0 * K * reading.u_damping_ratio),
+        f"{reading.stiffness:.6g}",
+        damping,
+        reading.note,
+    )
+
+
+def _band_cells(band: UsableBand) -> tuple[str, str, str]:
+    """Edge of a band with U, and what ends it."""
+    if not np.isfinite(band.upper_hz):
+        return "no limit", DASH, LIMITS[band.limit]
+    relative = _percent(K * band.u_upper_hz / band.upper_hz)
+    return measured(band.upper_hz, K * band.u_upper_hz, "Hz"), relative, LIMITS[band.limit]
+
+
+def _scaled(estimate: ParameterEstimate) -> tuple[float, float, str]:
+    """Value and U of a time in µs, of other numbers in their unit."""
+    if estimate.unit == "s":
+        return 1e6 * estimate.value, 1e6 * K * estimate.u, "µs"
+    return estimate.value, K * estimate.u, estimate.unit
+
+
+def _chain_headline(component: ComponentResult) -> list[Headline]:
+    """Delay or lag of the chain where the sensitivity supports one."""
+    if component.sensitivity is None:
+        return []
+    best = component.sensitivity.comparison.best
+    shown: Sequence[ParameterEstimate] = [e for e in best.estimates if e.name in ("delay_s", "lag_s")]
+    where = f"of {LOAD_COMPONENTS[component.fit.component]}"
+    return [
+        Headline(_upper(f"{estimate.label} {where}"), measured(*_scaled(estimate)), "from S(f), with U")
+        for estimate in shown
+    ]
+
+
+def _percent(share: float) -> str:
+    """A relative uncertainty in per cent."""
+    return small(100.0 * share) if np.isfinite(share) else DASH
+
+
+def _upper(text: str) -> str:
+    """A text with a capital first letter."""
+    return text[:1].upper() + text[1:]
