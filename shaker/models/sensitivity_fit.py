@@ -70,7 +70,8 @@ class SensitivityFit:
         if corner is not None:
             (frequency, u_frequency), (damping, u_damping) = corner
             found.append(ParameterEstimate("corner_hz", "corner frequency of the chain", frequency, u_frequency, "Hz"))
-            found.append(ParameterEstimate("damping_ratio", "damping ratio of the chain", damping, u_damping, "1"))
+            if self.chain.kind == "second_order":
+                found.append(ParameterEstimate("damping_ratio", "damping ratio of the chain", damping, u_damping, "1"))
         return tuple(found)
 
 
@@ -167,14 +168,20 @@ class _Problem:
         return np.vstack([lines, *known, unit[len(self.names) :]])
 
     def start(self) -> FloatArray:
-        """Return starting values: sign and delay from the phases, S₀ from the magnitudes."""
+        """Return starting values: sign and delay from the phases, the rest from the magnitudes.
+
+        1/|chain|² = 1 + (a₁² - 2a₂)ω² + a₂²ω⁴, so that its slope over ω² tells a lag from a delay.
+        """
         sign, delay = _sign_and_delay(self.frequency_hz, self.value)
-        lag = np.copysign(max(abs(delay), _SMALLEST_TURN / float(np.abs(self._s).max())), delay)
-        shapes = {"none": (), "delay_lag": (0.5 * lag, 0.5 * lag), "second_order": (lag, 0.25 * lag * lag)}
-        shape = shapes.get(self.kind, (lag,))
-        time = () if "spring_time_s" not in self.names else (self.time_s if len(self.known) > 0 else lag,)
-        scale = sign * float(np.median(np.abs(self.value)))
-        return np.array([scale, *time, *shape, *np.zeros(self.relative.shape[1])])
+        smallest = _SMALLEST_TURN / float(np.abs(self._s).max())
+        slope, static = np.polyfit(np.abs(self._s) ** 2, np.abs(self.value) ** -2.0, 1)
+        static = static if static > 0.0 else float(np.median(np.abs(self.value) ** -2.0))
+        bend = float(slope / static)
+        lag = max(np.sqrt(max(bend, 0.0)), smallest)
+        one = np.copysign(max(abs(delay), smallest), delay)
+        shapes = {"none": (), "delay_lag": (delay - lag, lag), "second_order": (one, 0.5 * (one * one - bend))}
+        time = () if "spring_time_s" not in self.names else (self.time_s or lag,)
+        return np.array([sign * static**-0.5, *time, *shapes.get(self.kind, (one,)), *np.zeros(self.relative.shape[1])])
 
     @property
     def _s(self) -> ComplexArray:

@@ -107,8 +107,8 @@ def fit_sensitivity(measured: MeasuredSensitivity, spring: SpringPrior | None = 
     nothing tells that lag from one of the chain, they being the same curve: the fits then have one lag for both.
     Weights: AICc = χ²/ĉ + 2p + 2p(p + 1)/(n - p - 1) of p free parameters and n real readings, ĉ = χ²/dof of the
     explanation that fits best, where that exceeds one (Burnham and Anderson, Model selection, 2002, 2.5). Refuted is
-    what leaves a χ² too large (`SIGNIFICANCE`), or has too small a weight and no part that is supported; more than
-    needed is an explanation of which a part is supported as well.
+    what leaves a χ² too large (`SIGNIFICANCE`), needs a filter that is not stable, or has too small a weight and no
+    part that is supported; more than needed is an explanation of which a part is supported as well.
     """
     fits = tuple(fit_chain(measured, kind, spring) for kind in CHAIN_PARAMETERS)
     weight = _weights(fits, 2 * len(measured.value) + (measured.static is not None))
@@ -135,7 +135,7 @@ def _verdicts(fits: tuple[SensitivityFit, ...], weight: FloatArray) -> tuple[Ver
     likely = {
         fit.chain.kind for fit, share in zip(fits, weight / weight.max(), strict=True) if share >= SMALLEST_WEIGHT
     }
-    supported = acceptable & likely
+    supported = acceptable & likely & {fit.chain.kind for fit in fits if _stable(fit)}
     found: list[Verdict] = []
     for kind in (fit.chain.kind for fit in fits):
         if kind in acceptable and supported.intersection(_PART_OF[kind]):
@@ -143,6 +143,12 @@ def _verdicts(fits: tuple[SensitivityFit, ...], weight: FloatArray) -> tuple[Ver
         else:
             found.append("supported" if kind in supported else "refuted")
     return tuple(found)
+
+
+def _stable(fit: SensitivityFit) -> bool:
+    """Whether a chain's poles may lie on the left: a₁ and a₂ are not below 0 beyond twice their uncertainty."""
+    values = {"lag_s": fit.chain.lag_s, "square_s2": fit.chain.square_s2}
+    return all(values[name] >= -2.0 * fit.u(name) for name in fit.chain.names if name in values)
 
 
 def _damping_test(needed: SensitivityFit, spring: SpringPrior) -> DampingTest:
@@ -193,7 +199,8 @@ def _told(fit: SensitivityFit, alone: bool) -> str:
     kind, chain = fit.chain.kind, fit.chain
     times = {"delay_s": chain.delay_s, "lag_s": chain.lag_s}
     told = {name: _microseconds(time, fit.u(name)) for name, time in times.items()}
-    told |= {estimate.name: _with_u(estimate.value, estimate.u, estimate.unit) for estimate in fit.estimates[-2:]}
+    for estimate in fit.estimates:
+        told.setdefault(estimate.name, _with_u(estimate.value, estimate.u, estimate.unit))
     corner = f" with f_c = {told['corner_hz']}" if "corner_hz" in told else f" delaying by {told['lag_s']}"
     damping = f" and ζ = {told['damping_ratio']}" if "damping_ratio" in told else ""
     where = " in the chain or the sensor's damper" if alone and "lag_s" in chain.names else " in the chain"
@@ -216,13 +223,9 @@ def _listed(words: list[str], last: str) -> str:
 def _notices(fit: SensitivityFit, channel: str) -> tuple[Notice, ...]:
     """Say of the explanation to use what a reader should doubt."""
     found = []
-    values = {"delay_s": fit.chain.delay_s, "lag_s": fit.chain.lag_s}
-    for name in fit.chain.names:
-        if values.get(name, 0.0) < -2.0 * fit.u(name):
-            text = (
-                f"the output leads by {_microseconds(-values[name], fit.u(name))}: no chain does, the reference is late"
-            )
-            found.append(Notice("warning", text, channel))
+    if fit.chain.delay_s < -2.0 * fit.u("delay_s"):
+        lead = _microseconds(-fit.chain.delay_s, fit.u("delay_s"))
+        found.append(Notice("warning", f"the output leads by {lead}: no chain does, the reference is late", channel))
     for error in fit.unknowns:
         if abs(error.estimate) > FARTHEST_ERROR:
             text = f"{error.name} is found {error.estimate:.1f} of its standard uncertainties away: stated too small"

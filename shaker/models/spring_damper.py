@@ -98,7 +98,7 @@ def series_limits_hz(k: float, b: float, departure: float = 0.01) -> tuple[float
     """Return the frequencies (Hz) up to which the series of equations 1 and 2 keep within `departure`.
 
     With x = bω/k: (1 − ½x²)·√(1 + x²) = 1 − departure for the magnitude, x/arctan x = 1 + departure for the phase;
-    at 1 % x = 0.407 and x = 0.174. Infinite without damping.
+    at 1 % x = 0.409 and x = 0.174. Infinite without damping.
     """
     if not 0.0 < departure < 1.0:
         raise ValueError(f"departure: expected a share between 0 and 1, found {departure:g}")

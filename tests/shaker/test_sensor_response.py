@@ -1,0 +1,250 @@
+"""Which explanations of S(f) the data support: every shape found again, coverage, contradictions, words."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy import signal
+from sensitivity_factory import (
+    DAMPING,
+    FREQUENCY,
+    LAG,
+    NOISE,
+    STATIC,
+    STIFFNESS,
+    U_SCALE,
+    U_STATIC,
+    lag,
+    measured,
+    resonance,
+)
+
+from shaker.models.chain_shape import CHAIN_PARAMETERS, Chain, ChainKind
+from shaker.models.measured import MeasuredSensitivity, RelativeError
+from shaker.models.sensitivity_fit import SensitivityFit, fit_chain
+from shaker.models.sensor_response import fit_sensitivity
+from shaker.models.spring_damper import SpringPrior
+
+ComplexArray = NDArray[np.complex128]
+TIME = DAMPING / STIFFNESS
+OMEGA = 2.0 * np.pi * FREQUENCY
+
+
+def chains() -> dict[ChainKind, ComplexArray]:
+    """Each shape by another hand: scipy's analogue filters and the exponential."""
+    corner = 2.0 * np.pi * 4000.0
+    return {
+        "none": np.ones(len(FREQUENCY), dtype=np.complex128),
+        "delay": np.exp(-1j * OMEGA * 40e-6),
+        "lag": signal.freqs([1.0], [LAG, 1.0], OMEGA)[1],
+        "butterworth": signal.freqs(*signal.butter(2, corner, analog=True), OMEGA)[1],
+        "second_order": signal.freqs([corner**2], [1.0, 2.0 * 0.4 * corner, corner**2], OMEGA)[1],
+        "delay_lag": np.exp(-1j * OMEGA * 30e-6) * signal.freqs([1.0], [40e-6, 1.0], OMEGA)[1],
+    }
+
+
+def clean(value: ComplexArray, size: float = 1e-4) -> MeasuredSensitivity:
+    """A sensitivity without errors, whose noise is said to be small."""
+    covariance = np.full((len(value), 1, 1), (size * np.abs(value).max()) ** 2) * np.eye(2)
+    return MeasuredSensitivity("S1", "fz", FREQUENCY, value, covariance, "(V/V)/N")
+
+
+@pytest.mark.parametrize("kind", CHAIN_PARAMETERS)
+def test_derivatives_of_the_chain(kind: ChainKind) -> None:
+    parameters = np.array({"delay_lag": [30e-6, 40e-6], "second_order": [32e-6, 1.6e-9]}.get(kind, [50e-6]))
+    parameters = parameters[: len(CHAIN_PARAMETERS[kind])]
+    slopes = Chain(kind, parameters).log_slopes(FREQUENCY)
+    assert slopes.shape == (len(FREQUENCY), len(parameters))
+    for place, size in enumerate(parameters):
+        step = np.zeros(len(parameters))
+        step[place] = 1e-4 * size
+        up, down = (np.log(Chain(kind, parameters + sign * step).response(FREQUENCY)) for sign in (1, -1))
+        assert np.allclose(slopes[:, place] * size, (up - down) / 2e-4, rtol=1e-6)
+    up, down = (np.log(Chain(kind, parameters).response(FREQUENCY * (1.0 + sign * 1e-4))) for sign in (1, -1))
+    by_frequency = Chain(kind, parameters).log_frequency_slope(FREQUENCY)
+    assert np.allclose(by_frequency * FREQUENCY, (up - down) / 2e-4, rtol=1e-6, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", CHAIN_PARAMETERS)
+def test_every_shape_is_found_again(kind: ChainKind) -> None:
+    value = STATIC / (1.0 + 1j * OMEGA * TIME) * chains()[kind]
+    spring = SpringPrior(STIFFNESS, 5e-4 * STIFFNESS, DAMPING, 0.02 * DAMPING)
+    fit = fit_chain(clean(value), kind, spring)
+    corner = 2.0 * np.pi * 4000.0
+    wanted: dict[ChainKind, list[float]] = {
+        "none": [],
+        "delay": [40e-6],
+        "lag": [LAG],
+        "butterworth": [np.sqrt(2.0) / corner],
+        "second_order": [0.8 / corner, 1.0 / corner**2],
+        "delay_lag": [30e-6, 40e-6],
+    }
+    assert fit.chi_squared < 1e-6
+    assert fit.sensitivity == pytest.approx(STATIC, rel=1e-6)
+    assert fit.spring_time_s == pytest.approx(TIME, rel=1e-5)
+    assert fit.chain.parameters == pytest.approx(wanted[kind], rel=1e-4)
+    assert np.allclose(fit.model(FREQUENCY), value, rtol=1e-6)
+    named = {estimate.name: estimate.value for estimate in fit.estimates}
+    if kind in {"butterworth", "second_order"}:
+        assert named["corner_hz"] == pytest.approx(4000.0, rel=1e-4)
+    if kind == "second_order":
+        assert named["damping_ratio"] == pytest.approx(0.4, rel=1e-4)
+
+
+@settings(max_examples=12, deadline=None)
+@given(
+    scale=st.floats(1e-9, 1e3),
+    sign=st.sampled_from([-1.0, 1.0]),
+    delay=st.floats(-2e-3, 2e-3),
+    time=st.floats(5e-6, 2e-4),
+)
+def test_sign_and_whole_turns_of_phase_do_not_matter(scale: float, sign: float, delay: float, time: float) -> None:
+    value = sign * scale * np.exp(-1j * OMEGA * delay) * lag(FREQUENCY, time)
+    fit = fit_chain(clean(value), "delay_lag", None)
+    assert fit.sensitivity == pytest.approx(sign * scale, rel=1e-5)
+    assert fit.chain.delay_s == pytest.approx(delay, abs=1e-9)
+    assert fit.chain.lag_s == pytest.approx(time, rel=1e-3)
+
+
+def test_lag_and_spring_are_recovered_and_the_damping_contradicted() -> None:
+    found = fit_sensitivity(measured(lag(FREQUENCY), np.random.default_rng(3)), resonance())
+    fit = found.best
+    assert fit.chain.kind == "lag"
+    assert found.verdict == ("refuted", "refuted", "supported", "refuted", "more than needed", "more than needed")
+    assert abs(fit.chain.lag_s - LAG) < 2.0 * fit.u("lag_s") < 2.5e-6
+    assert abs(fit.spring_time_s - TIME) < 2.0 * fit.u("spring_time_s") < 1e-7
+    assert found.damping is not None
+    assert found.damping.contradicts
+    assert found.damping.deviation > 20.0
+    assert found.damping.needed_s / found.damping.resonance_s == pytest.approx(31.0, abs=2.0)
+    assert "contradict each other (normalised deviation" in found.damping.text
+    assert found.text.startswith("The data support a first-order lag of (")
+    assert found.text.endswith("they refute the sensor's damper alone, a delay and a Butterworth low-pass.")
+    assert found.weight.sum() == pytest.approx(1.0)
+    assert found.notices == ()
+
+
+@pytest.mark.parametrize("kind", CHAIN_PARAMETERS)
+def test_true_explanation_is_supported_and_false_alarms_are_rare(kind: ChainKind) -> None:
+    rng = np.random.default_rng(11)
+    trials = 12
+    verdicts, alarms = [], 0
+    for _ in range(trials):
+        found = fit_sensitivity(measured(chains()[kind], rng), resonance(rng))
+        verdicts.append(dict(zip(CHAIN_PARAMETERS, found.verdict, strict=True)))
+        alarms += found.damping is not None and found.damping.contradicts
+    kept = sum(verdict[kind] != "refuted" for verdict in verdicts)
+    assert kept >= trials - 1
+    assert alarms <= 2 if kind == "none" else alarms == trials or kind == "second_order"
+    if kind != "none":
+        assert all(verdict["none"] == "refuted" for verdict in verdicts)
+    if kind in {"lag", "second_order", "delay_lag"}:
+        assert all(verdict["delay"] == "refuted" for verdict in verdicts)
+
+
+def _normalised(fit: SensitivityFit) -> dict[str, float]:
+    """Errors of S₀, b/k and the lag in their standard uncertainties."""
+    wrong = {"sensitivity": fit.sensitivity - STATIC, "spring_time_s": fit.spring_time_s - TIME}
+    wrong["lag_s"] = fit.chain.lag_s - LAG
+    return {name: error / fit.u(name) for name, error in wrong.items()}
+
+
+def test_errors_are_those_of_the_covariance() -> None:
+    rng = np.random.default_rng(5)
+    deviations, chi_squared = [], []
+    for _ in range(250):
+        fit = fit_chain(measured(lag(FREQUENCY), rng), "lag", resonance(rng, u_b=0.3))
+        error = np.array([fit.sensitivity - STATIC, fit.spring_time_s - TIME, fit.chain.lag_s - LAG])
+        deviations.append(float(error @ np.linalg.solve(fit.covariance, error)))
+        chi_squared.append(fit.chi_squared)
+        dof = fit.dof
+    # Means of 250 draws of χ² with 3 and with dof degrees of freedom; the first is smaller where noise is enlarged.
+    assert 2.2 < np.mean(deviations) < 3.4
+    assert np.mean(chi_squared) == pytest.approx(dof, abs=4.0 * np.sqrt(2.0 * dof / 250))
+
+
+@pytest.mark.slow
+def test_coverage_of_lag_and_spring() -> None:
+    rng = np.random.default_rng(7)
+    trials = 4000
+    inside = {"sensitivity": 0, "spring_time_s": 0, "lag_s": 0}
+    for _ in range(trials):
+        errors = _normalised(fit_chain(measured(lag(FREQUENCY), rng), "lag", resonance(rng)))
+        for name, error in errors.items():
+            inside[name] += abs(error) <= 1.95996
+    for name, count in inside.items():
+        assert 0.94 <= count / trials <= 0.965, f"{name}: {count} of {trials}"
+
+
+def test_without_a_resonance_the_lag_is_nobodys() -> None:
+    found = fit_sensitivity(measured(lag(FREQUENCY), np.random.default_rng(3)))
+    assert found.damping is None
+    assert found.best.chain.kind == "lag"
+    assert "in the chain or the sensor's damper" in found.text
+    assert "a constant sensitivity" in found.text
+    assert found.labels[0] == "a constant sensitivity"
+    free = fit_chain(measured(lag(FREQUENCY), np.random.default_rng(3)), "none", None, spring_free=True)
+    assert free.chi_squared == pytest.approx(found["lag"].chi_squared, rel=1e-9)
+    assert free.spring_time_s == pytest.approx(found["lag"].chain.lag_s, rel=1e-6)
+
+
+def test_what_is_none_of_them_is_said() -> None:
+    rocking = 1.0 + 0.05 / (1.0 - (FREQUENCY / 400.0) ** 2 + 0.05j * FREQUENCY / 400.0)
+    found = fit_sensitivity(measured(rocking, np.random.default_rng(2)), resonance())
+    assert "supported" not in found.verdict
+    assert found.text.startswith("The data support none of these explanations: even a ")
+    assert "a cause is missing" in found.text
+    assert found.best is found.fits[int(np.argmax(found.weight))]
+
+
+def test_common_errors_do_not_bias_the_sensitivity() -> None:
+    """A covariance made of the readings would pull the mean below both (Peelle); the weighted mean lies between."""
+    relative = np.full((len(FREQUENCY), 1), 0.05 + 0j)
+    value = np.full(len(FREQUENCY), 1.1 * STATIC + 0j)
+    one = replace(clean(value, 1e-3), errors=(RelativeError("scale", relative),), static=STATIC, u_static=0.05 * STATIC)
+    fit = fit_chain(one, "none", None)
+    weight = (1.0 / 0.05) ** 2 / ((1.0 / 0.05) ** 2 + 1.0 / (0.05 * 1.0) ** 2)
+    assert fit.sensitivity / STATIC == pytest.approx(1.1**weight, abs=2e-3)
+    (unknown,) = fit.unknowns
+    assert unknown.name == "scale"
+    assert unknown.estimate == pytest.approx(np.log(1.1 * STATIC / fit.sensitivity) / 0.05, abs=0.01)
+    assert unknown.remaining == pytest.approx(np.sqrt(0.5), abs=0.02)
+
+
+def test_static_calibration_and_masses_share_what_is_common() -> None:
+    with_static = fit_chain(measured(lag(FREQUENCY)), "lag", resonance())
+    without = fit_chain(replace(measured(lag(FREQUENCY)), static=None), "lag", resonance())
+    noise = NOISE / np.sqrt(len(FREQUENCY))
+    assert without.u("sensitivity") / STATIC > np.hypot(U_SCALE, noise)
+    weights = (without.u("sensitivity") / STATIC) ** -2 + U_STATIC**-2
+    assert with_static.u("sensitivity") / STATIC == pytest.approx(weights**-0.5, rel=1e-3)
+
+
+def test_doubts_are_named() -> None:
+    late = fit_sensitivity(clean(STATIC * np.exp(1j * OMEGA * 20e-6), 1e-3), None)
+    assert any("the output leads by (20.00 ± " in notice.text for notice in late.notices)
+    one = replace(measured(lag(FREQUENCY)), value=measured(lag(FREQUENCY)).value * 1.02)
+    (notice,) = fit_sensitivity(one, resonance()).notices
+    assert notice.severity == "warning"
+    assert "masses is found" in notice.text
+
+
+def test_wrong_calls_are_refused() -> None:
+    good = measured(lag(FREQUENCY))
+    with pytest.raises(ValueError, match="frequency_hz: expected at least 4 lines, found 3"):
+        fit_chain(
+            replace(good, frequency_hz=FREQUENCY[:3], value=good.value[:3], covariance=good.covariance[:3], errors=()),
+            "lag",
+            None,
+        )
+    with pytest.raises(ValueError, match="u_static: expected a value above 0"):
+        fit_chain(replace(good, u_static=0.0), "lag", None)
+    with pytest.raises(ValueError, match="covariance: expected positive definite"):
+        fit_chain(replace(good, covariance=0.0 * good.covariance), "lag", None)
+    with pytest.raises(ValueError, match="parameters"):
+        Chain("lag", np.array([1.0, 2.0]))
