@@ -1,0 +1,242 @@
+"""Chains of masses: against state space, closed forms and integration; what a yielding mount does to a resonance."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy import linalg, signal
+
+from shaker.models.identification import identify
+from shaker.models.mass_chain import ChainStructure, MassChain, Stage, shared_spring
+from shaker.models.measured import InertiaError, MeasuredTransfer, Sight
+from shaker.signals.phasor import Phasors
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+FREQUENCY = np.geomspace(5.0, 5000.0, 60)
+TRIPLE = MassChain(
+    ("adapter", "sensor", "load"),
+    np.array([2.5, 1.1, 6.96]),
+    np.array([1.9e9, 4.7e8, 9.0e9]),
+    np.array([900.0, 700.0, 2500.0]),
+)
+TWO_LOADS = np.array([4.236, 8.798])
+TWO_RESONANCES = np.array([1477.35, 1092.97])
+
+
+def state_space(chain: MassChain) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """A, B and C of displacements [x, v] for the base's [displacement, velocity], written out from Newton's law."""
+    count = len(chain.stages)
+    a, b = np.zeros((2 * count, 2 * count)), np.zeros((2 * count, 2))
+    a[:count, count:] = np.eye(count)
+    for i in range(count):
+        for shift, factor in ((0, chain.stiffness), (count, chain.damping)):
+            a[count + i, shift + i] -= factor[i] / chain.mass[i]
+            if i > 0:
+                a[count + i, shift + i - 1] += factor[i] / chain.mass[i]
+            else:
+                b[count, int(shift > 0)] += factor[0] / chain.mass[0]
+            if i + 1 < count:
+                a[count + i, shift + i] -= factor[i + 1] / chain.mass[i]
+                a[count + i, shift + i + 1] += factor[i + 1] / chain.mass[i]
+    return a, b, np.hstack([np.eye(count), np.zeros((count, count))])
+
+
+def chains(most: int = 5) -> st.SearchStrategy[MassChain]:
+    """Chains of any length, masses and springs over two decades, lightly to heavily damped."""
+    decade = st.floats(-1.0, 1.0)
+
+    def built(parts: list[tuple[float, float, float]]) -> MassChain:
+        logs = np.array(parts)
+        names = tuple(f"stage {i}" for i in range(len(parts)))
+        return MassChain(names, 5.0 * 10 ** logs[:, 0], 3e8 * 10 ** logs[:, 1], 800.0 * 10 ** logs[:, 2])
+
+    return st.lists(st.tuples(decade, decade, decade), min_size=1, max_size=most).map(built)
+
+
+@settings(max_examples=25, deadline=None)
+@given(chain=chains())
+def test_every_stage_moves_as_state_space_says(chain: MassChain) -> None:
+    a, b, c = state_space(chain)
+    s = 2j * np.pi * FREQUENCY
+    driven = b @ np.stack([np.ones(len(s)), s])
+    expected = np.linalg.solve(s[:, None, None] * np.eye(len(a)) - a, driven.T[:, :, None])[:, :, 0] @ c.T
+    for place, stage in enumerate(chain.stages):
+        found = chain.transfer(FREQUENCY, stage).value[:, 0]
+        np.testing.assert_allclose(found, expected[:, place], rtol=1e-8, atol=1e-13)
+        over = chain.transfer(FREQUENCY, chain.stages[-1], stage).value[:, 0]
+        np.testing.assert_allclose(over, expected[:, -1] / expected[:, place], rtol=1e-6)
+
+
+@settings(max_examples=25, deadline=None)
+@given(chain=chains())
+def test_modes_are_the_eigenvalues_of_state_space(chain: MassChain) -> None:
+    roots = linalg.eigvals(state_space(chain)[0])
+    frequency, damping = chain.modes()
+    size = 2.0 * np.pi * frequency
+    assert np.all(np.diff(frequency) >= 0.0)
+    rings = damping < 1.0 - 1e-6
+    for value, ratio in zip(size[rings], damping[rings], strict=True):
+        root = value * (-ratio + 1j * np.sqrt(1.0 - ratio**2))
+        assert np.abs(roots - root).min() < 1e-6 * value
+
+
+def test_modes_without_damping_are_those_of_the_symmetric_eigenproblem() -> None:
+    bare = MassChain(TRIPLE.stages, TRIPLE.mass, TRIPLE.stiffness, 0.0 * TRIPLE.damping)
+    k1, k2, k3 = TRIPLE.stiffness
+    stiffness = np.array([[k1 + k2, -k2, 0.0], [-k2, k2 + k3, -k3], [0.0, -k3, k3]])
+    square = linalg.eigh(stiffness, np.diag(TRIPLE.mass), eigvals_only=True)
+    frequency, damping = bare.modes()
+    np.testing.assert_allclose(frequency, np.sqrt(square) / (2.0 * np.pi), rtol=1e-10)
+    np.testing.assert_allclose(damping, 0.0, atol=1e-12)
+
+
+@settings(max_examples=25, deadline=None)
+@given(chain=chains())
+def test_slowly_moved_a_chain_moves_as_one_and_forces_act_alike_both_ways(chain: MassChain) -> None:
+    slow = np.array([1e-3])
+    for stage in chain.stages:
+        assert chain.transfer(slow, stage).value[0, 0] == pytest.approx(1.0, abs=1e-8)
+    receptance = chain.receptance(FREQUENCY)
+    np.testing.assert_allclose(receptance, receptance.swapaxes(1, 2), rtol=1e-9)
+    static = chain.receptance(slow)[0, -1, -1]
+    assert static == pytest.approx(np.sum(1.0 / chain.stiffness), rel=1e-6)
+
+
+def test_one_mass_is_the_textbook_transmissibility_and_two_the_closed_form() -> None:
+    one = MassChain(("sensor",), np.array([5.0]), np.array([4.3e8]), np.array([699.0]))
+    s = 2j * np.pi * FREQUENCY
+    spring = 4.3e8 + 699.0 * s
+    expected = spring / (5.0 * s**2 + spring)
+    np.testing.assert_allclose(one.transfer(FREQUENCY, "sensor").value[:, 0], expected, rtol=1e-12)
+    two = MassChain(("adapter", "sensor"), np.array([3.0, 5.0]), np.array([2e9, 4.3e8]), np.array([400.0, 699.0]))
+    lower = 2e9 + 400.0 * s
+    determinant = (3.0 * s**2 + lower + spring) * (5.0 * s**2 + spring) - spring**2
+    found = two.transfer(FREQUENCY, "sensor").value[:, 0]
+    np.testing.assert_allclose(found, lower * spring / determinant, rtol=1e-10)
+    over_adapter = two.transfer(FREQUENCY, "sensor", "adapter").value[:, 0]
+    np.testing.assert_allclose(over_adapter, spring / (5.0 * s**2 + spring), rtol=1e-10)
+
+
+def test_derivatives_are_those_of_differences() -> None:
+    frequency = np.array([100.0, 900.0, 1500.0, 3000.0])
+    found = TRIPLE.transfer(frequency, "load", "adapter").by_term[:, 0]
+    theta = np.concatenate([TRIPLE.mass, TRIPLE.stiffness, TRIPLE.damping])
+    for place, value in enumerate(theta):
+        sides = []
+        for sign in (1.0, -1.0):
+            moved = theta.copy()
+            moved[place] = value * (1.0 + sign * 1e-5)
+            chain = MassChain(TRIPLE.stages, moved[:3], moved[3:6], moved[6:])
+            sides.append(chain.transfer(frequency, "load", "adapter").value[:, 0])
+        by_difference = (sides[0] - sides[1]) / 2e-5
+        np.testing.assert_allclose(found[:, place] * value, by_difference, rtol=1e-5, atol=1e-8)
+
+
+def peaks(magnitude: FloatArray) -> FloatArray:
+    """Frequencies of the local maxima that stand out by 1 %."""
+    return np.asarray(FINE[signal.find_peaks(np.log(magnitude), prominence=0.01)[0]])
+
+
+FINE = np.geomspace(20.0, 40000.0, 40000)
+
+
+@pytest.mark.parametrize("mount_mass", [0.3, 3.0, 12.0])
+@pytest.mark.parametrize("mount_stiffness", [2e7, 4e8, 5e9])
+def test_load_over_adapter_has_one_peak_whatever_the_mount_and_load_over_base_two(
+    mount_mass: float, mount_stiffness: float
+) -> None:
+    mass, stiffness = np.array([mount_mass, 7.73]), np.array([mount_stiffness, 4.75e8])
+    chain = MassChain(("adapter", "sensor"), mass, stiffness, np.array([150.0, 700.0]))
+    above = peaks(np.abs(chain.transfer(FINE, "sensor", "adapter").value[:, 0]))
+    assert above == pytest.approx([np.sqrt(4.75e8 / 7.73) / (2.0 * np.pi)], rel=1e-3)
+    modes = chain.modes()[0]
+    assert peaks(np.abs(chain.transfer(FINE, "sensor").value[:, 0])) == pytest.approx(modes, rel=0.01)
+
+
+def test_two_published_resonances_agree_on_one_spring_with_more_mass_inside() -> None:
+    """Nitsche et al. (2018): 1477.35 and 1092.97 Hz with 4.236 and 8.798 kg, of which eq 9 makes k 4.4 % apart."""
+    stiffness, internal = shared_spring(TWO_RESONANCES, TWO_LOADS)
+    assert stiffness == pytest.approx(4.753e8, rel=2e-4)
+    assert internal == pytest.approx(1.280, abs=1e-3)
+    both = (2.0 * np.pi * TWO_RESONANCES) ** 2 * (TWO_LOADS + internal)
+    np.testing.assert_allclose(both, stiffness, rtol=1e-12)
+    stated = (2.0 * np.pi * TWO_RESONANCES) ** 2 * (TWO_LOADS + 0.769)
+    assert 1.0 - stated[0] / stated[1] == pytest.approx(0.0441, abs=1e-4)
+
+
+def test_loads_of_one_mass_do_not_tell_the_mass_inside() -> None:
+    with pytest.raises(ValueError, match="two different loads"):
+        shared_spring(TWO_RESONANCES, np.array([4.0, 4.0]))
+
+
+def test_shared_spring_of_many_loads_is_their_line() -> None:
+    loads = np.array([0.5, 2.0, 4.236, 7.0, 8.798])
+    resonances = np.sqrt(4.75e8 / (loads + 1.28)) / (2.0 * np.pi)
+    assert shared_spring(resonances, loads) == pytest.approx((4.75e8, 1.28), rel=1e-9)
+
+
+TRUE = {"k_adapter": 6e8, "k": 4.753e8, "b_adapter": 2600.0, "b": 699.0, "m_adapter": 2.4, "m_i": 0.769}
+
+
+def recording(component: int, load: float, rng: np.random.Generator, noise: float) -> MeasuredTransfer:
+    """Load over the base below the mount, in closed form, with circular noise as a share of the largest |H|."""
+    frequency = np.arange(300.0, 4500.0, 6.25)
+    s = 2j * np.pi * frequency
+    lower = TRUE["k_adapter"] + TRUE["b_adapter"] * s
+    spring = TRUE["k"] + TRUE["b"] * s
+    upper = (load + TRUE["m_i"]) * s**2 + spring
+    value = lower * spring / ((TRUE["m_adapter"] * s**2 + lower + spring) * upper - spring**2)
+    u = noise * np.abs(value).max()
+    value = value + u * (rng.standard_normal(len(s)) + 1j * rng.standard_normal(len(s)))
+    covariance = u**2 * np.eye(2) * np.ones((len(s), 1, 1))
+    phasors = Phasors(frequency, value[:, None], covariance, ("top",), ("1",), np.full(len(s), 1e6))
+    sight = Sight(np.array([0.1, 0.0, 0.02]), np.array([0.0, 1.0, 0.0]))  # sees y, and turns about z by 0.1 m
+    matrix = np.diag([load] * 6)
+    change = InertiaError(f"load {load:g}", 1e-5 * load * np.eye(6))
+    drive = np.eye(6)[component]
+    return MeasuredTransfer(
+        f"load {load:g}", phasors, (sight,), sight, drive, matrix, inertia_errors=(change,), u_clock=1e-7
+    )
+
+
+@pytest.mark.parametrize("component", [1, 5])
+def test_a_yielding_mount_is_found_from_the_base_below_it(component: int) -> None:
+    """Two loads tell stiffness, damping and mass of mount and sensor, along an axis or about it."""
+    rng = np.random.default_rng(5)
+    records = [recording(component, load, rng, 3e-4) for load in TWO_LOADS]
+    found = identify(records, ChainStructure(component))
+    assert not found.notices
+    true = np.array([TRUE[name] for name in ("k_adapter", "k", "b_adapter", "b", "m_adapter", "m_i")])
+    values = np.array([estimate.value for estimate in found.estimates])
+    scaled = found.covariance / np.multiply.outer(true, true)
+    z = np.linalg.solve(np.linalg.cholesky(scaled), values / true - 1.0)
+    assert z @ z < 22.5  # 99.9 % of six values
+    stiffness = found["stiffness_y" if component == 1 else "stiffness_rz"]
+    assert stiffness.u < 2e-3 * stiffness.value
+    assert found.chi_squared / found.dof == pytest.approx(1.0, abs=0.1)
+
+
+def test_stages_without_a_mass_of_their_own_and_the_names_of_all() -> None:
+    joint = ChainStructure(2, (Stage("sensor"), Stage("joint", own_mass=False)))
+    names = [parameter.name for parameter in joint.parameters]
+    assert names == ["stiffness_z", "stiffness_z_joint", "damping_z", "damping_z_joint", "internal_mass"]
+    turning = ChainStructure(4)
+    assert [p.name for p in turning.parameters][-2:] == ["inertia_ry_adapter", "internal_inertia_ry"]
+    assert {p.unit for p in turning.parameters} == {"N·m/rad", "N·m·s/rad", "kg·m²"}
+
+
+@pytest.mark.parametrize("stages", [(), ("a", "a"), ("base",)])
+def test_stages_need_names_of_their_own(stages: tuple[str, ...]) -> None:
+    with pytest.raises(ValueError, match="stages: expected different names"):
+        MassChain(stages, np.ones(len(stages)), np.ones(len(stages)), np.ones(len(stages)))
+
+
+def test_a_stage_that_is_not_there_and_a_wrong_axis_are_named() -> None:
+    with pytest.raises(ValueError, match="stage: expected one of base, adapter, sensor, load, found top"):
+        TRIPLE.transfer(FREQUENCY, "top")
+    with pytest.raises(ValueError, match="component: expected one of 0 to 5, found 6"):
+        ChainStructure(6)
