@@ -107,9 +107,11 @@ def correct_record(
     u = np.sqrt(noise**2 + np.sum(errors**2, axis=0))
     static = float(model.output_factor(np.zeros(1), load)[0].real)
     beyond = float(np.std(output - back(taper * spectrum)) / abs(static))
+    force = back(inverse * spectrum)
+    least = max(float(np.sqrt(np.mean(u**2))), 10.0 ** (-ATTENUATION_DB / 20.0) * float(np.abs(force).max()))
     unit = split_ratio(model.unit)[1]
     return CorrectedRecord(
-        force=back(inverse * spectrum),
+        force=force,
         u=u,
         errors=errors,
         unit=unit,
@@ -117,7 +119,7 @@ def correct_record(
         band_hz=band_hz,
         settling=settling,
         beyond=beyond,
-        notices=_notices(beyond, float(np.sqrt(np.mean(u**2))), unit, band_hz),
+        notices=_notices(beyond, least, unit, band_hz),
     )
 
 
@@ -141,9 +143,9 @@ def _continued(samples: FloatArray, count: int) -> FloatArray:
     return np.concatenate([before, samples, after])
 
 
-def _notices(beyond: float, u: float, unit: str, band_hz: float) -> tuple[Notice, ...]:
-    """Say what the band limit has taken away where that is more than the uncertainty."""
-    if beyond <= u:
+def _notices(beyond: float, least: float, unit: str, band_hz: float) -> tuple[Notice, ...]:
+    """Say what the band limit has taken away where that is more than uncertainty and ripple."""
+    if beyond <= least:
         return ()
     text = f"the output holds {beyond:.3g} {unit} rms above {band_hz:g} Hz, which is removed, not corrected"
     return (Notice("warning", text, "band"),)

@@ -1,0 +1,291 @@
+"""The sensor model against state-space simulation, its bands and their U, and the correction of phasors and records."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy import signal
+from sensitivity_factory import DAMPING, FREQUENCY, LAG, STATIC, STIFFNESS, lag, measured, resonance
+
+from shaker.models.chain_shape import NO_CHAIN, Chain
+from shaker.models.correction import correct_phasors, correct_record
+from shaker.models.sensitivity_fit import fit_chain
+from shaker.models.sensor_model import Drive, Load, SensorModel, sensor_model
+from shaker.models.usable_band import usable_band
+from shaker.signals.phasor import Phasors
+
+FloatArray = NDArray[np.float64]
+MASS, INTERNAL = 4.236, 0.769
+DRIVES: tuple[Drive, ...] = ("base", "force")
+
+
+def model(chain: Chain = NO_CHAIN, damping: float = DAMPING, relative: float = 0.0) -> SensorModel:
+    """A sensor whose parameters are known to `relative`, independently."""
+    values = np.array([STATIC, STIFFNESS, damping, INTERNAL, *chain.parameters])
+    return SensorModel(STATIC, STIFFNESS, damping, INTERNAL, chain, np.diag((relative * values) ** 2), "(V/V)/N")
+
+
+def drawn(one: SensorModel, load: Load, rng: np.random.Generator) -> tuple[SensorModel, Load]:
+    """A sensor and a load whose parameters are off by errors of the stated covariance."""
+    values = np.array([one.sensitivity, one.stiffness, one.damping, one.internal_mass, *one.chain.parameters])
+    scalars, chain = np.split(values + rng.standard_normal(len(values)) * np.sqrt(one.covariance.diagonal()), [4])
+    other = SensorModel(*scalars.tolist(), Chain(one.chain.kind, chain), one.covariance, one.unit)
+    return other, replace(load, mass=load.mass + load.u_mass * float(rng.standard_normal()))
+
+
+def state_space(drive: Drive, time_s: float) -> signal.StateSpace:
+    """Output of a sensor behind a first-order lag for the force on its load, from the equations of motion.
+
+    States: deflection, its rate, output. M·ẍ = -k·x - b·ẋ + F, F = -M·a_base for a moving base, output ∝ k·x.
+    """
+    total = MASS + INTERNAL
+    a = np.array(
+        [
+            [0.0, 1.0, 0.0],
+            [-STIFFNESS / total, -DAMPING / total, 0.0],
+            [STATIC * STIFFNESS / time_s, 0.0, -1.0 / time_s],
+        ]
+    )
+    force = signal.StateSpace(a, [[0.0], [1.0 / total], [0.0]], [[0.0, 0.0, 1.0]], [[0.0]])
+    if drive == "force":
+        return force
+    # The load's absolute acceleration is (-k·x - b·ẋ)/M with either sign of the drive.
+    return signal.StateSpace(a, force.B, [[-STIFFNESS / total, -DAMPING / total, 0.0], [0.0, 0.0, 1.0]], [[0.0], [0.0]])
+
+
+@pytest.mark.parametrize("drive", DRIVES)
+def test_output_factor_is_that_of_the_equations_of_motion(drive: Drive) -> None:
+    one, load = model(Chain("lag", np.array([LAG]))), Load(MASS, drive)
+    at = np.array([1.0, 300.0, 1000.0, 1490.0, 1600.0, 6000.0])
+    system = state_space(drive, LAG)
+    s = 2j * np.pi * at
+    response = np.stack([system.C @ np.linalg.solve(x * np.eye(3) - system.A, system.B)[:, 0] for x in s])
+    expected = response[:, 0] if drive == "force" else -response[:, 1] / (MASS * response[:, 0])
+    assert np.allclose(one.output_factor(at, load), expected, rtol=1e-9)
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    drive=st.sampled_from(DRIVES),
+    mass=st.floats(0.1, 20.0),
+    damping=st.floats(100.0, 1e5),
+    chain=st.sampled_from(
+        [
+            NO_CHAIN,
+            Chain("delay_lag", np.array([3e-5, 4e-5])),
+            Chain("second_order", np.array([4e-5, 2e-9])),
+            Chain("butterworth", np.array([6e-5])),
+        ]
+    ),
+)
+def test_derivatives(drive: Drive, mass: float, damping: float, chain: Chain) -> None:
+    one, load, at = model(chain, damping), Load(mass, drive), np.array([20.0, 700.0, 1900.0])
+    slopes = one.log_slopes(at, load)
+    values = np.array([STATIC, STIFFNESS, damping, INTERNAL, *chain.parameters, mass])
+    for place, size in enumerate(values):
+        both = []
+        for sign in (1.0, -1.0):
+            moved = values.copy()
+            moved[place] += sign * 1e-6 * size
+            other = SensorModel(*moved[:4].tolist(), Chain(chain.kind, moved[4:-1]), one.covariance, one.unit)
+            both.append(np.log(other.output_factor(at, replace(load, mass=float(moved[-1])))))
+        assert np.allclose(slopes[:, place] * size, (both[0] - both[1]) / 2e-6, rtol=1e-4, atol=1e-8)
+    up, down = (np.log(one.output_factor(at * (1.0 + sign * 1e-6), load)) for sign in (1.0, -1.0))
+    assert np.allclose(one.log_frequency_slope(at, load) * at, (up - down) / 2e-6, rtol=1e-4, atol=1e-8)
+
+
+@pytest.mark.parametrize(("permitted", "share"), [(0.05, 0.2182), (0.10, 0.3015), (0.01, 0.0995)])
+def test_published_bands_of_a_lightly_damped_sensor(permitted: float, share: float) -> None:
+    one, load = model(damping=1e-3), Load(MASS, "force")
+    band = usable_band(one, load, permitted)
+    assert band.upper_hz / one.resonance_hz(load) == pytest.approx(share, abs=6e-5)
+    assert band.upper_hz / one.resonance_hz(load) == pytest.approx(np.sqrt(permitted / (1.0 + permitted)), rel=1e-6)
+    assert band.limit == "rise"
+
+
+def test_band_of_a_well_damped_sensor_is_that_of_the_textbook() -> None:
+    """ζ = 0.6: |H| never exceeds 1.05, and falls to 0.95 at 0.84 f₀ (the largest root of |H|² = 0.95²)."""
+    total = MASS + INTERNAL
+    one, load = model(damping=1.2 * np.sqrt(STIFFNESS * total)), Load(MASS, "force")
+    square = np.roots([1.0, 2.0 * (2.0 * 0.36 - 1.0), 1.0 - 0.95**-2])
+    band = usable_band(one, load, 0.05)
+    assert band.limit == "drop"
+    assert band.upper_hz / one.resonance_hz(load) == pytest.approx(np.sqrt(square.max()), rel=1e-9)
+
+
+def test_band_of_a_moving_base_is_that_of_the_chain() -> None:
+    base = Load(MASS, "base")
+    band = usable_band(model(Chain("lag", np.array([LAG])), damping=1e-6), base, 0.05)
+    assert band.upper_hz == pytest.approx(np.sqrt(0.95**-2 - 1.0) / (2.0 * np.pi * LAG), rel=1e-6)
+    turned = usable_band(model(Chain("delay", np.array([LAG])), damping=1e-6), base, 0.05, 0.1)
+    assert (turned.limit, turned.upper_hz) == ("phase", pytest.approx(0.1 / (2.0 * np.pi * LAG), rel=1e-6))
+    assert usable_band(model(Chain("delay", np.array([LAG])), damping=0.0), base, 0.05).upper_hz == np.inf
+    heavier = usable_band(model(Chain("lag", np.array([LAG])), damping=1e-6), Load(3.0 * MASS, "base"), 0.05)
+    assert heavier.upper_hz == pytest.approx(band.upper_hz, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("drive", "chain", "phase"),
+    [
+        ("force", NO_CHAIN, None),
+        ("force", Chain("lag", np.array([LAG])), 0.05),
+        ("base", Chain("second_order", np.array([LAG, 2e-9])), None),
+    ],
+)
+def test_uncertainty_of_the_edge_is_that_of_draws(drive: Drive, chain: Chain, phase: float | None) -> None:
+    one, load, rng = model(chain, relative=0.01), Load(MASS, drive, 0.02), np.random.default_rng(4)
+    band = usable_band(one, load, 0.05, phase)
+    edges = [usable_band(*drawn(one, load, rng), 0.05, phase).upper_hz for _ in range(200)]
+    assert np.std(edges) == pytest.approx(band.u_upper_hz, rel=0.16)
+    assert np.mean(edges) == pytest.approx(band.upper_hz, abs=4.0 * band.u_upper_hz / np.sqrt(200))
+
+
+def test_sensitivity_and_mechanics_join() -> None:
+    """Draws of the truth: the joint parameters err as their joint covariance says, that of b with the lag included."""
+    rng = np.random.default_rng(6)
+    mechanics = np.array([STIFFNESS, DAMPING, INTERNAL])
+    root = np.diag([5e-4, 0.3, 3e-3] * mechanics) @ np.linalg.cholesky(
+        [[1.0, 0.2, 0.8], [0.2, 1.0, 0.1], [0.8, 0.1, 1.0]]
+    )
+    distance, errors = [], []
+    for _ in range(150):
+        found = mechanics + root @ rng.standard_normal(3)
+        spring = replace(resonance(u_b=0.3), k=float(found[0]), b=float(found[1]), r_kb=0.2)
+        one = sensor_model(fit_chain(measured(lag(FREQUENCY), rng), "lag", spring), found, root @ root.T)
+        error = np.array([one.sensitivity, one.stiffness, one.damping, one.internal_mass, one.chain.lag_s])
+        error -= np.array([STATIC, *mechanics, LAG])
+        size = np.sqrt(one.covariance.diagonal())
+        correlation = one.covariance / np.multiply.outer(size, size)
+        distance.append(float(error / size @ np.linalg.solve(correlation, error / size)))
+        errors.append(error / size)
+    assert np.mean(distance) == pytest.approx(5.0, abs=4.5 * np.sqrt(10.0 / 150))
+    assert np.std(errors, axis=0) == pytest.approx(np.ones(5), abs=0.18)
+    with pytest.raises(ValueError, match="fit: expected one that holds b/k"):
+        sensor_model(fit_chain(measured(lag(FREQUENCY)), "lag", None), mechanics, root @ root.T)
+
+
+def test_phasors_are_corrected_with_the_uncertainty_of_the_model() -> None:
+    one, load = model(Chain("lag", np.array([LAG])), relative=0.003), Load(MASS, "force", 0.01)
+    at, force = np.array([100.0, 700.0, 1200.0]), np.array([[10.0 + 2.0j], [5.0j], [-3.0 + 0.0j]])
+    output = force * one.output_factor(at, load)[:, None]
+    noise = np.full((3, 1, 1), (1e-4 * STATIC) ** 2) * np.eye(2)
+    phasors = Phasors(at, output, noise, ("S1",), ("V/V",), np.full(3, 50.0))
+    corrected = correct_phasors(phasors, one, load)
+    assert corrected.phasors.unit == ("N",)
+    assert np.allclose(corrected.phasors.value, force, rtol=1e-12)
+    rng = np.random.default_rng(8)
+    size = 1e-4 * STATIC
+    draws = []
+    for _ in range(2000):
+        other, moved = drawn(one, load, rng)
+        read = output[:, 0] + size * (rng.standard_normal(3) + 1j * rng.standard_normal(3))
+        draws.append(read / other.output_factor(at, moved))
+    spread = np.array(draws) - force[:, 0]
+    for line in range(3):
+        expected = np.cov(spread[:, line].real, spread[:, line].imag)
+        assert np.allclose(corrected.covariance[line], expected, atol=0.12 * expected.trace())
+    with pytest.raises(ValueError, match="phasors: expected the output in V/V, found V"):
+        correct_phasors(replace(phasors, unit=("V",)), one, load)
+
+
+RATE, BAND = 100e3, 4000.0
+
+
+def pulse(time_s: FloatArray) -> FloatArray:
+    """A smooth pulse of 100 N, 0.4 ms wide, that has less than 1e-6 above 4 kHz, on a slow ramp."""
+    return np.asarray(100.0 * np.exp(-0.5 * ((time_s - 0.02) / 2e-4) ** 2) + 3.0 + 20.0 * time_s)
+
+
+@cache
+def simulated(rate: float = RATE, seconds: float = 0.04) -> tuple[FloatArray, FloatArray]:
+    """Force and output of a sensor that rings at 1.48 kHz, simulated in time at ten times the rate."""
+    time = np.arange(round(10 * rate * seconds)) / (10 * rate)
+    force = pulse(time)
+    system = state_space("force", LAG)
+    start = np.linalg.solve(system.A, -system.B[:, 0] * force[0])
+    output = signal.lsim(system, force, time, X0=start)[1]
+    return force[::10], np.asarray(output)[::10]
+
+
+def test_record_is_corrected() -> None:
+    one, load = model(Chain("lag", np.array([LAG]))), Load(MASS, "force")
+    force, output = simulated()
+    assert np.abs(output / STATIC - force).max() > 10.0
+    found = correct_record(output, RATE, one, load, BAND)
+    inner = slice(found.settling, -found.settling)
+    assert found.unit == "N"
+    assert np.abs(found.force - force)[inner].max() < 0.01
+    assert np.all(found.u == 0.0)
+
+
+@settings(max_examples=15, deadline=None)
+@given(delay=st.floats(-3e-4, 3e-4), place=st.integers(0, 200), size=st.floats(1.0, 1e6))
+def test_one_end_does_not_see_the_other(delay: float, place: int, size: float) -> None:
+    one, load = model(Chain("delay", np.array([delay]))), Load(MASS, "base")
+    output = np.random.default_rng(0).standard_normal(3000)
+    plain = correct_record(output, RATE, one, load, BAND)
+    output[place] += size
+    moved = correct_record(output, RATE, one, load, BAND)
+    far = slice(place + plain.settling + 200 - place, None)
+    reach = np.abs(moved.force - plain.force)
+    assert reach[far].max() < 1e-4 * reach.max()
+
+
+def test_correction_is_linear_and_a_constant_is_divided_by_the_static_factor() -> None:
+    one, load = model(Chain("second_order", np.array([LAG, 2e-9]))), Load(MASS, "base")
+    found = correct_record(np.full(4000, 1e-4), RATE, one, load, BAND)
+    assert np.allclose(found.force, 1e-4 / STATIC / (1.0 + INTERNAL / MASS), rtol=2e-5)
+    assert found.beyond < 1e-4 * found.force[0]
+    assert found.notices == ()
+
+
+def test_uncertainty_of_a_record_is_that_of_draws() -> None:
+    one, load = model(Chain("lag", np.array([LAG])), relative=0.002), Load(MASS, "force", 0.01)
+    _, output = simulated()
+    u_noise = 0.05 * STATIC
+    found = correct_record(output, RATE, one, load, BAND, u_noise=u_noise)
+    rng = np.random.default_rng(9)
+    draws = []
+    for _ in range(100):
+        other, moved = drawn(one, load, rng)
+        read = output + u_noise * rng.standard_normal(len(output))
+        draws.append(correct_record(read, RATE, other, moved, BAND).force)
+    inner = slice(found.settling, -found.settling)
+    ratio = (np.std(draws, axis=0) / found.u)[inner]
+    assert np.mean(ratio) == pytest.approx(1.0, abs=0.03)
+    assert np.abs(ratio - 1.0).max() < 0.4
+    assert np.allclose(
+        np.sum(found.errors**2, axis=0) + (found.u**2 - np.sum(found.errors**2, axis=0)).mean(), found.u**2
+    )
+
+
+def test_what_lies_beyond_the_band_is_said() -> None:
+    one, load = model(), Load(MASS, "base")
+    time = np.arange(4000) / RATE
+    tone = STATIC * np.cos(2.0 * np.pi * 9000.0 * time)
+    found = correct_record(tone, RATE, one, load, BAND)
+    assert found.beyond == pytest.approx(np.sqrt(0.5) / (1.0 + INTERNAL / MASS), rel=0.02)
+    (notice,) = found.notices
+    assert "above 4000 Hz, which is removed, not corrected" in notice.text
+
+
+def test_wrong_calls_are_refused() -> None:
+    one, load = model(), Load(MASS, "base")
+    with pytest.raises(ValueError, match="band_hz: expected up to 40000 Hz for 100000 Hz, found 45000"):
+        correct_record(np.zeros(4000), RATE, one, load, 45e3)
+    with pytest.raises(ValueError, match="output: expected more than"):
+        correct_record(np.zeros(100), RATE, one, load, 1000.0)
+    with pytest.raises(ValueError, match="permitted: expected a share"):
+        usable_band(one, load, 1.0)
+    with pytest.raises(ValueError, match="permitted_phase_rad"):
+        usable_band(one, load, 0.1, 4.0)
+    with pytest.raises(ValueError, match="mass, u_mass"):
+        Load(0.0, "base")
+    with pytest.raises(ValueError, match="stiffness, internal_mass"):
+        replace(one, stiffness=-1.0)
