@@ -7,7 +7,19 @@ import logging
 import sys
 from collections.abc import Sequence
 
-from fusion.commands import align, cameras, check, identify, import_calibration, lines, plan, run, simulate, transfer
+from fusion.commands import (
+    align,
+    cameras,
+    check,
+    identify,
+    import_calibration,
+    lines,
+    plan,
+    rotate,
+    run,
+    simulate,
+    transfer,
+)
 from fusion.commands.values import EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED
 
 log = logging.getLogger("shakercal")
@@ -71,7 +83,7 @@ def _parser() -> argparse.ArgumentParser:
     loudness.add_argument("-v", "--verbose", action="store_true", help="tell more on stderr")
     loudness.add_argument("-q", "--quiet", action="store_true", help="warnings and errors only, no progress bar")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    for command in (run, check, cameras, import_calibration, align, simulate, plan, lines, transfer, identify):
+    for command in (run, check, cameras, import_calibration, align, simulate, plan, lines, transfer, rotate, identify):
         command.add(commands, common)
     return parser
 

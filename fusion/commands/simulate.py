@@ -15,11 +15,11 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
     parser.add_argument("out", type=Path, metavar="OUT", help="campaign folder to create")
     parser.add_argument(
         "--preset",
-        choices=("demo", "nitsche2018", "sweep", "matrix", "targets", "chirp", "masses", "pitching"),
+        choices=("demo", "nitsche2018", "sweep", "matrix", "targets", "chirp", "masses", "pitching", "rotation"),
         default="demo",
         help="which rig (default: demo); sweep, matrix: campaigns for a curve over frequency and for the 6x6; "
-        "targets: a camera calibration; chirp: a recording for shakercal transfer; masses, pitching: campaigns of two loads "
-        "for shakercal identify",
+        "targets: a camera calibration; chirp: a recording for shakercal transfer; masses, pitching: campaigns of two "
+        "loads for shakercal identify; rotation: a campaign for shakercal rotate",
     )
     parser.add_argument("--seed", type=seed, default=1, help="seed of every random draw (default: 1)")
     parser.add_argument("--force", action="store_true", help="overwrite a simulation that is there")
@@ -41,7 +41,14 @@ def _act(options: argparse.Namespace) -> int:
 
 def _write(out: Path, preset: str, seed: int, progress: ProgressCallback) -> str:
     """Write what a preset is, and return the sentence about it."""
-    from fusion.simulate import simulate, simulate_campaign, simulate_chirp, simulate_loads, simulate_targets
+    from fusion.simulate import (
+        simulate,
+        simulate_campaign,
+        simulate_chirp,
+        simulate_loads,
+        simulate_rotation,
+        simulate_targets,
+    )
 
     if preset == "targets":
         return f"simulated pictures of a target: {simulate_targets(out, seed, progress)}"
@@ -50,5 +57,7 @@ def _write(out: Path, preset: str, seed: int, progress: ProgressCallback) -> str
         return f"simulated campaign: {out}, {len(folders)} recording{'s' * (len(folders) > 1)}"
     if preset in ("masses", "pitching"):
         return f"simulated campaign: {simulate_loads(out, preset, seed, progress)}"
+    if preset == "rotation":
+        return f"simulated campaign: {out}, {len(simulate_rotation(out, seed))} recordings"
     folder = simulate_chirp(out, seed) if preset == "chirp" else simulate(out, preset, seed, progress)
     return f"simulated recording: {folder}"

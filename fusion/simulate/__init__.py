@@ -96,6 +96,18 @@ def simulate_loads(out: Path, preset: str, seed: int, progress: ProgressCallback
     return out
 
 
+def simulate_rotation(out: Path, seed: int) -> tuple[Path, ...]:
+    """Write a rotation test, a recording without and one with load, into folder `out` and return their folders.
+
+    The same seed gives the same files; other folders are refused as by `simulate`.
+    """
+    from fusion.simulate.rotation import BARE, LOADED, write_rotation
+
+    with _whole(out) as partial:
+        write_rotation(partial, seed)
+    return out / BARE, out / LOADED
+
+
 @contextmanager
 def _whole(out: Path) -> Iterator[Path]:
     """Yield a folder that takes the place of `out` when it is complete; refuse anything but an earlier simulation."""

@@ -149,7 +149,7 @@ def fit_weights(records: Sequence[Turned], outputs: SensorOutputs, u_angle_rad: 
     if not records:
         raise ValueError("records: expected at least one, found none")
     problem = _Problem(tuple(records), outputs, u_angle_rad)
-    vector = np.concatenate([*(_start(record, outputs) for record in records), np.zeros(problem.shared)])
+    vector = np.concatenate([*(start_values(record, outputs) for record in records), np.zeros(problem.shared)])
     for _ in range(_STEPS):
         residual, jacobian = problem.linearised(vector)
         scale, step, gain = problem.solved(vector, residual, jacobian)
@@ -263,8 +263,8 @@ def _load(record: Turned, own: FloatArray, sense: int) -> tuple[ComplexArray, Co
     return np.asarray(load), columns
 
 
-def _start(record: Turned, outputs: SensorOutputs) -> FloatArray:
-    """Unknowns of a recording from the forces alone; refuses readings that turn the other way round."""
+def start_values(record: Turned, outputs: SensorOutputs) -> FloatArray:
+    """Return the unknowns (7,) of a recording from the forces alone; refuses readings that turn the other way round."""
     phasor = outputs.sense * _turning(record, np.zeros(2))
     seen = outputs.determined[:FORCES] & (np.abs(phasor) > LEAST_SHARE)
     if not seen.any():
