@@ -14,6 +14,7 @@ from oscillator_factory import F0_HZ, chirp, deviations, periodic, record, trans
 from scipy.stats import f as fisher
 
 from shaker.signals.transfer import TransferFunction, TransferRecord, ratio_unit, transfer_periodic
+from shaker.signals.transfer.pooling import pooled_scatter
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -163,6 +164,17 @@ def test_channels_may_stand_in_any_order() -> None:
     one, other = (transfer_periodic(data, LENGTH / RATE).ratio for data in (three, turned))
     np.testing.assert_allclose(other.select(["a", "b", "c"]).value, one.value, rtol=1e-12)
     np.testing.assert_allclose(other.select(["a", "b", "c"]).covariance, one.covariance, rtol=1e-9, atol=1e-20)
+
+
+def test_a_loud_line_of_two_periods_and_two_channels_still_has_a_covariance_that_inverts() -> None:
+    rng = np.random.default_rng(3)
+    error = rng.standard_normal((200, 2)) + 1j * rng.standard_normal((200, 2))
+    error[100] *= 30.0
+    scatter = error[:, :, None] * error[:, None, :].conj()
+    pooled, number = pooled_scatter(scatter, np.ones((200, 2), dtype=np.complex128), 2.0)
+    assert number[100] == 1.0
+    assert np.linalg.eigvalsh(pooled)[:, 0].min() > 0.0
+    assert pooled[100, 0, 0].real > 100.0 * pooled[99, 0, 0].real
 
 
 def test_what_cannot_be_estimated_is_refused_with_a_reason() -> None:

@@ -18,7 +18,8 @@ def pooled_scatter(scatter: ComplexArray, ratio: ComplexArray, dof: float) -> tu
     Across a resonance the noise of y - Hx is not level: that of the response is, that of the reference arrives times
     |H|², and so does what shakes the base. So every line's scatter is first divided by a shape A + B|H|², A, B ≥ 0
     steady over 64 lines, then averaged, then multiplied by the shape again. A line that is noisier than `dof` degrees
-    of freedom allow (mains, a spur) keeps its own noise to itself.
+    of freedom allow (mains, a spur) keeps its own noise to itself; where its scatter has too few degrees of freedom for
+    the correlation of C responses, that of the neighbours, enlarged.
     """
     lines = len(scatter)
     level = np.einsum("kcc->kc", scatter).real
@@ -32,8 +33,18 @@ def pooled_scatter(scatter: ComplexArray, ratio: ComplexArray, dof: float) -> tu
         first, last = max(0, -offset), min(lines, lines - offset)
         total[first:last] += counted[first + offset : last + offset]
         number[first:last] += ~alone[first + offset : last + offset]
-    mean = np.where(alone[:, None, None], even, total / np.maximum(number, 1.0)[:, None, None])
+    mean = np.asarray(total / np.maximum(number, 1.0)[:, None, None], dtype=np.complex128)
+    own = even if dof >= 2.0 * level.shape[1] else _enlarged(mean, even)
+    mean = np.where(alone[:, None, None], own, mean)
     return np.asarray(mean * product), np.where(alone, 1.0, number)
+
+
+def _enlarged(mean: ComplexArray, even: ComplexArray) -> ComplexArray:
+    """Return the neighbours' noise (K, C, C) times what the line's own exceeds it by in the channel where most so."""
+    around, level = (np.einsum("kcc->kc", part).real for part in (mean, even))
+    tiny = np.finfo(np.float64).tiny
+    factor = np.max(level / np.maximum(around, tiny), axis=1)
+    return np.asarray(np.where(np.any(around > 0.0, axis=1)[:, None, None], mean * factor[:, None, None], even))
 
 
 def share_of_reference(scatter: ComplexArray, ratio: ComplexArray) -> FloatArray:
