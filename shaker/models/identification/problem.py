@@ -19,7 +19,7 @@ class Curve:
     """One recording ready to be compared: which unknowns act on it and how.
 
     `terms` (P+E,): places of the weights of `mechanics` among the unknowns; `factors` (F,) those of what multiplies the
-    ratios by exp(z · `relative` (K, C, F)); `clock`: place of the clock's error, -1 without one. `whitening` (K, 2C, 2C).
+    ratios by exp(z · `relative` (K, C, F)); `clock`: place of the clock's error, -1 without. `whitening` (K, 2C, 2C).
     """
 
     record: MeasuredTransfer
@@ -92,8 +92,8 @@ def build(
             names[name] = len(names)
     first_error = len(names)
     for record in records:
-        clock = [record.clock] if record.u_clock > 0.0 else []
-        for name in (*(e.name for e in (*record.errors, *record.inertia_errors)), *clock):
+        causes = [error.name for error in record.errors] + [error.name for error in record.inertia_errors]
+        for name in [*causes, record.clock] if record.u_clock > 0.0 else causes:
             names.setdefault(f"error: {name}", len(names))
     curves = tuple(
         _curve(record, structure, place, free, names)

@@ -41,8 +41,8 @@ def _misfit(noise: float, dof: float) -> list[Notice]:
     if noise < max(_NOISE_INFO, 1.0 + 5.0 * float(np.sqrt(2.0 / dof))):
         return []
     text = (
-        f"the curves depart from the model by {np.sqrt(noise):.2g} times their noise; the uncertainties are enlarged by "
-        "this factor"
+        f"the curves depart from the model by {np.sqrt(noise):.2g} times their noise; the uncertainties are enlarged "
+        "by this factor"
     )
     if noise < _NOISE_WARNING:
         return [Notice("info", text, "identification")]

@@ -121,7 +121,7 @@ class Spread:
         size = float(np.linalg.norm(own))
         if size > 0.0 and len(self.opened) and np.linalg.norm(self.opened @ own) > 1e-4 * size:
             return float("inf")
-        return float(np.sqrt(max(0.0, gradient @ self.covariance @ gradient)))
+        return float(np.sqrt(max(0.0, float(gradient @ self.covariance @ gradient))))
 
     def covariance_of(self, gradients: FloatArray) -> FloatArray:
         """Return the covariance (G, G) of numbers with `gradients` (G, N): open ones infinite, and without relation."""
@@ -135,7 +135,10 @@ class Spread:
 
 
 def spread(problem: Problem, state: State, noise: float) -> Spread:
-    """Return the covariance A⁻¹ (JᵀRJ/λ + P) A⁻¹, A = JᵀJ/λ + P: λ = `noise`, R the correlation of lines, P priors."""
+    """Return the covariance A⁻¹ (JᵀRJ/λ + P) A⁻¹, A = JᵀJ/λ + P: λ = `noise`, R the correlation of lines, P priors.
+
+    In a basis in which A = 1, so that what the stated masses and scales leave open does not lose its digits.
+    """
     count, free = len(state.vector), ~problem.fixed
     wide = [_wide(problem, curve, part) for curve, part in zip(problem.curves, state.jacobians, strict=True)]
     rows = [jacobian.reshape(-1, count) / np.sqrt(noise) for jacobian in wide]
@@ -147,15 +150,14 @@ def spread(problem: Problem, state: State, noise: float) -> Spread:
     directions = np.zeros((len(found), count))
     directions[:, free] = found
     determined = singular > _OPEN * singular.max()
-    inverse = (directions[determined].T / singular[determined] ** 2) @ directions[determined]
-    pair = np.multiply.outer(size, size)
-    noise_part = np.zeros((count, count))
+    basis = directions[determined].T / singular[determined] / size[:, None]
+    middle, effective = np.eye(basis.shape[1]), 0.0
     for curve, jacobian in zip(problem.curves, wide, strict=True):
-        noise_part += _correlated(curve, jacobian) / noise
-    covariance = inverse @ ((noise_part + np.diag(problem.precision)) / pair) @ inverse / pair
-    effective = float(np.sum(inverse * (state.normal / noise / pair)))
-    prior = inverse / pair * np.sqrt(problem.precision)
-    return Spread(0.5 * (covariance + covariance.T), directions[~determined], 1.0 / size, effective, prior)
+        turned = jacobian @ basis / np.sqrt(noise)
+        middle += _between_lines(curve, turned)
+        effective += float(np.sum(turned**2))
+    prior = basis @ basis.T * np.sqrt(problem.precision)
+    return Spread(basis @ middle @ basis.T, directions[~determined], 1.0 / size, effective, prior)
 
 
 def _wide(problem: Problem, curve: Curve, jacobian: FloatArray) -> FloatArray:
@@ -167,20 +169,20 @@ def _wide(problem: Problem, curve: Curve, jacobian: FloatArray) -> FloatArray:
     return wide
 
 
-def _correlated(curve: Curve, jacobian: FloatArray) -> FloatArray:
-    """Return JᵀRJ of whitened derivatives (K, 2C, N), R the correlation of neighbouring lines."""
-    flat = jacobian.reshape(-1, jacobian.shape[2])
+def _between_lines(curve: Curve, columns: FloatArray) -> FloatArray:
+    """Return Tᵀ(R - 1)T of whitened columns T (K, 2C, N), R the correlation of neighbouring lines."""
+    count = columns.shape[2]
+    total = np.zeros((count, count))
     correlation = curve.record.line_correlation
     if correlation is None or len(correlation) <= 1:
-        return flat.T @ flat
+        return total
     frequency = curve.record.ratio.frequency_hz
     place = np.round((frequency - frequency.min()) / np.min(np.diff(np.sort(frequency)))).astype(np.int64)
-    length, channels = int(place.max()) + 1, jacobian.shape[1] // 2
-    grid: ComplexArray = np.zeros((length + len(correlation), channels, jacobian.shape[2]), dtype=np.complex128)
-    grid[place] = jacobian[:, :channels] + 1j * jacobian[:, channels:]
-    here = grid[:length].reshape(-1, jacobian.shape[2])
-    total = flat.T @ flat
+    length, channels = int(place.max()) + 1, columns.shape[1] // 2
+    grid: ComplexArray = np.zeros((length + len(correlation), channels, count), dtype=np.complex128)
+    grid[place] = columns[:, :channels] + 1j * columns[:, channels:]
+    here = grid[:length].reshape(-1, count)
     for apart, value in enumerate(correlation[1:], start=1):
-        pair = value * (grid[apart : apart + length].reshape(-1, jacobian.shape[2]).conj().T @ here)
-        total = total + (pair + pair.conj().T).real
-    return np.asarray(total)
+        pair = value * (grid[apart : apart + length].reshape(-1, count).conj().T @ here)
+        total += (pair + pair.conj().T).real
+    return total

@@ -106,9 +106,15 @@ def _undamped(curve: Curve, vector: FloatArray) -> tuple[FloatArray, FloatArray]
     matrices = curve.mechanics.matrices[1:]
     change = np.einsum("im,qij,jm->mq", shape, matrices[:, 2], shape)
     change -= omega[:, None] ** 2 * np.einsum("im,qij,jm->mq", shape, matrices[:, 0], shape)
-    by_unknown = np.zeros((len(omega), len(vector)))
-    np.add.at(by_unknown, (slice(None), curve.terms), change / (2.0 * omega[:, None] ** 2))
-    return omega, by_unknown
+    return omega, _by_unknown(curve, change / (2.0 * omega[:, None] ** 2), len(vector))
+
+
+def _by_unknown(curve: Curve, by_term: FloatArray, count: int) -> FloatArray:
+    """Return derivatives (n, N) by all unknowns of those (n, P+E) by the terms of a recording."""
+    found = np.zeros((len(by_term), count))
+    for column, place in enumerate(curve.terms):
+        found[:, place] += by_term[:, column]
+    return found
 
 
 def _modes(mechanics: Mechanics, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -139,9 +145,8 @@ def _damped(
     rows, right, least = [], [], np.full(len(vector), np.inf)
     for curve, poles in zip(problem.curves, measured, strict=True):
         omega, shape = _modes(curve.mechanics, curve.weights(vector))
-        share = np.zeros((len(omega), len(vector)))
         by_term = np.einsum("im,qij,jm->mq", shape, curve.mechanics.matrices[1:, 1], shape)
-        np.add.at(share, (slice(None), curve.terms), by_term)
+        share = _by_unknown(curve, by_term, len(vector))
         for place in moved[share[:, moved].max(axis=0) > 0.0]:
             mode = int(np.argmax(share[:, place]))
             floor = 2.0 * _LEAST_DAMPING_RATIO * omega[mode] / share[mode, place]

@@ -1,0 +1,108 @@
+"""Exact curves of loads on springs, by formulas and by state space that the program does not use, and noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from shaker.models.measured import InertiaError, MeasuredTransfer, RelativeError, Sight
+from shaker.signals.phasor import Phasors
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Z = np.array([0.0, 0.0, 1.0])
+X = np.array([1.0, 0.0, 0.0])
+ALONG_Z = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+ALONG_X = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+
+def rigid_mass(mass_kg: float, height_m: float = 0.0, inertia_kgm2: float = 0.0) -> FloatArray:
+    """Mass matrix (6, 6) about the origin of a body with its centre of mass on the z axis: ½ẋᵀMẋ is its energy."""
+    matrix = np.zeros((6, 6))
+    for axis in np.eye(6):
+        for other in np.eye(6):
+            velocity, turning = axis[:3] + np.cross(axis[3:], height_m * Z), axis[3:]
+            velocity2, turning2 = other[:3] + np.cross(other[3:], height_m * Z), other[3:]
+            energy = mass_kg * velocity @ velocity2 + inertia_kgm2 * turning @ turning2
+            matrix[int(axis @ np.arange(6)), int(other @ np.arange(6))] = energy
+    return matrix
+
+
+def oscillator(s: ComplexArray, mass: float, k: float, b: float) -> ComplexArray:
+    """Motion of a mass over that of its base."""
+    return np.asarray((b * s + k) / (mass * s * s + b * s + k))
+
+
+def state_space(
+    s: ComplexArray, mass: FloatArray, damping: FloatArray, stiffness: FloatArray, base: FloatArray
+) -> ComplexArray:
+    """Motion (K, n) of coordinates on springs and dampers to a base that moves by `base` (n,), by state space.
+
+    States x and v; the base's displacement and velocity drive: M v̇ = K(base·u - x) + B(base·u̇ - v), forces of the
+    base's own acceleration on rigidly coupled coordinates being none.
+    """
+    size = len(mass)
+    a = np.block(
+        [
+            [np.zeros((size, size)), np.eye(size)],
+            [-linalg.solve(mass, stiffness), -linalg.solve(mass, damping)],
+        ]
+    )
+    by_displacement = np.concatenate([np.zeros(size), linalg.solve(mass, stiffness @ base)])
+    by_velocity = np.concatenate([np.zeros(size), linalg.solve(mass, damping @ base)])
+    moved = [linalg.solve(one * np.eye(2 * size) - a, by_displacement + one * by_velocity)[:size] for one in s]
+    return np.array(moved)
+
+
+def recording(
+    name: str,
+    frequency_hz: FloatArray,
+    value: ComplexArray,
+    mass_matrix: FloatArray,
+    drive: FloatArray,
+    *,
+    noise: float | FloatArray,
+    rng: np.random.Generator | None = None,
+    tops: Sequence[Sight] | None = None,
+    base: Sight | None = None,
+    errors: Sequence[RelativeError] = (),
+    inertia_errors: Sequence[InertiaError] = (),
+    line_correlation: ComplexArray | None = None,
+    added_decay_per_s: float = 0.0,
+    u_clock: float = 0.0,
+) -> MeasuredTransfer:
+    """Curves (K, C) with circular noise of a standard uncertainty per part, as measured; without `rng` exact."""
+    value = value.reshape(len(frequency_hz), -1)
+    lines, channels = value.shape
+    size = np.broadcast_to(noise, value.shape)
+    covariance = np.zeros((lines, 2 * channels, 2 * channels))
+    place = np.arange(2 * channels)
+    covariance[:, place, place] = np.concatenate([size, size], axis=1) ** 2
+    if rng is not None:
+        draws = rng.standard_normal((2, lines, channels))
+        value = value + size * (draws[0] + 1j * draws[1])
+    sight = Sight(np.zeros(3), drive[:3] if np.any(drive[:3]) else Z)
+    ratio = Phasors(
+        frequency_hz,
+        value,
+        covariance,
+        tuple(f"top {c + 1}" for c in range(channels)),
+        ("1",) * channels,
+        np.full(lines, 50.0),
+    )
+    return MeasuredTransfer(
+        name=name,
+        ratio=ratio,
+        tops=tuple(tops) if tops is not None else (sight,) * channels,
+        base=sight if base is None else base,
+        drive=drive,
+        mass_matrix=mass_matrix,
+        errors=tuple(errors),
+        inertia_errors=tuple(inertia_errors),
+        line_correlation=line_correlation,
+        added_decay_per_s=added_decay_per_s,
+        u_clock=u_clock,
+    )
