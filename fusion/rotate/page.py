@@ -36,7 +36,7 @@ def _context(evaluation: RotationEvaluation) -> dict[str, Any]:
         "centres": tables.centres_table(evaluation),
         "deviations": _deviations(evaluation),
         "recordings": tables.recordings_table(evaluation),
-        "readings": [picture for recording in evaluation.recordings for picture in _pictures(evaluation, recording)],
+        "readings": [picture for recording in evaluation.recordings for picture in _pictures(recording)],
         "harmonics": [tables.harmonics_table(recording) for recording in evaluation.recordings],
         "axis": tables.axis_table(evaluation),
         "budgets": tables.budget_tables(evaluation),
@@ -59,12 +59,12 @@ def _subject(evaluation: RotationEvaluation) -> list[tuple[str, str]]:
     return facts
 
 
-def _pictures(evaluation: RotationEvaluation, recording: RotationRecording) -> list[Picture]:
+def _pictures(recording: RotationRecording) -> list[Picture]:
     """Forces and moments of a recording over the angle."""
     fit, found = recording.fit, []
-    inverse = evaluation.outputs.inverse
+    inverse = recording.inverse
     for kind, unit, wanted in (("forces", LOAD_UNITS[0], slice(0, 3)), ("moments", LOAD_UNITS[3], slice(3, 6))):
-        places = [i for i in range(*wanted.indices(6)) if evaluation.outputs.determined[i]]
+        places = [i for i in recording.told if i in range(6)[wanted]]
         if not places:
             continue
 

@@ -42,8 +42,15 @@ def read_rotation(manifest: Manifest) -> tuple[RotationRecording, SensorOutputs,
     except ValueError as error:
         raise InputError.told_by(error, table_path(manifest)) from error
     load = np.where(outputs.determined, fit.reading @ outputs.inverse.T, np.nan)
-    units = tuple(column.unit for column in columns)
-    recording = RotationRecording(where, manifest, bool(manifest.excitation.with_load), units, fit, load)
+    recording = RotationRecording(
+        name=where,
+        manifest=manifest,
+        with_load=bool(manifest.excitation.with_load),
+        unit=tuple(column.unit if column.is_load else sensor.unit for column in columns),
+        fit=fit,
+        inverse=outputs.inverse,
+        load=load,
+    )
     _check_start(recording, outputs)
     return recording, outputs, notices
 

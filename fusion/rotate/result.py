@@ -21,7 +21,7 @@ JOINT = "joint"
 
 
 class Column(NamedTuple):
-    """One column of a recording's table that is used: the sensor's channel, its unit, as a load component or not."""
+    """One column of a recording's table that is used: the sensor's channel, its unit as written, load or output."""
 
     channel: str
     unit: str
@@ -33,7 +33,7 @@ class RotationRecording:
     """One recording: readings over the angle in the sensor's unit or in N and N·m, and the fit to them.
 
     `name`: of its folder. `unit` (C,), of every channel. `load` (N, 6): the readings as loads by the calibration
-    matrix, NaN where that does not tell a component.
+    matrix `inverse` (6, C), NaN where that does not tell a component.
     """
 
     name: str
@@ -41,7 +41,13 @@ class RotationRecording:
     with_load: bool
     unit: tuple[str, ...]
     fit: AngleFit
+    inverse: FloatArray
     load: FloatArray
+
+    @property
+    def told(self) -> list[int]:
+        """Return the places of the load components that the channels tell."""
+        return [int(i) for i in np.flatnonzero(np.isfinite(self.load).all(axis=0))]
 
 
 @dataclass(frozen=True)

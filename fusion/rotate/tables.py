@@ -6,10 +6,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from fusion.load import LOAD_COMPONENTS, LOAD_UNITS
 from fusion.polar import DASH, rounded, typeset
-from fusion.report_numbers import degrees_of_freedom, factor, measured, number, short, small
+from fusion.report_numbers import degrees_of_freedom, factor, measured, short, small
 from fusion.report_tables import Headline, Table
 from fusion.results_csv import Row
+from fusion.rotate.masses import UNTOLD
 from fusion.rotate.result import JOINT, Quantity, RotationEvaluation, RotationRecording
 
 COLUMNS = ["name", "component", "value", "u", "U", "k", "unit", "dof", "recording"]
@@ -31,6 +33,8 @@ SCALED = {"kg": (GRAM, "g"), "m": (MILLIMETRE, "mm"), "rad": (MILLIRADIAN, "mrad
 """Units in which differences and places are told."""
 NONE, ALL = "-", "all"
 """Component of what has none, recording of what rests on all."""
+SMALLEST_UNTOLD = 0.01
+"""Share in an uncertainty from which what no channel tells is listed."""
 CLEAR = 2.0
 """Amplitude over its standard uncertainty from which a harmonic is given a value of its own."""
 
@@ -64,7 +68,7 @@ def differences_table(evaluation: RotationEvaluation) -> Table | None:
     rows = []
     for q in _named(evaluation, DIFFERENCES):
         normalised = evaluation.find(NORMALISED, q.component) if q.name == "load_mass_deviation" else None
-        over = number(normalised.value) if normalised is not None else DASH
+        over = _signed(normalised.value) if normalised is not None else DASH
         rows.append((_capital(q.label), q.component, _value(q, small_unit=True), factor(q.k), over))
     head = ("difference", "by", "value", "k", "over its U")
     return Table("Differences with U", head, "llrrr", tuple(rows)) if rows else None
@@ -85,56 +89,40 @@ def centres_table(evaluation: RotationEvaluation) -> Table | None:
 
 def recordings_table(evaluation: RotationEvaluation) -> Table:
     """Each recording: what was read, what it weighs, how the head stood."""
+    by = [
+        name for name in (JOINT, "Fx", "Fy", "Fz") if any(q.component == name for q in _named(evaluation, ("weight",)))
+    ]
     rows = []
     for recording in evaluation.recordings:
         fit = recording.fit
-        weights = [evaluation.find("weight", name, recording.name) for name in (JOINT, "Fx", "Fy", "Fz")]
-        zero = evaluation.find("zero_angle", "", recording.name)
-        rows.append(
-            (
-                recording.name,
-                "load mounted" if recording.with_load else "without load",
-                f"{len(fit.angle_rad)}",
-                *(DASH if q is None else measured(q.value, q.expanded) for q in weights),
-                DASH if zero is None else _scaled_value(zero),
-                ", ".join(fit.terms[3:]) or "none",
-            )
-        )
-    head = (
-        "recording",
-        "state",
-        "readings",
-        "weight / N",
-        "Fx / N",
-        "Fy / N",
-        "Fz / N",
-        "zero angle / mrad",
-        "more terms",
-    )
-    return Table("Recordings: weight in air with U, terms that the readings show", head, "llrrrrrrl", tuple(rows))
+        weights = [evaluation.find("weight", name, recording.name) for name in by]
+        state = "load mounted" if recording.with_load else "without load"
+        cells = (DASH if q is None else measured(q.value, q.expanded) for q in weights)
+        more = ", ".join(dict.fromkeys(_term_name(name) for name in fit.terms[3:]))
+        rows.append((recording.name, state, f"{len(fit.angle_rad)}", *cells, more or "none"))
+    heads = ["weight / N" if name == JOINT else f"by {name} / N" for name in by]
+    head = ("recording", "state", "readings", *heads, "further terms")
+    align = "llr" + "r" * len(by) + "l"
+    return Table("Recordings: weight in air with U, terms that the readings show", head, align, tuple(rows))
 
 
 def harmonics_table(recording: RotationRecording) -> Table:
-    """Offset, harmonics and further terms of every channel of a recording, and what turning back changes."""
-    fit = recording.fit
-    reversal = fit.reversal()
+    """Offset, harmonics and further terms of every load component of a recording, and what turning back changes."""
+    fit, told = recording.fit, recording.told
+    terms = list(_terms(recording))
     rows = []
-    for c, channel in enumerate(fit.channels):
-        own = [q for q in _terms(recording) if q.component == channel]
-        back = np.abs(reversal.difference[:, c])
-        rows.append(
-            (
-                channel,
-                typeset(recording.unit[c]) or "1",
-                *(_term(q) for q in own),
-                short(float(np.sqrt(fit.noise[c, c]))),
-                short(float(back.max())) if len(back) else DASH,
-            )
-        )
-    names = [_heading(q.name) for q in _terms(recording) if q.component == fit.channels[0]]
-    head = ("channel", "unit", *names, "scatter s", "largest difference forward–back")
+    for name, label in dict.fromkeys((q.name, q.label) for q in terms):
+        rows.append((_capital(label), *(_term(q) for q in terms if q.name == name)))
+    calibration = recording.inverse[told]
+    scatter = np.sqrt(np.diag(calibration @ fit.noise @ calibration.T))
+    rows.append(("Scatter s of a reading", *(short(float(s)) for s in scatter)))
+    back = np.abs(fit.reversal().difference @ calibration.T)
+    if len(back):
+        rows.append(("Largest difference forward less back", *(short(float(value)) for value in back.max(axis=0))))
+    units = [typeset(LOAD_UNITS[i]) for i in told]
+    heads = [f"{LOAD_COMPONENTS[i]} / {u if '·' not in u else f'({u})'}" for i, u in zip(told, units, strict=True)]
     caption = f"{recording.name}: readings over the angle, U of the noise alone (dof {fit.dof:.0f})"
-    return Table(caption, head, "ll" + "r" * (len(head) - 2), tuple(rows))
+    return Table(caption, ("term", *heads), "l" + "r" * len(heads), tuple(rows))
 
 
 def axis_table(evaluation: RotationEvaluation) -> Table | None:
@@ -177,7 +165,8 @@ def printed(evaluation: RotationEvaluation) -> Iterator[str]:
     for recording in evaluation.recordings:
         fit = recording.fit
         state = "with load" if recording.with_load else "without load"
-        more = f", also {', '.join(fit.terms[3:])}" if fit.terms[3:] else ""
+        names = dict.fromkeys(_term_name(name) for name in fit.terms[3:])
+        more = f", also {', '.join(names)}" if names else ""
         weights = [q for q in evaluation.quantities if q.name == "weight" and q.recording == recording.name]
         told = ", ".join(f"{q.component} {_plain(q)}" for q in weights)
         read = f"{len(fit.angle_rad)} readings, offset and first harmonic{more}"
@@ -189,7 +178,7 @@ def printed(evaluation: RotationEvaluation) -> Iterator[str]:
             yield f"{found[0].label}: {told}"
     normalised = _named(evaluation, (NORMALISED,))
     if normalised:
-        told = ", ".join(f"{q.component} {rounded(q.value, 0.1).value}" for q in normalised)
+        told = ", ".join(f"{q.component} {_signed(q.value)}" for q in normalised)
         yield f"normalised deviation of the load mass: {told} (agreement: within ±1)"
 
 
@@ -199,31 +188,35 @@ def _named(evaluation: RotationEvaluation, names: Sequence[str]) -> list[Quantit
 
 
 def _terms(recording: RotationRecording) -> Iterator[Quantity]:
-    """Offset, amplitudes of the harmonics, drift and sense of every channel, with the noise's uncertainty."""
+    """Offset, amplitudes of the harmonics, drift and sense of every load component, with the noise's uncertainty."""
     fit = recording.fit
-    u = fit.u_coefficient()
-    for c, channel in enumerate(fit.channels):
-        unit = recording.unit[c] or recording.manifest.rig.sensor.unit if recording.manifest.rig.sensor else ""
-        tail = (fit.dof, unit, recording.name)
+    for i in recording.told:
+        row = recording.inverse[i]
+        coefficient, noise = fit.coefficient @ row, float(row @ fit.noise @ row)
+        u = np.sqrt(noise * np.diag(fit.inverse))
+        tail = (fit.dof, LOAD_UNITS[i], recording.name)
         for place, name in enumerate(fit.terms):
+            value, spread = float(coefficient[place]), float(u[place])
+            if name.startswith("sin "):
+                continue
             if name.startswith("cos "):
-                order = int(name[4:])
-                size = abs(complex(fit.amplitude(order)[c]))
-                spread = float(np.hypot(u[place, c], u[place + 1, c]) / np.sqrt(2.0))
-                yield Quantity(f"harmonic_{order}", f"harmonic {order}", channel, size, spread, *tail, {})
-            elif not name.startswith("sin "):
-                label = name.replace(" ", "_")
-                yield Quantity(label, name, channel, float(fit.coefficient[place, c]), float(u[place, c]), *tail, {})
+                pair = coefficient[place : place + 2]
+                value = float(np.hypot(*pair))
+                along = pair / value if value > 0.0 else np.array([1.0, 0.0])
+                spread = float(np.sqrt(noise * along @ fit.inverse[place : place + 2, place : place + 2] @ along))
+            label = _term_name(name)
+            yield Quantity(label.replace(" ", "_"), label, LOAD_COMPONENTS[i], value, spread, *tail, {})
 
 
-def _heading(name: str) -> str:
-    """Column head of a term."""
-    return name.replace("harmonic_", "harmonic ").replace("_", " ")
+def _term_name(name: str) -> str:
+    """Name of a term, of cosine and sine together."""
+    kind, _, rest = name.partition(" ")
+    return f"harmonic {rest}" if kind in ("cos", "sin") else name
 
 
 def _term(q: Quantity) -> str:
     """A term with U; of an amplitude that may be zero its bound only."""
-    if q.name.startswith("harmonic") and q.value < CLEAR * q.u:
+    if q.label.startswith("harmonic") and q.value < CLEAR * q.u:
         return f"< {short(q.expanded)}"
     return measured(q.value, q.expanded)
 
@@ -257,8 +250,13 @@ def _remark(evaluation: RotationEvaluation, q: Quantity) -> str:
     """What stands below a headline."""
     if q.unit == "%":
         normalised = evaluation.find(NORMALISED, q.component)
-        return "" if normalised is None else f"{abs(normalised.value):.2f} of its U"
+        return "" if normalised is None else f"{abs(normalised.value):.2f} times its U"
     return f"U = {small(100.0 * q.expanded / abs(q.value))} %"
+
+
+def _signed(value: float) -> str:
+    """A normalised deviation with two decimals."""
+    return f"{value:.2f}".replace("-", "\N{MINUS SIGN}")
 
 
 def _capital(text: str) -> str:
@@ -269,7 +267,7 @@ def _capital(text: str) -> str:
 def _budget(caption: str, found: Sequence[Quantity]) -> Table:
     """Contributions to some quantities, largest first for the last of them."""
     names = sorted(
-        {name for q in found for name in q.budget},
+        {name for q in found for name, u in q.budget.items() if name != UNTOLD or u > SMALLEST_UNTOLD * q.u},
         key=lambda name: -max(q.budget.get(name, 0.0) / q.u for q in found),
     )
     scale = SCALED[found[0].unit][0]
