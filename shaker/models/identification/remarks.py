@@ -9,7 +9,7 @@ from shaker.models.identification.solve import Spread, State
 from shaker.models.measured import ParameterEstimate
 from shaker.notice import Notice
 
-_OPEN = 0.5  # u over value from which a parameter is called open
+_OPEN = 1.0 / 3.0  # u over value from which a parameter is called open
 _NEGLIGIBLE = 0.02  # part of the whole inertia below which an internal one need not be known
 _PULL = 3.0  # deviation in standard uncertainties that is named
 _NOISE_INFO, _NOISE_WARNING = 1.2, 4.0  # χ²/dof that is named
@@ -26,10 +26,9 @@ def remarks(
         if problem.fixed[place]:
             continue
         if problem.precision[place] > 0.0:
-            notices += _stated(problem, estimate, place)
+            notices += [*_stated(problem, estimate, place), *_negative(estimate)]
         else:
-            notices += _left_open(estimate, whole[place])
-        notices += _negative(estimate)
+            notices += _left_open(estimate, whole[place]) or _negative(estimate)
     for place in range(len(estimates), len(problem.names)):
         if problem.precision[place] > 0.0:
             notices += _pulled(problem.names[place].removeprefix("error: "), state, found, place)

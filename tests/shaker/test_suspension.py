@@ -1,0 +1,260 @@
+"""A rigid load on springs: pitching, three axes, rotation and base motion against state space and textbook formulas."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from identification_factory import (
+    ALONG_X,
+    ALONG_Z,
+    ComplexArray,
+    FloatArray,
+    X,
+    Z,
+    oscillator,
+    recording,
+    rigid_mass,
+    state_space,
+)
+from scipy.spatial.transform import Rotation
+
+from shaker.models.identification import Identification, identify, measured_poles, respond
+from shaker.models.measured import InertiaError, MeasuredTransfer, Sight
+from shaker.models.suspension import Suspension
+
+K_X, B_X, K_RY, B_RY, M_I, J_I = 7.0e8, 600.0, 1.1e6, 1.2, 0.9, 1.5e-3
+PITCHING = Suspension((0, 4))
+TOPS = (Sight(0.03 * Z, X), Sight(-0.02 * Z, X))
+BASE = Sight(-0.05 * Z, X)
+FREE = [0, 4]
+
+
+def pitching(
+    load: tuple[float, float, float],
+    *,
+    k_x: float = K_X,
+    k_ry: float = K_RY,
+    b_x: float = B_X,
+    b_ry: float = B_RY,
+    frequency_hz: FloatArray | None = None,
+    rng: np.random.Generator | None = None,
+    noise: float = 3e-3,
+    z_load: float = 0.0,
+    **words: Any,
+) -> MeasuredTransfer:
+    """Horizontal drive of a load (kg, height of its centre of mass in m, central kg·m²), measured at two heights."""
+    mass, height, inertia = load
+    frequency = np.arange(300.0, 3000.0, 3.125) if frequency_hz is None else frequency_hz
+    whole = rigid_mass(mass + 3e-4 * z_load, height, inertia) + rigid_mass(M_I, 0.0, J_I)
+    motion = state_space(
+        2j * np.pi * frequency,
+        whole[np.ix_(FREE, FREE)],
+        np.diag([b_x, b_ry]),
+        np.diag([k_x, k_ry]),
+        np.array([1.0, 0.0]),
+    )
+    value = np.stack([motion[:, 0] + top.point_m[2] * motion[:, 1] for top in TOPS], axis=1)
+    return recording(
+        f"{mass} kg",
+        frequency,
+        value,
+        rigid_mass(mass, height, inertia),
+        ALONG_X,
+        noise=noise,
+        rng=rng,
+        tops=TOPS,
+        base=BASE,
+        inertia_errors=[InertiaError(f"mass of {mass} kg", rigid_mass(3e-4, height))],
+        **words,
+    )
+
+
+def textbook_poles(mass: FloatArray, damping: FloatArray, stiffness: FloatArray) -> ComplexArray:
+    """Eigenvalues of the state matrix with positive imaginary parts, by size."""
+    size = len(mass)
+    lower = -np.linalg.solve(mass, np.hstack([stiffness, damping]))
+    root = np.linalg.eigvals(np.vstack([np.eye(size, 2 * size, size), lower]))
+    root = root[root.imag > 0.0]
+    return np.asarray(root[np.argsort(np.abs(root))])
+
+
+def assert_holds(found: Identification, truth: Sequence[float], reach: float = 4.0) -> None:
+    """Every parameter lies within some standard uncertainties of the truth."""
+    for name, true in zip(found.names, truth, strict=True):
+        assert abs(found.value(name) - true) < reach * found.u(name), (name, found[name])
+
+
+@pytest.mark.parametrize(
+    ("height", "k_ry", "b_x", "b_ry"),
+    [
+        (0.035, 1.1e6, B_X, B_RY),
+        (0.02, 3.3e6, B_X, B_RY),  # one mode of the light load above the band
+        (0.004, 2.05e6, 2.0e4, 60.0),  # peaks 8 % apart, each a third wide
+        (0.0, 1.9e6, 3.0e3, 8.0),  # peaks 1.6 % apart, each 5 % wide; no coupling
+        (0.035, 1.0e8, B_X, B_RY),  # rotation far above the band
+    ],
+)
+def test_the_translational_stiffness_comes_out_of_two_modes(
+    height: float, k_ry: float, b_x: float, b_ry: float
+) -> None:
+    rng = np.random.default_rng(2)
+    loads = ((4.236, height, 0.012), (8.798, height + 0.01, 0.035))
+    draws = rng.standard_normal(2)
+    recordings = [
+        pitching(load, k_ry=k_ry, b_x=b_x, b_ry=b_ry, rng=rng, z_load=z) for load, z in zip(loads, draws, strict=True)
+    ]
+    found = identify(recordings, PITCHING)
+    assert found.value("stiffness_x") == pytest.approx(K_X, rel=2e-3)
+    assert_holds(found, [K_X, k_ry, b_x, b_ry, M_I, J_I])
+    assert found.chi_squared / found.dof == pytest.approx(1.0, abs=0.1)
+    mass, height, inertia = loads[0]
+    whole = rigid_mass(mass + 3e-4 * draws[0], height, inertia) + rigid_mass(M_I, 0.0, J_I)
+    root = textbook_poles(whole[np.ix_(FREE, FREE)], np.diag([b_x, b_ry]), np.diag([K_X, k_ry]))
+    for mode, pole in zip(found.modes, root, strict=False):
+        assert abs(mode.frequency_hz - abs(pole) / (2.0 * np.pi)) < 5.0 * mode.u_frequency_hz
+        assert abs(mode.damping_ratio + pole.real / abs(pole)) < 5.0 * mode.u_damping_ratio
+
+
+def test_a_rotation_that_the_band_does_not_show_is_named() -> None:
+    rng = np.random.default_rng(5)
+    frequency = np.arange(900.0, 2200.0, 3.125)
+    loads = ((4.236, 0.002, 0.012), (8.798, 0.002, 0.035))
+    recordings = [pitching(load, k_ry=1e10, frequency_hz=frequency, rng=rng, noise=0.02) for load in loads]
+    found = identify(recordings, PITCHING, known={"internal_inertia_ry": (J_I, 0.0)})
+    assert "stiffness_ry" in {notice.where for notice in found.notices}
+    assert found.u("stiffness_ry") > found.value("stiffness_ry") / 3.0
+    assert found.value("stiffness_x") == pytest.approx(K_X, rel=2e-3)
+
+
+def test_pitching_without_pitching_in_the_model_is_told_apart() -> None:
+    rng = np.random.default_rng(5)
+    recordings = [pitching(load, rng=rng) for load in ((4.236, 0.035, 0.012), (8.798, 0.045, 0.035))]
+    found = identify(recordings, Suspension((0,)))
+    assert {"identification"} <= {notice.where for notice in found.notices if notice.severity == "warning"}
+
+
+def test_poles_of_overlapping_peaks_are_found_without_a_model() -> None:
+    record = pitching((4.236, 0.01, 0.012), k_ry=3.0e6, rng=np.random.default_rng(1))
+    mechanics = PITCHING.mechanics(record)
+    (mass, damping, stiffness), _ = mechanics.at(np.array([1.0, K_X, 3.0e6, B_X, B_RY, M_I, J_I, 0.0]))
+    np.testing.assert_allclose(measured_poles(record, 2), textbook_poles(mass, damping, stiffness), rtol=1e-3)
+
+
+def test_three_axes_at_once_are_three_oscillators() -> None:
+    rng = np.random.default_rng(7)
+    k, b = np.array([7.0e8, 7.1e8, 4.7e8]), np.array([600.0, 500.0, 900.0])
+    frequency = np.arange(900.0, 2600.0, 3.125)
+    s = 2j * np.pi * frequency
+    drive = np.concatenate([np.full(3, 1.0 / np.sqrt(3.0)), np.zeros(3)])
+    tops = tuple(Sight(np.zeros(3), axis) for axis in np.eye(3))
+    recordings = []
+    for load in (4.236, 6.0):
+        value = np.stack([oscillator(s, load + M_I, *pair) for pair in zip(k, b, strict=True)], axis=1) / np.sqrt(3.0)
+        base = Sight(np.zeros(3), drive[:3])
+        recordings.append(
+            recording(f"{load}", frequency, value, rigid_mass(load), drive, noise=1e-3, rng=rng, tops=tops, base=base)
+        )
+    found = identify(recordings, Suspension((0, 1, 2)))
+    assert_holds(found, [*k, *b, M_I])
+    assert len(found.modes) == 6
+
+
+def test_rotation_is_inertia_against_a_torsion_spring() -> None:
+    # Torsion: base and load turn about z, tangential transducers; J and k take the place of m and k.
+    rng = np.random.default_rng(8)
+    k, b, internal = 2.0e6, 2.5, 4e-3
+    turning = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    tangential = Sight(np.array([0.1, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
+    recordings = []
+    for inertia in (0.03, 0.07):
+        f0 = np.sqrt(k / (inertia + internal)) / (2.0 * np.pi)
+        frequency = np.linspace(0.8 * f0, 1.2 * f0, 300)
+        value = oscillator(2j * np.pi * frequency, inertia + internal, k, b)
+        matrix = rigid_mass(5.0, 0.02, inertia)
+        recordings.append(
+            recording(
+                f"{inertia}", frequency, value, matrix, turning, noise=1e-2, rng=rng, tops=[tangential], base=tangential
+            )
+        )
+    found = identify(recordings, Suspension((5,)))
+    assert found.names == ("stiffness_rz", "damping_rz", "internal_inertia_rz")
+    assert [estimate.unit for estimate in found.estimates] == ["N·m/rad", "N·m·s/rad", "kg·m²"]
+    assert_holds(found, [k, b, internal])
+
+
+def test_a_base_that_shifts_turns_a_load_that_can_only_turn() -> None:
+    # (J + k_ry/s² …) φ = -m h ẍ: rotation about the origin, forced by the inertia of the centre of mass.
+    mass, height, inertia, k, b = 5.0, 0.04, 0.02, 4.0e5, 3.0
+    frequency = np.linspace(300.0, 1200.0, 40)
+    s = 2j * np.pi * frequency
+    whole = inertia + mass * height**2
+    turn = -s * s * mass * height / (whole * s * s + b * s + k)
+    record = recording(
+        "a",
+        frequency,
+        1.0 + 0.03 * turn,
+        rigid_mass(mass, height, inertia),
+        ALONG_X,
+        noise=1e-6,
+        tops=[Sight(0.03 * Z, X)],
+        base=BASE,
+    )
+    mechanics = Suspension((4,)).mechanics(record)
+    found = respond(mechanics, np.array([1.0, k, b, 0.0]), s)
+    np.testing.assert_allclose(found.value[:, 0], record.ratio.value[:, 0], rtol=1e-12)
+    fitted = identify([record], Suspension((4,)), known={"internal_inertia_ry": (0.0, 0.0)})
+    assert fitted.value("stiffness_ry") == pytest.approx(k, rel=1e-6)
+
+
+@settings(max_examples=8, deadline=None)
+@given(angle=st.floats(-3.0, 3.0))
+def test_turning_load_drive_and_transducers_about_z_changes_nothing_of_a_round_sensor(angle: float) -> None:
+    turn = Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
+    both = np.kron(np.eye(2), turn)
+    sensor = Suspension((0, 1, 3, 4))
+    weights = np.array([1.0, K_X, K_X, K_RY, K_RY, B_X, B_X, B_RY, B_RY, M_I, J_I, J_I, 0.0])
+    first = pitching((4.236, 0.035, 0.012), frequency_hz=np.arange(300.0, 3000.0, 100.0))
+    tops = [Sight(turn @ sight.point_m, turn @ sight.direction) for sight in TOPS]
+    turned = recording(
+        "turned",
+        first.ratio.frequency_hz,
+        first.ratio.value,
+        both @ first.mass_matrix @ both.T,
+        both @ first.drive,
+        noise=3e-3,
+        tops=tops,
+        base=Sight(turn @ BASE.point_m, turn @ BASE.direction),
+        inertia_errors=[InertiaError("mass", both @ first.inertia_errors[0].change @ both.T)],
+    )
+    values = [respond(sensor.mechanics(record), weights, record.s) for record in (first, turned)]
+    np.testing.assert_allclose(values[1].value, values[0].value, rtol=1e-7)
+    np.testing.assert_allclose(values[0].value, first.ratio.value, rtol=1e-7)
+    np.testing.assert_allclose(values[1].by_term[:, :, -1], values[0].by_term[:, :, -1], rtol=1e-6, atol=1e-12)
+
+
+def test_damping_may_differ_from_load_to_load() -> None:
+    rng = np.random.default_rng(3)
+    truth = {4.236: 150.0, 8.798: 1000.0}
+    recordings = []
+    for load, b in truth.items():
+        f0 = np.sqrt(K_X / (load + M_I)) / (2.0 * np.pi)
+        frequency = np.linspace(0.9 * f0, 1.1 * f0, 300)
+        value = oscillator(2j * np.pi * frequency, load + M_I, K_X, b)
+        recordings.append(recording(f"{load} kg", frequency, value, rigid_mass(load), ALONG_Z, noise=0.02, rng=rng))
+    found = identify(recordings, Suspension((2,)), each_recording=["damping_z"])
+    assert found.names == ("stiffness_z", "damping_z: 4.236 kg", "damping_z: 8.798 kg", "internal_mass")
+    assert_holds(found, [K_X, *truth.values(), M_I])
+    assert found.value("lag_z: 8.798 kg") == pytest.approx(1000.0 / K_X, rel=0.01)
+    common = identify(recordings, Suspension((2,)))
+    assert common.chi_squared > 2.0 * common.dof
+
+
+def test_components_that_do_not_exist_are_refused() -> None:
+    for components in ((), (6,), (0, 0)):
+        with pytest.raises(ValueError, match="components: expected"):
+            Suspension(components)
