@@ -13,6 +13,7 @@ from fusion.identify.readings import read_curves
 from fusion.identify.result import ComponentResult, IdentifyEvaluation
 from fusion.identify.sensor import modelled
 from fusion.identify.settings import IdentifySettings
+from fusion.identify.sine_transfers import sine_transfers
 from fusion.identify.sines import Referral, SineRecording, read_sines, sensitivities
 from fusion.load import LOAD_COMPONENTS
 from fusion.manifest import Manifest, Sensor
@@ -31,9 +32,9 @@ def evaluate_campaign(campaign: Campaign, settings: IdentifySettings) -> Identif
     started = time.monotonic()
     names = _names([*campaign.transfers, *(item.manifest for item in campaign.sines)])
     prepared, notices = _prepared(campaign, names, settings)
-    sines = [read_sines(item, names[item.manifest.path], settings.band_hz) for item in campaign.sines]
+    sines = [read_sines(item, names[item.manifest.path]) for item in campaign.sines]
     driven = {item.component for item in prepared}
-    added = [Prepared(item.item.manifest, item.transfer) for item in sines if item.transfer is not None]
+    added = sine_transfers(campaign.sines, names, settings.band_hz)
     fits = joint_fits([*prepared, *(item for item in added if item.component in driven)], settings)
     referrals = {fit.component: _referral(fit, sines) for fit in fits if fit.mass_is_free}
     measured = {item.component: item for item in sensitivities(sines, referrals)}
@@ -99,6 +100,15 @@ def _component(
     readings, unread = read_curves(fit, mass.value)
     found = modelled(fit, measured, sensor)
     loads = settings.load_masses_kg or tuple(sorted(dict.fromkeys(item.load_kg for item in fit.prepared)))
+    loads = () if fit.model == "pitching" else loads
     bands = tuple(usable_band(found.model, Load(kg, "force"), settings.permitted) for kg in loads)
     result = ComponentResult(fit, mass, readings, found.sensitivity, found.model, found.range_hz, loads, bands)
-    return result, (*fit.notices, *unread, *found.notices)
+    return result, (*fit.notices, *unread, *found.notices, *_no_band(fit))
+
+
+def _no_band(fit: JointFit) -> tuple[Notice, ...]:
+    """Say why a load that pitches has no usable band."""
+    if fit.model != "pitching":
+        return ()
+    text = "no usable band is given: that of a load that pitches depends on where the force acts, not on its mass alone"
+    return (Notice("info", text, fit.axis),)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,14 +61,13 @@ def joint_fits(prepared: Sequence[Prepared], settings: IdentifySettings) -> tupl
 def _joint_fit(component: int, group: Sequence[Prepared], settings: IdentifySettings) -> JointFit:
     """Fit one component."""
     free = _mass_is_free(component, group, settings)
-    known = {} if free else {mass_name(component): _stated_in(component, group)}
     model = "translation" if settings.model == "auto" else settings.model
     structure = _structure(model, component, group)
-    found = _fitted(group, structure, known, settings)
+    found = _fitted(group, structure, settings, free=free)
     reason = "as wanted" if settings.model != "auto" else _explains(found)
     if settings.model == "auto" and _calls_for_pitching(component, group, found):
         richer = _structure("pitching", component, group)
-        other = _fitted(group, richer, known, settings)
+        other = _fitted(group, richer, settings, free=free)
         if other.chi_squared / other.dof < _BETTER * found.chi_squared / found.dof:
             reason = _pitches(group, found, other)
             model, structure, found = "pitching", richer, other
@@ -91,23 +90,19 @@ def _structure(model: str, component: int, group: Sequence[Prepared]) -> Structu
 
 
 def _fitted(
-    group: Sequence[Prepared],
-    structure: Structure,
-    known: Mapping[str, tuple[float, float]],
-    settings: IdentifySettings,
+    group: Sequence[Prepared], structure: Structure, settings: IdentifySettings, *, free: bool
 ) -> Identification:
-    """Fit a structure to all curves of a group."""
-    dampers = [parameter.name for parameter in structure.parameters if parameter.name.startswith("damping_")]
-    each = dampers if settings.damping == "each" else []
+    """Fit a structure to all curves of a group; what is `free` inside the sensor is fitted, else as stated."""
+    names = [parameter.name for parameter in structure.parameters]
+    each = [name for name in names if name.startswith("damping_")] if settings.damping == "each" else []
+    inside = {} if free else {mass_name(component): component for component in reversed(range(6))}
+    known = {name: _stated_in(inside[name], group) for name in names if name in inside}
     records = [item.measured for item in group]
     try:
         return identify(records, structure, known=known, each_recording=each)
     except (ValueError, np.linalg.LinAlgError) as error:
-        names = ", ".join(record.name for record in records)
-        told = ARGUMENT.sub("", str(error))
-        raise ComputeError(
-            f"no model was fitted to {names}: {told}; --band chooses the lines of one resonance"
-        ) from error
+        told = f"no model was fitted to {', '.join(record.name for record in records)}: {ARGUMENT.sub('', str(error))}"
+        raise ComputeError(f"{told}; --band chooses the lines of one resonance") from error
 
 
 def _mass_is_free(component: int, group: Sequence[Prepared], settings: IdentifySettings) -> bool:
@@ -165,15 +160,15 @@ def _most_peaks(group: Sequence[Prepared]) -> tuple[float, ...]:
 
 def _explains(found: Identification) -> str:
     """Why one translation was taken."""
-    return f"one spring and damper leave residuals of {departure(found):.2g} times their uncertainty"
+    return f"one spring and damper leave residuals of {departure(found):.3g} times their uncertainty"
 
 
 def _pitches(group: Sequence[Prepared], found: Identification, other: Identification) -> str:
     """Why pitching was taken."""
     listed = " and ".join(f"{peak:.6g} Hz" for peak in _most_peaks(group)[:2])
     return (
-        f"the curves have peaks at {listed}; one translation leaves residuals of {departure(found):.2g} times their "
-        f"uncertainty, translation and pitching together {departure(other):.2g}"
+        f"the curves have peaks at {listed}; one translation leaves residuals of {departure(found):.3g} times their "
+        f"uncertainty, translation and pitching together {departure(other):.3g}"
     )
 
 

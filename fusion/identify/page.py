@@ -31,7 +31,7 @@ class ComponentSection:
     sentences: list[str]
     explanations: Table | None
     sensitivity: list[Picture]
-    bands: Table
+    bands: Table | None
     budget: Table
 
 
@@ -43,13 +43,12 @@ def render_identify_page(evaluation: IdentifyEvaluation) -> str:
 def _context(evaluation: IdentifyEvaluation) -> dict[str, Any]:
     """Everything the template shows."""
     origin = Provenance(evaluation.input_hashes, evaluation.settings, evaluation.versions, ())
-    permitted = evaluation.components[0].bands[0].permitted
     return {
         "name": evaluation.name,
         "subject": _subject(evaluation),
         "headlines": tables.headlines(evaluation),
         "notices": warnings_first(evaluation.notices),
-        "components": [_section(component, permitted) for component in evaluation.components],
+        "components": [_section(component) for component in evaluation.components],
         "origin": provenance_tables(origin),
         "inputs": inputs_table(origin),
         "program": f"{PROGRAM} {evaluation.versions.get(PROGRAM, '')}".strip(),
@@ -57,7 +56,7 @@ def _context(evaluation: IdentifyEvaluation) -> dict[str, Any]:
     }
 
 
-def _section(component: ComponentResult, permitted: float) -> ComponentSection:
+def _section(component: ComponentResult) -> ComponentSection:
     """Everything of one component."""
     return ComponentSection(
         name=component.name,
@@ -70,7 +69,7 @@ def _section(component: ComponentResult, permitted: float) -> ComponentSection:
         sentences=_sentences(component),
         explanations=tables.explanations_table(component),
         sensitivity=sensitivity_pictures(component),
-        bands=tables.bands_table(component, permitted),
+        bands=tables.bands_table(component),
         budget=tables.budget_table(component),
     )
 

@@ -40,7 +40,10 @@ def sensitivity_pictures(component: ComponentResult) -> list[Picture]:
     found = []
     if component.sensitivity is not None:
         found.append(draw_explained(f"sensitivity-{component.name}", _explained(component, component.sensitivity)))
-    return [*found, draw_outputs_over_load(f"bands-{component.name}", _loaded(component), _permitted(component))]
+    if component.bands:
+        permitted = component.bands[0].permitted
+        found.append(draw_outputs_over_load(f"bands-{component.name}", _loaded(component), permitted))
+    return found
 
 
 def _curves(component: ComponentResult) -> Iterator[Iterator[FittedCurve]]:
@@ -94,11 +97,6 @@ def _explained(component: ComponentResult, item: SensitivityResult) -> Explained
         curve_hz=frequency,
         curves=tuple(curves),
     )
-
-
-def _permitted(component: ComponentResult) -> float:
-    """The error permitted."""
-    return component.bands[0].permitted
 
 
 def _loaded(component: ComponentResult) -> list[LoadedOutput]:

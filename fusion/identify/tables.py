@@ -13,7 +13,7 @@ from fusion.identify.result import ComponentResult, IdentifyEvaluation
 from fusion.identify.rows import numbers
 from fusion.load import LOAD_COMPONENTS
 from fusion.polar import DASH, rounded, typeset
-from fusion.report_numbers import measured, small
+from fusion.report_numbers import measured, small, times_ten
 from fusion.report_tables import Headline, Table
 from shaker.models.measured import ParameterEstimate
 from shaker.models.sensor_response import CHAIN_WORDS
@@ -31,7 +31,7 @@ def parameters_table(component: ComponentResult) -> Table:
         if not estimate.name.startswith("usable_band"):
             relative = DASH if estimate.value == 0.0 else _percent(K * estimate.u / abs(estimate.value))
             cell = measured(estimate.value, K * estimate.u, "" if estimate.unit == "1" else typeset(estimate.unit))
-            rows.append((estimate.label, cell, relative, method))
+            rows.append((_label(estimate.label), cell, relative, method))
     head = ("parameter", "value ± U", "U / %", "method")
     return Table(f"Parameters of {component.name}, U = k·u with k = {K:.2f} (95 %)", head, "lrrl", tuple(rows))
 
@@ -39,7 +39,7 @@ def parameters_table(component: ComponentResult) -> Table:
 def correlation_table(component: ComponentResult) -> Table:
     """Correlation of the parameters of the joint fit."""
     found = component.fit.identification
-    labels = [estimate.label for estimate in found.estimates]
+    labels = [_label(estimate.label) for estimate in found.estimates]
     rows = tuple(
         (label, *(f"{value:+.3f}".replace("-", "\N{MINUS SIGN}") for value in row))
         for label, row in zip(labels, found.correlation.tolist(), strict=True)
@@ -55,10 +55,10 @@ def budget_table(component: ComponentResult) -> Table:
     ordered = sorted(share.items(), key=lambda item: -float(np.max(item[1])))
     largest = float(np.max(ordered[0][1])) if ordered else 0.0
     kept = [item for item in ordered if float(np.max(item[1])) > 1e-3 * largest][:_LARGEST_CAUSES]
-    rows = [(cause, *(small(1e6 * float(part)) for part in parts)) for cause, parts in kept]
-    total = [small(1e6 * estimate.u / abs(estimate.value)) for estimate in found.estimates]
+    rows = [(cause, *(_share(float(part)) for part in parts)) for cause, parts in kept]
+    total = [_share(estimate.u / abs(estimate.value)) for estimate in found.estimates]
     rows.append(("combined, k = 1", *total))
-    head = ("contribution", *(f"u({estimate.label}) / 10⁻⁶" for estimate in found.estimates))
+    head = ("contribution", *(Markup("u({}) / %").format(_label(estimate.label)) for estimate in found.estimates))
     return Table("Budget, relative to each parameter", head, "l" + "r" * len(total), tuple(rows))
 
 
@@ -94,8 +94,11 @@ def explanations_table(component: ComponentResult) -> Table | None:
     return Table("What makes the sensitivity change with frequency", head, "llrrrl", tuple(rows))
 
 
-def bands_table(component: ComponentResult, permitted: float) -> Table:
-    """Usable band without correction for each load mass."""
+def bands_table(component: ComponentResult) -> Table | None:
+    """Usable band without correction for each load mass, None where there is none."""
+    if not component.bands:
+        return None
+    permitted = component.bands[0].permitted
     unit = "kg" if component.fit.component < 3 else "kg·m²"
     rows = tuple(
         (f"{load:.6g}", *_band_cells(band)) for load, band in zip(component.loads, component.bands, strict=True)
@@ -131,10 +134,10 @@ def headlines(evaluation: IdentifyEvaluation) -> list[Headline]:
     """Stiffness, damping, internal mass and lag of the chain."""
     found = []
     for component in evaluation.components:
-        for estimate in component.fit.identification.estimates[:3]:
+        for estimate in _main(component):
             share = _percent(K * estimate.u / abs(estimate.value)) if estimate.value else DASH
             cell = measured(estimate.value, K * estimate.u, typeset(estimate.unit))
-            found.append(Headline(_upper(estimate.label), cell, f"U (k = {K:.2f}) = {share} %"))
+            found.append(Headline(_label(_upper(estimate.label)), cell, f"U (k = {K:.2f}) = {share} %"))
         found += _chain_headline(component)
     return found
 
@@ -155,6 +158,13 @@ def printed(evaluation: IdentifyEvaluation) -> Iterator[str]:
             yield f"  usable up to ({band.permitted:.2%}, load {load:.6g}): {text.value} ± {text.expanded} Hz"
 
 
+def _main(component: ComponentResult) -> list[ParameterEstimate]:
+    """Stiffness and damping along the component, and the internal mass."""
+    found, axis = component.fit.identification.estimates, component.name
+    own = (f"stiffness_{axis}", f"damping_{axis}", component.internal_mass.name)
+    return [estimate for estimate in found if estimate.name.partition(": ")[0] in own]
+
+
 def _plain_number(estimate: ParameterEstimate) -> str:
     """A number with U as plain text."""
     text = rounded(estimate.value, K * estimate.u)
@@ -165,30 +175,28 @@ def _plain_number(estimate: ParameterEstimate) -> str:
 def _readings_table(component: ComponentResult, recording: str, response: str) -> Table:
     """All methods on one curve."""
     turning = component.fit.component >= 3
-    rows = [_reading_row(reading) for reading in of_curve(component.readings, recording, response)]
-    head = (
-        "method",
-        "f / Hz",
-        "width / Hz",
-        "ζ / %",
-        "k / (N·m/rad)" if turning else "k / (N/m)",
-        "b / (N·m·s/rad)" if turning else "b / (N·s/m)",
-        "remark",
-    )
-    return Table(f"{recording}: {response}", head, "lrrrrrl", tuple(rows))
+    own = of_curve(component.readings, recording, response)
+    exponent = rounded(max(reading.stiffness for reading in own), 0.0).exponent
+    rows = [_reading_row(reading, exponent) for reading in own]
+    unit = times_ten(exponent, "N·m/rad" if turning else "N/m")
+    damper = "b / (N·m·s/rad)" if turning else "b / (N·s/m)"
+    head = ("method", "f / Hz", "width / Hz", "ζ / %", Markup("k / ({})").format(unit), damper)
+    return Table(f"{recording}: {response}", head, "lrrrrr", tuple(rows))
 
 
-def _reading_row(reading: Reading) -> tuple[str, ...]:
-    """One method."""
+def _reading_row(reading: Reading, exponent: int) -> tuple[str, ...]:
+    """One method, its stiffness in units of a power of ten."""
+    words = LABELS[reading.method]
+    if reading.note:
+        words = Markup('{}<br><span class="below">{}</span>').format(words, reading.note)
     damping = f"{reading.damping:.5g}" if np.isfinite(reading.damping) else DASH
     return (
-        LABELS[reading.method],
+        words,
         measured(reading.frequency_hz, K * reading.u_frequency_hz),
         measured(reading.width_hz, K * reading.u_width_hz),
         measured(100.0 * reading.damping_ratio, 100.0 * K * reading.u_damping_ratio),
-        f"{reading.stiffness:.6g}",
+        f"{reading.stiffness / 10.0**exponent:.5f}",
         damping,
-        reading.note,
     )
 
 
@@ -228,3 +236,13 @@ def _percent(share: float) -> str:
 def _upper(text: str) -> str:
     """A text with a capital first letter."""
     return text[:1].upper() + text[1:]
+
+
+def _label(text: str) -> Markup:
+    """A label with its index typeset."""
+    return Markup("{}m<sub>i</sub>{}").format(*text.split("m_i", 1)) if "m_i" in text else Markup("{}").format(text)
+
+
+def _share(share: float) -> str:
+    """A relative contribution in per cent to two digits, far below the last place of interest only bounded."""
+    return f"{100.0 * share:.2g}" if share >= 1e-7 else "< 10⁻⁵"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
 from fusion.plots.style import (
@@ -34,7 +34,7 @@ NEAR_WIDTHS = 8.0  # half-power widths on both sides of the resonances that the 
 CIRCLE_WIDTHS = 4.0
 PANELS_ACROSS = 3
 COVERAGE = 2.0
-RASTER_ABOVE = 4000
+RASTER_ABOVE = 1500
 
 
 @dataclass(frozen=True)
@@ -88,17 +88,17 @@ def draw_fit(name: str, curves: Sequence[FittedCurve]) -> Picture:
 
 def draw_circles(name: str, curves: Sequence[FittedCurve]) -> Picture:
     """Every curve in the complex plane around its resonances, with the model."""
-    down = -(-len(curves) // PANELS_ACROSS)
-    across = min(len(curves), PANELS_ACROSS)
+    across = 2 if len(curves) in (2, 4) else min(len(curves), PANELS_ACROSS)
+    down = -(-len(curves) // across)
     with drawing(name):
-        figure = new_figure(0.7 + 2.75 * down)
+        figure = new_figure(0.55 + 3.0 * down)
         panels = figure.subplots(down, across, squeeze=False)
         for axes, curve in zip(panels.ravel(), curves, strict=False):
             _draw_circle(axes, curve)
         for axes in panels.ravel()[len(curves) :]:
             axes.set_visible(False)
-        panels[0, 0].legend(loc="lower left")
-        lay_out(figure, panels.ravel(), top=0.24, gap=(0.62, 0.55), left=0.72, label=0.5)
+        panels[0, 0].legend(loc="center")
+        lay_out(figure, panels.ravel(), top=0.4, gap=(0.62, 0.85), left=0.72, label=0.5)
         caption = (
             f"Lines within {CIRCLE_WIDTHS:g} half-power widths of the resonances in the complex plane (dots), the "
             "joint model (line), and the frequencies of its modes (crosses)."
@@ -120,12 +120,15 @@ def _draw_curve(
         axes.plot(frequency, measured, color=colour, label=curve.response, zorder=2, **style)
         axes.plot(frequency, fitted, color=BLACK, linewidth=0.9, linestyle=dash, zorder=2.5)
     away = np.abs(value - model) / (COVERAGE * curve.u[lines])
-    panels[2].plot(frequency, away, color=colour, linewidth=0.7, zorder=2)
+    panels[2].plot(frequency, away, ".", color=colour, markersize=2.5 if dots else 1.2, zorder=2)
 
 
 def _label_column(panels: Sequence[Axes], *, zoom: bool) -> None:
     """Scales and labels of one column."""
     panels[0].set_yscale("log")
+    panels[0].yaxis.set_major_locator(LogLocator(10.0, subs=(1.0, 2.0, 5.0), numticks=8))
+    panels[0].yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    panels[0].yaxis.set_minor_formatter(NullFormatter())
     panels[1].set_ylim(-190.0, 190.0)
     panels[1].set_yticks([-180, -90, 0, 90, 180])
     panels[2].axhline(1.0, color=RED, linewidth=0.7, linestyle=(0, (4, 2)), zorder=1.5)
@@ -166,4 +169,4 @@ def _draw_circle(axes: Axes, curve: FittedCurve) -> None:
     axes.yaxis.set_major_locator(MaxNLocator(5))
     axes.set_xlabel("Re H")
     axes.set_ylabel("Im H")
-    panel_label(axes, f"{curve.recording}: {curve.response}")
+    panel_label(axes, f"{curve.recording}\n{curve.response}")

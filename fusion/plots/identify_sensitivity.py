@@ -11,12 +11,12 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from fusion.plots.style import (
+    BLACK,
     BLUE,
     GREEN,
     GREY,
     ORANGE,
     PURPLE,
-    RED,
     SKY,
     FloatArray,
     Picture,
@@ -34,7 +34,7 @@ from fusion.polar import typeset
 ComplexArray = NDArray[np.complex128]
 LOADS = (BLUE, ORANGE, GREEN, PURPLE, SKY, GREY)
 COVERAGE = 2.0
-STYLES = ((GREEN, (0, (2, 2))), (ORANGE, (0, (6, 2))), (RED, "solid"), (PURPLE, (0, (6, 2, 1, 2))))
+STYLES = ((GREEN, (0, (2, 2))), (PURPLE, (0, (6, 2))), (BLACK, "solid"))
 
 
 @dataclass(frozen=True)
