@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from photogram.calibration_file import read_calibration
 from photogram.images import open_sequence
@@ -23,6 +24,11 @@ from photogram.motion import fit_motion
 from photogram.rigid import fit_rigid
 from photogram.track import TrackSettings, TrackStatus, match_stereo, track_sequence, track_stereo
 from photogram.triangulate import triangulate
+from shaker.models.chain_shape import NO_CHAIN, Chain
+from shaker.models.correction import correct_record
+from shaker.models.oscillator import Resonance, fit_resonance
+from shaker.models.sensor_model import Load, SensorModel
+from shaker.models.usable_band import usable_band
 from shaker.signals.files import read_channels
 from shaker.signals.frequencies import find_lines
 from shaker.signals.sine import fit_sines
@@ -31,6 +37,8 @@ FloatArray = NDArray[np.float64]
 ROOT = Path(__file__).resolve().parent.parent
 UM = 1e-6
 TONES_HZ = [100.0, 120.0, 150.0]
+SHOCK_RATE_HZ = 10e6
+SHOCK = slice(3800, 6000)
 
 
 @dataclass(frozen=True)
@@ -199,6 +207,139 @@ def tdms(folder: Path) -> Iterator[Row]:
     yield Row("big_endian.tdms, Phase sweep", f"{len(sweep.samples)} samples", "3500 samples")
 
 
+@dataclass(frozen=True)
+class Shock:
+    """A shock calibration and the sinusoidal calibration of the same accelerometer: `value` (K,) output / input."""
+
+    frequency_hz: FloatArray
+    value: NDArray[np.complex128]
+    input: FloatArray
+    output: FloatArray
+
+    def fit(self, delay: bool) -> Resonance:
+        """Fit a resonance to the table, 0.05 % per kHz of scatter in magnitude and phase."""
+        size = 5e-4 * self.frequency_hz / 1e3 * np.abs(self.value)
+        covariance = (size**2)[:, None, None] * np.eye(2)
+        return fit_resonance(self.frequency_hz, self.value, covariance, "receptance", delay=delay)
+
+    def error(self, model: Callable[[FloatArray], NDArray[np.complex128]]) -> FloatArray:
+        """Predict the output of the shock and return by how much it is wrong, as a share of the output's peak."""
+        size = 2**16
+        frequency = np.maximum(np.fft.rfftfreq(size, 1.0 / SHOCK_RATE_HZ), 1e-3)
+        predicted = np.fft.irfft(model(frequency) * np.fft.rfft(self.input, size), size)[: len(self.input)]
+        return (predicted - self.output) / np.abs(self.output).max()
+
+    def delay_s(self, band_hz: float = 10e3) -> float:
+        """Mean delay of the output of the shock below a frequency, weighted by the input's power."""
+        frequency = np.fft.rfftfreq(len(self.input), 1.0 / SHOCK_RATE_HZ)
+        low = frequency < band_hz
+        shock, output = np.fft.rfft(self.input)[low], np.fft.rfft(self.output)[low]
+        weight = np.abs(shock) ** 2 * frequency[low]
+        return float(-weight @ np.angle(output / shock) / (weight @ frequency[low]) / (2.0 * np.pi))
+
+
+def read_shock(folder: Path) -> Shock:
+    """Read the accelerometer's files; the phases of the table are degrees."""
+    frequency, magnitude, phase = np.loadtxt(folder / "sinusoidal_calibration_values.txt").T
+    shock, output = (np.loadtxt(folder / f"measured_{name}_accel.txt") for name in ("input", "output"))
+    return Shock(frequency, magnitude * np.exp(1j * np.radians(phase)), shock, output)
+
+
+def as_sensor(fit: Resonance) -> SensorModel:
+    """An accelerometer as a force sensor under its seismic mass, here 1 kg: output per N is output per m/s²."""
+    omega, zeta = 2.0 * np.pi * fit.frequency_hz, fit.damping_ratio
+    place = {name: fit.parameters.index(name) for name in ("gain_re", "frequency_hz", "damping_ratio", "delay_s")}
+    slopes = np.zeros((5, len(fit.parameters)))
+    slopes[0, place["gain_re"]] = slopes[4, place["delay_s"]] = 1.0
+    slopes[1:3, place["frequency_hz"]] = 4.0 * np.pi * np.array([omega, zeta])
+    slopes[2, place["damping_ratio"]] = 2.0 * omega
+    covariance, chain = slopes @ fit.covariance @ slopes.T, Chain("delay", np.array([fit.delay_s]))
+    return SensorModel(fit.gain.real, omega**2, 2.0 * zeta * omega, 0.0, chain, covariance, "1/N")
+
+
+def accelerometer_calibration(folder: Path) -> Iterator[Row]:
+    """A second-order model fitted to a sinusoidal calibration predicts a shock."""
+    data = read_shock(folder)
+    fit, still, static = data.fit(True), data.fit(False), np.abs(data.value[0])
+    ratio, magnitude = np.abs(np.fft.rfft(data.output)[3] / np.fft.rfft(data.input)[3]), np.abs(data.value)
+    yield Row(
+        "output / input of the shock at 1.7 kHz, of the table",
+        f"{ratio:.3f}, {np.interp(1667.0, data.frequency_hz, magnitude):.3f}",
+    )
+    table_delay = -float(data.frequency_hz @ np.angle(data.value) / (data.frequency_hz @ data.frequency_hz)) / (
+        2.0 * np.pi
+    )
+    yield Row(
+        "delay of the table, of the shock below 10 kHz", f"{1e6 * table_delay:.2f}, {1e6 * data.delay_s():.2f} µs"
+    )
+    for title, one in (("with", fit), ("without", still)):
+        delay = f", τ = ({1e6 * fit.delay_s:.2f} ± {2e6 * fit.u('delay_s'):.2f}) µs" if title == "with" else ""
+        here = (
+            f"f₀ = ({one.frequency_hz / 1e3:.1f} ± {2e-3 * one.u('frequency_hz'):.1f}) kHz, ζ = {one.damping_ratio:.3f}"
+        )
+        here += f" ± {2.0 * one.u('damping_ratio'):.3f}{delay}; χ²/dof {one.chi_squared / one.dof:.2f}"
+        yield Row(f"table, model {title} delay (U, k = 2)", here)
+    for permitted in (0.01, 0.05, 0.10):
+        band = usable_band(as_sensor(fit), Load(1.0, "force"), permitted)
+        here = f"({band.upper_hz / 1e3:.2f} ± {2e-3 * band.u_upper_hz:.2f}) kHz"
+        measured = np.interp(1.0 + permitted, magnitude / static, data.frequency_hz) / 1e3
+        yield Row(
+            f"sensitivity has risen by {100 * permitted:.0f} %", here, f"{measured:.2f} kHz (table, interpolated)"
+        )
+    own, told = _fitted_to_shock(data)
+    errors = {"model with delay": data.error(fit.model), "model without delay": data.error(still.model)}
+    errors["constant sensitivity"] = data.error(lambda f: np.full(len(f), static + 0j))
+    errors[f"the model closest to the shock itself ({told})"] = data.error(own)
+    for title, error in errors.items():
+        here = f"{100 * error.std():.2f} %, {100 * error[SHOCK].std():.2f} %"
+        yield Row(
+            f"shock by {title}: error over the record, over the shock", here, "", "≤ 5 %" if "with d" in title else ""
+        )
+    spectrum = np.abs(np.fft.rfft(errors["model with delay"])) ** 2
+    bands = np.add.reduceat(spectrum, (np.array([0.0, 20e3, 40e3, 70e3]) * len(data.input) / SHOCK_RATE_HZ).astype(int))
+    parts = ", ".join(f"{100 * np.sqrt(2.0 * part) / len(data.input):.2f} %" for part in bands)
+    yield Row("model with delay: error at 0 to 20, 20 to 40, 40 to 70, above 70 kHz", parts)
+    yield Row("ringing: largest output / input, smoothed", _ringing(data))
+    yield from _corrected_shock(data, fit)
+
+
+def _fitted_to_shock(data: Shock) -> tuple[Callable[[FloatArray], NDArray[np.complex128]], str]:
+    """Return the second-order model with delay that leaves the smallest error of the shock, and its parameters."""
+
+    def response(frequency_hz: FloatArray, x: FloatArray) -> NDArray[np.complex128]:
+        p = 1j * frequency_hz / (1e4 * x[0])
+        return np.asarray(x[2] * np.exp(-2e-6j * np.pi * frequency_hz * x[3]) / (1.0 + 2.0 * x[1] * p + p * p))
+
+    found = least_squares(lambda x: data.error(lambda f: response(f, x)), [5.0, 0.05, 0.227, 0.0]).x
+    return lambda f: response(f, found), f"f₀ = {10.0 * found[0]:.1f} kHz, ζ = {found[1]:.3f}, τ = {found[3]:.2f} µs"
+
+
+def _ringing(data: Shock) -> str:
+    """Return where output over input, averaged over 4 kHz, is largest between 30 and 100 kHz, and that ratio."""
+    size = 2**16
+    frequency = np.fft.rfftfreq(size, 1.0 / SHOCK_RATE_HZ)
+    kernel = np.ones(round(4e3 * size / SHOCK_RATE_HZ))
+    power = [
+        np.convolve(np.abs(np.fft.rfft(record, size)) ** 2, kernel, "same") for record in (data.output, data.input)
+    ]
+    inside = (frequency > 30e3) & (frequency < 100e3)
+    ratio = np.where(inside, np.sqrt(power[0] / power[1]), 0.0)
+    return f"{np.max(ratio):.1f} at {frequency[np.argmax(ratio)] / 1e3:.0f} kHz"
+
+
+def _corrected_shock(data: Shock, fit: Resonance) -> Iterator[Row]:
+    """The output of the shock corrected up to 20 kHz against the input, with its peak and with the times aligned."""
+    sensor, load, band_hz = as_sensor(fit), Load(1.0, "force"), 20e3
+    rigid = SensorModel(1.0, 1e20, 0.0, 0.0, NO_CHAIN, np.zeros((4, 4)), "1/N")
+    true = correct_record(data.input, SHOCK_RATE_HZ, rigid, load, band_hz).force
+    plain = correct_record(data.output, SHOCK_RATE_HZ, rigid, load, band_hz).force / np.abs(data.value[0])
+    corrected = correct_record(data.output, SHOCK_RATE_HZ, sensor, load, band_hz).force
+    for title, one in (("corrected by the model", corrected), ("by the static sensitivity", plain)):
+        shifted = [float(np.std((np.roll(one, shift) - true)[SHOCK]) / true.max()) for shift in range(-20, 21)]
+        here = f"{100 * (one.max() / true.max() - 1.0):+.1f} %, {100 * min(shifted):.1f} %"
+        yield Row(f"acceleration up to 20 kHz, {title}: peak, rms error after alignment", here)
+
+
 SETS: tuple[Callable[[Path], Iterator[Row]], ...] = (
     duodic_rigid,
     gt4_stereo,
@@ -207,6 +348,7 @@ SETS: tuple[Callable[[Path], Iterator[Row]], ...] = (
     shaker_three_tone,
     uff,
     tdms,
+    accelerometer_calibration,
 )
 
 
