@@ -29,6 +29,9 @@ class NoisyCurve:
             raise ValueError("frequency_hz: expected ascending positive frequencies, found others")
         if not (np.all(np.isfinite(self.value)) and np.all(np.abs(self.value) > 0.0)):
             raise ValueError("value: expected finite numbers other than zero, found others")
+        c = self.covariance
+        if not (np.all(c[:, 0, 0] > 0.0) and np.all(c[:, 0, 0] * c[:, 1, 1] > c[:, 0, 1] * c[:, 1, 0])):
+            raise ValueError("covariance: expected positive definite matrices (K, 2, 2), found others")
 
     @property
     def spacing_hz(self) -> float:
@@ -37,22 +40,21 @@ class NoisyCurve:
 
     def variance_along(self, direction: ComplexArray) -> FloatArray:
         """Return the variance (K,) of Re{conj(d)·δH} for a direction d (K,) in the complex plane."""
-        both = np.stack([direction.real, direction.imag], axis=1)
-        return np.asarray(np.einsum("ki,kij,kj->k", both, self.covariance, both))
+        re, im, c = direction.real, direction.imag, self.covariance
+        return np.asarray(re * re * c[:, 0, 0] + 2.0 * re * im * c[:, 0, 1] + im * im * c[:, 1, 1])
 
     def propagated(self, gradient: ComplexArray) -> FloatArray:
         """Return the covariance (P, P) of numbers y with δy = Σₖ Re{conj(g)·δH}, `gradient` g (P, K)."""
-        try:
-            lower = np.linalg.cholesky(self.covariance)
-        except np.linalg.LinAlgError as error:
-            raise ValueError("covariance: expected positive definite matrices (K, 2, 2), found others") from error
-        white = np.einsum("pki,kij->pkj", np.stack([gradient.real, gradient.imag], axis=2), lower)
+        first = np.sqrt(self.covariance[:, 0, 0])
+        second = self.covariance[:, 0, 1] / first
+        rest = np.sqrt(self.covariance[:, 1, 1] - second**2)
+        white = gradient.real * first + gradient.imag * (second + 1j * rest)
         if self.line_correlation is None or len(self.line_correlation) < 2:
-            return np.asarray(np.einsum("pkj,qkj->pq", white, white))
+            return np.asarray((white.conj() @ white.T).real)
         place = np.round((self.frequency_hz - self.frequency_hz[0]) / self.spacing_hz).astype(np.int64)
         length = place[-1] + 1
         grid = np.zeros((length + len(self.line_correlation), len(gradient)), dtype=np.complex128)
-        grid[place] = (white[:, :, 0] + 1j * white[:, :, 1]).T
+        grid[place] = white.T
         spread = (grid.conj().T @ grid).real
         for apart, correlation in enumerate(self.line_correlation[1:], start=1):
             pair = correlation * grid[apart : apart + length].conj().T @ grid[:length]

@@ -111,8 +111,8 @@ def _parabola(curve: NoisyCurve, frequency_hz: float, reach_hz: float, fewest: i
     smooth = np.abs(curve.value[chosen]) ** -2.0
     inverse = smooth - (3.0 * radial - tangential) * smooth**2
     for _ in range(2):
-        root = smooth**-1.5 / np.sqrt(radial)
-        solve = np.linalg.pinv(powers * root[:, None]) * root
+        weighted = powers / (smooth**3 * radial)[:, None]
+        solve = np.linalg.solve(weighted.T @ powers, weighted.T)
         coefficients = solve @ inverse
         smooth = np.maximum(powers @ coefficients, 0.1 * smooth)
     by_line = np.zeros((3, len(distance)))
