@@ -45,7 +45,7 @@ class Inputs:
     ) -> Inputs:
         """Return the inputs that a manifest and the phasors found for it make."""
         sensor, environment = manifest.rig.sensor, manifest.rig.environment
-        outputs = [reading for reading in readings if reading.entry.quantity == "output"]
+        outputs = [_as_output(reading) for reading in readings if reading.entry.quantity == "output"]
         if sensor is not None:
             outputs.sort(key=lambda reading: sensor.channels.index(str(reading.entry.channel)))
         return cls(
@@ -58,6 +58,11 @@ class Inputs:
             direction=manifest.excitation.direction,
             u_gravity_mps2=(0.0, 0.0, 0.0) if environment is None else environment.gravity_uncertainty,
         )
+
+
+def _as_output(reading: Reading) -> Reading:
+    """A channel under the name of the sensor's output that it is."""
+    return replace(reading, phasors=replace(reading.phasors, channels=(str(reading.entry.channel),)))
 
 
 @dataclass(frozen=True)

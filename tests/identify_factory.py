@@ -1,0 +1,88 @@
+"""A small campaign of two loads on one axial spring: short chirps, and sines whose output passes a lag of the chain."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from fusion.simulate.chirp import Chirp
+from fusion.simulate.draws import Draws
+from fusion.simulate.masses import STAND
+from fusion.simulate.suspended import Suspension, rig_file, write_chirps
+from fusion.simulate.toml_text import to_toml
+from fusion.simulate.world import true_part
+
+QUICK = Chirp(sample_rate_hz=12800.0, period_s=0.64, periods=4, band_hz=(800.0, 2400.0))
+SMALL = replace(STAND, chirp=QUICK)
+STIFFNESS, DAMPING, LAG_S, SENSITIVITY = STAND.stiffness[0], STAND.damping[0], 50e-6, 2e-7
+SINES_HZ = (200.0, 400.0, 600.0, 800.0, 1000.0)
+SINE_LOAD = "9kg"
+_RATE_HZ, _LENGTH_S, _DRIVE_MPS2, _NOISE = 12800.0, 0.5, 20.0, 2e-3
+
+
+def write_campaign(folder: Path, stand: Suspension = SMALL, seed: int = 1) -> Path:
+    """Write rigs and a chirp of each load into a new folder and return it; what is uncertain is drawn."""
+    folder.mkdir(parents=True)
+    write_chirps(folder, stand, Draws(seed, True))
+    return folder
+
+
+def write_sines(folder: Path, seed: int = 1) -> list[Path]:
+    """Add a recording of each sine to a campaign and return their folders."""
+    return [_write_sine(folder, frequency, seed) for frequency in SINES_HZ]
+
+
+def _write_sine(folder: Path, frequency: float, seed: int) -> Path:
+    """One sine: acceleration of base and load, output Fz."""
+    draws, rng = Draws(seed, True), np.random.default_rng([seed, round(frequency)])
+    load, internal = true_part(SMALL.loads[SINE_LOAD], draws), true_part(SMALL.internal, draws)
+    place = folder / f"sine-{frequency:04.0f}"
+    place.mkdir()
+    s = 2j * np.pi * frequency
+    top = _DRIVE_MPS2 * complex(SMALL.transfer(load, internal, (0.0, 0.0, 0.1), np.array([frequency]))[0])
+    force = (load.mass_kg + internal.mass_kg) * top
+    output = SENSITIVITY * force / (1.0 + s * DAMPING / STIFFNESS) / (1.0 + s * LAG_S)
+    time_s = np.arange(round(_LENGTH_S * _RATE_HZ)) / _RATE_HZ
+    turning = np.exp(s * time_s)
+    with h5py.File(place / "daq.h5", "w") as file:
+        file.attrs["sample_rate"] = _RATE_HZ
+        for name, phasor, noise in (
+            ("base_motion", _DRIVE_MPS2, _NOISE),
+            ("top_motion", top, _NOISE),
+            ("bridge", output, 1e-10),
+        ):
+            file[name] = (phasor * turning).real + noise * rng.standard_normal(len(time_s))
+    (place / "recording.toml").write_text(to_toml(_sine_tables(frequency)), encoding="utf-8")
+    return place
+
+
+def _sine_tables(frequency: float) -> dict[str, Any]:
+    """recording.toml of one sine."""
+    seen = {"quantity": "acceleration", "direction": [0.0, 0.0, 1.0], "scale_uncertainty": 2e-4}
+    return {
+        "format": 1,
+        "name": f"sine {frequency:g} Hz",
+        "rig": f"../{rig_file(SINE_LOAD)}",
+        "excitation": {
+            "kind": "sine",
+            "direction": [0.0, 0.0, 1.0],
+            "frequencies": [frequency],
+            "harmonics": [],
+        },
+        "daq": [
+            {
+                "name": "daq",
+                "file": "daq.h5",
+                "clock_uncertainty": 1e-6,
+                "channel": [
+                    {"name": "base_motion", **seen, "body": "base", "point": [0.0, 0.0, -0.05]},
+                    {"name": "top_motion", **seen, "body": "load", "point": [0.0, 0.0, 0.1]},
+                    {"name": "bridge", "quantity": "output", "channel": "Fz", "scale_uncertainty": 1e-4},
+                ],
+            }
+        ],
+    }
