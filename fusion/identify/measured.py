@@ -59,7 +59,7 @@ def prepare(manifest: Manifest, name: str, band_hz: tuple[float, float] | None) 
     """Evaluate a recording and return its curves of load over base by the `name` that tells it from the others.
 
     Of several references on the base the first is used; responses that are no translation of the load are left out.
-    Raises `InputError` for what the user can mend.
+    What is said of one oscillator fitted to one response is left to the readings. Raises `InputError`.
     """
     entries = {entry.name: entry for daq in manifest.daq for entry in daq.channel if entry.quantity != "trigger"}
     drive, body = drive_of(manifest), rigid_load(manifest)
@@ -87,7 +87,8 @@ def prepare(manifest: Manifest, name: str, band_hz: tuple[float, float] | None) 
         u_clock=u_clock,
     )
     found = tuple(item for item in result.resonances if item.response in transfer.ratio.channels)
-    notices = tuple(_named(notice, name) for notice in evaluation.notices)
+    alone = {f"{channel}/{base.name}" for channel in result.transfer.ratio.channels}
+    notices = tuple(_named(notice, name) for notice in evaluation.notices if notice.where not in alone)
     return Prepared(manifest, _in_band(measured, manifest, band_hz), found), notices
 
 

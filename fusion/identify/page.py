@@ -77,7 +77,7 @@ def _section(component: ComponentResult) -> ComponentSection:
 def _sentences(component: ComponentResult) -> list[str]:
     """Which explanation the data support, and whether the damping contradicts the resonance."""
     if component.sensitivity is None:
-        return []
+        return ["No sensitivity over frequency was evaluated: whether the chain has a lag remains open."]
     comparison = component.sensitivity.comparison
     return [comparison.text, *([] if comparison.damping is None else [comparison.damping.text])]
 

@@ -13,6 +13,7 @@ from fusion.identify.measured import Prepared
 from fusion.notices import Notice
 from shaker.models.peak import PeakReading, peak_readings, stiffness
 
+_DEPARTS = 3.0  # residuals over the noise, rms, from which one oscillator does not explain a peak
 FEWEST_LINES = 20
 """Lines of a recording below which it has no curve to be read or drawn: steps of sines."""
 LABELS = {
@@ -80,7 +81,9 @@ def _readings(item: Prepared, response: str) -> Iterator[PeakReading]:
         f0, zeta = highest.fit.frequency_hz, highest.fit.damping_ratio
         u_zeta = highest.u_damping_ratio
         width = 2.0 * zeta * f0
-        yield PeakReading("oscillator", f0, highest.u_frequency_hz, width, 2.0 * u_zeta * f0, zeta, u_zeta)
+        departs = float(np.sqrt(highest.fit.chi_squared / highest.fit.dof))
+        note = f"departs from one oscillator by {departs:.2g} times the noise" if departs > _DEPARTS else ""
+        yield PeakReading("oscillator", f0, highest.u_frequency_hz, width, 2.0 * u_zeta * f0, zeta, u_zeta, note)
 
 
 def _joint(fit: JointFit, item: Prepared, response: str, moved: float) -> Iterator[Reading]:

@@ -71,8 +71,11 @@ def plain(unit: str) -> str:
 
 
 def _modes(component: ComponentResult) -> Iterator[ParameterEstimate]:
-    """Frequency and damping ratio of every mode of every recording."""
+    """Frequency and damping ratio of every mode of every recording that shows a curve."""
+    curves = {reading.recording for reading in component.readings}
     for mode in component.fit.identification.modes:
+        if mode.record not in curves:
+            continue
         place = f"{mode.record}, mode {mode.number + 1}"
         frequency = (f"frequency: {place}", f"resonance f₀, {place}")
         yield ParameterEstimate(*frequency, mode.frequency_hz, mode.u_frequency_hz, "Hz")
