@@ -332,7 +332,7 @@ def main() -> None:
         )
         bins.append(f"| {case} | {cells} |")
     print(
-        "\n| eq. 9 on the bin maxima: error, median (largest) | stiffness, masses known | internal mass | CPU time of a fit |"
+        "\n| eq. 9 on the bin maxima: error, median (largest) | k, masses known | internal mass | CPU time of a fit |"
     )
     print("|---|---|---|---|")
     print("\n".join(bins))
