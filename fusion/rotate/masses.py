@@ -14,7 +14,8 @@ from fusion.coverage import coverage_factor
 from fusion.rotate.result import JOINT, Quantity, RotationRecording
 from fusion.rotate.surroundings import Weighed, load_bodies, own_bodies, unknown_volume
 from shaker.models.gravity import Known
-from shaker.models.load_mass import FORCES, OWN, ROWS, Source, Turned, WeightFit, mass_of_weight
+from shaker.models.load_mass import ROWS, Source, WeightFit, mass_of_weight
+from shaker.models.turning import FORCES, OWN, Turned
 
 FloatArray = NDArray[np.float64]
 AXES = ("x", "y", "z")
@@ -74,30 +75,29 @@ def quantities(campaign: Campaign) -> tuple[Quantity, ...]:
     Derivatives are central differences over one standard uncertainty of every input.
     """
     inputs = _inputs(campaign)
-    told = list(_derived(campaign, inputs.value))
     u = np.sqrt(sum(np.sum(source.effect**2, axis=1) for source in inputs.sources))
+    uncertain = np.flatnonzero(u > 0.0)
+    steps = np.diag(u)[:, uncertain]
+    told = list(_derived(campaign, inputs.value[:, None] + np.hstack([0.0 * steps[:, :1], steps, -steps])))
+    values = np.array([value for _, value in told])
+    high, low = np.split(values[:, 1:], 2, axis=1)
     gradient = np.zeros((len(told), len(u)))
-    for place in np.flatnonzero(u > 0.0):
-        step = np.zeros(len(u))
-        step[place] = u[place]
-        high, low = (_values(campaign, inputs.value + sign * step) for sign in (1.0, -1.0))
-        gradient[:, place] = (high - low) / (2.0 * u[place])
-    found = [_quantity(*item, inputs.sources, row) for item, row in zip(told, gradient, strict=True)]
+    gradient[:, uncertain] = (high - low) / (2.0 * u[uncertain])
+    effects = [gradient @ source.effect for source in inputs.sources]
+    found = [
+        _quantity(head, float(value[0]), inputs.sources, [effect[i] for effect in effects])
+        for i, (head, value) in enumerate(told)
+    ]
     kept = [q for q in found if q.budget.get(UNTOLD, 0.0) <= LARGEST_UNTOLD * q.u]
     return tuple(_with_normalised(kept))
 
 
-def _values(campaign: Campaign, inputs: FloatArray) -> FloatArray:
-    """Values alone of what `_derived` yields."""
-    return np.array([value for _, value in _derived(campaign, inputs)])
-
-
-def _quantity(head: Head, value: float, sources: Sequence[Source], gradient: FloatArray) -> Quantity:
+def _quantity(head: Head, value: float, sources: Sequence[Source], effects: Sequence[FloatArray]) -> Quantity:
     """One number with its budget; effective degrees of freedom by Welch and Satterthwaite (JCGM 100, G.4)."""
     budget: dict[str, float] = {}
     fourth = 0.0
-    for source in sources:
-        share = float(np.sum((gradient @ source.effect) ** 2))
+    for source, effect in zip(sources, effects, strict=True):
+        share = float(effect @ effect)
         budget[source.name] = float(np.hypot(budget.get(source.name, 0.0), np.sqrt(share)))
         fourth += share**2 / source.dof
     u = float(np.linalg.norm(list(budget.values())))
@@ -145,36 +145,38 @@ def _inputs(campaign: Campaign) -> Inputs:
 
 
 class _View:
-    """Inputs by name."""
+    """Inputs (N, B), in B variants at once, by name; every number is an array (B,)."""
 
     def __init__(self, campaign: Campaign, inputs: FloatArray) -> None:
         start = ROWS * len(campaign.recordings)
-        self.fit = inputs[:start].reshape(-1, ROWS)
+        self.fit = inputs[:start].reshape(-1, ROWS, inputs.shape[1])
         self.gravity, self.air, self.volume = inputs[start : start + 3]
         self.body = {body.name: inputs[start + 3 + 5 * i :][:5] for i, body in enumerate(campaign.bodies)}
 
-    def carried(self, bodies: Sequence[Weighed]) -> tuple[float, FloatArray]:
-        """Weight in air N and first moment N·m (3,) of bodies."""
-        rows = [self.body[body.name] for body in bodies]
-        weights = [self.gravity * row[0] * (1.0 - self.air * row[1]) for row in rows]
-        moments = [weight * row[2:] for weight, row in zip(weights, rows, strict=True)]
-        return float(sum(weights)), np.sum([np.zeros(3), *moments], axis=0)
+    def carried(self, bodies: Sequence[Weighed]) -> tuple[FloatArray, FloatArray]:
+        """Weight in air N and first moment N·m (3, B) of bodies."""
+        weight, moment = np.zeros_like(self.gravity), np.zeros((3, len(self.gravity)))
+        for row in (self.body[body.name] for body in bodies):
+            own = self.gravity * row[0] * (1.0 - self.air * row[1])
+            weight, moment = weight + own, moment + own * row[2:]
+        return weight, moment
 
-    def stated(self, bodies: Sequence[Weighed]) -> tuple[float, float, FloatArray]:
-        """Mass kg, volume per mass m³/kg and centre of mass m (3,) of bodies together."""
+    def stated(self, bodies: Sequence[Weighed]) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Mass kg, volume per mass m³/kg and centre of mass m (3, B) of bodies together."""
         rows = np.array([self.body[body.name] for body in bodies])
-        mass = float(rows[:, 0].sum())
-        return mass, float(rows[:, 0] @ rows[:, 1] / mass), rows[:, 0] @ rows[:, 2:] / mass
+        mass = rows[:, 0].sum(axis=0)
+        volume = np.sum(rows[:, 0] * rows[:, 1], axis=0) / mass
+        return mass, volume, np.sum(rows[:, :1] * rows[:, 2:], axis=0) / mass
 
 
 class _Mean(NamedTuple):
-    """Mean over recordings less what each carried itself: weights N (4,) joint, Fx, Fy, Fz; first moment N·m (3,)."""
+    """Mean over recordings less what each carried: weights N (4, B) joint, Fx, Fy, Fz; first moment N·m (3, B)."""
 
     weight: FloatArray
     moment: FloatArray
 
 
-Told = Iterator[tuple[Head, float]]
+Told = Iterator[tuple[Head, FloatArray]]
 
 
 def _derived(campaign: Campaign, inputs: FloatArray) -> Told:
@@ -191,8 +193,8 @@ def _derived(campaign: Campaign, inputs: FloatArray) -> Told:
         yield from _load(campaign, view, _Mean(loaded.weight - bare.weight, loaded.moment - bare.moment), seen)
     for r in range(len(campaign.recordings)):
         yield from _one_recording(campaign, view, r)
-    yield Head("gravity", "local gravity", "", "m/s^2"), float(view.gravity)
-    yield Head("air_density", "density of the air", "", "kg/m^3"), float(view.air)
+    yield Head("gravity", "local gravity", "", "m/s^2"), view.gravity
+    yield Head("air_density", "density of the air", "", "kg/m^3"), view.air
 
 
 def _seen(campaign: Campaign) -> list[tuple[int, str]]:
@@ -208,7 +210,7 @@ def _mean(campaign: Campaign, view: _View, with_load: bool) -> _Mean | None:
     for r, recording in enumerate(campaign.recordings):
         if recording.with_load == with_load:
             weight, moment = view.carried(campaign.own[r])
-            weights.append(np.array([view.fit[r, 0], *view.fit[r, OWN : OWN + FORCES]]) - weight)
+            weights.append(view.fit[r, [0, *range(OWN, OWN + FORCES)]] - weight)
             moments.append(view.fit[r, 1:4] - moment)
     return _Mean(np.mean(weights, axis=0), np.mean(moments, axis=0)) if weights else None
 
@@ -223,7 +225,7 @@ def _internal(view: _View, mean: _Mean, seen: Sequence[tuple[int, str]]) -> Told
 
 def _load(campaign: Campaign, view: _View, mean: _Mean, seen: Sequence[tuple[int, str]]) -> Told:
     """Load mass as the difference of the recordings, its centre, and what was weighed."""
-    weighed, volume, centre = view.stated(campaign.load) if campaign.load else (0.0, view.volume, np.zeros(3))
+    weighed, volume, centre = view.stated(campaign.load) if campaign.load else (view.air, view.volume, mean.moment)
     masses = {name: mass_of_weight(mean.weight[i], view.gravity, view.air * volume) for i, name in seen}
     yield from _by_component("load_mass", "load mass", masses)
     yield from _centre("load_centre_of_mass", "centre of the load", mean)
@@ -236,10 +238,10 @@ def _load(campaign: Campaign, view: _View, mean: _Mean, seen: Sequence[tuple[int
         yield Head("load_mass_relative_deviation", "load mass less weighed mass", name, "%"), relative
     for i, axis in enumerate(AXES):
         head = Head("load_centre_of_mass_deviation", "centre of the load less stated centre", axis, "m")
-        yield head, float(mean.moment[i] / mean.weight[0] - centre[i])
+        yield head, mean.moment[i] / mean.weight[0] - centre[i]
 
 
-def _by_component(name: str, label: str, masses: dict[str, float]) -> Told:
+def _by_component(name: str, label: str, masses: dict[str, FloatArray]) -> Told:
     """A mass by all forces and by each alone, and how far those are apart."""
     for component, mass in masses.items():
         yield Head(name, label, component, "kg"), mass
@@ -255,20 +257,20 @@ def _by_component(name: str, label: str, masses: dict[str, float]) -> Told:
 def _centre(name: str, label: str, mean: _Mean) -> Told:
     """Centre of mass from first moment and weight."""
     for i, axis in enumerate(AXES):
-        yield Head(name, label, axis, "m"), float(mean.moment[i] / mean.weight[0])
+        yield Head(name, label, axis, "m"), mean.moment[i] / mean.weight[0]
 
 
 def _one_recording(campaign: Campaign, view: _View, r: int) -> Told:
     """What belongs to one recording: weights in air, and how the head stood."""
     name, row = campaign.recordings[r].name, view.fit[r]
-    yield Head("weight", "weight in air", JOINT, "N", name), float(row[0])
+    yield Head("weight", "weight in air", JOINT, "N", name), row[0]
     finite = np.isfinite(campaign.weights.value.reshape(-1, ROWS)[r, OWN:])
     for i, component in enumerate(FORCE_NAMES):
         if finite[i]:
-            yield Head("weight", "weight in air", component, "N", name), float(row[OWN + i])
-    yield Head("zero_angle", "gravity at angle 0 ahead of its stated direction", "", "rad", name), float(row[4])
+            yield Head("weight", "weight in air", component, "N", name), row[OWN + i]
+    yield Head("zero_angle", "gravity at angle 0 ahead of its stated direction", "", "rad", name), row[4]
     _, along, across = campaign.records[r].frame
-    tilt = row[5] * along + row[6] * across
+    tilt = np.outer(along, row[5]) + np.outer(across, row[6])
     for i, axis in enumerate(AXES):
         if abs(along[i]) + abs(across[i]) > 0.5:
-            yield Head("axis_tilt", "true axis less stated axis", axis, "rad", name), float(tilt[i])
+            yield Head("axis_tilt", "true axis less stated axis", axis, "rad", name), tilt[i]

@@ -37,7 +37,7 @@ def _context(evaluation: RotationEvaluation) -> dict[str, Any]:
         "deviations": _deviations(evaluation),
         "recordings": tables.recordings_table(evaluation),
         "readings": [picture for recording in evaluation.recordings for picture in _pictures(recording)],
-        "harmonics": [tables.harmonics_table(recording) for recording in evaluation.recordings],
+        "harmonics": [table for recording in evaluation.recordings for table in tables.harmonics_tables(recording)],
         "axis": tables.axis_table(evaluation),
         "budgets": tables.budget_tables(evaluation),
         "surroundings": tables.surroundings_table(evaluation),

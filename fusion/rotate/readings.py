@@ -14,7 +14,7 @@ from fusion.manifest import Manifest, Sensor
 from fusion.notices import Notice
 from fusion.rotate.result import Column, RotationRecording
 from shaker.models.harmonics import fit_angles
-from shaker.models.load_mass import SensorOutputs, Turned, start_values
+from shaker.models.turning import SensorOutputs, Turned, start_values
 from shaker.signals.files import read_table_columns, table_units
 
 FloatArray = NDArray[np.float64]

@@ -13,7 +13,8 @@ from fusion.manifest import Manifest
 from fusion.notices import Notice
 from shaker.models.gravity import Known
 from shaker.models.harmonics import AngleFit
-from shaker.models.load_mass import SensorOutputs, WeightFit
+from shaker.models.load_mass import WeightFit
+from shaker.models.turning import SensorOutputs
 
 FloatArray = NDArray[np.float64]
 JOINT = "joint"

@@ -13,6 +13,7 @@ from fusion.report_tables import Headline, Table
 from fusion.results_csv import Row
 from fusion.rotate.masses import UNTOLD
 from fusion.rotate.result import JOINT, Quantity, RotationEvaluation, RotationRecording
+from shaker.models.turning import FORCES
 
 COLUMNS = ["name", "component", "value", "u", "U", "k", "unit", "dof", "recording"]
 MILLIMETRE, MILLIRADIAN, GRAM = 1e3, 1e3, 1e3
@@ -106,23 +107,10 @@ def recordings_table(evaluation: RotationEvaluation) -> Table:
     return Table("Recordings: weight in air with U, terms that the readings show", head, align, tuple(rows))
 
 
-def harmonics_table(recording: RotationRecording) -> Table:
-    """Offset, harmonics and further terms of every load component of a recording, and what turning back changes."""
-    fit, told = recording.fit, recording.told
-    terms = list(_terms(recording))
-    rows = []
-    for name, label in dict.fromkeys((q.name, q.label) for q in terms):
-        rows.append((_capital(label), *(_term(q) for q in terms if q.name == name)))
-    calibration = recording.inverse[told]
-    scatter = np.sqrt(np.diag(calibration @ fit.noise @ calibration.T))
-    rows.append(("Scatter s of a reading", *(short(float(s)) for s in scatter)))
-    back = np.abs(fit.reversal().difference @ calibration.T)
-    if len(back):
-        rows.append(("Largest difference forward less back", *(short(float(value)) for value in back.max(axis=0))))
-    units = [typeset(LOAD_UNITS[i]) for i in told]
-    heads = [f"{LOAD_COMPONENTS[i]} / {u if '·' not in u else f'({u})'}" for i, u in zip(told, units, strict=True)]
-    caption = f"{recording.name}: readings over the angle, U of the noise alone (dof {fit.dof:.0f})"
-    return Table(caption, ("term", *heads), "l" + "r" * len(heads), tuple(rows))
+def harmonics_tables(recording: RotationRecording) -> list[Table]:
+    """Offset, harmonics and further terms of forces and moments of a recording, and what turning back changes."""
+    groups = [[i for i in recording.told if i < FORCES], [i for i in recording.told if i >= FORCES]]
+    return [_harmonics_table(recording, places) for places in groups if places]
 
 
 def axis_table(evaluation: RotationEvaluation) -> Table | None:
@@ -180,6 +168,25 @@ def printed(evaluation: RotationEvaluation) -> Iterator[str]:
     if normalised:
         told = ", ".join(f"{q.component} {_signed(q.value)}" for q in normalised)
         yield f"normalised deviation of the load mass: {told} (agreement: within ±1)"
+
+
+def _harmonics_table(recording: RotationRecording, places: Sequence[int]) -> Table:
+    """Terms of some load components."""
+    fit, components = recording.fit, [LOAD_COMPONENTS[i] for i in places]
+    terms = [q for q in _terms(recording) if q.component in components]
+    rows = []
+    for name, label in dict.fromkeys((q.name, q.label) for q in terms):
+        rows.append((_capital(label), *(_term(q) for q in terms if q.name == name)))
+    calibration = recording.inverse[places]
+    scatter = np.sqrt(np.diag(calibration @ fit.noise @ calibration.T))
+    rows.append(("Scatter s of a reading", *(short(float(s)) for s in scatter)))
+    back = np.abs(fit.reversal().difference @ calibration.T)
+    if len(back):
+        rows.append(("Largest difference forward less back", *(short(float(value)) for value in back.max(axis=0))))
+    unit = typeset(LOAD_UNITS[places[0]])
+    heads = [f"{component} / {unit if '·' not in unit else f'({unit})'}" for component in components]
+    caption = f"{recording.name}: readings over the angle, U of the noise alone (dof {fit.dof:.0f})"
+    return Table(caption, ("term", *heads), "l" + "r" * len(heads), tuple(rows))
 
 
 def _named(evaluation: RotationEvaluation, names: Sequence[str]) -> list[Quantity]:

@@ -15,7 +15,8 @@ HIGHEST_ORDER = 8
 LEAST_DOF = 3
 LARGEST_CONDITION = 30.0
 SAME_ANGLE_RAD = 1e-3
-ROUNDING = 1e-12
+ROUNDING, FINEST = 1e-12, 1e-7
+"""Relative precision of double numbers, and of the finest display whose last digit is looked for."""
 
 
 class Reversal(NamedTuple):
@@ -115,7 +116,8 @@ def fit_angles(channels: tuple[str, ...], angle_rad: FloatArray, reading: FloatA
     Offered are harmonics 2, 3, … as far as the angles tell them apart, a linear drift over the order of the readings
     and, where the head was turned both ways, the difference of the two (offset and first harmonic). A term enters, the
     clearest first, where an F test of one channel gives it to chance less than once in 1000, all channels together.
-    Angles in any order, repeated or not. A reading is at least as uncertain as its smallest step (a²/12).
+    Angles in any order, repeated or not. A reading is at least as uncertain as its
+    last digit a, a²/12.
     """
     angle, values = np.asarray(angle_rad, np.float64), np.asarray(reading, np.float64)
     check_shape("angle_rad", angle, (None,))
@@ -184,25 +186,39 @@ def _distinct(turned: FloatArray) -> FloatArray:
 
 
 def _resolution(values: FloatArray) -> FloatArray:
-    """Smallest step between different readings of every channel (C,)."""
-    steps = [np.diff(np.unique(column)) for column in values.T]
-    return np.array([step.min() if len(step) else 0.0 for step in steps])
+    """Step of which all differences between readings of a channel are multiples (C,), 0 where there is none."""
+    return np.array([_common_step(column) for column in values.T])
+
+
+def _common_step(column: FloatArray) -> float:
+    """Greatest common divisor of the differences by Euclid's algorithm, 0 where it is far below their size."""
+    steps = np.diff(np.unique(column))
+    tolerance = FINEST * float(np.ptp(column))
+    while len(steps):
+        step = float(steps.min())
+        rest = np.abs(steps - step * np.round(steps / step))
+        steps = np.append(rest[rest > tolerance], step) if np.any(rest > tolerance) else steps[:0]
+    return step if np.ptp(column) > 0.0 and step > 10.0 * tolerance else 0.0
 
 
 def _clearest(design: FloatArray, blocks: list[list[Term]], values: FloatArray, floor: FloatArray) -> int | None:
     """Which block the readings show most clearly, None where it may be chance."""
     from scipy.special import fdtrc
 
-    before = np.sum((values - design @ np.linalg.lstsq(design, values, rcond=None)[0]) ** 2, axis=0)
+    basis = np.linalg.qr(design)[0]
+    left = values - basis @ (basis.T @ values)
+    before = np.sum(left**2, axis=0)
     best, least = None, CHANCE / max(1, len(floor))
     for place, block in enumerate(blocks):
-        wider = np.column_stack([design, *(column for _, column in block)])
-        dof = len(wider) - wider.shape[1]
-        if dof < LEAST_DOF or np.linalg.cond(wider) > LARGEST_CONDITION:
+        columns = np.stack([column for _, column in block], axis=1)
+        own = columns - basis @ (basis.T @ columns)
+        dof = len(design) - design.shape[1] - len(block)
+        axes, size, _ = np.linalg.svd(own, full_matrices=False)
+        if dof < LEAST_DOF or size[-1] * LARGEST_CONDITION < np.linalg.norm(columns[:, 0]):
             continue
-        after = np.sum((values - wider @ np.linalg.lstsq(wider, values, rcond=None)[0]) ** 2, axis=0)
-        own = np.maximum(after / dof, floor)
-        ratio = np.maximum(before - after, 0.0) / len(block) / np.where(own > 0.0, own, 1.0)
+        gain = np.sum((axes.T @ left) ** 2, axis=0)
+        noise = np.maximum((before - gain) / dof, floor)
+        ratio = gain / len(block) / np.where(noise > 0.0, noise, 1.0)
         chance = float(np.min(fdtrc(len(block), dof, ratio)))
         if chance < least:
             best, least = place, chance

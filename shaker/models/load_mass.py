@@ -9,90 +9,36 @@ from typing import Literal, NamedTuple, TypeVar
 
 import numpy as np
 
-from shaker._checks import BoolArray, ComplexArray, FloatArray, IntArray, check_shape
+from shaker._checks import ComplexArray, FloatArray, IntArray, check_shape
+from shaker.models.turning import (
+    FORCES,
+    LEAST_SHARE,
+    OWN,
+    SensorOutputs,
+    Turned,
+    start_values,
+    turning_phasor,
+    weight_load,
+)
 
-ArrayOf = TypeVar("ArrayOf", FloatArray, ComplexArray)
-FORCES = 3
-OWN = 7
-"""Unknowns of a recording: weight N, first moment N·m (3), zero angle rad, tilt of the axis rad (2)."""
+Number = TypeVar("Number", float, FloatArray)
 ROWS = OWN + FORCES
 """Numbers of a recording in `WeightFit`: its unknowns, then the weight by each force component alone."""
 LEVER_M, TILT_RAD = 1.0, 0.1
 """Standard deviations of what nothing is known of: lever of the weight, tilt of the axis."""
-LEAST_SHARE = 0.3
-"""Share of the weight that a force component must feel at some angle for a weight of its own."""
-DETERMINED = 1e-6
+USUAL_LEVER_M = 0.1
+"""Lever at which forces and moments count alike where outputs of either kind are told apart."""
 CHANCE = 1e-3
 """Probability with which channels that agree may be taken for ones that do not."""
 _STEPS, _CONVERGED = 20, 1e-6
 
 
-def mass_of_weight(weight_n: float, gravity_mps2: float, air_share: float = 0.0) -> float:
+def mass_of_weight(weight_n: Number, gravity_mps2: Number, air_share: Number | float = 0.0) -> Number:
     """Return the mass in kg of a weight in air, m = F/(g·(1 - ρ_air/ρ)); `air_share`: ρ_air/ρ of the body.
 
     Nitsche et al. 2018, eq. 7, whose masses are without buoyancy (`air_share` 0).
     """
     return weight_n / (gravity_mps2 * (1.0 - air_share))
-
-
-@dataclass(frozen=True)
-class SensorOutputs:
-    """How C outputs answer the load: `sensitivity` (C, 6) output per Fx … Mz, `u` (C, 6) of every element, independent.
-
-    `sense`: +1 where outputs are positive for the load on the sensor, -1 for that of the sensor on what it carries.
-    """
-
-    sensitivity: FloatArray
-    u: FloatArray
-    sense: Literal[1, -1] = 1
-
-    def __post_init__(self) -> None:
-        check_shape("sensitivity", self.sensitivity, (None, 6))
-        check_shape("u", self.u, self.sensitivity.shape)
-
-    @cached_property
-    def inverse(self) -> FloatArray:
-        """Return the calibration matrix (6, C), load per output: the pseudo-inverse, columns scaled to one size."""
-        size = np.linalg.norm(self.sensitivity, axis=0)
-        scale = np.where(size > 0.0, size, 1.0)
-        return np.asarray(np.linalg.pinv(self.sensitivity / scale, rcond=1e-9) / scale[:, None])
-
-    @cached_property
-    def determined(self) -> BoolArray:
-        """Return (6,): which load components the outputs tell from all others."""
-        identity = self.inverse @ self.sensitivity
-        return np.asarray(np.all(np.abs(identity - np.eye(6)) < DETERMINED, axis=1))
-
-
-@dataclass(frozen=True)
-class Turned:
-    """One recording: first harmonics of the C outputs and how the head stood.
-
-    `amplitude` (C,): output = Re{amplitude exp(+jθ)}, θ counted as the sensor turns, right-handed about `axis` (3,);
-    `covariance` (2C, 2C) of [all Re, all Im], of noise with `dof` degrees of freedom; `down` (3,): direction of gravity
-    at θ = 0, both unit vectors in sensor axes.
-    """
-
-    name: str
-    amplitude: ComplexArray
-    covariance: FloatArray
-    dof: float
-    axis: FloatArray
-    down: FloatArray
-
-    def __post_init__(self) -> None:
-        check_shape("covariance", self.covariance, (2 * len(self.amplitude), 2 * len(self.amplitude)))
-        check_shape("axis", self.axis, (3,))
-        check_shape("down", self.down, (3,))
-        if np.linalg.norm(np.cross(self.axis, self.down)) < 0.5:
-            raise ValueError("axis: expected one across gravity, found one within 30 degrees of it")
-
-    @cached_property
-    def frame(self) -> tuple[float, FloatArray, FloatArray]:
-        """Return the share of gravity that turns, its direction at θ = 0, and that across it: axis × direction."""
-        across = self.down - self.axis * float(self.axis @ self.down)
-        share = float(np.linalg.norm(across))
-        return share, across / share, _skew(self.axis) @ across / share
 
 
 class Source(NamedTuple):
@@ -201,7 +147,7 @@ class _Problem:
         rows, columns = elements.T
         matrix[rows, columns] += vector[own : own + len(elements)] * self.outputs.u[rows, columns]
         for r, record in enumerate(self.records):
-            load, by_own = _load(record, vector[OWN * r : OWN * (r + 1)], self.outputs.sense)
+            load, by_own = weight_load(record, vector[OWN * r : OWN * (r + 1)], self.outputs.sense)
             if self.u_angle_rad > 0.0:
                 twice = self.u_angle_rad * complex(vector[-2], -vector[-1])
                 by_head = -0.5j * np.conj(load)[:, None] * self.u_angle_rad * np.array([1.0, -1j])
@@ -229,59 +175,6 @@ class _Problem:
         return np.sqrt(np.diag(inverse)), inverse @ right, np.asarray(inverse)
 
 
-def _skew(vector: ArrayOf) -> ArrayOf:
-    """Return the matrix (3, 3) whose product with w is vector × w."""
-    x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]], dtype=vector.dtype)
-
-
-def _turning(record: Turned, tilt: FloatArray) -> ComplexArray:
-    """U (3,): the phasor of gravity's direction in sensor axes, its axis tilted along and across gravity at zero."""
-    share, along, across = record.frame
-    turn = tilt[0] * across - tilt[1] * along
-    angle = float(np.linalg.norm(turn))
-    phasor = along + 1j * across
-    if angle > 0.0:
-        k = turn / angle
-        phasor = phasor * np.cos(angle) + np.cross(k, phasor) * np.sin(angle) + k * (k @ phasor) * (1.0 - np.cos(angle))
-    return np.asarray(share * phasor)
-
-
-def _load(record: Turned, own: FloatArray, sense: int) -> tuple[ComplexArray, ComplexArray]:
-    """Load (6,) of a recording's unknowns, and its derivatives (6, 7)."""
-    share, _, _ = record.frame
-    turn = sense * np.exp(1j * own[4])
-    phasor = turn * _turning(record, own[5:])
-    tilts = turn * share * np.outer(record.axis, [-1.0, -1j])
-    columns = np.zeros((6, OWN), np.complex128)
-    columns[:3, 0] = phasor
-    columns[3:, 1:4] = -_skew(phasor)
-    load = columns[:, :4] @ own[:4]
-    columns[:, 4] = 1j * load
-    columns[:3, 5:] = own[0] * tilts
-    columns[3:, 5:] = _skew(own[1:4]) @ tilts
-    return np.asarray(load), columns
-
-
-def start_values(record: Turned, outputs: SensorOutputs) -> FloatArray:
-    """Return the unknowns (7,) of a recording from the forces alone; refuses readings that turn the other way round."""
-    phasor = outputs.sense * _turning(record, np.zeros(2))
-    seen = outputs.determined[:FORCES] & (np.abs(phasor) > LEAST_SHARE)
-    if not seen.any():
-        raise ValueError("sensitivity: expected an output for a force across the axis, found none")
-    force, size = (outputs.inverse @ record.amplitude)[:FORCES][seen], np.sum(np.abs(phasor[seen]) ** 2)
-    with_axis = np.sum(force * np.conj(phasor[seen])) / size
-    against = np.sum(force * phasor[seen]) / size
-    if abs(against) > 1.5 * abs(with_axis):
-        raise ValueError(
-            "axis: expected the sense of turning for which gravity turns backwards in the sensor, found readings that "
-            "turn the other way round; reverse the axis"
-        )
-    if abs(with_axis) == 0.0:
-        raise ValueError("amplitude: expected forces that change with the angle, found none")
-    return np.array([abs(with_axis), 0.0, 0.0, 0.0, float(np.angle(with_axis)), 0.0, 0.0])
-
-
 def _result(problem: _Problem, vector: FloatArray, residual: FloatArray, inverse: FloatArray) -> WeightFit:
     """Values, sources and the test of a fit that has converged."""
     from scipy.special import fdtrc
@@ -292,8 +185,11 @@ def _result(problem: _Problem, vector: FloatArray, residual: FloatArray, inverse
     known = prior[:free] * np.diag(inverse)[:free]
     dof = len(residual) - float(np.sum(1.0 - known))
     noise_dof = sum(record.dof for record in problem.records)
-    chance = float(fdtrc(dof, noise_dof, chi_squared / dof)) if dof > 0.5 else 1.0
-    enlarged = float(np.sqrt(chi_squared / dof)) if chance < CHANCE else 1.0
+    tests = [(chi_squared, dof), _of_forces(problem, vector, residual)]
+    enlarged, behind = 1.0, dof
+    for square, freedom in tests:
+        if freedom > 0.5 and fdtrc(freedom, noise_dof, square / freedom) < CHANCE and square > enlarged**2 * freedom:
+            enlarged, behind = float(np.sqrt(square / freedom)), freedom
     loads = [
         np.where(problem.outputs.determined, problem.outputs.inverse @ r.amplitude, np.nan) for r in problem.records
     ]
@@ -303,15 +199,28 @@ def _result(problem: _Problem, vector: FloatArray, residual: FloatArray, inverse
         value[ROWS * r + OWN : ROWS * (r + 1)] = np.real(loads[r][:FORCES] * _projection(problem, r, vector))
     sources = _sources(problem, vector, inverse)
     if enlarged > 1.0:
-        sources.append(_disagreement(sources, enlarged, dof, len(problem.records)))
+        sources.append(_disagreement(sources, enlarged, behind, len(problem.records)))
     names = tuple(record.name for record in problem.records)
     return WeightFit(names, value, tuple(sources), np.array(loads), chi_squared, dof, enlarged)
+
+
+def _of_forces(problem: _Problem, vector: FloatArray, residual: FloatArray) -> tuple[float, float]:
+    """χ² of the outputs that answer to forces rather than moments, and its degrees of freedom."""
+    square, count = 0.0, 0
+    split = (problem.weight * residual**2).reshape(len(problem.records), 2, -1)
+    size = np.abs(problem.outputs.sensitivity)
+    forces = size[:, :FORCES].sum(axis=1) > USUAL_LEVER_M * size[:, FORCES:].sum(axis=1)
+    for r in range(len(problem.records)):
+        square += float(split[r][:, forces].sum())
+        rows = 2 * int(forces.sum())
+        count += max(0, rows - 2 - (2 if rows > 4 else 0))
+    return square + float(problem.prior(vector) @ vector**2), float(count)
 
 
 def _projection(problem: _Problem, r: int, vector: FloatArray) -> ComplexArray:
     """Factors (3,) whose product with a force component has the weight as its real part; NaN where it feels little."""
     own = vector[OWN * r : OWN * (r + 1)]
-    phasor = problem.outputs.sense * np.exp(1j * own[4]) * _turning(problem.records[r], own[5:])
+    phasor = problem.outputs.sense * np.exp(1j * own[4]) * turning_phasor(problem.records[r], own[5:])
     size = np.abs(phasor)
     seen = problem.outputs.determined[:FORCES] & (size > LEAST_SHARE)
     return np.asarray(np.where(seen, np.conj(phasor) / np.where(seen, size, 1.0) ** 2, np.nan))
@@ -345,7 +254,7 @@ def _sources(problem: _Problem, vector: FloatArray, inverse: FloatArray) -> list
 
 def _alone(problem: _Problem, r: int, vector: FloatArray) -> FloatArray:
     """Effect (3, shared) of the shared unknowns on the weights by each force component alone."""
-    load, _ = _load(problem.records[r], vector[OWN * r : OWN * (r + 1)], problem.outputs.sense)
+    load, _ = weight_load(problem.records[r], vector[OWN * r : OWN * (r + 1)], problem.outputs.sense)
     factor, inverse = _projection(problem, r, vector), problem.outputs.inverse[:FORCES]
     rows, columns = problem.elements.T
     by_element = inverse[:, rows] * problem.outputs.u[rows, columns] * load[columns]
