@@ -1,0 +1,266 @@
+"""`shakercal identify` end to end: a simulated campaign against its truth, its files, and the model read back."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from identify_factory import DAMPING, LAG_S, SENSITIVITY, SINES_HZ, SMALL, STIFFNESS, write_campaign, write_sines
+from page_outline import outline
+
+from fusion.campaign import run_path
+from fusion.cli import main
+from fusion.errors import InputError
+from fusion.identify.campaign import Campaign, read_campaign
+from fusion.identify.evaluate import evaluate_campaign
+from fusion.identify.model_file import read_model
+from fusion.identify.result import ComponentResult, IdentifyEvaluation
+from fusion.identify.results import write_identification
+from fusion.identify.settings import IdentifySettings
+from fusion.settings import Settings
+from fusion.simulate.draws import Draws
+from fusion.simulate.world import true_part
+from shaker.models.correction import correct_phasors
+from shaker.models.sensor_model import Load
+from shaker.signals.phasor import Phasors
+
+SETTINGS = IdentifySettings(load_masses_kg=(2.0, 20.0))
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two chirps and five sines, the sines evaluated."""
+    folder = write_campaign(tmp_path_factory.mktemp("identify") / "campaign")
+    write_sines(folder)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("fusion.results.render_report", lambda _: "")
+        patch.setattr("fusion.joint.write.render_campaign", lambda _: "")
+        outcomes = run_path(folder, None, Settings())
+    assert [outcome.error for outcome in outcomes] == [None] * len(SINES_HZ)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def read(campaign: Path) -> Campaign:
+    return read_campaign(campaign)
+
+
+@pytest.fixture(scope="module")
+def evaluation(read: Campaign) -> IdentifyEvaluation:
+    return evaluate_campaign(read, SETTINGS)
+
+
+@pytest.fixture(scope="module")
+def component(evaluation: IdentifyEvaluation) -> ComponentResult:
+    (found,) = evaluation.components
+    return found
+
+
+@pytest.fixture(scope="module")
+def results(evaluation: IdentifyEvaluation, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("results") / "identify"
+    write_identification(evaluation, folder)
+    return folder
+
+
+def _internal_mass() -> float:
+    return float(true_part(SMALL.internal, Draws(1, True)).mass_kg)
+
+
+def test_stiffness_damping_and_internal_mass_are_found(component: ComponentResult) -> None:
+    found = component.fit.identification
+    truth = {"stiffness_z": STIFFNESS, "damping_z": DAMPING, "internal_mass": _internal_mass()}
+    bars = {"stiffness_z": 5e-4, "damping_z": 0.02, "internal_mass": 3e-3}
+    assert component.fit.model == "translation"
+    assert component.fit.mass_is_free
+    for name, value in truth.items():
+        assert abs(found.value(name) - value) < 3.5 * found.u(name)
+        assert abs(found.value(name) / value - 1.0) < bars[name]
+        assert found.u(name) / value < bars[name]
+
+
+def test_chirps_and_the_steps_of_one_load_are_fitted_together(component: ComponentResult) -> None:
+    lines = [item.measured.ratio.value.shape for item in component.fit.prepared]
+    assert lines == [(1025, 2), (1025, 2), (len(SINES_HZ), 1)]
+    steps = component.fit.prepared[2].measured
+    assert steps.name == "5 steps of sines, 10 kN shaker, load 9 kg"
+    np.testing.assert_allclose(steps.ratio.frequency_hz, SINES_HZ, rtol=1e-6)
+    load, internal = (true_part(part, Draws(1, True)) for part in (SMALL.loads["9kg"], SMALL.internal))
+    true = SMALL.transfer(load, internal, (0.0, 0.0, 0.1), np.array(SINES_HZ))
+    np.testing.assert_allclose(steps.ratio.value[:, 0], true, rtol=1e-4)
+
+
+def test_one_transducer_is_one_unknown_in_all_recordings(component: ComponentResult) -> None:
+    names = [unknown.name for unknown in component.fit.identification.unknowns]
+    assert len(set(names)) == len(names)
+    assert {"base: scale", "top_1: delay", "clock of daq", "load 4.236 kg: mass"} <= set(names)
+
+
+def test_the_budget_adds_up_to_the_uncertainty(component: ComponentResult) -> None:
+    found = component.fit.identification
+    total = np.sqrt(np.sum([change**2 for change in found.budget.values()], axis=0))
+    np.testing.assert_allclose(total, [estimate.u for estimate in found.estimates], rtol=1e-6)
+    assert max(found.budget, key=lambda cause: abs(found.budget[cause][0])).endswith(": mass")
+
+
+def test_the_lag_of_the_chain_is_told_from_the_spring(
+    evaluation: IdentifyEvaluation, component: ComponentResult
+) -> None:
+    assert component.sensitivity is not None
+    comparison = component.sensitivity.comparison
+    assert comparison.best.chain.kind == "lag"
+    assert abs(comparison.best.chain.lag_s - LAG_S) < 3.5 * comparison.best.u("lag_s")
+    assert abs(comparison.best.spring_time_s - DAMPING / STIFFNESS) < 3.5 * comparison.best.u("spring_time_s")
+    assert comparison.damping is not None
+    assert comparison.damping.contradicts
+    told = [notice for notice in evaluation.notices if notice.where == "sensitivity Fz"]
+    assert [notice.severity for notice in told] == ["info", "warning"]
+    assert "the data support a first-order lag" in told[0].text
+    assert "they contradict each other" in told[1].text
+
+
+def test_the_load_is_taken_with_the_internal_mass_found(component: ComponentResult) -> None:
+    assert component.sensitivity is not None
+    assert abs(component.model.sensitivity - SENSITIVITY) < 3.5 * np.sqrt(component.model.covariance[0, 0])
+    errors = {error.name for error in component.sensitivity.measured.errors}
+    assert "internal mass: mass" in errors
+    assert not any("internal mass 0.769 kg" in name for name in errors)
+
+
+def test_every_method_reads_the_resonance(component: ComponentResult) -> None:
+    mass = _internal_mass() + true_part(SMALL.loads["4kg"], Draws(1, True)).mass_kg
+    f0, zeta = np.sqrt(STIFFNESS / mass) / (2.0 * np.pi), 0.5 * DAMPING / np.sqrt(STIFFNESS * mass)
+    own = [item for item in component.readings if "4.236" in item.recording and item.response == "top_1"]
+    methods = ["maximum_bin", "maximum", "half_power", "half_amplitude", "circle", "oscillator", "joint"]
+    assert [item.method for item in own] == methods
+    found = {item.method: item for item in own}
+    assert abs(found["joint"].frequency_hz - f0) < 3.5 * found["joint"].u_frequency_hz
+    assert found["maximum_bin"].frequency_hz == pytest.approx(f0, abs=0.5 / 0.64)
+    assert found["maximum"].frequency_hz == pytest.approx(f0 * (1.0 - zeta**2), rel=3e-5)
+    for method in ("half_power", "circle", "oscillator", "joint"):
+        assert found[method].damping_ratio == pytest.approx(zeta, rel=5e-3)
+        assert found[method].damping == pytest.approx(DAMPING, rel=5e-3)
+        assert found[method].stiffness == pytest.approx(STIFFNESS, rel=1e-3)
+    assert found["half_amplitude"].damping_ratio == pytest.approx(np.sqrt(3.0) * zeta, rel=5e-3)
+
+
+def test_usable_bands_are_those_of_the_masses_wanted(component: ComponentResult) -> None:
+    assert component.loads == (2.0, 20.0)
+    for kg, band in zip(component.loads, component.bands, strict=True):
+        w = 2.0 * np.pi * band.upper_hz
+        spring = STIFFNESS - (kg + _internal_mass()) * w**2 + 1j * w * DAMPING
+        output = abs(STIFFNESS / spring / (1.0 + 1j * w * LAG_S))
+        assert output == pytest.approx(1.05, abs=2e-4)
+
+
+def test_the_files_hold_what_was_found(results: Path, component: ComponentResult) -> None:
+    names = {"parameters.csv", "readings.csv", "model.json", "identify.h5", "identify.html"}
+    assert {entry.name for entry in results.iterdir()} == names
+    with (results / "parameters.csv").open(encoding="utf-8", newline="") as stream:
+        rows = {row["name"]: row for row in csv.DictReader(stream)}
+    estimate = component.fit.identification["stiffness_z"]
+    row = rows["stiffness_z"]
+    assert (row["component"], row["unit"], row["method"]) == ("z", "N/m", "joint fit, translation")
+    assert float(row["value"]) == pytest.approx(estimate.value, rel=1e-12)
+    assert float(row["U"]) == pytest.approx(float(row["k"]) * estimate.u, rel=1e-9)
+    assert rows["lag_s"]["method"].startswith("sensitivity over frequency")
+    with (results / "readings.csv").open(encoding="utf-8", newline="") as stream:
+        readings = list(csv.DictReader(stream))
+    assert len(readings) == len(component.readings) == 28
+    with h5py.File(results / "identify.h5") as file:
+        found = file["z/identification"]
+        assert found["covariance"].shape == found["correlation"].shape == (3, 3)
+        curve = file["z/recordings/000"]
+        residual = curve["ratio/value"][()] - curve["model"][()]
+        np.testing.assert_array_equal(curve["residual"][()], residual)
+        assert set(file["provenance/files"].asstr()[()]) == names
+        assert any(name.endswith("result.h5") for name in file["provenance/input_file"].asstr()[()])
+
+
+def test_the_page_is_whole_and_fetches_nothing(results: Path) -> None:
+    page = (results / "identify.html").read_text(encoding="utf-8")
+    assert page.count("<figure") == 5
+    for words in ("Nyquist circles", "half-amplitude width", "Correlation", "they contradict each other", "Budget"):
+        assert words in page
+    found = outline(page)
+    assert not found.open
+    assert all(address.startswith(("#", "data:image/svg+xml")) for address in found.addresses)
+    assert {address[1:] for address in found.addresses if address.startswith("#")} <= set(found.ids)
+
+
+def test_the_model_is_read_back_to_the_last_bit(results: Path, component: ComponentResult) -> None:
+    file = read_model(results)
+    found, model = file["Fz"], component.model
+    assert (file.name, file.campaign) == ("six-component transducer", "campaign")
+    assert (found.channel, found.structure, found.sensitivity_measured) == ("Fz", "translation", True)
+    assert found.range_hz == component.range_hz
+    for name in ("sensitivity", "stiffness", "damping", "internal_mass", "unit"):
+        assert getattr(found.sensor, name) == getattr(model, name)
+    assert found.sensor.chain.kind == model.chain.kind
+    np.testing.assert_array_equal(found.sensor.chain.parameters, model.chain.parameters)
+    np.testing.assert_array_equal(found.sensor.covariance, model.covariance)
+    with pytest.raises(ValueError, match="component: expected one of Fz, found Mx"):
+        file["Mx"]
+
+
+def test_a_correction_with_the_model_gives_the_force(results: Path) -> None:
+    sensor, frequency, load_kg = read_model(results)["Fz"].sensor, np.array([300.0, 900.0]), 5.0
+    s = 2j * np.pi * frequency
+    spring = STIFFNESS + s * DAMPING + s * s * (load_kg + _internal_mass())
+    output = 3.0 * SENSITIVITY * STIFFNESS / spring / (1.0 + s * LAG_S)  # of 3 N on the load, the base at rest
+    phasors = Phasors(frequency, output[:, None], np.zeros((2, 2, 2)), ("Fz",), ("V/V",), np.full(2, np.inf))
+    force = correct_phasors(phasors, sensor, Load(load_kg, "force"))
+    assert force.phasors.unit == ("N",)
+    u = np.sqrt(force.covariance.diagonal(axis1=1, axis2=2))
+    away = force.phasors.value[:, 0] - 3.0
+    assert np.all(np.abs(away.real) < 3.5 * u[:, 0])
+    assert np.all(np.abs(away.imag) < 3.5 * u[:, 1])
+    np.testing.assert_allclose(force.phasors.value[:, 0], 3.0, rtol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("{", "a model as shakercal identify writes it"),
+        ('{"format": 2}', "format: expected format 1"),
+        ('{"format": 1}', "no key 'components'"),
+    ],
+)
+def test_a_file_that_is_no_model_is_refused(tmp_path: Path, text: str, words: str) -> None:
+    (tmp_path / "model.json").write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=words):
+        read_model(tmp_path)
+
+
+def test_a_model_with_an_unknown_chain_is_refused(results: Path, tmp_path: Path) -> None:
+    content = json.loads((results / "model.json").read_text(encoding="utf-8"))
+    content["components"][0]["chain"] = "rope"
+    (tmp_path / "model.json").write_text(json.dumps(content), encoding="utf-8")
+    with pytest.raises(InputError, match="expected a chain of none, delay"):
+        read_model(tmp_path / "model.json")
+
+
+def test_the_command_prints_and_keeps_to_the_rules_of_folders(
+    campaign: Path,
+    evaluation: IdentifyEvaluation,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr("fusion.identify.run.evaluate_campaign", lambda *_: evaluation)
+    monkeypatch.setattr("fusion.identify.results.render_identify_page", lambda _: "")
+    out = tmp_path / "out"
+    assert main(["identify", str(campaign), "-o", str(out)]) == 0
+    told = capsys.readouterr()
+    assert "stiffness k, z: (4.500" in told.out
+    assert "lag of the chain: " in told.out
+    assert "they contradict each other" in told.err
+    assert main(["identify", str(campaign), "-o", str(out), "--damping", "each"]) == 0
+    (out / "identify.h5").unlink()
+    assert main(["identify", str(campaign), "-o", str(out), "-q"]) == 2
+    assert "expected an empty folder for the results" in capsys.readouterr().err
+    assert main(["identify", str(campaign), "-o", str(out), "-q", "--force"]) == 0
