@@ -73,8 +73,12 @@ def recording(
     line_correlation: ComplexArray | None = None,
     added_decay_per_s: float = 0.0,
     u_clock: float = 0.0,
+    dof: float = 1e6,
 ) -> MeasuredTransfer:
-    """Curves (K, C) with circular noise of a standard uncertainty per part, as measured; without `rng` exact."""
+    """Curves (K, C) with circular noise of a standard uncertainty per part, as measured; without `rng` exact.
+
+    With few `dof` the covariance stated of a line scatters about the true one, as that of a few periods does.
+    """
     value = value.reshape(len(frequency_hz), -1)
     lines, channels = value.shape
     size = np.broadcast_to(noise, value.shape)
@@ -84,6 +88,7 @@ def recording(
     if rng is not None:
         draws = rng.standard_normal((2, lines, channels))
         value = value + size * (draws[0] + 1j * draws[1])
+        covariance *= (rng.chisquare(dof, lines) / dof)[:, None, None]
     sight = Sight(np.zeros(3), drive[:3] if np.any(drive[:3]) else Z)
     ratio = Phasors(
         frequency_hz,
@@ -91,7 +96,7 @@ def recording(
         covariance,
         tuple(f"top {c + 1}" for c in range(channels)),
         ("1",) * channels,
-        np.full(lines, 50.0),
+        np.full(lines, dof),
     )
     return MeasuredTransfer(
         name=name,

@@ -125,15 +125,13 @@ def test_one_recording_agrees_with_the_fit_of_one_resonance() -> None:
         record.ratio.frequency_hz, record.ratio.value[:, 0], record.ratio.covariance, "transmissibility"
     )
     (mode,), (factor,) = found.modes, found.factors
-    scale = np.sqrt(max(1.0, fit.chi_squared / fit.dof))
-    assert mode.frequency_hz == pytest.approx(fit.frequency_hz, rel=1e-8)
-    assert mode.damping_ratio == pytest.approx(fit.damping_ratio, rel=1e-5)
+    assert mode.frequency_hz == pytest.approx(fit.frequency_hz, abs=5e-3 * fit.u("frequency_hz"))
+    assert mode.damping_ratio == pytest.approx(fit.damping_ratio, abs=5e-3 * fit.u("damping_ratio"))
     assert mode.u_frequency_hz == pytest.approx(fit.u("frequency_hz"), rel=0.02)
     assert mode.u_damping_ratio == pytest.approx(fit.u("damping_ratio"), rel=0.02)
-    assert factor.gain == pytest.approx(fit.gain, rel=1e-5)
+    assert abs(factor.gain - fit.gain) < 5e-3 * fit.u("gain_re")
     assert factor.u_gain_relative == pytest.approx(fit.u("gain_re") / abs(fit.gain), rel=0.1)
-    assert scale < 1.2
-    assert found.chi_squared == pytest.approx(fit.chi_squared, rel=1e-6)
+    assert found.chi_squared == pytest.approx(fit.chi_squared, rel=1e-4)
 
 
 def test_bars_of_the_twin() -> None:
@@ -375,6 +373,22 @@ def test_what_cannot_be_fitted_is_refused_with_a_reason() -> None:
         identify([flat], VERTICAL)
     with pytest.raises(ValueError, match="name: expected one of"):
         identify([record], VERTICAL).value("damping_x")
+
+
+def test_covariances_from_few_periods_still_give_the_scatter() -> None:
+    # 8 degrees of freedom at every line: weights 1/s² alone would understate the scatter of b by a quarter.
+    rng = np.random.default_rng(17)
+    deviation = []
+    mass = LOADS[0] + MI
+    frequency = lines(mass, count=60)
+    value = oscillator(2j * np.pi * frequency, mass, K, B)
+    for _ in range(120):
+        record = recording("a", frequency, value, rigid_mass(LOADS[0]), ALONG_Z, noise=0.05, rng=rng, dof=8.0)
+        found = identify([record], VERTICAL, known={"internal_mass": (MI, 0.0)})
+        assert found.notices == ()  # χ²/dof of 8/6 is what such covariances leave
+        deviation.append([(found.value(n) - t) / found.u(n) for n, t in (("stiffness_z", K), ("damping_z", B))])
+    # 240 values: standard deviation of their scatter 0.046.
+    assert np.sqrt(np.mean(np.square(deviation))) == pytest.approx(1.0, abs=0.14)
 
 
 @pytest.mark.slow

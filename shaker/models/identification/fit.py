@@ -8,6 +8,7 @@ import numpy as np
 
 from shaker._checks import FloatArray
 from shaker.models.identification.mechanics import Structure, poles
+from shaker.models.identification.noise import Noise, line_noise, stated
 from shaker.models.identification.problem import DELAY_UNIT_S, Problem, build, factor_name
 from shaker.models.identification.remarks import remarks
 from shaker.models.identification.result import FreeFactor, Identification, ModeEstimate, NamedUnknown
@@ -16,7 +17,7 @@ from shaker.models.identification.start import starting_vectors
 from shaker.models.measured import MeasuredTransfer, ParameterEstimate
 
 _EXPLAINED = 4.0  # χ² per line below which no other start is tried
-_NOISE_ROUNDS = 3
+_NOISE_ROUNDS = 4
 
 
 def identify(
@@ -40,34 +41,35 @@ def identify(
     if lines <= np.count_nonzero((problem.precision == 0.0) & ~problem.fixed):
         raise ValueError(f"records: expected more real values than unknowns, found {lines} for {len(problem.names)}")
     state = _best(problem, starting_vectors(problem, structure.starts(records)), lines)
-    found, noise = spread(problem, state, 1.0), 1.0
-    for _ in range(_NOISE_ROUNDS):
-        larger = max(1.0, state.chi_squared / (lines - found.effective))
-        if abs(larger / noise - 1.0) < 0.01:
-            break
-        noise = larger
-        state = solve(problem, state.vector, noise)
-        found = spread(problem, state, noise)
-    return _result(problem, state, found, noise, lines - found.effective)
+    weighted, state, noise = _weighed(problem, state)
+    return _result(weighted, state, spread(weighted, state), noise)
 
 
 def _best(problem: Problem, vectors: Sequence[FloatArray], lines: int) -> State:
     """Return the first solution that explains the curves, from the most promising start on, else the best of all."""
-    started = sorted((evaluate(problem, vector) for vector in vectors), key=_cost)
     tried: list[State] = []
-    for start in started:
-        tried.append(solve(problem, start.vector, 1.0))
-        if _cost(tried[-1]) < _EXPLAINED * lines:
+    for start in sorted((evaluate(problem, vector) for vector in vectors), key=lambda state: state.cost):
+        tried.append(solve(problem, start))
+        if tried[-1].cost < _EXPLAINED * lines:
             break
-    return min(tried, key=_cost)
+    return min(tried, key=lambda state: state.cost)
 
 
-def _cost(state: State) -> float:
-    """Return χ² of lines and priors together."""
-    return state.chi_squared + state.prior
+def _weighed(problem: Problem, state: State) -> tuple[Problem, State, Noise]:
+    """Return the problem with its lines weighed by the noise seen in them, its solution, and that noise."""
+    factors = stated(problem)
+    noise, weighted = line_noise(problem, state, factors), problem
+    for _ in range(_NOISE_ROUNDS):
+        factors = noise.lines
+        weighted = problem.weighed(factors)
+        before, state = state, solve(weighted, evaluate(weighted, state.vector))
+        noise = line_noise(weighted, state, factors)
+        if np.array_equal(before.vector, state.vector):
+            break
+    return weighted, state, noise
 
 
-def _result(problem: Problem, state: State, found: Spread, noise: float, dof: float) -> Identification:
+def _result(problem: Problem, state: State, found: Spread, noise: Noise) -> Identification:
     """Return what a solution says."""
     count = len(problem.kind)
     estimates = _estimates(problem, state, found)
@@ -88,9 +90,9 @@ def _result(problem: Problem, state: State, found: Spread, noise: float, dof: fl
         factors=_factors(problem, state, found),
         model=model,
         residual=tuple(curve.record.ratio.value - value for curve, value in zip(problem.curves, model, strict=True)),
-        chi_squared=state.chi_squared,
-        dof=dof,
-        notices=remarks(problem, state, found, estimates, noise, dof),
+        chi_squared=noise.chi_squared,
+        dof=noise.dof,
+        notices=remarks(problem, state, found, estimates, noise),
         budget=_budget(problem, found),
     )
 

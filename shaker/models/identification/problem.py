@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -72,6 +72,14 @@ class Problem:
     expected: FloatArray
     precision: FloatArray
     fixed: BoolArray
+
+    def weighed(self, factors: Sequence[FloatArray]) -> Problem:
+        """Return the problem with the covariances of its lines times `factors` (K,) per recording."""
+        curves = [
+            replace(curve, whitening=curve.whitening / np.sqrt(factor)[:, None, None])
+            for curve, factor in zip(self.curves, factors, strict=True)
+        ]
+        return replace(self, curves=tuple(curves))
 
 
 def build(

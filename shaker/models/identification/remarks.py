@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from shaker.models.identification.noise import Noise
 from shaker.models.identification.problem import Problem
 from shaker.models.identification.solve import Spread, State
 from shaker.models.measured import ParameterEstimate
@@ -13,14 +14,15 @@ _OPEN = 1.0 / 3.0  # u over value from which a parameter is called open
 _NEGLIGIBLE = 0.02  # part of the whole inertia below which an internal one need not be known
 _PULL = 3.0  # deviation in standard uncertainties that is named
 _NOISE_INFO, _NOISE_WARNING = 1.2, 4.0  # χ²/dof that is named
+_CHANCES = 5.0  # standard deviations by which χ²/dof exceeds what noise leaves
 _UNTOUCHED = 0.95  # of a stated uncertainty, left: the recordings say nothing of it
 
 
 def remarks(
-    problem: Problem, state: State, found: Spread, estimates: tuple[ParameterEstimate, ...], noise: float, dof: float
+    problem: Problem, state: State, found: Spread, estimates: tuple[ParameterEstimate, ...], noise: Noise
 ) -> tuple[Notice, ...]:
-    """Return all notices of an identification; `noise` is the factor by which its covariances were enlarged."""
-    notices = _misfit(noise, dof)
+    """Return all notices of an identification."""
+    notices = _misfit(noise)
     whole = _whole(problem, state)
     for place, estimate in enumerate(estimates):
         if problem.fixed[place]:
@@ -35,15 +37,15 @@ def remarks(
     return tuple(notices)
 
 
-def _misfit(noise: float, dof: float) -> list[Notice]:
+def _misfit(noise: Noise) -> list[Notice]:
     """Say that the residuals exceed the noise."""
-    if noise < max(_NOISE_INFO, 1.0 + 5.0 * float(np.sqrt(2.0 / dof))):
+    if noise.common < max(_NOISE_INFO, 1.0 + _CHANCES * noise.chance):
         return []
     text = (
-        f"the curves depart from the model by {np.sqrt(noise):.2g} times their noise; the uncertainties are enlarged "
-        "by this factor"
+        f"the curves depart from the model by {np.sqrt(noise.common):.2g} times their noise; the uncertainties are "
+        "enlarged by this factor"
     )
-    if noise < _NOISE_WARNING:
+    if noise.common < _NOISE_WARNING:
         return [Notice("info", text, "identification")]
     text += ", and the parameters depend on the lines that are fitted"
     return [Notice("warning", text, "identification")]

@@ -66,10 +66,10 @@ class Identification:
     `estimates` (P): parameters, of one recording alone "name: recording"; `covariance` (P, P) of them, infinite
     where the recordings leave one open. `derived`: b/k of each spring and damper. `modes`: of each recording.
     `unknowns`: named errors. `factors`: free gains and delays. `model`, `residual` (K, C): per recording, curve with
-    all errors found, and what was measured less the model. `chi_squared` over `dof`: residuals and priors in their
-    uncertainties as given; the noise is enlarged to χ²/dof where that exceeds one. `budget` by cause: change (P,) of
-    the parameters for one standard deviation of a named error or of a number stated beforehand, and what "noise" adds;
-    their squares sum up to the variances.
+    all errors found, and what was measured less the model. `chi_squared` of the residuals over the covariances as
+    stated, with `dof`; where χ²/dof exceeds what noise explains, the noise is enlarged by the excess. `budget` by
+    cause: change (P,) of the parameters for one standard deviation of a named error or of a number stated beforehand,
+    and what "noise" adds; their squares sum up to the variances.
     """
 
     estimates: tuple[ParameterEstimate, ...]

@@ -12,7 +12,7 @@ from shaker.models.identification.problem import Curve, Problem
 _STEPS = 100
 _SMALL_STEP = 1e-3  # length of a step in standard uncertainties at which a fit has converged
 _FIRST_DAMPING, _LEAST_DAMPING, _LARGEST_DAMPING = 1e-6, 1e-12, 1e8
-_FREE_DAMPING = 1e-2  # below it a small step is small because little is left to gain
+_FREE_DAMPING = 1e-5  # below it a small step is small because little is left to gain
 _OPEN = 1e-10  # singular value, columns of unit length, below which a direction is open
 
 
@@ -31,6 +31,11 @@ class State:
     gradient: FloatArray
     chi_squared: float
     prior: float
+
+    @property
+    def cost(self) -> float:
+        """What is minimised: χ² of lines and priors together."""
+        return self.chi_squared + self.prior
 
 
 def evaluate(problem: Problem, vector: FloatArray) -> State:
@@ -57,16 +62,15 @@ def evaluate(problem: Problem, vector: FloatArray) -> State:
     return State(vector, tuple(residuals), tuple(jacobians), normal, gradient, chi_squared, prior)
 
 
-def solve(problem: Problem, start: FloatArray, noise: float, steps: int = _STEPS) -> State:
-    """Return the unknowns of least χ²/`noise` + prior, `noise` the factor on the covariance of the lines.
+def solve(problem: Problem, state: State) -> State:
+    """Return the unknowns of least χ² of lines and priors, from a state on, damped after Marquardt (J. SIAM 11, 1963).
 
-    Damping after Marquardt (J. SIAM 11, 1963). The result after `steps` is returned also where more would be needed.
+    What is reached after many steps is returned also where more would be needed.
     """
-    state = evaluate(problem, start)
     damping = _FIRST_DAMPING
-    for _ in range(steps):
-        normal = state.normal / noise + np.diag(problem.precision)
-        gradient = state.gradient / noise + problem.precision * (problem.expected - state.vector)
+    for _ in range(_STEPS):
+        normal = state.normal + np.diag(problem.precision)
+        gradient = state.gradient + problem.precision * (problem.expected - state.vector)
         scale = np.sqrt(np.maximum(normal.diagonal(), np.finfo(np.float64).tiny))
         unit = normal / np.multiply.outer(scale, scale)
         while True:
@@ -74,18 +78,13 @@ def solve(problem: Problem, start: FloatArray, noise: float, steps: int = _STEPS
             if damping < _FREE_DAMPING and step @ normal @ step < _SMALL_STEP**2:
                 return state
             new = _tried(problem, state.vector + step)
-            if new is not None and _cost(new, noise) <= _cost(state, noise) * (1.0 + 1e-12):
+            if new is not None and new.cost <= state.cost * (1.0 + 1e-12):
                 break
             damping *= 10.0
             if damping > _LARGEST_DAMPING:
                 return state
         state, damping = new, max(_LEAST_DAMPING, 0.03 * damping)
     return state
-
-
-def _cost(state: State, noise: float) -> float:
-    """Return what is minimised."""
-    return state.chi_squared / noise + state.prior
 
 
 def _tried(problem: Problem, vector: FloatArray) -> State | None:
@@ -100,19 +99,26 @@ def _tried(problem: Problem, vector: FloatArray) -> State | None:
     return state if np.isfinite(state.chi_squared) else None
 
 
+def effective(problem: Problem, state: State) -> float:
+    """Return the number of unknowns that the lines determine: the trace of (JᵀJ + P)⁻¹ JᵀJ."""
+    whole = state.normal + np.diag(problem.precision)
+    scale = np.sqrt(np.maximum(whole.diagonal(), np.finfo(np.float64).tiny))
+    pair = np.multiply.outer(scale, scale)
+    return float(np.trace(np.linalg.lstsq(whole / pair, state.normal / pair, rcond=1e-12)[0]))
+
+
 @dataclass(frozen=True)
 class Spread:
     """Covariance of all unknowns, and the directions that the recordings leave open.
 
     `covariance` (N, N) of the determined part, `opened` (Z, N) orthonormal directions in units of `scale` (N,);
-    `effective`: number of unknowns that the lines determine; `prior` (N, N): change of all unknowns (rows) for one
-    standard deviation of what was known beforehand of each (columns).
+    `prior` (N, N): change of all unknowns (rows) for one standard deviation of what was known beforehand of each
+    (columns).
     """
 
     covariance: FloatArray
     opened: FloatArray
     scale: FloatArray
-    effective: float
     prior: FloatArray
 
     def u(self, gradient: FloatArray) -> float:
@@ -134,14 +140,14 @@ class Spread:
         return np.asarray(found)
 
 
-def spread(problem: Problem, state: State, noise: float) -> Spread:
-    """Return the covariance A⁻¹ (JᵀRJ/λ + P) A⁻¹, A = JᵀJ/λ + P: λ = `noise`, R the correlation of lines, P priors.
+def spread(problem: Problem, state: State) -> Spread:
+    """Return the covariance A⁻¹ (JᵀRJ + P) A⁻¹, A = JᵀJ + P: R the correlation of lines, P what was known beforehand.
 
     In a basis in which A = 1, so that what the stated masses and scales leave open does not lose its digits.
     """
     count, free = len(state.vector), ~problem.fixed
     wide = [_wide(problem, curve, part) for curve, part in zip(problem.curves, state.jacobians, strict=True)]
-    rows = [jacobian.reshape(-1, count) / np.sqrt(noise) for jacobian in wide]
+    rows = [jacobian.reshape(-1, count) for jacobian in wide]
     stacked = np.concatenate([*rows, np.diag(np.sqrt(problem.precision))])
     size = np.linalg.norm(stacked, axis=0)
     size[size == 0.0] = 1.0
@@ -151,13 +157,13 @@ def spread(problem: Problem, state: State, noise: float) -> Spread:
     directions[:, free] = found
     determined = singular > _OPEN * singular.max()
     basis = directions[determined].T / singular[determined] / size[:, None]
-    middle, effective = np.eye(basis.shape[1]), 0.0
+    middle = np.eye(basis.shape[1])
     for curve, jacobian in zip(problem.curves, wide, strict=True):
-        turned = jacobian @ basis / np.sqrt(noise)
-        middle += _between_lines(curve, turned)
-        effective += float(np.sum(turned**2))
+        correlation = curve.record.line_correlation
+        if correlation is not None and len(correlation) > 1:
+            middle += _between_lines(curve.record.ratio.frequency_hz, jacobian @ basis, correlation)
     prior = basis @ basis.T * np.sqrt(problem.precision)
-    return Spread(basis @ middle @ basis.T, directions[~determined], 1.0 / size, effective, prior)
+    return Spread(basis @ middle @ basis.T, directions[~determined], 1.0 / size, prior)
 
 
 def _wide(problem: Problem, curve: Curve, jacobian: FloatArray) -> FloatArray:
@@ -169,19 +175,14 @@ def _wide(problem: Problem, curve: Curve, jacobian: FloatArray) -> FloatArray:
     return wide
 
 
-def _between_lines(curve: Curve, columns: FloatArray) -> FloatArray:
-    """Return Tᵀ(R - 1)T of whitened columns T (K, 2C, N), R the correlation of neighbouring lines."""
-    count = columns.shape[2]
-    total = np.zeros((count, count))
-    correlation = curve.record.line_correlation
-    if correlation is None or len(correlation) <= 1:
-        return total
-    frequency = curve.record.ratio.frequency_hz
-    place = np.round((frequency - frequency.min()) / np.min(np.diff(np.sort(frequency)))).astype(np.int64)
-    length, channels = int(place.max()) + 1, columns.shape[1] // 2
+def _between_lines(frequency_hz: FloatArray, columns: FloatArray, correlation: ComplexArray) -> FloatArray:
+    """Return Tᵀ(R - 1)T of whitened columns T (K, 2C, N), R the `correlation` (D,) of lines 0, 1, 2 … apart."""
+    place = np.round((frequency_hz - frequency_hz.min()) / np.min(np.diff(np.sort(frequency_hz)))).astype(np.int64)
+    length, channels, count = int(place.max()) + 1, columns.shape[1] // 2, columns.shape[2]
     grid: ComplexArray = np.zeros((length + len(correlation), channels, count), dtype=np.complex128)
     grid[place] = columns[:, :channels] + 1j * columns[:, channels:]
     here = grid[:length].reshape(-1, count)
+    total = np.zeros((count, count))
     for apart, value in enumerate(correlation[1:], start=1):
         pair = value * (grid[apart : apart + length].reshape(-1, count).conj().T @ here)
         total += (pair + pair.conj().T).real
