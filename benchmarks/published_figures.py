@@ -9,7 +9,7 @@ import h5py
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
-from published_paper import DAMPING_KG_PER_S, LAG_S, LOADS_KG, RESONANCE_HZ, spring
+from published_paper import DAMPING_KG_PER_S, INTERNAL_KG, LAG_S, LOADS_KG, RESONANCE_HZ
 
 from fusion.evaluation import Evaluation, StereoResult
 from fusion.plots.style import (
@@ -26,6 +26,7 @@ from fusion.plots.style import (
     lay_out,
     new_figure,
 )
+from shaker.models.peak import stiffness
 from shaker.signals.phasor import Phasors
 
 FloatArray = NDArray[np.float64]
@@ -177,7 +178,7 @@ def draw_sweep(points: Sequence[SweepPoint], static: float) -> bytes:
     """Fig. 14: sensitivity and phase over frequency, mean and standard deviation of eight points; fused with U."""
     frequency = np.array([p.frequency_hz for p in points])
     fine = np.linspace(0.0, 1.05 * frequency.max(), 300)
-    damping = DAMPING_KG_PER_S[0] / spring(RESONANCE_HZ[0], LOADS_KG[0])
+    damping = DAMPING_KG_PER_S[0] / stiffness(RESONANCE_HZ[0], LOADS_KG[0] + INTERNAL_KG)
     with drawing("fig14"):
         figure = new_figure(5.2)
         upper, lower = figure.subplots(2, 1, sharex=True)
