@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
+import re
+import shutil
 from pathlib import Path
 
 import h5py
@@ -28,6 +30,7 @@ from shaker.models.correction import correct_phasors
 from shaker.models.sensor_model import Load
 from shaker.signals.phasor import Phasors
 
+GUIDE = (Path(__file__).resolve().parents[2] / "docs" / "identify.md").read_text(encoding="utf-8")
 SETTINGS = IdentifySettings(load_masses_kg=(2.0, 20.0))
 
 
@@ -220,6 +223,33 @@ def test_a_correction_with_the_model_gives_the_force(results: Path) -> None:
     assert np.all(np.abs(away.real) < 3.5 * u[:, 0])
     assert np.all(np.abs(away.imag) < 3.5 * u[:, 1])
     np.testing.assert_allclose(force.phasors.value[:, 0], 3.0, rtol=1e-3)
+
+
+def test_the_example_of_the_guide_corrects_a_record(
+    results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (code,) = re.findall(r"^```python\n(.*?)^```", GUIDE, re.DOTALL | re.MULTILINE)
+    shutil.copytree(results, tmp_path / "try" / "identify")
+    monkeypatch.chdir(tmp_path)
+    exec(compile(code, "identify.md", "exec"), {})
+    told = capsys.readouterr().out
+    w = 2.0 * np.pi * 600.0
+    spring = STIFFNESS - (4.236 + _internal_mass()) * w**2 + 1j * w * DAMPING
+    factor = abs(STIFFNESS / spring / (1.0 + 1j * w * LAG_S))
+    assert f"uncorrected at 600 Hz: {factor:.3f}" in told
+    force = float(told.split("force: ")[1].split(" N")[0])
+    assert force == pytest.approx(2e-5 / SENSITIVITY / factor, rel=2e-3)
+
+
+def test_the_guide_shows_the_keys_of_the_model(results: Path) -> None:
+    (text,) = re.findall(r"^```json\n(.*?)^```", GUIDE, re.DOTALL | re.MULTILINE)
+    shown, found = json.loads(text), json.loads((results / "model.json").read_text(encoding="utf-8"))
+    assert list(shown) == list(found)
+    (one,), (other,) = shown["components"], found["components"]
+    assert list(one) == list(other)
+    assert [parameter["name"] for parameter in one["parameters"]] == [p["name"] for p in other["parameters"]]
+    assert [parameter["unit"] for parameter in one["parameters"]] == [p["unit"] for p in other["parameters"]]
+    assert list(one["usable_bands"][0]) == list(other["usable_bands"][0])
 
 
 @pytest.mark.parametrize(
