@@ -83,26 +83,25 @@ def quantities(campaign: Campaign) -> tuple[Quantity, ...]:
     high, low = np.split(values[:, 1:], 2, axis=1)
     gradient = np.zeros((len(told), len(u)))
     gradient[:, uncertain] = (high - low) / (2.0 * u[uncertain])
-    effects = [gradient @ source.effect for source in inputs.sources]
+    shares = np.array([np.sum((gradient @ source.effect) ** 2, axis=1) for source in inputs.sources]).T
     found = [
-        _quantity(head, float(value[0]), inputs.sources, [effect[i] for effect in effects])
-        for i, (head, value) in enumerate(told)
+        _quantity(head, float(value[0]), inputs.sources, own)
+        for (head, value), own in zip(told, shares.tolist(), strict=True)
     ]
     kept = [q for q in found if q.budget.get(UNTOLD, 0.0) <= LARGEST_UNTOLD * q.u]
     return tuple(_with_normalised(kept))
 
 
-def _quantity(head: Head, value: float, sources: Sequence[Source], effects: Sequence[FloatArray]) -> Quantity:
+def _quantity(head: Head, value: float, sources: Sequence[Source], variances: Sequence[float]) -> Quantity:
     """One number with its budget; effective degrees of freedom by Welch and Satterthwaite (JCGM 100, G.4)."""
-    budget: dict[str, float] = {}
-    fourth = 0.0
-    for source, effect in zip(sources, effects, strict=True):
-        share = float(effect @ effect)
-        budget[source.name] = float(np.hypot(budget.get(source.name, 0.0), np.sqrt(share)))
-        fourth += share**2 / source.dof
-    u = float(np.linalg.norm(list(budget.values())))
-    dof = u**4 / fourth if fourth > 0.0 else np.inf
-    budget = {name: part for name, part in budget.items() if part > 0.0}
+    by_name: dict[str, float] = {}
+    for source, variance in zip(sources, variances, strict=True):
+        by_name[source.name] = by_name.get(source.name, 0.0) + variance
+    total = sum(variances)
+    fourth = sum(variance**2 / source.dof for source, variance in zip(sources, variances, strict=True))
+    dof = total**2 / fourth if fourth > 0.0 else np.inf
+    budget = {name: float(np.sqrt(variance)) for name, variance in by_name.items() if variance > 0.0}
+    u = float(np.sqrt(total))
     return Quantity(head.name, head.label, head.component, value, u, dof, head.unit, head.recording, budget)
 
 

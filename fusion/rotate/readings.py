@@ -33,6 +33,10 @@ def read_rotation(manifest: Manifest) -> tuple[RotationRecording, SensorOutputs,
     still = [column.channel for column, moves in zip(columns, changing, strict=True) if not moves]
     where = manifest.folder.name
     notices = [Notice("warning", f"{', '.join(still)}: every reading is the same, left out", where)] if still else []
+    missing = [name for name in sensor.channels if name not in [column.channel for column in columns]]
+    if missing:
+        text = f"{table_path(manifest).name} has no column of {', '.join(missing)}"
+        notices.append(Notice("info", text, where))
     columns = [column for column, moves in zip(columns, changing, strict=True) if moves]
     if not columns:
         raise InputError(table_path(manifest), "", "readings that do not change with the angle", "the sensor's outputs")

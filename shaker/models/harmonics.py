@@ -192,13 +192,15 @@ def _resolution(values: FloatArray) -> FloatArray:
 
 def _common_step(column: FloatArray) -> float:
     """Greatest common divisor of the differences by Euclid's algorithm, 0 where it is far below their size."""
-    steps = np.diff(np.unique(column))
     tolerance = FINEST * float(np.ptp(column))
+    steps = np.diff(np.unique(column))
+    steps, step = steps[steps > tolerance], 0.0
     while len(steps):
         step = float(steps.min())
         rest = np.abs(steps - step * np.round(steps / step))
-        steps = np.append(rest[rest > tolerance], step) if np.any(rest > tolerance) else steps[:0]
-    return step if np.ptp(column) > 0.0 and step > 10.0 * tolerance else 0.0
+        rest = rest[rest > tolerance]
+        steps = np.append(rest, step) if len(rest) else rest
+    return step if step > 10.0 * tolerance else 0.0
 
 
 def _clearest(design: FloatArray, blocks: list[list[Term]], values: FloatArray, floor: FloatArray) -> int | None:

@@ -1,0 +1,299 @@
+"""`shakercal rotate` end to end: simulated tests against their truth, published amplitudes, files."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import shutil
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from fusion.cli import main
+from fusion.errors import InputError
+from fusion.manifest import load_manifest
+from fusion.rotate.evaluate import evaluate_rotation
+from fusion.rotate.result import JOINT, RotationEvaluation
+from fusion.rotate.run import run_rotate
+from fusion.simulate.rotation import BARE, LOADED, write_rotation
+
+ANGLES = np.arange(0.0, 360.0, 22.5)
+PAPER_RIG = """
+format = 1
+name = "indexing head"
+[sensor]
+name = "six-component transducer"
+channels = ["Fx", "Fy"]
+unit = "N"
+sense = "on_sensor"
+internal_mass = 0.0
+[load]
+mass = 6.9605
+density = 1e9
+centre_of_mass = [0.0, 0.0, 0.0]
+inertia = [[0.036, 0.0, 0.0], [0.0, 0.036, 0.0], [0.0, 0.0, 0.031]]
+[environment]
+gravity = [0.0, 0.0, -9.8125]
+air_density = 1e-6
+"""
+PAPER_RECORDING = """
+format = 1
+name = "{name}"
+rig = "../rig.toml"
+[excitation]
+kind = "rotation"
+file = "readings.csv"
+angle_unit = "deg"
+axis = [0.0, 0.0, 1.0]
+zero_gravity = [0.0, -1.0, 0.0]
+with_load = {with_load}
+"""
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A simulated rotation test with its truth."""
+    folder = tmp_path_factory.mktemp("rotation")
+    write_rotation(folder, 4)
+    return folder
+
+
+@pytest.fixture
+def campaign(simulated: Path, tmp_path: Path) -> Path:
+    """A copy of the test that may be spoilt."""
+    shutil.copytree(simulated, tmp_path / "campaign")
+    return tmp_path / "campaign"
+
+
+@pytest.fixture
+def no_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave the page empty where its figures are not what is tested."""
+    monkeypatch.setattr("fusion.rotate.results.render_rotation_page", lambda _: "")
+
+
+def _evaluated(folder: Path, *names: str) -> RotationEvaluation:
+    return evaluate_rotation("test", [load_manifest(folder / name) for name in names or (BARE, LOADED)], {})
+
+
+def _notices(evaluation: RotationEvaluation) -> str:
+    return "\n".join(notice.text for notice in evaluation.notices)
+
+
+def _change(path: Path, old: str, new: str) -> None:
+    """Replace a text that must be there."""
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new), encoding="utf-8")
+
+
+def _paper(folder: Path) -> Path:
+    """Write the rotation test of the publication: forces in N of the amplitudes that it states, without noise."""
+    (folder / "rig.toml").write_text(PAPER_RIG)
+    for name, x, y in ((BARE, 7.558, 7.532), (LOADED, 75.877, 75.736)):
+        (folder / name).mkdir()
+        text = PAPER_RECORDING.format(name=name, with_load=str(name == LOADED).lower())
+        (folder / name / "recording.toml").write_text(text)
+        angle = np.radians(ANGLES)
+        rows = zip(ANGLES, 0.1 - x * np.sin(angle), -0.2 - y * np.cos(angle), strict=True)
+        table = "angle;Fx [N];Fy [N]\n" + "".join(f"{a:g};{p:.6f};{q:.6f}\n" for a, p, q in rows)
+        (folder / name / "readings.csv").write_text(table.replace(".", ","))
+    return folder
+
+
+def test_simulated_masses_come_back_within_u(simulated: Path) -> None:
+    evaluation = _evaluated(simulated)
+    truth = json.loads((simulated / LOADED / "truth.json").read_text())
+    true = {("internal_mass", part): truth["internal_mass_kg"] for part in (JOINT, "Fx", "Fy")}
+    true |= {("load_mass", part): truth["load_mass_kg"] for part in (JOINT, "Fx", "Fy")}
+    for i, axis in enumerate("xyz"):
+        true["internal_centre_of_mass", axis] = truth["internal_centre_m"][i]
+        true["load_centre_of_mass", axis] = truth["load_centre_m"][i]
+    for key, value in true.items():
+        found = evaluation.find(*key)
+        assert found is not None
+        assert abs(found.value - value) < 1.5 * found.expanded, key
+    joint = evaluation.find("load_mass")
+    assert joint is not None
+    assert joint.u / joint.value == pytest.approx(5e-4 / np.sqrt(2.0), rel=0.05)
+    assert max(joint.budget, key=lambda name: joint.budget[name]) == "calibration matrix"
+    assert joint.u == pytest.approx(np.linalg.norm(list(joint.budget.values())))
+    assert set(joint.budget) >= {"local gravity", "air density", f"noise of {BARE}", f"noise of {LOADED}"}
+
+
+def test_published_amplitudes_give_the_published_table(tmp_path: Path) -> None:
+    evaluation = _evaluated(_paper(tmp_path))
+    value = {(q.name, q.component): q.value for q in evaluation.quantities}
+    assert [round(value["weight", part], 3) for part in ("Fx", "Fy")] == [75.877, 75.736]
+    share = 1.0 - 1e-6 * 2.5e-4  # buoyancy of next to nothing
+    assert [round(share * value["internal_mass", part], 3) for part in ("Fx", "Fy")] == [0.770, 0.768]
+    assert [round(value["load_mass", part], 3) for part in ("Fx", "Fy")] == [6.962, 6.951]
+    assert value["load_mass_relative_deviation", "Fx"] == pytest.approx(0.028, abs=5e-4)
+    assert value["load_mass_relative_deviation", "Fy"] == pytest.approx(-0.139, abs=2e-3)
+    assert value["internal_mass_relative_difference", "Fx-Fy"] == pytest.approx(0.345, abs=1e-3)
+    assert "does not explain all channels" in _notices(evaluation)
+    assert "no uncertainty of the calibration matrix" in _notices(evaluation)
+    assert evaluation.find("internal_centre_of_mass", "x") is None
+
+
+def test_buoyancy_adds_the_air_that_is_displaced(tmp_path: Path) -> None:
+    folder = _paper(tmp_path)
+    before = _evaluated(folder)
+    _change(folder / "rig.toml", "density = 1e9", "density = 2700.0")
+    _change(folder / "rig.toml", "air_density = 1e-6", "air_density = 1.2")
+    after = _evaluated(folder)
+    for name, share in (("load_mass", 1.2 / 2700.0), ("internal_mass", 0.6 * (1.0 / 8000.0 + 1.0 / 2700.0))):
+        vacuum, air = before.find(name), after.find(name)
+        assert vacuum is not None
+        assert air is not None
+        assert air.value / vacuum.value == pytest.approx(1.0 / (1.0 - share), rel=1e-6)
+
+
+def test_a_head_that_was_set_anew_does_not_matter(tmp_path: Path) -> None:
+    folder = _paper(tmp_path)
+    before = _evaluated(folder).find("load_mass")
+    text = (folder / LOADED / "readings.csv").read_text()
+    head, *rows = text.splitlines()
+    moved = [f"{float(row.partition(';')[0].replace(',', '.')) + 33.0:g};{row.partition(';')[2]}" for row in rows]
+    (folder / LOADED / "readings.csv").write_text("\n".join([head, *moved]))
+    after = _evaluated(folder)
+    found = after.find("load_mass")
+    assert before is not None
+    assert found is not None
+    assert found.value == pytest.approx(before.value, rel=1e-7)
+    assert "lies -33.0° from its stated direction" in _notices(after)
+
+
+def test_one_recording_tells_what_it_can(simulated: Path) -> None:
+    bare, loaded = _evaluated(simulated, BARE), _evaluated(simulated, LOADED)
+    assert bare.find("internal_mass") is not None
+    assert bare.find("load_mass") is None
+    assert "internal mass only" in _notices(bare)
+    assert "what the weighed load leaves" in _notices(loaded)
+    difference, alone = loaded.find("internal_mass"), bare.find("internal_mass")
+    assert difference is not None
+    assert alone is not None
+    assert difference.u > 5.0 * alone.u  # the calibration's scale acts on the whole weight
+    assert abs(difference.value - alone.value) < 2.0 * difference.expanded
+
+
+def test_a_part_on_one_recording_is_taken_off_there(campaign: Path) -> None:
+    before = _evaluated(campaign).find("internal_mass")
+    part = (
+        '\n[[part]]\nname = "plate"\nbody = "load"\nmass = 0.1\ndensity = 7900.0\ncentre_of_mass = [0.0, 0.0, 0.02]\n'
+    )
+    path = campaign / BARE / "recording.toml"
+    path.write_text(path.read_text() + part)
+    evaluation = _evaluated(campaign)
+    after = evaluation.find("internal_mass")
+    assert before is not None
+    assert after is not None
+    assert before.value - after.value == pytest.approx(0.1, rel=1e-3)
+    load = evaluation.find("load_mass")
+    assert load is not None
+    assert load.value == pytest.approx(6.96 + 0.1, abs=0.01)
+
+
+def test_repeats_are_averaged(campaign: Path) -> None:
+    shutil.copytree(campaign / BARE, campaign / "without-again")
+    evaluation = _evaluated(campaign, BARE, "without-again", LOADED)
+    once = _evaluated(campaign)
+    again, first = evaluation.find("internal_mass"), once.find("internal_mass")
+    assert again is not None
+    assert first is not None
+    assert again.value == pytest.approx(first.value, rel=1e-4)
+    assert again.budget[f"noise of {BARE}"] < 0.6 * first.budget[f"noise of {BARE}"]
+    assert again.budget["calibration matrix"] == pytest.approx(first.budget["calibration matrix"], rel=0.01)
+
+
+def test_reversed_sense_of_the_sensor_is_told_and_does_no_harm(campaign: Path) -> None:
+    before = _evaluated(campaign)
+    _change(campaign / "rig.toml", 'sense = "on_sensor"', 'sense = "on_load"')
+    after = _evaluated(campaign)
+    assert "sense of the sensor or zero_gravity may be the wrong way round" in _notices(after)
+    for name, component in (("load_mass", JOINT), ("load_centre_of_mass", "z")):
+        one, other = before.find(name, component), after.find(name, component)
+        assert one is not None
+        assert other is not None
+        assert other.value == pytest.approx(one.value, rel=1e-6)
+
+
+def test_a_load_that_weighs_something_else_is_told(campaign: Path) -> None:
+    _change(campaign / "rig.toml", "mass = 6.9605", "mass = 6.9405")
+    assert "the load mass by joint and the weighed mass differ by" in _notices(_evaluated(campaign))
+
+
+def test_scale_replaces_the_unit_of_a_column(campaign: Path) -> None:
+    before = _evaluated(campaign).find("load_mass")
+    for name in (BARE, LOADED):
+        table = campaign / name / "readings.csv"
+        table.write_text(table.read_text().replace(" [mV/V]", ""))
+        _change(campaign / name / "recording.toml", "with_load", "scale = 1e-3\nwith_load")
+    after = _evaluated(campaign).find("load_mass")
+    assert before is not None
+    assert after is not None
+    assert after.value == before.value
+
+
+def test_files_of_a_run(campaign: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["rotate", str(campaign)]) == 0
+    told = capsys.readouterr().out
+    assert re.search(r"^internal mass: joint \(0\.76\d* ± 0\.000\d+\) kg", told, re.MULTILINE)
+    assert "normalised deviation of the load mass: joint " in told
+    folder = campaign / "rotate"
+    assert sorted(path.name for path in folder.iterdir()) == ["rotation.csv", "rotation.h5", "rotation.html"]
+    with (folder / "rotation.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert all(all(cell for cell in row.values()) for row in rows)
+    assert all(float(row["U"]) == pytest.approx(float(row["u"]) * float(row["k"])) for row in rows)
+    names = {row["name"] for row in rows}
+    assert {"internal_mass", "load_mass", "weighed_mass", "gravity", "offset", "harmonic_1", "axis_tilt"} <= names
+    with h5py.File(folder / "rotation.h5") as file:
+        assert list(file["provenance/files"].asstr()) == ["rotation.csv", "rotation.html", "rotation.h5"]
+        assert len(file["provenance/input_file"]) == 5
+        assert file[f"recordings/{LOADED}/load"].shape == (34, 6)
+        mass = next(row for row in rows if (row["name"], row["component"]) == ("load_mass", JOINT))
+        assert file["quantities/load_mass joint"].attrs["value"] == float(mass["value"])
+        np.testing.assert_allclose(file["weights/covariance"][0, 0] > 0.0, True)
+    page = (folder / "rotation.html").read_text(encoding="utf-8")
+    assert "http" not in re.sub(r'xmlns[^"\']*["\'][^"\']*["\']|DOCTYPE|data:image[^"]*', "", page)
+    assert "Budgets of the masses" in page
+    assert page.count("<figure") == 5
+
+
+@pytest.mark.usefixtures("no_page")
+def test_results_of_the_same_input_are_replaced_and_others_refused(campaign: Path) -> None:
+    run_rotate([campaign], None)
+    first = (campaign / "rotate" / "rotation.csv").read_bytes()
+    run_rotate([campaign], None)
+    assert (campaign / "rotate" / "rotation.csv").read_bytes() == first
+    _change(campaign / "rig.toml", "height = 79.0", "height = 500.0")
+    with pytest.raises(InputError, match="results of other input files"):
+        run_rotate([campaign], None)
+    run_rotate([campaign], None, force=True)
+    assert (campaign / "rotate" / "rotation.csv").read_bytes() != first
+
+
+@pytest.mark.usefixtures("no_page")
+def test_where_results_stand(campaign: Path, tmp_path: Path) -> None:
+    run_rotate([campaign / BARE], None)
+    assert (campaign / BARE / "rotate" / "rotation.csv").is_file()
+    run_rotate([campaign / LOADED, campaign / BARE], None)
+    assert (campaign / "rotate" / "rotation.csv").is_file()
+    run_rotate([campaign / LOADED / "recording.toml"], tmp_path / "elsewhere")
+    assert (tmp_path / "elsewhere" / "rotation.h5").is_file()
+
+
+@pytest.mark.usefixtures("no_page")
+def test_other_kinds_of_a_campaign_are_left_out(campaign: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (campaign / "chirp").mkdir()
+    text = 'format = 1\nname = "x"\nrig = "../rig.toml"\n[excitation]\nkind = "noise"\ndirection = [0, 0, 1]\n'
+    daq = '[[daq]]\nname = "d"\nfile = "d.h5"\n[[daq.channel]]\nname = "a"\nquantity = "voltage"\n'
+    (campaign / "chirp" / "recording.toml").write_text(text + daq)
+    (campaign / "chirp" / "d.h5").write_bytes(b"")
+    with caplog.at_level("INFO", logger="shakercal"):
+        run_rotate([campaign], None)
+    assert "left out, since their kind is not rotation: chirp" in caplog.text
+    assert (campaign / "rotate" / "rotation.csv").is_file()
