@@ -13,6 +13,7 @@ from shaker.models.measured import MeasuredSensitivity, ParameterEstimate
 from shaker.models.spring_damper import SpringPrior
 
 LABELS = {"spring_time_s": "b/k of the sensor", "delay_s": "delay of the chain", "lag_s": "lag of the chain"}
+_TOLERANCE, _EVALUATIONS = 1e-10, 200
 _SMALLEST_TURN = 0.01  # rad at the highest line with which a lag starts, lest it be the same as a delay
 
 
@@ -24,7 +25,8 @@ class SensitivityFit:
     `covariance` (P, P): `sensitivity`, `spring_time_s` (where it is unknown), then those of the chain. `residual` (K,):
     measured less the model with all common errors found. `chi_squared` holds residuals, common errors and what is known
     beforehand of τ and S₀; `dof`, and the `probability` of a χ² as large by chance. The noise is enlarged to χ²/dof in
-    the covariance where that exceeds one.
+    the covariance where that exceeds one. `converged`: whether the fit settled; it does not where the readings leave
+    parameters open, or are nothing like the model.
     """
 
     sensitivity: float
@@ -38,6 +40,7 @@ class SensitivityFit:
     chi_squared: float
     dof: int
     probability: float
+    converged: bool
 
     def __post_init__(self) -> None:
         check_shape("covariance", self.covariance, (len(self.parameters), len(self.parameters)))
@@ -92,10 +95,15 @@ def fit_chain(
         raise ValueError(f"frequency_hz: expected at least 4 lines, found {lines}")
     problem = _problem(measured, kind, spring, spring_free)
     solution = optimize.least_squares(
-        problem.residual, problem.start(), problem.jacobian, method="lm", x_scale="jac", ftol=1e-12, xtol=1e-12
+        problem.residual,
+        problem.start(),
+        problem.jacobian,
+        method="lm",
+        x_scale="jac",
+        ftol=_TOLERANCE,
+        xtol=_TOLERANCE,
+        max_nfev=_EVALUATIONS,
     )
-    if not solution.success:
-        raise ValueError(f"value: expected a sensitivity that a chain of kind {kind} meets: {solution.message}")
     chi_squared, dof = float(2.0 * solution.cost), len(solution.fun) - len(solution.x)
     jacobian = problem.jacobian(solution.x)
     jacobian[: 2 * lines] /= np.sqrt(max(1.0, chi_squared / dof))
@@ -118,6 +126,7 @@ def fit_chain(
         chi_squared=chi_squared,
         dof=dof,
         probability=float(special.chdtrc(dof, chi_squared)),
+        converged=bool(solution.success),
     )
 
 

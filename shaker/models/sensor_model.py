@@ -37,7 +37,8 @@ class Load:
 
 @dataclass(frozen=True)
 class SensorModel:
-    """Static `sensitivity` S₀ in `unit`, `stiffness` k, `damping` b, `internal_mass` m_i and the chain behind them.
+    """Static `sensitivity` S₀ in `unit`, `stiffness` k, `damping` b, `internal_mass` m_i (as estimated, by
+    chance below 0) and the chain behind them.
 
     `covariance` (4 + P, 4 + P) of [S₀, k, b, m_i, parameters of the chain]. N/m, kg/s and kg; of a rotation N·m/rad,
     N·m·s/rad and kg·m².
@@ -54,13 +55,15 @@ class SensorModel:
     def __post_init__(self) -> None:
         count = len(SENSOR_PARAMETERS) + len(self.chain.names)
         check_shape("covariance", self.covariance, (count, count))
-        if not (self.stiffness > 0.0 and self.internal_mass >= 0.0):
-            found = f"{self.stiffness:g} and {self.internal_mass:g}"
-            raise ValueError(f"stiffness, internal_mass: expected k > 0 and m_i >= 0, found {found}")
+        if not self.stiffness > 0.0:
+            raise ValueError(f"stiffness: expected k > 0, found {self.stiffness:g}")
 
     def resonance_hz(self, load: Load) -> float:
         """Return √(k/(m + m_i))/2π, the undamped resonance with a load."""
-        return float(np.sqrt(self.stiffness / (load.mass + self.internal_mass)) / (2.0 * np.pi))
+        total = load.mass + self.internal_mass
+        if not total > 0.0:
+            raise ValueError(f"load: expected a mass that with the internal one is above 0, found {total:g}")
+        return float(np.sqrt(self.stiffness / total) / (2.0 * np.pi))
 
     def output_factor(self, frequency_hz: FloatArray, load: Load) -> ComplexArray:
         """Return the output per force on the load (K,), in `unit`, at frequencies in Hz.

@@ -226,6 +226,8 @@ def _notices(fit: SensitivityFit, channel: str) -> tuple[Notice, ...]:
     if fit.chain.delay_s < -2.0 * fit.u("delay_s"):
         lead = _microseconds(-fit.chain.delay_s, fit.u("delay_s"))
         found.append(Notice("warning", f"the output leads by {lead}: no chain does, the reference is late", channel))
+    if not fit.converged:
+        found.append(Notice("warning", "the fit of the chain did not settle: the readings leave it open", channel))
     for error in fit.unknowns:
         if abs(error.estimate) > FARTHEST_ERROR:
             text = f"{error.name} is found {error.estimate:.1f} of its standard uncertainties away: stated too small"

@@ -287,5 +287,7 @@ def test_wrong_calls_are_refused() -> None:
         usable_band(one, load, 0.1, 4.0)
     with pytest.raises(ValueError, match="mass, u_mass"):
         Load(0.0, "base")
-    with pytest.raises(ValueError, match="stiffness, internal_mass"):
+    with pytest.raises(ValueError, match="stiffness: expected k > 0"):
         replace(one, stiffness=-1.0)
+    with pytest.raises(ValueError, match="load: expected a mass that with the internal one is above 0"):
+        usable_band(replace(one, internal_mass=-0.1), Load(0.05, "force"), 0.1)

@@ -234,6 +234,28 @@ def test_doubts_are_named() -> None:
     assert "masses is found" in notice.text
 
 
+@settings(max_examples=15, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    noise=st.floats(-5.0, 0.5),
+    delay=st.floats(-5e-3, 5e-3),
+    lines=st.integers(4, 14),
+    span=st.floats(1.5, 4.0),
+)
+def test_readings_of_any_kind_get_an_answer(seed: int, noise: float, delay: float, lines: int, span: float) -> None:
+    rng = np.random.default_rng(seed)
+    at = np.sort(rng.uniform(1.0, 10.0**span, lines))
+    wild = np.exp(-2j * np.pi * at * delay) + 10.0**noise * (
+        rng.standard_normal(lines) + 1j * rng.standard_normal(lines)
+    )
+    covariance = np.full((lines, 1, 1), 10.0 ** (2.0 * noise)) * np.eye(2)
+    found = fit_sensitivity(MeasuredSensitivity("S1", "fz", at, wild, covariance, "(V/V)/N"), resonance())
+    assert np.isfinite(found.weight).all()
+    assert all(np.isfinite(fit.covariance).all() for fit in found.fits)
+    assert found.text.startswith("The data support ")
+    assert found.best.converged or found.notices
+
+
 def test_wrong_calls_are_refused() -> None:
     good = measured(lag(FREQUENCY))
     with pytest.raises(ValueError, match="frequency_hz: expected at least 4 lines, found 3"):
