@@ -26,7 +26,8 @@ class Sight:
     @property
     def row(self) -> FloatArray:
         """Row (6,) that turns the motion of the sensor origin into the reading: [d, r × d]."""
-        return np.concatenate([self.direction, np.cross(self.point_m, self.direction)])
+        (x, y, z), (dx, dy, dz) = self.point_m, self.direction
+        return np.array([dx, dy, dz, y * dz - z * dy, z * dx - x * dz, x * dy - y * dx])
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from shaker.models.identification.noise import Noise, line_noise, stated
 from shaker.models.identification.problem import DELAY_UNIT_S, Problem, build, factor_name
 from shaker.models.identification.remarks import remarks
 from shaker.models.identification.result import FreeFactor, Identification, ModeEstimate, NamedUnknown
-from shaker.models.identification.solve import Spread, State, evaluate, solve, spread
+from shaker.models.identification.solve import Spread, State, evaluate, rescaled, solve, spread
 from shaker.models.identification.start import starting_vectors
 from shaker.models.measured import MeasuredTransfer, ParameterEstimate
 
@@ -60,11 +60,12 @@ def _weighed(problem: Problem, state: State) -> tuple[Problem, State, Noise]:
     factors = stated(problem)
     noise, weighted = line_noise(problem, state, factors), problem
     for _ in range(_NOISE_ROUNDS):
-        factors = noise.lines
+        scale = [np.sqrt(old / new) for old, new in zip(factors, noise.lines, strict=True)]
+        factors, before = noise.lines, state.vector
         weighted = problem.weighed(factors)
-        before, state = state, solve(weighted, evaluate(weighted, state.vector))
+        state = solve(weighted, rescaled(weighted, state, scale))
         noise = line_noise(weighted, state, factors)
-        if np.array_equal(before.vector, state.vector):
+        if np.array_equal(before, state.vector):
             break
     return weighted, state, noise
 

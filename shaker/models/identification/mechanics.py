@@ -46,7 +46,8 @@ class Mechanics:
 
     def at(self, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return [M, B, K] (3, n, n) and f (n,) for weights (1+P+E,)."""
-        return np.tensordot(weights, self.matrices, 1), weights @ self.forcing
+        flat = self.matrices.reshape(len(weights), -1)
+        return (weights @ flat).reshape(self.matrices.shape[1:]), weights @ self.forcing
 
 
 class Structure(Protocol):
@@ -93,11 +94,12 @@ def respond(mechanics: Mechanics, weights: FloatArray, s: ComplexArray) -> Respo
     s3 = s[:, None, None]
     pairs1 = s3 * pairs
     parts = np.concatenate([s3 * pairs1, pairs1, pairs, (s3 * s3) * adjoint], axis=2)
-    terms = mechanics.matrices[1:].reshape(-1, 3 * size * size)
+    terms = np.concatenate([mechanics.matrices[1:].reshape(-1, 3 * size * size), mechanics.forcing[1:]], axis=1)
+    by_term = parts.reshape(-1, parts.shape[2]) @ -terms.T
     faster = 2.0 * s2 * (forcing + motion @ mass) + s1 * (motion @ damping)
     return Response(
         value=value,
-        by_term=-(parts @ np.concatenate([terms, mechanics.forcing[1:]], axis=1).T),
+        by_term=by_term.reshape(*value.shape, len(terms)),
         by_log_s=-np.sum(adjoint * faster[:, None], axis=2),
     )
 

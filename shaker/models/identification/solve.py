@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,26 +41,46 @@ class State:
 
 def evaluate(problem: Problem, vector: FloatArray) -> State:
     """Return residuals and derivatives at a vector of unknowns."""
-    residuals, jacobians = [], []
-    count = len(vector)
-    normal, gradient, chi_squared = np.zeros((count, count)), np.zeros(count), 0.0
+    whitened = []
     for curve in problem.curves:
         value, by_place = curve.modelled(vector)
-        both = curve.whitened(np.concatenate([(curve.record.ratio.value - value)[:, :, None], by_place], axis=2))
-        residual, jacobian = both[:, :, 0], both[:, :, 1:]
-        product = both.reshape(-1, both.shape[2])
-        product = product.T @ product
+        deviation = (curve.record.ratio.value - value)[:, :, None]
+        whitened.append(curve.whitened(np.concatenate([deviation, by_place], axis=2)))
+    return _state(problem, vector, whitened)
+
+
+def rescaled(problem: Problem, state: State, factors: Sequence[FloatArray]) -> State:
+    """Return a state with residuals and derivatives times `factors` (K,) per recording."""
+    whitened = [
+        np.concatenate([residual[:, :, None], jacobian], axis=2) * factor[:, None, None]
+        for residual, jacobian, factor in zip(state.residuals, state.jacobians, factors, strict=True)
+    ]
+    return _state(problem, state.vector, whitened)
+
+
+def _state(problem: Problem, vector: FloatArray, whitened: Sequence[FloatArray]) -> State:
+    """Return the state of residuals and derivatives (K, 2C, 1+L) of every curve."""
+    count = len(vector)
+    normal, gradient, chi_squared = np.zeros((count, count)), np.zeros(count), 0.0
+    for curve, both in zip(problem.curves, whitened, strict=True):
+        flat = both.reshape(-1, both.shape[2])
+        product = flat.T @ flat
         places = curve.places
         np.add.at(normal, (places[:, None], places), product[1:, 1:])
         np.add.at(gradient, places, product[1:, 0])
         chi_squared += float(product[0, 0])
-        residuals.append(residual)
-        jacobians.append(jacobian)
     normal[problem.fixed] = 0.0
     normal[:, problem.fixed] = 0.0
     gradient[problem.fixed] = 0.0
-    prior = float(np.sum(problem.precision * (problem.expected - vector) ** 2))
-    return State(vector, tuple(residuals), tuple(jacobians), normal, gradient, chi_squared, prior)
+    return State(
+        vector=vector,
+        residuals=tuple(both[:, :, 0] for both in whitened),
+        jacobians=tuple(both[:, :, 1:] for both in whitened),
+        normal=normal,
+        gradient=gradient,
+        chi_squared=chi_squared,
+        prior=float(np.sum(problem.precision * (problem.expected - vector) ** 2)),
+    )
 
 
 def solve(problem: Problem, state: State) -> State:
