@@ -73,7 +73,7 @@ def _sines(manifests: list[Manifest]) -> tuple[tuple[EvaluatedSines, ...], tuple
         if len(missing) > 1
         else "this recording of sines has no results of `shakercal run`, which would add its sensitivity"
     )
-    return tuple(found), (Notice("info", text, ", ".join(missing)),)
+    return tuple(found), (Notice("info", text, missing[0] if len(missing) == 1 else "campaign"),)
 
 
 def _results(manifest: Manifest) -> Path | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -89,7 +89,21 @@ def prepare(manifest: Manifest, name: str, band_hz: tuple[float, float] | None) 
     found = tuple(item for item in result.resonances if item.response in transfer.ratio.channels)
     alone = {f"{channel}/{base.name}" for channel in result.transfer.ratio.channels}
     notices = tuple(_named(notice, name) for notice in evaluation.notices if notice.where not in alone)
-    return Prepared(manifest, _in_band(measured, manifest, band_hz), found), notices
+    return Prepared(manifest, _in_band(measured, manifest, band_hz), found), (
+        *notices,
+        *_left_out(manifest, base, name),
+    )
+
+
+def _left_out(manifest: Manifest, base: ChannelEntry, name: str) -> Iterator[Notice]:
+    """Say what is stated and not used."""
+    others = [reference for reference in manifest.excitation.reference if reference != base.name]
+    if others:
+        yield Notice("info", f"of several references {base.name} is used, {', '.join(others)} left out", name)
+    if manifest.rig.load is not None and manifest.rig.load.elastic_frequency is not None:
+        yield Notice(
+            "warning", "the load is taken as rigid although its joint is stated (load.elastic_frequency)", name
+        )
 
 
 def drive_of(manifest: Manifest) -> FloatArray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from pathlib import Path
 
+from fusion.execution.threads import one_blas_thread
 from fusion.identify.campaign import read_campaign
 from fusion.identify.evaluate import evaluate_campaign
 from fusion.identify.page import PAGE_FILE
@@ -27,7 +28,8 @@ def run_identify(
     campaign = read_campaign(path, allow_outside=allow_outside)
     folder = campaign.folder / DEFAULT_FOLDER if output is None else output
     check_folder(folder, campaign.input_hashes, force=force, marker=H5_FILE)
-    evaluation = evaluate_campaign(campaign, settings)
+    with one_blas_thread():
+        evaluation = evaluate_campaign(campaign, settings)
     for notice in evaluation.notices:
         level = logging.WARNING if notice.severity == "warning" else logging.INFO
         log.log(level, "%s: %s", notice.where, notice.text)

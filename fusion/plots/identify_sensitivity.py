@@ -71,7 +71,7 @@ def draw_explained(name: str, item: ExplainedSensitivity) -> Picture:
     """Magnitude and phase with the curves that the spring, the chain and both would give."""
     power = int(np.floor(np.log10(float(np.abs(item.value).max()))))
     factor = 1.0 if -2 <= power < 4 else 10.0**power
-    sign = np.sign(item.static) if item.static else 1.0
+    sign = np.sign(item.curves[0][1][0].real)
     with drawing(name):
         figure = new_figure(4.6)
         upper, lower = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [1.4, 1.0]})

@@ -18,6 +18,9 @@ from fusion.identify.sensor import mechanics, modelled
 from fusion.identify.settings import IdentifySettings
 from fusion.simulate import pitching
 from shaker.models.mass_chain import MassChain
+from shaker.models.measured import Sight
+
+_facing_x = Sight(np.zeros(3), np.array([1.0, 0.0, 0.0]))
 
 
 @pytest.fixture(scope="module")
@@ -87,6 +90,37 @@ def _on_adapter(item: Prepared, seed: int) -> Prepared:
     parts = np.linalg.cholesky(ratio.covariance) @ rng.standard_normal((len(value), 2, 1))
     noisy = value + parts[:, :1, 0] + 1j * parts[:, 1:, 0]
     return replace(item, measured=replace(item.measured, ratio=replace(ratio, value=noisy)))
+
+
+def test_an_internal_mass_below_zero_leaves_a_model_without_one(prepared: list[Prepared]) -> None:
+    fit = _fit([_stiffer(item, 0.985) for item in prepared[:1]] + [_stiffer(prepared[1], 1.0)])
+    assert fit.identification.value("internal_mass") < 0.0
+    assert any("below zero" in notice.text for notice in fit.identification.notices)
+    found = modelled(fit, None, None)
+    assert found.model.internal_mass == 0.0
+    assert (found.model.sensitivity, found.model.unit) == (1.0, "1/N")
+
+
+def _stiffer(item: Prepared, factor: float) -> Prepared:
+    """The same recording with a load whose mass, times a factor, moves without any internal mass."""
+    ratio = item.measured.ratio
+    chain = MassChain(("sensor",), np.array([item.load_kg * factor]), np.array([STIFFNESS]), np.array([DAMPING]))
+    value = chain.transfer(ratio.frequency_hz, "sensor").value
+    return replace(item, measured=replace(item.measured, ratio=replace(ratio, value=value)))
+
+
+def test_what_is_stated_and_not_used_is_said(spoiled: Path) -> None:
+    _change(spoiled / RIG, "[load]", "[load]\nelastic_frequency = 3000.0")
+    (manifest,) = read_campaign(spoiled / "chirp-9kg").transfers
+    _, notices = prepare(manifest, "chirp", None)
+    assert [notice.where for notice in notices if "its joint is stated" in notice.text] == ["chirp"]
+
+
+def test_two_axes_have_a_result_each(prepared: list[Prepared]) -> None:
+    along_x = replace(prepared[0].measured, name="x", drive=np.eye(6)[0], base=_facing_x, tops=(_facing_x,))
+    fits = joint_fits([*prepared, replace(prepared[0], measured=along_x)], IdentifySettings(internal_mass="stated"))
+    assert [(fit.axis, len(fit.prepared)) for fit in fits] == [("x", 1), ("z", 2)]
+    assert "stiffness_x" in fits[0].identification.names
 
 
 def test_a_second_peak_calls_for_pitching(tmp_path: Path) -> None:
