@@ -94,6 +94,8 @@ def geometric_row(entry: ChannelEntry) -> NDArray[np.float64]:
 
 def check(manifest: Manifest) -> CheckReport:
     """Look at what a manifest names, without tracking or fitting anything."""
+    if manifest.excitation.file is not None:
+        return _check_table(manifest, manifest.excitation.file)
     takes = _takes(manifest)
     contents, problems = _contents(manifest, takes)
     observed = _observed(manifest, takes)
@@ -105,6 +107,23 @@ def check(manifest: Manifest) -> CheckReport:
         remarks=tuple(_remarks(manifest, takes, observed)),
         problems=tuple(problems),
     )
+
+
+def _check_table(manifest: Manifest, path: Path) -> CheckReport:
+    """Look at the table of a rotation test."""
+    from shaker.signals.files import table_units
+
+    told, problems = f"table {path.name}, {_size([path])}", []
+    try:
+        units = table_units(path)
+        told += ": " + ", ".join(f"{name} [{unit}]" if unit else name for name, unit in units.items())
+    except (OSError, ValueError) as error:
+        problems.append(str(error))
+    contents = [f"excitation: rotation {'with' if manifest.excitation.with_load else 'without'} load", told]
+    if manifest.rig.load is not None:
+        contents.append(f"load mass: {manifest.rig.load.true_mass:g} kg")
+    remarks = ("shakercal rotate evaluates this recording, by gravity alone",)
+    return CheckReport(manifest.name, manifest.path, tuple(contents), (), remarks, tuple(problems))
 
 
 def _takes(manifest: Manifest) -> list[Manifest]:

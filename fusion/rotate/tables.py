@@ -159,11 +159,11 @@ def printed(evaluation: RotationEvaluation) -> Iterator[str]:
         told = ", ".join(f"{q.component} {_plain(q)}" for q in weights)
         read = f"{len(fit.angle_rad)} readings, offset and first harmonic{more}"
         yield f"{recording.name} ({state}): {read}; weight {told}"
-    for name in (*MASSES, *DIFFERENCES, *CENTRES):
-        found = _named(evaluation, (name,))
-        if found:
-            told = ", ".join(f"{q.component} {_plain(q)}" for q in found)
-            yield f"{found[0].label}: {told}"
+    told_by_label: dict[str, list[str]] = {}
+    for q in _named(evaluation, (*MASSES, *DIFFERENCES, *CENTRES)):
+        told_by_label.setdefault(q.label, []).append(f"{q.component} {_plain(q)}")
+    for label, parts in told_by_label.items():
+        yield f"{label}: {', '.join(parts)}"
     normalised = _named(evaluation, (NORMALISED,))
     if normalised:
         told = ", ".join(f"{q.component} {_signed(q.value)}" for q in normalised)

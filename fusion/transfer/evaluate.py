@@ -56,7 +56,8 @@ def check_kind(manifest: Manifest) -> None:
     """Refuse recordings that this command does not evaluate."""
     excitation = manifest.excitation
     if excitation.kind not in KINDS:
-        hint = "; shakercal run evaluates sines" if excitation.kind == "sine" else ""
+        hints = {"sine": "; shakercal run evaluates sines", "rotation": "; shakercal rotate evaluates rotations"}
+        hint = hints.get(excitation.kind, "")
         expected = f"{', '.join(KINDS[:-1])} or {KINDS[-1]}, the kinds that shakercal transfer evaluates{hint}"
         raise InputError(manifest.path, "excitation.kind", found=excitation.kind, expected=expected)
     if manifest.take:

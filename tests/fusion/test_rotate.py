@@ -6,6 +6,7 @@ import csv
 import json
 import re
 import shutil
+import tomllib
 from pathlib import Path
 
 import h5py
@@ -261,6 +262,24 @@ def test_files_of_a_run(campaign: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert "http" not in re.sub(r'xmlns[^"\']*["\'][^"\']*["\']|DOCTYPE|data:image[^"]*', "", page)
     assert "Budgets of the masses" in page
     assert page.count("<figure") == 5
+
+
+def test_the_example_of_the_documentation_is_the_simulated_recording(simulated: Path) -> None:
+    text = (Path(__file__).resolve().parents[2] / "docs" / "rotation.md").read_text(encoding="utf-8")
+    (example,) = re.findall(r"^```toml\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    written = tomllib.loads((simulated / LOADED / "recording.toml").read_text(encoding="utf-8"))
+    assert tomllib.loads(example)["excitation"] == written["excitation"]
+
+
+def test_other_commands_name_this_one(campaign: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", str(campaign / BARE)]) == 0
+    told = capsys.readouterr().out
+    assert "excitation: rotation without load" in told
+    assert "readings.csv, " in told
+    assert "angle [deg], Fx [mV/V]" in told
+    for command in ("run", "transfer"):
+        assert main([command, str(campaign / BARE)]) == 2
+        assert "shakercal rotate" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("no_page")
