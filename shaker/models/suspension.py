@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import permutations
+from itertools import islice, permutations
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from shaker.models.measured import MeasuredTransfer
 
 _APART = 1.5  # factor between the resonances of the components where a fit starts
 _FAR_APART = 6.0  # the same where only the lowest is seen
+_MOST_ORDERS = 24  # of resonances to components that are tried
 _DAMPING_RATIO = 0.01  # where a fit starts
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 
@@ -91,7 +92,8 @@ class Suspension:
         peak = 2.0 * np.pi * float(largest.ratio.frequency_hz[line])
         rank = np.arange(size)
         spacings = [peak * _APART ** (rank - 0.5 * (size - 1)), peak * _FAR_APART**rank]
-        orders = np.array([order for omega in spacings[: 1 if size == 1 else 2] for order in permutations(omega)])
+        spacings = spacings[: 1 if size == 1 else 2]
+        orders = np.array([order for omega in spacings for order in islice(permutations(omega), _MOST_ORDERS)])
         inertia = largest.mass_matrix.diagonal()[list(self.components)]
         damping = 2.0 * _DAMPING_RATIO * orders * inertia
         return np.hstack([orders**2 * inertia, damping, np.zeros((len(orders), len(self._internal)))])

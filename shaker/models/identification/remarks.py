@@ -15,6 +15,7 @@ _NEGLIGIBLE = 0.02  # part of the whole inertia below which an internal one need
 _PULL = 3.0  # deviation in standard uncertainties that is named
 _NOISE_INFO, _NOISE_WARNING = 1.2, 4.0  # χ²/dof that is named
 _CHANCES = 5.0  # standard deviations by which χ²/dof exceeds what noise leaves
+_SETTLED = 0.1  # standard uncertainties from the minimum that do not matter
 _UNTOUCHED = 0.95  # of a stated uncertainty, left: the recordings say nothing of it
 
 
@@ -22,7 +23,7 @@ def remarks(
     problem: Problem, state: State, found: Spread, estimates: tuple[ParameterEstimate, ...], noise: Noise
 ) -> tuple[Notice, ...]:
     """Return all notices of an identification."""
-    notices = _misfit(noise)
+    notices = [*_misfit(noise), *_unsettled(found)]
     whole = _whole(problem, state)
     for place, estimate in enumerate(estimates):
         if problem.fixed[place]:
@@ -48,6 +49,17 @@ def _misfit(noise: Noise) -> list[Notice]:
     if noise.common < _NOISE_WARNING:
         return [Notice("info", text, "identification")]
     text += ", and the parameters depend on the lines that are fitted"
+    return [Notice("warning", text, "identification")]
+
+
+def _unsettled(found: Spread) -> list[Notice]:
+    """Say that no minimum was reached."""
+    if found.unsettled < _SETTLED:
+        return []
+    text = (
+        f"the fit ended {found.unsettled:.2g} standard uncertainties before it settled; state what is known of "
+        "the parameters, or fit fewer components"
+    )
     return [Notice("warning", text, "identification")]
 
 

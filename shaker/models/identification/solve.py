@@ -14,6 +14,8 @@ _STEPS = 100
 _SMALL_STEP = 1e-3  # length of a step in standard uncertainties at which a fit has converged
 _FIRST_DAMPING, _LEAST_DAMPING, _LARGEST_DAMPING = 1e-6, 1e-12, 1e8
 _FREE_DAMPING = 1e-5  # below it a small step is small because little is left to gain
+_SHARE = 0.1  # of a step, over which the curvature of the residuals is seen
+_MOST_BENT = 0.75  # length of the bend in that of the step
 _OPEN = 1e-10  # singular value, columns of unit length, below which a direction is open
 
 
@@ -86,7 +88,8 @@ def _state(problem: Problem, vector: FloatArray, whitened: Sequence[FloatArray])
 def solve(problem: Problem, state: State) -> State:
     """Return the unknowns of least χ² of lines and priors, from a state on, damped after Marquardt (J. SIAM 11, 1963).
 
-    What is reached after many steps is returned also where more would be needed.
+    After a step that was refused the next ones are bent, so that they follow a curved valley (`_bend`). What is reached
+    after many steps is returned also where more would be needed.
     """
     damping = _FIRST_DAMPING
     for _ in range(_STEPS):
@@ -94,18 +97,42 @@ def solve(problem: Problem, state: State) -> State:
         gradient = state.gradient + problem.precision * (problem.expected - state.vector)
         scale = np.sqrt(np.maximum(normal.diagonal(), np.finfo(np.float64).tiny))
         unit = normal / np.multiply.outer(scale, scale)
+        refused = False
         while True:
-            step = np.linalg.solve(unit + damping * np.eye(len(scale)), gradient / scale) / scale
+            damped = unit + damping * np.eye(len(scale))
+            step = np.linalg.solve(damped, gradient / scale) / scale
             if damping < _FREE_DAMPING and step @ normal @ step < _SMALL_STEP**2:
                 return state
-            new = _tried(problem, state.vector + step)
+            taken = _bent(problem, state, step, damped, scale) if refused else step
+            new = _tried(problem, state.vector + taken) if taken is not None else None
             if new is not None and new.cost <= state.cost * (1.0 + 1e-12):
                 break
-            damping *= 10.0
+            damping, refused = 10.0 * damping, True
             if damping > _LARGEST_DAMPING:
                 return state
         state, damping = new, max(_LEAST_DAMPING, 0.03 * damping)
     return state
+
+
+def _bent(problem: Problem, state: State, step: FloatArray, damped: FloatArray, scale: FloatArray) -> FloatArray | None:
+    """Return a step with its geodesic acceleration (Transtrum and Sethna, arXiv:1201.5885), None where that rules it.
+
+    The residuals' second derivative along the step is that of a difference over a tenth of it.
+    """
+    ahead = _tried(problem, state.vector + _SHARE * step)
+    if ahead is None:
+        return None
+    curvature = np.zeros(len(step))
+    for curve, here, jacobian, there in zip(
+        problem.curves, state.residuals, state.jacobians, ahead.residuals, strict=True
+    ):
+        second = (there - here + _SHARE * (jacobian @ step[curve.places])) * (2.0 / _SHARE**2)
+        np.add.at(curvature, curve.places, np.tensordot(second, jacobian, 2))
+    curvature[problem.fixed] = 0.0
+    bend = 0.5 * np.linalg.solve(damped, curvature / scale) / scale
+    if np.linalg.norm(bend * scale) > _MOST_BENT * np.linalg.norm(step * scale):
+        return None
+    return np.asarray(step + bend)
 
 
 def _tried(problem: Problem, vector: FloatArray) -> State | None:
@@ -134,13 +161,14 @@ class Spread:
 
     `covariance` (N, N) of the determined part, `opened` (Z, N) orthonormal directions in units of `scale` (N,);
     `prior` (N, N): change of all unknowns (rows) for one standard deviation of what was known beforehand of each
-    (columns).
+    (columns). `unsettled`: length in standard uncertainties of the step that linearisation would still take.
     """
 
     covariance: FloatArray
     opened: FloatArray
     scale: FloatArray
     prior: FloatArray
+    unsettled: float
 
     def u(self, gradient: FloatArray) -> float:
         """Return the standard uncertainty of a number with a `gradient` (N,), infinite where it is open."""
@@ -184,7 +212,9 @@ def spread(problem: Problem, state: State) -> Spread:
         if correlation is not None and len(correlation) > 1:
             middle += _between_lines(curve.record.ratio.frequency_hz, jacobian @ basis, correlation)
     prior = basis @ basis.T * np.sqrt(problem.precision)
-    return Spread(basis @ middle @ basis.T, directions[~determined], 1.0 / size, prior)
+    uphill = state.gradient + problem.precision * (problem.expected - state.vector)
+    unsettled = float(np.linalg.norm(uphill @ basis))
+    return Spread(basis @ middle @ basis.T, directions[~determined], 1.0 / size, prior, unsettled)
 
 
 def _wide(problem: Problem, curve: Curve, jacobian: FloatArray) -> FloatArray:
