@@ -88,7 +88,7 @@ def _state(problem: Problem, vector: FloatArray, whitened: Sequence[FloatArray])
 def solve(problem: Problem, state: State) -> State:
     """Return the unknowns of least χ² of lines and priors, from a state on, damped after Marquardt (J. SIAM 11, 1963).
 
-    After a step that was refused the next ones are bent, so that they follow a curved valley (`_bend`). What is reached
+    After a step that was refused the next ones are bent, so that they follow a curved valley (`_bent`). What is reached
     after many steps is returned also where more would be needed.
     """
     damping = _FIRST_DAMPING
