@@ -148,6 +148,8 @@ def test_bars_of_the_twin() -> None:
         worst = np.maximum(worst, np.abs(errors))
         assert found.notices == ()
     assert np.all(worst < [5e-4, 0.02, 3e-3])
+    squares = np.sum([change**2 for change in found.budget.values()], axis=0)
+    np.testing.assert_allclose(squares, found.covariance.diagonal(), rtol=1e-9)
     lag = found["lag_z"]
     assert lag.value == pytest.approx(found.value("damping_z") / found.value("stiffness_z"))
     assert lag.unit == "s"
@@ -304,6 +306,15 @@ def test_a_misfit_enlarges_the_uncertainty_and_is_named() -> None:
         1e-4 * np.sqrt(bad.chi_squared / bad.dof) * good.u("stiffness_z"), rel=0.05
     )
     assert told(good, "identification") == ""
+
+
+def test_curves_without_a_resonance_tell_nothing_and_say_so() -> None:
+    rng = np.random.default_rng(1)
+    frequency = np.linspace(20.0, 120.0, 101)
+    for value in (np.ones(101) + 0j, np.zeros(101) + 0j):
+        found = identify([recording("a", frequency, value, rigid_mass(5.0), ALONG_Z, noise=0.01, rng=rng)], VERTICAL)
+        warned = {notice.where for notice in found.notices if notice.severity == "warning"}
+        assert {"stiffness_z", "damping_z", "internal_mass"} <= warned
 
 
 def test_a_scale_that_is_off_by_more_than_stated_is_named() -> None:
