@@ -147,11 +147,11 @@ def _of_fit(weights: WeightFit, records: Sequence[Turned]) -> list[Notice]:
         if tilt > TILTED_RAD and tilt > 3.0 * float(np.sqrt(weights.covariance[ROWS * r + 5, ROWS * r + 5])):
             text = f"the force along the axis turns with the head as if that were {np.degrees(tilt):.2f}° from the axis"
             found.append(Notice("info", f"{text} stated, or by cross-talk of the sensor", record.name))
-    if weights.enlarged > 1.0:
+    if weights.departure > 0.0:
         text = (
-            f"a weight turned about the axis does not explain all channels within their noise and the stated "
-            f"calibration (χ² {weights.chi_squared:.3g} at {weights.dof:.3g} degrees of freedom): the uncertainties "
-            f"are enlarged by {weights.enlarged:.3g}"
+            "a weight turned about the axis does not explain all channels within their noise and the stated "
+            f"calibration: every first harmonic is taken to be uncertain by {100.0 * weights.departure:.2g} % of the "
+            "weight more, by which they disagree"
         )
         found.append(Notice("warning", text, "channels"))
     return found

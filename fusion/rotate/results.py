@@ -68,7 +68,7 @@ def _write_weights(group: h5py.Group, evaluation: RotationEvaluation) -> None:
     weights = evaluation.weights
     for name in ("names", "value", "covariance", "load"):
         write_value(group, name, getattr(weights, name))
-    for name in ("chi_squared", "dof", "enlarged"):
+    for name in ("chi_squared", "dof", "departure"):
         group.attrs[name] = getattr(weights, name)
     sources = group.create_group("sources", track_order=True)
     for source in weights.sources:

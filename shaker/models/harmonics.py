@@ -15,7 +15,7 @@ HIGHEST_ORDER = 8
 LEAST_DOF = 3
 LARGEST_CONDITION = 30.0
 SAME_ANGLE_RAD = 1e-3
-ROUNDING, FINEST = 1e-12, 1e-7
+ROUNDING, FINEST = 1e-12, 1e-10
 """Relative precision of double numbers, and of the finest display whose last digit is looked for."""
 
 

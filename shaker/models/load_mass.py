@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, NamedTuple, TypeVar
 
 import numpy as np
 
-from shaker._checks import ComplexArray, FloatArray, IntArray, check_shape
+from shaker._checks import BoolArray, ComplexArray, FloatArray, IntArray, check_shape
 from shaker.models.turning import (
     FORCES,
     LEAST_SHARE,
@@ -31,6 +31,7 @@ USUAL_LEVER_M = 0.1
 CHANCE = 1e-3
 """Probability with which channels that agree may be taken for ones that do not."""
 _STEPS, _CONVERGED = 20, 1e-6
+_SMALLEST_DEPARTURE, _DEPARTURE_STEP = 1e-9, 1.001
 
 
 def mass_of_weight(weight_n: Number, gravity_mps2: Number, air_share: Number | float = 0.0) -> Number:
@@ -58,7 +59,8 @@ class WeightFit:
     angle rad, tilt of the axis rad along gravity at zero angle and across it, and the weight by Fx, Fy, Fz alone (NaN
     where a component does not tell). `sources`: every cause of error with its effect on all of them. `load` (R, 6):
     first harmonics of the load by the calibration matrix (NaN where not determined). `chi_squared`, `dof`: how well
-    weights explain all outputs; `enlarged`: factor that made up for channels which disagree beyond what is stated.
+    weights explain all outputs; `departure`: share of the weight by which every first harmonic departs from that of a
+    turned weight beyond what is stated, 0 where the channels agree.
     """
 
     names: tuple[str, ...]
@@ -67,7 +69,7 @@ class WeightFit:
     load: ComplexArray
     chi_squared: float
     dof: float
-    enlarged: float
+    departure: float
 
     def __post_init__(self) -> None:
         check_shape("value", self.value, (ROWS * len(self.names),))
@@ -90,21 +92,37 @@ def fit_weights(records: Sequence[Turned], outputs: SensorOutputs, u_angle_rad: 
     axis, d gravity's direction at zero angle. Every element of the sensitivity is an unknown with its stated
     uncertainty, common to all recordings; so are errors of the head's angle twice per turn (ε_s sin 2θ + ε_c cos 2θ,
     `u_angle_rad` each), the only ones that first harmonics feel: A → A - (j/2)·conj(A)·(ε_c - jε_s). Outputs weigh by
-    their own noise.
+    their own noise. Where an F test gives what all outputs, or those of forces, leave to chance less than once in 1000,
+    every first harmonic is taken to be uncertain by one more share of the weight, as large as makes χ² its degrees of
+    freedom (Paule & Mandel 1982, J. Res. NBS 87, 377).
     """
+    from scipy.special import fdtrc
+
     if not records:
         raise ValueError("records: expected at least one, found none")
     problem = _Problem(tuple(records), outputs, u_angle_rad)
-    vector = np.concatenate([*(start_values(record, outputs) for record in records), np.zeros(problem.shared)])
-    for _ in range(_STEPS):
-        residual, jacobian = problem.linearised(vector)
-        scale, step, gain = problem.solved(vector, residual, jacobian)
-        vector = vector + step
-        if np.max(np.abs(step) / scale) < _CONVERGED:
-            break
-    residual, jacobian = problem.linearised(vector)
-    _, _, gain = problem.solved(vector, residual, jacobian)
-    return _result(problem, vector, residual, gain)
+    fit = _converged(problem)
+    noise_dof = sum(record.dof for record in records)
+    if all(test.dof < 0.5 or fdtrc(test.dof, noise_dof, test.excess) >= CHANCE for test in fit.tests):
+        return _result(fit)
+    low, high = _SMALLEST_DEPARTURE, 1.0
+    while high > low * _DEPARTURE_STEP:
+        middle = float(np.sqrt(low * high))
+        fit = _converged(replace(problem, departure=middle))
+        low, high = (middle, high) if max(test.excess for test in fit.tests) > 1.0 else (low, middle)
+    return _result(fit)
+
+
+class _Test(NamedTuple):
+    """χ² and its degrees of freedom."""
+
+    chi_squared: float
+    dof: float
+
+    @property
+    def excess(self) -> float:
+        """χ² per degree of freedom, none where there is no freedom."""
+        return self.chi_squared / self.dof if self.dof > 0.5 else 0.0
 
 
 @dataclass(frozen=True)
@@ -114,6 +132,27 @@ class _Problem:
     records: tuple[Turned, ...]
     outputs: SensorOutputs
     u_angle_rad: float
+    departure: float = 0.0
+
+    @cached_property
+    def start(self) -> FloatArray:
+        """Unknowns before the first step."""
+        own = [start_values(record, self.outputs) for record in self.records]
+        return np.concatenate([*own, np.zeros(self.shared)])
+
+    @cached_property
+    def departures(self) -> FloatArray:
+        """What `departure` makes of every real row: that share of the weight, of moments at the usual lever."""
+        lever = np.repeat([1.0, USUAL_LEVER_M], FORCES)
+        size = np.max(np.abs(self.outputs.sensitivity) * lever, axis=1)
+        weights = self.start[: OWN * len(self.records) : OWN]
+        return self.departure * np.concatenate([np.tile(weight * size, 2) for weight in weights])
+
+    @cached_property
+    def forces(self) -> BoolArray:
+        """Which outputs answer to forces rather than moments (C,)."""
+        size = np.abs(self.outputs.sensitivity)
+        return np.asarray(size[:, :FORCES].sum(axis=1) > USUAL_LEVER_M * size[:, FORCES:].sum(axis=1))
 
     @cached_property
     def elements(self) -> IntArray:
@@ -129,7 +168,7 @@ class _Problem:
     def weight(self) -> FloatArray:
         """One over the variance of every real row."""
         variance = np.concatenate([np.diag(record.covariance) for record in self.records])
-        return np.asarray(1.0 / variance)
+        return np.asarray(1.0 / (variance + self.departures**2))
 
     def prior(self, vector: FloatArray) -> FloatArray:
         """One over the prior variance of every unknown, zero where it is free."""
@@ -175,46 +214,55 @@ class _Problem:
         return np.sqrt(np.diag(inverse)), inverse @ right, np.asarray(inverse)
 
 
-def _result(problem: _Problem, vector: FloatArray, residual: FloatArray, inverse: FloatArray) -> WeightFit:
-    """Values, sources and the test of a fit that has converged."""
-    from scipy.special import fdtrc
+class _Converged(NamedTuple):
+    """A problem at its solution."""
 
-    prior = problem.prior(vector)
-    chi_squared = float(np.sum(problem.weight * residual**2) + np.sum(prior * vector**2))
-    free = OWN * len(problem.records)
-    known = prior[:free] * np.diag(inverse)[:free]
-    dof = len(residual) - float(np.sum(1.0 - known))
-    noise_dof = sum(record.dof for record in problem.records)
-    tests = [(chi_squared, dof), _of_forces(problem, vector, residual)]
-    enlarged, behind = 1.0, dof
-    for square, freedom in tests:
-        if freedom > 0.5 and fdtrc(freedom, noise_dof, square / freedom) < CHANCE and square > enlarged**2 * freedom:
-            enlarged, behind = float(np.sqrt(square / freedom)), freedom
-    loads = [
-        np.where(problem.outputs.determined, problem.outputs.inverse @ r.amplitude, np.nan) for r in problem.records
-    ]
+    problem: _Problem
+    vector: FloatArray
+    residual: FloatArray
+    inverse: FloatArray
+
+    @property
+    def tests(self) -> tuple[_Test, _Test]:
+        """χ² of all outputs and of those of forces."""
+        problem, count = self.problem, len(self.problem.records)
+        prior = problem.prior(self.vector)
+        own = problem.weight * self.residual**2
+        shares = float(np.sum(prior * self.vector**2))
+        known = (prior * np.diag(self.inverse))[: OWN * count]
+        rows = 2 * int(problem.forces.sum())
+        freedom = count * max(0, rows - 2 - (2 if rows > 4 else 0))
+        forces = float(own.reshape(count, 2, -1)[:, :, problem.forces].sum())
+        every = _Test(float(own.sum()) + shares, len(own) - float(np.sum(1.0 - known)))
+        return every, _Test(forces + shares, float(freedom))
+
+
+def _converged(problem: _Problem) -> _Converged:
+    """Gauss-Newton steps from the start to the solution."""
+    vector = problem.start
+    for _ in range(_STEPS):
+        residual, jacobian = problem.linearised(vector)
+        scale, step, inverse = problem.solved(vector, residual, jacobian)
+        vector = vector + step
+        if np.max(np.abs(step) / scale) < _CONVERGED:
+            break
+    residual, jacobian = problem.linearised(vector)
+    _, _, inverse = problem.solved(vector, residual, jacobian)
+    return _Converged(problem, vector, residual, inverse)
+
+
+def _result(fit: _Converged) -> WeightFit:
+    """Values, sources and the test of a fit."""
+    problem, vector = fit.problem, fit.vector
+    inverse, told = problem.outputs.inverse, problem.outputs.determined
+    loads = np.array([np.where(told, inverse @ record.amplitude, np.nan) for record in problem.records])
     value = np.empty(ROWS * len(problem.records))
     for r in range(len(problem.records)):
         value[ROWS * r : ROWS * r + OWN] = vector[OWN * r : OWN * (r + 1)]
         value[ROWS * r + OWN : ROWS * (r + 1)] = np.real(loads[r][:FORCES] * _projection(problem, r, vector))
-    sources = _sources(problem, vector, inverse)
-    if enlarged > 1.0:
-        sources.append(_disagreement(sources, enlarged, behind, len(problem.records)))
-    names = tuple(record.name for record in problem.records)
-    return WeightFit(names, value, tuple(sources), np.array(loads), chi_squared, dof, enlarged)
-
-
-def _of_forces(problem: _Problem, vector: FloatArray, residual: FloatArray) -> tuple[float, float]:
-    """χ² of the outputs that answer to forces rather than moments, and its degrees of freedom."""
-    square, count = 0.0, 0
-    split = (problem.weight * residual**2).reshape(len(problem.records), 2, -1)
-    size = np.abs(problem.outputs.sensitivity)
-    forces = size[:, :FORCES].sum(axis=1) > USUAL_LEVER_M * size[:, FORCES:].sum(axis=1)
-    for r in range(len(problem.records)):
-        square += float(split[r][:, forces].sum())
-        rows = 2 * int(forces.sum())
-        count += max(0, rows - 2 - (2 if rows > 4 else 0))
-    return square + float(problem.prior(vector) @ vector**2), float(count)
+    names, every = tuple(record.name for record in problem.records), fit.tests[0]
+    sources = tuple(_sources(fit))
+    return WeightFit(names, value, sources, loads, every.chi_squared, every.dof, problem.departure)
 
 
 def _projection(problem: _Problem, r: int, vector: FloatArray) -> ComplexArray:
@@ -226,30 +274,35 @@ def _projection(problem: _Problem, r: int, vector: FloatArray) -> ComplexArray:
     return np.asarray(np.where(seen, np.conj(phasor) / np.where(seen, size, 1.0) ** 2, np.nan))
 
 
-def _sources(problem: _Problem, vector: FloatArray, inverse: FloatArray) -> list[Source]:
+def _sources(fit: _Converged) -> Iterator[Source]:
     """Every cause of error with its effect on all values; effects of deviates that are one in truth."""
+    problem, vector, inverse = fit.problem, fit.vector, fit.inverse
     count, own, elements = len(problem.records), OWN * len(problem.records), problem.elements
     _, jacobian = problem.linearised(vector)
     gain = inverse @ (jacobian.T * problem.weight)
     prior = problem.prior(vector)
-    found, start = [], 0
+    size = 2 * len(problem.outputs.sensitivity)
+    departing = []
     for r, record in enumerate(problem.records):
-        size = 2 * len(record.amplitude)
-        root = _root(record.covariance)
-        effect = _spread(gain[:, start : start + size] @ root, count)
+        rows = slice(size * r, size * (r + 1))
+        by_row = _spread(gain[:, rows], count)
         to_load = problem.outputs.inverse[:FORCES] * _projection(problem, r, vector)[:, None]
-        effect[ROWS * r + OWN : ROWS * (r + 1)] = np.hstack([to_load.real, -to_load.imag]) @ root
-        found.append(Source(f"noise of {record.name}", "A", record.dof, effect))
-        start += size
+        by_row[ROWS * r + OWN : ROWS * (r + 1)] = np.hstack([to_load.real, -to_load.imag])
+        yield Source(f"noise of {record.name}", "A", record.dof, by_row @ _root(record.covariance))
+        departing.append(by_row * problem.departures[rows])
+    if problem.departure > 0.0:
+        freedom = min(test.dof for test in fit.tests if test.dof > 0.5)
+        yield Source("channels that disagree", "A", freedom, np.hstack(departing))
     shared = -_spread(inverse * prior, count)
     for r in range(count):
         shared[ROWS * r + OWN : ROWS * (r + 1), own:] = _alone(problem, r, vector)
     ends = own + len(elements)
     weak = [OWN * r + place for r in range(count) for place in (1, 2, 3, 5, 6)]
-    found.append(Source("calibration matrix", "B", np.inf, shared[:, own:ends]))
-    found.append(Source("angle of the head", "B", np.inf, shared[:, ends:]))
-    found.append(Source("what no channel tells", "B", np.inf, shared[:, weak] / np.sqrt(prior[weak])))
-    return [source for source in found if source.effect.shape[1]]
+    if len(elements):
+        yield Source("calibration matrix", "B", np.inf, shared[:, own:ends])
+    if problem.u_angle_rad > 0.0:
+        yield Source("angle of the head", "B", np.inf, shared[:, ends:])
+    yield Source("what no channel tells", "B", np.inf, shared[:, weak] / np.sqrt(prior[weak]))
 
 
 def _alone(problem: _Problem, r: int, vector: FloatArray) -> FloatArray:
@@ -269,15 +322,6 @@ def _spread(effect: FloatArray, recordings: int) -> FloatArray:
     for r in range(recordings):
         wide[ROWS * r : ROWS * r + OWN] = effect[OWN * r : OWN * (r + 1)]
     return wide
-
-
-def _disagreement(sources: Sequence[Source], enlarged: float, dof: float, recordings: int) -> Source:
-    """What brings the uncertainty of the unknowns to `enlarged` times itself."""
-    own = np.concatenate([ROWS * r + np.arange(OWN) for r in range(recordings)])
-    effect = np.zeros((ROWS * recordings, len(own)))
-    every = np.hstack([source.effect[own] for source in sources if source.name != "what no channel tells"])
-    effect[own] = np.sqrt(enlarged**2 - 1.0) * _root(every @ every.T)
-    return Source("channels that disagree", "A", dof, effect)
 
 
 def _root(covariance: FloatArray) -> FloatArray:

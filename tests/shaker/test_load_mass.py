@@ -55,7 +55,7 @@ def test_published_amplitudes_give_the_published_masses_and_deviations() -> None
     deviation = 100.0 * (masses / 6.9605 - 1.0)
     np.testing.assert_allclose(deviation, [0.028, -0.139], atol=2e-3)  # the publication rounds the second one down
     assert fit.value[0] == pytest.approx(np.mean([7.558, 7.532]), abs=1e-3)
-    assert fit.enlarged > 1.0  # 1 mN of noise does not explain 26 mN between the axes
+    assert 1e-3 < fit.departure < 2e-3  # 1 mN of noise does not explain 0.35 % and 0.19 % between the axes
 
 
 @settings(deadline=None, max_examples=25)
@@ -82,7 +82,7 @@ def test_weight_centre_zero_angle_and_axis_come_back(
     np.testing.assert_allclose(fit.value[1:4] / weight, centre, atol=1e-7)
     assert np.exp(1j * fit.value[4]) == pytest.approx(np.exp(1j * zero), abs=1e-6)
     np.testing.assert_allclose(fit.value[5:7], tilt, atol=1e-6)
-    assert fit.enlarged == 1.0
+    assert fit.departure == 0.0
 
 
 def test_errors_scatter_as_the_covariance_says() -> None:
@@ -154,12 +154,14 @@ def test_channels_that_disagree_enlarge_the_uncertainty() -> None:
     wrong = SENSITIVITY * np.array([1.01, 1.0, 1.0, 1.0, 1.0, 1.0])
     record = _turned("wrong", loads, wrong, Z, -Y)
     fit = fit_weights([record], SensorOutputs(SENSITIVITY, 0.0 * SENSITIVITY))
-    assert fit.enlarged > 5.0
-    behind = next(source.dof for source in fit.sources if source.name == "channels that disagree")
-    assert behind == 2.0
-    assert np.sqrt(fit.covariance[0, 0]) == pytest.approx(0.2 / np.sqrt(8.0), rel=0.02)  # χ² = 2 (d/2σ)², two freedoms
+    behind = next(source for source in fit.sources if source.name == "channels that disagree")
+    assert behind.dof == 2.0
+    assert fit.departure == pytest.approx(0.01 / 2.0, rel=0.02)  # χ² = 2 (d/2u)² at two freedoms
+    assert fit.value[0] == pytest.approx(20.1, rel=1e-4)
+    assert np.sqrt(fit.covariance[0, 0]) == pytest.approx(20.0 * 0.005 / np.sqrt(2.0), rel=0.02)
+    assert np.sqrt(fit.covariance[7, 7]) == pytest.approx(20.0 * 0.005, rel=0.02)
     stated = fit_weights([record], SensorOutputs(SENSITIVITY, 0.01 * SENSITIVITY))
-    assert stated.enlarged == 1.0
+    assert stated.departure == 0.0
 
 
 @pytest.mark.parametrize(
