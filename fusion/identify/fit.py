@@ -61,18 +61,33 @@ def joint_fits(prepared: Sequence[Prepared], settings: IdentifySettings) -> tupl
 def _joint_fit(component: int, group: Sequence[Prepared], settings: IdentifySettings) -> JointFit:
     """Fit one component."""
     free = _mass_is_free(component, group, settings)
-    model = "translation" if settings.model == "auto" else settings.model
+    model, reason, found = _chosen(component, group, settings, free=free)
     structure = _structure(model, component, group)
-    found = _fitted(group, structure, settings, free=free)
-    reason = "as wanted" if settings.model != "auto" else _explains(found)
-    if settings.model == "auto" and _calls_for_pitching(component, group, found):
-        richer = _structure("pitching", component, group)
-        other = _fitted(group, richer, settings, free=free)
-        if other.chi_squared / other.dof < _BETTER * found.chi_squared / found.dof:
-            reason = _pitches(group, found, other)
-            model, structure, found = "pitching", richer, other
     notices = (*found.notices, *_misfit(component, group, found, model))
     return JointFit(component, model, reason, structure, free, found, tuple(group), notices)
+
+
+def _chosen(
+    component: int, group: Sequence[Prepared], settings: IdentifySettings, *, free: bool
+) -> tuple[str, str, Identification]:
+    """Return the model, why it was taken, and its fit: translation, unless a second peak asks for pitching.
+
+    Two peaks that pitching explains need no other fit; what it does not explain is compared with one translation.
+    """
+    if settings.model != "auto":
+        return settings.model, "as wanted", _fitted(settings.model, component, group, settings, free=free)
+    coupled = component in _PITCHES_WITH and len(_most_peaks(group)) > 1
+    pitching = _fitted("pitching", component, group, settings, free=free) if coupled else None
+    if pitching is not None and departure(pitching) < _MISFIT:
+        return "pitching", _pitches(group, pitching), pitching
+    alone = _fitted("translation", component, group, settings, free=free)
+    if pitching is not None and pitching.chi_squared / pitching.dof < _BETTER * alone.chi_squared / alone.dof:
+        return "pitching", f"{_pitches(group, pitching)}, one translation {departure(alone):.3g}", pitching
+    return (
+        "translation",
+        f"one spring and damper leave residuals of {departure(alone):.3g} times their uncertainty",
+        alone,
+    )
 
 
 def _structure(model: str, component: int, group: Sequence[Prepared]) -> Structure:
@@ -90,9 +105,10 @@ def _structure(model: str, component: int, group: Sequence[Prepared]) -> Structu
 
 
 def _fitted(
-    group: Sequence[Prepared], structure: Structure, settings: IdentifySettings, *, free: bool
+    model: str, component: int, group: Sequence[Prepared], settings: IdentifySettings, *, free: bool
 ) -> Identification:
-    """Fit a structure to all curves of a group; what is `free` inside the sensor is fitted, else as stated."""
+    """Fit a model to all curves of a group; what is `free` inside the sensor is fitted, else as stated."""
+    structure = _structure(model, component, group)
     names = [parameter.name for parameter in structure.parameters]
     each = [name for name in names if name.startswith("damping_")] if settings.damping == "each" else []
     inside = {} if free else {mass_name(component): component for component in reversed(range(6))}
@@ -148,27 +164,17 @@ def departure(found: Identification) -> float:
     return float(np.sqrt(found.chi_squared / found.dof))
 
 
-def _calls_for_pitching(component: int, group: Sequence[Prepared], found: Identification) -> bool:
-    """Whether one translation misfits where a curve has a second peak and a coupled rotation could make it."""
-    return component in _PITCHES_WITH and len(_most_peaks(group)) > 1 and departure(found) > _MISFIT
-
-
 def _most_peaks(group: Sequence[Prepared]) -> tuple[float, ...]:
     """Return the resonances (Hz) of the response that has most of them."""
     return max((item.peaks_hz(name) for item in group for name in item.measured.ratio.channels), key=len)
 
 
-def _explains(found: Identification) -> str:
-    """Why one translation was taken."""
-    return f"one spring and damper leave residuals of {departure(found):.3g} times their uncertainty"
-
-
-def _pitches(group: Sequence[Prepared], found: Identification, other: Identification) -> str:
+def _pitches(group: Sequence[Prepared], found: Identification) -> str:
     """Why pitching was taken."""
     listed = " and ".join(f"{peak:.6g} Hz" for peak in _most_peaks(group)[:2])
     return (
-        f"the curves have peaks at {listed}; one translation leaves residuals of {departure(found):.3g} times their "
-        f"uncertainty, translation and pitching together {departure(other):.3g}"
+        f"the curves have peaks at {listed}, of which one translation makes one; translation and pitching together "
+        f"leave residuals of {departure(found):.3g} times their uncertainty"
     )
 
 
