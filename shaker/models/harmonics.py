@@ -15,8 +15,8 @@ HIGHEST_ORDER = 8
 LEAST_DOF = 3
 LARGEST_CONDITION = 30.0
 SAME_ANGLE_RAD = 1e-3
-ROUNDING, FINEST = 1e-12, 1e-10
-"""Relative precision of double numbers, and of the finest display whose last digit is looked for."""
+ROUNDING, FINEST, WHOLE = 1e-12, 1e-12, 1e-3
+"""Relative precision of computed numbers, that of the finest display looked for, and what counts as a whole number."""
 
 
 class Reversal(NamedTuple):
@@ -186,21 +186,21 @@ def _distinct(turned: FloatArray) -> FloatArray:
 
 
 def _resolution(values: FloatArray) -> FloatArray:
-    """Step of which all differences between readings of a channel are multiples (C,), 0 where there is none."""
-    return np.array([_common_step(column) for column in values.T])
+    """Last digit of every channel's readings (C,), 0 where they have none."""
+    return np.array([_last_digit(column) for column in values.T])
 
 
-def _common_step(column: FloatArray) -> float:
-    """Greatest common divisor of the differences by Euclid's algorithm, 0 where it is far below their size."""
-    tolerance = FINEST * float(np.ptp(column))
-    steps = np.diff(np.unique(column))
-    steps, step = steps[steps > tolerance], 0.0
-    while len(steps):
-        step = float(steps.min())
-        rest = np.abs(steps - step * np.round(steps / step))
-        rest = rest[rest > tolerance]
-        steps = np.append(rest, step) if len(rest) else rest
-    return step if step > 10.0 * tolerance else 0.0
+def _last_digit(column: FloatArray) -> float:
+    """Largest of 1, 2, 5 times a power of ten of which all readings are multiples, 0 where there is none."""
+    largest = float(np.abs(column).max())
+    if largest == 0.0:
+        return 0.0
+    for power in range(int(np.ceil(np.log10(largest))), int(np.floor(np.log10(FINEST * largest))), -1):
+        for mantissa in (5.0, 2.0, 1.0):
+            steps = column / (mantissa * 10.0**power)
+            if np.all(np.abs(steps - np.round(steps)) < WHOLE):
+                return float(mantissa * 10.0**power)
+    return 0.0
 
 
 def _clearest(design: FloatArray, blocks: list[list[Term]], values: FloatArray, floor: FloatArray) -> int | None:

@@ -97,6 +97,14 @@ def test_coarse_readings_are_as_uncertain_as_their_last_digit() -> None:
     assert np.all(np.diag(fit.noise) >= 1.0 / 12.0 - 1e-12)
 
 
+@pytest.mark.parametrize("digit", [1e-6, 5e-4, 2e-9])
+def test_rounded_readings_are_no_harmonics(digit: float) -> None:
+    values = digit * np.round(_readings(STEPS, np.random.default_rng(8), 0.0) / digit)
+    fit = fit_angles(CHANNELS, STEPS, values)
+    assert fit.orders == (1,)
+    assert np.all(np.diag(fit.noise) >= 0.99 * digit**2 / 12.0)
+
+
 def test_readings_without_noise_are_exact() -> None:
     values = np.stack([np.cos(STEPS), np.sin(STEPS) + 0.1 * np.cos(2.0 * STEPS)], axis=1)
     fit = fit_angles(CHANNELS, STEPS, values)
