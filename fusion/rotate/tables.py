@@ -245,6 +245,8 @@ def _plain(q: Quantity) -> str:
     small_unit = q.unit != "kg" or "difference" in q.name or "deviation" in q.name
     scale, unit = SCALED.get(q.unit, (1.0, q.unit)) if small_unit else (1.0, q.unit)
     text = rounded(scale * q.value, scale * q.expanded, 0)
+    if text.expanded == DASH:
+        return f"{text.value} {typeset(unit)}"
     return f"({text.value} ± {text.expanded}) {typeset(unit)}"
 
 
