@@ -56,8 +56,8 @@ class SpringPrior:
 def relative_sensitivity(frequency_hz: FloatArray, k: float, b: float, form: Form = "exact") -> FloatArray:
     """Return |S(f)|/S(0) of a spring k (N/m) with a damper b (kg/s) at frequencies (K,) in Hz.
 
-    `exact`: 1/√(1 + (bω/k)²); `series`: 1 − ½(b/k)²ω². Both are equation 1 of Nitsche et al., J. Sens. Sens. Syst. 8,
-    2019: c/√(k² + (bω)²) ≈ (c/k)(1 − ½(b/k)²ω²), with S(0) = c/k.
+    `exact`: 1/√(1 + (bω/k)²); `series`: 1 − ½(b/k)²ω². Both are equation 1 of Nitsche et al., J. Sens. Sens. Syst. 7,
+    2018: c/√(k² + (bω)²) ≈ (c/k)(1 − ½(b/k)²ω²), with S(0) = c/k.
     """
     turned = _turned(frequency_hz, k, b)
     return 1.0 - 0.5 * turned**2 if form == "series" else 1.0 / np.sqrt(1.0 + turned**2)

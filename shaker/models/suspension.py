@@ -25,7 +25,7 @@ class Suspension:
 
     The base moves as a rigid body along `record.drive` = d, the load with it and by p along the free components F:
     (M_FF s² + b s + k) p = -s² (M d)_F, M = mass matrix of the load + internal mass at the origin (Nitsche et al.,
-    J. Sens. Sens. Syst. 8, 2019, eqs 3-5 for one translation). With component z alone H = (k + bs)/((m + m_i)s² + bs +
+    J. Sens. Sens. Syst. 7, 2018, eqs 8, 9 for one translation). With component z alone H = (k + bs)/((m + m_i)s² + bs +
     k); (0, 4) pitches, since the height of the centre of mass couples x and ry in M; (4,) turns: J α against k_ry.
     What moves with the load inside the sensor is unknown: a mass for all translations, a moment of inertia for each
     rotation. Recordings of one load alone leave it open; `identify` takes it as known where it is stated.
