@@ -47,7 +47,9 @@ _PART_OF: dict[ChainKind, tuple[ChainKind, ...]] = {
 class DampingTest:
     """b/k that the sensitivity would need with no chain against that of the resonance's width, with u in s.
 
-    `deviation`: their difference over its standard uncertainty; `probability` of a deviation as large by chance.
+    `deviation`: √Δχ² with the sign of their difference, Δχ² what χ² grows by when b/k is held by the resonance (over
+    χ²/dof where that exceeds one): for small differences the difference over its standard uncertainty, but right as
+    well where the magnitude hangs on (b/k)². `probability` of a deviation as large by chance.
     """
 
     needed_s: float
@@ -113,7 +115,7 @@ def fit_sensitivity(measured: MeasuredSensitivity, spring: SpringPrior | None = 
     fits = tuple(fit_chain(measured, kind, spring) for kind in CHAIN_PARAMETERS)
     weight = _weights(fits, 2 * len(measured.value) + (measured.static is not None))
     verdict = _verdicts(fits, weight)
-    damping = None if spring is None else _damping_test(fit_chain(measured, "none", None, spring_free=True), spring)
+    damping = None if spring is None else _damping_test(measured, fits[0], spring)
     text = _sentence(fits, verdict, spring is None)
     compared = SensitivityComparison(fits, weight, verdict, spring, damping, text, ())
     return replace(compared, notices=_notices(compared.best, measured.channel))
@@ -151,12 +153,13 @@ def _stable(fit: SensitivityFit) -> bool:
     return all(values[name] >= -2.0 * fit.u(name) for name in fit.chain.names if name in values)
 
 
-def _damping_test(needed: SensitivityFit, spring: SpringPrior) -> DampingTest:
-    """Compare b/k fitted to S(f) with no chain with that of the resonance."""
+def _damping_test(measured: MeasuredSensitivity, held: SensitivityFit, spring: SpringPrior) -> DampingTest:
+    """Compare b/k fitted to S(f) with no chain with that of the resonance, by which the other fit is held."""
     from scipy import special
 
-    u = float(np.hypot(needed.u("spring_time_s"), spring.u_time_s))
-    deviation = (needed.spring_time_s - spring.time_s) / u
+    needed = fit_chain(measured, "none", None, spring_free=True)
+    growth = max(0.0, held.chi_squared - needed.chi_squared) / max(1.0, needed.chi_squared / needed.dof)
+    deviation = float(np.copysign(np.sqrt(growth), needed.spring_time_s - spring.time_s))
     probability = float(special.erfc(abs(deviation) / np.sqrt(2.0)))
     from_curve = _microseconds(needed.spring_time_s, needed.u("spring_time_s"))
     from_width = _microseconds(spring.time_s, spring.u_time_s)
