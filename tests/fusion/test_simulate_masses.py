@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from fusion.cli import main
 from fusion.errors import InputError
 from fusion.manifest import load_manifest
 from fusion.simulate import masses, pitching, simulate_loads
@@ -99,8 +100,12 @@ def test_resonances_overlap_for_one_pitching_load_and_stand_apart_for_the_other(
     assert apart["4kg"] > 10.0
 
 
-def test_the_campaign_has_one_sensor_two_loads_and_its_truth(small: None, tmp_path: Path) -> None:
-    folder = simulate_loads(tmp_path / "try", "masses", 3)
+def test_the_campaign_has_one_sensor_two_loads_and_its_truth(
+    small: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "try"
+    assert main(["simulate", str(folder), "--preset", "masses", "--seed", "3"]) == 0
+    assert f"simulated campaign: {folder}" in capsys.readouterr().out
     manifests = {path.parent.name: load_manifest(path.parent) for path in folder.glob("*/recording.toml")}
     assert sorted(manifests) == ["Fz-1020.3", "chirp-4kg", "chirp-9kg"]
     assert len({manifest.rig.sensor.model_dump_json() for manifest in manifests.values() if manifest.rig.sensor}) == 1
