@@ -33,7 +33,8 @@ COLOURS = (BLUE, GREEN, ORANGE, PURPLE, SKY)
 NEAR_WIDTHS = 8.0  # half-power widths on both sides of the resonances that the enlarged panels show
 CIRCLE_WIDTHS = 4.0
 PANELS_ACROSS = 3
-COVERAGE = 2.0
+REGION = float(np.sqrt(-2.0 * np.log(0.05)))
+"""Radius of the circle that holds a complex error 95 times in 100, in standard uncertainties of its parts."""
 RASTER_ABOVE = 1500
 
 
@@ -73,15 +74,15 @@ def draw_fit(name: str, curves: Sequence[FittedCurve]) -> Picture:
             _label_column(panels[:, column], zoom=zoom)
         panels[0, 0].set_ylabel("|H|")
         panels[1, 0].set_ylabel("phase / °")
-        panels[2, 0].set_ylabel("residual / U")
+        panels[2, 0].set_ylabel("residual")
         panels[0, 0].legend(loc="upper left")
         for axes in panels.ravel():
             axes.set_rasterization_zorder(3 if len(curves[0].value) > RASTER_ABOVE else -1)
         lay_out(figure, panels.ravel(), top=0.24, gap=(0.55, 0.28), left=0.78, label=0.56)
         caption = (
             "Acceleration of the load over that of the base: measured (colours) and the joint model (black, dashed), "
-            "the whole band left, the resonance right. Below: |measured − model| over U (k = 2) of the noise, the "
-            "common errors found taken off; 5 % of the lines are expected above one."
+            "the whole band left, the resonance right. Below: |measured − model| over the radius that holds "
+            "the noise 95 times in 100, the common errors found taken off: 5 % of the lines are expected above one."
         )
         return finish(figure, name, f"{curves[0].recording}: curve, model and residual", caption)
 
@@ -119,7 +120,7 @@ def _draw_curve(
     ):
         axes.plot(frequency, measured, color=colour, label=curve.response, zorder=2, **style)
         axes.plot(frequency, fitted, color=BLACK, linewidth=0.9, linestyle=dash, zorder=2.5)
-    away = np.abs(value - model) / (COVERAGE * curve.u[lines])
+    away = np.abs(value - model) / (REGION * curve.u[lines])
     panels[2].plot(frequency, away, ".", color=colour, markersize=2.5 if dots else 1.2, zorder=2)
 
 
