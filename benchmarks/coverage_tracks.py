@@ -2,12 +2,12 @@
 
     python benchmarks/coverage_tracks.py [--trials 400]
 
-One stereo pair on the load (211 frames, 64 subsets with 0.02 px noise), three laser points and six outputs on a recorder
-of their own. Subsets are projected through the true cameras at the true middles of the exposures, channels are sampled
-on the true clocks; from there on it is the program's own path.
+One stereo pair on the load (211 frames, 64 subsets with 0.02 px noise), three laser points and six outputs on a
+recorder of their own. Subsets are projected through the true cameras at the true middles of the exposures, channels are
+sampled on the true clocks; from there on it is the program's own path.
 
-At 52.874 frames per second the line at 106.25 Hz is seen as a beat of 0.50 Hz: 211 frames, as the protocol has them, hold
-two of its periods. 48 frames hold half of one, where drift cannot be told from it: six degrees of freedom, k = 2.4.
+At 52.874 frames per second the line at 106.25 Hz is seen as a beat of 0.50 Hz: 211 frames, as the protocol has them,
+hold two of its periods. 48 frames hold half of one, where drift cannot be told from it: six degrees of freedom, k = 2.4.
 """
 
 from __future__ import annotations
