@@ -7,7 +7,7 @@ recorder of their own. Subsets are projected through the true cameras at the tru
 sampled on the true clocks; from there on it is the program's own path.
 
 At 52.874 frames per second the line at 106.25 Hz is seen as a beat of 0.50 Hz: 211 frames, as the protocol has them,
-hold two of its periods. 48 frames hold half of one, where drift cannot be told from it: six degrees of freedom, k = 2.4.
+hold two of its periods. 48 frames hold half of one, which drift resembles: six degrees of freedom, k = 2.4.
 """
 
 from __future__ import annotations
