@@ -69,6 +69,8 @@ CASES = (
     Case("white alone, alias 10 Hz", lines_hz=(115.748,), corner_hz=0.0, drift=0.0, mains=0.0),
     Case("all, alias 10 Hz", lines_hz=(115.748,)),
     Case("48 frames, white, alias 6.3 Hz", lines_hz=(112.0,), frames=48, corner_hz=0.0, drift=0.0, mains=0.0),
+    Case("48 frames, white, one line, half a beat", lines_hz=(106.25,), frames=48, corner_hz=0.0, drift=0.0, mains=0.0),
+    Case("96 frames, white, one line, one beat", lines_hz=(106.25,), frames=96, corner_hz=0.0, drift=0.0, mains=0.0),
     Case("48 frames, all, alias 6.3 Hz", lines_hz=(112.0,), frames=48),
     Case("channel 51.2 kHz, 0.32 s, all, amplitude 1000σ", frames=16384, rate_hz=51_200.0, amplitude=1000.0),
     Case("channel 51.2 kHz, 0.32 s, white", frames=16384, rate_hz=51_200.0, corner_hz=0.0, drift=0.0, mains=0.0),

@@ -20,6 +20,7 @@ from fusion.consistency import (
     leave_one_out,
 )
 from fusion.discrepancy import Discrepancy, Scatter, disagreement, estimate_scatter, failing_lines, scatter_covariances
+from fusion.doubt import doubt, not_allowed_for
 from fusion.estimate import Solution, solve
 from fusion.observe import Observation
 from fusion.system import SCALE, System, build_system
@@ -89,7 +90,8 @@ class Solved:
     """A system solved with what is `stated`, and, where this is contradicted, with discrepancies (`parts`): `final`.
 
     `scatter`: of the instruments whose own readings contradict a rigid motion; `birge`: by which factor variances grow
-    where the lines agree by themselves and contradict each other only together.
+    where the lines agree by themselves and contradict each other only together; `beside`: the unknowns that may be the
+    cause of a contradiction, of which U has no less than they do, also in components that one instrument alone sees.
     """
 
     stated: Solution
@@ -97,6 +99,7 @@ class Solved:
     scatter: tuple[Scatter, ...]
     parts: tuple[Discrepancy, ...]
     birge: float = 1.0
+    beside: Discrepancy | None = None
 
 
 def solve_consistently(system: System, scatter: tuple[Scatter, ...] | None = None) -> Solved:
@@ -105,13 +108,15 @@ def solve_consistently(system: System, scatter: tuple[Scatter, ...] | None = Non
     found = estimate_scatter(system, first) if scatter is None else scatter
     parts = scatter_covariances(system, first.acceleration, found)
     final = solve(system, _total(parts)) if parts else first
-    birge = 1.0
-    if contradicts(final, estimates(system.common, final)):
+    birge, beside = 1.0, None
+    unknowns = estimates(system.common, final)
+    if contradicts(final, unknowns):
+        beside = doubt(system, final, unknowns, INCONSISTENCY)
         failing = failing_lines(system, final)
         parts.append(disagreement(system, final, failing or range(len(system.observed)), INCONSISTENCY))
         final = solve(system, _total(parts))
         birge = final.chi2 / final.dof if not failing and fails(final.chi2, final.dof) else 1.0
-    return Solved(first, final, found, tuple(parts), birge)
+    return Solved(first, final, found, tuple(parts), birge, beside)
 
 
 def _total(parts: Sequence[Discrepancy]) -> FloatArray:
@@ -171,6 +176,10 @@ def _uncertainty(system: System, solved: Solved) -> Uncertainty:
     for part in solved.parts:
         noise = noise - part.covariance
         found.append(Contribution(part.label, "A", _carried(gain, part.covariance), part.dof))
+    if solved.beside is not None:
+        allowed = np.sum([part.covariance for part in found], axis=0)
+        missing = not_allowed_for(_carried(gain, solved.beside.covariance), allowed)
+        found.append(Contribution(solved.beside.label, "A", missing, solved.beside.dof))
     for place, observation in enumerate(system.observations):
         rows = np.flatnonzero(system.observation == place)
         covariance = _carried(gain[:, :, rows], noise[np.ix_(rows, rows)])

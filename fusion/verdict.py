@@ -12,6 +12,7 @@ from fusion.acceleration import Acceleration
 from fusion.body import COMPONENTS
 from fusion.consistency import CommonEstimate, Consistency
 from fusion.discrepancy import Scatter
+from fusion.doubt import NOTABLE_DEVIATION
 from fusion.notices import Notice
 from fusion.system import SCALE
 from fusion.uncertainty import total_variance
@@ -22,7 +23,6 @@ REMAINING = 0.9
 """Where more than this share of a stated uncertainty remains, an error of three times as much would not be noticed."""
 NOTABLE_SHARE = 0.1
 """Least share in the variance of a component for which an untested unknown is worth a word."""
-NOTABLE_DEVIATION = 3.5
 EQUALLY_LIKELY = 0.95
 
 

@@ -27,7 +27,7 @@ WRITTEN_ORDER = {
     """,
     "fusion": """
         notices errors output console settings uncertainty coverage polar propagated manifest response
-        elastic_joint body chain observe system estimate consistency discrepancy acceleration verdict fuse
+        elastic_joint body chain observe system estimate consistency discrepancy doubt acceleration verdict fuse
         outputs load budget sensitivity point_spread other_loads deflection evaluation drive repeats linearity
         matrix interpolation curve drift scans records timing channels stereo_motion stereo_phasors readings
         take referral pool takes analyse monte_carlo provenance evaluate check highlights results_csv results_h5

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,8 +62,12 @@ class StereoSetup:
         return replace(self, size_px=(width, height), half_size=half)
 
 
+@lru_cache(maxsize=8)
 def nominal_rig(setup: StereoSetup) -> tuple[StereoRig, RigidTransform]:
-    """Return the stereo rig with its session's covariance, and sensor_from_left, as the laboratory states them."""
+    """Return the stereo rig with its session's covariance, and sensor_from_left, as the laboratory states them.
+
+    Its covariance takes half a second: a set-up simulated again has it ready.
+    """
     poses = [_sensor_from_camera(setup, sign * setup.stereo_deg / 2) for sign in (-1.0, 1.0)]
     size = np.array(setup.size_px, dtype=np.int64)
     cameras = []

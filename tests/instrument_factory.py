@@ -1,0 +1,98 @@
+"""Instruments of one body as `fuse` takes them, at two lines: a camera pair, lasers, a side beam, an accelerometer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fusion.observe import ChainUncertainty, Observation, Reading, observe_channels, observe_stereo
+from shaker.signals.phasor import Phasors
+
+FREQUENCY = np.array([106.25, 212.5])
+OMEGA = 2.0 * np.pi * FREQUENCY
+TRUTH = np.array(
+    [[0.5, -0.3j, 189.0, 4.0j, -3.0, 1.0], [0.01, 0.02, 0.9 - 0.2j, 0.1, 0.05j, 0.02]], dtype=np.complex128
+)
+AXIAL = np.zeros((2, 6), dtype=np.complex128)
+AXIAL[:, 2] = 189.0 * np.exp(0.369j), 1.9 * np.exp(-1.2j)
+CIRCLE = [(0.04 * np.cos(a), 0.04 * np.sin(a), 0.03) for a in 2 * np.pi * np.arange(8) / 8]
+GRAVITY = np.array([0.0, 0.0, -9.8125])
+CAMERA = {"scale_uncertainty": 2e-4, "pose_uncertainty": (1e-4,) * 3 + (5e-4,) * 3, "delay_uncertainty": 1e-6}
+LASER = {
+    "scale_uncertainty": 2.5e-4, "delay_uncertainty": 5e-7, "individual_uncertainty": 1e-4,
+    "point_uncertainty": (1e-3,) * 3, "direction_uncertainty": 5e-3, "common": "laser",
+}  # fmt: skip
+TRIAXIAL = {
+    "scale_uncertainty": 2e-3, "individual_uncertainty": 1e-3, "direction_uncertainty": 5e-4,
+    "transverse_sensitivity": 1e-3, "point_uncertainty": (1e-3,) * 3, "common": "triaxial",
+}  # fmt: skip
+BEAM = LASER | {"direction_uncertainty": 5e-4, "common": "side"}
+BARE = {"scale_uncertainty": 2.5e-4, "common": "laser"}
+
+
+def phasors(value: np.ndarray, sigma: np.ndarray, dof: float = 200.0) -> Phasors:
+    lines, count = value.shape
+    covariance = np.tile(np.broadcast_to(sigma, value.shape), (1, 2))[:, :, None] ** 2 * np.eye(2 * count)
+    names = tuple(f"c{i}" for i in range(count))
+    return Phasors(FREQUENCY[:lines], value.astype(complex), covariance, names, ("SI",) * count, np.full(lines, dof))
+
+
+def channels(rows: Sequence[tuple[str, Any, Any]], noise: np.ndarray, quantity: str, **stated: Any) -> Observation:
+    """Channels (name, point, direction) without any error; `noise` (K,) of each."""
+    base = {
+        "quantity": quantity, "body": "load", "point_uncertainty": (0.0,) * 3, "direction_uncertainty": 0.0,
+        "scale_uncertainty": 0.0, "individual_uncertainty": 0.0, "transverse_sensitivity": 0.0,
+        "delay_uncertainty": 0.0, "channel": None,
+    } | stated  # fmt: skip
+    blank = phasors(np.zeros((len(noise), 1)), noise[:, None])
+    entries: list[Any] = [SimpleNamespace(**base, name=n, point=p, direction=d) for n, p, d in rows]
+    return observe_channels([Reading(entry, blank, ChainUncertainty()) for entry in entries], GRAVITY)[0]
+
+
+def lasers(count: int, noise: float = 1e-5, truth: np.ndarray = TRUTH, **stated: Any) -> Observation:
+    rows = [(f"p{i}", point, (0.0, 0.0, 1.0)) for i, point in enumerate(CIRCLE[:count])]
+    return channels(rows, noise * np.abs(truth[:, 2]) / OMEGA, "velocity", **(stated or LASER))
+
+
+def beam() -> Observation:
+    return channels([("side", (0.05, 0.0, 0.02), (1.0, 0.0, 0.0))], 1e-5 * 189.0 / OMEGA, "velocity", **BEAM)
+
+
+def triaxial() -> Observation:
+    rows = [("a" + "xyz"[i], (0.02, -0.03, 0.06), tuple(np.eye(3)[i])) for i in range(3)]
+    return channels(rows, np.full(2, 2e-5 * 189.0), "acceleration", **TRIAXIAL)
+
+
+def camera(**stated: Any) -> Observation:
+    entry: Any = SimpleNamespace(**({"body": "load"} | CAMERA | stated))
+    return observe_stereo("top", entry, phasors(np.zeros((2, 6)), 1e-9 * np.array([1, 1, 3, 30, 30, 10.0])))
+
+
+def measured(
+    seen: Sequence[Observation], rng: np.random.Generator, truth: np.ndarray = TRUTH, drawn: bool = True
+) -> list[Observation]:
+    """What instruments read of a motion, with drawn common errors and noise."""
+    found = []
+    for observation in seen:
+        value = np.einsum("kmj,kj->km", observation.design, truth)
+        for error in observation.common if drawn else ():
+            value = value + rng.normal() * error.effect(truth)
+        sd = np.sqrt(observation.phasors.covariance.diagonal(axis1=1, axis2=2))[:, : value.shape[1]]
+        noise = sd * (rng.normal(size=value.shape) + 1j * rng.normal(size=value.shape))
+        found.append(with_values(observation, value + noise))
+    return found
+
+
+def with_values(observation: Observation, value: np.ndarray) -> Observation:
+    return replace(observation, phasors=replace(observation.phasors, value=value))
+
+
+def turned(observation: Observation, axis: int, angle_rad: float) -> Observation:
+    """A camera frame that is turned: translations and rotations come out in other axes."""
+    matrix = np.kron(np.eye(2), Rotation.from_rotvec(angle_rad * np.eye(3)[axis]).as_matrix())
+    return with_values(observation, observation.phasors.value @ matrix.T)
