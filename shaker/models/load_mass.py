@@ -28,7 +28,7 @@ LEVER_M, TILT_RAD = 1.0, 0.1
 """Standard deviations of what nothing is known of: lever of the weight, tilt of the axis."""
 USUAL_LEVER_M = 0.1
 """Lever at which forces and moments count alike where outputs of either kind are told apart."""
-CHANCE = 1e-3
+CHANCE = 1e-2
 """Probability with which channels that agree may be taken for ones that do not."""
 _STEPS, _CONVERGED = 20, 1e-6
 _SMALLEST_DEPARTURE, _DEPARTURE_STEP = 1e-9, 1.001
@@ -92,7 +92,7 @@ def fit_weights(records: Sequence[Turned], outputs: SensorOutputs, u_angle_rad: 
     axis, d gravity's direction at zero angle. Every element of the sensitivity is an unknown with its stated
     uncertainty, common to all recordings; so are errors of the head's angle twice per turn (ε_s sin 2θ + ε_c cos 2θ,
     `u_angle_rad` each), the only ones that first harmonics feel: A → A - (j/2)·conj(A)·(ε_c - jε_s). Outputs weigh by
-    their own noise. Where an F test gives what all outputs, or those of forces, leave to chance less than once in 1000,
+    their own noise. Where an F test gives what all outputs, or those of forces, leave to chance less than once in 100,
     every first harmonic is taken to be uncertain by one more share of the weight, as large as makes χ² its degrees of
     freedom (Paule & Mandel 1982, J. Res. NBS 87, 377).
     """
