@@ -114,7 +114,7 @@ def prepare_cells(
     scalars, moments = np.zeros((len(centre), 4)), np.zeros((len(centre), 8, 8))
     extent = np.zeros((len(centre), 3))
     _prepare(centre, runs, first, pixels, scalars, moments, extent)
-    mean, total, energy = scalars[:, 0], scalars[:, 1], scalars[:, 2]
+    mean, total, energy, count = np.ascontiguousarray(scalars.T)  # copied or not, kernels see them alike
     solid = energy > 0.0
     safe_total, safe_energy = np.where(solid, total, 1.0), np.where(solid, energy, 1.0)
     removed = np.stack([moments[:, 0, 2:] / safe_total[:, None], moments[:, 1, 2:] / safe_energy[:, None]], axis=1)
@@ -123,7 +123,7 @@ def prepare_cells(
     gradient_noise = slope_noise_gain(spline.degree) * np.concatenate([extent, extent], axis=1)[:, :, None] * np.eye(6)
     hessian[~solid], energy[~solid] = 0.0, np.nan
     return Cells(
-        side_px, centre, runs, first, pixels, mean, total, energy, scalars[:, 3].astype(np.int64), removed, hessian,
+        side_px, centre, runs, first, pixels, mean, total, energy, count.astype(np.int64), removed, hessian,
         np.where(solid[:, None, None], gradient_noise, 0.0),
     )  # fmt: skip
 

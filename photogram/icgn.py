@@ -78,9 +78,10 @@ def register(
         scores,
         outcome,
     )
-    status, iterations = outcome[:, 0].astype(np.int8), outcome[:, 1]
+    status, iterations = outcome[:, 0].astype(np.int8), outcome[:, 1].copy()
     warp[status != TrackStatus.OK] = np.nan
-    return Registration(warp, scores[:, 0], scores[:, 1], scores[:, 2], status, iterations)
+    zncc, gain, residual = np.ascontiguousarray(scores.T)
+    return Registration(warp, zncc, gain, residual, status, iterations)
 
 
 def position_covariance(reference: Reference, found: Registration, noise_grey: FloatArray) -> FloatArray:
