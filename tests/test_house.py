@@ -12,7 +12,7 @@ FORBIDDEN = {"photogram": {"shaker", "fusion"}, "shaker": {"photogram", "fusion"
 WRITTEN_ORDER = {
     "photogram": """
         _checks _kernel notice _inverse _pinhole rigid camera calibration_file triangulate mraw images point_tables
-        interpolate sampling noise subset search reference quality icgn follow predict
+        interpolate lanes sampling sums noise subset search reference quality icgn follow predict
         device icgn_torch track overlap motion deformation surface cells direct measure
         target calibrate calibration_import alignment epipolar synthetic
     """,
