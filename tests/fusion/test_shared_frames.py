@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import shutil
 from collections.abc import Callable
 from concurrent.futures import Future
@@ -11,11 +12,11 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from dask_cluster import Cluster
 
 from fusion import campaign as under_test
 from fusion.campaign import run_path
 from fusion.errors import InputError
-from fusion.evaluation import Evaluation
 from fusion.execution.task import Answer, call
 from fusion.execution.workers import Workers
 from fusion.settings import Settings
@@ -44,43 +45,59 @@ class Inline:
         return future
 
 
-@pytest.fixture
-def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Reports without figures, which take most of the time."""
-
-    def render(evaluation: Evaluation) -> str:
-        return f"<!doctype html>{evaluation.manifest.name}"
-
-    monkeypatch.setattr("fusion.results.render_report", render)
-
-
-def _tables(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in sorted(folder.glob("*.csv"))}
+def _run(recording: Path, out: Path, **where: Any) -> dict[str, bytes]:
+    """Every table of a recording; its report is without figures, which take most of the time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("fusion.results.render_report", lambda evaluation: f"<!doctype html>{evaluation.manifest.name}")
+        outcomes = run_path(recording, out, Settings(), **where)
+    assert [outcome.folder for outcome in outcomes] == [out]
+    return {path.name: path.read_bytes() for path in sorted(out.glob("*.csv"))}
 
 
-@pytest.mark.usefixtures("no_figures")
+@pytest.fixture(scope="module")
+def serial(demo_recording: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """The tables of the serial run."""
+    tables = _run(demo_recording / NAME, tmp_path_factory.mktemp("serial") / "out")
+    assert len(tables) >= 5
+    return tables
+
+
 def test_two_processes_share_the_frames_of_one_recording(
-    demo_recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    demo_recording: Path, serial: dict[str, bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked: list[tuple[str, int]] = []
+    asked: list[str] = []
 
     class Heard(Workers):
         def submit(self, rank: int, function: Callable[..., Any], *arguments: Any) -> Future[Answer]:
-            asked.append((function.__name__, len(arguments)))
+            asked.append(function.__name__)
             return super().submit(rank, function, *arguments)
 
     told: list[tuple[str, int, int]] = []
-    run_path(demo_recording / NAME, tmp_path / "serial", Settings())
     monkeypatch.setattr(under_test, "Workers", Heard)
-    outcomes = run_path(
-        demo_recording / NAME, tmp_path / "two", Settings(), workers=2, progress=lambda *what: told.append(what)
-    )
-    assert [outcome.folder for outcome in outcomes] == [tmp_path / "two"]
-    assert [name for name, _ in asked[:4]] == ["_prepared", "_prepared", "_followed", "_followed"]
+    tables = _run(demo_recording / NAME, tmp_path / "two", workers=2, progress=lambda *what: told.append(what))
+    assert asked[:4] == ["_prepared", "_prepared", "_followed", "_followed"]
     assert ("track base", 48, 48) in told
-    tables = _tables(tmp_path / "serial")
-    assert len(tables) >= 5
-    assert _tables(tmp_path / "two") == tables
+    assert tables == serial
+
+
+def test_a_cluster_shares_the_frames_of_one_recording(
+    demo_recording: Path, serial: dict[str, bytes], tmp_path: Path
+) -> None:
+    cluster = Cluster(tmp_path)
+    try:
+        assert _run(demo_recording / NAME, tmp_path / "dask", scheduler=cluster.address) == serial
+    finally:
+        cluster.end()
+
+
+def test_arrays_of_an_answer_travel_in_it() -> None:
+    """Apart from it they would begin at any byte of a message."""
+    apart: list[pickle.PickleBuffer] = []
+    packed = pickle.dumps(Answer(np.arange(1e5), None, ()), protocol=5, buffer_callback=apart.append)
+    assert not apart
+    array = pickle.loads(packed, buffers=apart).opened()
+    assert array.flags.aligned
+    assert np.array_equal(array, np.arange(1e5))
 
 
 def test_an_image_that_another_process_refuses_is_told_as_here(
