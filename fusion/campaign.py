@@ -9,13 +9,12 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import Any, Protocol
 
+from fusion.crew import Crew, Pending
 from fusion.errors import InputError, is_interruption, told
 from fusion.evaluate import EVALUATED_KINDS
 from fusion.execution.cluster import connected
 from fusion.execution.job import Job, Outcome, run_job
-from fusion.execution.task import Answer
 from fusion.execution.threads import one_blas_thread
 from fusion.execution.workers import Workers
 from fusion.joint.write import write_campaign
@@ -26,24 +25,8 @@ from fusion.settings import ProgressCallback, Settings, no_progress
 
 RECORDINGS = "recordings"
 LISTEN_S = 0.5  # between looks for an interruption
+SHARED_FRAMES = 2  # workers per recording from which on they share its frames instead of the recordings
 log = logging.getLogger("shakercal")
-
-
-class Pending(Protocol):
-    """The answer of a task that another process computes."""
-
-    def result(self) -> Answer:
-        """Return it, or raise why there is none."""
-
-    def add_done_callback(self, told: Callable[[Any], object]) -> None:
-        """Have a function called as soon as there is an answer or none will be."""
-
-
-class Crew(Protocol):
-    """Those who compute tasks."""
-
-    def submit(self, rank: int, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Have a function called; of the tasks that wait, the lowest rank comes first."""
 
 
 def run_path(
@@ -63,7 +46,8 @@ def run_path(
     `output` (default CAMPAIGN/results) and what they tell together at its top; recordings of kinds that are not
     evaluated here, such as chirps, are left out, and one that fails does not stop the others. A single recording's
     failure is raised. More than one of `workers` are processes of this machine, `scheduler` is the address of a Dask
-    cluster's; where it is computed changes no digit of a result.
+    cluster's: recordings are shared among them, or, where there are too few recordings for that, stereo pairs and
+    blocks of frames. Where it is computed changes no digit of a result.
     """
     recordings = find_recordings(path)
     alone = not is_campaign(path)
@@ -79,8 +63,11 @@ def run_path(
         check_campaign_folder(top, [folder.name for folder in folders], force=force)
     with _clean_end(top.parent if alone else top), _crew(workers, scheduler) as crew:
         if alone:
-            return (_run_alone(jobs[0], crew, progress),)
-        outcomes = _run_here(jobs, progress) if crew is None else _run_elsewhere(jobs, crew, progress)
+            return (_run_one(jobs[0], crew, progress),)
+        if crew is None or SHARED_FRAMES * len(jobs) <= crew.size:
+            outcomes = _run_here(jobs, crew, progress)
+        else:
+            outcomes = _run_elsewhere(jobs, crew, progress)
     _write_campaign(top, path.resolve().name, outcomes)
     return outcomes
 
@@ -115,17 +102,19 @@ def _crew(workers: int, scheduler: str | None) -> AbstractContextManager[Crew | 
     return Workers(workers) if workers > 1 else nullcontext()
 
 
-def _run_alone(job: Job, crew: Crew | None, progress: ProgressCallback) -> Outcome:
-    """Run the only recording; its failure is raised."""
-    return run_job(job, progress) if crew is None else _received(job, crew.submit(0, run_job, job.placed()))
+def _run_one(job: Job, crew: Crew | None, progress: ProgressCallback) -> Outcome:
+    """Run a recording here; a crew follows its images, by paths that hold for a process of any working folder."""
+    if crew is None:
+        return run_job(job, progress)
+    return replace(run_job(job.placed(), progress, crew), recording=job.recording, folder=job.folder)
 
 
-def _run_here(jobs: Sequence[Job], progress: ProgressCallback) -> tuple[Outcome, ...]:
+def _run_here(jobs: Sequence[Job], crew: Crew | None, progress: ProgressCallback) -> tuple[Outcome, ...]:
     """Run one recording after another; what fails is kept in its outcome."""
     outcomes = []
     for done, job in enumerate(jobs):
         progress(RECORDINGS, done, len(jobs))
-        outcomes.append(_outcome(job, partial(run_job, job, progress)))
+        outcomes.append(_outcome(job, partial(_run_one, job, crew, progress)))
     return tuple(outcomes)
 
 

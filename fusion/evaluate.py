@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 
 from fusion.analyse import Analysis, Inputs, analyse
+from fusion.crew import Crew
 from fusion.errors import InputError
 from fusion.evaluation import Evaluation
 from fusion.manifest import Manifest
@@ -25,10 +26,12 @@ def evaluate_recording(
     settings: Settings,
     input_hashes: dict[str, str],
     progress: ProgressCallback = no_progress,
+    crew: Crew | None = None,
 ) -> Evaluation:
     """Evaluate one sinusoidal recording: files → phasors → acceleration of load and base → load → sensitivity.
 
-    What was recorded in several takes is referred to the first before the instruments are fused.
+    What was recorded in several takes is referred to the first before the instruments are fused. A `crew` follows the
+    images, to the same digits.
 
     `input_hashes` (file → SHA-256) are carried into the result. Raises `InputError` for what the user can mend in the
     files, `ComputeError` for what these files do not allow.
@@ -37,7 +40,7 @@ def evaluate_recording(
     _check_kind(manifest)
     takes = open_takes(manifest)
     tied = referrals(takes) if len(takes) > 1 else ()
-    joined = join_takes([measure_take(take, settings, progress) for take in takes], tied)
+    joined = join_takes([measure_take(take, settings, progress, crew) for take in takes], tied)
     seen = all_rows(manifest, joined.readings, joined.pairs)
     unseen = unseen_fundamentals(seen, joined.lines, joined.folded)
     inputs = Inputs.of(manifest, joined.lines, seen, joined.readings)

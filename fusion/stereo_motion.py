@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +35,7 @@ from shaker.signals.separation import usable_lines
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+BodyInputs = tuple[tuple[ImageSequence, ImageSequence], StereoRig, RigidTransform, TrackSettings]
 
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 DISPLACEMENT_UNITS = ("m", "m", "m", "rad", "rad", "rad")
@@ -112,7 +115,34 @@ def measure_images(
     manifest: Manifest, images: OpenImages, settings: Settings, progress: ProgressCallback
 ) -> StereoMotion:
     """Track the image pairs of one stereo pair and fit the rigid motion of the body it sees."""
-    body = _measure(manifest, images, settings, progress)
+    stage, total = f"track {images.entry.stereo}", 2 * len(images.left)
+    with told_of_images(manifest, images):
+        body = measure_body(
+            *body_inputs(images, settings), lambda done: progress(stage, done, total), resolve_device(settings.device)
+        )
+    return seen_motion(images, body)
+
+
+def body_inputs(images: OpenImages, settings: Settings) -> BodyInputs:
+    """Return what `photogram.measure` has to know of a stereo pair: its images, rig, pose, and how to track."""
+    radius = settings.subset_radius_px
+    if radius is None:
+        radius = suggested_radius_px(images.first)
+    options = TrackSettings(radius_px=radius, degree=settings.spline_degree)
+    return (images.left, images.right), images.rig, sensor_from_camera(images.stereo), options
+
+
+@contextmanager
+def told_of_images(manifest: Manifest, images: OpenImages) -> Iterator[None]:
+    """Tell what is refused meanwhile as wrong input of a stereo pair's images."""
+    try:
+        yield
+    except (OSError, ValueError) as error:
+        raise InputError.told_by(error, manifest.path, f"images.{images.entry.stereo}") from error
+
+
+def seen_motion(images: OpenImages, body: BodyMotion) -> StereoMotion:
+    """Return the motion of the body that a stereo pair sees, with what its images tell of the pair itself."""
     if not np.isfinite(body.motion.pose).all(axis=1).any():
         raise ComputeError(f"stereo pair {images.entry.stereo}: {NO_MOTION}; look at its images")
     reprojection = float(np.sqrt(np.nanmean(body.points.reprojection_px**2)))
@@ -163,16 +193,17 @@ def _open(manifest: Manifest, entry: Images, side: str) -> ImageSequence:
 
 def _unsaturated(sequence: ImageSequence) -> ImageSequence:
     """Return the same images, of which a saturated one is refused when it is read."""
+    return replace(sequence, reader=partial(_read_unsaturated, sequence))
 
-    def read(index: int) -> GreyImage:
-        image = sequence.read(index)
-        saturated = saturated_fraction(image, sequence.full_scale)
-        if saturated > MAX_SATURATED:
-            found = f"{100 * saturated:.1f} % of its pixels at full scale {sequence.full_scale}"
-            raise ValueError(f"{sequence.names[index]}: expected an image that is not saturated, found {found}")
-        return image
 
-    return replace(sequence, reader=read)
+def _read_unsaturated(sequence: ImageSequence, index: int) -> GreyImage:
+    """Return one image that is not saturated."""
+    image = sequence.read(index)
+    saturated = saturated_fraction(image, sequence.full_scale)
+    if saturated > MAX_SATURATED:
+        found = f"{100 * saturated:.1f} % of its pixels at full scale {sequence.full_scale}"
+        raise ValueError(f"{sequence.names[index]}: expected an image that is not saturated, found {found}")
+    return image
 
 
 def _read_first(manifest: Manifest, entry: Images, left: ImageSequence, right: ImageSequence) -> GreyImage:
@@ -214,26 +245,6 @@ def _without_calibration_share(stereo: Stereo, rig: StereoRig) -> Stereo:
     share = np.einsum("ij,jk,ik->i", answer, rig.covariance, answer)
     left = np.sqrt(np.maximum(np.square(stereo.pose_uncertainty) - share, 0.0))
     return stereo.model_copy(update={"pose_uncertainty": tuple(left.tolist())})
-
-
-def _measure(manifest: Manifest, images: OpenImages, settings: Settings, progress: ProgressCallback) -> BodyMotion:
-    """Follow the body through both cameras' images."""
-    name, total = images.entry.stereo, 2 * len(images.left)
-    radius = settings.subset_radius_px
-    if radius is None:
-        radius = suggested_radius_px(images.first)
-    options = TrackSettings(radius_px=radius, degree=settings.spline_degree)
-    try:
-        return measure_body(
-            (images.left, images.right),
-            images.rig,
-            sensor_from_camera(images.stereo),
-            options,
-            lambda done: progress(f"track {name}", done, total),
-            resolve_device(settings.device),
-        )
-    except (OSError, ValueError) as error:
-        raise InputError.told_by(error, manifest.path, f"images.{name}") from error
 
 
 def _fit(name: str, points: Points, reference_m: FloatArray | None) -> RigidMotion:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fusion.channels import APART_PERIODS, channel_results, find_channel_lines, line_record
+from fusion.crew import Crew
 from fusion.errors import InputError
 from fusion.evaluation import ChannelResult
 from fusion.manifest import Manifest
@@ -16,7 +17,8 @@ from fusion.observe import Reading, StereoReading
 from fusion.readings import channel_readings, stereo_readings
 from fusion.records import TakeRecords, read_takes, told_in
 from fusion.settings import ProgressCallback, Settings
-from fusion.stereo_motion import OpenImages, StereoMotion, measure_images, measure_points, motion_lines, open_images
+from fusion.stereo_motion import OpenImages, StereoMotion, measure_points, motion_lines, open_images
+from fusion.stereo_pairs import measure_pairs
 from fusion.stereo_phasors import StereoPhasors, pairs_phasors
 from fusion.timing import TimeBase, tie_daqs
 from shaker.signals.folding import alias_frequency
@@ -75,10 +77,12 @@ def open_takes(manifest: Manifest) -> tuple[OpenTake, ...]:
     return tuple(_with_channels(take, lines) for take, lines in zip(takes, _lines(takes), strict=True))
 
 
-def measure_take(take: OpenTake, settings: Settings, progress: ProgressCallback) -> MeasuredTake:
-    """Follow the images of a take and fit the lines to the motion of every stereo pair."""
+def measure_take(
+    take: OpenTake, settings: Settings, progress: ProgressCallback, crew: Crew | None = None
+) -> MeasuredTake:
+    """Follow the images of a take, or have a crew do it, and fit the lines to the motion of every stereo pair."""
     with told_in(take.manifest.path, take.where, take.name):
-        motions = (*(measure_images(take.manifest, item, settings, progress) for item in take.images), *take.points)
+        motions = (*measure_pairs(take.manifest, take.images, settings, progress, crew), *take.points)
         lines = motion_lines(take.manifest, take.base, motions) if take.lines is None else take.lines
         stereo, folded = pairs_phasors(motions, lines)
     pairs = stereo_readings(take.manifest, take.base, take.readings, stereo, lines)

@@ -3,6 +3,11 @@
 Numba keeps a compiled function as long as the function's own file is unchanged. A kernel holds the code and the
 constants of the functions that it calls, though, which are in other files: after a change there it would go on
 computing with the old ones. Here a change of any module of the package makes all kernels new.
+
+A kernel computes the same digits in every process. Numba compiles a function with the options of the one that calls it
+where it states none itself, and copies it into the kernels that call it; which of the copies runs hangs on what was
+compiled or loaded before. So all options are stated, and fast-math, by which every copy may round in another way, is
+none of them: `lanes` has the arithmetic that needs it.
 """
 
 from __future__ import annotations
@@ -15,11 +20,15 @@ from typing import Any
 import numba
 
 
-def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """`numba.njit` with these options, cached on disk until a module of this package changes."""
+def njit(
+    *, parallel: bool = False, nogil: bool = False, error_model: str = "python", inline: str = "never"
+) -> Callable[[Callable[..., Any]], Any]:
+    """`numba.njit` with these options and no others, cached on disk until a module of this package changes."""
 
     def compiled(function: Callable[..., Any]) -> Any:
-        dispatcher = numba.njit(**options)(function)
+        dispatcher = numba.njit(parallel=parallel, nogil=nogil, error_model=error_model, inline=inline, fastmath=False)(
+            function
+        )
         if numba.config.DISABLE_JIT:
             return dispatcher
         dispatcher.enable_caching()

@@ -12,8 +12,8 @@ from photogram._kernel import njit
 from photogram.interpolate import Spline, evaluate, mean_noise_gain, slope_noise_gain
 from photogram.noise import NoiseModel
 from photogram.sampling import box_inside, sample_line
+from photogram.sums import RUN_SUMS, run_sums
 
-ALLOWED = {"contract", "reassoc", "nsz", "arcp"}
 SMALLEST_GAIN = 0.1  # of the reference's contrast, below which a cell shows nothing
 LEAST_FILLED = 0.1  # of a cell, below which it is left out
 
@@ -114,7 +114,7 @@ def prepare_cells(
     scalars, moments = np.zeros((len(centre), 4)), np.zeros((len(centre), 8, 8))
     extent = np.zeros((len(centre), 3))
     _prepare(centre, runs, first, pixels, scalars, moments, extent)
-    mean, total, energy = scalars[:, 0], scalars[:, 1], scalars[:, 2]
+    mean, total, energy, count = np.ascontiguousarray(scalars.T)  # copied or not, kernels see them alike
     solid = energy > 0.0
     safe_total, safe_energy = np.where(solid, total, 1.0), np.where(solid, energy, 1.0)
     removed = np.stack([moments[:, 0, 2:] / safe_total[:, None], moments[:, 1, 2:] / safe_energy[:, None]], axis=1)
@@ -123,7 +123,7 @@ def prepare_cells(
     gradient_noise = slope_noise_gain(spline.degree) * np.concatenate([extent, extent], axis=1)[:, :, None] * np.eye(6)
     hessian[~solid], energy[~solid] = 0.0, np.nan
     return Cells(
-        side_px, centre, runs, first, pixels, mean, total, energy, scalars[:, 3].astype(np.int64), removed, hessian,
+        side_px, centre, runs, first, pixels, mean, total, energy, count.astype(np.int64), removed, hessian,
         np.where(solid[:, None, None], gradient_noise, 0.0),
     )  # fmt: skip
 
@@ -247,7 +247,7 @@ def _sample_run(run, centre_x, centre_y, target, warp, grey):  # type: ignore[no
     sample_line(coefficients, degree, x, y, 1.0 + warp[1], warp[4], grey)
 
 
-@njit(parallel=True, fastmath=ALLOWED)
+@njit(parallel=True)
 def _sum_cells(shape, pixels, means, target, warps, sums):  # type: ignore[no-untyped-def]
     """Per cell Σw·g, Σw·g², Σw·f̃·g and the six Σw·SD·g, g without the mean of f; NaN where a cell leaves the image."""
     centres, runs, first, reach = shape
@@ -255,34 +255,20 @@ def _sum_cells(shape, pixels, means, target, warps, sums):  # type: ignore[no-un
         centre_x, centre_y, warp = centres[c, 0], centres[c, 1], warps[c]
         if not _cell_inside(centre_x, centre_y, reach, warp, target[0]):
             continue
-        line, found, mean = np.empty(int(2 * reach) + 1), np.zeros(9), means[c]
+        line, row = np.empty(int(2 * reach) + 1), np.empty(RUN_SUMS)
+        found, mean = np.zeros(9), means[c]
         for r in range(first[c], first[c + 1]):
             length, start = runs[r, 2], runs[r, 3]
             grey = line[:length]
             _sample_run(runs[r], centre_x, centre_y, target, warp, grey)
-            dx, dy = runs[r, 1] - centre_x, runs[r, 0] - centre_y
-            total, square, product = 0.0, 0.0, 0.0
-            along, along_dx, down, down_dx = 0.0, 0.0, 0.0, 0.0
-            for i in range(length):
-                g = grey[i] - mean
-                wg = pixels[0, start + i] * g
-                ag, dg = pixels[2, start + i] * g, pixels[3, start + i] * g
-                total += wg
-                square += wg * g
-                product += pixels[1, start + i] * g
-                along += ag
-                along_dx += ag * (dx + i)
-                down += dg
-                down_dx += dg * (dx + i)
-            found[0] += total
-            found[1] += square
-            found[2] += product
-            found[3] += along
-            found[4] += along_dx
-            found[5] += along * dy
-            found[6] += down
-            found[7] += down_dx
-            found[8] += down * dy
+            dy = runs[r, 0] - centre_y
+            run_sums(grey, mean, pixels, start, runs[r, 1] - centre_x, row)
+            for k in range(5):
+                found[k] += row[k]
+            found[5] += row[3] * dy
+            found[6] += row[5]
+            found[7] += row[6]
+            found[8] += row[5] * dy
         sums[c] = found
 
 

@@ -85,6 +85,19 @@ def find_from(reference: Reference, target: Spline, start: FloatArray, settings:
     return register(reference, target, start, *limits)
 
 
+def find_anew(reference: Reference, first: Image, frame: tuple[Image, Spline], settings: TrackSettings) -> Registration:
+    """Subsets of the first image in a frame of which nothing is foretold.
+
+    From one affine motion through searched seeds, since a start at rest finds some subsets of a body that has moved by
+    a speckle in a wrong place; where that loses most of them, as `follow` from rest.
+    """
+    rest = identity(reference).warp
+    found = find_by_search(reference, first, frame, rest, settings)
+    if not _most_found(reference, found):
+        return follow(reference, first, frame, rest, settings)
+    return find_from_neighbours(reference, frame[1], found, settings)
+
+
 def follow(
     reference: Reference, first: Image, frame: tuple[Image, Spline], start: FloatArray, settings: TrackSettings
 ) -> Registration:
@@ -95,7 +108,7 @@ def follow(
     """
     found = find_from(reference, frame[1], start, settings)
     for attempt in range(3):
-        if np.sum(found.status == TrackStatus.OK) >= 0.5 * np.sum(reference.status == TrackStatus.OK):
+        if _most_found(reference, found):
             break
         if attempt < 2:
             reach = settings.reach_px if attempt == 0 else max(frame[0].shape)
@@ -149,9 +162,15 @@ def find_from_neighbours(
     return found
 
 
+def _most_found(reference: Reference, found: Registration) -> bool:
+    """Whether half of the usable subsets were found."""
+    return bool(np.sum(found.status == TrackStatus.OK) >= 0.5 * np.sum(reference.status == TrackStatus.OK))
+
+
 def merged(first: Registration, second: Registration) -> Registration:
-    """`first`, with the subsets that only `second` found."""
-    better = (first.status != TrackStatus.OK) & (second.status == TrackStatus.OK)
+    """`first`, with the subsets that only `second` found, or that it found where they correlate better."""
+    worse = (first.status != TrackStatus.OK) | (first.zncc < second.zncc)
+    better = worse & (second.status == TrackStatus.OK)
     return Registration(
         warp=np.where(better[:, None], second.warp, first.warp),
         zncc=np.where(better, second.zncc, first.zncc),

@@ -12,7 +12,8 @@ from photogram._checks import FloatArray, IntArray, check_shape
 from photogram._kernel import njit
 from photogram.interpolate import Spline, mean_noise_gain
 from photogram.reference import Reference, TrackStatus, subset_offsets
-from photogram.sampling import ALLOWED, box_inside, sample_line, sample_points
+from photogram.sampling import box_inside, sample_line, sample_points
+from photogram.sums import AFFINE_SUMS, affine_sums, curved_sums
 
 GAIN_AND_OFFSET = 2
 FREE_PARAMETERS = 6 + GAIN_AND_OFFSET
@@ -78,9 +79,10 @@ def register(
         scores,
         outcome,
     )
-    status, iterations = outcome[:, 0].astype(np.int8), outcome[:, 1]
+    status, iterations = outcome[:, 0].astype(np.int8), outcome[:, 1].copy()
     warp[status != TrackStatus.OK] = np.nan
-    return Registration(warp, scores[:, 0], scores[:, 1], scores[:, 2], status, iterations)
+    zncc, gain, residual = np.ascontiguousarray(scores.T)
+    return Registration(warp, zncc, gain, residual, status, iterations)
 
 
 def position_covariance(reference: Reference, found: Registration, noise_grey: FloatArray) -> FloatArray:
@@ -128,14 +130,15 @@ def _register(subsets, offsets, solved, target, limits, warp, scores, outcome): 
         )
 
 
-@njit(fastmath=ALLOWED)
+@njit()
 def _register_one(subset, solved, target, limits, warp, scores):  # type: ignore[no-untyped-def]
     """Gauss-Newton steps of one subset until it stands still; returns status and iterations, fills warp and scores."""
     _, _, radius, _, _, energy, _ = subset
     removed, inverse = solved
     max_iterations, convergence, min_zncc = limits
     count, parameters = (2 * radius + 1) ** 2, inverse.shape[0]
-    sums, solution, slope = np.empty(3 + parameters), np.empty(parameters), np.empty(parameters)
+    sums = np.empty(max(AFFINE_SUMS, 3 + parameters))
+    solution, slope = np.empty(parameters), np.empty(parameters)
     step, grey, room = np.zeros(warp.size), np.empty(count), np.empty((2, 2 * radius + 1))
     for value in warp:
         if not np.isfinite(value):
@@ -147,7 +150,7 @@ def _register_one(subset, solved, target, limits, warp, scores):  # type: ignore
         if not _inside(subset, target, warp):
             return 3, iteration
         _sample(subset, target, warp, grey, room)
-        _correlate(subset, grey, sums)
+        _correlate(subset, grey, parameters, sums)
         spread = sums[1] - sums[0] * sums[0] / count
         gain = sums[2] / energy
         if spread <= 0.0 or gain <= 0.0:
@@ -156,9 +159,10 @@ def _register_one(subset, solved, target, limits, warp, scores):  # type: ignore
             slope[j] = sums[3 + j] - removed[0, j] * sums[0] - removed[1, j] * sums[2]
         improvement = 0.0
         for i in range(parameters):
-            solution[i] = 0.0
+            total = 0.0
             for j in range(parameters):
-                solution[i] += inverse[i, j] * slope[j] / gain
+                total += inverse[i, j] * slope[j]
+            solution[i] = total / gain
             improvement += solution[i] * slope[i]
         moved = _step_of(solution, radius, step)
         if warp.size == 12:
@@ -202,43 +206,18 @@ def _inside(subset, target, warp):  # type: ignore[no-untyped-def]
     return box_inside(coefficients, x, y, reach_x, reach_y)
 
 
-@njit(fastmath=ALLOWED)
-def _correlate(subset, grey, sums):  # type: ignore[no-untyped-def]
+@njit()
+def _correlate(subset, grey, parameters, sums):  # type: ignore[no-untyped-def]
     """Sums over the subset of g, g², f̃g and of the steepest-descent images times g (g without the mean of f)."""
     _, _, _, pixels, mean, _, offsets = subset
-    total, square, product, along, down = 0.0, 0.0, 0.0, 0.0, 0.0
-    along_dx, along_dy, down_dx, down_dy = 0.0, 0.0, 0.0, 0.0
-    for i in range(grey.size):
-        g, dx, dy = grey[i] - mean, offsets[0, i], offsets[1, i]
-        ag, dg = pixels[1, i] * g, pixels[2, i] * g
-        total += g
-        square += g * g
-        product += pixels[0, i] * g
-        along += ag
-        along_dx += ag * dx
-        along_dy += ag * dy
-        down += dg
-        down_dx += dg * dx
-        down_dy += dg * dy
-    sums[0], sums[1], sums[2], sums[3] = total, square, product, along
-    if sums.size == 5:
-        sums[4] = down
-        return
-    sums[4], sums[5], sums[6], sums[7], sums[8] = along_dx, along_dy, down, down_dx, down_dy
-    if sums.size == 15:
-        sums[9:] = 0.0
-        for i in range(grey.size):
-            g, dx, dy = grey[i] - mean, offsets[0, i], offsets[1, i]
-            ag, dg = pixels[1, i] * g, pixels[2, i] * g
-            sums[9] += ag * dx * dx / 2.0
-            sums[10] += ag * dx * dy
-            sums[11] += ag * dy * dy / 2.0
-            sums[12] += dg * dx * dx / 2.0
-            sums[13] += dg * dx * dy
-            sums[14] += dg * dy * dy / 2.0
+    affine_sums(grey, mean, pixels, offsets, sums)
+    if parameters == 2:
+        sums[4] = sums[6]
+    elif parameters == 12:
+        curved_sums(grey, mean, pixels, offsets, sums[AFFINE_SUMS:])
 
 
-@njit(fastmath=ALLOWED)
+@njit()
 def _sample(subset, target, warp, grey, room):  # type: ignore[no-untyped-def]
     """Grey values (P,) of the target at the warped subset, row by row."""
     radius, width = subset[2], room.shape[1]

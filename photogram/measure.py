@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from photogram._checks import FloatArray
 from photogram.camera import StereoRig
 from photogram.direct import BodyView, DirectFit, fit_direct, image_noise, rest_covariance, view_body
-from photogram.follow import tracks_of
+from photogram.follow import identity, tracks_of
 from photogram.icgn import Registration
 from photogram.images import ImageSequence
 from photogram.interpolate import Spline, spline_of_image
@@ -38,7 +38,10 @@ Progress = Callable[[int], None]
 Splines = tuple[Spline, Spline]
 Noise = tuple[NoiseModel, NoiseModel]
 Views = tuple[BodyView, ...]
+_Frame = tuple[tuple[Registration, Registration], Splines, FloatArray]
 UNIFORM = NoiseModel(1.0, 0.0)
+BLOCK_FRAMES = 32
+"""A constant, so that results do not depend on who computes them; few enough to share, many enough to start seldom."""
 LARGEST_BENDING = 4.0  # rms, in standard deviations of the points; the reference's noise makes it 1.4
 LARGEST_DIFFERENCE = 2.0  # rms, in standard uncertainties of the motion of the points
 
@@ -62,8 +65,21 @@ class BodyMotion:
 
 
 @dataclass(frozen=True, eq=False)
-class _Scene:
-    """What stays the same through the series."""
+class FollowedBlock:
+    """Successive frames: where the subsets are in the left and the right camera, and direct fits, None for none."""
+
+    found: tuple[tuple[Registration, Registration], ...]
+    fits: tuple[DirectFit | None, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class BodyScene:
+    """What stays the same through a series, whoever follows which of its frames.
+
+    views: the body at rest, whose points are rest_m (N, 3), weighted by the `noise` of the images. lead: the frames
+    after the first, mostly one, that were followed to find that noise; None where no frame tells it. blocks: the other
+    frames, each block of which is followed from the reference on, by itself.
+    """
 
     images: tuple[ImageSequence, ImageSequence]
     rig: StereoRig
@@ -71,6 +87,11 @@ class _Scene:
     settings: TrackSettings
     grid: StereoGrid
     references: tuple[Reference, Reference]
+    rest_m: FloatArray
+    views: Views
+    noise: Noise | None
+    lead: FollowedBlock
+    blocks: tuple[range, ...]
 
 
 def measure_body(
@@ -86,16 +107,67 @@ def measure_body(
     Subsets are tracked, triangulated and fitted by a rigid motion (`motion.fit_motion`); from that start the motion is
     fitted to the grey values (`direct.fit_direct`), weighted by the noise that the first frame so fitted shows. A frame
     in which this fails keeps the motion of its points. `progress` is called with the number of finished images, 1…2F.
+    `prepare_body`, `follow_block` for each of the blocks and `body_motion` are the same in parts.
+    """
+    scene = prepare_body(images, rig, body_from_left, settings, device, progress)
+    return body_motion(scene, [follow_block(scene, block, device, progress) for block in scene.blocks])
+
+
+def prepare_body(
+    images: tuple[ImageSequence, ImageSequence],
+    rig: StereoRig,
+    body_from_left: RigidTransform,
+    settings: TrackSettings,
+    device: str = "cpu",
+    progress: Progress | None = None,
+) -> BodyScene:
+    """Return what following a body needs: its subsets, its surface, and the noise of the images.
+
+    Blocks have `BLOCK_FRAMES` frames; on a GPU, which follows frames in batches, the series is one block.
     """
     grid = lay_stereo_grid(*images, rig, settings)
     left, right = (
         prepare_sequence(side, px, settings) for side, px in zip(images, (grid.left_px, grid.right_px), strict=True)
     )
-    scene = _Scene(images, rig, body_from_left, settings, grid, (left, right))
-    found, fits, views, noise = _follow(scene, progress, device)
-    tracks = [tracks_of(side, reference, settings.degree) for side, reference in zip(found, (left, right), strict=True)]
+    nothing = FollowedBlock((), ())
+    scene = BodyScene(
+        images, rig, body_from_left, settings, grid, (left, right), np.empty((0, 3)), (), None, nothing, ()
+    )
+    rest_m = _place(scene, identity(left), identity(right)).position_m[0]
+    first = spline_of_image(images[0].read(0), settings.degree), spline_of_image(images[1].read(0), settings.degree)
+    scene = replace(scene, rest_m=rest_m, views=_views(scene, first, rest_m, (UNIFORM, UNIFORM)))
+    _tell(progress, 1)
+    scene = _with_noise(scene, first, device, progress)
+    rest = range(1 + len(scene.lead.fits), len(images[0]))
+    length = BLOCK_FRAMES if device == "cpu" else max(1, len(rest))
+    return replace(scene, blocks=tuple(rest[start : start + length] for start in range(0, len(rest), length)))
+
+
+def follow_block(
+    scene: BodyScene, frames: range, device: str = "cpu", progress: Progress | None = None
+) -> FollowedBlock:
+    """Follow the body through a block of later frames; the first of them is found from the reference alone."""
+    found: list[tuple[Registration, Registration]] = []
+    fits: list[DirectFit | None] = []
+    for number, (seen, splines, start) in zip(frames, _followed(scene, frames, device), strict=True):
+        found.append(seen)
+        fits.append(_fit(scene.views, splines, start))
+        _tell(progress, number + 1)
+    return FollowedBlock(tuple(found), tuple(fits))
+
+
+def body_motion(scene: BodyScene, blocks: Sequence[FollowedBlock]) -> BodyMotion:
+    """Return the motion of the body from what was found in the scene's blocks, in their order."""
+    parts = [scene.lead, *blocks]
+    fits = [fit for part in parts for fit in part.fits]
+    settings, images, (left, right), noise = scene.settings, scene.images, scene.references, scene.noise
+    found = [pair for part in parts for pair in part.found]
+    tracks = (
+        tracks_of([identity(left), *(pair[0] for pair in found)], left, settings.degree),
+        tracks_of([identity(right), *(pair[1] for pair in found)], right, settings.degree),
+    )
     firsts = images[0].read(0), images[1].read(0)
-    stereo = stereo_tracks(firsts, grid, (tracks[0], tracks[1]), settings)
+    stereo = stereo_tracks(firsts, scene.grid, tracks, settings)
     quality, remarks = None, list[Notice]()
     if noise is not None:
         quality = (
@@ -104,51 +176,54 @@ def measure_body(
         )
         remarks = [*quality[0].notices("left camera"), *quality[1].notices("right camera")]
     points = triangulate(
-        rig, tracks[0].position_px, tracks[1].position_px, tracks[0].covariance_px2, tracks[1].covariance_px2
-    ).transformed(body_from_left)
+        scene.rig, tracks[0].position_px, tracks[1].position_px, tracks[0].covariance_px2, tracks[1].covariance_px2
+    ).transformed(scene.body_from_left)
     shared = None
     if settings.grid_step_px <= 2 * settings.radius_px:
-        shared = overlap_correlation(grid.left_px, settings.radius_px)
+        shared = overlap_correlation(scene.grid.left_px, settings.radius_px)
     of_points = fit_motion(points, None, np.zeros(3), shared)
-    motion = _with_direct(of_points, fits, views)
+    motion = _with_direct(of_points, fits, scene.views)
     notices = (*stereo.notices, *remarks, *_bending(points, of_points), *_direct_notices(motion, of_points, fits))
     return BodyMotion(stereo, points, motion, of_points, noise, quality, notices)
 
 
-def _follow(
-    scene: _Scene, progress: Progress | None, device: str
-) -> tuple[tuple[list[Registration], list[Registration]], list[DirectFit | None], Views, Noise | None]:
-    """Registrations of both cameras, direct fits of all frames but the first, the body's views and noise models."""
-    found: tuple[list[Registration], list[Registration]] = ([], [])
+def _with_noise(scene: BodyScene, first: Splines, device: str, progress: Progress | None) -> BodyScene:
+    """The scene with the noise models of the first frame that can be fitted, and what was found up to it."""
+    found: list[tuple[Registration, Registration]] = []
     fits: list[DirectFit | None] = []
-    sides = (
-        follow_sequence(*side, scene.settings, device) for side in zip(scene.images, scene.references, strict=True)
-    )
-    first: Splines | None = None
-    rest, views = np.empty((0, 3)), tuple[BodyView, ...]()
     noise: Noise | None = None
+    while noise is None and len(fits) < len(scene.images[0]) - 1:
+        number = 1 + len(fits)
+        ((seen, splines, start),) = _followed(scene, range(number, number + 1), device)
+        fit = _fit(scene.views, splines, start)
+        if fit is not None:
+            noise = _noise(scene.views, splines, fit)
+            scene = replace(scene, noise=noise, views=_views(scene, first, scene.rest_m, noise))
+            fit = _fit(scene.views, splines, start)
+        found.append(seen)
+        fits.append(fit)
+        _tell(progress, number + 1)
+    return replace(scene, lead=FollowedBlock(tuple(found), tuple(fits)))
+
+
+def _followed(scene: BodyScene, frames: range, device: str) -> Iterator[_Frame]:
+    """Some frames in turn: where the subsets are in both cameras, both splines, and the pose (6,) of the points."""
+    sides = (
+        follow_sequence(images, reference, scene.settings, device, frames)
+        for images, reference in zip(scene.images, scene.references, strict=True)
+    )
     for left, right in zip(*sides, strict=True):
-        found[0].append(left.found)
-        found[1].append(right.found)
-        points = _place(scene, left.found, right.found)
-        splines = _spline(left, scene.settings), _spline(right, scene.settings)
-        if first is None:
-            first, rest = splines, points.position_m[0]
-            views = _views(scene, first, rest, (UNIFORM, UNIFORM))
-        else:
-            start = fit_motion(points, rest, np.zeros(3)).pose[0]
-            fit = _fit(views, splines, start)
-            if noise is None and fit is not None:
-                noise = _noise(views, splines, fit)
-                views = _views(scene, first, rest, noise)
-                fit = _fit(views, splines, start)
-            fits.append(fit)
-        if progress is not None:
-            progress(2 * len(found[0]))
-    return found, fits, views, noise
+        start = fit_motion(_place(scene, left.found, right.found), scene.rest_m, np.zeros(3)).pose[0]
+        yield (left.found, right.found), (_spline(left, scene.settings), _spline(right, scene.settings)), start
 
 
-def _place(scene: _Scene, left: Registration, right: Registration) -> Points:
+def _tell(progress: Progress | None, frames: int) -> None:
+    """Say that both images of so many frames are done."""
+    if progress is not None:
+        progress(2 * frames)
+
+
+def _place(scene: BodyScene, left: Registration, right: Registration) -> Points:
     """Points (1, N) of one frame in the body's frame, all subsets equally trusted."""
     pixels = [
         (reference.centre_px + here.warp[:, [0, 3]])[None]
@@ -162,7 +237,7 @@ def _spline(frame: FollowedFrame, settings: TrackSettings) -> Spline:
     return frame.spline if frame.spline is not None else spline_of_image(frame.image, settings.degree)
 
 
-def _views(scene: _Scene, splines: Splines, rest_m: FloatArray, noise: Noise) -> Views:
+def _views(scene: BodyScene, splines: Splines, rest_m: FloatArray, noise: Noise) -> Views:
     """The body at rest in both cameras; `ValueError` where the calibration places no points of it."""
     placed = int(np.count_nonzero(np.isfinite(rest_m).all(axis=1)))
     if placed < 3:

@@ -8,7 +8,8 @@ know that the grey values written are no coefficients), so the few vector operat
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from functools import reduce
+from operator import add
 from typing import Any
 
 import numpy as np
@@ -20,15 +21,9 @@ from numba.extending import intrinsic
 from photogram._checks import FloatArray, check_shape
 from photogram._kernel import njit
 from photogram.interpolate import PADDING_PX, Spline, basis, weights_cubic, weights_quintic, weights_septic
+from photogram.lanes import INDEX, REAL, counted, in_blocks, load, spread, store
 
-ALLOWED = {"contract", "reassoc", "nsz", "arcp"}
-LANES = 8
 SMALLEST_DRIFT = 1e-30
-_REAL = ir.DoubleType()
-_REALS = ir.VectorType(_REAL, LANES)
-_INDEX = ir.IntType(64)
-_INDICES = ir.VectorType(_INDEX, LANES)
-_MASK = ir.VectorType(ir.IntType(1), LANES)
 
 
 def sample_squares(spline: Spline, centre_px: FloatArray, radius_px: int) -> FloatArray:
@@ -42,7 +37,7 @@ def sample_squares(spline: Spline, centre_px: FloatArray, radius_px: int) -> Flo
     return squares
 
 
-@njit(fastmath=ALLOWED)
+@njit()
 def sample_line(c, degree, x, y, step_x, step_y, grey):  # type: ignore[no-untyped-def]
     """Fill grey (n,) with values of a spline of degree 3, 5 or 7 at (x, y) + i·(step_x, step_y), all within the image.
 
@@ -57,7 +52,7 @@ def sample_line(c, degree, x, y, step_x, step_y, grey):  # type: ignore[no-untyp
         start = stop
 
 
-@njit(fastmath=ALLOWED)
+@njit()
 def sample_points(c, degree, x, y, grey):  # type: ignore[no-untyped-def]
     """Fill grey (n,) with spline values of degree 3, 5 or 7 at any points x (n,), y (n,) within the image."""
     for i in range(grey.size):
@@ -110,7 +105,7 @@ def _sample_squares(c, degree, centres, radius, squares):  # type: ignore[no-unt
             _sample_square(c, degree, x, y, 2 * radius + 1, squares[n])
 
 
-@njit(fastmath=ALLOWED)
+@njit()
 def _sample_square(c, degree, x, y, side, square):  # type: ignore[no-untyped-def]
     """One square with its first point at (x, y)."""
     column, row = min(int(x), c.shape[1] - 2 * PADDING_PX - side), min(int(y), c.shape[0] - 2 * PADDING_PX - side)
@@ -138,89 +133,18 @@ def _sample_square(c, degree, x, y, side, square):  # type: ignore[no-untyped-de
                 down[i] += sy[k] * smooth[i]
 
 
-@dataclass(frozen=True)
-class _Lanes:
-    """Eight doubles in the code that is being generated, with the arithmetic that the spline weights are written in."""
-
-    builder: Any
-    value: Any
-
-    def _apply(self, operation: str, first: Any, second: Any) -> _Lanes:
-        """One operation on two vectors; a number stands for eight of it."""
-        values = [
-            one.value if isinstance(one, _Lanes) else ir.Constant(_REALS, [one] * LANES) for one in (first, second)
-        ]
-        return _Lanes(self.builder, getattr(self.builder, operation)(*values, flags=tuple(ALLOWED)))
-
-    def __add__(self, other: Any) -> _Lanes:
-        return self._apply("fadd", self, other)
-
-    def __radd__(self, other: Any) -> _Lanes:
-        return self._apply("fadd", other, self)
-
-    def __sub__(self, other: Any) -> _Lanes:
-        return self._apply("fsub", self, other)
-
-    def __rsub__(self, other: Any) -> _Lanes:
-        return self._apply("fsub", other, self)
-
-    def __mul__(self, other: Any) -> _Lanes:
-        return self._apply("fmul", self, other)
-
-    def __rmul__(self, other: Any) -> _Lanes:
-        return self._apply("fmul", other, self)
-
-    def __truediv__(self, other: float) -> _Lanes:
-        return self._apply("fmul", self, 1.0 / other)
-
-    def __neg__(self) -> _Lanes:
-        return self._apply("fsub", 0.0, self)
-
-
-def _spread(builder: Any, scalar: Any, kind: Any) -> Any:
-    """A vector that holds the scalar eight times."""
-    single = builder.insert_element(ir.Constant(kind, ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0))
-    return builder.shuffle_vector(single, single, ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES))
-
-
-def _fill_block(builder: Any, weights: Callable[..., Any], image: Any, offsets: Any, grey: Any, number: Any) -> None:
-    """Code for eight points: grey[0:number] = Σ_k b_k(t) Σ_j a_j(s) c[k, j + i]; all eight where number is None.
+def _fill_block(builder: Any, weights: Callable[..., Any], image: Any, offsets: Any, grey: Any, mask: Any) -> None:
+    """Code for eight points, or those of a mask: grey = Σ_k b_k(t) Σ_j a_j(s) c[k, j + i].
 
     image: pointer to the first coefficient and the row's length. offsets: s and t of the points.
     """
     (first, width), (a, b) = image, (weights(offset) for offset in offsets)
-    vector, mask = _REALS.as_pointer(), None
-    if number is not None:
-        lanes = ir.Constant(_INDICES, list(range(LANES)))
-        mask = builder.icmp_signed("<", lanes, _spread(builder, number, _INDICES))
-    total = _Lanes(builder, ir.Constant(_REALS, [0.0] * LANES))
-    for k, down in enumerate(b):
-        line = _Lanes(builder, ir.Constant(_REALS, [0.0] * LANES))
-        for j, along in enumerate(a):
-            place = builder.add(builder.mul(ir.Constant(_INDEX, k), width), ir.Constant(_INDEX, j))
-            pointer = builder.bitcast(builder.gep(first, [place]), vector)
-            line = line + along * _Lanes(builder, _load(builder, pointer, mask))
-        total = total + down * line
-    _store(builder, total.value, builder.bitcast(grey, vector), mask)
-
-
-def _load(builder: Any, pointer: Any, mask: Any) -> Any:
-    """Eight doubles in a row, those outside the mask zero and their memory untouched."""
-    if mask is None:
-        return builder.load(pointer, align=8)
-    kind = ir.FunctionType(_REALS, [pointer.type, ir.IntType(32), _MASK, _REALS])
-    load = cgutils.get_or_insert_function(builder.module, kind, f"llvm.masked.load.v{LANES}f64.p0")
-    return builder.call(load, [pointer, ir.Constant(ir.IntType(32), 8), mask, ir.Constant(_REALS, [0.0] * LANES)])
-
-
-def _store(builder: Any, value: Any, pointer: Any, mask: Any) -> None:
-    """Write eight doubles in a row, only those of the mask."""
-    if mask is None:
-        builder.store(value, pointer, align=8)
-        return
-    kind = ir.FunctionType(ir.VoidType(), [_REALS, pointer.type, ir.IntType(32), _MASK])
-    store = cgutils.get_or_insert_function(builder.module, kind, f"llvm.masked.store.v{LANES}f64.p0")
-    builder.call(store, [value, pointer, ir.Constant(ir.IntType(32), 8), mask])
+    lines = []
+    for k in range(len(b)):
+        row = builder.gep(first, [builder.mul(ir.Constant(INDEX, k), width)])
+        taps = [along * load(builder, builder.gep(row, [ir.Constant(INDEX, j)]), mask) for j, along in enumerate(a)]
+        lines.append(reduce(add, taps))
+    store(builder, reduce(add, (down * line for down, line in zip(b, lines, strict=True))), grey, mask)
 
 
 def _run_code(weights: Callable[..., Any]) -> Callable[..., Any]:
@@ -232,29 +156,18 @@ def _run_code(weights: Callable[..., Any]) -> Callable[..., Any]:
         line = context.make_array(signature.args[7])(context, builder, grey)
         width = cgutils.unpack_tuple(builder, table.shape)[1]
         corner = builder.gep(table.data, [builder.add(builder.mul(row, width), column)])
-        count = builder.sub(stop, start)
-        full = builder.and_(count, ir.Constant(_INDEX, -LANES))
 
-        def block(index: Any, number: Any) -> None:
+        def block(index: Any, mask: Any) -> None:
             image = builder.gep(corner, [index]), width
-            offsets = [_along(builder, index, *pair) for pair in ((s, drift_x), (t, drift_y))]
-            _fill_block(builder, weights, image, offsets, builder.gep(line.data, [builder.add(start, index)]), number)
+            points = counted(builder, builder.sitofp(index, REAL))
+            offsets = [points * spread(builder, drift) + spread(builder, begin) for begin, drift in along]
+            _fill_block(builder, weights, image, offsets, builder.gep(line.data, [builder.add(start, index)]), mask)
 
-        zero, step = ir.Constant(_INDEX, 0), ir.Constant(_INDEX, LANES)
-        with cgutils.for_range_slice(builder, zero, full, step, _INDEX) as (index, _):
-            block(index, None)
-        with builder.if_then(builder.icmp_signed("<", full, count)):
-            block(full, builder.sub(count, full))
+        along = (s, drift_x), (t, drift_y)
+        in_blocks(builder, builder.sub(stop, start), block)
         return context.get_dummy_value()
 
     return generate
-
-
-def _along(builder: Any, index: Any, begin: Any, drift: Any) -> _Lanes:
-    """Offsets begin + (index + lane)·drift of eight points."""
-    lanes = _Lanes(builder, ir.Constant(_REALS, [float(lane) for lane in range(LANES)]))
-    done = lanes + _Lanes(builder, _spread(builder, builder.sitofp(index, _REAL), _REALS))
-    return done * _Lanes(builder, _spread(builder, drift, _REALS)) + _Lanes(builder, _spread(builder, begin, _REALS))
 
 
 def _run_type(c: Any, grey: Any) -> Any:

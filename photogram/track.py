@@ -15,6 +15,7 @@ from photogram.follow import (
     Tracks,
     TrackSettings,
     dropped,
+    find_anew,
     find_by_search,
     find_from,
     find_from_neighbours,
@@ -150,17 +151,24 @@ def prepare_sequence(sequence: ImageSequence, points_px: FloatArray, settings: T
 
 
 def follow_sequence(
-    sequence: ImageSequence, reference: Reference, settings: TrackSettings, device: str = "cpu"
+    sequence: ImageSequence,
+    reference: Reference,
+    settings: TrackSettings,
+    device: str = "cpu",
+    frames: range | None = None,
 ) -> Iterator[FollowedFrame]:
-    """Every frame in turn with where the subsets of `reference` (`prepare_sequence`) are in it.
+    """Every frame, or only some, in turn with where the subsets of `reference` (`prepare_sequence`) are in it.
 
     On the `device` "cpu" frames are read and held one at a time, and each starts from where the last ones foretell the
-    subsets; on "cuda" they are registered in batches (`icgn_torch.follow_frames`), to the same positions.
+    subsets, the first after frame 0 or of later `frames` from the reference alone; on "cuda" they are registered in
+    batches (`icgn_torch.follow_frames`), to the same positions.
     """
+    wanted = range(len(sequence)) if frames is None else frames
     first = sequence.read(0)
-    yield FollowedFrame(first, spline_of_image(first, settings.degree), identity(reference))
-    frames = _follow_here if device == "cpu" else _follow_on_device
-    for frame in frames(sequence, first, reference, settings, device):
+    if wanted.start == 0:
+        yield FollowedFrame(first, spline_of_image(first, settings.degree), identity(reference))
+    followed = _follow_here if device == "cpu" else _follow_on_device
+    for frame in followed(sequence, first, reference, settings, range(max(1, wanted.start), wanted.stop), device):
         centres = reference.centre_px + frame.found.warp[:, [0, 3]]
         full = saturated(frame.image, sequence.full_scale, centres, settings.radius_px)
         yield replace(frame, found=dropped(frame.found, full, TrackStatus.SATURATED))
@@ -254,26 +262,30 @@ def track_stereo(
 
 
 def _follow_here(
-    sequence: ImageSequence, first: Image, reference: Reference, settings: TrackSettings, _: str
+    sequence: ImageSequence, first: Image, reference: Reference, settings: TrackSettings, frames: range, _: str
 ) -> Iterator[FollowedFrame]:
-    """All frames but the first, one by one on the CPU."""
-    history = [identity(reference)]
-    for number in range(1, len(sequence)):
+    """Later frames, one by one on the CPU."""
+    history: list[Registration] = []
+    for number in frames:
         image = sequence.read(number)
         target = spline_of_image(image, settings.degree)
-        start = predict_warp([past.warp for past in history])
-        found = follow(reference, first, (image, target), start, settings)
+        if history:
+            start = predict_warp([past.warp for past in history])
+            found = follow(reference, first, (image, target), start, settings)
+        else:
+            found = find_anew(reference, first, (image, target), settings)
+            history = [identity(reference)] if number == 1 else []
         history = [*history[1 - HISTORY :], found]
         yield FollowedFrame(image, target, found)
 
 
 def _follow_on_device(
-    sequence: ImageSequence, first: Image, reference: Reference, settings: TrackSettings, device: str
+    sequence: ImageSequence, first: Image, reference: Reference, settings: TrackSettings, frames: range, device: str
 ) -> Iterator[FollowedFrame]:
-    """All frames but the first, in batches on a device."""
+    """Later frames, in batches on a device."""
     from photogram.icgn_torch import follow_frames
 
-    images = (sequence.read(number) for number in range(1, len(sequence)))
+    images = (sequence.read(number) for number in frames)
     for image, found in follow_frames(reference, first, images, settings, device):
         yield FollowedFrame(image, None, found)
 

@@ -12,7 +12,7 @@ FORBIDDEN = {"photogram": {"shaker", "fusion"}, "shaker": {"photogram", "fusion"
 WRITTEN_ORDER = {
     "photogram": """
         _checks _kernel notice _inverse _pinhole rigid camera calibration_file triangulate mraw images point_tables
-        interpolate sampling noise subset search reference quality icgn follow predict
+        interpolate lanes sampling sums noise subset search reference quality icgn follow predict
         device icgn_torch track overlap motion deformation surface cells direct measure
         target calibrate calibration_import alignment epipolar synthetic
     """,
@@ -26,15 +26,15 @@ WRITTEN_ORDER = {
         spring_damper chain_shape sensitivity_fit sensor_response sensor_model usable_band correction
     """,
     "fusion": """
-        notices errors output console settings uncertainty coverage polar propagated manifest response
+        notices errors output console settings crew uncertainty coverage polar propagated manifest response
         elastic_joint body chain observe system estimate consistency discrepancy doubt acceleration verdict fuse
         outputs load budget sensitivity point_spread other_loads deflection evaluation drive repeats linearity
-        matrix interpolation curve drift scans records timing channels stereo_motion stereo_phasors readings
-        take referral pool takes analyse monte_carlo provenance evaluate check highlights results_csv results_h5
-        read_results camera_facts plan lines plots report_numbers report_tables consistency_tables budget_tables
-        point_tables monte_carlo_tables signal_tables take_tables page report results camera_tables
-        camera_report joint execution campaign campaign_summary simulate progress summary plan_tables
-        line_tables cameras align import_calibration transfer rotate identify commands cli
+        matrix interpolation curve drift scans records timing channels stereo_motion stereo_pairs stereo_phasors
+        readings take referral pool takes analyse monte_carlo provenance evaluate check highlights results_csv
+        results_h5 read_results camera_facts plan lines plots report_numbers report_tables consistency_tables
+        budget_tables point_tables monte_carlo_tables signal_tables take_tables page report results
+        camera_tables camera_report joint execution campaign campaign_summary simulate progress summary
+        plan_tables line_tables cameras align import_calibration transfer rotate identify commands cli
     """,
 }
 ORDER = {package: text.split() for package, text in WRITTEN_ORDER.items()}

@@ -32,6 +32,11 @@ class Cluster:
     def __init__(self, client: Client) -> None:
         self._client = client
 
+    @property
+    def size(self) -> int:
+        """How many workers there are at present."""
+        return len(self._client.nthreads())
+
     def submit(self, rank: int, function: Callable[..., Any], *arguments: Any) -> ClusterAnswer:
         """Have a module's function called by a worker; of the tasks that wait, the lowest rank comes first.
 

@@ -6,6 +6,7 @@ import logging
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from fusion.crew import Crew
 from fusion.errors import ComputeError, InputError
 from fusion.evaluate import evaluate_recording
 from fusion.execution.threads import one_blas_thread
@@ -51,8 +52,8 @@ class Outcome:
         return self.recording.absolute().parent.name
 
 
-def run_job(job: Job, progress: ProgressCallback = no_progress) -> Outcome:
-    """Evaluate one recording unless its results are there, and write them."""
+def run_job(job: Job, progress: ProgressCallback = no_progress, crew: Crew | None = None) -> Outcome:
+    """Evaluate one recording unless its results are there, and write them; a crew follows its images."""
     manifest = load_manifest(job.recording, allow_outside=job.allow_outside)
     hashes = hash_files(manifest.files, manifest.root)
     if not job.force and is_current(job.folder, hashes, job.settings.as_dict()):
@@ -61,7 +62,7 @@ def run_job(job: Job, progress: ProgressCallback = no_progress) -> Outcome:
     check_folder(job.folder, hashes, force=job.force)
     remove_abandoned(job.folder.resolve().parent)
     with one_blas_thread():
-        evaluation = evaluate_recording(manifest, job.settings, hashes, progress)
+        evaluation = evaluate_recording(manifest, job.settings, hashes, progress, crew)
         for notice in evaluation.notices:
             log.log(logging.WARNING if notice.severity == "warning" else logging.DEBUG, "%s", notice.text)
         write_results(evaluation, job.folder, force=job.force)

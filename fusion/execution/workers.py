@@ -44,6 +44,7 @@ class Workers:
     """A number of processes, each led by a thread of this one; at the end of `with` they all end."""
 
     def __init__(self, size: int) -> None:
+        self.size = size
         self._queue: PriorityQueue[_Task] = PriorityQueue()
         self._number = 0
         self._starting = threading.Lock()

@@ -212,9 +212,9 @@ def _evaluate(pixels, parameters, residual, jacobian, by_distance):  # type: ign
         jacobian[9, k] = level * y
 
 
-@njit(fastmath=True)
+@njit()
 def _dot(first, second):  # type: ignore[no-untyped-def]
-    """Scalar product, its terms in any order."""
+    """Scalar product."""
     total = 0.0
     for k in range(len(first)):
         total += first[k] * second[k]

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import pytest
 import worker_tasks as tasks
-from distributed import Client
+from dask_cluster import PATIENCE_S, Cluster, environment, wait_until
 
 from fusion import campaign as under_test
 from fusion.campaign import run_path
@@ -28,8 +26,6 @@ from fusion.execution.job import Outcome
 from fusion.settings import Settings
 from fusion.simulate import simulate_campaign
 
-PATIENCE_S = 300.0
-ROOT = Path(__file__).resolve().parents[2]
 RECORDINGS = 3
 RUN = """
 import signal, sys, worker_tasks
@@ -41,48 +37,6 @@ if __name__ == "__main__":
          patch("fusion.joint.write.render_campaign", lambda evaluation: evaluation.name):
         sys.exit(main(sys.argv[1:]))
 """
-
-
-class Cluster:
-    """A scheduler and two workers, each a process of its own, as a laboratory starts them."""
-
-    def __init__(self, folder: Path) -> None:
-        file = folder / "scheduler.json"
-        arguments = ["--scheduler-file", str(file), "--no-dashboard"]
-        self._processes = [_start("scheduler", *arguments, "--host", "127.0.0.1", "--port", "0", folder=folder)]
-        _wait_until(lambda: file.exists() and bool(file.read_text().strip()))
-        self.address = json.loads(file.read_text())["address"]
-        self.workers = [self._worker(folder) for _ in range(2)]
-        with Client(self.address, set_as_default=False) as client:
-            client.wait_for_workers(len(self.workers), PATIENCE_S)
-
-    def _worker(self, folder: Path) -> subprocess.Popen[bytes]:
-        options = ("--nthreads", "1", "--no-nanny", "--no-dashboard", "--local-directory", str(folder))
-        self._processes.append(_start("worker", self.address, *options, folder=folder))
-        return self._processes[-1]
-
-    def end(self) -> None:
-        """End all processes."""
-        for process in reversed(self._processes):
-            process.kill()
-            process.wait()
-
-
-def _environment() -> dict[str, str]:
-    return {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
-
-
-def _start(what: str, *arguments: str, folder: Path) -> subprocess.Popen[bytes]:
-    command = [sys.executable, "-m", "dask", what, *arguments]
-    with (folder / f"{what}.log").open("ab") as log:
-        return subprocess.Popen(command, env=_environment(), stdout=log, stderr=log, cwd=folder)
-
-
-def _wait_until(condition: Callable[[], bool]) -> None:
-    end = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.05)
 
 
 @pytest.fixture(scope="module")
@@ -143,7 +97,7 @@ def test_a_cluster_gives_the_same_tables_and_a_killed_worker_loses_nothing(
 
     def kill_the_first(stage: str, done: int, total: int) -> None:
         if done == 0:
-            _wait_until(lambda: len(list(sweep.parent.glob("begun-*"))) > 0)
+            wait_until(lambda: len(list(sweep.parent.glob("begun-*"))) > 0)
             killed.append(int(next(sweep.parent.glob("begun-*")).read_text()))
             os.kill(killed[0], signal.SIGKILL)
 
@@ -163,12 +117,12 @@ def test_a_run_that_was_killed_goes_on_to_the_same_tables(
     script, out = tmp_path / "run.py", tmp_path / "out"
     script.write_text(RUN)
     command = [sys.executable, script, "slow_job", "run", sweep, "-o", out, "--workers", "2"]
-    with subprocess.Popen(command, env=_environment(), stdout=subprocess.DEVNULL) as run:
-        _wait_until(lambda: len(list(out.glob("Fz*/result.h5"))) > 0)
+    with subprocess.Popen(command, env=environment(), stdout=subprocess.DEVNULL) as run:
+        wait_until(lambda: len(list(out.glob("Fz*/result.h5"))) > 0)
         run.kill()
     done = {path.parent.name: path.stat().st_mtime_ns for path in out.glob("Fz*/result.h5")}
     assert not (out / "sensitivity.csv").exists()
-    assert subprocess.run(command, env=_environment(), stdout=subprocess.DEVNULL, check=False).returncode == 0
+    assert subprocess.run(command, env=environment(), stdout=subprocess.DEVNULL, check=False).returncode == 0
     assert _tables(out) == serial
     assert _hidden(out) == []
     assert all((out / name / "result.h5").stat().st_mtime_ns == when for name, when in done.items())
@@ -181,8 +135,8 @@ def test_an_interruption_ends_all_workers_and_leaves_nothing_half_written(tmp_pa
         (tmp_path / "campaign" / name).mkdir(parents=True)
         (tmp_path / "campaign" / name / "recording.toml").write_text("")
     command = [sys.executable, script, "endless_job", "run", tmp_path / "campaign", "-o", out, "--workers", "2"]
-    with subprocess.Popen(command, env=_environment(), stderr=subprocess.PIPE, start_new_session=True) as run:
-        _wait_until(lambda: len([path for path in out.glob("begun-*") if path.read_text()]) == 2)
+    with subprocess.Popen(command, env=environment(), stderr=subprocess.PIPE, start_new_session=True) as run:
+        wait_until(lambda: len([path for path in out.glob("begun-*") if path.read_text()]) == 2)
         os.killpg(run.pid, signal.SIGINT)  # as a terminal does
         assert run.wait(PATIENCE_S) == EXIT_INTERRUPTED
         assert run.stderr is not None
@@ -241,7 +195,7 @@ def test_a_scheduler_that_goes_is_told(tmp_path: Path) -> None:
     cluster = Cluster(tmp_path)
     with connected(cluster.address) as crew:
         waiting = crew.submit(0, tasks.wait_for_ever, tmp_path / "begun")
-        _wait_until((tmp_path / "begun").exists)
+        wait_until((tmp_path / "begun").exists)
         cluster.end()
         with pytest.raises(ComputeError, match="the Dask scheduler is gone"):
             waiting.result()
