@@ -28,8 +28,8 @@ LEVER_M, TILT_RAD = 1.0, 0.1
 """Standard deviations of what nothing is known of: lever of the weight, tilt of the axis."""
 USUAL_LEVER_M = 0.1
 """Lever at which forces and moments count alike where outputs of either kind are told apart."""
-CHANCE = 1e-2
-"""Probability with which channels that agree may be taken for ones that do not."""
+CHANCE, CHANCE_OF_FEW, FEW_DOF = 1e-3, 1e-2, 5.0
+"""Probability with which channels that agree may be taken for ones that do not; with fewer degrees of freedom, more."""
 _STEPS, _CONVERGED = 20, 1e-6
 _SMALLEST_DEPARTURE, _DEPARTURE_STEP = 1e-9, 1.001
 
@@ -92,9 +92,9 @@ def fit_weights(records: Sequence[Turned], outputs: SensorOutputs, u_angle_rad: 
     axis, d gravity's direction at zero angle. Every element of the sensitivity is an unknown with its stated
     uncertainty, common to all recordings; so are errors of the head's angle twice per turn (ε_s sin 2θ + ε_c cos 2θ,
     `u_angle_rad` each), the only ones that first harmonics feel: A → A - (j/2)·conj(A)·(ε_c - jε_s). Outputs weigh by
-    their own noise. Where an F test gives what all outputs, or those of forces, leave to chance less than once in 100,
-    every first harmonic is taken to be uncertain by one more share of the weight, as large as makes χ² its degrees of
-    freedom (Paule & Mandel 1982, J. Res. NBS 87, 377).
+    their own noise. Where an F test gives what all outputs, or those of forces, leave to chance less than once in 1000
+    (of few readings: in 100), every first harmonic is taken to be uncertain by one more share of the weight, as large
+    as makes χ² its degrees of freedom (Paule & Mandel 1982, J. Res. NBS 87, 377).
     """
     from scipy.special import fdtrc
 
@@ -103,7 +103,8 @@ def fit_weights(records: Sequence[Turned], outputs: SensorOutputs, u_angle_rad: 
     problem = _Problem(tuple(records), outputs, u_angle_rad)
     fit = _converged(problem)
     noise_dof = sum(record.dof for record in records)
-    if all(test.dof < 0.5 or fdtrc(test.dof, noise_dof, test.excess) >= CHANCE for test in fit.tests):
+    chance = CHANCE if noise_dof >= FEW_DOF else CHANCE_OF_FEW
+    if all(test.dof < 0.5 or fdtrc(test.dof, noise_dof, test.excess) >= chance for test in fit.tests):
         return _result(fit)
     low, high = _SMALLEST_DEPARTURE, 1.0
     while high > low * _DEPARTURE_STEP:
