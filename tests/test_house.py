@@ -23,7 +23,8 @@ WRITTEN_ORDER = {
     """,
     "shaker.models": """
         oscillator measured gravity harmonics turning load_mass noisy_curve circle peak_shape peak identification
-        suspension mass_chain spring_damper chain_shape sensitivity_fit sensor_response sensor_model usable_band correction
+        suspension mass_chain spring_damper chain_shape sensitivity_fit sensor_response sensor_model usable_band
+        correction
     """,
     "fusion": """
         notices errors output console settings crew uncertainty coverage polar propagated manifest response
@@ -32,7 +33,7 @@ WRITTEN_ORDER = {
         matrix interpolation curve drift scans records timing channels stereo_motion stereo_pairs stereo_phasors
         readings take referral pool takes analyse monte_carlo provenance evaluate check highlights results_csv
         results_h5 read_results camera_facts plan lines plots report_numbers report_tables consistency_tables
-        budget_tables point_tables monte_carlo_tables signal_tables take_tables page report results
+        budget_tables point_tables monte_carlo_tables signal_tables take_tables page report results evaluated
         camera_tables camera_report joint execution campaign campaign_summary simulate progress summary
         plan_tables line_tables cameras align import_calibration transfer rotate identify commands cli
     """,

@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from fusion.evaluated import page_frame
 from fusion.identify import tables
 from fusion.identify.pictures import curve_pictures, sensitivity_pictures
 from fusion.identify.result import ComponentResult, IdentifyEvaluation
-from fusion.notices import warnings_first
 from fusion.page import render_page
 from fusion.plots.style import Picture
-from fusion.provenance import PROGRAM, Provenance
-from fusion.report_tables import Table, inputs_table, provenance_tables
+from fusion.report_tables import Table
 
 PAGE_FILE = "identify.html"
 
@@ -42,17 +41,12 @@ def render_identify_page(evaluation: IdentifyEvaluation) -> str:
 
 def _context(evaluation: IdentifyEvaluation) -> dict[str, Any]:
     """Everything the template shows."""
-    origin = Provenance(evaluation.input_hashes, evaluation.settings, evaluation.versions, ())
     return {
         "name": evaluation.name,
         "subject": _subject(evaluation),
         "headlines": tables.headlines(evaluation),
-        "notices": warnings_first(evaluation.notices),
         "components": [_section(component) for component in evaluation.components],
-        "origin": provenance_tables(origin),
-        "inputs": inputs_table(origin),
-        "program": f"{PROGRAM} {evaluation.versions.get(PROGRAM, '')}".strip(),
-        "duration_s": evaluation.duration_s,
+        **page_frame(evaluation),
     }
 
 

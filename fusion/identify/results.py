@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import re
-from functools import partial
 from pathlib import Path
 
 import h5py
 
+from fusion.evaluated import ResultFolder
 from fusion.identify.model_file import MODEL_FILE, model_text
 from fusion.identify.page import PAGE_FILE, render_identify_page
 from fusion.identify.result import ComponentResult, IdentifyEvaluation
 from fusion.identify.rows import PARAMETER_COLUMNS, READING_COLUMNS, parameter_rows, reading_rows
-from fusion.provenance import Provenance, write_provenance
-from fusion.results import write_folder
 from fusion.results_csv import csv_text
 from fusion.results_h5 import write_fields, write_value
 
@@ -36,31 +34,27 @@ OWN_FILE = re.compile(r"(parameters|readings)\.csv|model\.json|identify\.(h5|htm
 
 def write_identification(evaluation: IdentifyEvaluation, folder: Path, *, force: bool = False) -> list[Path]:
     """Write every result file and return their paths; other folders are refused unless `force`."""
-    fill = partial(_fill, evaluation=evaluation)
-    return write_folder(folder, evaluation.input_hashes, fill, force=force, marker=H5_FILE, own=OWN_FILE)
+    return ResultFolder(H5_FILE, OWN_FILE, _texts, _fill).write(evaluation, folder, force=force)
 
 
-def _fill(folder: Path, evaluation: IdentifyEvaluation) -> list[str]:
-    """Make all files in a folder; the HDF5 file, which says that the folder is complete, comes last."""
-    texts = {
+def _texts(evaluation: IdentifyEvaluation) -> dict[str, str]:
+    """Tables, model and page."""
+    return {
         PARAMETERS_FILE: csv_text(PARAMETER_COLUMNS, parameter_rows(evaluation)),
         READINGS_FILE: csv_text(READING_COLUMNS, reading_rows(evaluation)),
         MODEL_FILE: model_text(evaluation),
         PAGE_FILE: render_identify_page(evaluation),
     }
-    for name, text in texts.items():
-        (folder / name).write_text(text, encoding="utf-8", newline="\n")
-    names = [*texts, H5_FILE]
-    origin = Provenance(evaluation.input_hashes, evaluation.settings, evaluation.versions, tuple(names))
-    with h5py.File(folder / H5_FILE, "w", track_order=True) as file:
-        file.attrs["format"] = FORMAT
-        file.attrs["campaign"] = evaluation.name
-        file.attrs["phasors"] = "x(t) = Re{X exp(+j omega t)}; covariances of [all Re, all Im]; k = 1"
-        write_provenance(file, origin)
-        write_value(file, "notices", evaluation.notices)
-        for component in evaluation.components:
-            _write_component(file.create_group(component.name, track_order=True), component)
-    return names
+
+
+def _fill(file: h5py.File, evaluation: IdentifyEvaluation) -> None:
+    """Fill the HDF5 file."""
+    file.attrs["format"] = FORMAT
+    file.attrs["campaign"] = evaluation.name
+    file.attrs["phasors"] = "x(t) = Re{X exp(+j omega t)}; covariances of [all Re, all Im]; k = 1"
+    write_value(file, "notices", evaluation.notices)
+    for component in evaluation.components:
+        _write_component(file.create_group(component.name, track_order=True), component)
 
 
 def _write_component(group: h5py.Group, component: ComponentResult) -> None:

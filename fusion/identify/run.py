@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from pathlib import Path
 
+from fusion.evaluated import log_notices
 from fusion.execution.threads import one_blas_thread
 from fusion.identify.campaign import read_campaign
 from fusion.identify.evaluate import evaluate_campaign
@@ -30,9 +31,7 @@ def run_identify(
     check_folder(folder, campaign.input_hashes, force=force, marker=H5_FILE)
     with one_blas_thread():
         evaluation = evaluate_campaign(campaign, settings)
-    for notice in evaluation.notices:
-        level = logging.WARNING if notice.severity == "warning" else logging.INFO
-        log.log(level, "%s: %s", notice.where, notice.text)
+    log_notices(evaluation, log)
     write_identification(evaluation, folder, force=force)
     print(evaluation.name)
     for line in printed(evaluation):

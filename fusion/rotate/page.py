@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+from fusion.evaluated import page_frame
 from fusion.load import LOAD_COMPONENTS, LOAD_UNITS
-from fusion.notices import warnings_first
 from fusion.page import render_page
 from fusion.plots.rotate import Deviations, TurnedReadings, draw_deviations, draw_readings
 from fusion.plots.style import FloatArray, Picture
-from fusion.provenance import PROGRAM, Provenance
-from fusion.report_tables import inputs_table, provenance_tables
 from fusion.rotate import tables
 from fusion.rotate.result import RotationEvaluation, RotationRecording
 from shaker.models.harmonics import turning_sense
@@ -25,12 +23,10 @@ def render_rotation_page(evaluation: RotationEvaluation) -> str:
 
 def _context(evaluation: RotationEvaluation) -> dict[str, Any]:
     """Everything the template shows."""
-    origin = Provenance(evaluation.input_hashes, evaluation.settings, evaluation.versions, ())
     return {
         "name": evaluation.name,
         "subject": _subject(evaluation),
         "headlines": tables.headlines(evaluation),
-        "notices": warnings_first(evaluation.notices),
         "masses": tables.masses_table(evaluation),
         "differences": tables.differences_table(evaluation),
         "centres": tables.centres_table(evaluation),
@@ -41,10 +37,7 @@ def _context(evaluation: RotationEvaluation) -> dict[str, Any]:
         "axis": tables.axis_table(evaluation),
         "budgets": tables.budget_tables(evaluation),
         "surroundings": tables.surroundings_table(evaluation),
-        "origin": provenance_tables(origin),
-        "inputs": inputs_table(origin),
-        "program": f"{PROGRAM} {evaluation.versions.get(PROGRAM, '')}".strip(),
-        "duration_s": evaluation.duration_s,
+        **page_frame(evaluation),
     }
 
 

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import re
-from functools import partial
 from pathlib import Path
 
 import h5py
 
-from fusion.provenance import Provenance, write_provenance
-from fusion.results import write_folder
+from fusion.evaluated import ResultFolder
 from fusion.results_csv import csv_text
 from fusion.results_h5 import write_fields, write_value
 from fusion.rotate.page import PAGE_FILE, render_rotation_page
@@ -23,34 +21,30 @@ OWN_FILE = re.compile(r"rotation\.(csv|h5|html)")
 
 def write_rotation(evaluation: RotationEvaluation, folder: Path, *, force: bool = False) -> list[Path]:
     """Write every result file and return their paths; other folders are refused unless `force`."""
-    fill = partial(_fill, evaluation=evaluation)
-    return write_folder(folder, evaluation.input_hashes, fill, force=force, marker=H5_FILE, own=OWN_FILE)
+    return ResultFolder(H5_FILE, OWN_FILE, _texts, _fill).write(evaluation, folder, force=force)
 
 
-def _fill(folder: Path, evaluation: RotationEvaluation) -> list[str]:
-    """Make all files in a folder; the HDF5 file, which says that the folder is complete, comes last."""
-    texts = {
+def _texts(evaluation: RotationEvaluation) -> dict[str, str]:
+    """Table and page."""
+    return {
         TABLE_FILE: csv_text(COLUMNS, quantity_rows(evaluation)),
         PAGE_FILE: render_rotation_page(evaluation),
     }
-    for name, text in texts.items():
-        (folder / name).write_text(text, encoding="utf-8", newline="\n")
-    names = [*texts, H5_FILE]
-    origin = Provenance(evaluation.input_hashes, evaluation.settings, evaluation.versions, tuple(names))
-    with h5py.File(folder / H5_FILE, "w", track_order=True) as file:
-        file.attrs["format"] = FORMAT
-        file.attrs["name"] = evaluation.name
-        file.attrs["harmonics"] = "reading = design . coefficient; A exp(+j angle), A = cos - j sin; k = 1"
-        write_provenance(file, origin)
-        for key in ("gravity", "air"):
-            known = getattr(evaluation, key)
-            write_value(file.create_group(key), "value", known.value)
-            write_value(file[key], "u", known.u)
-            write_value(file[key], "source", known.source)
-        _write_recordings(file.create_group("recordings", track_order=True), evaluation)
-        _write_weights(file.create_group("weights", track_order=True), evaluation)
-        _write_quantities(file.create_group("quantities", track_order=True), evaluation)
-    return names
+
+
+def _fill(file: h5py.File, evaluation: RotationEvaluation) -> None:
+    """Fill the HDF5 file."""
+    file.attrs["format"] = FORMAT
+    file.attrs["name"] = evaluation.name
+    file.attrs["harmonics"] = "reading = design . coefficient; A exp(+j angle), A = cos - j sin; k = 1"
+    for key in ("gravity", "air"):
+        known = getattr(evaluation, key)
+        write_value(file.create_group(key), "value", known.value)
+        write_value(file[key], "u", known.u)
+        write_value(file[key], "source", known.source)
+    _write_recordings(file.create_group("recordings", track_order=True), evaluation)
+    _write_weights(file.create_group("weights", track_order=True), evaluation)
+    _write_quantities(file.create_group("quantities", track_order=True), evaluation)
 
 
 def _write_recordings(group: h5py.Group, evaluation: RotationEvaluation) -> None:

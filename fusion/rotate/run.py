@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from fusion.errors import InputError
+from fusion.evaluated import log_notices
 from fusion.manifest import Manifest, find_recordings, load_manifest
 from fusion.provenance import check_folder, hash_files
 from fusion.rotate.evaluate import KIND, check_kind, evaluate_rotation
@@ -35,9 +36,7 @@ def run_rotate(paths: Sequence[Path], output: Path | None, *, force: bool = Fals
     check_folder(folder, hashes, force=force, marker=H5_FILE)
     name = manifests[0].name if len(manifests) == 1 else manifests[0].rig.name
     evaluation = evaluate_rotation(name, manifests, hashes)
-    for notice in evaluation.notices:
-        level = logging.WARNING if notice.severity == "warning" else logging.INFO
-        log.log(level, "%s: %s", notice.where, notice.text)
+    log_notices(evaluation, log)
     write_rotation(evaluation, folder, force=force)
     print(evaluation.name)
     for line in printed(evaluation):

@@ -6,11 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from fusion.notices import warnings_first
+from fusion.evaluated import page_frame
 from fusion.page import render_page
 from fusion.plots.transfer import TransferCurve, draw_transfer
-from fusion.provenance import PROGRAM, Provenance
-from fusion.report_tables import Table, inputs_table, provenance_tables
+from fusion.report_tables import Table
 from fusion.transfer import tables
 from fusion.transfer.result import FloatArray, ReferenceResult, TransferEvaluation
 
@@ -24,21 +23,16 @@ def render_transfer_page(evaluation: TransferEvaluation) -> str:
 
 def _context(evaluation: TransferEvaluation) -> dict[str, Any]:
     """Everything the template shows."""
-    origin = Provenance(evaluation.input_hashes, evaluation.settings, evaluation.versions, ())
     return {
         "name": evaluation.manifest.name,
         "subject": _subject(evaluation),
         "headlines": tables.headlines(evaluation),
-        "notices": warnings_first(evaluation.notices),
         "pictures": [draw_transfer(curve) for result in evaluation.references for curve in _curves(result)],
         "curves": tables.curves_table(evaluation),
         "resonances": tables.resonances_table(evaluation),
         "budgets": tables.budget_tables(evaluation),
         "channels": _channels(evaluation),
-        "origin": provenance_tables(origin),
-        "inputs": inputs_table(origin),
-        "program": f"{PROGRAM} {evaluation.versions.get(PROGRAM, '')}".strip(),
-        "duration_s": evaluation.duration_s,
+        **page_frame(evaluation),
     }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from pathlib import Path
 
+from fusion.evaluated import log_notices
 from fusion.manifest import Manifest, find_recordings, for_kinds, load_manifest
 from fusion.provenance import check_folder, hash_files
 from fusion.transfer.evaluate import KINDS, check_kind, evaluate_transfer
@@ -41,9 +42,7 @@ def _run_one(manifest: Manifest, folder: Path, settings: TransferSettings, force
     hashes = hash_files(manifest.files, manifest.root)
     check_folder(folder, hashes, force=force, marker=H5_FILE)
     evaluation = evaluate_transfer(manifest, settings, hashes)
-    for notice in evaluation.notices:
-        level = logging.WARNING if notice.severity == "warning" else logging.INFO
-        log.log(level, "%s: %s", notice.where, notice.text)
+    log_notices(evaluation, log)
     write_transfer(evaluation, folder, force=force)
     print(f"{manifest.name}")
     for line in printed(evaluation):
