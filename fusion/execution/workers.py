@@ -153,7 +153,7 @@ class _Worker:
 def _serve(connection: Connection) -> None:
     """Answer one task after another until the other side is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal interrupts all processes; the first one tells the others
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # through all clean-up
+    signal.signal(signal.SIGTERM, _leave)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     logging.getLogger().addHandler(logging.NullHandler())
     logging.captureWarnings(True)
@@ -161,8 +161,15 @@ def _serve(connection: Connection) -> None:
         try:
             function, arguments = connection.recv()
         except EOFError:
+            signal.signal(signal.SIGTERM, signal.SIG_IGN)  # what is left is clean-up
             return
         connection.send_bytes(_packed(call(function, *arguments)))
+
+
+def _leave(*_: object) -> None:
+    """End through all clean-up, which nobody interrupts."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    sys.exit(1)
 
 
 def _packed(answer: Answer) -> bytes:
