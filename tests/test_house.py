@@ -22,9 +22,9 @@ WRITTEN_ORDER = {
         survey frequencies chain transfer plan
     """,
     "shaker.models": """
-        oscillator measured gravity harmonics turning load_mass noisy_curve circle peak_shape peak identification
-        suspension mass_chain spring_damper chain_shape sensitivity_fit sensor_response sensor_model usable_band
-        correction
+        line_noise oscillator measured gravity harmonics turning load_mass noisy_curve circle peak_shape peak
+        identification suspension mass_chain spring_damper chain_shape sensitivity_fit sensor_response sensor_model
+        usable_band correction
     """,
     "fusion": """
         notices errors output console settings crew uncertainty coverage polar propagated manifest response

@@ -169,4 +169,5 @@ def _fit(curve: _Curve, lines: slice, value: ComplexArray, *, residual_terms: bo
         residual_terms=residual_terms,
         added_decay_per_s=curve.transfer.added_decay_per_s,
         line_correlation=curve.transfer.line_correlation,
+        covariance_dof=curve.transfer.ratio.dof[lines],
     )

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from shaker._checks import ComplexArray, FloatArray, check_shape
+from shaker.models.line_noise import CurveResidual, SeenNoise, seen_noise
 from shaker.signals.transfer import TransferFunction
 
 Kind = Literal["transmissibility", "receptance", "mobility", "accelerance"]
@@ -17,6 +18,8 @@ _START_ROUNDS = 10
 _STEPS = 60
 _SMALL_STEP = 1e-5  # change of the whitened model at which a fit has converged
 _LARGEST_DAMPING = 1e6  # of a Levenberg-Marquardt step
+_NOISE_ROUNDS = 5
+_EVEN = 0.01  # relative spread over the lines of what their covariances change by, at which weights have settled
 
 
 @dataclass(frozen=True)
@@ -26,7 +29,8 @@ class Resonance:
     `frequency_hz`: f₀ of the undamped oscillator; `damping_ratio` ζ; complex `gain` G; `delay_s`; `residual` (2,)
     complex: the mass line R₋/s² and the constant R₊ of all other modes; delay and residual are zero where not fitted.
     `parameters` (P,) names what was fitted, in the order of `covariance` (P, P); `chi_squared` is that of the residuals
-    over the uncertainties given, with `dof`. The covariance is enlarged by χ²/dof where that exceeds one.
+    over the uncertainties given, divided by ν/(ν - 2) where these have ν degrees of freedom, so that noise alone gives
+    `dof` in the mean. The covariance is enlarged by χ²/dof where that exceeds one.
     """
 
     kind: Kind
@@ -81,6 +85,7 @@ def fit_resonance(
     residual_terms: bool = False,
     added_decay_per_s: float = 0.0,
     line_correlation: ComplexArray | None = None,
+    covariance_dof: FloatArray | None = None,
 ) -> Resonance:
     """Fit one resonance to H `value` (K,) at `frequency_hz` (K,) with `covariance` (K, 2, 2) of [Re, Im].
 
@@ -89,7 +94,9 @@ def fit_resonance(
     R₋/s² + R₊ to 1/D's place, `delay` a factor exp(-sτ). `added_decay_per_s` is the a of an exponential window.
     Start: linear rational fit (Levy 1959) with the weights of Sanathanan and Koerner (IEEE Trans. Autom. Control 8,
     1963). Then Levenberg-Marquardt on the residuals whitened by their covariance. `line_correlation` (D,), that of the
-    errors of lines 0, 1, 2 … apart (see `TransferFunction`), enters the covariance of the result.
+    errors of lines 0, 1, 2 … apart (see `TransferFunction`), enters the covariance of the result. `covariance_dof`
+    (K,): degrees of freedom behind `covariance` where it was estimated, so that lines weigh by it and by their
+    residuals together (see `seen_noise`).
     """
     frequency, value = np.asarray(frequency_hz, dtype=np.float64), np.asarray(value, dtype=np.complex128)
     check_shape("frequency_hz", frequency, (None,))
@@ -98,12 +105,11 @@ def fit_resonance(
     names = _names(delay, residual_terms)
     if 2 * len(frequency) <= len(names):
         raise ValueError(f"frequency_hz: expected more than {len(names) // 2} lines, found {len(frequency)}")
-    whitening = _whitening(covariance)
+    behind = np.full(len(frequency), np.inf) if covariance_dof is None else np.asarray(covariance_dof, np.float64)
+    check_shape("covariance_dof", behind, frequency.shape)
     s = _laplace(frequency, added_decay_per_s)
-    start = _start(kind, names, s, value, whitening)
-    vector, jacobian, chi_squared = _adjusted(kind, names, s, value, whitening, start)
-    dof = float(2 * len(frequency) - len(names))
-    covariance = _parameter_covariance(frequency, jacobian, line_correlation) * max(1.0, chi_squared / dof)
+    vector, jacobian, noise = _weighed(kind, names, s, value, _whitening(covariance), behind)
+    covariance = _parameter_covariance(frequency, jacobian, line_correlation)
     fitted = dict(zip(names, vector.tolist(), strict=True))
     low, high = (complex(fitted.get(f"{n}_re", 0.0), fitted.get(f"{n}_im", 0.0)) for n in ("mass_line", "constant"))
     return Resonance(
@@ -115,8 +121,8 @@ def fit_resonance(
         residual=np.array([low, high]),
         parameters=names,
         covariance=covariance,
-        chi_squared=chi_squared,
-        dof=dof,
+        chi_squared=noise.chi_squared / noise.expected,
+        dof=noise.dof,
     )
 
 
@@ -141,6 +147,7 @@ def fit_transfer_resonance(
         residual_terms=residual_terms,
         added_decay_per_s=part.added_decay_per_s,
         line_correlation=part.line_correlation,
+        covariance_dof=ratio.dof,
     )
 
 
@@ -232,10 +239,26 @@ def _start(
     return vector
 
 
+def _weighed(
+    kind: Kind, names: tuple[str, ...], s: ComplexArray, value: ComplexArray, whitening: FloatArray, dof: FloatArray
+) -> tuple[FloatArray, FloatArray, SeenNoise]:
+    """Return the parameters, the derivatives (K, 2, P) whitened by the noise seen in the lines, and that noise."""
+    vector, factor = _start(kind, names, s, value, whitening), np.ones(len(s))
+    for _ in range(1 + _NOISE_ROUNDS):
+        weighed = whitening / np.sqrt(factor)[:, None, None]
+        vector, residual, jacobian = _adjusted(kind, names, s, value, weighed, vector)
+        length = np.sum(residual**2, axis=1) * factor
+        noise = seen_noise([CurveResidual(length, dof, residual.shape[1])], float(len(names)))
+        before, factor = factor, noise.lines[0]
+        if np.ptp(factor / before) <= _EVEN * np.max(factor / before):
+            break
+    return vector, jacobian * np.sqrt(before / factor)[:, None, None], noise
+
+
 def _adjusted(
     kind: Kind, names: tuple[str, ...], s: ComplexArray, value: ComplexArray, whitening: FloatArray, start: FloatArray
-) -> tuple[FloatArray, FloatArray, float]:
-    """Return the parameters of least squares, the whitened derivatives (K, 2, P) there, and χ².
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the parameters of least squares, the whitened residuals (K, 2) and derivatives (K, 2, P) there.
 
     Gain and residual terms are linear and follow every step of the others (variable projection).
     """
@@ -265,11 +288,11 @@ def _adjusted(
                 vector, residual, jacobian, chi_squared = new
                 damping *= 0.1
                 if np.sum((flat @ step) ** 2) < _SMALL_STEP**2:
-                    return vector, jacobian, chi_squared
+                    return vector, residual, jacobian
                 continue
         damping = max(10.0 * damping, 1e-6)
         if damping > _LARGEST_DAMPING:
-            return vector, jacobian, chi_squared
+            return vector, residual, jacobian
     raise ValueError(
         "value: expected a transfer function with a resonance inside its band, found none that a fit meets"
     )

@@ -8,12 +8,12 @@ import numpy as np
 
 from shaker._checks import FloatArray
 from shaker.models.identification.mechanics import Structure, poles
-from shaker.models.identification.noise import Noise, line_noise, stated
 from shaker.models.identification.problem import DELAY_UNIT_S, Problem, build, factor_name
 from shaker.models.identification.remarks import remarks
 from shaker.models.identification.result import FreeFactor, Identification, ModeEstimate, NamedUnknown
-from shaker.models.identification.solve import Spread, State, evaluate, rescaled, solve, spread
+from shaker.models.identification.solve import Spread, State, effective, evaluate, rescaled, solve, spread
 from shaker.models.identification.start import starting_vectors
+from shaker.models.line_noise import CurveResidual, SeenNoise, seen_noise
 from shaker.models.measured import MeasuredTransfer, ParameterEstimate
 
 _EXPLAINED = 4.0  # χ² per line below which no other start is tried
@@ -55,22 +55,31 @@ def _best(problem: Problem, vectors: Sequence[FloatArray], lines: int) -> State:
     return min(tried, key=lambda state: state.cost)
 
 
-def _weighed(problem: Problem, state: State) -> tuple[Problem, State, Noise]:
+def _seen(problem: Problem, state: State, before: Sequence[FloatArray]) -> SeenNoise:
+    """Return the noise seen at a `state`, whose residuals are whitened with the factors `before`."""
+    curves = [
+        CurveResidual(np.sum(residual**2, axis=1) * factor, curve.record.ratio.dof, residual.shape[1])
+        for curve, residual, factor in zip(problem.curves, state.residuals, before, strict=True)
+    ]
+    return seen_noise(curves, effective(problem, state))
+
+
+def _weighed(problem: Problem, state: State) -> tuple[Problem, State, SeenNoise]:
     """Return the problem with its lines weighed by the noise seen in them, its solution, and that noise."""
-    factors = stated(problem)
-    noise, weighted = line_noise(problem, state, factors), problem
+    factors: tuple[FloatArray, ...] = tuple(np.ones(len(curve.whitening)) for curve in problem.curves)
+    noise, weighted = _seen(problem, state, factors), problem
     for _ in range(_NOISE_ROUNDS):
         scale = [np.sqrt(old / new) for old, new in zip(factors, noise.lines, strict=True)]
         factors, before = noise.lines, state.vector
         weighted = problem.weighed(factors)
         state = solve(weighted, rescaled(weighted, state, scale))
-        noise = line_noise(weighted, state, factors)
+        noise = _seen(weighted, state, factors)
         if np.array_equal(before, state.vector):
             break
     return weighted, state, noise
 
 
-def _result(problem: Problem, state: State, found: Spread, noise: Noise) -> Identification:
+def _result(problem: Problem, state: State, found: Spread, noise: SeenNoise) -> Identification:
     """Return what a solution says."""
     count = len(problem.kind)
     estimates = _estimates(problem, state, found)

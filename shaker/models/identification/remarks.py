@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from shaker.models.identification.noise import Noise
 from shaker.models.identification.problem import Problem
 from shaker.models.identification.solve import Spread, State
+from shaker.models.line_noise import SeenNoise
 from shaker.models.measured import ParameterEstimate
 from shaker.notice import Notice
 
@@ -20,7 +20,7 @@ _UNTOUCHED = 0.95  # of a stated uncertainty, left: the recordings say nothing o
 
 
 def remarks(
-    problem: Problem, state: State, found: Spread, estimates: tuple[ParameterEstimate, ...], noise: Noise
+    problem: Problem, state: State, found: Spread, estimates: tuple[ParameterEstimate, ...], noise: SeenNoise
 ) -> tuple[Notice, ...]:
     """Return all notices of an identification."""
     notices = [*_misfit(noise), *_unsettled(found)]
@@ -38,7 +38,7 @@ def remarks(
     return tuple(notices)
 
 
-def _misfit(noise: Noise) -> list[Notice]:
+def _misfit(noise: SeenNoise) -> list[Notice]:
     """Say that the residuals exceed the noise."""
     if noise.common < max(_NOISE_INFO, 1.0 + _CHANCES * noise.chance):
         return []
