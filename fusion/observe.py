@@ -289,7 +289,7 @@ def _observe_group(readings: list[Reading], gravity: FloatArray | None, clock_un
         for kind, unit, axis, u, row in _placement_errors(reading, gravity):
             slope = np.zeros_like(design)
             slope[:, place] = row
-            name, label = placement_name(reading, kind, axis), f"{chain_name(reading)}: {kind}"
+            name, label = placement_name(reading.entry, kind, axis), f"{chain_name(reading)}: {kind}"
             common.append(CommonError(name, label, u, unit, "mounting", slope, none))
     stated = any(error.scope != "recording" for error in common)
     orders = np.array([-ORDER_BELOW_ACCELERATION[e.quantity] for e in entries], dtype=np.float64)
@@ -329,15 +329,14 @@ def _row(
     return np.asarray(factor[:, None] * row)
 
 
-def placement_name(reading: Reading, kind: str, axis: str) -> str:
+def placement_name(entry: ChannelEntry, kind: str, axis: str) -> str:
     """Return the name of an unknown of a channel's placement: with the stated place, and its direction where that errs.
 
     `kind`: "point" (axis x, y, z), "direction" or "transverse sensitivity" (axis 0, 1 of `across`).
     """
-    entry = reading.entry
     at = "" if entry.point is None else f" at ({', '.join(f'{x:.9g}' for x in entry.point)})"
     along = "" if kind == "point" else f" along ({', '.join(f'{x:.9g}' for x in entry.direction or ())})"
-    return f"{chain_name(reading)}: {kind} {entry.name}{at}{along} {axis}"
+    return f"{entry.common or entry.name}: {kind} {entry.name}{at}{along} {axis}"
 
 
 def across(direction: FloatArray) -> FloatArray:

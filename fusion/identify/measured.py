@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from fusion.body import Body
 from fusion.errors import InputError
+from fusion.identify.sights import sight, sight_errors
 from fusion.load import LOAD_UNITS
 from fusion.manifest import ChannelEntry, Manifest
 from fusion.notices import Notice
 from fusion.readings import load_body
 from fusion.transfer.evaluate import evaluate_transfer
 from fusion.transfer.result import FoundResonance, ReferenceResult, TransferSettings
-from shaker.models.measured import InertiaError, MeasuredTransfer, RelativeError, Sight
+from shaker.models.measured import InertiaError, MeasuredTransfer, RelativeError
 from shaker.signals.transfer import TransferFunction
 
 FloatArray = NDArray[np.float64]
@@ -75,8 +76,8 @@ def prepare(manifest: Manifest, name: str, band_hz: tuple[float, float] | None) 
     measured = MeasuredTransfer(
         name=name,
         ratio=transfer.ratio,
-        tops=tuple(_sight(entry) for entry in tops),
-        base=_sight(base),
+        tops=tuple(sight(entry) for entry in tops),
+        base=sight(base),
         drive=drive,
         mass_matrix=body.mass_matrix,
         errors=errors,
@@ -85,6 +86,7 @@ def prepare(manifest: Manifest, name: str, band_hz: tuple[float, float] | None) 
         added_decay_per_s=transfer.added_decay_per_s,
         clock=clock,
         u_clock=u_clock,
+        sight_errors=sight_errors(base, tops, manifest.mounting),
     )
     found = tuple(item for item in result.resonances if item.response in transfer.ratio.channels)
     alone = {f"{channel}/{base.name}" for channel in result.transfer.ratio.channels}
@@ -155,7 +157,7 @@ def _base_entry(manifest: Manifest, entries: dict[str, ChannelEntry], drive: Flo
     named = [entries[name] for name in manifest.excitation.reference if name in entries]
     for entry in named:
         if entry.body == "base" and entry.quantity in TRANSLATIONS:
-            if abs(float(_sight(entry).row @ drive)) < _ALONG * float(np.linalg.norm(drive)):
+            if abs(float(sight(entry).row @ drive)) < _ALONG * float(np.linalg.norm(drive)):
                 found = f'"{entry.name}", which looks across excitation.direction'
                 raise InputError(manifest.path, "excitation.reference", found, "a motion along the excitation")
             return entry
@@ -167,11 +169,6 @@ def _base_entry(manifest: Manifest, entries: dict[str, ChannelEntry], drive: Flo
 def _on_load(entry: ChannelEntry) -> bool:
     """Whether a channel measures how the load moves along a direction."""
     return entry.body == "load" and entry.quantity in TRANSLATIONS
-
-
-def _sight(entry: ChannelEntry) -> Sight:
-    """Return where and along what a channel measures."""
-    return Sight(np.asarray(entry.point, dtype=np.float64), np.asarray(entry.direction, dtype=np.float64))
 
 
 def _clock(manifest: Manifest, entries: Sequence[ChannelEntry]) -> tuple[str, float]:

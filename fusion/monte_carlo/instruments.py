@@ -128,8 +128,8 @@ def _placed(instrument: Instrument, deviates: Deviates) -> tuple[set[str], Compl
         point = _point(reading, deviates)
         direction = _direction(reading, deviates)
         rows.append(channel_rows(reading.entry, point, direction, seen.phasors.frequency_hz, instrument.gravity_mps2))
-        names |= {placement_name(reading, "point", axis) for axis in "xyz"}
-        names |= {placement_name(reading, kind, axis) for kind in ("direction", TRANSVERSE) for axis in "01"}
+        names |= {placement_name(reading.entry, "point", axis) for axis in "xyz"}
+        names |= {placement_name(reading.entry, kind, axis) for kind in ("direction", TRANSVERSE) for axis in "01"}
     return names, np.stack(rows, axis=2)
 
 
@@ -138,7 +138,7 @@ def _point(reading: Reading, deviates: Deviates) -> FloatArray:
     entry = reading.entry
     stated = np.zeros(3) if entry.point is None else np.array(entry.point, dtype=np.float64)
     u = np.broadcast_to(np.asarray(entry.point_uncertainty, dtype=np.float64), (3,))
-    moved = [deviates.normal(placement_name(reading, "point", axis)) for axis in "xyz"]
+    moved = [deviates.normal(placement_name(reading.entry, "point", axis)) for axis in "xyz"]
     return np.asarray(stated + u * np.stack(moved, axis=1))
 
 
@@ -151,10 +151,10 @@ def _direction(reading: Reading, deviates: Deviates) -> FloatArray:
     stated = np.asarray(entry.direction, dtype=np.float64)
     stated = stated / np.linalg.norm(stated)
     sides = across(stated)
-    tilt = np.stack([deviates.normal(placement_name(reading, "direction", axis)) for axis in "01"], axis=1)
+    tilt = np.stack([deviates.normal(placement_name(reading.entry, "direction", axis)) for axis in "01"], axis=1)
     spin = np.cross(stated, entry.direction_uncertainty * tilt @ sides)
     turned = np.einsum("nij,j->ni", rotation_from_vector(spin), stated)
-    angle = deviates.angle(placement_name(reading, TRANSVERSE, "0"))
+    angle = deviates.angle(placement_name(reading.entry, TRANSVERSE, "0"))
     leak = np.stack([np.cos(angle), np.sin(angle)], axis=1) @ sides
     return np.asarray(turned + entry.transverse_sensitivity * leak)
 

@@ -125,6 +125,11 @@ class ChainStructure:
             return Parameter(f"internal_inertia_{axis}", f"internal moment of inertia, {axis}", "kg·m²")
         return Parameter(f"inertia_{axis}_{name}", f"moment of inertia, {axis}, {name}", "kg·m²")
 
+    @property
+    def body(self) -> FloatArray:
+        """Motion (6, n) of the last stage beside the base."""
+        return np.outer(np.eye(6)[self.component], np.eye(len(self.stages))[-1])
+
     def mechanics(self, record: MeasuredTransfer) -> Mechanics:
         """Return M, B, K and f of a recording; its responses stand on the last stage, its reference on the base."""
         count = len(self.stages)
@@ -137,15 +142,13 @@ class ChainStructure:
         push = np.array([matrix[self.component] @ record.drive for matrix in loads])[:, None]
         last, ahead = matrices[count], forcing[count]
         rows = np.stack([sight.row for sight in record.tops])
-        along = np.zeros((len(rows), count))
-        along[:, -1] = rows[:, self.component]
         drive = record.drive[self.component]
         return Mechanics(
             matrices=np.concatenate([load[:1] * last, spring, damper, matrices[mass][own], load[1:] * last]),
             forcing=np.concatenate(
                 [push[:1] * ahead, 0.0 * forcing[: 2 * count], forcing[mass][own] * drive, push[1:] * ahead]
             ),
-            rows=along,
+            rows=rows @ self.body,
             offset=rows @ record.drive,
             reference=np.zeros(count),
             reference_offset=float(record.base.row @ record.drive),

@@ -9,6 +9,9 @@ import numpy as np
 from shaker._checks import ComplexArray, FloatArray, check_shape
 from shaker.signals.phasor import Phasors
 
+AT_THE_BASE = -1
+"""Place of the reference among the transducers of a recording, whose responses count from 0."""
+
 
 @dataclass(frozen=True)
 class Sight:
@@ -56,6 +59,23 @@ class InertiaError:
 
 
 @dataclass(frozen=True)
+class SightError:
+    """One uncertain number of where or along what a transducer measures: `change` (6,) of its row for one standard
+    deviation.
+
+    `place`: which response it is, or `AT_THE_BASE` for the reference. Equal names, in one recording or several, are the
+    same unknown.
+    """
+
+    name: str
+    place: int
+    change: FloatArray
+
+    def __post_init__(self) -> None:
+        check_shape("change", self.change, (6,))
+
+
+@dataclass(frozen=True)
 class MeasuredTransfer:
     """Motion of the load over motion of the base in one recording, with what is known of the load.
 
@@ -63,7 +83,8 @@ class MeasuredTransfer:
     C responses measure on the load, `base`: where the reference measures; `drive` (6,): direction in which the base
     moves as a rigid body, [x y z rx ry rz] about the sensor origin. `mass_matrix` (6, 6): load and parts about the
     sensor origin, without what moves inside the sensor. `line_correlation` (D,) as in `TransferFunction`.
-    `clock`, `u_clock`: name and relative standard uncertainty of the clock, and so of all frequencies.
+    `clock`, `u_clock`: name and relative standard uncertainty of the clock, and so of all frequencies. `sight_errors`:
+    what is uncertain of places and directions of the transducers.
     """
 
     name: str
@@ -78,6 +99,7 @@ class MeasuredTransfer:
     added_decay_per_s: float = 0.0
     clock: str = "clock"
     u_clock: float = 0.0
+    sight_errors: tuple[SightError, ...] = ()
 
     def __post_init__(self) -> None:
         shape = self.ratio.value.shape
@@ -87,6 +109,11 @@ class MeasuredTransfer:
         check_shape("mass_matrix", self.mass_matrix, (6, 6))
         for error in self.errors:
             check_shape(f"errors: {error.name}", error.relative, shape)
+        for sight in self.sight_errors:
+            if not AT_THE_BASE <= sight.place < shape[1]:
+                raise ValueError(
+                    f"sight_errors: expected a place of {AT_THE_BASE} to {shape[1] - 1}, found {sight.place}"
+                )
 
     @property
     def s(self) -> ComplexArray:

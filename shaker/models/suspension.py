@@ -62,6 +62,11 @@ class Suspension:
                 found.append((words, np.diag(np.eye(6)[c])))
         return found
 
+    @property
+    def body(self) -> FloatArray:
+        """Motion (6, n) of the load beside the base: along the free components."""
+        return np.asarray(np.eye(6)[:, list(self.components)])
+
     def mechanics(self, record: MeasuredTransfer) -> Mechanics:
         """Return M, b, k and M d of a recording along the free components; other readings are those of the base."""
         free = np.array(self.components)
@@ -78,7 +83,7 @@ class Suspension:
         return Mechanics(
             matrices=matrices,
             forcing=(full @ record.drive)[:, free],
-            rows=rows[:, free],
+            rows=rows @ self.body,
             offset=rows @ record.drive,
             reference=np.zeros(size),
             reference_offset=float(record.base.row @ record.drive),

@@ -32,9 +32,10 @@ def identify(
     """Fit a structure's parameters to all lines of all recordings together.
 
     Measured is H(s) · exp(Σ z r): r are the relative errors by name, z ~ N(0, 1) unknown, equal names one unknown, as
-    are numbers of the load and the rate of the clock. `known`: (value, u) of parameters stated beforehand, u = 0 fixed.
-    `each_recording`: parameters that have a value of their own in every recording. `gain`, `delay`: channels whose
-    complex gain, or delay, is free in every recording, the scale being unstated.
+    are numbers of the load, places and directions of transducers, and the rate of the clock. `known`: (value, u) of
+    parameters stated beforehand, u = 0 fixed. `each_recording`: parameters that have a value of their own in every
+    recording. `gain`, `delay`: channels whose complex gain, or delay, is free in every recording, the scale being
+    unstated.
     """
     problem = build(records, structure, known or {}, each_recording, gain, delay)
     lines = sum(2 * record.ratio.value.size for record in records)

@@ -57,6 +57,10 @@ class Structure(Protocol):
     def parameters(self) -> tuple[Parameter, ...]:
         """Parameters (P,); "stiffness_…" and "damping_…" with one ending belong together."""
 
+    @property
+    def body(self) -> FloatArray:
+        """How the load moves beside the base, (6, n) [x y z rx ry rz] per p; the base moves as `record.drive`."""
+
     def mechanics(self, record: MeasuredTransfer) -> Mechanics:
         """Return the mechanics of a recording, terms in the order 1, `parameters`, `record.inertia_errors`."""
 
@@ -66,11 +70,16 @@ class Structure(Protocol):
 
 @dataclass(frozen=True)
 class Response:
-    """Ratios `value` (K, C) with derivatives `by_term` (K, C, P+E) and `by_log_s` (K, C)."""
+    """Ratios `value` (K, C) with derivatives `by_term` (K, C, P+E) and `by_log_s` (K, C).
+
+    `motion` (K, n): p, `below` (K,): what the reference reads, both per unit of the base's motion.
+    """
 
     value: ComplexArray
     by_term: ComplexArray
     by_log_s: ComplexArray
+    motion: ComplexArray
+    below: ComplexArray
 
 
 def respond(mechanics: Mechanics, weights: FloatArray, s: ComplexArray) -> Response:
@@ -101,6 +110,8 @@ def respond(mechanics: Mechanics, weights: FloatArray, s: ComplexArray) -> Respo
         value=value,
         by_term=by_term.reshape(*value.shape, len(terms)),
         by_log_s=-np.sum(adjoint * faster[:, None], axis=2),
+        motion=motion,
+        below=below,
     )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from shaker._checks import BoolArray, ComplexArray, FloatArray, IntArray
 from shaker.models.identification.mechanics import Mechanics, Parameter, Structure, respond
+from shaker.models.identification.sights import Sights, acting, sights
 from shaker.models.measured import MeasuredTransfer
 
 DELAY_UNIT_S = 1e-6  # in which free delays are unknown
@@ -19,7 +20,8 @@ class Curve:
     """One recording ready to be compared: which unknowns act on it and how.
 
     `terms` (P+E,): places of the weights of `mechanics` among the unknowns; `factors` (F,) those of what multiplies the
-    ratios by exp(z · `relative` (K, C, F)); `clock`: place of the clock's error, -1 without. `whitening` (K, 2C, 2C).
+    ratios by exp(z · `relative` (K, C, F)); `sights`: what transducers elsewhere than stated change; `clock`: place of
+    the clock's error, -1 without. `whitening` (K, 2C, 2C).
     """
 
     record: MeasuredTransfer
@@ -27,6 +29,7 @@ class Curve:
     terms: IntArray
     factors: IntArray
     relative: ComplexArray
+    sights: Sights
     clock: int
     whitening: FloatArray
 
@@ -38,16 +41,17 @@ class Curve:
     def places(self) -> IntArray:
         """Places of the columns of `modelled` among the unknowns."""
         clock = [self.clock] if self.clock >= 0 else []
-        return np.concatenate([self.terms, self.factors, np.array(clock, dtype=np.int64)])
+        return np.concatenate([self.terms, self.factors, self.sights.places, np.array(clock, dtype=np.int64)])
 
     def modelled(self, vector: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         """Return the ratios (K, C) that unknowns lead to, and their derivatives (K, C, L) by those at `places`."""
         u_clock = self.record.u_clock if self.clock >= 0 else 0.0
         s = self.record.s * (1.0 + u_clock * vector[self.clock])
-        found = respond(self.mechanics, self.weights(vector), s)
+        found = respond(self.sights.moved(self.mechanics, vector), self.weights(vector), s)
         factor = np.exp(self.relative @ vector[self.factors])
         value = found.value * factor
-        columns = [found.by_term * factor[:, :, None], value[:, :, None] * self.relative]
+        seen = self.sights.derivatives(found) * factor[:, :, None]
+        columns = [found.by_term * factor[:, :, None], value[:, :, None] * self.relative, seen]
         if self.clock >= 0:
             columns.append((u_clock * found.by_log_s * factor)[:, :, None])
         return value, np.concatenate(columns, axis=2)
@@ -101,6 +105,7 @@ def build(
     first_error = len(names)
     for record in records:
         causes = [error.name for error in record.errors] + [error.name for error in record.inertia_errors]
+        causes += [error.name for error in acting(record, structure.body)]
         for name in [*causes, record.clock] if record.u_clock > 0.0 else causes:
             names.setdefault(f"error: {name}", len(names))
     curves = tuple(
@@ -205,6 +210,7 @@ def _curve(
         terms=np.concatenate([parameters, np.array(inertia, dtype=np.int64)]),
         factors=np.array(factors, dtype=np.int64),
         relative=np.stack(relative, axis=2) if relative else np.zeros((*record.ratio.value.shape, 0), np.complex128),
+        sights=sights(record, structure.body, names),
         clock=names[f"error: {record.clock}"] if record.u_clock > 0.0 else -1,
         whitening=np.linalg.inv(lower),
     )

@@ -1,0 +1,184 @@
+"""Places and directions that are not quite those stated: derivatives, which unknowns act, coverage of pitching."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from identification_factory import ALONG_X, ALONG_Z, FloatArray, X, oscillator, recording, rigid_mass, state_space
+
+from shaker.models.identification import Identification, identify, respond
+from shaker.models.identification.sights import acting, sights
+from shaker.models.mass_chain import ChainStructure
+from shaker.models.measured import AT_THE_BASE, MeasuredTransfer, Sight, SightError
+from shaker.models.suspension import Suspension
+
+K_X, K_RY, B_X, B_RY, M_I, J_I = 7.0e8, 1.07e6, 2500.0, 4.0, 0.9, 1.5e-3
+TRUTH = {"stiffness_x": K_X, "stiffness_ry": K_RY, "internal_mass": M_I}
+LOADS = ((4.236, 0.012, 0.0182), (6.962, -0.012, 0.0118))  # kg, height of the centre of mass in m, kg·m²
+PLACES = np.array([[0.05, 0.0, 0.06], [0.05, 0.0, -0.03]])
+U_PLACE, U_TILT = 1e-3, 2e-3
+PITCHING = Suspension((0, 4))
+FREE = [0, 4]
+BASE = Sight(np.array([-0.12, 0.0, 0.0]), X)
+
+
+def errors_of(name: str, place: int, point: FloatArray) -> list[SightError]:
+    """Three coordinates and two tilts of a transducer that looks along x, rows written out."""
+    x, y, z = point
+    rows = {
+        "y": U_PLACE * np.array([0.0, 0.0, 0.0, 0.0, 0.0, -1.0]),
+        "z": U_PLACE * np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0]),
+        "towards y": U_TILT * np.array([0.0, 1.0, 0.0, -z, 0.0, x]),
+        "towards z": U_TILT * np.array([0.0, 0.0, 1.0, y, -x, 0.0]),
+    }
+    return [SightError(f"{name} {what}", place, row) for what, row in rows.items()]
+
+
+def pitching(
+    draws: FloatArray,
+    load: tuple[float, float, float] = LOADS[0],
+    *,
+    noise: float = 2e-3,
+    rng: np.random.Generator | None = None,
+) -> MeasuredTransfer:
+    """A load that shifts and pitches, seen by transducers that are off by `draws` (2, 4), in standard deviations."""
+    mass, height, inertia = load
+    frequency = np.arange(500.0, 3000.0, 12.5)
+    stated = rigid_mass(mass, height, inertia)
+    whole = stated + rigid_mass(M_I, 0.0, J_I)
+    motion = state_space(
+        2j * np.pi * frequency,
+        whole[np.ix_(FREE, FREE)],
+        np.diag([B_X, B_RY]),
+        np.diag([K_X, K_RY]),
+        np.array([1.0, 0.0]),
+    )
+    seen = []
+    for point, (_, by_z, to_y, to_z) in zip(PLACES, draws, strict=True):
+        direction = np.array([1.0, U_TILT * to_y, U_TILT * to_z])
+        direction /= np.linalg.norm(direction)
+        x, _, z = point + np.array([0.0, 0.0, U_PLACE * by_z])
+        seen.append(direction[0] * (motion[:, 0] + z * motion[:, 1]) - direction[2] * x * motion[:, 1])
+    record = recording(
+        f"{mass} kg",
+        frequency,
+        np.stack(seen, axis=1),
+        stated,
+        ALONG_X,
+        noise=noise,
+        rng=rng,
+        tops=tuple(Sight(point, X) for point in PLACES),
+        base=BASE,
+    )
+    known = [error for c, point in enumerate(PLACES) for error in errors_of(f"top {c + 1}", c, point)]
+    return replace(record, sight_errors=(*known, *errors_of("base", AT_THE_BASE, BASE.point_m)))
+
+
+def fitted(records: Sequence[MeasuredTransfer]) -> Identification:
+    """Both loads, the moment of inertia inside the sensor stated."""
+    return identify(records, PITCHING, known={"internal_inertia_ry": (J_I, 0.0)})
+
+
+def away(found: Identification) -> list[float]:
+    """How far the parameters are from the truth, in standard uncertainties."""
+    return [(found.value(name) - true) / found.u(name) for name, true in TRUTH.items()]
+
+
+def test_a_row_that_changes_changes_the_ratio_as_its_derivative_says() -> None:
+    rng = np.random.default_rng(1)
+    drive = rng.standard_normal(6)
+    s = np.asarray(2j * np.pi * np.linspace(500.0, 2500.0, 9), dtype=np.complex128)
+    change = 1e-5 * rng.standard_normal((3, 6))
+    record = replace(
+        pitching(np.zeros((2, 4))),
+        drive=drive,
+        sight_errors=tuple(SightError(f"{c}", place, change[c]) for c, place in enumerate((0, 1, AT_THE_BASE))),
+    )
+    for structure in (PITCHING, ChainStructure(4)):
+        count = len(structure.parameters)
+        weights = np.array([1.0, K_X, 1.3 * K_X, B_X, B_RY, M_I, J_I])[: 1 + count]
+        found = sights(record, structure.body, {f"error: {c}": c for c in range(3)})
+        mechanics = structure.mechanics(record)
+        slope = found.derivatives(respond(mechanics, weights, s))
+        for unknown in range(3):
+            off = np.eye(3)[unknown]
+            ahead, behind = (respond(found.moved(mechanics, sign * off), weights, s).value for sign in (1.0, -1.0))
+            np.testing.assert_allclose(slope[:, :, unknown], 0.5 * (ahead - behind), rtol=1e-6, atol=1e-12)
+        ratio = respond(mechanics, weights, s).value
+        np.testing.assert_allclose(  # -H · change · X_base / (row · X_base), the base's motion being the drive
+            slope[:, :, 2], -ratio * (change[2] @ drive) / (record.base.row @ drive), rtol=1e-12
+        )
+        np.testing.assert_array_equal(slope[:, 1, 0], 0.0)
+
+
+def test_only_what_changes_a_reading_becomes_an_unknown() -> None:
+    record = pitching(np.zeros((2, 4)))
+    expected = [f"top {c} {what}" for c in (1, 2) for what in ("z", "towards z")]
+    assert [error.name for error in acting(record, PITCHING.body)] == expected
+    turning = replace(record, drive=np.eye(6)[4], base=Sight(np.array([0.0, 0.0, 0.1]), X))
+    names = [error.name for error in acting(turning, Suspension((4,)).body)]
+    assert names == [*expected, "base z", "base towards z"]
+
+
+def test_one_translation_does_not_see_where_it_is_measured() -> None:
+    frequency = np.linspace(1000.0, 1800.0, 200)
+    place = Sight(np.array([0.03, -0.02, 0.1]), np.array([0.0, 0.0, 1.0]))
+    bare = recording(
+        "a",
+        frequency,
+        oscillator(2j * np.pi * frequency, 5.0, 4.5e8, 900.0),
+        rigid_mass(5.0),
+        ALONG_Z,
+        noise=1e-3,
+        rng=np.random.default_rng(3),
+        tops=[place],
+        base=place,
+    )
+    changes = [U_PLACE * np.array([0.0, 0.0, 0.0, 1.0, 1.0, 0.0]), U_TILT * np.array([1.0, 0.0, 0.0, 0.0, 0.1, 0.02])]
+    unsure = replace(bare, sight_errors=tuple(SightError(f"{c}", 0, row) for c, row in enumerate(changes)))
+    first, second = (identify([r], Suspension((2,)), known={"internal_mass": (0.0, 0.0)}) for r in (bare, unsure))
+    assert second.unknowns == ()
+    assert first.estimates == second.estimates
+    np.testing.assert_array_equal(first.covariance, second.covariance)
+
+
+def test_a_transducer_elsewhere_is_found_and_one_in_all_recordings() -> None:
+    draws = np.array([[0.0, 1.5, 0.0, -1.0], [0.0, -1.0, 0.0, 0.5]])
+    records = [pitching(draws, load, noise=1e-4, rng=np.random.default_rng(4)) for load in LOADS]
+    found = fitted(records)
+    names = [unknown.name for unknown in found.unknowns]
+    assert len(names) == len(set(names)) == 4
+    assert {"top 1 z", "top 2 towards z"} <= set(found.budget)
+    taken_as_stated = fitted([replace(record, sight_errors=()) for record in records])
+    for name, true in TRUTH.items():
+        assert abs(found.value(name) - true) < 3.5 * found.u(name)
+        assert abs(taken_as_stated.value(name) - true) > 3.5 * found.u(name)
+    assert taken_as_stated.chi_squared > 4.0 * taken_as_stated.dof
+    squares = np.sum([change**2 for change in found.budget.values()], axis=0)
+    np.testing.assert_allclose(squares, found.covariance.diagonal(), rtol=1e-6)
+
+
+def test_a_place_among_no_response_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"sight_errors: expected a place of -1 to 1, found 2"):
+        replace(pitching(np.zeros((2, 4))), sight_errors=(SightError("a", 2, np.ones(6)),))
+
+
+@pytest.mark.slow
+def test_intervals_hold_the_truth_with_transducers_elsewhere() -> None:
+    rng = np.random.default_rng(22)
+    trials, few = 250, 15
+    deviation, trusting = np.zeros((trials, len(TRUTH))), np.zeros((few, len(TRUTH)))
+    for trial in range(trials):
+        draws = rng.standard_normal((2, 4))
+        records = [pitching(draws, load, rng=rng) for load in LOADS]
+        deviation[trial] = away(fitted(records))
+        if trial < few:
+            trusting[trial] = away(fitted([replace(record, sight_errors=()) for record in records]))
+    # 250 trials of 95 %: 0.95 ± 0.0138, three parameters.
+    inside = np.mean(np.abs(deviation) < 1.96, axis=0)
+    assert np.all(np.abs(inside - 0.95) < 0.038), inside
+    assert np.std(deviation, axis=0) == pytest.approx([1.0] * 3, abs=0.14)
+    assert np.all(np.mean(np.abs(trusting) < 1.96, axis=0) < 0.8), trusting
