@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -152,6 +153,32 @@ def mean_ratio(drives: Sequence[Drive], component: int) -> Repeats:
     )
 
 
+class Nested(NamedTuple):
+    """Quadratic forms (N, N) of N readings whose sums of squares are those within and between M mountings.
+
+    `within_dof` N - M, `between_dof` M - 1; `each`: recordings per mounting in the expectation of the mean square
+    between them, NaN of one mounting.
+    """
+
+    within: FloatArray
+    between: FloatArray
+    within_dof: int
+    between_dof: int
+    each: float
+
+
+def nested(mountings: Sequence[str]) -> Nested:
+    """Return the analysis of variance of recordings (N,) by the mounting of each (Searle et al. 1992, 3.6)."""
+    count, kinds = len(mountings), list(dict.fromkeys(mountings))
+    member = np.array([[mounting == kind for mounting in mountings] for kind in kinds], dtype=np.float64)
+    sizes = member.sum(axis=1)
+    own = member.T @ (member / sizes[:, None])
+    whole = np.full((count, count), 1.0 / count)
+    dof = len(kinds) - 1
+    each = (count - float(np.sum(sizes**2)) / count) / dof if dof else np.nan
+    return Nested(np.eye(count) - own, own - whole, count - len(kinds), dof, each)
+
+
 @dataclass(frozen=True)
 class _Scatter:
     """Covariances (2C, 2C) of relative values beyond what is stated: of a recording and of a mounting."""
@@ -200,20 +227,14 @@ def stack_values(values: Sequence[tuple[ComplexArray, Uncertainty]]) -> tuple[Fl
 def _components(values: Sequence[tuple[ComplexArray, Uncertainty]], mountings: Sequence[str]) -> _Scatter:
     """Variance components of a recording and of a mounting by the analysis of variance."""
     readings, stated = stack_values(values)
-    count, size = readings.shape
-    kinds = list(dict.fromkeys(mountings))
-    member = np.array([[mounting == kind for mounting in mountings] for kind in kinds], dtype=np.float64)
-    sizes = member.sum(axis=1)
-    own = member.T @ (member / sizes[:, None])
-    whole = np.full((count, count), 1.0 / count)
-    within_dof, between_dof = count - len(kinds), len(kinds) - 1
+    size, forms = readings.shape[1], nested(mountings)
     within = between = np.zeros((size, size))
-    if within_dof:
-        within = _positive(_mean_square(readings, stated, np.eye(count) - own, within_dof))
-    if between_dof:
-        each = (count - float(np.sum(sizes**2)) / count) / between_dof
-        between = _positive((_mean_square(readings, stated, own - whole, between_dof) - within) / each)
-    return _Scatter(within, between, within_dof, between_dof)
+    if forms.within_dof:
+        within = _positive(_mean_square(readings, stated, forms.within, forms.within_dof))
+    if forms.between_dof:
+        square = _mean_square(readings, stated, forms.between, forms.between_dof)
+        between = _positive((square - within) / forms.each)
+    return _Scatter(within, between, forms.within_dof, forms.between_dof)
 
 
 def _mean_square(readings: FloatArray, stated: FloatArray, form: FloatArray, dof: int) -> FloatArray:

@@ -12,9 +12,10 @@ from fusion.manifest import Manifest
 from fusion.notices import Notice
 from fusion.polar import rounded
 from fusion.provenance import versions
-from fusion.rotate.masses import Campaign, quantities
+from fusion.rotate.masses import Campaign, quantities, repeats
 from fusion.rotate.readings import read_rotation, table_path, turned
 from fusion.rotate.result import Quantity, RotationEvaluation, RotationRecording
+from fusion.rotate.scatter import Repeats
 from fusion.rotate.surroundings import air_density, load_bodies, local_gravity
 from shaker.models.gravity import Known
 from shaker.models.load_mass import ROWS, WeightFit, fit_weights
@@ -37,9 +38,10 @@ def evaluate_rotation(name: str, manifests: Sequence[Manifest], input_hashes: di
     records = tuple(turned(recording) for recording in recordings)
     u_angle = max(manifest.excitation.angle_uncertainty for manifest in manifests)
     weights = fit_weights(records, outputs, u_angle)
-    found = quantities(Campaign(recordings, records, weights, gravity, air))
+    campaign = Campaign(recordings, records, weights, gravity, air)
+    found, again = quantities(campaign), repeats(campaign)
     notices += [*_of_surroundings(manifests[0], gravity, outputs), *_of_mounting(recordings)]
-    notices += [*_of_fit(weights, records), *_of_result(found)]
+    notices += [*_of_repeats(again), *_of_fit(weights, records), *_of_result(found)]
     return RotationEvaluation(
         name=name,
         recordings=recordings,
@@ -48,6 +50,7 @@ def evaluate_rotation(name: str, manifests: Sequence[Manifest], input_hashes: di
         air=air,
         weights=weights,
         quantities=found,
+        repeats=again,
         notices=tuple(dict.fromkeys(notices)),
         settings={"gravity": gravity.source, "air_density": air.source},
         versions=versions(),
@@ -127,6 +130,20 @@ def _of_mounting(recordings: Sequence[RotationRecording]) -> list[Notice]:
         text = "neither a recording without load nor a weighed load: weights only, which hold load and internal mass"
         return [Notice("warning", text, "recordings")]
     return [] if stated else [Notice("info", "no [load] in rig.toml: nothing to compare the load mass with", "load")]
+
+
+def _of_repeats(again: Sequence[Repeats]) -> list[Notice]:
+    """Where repeats tell nothing of mounting anew."""
+    return [
+        Notice(
+            "info",
+            f"{len(state.recordings)} recordings {state.state} are of one mounting: what mounting anew changes is not "
+            "in U",
+            "repeats",
+        )
+        for state in again
+        if not state.between_dof
+    ]
 
 
 def _of_fit(weights: WeightFit, records: Sequence[Turned]) -> list[Notice]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fusion.coverage import coverage_factor
 from fusion.rotate.result import JOINT, Quantity, RotationRecording
+from fusion.rotate.scatter import Carried, Repeats, components
 from fusion.rotate.surroundings import Weighed, load_bodies, own_bodies, unknown_volume
 from shaker.models.gravity import Known
 from shaker.models.load_mass import ROWS, Source, WeightFit, mass_of_weight
@@ -24,6 +25,8 @@ UNTOLD = "what no channel tells"
 LARGEST_UNTOLD = 0.1
 """Share of that in the uncertainty of a number above which the recordings do not tell it."""
 PERCENT = 100.0
+MEAN_ROWS = np.array([0, *range(OWN, OWN + FORCES), 1, 2, 3])
+"""Places of weights and first moment among the numbers of a recording."""
 
 
 class Head(NamedTuple):
@@ -75,34 +78,92 @@ def quantities(campaign: Campaign) -> tuple[Quantity, ...]:
     Derivatives are central differences over one standard uncertainty of every input.
     """
     inputs = _inputs(campaign)
-    u = np.sqrt(sum(np.sum(source.effect**2, axis=1) for source in inputs.sources))
-    uncertain = np.flatnonzero(u > 0.0)
-    steps = np.diag(u)[:, uncertain]
-    told = list(_derived(campaign, inputs.value[:, None] + np.hstack([0.0 * steps[:, :1], steps, -steps])))
-    values = np.array([value for _, value in told])
-    high, low = np.split(values[:, 1:], 2, axis=1)
-    gradient = np.zeros((len(told), len(u)))
-    gradient[:, uncertain] = (high - low) / (2.0 * u[uncertain])
-    shares = np.array([np.sum((gradient @ source.effect) ** 2, axis=1) for source in inputs.sources]).T
-    found = [
-        _quantity(head, float(value[0]), inputs.sources, own)
-        for (head, value), own in zip(told, shares.tolist(), strict=True)
-    ]
+    variants = _Variants(inputs)
+    told = list(_derived(campaign, variants.inputs))
+    gradient = variants.gradient(np.array([value for _, value in told]))
+    parts = []
+    for source in inputs.sources:
+        variance = np.sum((gradient @ source.effect) ** 2, axis=1)
+        parts.append(_Part(source.name, variance, variance, np.full(len(told), source.dof)))
+    on_all = np.array([not head.recording for head, _ in told])
+    for carried, places in _states(campaign, inputs, variants):
+        rows = ROWS * np.array(places)[:, None] + MEAN_ROWS
+        for name, component in components(carried, gradient[:, rows].sum(axis=1)):
+            in_mean, wide = (np.where(on_all, variance, 0.0) for variance in (component.in_mean, component.wide))
+            parts.append(_Part(f"{name} {carried.state}", in_mean, wide, component.dof))
+    names = [part.name for part in parts]
+    numbers = np.array([part[1:] for part in parts]).T.tolist()
+    found = [_quantity(head, float(value[0]), names, *own) for (head, value), own in zip(told, numbers, strict=True)]
     kept = [q for q in found if q.budget.get(UNTOLD, 0.0) <= LARGEST_UNTOLD * q.u]
     return tuple(_with_normalised(kept))
 
 
-def _quantity(head: Head, value: float, sources: Sequence[Source], variances: Sequence[float]) -> Quantity:
+def repeats(campaign: Campaign) -> tuple[Repeats, ...]:
+    """Return how much the weights of states that were recorded repeatedly scatter beyond what is stated."""
+    inputs = _inputs(campaign)
+    weight = np.eye(len(MEAN_ROWS))[0]
+    return tuple(carried.repeats(weight) for carried, _ in _states(campaign, inputs, _Variants(inputs)))
+
+
+class _Part(NamedTuple):
+    """One contribution to Q numbers: variances (Q,), and those that tell effective degrees of freedom."""
+
+    name: str
+    variance: FloatArray
+    wide: FloatArray
+    dof: FloatArray
+
+
+class _Variants:
+    """Inputs (N, B) as they are, then one standard uncertainty up, then down, each that is uncertain by itself."""
+
+    def __init__(self, inputs: Inputs) -> None:
+        self.u = np.sqrt(sum(np.sum(source.effect**2, axis=1) for source in inputs.sources))
+        self.uncertain = np.flatnonzero(self.u > 0.0)
+        steps = np.diag(self.u)[:, self.uncertain]
+        self.inputs = inputs.value[:, None] + np.hstack([0.0 * steps[:, :1], steps, -steps])
+
+    def gradient(self, values: FloatArray) -> FloatArray:
+        """Derivatives (Q, N) of numbers (Q, B)."""
+        high, low = np.split(values[:, 1:], 2, axis=1)
+        gradient = np.zeros((len(values), len(self.u)))
+        gradient[:, self.uncertain] = (high - low) / (2.0 * self.u[self.uncertain])
+        return gradient
+
+
+def _states(campaign: Campaign, inputs: Inputs, variants: _Variants) -> Iterator[tuple[Carried, list[int]]]:
+    """What every state that was recorded repeatedly carries beside its own bodies, and which recordings those are."""
+    view = _View(campaign, variants.inputs)
+    for with_load in (False, True):
+        places = _places(campaign, with_load)
+        if len(places) < 2:
+            continue
+        found = np.array([np.vstack(_net(campaign, view, r)) for r in places])
+        shape = found.shape[:2]
+        gradient = variants.gradient(found.reshape(-1, found.shape[2]))
+        effects = tuple((gradient @ source.effect).reshape(*shape, -1) for source in inputs.sources)
+        recordings = [campaign.recordings[r] for r in places]
+        names, mountings = tuple(r.name for r in recordings), tuple(r.manifest.mounting for r in recordings)
+        yield Carried(recordings[0].state, names, mountings, found[:, :, 0], effects), places
+
+
+def _quantity(
+    head: Head,
+    value: float,
+    names: Sequence[str],
+    variances: Sequence[float],
+    wide: Sequence[float],
+    dof: Sequence[float],
+) -> Quantity:
     """One number with its budget; effective degrees of freedom by Welch and Satterthwaite (JCGM 100, G.4)."""
     by_name: dict[str, float] = {}
-    for source, variance in zip(sources, variances, strict=True):
-        by_name[source.name] = by_name.get(source.name, 0.0) + variance
-    total = sum(variances)
-    fourth = sum(variance**2 / source.dof for source, variance in zip(sources, variances, strict=True))
-    dof = total**2 / fourth if fourth > 0.0 else np.inf
+    for name, variance in zip(names, variances, strict=True):
+        by_name[name] = by_name.get(name, 0.0) + variance
+    fourth = sum(variance**2 / own for variance, own in zip(wide, dof, strict=True) if variance > 0.0)
+    effective = sum(wide) ** 2 / fourth if fourth > 0.0 else np.inf
     budget = {name: float(np.sqrt(variance)) for name, variance in by_name.items() if variance > 0.0}
-    u = float(np.sqrt(total))
-    return Quantity(head.name, head.label, head.component, value, u, dof, head.unit, head.recording, budget)
+    u = float(np.sqrt(sum(variances)))
+    return Quantity(head.name, head.label, head.component, value, u, effective, head.unit, head.recording, budget)
 
 
 def _with_normalised(found: Sequence[Quantity]) -> Iterator[Quantity]:
@@ -190,8 +251,13 @@ def _derived(campaign: Campaign, inputs: FloatArray) -> Told:
         yield from _internal(view, _Mean(loaded.weight - weight, loaded.moment - moment), seen)
     if bare is not None and loaded is not None:
         yield from _load(campaign, view, _Mean(loaded.weight - bare.weight, loaded.moment - bare.moment), seen)
-    for r in range(len(campaign.recordings)):
+    for r, recording in enumerate(campaign.recordings):
         yield from _one_recording(campaign, view, r)
+        mean = loaded if recording.with_load else bare
+        if mean is not None and len(_places(campaign, recording.with_load)) > 1:
+            off = _net(campaign, view, r).weight - mean.weight
+            for i, component in seen:
+                yield Head("weight_deviation", "weight less mean of repeats", component, "N", recording.name), off[i]
     yield Head("gravity", "local gravity", "", "m/s^2"), view.gravity
     yield Head("air_density", "density of the air", "", "kg/m^3"), view.air
 
@@ -205,13 +271,21 @@ def _seen(campaign: Campaign) -> list[tuple[int, str]]:
 
 def _mean(campaign: Campaign, view: _View, with_load: bool) -> _Mean | None:
     """Mean over the recordings with, or without, load; None where there are none."""
-    weights, moments = [], []
-    for r, recording in enumerate(campaign.recordings):
-        if recording.with_load == with_load:
-            weight, moment = view.carried(campaign.own[r])
-            weights.append(view.fit[r, [0, *range(OWN, OWN + FORCES)]] - weight)
-            moments.append(view.fit[r, 1:4] - moment)
-    return _Mean(np.mean(weights, axis=0), np.mean(moments, axis=0)) if weights else None
+    found = [_net(campaign, view, r) for r in _places(campaign, with_load)]
+    if not found:
+        return None
+    return _Mean(np.mean([net.weight for net in found], axis=0), np.mean([net.moment for net in found], axis=0))
+
+
+def _places(campaign: Campaign, with_load: bool) -> list[int]:
+    """Which recordings are with, or without, load."""
+    return [r for r, recording in enumerate(campaign.recordings) if recording.with_load == with_load]
+
+
+def _net(campaign: Campaign, view: _View, r: int) -> _Mean:
+    """What a recording carries beside the bodies that only it has, in the order of `MEAN_ROWS`."""
+    weight, moment = view.carried(campaign.own[r])
+    return _Mean(view.fit[r, MEAN_ROWS[:-3]] - weight, view.fit[r, MEAN_ROWS[-3:]] - moment)
 
 
 def _internal(view: _View, mean: _Mean, seen: Sequence[tuple[int, str]]) -> Told:

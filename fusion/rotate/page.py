@@ -32,6 +32,7 @@ def _context(evaluation: RotationEvaluation) -> dict[str, Any]:
         "centres": tables.centres_table(evaluation),
         "deviations": _deviations(evaluation),
         "recordings": tables.recordings_table(evaluation),
+        "repeats": tables.repeats_tables(evaluation),
         "readings": [picture for recording in evaluation.recordings for picture in _pictures(recording)],
         "harmonics": [table for recording in evaluation.recordings for table in tables.harmonics_tables(recording)],
         "axis": tables.axis_table(evaluation),

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from fusion.coverage import coverage_factor
 from fusion.manifest import Manifest
 from fusion.notices import Notice
+from fusion.rotate.scatter import Repeats
 from shaker.models.gravity import Known
 from shaker.models.harmonics import AngleFit
 from shaker.models.load_mass import WeightFit
@@ -44,6 +45,11 @@ class RotationRecording:
     fit: AngleFit
     inverse: FloatArray
     load: FloatArray
+
+    @property
+    def state(self) -> str:
+        """Return what was on the sensor, in words."""
+        return "with load" if self.with_load else "without load"
 
     @property
     def told(self) -> list[int]:
@@ -82,7 +88,10 @@ class Quantity:
 
 @dataclass(frozen=True)
 class RotationEvaluation:
-    """All recordings of one sensor on the head, what they weigh, and their surroundings."""
+    """All recordings of one sensor on the head, what they weigh, and their surroundings.
+
+    `repeats`: of each state that was recorded more than once.
+    """
 
     name: str
     recordings: tuple[RotationRecording, ...]
@@ -91,6 +100,7 @@ class RotationEvaluation:
     air: Known
     weights: WeightFit
     quantities: tuple[Quantity, ...]
+    repeats: tuple[Repeats, ...]
     notices: tuple[Notice, ...]
     settings: dict[str, str | float | int]
     versions: dict[str, str]

@@ -44,6 +44,7 @@ def _fill(file: h5py.File, evaluation: RotationEvaluation) -> None:
         write_value(file[key], "source", known.source)
     _write_recordings(file.create_group("recordings", track_order=True), evaluation)
     _write_weights(file.create_group("weights", track_order=True), evaluation)
+    _write_repeats(file, evaluation)
     _write_quantities(file.create_group("quantities", track_order=True), evaluation)
 
 
@@ -69,6 +70,12 @@ def _write_weights(group: h5py.Group, evaluation: RotationEvaluation) -> None:
         own = sources.create_group(source.name)
         own.attrs["type"], own.attrs["dof"] = source.kind, source.dof
         own["effect"] = source.effect
+
+
+def _write_repeats(file: h5py.File, evaluation: RotationEvaluation) -> None:
+    """What states that were recorded repeatedly scatter by."""
+    for again in evaluation.repeats:
+        write_fields(file.require_group("repeats").create_group(again.state), again)
 
 
 def _write_quantities(group: h5py.Group, evaluation: RotationEvaluation) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 
 from fusion.load import LOAD_COMPONENTS, LOAD_UNITS
 from fusion.polar import DASH, rounded, typeset
+from fusion.repeats import BETWEEN, WITHIN
 from fusion.report_numbers import degrees_of_freedom, factor, measured, short, small
 from fusion.report_tables import Headline, Table
 from fusion.results_csv import Row
@@ -16,7 +17,7 @@ from fusion.rotate.result import JOINT, Quantity, RotationEvaluation, RotationRe
 from shaker.models.turning import FORCES
 
 COLUMNS = ["name", "component", "value", "u", "U", "k", "unit", "dof", "recording"]
-MILLIMETRE, MILLIRADIAN, GRAM = 1e3, 1e3, 1e3
+MILLIMETRE, MILLIRADIAN, GRAM, MILLI = 1e3, 1e3, 1e3, 1e3
 HEADLINES = ("internal_mass", "load_mass", "load_mass_relative_deviation")
 MASSES = ("internal_mass", "load_mass", "weighed_mass")
 DIFFERENCES = (
@@ -107,6 +108,29 @@ def recordings_table(evaluation: RotationEvaluation) -> Table:
     return Table("Recordings: weight in air with U, terms that the readings show", head, align, tuple(rows))
 
 
+def repeats_tables(evaluation: RotationEvaluation) -> list[Table]:
+    """Recordings of a state that was recorded repeatedly, and what they scatter by beyond what is stated of each."""
+    if not evaluation.repeats:
+        return []
+    rows, scatter = [], []
+    for again in evaluation.repeats:
+        for name, mounting in zip(again.recordings, again.mountings, strict=True):
+            weight, off = (evaluation.find(key, JOINT, name) for key in ("weight", "weight_deviation"))
+            if weight is not None and off is not None:
+                deviation = measured(MILLI * off.value, MILLI * off.expanded)
+                over = _signed(off.value / off.expanded) if off.u > 0.0 else DASH
+                rows.append((again.state, mounting, name, measured(weight.value, weight.expanded), deviation, over))
+        within, between = ((again.within, again.within_dof), (again.between, again.between_dof))
+        cells = [cell for s, dof in (within, between) for cell in (small(MILLI * s) if dof else DASH, f"{dof}")]
+        counts = (f"{len(again.recordings)}", f"{len(set(again.mountings))}")
+        scatter.append((again.state, *counts, *cells))
+    caption = "Repeats: weight in air with U, deviation from the mean"
+    head = ("state", "mounting", "recording", "weight / N", "less mean / mN", "over its U")
+    beyond = "Scatter of the weight beyond noise and what is stated, of one recording and of one mounting"
+    kinds = ("state", "recordings", "mountings", f"{WITHIN} s / mN", "dof", f"{BETWEEN} s / mN", "dof")
+    return [Table(caption, head, "lllrrr", tuple(rows)), Table(beyond, kinds, "lrrrrrr", tuple(scatter))]
+
+
 def harmonics_tables(recording: RotationRecording) -> list[Table]:
     """Offset, harmonics and further terms of forces and moments of a recording, and what turning back changes."""
     groups = [[i for i in recording.told if i < FORCES], [i for i in recording.told if i >= FORCES]]
@@ -152,13 +176,12 @@ def printed(evaluation: RotationEvaluation) -> Iterator[str]:
     """Lines for the terminal, U at the coverage factor of each."""
     for recording in evaluation.recordings:
         fit = recording.fit
-        state = "with load" if recording.with_load else "without load"
         names = dict.fromkeys(_term_name(name) for name in fit.terms[3:])
         more = f", also {', '.join(names)}" if names else ""
         weights = [q for q in evaluation.quantities if q.name == "weight" and q.recording == recording.name]
         told = ", ".join(f"{q.component} {_plain(q)}" for q in weights)
         read = f"{len(fit.angle_rad)} readings, offset and first harmonic{more}"
-        yield f"{recording.name} ({state}): {read}; weight {told}"
+        yield f"{recording.name} ({recording.state}): {read}; weight {told}"
     told_by_label: dict[str, list[str]] = {}
     for q in _named(evaluation, (*MASSES, *DIFFERENCES, *CENTRES)):
         told_by_label.setdefault(q.label, []).append(f"{q.component} {_plain(q)}")

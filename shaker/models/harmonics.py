@@ -193,7 +193,7 @@ def _resolution(values: FloatArray) -> FloatArray:
 def _last_digit(column: FloatArray) -> float:
     """Largest of 1, 2, 5 times a power of ten of which all readings are multiples, 0 where there is none."""
     largest = float(np.abs(column).max())
-    if largest == 0.0:
+    if FINEST * largest < np.finfo(np.float64).tiny:
         return 0.0
     for power in range(int(np.ceil(np.log10(largest))), int(np.floor(np.log10(FINEST * largest))), -1):
         for mantissa in (5.0, 2.0, 1.0):

@@ -152,3 +152,9 @@ def test_an_order_that_was_not_fitted_is_refused() -> None:
     fit: AngleFit = fit_angles(("F",), STEPS, np.cos(STEPS)[:, None])
     with pytest.raises(ValueError, match="order: expected one of"):
         fit.amplitude(4)
+
+
+def test_readings_next_to_nothing_have_no_last_digit() -> None:
+    angle = np.arange(16) * np.pi / 8.0
+    fit = fit_angles(("a",), angle, 4e-318 * np.sin(angle)[:, None])
+    assert abs(fit.amplitude()[0]) < 1e-317
