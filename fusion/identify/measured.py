@@ -24,6 +24,7 @@ FloatArray = NDArray[np.float64]
 SETTINGS = TransferSettings(quantity="acceleration")
 """Every motion as an acceleration, so that a ratio has no unit."""
 TRANSLATIONS = ("displacement", "velocity", "acceleration")
+TURNING = "angular_velocity"
 _ALONG = 1e-3  # share of the drive that the reference must see
 
 
@@ -59,7 +60,8 @@ class Prepared:
 def prepare(manifest: Manifest, name: str, band_hz: tuple[float, float] | None) -> tuple[Prepared, tuple[Notice, ...]]:
     """Evaluate a recording and return its curves of load over base by the `name` that tells it from the others.
 
-    Of several references on the base the first is used; responses that are no translation of the load are left out.
+    Of several references on the base the first is used; responses that are no translation of the load, or turn of one
+    that is turned, are left out.
     What is said of one oscillator fitted to one response is left to the readings. Raises `InputError`.
     """
     entries = {entry.name: entry for daq in manifest.daq for entry in daq.channel if entry.quantity != "trigger"}
@@ -67,9 +69,9 @@ def prepare(manifest: Manifest, name: str, band_hz: tuple[float, float] | None) 
     base = _base_entry(manifest, entries, drive)
     evaluation = evaluate_transfer(manifest, SETTINGS, {})
     result = next(result for result in evaluation.references if result.name == base.name)
-    tops = [entries[channel] for channel in result.transfer.ratio.channels if _on_load(entries[channel])]
+    tops = [entries[channel] for channel in result.transfer.ratio.channels if _on_load(entries[channel], drive)]
     if not tops:
-        expected = 'a displacement, velocity or acceleration with body = "load"'
+        expected = f'a {_wanted(drive)} with body = "load"'
         raise InputError(manifest.path, "excitation.response", found="none on the load", expected=expected)
     clock, u_clock = _clock(manifest, [base, *tops])
     transfer, errors = _selected(result, [entry.name for entry in tops], name)
@@ -156,19 +158,31 @@ def _base_entry(manifest: Manifest, entries: dict[str, ChannelEntry], drive: Flo
     """Return the first reference that measures the base; the others are refused where there is none."""
     named = [entries[name] for name in manifest.excitation.reference if name in entries]
     for entry in named:
-        if entry.body == "base" and entry.quantity in TRANSLATIONS:
+        if entry.body == "base" and _shows_motion(entry, drive):
             if abs(float(sight(entry).row @ drive)) < _ALONG * float(np.linalg.norm(drive)):
                 found = f'"{entry.name}", which looks across excitation.direction'
                 raise InputError(manifest.path, "excitation.reference", found, "a motion along the excitation")
             return entry
-    expected = 'a displacement, velocity or acceleration with body = "base", over which the motion of the load is taken'
+    expected = f'a {_wanted(drive)} with body = "base", over which the motion of the load is taken'
     told = ", ".join(f'"{entry.name}" ({entry.quantity} of {entry.body or "no body"})' for entry in named)
     raise InputError(manifest.path, "excitation.reference", found=told or "nothing", expected=expected)
 
 
-def _on_load(entry: ChannelEntry) -> bool:
-    """Whether a channel measures how the load moves along a direction."""
-    return entry.body == "load" and entry.quantity in TRANSLATIONS
+def _on_load(entry: ChannelEntry, drive: FloatArray) -> bool:
+    """Whether a channel measures how the load moves."""
+    return entry.body == "load" and _shows_motion(entry, drive)
+
+
+def _shows_motion(entry: ChannelEntry, drive: FloatArray) -> bool:
+    """Whether a channel measures a translation, or the turning of a rig that is turned."""
+    return entry.quantity in TRANSLATIONS or (entry.quantity == TURNING and bool(np.any(drive[3:] != 0.0)))
+
+
+def _wanted(drive: FloatArray) -> str:
+    """Words for the quantities that show the motion of a rig driven along `drive`."""
+    if np.any(drive[3:] != 0.0):
+        return "displacement, velocity, acceleration or angular velocity"
+    return "displacement, velocity or acceleration"
 
 
 def _clock(manifest: Manifest, entries: Sequence[ChannelEntry]) -> tuple[str, float]:

@@ -103,8 +103,9 @@ def _loaded(component: ComponentResult) -> list[LoadedOutput]:
     """Output over force for every load."""
     highest = max(component.model.resonance_hz(Load(kg, "force")) for kg in component.loads)
     frequency = np.linspace(0.0, highest, _POINTS)
+    unit = "kg" if component.fit.component < 3 else "kg·m²"
     found = []
     for kg, band in zip(component.loads, component.bands, strict=True):
         ratio = np.abs(component.model.output_factor(frequency, Load(kg, "force")) / component.model.sensitivity)
-        found.append(LoadedOutput(kg, frequency, ratio, band.upper_hz))
+        found.append(LoadedOutput(kg, unit, frequency, ratio, band.upper_hz))
     return found

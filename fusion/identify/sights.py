@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +16,10 @@ FloatArray = NDArray[np.float64]
 
 
 def sight(entry: ChannelEntry) -> Sight:
-    """Return where and along what a channel measures."""
-    return Sight(np.asarray(entry.point, dtype=np.float64), np.asarray(entry.direction, dtype=np.float64))
+    """Return where and along what a channel measures, of an angular velocity about what."""
+    turning = entry.quantity == "angular_velocity"
+    point = np.zeros(3) if turning else np.asarray(entry.point, dtype=np.float64)
+    return Sight(point, np.asarray(entry.direction, dtype=np.float64), turning)
 
 
 def sight_errors(base: ChannelEntry, tops: Sequence[ChannelEntry], mounting: str) -> tuple[SightError, ...]:
@@ -38,11 +41,12 @@ def _changes(entry: ChannelEntry) -> Iterator[tuple[str, FloatArray]]:
     """Yield name and change (6,) of a channel's row: three coordinates, two tilts, two leaks of what lies across."""
     seen = sight(entry)
     for axis, unit, u in zip("xyz", np.eye(3), np.broadcast_to(entry.point_uncertainty, 3), strict=True):
-        yield placement_name(entry, "point", axis), u * np.concatenate([np.zeros(3), np.cross(unit, seen.direction)])
+        lever = np.cross(unit, seen.direction) * (0.0 if seen.turning else u)
+        yield placement_name(entry, "point", axis), np.concatenate([np.zeros(3), lever])
     leaks = (
         ("direction", entry.direction_uncertainty),
         ("transverse sensitivity", entry.transverse_sensitivity / np.sqrt(2.0)),
     )
     for number, tangent in enumerate(across(seen.direction)):
         for kind, u in leaks:
-            yield placement_name(entry, kind, str(number)), u * Sight(seen.point_m, tangent).row
+            yield placement_name(entry, kind, str(number)), u * replace(seen, direction=tangent).row

@@ -57,11 +57,12 @@ class ExplainedSensitivity:
 
 @dataclass(frozen=True)
 class LoadedOutput:
-    """What the output says over the force for one load mass (kg): `ratio` (L,) of magnitudes, band within which
+    """What the output says over the force for one load mass, in `unit`: `ratio` (L,) of magnitudes, band within which
     it departs by no more than what is permitted.
     """
 
-    load_kg: float
+    load: float
+    unit: str
     frequency_hz: FloatArray
     ratio: FloatArray
     band_hz: float
@@ -110,7 +111,7 @@ def draw_outputs_over_load(name: str, loads: Sequence[LoadedOutput], permitted: 
         axes.axhspan(-100.0 * permitted, 100.0 * permitted, color=GREY, alpha=0.15, linewidth=0, zorder=1)
         for load, colour in zip(loads, LOADS, strict=False):
             away = 100.0 * (load.ratio - 1.0)
-            axes.plot(load.frequency_hz, away, color=colour, label=f"{load.load_kg:.4g} kg", zorder=2)
+            axes.plot(load.frequency_hz, away, color=colour, label=f"{load.load:.4g} {load.unit}", zorder=2)
             if np.isfinite(load.band_hz):
                 axes.axvline(load.band_hz, color=colour, linewidth=0.8, linestyle=(0, (3, 2)), zorder=1.5)
         _limit(axes, loads, permitted)

@@ -15,10 +15,14 @@ AT_THE_BASE = -1
 
 @dataclass(frozen=True)
 class Sight:
-    """Where and along which unit direction a transducer measures: `point_m` (3,), `direction` (3,), sensor axes."""
+    """Where and along which unit direction a transducer measures: `point_m` (3,), `direction` (3,), sensor axes.
+
+    `turning`: it measures how the body turns about the direction, which is the same everywhere.
+    """
 
     point_m: FloatArray
     direction: FloatArray
+    turning: bool = False
 
     def __post_init__(self) -> None:
         check_shape("point_m", self.point_m, (3,))
@@ -28,7 +32,9 @@ class Sight:
 
     @property
     def row(self) -> FloatArray:
-        """Row (6,) that turns the motion of the sensor origin into the reading: [d, r × d]."""
+        """Row (6,) that turns the motion of the sensor origin into the reading: [d, r × d], of a turn [0, d]."""
+        if self.turning:
+            return np.concatenate([np.zeros(3), self.direction])
         (x, y, z), (dx, dy, dz) = self.point_m, self.direction
         return np.array([dx, dy, dz, y * dz - z * dy, z * dx - x * dz, x * dy - y * dx])
 

@@ -68,3 +68,15 @@ def test_another_mounting_is_another_unknown_and_what_is_exact_is_none() -> None
     assert {error.place for error in first} == {AT_THE_BASE, 0}
     exact = {"point_uncertainty": 0.0, "direction_uncertainty": 0.0, "transverse_sensitivity": 0.0}
     assert sight_errors(_entry("base", "base", **exact), [_entry("top", "load", **exact)], "1") == ()
+
+
+def test_a_gyroscope_reads_how_the_body_turns_wherever_it_is() -> None:
+    keys = {"name": "gyro", "quantity": "angular_velocity", "body": "load", "direction": [0.0, 1.0, 0.0]}
+    entry = ChannelEntry.model_validate({**keys, "direction_uncertainty": 5e-3})
+    assert sight(entry).row.tolist() == [0.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+    errors = sight_errors(entry, [], "1")
+    assert [error.name for error in errors] == [f"gyro: direction gyro along (0, 1, 0) {axis} [1]" for axis in (0, 1)]
+    for error in errors:
+        assert not np.any(error.change[:3])
+        assert float(np.linalg.norm(error.change[3:])) == pytest.approx(5e-3)
+        assert error.change[4] == pytest.approx(0.0, abs=1e-15)
