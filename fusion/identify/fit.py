@@ -20,7 +20,7 @@ from shaker.models.suspension import Suspension
 _DIFFERENT = 0.01  # relative difference of load masses from which they tell mass from stiffness
 _MISFIT = 3.0  # residuals over their uncertainty, rms, from which one translation does not explain the curves
 _BETTER = 0.5  # share of χ² per degree of freedom that a richer model has to reach
-_PITCHES_WITH = {0: 4, 1: 3}
+_PITCHES_WITH = {0: 4, 1: 3, 3: 1, 4: 0}
 INTERNAL_MASS = "internal_mass"
 """Name of the mass that moves with the load inside the sensor among the parameters."""
 
@@ -98,7 +98,8 @@ def _structure(model: str, component: int, group: Sequence[Prepared]) -> Structu
         return ChainStructure(component)
     if component not in _PITCHES_WITH:
         expected = (
-            "a drive along x or y for --model pitching, which turns a load whose centre of mass is not at the origin"
+            "a drive along x or y for --model pitching, or about them, which shifts and turns a load whose centre of "
+            "mass is not at the origin"
         )
         raise InputError(group[0].manifest.path, "excitation.direction", found=COMPONENTS[component], expected=expected)
     return Suspension((component, _PITCHES_WITH[component]))

@@ -26,24 +26,35 @@ from fusion.simulate.suspended import rig_file, rig_tables
 from fusion.simulate.toml_text import to_toml
 
 K_RY, B_RY, J_I, U_INTERNAL = 1.07e6, 4.0, 1.5e-3, 1e-4  # N·m/rad, N·m·s/rad, kg·m²
-LOADS = {"small": 0.0182, "large": 0.0412}  # kg·m² about y, centre of mass at the origin
+LOADS = {"small": (5.0, 0.0, 0.0182), "large": (5.0, 0.0, 0.0412)}  # kg, height of the centre of mass in m, kg·m²
+HIGH = {"small": (4.236, 0.012, 0.0182), "large": (6.962, -0.012, 0.0118)}
+K_X, B_X, M_I = 7.0e8, 2500.0, 0.9
 U_J, U_PLACE, BASE_M, TOP_M = 2e-5, 5e-4, 0.15, 0.09
+Load = tuple[float, float, float]
 CHIRP = Chirp(sample_rate_hz=12800.0, period_s=0.64, periods=4, band_hz=(500.0, 1700.0))
 ABOUT_Y = [0.0, 0.0, 0.0, 0.0, 1.0, 0.0]
 
 
-def _turned(inertia: float, off: float) -> Callable[[NDArray[np.float64]], NDArray[np.complex128]]:
-    """Acceleration at the lever of the load over that at the lever of the base: J α against k and b."""
+def _turned(load: Load, off: float) -> Callable[[NDArray[np.float64]], NDArray[np.complex128]]:
+    """Acceleration at the lever of the load over that at the lever of the base, by Cramer's rule.
+
+    (m + m_i) ẍ + m h θ̈ = -(k_x + b_x s) x and m h ẍ + J θ̈ = -(k_ry + b_ry s)(θ - θ_base).
+    """
+    mass, height, inertia = load
 
     def ratio(frequency_hz: NDArray[np.float64]) -> NDArray[np.complex128]:
         s = 2j * np.pi * frequency_hz
-        spring = K_RY + B_RY * s
-        return np.asarray((TOP_M + off) / BASE_M * spring / (inertia * s * s + spring))
+        spring, coupling = K_RY + B_RY * s, mass * height * s * s
+        shift = (mass + M_I) * s * s + K_X + B_X * s
+        turn = (inertia + J_I + mass * height**2) * s * s + spring
+        divisor = shift * turn - coupling**2
+        theta, x = spring * shift / divisor, -spring * coupling / divisor
+        return np.asarray((x + (TOP_M + off) * theta) / BASE_M)
 
     return ratio
 
 
-def _write(folder: Path, *, rate: bool, seed: int = 3) -> Path:
+def _write(folder: Path, *, rate: bool, loads: dict[str, Load] = LOADS, chirp: Chirp = CHIRP, seed: int = 3) -> Path:
     """A rig and a chirp for each load; drawn: chains, moments of inertia, the place of the load's accelerometer.
 
     With `rate` the channels are stated to be gyroscopes, whose rate a transfer function turns into an acceleration.
@@ -52,18 +63,18 @@ def _write(folder: Path, *, rate: bool, seed: int = 3) -> Path:
     off = 0.0 if rate else U_PLACE * float(rng.standard_normal())
     internal = PartSpec("internal", 0.9, 0.002, (0.0, 0.0, 0.0), 0.0, (J_I, J_I, J_I), U_INTERNAL)
     folder.mkdir()
-    for name, stated in LOADS.items():
-        part = PartSpec(f"load {name}", 5.0, 3e-4, (0.0, 0.0, 0.0), 0.0, (stated, stated, stated), U_J)
+    for name, (mass, height, inertia) in loads.items():
+        part = PartSpec(f"load {name}", mass, 3e-4, (0.0, 0.0, height), 0.0, (inertia,) * 3, U_J)
         (folder / rig_file(name)).write_text(
             to_toml(rig_tables(replace(pitching.STAND, internal=internal), part, draws))
         )
-        true = stated + J_I + U_J * float(rng.standard_normal())
-        samples = chirp_samples(CHIRP, draws, {"top": _turned(true, off)}, f"{name}.")
-        channels = chirp_channels(CHIRP, (0.0, 0.0, BASE_M), {"top": (0.0, 0.0, TOP_M)}, (1.0, 0.0, 0.0))
+        true = (mass, height, inertia + U_J * float(rng.standard_normal()))
+        samples = chirp_samples(chirp, draws, {"top": _turned(true, off)}, f"{name}.")
+        channels = chirp_channels(chirp, (0.0, 0.0, BASE_M), {"top": (0.0, 0.0, TOP_M)}, (1.0, 0.0, 0.0))
         entries = [_gyroscope(channel) if rate else _placed(channel) for channel in channels]
-        tables = chirp_tables(CHIRP, f"turned, {name}", f"../{rig_file(name)}", entries)
+        tables = chirp_tables(chirp, f"turned, {name}", f"../{rig_file(name)}", entries)
         tables["excitation"]["direction"] = ABOUT_Y
-        write_chirp_files(folder / f"chirp-{name}", CHIRP, samples, tables, {})
+        write_chirp_files(folder / f"chirp-{name}", chirp, samples, tables, {})
     return folder
 
 
@@ -114,3 +125,15 @@ def test_files_and_page_have_the_units_of_a_rotation(tmp_path: Path) -> None:
     assert sensor.unit == "(V/V)/(N.m)"
     page = (tmp_path / "out" / "identify.html").read_text(encoding="utf-8")
     assert "load / kg·m²" in page
+
+
+def test_a_load_that_also_shifts_is_two_modes(tmp_path: Path) -> None:
+    chirp = replace(CHIRP, period_s=0.32, band_hz=(600.0, 2400.0))
+    folder = _write(tmp_path / "campaign", rate=False, loads=HIGH, chirp=chirp)
+    (component,) = evaluate_campaign(read_campaign(folder), IdentifySettings()).components
+    found = component.fit.identification
+    assert (component.name, component.fit.model, component.bands) == ("ry", "pitching", ())
+    truth = {"stiffness_ry": K_RY, "stiffness_x": K_X, "damping_ry": B_RY, "damping_x": B_X, "internal_mass": M_I}
+    for name, true in {**truth, "internal_inertia_ry": J_I}.items():
+        assert abs(found.value(name) - true) < 3.5 * found.u(name)
+    assert found.u("stiffness_ry") < 0.01 * K_RY
