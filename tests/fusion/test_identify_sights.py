@@ -14,7 +14,11 @@ from fusion.observe import observe_channels
 from shaker.models.measured import AT_THE_BASE, Sight, SightError
 from shaker.signals.phasor import Phasors
 
-UNSURE = {"point_uncertainty": [1e-3, 2e-3, 3e-3], "direction_uncertainty": 5e-3, "transverse_sensitivity": 0.02}
+UNSURE: dict[str, Any] = {
+    "point_uncertainty": [1e-3, 2e-3, 3e-3],
+    "direction_uncertainty": 5e-3,
+    "transverse_sensitivity": 0.02,
+}
 
 
 def _entry(name: str, body: str, **keys: Any) -> ChannelEntry:
@@ -33,7 +37,7 @@ def test_rows_change_as_the_place_and_the_direction_do() -> None:
     entry = _entry("top", "load")
     seen = sight(entry)
     found = _by_name(sight_errors(_entry("base", "base"), [entry], "1"))
-    for axis, u in enumerate(UNSURE["point_uncertainty"]):  # type: ignore[arg-type]
+    for axis, u in enumerate(UNSURE["point_uncertainty"]):
         moved = Sight(seen.point_m + u * np.eye(3)[axis], seen.direction)
         change = found[f"top: point top at (0.1, -0.02, 0.05) {'xyz'[axis]} [1]"].change
         np.testing.assert_allclose(change, moved.row - seen.row, atol=1e-15)
