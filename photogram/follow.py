@@ -88,14 +88,13 @@ def find_from(reference: Reference, target: Spline, start: FloatArray, settings:
 def find_anew(reference: Reference, first: Image, frame: tuple[Image, Spline], settings: TrackSettings) -> Registration:
     """Subsets of the first image in a frame of which nothing is foretold.
 
-    From one affine motion through searched seeds, since a start at rest finds some subsets of a body that has moved by
-    a speckle in a wrong place; where that loses most of them, as `follow` from rest.
+    From rest, and from one affine motion through searched seeds, each where it correlates better: a start at rest finds
+    some subsets of a body that has moved by a speckle in a wrong place, and a search slides along edges.
     """
     rest = identity(reference).warp
-    found = find_by_search(reference, first, frame, rest, settings)
-    if not _most_found(reference, found):
-        return follow(reference, first, frame, rest, settings)
-    return find_from_neighbours(reference, frame[1], found, settings)
+    found = follow(reference, first, frame, rest, settings)
+    searched = find_by_search(reference, first, frame, rest, settings)
+    return find_from_neighbours(reference, frame[1], merged(found, searched), settings)
 
 
 def follow(
@@ -108,7 +107,7 @@ def follow(
     """
     found = find_from(reference, frame[1], start, settings)
     for attempt in range(3):
-        if _most_found(reference, found):
+        if np.sum(found.status == TrackStatus.OK) >= 0.5 * np.sum(reference.status == TrackStatus.OK):
             break
         if attempt < 2:
             reach = settings.reach_px if attempt == 0 else max(frame[0].shape)
@@ -160,11 +159,6 @@ def find_from_neighbours(
             break
         found = merged(found, more)
     return found
-
-
-def _most_found(reference: Reference, found: Registration) -> bool:
-    """Whether half of the usable subsets were found."""
-    return bool(np.sum(found.status == TrackStatus.OK) >= 0.5 * np.sum(reference.status == TrackStatus.OK))
 
 
 def merged(first: Registration, second: Registration) -> Registration:
