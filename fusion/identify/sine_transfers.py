@@ -24,6 +24,8 @@ from shaker.signals.phasor import Phasors
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 _ORIGIN_OF_MOTION = "fused"
+AXES = np.eye(3)
+"""Unit vectors of the translations; of a rig that is turned, sines add no points."""
 
 
 def sine_transfers(
@@ -91,7 +93,7 @@ def _transfer(item: EvaluatedSines, name: str, band_hz: tuple[float, float] | No
     manifest = item.manifest
     drive = drive_of(manifest)
     component = component_of(drive)
-    if manifest.rig.load is None:
+    if manifest.rig.load is None or component >= len(AXES):
         return None
     with h5py.File(item.results / RESULT_FILE, "r") as file:
         groups = [f"accelerations/{body}-{_ORIGIN_OF_MOTION}" for body in ("load", "base")]
@@ -109,9 +111,7 @@ def _transfer(item: EvaluatedSines, name: str, band_hz: tuple[float, float] | No
     ratio, whole = _quotient([value[chosen] for value in values], [_at_lines(part, chosen) for part in parts])
     whole = between_recordings(whole, name, manifest.mounting)
     body = rigid_load(manifest)
-    along = Sight(np.zeros(3), _axis(component)) if component < 3 else None
-    if along is None:
-        return None
+    along = Sight(np.zeros(3), AXES[component])
     clock = manifest.daq[0] if manifest.daq else None
     return MeasuredTransfer(
         name=name,
@@ -132,11 +132,6 @@ def _transfer(item: EvaluatedSines, name: str, band_hz: tuple[float, float] | No
         clock=f"clock of {clock.name}" if clock else f"clock of {name}",
         u_clock=clock.clock_uncertainty if clock else 0.0,
     )
-
-
-def _axis(component: int) -> FloatArray:
-    """Unit vector of a translation."""
-    return np.asarray(np.eye(3)[component])
 
 
 def _at_lines(uncertainty: Uncertainty, chosen: NDArray[np.bool_]) -> Uncertainty:
