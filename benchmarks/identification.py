@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from shaker.models.identification import Identification, identify
 from shaker.models.measured import InertiaError, MeasuredSensitivity, MeasuredTransfer, RelativeError, Sight
-from shaker.models.sensor_response import SensitivityComparison, fit_sensitivity
-from shaker.models.spring_damper import SpringPrior
+from shaker.models.sensor.sensor_response import SensitivityComparison, fit_sensitivity
+from shaker.models.sensor.spring_damper import SpringPrior
 from shaker.models.suspension import Suspension
 from shaker.signals.phasor import Phasors
 

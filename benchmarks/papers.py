@@ -17,7 +17,7 @@ import numpy as np
 import published_paper as paper
 from papers_rows import Row, motion, oscillator, resonance, rotation, sensitivity, table_2
 
-from shaker.models.peak import PeakReadings
+from shaker.models.resonance.peak import PeakReadings
 
 
 def spacing_rows() -> list[tuple[str, ...]]:

@@ -26,7 +26,7 @@ from fusion.plots.style import (
     lay_out,
     new_figure,
 )
-from shaker.models.peak import stiffness
+from shaker.models.resonance.peak import stiffness
 from shaker.signals.phasor import Phasors
 
 FloatArray = NDArray[np.float64]

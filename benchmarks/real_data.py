@@ -24,11 +24,11 @@ from photogram.motion import fit_motion
 from photogram.rigid import fit_rigid
 from photogram.track import TrackSettings, TrackStatus, match_stereo, track_sequence, track_stereo
 from photogram.triangulate import triangulate
-from shaker.models.chain_shape import NO_CHAIN, Chain
-from shaker.models.correction import correct_record
-from shaker.models.oscillator import Resonance, fit_resonance
-from shaker.models.sensor_model import Load, SensorModel
-from shaker.models.usable_band import usable_band
+from shaker.models.resonance.oscillator import Resonance, fit_resonance
+from shaker.models.sensor.chain_shape import NO_CHAIN, Chain
+from shaker.models.sensor.correction import correct_record
+from shaker.models.sensor.sensor_model import Load, SensorModel
+from shaker.models.sensor.usable_band import usable_band
 from shaker.signals.files import read_channels
 from shaker.signals.frequencies import find_lines
 from shaker.signals.sine import fit_sines

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shaker.models.oscillator import Kind, Resonance, fit_resonance, fit_transfer_resonance
+from shaker.models.resonance.oscillator import Kind, Resonance, fit_resonance, fit_transfer_resonance
 from shaker.signals.transfer import (
     TransferFunction,
     TransferRecord,

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shaker.models.measured import MeasuredSensitivity, RelativeError
-from shaker.models.spring_damper import SpringPrior
+from shaker.models.sensor.spring_damper import SpringPrior
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

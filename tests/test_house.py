@@ -22,9 +22,13 @@ WRITTEN_ORDER = {
         survey frequencies chain transfer plan
     """,
     "shaker.models": """
-        line_noise oscillator measured gravity harmonics turning load_mass noisy_curve circle peak_shape peak
-        identification suspension mass_chain spring_damper chain_shape sensitivity_fit sensor_response sensor_model
-        usable_band correction
+        resonance measured weights identification suspension mass_chain sensor
+        linear_system modal indices step step_fit load_series compensation decoupling feedback elastomer
+    """,
+    "shaker.models.resonance": "line_noise oscillator noisy_curve circle peak_shape peak",
+    "shaker.models.weights": "gravity harmonics turning load_mass",
+    "shaker.models.sensor": """
+        spring_damper chain_shape sensitivity_fit sensor_response sensor_model usable_band correction
     """,
     "fusion": """
         notices errors output console settings crew uncertainty coverage polar propagated manifest response
@@ -35,7 +39,8 @@ WRITTEN_ORDER = {
         results_h5 read_results camera_facts plan lines plots report_numbers report_tables consistency_tables
         budget_tables point_tables monte_carlo_tables signal_tables take_tables page report results evaluated
         camera_tables camera_report joint execution campaign campaign_summary simulate progress summary
-        plan_tables line_tables cameras align import_calibration transfer rotate identify commands cli
+        plan_tables line_tables cameras align import_calibration transfer rotate identify models_file step load_series
+        compensate elastomer commands cli
     """,
 }
 ORDER = {package: text.split() for package, text in WRITTEN_ORDER.items()}

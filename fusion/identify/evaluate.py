@@ -20,8 +20,8 @@ from fusion.manifest import Manifest, Sensor
 from fusion.notices import Notice
 from fusion.provenance import versions
 from shaker.models.measured import MeasuredSensitivity
-from shaker.models.sensor_model import Load
-from shaker.models.usable_band import usable_band
+from shaker.models.sensor.sensor_model import Load
+from shaker.models.sensor.usable_band import usable_band
 
 
 def evaluate_campaign(campaign: Campaign, settings: IdentifySettings) -> IdentifyEvaluation:

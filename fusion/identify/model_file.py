@@ -13,8 +13,8 @@ from fusion.errors import InputError
 from fusion.identify.result import ComponentResult, IdentifyEvaluation
 from fusion.identify.rows import plain
 from fusion.load import LOAD_COMPONENTS
-from shaker.models.chain_shape import CHAIN_PARAMETERS, Chain, ChainKind
-from shaker.models.sensor_model import SENSOR_PARAMETERS, SensorModel
+from shaker.models.sensor.chain_shape import CHAIN_PARAMETERS, Chain, ChainKind
+from shaker.models.sensor.sensor_model import SENSOR_PARAMETERS, SensorModel
 
 FORMAT = 1
 MODEL_FILE = "model.json"

@@ -19,8 +19,8 @@ from fusion.plots.identify_sensitivity import (
 )
 from fusion.plots.style import Picture
 from fusion.plots.transfer import uncertainty
-from shaker.models.chain_shape import NO_CHAIN
-from shaker.models.sensor_model import Load
+from shaker.models.sensor.chain_shape import NO_CHAIN
+from shaker.models.sensor.sensor_model import Load
 from shaker.signals.chain import common_covariance
 
 FloatArray = NDArray[np.float64]

@@ -11,7 +11,7 @@ from fusion.errors import ARGUMENT
 from fusion.identify.fit import JointFit
 from fusion.identify.measured import Prepared
 from fusion.notices import Notice
-from shaker.models.peak import PeakReading, peak_readings, stiffness
+from shaker.models.resonance.peak import PeakReading, peak_readings, stiffness
 
 _DEPARTS = 3.0  # residuals over the noise, rms, from which one oscillator does not explain a peak
 FEWEST_LINES = 20

@@ -10,8 +10,8 @@ from fusion.identify.sensor import SensitivityResult
 from fusion.manifest import Sensor
 from fusion.notices import Notice
 from shaker.models.measured import ParameterEstimate
-from shaker.models.sensor_model import SensorModel
-from shaker.models.usable_band import UsableBand
+from shaker.models.sensor.sensor_model import SensorModel
+from shaker.models.sensor.usable_band import UsableBand
 
 
 @dataclass(frozen=True)

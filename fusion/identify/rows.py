@@ -10,7 +10,7 @@ from fusion.coverage import coverage_factor
 from fusion.identify.result import ComponentResult, IdentifyEvaluation
 from fusion.results_csv import Row
 from shaker.models.measured import ParameterEstimate
-from shaker.models.sensor_response import CHAIN_WORDS
+from shaker.models.sensor.sensor_response import CHAIN_WORDS
 
 PARAMETER_COLUMNS = ["component", "name", "value", "u", "k", "U", "unit", "method"]
 READING_COLUMNS = [

@@ -13,11 +13,11 @@ from fusion.load import LOAD_COMPONENTS
 from fusion.manifest import Sensor
 from fusion.notices import Notice
 from fusion.results_csv import sensitivity_unit
-from shaker.models.chain_shape import NO_CHAIN
 from shaker.models.measured import MeasuredSensitivity
-from shaker.models.sensor_model import SensorModel, sensor_model
-from shaker.models.sensor_response import SensitivityComparison, fit_sensitivity
-from shaker.models.spring_damper import SpringPrior
+from shaker.models.sensor.chain_shape import NO_CHAIN
+from shaker.models.sensor.sensor_model import SensorModel, sensor_model
+from shaker.models.sensor.sensor_response import SensitivityComparison, fit_sensitivity
+from shaker.models.sensor.spring_damper import SpringPrior
 from shaker.notice import Severity
 
 FloatArray = NDArray[np.float64]

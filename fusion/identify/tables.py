@@ -16,8 +16,8 @@ from fusion.polar import DASH, rounded, typeset
 from fusion.report_numbers import measured, small, times_ten
 from fusion.report_tables import Headline, Table
 from shaker.models.measured import ParameterEstimate
-from shaker.models.sensor_response import CHAIN_WORDS
-from shaker.models.usable_band import UsableBand
+from shaker.models.sensor.sensor_response import CHAIN_WORDS
+from shaker.models.sensor.usable_band import UsableBand
 
 K = coverage_factor(np.inf)
 LIMITS = {"rise": "resonance", "drop": "fall of the output", "phase": "phase", "nothing": "nothing"}

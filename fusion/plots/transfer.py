@@ -27,7 +27,7 @@ from fusion.plots.style import (
     power_text,
 )
 from fusion.polar import typeset
-from shaker.models.oscillator import Resonance
+from shaker.models.resonance.oscillator import Resonance
 
 ComplexArray = NDArray[np.complex128]
 RASTER_ABOVE = 6000  # lines from which curves are drawn as an image

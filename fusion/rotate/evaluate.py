@@ -17,9 +17,9 @@ from fusion.rotate.readings import read_rotation, table_path, turned
 from fusion.rotate.result import Quantity, RotationEvaluation, RotationRecording
 from fusion.rotate.scatter import Repeats
 from fusion.rotate.surroundings import air_density, load_bodies, local_gravity
-from shaker.models.gravity import Known
-from shaker.models.load_mass import ROWS, WeightFit, fit_weights
-from shaker.models.turning import SensorOutputs, Turned
+from shaker.models.weights.gravity import Known
+from shaker.models.weights.load_mass import ROWS, WeightFit, fit_weights
+from shaker.models.weights.turning import SensorOutputs, Turned
 
 KIND = "rotation"
 TURNED_AWAY_RAD, TILTED_RAD = np.radians(10.0), np.radians(1.0)

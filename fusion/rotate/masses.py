@@ -14,9 +14,9 @@ from fusion.coverage import coverage_factor
 from fusion.rotate.result import JOINT, Quantity, RotationRecording
 from fusion.rotate.scatter import Carried, Repeats, components
 from fusion.rotate.surroundings import Weighed, load_bodies, own_bodies, unknown_volume
-from shaker.models.gravity import Known
-from shaker.models.load_mass import ROWS, Source, WeightFit, mass_of_weight
-from shaker.models.turning import FORCES, OWN, Turned
+from shaker.models.weights.gravity import Known
+from shaker.models.weights.load_mass import ROWS, Source, WeightFit, mass_of_weight
+from shaker.models.weights.turning import FORCES, OWN, Turned
 
 FloatArray = NDArray[np.float64]
 AXES = ("x", "y", "z")

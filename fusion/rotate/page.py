@@ -11,7 +11,7 @@ from fusion.plots.rotate import Deviations, TurnedReadings, draw_deviations, dra
 from fusion.plots.style import FloatArray, Picture
 from fusion.rotate import tables
 from fusion.rotate.result import RotationEvaluation, RotationRecording
-from shaker.models.harmonics import turning_sense
+from shaker.models.weights.harmonics import turning_sense
 
 PAGE_FILE = "rotation.html"
 

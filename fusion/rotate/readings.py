@@ -13,8 +13,8 @@ from fusion.load import LOAD_COMPONENTS, LOAD_UNITS
 from fusion.manifest import Manifest, Sensor
 from fusion.notices import Notice
 from fusion.rotate.result import Column, RotationRecording
-from shaker.models.harmonics import fit_angles
-from shaker.models.turning import SensorOutputs, Turned, start_values
+from shaker.models.weights.harmonics import fit_angles
+from shaker.models.weights.turning import SensorOutputs, Turned, start_values
 from shaker.signals.files import read_table_columns, table_units
 
 FloatArray = NDArray[np.float64]

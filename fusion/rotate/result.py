@@ -12,10 +12,10 @@ from fusion.coverage import coverage_factor
 from fusion.manifest import Manifest
 from fusion.notices import Notice
 from fusion.rotate.scatter import Repeats
-from shaker.models.gravity import Known
-from shaker.models.harmonics import AngleFit
-from shaker.models.load_mass import WeightFit
-from shaker.models.turning import SensorOutputs
+from shaker.models.weights.gravity import Known
+from shaker.models.weights.harmonics import AngleFit
+from shaker.models.weights.load_mass import WeightFit
+from shaker.models.weights.turning import SensorOutputs
 
 FloatArray = NDArray[np.float64]
 JOINT = "joint"

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fusion.errors import InputError
 from fusion.manifest import Load, Manifest, Part
-from shaker.models.gravity import Known, air_density_at, gravity_at
+from shaker.models.weights.gravity import Known, air_density_at, gravity_at
 
 FloatArray = NDArray[np.float64]
 LIGHTEST_KGM3, HEAVIEST_KGM3 = 2700.0, 8000.0

@@ -14,7 +14,7 @@ from fusion.report_tables import Headline, Table
 from fusion.results_csv import Row
 from fusion.rotate.masses import UNTOLD
 from fusion.rotate.result import JOINT, Quantity, RotationEvaluation, RotationRecording
-from shaker.models.turning import FORCES
+from shaker.models.weights.turning import FORCES
 
 COLUMNS = ["name", "component", "value", "u", "U", "k", "unit", "dof", "recording"]
 MILLIMETRE, MILLIRADIAN, GRAM, MILLI = 1e3, 1e3, 1e3, 1e3

@@ -14,7 +14,7 @@ from fusion.load import LOAD_COMPONENTS
 from fusion.simulate.draws import Draws
 from fusion.simulate.toml_text import to_toml
 from photogram.rigid import rotation_from_vector
-from shaker.models.gravity import air_density_at, gravity_at
+from shaker.models.weights.gravity import air_density_at, gravity_at
 
 FloatArray = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ from fusion.transfer.estimate import estimated
 from fusion.transfer.records import Located, Together, read_together
 from fusion.transfer.resonances import find_resonances
 from fusion.transfer.result import CommonError, Quantity, ReferenceResult, TransferEvaluation, TransferSettings
-from shaker.models.oscillator import Kind
+from shaker.models.resonance.oscillator import Kind
 from shaker.signals.chain import MOTION_UNITS, QUANTITIES, common_covariance, motion_order, ratio_unit
 from shaker.signals.transfer import TransferFunction
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fusion.errors import ARGUMENT
 from fusion.notices import Notice
 from fusion.transfer.result import CommonError, FoundResonance
-from shaker.models.oscillator import Kind, Resonance, fit_resonance
+from shaker.models.resonance.oscillator import Kind, Resonance, fit_resonance
 from shaker.signals.transfer import TransferFunction
 
 FloatArray = NDArray[np.float64]

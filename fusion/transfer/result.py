@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fusion.evaluation import ClockResult
 from fusion.manifest import Manifest
 from fusion.notices import Notice
-from shaker.models.oscillator import Resonance
+from shaker.models.resonance.oscillator import Resonance
 from shaker.signals.transfer import TransferFunction
 
 FloatArray = NDArray[np.float64]

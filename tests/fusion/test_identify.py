@@ -26,8 +26,8 @@ from fusion.identify.settings import IdentifySettings
 from fusion.settings import Settings
 from fusion.simulate.draws import Draws
 from fusion.simulate.world import true_part
-from shaker.models.correction import correct_phasors
-from shaker.models.sensor_model import Load
+from shaker.models.sensor.correction import correct_phasors
+from shaker.models.sensor.sensor_model import Load
 from shaker.signals.phasor import Phasors
 
 GUIDE = (Path(__file__).resolve().parents[2] / "docs" / "identify.md").read_text(encoding="utf-8")

@@ -15,8 +15,8 @@ from fusion.rotate.result import Quantity
 from fusion.rotate.surroundings import air_density, local_gravity
 from fusion.simulate.draws import Draws
 from fusion.simulate.rotation import BARE, LOADED, RotationRig, true_outputs, write_rotation
-from shaker.models.harmonics import fit_angles, turning_sense
-from shaker.models.load_mass import fit_weights
+from shaker.models.weights.harmonics import fit_angles, turning_sense
+from shaker.models.weights.load_mass import fit_weights
 
 TRIALS = 1000
 BY_CALIBRATION = RotationRig(u_angle_rad=3e-4)

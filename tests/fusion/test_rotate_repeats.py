@@ -24,8 +24,8 @@ from fusion.rotate.surroundings import air_density, local_gravity, unknown_volum
 from fusion.rotate.tables import budget_tables, repeats_tables
 from fusion.simulate.draws import Draws
 from fusion.simulate.rotation import BARE, LOADED, RotationRig, true_outputs, write_rotation
-from shaker.models.harmonics import fit_angles, turning_sense
-from shaker.models.load_mass import ROWS, fit_weights
+from shaker.models.weights.harmonics import fit_angles, turning_sense
+from shaker.models.weights.load_mass import ROWS, fit_weights
 
 TRIALS = 500
 SCATTERING = RotationRig(u_sensitivity=1e-4, u_angle_rad=2e-5, u_load_mass_kg=1e-5, hysteresis=0.0)

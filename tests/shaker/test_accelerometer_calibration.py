@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from real_data import SHOCK, SHOCK_RATE_HZ, Shock, as_sensor, read_shock
 
-from shaker.models.chain_shape import NO_CHAIN
-from shaker.models.correction import correct_record
-from shaker.models.sensor_model import Load, SensorModel
-from shaker.models.usable_band import usable_band
+from shaker.models.sensor.chain_shape import NO_CHAIN
+from shaker.models.sensor.correction import correct_record
+from shaker.models.sensor.sensor_model import Load, SensorModel
+from shaker.models.sensor.usable_band import usable_band
 
 SEISMIC = Load(1.0, "force")
 

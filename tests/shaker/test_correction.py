@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from scipy import signal
 from sensitivity_factory import DAMPING, FREQUENCY, LAG, STATIC, STIFFNESS, lag, measured, resonance
 
-from shaker.models.chain_shape import NO_CHAIN, Chain
-from shaker.models.correction import correct_phasors, correct_record
-from shaker.models.sensitivity_fit import fit_chain
-from shaker.models.sensor_model import Drive, Load, SensorModel, sensor_model
-from shaker.models.usable_band import usable_band
+from shaker.models.sensor.chain_shape import NO_CHAIN, Chain
+from shaker.models.sensor.correction import correct_phasors, correct_record
+from shaker.models.sensor.sensitivity_fit import fit_chain
+from shaker.models.sensor.sensor_model import Drive, Load, SensorModel, sensor_model
+from shaker.models.sensor.usable_band import usable_band
 from shaker.signals.phasor import Phasors
 
 FloatArray = NDArray[np.float64]

@@ -10,7 +10,7 @@ from identification_factory import ALONG_Z, FloatArray, oscillator, recording, r
 
 from shaker.models.identification import Identification, Mechanics, identify, poles, respond
 from shaker.models.measured import InertiaError, MeasuredTransfer, RelativeError, Sight
-from shaker.models.oscillator import fit_resonance
+from shaker.models.resonance.oscillator import fit_resonance
 from shaker.models.suspension import Suspension
 
 K, B, MI = 4.753e8, 900.0, 1.28

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize_scalar
 
-from shaker.models.circle import fit_circle
-from shaker.models.noisy_curve import NoisyCurve
-from shaker.models.oscillator import fit_resonance
-from shaker.models.peak import (
+from shaker.models.resonance.circle import fit_circle
+from shaker.models.resonance.noisy_curve import NoisyCurve
+from shaker.models.resonance.oscillator import fit_resonance
+from shaker.models.resonance.peak import (
     PeakReadings,
     damping_from_width,
     peak_readings,
@@ -20,7 +20,7 @@ from shaker.models.peak import (
     transmissibility_levels,
     width_from_damping,
 )
-from shaker.models.peak_shape import Width
+from shaker.models.resonance.peak_shape import Width
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -24,11 +24,11 @@ from sensitivity_factory import (
     resonance,
 )
 
-from shaker.models.chain_shape import CHAIN_PARAMETERS, Chain, ChainKind
 from shaker.models.measured import MeasuredSensitivity, RelativeError
-from shaker.models.sensitivity_fit import SensitivityFit, fit_chain
-from shaker.models.sensor_response import fit_sensitivity
-from shaker.models.spring_damper import SpringPrior
+from shaker.models.sensor.chain_shape import CHAIN_PARAMETERS, Chain, ChainKind
+from shaker.models.sensor.sensitivity_fit import SensitivityFit, fit_chain
+from shaker.models.sensor.sensor_response import fit_sensitivity
+from shaker.models.sensor.spring_damper import SpringPrior
 
 ComplexArray = NDArray[np.complex128]
 TIME = DAMPING / STIFFNESS

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from oscillator_factory import F0_HZ, ZETA, accelerance, blow, deviations
 from scipy.stats import f as fisher
 
-from shaker.models.oscillator import fit_transfer_resonance
+from shaker.models.resonance.oscillator import fit_transfer_resonance
 from shaker.signals.files import read_channels
 from shaker.signals.transfer import TransferFunction, TransferRecord, transfer_impact
 

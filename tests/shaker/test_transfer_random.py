@@ -13,7 +13,7 @@ from scipy.signal import coherence, csd, get_window, welch
 from scipy.stats import chi2
 from scipy.stats import f as fisher
 
-from shaker.models.oscillator import fit_transfer_resonance
+from shaker.models.resonance.oscillator import fit_transfer_resonance
 from shaker.signals.transfer import Estimator, TransferFunction, transfer_random
 
 RATE = 6400.0

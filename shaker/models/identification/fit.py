@@ -13,8 +13,8 @@ from shaker.models.identification.remarks import remarks
 from shaker.models.identification.result import FreeFactor, Identification, ModeEstimate, NamedUnknown
 from shaker.models.identification.solve import Spread, State, effective, evaluate, rescaled, solve, spread
 from shaker.models.identification.start import starting_vectors
-from shaker.models.line_noise import CurveResidual, SeenNoise, seen_noise
 from shaker.models.measured import MeasuredTransfer, ParameterEstimate
+from shaker.models.resonance.line_noise import CurveResidual, SeenNoise, seen_noise
 
 _EXPLAINED = 4.0  # χ² per line below which no other start is tried
 _NOISE_ROUNDS = 4

@@ -6,8 +6,8 @@ import numpy as np
 
 from shaker.models.identification.problem import Problem
 from shaker.models.identification.solve import Spread, State
-from shaker.models.line_noise import SeenNoise
 from shaker.models.measured import ParameterEstimate
+from shaker.models.resonance.line_noise import SeenNoise
 from shaker.notice import Notice
 
 _OPEN = 1.0 / 3.0  # u over value from which a parameter is called open

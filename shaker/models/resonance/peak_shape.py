@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from shaker._checks import BoolArray, FloatArray
-from shaker.models.noisy_curve import NoisyCurve
+from shaker.models.resonance.noisy_curve import NoisyCurve
 
 Width = Literal["half_power", "half_amplitude"]
 LEVELS: dict[Width, float] = {"half_power": 2.0, "half_amplitude": 4.0}  # of 1/|H|², relative to the maximum

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from shaker._checks import ComplexArray, FloatArray, check_shape
-from shaker.models.line_noise import CurveResidual, SeenNoise, seen_noise
+from shaker.models.resonance.line_noise import CurveResidual, SeenNoise, seen_noise
 from shaker.signals.transfer import TransferFunction
 
 Kind = Literal["transmissibility", "receptance", "mobility", "accelerance"]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from shaker._checks import ComplexArray, FloatArray, check_shape
-from shaker.models.sensor_model import Load, SensorModel
+from shaker.models.sensor.sensor_model import Load, SensorModel
 from shaker.notice import Notice
 from shaker.signals.chain import common_covariance, split_ratio
 from shaker.signals.phasor import Phasors

@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 
 from shaker._checks import ComplexArray, FloatArray, check_shape
-from shaker.models.chain_shape import Chain, laplace
-from shaker.models.sensitivity_fit import SensitivityFit
+from shaker.models.sensor.chain_shape import Chain, laplace
+from shaker.models.sensor.sensitivity_fit import SensitivityFit
 from shaker.signals.chain import ChainResponse
 
 Drive = Literal["base", "force"]

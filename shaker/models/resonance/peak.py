@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from shaker._checks import ComplexArray, FloatArray
-from shaker.models.circle import fit_circle
-from shaker.models.noisy_curve import NoisyCurve
-from shaker.models.peak_shape import LEVELS, Place, Width, read_shape, uncertainties, wandering_hz2
+from shaker.models.resonance.circle import fit_circle
+from shaker.models.resonance.noisy_curve import NoisyCurve
+from shaker.models.resonance.peak_shape import LEVELS, Place, Width, read_shape, uncertainties, wandering_hz2
 
 _FEWEST_LINES = 5
 _RESOLVED_LINES = 4.0  # in the half-power width, below which a width read from the lines is not to be trusted

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from shaker._checks import ComplexArray, FloatArray, check_shape
-from shaker.models.chain_shape import CHAIN_PARAMETERS, Chain, ChainKind, laplace
 from shaker.models.identification import NamedUnknown
 from shaker.models.measured import MeasuredSensitivity, ParameterEstimate
-from shaker.models.spring_damper import SpringPrior
+from shaker.models.sensor.chain_shape import CHAIN_PARAMETERS, Chain, ChainKind, laplace
+from shaker.models.sensor.spring_damper import SpringPrior
 
 LABELS = {"spring_time_s": "b/k of the sensor", "delay_s": "delay of the chain", "lag_s": "lag of the chain"}
 _TOLERANCE, _EVALUATIONS = 1e-10, 200

@@ -8,10 +8,10 @@ from typing import Literal
 import numpy as np
 
 from shaker._checks import FloatArray, check_shape
-from shaker.models.chain_shape import CHAIN_PARAMETERS, ChainKind
 from shaker.models.measured import MeasuredSensitivity
-from shaker.models.sensitivity_fit import SensitivityFit, fit_chain
-from shaker.models.spring_damper import SpringPrior
+from shaker.models.sensor.chain_shape import CHAIN_PARAMETERS, ChainKind
+from shaker.models.sensor.sensitivity_fit import SensitivityFit, fit_chain
+from shaker.models.sensor.spring_damper import SpringPrior
 from shaker.notice import Notice
 
 Verdict = Literal["supported", "more than needed", "refuted"]

@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple, TypeVar
 import numpy as np
 
 from shaker._checks import BoolArray, ComplexArray, FloatArray, IntArray, check_shape
-from shaker.models.turning import (
+from shaker.models.weights.turning import (
     FORCES,
     LEAST_SHARE,
     OWN,

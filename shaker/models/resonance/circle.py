@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from shaker._checks import ComplexArray, FloatArray
-from shaker.models.noisy_curve import NoisyCurve
+from shaker.models.resonance.noisy_curve import NoisyCurve
 
 _CIRCLE_STEPS = 20
 _ANGLE_STEPS = 30

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from shaker._checks import FloatArray
-from shaker.models.sensor_model import Load, SensorModel
+from shaker.models.sensor.sensor_model import Load, SensorModel
 
 Limit = Literal["rise", "drop", "phase", "nothing"]
 

@@ -1,0 +1,1 @@
+"""What a single resonance shows: its readings and its fit."""

@@ -1,0 +1,1 @@
+"""The sensor with its measuring chain: sensitivity over frequency, usable band, correction."""

@@ -1,0 +1,1 @@
+"""Masses from the weight of what turns."""
