@@ -40,7 +40,7 @@ WRITTEN_ORDER = {
         budget_tables point_tables monte_carlo_tables signal_tables take_tables page report results evaluated
         camera_tables camera_report joint execution campaign campaign_summary simulate progress summary
         plan_tables line_tables cameras align import_calibration transfer rotate identify models_file step load_series
-        compensate elastomer commands cli
+        compensate decouple elastomer commands cli
     """,
 }
 ORDER = {package: text.split() for package, text in WRITTEN_ORDER.items()}

@@ -1,0 +1,1 @@
+"""The command `shakercal compensate`: a filter from a model, and what it does."""

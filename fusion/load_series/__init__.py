@@ -1,0 +1,1 @@
+"""The command `shakercal load`: resonance over the load mass."""

@@ -1,0 +1,1 @@
+"""Filters that compensate the dynamics of a sensor."""

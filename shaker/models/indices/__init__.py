@@ -1,0 +1,1 @@
+"""Indices of a model: resonance, bands, overshoot, rise and settling."""

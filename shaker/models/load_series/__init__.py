@@ -1,0 +1,1 @@
+"""Load characteristics: stiffness, damping and resonances of a sensor over the mass it carries."""

@@ -1,0 +1,117 @@
+"""A system as a sum of modes: what is fitted to a record, with its covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from shaker._checks import ComplexArray, FloatArray, check_shape
+from shaker.models.linear_system import LinearSystem
+
+
+@dataclass(frozen=True)
+class ModalModel:
+    """H(s) = Σ_m [r_m/(s - p_m) + r̄_m/(s - p̄_m)] + Σ_q r_q/(s - p_q), output over load.
+
+    Oscillating modes m: p = -ζω + jω√(1 - ζ²), ω = 2π·`frequency_hz` (M,), `damping_ratio` ζ (M,), complex `residue`
+    (M,); real poles q: p = -2π·`real_hz` (Q,), `real_residue` (Q,). Residues in output unit per load unit and second.
+    `covariance` (P, P), P = 4M + 2Q, of `vector` = [frequency_hz, damping_ratio, Re residue, Im residue, real_hz,
+    real_residue], None where it is not known. ζ < 1; a negative ζ or `real_hz` is an unstable model, kept as found.
+    """
+
+    frequency_hz: FloatArray
+    damping_ratio: FloatArray
+    residue: ComplexArray
+    real_hz: FloatArray
+    real_residue: FloatArray
+    covariance: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        modes, reals = len(self.frequency_hz), len(self.real_hz)
+        for name, count in (("frequency_hz", modes), ("damping_ratio", modes), ("residue", modes)):
+            check_shape(name, getattr(self, name), (count,))
+        check_shape("real_hz", self.real_hz, (reals,))
+        check_shape("real_residue", self.real_residue, (reals,))
+        if self.covariance is not None:
+            check_shape("covariance", self.covariance, (4 * modes + 2 * reals,) * 2)
+        if np.any(np.abs(self.damping_ratio) >= 1.0):
+            raise ValueError(
+                f"damping_ratio: expected below 1, found {self.damping_ratio.tolist()}; use two real poles"
+            )
+
+    @property
+    def vector(self) -> FloatArray:
+        """All parameters (P,) in the order of `covariance`."""
+        parts = (self.frequency_hz, self.damping_ratio, self.residue.real, self.residue.imag, self.real_hz)
+        return np.concatenate([*parts, self.real_residue])
+
+    def with_vector(self, vector: FloatArray) -> ModalModel:
+        """Return the model of another vector (P,), with the same covariance."""
+        modes, reals = len(self.frequency_hz), len(self.real_hz)
+        f, z, re, im, hz, r = np.split(np.asarray(vector), np.cumsum([modes] * 4 + [reals]))
+        return replace(self, frequency_hz=f, damping_ratio=z, residue=re + 1j * im, real_hz=hz, real_residue=r)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters: frequency_hz_1, … with the number of the mode or of the real pole."""
+        modes = ("frequency_hz", "damping_ratio", "residue_re", "residue_im")
+        found = [f"{name}_{m + 1}" for name in modes for m in range(len(self.frequency_hz))]
+        return tuple(
+            found + [f"{name}_{q + 1}" for name in ("real_hz", "real_residue") for q in range(len(self.real_hz))]
+        )
+
+    @property
+    def poles(self) -> ComplexArray:
+        """Poles in rad/s: the upper ones of the modes (M,), then the real ones (Q,)."""
+        omega, zeta = 2 * np.pi * self.frequency_hz, self.damping_ratio
+        upper = omega * (-zeta + 1j * np.sqrt(1 - zeta**2))
+        return np.concatenate([upper, -2 * np.pi * self.real_hz + 0j])
+
+    def response(self, frequency_hz: FloatArray) -> ComplexArray:
+        """Return H (K,) at frequencies (K,) in Hz."""
+        s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[:, None]
+        upper, real = np.split(self.poles, [len(self.frequency_hz)])
+        both = self.residue / (s - upper) + self.residue.conj() / (s - upper.conj())
+        return np.asarray(both.sum(axis=1) + (self.real_residue / (s - real)).sum(axis=1))
+
+    @property
+    def static_gain(self) -> float:
+        """H(0), the static sensitivity of the model."""
+        return float(self.response(np.zeros(1))[0].real)
+
+    def step(self, time_s: FloatArray) -> FloatArray:
+        """Return the response (N,) to a unit step at t = 0: Σ r/p·(exp(pt) - 1), zero before."""
+        t = np.maximum(np.asarray(time_s, dtype=np.float64), 0.0)[:, None]
+        upper, real = np.split(self.poles, [len(self.frequency_hz)])
+        swing = 2.0 * np.real(self.residue / upper * np.expm1(upper * t)).sum(axis=1)
+        return np.asarray(swing + (self.real_residue / real.real * np.expm1(real.real * t)).sum(axis=1))
+
+    @property
+    def system(self) -> LinearSystem:
+        """The same as zeros, poles and gain."""
+        from scipy.signal import invres
+
+        upper, real = np.split(self.poles, [len(self.frequency_hz)])
+        poles = np.concatenate([upper, upper.conj(), real])
+        residues = np.concatenate([self.residue, self.residue.conj(), self.real_residue + 0j])
+        scale = float(np.exp(np.mean(np.log(np.abs(poles)))))
+        numerator, _ = invres(residues / scale, poles / scale, [], tol=0.0)
+        top = np.real(numerator)
+        top = top[np.argmax(np.abs(top) > 1e-12 * np.max(np.abs(top))) :]
+        zeros = np.roots(top) * scale
+        return LinearSystem(np.asarray(zeros + 0j), poles, float(top[0]) * scale ** (len(poles) - len(zeros)))
+
+    def propagate(self, function: Callable[[ModalModel], FloatArray]) -> tuple[FloatArray, FloatArray]:
+        """Return a function's values (Q,) and their covariance (Q, Q), by central differences over each parameter."""
+        if self.covariance is None:
+            raise ValueError("covariance: expected that of the parameters, found none")
+        value = np.asarray(function(self))
+        u = np.sqrt(np.diag(self.covariance))
+        jacobian = np.zeros((len(value), len(u)))
+        for place in np.flatnonzero(u):
+            up, down = (self.vector + sign * 1e-2 * u[place] * np.eye(len(u))[place] for sign in (1.0, -1.0))
+            change = np.asarray(function(self.with_vector(up))) - np.asarray(function(self.with_vector(down)))
+            jacobian[:, place] = change / (2e-2 * u[place])
+        return value, jacobian @ self.covariance @ jacobian.T

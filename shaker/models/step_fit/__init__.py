@@ -1,0 +1,1 @@
+"""Models identified from step responses."""
