@@ -1,1 +1,1 @@
-"""The command `shakercal decouple`: outputs of several loads to a common model and the filter that undoes cross-talk."""
+"""The command `shakercal decouple`: a common model of all outputs, and the filter against cross-talk."""

@@ -8,7 +8,7 @@ from shaker._checks import ComplexArray, FloatArray
 
 
 def pole_responses(poles: ComplexArray, time_s: FloatArray, onset_s: float, release_s: float) -> ComplexArray:
-    """Return the responses (N, P) of 1/(s - p) for poles (P,) in rad/s to a load that grows from 0 to 1, at `time_s` (N,).
+    """Return responses (N, P) of 1/(s - p), poles (P,) in rad/s, to a load that grows from 0 to 1, at `time_s` (N,).
 
     The load is clip((t - onset)/T, 0, 1) with T = `release_s` ≥ 0, a step for T = 0. With τ = t - onset: before the end
     of the ramp [(exp(pτ) - 1)/p - τ]/(pT); after it [exp(pτ)·(1 - exp(-pT))/(pT) - 1]/p; zero before the onset.

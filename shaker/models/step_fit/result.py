@@ -18,8 +18,8 @@ class StepFit:
     """A model of one output for one load component.
 
     `model`: continuous, in output unit per load unit, None where the poles of `system` have no modal form; `system`:
-    the same, or what the method itself yields, at full precision; `sample_rate_hz`, `decimation`: of the samples that were
-    fitted; `fitted`, `residual` (N,) over `time_s` (N,) in output units; `onset_s`, `u_onset_s`, `release_s`,
+    the same, or what the method itself yields, at full precision; `sample_rate_hz`, `decimation`: of the samples that
+    were fitted; `fitted`, `residual` (N,) over `time_s` (N,) in output units; `onset_s`, `u_onset_s`, `release_s`,
     `u_release_s`: begin and length of the release; `variance_accounted`: 1 - |residual|²/|y - mean|²; `convergence`:
     loss over iterations or generations, or over the order 1, 2, …; `order`: number of poles; `duration_s`: time taken.
     """
