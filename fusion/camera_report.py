@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from fusion import camera_tables as tables
-from fusion.notices import warnings_first
-from fusion.page import render_page
+from fusion.page import origin_frame, render_page
 from fusion.plots.cameras import draw_cameras
-from fusion.provenance import PROGRAM, Provenance
-from fusion.report_tables import inputs_table, provenance_tables
+from fusion.provenance import Provenance
 from photogram.calibrate.result import Calibration
 
 
@@ -28,7 +26,6 @@ def _context(calibration: Calibration, name: str, provenance: Provenance, durati
         "subject": tables.subject(calibration),
         "verdict": tables.verdict(calibration),
         "headlines": tables.camera_headlines(calibration),
-        "notices": warnings_first(calibration.notices),
         "pictures": draw_cameras(calibration),
         "views": tables.views_table(calibration),
         "dropped": tables.dropped_table(calibration),
@@ -37,9 +34,7 @@ def _context(calibration: Calibration, name: str, provenance: Provenance, durati
         "correlations": tables.correlations_table(calibration),
         "lengths": tables.lengths_table(calibration),
         "scale_u": calibration.scale_u,
-        "origin": provenance_tables(provenance),
-        "inputs": inputs_table(provenance),
-        "program": f"{PROGRAM} {provenance.versions.get(PROGRAM, '')}".strip(),
+        **origin_frame(provenance, calibration.notices),
         "duration_s": duration_s,
         "files": provenance.files,
     }

@@ -12,9 +12,9 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import h5py
 
-from fusion.notices import Notice, warnings_first
-from fusion.provenance import PROGRAM, Provenance, write_provenance
-from fusion.report_tables import inputs_table, provenance_tables
+from fusion.notices import Notice
+from fusion.page import origin_frame
+from fusion.provenance import Provenance, write_provenance
 from fusion.results import write_folder
 
 
@@ -77,14 +77,7 @@ class ResultFolder(Generic[E]):
 
 def page_frame(evaluation: Evaluated) -> dict[str, Any]:
     """What every page shows of an evaluation: notices, origin, inputs, program, time of computation."""
-    origin = _origin(evaluation, ())
-    return {
-        "notices": warnings_first(evaluation.notices),
-        "origin": provenance_tables(origin),
-        "inputs": inputs_table(origin),
-        "program": f"{PROGRAM} {evaluation.versions.get(PROGRAM, '')}".strip(),
-        "duration_s": evaluation.duration_s,
-    }
+    return {**origin_frame(_origin(evaluation, ()), evaluation.notices), "duration_s": evaluation.duration_s}
 
 
 def log_notices(evaluation: Evaluated, log: logging.Logger) -> None:

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
+
+from fusion.evaluation import Evaluation
+from fusion.notices import AnyNotice, warnings_first
+from fusion.provenance import PROGRAM, Provenance
+from fusion.report_tables import inputs_table, provenance_tables
 
 
 def render_page(template: str, context: Mapping[str, Any]) -> str:
@@ -23,6 +28,16 @@ def render_page(template: str, context: Mapping[str, Any]) -> str:
     )
     environment.filters["data_uri"] = data_uri
     return environment.get_template(template).render(context) + "\n"
+
+
+def origin_frame(origin: Evaluation | Provenance, notices: Iterable[AnyNotice]) -> dict[str, Any]:
+    """What every page shows beside its subject: notices, settings and versions, input files, the program."""
+    return {
+        "notices": warnings_first(notices),
+        "origin": provenance_tables(origin),
+        "inputs": inputs_table(origin),
+        "program": f"{PROGRAM} {origin.versions.get(PROGRAM, '')}".strip(),
+    }
 
 
 def data_uri(svg: str) -> Markup:

@@ -9,8 +9,7 @@ from fusion.budget_tables import budget_tables, other_loads_table
 from fusion.consistency_tables import consistency_tables
 from fusion.evaluation import Evaluation
 from fusion.monte_carlo_tables import monte_carlo_tables
-from fusion.notices import warnings_first
-from fusion.page import render_page
+from fusion.page import origin_frame, render_page
 from fusion.plots.gallery import draw_all
 from fusion.point_tables import point_tables
 from fusion.report_numbers import measured
@@ -31,7 +30,6 @@ def _context(evaluation: Evaluation) -> dict[str, Any]:
         "manifest": evaluation.manifest,
         "subject": _subject(evaluation),
         "headlines": tables.headlines(evaluation),
-        "notices": warnings_first(evaluation.notices),
         "pictures": draw_all(evaluation),
         "sensitivity": tables.sensitivity_table(evaluation),
         "sources": tables.source_tables(evaluation),
@@ -47,9 +45,7 @@ def _context(evaluation: Evaluation) -> dict[str, Any]:
         "drift": drift_table(evaluation),
         "takes": takes_table(evaluation),
         "clocks": clocks_table(evaluation),
-        "origin": tables.provenance_tables(evaluation),
-        "inputs": tables.inputs_table(evaluation),
-        "program": f"shakercal {evaluation.versions.get('shakercal', '')}".strip(),
+        **origin_frame(evaluation, evaluation.notices),
         "duration_s": evaluation.duration_s,
     }
 

@@ -12,12 +12,9 @@ from fusion.joint.evaluation import CampaignEvaluation
 from fusion.joint.h5_file import campaign_origin
 from fusion.joint.points import curve_points
 from fusion.matrix import LEAST_SINGULAR, CrossTalk
-from fusion.notices import warnings_first
-from fusion.page import render_page
+from fusion.page import origin_frame, render_page
 from fusion.plots.matrix import CrosstalkMap, ExcitationDrawing, draw_crosstalk, draw_excitation
 from fusion.plots.style import Picture
-from fusion.provenance import PROGRAM
-from fusion.report_tables import inputs_table, provenance_tables
 
 LARGEST_MAPS = 6
 """Number of frequencies whose cross-talk is drawn: those spread evenly over all."""
@@ -36,7 +33,6 @@ def _context(evaluation: CampaignEvaluation) -> dict[str, Any]:
         "name": evaluation.name,
         "subject": _subject(evaluation),
         "headlines": headlines(evaluation, mains),
-        "notices": warnings_first(evaluation.notices),
         "curves": curve_pictures(evaluation, mains),
         "curve_tables": curve_tables(mains),
         "outputs": output_pictures(evaluation),
@@ -48,9 +44,7 @@ def _context(evaluation: CampaignEvaluation) -> dict[str, Any]:
         "repeats": tables.repeats_table(evaluation),
         "linearity": tables.linearity_table(evaluation),
         "recordings": tables.recording_rows(evaluation),
-        "origin": provenance_tables(origin),
-        "inputs": inputs_table(origin),
-        "program": f"{PROGRAM} {origin.versions.get(PROGRAM, '')}".strip(),
+        **origin_frame(origin, evaluation.notices),
     }
 
 

@@ -6,9 +6,8 @@ import logging
 from collections.abc import Sequence
 from pathlib import Path
 
-from fusion.errors import InputError
 from fusion.evaluated import log_notices
-from fusion.manifest import Manifest, find_recordings, load_manifest
+from fusion.manifest import Manifest, find_recordings, for_kinds, load_manifest
 from fusion.provenance import check_folder, hash_files
 from fusion.rotate.evaluate import KIND, check_kind, evaluate_rotation
 from fusion.rotate.page import PAGE_FILE
@@ -46,13 +45,12 @@ def run_rotate(paths: Sequence[Path], output: Path | None, *, force: bool = Fals
 
 def _manifests(path: Path, allow_outside: bool) -> list[Manifest]:
     """The rotation recordings at a path; of a campaign's others the user is told."""
-    found = [load_manifest(recording, allow_outside=allow_outside) for recording in find_recordings(path)]
-    if len(found) == 1:
-        check_kind(found[0])
-    chosen = [manifest for manifest in found if manifest.excitation.kind == KIND]
-    if not chosen:
-        raise InputError(path, "", found="recordings of other kinds", expected=f'a recording of kind "{KIND}"')
-    others = [manifest.folder.name for manifest in found if manifest.excitation.kind != KIND]
+    found = find_recordings(path)
+    recordings = for_kinds(found, (KIND,))
+    manifests = [load_manifest(recording, allow_outside=allow_outside) for recording in recordings]
+    for manifest in manifests:
+        check_kind(manifest)
+    others = [recording.parent.name for recording in found if recording not in recordings]
     if others:
         log.info("%s: left out, since their kind is not %s: %s", path, KIND, ", ".join(others))
-    return chosen
+    return manifests

@@ -24,7 +24,6 @@ CASES = [
     (RECORDING, "with_load = false\n", "", "excitation.with_load", "required for kind"),
     (RECORDING, "with_load = false", "with_load = false\nscale = 0", "excitation.scale", "a number other than 0"),
     (RECORDING, 'file = "readings.csv"', 'file = "no.csv"', "excitation.file", "an existing file"),
-    (RECORDING, 'kind = "rotation"', 'kind = "sine"', "excitation.direction", "required for kind"),
     (TABLE, "angle [deg]", "theta", "angle", "a column of this name"),
     (TABLE, "Fx [mV/V]", "Fx [kN]", "Fx", 'expected "V/V"'),
     (TABLE, "Fx [mV/V]", "Fx [N]", "Fy", "N or N.m as of Fx"),
