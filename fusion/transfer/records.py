@@ -101,38 +101,63 @@ def _together(
     names: Sequence[str],
 ) -> Together:
     """Return channels, the reference first, as they were sampled together or else on a common grid."""
-    blocks = {record.entry.name: record for record in records}
-    used = dict.fromkeys(places[name][0][0] for name in names)
-    base = None
-    if len(used) > 1:
-        base = tie_daqs(manifest, [record for record in records if record is records[0] or record.entry.name in used])
-    channels = []
-    for name in names:
-        block, entry = places[name][0]
-        channels.append(Located(entry, blocks[block], _u_clock_s(base, blocks[block], name)))
-    alike = {(c.record.entry.name, c.rate_hz, c.record.lag_s(c.entry.name), _length(c)) for c in channels}
-    grid = None if len(alike) == 1 else _common_grid(manifest, channels, base)
-    values = [c.record.values(c.entry) if grid is None else grid.read(c, base) for c in channels]
-    clock = records[0] if base is not None else channels[0].record
-    units = [channel_unit(manifest, channel.entry) for channel in channels]
+    found = align(manifest, records, [places[name][0] for name in names], "excitation.response")
+    units = [channel_unit(manifest, channel.entry) for channel in found.channels]
     samples = TransferRecord(
-        reference=values[0],
-        responses=np.stack(values[1:], axis=1),
-        sample_rate_hz=channels[0].rate_hz if grid is None else grid.rate_hz,
+        reference=found.values[0],
+        responses=np.stack(found.values[1:], axis=1),
+        sample_rate_hz=found.rate_hz,
         reference_name=names[0],
         reference_unit=units[0],
         channels=tuple(names[1:]),
         unit=tuple(units[1:]),
     )
+    clock = records[0] if found.base is not None else found.channels[0].record
+    highest_hz, u_clock = found.highest_hz, clock.entry.clock_uncertainty
     return Together(
-        channels[0],
-        tuple(channels[1:]),
-        samples,
-        clock.entry.clock_uncertainty,
-        None if grid is None else PASS_BAND * grid.rate_hz,
-        base,
-        () if grid is None else (grid.notice(),),
+        found.channels[0], tuple(found.channels[1:]), samples, u_clock, highest_hz, found.base, found.notices
     )
+
+
+@dataclass(frozen=True)
+class Aligned:
+    """Channels and their samples (N,) each at the same times: from `start_s` on the first clock with `rate_hz`.
+
+    `highest_hz`: up to where they may be used, None where they are those of the file. `base`: the clocks, where they
+    had to be tied.
+    """
+
+    channels: tuple[Located, ...]
+    values: tuple[FloatArray, ...]
+    rate_hz: float
+    start_s: float
+    highest_hz: float | None
+    base: TimeBase | None
+    notices: tuple[Notice, ...]
+
+
+def align(
+    manifest: Manifest, records: Sequence[DaqRecord], wanted: Sequence[tuple[str, ChannelEntry]], key: str
+) -> Aligned:
+    """Return channels, each with the name of its block, as they were sampled together or else on a common grid.
+
+    Raises `InputError` at `key` where they do not overlap.
+    """
+    blocks = {record.entry.name: record for record in records}
+    used = dict.fromkeys(block for block, _ in wanted)
+    base = None
+    if len(used) > 1:
+        base = tie_daqs(manifest, [record for record in records if record is records[0] or record.entry.name in used])
+    channels = tuple(Located(entry, blocks[name], _u_clock_s(base, blocks[name], entry.name)) for name, entry in wanted)
+    alike = {(c.record.entry.name, c.rate_hz, c.record.lag_s(c.entry.name), _length(c)) for c in channels}
+    if len(alike) == 1:
+        values = tuple(c.record.values(c.entry) for c in channels)
+        start_s = channels[0].record.lag_s(channels[0].entry.name)
+        return Aligned(channels, values, channels[0].rate_hz, start_s, None, base, ())
+    grid = _common_grid(manifest, channels, base, key)
+    values = tuple(grid.read(c, base) for c in channels)
+    highest_hz = PASS_BAND * grid.rate_hz
+    return Aligned(channels, values, grid.rate_hz, float(grid.time_s[0]), highest_hz, base, (grid.notice(),))
 
 
 def _length(channel: Located) -> int:
@@ -175,7 +200,7 @@ def _position(channel: Located, base: TimeBase | None, time_s: FloatArray) -> Fl
     return np.asarray((own - channel.record.lag_s(channel.entry.name)) * channel.rate_hz)
 
 
-def _common_grid(manifest: Manifest, channels: Sequence[Located], base: TimeBase | None) -> _Grid:
+def _common_grid(manifest: Manifest, channels: Sequence[Located], base: TimeBase | None, key: str) -> _Grid:
     """Return the times of the slowest channel that lie well inside the records of all."""
     slowest = min(channels, key=lambda channel: channel.rate_hz)
     own = slowest.record.time_s(slowest.entry.name)
@@ -190,5 +215,5 @@ def _common_grid(manifest: Manifest, channels: Sequence[Located], base: TimeBase
         inside &= (position >= reach) & (position <= _length(channel) - 1 - reach)
     if np.count_nonzero(inside) < 2 * len(channels):
         expected = "channels that were recorded at the same time"
-        raise InputError(manifest.path, "excitation.response", found="records that do not overlap", expected=expected)
+        raise InputError(manifest.path, key, found="records that do not overlap", expected=expected)
     return _Grid(time_s[inside], rate_hz, slowest.entry.name)
