@@ -132,6 +132,7 @@ class Excitation(Block):
     step_amplitude: Number | None = None
     onset: Number | None = None
     force: Text | None = None
+    release: Text | None = None
     file: ExistingFile | None = None
     angle_unit: Literal["rad", "deg"] | None = None
     axis: Direction | None = None
@@ -155,7 +156,7 @@ class Excitation(Block):
         "chirp": ("period", "settle_periods", "response", "reference"),
         "noise": ("band", "response", "reference"),
         "impact": ("band", "response", "reference"),
-        "step": ("direction", "onset", "force"),
+        "step": ("direction", "onset", "force", "release"),
         "rotation": ("angle_uncertainty", "scale"),
     }
 
