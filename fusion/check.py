@@ -290,6 +290,8 @@ def _instruments(takes: Sequence[Manifest]) -> list[Observability]:
 
 def _remarks(manifest: Manifest, takes: Sequence[Manifest], observed: list[Observability]) -> list[str]:
     """What the results will lack, and why."""
+    if manifest.excitation.kind == "step":
+        return _step_remarks(manifest, takes)
     rig, told = manifest.rig, []
     together = {body: _all_rows(observed, body) for body in BODIES}
     told += [
@@ -317,6 +319,22 @@ def _remarks(manifest: Manifest, takes: Sequence[Manifest], observed: list[Obser
     told += [
         f"daq {name} shares no trigger channel with another block: its clock cannot be tied" for name in _loose(takes)
     ]
+    return told
+
+
+def _step_remarks(manifest: Manifest, takes: Sequence[Manifest]) -> list[str]:
+    """What the models of a step response will lack."""
+    excitation, entries = manifest.excitation, _entries(takes)
+    outputs = [entry.channel for entry in entries if entry.quantity == "output"]
+    told = ["shakercal step evaluates this recording"]
+    if not outputs:
+        told.append("no channel is an output of the sensor: no model")
+    elif excitation.component not in outputs:
+        told.append(f"no channel is the output {excitation.component}, which is driven: cross-talk only")
+    if excitation.force is not None and excitation.force not in [e.name for e in entries if e.quantity == "force"]:
+        told.append(f"no force channel is named {excitation.force}")
+    if len(takes) > 1:
+        told.append("several takes: shakercal step expects one release per recording")
     return told
 
 

@@ -84,7 +84,8 @@ def _check_kind(manifest: Manifest) -> None:
     """Refuse recordings that this command does not evaluate."""
     kind = manifest.excitation.kind
     if kind not in EVALUATED_KINDS:
-        command = {"chirp": "transfer", "noise": "transfer", "impact": "transfer", "rotation": "rotate"}.get(kind)
+        commands = {"rotation": "rotate", "step": "step", **dict.fromkeys(("chirp", "noise", "impact"), "transfer")}
+        command = commands.get(kind)
         other = "" if command is None else f" (shakercal {command} takes this one)"
         expected = f"{' or '.join(EVALUATED_KINDS)}, the kinds that shakercal run evaluates{other}"
         raise InputError(manifest.path, "excitation.kind", found=kind, expected=expected)

@@ -56,8 +56,9 @@ def check_kind(manifest: Manifest) -> None:
     """Refuse recordings that this command does not evaluate."""
     excitation = manifest.excitation
     if excitation.kind not in KINDS:
-        hints = {"sine": "; shakercal run evaluates sines", "rotation": "; shakercal rotate evaluates rotations"}
-        hint = hints.get(excitation.kind, "")
+        others = {"sine": "run", "rotation": "rotate", "step": "step"}
+        command = others.get(excitation.kind)
+        hint = "" if command is None else f"; shakercal {command} evaluates {excitation.kind}s"
         expected = f"{', '.join(KINDS[:-1])} or {KINDS[-1]}, the kinds that shakercal transfer evaluates{hint}"
         raise InputError(manifest.path, "excitation.kind", found=excitation.kind, expected=expected)
     if manifest.take:
