@@ -15,11 +15,22 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
     parser.add_argument("out", type=Path, metavar="OUT", help="campaign folder to create")
     parser.add_argument(
         "--preset",
-        choices=("demo", "nitsche2018", "sweep", "matrix", "targets", "chirp", "masses", "pitching", "rotation"),
+        choices=(
+            "demo",
+            "nitsche2018",
+            "sweep",
+            "matrix",
+            "targets",
+            "chirp",
+            "masses",
+            "pitching",
+            "rotation",
+            "steps",
+        ),
         default="demo",
         help="which rig (default: demo); sweep, matrix: campaigns for a curve over frequency and for the 6x6; "
         "targets: a camera calibration; chirp: a recording for shakercal transfer; masses, pitching: campaigns of two "
-        "loads for shakercal identify; rotation: a campaign for shakercal rotate",
+        "loads for shakercal identify; rotation: a campaign for shakercal rotate; steps: one for shakercal step",
     )
     parser.add_argument("--seed", type=seed, default=1, help="seed of every random draw (default: 1)")
     parser.add_argument("--force", action="store_true", help="overwrite a simulation that is there")
@@ -47,6 +58,7 @@ def _write(out: Path, preset: str, seed: int, progress: ProgressCallback) -> str
         simulate_chirp,
         simulate_loads,
         simulate_rotation,
+        simulate_steps,
         simulate_targets,
     )
 
@@ -59,5 +71,7 @@ def _write(out: Path, preset: str, seed: int, progress: ProgressCallback) -> str
         return f"simulated campaign: {simulate_loads(out, preset, seed, progress)}"
     if preset == "rotation":
         return f"simulated campaign: {out}, {len(simulate_rotation(out, seed))} recordings"
+    if preset == "steps":
+        return f"simulated campaign: {out}, {len(simulate_steps(out, seed))} recordings"
     folder = simulate_chirp(out, seed) if preset == "chirp" else simulate(out, preset, seed, progress)
     return f"simulated recording: {folder}"

@@ -108,6 +108,18 @@ def simulate_rotation(out: Path, seed: int) -> tuple[Path, ...]:
     return out / BARE, out / LOADED
 
 
+def simulate_steps(out: Path, seed: int) -> tuple[Path, ...]:
+    """Write a calibration by releases, three ropes and six components, into folder `out`; return its recordings.
+
+    The same seed gives the same files; other folders are refused as by `simulate`.
+    """
+    from fusion.simulate.steps import releases, write_steps
+
+    with _whole(out) as partial:
+        write_steps(partial, seed)
+    return tuple(out / release.name for release in releases())
+
+
 @contextmanager
 def _whole(out: Path) -> Iterator[Path]:
     """Yield a folder that takes the place of `out` when it is complete; refuse anything but an earlier simulation."""
