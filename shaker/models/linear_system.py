@@ -7,6 +7,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from shaker._checks import ComplexArray, FloatArray, check_shape
+from shaker.models.conversion import (
+    Method,
+    matched_to_continuous,
+    matched_to_samples,
+    tustin_constant,
+    tustin_to_continuous,
+    tustin_to_samples,
+    zoh_to_continuous,
+    zoh_to_samples,
+)
+from shaker.models.partial_fractions import residues, zeros_and_gain
+
+SOUND = 1e5
+"""How much larger than their sum the parts of a response may be; beyond, poles count as coinciding."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +57,15 @@ class LinearSystem:
             raise ValueError("numerator, denominator: expected a coefficient other than 0 in both, found none")
         zeros, poles = (np.asarray(np.roots(part) + 0j) for part in (top, bottom))
         return LinearSystem(zeros, poles, float(top[0] / bottom[0]), sample_rate_hz)
+
+    @staticmethod
+    def from_residues(
+        poles: ComplexArray, residues: ComplexArray, direct: float = 0.0, sample_rate_hz: float | None = None
+    ) -> LinearSystem:
+        """Return the system direct + Σ residue/(x - pole) of different poles (P,), in conjugate pairs."""
+        p, r = np.asarray(poles, dtype=np.complex128), np.asarray(residues, dtype=np.complex128)
+        zeros, gain = zeros_and_gain(p, r, direct, rest=0.0 if sample_rate_hz is None else 1.0)
+        return LinearSystem(zeros, p, gain, sample_rate_hz)
 
     def coefficients(self) -> tuple[FloatArray, FloatArray]:
         """Return numerator and monic denominator in falling powers, the numerator padded with zeros in front."""
@@ -84,6 +107,123 @@ class LinearSystem:
         if self.sample_rate_hz is None:
             raise ValueError("sample_rate_hz: expected that of a sampled system, found none")
         return np.asarray(zpk2sos(self.zeros, self.poles, self.gain))
+
+    @property
+    def direct(self) -> float:
+        """H at infinite s or z: what passes at once."""
+        return self.gain if len(self.zeros) == len(self.poles) else 0.0
+
+    def residues(self) -> ComplexArray:
+        """Return r (P,) of H = direct + Σ r/(x - pole), infinite where poles coincide."""
+        return residues(self.zeros, self.poles, self.gain)
+
+    def step_terms(self) -> tuple[ComplexArray, bool]:
+        """Return a (P,) of the response direct + Σ a·(exp(pole·t) - 1) to a step, and whether poles are far apart."""
+        if self.sample_rate_hz is not None or np.any(self.poles == 0):
+            raise ValueError("system: expected a continuous one without a pole at 0")
+        terms = self.residues() / self.poles
+        return terms, bool(np.sum(np.abs(terms)) < SOUND * max(abs(self.static_gain), abs(self.direct)))
+
+    def step(self, time_s: FloatArray) -> FloatArray:
+        """Return the response (N,) to a unit step at t = 0, zero before; of samples the last one at each time."""
+        return self._driven(time_s, step=True)
+
+    def impulse(self, time_s: FloatArray) -> FloatArray:
+        """Return the response (N,) to a unit impulse, without what passes at once; of samples that to a unit sample."""
+        return self._driven(time_s, step=False)
+
+    def _driven(self, time_s: FloatArray, step: bool) -> FloatArray:
+        """Return a response by poles where they are apart, by the matrix exponential where they coincide."""
+        time = np.asarray(time_s, dtype=np.float64)
+        late = time >= 0
+        found = np.zeros(len(time))
+        t = time[late]
+        if not len(t):
+            return found
+        if self.sample_rate_hz is not None:
+            found[late] = self._samples(t * self.sample_rate_hz, step)
+            return found
+        if np.all(self.poles != 0):
+            terms, sound = self.step_terms()
+            if sound and step:
+                found[late] = self.direct + np.real(np.expm1(t[:, None] * self.poles) @ terms)
+            elif sound:
+                found[late] = np.real(np.exp(t[:, None] * self.poles) @ (terms * self.poles))
+            if sound:
+                return found
+        found[late] = self._by_matrix(t, step)
+        return found
+
+    def _samples(self, place: FloatArray, step: bool) -> FloatArray:
+        """Return the response at places (N,) in samples, the last sample before each."""
+        from scipy.signal import sosfilt
+
+        index = np.floor(place + 1e-6).astype(np.int64)
+        drive = np.ones(int(index.max()) + 1)
+        drive[1:] = 1.0 if step else 0.0
+        return np.asarray(sosfilt(self.sections(), drive)[index])
+
+    def _by_matrix(self, time_s: FloatArray, step: bool) -> FloatArray:
+        """Return a continuous response at times (N,) from a chain of first-order systems."""
+        from scipy.linalg import expm
+
+        state, drive, output = self._chain()
+        if not step:
+            return np.asarray((expm(time_s[:, None, None] * state) @ drive @ output).real)
+        both = np.zeros((len(drive) + 1,) * 2, dtype=np.complex128)
+        both[:-1, :-1], both[:-1, -1] = state, drive
+        return np.asarray(self.direct + (expm(time_s[:, None, None] * both)[:, :-1, -1] @ output).real)
+
+    def _chain(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """Return state (P, P), drive (P,) and output (P,) of factors 1 + (p - z)/(s - p) and 1/(s - p) in a row."""
+        count = len(self.poles)
+        state = np.diag(self.poles).astype(np.complex128)
+        drive, output = np.zeros((2, count), dtype=np.complex128)
+        through, passing = np.zeros(count, dtype=np.complex128), 1.0
+        for i, pole in enumerate(self.poles):
+            state[i, :i], drive[i] = through[:i], passing
+            if i < len(self.zeros):
+                through[i] = pole - self.zeros[i]
+            else:
+                through[:] = 0.0
+                through[i], passing = 1.0, 0.0
+        output[:] = self.gain * through
+        return state, drive, output
+
+    def sampled(self, rate_hz: float, method: Method = "zoh", prewarp_hz: float | None = None) -> LinearSystem:
+        """Return the system of samples at `rate_hz` that stands for this continuous one.
+
+        `zoh`: the same response to a load that is constant between samples, poles exp(p/fs). `tustin`:
+        s = c (z - 1)/(z + 1), c = 2 fs, or ω/tan(ω/2fs) so that H is the same at `prewarp_hz`. `matched`: zeros and
+        poles exp(·/fs), zeros at infinity to z = -1, the same static gain (|H| at fs/100 where that is 0 or infinite).
+        """
+        if self.sample_rate_hz is not None:
+            raise ValueError(f"system: expected a continuous one, found samples at {self.sample_rate_hz} Hz")
+        if not rate_hz > 0:
+            raise ValueError(f"rate_hz: expected a positive number, found {rate_hz}")
+        if prewarp_hz is not None and method != "tustin":
+            raise ValueError(f"prewarp_hz: expected with tustin only, found with {method}")
+        parts = (self.zeros, self.poles, self.gain)
+        if method == "tustin":
+            return LinearSystem(*tustin_to_samples(*parts, tustin_constant(rate_hz, prewarp_hz)), rate_hz)
+        convert = {"zoh": zoh_to_samples, "matched": matched_to_samples}[method]
+        return LinearSystem(*convert(*parts, rate_hz), rate_hz)
+
+    def continuous(self, method: Method = "tustin", prewarp_hz: float | None = None) -> LinearSystem:
+        """Return the continuous system that a sampled one stands for, the inverse of `sampled`.
+
+        Refused: a real pole or zero at or below z = 0 but by `tustin`, which alone has a place for it.
+        """
+        rate = self.sample_rate_hz
+        if rate is None:
+            raise ValueError("sample_rate_hz: expected that of a sampled system, found none")
+        if prewarp_hz is not None and method != "tustin":
+            raise ValueError(f"prewarp_hz: expected with tustin only, found with {method}")
+        parts = (self.zeros, self.poles, self.gain)
+        if method == "tustin":
+            return LinearSystem(*tustin_to_continuous(*parts, tustin_constant(rate, prewarp_hz)))
+        convert = {"zoh": zoh_to_continuous, "matched": matched_to_continuous}[method]
+        return LinearSystem(*convert(*parts, rate))
 
     def times(self, other: LinearSystem) -> LinearSystem:
         """Return the product of two systems; nothing is cancelled."""

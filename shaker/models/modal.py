@@ -88,30 +88,52 @@ class ModalModel:
         swing = 2.0 * np.real(self.residue / upper * np.expm1(upper * t)).sum(axis=1)
         return np.asarray(swing + (self.real_residue / real.real * np.expm1(real.real * t)).sum(axis=1))
 
+    def impulse(self, time_s: FloatArray) -> FloatArray:
+        """Return the response (N,) to a unit impulse at t = 0: Σ r·exp(pt), zero before."""
+        time = np.asarray(time_s, dtype=np.float64)
+        t = np.maximum(time, 0.0)[:, None]
+        upper, real = np.split(self.poles, [len(self.frequency_hz)])
+        swing = 2.0 * np.real(self.residue * np.exp(upper * t)).sum(axis=1)
+        return np.asarray((swing + (self.real_residue * np.exp(real.real * t)).sum(axis=1)) * (time >= 0))
+
     @property
     def system(self) -> LinearSystem:
         """The same as zeros, poles and gain."""
-        from scipy.signal import invres
-
         upper, real = np.split(self.poles, [len(self.frequency_hz)])
         poles = np.concatenate([upper, upper.conj(), real])
         residues = np.concatenate([self.residue, self.residue.conj(), self.real_residue + 0j])
-        scale = float(np.exp(np.mean(np.log(np.abs(poles)))))
-        numerator, _ = invres(residues / scale, poles / scale, [], tol=0.0)
-        top = np.real(numerator)
-        top = top[np.argmax(np.abs(top) > 1e-12 * np.max(np.abs(top))) :]
-        zeros = np.roots(top) * scale
-        return LinearSystem(np.asarray(zeros + 0j), poles, float(top[0]) * scale ** (len(poles) - len(zeros)))
+        return LinearSystem.from_residues(poles, residues)
 
-    def propagate(self, function: Callable[[ModalModel], FloatArray]) -> tuple[FloatArray, FloatArray]:
-        """Return a function's values (Q,) and their covariance (Q, Q), by central differences over each parameter."""
+    @staticmethod
+    def from_system(system: LinearSystem) -> ModalModel:
+        """Return a continuous system of different poles, with fewer zeros than poles, as a sum of modes."""
+        if system.sample_rate_hz is not None:
+            raise ValueError(f"system: expected a continuous one, found samples at {system.sample_rate_hz} Hz")
+        if len(system.zeros) >= len(system.poles):
+            raise ValueError(f"zeros: expected fewer than poles, {len(system.poles)}, found {len(system.zeros)}")
+        residues = system.residues()
+        if not np.all(np.isfinite(residues)):
+            raise ValueError(f"poles: expected different ones, found {system.poles.tolist()}")
+        upper, real = system.poles.imag > 0, system.poles.imag == 0
+        size = np.abs(system.poles[upper])
+        damping = -system.poles[upper].real / size
+        hertz = -system.poles[real].real / (2 * np.pi)
+        return ModalModel(size / (2 * np.pi), damping, residues[upper], hertz, residues[real].real)
+
+    def propagate(
+        self, function: Callable[[ModalModel], FloatArray], step: float = 1e-2
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return a function's values (Q,) and their covariance (Q, Q), by central differences over each parameter.
+
+        `step`: by how many of its standard uncertainties a parameter is moved to either side.
+        """
         if self.covariance is None:
             raise ValueError("covariance: expected that of the parameters, found none")
         value = np.asarray(function(self))
         u = np.sqrt(np.diag(self.covariance))
         jacobian = np.zeros((len(value), len(u)))
         for place in np.flatnonzero(u):
-            up, down = (self.vector + sign * 1e-2 * u[place] * np.eye(len(u))[place] for sign in (1.0, -1.0))
+            up, down = (self.vector + sign * step * u[place] * np.eye(len(u))[place] for sign in (1.0, -1.0))
             change = np.asarray(function(self.with_vector(up))) - np.asarray(function(self.with_vector(down)))
-            jacobian[:, place] = change / (2e-2 * u[place])
+            jacobian[:, place] = change / (2 * step * u[place])
         return value, jacobian @ self.covariance @ jacobian.T

@@ -1,0 +1,169 @@
+"""Where the gain of a system peaks, falls and leaves a band, over frequency."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from shaker._checks import ComplexArray, FloatArray
+from shaker.models.linear_system import LinearSystem
+
+POINTS = 60
+"""Points per decade of distance from every pole and zero."""
+
+
+@dataclass(frozen=True)
+class GainCurve:
+    """|H| over frequency: `edges_hz` (E,), rising from 0, with `gain` (E,), between which |H| only rises or only falls.
+
+    The last edge is half the sampling rate, or, of a continuous system, far above every pole and zero, where |H| has
+    come to its last slope; `gain_beyond`: what it tends to from there on.
+    """
+
+    system: LinearSystem
+    edges_hz: FloatArray
+    gain: FloatArray
+    gain_beyond: float
+
+    def crossings(self, level: float) -> list[float]:
+        """Return every frequency in Hz at which |H| passes `level`, rising."""
+        from scipy.optimize import brentq
+
+        def above(hertz: float) -> float:
+            return float(np.abs(self.system.response(np.array([hertz]))[0]) / level - 1.0)
+
+        high = self.gain > level
+        found = []
+        for place in np.flatnonzero(high[1:] != high[:-1]):
+            low, top = self.edges_hz[place], self.edges_hz[place + 1]
+            found.append(float(brentq(above, low, top, xtol=1e-14 * top, rtol=1e-14)))
+        return found
+
+    def inside(self, low: float, high: float) -> list[tuple[float, float]]:
+        """Return the ranges of frequency in Hz in which low ≤ |H| ≤ high, rising; the last may be endless."""
+        marks = sorted([*self.crossings(low), *self.crossings(high)])
+        ends = [0.0, *marks, float(self.edges_hz[-1])]
+        found: list[tuple[float, float]] = []
+        for begin, end in pairwise(ends):
+            middle = np.abs(self.system.response(np.array([0.5 * (begin + end)]))[0])
+            if not low <= middle <= high:
+                continue
+            if found and found[-1][1] == begin:
+                found[-1] = (found[-1][0], end)
+            else:
+                found.append((begin, end))
+        if found and self.system.sample_rate_hz is None and found[-1][1] == ends[-1]:
+            found[-1] = (found[-1][0], np.inf)
+        return found
+
+
+def gain_curve(system: LinearSystem) -> GainCurve:
+    """Return |H| over frequency in pieces that only rise or only fall.
+
+    The turning points are the zeros of d ln|H|/dω = Re{x'·[Σ 1/(x - zero) - Σ 1/(x - pole)]}, x' = dx/dω, between
+    points that lie close where poles and zeros are near: no resonance is too narrow.
+    """
+    from scipy.optimize import brentq
+
+    grid = _grid(system)
+    slope = _slope(system, grid)
+    places = np.flatnonzero(np.sign(slope[1:]) * np.sign(slope[:-1]) < 0)
+    turns = [
+        float(brentq(lambda f: float(_slope(system, np.array([f]))[0]), grid[i], grid[i + 1], xtol=1e-14 * grid[i + 1]))
+        for i in places
+    ]
+    edges = np.array([0.0, *turns, grid[-1]])
+    return GainCurve(system, edges, np.abs(system.response(edges)), _beyond(system))
+
+
+def _beyond(system: LinearSystem) -> float:
+    """Return the gain at the highest frequency: at half the rate, or at infinity."""
+    if system.sample_rate_hz is not None:
+        return float(np.abs(system.at(np.array([-1.0 + 0j]))[0]))
+    return abs(system.gain) if len(system.zeros) == len(system.poles) else 0.0
+
+
+def places_rad(system: LinearSystem) -> tuple[ComplexArray, ComplexArray]:
+    """Return zeros and poles as s in rad/s, those of samples by ln(z)·rate; z = 0 is left out."""
+    if system.sample_rate_hz is None:
+        return system.zeros, system.poles
+    zeros, poles = (np.log(part[part != 0]) * system.sample_rate_hz for part in (system.zeros, system.poles))
+    return np.asarray(zeros), np.asarray(poles)
+
+
+def _grid(system: LinearSystem) -> FloatArray:
+    """Return frequencies (G,) in Hz, rising, that lie as close as zeros and poles make the gain change."""
+    features = np.concatenate(places_rad(system))
+    features = features[np.abs(features) > 0] / (2 * np.pi)
+    if not len(features):
+        features = np.ones(1, dtype=np.complex128)
+    sizes = np.abs(features)
+    least, most = 1e-4 * sizes.min(), 1e3 * sizes.max()
+    if system.sample_rate_hz is not None:
+        most = 0.5 * system.sample_rate_hz
+    parts = [np.geomspace(min(least, 1e-3 * most), most, int(POINTS * np.log10(most / min(least, 1e-3 * most))) + 2)]
+    for place, size in zip(features, sizes, strict=True):
+        if place.imag <= 0:
+            continue
+        width = max(abs(place.real), 1e-12 * size)
+        away = np.geomspace(1e-2 * width, size, int(POINTS * np.log10(1e2 * size / width)) + 2)
+        parts += [place.imag - away, place.imag + away]
+    grid = np.unique(np.concatenate([*parts, [most]]))
+    return np.asarray(grid[(grid > 0) & (grid <= most)])
+
+
+def _slope(system: LinearSystem, hertz: FloatArray) -> FloatArray:
+    """Return d ln|H|/dω (K,) in s at frequencies (K,) in Hz."""
+    x = 2j * np.pi * np.asarray(hertz)
+    change: ComplexArray = np.full(len(x), 1j)
+    if system.sample_rate_hz is not None:
+        x = np.exp(x / system.sample_rate_hz)
+        change = 1j * x / system.sample_rate_hz
+    from_zeros = (1.0 / (x[:, None] - system.zeros)).sum(axis=1)
+    from_poles = (1.0 / (x[:, None] - system.poles)).sum(axis=1)
+    return np.asarray((change * (from_zeros - from_poles)).real)
+
+
+def band_end(curve: GainCurve, reference: float, tolerance: float) -> float | None:
+    """Return the frequency in Hz up to which |H| is within ±`tolerance` of |`reference`|, None if not at rest."""
+    level = abs(reference)
+    ranges = curve.inside((1 - tolerance) * level, (1 + tolerance) * level)
+    return ranges[0][1] if ranges and ranges[0][0] == 0.0 else None
+
+
+def half_power(curve: GainCurve) -> float | None:
+    """Return the frequency in Hz at which |H| first falls below |H(0)|/√2, None if nowhere."""
+    if curve.gain[0] == 0:
+        return None
+    found = curve.crossings(float(curve.gain[0]) / np.sqrt(2.0))
+    return found[0] if found else None
+
+
+def peak(curve: GainCurve) -> tuple[float, float] | None:
+    """Return frequency in Hz and |H| of the highest maximum between rest and the end, None if |H| only falls."""
+    place = int(np.argmax(curve.gain))
+    if place in (0, len(curve.gain) - 1):
+        return None
+    return float(curve.edges_hz[place]), float(curve.gain[place])
+
+
+def quadrature(system: LinearSystem) -> float | None:
+    """Return the first frequency in Hz at which H is 90° from H(0), None if nowhere."""
+    from scipy.optimize import brentq
+
+    grid = _grid(system)
+    gain = system.static_gain
+
+    def along(hertz: float) -> float:
+        return float((system.response(np.array([hertz]))[0] / gain).real)
+
+    if gain == 0:
+        return None
+    real = (system.response(grid) / gain).real
+    places = np.flatnonzero(np.sign(real[1:]) * np.sign(real[:-1]) < 0)
+    if not len(places):
+        return None
+    low, top = grid[places[0]], grid[places[0] + 1]
+    return float(brentq(along, low, top, xtol=1e-14 * top))
