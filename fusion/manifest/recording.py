@@ -130,6 +130,7 @@ class Excitation(Block):
     reference: Annotated[Texts, Field(min_length=1)] = ()
     component: Component | None = None
     step_amplitude: Number | None = None
+    step_uncertainty: NotNegative = 0.0
     onset: Number | None = None
     force: Text | None = None
     release: Text | None = None
@@ -156,7 +157,7 @@ class Excitation(Block):
         "chirp": ("period", "settle_periods", "response", "reference"),
         "noise": ("band", "response", "reference"),
         "impact": ("band", "response", "reference"),
-        "step": ("direction", "onset", "force", "release"),
+        "step": ("direction", "step_uncertainty", "onset", "force", "release"),
         "rotation": ("angle_uncertainty", "scale"),
     }
 

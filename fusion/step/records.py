@@ -55,10 +55,11 @@ def read_step(manifest: Manifest) -> StepInput:
         sample_rate_hz=found.rate_hz,
         component=excitation.component,
         amplitude=excitation.step_amplitude,
+        u_amplitude=excitation.step_uncertainty,
         start_s=found.start_s,
         force=None if force is None else found.values[-1],
         onset_s=excitation.onset,
-        release=getattr(excitation, "release", None) or "",
+        release=excitation.release or "",
     )
     _check_onset(manifest, record)
     return StepInput(manifest, record, (*found.notices, *_of_chains(found, record)))
