@@ -1,0 +1,66 @@
+"""The target that keeps a whole sensor within a permitted error up to a wanted frequency."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from shaker.models.compensation.dynamics import SensorDynamics
+from shaker.models.compensation.filter import Compensation
+from shaker.models.compensation.target import Target, best_damping
+
+KEPT_SHARE = 0.1
+"""Share of the permitted error that is left to the uncertainty of the model."""
+HIGHEST_FACTOR = 32.0
+POINTS = 257
+
+
+def target_for_bandwidth(
+    sensor: SensorDynamics, bandwidth_hz: float, permitted_error: float = 0.1, real_hz: float | None = None
+) -> Target:
+    """Return the target of lowest natural frequency with which the whole sensor stays within 1 ± δ up to a frequency.
+
+    All its poles and zeros count, also those that stay. A tenth of δ is left to the uncertainty of the model.
+    The lowest natural frequency passes the least noise.
+    """
+    from scipy.optimize import minimize_scalar
+
+    if not bandwidth_hz > 0:
+        raise ValueError(f"bandwidth_hz: expected a positive number, found {bandwidth_hz}")
+    if not len(sensor.frequency_hz):
+        raise ValueError("frequency_hz: expected a mode to compensate for a bandwidth, found real poles only")
+    start = best_damping((1.0 - KEPT_SHARE) * permitted_error)
+
+    def lowest(damping: float) -> float:
+        return _lowest_frequency(sensor, bandwidth_hz, permitted_error, float(damping), real_hz)
+
+    dampings = start + np.linspace(-0.25, 0.4, 27)
+    tried = np.array([lowest(damping) for damping in dampings])
+    if not np.any(np.isfinite(tried)):
+        raise ValueError(
+            f"bandwidth_hz: expected one that the poles which are not compensated leave within ±{permitted_error:.2g}"
+            f" of the static gain, found {bandwidth_hz:g}; compensate more modes or the real poles"
+        )
+    near = dampings[int(np.argmin(tried))]
+    found = minimize_scalar(lowest, bounds=(near - 0.025, near + 0.025), method="bounded", options={"xatol": 1e-7})
+    damping = float(found.x) if found.fun <= np.min(tried) else float(near)
+    return Target(lowest(damping), damping, real_hz)
+
+
+def _lowest_frequency(
+    sensor: SensorDynamics, bandwidth_hz: float, permitted_error: float, damping: float, real_hz: float | None
+) -> float:
+    """Lowest natural frequency with which the band is kept, infinite where none does."""
+    hertz = np.linspace(0.0, bandwidth_hz, POINTS)
+    allowed = (1.0 - KEPT_SHARE) * permitted_error
+
+    def kept(frequency: float) -> bool:
+        gain = np.abs(Compensation(sensor, Target(frequency, damping, real_hz)).compensated.response(hertz))
+        return bool(np.max(np.abs(gain / gain[0] - 1.0)) <= allowed)
+
+    low, high = bandwidth_hz / HIGHEST_FACTOR, bandwidth_hz * HIGHEST_FACTOR
+    if not kept(high):
+        return float("inf")
+    while high / low > 1.0 + 1e-12:
+        middle = float(np.sqrt(low * high))
+        low, high = (low, middle) if kept(middle) else (middle, high)
+    return high
