@@ -120,20 +120,28 @@ class ModalModel:
         hertz = -system.poles[real].real / (2 * np.pi)
         return ModalModel(size / (2 * np.pi), damping, residues[upper], hertz, residues[real].real)
 
-    def propagate(
+    def jacobian(
         self, function: Callable[[ModalModel], FloatArray], step: float = 1e-2
     ) -> tuple[FloatArray, FloatArray]:
-        """Return a function's values (Q,) and their covariance (Q, Q), by central differences over each parameter.
+        """Return a function's values (Q,) and their derivatives (Q, P), by central differences over each parameter.
 
-        `step`: by how many of its standard uncertainties a parameter is moved to either side.
+        `step`: by how many of its standard uncertainties a parameter is moved to either side; one without uncertainty
+        is not moved.
         """
         if self.covariance is None:
             raise ValueError("covariance: expected that of the parameters, found none")
         value = np.asarray(function(self))
         u = np.sqrt(np.diag(self.covariance))
-        jacobian = np.zeros((len(value), len(u)))
+        found = np.zeros((len(value), len(u)))
         for place in np.flatnonzero(u):
             up, down = (self.vector + sign * step * u[place] * np.eye(len(u))[place] for sign in (1.0, -1.0))
             change = np.asarray(function(self.with_vector(up))) - np.asarray(function(self.with_vector(down)))
-            jacobian[:, place] = change / (2 * step * u[place])
-        return value, jacobian @ self.covariance @ jacobian.T
+            found[:, place] = change / (2 * step * u[place])
+        return value, found
+
+    def propagate(
+        self, function: Callable[[ModalModel], FloatArray], step: float = 1e-2
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return a function's values (Q,) and their covariance (Q, Q) by its `jacobian`."""
+        value, jacobian = self.jacobian(function, step)
+        return value, np.asarray(jacobian @ self.covariance @ jacobian.T)
