@@ -128,10 +128,8 @@ class ModalModel:
         `step`: by how many of its standard uncertainties a parameter is moved to either side; one without uncertainty
         is not moved.
         """
-        if self.covariance is None:
-            raise ValueError("covariance: expected that of the parameters, found none")
+        u = np.sqrt(np.diag(self._known_covariance()))
         value = np.asarray(function(self))
-        u = np.sqrt(np.diag(self.covariance))
         found = np.zeros((len(value), len(u)))
         for place in np.flatnonzero(u):
             up, down = (self.vector + sign * step * u[place] * np.eye(len(u))[place] for sign in (1.0, -1.0))
@@ -143,5 +141,11 @@ class ModalModel:
         self, function: Callable[[ModalModel], FloatArray], step: float = 1e-2
     ) -> tuple[FloatArray, FloatArray]:
         """Return a function's values (Q,) and their covariance (Q, Q) by its `jacobian`."""
-        value, jacobian = self.jacobian(function, step)
-        return value, np.asarray(jacobian @ self.covariance @ jacobian.T)
+        value, slope = self.jacobian(function, step)
+        return value, np.asarray(slope @ self._known_covariance() @ slope.T)
+
+    def _known_covariance(self) -> FloatArray:
+        """The covariance, which must be there."""
+        if self.covariance is None:
+            raise ValueError("covariance: expected that of the parameters, found none")
+        return self.covariance
