@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from shaker._checks import ComplexArray, FloatArray
+from shaker.models.indices.roots import roots_between, sign_changes
 from shaker.models.linear_system import LinearSystem
 
 POINTS = 60
@@ -29,17 +30,12 @@ class GainCurve:
 
     def crossings(self, level: float) -> list[float]:
         """Return every frequency in Hz at which |H| passes `level`, rising."""
-        from scipy.optimize import brentq
 
-        def above(hertz: float) -> float:
-            return float(np.abs(self.system.response(np.array([hertz]))[0]) / level - 1.0)
+        def above(hertz: FloatArray) -> FloatArray:
+            return np.asarray(np.abs(self.system.response(hertz)) / level - 1.0)
 
-        high = self.gain > level
-        found = []
-        for place in np.flatnonzero(high[1:] != high[:-1]):
-            low, top = self.edges_hz[place], self.edges_hz[place + 1]
-            found.append(float(brentq(above, low, top, xtol=1e-14 * top, rtol=1e-14)))
-        return found
+        places = sign_changes(self.gain - level)
+        return [float(f) for f in roots_between(above, self.edges_hz[places], self.edges_hz[places + 1])]
 
     def inside(self, low: float, high: float) -> list[tuple[float, float]]:
         """Return the ranges of frequency in Hz in which low ≤ |H| ≤ high, rising; the last may be endless."""
@@ -65,16 +61,10 @@ def gain_curve(system: LinearSystem) -> GainCurve:
     The turning points are the zeros of d ln|H|/dω = Re{x'·[Σ 1/(x - zero) - Σ 1/(x - pole)]}, x' = dx/dω, between
     points that lie close where poles and zeros are near: no resonance is too narrow.
     """
-    from scipy.optimize import brentq
-
     grid = _grid(system)
-    slope = _slope(system, grid)
-    places = np.flatnonzero(np.sign(slope[1:]) * np.sign(slope[:-1]) < 0)
-    turns = [
-        float(brentq(lambda f: float(_slope(system, np.array([f]))[0]), grid[i], grid[i + 1], xtol=1e-14 * grid[i + 1]))
-        for i in places
-    ]
-    edges = np.array([0.0, *turns, grid[-1]])
+    places = sign_changes(_slope(system, grid))
+    turns = roots_between(lambda hertz: _slope(system, hertz), grid[places], grid[places + 1])
+    edges = np.concatenate([[0.0], turns, grid[-1:]])
     return GainCurve(system, edges, np.abs(system.response(edges)), _beyond(system))
 
 
@@ -151,19 +141,13 @@ def peak(curve: GainCurve) -> tuple[float, float] | None:
 
 def quadrature(system: LinearSystem) -> float | None:
     """Return the first frequency in Hz at which H is 90° from H(0), None if nowhere."""
-    from scipy.optimize import brentq
-
-    grid = _grid(system)
-    gain = system.static_gain
-
-    def along(hertz: float) -> float:
-        return float((system.response(np.array([hertz]))[0] / gain).real)
-
+    gain, grid = system.static_gain, _grid(system)
     if gain == 0:
         return None
-    real = (system.response(grid) / gain).real
-    places = np.flatnonzero(np.sign(real[1:]) * np.sign(real[:-1]) < 0)
-    if not len(places):
-        return None
-    low, top = grid[places[0]], grid[places[0] + 1]
-    return float(brentq(along, low, top, xtol=1e-14 * top))
+
+    def along(hertz: FloatArray) -> FloatArray:
+        return np.asarray((system.response(hertz) / gain).real)
+
+    first = sign_changes(along(grid))[:1]
+    found = roots_between(along, grid[first], grid[first + 1])
+    return float(found[0]) if len(found) else None

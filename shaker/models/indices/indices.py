@@ -8,18 +8,16 @@ from shaker._checks import FloatArray
 from shaker.models.indices.frequency import band_end, gain_curve, half_power, peak, places_rad, quadrature
 from shaker.models.indices.remarks import remarks
 from shaker.models.indices.result import LABELS, Indices, Mode, UncertainIndices
-from shaker.models.indices.transient import transient
+from shaker.models.indices.transient import settling_points, transient
 from shaker.models.linear_system import LinearSystem
 from shaker.models.modal import ModalModel
 
-SETTLING_STEP = 1.0
-"""Standard uncertainties over which the settling times are differentiated: they change in steps of half a period."""
 
-
-def indices(system: LinearSystem, nominal_gain: float = 1.0) -> Indices:
+def indices(system: LinearSystem, nominal_gain: float = 1.0, sample_rate_hz: float | None = None) -> Indices:
     """Return all figures of a system, continuous or sampled; `nominal_gain` is what its gain should be.
 
     A sampled system's poles are ln(z)·fs, its gain that on the unit circle, its times those of samples.
+    `sample_rate_hz`: that of the samples a continuous system was identified from, for remarks on its poles.
     """
     curve = gain_curve(system)
     static, found = system.static_gain, modes(system)
@@ -38,12 +36,15 @@ def indices(system: LinearSystem, nominal_gain: float = 1.0) -> Indices:
         None if top is None or not usable else top[1] / abs(static),
         quadrature(system) if usable else None,
         half_power(curve) if usable else None,
-        *bands,
+        bands[0],
+        bands[1],
+        bands[2],
+        bands[3],
         passing.overshoot,
         passing.rise_s,
         passing.settling_2_s,
         passing.settling_5_s,
-        remarks(system),
+        remarks(system, sample_rate_hz),
     )
 
 
@@ -69,21 +70,43 @@ def step_shares(system: LinearSystem) -> FloatArray:
         return np.asarray(np.abs(pairs * system.residues() / below / system.static_gain))
 
 
-def indices_with_u(model: ModalModel, nominal_gain: float = 1.0) -> UncertainIndices:
+def indices_with_u(
+    model: ModalModel, nominal_gain: float = 1.0, sample_rate_hz: float | None = None
+) -> UncertainIndices:
     """Return the figures of an identified model with standard uncertainties from its covariance.
 
-    Settling times jump by half a period where an oscillation just reaches the tolerance: they are differentiated over a
-    standard uncertainty of each parameter to either side.
+    A figure that is there at the model's parameters and missing close by has no uncertainty.
     """
 
     def values(at: ModalModel) -> FloatArray:
         figures = indices(at.system, nominal_gain).figures()
         return np.array([np.nan if value is None else value for value in figures.values()])
 
-    smooth = np.sqrt(np.diag(model.propagate(values)[1]))
-    rough = np.sqrt(np.diag(model.propagate(values, SETTLING_STEP)[1]))
-    found = {}
-    for name, fine, coarse in zip(LABELS, smooth, rough, strict=True):
-        u = max(fine, coarse) if name.startswith("settling") else fine
-        found[name] = float(u) if np.isfinite(u) else None
-    return UncertainIndices(indices(model.system, nominal_gain), found)
+    found = indices(model.system, nominal_gain, sample_rate_hz)
+    u = dict(zip(LABELS, np.sqrt(np.diag(model.propagate(values)[1])), strict=True))
+    for name, tolerance in (("settling_5_s", 0.05), ("settling_2_s", 0.02)):
+        u[name] = settling_u(model, tolerance)
+    return UncertainIndices(found, {name: float(value) if np.isfinite(value) else None for name, value in u.items()})
+
+
+def settling_u(model: ModalModel, tolerance: float) -> float:
+    """Return the standard uncertainty in s of a settling time, NaN where there is none.
+
+    Two parts: the crossing moves by u of the response over its slope; and it jumps to the next turning point, half a
+    period away, where one that is just outside comes to be inside, or the other way: variance (half period)²·P(1 - P)
+    with the probability P of that.
+    """
+    from scipy.stats import norm
+
+    points = settling_points(model.system, tolerance)
+    if points is None:
+        return float("nan")
+
+    def ratio(at: ModalModel) -> FloatArray:
+        return np.asarray(at.step(points) / at.static_gain)
+
+    value, covariance = model.propagate(ratio)
+    u = np.sqrt(np.diag(covariance))
+    slope = abs(model.impulse(points[:1])[0] / model.static_gain)
+    jump = norm.sf(np.abs(np.abs(value[1:] - 1) - tolerance) / u[1:])
+    return float(np.hypot(u[0] / slope, (points[2] - points[1]) * np.sqrt(np.sum(jump * (1 - jump)))))

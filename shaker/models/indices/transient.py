@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import count, pairwise
+from itertools import count
 
 import numpy as np
 
 from shaker._checks import FloatArray
+from shaker.models.indices.roots import roots_between, sign_changes
 from shaker.models.linear_system import LinearSystem
 
 PER_PERIOD = 48
 """Points per period, or per time constant, of the fastest pole that still matters."""
 SAMPLES = 1 << 22
 """Longest response of a sampled system that is computed."""
-BLOCK = 2048
+BLOCK = 1024
 FORGOTTEN = 1e-8
 """Share of the final value below which a pole's part no longer decides where the grid's points lie."""
+
+COINCIDING = 1e12
+"""Bound of the parts, over the final value, where poles coincide and the parts themselves say nothing."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +46,16 @@ def transient(system: LinearSystem) -> Transient:
     if system.sample_rate_hz is not None:
         return _sampled(system, system.sample_rate_hz)
     response = _Response(system)
-    first, last = response.first_crossing(0.1), response.first_crossing(0.9)
-    return Transient(response.overshoot(), last - first, response.settling(0.02), response.settling(0.05))
+    first, last = response.first_passing(0.1), response.first_passing(0.9)
+    settled = [float(response.settling(tolerance)[0]) for tolerance in (0.02, 0.05)]
+    return Transient(response.overshoot(), last - first, settled[0], settled[1])
+
+
+def settling_points(system: LinearSystem, tolerance: float) -> FloatArray | None:
+    """Return times (3,) in s of a continuous system: settled, the turning points before and after; None if never."""
+    if not system.stable or not system.static_gain or not len(system.poles):
+        return None
+    return _Response(system).settling(tolerance)
 
 
 def _sampled(system: LinearSystem, rate: float) -> Transient:
@@ -73,21 +86,36 @@ class _Response:
         """Split the response into its poles where they are apart."""
         self.system, self.gain, self.poles = system, system.static_gain, system.poles
         self.slowest = float(np.min(-self.poles.real))
-        residues, sound = system.step_terms()
-        size = np.abs(residues / self.gain) if sound else np.full(len(self.poles), 1e12)
-        self.size: FloatArray = np.asarray(size)
+        terms, self.apart = system.step_terms()
+        self.terms = terms / self.gain
+        self.size: FloatArray = np.abs(self.terms) if self.apart else np.full(len(terms), COINCIDING)
 
     def ratio(self, time_s: FloatArray) -> FloatArray:
         """Return the response over its final value (N,)."""
-        return np.asarray(self.system.step(time_s) / self.gain)
+        if not self.apart:
+            return np.asarray(self.system.step(time_s) / self.gain)
+        return np.asarray(1.0 + np.real(np.exp(time_s[:, None] * self.poles) @ self.terms))
 
-    def slope(self, time_s: float) -> float:
-        """Return its derivative in 1/s."""
-        return float(self.system.impulse(np.array([time_s]))[0] / self.gain)
+    def slope(self, time_s: FloatArray) -> FloatArray:
+        """Return its derivative (N,) in 1/s."""
+        if not self.apart:
+            return np.asarray(self.system.impulse(time_s) / self.gain)
+        return np.asarray(np.real(np.exp(time_s[:, None] * self.poles) @ (self.terms * self.poles)))
 
     def envelope(self, time_s: float) -> float:
         """Return a bound of what is still to come: Σ |r/p|·exp(Re p t) over the final value."""
         return float(np.sum(self.size * np.exp(self.poles.real * time_s)))
+
+    def quiet(self, level: float) -> float:
+        """Return a time from which on the envelope is below `level`."""
+        if self.envelope(0.0) <= level:
+            return 0.0
+        top = next(t for t in (2.0**k / self.slowest for k in count()) if self.envelope(t) < level)
+
+        def above(time_s: FloatArray) -> FloatArray:
+            return np.array([np.log(self.envelope(float(t)) / level) for t in time_s])
+
+        return float(roots_between(above, np.zeros(1), np.array([top]))[0])
 
     def spacing(self, time_s: float) -> float:
         """Return how far apart points may lie from a time on."""
@@ -95,75 +123,57 @@ class _Response:
         fastest = np.max(np.abs(self.poles[alive]), initial=self.slowest)
         return float(2 * np.pi / fastest / PER_PERIOD)
 
-    def blocks(self) -> list[float]:
-        """Return times between which the points are evenly spaced, until nothing is left."""
-        end = self._quiet(1e-4)
-        found = [0.0]
-        while found[-1] < end:
-            found.append(found[-1] + BLOCK * self.spacing(found[-1]))
-        return found
-
-    def _quiet(self, level: float) -> float:
-        """Return a time from which on the envelope is below `level`."""
-        from scipy.optimize import brentq
-
-        if self.envelope(0.0) <= level:
-            return 0.0
-        top = next(t for t in (2.0**k / self.slowest for k in count()) if self.envelope(t) < level)
-        return float(brentq(lambda t: np.log(self.envelope(t) / level), 0.0, top))
+    def blocks(self) -> Iterator[tuple[float, float]]:
+        """Yield begin and end of pieces with evenly spaced points, until nothing is left."""
+        begin, last = 0.0, self.quiet(1e-4)
+        while begin < last:
+            end = begin + BLOCK * self.spacing(begin)
+            yield begin, end
+            begin = end
 
     def extremes(self, begin: float, end: float) -> tuple[FloatArray, FloatArray]:
         """Return times, begin, every turning point and end, and the response there."""
-        from scipy.optimize import brentq
-
         time = np.linspace(begin, end, BLOCK + 1)
-        slope = self.system.impulse(time) / self.gain
-        places = np.flatnonzero(np.sign(slope[1:]) * np.sign(slope[:-1]) < 0)
-        turns = [float(brentq(self.slope, time[i], time[i + 1], xtol=1e-15 * time[i + 1])) for i in places]
-        found = np.array([begin, *turns, end])
+        places = sign_changes(self.slope(time))
+        found = np.concatenate([[begin], roots_between(self.slope, time[places], time[places + 1]), [end]])
         return found, self.ratio(found)
 
     def overshoot(self) -> float:
         """Return the highest value less the final one, at least 0."""
         best = 0.0
-        for begin, end in self._pairs():
+        for begin, end in self.blocks():
             best = max(best, float(self.extremes(begin, end)[1].max()) - 1.0)
             if self.envelope(end) <= best:
                 break
         return best
 
-    def _pairs(self) -> list[tuple[float, float]]:
-        """Return begin and end of every block."""
-        return list(pairwise(self.blocks()))
-
-    def first_crossing(self, level: float) -> float:
+    def first_passing(self, level: float) -> float:
         """Return when the response first reaches a share of the final value."""
-        for begin, end in self._pairs():
+        begin = end = 0.0
+        for begin, end in self.blocks():
             time, value = self.extremes(begin, end)
             above = np.flatnonzero(value >= level)
             if len(above):
-                place = int(above[0])
-                return float(time[0]) if place == 0 else self._passing(time[place - 1], time[place], level)
-        raise ArithmeticError(f"level: expected one that the response reaches, found {level}")
+                return self._passing(time, int(above[0]) - 1, level)
+        return end
 
-    def settling(self, tolerance: float) -> float:
-        """Return from when on the response stays within a tolerance of the final value."""
-        end = self._quiet(tolerance)
+    def settling(self, tolerance: float) -> FloatArray:
+        """Return times (3,): from when on it stays within a tolerance, the turning points before and after that."""
+        end = self.quiet(0.05 * tolerance)
         while end > 0:
             begin = max(0.5 * end, end - BLOCK * self.spacing(0.5 * end)) if end > self.spacing(0.0) else 0.0
             time, value = self.extremes(begin, end)
             outside = np.flatnonzero(np.abs(value - 1) > tolerance)
             if len(outside):
                 place = int(outside[-1])
-                if place == len(time) - 1:
-                    return float(time[place])
-                level = 1 + np.copysign(tolerance, value[place] - 1)
-                return self._passing(time[place], time[place + 1], float(level))
+                settled = self._passing(time, place, float(1 + np.copysign(tolerance, value[place] - 1)))
+                return np.array([settled, time[place], time[min(place + 1, len(time) - 1)]])
             end = begin
-        return 0.0
+        return np.zeros(3)
 
-    def _passing(self, begin: float, end: float, level: float) -> float:
-        """Return where the response passes a level between two neighbouring turning points."""
-        from scipy.optimize import brentq
-
-        return float(brentq(lambda t: self.ratio(np.array([t]))[0] - level, begin, end, xtol=1e-15 * end))
+    def _passing(self, time_s: FloatArray, place: int, level: float) -> float:
+        """Return where the response passes a level after turning point `place`, or at the end beside it."""
+        if place < 0 or place == len(time_s) - 1:
+            return float(time_s[place if place > 0 else 0])
+        ends = time_s[place : place + 1], time_s[place + 1 : place + 2]
+        return float(roots_between(lambda t: self.ratio(t) - level, *ends)[0])
