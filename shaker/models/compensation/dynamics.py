@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from shaker._checks import ComplexArray, FloatArray, IntArray, check_shape
+from shaker.models.indices.indices import step_shares
 from shaker.models.linear_system import LinearSystem
-from shaker.models.load_series.model import PARAMETERS, LoadModel
+from shaker.models.load_series.model import LoadModel
 from shaker.models.modal import ModalModel
 
 RELATIVE_STEP = 1e-5
+"""Of the load mass, to either side, for the derivative by it."""
 
 
 @dataclass(frozen=True)
@@ -103,57 +104,35 @@ def modal_dynamics(model: ModalModel, *, modes: int = 1, real_poles: bool = Fals
 def loaded_dynamics(model: LoadModel, load_mass: float, *, modes: int = 1, u_load_mass: float = 0.0) -> SensorDynamics:
     """Return the dynamics of a sensor with a load mass in kg: the modes with the largest share in the step response.
 
-    The covariance holds that of stiffnesses and dampings, the uncertainty of the moving mass and of the load mass. A
-    load without mass leaves one mode, also where more are wanted.
+    The covariance holds that of stiffnesses, dampings and moving mass, and the uncertainties of static sensitivity and
+    load mass, of a load that is there. A load without mass leaves one mode, also where more are wanted.
     """
     system = model.system(load_mass)
-    upper = system.poles[system.poles.imag > 0]
-    chosen = np.sort(dominant(system, min(modes, len(upper))))
-    if not len(chosen):
+    upper = int(np.sum(system.poles.imag > 0))
+    if not upper:
         raise ValueError(f"load_mass: expected a load that lets the sensor oscillate, found {load_mass} kg")
-    covariance = None
-    if model.covariance is not None:
-        size = len(model.vector)
-        spread = np.diag(np.r_[np.zeros(size), model.u_moving_mass**2, u_load_mass**2])
-        spread[:size, :size] = model.covariance
-        jacobian = _jacobian(model, load_mass, lambda one: _read(one, chosen))
-        covariance = jacobian @ spread @ jacobian.T
-    value = _read(system, chosen)
+    chosen = dominant(system, min(modes, upper))
+    value, covariance = _read(system, chosen), None
+    if model.total_covariance is not None:
+        covariance = model.propagate(lambda one: _read(one.system(load_mass), chosen))[1]
+        covariance[-1, -1] += model.u_sensitivity**2
+        if u_load_mass and load_mass:
+            ends = (_read(model.system(load_mass * (1.0 + by)), chosen) for by in (RELATIVE_STEP, -RELATIVE_STEP))
+            slope = np.subtract(*ends) / (2.0 * RELATIVE_STEP * load_mass)
+            covariance = covariance + u_load_mass**2 * np.outer(slope, slope)
     f, zeta, gain = np.split(value, [len(chosen), 2 * len(chosen)])
     return SensorDynamics(f, zeta, np.zeros(0), float(gain[0]), system, covariance)
 
 
 def dominant(system: LinearSystem, count: int) -> IntArray:
-    """Return the places of the `count` oscillating modes, counted by rising size, with the largest step response.
-
-    The share of a pole p is |r/p|, r the residue of the system.
-    """
-    upper = system.poles[system.poles.imag > 0]
+    """Return the places (count,) of the oscillating modes, by rising frequency, that swing most after a step."""
+    upper = np.flatnonzero(system.poles.imag > 0)
     if not 0 <= count <= len(upper):
         raise ValueError(f"count: expected 0 to {len(upper)}, as many modes as there are, found {count}")
-    others = [np.prod(p - np.delete(system.poles, np.argmin(np.abs(system.poles - p)))) for p in upper]
-    tops = np.array([np.prod(p - system.zeros) for p in upper])
-    share = np.abs(system.gain * tops / np.array(others) / upper) if len(upper) else np.zeros(0)
-    return np.argsort(-share, kind="stable")[:count]
+    return np.sort(np.argsort(-step_shares(system)[upper], kind="stable")[:count])
 
 
 def _read(system: LinearSystem, chosen: IntArray) -> FloatArray:
     """Frequencies, damping ratios of chosen modes, and the static gain."""
     upper: ComplexArray = system.poles[system.poles.imag > 0][chosen]
     return np.concatenate([np.abs(upper) / (2 * np.pi), -upper.real / np.abs(upper), [system.static_gain]])
-
-
-def _jacobian(model: LoadModel, load_mass: float, read: Callable[[LinearSystem], FloatArray]) -> FloatArray:
-    """Derivatives (Q, P + 2) by the model's parameters, the moving mass and the load mass; 0 by what is 0."""
-    value = np.concatenate([model.vector, [model.moving_mass, load_mass]])
-
-    def at(vector: FloatArray) -> FloatArray:
-        given = dict(zip(PARAMETERS, vector[:-2], strict=False))
-        moved = replace(model, moving_mass=float(vector[-2]), covariance=None, **given)
-        return read(moved.system(float(vector[-1])))
-
-    columns = []
-    for place, size in enumerate(value):
-        step = RELATIVE_STEP * size * np.eye(len(value))[place]
-        columns.append((at(value + step) - at(value - step)) / (2 * step[place]) if size else 0.0 * at(value))
-    return np.stack(columns, axis=1)

@@ -16,8 +16,8 @@ from shaker.models.linear_system import LinearSystem
 class Compensation:
     """G_c(s) = gain·Π_i [Π(s - zero)/Π(s - pole)]_i, each factor i scaled to 1 at s = 0.
 
-    The zeros are the poles of `sensor` that go, the poles those of `target`: as many, so that the filter is proper. gain
-    is 1, or 1/H(0) of the sensor where the filter is `calibrated` and turns the output into the load (paper "load
+    The zeros are the poles of `sensor` that go, the poles those of `target`: as many, so that the filter is proper.
+    gain is 1, or 1/H(0) of the sensor where the filter is `calibrated` and turns the output into the load (paper "load
     characteristics", eqs. 15 and 17, for one mode).
     """
 

@@ -13,8 +13,8 @@ class CompensationFilter:
 
     The output of any split into blocks equals that of one block bit for bit. It starts settled at `level` (C,) or one
     number, in the unit of the input; None: at the first sample. `switch` changes the coefficients before the next
-    sample: every section keeps its last two inputs and outputs, so that the output goes on from where it was. A constant
-    signal does not notice a switch, and a smooth one moves by no more than its own change over one sample.
+    sample: every section keeps its last two inputs and outputs, so that the output goes on from where it was. A
+    constant signal does not notice a switch, and a smooth one moves by no more than its own change over one sample.
     """
 
     def __init__(self, sections: Sections, channels: int = 1, level: FloatArray | float | None = 0.0) -> None:
