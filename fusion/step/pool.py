@@ -1,0 +1,133 @@
+"""Models of several releases become one: a weighted mean, with what releases or mountings scatter by."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shaker.models.modal import ModalModel
+
+FloatArray = NDArray[np.float64]
+
+
+class Mean(NamedTuple):
+    """Weighted mean (P,) of vectors with its covariance (P, P); `weight` (N,) of the vectors, their sum 1."""
+
+    value: FloatArray
+    covariance: FloatArray
+    weight: FloatArray
+
+
+@dataclass(frozen=True)
+class Pooled:
+    """One model from those of several releases.
+
+    `model` with its whole covariance; `vectors` (N, P), `covariances` (N, P, P), `weights` (N,): of what was averaged
+    last, releases or, where there are several, mountings; `scale` (P,): how the parameters move with one standard
+    uncertainty of the scale that all share. `shares` (R,): of each release in the mean.
+    """
+
+    model: ModalModel
+    vectors: FloatArray
+    covariances: FloatArray
+    weights: FloatArray
+    scale: FloatArray
+    shares: FloatArray
+
+    @property
+    def scattered(self) -> int:
+        """Degrees of freedom of what the vectors scatter by."""
+        return len(self.vectors) - 1
+
+    def spread(self, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return standard uncertainties (Q,) of numbers with gradients (Q, P), and their degrees of freedom (Q,).
+
+        u² = Σw²·(u_i² + τ²) + u_scale², τ² = s² - mean u_i² where the vectors scatter by more than is stated, and then
+        with the degrees of freedom of s², infinite else; with the scale by Welch and Satterthwaite (JCGM 100, G.4.1),
+        s² enlarged by its relative variance 2/ν.
+        """
+        stated = np.einsum("qp,npr,qr->nq", gradient, self.covariances, gradient)
+        variance, dof = self.weights**2 @ stated, np.full(len(gradient), np.inf)
+        common = (gradient @ self.scale) ** 2
+        if self.scattered:
+            off = (self.vectors - self.vectors.mean(axis=0)) @ gradient.T
+            square = np.sum(off**2, axis=0) / self.scattered
+            beyond = np.maximum(square - stated.mean(axis=0), 0.0)
+            by_square = float(np.sum(self.weights**2))
+            variance = variance + by_square * beyond
+            wide = np.where(beyond > 0.0, by_square * square * (1.0 + 2.0 / self.scattered), 1.0)
+            dof = np.where(beyond > 0.0, self.scattered * ((common + wide) / wide) ** 2, np.inf)
+        return np.asarray(np.sqrt(variance + common)), np.asarray(dof)
+
+
+def pool_models(models: Sequence[ModalModel], mountings: Sequence[str], u_scale: float = 0.0) -> Pooled:
+    """Return the mean of models (N) of one structure, mode by mode in rising frequency.
+
+    Releases of one mounting are averaged first; where there are several mountings, these are then what scatters.
+    `u_scale`: relative standard uncertainty of all residues together, of the load's and of the output's scale, which
+    no average makes smaller.
+    """
+    ordered = [sorted_modes(model) for model in models]
+    vectors = np.stack([model.vector for model in ordered])
+    covariances = np.stack([_covariance(model) for model in ordered])
+    groups = [np.flatnonzero(np.array(mountings) == name) for name in dict.fromkeys(mountings)]
+    within = [weighted_mean(vectors[group], covariances[group]) for group in groups]
+    if len(groups) > 1:
+        vectors, covariances = np.stack([m.value for m in within]), np.stack([m.covariance for m in within])
+    mean = weighted_mean(vectors, covariances) if len(groups) > 1 else within[0]
+    shares = np.zeros(len(models))
+    for group, own, share in zip(groups, within, mean.weight if len(groups) > 1 else [1.0], strict=True):
+        shares[group] = share * own.weight
+    scale = u_scale * _residues(ordered[0], mean.value)
+    model = replace(ordered[0].with_vector(mean.value), covariance=mean.covariance + np.outer(scale, scale))
+    return Pooled(model, vectors, covariances, mean.weight, scale, shares)
+
+
+def weighted_mean(vectors: FloatArray, covariances: FloatArray) -> Mean:
+    """Return the mean of vectors (N, P) with covariances (N, P, P) under random effects between them.
+
+    Of the sample covariance S of the vectors, what exceeds the mean of the stated variances is scatter: T = D·S·D with
+    D = diag(τ/s), τ² = max(0, s² - mean u²) for each parameter (method of moments; Searle, Casella & McCulloch 1992,
+    Variance Components, 3.6); the covariance is Σw²·(C + T). A vector weighs by the geometric mean of its variances
+    u² + τ², one number for all parameters, so that the mean stays between the vectors.
+    """
+    count, size = vectors.shape
+    stated = np.einsum("npp->np", covariances)
+    between: FloatArray = np.zeros((size, size))
+    if count > 1:
+        sample = np.cov(vectors, rowvar=False, ddof=1).reshape(size, size)
+        square = np.diag(sample)
+        excess = np.sqrt(np.maximum(square - stated.mean(axis=0), 0.0))
+        share = np.divide(excess, np.sqrt(square), out=np.zeros(size), where=square > 0.0)
+        between = share[:, None] * sample * share
+    variance = stated + np.diag(between)
+    known = np.all(variance > 0.0, axis=0)
+    inverse = np.exp(-np.log(variance[:, known]).mean(axis=1)) if known.any() else np.ones(count)
+    weight = inverse / inverse.sum()
+    return Mean(weight @ vectors, np.einsum("n,npq->pq", weight**2, covariances + between), weight)
+
+
+def sorted_modes(model: ModalModel) -> ModalModel:
+    """Return the same model with modes and real poles in rising frequency."""
+    modes, reals = np.argsort(model.frequency_hz), np.argsort(model.real_hz)
+    count = len(modes)
+    order = np.concatenate([*(part * count + modes for part in range(4)), 4 * count + reals])
+    order = np.concatenate([order, 4 * count + len(reals) + reals])
+    covariance = None if model.covariance is None else model.covariance[np.ix_(order, order)]
+    return replace(model, covariance=covariance).with_vector(model.vector[order])
+
+
+def _covariance(model: ModalModel) -> FloatArray:
+    """The covariance of a model, nothing where it is not known."""
+    return np.zeros((len(model.vector),) * 2) if model.covariance is None else model.covariance
+
+
+def _residues(model: ModalModel, vector: FloatArray) -> FloatArray:
+    """The residues' part of a vector (P,), zero elsewhere: how it moves with the scale of the output."""
+    modes, reals = len(model.frequency_hz), len(model.real_hz)
+    mask = np.repeat([0.0, 0.0, 1.0, 1.0, 0.0, 1.0], [modes, modes, modes, modes, reals, reals])
+    return np.asarray(mask * vector)
