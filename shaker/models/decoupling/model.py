@@ -1,0 +1,158 @@
+"""A system with several outputs and several loads as a sum of modes that all its elements share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from shaker._checks import ComplexArray, FloatArray, check_shape
+from shaker.models.modal import ModalModel
+
+
+@dataclass(frozen=True)
+class MultiModel:
+    """H(s) = Σ_m [R_m/(s - p_m) + R̄_m/(s - p̄_m)] + Σ_q R_q/(s - p_q), outputs `channels` (C,) over loads (D,).
+
+    Poles are common to all elements: p_m = -ζω + jω√(1 - ζ²), ω = 2π·`frequency_hz` (M,), ζ = `damping_ratio` (M,);
+    p_q = -2π·`real_hz` (Q,). Residue matrices `residue` (M, C, D) complex, `real_residue` (Q, C, D), in `unit` per N or
+    N·m and second. `covariance` (P, P), P = (2M + Q)(1 + CD), of `vector` = [frequency_hz, damping_ratio, real_hz, then
+    for load after load and in it output after output: Re residue (M), Im residue (M), real_residue (Q)].
+    """
+
+    channels: tuple[str, ...]
+    components: tuple[str, ...]
+    unit: str
+    frequency_hz: FloatArray
+    damping_ratio: FloatArray
+    residue: ComplexArray
+    real_hz: FloatArray
+    real_residue: FloatArray
+    covariance: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        modes, reals, shape = len(self.frequency_hz), len(self.real_hz), (len(self.channels), len(self.components))
+        check_shape("frequency_hz", self.frequency_hz, (modes,))
+        check_shape("damping_ratio", self.damping_ratio, (modes,))
+        check_shape("real_hz", self.real_hz, (reals,))
+        check_shape("residue", self.residue, (modes, *shape))
+        check_shape("real_residue", self.real_residue, (reals, *shape))
+        if self.covariance is not None:
+            size = self.shared + self.shared * shape[0] * shape[1]
+            check_shape("covariance", self.covariance, (size, size))
+        if np.any(np.abs(self.damping_ratio) >= 1.0):
+            raise ValueError(f"damping_ratio: expected below 1, found {self.damping_ratio.tolist()}")
+
+    @property
+    def shared(self) -> int:
+        """Number 2M + Q of parameters of the poles, which is also that of each element."""
+        return 2 * len(self.frequency_hz) + len(self.real_hz)
+
+    @property
+    def vector(self) -> FloatArray:
+        """All parameters (P,) in the order of `covariance`."""
+        own = np.concatenate([self.residue.real, self.residue.imag, self.real_residue])
+        return np.concatenate(
+            [self.frequency_hz, self.damping_ratio, self.real_hz, np.transpose(own, (2, 1, 0)).ravel()]
+        )
+
+    def with_vector(self, vector: FloatArray) -> MultiModel:
+        """Return the model of another vector (P,), with the same covariance."""
+        modes, reals = len(self.frequency_hz), len(self.real_hz)
+        f, z, hz, own = np.split(np.asarray(vector), np.cumsum([modes, modes, reals]))
+        table = own.reshape(len(self.components), len(self.channels), self.shared).transpose(2, 1, 0)
+        re, im, real = np.split(table, [modes, 2 * modes])
+        return replace(
+            self, frequency_hz=f, damping_ratio=z, residue=re + 1j * im, real_hz=hz, real_residue=real.copy()
+        )
+
+    @property
+    def poles(self) -> ComplexArray:
+        """Poles in rad/s: the upper ones of the modes (M,), then the real ones (Q,)."""
+        omega, zeta = 2 * np.pi * self.frequency_hz, self.damping_ratio
+        return np.concatenate([omega * (-zeta + 1j * np.sqrt(1 - zeta**2)), -2 * np.pi * self.real_hz + 0j])
+
+    @property
+    def stable(self) -> bool:
+        """Whether every pole decays."""
+        return bool(np.all(self.poles.real < 0))
+
+    def response(self, frequency_hz: FloatArray) -> ComplexArray:
+        """Return H (K, C, D) at frequencies (K,) in Hz."""
+        s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[:, None]
+        upper, real = np.split(self.poles, [len(self.frequency_hz)])
+        parts = (1 / (s - upper), self.residue), (1 / (s - upper.conj()), self.residue.conj())
+        found = sum(np.einsum("km,mcd->kcd", basis, residue) for basis, residue in parts)
+        return np.asarray(found + np.einsum("kq,qcd->kcd", 1 / (s - real), self.real_residue))
+
+    @property
+    def static_gain(self) -> FloatArray:
+        """H(0) (C, D), the static sensitivity matrix."""
+        return np.asarray(self.response(np.zeros(1))[0].real)
+
+    def step(self, time_s: FloatArray) -> FloatArray:
+        """Return the responses (N, C, D) to a unit step of each load at t = 0: Σ R/p·(exp(pt) - 1), zero before."""
+        t = np.maximum(np.asarray(time_s, dtype=np.float64), 0.0)[:, None]
+        upper, real = np.split(self.poles, [len(self.frequency_hz)])
+        swing = 2.0 * np.real(np.einsum("nm,mcd->ncd", np.expm1(upper * t) / upper, self.residue))
+        return np.asarray(swing + np.einsum("nq,qcd->ncd", np.expm1(real.real * t) / real.real, self.real_residue))
+
+    def element(self, channel: str, component: str) -> ModalModel:
+        """Return one output over one load, with its covariance."""
+        c, d = self.channels.index(channel), self.components.index(component)
+        covariance = None
+        if self.covariance is not None:
+            m, n = len(self.frequency_hz), self.shared
+            own = n + n * (d * len(self.channels) + c) + np.arange(n)
+            places = np.concatenate([np.arange(2 * m), own[: 2 * m], np.arange(2 * m, n), own[2 * m :]])
+            covariance = self.covariance[np.ix_(places, places)]
+        return ModalModel(
+            self.frequency_hz,
+            self.damping_ratio,
+            self.residue[:, c, d],
+            self.real_hz,
+            self.real_residue[:, c, d],
+            covariance,
+        )
+
+    @property
+    def u(self) -> MultiModel:
+        """Standard uncertainties of all parameters in the places of the parameters, Re and Im of a residue each."""
+        if self.covariance is None:
+            raise ValueError("covariance: expected that of the parameters, found none")
+        quiet = replace(self, covariance=None, damping_ratio=np.zeros_like(self.damping_ratio))
+        return quiet.with_vector(np.sqrt(np.diag(self.covariance)))
+
+    def column_sensitivity(self, component: int, frequency_hz: FloatArray) -> tuple[ComplexArray, FloatArray]:
+        """Return ∂H_{·j}/∂parameters (K, C, P_j) of a load's column, and the covariance (P_j, P_j) of these.
+
+        P_j = (2M + Q)(1 + C): poles, then the residues of every output; the response is analytic in all of them.
+        """
+        if self.covariance is None:
+            raise ValueError("covariance: expected that of the parameters, found none")
+        n, outputs = self.shared, len(self.channels)
+        m = len(self.frequency_hz)
+        s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[:, None]
+        upper, real = np.split(self.poles, [m])
+        above, below = 1 / (s - upper), 1 / (s - upper.conj())
+        basis = np.concatenate([above + below, 1j * (above - below), 1 / (s - real)], axis=1)
+        found = np.zeros((len(s), outputs, n * (1 + outputs)), dtype=np.complex128)
+        r, rq = self.residue[:, :, component].T, self.real_residue[:, :, component].T
+        for k, slope in enumerate(pole_slopes(self.frequency_hz, self.damping_ratio)):
+            found[:, :, k * m : (k + 1) * m] = (
+                r * slope * above[:, None] ** 2 + r.conj() * slope.conj() * below[:, None] ** 2
+            )
+        found[:, :, 2 * m : n] = -2 * np.pi * rq * (1 / (s - real))[:, None] ** 2
+        for c in range(outputs):
+            found[:, c, n * (1 + c) : n * (2 + c)] = basis
+        own = n + n * outputs * component + np.arange(n * outputs)
+        places = np.concatenate([np.arange(n), own])
+        return found, np.asarray(self.covariance[np.ix_(places, places)])
+
+
+def pole_slopes(frequency_hz: FloatArray, damping_ratio: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+    """Return ∂p/∂frequency_hz (M,) and ∂p/∂ζ (M,) of the upper poles p = ω(-ζ + j√(1 - ζ²))."""
+    root = np.sqrt(1 - damping_ratio**2)
+    by_frequency = 2 * np.pi * (-damping_ratio + 1j * root)
+    by_damping = 2 * np.pi * frequency_hz * (-1.0 - 1j * damping_ratio / root)
+    return np.asarray(by_frequency), np.asarray(by_damping)

@@ -1,0 +1,150 @@
+"""A model of all outputs over all loads from records of releases of every load."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from shaker._checks import FloatArray
+from shaker.models.decoupling.excited import in_order
+from shaker.models.decoupling.order import Fitted, chosen, fit_poles
+from shaker.models.decoupling.projection import covariances
+from shaker.models.decoupling.release_basis import SampleBlocks, Shape
+from shaker.models.decoupling.start import averaged, highest_frequency, shared_poles
+from shaker.models.decoupling.step_data import Poles, Release, Sampled, StepProblem, prepared
+from shaker.models.decoupling.step_result import MultiFit, misfits, multi_fit
+from shaker.models.step.reading import Reading
+from shaker.models.step.record import StepRecord
+from shaker.models.step.release import read_release
+
+_PER_PERIOD = 6.0
+_DETECTED = 2.0
+
+
+def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most_reals: int | None = None) -> MultiFit:
+    """Return the model with common poles of all outputs over all loads that the records release, with covariance.
+
+    Output-error least squares over the common poles and every record's release, residues by projection; numbers of
+    modes and real poles by a rule, at most `most_modes` and `most_reals`. All records hold the same channels at one
+    rate. Loads that the outputs do not tell apart are refused with their names.
+    """
+    components = _checked(records)
+    readings = [_clearest(record) for record in records]
+    noise = _noise(records, readings)
+    problem, releases, start = _posed(records, readings, noise, components)
+    found, trials = chosen(problem, start, releases, most_modes, most_reals)
+    found = _settled(problem, _shaped(problem, found))
+    again = noise * misfits(found, len(noise))
+    problem = replace(problem, records=tuple(_reweighted(record, noise / again) for record in problem.records))
+    found = fit_poles(problem, found.poles, found.releases)
+    return multi_fit(records, problem, found, again, tuple(trials))
+
+
+def _checked(records: Sequence[StepRecord]) -> tuple[str, ...]:
+    """The loads of records that fit together, Fx first."""
+    if not records:
+        raise ValueError("records: expected at least one, found none")
+    first = records[0]
+    for record in records:
+        for name in ("channels", "unit", "sample_rate_hz"):
+            if getattr(record, name) != getattr(first, name):
+                found, expected = getattr(record, name), getattr(first, name)
+                raise ValueError(
+                    f"records: expected {name} {expected} as in {first.name}, found {found} in {record.name}"
+                )
+    return in_order(record.component for record in records)
+
+
+def _clearest(record: StepRecord) -> Reading:
+    """What the output shows of a release that moves most over its noise."""
+    found = [read_release(record, channel) for channel in record.channels]
+    return max(found, key=lambda reading: abs(reading.steady - reading.baseline) / max(reading.noise, 1e-300))
+
+
+def _noise(records: Sequence[StepRecord], readings: Sequence[Reading]) -> FloatArray:
+    """Standard deviation of a sample (C,) before the releases; a silent output has that of its digits."""
+    sums, count = np.zeros(len(records[0].channels)), 0
+    for record, reading in zip(records, readings, strict=True):
+        rest = record.samples[:, : max(8, int(0.9 * (reading.onset_s - record.start_s) * record.sample_rate_hz))]
+        sums += np.sum((rest - rest.mean(axis=1, keepdims=True)) ** 2, axis=1)
+        count += rest.shape[1] - 1
+    spans = np.max([np.ptp(record.samples, axis=1) for record in records], axis=0)
+    return np.asarray(np.maximum(np.sqrt(sums / count), 1e-9 * spans.max()))
+
+
+def _posed(
+    records: Sequence[StepRecord], readings: Sequence[Reading], noise: FloatArray, components: tuple[str, ...]
+) -> tuple[StepProblem, tuple[Release, ...], Poles]:
+    """The least squares problem, with releases as read and poles of the decays to start from."""
+    rate = records[0].sample_rate_hz
+    decays = [_decay(record, reading) / noise[:, None] for record, reading in zip(records, readings, strict=True)]
+    size = max(1, int(rate / (_PER_PERIOD * highest_frequency(decays, rate))))
+    size = min(size, max(1, min(part.shape[1] for part in decays) // 64))
+    sampled = tuple(
+        Sampled(
+            record.name,
+            record.component,
+            record.amplitude,
+            prepared(record.samples, noise, size),
+            SampleBlocks(record.start_s, rate, record.samples.shape[1] // size, size),
+        )
+        for record in records
+    )
+    found = shared_poles([averaged(part, size) for part in decays], rate / size)
+    if not len(found):
+        raise ValueError("records: expected outputs that swing after the release, found none")
+    poles = Poles(np.abs(found) / (2 * np.pi), np.clip(-found.real / np.abs(found), 1e-4, 0.9), np.zeros(0))
+    releases = tuple(
+        Release(
+            reading.onset_s + reading.release_s / 2.0,
+            max(reading.release_s, 1.0 / rate),
+            True,
+            "smooth" if reading.shape == "smooth" else "ramp",
+        )
+        for reading in readings
+    )
+    return StepProblem(sampled, components), releases, poles
+
+
+def _decay(record: StepRecord, reading: Reading) -> FloatArray:
+    """Samples (C, N) after the release, less their last level."""
+    end = reading.onset_s + 1.5 * reading.release_s + 2.0 / record.sample_rate_hz
+    rest = record.samples[:, int((end - record.start_s) * record.sample_rate_hz) :]
+    return np.asarray(rest - rest[:, -max(8, rest.shape[1] // 5) :].mean(axis=1, keepdims=True))
+
+
+def _shaped(problem: StepProblem, found: Fitted) -> Fitted:
+    """Give each release the way of going that leaves less; a change of the loss by chance changes nothing."""
+    releases = found.releases
+    for i, release in enumerate(releases):
+        other: Shape = "smooth" if release.shape == "ramp" else "ramp"
+        trial = (*releases[:i], replace(release, shape=other), *releases[i + 1 :])
+        if release.duration_s * problem.records[i].blocks.rate_hz > 2.0:
+            fitted = fit_poles(problem, found.poles, trial, 4)
+            if fitted.solution.projected.loss < found.solution.projected.loss:
+                found, releases = fitted, fitted.releases
+    return found
+
+
+def _settled(problem: StepProblem, found: Fitted) -> Fitted:
+    """Take a release whose duration is not told from none for a step, and fit again."""
+    _, u_duration = _release_u(found)
+    releases = tuple(
+        replace(release, duration_s=0.0, free=False) if release.duration_s < _DETECTED * u else release
+        for release, u in zip(found.releases, u_duration, strict=True)
+    )
+    return fit_poles(problem, found.poles, releases)
+
+
+def _release_u(found: Fitted) -> tuple[FloatArray, FloatArray]:
+    """Standard uncertainties of middle and duration of the releases for noise of unit size, none for what is fixed."""
+    spread, _ = covariances(found.solution, [np.ones(block.data.shape[1]) for block in found.solution.blocks])
+    table = np.sqrt(np.diag(spread))[found.poles.count :].reshape(-1, 2)
+    return table[:, 0], table[:, 1]
+
+
+def _reweighted(record: Sampled, factor: FloatArray) -> Sampled:
+    """A record with other noise."""
+    return replace(record, data=record.data * factor)
