@@ -1,0 +1,73 @@
+"""One load model fitted to the time records of all loads together."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from shaker._checks import ComplexArray, FloatArray
+from shaker.models.load_series.chain_poles import upper_poles
+from shaker.models.load_series.decay import FreeDecay, coloured, projected
+from shaker.models.load_series.fit import SeriesFit, number_covariance
+from shaker.models.load_series.problem import Problem
+
+
+def fit_decays(decays: tuple[FreeDecay, ...], noise: FloatArray, problem: Problem, start: SeriesFit) -> SeriesFit:
+    """Return the parameters that explain all records at once, from those that explain their resonances.
+
+    Unknown are what all records share, k, c, k_L, c_L and the named masses; level and complex amplitude of every mode
+    are free in every record. `noise` (R,): standard deviations of what free modes leave, the weights. The covariance
+    takes the colour of the noise from the residuals.
+    """
+    from scipy.optimize import least_squares
+
+    count = problem.springs + problem.dampers
+    first = np.concatenate([_logarithms(problem, start.numbers), start.deviates])
+
+    def rows(x: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+        found = []
+        for r, decay in enumerate(decays):
+            poles, moved = _poles(problem, x, r)
+            residual, slope = projected(decay, poles)
+            by_x = slope @ np.stack([moved.real, moved.imag], axis=1).reshape(-1, len(x))
+            found.append((residual / noise[r], by_x / noise[r]))
+        prior = np.zeros((len(x) - count, len(x)))
+        prior[:, count:] = np.eye(len(x) - count)
+        return [*found, (x[count:], prior)]
+
+    solved = least_squares(
+        lambda x: np.concatenate([part for part, _ in rows(x)]),
+        first,
+        jac=lambda x: np.vstack([slope for _, slope in rows(x)]),
+        x_scale="jac",
+        xtol=1e-12,
+        max_nfev=60,
+    )
+    x, parts = np.asarray(solved.x), rows(solved.x)
+    inner = np.linalg.inv(sum((slope.T @ slope for _, slope in parts), np.zeros((len(x), len(x)))))
+    middle = sum((coloured(slope, residual) for residual, slope in parts[:-1]), parts[-1][1].T @ parts[-1][1])
+    (f, z), _ = problem.modes(x)
+    return replace(
+        start,
+        numbers=problem.numbers(x),
+        deviates=problem.deviates(x),
+        covariance=number_covariance(problem, x, inner @ middle @ inner),
+        frequency_hz=f,
+        damping_ratio=z,
+    )
+
+
+def _poles(problem: Problem, x: FloatArray, record: int) -> tuple[ComplexArray, ComplexArray]:
+    """Upper poles (M,) of one record and their derivatives (M, X)."""
+    masses = problem.masses
+    moving, loads = masses.at(problem.deviates(x))
+    load = float(loads[record]) if masses.load[record] > 0 else 0.0
+    poles, moved = upper_poles(problem.numbers(x), moving, load)
+    by_mass = np.outer(moved[:, -2], masses.moving_effect) + np.outer(moved[:, -1], masses.load_effect[record])
+    return poles, np.hstack([moved[:, :-2] @ problem.number_rates(x), by_mass])
+
+
+def _logarithms(problem: Problem, numbers: FloatArray) -> FloatArray:
+    """Logarithms of stiffnesses, then of the dampings that are unknowns."""
+    return np.asarray(np.log(np.concatenate([numbers[::2], numbers[1::2][: problem.dampers]])))
