@@ -7,9 +7,9 @@ import numpy as np
 from shaker._checks import FloatArray
 from shaker.models.elastomer.geometry import Material, Section
 
-IN_PLANE, ACROSS = (1, 5, 7, 11), (2, 4, 8, 10)
+IN_PLANE, ACROSS = [1, 5, 7, 11], [2, 4, 8, 10]
 """Deflection and slope of both ends in the planes xy and xz; in the latter a positive slope is a negative turn."""
-ALONG, TWIST = (0, 6), (3, 9)
+ALONG, TWIST = [0, 6], [3, 9]
 
 
 def beam_matrices(

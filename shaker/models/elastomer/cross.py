@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from shaker._checks import FloatArray
@@ -22,14 +24,15 @@ def cross_frame(beams: CrossBeams, half_size_m: float, pieces: int = 6, consiste
     beams.arm_m(half_size_m)
     outer, half = 0.5 * beams.span_m, 0.5 * beams.compliant_length_m
     nodes: list[FloatArray] = []
-    pairs, sections, rigid, clamped = [], [], [], []
+    pairs: list[tuple[int, int]] = []
+    sections, rigid, clamped = [], [], []
     for quarter in range(4):
         x = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]][quarter] + [0.0])
         y = np.array([-x[1], x[0], 0.0])
         arm = _numbered(nodes, [x * r for r in np.linspace(half_size_m, outer, pieces + 1)])
         bar = _numbered(nodes, [x * outer + y * s for s in np.linspace(-half, half, 2 * pieces + 1)])
         for line, section in ((arm, beams.beam), (bar, beams.compliant)):
-            pairs += list(zip(line[:-1], line[1:], strict=True))
+            pairs += pairwise(line)
             sections += [section] * (len(line) - 1)
         rigid.append(arm[0])
         clamped += [bar[0], bar[-1]]

@@ -27,7 +27,7 @@ STEP = 1e-3
 
 @dataclass(frozen=True)
 class FrameModel:
-    """A solved frame: `frame`, `modes`, `stiffness` (6,) of the platform in N/m and N·m/rad (see `platform_stiffness`)."""
+    """A solved frame: `frame`, `modes`, `stiffness` (6,) in N/m and N·m/rad as of `platform_stiffness`."""
 
     frame: Frame
     modes: Modes

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shaker._checks import FloatArray, check_shape
+from shaker._checks import FloatArray, IntArray, check_shape
 
 NAMES = ("Tx", "Ty", "Tz", "Rx", "Ry", "Rz")
 """Translations along and rotations about the axes."""
@@ -54,8 +54,6 @@ def named_modes(
     one frequency, of which any mixture is one, are mixed so that each follows one axis. The sign is such that the
     motion a mode is named after is positive.
     """
-    from scipy.optimize import linear_sum_assignment
-
     weighed = weigh(rigid)
     total = np.einsum("ij,ij->j", rigid, weighed)
     factor = shape.T @ weighed / np.sqrt(total)
@@ -64,11 +62,17 @@ def named_modes(
         shape = shape.copy()
         shape[:, group] = shape[:, group] @ turn
         factor[group] = turn.T @ factor[group]
-    places, modes = linear_sum_assignment(-(factor**2).T)
-    chosen = modes[np.argsort(places)]
+    chosen = assigned(factor)
     sign = np.where(factor[chosen, np.arange(6)] < 0.0, -1.0, 1.0)
     between = np.setdiff1d(np.arange(chosen.max() + 1), chosen)
     return Modes(frequency_hz[chosen], factor[chosen] ** 2, shape[:, chosen] * sign, frequency_hz[between])
+
+
+def assigned(factor: FloatArray) -> IntArray:
+    """Return which mode deserves each name (N,), given how modes take part (K, N): the most mass as a whole."""
+    from scipy.optimize import linear_sum_assignment
+
+    return np.asarray(linear_sum_assignment(-(np.asarray(factor) ** 2).T)[1])
 
 
 def centre_of_mass(weigh: Callable[[FloatArray], FloatArray], about_origin: FloatArray) -> FloatArray:

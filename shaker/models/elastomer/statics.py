@@ -85,7 +85,7 @@ class BeamStiffness:
 
 
 def guided_stiffness(beams: CrossBeams) -> float:
-    """Return k in N/m in the plane: hinged cross beam of length l, platform a point, compliant beams guided at mid-span.
+    """Return k in N/m in the plane of a point on hinged cross beams, compliant beams guided at mid-span.
 
     k = 1/(l³/48EI + l/4KGA) + 4/(l_c³/96EI_c + l_c/2KGA_c): the publication's model with equation 6 and G put right.
     """
@@ -135,7 +135,7 @@ def _end(beams: CrossBeams, length: float, bending_m4: float, area_m2: float) ->
     shear = beams.shear_factor * beams.material.shear_modulus_pa * area_m2
     compliance = np.array([[length**2 / 3.0, length / 2.0], [length / 2.0, 1.0]]) * length / bending
     compliance[0, 0] += length / shear
-    return np.linalg.inv(compliance)
+    return np.asarray(np.linalg.inv(compliance))
 
 
 def _on_support(end: FloatArray, spring: float, turn: float) -> float:

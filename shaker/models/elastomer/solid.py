@@ -1,0 +1,272 @@
+"""The element as an elastic solid of quadratic hexahedra: what the frame leaves out, joints and plates that bend.
+
+Needs scikit-fem (`pip install shakercal[solid]`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from shaker._checks import FloatArray, IntArray
+from shaker.models.elastomer.geometry import CrossBeams
+from shaker.models.elastomer.modes import NAMES, assigned
+from shaker.models.elastomer.platform import RigidPart
+
+PARITIES = {"vertical": (False, False), "sideways": (True, False), "turning": (True, True)}
+"""Whether the motion is mirrored with reversed sign in the planes x = 0 and y = 0."""
+NAMED = {"vertical": ("Tz",), "sideways": ("Tx", "Ry"), "turning": ("Rz",)}
+"""Rigid motions of each kind; Ty and Rx are Tx and Ry mirrored in the diagonal."""
+COARSE_SPAN = 10.0
+"""The coarsest mesh has no edge longer than the span over this."""
+COUNT = 6
+"""Modes computed of each kind."""
+
+
+@dataclass(frozen=True)
+class SolidBlock:
+    """The elastic platform: a block of edge 2·`half_size_m`, `thickness_m` high, its centre at `height_m`.
+
+    `density_kgm3` of the block, 0 where `attached` holds its mass too. `attached`: rigid parts that follow the block's
+    mean motion. `stiffening`: factor on the block's modulus; a large one shows what a rigid platform would do.
+    """
+
+    half_size_m: float
+    thickness_m: float
+    height_m: float
+    density_kgm3: float
+    attached: RigidPart | None = None
+    stiffening: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not (self.half_size_m > 0.0 and self.thickness_m > 0.0 and self.density_kgm3 >= 0.0):
+            found = f"{self.half_size_m} m, {self.thickness_m} m, {self.density_kgm3} kg/m3"
+            raise ValueError(f"half_size_m, thickness_m, density_kgm3: expected sizes above 0, found {found}")
+        if self.density_kgm3 == 0.0 and self.attached is None:
+            raise ValueError("attached: expected the mass of a block without density, found none")
+
+
+@dataclass(frozen=True)
+class SolidModel:
+    """Solution on one mesh: `frequency_hz`, `stiffness` (6,) in the order of `NAMES`; `unknowns` of the whole element.
+
+    `stiffness`: load per mean displacement or turn of the platform in N/m, N·m/rad. `vertex_m` (V, 3), `cell` (C, 8) of
+    the quarter x, y ≥ 0, `motion` (6, V, 3) of its vertices in every mode.
+    """
+
+    frequency_hz: FloatArray
+    stiffness: FloatArray
+    unknowns: int
+    vertex_m: FloatArray
+    cell: IntArray
+    motion: FloatArray
+
+
+def solve_solid(beams: CrossBeams, block: SolidBlock, refinement: int = 2) -> SolidModel:
+    """Return frequencies and stiffness of the solid element, no edge of an element longer than l/(10·`refinement`).
+
+    Two planes of symmetry leave a quarter, solved once for each kind of motion. The sides of the compliant beams'
+    ends are clamped, as welded into rigid rims.
+    """
+    quarter = _Quarter(beams, block, refinement)
+    frequency, stiffness, motion = {}, {}, {}
+    for kind, names in NAMED.items():
+        found, shapes, rigid_stiffness = quarter.solve(kind)
+        for place, name in enumerate(names):
+            frequency[name], motion[name], stiffness[name] = found[place], shapes[place], rigid_stiffness[place]
+    for name, like in (("Ty", "Tx"), ("Rx", "Ry")):
+        frequency[name], stiffness[name] = frequency[like], stiffness[like]
+        motion[name] = quarter.mirrored(motion[like]) * (1.0 if name == "Ty" else -1.0)
+    return SolidModel(
+        frequency_hz=np.array([frequency[name] for name in NAMES]),
+        stiffness=np.array([stiffness[name] for name in NAMES]),
+        unknowns=4 * quarter.basis.N,
+        vertex_m=np.ascontiguousarray(quarter.mesh.p.T),
+        cell=np.ascontiguousarray(quarter.mesh.t.T),
+        motion=np.stack([motion[name] for name in NAMES]),
+    )
+
+
+def converged(models: tuple[SolidModel, ...]) -> FloatArray:
+    """Return the relative change (6,) of the frequencies from the last mesh but one to the last."""
+    if len(models) < 2:
+        raise ValueError(f"models: expected two meshes or more, found {len(models)}")
+    return np.asarray(models[-1].frequency_hz / models[-2].frequency_hz - 1.0)
+
+
+class _Quarter:
+    """Mesh and matrices of the quarter x, y ≥ 0."""
+
+    def __init__(self, beams: CrossBeams, block: SolidBlock, refinement: int) -> None:
+        if 0.5 * beams.compliant_length_m > 0.5 * (beams.span_m - beams.compliant_thickness_m):
+            expected = f"at most {beams.span_m - beams.compliant_thickness_m} m, where compliant beams meet"
+            raise ValueError(f"compliant_length_m: expected {expected}, found {beams.compliant_length_m} m")
+        if 0.5 * beams.beam_width_m > min(block.half_size_m, 0.5 * beams.compliant_length_m):
+            expected = "no more than platform and compliant beams"
+            raise ValueError(f"beam_width_m: expected {expected}, found {beams.beam_width_m} m")
+        self.beams, self.block = beams, block
+        self.mesh, self.platform = _mesh(beams, block, refinement)
+
+    @cached_property
+    def basis(self) -> Any:
+        """Triquadratic displacements."""
+        from skfem import Basis, ElementHex2, ElementVector
+
+        return Basis(self.mesh, ElementVector(ElementHex2()), intorder=4)
+
+    @cached_property
+    def component(self) -> IntArray:
+        """Axis of every unknown."""
+        found = np.empty(self.basis.N, dtype=np.int64)
+        basis = self.basis
+        for places in (basis.nodal_dofs, basis.edge_dofs, basis.facet_dofs, basis.interior_dofs):
+            for row, unknowns in enumerate(places):
+                found[unknowns] = row % 3
+        return found
+
+    @cached_property
+    def matrices(self) -> tuple[Any, Any, Any]:
+        """Stiffness, mass, and the platform's geometry (mass at unit density)."""
+        from skfem import Basis, BilinearForm, asm
+        from skfem.helpers import dot
+        from skfem.models.elasticity import lame_parameters, linear_elasticity
+
+        material = self.beams.material
+
+        @BilinearForm
+        def product(u: Any, v: Any, _: Any) -> Any:
+            return dot(u, v)
+
+        elastic = linear_elasticity(*lame_parameters(material.youngs_modulus_pa, material.poisson_ratio))
+        parts = [Basis(self.mesh, self.basis.elem, intorder=4, elements=cells) for cells in self._parts]
+        stiffness = self.block.stiffening * asm(elastic, parts[0]) + asm(elastic, parts[1])
+        block, rest = (asm(product, part) for part in parts)
+        mass = self.block.density_kgm3 * block + material.density_kgm3 * rest
+        return stiffness.tocsc(), mass.tocsr(), block.tocsr()
+
+    @property
+    def _parts(self) -> tuple[IntArray, IntArray]:
+        """Cells of the platform and all others."""
+        return np.flatnonzero(self.platform), np.flatnonzero(~self.platform)
+
+    def solve(self, kind: str) -> tuple[FloatArray, list[FloatArray], FloatArray]:
+        """Return the modes named after the rigid motions of one kind: Hz, motion of vertices (V, 3), stiffness."""
+        from scipy.sparse.linalg import LinearOperator, eigsh, splu
+
+        stiffness, mass, geometry = self.matrices
+        free = self._free(kind)
+        rigid = self._rigid(NAMED[kind])
+        weighed = geometry @ rigid
+        mean = (weighed @ np.linalg.inv(rigid.T @ weighed))[free]
+        extra = self._attached(NAMED[kind]) / 4.0
+        inert = mass[free][:, free]
+        solver = splu(stiffness[free][:, free], permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+        size = len(free)
+
+        def weigh(motion: FloatArray) -> FloatArray:
+            return np.asarray(inert @ motion + mean @ (extra @ (mean.T @ motion)))
+
+        squared, shape = eigsh(
+            stiffness[free][:, free],
+            k=COUNT,
+            M=LinearOperator((size, size), matvec=weigh, dtype=np.float64),
+            sigma=0.0,
+            OPinv=LinearOperator((size, size), matvec=solver.solve, dtype=np.float64),
+            v0=solver.solve(mean.sum(axis=1)),
+        )
+        factor = shape.T @ weigh(_apart(rigid[free], weigh))
+        chosen = assigned(factor)
+        sign = np.where(factor[chosen, np.arange(len(chosen))] < 0.0, -1.0, 1.0)
+        whole = np.zeros((self.basis.N, len(chosen)))
+        whole[free] = shape[:, chosen] * sign
+        motion = [column[self.basis.nodal_dofs].T for column in whole.T]
+        compliance = np.diag(mean.T @ solver.solve(mean)) / 4.0
+        return np.sqrt(squared[chosen]) / (2.0 * np.pi), motion, 1.0 / compliance
+
+    def mirrored(self, motion: FloatArray) -> FloatArray:
+        """Return the motion (V, 3) of vertices mirrored in the diagonal x = y."""
+        points = self.mesh.p.T
+        key = np.round(points * 1e9).astype(np.int64)
+        place = {tuple(row): i for i, row in enumerate(key.tolist())}
+        other = np.array([place[y, x, z] for x, y, z in key.tolist()])
+        return np.asarray(motion[other][:, [1, 0, 2]])
+
+    def _free(self, kind: str) -> IntArray:
+        """Unknowns that neither clamp nor symmetry holds."""
+        beams, basis, near = self.beams, self.basis, 1e-9
+        inner, half = 0.5 * (beams.span_m - beams.compliant_thickness_m), 0.5 * beams.compliant_length_m
+        held = [
+            basis.get_dofs(lambda x: (np.abs(x[1] - half) < near) & (x[0] > inner - near)).flatten(),
+            basis.get_dofs(lambda x: (np.abs(x[0] - half) < near) & (x[1] > inner - near)).flatten(),
+        ]
+        for axis, reversed_sign in enumerate(PARITIES[kind]):
+            plane = np.flatnonzero(np.abs(basis.doflocs[axis]) < near)
+            normal = self.component[plane] == axis
+            held.append(plane[~normal] if reversed_sign else plane[normal])
+        return np.setdiff1d(np.arange(basis.N), np.concatenate(held))
+
+    def _rigid(self, names: tuple[str, ...]) -> FloatArray:
+        """Rigid motions (N, k) by name, turns about the origin."""
+        place, axis = self.basis.doflocs, self.component
+        columns = []
+        for name in names:
+            along = NAMES.index(name)
+            if along < 3:
+                columns.append((axis == along).astype(np.float64))
+            else:
+                turned = np.cross(np.eye(3)[along - 3], place.T)
+                columns.append(turned[np.arange(len(axis)), axis])
+        return np.stack(columns, axis=1)
+
+    def _attached(self, names: tuple[str, ...]) -> FloatArray:
+        """Mass matrix (k, k) of the attached parts over the rigid motions."""
+        places = [NAMES.index(name) for name in names]
+        part = self.block.attached
+        return np.zeros((len(places),) * 2) if part is None else part.mass_matrix[np.ix_(places, places)]
+
+
+def _apart(rigid: FloatArray, weigh: Callable[[FloatArray], FloatArray]) -> FloatArray:
+    """Rigid motions (N, k) of mass 1, a turn being about the centre of mass instead of the origin."""
+    found = rigid.copy()
+    for place in range(rigid.shape[1]):
+        for other in range(place):
+            found[:, place] -= found[:, other] * (found[:, other] @ weigh(rigid[:, place]))
+        found[:, place] /= np.sqrt(found[:, place] @ weigh(found[:, place]))
+    return found
+
+
+def _mesh(beams: CrossBeams, block: SolidBlock, refinement: int) -> tuple[Any, Any]:
+    """Mesh of the quarter, cells of a grid that lie in one of the boxes; which of them (C,) are the platform's."""
+    from skfem import MeshHex
+
+    inner, outer = (0.5 * (beams.span_m + sign * beams.compliant_thickness_m) for sign in (-1.0, 1.0))
+    side, half, across = block.half_size_m, 0.5 * beams.compliant_length_m, 0.5 * beams.beam_width_m
+    low, high = (block.height_m + sign * 0.5 * block.thickness_m for sign in (-1.0, 1.0))
+    longest = beams.span_m / (COARSE_SPAN * refinement)
+    flat = _divided({0.0, across, side, half, inner, outer}, longest)
+    tops = {sign * 0.5 * size for sign in (-1.0, 1.0) for size in (beams.beam_height_m, beams.compliant_height_m)}
+    mesh = MeshHex.init_tensor(flat, flat, _divided({*tops, low, high}, longest))
+    x, y, z = mesh.p[:, mesh.t].mean(axis=1)
+    platform = (x < side) & (y < side) & (z > low) & (z < high)
+    inside = platform.copy()
+    for along, beside in ((x, y), (y, x)):
+        inside |= (along < inner) & (beside < across) & (np.abs(z) < 0.5 * beams.beam_height_m) & (along > side)
+        compliant = (along > inner) & (along < outer) & (beside < half)
+        inside |= compliant & (np.abs(z) < 0.5 * beams.compliant_height_m)
+    kept = np.flatnonzero(inside)
+    return mesh.restrict(kept), platform[kept]
+
+
+def _divided(breaks: set[float], longest: float) -> FloatArray:
+    """Grid lines through all breaks and between them, none further apart than `longest`."""
+    ends = np.unique(np.round(sorted(breaks), 12))
+    parts = [ends[:1]]
+    for start, stop in pairwise(ends):
+        pieces = int(np.ceil((stop - start) / longest * (1.0 - 1e-9)))
+        parts.append(np.linspace(start, stop, pieces + 1)[1:])
+    return np.concatenate(parts)
