@@ -62,8 +62,8 @@ def gain_curve(system: LinearSystem) -> GainCurve:
     points that lie close where poles and zeros are near: no resonance is too narrow.
     """
     grid = _grid(system)
-    places = sign_changes(_slope(system, grid))
-    turns = roots_between(lambda hertz: _slope(system, hertz), grid[places], grid[places + 1])
+    places = sign_changes(log_slope(system, grid))
+    turns = roots_between(lambda hertz: log_slope(system, hertz), grid[places], grid[places + 1])
     edges = np.concatenate([[0.0], turns, grid[-1:]])
     return GainCurve(system, edges, np.abs(system.response(edges)), _beyond(system))
 
@@ -104,7 +104,7 @@ def _grid(system: LinearSystem) -> FloatArray:
     return np.asarray(grid[(grid > 0) & (grid <= most)])
 
 
-def _slope(system: LinearSystem, hertz: FloatArray) -> FloatArray:
+def log_slope(system: LinearSystem, hertz: FloatArray) -> FloatArray:
     """Return d ln|H|/dω (K,) in s at frequencies (K,) in Hz."""
     x = 2j * np.pi * np.asarray(hertz)
     change: ComplexArray = np.full(len(x), 1j)

@@ -26,21 +26,23 @@ COINCIDING = 1e12
 
 @dataclass(frozen=True)
 class Transient:
-    """Figures of a step response: `overshoot` over the final value; times in s; None where there is none."""
+    """Figures of a step response: `overshoot` over the final value; times in s; None where there is none.
 
-    overshoot: float | None
-    rise_s: float | None
-    settling_2_s: float | None
-    settling_5_s: float | None
+    `highest_s`, `passing_s` (2,): when it is highest and when it first reaches 10 and 90 %; of a continuous system.
+    """
 
-
-NONE = Transient(None, None, None, None)
+    overshoot: float | None = None
+    rise_s: float | None = None
+    settling_2_s: float | None = None
+    settling_5_s: float | None = None
+    highest_s: float | None = None
+    passing_s: tuple[float, float] | None = None
 
 
 def transient(system: LinearSystem) -> Transient:
     """Return overshoot, rise and settling; nothing for a system that is unstable or has no static gain."""
     if not system.stable or not system.static_gain or not np.isfinite(system.static_gain):
-        return NONE
+        return Transient()
     if not len(system.poles):
         return Transient(0.0, 0.0, 0.0, 0.0)
     if system.sample_rate_hz is not None:
@@ -48,7 +50,8 @@ def transient(system: LinearSystem) -> Transient:
     response = _Response(system)
     first, last = response.first_passing(0.1), response.first_passing(0.9)
     settled = [float(response.settling(tolerance)[0]) for tolerance in (0.02, 0.05)]
-    return Transient(response.overshoot(), last - first, settled[0], settled[1])
+    over, highest = response.overshoot()
+    return Transient(over, last - first, settled[0], settled[1], highest, (first, last))
 
 
 def settling_points(system: LinearSystem, tolerance: float) -> FloatArray | None:
@@ -63,7 +66,7 @@ def _sampled(system: LinearSystem, rate: float) -> Transient:
     slowest = float(np.max(np.abs(system.poles)))
     length = int(40.0 / -np.log(slowest)) + 64 if slowest > 0 else 64
     if length > SAMPLES:
-        return NONE
+        return Transient()
     ratio = system.step(np.arange(length) / rate) / system.static_gain
 
     def passing(level: float) -> float:
@@ -138,14 +141,17 @@ class _Response:
         found = np.concatenate([[begin], roots_between(self.slope, time[places], time[places + 1]), [end]])
         return found, self.ratio(found)
 
-    def overshoot(self) -> float:
-        """Return the highest value less the final one, at least 0."""
-        best = 0.0
+    def overshoot(self) -> tuple[float, float | None]:
+        """Return the highest value less the final one and its time; 0 and None where the final one is the highest."""
+        best, when = 0.0, None
         for begin, end in self.blocks():
-            best = max(best, float(self.extremes(begin, end)[1].max()) - 1.0)
+            time, value = self.extremes(begin, end)
+            place = int(np.argmax(value))
+            if value[place] - 1.0 > best:
+                best, when = float(value[place]) - 1.0, float(time[place])
             if self.envelope(end) <= best:
                 break
-        return best
+        return best, when
 
     def first_passing(self, level: float) -> float:
         """Return when the response first reaches a share of the final value."""
