@@ -26,11 +26,13 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
             "pitching",
             "rotation",
             "steps",
+            "loads",
         ),
         default="demo",
         help="which rig (default: demo); sweep, matrix: campaigns for a curve over frequency and for the 6x6; "
         "targets: a camera calibration; chirp: a recording for shakercal transfer; masses, pitching: campaigns of two "
-        "loads for shakercal identify; rotation: a campaign for shakercal rotate; steps: one for shakercal step",
+        "loads for shakercal identify; rotation: a campaign for shakercal rotate; steps: one for shakercal step; "
+        "loads: one for shakercal load",
     )
     parser.add_argument("--seed", type=seed, default=1, help="seed of every random draw (default: 1)")
     parser.add_argument("--force", action="store_true", help="overwrite a simulation that is there")
@@ -56,6 +58,7 @@ def _write(out: Path, preset: str, seed: int, progress: ProgressCallback) -> str
         simulate,
         simulate_campaign,
         simulate_chirp,
+        simulate_load_series,
         simulate_loads,
         simulate_rotation,
         simulate_steps,
@@ -69,9 +72,8 @@ def _write(out: Path, preset: str, seed: int, progress: ProgressCallback) -> str
         return f"simulated campaign: {out}, {len(folders)} recording{'s' * (len(folders) > 1)}"
     if preset in ("masses", "pitching"):
         return f"simulated campaign: {simulate_loads(out, preset, seed, progress)}"
-    if preset == "rotation":
-        return f"simulated campaign: {out}, {len(simulate_rotation(out, seed))} recordings"
-    if preset == "steps":
-        return f"simulated campaign: {out}, {len(simulate_steps(out, seed))} recordings"
+    counted = {"rotation": simulate_rotation, "steps": simulate_steps, "loads": simulate_load_series}
+    if preset in counted:
+        return f"simulated campaign: {out}, {len(counted[preset](out, seed))} recordings"
     folder = simulate_chirp(out, seed) if preset == "chirp" else simulate(out, preset, seed, progress)
     return f"simulated recording: {folder}"

@@ -120,6 +120,18 @@ def simulate_steps(out: Path, seed: int) -> tuple[Path, ...]:
     return tuple(out / release.name for release in releases())
 
 
+def simulate_load_series(out: Path, seed: int) -> tuple[Path, ...]:
+    """Write releases of a force sensor with five load masses into folder `out`; return its recordings.
+
+    The same seed gives the same files; other folders are refused as by `simulate`.
+    """
+    from fusion.simulate.loads import write_loads
+
+    with _whole(out) as partial:
+        names = [recording.name for recording in write_loads(partial, seed)]
+    return tuple(out / name for name in names)
+
+
 @contextmanager
 def _whole(out: Path) -> Iterator[Path]:
     """Yield a folder that takes the place of `out` when it is complete; refuse anything but an earlier simulation."""
