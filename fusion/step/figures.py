@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from fusion.coverage import coverage_factor
 from fusion.step.pool import Pooled
-from shaker.models.indices.indices import indices, settling_u
+from shaker.models.indices.indices import indices
 from shaker.models.indices.result import LABELS, Indices, unit_of
+from shaker.models.indices.uncertain import settling_u
 from shaker.models.modal import ModalModel
 
 FloatArray = NDArray[np.float64]
@@ -71,7 +72,8 @@ def index_figures(
     value, gradient = pooled.model.jacobian(values)
     u, dof = pooled.spread(gradient)
     for name, tolerance in SETTLING.items():
-        u[names.index(name)] = settling_u(pooled.model, tolerance)
+        own = settling_u(pooled.model, tolerance)
+        u[names.index(name)] = np.nan if own is None else own
     told = zip(names, value.tolist(), u.tolist(), dof.tolist(), strict=True)
     units = {**{name: unit_of(name) or "1" for name in names}, "static_gain": unit}
     return found, tuple(Figure(n, LABELS[n], v, s, d, units[n]) for n, v, s, d in told if np.isfinite(v))

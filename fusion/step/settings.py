@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 MethodChoice = Literal["pencil", "arx", "all"]
-ReleaseChoice = Literal["auto", "step", "ramp", "measured"]
+ReleaseChoice = Literal["auto", "step", "ramp", "smooth", "measured"]
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,99 @@
+"""Static gains of every output, and what releases by different ropes have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from fusion.load import LOAD_COMPONENTS
+from fusion.manifest import ChannelEntry, Manifest
+from fusion.step.result import Release, Rope, StaticGain
+
+UNNAMED = "release"
+
+
+def static_gains(releases: Sequence[Release]) -> Iterator[StaticGain]:
+    """Yield the static gain of every output for the load of some releases, the driven output first.
+
+    The mean of the releases by weight 1/u²; where they scatter by more than is stated of each, u is that of the
+    scatter, with its degrees of freedom. The load's and the output's scale err for all releases alike.
+    """
+    channels = dict.fromkeys(reading.channel for release in releases for reading in release.readings)
+    for channel in channels:
+        found = [reading for release in releases for reading in release.readings if reading.channel == channel]
+        value = np.array([reading.static_gain for reading in found])
+        u = np.array([reading.u_static_gain for reading in found])
+        mean, u_mean, dof = mean_with_scatter(value, u)
+        own = abs(mean) * scale_uncertainty(releases[0].input.manifest, channel)
+        stated, u_stated = stated_gain(releases[0].input.manifest, channel, releases[0].input.record.component)
+        total = float(np.hypot(u_mean, own))
+        wide = dof * (total / u_mean) ** 4 if np.isfinite(dof) and u_mean > 0.0 else dof
+        yield StaticGain(channel, mean, total, float(wide), len(found), stated, u_stated)
+
+
+def mean_with_scatter(value: np.ndarray, u: np.ndarray) -> tuple[float, float, float]:
+    """Return the weighted mean of values (N,) with u (N,), its u and degrees of freedom.
+
+    u is that of the weights where χ² is what they let expect, N - 1 at most, and enlarged by √(χ²/(N - 1)), with N - 1
+    degrees of freedom, where it is more (Birge's ratio).
+    """
+    if not np.all(u > 0.0):
+        u = np.ones(len(value))
+    weight = 1.0 / u**2
+    mean = float(weight @ value / weight.sum())
+    stated = float(np.sqrt(1.0 / weight.sum()))
+    if len(value) < 2:
+        return mean, stated, float(np.inf)
+    ratio = float(weight @ (value - mean) ** 2) / (len(value) - 1)
+    return (mean, stated, float(np.inf)) if ratio <= 1.0 else (mean, stated * ratio**0.5, float(len(value) - 1))
+
+
+def scale_uncertainty(manifest: Manifest, channel: str) -> float:
+    """Return the relative standard uncertainty of output over load that all releases share: of both scales."""
+    entry = _entry(manifest, channel)
+    parts = (manifest.excitation.step_uncertainty, entry.scale_uncertainty, entry.individual_uncertainty)
+    return float(np.sqrt(np.sum(np.square(parts))))
+
+
+def stated_gain(manifest: Manifest, channel: str, component: str) -> tuple[float | None, float]:
+    """Return the static sensitivity that rig.toml states for an output and a component, None without, and its u."""
+    sensor = manifest.rig.sensor
+    if sensor is None or sensor.static_sensitivity is None or channel not in sensor.channels:
+        return None, 0.0
+    value = float(sensor.static_sensitivity[sensor.channels.index(channel)][LOAD_COMPONENTS.index(component)])
+    return value, abs(value) * sensor.static_sensitivity_uncertainty
+
+
+def ropes(releases: Sequence[Release], used: Sequence[str]) -> tuple[Rope, ...]:
+    """Return the releases by what let go, the fastest first."""
+    names = dict.fromkeys(release.input.record.release for release in releases)
+    found = []
+    for name in names:
+        own = [release for release in releases if release.input.record.release == name]
+        rise, length = [r.reading.rise_s for r in own], [r.release_s for r in own]
+        mean, u, _ = mean_with_scatter(np.array(length), np.array([r.u_release_s for r in own]))
+        found.append(
+            Rope(
+                name=name or UNNAMED,
+                releases=tuple(release.name for release in own),
+                rise_s=float(np.mean(rise)),
+                spread_rise_s=_spread(rise),
+                release_s=mean,
+                spread_release_s=_spread(length),
+                u_release_s=u,
+                used=any(release.name in used for release in own),
+            )
+        )
+    return tuple(sorted(found, key=lambda rope: rope.release_s))
+
+
+def _spread(values: Sequence[float]) -> float:
+    """Standard deviation between releases, NaN of one."""
+    return float(np.std(values, ddof=1)) if len(values) > 1 else float("nan")
+
+
+def _entry(manifest: Manifest, channel: str) -> ChannelEntry:
+    """The entry of an output channel."""
+    entries = [entry for daq in manifest.daq for entry in daq.channel if entry.quantity == "output"]
+    return next(entry for entry in entries if (entry.channel or entry.name) == channel)
