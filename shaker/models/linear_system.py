@@ -106,7 +106,15 @@ class LinearSystem:
 
         if self.sample_rate_hz is None:
             raise ValueError("sample_rate_hz: expected that of a sampled system, found none")
-        return np.asarray(zpk2sos(self.zeros, self.poles, self.gain))
+        found = np.asarray(zpk2sos(self.zeros, self.poles, self.gain))
+        late = len(self.poles) - len(
+            self.zeros
+        )  # zpk2sos fills up with zeros at z = 0, each of which is a sample early
+        for row in found:
+            while late and row[2] == 0:
+                row[:3] = 0.0, row[0], row[1]
+                late -= 1
+        return found
 
     @property
     def direct(self) -> float:
@@ -121,7 +129,10 @@ class LinearSystem:
         """Return a (P,) of the response direct + Σ a·(exp(pole·t) - 1) to a step, and whether poles are far apart."""
         if self.sample_rate_hz is not None or np.any(self.poles == 0):
             raise ValueError("system: expected a continuous one without a pole at 0")
-        terms = self.residues() / self.poles
+        parts = self.residues()
+        if not np.all(np.isfinite(parts)):
+            return parts, False
+        terms = parts / self.poles
         return terms, bool(np.sum(np.abs(terms)) < SOUND * max(abs(self.static_gain), abs(self.direct)))
 
     def step(self, time_s: FloatArray) -> FloatArray:
