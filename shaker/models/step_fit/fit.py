@@ -7,15 +7,18 @@ from typing import Literal
 
 import numpy as np
 
-from shaker._checks import ComplexArray, FloatArray
-from shaker.models.modal import ModalModel
-from shaker.models.step.basis import pole_responses
 from shaker.models.step.reading import Reading
 from shaker.models.step.record import StepRecord
 from shaker.models.step.release import read_release
+from shaker.models.step_fit.load import Load
+from shaker.models.step_fit.order import Search, searched
+from shaker.models.step_fit.output_error import Solution
+from shaker.models.step_fit.remarks import remarks
 from shaker.models.step_fit.result import StepFit
+from shaker.models.step_fit.samples import every_sample
+from shaker.models.step_fit.uncertainty import modal_model, spread
 
-Release = Literal["step", "ramp", "measured"]
+Release = Literal["step", "ramp", "smooth", "measured"]
 
 
 def fit_step(
@@ -32,73 +35,67 @@ def fit_step(
 
     `reading`: what `read_release` says of this channel, read here where it is None; `modes`, `real_poles`: numbers of
     oscillating modes and of real poles, chosen by rule where None; `release`: how the load goes, "measured" with a
-    measured force and else chosen by rule where None; `method`: what the start comes from.
+    measured force and else chosen by rule where None; `method`: what the start comes from. The covariance holds the
+    record's noise, coloured or not, the baseline, the release and the load's amplitude.
     """
-    from scipy.optimize import least_squares
-
     began = time.perf_counter()
     found = reading or read_release(record, channel)
-    y, t = record.samples[record.channels.index(channel)], record.time_s
-    count, reals = modes or 1, 1 if real_poles is None else real_poles
+    whole = every_sample(record.samples[record.channels.index(channel)], record.time_s, 1.0 / record.sample_rate_hz)
+    search = Search(whole, found, loads(record, found, release), method, modes, real_poles)
+    solution, path = searched(search)
+    return _result(record, found, solution, path, method, began)
 
-    def parts(q: FloatArray) -> tuple[FloatArray, ComplexArray]:
-        w, z, hz = q[:count], q[count : 2 * count], np.exp(q[2 * count : 2 * count + reals])
-        poles = np.concatenate([w * (-z + 1j * np.sqrt(1 - z**2)), -2 * np.pi * hz + 0j])
-        psi = pole_responses(poles, t, float(q[-1]), 0.0)
-        return np.column_stack(
-            [np.ones(len(t)), 2 * psi[:, :count].real, -2 * psi[:, :count].imag, psi[:, count:].real]
-        ), poles
 
-    def residual(q: FloatArray) -> FloatArray:
-        design = parts(q)[0]
-        return np.asarray(y - design @ np.linalg.lstsq(design, y, rcond=None)[0])
+def loads(record: StepRecord, reading: Reading, release: Release | None) -> tuple[Load, ...]:
+    """Return the loads that come into question, the plainest first."""
+    if release == "measured" or (release is None and record.force is not None):
+        if record.force is None:
+            raise ValueError(
+                'release: expected "step", "ramp" or "smooth" for a record without force, found "measured"'
+            )
+        rest = record.time_s < reading.onset_s - 3.0 * reading.u_onset_s
+        level = float(np.mean(record.force[rest])) if np.any(rest) else float(record.force[0])
+        return (Load("measured", record.amplitude, record.force - level, record.start_s),)
+    if release is not None:
+        return (Load(release, record.amplitude),)
+    return tuple(Load(shape, record.amplitude) for shape in ("step", "ramp", "smooth"))
 
-    first = _peaks(y, found, record, count)
-    start = np.concatenate(
-        [2 * np.pi * first, np.full(count, 0.02), np.log(3 * first.max() * np.ones(reals)), [found.onset_s]]
-    )
-    solved = least_squares(residual, start, x_scale=np.abs(start) * 1e-3 + 1e-9, method="lm")
-    q = solved.x
-    design, poles = parts(q)
-    c = np.linalg.lstsq(design, y, rcond=None)[0]
-    a = record.amplitude
-    re, im, rr = c[1 : 1 + count] / a, c[1 + count : 1 + 2 * count] / a, c[1 + 2 * count :] / a
-    model = ModalModel(
-        q[:count] / (2 * np.pi),
-        q[count : 2 * count],
-        re + 1j * im,
-        np.exp(q[2 * count : -1]),
-        rr,
-        np.eye(4 * count + 2 * reals) * 1e-12,
-    )
-    rest = np.asarray(y - design @ c)
+
+def _result(
+    record: StepRecord,
+    reading: Reading,
+    solution: Solution,
+    path: tuple[float, ...],
+    method: Literal["pencil", "arx"],
+    began: float,
+) -> StepFit:
+    """Return a solution as what an identification returns."""
+    value = record.samples[record.channels.index(reading.channel)]
+    whole = every_sample(value, record.time_s, 1.0 / record.sample_rate_hz)
+    known = spread(solution, whole)
+    model = modal_model(solution, known.covariance, record.u_amplitude)
+    middle, length = solution.problem.release(solution.vector)
+    timed = solution.problem.load.timed
+    decimation = int(solution.problem.samples.length[-1])
     return StepFit(
-        method,
-        channel,
-        record.component,
-        record.unit,
-        model,
-        model.system,
-        t,
-        y - rest,
-        rest,
-        record.sample_rate_hz,
-        1,
-        2 * count + reals,
-        1 - float(rest @ rest / np.sum((y - y.mean()) ** 2)),
-        np.array([solved.cost]),
-        time.perf_counter() - began,
-        float(q[-1]),
-        1e-6,
-        0.0,
-        0.0,
+        method=method,
+        channel=reading.channel,
+        component=record.component,
+        unit=record.unit,
+        model=model,
+        system=model.system,
+        time_s=whole.time_s,
+        fitted=known.fitted,
+        residual=known.residual,
+        sample_rate_hz=record.sample_rate_hz / decimation,
+        decimation=decimation,
+        order=solution.problem.structure.order,
+        variance_accounted=1.0 - float(np.sum(known.residual**2) / np.sum((value - value.mean()) ** 2)),
+        convergence=np.array(path),
+        duration_s=time.perf_counter() - began,
+        onset_s=middle - 0.5 * length if timed else reading.onset_s,
+        u_onset_s=known.u_onset_s if timed else reading.u_onset_s,
+        release_s=length,
+        u_release_s=known.u_release_s,
+        notices=remarks(record, reading, solution, model, known),
     )
-
-
-def _peaks(y: FloatArray, reading: Reading, record: StepRecord, count: int) -> FloatArray:
-    """Return the frequencies (M,) in Hz of the highest peaks of the spectrum after the onset."""
-    after = y[record.time_s > reading.onset_s] - reading.steady
-    size = np.abs(np.fft.rfft(after * np.hanning(len(after)), 4 * len(after)))
-    top = np.flatnonzero((size[1:-1] > size[:-2]) & (size[1:-1] > size[2:])) + 1
-    best = top[np.argsort(size[top])[::-1][:count]]
-    return np.sort(best) * record.sample_rate_hz / (4 * len(after))
