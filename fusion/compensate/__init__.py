@@ -1,1 +1,1 @@
-"""The command `shakercal compensate`: a filter from a model, and what it does."""
+"""The command `shakercal compensate`: filters that give a sensor the dynamics one wants."""

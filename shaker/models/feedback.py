@@ -53,7 +53,7 @@ class FeedbackRun:
     """What user, sensor and ball did, samples (N,) in N; NaN from where the loop ran away.
 
     `applied` F_u, `told` what the sensor says of it, `fed_back` F_v of the ball. `tracking_error`: rms of F_u - F_v
-    over rms of F_v while the ball is touched; `largest_error` likewise over the largest F_v. Both are infinite for a run
+    over rms of F_v while the ball is touched; `largest_error` likewise over the largest F_v. Infinite, both, for a run
     that ran away.
     """
 

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from shaker._checks import FloatArray
+from shaker.models.compensation.dynamics import SensorDynamics
 from shaker.models.compensation.filter import Compensation
+from shaker.models.compensation.target import cancelled_poles, mode_poles
 from shaker.models.linear_system import LinearSystem
 
 PERIODS = 6
@@ -15,6 +19,25 @@ PER_PERIOD = 256
 def met(compensation: Compensation, sensor: LinearSystem) -> LinearSystem:
     """Return the filter behind another sensor, all poles and zeros kept."""
     return sensor.times(compensation.system)
+
+
+def moved(sensor: SensorDynamics, vector: FloatArray) -> LinearSystem:
+    """Return the whole sensor with other values of `SensorDynamics.vector`; its other poles and zeros stay."""
+    modes, reals = len(sensor.frequency_hz), len(sensor.real_hz)
+    f, zeta, real, gain = np.split(np.asarray(vector, dtype=np.float64), np.cumsum([modes, modes, reals]))
+    poles = [pole for one, damping in zip(f, zeta, strict=True) for pole in mode_poles(one, damping)]
+    left = list(sensor.system.poles)
+    for pole in np.concatenate(cancelled_poles(sensor)):
+        left.pop(int(np.argmin(np.abs(np.array(left) - pole))))
+    found = LinearSystem(sensor.system.zeros, np.array([*left, *poles, *(-2 * np.pi * real)]), 1.0)
+    return replace(found, gain=float(gain[0]) / found.static_gain)
+
+
+def with_frequency(sensor: SensorDynamics, factor: float) -> LinearSystem:
+    """Return the whole sensor with the frequencies of the cancelled modes times a factor, as another load makes it."""
+    vector = sensor.vector.copy()
+    vector[: len(sensor.frequency_hz)] *= factor
+    return moved(sensor, vector)
 
 
 def residual_ringing(compensation: Compensation, sensor: LinearSystem, after_s: float) -> float:

@@ -53,7 +53,7 @@ def band_ratio(damping_ratio: float, permitted_error: float) -> float:
 
 def cancelled_poles(sensor: SensorDynamics) -> list[ComplexArray]:
     """Return the poles in rad/s that a filter cancels, section by section: a pair of each mode, one of a real pole."""
-    pairs = [_pair(f, z) for f, z in zip(sensor.frequency_hz, sensor.damping_ratio, strict=True)]
+    pairs = [mode_poles(f, z) for f, z in zip(sensor.frequency_hz, sensor.damping_ratio, strict=True)]
     return [*pairs, *(np.array([-2 * np.pi * f + 0j]) for f in sensor.real_hz)]
 
 
@@ -62,7 +62,7 @@ def target_poles(sensor: SensorDynamics, target: Target) -> list[ComplexArray]:
     found = []
     if len(sensor.frequency_hz):
         factor = target.frequency_hz / sensor.frequency_hz[0]
-        found = [_pair(factor * f, target.damping_ratio) for f in sensor.frequency_hz]
+        found = [mode_poles(factor * f, target.damping_ratio) for f in sensor.frequency_hz]
     if len(sensor.real_hz):
         if target.real_hz is None:
             raise ValueError("real_hz: expected where the slowest real pole shall lie, found none")
@@ -71,7 +71,7 @@ def target_poles(sensor: SensorDynamics, target: Target) -> list[ComplexArray]:
     return found
 
 
-def _pair(frequency_hz: float, damping_ratio: float) -> ComplexArray:
-    """Both poles of a mode, real ones from a damping ratio of 1 on."""
+def mode_poles(frequency_hz: float, damping_ratio: float) -> ComplexArray:
+    """Return both poles in rad/s of a mode, real ones from a damping ratio of 1 on."""
     root = np.sqrt(complex(damping_ratio**2 - 1.0))
     return np.asarray(2 * np.pi * frequency_hz * np.array([-damping_ratio + root, -damping_ratio - root]))
