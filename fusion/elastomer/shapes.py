@@ -15,6 +15,8 @@ from shaker.models.elastomer.solid import SolidModel
 
 SIDES = ((0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5), (0, 1, 3, 2), (4, 5, 7, 6))
 """Faces of a box by its corners, numbered with the bits of x, y, z."""
+PLATFORM_PARTS = 4
+"""Tiles along each edge of the platform, so that its colours show how it turns."""
 REVERSED = {
     "Tx": (True, False),
     "Ry": (True, False),
@@ -31,7 +33,9 @@ def frame_shapes(definition: Definition, model: FrameModel) -> list[Shape]:
     frame, platform = model.frame, definition.file.platform
     thickness = platform.thickness or definition.beams.beam_height_m
     centre = np.array([0.0, 0.0, platform.height])
-    block = centre + _box(platform.half_size, platform.half_size, 0.5 * thickness)
+    part = platform.half_size / PLATFORM_PARTS
+    tiles = part * np.arange(1.0 - PLATFORM_PARTS, PLATFORM_PARTS, 2.0)
+    blocks = [centre + np.array([x, y, 0.0]) + _box(part, part, 0.5 * thickness) for x in tiles for y in tiles]
     found = []
     for mode, name in enumerate(NAMES):
         nodes, own = model.node_motion(mode), model.platform_motion(mode)
@@ -40,15 +44,15 @@ def frame_shapes(definition: Definition, model: FrameModel) -> list[Shape]:
             corners, moves = _beam(frame.node_m[ends], nodes[ends], section)
             rest.append(corners)
             motion.append(moves)
-        rest.append(block)
-        motion.append(np.stack([(rigid_motion(corner) @ own)[:3] for corner in block]))
+        rest += blocks
+        motion += [np.stack([(rigid_motion(corner) @ own)[:3] for corner in block]) for block in blocks]
         faces = [np.stack(parts)[:, SIDES].reshape(-1, 4, 3) for parts in (rest, motion)]
         found.append(Shape(name, float(model.modes.frequency_hz[mode]), faces[0], faces[1]))
     return found
 
 
 def solid_shapes(drawn: SolidModel, finest: SolidModel) -> list[Shape]:
-    """Return the six modes on the outside of one mesh, mirrored into all quarters, with the finest mesh's frequencies."""
+    """Return the six modes on the outside of one mesh, in all quarters, with the finest mesh's frequencies."""
     faces = _outside(drawn)
     found = []
     for mode, name in enumerate(NAMES):

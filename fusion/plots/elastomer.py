@@ -15,7 +15,6 @@ from fusion.plots.style import (
     BLUE,
     GREEN,
     GREY,
-    LIGHT,
     ORANGE,
     PURPLE,
     RED,
@@ -30,7 +29,7 @@ from fusion.plots.style import (
     panel_label,
 )
 
-ENLARGED = 0.10
+ENLARGED = 0.08
 """Largest displacement drawn, over the size of the element."""
 VIEW = {"elev": 26.0, "azim": -58.0}
 COLOURS = (BLACK, BLUE, RED, GREEN, ORANGE, PURPLE, SKY, GREY)
@@ -76,7 +75,7 @@ class HandCurve:
 def draw_shapes(name: str, title: str, shapes: Sequence[Shape]) -> tuple[Picture, bytes]:
     """Six modes in space, at rest as lines and deformed as faces coloured by displacement; picture and png file."""
     with drawing(name):
-        figure = new_figure(5.6)
+        figure = new_figure(4.6)
         for place, shape in enumerate(shapes):
             _panel(figure, place, shape)
         figure.subplots_adjust(left=0.0, right=1.0, bottom=0.0, top=0.96, wspace=0.0, hspace=0.06)
@@ -99,7 +98,11 @@ def draw_compared(compared: Compared) -> Picture:
             shift = (c - 0.5 * (len(compared.columns) - 1)) * width
             departure = 100.0 * (compared.frequency_hz[c] / reference - 1.0)
             expanded = np.nan_to_num(100.0 * compared.expanded_hz[c] / reference)
-            look = {"fmt": MARKERS[c % len(MARKERS)], "color": COLOURS[c % len(COLOURS)], "markersize": 4.5}
+            look: dict[str, Any] = {
+                "fmt": MARKERS[c % len(MARKERS)],
+                "color": COLOURS[c % len(COLOURS)],
+                "markersize": 4.5,
+            }
             told = np.isfinite(departure)
             if told.any():
                 axes.errorbar(places[told] + shift, departure[told], expanded[told], label=column, **look)
@@ -148,17 +151,20 @@ def _panel(figure: Figure, place: int, shape: Shape) -> None:
     faces.set_edgecolor((0.0, 0.0, 0.0, 0.25))
     faces.set_linewidth(0.25)
     faces.set_rasterized(True)
-    axes.add_collection3d(Line3DCollection(rest, colors=GREY, linewidths=0.3, alpha=0.5, zorder=1))
+    lines = Line3DCollection(rest, colors=GREY, linewidths=0.3, alpha=0.5, zorder=1)
+    lines.set_rasterized(True)
+    axes.add_collection3d(lines)
     axes.add_collection3d(faces)
     half = 0.5e3 * extent
     axes.set(xlim=(-half, half), ylim=(-half, half), zlim=(-0.35 * half, 0.35 * half))
-    axes.set_box_aspect((1.0, 1.0, 0.35), zoom=1.55)
+    axes.set_box_aspect((1.0, 1.0, 0.35), zoom=1.27)
     axes.view_init(**VIEW)
     axes.set_axis_off()
-    axes.plot(*np.array([[-half, -0.7 * half], [-half, -half], [0.0, 0.0]]), color=BLACK, linewidth=0.8)
-    axes.plot(*np.array([[-half, -half], [-half, -0.7 * half], [0.0, 0.0]]), color=BLACK, linewidth=0.8)
-    axes.text(-0.62 * half, -half, 0.0, "x", fontsize=7.0)
-    axes.text(-half, -0.62 * half, 0.0, "y", fontsize=7.0)
-    axes.set_title(
-        f"{shape.name}   {shape.frequency_hz:.0f} Hz", fontsize=8.5, fontweight="bold", pad=-6.0, loc="center"
-    )
+    for axis, label in enumerate("xyz"):
+        tip = np.full(3, -half) * np.array([1.0, 1.0, 0.0])
+        tip[axis] += 0.25 * half
+        axes.plot(*np.stack([[-half, -half, 0.0], tip], axis=1), color=BLACK, linewidth=0.8)
+        tip[axis] += 0.06 * half
+        axes.text(*tip, label, fontsize=7.0)
+    told = f"{shape.name}   {shape.frequency_hz:.0f} Hz"
+    axes.set_title(told, fontsize=8.5, fontweight="bold", pad=-6.0, loc="center")
