@@ -18,6 +18,7 @@ from fusion.commands import (
     rotate,
     run,
     simulate,
+    step,
     transfer,
 )
 from fusion.commands.values import EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED
@@ -83,7 +84,8 @@ def _parser() -> argparse.ArgumentParser:
     loudness.add_argument("-v", "--verbose", action="store_true", help="tell more on stderr")
     loudness.add_argument("-q", "--quiet", action="store_true", help="warnings and errors only, no progress bar")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    for command in (run, check, cameras, import_calibration, align, simulate, plan, lines, transfer, rotate, identify):
+    first = (run, check, cameras, import_calibration, align, simulate, plan, lines, transfer, rotate, identify)
+    for command in (*first, step):
         command.add(commands, common)
     return parser
 

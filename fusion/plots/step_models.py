@@ -1,0 +1,167 @@
+"""Figures of models from step responses: response over frequency with bands, and how methods came to theirs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from numpy.typing import NDArray
+
+from fusion.plots.style import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    LIGHT,
+    ORANGE,
+    PURPLE,
+    RED,
+    FloatArray,
+    Picture,
+    decades,
+    drawing,
+    finish,
+    lay_out,
+    new_figure,
+    panel_label,
+)
+
+ComplexArray = NDArray[np.complex128]
+COLOURS = (BLUE, RED, GREEN, ORANGE, PURPLE)
+
+
+@dataclass(frozen=True)
+class BodeCurve:
+    """A model over frequency: H over its static gain (K,) at `frequency_hz` (K,) with relative u of |H| (K,).
+
+    `measured_hz` (L,), `measured` (L,), `noise` (L,): what the releases show by themselves, over the same gain, and the
+    size of what noise adds; `model_there` (L,): the model at these. `bands_hz`: up to where |H| stays within 5 and 10 %
+    of the static gain, NaN where there is no such band.
+    """
+
+    channel: str
+    component: str
+    frequency_hz: FloatArray
+    value: ComplexArray
+    u: FloatArray
+    measured_hz: FloatArray
+    measured: ComplexArray
+    noise: FloatArray
+    model_there: ComplexArray
+    bands_hz: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Convergence:
+    """Loss (N,) of a method over its order or generation 1 … N; `over`: which of them; `chosen`: the place taken."""
+
+    label: str
+    over: str
+    loss: FloatArray
+    chosen: int | None
+
+
+def draw_bode(name: str, curve: BodeCurve) -> Picture:
+    """Magnitude with bands, phase, and what the releases depart from the model by."""
+    with drawing(name):
+        figure = new_figure(6.0)
+        panels = figure.subplots(3, 1, sharex=True, gridspec_kw={"height_ratios": [2.0, 1.3, 1.1]})
+        _draw_magnitude(panels[0], curve)
+        _draw_phase(panels[1], curve)
+        _draw_departure(panels[2], curve)
+        for axes in panels:
+            axes.set_rasterization_zorder(2.2 if len(curve.measured_hz) > 400 else -1)
+        panels[-1].set_xscale("log")
+        panels[-1].set_xlim(float(curve.frequency_hz[0]), float(curve.frequency_hz[-1]))
+        panels[-1].xaxis.set_major_locator(LogLocator(10.0, subs=(1.0, 2.0, 5.0)))
+        panels[-1].xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        panels[-1].xaxis.set_minor_formatter(NullFormatter())
+        panels[-1].set_xlabel("frequency / Hz")
+        lay_out(figure, panels, top=0.24, gap=(0.5, 0.28), left=0.78, label=0.58)
+        caption = (
+            "Model (red, with U) over its static gain, and what the releases show without a model (blue): the spectrum "
+            "of the output's derivative over that of the load's. Green and orange: where |H| is within 5 and 10 % of "
+            "the static gain. Below: their difference over the static gain, and what noise alone makes of it (grey)."
+        )
+        title = f"Output {curve.channel} over load {curve.component}"
+        return finish(figure, name, title, caption)
+
+
+def draw_convergence(name: str, curves: Sequence[Convergence]) -> Picture:
+    """Loss over the order or the generations of every method that has such a curve."""
+    with drawing(name):
+        figure = new_figure(2.7)
+        panels = figure.subplots(1, len(curves), squeeze=False)[0]
+        for place, (axes, curve) in enumerate(zip(panels, curves, strict=True)):
+            _draw_loss(axes, curve, COLOURS[place % len(COLOURS)])
+        panels[0].set_ylabel("loss")
+        lay_out(figure, panels, top=0.24, gap=(0.62, 0.3), left=0.72, label=0.54)
+        caption = (
+            "Loss as each method defines it. SIM: of the equation error over the order, where it stops to fall the "
+            "order is enough for that error, which is not yet the mode's. Differential evolution: of the best member."
+        )
+        return finish(figure, name, "How the methods came to their models", caption)
+
+
+def _draw_magnitude(axes: Axes, curve: BodeCurve) -> None:
+    """|H| over the static gain."""
+    size = np.abs(curve.value)
+    for end, colour, label in zip(curve.bands_hz, (GREEN, ORANGE), ("±5 %", "±10 %"), strict=True):
+        if np.isfinite(end):
+            axes.axvline(end, color=colour, linewidth=1.0, zorder=1.5, label=f"{label} up to {end:.4g} Hz")
+    axes.plot(curve.measured_hz, np.abs(curve.measured), ".", color=BLUE, markersize=2.0, zorder=2, label="releases")
+    low, high_edge = size * np.maximum(1.0 - 2.0 * curve.u, 1e-3), size * (1.0 + 2.0 * curve.u)
+    axes.fill_between(curve.frequency_hz, low, high_edge, color=RED, alpha=0.3, linewidth=0, zorder=2.3)
+    axes.plot(curve.frequency_hz, size, color=RED, linewidth=1.0, zorder=2.5, label="model")
+    axes.axhline(1.0, color=LIGHT, linewidth=0.8, zorder=1)
+    axes.set_yscale("log")
+    axes.set_ylim(0.4 * min(1.0, float(size.min())), 2.0 * float(size.max()))
+    decades(axes.yaxis)
+    axes.set_ylabel("|H / H(0)|")
+    axes.legend(loc="upper left", ncols=2)
+    panel_label(axes, f"output {curve.channel} over load {curve.component}: magnitude")
+
+
+def _draw_phase(axes: Axes, curve: BodeCurve) -> None:
+    """Phase in degrees, not wrapped for the model, near it for the releases."""
+    model = np.degrees(np.unwrap(np.angle(curve.value)))
+    there = np.interp(curve.measured_hz, curve.frequency_hz, model)
+    off = np.degrees(np.angle(curve.measured * np.exp(-1j * np.radians(there))))
+    axes.plot(curve.measured_hz, there + off, ".", color=BLUE, markersize=2.0, zorder=2)
+    axes.plot(curve.frequency_hz, model, color=RED, linewidth=1.0, zorder=2.5)
+    low, high = float(model.min()) - 60.0, max(float(model.max()), 0.0) + 60.0
+    axes.set_ylim(low, high)
+    axes.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 3, 4.5, 9, 10]))
+    axes.set_ylabel("phase / °")
+    panel_label(axes, "phase")
+
+
+def _draw_departure(axes: Axes, curve: BodeCurve) -> None:
+    """|releases - model| over the static gain, and the noise of the releases."""
+    away = np.abs(curve.measured - curve.model_there)
+    axes.plot(curve.measured_hz, 100.0 * away, ".", color=BLACK, markersize=2.0, zorder=2)
+    order = np.argsort(curve.measured_hz)
+    axes.plot(curve.measured_hz[order], 100.0 * curve.noise[order], color=GREY, linewidth=0.8, zorder=2.5)
+    axes.set_yscale("log")
+    decades(axes.yaxis)
+    axes.set_ylabel("difference / %")
+    panel_label(axes, "releases less model, over the static gain")
+
+
+def _draw_loss(axes: Axes, curve: Convergence, colour: str) -> None:
+    """One curve of losses."""
+    number = np.arange(1, len(curve.loss) + 1)
+    marker = "o" if len(curve.loss) <= 20 else ""
+    axes.plot(number, curve.loss, color=colour, linewidth=0.9, marker=marker, markersize=3.5, zorder=2)
+    if curve.chosen is not None:
+        axes.plot(number[curve.chosen], curve.loss[curve.chosen], "o", color=BLACK, markersize=6.5, fillstyle="none")
+    positive = curve.loss[curve.loss > 0.0]
+    if len(positive) and positive.max() > 20.0 * positive.min():
+        axes.set_yscale("log")
+        decades(axes.yaxis)
+    axes.set_xlabel(curve.over)
+    axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
+    panel_label(axes, curve.label)
