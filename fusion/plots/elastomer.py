@@ -98,11 +98,7 @@ def draw_compared(compared: Compared) -> Picture:
             shift = (c - 0.5 * (len(compared.columns) - 1)) * width
             departure = 100.0 * (compared.frequency_hz[c] / reference - 1.0)
             expanded = np.nan_to_num(100.0 * compared.expanded_hz[c] / reference)
-            look: dict[str, Any] = {
-                "fmt": MARKERS[c % len(MARKERS)],
-                "color": COLOURS[c % len(COLOURS)],
-                "markersize": 4.5,
-            }
+            look: dict[str, Any] = {"fmt": MARKERS[c % len(MARKERS)], "color": COLOURS[c % len(COLOURS)]}
             told = np.isfinite(departure)
             if told.any():
                 axes.errorbar(places[told] + shift, departure[told], expanded[told], label=column, **look)
@@ -150,21 +146,19 @@ def _panel(figure: Figure, place: int, shape: Shape) -> None:
     faces = Poly3DCollection(moved, facecolors=colormaps["viridis"](size.mean(axis=1) / largest), zorder=2)
     faces.set_edgecolor((0.0, 0.0, 0.0, 0.25))
     faces.set_linewidth(0.25)
-    faces.set_rasterized(True)
     lines = Line3DCollection(rest, colors=GREY, linewidths=0.3, alpha=0.5, zorder=1)
-    lines.set_rasterized(True)
-    axes.add_collection3d(lines)
-    axes.add_collection3d(faces)
+    for drawn in (lines, faces):
+        drawn.set_rasterized(True)
+        drawn.set_clip_on(False)
+        axes.add_collection3d(drawn)
     half = 0.5e3 * extent
     axes.set(xlim=(-half, half), ylim=(-half, half), zlim=(-0.35 * half, 0.35 * half))
-    axes.set_box_aspect((1.0, 1.0, 0.35), zoom=1.27)
+    axes.set_box_aspect((1.0, 1.0, 0.35), zoom=1.45)
     axes.view_init(**VIEW)
     axes.set_axis_off()
-    for axis, label in enumerate("xyz"):
-        tip = np.full(3, -half) * np.array([1.0, 1.0, 0.0])
-        tip[axis] += 0.25 * half
-        axes.plot(*np.stack([[-half, -half, 0.0], tip], axis=1), color=BLACK, linewidth=0.8)
-        tip[axis] += 0.06 * half
-        axes.text(*tip, label, fontsize=7.0)
+    foot = half * np.array([0.72, -0.98, 0.0])
+    for along, label in zip(0.25 * half * np.eye(3), "xyz", strict=True):
+        axes.plot(*np.stack([foot, foot + along], axis=1), color=BLACK, linewidth=0.8, clip_on=False)
+        axes.text(*(foot + 1.3 * along), label, fontsize=7.0, ha="center", va="center")
     told = f"{shape.name}   {shape.frequency_hz:.0f} Hz"
     axes.set_title(told, fontsize=8.5, fontweight="bold", pad=-6.0, loc="center")
