@@ -14,6 +14,7 @@ from fusion.commands import (
     identify,
     import_calibration,
     lines,
+    load,
     plan,
     rotate,
     run,
@@ -85,7 +86,7 @@ def _parser() -> argparse.ArgumentParser:
     loudness.add_argument("-q", "--quiet", action="store_true", help="warnings and errors only, no progress bar")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     first = (run, check, cameras, import_calibration, align, simulate, plan, lines, transfer, rotate, identify)
-    for command in (*first, step):
+    for command in (*first, step, load):
         command.add(commands, common)
     return parser
 
