@@ -11,6 +11,7 @@ from fusion.commands import (
     align,
     cameras,
     check,
+    compensate,
     identify,
     import_calibration,
     lines,
@@ -86,7 +87,7 @@ def _parser() -> argparse.ArgumentParser:
     loudness.add_argument("-q", "--quiet", action="store_true", help="warnings and errors only, no progress bar")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     first = (run, check, cameras, import_calibration, align, simulate, plan, lines, transfer, rotate, identify)
-    for command in (*first, step, load):
+    for command in (*first, step, load, compensate):
         command.add(commands, common)
     return parser
 

@@ -15,7 +15,7 @@ from fusion.compensate.sources import Sources, Subject, chosen
 from fusion.compensate.wish import COMMAND, Wish
 from fusion.errors import InputError
 from fusion.provenance import versions
-from shaker.models.compensation.discrete import discretisation_error, sampled
+from shaker.models.compensation.discrete import discretisation_error, filled, sampled
 from shaker.models.compensation.filter import Compensation
 from shaker.models.compensation.mismatch import moved, residual_ringing, with_frequency
 from shaker.models.compensation.noise import white_noise_gain
@@ -67,15 +67,19 @@ def _subject(subject: Subject, wish: Wish, rate_hz: float | None) -> SubjectResu
         target = max(targets, key=lambda one: one.frequency_hz)
         rate = wish.sample_rate_hz or rate_hz or subject.sample_rate_hz or SAMPLES_PER_PERIOD * target.frequency_hz
         designs = [Compensation(sensor, target, wish.calibrated) for sensor in sensors]
-        filters = [_filter(subject, mass, one, wish, rate) for mass, one in zip(masses, designs, strict=True)]
+        count = max(len(one.factors) for one in designs)
+        filters = [_filter(subject, mass, one, wish, (rate, count)) for mass, one in zip(masses, designs, strict=True)]
     except ValueError as error:
         raise InputError.told_by(error, Path(COMMAND), subject.name) from error
     return SubjectResult(subject, tuple(filters))
 
 
-def _filter(subject: Subject, mass: float | None, design: Compensation, wish: Wish, rate_hz: float) -> LoadFilter:
-    """One filter and what it does."""
-    sections = sampled(design, rate_hz, wish.discretisation)
+def _filter(
+    subject: Subject, mass: float | None, design: Compensation, wish: Wish, samples: tuple[float, int]
+) -> LoadFilter:
+    """One filter and what it does; `samples`: their rate in Hz, and how many sections the filter shall have."""
+    rate_hz, count = samples
+    sections = filled(sampled(design, rate_hz, wish.discretisation), count)
     before, after = _figures(design, alone=True), _figures(design, alone=False)
     band = wish.bandwidth_hz or after.indices.band_10_hz or design.target.frequency_hz
     band = min(band, 0.5 * rate_hz, 2.0 * design.target.frequency_hz)

@@ -1,0 +1,217 @@
+"""The numbers of a compensation as rows and tables: compensation.csv, the page's tables, what the command prints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from markupsafe import Markup
+
+from fusion.compensate.result import CompensateEvaluation, Figures, LoadFilter, SubjectResult
+from fusion.polar import DASH, rounded
+from fusion.report_numbers import measured, number
+from fusion.report_tables import Headline, Table
+from fusion.results_csv import Row
+from shaker.models.compensation.target import band_ratio, best_damping
+from shaker.models.indices.result import LABELS, unit_of
+
+COLUMNS = ["channel", "component", "load_mass_kg", "name", "value", "u", "unit"]
+EXPANDED = 2.0
+GRAM, MILLI, PERCENT = 1e3, 1e3, 100.0
+SHOWN = (
+    "natural_hz",
+    "damping_ratio",
+    "peak_hz",
+    "peak_gain",
+    "band_5_hz",
+    "band_10_hz",
+    "half_power_hz",
+    "overshoot",
+    "rise_s",
+    "settling_5_s",
+    "settling_2_s",
+)
+SCALE = {"s": (MILLI, "ms"), "Hz": (1.0, "Hz"), "": (1.0, "")}
+PRINTED = {"band_10_hz": "±10 % band", "overshoot": "overshoot", "settling_2_s": "2 % settling"}
+ERRORS = (0.01, 0.02, 0.05, 0.1, 0.2)
+
+
+def quantity_rows(evaluation: CompensateEvaluation) -> Iterator[Row]:
+    """One row per number."""
+    for result in evaluation.subjects:
+        for found in result.filters:
+            head: Row = [result.subject.channel, result.subject.component, _or_empty(found.load_mass)]
+            for name, value, u, unit in _numbers(result, found):
+                yield [*head, name, _or_empty(value), _or_empty(u), unit]
+
+
+def _or_empty(value: float | None) -> float | str:
+    """A number, nothing for what there is none of."""
+    return "" if value is None else value
+
+
+def _numbers(result: SubjectResult, found: LoadFilter) -> Iterator[tuple[str, float | None, float | None, str]]:
+    """Name, value, u and unit of everything told of one filter."""
+    sensor, target = found.compensation.sensor, found.compensation.target
+    modes = len(sensor.frequency_hz)
+    names = [f"sensor_{name}_{m + 1}" for name in ("frequency_hz", "damping_ratio") for m in range(modes)]
+    names += [f"sensor_real_hz_{q + 1}" for q in range(len(sensor.real_hz))] + ["sensor_static_gain"]
+    gain_unit = f"{result.subject.unit}/{result.subject.load_unit}"
+    for name, value, u in zip(names, sensor.vector, sensor.u, strict=True):
+        unit = "Hz" if "_hz" in name else gain_unit if name == "sensor_static_gain" else "1"
+        yield name, float(value), None if np.isnan(u) else float(u), unit
+    yield "target_frequency_hz", target.frequency_hz, None, "Hz"
+    yield "target_damping_ratio", target.damping_ratio, None, "1"
+    for when, figures in (("before", found.before), ("after", found.after)):
+        for name, value_ in figures.indices.figures().items():
+            yield f"{when}_{name}", value_, figures.u[name], unit_of(name) or "1"
+    yield "white_noise_gain", found.noise_gain, None, f"{result.output_unit}/{result.subject.unit}"
+    yield "noise", found.noise, None, result.output_unit
+    yield "discretisation_error", found.discretisation_error, None, "1"
+    for off, ringing in zip(found.off_frequency, found.off_ringing, strict=True):
+        yield f"ringing_frequency_{off:+g}", float(ringing), None, "1"
+    for load, ringing in zip(found.off_load, found.load_ringing, strict=True):
+        yield f"ringing_load_{load:.12g}_kg", float(ringing), None, "1"
+
+
+def label(result: SubjectResult, found: LoadFilter) -> str:
+    """Channel and load."""
+    mass = "" if found.load_mass is None else f", load {GRAM * found.load_mass:.4g} g"
+    return f"{result.subject.name}{mass}"
+
+
+def headlines(evaluation: CompensateEvaluation) -> list[Headline]:
+    """Of the first filter: band, overshoot, settling, each before and after."""
+    result = evaluation.subjects[0]
+    found = result.filters[0]
+    where = label(result, found)
+    wanted = (("band_10_hz", "±10 % of the static gain up to"), ("overshoot", "Overshoot"))
+    told = [
+        Headline(text, cell(found.after, name), f"before: {cell(found.before, name)}; {where}")
+        for name, text in (*wanted, ("settling_2_s", "2 % settling"))
+    ]
+    times = found.noise_gain / abs(found.sections.gain)
+    remark = f"white noise at {found.sections.sample_rate_hz:g} Hz; {where}"
+    return [*told, Headline("Noise", f"× {times:.3g}", remark)]
+
+
+def cell(figures: Figures, name: str) -> str:
+    """A figure with U and unit."""
+    value, u = figures.indices.figures()[name], figures.u[name]
+    if value is None or not np.isfinite(value):
+        return DASH if value is None else "no end"
+    percent = name == "overshoot"
+    scale, unit = (PERCENT, "%") if percent else SCALE[unit_of(name)]
+    if u is None:
+        return f"{scale * value:.5g} {unit}".strip()
+    return measured(scale * value, EXPANDED * scale * u, unit)
+
+
+def index_tables(evaluation: CompensateEvaluation) -> list[Table]:
+    """Figures before and after, one table per filter."""
+    tables = []
+    for result in evaluation.subjects:
+        for found in result.filters:
+            rows = [(LABELS[name].capitalize() if LABELS[name][0].islower() else LABELS[name],
+                     cell(found.before, name), cell(found.after, name)) for name in SHOWN]  # fmt: skip
+            known = found.compensation.sensor.covariance is not None
+            caption = f"{label(result, found)}: before and after" + (", with U (k = 2)" if known else "")
+            tables.append(Table(caption, ("figure", "sensor", "compensated"), "lrr", tuple(rows)))
+    return tables
+
+
+def filter_table(evaluation: CompensateEvaluation) -> Table:
+    """Every filter: what it cancels, what it puts there, what it costs."""
+    rows = []
+    for result in evaluation.subjects:
+        for found in result.filters:
+            design = found.compensation
+            u = design.sensor.u
+            poles = [
+                measured(f, 0.0 if np.isnan(u[m]) else EXPANDED * u[m])
+                for m, f in enumerate([*design.sensor.frequency_hz])
+            ]
+            damped = [
+                measured(z, 0.0 if np.isnan(u[len(poles) + m]) else EXPANDED * u[len(poles) + m])
+                for m, z in enumerate(design.sensor.damping_ratio)
+            ]
+            rows.append(
+                (
+                    label(result, found),
+                    Markup("; ").join([*poles, *(f"real {hertz:.5g}" for hertz in design.sensor.real_hz)]),
+                    Markup("; ").join(damped) or DASH,
+                    f"{design.target.frequency_hz:.6g}",
+                    f"{design.target.damping_ratio:.4g}",
+                    f"{found.sections.sample_rate_hz:g}",
+                    f"{found.noise_gain / abs(found.sections.gain):.3g}",
+                    DASH if found.noise is None else f"{number(found.noise)} {result.output_unit}",
+                    f"{PERCENT * found.discretisation_error:.2g}",
+                )
+            )
+    head = ("filter", "from / Hz", "ζ", "to / Hz", "to ζ", "rate / Hz", "noise ×", "noise after", "sampling / %")
+    return Table("Filters, with U (k = 2) where it is known", head, "lrrrrrrrr", tuple(rows))
+
+
+def mismatch_tables(evaluation: CompensateEvaluation) -> list[Table]:
+    """Residual ringing with other loads, one row per filter; else with a frequency that is off."""
+    tables = []
+    for result in evaluation.subjects:
+        first = result.filters[0]
+        loads = len(first.off_load) > 1
+        head = [f"{GRAM * load:.4g} g" for load in first.off_load] if loads else []
+        head = head or [f"{PERCENT * off:+g} %".replace("-", "\N{MINUS SIGN}") for off in first.off_frequency]
+        rows = [
+            (
+                label(result, found),
+                *(f"{PERCENT * r:.3g}" for r in (found.load_ringing if loads else found.off_ringing)),
+            )
+            for found in result.filters
+        ]
+        what = "with other loads" if loads else "with a sensor whose frequency is off"
+        caption = f"{result.subject.name}: residual ringing {what}, % of the step after {MILLI * first.after_s:.3g} ms"
+        if head:
+            tables.append(Table(caption, ("filter for", *head), "l" + "r" * len(head), tuple(rows)))
+    return tables
+
+
+def damping_table(evaluation: CompensateEvaluation) -> Table:
+    """The damping ratio with the widest band for a permitted error, and that band over the natural frequency."""
+    ratios = sorted({*ERRORS, evaluation.wish.permitted_error})
+    target = evaluation.subjects[0].filters[0].compensation.target
+    rows = [
+        (
+            f"±{PERCENT * error:g} %",
+            f"{best_damping(error):.4f}",
+            f"{band_ratio(best_damping(error) * (1 + 1e-12), error):.4f}",
+            f"{band_ratio(target.damping_ratio, error):.4f}",
+        )
+        for error in ratios
+    ]
+    head = ("permitted error", "best ζ", "band / fn", f"band / fn with ζ = {target.damping_ratio:.4g}")
+    return Table("One mode: the damping ratio with the widest band", head, "lrrr", tuple(rows))
+
+
+def printed(evaluation: CompensateEvaluation) -> Iterator[str]:
+    """Lines for the terminal, with U (k = 2) where it is known."""
+    for result in evaluation.subjects:
+        for found in result.filters:
+            target, rate = found.compensation.target, found.sections.sample_rate_hz
+            from_hz, from_damping = (plain(found.before, name) for name in ("natural_hz", "damping_ratio"))
+            yield f"{label(result, found)}"
+            yield f"  natural frequency: {from_hz} -> {target.frequency_hz:.6g} Hz"
+            yield f"  damping ratio: {from_damping} -> {target.damping_ratio:.4g}"
+            for name, text in PRINTED.items():
+                yield f"  {text}: {plain(found.before, name)} -> {plain(found.after, name)}"
+            yield f"  white noise at {rate:g} Hz: × {found.noise_gain / abs(found.sections.gain):.3g}"
+
+
+def plain(figures: Figures, name: str) -> str:
+    """A figure with U and unit as plain text."""
+    value, u = figures.indices.figures()[name], figures.u[name]
+    if value is None or not np.isfinite(value):
+        return "none" if value is None else "no end"
+    scale, unit = (PERCENT, "%") if name == "overshoot" else SCALE[unit_of(name)]
+    told = rounded(scale * value, 0.0 if u is None else EXPANDED * scale * u)
+    power = f"e{told.exponent}" if told.exponent else ""
+    body = told.value if told.expanded == DASH else f"({told.value} ± {told.expanded})"
+    return f"{body}{power} {unit}".strip()
