@@ -32,9 +32,9 @@ def zeros_and_gain(
     distance = np.abs(poles - rest)
     scale = float(np.exp(np.mean(np.log(distance[distance > 0])))) if np.any(distance > 0) else 1.0
     near = (poles - rest) / scale
-    terms = [direct * np.poly(near)]
+    terms = [direct * np.atleast_1d(np.poly(near))]
     for i, residue in enumerate(residues):
-        terms.append(np.concatenate([[0.0], residue / scale * np.poly(np.delete(near, i))]))
+        terms.append(np.concatenate([[0.0], residue / scale * np.atleast_1d(np.poly(np.delete(near, i)))]))
     total, size = np.sum(terms, axis=0).real, np.sum(np.abs(terms), axis=0)
     kept = np.flatnonzero(np.abs(total) > 1e-13 * size)
     if not len(kept):

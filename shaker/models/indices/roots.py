@@ -27,19 +27,24 @@ def roots_between(function: Callable[[FloatArray], FloatArray], low: FloatArray,
     if not len(left):
         return left
     at_left, at_right = function(left), function(right)
-    found = at_right == 0
+    best, at_best = (
+        np.where(np.abs(at_left) < np.abs(at_right), left, right),
+        np.fmin(np.abs(at_left), np.abs(at_right)),
+    )
+    done = at_best == 0
     for step in range(STEPS):
         with np.errstate(divide="ignore", invalid="ignore"):
             point = right - at_right * (right - left) / (at_right - at_left)
         inside = (point >= np.minimum(left, right)) & (point <= np.maximum(left, right))
         halve = ~inside | (step % 4 == 3)
         point = np.where(halve, 0.5 * (left + right), point)
-        found |= ~halve & (np.abs(point - right) <= 2e-16 * np.abs(right))
         value = function(point)
+        better = np.abs(value) <= at_best
+        best, at_best = np.where(better, point, best), np.where(better, np.abs(value), at_best)
         same = np.sign(value) == np.sign(at_right)
+        done |= (value == 0) | (np.abs(point - right) <= 2e-16 * np.abs(right)) & ~halve
         left, at_left = np.where(same, left, right), np.where(same, 0.5 * at_left, at_right)
         right, at_right = point, value
-        found |= (np.abs(right - left) <= 4e-16 * np.abs(right)) | (at_right == 0)
-        if np.all(found):
+        if np.all(done | (np.abs(right - left) <= 4e-16 * np.abs(right))):
             break
-    return right
+    return best

@@ -90,7 +90,7 @@ class _Response:
         self.system, self.gain, self.poles = system, system.static_gain, system.poles
         self.slowest = float(np.min(-self.poles.real))
         terms, self.apart = system.step_terms()
-        self.terms = terms / self.gain
+        self.terms = terms / self.gain if self.apart else terms
         self.size: FloatArray = np.abs(self.terms) if self.apart else np.full(len(terms), COINCIDING)
 
     def ratio(self, time_s: FloatArray) -> FloatArray:
@@ -165,7 +165,8 @@ class _Response:
 
     def settling(self, tolerance: float) -> FloatArray:
         """Return times (3,): from when on it stays within a tolerance, the turning points before and after that."""
-        end = self.quiet(0.05 * tolerance)
+        period = 2 * np.pi / float(np.min(np.abs(self.poles)))
+        end = min(self.quiet(tolerance) + period, self.quiet(0.05 * tolerance))
         while end > 0:
             begin = max(0.5 * end, end - BLOCK * self.spacing(0.5 * end)) if end > self.spacing(0.0) else 0.0
             time, value = self.extremes(begin, end)

@@ -128,9 +128,10 @@ def _over_time(model: ModalModel, found: Transient) -> dict[str, _Smooth]:
 def settling_u(model: ModalModel, tolerance: float) -> float:
     """Return the standard uncertainty in s of a settling time, NaN where there is none.
 
-    Two parts: the crossing moves by u of the response over its slope; and it jumps to the next turning point, half a
-    period away, where one that is just outside comes to be inside, or the other way: variance (half period)²·P(1 - P)
-    with the probability P of that.
+    Two parts: the crossing moves by τ with slope·τ ± curvature·τ²/2 = u of the response, away from the turning point
+    before it or towards that, which it does not pass; and it jumps to the next turning point, half a period away, where
+    one that is just outside comes to be inside, or the other way: variance (half period)²·P(1 - P) with the probability
+    P of that.
     """
     from scipy.stats import norm
 
@@ -139,7 +140,11 @@ def settling_u(model: ModalModel, tolerance: float) -> float:
         return float("nan")
     value, covariance = model.propagate(lambda at: np.asarray(at.step(points) / at.static_gain))
     u = np.sqrt(np.diag(covariance))
-    slope = abs(model.impulse(points[:1])[0] / model.static_gain)
+    half = points[2] - points[1]
+    near = model.impulse(points[0] + 1e-5 * half * np.arange(-1, 2)) / model.static_gain
+    slope, bend = abs(near[1]), abs(near[2] - near[0]) / (2e-5 * half)
+    away, back = slope**2 + 2 * bend * u[0], max(slope**2 - 2 * bend * u[0], 0.0)
+    moved = 0.5 * (np.sqrt(away) - np.sqrt(back)) / bend if bend > 0 else u[0] / slope
     margin = np.abs(np.abs(value[1:] - 1) - tolerance)
     jump = norm.sf(np.divide(margin, u[1:], out=np.full(2, np.inf), where=u[1:] > 0))
-    return float(np.hypot(u[0] / slope, (points[2] - points[1]) * np.sqrt(np.sum(jump * (1 - jump)))))
+    return float(np.hypot(moved, half * np.sqrt(np.sum(jump * (1 - jump)))))
