@@ -33,7 +33,7 @@ class Rope:
 
 COTTON, LINE, PLASTIC = (
     Rope("cotton rope", 3e-3, 0.15),
-    Rope("fishing line", 0.4e-3, 0.05),
+    Rope("fishing line", 0.15e-3, 0.05),
     Rope("plastic rope", 1.2e-3, 0.1),
 )
 

@@ -11,7 +11,7 @@ def pole_responses(poles: ComplexArray, time_s: FloatArray, onset_s: float, rele
     """Return responses (N, P) of 1/(s - p), poles (P,) in rad/s, to a load that grows from 0 to 1, at `time_s` (N,).
 
     The load is clip((t - onset)/T, 0, 1) with T = `release_s` ≥ 0, a step for T = 0. With τ = t - onset: before the end
-    of the ramp [(exp(pτ) - 1)/p - τ]/(pT); after it [exp(pτ)·(1 - exp(-pT))/(pT) - 1]/p; zero before the onset.
+    of the ramp [(exp(pτ) - 1)/p - τ]/(pT); after it [exp(p(τ - T))·(exp(pT) - 1)/(pT) - 1]/p; zero before the onset.
     """
     p = np.asarray(poles, dtype=np.complex128)
     if release_s < 0:
@@ -21,8 +21,8 @@ def pole_responses(poles: ComplexArray, time_s: FloatArray, onset_s: float, rele
     after = (tau > 0) & ~during
     found = np.zeros((len(tau), len(p)), dtype=np.complex128)
     late, early = tau[after[:, 0]], tau[during[:, 0]]
-    spread = -np.expm1(-p * release_s) / (p * release_s) if release_s > 0 else np.ones_like(p)
-    found[after[:, 0]] = (np.exp(p * late) * spread - 1.0) / p
+    spread = np.expm1(p * release_s) / (p * release_s) if release_s > 0 else np.ones_like(p)
+    found[after[:, 0]] = (np.exp(p * (late - release_s)) * spread - 1.0) / p
     if early.size:
         found[during[:, 0]] = (np.expm1(p * early) / p - early) / (p * release_s)
     return found

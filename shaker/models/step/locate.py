@@ -8,9 +8,10 @@ import numpy as np
 
 from shaker._checks import FloatArray
 
-_FIRST = 0.02  # share of the record that is taken for rest before the release is looked for
+_FIRST = 0.005  # share of the record that is taken for rest before the release is looked for
 _LAST = 0.2  # share of what follows the release from which the new level is read
 _MOTION = 5.0  # standard deviations that a sample must leave the baseline by
+_RUN = 3  # samples in a row that must have passed a level
 _GUARD = 0.9  # share of the rest before the first motion that is free of it beyond doubt
 
 
@@ -29,6 +30,11 @@ class Location:
     noise: float
     resolution: float
 
+    @property
+    def strength(self) -> float:
+        """Change of level over the noise of a sample."""
+        return abs(self.steady - self.baseline) / max(self.noise, 1e-300)
+
 
 def locate(samples: FloatArray, near: int | None = None) -> Location:
     """Return where samples (N,) begin to change and where to; `near`: the sample where that is stated to happen.
@@ -38,7 +44,9 @@ def locate(samples: FloatArray, near: int | None = None) -> Location:
     count = len(samples)
     if count < 64:
         raise ValueError(f"samples: expected at least 64 of a release, found {count}")
-    rest = max(16, int(_FIRST * count)) if near is None else max(2, int(_GUARD * near))
+    if near is not None and not 8 <= near < count - 16:
+        raise ValueError(f"near: expected a sample of 8 to {count - 17} that leaves rest and response, found {near}")
+    rest = max(16, int(_FIRST * count)) if near is None else int(_GUARD * near)
     first = near if near is not None else rest
     baseline, steady = float(np.mean(samples[:rest])), float(np.mean(samples[-max(8, int(_LAST * count)) :]))
     noise = resolution = 0.0
@@ -57,10 +65,14 @@ def locate(samples: FloatArray, near: int | None = None) -> Location:
 
 
 def _passing(samples: FloatArray, baseline: float, steady: float, share: float, start: int) -> float:
-    """Return where samples first pass a share of the change after `start`, between samples by a straight line."""
+    """Return where samples first pass a share of the change after `start`, between samples by a straight line.
+
+    So many samples in a row must have passed that noise does not.
+    """
     change = steady - baseline
     relative = (samples[start:] - baseline) / change if change else np.zeros(len(samples) - start)
-    above = np.flatnonzero(relative >= share)
+    runs = np.convolve(relative >= share, np.ones(_RUN))[_RUN - 1 :]
+    above = np.flatnonzero(runs[: len(relative)] >= _RUN)
     if not above.size:
         return float(len(samples) - 1)
     place = int(above[0])

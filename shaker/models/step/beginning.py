@@ -1,0 +1,217 @@
+"""The beginning of a response: onset and length of the release, by the modes that answer it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from shaker._checks import BoolArray, ComplexArray, FloatArray
+from shaker.models.step.reading import Shape
+from shaker.models.step.shapes import load_share, shape_responses
+
+_ITERATIONS = 30
+_DIFFERENCE = 1e-5
+_SHORT = 0.3  # samples: shortest release and lag by which slopes are taken
+
+
+@dataclass(frozen=True)
+class Window:
+    """Samples (N,) at `time_s` (N,) around the beginning, and the mean of `before` samples ahead of them, `rest`."""
+
+    time_s: FloatArray
+    samples: FloatArray
+    rest: float
+    before: float
+
+    @property
+    def step_s(self) -> float:
+        """Sampling interval."""
+        return float(self.time_s[1] - self.time_s[0])
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """y = b + Σ g·S: modes ω²/(s² + 2ζωs + ω²), each behind the same lag 1/(1 + τs), answer a load of `shape`.
+
+    Free residues would tell nothing of the onset: a delay δ of H(s) is, to first order, a zero, H(s)·(1 - δs). That
+    every mode begins like t², behind a lag like t³, is what fixes it. A short release and a lag do what a delay does to
+    first order and show in second order only, so that centre = onset + T/2 + τ, T² and τ² are the parameters.
+    `frequency_hz`, `damping_ratio` (M,) of the modes, `linear` = [b, g (M,)]; `covariance` of `vector`, None before
+    the fit; `squares` of the residual over `rows`.
+    """
+
+    shape: Shape
+    centre_s: float
+    release_s: float
+    lag_s: float
+    frequency_hz: FloatArray
+    damping_ratio: FloatArray
+    linear: FloatArray
+    squares: float = 0.0
+    rows: int = 0
+    covariance: FloatArray | None = None
+
+    @property
+    def onset_s(self) -> float:
+        """When the load begins to change."""
+        return self.centre_s - 0.5 * self.release_s - self.lag_s
+
+    @property
+    def vector(self) -> FloatArray:
+        """All parameters: [centre_s, release_s², lag_s², frequency_hz, damping_ratio, linear]."""
+        times = [self.centre_s, self.release_s**2, self.lag_s**2]
+        return np.concatenate([times, self.frequency_hz, self.damping_ratio, self.linear])
+
+    def with_vector(self, vector: FloatArray) -> Beginning:
+        """Return the same with other parameters; squared times below zero are taken as zero."""
+        modes = len(self.frequency_hz)
+        (centre, release, lag), f, z, linear = np.split(vector, np.cumsum([3, modes, modes]))
+        return replace(
+            self,
+            centre_s=float(centre),
+            release_s=float(np.sqrt(max(release, 0.0))),
+            lag_s=float(np.sqrt(max(lag, 0.0))),
+            frequency_hz=f,
+            damping_ratio=z,
+            linear=linear,
+        )
+
+    @property
+    def steady(self) -> float:
+        """Level long after the release, b + Σ g."""
+        return float(np.sum(self.linear))
+
+    @property
+    def poles(self) -> ComplexArray:
+        """Upper poles of the modes (M,), and that of the lag where there is one, in rad/s."""
+        omega, zeta = 2 * np.pi * self.frequency_hz, self.damping_ratio
+        upper = omega * (-zeta + 1j * np.sqrt(1 - zeta**2))
+        return np.append(upper, -1.0 / self.lag_s + 0j) if self.lag_s > 0 else np.asarray(upper)
+
+    @property
+    def weights(self) -> ComplexArray:
+        """Weights (P, M) with which responses of `poles` (P,) add up, as real parts, to those of the modes."""
+        modes = len(self.frequency_hz)
+        upper, omega = self.poles[:modes], 2 * np.pi * self.frequency_hz
+        own = np.diag(omega**2 / (1j * upper.imag * (1.0 + self.lag_s * upper)))
+        if self.lag_s <= 0:
+            return np.asarray(own)
+        behind = omega**2 * self.lag_s / ((1.0 + self.lag_s * upper) * (1.0 + self.lag_s * upper.conj()))
+        return np.concatenate([own, behind[None]])
+
+    def columns(self, time_s: FloatArray) -> FloatArray:
+        """Return what `linear` multiplies (N, 1 + M)."""
+        responses = shape_responses(self.shape, self.poles, time_s, self.onset_s, self.release_s)
+        return np.concatenate([np.ones((len(responses), 1)), np.real(responses @ self.weights)], axis=1)
+
+    def at(self, time_s: FloatArray) -> FloatArray:
+        """Return y (N,)."""
+        return np.asarray(self.columns(time_s) @ self.linear)
+
+    def speed(self, time_s: FloatArray) -> FloatArray:
+        """Return dy/dt (N,): of a response R of 1/(s - p) it is pR + load."""
+        responses = shape_responses(self.shape, self.poles, time_s, self.onset_s, self.release_s)
+        load = load_share(self.shape, time_s, self.onset_s, self.release_s)
+        return np.asarray(np.real((responses * self.poles + load[:, None]) @ (self.weights @ self.linear[1:])))
+
+    @property
+    def penalty(self) -> float:
+        """Schwarz criterion N·ln(squares/N) + P·ln N."""
+        count = len(self.vector)
+        return float(self.rows * np.log(max(self.squares, 1e-300) / self.rows) + count * np.log(self.rows))
+
+
+def fit_beginning(window: Window, start: Beginning) -> Beginning:
+    """Return the least-squares fit of everything in `start`, linear parts first (variable projection, Kaufman 1975).
+
+    Levenberg-Marquardt on times and modes; the covariance is that of the joint problem with the variance of the
+    residual.
+    """
+    best, residual, columns = solved(window, start)
+    damping = 1e-3
+    for _ in range(_ITERATIONS):
+        basis, _ = np.linalg.qr(columns)
+        slopes = _slopes(window, best)
+        slopes = slopes - basis @ (basis.T @ slopes)
+        slopes[:, _held(best, slopes.T @ residual)] = 0.0
+        scale = np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
+        normal, target = (slopes / scale).T @ (slopes / scale), (slopes / scale).T @ residual
+        gained = 0.0
+        while damping < 1e6:
+            step = np.linalg.solve(normal + damping * np.eye(len(target)), target) / scale
+            trial = _moved(window, best, step)
+            tried = None if trial is None else solved(window, trial)
+            if tried is not None and tried[0].squares < best.squares:
+                gained = 1.0 - tried[0].squares / best.squares
+                best, residual, columns = tried
+                damping = max(damping / 10.0, 1e-9)
+                break
+            damping *= 10.0
+        if gained < 1e-3 / best.rows:
+            break
+    return replace(best, covariance=_covariance(window, best, columns))
+
+
+def solved(window: Window, start: Beginning) -> tuple[Beginning, FloatArray, FloatArray]:
+    """Return the fit with its linear parts solved, the residual (N + 1,), and the columns (N + 1, L)."""
+    weight = np.sqrt(window.before)
+    first = np.zeros((1, 1 + len(start.frequency_hz)))
+    first[0, 0] = weight
+    columns = np.concatenate([first, start.columns(window.time_s)])
+    target = np.concatenate([[weight * window.rest], window.samples])
+    normal = columns.T @ columns
+    size = np.sqrt(np.maximum(np.diagonal(normal), 1e-300))
+    linear = np.linalg.lstsq(normal / np.outer(size, size), columns.T @ target / size, rcond=1e-12)[0] / size
+    residual = target - columns @ linear
+    return replace(start, linear=linear, squares=float(residual @ residual), rows=len(target)), residual, columns
+
+
+def _slopes(window: Window, fit: Beginning) -> FloatArray:
+    """Return the derivatives (N + 1, K) of y by centre, squared length and lag, frequencies and damping ratios."""
+    time = window.time_s
+    found = np.zeros((len(time) + 1, len(fit.vector) - len(fit.linear)))
+    found[1:, 0] = -fit.speed(time)
+    here = fit.at(time)
+    vector = fit.vector
+    least = [0.0, *[(_SHORT * window.step_s) ** 2] * 2, *[0.0] * len(fit.frequency_hz), *[1e-9] * len(fit.frequency_hz)]
+    for place in range(1, found.shape[1]):
+        span = max(_DIFFERENCE * abs(vector[place]), least[place])
+        moved = vector.copy()
+        moved[place] += span
+        found[1:, place] = (fit.with_vector(moved).at(time) - here) / span
+    return found
+
+
+def _held(fit: Beginning, downhill: FloatArray) -> BoolArray:
+    """Tell which parameters (K,) stand at a bound that the way downhill would leave."""
+    held = np.zeros(len(downhill), dtype=np.bool_)
+    held[1] = fit.release_s <= 0.0 and downhill[1] < 0.0
+    longest = fit.lag_s >= (1.0 - 1e-9) * longest_lag_s(fit)
+    held[2] = (fit.lag_s <= 0.0 and downhill[2] < 0.0) or (longest and downhill[2] > 0.0)
+    return held
+
+
+def _moved(window: Window, fit: Beginning, step: FloatArray) -> Beginning | None:
+    """Return the fit with its times and modes moved up to their bounds, None outside what can be."""
+    vector = fit.vector
+    vector[: len(step)] += step
+    vector[2] = min(vector[2], longest_lag_s(fit) ** 2)
+    found = fit.with_vector(vector)
+    inside = window.time_s[0] <= found.onset_s <= window.time_s[-1] and found.release_s < np.ptp(window.time_s)
+    modes = (found.frequency_hz > 0) & (found.frequency_hz < 0.5 / window.step_s) & (np.abs(found.damping_ratio) < 0.9)
+    return found if inside and bool(np.all(modes)) else None
+
+
+def longest_lag_s(fit: Beginning) -> float:
+    """Return the lag whose corner frequency is that of the lowest mode: what records it rings slower than no mode."""
+    return float(1.0 / (2 * np.pi * np.min(fit.frequency_hz)))
+
+
+def _covariance(window: Window, fit: Beginning, columns: FloatArray) -> FloatArray:
+    """Return the covariance of all parameters with the variance of the residual."""
+    jacobian = np.concatenate([_slopes(window, fit), columns], axis=1)
+    scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
+    inverse = np.linalg.pinv((jacobian / scale).T @ (jacobian / scale), rcond=1e-13, hermitian=True)
+    variance = fit.squares / max(fit.rows - jacobian.shape[1], 1)
+    return np.asarray(variance * inverse / np.outer(scale, scale))
