@@ -11,6 +11,17 @@ from shaker.models.modal import ModalModel
 
 
 @dataclass(frozen=True)
+class ModelParts:
+    """Numbers in the places of a model's parameters: modes (M,) and residues (M, C, D), real poles (Q,), (Q, C, D)."""
+
+    frequency_hz: FloatArray
+    damping_ratio: FloatArray
+    residue: ComplexArray
+    real_hz: FloatArray
+    real_residue: FloatArray
+
+
+@dataclass(frozen=True)
 class MultiModel:
     """H(s) = Σ_m [R_m/(s - p_m) + R̄_m/(s - p̄_m)] + Σ_q R_q/(s - p_q), outputs `channels` (C,) over loads (D,).
 
@@ -56,15 +67,17 @@ class MultiModel:
             [self.frequency_hz, self.damping_ratio, self.real_hz, np.transpose(own, (2, 1, 0)).ravel()]
         )
 
-    def with_vector(self, vector: FloatArray) -> MultiModel:
-        """Return the model of another vector (P,), with the same covariance."""
+    def parts(self, vector: FloatArray) -> ModelParts:
+        """Return numbers in the order of `vector`, such as standard uncertainties, in the places of the parameters."""
         modes, reals = len(self.frequency_hz), len(self.real_hz)
         f, z, hz, own = np.split(np.asarray(vector), np.cumsum([modes, modes, reals]))
         table = own.reshape(len(self.components), len(self.channels), self.shared).transpose(2, 1, 0)
         re, im, real = np.split(table, [modes, 2 * modes])
-        return replace(
-            self, frequency_hz=f, damping_ratio=z, residue=re + 1j * im, real_hz=hz, real_residue=real.copy()
-        )
+        return ModelParts(f, z, re + 1j * im, hz, real.copy())
+
+    def with_vector(self, vector: FloatArray) -> MultiModel:
+        """Return the model of another vector (P,), with the same covariance."""
+        return replace(self, **vars(self.parts(vector)))
 
     @property
     def poles(self) -> ComplexArray:
@@ -116,12 +129,11 @@ class MultiModel:
         )
 
     @property
-    def u(self) -> MultiModel:
-        """Standard uncertainties of all parameters in the places of the parameters, Re and Im of a residue each."""
+    def u(self) -> ModelParts:
+        """Standard uncertainties of all parameters in their places, of Re and Im of a residue each."""
         if self.covariance is None:
             raise ValueError("covariance: expected that of the parameters, found none")
-        quiet = replace(self, covariance=None, damping_ratio=np.zeros_like(self.damping_ratio))
-        return quiet.with_vector(np.sqrt(np.diag(self.covariance)))
+        return self.parts(np.sqrt(np.diag(self.covariance)))
 
     def column_sensitivity(self, component: int, frequency_hz: FloatArray) -> tuple[ComplexArray, FloatArray]:
         """Return ∂H_{·j}/∂parameters (K, C, P_j) of a load's column, and the covariance (P_j, P_j) of these.

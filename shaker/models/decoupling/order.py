@@ -9,14 +9,21 @@ import numpy as np
 
 from shaker._checks import ComplexArray, FloatArray
 from shaker.models.decoupling.projection import Block, Projected, Solution, minimise, project
+from shaker.models.decoupling.release_basis import Shape
 from shaker.models.decoupling.start import shared_poles
 from shaker.models.decoupling.step_data import Poles, Release, StepProblem, decay_start
 
 _ROUNDS = 12
-_CANDIDATES = 6
+_CANDIDATES = 3
 _FEW_STEPS = 12
+_ROUGH = 2.0
+_AS_LONG = (1.25, 1.35, 1.45, 1.55)
+"""Durations of half a cosine over that of a line that does nearly the same: 1.33 by spread, more for fast modes."""
 _REAL_SHARES = (0.3, 1.0, 3.0)
 _HIGHEST_REAL = 0.45
+_TOLD_SAMPLES = 2.0
+_LONGER = (0.5, 1.0, 2.0)
+_UNEXPLAINED = 1.5
 
 
 @dataclass(frozen=True)
@@ -40,14 +47,16 @@ class Fitted:
     solution: Solution
 
 
-def fit_poles(problem: StepProblem, poles: Poles, releases: Sequence[Release], steps: int = 40) -> Fitted:
-    """Return the least squares poles and releases from a start."""
+def fit_poles(
+    problem: StepProblem, poles: Poles, releases: Sequence[Release], steps: int = 40, calm: float = 1e-3
+) -> Fitted:
+    """Return the least squares poles and releases from a start, by at most `steps` steps or till one gains `calm`."""
 
     def blocks_at(vector: FloatArray) -> list[Block] | None:
         parts = problem.split(vector, poles, releases)
         return None if parts is None else problem.blocks(*parts)
 
-    solution = minimise(blocks_at, problem.vector(poles, releases), problem.scale(poles), steps)
+    solution = minimise(blocks_at, problem.vector(poles, releases), problem.scale(poles), steps, calm)
     found = problem.split(solution.parameters, poles, releases)
     if found is None:
         raise ValueError("poles: expected allowed ones at the end of a fit, found none")
@@ -55,7 +64,7 @@ def fit_poles(problem: StepProblem, poles: Poles, releases: Sequence[Release], s
 
 
 def chosen(
-    problem: StepProblem, start: Poles, releases: Sequence[Release], most: int | None = None, reals: int | None = None
+    problem: StepProblem, start: Poles, releases: Sequence[Release], most: int | None, reals: int
 ) -> tuple[Fitted, list[Trial]]:
     """Return the fit with the number of poles that the criterion favours, and what was tried.
 
@@ -64,7 +73,8 @@ def chosen(
     of real poles.
     """
     poles = _pruned(problem, start, releases, most)
-    here = fit_poles(problem, poles, releases, _FEW_STEPS)
+    releases = [_begun(problem, poles, release, i) for i, release in enumerate(releases)]
+    here = fit_poles(problem, poles, releases, _FEW_STEPS, _ROUGH)
     trials = [_trial(problem, here, kept=True)]
     for _ in range(_ROUNDS):
         smaller = _smaller(problem, here, most)
@@ -77,13 +87,73 @@ def chosen(
             trials[-1] = replace(trials[-1], kept=False)
             break
         here = found
-    return fit_poles(problem, here.poles, here.releases), trials
+    return here, trials
+
+
+def shaped(problem: StepProblem, found: Fitted) -> Fitted:
+    """Return the fit in which each release goes along a straight line or half a cosine, whichever leaves less."""
+    releases = list(found.releases)
+    for i, release in enumerate(found.releases):
+        if release.duration_s * problem.records[i].blocks.rate_hz > _TOLD_SAMPLES:
+            releases[i] = _better_shape(problem, found.poles, found.releases, i)
+    if releases == list(found.releases):
+        return found
+    return fit_poles(problem, found.poles, releases, _FEW_STEPS, _ROUGH)
+
+
+def _begun(problem: StepProblem, poles: Poles, release: Release, place: int) -> Release:
+    """A release by its record alone, poles held: the best of searches from shorter and longer ones of both shapes."""
+    part = StepProblem((problem.records[place],), (problem.records[place].component,))
+
+    def search(start: Release) -> tuple[float, Release]:
+        def blocks_at(times: FloatArray) -> list[Block]:
+            moved = replace(start, middle_s=float(times[0]), duration_s=max(0.0, float(times[1])))
+            blocks = part.blocks(poles, [moved])[0]
+            timed = tuple(
+                replace(slope, place=slope.place - poles.count) for slope in blocks.slopes if slope.place >= poles.count
+            )
+            return [replace(blocks, slopes=timed)]
+
+        scale = np.full(2, 1.0 / problem.records[place].blocks.rate_hz)
+        found = minimise(blocks_at, np.array([start.middle_s, start.duration_s]), scale, _FEW_STEPS, _ROUGH)
+        times = found.parameters
+        return found.projected.loss, replace(start, middle_s=float(times[0]), duration_s=max(0.0, float(times[1])))
+
+    shapes: tuple[Shape, ...] = ("ramp", "smooth")
+    starts = [
+        replace(release, shape=shape, duration_s=ratio * release.duration_s) for shape in shapes for ratio in _LONGER
+    ]
+    return min((search(start) for start in starts), key=lambda pair: pair[0])[1]
+
+
+def _better_shape(problem: StepProblem, poles: Poles, releases: Sequence[Release], place: int) -> Release:
+    """One release, or the same in the other shape, with the duration that leaves least."""
+    component = problem.records[place].component
+    near = [i for i, record in enumerate(problem.records) if record.component == component]
+    part = StepProblem(tuple(problem.records[i] for i in near), (component,))
+    own = releases[place]
+    other: Shape = "smooth" if own.shape == "ramp" else "ramp"
+    tried = [own]
+    for ratio in _AS_LONG:
+        duration_s = own.duration_s * (ratio if other == "smooth" else 1.0 / ratio)
+        tried.append(replace(own, shape=other, duration_s=duration_s))
+
+    def loss(release: Release) -> float:
+        return _loss(part, poles, [release if i == place else releases[i] for i in near])
+
+    return min(tried, key=loss)
+
+
+def _loss(problem: StepProblem, poles: Poles, releases: Sequence[Release]) -> float:
+    """Sum of squares that the best residues leave."""
+    blocks = problem.blocks(poles, releases, slopes=False)
+    return project(blocks, poles.count + 2 * len(releases)).loss
 
 
 def criterion(problem: StepProblem, poles: Poles, loss: float) -> float:
-    """Return N·ln(loss/N) + ln(N)·(number of parameters), where a loss below that of the noise counts as the noise."""
+    """Return N·ln(loss/N) + ln(N)·(number of parameters): of a pole those of one shape, C + D, as a mode has."""
     count, outputs = problem.values, problem.records[0].data.shape[1]
-    parameters = poles.count * (1 + outputs * len(problem.components))
+    parameters = poles.count * (outputs + len(problem.components))
     return float(count * np.log(max(loss / count, 1e-12)) + np.log(count) * parameters)
 
 
@@ -99,18 +169,20 @@ def removal_losses(poles: Poles, blocks: Sequence[Block], projected: Projected) 
     count = poles.modes + len(poles.real_hz)
     found = np.zeros(count)
     for block, own in zip(blocks, projected.coefficients, strict=True):
+        whole = poles.smooth @ own
         inverse = np.linalg.pinv(block.design.T @ block.design, rcond=1e-14, hermitian=True)
+        inverse = poles.smooth @ inverse @ poles.smooth.T
         for place in range(count):
             columns = poles.columns(place)
             part = np.linalg.pinv(inverse[np.ix_(columns, columns)], hermitian=True)
-            found[place] += float(np.einsum("bc,bd,dc->", own[columns], part, own[columns]))
+            found[place] += float(np.einsum("bc,bd,dc->", whole[columns], part, whole[columns]))
     return found
 
 
 def _pruned(problem: StepProblem, poles: Poles, releases: Sequence[Release], most: int | None) -> Poles:
     """Leave modes of a start out while the criterion falls, or down to the highest number."""
     while poles.modes > 1:
-        blocks = problem.blocks(poles, releases)
+        blocks = problem.blocks(poles, releases, slopes=False)
         projected = project(blocks, poles.count + 2 * len(releases))
         losses = removal_losses(poles, blocks, projected)[: poles.modes]
         weakest = int(np.argmin(losses))
@@ -132,36 +204,54 @@ def _smaller(problem: StepProblem, here: Fitted, most: int | None) -> Fitted | N
     loss = here.solution.projected.loss
     if criterion(problem, poles.without(weakest), loss + losses[weakest]) >= criterion(problem, poles, loss):
         return None
-    return fit_poles(problem, poles.without(weakest), here.releases, _FEW_STEPS)
+    return fit_poles(problem, poles.without(weakest), here.releases, _FEW_STEPS, _ROUGH)
 
 
-def _larger(problem: StepProblem, here: Fitted, most: int | None, reals: int | None) -> Fitted | None:
+def _larger(problem: StepProblem, here: Fitted, most: int | None, reals: int) -> Fitted | None:
     """The fit with the mode or the real pole that lowers the loss most, None where the numbers are reached."""
     offers: list[Poles] = []
     if most is None or here.poles.modes < most:
         offers += [here.poles.with_mode(complex(pole)) for pole in _left(problem, here)]
-    if reals is None or len(here.poles.real_hz) < reals:
+    if len(here.poles.real_hz) < reals:
         top = float(here.poles.frequency_hz.max())
         limit = _HIGHEST_REAL * problem.records[0].blocks.rate_hz
         offers += [here.poles.with_real(min(share * top, limit)) for share in _REAL_SHARES]
     if not offers:
         return None
-    timed = 2 * len(here.releases)
-    losses = [project(problem.blocks(offer, here.releases), offer.count + timed).loss for offer in offers]
-    tried = [fit_poles(problem, offers[i], here.releases, _FEW_STEPS) for i in np.argsort(losses)[:2]]
+    losses = [_loss(problem, offer, here.releases) for offer in offers]
+    tried = []
+    for i in np.argsort(losses)[:2]:
+        fitted = fit_poles(problem, offers[i], here.releases, _FEW_STEPS, _ROUGH)
+        again = _again(problem, fitted)
+        tried += [fitted] if again is None else [fitted, again]
     return min(tried, key=lambda fitted: criterion(problem, fitted.poles, fitted.solution.projected.loss))
 
 
-def _left(problem: StepProblem, here: Fitted) -> ComplexArray:
-    """Poles of what the fit leaves after the releases, the strongest first."""
-    parts = []
+def _again(problem: StepProblem, here: Fitted) -> Fitted | None:
+    """The fit with the releases found anew whose records it does not explain, None where it explains all."""
+    releases = list(here.releases)
     for component, rest in zip(problem.components, here.solution.projected.residuals, strict=True):
-        row = 0
+        places = [i for i, record in enumerate(problem.records) if record.component == component]
+        ends = np.cumsum([problem.records[i].blocks.count for i in places])[:-1]
+        for i, rows in zip(places, np.split(rest, ends), strict=True):
+            if float(np.mean(rows**2, axis=0).max()) > _UNEXPLAINED:
+                releases[i] = _begun(problem, here.poles, releases[i], i)
+    if releases == list(here.releases):
+        return None
+    return fit_poles(problem, here.poles, releases, _FEW_STEPS, _ROUGH)
+
+
+def _left(problem: StepProblem, here: Fitted) -> ComplexArray:
+    """Poles of what the fit leaves after the releases, load by load the slowest first."""
+    rate = problem.records[0].blocks.rate_hz / problem.records[0].blocks.size
+    found = []
+    for component, rest in zip(problem.components, here.solution.projected.residuals, strict=True):
+        parts, row = [], 0
         for record, release in zip(problem.records, here.releases, strict=True):
             if record.component == component:
                 rows = rest[row : row + record.blocks.count]
                 parts.append(rows[decay_start(record.blocks, release) :].T)
                 row += record.blocks.count
-    rate = problem.records[0].blocks.rate_hz / problem.records[0].blocks.size
-    found = shared_poles(parts, rate)
-    return np.asarray(found[np.argsort(-found.real)][:_CANDIDATES])
+        poles = shared_poles(parts, rate)
+        found.append(poles[np.argsort(-poles.real)][:_CANDIDATES])
+    return np.concatenate(found)

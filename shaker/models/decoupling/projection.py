@@ -14,6 +14,7 @@ from shaker._checks import FloatArray, IntArray
 
 _RANK = 1e-11
 _CALM = 1e-9
+_SETTLED = 1e-3
 _DAMPINGS = 12
 
 
@@ -68,12 +69,12 @@ def project(blocks: Sequence[Block], count: int) -> Projected:
         along = basis.T @ block.data
         own = _solved(triangle, along)
         rest = block.data - block.design @ own
-        places, change = _changes(block, own)
-        flat = change.reshape(len(change), len(basis), -1)
-        inside = np.einsum("nb,pnc->pbc", basis, flat, optimize=True)
-        table, kept = flat.reshape(len(change), -1), inside.reshape(len(change), -1)
-        normal[np.ix_(places, places)] += table @ table.T - kept @ kept.T
-        gradient[places] += table @ rest.ravel()
+        if block.slopes:
+            places, change = _changes(block, own)
+            inside = np.einsum("nb,pnc->pbc", basis, change, optimize=True)
+            table, kept = change.reshape(len(change), -1), inside.reshape(len(change), -1)
+            normal[np.ix_(places, places)] += table @ table.T - kept @ kept.T
+            gradient[places] += table @ rest.ravel()
         coefficients.append(own)
         residuals.append(rest)
     loss = float(sum(np.vdot(rest, rest) for rest in residuals))
@@ -85,11 +86,13 @@ def minimise(
     start: FloatArray,
     scale: FloatArray,
     steps: int = 40,
+    calm: float = _SETTLED,
 ) -> Solution:
     """Return the least squares parameters by Levenberg and Marquardt's steps.
 
     `blocks_at` gives the blocks of parameters (P,), None where these are not allowed; `scale` (P,): size of a change
-    that matters, which also damps parameters that the data do not tell.
+    that matters, which also damps parameters that the data do not tell. The search ends where a step lowers the sum of
+    squares, in units of the data's variance, by less than `calm`.
     """
     place, damping, losses = np.asarray(start, dtype=np.float64), 1e-3, []
     blocks = blocks_at(place)
@@ -110,7 +113,7 @@ def minimise(
         gained = here.loss - found[2].loss
         place, blocks, here = found
         damping = max(damping / 8.0, 1e-12)
-        if gained < max(_CALM * here.loss, 1e-4):
+        if gained < max(_CALM * here.loss, calm):
             converged = True
             break
     return Solution(place, tuple(blocks), here, (*losses, here.loss), converged)
@@ -160,7 +163,11 @@ def covariances(solution: Solution, variances: Sequence[FloatArray]) -> tuple[Fl
     """
     projected, count = solution.projected, len(solution.parameters)
     spread = np.zeros((count, count))
-    inverse = np.linalg.pinv(projected.normal, rcond=1e-14, hermitian=True)
+    unit = 1.0 / np.sqrt(np.maximum(np.diag(projected.normal), 1e-300))
+    unit[np.diag(projected.normal) <= 0.0] = 0.0
+    inverse = np.linalg.pinv(projected.normal * np.outer(unit, unit), rcond=1e-13, hermitian=True) * np.outer(
+        unit, unit
+    )
     follows: list[list[FloatArray]] = []
     for block, own, variance in zip(solution.blocks, projected.coefficients, variances, strict=True):
         basis, triangle = np.linalg.qr(block.design)

@@ -9,26 +9,24 @@ import numpy as np
 from shaker._checks import ComplexArray, FloatArray
 
 _WINDOW = 128
-_STANDS_OUT = 12.0
-_ABOVE_NOISE = 2.5
+_STANDS_OUT = 30.0
+"""Noise alone reaches this density, over its mean, once in exp(30) lines."""
+_ABOVE_NOISE = 1.5
 _MOST = 40
 _CALMEST, _QUICKEST = -0.02, 0.4
 
 
 def highest_frequency(parts: Sequence[FloatArray], rate_hz: float) -> float:
-    """Return the highest frequency in Hz at which records (C, N) of unit noise swing clearly above their noise."""
-    size = min(part.shape[1] for part in parts)
-    density = np.zeros(size // 2 + 1)
+    """Return the highest frequency in Hz at which a record (C, N) of unit noise swings clearly above its noise."""
+    highest = 0.0
     for part in parts:
-        window = np.hanning(size)
-        lines = np.fft.rfft((part[:, :size] - part[:, :size].mean(axis=1, keepdims=True)) * window, axis=1)
-        density += np.sum(np.abs(lines) ** 2, axis=0) / np.sum(window**2)
-    density /= sum(len(part) for part in parts)
-    floor = max(1.0, float(np.median(density[len(density) // 2 :])))
-    smooth = np.convolve(density, np.ones(3) / 3.0, mode="same")
-    peaks = np.flatnonzero((smooth[1:-1] >= smooth[:-2]) & (smooth[1:-1] >= smooth[2:])) + 1
-    high = peaks[smooth[peaks] > _STANDS_OUT * floor]
-    return float((high[-1] if high.size else 1) * rate_hz / size)
+        window = np.hanning(part.shape[1])
+        lines = np.fft.rfft((part - part.mean(axis=1, keepdims=True)) * window, axis=1)
+        density = np.abs(lines) ** 2 / np.sum(window**2)
+        floor = np.maximum(1.0, np.median(density[:, density.shape[1] // 2 :], axis=1, keepdims=True) / np.log(2.0))
+        clear = np.flatnonzero(np.any(density > _STANDS_OUT * floor, axis=0))
+        highest = max(highest, float(clear[-1] if clear.size else 1) * rate_hz / part.shape[1])
+    return highest
 
 
 def averaged(samples: FloatArray, size: int) -> FloatArray:

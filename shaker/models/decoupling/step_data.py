@@ -45,7 +45,7 @@ class Poles:
     @property
     def allowed(self) -> bool:
         """Whether these are poles of modes that decay or hardly grow."""
-        damped = np.all((self.damping_ratio > -0.05) & (self.damping_ratio < 0.95))
+        damped = np.all((self.damping_ratio > -0.05) & (self.damping_ratio < 0.7))
         return bool(damped and np.all(self.frequency_hz > 0) and np.all(self.real_hz > 0))
 
     @property
@@ -77,6 +77,12 @@ class Poles:
             )
         return replace(self, real_hz=np.delete(self.real_hz, place - self.modes))
 
+    @property
+    def smooth(self) -> FloatArray:
+        """Basis (2M + Q, 2M + Q - 1) of the coefficients whose residues sum to zero: outputs start without a kink."""
+        weight = np.concatenate([np.full(self.modes, 2.0), np.zeros(self.modes), np.ones(len(self.real_hz))])
+        return np.asarray(np.linalg.qr(weight[:, None], mode="complete")[0][:, 1:])
+
     def columns(self, place: int) -> list[int]:
         """Return the columns of a design that belong to one pole."""
         return [place, place + self.modes] if place < self.modes else [place + self.modes]
@@ -106,6 +112,10 @@ class Sampled:
 @dataclass(frozen=True)
 class StepProblem:
     """All records by load component: the least squares problem of poles and releases.
+
+    A sensor's outputs follow displacements, so that no load, however sudden, gives them a velocity at once: the
+    residues of every element sum to zero. This is what tells the beginning of a release from a delay of the outputs;
+    designs have the columns that are left (`Poles.smooth`).
 
     Parameters: those of the poles, then middle and duration of every record in the order of `records`.
     """
@@ -146,12 +156,12 @@ class StepProblem:
         ]
         return found, tuple(moved)
 
-    def blocks(self, poles: Poles, releases: Sequence[Release]) -> list[Block]:
-        """Return one block of rows per load component."""
+    def blocks(self, poles: Poles, releases: Sequence[Release], *, slopes: bool = True) -> list[Block]:
+        """Return one block of rows per load component, with slopes or, for a mere comparison, without."""
         found = []
         for component in self.components:
             places = [i for i, record in enumerate(self.records) if record.component == component]
-            found.append(_component_block(self, poles, releases, places))
+            found.append(_component_block(self, poles, releases, places, slopes))
         return found
 
 
@@ -167,14 +177,21 @@ def decay_start(blocks: SampleBlocks, release: Release) -> int:
     return max(0, int(np.ceil((end_s - blocks.start_s) * blocks.rate_hz / blocks.size)))
 
 
-def _component_block(problem: StepProblem, poles: Poles, releases: Sequence[Release], places: Sequence[int]) -> Block:
+def _component_block(
+    problem: StepProblem, poles: Poles, releases: Sequence[Release], places: Sequence[int], wanted: bool
+) -> Block:
     """All records of one load; the level of each is taken off data and design alike."""
-    designs, slopes, row = [], [], 0
+    designs: list[FloatArray] = []
+    slopes: list[Slope] = []
+    row = 0
     for i in places:
         record, release = problem.records[i], releases[i]
         basis = release_basis(poles.values, record.blocks, release.middle_s, release.duration_s, release.shape)
         rows = slice(row, row + record.blocks.count)
         designs.append(_level_off(record.amplitude * _columns(basis.value, poles.modes)))
+        row = rows.stop
+        if not wanted:
+            continue
         slopes += _pole_slopes(poles, basis, record.amplitude, rows)
         everywhere = np.arange(poles.count)
         timed = ((0, basis.by_middle), (1, basis.by_duration if release.free else None))
@@ -182,9 +199,11 @@ def _component_block(problem: StepProblem, poles: Poles, releases: Sequence[Rele
             if change is not None:
                 value = _level_off(record.amplitude * _columns(change, poles.modes))
                 slopes.append(Slope(poles.count + 2 * i + k, rows, everywhere, value))
-        row = rows.stop
     data = np.concatenate([problem.records[i].data for i in places])
-    return Block(np.concatenate(designs), data, tuple(slopes))
+    smooth = poles.smooth
+    every = np.arange(smooth.shape[1])
+    moved = [replace(slope, columns=every, value=slope.value @ smooth[slope.columns]) for slope in slopes]
+    return Block(np.concatenate(designs) @ smooth, data, tuple(moved))
 
 
 def _columns(value: ComplexArray, modes: int) -> FloatArray:

@@ -43,13 +43,25 @@ class ReleaseFit:
 
 
 @dataclass(frozen=True)
+class ModeRank:
+    """Singular values of a mode's residues over their noise, and how many stand out of it.
+
+    One is a mode with one shape, which moves outputs and takes up loads in fixed shares; more are modes that coincide.
+    """
+
+    singular: FloatArray
+    rank: int
+
+
+@dataclass(frozen=True)
 class MultiFit:
     """A model of C outputs over D loads with what it was found from.
 
     `noise` (C,): standard deviation of one sample of every output at `sample_rate_hz`; `amplitude` (D,): the largest
     change of each load in its records, `u_amplitude` (D,): relative, of its scale, with the scatter between releases in
     it; `variance_accounted` (D,): 1 - |residual|²/|data|² of each load's records over all outputs in units of their
-    noise; `trials`: numbers of poles that were tried; `losses`: of the last search.
+    noise; `trials`: numbers of poles that were tried; `losses`: of the last search;
+    `ranks`: of the residues of every mode, then of every real pole.
     """
 
     model: MultiModel
@@ -61,6 +73,7 @@ class MultiFit:
     variance_accounted: FloatArray
     trials: tuple[Trial, ...]
     losses: tuple[float, ...]
+    ranks: tuple[ModeRank, ...]
     notices: tuple[Notice, ...] = ()
 
 
@@ -77,8 +90,11 @@ def multi_fit(
     scaled = noise / np.sqrt(problem.records[0].blocks.size)
     releases = _releases(problem, records, found, spread)
     shares = np.array([_scale_share(name, records, releases) for name in problem.components])
-    model = _model(records[0], problem.components, poles, solution.projected.coefficients, scaled)
-    covariance = _covariance(model, spread, follows, scaled) + _of_scale(model, shares)
+    whole = [poles.smooth @ own for own in solution.projected.coefficients]
+    follows = [[poles.smooth @ follow for follow in outputs] for outputs in follows]
+    model = _model(records[0], problem.components, poles, whole, scaled)
+    covariance, alone = _covariance(model, spread, follows, scaled)
+    covariance += _of_scale(model, shares)
     check_separable(model.static_gain, model.channels, model.components)
     data = [float(np.vdot(block.data, block.data)) for block in solution.blocks]
     left = [float(np.vdot(rest, rest)) for rest in solution.projected.residuals]
@@ -93,12 +109,13 @@ def multi_fit(
         variance_accounted=1.0 - np.array(left) / np.array(data),
         trials=trials,
         losses=solution.losses,
+        ranks=mode_ranks(model, alone),
         notices=_notices(model, releases, found),
     )
 
 
-def _misfits(found: Fitted, outputs: int) -> FloatArray:
-    """Standard deviation of the residual of each output over its weight, all records together."""
+def misfits(found: Fitted, outputs: int) -> FloatArray:
+    """Return the standard deviation of the residual of each output over its weight, all records together."""
     rests = np.concatenate(found.solution.projected.residuals)
     free = sum(block.design.shape[1] for block in found.solution.blocks)
     free += (found.poles.count + 2 * len(found.releases)) / outputs
@@ -129,8 +146,11 @@ def _model(
 
 def _covariance(
     model: MultiModel, spread: FloatArray, follows: Sequence[Sequence[FloatArray]], scaled: FloatArray
-) -> FloatArray:
-    """Covariance of the model's vector from that of poles and releases and how the coefficients follow them."""
+) -> tuple[FloatArray, FloatArray]:
+    """Covariance of the model's vector from that of poles and releases and how the coefficients follow them.
+
+    Beside it the standard uncertainties by the noise of each element alone, 0 for the poles.
+    """
     count, n = len(model.vector), model.shared
     rows, own = np.zeros((count, len(spread))), np.zeros((count, count))
     rows[:n, :n] = np.eye(n)
@@ -141,7 +161,7 @@ def _covariance(
             rows[here] = size * follow[:, : len(spread)]
             own[here, here] = size**2 * follow[:, len(spread) :] @ follow[:, len(spread) :].T
             place += n
-    return np.asarray(rows @ spread @ rows.T + own)
+    return np.asarray(rows @ spread @ rows.T + own), np.asarray(np.sqrt(np.diag(own)))
 
 
 def _of_scale(model: MultiModel, shares: FloatArray) -> FloatArray:
@@ -224,23 +244,21 @@ def _notices(model: MultiModel, releases: Sequence[ReleaseFit], found: Fitted) -
     return tuple(told)
 
 
-def mode_ranks(model: MultiModel) -> tuple[tuple[FloatArray, int], ...]:
-    """Return for every mode, then every real pole, the singular values of its residues and how many stand out.
+def mode_ranks(model: MultiModel, u: FloatArray) -> tuple[ModeRank, ...]:
+    """Return the ranks of the residues of every mode, then of every real pole; `u` (P,) of the model's vector.
 
-    Residues over their standard uncertainties are compared: of a matrix of chance the largest singular value is about
-    √C + √D. One that stands out is a mode with one shape, which moves outputs and takes up loads in fixed shares; more
-    at one frequency are modes that coincide.
+    Of residues over standard uncertainties that are chance the largest singular value is about √C + √D, for complex
+    ones √2 times that; one that stands out is twice that size.
     """
-    u = model.u
-    found: list[tuple[FloatArray, int]] = []
+    spread = model.parts(u)
     pairs: list[tuple[ComplexArray | FloatArray, FloatArray]] = [
-        (value, np.hypot(spread.real, spread.imag)) for value, spread in zip(model.residue, u.residue, strict=True)
+        (value, np.hypot(part.real, part.imag)) for value, part in zip(model.residue, spread.residue, strict=True)
     ]
-    pairs += list(zip(model.real_residue, u.real_residue, strict=True))
+    pairs += list(zip(model.real_residue, spread.real_residue, strict=True))
     limit = 2.0 * (np.sqrt(len(model.channels)) + np.sqrt(len(model.components)))
-    for value, spread in pairs:
-        rows, columns = np.sqrt(np.mean(spread**2, axis=1)), np.sqrt(np.mean(spread**2, axis=0))
-        whole = np.sqrt(np.mean(spread**2))
+    found = []
+    for value, part in pairs:
+        whole, rows, columns = (np.sqrt(np.mean(part**2, axis=axis)) for axis in (None, 1, 0))
         singular = np.linalg.svd(value * whole / np.outer(rows, columns), compute_uv=False)
-        found.append((singular, max(1, int(np.count_nonzero(singular > limit)))))
+        found.append(ModeRank(singular, max(1, int(np.count_nonzero(singular > limit)))))
     return tuple(found)

@@ -9,9 +9,9 @@ import numpy as np
 
 from shaker._checks import FloatArray
 from shaker.models.decoupling.excited import in_order
-from shaker.models.decoupling.order import Fitted, chosen, fit_poles
+from shaker.models.decoupling.order import Fitted, chosen, fit_poles, shaped
 from shaker.models.decoupling.projection import covariances
-from shaker.models.decoupling.release_basis import SampleBlocks, Shape
+from shaker.models.decoupling.release_basis import SampleBlocks
 from shaker.models.decoupling.start import averaged, highest_frequency, shared_poles
 from shaker.models.decoupling.step_data import Poles, Release, Sampled, StepProblem, prepared
 from shaker.models.decoupling.step_result import MultiFit, misfits, multi_fit
@@ -21,9 +21,10 @@ from shaker.models.step.release import read_release
 
 _PER_PERIOD = 6.0
 _DETECTED = 2.0
+_BEFORE_S, _AFTER_S = 2e-3, 12e-3
 
 
-def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most_reals: int | None = None) -> MultiFit:
+def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most_reals: int = 2) -> MultiFit:
     """Return the model with common poles of all outputs over all loads that the records release, with covariance.
 
     Output-error least squares over the common poles and every record's release, residues by projection; numbers of
@@ -34,8 +35,8 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
     readings = [_clearest(record) for record in records]
     noise = _noise(records, readings)
     problem, releases, start = _posed(records, readings, noise, components)
-    found, trials = chosen(problem, start, releases, most_modes, most_reals)
-    found = _settled(problem, _shaped(problem, found))
+    found, trials = chosen(_around(problem, releases), start, releases, most_modes, most_reals)
+    found = _settled(problem, shaped(problem, fit_poles(problem, found.poles, found.releases)))
     again = noise * misfits(found, len(noise))
     problem = replace(problem, records=tuple(_reweighted(record, noise / again) for record in problem.records))
     found = fit_poles(problem, found.poles, found.releases)
@@ -108,24 +109,28 @@ def _posed(
     return StepProblem(sampled, components), releases, poles
 
 
+def _around(problem: StepProblem, releases: Sequence[Release]) -> StepProblem:
+    """The same with records cut to what surrounds the release, for the search of the number of poles."""
+    cut = []
+    for record, release in zip(problem.records, releases, strict=True):
+        blocks = record.blocks
+        first, last = (
+            int((release.middle_s + sign * release.duration_s + by - blocks.start_s) * blocks.rate_hz / blocks.size)
+            for sign, by in ((-1.0, -_BEFORE_S), (1.0, _AFTER_S))
+        )
+        first, last = max(0, first), min(blocks.count, last)
+        data = record.data[first:last]
+        start_s = blocks.start_s + first * blocks.size / blocks.rate_hz
+        moved = replace(blocks, start_s=start_s, count=last - first)
+        cut.append(replace(record, data=data - data.mean(axis=0), blocks=moved))
+    return replace(problem, records=tuple(cut))
+
+
 def _decay(record: StepRecord, reading: Reading) -> FloatArray:
     """Samples (C, N) after the release, less their last level."""
     end = reading.onset_s + 1.5 * reading.release_s + 2.0 / record.sample_rate_hz
     rest = record.samples[:, int((end - record.start_s) * record.sample_rate_hz) :]
     return np.asarray(rest - rest[:, -max(8, rest.shape[1] // 5) :].mean(axis=1, keepdims=True))
-
-
-def _shaped(problem: StepProblem, found: Fitted) -> Fitted:
-    """Give each release the way of going that leaves less; a change of the loss by chance changes nothing."""
-    releases = found.releases
-    for i, release in enumerate(releases):
-        other: Shape = "smooth" if release.shape == "ramp" else "ramp"
-        trial = (*releases[:i], replace(release, shape=other), *releases[i + 1 :])
-        if release.duration_s * problem.records[i].blocks.rate_hz > 2.0:
-            fitted = fit_poles(problem, found.poles, trial, 4)
-            if fitted.solution.projected.loss < found.solution.projected.loss:
-                found, releases = fitted, fitted.releases
-    return found
 
 
 def _settled(problem: StepProblem, found: Fitted) -> Fitted:
