@@ -49,7 +49,7 @@ class Truth:
         """Numerator and denominator in s of output over load."""
         omega, pole = 2 * np.pi * self.frequency_hz, 2 * np.pi * self.chain_hz
         bottom = np.polymul([1.0, 2 * self.damping_ratio * omega, omega**2], [1.0, pole])
-        return np.array([self.gain * omega**2 * pole]), bottom
+        return np.array([self.gain * omega**2 * pole]), np.asarray(bottom, dtype=np.float64)
 
     def outputs(self, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
         """Load (N,) and outputs Fx, Fz (2, N) of a load that goes along a straight line from `amplitude` to none."""
@@ -59,7 +59,7 @@ class Truth:
         _, ringing, _ = signal.lsim(self.transfer, load, time)
         driven = ringing[::FINE] - self.gain * self.amplitude
         both = np.stack([self.cross * driven, driven])
-        return load[::FINE], both + self.noise * rng.standard_normal(both.shape)
+        return load[::FINE], np.asarray(both + self.noise * rng.standard_normal(both.shape), dtype=np.float64)
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,7 @@ from fusion.plots.style import (
     lay_out,
     new_figure,
     panel_label,
+    power_text,
 )
 from fusion.polar import typeset
 
@@ -82,7 +83,9 @@ def draw_step(name: str, curve: StepCurve) -> Picture:
             panel_label(panels[0, column], f"{curve.recording}: output {curve.channel}{zoom}")
             panel_label(panels[1, column], f"record less fit{zoom}")
         unit = typeset(curve.unit)
-        panels[0, 0].set_ylabel(f"output / ({unit})" if "/" in unit else f"output / {unit}")
+        power, scale = _power(curve)
+        unit = f"{power} {unit}" if scale != 1.0 else unit
+        panels[0, 0].set_ylabel(f"output / ({unit})" if " " in unit or "/" in unit else f"output / {unit}")
         panels[1, 0].set_ylabel("residual / %")
         panels[0, 1].legend(loc="best")
         lay_out(figure, panels.ravel(), top=0.24, gap=(0.6, 0.3), left=0.82, label=0.62)
@@ -128,17 +131,24 @@ def _near(curve: StepCurve) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
     return np.asarray(inside if np.count_nonzero(inside) > 8 else np.ones(len(inside), dtype=np.bool_))
 
 
+def _power(curve: StepCurve) -> tuple[str, float]:
+    """Power of ten in which the output is drawn, as text and as a number."""
+    largest = float(np.abs(curve.measured).max())
+    exponent = int(np.floor(np.log10(largest))) if largest > 0.0 and not 0.01 <= largest < 1e4 else 0
+    return power_text(exponent), 10.0**exponent
+
+
 def _draw_output(axes: Axes, curve: StepCurve, shown: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> None:
     """Record and fit."""
     time = MILLI * curve.time_s[shown]
     axes.axvspan(MILLI * curve.onset_s, MILLI * (curve.onset_s + curve.release_s), color=GREY, alpha=0.2, linewidth=0)
     dense = len(time) > RASTER_ABOVE
     style = {"linewidth": 0.8} if dense else {"marker": ".", "markersize": 3.5, "linestyle": "none"}
-    axes.plot(time, curve.measured[shown], color=BLUE, label="record", zorder=2, **style)
-    axes.plot(time, curve.fitted[shown], color=RED, linewidth=0.9, linestyle=DASHES, label="fit", zorder=2.5)
+    _, scale = _power(curve)
+    axes.plot(time, curve.measured[shown] / scale, color=BLUE, label="record", zorder=2, **style)
+    axes.plot(time, curve.fitted[shown] / scale, color=RED, linewidth=0.9, linestyle=DASHES, label="fit", zorder=2.5)
     axes.set_rasterization_zorder(3 if dense else -1)
     axes.yaxis.set_major_locator(MaxNLocator(6))
-    axes.ticklabel_format(axis="y", style="sci", scilimits=(-3, 4), useMathText=True)
     axes.margins(x=0.01)
 
 

@@ -42,9 +42,14 @@ def choose_releases(releases: Sequence[Release]) -> Chosen:
 
 
 def common_structure(releases: Sequence[Release]) -> tuple[int, int]:
-    """Return the numbers of modes and real poles that most models have, of equally frequent ones the smaller."""
-    found = Counter(structure for r in releases if r.fit is not None and (structure := structure_of(r.fit)) is not None)
-    return min(found, key=lambda structure: (-found[structure], 2 * structure[0] + structure[1]))
+    """Return the number of modes that most models have, and the largest number of real poles among these.
+
+    A real pole far above the modes shows in few releases; one that has it tells of it, one that has not is silent.
+    """
+    found = [structure for r in releases if r.fit is not None and (structure := structure_of(r.fit)) is not None]
+    counts = Counter(modes for modes, _ in found)
+    modes = max(counts, key=lambda number: (counts[number], number))
+    return modes, max(reals for number, reals in found if number == modes)
 
 
 def _first_mode_hz(releases: Sequence[Release], rope: str) -> float:

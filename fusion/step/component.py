@@ -64,7 +64,7 @@ def _fitted(releases: Sequence[Release], settings: StepSettings) -> tuple[tuple[
 def _of_one_structure(
     releases: Sequence[Release], settings: StepSettings
 ) -> tuple[tuple[Release, ...], tuple[Notice, ...]]:
-    """Fit those releases anew whose models have another structure than most; what cannot be fitted so is left out."""
+    """Fit those releases anew whose models have another structure; what cannot be fitted so is left out."""
     if not releases:
         return (), ()
     wanted = common_structure(releases)
@@ -77,13 +77,18 @@ def _of_one_structure(
         again, told = fit_release(release, settings, wanted)
         notices += told
         kept = again.fit is not None and structure_of(again.fit) == wanted
-        text = f"{wanted[0]} modes and {wanted[1]} real poles as in most releases"
+        text = f"{_count(wanted[0], 'mode')} and {_count(wanted[1], 'real pole')} as the others show them"
         if kept:
             found.append(again)
             notices.append(Notice("info", f"{release.driven}: fitted anew with {text}", release.name))
         else:
             notices.append(Notice("warning", f"{release.driven}: left out, no model with {text}", release.name))
     return tuple(found), tuple(notices)
+
+
+def _count(number: int, what: str) -> str:
+    """A number of things."""
+    return f"{number or 'no'} {what}{'' if number == 1 else 's'}"
 
 
 def _pooled(releases: Sequence[Release], u_scale: float) -> Pooled:

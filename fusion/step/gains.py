@@ -72,7 +72,7 @@ def ropes(releases: Sequence[Release], used: Sequence[str]) -> tuple[Rope, ...]:
     for name in names:
         own = [release for release in releases if release.input.record.release == name]
         rise, length = [r.reading.rise_s for r in own], [r.release_s for r in own]
-        mean, u, _ = mean_with_scatter(np.array(length), np.array([r.u_release_s for r in own]))
+        mean, u, dof = mean_with_scatter(np.array(length), np.array([r.u_release_s for r in own]))
         found.append(
             Rope(
                 name=name or UNNAMED,
@@ -82,6 +82,7 @@ def ropes(releases: Sequence[Release], used: Sequence[str]) -> tuple[Rope, ...]:
                 release_s=mean,
                 spread_release_s=_spread(length),
                 u_release_s=u,
+                dof=dof,
                 used=any(release.name in used for release in own),
             )
         )

@@ -90,8 +90,8 @@ class Rope:
     """What the releases by one thing have in common: means over them in s, each with its scatter.
 
     `rise_s`: 10 to 90 % of the driven output's change; `release_s`: how long the load changed, by the models;
-    `spread_…`: standard deviations between the releases, NaN of one release; `u_…` of the means; `used`: whether the
-    models rest on them.
+    `spread_…`: standard deviations between the releases, NaN of one release; `u_release_s` of the mean, with `dof`
+    degrees of freedom; `used`: whether the models rest on them.
     """
 
     name: str
@@ -101,7 +101,13 @@ class Rope:
     release_s: float
     spread_release_s: float
     u_release_s: float
+    dof: float
     used: bool
+
+    @property
+    def expanded_release_s(self) -> float:
+        """Return U of how long the load changed, for 95 %."""
+        return coverage_factor(self.dof) * self.u_release_s
 
 
 @dataclass(frozen=True)

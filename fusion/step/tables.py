@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from markupsafe import Markup
 
 from fusion.coverage import coverage_factor
 from fusion.polar import DASH, rounded, typeset
@@ -23,6 +24,7 @@ SCALED = {"s": (MILLI, "ms")}
 SHARES = ("damping_ratio", "overshoot")
 """Figures that are shares, told in %."""
 MANY_HEADLINES = 6
+NATURAL = Markup("f<sub>n</sub> / Hz")
 
 
 def headlines(evaluation: StepEvaluation) -> list[Headline]:
@@ -43,18 +45,10 @@ def summary_table(evaluation: StepEvaluation) -> Table | None:
     for component in evaluation.components:
         found = [component.figure(name) for name in SUMMARY]
         cells = (DASH if figure is None else _scaled(figure, with_unit=False) for figure in found)
-        rows.append((component.component, component.channel, *cells))
-    head = (
-        "load",
-        "output",
-        "f_n / Hz",
-        "ζ / %",
-        "±5 % to / Hz",
-        "±10 % to / Hz",
-        "overshoot / %",
-        "2 % settling / ms",
-    )
-    return Table("Models of the driven outputs, with U", head, "llrrrrrr", tuple(rows)) if rows else None
+        own = component.component == component.channel
+        rows.append((component.component if own else f"{component.component} → {component.channel}", *cells))
+    head = ("load", NATURAL, "ζ / %", "±5 % to / Hz", "±10 % to / Hz", "overshoot / %", "2 % settling / ms")
+    return Table("Models of the driven outputs, with U", head, "lrrrrrr", tuple(rows)) if rows else None
 
 
 def releases_table(component: ComponentResult) -> Table:
@@ -67,7 +61,6 @@ def releases_table(component: ComponentResult) -> Table:
             (
                 release.name,
                 release.input.record.release or DASH,
-                measured(MILLI * reading.onset_s, K2 * MILLI * reading.u_onset_s),
                 measured(MILLI * reading.rise_s, K2 * MILLI * reading.u_rise_s),
                 DASH if fit is None else measured(MILLI * fit.release_s, K2 * MILLI * fit.u_release_s),
                 gain,
@@ -79,16 +72,15 @@ def releases_table(component: ComponentResult) -> Table:
     head = (
         "recording",
         "let go",
-        "onset / ms",
         "rise / ms",
         "release / ms",
         f"static gain / {_gain_unit(component)}",
-        "f_n / Hz",
+        NATURAL,
         "ζ / %",
         "fit / %",
         "in the model",
     )
-    return Table(f"Releases: output {component.channel}, with U (k = 2)", head, "llrrrrrrrl", tuple(rows))
+    return Table(f"Releases: output {component.channel}, with U (k = 2)", head, "llrrrrrrl", tuple(rows))
 
 
 def ropes_table(component: ComponentResult) -> Table | None:
@@ -103,7 +95,7 @@ def ropes_table(component: ComponentResult) -> Table | None:
                 f"{len(rope.releases)}",
                 number(MILLI * rope.rise_s),
                 number(MILLI * rope.spread_rise_s),
-                measured(MILLI * rope.release_s, K2 * MILLI * rope.u_release_s),
+                measured(MILLI * rope.release_s, MILLI * rope.expanded_release_s),
                 number(MILLI * rope.spread_release_s),
                 "yes" if rope.used else "no",
             )
@@ -184,7 +176,7 @@ def methods_table(component: ComponentResult) -> Table | None:
         "method",
         "recording",
         "poles",
-        "f_n / Hz",
+        NATURAL,
         "ζ / %",
         "±5 % to / Hz",
         "stable",
@@ -204,8 +196,7 @@ def printed(evaluation: StepEvaluation) -> Iterator[str]:
         parts = [f"{word} {_plain(figure)}" for word, figure in zip(words, found, strict=True) if figure is not None]
         yield "; ".join([told, ", ".join(parts)] if parts else [told, "no model"])
         for rope in component.ropes if len(component.ropes) > 1 else ():
-            u = K2 * MILLI * rope.u_release_s
-            length = rounded(MILLI * rope.release_s, u, 0)
+            length = rounded(MILLI * rope.release_s, MILLI * rope.expanded_release_s, 0)
             yield f"  {rope.name}: {len(rope.releases)} releases of ({length.value} ± {length.expanded}) ms"
 
 

@@ -91,7 +91,7 @@ def without(*keys: Any) -> dict[str, Any]:
         (without("models"), "no key 'models'"),
         (without("models", 0, "modes", 0, "damping_ratio"), "no key 'damping_ratio'"),
         ({**without("name"), "format": 2, "name": "c"}, "expected format 1"),
-        (without("models", 0, "covariance", 0), "covariance: expected shape"),
+        (without("models", 0, "covariance", 0), r"covariance: expected an array of shape \(6, 6\)"),
     ],
 )
 def test_what_cannot_be_read_is_named(tmp_path: Path, content: dict[str, Any], told: str) -> None:
