@@ -50,12 +50,12 @@ class ResultFolder(Generic[E]):
     """The files of one kind of evaluation.
 
     `h5_file`: the HDF5 file, which says that the folder is complete and is filled by `fill`; `texts` gives the other
-    files by name; `own`: names that are the program's.
+    files by name, texts or pictures; `own`: names that are the program's.
     """
 
     h5_file: str
     own: re.Pattern[str]
-    texts: Callable[[E], Mapping[str, str]]
+    texts: Callable[[E], Mapping[str, str | bytes]]
     fill: Callable[[h5py.File, E], None]
 
     def write(self, evaluation: E, folder: Path, *, force: bool = False) -> list[Path]:
@@ -67,7 +67,7 @@ class ResultFolder(Generic[E]):
         """Make all files in a folder, the HDF5 file last."""
         texts = self.texts(evaluation)
         for name, text in texts.items():
-            (folder / name).write_text(text, encoding="utf-8", newline="\n")
+            (folder / name).write_bytes(text if isinstance(text, bytes) else text.encode("utf-8"))
         names = [*texts, self.h5_file]
         with h5py.File(folder / self.h5_file, "w", track_order=True) as file:
             write_provenance(file, _origin(evaluation, names))

@@ -27,12 +27,13 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
             "rotation",
             "steps",
             "loads",
+            "elastomer",
         ),
         default="demo",
         help="which rig (default: demo); sweep, matrix: campaigns for a curve over frequency and for the 6x6; "
         "targets: a camera calibration; chirp: a recording for shakercal transfer; masses, pitching: campaigns of two "
         "loads for shakercal identify; rotation: a campaign for shakercal rotate; steps: one for shakercal step; "
-        "loads: one for shakercal load",
+        "loads: one for shakercal load; elastomer: a geometry for shakercal elastomer",
     )
     parser.add_argument("--seed", type=seed, default=1, help="seed of every random draw (default: 1)")
     parser.add_argument("--force", action="store_true", help="overwrite a simulation that is there")
@@ -58,6 +59,7 @@ def _write(out: Path, preset: str, seed: int, progress: ProgressCallback) -> str
         simulate,
         simulate_campaign,
         simulate_chirp,
+        simulate_element,
         simulate_load_series,
         simulate_loads,
         simulate_rotation,
@@ -75,5 +77,7 @@ def _write(out: Path, preset: str, seed: int, progress: ProgressCallback) -> str
     counted = {"rotation": simulate_rotation, "steps": simulate_steps, "loads": simulate_load_series}
     if preset in counted:
         return f"simulated campaign: {out}, {len(counted[preset](out, seed))} recordings"
+    if preset == "elastomer":
+        return f"simulated element: {simulate_element(out, seed)}"
     folder = simulate_chirp(out, seed) if preset == "chirp" else simulate(out, preset, seed, progress)
     return f"simulated recording: {folder}"

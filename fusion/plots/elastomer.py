@@ -156,8 +156,8 @@ def _panel(figure: Figure, place: int, shape: Shape) -> None:
     axes.set_box_aspect((1.0, 1.0, 0.35), zoom=1.45)
     axes.view_init(**VIEW)
     axes.set_axis_off()
-    foot = half * np.array([0.72, -0.98, 0.0])
-    for along, label in zip(0.25 * half * np.eye(3), "xyz", strict=True):
+    foot = half * np.array([0.80, -1.12, 0.0])
+    for along, label in zip(0.2 * half * np.eye(3), "xyz", strict=True):
         axes.plot(*np.stack([foot, foot + along], axis=1), color=BLACK, linewidth=0.8, clip_on=False)
         axes.text(*(foot + 1.3 * along), label, fontsize=7.0, ha="center", va="center")
     told = f"{shape.name}   {shape.frequency_hz:.0f} Hz"

@@ -132,6 +132,18 @@ def simulate_load_series(out: Path, seed: int) -> tuple[Path, ...]:
     return tuple(out / name for name in names)
 
 
+def simulate_element(out: Path, seed: int) -> Path:
+    """Write a cross-beam element and the measured models of a sensor made of it into folder `out`; return its file.
+
+    The same seed gives the same files; other folders are refused as by `simulate`.
+    """
+    from fusion.simulate.elastomer import GEOMETRY_FILE, write_element
+
+    with _whole(out) as partial:
+        write_element(partial, seed)
+    return out / GEOMETRY_FILE
+
+
 @contextmanager
 def _whole(out: Path) -> Iterator[Path]:
     """Yield a folder that takes the place of `out` when it is complete; refuse anything but an earlier simulation."""
@@ -162,7 +174,7 @@ def _not_simulated(out: Path) -> Path | None:
     from fusion.manifest import load_manifest
     from fusion.simulate.targets import written_files
 
-    written = written_files(out)
+    written = written_files(out) | _element_files(out)
     for truth in out.glob("*/truth.json"):
         with suppress(InputError):
             written.update(load_manifest(truth.parent).files, [truth.resolve()])
@@ -171,3 +183,11 @@ def _not_simulated(out: Path) -> Path | None:
     folders = {folder for file in written for folder in file.parents}
     known = written | folders
     return next((path for path in sorted(out.rglob("*")) if path.resolve() not in known), None)
+
+
+def _element_files(out: Path) -> set[Path]:
+    """Return the files of a folder that `simulate_element` wrote: all of them are there, and nothing is missing."""
+    from fusion.simulate.elastomer import WRITTEN
+
+    files = {(out / name).resolve() for name in WRITTEN}
+    return files if all(file.is_file() for file in files) else set()
