@@ -22,15 +22,16 @@ class Problem:
     """What is fitted: a structure's answer to a load, to samples.
 
     Parameters: those of the structure, then the release's middle in s (a timed load) and the logarithm of its length
-    in s (a lasting one). `timing` (2,), `u_timing` (2,): what is known of both beforehand, wide, so that a record that
-    does not tell them is solved all the same.
+    in s (a lasting one). `known`, `u_known` (K,): what is known of them beforehand, wide, infinitely so for the modes:
+    a record that does not tell the real poles or the release is solved all the same. `onset_s` of a load without one.
     """
 
     structure: Structure
     load: Load
     samples: Samples
-    timing: FloatArray
-    u_timing: FloatArray
+    known: FloatArray
+    u_known: FloatArray
+    onset_s: float = 0.0
 
     @property
     def count(self) -> int:
@@ -40,7 +41,7 @@ class Problem:
     def release(self, vector: FloatArray) -> tuple[float, float]:
         """Return the middle and the length of the release in s."""
         order = self.structure.order
-        middle = float(vector[order]) if self.load.timed else float(self.timing[0])
+        middle = float(vector[order]) if self.load.timed else self.onset_s
         return middle, float(np.exp(vector[order + 1])) if self.load.lasting else 0.0
 
 
@@ -101,9 +102,15 @@ def slopes(problem: Problem, vector: FloatArray, linear: FloatArray, found: Answ
     return np.concatenate(out, axis=1)
 
 
-def square(problem: Problem, vector: FloatArray) -> float:
-    """Return the weighted sum of squares of the residual at a vector, baseline and numerator fitted."""
-    return _at(problem, vector).solution.square
+def squares(problem: Problem, vector: FloatArray) -> FloatArray:
+    """Return the weighted sums of squares (terms,) that 1, 2, … numerator terms leave, by one factorisation."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        design, _ = columns(problem, vector, problem.samples)
+    whole = np.concatenate([design, problem.samples.value[:, None]], axis=1) * problem.samples.weight[:, None]
+    if not np.all(np.isfinite(whole)):
+        return np.full(problem.structure.terms, np.inf)
+    last = np.asarray(np.linalg.qr(whole)[1])[:, -1]
+    return np.asarray(np.cumsum(last[::-1] ** 2)[::-1][2:])
 
 
 def solve(problem: Problem, start: FloatArray) -> Solution:
@@ -158,19 +165,9 @@ class _Trial:
 
 
 def _cost(solution: Solution, variance: float) -> float:
-    """Return the sum of squares with the pull of what was known of the timing beforehand."""
-    pull, _ = _timing(solution)
+    """Return the sum of squares with the pull of what was known beforehand."""
+    pull = (solution.vector - solution.problem.known) / solution.problem.u_known
     return solution.square + float(pull @ pull) * variance
-
-
-def _timing(solution: Solution) -> tuple[FloatArray, FloatArray]:
-    """Return deviations (R,) from the timing known beforehand and their derivatives (R, K), in standard deviations."""
-    problem = solution.problem
-    order, count = problem.structure.order, problem.load.timed + problem.load.lasting
-    found = solution.vector[order:]
-    return (found - problem.timing[:count]) / problem.u_timing[:count], np.eye(problem.count)[
-        order:
-    ] / problem.u_timing[:count, None]
 
 
 def _step(normal: FloatArray, gradient: FloatArray, damping: float) -> FloatArray:
@@ -217,16 +214,16 @@ def _linear(design: FloatArray, value: FloatArray) -> FloatArray:
 
 
 def _projected(now: _Trial) -> tuple[FloatArray, FloatArray]:
-    """Return Kaufman's derivative and residual, weighted, with the rows of what was known of the timing."""
+    """Return Kaufman's derivative and residual, weighted, with the rows of what was known beforehand."""
     solution, problem = now.solution, now.solution.problem
     weight = problem.samples.weight[:, None]
     jacobian = slopes(problem, solution.vector, solution.linear, now.found) * weight
     q, _ = np.linalg.qr(now.design * weight)
     jacobian = jacobian - q @ (q.T @ jacobian)
     rest = (problem.samples.value - now.design @ solution.linear) * weight[:, 0]
-    pull, rows = _timing(solution)
-    sigma = np.sqrt(solution.variance)
-    return np.concatenate([jacobian, sigma * rows]), np.concatenate([rest, -sigma * pull])
+    firm = np.sqrt(solution.variance) / problem.u_known
+    pull = (problem.known - solution.vector) * firm
+    return np.concatenate([jacobian, np.diag(firm)]), np.concatenate([rest, pull])
 
 
 def _twice(structure: Structure) -> FloatArray:

@@ -8,25 +8,36 @@ from shaker._checks import ComplexArray, FloatArray
 
 PER_PERIOD = 8  # samples that are left of the period of the fastest mode
 _LONGEST = 240  # decimated samples that a start is taken from
+_STRETCHES = 16  # stretches of the spectrum that tell their own noise
 _FLOOR = 25.0  # power of a peak over the median of the spectrum, that noise alone passes once in 10^7 lines
 
 
-def peaks_hz(decay: FloatArray, step_s: float, count: int) -> FloatArray:
+def peaks_hz(decay: FloatArray, step_s: float, count: int, local: bool = False) -> FloatArray:
     """Return frequencies (≤ count,) in Hz of the highest peaks, above the noise, in the spectrum of a decay (N,).
 
-    The level of its end is taken off, and a window that falls from 1 to 0 keeps the strong beginning.
+    The level of its end is taken off, and a window that falls from 1 to 0 keeps the strong beginning. The noise is the
+    median of the spectrum, or where `local` of the lines about, for noise that is not the same everywhere.
     """
     phase = 0.5 * np.pi * np.arange(len(decay)) / len(decay)
     level = float(np.average(decay, weights=np.sin(phase) ** 4 + 1e-300))
     power = np.abs(np.fft.rfft((decay - level) * np.cos(phase) ** 2, 2 * len(decay))) ** 2
     frequency = np.fft.rfftfreq(2 * len(decay), step_s)
     top = np.flatnonzero((power[1:-1] > power[:-2]) & (power[1:-1] >= power[2:])) + 1
-    lines = top[(power[top] > _FLOOR * np.median(power)) & (frequency[top] > 3.0 / (len(decay) * step_s))]
+    floor = _about(power)[top] if local else np.median(power)
+    lines = top[(power[top] > _FLOOR * floor) & (frequency[top] > 3.0 / (len(decay) * step_s))]
     found: list[int] = []
     for line in lines[np.argsort(power[lines])[::-1]]:
         if all(abs(line - other) > 4 for other in found):
             found.append(int(line))
     return np.asarray(frequency[found[:count]])
+
+
+def _about(power: FloatArray) -> FloatArray:
+    """Return the median of the lines about every line, by stretches and straight lines between them."""
+    size = max(1, len(power) // _STRETCHES)
+    stretches = power[: len(power) // size * size].reshape(-1, size)
+    middle = (np.arange(len(stretches)) + 0.5) * size
+    return np.asarray(np.interp(np.arange(len(power)), middle, np.median(stretches, axis=1)))
 
 
 def thinned(decay: FloatArray, step_s: float, highest_hz: float) -> tuple[FloatArray, float]:

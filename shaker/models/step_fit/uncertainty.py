@@ -86,11 +86,10 @@ def modal_model(solution: Solution, covariance: FloatArray, u_amplitude: float) 
 
 
 def _known(solution: Solution, scale: FloatArray) -> FloatArray:
-    """Return what was known of the timing beforehand as rows of the scaled normal matrix, over the noise's variance."""
+    """Return what was known beforehand as the scaled normal matrix of one variance."""
     problem = solution.problem
-    order, count = problem.structure.order, problem.count
     added = np.zeros(len(scale))
-    added[order:count] = 1.0 / (problem.u_timing[: count - order] * scale[order:count]) ** 2
+    added[: problem.count] = 1.0 / (problem.u_known * scale[: problem.count]) ** 2
     return np.diag(added)
 
 
