@@ -69,17 +69,18 @@ def _component(series: LoadSeries, settings: LoadSettings) -> ComponentLoads:
     loads, moving = series.masses.load, series.masses.moving
     lightest = int(np.argmin(loads))
     scale = np.sqrt((moving + loads[lightest]) / (moving + loads))
-    solutions = tuple(_solution(model, loads, settings) for model in found.models)
+    solutions = tuple(_solution(model, series, settings) for model in found.models)
     return ComponentLoads(series, found, series.measured.frequency_hz[lightest, 0] * scale, solutions)
 
 
-def _solution(model: LoadModel, loads: FloatArray, settings: LoadSettings) -> Solution:
+def _solution(model: LoadModel, series: LoadSeries, settings: LoadSettings) -> Solution:
     """What follows from one model."""
+    loads = series.masses.load
     asked = np.array(settings.predicted, dtype=np.float64)
     largest = float(np.max(np.concatenate([loads, asked]))) or model.moving_mass
     return Solution(
         model=model,
-        recorded=load_curve(model, loads),
+        recorded=load_curve(model, loads, series.masses.u_load),
         predicted=load_curve(model, asked),
         drawn=load_curve(model, np.linspace(0.0, BEYOND * largest, GRID)),
         bands=np.array([working_bands(model, float(load)) for load in loads]).reshape(-1, 2),

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from shaker._checks import FloatArray
+from shaker.models.load_series.least_squares import minimum
 from shaker.models.load_series.masses import SeriesMasses
 from shaker.models.load_series.problem import Problem
 from shaker.models.load_series.resonances import Resonances
@@ -67,20 +68,8 @@ def fit_resonances(measured: Resonances, masses: SeriesMasses, *, rigid: bool) -
 
 def refined(problem: Problem, x: FloatArray, scatter: tuple[float, float]) -> tuple[FloatArray, float]:
     """Return the unknowns (X,) at the minimum next to a start, and chi-squared there."""
-    from scipy.optimize import least_squares
-
     sigma = problem.sigma(scatter)
-    solved = least_squares(
-        lambda x: problem.residual(x, sigma)[0],
-        x,
-        jac=lambda x: problem.residual(x, sigma)[1],
-        x_scale="jac",
-        ftol=1e-14,
-        xtol=1e-13,
-        gtol=1e-13,
-        max_nfev=200,
-    )
-    return np.asarray(solved.x), float(2.0 * solved.cost)
+    return minimum(lambda x: problem.residual(x, sigma), x)
 
 
 def _minima(problem: Problem, scatter: tuple[float, float]) -> list[tuple[FloatArray, float]]:

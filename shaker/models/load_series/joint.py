@@ -10,6 +10,7 @@ from shaker._checks import ComplexArray, FloatArray
 from shaker.models.load_series.chain_poles import upper_poles
 from shaker.models.load_series.decay import FreeDecay, coloured, projected
 from shaker.models.load_series.fit import SeriesFit, number_covariance
+from shaker.models.load_series.least_squares import minimum
 from shaker.models.load_series.problem import Problem
 
 
@@ -20,8 +21,6 @@ def fit_decays(decays: tuple[FreeDecay, ...], noise: FloatArray, problem: Proble
     are free in every record. `noise` (R,): standard deviations of what free modes leave, the weights. The covariance
     takes the colour of the noise from the residuals.
     """
-    from scipy.optimize import least_squares
-
     count = problem.springs + problem.dampers
     first = np.concatenate([_logarithms(problem, start.numbers), start.deviates])
 
@@ -36,15 +35,12 @@ def fit_decays(decays: tuple[FreeDecay, ...], noise: FloatArray, problem: Proble
         prior[:, count:] = np.eye(len(x) - count)
         return [*found, (x[count:], prior)]
 
-    solved = least_squares(
-        lambda x: np.concatenate([part for part, _ in rows(x)]),
-        first,
-        jac=lambda x: np.vstack([slope for _, slope in rows(x)]),
-        x_scale="jac",
-        xtol=1e-12,
-        max_nfev=60,
-    )
-    x, parts = np.asarray(solved.x), rows(solved.x)
+    def stacked(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        parts = rows(x)
+        return np.concatenate([part for part, _ in parts]), np.vstack([slope for _, slope in parts])
+
+    x, _ = minimum(stacked, first)
+    parts = rows(x)
     inner = np.linalg.inv(sum((slope.T @ slope for _, slope in parts), np.zeros((len(x), len(x)))))
     middle = sum((coloured(slope, residual) for residual, slope in parts[:-1]), parts[-1][1].T @ parts[-1][1])
     (f, z), _ = problem.modes(x)

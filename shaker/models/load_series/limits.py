@@ -65,18 +65,13 @@ def _limit(model: LoadModel, beyond: Callable[[LoadModel, float], float]) -> Loa
     """The root of a function of the load that rises from below zero, with its uncertainty by the model's covariance."""
     from scipy.optimize import brentq
 
-    def root(changed: LoadModel, start: float = 0.0) -> float:
-        grid = np.append(start, np.geomspace(1e-4, HEAVIEST, 81) * changed.moving_mass)
-        signs = np.array([beyond(changed, float(load)) for load in grid]) > 0.0
-        if not signs.any():
-            return float("nan")
-        place = int(np.argmax(signs))
-        if place == 0:
-            return 0.0
-        low, high = float(grid[place - 1]), float(grid[place])
-        return float(
-            brentq(lambda load: beyond(changed, load), low, high, xtol=1e-14 * changed.moving_mass, rtol=1e-14)
-        )
+    def root(changed: LoadModel) -> float:
+        low, high = 0.0, 1e-3 * changed.moving_mass
+        while beyond(changed, high) <= 0.0:
+            low, high = high, 2.0 * high
+            if high > HEAVIEST * changed.moving_mass:
+                return float("nan")
+        return float(brentq(lambda load: beyond(changed, load), low, high, xtol=1e-14 * changed.moving_mass))
 
     value = root(model)
     if np.isnan(value):

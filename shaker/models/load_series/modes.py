@@ -8,6 +8,7 @@ import numpy as np
 
 from shaker._checks import ComplexArray, FloatArray
 from shaker.models.load_series.decay import FreeDecay, coloured, projected
+from shaker.models.load_series.least_squares import minimum
 from shaker.models.load_series.resonances import Resonances
 
 PARTS = (1, 3, 9, 27)
@@ -26,7 +27,7 @@ HEAVIEST, VAGUEST = 0.3, 0.05
 class RecordModes:
     """One or two modes of a record: upper poles (M,) in rad/s, covariance (2M, 2M) of [Re p, Im p] of each mode.
 
-    `noise`: standard deviation of what the modes leave, in output units; `share` (M,): amplitudes over the first one's.
+    `noise`: standard deviation of what the modes leave, in output units.
     """
 
     name: str
@@ -117,26 +118,18 @@ def _decay_rate(value: FloatArray, omega: float, rate_hz: float) -> float:
 
 def _fitted(decay: FreeDecay, starts: list[complex], known: ComplexArray) -> RecordModes:
     """The best of the fits that begin at known poles and one further."""
-    from scipy.optimize import least_squares
-
-    best = None
+    best: tuple[FloatArray, float] | None = None
     for start in starts:
         poles = np.append(known, start)
         x = np.stack([poles.real, poles.imag], axis=1).ravel()
-        solved = least_squares(
-            lambda x: projected(decay, x[::2] + 1j * x[1::2])[0],
-            x,
-            jac=lambda x: projected(decay, x[::2] + 1j * x[1::2])[1],
-            x_scale="jac",
-            max_nfev=60,
-        )
-        if best is None or solved.cost < best.cost:
-            best = solved
+        found = minimum(lambda x: projected(decay, x[::2] + 1j * x[1::2]), x)
+        if best is None or found[1] < best[1]:
+            best = found
     if best is None:
         raise ValueError(f"decay: expected an oscillation after the release of {decay.name}, found none")
-    poles = np.asarray(best.x[::2] + 1j * best.x[1::2])
+    poles = np.asarray(best[0][::2] + 1j * best[0][1::2])
     residual, slope = projected(decay, poles)
     inner = np.linalg.inv(slope.T @ slope)
-    free = len(residual) - 1 - 2 * len(best.x)
+    free = len(residual) - 1 - 2 * len(best[0])
     covariance = inner @ coloured(slope, residual) @ inner * len(residual) / free
     return RecordModes(decay.name, poles, covariance, float(np.sqrt(residual @ residual / free)))

@@ -1,0 +1,293 @@
+"""Load models against state-space matrices, published resonances and closed formulas."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from shaker.models.load_series.bands import working_bands
+from shaker.models.load_series.chain_poles import upper_poles
+from shaker.models.load_series.characteristics import first_mode_hz, load_curve, rigid_formula_hz
+from shaker.models.load_series.fit import fit_resonances
+from shaker.models.load_series.identify import Output, identify_loads
+from shaker.models.load_series.limits import change_limit, formula_limit, frequency_limit
+from shaker.models.load_series.masses import SeriesMasses, stated_masses
+from shaker.models.load_series.model import LoadModel
+from shaker.models.load_series.resonances import Resonances, stated_resonances
+from shaker.models.load_series.solutions import other_numbers, other_solution
+
+LOADS = np.array([0.0, 0.008, 0.048, 0.098, 0.198])
+PUBLISHED_HZ = np.array([500.0, 486.0, 450.0, 393.0, 320.0])
+MOVING = 0.240
+OUTPUT = Output("Fy", "Fy", "V")
+MODEL = LoadModel(
+    "Fy",
+    "Fy",
+    "V",
+    MOVING,
+    2.36e6,
+    6.0,
+    1.89e6,
+    4.0,
+    covariance=np.diag([2e2, 1e-2, 1e3, 5e-2]) ** 2,
+    u_moving_mass=1e-4,
+)
+
+
+def state_poles(m: float, ml: float, numbers: np.ndarray) -> np.ndarray:
+    """Poles as eigenvalues of the two equations of motion, [x_E, x_L, v_E, v_L]."""
+    k, c, kl, cl = numbers
+    matrix = np.zeros((4, 4))
+    matrix[:2, 2:] = np.eye(2)
+    matrix[2] = np.array([-(k + kl), kl, -(c + cl), cl]) / m
+    matrix[3] = np.array([kl, -kl, cl, -cl]) / ml
+    poles = np.linalg.eigvals(matrix)
+    return poles[np.argsort(np.abs(poles))]
+
+
+masses = st.floats(0.005, 2.0)
+springs = st.floats(1e5, 1e8)
+ratios = st.floats(1e-4, 0.05)
+
+
+@given(masses, masses, springs, springs, ratios, ratios)
+def test_poles_and_their_derivatives(m: float, ml: float, k: float, kl: float, zeta: float, other: float) -> None:
+    numbers = np.array([k, 2.0 * zeta * np.sqrt(k * m), kl, 2.0 * other * np.sqrt(kl * min(m, ml))])
+    poles, moved = upper_poles(numbers, m, ml)
+    every = state_poles(m, ml, numbers)
+    np.testing.assert_allclose(poles, every[every.imag > 0], rtol=1e-7)
+    whole = np.array([*numbers, m, ml])
+    for place, value in enumerate(whole):
+        step = np.where(np.arange(6) == place, 1e-5 * value, 0.0)
+        up, down = (upper_poles(v[:4], v[4], v[5])[0] for v in (whole + step, whole - step))
+        slope = (up - down) / (2e-5 * value)
+        scale = np.abs(poles) / value
+        np.testing.assert_allclose(moved[:, place] / scale, slope / scale, atol=2e-5)
+
+
+@given(masses, masses, springs, springs, ratios, ratios)
+def test_the_second_solution_has_the_same_poles(
+    m: float, ml: float, k: float, kl: float, zeta: float, other: float
+) -> None:
+    numbers = np.array([k, 2.0 * zeta * np.sqrt(k * m), kl, 2.0 * other * np.sqrt(kl * min(m, ml))])
+    turned = other_numbers(numbers, m, ml)
+    np.testing.assert_allclose(state_poles(m, ml, turned), state_poles(m, ml, numbers), rtol=1e-6)
+    np.testing.assert_allclose(other_numbers(turned, m, ml), numbers, rtol=1e-12)
+
+
+def shares(m: float, ml: float, numbers: np.ndarray) -> np.ndarray:
+    """Residues of x_E over a force on the load times the static stiffness, by the left and right eigenvectors."""
+    k, c, kl, cl = numbers
+    matrix = np.zeros((4, 4))
+    matrix[:2, 2:] = np.eye(2)
+    matrix[2] = np.array([-(k + kl), kl, -(c + cl), cl]) / m
+    matrix[3] = np.array([kl, -kl, cl, -cl]) / ml
+    poles, right = np.linalg.eig(matrix)
+    left = np.linalg.inv(right)
+    found = right[0] * (left @ np.array([0.0, 0.0, 0.0, 1.0 / ml])) * k
+    return found[np.argsort(np.abs(poles) + 1e-6 * poles.imag)]
+
+
+@pytest.mark.parametrize(("load", "k", "coupling"), [(0.048, 1.134e7, 3.933e5), (0.198, 4.181e6, 1.067e6)])
+def test_published_trap(load: float, k: float, coupling: float) -> None:
+    other = other_solution(MODEL, load)
+    assert other.stiffness == pytest.approx(k, rel=1e-3)
+    assert other.coupling_stiffness == pytest.approx(coupling, rel=1e-3)
+    own, turned = shares(MOVING, load, MODEL.vector), shares(MOVING, load, other.vector)
+    np.testing.assert_allclose(np.abs(turned), np.abs(own), rtol=2e-4)
+    assert first_mode_hz(MODEL, 0.008) == pytest.approx(490.6, abs=0.1)
+    assert abs(first_mode_hz(other_solution(MODEL, 0.048), 0.008) / first_mode_hz(MODEL, 0.008) - 1.0) > 0.5
+
+
+def test_covariance_of_the_second_solution() -> None:
+    rng = np.random.default_rng(5)
+    total = MODEL.total_covariance
+    other = other_solution(replace(MODEL, covariance_with_mass=total), 0.048)
+    drawn = rng.multivariate_normal(np.append(MODEL.vector, MOVING), total, 4000)
+    turned = np.array([other_numbers(row[:4], row[4], 0.048) for row in drawn])
+    np.testing.assert_allclose(np.sqrt(np.diag(other.covariance_with_mass))[:4], turned.std(axis=0), rtol=0.05)
+
+
+def test_published_series() -> None:
+    found = identify_loads(stated_resonances(PUBLISHED_HZ), stated_masses(MOVING, 0.0, LOADS), OUTPUT)
+    model = found.model
+    assert not model.is_rigid
+    assert model.solutions == 1
+    assert model.stiffness == pytest.approx(2.355e6, rel=1e-3)
+    assert model.coupling_stiffness == pytest.approx(1.892e6, rel=1e-3)
+    curve = load_curve(model, LOADS)
+    assert np.max(np.abs(curve.frequency_hz[:, 0] / PUBLISHED_HZ - 1.0)) < 0.01
+    np.testing.assert_allclose(curve.frequency_hz[1:, 1], [2490.0, 1117.0, 884.0, 767.0], rtol=1e-3)
+    formula = np.array([rigid_formula_hz(replace(model, stiffness=2.36e6), float(load)) for load in LOADS])
+    np.testing.assert_allclose(formula, [499.1, 491.0, 455.6, 420.6, 369.4], atol=0.06)
+    assert 100.0 * (formula[-1] / PUBLISHED_HZ[-1] - 1.0) == pytest.approx(15.4, abs=0.1)
+    assert "a rigid load contradicts the resonances" in found.reason
+    limit = formula_limit(model, 0.05)
+    assert limit is not None
+    assert limit.load_mass == pytest.approx(0.081, abs=0.002)
+
+
+def test_free_moving_mass_of_a_rigid_load() -> None:
+    fit = fit_resonances(
+        stated_resonances(PUBLISHED_HZ, np.full(5, 1e-2)), stated_masses(MOVING, 10.0, LOADS), rigid=True
+    )
+    moving = MOVING + 10.0 * fit[0].deviates[0]
+    assert fit[0].numbers[0] == pytest.approx(1.43e6, rel=0.02)
+    assert moving == pytest.approx(0.142, rel=0.02)
+    assert np.max(np.abs(fit[0].frequency_hz[:, 0] / PUBLISHED_HZ - 1.0)) == pytest.approx(0.03, abs=0.003)
+
+
+def exact(model: LoadModel, loads: np.ndarray, u: float, *, second: bool = True) -> Resonances:
+    """Resonances and dampings as the matrices have them."""
+    f, z = np.full((len(loads), 2), np.nan), np.full((len(loads), 2), np.nan)
+    for r, load in enumerate(loads):
+        if load == 0:
+            omega = np.sqrt(model.stiffness / model.moving_mass)
+            f[r, 0], z[r, 0] = omega / (2 * np.pi), model.damping / (2 * np.sqrt(model.stiffness * model.moving_mass))
+            continue
+        poles = state_poles(model.moving_mass, float(load), model.vector)
+        upper = poles[poles.imag > 0]
+        f[r], z[r] = np.abs(upper) / (2 * np.pi), -upper.real / np.abs(upper)
+    if not second:
+        f[:, 1] = z[:, 1] = np.nan
+    return Resonances(tuple("abcdefg"[: len(loads)]), f, u * f, z, 1e2 * u * z)
+
+
+def test_one_load_gives_both_solutions() -> None:
+    found = identify_loads(
+        exact(MODEL, np.array([0.048]), 1e-5), stated_masses(MOVING, 1e-4, np.array([0.048])), OUTPUT
+    )
+    assert [model.solution for model in found.models] == [1, 2]
+    assert {model.solutions for model in found.models} == {2}
+    np.testing.assert_allclose(found.models[0].vector, MODEL.vector, rtol=1e-6)
+    np.testing.assert_allclose(found.models[1].vector, other_numbers(MODEL.vector, MOVING, 0.048), rtol=1e-6)
+    poles = [np.sort_complex(model.poles(0.048)) for model in found.models]
+    np.testing.assert_allclose(poles[0], poles[1], rtol=1e-6)
+    assert any("cannot tell 2 solutions apart" in notice.text for notice in found.notices)
+
+
+def test_a_second_load_separates_them() -> None:
+    loads = np.array([0.008, 0.048])
+    found = identify_loads(exact(MODEL, loads, 1e-4, second=False), stated_masses(MOVING, 0.0, loads), OUTPUT)
+    assert len(found.models) == 1
+    np.testing.assert_allclose(found.model.vector, MODEL.vector, rtol=1e-5)
+
+
+def test_a_rigid_load_is_taken_as_one() -> None:
+    rng = np.random.default_rng(3)
+    f = np.sqrt(2e6 / (MOVING + LOADS)) / (2 * np.pi)
+    seen = f * (1.0 + 1e-3 * rng.standard_normal(5))
+    found = identify_loads(stated_resonances(seen, 1e-3 * f), stated_masses(MOVING, 0.0, LOADS), OUTPUT)
+    assert found.model.is_rigid
+    assert found.model.stiffness == pytest.approx(2e6, rel=3e-3)
+    assert formula_limit(found.model, 0.05) is None
+
+
+def test_too_little_for_a_coupling() -> None:
+    found = identify_loads(
+        stated_resonances(np.array([450.0]), np.array([1.0])), stated_masses(MOVING, 0.0, LOADS[2:3]), OUTPUT
+    )
+    assert found.model.is_rigid
+    assert found.elastic == ()
+    assert found.model.stiffness == pytest.approx((2 * np.pi * 450.0) ** 2 * 0.288)
+
+
+def test_masses_are_unknowns_with_their_uncertainty() -> None:
+    seen = exact(MODEL, LOADS, 1e-6)
+    plain = identify_loads(seen, stated_masses(MOVING, 0.0, LOADS), OUTPUT).model
+    known = identify_loads(seen, stated_masses(MOVING, 2.4e-4, LOADS), OUTPUT).model
+    assert plain.total_covariance is not None
+    assert known.total_covariance is not None
+    assert known.u_moving_mass == pytest.approx(2.4e-4, rel=0.01) or known.u_moving_mass < 2.4e-4
+    u_plain, u_known = (np.sqrt(m.total_covariance[0, 0]) / m.stiffness for m in (plain, known))
+    assert u_known > 1.5 * u_plain
+    single = identify_loads(
+        exact(MODEL, np.array([0.0]), 1e-6), stated_masses(MOVING, 2.4e-4, np.zeros(1)), OUTPUT
+    ).model
+    assert np.sqrt(single.total_covariance[0, 0]) / single.stiffness == pytest.approx(1e-3, rel=1e-3)
+    assert load_curve(single, np.zeros(1)).u_frequency_hz[0, 0] < 2e-6 * 499.1
+
+
+def test_a_wrong_mass_is_told() -> None:
+    stated = LOADS.copy()
+    stated[3] += 5e-4
+    found = identify_loads(exact(MODEL, LOADS, 1e-5), stated_masses(MOVING, 1e-5, stated, np.full(5, 1e-4)), OUTPUT)
+    told = [notice.text for notice in found.notices if notice.severity == "warning"]
+    assert any("load mass 0.0985 kg" in text or "scatter about the model" in text for text in told)
+
+
+def test_shared_parts_are_one_unknown() -> None:
+    effect = np.array([[0.0], [1e-4], [1e-4]])
+    masses = SeriesMasses(MOVING, LOADS[:3], ("adapter",), np.zeros(1), effect)
+    moving, loads = masses.at(np.array([2.0]))
+    assert moving == MOVING
+    np.testing.assert_allclose(loads, LOADS[:3] + np.array([0.0, 2e-4, 2e-4]))
+    np.testing.assert_allclose(masses.u_load, [0.0, 1e-4, 1e-4])
+
+
+def test_limits_of_a_rigid_load() -> None:
+    rigid = LoadModel("Fy", "Fy", "V", MOVING, 2.36e6, 6.0, covariance=np.diag([1e4, 1e-2]) ** 2, u_moving_mass=1e-3)
+    change = change_limit(rigid, 0.05)
+    kept = frequency_limit(rigid, 400.0)
+    assert change is not None
+    assert kept is not None
+    assert change.load_mass == pytest.approx(MOVING * (0.95**-2 - 1.0), rel=1e-9)
+    assert change.u == pytest.approx(1e-3 * (0.95**-2 - 1.0), rel=1e-4)
+    omega = 2 * np.pi * 400.0
+    assert kept.load_mass == pytest.approx(2.36e6 / omega**2 - MOVING, rel=1e-9)
+    assert kept.u == pytest.approx(np.hypot(1e4 / omega**2, 1e-3), rel=1e-4)
+    assert frequency_limit(rigid, 600.0) is None
+
+
+def test_limits_of_an_elastic_coupling() -> None:
+    limit = formula_limit(MODEL, 0.05)
+    assert limit is not None
+    assert rigid_formula_hz(MODEL, limit.load_mass) == pytest.approx(1.05 * first_mode_hz(MODEL, limit.load_mass))
+    rng = np.random.default_rng(8)
+    drawn = rng.multivariate_normal(np.append(MODEL.vector, MOVING), MODEL.total_covariance, 200)
+    found = [formula_limit(replace(MODEL.with_numbers(row), covariance=None), 0.05) for row in drawn]
+    assert limit.u == pytest.approx(np.std([item.load_mass for item in found if item]), rel=0.15)
+    kept = frequency_limit(MODEL, 400.0)
+    assert kept is not None
+    assert first_mode_hz(MODEL, kept.load_mass) == pytest.approx(400.0)
+    stiff = replace(MODEL, coupling_stiffness=2.36e8)
+    assert formula_limit(stiff, 0.05) is None
+
+
+def test_bands_by_the_closed_formula() -> None:
+    rigid = LoadModel("Fy", "Fy", "V", MOVING, 2.36e6, 6.0)
+    omega, zeta = np.sqrt(2.36e6 / MOVING), 6.0 / (2.0 * np.sqrt(2.36e6 * MOVING))
+    for share, edge in zip((0.05, 0.10), working_bands(rigid, 0.0), strict=True):
+        ratio = (2 * np.pi * edge / omega) ** 2
+        assert 1.0 / np.hypot(1.0 - ratio, 2 * zeta * np.sqrt(ratio)) == pytest.approx(1.0 + share, rel=1e-9)
+    assert working_bands(rigid, 0.0)[1] == pytest.approx(150.5, abs=0.3)
+    np.testing.assert_allclose(working_bands(replace(rigid, damping=0.0), 0.0), working_bands(rigid, 0.0), rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: stated_masses(0.0, 0.0, LOADS), "moving: expected a mass above 0"),
+        (lambda: stated_masses(0.1, 0.0, -LOADS), "load: expected masses of at least 0"),
+        (lambda: stated_resonances(np.array([-1.0])), "frequency_hz: expected a first resonance above 0"),
+        (
+            lambda: fit_resonances(stated_resonances(PUBLISHED_HZ), stated_masses(0.1, 0.0, LOADS[:2]), rigid=True),
+            "masses",
+        ),
+        (
+            lambda: fit_resonances(stated_resonances(np.ones(1)), stated_masses(0.1, 0.0, np.ones(1)), rigid=False),
+            "two reson",
+        ),
+        (lambda: change_limit(MODEL, 1.5), "permitted: expected a share"),
+        (lambda: frequency_limit(MODEL, 0.0), "wanted_hz: expected"),
+        (lambda: other_solution(MODEL, 0.0), "model: expected one with an elastic coupling"),
+        (lambda: replace(MODEL, covariance=None).propagate(lambda m: m.vector), "covariance: expected"),
+    ],
+)
+def test_refusals(call: object, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        call()  # type: ignore[operator]
