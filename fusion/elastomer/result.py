@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -92,10 +93,15 @@ class ElementEvaluation:
 
     @property
     def spread(self) -> FloatArray:
-        """(max - min)/max (6,) over the columns, NaN where fewer than two have a value: as the paper's Table 6."""
-        values = np.stack([column.frequency_hz for column in self.columns])
-        filled = np.isfinite(values)
-        highest = np.max(np.where(filled, values, -np.inf), axis=0)
-        lowest = np.min(np.where(filled, values, np.inf), axis=0)
-        with np.errstate(invalid="ignore"):
-            return np.asarray(np.where(filled.sum(axis=0) > 1, (highest - lowest) / highest, np.nan))
+        """How far apart the columns are, `spread` of them (6,)."""
+        return spread(self.columns)
+
+
+def spread(columns: Sequence[Column]) -> FloatArray:
+    """Return (max - min)/max (6,) over columns, NaN where fewer than two have a value: as the paper's Table 6."""
+    values = np.stack([column.frequency_hz for column in columns])
+    filled = np.isfinite(values)
+    highest = np.max(np.where(filled, values, -np.inf), axis=0)
+    lowest = np.min(np.where(filled, values, np.inf), axis=0)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.where(filled.sum(axis=0) > 1, (highest - lowest) / highest, np.nan))
