@@ -14,8 +14,10 @@ from shaker.models.load_series.resonances import Resonances
 
 STARTS = np.geomspace(0.03, 30.0, 9)
 """Ratios k_L/k from which the fit starts."""
-ALIKE = 1e-3
+ALIKE = 1e-2
 """Relative difference of parameters below which two minima are one."""
+COARSE = (1e-2, 1e-1)
+"""Relative scatter of frequencies and dampings with which minima are approached: their valleys are wide then."""
 FARTHEST = 1e4
 """Ratio of the stiffnesses beyond which one of them means nothing."""
 INDISTINCT = 3.84
@@ -66,24 +68,31 @@ def fit_resonances(measured: Resonances, masses: SeriesMasses, *, rigid: bool) -
     return tuple(_result(problem, x, scatter, excess) for x, excess in found)
 
 
-def refined(problem: Problem, x: FloatArray, scatter: tuple[float, float]) -> tuple[FloatArray, float]:
+def refined(
+    problem: Problem, x: FloatArray, scatter: tuple[float, float], tolerance: float = 1e-10
+) -> tuple[FloatArray, float]:
     """Return the unknowns (X,) at the minimum next to a start, and chi-squared there."""
     sigma = problem.sigma(scatter)
-    return minimum(lambda x: problem.residual(x, sigma), x)
+    return minimum(lambda x: problem.residual(x, sigma), x, tolerance)
 
 
 def _minima(problem: Problem, scatter: tuple[float, float]) -> list[tuple[FloatArray, float]]:
     """Minima that cannot be excluded, the best first, with chi-squared beyond the best."""
     ratios = STARTS[:1] if problem.rigid else STARTS
-    found = [refined(problem, problem.start(ratio), scatter) for ratio in ratios]
-    sound = [item for item in found if _is_sound(problem.numbers(item[0]))] or found
-    sound.sort(key=lambda item: item[1])
+    coarse = _distinct(problem, [refined(problem, problem.start(ratio), COARSE, 1e-5) for ratio in ratios])
+    found = _distinct(problem, [refined(problem, x, scatter) for x, _ in coarse])
+    return [(x, cost - found[0][1]) for x, cost in found if cost - found[0][1] <= INDISTINCT]
+
+
+def _distinct(problem: Problem, found: list[tuple[FloatArray, float]]) -> list[tuple[FloatArray, float]]:
+    """Minima that differ and mean something, the best first; the best at any rate."""
+    ordered = sorted(found, key=lambda item: item[1])
+    sound = [item for item in ordered if _is_sound(problem.numbers(item[0]))] or ordered[:1]
     kept: list[tuple[FloatArray, float]] = []
     for x, cost in sound:
         numbers = problem.numbers(x)[::2]
-        new = all(np.max(np.abs(numbers / problem.numbers(other)[::2] - 1.0)) > ALIKE for other, _ in kept)
-        if new and cost - sound[0][1] <= INDISTINCT:
-            kept.append((x, cost - sound[0][1]))
+        if all(np.max(np.abs(numbers / problem.numbers(other)[::2] - 1.0)) > ALIKE for other, _ in kept):
+            kept.append((x, cost))
     return kept
 
 

@@ -12,27 +12,29 @@ Residual = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 FIRST, GROW, SHRINK = 1e-4, 10.0, 0.2
 LARGEST = 1e12
 ROUNDS = 100
+NOTHING = 1e-18
+"""Share of the sum at the start below which no step is worth its while."""
 
 
 def minimum(function: Residual, start: FloatArray, tolerance: float = 1e-10) -> tuple[FloatArray, float]:
     """Return x (X,) with the smallest Σ r² next to a start, and that sum.
 
     `function` returns r (N,) and dr/dx (N, X); where r is not finite a step is refused. Ends when a step would lower
-    the sum by less than `tolerance` of it, or moves nothing (Marquardt 1963; each unknown damped by its curvature).
+    the sum by less than `tolerance` of it or moves nothing (Marquardt 1963; each unknown damped by its curvature).
     """
     x = np.asarray(start, dtype=np.float64)
     residual, slope = function(x)
     cost = float(residual @ residual)
     if not np.isfinite(cost):
         raise ValueError("start: expected unknowns for which all residuals are finite, found others")
-    damping = FIRST
+    first, damping = cost, FIRST
     for _ in range(ROUNDS):
         size = np.sqrt(np.sum(slope**2, axis=0))
         size[size == 0.0] = 1.0
         scaled = slope / size
         step = _step(scaled, residual, damping) / size
         foretold = cost - float(np.sum((residual + slope @ step) ** 2))
-        if foretold <= tolerance * cost or np.all(np.abs(step) <= 1e-14 * np.abs(x)):
+        if foretold <= max(tolerance * cost, NOTHING * first) or np.all(np.abs(step) <= 1e-14 * np.abs(x)):
             break
         trial, trial_slope = function(x + step)
         lower = float(trial @ trial)

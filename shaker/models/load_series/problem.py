@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -37,7 +38,7 @@ class Problem:
                 f"{int(self.rows[0].sum())}"
             )
 
-    @property
+    @cached_property
     def rows(self) -> tuple[BoolArray, BoolArray]:
         """Which frequencies and which dampings (R, 2) enter."""
         seen = np.isfinite(self.measured.frequency_hz)
@@ -49,7 +50,7 @@ class Problem:
         """Number of stiffnesses."""
         return 1 if self.rigid else 2
 
-    @property
+    @cached_property
     def dampers(self) -> int:
         """Number of dampings that the known ones tell; where one damping alone is known, c_L/k_L = c/k."""
         return min(self.springs, int(self.rows[1].sum()))
