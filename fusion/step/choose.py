@@ -8,9 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fusion.step.gains import UNNAMED
 from fusion.step.releases import structure_of
-from fusion.step.result import Release
+from fusion.step.result import UNNAMED, Release
 
 LONGEST_RELEASE = 0.5
 """Periods of the first mode that a release may last for its rope to be used beside the fastest one."""

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from fusion.load import LOAD_COMPONENTS
 from fusion.manifest import ChannelEntry, Manifest
 from fusion.step.result import Release, Rope, StaticGain
-
-UNNAMED = "release"
+from shaker.models.step.compare import compare_releases
 
 
 def static_gains(releases: Sequence[Release]) -> Iterator[StaticGain]:
@@ -66,32 +66,13 @@ def stated_gain(manifest: Manifest, channel: str, component: str) -> tuple[float
 
 
 def ropes(releases: Sequence[Release], used: Sequence[str]) -> tuple[Rope, ...]:
-    """Return the releases by what let go, the fastest first."""
-    names = dict.fromkeys(release.input.record.release for release in releases)
+    """Return the releases by what let go, the fastest rise first; how long the load changed is told by the models."""
+    readings = [replace(r.reading, release_s=r.release_s, u_release_s=r.u_release_s) for r in releases]
     found = []
-    for name in names:
-        own = [release for release in releases if release.input.record.release == name]
-        rise, length = [r.reading.rise_s for r in own], [r.release_s for r in own]
-        mean, u, dof = mean_with_scatter(np.array(length), np.array([r.u_release_s for r in own]))
-        found.append(
-            Rope(
-                name=name or UNNAMED,
-                releases=tuple(release.name for release in own),
-                rise_s=float(np.mean(rise)),
-                spread_rise_s=_spread(rise),
-                release_s=mean,
-                spread_release_s=_spread(length),
-                u_release_s=u,
-                dof=dof,
-                used=any(release.name in used for release in own),
-            )
-        )
-    return tuple(sorted(found, key=lambda rope: rope.release_s))
-
-
-def _spread(values: Sequence[float]) -> float:
-    """Standard deviation between releases, NaN of one."""
-    return float(np.std(values, ddof=1)) if len(values) > 1 else float("nan")
+    for kind in compare_releases(readings):
+        own = tuple(r.name for r in releases if r.input.record.release == kind.release)
+        found.append(Rope(kind, own, any(name in used for name in own)))
+    return tuple(found)
 
 
 def _entry(manifest: Manifest, channel: str) -> ChannelEntry:

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from fusion.plots.step import RopeCurve, StepCurve, draw_ropes, draw_step
 from fusion.plots.step_models import BodeCurve, Convergence, draw_bode, draw_convergence
 from fusion.plots.style import Picture
-from fusion.step.gains import UNNAMED
 from fusion.step.methods import LABELS
 from fusion.step.pool import Pooled
 from fusion.step.result import ComponentResult, MethodRow, Release
@@ -110,7 +109,7 @@ def _around(model: ModalModel, frequency_hz: FloatArray) -> FloatArray:
 def _rope_curves(component: ComponentResult) -> Iterator[RopeCurve]:
     """The first release by each rope, over the longest of the releases and some periods."""
     periods = [_period_s(r.fit.model) for r in component.releases if r.fit is not None]
-    longest = max(rope.release_s for rope in component.ropes)
+    longest = max(rope.kind.length.mean for rope in component.ropes)
     span = 1.5 * longest + PERIODS * float(np.median(periods) if periods else longest)
     for rope in component.ropes:
         release = next(r for r in component.releases if r.name in rope.releases)
@@ -120,7 +119,7 @@ def _rope_curves(component: ComponentResult) -> Iterator[RopeCurve]:
         shown = (time >= -0.1 * span) & (time <= span)
         level = record.samples[record.channels.index(release.driven)]
         share = (level - reading.baseline) / (reading.steady - reading.baseline)
-        yield RopeCurve(rope.name or UNNAMED, release.name, time[shown], share[shown], rope.release_s)
+        yield RopeCurve(rope.name, release.name, time[shown], share[shown], rope.kind.length.mean)
 
 
 def _convergence(rows: Sequence[MethodRow]) -> Iterator[Convergence]:

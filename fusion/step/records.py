@@ -96,8 +96,7 @@ def _force(manifest: Manifest) -> tuple[str, ChannelEntry] | None:
         return None
     found = [(daq.name, entry) for daq in manifest.daq for entry in daq.channel if entry.name == name]
     if len(found) != 1 or found[0][1].quantity != "force":
-        told = f'"{name}", of quantity {found[0][1].quantity}' if found else f'"{name}", which no block has'
-        told = f'"{name}", which {len(found)} blocks have' if len(found) > 1 else told
+        told = f'"{name}", of quantity {found[0][1].quantity}' if len(found) == 1 else f'"{name}" {len(found)} times'
         expected = 'the name of one channel with quantity = "force"'
         raise InputError(manifest.path, "excitation.force", found=told, expected=expected)
     return found[0]

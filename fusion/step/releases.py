@@ -10,14 +10,17 @@ import numpy as np
 from fusion.errors import InputError
 from fusion.manifest import Manifest
 from fusion.notices import Notice
-from fusion.step.records import StepInput, read_step
+from fusion.step.records import read_step
 from fusion.step.result import Release
 from fusion.step.settings import StepSettings
 from shaker.models.step.reading import Reading
 from shaker.models.step.record import StepRecord
-from shaker.models.step.release import read_release
+from shaker.models.step.release import read_releases
 from shaker.models.step_fit.fit import fit_step
 from shaker.models.step_fit.result import StepFit
+
+CLEAR = 4.0
+"""Change of the driven output, over its standard uncertainty, below which there is no step."""
 
 
 def read_recording(manifest: Manifest) -> tuple[Release, tuple[Notice, ...]]:
@@ -28,30 +31,13 @@ def read_recording(manifest: Manifest) -> tuple[Release, tuple[Notice, ...]]:
     found = read_step(manifest)
     record = replace(found.record, u_amplitude=0.0)
     driven = _driven(manifest, record)
-    reading = _read(found, record, driven)
-    if reading.clipped:
-        entry = next(e for daq in manifest.daq for e in daq.channel if driven in (e.channel, e.name))
-        raise InputError(
-            manifest.path,
-            f"daq.channel.{entry.name}",
-            found="samples that stay at the limit of the range",
-            expected="an output that was not clipped",
-        )
-    others, notices = [], list(found.notices)
-    for channel in record.channels:
-        if channel == driven:
-            continue
-        try:
-            other = read_release(replace(record, onset_s=reading.onset_s), channel)
-        except ValueError as error:
-            notices.append(Notice("info", f"output {channel} is left out: {error}", record.name))
-            continue
-        if other.clipped:
-            notices.append(Notice("warning", f"output {channel} was clipped and is left out", record.name))
-        else:
-            others.append(other)
-    told = (*notices, *_at(reading, record))
-    return Release(found, driven, (reading, *others), None), told
+    readings = {reading.channel: reading for reading in _read(manifest, record)}
+    _check(manifest, readings[driven])
+    others = [reading for reading in readings.values() if reading.channel != driven and not reading.clipped]
+    cut = [reading.channel for reading in readings.values() if reading.channel != driven and reading.clipped]
+    told = [Notice("warning", f"output {channel} was clipped and is left out", record.name) for channel in cut]
+    release = Release(found, driven, (readings[driven], *others), None)
+    return release, (*found.notices, *told, *_remarks(readings[driven], record))
 
 
 def fit_release(
@@ -97,16 +83,29 @@ def _driven(manifest: Manifest, record: StepRecord) -> str:
     return record.channels[int(np.argmax(np.abs(change)))]
 
 
-def _read(found: StepInput, record: StepRecord, channel: str) -> Reading:
-    """What the driven output shows; without a step the recording cannot be used."""
+def _read(manifest: Manifest, record: StepRecord) -> tuple[Reading, ...]:
+    """What the outputs show; without a step the recording cannot be used."""
     try:
-        return read_release(record, channel)
+        return read_releases(record)
     except ValueError as error:
-        manifest = found.manifest
-        key = "excitation.onset" if record.onset_s is not None and "onset" in str(error) else f"daq.channel.{channel}"
+        key = "daq.channel" if record.onset_s is None else "excitation.onset"
         raise InputError.told_by(error, manifest.path, key) from error
 
 
-def _at(reading: Reading, record: StepRecord) -> Sequence[Notice]:
+def _check(manifest: Manifest, reading: Reading) -> None:
+    """Refuse a driven output that was clipped, or that does not change."""
+    entries = [entry for daq in manifest.daq for entry in daq.channel if entry.quantity == "output"]
+    entry = next(entry for entry in entries if reading.channel == (entry.channel or entry.name))
+    key = f"daq.channel.{entry.name}"
+    if reading.clipped:
+        found, expected = "samples that stay at the limit of the range", "an output that was not clipped"
+        raise InputError(manifest.path, key, found=found, expected=expected)
+    if abs(reading.static_gain) <= CLEAR * reading.u_static_gain:
+        change = f"{reading.steady - reading.baseline:.2g} {reading.unit}, no more than noise"
+        expected = f"a step in the output that {reading.component} drives"
+        raise InputError(manifest.path, key, found=f"a change of {change}", expected=expected)
+
+
+def _remarks(reading: Reading, record: StepRecord) -> Sequence[Notice]:
     """The remarks of a reading, with the recording they belong to."""
     return [Notice(n.severity, f"{reading.channel}: {n.text}", record.name) for n in reading.notices]

@@ -14,8 +14,12 @@ from fusion.step.figures import Figure
 from fusion.step.pool import Pooled
 from fusion.step.records import StepInput
 from shaker.models.indices.result import Indices
+from shaker.models.step.compare import ReleaseKind
 from shaker.models.step.reading import Reading
 from shaker.models.step_fit.result import StepFit
+
+UNNAMED = "not stated"
+"""What let go where no recording says it."""
 
 
 @dataclass(frozen=True)
@@ -87,27 +91,19 @@ class StaticGain:
 
 @dataclass(frozen=True)
 class Rope:
-    """What the releases by one thing have in common: means over them in s, each with its scatter.
+    """Releases by one thing: how fast and how repeatable they are, and whether the model rests on them.
 
-    `rise_s`: 10 to 90 % of the driven output's change; `release_s`: how long the load changed, by the models;
-    `spread_…`: standard deviations between the releases, NaN of one release; `u_release_s` of the mean, with `dof`
-    degrees of freedom; `used`: whether the models rest on them.
+    `kind`: rise of the driven output, and how long the load changed, by the models where there are.
     """
 
-    name: str
+    kind: ReleaseKind
     releases: tuple[str, ...]
-    rise_s: float
-    spread_rise_s: float
-    release_s: float
-    spread_release_s: float
-    u_release_s: float
-    dof: float
     used: bool
 
     @property
-    def expanded_release_s(self) -> float:
-        """Return U of how long the load changed, for 95 %."""
-        return coverage_factor(self.dof) * self.u_release_s
+    def name(self) -> str:
+        """What let go."""
+        return self.kind.release or UNNAMED
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,13 @@ from markupsafe import Markup
 
 from fusion.coverage import coverage_factor
 from fusion.polar import DASH, rounded, typeset
-from fusion.report_numbers import degrees_of_freedom, factor, measured, number
+from fusion.report_numbers import degrees_of_freedom, factor, measured, number, short
 from fusion.report_tables import Headline, Table
 from fusion.step.figures import Figure
 from fusion.step.methods import LABELS
 from fusion.step.result import ComponentResult, MethodRow, Release, StaticGain, StepEvaluation
 from fusion.step.rows import residual_rms
+from shaker.models.step.compare import Spread
 from shaker.models.step.reading import SpectrumPeak
 
 K2 = 2.0
@@ -85,31 +86,26 @@ def releases_table(component: ComponentResult) -> Table:
 
 def ropes_table(component: ComponentResult) -> Table | None:
     """What lets go how fast, and how well it repeats."""
-    if len(component.ropes) < 2 and len(component.releases) < 2:
+    if len(component.releases) < 2:
         return None
     rows = []
     for rope in component.ropes:
-        rows.append(
-            (
-                rope.name,
-                f"{len(rope.releases)}",
-                number(MILLI * rope.rise_s),
-                number(MILLI * rope.spread_rise_s),
-                measured(MILLI * rope.release_s, MILLI * rope.expanded_release_s),
-                number(MILLI * rope.spread_release_s),
-                "yes" if rope.used else "no",
-            )
-        )
+        kind = rope.kind
+        cells = [cell for spread in (kind.rise, kind.length) for cell in _spread_cells(spread)]
+        faster = DASH if np.isnan(kind.faster) else f"{PERCENT * kind.faster:.1f}"
+        rows.append((rope.name, f"{kind.count}", *cells, faster, "yes" if rope.used else "no"))
     head = (
         "let go",
         "releases",
         "rise / ms",
-        "its scatter s / ms",
+        "s / ms",
         "release / ms",
-        "its scatter s / ms",
+        "s / ms",
+        "faster than the next / %",
         "in the model",
     )
-    return Table("What let go: rise of the output and duration of the release", head, "lrrrrrl", tuple(rows))
+    caption = "What let go: rise of the output and duration of the release, means with U, scatter s of one release"
+    return Table(caption, head, "lrrrrrrl", tuple(rows))
 
 
 def parameters_table(component: ComponentResult) -> Table | None:
@@ -196,8 +192,9 @@ def printed(evaluation: StepEvaluation) -> Iterator[str]:
         parts = [f"{word} {_plain(figure)}" for word, figure in zip(words, found, strict=True) if figure is not None]
         yield "; ".join([told, ", ".join(parts)] if parts else [told, "no model"])
         for rope in component.ropes if len(component.ropes) > 1 else ():
-            length = rounded(MILLI * rope.release_s, MILLI * rope.expanded_release_s, 0)
-            yield f"  {rope.name}: {len(rope.releases)} releases of ({length.value} ± {length.expanded}) ms"
+            length = rope.kind.length
+            text = rounded(MILLI * length.mean, MILLI * coverage_factor(length.dof) * length.u_mean, 0)
+            yield f"  {rope.name}: {len(rope.releases)} releases of ({text.value} ± {text.expanded}) ms"
 
 
 def _figure_row(figure: Figure) -> tuple[str, ...]:
@@ -236,6 +233,13 @@ def _mode_cells(release: Release) -> tuple[str, str]:
     f, z = float(model.frequency_hz[place]), float(model.damping_ratio[place])
     u_f, u_z = float(u[place]), float(u[len(model.frequency_hz) + place])
     return measured(f, K2 * u_f), measured(PERCENT * z, K2 * PERCENT * u_z)
+
+
+def _spread_cells(spread: Spread) -> tuple[str, str]:
+    """Mean with U, and the scatter of one release, in ms."""
+    expanded = coverage_factor(spread.dof) * spread.u_mean
+    scatter = DASH if np.isnan(spread.repeatability) else short(MILLI * spread.repeatability)
+    return measured(MILLI * spread.mean, MILLI * expanded), scatter
 
 
 def _peak_cells(component: ComponentResult, channel: str) -> tuple[str, str, str]:

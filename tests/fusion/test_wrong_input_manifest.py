@@ -239,7 +239,7 @@ KINDS = {
     "chirp": "direction = [0, 0, 1]\nband = [10, 1000]\nresponse = ['velocity']\nreference = ['drive']",
     "noise": "direction = [0, 0, 1]",
     "impact": "direction = [0, 0, 1, 0, 0, 0]",
-    "step": "component = 'Fz'\nstep_amplitude = -12.0\nforce = 'drive'\nonset = 0.1",
+    "step": "component = 'Fz'\nstep_amplitude = -12.0\nforce = 'drive'\nonset = 0.1\nrelease = 'fishing line'",
     "rotation": "file = 'bridge-response.csv'\nangle_unit = 'deg'\naxis = [1, 0, 0]\nzero_gravity = [0, 0, -1]\n"
     "with_load = true",
 }

@@ -1,0 +1,129 @@
+"""`shakercal step` against a sensor whose differential equation scipy solved."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from scipy import optimize
+from step_factory import StepFolder, Truth
+
+from fusion.cli import main
+from fusion.models_file import read_models
+
+TRUTH = Truth()
+COTTON = Truth(release_s=2e-3, onset_s=0.0047)
+FILES = {"releases.csv", "models.csv", "indices.csv", "methods.csv", "models.json", "step.h5", "step.html"}
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three releases by fishing line and two by cotton rope, evaluated."""
+    folder = StepFolder(tmp_path_factory.mktemp("step") / "campaign").start()
+    for number in (1, 2, 3):
+        folder.add(f"line-{number}", TRUTH)
+    for number in (1, 2):
+        folder.add(f"cotton-{number}", COTTON, release="cotton rope")
+    assert main(["step", str(folder.path), "-q"]) == 0
+    return folder.path
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    """Rows of a CSV file."""
+    with path.open(encoding="utf-8", newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def number(campaign: Path, file: str, name: str, channel: str = "Fz") -> tuple[float, float]:
+    """Value and U of a number in a table."""
+    rows = [r for r in table(campaign / "step" / file) if r["name"] == name and r["channel"] == channel]
+    assert len(rows) == 1
+    return float(rows[0]["value"]), float(rows[0]["U"])
+
+
+def gain(frequency_hz: float) -> float:
+    """|H| of the truth over its static gain."""
+    top, bottom = TRUTH.transfer
+    s = 2j * np.pi * frequency_hz
+    return float(abs(np.polyval(top, s) / np.polyval(bottom, s)) / TRUTH.gain)
+
+
+def test_all_files_are_there_and_the_page_stands_alone(campaign: Path) -> None:
+    assert {path.name for path in (campaign / "step").iterdir()} == FILES
+    page = (campaign / "step" / "step.html").read_text(encoding="utf-8")
+    assert 'src="http' not in page
+    assert "<link" not in page
+    assert "line-1: record, fit and residual" in page
+    assert "Output Fz over load Fz" in page
+
+
+def test_models_hold_the_truth(campaign: Path) -> None:
+    found = read_models(campaign / "step")["Fz", "Fz"]
+    assert (found.unit, found.sample_rate_hz) == ("(V/V)/N", 50_000.0)
+    assert found.recording == "line-1, line-2, line-3"
+    assert found.noise == pytest.approx(TRUTH.noise, rel=0.1)
+    assert found.model.frequency_hz[0] == pytest.approx(TRUTH.frequency_hz, rel=1e-4)
+    assert found.model.damping_ratio[0] == pytest.approx(TRUTH.damping_ratio, rel=5e-3)
+    assert found.model.static_gain == pytest.approx(TRUTH.gain, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "truth"),
+    [("natural_hz", TRUTH.frequency_hz), ("damping_ratio", TRUTH.damping_ratio), ("static_gain", TRUTH.gain)],
+)
+def test_numbers_lie_within_their_uncertainty(campaign: Path, name: str, truth: float) -> None:
+    value, expanded = number(campaign, "indices.csv", name)
+    assert 0.0 < expanded < 0.1 * truth
+    assert abs(value - truth) < 1.5 * expanded
+
+
+@pytest.mark.parametrize(("name", "level"), [("band_5_hz", 1.05), ("band_10_hz", 1.10)])
+def test_bands_end_where_the_true_gain_leaves_them(campaign: Path, name: str, level: float) -> None:
+    value, expanded = number(campaign, "indices.csv", name)
+    truth = optimize.brentq(lambda f: gain(f) - level, 1.0, 1500.0)
+    assert value == pytest.approx(truth, rel=2e-3)
+    assert abs(value - truth) < 1.5 * expanded
+
+
+def test_every_output_has_its_static_gain(campaign: Path) -> None:
+    for channel, truth in (("Fz", TRUTH.gain), ("Fx", TRUTH.cross * TRUTH.gain)):
+        value, expanded = number(campaign, "indices.csv", "read_static_gain", channel)
+        assert abs(value - truth) < 1.5 * expanded
+
+
+def test_releases_tell_how_the_ropes_let_go(campaign: Path) -> None:
+    rows = table(campaign / "step" / "releases.csv")
+    driven = {row["recording"]: row for row in rows if row["channel"] == "Fz"}
+    assert len(rows) == 10
+    assert [name for name, row in driven.items() if row["used"] == "yes"] == ["line-1", "line-2", "line-3"]
+    for name, row in driven.items():
+        truth = COTTON if name.startswith("cotton") else TRUTH
+        assert float(row["fit_release_s"]) == pytest.approx(truth.release_s, rel=0.1)
+        assert float(row["step_amplitude"]) == truth.amplitude
+        assert float(row["baseline"]) == pytest.approx(-truth.gain * truth.amplitude, rel=1e-2)
+
+
+def test_records_fits_and_residuals_are_in_the_file(campaign: Path) -> None:
+    with h5py.File(campaign / "step" / "step.h5") as file:
+        fit = file["Fz/releases/line-1/fit"]
+        rest = fit["residual"][()]
+        assert rest.shape == fit["time_s"].shape
+        assert np.std(rest) == pytest.approx(TRUTH.noise, rel=0.2)
+        assert file["Fz/pooled/model/covariance"].shape == (6, 6)
+
+
+def test_one_recording_has_its_own_folder_and_the_summary_says_so(
+    campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["step", str(campaign / "line-2"), "-o", str(tmp_path / "one")]) == 0
+    told = capsys.readouterr()
+    assert "Fz: 1 of 1 releases in the model; f_n (1700." in told.out
+    assert "one release only: what releases scatter by is not in U" in told.err
+
+
+def test_results_of_other_recordings_are_not_overwritten(campaign: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["step", str(campaign / "line-1"), "-o", str(campaign / "step")]) == 2
+    assert "found results of other input files" in capsys.readouterr().err

@@ -1,0 +1,112 @@
+"""Models of several releases as one: means, weights, scatter, coverage."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import stats
+
+from fusion.step.gains import mean_with_scatter
+from fusion.step.pool import pool_models, sorted_modes, weighted_mean
+from shaker.models.modal import ModalModel
+
+FloatArray = NDArray[np.float64]
+VECTOR = np.array([1700.0, 3000.0, 0.015, 0.02, 1.0, 2.0, -8000.0, -300.0, 6000.0, 7.0])
+SPREAD = np.array([0.1, 1.0, 1e-4, 1e-3, 0.01, 0.02, 1.0, 0.1, 10.0, 0.01])
+BLANK = ModalModel(np.zeros(2), np.zeros(2), np.zeros(2, dtype=np.complex128), np.zeros(1), np.zeros(1))
+
+
+def model(vector: FloatArray, u: FloatArray) -> ModalModel:
+    """A model with two modes and a real pole, of independent parameters."""
+    with_u = ModalModel(
+        BLANK.frequency_hz, BLANK.damping_ratio, BLANK.residue, BLANK.real_hz, BLANK.real_residue, np.diag(u**2)
+    )
+    return with_u.with_vector(vector)
+
+
+def test_equal_releases_halve_the_variance_of_two() -> None:
+    pooled = pool_models([model(VECTOR, SPREAD)] * 2, ["1", "1"])
+    assert pooled.model.vector == pytest.approx(VECTOR, rel=1e-14)
+    assert pooled.model.covariance == pytest.approx(np.diag(SPREAD**2 / 2), rel=1e-12, abs=1e-30)
+    u, dof = pooled.spread(np.eye(10))
+    assert u == pytest.approx(SPREAD / np.sqrt(2), rel=1e-12)
+    assert np.all(np.isinf(dof))
+
+
+def test_a_release_of_three_times_the_noise_weighs_a_ninth() -> None:
+    pooled = pool_models([model(VECTOR, SPREAD), model(VECTOR + SPREAD, 3 * SPREAD)], ["1", "1"])
+    assert pooled.shares == pytest.approx([0.9, 0.1], rel=1e-12)
+    assert pooled.model.vector == pytest.approx(VECTOR + 0.1 * SPREAD, rel=1e-12)
+
+
+def test_what_all_releases_share_is_not_averaged_and_moves_residues_alone() -> None:
+    pooled = pool_models([model(VECTOR, 1e-9 * SPREAD)] * 50, ["1"] * 50, u_scale=2e-3)
+    u, _ = pooled.spread(np.eye(10))
+    residues = np.array([4, 5, 6, 7, 9])
+    assert u[residues] == pytest.approx(2e-3 * np.abs(VECTOR[residues]), rel=1e-6)
+    assert np.all(u[[0, 1, 2, 3, 8]] < 1e-8 * VECTOR[[0, 1, 2, 3, 8]])
+    static, _ = pooled.spread(pooled.model.jacobian(lambda at: np.array([at.static_gain]))[1])
+    assert static[0] == pytest.approx(2e-3 * abs(pooled.model.static_gain), rel=1e-4)
+
+
+def test_scatter_between_releases_enters_with_its_degrees_of_freedom() -> None:
+    offsets = np.array([-1.0, 0.0, 1.0])
+    moved = [model(VECTOR + off * 30 * SPREAD, SPREAD) for off in offsets]
+    pooled = pool_models(moved, ["1"] * 3)
+    u, dof = pooled.spread(np.eye(10))
+    assert u == pytest.approx(30 * SPREAD / np.sqrt(3), rel=1e-12)  # s/√3 with s = 30 u
+    assert dof == pytest.approx(2.0)
+    assert pooled.model.covariance is not None
+    assert np.sqrt(np.diag(pooled.model.covariance)) == pytest.approx(u, rel=1e-12)
+
+
+def test_releases_of_one_mounting_do_not_count_as_mountings() -> None:
+    moved = [model(VECTOR + off * 30 * SPREAD, SPREAD) for off in (-1.0, -1.0, -1.0, 1.0)]
+    pooled = pool_models(moved, ["a", "a", "a", "b"])
+    u, dof = pooled.spread(np.eye(10))
+    assert dof == pytest.approx(1.0)
+    assert len(pooled.vectors) == 2
+    assert pooled.shares.sum() == pytest.approx(1.0)
+    assert np.all(u > 0.6 * 30 * SPREAD)
+
+
+def test_modes_are_matched_in_rising_frequency() -> None:
+    turned = [1, 0, 3, 2, 5, 4, 7, 6, 8, 9]
+    back = sorted_modes(model(VECTOR[turned], SPREAD[turned]))
+    assert np.array_equal(back.vector, VECTOR)
+    assert back.covariance is not None
+    assert np.array_equal(np.diag(back.covariance), SPREAD**2)
+
+
+@pytest.mark.parametrize(("between", "least"), [(0.0, 0.94), (0.5, 0.92), (5.0, 0.92)])
+def test_intervals_of_three_releases_hold_the_truth(between: float, least: float) -> None:
+    rng, size = np.random.default_rng(4), 10
+    held = []
+    for _ in range(120):
+        truth = rng.standard_normal(size)
+        own = truth + np.sqrt(1.0 + between**2) * rng.standard_normal((3, size))
+        pooled = pool_models([model(VECTOR + SPREAD * row, SPREAD) for row in own], ["1"] * 3)
+        u, dof = pooled.spread(np.eye(size))
+        off = np.abs(pooled.model.vector - VECTOR - SPREAD * truth)
+        held.append(off <= stats.t.ppf(0.975, np.where(np.isinf(dof), 1e9, dof)) * u)
+    assert np.mean(held) > least
+
+
+def test_the_mean_stays_between_the_vectors() -> None:
+    rng = np.random.default_rng(5)
+    vectors = rng.standard_normal((4, 6))
+    halves = rng.standard_normal((4, 6, 6))
+    mean = weighted_mean(vectors, halves @ np.swapaxes(halves, 1, 2))
+    assert np.all((mean.value >= vectors.min(axis=0)) & (mean.value <= vectors.max(axis=0)))
+    assert np.all(np.linalg.eigvalsh(mean.covariance) > 0.0)
+
+
+def test_birge_ratio_of_a_mean() -> None:
+    mean, u, dof = mean_with_scatter(np.array([1.0, 2.0, 3.0]), np.full(3, 0.1))
+    assert mean == pytest.approx(2.0)
+    assert u == pytest.approx(1.0 / np.sqrt(3))  # s/√n
+    assert dof == 2.0
+    _, u, dof = mean_with_scatter(np.array([1.0, 1.01]), np.full(2, 0.1))
+    assert u == pytest.approx(0.1 / np.sqrt(2))
+    assert dof == np.inf
