@@ -9,6 +9,7 @@ import numpy as np
 from fusion.compensate.result import LoadFilter, SubjectResult
 from fusion.compensate.wish import Wish
 from fusion.notices import Notice
+from shaker.models.compensation.bandwidth import KEPT_SHARE
 from shaker.models.compensation.target import band_ratio, best_damping
 
 WIDTH_SHARE = 0.3
@@ -56,7 +57,7 @@ def _target(found: LoadFilter, wish: Wish) -> Iterator[tuple[str, str]]:
     """Whether the target is the best for the permitted error, and whether a wanted band is kept."""
     target, error = found.compensation.target, wish.permitted_error
     reached, percent = band_ratio(target.damping_ratio, error), 100 * error
-    best = best_damping((1.0 - 0.1) * error)
+    best = best_damping((1.0 - KEPT_SHARE) * error)
     if wish.damping_ratio is not None and band_ratio(best, error) > BETTER * reached:
         yield (
             "info",

@@ -45,6 +45,14 @@ def quantity_rows(evaluation: CompensateEvaluation) -> Iterator[Row]:
                 yield [*head, name, _or_empty(value), _or_empty(u), unit]
 
 
+def over(top: str, bottom: str) -> str:
+    """One unit over another; 1 where they are the same."""
+    if top == bottom:
+        return "1"
+    parts = [f"({unit})" if "/" in unit or "." in unit else unit for unit in (top, bottom)]
+    return "/".join(parts)
+
+
 def _or_empty(value: float | None) -> float | str:
     """A number, nothing for what there is none of."""
     return "" if value is None else value
@@ -56,7 +64,7 @@ def _numbers(result: SubjectResult, found: LoadFilter) -> Iterator[tuple[str, fl
     modes = len(sensor.frequency_hz)
     names = [f"sensor_{name}_{m + 1}" for name in ("frequency_hz", "damping_ratio") for m in range(modes)]
     names += [f"sensor_real_hz_{q + 1}" for q in range(len(sensor.real_hz))] + ["sensor_static_gain"]
-    gain_unit = f"{result.subject.unit}/{result.subject.load_unit}"
+    gain_unit = over(result.subject.unit, result.subject.load_unit)
     for name, value, u in zip(names, sensor.vector, sensor.u, strict=True):
         unit = "Hz" if "_hz" in name else gain_unit if name == "sensor_static_gain" else "1"
         yield name, float(value), None if np.isnan(u) else float(u), unit
@@ -65,7 +73,7 @@ def _numbers(result: SubjectResult, found: LoadFilter) -> Iterator[tuple[str, fl
     for when, figures in (("before", found.before), ("after", found.after)):
         for name, value_ in figures.indices.figures().items():
             yield f"{when}_{name}", value_, figures.u[name], unit_of(name) or "1"
-    yield "white_noise_gain", found.noise_gain, None, f"{result.output_unit}/{result.subject.unit}"
+    yield "white_noise_gain", found.noise_gain, None, over(result.output_unit, result.subject.unit)
     yield "noise", found.noise, None, result.output_unit
     yield "discretisation_error", found.discretisation_error, None, "1"
     for off, ringing in zip(found.off_frequency, found.off_ringing, strict=True):
@@ -159,7 +167,7 @@ def mismatch_tables(evaluation: CompensateEvaluation) -> list[Table]:
         first = result.filters[0]
         loads = len(first.off_load) > 1
         head = [f"{GRAM * load:.4g} g" for load in first.off_load] if loads else []
-        head = head or [f"{PERCENT * off:+g} %".replace("-", "\N{MINUS SIGN}") for off in first.off_frequency]
+        head = head or [_signed_percent(off) for off in first.off_frequency]
         rows = [
             (
                 label(result, found),
@@ -172,6 +180,11 @@ def mismatch_tables(evaluation: CompensateEvaluation) -> list[Table]:
         if head:
             tables.append(Table(caption, ("filter for", *head), "l" + "r" * len(head), tuple(rows)))
     return tables
+
+
+def _signed_percent(share: float) -> str:
+    """A share in % with its sign, none before zero."""
+    return f"{PERCENT * share:+g} %".replace("-", "\N{MINUS SIGN}") if share else "0 %"
 
 
 def damping_table(evaluation: CompensateEvaluation) -> Table:

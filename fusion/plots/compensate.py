@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullFormatter
 from numpy.typing import NDArray
 
 from fusion.plots.style import (
@@ -118,8 +118,9 @@ def draw_bode(name: str, curves: BodeCurves) -> Picture:
         upper.set_ylabel("gain / static gain")
         lower.set_ylabel("phase / °")
         lower.set_xlabel("frequency / Hz")
-        lower.set_ylim(-370.0, 20.0)
-        lower.set_yticks([-360, -270, -180, -90, 0])
+        lowest = min(float(np.min(_degrees(values))) for values in (curves.before, curves.after))
+        lower.set_ylim(lowest - 30.0, 30.0)
+        lower.yaxis.set_major_locator(MultipleLocator(90.0))
         upper.legend(loc="lower left")
         panel_label(upper, curves.title)
         lay_out(figure, (upper, lower), top=0.24, gap=(0.5, 0.18), left=0.78, label=0.58)

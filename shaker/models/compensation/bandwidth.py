@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from shaker._checks import ComplexArray
 from shaker.models.compensation.dynamics import SensorDynamics
-from shaker.models.compensation.filter import Compensation
-from shaker.models.compensation.target import Target, best_damping
+from shaker.models.compensation.target import Target, best_damping, cancelled_poles, target_poles
 
 KEPT_SHARE = 0.1
 """Share of the permitted error that is left to the uncertainty of the model."""
 HIGHEST_FACTOR = 32.0
+RESOLUTION = 1e-10
 POINTS = 257
 
 
@@ -50,17 +51,23 @@ def _lowest_frequency(
     sensor: SensorDynamics, bandwidth_hz: float, permitted_error: float, damping: float, real_hz: float | None
 ) -> float:
     """Lowest natural frequency with which the band is kept, infinite where none does."""
-    hertz = np.linspace(0.0, bandwidth_hz, POINTS)
+    s: ComplexArray = np.asarray(2j * np.pi * np.linspace(0.0, bandwidth_hz, POINTS), dtype=np.complex128)
+    rest = np.abs(sensor.system.at(s)) * np.abs(_numerator(s, cancelled_poles(sensor))) / abs(sensor.static_gain)
     allowed = (1.0 - KEPT_SHARE) * permitted_error
 
     def kept(frequency: float) -> bool:
-        gain = np.abs(Compensation(sensor, Target(frequency, damping, real_hz)).compensated.response(hertz))
-        return bool(np.max(np.abs(gain / gain[0] - 1.0)) <= allowed)
+        gain = rest / np.abs(_numerator(s, target_poles(sensor, Target(frequency, damping, real_hz))))
+        return bool(np.max(np.abs(gain - 1.0)) <= allowed)
 
     low, high = bandwidth_hz / HIGHEST_FACTOR, bandwidth_hz * HIGHEST_FACTOR
     if not kept(high):
         return float("inf")
-    while high / low > 1.0 + 1e-12:
+    while high / low > 1.0 + RESOLUTION:
         middle = float(np.sqrt(low * high))
         low, high = (low, middle) if kept(middle) else (middle, high)
     return high
+
+
+def _numerator(s: ComplexArray, factors: list[ComplexArray]) -> ComplexArray:
+    """Π(1 - s/p) (K,) over all poles p."""
+    return np.asarray(np.prod(1.0 - s[:, None] / np.concatenate(factors), axis=1))

@@ -67,6 +67,14 @@ def sampled(compensation: Compensation, sample_rate_hz: float, method: Discretis
     return Sections(np.stack(rows), compensation.gain, float(sample_rate_hz))
 
 
+def filled(sections: Sections, count: int) -> Sections:
+    """Return the same filter as `count` sections, those added letting everything pass."""
+    if count < len(sections.sos):
+        raise ValueError(f"count: expected at least {len(sections.sos)}, as many as there are, found {count}")
+    more = np.tile([1.0, 0.0, 0.0, 1.0, 0.0, 0.0], (count - len(sections.sos), 1))
+    return Sections(np.concatenate([sections.sos, more]), sections.gain, sections.sample_rate_hz)
+
+
 def section_row(zeros: ComplexArray, poles: ComplexArray, rate_hz: float, method: Discretisation) -> FloatArray:
     """Return one section (6,) of zeros and poles in rad/s, one or two of each, with the static gain 1."""
     constant = None

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from shaker.models.compensation.discrete import Discretisation, Sections, sampled
+from shaker.models.compensation.discrete import Discretisation, Sections, filled, sampled
 from shaker.models.compensation.dynamics import loaded_dynamics
 from shaker.models.compensation.filter import Compensation
 from shaker.models.compensation.target import Target
 from shaker.models.load_series.model import LoadModel
-
-UNTOUCHED = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 0.0])
 
 
 @dataclass(frozen=True)
@@ -37,7 +33,4 @@ class Schedule:
 
         Where a load has fewer modes the last sections let everything pass.
         """
-        found = sampled(self.at(load_mass), sample_rate_hz, method)
-        missing = self.modes - len(found.sos)
-        sos = np.concatenate([found.sos, np.tile(UNTOUCHED, (missing, 1))])
-        return Sections(sos, found.gain, found.sample_rate_hz)
+        return filled(sampled(self.at(load_mass), sample_rate_hz, method), self.modes)

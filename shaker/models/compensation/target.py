@@ -9,13 +9,17 @@ import numpy as np
 from shaker._checks import ComplexArray
 from shaker.models.compensation.dynamics import SensorDynamics
 
+MODE_SPACING = 2.0
+"""How far apart, over the target's frequency, further modes are put at least."""
+
 
 @dataclass(frozen=True)
 class Target:
     """Natural frequency in Hz and damping ratio that the lowest compensated mode shall have.
 
-    Further compensated modes are moved by the same factor in frequency and get the same damping ratio. `real_hz`: where
-    the slowest compensated real pole shall lie, the others by the same factor; needed only where there is one.
+    Further compensated modes get the same damping ratio and keep their frequency, but are moved to twice, four times, …
+    the target's where they lie below. `real_hz`: where the slowest compensated real pole shall lie, the others by the
+    same factor; needed only where there is one.
     """
 
     frequency_hz: float
@@ -61,8 +65,9 @@ def target_poles(sensor: SensorDynamics, target: Target) -> list[ComplexArray]:
     """Return the poles in rad/s that take their place, section by section."""
     found = []
     if len(sensor.frequency_hz):
-        factor = target.frequency_hz / sensor.frequency_hz[0]
-        found = [mode_poles(factor * f, target.damping_ratio) for f in sensor.frequency_hz]
+        least = target.frequency_hz * MODE_SPACING * np.arange(1, len(sensor.frequency_hz))
+        frequencies = [target.frequency_hz, *np.maximum(sensor.frequency_hz[1:], least)]
+        found = [mode_poles(float(f), target.damping_ratio) for f in frequencies]
     if len(sensor.real_hz):
         if target.real_hz is None:
             raise ValueError("real_hz: expected where the slowest real pole shall lie, found none")

@@ -1,0 +1,284 @@
+"""`shakercal compensate`: from models or numbers to filters, C code and filtered recordings."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from fusion.cli import main
+from fusion.compensate.export import read_filters
+from fusion.compensate.recording import white_noise
+from fusion.errors import InputError
+from fusion.load_series.model_file import model_text
+from fusion.models_file import ModelEntry, ModelsFile, models_text
+from shaker.models.compensation.stream import CompensationFilter
+from shaker.models.load_series.model import LoadModel
+from shaker.models.modal import ModalModel
+
+RATE = 50e3
+GAIN = 2.0e-3
+FN, ZETA = 500.0, 0.004
+
+
+def _mode(fn: float = FN, zeta: float = ZETA, gain: float = GAIN) -> ModalModel:
+    """One mode of a given static gain, with covariance."""
+    omega = 2 * np.pi * fn
+    upper = omega * (-zeta + 1j * np.sqrt(1 - zeta**2))
+    residue = gain * omega**2 / (2j * upper.imag)
+    spread = np.diag([0.01, 2e-6, 1e-6, 1e-6]) ** 2
+    return ModalModel(np.array([fn]), np.array([zeta]), np.array([residue]), np.zeros(0), np.zeros(0), spread)
+
+
+def _write_models(folder: Path) -> Path:
+    folder.mkdir()
+    entries = tuple(
+        ModelEntry(name, component, f"V/{unit}", "pencil", model, RATE, 1e-4, "release-1")
+        for name, component, unit, model in (
+            ("Fz", "Fz", "N", _mode()),
+            ("Fz", "Mx", "(N.m)", _mode(700.0, 0.01, 5 * GAIN)),
+            ("Mx", "Mx", "(N.m)", _mode(900.0, 0.01, 0.1)),
+        )
+    )
+    file = folder / "models.json"
+    file.write_text(models_text(ModelsFile("bench", "sensor", "7", entries)), encoding="utf-8")
+    return file
+
+
+def _write_loads(folder: Path) -> Path:
+    folder.mkdir()
+    model = LoadModel(
+        "Fy", "Fy", "V", 0.240, 2.36e6, 6.0, 1.89e6, 4.0, GAIN,
+        covariance=np.diag([100.0, 0.01, 200.0, 0.05]) ** 2, load_masses=(0.0, 0.048, 0.198),
+    )  # fmt: skip
+    file = folder / "load.json"
+    file.write_text(model_text([model], "bench", "sensor", "shakercal"), encoding="utf-8")
+    return file
+
+
+def _write_recording(folder: Path, load_mass: float = 0.048) -> np.ndarray:
+    """A release of 40 N from a sensor of two masses; the output it left."""
+    model = LoadModel("Fy", "Fy", "V", 0.240, 2.36e6, 6.0, sensitivity=GAIN)
+    time = np.arange(5000) / RATE
+    clean = 0.3 - 40.0 * model.system(load_mass).step(time - 0.02)
+    noisy = clean + np.random.default_rng(4).normal(scale=2e-5, size=len(time))
+    folder.mkdir(parents=True)
+    np.savetxt(folder / "daq.csv", np.stack([time, noisy], axis=1), delimiter=",", header="time,Fy", comments="")
+    (folder / "rig.toml").write_text(
+        'format = 1\nname = "bench"\n[sensor]\nname = "sensor"\nchannels = ["Fy"]\nunit = "V"\nsense = "on_load"\n'
+        f"internal_mass = 0.24\n[load]\nmass = {load_mass}\ncentre_of_mass = [0, 0, 0.01]\n"
+        "inertia = [[1e-6, 0, 0], [0, 1e-6, 0], [0, 0, 1e-6]]\n",
+        encoding="utf-8",
+    )
+    (folder / "recording.toml").write_text(
+        'format = 1\nname = "release"\nrig = "rig.toml"\n'
+        '[excitation]\nkind = "step"\ncomponent = "Fy"\nstep_amplitude = -40.0\n'
+        '[[daq]]\nname = "a"\nfile = "daq.csv"\n'
+        '[[daq.channel]]\nname = "Fy"\nquantity = "output"\nchannel = "Fy"\n',
+        encoding="utf-8",
+    )
+    return clean
+
+
+def test_the_published_case_from_numbers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    arguments = ["--sensor-frequency", "500", "--sensor-damping", "0.004", "--frequency", "1000", "--damping", "0.5"]
+    assert main(["compensate", *arguments, "-o", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert "overshoot: 98.751 % -> 16.303 %" in printed
+    assert "±10 % band: 150.76 Hz -> 472.77 Hz" in printed
+    assert "2 % settling: 311.03 ms -> 1.2854 ms" in printed
+    assert sorted(path.name for path in out.iterdir()) == [
+        "compensate.csv", "compensate.h5", "compensate.html", "compensation.h", "compensation.json",
+    ]  # fmt: skip
+    with (out / "compensate.csv").open(encoding="utf-8") as file:
+        rows = {row["name"]: row for row in csv.DictReader(file)}
+    assert float(rows["after_band_10_hz"]["value"]) == pytest.approx(472.8, abs=0.05)
+    assert rows["after_band_10_hz"]["unit"] == "Hz"
+    page = (out / "compensate.html").read_text(encoding="utf-8")
+    assert not re.search(r'(src|href)="(http|//|file)', page)
+    assert "16.303" in page
+
+
+def test_models_of_a_step_campaign(tmp_path: Path) -> None:
+    """One filter per channel, by the model of its own component, in the units of that model."""
+    out = tmp_path / "out"
+    models = _write_models(tmp_path / "step")
+    assert main(["compensate", str(models.parent), "--bandwidth", "1200", "--calibrated", "-o", str(out)]) == 0
+    filters = {(one.channel, one.component): one for one in read_filters(out)}
+    assert list(filters) == [("Fz", "Fz"), ("Mx", "Mx")]
+    found = filters["Fz", "Fz"].sections
+    assert found.sample_rate_hz == RATE
+    assert found.gain == pytest.approx(1.0 / GAIN, rel=1e-9)
+    content = json.loads((out / "compensation.json").read_text(encoding="utf-8"))["filters"][0]
+    assert (content["input_unit"], content["output_unit"]) == ("V", "N")
+    assert content["sensor"]["u"][0] == pytest.approx(0.01, rel=1e-3)
+    with h5py.File(out / "compensate.h5") as file:
+        gain = file["filters/Fz/before"][:] * file["filters/Fz/filter"][:]
+        hertz = file["filters/Fz/frequency_hz"][:]
+        assert np.max(np.abs(np.abs(gain[hertz < 1200.0]) - 1.0)) < 0.1
+        assert np.all(file["filters/Fz/u_gain"][:] >= 0)
+
+
+def test_a_filter_for_every_load_of_one_target(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, loads = tmp_path / "out", _write_loads(tmp_path / "load")
+    wish = ["--frequency", "1000", "--damping", "0.5", "--modes", "2", "--load-mass", "0", "0.048", "0.198"]
+    assert main(["compensate", str(loads), *wish, "-o", str(out)]) == 0
+    found = read_filters(out)
+    assert [one.load_mass for one in found] == [0.0, 0.048, 0.198]
+    assert {len(one.sections.sos) for one in found} == {2}
+    assert "Fy, load 198 g" in capsys.readouterr().out
+    with h5py.File(out / "compensate.h5") as file:
+        ringing = file["filters/Fy, load 0 g/load_ringing"][:]
+    assert np.all(np.diff(ringing) > 0)
+
+
+def test_one_mode_of_two_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    loads = _write_loads(tmp_path / "load")
+    wish = ["--frequency", "1000", "--load-mass", "0.198", "-o", str(tmp_path / "out")]
+    assert main(["compensate", str(loads), *wish]) == 0
+    assert "--modes compensates it too" in capsys.readouterr().err
+
+
+def test_a_recording_is_filtered_for_the_load_of_its_rig(tmp_path: Path) -> None:
+    """The record of a sensor that rings comes out as the step of the target, within its uncertainty."""
+    folder = tmp_path / "load"
+    folder.mkdir()
+    model = LoadModel("Fy", "Fy", "V", 0.240, 2.36e6, 6.0, sensitivity=GAIN, covariance=np.diag([10.0, 1e-3]) ** 2)
+    (folder / "load.json").write_text(model_text([model], "bench", "sensor", "shakercal"), encoding="utf-8")
+    _write_recording(tmp_path / "release")
+    out = tmp_path / "out"
+    wish = ["--frequency", "1000", "--damping", "0.6", "--calibrated", "--apply", str(tmp_path / "release")]
+    assert main(["compensate", str(folder), *wish, "-o", str(out)]) == 0
+    assert read_filters(out)[0].load_mass == 0.048
+    table = np.genfromtxt(out / "compensated.csv", delimiter=",", names=True)
+    aim = 0.3 / GAIN - 40.0 * _second_order(table["time_s"] - 0.02, 1000.0, 0.6)
+    late = np.abs(table["time_s"] - 0.02) > 1.5e-4
+    deviation = np.abs(table["Fy"] - aim)[late]
+    assert np.mean(deviation < table["U_Fy"][late]) > 0.93
+    assert np.max(np.abs(table["Fy"][table["time_s"] > 0.03] - aim[-1])) < 0.4
+    with h5py.File(out / "compensate.h5") as file:
+        assert file["compensated/Fy"].attrs["unit"] == "N"
+        np.testing.assert_array_equal(file["compensated/Fy/value"][:], table["Fy"])
+
+
+def _second_order(time: np.ndarray, fn: float, zeta: float) -> np.ndarray:
+    """The unit step of a mode."""
+    omega, t = 2 * np.pi * fn, np.maximum(time, 0.0)
+    damped = omega * np.sqrt(1 - zeta**2)
+    swing = np.cos(damped * t) + zeta * omega / damped * np.sin(damped * t)
+    return np.where(time > 0, 1 - np.exp(-zeta * omega * t) * swing, 0.0)
+
+
+def test_noise_by_third_differences_is_that_of_the_samples() -> None:
+    rng = np.random.default_rng(2)
+    slow = np.sin(2 * np.pi * 50.0 * np.arange(20_000) / RATE)
+    assert white_noise(slow + rng.normal(scale=0.01, size=20_000)) == pytest.approx(0.01, rel=0.03)
+
+
+PROGRAM = """
+#include <stdio.h>
+#include "compensation.h"
+int main(void)
+{
+    shakercal_filter filter;
+    double value;
+    int place = 0;
+    if (scanf("%la", &value) != 1) return 1;
+    shakercal_start(&filter, &compensate_Fy, 0, value);
+    do {
+        if (place++ == 300) shakercal_switch(&filter, 1);
+        printf("%a\\n", shakercal_step(&filter, value));
+    } while (scanf("%la", &value) == 1);
+    return 0;
+}
+"""
+
+
+def test_the_c_header_gives_the_same_bits(tmp_path: Path) -> None:
+    """Compiled and run beside the program's own filter, with a switch of the load on the way."""
+    compiler = shutil.which("cc")
+    if compiler is None:
+        pytest.skip("no C compiler (cc) on this machine")
+    out, loads = tmp_path / "out", _write_loads(tmp_path / "load")
+    wish = ["--frequency", "1000", "--damping", "0.5", "--modes", "2", "--load-mass", "0", "0.198", "--calibrated"]
+    assert main(["compensate", str(loads), *wish, "-o", str(out)]) == 0
+    (out / "main.c").write_text(PROGRAM, encoding="utf-8")
+    flags = ["-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror", "-o", str(out / "run")]
+    subprocess.run([compiler, *flags, str(out / "main.c")], check=True)
+    data = 5.0 + np.random.default_rng(9).normal(size=700).cumsum()
+    text = "\n".join(value.hex() for value in data.tolist())
+    told = subprocess.run([str(out / "run")], input=text, capture_output=True, text=True, check=True).stdout
+    in_c = np.array([float.fromhex(line) for line in told.split()])
+    first, second = (one.sections for one in read_filters(out))
+    stream = CompensationFilter(first, level=None)
+    before = stream(data[None, :300])
+    stream.switch(second)
+    here = np.concatenate([before, stream(data[None, 300:])], axis=1)[0]
+    np.testing.assert_allclose(in_c, here, rtol=1e-14, atol=1e-12 * np.max(np.abs(here)))
+    if "x86_64" in subprocess.run(["uname", "-m"], capture_output=True, text=True, check=True).stdout:
+        np.testing.assert_array_equal(in_c, here)
+
+
+NUMBERS = ["--sensor-frequency", "500", "--sensor-damping", "0.004"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (NUMBERS, "expected either --frequency or --bandwidth, found none"),
+        ([*NUMBERS, "--frequency", "900", "--bandwidth", "900"], "found both"),
+        ([*NUMBERS, "--bandwidth", "900", "--damping", "0.5"], "no --damping beside --bandwidth"),
+        (["--frequency", "900"], "models.json, load.json, a folder with one"),
+        ([*NUMBERS[:2], "--sensor-damping", "1.5", "--frequency", "900"], "a damping ratio below 1"),
+        ([*NUMBERS, "--frequency", "900", "--sample-rate", "1000"], "at least 2000 for a filter to 900 Hz"),
+        ([*NUMBERS, "--frequency", "900", "--permitted-error", "200"], "a permitted error above 0 and below 100 %"),
+        ([*NUMBERS, "--frequency", "900", "--channel", "Fq"], "expected one of sensor, found Fq"),
+        (["nowhere", "--frequency", "900"], "nowhere"),
+    ],
+)
+def test_bad_input_is_one_sentence(arguments: list[str], told: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["compensate", *arguments]) == 2
+    error = capsys.readouterr().err.strip()
+    assert told in error
+    assert error.count("\n") == 0
+
+
+def test_bad_files_are_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    empty, broken = tmp_path / "empty", tmp_path / "broken.json"
+    empty.mkdir()
+    broken.write_text('{"models": 3}', encoding="utf-8")
+    loads = _write_loads(tmp_path / "load")
+    cases = {
+        str(empty): "found none of them",
+        str(broken): "models as shakercal step or shakercal load writes them",
+    }
+    for path, told in cases.items():
+        assert main(["compensate", path, "--frequency", "900"]) == 2
+        assert told in capsys.readouterr().err
+    assert main(["compensate", str(loads), "--frequency", "900", "--real-pole", "9000"]) == 2
+    assert "a model over the load has none" in capsys.readouterr().err
+    _write_recording(tmp_path / "release")
+    both = ["--load-mass", "0", "0.1", "--apply", str(tmp_path / "release"), "-o", str(tmp_path / "out")]
+    assert main(["compensate", str(loads), "--frequency", "900", *both]) == 2
+    assert "one load mass with --apply" in capsys.readouterr().err
+    assert main(["compensate", str(_write_models(tmp_path / "step")), "--frequency", "900", "--modes", "2"]) == 2
+    assert "expected 0 to 1" in capsys.readouterr().err
+    with pytest.raises(InputError, match="filters as shakercal compensate writes them"):
+        read_filters(broken)
+
+
+def test_other_results_are_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "mine.txt").write_text("mine", encoding="utf-8")
+    assert main(["compensate", *NUMBERS, "--frequency", "900", "-o", str(out)]) == 2
+    assert "out" in capsys.readouterr().err
+    assert [path.name for path in out.iterdir()] == ["mine.txt"]
