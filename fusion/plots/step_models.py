@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 from numpy.typing import NDArray
 
 from fusion.plots.style import (
@@ -78,7 +78,7 @@ def draw_bode(name: str, curve: BodeCurve) -> Picture:
         panels[-1].set_xlim(float(curve.frequency_hz[0]), float(curve.frequency_hz[-1]))
         panels[-1].xaxis.set_major_locator(LogLocator(10.0, subs=(1.0, 2.0, 5.0)))
         panels[-1].xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        panels[-1].xaxis.set_minor_formatter(NullFormatter())
+        panels[-1].xaxis.set_minor_locator(NullLocator())
         panels[-1].set_xlabel("frequency / Hz")
         lay_out(figure, panels, top=0.24, gap=(0.5, 0.28), left=0.78, label=0.58)
         caption = (

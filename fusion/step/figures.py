@@ -5,17 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.coverage import coverage_factor
 from fusion.step.pool import Pooled
 from shaker.models.indices.indices import indices
 from shaker.models.indices.result import LABELS, Indices, unit_of
-from shaker.models.indices.uncertain import settling_u
-from shaker.models.modal import ModalModel
-
-FloatArray = NDArray[np.float64]
-SETTLING = {"settling_5_s": 0.05, "settling_2_s": 0.02}
+from shaker.models.indices.uncertain import SETTLING, moving_figures, settling_u
 
 
 @dataclass(frozen=True)
@@ -60,23 +55,20 @@ def index_figures(
     """Return the indices of a pooled model, and those that it has as figures with uncertainty.
 
     `nominal`: the gain that the sensor should have, None where nobody states it: then no band against it. Settling
-    times jump by half periods: their uncertainty is `settling_u`'s.
+    times jump by half periods: their uncertainty is `settling_u`'s, with the degrees of freedom of the damping.
     """
-    names = [name for name in LABELS if nominal is not None or "nominal" not in name]
-
-    def values(model: ModalModel) -> FloatArray:
-        figures = indices(model.system, nominal or 1.0).figures()
-        return np.array([np.nan if figures[name] is None else figures[name] for name in names], dtype=np.float64)
-
     found = indices(pooled.model.system, nominal or 1.0, sample_rate_hz)
-    value, gradient = pooled.model.jacobian(values)
-    u, dof = pooled.spread(gradient)
-    for name, tolerance in SETTLING.items():
-        own = settling_u(pooled.model, tolerance)
-        u[names.index(name)] = np.nan if own is None else own
-    told = zip(names, value.tolist(), u.tolist(), dof.tolist(), strict=True)
-    units = {**{name: unit_of(name) or "1" for name in names}, "static_gain": unit}
-    return found, tuple(Figure(n, LABELS[n], v, s, d, units[n]) for n, v, s, d in told if np.isfinite(v))
+    names, moving = moving_figures(pooled.model, found)
+    spread = zip(names, *(part.tolist() for part in pooled.spread(pooled.model.jacobian(moving)[1])), strict=True)
+    known = {name: (u, dof) for name, u, dof in spread}
+    of_damping = known.get("damping_ratio", (0.0, np.inf))[1]
+    known |= {name: (settling_u(pooled.model, tolerance), of_damping) for name, tolerance in SETTLING.items()}
+    figures = []
+    for name, value in found.figures().items():
+        if value is not None and np.isfinite(value) and (nominal is not None or "nominal" not in name):
+            own = unit if name == "static_gain" else unit_of(name) or "1"
+            figures.append(Figure(name, LABELS[name], value, *known.get(name, (np.nan, np.inf)), own))
+    return found, tuple(figures)
 
 
 def _label(name: str) -> str:
