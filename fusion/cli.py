@@ -12,6 +12,7 @@ from fusion.commands import (
     cameras,
     check,
     compensate,
+    decouple,
     elastomer,
     identify,
     import_calibration,
@@ -88,7 +89,7 @@ def _parser() -> argparse.ArgumentParser:
     loudness.add_argument("-q", "--quiet", action="store_true", help="warnings and errors only, no progress bar")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     first = (run, check, cameras, import_calibration, align, simulate, plan, lines, transfer, rotate, identify)
-    for command in (*first, step, load, compensate, elastomer):
+    for command in (*first, step, load, compensate, decouple, elastomer):
         command.add(commands, common)
     return parser
 

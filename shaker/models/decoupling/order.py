@@ -22,7 +22,7 @@ _AS_LONG = (1.25, 1.35, 1.45, 1.55)
 _REAL_SHARES = (0.3, 1.0, 3.0)
 _HIGHEST_REAL = 0.45
 _TOLD_SAMPLES = 2.0
-_LONGER = (0.5, 1.0, 2.0)
+_LONGER = (0.5, 2.0)
 _UNEXPLAINED = 1.5
 
 
@@ -102,7 +102,8 @@ def shaped(problem: StepProblem, found: Fitted) -> Fitted:
 
 
 def _begun(problem: StepProblem, poles: Poles, release: Release, place: int) -> Release:
-    """A release by its record alone, poles held: the best of searches from shorter and longer ones of both shapes."""
+    """A release by its record alone, poles held: the best of both shapes, from shorter and longer ones
+    too where the record is not explained."""
     part = StepProblem((problem.records[place],), (problem.records[place].component,))
 
     def search(start: Release) -> tuple[float, Release]:
@@ -120,10 +121,11 @@ def _begun(problem: StepProblem, poles: Poles, release: Release, place: int) -> 
         return found.projected.loss, replace(start, middle_s=float(times[0]), duration_s=max(0.0, float(times[1])))
 
     shapes: tuple[Shape, ...] = ("ramp", "smooth")
-    starts = [
-        replace(release, shape=shape, duration_s=ratio * release.duration_s) for shape in shapes for ratio in _LONGER
-    ]
-    return min((search(start) for start in starts), key=lambda pair: pair[0])[1]
+    best = min((search(replace(release, shape=shape)) for shape in shapes), key=lambda pair: pair[0])
+    if best[0] < _UNEXPLAINED * part.values:
+        return best[1]
+    others = [replace(release, shape=shape, duration_s=by * release.duration_s) for shape in shapes for by in _LONGER]
+    return min((best, *(search(start) for start in others)), key=lambda pair: pair[0])[1]
 
 
 def _better_shape(problem: StepProblem, poles: Poles, releases: Sequence[Release], place: int) -> Release:
@@ -209,21 +211,23 @@ def _smaller(problem: StepProblem, here: Fitted, most: int | None) -> Fitted | N
 
 def _larger(problem: StepProblem, here: Fitted, most: int | None, reals: int) -> Fitted | None:
     """The fit with the mode or the real pole that lowers the loss most, None where the numbers are reached."""
-    offers: list[Poles] = []
+    modes: list[Poles] = []
     if most is None or here.poles.modes < most:
-        offers += [here.poles.with_mode(complex(pole)) for pole in _left(problem, here)]
+        modes = [here.poles.with_mode(complex(pole)) for pole in _left(problem, here)]
+    lags: list[Poles] = []
     if len(here.poles.real_hz) < reals:
         top = float(here.poles.frequency_hz.max())
         limit = _HIGHEST_REAL * problem.records[0].blocks.rate_hz
-        offers += [here.poles.with_real(min(share * top, limit)) for share in _REAL_SHARES]
-    if not offers:
-        return None
-    losses = [_loss(problem, offer, here.releases) for offer in offers]
+        lags = [here.poles.with_real(min(share * top, limit)) for share in _REAL_SHARES]
     tried = []
-    for i in np.argsort(losses)[:2]:
-        fitted = fit_poles(problem, offers[i], here.releases, _FEW_STEPS, _ROUGH)
-        again = _again(problem, fitted)
-        tried += [fitted] if again is None else [fitted, again]
+    for offers in (modes, lags):
+        if offers:
+            losses = [_loss(problem, offer, here.releases) for offer in offers]
+            fitted = fit_poles(problem, offers[int(np.argmin(losses))], here.releases, _FEW_STEPS, _ROUGH)
+            again = _again(problem, fitted)
+            tried += [fitted] if again is None else [fitted, again]
+    if not tried:
+        return None
     return min(tried, key=lambda fitted: criterion(problem, fitted.poles, fitted.solution.projected.loss))
 
 

@@ -12,7 +12,6 @@ from shaker._checks import ComplexArray, FloatArray
 Shape = Literal["ramp", "smooth"]
 SHORTEST = 1e-3
 """A release shorter than this share of a sample counts as a step."""
-_DIFFERENCE = 1e-5
 
 
 @dataclass(frozen=True)
@@ -57,7 +56,7 @@ def release_basis(
         part[late] = found
     if touched.any():
         tau = (first[touched][:, None] + np.arange(blocks.size) / blocks.rate_hz).ravel()
-        for part, found in zip(parts, _sampled(p, tau, length, shape), strict=True):
+        for part, found in zip(parts, _sampled(p, tau, length, blocks.rate_hz, shape), strict=True):
             part[touched] = found.reshape(-1, blocks.size, len(p)).mean(axis=1)
     value, by_pole, by_onset, by_duration = parts
     return ReleaseBasis(value, by_pole, by_onset, by_duration - by_onset / 2.0)
@@ -92,37 +91,39 @@ def _after(
     return value, by_pole, -share * decay, share_slope * decay
 
 
-def _sampled(p: ComplexArray, tau: FloatArray, length: float, shape: Shape) -> tuple[ComplexArray, ...]:
-    """Answers and slopes over p, onset and duration sample by sample."""
-    value = _answer(p, tau, length, shape)
-    step = _DIFFERENCE * np.abs(p)
-    by_pole = (_answer(p + step, tau, length, shape) - _answer(p - step, tau, length, shape)) / (2 * step)
-    by_onset = -(p * value + _load(tau, length, shape)[:, None])
-    if length == 0.0:
-        return value, by_pole, by_onset, by_onset / 2
-    change = _DIFFERENCE * length
-    longer, shorter = (_answer(p, tau, length + sign * change, shape) for sign in (1.0, -1.0))
-    return value, by_pole, by_onset, (longer - shorter) / (2 * change)
+def _sampled(p: ComplexArray, tau: FloatArray, length: float, rate_hz: float, shape: Shape) -> tuple[ComplexArray, ...]:
+    """Answers and slopes over p, onset and duration at single times since the onset."""
+    found = tuple(np.zeros((len(tau), len(p)), dtype=np.complex128) for _ in range(4))
+    single = SampleBlocks(0.0, rate_hz, 1, 1)
+    after, during = tau >= length, (tau > 0.0) & (tau < length)
+    for whole, part in zip(found, _after(p, tau[after] - length, length, single, shape), strict=True):
+        whole[after] = part
+    if during.any():
+        follow = _along_line if shape == "ramp" else _along_cosine
+        for whole, part in zip(found, follow(p, tau[during][:, None], length), strict=True):
+            whole[during] = part
+    return found
 
 
-def _load(tau: FloatArray, length: float, shape: Shape) -> FloatArray:
-    """Load over the time since the onset."""
-    if length == 0.0:
-        return np.asarray(np.where(tau > 0, 1.0, 0.0))
-    share = np.clip(tau / length, 0.0, 1.0)
-    return np.asarray(share if shape == "ramp" else (1 - np.cos(np.pi * share)) / 2)
+def _along_line(p: ComplexArray, t: FloatArray, length: float) -> tuple[ComplexArray, ...]:
+    """Answers and slopes while the load goes along a line: y = (expm1(pt)/p - t)/(pT)."""
+    grown = np.expm1(p * t)
+    value = (grown / p - t) / (p * length)
+    by_pole = (t * (grown + 1.0) - grown / p) / (p**2 * length) - value / p
+    return value, by_pole, -(p * value + t / length), -value / length
 
 
-def _answer(p: ComplexArray, tau: FloatArray, length: float, shape: Shape) -> ComplexArray:
-    """Answers (N, P) at times since the onset."""
-    t = np.maximum(tau, 0.0)[:, None]
-    if length == 0.0:
-        return np.asarray(np.expm1(p * t) / p)
-    within = np.minimum(t, length)
-    if shape == "ramp":
-        found = (np.expm1(p * within) / p - within) / (p * length)
-    else:
-        turn = np.pi / length
-        forced = p * np.cos(turn * within) - turn * np.sin(turn * within)
-        found = np.expm1(p * within) / (2 * p) - (p * np.exp(p * within) - forced) / (2 * (p**2 + turn**2))
-    return np.asarray(found * np.exp(p * (t - within)) + np.expm1(p * (t - within)) / p)
+def _along_cosine(p: ComplexArray, t: FloatArray, length: float) -> tuple[ComplexArray, ...]:
+    """Answers and slopes while the load goes along half a cosine, w = π/T.
+
+    y = expm1(pt)/(2p) - (p e^{pt} - p cos wt + w sin wt)/(2(p² + w²)).
+    """
+    turn = np.pi / length
+    cosine, sine = np.cos(turn * t), np.sin(turn * t)
+    grown, below = np.exp(p * t), p**2 + turn**2
+    above = p * grown - p * cosine + turn * sine
+    value = np.expm1(p * t) / (2 * p) - above / (2 * below)
+    by_pole = (t * grown - np.expm1(p * t) / p) / (2 * p)
+    by_pole += p * above / below**2 - ((1.0 + p * t) * grown - cosine) / (2 * below)
+    by_turn = turn * above / below**2 - (p * t * sine + sine + turn * t * cosine) / (2 * below)
+    return value, by_pole, -(p * value + (1.0 - cosine) / 2.0), -by_turn * turn / length

@@ -59,9 +59,11 @@ def _checked(records: Sequence[StepRecord]) -> tuple[str, ...]:
 
 
 def _clearest(record: StepRecord) -> Reading:
-    """What the output shows of a release that moves most over its noise."""
-    found = [read_release(record, channel) for channel in record.channels]
-    return max(found, key=lambda reading: abs(reading.steady - reading.baseline) / max(reading.noise, 1e-300))
+    """What the output shows of a release that changes most over what it scatters by before."""
+    count = record.samples.shape[1]
+    rest, end = record.samples[:, : max(8, count // 50)], record.samples[:, -max(8, count // 5) :]
+    change = np.abs(end.mean(axis=1) - rest.mean(axis=1)) / np.maximum(rest.std(axis=1), 1e-300)
+    return read_release(record, record.channels[int(np.argmax(change))])
 
 
 def _noise(records: Sequence[StepRecord], readings: Sequence[Reading]) -> FloatArray:
