@@ -12,11 +12,9 @@ from shaker.models.step.record import StepRecord
 from shaker.models.step.release import read_release
 from shaker.models.step_fit.load import Load
 from shaker.models.step_fit.order import Search, searched
-from shaker.models.step_fit.output_error import Solution
-from shaker.models.step_fit.remarks import remarks
+from shaker.models.step_fit.outcome import outcome
 from shaker.models.step_fit.result import StepFit
 from shaker.models.step_fit.samples import every_sample
-from shaker.models.step_fit.uncertainty import modal_model, spread
 
 Release = Literal["step", "ramp", "smooth", "measured"]
 
@@ -43,7 +41,7 @@ def fit_step(
     whole = every_sample(record.samples[record.channels.index(channel)], record.time_s, 1.0 / record.sample_rate_hz)
     search = Search(whole, found, loads(record, found, release), method, modes, real_poles)
     solution, path = searched(search)
-    return _result(record, found, solution, path, method, began)
+    return outcome(record, found, solution, path, method, began)
 
 
 def loads(record: StepRecord, reading: Reading, release: Release | None) -> tuple[Load, ...]:
@@ -59,43 +57,3 @@ def loads(record: StepRecord, reading: Reading, release: Release | None) -> tupl
     if release is not None:
         return (Load(release, record.amplitude),)
     return tuple(Load(shape, record.amplitude) for shape in ("step", "ramp", "smooth"))
-
-
-def _result(
-    record: StepRecord,
-    reading: Reading,
-    solution: Solution,
-    path: tuple[float, ...],
-    method: Literal["pencil", "arx"],
-    began: float,
-) -> StepFit:
-    """Return a solution as what an identification returns."""
-    value = record.samples[record.channels.index(reading.channel)]
-    whole = every_sample(value, record.time_s, 1.0 / record.sample_rate_hz)
-    known = spread(solution, whole)
-    model = modal_model(solution, known.covariance, record.u_amplitude)
-    middle, length = solution.problem.release(solution.vector)
-    timed = solution.problem.load.timed
-    decimation = int(solution.problem.samples.length[-1])
-    return StepFit(
-        method=method,
-        channel=reading.channel,
-        component=record.component,
-        unit=record.unit,
-        model=model,
-        system=model.system,
-        time_s=whole.time_s,
-        fitted=known.fitted,
-        residual=known.residual,
-        sample_rate_hz=record.sample_rate_hz / decimation,
-        decimation=decimation,
-        order=solution.problem.structure.order,
-        variance_accounted=1.0 - float(np.sum(known.residual**2) / np.sum((value - value.mean()) ** 2)),
-        convergence=np.array(path),
-        duration_s=time.perf_counter() - began,
-        onset_s=middle - 0.5 * length if timed else reading.onset_s,
-        u_onset_s=known.u_onset_s if timed else reading.u_onset_s,
-        release_s=length,
-        u_release_s=known.u_release_s,
-        notices=remarks(record, reading, solution, model, known),
-    )

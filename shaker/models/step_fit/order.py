@@ -48,7 +48,7 @@ def searched(search: Search) -> tuple[Solution, tuple[float, ...]]:
 
 
 def charge(plain: Solution, rich: Solution) -> float:
-    """Return by how much B·ln(sum of squares) has to fall for a richer fit: 8 for a term or a release's length, 12 for a pole."""
+    """Return by how much B·ln(sum of squares) has to fall: 8 for a term or a release's length, 12 for a real pole."""
     terms = rich.problem.structure.terms - plain.problem.structure.terms
     lasting = rich.problem.load.lasting - plain.problem.load.lasting
     poles = rich.problem.structure.order - plain.problem.structure.order
@@ -93,11 +93,11 @@ def _fit_one(search: Search, load: Load, modes: ComplexArray, reals: int) -> Sol
     samples = in_blocks(whole, reading.onset_s - margin, end, block_length(1.0 / whole.step_s, highest))
     starts = first_vectors(structure, load, samples, modes, reading)
     problem = Problem(structure, load, samples, starts[0], starts[0], reading.onset_s)
-    return _more_terms(solve(*known_about(problem, starts[0], highest)), starts, highest)
+    return more_terms(solve(*known_about(problem, starts[0], highest)), starts, highest)
 
 
-def _more_terms(found: Solution, starts: list[FloatArray], highest_hz: float) -> Solution:
-    """Return the fit with as many numerator terms as it is worth, each tried from the last fit or from its own start."""
+def more_terms(found: Solution, starts: list[FloatArray], highest_hz: float) -> Solution:
+    """Return the fit with the numerator terms that it is worth, each tried from the last fit or from its own start."""
     problem = found.problem
     for terms in range(2, problem.structure.order + 1):
         richer = replace(problem, structure=problem.structure.with_terms(terms))
