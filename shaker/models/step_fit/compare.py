@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -34,13 +35,15 @@ def compare(
     """
     found = reading or read_release(record, channel)
 
-    def by(method: Method) -> StepFit:
-        if method == "pencil" or method == "arx":
-            return fit_step(record, channel, reading=found, modes=modes, real_poles=real_poles, method=method)
-        if method == "sim" or method == "sim_zoh":
-            return fit_sim(record, channel, reading=found, conversion="tustin" if method == "sim" else "zoh")
-        if method == "evolution":
-            return fit_evolution(record, channel, rng=rng, reading=found)
-        return fit_evolution(record, channel, rng=rng, reading=found, parametrisation="coefficients")
-
-    return tuple(by(method) for method in methods)
+    default = partial(fit_step, record, channel, reading=found, modes=modes, real_poles=real_poles)
+    by: dict[Method, Callable[[], StepFit]] = {
+        "pencil": lambda: default(method="pencil"),
+        "arx": lambda: default(method="arx"),
+        "sim": lambda: fit_sim(record, channel, reading=found, conversion="tustin"),
+        "sim_zoh": lambda: fit_sim(record, channel, reading=found, conversion="zoh"),
+        "evolution": lambda: fit_evolution(record, channel, reading=found, rng=rng),
+        "evolution_coefficients": lambda: fit_evolution(
+            record, channel, reading=found, rng=rng, parametrisation="coefficients"
+        ),
+    }
+    return tuple(by[method]() for method in methods)
