@@ -132,7 +132,7 @@ def fit_beginning(window: Window, start: Beginning) -> Beginning:
     damping = 1e-3
     for _ in range(_ITERATIONS):
         basis, _ = np.linalg.qr(columns)
-        slopes = _slopes(window, best)
+        slopes = _slopes(window, best, columns)
         slopes = slopes - basis @ (basis.T @ slopes)
         slopes[:, _held(best, slopes.T @ residual)] = 0.0
         scale = np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
@@ -167,12 +167,12 @@ def solved(window: Window, start: Beginning) -> tuple[Beginning, FloatArray, Flo
     return replace(start, linear=linear, squares=float(residual @ residual), rows=len(target)), residual, columns
 
 
-def _slopes(window: Window, fit: Beginning) -> FloatArray:
+def _slopes(window: Window, fit: Beginning, columns: FloatArray) -> FloatArray:
     """Return the derivatives (N + 1, K) of y by centre, squared length and lag, frequencies and damping ratios."""
     time = window.time_s
     found = np.zeros((len(time) + 1, len(fit.vector) - len(fit.linear)))
     found[1:, 0] = -fit.speed(time)
-    here = fit.at(time)
+    here = columns[1:] @ fit.linear
     vector = fit.vector
     least = [0.0, *[(_SHORT * window.step_s) ** 2] * 2, *[0.0] * len(fit.frequency_hz), *[1e-9] * len(fit.frequency_hz)]
     for place in range(1, found.shape[1]):
@@ -210,7 +210,7 @@ def longest_lag_s(fit: Beginning) -> float:
 
 def _covariance(window: Window, fit: Beginning, columns: FloatArray) -> FloatArray:
     """Return the covariance of all parameters with the variance of the residual."""
-    jacobian = np.concatenate([_slopes(window, fit), columns], axis=1)
+    jacobian = np.concatenate([_slopes(window, fit, columns), columns], axis=1)
     scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
     inverse = np.linalg.pinv((jacobian / scale).T @ (jacobian / scale), rcond=1e-13, hermitian=True)
     variance = fit.squares / max(fit.rows - jacobian.shape[1], 1)

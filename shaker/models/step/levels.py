@@ -66,18 +66,15 @@ def correlation_factor(residual: FloatArray) -> float:
     1992).
     """
     count = len(residual)
-    if count < 16:
-        return 1.0
-    size = 1 << (2 * count - 1).bit_length()
-    power = np.abs(np.fft.rfft(residual - residual.mean(), size)) ** 2
-    covariance = np.fft.irfft(power, size)[: count // 2]
-    if covariance[0] <= 0:
-        return 1.0
-    correlation = covariance / covariance[0]
-    pairs = correlation[1 : 1 + 2 * ((len(correlation) - 1) // 2)].reshape(-1, 2).sum(axis=1)
-    low = np.flatnonzero(pairs < 2.0 * np.sqrt(2.0 / count))
-    kept = pairs[: int(low[0])] if low.size else pairs
-    return max(1.0, 1.0 + 2.0 * float(np.sum(kept)))
+    centred = residual - residual.mean()
+    power = float(centred @ centred)
+    total, lag = 0.0, 1
+    while power > 0.0 and lag + 1 < count // 2:
+        pair = float(centred[:-lag] @ centred[lag:] + centred[: -lag - 1] @ centred[lag + 1 :]) / power
+        if pair < 2.0 * np.sqrt(2.0 / count):
+            break
+        total, lag = total + pair, lag + 2
+    return max(1.0, 1.0 + 2.0 * total)
 
 
 def clipped(samples: FloatArray, resolution: float, noise: float) -> bool:
