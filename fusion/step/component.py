@@ -12,7 +12,7 @@ from fusion.results_csv import sensitivity_unit
 from fusion.step.choose import choose_releases, common_structure
 from fusion.step.figures import index_figures, parameter_figures
 from fusion.step.gains import ropes, scale_uncertainty, stated_gain, static_gains
-from fusion.step.methods import rows_of
+from fusion.step.methods import compare_methods, rows_of
 from fusion.step.pool import Pooled, pool_models
 from fusion.step.releases import fit_release, structure_of
 from fusion.step.result import ComponentResult, Release
@@ -36,6 +36,10 @@ def evaluate_component(
     stated, _ = stated_gain(manifest, channel, component)
     rate_hz = releases[0].input.record.sample_rate_hz
     found = None if pooled is None else index_figures(pooled, stated, unit, rate_hz)
+    rows = rows_of(fitted)
+    of_methods: tuple[Notice, ...] = ()
+    if settings.method == "all" and used:
+        rows, of_methods = compare_methods(used[0], settings)
     result = ComponentResult(
         component=component,
         channel=channel,
@@ -49,10 +53,10 @@ def evaluate_component(
         figures=() if found is None else found[1],
         gains=tuple(static_gains(fitted)),
         ropes=ropes(fitted, names),
-        methods=rows_of(fitted),
+        methods=rows,
         entry=None if pooled is None else _entry(pooled, used, unit),
     )
-    return result, (*notices, *told, *_of_result(result, stated))
+    return result, (*notices, *told, *of_methods, *_of_result(result, stated))
 
 
 def _fitted(releases: Sequence[Release], settings: StepSettings) -> tuple[tuple[Release, ...], tuple[Notice, ...]]:

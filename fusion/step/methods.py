@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from fusion.notices import Notice
 from fusion.step.result import MethodRow, Release
+from fusion.step.settings import StepSettings
 from shaker.models.indices.indices import indices
 from shaker.models.indices.result import Indices
-from shaker.models.step_fit.result import StepFit
+from shaker.models.step_fit.compare import METHODS, compare
+from shaker.models.step_fit.result import Method, StepFit
 
-LABELS = {
+SEED = 1
+"""Of the generator that draws the first generation of differential evolution."""
+FAILURES = (ValueError, ArithmeticError, np.linalg.LinAlgError)
+"""What an identification raises where it finds no model."""
+LABELS: dict[Method, str] = {
     "pencil": "matrix pencil, output error",
     "arx": "instrumental-variable ARX, output error",
     "sim": "SIM, Tustin",
@@ -26,6 +34,31 @@ def rows_of(releases: Sequence[Release]) -> tuple[MethodRow, ...]:
     return tuple(method_row(release.fit, release.name) for release in releases if release.fit is not None)
 
 
+def compare_methods(release: Release, settings: StepSettings) -> tuple[tuple[MethodRow, ...], tuple[Notice, ...]]:
+    """Return what every method makes of a release; a notice says which of them finds nothing, and what each remarks."""
+    record = replace(release.input.record, u_amplitude=0.0)
+    rng = np.random.default_rng(SEED)
+    rows: list[MethodRow] = []
+    notices: list[Notice] = []
+    for method in METHODS:
+        try:
+            fit = compare(
+                record,
+                release.driven,
+                rng=rng,
+                reading=release.reading,
+                methods=(method,),
+                modes=settings.modes,
+                real_poles=settings.real_poles,
+            )[0]
+        except FAILURES as error:
+            notices.append(Notice("info", f"{LABELS[method]}: no model ({error})", release.name))
+            continue
+        rows.append(method_row(fit, release.name))
+        notices += [Notice("info", f"{LABELS[method]}: {n.text}", release.name) for n in fit.notices]
+    return tuple(rows), tuple(notices)
+
+
 def method_row(fit: StepFit, recording: str) -> MethodRow:
     """Return a fit with the indices of its system."""
     return MethodRow(fit, _indices(fit), recording)
@@ -36,5 +69,5 @@ def _indices(fit: StepFit) -> Indices | None:
     try:
         with np.errstate(all="ignore"):
             return indices(fit.system, sample_rate_hz=fit.sample_rate_hz)
-    except (ValueError, ArithmeticError):
+    except FAILURES:
         return None

@@ -156,7 +156,7 @@ def methods_table(component: ComponentResult) -> Table | None:
         fit = row.fit
         rows.append(
             (
-                LABELS.get(fit.method, fit.method),
+                LABELS[fit.method],
                 row.recording,
                 f"{fit.order}",
                 _index(row, "natural_hz", "{:.2f}"),
