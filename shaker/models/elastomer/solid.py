@@ -22,8 +22,8 @@ PARITIES = {"vertical": (False, False), "sideways": (True, False), "turning": (T
 """Whether the motion is mirrored with reversed sign in the planes x = 0 and y = 0."""
 NAMED = {"vertical": ("Tz",), "sideways": ("Tx", "Ry"), "turning": ("Rz",)}
 """Rigid motions of each kind; Ty and Rx are Tx and Ry mirrored in the diagonal."""
-COARSE_SPAN = 10.0
-"""The coarsest mesh has no edge longer than the span over this."""
+COARSE_LENGTH = 6.0
+"""Longest edge of the coarsest mesh over the thinnest section: longer elements hold thin beams straight."""
 COUNT = 6
 """Modes computed of each kind."""
 
@@ -68,7 +68,7 @@ class SolidModel:
 
 
 def solve_solid(beams: CrossBeams, block: SolidBlock, refinement: int = 2) -> SolidModel:
-    """Return frequencies and stiffness of the solid element, no edge of an element longer than l/(10·`refinement`).
+    """Return frequencies and stiffness of the solid, edges no longer than 6/`refinement` times the thinnest section.
 
     Two planes of symmetry leave a quarter, solved once for each kind of motion. The sides of the compliant beams'
     ends are clamped, as welded into rigid rims.
@@ -247,7 +247,8 @@ def _mesh(beams: CrossBeams, block: SolidBlock, refinement: int) -> tuple[Any, A
     inner, outer = (0.5 * (beams.span_m + sign * beams.compliant_thickness_m) for sign in (-1.0, 1.0))
     side, half, across = block.half_size_m, 0.5 * beams.compliant_length_m, 0.5 * beams.beam_width_m
     low, high = (block.height_m + sign * 0.5 * block.thickness_m for sign in (-1.0, 1.0))
-    longest = beams.span_m / (COARSE_SPAN * refinement)
+    thinnest = min(beams.compliant_thickness_m, beams.beam_width_m, beams.beam_height_m, beams.compliant_height_m)
+    longest = COARSE_LENGTH * thinnest / refinement
     flat = _divided({0.0, across, side, half, inner, outer}, longest)
     tops = {sign * 0.5 * size for sign in (-1.0, 1.0) for size in (beams.beam_height_m, beams.compliant_height_m)}
     mesh = MeshHex.init_tensor(flat, flat, _divided({*tops, low, high}, longest))

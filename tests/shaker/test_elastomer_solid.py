@@ -1,0 +1,115 @@
+"""The solid model against the frame, closed forms, and a solution of the whole element without symmetry."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from shaker.models.elastomer.element import solve_frame
+from shaker.models.elastomer.geometry import CrossBeams, Material
+from shaker.models.elastomer.platform import RigidPart, block
+from shaker.models.elastomer.solid import SolidBlock, converged, solve_solid
+from shaker.models.elastomer.statics import beam_stiffness
+
+pytest.importorskip("skfem")
+ALUMINIUM = Material(72e9, 0.3, 2820.0)
+ELEMENT = CrossBeams(ALUMINIUM, 0.064, 0.0038, 0.0038, 0.001, 0.032, 0.0038)
+SLENDER = CrossBeams(ALUMINIUM, 0.14, 0.002, 0.003, 0.001, 0.05, 0.003)
+BLOCK = SolidBlock(0.014, 0.008, 0.0, 2820.0)
+
+
+def _whole_element_hz(beams: CrossBeams, size: float, thickness: float, longest: float) -> np.ndarray:
+    """Six frequencies of the whole element on a mesh of its own, made and solved here."""
+    from scipy.sparse.linalg import eigsh
+    from skfem import Basis, BilinearForm, ElementHex2, ElementVector, MeshHex, asm
+    from skfem.helpers import dot
+    from skfem.models.elasticity import lame_parameters, linear_elasticity
+
+    inner, outer = 0.0315, 0.0325
+    breaks = [0.0, 0.0019, size, 0.016, inner, outer]
+    lines = np.unique(np.array([-b for b in breaks] + breaks))
+    flat = np.concatenate(
+        [np.linspace(a, b, int(np.ceil((b - a) / longest - 1e-9)) + 1)[:-1] for a, b in pairwise(lines)] + [lines[-1:]]
+    )
+    up = np.unique(np.array([-thickness / 2, -0.0019, 0.0019, thickness / 2]))
+    mesh = MeshHex.init_tensor(flat, flat, up)
+    x, y, z = np.abs(mesh.p[:, mesh.t].mean(axis=1))
+    beam = z < 0.0019
+    kept = (x < size) & (y < size)
+    for along, beside in ((x, y), (y, x)):
+        kept |= beam & (along > size) & (along < inner) & (beside < 0.0019)
+        kept |= beam & (along > inner) & (along < outer) & (beside < 0.016)
+    mesh = mesh.restrict(np.flatnonzero(kept))
+    basis = Basis(mesh, ElementVector(ElementHex2()), intorder=4)
+
+    @BilinearForm
+    def inertia(u, v, _):  # type: ignore[no-untyped-def]
+        return 2820.0 * dot(u, v)
+
+    stiffness, mass = asm(linear_elasticity(*lame_parameters(72e9, 0.3)), basis), asm(inertia, basis)
+    held = [
+        basis.get_dofs(
+            lambda p, a=a: (np.abs(np.abs(p[1 - a]) - 0.016) < 1e-9) & (np.abs(p[a]) > inner - 1e-9)
+        ).flatten()
+        for a in (0, 1)
+    ]
+    free = np.setdiff1d(np.arange(basis.N), np.concatenate(held))
+    squared = eigsh(stiffness[free][:, free].tocsc(), k=6, M=mass[free][:, free].tocsc(), sigma=0.0)[0]
+    return np.sqrt(np.sort(squared)) / (2.0 * np.pi)
+
+
+@pytest.mark.slow
+def test_quarter_with_symmetry_is_the_whole_element() -> None:
+    quarter = solve_solid(ELEMENT, BLOCK, 1)
+    whole = _whole_element_hz(ELEMENT, 0.014, 0.008, 0.006)
+    assert np.sort(quarter.frequency_hz) == pytest.approx(whole, rel=1e-7)
+
+
+@pytest.mark.slow
+def test_solid_is_near_the_frame_and_converges_from_above() -> None:
+    models = tuple(solve_solid(ELEMENT, BLOCK, refinement) for refinement in (1, 2))
+    frame = solve_frame(ELEMENT, 0.014, block(2820.0, 0.014, 0.008))
+    assert frame.modes.frequency_hz == pytest.approx(models[1].frequency_hz, rel=0.10)
+    assert frame.stiffness == pytest.approx(models[1].stiffness, rel=0.15)
+    assert models[1].frequency_hz == pytest.approx([1457, 1457, 1482, 3894, 3894, 4688], rel=0.015)
+    assert np.all(converged(models) < 0.0)
+    assert np.all(converged(models) > -0.03)
+
+
+def test_slender_beams_and_a_stiff_platform_lie_between_lengths_to_axes_and_to_faces() -> None:
+    part = RigidPart(0.5, 0.01, np.array([4e-5, 4e-5, 6e-5]))
+    solid = solve_solid(SLENDER, SolidBlock(0.02, 0.01, 0.0, 0.0, part, stiffening=1e3), 1)
+    clear = replace(SLENDER, span_m=SLENDER.span_m - 0.001, compliant_length_m=SLENDER.compliant_length_m - 0.002)
+    low, high = (beam_stiffness(beams, 0.02) for beams in (SLENDER, clear))
+    assert low.x < solid.stiffness[0] < 1.02 * high.x < 1.2 * low.x
+    assert low.z < solid.stiffness[2] < 1.02 * high.z < 1.2 * low.z
+    soft, hard = (solve_frame(beams, 0.02, part).modes.frequency_hz for beams in (SLENDER, clear))
+    assert np.all((0.99 * soft < solid.frequency_hz) & (solid.frequency_hz < 1.01 * hard))
+
+
+def test_shapes_follow_their_names() -> None:
+    solid = solve_solid(ELEMENT, BLOCK, 1)
+    centre = int(np.argmin(np.linalg.norm(solid.vertex_m - [0.0, 0.0, 0.004], axis=1)))
+    corner = int(np.argmin(np.linalg.norm(solid.vertex_m - [0.014, 0.014, 0.004], axis=1)))
+    for axis in range(3):
+        moved = solid.motion[axis, centre]
+        assert moved[axis] > 10.0 * np.abs(np.delete(moved, axis)).max()
+    z = solid.motion[:, corner, 2]
+    assert z[3] > 0.0  # Rx lifts y > 0
+    assert z[4] < 0.0  # Ry lowers x > 0
+    assert solid.motion[5, corner, 1] > 0.0
+    assert solid.motion[5, corner, 0] < 0.0
+
+
+def test_geometries_that_cannot_be_meshed_are_refused() -> None:
+    with pytest.raises(ValueError, match="compliant_length_m: expected"):
+        solve_solid(replace(ELEMENT, compliant_length_m=0.07), BLOCK, 1)
+    with pytest.raises(ValueError, match="beam_width_m: expected"):
+        solve_solid(replace(ELEMENT, beam_width_m=0.03), BLOCK, 1)
+    with pytest.raises(ValueError, match="attached: expected"):
+        SolidBlock(0.01, 0.004, 0.0, 0.0)
+    with pytest.raises(ValueError, match="models: expected"):
+        converged(())
