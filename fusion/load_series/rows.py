@@ -77,10 +77,13 @@ def parameter_rows(evaluation: LoadEvaluation) -> Iterator[Row]:
             names = [*PARAMETERS[:size], "moving_mass"]
             values = [*model.vector, model.moving_mass]
             for name, value, spread, given in zip(names, values, u, [*own, 0.0], strict=True):
+                if "damping" in name and not model.damping:
+                    continue
                 yield [*head, name, value, *_none(spread, k * spread), k, units[name], *_none(given)]
             u_gain = model.u_sensitivity
-            unit = f"{model.unit or '1'}/{'(N.m)' if component.name.startswith('M') else 'N'}"
-            yield [*head, "sensitivity", model.sensitivity, *_none(u_gain, k * u_gain), k, unit, ""]
+            unit = f"{model.unit}/{'(N.m)' if component.name.startswith('M') else 'N'}"
+            if model.unit:
+                yield [*head, "sensitivity", model.sensitivity, *_none(u_gain, k * u_gain), k, unit, ""]
             for limit in solution.limits:
                 spread = limit.u
                 cells = _none(limit.load_mass, spread, k * spread)

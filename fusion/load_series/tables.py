@@ -34,7 +34,7 @@ def headlines(component: ComponentLoads) -> list[Headline]:
         if name.endswith("stiffness"):
             unit = parameter_units(component.name)[name]
             remark = f"U: k = {factor(component.k)}" if component.covers else "without U"
-            found.append(Headline(_capital(LABELS[name]), measured(value, component.k * u, unit), remark))
+            found.append(Headline(_capital(LABELS[name]), measured(value, component.k * u, unit_text(unit)), remark))
     bare = solution.drawn
     value, u = float(bare.frequency_hz[0, 0]), float(bare.u_frequency_hz[0, 0])
     found.append(Headline("Resonance without load", measured(value, component.k * u, "Hz"), "by the model"))
@@ -56,7 +56,7 @@ def parameters_table(component: ComponentLoads) -> Table:
             alone = measured(value, component.k * given[name]) if given.get(name) else DASH
             relative = f"{100.0 * component.k * u / value:.2g}" if u > 0.0 and value else DASH
             told = measured(value, component.k * u)
-            rows.append((f"{model.solution}", _capital(LABELS[name]), told, typeset(units[name]), relative, alone))
+            rows.append((f"{model.solution}", _capital(LABELS[name]), told, unit_text(units[name]), relative, alone))
     head = ("solution", "quantity", "value", "unit", "U relative / %", "for the stated masses")
     caption = f"Parameters with U = k·u, k = {factor(component.k)} (95 %)"
     return _without_first(component, Table(caption, head, "llrlrr", tuple(rows)))
@@ -77,19 +77,18 @@ def loads_table(component: ComponentLoads, solution: Solution) -> Table:
         rigid = float(component.identification.rigid.frequency_hz[place, 0])
         cells = (_percent(model / known - 1.0), _percent(formula / known - 1.0), _percent(rigid / known - 1.0))
         mass = f"{GRAM * component.series.masses.load[place]:.6g}"
-        rows.append((name, mass, first, second, *_curve_cells(component, solution.recorded, place), *cells))
+        rows.append((name, mass, first, second, _curve_cells(component, solution.recorded, place)[0], *cells))
     head = (
         "recording",
         f"load / {small_unit(component)}",
         "first / Hz",
         "second / Hz",
         "model, first / Hz",
-        "model, second / Hz",
-        "model less measured / %",
-        "formula, k of the lightest / %",
-        "two masses, all loads / %",
+        "model / %",
+        "formula / %",
+        "two masses / %",
     )
-    return Table("Resonances over the load with U, and what is left of them", head, "lrrrrrrrr", tuple(rows))
+    return Table("Resonances with U; first ones of the models less measured", head, "lrrrrrrr", tuple(rows))
 
 
 def bands_table(component: ComponentLoads, solution: Solution) -> Table:
@@ -212,6 +211,11 @@ def _mass(component: ComponentLoads, limit: NamedLimit) -> str:
     return measured(GRAM * limit.load_mass, GRAM * component.k * limit.u, small_unit(component))
 
 
+def unit_text(unit: str) -> str:
+    """ASCII unit of the result files as it is printed."""
+    return typeset(unit).replace(".", "·")
+
+
 def small_unit(component: ComponentLoads) -> str:
     """Unit in which loads are told."""
     return "g·m²" if component.name.startswith("M") else "g"
@@ -219,7 +223,7 @@ def small_unit(component: ComponentLoads) -> str:
 
 def _plain(component: ComponentLoads, name: str, value: float, u: float) -> str:
     """A number with U for the terminal."""
-    unit = typeset(parameter_units(component.name)[name])
+    unit = unit_text(parameter_units(component.name)[name])
     symbol = LABELS[name].rpartition(" ")[2]
     return f"{symbol} = {_value(value, component.k * u, unit)}"
 
@@ -235,7 +239,8 @@ def _value(value: float, expanded: float, unit: str) -> str:
 
 def _percent(share: float) -> str:
     """A deviation in % with a sign."""
-    text = f"{100.0 * share:+.2g}" if abs(share) >= 1e-8 else "0"
+    percent = 100.0 * share
+    text = f"{percent:+.2f}" if abs(percent) >= 1.0 else f"{percent:+.3f}" if abs(percent) >= 5e-4 else "0.000"
     return text.replace("-", "\N{MINUS SIGN}")
 
 

@@ -13,7 +13,6 @@ from fusion.plots.style import (
     BLUE,
     GREEN,
     GREY,
-    LIGHT,
     ORANGE,
     PURPLE,
     RED,
@@ -117,7 +116,7 @@ def draw_characteristics(name: str, curves: Sequence[ModelCurve], seen: Measured
             axes.set_xlim(0.0, float(curves[0].load[-1]))
         _second_axis(second, curves, seen)
         first.legend(loc="lower left")
-        off.legend(loc="upper left")
+        off.legend(loc="best")
         lay_out(figure, panels.ravel(), top=0.12, gap=(0.75, 0.16), left=0.72, label=0.52)
         caption = (
             "Lines: models with 95 % bands; points: measured, with U. Below left: models less measured, the permitted "
@@ -134,13 +133,9 @@ def draw_spectra(name: str, spectra: Sequence[DecaySpectrum]) -> Picture:
         top = 1.15 * max(float(np.nanmax(s.modes_hz)) for s in spectra)
         for place, (axes, spectrum) in enumerate(zip(panels, spectra, strict=True)):
             shown = (spectrum.frequency_hz > 0.0) & (spectrum.frequency_hz <= top)
-            axes.semilogy(spectrum.frequency_hz[shown], spectrum.residual[shown], color=LIGHT, linewidth=0.7)
-            axes.semilogy(
-                spectrum.frequency_hz[shown],
-                spectrum.amplitude[shown],
-                color=COLOURS[place % len(COLOURS)],
-                linewidth=0.9,
-            )
+            colour = COLOURS[place % len(COLOURS)]
+            axes.semilogy(spectrum.frequency_hz[shown], spectrum.amplitude[shown], color=colour, linewidth=1.1)
+            axes.semilogy(spectrum.frequency_hz[shown], spectrum.residual[shown], color=GREY, linewidth=0.5)
             for mode in spectrum.modes_hz[np.isfinite(spectrum.modes_hz)]:
                 axes.axvline(float(mode), color=GREY, linewidth=0.7, linestyle=(0, (2, 2)), zorder=1)
             decades(axes.yaxis)

@@ -16,7 +16,7 @@ from shaker.models.load_series.problem import Problem
 from shaker.models.load_series.resonances import Resonances
 from shaker.notice import Notice
 
-NEGLIGIBLE = 1e-6
+NEGLIGIBLE = 1e-3
 """Deviation in % that is not worth a number."""
 UNLIKELY = 3.0
 """Standard uncertainties by which a mass may differ from what is stated before the user is told."""
@@ -108,7 +108,7 @@ def _supports(
         return False, "one resonance of one load cannot tell the coupling's stiffness: the load is taken as rigid"
     seen = np.isfinite(measured.frequency_hz[:, 1]) & (masses.load > 0)
     missed, left = _largest(measured, masses, rigid, unit), _largest(measured, masses, elastic[0], unit)
-    told = f"two masses miss the resonance by up to {missed}, three by up to {left}"
+    told = f"two masses miss the resonance by {missed}, three by {left}"
     if seen.any():
         place = int(np.flatnonzero(seen)[0])
         second = f"{measured.frequency_hz[place, 1]:.5g} Hz with {_mass(masses.load[place], unit)}"
@@ -140,8 +140,9 @@ def _largest(measured: Resonances, masses: SeriesMasses, fit: SeriesFit, unit: s
     """The largest deviation of a fit's first resonances, and with which load."""
     deviation = 100.0 * (fit.frequency_hz[:, 0] / measured.frequency_hz[:, 0] - 1.0)
     place = int(np.argmax(np.abs(deviation)))
-    told = f"{abs(deviation[place]):.2g} %" if abs(deviation[place]) > NEGLIGIBLE else "nothing"
-    return f"{told} with {_mass(masses.load[place], unit)}".replace("-", "\N{MINUS SIGN}")
+    size = float(abs(deviation[place]))
+    told = f"{size:.2g} %" if size > NEGLIGIBLE else f"less than {NEGLIGIBLE:g} %"
+    return f"{told} with {_mass(masses.load[place], unit)}"
 
 
 def _mass(load: float, unit: str) -> str:

@@ -1,0 +1,281 @@
+"""`shakercal load` from simulated releases with several loads, and from published resonances."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from scipy.signal import StateSpace, lsim
+
+from fusion.cli import main
+from fusion.errors import InputError
+from fusion.load_series.model_file import MODEL_FILE, model_text, read_load_models
+from fusion.load_series.series import MOVING, read_series
+from fusion.load_series.table import read_table
+from fusion.manifest import load_manifest
+from fusion.simulate.draws import Draws
+from fusion.simulate.loads import SeriesRig, load_change, true_model, write_loads
+from shaker.models.load_series.model import LoadModel
+
+PUBLISHED = ((0.0, 500.0), (0.008, 486.0), (0.048, 450.0), (0.098, 393.0), (0.198, 320.0))
+PARAMETERS = ("stiffness", "damping", "coupling_stiffness", "coupling_damping")
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    """A CSV file row by row."""
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Five loads, evaluated with two predictions."""
+    folder = tmp_path_factory.mktemp("loads") / "series"
+    assert main(["simulate", str(folder), "--preset", "loads", "--seed", "3"]) == 0
+    asked = ["--load-mass", "0.13", "0.3", "--wanted", "400"]
+    assert main(["load", str(folder), *asked, "-q"]) == 0
+    return folder
+
+
+def test_parameters_meet_the_truth(campaign: Path) -> None:
+    truth = json.loads((campaign / "truth.json").read_text(encoding="utf-8"))
+    found = {row["name"]: row for row in rows(campaign / "load" / "parameters.csv")}
+    for name, bar in zip(PARAMETERS, (1e-3, 1e-2, 1e-3, 2e-2), strict=True):
+        value, u = float(found[name]["value"]), float(found[name]["u"])
+        assert value == pytest.approx(truth[name], rel=bar)
+        assert abs(value - truth[name]) < 3.5 * u
+        assert float(found[name]["u_given_masses"]) <= u
+    mass = found["moving_mass"]
+    assert abs(float(mass["value"]) - truth["moving_mass_kg"]) < 3.5 * float(mass["u"])
+    assert float(mass["u"]) < 5e-5
+    assert float(found["sensitivity"]["value"]) == pytest.approx(truth["sensitivity"], rel=2e-3)
+
+
+def test_resonances_over_the_load(campaign: Path) -> None:
+    found = rows(campaign / "load" / "load.csv")
+    recorded = [row for row in found if row["kind"] == "recorded"]
+    assert [row["recording"] for row in recorded] == [f"step-{grams:03d}g" for grams in (0, 8, 48, 98, 198)]
+    for row in recorded:
+        truth = json.loads((campaign / row["recording"] / "truth.json").read_text(encoding="utf-8"))
+        assert abs(float(row["first_hz"]) - truth["frequency_hz"][0]) < 2.0 * float(row["U_first_hz"])
+        assert float(row["measured_first_hz"]) == pytest.approx(truth["frequency_hz"][0], rel=2e-5)
+        if len(truth["frequency_hz"]) > 1:
+            assert float(row["second_hz"]) == pytest.approx(truth["frequency_hz"][1], rel=1e-3)
+        assert float(row["damping_first"]) == pytest.approx(truth["damping_ratio"][0], rel=5e-3)
+    heaviest = recorded[-1]
+    assert float(heaviest["formula_hz"]) / float(heaviest["measured_first_hz"]) == pytest.approx(1.154, abs=2e-3)
+    predicted = [float(row["load_mass"]) for row in found if row["kind"] == "predicted"]
+    assert predicted == [0.13, 0.3]
+
+
+def test_limits(campaign: Path) -> None:
+    found = {row["name"].partition(":")[0]: row for row in rows(campaign / "load" / "parameters.csv")}
+    assert float(found["formula_limit"]["value"]) == pytest.approx(0.0817, abs=2e-4)
+    assert float(found["frequency_limit"]["value"]) == pytest.approx(0.0924, abs=2e-4)
+
+
+def test_models_come_back_to_the_last_bit(campaign: Path) -> None:
+    (model,) = read_load_models(campaign / "load")
+    with h5py.File(campaign / "load" / "load.h5") as file:
+        group = file["components/Fy/solution_1/model"]
+        assert model.stiffness == group.attrs["stiffness"]
+        assert np.array_equal(model.covariance, group["covariance"][()])
+        assert np.array_equal(model.covariance_with_mass, group["covariance_with_mass"][()])
+        assert file["components/Fy"].attrs["from_records"]
+    assert model.component == "Fy"
+    assert model.load_masses == pytest.approx((0.0, 0.008, 0.048, 0.098, 0.198))
+    written = model_text([model], "c", "s", "p")
+    assert json.loads(written)["models"] == json.loads((campaign / "load" / MODEL_FILE).read_text())["models"]
+
+
+def test_page_is_complete(campaign: Path) -> None:
+    text = (campaign / "load" / "load.html").read_text(encoding="utf-8")
+    assert "http" not in text.replace("http://www.w3.org", "").replace("http%3A//www.w3.org", "").replace(
+        "http%3A//purl.org", ""
+    )
+    for word in ("Three masses", "Load limits", "±10 %", "Masses as unknowns", "extrapolated", "N/m"):
+        assert word in text
+
+
+def test_one_load_gives_two_solutions(campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["load", str(campaign / "step-048g"), "-o", str(tmp_path / "out")]) == 0
+    told = capsys.readouterr()
+    assert "cannot tell 2 solutions apart" in told.err
+    assert "solution 2 of 2" in told.out
+    first, second = read_load_models(tmp_path / "out" / MODEL_FILE)
+    assert (first.solutions, first.solution, second.solution) == (2, 1, 2)
+    assert first.stiffness == pytest.approx(2.36e6, rel=2e-3)
+    assert second.stiffness == pytest.approx(1.134e7, rel=2e-3)
+    assert second.coupling_stiffness == pytest.approx(3.933e5, rel=2e-3)
+
+
+def test_existing_results_are_kept(campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "notes.txt").write_text("mine", encoding="utf-8")
+    assert main(["load", str(campaign), "-o", str(tmp_path), "-q"]) == 2
+    assert "notes.txt" in capsys.readouterr().err
+
+
+def write_table(path: Path, text: str) -> Path:
+    """A table of resonances."""
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_published_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = "\n".join(f"{mass};{hertz}" for mass, hertz in reversed(PUBLISHED))
+    table = write_table(tmp_path / "published.csv", f"# Fig. 4\nload_mass_kg;frequency_hz\n{lines}\n")
+    assert main(["load", "--frequencies", str(table), "--moving-mass", "0.24"]) == 0
+    told = capsys.readouterr()
+    assert "a rigid load contradicts the resonances" in told.err
+    (model,) = read_load_models(tmp_path / "load")
+    assert model.stiffness == pytest.approx(2.355e6, rel=1e-3)
+    assert model.coupling_stiffness == pytest.approx(1.892e6, rel=1e-3)
+    for row in rows(tmp_path / "load" / "load.csv")[:5]:
+        assert abs(float(row["first_hz"]) / float(row["measured_first_hz"]) - 1.0) < 0.01
+        assert row["damping_first"] == ""
+
+
+def test_second_resonances_and_uncertainties_of_a_table(tmp_path: Path) -> None:
+    head = "load_mass_kg,frequency_hz,u_frequency_hz,second_hz,u_load_mass_kg"
+    table = write_table(tmp_path / "one.csv", f"{head}\n0.048,446.43,0.05,1116.45,1e-5\n0,499.08,,,\n")
+    series = read_table(table, 0.24, 1e-4)
+    assert series.names == ("row 2", "row 1")
+    np.testing.assert_array_equal(series.measured.frequency_hz, [[499.08, np.nan], [446.43, 1116.45]])
+    np.testing.assert_allclose(series.masses.u_load, [0.0, 1e-5])
+    assert series.masses.names[0] == "moving mass"
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("mass,frequency_hz\n1,2\n", "load_mass_kg: expected this column"),
+        ("load_mass_kg,frequency_hz,colour\n1,2,3\n", "colour: expected columns of"),
+        ("load_mass_kg,frequency_hz\n0.1,\n", "frequency_hz, row 1: expected a number, found nothing"),
+        ("load_mass_kg,frequency_hz\n0.1,x\n", "frequency_hz, row 1: expected a frequency above 0, found x"),
+        ("load_mass_kg,frequency_hz\n-1,4\n", "load_mass_kg, row 1: expected a number of at least 0, found -1"),
+        ("", "load_mass_kg: expected this column"),
+    ],
+)
+def test_wrong_tables(tmp_path: Path, text: str, sentence: str) -> None:
+    with pytest.raises(InputError) as refused:
+        read_table(write_table(tmp_path / "table.csv", text), 0.24, 0.0)
+    assert sentence in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["load"], "either recordings or --frequencies"),
+        (["load", "--frequencies", "t.csv"], "--frequencies needs --moving-mass"),
+        (["load", "folder", "--moving-mass", "0.1"], "--moving-mass is for --frequencies"),
+        (["load", "folder", "--permitted", "120"], "expected less than 100 %"),
+    ],
+)
+def test_wrong_arguments(arguments: list[str], sentence: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert ended.value.code == 2
+    assert sentence in capsys.readouterr().err
+
+
+@pytest.fixture
+def short(tmp_path: Path) -> Path:
+    """Two loads, 0.2 s each, whose files a test may change."""
+    write_loads(tmp_path, 5, SeriesRig(loads_g=(0, 48), duration_s=0.2))
+    return tmp_path
+
+
+def change(path: Path, old: str, new: str) -> None:
+    """Replace text in a file."""
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new), encoding="utf-8")
+
+
+def test_rigs_must_agree_on_the_sensor(short: Path) -> None:
+    change(short / "rig-048g.toml", "internal_mass = 0.24", "internal_mass = 0.25")
+    manifests = [load_manifest(short / name) for name in ("step-000g", "step-048g")]
+    with pytest.raises(InputError, match=r"sensor.internal_mass: expected 0.24 as in rig-000g.toml, found 0.25"):
+        read_series(manifests)
+
+
+def test_a_sensor_without_moving_mass_is_refused(short: Path) -> None:
+    change(short / "rig-000g.toml", "internal_mass = 0.24", "internal_mass = 0.0")
+    with pytest.raises(InputError, match="only ratios of masses show in a resonance"):
+        read_series([load_manifest(short / "step-000g")])
+
+
+def test_parts_belong_to_a_load(short: Path) -> None:
+    with (short / "rig-000g.toml").open("a", encoding="utf-8") as file:
+        file.write('\n[[part]]\nname = "cover"\nbody = "load"\nmass = 0.1\ncentre_of_mass = [0.0, 0.0, 0.0]\n')
+    with pytest.raises(InputError, match=r"load: expected the \[load\] that the part cover belongs to"):
+        read_series([load_manifest(short / "step-000g")])
+
+
+def test_moments_have_inertias_in_place_of_masses(short: Path) -> None:
+    for grams, inertia in ((0, 0.0), (48, 0.048)):
+        rig, recording = short / f"rig-{grams:03d}g.toml", short / f"step-{grams:03d}g"
+        change(recording / "recording.toml", 'component = "Fy"', 'component = "Mx"')
+        own = "internal_inertia = [[0.24, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.1]]"
+        change(rig, "internal_mass_uncertainty = 5e-05", f"{own}\ninternal_inertia_uncertainty = 1e-4")
+        change(rig, 'channels = ["Fy"]', 'channels = ["bridge"]')
+        change(recording / "recording.toml", 'channel = "Fy"', 'channel = "bridge"')
+        if inertia:
+            zeros = "[0.0, 0.0, 0.0]]"
+            change(
+                rig,
+                f"inertia = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], {zeros}",
+                f"inertia = [[{inertia}, 0.0, 0.0], [0.0, {inertia}, 0.0], [0.0, 0.0, {inertia}]]",
+            )
+    (series,), _ = read_series([load_manifest(short / name) for name in ("step-000g", "step-048g")])
+    assert series.output.component == "Mx"
+    assert series.output.mass_unit == "kg·m²"
+    np.testing.assert_allclose(series.masses.load, [0.0, 0.048])
+    assert series.masses.moving == 0.24
+    assert series.masses.names[0] == MOVING
+    assert main(["load", str(short), "-q"]) == 0
+    (model,) = read_load_models(short / "load")
+    assert model.stiffness == pytest.approx(2.36e6, rel=3e-3)
+    assert "N.m/rad" in (short / "load" / "parameters.csv").read_text(encoding="utf-8")
+
+
+def test_simulated_output_is_that_of_the_equations_of_motion() -> None:
+    rig = SeriesRig()
+    model, load = true_model(rig, Draws(1, False)), 0.048
+    k, c, kl, cl, m = rig.stiffness, rig.damping, rig.coupling_stiffness, rig.coupling_damping, rig.moving_mass_kg
+    a = np.zeros((4, 4))
+    a[:2, 2:] = np.eye(2)
+    a[2] = np.array([-(k + kl), kl, -(c + cl), cl]) / m
+    a[3] = np.array([kl, -kl, cl, -cl]) / load
+    t = np.arange(4000) / 1e5
+    force = np.clip((t - 5e-3) / 4e-4, 0.0, 1.0)
+    row = np.array([[rig.sensitivity * k, 0.0, 0.0, 0.0]])
+    space = StateSpace(a, np.array([[0.0], [0.0], [0.0], [1.0 / load]]), row, np.zeros((1, 1)))
+    np.testing.assert_allclose(load_change(model, load, t, 5e-3, 4e-4), lsim(space, force, t)[1], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        ("{", "expected models as shakercal load writes them"),
+        ('{"format": 7}', "format: expected format 1"),
+        ('{"format": 1, "models": [{}]}', "found no key"),
+        ("[]", "expected models as shakercal load writes them"),
+    ],
+)
+def test_wrong_model_files(tmp_path: Path, content: str, sentence: str) -> None:
+    file = tmp_path / MODEL_FILE
+    file.write_text(content, encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        read_load_models(file)
+    assert sentence in str(refused.value)
+
+
+def test_a_model_without_uncertainty_comes_back(tmp_path: Path) -> None:
+    model = LoadModel("F", "", "", 0.24, 2.36e6, 0.0)
+    (tmp_path / MODEL_FILE).write_text(model_text([model], "table", "", ""), encoding="utf-8")
+    assert read_load_models(tmp_path) == (model,)
