@@ -97,7 +97,7 @@ def draw_convergence(name: str, curves: Sequence[Convergence]) -> Picture:
         panels = figure.subplots(1, len(curves), squeeze=False)[0]
         for place, (axes, curve) in enumerate(zip(panels, curves, strict=True)):
             _draw_loss(axes, curve, COLOURS[place % len(COLOURS)])
-        panels[0].set_ylabel("loss")
+        panels[0].set_ylabel("loss over the smallest")
         lay_out(figure, panels, top=0.24, gap=(0.62, 0.3), left=0.72, label=0.54)
         caption = (
             "Loss as each method defines it. SIM: of the equation error over the order, where it stops to fall the "
@@ -155,11 +155,11 @@ def _draw_loss(axes: Axes, curve: Convergence, colour: str) -> None:
     """One curve of losses."""
     number = np.arange(1, len(curve.loss) + 1)
     marker = "o" if len(curve.loss) <= 20 else ""
-    axes.plot(number, curve.loss, color=colour, linewidth=0.9, marker=marker, markersize=3.5, zorder=2)
+    loss = curve.loss / float(curve.loss.min()) if curve.loss.min() > 0.0 else curve.loss
+    axes.plot(number, loss, color=colour, linewidth=0.9, marker=marker, markersize=3.5, zorder=2)
     if curve.chosen is not None:
-        axes.plot(number[curve.chosen], curve.loss[curve.chosen], "o", color=BLACK, markersize=6.5, fillstyle="none")
-    positive = curve.loss[curve.loss > 0.0]
-    if len(positive) and positive.max() > 20.0 * positive.min():
+        axes.plot(number[curve.chosen], loss[curve.chosen], "o", color=BLACK, markersize=6.5, fillstyle="none")
+    if loss.max() > 20.0 * loss.min() > 0.0:
         axes.set_yscale("log")
         decades(axes.yaxis)
     axes.set_xlabel(curve.over)

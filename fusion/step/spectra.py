@@ -11,6 +11,8 @@ from fusion.step.result import Release
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+LAST = 20
+"""Share 1/LAST of a force's record, its end, that gives its last level."""
 WEAK = 0.2
 """Share of a step's spectrum below which a release drives too little."""
 
@@ -38,10 +40,12 @@ def measured_response(release: Release) -> Measured:
     first = max(0, int((onset - record.start_s) / step) - 3)
     samples = record.samples[record.channels.index(release.driven), first:]
     start_s = record.start_s + first * step
-    frequency, moved = _derivative(samples, release.reading.baseline, start_s, step)
+    ends = release.reading.baseline, release.reading.steady
+    frequency, moved = _derivative(samples, ends, start_s, step)
     if record.force is not None:
-        level = float(record.force[: max(first, 1)].mean())
-        driven = _derivative(record.force[first:], level, start_s, step)[1]
+        force = record.force[first:]
+        ends = float(record.force[: max(first, 1)].mean()), float(force[-max(1, len(force) // LAST) :].mean())
+        driven = _derivative(force, ends, start_s, step)[1]
     else:
         middle = np.exp(-2j * np.pi * frequency * (onset + 0.5 * release.release_s))
         driven = record.amplitude * _share(release, frequency) * middle
@@ -50,12 +54,14 @@ def measured_response(release: Release) -> Measured:
     return Measured(frequency[kept], moved[kept] / driven[kept], noise[kept] / np.abs(driven[kept]))
 
 
-def _derivative(samples: FloatArray, level: float, start_s: float, step_s: float) -> tuple[FloatArray, ComplexArray]:
-    """Spectrum of the derivative of samples (N,) that begin at a level: frequencies (K,) and values (K,).
+def _derivative(
+    samples: FloatArray, ends: tuple[float, float], start_s: float, step_s: float
+) -> tuple[FloatArray, ComplexArray]:
+    """Spectrum of the derivative of samples (N,) between two levels: frequencies (K,) and values (K,).
 
     The sum of the differences' exp(-jωt) times ωΔ/(2 sin(ωΔ/2)), what a derivative has over a difference.
     """
-    change = np.diff(samples, prepend=level)
+    change = np.diff(samples, prepend=ends[0], append=ends[1])
     frequency = np.fft.rfftfreq(len(change), step_s)[:-1]
     turn = np.pi * frequency * step_s
     wide = np.divide(turn, np.sin(turn), out=np.ones_like(turn), where=turn > 0.0)

@@ -145,7 +145,8 @@ def gains_table(component: ComponentResult) -> Table:
         "second peak / Hz",
         "its share / %",
     )
-    caption = f"Every output for the load {component.component}: mean of {driven.releases} releases, with U"
+    mean = "one release" if driven.releases == 1 else f"mean of {driven.releases} releases"
+    caption = f"Every output for the load {component.component}: {mean}, with U"
     return Table(caption, head, "lrrrrrrrr", tuple(rows))
 
 
@@ -163,8 +164,8 @@ def methods_table(component: ComponentResult) -> Table | None:
                 _index(row, "damping_ratio", "{:.4f}", PERCENT),
                 _index(row, "band_5_hz", "{:.1f}"),
                 "yes" if fit.system.stable else "no",
-                f"{PERCENT * fit.variance_accounted:.3f}",
-                number(residual_rms(row)),
+                f"{PERCENT * fit.variance_accounted:.3f}".replace("-", "\N{MINUS SIGN}"),
+                short(residual_rms(row)),
                 number(fit.duration_s),
             )
         )
