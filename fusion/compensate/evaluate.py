@@ -64,7 +64,7 @@ def _subject(subject: Subject, wish: Wish, rate_hz: float | None) -> SubjectResu
     try:
         sensors = [subject.dynamics(mass, wish.modes, wish.real_hz is not None) for mass in masses]
         targets = [wish.target(sensor) for sensor in sensors]
-        target = max(targets, key=lambda one: one.frequency_hz)
+        target = max(targets, key=lambda one: (one.frequency_hz, one.damping_ratio))
         rate = wish.sample_rate_hz or rate_hz or subject.sample_rate_hz or SAMPLES_PER_PERIOD * target.frequency_hz
         designs = [Compensation(sensor, target, wish.calibrated) for sensor in sensors]
         count = max(len(one.factors) for one in designs)

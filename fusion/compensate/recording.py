@@ -83,7 +83,7 @@ def apply(
         raise InputError(record.manifest.path, "daq.channel", found=found, expected=f"one of the channels {known}")
     notices = record.notices
     if skipped:
-        text = f"left out, since no model is of it: {', '.join(skipped)}"
+        text = f"left out, since no filter is for it: {', '.join(skipped)}"
         notices = (*notices, Notice("info", text, record.manifest.folder.name))
     name = record.manifest.folder.name
     return CompensatedRecording(name, record.sample_rate_hz, record.start_s, tuple(filtered)), notices
@@ -112,7 +112,7 @@ def _channel(
     )
     signal = run(values[None])
     unit = record.unit if not wish.calibrated else result.output_unit
-    return CompensatedChannel(name, unit, values, signal.value[0], signal.u[0], signal.u_noise)
+    return CompensatedChannel(name, unit, found.sections.gain * values, signal.value[0], signal.u[0], signal.u_noise)
 
 
 def white_noise(values: FloatArray) -> float:

@@ -67,7 +67,10 @@ class SubjectResult:
 
 @dataclass(frozen=True)
 class CompensatedChannel:
-    """A channel of a recording after its filter: `value`, standard uncertainty `u` (N,), and `u_noise` in it."""
+    """A channel of a recording after its filter: `value`, standard uncertainty `u` (N,), and `u_noise` in it.
+
+    `raw` (N,): before it, times the static gain of the filter.
+    """
 
     channel: str
     unit: str

@@ -139,15 +139,12 @@ def filter_table(evaluation: CompensateEvaluation) -> Table:
                 measured(f, 0.0 if np.isnan(u[m]) else EXPANDED * u[m])
                 for m, f in enumerate([*design.sensor.frequency_hz])
             ]
-            damped = [
-                measured(z, 0.0 if np.isnan(u[len(poles) + m]) else EXPANDED * u[len(poles) + m])
-                for m, z in enumerate(design.sensor.damping_ratio)
-            ]
+            damped = [f"{zeta:.4g}" for zeta in design.sensor.damping_ratio]
             rows.append(
                 (
                     label(result, found),
                     Markup("; ").join([*poles, *(f"real {hertz:.5g}" for hertz in design.sensor.real_hz)]),
-                    Markup("; ").join(damped) or DASH,
+                    "; ".join(damped) or DASH,
                     f"{design.target.frequency_hz:.6g}",
                     f"{design.target.damping_ratio:.4g}",
                     f"{found.sections.sample_rate_hz:g}",

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from fusion.errors import InputError
-from shaker.models.compensation.bandwidth import KEPT_SHARE, target_for_bandwidth
+from shaker.models.compensation.bandwidth import target_for_bandwidth, target_for_frequency
 from shaker.models.compensation.discrete import Discretisation
 from shaker.models.compensation.dynamics import SensorDynamics
-from shaker.models.compensation.target import Target, best_damping
+from shaker.models.compensation.target import Target
 
 COMMAND = "shakercal compensate"
 
@@ -50,8 +50,10 @@ class Wish:
         """Return the target for a sensor."""
         if self.bandwidth_hz is not None:
             return target_for_bandwidth(sensor, self.bandwidth_hz, self.permitted_error, self.real_hz)
-        damping = self.damping_ratio or best_damping((1.0 - KEPT_SHARE) * self.permitted_error)
-        return Target(float(self.frequency_hz or 0.0), damping, self.real_hz)
+        frequency = float(self.frequency_hz or 0.0)
+        if self.damping_ratio is None:
+            return target_for_frequency(sensor, frequency, self.permitted_error, self.real_hz)
+        return Target(frequency, self.damping_ratio, self.real_hz)
 
     @property
     def settings(self) -> dict[str, str | float | int]:

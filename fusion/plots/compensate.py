@@ -28,6 +28,7 @@ from fusion.plots.style import (
     new_figure,
     panel_label,
 )
+from fusion.polar import prefix, typeset
 
 ComplexArray = NDArray[np.complex128]
 COLOURS = (BLUE, GREEN, ORANGE, PURPLE, SKY)
@@ -188,23 +189,29 @@ def draw_channel(name: str, channel: FilteredChannel) -> Picture:
     with drawing(name):
         figure = new_figure(3.8)
         upper, lower = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [2.0, 1.0]})
-        scale = float(np.max(np.abs(channel.value))) or 1.0
-        ratio = float(np.max(np.abs(channel.raw))) or 1.0
-        upper.plot(channel.time_s, channel.raw / ratio, color=GREY, linewidth=0.7, label="output", zorder=2)
+        scale, letter = prefix(channel.value)
+        small, small_letter = prefix(channel.u)
+        upper.plot(channel.time_s, channel.raw / scale, color=GREY, linewidth=0.7, label="output", zorder=2)
         upper.plot(channel.time_s, channel.value / scale, color=BLUE, linewidth=0.8, label="compensated", zorder=3)
-        lower.semilogy(channel.time_s, 2.0 * channel.u, color=BLACK, linewidth=0.7)
-        upper.set_ylabel("over the largest")
-        lower.set_ylabel(f"U / {channel.unit}")
+        lower.plot(channel.time_s, 2.0 * channel.u / small, color=BLACK, linewidth=0.7)
+        lower.set_ylim(0.0, 2.2 * float(np.max(channel.u)) / small or 1.0)
+        upper.set_ylabel(f"change / {_unit(letter, channel.unit)}")
+        lower.set_ylabel(f"U / {_unit(small_letter, channel.unit)}")
         lower.set_xlabel("time / s")
         upper.legend(loc="upper right")
         panel_label(upper, channel.channel)
         for axes in (upper, lower):
             axes.set_rasterization_zorder(4)
         lay_out(figure, (upper, lower), top=0.24, gap=(0.5, 0.18), left=0.78, label=0.58)
-        caption = (
-            f"Largest value {scale:.5g} {channel.unit}, of the output {ratio:.5g}. Below: U (k = 2), model and noise."
-        )
+        caption = "Both less their first value, the output times the static gain of the filter. "
+        caption += "Below: U (k = 2) of every sample, from model and noise."
         return finish(figure, name, f"{channel.channel}: recording before and after", caption)
+
+
+def _unit(letter: str, unit: str) -> str:
+    """A unit with its prefix, in parentheses where it is made of several."""
+    nice = typeset(unit)
+    return f"({letter}{nice})" if letter == "" and ("/" in nice or "·" in nice) else f"{letter}{nice}"
 
 
 def _degrees(values: ComplexArray) -> FloatArray:

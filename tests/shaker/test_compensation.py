@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import optimize, signal
 
-from shaker.models.compensation.bandwidth import KEPT_SHARE, target_for_bandwidth
+from shaker.models.compensation.bandwidth import KEPT_SHARE, target_for_bandwidth, target_for_frequency
 from shaker.models.compensation.discrete import discretisation_error, sampled
 from shaker.models.compensation.dynamics import SensorDynamics, loaded_dynamics, modal_dynamics, single_mode
 from shaker.models.compensation.filter import Compensation
@@ -98,6 +98,21 @@ def test_bandwidth_target_counts_the_poles_that_stay() -> None:
     assert reached > 2000.0
     with pytest.raises(ValueError, match="compensate more modes or the real poles"):
         target_for_bandwidth(sensor, 8000.0, 0.01)
+
+
+def test_damping_is_chosen_for_the_whole_sensor() -> None:
+    """One mode: the closed form. Two: the mode above raises the gain, and more damping is needed to keep 10 %."""
+    one = target_for_frequency(single_mode(500.0, 0.004), 1000.0, 0.1)
+    assert one.damping_ratio == best_damping((1 - KEPT_SHARE) * 0.1)
+    sensor = loaded_dynamics(THREE_MASSES, 0.098, modes=2)
+    two = target_for_frequency(sensor, 1000.0, 0.1)
+    bands = [
+        indices(Compensation(sensor, Target(1000.0, damping)).compensated).band_10_hz or 0.0
+        for damping in (two.damping_ratio - 0.03, two.damping_ratio, two.damping_ratio + 0.03)
+    ]
+    assert two.damping_ratio > one.damping_ratio
+    assert bands[1] > 1.2 * bands[0]
+    assert bands[1] > bands[2]
 
 
 def test_real_poles_move_with_the_mode() -> None:

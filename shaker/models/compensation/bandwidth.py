@@ -12,6 +12,7 @@ KEPT_SHARE = 0.1
 """Share of the permitted error that is left to the uncertainty of the model."""
 HIGHEST_FACTOR = 32.0
 RESOLUTION = 1e-10
+REACH, FINE = 4.0, 2001
 POINTS = 257
 
 
@@ -45,6 +46,28 @@ def target_for_bandwidth(
     found = minimize_scalar(lowest, bounds=(near - 0.025, near + 0.025), method="bounded", options={"xatol": 1e-7})
     damping = float(found.x) if found.fun <= np.min(tried) else float(near)
     return Target(lowest(damping), damping, real_hz)
+
+
+def target_for_frequency(
+    sensor: SensorDynamics, frequency_hz: float, permitted_error: float = 0.1, real_hz: float | None = None
+) -> Target:
+    """Return the target of a natural frequency whose damping ratio gives the whole sensor the widest band of 1 ± δ.
+
+    A tenth of δ is left to the uncertainty of the model. For one mode that is `best_damping` of what is left.
+    """
+    start = best_damping((1.0 - KEPT_SHARE) * permitted_error)
+    if not len(sensor.frequency_hz):
+        return Target(frequency_hz, start, real_hz)
+    s: ComplexArray = np.asarray(2j * np.pi * np.linspace(0.0, REACH * frequency_hz, FINE), dtype=np.complex128)
+    rest = np.abs(sensor.system.at(s)) * np.abs(_numerator(s, cancelled_poles(sensor))) / abs(sensor.static_gain)
+    allowed = (1.0 - KEPT_SHARE) * permitted_error
+
+    def reached(damping: float) -> int:
+        gain = rest / np.abs(_numerator(s, target_poles(sensor, Target(frequency_hz, damping, real_hz))))
+        return int(np.argmax(np.append(np.abs(gain - 1.0) > allowed, True)))
+
+    dampings = np.concatenate([[start], start + np.arange(-250, 401) * 1e-3])
+    return Target(frequency_hz, float(dampings[int(np.argmax([reached(float(one)) for one in dampings]))]), real_hz)
 
 
 def _lowest_frequency(
