@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from pathlib import Path
 
 import h5py
@@ -83,8 +84,8 @@ def test_models_come_back_to_the_last_bit(campaign: Path) -> None:
     with h5py.File(campaign / "load" / "load.h5") as file:
         group = file["components/Fy/solution_1/model"]
         assert model.stiffness == group.attrs["stiffness"]
-        assert np.array_equal(model.covariance, group["covariance"][()])
-        assert np.array_equal(model.covariance_with_mass, group["covariance_with_mass"][()])
+        for name in ("covariance", "covariance_with_mass"):
+            np.testing.assert_array_equal(getattr(model, name), group[name][()])
         assert file["components/Fy"].attrs["from_records"]
     assert model.component == "Fy"
     assert model.load_masses == pytest.approx((0.0, 0.008, 0.048, 0.098, 0.198))
@@ -94,9 +95,7 @@ def test_models_come_back_to_the_last_bit(campaign: Path) -> None:
 
 def test_page_is_complete(campaign: Path) -> None:
     text = (campaign / "load" / "load.html").read_text(encoding="utf-8")
-    assert "http" not in text.replace("http://www.w3.org", "").replace("http%3A//www.w3.org", "").replace(
-        "http%3A//purl.org", ""
-    )
+    assert "http" not in re.sub(r"xmlns[^\"']*[\"'][^\"']*[\"']|DOCTYPE|data:image[^\"]*", "", text)
     for word in ("Three masses", "Load limits", "±10 %", "Masses as unknowns", "extrapolated", "N/m"):
         assert word in text
 
@@ -116,7 +115,7 @@ def test_one_load_gives_two_solutions(campaign: Path, tmp_path: Path, capsys: py
 def test_existing_results_are_kept(campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "notes.txt").write_text("mine", encoding="utf-8")
     assert main(["load", str(campaign), "-o", str(tmp_path), "-q"]) == 2
-    assert "notes.txt" in capsys.readouterr().err
+    assert "expected an empty folder for the results" in capsys.readouterr().err
 
 
 def write_table(path: Path, text: str) -> Path:
@@ -220,7 +219,7 @@ def test_moments_have_inertias_in_place_of_masses(short: Path) -> None:
     for grams, inertia in ((0, 0.0), (48, 0.048)):
         rig, recording = short / f"rig-{grams:03d}g.toml", short / f"step-{grams:03d}g"
         change(recording / "recording.toml", 'component = "Fy"', 'component = "Mx"')
-        own = "internal_inertia = [[0.24, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.1]]"
+        own = "internal_inertia = [[0.24, 0.0, 0.0], [0.0, 0.2, 0.0], [0.0, 0.0, 0.2]]"
         change(rig, "internal_mass_uncertainty = 5e-05", f"{own}\ninternal_inertia_uncertainty = 1e-4")
         change(rig, 'channels = ["Fy"]', 'channels = ["bridge"]')
         change(recording / "recording.toml", 'channel = "Fy"', 'channel = "bridge"')
