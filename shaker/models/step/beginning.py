@@ -11,6 +11,7 @@ from shaker.models.step.reading import Shape
 from shaker.models.step.shapes import load_share, shape_responses
 
 _ITERATIONS = 30
+_GROWTH = 30.0  # largest exponent by which a trial mode may grow over the window
 _DIFFERENCE = 1e-5
 _SHORT = 0.3  # samples: shortest release and lag by which slopes are taken
 
@@ -200,6 +201,7 @@ def _moved(window: Window, fit: Beginning, step: FloatArray) -> Beginning | None
     found = fit.with_vector(vector)
     inside = window.time_s[0] <= found.onset_s <= window.time_s[-1] and found.release_s < np.ptp(window.time_s)
     modes = (found.frequency_hz > 0) & (found.frequency_hz < 0.5 / window.step_s) & (np.abs(found.damping_ratio) < 0.9)
+    modes &= -found.damping_ratio * 2 * np.pi * found.frequency_hz * np.ptp(window.time_s) < _GROWTH
     return found if inside and bool(np.all(modes)) else None
 
 
