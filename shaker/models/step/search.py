@@ -28,12 +28,21 @@ def find_beginning(samples: FloatArray, sample_rate_hz: float, start_s: float, p
     """
     after = _after_release(place, len(samples))
     poles = ringing_poles(samples[after:] - place.steady, sample_rate_hz, place.noise)
-    if not len(poles):
-        return None
-    window = _window(samples, sample_rate_hz, start_s, place, poles)
-    ramp = fit_beginning(window, _start(window, place, poles, sample_rate_hz, start_s))
+    sets = [poles] if len(poles) else _unseen(place, sample_rate_hz)
+    fits = []
+    for trial in sets:
+        window = _window(samples, sample_rate_hz, start_s, place, trial)
+        fits.append((window, fit_beginning(window, _start(window, place, trial, sample_rate_hz, start_s))))
+    window, ramp = min(fits, key=lambda fit: fit[1].squares / fit[1].rows)
     smooth = fit_beginning(window, replace(ramp, shape="smooth", release_s=_SMOOTHER * ramp.release_s))
     return smooth if smooth.penalty < ramp.penalty - _DECIDED else ramp
+
+
+def _unseen(place: Location, sample_rate_hz: float) -> list[ComplexArray]:
+    """Return poles that are tried where nothing rings: one well damped mode at several times the rise."""
+    rise_s = max(place.high - place.low, 2.0) / sample_rate_hz
+    frequency = np.minimum(np.array([0.3, 1.0, 3.0]) / rise_s, 0.2 * sample_rate_hz)
+    return [2 * np.pi * f * np.array([-0.5 + 0.75**0.5 * 1j]) for f in frequency]
 
 
 def _after_release(place: Location, count: int) -> int:

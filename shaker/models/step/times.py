@@ -12,7 +12,7 @@ from shaker.models.step.beginning import Beginning, longest_lag_s
 _GRID = 121
 _REACH = 6.0  # standard deviations
 _COVERAGE = 1.96
-_LIKELY = 0.5 * _COVERAGE**2  # logarithm of the likelihood below its largest
+_LIKELY = (1.92, 3.0)  # logarithm of the likelihood below its largest, 95 % of one and of two parameters
 _DAMPER = 2.0 / np.sqrt(3.0)  # of ζ/ω: rectangular distribution of half width 2ζ/ω
 
 
@@ -52,7 +52,9 @@ def release_times(fit: Beginning) -> ReleaseTimes:
     onset = mean[0] + squares @ slope - 0.5 * length[:, None] - lag[None, :]
     own = max(float(covariance[0, 0] - covariance[0, 1:] @ slope), 0.0)
     damper = _DAMPER * float(np.max(np.abs(fit.damping_ratio) / (2 * np.pi * fit.frequency_hz)))
-    likely = log_weight > log_weight.max() - _LIKELY
+    edges = np.concatenate([log_weight[:, [0, -1]].ravel(), log_weight[0, :]])
+    bounded = bool(np.any(edges > log_weight.max() - _LIKELY[0]))
+    likely = log_weight > log_weight.max() - _LIKELY[int(bounded)]
     onset_s, u_onset_s = _moments(weight, onset, likely)
     release_s, u_release_s = _moments(weight, np.broadcast_to(length[:, None], weight.shape), likely)
     lag_s, u_lag_s = _moments(weight, np.broadcast_to(lag, weight.shape), likely)
