@@ -131,9 +131,8 @@ def _of_solid(frame: FrameModel, study: SolidStudy | None) -> list[Notice]:
 
 
 def _of_fits(fits: tuple[PlatformFit, ...]) -> list[Notice]:
-    """The warning of all fits once, and that of each which fails."""
+    """What all fits say, once; of each what is its own."""
     notices = [notice for fit in fits for notice in fit.notices]
-    first: dict[str, Notice] = {}
-    for notice in notices:
-        first.setdefault(notice.text, notice)
-    return list(first.values())
+    texts = [notice.text for notice in notices]
+    shared = [Notice(n.severity, n.text, "fit") if texts.count(n.text) > 1 else n for n in notices]
+    return list(dict.fromkeys(shared))

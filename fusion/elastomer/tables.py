@@ -102,9 +102,14 @@ def headlines(evaluation: ElementEvaluation) -> list[Headline]:
 
 def comparison_table(evaluation: ElementEvaluation) -> Table:
     """Natural frequencies by every model and measurement, and how far they are apart."""
-    rows = [(column.name, *(_cell(column, place) for place in range(6))) for column in evaluation.columns]
+    rows = []
+    for column in evaluation.columns:
+        texts = [_texts(column, place) for place in range(6)]
+        rows.append((column.name, *(value for value, _ in texts)))
+        if any(expanded for _, expanded in texts):
+            rows.append((f"U of {column.name}", *(expanded or DASH for _, expanded in texts)))
     rows.append(("(max − min)/max / %", *(_percent(value) for value in evaluation.spread)))
-    caption = "Natural frequencies in Hz; measured ones with U (k = 2)"
+    caption = "Natural frequencies in Hz; U: k = 2"
     return Table(caption, ("model", *NAMES), "lrrrrrr", tuple(rows))
 
 
@@ -217,13 +222,19 @@ def printed(evaluation: ElementEvaluation) -> Iterator[str]:
 
 def _cell(column: Column, place: int) -> str:
     """One frequency, with U where it is measured."""
+    value, expanded = _texts(column, place)
+    return f"{value} ± {expanded}" if expanded else value
+
+
+def _texts(column: Column, place: int) -> tuple[str, str]:
+    """One frequency and its U, which is empty of what is not measured."""
     value, u = float(column.frequency_hz[place]), float(column.u_hz[place])
     if not np.isfinite(value):
-        return DASH
+        return DASH, ""
     if column.kind != "measured" or not np.isfinite(u):
-        return f"{value:.1f}" if column.kind != "stated" else f"{value:.6g}"
+        return f"{value:.6g}" if column.kind == "stated" else f"{value:.1f}", ""
     text = rounded(value, 2.0 * u, 0)
-    return f"{text.value} ± {text.expanded}"
+    return text.value, text.expanded
 
 
 def _number(value: float | None, fact: Fact) -> str:

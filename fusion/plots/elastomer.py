@@ -48,7 +48,7 @@ class Shape:
 
 @dataclass(frozen=True)
 class Compared:
-    """Natural frequencies (C, M) in Hz of columns by mode with expanded uncertainties; NaN where there is none."""
+    """Natural frequencies (C, M) in Hz of columns by mode with expanded uncertainties; NaN: none."""
 
     columns: tuple[str, ...]
     modes: tuple[str, ...]
@@ -119,12 +119,12 @@ def draw_hand(curve: HandCurve) -> Picture:
     with drawing(name):
         figure = new_figure(2.8)
         axes = figure.subplots(1, 1)
-        scale, unit = (1e3, "g") if curve.unit == "kg" else (1e6, "g·m²·10⁻³")
+        scale, unit = (1e3, "g") if curve.unit == "kg" else (1e6, "kg·mm²")
         axes.plot(scale * curve.mass, curve.frequency_hz, color=BLUE, label="hand joined without a spring (eq. 17)")
         places = np.full(len(curve.chain_hz), scale * curve.chain_mass)
         axes.plot(places, curve.chain_hz, "o", color=RED, label="hand, sensor and pedestal on springs")
-        axes.set_yscale("log")
-        axes.set_xlabel(f"mass of the hand / {unit}" if curve.unit == "kg" else f"inertia of the hand / ({unit})")
+        axes.set_ylim(0.0, 1.1 * max(float(curve.chain_hz.max()), float(curve.frequency_hz.max())))
+        axes.set_xlabel(f"{'mass' if unit == 'g' else 'moment of inertia'} of the hand / {unit}")
         axes.set_ylabel("natural frequency / Hz")
         panel_label(axes, f"mounted sensor, {curve.direction}")
         axes.legend(loc="lower right", ncols=2, bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)

@@ -85,7 +85,7 @@ def _scaled(platform: RigidPart, name: str, factor: float) -> RigidPart:
 
 def _frequencies(beams: CrossBeams, half_size_m: float, platform: RigidPart) -> FloatArray:
     """Frequencies of the six modes."""
-    return solve_frame(beams, half_size_m, platform, pieces=4).modes.frequency_hz
+    return solve_frame(beams, half_size_m, platform, pieces=2).modes.frequency_hz
 
 
 def _slope(pair: list[FloatArray]) -> FloatArray:

@@ -1,0 +1,234 @@
+"""`shakercal elastomer` end to end: a simulated element against its truth, files, and wrong input."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+import sys
+import tomllib
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from page_outline import outline
+
+from fusion.cli import main
+from fusion.elastomer.columns import dominant, measured_column
+from fusion.elastomer.definition import read_definition
+from fusion.elastomer.evaluate import evaluate_element
+from fusion.elastomer.shapes import frame_shapes, solid_shapes
+from fusion.errors import InputError
+from fusion.simulate.elastomer import write_element
+from fusion.simulate.toml_text import to_toml
+from shaker.models.elastomer.modes import NAMES
+from shaker.models.modal import ModalModel
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An element with measured models and their truth."""
+    folder = tmp_path_factory.mktemp("element")
+    write_element(folder, 3)
+    return folder
+
+
+@pytest.fixture
+def element(simulated: Path, tmp_path: Path) -> Path:
+    """A copy that may be spoilt, without the fit that takes long."""
+    folder = tmp_path / "element"
+    shutil.copytree(simulated, folder)
+    _edit(folder, fit=None)
+    return folder
+
+
+@pytest.fixture
+def no_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave page and pictures empty where they are not what is tested."""
+    monkeypatch.setattr("fusion.elastomer.results.shape_pictures", lambda _: {})
+    monkeypatch.setattr("fusion.elastomer.results.render_element_page", lambda *_: "")
+
+
+def _edit(folder: Path, **changes: object) -> None:
+    """Replace top-level keys of elastomer.toml; None removes one, a table is merged."""
+    file = folder / "elastomer.toml"
+    text = tomllib.loads(file.read_text(encoding="utf-8"))
+    for key, value in changes.items():
+        if value is None:
+            text.pop(key, None)
+        elif isinstance(value, dict) and isinstance(text.get(key), dict):
+            text[key] = {name: item for name, item in {**text[key], **value}.items() if item is not None}
+        else:
+            text[key] = value
+    file.write_text(to_toml(text), encoding="utf-8")
+
+
+def _rows(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8", newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_command_writes_a_folder_that_holds_what_it_prints(
+    simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "results"
+    assert main(["elastomer", str(simulated), "-q", "-o", str(out)]) == 0
+    told = capsys.readouterr().out
+    names = {"comparison.csv", "modes.csv", "stiffness.csv", "statics.csv", "platform.csv", "elastomer.h5"}
+    assert {file.name for file in out.iterdir()} == names | {"elastomer.html", "shapes-frame.png"}
+    assert (out / "shapes-frame.png").read_bytes().startswith(b"\x89PNG")
+    comparison = {(row["column"], row["mode"]): float(row["frequency_hz"]) for row in _rows(out / "comparison.csv")}
+    truth = json.loads((simulated / "truth.json").read_text(encoding="utf-8"))["frequency_hz"]
+    for name in NAMES:
+        assert comparison["measured", name] == pytest.approx(truth[name], rel=4e-4)
+        assert comparison["frame", name] == pytest.approx(truth[name], rel=0.05)
+        columns = [value for (column, mode), value in comparison.items() if mode == name and column != "spread"]
+        assert comparison["spread", name] == pytest.approx((max(columns) - min(columns)) / max(columns), rel=1e-12)
+    statics = {row["name"]: row for row in _rows(out / "statics.csv")}
+    assert float(statics["stiffness_point"]["printed"]) == pytest.approx(2.848e5, rel=1e-3)
+    family = _rows(out / "platform.csv")
+    assert float(family[2]["mass_kg"]) == pytest.approx(5.34e-3, rel=0.01)
+    assert max(float(row["largest_misfit"]) for row in family) < 1e-6
+    assert f"{comparison['frame', 'Rz']:.1f}" in told
+    with h5py.File(out / "elastomer.h5") as file:
+        assert file["frame/modes/frequency_hz"][()].tolist() == [comparison["frame", name] for name in NAMES]
+        assert file["frame/node_motion"].shape[1] == 6
+        assert "provenance" in file
+
+
+def test_page_is_whole(element: Path) -> None:
+    assert main(["elastomer", str(element / "elastomer.toml"), "-q"]) == 0
+    text = (element / "elastomer" / "elastomer.html").read_text(encoding="utf-8")
+    found = outline(text)
+    assert all(address.startswith(("data:image/svg+xml,", "#")) for address in found.addresses)
+    assert {address[1:] for address in found.addresses if address.startswith("#")} <= set(found.ids)
+    for heading in ("Mode shapes", "Stiffness", "Mounted", "Tolerances"):
+        assert f"<h2>{heading}</h2>" in text
+
+
+@pytest.mark.usefixtures("no_page")
+def test_second_run_replaces_its_results_only(element: Path) -> None:
+    assert main(["elastomer", str(element), "-q"]) == 0
+    assert main(["elastomer", str(element), "-q"]) == 0
+    (element / "elastomer" / "mine.txt").write_text("kept", encoding="utf-8")
+    _edit(element, name="another")
+    assert main(["elastomer", str(element), "-q"]) == 2
+    assert main(["elastomer", str(element), "-q", "--force"]) == 0
+    assert (element / "elastomer" / "mine.txt").read_text(encoding="utf-8") == "kept"
+
+
+@pytest.mark.slow
+def test_solid_stands_beside_the_frame(element: Path) -> None:
+    pytest.importorskip("skfem")
+    _edit(element, solid={"refinements": [1, 2]}, platform={"half_size": 0.008, "thickness": 0.006})
+    _edit(element, beams={"span": 0.04}, compliant_beams={"length": 0.016})
+    evaluation = evaluate_element(read_definition(element / "elastomer.toml"), {}, solid=True)
+    assert evaluation.solid is not None
+    finest = evaluation.solid.finest
+    assert finest.unknowns > 2 * evaluation.solid.meshes[0].unknowns
+    assert evaluation.frame.modes.frequency_hz == pytest.approx(finest.frequency_hz, rel=0.15)
+    assert [column.kind for column in evaluation.columns][:4] == ["formula", "frame", "solid", "measured"]
+    for frame, solid in zip(
+        frame_shapes(evaluation.definition, evaluation.frame),
+        solid_shapes(evaluation.solid.meshes[0], finest),
+        strict=True,
+    ):
+        assert frame.name == solid.name
+        flat = [shape.motion.reshape(-1, 3) for shape in (frame, solid)]
+        place = [
+            np.argmin(np.linalg.norm(s.rest_m.reshape(-1, 3) - [0.008, 0.008, 0.003], axis=1)) for s in (frame, solid)
+        ]
+        one, other = (motion[i] for motion, i in zip(flat, place, strict=True))
+        assert one @ other > 0.95 * np.linalg.norm(one) * np.linalg.norm(other), frame.name
+
+
+def test_solid_without_its_package_says_what_to_install(element: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "skfem", None)
+    with pytest.raises(InputError, match=r'pip install "shakercal\[solid\]"'):
+        evaluate_element(read_definition(element / "elastomer.toml"), {}, solid=True)
+
+
+def test_platform_as_data_is_its_block(element: Path) -> None:
+    block = read_definition(element / "elastomer.toml").platform
+    data = {"mass": block.mass_kg, "inertia": block.inertia_kgm2.tolist(), "thickness": None}
+    first = evaluate_element(read_definition(element / "elastomer.toml"), {}, solid=False)
+    _edit(element, platform=data)
+    again = evaluate_element(read_definition(element / "elastomer.toml"), {}, solid=False)
+    assert again.frame.modes.frequency_hz == pytest.approx(first.frame.modes.frequency_hz, rel=1e-12)
+    assert any("taken as stated" in notice.text for notice in again.notices)
+    with pytest.raises(InputError, match=r"platform\.thickness"):
+        evaluate_element(read_definition(element / "elastomer.toml"), {}, solid=True)
+
+
+def test_a_hand_as_a_part_lowers_every_frequency(element: Path) -> None:
+    bare = evaluate_element(read_definition(element / "elastomer.toml"), {}, solid=False)
+    _edit(element, part=[{"name": "hand", "mass": 0.1, "centre_of_mass": 0.01, "inertia": [1e-5, 1e-5, 1e-5]}])
+    held = evaluate_element(read_definition(element / "elastomer.toml"), {}, solid=False)
+    assert np.all(held.frame.modes.frequency_hz < bare.frame.modes.frequency_hz)
+    assert held.frame.stiffness == pytest.approx(bare.frame.stiffness, rel=1e-12)
+
+
+def test_dominant_mode_is_the_one_that_swings_most() -> None:
+    model = ModalModel(
+        frequency_hz=np.array([900.0, 1700.0]),
+        damping_ratio=np.array([0.01, 0.02]),
+        residue=np.array([10.0j, 500.0j]),
+        real_hz=np.zeros(0),
+        real_residue=np.zeros(0),
+        covariance=np.diag(np.arange(1.0, 9.0)),
+    )
+    assert dominant(model) == (1700.0, pytest.approx(np.sqrt(2.0)))
+
+
+def test_models_that_are_missing_leave_a_gap(element: Path) -> None:
+    content = json.loads((element / "models.json").read_text(encoding="utf-8"))
+    content["models"] = [item for item in content["models"] if item["component"] in ("Fx", "Mz")]
+    (element / "models.json").write_text(json.dumps(content), encoding="utf-8")
+    column, _ = measured_column(read_definition(element / "elastomer.toml"))
+    assert column is not None
+    assert np.isfinite(column.frequency_hz).tolist() == [True, False, False, False, False, True]
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"beams": {"widht": 0.004}}, 'beams.widht: expected a known key, probably "width"'),
+        ({"beam": {"width": 0.004}}, 'beam: expected a known key, probably "beams"'),
+        ({"beams": {"span": -1.0}}, "beams.span: expected a number above 0"),
+        ({"material": {"poisson_ratio": 0.5}}, "material.poisson_ratio"),
+        ({"platform": {"half_size": 0.04}}, "platform: expected a half-size below half the span"),
+        ({"platform": {"mass": 0.01}}, "platform.inertia: expected mass and inertia together"),
+        ({"platform": {"thickness": None}}, "platform.thickness: expected the thickness of the block"),
+        ({"platform": {"mass": 0.01, "inertia": [1.0, 1.0, 5.0]}}, "platform.inertia: expected three moments"),
+        ({"solid": {"refinements": [2, 1]}}, "solid.refinements: expected two or more whole numbers"),
+        ({"fit": {"half_sizes": [0.01], "frequencies": {"Tx": 1.0}}}, "fit.frequencies: expected Tz, Rz"),
+        ({"fit": {"half_sizes": [], "frequencies": {"Tx": 1.0}}}, "fit.half_sizes: expected a list of numbers"),
+        ({"mounting": {"direction": "x"}}, "mounting.direction: expected"),
+        ({"measured": "missing.json"}, "measured: expected an existing file"),
+        (
+            {"stated": [{"name": "a", "Tx": 1.0}, {"name": "a", "Tx": 2.0}]},
+            'stated: expected different names, found "a" twice',
+        ),
+    ],
+)
+def test_wrong_input_is_told_in_one_sentence(
+    element: Path, changes: dict[str, object], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _edit(element, **changes)
+    assert main(["elastomer", str(element), "-q"]) == 2
+    sentence = capsys.readouterr().err
+    assert f"elastomer.toml: {said}" in sentence
+    assert sentence.count("\n") == 1
+    assert not (element / "elastomer").exists()
+
+
+def test_simulation_is_replaced_only_where_it_is_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "try"
+    assert main(["simulate", str(out), "--preset", "elastomer", "-q"]) == 0
+    first = (out / "models.json").read_bytes()
+    assert main(["simulate", str(out), "--preset", "elastomer", "-q", "--force"]) == 0
+    assert (out / "models.json").read_bytes() == first
+    (out / "notes.txt").write_text("mine", encoding="utf-8")
+    assert main(["simulate", str(out), "--preset", "elastomer", "-q", "--force"]) == 2
+    assert "notes.txt in it" in capsys.readouterr().err
