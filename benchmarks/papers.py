@@ -1,4 +1,4 @@
-"""The numbers printed by Nitsche, Kumme and Tutsch (2018), recomputed by the program from their printed inputs.
+"""The numbers printed by three publications, recomputed by the program from their printed inputs.
 
 Usage: python benchmarks/papers.py [--docs FOLDER]
 
@@ -14,6 +14,8 @@ from pathlib import Path
 from re import sub
 
 import numpy as np
+import papers_rows_load as loads
+import papers_rows_wrist as wrist
 import published_paper as paper
 from papers_rows import Row, motion, oscillator, resonance, rotation, sensitivity, table_2
 
@@ -59,7 +61,19 @@ def tables() -> dict[str, list[str]]:
     """Return the tables of docs/papers.md by name, as lines of Markdown."""
     head = ("where", "published", "from", "program", "verdict", "remark")
     parts = {"motion": motion, "rotation": rotation, "resonance": resonance, "table 2": table_2}
-    found = {name: _table(head, rows()) for name, rows in {**parts, "sensitivity": sensitivity}.items()}
+    of_wrist = {
+        "wrist statics": wrist.statics,
+        "wrist frequencies": wrist.frequencies,
+        "wrist SIM": wrist.simultaneous,
+        "wrist DE": wrist.evolution,
+    }
+    of_load = {
+        "load oscillation": loads.oscillation,
+        "load series": loads.load_series,
+        "load filter": loads.compensation,
+    }
+    every = {**parts, "sensitivity": sensitivity, **of_wrist, **of_load}
+    found = {name: _table(head, rows()) for name, rows in every.items()}
     fine = ("resonance", "f₀", "Q", "lines in Δf", "k: line of maximum", "k: maximum", "k: circle")
     return {**found, "spacing": _table((*fine, "b: half amplitude", "b: half power", "b: circle"), spacing_rows())}
 

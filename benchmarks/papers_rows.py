@@ -25,6 +25,7 @@ from shaker.signals.phasor import derivative_factor
 
 FloatArray = NDArray[np.float64]
 HOLDS, ROUNDED, NOT, WRONG, EXPLAINED = "comes out", "within rounding", "does not", "wrong as printed", "explained"
+OPEN = "cannot be checked"
 AIR_OVER_STEEL = 1.2 / 8000.0
 
 
