@@ -6,11 +6,15 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fusion.load import LOAD_COMPONENTS
 from fusion.manifest import ChannelEntry, Manifest
+from fusion.step.pool import effective_dof
 from fusion.step.result import Release, Rope, StaticGain
 from shaker.models.step.compare import compare_releases
+
+FloatArray = NDArray[np.float64]
 
 
 def static_gains(releases: Sequence[Release]) -> Iterator[StaticGain]:
@@ -32,21 +36,26 @@ def static_gains(releases: Sequence[Release]) -> Iterator[StaticGain]:
         yield StaticGain(channel, mean, total, float(wide), len(found), stated, u_stated)
 
 
-def mean_with_scatter(value: np.ndarray, u: np.ndarray) -> tuple[float, float, float]:
+def mean_with_scatter(value: FloatArray, u: FloatArray) -> tuple[float, float, float]:
     """Return the weighted mean of values (N,) with u (N,), its u and degrees of freedom.
 
-    u is that of the weights where χ² is what they let expect, N - 1 at most, and enlarged by √(χ²/(N - 1)), with N - 1
-    degrees of freedom, where it is more (Birge's ratio).
+    u² is that of the weights times χ²/(N - 1) where this is above 1 (Birge's ratio), with the degrees of freedom of
+    `pool.effective_dof`.
     """
     if not np.all(u > 0.0):
         u = np.ones(len(value))
     weight = 1.0 / u**2
     mean = float(weight @ value / weight.sum())
-    stated = float(np.sqrt(1.0 / weight.sum()))
+    stated = 1.0 / float(weight.sum())
     if len(value) < 2:
-        return mean, stated, float(np.inf)
-    ratio = float(weight @ (value - mean) ** 2) / (len(value) - 1)
-    return (mean, stated, float(np.inf)) if ratio <= 1.0 else (mean, stated * ratio**0.5, float(len(value) - 1))
+        return mean, stated**0.5, float(np.inf)
+    freedom = len(value) - 1
+    ratio = float(weight @ (value - mean) ** 2) / freedom
+    if ratio <= 1.0:
+        return mean, stated**0.5, float(np.inf)
+    part = stated * (ratio - 1.0 if freedom == 1 else ratio)
+    dof = effective_dof(np.array([stated * ratio]), np.array([part]), freedom)
+    return mean, (stated * ratio) ** 0.5, float(dof[0])
 
 
 def scale_uncertainty(manifest: Manifest, channel: str) -> float:

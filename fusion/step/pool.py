@@ -46,9 +46,10 @@ class Pooled:
     def spread(self, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return standard uncertainties (Q,) of numbers with gradients (Q, P), and their degrees of freedom (Q,).
 
-        u² = Σw²·(u_i² + τ²) + u_scale², τ² = s² - mean u_i² where the vectors scatter by more than is stated, and then
-        with the degrees of freedom of s², infinite else; with the scale by Welch and Satterthwaite (JCGM 100, G.4.1),
-        s² enlarged by its relative variance 2/ν.
+        u² = Σw²·(u_i² + τ²) + u_scale², τ² = s² - mean u_i² where the vectors scatter by more than is stated. Then
+        the degrees of freedom are those of s², with the scale by Welch and Satterthwaite (JCGM 100, G.4.1), s² enlarged
+        by its relative variance 2/ν as in `fusion.rotate.scatter`; of two vectors, whose s² tells little, only τ²
+        counts as the part with ν = 1, so that k = 12.7 is left to scatter that is far beyond what is stated.
         """
         stated = np.einsum("qp,npr,qr->nq", gradient, self.covariances, gradient)
         variance, dof = self.weights**2 @ stated, np.full(len(gradient), np.inf)
@@ -59,9 +60,20 @@ class Pooled:
             beyond = np.maximum(square - stated.mean(axis=0), 0.0)
             by_square = float(np.sum(self.weights**2))
             variance = variance + by_square * beyond
-            wide = np.where(beyond > 0.0, by_square * square * (1.0 + 2.0 / self.scattered), 1.0)
-            dof = np.where(beyond > 0.0, self.scattered * ((common + wide) / wide) ** 2, np.inf)
+            part = beyond if self.scattered == 1 else np.where(beyond > 0.0, square, 0.0)
+            of_scatter = np.minimum(by_square * part, variance)
+            dof = effective_dof(variance + common, of_scatter, self.scattered)
         return np.asarray(np.sqrt(variance + common)), np.asarray(dof)
+
+
+def effective_dof(variance: FloatArray, of_scatter: FloatArray, dof: int) -> FloatArray:
+    """Return degrees of freedom (Q,) of variances (Q,), of which parts have `dof` of them and the rest is known.
+
+    Welch and Satterthwaite, the parts enlarged by their relative variance 2/ν; infinite without such a part.
+    """
+    wide = of_scatter * (1.0 + 2.0 / dof)
+    rest = np.maximum(variance - of_scatter, 0.0)
+    return np.asarray(dof * (1.0 + np.divide(rest, wide, out=np.full(len(wide), np.inf), where=wide > 0.0)) ** 2)
 
 
 def pool_models(models: Sequence[ModalModel], mountings: Sequence[str], u_scale: float = 0.0) -> Pooled:
