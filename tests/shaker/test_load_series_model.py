@@ -183,6 +183,17 @@ def test_a_second_load_separates_them() -> None:
     np.testing.assert_allclose(found.model.vector, MODEL.vector, rtol=1e-5)
 
 
+def test_modes_of_something_else_are_left_out() -> None:
+    loads = np.array([0.0, 0.048, 0.198])
+    seen = exact(MODEL, loads, 1e-4)
+    f, z = seen.frequency_hz.copy(), seen.damping_ratio.copy()
+    f[:2, 1], z[:2, 1] = [700.0, 640.0], 0.01
+    strange = replace(seen, frequency_hz=f, u_frequency_hz=1e-4 * f, damping_ratio=z, u_damping_ratio=1e-2 * z)
+    found = identify_loads(strange, stated_masses(MOVING, 0.0, loads), OUTPUT)
+    np.testing.assert_allclose(found.model.vector, MODEL.vector, rtol=1e-4)
+    assert "700 Hz with no load, 640 Hz with a load of 0.048 kg" in found.notices[0].text
+
+
 def test_a_rigid_load_is_taken_as_one() -> None:
     rng = np.random.default_rng(3)
     f = np.sqrt(2e6 / (MOVING + LOADS)) / (2 * np.pi)

@@ -22,7 +22,7 @@ FARTHEST = 1e4
 """Ratio of the stiffnesses beyond which one of them means nothing."""
 INDISTINCT = 3.84
 """Difference of chi-squared up to which a second minimum cannot be excluded (95 %)."""
-CHANCE = 0.01
+CHANCE = 1e-3
 """Chance below which deviations are not explained by what is stated."""
 
 
@@ -58,7 +58,7 @@ def fit_resonances(measured: Resonances, masses: SeriesMasses, *, rigid: bool) -
 
     Weighted least squares on ln f and ln ζ with every named mass error as an unknown of its own, from several starts.
     Scatter beyond what is stated is estimated as of random effects (Mandel & Paule 1970), of frequencies and dampings
-    each by itself, where chance would explain it less than once in 100, or where nothing is stated.
+    each by itself, where chance would explain it less than once in 1000, or where nothing is stated.
     """
     problem = Problem(measured, masses, rigid)
     none = (0.0, 0.0)

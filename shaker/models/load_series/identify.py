@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from shaker._checks import FloatArray
+from shaker.models.load_series.belonging import belonging
 from shaker.models.load_series.decay import FreeDecay
-from shaker.models.load_series.fit import CHANCE, SeriesFit, fit_resonances
+from shaker.models.load_series.fit import SeriesFit, fit_resonances
 from shaker.models.load_series.joint import fit_decays
 from shaker.models.load_series.masses import SeriesMasses
 from shaker.models.load_series.model import LoadModel
@@ -16,6 +17,8 @@ from shaker.models.load_series.problem import Problem
 from shaker.models.load_series.resonances import Resonances
 from shaker.notice import Notice
 
+CHANCE = 0.01
+"""Chance below which a rigid load is contradicted."""
 NEGLIGIBLE = 1e-3
 """Deviation in % that is not worth a number."""
 UNLIKELY = 3.0
@@ -75,9 +78,12 @@ def identify_loads(
     """Return the model that resonances of R records support, fitted to their `decays` where these are given.
 
     Three masses are chosen where a second mode was seen, or where a rigid load contradicts the first ones (chance below
-    1 in 100). Where resonances scatter about the model beyond what is stated, the fit to them, which knows of that
-    scatter, takes the place of the fit to the records. `noise` (R,) of the records, in output units.
+    1 in 100); second modes that no coupling explains are left out. Where resonances scatter about the model beyond what
+    is stated, the fit to them, which knows of that scatter, takes the place of the fit to the records. `noise` (R,) of
+    the records, in output units.
     """
+    seen = measured
+    measured, foreign = belonging(measured, masses)
     rigid = fit_resonances(measured, masses, rigid=True)[0]
     told = np.isfinite(measured.frequency_hz) & np.stack([np.ones_like(masses.load), masses.load], axis=1).astype(bool)
     enough = int(told.sum()) >= 2 and bool(np.any(masses.load > 0))
@@ -92,6 +98,7 @@ def identify_loads(
         chosen = tuple(sorted(chosen, key=lambda fit: -float(fit.numbers[2])))
     models = tuple(_model(fit, masses, output, n, len(chosen)) for n, fit in enumerate(chosen, 1))
     notices = (
+        *_of_foreign(seen, foreign, masses, output),
         *_of_choice(supported, reason, output),
         *_of_solutions(models, output),
         *_of_scatter(chosen[0], bool(np.any(measured.u_frequency_hz[:, 0] > 0)), output),
@@ -181,6 +188,13 @@ def _model(fit: SeriesFit, masses: SeriesMasses, output: Output, number: int, co
         solution=number,
         solutions=count,
     )
+
+
+def _of_foreign(seen: Resonances, places: tuple[int, ...], masses: SeriesMasses, output: Output) -> tuple[Notice, ...]:
+    """Say which modes were seen that are none of the coupling."""
+    told = [f"{seen.frequency_hz[r, 1]:.5g} Hz with {_mass(masses.load[r], output.mass_unit)}" for r in places]
+    text = f"modes that no coupling of the load explains are left out: {', '.join(told)}"
+    return (Notice("warning", text, output.component),) if told else ()
 
 
 def _of_choice(supported: bool, reason: str, output: Output) -> tuple[Notice, ...]:
