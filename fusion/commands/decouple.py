@@ -23,7 +23,7 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
         "--frequency",
         type=positive,
         metavar="HZ",
-        help="wanted frequency behind the filter (default: the lowest mode's)",
+        help="wanted frequency behind the filter (default: half the lowest mode's)",
     )
     parser.add_argument(
         "--damping",

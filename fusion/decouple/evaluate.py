@@ -115,7 +115,7 @@ def _fitted(manifests: Sequence[Manifest], inputs: Sequence[StepInput]) -> Multi
 def _target(fit: MultiFit, settings: DecoupleSettings) -> Target:
     """The wanted dynamics, alike for all loads."""
     count = len(fit.model.components)
-    wanted = float(fit.model.frequency_hz.min()) if settings.frequency_hz is None else settings.frequency_hz
+    wanted = 0.5 * float(fit.model.frequency_hz.min()) if settings.frequency_hz is None else settings.frequency_hz
     if wanted >= 0.25 * fit.sample_rate_hz:
         raise ComputeError(
             f"wanted frequency {wanted:g} Hz: expected below a quarter of the sampling rate, {fit.sample_rate_hz:g} Hz"
@@ -132,11 +132,12 @@ def _designed(fit: MultiFit, target: Target) -> DecouplingFilter:
 
 
 def _lines(fit: MultiFit, target: Target) -> FloatArray:
-    """Frequencies in Hz, evenly spaced on a logarithmic scale."""
+    """Frequencies in Hz, evenly spaced on a logarithmic scale, and those of the modes."""
     highest = max(float(fit.model.frequency_hz.max()), float(target.frequency_hz.max()))
     top = min(FARTHEST * highest, 0.45 * fit.sample_rate_hz)
     low = float(fit.model.frequency_hz.min()) / 100.0
-    return np.asarray(np.geomspace(low, top, LINES))
+    spaced = np.geomspace(low, top, LINES)
+    return np.unique(np.concatenate([spaced, fit.model.frequency_hz]))
 
 
 def _capacity(manifest: Manifest, components: Sequence[str]) -> FloatArray | None:

@@ -20,7 +20,7 @@ K = 2.0
 
 @dataclass(frozen=True)
 class DecoupleSettings:
-    """Choices that change results: wanted frequency in Hz (None: that of the lowest mode) and damping ratio of the
+    """Choices that change results: wanted frequency in Hz (None: half that of the lowest mode) and damping ratio of the
     loads behind the filter; `seed` of what is drawn."""
 
     frequency_hz: float | None = None
@@ -29,7 +29,7 @@ class DecoupleSettings:
 
     def as_dict(self) -> dict[str, str | float | int]:
         """Return the settings as plain values for the result files."""
-        wanted = "lowest mode" if self.frequency_hz is None else self.frequency_hz
+        wanted = "half that of the lowest mode" if self.frequency_hz is None else self.frequency_hz
         return {"frequency_hz": wanted, "damping_ratio": self.damping_ratio, "seed": self.seed}
 
 

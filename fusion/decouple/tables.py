@@ -80,13 +80,14 @@ def crosstalk_rows(evaluation: DecoupleEvaluation) -> Iterator[Row]:
 
 
 def largest(evaluation: DecoupleEvaluation, stage: Crosstalk) -> tuple[float, float, str]:
-    """Return the largest cross-talk in a step with U, in rated loads, and which reading and load it is."""
+    """Return the cross-talk in a step that may be largest, by value and U, in rated loads, and which it is."""
     ratio, best = evaluation.scale / evaluation.scale[:, None], (-1.0, 0.0, "")
     for i, reading in enumerate(stage.components):
         for j, load in enumerate(stage.components):
             value = float(stage.peak[i, j] * ratio[i, j])
-            if i != j and evaluation.comparable(i, j) and value > best[0]:
-                best = (value, K * float(stage.u_peak[i, j] * ratio[i, j]), f"{reading} while {load} steps")
+            expanded = K * float(stage.u_peak[i, j] * ratio[i, j])
+            if i != j and evaluation.comparable(i, j) and value + expanded > sum(best[:2]):
+                best = (value, expanded, f"{reading} while {load} steps")
     return best
 
 

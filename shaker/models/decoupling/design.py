@@ -12,7 +12,8 @@ from shaker.models.decoupling.model import MultiModel
 from shaker.models.decoupling.state_space import StateSpace, sampled_modes
 
 _DELAYS = 32
-_GAIN_LEFT = 1.1
+_GAIN_LEFT = 2.0
+_SMALL = 1e-2
 _REAL = 1e-9
 
 
@@ -51,7 +52,7 @@ def design_decoupling(
     the states of H and T, which share their load, with smoothing over `delay` samples (Anderson and Moore, Optimal
     Filtering, 1979, chapters 4 and 7). It is stable whatever H is, and where the load stands clear of the noise and H
     has no such zeros D·H = T. Its static gain is then made exact. By default the delay is the shortest of up to 32
-    samples whose error is within 10 % of that of the longest.
+    samples whose error is within twice that of the longest, or below 1 % of the load, for every load.
     """
     if not model.stable:
         raise ValueError("model: expected one whose poles all decay, found one that grows")
@@ -65,7 +66,8 @@ def design_decoupling(
 @dataclass(frozen=True)
 class _Gains:
     """The steady filter in units of noise and loads: x⁺ = m·x + k·y, innovations y - c·x, gains[i] of the innovation i
-    samples after the load, `left` (L + 1, D): mean square error of every load by delay."""
+    samples after the load, `left` (L + 1, D): mean square error of every load by delay; `size` (D,): mean
+    square of the load with the wanted dynamics."""
 
     m: FloatArray
     k: FloatArray
@@ -73,6 +75,7 @@ class _Gains:
     wanted: FloatArray
     gains: FloatArray
     left: FloatArray
+    size: FloatArray
 
 
 def _scaled(model: MultiModel, target: Target, recorded: Recorded) -> tuple[StateSpace, StateSpace]:
@@ -89,7 +92,7 @@ def _scaled(model: MultiModel, target: Target, recorded: Recorded) -> tuple[Stat
 
 def _smoother(plant: StateSpace, wanted: StateSpace, delay: int) -> _Gains:
     """Steady Kalman filter of both systems with the gains of smoothing over a delay; loads and noise of unit size."""
-    from scipy.linalg import block_diag, solve_discrete_are
+    from scipy.linalg import block_diag, solve_discrete_are, solve_discrete_lyapunov
 
     a, b = block_diag(plant.a, wanted.a), np.concatenate([plant.b, wanted.b])
     c = np.concatenate([plant.c, np.zeros((len(plant.c), len(wanted.a)))], axis=1)
@@ -108,13 +111,15 @@ def _smoother(plant: StateSpace, wanted: StateSpace, delay: int) -> _Gains:
     gains = np.array([np.linalg.solve(spread, part.T).T for part in together])
     before = np.diag(shown @ p @ shown.T + wanted.d @ wanted.d.T)
     told = np.cumsum([np.einsum("dc,dc->d", gain, part) for gain, part in zip(gains, together, strict=True)], axis=0)
-    return _Gains(m, k, c, shown, gains, before - told)
+    moved = solve_discrete_lyapunov(wanted.a, wanted.b @ wanted.b.T)
+    size = np.diag(wanted.c @ moved @ wanted.c.T + wanted.d @ wanted.d.T)
+    return _Gains(m, k, c, shown, gains, before - told, size)
 
 
 def _shortest(gains: _Gains) -> int:
-    """The shortest delay whose root mean square error is near that of the longest for every load."""
+    """The shortest delay whose root mean square error is small, or near that of the longest, for every load."""
     error = np.sqrt(np.maximum(gains.left, 0.0))
-    near = np.all(error <= _GAIN_LEFT * error[-1] + 1e-12, axis=1)
+    near = np.all(error <= np.maximum(_GAIN_LEFT * error[-1], _SMALL * np.sqrt(gains.size)), axis=1)
     return int(np.flatnonzero(near)[0])
 
 
