@@ -76,6 +76,9 @@ def _add_samples(parser: argparse.ArgumentParser) -> None:
         help="matched poles and zeros, or Tustin prewarped at each mode (default: matched)",
     )
     parser.add_argument("--apply", type=Path, metavar="RECORDING", help="filter the outputs of this recording too")
+    parser.add_argument(
+        "--ball", type=positive, metavar="N_PER_M", help="check force feedback against a virtual ball of this stiffness"
+    )
     parser.add_argument("--allow-outside", action="store_true", help="accept files outside the folder of rig.toml")
 
 
@@ -95,6 +98,7 @@ def _act(options: argparse.Namespace) -> int:
         calibrated=options.calibrated,
         load_masses=tuple(dict.fromkeys(options.load_mass)),
         channels=tuple(options.channel),
+        ball_stiffness=options.ball,
     )
     run_compensate(
         options.models,

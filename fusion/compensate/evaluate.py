@@ -8,9 +8,11 @@ from time import process_time
 
 import numpy as np
 
+from fusion.compensate.evaluation import CompensateEvaluation
+from fusion.compensate.haptics import check_haptics
 from fusion.compensate.recording import OutputRecord, apply
 from fusion.compensate.remarks import of_filter, of_subject
-from fusion.compensate.result import CompensateEvaluation, Figures, FloatArray, LoadFilter, SubjectResult
+from fusion.compensate.result import Figures, FloatArray, LoadFilter, SubjectResult
 from fusion.compensate.sources import Sources, Subject, chosen
 from fusion.compensate.wish import COMMAND, Wish
 from fusion.errors import InputError
@@ -40,6 +42,7 @@ def evaluate_compensation(
     rate = None if record is None else record.sample_rate_hz
     subjects = [_subject(subject, wish, rate) for subject in chosen(sources, wish.channels)]
     applied, more = (None, ()) if record is None else apply(record, subjects, wish)
+    haptics = check_haptics(subjects, wish)
     remarks = [notice for result in subjects for notice in of_subject(result)]
     remarks += [notice for result in subjects for one in result.filters for notice in of_filter(result, one, wish)]
     return CompensateEvaluation(
@@ -47,6 +50,7 @@ def evaluate_compensation(
         wish=wish,
         subjects=tuple(subjects),
         applied=applied,
+        haptics=haptics,
         notices=(*sources.notices, *remarks, *more),
         settings=wish.settings,
         versions=versions(),

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from fusion.compensate.result import CompensateEvaluation, LoadFilter, SubjectResult
+from fusion.compensate.evaluation import CompensateEvaluation
+from fusion.compensate.result import LoadFilter, SubjectResult
 from fusion.errors import InputError
 from shaker.models.compensation.discrete import Sections
 

@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 
 from fusion.compensate import tables
-from fusion.compensate.result import CompensatedChannel, CompensateEvaluation, FloatArray, LoadFilter, SubjectResult
+from fusion.compensate.evaluation import CompensateEvaluation
+from fusion.compensate.haptics import HAND_DAMPING, HAND_STIFFNESS, HANDLE_MASS, PUSH_M, PUSH_S
+from fusion.compensate.result import CompensatedChannel, FloatArray, LoadFilter, SubjectResult
 from fusion.evaluated import page_frame
 from fusion.page import render_page
 from fusion.plots.compensate import (
@@ -15,9 +17,11 @@ from fusion.plots.compensate import (
     FilteredChannel,
     MismatchCurve,
     NoiseCurve,
+    PushedBall,
     StepCurves,
     draw_bode,
     draw_channel,
+    draw_haptics,
     draw_mismatch,
     draw_noise,
     draw_steps,
@@ -64,6 +68,9 @@ def _context(evaluation: CompensateEvaluation) -> dict[str, Any]:
         "applied": []
         if evaluation.applied is None
         else [_channel(evaluation, one) for one in evaluation.applied.channels],
+        "haptics": tables.haptics_table(evaluation),
+        "haptics_pictures": _haptics(evaluation),
+        "loop": _loop(evaluation),
         **page_frame(evaluation),
     }
 
@@ -139,6 +146,31 @@ def _mismatch(result: SubjectResult, number: int) -> list[Picture]:
         MismatchCurve(tables.label(result, one), 100 * one.off_frequency, one.off_ringing) for one in result.filters
     ]
     return [draw_mismatch(f"mismatch-{number}", curves, "frequency of the sensor off by / %", after)]
+
+
+def _haptics(evaluation: CompensateEvaluation) -> list[Picture]:
+    """Applied and fed-back force with the filter for no load and with the own one."""
+    found = evaluation.haptics
+    if found is None:
+        return []
+    runs = [
+        PushedBall(case.name, case.run.time_s, case.run.applied, case.run.fed_back)
+        for case in (found.cases[1], found.cases[2])
+    ]
+    return [draw_haptics("haptics", runs, found.gain)]
+
+
+def _loop(evaluation: CompensateEvaluation) -> str:
+    """The loop of the check in words."""
+    found = evaluation.haptics
+    if found is None:
+        return ""
+    return (
+        f"A hand ({HAND_STIFFNESS:g} N/m, {HAND_DAMPING:g} N·s/m) pushes a handle of {HANDLE_MASS:g} kg by "
+        f"{1e3 * PUSH_M:g} mm in {PUSH_S:g} s against a virtual ball of {found.ball_stiffness:g} N/m. The device "
+        "pushes back with the force of the ball and K times its difference to what the sensor tells, one sample late. "
+        "Tracking error: rms of applied less fed-back force over rms of the latter while the ball is touched."
+    )
 
 
 def _channel(evaluation: CompensateEvaluation, channel: CompensatedChannel) -> Picture:

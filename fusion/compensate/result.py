@@ -8,8 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.compensate.sources import Subject
-from fusion.compensate.wish import Wish
-from fusion.notices import Notice
 from shaker.models.compensation.discrete import Sections
 from shaker.models.compensation.filter import Compensation
 from shaker.models.indices.result import Indices
@@ -93,18 +91,3 @@ class CompensatedRecording:
     def time_s(self) -> FloatArray:
         """Time of every sample (N,) in s."""
         return np.asarray(self.start_s + np.arange(len(self.channels[0].value)) / self.sample_rate_hz)
-
-
-@dataclass(frozen=True)
-class CompensateEvaluation:
-    """All filters, the recording they were applied to, notices and origin."""
-
-    name: str
-    wish: Wish
-    subjects: tuple[SubjectResult, ...]
-    applied: CompensatedRecording | None
-    notices: tuple[Notice, ...]
-    settings: dict[str, str | float | int]
-    versions: dict[str, str]
-    input_hashes: dict[str, str]
-    duration_s: float

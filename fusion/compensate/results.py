@@ -9,9 +9,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from fusion.compensate.evaluation import CompensateEvaluation
 from fusion.compensate.export import HEADER_FILE, JSON_FILE, header_text, json_text
 from fusion.compensate.page import PAGE_FILE, frequencies, render_compensate_page
-from fusion.compensate.result import CompensatedRecording, CompensateEvaluation, LoadFilter
+from fusion.compensate.result import CompensatedRecording, LoadFilter
 from fusion.compensate.tables import COLUMNS, label, quantity_rows
 from fusion.evaluated import ResultFolder
 from fusion.results_csv import Row, csv_text

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 from markupsafe import Markup
 
-from fusion.compensate.result import CompensateEvaluation, Figures, LoadFilter, SubjectResult
+from fusion.compensate.evaluation import CompensateEvaluation
+from fusion.compensate.result import Figures, LoadFilter, SubjectResult
 from fusion.polar import DASH, rounded
 from fusion.report_numbers import measured, number
 from fusion.report_tables import Headline, Table
@@ -182,6 +183,21 @@ def mismatch_tables(evaluation: CompensateEvaluation) -> list[Table]:
 def _signed_percent(share: float) -> str:
     """A share in % with its sign, none before zero."""
     return f"{PERCENT * share:+g} %".replace("-", "\N{MINUS SIGN}") if share else "0 %"
+
+
+def haptics_table(evaluation: CompensateEvaluation) -> Table | None:
+    """How stiff the force feedback may be made with each treatment of the signal, and how well it then tracks."""
+    found = evaluation.haptics
+    if found is None:
+        return None
+    rows = []
+    for case in found.cases:
+        error = case.run.tracking_error
+        at_shared = f"{PERCENT * error:.3g} %" if np.isfinite(error) and case.run.stable else "runs away"
+        rows.append((case.name, f"{case.largest_gain:.4g}", f"{PERCENT * case.own_error:.3g} %", at_shared))
+    head = ("signal", "largest stable K", "tracking error at half of it", f"at K = {found.gain:.3g}")
+    caption = f"{found.channel}: force feedback with a load of {GRAM * found.load_mass:.4g} g"
+    return Table(caption, head, "lrrr", tuple(rows))
 
 
 def damping_table(evaluation: CompensateEvaluation) -> Table:

@@ -20,7 +20,8 @@ class Wish:
     Either `frequency_hz`, with `damping_ratio` or else that with the widest band for `permitted_error`, or
     `bandwidth_hz`: up to where the gain stays within ± `permitted_error` of the static one. `modes` are compensated,
     and the real poles if `real_hz` says where to. `calibrated`: the filter also divides by the static gain.
-    `load_masses` in kg, those of a sensor whose load is modelled. `channels`: which, none for all.
+    `load_masses` in kg, those of a sensor whose load is modelled. `channels`: which, none for all. `ball_stiffness` in
+    N/m: that of the virtual ball of a force-feedback check, None for no check.
     """
 
     frequency_hz: float | None = None
@@ -34,6 +35,7 @@ class Wish:
     calibrated: bool = False
     load_masses: tuple[float, ...] = ()
     channels: tuple[str, ...] = ()
+    ball_stiffness: float | None = None
 
     def __post_init__(self) -> None:
         if (self.frequency_hz is None) == (self.bandwidth_hz is None):
@@ -64,7 +66,7 @@ class Wish:
             "discretisation": self.discretisation,
             "calibrated": int(self.calibrated),
         }
-        for name in ("frequency_hz", "damping_ratio", "bandwidth_hz", "real_hz", "sample_rate_hz"):
+        for name in ("frequency_hz", "damping_ratio", "bandwidth_hz", "real_hz", "sample_rate_hz", "ball_stiffness"):
             value = getattr(self, name)
             if value is not None:
                 given[name] = value

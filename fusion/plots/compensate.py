@@ -94,6 +94,16 @@ class FilteredChannel:
     u: FloatArray
 
 
+@dataclass(frozen=True)
+class PushedBall:
+    """Forces (N,) in N at `time_s` while a hand pushes a virtual ball; NaN from where the loop ran away."""
+
+    name: str
+    time_s: FloatArray
+    applied: FloatArray
+    fed_back: FloatArray
+
+
 def draw_bode(name: str, curves: BodeCurves) -> Picture:
     """Gain and phase before and after, the band of the permitted error, and the sampled filter."""
     with drawing(name):
@@ -182,6 +192,27 @@ def draw_mismatch(name: str, curves: Sequence[MismatchCurve], axis: str, own: st
         panel_label(axes, "another sensor than the filter is for")
         lay_out(figure, (axes,), top=0.24, left=0.78, label=0.58)
         return finish(figure, name, "Residual ringing", own)
+
+
+def draw_haptics(name: str, runs: Sequence[PushedBall], gain: float) -> Picture:
+    """Applied and fed-back force of two ways to treat the signal at the same force gain."""
+    with drawing(name):
+        figure = new_figure(2.8)
+        panels = figure.subplots(1, len(runs), sharey=True)
+        top = 1.4 * float(np.nanmax(runs[-1].fed_back))
+        for axes, run in zip(panels, runs, strict=True):
+            axes.plot(run.time_s, run.applied, color=GREY, linewidth=1.4, label="applied by the hand")
+            axes.plot(
+                run.time_s, run.fed_back, color=BLUE, linewidth=0.9, linestyle=DASHED, label="fed back by the ball"
+            )
+            axes.set_xlabel("time / s")
+            axes.set_ylim(-0.3 * top, top)
+            panel_label(axes, f"{run.name}, K = {gain:.3g}")
+        panels[0].set_ylabel("force / N")
+        panels[-1].legend(loc="upper right")
+        lay_out(figure, panels, top=0.24, gap=(0.4, 0.2), left=0.78, label=0.58)
+        caption = "Curves end where the loop has run away."
+        return finish(figure, name, "Applied and fed-back force", caption)
 
 
 def draw_channel(name: str, channel: FilteredChannel) -> Picture:

@@ -140,6 +140,18 @@ def test_a_filter_for_every_load_of_one_target(tmp_path: Path, capsys: pytest.Ca
     assert np.all(np.diff(ringing) > 0)
 
 
+def test_force_feedback_with_and_without_knowing_the_load(tmp_path: Path) -> None:
+    out, loads = tmp_path / "out", _write_loads(tmp_path / "load")
+    wish = ["--frequency", "1000", "--modes", "2", "--load-mass", "0.198", "--sample-rate", "20000", "--ball", "1000"]
+    assert main(["compensate", str(loads), *wish, "-o", str(out)]) == 0
+    page = (out / "compensate.html").read_text(encoding="utf-8")
+    rows = re.findall(r'<td class="l">((?:no )?filter[^<]*)</td><td class="r">([^<]*)</td>', page)
+    gains = {name: float(gain) for name, gain in rows}
+    assert gains["filter for 198 g"] > 10 * max(gains["no filter"], gains["filter for no load"])
+    assert "runs away" in page
+    assert main(["compensate", *NUMBERS, "--frequency", "900", "--ball", "1000", "-o", str(out)]) == 2
+
+
 def test_one_mode_of_two_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     loads = _write_loads(tmp_path / "load")
     wish = ["--frequency", "1000", "--load-mass", "0.198", "-o", str(tmp_path / "out")]
