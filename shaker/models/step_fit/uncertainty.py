@@ -123,9 +123,9 @@ def _converter(whole: Samples, residual: FloatArray, gain: FloatArray, fitted: F
     """
     steps = np.diff(np.unique(whole.value))
     q = float(steps.min()) if steps.size else 0.0
-    sigma = float(np.std(residual))
-    error = q / np.sqrt(12.0) * np.exp(-2.0 * np.pi**2 * (sigma / q) ** 2) if q > 0 else 0.0
-    late = fitted > np.median(fitted)
+    noise = max(0.0, float(np.var(residual)) - q**2 / 12.0)
+    error = q / np.sqrt(12.0) * np.exp(-2.0 * np.pi**2 * noise / q**2) if q > 0 else 0.0
+    late = (fitted - fitted[0]) * (fitted[-1] - fitted[0]) > 0.5 * (fitted[-1] - fitted[0]) ** 2
     levels = np.stack([gain @ late.astype(float), gain @ (~late).astype(float)], axis=1)
     return np.asarray(error**2 * levels @ levels.T)
 
