@@ -11,6 +11,7 @@ from fusion.manifest import Manifest
 from fusion.notices import Notice
 from fusion.provenance import versions
 from fusion.step.component import evaluate_component
+from fusion.step.fitting import Fitted, fit_component, with_real_poles
 from fusion.step.records import check_kind
 from fusion.step.releases import read_recording
 from fusion.step.result import ComponentResult, Release, StepEvaluation
@@ -29,12 +30,10 @@ def evaluate_steps(
     releases, notices = _read(manifests)
     _check_forces(releases, settings)
     components: list[ComponentResult] = []
-    for component in LOAD_COMPONENTS:
-        own = [release for release in releases if release.input.record.component == component]
-        if own:
-            result, told = evaluate_component(own, settings)
-            components.append(result)
-            notices += told
+    for fitted in _fit(releases, settings):
+        result, told = evaluate_component(fitted, settings)
+        components.append(result)
+        notices += told
     if all(result.pooled is None for result in components):
         why = next(notice for notice in notices if notice.severity == "warning")
         raise ComputeError(f"no model was found of any output ({why.where}: {why.text}); see docs/steps.md, limits")
@@ -75,6 +74,17 @@ def _read(manifests: Sequence[Manifest]) -> tuple[list[Release], list[Notice]]:
             raise InputError(manifest.path, "daq.channel", found=release.driven, expected=expected)
         releases.append(release)
     return releases, notices
+
+
+def _fit(releases: Sequence[Release], settings: StepSettings) -> list[Fitted]:
+    """The releases of every component fitted, with the real poles that any component shows."""
+    found = []
+    for component in LOAD_COMPONENTS:
+        own = [release for release in releases if release.input.record.component == component]
+        if own:
+            found.append(fit_component(own, settings))
+    most = max(fitted.real_poles for fitted in found)
+    return [with_real_poles(fitted, settings, most) for fitted in found]
 
 
 def _check_forces(releases: Sequence[Release], settings: StepSettings) -> None:

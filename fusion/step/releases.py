@@ -61,8 +61,7 @@ def fit_release(
         )
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
         return release, (Notice("warning", f"no model of {release.driven} was found: {error}", release.name),)
-    told = tuple(Notice(n.severity, f"{release.driven}: {n.text}", release.name) for n in fit.notices)
-    return replace(release, fit=fit), told
+    return replace(release, fit=fit), ()
 
 
 def structure_of(fit: StepFit) -> tuple[int, int] | None:

@@ -1,0 +1,86 @@
+"""The releases of a component fitted, and those that make its model brought to one structure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from fusion.notices import Notice
+from fusion.step.choose import choose_releases, common_structure
+from fusion.step.releases import fit_release, structure_of
+from fusion.step.result import Release
+from fusion.step.settings import StepSettings
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """The releases of one component with their models; `used`: names of those that make its model, for the `reason`.
+
+    `notices`: what could not be fitted, or had to be fitted anew.
+    """
+
+    releases: tuple[Release, ...]
+    used: tuple[str, ...]
+    reason: str
+    notices: tuple[Notice, ...]
+
+    @property
+    def chosen(self) -> tuple[Release, ...]:
+        """The releases that make the model."""
+        return tuple(release for release in self.releases if release.name in self.used)
+
+    @property
+    def real_poles(self) -> int:
+        """Number of real poles of the model, 0 without one."""
+        found = [structure_of(release.fit) for release in self.chosen if release.fit is not None]
+        return max((structure[1] for structure in found if structure is not None), default=0)
+
+
+def fit_component(releases: Sequence[Release], settings: StepSettings) -> Fitted:
+    """Fit all releases of a component, and choose those that make its model."""
+    found = [fit_release(release, settings) for release in releases]
+    notices = tuple(notice for _, told in found for notice in told)
+    chosen = choose_releases([release for release, _ in found])
+    names = tuple(release.name for release in chosen.releases)
+    fitted = Fitted(tuple(release for release, _ in found), names, chosen.reason, notices)
+    wanted = common_structure(chosen.releases) if chosen.releases else (0, 0)
+    return _of_structure(fitted, settings, wanted, "as the others show them") if names else fitted
+
+
+def with_real_poles(fitted: Fitted, settings: StepSettings, real_poles: int) -> Fitted:
+    """Fit the chosen releases of a component with at least some real poles, which other components showed.
+
+    Real poles belong to amplifier and filter, which all outputs share. Where the releases hardly show one it is like a
+    later onset, yet it moves the bands: left out, their uncertainty would be far too small. Unchanged where it fails.
+    """
+    if not fitted.used or fitted.real_poles >= real_poles:
+        return fitted
+    structures = [structure_of(release.fit) for release in fitted.chosen if release.fit is not None]
+    modes = max(structure[0] for structure in structures if structure is not None)
+    why = "since other components show it"
+    again = _of_structure(fitted, settings, (modes, real_poles), why)
+    return again if len(again.used) == len(fitted.used) else fitted
+
+
+def _of_structure(fitted: Fitted, settings: StepSettings, wanted: tuple[int, int], why: str) -> Fitted:
+    """Fit those chosen releases anew whose models have another structure; what cannot be fitted so is left out."""
+    found: dict[str, Release] = {}
+    notices: list[Notice] = []
+    text = f"{_count(wanted[0], 'mode')} and {_count(wanted[1], 'real pole')} {why}"
+    for release in fitted.chosen:
+        if release.fit is not None and structure_of(release.fit) == wanted:
+            found[release.name] = release
+            continue
+        again, _ = fit_release(replace(release, fit=None), settings, wanted)
+        if again.fit is not None and structure_of(again.fit) == wanted:
+            found[release.name] = again
+            notices.append(Notice("info", f"{release.driven}: fitted anew with {text}", release.name))
+        else:
+            notices.append(Notice("warning", f"{release.driven}: left out, no model with {text}", release.name))
+    releases = tuple(found.get(release.name, release) for release in fitted.releases)
+    return Fitted(releases, tuple(found), fitted.reason, (*fitted.notices, *notices))
+
+
+def _count(number: int, what: str) -> str:
+    """A number of things."""
+    return f"{number or 'no'} {what}{'' if number == 1 else 's'}"
