@@ -38,8 +38,8 @@ WRITTEN_ORDER = {
         readings take referral pool takes analyse monte_carlo provenance evaluate check highlights results_csv
         results_h5 read_results camera_facts plan lines plots report_numbers report_tables consistency_tables
         budget_tables point_tables monte_carlo_tables signal_tables take_tables page report results evaluated
-        camera_tables camera_report joint execution campaign campaign_summary simulate progress summary
-        plan_tables line_tables cameras align import_calibration transfer rotate identify models_file step load_series
+        camera_tables camera_report joint execution campaign campaign_summary models_file simulate progress summary
+        plan_tables line_tables cameras align import_calibration transfer rotate identify step load_series
         compensate decouple elastomer commands cli
     """,
 }

@@ -79,6 +79,7 @@ def test_solid_is_near_the_frame_and_converges_from_above() -> None:
     assert np.all(converged(models) > -0.03)
 
 
+@pytest.mark.slow
 def test_slender_beams_and_a_stiff_platform_lie_between_lengths_to_axes_and_to_faces() -> None:
     part = RigidPart(0.5, 0.01, np.array([4e-5, 4e-5, 6e-5]))
     solid = solve_solid(SLENDER, SolidBlock(0.02, 0.01, 0.0, 0.0, part, stiffening=1e3), 1)
@@ -90,6 +91,7 @@ def test_slender_beams_and_a_stiff_platform_lie_between_lengths_to_axes_and_to_f
     assert np.all((0.99 * soft < solid.frequency_hz) & (solid.frequency_hz < 1.01 * hard))
 
 
+@pytest.mark.slow
 def test_shapes_follow_their_names() -> None:
     solid = solve_solid(ELEMENT, BLOCK, 1)
     centre = int(np.argmin(np.linalg.norm(solid.vertex_m - [0.0, 0.0, 0.004], axis=1)))
