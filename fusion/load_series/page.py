@@ -17,6 +17,7 @@ from shaker.models.load_series.decay import projected
 
 FloatArray = NDArray[np.float64]
 PAGE_FILE = "load.html"
+PERCENT = 100.0
 
 
 def render_load_page(evaluation: LoadEvaluation) -> str:
@@ -78,10 +79,10 @@ def _characteristics(component: ComponentLoads, permitted: float) -> Picture:
         load=load,
         frequency_hz=seen.frequency_hz,
         expanded=component.k * seen.u_frequency_hz,
-        damping=seen.damping_ratio[:, 0],
-        expanded_damping=component.k * seen.u_damping_ratio[:, 0],
+        damping=PERCENT * seen.damping_ratio[:, 0],
+        expanded_damping=PERCENT * component.k * seen.u_damping_ratio[:, 0],
         compared=tuple(compared),
-        deviation=np.stack([100.0 * (column / first - 1.0) for column in columns], axis=1),
+        deviation=np.stack([PERCENT * (column / first - 1.0) for column in columns], axis=1),
         permitted=permitted,
         unit=tables.small_unit(component),
     )
@@ -101,8 +102,8 @@ def _curve(component: ComponentLoads, solution: Solution) -> ModelCurve:
         load=tables.GRAM * drawn.load_mass,
         frequency_hz=drawn.frequency_hz,
         expanded=component.k * drawn.u_frequency_hz,
-        damping=drawn.damping_ratio[:, 0],
-        expanded_damping=component.k * drawn.u_damping_ratio[:, 0],
+        damping=PERCENT * drawn.damping_ratio[:, 0],
+        expanded_damping=PERCENT * component.k * drawn.u_damping_ratio[:, 0],
     )
 
 

@@ -34,6 +34,7 @@ def headlines(component: ComponentLoads) -> list[Headline]:
         if name.endswith("stiffness"):
             unit = parameter_units(component.name)[name]
             remark = f"U: k = {factor(component.k)}" if component.covers else "without U"
+            remark += _which(solution)
             found.append(Headline(_capital(LABELS[name]), measured(value, component.k * u, unit_text(unit)), remark))
     bare = solution.drawn
     value, u = float(bare.frequency_hz[0, 0]), float(bare.u_frequency_hz[0, 0])
@@ -77,18 +78,18 @@ def loads_table(component: ComponentLoads, solution: Solution) -> Table:
         rigid = float(component.identification.rigid.frequency_hz[place, 0])
         cells = (_percent(model / known - 1.0), _percent(formula / known - 1.0), _percent(rigid / known - 1.0))
         mass = f"{GRAM * component.series.masses.load[place]:.6g}"
-        rows.append((name, mass, first, second, _curve_cells(component, solution.recorded, place)[0], *cells))
+        rows.append((name, mass, first, second, *cells))
     head = (
         "recording",
         f"load / {small_unit(component)}",
         "first / Hz",
         "second / Hz",
-        "model, first / Hz",
         "model / %",
         "formula / %",
         "two masses / %",
     )
-    return Table("Resonances with U; first ones of the models less measured", head, "lrrrrrrr", tuple(rows))
+    caption = f"Resonances with U; first ones of the models less measured{_which(solution)}"
+    return Table(caption, head, "lrrrrrr", tuple(rows))
 
 
 def bands_table(component: ComponentLoads, solution: Solution) -> Table:
@@ -101,7 +102,7 @@ def bands_table(component: ComponentLoads, solution: Solution) -> Table:
     for curve, bands, names in groups:
         for place, name in enumerate(names):
             zeta, u = float(curve.damping_ratio[place, 0]), float(curve.u_damping_ratio[place, 0])
-            damping = measured(zeta, component.k * u) if solution.model.damping else DASH
+            damping = measured(100.0 * zeta, 100.0 * component.k * u) if solution.model.damping else DASH
             five, ten = (f"{edge:.4g}" if np.isfinite(edge) else DASH for edge in bands[place])
             first, second = _curve_cells(component, curve, place)
             rows.append((name, f"{GRAM * curve.load_mass[place]:.6g}", first, second, damping, five, ten))
@@ -110,11 +111,11 @@ def bands_table(component: ComponentLoads, solution: Solution) -> Table:
         f"mass / {small_unit(component)}",
         "first / Hz",
         "second / Hz",
-        "damping ratio",
+        "damping ratio / %",
         "±5 % to / Hz",
         "±10 % to / Hz",
     )
-    caption = "Mounted resonances, damping and bands in which the gain is that at rest, by the model"
+    caption = f"Mounted resonances, damping and bands in which the gain is that at rest{_which(solution)}"
     return Table(caption, head, "lrrrrrr", tuple(rows))
 
 
@@ -150,10 +151,8 @@ def printed(evaluation: LoadEvaluation) -> Iterator[str]:
     for component in evaluation.components:
         for solution in component.solutions:
             structure = "two masses" if solution.model.is_rigid else "three masses"
-            count = solution.model.solutions
-            tail = f", solution {solution.model.solution} of {count}" if count > 1 else ""
             told = ", ".join(_plain(component, *number) for number in _numbers(component, solution))
-            yield f"{component.name} ({structure}{tail}): {told}"
+            yield f"{component.name} ({structure}{_which(solution)}): {told}"
             for curve, names in (
                 (solution.recorded, component.series.names),
                 (solution.predicted, ("predicted",) * len(solution.predicted.load_mass)),
@@ -167,6 +166,12 @@ def printed(evaluation: LoadEvaluation) -> Iterator[str]:
                 known = np.isfinite(limit.load_mass)
                 told = _value(GRAM * limit.load_mass, GRAM * component.k * limit.u, small_unit(component))
                 yield f"  {limit.label}: {'load up to ' + told if known else 'no limit, or never met'}"
+
+
+def _which(solution: Solution) -> str:
+    """The number of a solution where there are several."""
+    model = solution.model
+    return f", solution {model.solution} of {model.solutions}" if model.solutions > 1 else ""
 
 
 def _left(component: ComponentLoads, solution: Solution, place: int, name: str) -> str:

@@ -32,7 +32,7 @@ COLOURS = (BLUE, RED, GREEN, PURPLE, ORANGE, SKY)
 
 @dataclass(frozen=True)
 class ModelCurve:
-    """First and second resonance (G, 2) and damping of the first mode (G,) of one solution over loads (G,) in g.
+    """First and second resonance (G, 2) and damping ratio of the first (G,) in % of one solution over loads (G,) in g.
 
     `expanded` (G, 2), `expanded_damping` (G,): U for 95 %, NaN where there is none.
     """
@@ -47,7 +47,7 @@ class ModelCurve:
 
 @dataclass(frozen=True)
 class MeasuredLoads:
-    """What was measured at loads (R,) in g: resonances (R, 2) with U, damping of the first mode (R,) with U.
+    """What was measured at loads (R,) in g: resonances (R, 2) with U, damping ratio of the first mode (R,) in % with U.
 
     `deviation` (R, D) of the models named in `compared` (D,) from the first resonance, in %; `unit` of the loads.
     """
@@ -107,15 +107,17 @@ def draw_characteristics(name: str, curves: Sequence[ModelCurve], seen: Measured
                 label="measured",
             )
         damping.errorbar(seen.load, seen.damping, seen.expanded_damping, fmt="o", color=BLACK, zorder=4)
+        if not damped:
+            _empty(damping, "resonances tell no damping")
         _deviations(off, seen)
         first.set_ylabel("first resonance / Hz")
         second.set_ylabel("second resonance / Hz")
-        damping.set_ylabel("damping ratio of the first")
+        damping.set_ylabel("damping ratio, first / %")
         for axes in (off, damping):
             axes.set_xlabel(f"load / {seen.unit}")
             axes.set_xlim(0.0, float(curves[0].load[-1]))
         _second_axis(second, curves, seen)
-        first.legend(loc="lower left")
+        first.legend(loc="best")
         off.legend(loc="best")
         lay_out(figure, panels.ravel(), top=0.12, gap=(0.75, 0.16), left=0.72, label=0.52)
         caption = (
@@ -170,13 +172,18 @@ def _deviations(axes: Axes, seen: MeasuredLoads) -> None:
     axes.set_ylabel("model less measured / %")
 
 
+def _empty(axes: Axes, text: str) -> None:
+    """A panel that has nothing to show says why."""
+    axes.text(0.5, 0.5, text, ha="center", transform=axes.transAxes, color=GREY)
+    axes.set_yticks([])
+
+
 def _second_axis(axes: Axes, curves: Sequence[ModelCurve], seen: MeasuredLoads) -> None:
     """Second resonances rise without end as the load vanishes: the axis ends above the largest load's region."""
     every = np.concatenate([seen.frequency_hz[:, 1], *(curve.frequency_hz[:, 1] for curve in curves)])
     known = every[np.isfinite(every)]
     if not known.size:
-        axes.text(0.5, 0.5, "a rigid load has no second mode", ha="center", transform=axes.transAxes, color=GREY)
-        axes.set_yticks([])
+        _empty(axes, "a rigid load has no second mode")
         return
     measured = seen.frequency_hz[:, 1][np.isfinite(seen.frequency_hz[:, 1])]
     top = max(3.0 * float(np.min(known)), 1.15 * float(np.max(measured, initial=0.0)))
