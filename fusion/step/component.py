@@ -94,7 +94,8 @@ def _of_result(result: ComponentResult, stated: float | None) -> list[Notice]:
     if len(result.used) == 1:
         found.append(Notice("info", "one release only: what releases scatter by is not in U", where))
     elif len(mountings) == 1:
-        found.append(Notice("info", "all releases are of one mounting: what mounting anew changes is not in U", where))
+        text = "all releases of a component are of one mounting: what mounting anew changes is not in U"
+        found.append(Notice("info", text, "releases"))
     if result.indices is not None:
         found += [Notice(n.severity, n.text, f"{where}, {n.where}") for n in result.indices.notices]
     if not len(result.pooled.model.real_hz):

@@ -65,6 +65,7 @@ def with_real_poles(fitted: Fitted, settings: StepSettings, real_poles: int) -> 
 def _of_structure(fitted: Fitted, settings: StepSettings, wanted: tuple[int, int], why: str) -> Fitted:
     """Fit those chosen releases anew whose models have another structure; what cannot be fitted so is left out."""
     found: dict[str, Release] = {}
+    anew: list[str] = []
     notices: list[Notice] = []
     text = f"{_count(wanted[0], 'mode')} and {_count(wanted[1], 'real pole')} {why}"
     for release in fitted.chosen:
@@ -74,9 +75,11 @@ def _of_structure(fitted: Fitted, settings: StepSettings, wanted: tuple[int, int
         again, _ = fit_release(replace(release, fit=None), settings, wanted)
         if again.fit is not None and structure_of(again.fit) == wanted:
             found[release.name] = again
-            notices.append(Notice("info", f"{release.driven}: fitted anew with {text}", release.name))
+            anew.append(release.name)
         else:
             notices.append(Notice("warning", f"{release.driven}: left out, no model with {text}", release.name))
+    if anew:
+        notices.append(Notice("info", f"fitted anew with {text}", ", ".join(anew)))
     releases = tuple(found.get(release.name, release) for release in fitted.releases)
     return Fitted(releases, tuple(found), fitted.reason, (*fitted.notices, *notices))
 
