@@ -133,7 +133,7 @@ def fit_beginning(window: Window, start: Beginning) -> Beginning:
     damping = 1e-3
     for _ in range(_ITERATIONS):
         basis, _ = np.linalg.qr(columns)
-        slopes = _slopes(window, best, columns)
+        slopes = slopes_of(window, best, columns)
         slopes = slopes - basis @ (basis.T @ slopes)
         slopes[:, _held(best, slopes.T @ residual)] = 0.0
         scale = np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
@@ -141,7 +141,7 @@ def fit_beginning(window: Window, start: Beginning) -> Beginning:
         gained = 0.0
         while damping < 1e6:
             step = np.linalg.solve(normal + damping * np.eye(len(target)), target) / scale
-            trial = _moved(window, best, step)
+            trial = moved_by(window, best, step)
             tried = None if trial is None else solved(window, trial)
             if tried is not None and tried[0].squares < best.squares:
                 gained = 1.0 - tried[0].squares / best.squares
@@ -168,7 +168,7 @@ def solved(window: Window, start: Beginning) -> tuple[Beginning, FloatArray, Flo
     return replace(start, linear=linear, squares=float(residual @ residual), rows=len(target)), residual, columns
 
 
-def _slopes(window: Window, fit: Beginning, columns: FloatArray) -> FloatArray:
+def slopes_of(window: Window, fit: Beginning, columns: FloatArray) -> FloatArray:
     """Return the derivatives (N + 1, K) of y by centre, squared length and lag, frequencies and damping ratios."""
     time = window.time_s
     found = np.zeros((len(time) + 1, len(fit.vector) - len(fit.linear)))
@@ -193,7 +193,7 @@ def _held(fit: Beginning, downhill: FloatArray) -> BoolArray:
     return held
 
 
-def _moved(window: Window, fit: Beginning, step: FloatArray) -> Beginning | None:
+def moved_by(window: Window, fit: Beginning, step: FloatArray) -> Beginning | None:
     """Return the fit with its times and modes moved up to their bounds, None outside what can be."""
     vector = fit.vector
     vector[: len(step)] += step
@@ -212,7 +212,7 @@ def longest_lag_s(fit: Beginning) -> float:
 
 def _covariance(window: Window, fit: Beginning, columns: FloatArray) -> FloatArray:
     """Return the covariance of all parameters with the variance of the residual."""
-    jacobian = np.concatenate([_slopes(window, fit, columns), columns], axis=1)
+    jacobian = np.concatenate([slopes_of(window, fit, columns), columns], axis=1)
     scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
     inverse = np.linalg.pinv((jacobian / scale).T @ (jacobian / scale), rcond=1e-13, hermitian=True)
     variance = fit.squares / max(fit.rows - jacobian.shape[1], 1)

@@ -125,7 +125,10 @@ def _remarks(record: StepRecord, reading: Reading, timing: Timing, levels: tuple
         )
     elif timing.fit is None:
         told.append(
-            ("warning", "nothing rings above the noise: onset and release by a straight line from 10 % to 90 %")
+            (
+                "warning",
+                "modes behind a lag do not describe the release: onset and length by a straight line from 10 % to 90 %",
+            )
         )
     elif timing.misfit > _MISFIT:
         text = (

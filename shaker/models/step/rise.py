@@ -12,14 +12,18 @@ _GRID = 800
 _PERIODS = 1.5
 
 
-def rise_time(fit: Beginning) -> tuple[float, float]:
+def rise_time(fit: Beginning) -> tuple[float, float] | None:
     """Return how long the fitted curve takes from 10 % to 90 % of its change, first crossings, and its uncertainty.
 
-    A crossing t of the level b + share·Σg moves by -(∂(y - level)/∂θ)/(dy/dt) with the parameters θ of the fit.
+    None where the curve does not get there. A crossing t of the level b + share·Σg moves by -(∂(y - level)/∂θ)/(dy/dt)
+    with the parameters θ of the fit.
     """
     if fit.covariance is None:
         raise ValueError("fit: expected one with its covariance, found none")
-    times = np.array([_crossing_s(fit, share) for share in (_FROM, _TO)])
+    crossings = [_crossing_s(fit, share) for share in (_FROM, _TO)]
+    if crossings[0] is None or crossings[1] is None:
+        return None
+    times = np.array(crossings)
     vector, u = fit.vector, np.sqrt(np.maximum(np.diagonal(fit.covariance), 0.0))
     here = _above(fit, times)
     slopes = np.zeros((2, len(u)))
@@ -32,17 +36,15 @@ def rise_time(fit: Beginning) -> tuple[float, float]:
     return float(times[1] - times[0]), float(np.sqrt(max(gradient @ fit.covariance @ gradient, 0.0)))
 
 
-def _crossing_s(fit: Beginning, share: float) -> float:
-    """Return when the fitted curve first passes a share of its change."""
+def _crossing_s(fit: Beginning, share: float) -> float | None:
+    """Return when the fitted curve first passes a share of its change, None where it does not soon."""
     span = fit.release_s + 4.0 * fit.lag_s + _PERIODS / float(np.min(fit.frequency_hz))
     time = fit.onset_s + np.linspace(0.0, span, _GRID)
     change = fit.steady - fit.linear[0]
     relative = (fit.at(time) - fit.linear[0]) / change
     above = np.flatnonzero(relative >= share)
     if not above.size or above[0] == 0:
-        raise ValueError(
-            f"fit: expected a response that passes {share:.0%} of its change after the release, found none"
-        )
+        return None
     after = int(above[0])
     low, high = relative[after - 1], relative[after]
     return float(time[after - 1] + (share - low) / (high - low) * (time[after] - time[after - 1]))

@@ -21,8 +21,10 @@ _SMOOTHER = 1.33  # length of a smooth release over that of the ramp of the same
 _DECIDED = 6.0  # difference of the Schwarz criterion that decides
 
 
-def find_beginning(samples: FloatArray, sample_rate_hz: float, start_s: float, place: Location) -> Beginning | None:
-    """Return the fitted beginning of samples (N,), the first at `start_s`; None where nothing rings.
+def find_beginning(
+    samples: FloatArray, sample_rate_hz: float, start_s: float, place: Location
+) -> tuple[Window, Beginning]:
+    """Return the window around the beginning of samples (N,), the first at `start_s`, and its fit.
 
     The release is taken as a straight ramp unless the Schwarz criterion asks for a smooth one.
     """
@@ -35,7 +37,7 @@ def find_beginning(samples: FloatArray, sample_rate_hz: float, start_s: float, p
         fits.append((window, fit_beginning(window, _start(window, place, trial, sample_rate_hz, start_s))))
     window, ramp = min(fits, key=lambda fit: fit[1].squares / fit[1].rows)
     smooth = fit_beginning(window, replace(ramp, shape="smooth", release_s=_SMOOTHER * ramp.release_s))
-    return smooth if smooth.penalty < ramp.penalty - _DECIDED else ramp
+    return window, smooth if smooth.penalty < ramp.penalty - _DECIDED else ramp
 
 
 def _unseen(place: Location, sample_rate_hz: float) -> list[ComplexArray]:

@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shaker._checks import FloatArray
-from shaker.models.step.beginning import Beginning
+from shaker.models.step.beginning import Beginning, Window
 from shaker.models.step.levels import correlation_factor
 from shaker.models.step.locate import Location, locate
 from shaker.models.step.measured_force import read_force
@@ -24,7 +23,7 @@ _ROUGH = 0.2  # of the length between 10 % and 90 %: what ringing makes of the t
 
 @dataclass(frozen=True)
 class Timing:
-    """Times in s of a release as channel `of` shows it; `fit` is None where nothing rings.
+    """Times in s of a release as channel `of` shows it; `fit` is None where none describes it.
 
     `misfit`: standard deviation of the fit's residual over the noise at rest.
     """
@@ -58,8 +57,8 @@ def places_of(record: StepRecord) -> list[Location]:
 def timing_of(record: StepRecord, channel: int, place: Location) -> Timing:
     """Return when a channel was released; where the force was measured along, it tells begin and length."""
     samples = record.samples[channel]
-    fit = find_beginning(samples, record.sample_rate_hz, record.start_s, place)
-    timing = _by_straight_line(record, channel, place) if fit is None else _by_fit(record, channel, place, fit)
+    window, fit = find_beginning(samples, record.sample_rate_hz, record.start_s, place)
+    timing = _by_fit(record, channel, place, window, fit)
     if record.force is None:
         return timing
     force = read_force(record.force, record.sample_rate_hz, record.start_s)
@@ -73,13 +72,18 @@ def timing_of(record: StepRecord, channel: int, place: Location) -> Timing:
     )
 
 
-def _by_fit(record: StepRecord, channel: int, place: Location, fit: Beginning) -> Timing:
+def _by_fit(record: StepRecord, channel: int, place: Location, window: Window, fit: Beginning) -> Timing:
     """Return the times of a fitted beginning, its covariance enlarged by the residual's correlation."""
-    residual = _residual(record, record.samples[channel], fit)
+    late = window.time_s > fit.onset_s
+    residual = (window.samples - fit.at(window.time_s))[late]
+    correlation = correlation_factor(residual)
     assert fit.covariance is not None
-    fit = replace(fit, covariance=fit.covariance * correlation_factor(residual))
-    times = release_times(fit)
-    rise_s, u_rise_s = rise_time(fit)
+    fit = replace(fit, covariance=fit.covariance * correlation)
+    crossing, times = rise_time(fit), release_times(window, fit, correlation)
+    if crossing is None or times is None:
+        return _by_straight_line(record, channel, place)
+    rise_s, u_rise_s = crossing
+    block = window.step_s * record.sample_rate_hz
     return Timing(
         of=record.channels[channel],
         onset_s=times.onset_s,
@@ -91,15 +95,8 @@ def _by_fit(record: StepRecord, channel: int, place: Location, fit: Beginning) -
         u_rise_s=u_rise_s,
         shape="step" if times.release_s < 2.0 * times.u_release_s else fit.shape,
         fit=fit,
-        misfit=float(np.std(residual)) / max(place.noise, 1e-300),
+        misfit=float(np.sqrt(block * np.mean(residual**2))) / max(place.noise, 1e-300),
     )
-
-
-def _residual(record: StepRecord, samples: FloatArray, fit: Beginning) -> FloatArray:
-    """Return the residual of the samples that a beginning was fitted to, as far as they follow the onset."""
-    start = max(0, int((fit.onset_s - record.start_s) * record.sample_rate_hz))
-    part = slice(start, min(len(samples), start + fit.rows))
-    return np.asarray(samples[part] - fit.at(record.time_s[part]))
 
 
 def _by_straight_line(record: StepRecord, channel: int, place: Location) -> Timing:
