@@ -19,7 +19,8 @@ HAND_STIFFNESS, HAND_DAMPING = 500.0, 5.0
 HANDLE_MASS, HANDLE_DAMPING = 0.8, 2.0
 PUSH_M, WALL_M, PUSH_S = 0.03, 0.005, 0.5
 """How far the hand moves, where the ball begins on its way, and how long it takes."""
-BEYOND, HALF = 3.0, 0.5
+BEYOND, HALF = 10.0, 0.5
+"""The shared gain over the largest stable one of the filter for no load, but at most half that of the own filter."""
 
 
 @dataclass(frozen=True)

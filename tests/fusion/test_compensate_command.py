@@ -14,8 +14,12 @@ import numpy as np
 import pytest
 
 from fusion.cli import main
-from fusion.compensate.export import read_filters
+from fusion.compensate.evaluate import evaluate_compensation
+from fusion.compensate.evaluation import CompensateEvaluation
+from fusion.compensate.export import header_text, json_text, read_filters
 from fusion.compensate.recording import white_noise
+from fusion.compensate.sources import read_sources
+from fusion.compensate.wish import Wish
 from fusion.errors import InputError
 from fusion.load_series.model_file import model_text
 from fusion.models_file import ModelEntry, ModelsFile, models_text
@@ -52,11 +56,13 @@ def _write_models(folder: Path) -> Path:
     return file
 
 
-def _write_loads(folder: Path) -> Path:
+def _write_loads(folder: Path, *, known: bool = False) -> Path:
+    """load.json of three masses, with a covariance if it is to be known."""
     folder.mkdir()
+    covariance = np.diag([100.0, 0.01, 200.0, 0.05]) ** 2 if known else None
     model = LoadModel(
         "Fy", "Fy", "V", 0.240, 2.36e6, 6.0, 1.89e6, 4.0, GAIN,
-        covariance=np.diag([100.0, 0.01, 200.0, 0.05]) ** 2, load_masses=(0.0, 0.048, 0.198),
+        covariance=covariance, load_masses=(0.0, 0.048, 0.198),
     )  # fmt: skip
     file = folder / "load.json"
     file.write_text(model_text([model], "bench", "sensor", "shakercal"), encoding="utf-8")
@@ -128,11 +134,11 @@ def test_models_of_a_step_campaign(tmp_path: Path) -> None:
 
 
 def test_a_filter_for_every_load_of_one_target(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out, loads = tmp_path / "out", _write_loads(tmp_path / "load")
-    wish = ["--frequency", "1000", "--damping", "0.5", "--modes", "2", "--load-mass", "0", "0.048", "0.198"]
+    out, loads = tmp_path / "out", _write_loads(tmp_path / "load", known=True)
+    wish = ["--frequency", "1000", "--damping", "0.5", "--modes", "2", "--load-mass", "0", "0.198"]
     assert main(["compensate", str(loads), *wish, "-o", str(out)]) == 0
     found = read_filters(out)
-    assert [one.load_mass for one in found] == [0.0, 0.048, 0.198]
+    assert [one.load_mass for one in found] == [0.0, 0.198]
     assert {len(one.sections.sos) for one in found} == {2}
     assert "Fy, load 198 g" in capsys.readouterr().out
     with h5py.File(out / "compensate.h5") as file:
@@ -152,11 +158,15 @@ def test_force_feedback_with_and_without_knowing_the_load(tmp_path: Path) -> Non
     assert main(["compensate", *NUMBERS, "--frequency", "900", "--ball", "1000", "-o", str(out)]) == 2
 
 
-def test_one_mode_of_two_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    loads = _write_loads(tmp_path / "load")
-    wish = ["--frequency", "1000", "--load-mass", "0.198", "-o", str(tmp_path / "out")]
-    assert main(["compensate", str(loads), *wish]) == 0
-    assert "--modes compensates it too" in capsys.readouterr().err
+def _evaluated(loads: Path, wish: Wish) -> CompensateEvaluation:
+    """The evaluation alone, without files."""
+    return evaluate_compensation(read_sources([loads]), wish, None, {})
+
+
+def test_one_mode_of_two_is_told(tmp_path: Path) -> None:
+    found = _evaluated(_write_loads(tmp_path / "load"), Wish(frequency_hz=1000.0, load_masses=(0.198,)))
+    told = [notice.text for notice in found.notices if notice.severity == "warning"]
+    assert any("--modes compensates it too" in text for text in told)
 
 
 def test_a_recording_is_filtered_for_the_load_of_its_rig(tmp_path: Path) -> None:
@@ -219,9 +229,12 @@ def test_the_c_header_gives_the_same_bits(tmp_path: Path) -> None:
     compiler = shutil.which("cc")
     if compiler is None:
         pytest.skip("no C compiler (cc) on this machine")
-    out, loads = tmp_path / "out", _write_loads(tmp_path / "load")
-    wish = ["--frequency", "1000", "--damping", "0.5", "--modes", "2", "--load-mass", "0", "0.198", "--calibrated"]
-    assert main(["compensate", str(loads), *wish, "-o", str(out)]) == 0
+    out = tmp_path / "out"
+    out.mkdir()
+    wish = Wish(frequency_hz=1000.0, damping_ratio=0.5, modes=2, load_masses=(0.0, 0.198), calibrated=True)
+    evaluation = _evaluated(_write_loads(tmp_path / "load"), wish)
+    (out / "compensation.h").write_text(header_text(evaluation), encoding="utf-8")
+    (out / "compensation.json").write_text(json_text(evaluation), encoding="utf-8")
     (out / "main.c").write_text(PROGRAM, encoding="utf-8")
     flags = ["-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror", "-o", str(out / "run")]
     subprocess.run([compiler, *flags, str(out / "main.c")], check=True)
