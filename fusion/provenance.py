@@ -34,6 +34,7 @@ LIBRARIES = {
     "nptdms": "npTDMS",
     "matplotlib": "matplotlib",
     "jinja2": "jinja2",
+    "skfem": "scikit-fem",
 }
 Setting = str | float | int
 

@@ -20,7 +20,12 @@ from shaker.models.elastomer.modes import NAMES
 from shaker.models.elastomer.platform_fit import PlatformFit, platform_family
 from shaker.models.elastomer.solid import converged, solve_solid
 
-KEYS = {"compliant_length_m": "compliant_beams.length", "beam_width_m": "beams.width"}
+KEYS = {
+    "compliant_length_m": "compliant_beams.length",
+    "beam_width_m": "beams.width",
+    "half_size_m": "platform.half_size",
+    "height_m": "platform.height",
+}
 """Keys of GEOMETRY.toml by the argument that a model refuses."""
 STIFF = 1e3
 """Factor on the modulus of a platform that does not bend."""

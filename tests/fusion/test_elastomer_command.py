@@ -18,6 +18,7 @@ from fusion.cli import main
 from fusion.elastomer.columns import dominant, measured_column
 from fusion.elastomer.definition import read_definition
 from fusion.elastomer.evaluate import evaluate_element
+from fusion.elastomer.result import spread
 from fusion.elastomer.shapes import frame_shapes, solid_shapes
 from fusion.errors import InputError
 from fusion.simulate.elastomer import write_element
@@ -161,12 +162,30 @@ def test_platform_as_data_is_its_block(element: Path) -> None:
         evaluate_element(read_definition(element / "elastomer.toml"), {}, solid=True)
 
 
+def test_a_block_that_no_beam_reaches_is_named_by_its_key(element: Path) -> None:
+    pytest.importorskip("skfem")
+    _edit(element, platform={"height": 0.02})
+    with pytest.raises(InputError, match=r"elastomer\.toml: platform\.height: expected a block that the beams reach"):
+        evaluate_element(read_definition(element / "elastomer.toml"), {}, solid=True)
+
+
 def test_a_hand_as_a_part_lowers_every_frequency(element: Path) -> None:
     bare = evaluate_element(read_definition(element / "elastomer.toml"), {}, solid=False)
     _edit(element, part=[{"name": "hand", "mass": 0.1, "centre_of_mass": 0.01, "inertia": [1e-5, 1e-5, 1e-5]}])
     held = evaluate_element(read_definition(element / "elastomer.toml"), {}, solid=False)
     assert np.all(held.frame.modes.frequency_hz < bare.frame.modes.frequency_hz)
     assert held.frame.stiffness == pytest.approx(bare.frame.stiffness, rel=1e-12)
+
+
+def test_spread_is_that_of_the_published_table() -> None:
+    columns = [  # Fx, My, Mz, Fz by formulas, finite elements, and two identifications
+        [1642.0, 3376.0, 4892.0, 1973.0],
+        [1660.0, 3578.0, 5094.0, 2025.0],
+        [1720.0, 3530.0, 5060.0, 2020.0],
+        [1680.0, 3460.0, 4910.0, 1986.0],
+    ]
+    assert 100.0 * spread(np.array(columns)) == pytest.approx([4.53, 5.65, 3.97, 2.57], abs=0.006)
+    assert np.isnan(spread(np.array([[1.0], [np.nan]])))[0]
 
 
 def test_dominant_mode_is_the_one_that_swings_most() -> None:

@@ -111,6 +111,10 @@ def test_geometries_that_cannot_be_meshed_are_refused() -> None:
         solve_solid(replace(ELEMENT, compliant_length_m=0.07), BLOCK, 1)
     with pytest.raises(ValueError, match="beam_width_m: expected"):
         solve_solid(replace(ELEMENT, beam_width_m=0.03), BLOCK, 1)
+    with pytest.raises(ValueError, match="half_size_m: expected"):
+        solve_solid(ELEMENT, SolidBlock(0.0317, 0.008, 0.0, 2820.0), 1)
+    with pytest.raises(ValueError, match="height_m: expected"):
+        solve_solid(ELEMENT, SolidBlock(0.014, 0.008, 0.006, 2820.0), 1)
     with pytest.raises(ValueError, match="attached: expected"):
         SolidBlock(0.01, 0.004, 0.0, 0.0)
     with pytest.raises(ValueError, match="models: expected"):

@@ -103,12 +103,7 @@ class _Quarter:
     """Mesh and matrices of the quarter x, y ≥ 0."""
 
     def __init__(self, beams: CrossBeams, block: SolidBlock, refinement: int) -> None:
-        if 0.5 * beams.compliant_length_m > 0.5 * (beams.span_m - beams.compliant_thickness_m):
-            expected = f"at most {beams.span_m - beams.compliant_thickness_m} m, where compliant beams meet"
-            raise ValueError(f"compliant_length_m: expected {expected}, found {beams.compliant_length_m} m")
-        if 0.5 * beams.beam_width_m > min(block.half_size_m, 0.5 * beams.compliant_length_m):
-            expected = "no more than platform and compliant beams"
-            raise ValueError(f"beam_width_m: expected {expected}, found {beams.beam_width_m} m")
+        _check_mesh(beams, block)
         self.beams, self.block = beams, block
         self.mesh, self.platform = _mesh(beams, block, refinement)
 
@@ -238,6 +233,23 @@ def _apart(rigid: FloatArray, weigh: Callable[[FloatArray], FloatArray]) -> Floa
             found[:, place] -= found[:, other] * (found[:, other] @ weigh(rigid[:, place]))
         found[:, place] /= np.sqrt(found[:, place] @ weigh(found[:, place]))
     return found
+
+
+def _check_mesh(beams: CrossBeams, block: SolidBlock) -> None:
+    """Refuse sizes of which no element can be made: what must meet does, what must not does not."""
+    clear = beams.span_m - beams.compliant_thickness_m
+    if beams.compliant_length_m > clear:
+        expected = f"at most {clear} m, where compliant beams meet"
+        raise ValueError(f"compliant_length_m: expected {expected}, found {beams.compliant_length_m} m")
+    if 0.5 * beams.beam_width_m > min(block.half_size_m, 0.5 * beams.compliant_length_m):
+        expected = "no more than platform and compliant beams"
+        raise ValueError(f"beam_width_m: expected {expected}, found {beams.beam_width_m} m")
+    if block.half_size_m >= 0.5 * clear:
+        expected = f"below {0.5 * clear} m, where the compliant beams are"
+        raise ValueError(f"half_size_m: expected {expected}, found {block.half_size_m} m")
+    if abs(block.height_m) >= 0.5 * (block.thickness_m + beams.beam_height_m):
+        expected = "a block that the beams reach"
+        raise ValueError(f"height_m: expected {expected}, found its centre at {block.height_m} m")
 
 
 def _mesh(beams: CrossBeams, block: SolidBlock, refinement: int) -> tuple[Any, Any]:
