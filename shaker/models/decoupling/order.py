@@ -73,7 +73,6 @@ def chosen(
     of real poles.
     """
     poles = _pruned(problem, start, releases, most)
-    releases = [_begun(problem, poles, release, i) for i, release in enumerate(releases)]
     here = fit_poles(problem, poles, releases, _FEW_STEPS, _ROUGH)
     trials = [_trial(problem, here, kept=True)]
     for _ in range(_ROUNDS):

@@ -13,7 +13,7 @@ _STANDS_OUT = 30.0
 """Noise alone reaches this density, over its mean, once in exp(30) lines."""
 _ABOVE_NOISE = 1.5
 _MOST = 40
-_CALMEST, _QUICKEST = -0.02, 0.4
+_CALMEST, _QUICKEST = 0.0, 0.4
 
 
 def highest_frequency(parts: Sequence[FloatArray], rate_hz: float) -> float:

@@ -44,8 +44,8 @@ class Poles:
 
     @property
     def allowed(self) -> bool:
-        """Whether these are poles of modes that decay or hardly grow."""
-        damped = np.all((self.damping_ratio > -0.05) & (self.damping_ratio < 0.7))
+        """Whether these are poles of modes that swing and decay, as those of a sensor do."""
+        damped = np.all((self.damping_ratio > 0.0) & (self.damping_ratio < 0.7))
         return bool(damped and np.all(self.frequency_hz > 0) and np.all(self.real_hz > 0))
 
     @property

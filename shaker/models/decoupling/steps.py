@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from shaker._checks import FloatArray
+from shaker._checks import ComplexArray, FloatArray
 from shaker.models.decoupling.excited import in_order
 from shaker.models.decoupling.order import Fitted, chosen, fit_poles, shaped
 from shaker.models.decoupling.projection import covariances
@@ -20,7 +20,9 @@ from shaker.models.step.record import StepRecord
 from shaker.models.step.release import read_release
 
 _PER_PERIOD = 6.0
+_LEAST_BLOCKS = 1200
 _DETECTED = 2.0
+_APART = 2.0
 _BEFORE_S, _AFTER_S = 2e-3, 12e-3
 
 
@@ -84,7 +86,7 @@ def _posed(
     rate = records[0].sample_rate_hz
     decays = [_decay(record, reading) / noise[:, None] for record, reading in zip(records, readings, strict=True)]
     size = max(1, int(rate / (_PER_PERIOD * highest_frequency(decays, rate))))
-    size = min(size, max(1, min(part.shape[1] for part in decays) // 64))
+    size = min(size, max(1, min(part.shape[1] for part in decays) // _LEAST_BLOCKS))
     sampled = tuple(
         Sampled(
             record.name,
@@ -95,7 +97,7 @@ def _posed(
         )
         for record in records
     )
-    found = shared_poles([averaged(part, size) for part in decays], rate / size)
+    found = _offered([averaged(part, size) for part in decays], [record.component for record in records], rate / size)
     if not len(found):
         raise ValueError("records: expected outputs that swing after the release, found none")
     poles = Poles(np.abs(found) / (2 * np.pi), np.clip(-found.real / np.abs(found), 1e-4, 0.9), np.zeros(0))
@@ -109,6 +111,16 @@ def _posed(
         for reading in readings
     )
     return StepProblem(sampled, components), releases, poles
+
+
+def _offered(decays: Sequence[FloatArray], loads: Sequence[str], rate_hz: float) -> ComplexArray:
+    """Poles of all decays together, and those of each load's decays that are not among them."""
+    found = shared_poles(decays, rate_hz)
+    for load in dict.fromkeys(loads):
+        for pole in shared_poles([part for part, own in zip(decays, loads, strict=True) if own == load], rate_hz):
+            if not np.any(np.abs(found - pole) < _APART * np.maximum(-pole.real, -found.real)):
+                found = np.append(found, pole)
+    return found
 
 
 def _around(problem: StepProblem, releases: Sequence[Release]) -> StepProblem:
