@@ -93,17 +93,15 @@ class ElementEvaluation:
 
     @property
     def spread(self) -> FloatArray:
-        """Spread (6,) of the columns."""
-        return spread(np.stack([column.frequency_hz for column in self.columns]))
+        """How far apart the columns are, `spread` of them (6,)."""
+        return spread(self.columns)
 
 
-def spread(frequency_hz: FloatArray) -> FloatArray:
-    """Return (max - min)/max (M,) over columns (C, M), NaN where fewer than two have a value.
-
-    Table 6 of Li et al. 2018 divides by the largest value too.
-    """
-    filled = np.isfinite(frequency_hz)
-    highest = np.max(np.where(filled, frequency_hz, -np.inf), axis=0)
-    lowest = np.min(np.where(filled, frequency_hz, np.inf), axis=0)
+def spread(columns: Sequence[Column]) -> FloatArray:
+    """Return (max - min)/max (6,) over columns, NaN where fewer than two have a value: as the paper's Table 6."""
+    values = np.stack([column.frequency_hz for column in columns])
+    filled = np.isfinite(values)
+    highest = np.max(np.where(filled, values, -np.inf), axis=0)
+    lowest = np.min(np.where(filled, values, np.inf), axis=0)
     with np.errstate(invalid="ignore"):
         return np.asarray(np.where(filled.sum(axis=0) > 1, (highest - lowest) / highest, np.nan))

@@ -18,7 +18,7 @@ from fusion.cli import main
 from fusion.elastomer.columns import dominant, measured_column
 from fusion.elastomer.definition import read_definition
 from fusion.elastomer.evaluate import evaluate_element
-from fusion.elastomer.result import spread
+from fusion.elastomer.result import Column, spread
 from fusion.elastomer.shapes import frame_shapes, solid_shapes
 from fusion.errors import InputError
 from fusion.simulate.elastomer import write_element
@@ -178,14 +178,20 @@ def test_a_hand_as_a_part_lowers_every_frequency(element: Path) -> None:
 
 
 def test_spread_is_that_of_the_published_table() -> None:
-    columns = [  # Fx, My, Mz, Fz by formulas, finite elements, and two identifications
-        [1642.0, 3376.0, 4892.0, 1973.0],
-        [1660.0, 3578.0, 5094.0, 2025.0],
-        [1720.0, 3530.0, 5060.0, 2020.0],
-        [1680.0, 3460.0, 4910.0, 1986.0],
-    ]
-    assert 100.0 * spread(np.array(columns)) == pytest.approx([4.53, 5.65, 3.97, 2.57], abs=0.006)
-    assert np.isnan(spread(np.array([[1.0], [np.nan]])))[0]
+    table = {  # Fx, Fz, My, Mz
+        "formulas": (1642.0, 1973.0, 3376.0, 4892.0),
+        "finite elements": (1660.0, 2025.0, 3578.0, 5094.0),
+        "order and parameters": (1720.0, 2020.0, 3530.0, 5060.0),
+        "differential evolution": (1680.0, 1986.0, 3460.0, 4910.0),
+    }
+    columns = []
+    for name, values in table.items():
+        frequency = np.full(6, np.nan)
+        frequency[[0, 2, 4, 5]] = values
+        columns.append(Column(name, "stated", frequency, np.zeros(6)))
+    found = 100.0 * spread(columns)
+    assert found[[0, 2, 4, 5]] == pytest.approx([4.53, 2.57, 5.65, 3.97], abs=0.006)
+    assert np.isnan(found[[1, 3]]).all()
 
 
 def test_dominant_mode_is_the_one_that_swings_most() -> None:
