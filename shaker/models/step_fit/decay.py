@@ -20,12 +20,15 @@ CLEAR = 12.0  # fall of B·ln(sum of squares) by a parameter that is taken for r
 _STEEP = 0.5  # damping ratio above which a further mode is taken for a disturbance
 
 
-def decay_modes(whole: Samples, reading: Reading, method: Literal["pencil", "arx"], count: int | None) -> ComplexArray:
-    """Return the upper poles (M,) in rad/s that ring after the release, as many as told or as the decay supports.
+def decay_modes(
+    whole: Samples, reading: Reading, method: Literal["pencil", "arx"], count: int | None
+) -> tuple[ComplexArray, float]:
+    """Return the upper poles (M,) in rad/s that ring after the release, as many as told or supported, and the colour.
 
     Exponentials with free amplitudes and a level are fitted to the decay alone, so that neither the release nor fast
     poles matter. A further mode stays where its line stands out of the residual's spectrum, its ζ is between 0 and
-    0.5, and it lowers B·ln(sum of squares) by more than 12 for each of its four parameters.
+    0.5, and it lowers B·ln(sum of squares) by more than 12 for each of its four parameters. The colour: density of the
+    residual's blocks over that of white noise of the same variance.
     """
     decay = _after(whole, reading)
     near = peaks_hz(decay.value, decay.step_s, count or 1)
@@ -41,7 +44,8 @@ def decay_modes(whole: Samples, reading: Reading, method: Literal["pencil", "arx
             break
         found = further
     poles = found.problem.structure.poles(found.vector)
-    return poles[np.argsort(np.abs(poles))]
+    colour = found.variance / max(1e-300, float(np.var(_left(decay, found))))
+    return poles[np.argsort(np.abs(poles))], max(1.0, colour)
 
 
 def _after(whole: Samples, reading: Reading) -> Samples:

@@ -23,7 +23,8 @@ class Problem:
 
     Parameters: those of the structure, then the release's middle in s (a timed load) and the logarithm of its length
     in s (a lasting one). `known`, `u_known` (K,): what is known of them beforehand, wide, infinitely so for the modes:
-    a record that does not tell the real poles or the release is solved all the same. `onset_s` of a load without one.
+    a record that does not tell the real poles or the release is solved all the same. `onset_s` of a load without one;
+    `colour`: density of the blocks' noise over that of white noise with the samples' variance, 1 where it is white.
     """
 
     structure: Structure
@@ -32,6 +33,7 @@ class Problem:
     known: FloatArray
     u_known: FloatArray
     onset_s: float = 0.0
+    colour: float = 1.0
 
     @property
     def count(self) -> int:

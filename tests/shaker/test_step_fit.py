@@ -1,0 +1,180 @@
+"""Models identified from simulated releases: against the truth, against bounds, and with honest intervals."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from step_fit_factory import AMPLITUDE, RATE_HZ, SENSOR, answered, record_of, released, ring_rms, rough, sensor
+
+from shaker._checks import FloatArray
+from shaker.models.step_fit.fit import fit_step
+from shaker.models.step_fit.result import StepFit
+
+ONSET = 0.0100026
+
+
+@cache
+def clean() -> FloatArray:
+    """The published case, released between two samples."""
+    return released(sensor(*SENSOR), onset_s=ONSET)
+
+
+def fitted(level_db: float, seed: int, method: str = "pencil") -> StepFit:
+    output = clean()
+    record = record_of(output, ring_rms(output, ONSET) * 10 ** (-level_db / 20), seed)
+    return fit_step(record, "Fz", reading=rough(record, ONSET), modes=1, real_poles=1, method=method)  # type: ignore[arg-type]
+
+
+def scores(fit: StepFit) -> FloatArray:
+    """Return errors of frequency, damping and low-pass over their standard uncertainties, and of the static gain."""
+    assert fit.model is not None
+    assert fit.model.covariance is not None
+    u = np.sqrt(np.diag(fit.model.covariance))
+    gain, variance = fit.model.propagate(lambda model: np.array([model.static_gain]))
+    truth = np.array([1700.0, 0.015, 6000.0])
+    own = (fit.model.vector[[0, 1, 4]] - truth) / u[[0, 1, 4]]
+    return np.append(own, (gain[0] - 1.0) / np.sqrt(variance[0, 0]))
+
+
+@pytest.mark.parametrize(("level", "frequency", "damping"), [(60, 2e-6, 1e-4), (40, 2e-5, 1e-3), (20, 2e-4, 5e-3)])
+def test_published_case_within_its_bars(level: int, frequency: float, damping: float) -> None:
+    errors = []
+    for seed in range(11):
+        model = fitted(level, seed).model
+        assert model is not None
+        errors.append([abs(model.frequency_hz[0] / 1700.0 - 1.0), abs(model.damping_ratio[0] / 0.015 - 1.0)])
+    assert np.all(np.median(errors, axis=0) < [frequency, damping])
+    if level < 60:
+        assert np.all(np.max(errors, axis=0) < [frequency, 3 * damping])
+
+
+def test_uncertainty_is_the_cramer_rao_bound_of_a_decaying_sine() -> None:
+    """The variance is 2 s² Δ (2σ)³/A² for the decay rate σ of A·exp(-σt)·cos(ωt) in white noise, and the same for ω."""
+    fit = fitted(40, 1)
+    assert fit.model is not None
+    assert fit.model.covariance is not None
+    decay, noise = 2 * np.pi * 1700.0 * 0.015, ring_rms(clean(), ONSET) * 0.01
+    amplitude = 2 * abs(fit.model.residue[0] / fit.model.poles[0])
+    bound = np.sqrt(2 * noise**2 / RATE_HZ * (2 * decay) ** 3) / amplitude
+    u = np.sqrt(np.diag(fit.model.covariance))[:2]
+    np.testing.assert_allclose(u, [bound / (2 * np.pi), bound / (2 * np.pi * 1700.0)], rtol=0.05)
+
+
+def test_both_starts_reach_the_same_optimum() -> None:
+    pencil, arx = fitted(40, 3).model, fitted(40, 3, "arx").model
+    assert pencil is not None
+    assert arx is not None
+    np.testing.assert_allclose(arx.vector, pencil.vector, rtol=1e-4)
+
+
+def test_intervals_hold_the_truth() -> None:
+    """Forty trials at 40 dB: of all four figures together 95 % inside, within what 160 draws leave open."""
+    inside = np.abs([scores(fitted(40, seed)) for seed in range(100, 140)]) < 1.96
+    assert 0.88 < np.mean(inside) <= 1.0
+
+
+@pytest.mark.slow
+def test_coverage_is_95_percent() -> None:
+    inside = np.abs([scores(fitted(40, seed)) for seed in range(1000, 1250)]) < 1.96
+    np.testing.assert_allclose(np.mean(inside, axis=0), 0.95, atol=0.035)
+
+
+def test_coloured_noise_enlarges_the_uncertainty() -> None:
+    """Noise that a filter at 5 kHz leaves of white one has its density, not its variance, at the mode."""
+    from scipy.signal import butter, sosfilt
+
+    output, found = clean(), []
+    for seed in range(20):
+        white = np.random.default_rng(seed).standard_normal(len(output) + 500)
+        noise = 2e-3 * sosfilt(butter(4, 5e3, fs=RATE_HZ, output="sos"), white)[500:]
+        record = record_of(output + noise, 0.0, 0)
+        fit = fit_step(record, "Fz", reading=rough(record, ONSET), modes=1, real_poles=1)
+        assert any("coloured" in notice.text for notice in fit.notices)
+        found.append(scores(fit)[:2])
+    assert 0.6 < np.sqrt(np.mean(np.square(found))) < 1.5
+
+
+def test_a_coarse_converter_is_in_the_uncertainty_of_the_gain() -> None:
+    output, step = clean(), AMPLITUDE / 100
+    for offset in np.linspace(0.0, 0.9, 6):
+        record = record_of(output, 1e-5, 1)
+        samples = step * np.round(record.samples / step + offset)
+        coarse = type(record)("coarse", ("Fz",), "mV", samples, RATE_HZ, "Fz", AMPLITUDE)
+        found = scores(fit_step(coarse, "Fz", reading=rough(coarse, ONSET), modes=1, real_poles=1))
+        assert abs(found[3]) < 2.5
+
+
+@pytest.mark.parametrize("length", [0.0, 4e-4])
+def test_two_modes_and_a_release_that_takes_its_time(length: float) -> None:
+    """The release's length is found, and the poles are those of the sensor whatever it was."""
+    modes = ((450.0, 0.004), (1120.0, 0.008))
+    output = released(sensor(modes, (6000.0,)), onset_s=0.0200012, length_s=length, count=12000)
+    record = record_of(output, 1e-3, 5)
+    fit = fit_step(record, "Fz", reading=rough(record, 0.0200012, length, 5e-4), modes=2, real_poles=1)
+    assert fit.model is not None
+    assert fit.model.covariance is not None
+    u = np.sqrt(np.diag(fit.model.covariance))[:4]
+    truth = np.array([450.0, 1120.0, 0.004, 0.008])
+    assert np.all(np.abs(fit.model.vector[:4] - truth) < 4 * u)
+    np.testing.assert_allclose(fit.model.vector[:2], truth[:2], rtol=3e-5)
+    assert abs(fit.release_s - length) < max(4 * fit.u_release_s, 3e-5)
+
+
+def test_order_is_found_by_rule() -> None:
+    """One mode and two modes, each with a low-pass filter, at 40 dB."""
+    output = clean()
+    record = record_of(output, 2e-3, 2)
+    one = fit_step(record, "Fz", reading=rough(record, ONSET))
+    assert one.order == 3
+    both = released(sensor(((900.0, 0.01), (1700.0, 0.015)), (6000.0,)), onset_s=ONSET)
+    record = record_of(both, 2e-3, 2)
+    two = fit_step(record, "Fz", reading=rough(record, ONSET, rise_s=3e-4))
+    assert two.model is not None
+    np.testing.assert_allclose(two.model.frequency_hz, [900.0, 1700.0], rtol=2e-3)
+
+
+def test_measured_force_needs_no_onset() -> None:
+    """A force of any shape, sampled: the exact answer to it comes from scipy's matrix exponential."""
+    time_s = np.arange(4000) / RATE_HZ
+    force = AMPLITUDE * np.clip((time_s - 0.01) / 7e-4, 0, 1) * (1 + 0.1 * np.sin(900 * time_s))
+    output = answered(sensor(*SENSOR), force / AMPLITUDE, 1 / RATE_HZ)
+    record = record_of(output, 3e-4, 7, force=force + 3.0)
+    fit = fit_step(record, "Fz", reading=rough(record, 0.01, 7e-4), modes=1, real_poles=1)
+    assert np.all(np.abs(scores(fit)) < 4.0)
+    assert fit.u_release_s == 0.0
+
+
+def test_load_uncertainty_joins_the_gain() -> None:
+    output = clean()
+    record = record_of(output, 1e-3, 1)
+    doubtful = type(record)("r", ("Fz",), "mV", record.samples, RATE_HZ, "Fz", AMPLITUDE, u_amplitude=0.01)
+    fit = fit_step(doubtful, "Fz", reading=rough(doubtful, ONSET), modes=1, real_poles=1)
+    assert fit.model is not None
+    gain, variance = fit.model.propagate(lambda model: np.array([model.static_gain]))
+    assert np.sqrt(variance[0, 0]) / gain[0] == pytest.approx(0.01, rel=0.02)
+
+
+def test_an_unstable_mode_is_told() -> None:
+    time_s = np.arange(4000) / RATE_HZ
+    after = np.maximum(time_s - 0.01, 0.0)
+    output = np.where(after > 0, 1.0 - np.exp(20 * after) * np.cos(2 * np.pi * 1500 * after), 0.0)
+    record = record_of(output, 1e-3, 1)
+    fit = fit_step(record, "Fz", reading=rough(record, 0.01), modes=1, real_poles=0)
+    assert any("unstable" in notice.text for notice in fit.notices)
+    assert fit.model is not None
+    assert fit.model.damping_ratio[0] == pytest.approx(-20 / (2 * np.pi * 1500), rel=0.05)
+
+
+def test_no_ring_is_refused() -> None:
+    time_s = np.arange(4000) / RATE_HZ
+    record = record_of((time_s > 0.01).astype(float), 1e-2, 1)
+    with pytest.raises(ValueError, match="no oscillation above the noise"):
+        fit_step(record, "Fz", reading=rough(record, 0.01))
+
+
+def test_measured_force_is_asked_for_without_one() -> None:
+    record = record_of(clean(), 1e-3, 1)
+    with pytest.raises(ValueError, match="release: expected"):
+        fit_step(record, "Fz", reading=rough(record, ONSET), release="measured")
