@@ -134,12 +134,16 @@ def _mismatch(result: SubjectResult, number: int) -> list[Picture]:
     """Residual ringing over the load, or over an error of the frequency."""
     first = result.filters[0]
     after = f"Largest deviation from the final value from {1e3 * first.after_s:.3g} ms after a step on."
+    subject = result.subject
+    scale, unit = (1e3, "g") if subject.load_unit == "N" else (1.0, "(kg·m²)")
     if len(first.off_load) > 1:
         curves = [
-            MismatchCurve(f"filter for {1e3 * (one.load_mass or 0.0):.4g} g", 1e3 * one.off_load, one.load_ringing)
+            MismatchCurve(
+                f"filter for {subject.load_text(one.load_mass or 0.0)}", scale * one.off_load, one.load_ringing
+            )
             for one in result.filters
         ]
-        return [draw_mismatch(f"mismatch-{number}", curves, "load / g", after)]
+        return [draw_mismatch(f"mismatch-{number}", curves, f"load / {unit}", after)]
     if not len(first.off_frequency):
         return []
     curves = [

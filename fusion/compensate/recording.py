@@ -10,7 +10,8 @@ import numpy as np
 
 from fusion.channels import channel_unit
 from fusion.compensate.result import CompensatedChannel, CompensatedRecording, FloatArray, SubjectResult
-from fusion.compensate.wish import Wish
+from fusion.compensate.sources import Sources
+from fusion.compensate.wish import COMMAND, Wish
 from fusion.errors import InputError
 from fusion.manifest import Manifest, find_recordings, load_manifest
 from fusion.notices import Notice
@@ -122,12 +123,12 @@ def white_noise(values: FloatArray) -> float:
     return float(MEDIAN_TO_STD * np.median(np.abs(np.diff(values, 3))) / NOISE_FACTOR)
 
 
-def with_load(wish: Wish, record: OutputRecord | None) -> Wish:
-    """Return the wish with the load of the rig where a recording is filtered and no load is named."""
-    if record is None or wish.load_masses:
-        if record is not None and len(wish.load_masses) > 1:
-            expected = "one load mass with --apply, that of the recording"
-            raise InputError("shakercal compensate", "--load-mass", f"{len(wish.load_masses)}", expected)
+def with_load(wish: Wish, sources: Sources, record: OutputRecord | None) -> Wish:
+    """Return the wish with the load of the rig where a recording is filtered by models over the load."""
+    if record is None or not any(subject.is_scheduled for subject in sources.subjects):
         return wish
+    if len(wish.load_masses) > 1:
+        expected = "one load mass with --apply, that of the recording"
+        raise InputError(COMMAND, "--load-mass", found=f"{len(wish.load_masses)}", expected=expected)
     mass = rig_load_mass(record.manifest)
-    return wish if mass is None else replace(wish, load_masses=(mass,))
+    return wish if wish.load_masses or mass is None else replace(wish, load_masses=(mass,))

@@ -24,8 +24,8 @@ BETTER = 1.05
 def of_subject(result: SubjectResult) -> Iterator[Notice]:
     """Say of a channel what all its loads share."""
     if result.subject.is_scheduled and len(result.filters) == 1:
-        mass = 1e3 * (result.filters[0].load_mass or 0.0)
-        text = f"the filter is made for a load of {mass:g} g; --load-mass names others"
+        load = result.subject.load_text(result.filters[0].load_mass or 0.0)
+        text = f"the filter is made for a load of {load}; --load-mass names others"
         yield Notice("info", text, result.subject.name)
 
 
@@ -33,7 +33,9 @@ def of_filter(result: SubjectResult, found: LoadFilter, wish: Wish) -> Iterator[
     """Say of one filter what limits it."""
     where = result.subject.name
     if found.load_mass is not None and len(result.filters) > 1:
-        where += f", {1e3 * found.load_mass:g} g"
+        where += f", {result.subject.load_text(found.load_mass)}"
+    if wish.real_hz is not None and not len(found.compensation.sensor.real_hz):
+        yield Notice("info", "the model has no real pole that --real-pole could move", where)
     for severity, text in (*_model(found), *_target(found, wish), *_left(found), *_samples(found)):
         yield Notice(severity, text, where)  # type: ignore[arg-type]
 

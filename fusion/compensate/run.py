@@ -39,10 +39,11 @@ def run_compensate(
     sources = _sources(models, sensor)
     record = None if recording is None else read_outputs(recording, allow_outside=allow_outside)
     beside = sources.files[0].parent if sources.files else Path.cwd()
+    _check_loads(sources, wish)
     folder = beside / DEFAULT_FOLDER if output is None else output
     hashes = hash_files([*sources.files, *_files(record)], beside)
     check_folder(folder, hashes, force=force, marker=H5_FILE)
-    evaluation = evaluate_compensation(sources, with_load(wish, record), record, hashes)
+    evaluation = evaluate_compensation(sources, with_load(wish, sources, record), record, hashes)
     log_notices(evaluation, log)
     write_compensation(evaluation, folder, force=force)
     print(evaluation.name)
@@ -63,6 +64,13 @@ def _sources(models: Sequence[Path], sensor: tuple[float | None, float | None]) 
         expected = "models.json, load.json, a folder with one, or --sensor-frequency with --sensor-damping"
         raise InputError(COMMAND, "", found="nothing of it", expected=expected)
     return stated(_single(frequency, damping))
+
+
+def _check_loads(sources: Sources, wish: Wish) -> None:
+    """Refuse loads where no model follows the load."""
+    if wish.load_masses and not any(subject.is_scheduled for subject in sources.subjects):
+        found = ", ".join(f"{mass:g} kg" for mass in wish.load_masses)
+        raise InputError(COMMAND, "--load-mass", found=found, expected="a model over the load (load.json) for it")
 
 
 def _single(frequency: float, damping: float) -> SensorDynamics:

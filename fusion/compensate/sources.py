@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from fusion.compensate.wish import COMMAND
@@ -45,12 +45,18 @@ class Subject:
         """Whether the filter depends on the load."""
         return isinstance(self.model, LoadModel)
 
+    def load_text(self, load: float) -> str:
+        """Return a load in g, of a moment in kg·m²."""
+        return f"{1e3 * load:.4g} g" if self.load_unit == "N" else f"{load:.4g} kg·m²"
+
     def dynamics(self, load_mass: float | None, modes: int, real_poles: bool) -> SensorDynamics:
         """Return what a filter takes out of the sensor with a load."""
         if isinstance(self.model, LoadModel):
             return loaded_dynamics(self.model, load_mass or 0.0, modes=modes)
         if isinstance(self.model, ModalModel):
             return modal_dynamics(self.model, modes=modes, real_poles=real_poles)
+        if modes != 1:
+            raise ValueError(f"modes: expected 1 of a sensor stated by frequency and damping, found {modes}")
         return self.model
 
 
@@ -166,10 +172,10 @@ def _of_loads(file: Path) -> Sources:
                 "the others with loads that were not measured"
             )
             notices.append(Notice("warning", text, model.channel))
-        masses = ", ".join(f"{1e3 * mass:g}" for mass in model.load_masses)
         told = "two masses" if model.is_rigid else "three masses"
-        source = f"{told}, fitted to loads of {masses} g" if masses else told
-        subjects.append(Subject(model.channel, model.component, model.unit, load_unit(model.component), model, source))
+        subject = Subject(model.channel, model.component, model.unit, load_unit(model.component), model, told)
+        loads = ", ".join(subject.load_text(load) for load in model.load_masses)
+        subjects.append(replace(subject, source=f"{told}, fitted to loads of {loads}") if loads else subject)
     return Sources(file.parent.resolve().name, tuple(subjects), (file,), tuple(notices))
 
 

@@ -85,7 +85,7 @@ def _numbers(result: SubjectResult, found: LoadFilter) -> Iterator[tuple[str, fl
 
 def label(result: SubjectResult, found: LoadFilter) -> str:
     """Channel and load."""
-    mass = "" if found.load_mass is None else f", load {GRAM * found.load_mass:.4g} g"
+    mass = "" if found.load_mass is None else f", load {result.subject.load_text(found.load_mass)}"
     return f"{result.subject.name}{mass}"
 
 
@@ -164,7 +164,7 @@ def mismatch_tables(evaluation: CompensateEvaluation) -> list[Table]:
     for result in evaluation.subjects:
         first = result.filters[0]
         loads = len(first.off_load) > 1
-        head = [f"{GRAM * load:.4g} g" for load in first.off_load] if loads else []
+        head = [result.subject.load_text(float(load)) for load in first.off_load] if loads else []
         head = head or [_signed_percent(off) for off in first.off_frequency]
         rows = [
             (

@@ -266,6 +266,11 @@ NUMBERS = ["--sensor-frequency", "500", "--sensor-damping", "0.004"]
         ([*NUMBERS, "--frequency", "900", "--sample-rate", "1000"], "at least 2000 for a filter to 900 Hz"),
         ([*NUMBERS, "--frequency", "900", "--permitted-error", "200"], "a permitted error above 0 and below 100 %"),
         ([*NUMBERS, "--frequency", "900", "--channel", "Fq"], "expected one of sensor, found Fq"),
+        (
+            [*NUMBERS, "--frequency", "900", "--load-mass", "0.1"],
+            "a model over the load (load.json) for it, found 0.1 kg",
+        ),
+        ([*NUMBERS, "--frequency", "900", "--modes", "2"], "expected 1 of a sensor stated by frequency and damping"),
         (["nowhere", "--frequency", "900"], "nowhere"),
     ],
 )
