@@ -84,11 +84,14 @@ class LinearSystem:
         return float(self.at(np.array([self.rest]))[0].real)
 
     def at(self, x: ComplexArray) -> ComplexArray:
-        """Return H (K,) at s or z (K,), factor by factor, so that no coefficient loses digits."""
+        """Return H (K,) at s or z (K,), factor by factor, so that no coefficient loses digits; infinite at a pole."""
         place = np.asarray(x, dtype=np.complex128)[:, None]
-        below = np.full((len(place), len(self.poles)), 1.0 + 0j)
-        below[:, : len(self.zeros)] = place - self.zeros
-        return np.asarray(self.gain * np.prod(below / (place - self.poles), axis=1))
+        above = np.full((len(place), len(self.poles)), 1.0 + 0j)
+        above[:, : len(self.zeros)] = place - self.zeros
+        below = place - self.poles
+        hit = np.any(below == 0, axis=1)
+        found = self.gain * np.prod(above / np.where(below == 0, 1.0, below), axis=1)
+        return np.asarray(np.where(hit, np.inf + 0j, found))
 
     def response(self, frequency_hz: FloatArray) -> ComplexArray:
         """Return H (K,) at frequencies (K,) in Hz: at s = jω, or at z = exp(jω/fs)."""
@@ -179,11 +182,18 @@ class LinearSystem:
         from scipy.linalg import expm
 
         state, drive, output = self._chain()
-        if not step:
+        if step:  # the load is one more state, which stays at 1
+            state = np.block([[state, drive[:, None]], [np.zeros((1, len(drive) + 1))]])
+            drive, output = np.append(np.zeros(len(drive)), 1.0), np.append(output, self.direct)
+        steps = np.diff(time_s)
+        if len(steps) < 2 or np.ptp(steps) > 1e-9 * np.max(np.abs(steps)):
             return np.asarray((expm(time_s[:, None, None] * state) @ drive @ output).real)
-        both = np.zeros((len(drive) + 1,) * 2, dtype=np.complex128)
-        both[:-1, :-1], both[:-1, -1] = state, drive
-        return np.asarray(self.direct + (expm(time_s[:, None, None] * both)[:, :-1, -1] @ output).real)
+        now, onward = expm(time_s[0] * state) @ drive, expm(np.mean(steps) * state)
+        found = np.empty((len(time_s), len(now)), dtype=np.complex128)
+        for place in range(len(found)):
+            found[place] = now
+            now = onward @ now
+        return np.asarray((found @ output).real)
 
     def _chain(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         """Return state (P, P), drive (P,) and output (P,) of factors 1 + (p - z)/(s - p) and 1/(s - p) in a row."""

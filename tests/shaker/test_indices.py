@@ -223,6 +223,60 @@ def test_an_unstable_system_is_told_and_has_no_times() -> None:
     assert found.notices[0].severity == "warning"
 
 
+def test_poles_and_zeros_on_the_axis() -> None:
+    """Without damping: infinite gain at the pole, none at the zero, and the bands that r² = 1 ± … gives."""
+    system = LinearSystem(np.zeros(0, complex), np.array([1000j, -1000j]), 1e6)
+    found = indices(system)
+    assert found.peak_hz == pytest.approx(1000 / (2 * np.pi))
+    assert found.peak_gain is None
+    assert found.band_5_hz == pytest.approx(1000 / (2 * np.pi) * np.sqrt(1 - 1 / 1.05), rel=1e-12)
+    assert found.settling_2_s is None
+    assert system.response(np.array([found.peak_hz or 0.0, 0.0]))[1] == pytest.approx(1.0)
+    notch = indices(LinearSystem(np.array([3000j, -3000j]), np.array([-10 + 1000j, -10 - 1000j]), 1e6 / 9e6))
+    assert notch.settling_2_s is not None
+    curve = gain_curve(LinearSystem(np.array([3000j, -3000j]), np.array([-10 + 1000j, -10 - 1000j]), 1e6 / 9e6))
+    assert curve.gain.min() < 1e-9
+
+
+def test_an_integrator_has_no_static_gain() -> None:
+    for system in (
+        LinearSystem(np.zeros(0, complex), np.array([0j]), 2.0),
+        LinearSystem(np.zeros(0, complex), np.array([1 + 0j]), 2.0, 1e3),
+    ):
+        found = indices(system)
+        assert found.static_gain == np.inf
+        assert found.band_5_hz is None
+        assert found.settling_2_s is None
+        assert not found.stable
+
+
+def test_an_average_of_samples() -> None:
+    """Zeros on the unit circle, all poles at z = 0: the response climbs by a fifth with each of five samples."""
+    found = indices(LinearSystem.from_coefficients(np.full(5, 0.2), np.array([1.0, 0, 0, 0, 0]), 1e3))
+    assert found.notices == ()
+    assert found.overshoot == pytest.approx(0.0, abs=1e-12)
+    assert found.settling_2_s == pytest.approx(4e-3)
+
+    def gain(f: float) -> float:
+        return float(np.sin(np.pi * f / 200) / (5 * np.sin(np.pi * f / 1000)))
+
+    assert gain(found.half_power_hz or 0.0) == pytest.approx(0.5**0.5, rel=1e-9)
+    assert gain(found.band_5_hz or 0.0) == pytest.approx(0.95, rel=1e-9)
+
+
+def test_two_equal_oscillators() -> None:
+    """Response 1 - exp(-at)·(…): against a dense curve."""
+    poles = np.array([-10 + 1000j, -10 - 1000j] * 2)
+    system = LinearSystem(np.zeros(0, complex), poles, 1e12)
+    found = indices(system)
+    time = np.linspace(0, 1.2, 24001)
+    value = system.step(time) / system.static_gain
+    assert found.overshoot == pytest.approx(value.max() - 1, rel=1e-3)
+    assert found.settling_2_s == pytest.approx(time[np.abs(value - 1) > 0.02][-1], abs=4e-4)
+    at, swing = 10.0 * time, np.sqrt(1e6 + 100)
+    assert np.abs(value - 1).max() == pytest.approx(swing * np.max(time * np.exp(-at)) / 2, rel=2e-2)
+
+
 def test_false_poles_are_told() -> None:
     samples = LinearSystem(np.zeros(0, complex), np.array([0.9 + 0.2j, 0.9 - 0.2j, -0.62]), 1.0, 1e5)
     assert [n.where for n in remarks(samples) if "turns its sign" in n.text] == ["pole -0.62"]
@@ -259,11 +313,11 @@ def test_uncertainties_agree_with_monte_carlo() -> None:
     model = uncertain_model(2e-3)
     found = indices_with_u(model)
     assert model.covariance is not None
-    draws = np.random.default_rng(2).multivariate_normal(model.vector, model.covariance, size=200)
+    draws = np.random.default_rng(2).multivariate_normal(model.vector, model.covariance, size=100)
     figures = [indices(model.with_vector(draw).system).figures() for draw in draws]
     for name, u in found.u.items():
         spread = np.std([row[name] for row in figures if row[name] is not None])
-        assert u == pytest.approx(spread, rel=0.3 if "settling" in name else 0.15), name  # u of 200: 5 %
+        assert u == pytest.approx(spread, rel=0.35 if "settling" in name else 0.25), name  # u of 100: 7 %
 
 
 def test_settling_time_jumps_by_half_periods() -> None:
@@ -275,7 +329,7 @@ def test_settling_time_jumps_by_half_periods() -> None:
     frequency, residue = np.array([500.0]), np.array([-0.5j * omega / np.sqrt(1 - damping**2)])
     covariance = np.diag([0.0, (1e-4 * damping) ** 2, 0.0, 0.0])
     model = ModalModel(frequency, np.array([damping]), residue, np.zeros(0), np.zeros(0), covariance)
-    draws = damping * (1 + 1e-4 * np.random.default_rng(3).normal(size=300))
+    draws = damping * (1 + 1e-4 * np.random.default_rng(3).normal(size=150))
     moved = [model.with_vector(np.array([500.0, z, 0.0, residue[0].imag])) for z in draws]
     times = [transient(one.system).settling_2_s for one in moved]
     assert settling_u(model, 0.02) == pytest.approx(np.std(np.array(times, float)), rel=0.25)

@@ -97,7 +97,7 @@ def _grid(system: LinearSystem) -> FloatArray:
     for place, size in zip(features, sizes, strict=True):
         if place.imag <= 0:
             continue
-        width = max(abs(place.real), 1e-12 * size)
+        width = max(abs(place.real), 1e-9 * size)
         away = np.geomspace(1e-2 * width, size, int(POINTS * np.log10(1e2 * size / width)) + 2)
         parts += [place.imag - away, place.imag + away]
     grid = np.unique(np.concatenate([*parts, [most]]))
@@ -105,15 +105,17 @@ def _grid(system: LinearSystem) -> FloatArray:
 
 
 def log_slope(system: LinearSystem, hertz: FloatArray) -> FloatArray:
-    """Return d ln|H|/dω (K,) in s at frequencies (K,) in Hz."""
+    """Return d ln|H|/dω (K,) in s at frequencies (K,) in Hz, 0 on a zero or a pole, where it changes its sign."""
     x = 2j * np.pi * np.asarray(hertz)
     change: ComplexArray = np.full(len(x), 1j)
     if system.sample_rate_hz is not None:
         x = np.exp(x / system.sample_rate_hz)
         change = 1j * x / system.sample_rate_hz
-    from_zeros = (1.0 / (x[:, None] - system.zeros)).sum(axis=1)
-    from_poles = (1.0 / (x[:, None] - system.poles)).sum(axis=1)
-    return np.asarray((change * (from_zeros - from_poles)).real)
+    away = x[:, None] - np.concatenate([system.zeros, system.poles])
+    sense = np.repeat([1.0, -1.0], [len(system.zeros), len(system.poles)])
+    hit = away == 0
+    found = (change * np.sum(sense / np.where(hit, 1.0, away), axis=1)).real
+    return np.asarray(np.where(np.any(hit, axis=1), 0.0, found))
 
 
 def band_end(curve: GainCurve, reference: float, tolerance: float) -> float | None:
@@ -146,7 +148,7 @@ def quadrature(system: LinearSystem) -> float | None:
         return None
 
     def along(hertz: FloatArray) -> FloatArray:
-        return np.asarray((system.response(hertz) / gain).real)
+        return np.asarray(system.response(hertz).real / gain)
 
     first = sign_changes(along(grid))[:1]
     found = roots_between(along, grid[first], grid[first + 1])

@@ -32,7 +32,7 @@ def indices(system: LinearSystem, nominal_gain: float = 1.0, sample_rate_hz: flo
         max(found, key=lambda mode: mode.step_share or 0.0, default=None),
         tuple(sorted(float(-p.real / (2 * np.pi)) for p in poles if p.imag == 0)),
         None if top is None else top[0],
-        None if top is None or not usable else top[1] / abs(static),
+        None if top is None or not usable or not np.isfinite(top[1]) else top[1] / abs(static),
         quadrature(system) if usable else None,
         half_power(curve) if usable else None,
         bands[0],

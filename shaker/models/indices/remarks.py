@@ -21,9 +21,11 @@ def remarks(system: LinearSystem, sample_rate_hz: float | None = None) -> tuple[
     rate = system.sample_rate_hz or sample_rate_hz
     found = [] if system.stable else [_unstable(system)]
     for pole in system.poles[system.poles.imag >= 0]:
-        if system.sample_rate_hz is not None and pole.imag == 0 and pole.real <= 0:
+        if system.sample_rate_hz is not None and pole.imag == 0 and pole.real < 0:
             text = f"turns its sign with every sample, z = {pole.real:.4g}: no motion of a sensor, a product of noise"
             found.append(Notice("warning", f"The pole {text} or of too high an order.", _name(system, pole)))
+            continue
+        if system.sample_rate_hz is not None and pole == 0:  # a delay of one sample
             continue
         size = abs(pole if system.sample_rate_hz is None else np.log(pole) * system.sample_rate_hz) / (2 * np.pi)
         if rate is not None and size > FAR * rate:

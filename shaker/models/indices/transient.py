@@ -17,6 +17,8 @@ PER_PERIOD = 48
 SAMPLES = 1 << 22
 """Longest response of a sampled system that is computed."""
 BLOCK = 1024
+SHORT = 0.01
+"""Share by which a turning point may lie beyond the points around it: 1 - cos(π/48) is a fifth of that."""
 FORGOTTEN = 1e-8
 """Share of the final value below which a pole's part no longer decides where the grid's points lie."""
 
@@ -64,7 +66,7 @@ def settling_points(system: LinearSystem, tolerance: float) -> FloatArray | None
 def _sampled(system: LinearSystem, rate: float) -> Transient:
     """Return the figures of a sampled system from its samples, crossings between two of them by a straight line."""
     slowest = float(np.max(np.abs(system.poles)))
-    length = int(40.0 / -np.log(slowest)) + 64 if slowest > 0 else 64
+    length = len(system.poles) + 64 + (int(40.0 / -np.log(slowest)) if slowest > 0 else 0)
     if length > SAMPLES:
         return Transient()
     ratio = system.step(np.arange(length) / rate) / system.static_gain
@@ -134,6 +136,10 @@ class _Response:
             yield begin, end
             begin = end
 
+    def coarse(self, begin: float, end: float) -> FloatArray:
+        """Return the response at the points of a piece, between which it exceeds them by less than `SHORT`."""
+        return self.ratio(np.linspace(begin, end, BLOCK + 1))
+
     def extremes(self, begin: float, end: float) -> tuple[FloatArray, FloatArray]:
         """Return times, begin, every turning point and end, and the response there."""
         time = np.linspace(begin, end, BLOCK + 1)
@@ -145,10 +151,11 @@ class _Response:
         """Return the highest value less the final one and its time; 0 and None where the final one is the highest."""
         best, when = 0.0, None
         for begin, end in self.blocks():
-            time, value = self.extremes(begin, end)
-            place = int(np.argmax(value))
-            if value[place] - 1.0 > best:
-                best, when = float(value[place]) - 1.0, float(time[place])
+            if float(self.coarse(begin, end).max()) - 1.0 >= (1 - SHORT) * best:
+                time, value = self.extremes(begin, end)
+                place = int(np.argmax(value))
+                if value[place] - 1.0 > best:
+                    best, when = float(value[place]) - 1.0, float(time[place])
             if self.envelope(end) <= best:
                 break
         return best, when
@@ -169,6 +176,9 @@ class _Response:
         end = min(self.quiet(tolerance) + period, self.quiet(0.05 * tolerance))
         while end > 0:
             begin = max(0.5 * end, end - BLOCK * self.spacing(0.5 * end)) if end > self.spacing(0.0) else 0.0
+            if float(np.abs(self.coarse(begin, end) - 1).max()) < (1 - SHORT) * tolerance:
+                end = begin
+                continue
             time, value = self.extremes(begin, end)
             outside = np.flatnonzero(np.abs(value - 1) > tolerance)
             if len(outside):
