@@ -16,7 +16,7 @@ from shaker.models.step_fit.samples import Samples, block_length, in_blocks
 from shaker.models.step_fit.structure import Structure
 from shaker.models.step_fit.timing import LENGTHS, TERM, first_vectors, known_about
 
-_CERTAIN = 4.0  # standard uncertainties that the release's length must have to be taken for sure
+_CERTAIN = 4.0  # standard uncertainties of the release's length, as read, that make it worth a fit
 _MISFIT = 1.5  # residual's variance over that of the noise before the release, above which a step is doubted
 
 
@@ -75,12 +75,10 @@ def better(plain: Solution, rich: Solution) -> bool:
 
 def _over_loads(search: Search, modes: ComplexArray, reals: int) -> Solution:
     """Return the best fit with given modes to start from, over the loads that come into question."""
-    loads = search.loads
-    if len(loads) > 1 and search.reading.release_s > _CERTAIN * search.reading.u_release_s:
-        loads = tuple(load for load in loads if load.lasting)
-    best = _fit_one(search, loads[0], modes, reals)
-    for load in loads[1:]:
-        if best.problem.load.lasting or _doubted(search, best, load):
+    best = _fit_one(search, search.loads[0], modes, reals)
+    lasts = search.reading.release_s > _CERTAIN * search.reading.u_release_s
+    for load in search.loads[1:]:
+        if best.problem.load.lasting or lasts or _doubted(search, best, load):
             trial = _fit_one(search, load, modes, reals)
             best = trial if better(best, trial) else best
     return best
