@@ -31,7 +31,7 @@ DRAWN = CrossBeams(
     compliant_length_m=0.032,
     compliant_height_m=0.0038,
 )
-"""Table 1 of Li et al. 2018."""
+"""Table 1 of J. Sensors 2018, 6216979."""
 TOLERANCE_M = {"beam_width_m": 1e-5, "beam_height_m": 1e-5, "compliant_thickness_m": 1e-5, "span_m": 3e-5}
 """Standard deviations of what was milled."""
 PUBLISHED = {

@@ -12,7 +12,7 @@ from shaker.models.elastomer.geometry import CrossBeams
 
 @dataclass(frozen=True)
 class PublishedStatics:
-    """The formulas of Li et al. 2018, J. Sensors 6216979, equations 4 to 17, as printed, on a geometry.
+    """Equations 4 to 17 of J. Sensors 2018, 6216979, as printed, on a geometry.
 
     They are here to recompute what was published. They depart from mechanics in: the shear modulus (twice too large),
     compliant beams as cantilevers of half their length (eq. 6; symmetry keeps the slope at mid-span zero, which makes
