@@ -1,7 +1,8 @@
 """Standard uncertainties of the indices of an identified model.
 
 A figure is where a smooth function of frequency or time passes a level or turns. Its change with the parameters is that
-of the function at the fixed place, over the function's slope there; so no place is searched for again.
+of the function at the fixed place, over the function's slope there; so no place is searched for again. Where the gain
+just touches a band's limit the slope goes to nothing and the uncertainty, rightly, without bound.
 """
 
 from __future__ import annotations
