@@ -62,6 +62,9 @@ def _add_target(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--real-pole", type=positive, metavar="HZ", help="move the slowest real pole here")
     parser.add_argument(
+        "--low-pass", type=positive, metavar="HZ", help="corner of a Butterworth low-pass in the filter: less noise"
+    )
+    parser.add_argument(
         "--calibrated", action="store_true", help="divide by the static gain too: the filter puts out the load"
     )
 
@@ -92,6 +95,7 @@ def _act(options: argparse.Namespace) -> int:
         bandwidth_hz=options.bandwidth,
         permitted_error=options.permitted_error / 100.0,
         real_hz=options.real_pole,
+        low_pass_hz=options.low_pass,
         modes=options.modes,
         sample_rate_hz=options.sample_rate,
         discretisation=options.discretisation,

@@ -97,6 +97,7 @@ def _entry(result: SubjectResult, found: LoadFilter) -> dict[str, Any]:
             "frequency_hz": design.target.frequency_hz,
             "damping_ratio": design.target.damping_ratio,
             "real_hz": design.target.real_hz,
+            "low_pass_hz": design.target.low_pass_hz,
         },
         "continuous": {
             "zeros": [[zero.real, zero.imag] for zero in system.zeros.tolist()],

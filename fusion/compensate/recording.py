@@ -101,7 +101,10 @@ def _channel(
     if found.sections.sample_rate_hz != record.sample_rate_hz:
         told = f"{found.sections.sample_rate_hz:g} Hz"
         raise InputError(
-            record.manifest.path, "daq", found=f"{record.sample_rate_hz:g} Hz", expected=f"samples at {told}"
+            record.manifest.path,
+            "daq",
+            found=f"{record.sample_rate_hz:g} Hz",
+            expected=f"samples at {told}, the rate of the filter",
         )
     first = max(1, min(len(values), round(record.sample_rate_hz / found.compensation.target.frequency_hz)))
     run = CompensationWithUncertainty(

@@ -98,4 +98,4 @@ def _samples(found: LoadFilter) -> Iterator[tuple[str, str]]:
         )
     if found.noise_gain / found.sections.gain > LARGE_NOISE:
         times = found.noise_gain / abs(found.sections.gain)
-        yield "warning", f"white noise rises {times:.3g}-fold; a lower target frequency passes less of it"
+        yield "warning", f"white noise rises {times:.3g}-fold; a lower target frequency or --low-pass passes less of it"

@@ -19,9 +19,10 @@ class Wish:
 
     Either `frequency_hz`, with `damping_ratio` or else that with the widest band for `permitted_error`, or
     `bandwidth_hz`: up to where the gain stays within ± `permitted_error` of the static one. `modes` are compensated,
-    and the real poles if `real_hz` says where to. `calibrated`: the filter also divides by the static gain.
-    `load_masses` in kg, those of a sensor whose load is modelled. `channels`: which, none for all. `ball_stiffness` in
-    N/m: that of the virtual ball of a force-feedback check, None for no check.
+    and the real poles if `real_hz` says where to; `low_pass_hz` is the corner of a low-pass in the filter.
+    `calibrated`: the filter also divides by the static gain. `load_masses` in kg, those of a sensor whose load is
+    modelled. `channels`: which, none for all. `ball_stiffness` in N/m: that of the virtual ball of a force-feedback
+    check, None for no check.
     """
 
     frequency_hz: float | None = None
@@ -29,6 +30,7 @@ class Wish:
     bandwidth_hz: float | None = None
     permitted_error: float = 0.1
     real_hz: float | None = None
+    low_pass_hz: float | None = None
     modes: int = 1
     sample_rate_hz: float | None = None
     discretisation: Discretisation = "matched"
@@ -51,11 +53,13 @@ class Wish:
     def target(self, sensor: SensorDynamics) -> Target:
         """Return the target for a sensor."""
         if self.bandwidth_hz is not None:
-            return target_for_bandwidth(sensor, self.bandwidth_hz, self.permitted_error, self.real_hz)
+            more = (self.permitted_error, self.real_hz, self.low_pass_hz)
+            return target_for_bandwidth(sensor, self.bandwidth_hz, *more)
         frequency = float(self.frequency_hz or 0.0)
         if self.damping_ratio is None:
-            return target_for_frequency(sensor, frequency, self.permitted_error, self.real_hz)
-        return Target(frequency, self.damping_ratio, self.real_hz)
+            more = (self.permitted_error, self.real_hz, self.low_pass_hz)
+            return target_for_frequency(sensor, frequency, *more)
+        return Target(frequency, self.damping_ratio, self.real_hz, self.low_pass_hz)
 
     @property
     def settings(self) -> dict[str, str | float | int]:
@@ -66,7 +70,15 @@ class Wish:
             "discretisation": self.discretisation,
             "calibrated": int(self.calibrated),
         }
-        for name in ("frequency_hz", "damping_ratio", "bandwidth_hz", "real_hz", "sample_rate_hz", "ball_stiffness"):
+        for name in (
+            "frequency_hz",
+            "damping_ratio",
+            "bandwidth_hz",
+            "real_hz",
+            "low_pass_hz",
+            "sample_rate_hz",
+            "ball_stiffness",
+        ):
             value = getattr(self, name)
             if value is not None:
                 given[name] = value

@@ -11,6 +11,7 @@ from shaker.models.compensation.discrete import discretisation_error, sampled
 from shaker.models.compensation.dynamics import SensorDynamics, loaded_dynamics, modal_dynamics, single_mode
 from shaker.models.compensation.filter import Compensation
 from shaker.models.compensation.mismatch import residual_ringing, ringing_amplitude
+from shaker.models.compensation.noise import white_noise_gain
 from shaker.models.compensation.schedule import Schedule
 from shaker.models.compensation.target import Target, band_ratio, best_damping
 from shaker.models.indices.indices import indices
@@ -113,6 +114,26 @@ def test_damping_is_chosen_for_the_whole_sensor() -> None:
     assert two.damping_ratio > one.damping_ratio
     assert bands[1] > 1.2 * bands[0]
     assert bands[1] > bands[2]
+
+
+def test_a_low_pass_takes_the_noise_away_and_nothing_else() -> None:
+    """The filter is that without it times a Butterworth low-pass of scipy, and the search for a damping knows it."""
+    sensor = loaded_dynamics(THREE_MASSES, 0.198, modes=2)
+    plain, quiet = (Compensation(sensor, Target(1000.0, 0.55, None, corner)) for corner in (None, 4000.0))
+    band = np.array([1.0, 200.0, 900.0, 3000.0])
+    b, a = signal.butter(2, 2 * np.pi * 4000.0, analog=True)
+    expected = plain.system.response(band) * signal.freqs(b, a, 2 * np.pi * band)[1]
+    np.testing.assert_allclose(quiet.system.response(band), expected, rtol=1e-9)
+    found = sampled(quiet, 200e3)
+    assert len(found.sos) == 3
+    assert np.max(np.abs(discretisation_error(quiet, found, band))) < 0.01
+    assert quiet.least_white_gain == 0.0
+    assert white_noise_gain(found) < 0.4 * white_noise_gain(sampled(plain, 200e3))
+    wide = target_for_frequency(single_mode(500.0, 0.004), 1000.0, 0.1, None, 1500.0)
+    reached = indices(Compensation(single_mode(500.0, 0.004), wide).compensated).band_10_hz or 0.0
+    same = Target(1000.0, best_damping(0.09), None, 1500.0)
+    assert reached > (indices(Compensation(single_mode(500.0, 0.004), same).compensated).band_10_hz or 0.0)
+    assert wide.damping_ratio < same.damping_ratio
 
 
 def test_real_poles_move_with_the_mode() -> None:

@@ -76,11 +76,17 @@ def filled(sections: Sections, count: int) -> Sections:
 
 
 def section_row(zeros: ComplexArray, poles: ComplexArray, rate_hz: float, method: Discretisation) -> FloatArray:
-    """Return one section (6,) of zeros and poles in rad/s, one or two of each, with the static gain 1."""
+    """Return one section (6,) of zeros and poles in rad/s, one or two of each, with the static gain 1.
+
+    A low-pass, which has no zeros, is always made by Tustin's rule, prewarped at its corner.
+    """
     constant = None
-    if method == "tustin":
-        omega = float(np.abs(zeros[0]))
+    if method == "tustin" or not len(zeros):
+        omega = float(np.abs(zeros[0] if len(zeros) else poles[0]))
         constant = omega / np.tan(0.5 * omega / rate_hz)
+    if not len(zeros):
+        bottom, rest = _polynomial(poles, rate_hz, constant)
+        return np.concatenate([np.array([0.25, 0.5, 0.25]) * rest, bottom])
     (top, rest_top), (bottom, rest_bottom) = (_polynomial(part, rate_hz, constant) for part in (zeros, poles))
     return np.concatenate([top * (rest_bottom / rest_top), bottom])
 
@@ -108,14 +114,14 @@ def parameter_sections(
     sensor = compensation.sensor
     modes, reals = len(sensor.frequency_hz), len(sensor.real_hz)
     owner = [*range(modes), *range(modes), *(modes + np.arange(reals))]
-    found = []
+    first, found = len(base.sos) - modes - reals, []
     for parameter, section in enumerate(owner):
         size = RELATIVE_STEP * (1.0 if modes <= parameter < 2 * modes else sensor.vector[parameter])
         up, down = (
             _moved_row(compensation, parameter, section, sign * size, sample_rate_hz, method) for sign in (1, -1)
         )
         sos = base.sos.copy()
-        sos[section, :3] = (up - down)[:3] / (2.0 * size)
+        sos[first + section, :3] = (up - down)[:3] / (2.0 * size)
         found.append(Sections(sos, base.gain, base.sample_rate_hz))
     slope = -base.gain / sensor.static_gain if compensation.calibrated else 0.0
     return (*found, Sections(base.sos, slope, base.sample_rate_hz))
@@ -135,7 +141,8 @@ def _moved_row(
         zeros = np.array([-zeta * omega + root, -zeta * omega - root])
     else:
         zeros = np.array([-2 * np.pi * value[modes + section] + 0j])
-    return section_row(zeros, compensation.factors[section][1], rate_hz, method)
+    first = len(compensation.factors) - modes - len(sensor.real_hz)
+    return section_row(zeros, compensation.factors[first + section][1], rate_hz, method)
 
 
 def discretisation_error(compensation: Compensation, sections: Sections, frequency_hz: FloatArray) -> ComplexArray:

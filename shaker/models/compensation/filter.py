@@ -8,7 +8,7 @@ import numpy as np
 
 from shaker._checks import ComplexArray, FloatArray
 from shaker.models.compensation.dynamics import SensorDynamics
-from shaker.models.compensation.target import Target, cancelled_poles, target_poles
+from shaker.models.compensation.target import Target, cancelled_poles, low_pass_poles, target_poles
 from shaker.models.linear_system import LinearSystem
 
 
@@ -16,7 +16,7 @@ from shaker.models.linear_system import LinearSystem
 class Compensation:
     """G_c(s) = gain·Π_i [Π(s - zero)/Π(s - pole)]_i, each factor i scaled to 1 at s = 0.
 
-    The zeros are the poles of `sensor` that go, the poles those of `target`: as many, so that the filter is proper.
+    The zeros are the poles of `sensor` that go, the poles those of `target`: at least as many, so that it is proper.
     gain is 1, or 1/H(0) of the sensor where the filter is `calibrated` and turns the output into the load (paper "load
     characteristics", eqs. 15 and 17, for one mode).
     """
@@ -35,8 +35,9 @@ class Compensation:
 
     @property
     def factors(self) -> list[tuple[ComplexArray, ComplexArray]]:
-        """Zeros and poles in rad/s of every factor: two of each mode, one of each real pole."""
-        return list(zip(cancelled_poles(self.sensor), target_poles(self.sensor, self.target), strict=True))
+        """Zeros and poles in rad/s of every factor: those of a low-pass, two of each mode, one of each real pole."""
+        first = [(np.zeros(0, dtype=np.complex128), poles) for poles in low_pass_poles(self.target)]
+        return [*first, *zip(cancelled_poles(self.sensor), target_poles(self.sensor, self.target), strict=True)]
 
     @property
     def system(self) -> LinearSystem:
@@ -55,8 +56,8 @@ class Compensation:
 
     @property
     def least_white_gain(self) -> float:
-        """|G_c| far above all poles: what the filter does to the noise there."""
-        return abs(self.system.gain)
+        """|G_c| far above all poles: what the filter does to the noise there; 0 with a low-pass."""
+        return abs(self.system.direct)
 
     def sensitivities(self, frequency_hz: FloatArray) -> ComplexArray:
         """Return ∂ ln G_c/∂θ (K, P) of the parameters θ of `sensor.vector` at frequencies (K,) in Hz.

@@ -29,8 +29,10 @@ class Schedule:
         return Compensation(sensor, self.target, self.calibrated)
 
     def sections(self, load_mass: float, sample_rate_hz: float, method: Discretisation = "matched") -> Sections:
-        """Return the filter for a load and samples, always `modes` sections, for `CompensationFilter.switch`.
+        """Return the filter for a load and samples, always as many sections, for `CompensationFilter.switch`.
 
         Where a load has fewer modes the last sections let everything pass.
         """
-        return filled(sampled(self.at(load_mass), sample_rate_hz, method), self.modes)
+        return filled(
+            sampled(self.at(load_mass), sample_rate_hz, method), self.modes + (self.target.low_pass_hz is not None)
+        )

@@ -19,15 +19,17 @@ class Target:
 
     Further compensated modes get the same damping ratio and keep their frequency, but are moved to twice, four times, …
     the target's where they lie below. `real_hz`: where the slowest compensated real pole shall lie, the others by the
-    same factor; needed only where there is one.
+    same factor; needed only where there is one. `low_pass_hz`: corner of a second-order Butterworth low-pass in the
+    filter, None for none: the sensor is then damped as wanted and less noise passes.
     """
 
     frequency_hz: float
     damping_ratio: float
     real_hz: float | None = None
+    low_pass_hz: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("frequency_hz", "damping_ratio", "real_hz"):
+        for name in ("frequency_hz", "damping_ratio", "real_hz", "low_pass_hz"):
             value = getattr(self, name)
             if value is not None and not (value > 0 and np.isfinite(value)):
                 raise ValueError(f"{name}: expected a positive number, found {value}")
@@ -74,6 +76,11 @@ def target_poles(sensor: SensorDynamics, target: Target) -> list[ComplexArray]:
         factor = target.real_hz / np.min(sensor.real_hz)
         found += [np.array([-2 * np.pi * factor * f + 0j]) for f in sensor.real_hz]
     return found
+
+
+def low_pass_poles(target: Target) -> list[ComplexArray]:
+    """Return the poles in rad/s of the low-pass, a section of its own, or no section."""
+    return [] if target.low_pass_hz is None else [mode_poles(target.low_pass_hz, float(np.sqrt(0.5)))]
 
 
 def mode_poles(frequency_hz: float, damping_ratio: float) -> ComplexArray:
