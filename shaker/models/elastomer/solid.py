@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from shaker._checks import FloatArray, IntArray
+from shaker.models.elastomer.frame import rigid_motion
 from shaker.models.elastomer.geometry import CrossBeams
 from shaker.models.elastomer.modes import NAMES, assigned
 from shaker.models.elastomer.platform import RigidPart
@@ -85,7 +86,7 @@ def solve_solid(beams: CrossBeams, block: SolidBlock, refinement: int = 2) -> So
     return SolidModel(
         frequency_hz=np.array([frequency[name] for name in NAMES]),
         stiffness=np.array([stiffness[name] for name in NAMES]),
-        unknowns=4 * quarter.basis.N,
+        unknowns=12 * quarter.basis.N,
         vertex_m=np.ascontiguousarray(quarter.mesh.p.T),
         cell=np.ascontiguousarray(quarter.mesh.t.T),
         motion=np.stack([motion[name] for name in NAMES]),
@@ -109,45 +110,42 @@ class _Quarter:
 
     @cached_property
     def basis(self) -> Any:
-        """Triquadratic displacements."""
-        from skfem import Basis, ElementHex2, ElementVector
+        """Quadratic functions of all three coordinates, the same for every component of the displacement."""
+        from skfem import Basis, ElementHex2
 
-        return Basis(self.mesh, ElementVector(ElementHex2()), intorder=4)
+        return Basis(self.mesh, ElementHex2(), intorder=4)
 
-    @cached_property
-    def component(self) -> IntArray:
-        """Axis of every unknown."""
-        found = np.empty(self.basis.N, dtype=np.int64)
-        basis = self.basis
-        for places in (basis.nodal_dofs, basis.edge_dofs, basis.facet_dofs, basis.interior_dofs):
-            for row, unknowns in enumerate(places):
-                found[unknowns] = row % 3
-        return found
+    @property
+    def place_m(self) -> FloatArray:
+        """Places (N, 3) of the nodes; node n has the unknowns 3n, 3n + 1, 3n + 2."""
+        return np.asarray(self.basis.doflocs.T)
 
     @cached_property
     def matrices(self) -> tuple[Any, Any, Any]:
         """Stiffness, mass, and the platform's geometry (mass at unit density)."""
-        from skfem import Basis, BilinearForm, asm
-        from skfem.helpers import dot
-        from skfem.models.elasticity import lame_parameters, linear_elasticity
+        from skfem.models.elasticity import lame_parameters
 
         material = self.beams.material
+        lame = lame_parameters(material.youngs_modulus_pa, material.poisson_ratio)
+        stiffening = np.where(self.platform, self.block.stiffening, 1.0)
+        density = np.where(self.platform, self.block.density_kgm3, material.density_kgm3)
+        stiffness = self._assembled(_elastic(self.basis, *lame) * stiffening[:, None, None, None, None])
+        product = _inert(self.basis)
+        mass, geometry = (
+            self._assembled(product * weight[:, None, None, None, None])
+            for weight in (density, self.platform.astype(np.float64))
+        )
+        return stiffness.tocsc(), mass.tocsr(), geometry.tocsr()
 
-        @BilinearForm
-        def product(u: Any, v: Any, _: Any) -> Any:
-            return dot(u, v)
+    def _assembled(self, local: FloatArray) -> Any:
+        """Sparse matrix of the matrices (C, L, 3, L, 3) of all cells."""
+        from scipy.sparse import coo_matrix
 
-        elastic = linear_elasticity(*lame_parameters(material.youngs_modulus_pa, material.poisson_ratio))
-        parts = [Basis(self.mesh, self.basis.elem, intorder=4, elements=cells) for cells in self._parts]
-        stiffness = self.block.stiffening * asm(elastic, parts[0]) + asm(elastic, parts[1])
-        block, rest = (asm(product, part) for part in parts)
-        mass = self.block.density_kgm3 * block + material.density_kgm3 * rest
-        return stiffness.tocsc(), mass.tocsr(), block.tocsr()
-
-    @property
-    def _parts(self) -> tuple[IntArray, IntArray]:
-        """Cells of the platform and all others."""
-        return np.flatnonzero(self.platform), np.flatnonzero(~self.platform)
+        unknown = 3 * self.basis.element_dofs.T[:, :, None] + np.arange(3)
+        row = np.broadcast_to(unknown[:, :, :, None, None], local.shape)
+        column = np.broadcast_to(unknown[:, None, None, :, :], local.shape)
+        size = 3 * self.basis.N
+        return coo_matrix((local.ravel(), (row.ravel(), column.ravel())), shape=(size, size))
 
     def solve(self, kind: str) -> tuple[FloatArray, list[FloatArray], FloatArray]:
         """Return the modes named after the rigid motions of one kind: Hz, motion of vertices (V, 3), stiffness."""
@@ -177,9 +175,10 @@ class _Quarter:
         factor = shape.T @ weigh(_apart(rigid[free], weigh))
         chosen = assigned(factor)
         sign = np.where(factor[chosen, np.arange(len(chosen))] < 0.0, -1.0, 1.0)
-        whole = np.zeros((self.basis.N, len(chosen)))
+        whole = np.zeros((3 * self.basis.N, len(chosen)))
         whole[free] = shape[:, chosen] * sign
-        motion = [column[self.basis.nodal_dofs].T for column in whole.T]
+        vertices = self.basis.nodal_dofs[0]
+        motion = [column.reshape(-1, 3)[vertices] for column in whole.T]
         compliance = np.diag(mean.T @ solver.solve(mean)) / 4.0
         return np.sqrt(squared[chosen]) / (2.0 * np.pi), motion, 1.0 / compliance
 
@@ -193,36 +192,51 @@ class _Quarter:
 
     def _free(self, kind: str) -> IntArray:
         """Unknowns that neither clamp nor symmetry holds."""
-        beams, basis, near = self.beams, self.basis, 1e-9
+        beams, near = self.beams, 1e-9
         inner, half = 0.5 * (beams.span_m - beams.compliant_thickness_m), 0.5 * beams.compliant_length_m
-        held = [
-            basis.get_dofs(lambda x: (np.abs(x[1] - half) < near) & (x[0] > inner - near)).flatten(),
-            basis.get_dofs(lambda x: (np.abs(x[0] - half) < near) & (x[1] > inner - near)).flatten(),
-        ]
+        x, y, _ = place = self.place_m.T
+        clamped = (np.abs(y - half) < near) & (x > inner - near) | (np.abs(x - half) < near) & (y > inner - near)
+        held = np.repeat(clamped[:, None], 3, axis=1)
         for axis, reversed_sign in enumerate(PARITIES[kind]):
-            plane = np.flatnonzero(np.abs(basis.doflocs[axis]) < near)
-            normal = self.component[plane] == axis
-            held.append(plane[~normal] if reversed_sign else plane[normal])
-        return np.setdiff1d(np.arange(basis.N), np.concatenate(held))
+            plane = np.abs(place[axis]) < near
+            normal = np.arange(3) == axis
+            held |= plane[:, None] & (~normal if reversed_sign else normal)
+        return np.flatnonzero(~held.ravel())
 
     def _rigid(self, names: tuple[str, ...]) -> FloatArray:
         """Rigid motions (N, k) by name, turns about the origin."""
-        place, axis = self.basis.doflocs, self.component
-        columns = []
-        for name in names:
-            along = NAMES.index(name)
-            if along < 3:
-                columns.append((axis == along).astype(np.float64))
-            else:
-                turned = np.cross(np.eye(3)[along - 3], place.T)
-                columns.append(turned[np.arange(len(axis)), axis])
-        return np.stack(columns, axis=1)
+        motions = np.concatenate([rigid_motion(place)[:3] for place in self.place_m])
+        return np.asarray(motions[:, [NAMES.index(name) for name in names]])
 
     def _attached(self, names: tuple[str, ...]) -> FloatArray:
         """Mass matrix (k, k) of the attached parts over the rigid motions."""
         places = [NAMES.index(name) for name in names]
         part = self.block.attached
         return np.zeros((len(places),) * 2) if part is None else part.mass_matrix[np.ix_(places, places)]
+
+
+def _elastic(basis: Any, first: float, second: float) -> FloatArray:
+    """Stiffness (C, L, 3, L, 3) of every cell: ∫ λ ∂_a N_i ∂_b N_j + μ (∂_b N_i ∂_a N_j + δ_ab ∇N_i·∇N_j) dV."""
+    gradient = np.stack([field.grad for (field,) in basis.basis])
+    functions, axes, cells, points = gradient.shape
+    flat = gradient.reshape(functions * axes, cells, points).transpose(1, 0, 2)
+    product = (flat * basis.dx[:, None, :]) @ flat.transpose(0, 2, 1)
+    product = product.reshape(cells, functions, axes, functions, axes)
+    dot = np.einsum("eiaja->eij", product)
+    found = first * product + second * product.transpose(0, 1, 4, 3, 2)
+    for axis in range(axes):
+        found[:, :, axis, :, axis] += second * dot
+    return np.asarray(found)
+
+
+def _inert(basis: Any) -> FloatArray:
+    """Mass (C, L, 3, L, 3) of every cell at unit density: ∫ N_i N_j δ_ab dV."""
+    value = np.stack([np.broadcast_to(field.value, basis.dx.shape) for (field,) in basis.basis], axis=1)
+    product = (value * basis.dx[:, None, :]) @ value.transpose(0, 2, 1)
+    found = np.zeros((*product.shape[:2], 3, product.shape[2], 3))
+    for axis in range(3):
+        found[:, :, axis, :, axis] = product
+    return found
 
 
 def _apart(rigid: FloatArray, weigh: Callable[[FloatArray], FloatArray]) -> FloatArray:
