@@ -19,7 +19,7 @@ from shaker.models.step.release import read_release
 
 TRUE = np.array([2.36e6, 6.0, 1.89e6, 4.0])
 MOVING, LOADS = 0.240, (0.0, 0.008, 0.048, 0.098, 0.198)
-RATE, DURATION, ONSET, RELEASE = 1e5, 0.5, 0.02, 0.4e-3
+RATE, DURATION, ONSET, RELEASE = 25e3, 0.5, 0.02, 0.4e-3
 LEVEL = 4.0
 
 
@@ -72,21 +72,22 @@ def identified(loads: tuple[float, ...], snr_db: float, seed: int, smooth: bool 
     return identify_loads(as_resonances(modes), masses, Output("Fy", "Fy", "V"), tuple(decays), noise)
 
 
-@pytest.mark.parametrize("smooth", [False, True])
-def test_five_loads_jointly(smooth: bool) -> None:
-    found = identified(LOADS, 40.0, 1, smooth)
+def test_five_loads_jointly() -> None:
+    found = identified(LOADS, 40.0, 1)
     assert found.from_records
     assert found.model.solutions == 1
     error = np.abs(found.model.vector / TRUE - 1.0)
-    assert error[0] < 1e-5
-    assert error[2] < 5e-5
-    assert error[1] < 1e-3
-    assert error[3] < 5e-3
+    assert np.all(error < [2e-5, 2e-3, 1e-4, 1e-2])
+
+
+def test_the_shape_of_the_release_does_not_matter() -> None:
+    error = np.abs(identified((0.048, 0.198), 40.0, 1, smooth=True).model.vector / TRUE - 1.0)
+    assert np.all(error < [5e-5, 5e-3, 2e-4, 2e-2])
 
 
 def test_noisy_records() -> None:
     error = np.abs(identified(LOADS, 20.0, 2).model.vector / TRUE - 1.0)
-    assert np.all(error < [1e-4, 1e-2, 5e-4, 5e-2])
+    assert np.all(error < [2e-4, 2e-2, 1e-3, 1e-1])
 
 
 @pytest.mark.parametrize("load", [0.048, 0.198])

@@ -18,12 +18,15 @@ def upper_poles(numbers: FloatArray, moving_mass: float, load_mass: float) -> tu
         below, rates = _rigid(numbers, moving_mass, load_mass)
     else:
         below, rates = _elastic(numbers, moving_mass, load_mass)
-    roots = np.roots(below)
+    order = len(below) - 1
+    companion = np.eye(order, k=-1)
+    companion[0] = -below[1:] / below[0]
+    roots = np.linalg.eigvals(companion)
     poles = roots[roots.imag > 0.0]
     poles = poles[np.argsort(np.abs(poles))]
-    slope = np.polyval(np.polyder(below), poles)
-    moved = np.array([np.polyval(rate, poles) for rate in rates])
-    return np.asarray(poles, dtype=np.complex128), np.asarray(-(moved / slope).T)
+    powers = poles[:, None] ** np.arange(order, -1, -1)
+    slope = powers[:, 1:] @ (below[:-1] * np.arange(order, 0, -1))
+    return np.asarray(poles, dtype=np.complex128), np.asarray(-(powers @ rates.T) / slope[:, None], dtype=np.complex128)
 
 
 def _rigid(numbers: FloatArray, m: float, ml: float) -> tuple[FloatArray, FloatArray]:

@@ -36,6 +36,8 @@ def fit_decays(decays: tuple[FreeDecay, ...], noise: FloatArray, problem: Proble
         return [*found, (x[count:], prior)]
 
     def stacked(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        if not problem.is_sound(x):
+            return np.full(1, np.inf), np.zeros((1, len(x)))
         parts = rows(x)
         return np.concatenate([part for part, _ in parts]), np.vstack([slope for _, slope in parts])
 

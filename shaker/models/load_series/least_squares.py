@@ -28,18 +28,18 @@ def minimum(function: Residual, start: FloatArray, tolerance: float = 1e-10) -> 
     if not np.isfinite(cost):
         raise ValueError("start: expected unknowns for which all residuals are finite, found others")
     first, damping = cost, FIRST
+    size, triangle, along = _reduced(residual, slope)
     for _ in range(ROUNDS):
-        size = np.sqrt(np.sum(slope**2, axis=0))
-        size[size == 0.0] = 1.0
-        scaled = slope / size
-        step = _step(scaled, residual, damping) / size
-        foretold = cost - float(np.sum((residual + slope @ step) ** 2))
+        step = _step(triangle, along, damping)
+        foretold = float(along @ along - np.sum((along + triangle @ step) ** 2))
+        step = step / size
         if foretold <= max(tolerance * cost, NOTHING * first) or np.all(np.abs(step) <= 1e-14 * np.abs(x)):
             break
         trial, trial_slope = function(x + step)
         lower = float(trial @ trial)
         if np.isfinite(lower) and lower < cost:
-            x, residual, slope, cost = x + step, trial, trial_slope, lower
+            x, cost = x + step, lower
+            size, triangle, along = _reduced(trial, trial_slope)
             damping = max(damping * SHRINK, 1e-15)
         else:
             damping *= GROW
@@ -48,8 +48,16 @@ def minimum(function: Residual, start: FloatArray, tolerance: float = 1e-10) -> 
     return x, cost
 
 
-def _step(slope: FloatArray, residual: FloatArray, damping: float) -> FloatArray:
+def _reduced(residual: FloatArray, slope: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Size of every column (X,), the scaled problem as a triangle (X, X), and the residual along it (X,)."""
+    size = np.sqrt(np.sum(slope**2, axis=0))
+    size[size == 0.0] = 1.0
+    basis, triangle = np.linalg.qr(slope / size)
+    return size, triangle, basis.T @ residual
+
+
+def _step(triangle: FloatArray, along: FloatArray, damping: float) -> FloatArray:
     """The damped step, by least squares, not by the normal equations."""
-    count = slope.shape[1]
-    rows = np.vstack([slope, np.sqrt(damping) * np.eye(count)])
-    return np.asarray(np.linalg.lstsq(rows, -np.concatenate([residual, np.zeros(count)]), rcond=None)[0])
+    count = triangle.shape[1]
+    rows = np.vstack([triangle, np.sqrt(damping) * np.eye(count)])
+    return np.asarray(np.linalg.lstsq(rows, -np.concatenate([along, np.zeros(count)]), rcond=None)[0])

@@ -13,6 +13,8 @@ from shaker.models.load_series.resonances import Resonances
 
 PARTS = (1, 3, 9, 27)
 """The record and ever shorter beginnings of it in which modes of any damping stand out."""
+NEAREST = 2
+"""Number of starts that are followed, those that leave least."""
 SEPARATE = 1.15
 """Ratio to the first resonance from which another one counts as second mode."""
 CLEAR = 8.0
@@ -117,10 +119,11 @@ def _decay_rate(value: FloatArray, omega: float, rate_hz: float) -> float:
 
 
 def _fitted(decay: FreeDecay, starts: list[complex], known: ComplexArray) -> RecordModes:
-    """The best of the fits that begin at known poles and one further."""
+    """The best of the fits that begin at known poles and a further one."""
     best: tuple[FloatArray, float] | None = None
-    for start in starts:
-        poles = np.append(known, start)
+    tried = [np.append(known, start) for start in starts]
+    tried.sort(key=lambda poles: float(np.sum(projected(decay, poles)[0] ** 2)))
+    for poles in tried[:NEAREST]:
         x = np.stack([poles.real, poles.imag], axis=1).ravel()
         found = minimum(lambda x: projected(decay, x[::2] + 1j * x[1::2]), x)
         if best is None or found[1] < best[1]:

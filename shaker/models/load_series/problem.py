@@ -12,6 +12,8 @@ from shaker.models.load_series.chain_poles import upper_poles
 from shaker.models.load_series.masses import SeriesMasses
 from shaker.models.load_series.resonances import Resonances
 
+LARGEST = 100.0
+"""Logarithm of a stiffness or damping, in size, from which a step has gone astray."""
 FLOOR = 1e-8
 """Relative uncertainty that stands where none is stated and none has shown yet."""
 
@@ -71,6 +73,12 @@ class Problem:
             damping[1] = damping[0] * stiffness[1] / stiffness[0]
         return np.stack([stiffness, damping], axis=1).ravel()
 
+    def is_sound(self, x: FloatArray) -> bool:
+        """Whether all numbers of unknowns x are numbers that a computer and a sensor may have."""
+        moving, loads = self.masses.at(self.deviates(x))
+        logarithms = np.abs(x[: self.springs + self.dampers])
+        return bool(np.all(logarithms < LARGEST) and moving > 0.0 and np.all(loads[self.masses.load > 0] > 0.0))
+
     def deviates(self, x: FloatArray) -> FloatArray:
         """Return the named mass errors (Q,) among the unknowns."""
         return x[self.springs + self.dampers :]
@@ -107,6 +115,8 @@ class Problem:
 
     def residual(self, x: FloatArray, sigma: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return weighted residuals (N + Q,) and their derivatives (N + Q, X); `sigma` (N,) of ln f, then ln ζ."""
+        if not self.is_sound(x):
+            return np.full(len(sigma) + len(self.deviates(x)), np.inf), np.zeros((1, len(x)))
         (f, z), rates = self.modes(x)
         f_rows, z_rows = self.rows
         seen = self.measured
