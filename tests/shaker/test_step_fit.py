@@ -41,7 +41,7 @@ def scores(fit: StepFit) -> FloatArray:
 @pytest.mark.parametrize(("level", "frequency", "damping"), [(60, 2e-6, 1e-4), (40, 2e-5, 1e-3), (20, 2e-4, 5e-3)])
 def test_published_case_within_its_bars(level: int, frequency: float, damping: float) -> None:
     errors = []
-    for seed in range(11):
+    for seed in range(9):
         model = fitted(level, seed).model
         assert model is not None
         errors.append([abs(model.frequency_hz[0] / 1700.0 - 1.0), abs(model.damping_ratio[0] / 0.015 - 1.0)])
@@ -70,9 +70,9 @@ def test_both_starts_reach_the_same_optimum() -> None:
 
 
 def test_intervals_hold_the_truth() -> None:
-    """Forty trials at 40 dB: of all four figures together 95 % inside, within what 160 draws leave open."""
-    inside = np.abs([scores(fitted(40, seed)) for seed in range(100, 140)]) < 1.96
-    assert 0.88 < np.mean(inside) <= 1.0
+    """Trials at 40 dB: of all four figures together 95 % inside, within what 96 draws leave open."""
+    inside = np.abs([scores(fitted(40, seed)) for seed in range(100, 124)]) < 1.96
+    assert np.mean(inside) > 0.86
 
 
 @pytest.mark.slow
@@ -86,7 +86,7 @@ def test_coloured_noise_enlarges_the_uncertainty() -> None:
     from scipy.signal import butter, sosfilt
 
     output, found = clean(), []
-    for seed in range(20):
+    for seed in range(12):
         white = np.random.default_rng(seed).standard_normal(len(output) + 500)
         noise = 2e-3 * sosfilt(butter(4, 5e3, fs=RATE_HZ, output="sos"), white)[500:]
         record = record_of(output + noise, 0.0, 0)
@@ -98,7 +98,7 @@ def test_coloured_noise_enlarges_the_uncertainty() -> None:
 
 def test_a_coarse_converter_is_in_the_uncertainty_of_the_gain() -> None:
     output, step = clean(), AMPLITUDE / 100
-    for offset in np.linspace(0.0, 0.9, 6):
+    for offset in (0.0, 0.3, 0.6):
         record = record_of(output, 1e-5, 1)
         samples = step * np.round(record.samples / step + offset)
         coarse = type(record)("coarse", ("Fz",), "mV", samples, RATE_HZ, "Fz", AMPLITUDE)
