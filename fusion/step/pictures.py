@@ -70,8 +70,8 @@ def _bode_curve(component: ComponentResult, pooled: Pooled) -> BodeCurve:
     model, static = pooled.model, pooled.model.static_gain
     found = [measured_response(release) for release in component.chosen[:SHOWN_RELEASES]]
     rate_hz = min(release.input.record.sample_rate_hz for release in component.chosen)
-    poles_hz = np.abs(model.poles) / (2.0 * np.pi)
-    top_hz = min(0.4 * rate_hz, HIGHEST * float(poles_hz.max()))
+    highest_hz = float(np.max(model.frequency_hz if len(model.frequency_hz) else np.abs(model.real_hz)))
+    top_hz = min(0.4 * rate_hz, HIGHEST * highest_hz)
     low_hz = min(float(one.frequency_hz.min()) for one in found)
     frequency = _around(model, np.geomspace(low_hz, top_hz, POINTS))
 

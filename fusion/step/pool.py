@@ -9,9 +9,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.step.coordinates import from_coordinates, scale_of, to_coordinates
 from shaker.models.modal import ModalModel
 
 FloatArray = NDArray[np.float64]
+STEP = 1e-2
+"""Standard uncertainties over which coordinates are moved for derivatives."""
 
 
 class Mean(NamedTuple):
@@ -27,8 +30,9 @@ class Pooled:
     """One model from those of several releases.
 
     `model` with its whole covariance; `vectors` (N, P), `covariances` (N, P, P), `weights` (N,): of what was averaged
-    last, releases or, where there are several, mountings; `scale` (P,): how the parameters move with one standard
-    uncertainty of the scale that all share. `shares` (R,): of each release in the mean.
+    last, releases or, where there are several, mountings, as parameters, linear about those of the mean. `scale` (P,):
+    how the parameters move with one standard uncertainty of the scale that all share. `shares` (R,): of each release in
+    the mean.
     """
 
     model: ModalModel
@@ -79,13 +83,14 @@ def effective_dof(variance: FloatArray, of_scatter: FloatArray, dof: int) -> Flo
 def pool_models(models: Sequence[ModalModel], mountings: Sequence[str], u_scale: float = 0.0) -> Pooled:
     """Return the mean of models (N) of one structure, mode by mode in rising frequency.
 
-    Releases of one mounting are averaged first; where there are several mountings, these are then what scatters.
-    `u_scale`: relative standard uncertainty of all residues together, of the load's and of the output's scale, which
-    no average makes smaller.
+    Averaged are the coordinates of `to_coordinates`, in which static gain and lag are linear; a mean of residues and
+    frequencies of poles that hardly show would have another static gain. Releases of one mounting are averaged first;
+    where there are several mountings, these are then what scatters. `u_scale`: relative standard uncertainty of all
+    residues together, of the load's and of the output's scale, which no average makes smaller.
     """
     ordered = [sorted_modes(model) for model in models]
-    vectors = np.stack([model.vector for model in ordered])
-    covariances = np.stack([_covariance(model) for model in ordered])
+    scale = scale_of(ordered[0])
+    vectors, covariances = _in_coordinates(ordered, scale)
     groups = [np.flatnonzero(np.array(mountings) == name) for name in dict.fromkeys(mountings)]
     within = [weighted_mean(vectors[group], covariances[group]) for group in groups]
     if len(groups) > 1:
@@ -94,9 +99,37 @@ def pool_models(models: Sequence[ModalModel], mountings: Sequence[str], u_scale:
     shares = np.zeros(len(models))
     for group, own, share in zip(groups, within, mean.weight if len(groups) > 1 else [1.0], strict=True):
         shares[group] = share * own.weight
-    scale = u_scale * _residues(ordered[0], mean.value)
-    model = replace(ordered[0].with_vector(mean.value), covariance=mean.covariance + np.outer(scale, scale))
-    return Pooled(model, vectors, covariances, mean.weight, scale, shares)
+    value, back = _back(ordered[0], mean, scale)
+    common = u_scale * _residues(ordered[0], value)
+    model = replace(
+        ordered[0].with_vector(value), covariance=back @ mean.covariance @ back.T + np.outer(common, common)
+    )
+    spread = value + (vectors - mean.value) @ back.T
+    return Pooled(model, spread, back @ covariances @ back.T, mean.weight, common, shares)
+
+
+def _in_coordinates(models: Sequence[ModalModel], scale: float) -> tuple[FloatArray, FloatArray]:
+    """Coordinates (N, P) of models and their covariances (N, P, P)."""
+    vectors, covariances = [], []
+    for model in models:
+        known = model if model.covariance is not None else replace(model, covariance=_covariance(model))
+        found, slope = known.jacobian(lambda at: to_coordinates(at, scale))
+        vectors.append(found)
+        covariances.append(slope @ _covariance(known) @ slope.T)
+    return np.stack(vectors), np.stack(covariances)
+
+
+def _back(model: ModalModel, mean: Mean, scale: float) -> tuple[FloatArray, FloatArray]:
+    """The parameters (P,) of mean coordinates, and their derivatives (P, P) to these, by central differences."""
+    modes, reals = len(model.frequency_hz), len(model.real_hz)
+    step = np.sqrt(np.diag(mean.covariance)) * STEP
+    step = np.where(step > 0.0, step, STEP**2 * np.maximum(np.abs(mean.value), np.abs(mean.value).max() * STEP**2))
+    slope = np.zeros((len(step), len(step)))
+    for place, by in enumerate(step):
+        move = by * np.eye(len(step))[place]
+        up, down = (from_coordinates(mean.value + sign * move, modes, reals, scale) for sign in (1.0, -1.0))
+        slope[:, place] = (up - down) / (2.0 * by)
+    return from_coordinates(mean.value, modes, reals, scale), slope
 
 
 def weighted_mean(vectors: FloatArray, covariances: FloatArray) -> Mean:

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import stats
 
+from fusion.step.coordinates import from_coordinates, scale_of, to_coordinates
 from fusion.step.gains import mean_with_scatter
-from fusion.step.pool import pool_models, sorted_modes, weighted_mean
+from fusion.step.pool import Pooled, pool_models, sorted_modes, weighted_mean
 from shaker.models.modal import ModalModel
 
 FloatArray = NDArray[np.float64]
 VECTOR = np.array([1700.0, 3000.0, 0.015, 0.02, 1.0, 2.0, -8000.0, -300.0, 6000.0, 7.0])
-SPREAD = np.array([0.1, 1.0, 1e-4, 1e-3, 0.01, 0.02, 1.0, 0.1, 10.0, 0.01])
+SPREAD = 1e-4 * np.array([0.1, 1.0, 1e-4, 1e-3, 0.01, 0.02, 1.0, 0.1, 10.0, 0.01])
 BLANK = ModalModel(np.zeros(2), np.zeros(2), np.zeros(2, dtype=np.complex128), np.zeros(1), np.zeros(1))
 
 
@@ -27,25 +30,27 @@ def model(vector: FloatArray, u: FloatArray) -> ModalModel:
 
 def test_equal_releases_halve_the_variance_of_two() -> None:
     pooled = pool_models([model(VECTOR, SPREAD)] * 2, ["1", "1"])
-    assert pooled.model.vector == pytest.approx(VECTOR, rel=1e-14)
-    assert pooled.model.covariance == pytest.approx(np.diag(SPREAD**2 / 2), rel=1e-12, abs=1e-30)
+    assert pooled.model.vector == pytest.approx(VECTOR, rel=1e-10)
+    assert pooled.model.covariance is not None
+    unit = pooled.model.covariance / np.outer(SPREAD, SPREAD)
+    assert unit == pytest.approx(np.eye(10) / 2, rel=1e-4, abs=1e-4)
     u, dof = pooled.spread(np.eye(10))
-    assert u == pytest.approx(SPREAD / np.sqrt(2), rel=1e-12)
+    assert u == pytest.approx(SPREAD / np.sqrt(2), rel=1e-4)
     assert np.all(np.isinf(dof))
 
 
 def test_a_release_of_three_times_the_noise_weighs_a_ninth() -> None:
     pooled = pool_models([model(VECTOR, SPREAD), model(VECTOR + SPREAD, 3 * SPREAD)], ["1", "1"])
-    assert pooled.shares == pytest.approx([0.9, 0.1], rel=1e-12)
-    assert pooled.model.vector == pytest.approx(VECTOR + 0.1 * SPREAD, rel=1e-12)
+    assert pooled.shares == pytest.approx([0.9, 0.1], rel=1e-4)
+    assert (pooled.model.vector - VECTOR) / SPREAD == pytest.approx(np.full(10, 0.1), rel=1e-3)
 
 
 def test_what_all_releases_share_is_not_averaged_and_moves_residues_alone() -> None:
-    pooled = pool_models([model(VECTOR, 1e-9 * SPREAD)] * 50, ["1"] * 50, u_scale=2e-3)
+    pooled = pool_models([model(VECTOR, SPREAD)] * 50, ["1"] * 50, u_scale=2e-3)
     u, _ = pooled.spread(np.eye(10))
     residues = np.array([4, 5, 6, 7, 9])
     assert u[residues] == pytest.approx(2e-3 * np.abs(VECTOR[residues]), rel=1e-6)
-    assert np.all(u[[0, 1, 2, 3, 8]] < 1e-8 * VECTOR[[0, 1, 2, 3, 8]])
+    assert np.all(u[[0, 1, 2, 3, 8]] < SPREAD[[0, 1, 2, 3, 8]])
     static, _ = pooled.spread(pooled.model.jacobian(lambda at: np.array([at.static_gain]))[1])
     assert static[0] == pytest.approx(2e-3 * abs(pooled.model.static_gain), rel=1e-4)
 
@@ -55,10 +60,10 @@ def test_scatter_between_releases_enters_with_its_degrees_of_freedom() -> None:
     moved = [model(VECTOR + off * 30 * SPREAD, SPREAD) for off in offsets]
     pooled = pool_models(moved, ["1"] * 3)
     u, dof = pooled.spread(np.eye(10))
-    assert u == pytest.approx(30 * SPREAD / np.sqrt(3), rel=1e-12)  # s/√3 with s = 30 u
+    assert u == pytest.approx(30 * SPREAD / np.sqrt(3), rel=1e-3)  # s/√3 with s = 30 u
     assert dof == pytest.approx(2.0)
     assert pooled.model.covariance is not None
-    assert np.sqrt(np.diag(pooled.model.covariance)) == pytest.approx(u, rel=1e-12)
+    assert np.sqrt(np.diag(pooled.model.covariance))[:4] == pytest.approx(u[:4], rel=1e-3)
 
 
 def test_releases_of_one_mounting_do_not_count_as_mountings() -> None:
@@ -82,14 +87,14 @@ def test_modes_are_matched_in_rising_frequency() -> None:
 @pytest.mark.parametrize(("between", "least"), [(0.0, 0.94), (0.5, 0.92), (5.0, 0.92)])
 def test_intervals_of_three_releases_hold_the_truth(between: float, least: float) -> None:
     rng, size = np.random.default_rng(4), 10
+    stated = np.tile(np.eye(size), (3, 1, 1))
     held = []
-    for _ in range(120):
+    for _ in range(300):
         truth = rng.standard_normal(size)
         own = truth + np.sqrt(1.0 + between**2) * rng.standard_normal((3, size))
-        pooled = pool_models([model(VECTOR + SPREAD * row, SPREAD) for row in own], ["1"] * 3)
-        u, dof = pooled.spread(np.eye(size))
-        off = np.abs(pooled.model.vector - VECTOR - SPREAD * truth)
-        held.append(off <= stats.t.ppf(0.975, np.where(np.isinf(dof), 1e9, dof)) * u)
+        mean = weighted_mean(own, stated)
+        u, dof = Pooled(BLANK, own, stated, mean.weight, np.zeros(size), mean.weight).spread(np.eye(size))
+        held.append(np.abs(mean.value - truth) <= stats.t.ppf(0.975, np.minimum(dof, 1e9)) * u)
     assert np.mean(held) > least
 
 
@@ -115,8 +120,45 @@ def test_birge_ratio_of_a_mean() -> None:
 def test_two_releases_that_hardly_scatter_beyond_their_noise_do_not_lose_all_their_freedom() -> None:
     apart = 1.05 * np.sqrt(2.0) * SPREAD  # s = 1.05 u
     u, dof = pool_models([model(VECTOR, SPREAD), model(VECTOR + apart, SPREAD)], ["1", "1"]).spread(np.eye(10))
-    assert u == pytest.approx(1.05 * SPREAD / np.sqrt(2), rel=1e-9)
+    assert u == pytest.approx(1.05 * SPREAD / np.sqrt(2), rel=1e-4)
     assert np.all(dof > 10.0)
     mean, u_mean, one = mean_with_scatter(np.array([0.0, 1.05 * np.sqrt(2.0)]), np.ones(2))
-    assert (mean, u_mean) == (pytest.approx(0.742, rel=1e-3), pytest.approx(1.05 / np.sqrt(2)))
-    assert one == pytest.approx(float(dof[0]), rel=1e-9)
+    assert mean == pytest.approx(0.742, rel=1e-3)
+    assert u_mean == pytest.approx(1.05 / np.sqrt(2))
+    assert one == pytest.approx(float(dof[0]), rel=1e-2)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(1, 3), st.integers(0, 2), st.integers(0, 2**32 - 1))
+def test_coordinates_lead_back_to_the_model(modes: int, reals: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    frequency = 300.0 * np.cumsum(1.0 + rng.random(modes))
+    residue = rng.standard_normal(modes) + 1j * rng.standard_normal(modes)
+    real_hz = 2e3 * np.cumsum(1.0 + rng.random(reals))
+    found = ModalModel(frequency, rng.uniform(1e-3, 0.9, modes), residue, real_hz, rng.standard_normal(reals))
+    scale = scale_of(found)
+    coordinates = to_coordinates(found, scale)
+    assert coordinates[2 * modes + reals] == pytest.approx(found.static_gain, rel=1e-9, abs=1e-15)
+    back = from_coordinates(coordinates, modes, reals, scale)
+    assert back == pytest.approx(found.vector, rel=1e-7, abs=1e-9)
+
+
+def second_order(frequency_hz: float, lag_s: float, gain: float) -> ModalModel:
+    """gain/((1 + 2ζs/ω + s²/ω²)(1 + lag·s)), ζ = 0.015, from its partial fractions."""
+    omega, zeta, pole = 2 * np.pi * frequency_hz, 0.015, -1.0 / lag_s
+    upper = omega * (-zeta + 1j * np.sqrt(1 - zeta**2))
+    top = gain * omega**2 / lag_s
+    residue = top / ((upper - upper.conjugate()) * (upper - pole))
+    real = top / abs(pole - upper) ** 2
+    lag_hz = np.array([1.0 / (2 * np.pi * lag_s)])
+    return ModalModel(np.array([frequency_hz]), np.array([zeta]), np.array([residue]), lag_hz, np.array([real]))
+
+
+def test_a_real_pole_that_hardly_shows_does_not_blur_static_gain_and_band() -> None:
+    lags = np.array([10e-6, 27e-6, 44e-6])
+    models = [second_order(1700.0, lag, 2e-6) for lag in lags]
+    pooled = pool_models(models, ["1", "1", "1"])
+    mean = second_order(1700.0, float(lags.mean()), 2e-6)
+    assert pooled.model.vector == pytest.approx(mean.vector, rel=1e-9)
+    static = pooled.spread(pooled.model.jacobian(lambda at: np.array([at.static_gain]))[1])[0]
+    assert static[0] < 1e-6 * pooled.model.static_gain
