@@ -152,9 +152,12 @@ def _loss(problem: StepProblem, poles: Poles, releases: Sequence[Release]) -> fl
 
 
 def criterion(problem: StepProblem, poles: Poles, loss: float) -> float:
-    """Return N·ln(loss/N) + ln(N)·(number of parameters): of a pole those of one shape, C + D, as a mode has."""
-    count, outputs = problem.values, problem.records[0].data.shape[1]
-    parameters = poles.count * (outputs + len(problem.components))
+    """Return N·ln(loss/N) + ln(N)·(number of parameters): of a mode all, of a real pole those of one shape, C + D.
+
+    A mode is sought in the whole band, where chance offers many; a lag acts on all elements much alike.
+    """
+    count, outputs, loads = problem.values, problem.records[0].data.shape[1], len(problem.components)
+    parameters = 2 * poles.modes * (1 + outputs * loads) + len(poles.real_hz) * (outputs + loads)
     return float(count * np.log(max(loss / count, 1e-12)) + np.log(count) * parameters)
 
 

@@ -1,0 +1,112 @@
+"""`shakercal decouple` on a simulated campaign: files, filter, refusals, exit status."""
+
+import json
+import shutil
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from fusion.cli import main
+from fusion.decouple.filter_file import read_filter
+from fusion.errors import InputError
+from fusion.results_csv import read_rows
+from fusion.simulate.draws import Draws
+from fusion.simulate.steps import StepRig, sensor_model, write_steps
+
+RIG = StepRig(
+    frequency_hz=(170.0, 181.0, 200.0, 350.0, 370.0, 500.0),
+    chain_hz=900.0,
+    sample_rate_hz=6e3,
+    before_s=20e-3,
+    after_s=0.18,
+)
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One release by a fishing line of every load."""
+    folder = tmp_path_factory.mktemp("decouple") / "campaign"
+    folder.mkdir()
+    for recording in write_steps(folder, 4, RIG):
+        if not recording.name.endswith("fishing-line-1"):
+            shutil.rmtree(recording)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def results(campaign: Path) -> Path:
+    assert main(["decouple", str(campaign), "--frequency", "90", "--damping", "0.6", "-q"]) == 0
+    return campaign / "decouple"
+
+
+def test_all_files_are_written(results: Path) -> None:
+    names = {path.name for path in results.iterdir()}
+    assert names == {"decoupling.json", "model.csv", "crosstalk.csv", "decouple.h5", "decouple.html"}
+    page = (results / "decouple.html").read_text(encoding="utf-8")
+    assert "Cross-talk" in page
+    assert "http://" not in page.replace("http://www.w3.org", "")
+    with h5py.File(results / "decouple.h5") as file:
+        assert file["model/covariance"].shape[0] == file["model/covariance"].shape[1]
+
+
+def test_modes_are_the_simulated_ones(results: Path) -> None:
+    rows = [row for row in read_rows(results / "model.csv") if row["quantity"] == "frequency_hz"]
+    found = sorted((float(row["value"]), float(row["u"])) for row in rows)
+    for frequency in RIG.frequency_hz:
+        value, u = min(found, key=lambda pair: abs(pair[0] - frequency))
+        assert abs(value - frequency) < 4.0 * u + 1e-3 * frequency
+
+
+def test_filter_decouples_the_simulated_sensor(results: Path) -> None:
+    decoupler = read_filter(results / "decoupling.json")
+    model, capacity = sensor_model(RIG, Draws(4, True)), np.array(RIG.capacity)
+    frequency_hz = np.array([1.0, 20.0, 90.0, 170.0, 181.0])
+    truth = np.array([[one.response(frequency_hz) for one in row] for row in model]).transpose(2, 0, 1)
+    off = ~np.eye(6, dtype=np.bool_)
+    left = np.abs(decoupler.response(frequency_hz) @ truth) * capacity / capacity[:, None]
+    static = np.linalg.inv(truth[0].real)
+    before = np.abs(static @ truth) * capacity / capacity[:, None]
+    assert left[:3, off].max() < 0.02
+    assert left[3:, off].max() < 0.2 * before[3:, off].max()
+
+
+def test_crosstalk_table_holds_every_stage(results: Path) -> None:
+    rows = [row for row in read_rows(results / "crosstalk.csv") if row["quantity"] == "step_peak"]
+    assert len(rows) == 3 * 36
+    assert {row["stage"] for row in rows} == {"raw", "static", "filtered"}
+
+    def worst(stage: str) -> float:
+        return max(float(row["rated"]) for row in rows if row["stage"] == stage and row["reading"] != row["load"])
+
+    assert worst("filtered") < 0.25 * worst("static")
+    assert worst("static") <= worst("raw") * 1.5
+
+
+def test_filter_file_reads_back_to_the_last_bit(results: Path, tmp_path: Path) -> None:
+    content = json.loads((results / "decoupling.json").read_text(encoding="utf-8"))
+    decoupler = read_filter(results / "decoupling.json")
+    assert content["delay_samples"] == decoupler.delay
+    assert decoupler.poles.real.tolist() == [pair[0] for pair in content["poles"]]
+    broken = tmp_path / "decoupling.json"
+    broken.write_text(json.dumps({**content, "kind": "other"}), encoding="utf-8")
+    with pytest.raises(InputError, match="kind"):
+        read_filter(broken)
+    broken.write_text("{", encoding="utf-8")
+    with pytest.raises(InputError, match="written by shakercal decouple"):
+        read_filter(broken)
+
+
+def test_missing_load_is_refused_by_name(campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    part = tmp_path / "part"
+    shutil.copytree(campaign, part, ignore=shutil.ignore_patterns("decouple", "My-*"))
+    assert main(["decouple", str(part)]) == 2
+    assert "missing: My" in capsys.readouterr().err
+    assert not (part / "decouple").exists()
+
+
+def test_wanted_damping_of_no_oscillator_is_refused(campaign: Path) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(["decouple", str(campaign), "--damping", "1.5"])
+    assert stopped.value.code == 2
