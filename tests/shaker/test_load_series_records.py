@@ -15,7 +15,6 @@ from shaker.models.load_series.modes import as_resonances, record_modes
 from shaker.models.load_series.solutions import other_numbers
 from shaker.models.step.reading import Reading
 from shaker.models.step.record import StepRecord
-from shaker.models.step.release import read_release
 
 TRUE = np.array([2.36e6, 6.0, 1.89e6, 4.0])
 MOVING, LOADS = 0.240, (0.0, 0.008, 0.048, 0.098, 0.198)
@@ -53,10 +52,31 @@ def record(load: float, snr_db: float, rng: np.random.Generator, smooth: bool = 
     return StepRecord(f"{1e3 * load:g} g", ("Fy",), "V", volts[None], RATE, "Fy", -10.0)
 
 
-@cache
-def reading(load: float, smooth: bool) -> Reading:
-    """What one quiet record shows of the release, which is the same in all."""
-    return read_release(record(load, 40.0, np.random.default_rng(7), smooth), "Fy")
+def reading() -> Reading:
+    """What is known of the release, which is the same in all records."""
+    return Reading(
+        record="one",
+        channel="Fy",
+        component="Fy",
+        unit="V",
+        release="fishing line",
+        onset_s=ONSET,
+        u_onset_s=1e-4,
+        sign=-1,
+        baseline=LEVEL,
+        u_baseline=1e-3,
+        steady=0.0,
+        u_steady=1e-3,
+        rise_s=RELEASE,
+        u_rise_s=1e-4,
+        shape="ramp",
+        release_s=RELEASE,
+        u_release_s=1e-4,
+        static_gain=-LEVEL / 10.0,
+        u_static_gain=1e-4,
+        noise=0.04,
+        clipped=False,
+    )
 
 
 def identified(loads: tuple[float, ...], snr_db: float, seed: int, smooth: bool = False) -> LoadIdentification:
@@ -65,7 +85,7 @@ def identified(loads: tuple[float, ...], snr_db: float, seed: int, smooth: bool 
     decays, modes = [], []
     for load in loads:
         one = record(load, snr_db, rng, smooth)
-        decays.append(free_decay(one, "Fy", reading(load, smooth)))
+        decays.append(free_decay(one, "Fy", reading()))
         modes.append(record_modes(decays[-1]))
     masses = stated_masses(MOVING, 0.0, np.array(loads))
     noise = np.array([item.noise for item in modes])
@@ -134,7 +154,7 @@ def test_a_record_without_ringing_is_refused() -> None:
     t = np.arange(40) / RATE
     short = StepRecord("short", ("Fy",), "V", np.tile(t, (1, 1)), RATE, "Fy", 1.0)
     with pytest.raises(ValueError, match="samples of short after the release"):
-        free_decay(short, "Fy", reading(0.048, False))
+        free_decay(short, "Fy", reading())
 
 
 @pytest.mark.slow
