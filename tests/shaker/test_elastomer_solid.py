@@ -91,7 +91,6 @@ def test_slender_beams_and_a_stiff_platform_lie_between_lengths_to_axes_and_to_f
     assert np.all((0.99 * soft < solid.frequency_hz) & (solid.frequency_hz < 1.01 * hard))
 
 
-@pytest.mark.slow
 def test_shapes_follow_their_names() -> None:
     solid = solve_solid(ELEMENT, BLOCK, 1)
     centre = int(np.argmin(np.linalg.norm(solid.vertex_m - [0.0, 0.0, 0.004], axis=1)))

@@ -231,7 +231,7 @@ def _elastic(basis: Any, first: float, second: float) -> FloatArray:
 
 def _inert(basis: Any) -> FloatArray:
     """Mass (C, L, 3, L, 3) of every cell at unit density: ∫ N_i N_j δ_ab dV."""
-    value = np.stack([np.broadcast_to(field.value, basis.dx.shape) for (field,) in basis.basis], axis=1)
+    value = np.stack([np.broadcast_to(np.asarray(field), basis.dx.shape) for (field,) in basis.basis], axis=1)
     product = (value * basis.dx[:, None, :]) @ value.transpose(0, 2, 1)
     found = np.zeros((*product.shape[:2], 3, product.shape[2], 3))
     for axis in range(3):
