@@ -178,3 +178,14 @@ def test_measured_force_is_asked_for_without_one() -> None:
     record = record_of(clean(), 1e-3, 1)
     with pytest.raises(ValueError, match="release: expected"):
         fit_step(record, "Fz", reading=rough(record, ONSET), release="measured")
+
+
+def test_a_record_without_noise_gives_the_sensor() -> None:
+    """What is left is rounding and the 2 µs over which the simulated load goes; nothing is added to explain it."""
+    record = record_of(clean(), 0.0, 0)
+    fit = fit_step(record, "Fz", reading=rough(record, ONSET), release="step")
+    assert fit.model is not None
+    assert fit.order == 3
+    np.testing.assert_allclose(fit.model.vector[[0, 1]], [1700.0, 0.015], rtol=1e-7)
+    assert fit.model.real_hz[0] == pytest.approx(6000.0, rel=1e-4)
+    assert fit.model.static_gain == pytest.approx(1.0, rel=1e-7)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from step_fit_factory import AMPLITUDE, RATE_HZ, SENSOR, answered, record_of, rough, sensor
+from step_fit_factory import RATE_HZ, SENSOR, answered, record_of, rough, sensor
 
 from shaker._checks import FloatArray
 from shaker.models.step_fit.compare import compare
@@ -81,7 +81,7 @@ def test_too_short_a_record_and_an_order_beyond_are_refused() -> None:
 
 
 def test_evolution_of_modes_reaches_the_default_s_optimum() -> None:
-    record = record_of(held(2500), 2e-3, 1)
+    record = record_of(held(1800), 2e-3, 1)
     both = compare(
         record,
         "Fz",
@@ -113,4 +113,3 @@ def test_published_evolution_is_far_from_the_truth() -> None:
         poles = np.log(poles) * RATE_HZ
     truth = 2 * np.pi * 1700 * (-0.015 + 1j * np.sqrt(1 - 0.015**2))
     assert not len(poles) or np.min(np.abs(poles - truth)) > 0.01 * abs(truth)
-    assert AMPLITUDE > 0

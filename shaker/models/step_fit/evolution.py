@@ -30,6 +30,7 @@ MUTATION, CROSSOVER, POPULATION, GENERATIONS, BOUND = 0.8, 0.7, 100, 500, 5.0
 """The published settings."""
 _FEWER = (30, 40)  # members and generations that three bounded parameters take
 _DAMPING = (1e-4, 0.5)
+_HUGE = 1e100  # loss from which a member counts as grown without bound
 _BLOCKS = 1000  # blocks of the record that the evolution looks at
 
 
@@ -105,7 +106,7 @@ def _published(record: StepRecord, reading: Reading, rng: np.random.Generator, o
         with np.errstate(over="ignore", invalid="ignore"):
             rest = output - lfilter(np.append(0.0, part[-2::-2]), np.append(1.0, part[::-2]), load)
             square = float(rest @ rest)
-        return square if np.isfinite(square) else np.inf
+        return square if square < _HUGE else np.inf
 
     bounds = [(-BOUND, BOUND)] * (2 * order)
     best, path = _evolved(loss, bounds, rng, (POPULATION, GENERATIONS))

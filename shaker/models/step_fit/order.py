@@ -17,6 +17,7 @@ from shaker.models.step_fit.structure import Structure
 from shaker.models.step_fit.timing import LENGTHS, TERM, first_vectors, known_about
 
 _CERTAIN = 4.0  # standard uncertainties of the release's length, as read, that make it worth a fit
+_ROUNDING = 1e-9  # share of the output below which a residual is taken for rounding
 _MISFIT = 1.5  # residual's variance over that of the noise before the release, above which a step is doubted
 
 
@@ -70,7 +71,9 @@ def charge(plain: Solution, rich: Solution) -> float:
 
 def better(plain: Solution, rich: Solution) -> bool:
     """Return whether a richer fit is worth its parameters."""
-    return plain.size * float(np.log(plain.square / rich.square)) > charge(plain, rich)
+    samples = plain.problem.samples
+    least = _ROUNDING**2 * float(np.sum((samples.weight * samples.value) ** 2))
+    return plain.size * float(np.log((plain.square + least) / (rich.square + least))) > charge(plain, rich)
 
 
 def _over_loads(search: Search, modes: ComplexArray, reals: int) -> Solution:
