@@ -22,6 +22,7 @@ from shaker.models.load_series.modes import as_resonances, record_modes
 from shaker.models.load_series.resonances import Resonances
 
 FloatArray = NDArray[np.float64]
+FORCES = 3
 MOVING = "moving mass of the sensor"
 
 
@@ -52,10 +53,18 @@ def read_series(manifests: Sequence[Manifest]) -> tuple[tuple[LoadSeries, ...], 
         releases.append((manifest, release))
         notices += told
     found = []
-    for component in LOAD_COMPONENTS:
+    refused: list[InputError] = []
+    for place, component in enumerate(LOAD_COMPONENTS):
         own = [pair for pair in releases if pair[1].reading.component == component]
-        if own:
-            found.append(_series(own, LOAD_COMPONENTS.index(component)))
+        if own and (missing := _missing_mass(own[0][0], place)) is not None:
+            refused.append(missing)
+            notices.append(
+                Notice("warning", f"left out: {missing.key} is 0, so that stiffness cannot be told", component)
+            )
+        elif own:
+            found.append(_series(own, place))
+    if not found and refused:
+        raise refused[0]
     return tuple(found), tuple(notices)
 
 
@@ -124,21 +133,34 @@ def _masses(
 
 def _moving(manifests: Sequence[Manifest], component: int) -> tuple[float, float]:
     """Moving mass, or moment of inertia, of the sensor, which all rigs must state alike."""
-    found = []
-    for manifest in manifests:
-        sensor = manifest.rig.sensor
-        if sensor is None:
-            raise InputError(manifest.rig_path, "sensor", found="nothing", expected="[sensor] with internal_mass")
-        axis, key = component - 3, "internal_mass" if component < 3 else "internal_inertia"
-        if component < 3:
-            found.append((sensor.internal_mass, sensor.internal_mass_uncertainty))
-        else:
-            inertia, spread = sensor.internal_inertia, sensor.internal_inertia_uncertainty
-            found.append((float(inertia[axis][axis]), float(spread[axis][axis])))
-        if not found[-1][0] > 0.0:
-            expected = "what of the sensor moves with its spring, above 0: only ratios of masses show in a resonance"
-            raise InputError(manifest.rig_path, f"sensor.{key}", found="0", expected=expected)
-        if found[-1] != found[0]:
-            expected = f"{found[0][0]:g} as in {manifests[0].rig_path.name}"
-            raise InputError(manifest.rig_path, f"sensor.{key}", found=f"{found[-1][0]:g}", expected=expected)
-    return found[0]
+    first = _stated(manifests[0], component)
+    for manifest in manifests[1:]:
+        own = _stated(manifest, component)
+        if own != first:
+            expected = f"{first[0]:g} as in {manifests[0].rig_path.name}"
+            raise InputError(manifest.rig_path, _mass_key(component), found=f"{own[0]:g}", expected=expected)
+    return first
+
+
+def _stated(manifest: Manifest, component: int) -> tuple[float, float]:
+    """What a rig states of the moving mass or moment of inertia, with its standard uncertainty."""
+    sensor = manifest.rig.sensor
+    if sensor is None:
+        raise InputError(manifest.rig_path, "sensor", found="nothing", expected="[sensor] with internal_mass")
+    if component < FORCES:
+        return sensor.internal_mass, sensor.internal_mass_uncertainty
+    axis = component - FORCES
+    return float(sensor.internal_inertia[axis][axis]), float(sensor.internal_inertia_uncertainty[axis][axis])
+
+
+def _missing_mass(manifest: Manifest, component: int) -> InputError | None:
+    """The refusal of a rig that does not state what moves with the spring."""
+    if _stated(manifest, component)[0] > 0.0:
+        return None
+    expected = "what of the sensor moves with its spring, above 0: only ratios of masses show in a resonance"
+    return InputError(manifest.rig_path, _mass_key(component), found="0", expected=expected)
+
+
+def _mass_key(component: int) -> str:
+    """Key of the moving mass or moment of inertia."""
+    return "sensor.internal_mass" if component < FORCES else "sensor.internal_inertia"

@@ -211,6 +211,15 @@ def test_a_sensor_without_moving_mass_is_refused(short: Path) -> None:
         read_series([load_manifest(short / "step-000g")])
 
 
+def test_components_without_moving_inertia_are_left_out(short: Path) -> None:
+    change(short / "rig-000g.toml", 'channels = ["Fy"]', 'channels = ["bridge"]')
+    change(short / "step-000g" / "recording.toml", 'component = "Fy"', 'component = "Mz"')
+    change(short / "step-000g" / "recording.toml", 'channel = "Fy"', 'channel = "bridge"')
+    series, notices = read_series([load_manifest(short / name) for name in ("step-000g", "step-048g")])
+    assert [own.output.component for own in series] == ["Fy"]
+    assert any(notice.where == "Mz" and "internal_inertia is 0" in notice.text for notice in notices)
+
+
 def test_parts_belong_to_a_load(short: Path) -> None:
     with (short / "rig-000g.toml").open("a", encoding="utf-8") as file:
         file.write('\n[[part]]\nname = "cover"\nbody = "load"\nmass = 0.1\ncentre_of_mass = [0.0, 0.0, 0.0]\n')

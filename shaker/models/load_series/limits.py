@@ -11,6 +11,8 @@ from shaker._checks import FloatArray
 from shaker.models.load_series.characteristics import first_mode_hz, rigid_formula_hz
 from shaker.models.load_series.model import LoadModel
 
+ROUNDING = 1e-9
+"""Relative uncertainty that only the rounding of a root makes."""
 HEAVIEST = 1e4
 """Load mass over the moving mass up to which limits are looked for."""
 
@@ -82,4 +84,5 @@ def _limit(model: LoadModel, beyond: Callable[[LoadModel, float], float]) -> Loa
     def at(changed: LoadModel) -> FloatArray:
         return np.array([root(changed)])
 
-    return LoadLimit(value, float(np.sqrt(model.propagate(at)[1][0, 0])))
+    u = float(np.sqrt(model.propagate(at)[1][0, 0]))
+    return LoadLimit(value, u if u > ROUNDING * value else 0.0)
