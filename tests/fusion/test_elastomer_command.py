@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import shutil
 import sys
 import tomllib
@@ -16,11 +17,12 @@ from page_outline import outline
 
 from fusion.cli import main
 from fusion.elastomer.columns import dominant, measured_column
-from fusion.elastomer.definition import read_definition
+from fusion.elastomer.definition import ElementFile, read_definition
 from fusion.elastomer.evaluate import evaluate_element
 from fusion.elastomer.result import Column, spread
 from fusion.elastomer.shapes import frame_shapes, solid_shapes
 from fusion.errors import InputError
+from fusion.manifest.load import _models_in
 from fusion.simulate.elastomer import write_element
 from fusion.simulate.toml_text import to_toml
 from shaker.models.elastomer.modes import NAMES
@@ -246,6 +248,17 @@ def test_wrong_input_is_told_in_one_sentence(
     assert f"elastomer.toml: {said}" in sentence
     assert sentence.count("\n") == 1
     assert not (element / "elastomer").exists()
+
+
+def test_every_key_is_documented() -> None:
+    text = (Path(__file__).parents[2] / "docs" / "elastomer.md").read_text(encoding="utf-8")
+    table = text[text.index("### Every key") : text.index("## Options")]
+    named = set(re.findall(r"\w+", table))
+    for name, field in ElementFile.model_fields.items():
+        assert name in named, name
+        for model in _models_in(field.annotation):
+            missing = set(model.model_fields) - named - set(NAMES)
+            assert not missing, f"{name}: {missing}"
 
 
 def test_simulation_is_replaced_only_where_it_is_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
