@@ -40,6 +40,16 @@ def from_coordinates(coordinates: FloatArray, modes: int, reals: int, scale: flo
     return np.concatenate([frequency, damping, of_modes.real, of_modes.imag, -real.real / (2 * np.pi), of_reals])
 
 
+def sizes(coordinates: FloatArray, reals: int) -> FloatArray:
+    """Return how large coordinates (2P,) are: themselves, those of the numerator the largest of these."""
+    half = len(coordinates) // 2
+    found = np.abs(coordinates)
+    found[half:] = found[half:].max()
+    lags = slice(half - reals, half)
+    found[lags] = found[lags].max(initial=0.0)
+    return np.asarray(found)
+
+
 def scale_of(model: ModalModel) -> float:
     """Return the geometric mean of a model's poles in rad/s."""
     return float(np.exp(np.mean(np.log(np.abs(_all(model)[0])))))

@@ -9,12 +9,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.step.coordinates import from_coordinates, scale_of, to_coordinates
+from fusion.step.coordinates import from_coordinates, scale_of, sizes, to_coordinates
 from shaker.models.modal import ModalModel
 
 FloatArray = NDArray[np.float64]
 STEP = 1e-2
 """Standard uncertainties over which coordinates are moved for derivatives."""
+ROUNDING = 1e-9
+"""Part of a coordinate's size that is rounding."""
 
 
 class Mean(NamedTuple):
@@ -109,21 +111,22 @@ def pool_models(models: Sequence[ModalModel], mountings: Sequence[str], u_scale:
 
 
 def _in_coordinates(models: Sequence[ModalModel], scale: float) -> tuple[FloatArray, FloatArray]:
-    """Coordinates (N, P) of models and their covariances (N, P, P)."""
+    """Coordinates (N, P) of models and their covariances (N, P, P), none where it is of rounding alone."""
     vectors, covariances = [], []
     for model in models:
         known = model if model.covariance is not None else replace(model, covariance=_covariance(model))
         found, slope = known.jacobian(lambda at: to_coordinates(at, scale))
+        covariance = slope @ _covariance(known) @ slope.T
+        told = np.sqrt(np.maximum(np.diag(covariance), 0.0)) > ROUNDING * sizes(found, len(model.real_hz))
         vectors.append(found)
-        covariances.append(slope @ _covariance(known) @ slope.T)
+        covariances.append(covariance * np.outer(told, told))
     return np.stack(vectors), np.stack(covariances)
 
 
 def _back(model: ModalModel, mean: Mean, scale: float) -> tuple[FloatArray, FloatArray]:
     """The parameters (P,) of mean coordinates, and their derivatives (P, P) to these, by central differences."""
     modes, reals = len(model.frequency_hz), len(model.real_hz)
-    step = np.sqrt(np.diag(mean.covariance)) * STEP
-    step = np.where(step > 0.0, step, STEP**2 * np.maximum(np.abs(mean.value), np.abs(mean.value).max() * STEP**2))
+    step = np.maximum(STEP * np.sqrt(np.diag(mean.covariance)), 10.0 * ROUNDING * sizes(mean.value, reals))
     slope = np.zeros((len(step), len(step)))
     for place, by in enumerate(step):
         move = by * np.eye(len(step))[place]
