@@ -10,7 +10,7 @@ import numpy as np
 from shaker._checks import ComplexArray, FloatArray
 from shaker.models.step.reading import Reading
 from shaker.models.step_fit.load import Load
-from shaker.models.step_fit.output_error import Problem, Solution, columns, solve
+from shaker.models.step_fit.output_error import Problem, Solution, design, solve
 from shaker.models.step_fit.samples import Samples, block_length, in_blocks
 from shaker.models.step_fit.start import instruments, peaks_hz, pencil, thinned, upper_poles
 from shaker.models.step_fit.structure import Structure
@@ -84,8 +84,7 @@ def _with_another(decay: Samples, found: Solution) -> Solution | None:
 
 def _left(decay: Samples, found: Solution) -> FloatArray:
     """Return the residual (N,) at every sample."""
-    design, _ = columns(found.problem, found.vector, decay)
-    return np.asarray(decay.value - design @ found.linear)
+    return np.asarray(decay.value - design(found.problem, found.vector, decay) @ found.linear)
 
 
 def _square(decay: Samples, found: Solution) -> float:

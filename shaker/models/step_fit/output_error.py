@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from shaker._checks import ComplexArray, FloatArray
-from shaker.models.step_fit.load import Answers, Load, answers
+from shaker.models.step_fit.load import Answers, Load, answers, responses
 from shaker.models.step_fit.samples import Samples
 from shaker.models.step_fit.structure import Structure
 
@@ -84,9 +84,21 @@ def columns(problem: Problem, vector: FloatArray, samples: Samples) -> tuple[Flo
     """Return the design (B, 1 + terms) of baseline and numerator terms, unweighted, and the poles' answers."""
     middle, length = problem.release(vector)
     found = answers(problem.load, problem.structure.poles(vector), samples, middle, length)
+    return _design(problem, vector, found.value), found
+
+
+def design(problem: Problem, vector: FloatArray, samples: Samples) -> FloatArray:
+    """Return the design of `columns` alone."""
+    middle, length = problem.release(vector)
+    poles = problem.structure.poles(vector)
+    return _design(problem, vector, responses(problem.load, poles, samples, middle, length))
+
+
+def _design(problem: Problem, vector: FloatArray, value: ComplexArray) -> FloatArray:
+    """Return the design of the poles' responses (B, P)."""
     shares, _ = problem.structure.shares(vector)
-    parts = np.real(found.value @ (_twice(problem.structure)[:, None] * shares))
-    return np.concatenate([np.ones((len(parts), 1)), parts], axis=1), found
+    parts = np.real(value @ (_twice(problem.structure)[:, None] * shares))
+    return np.concatenate([np.ones((len(parts), 1)), parts], axis=1)
 
 
 def slopes(problem: Problem, vector: FloatArray, linear: FloatArray, found: Answers) -> FloatArray:
@@ -107,8 +119,8 @@ def slopes(problem: Problem, vector: FloatArray, linear: FloatArray, found: Answ
 def squares(problem: Problem, vector: FloatArray) -> FloatArray:
     """Return the weighted sums of squares (terms,) that 1, 2, … numerator terms leave, by one factorisation."""
     with np.errstate(over="ignore", invalid="ignore"):
-        design, _ = columns(problem, vector, problem.samples)
-    whole = np.concatenate([design, problem.samples.value[:, None]], axis=1) * problem.samples.weight[:, None]
+        found = design(problem, vector, problem.samples)
+    whole = np.concatenate([found, problem.samples.value[:, None]], axis=1) * problem.samples.weight[:, None]
     if not np.all(np.isfinite(whole)):
         return np.full(problem.structure.terms, np.inf)
     last = np.asarray(np.linalg.qr(whole)[1])[:, -1]
@@ -144,12 +156,12 @@ def gain_by(found: Solution, problem: Problem, vectors: list[FloatArray]) -> tup
     of the samples tells, without a solution, whether the richer model is worth one.
     """
     weight = found.problem.samples.weight[:, None]
-    design, answers_ = columns(found.problem, found.vector, found.problem.samples)
-    own = np.concatenate([design, slopes(found.problem, found.vector, found.linear, answers_)], axis=1)
+    own_design, answers_ = columns(found.problem, found.vector, found.problem.samples)
+    own = np.concatenate([own_design, slopes(found.problem, found.vector, found.linear, answers_)], axis=1)
     value = found.problem.samples.value * weight[:, 0]
     best, chosen = 0.0, vectors[0]
     for vector in vectors:
-        whole = np.concatenate([own, columns(problem, vector, found.problem.samples)[0]], axis=1) * weight
+        whole = np.concatenate([own, design(problem, vector, found.problem.samples)], axis=1) * weight
         left = value - whole @ _linear(whole, value)
         gain = found.size * float(np.log(found.square / (left @ left)))
         if gain > best:
@@ -187,12 +199,12 @@ def _at(problem: Problem, vector: FloatArray) -> _Trial:
         return _Trial(nowhere, np.zeros((0, 0)), Answers(blank, blank, blank, blank))
     weight = problem.samples.weight
     with np.errstate(over="ignore", invalid="ignore"):
-        design, found = columns(problem, vector, problem.samples)
-    if not np.all(np.isfinite(design)):
-        return _Trial(nowhere, design, found)
-    linear = _linear(design * weight[:, None], problem.samples.value * weight)
-    rest = (problem.samples.value - design @ linear) * weight
-    return _Trial(Solution(problem, vector, linear, float(rest @ rest)), design, found)
+        matrix, found = columns(problem, vector, problem.samples)
+    if not np.all(np.isfinite(matrix)):
+        return _Trial(nowhere, matrix, found)
+    linear = _linear(matrix * weight[:, None], problem.samples.value * weight)
+    rest = (problem.samples.value - matrix @ linear) * weight
+    return _Trial(Solution(problem, vector, linear, float(rest @ rest)), matrix, found)
 
 
 def _possible(problem: Problem, vector: FloatArray) -> bool:
@@ -204,14 +216,14 @@ def _possible(problem: Problem, vector: FloatArray) -> bool:
     return not (steep or np.any(np.abs(vector[:order]) > 50.0) or (problem.load.lasting and vector[-1] > longest))
 
 
-def _linear(design: FloatArray, value: FloatArray) -> FloatArray:
+def _linear(matrix: FloatArray, value: FloatArray) -> FloatArray:
     """Return the coefficients of the columns by least squares, columns scaled."""
-    scale = np.sqrt(np.einsum("bk,bk->k", design, design))
+    scale = np.sqrt(np.einsum("bk,bk->k", matrix, matrix))
     scale[scale == 0] = 1.0
-    q, r = np.linalg.qr(design / scale)
+    q, r = np.linalg.qr(matrix / scale)
     diagonal = np.abs(np.diag(r))
     if diagonal.min() < 1e-12 * diagonal.max():
-        return np.asarray(np.linalg.lstsq(design / scale, value, rcond=1e-12)[0] / scale)
+        return np.asarray(np.linalg.lstsq(matrix / scale, value, rcond=1e-12)[0] / scale)
     return np.asarray(np.linalg.solve(r, q.T @ value) / scale)
 
 

@@ -42,7 +42,8 @@ class Structure:
 
     def poles(self, vector: FloatArray) -> ComplexArray:
         """Return the upper poles of the modes and the real ones (M + Q,) in rad/s."""
-        log_omega, zeta, log_real = np.split(vector[: self.order], [self.modes, 2 * self.modes])
+        m = self.modes
+        log_omega, zeta, log_real = vector[:m], vector[m : 2 * m], vector[2 * m : self.order]
         upper = np.exp(log_omega) * (-zeta + 1j * np.sqrt(1.0 - zeta**2))
         return np.concatenate([upper, -np.exp(log_real) + 0j])
 
