@@ -24,7 +24,7 @@ from shaker.models.decoupling.steps import fit_steps
 
 FloatArray = NDArray[np.float64]
 DRAWS = 30
-LINES = 240
+LINES = 150
 FARTHEST = 1.5
 """Cross-talk is shown up to this multiple of the highest mode or of the target, whichever is higher."""
 DEVIATES = 0.05

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from markupsafe import Markup
 
 from fusion.decouple.result import DecoupleEvaluation, FloatArray, K, load_unit
 from fusion.polar import DASH, rounded, typeset
-from fusion.report_numbers import measured, number, small
+from fusion.report_numbers import common_exponent, fixed, measured, number, small, times_ten
 from fusion.report_tables import Headline, Table
 from fusion.results_csv import sensitivity_unit
 from shaker.models.decoupling.crosstalk import Crosstalk
@@ -149,15 +150,18 @@ def peak_tables(evaluation: DecoupleEvaluation) -> list[Table]:
 
 
 def static_table(evaluation: DecoupleEvaluation) -> Table:
-    """Return the static sensitivity matrix with U."""
-    model, spread = evaluation.fit.model, static_u(evaluation)
+    """Return the static outputs with U for rated loads, without these per unit of load."""
+    model = evaluation.fit.model
+    value, expanded = model.static_gain * evaluation.scale, K * static_u(evaluation) * evaluation.scale
+    exponent = common_exponent(value.astype(np.complex128))
     rows = tuple(
-        (channel, *(measured(float(model.static_gain[c, d]), K * float(spread[c, d])) for d in range(spread.shape[1])))
+        (channel, *(fixed(float(value[c, d]), float(expanded[c, d]), exponent) for d in range(value.shape[1])))
         for c, channel in enumerate(model.channels)
     )
-    head = ("output", *(f"per {name}" for name in model.components))
-    caption = f"Static sensitivities in {typeset(model.unit)} per N and per N·m, with U (k = 2)"
-    return Table(caption, head, "l" + "r" * spread.shape[1], rows)
+    head = ("output", *model.components)
+    wanted = "for the rated load" if evaluation.capacity is not None else "per N and per N·m"
+    caption = Markup("Output at rest {}, in {}, with U (k = 2)").format(wanted, times_ten(exponent, model.unit))
+    return Table(caption, head, "l" + "r" * value.shape[1], rows)
 
 
 def noise_table(evaluation: DecoupleEvaluation) -> Table:

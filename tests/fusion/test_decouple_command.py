@@ -46,7 +46,7 @@ def test_all_files_are_written(results: Path) -> None:
     assert names == {"decoupling.json", "model.csv", "crosstalk.csv", "decouple.h5", "decouple.html"}
     page = (results / "decouple.html").read_text(encoding="utf-8")
     assert "Cross-talk" in page
-    assert "http://" not in page.replace("http://www.w3.org", "")
+    assert 'src="http' not in page
     with h5py.File(results / "decouple.h5") as file:
         assert file["model/covariance"].shape[0] == file["model/covariance"].shape[1]
 

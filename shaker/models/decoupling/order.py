@@ -48,7 +48,7 @@ class Fitted:
 
 
 def fit_poles(
-    problem: StepProblem, poles: Poles, releases: Sequence[Release], steps: int = 40, calm: float = 1e-3
+    problem: StepProblem, poles: Poles, releases: Sequence[Release], steps: int = 40, calm: float = 1e-2
 ) -> Fitted:
     """Return the least squares poles and releases from a start, by at most `steps` steps or till one gains `calm`."""
 

@@ -14,8 +14,9 @@ from shaker._checks import FloatArray, IntArray
 
 _RANK = 1e-11
 _CALM = 1e-9
-_SETTLED = 1e-3
-_DAMPINGS = 12
+_SETTLED = 1e-2
+_DAMPINGS = 8
+_LEAST_DAMPING = 1e-7
 
 
 @dataclass(frozen=True)
@@ -101,39 +102,43 @@ def minimise(
     here, converged = project(blocks, len(place)), False
     for _ in range(steps):
         losses.append(here.loss)
-        found = None
+        found, promised = None, 0.0
         for _ in range(_DAMPINGS):
-            found = _tried(blocks_at, place, here, damping, scale)
+            step = _step(here, damping, scale)
+            promised = float(step @ (2.0 * here.gradient - here.normal @ step))
+            if promised < calm:
+                break
+            found = _tried(blocks_at, place + step, here)
             if found is not None:
                 break
-            damping *= 5.0
+            damping *= 10.0
         if found is None:
             converged = True
             break
-        gained = here.loss - found[2].loss
-        place, blocks, here = found
-        damping = max(damping / 8.0, 1e-12)
+        gained = here.loss - found[1].loss
+        place, (blocks, here) = place + step, found
+        damping = max(damping / 10.0, _LEAST_DAMPING)
         if gained < max(_CALM * here.loss, calm):
             converged = True
             break
     return Solution(place, tuple(blocks), here, (*losses, here.loss), converged)
 
 
-def _tried(
-    blocks_at: Callable[[FloatArray], Sequence[Block] | None],
-    place: FloatArray,
-    here: Projected,
-    damping: float,
-    scale: FloatArray,
-) -> tuple[FloatArray, Sequence[Block], Projected] | None:
-    """One damped step, None where it does not help."""
+def _step(here: Projected, damping: float, scale: FloatArray) -> FloatArray:
+    """One damped step."""
     weight = np.maximum(np.diag(here.normal), 1.0 / scale**2)
-    step = np.linalg.solve(here.normal + damping * np.diag(weight), here.gradient)
-    blocks = blocks_at(place + step)
+    return np.asarray(np.linalg.solve(here.normal + damping * np.diag(weight), here.gradient))
+
+
+def _tried(
+    blocks_at: Callable[[FloatArray], Sequence[Block] | None], place: FloatArray, here: Projected
+) -> tuple[Sequence[Block], Projected] | None:
+    """The problem at another place, None where that is not allowed or no better."""
+    blocks = blocks_at(place)
     if blocks is None:
         return None
     there = project(blocks, len(place))
-    return (place + step, blocks, there) if there.loss <= here.loss else None
+    return (blocks, there) if there.loss <= here.loss else None
 
 
 def _solved(triangle: FloatArray, right: FloatArray) -> FloatArray:

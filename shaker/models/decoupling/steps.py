@@ -23,6 +23,7 @@ _PER_PERIOD = 6.0
 _LEAST_BLOCKS = 1200
 _DETECTED = 2.0
 _APART = 2.0
+_NEAR = 0.5
 _BEFORE_S, _AFTER_S = 2e-3, 12e-3
 
 
@@ -38,7 +39,7 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
     noise = _noise(records, readings)
     problem, releases, start = _posed(records, readings, noise, components)
     found, trials = chosen(_around(problem, releases), start, releases, most_modes, most_reals)
-    found = _settled(problem, shaped(problem, fit_poles(problem, found.poles, found.releases)))
+    found = _settled(problem, shaped(problem, fit_poles(problem, found.poles, found.releases, calm=_NEAR)))
     again = noise * misfits(found, len(noise))
     problem = replace(problem, records=tuple(_reweighted(record, noise / again) for record in problem.records))
     found = fit_poles(problem, found.poles, found.releases)
@@ -154,7 +155,7 @@ def _settled(problem: StepProblem, found: Fitted) -> Fitted:
         replace(release, duration_s=0.0, free=False) if release.duration_s < _DETECTED * u else release
         for release, u in zip(found.releases, u_duration, strict=True)
     )
-    return fit_poles(problem, found.poles, releases)
+    return fit_poles(problem, found.poles, releases, calm=_NEAR)
 
 
 def _release_u(found: Fitted) -> tuple[FloatArray, FloatArray]:
