@@ -79,15 +79,17 @@ def reading() -> Reading:
     )
 
 
-def identified(loads: tuple[float, ...], snr_db: float, seed: int, smooth: bool = False) -> LoadIdentification:
-    """The whole way from records to the model."""
+def identified(
+    loads: tuple[float, ...], snr_db: float, seed: int, smooth: bool = False, stated: tuple[float, ...] | None = None
+) -> LoadIdentification:
+    """The whole way from records to the model; `stated`: masses that are taken for the true ones."""
     rng = np.random.default_rng(seed)
     decays, modes = [], []
     for load in loads:
         one = record(load, snr_db, rng, smooth)
         decays.append(free_decay(one, "Fy", reading()))
         modes.append(record_modes(decays[-1]))
-    masses = stated_masses(MOVING, 0.0, np.array(loads))
+    masses = stated_masses(MOVING, 0.0, np.array(stated or loads))
     noise = np.array([item.noise for item in modes])
     return identify_loads(as_resonances(modes), masses, Output("Fy", "Fy", "V"), tuple(decays), noise)
 
@@ -103,6 +105,17 @@ def test_five_loads_jointly() -> None:
 def test_the_shape_of_the_release_does_not_matter() -> None:
     error = np.abs(identified((0.048, 0.198), 40.0, 1, smooth=True).model.vector / TRUE - 1.0)
     assert np.all(error < [5e-5, 5e-3, 2e-4, 2e-2])
+
+
+def test_records_that_contradict_the_model() -> None:
+    loads = (0.0, 0.048, 0.098, 0.198)
+    found = identified(loads, 40.0, 5, stated=(0.0, 0.048, 0.0990, 0.198))
+    assert not found.from_records
+    assert found.chosen[0].scatter[0] > 1e-4
+    assert any("scatter about the model" in notice.text for notice in found.notices)
+    covariance = found.model.covariance
+    assert covariance is not None
+    assert np.all(np.abs(found.model.vector - TRUE)[::2] < 4.0 * np.sqrt(np.diag(covariance))[::2])
 
 
 def test_noisy_records() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from shaker._checks import FloatArray
 from shaker.models.load_series.belonging import belonging
 from shaker.models.load_series.decay import FreeDecay
 from shaker.models.load_series.fit import SeriesFit, fit_resonances
-from shaker.models.load_series.joint import fit_decays
+from shaker.models.load_series.joint import explains, fit_decays
 from shaker.models.load_series.masses import SeriesMasses
 from shaker.models.load_series.model import LoadModel
 from shaker.models.load_series.problem import Problem
@@ -79,8 +79,8 @@ def identify_loads(
 
     Three masses are chosen where a second mode was seen, or where a rigid load contradicts the first ones (chance below
     1 in 100); second modes that no coupling explains are left out. Where resonances scatter about the model beyond what
-    is stated, the fit to them, which knows of that scatter, takes the place of the fit to the records. `noise` (R,) of
-    the records, in output units.
+    is stated, and the model leaves more of the records than noise, the fit to the resonances, which knows of that
+    scatter, takes the place of the fit to the records. `noise` (R,) of the records, in output units.
     """
     seen = measured
     measured, foreign = belonging(measured, masses)
@@ -90,10 +90,12 @@ def identify_loads(
     elastic = fit_resonances(measured, masses, rigid=False) if enough else ()
     supported, reason = _supports(measured, masses, rigid, elastic, output.mass_unit)
     chosen = elastic if supported else (rigid,)
-    from_records = bool(decays) and noise is not None and not any(chosen[0].scatter)
-    if from_records and noise is not None:
+    from_records = False
+    if decays and noise is not None:
         problem = Problem(measured, masses, rigid=not supported)
-        chosen = tuple(fit_decays(decays, noise, problem, fit) for fit in chosen)
+        joint = tuple(fit_decays(decays, noise, problem, fit) for fit in chosen)
+        from_records = not any(chosen[0].scatter) or explains(decays, noise, problem, joint[0])
+        chosen = tuple(replace(fit, scatter=(0.0, 0.0)) for fit in joint) if from_records else chosen
     if supported:
         chosen = tuple(sorted(chosen, key=lambda fit: -float(fit.numbers[2])))
     models = tuple(_model(fit, masses, output, n, len(chosen)) for n, fit in enumerate(chosen, 1))

@@ -9,9 +9,12 @@ import numpy as np
 from shaker._checks import ComplexArray, FloatArray
 from shaker.models.load_series.chain_poles import upper_poles
 from shaker.models.load_series.decay import FreeDecay, coloured, projected
-from shaker.models.load_series.fit import SeriesFit, number_covariance
+from shaker.models.load_series.fit import CHANCE, SeriesFit, number_covariance
 from shaker.models.load_series.least_squares import minimum
 from shaker.models.load_series.problem import Problem
+
+ALLOWED = 2.0
+"""Excess over that of white noise that is taken for the noise's colour."""
 
 
 def fit_decays(decays: tuple[FreeDecay, ...], noise: FloatArray, problem: Problem, start: SeriesFit) -> SeriesFit:
@@ -54,6 +57,23 @@ def fit_decays(decays: tuple[FreeDecay, ...], noise: FloatArray, problem: Proble
         frequency_hz=f,
         damping_ratio=z,
     )
+
+
+def explains(decays: tuple[FreeDecay, ...], noise: FloatArray, problem: Problem, fit: SeriesFit) -> bool:
+    """Return whether a model leaves no more of the records than modes of their own do, but for chance (1 in 1000).
+
+    Σ |r|²/s² of the model less that of the free modes is a chi-squared with as many degrees of freedom as the model has
+    fewer unknowns; twice its quantile is allowed, since the noise of a decimated record is not quite white.
+    """
+    from scipy.special import chdtri
+
+    x = np.concatenate([_logarithms(problem, fit.numbers), fit.deviates])
+    modes = np.sum(np.isfinite(problem.measured.frequency_hz), axis=1)
+    more = 0.0
+    for r, decay in enumerate(decays):
+        residual, _ = projected(decay, _poles(problem, x, r)[0])
+        more += float(residual @ residual) / float(noise[r]) ** 2 - (len(residual) - 1 - 4 * int(modes[r]))
+    return more <= ALLOWED * float(chdtri(max(sum(problem.dof), 1), CHANCE))
 
 
 def _poles(problem: Problem, x: FloatArray, record: int) -> tuple[ComplexArray, ComplexArray]:
