@@ -75,10 +75,9 @@ def _with_another(decay: Samples, found: Solution) -> Solution | None:
     extra = upper_poles(pencil(values - values.mean(), coarse, 3), 1, near)
     modes = np.concatenate([found.problem.structure.poles(found.vector), extra])
     modes = modes[np.argsort(np.abs(modes))]
-    base = _rung(decay, modes[np.abs(modes - extra[0]) > 0]) if len(modes) > 1 else found
     trial = _rung(decay, modes)
     zeta = trial.vector[len(modes) : 2 * len(modes)]
-    gain = trial.size * float(np.log(_square(decay, base) / _square(decay, trial)))
+    gain = trial.size * float(np.log(_square(decay, found) / _square(decay, trial)))
     return trial if gain > 4 * CLEAR and np.all((zeta > 0) & (zeta < _STEEP)) else None
 
 
