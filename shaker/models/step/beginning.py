@@ -8,22 +8,29 @@ import numpy as np
 
 from shaker._checks import BoolArray, ComplexArray, FloatArray
 from shaker.models.step.reading import Shape
-from shaker.models.step.shapes import load_share, shape_responses
+from shaker.models.step.shapes import load_rate, load_share, shape_responses
 
 _ITERATIONS = 30
 _GROWTH = 30.0  # largest exponent by which a trial mode may grow over the window
 _DIFFERENCE = 1e-5
+_AHEAD = 2  # rows ahead of the samples
 _SHORT = 0.3  # samples: shortest release and lag by which slopes are taken
 
 
 @dataclass(frozen=True)
 class Window:
-    """Samples (N,) at `time_s` (N,) around the beginning, and the mean of `before` samples ahead of them, `rest`."""
+    """Samples (N,) at `time_s` (N,) around the beginning, and the mean of `before` samples ahead of them, `rest`.
+
+    `small`: standard deviation of a sample over that of the change which modes too high to be seen may carry;
+    `longest_s`: of releases that are thought of.
+    """
 
     time_s: FloatArray
     samples: FloatArray
     rest: float
     before: float
+    small: float
+    longest_s: float
 
     @property
     def step_s(self) -> float:
@@ -33,12 +40,13 @@ class Window:
 
 @dataclass(frozen=True)
 class Beginning:
-    """y = b + Σ g·S: modes ω²/(s² + 2ζωs + ω²), each behind the same lag 1/(1 + τs), answer a load of `shape`.
+    """y = b + Σ g·S + h·L: modes ω²/(s² + 2ζωs + ω²) behind one lag 1/(1 + τs) answer a load of `shape`.
 
     Free residues would tell nothing of the onset: a delay δ of H(s) is, to first order, a zero, H(s)·(1 - δs). That
     every mode begins like t², behind a lag like t³, is what fixes it. A short release and a lag do what a delay does to
     first order and show in second order only, so that centre = onset + T/2 + τ, T² and τ² are the parameters.
-    `frequency_hz`, `damping_ratio` (M,) of the modes, `linear` = [b, g (M,)]; `covariance` of `vector`, None before
+    Modes too high to be seen follow the load, L, behind the lag; what they carry, h, is small beforehand (`Window`).
+    `frequency_hz`, `damping_ratio` (M,) of the modes, `linear` = [b, g (M,), h]; `covariance` of `vector`, None before
     the fit; `squares` of the residual over `rows`.
     """
 
@@ -80,7 +88,7 @@ class Beginning:
 
     @property
     def steady(self) -> float:
-        """Level long after the release, b + Σ g."""
+        """Level long after the release, b + Σ g + h."""
         return float(np.sum(self.linear))
 
     @property
@@ -102,9 +110,14 @@ class Beginning:
         return np.concatenate([own, behind[None]])
 
     def columns(self, time_s: FloatArray) -> FloatArray:
-        """Return what `linear` multiplies (N, 1 + M)."""
+        """Return what `linear` multiplies (N, 2 + M)."""
         responses = shape_responses(self.shape, self.poles, time_s, self.onset_s, self.release_s)
-        return np.concatenate([np.ones((len(responses), 1)), np.real(responses @ self.weights)], axis=1)
+        if self.lag_s > 0:
+            follows = responses[:, -1].real / self.lag_s
+        else:
+            follows = load_share(self.shape, time_s, self.onset_s, self.release_s)
+        modes = np.real(responses @ self.weights)
+        return np.concatenate([np.ones((len(responses), 1)), modes, follows[:, None]], axis=1)
 
     def at(self, time_s: FloatArray) -> FloatArray:
         """Return y (N,)."""
@@ -114,7 +127,12 @@ class Beginning:
         """Return dy/dt (N,): of a response R of 1/(s - p) it is pR + load."""
         responses = shape_responses(self.shape, self.poles, time_s, self.onset_s, self.release_s)
         load = load_share(self.shape, time_s, self.onset_s, self.release_s)
-        return np.asarray(np.real((responses * self.poles + load[:, None]) @ (self.weights @ self.linear[1:])))
+        rates = responses * self.poles + load[:, None]
+        if self.lag_s > 0:
+            follows = rates[:, -1].real / self.lag_s
+        else:
+            follows = load_rate(self.shape, time_s, self.onset_s, self.release_s)
+        return np.asarray(np.real(rates @ (self.weights @ self.linear[1:-1])) + self.linear[-1] * follows)
 
     @property
     def penalty(self) -> float:
@@ -155,12 +173,15 @@ def fit_beginning(window: Window, start: Beginning) -> Beginning:
 
 
 def solved(window: Window, start: Beginning) -> tuple[Beginning, FloatArray, FloatArray]:
-    """Return the fit with its linear parts solved, the residual (N + 1,), and the columns (N + 1, L)."""
+    """Return the fit with its linear parts solved, the residual (N + 2,), and the columns (N + 2, L).
+
+    Ahead of the samples stand the mean of the rest and the smallness of h.
+    """
     weight = np.sqrt(window.before)
-    first = np.zeros((1, 1 + len(start.frequency_hz)))
-    first[0, 0] = weight
-    columns = np.concatenate([first, start.columns(window.time_s)])
-    target = np.concatenate([[weight * window.rest], window.samples])
+    ahead = np.zeros((_AHEAD, 2 + len(start.frequency_hz)))
+    ahead[0, 0], ahead[1, -1] = weight, window.small
+    columns = np.concatenate([ahead, start.columns(window.time_s)])
+    target = np.concatenate([[weight * window.rest, 0.0], window.samples])
     normal = columns.T @ columns
     size = np.sqrt(np.maximum(np.diagonal(normal), 1e-300))
     linear = np.linalg.lstsq(normal / np.outer(size, size), columns.T @ target / size, rcond=1e-12)[0] / size
@@ -169,18 +190,18 @@ def solved(window: Window, start: Beginning) -> tuple[Beginning, FloatArray, Flo
 
 
 def slopes_of(window: Window, fit: Beginning, columns: FloatArray) -> FloatArray:
-    """Return the derivatives (N + 1, K) of y by centre, squared length and lag, frequencies and damping ratios."""
+    """Return the derivatives (N + 2, K) of y by centre, squared length and lag, frequencies and damping ratios."""
     time = window.time_s
-    found = np.zeros((len(time) + 1, len(fit.vector) - len(fit.linear)))
-    found[1:, 0] = -fit.speed(time)
-    here = columns[1:] @ fit.linear
+    found = np.zeros((len(time) + _AHEAD, len(fit.vector) - len(fit.linear)))
+    found[_AHEAD:, 0] = -fit.speed(time)
+    here = columns[_AHEAD:] @ fit.linear
     vector = fit.vector
     least = [0.0, *[(_SHORT * window.step_s) ** 2] * 2, *[0.0] * len(fit.frequency_hz), *[1e-9] * len(fit.frequency_hz)]
     for place in range(1, found.shape[1]):
         span = max(_DIFFERENCE * abs(vector[place]), least[place])
         moved = vector.copy()
         moved[place] += span
-        found[1:, place] = (fit.with_vector(moved).at(time) - here) / span
+        found[_AHEAD:, place] = (fit.with_vector(moved).at(time) - here) / span
     return found
 
 
@@ -199,7 +220,7 @@ def moved_by(window: Window, fit: Beginning, step: FloatArray) -> Beginning | No
     vector[: len(step)] += step
     vector[2] = min(vector[2], longest_lag_s(fit) ** 2)
     found = fit.with_vector(vector)
-    inside = window.time_s[0] <= found.onset_s <= window.time_s[-1] and found.release_s < np.ptp(window.time_s)
+    inside = window.time_s[0] <= found.onset_s <= window.time_s[-1] and found.release_s < window.longest_s
     modes = (found.frequency_hz > 0) & (found.frequency_hz < 0.5 / window.step_s) & (np.abs(found.damping_ratio) < 0.9)
     modes &= -found.damping_ratio * 2 * np.pi * found.frequency_hz * np.ptp(window.time_s) < _GROWTH
     return found if inside and bool(np.all(modes)) else None

@@ -35,6 +35,12 @@ class Location:
         """Change of level over the noise of a sample."""
         return abs(self.steady - self.baseline) / max(self.noise, 1e-300)
 
+    @property
+    def longest(self) -> float:
+        """Length in samples of a ramp that the output follows from 10 % to 90 %, more where noise hides its begin."""
+        seen = max(0.9 - max(0.1, _MOTION / max(self.strength, 1e-300)), 0.2)
+        return max(self.high - self.low, 2.0) * 0.8 / seen**2
+
 
 def locate(samples: FloatArray, near: int | None = None) -> Location:
     """Return where samples (N,) begin to change and where to; `near`: the sample where that is stated to happen.

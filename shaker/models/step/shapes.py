@@ -21,6 +21,16 @@ def load_share(shape: Shape, time_s: FloatArray, onset_s: float, release_s: floa
     return np.asarray(x if shape == "ramp" else 0.5 * (1.0 - np.cos(np.pi * x)))
 
 
+def load_rate(shape: Shape, time_s: FloatArray, onset_s: float, release_s: float) -> FloatArray:
+    """Return the derivative (N,) of `load_share` in 1/s, 0 of a step."""
+    tau = np.asarray(time_s, dtype=np.float64) - onset_s
+    if release_s <= 0.0 or shape == "step":
+        return np.zeros(len(tau))
+    during = (tau > 0) & (tau < release_s)
+    rate = 1.0 if shape == "ramp" else 0.5 * np.pi * np.sin(np.pi * tau / release_s)
+    return np.asarray(np.where(during, rate, 0.0) / release_s)
+
+
 def shape_responses(
     shape: Shape, poles: ComplexArray, time_s: FloatArray, onset_s: float, release_s: float
 ) -> ComplexArray:
