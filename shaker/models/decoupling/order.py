@@ -24,6 +24,7 @@ _HIGHEST_REAL = 0.45
 _TOLD_SAMPLES = 2.0
 _LONGER = (0.5, 2.0)
 _UNEXPLAINED = 1.5
+_CLEARLY = 10.0
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,7 @@ def chosen(
 
 
 def shaped(problem: StepProblem, found: Fitted) -> Fitted:
-    """Return the fit in which each release goes along a straight line or half a cosine, whichever leaves less."""
+    """Return the fit in which each release goes along a line or half a cosine, whichever leaves clearly less."""
     releases = list(found.releases)
     for i, release in enumerate(found.releases):
         if release.duration_s * problem.records[i].blocks.rate_hz > _TOLD_SAMPLES:
@@ -128,7 +129,7 @@ def _begun(problem: StepProblem, poles: Poles, release: Release, place: int) -> 
 
 
 def _better_shape(problem: StepProblem, poles: Poles, releases: Sequence[Release], place: int) -> Release:
-    """One release, or the same in the other shape, with the duration that leaves least."""
+    """One release, or the same in the other shape, with its best duration, where that leaves clearly less."""
     component = problem.records[place].component
     near = [i for i, record in enumerate(problem.records) if record.component == component]
     part = StepProblem(tuple(problem.records[i] for i in near), (component,))
@@ -142,7 +143,9 @@ def _better_shape(problem: StepProblem, poles: Poles, releases: Sequence[Release
     def loss(release: Release) -> float:
         return _loss(part, poles, [release if i == place else releases[i] for i in near])
 
-    return min(tried, key=loss)
+    losses = [loss(release) for release in tried]
+    best = int(np.argmin(losses))
+    return tried[best] if losses[best] < losses[0] - _CLEARLY else own
 
 
 def _loss(problem: StepProblem, poles: Poles, releases: Sequence[Release]) -> float:
