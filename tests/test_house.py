@@ -23,7 +23,8 @@ WRITTEN_ORDER = {
     """,
     "shaker.models": """
         resonance measured weights identification suspension mass_chain sensor
-        partial_fractions conversion linear_system modal indices step step_fit load_series compensation decoupling feedback elastomer
+        partial_fractions conversion linear_system modal indices step step_fit load_series compensation decoupling
+        feedback elastomer
     """,
     "shaker.models.resonance": "line_noise oscillator noisy_curve circle peak_shape peak",
     "shaker.models.weights": "gravity harmonics turning load_mass",
