@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from fusion.commands.values import EXIT_DONE, Commands, count, not_negative, positive
+from fusion.commands.values import EXIT_DONE, Commands, add_allow_outside, add_results, count, not_negative, positive
 
 
 def add(commands: Commands, common: argparse.ArgumentParser) -> None:
@@ -16,14 +16,7 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
     _add_sensor(parser)
     _add_target(parser)
     _add_samples(parser)
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        metavar="RESULTS",
-        help="result folder (default: folder compensate beside the first model, or in the working folder)",
-    )
-    parser.add_argument("--force", action="store_true", help="overwrite result files that are there")
+    add_results(parser, "folder compensate beside the first model, or in the working folder")
     parser.set_defaults(action=_act)
 
 
@@ -82,7 +75,7 @@ def _add_samples(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--ball", type=positive, metavar="N_PER_M", help="check force feedback against a virtual ball of this stiffness"
     )
-    parser.add_argument("--allow-outside", action="store_true", help="accept files outside the folder of rig.toml")
+    add_allow_outside(parser)
 
 
 def _act(options: argparse.Namespace) -> int:

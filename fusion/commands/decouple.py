@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from fusion.commands.values import EXIT_DONE, Commands, positive
+from fusion.commands.values import EXIT_DONE, Commands, add_allow_outside, add_results, positive
 
 
 def add(commands: Commands, common: argparse.ArgumentParser) -> None:
@@ -18,7 +18,7 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "campaign", type=Path, metavar="CAMPAIGN", help="folder with recordings of releases of all loads"
     )
-    parser.add_argument("--allow-outside", action="store_true", help="accept files outside the folder of rig.toml")
+    add_allow_outside(parser)
     parser.add_argument(
         "--frequency",
         type=positive,
@@ -33,10 +33,7 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
         help="wanted damping ratio, between 0 and 1 (default: 0.6)",
     )
     parser.add_argument("--seed", type=int, default=1, metavar="N", help="of the models drawn for U (default: 1)")
-    parser.add_argument(
-        "-o", "--output", type=Path, metavar="RESULTS", help="result folder (default: folder decouple in the campaign)"
-    )
-    parser.add_argument("--force", action="store_true", help="overwrite result files that are there")
+    add_results(parser, "folder decouple in the campaign")
     parser.set_defaults(action=_act)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from fusion.commands.values import EXIT_DONE, Commands
+from fusion.commands.values import EXIT_DONE, Commands, add_results
 
 
 def add(commands: Commands, common: argparse.ArgumentParser) -> None:
@@ -21,10 +21,7 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
         action="store_true",
         help='also model it as an elastic solid on meshes that get finer (needs pip install "shakercal[solid]")',
     )
-    parser.add_argument(
-        "-o", "--output", type=Path, metavar="RESULTS", help="result folder (default: folder elastomer beside the file)"
-    )
-    parser.add_argument("--force", action="store_true", help="overwrite result files that are there")
+    add_results(parser, "folder elastomer beside the file")
     parser.set_defaults(action=_act)
 
 

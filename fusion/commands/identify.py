@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from fusion.commands.values import EXIT_DONE, Commands, not_negative, positive
+from fusion.commands.values import EXIT_DONE, Commands, add_allow_outside, add_results, not_negative, positive
 
 
 def add(commands: Commands, common: argparse.ArgumentParser) -> None:
@@ -14,10 +14,7 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
         "identify", parents=[common], help="stiffness, damping and internal mass of the sensor from a whole campaign"
     )
     parser.add_argument("campaign", type=Path, metavar="CAMPAIGN", help="folder of a campaign or of one recording")
-    parser.add_argument("--allow-outside", action="store_true", help="accept files outside the folder of rig.toml")
-    parser.add_argument(
-        "-o", "--output", type=Path, metavar="RESULTS", help="result folder (default: CAMPAIGN/identify)"
-    )
+    add_allow_outside(parser)
     parser.add_argument(
         "--model",
         choices=("auto", "translation", "pitching", "adapter"),
@@ -51,7 +48,7 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
         metavar="SHARE",
         help="error of the magnitude up to which a band is usable (default: 0.05)",
     )
-    parser.add_argument("--force", action="store_true", help="overwrite result files that are there")
+    add_results(parser, "CAMPAIGN/identify")
     parser.set_defaults(action=_act)
 
 

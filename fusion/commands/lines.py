@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fusion.commands.values import EXIT_DONE, Commands, figure, not_negative, positive
+from fusion.commands.values import EXIT_DONE, Commands, add_allow_outside, figure, not_negative, positive
 
 if TYPE_CHECKING:
     from fusion.manifest import Manifest
@@ -29,7 +29,7 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
     parser.add_argument("--figure", type=figure, metavar="FILE", help="draw spectrum and floor (.png, .svg, .pdf)")
     parser.add_argument("--csv", type=Path, metavar="FILE", help="write the list as a table")
     parser.add_argument("--force", action="store_true", help="overwrite files that are there")
-    parser.add_argument("--allow-outside", action="store_true", help="accept files outside the folder of rig.toml")
+    add_allow_outside(parser)
     parser.set_defaults(action=_act)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from fusion.commands.values import EXIT_DONE, Commands, not_negative, positive
+from fusion.commands.values import EXIT_DONE, Commands, add_allow_outside, add_results, not_negative, positive
 
 
 def add(commands: Commands, common: argparse.ArgumentParser) -> None:
@@ -16,6 +16,7 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "recordings", type=Path, nargs="*", metavar="RECORDING", help="folder of a campaign, or of step recordings"
     )
+    add_allow_outside(parser)
     parser.add_argument(
         "--frequencies",
         type=Path,
@@ -41,15 +42,7 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--wanted", type=positive, nargs="+", default=[], metavar="HZ", help="largest load for these resonances"
     )
-    parser.add_argument("--allow-outside", action="store_true", help="accept files outside the folder of rig.toml")
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        metavar="RESULTS",
-        help="result folder (default: folder load in the campaign, in the only recording, or beside rig.toml or TABLE)",
-    )
-    parser.add_argument("--force", action="store_true", help="overwrite result files that are there")
+    add_results(parser, "folder load in the campaign, in the only recording, or beside rig.toml or TABLE")
     parser.set_defaults(action=_act, refuse=parser.error)
 
 

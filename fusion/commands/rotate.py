@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
-from fusion.commands.values import EXIT_DONE, Commands
+from fusion.commands.values import EXIT_DONE, Commands, add_recordings, add_results
 
 
 def add(commands: Commands, common: argparse.ArgumentParser) -> None:
@@ -13,22 +12,8 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
     parser = commands.add_parser(
         "rotate", parents=[common], help="internal mass and load mass from the sensor turned about a horizontal axis"
     )
-    parser.add_argument(
-        "recordings",
-        type=Path,
-        nargs="+",
-        metavar="RECORDING",
-        help="folder of a campaign, or of recordings of one rig",
-    )
-    parser.add_argument("--allow-outside", action="store_true", help="accept files outside the folder of rig.toml")
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        metavar="RESULTS",
-        help="result folder (default: folder rotate in the campaign or in the only recording, else beside rig.toml)",
-    )
-    parser.add_argument("--force", action="store_true", help="overwrite result files that are there")
+    add_recordings(parser)
+    add_results(parser, "folder rotate in the campaign or in the only recording, else beside rig.toml")
     parser.set_defaults(action=_act)
 
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
-from fusion.commands.values import EXIT_DONE, Commands, count
+from fusion.commands.values import EXIT_DONE, Commands, add_recordings, add_results, count
 
 
 def add(commands: Commands, common: argparse.ArgumentParser) -> None:
@@ -13,21 +12,7 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
     parser = commands.add_parser(
         "step", parents=[common], help="models of the sensor's outputs from releases of a load: modes, bands, settling"
     )
-    parser.add_argument(
-        "recordings",
-        type=Path,
-        nargs="+",
-        metavar="RECORDING",
-        help="folder of a campaign, or of recordings of one rig",
-    )
-    parser.add_argument("--allow-outside", action="store_true", help="accept files outside the folder of rig.toml")
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        metavar="RESULTS",
-        help="result folder (default: folder step in the campaign or in the only recording, else beside rig.toml)",
-    )
+    add_recordings(parser)
     parser.add_argument(
         "--method",
         choices=("pencil", "arx", "all"),
@@ -42,7 +27,7 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
         default="auto",
         help="how the load changes (default: auto, the force channel where one is named, else by rule)",
     )
-    parser.add_argument("--force", action="store_true", help="overwrite result files that are there")
+    add_results(parser, "folder step in the campaign or in the only recording, else beside rig.toml")
     parser.set_defaults(action=_act)
 
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
-from fusion.commands.values import EXIT_DONE, Commands, add_recording, positive
+from fusion.commands.values import EXIT_DONE, Commands, add_recording, add_results, positive
 
 
 def add(commands: Commands, common: argparse.ArgumentParser) -> None:
@@ -14,9 +13,6 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
         "transfer", parents=[common], help="transfer functions and resonances from a chirp, multisine, noise or blows"
     )
     add_recording(parser)
-    parser.add_argument(
-        "-o", "--output", type=Path, metavar="RESULTS", help="result folder (default: RECORDING/transfer)"
-    )
     parser.add_argument(
         "--estimator",
         choices=("auto", "periodic", "local", "H1", "H2", "Hv"),
@@ -35,7 +31,7 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
         choices=("displacement", "velocity", "acceleration"),
         help="turn every motion into this quantity (default: as it was measured)",
     )
-    parser.add_argument("--force", action="store_true", help="overwrite result files that are there")
+    add_results(parser, "RECORDING/transfer")
     parser.set_defaults(action=_act)
 
 

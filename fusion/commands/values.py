@@ -1,4 +1,4 @@
-"""Types of command-line arguments that several sub-commands share."""
+"""Command-line arguments, and their types, that several sub-commands share."""
 
 from __future__ import annotations
 
@@ -17,7 +17,26 @@ EXIT_DONE, EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED = 0, 1, 2, 130
 def add_recording(parser: argparse.ArgumentParser) -> None:
     """Add the recording or campaign a command works on."""
     parser.add_argument("recording", type=Path, metavar="RECORDING", help="folder of a recording or of a campaign")
+    add_allow_outside(parser)
+
+
+def add_recordings(parser: argparse.ArgumentParser) -> None:
+    """Add the recordings that a command evaluates together."""
+    text = "folder of a campaign, or of recordings of one rig"
+    parser.add_argument("recordings", type=Path, nargs="+", metavar="RECORDING", help=text)
+    add_allow_outside(parser)
+
+
+def add_allow_outside(parser: argparse.ArgumentParser) -> None:
+    """Add the leave to read files anywhere."""
     parser.add_argument("--allow-outside", action="store_true", help="accept files outside the folder of rig.toml")
+
+
+def add_results(parser: argparse.ArgumentParser, default: str) -> None:
+    """Add where a command writes its results, and the leave to overwrite; `default`: where without the option."""
+    text = f"result folder (default: {default})"
+    parser.add_argument("-o", "--output", type=Path, metavar="RESULTS", help=text)
+    parser.add_argument("--force", action="store_true", help="overwrite result files that are there")
 
 
 def positive(text: str) -> float:
