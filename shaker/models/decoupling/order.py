@@ -25,6 +25,8 @@ _TOLD_SAMPLES = 2.0
 _LONGER = (0.5, 2.0)
 _UNEXPLAINED = 1.5
 _CLEARLY = 10.0
+_STRONG = 0.1
+"""A mode above this share of the strongest is no make-up for releases read some hundredths of a period off."""
 
 
 @dataclass(frozen=True)
@@ -202,16 +204,21 @@ def _pruned(problem: StepProblem, poles: Poles, releases: Sequence[Release], mos
 
 
 def _smaller(problem: StepProblem, here: Fitted, most: int | None) -> Fitted | None:
-    """The fit without the weakest mode, None where the criterion needs all."""
+    """The fit without the weakest mode, None where the criterion needs all.
+
+    What the other poles and the releases take over shows in a fit alone: a mode that makes up for a release begun
+    elsewhere looks needed as long as that release is held.
+    """
     poles = here.poles
     if poles.modes < 2 or (most is not None and poles.modes <= most):
         return None
     losses = removal_losses(poles, here.solution.blocks, here.solution.projected)[: poles.modes]
-    weakest = int(np.argmin(losses))
-    loss = here.solution.projected.loss
-    if criterion(problem, poles.without(weakest), loss + losses[weakest]) >= criterion(problem, poles, loss):
+    weakest, loss = int(np.argmin(losses)), here.solution.projected.loss
+    if losses[weakest] > _STRONG * losses.max():
         return None
-    return fit_poles(problem, poles.without(weakest), here.releases, _FEW_STEPS, _ROUGH)
+    fewer = fit_poles(problem, poles.without(weakest), here.releases, _FEW_STEPS, _ROUGH)
+    falls = criterion(problem, fewer.poles, fewer.solution.projected.loss) < criterion(problem, poles, loss)
+    return fewer if falls else None
 
 
 def _larger(problem: StepProblem, here: Fitted, most: int | None, reals: int) -> Fitted | None:
