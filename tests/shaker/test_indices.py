@@ -15,7 +15,8 @@ from shaker.models.indices.frequency import gain_curve
 from shaker.models.indices.indices import indices
 from shaker.models.indices.remarks import remarks
 from shaker.models.indices.result import LABELS, unit_of
-from shaker.models.indices.transient import transient
+from shaker.models.indices.roots import roots_between
+from shaker.models.indices.transient import settling_points, transient
 from shaker.models.indices.uncertain import indices_with_u, settling_u
 from shaker.models.linear_system import LinearSystem
 from shaker.models.modal import ModalModel
@@ -172,8 +173,10 @@ def test_figures_hold_on_dense_curves(hertz: list[float], damping: list[float], 
     value = system.step(time) / static
     assert found.overshoot is not None
     assert value.max() - 1 <= found.overshoot + 1e-9
-    if found.overshoot > 0.01:
-        assert value.max() - 1 == pytest.approx(found.overshoot, rel=2e-2)
+    if found.overshoot > 0:
+        highest = transient(system).highest_s
+        assert highest is not None
+        assert system.step(np.array([highest]))[0] / static - 1 == pytest.approx(found.overshoot, abs=1e-9)
     for tolerance, settled in ((0.02, found.settling_2_s), (0.05, found.settling_5_s)):
         assert settled is not None
         assert np.abs(value[time > settled * (1 + 1e-9)] - 1).max() <= tolerance * (1 + 1e-9)
@@ -287,6 +290,19 @@ def test_false_poles_are_told() -> None:
     assert [n.severity for n in remarks(near)] == ["info"]
 
 
+def test_roots_are_found_to_the_last_digits_whatever_the_curve() -> None:
+    """Steep, flat and bent curves at once, one with its root at an end; against numbers known beforehand."""
+    root = np.array([1e-9, 0.3, 2.0, 1.0, 4.0])
+    power = np.array([1.0, 9.0, 3.0, 1.0, 1.0])
+
+    def bent(x: FloatArray) -> FloatArray:
+        steep = np.array([1.0, 1.0, 1.0, 60.0, 1.0])
+        return np.asarray(np.sign(x - root) * np.abs(np.expm1(steep * (x - root))) ** power)
+
+    found = roots_between(bent, np.zeros(5), np.array([3.0, 1.0, 9.0, 9.0, 4.0]))
+    assert np.all(np.abs(found - root) <= 4e-16 * np.maximum(root, 1e-9))
+
+
 def test_names_and_units() -> None:
     assert unit_of("band_5_hz") == "Hz"
     assert unit_of("settling_2_s") == "s"
@@ -313,11 +329,11 @@ def test_uncertainties_agree_with_monte_carlo() -> None:
     model = uncertain_model(2e-3)
     found = indices_with_u(model)
     assert model.covariance is not None
-    draws = np.random.default_rng(2).multivariate_normal(model.vector, model.covariance, size=100)
+    draws = np.random.default_rng(2).multivariate_normal(model.vector, model.covariance, size=60)
     figures = [indices(model.with_vector(draw).system).figures() for draw in draws]
     for name, u in found.u.items():
-        spread = np.std([row[name] for row in figures if row[name] is not None])
-        assert u == pytest.approx(spread, rel=0.35 if "settling" in name else 0.25), name  # u of 100: 7 %
+        spread = np.std(np.array([row[name] for row in figures if row[name] is not None], float))
+        assert u == pytest.approx(spread, rel=0.35 if "settling" in name else 0.28), name  # 3 u of 60 draws
 
 
 def test_settling_time_jumps_by_half_periods() -> None:
@@ -331,8 +347,10 @@ def test_settling_time_jumps_by_half_periods() -> None:
     model = ModalModel(frequency, np.array([damping]), residue, np.zeros(0), np.zeros(0), covariance)
     draws = damping * (1 + 1e-4 * np.random.default_rng(3).normal(size=150))
     moved = [model.with_vector(np.array([500.0, z, 0.0, residue[0].imag])) for z in draws]
-    times = [transient(one.system).settling_2_s for one in moved]
-    assert settling_u(model, 0.02) == pytest.approx(np.std(np.array(times, float)), rel=0.25)
+    points = [settling_points(one.system, 0.02) for one in moved]
+    times = [found[0] for found in points if found is not None]
+    assert len(times) == len(draws)
+    assert settling_u(model, 0.02) == pytest.approx(np.std(times), rel=0.25)
 
 
 def test_figures_without_value_have_no_uncertainty() -> None:

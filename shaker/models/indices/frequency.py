@@ -28,23 +28,24 @@ class GainCurve:
     gain: FloatArray
     gain_beyond: float
 
-    def crossings(self, level: float) -> list[float]:
-        """Return every frequency in Hz at which |H| passes `level`, rising."""
+    def crossings(self, *levels: float) -> list[float]:
+        """Return every frequency in Hz at which |H| passes one of the levels, rising."""
+        passed = [sign_changes(self.gain - level) for level in levels]
+        level, places = np.repeat(levels, [len(own) for own in passed]), np.concatenate(passed)
 
         def above(hertz: FloatArray) -> FloatArray:
             return np.asarray(np.abs(self.system.response(hertz)) / level - 1.0)
 
-        places = sign_changes(self.gain - level)
-        return [float(f) for f in roots_between(above, self.edges_hz[places], self.edges_hz[places + 1])]
+        found = roots_between(above, self.edges_hz[places], self.edges_hz[places + 1])
+        return [float(f) for f in np.sort(found)]
 
     def inside(self, low: float, high: float) -> list[tuple[float, float]]:
         """Return the ranges of frequency in Hz in which low ≤ |H| ≤ high, rising; the last may be endless."""
-        marks = sorted([*self.crossings(low), *self.crossings(high)])
-        ends = [0.0, *marks, float(self.edges_hz[-1])]
+        ends = [0.0, *self.crossings(low, high), float(self.edges_hz[-1])]
+        middle = np.abs(self.system.response(np.array([0.5 * (begin + end) for begin, end in pairwise(ends)])))
         found: list[tuple[float, float]] = []
-        for begin, end in pairwise(ends):
-            middle = np.abs(self.system.response(np.array([0.5 * (begin + end)]))[0])
-            if not low <= middle <= high:
+        for (begin, end), gain in zip(pairwise(ends), middle, strict=True):
+            if not low <= gain <= high:
                 continue
             if found and found[-1][1] == begin:
                 found[-1] = (found[-1][0], end)

@@ -9,6 +9,8 @@ import numpy as np
 from shaker._checks import FloatArray, IntArray
 
 STEPS = 120
+TINY = 2.0 * float(np.finfo(np.float64).eps)
+"""Share of a root to which it is found."""
 
 
 def sign_changes(value: FloatArray) -> IntArray:
@@ -20,31 +22,35 @@ def sign_changes(value: FloatArray) -> IntArray:
 def roots_between(function: Callable[[FloatArray], FloatArray], low: FloatArray, high: FloatArray) -> FloatArray:
     """Return a root (R,) of a function of (R,) between each `low` and `high`, at which its signs differ.
 
-    False position with the Illinois rule (Dowell and Jarratt, BIT 11 (1971) 168-174), every fourth step a bisection, to
-    the last digits.
+    Inverse quadratic interpolation where it is safe, else bisection (Chandrupatla, Adv. Eng. Softw. 28 (1997) 145-149),
+    to the last digits.
     """
-    left, right = np.array(low, dtype=np.float64), np.array(high, dtype=np.float64)
-    if not len(left):
-        return left
-    at_left, at_right = function(left), function(right)
-    best, at_best = (
-        np.where(np.abs(at_left) < np.abs(at_right), left, right),
-        np.fmin(np.abs(at_left), np.abs(at_right)),
-    )
-    done = at_best == 0
-    for step in range(STEPS):
-        with np.errstate(divide="ignore", invalid="ignore"):
-            point = right - at_right * (right - left) / (at_right - at_left)
-        inside = (point >= np.minimum(left, right)) & (point <= np.maximum(left, right))
-        halve = ~inside | (step % 4 == 3)
-        point = np.where(halve, 0.5 * (left + right), point)
-        value = function(point)
-        better = np.abs(value) <= at_best
-        best, at_best = np.where(better, point, best), np.where(better, np.abs(value), at_best)
-        same = np.sign(value) == np.sign(at_right)
-        done |= (value == 0) | (np.abs(point - right) <= 2e-16 * np.abs(right)) & ~halve
-        left, at_left = np.where(same, left, right), np.where(same, 0.5 * at_left, at_right)
-        right, at_right = point, value
-        if np.all(done | (np.abs(right - left) <= 4e-16 * np.abs(right))):
-            break
-    return best
+    other, point = np.array(low, dtype=np.float64), np.array(high, dtype=np.float64)
+    if not len(point):
+        return point
+    at_other, value = function(other), function(point)
+    ahead = np.full(len(point), 0.5)
+    with np.errstate(all="ignore"):
+        for _ in range(STEPS):
+            new = point + ahead * (other - point)
+            at_new = function(new)
+            same = np.sign(at_new) == np.sign(value)
+            third, at_third = np.where(same, point, other), np.where(same, value, at_other)
+            other, at_other = np.where(same, other, point), np.where(same, at_other, value)
+            point, value = new, at_new
+            best = np.where(np.abs(value) < np.abs(at_other), point, other)
+            least = TINY * np.abs(best) / np.abs(other - point)
+            if np.all((least > 0.5) | (value == 0) | (at_other == 0)):
+                break
+            ahead = np.clip(_interpolated((point, other, third), (value, at_other, at_third)), least, 1.0 - least)
+    return np.where(value == 0, point, np.where(at_other == 0, other, best))
+
+
+def _interpolated(place: tuple[FloatArray, ...], value: tuple[FloatArray, ...]) -> FloatArray:
+    """Return how far the root lies from the first towards the second of three points (R,), 0.5 where that is unsafe."""
+    (a, b, c), (at_a, at_b, at_c) = place, value
+    where, level = (a - b) / (c - b), (at_a - at_b) / (at_c - at_b)
+    safe = (level**2 < where) & ((1.0 - level) ** 2 < 1.0 - where)
+    found = at_a / (at_b - at_a) * at_c / (at_b - at_c)
+    found += (c - a) / (b - a) * at_a / (at_c - at_a) * at_b / (at_c - at_b)
+    return np.where(safe, found, 0.5)

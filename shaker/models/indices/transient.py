@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import count
 
 import numpy as np
@@ -94,6 +95,7 @@ class _Response:
         terms, self.apart = system.step_terms()
         self.terms = terms / self.gain if self.apart else terms
         self.size: FloatArray = np.abs(self.terms) if self.apart else np.full(len(terms), COINCIDING)
+        self.pieces: dict[tuple[float, float], tuple[FloatArray, FloatArray]] = {}
 
     def ratio(self, time_s: FloatArray) -> FloatArray:
         """Return the response over its final value (N,)."""
@@ -128,9 +130,14 @@ class _Response:
         fastest = np.max(np.abs(self.poles[alive]), initial=self.slowest)
         return float(2 * np.pi / fastest / PER_PERIOD)
 
+    @cached_property
+    def last(self) -> float:
+        """When nothing is left that a level of 10 or 90 % or the overshoot could notice."""
+        return self.quiet(1e-4)
+
     def blocks(self) -> Iterator[tuple[float, float]]:
         """Yield begin and end of pieces with evenly spaced points, until nothing is left."""
-        begin, last = 0.0, self.quiet(1e-4)
+        begin, last = 0.0, self.last
         while begin < last:
             end = begin + BLOCK * self.spacing(begin)
             yield begin, end
@@ -141,11 +148,13 @@ class _Response:
         return self.ratio(np.linspace(begin, end, BLOCK + 1))
 
     def extremes(self, begin: float, end: float) -> tuple[FloatArray, FloatArray]:
-        """Return times, begin, every turning point and end, and the response there."""
-        time = np.linspace(begin, end, BLOCK + 1)
-        places = sign_changes(self.slope(time))
-        found = np.concatenate([[begin], roots_between(self.slope, time[places], time[places + 1]), [end]])
-        return found, self.ratio(found)
+        """Return times, begin, every turning point and end, and the response there; looked for once."""
+        if (begin, end) not in self.pieces:
+            time = np.linspace(begin, end, BLOCK + 1)
+            places = sign_changes(self.slope(time))
+            found = np.concatenate([[begin], roots_between(self.slope, time[places], time[places + 1]), [end]])
+            self.pieces[begin, end] = found, self.ratio(found)
+        return self.pieces[begin, end]
 
     def overshoot(self) -> tuple[float, float | None]:
         """Return the highest value less the final one and its time; 0 and None where the final one is the highest."""

@@ -134,7 +134,7 @@ def settling_u(model: ModalModel, tolerance: float) -> float:
     one that is just outside comes to be inside, or the other way: variance (half period)²·P(1 - P) with the probability
     P of that.
     """
-    from scipy.stats import norm
+    from scipy.special import ndtr
 
     points = settling_points(model.system, tolerance)
     if points is None or points[0] == 0:
@@ -147,5 +147,5 @@ def settling_u(model: ModalModel, tolerance: float) -> float:
     away, back = slope**2 + 2 * bend * u[0], max(slope**2 - 2 * bend * u[0], 0.0)
     moved = 0.5 * (np.sqrt(away) - np.sqrt(back)) / bend if bend > 0 else u[0] / slope
     margin = np.abs(np.abs(value[1:] - 1) - tolerance)
-    jump = norm.sf(np.divide(margin, u[1:], out=np.full(2, np.inf), where=u[1:] > 0))
+    jump = ndtr(-np.divide(margin, u[1:], out=np.full(2, np.inf), where=u[1:] > 0))
     return float(np.hypot(moved, half * np.sqrt(np.sum(jump * (1 - jump)))))
