@@ -69,6 +69,12 @@ def _write_loads(folder: Path, *, known: bool = False) -> Path:
     return file
 
 
+@pytest.fixture
+def no_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave the page empty where it is not what is tested: its pictures take most of the time."""
+    monkeypatch.setattr("fusion.compensate.results.render_compensate_page", lambda _: "")
+
+
 def _write_recording(folder: Path, load_mass: float = 0.048) -> np.ndarray:
     """A release of 40 N from a sensor of two masses; the output it left."""
     model = LoadModel("Fy", "Fy", "V", 0.240, 2.36e6, 6.0, sensitivity=GAIN)
@@ -113,6 +119,7 @@ def test_the_published_case_from_numbers(tmp_path: Path, capsys: pytest.CaptureF
     assert "16.303" in page
 
 
+@pytest.mark.usefixtures("no_page")
 def test_models_of_a_step_campaign(tmp_path: Path) -> None:
     """One filter per channel, by the model of its own component, in the units of that model."""
     out = tmp_path / "out"
@@ -133,6 +140,7 @@ def test_models_of_a_step_campaign(tmp_path: Path) -> None:
         assert np.all(file["filters/Fz/u_gain"][:] >= 0)
 
 
+@pytest.mark.usefixtures("no_page")
 def test_a_filter_for_every_load_of_one_target(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, loads = tmp_path / "out", _write_loads(tmp_path / "load", known=True)
     wish = ["--frequency", "1000", "--damping", "0.5", "--modes", "2", "--load-mass", "0", "0.198"]
@@ -169,6 +177,7 @@ def test_one_mode_of_two_is_told(tmp_path: Path) -> None:
     assert any("--modes compensates it too" in text for text in told)
 
 
+@pytest.mark.usefixtures("no_page")
 def test_a_recording_is_filtered_for_the_load_of_its_rig(tmp_path: Path) -> None:
     """The record of a sensor that rings comes out as the step of the target, within its uncertainty."""
     folder = tmp_path / "load"

@@ -8,6 +8,8 @@ import re
 import shutil
 import sys
 import tomllib
+from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
 
 import h5py
@@ -35,6 +37,15 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("element")
     write_element(folder, 3)
     return folder
+
+
+@pytest.fixture(scope="module")
+def evaluated(simulated: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """The command's folder of results, and what it printed."""
+    out, told = tmp_path_factory.mktemp("evaluated") / "results", StringIO()
+    with redirect_stdout(told):
+        assert main(["elastomer", str(simulated), "-q", "-o", str(out)]) == 0
+    return out, told.getvalue()
 
 
 @pytest.fixture
@@ -72,12 +83,8 @@ def _rows(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(stream))
 
 
-def test_command_writes_a_folder_that_holds_what_it_prints(
-    simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "results"
-    assert main(["elastomer", str(simulated), "-q", "-o", str(out)]) == 0
-    told = capsys.readouterr().out
+def test_command_writes_a_folder_that_holds_what_it_prints(simulated: Path, evaluated: tuple[Path, str]) -> None:
+    out, told = evaluated
     names = {"comparison.csv", "modes.csv", "stiffness.csv", "statics.csv", "platform.csv", "elastomer.h5"}
     assert {file.name for file in out.iterdir()} == names | {"elastomer.html", "shapes-frame.png"}
     assert (out / "shapes-frame.png").read_bytes().startswith(b"\x89PNG")
@@ -100,9 +107,8 @@ def test_command_writes_a_folder_that_holds_what_it_prints(
         assert "provenance" in file
 
 
-def test_page_is_whole(element: Path) -> None:
-    assert main(["elastomer", str(element / "elastomer.toml"), "-q"]) == 0
-    text = (element / "elastomer" / "elastomer.html").read_text(encoding="utf-8")
+def test_page_is_whole(evaluated: tuple[Path, str]) -> None:
+    text = (evaluated[0] / "elastomer.html").read_text(encoding="utf-8")
     found = outline(text)
     assert all(address.startswith(("data:image/svg+xml,", "#")) for address in found.addresses)
     assert {address[1:] for address in found.addresses if address.startswith("#")} <= set(found.ids)
@@ -112,7 +118,7 @@ def test_page_is_whole(element: Path) -> None:
 
 @pytest.mark.usefixtures("no_page")
 def test_second_run_replaces_its_results_only(element: Path) -> None:
-    assert main(["elastomer", str(element), "-q"]) == 0
+    assert main(["elastomer", str(element / "elastomer.toml"), "-q"]) == 0
     assert main(["elastomer", str(element), "-q"]) == 0
     (element / "elastomer" / "mine.txt").write_text("kept", encoding="utf-8")
     _edit(element, name="another")

@@ -103,6 +103,13 @@ def test_page_is_complete(campaign: Path) -> None:
         assert word in text
 
 
+@pytest.fixture
+def no_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave the page empty where it is not what is tested: its pictures take most of the time."""
+    monkeypatch.setattr("fusion.load_series.results.render_load_page", lambda _: "")
+
+
+@pytest.mark.usefixtures("no_page")
 def test_one_load_gives_two_solutions(campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["load", str(campaign / "step-048g"), "-o", str(tmp_path / "out")]) == 0
     told = capsys.readouterr()
@@ -127,6 +134,7 @@ def write_table(path: Path, text: str) -> Path:
     return path
 
 
+@pytest.mark.usefixtures("no_page")
 def test_published_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lines = "\n".join(f"{mass};{hertz}" for mass, hertz in reversed(PUBLISHED))
     table = write_table(tmp_path / "published.csv", f"# Fig. 4\nload_mass_kg;frequency_hz\n{lines}\n")

@@ -11,7 +11,7 @@ import pytest
 from shaker.models.elastomer.element import solve_frame
 from shaker.models.elastomer.geometry import CrossBeams, Material
 from shaker.models.elastomer.platform import RigidPart, block
-from shaker.models.elastomer.solid import SolidBlock, converged, solve_solid
+from shaker.models.elastomer.solid import SolidBlock, SolidModel, converged, solve_solid
 from shaker.models.elastomer.statics import beam_stiffness
 
 pytest.importorskip("skfem")
@@ -19,6 +19,12 @@ ALUMINIUM = Material(72e9, 0.3, 2820.0)
 ELEMENT = CrossBeams(ALUMINIUM, 0.064, 0.0038, 0.0038, 0.001, 0.032, 0.0038)
 SLENDER = CrossBeams(ALUMINIUM, 0.14, 0.002, 0.003, 0.001, 0.05, 0.003)
 BLOCK = SolidBlock(0.014, 0.008, 0.0, 2820.0)
+
+
+@pytest.fixture(scope="module")
+def coarse() -> SolidModel:
+    """The element on its coarsest mesh."""
+    return solve_solid(ELEMENT, BLOCK, 1)
 
 
 def _whole_element_hz(beams: CrossBeams, size: float, thickness: float, longest: float) -> np.ndarray:
@@ -62,15 +68,14 @@ def _whole_element_hz(beams: CrossBeams, size: float, thickness: float, longest:
 
 
 @pytest.mark.slow
-def test_quarter_with_symmetry_is_the_whole_element() -> None:
-    quarter = solve_solid(ELEMENT, BLOCK, 1)
+def test_quarter_with_symmetry_is_the_whole_element(coarse: SolidModel) -> None:
     whole = _whole_element_hz(ELEMENT, 0.014, 0.008, 0.006)
-    assert np.sort(quarter.frequency_hz) == pytest.approx(whole, rel=1e-7)
+    assert np.sort(coarse.frequency_hz) == pytest.approx(whole, rel=1e-7)
 
 
 @pytest.mark.slow
-def test_solid_is_near_the_frame_and_converges_from_above() -> None:
-    models = tuple(solve_solid(ELEMENT, BLOCK, refinement) for refinement in (1, 2))
+def test_solid_is_near_the_frame_and_converges_from_above(coarse: SolidModel) -> None:
+    models = coarse, solve_solid(ELEMENT, BLOCK, 2)
     frame = solve_frame(ELEMENT, 0.014, block(2820.0, 0.014, 0.008))
     assert frame.modes.frequency_hz == pytest.approx(models[1].frequency_hz, rel=0.10)
     assert frame.stiffness == pytest.approx(models[1].stiffness, rel=0.15)
@@ -91,18 +96,17 @@ def test_slender_beams_and_a_stiff_platform_lie_between_lengths_to_axes_and_to_f
     assert np.all((0.99 * soft < solid.frequency_hz) & (solid.frequency_hz < 1.01 * hard))
 
 
-def test_shapes_follow_their_names() -> None:
-    solid = solve_solid(ELEMENT, BLOCK, 1)
-    centre = int(np.argmin(np.linalg.norm(solid.vertex_m - [0.0, 0.0, 0.004], axis=1)))
-    corner = int(np.argmin(np.linalg.norm(solid.vertex_m - [0.014, 0.014, 0.004], axis=1)))
+def test_shapes_follow_their_names(coarse: SolidModel) -> None:
+    centre = int(np.argmin(np.linalg.norm(coarse.vertex_m - [0.0, 0.0, 0.004], axis=1)))
+    corner = int(np.argmin(np.linalg.norm(coarse.vertex_m - [0.014, 0.014, 0.004], axis=1)))
     for axis in range(3):
-        moved = solid.motion[axis, centre]
+        moved = coarse.motion[axis, centre]
         assert moved[axis] > 10.0 * np.abs(np.delete(moved, axis)).max()
-    z = solid.motion[:, corner, 2]
+    z = coarse.motion[:, corner, 2]
     assert z[3] > 0.0  # Rx lifts y > 0
     assert z[4] < 0.0  # Ry lowers x > 0
-    assert solid.motion[5, corner, 1] > 0.0
-    assert solid.motion[5, corner, 0] < 0.0
+    assert coarse.motion[5, corner, 1] > 0.0
+    assert coarse.motion[5, corner, 0] < 0.0
 
 
 def test_geometries_that_cannot_be_meshed_are_refused() -> None:

@@ -53,15 +53,23 @@ def test_a_release_is_read_within_its_uncertainty(truth: Truth) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("truth", "ratio_db", "trials"), [(PLAIN, 40.0, 150), (SLOW, 40.0, 60), (PLAIN, 20.0, 100)])
+@pytest.mark.parametrize(("truth", "ratio_db", "trials"), [(PLAIN, 40.0, 40), (SLOW, 40.0, 25), (PLAIN, 20.0, 40)])
 def test_intervals_hold_the_truth(truth: Truth, ratio_db: float, trials: int) -> None:
-    """Of all intervals of 95 % so many hold the truth as chance lets 999 of 1000 series have, or more."""
-    rng = np.random.default_rng(7)
-    found = [_deviations(truth, read_release(truth.record(rng, ratio_db, 3e-4), "Fz")) for _ in range(trials)]
-    from scipy.stats import binom
+    """Of all intervals of 95 % so many hold the truth as chance lets 999 of 1000 series have, or more.
 
-    held = np.count_nonzero(np.abs(np.array(found)) < 1.97, axis=0)
+    The same of the sum of squares, which tells more of few trials: of 40 it passes the bound where u is 1.35 times too
+    small. It is that of the readings by modes; what is read by a straight line, with a notice, is a rough guess.
+    """
+    from scipy.stats import binom, chi2
+
+    rng = np.random.default_rng(7)
+    readings = [read_release(truth.record(rng, ratio_db, 3e-4), "Fz") for _ in range(trials)]
+    found = np.array([_deviations(truth, reading) for reading in readings])
+    held = np.count_nonzero(np.abs(found) < 1.97, axis=0)
     assert np.all(held >= binom.ppf(1e-3, trials, 0.95))
+    by_modes = np.array([not reading.notices for reading in readings])
+    assert np.count_nonzero(by_modes) >= 0.95 * trials
+    assert np.all(np.sum(found[by_modes] ** 2, axis=0) < chi2.ppf(1 - 1e-3, np.count_nonzero(by_modes)))
 
 
 def test_the_rise_of_an_undamped_oscillator_is_the_closed_form() -> None:
@@ -81,7 +89,7 @@ def test_rise_times_scatter_as_stated() -> None:
 
 
 @given(st.sampled_from([-1.0, 1.0]), st.floats(0.01, 1e4), st.floats(-5.0, 5.0), st.floats(-10.0, 10.0))
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=5, deadline=None)
 def test_units_offsets_and_clocks_do_not_matter(sign: float, size: float, offset: float, start_s: float) -> None:
     first = PLAIN.record(np.random.default_rng(4), 40.0)
     one = read_release(first, "Fz")
@@ -137,7 +145,7 @@ def test_a_cut_record_is_told() -> None:
 
 
 def test_the_flat_top_of_a_slow_wave_is_not_cut() -> None:
-    truth = Truth(frequency_hz=(60.0,), lag_hz=None, release_s=1e-3, length_s=0.3)
+    truth = Truth(frequency_hz=(60.0,), lag_hz=None, release_s=1e-3, length_s=0.15)
     samples = np.round(truth.clean() / 2e-3) * 2e-3  # 16 equal samples at the top of every wave
     assert not read_release(truth.of(samples), "Fz").clipped
 

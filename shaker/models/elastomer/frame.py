@@ -68,10 +68,15 @@ class Frame:
 
     def rigid_motions(self, about_m: FloatArray) -> FloatArray:
         """Return the unknowns (F, 6) of unit translations and of unit turns about a point (3,), clamps let go."""
-        whole = np.concatenate([rigid_motion(node - about_m) for node in self.node_m])
+        return self._about_origin @ rigid_motion(-np.asarray(about_m))
+
+    @cached_property
+    def _about_origin(self) -> FloatArray:
+        """The rigid motions (F, 6) about the origin; those about a point are the same after a shift of it."""
+        whole = np.concatenate([rigid_motion(node) for node in self.node_m])
         moved = self.reduction.T @ whole
         if len(self.rigid):
-            moved[:6] = rigid_motion(-np.asarray(about_m))
+            moved[:6] = np.eye(6)
         return np.asarray(moved)
 
     def _turned(self, ends: IntArray, section: Section) -> tuple[FloatArray, FloatArray]:
