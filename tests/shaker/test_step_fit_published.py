@@ -95,7 +95,8 @@ def test_evolution_of_modes_reaches_the_default_s_optimum() -> None:
     default, evolved = (fit.model for fit in both)
     assert default is not None
     assert evolved is not None
-    np.testing.assert_allclose(evolved.vector[[0, 1, 4]], default.vector[[0, 1, 4]], rtol=5e-3)
+    np.testing.assert_allclose(evolved.vector[:2], default.vector[:2], rtol=1e-3)
+    np.testing.assert_allclose(evolved.real_hz, default.real_hz, rtol=0.02)  # the default fits the release's length too
     assert np.all(np.diff(both[1].convergence) <= 0)
 
 

@@ -16,7 +16,7 @@ from shaker.models.step.reading import Reading
 from shaker.models.step.record import StepRecord
 from shaker.models.step.release import read_release
 from shaker.models.step_fit.load import Load
-from shaker.models.step_fit.order import more_terms
+from shaker.models.step_fit.order import Found, more_terms
 from shaker.models.step_fit.outcome import outcome
 from shaker.models.step_fit.output_error import Problem, solve, squares
 from shaker.models.step_fit.result import StepFit
@@ -66,7 +66,7 @@ def fit_evolution(
     start = np.append(best, found.onset_s)
     plain = replace(problem, structure=replace(problem.structure, terms=1, scale=2 * np.pi * hz))
     solution = more_terms(solve(*known_about(plain, start, hz)), [start] * order, hz)
-    return outcome(record, found, solution, path, "evolution", began)
+    return outcome(record, found, Found(solution, path), "evolution", began)
 
 
 def _problem(record: StepRecord, reading: Reading, reals: int) -> Problem:

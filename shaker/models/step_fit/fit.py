@@ -40,12 +40,11 @@ def fit_step(
     found = reading or read_release(record, channel)
     whole = every_sample(record.samples[record.channels.index(channel)], record.time_s, 1.0 / record.sample_rate_hz)
     search = Search(whole, found, loads(record, found, release), method, modes, real_poles)
-    solution, path = searched(search)
-    return outcome(record, found, solution, path, method, began)
+    return outcome(record, found, searched(search), method, began)
 
 
 def loads(record: StepRecord, reading: Reading, release: Release | None) -> tuple[Load, ...]:
-    """Return the loads that come into question, the plainest first."""
+    """Return the loads that come into question, the likeliest first."""
     if release == "measured" or (release is None and record.force is not None):
         if record.force is None:
             raise ValueError(
@@ -56,4 +55,4 @@ def loads(record: StepRecord, reading: Reading, release: Release | None) -> tupl
         return (Load("measured", record.amplitude, record.force - level, record.start_s),)
     if release is not None:
         return (Load(release, record.amplitude),)
-    return tuple(Load(shape, record.amplitude) for shape in ("step", "ramp", "smooth"))
+    return tuple(Load(shape, record.amplitude) for shape in ("ramp", "smooth"))

@@ -14,16 +14,15 @@ from shaker.models.step_fit.load import Load
 from shaker.models.step_fit.output_error import Problem, Solution, gain_by, solve, squares
 from shaker.models.step_fit.samples import Samples, block_length, in_blocks
 from shaker.models.step_fit.structure import Structure
-from shaker.models.step_fit.timing import LENGTHS, TERM, first_vectors, known_about
+from shaker.models.step_fit.timing import TERM, first_vectors, known_about
 
-_CERTAIN = 4.0  # standard uncertainties of the release's length, as read, that make it worth a fit
+_CERTAIN = 4.0  # standard uncertainties of the release's length, as read, from which on its shape may be told
 _ROUNDING = 1e-9  # share of the output below which a residual is taken for rounding
-_MISFIT = 1.5  # residual's variance over that of the noise before the release, above which a step is doubted
 
 
 @dataclass(frozen=True)
 class Search:
-    """What is looked for in a record: `whole` its samples, `loads` that come into question, the plainest first;
+    """What is looked for in a record: `whole` its samples, `loads` that come into question, the likeliest first;
     `modes` and `reals` where they are given; `colour` of the noise as in `Problem`."""
 
     whole: Samples
@@ -35,20 +34,32 @@ class Search:
     colour: float = 1.0
 
 
-def searched(search: Search) -> tuple[Solution, tuple[float, ...]]:
-    """Return the fit that the record supports, and the sums of squares on the way.
+@dataclass(frozen=True)
+class Found:
+    """The fit that a record supports, the sums of squares on the way, and a fit with another shape of the release that
+    the record tells hardly from it, None where there is none."""
 
-    Modes are counted on the decay. A real pole stays where it lowers B·ln(sum of squares) by more than 12, a numerator
-    term or a release that takes its time where by more than 8, B the number of blocks; coloured noise, which lowers it
-    without any reason, asks for as much more as its density is higher.
+    solution: Solution
+    path: tuple[float, ...]
+    rival: Solution | None = None
+
+
+def searched(search: Search) -> Found:
+    """Return the fit that the record supports.
+
+    Modes are counted on the decay. One real pole and the length of the release are always fitted: a lag or a release
+    too short to be told changes the amplitude and the phase of the ringing all the same, and a model without it states
+    a certainty that the record does not give. A second real pole is there where it lowers B·ln(sum of squares) by more
+    than 12, a numerator term or another shape of the release where by more than 8, B the number of blocks; coloured
+    noise, which lowers it without any reason, asks for as much more as its density is higher.
     """
     modes, colour = decay_modes(_ringing(search), search.reading, search.method, search.modes)
     search = replace(search, colour=colour)
-    found = _over_loads(search, modes, 1 if search.reals is None else search.reals)
+    found, rival = _over_loads(search, modes, 1 if search.reals is None else search.reals)
     path = list(found.path)
     if search.reals is None:
-        found = _other_reals(search, found, path)
-    return found, tuple(path)
+        found = _second_real(search, found, path)
+    return Found(found, tuple(path), rival)
 
 
 def _ringing(search: Search) -> Samples:
@@ -62,11 +73,11 @@ def _ringing(search: Search) -> Samples:
 
 
 def charge(plain: Solution, rich: Solution) -> float:
-    """Return by how much B·ln(sum of squares) has to fall: 8 for a term or a release's length, 12 for a real pole."""
+    """Return by how much B·ln(sum of squares) has to fall: 8 for a term or another release, 12 for a real pole."""
     terms = rich.problem.structure.terms - plain.problem.structure.terms
-    lasting = rich.problem.load.lasting - plain.problem.load.lasting
+    other = rich.problem.load.shape != plain.problem.load.shape
     poles = rich.problem.structure.order - plain.problem.structure.order
-    return rich.problem.colour * (TERM * (terms + lasting) + CLEAR * poles)
+    return rich.problem.colour * (TERM * (terms + other) + CLEAR * poles)
 
 
 def better(plain: Solution, rich: Solution) -> bool:
@@ -76,25 +87,17 @@ def better(plain: Solution, rich: Solution) -> bool:
     return plain.size * float(np.log((plain.square + least) / (rich.square + least))) > charge(plain, rich)
 
 
-def _over_loads(search: Search, modes: ComplexArray, reals: int) -> Solution:
-    """Return the best fit with given modes to start from, over the loads that come into question."""
-    best = _fit_one(search, search.loads[0], modes, reals)
-    lasts = search.reading.release_s > _CERTAIN * search.reading.u_release_s
+def _over_loads(search: Search, modes: ComplexArray, reals: int) -> tuple[Solution, Solution | None]:
+    """Return the best fit with given modes to start from over the loads that come into question, and its rival."""
+    best, rival = _fit_one(search, search.loads[0], modes, reals), None
+    if search.reading.release_s < _CERTAIN * search.reading.u_release_s:
+        return best, rival
     for load in search.loads[1:]:
-        if best.problem.load.lasting or lasts or _doubted(search, best, load):
-            trial = _fit_one(search, load, modes, reals)
-            best = trial if better(best, trial) else best
-    return best
-
-
-def _doubted(search: Search, step: Solution, load: Load) -> bool:
-    """Return whether a release that takes its time is worth a fit, beside a step."""
-    structure = step.problem.structure
-    if step.variance > _MISFIT * search.colour * search.reading.noise**2 or structure.terms > structure.smoothest:
-        return True
-    lengths = np.log(search.reading.rise_s * np.array(LENGTHS))
-    vectors = [np.append(step.vector, length) for length in lengths]
-    return gain_by(step, replace(step.problem, load=load), vectors)[0] > TERM * search.colour
+        trial = _fit_one(search, load, modes, reals)
+        if better(best, trial):
+            best, trial = trial, best
+        rival = trial if not better(trial, best) else rival
+    return best, rival
 
 
 def _fit_one(search: Search, load: Load, modes: ComplexArray, reals: int) -> Solution:
@@ -124,19 +127,15 @@ def more_terms(found: Solution, starts: list[FloatArray], highest_hz: float) -> 
     return found
 
 
-def _other_reals(search: Search, found: Solution, path: list[float]) -> Solution:
-    """Return the fit with no, one or two real poles, as the rule has it."""
+def _second_real(search: Search, found: Solution, path: list[float]) -> Solution:
+    """Return the fit with a second real pole, where it is worth it."""
     structure, order = found.problem.structure, found.problem.structure.order
-    modes = structure.poles(found.vector)[: structure.modes]
-    fewer = _fit_one(replace(search, loads=(found.problem.load,)), found.problem.load, modes, 0)
-    path += fewer.path
-    if not better(fewer, found):
-        return fewer
     two = replace(found.problem, structure=replace(structure, reals=2))
     starts = [np.insert(found.vector, order, found.vector[order - 1] + further) for further in (-0.7, 0.7, 1.6)]
     gain, start = gain_by(found, two, starts)
     if gain < CLEAR * search.colour:
         return found
-    more = solve(*known_about(two, start, float(np.abs(modes).max()) / (2 * np.pi)))
+    highest = float(np.exp(found.vector[: structure.modes].max())) / (2 * np.pi)
+    more = solve(*known_about(two, start, highest))
     path += more.path
     return more if better(found, more) else found

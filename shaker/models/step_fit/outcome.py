@@ -8,7 +8,7 @@ import numpy as np
 
 from shaker.models.step.reading import Reading
 from shaker.models.step.record import StepRecord
-from shaker.models.step_fit.output_error import Solution
+from shaker.models.step_fit.order import Found
 from shaker.models.step_fit.remarks import remarks
 from shaker.models.step_fit.result import Method, StepFit
 from shaker.models.step_fit.samples import every_sample
@@ -18,12 +18,12 @@ from shaker.models.step_fit.uncertainty import modal_model, spread
 def outcome(
     record: StepRecord,
     reading: Reading,
-    solution: Solution,
-    path: tuple[float, ...],
+    found: Found,
     method: Method,
     began: float,
 ) -> StepFit:
-    """Return a solution with its covariance from every sample; `began`: when the identification did."""
+    """Return what was found with its covariance from every sample; `began`: when the identification did."""
+    solution = found.solution
     value = record.samples[record.channels.index(reading.channel)]
     whole = every_sample(value, record.time_s, 1.0 / record.sample_rate_hz)
     known = spread(solution, whole)
@@ -45,11 +45,12 @@ def outcome(
         decimation=decimation,
         order=solution.problem.structure.order,
         variance_accounted=1.0 - float(np.sum(known.residual**2) / np.sum((value - value.mean()) ** 2)),
-        convergence=np.array(path),
+        convergence=np.array(found.path),
         duration_s=time.perf_counter() - began,
         onset_s=middle - 0.5 * length if timed else reading.onset_s,
         u_onset_s=known.u_onset_s if timed else reading.u_onset_s,
         release_s=length,
         u_release_s=known.u_release_s,
-        notices=remarks(record, reading, solution, model, known),
+        shape=solution.problem.load.shape,
+        notices=remarks(record, reading, found, model, known),
     )

@@ -9,21 +9,22 @@ import numpy as np
 from shaker.models.modal import ModalModel
 from shaker.models.step.reading import Reading
 from shaker.models.step.record import StepRecord
+from shaker.models.step_fit.order import Found
 from shaker.models.step_fit.output_error import Solution
 from shaker.models.step_fit.uncertainty import Spread
 from shaker.notice import Notice, Severity
 
+SHAPES = {"step": "a step", "ramp": "a ramp", "smooth": "half a cosine", "measured": "the measured force"}
 _UNCLEAR = 0.25  # relative standard uncertainty of a real pole or of a damping ratio that says little of it
 _MORE = 1.5  # residual's variance over that of the noise before the release that a right model would leave
 
 
-def remarks(
-    record: StepRecord, reading: Reading, solution: Solution, model: ModalModel, known: Spread
-) -> tuple[Notice, ...]:
+def remarks(record: StepRecord, reading: Reading, found: Found, model: ModalModel, known: Spread) -> tuple[Notice, ...]:
     """Return remarks on the poles, on the residual and on the release."""
     where = f"{record.name}, {reading.channel}"
-    found = [*_poles(model, record.sample_rate_hz), *_residual(reading, known), *_release(record, solution, known)]
-    return tuple(Notice(severity, text, where) for severity, text in found)
+    told = [*_poles(model, record.sample_rate_hz), *_residual(reading, known)]
+    told += [*_release(record, found.solution, known), *_rival(found)]
+    return tuple(Notice(severity, text, where) for severity, text in told)
 
 
 def _poles(model: ModalModel, rate_hz: float) -> Iterator[tuple[Severity, str]]:
@@ -86,3 +87,20 @@ def _release(record: StepRecord, solution: Solution, known: Spread) -> Iterator[
             "warning",
             f"the onset found, {middle - 0.5 * length:.6g} s, is not the one stated, {record.onset_s:.6g} s",
         )
+
+
+def _rival(found: Found) -> Iterator[tuple[Severity, str]]:
+    """Yield what another shape of the release, which the record does not exclude, would make of the real poles."""
+    if found.rival is None or not found.solution.problem.structure.reals:
+        return
+    told = []
+    for solution in (found.solution, found.rival):
+        structure = solution.problem.structure
+        hz = -structure.poles(solution.vector)[structure.modes :].real / (2 * np.pi)
+        told.append((SHAPES[solution.problem.load.shape], " and ".join(f"{value:.3g}" for value in np.sort(hz))))
+    (own, poles), (other, others) = told
+    yield (
+        "info",
+        f"the record does not tell whether the release is {own} or {other}: the real pole is {poles} Hz or "
+        f"{others} Hz, and gains between rest and resonance depend on which",
+    )

@@ -50,7 +50,8 @@ def spread(solution: Solution, whole: Samples) -> Spread:
     scale = np.sqrt(np.einsum("nk,nk->k", jacobian, jacobian))
     scale[scale == 0] = 1.0
     scaled = jacobian / scale
-    normal = scaled.T @ scaled + _known(solution, scale) * variance
+    known = _known(solution, scale, scaled.T @ scaled, variance)
+    normal = scaled.T @ scaled + known * variance
     inverse = np.linalg.pinv(normal, rcond=1e-14, hermitian=True)
     gain = inverse @ scaled.T
     white = _passes_as_white(residual)
@@ -59,7 +60,7 @@ def spread(solution: Solution, whole: Samples) -> Spread:
     if not white:
         coloured = gain @ _correlated(residual, gain.T) * len(residual) / freedom
         excess = float(coloured[0, 0] / max(1e-300, (gain @ gain.T)[0, 0] * variance))
-        middle = coloured + inverse @ (_known(solution, scale) * variance**2) @ inverse
+        middle = coloured + inverse @ (known * variance**2) @ inverse
     middle = middle + _converter(whole, residual, gain, fitted)
     covariance = middle / np.outer(scale, scale)
     onset, length = _release(solution, covariance)
@@ -85,12 +86,36 @@ def modal_model(solution: Solution, covariance: FloatArray, u_amplitude: float) 
     )
 
 
-def _known(solution: Solution, scale: FloatArray) -> FloatArray:
-    """Return what was known beforehand as the scaled normal matrix of one variance."""
-    problem = solution.problem
+def _known(solution: Solution, scale: FloatArray, normal: FloatArray, variance: float) -> FloatArray:
+    """Return what is known beforehand as the scaled normal matrix of one variance.
+
+    Of the onset it is what the fit was given. Of real poles and the release's length, which the fit was only led by, it
+    is that each of the squares 1/a² and T²/12 is positive and at most their sum, which the record tells well even where
+    it cannot tell them apart.
+    """
+    problem, order = solution.problem, solution.problem.structure.order
     added = np.zeros(len(scale))
-    added[: problem.count] = 1.0 / (problem.u_known * scale[: problem.count]) ** 2
+    if problem.load.timed:
+        added[order] = 1.0 / (problem.u_known[order] * scale[order]) ** 2
+    squares = _squares(solution) / scale
+    parts = np.flatnonzero(squares)
+    if len(parts) > 1:
+        free = variance * np.asarray(np.linalg.pinv(normal + np.diag(added * variance), rcond=1e-14, hermitian=True))
+        spread_s2 = np.sqrt(max(0.0, float(squares @ free @ squares)))
+        largest = 0.5 * float(np.sum(np.abs(squares * scale))) + 2.0 * spread_s2
+        added[parts] += 3.0 * (squares[parts] / largest) ** 2
     return np.diag(added)
+
+
+def _squares(solution: Solution) -> FloatArray:
+    """Return derivatives (K + 1 + terms,) of Σ 1/a² + T²/12 in s², real poles -a and length T, to the parameters."""
+    problem, structure = solution.problem, solution.problem.structure
+    found = np.zeros(problem.count + len(solution.linear))
+    real = slice(2 * structure.modes, structure.order)
+    found[real] = -2.0 * np.exp(-2.0 * solution.vector[real])
+    if problem.load.lasting:
+        found[structure.order + problem.load.timed] = problem.release(solution.vector)[1] ** 2 / 6.0
+    return found
 
 
 def _passes_as_white(residual: FloatArray) -> bool:
