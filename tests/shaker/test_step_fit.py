@@ -213,3 +213,11 @@ def test_a_record_without_noise_gives_the_sensor() -> None:
     np.testing.assert_allclose(fit.model.vector[[0, 1]], [1700.0, 0.015], rtol=1e-7)
     assert fit.model.real_hz[0] == pytest.approx(6000.0, rel=1e-4)
     assert fit.model.static_gain == pytest.approx(1.0, rel=1e-7)
+
+
+def test_a_shape_of_the_release_that_fits_as_well_is_told() -> None:
+    """In noise a line and half a cosine of 0.4 ms leave the same residual, with other low-pass filters."""
+    output = released(sensor(*SENSOR), onset_s=ONSET, length_s=4e-4)
+    fit = fit_step(record_of(output, 0.02, 4), "Fz", reading=rough(record_of(output, 0.02, 4), ONSET, 4e-4))
+    assert fit.shape in ("ramp", "smooth")
+    assert any("does not tell whether the release is" in notice.text for notice in fit.notices)

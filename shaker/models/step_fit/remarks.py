@@ -23,7 +23,7 @@ def remarks(record: StepRecord, reading: Reading, found: Found, model: ModalMode
     """Return remarks on the poles, on the residual and on the release."""
     where = f"{record.name}, {reading.channel}"
     told = [*_poles(model, record.sample_rate_hz), *_residual(reading, known)]
-    told += [*_release(record, found.solution, known), *_rival(found)]
+    told += [*_release(record, found.solution, known), *_rival(found, model)]
     return tuple(Notice(severity, text, where) for severity, text in told)
 
 
@@ -89,18 +89,20 @@ def _release(record: StepRecord, solution: Solution, known: Spread) -> Iterator[
         )
 
 
-def _rival(found: Found) -> Iterator[tuple[Severity, str]]:
+def _rival(found: Found, model: ModalModel) -> Iterator[tuple[Severity, str]]:
     """Yield what another shape of the release, which the record does not exclude, would make of the real poles."""
-    if found.rival is None or not found.solution.problem.structure.reals:
+    assert model.covariance is not None
+    if found.rival is None or not len(model.real_hz):
         return
-    told = []
-    for solution in (found.solution, found.rival):
-        structure = solution.problem.structure
-        hz = -structure.poles(solution.vector)[structure.modes :].real / (2 * np.pi)
-        told.append((SHAPES[solution.problem.load.shape], " and ".join(f"{value:.3g}" for value in np.sort(hz))))
-    (own, poles), (other, others) = told
+    structure = found.rival.problem.structure
+    others = np.sort(-structure.poles(found.rival.vector)[structure.modes :].real / (2 * np.pi))
+    own, u = np.sort(model.real_hz), np.sqrt(np.diag(model.covariance))[4 * structure.modes :][: len(model.real_hz)]
+    if len(others) == len(own) and np.all(np.abs(others - own) < u[np.argsort(model.real_hz)]):
+        return
+    shapes = [SHAPES[solution.problem.load.shape] for solution in (found.solution, found.rival)]
+    values = [" and ".join(f"{hz:.3g}" for hz in poles) for poles in (own, others)]
     yield (
         "info",
-        f"the record does not tell whether the release is {own} or {other}: the real pole is {poles} Hz or "
-        f"{others} Hz, and gains between rest and resonance depend on which",
+        f"the record does not tell whether the release is {shapes[0]} or {shapes[1]}: the real pole is {values[0]} Hz "
+        f"or {values[1]} Hz, and gains between rest and resonance depend on which",
     )
