@@ -136,7 +136,7 @@ def _of_steps(file: Path) -> Sources:
         Subject(
             channel=entry.channel,
             component=entry.component,
-            unit=_output_unit(entry),
+            unit=entry.unit,
             load_unit=load_unit(entry.component),
             model=entry.model,
             source=f"{entry.method}, {entry.recording}",
@@ -148,16 +148,6 @@ def _of_steps(file: Path) -> Sources:
     if not subjects:
         raise InputError(file, "models", found="none", expected="at least one model")
     return Sources(models.name, tuple(subjects), (file,))
-
-
-def _output_unit(entry: ModelEntry) -> str:
-    """The unit of the output, from that of the output over the load."""
-    load = load_unit(entry.component)
-    for tail in (f"/{load}", f"/({load})"):
-        if entry.unit.endswith(tail):
-            own = entry.unit.removesuffix(tail)
-            return own[1:-1] if own.startswith("(") and own.endswith(")") else own
-    return entry.unit
 
 
 def _of_loads(file: Path) -> Sources:

@@ -45,7 +45,7 @@ def evaluate_component(fitted: Fitted, settings: StepSettings) -> tuple[Componen
         gains=tuple(static_gains(fitted.releases)),
         ropes=ropes(fitted.releases, fitted.used),
         methods=rows,
-        entry=None if pooled is None else _entry(pooled, used, unit),
+        entry=None if pooled is None else _entry(pooled, used),
     )
     return result, (*fitted.notices, *_of_fits(used), *of_methods, *_of_result(result, stated))
 
@@ -67,13 +67,13 @@ def _pooled(releases: Sequence[Release], u_scale: float) -> Pooled:
     return pool_models([model for model in models if model is not None], mountings, u_scale)
 
 
-def _entry(pooled: Pooled, releases: Sequence[Release], unit: str) -> ModelEntry:
+def _entry(pooled: Pooled, releases: Sequence[Release]) -> ModelEntry:
     """What models.json holds of a component."""
     record, first = releases[0].input.record, releases[0]
     return ModelEntry(
         channel=first.driven,
         component=record.component,
-        unit=unit,
+        unit=record.unit,
         method="" if first.fit is None else first.fit.method,
         model=pooled.model,
         sample_rate_hz=record.sample_rate_hz,

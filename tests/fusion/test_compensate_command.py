@@ -44,11 +44,11 @@ def _mode(fn: float = FN, zeta: float = ZETA, gain: float = GAIN) -> ModalModel:
 def _write_models(folder: Path) -> Path:
     folder.mkdir()
     entries = tuple(
-        ModelEntry(name, component, f"V/{unit}", "pencil", model, RATE, 1e-4, "release-1")
-        for name, component, unit, model in (
-            ("Fz", "Fz", "N", _mode()),
-            ("Fz", "Mx", "(N.m)", _mode(700.0, 0.01, 5 * GAIN)),
-            ("Mx", "Mx", "(N.m)", _mode(900.0, 0.01, 0.1)),
+        ModelEntry(name, component, "V", "pencil", model, RATE, 1e-4, "release-1")
+        for name, component, model in (
+            ("Fz", "Fz", _mode()),
+            ("Fz", "Mx", _mode(700.0, 0.01, 5 * GAIN)),
+            ("Mx", "Mx", _mode(900.0, 0.01, 0.1)),
         )
     )
     file = folder / "models.json"

@@ -34,7 +34,7 @@ def random_model(modes: int, reals: int, rng: np.random.Generator) -> ModalModel
 
 def entry(model: ModalModel, channel: str = "Fz", component: str = "Fz") -> ModelEntry:
     """One entry of a file."""
-    return ModelEntry(channel, component, "(V/V)/N", "pencil", model, 1e5, 3.3e-7, "a, b", 2.0)
+    return ModelEntry(channel, component, "V/V", "pencil", model, 1e5, 3.3e-7, "a, b", 2.0)
 
 
 @settings(max_examples=40, deadline=None)
@@ -50,7 +50,7 @@ def test_a_model_comes_back_to_the_last_bit(sizes: tuple[int, int], seed: int) -
     assert np.array_equal(found.model.vector, model.vector)
     assert found.model.covariance is not None
     assert np.array_equal(found.model.covariance, np.asarray(model.covariance))
-    assert (found.unit, found.method, found.sample_rate_hz, found.noise) == ("(V/V)/N", "pencil", 1e5, 3.3e-7)
+    assert (found.unit, found.method, found.sample_rate_hz, found.noise) == ("V/V", "pencil", 1e5, 3.3e-7)
     assert (found.recording, found.dof) == ("a, b", 2.0)
 
 

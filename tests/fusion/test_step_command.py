@@ -61,7 +61,7 @@ def test_all_files_are_there_and_the_page_stands_alone(campaign: Path) -> None:
 
 def test_models_hold_the_truth(campaign: Path) -> None:
     found = read_models(campaign / "step")["Fz", "Fz"]
-    assert (found.unit, found.sample_rate_hz) == ("(V/V)/N", 50_000.0)
+    assert (found.unit, found.sample_rate_hz) == ("V/V", 50_000.0)
     assert found.recording == "line-1, line-2, line-3"
     assert found.noise == pytest.approx(TRUTH.noise, rel=0.1)
     assert found.model.frequency_hz[0] == pytest.approx(TRUTH.frequency_hz, rel=1e-4)
