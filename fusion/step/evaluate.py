@@ -11,7 +11,7 @@ from fusion.manifest import Manifest
 from fusion.notices import Notice
 from fusion.provenance import versions
 from fusion.step.component import evaluate_component
-from fusion.step.fitting import Fitted, fit_component, with_real_poles
+from fusion.step.fitting import Fitted, fit_component
 from fusion.step.records import check_kind
 from fusion.step.releases import read_recording
 from fusion.step.result import ComponentResult, Release, StepEvaluation
@@ -77,14 +77,10 @@ def _read(manifests: Sequence[Manifest]) -> tuple[list[Release], list[Notice]]:
 
 
 def _fit(releases: Sequence[Release], settings: StepSettings) -> list[Fitted]:
-    """The releases of every component fitted, with the real poles that any component shows."""
-    found = []
-    for component in LOAD_COMPONENTS:
-        own = [release for release in releases if release.input.record.component == component]
-        if own:
-            found.append(fit_component(own, settings))
-    most = max(fitted.real_poles for fitted in found)
-    return [with_real_poles(fitted, settings, most) for fitted in found]
+    """The releases of every component fitted."""
+    components = {release.input.record.component for release in releases}
+    own = [[r for r in releases if r.input.record.component == c] for c in LOAD_COMPONENTS if c in components]
+    return [fit_component(found, settings) for found in own]
 
 
 def _check_forces(releases: Sequence[Release], settings: StepSettings) -> None:

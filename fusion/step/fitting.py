@@ -29,12 +29,6 @@ class Fitted:
         """The releases that make the model."""
         return tuple(release for release in self.releases if release.name in self.used)
 
-    @property
-    def real_poles(self) -> int:
-        """Number of real poles of the model, 0 without one."""
-        found = [structure_of(release.fit) for release in self.chosen if release.fit is not None]
-        return max((structure[1] for structure in found if structure is not None), default=0)
-
 
 def fit_component(releases: Sequence[Release], settings: StepSettings) -> Fitted:
     """Fit all releases of a component, and choose those that make its model."""
@@ -44,30 +38,15 @@ def fit_component(releases: Sequence[Release], settings: StepSettings) -> Fitted
     names = tuple(release.name for release in chosen.releases)
     fitted = Fitted(tuple(release for release, _ in found), names, chosen.reason, notices)
     wanted = common_structure(chosen.releases) if chosen.releases else (0, 0)
-    return _of_structure(fitted, settings, wanted, "as the others show them") if names else fitted
+    return _of_structure(fitted, settings, wanted) if names else fitted
 
 
-def with_real_poles(fitted: Fitted, settings: StepSettings, real_poles: int) -> Fitted:
-    """Fit the chosen releases of a component with at least some real poles, which other components showed.
-
-    Real poles belong to amplifier and filter, which all outputs share. Where the releases hardly show one it is like a
-    later onset, yet it moves the bands: left out, their uncertainty would be far too small. Unchanged where it fails.
-    """
-    if not fitted.used or fitted.real_poles >= real_poles:
-        return fitted
-    structures = [structure_of(release.fit) for release in fitted.chosen if release.fit is not None]
-    modes = max(structure[0] for structure in structures if structure is not None)
-    why = "since other components show it"
-    again = _of_structure(fitted, settings, (modes, real_poles), why)
-    return again if len(again.used) == len(fitted.used) else fitted
-
-
-def _of_structure(fitted: Fitted, settings: StepSettings, wanted: tuple[int, int], why: str) -> Fitted:
+def _of_structure(fitted: Fitted, settings: StepSettings, wanted: tuple[int, int]) -> Fitted:
     """Fit those chosen releases anew whose models have another structure; what cannot be fitted so is left out."""
     found: dict[str, Release] = {}
     anew: list[str] = []
     notices: list[Notice] = []
-    text = f"{_count(wanted[0], 'mode')} and {_count(wanted[1], 'real pole')} {why}"
+    text = f"{_count(wanted[0], 'mode')} and {_count(wanted[1], 'real pole')}, as others show"
     for release in fitted.chosen:
         if release.fit is not None and structure_of(release.fit) == wanted:
             found[release.name] = release
