@@ -17,6 +17,8 @@ _ROUNDS = 12
 _CANDIDATES = 3
 _FEW_STEPS = 12
 _ROUGH = 2.0
+_ALONG_A_VALLEY = (40, 0.1)
+"""Steps and calm for a lag, which nearly does what a later and longer release does."""
 _AS_LONG = (1.25, 1.35, 1.45, 1.55)
 """Durations of half a cosine over that of a line that does nearly the same: 1.33 by spread, more for fast modes."""
 _REAL_SHARES = (0.3, 1.0, 3.0)
@@ -25,8 +27,12 @@ _TOLD_SAMPLES = 2.0
 _LONGER = (0.5, 2.0)
 _UNEXPLAINED = 1.5
 _CLEARLY = 10.0
+_OTHERWISE = (0.75, 1.4)
 _STRONG = 0.1
 """A mode above this share of the strongest is no make-up for releases read some hundredths of a period off."""
+
+
+Offer = tuple[Poles, tuple[Release, ...]]
 
 
 @dataclass(frozen=True)
@@ -103,24 +109,54 @@ def shaped(problem: StepProblem, found: Fitted) -> Fitted:
     return fit_poles(problem, found.poles, releases, _FEW_STEPS, _ROUGH)
 
 
+def otherwise(problem: StepProblem, found: Fitted) -> Fitted:
+    """The fit from shorter or longer releases of each load, where these leave less: the least of several minima."""
+    releases = list(found.releases)
+    for component in problem.components:
+        places = [i for i, record in enumerate(problem.records) if record.component == component]
+        if not any(releases[i].free for i in places):
+            continue
+        part = StepProblem(tuple(problem.records[i] for i in places), (component,))
+        here = _timed(part, found.poles, [releases[i] for i in places])
+        for by in _OTHERWISE:
+            scaled = [replace(releases[i], duration_s=by * found.releases[i].duration_s) for i in places]
+            there = _timed(part, found.poles, scaled)
+            here = min(here, there, key=lambda pair: pair[0])
+        for i, release in zip(places, here[1], strict=True):
+            releases[i] = release
+    other = fit_poles(problem, found.poles, releases, _FEW_STEPS, _ROUGH)
+    return min(found, other, key=lambda fitted: fitted.solution.projected.loss)
+
+
+def _timed(problem: StepProblem, poles: Poles, releases: Sequence[Release]) -> tuple[float, tuple[Release, ...]]:
+    """The loss and the best times of releases where the poles are known."""
+
+    def split(times: FloatArray) -> tuple[Release, ...]:
+        parts = problem.split(np.concatenate([poles.vector, times]), poles, releases)
+        return tuple(releases) if parts is None else parts[1]
+
+    def blocks_at(times: FloatArray) -> list[Block]:
+        blocks = problem.blocks(poles, split(times))
+        count = poles.count
+        return [
+            replace(block, slopes=tuple(replace(s, place=s.place - count) for s in block.slopes if s.place >= count))
+            for block in blocks
+        ]
+
+    scale = np.full(2 * len(releases), 1.0 / problem.records[0].blocks.rate_hz)
+    start = problem.vector(poles, releases)[poles.count :]
+    found = minimise(blocks_at, start, scale, _FEW_STEPS, _ROUGH)
+    return found.projected.loss, split(found.parameters)
+
+
 def _begun(problem: StepProblem, poles: Poles, release: Release, place: int) -> Release:
     """A release by its record alone, poles held: the best of both shapes, from shorter and longer ones
     too where the record is not explained."""
     part = StepProblem((problem.records[place],), (problem.records[place].component,))
 
     def search(start: Release) -> tuple[float, Release]:
-        def blocks_at(times: FloatArray) -> list[Block]:
-            moved = replace(start, middle_s=float(times[0]), duration_s=max(0.0, float(times[1])))
-            blocks = part.blocks(poles, [moved])[0]
-            timed = tuple(
-                replace(slope, place=slope.place - poles.count) for slope in blocks.slopes if slope.place >= poles.count
-            )
-            return [replace(blocks, slopes=timed)]
-
-        scale = np.full(2, 1.0 / problem.records[place].blocks.rate_hz)
-        found = minimise(blocks_at, np.array([start.middle_s, start.duration_s]), scale, _FEW_STEPS, _ROUGH)
-        times = found.parameters
-        return found.projected.loss, replace(start, middle_s=float(times[0]), duration_s=max(0.0, float(times[1])))
+        loss, (moved,) = _timed(part, poles, [start])
+        return loss, moved
 
     shapes: tuple[Shape, ...] = ("ramp", "smooth")
     best = min((search(replace(release, shape=shape)) for shape in shapes), key=lambda pair: pair[0])
@@ -157,12 +193,9 @@ def _loss(problem: StepProblem, poles: Poles, releases: Sequence[Release]) -> fl
 
 
 def criterion(problem: StepProblem, poles: Poles, loss: float) -> float:
-    """Return N·ln(loss/N) + ln(N)·(number of parameters): of a mode all, of a real pole those of one shape, C + D.
-
-    A mode is sought in the whole band, where chance offers many; a lag acts on all elements much alike.
-    """
+    """Return N·ln(loss/N) + ln(N)·(number of parameters): a lag adds its corner alone, its residues follow."""
     count, outputs, loads = problem.values, problem.records[0].data.shape[1], len(problem.components)
-    parameters = 2 * poles.modes * (1 + outputs * loads) + len(poles.real_hz) * (outputs + loads)
+    parameters = 2 * poles.modes * (1 + outputs * loads) + len(poles.real_hz)
     return float(count * np.log(max(loss / count, 1e-12)) + np.log(count) * parameters)
 
 
@@ -223,19 +256,19 @@ def _smaller(problem: StepProblem, here: Fitted, most: int | None) -> Fitted | N
 
 def _larger(problem: StepProblem, here: Fitted, most: int | None, reals: int) -> Fitted | None:
     """The fit with the mode or the real pole that lowers the loss most, None where the numbers are reached."""
-    modes: list[Poles] = []
+    modes: list[Offer] = []
     if most is None or here.poles.modes < most:
-        modes = [here.poles.with_mode(complex(pole)) for pole in _left(problem, here)]
-    lags: list[Poles] = []
+        modes = [(here.poles.with_mode(complex(pole)), here.releases) for pole in _left(problem, here)]
+    lags: list[Offer] = []
     if len(here.poles.real_hz) < reals:
         top = float(here.poles.frequency_hz.max())
         limit = _HIGHEST_REAL * problem.records[0].blocks.rate_hz
-        lags = [here.poles.with_real(min(share * top, limit)) for share in _REAL_SHARES]
+        lags = [(here.poles.with_real(min(share * top, limit)), here.releases) for share in _REAL_SHARES]
     tried = []
-    for offers in (modes, lags):
+    for offers, steps, calm in ((modes, _FEW_STEPS, _ROUGH), (lags, *_ALONG_A_VALLEY)):
         if offers:
-            losses = [_loss(problem, offer, here.releases) for offer in offers]
-            fitted = fit_poles(problem, offers[int(np.argmin(losses))], here.releases, _FEW_STEPS, _ROUGH)
+            losses = [_loss(problem, *offer) for offer in offers]
+            fitted = fit_poles(problem, *offers[int(np.argmin(losses))], steps, calm)
             again = _again(problem, fitted)
             tried += [fitted] if again is None else [fitted, again]
     if not tried:

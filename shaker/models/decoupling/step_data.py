@@ -79,9 +79,31 @@ class Poles:
 
     @property
     def smooth(self) -> FloatArray:
-        """Basis (2M + Q, 2M + Q - 1) of the coefficients whose residues sum to zero: outputs start without a kink."""
-        weight = np.concatenate([np.full(self.modes, 2.0), np.zeros(self.modes), np.ones(len(self.real_hz))])
-        return np.asarray(np.linalg.qr(weight[:, None], mode="complete")[0][:, 1:])
+        """Basis (2M + Q, 2M - 1) of the coefficients of outputs that start smoothly: Σ R·p^k = 0, k = 0 … Q."""
+        return np.asarray(np.linalg.qr(self._moments()[0], mode="complete")[0][:, len(self.real_hz) + 1 :])
+
+    @property
+    def smooth_slopes(self) -> FloatArray:
+        """How that basis turns with every parameter (2M + Q, 2M + Q, 2M - 1): Gᵀ·S = 0, dS = -G·(GᵀG)⁻¹·dGᵀ·S."""
+        moments, slopes = self._moments()
+        held = np.linalg.pinv(moments).T
+        return np.asarray(-held @ (np.transpose(slopes, (0, 2, 1)) @ self.smooth))
+
+    def _moments(self) -> tuple[FloatArray, FloatArray]:
+        """What gives Σ R·p^k (2M + Q, Q + 1) in units of the fastest pole, and its slopes by parameter in front."""
+        m, values = self.modes, self.values
+        unit = float(np.abs(values).max())
+        k = np.arange(len(self.real_hz) + 1)
+        power = (values[:, None] / unit) ** k
+        grows = k * (values[:, None] / unit) ** np.maximum(k - 1, 0) / unit
+        found = np.concatenate([2 * power[:m].real, -2 * power[:m].imag, power[m:].real])
+        slopes = np.zeros((self.count, *found.shape))
+        for i, slope in enumerate(np.concatenate(pole_slopes(self.frequency_hz, self.damping_ratio))):
+            change = slope * grows[i % m]
+            slopes[i, i % m], slopes[i, m + i % m] = 2 * change.real, -2 * change.imag
+        for q in range(len(self.real_hz)):
+            slopes[2 * m + q, 2 * m + q] = -2 * np.pi * grows[m + q].real
+        return found, slopes
 
     def columns(self, place: int) -> list[int]:
         """Return the columns of a design that belong to one pole."""
@@ -113,9 +135,10 @@ class Sampled:
 class StepProblem:
     """All records by load component: the least squares problem of poles and releases.
 
-    A sensor's outputs follow displacements, so that no load, however sudden, gives them a velocity at once: the
-    residues of every element sum to zero. This is what tells the beginning of a release from a delay of the outputs;
-    designs have the columns that are left (`Poles.smooth`).
+    A sensor's outputs follow displacements, so that no load, however sudden, gives them a velocity at once, and every
+    real pole is a lag of the amplifier behind them: H falls as s^-(2 + Q), Σ R·p^k = 0 for k = 0 … Q in every element.
+    This is what tells the beginning of a release from a delay of the outputs; designs have the columns that are left
+    (`Poles.smooth`).
 
     Parameters: those of the poles, then middle and duration of every record in the order of `records`.
     """
@@ -183,7 +206,8 @@ def _component_block(
     """All records of one load; the level of each is taken off data and design alike."""
     designs: list[FloatArray] = []
     slopes: list[Slope] = []
-    row = 0
+    smooth, row = poles.smooth, 0
+    left = np.arange(smooth.shape[1])
     for i in places:
         record, release = problem.records[i], releases[i]
         basis = release_basis(poles.values, record.blocks, release.middle_s, release.duration_s, release.shape)
@@ -192,18 +216,21 @@ def _component_block(
         row = rows.stop
         if not wanted:
             continue
-        slopes += _pole_slopes(poles, basis, record.amplitude, rows)
-        everywhere = np.arange(poles.count)
+        turns = enumerate(poles.smooth_slopes)
+        slopes += [_smoothed(slope, smooth) for slope in _pole_slopes(poles, basis, record.amplitude, rows)]
+        slopes += [Slope(place, rows, left, designs[-1] @ turn) for place, turn in turns if np.any(turn)]
         timed = ((0, basis.by_middle), (1, basis.by_duration if release.free else None))
         for k, change in timed:
             if change is not None:
                 value = _level_off(record.amplitude * _columns(change, poles.modes))
-                slopes.append(Slope(poles.count + 2 * i + k, rows, everywhere, value))
+                slopes.append(Slope(poles.count + 2 * i + k, rows, left, value @ smooth))
     data = np.concatenate([problem.records[i].data for i in places])
-    smooth = poles.smooth
-    every = np.arange(smooth.shape[1])
-    moved = [replace(slope, columns=every, value=slope.value @ smooth[slope.columns]) for slope in slopes]
-    return Block(np.concatenate(designs) @ smooth, data, tuple(moved))
+    return Block(np.concatenate(designs) @ smooth, data, tuple(slopes))
+
+
+def _smoothed(slope: Slope, smooth: FloatArray) -> Slope:
+    """The slope of a design that has the columns of outputs that start smoothly."""
+    return replace(slope, columns=np.arange(smooth.shape[1]), value=slope.value @ smooth[slope.columns])
 
 
 def _columns(value: ComplexArray, modes: int) -> FloatArray:

@@ -91,7 +91,10 @@ def multi_fit(
     releases = _releases(problem, records, found, spread)
     shares = np.array([_scale_share(name, records, releases) for name in problem.components])
     whole = [poles.smooth @ own for own in solution.projected.coefficients]
-    follows = [[poles.smooth @ follow for follow in outputs] for outputs in follows]
+    follows = [
+        [_whole(poles, follow, own[:, c]) for c, follow in enumerate(outputs)]
+        for outputs, own in zip(follows, solution.projected.coefficients, strict=True)
+    ]
     model = _model(records[0], problem.components, poles, whole, scaled)
     covariance, alone = _covariance(model, spread, follows, scaled)
     covariance += _of_scale(model, shares)
@@ -120,6 +123,13 @@ def misfits(found: Fitted, outputs: int) -> FloatArray:
     free = sum(block.design.shape[1] for block in found.solution.blocks)
     free += (found.poles.count + 2 * len(found.releases)) / outputs
     return np.asarray(np.sqrt(np.sum(rests**2, axis=0) / (len(rests) - free)))
+
+
+def _whole(poles: Poles, follow: FloatArray, own: FloatArray) -> FloatArray:
+    """How all coefficients follow the parameters (2M + Q, P + B) from how those `own` (B,) that start smoothly do."""
+    found = poles.smooth @ follow
+    found[:, : poles.count] += (poles.smooth_slopes @ own).T
+    return np.asarray(found)
 
 
 def _model(

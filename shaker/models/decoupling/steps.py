@@ -9,7 +9,7 @@ import numpy as np
 
 from shaker._checks import ComplexArray, FloatArray
 from shaker.models.decoupling.excited import in_order
-from shaker.models.decoupling.order import Fitted, chosen, fit_poles, shaped
+from shaker.models.decoupling.order import Fitted, chosen, fit_poles, otherwise, shaped
 from shaker.models.decoupling.projection import covariances
 from shaker.models.decoupling.release_basis import SampleBlocks
 from shaker.models.decoupling.start import averaged, highest_frequency, shared_poles
@@ -38,7 +38,9 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
     readings = [_clearest(record) for record in records]
     noise = _noise(records, readings)
     problem, releases, start = _posed(records, readings, noise, components)
-    found, trials = chosen(_around(problem, releases), start, releases, most_modes, most_reals)
+    near = _around(problem, releases)
+    found, trials = chosen(near, start, releases, most_modes, most_reals)
+    found = otherwise(near, found)
     found = _settled(problem, shaped(problem, fit_poles(problem, found.poles, found.releases, calm=_NEAR)))
     again = noise * misfits(found, len(noise))
     problem = replace(problem, records=tuple(_reweighted(record, noise / again) for record in problem.records))
