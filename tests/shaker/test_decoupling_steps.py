@@ -98,6 +98,7 @@ def test_uncertainty_of_the_response_covers_the_truth(fit: MultiFit) -> None:
     assert np.all(stages[-1].u_peak >= 0.0)
 
 
+@pytest.mark.slow
 def test_amplitudes_uncertainty_is_in_the_static_gains() -> None:
     records = [replace(record, u_amplitude=0.01) for record in releases(5, each=1)]
     found = fit_steps(records)
@@ -107,6 +108,7 @@ def test_amplitudes_uncertainty_is_in_the_static_gains() -> None:
     assert {notice.where for notice in found.notices} >= set(LOADS)
 
 
+@pytest.mark.slow
 def test_releases_of_other_size_than_stated_are_told() -> None:
     records = releases(4)
     found = fit_steps([*records[1:], replace(records[0], amplitude=1.03 * records[0].amplitude)])
