@@ -18,7 +18,7 @@ from shaker.models.step.times import release_times
 
 STRONG = 5.0
 """Change of level, over the noise of a sample, from which a channel shows the release by itself."""
-_ROUGH = 0.2  # of the length between 10 % and 90 %: what ringing makes of the times where no fit is possible
+_ROUGH = 2.0  # of the longest ramp that the output may follow: what lag, ringing and noise make of times without a fit
 
 
 @dataclass(frozen=True)
@@ -103,6 +103,6 @@ def _by_straight_line(record: StepRecord, channel: int, place: Location) -> Timi
     """Return the times of a straight line through 10 % and 90 %."""
     step_s = 1.0 / record.sample_rate_hz
     rise_s = max(place.high - place.low, 1.0) * step_s
-    u = float(np.hypot(_ROUGH * rise_s, step_s))
+    u = float(np.hypot(_ROUGH * place.longest * step_s, step_s))
     onset_s = record.start_s + place.low * step_s - rise_s / 8.0
     return Timing(record.channels[channel], onset_s, u, rise_s / 0.8, u, 0.0, rise_s, u, "ramp", None, 1.0)
