@@ -88,7 +88,10 @@ def better(plain: Solution, rich: Solution) -> bool:
 
 
 def _over_loads(search: Search, modes: ComplexArray, reals: int) -> tuple[Solution, Solution | None]:
-    """Return the best fit with given modes to start from over the loads that come into question, and its rival."""
+    """Return the best fit with given modes to start from over the loads that come into question, and its rival.
+
+    The shape of a release whose length cannot be told is not looked for.
+    """
     best, rival = _fit_one(search, search.loads[0], modes, reals), None
     if search.reading.release_s < _CERTAIN * search.reading.u_release_s:
         return best, rival

@@ -12,7 +12,7 @@ from shaker.models.step_fit.samples import Samples
 from shaker.models.step_fit.structure import Structure
 
 _STEPS = 60  # Levenberg-Marquardt steps, more than any solvable case was seen to take
-_ENOUGH = 1e-5  # predicted fall of the sum of squares, over the variance, below which a step changes nothing
+_ENOUGH = 1e-4  # predicted fall of the sum of squares, over the variance, below which a step changes nothing
 _STUCK = 1e9  # damping at which no step is left that helps
 _STEEPEST = 0.995  # largest |ζ| of an oscillating mode
 

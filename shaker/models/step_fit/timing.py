@@ -15,7 +15,6 @@ from shaker.models.step_fit.samples import Samples
 from shaker.models.step_fit.structure import Structure
 
 LENGTHS = (0.25, 0.6, 1.2)  # lengths of the release tried, in rise times
-_ABOUT = (0.7, 1.0, 1.4)  # lengths tried where the record's reading has one, in that length
 TERM = 8.0  # fall of B·ln(sum of squares) by a numerator term that is taken for real
 _REAL = (1.5, 4.0, 10.0)  # real poles tried, in frequencies of the lowest mode
 _LAG = (0.0, 0.08, 0.17, 0.25)  # periods by which the half-way point follows the middle of the release
@@ -55,7 +54,7 @@ def _grid(
     half, found = _half_way(near, reading), []
     lengths = np.array(LENGTHS) * rise if load.lasting else np.zeros(1)
     if load.lasting and reading.release_s > 0:
-        lengths = np.array(_ABOUT) * reading.release_s
+        lengths = np.array([reading.release_s])
     for reals in _real_poles(structure.reals, lowest, 0.4 / near.step_s):
         head = structure.vector(np.concatenate([modes, reals]))
         lag = float(np.sum(-1.0 / reals.real))
