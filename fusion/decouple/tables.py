@@ -233,5 +233,6 @@ def printed(evaluation: DecoupleEvaluation) -> Iterator[str]:
     target, gain = evaluation.decoupler, evaluation.noise_gain
     yield (
         f"filter to {target.target_hz[0]:.6g} Hz, damping ratio {target.target_damping[0]:g}: "
-        f"{len(target.poles)} poles, {target.delay} sample{'' if target.delay == 1 else 's'} of delay, noise gain {gain.min():.3g} to {gain.max():.3g}"
+        f"{len(target.poles)} poles, {target.delay} sample{'' if target.delay == 1 else 's'} of delay, "
+        f"noise gain {gain.min():.3g} to {gain.max():.3g}"
     )
