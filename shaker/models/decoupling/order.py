@@ -81,7 +81,7 @@ def chosen(
     shows, and real poles, are added as long as the criterion falls. `most`, `reals`: the highest numbers of modes and
     of real poles.
     """
-    poles = _pruned(problem, start, releases, most)
+    poles = needed(problem, start, releases, most)
     here = fit_poles(problem, poles, releases, _FEW_STEPS, _ROUGH)
     trials = [_trial(problem, here, kept=True)]
     for _ in range(_ROUNDS):
@@ -221,8 +221,8 @@ def removal_losses(poles: Poles, blocks: Sequence[Block], projected: Projected) 
     return found
 
 
-def _pruned(problem: StepProblem, poles: Poles, releases: Sequence[Release], most: int | None) -> Poles:
-    """Leave modes of a start out while the criterion falls, or down to the highest number."""
+def needed(problem: StepProblem, poles: Poles, releases: Sequence[Release], most: int | None) -> Poles:
+    """Return a start without the modes that the criterion does not ask for, or that are beyond the highest number."""
     while poles.modes > 1:
         blocks = problem.blocks(poles, releases, slopes=False)
         projected = project(blocks, poles.count + 2 * len(releases))

@@ -9,7 +9,7 @@ import numpy as np
 
 from shaker._checks import ComplexArray, FloatArray
 from shaker.models.decoupling.excited import in_order
-from shaker.models.decoupling.order import Fitted, chosen, fit_poles, otherwise, shaped
+from shaker.models.decoupling.order import Fitted, chosen, fit_poles, needed, otherwise, shaped
 from shaker.models.decoupling.projection import covariances
 from shaker.models.decoupling.release_basis import SampleBlocks
 from shaker.models.decoupling.start import averaged, highest_frequency, shared_poles
@@ -24,7 +24,8 @@ _LEAST_BLOCKS = 1200
 _DETECTED = 2.0
 _APART = 2.0
 _NEAR = 0.5
-_BEFORE_S, _AFTER_S = 2e-3, 12e-3
+_BEFORE, _AFTER = 0.3, 2.0
+"""Time constants of the slowest mode that the number of poles is looked for in, before and after a release."""
 
 
 def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most_reals: int = 2) -> MultiFit:
@@ -38,7 +39,8 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
     readings = [_clearest(record) for record in records]
     noise = _noise(records, readings)
     problem, releases, start = _posed(records, readings, noise, components)
-    near = _around(problem, releases)
+    start = needed(problem, start, releases, most_modes)
+    near = _around(problem, releases, 1.0 / float(np.min(-start.values.real)))
     found, trials = chosen(near, start, releases, most_modes, most_reals)
     found = otherwise(near, found)
     found = _settled(problem, shaped(problem, fit_poles(problem, found.poles, found.releases, calm=_NEAR)))
@@ -126,14 +128,14 @@ def _offered(decays: Sequence[FloatArray], loads: Sequence[str], rate_hz: float)
     return found
 
 
-def _around(problem: StepProblem, releases: Sequence[Release]) -> StepProblem:
-    """The same with records cut to what surrounds the release, for the search of the number of poles."""
+def _around(problem: StepProblem, releases: Sequence[Release], lasts_s: float) -> StepProblem:
+    """The same with records cut to what surrounds the release, by a time constant in s, for the search of poles."""
     cut = []
     for record, release in zip(problem.records, releases, strict=True):
         blocks = record.blocks
         first, last = (
             int((release.middle_s + sign * release.duration_s + by - blocks.start_s) * blocks.rate_hz / blocks.size)
-            for sign, by in ((-1.0, -_BEFORE_S), (1.0, _AFTER_S))
+            for sign, by in ((-1.0, -_BEFORE * lasts_s), (1.0, _AFTER * lasts_s))
         )
         first, last = max(0, first), min(blocks.count, last)
         data = record.data[first:last]
