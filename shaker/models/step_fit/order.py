@@ -17,6 +17,7 @@ from shaker.models.step_fit.structure import Structure
 from shaker.models.step_fit.timing import TERM, first_vectors, known_about
 
 _CERTAIN = 4.0  # standard uncertainties of the release's length, as read, from which on its shape may be told
+_SHORT = 0.25  # periods of the fastest mode that a release has to last for its shape to matter
 _ROUNDING = 1e-9  # share of the output below which a residual is taken for rounding
 
 
@@ -90,10 +91,11 @@ def better(plain: Solution, rich: Solution) -> bool:
 def _over_loads(search: Search, modes: ComplexArray, reals: int) -> tuple[Solution, Solution | None]:
     """Return the best fit with given modes to start from over the loads that come into question, and its rival.
 
-    The shape of a release whose length cannot be told is not looked for.
+    The shape is not looked for of a release whose length cannot be told, or that is short to the fastest mode.
     """
     best, rival = _fit_one(search, search.loads[0], modes, reals), None
-    if search.reading.release_s < _CERTAIN * search.reading.u_release_s:
+    highest = float(np.abs(modes).max()) / (2 * np.pi)
+    if search.reading.release_s < max(_CERTAIN * search.reading.u_release_s, _SHORT / highest):
         return best, rival
     for load in search.loads[1:]:
         trial = _fit_one(search, load, modes, reals)
