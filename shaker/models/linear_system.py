@@ -49,10 +49,7 @@ class LinearSystem:
         numerator: FloatArray, denominator: FloatArray, sample_rate_hz: float | None = None
     ) -> LinearSystem:
         """Return the system of polynomials in falling powers of s or z (of z⁻¹: both padded to one length)."""
-        top, bottom = (
-            np.trim_zeros(np.asarray(numerator, float), "f"),
-            np.trim_zeros(np.asarray(denominator, float), "f"),
-        )
+        top, bottom = (np.trim_zeros(np.asarray(part, float), "f") for part in (numerator, denominator))
         if not len(top) or not len(bottom):
             raise ValueError("numerator, denominator: expected a coefficient other than 0 in both, found none")
         zeros, poles = (np.asarray(np.roots(part) + 0j) for part in (top, bottom))
@@ -110,10 +107,8 @@ class LinearSystem:
         if self.sample_rate_hz is None:
             raise ValueError("sample_rate_hz: expected that of a sampled system, found none")
         found = np.asarray(zpk2sos(self.zeros, self.poles, self.gain))
-        late = len(self.poles) - len(
-            self.zeros
-        )  # zpk2sos fills up with zeros at z = 0, each of which is a sample early
-        for row in found:
+        late = len(self.poles) - len(self.zeros)
+        for row in found:  # zpk2sos fills up with zeros at z = 0, each of which makes the output a sample early
             while late and row[2] == 0:
                 row[:3] = 0.0, row[0], row[1]
                 late -= 1
