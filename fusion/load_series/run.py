@@ -6,7 +6,6 @@ import logging
 from collections.abc import Sequence
 from pathlib import Path
 
-from fusion.errors import InputError
 from fusion.evaluated import log_notices
 from fusion.load_series.evaluate import evaluate_loads
 from fusion.load_series.page import PAGE_FILE
@@ -16,9 +15,8 @@ from fusion.load_series.series import read_series
 from fusion.load_series.settings import LoadSettings
 from fusion.load_series.table import read_table
 from fusion.load_series.tables import printed
-from fusion.manifest import Manifest, find_recordings, load_manifest
 from fusion.provenance import check_folder, hash_files
-from fusion.step.records import KIND, check_kind
+from fusion.step.run import step_manifests
 
 log = logging.getLogger("shakercal")
 DEFAULT_FOLDER = "load"
@@ -37,7 +35,7 @@ def run_loads(
     Results stand in folder `load` of the campaign or of the only recording, or, of several paths, beside the first
     recording's rig; or in `output`.
     """
-    found = [manifest for path in paths for manifest in _manifests(path, allow_outside)]
+    found = [manifest for path in paths for manifest in step_manifests(path, allow_outside=allow_outside)]
     manifests = list({manifest.path.resolve(): manifest for manifest in found}.values())
     root = manifests[0].root
     folder = (paths[0] if len(paths) == 1 else root) / DEFAULT_FOLDER if output is None else output
@@ -74,17 +72,3 @@ def _finish(evaluation: LoadEvaluation, folder: Path, *, force: bool) -> None:
     for line in printed(evaluation):
         print(line)
     print(f"report: {folder / PAGE_FILE}")
-
-
-def _manifests(path: Path, allow_outside: bool) -> list[Manifest]:
-    """The step recordings at a path; of a campaign's others the user is told."""
-    found = [load_manifest(recording, allow_outside=allow_outside) for recording in find_recordings(path)]
-    if len(found) == 1:
-        check_kind(found[0])
-    chosen = [manifest for manifest in found if manifest.excitation.kind == KIND]
-    if not chosen:
-        raise InputError(path, "", found="recordings of other kinds", expected=f'recordings of kind "{KIND}"')
-    others = [manifest.folder.name for manifest in found if manifest.excitation.kind != KIND]
-    if others:
-        log.info("%s: left out, since their kind is not %s: %s", path, KIND, ", ".join(others))
-    return chosen
