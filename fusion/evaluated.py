@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -12,6 +12,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import h5py
 
+from fusion.manifest import Manifest
 from fusion.notices import Notice
 from fusion.page import origin_frame
 from fusion.provenance import Provenance, write_provenance
@@ -73,6 +74,14 @@ class ResultFolder(Generic[E]):
             write_provenance(file, _origin(evaluation, names))
             self.fill(file, evaluation)
         return names
+
+
+def default_folder(paths: Sequence[Path], manifests: Sequence[Manifest], name: str) -> Path:
+    """Where results of recordings that are evaluated together stand: folder `name` of the campaign or of the only
+    recording at `paths`, or, of several paths, beside the first recording's rig."""
+    if len(paths) > 1:
+        return manifests[0].root / name
+    return (manifests[0].folder if paths[0].is_file() else paths[0]) / name
 
 
 def page_frame(evaluation: Evaluated) -> dict[str, Any]:

@@ -6,7 +6,7 @@ import logging
 from collections.abc import Sequence
 from pathlib import Path
 
-from fusion.evaluated import log_notices
+from fusion.evaluated import default_folder, log_notices
 from fusion.load_series.evaluate import evaluate_loads
 from fusion.load_series.page import PAGE_FILE
 from fusion.load_series.result import LoadEvaluation
@@ -37,11 +37,8 @@ def run_loads(
     """
     found = [manifest for path in paths for manifest in step_manifests(path, allow_outside=allow_outside)]
     manifests = list({manifest.path.resolve(): manifest for manifest in found}.values())
-    root = manifests[0].root
-    folder = (paths[0] if len(paths) == 1 else root) / DEFAULT_FOLDER if output is None else output
-    if output is None and len(paths) == 1 and paths[0].is_file():
-        folder = manifests[0].folder / DEFAULT_FOLDER
-    hashes = hash_files([file for manifest in manifests for file in manifest.files], root)
+    folder = default_folder(paths, manifests, DEFAULT_FOLDER) if output is None else output
+    hashes = hash_files([file for manifest in manifests for file in manifest.files], manifests[0].root)
     check_folder(folder, hashes, force=force, marker=H5_FILE)
     series, notices = read_series(manifests)
     name = manifests[0].name if len(manifests) == 1 else f"loads of {folder.absolute().parent.name}"

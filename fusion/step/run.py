@@ -6,7 +6,7 @@ import logging
 from collections.abc import Sequence
 from pathlib import Path
 
-from fusion.evaluated import log_notices
+from fusion.evaluated import default_folder, log_notices
 from fusion.execution.threads import one_blas_thread
 from fusion.manifest import Manifest, find_recordings, for_kinds, load_manifest
 from fusion.provenance import check_folder, hash_files
@@ -37,11 +37,8 @@ def run_step(
     """
     found = [manifest for path in paths for manifest in step_manifests(path, allow_outside=allow_outside)]
     manifests = list({manifest.path.resolve(): manifest for manifest in found}.values())
-    root = manifests[0].root
-    folder = (paths[0] if len(paths) == 1 else root) / DEFAULT_FOLDER if output is None else output
-    if output is None and len(paths) == 1 and paths[0].is_file():
-        folder = manifests[0].folder / DEFAULT_FOLDER
-    hashes = hash_files([file for manifest in manifests for file in manifest.files], root)
+    folder = default_folder(paths, manifests, DEFAULT_FOLDER) if output is None else output
+    hashes = hash_files([file for manifest in manifests for file in manifest.files], manifests[0].root)
     check_folder(folder, hashes, force=force, marker=H5_FILE)
     name = manifests[0].name if len(manifests) == 1 else manifests[0].rig.name
     with one_blas_thread():

@@ -12,7 +12,6 @@ from shaker.models.decoupling.filter import DecouplingFilter
 from shaker.models.decoupling.model import MultiModel
 
 STAGES = ("raw", "static", "filtered")
-_SAMPLES_PER_PERIOD = 40.0
 _DECAYS = 5.0
 _LONGEST = 20000
 _SHORTENED = 0.05
