@@ -27,8 +27,9 @@ from scipy.optimize import least_squares
 from fusion.curve import ratio_curves
 from fusion.drive import Drive, drives_of
 from fusion.evaluate import evaluate_recording
-from fusion.evaluation import Evaluation, StereoResult
+from fusion.evaluation import Evaluation
 from fusion.manifest import load_manifest
+from fusion.measured_results import StereoResult
 from fusion.point_spread import PointRatios
 from fusion.polar import Polar, element_covariance, polar, rounded
 from fusion.settings import Settings

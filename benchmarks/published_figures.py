@@ -11,7 +11,8 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 from published_paper import DAMPING_KG_PER_S, INTERNAL_KG, LAG_S, LOADS_KG, RESONANCE_HZ
 
-from fusion.evaluation import Evaluation, StereoResult
+from fusion.evaluation import Evaluation
+from fusion.measured_results import StereoResult
 from fusion.plots.style import (
     BLACK,
     BLUE,

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.errors import InputError
-from fusion.evaluation import ChannelResult
 from fusion.manifest import ChannelEntry, Manifest
+from fusion.measured_results import ChannelResult
 from fusion.records import DaqRecord
 from fusion.response import read_response
 from fusion.timing import TimeBase

@@ -7,27 +7,44 @@ import logging
 import sys
 from collections.abc import Sequence
 
-from fusion.commands import (
-    align,
-    cameras,
-    check,
-    compensate,
-    decouple,
-    elastomer,
-    identify,
-    import_calibration,
-    lines,
-    load,
-    plan,
-    rotate,
-    run,
-    simulate,
-    step,
-    transfer,
-)
+from fusion.commands.align import add_align
+from fusion.commands.cameras import add_cameras
+from fusion.commands.check import add_check
+from fusion.commands.compensate import add_compensate
+from fusion.commands.decouple import add_decouple
+from fusion.commands.elastomer import add_elastomer
+from fusion.commands.identify import add_identify
+from fusion.commands.import_calibration import add_import_calibration
+from fusion.commands.lines import add_lines
+from fusion.commands.load import add_load
+from fusion.commands.plan import add_plan
+from fusion.commands.rotate import add_rotate
+from fusion.commands.run import add_run
+from fusion.commands.simulate import add_simulate
+from fusion.commands.step import add_step
+from fusion.commands.transfer import add_transfer
 from fusion.commands.values import EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED
 
 log = logging.getLogger("shakercal")
+COMMANDS = (
+    add_run,
+    add_check,
+    add_cameras,
+    add_import_calibration,
+    add_align,
+    add_simulate,
+    add_plan,
+    add_lines,
+    add_transfer,
+    add_rotate,
+    add_identify,
+    add_step,
+    add_load,
+    add_compensate,
+    add_decouple,
+    add_elastomer,
+)
+"""In the order in which the help lists them."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -88,9 +105,8 @@ def _parser() -> argparse.ArgumentParser:
     loudness.add_argument("-v", "--verbose", action="store_true", help="tell more on stderr")
     loudness.add_argument("-q", "--quiet", action="store_true", help="warnings and errors only, no progress bar")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    first = (run, check, cameras, import_calibration, align, simulate, plan, lines, transfer, rotate, identify)
-    for command in (*first, step, load, compensate, decouple, elastomer):
-        command.add(commands, common)
+    for add in COMMANDS:
+        add(commands, common)
     return parser
 
 

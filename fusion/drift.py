@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion.evaluation import ChannelResult, ClockResult, StereoResult
+from fusion.measured_results import ChannelResult, ClockResult, StereoResult
 from fusion.notices import AnyNotice, Notice
 from shaker.signals.frequencies import Lines
 from shaker.signals.stationarity import Stationarity

@@ -10,8 +10,8 @@ from fusion.body import Body, make_part
 from fusion.body import Part as RigidPart
 from fusion.elastic_joint import make_joint
 from fusion.errors import ComputeError
-from fusion.evaluation import ChannelResult
 from fusion.manifest import ChannelEntry, Load, Manifest, Part
+from fusion.measured_results import ChannelResult
 from fusion.notices import AnyNotice, Notice
 from fusion.observe import (
     ChainUncertainty,

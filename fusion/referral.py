@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.errors import InputError
-from fusion.evaluation import TakeResult
+from fusion.measured_results import TakeResult
 from fusion.notices import Notice
 from fusion.observe import PERIODIC, PulseExposure, Reading, RelativeError, StereoReading, added_up
 from fusion.take import OpenTake

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup
 
-from fusion.evaluation import Evaluation, StereoResult
+from fusion.evaluation import Evaluation
 from fusion.fuse import Acceleration
 from fusion.highlights import (
     COMPONENTS,
@@ -21,6 +21,7 @@ from fusion.highlights import (
     main_line,
     static_value,
 )
+from fusion.measured_results import StereoResult
 from fusion.polar import DASH, Polar, element_covariance, polar, prefix, typeset
 from fusion.provenance import Provenance
 from fusion.report_numbers import (

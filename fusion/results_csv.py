@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.evaluation import Evaluation, StereoResult
+from fusion.evaluation import Evaluation
+from fusion.measured_results import StereoResult
 from fusion.polar import Polar, element_covariance, polar
 from fusion.sensitivity import Sensitivity
 from shaker.signals.phasor import Phasors

@@ -6,8 +6,9 @@ import numpy as np
 from markupsafe import Markup
 
 from fusion.drift import Drift, drifts
-from fusion.evaluation import ClockResult, Evaluation
+from fusion.evaluation import Evaluation
 from fusion.highlights import main_line
+from fusion.measured_results import ClockResult
 from fusion.polar import DASH, element_covariance, polar, prefix, typeset
 from fusion.report_numbers import fixed, measured, microseconds, number, phase, short
 from fusion.report_tables import PREFIXED, Table

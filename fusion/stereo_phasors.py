@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from fusion.channels import spread_lines
 from fusion.deflection import deflection_shape
 from fusion.errors import ComputeError
-from fusion.evaluation import StereoResult
 from fusion.manifest import Images, PointFiles, Stereo
+from fusion.measured_results import StereoResult
 from fusion.notices import AnyNotice, Notice
 from fusion.observe import CALIBRATION, PERIODIC
 from fusion.stereo_motion import ImageView, StereoMotion, sensor_from_camera

@@ -10,8 +10,8 @@ import numpy as np
 from fusion.channels import APART_PERIODS, channel_results, find_channel_lines, line_record
 from fusion.crew import Crew
 from fusion.errors import InputError
-from fusion.evaluation import ChannelResult
 from fusion.manifest import Manifest
+from fusion.measured_results import ChannelResult
 from fusion.notices import AnyNotice, Notice
 from fusion.observe import Reading, StereoReading
 from fusion.readings import channel_readings, stereo_readings

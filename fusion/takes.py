@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fusion.drift import drift_notices as steadiness_notices
 from fusion.drift import drifts
-from fusion.evaluation import ChannelResult, ClockResult, StereoResult, TakeResult
+from fusion.measured_results import ChannelResult, ClockResult, StereoResult, TakeResult
 from fusion.notices import AnyNotice
 from fusion.observe import Reading, StereoReading
 from fusion.pool import pool_readings

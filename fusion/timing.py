@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.errors import ARGUMENT, InputError
-from fusion.evaluation import ClockResult
 from fusion.manifest import PULSE, ChannelEntry, Frames, Images, Manifest, PointFiles
+from fusion.measured_results import ClockResult
 from fusion.records import DaqRecord
 from shaker.signals.instants import edge_instants
 from shaker.signals.pulses import PulseWidth, pulse_width

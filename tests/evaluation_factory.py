@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.evaluation import ChannelResult, ClockResult, Evaluation, StereoResult
+from fusion.evaluation import Evaluation
 from fusion.fuse import Acceleration, CommonEstimate, Consistency
 from fusion.load import LoadResult
+from fusion.measured_results import ChannelResult, ClockResult, StereoResult
 from fusion.notices import Notice
 from fusion.outputs import Outputs
 from fusion.sensitivity import Sensitivity

@@ -8,7 +8,7 @@ from pathlib import Path
 from fusion.commands.values import EXIT_DONE, Commands, device
 
 
-def add(commands: Commands, common: argparse.ArgumentParser) -> None:
+def add_align(commands: Commands, common: argparse.ArgumentParser) -> None:
     """Add the command's parser."""
     parser = commands.add_parser(
         "align", parents=[common], help="find where a stereo pair's camera stands in the sensor frame"
@@ -22,10 +22,10 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--device", type=device, default="auto", metavar="{auto,cpu,cuda}", help="where subsets are tracked"
     )
-    parser.set_defaults(action=_act)
+    parser.set_defaults(action=_act_align)
 
 
-def _act(options: argparse.Namespace) -> int:
+def _act_align(options: argparse.Namespace) -> int:
     from fusion.align import align_file
     from fusion.progress import progress_bar
     from fusion.settings import Settings

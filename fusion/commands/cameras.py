@@ -8,7 +8,7 @@ from pathlib import Path
 from fusion.commands.values import EXIT_DONE, Commands, not_negative, positive, size
 
 
-def add(commands: Commands, common: argparse.ArgumentParser) -> None:
+def add_cameras(commands: Commands, common: argparse.ArgumentParser) -> None:
     """Add the command's parser."""
     parser = commands.add_parser("cameras", parents=[common], help="calibrate a stereo pair from target pictures")
     parser.add_argument(
@@ -50,10 +50,10 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
         "-o", "--output", required=True, type=Path, metavar="CALIBRATION", help="file NAME.json to write"
     )
     parser.add_argument("--force", action="store_true", help="replace a calibration that is there")
-    parser.set_defaults(action=_act)
+    parser.set_defaults(action=_act_cameras)
 
 
-def _act(options: argparse.Namespace) -> int:
+def _act_cameras(options: argparse.Namespace) -> int:
     from fusion.cameras import CameraSettings, run_cameras
     from fusion.errors import InputError
     from fusion.progress import progress_bar

@@ -10,14 +10,14 @@ from fusion.commands.values import EXIT_DONE, EXIT_INPUT, Commands, add_recordin
 log = logging.getLogger("shakercal")
 
 
-def add(commands: Commands, common: argparse.ArgumentParser) -> None:
+def add_check(commands: Commands, common: argparse.ArgumentParser) -> None:
     """Add the command's parser."""
     parser = commands.add_parser("check", parents=[common], help="say what a recording holds; compute nothing")
     add_recording(parser)
-    parser.set_defaults(action=_act)
+    parser.set_defaults(action=_act_check)
 
 
-def _act(options: argparse.Namespace) -> int:
+def _act_check(options: argparse.Namespace) -> int:
     from fusion.check import check
     from fusion.errors import InputError
     from fusion.manifest import find_recordings, load_manifest

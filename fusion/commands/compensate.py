@@ -8,7 +8,7 @@ from pathlib import Path
 from fusion.commands.values import EXIT_DONE, Commands, add_allow_outside, add_results, count, not_negative, positive
 
 
-def add(commands: Commands, common: argparse.ArgumentParser) -> None:
+def add_compensate(commands: Commands, common: argparse.ArgumentParser) -> None:
     """Add the command's parser."""
     parser = commands.add_parser(
         "compensate", parents=[common], help="filters that give a sensor the resonance, damping or bandwidth one wants"
@@ -17,7 +17,7 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
     _add_target(parser)
     _add_samples(parser)
     add_results(parser, "folder compensate beside the first model, or in the working folder")
-    parser.set_defaults(action=_act)
+    parser.set_defaults(action=_act_compensate)
 
 
 def _add_sensor(parser: argparse.ArgumentParser) -> None:
@@ -78,7 +78,7 @@ def _add_samples(parser: argparse.ArgumentParser) -> None:
     add_allow_outside(parser)
 
 
-def _act(options: argparse.Namespace) -> int:
+def _act_compensate(options: argparse.Namespace) -> int:
     from fusion.compensate.run import run_compensate
     from fusion.compensate.wish import Wish
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from fusion.commands.values import EXIT_DONE, Commands, add_allow_outside, add_results, positive
 
 
-def add(commands: Commands, common: argparse.ArgumentParser) -> None:
+def add_decouple(commands: Commands, common: argparse.ArgumentParser) -> None:
     """Add the command's parser."""
     parser = commands.add_parser(
         "decouple",
@@ -34,7 +34,7 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seed", type=int, default=1, metavar="N", help="of the models drawn for U (default: 1)")
     add_results(parser, "folder decouple in the campaign")
-    parser.set_defaults(action=_act)
+    parser.set_defaults(action=_act_decouple)
 
 
 def _damping(text: str) -> float:
@@ -45,7 +45,7 @@ def _damping(text: str) -> float:
     return value
 
 
-def _act(options: argparse.Namespace) -> int:
+def _act_decouple(options: argparse.Namespace) -> int:
     from fusion.decouple.result import DecoupleSettings
     from fusion.decouple.run import run_decouple
 

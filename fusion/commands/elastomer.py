@@ -8,7 +8,7 @@ from pathlib import Path
 from fusion.commands.values import EXIT_DONE, Commands, add_results
 
 
-def add(commands: Commands, common: argparse.ArgumentParser) -> None:
+def add_elastomer(commands: Commands, common: argparse.ArgumentParser) -> None:
     """Add the command's parser."""
     parser = commands.add_parser(
         "elastomer", parents=[common], help="stiffness and modes of a cross-beam element from its geometry"
@@ -22,10 +22,10 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
         help='also model it as an elastic solid on meshes that get finer (needs pip install "shakercal[solid]")',
     )
     add_results(parser, "folder elastomer beside the file")
-    parser.set_defaults(action=_act)
+    parser.set_defaults(action=_act_elastomer)
 
 
-def _act(options: argparse.Namespace) -> int:
+def _act_elastomer(options: argparse.Namespace) -> int:
     from fusion.elastomer.run import run_elastomer
     from fusion.progress import progress_bar
 

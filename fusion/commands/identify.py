@@ -8,7 +8,7 @@ from pathlib import Path
 from fusion.commands.values import EXIT_DONE, Commands, add_allow_outside, add_results, not_negative, positive
 
 
-def add(commands: Commands, common: argparse.ArgumentParser) -> None:
+def add_identify(commands: Commands, common: argparse.ArgumentParser) -> None:
     """Add the command's parser."""
     parser = commands.add_parser(
         "identify", parents=[common], help="stiffness, damping and internal mass of the sensor from a whole campaign"
@@ -49,7 +49,7 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
         help="error of the magnitude up to which a band is usable (default: 0.05)",
     )
     add_results(parser, "CAMPAIGN/identify")
-    parser.set_defaults(action=_act)
+    parser.set_defaults(action=_act_identify)
 
 
 def _share(text: str) -> float:
@@ -60,7 +60,7 @@ def _share(text: str) -> float:
     return value
 
 
-def _act(options: argparse.Namespace) -> int:
+def _act_identify(options: argparse.Namespace) -> int:
     from fusion.errors import InputError
     from fusion.identify.run import run_identify
     from fusion.identify.settings import IdentifySettings

@@ -8,7 +8,7 @@ from pathlib import Path
 from fusion.commands.values import EXIT_DONE, Commands, size
 
 
-def add(commands: Commands, common: argparse.ArgumentParser) -> None:
+def add_import_calibration(commands: Commands, common: argparse.ArgumentParser) -> None:
     """Add the command's parser."""
     parser = commands.add_parser(
         "import-calibration",
@@ -21,10 +21,10 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
     parser.add_argument("--image-size", type=size, metavar="2448x2048", help="width x height, if the file has none")
     parser.add_argument("--length-unit", choices=("m", "mm"), help="of the file's lengths, where it does not say it")
     parser.add_argument("--force", action="store_true", help="overwrite a calibration file that is there")
-    parser.set_defaults(action=_act)
+    parser.set_defaults(action=_act_import_calibration)
 
 
-def _act(options: argparse.Namespace) -> int:
+def _act_import_calibration(options: argparse.Namespace) -> int:
     from fusion.import_calibration import convert_calibration
 
     source = options.calibration, options.extrinsics

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from fusion.manifest import Manifest
 
 
-def add(commands: Commands, common: argparse.ArgumentParser) -> None:
+def add_lines(commands: Commands, common: argparse.ArgumentParser) -> None:
     """Add the command's parser."""
     parser = commands.add_parser("lines", parents=[common], help="list every line of a file or recording, and why")
     parser.add_argument(
@@ -30,7 +30,7 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
     parser.add_argument("--csv", type=Path, metavar="FILE", help="write the list as a table")
     parser.add_argument("--force", action="store_true", help="overwrite files that are there")
     add_allow_outside(parser)
-    parser.set_defaults(action=_act)
+    parser.set_defaults(action=_act_lines)
 
 
 def band(text: str) -> tuple[float, float]:
@@ -44,7 +44,7 @@ def band(text: str) -> tuple[float, float]:
     return found
 
 
-def _act(options: argparse.Namespace) -> int:
+def _act_lines(options: argparse.Namespace) -> int:
     from fusion.line_tables import print_lines
     from fusion.lines import lines_csv, lines_of_file, lines_of_recording
     from fusion.output import check_new_file, write_whole

@@ -8,7 +8,7 @@ from pathlib import Path
 from fusion.commands.values import EXIT_DONE, Commands, add_allow_outside, add_results, not_negative, positive
 
 
-def add(commands: Commands, common: argparse.ArgumentParser) -> None:
+def add_load(commands: Commands, common: argparse.ArgumentParser) -> None:
     """Add the command's parser."""
     parser = commands.add_parser(
         "load", parents=[common], help="stiffness, resonance over load mass and load limits from releases with loads"
@@ -43,10 +43,10 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
         "--wanted", type=positive, nargs="+", default=[], metavar="HZ", help="largest load for these resonances"
     )
     add_results(parser, "folder load in the campaign, in the only recording, or beside rig.toml or TABLE")
-    parser.set_defaults(action=_act, refuse=parser.error)
+    parser.set_defaults(action=_act_load, refuse=parser.error)
 
 
-def _act(options: argparse.Namespace) -> int:
+def _act_load(options: argparse.Namespace) -> int:
     from fusion.load_series.run import run_loads, run_table
     from fusion.load_series.settings import LoadSettings
 

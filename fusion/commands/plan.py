@@ -10,7 +10,7 @@ from fusion.commands.values import EXIT_DONE, Commands, count, figure, not_negat
 DECIMALS = 6  # of frequencies within a range, in Hz
 
 
-def add(commands: Commands, common: argparse.ArgumentParser) -> None:
+def add_plan(commands: Commands, common: argparse.ArgumentParser) -> None:
     """Add the command's parser."""
     parser = commands.add_parser(
         "plan", parents=[common], help="find camera rates at which excitation and harmonics fold to separate places"
@@ -58,7 +58,7 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--csv", type=Path, metavar="FILE", help="write the plan as a table")
     parser.add_argument("--force", action="store_true", help="overwrite files that are there")
-    parser.set_defaults(action=_act)
+    parser.set_defaults(action=_act_plan)
 
 
 def frequencies(text: str) -> tuple[float, ...]:
@@ -92,7 +92,7 @@ def _item(text: str) -> list[float]:
     return [round(first + (last - first) * share, DECIMALS) for share in shares]
 
 
-def _act(options: argparse.Namespace) -> int:
+def _act_plan(options: argparse.Namespace) -> int:
     from fusion.output import check_new_file, write_whole
     from fusion.plan import Request, Size, make_plan, plan_csv
     from fusion.plan_tables import print_plan

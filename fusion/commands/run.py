@@ -9,7 +9,7 @@ from fusion.commands.values import Commands, add_recording, count, device, draws
 from fusion.settings import DEFAULT_SEED, FEWEST_DRAWS, MOST_DRAWS
 
 
-def add(commands: Commands, common: argparse.ArgumentParser) -> None:
+def add_run(commands: Commands, common: argparse.ArgumentParser) -> None:
     """Add the command's parser."""
     parser = commands.add_parser("run", parents=[common], help="evaluate one recording or a campaign of several")
     add_recording(parser)
@@ -55,10 +55,10 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
         help="have the work done by the Dask cluster whose scheduler is at ADDRESS, such as tcp://10.0.0.1:8786: its "
         'workers see the same files by the same paths (needs pip install "shakercal[cluster]")',
     )
-    parser.set_defaults(action=_act)
+    parser.set_defaults(action=_act_run)
 
 
-def _act(options: argparse.Namespace) -> int:
+def _act_run(options: argparse.Namespace) -> int:
     from fusion.campaign import exit_status, is_campaign, run_path
     from fusion.campaign_summary import print_campaign
     from fusion.progress import progress_bar

@@ -9,7 +9,7 @@ from fusion.commands.values import EXIT_DONE, Commands, seed
 from fusion.settings import ProgressCallback
 
 
-def add(commands: Commands, common: argparse.ArgumentParser) -> None:
+def add_simulate(commands: Commands, common: argparse.ArgumentParser) -> None:
     """Add the command's parser."""
     parser = commands.add_parser("simulate", parents=[common], help="write a simulated recording with its truth")
     parser.add_argument("out", type=Path, metavar="OUT", help="campaign folder to create")
@@ -37,10 +37,10 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seed", type=seed, default=1, help="seed of every random draw (default: 1)")
     parser.add_argument("--force", action="store_true", help="overwrite a simulation that is there")
-    parser.set_defaults(action=_act)
+    parser.set_defaults(action=_act_simulate)
 
 
-def _act(options: argparse.Namespace) -> int:
+def _act_simulate(options: argparse.Namespace) -> int:
     from fusion.errors import InputError
     from fusion.progress import progress_bar
 

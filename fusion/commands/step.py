@@ -7,7 +7,7 @@ import argparse
 from fusion.commands.values import EXIT_DONE, Commands, add_recordings, add_results, count
 
 
-def add(commands: Commands, common: argparse.ArgumentParser) -> None:
+def add_step(commands: Commands, common: argparse.ArgumentParser) -> None:
     """Add the command's parser."""
     parser = commands.add_parser(
         "step", parents=[common], help="models of the sensor's outputs from releases of a load: modes, bands, settling"
@@ -28,7 +28,7 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
         help="how the load changes (default: auto, the force channel where one is named, else by rule)",
     )
     add_results(parser, "folder step in the campaign or in the only recording, else beside rig.toml")
-    parser.set_defaults(action=_act)
+    parser.set_defaults(action=_act_step)
 
 
 def _poles(text: str) -> int:
@@ -39,7 +39,7 @@ def _poles(text: str) -> int:
     return value
 
 
-def _act(options: argparse.Namespace) -> int:
+def _act_step(options: argparse.Namespace) -> int:
     from fusion.step.run import run_step
     from fusion.step.settings import StepSettings
 

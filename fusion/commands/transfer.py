@@ -7,7 +7,7 @@ import argparse
 from fusion.commands.values import EXIT_DONE, Commands, add_recording, add_results, positive
 
 
-def add(commands: Commands, common: argparse.ArgumentParser) -> None:
+def add_transfer(commands: Commands, common: argparse.ArgumentParser) -> None:
     """Add the command's parser."""
     parser = commands.add_parser(
         "transfer", parents=[common], help="transfer functions and resonances from a chirp, multisine, noise or blows"
@@ -32,10 +32,10 @@ def add(commands: Commands, common: argparse.ArgumentParser) -> None:
         help="turn every motion into this quantity (default: as it was measured)",
     )
     add_results(parser, "RECORDING/transfer")
-    parser.set_defaults(action=_act)
+    parser.set_defaults(action=_act_transfer)
 
 
-def _act(options: argparse.Namespace) -> int:
+def _act_transfer(options: argparse.Namespace) -> int:
     from fusion.transfer.result import TransferSettings
     from fusion.transfer.run import run_transfer
 

@@ -10,7 +10,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 
-from fusion.evaluation import Evaluation, StereoResult
+from fusion.evaluation import Evaluation
+from fusion.measured_results import StereoResult
 from fusion.plots.deformation import draw_deflection
 from fusion.plots.epipolar import draw_epipolar
 from fusion.plots.style import (

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 
-from fusion.evaluation import ChannelResult, ClockResult, Evaluation
+from fusion.evaluation import Evaluation
+from fusion.measured_results import ChannelResult, ClockResult
 from fusion.plots.style import (
     BLACK,
     BLUE,

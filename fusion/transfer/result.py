@@ -8,8 +8,8 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.evaluation import ClockResult
 from fusion.manifest import Manifest
+from fusion.measured_results import ClockResult
 from fusion.notices import Notice
 from shaker.models.resonance.oscillator import Resonance
 from shaker.signals.transfer import TransferFunction
