@@ -5,16 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
 from fusion.consistency import CommonEstimate, Consistency
 from fusion.discrepancy import Scatter
 from fusion.notices import AnyNotice
 from fusion.uncertainty import Contribution, Uncertainty
+from shaker._checks import BoolArray
 from shaker.signals.phasor import Phasors
-
-BoolArray = NDArray[np.bool_]
 
 Source = Literal["fused", "photogrammetry", "vibrometer", "accelerometer"]
 UNITS = ("m/s^2",) * 3 + ("rad/s^2",) * 3

@@ -6,14 +6,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fusion.elastic_joint import Joint
 from fusion.uncertainty import Scope
 from photogram.rigid import skew
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from shaker._checks import ComplexArray, FloatArray
 
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 INERTIA_ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))

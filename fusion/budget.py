@@ -6,13 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.uncertainty import Influence, Kind, Uncertainty
+from shaker._checks import ComplexArray, FloatArray
 from shaker.signals.phasor import real_stacked_diagonal
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)

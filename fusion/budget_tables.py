@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from markupsafe import Markup
-from numpy.typing import NDArray
 
 from fusion.budget import BudgetEntry, budget
 from fusion.evaluation import Evaluation
@@ -25,13 +24,12 @@ from fusion.polar import DASH, typeset
 from fusion.report_numbers import degrees_of_freedom, factor, fixed, short, small
 from fusion.report_tables import Table
 from fusion.uncertainty import Uncertainty
+from shaker._checks import ComplexArray, FloatArray
 
 SMALLEST_SHARE = 0.05
 """Share of the variance in % from which a contribution has a row of its own."""
 SMALLEST_SLOPE = 1e-6
 """Share of the variance in % below which a sensitivity coefficient is rounding."""
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 def budget_tables(evaluation: Evaluation) -> list[Table]:

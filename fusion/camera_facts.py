@@ -7,16 +7,14 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from photogram.calibrate.result import CalibratedPicture, CalibratedView, Calibration
 from photogram.calibrate.views import COVERAGE_CELLS
 from photogram.camera import Camera, StereoRig
 from photogram.rigid import fit_rigid, skew
 from photogram.triangulate import triangulate
+from shaker._checks import FloatArray, IntArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 Side = Literal["left", "right"]
 
 SIDES: tuple[Side, Side] = ("left", "right")

@@ -10,13 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.uncertainty import Kind, Scope
+from shaker._checks import ComplexArray, FloatArray
 from shaker.signals.phasor import Phasors
 
 if TYPE_CHECKING:
     from fusion.manifest import ChannelEntry
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from fusion.measured_results import ChannelResult
 from fusion.records import DaqRecord
 from fusion.response import read_response
 from fusion.timing import TimeBase
+from shaker._checks import FloatArray
 from shaker.notice import Notice
 from shaker.signals.folding import alias_frequency
 from shaker.signals.frequencies import Lines, find_lines
@@ -23,8 +24,6 @@ from shaker.signals.sine import SineFit, fit_sines
 from shaker.signals.spectrum import amplitude_spectrum
 from shaker.signals.stationarity import stationarity
 from shaker.signals.survey import relative_strength, survey_lines
-
-FloatArray = NDArray[np.float64]
 
 QUANTITY_UNITS = {
     "displacement": "m",

@@ -6,16 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.estimate import Solution
 from fusion.observe import CommonError, Observation
 from fusion.system import System, real_design, real_stack
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from shaker._checks import BoolArray, ComplexArray, FloatArray, IntArray
 
 TEST_LEVEL = 0.99
 RANK_TOLERANCE = 1e-11

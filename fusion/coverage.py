@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from shaker._checks import FloatArray
 
 COVERAGE = 0.95
 """Probability with which an interval or a region contains the value."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fusion.drive import Drive, over_lines
 from fusion.interpolation import LEAST_POINTS, interpolation_weights
@@ -16,10 +16,7 @@ from fusion.matrix import MatrixFit
 from fusion.repeats import LEVERS, SAME_FREQUENCY, Repeats, alike, mean_ratio
 from fusion.sensitivity import driven_component
 from fusion.uncertainty import Contribution, Influence, Uncertainty
-from shaker._checks import check_shape
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from shaker._checks import ComplexArray, FloatArray, check_shape
 
 INTERPOLATION = "interpolation"
 

@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from photogram.deformation import Deformation
+from shaker._checks import ComplexArray, FloatArray
 from shaker.signals.folding import exposure_gain, sine_columns
 from shaker.signals.sine import solve_sines
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 LEAST_FREEDOM = 4  # frames beyond the unknowns of the fit that make a scatter
 

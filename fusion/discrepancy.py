@@ -11,10 +11,7 @@ from numpy.typing import NDArray
 from fusion.estimate import Solution
 from fusion.observe import Observation
 from fusion.system import BODY_SIZE_M, SCALE, Places, System
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-IntArray = NDArray[np.int64]
+from shaker._checks import ComplexArray, FloatArray, IntArray
 
 TEST_LEVEL = 0.99
 RANK_TOLERANCE = 1e-6

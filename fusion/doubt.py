@@ -5,15 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.consistency import CommonEstimate
 from fusion.discrepancy import LEAST_DOF, Contrasts, Discrepancy, variance_components
 from fusion.estimate import Solution
 from fusion.system import System
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from shaker._checks import FloatArray, IntArray
 
 NOTABLE_DEVIATION = 3.5
 """An unknown that deviates by less, in standard deviations, explains nothing by itself."""

@@ -7,19 +7,15 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.uncertainty import Contribution, Influence, Uncertainty
-from shaker._checks import check_shape
+from shaker._checks import ComplexArray, FloatArray, IntArray, check_shape
 
 if TYPE_CHECKING:
     from fusion.evaluation import Evaluation
     from fusion.load import LoadResult
     from fusion.outputs import Outputs
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-IntArray = NDArray[np.int64]
 
 LOADS = 6
 FREQUENCY_TOLERANCE = 0.01

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from fusion.system import (
@@ -19,6 +18,7 @@ from fusion.system import (
     real_rows,
     real_stack,
 )
+from shaker._checks import ComplexArray, FloatArray
 
 __all__ = [
     "BODY_SIZE_M",
@@ -34,8 +34,6 @@ __all__ = [
     "solve",
 ]
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 NOISE_FLOOR = 1e-4
 CONVERGED = 1e-10

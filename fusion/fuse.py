@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.acceleration import UNITS, Acceleration, Source
 from fusion.body import COMPONENTS
@@ -26,13 +25,11 @@ from fusion.observe import Observation
 from fusion.system import SCALE, System, build_system
 from fusion.uncertainty import Contribution, Influence, Uncertainty, merge_contributions
 from fusion.verdict import verdict
+from shaker._checks import BoolArray, FloatArray
 from shaker.signals.phasor import Phasors
 
 __all__ = ["Acceleration", "CommonEstimate", "Consistency", "Contribution", "Scatter", "Source", "fuse", "fuse_sources"]
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-BoolArray = NDArray[np.bool_]
 
 SINGLE_SOURCES: tuple[Source, ...] = ("photogrammetry", "vibrometer", "accelerometer")
 INCONSISTENCY = "inconsistency of instruments"

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from shaker._checks import FloatArray
 
 LEAST_POINTS = 5
 _LENGTHS = np.geomspace(0.05, 10.0, 6)

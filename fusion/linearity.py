@@ -6,17 +6,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.coverage import region
 from fusion.drive import Drive
 from fusion.repeats import alike, common_outputs, drive_ratio, plain_mean, relative_uncertainty, stack_values
 from fusion.sensitivity import driven_component
 from fusion.system import real_design
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-BoolArray = NDArray[np.bool_]
+from shaker._checks import BoolArray, ComplexArray, FloatArray
 
 SERIES = 1.2
 """Least ratio of the largest to the smallest amplitude of a series."""

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.channels import channel_unit, line_record, lines_in
 from fusion.errors import InputError
@@ -17,6 +16,7 @@ from fusion.manifest import Manifest
 from fusion.notices import AnyNotice
 from fusion.records import read_takes, take_blocks, told_in
 from fusion.timing import TimeBase, tie_daqs
+from shaker._checks import FloatArray
 from shaker.signals.files import read_channels
 from shaker.signals.folding import alias_frequency
 from shaker.signals.frequencies import Lines
@@ -24,8 +24,6 @@ from shaker.signals.recording import RawChannel
 from shaker.signals.sine import fit_sines
 from shaker.signals.spectrum import amplitude_spectrum
 from shaker.signals.survey import Survey, decibel, survey_lines
-
-FloatArray = NDArray[np.float64]
 
 COLUMNS = ("channel", "frequency_hz", "u_frequency_hz", "amplitude", "u_amplitude", "unit", "floor_db", "what", "use")
 _SAME_U, _SAME_HZ = 6.0, 1e-6  # how far a line moves when it is fitted beside others

@@ -7,19 +7,15 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fusion.body import COMPONENTS, Body, MatrixChange
 from fusion.estimate import BODY_SIZE_M, UNOBSERVED_MOTION, hidden_motion, real_design, real_stack
 from fusion.fuse import Acceleration
 from fusion.notices import AnyNotice, Notice
 from fusion.uncertainty import Contribution, Influence, Uncertainty, total_variance
-from shaker._checks import check_shape
+from shaker._checks import BoolArray, ComplexArray, FloatArray, check_shape
 from shaker.signals.phasor import Phasors
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-BoolArray = NDArray[np.bool_]
 
 LOAD_COMPONENTS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 LOAD_UNITS = ("N", "N", "N", "N.m", "N.m", "N.m")

@@ -14,14 +14,11 @@ from photogram.epipolar import EpipolarCheck
 from photogram.images import GreyImage
 from photogram.motion import RigidMotion
 from photogram.noise import NoiseModel
-from shaker._checks import check_shape
+from shaker._checks import ComplexArray, FloatArray, check_shape
 from shaker.signals.phasor import Phasors
 from shaker.signals.sine import SineFit
 from shaker.signals.stationarity import Stationarity
 from shaker.signals.sync import ClockTie, TriggerFit
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)

@@ -7,13 +7,13 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fusion.chain import ChainUncertainty, Reading, RelativeError, added_up, chain_errors, chain_name
 from fusion.uncertainty import Kind as ErrorType
 from fusion.uncertainty import Scope
 from photogram.rigid import skew
-from shaker._checks import check_shape
+from shaker._checks import ComplexArray, FloatArray, check_shape
 from shaker.signals.phasor import Phasors, derivative_factor, stack_phasors
 
 if TYPE_CHECKING:
@@ -40,8 +40,6 @@ __all__ = [
     "observe_stereo",
 ]
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 Kind = Literal["photogrammetry", "vibrometer", "accelerometer"]
 ORDER_BELOW_ACCELERATION = {"displacement": -2, "velocity": -1, "acceleration": 0, "angular_velocity": -1}

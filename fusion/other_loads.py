@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fusion.estimate import real_design, real_stack
 from fusion.load import LOAD_COMPONENTS, LoadResult
@@ -15,9 +15,7 @@ from fusion.outputs import Outputs
 from fusion.polar import Polar, element_covariance, polar, rounded
 from fusion.sensitivity import quotient
 from fusion.uncertainty import Influence, Uncertainty
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from shaker._checks import ComplexArray
 
 
 @dataclass(frozen=True)

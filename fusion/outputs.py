@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.observe import Reading, RelativeError, chain_errors, chain_name
 from fusion.uncertainty import Contribution, Influence, Uncertainty
+from shaker._checks import ComplexArray
 from shaker.signals.phasor import Phasors, stack_phasors
-
-ComplexArray = NDArray[np.complex128]
 
 NOISE = "output noise"
 

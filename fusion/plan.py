@@ -8,13 +8,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.errors import InputError
+from shaker._checks import FloatArray
 from shaker.signals.plan.point import Lines, RatePlan, Sampling, lines_of, plan_at
 from shaker.signals.plan.search import best_rates, candidate_rates, fewest_rates, scan_rates
 
-FloatArray = NDArray[np.float64]
 COLUMNS = (
     "point",
     "choice",

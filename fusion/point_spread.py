@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.body import Body
 from fusion.estimate import real_design, real_stack
@@ -16,10 +15,7 @@ from fusion.observe import Observation
 from fusion.outputs import Outputs
 from fusion.sensitivity import Sensitivity
 from fusion.uncertainty import Contribution, Influence, Uncertainty
-from shaker._checks import check_shape
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from shaker._checks import ComplexArray, FloatArray, check_shape
 
 PARALLEL = 1e-3
 """Largest angle in rad between directions that count as one."""

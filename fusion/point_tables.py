@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from markupsafe import Markup
-from numpy.typing import NDArray
 
 from fusion.evaluation import Evaluation
 from fusion.highlights import main_line
@@ -14,8 +13,7 @@ from fusion.report_numbers import common_exponent, fixed, measured, number, phas
 from fusion.report_tables import Table
 from fusion.results_csv import sensitivity_unit
 from fusion.uncertainty import Uncertainty
-
-ComplexArray = NDArray[np.complex128]
+from shaker._checks import ComplexArray
 
 
 def point_tables(evaluation: Evaluation) -> list[Table]:

@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.coverage import Region, coverage_factor, region
+from shaker._checks import FloatArray
 
-FloatArray = NDArray[np.float64]
 UNIFORM_PHASE_U = float(np.pi / np.sqrt(3.0))
 LARGEST_PLAIN = 1e5
 SMALLEST_PLAIN = 1e-2

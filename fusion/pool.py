@@ -12,10 +12,8 @@ from fusion.consistency import fails
 from fusion.manifest import ChannelEntry
 from fusion.notices import Notice
 from fusion.observe import Reading, added_up
+from shaker._checks import ComplexArray, FloatArray
 from shaker.signals.phasor import Phasors
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 LEAST_SPREAD = 1e-9  # of the reading: below it, rounding looks like scatter
 

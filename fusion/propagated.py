@@ -6,16 +6,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.coverage import COVERAGE, coverage_factor, region_factor
 from fusion.notices import AnyNotice
-from shaker._checks import check_shape
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
+from shaker._checks import BoolArray, ComplexArray, FloatArray, IntArray, check_shape
 
 DIGITS = 2
 """Significant digits of the standard uncertainty in which both ways can agree at best (JCGM 101, 7.9.2)."""

@@ -8,8 +8,6 @@ from pathlib import Path
 from typing import Any, cast, get_args
 
 import h5py
-import numpy as np
-from numpy.typing import NDArray
 
 from fusion.drive import Drive, line_drives
 from fusion.errors import InputError
@@ -19,9 +17,8 @@ from fusion.outputs import Outputs
 from fusion.provenance import RESULT_FILE, Provenance, read_provenance
 from fusion.results_h5 import FORMAT
 from fusion.uncertainty import Contribution, Influence, Kind, Scope, Uncertainty
+from shaker._checks import FloatArray
 from shaker.signals.phasor import Phasors
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

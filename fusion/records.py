@@ -8,15 +8,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.errors import ComputeError, InputError
 from fusion.manifest import ChannelEntry, Daq, Manifest
 from fusion.scans import split_scan
+from shaker._checks import FloatArray
 from shaker.signals.files import read_channels
 from shaker.signals.recording import RawChannel
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -6,18 +6,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.errors import InputError
 from fusion.measured_results import TakeResult
 from fusion.notices import Notice
 from fusion.observe import PERIODIC, PulseExposure, Reading, RelativeError, StereoReading, added_up
 from fusion.take import OpenTake
+from shaker._checks import BoolArray, ComplexArray, FloatArray
 from shaker.signals.phasor import Phasors, real_stacked_diagonal
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-BoolArray = NDArray[np.bool_]
 
 LEAST_SNR = 6.0
 """Of its own standard uncertainty: what the reference must reach at a line; 1/R_i is biased by u²/R², 3 % there."""

@@ -7,17 +7,14 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.drive import Drive
 from fusion.notices import Notice
 from fusion.sensitivity import driven_component
 from fusion.system import BODY_SIZE_M, real_design
 from fusion.uncertainty import Contribution, Uncertainty
+from shaker._checks import ComplexArray, FloatArray
 from shaker.signals.phasor import real_stacked_diagonal
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 SAME_FREQUENCY = 1e-4
 """Relative difference of frequencies at which a sensitivity is the same."""

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 from markupsafe import Markup
-from numpy.typing import NDArray
 
 from fusion.coverage import Region, region_factor
 from fusion.polar import DASH, Polar, rounded, typeset
+from shaker._checks import ComplexArray
 
-ComplexArray = NDArray[np.complex128]
 LARGEST_PHASE_U = 1.0
 """Expanded uncertainty in rad above which a phase is printed as not determined."""
 LARGEST_DOF = 1000

@@ -15,6 +15,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from fusion.errors import InputError
 from fusion.manifest.load import read_toml, validate
 from fusion.manifest.values import Block, NotNegative, Number, Positive, Text, array_of_tables, refusal, rows_of
+from shaker._checks import FloatArray
 from shaker.signals.chain import (
     ChainResponse,
     FilterKind,
@@ -27,7 +28,6 @@ from shaker.signals.chain import (
     table_response,
 )
 
-FloatArray = NDArray[np.float64]
 COLUMNS = ("frequency_hz", "magnitude", "phase_rad", "u_magnitude", "u_phase_rad")
 ELEMENTS = ".toml"
 

@@ -14,6 +14,7 @@ from fusion.evaluation import Evaluation
 from fusion.measured_results import StereoResult
 from fusion.polar import Polar, element_covariance, polar
 from fusion.sensitivity import Sensitivity
+from shaker._checks import FloatArray
 from shaker.signals.phasor import Phasors
 
 SENSITIVITY_FILE, ACCELERATION_FILE, LOAD_FILE = "sensitivity.csv", "acceleration.csv", "load.csv"
@@ -60,7 +61,6 @@ MERGED_FILES = {SENSITIVITY_FILE: SENSITIVITY_COLUMNS, ACCELERATION_FILE: PHASOR
 POSE_COLUMNS = ["x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad"]
 MOTION_COLUMNS = ["time_s", *POSE_COLUMNS, *(f"u_{name}" for name in POSE_COLUMNS), "residual_m", "points"]
 
-FloatArray = NDArray[np.float64]
 Cell = str | float | int
 Row = list[Cell]
 

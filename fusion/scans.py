@@ -7,14 +7,12 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.errors import InputError
 from fusion.manifest import ChannelEntry, Daq, Frames, Manifest
+from shaker._checks import FloatArray
 from shaker.signals.files import Scan, read_scan_asc
 from shaker.signals.recording import RawChannel
-
-FloatArray = NDArray[np.float64]
 
 SUFFIX = ".asc"
 SCANNING = ("velocity", "displacement")

@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fusion.budget import BudgetEntry, budget
 from fusion.estimate import real_design
@@ -16,11 +16,7 @@ from fusion.load import LOAD_COMPONENTS, LoadResult
 from fusion.notices import AnyNotice, Notice
 from fusion.outputs import Outputs
 from fusion.uncertainty import Uncertainty
-from shaker._checks import check_shape
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-BoolArray = NDArray[np.bool_]
+from shaker._checks import BoolArray, ComplexArray, FloatArray, check_shape
 
 Kind = Literal["ratio", "matrix", "harmonic"]
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.channels import nominal_lines
 from fusion.errors import ComputeError, InputError
@@ -30,11 +29,10 @@ from photogram.quality import SubsetQuality, suggested_radius_px
 from photogram.rigid import RigidTransform
 from photogram.track import StereoTracks, TrackSettings
 from photogram.triangulate import Points
+from shaker._checks import FloatArray
 from shaker.signals.frequencies import Lines, find_lines
 from shaker.signals.separation import usable_lines
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 BodyInputs = tuple[tuple[ImageSequence, ImageSequence], StereoRig, RigidTransform, TrackSettings]
 
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")

@@ -21,14 +21,12 @@ from photogram.motion import RigidMotion, fit_motion, relative_to
 from photogram.rigid import RigidTransform
 from photogram.track import StereoTracks, TrackStatus
 from photogram.triangulate import triangulate
+from shaker._checks import ComplexArray, FloatArray
 from shaker.signals.frequencies import Lines
 from shaker.signals.phasor import Phasors
 from shaker.signals.separation import usable_lines
 from shaker.signals.sine import SineFit, exposure_gain, fit_sines, sine_amplitudes
 from shaker.signals.stationarity import stationarity
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 DISPLACEMENT_UNITS = ("m", "m", "m", "rad", "rad", "rad")

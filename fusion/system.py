@@ -6,14 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.observe import CommonError, Observation
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
+from shaker._checks import BoolArray, ComplexArray, FloatArray, IntArray
 
 BODY_SIZE_M = 0.1
 """Length that compares rotations with translations where ranks are decided: a body of the size of a hand."""

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.drift import drift_notices as steadiness_notices
 from fusion.drift import drifts
@@ -16,10 +15,9 @@ from fusion.observe import Reading, StereoReading
 from fusion.pool import pool_readings
 from fusion.referral import Referral, drift_notices
 from fusion.take import MeasuredTake
+from shaker._checks import FloatArray
 from shaker.signals.frequencies import Lines
 from shaker.signals.stationarity import Stationarity
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -7,17 +7,15 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.errors import ARGUMENT, InputError
 from fusion.manifest import PULSE, ChannelEntry, Frames, Images, Manifest, PointFiles
 from fusion.measured_results import ClockResult
 from fusion.records import DaqRecord
+from shaker._checks import FloatArray
 from shaker.signals.instants import edge_instants
 from shaker.signals.pulses import PulseWidth, pulse_width
 from shaker.signals.sync import ClockTie, TriggerFit, find_edges, fit_trigger, tie_clocks
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -7,14 +7,9 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from shaker._checks import check_shape
+from shaker._checks import ComplexArray, FloatArray, IntArray, check_shape
 from shaker.signals.phasor import real_stacked_diagonal
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-IntArray = NDArray[np.int64]
 
 Kind = Literal["A", "B"]
 Scope = Literal["recording", "mounting", "rig"]

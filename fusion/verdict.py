@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.acceleration import Acceleration
 from fusion.body import COMPONENTS
@@ -16,8 +15,7 @@ from fusion.doubt import NOTABLE_DEVIATION
 from fusion.notices import Notice
 from fusion.system import SCALE
 from fusion.uncertainty import total_variance
-
-FloatArray = NDArray[np.float64]
+from shaker._checks import FloatArray
 
 REMAINING = 0.9
 """Where more than this share of a stated uncertainty remains, an error of three times as much would not be noticed."""

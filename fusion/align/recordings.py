@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.align.manifest import AlignmentFile, AxisBlock, Motion
 from fusion.align.stills import Pair
@@ -40,8 +39,7 @@ from photogram.notice import Notice
 from photogram.rigid import RigidTransform
 from photogram.track import TrackStatus
 from photogram.triangulate import triangulate
-
-FloatArray = NDArray[np.float64]
+from shaker._checks import FloatArray
 
 EFFECT_FRAMES = 12  # frames and subsets that show what the calibration does to an axis
 EFFECT_SUBSETS = 200

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.align.manifest import AlignmentFile, CommonView, Face, OtherPair, Point, TargetBlock, TargetViewBlock
 from fusion.errors import InputError
@@ -29,8 +28,7 @@ from photogram.images import read_picture
 from photogram.rigid import RigidTransform
 from photogram.target.find import find_target
 from photogram.target.view import Target, TargetView
-
-FloatArray = NDArray[np.float64]
+from shaker._checks import FloatArray
 
 PIXEL_COLUMNS = ("left_x", "left_y", "right_x", "right_y")
 FEWEST_FACE_POINTS = 3

@@ -6,13 +6,11 @@ import json
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.align.manifest import AlignmentFile
 from fusion.align.stills import Pair
 from photogram.alignment import Alignment, by_parameters, calibration_steps
-
-FloatArray = NDArray[np.float64]
+from shaker._checks import FloatArray
 
 COVERAGE = 2.0
 EVIDENCE = (

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.compensate.sources import Subject
+from shaker._checks import FloatArray
 from shaker.models.compensation.discrete import Sections
 from shaker.models.compensation.filter import Compensation
 from shaker.models.indices.result import Indices
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ import time
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.decouple.result import DecoupleEvaluation, DecoupleSettings
 from fusion.errors import ComputeError, InputError
@@ -15,6 +14,7 @@ from fusion.manifest import Manifest
 from fusion.notices import Notice
 from fusion.provenance import versions
 from fusion.step.records import StepInput, read_step
+from shaker._checks import FloatArray
 from shaker.models.decoupling.crosstalk import Crosstalk, crosstalks, static_inverse
 from shaker.models.decoupling.design import Recorded, Target, design_decoupling
 from shaker.models.decoupling.excited import missing_loads
@@ -22,7 +22,6 @@ from shaker.models.decoupling.filter import DecouplingFilter
 from shaker.models.decoupling.step_result import MultiFit
 from shaker.models.decoupling.steps import fit_steps
 
-FloatArray = NDArray[np.float64]
 DRAWS = 30
 LINES = 150
 FARTHEST = 1.5

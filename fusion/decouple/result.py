@@ -5,15 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.manifest import Manifest
 from fusion.notices import Notice
+from shaker._checks import FloatArray
 from shaker.models.decoupling.crosstalk import Crosstalk
 from shaker.models.decoupling.filter import DecouplingFilter
 from shaker.models.decoupling.step_result import MultiFit
 
-FloatArray = NDArray[np.float64]
 K = 2.0
 """Coverage factor of all expanded uncertainties."""
 

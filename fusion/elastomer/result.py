@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.elastomer.definition import Definition
 from fusion.notices import Notice
+from shaker._checks import FloatArray
 from shaker.models.elastomer.element import FrameModel
 from shaker.models.elastomer.platform_fit import PlatformFit
 from shaker.models.elastomer.solid import SolidModel
-
-FloatArray = NDArray[np.float64]
 
 
 class Fact(NamedTuple):

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.body import Body
 from fusion.errors import InputError
@@ -17,10 +16,10 @@ from fusion.notices import Notice
 from fusion.readings import load_body
 from fusion.transfer.evaluate import evaluate_transfer
 from fusion.transfer.result import FoundResonance, ReferenceResult, TransferSettings
+from shaker._checks import FloatArray
 from shaker.models.measured import InertiaError, MeasuredTransfer, RelativeError
 from shaker.signals.transfer import TransferFunction
 
-FloatArray = NDArray[np.float64]
 SETTINGS = TransferSettings(quantity="acceleration")
 """Every motion as an acceleration, so that a ratio has no unit."""
 TRANSLATIONS = ("displacement", "velocity", "acceleration")

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.identify.readings import FEWEST_LINES
 from fusion.identify.result import ComponentResult
@@ -23,7 +22,6 @@ from shaker.models.sensor.chain_shape import NO_CHAIN
 from shaker.models.sensor.sensor_model import Load
 from shaker.signals.chain import common_covariance
 
-FloatArray = NDArray[np.float64]
 _POINTS = 400
 
 

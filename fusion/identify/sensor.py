@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.errors import ARGUMENT, ComputeError
 from fusion.identify.fit import JointFit, mass_name
@@ -13,6 +12,7 @@ from fusion.load import LOAD_COMPONENTS
 from fusion.manifest import Sensor
 from fusion.notices import Notice
 from fusion.results_csv import sensitivity_unit
+from shaker._checks import FloatArray
 from shaker.models.measured import MeasuredSensitivity
 from shaker.models.sensor.chain_shape import NO_CHAIN
 from shaker.models.sensor.sensor_model import SensorModel, sensor_model
@@ -20,7 +20,6 @@ from shaker.models.sensor.sensor_response import SensitivityComparison, fit_sens
 from shaker.models.sensor.spring_damper import SpringPrior
 from shaker.notice import Severity
 
-FloatArray = NDArray[np.float64]
 _FEWEST_LINES = 4
 
 

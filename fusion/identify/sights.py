@@ -6,13 +6,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.manifest import ChannelEntry
 from fusion.observe import across, placement_name
+from shaker._checks import FloatArray
 from shaker.models.measured import AT_THE_BASE, Sight, SightError
-
-FloatArray = NDArray[np.float64]
 
 
 def sight(entry: ChannelEntry) -> Sight:

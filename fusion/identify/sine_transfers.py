@@ -18,11 +18,10 @@ from fusion.identify.measured import Prepared, component_of, drive_of, inertia_e
 from fusion.provenance import RESULT_FILE
 from fusion.read_results import read_uncertainty
 from fusion.uncertainty import Uncertainty
+from shaker._checks import ComplexArray
 from shaker.models.measured import MeasuredTransfer, RelativeError, Sight
 from shaker.signals.phasor import Phasors
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 _ORIGIN_OF_MOTION = "fused"
 AXES = np.eye(3)
 """Unit vectors of the translations; of a rig that is turned, sines add no points."""

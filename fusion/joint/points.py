@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.curve import Curve
 from fusion.joint.evaluation import CampaignEvaluation
@@ -15,8 +14,7 @@ from fusion.polar import Polar, element_covariance, polar
 from fusion.repeats import drive_ratio
 from fusion.results_csv import sensitivity_unit
 from fusion.uncertainty import Uncertainty
-
-ComplexArray = NDArray[np.complex128]
+from shaker._checks import ComplexArray
 
 
 @dataclass(frozen=True)

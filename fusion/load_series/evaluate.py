@@ -6,7 +6,6 @@ import time
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.errors import ComputeError
 from fusion.load_series.result import ComponentLoads, LoadEvaluation, NamedLimit, Solution
@@ -21,7 +20,6 @@ from shaker.models.load_series.identify import identify_loads
 from shaker.models.load_series.limits import LoadLimit, change_limit, formula_limit, frequency_limit
 from shaker.models.load_series.model import LoadModel
 
-FloatArray = NDArray[np.float64]
 GRID = 61
 BEYOND = 1.25
 """Largest load that curves are drawn to, over the largest one recorded or asked for."""

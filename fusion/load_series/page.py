@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.evaluated import page_frame
 from fusion.load_series import tables
@@ -15,7 +14,6 @@ from fusion.plots.load import DecaySpectrum, MeasuredLoads, ModelCurve, draw_cha
 from fusion.plots.style import Picture
 from shaker.models.load_series.decay import projected
 
-FloatArray = NDArray[np.float64]
 PAGE_FILE = "load.html"
 PERCENT = 100.0
 

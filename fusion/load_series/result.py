@@ -5,17 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.coverage import coverage_factor
 from fusion.load_series.series import LoadSeries
 from fusion.load_series.settings import LoadSettings
 from fusion.notices import Notice
+from shaker._checks import FloatArray
 from shaker.models.load_series.characteristics import LoadCurve
 from shaker.models.load_series.identify import LoadIdentification
 from shaker.models.load_series.model import LoadModel
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

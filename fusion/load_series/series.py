@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.errors import InputError
 from fusion.identify.measured import inertia_errors, rigid_load
@@ -15,13 +14,13 @@ from fusion.manifest import Manifest
 from fusion.notices import Notice
 from fusion.step.releases import read_recording
 from fusion.step.result import Release
+from shaker._checks import FloatArray
 from shaker.models.load_series.decay import FreeDecay, free_decay
 from shaker.models.load_series.identify import Output
 from shaker.models.load_series.masses import SeriesMasses
 from shaker.models.load_series.modes import as_resonances, record_modes
 from shaker.models.load_series.resonances import Resonances
 
-FloatArray = NDArray[np.float64]
 FORCES = 3
 MOVING = "moving mass of the sensor"
 

@@ -6,15 +6,14 @@ import csv
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.errors import InputError
 from fusion.load_series.series import LoadSeries
+from shaker._checks import FloatArray
 from shaker.models.load_series.identify import Output
 from shaker.models.load_series.masses import stated_masses
 from shaker.models.load_series.resonances import stated_resonances
 
-FloatArray = NDArray[np.float64]
 LOAD, FIRST, U_FIRST, SECOND, U_LOAD = "load_mass_kg", "frequency_hz", "u_frequency_hz", "second_hz", "u_load_mass_kg"
 COLUMNS = (LOAD, FIRST, U_FIRST, SECOND, U_LOAD)
 

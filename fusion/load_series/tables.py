@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.load_series.model_file import parameter_units
 from fusion.load_series.result import ComponentLoads, LoadEvaluation, NamedLimit, Solution
@@ -15,7 +14,6 @@ from fusion.report_tables import Headline, Table
 from shaker.models.load_series.characteristics import LoadCurve
 from shaker.models.load_series.model import PARAMETERS
 
-FloatArray = NDArray[np.float64]
 LABELS = {
     "stiffness": "stiffness k",
     "damping": "damping c",

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.coverage import region
 from fusion.drive import LOADS
@@ -14,11 +13,7 @@ from fusion.load import LOAD_COMPONENTS
 from fusion.matrix.fit import MatrixFit
 from fusion.system import real_design
 from fusion.uncertainty import Uncertainty
-from shaker._checks import check_shape
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-BoolArray = NDArray[np.bool_]
+from shaker._checks import BoolArray, ComplexArray, FloatArray, check_shape
 
 
 @dataclass(frozen=True)

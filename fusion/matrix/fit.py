@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from fusion.consistency import fails
@@ -18,11 +17,8 @@ from fusion.matrix.stack import Stack, stack_drives
 from fusion.notices import Notice
 from fusion.sensitivity import Sensitivity
 from fusion.uncertainty import Contribution, Uncertainty, merge_contributions
+from shaker._checks import ComplexArray, FloatArray
 from shaker.signals.phasor import real_stacked_diagonal
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-IntArray = NDArray[np.int64]
 
 DISAGREEMENT = "disagreement of the recordings"
 DISCREPANCY_RANGE = (1e-9, 10.0)

@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 from fusion.drive import LOADS
 from fusion.load import LOAD_COMPONENTS
 from fusion.matrix.stack import Stack
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from shaker._checks import ComplexArray, FloatArray
 
 LEAST_SINGULAR = 10.0
 """Least size of an excitation in its standard uncertainties: its elements of the matrix are then known to 10 %."""

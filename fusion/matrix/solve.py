@@ -11,10 +11,7 @@ from scipy.linalg import solve_triangular
 from fusion.drive import LOADS
 from fusion.matrix.stack import Stack
 from fusion.system import real_design
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-IntArray = NDArray[np.int64]
+from shaker._checks import ComplexArray, FloatArray, IntArray
 
 ITERATIONS = 100
 CONVERGED = 1e-7

@@ -6,14 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.drive import LOADS, Drive
 from fusion.uncertainty import Influence, Uncertainty
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-BoolArray = NDArray[np.bool_]
+from shaker._checks import BoolArray, ComplexArray, FloatArray
 
 SLOPE = 1.0
 """Standard uncertainty of dln S/dln f: what is not known of a sensor below a third of its resonance."""

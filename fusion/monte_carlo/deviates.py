@@ -6,9 +6,8 @@ import zlib
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from shaker._checks import FloatArray
 
 
 @dataclass(frozen=True)

@@ -6,15 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.errors import ComputeError
 from fusion.estimate import Solution
 from fusion.monte_carlo.instruments import Drawn
 from fusion.observe import Observation
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from shaker._checks import ComplexArray, FloatArray
 
 CONVERGED = 1e-9
 MOST_STEPS = 60

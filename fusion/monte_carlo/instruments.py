@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.manifest import ChannelEntry
 from fusion.monte_carlo.deviates import Deviates
@@ -22,10 +21,8 @@ from fusion.observe import (
     placement_name,
 )
 from photogram.rigid import rotation_from_vector
+from shaker._checks import ComplexArray, FloatArray
 from shaker.signals.phasor import derivative_factor
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 Source = StereoReading | tuple[Reading, ...]
 """What an observation was made of: a stereo pair, or the channels of one instrument on one body."""

@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.body import INERTIA_ENTRIES, Body, Part
 from fusion.monte_carlo.deviates import Deviates
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from shaker._checks import ComplexArray, FloatArray
 
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 

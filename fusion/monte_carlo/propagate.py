@@ -6,7 +6,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.acceleration import Acceleration
 from fusion.analyse import Analysis, Inputs
@@ -24,10 +23,7 @@ from fusion.propagated import FirstOrder, MonteCarlo, Propagated, judged, summar
 from fusion.settings import ProgressCallback, no_progress
 from fusion.system import build_system, hidden_motion
 from fusion.uncertainty import Uncertainty
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-IntArray = NDArray[np.int64]
+from shaker._checks import ComplexArray, FloatArray, IntArray
 
 NAMED = 4  # quantities named in a notice
 BLOCK = 2000

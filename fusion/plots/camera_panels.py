@@ -9,11 +9,10 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from fusion.plots.style import BLACK, RASTER_ABOVE, WIDTH_IN, FloatArray, lay_out, new_figure
+from shaker._checks import IntArray
 
-IntArray = NDArray[np.int64]
 MARGIN_IN, BETWEEN_IN, TOP_IN, AXIS_IN = (0.62, 0.12), 0.55, 0.28, 0.42
 """Left and right margin, gap between panels, room for a label above and for an axis below."""
 FLATTEST_IN, TALLEST_IN = 1.2, 4.5

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullFormatter
-from numpy.typing import NDArray
 
 from fusion.plots.style import (
     BLACK,
@@ -29,8 +28,8 @@ from fusion.plots.style import (
     panel_label,
 )
 from fusion.polar import prefix, typeset
+from shaker._checks import ComplexArray
 
-ComplexArray = NDArray[np.complex128]
 COLOURS = (BLUE, GREEN, ORANGE, PURPLE, SKY)
 DASHED = (0, (4, 2))
 MILLI, PERCENT = 1e3, 1e2

@@ -33,8 +33,7 @@ from fusion.plots.style import (
     static_axis,
 )
 from fusion.polar import typeset
-
-IntArray = NDArray[np.int64]
+from shaker._checks import IntArray
 
 OUTPUT_COLOURS = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY)
 OUTPUT_MARKERS = ("o", "s", "D", "^", "v", "P")

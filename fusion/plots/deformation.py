@@ -30,8 +30,7 @@ from fusion.plots.style import (
     panel_label,
 )
 from fusion.polar import prefix
-
-ComplexArray = NDArray[np.complex128]
+from shaker._checks import ComplexArray
 
 AXES = ("x", "y", "z")
 OUT_QUANTILE, INSIDE_QUANTILE = 2.448, 3.080

@@ -27,8 +27,8 @@ from fusion.plots.style import (
     new_figure,
     panel_label,
 )
+from shaker._checks import ComplexArray
 
-ComplexArray = NDArray[np.complex128]
 COLOURS = (BLUE, GREEN, ORANGE, PURPLE, SKY)
 NEAR_WIDTHS = 8.0  # half-power widths on both sides of the resonances that the enlarged panels show
 CIRCLE_WIDTHS = 4.0

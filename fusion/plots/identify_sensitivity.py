@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
 from fusion.plots.style import (
     BLACK,
@@ -30,8 +29,8 @@ from fusion.plots.style import (
     static_axis,
 )
 from fusion.polar import typeset
+from shaker._checks import ComplexArray
 
-ComplexArray = NDArray[np.complex128]
 LOADS = (BLUE, ORANGE, GREEN, PURPLE, SKY, GREY)
 COVERAGE = 2.0
 STYLES = ((GREEN, (0, (2, 2))), (PURPLE, (0, (6, 2))), (BLACK, "solid"))

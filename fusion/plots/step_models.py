@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
-from numpy.typing import NDArray
 
 from fusion.plots.style import (
     BLACK,
@@ -28,8 +27,8 @@ from fusion.plots.style import (
     new_figure,
     panel_label,
 )
+from shaker._checks import ComplexArray
 
-ComplexArray = NDArray[np.complex128]
 COLOURS = (BLUE, RED, GREEN, ORANGE, PURPLE)
 
 

@@ -14,9 +14,8 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from shaker._checks import FloatArray
 
 WIDTH_IN = 8.4
 RASTER_DPI = 200

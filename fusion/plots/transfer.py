@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
-from numpy.typing import NDArray
 
 from fusion.plots.style import (
     BLACK,
@@ -27,9 +26,9 @@ from fusion.plots.style import (
     power_text,
 )
 from fusion.polar import typeset
+from shaker._checks import ComplexArray
 from shaker.models.resonance.oscillator import Resonance
 
-ComplexArray = NDArray[np.complex128]
 RASTER_ABOVE = 6000  # lines from which curves are drawn as an image
 WIDE_BAND = 8.0  # ratio of the band's ends from which frequency is drawn logarithmically
 LARGEST_PERCENT = 100.0

@@ -8,17 +8,16 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.coverage import coverage_factor
 from fusion.rotate.result import JOINT, Quantity, RotationRecording
 from fusion.rotate.scatter import Carried, Repeats, components
 from fusion.rotate.surroundings import Weighed, load_bodies, own_bodies, unknown_volume
+from shaker._checks import FloatArray
 from shaker.models.weights.gravity import Known
 from shaker.models.weights.load_mass import ROWS, Source, WeightFit, mass_of_weight
 from shaker.models.weights.turning import FORCES, OWN, Turned
 
-FloatArray = NDArray[np.float64]
 AXES = ("x", "y", "z")
 FORCE_NAMES = ("Fx", "Fy", "Fz")
 UNTOLD = "what no channel tells"

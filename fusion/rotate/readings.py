@@ -6,18 +6,17 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.errors import InputError
 from fusion.load import LOAD_COMPONENTS, LOAD_UNITS
 from fusion.manifest import Manifest, Sensor
 from fusion.notices import Notice
 from fusion.rotate.result import Column, RotationRecording
+from shaker._checks import FloatArray
 from shaker.models.weights.harmonics import fit_angles
 from shaker.models.weights.turning import SensorOutputs, Turned, start_values
 from shaker.signals.files import read_table_columns, table_units
 
-FloatArray = NDArray[np.float64]
 ANGLE = "angle"
 ANGLE_UNITS = {"deg": "deg", "°": "deg", "degree": "deg", "degrees": "deg", "rad": "rad", "radian": "rad"}
 PREFIXES = {"": 1.0, "m": 1e-3, "µ": 1e-6, "μ": 1e-6, "u": 1e-6}

@@ -6,18 +6,17 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.coverage import coverage_factor
 from fusion.manifest import Manifest
 from fusion.notices import Notice
 from fusion.rotate.scatter import Repeats
+from shaker._checks import FloatArray
 from shaker.models.weights.gravity import Known
 from shaker.models.weights.harmonics import AngleFit
 from shaker.models.weights.load_mass import WeightFit
 from shaker.models.weights.turning import SensorOutputs
 
-FloatArray = NDArray[np.float64]
 JOINT = "joint"
 """Component of a mass that all force channels tell together."""
 

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.repeats import BETWEEN, WITHIN, nested
-
-FloatArray = NDArray[np.float64]
+from shaker._checks import FloatArray
 
 
 @dataclass(frozen=True)

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.errors import InputError
 from fusion.manifest import Load, Manifest, Part
+from shaker._checks import FloatArray
 from shaker.models.weights.gravity import Known, air_density_at, gravity_at
 
-FloatArray = NDArray[np.float64]
 LIGHTEST_KGM3, HEAVIEST_KGM3 = 2700.0, 8000.0
 """Densities of aluminium and steel: anything between them may be what nobody has stated."""
 U_STATED_AIR = 0.01

@@ -11,8 +11,7 @@ from fusion.simulate.draws import Draws
 from fusion.simulate.mechanics import ComplexArray, acceleration_at, harmonic, velocity_at
 from fusion.simulate.preset import ChannelSpec, DaqSpec
 from fusion.simulate.world import World
-
-FloatArray = NDArray[np.float64]
+from shaker._checks import FloatArray
 
 _PULSE_S = 2e-3
 _HIGH_V = 5.0

@@ -13,10 +13,8 @@ from numpy.typing import NDArray
 
 from fusion.simulate.draws import Draws
 from fusion.simulate.toml_text import to_toml
+from shaker._checks import ComplexArray, FloatArray
 from shaker.signals.chain import filter_poles, pole_response
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 TRUTH_FILE = "truth.json"
 RECORDING = "chirp"

@@ -6,9 +6,8 @@ import zlib
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from shaker._checks import FloatArray
 
 MOUNTED = ("point", "direction", "transverse", "centre_of_mass")
 """Last parts of the names of errors that are made anew whenever something is mounted."""

@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 
 from fusion.drive import Drive
 from fusion.uncertainty import Contribution, Influence, Scope, Uncertainty
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from shaker._checks import ComplexArray, FloatArray
 
 CAPACITY = np.array([2000.0, 2000.0, 4000.0, 100.0, 100.0, 100.0])
 CHANNELS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")

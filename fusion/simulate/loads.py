@@ -9,15 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.simulate.draws import Draws
 from fusion.simulate.steps import TRUTH_FILE, write_outputs
 from fusion.simulate.toml_text import to_toml
+from shaker._checks import FloatArray
 from shaker.models.load_series.model import LoadModel
 from shaker.models.step.basis import pole_responses
-
-FloatArray = NDArray[np.float64]
 
 CHANNEL, COMPONENT, ROPE = "Fy", "Fy", "fishing line"
 PLACE = 1

@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.body import Part, make_part
 from fusion.manifest import ChannelEntry, Sensor, Stereo
 from fusion.observe import ChainUncertainty, StereoReading
 from fusion.simulate.phasors import Channel, Pair, PhasorSetup, lines_at
+from shaker._checks import ComplexArray
 from shaker.signals.phasor import Phasors
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 LINES = lines_at([106.25, 212.5], [1, 2])
 OMEGA = 2.0 * np.pi * LINES.frequency_hz

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.analyse import Inputs
 from fusion.body import Body, Part
@@ -16,11 +15,9 @@ from fusion.observe import ChainUncertainty, Observation, Reading, StereoReading
 from fusion.simulate.draws import Draws
 from fusion.simulate.mechanics import Motion, TruePart, acceleration_at, velocity_at, wrench
 from photogram.rigid import rotation_from_vector
+from shaker._checks import ComplexArray, FloatArray
 from shaker.signals.frequencies import Lines
 from shaker.signals.phasor import Phasors
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 UNITS = {
     "displacement": "m",

@@ -6,15 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.simulate.draws import Draws
 from fusion.simulate.mechanics import Motion
 from fusion.simulate.scenery import StereoSetup, left_camera
 from fusion.simulate.world import World, true_pose
 from photogram.rigid import RigidTransform
-
-FloatArray = NDArray[np.float64]
+from shaker._checks import FloatArray
 
 COLUMNS = ("frame", "id", "x", "y", "z")
 FILE_SCALE = 1e-3  # millimetres in the file

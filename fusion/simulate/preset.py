@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.simulate.scenery import StereoSetup
-
-FloatArray = NDArray[np.float64]
+from shaker._checks import FloatArray
 
 
 @dataclass(frozen=True)

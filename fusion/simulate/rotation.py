@@ -8,15 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.load import LOAD_COMPONENTS
 from fusion.simulate.draws import Draws
 from fusion.simulate.toml_text import to_toml
 from photogram.rigid import rotation_from_vector
+from shaker._checks import FloatArray
 from shaker.models.weights.gravity import air_density_at, gravity_at
-
-FloatArray = NDArray[np.float64]
 
 TRUTH_FILE, TABLE_FILE = "truth.json", "readings.csv"
 BARE, LOADED = "without-load", "with-load"

@@ -5,12 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.simulate.mechanics import ComplexArray, Motion, TruePart, wrench
 from fusion.simulate.preset import ChannelSpec, DaqSpec, PartSpec, Preset, accelerometer
-
-FloatArray = NDArray[np.float64]
 
 LEAD_S = 0.1  # of the first frame after the first recorder's start, and of a record's end after the last frame
 BRIDGE_START_S = 0.0437

@@ -6,13 +6,10 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from photogram.camera import Camera, StereoRig
 from photogram.rigid import RigidTransform, rotation_from_vector
 from photogram.synthetic import Face, ImageSensor, session_covariance, speckle_texture
-
-FloatArray = NDArray[np.float64]
 
 _LEFT_LENS = (-0.09, 0.12, 2e-4, -1.5e-4, 0.0)
 _RIGHT_LENS = (-0.085, 0.10, -1e-4, 2e-4, 0.0)

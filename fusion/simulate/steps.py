@@ -9,15 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.load import LOAD_COMPONENTS
 from fusion.simulate.draws import Draws
 from fusion.simulate.toml_text import to_toml
+from shaker._checks import FloatArray
 from shaker.models.modal import ModalModel
 from shaker.models.step.basis import pole_responses
-
-FloatArray = NDArray[np.float64]
 
 TRUTH_FILE, DAQ_FILE = "truth.json", "outputs.h5"
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.simulate.chirp import (
     RECORDING,
@@ -26,9 +25,8 @@ from fusion.simulate.mechanics import TruePart
 from fusion.simulate.preset import PartSpec, Preset
 from fusion.simulate.toml_text import to_toml
 from fusion.simulate.world import STATIC_UNCERTAINTY, static_sensitivity, true_part
+from shaker._checks import ComplexArray, FloatArray
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Place = tuple[float, float, float]
 
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")

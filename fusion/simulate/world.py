@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.simulate.draws import Draws
 from fusion.simulate.mechanics import ComplexArray, Motion, TruePart, base_motion, sensitivity, wrench
@@ -13,8 +12,8 @@ from fusion.simulate.preset import PartSpec, Preset
 from fusion.simulate.scenery import StereoSetup, nominal_rig
 from photogram.camera import StereoRig
 from photogram.rigid import RigidTransform, rotation_from_vector
+from shaker._checks import FloatArray
 
-FloatArray = NDArray[np.float64]
 STATIC_UNCERTAINTY = 1e-3
 """Relative change of a sensor since its static calibration, one standard deviation."""
 

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from shaker._checks import ComplexArray, FloatArray
 from shaker.models.modal import ModalModel
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 def to_coordinates(model: ModalModel, scale: float) -> FloatArray:

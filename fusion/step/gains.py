@@ -6,15 +6,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.load import LOAD_COMPONENTS
 from fusion.manifest import ChannelEntry, Manifest
 from fusion.step.pool import effective_dof
 from fusion.step.result import Release, Rope, StaticGain
+from shaker._checks import FloatArray
 from shaker.models.step.compare import compare_releases
-
-FloatArray = NDArray[np.float64]
 
 
 def static_gains(releases: Sequence[Release]) -> Iterator[StaticGain]:

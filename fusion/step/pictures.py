@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.plots.step import RopeCurve, StepCurve, draw_ropes, draw_step
 from fusion.plots.step_models import BodeCurve, Convergence, draw_bode, draw_convergence
@@ -14,9 +13,9 @@ from fusion.step.methods import LABELS
 from fusion.step.pool import Pooled
 from fusion.step.result import ComponentResult, MethodRow, Release
 from fusion.step.spectra import measured_response
+from shaker._checks import FloatArray
 from shaker.models.modal import ModalModel
 
-FloatArray = NDArray[np.float64]
 POINTS = 500
 HIGHEST = 6.0
 """Frequencies shown, over the highest mode."""

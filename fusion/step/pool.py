@@ -7,12 +7,11 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.step.coordinates import from_coordinates, scale_of, sizes, to_coordinates
+from shaker._checks import FloatArray
 from shaker.models.modal import ModalModel
 
-FloatArray = NDArray[np.float64]
 STEP = 1e-2
 """Standard uncertainties over which coordinates are moved for derivatives."""
 ROUNDING = 1e-9

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.channels import channel_unit
 from fusion.errors import InputError
@@ -17,7 +16,6 @@ from fusion.transfer.records import Aligned, align
 from shaker.models.step.record import StepRecord
 from shaker.signals.resample import kernel_reach, resampled
 
-FloatArray = NDArray[np.float64]
 KIND = "step"
 
 

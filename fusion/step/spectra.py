@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.step.result import Release
+from shaker._checks import ComplexArray, FloatArray
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 LAST = 20
 """Share 1/LAST of a force's record, its end, that gives its last level."""
 WEAK = 0.2

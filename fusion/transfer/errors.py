@@ -6,15 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.manifest import ChannelEntry
 from fusion.response import read_response
 from fusion.transfer.result import CommonError
+from shaker._checks import ComplexArray, FloatArray
 from shaker.signals.chain import ChainResponse
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.errors import InputError
 from fusion.manifest import ChannelEntry, Manifest
@@ -18,11 +17,11 @@ from fusion.transfer.estimate import estimated
 from fusion.transfer.records import Located, Together, read_together
 from fusion.transfer.resonances import find_resonances
 from fusion.transfer.result import CommonError, Quantity, ReferenceResult, TransferEvaluation, TransferSettings
+from shaker._checks import ComplexArray
 from shaker.models.resonance.oscillator import Kind
 from shaker.signals.chain import MOTION_UNITS, QUANTITIES, common_covariance, motion_order, ratio_unit
 from shaker.signals.transfer import TransferFunction
 
-ComplexArray = NDArray[np.complex128]
 KINDS = ("chirp", "multisine", "noise", "impact")
 _FORCED_KIND: dict[int, Kind] = {0: "receptance", 1: "mobility", 2: "accelerance"}
 

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.channels import channel_unit
 from fusion.errors import InputError
@@ -14,10 +13,9 @@ from fusion.manifest import ChannelEntry, Manifest
 from fusion.notices import Notice
 from fusion.records import DaqRecord, read_daqs
 from fusion.timing import TimeBase, tie_daqs
+from shaker._checks import FloatArray
 from shaker.signals.resample import PASS_BAND, kernel_reach, resampled
 from shaker.signals.transfer import TransferRecord
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

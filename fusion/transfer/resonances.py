@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.errors import ARGUMENT
 from fusion.notices import Notice
 from fusion.transfer.result import CommonError, FoundResonance
+from shaker._checks import ComplexArray, FloatArray
 from shaker.models.resonance.oscillator import Kind, Resonance, fit_resonance
 from shaker.signals.transfer import TransferFunction
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 _PROMINENCE = np.log(2.0)  # of a peak in ln|H|
 _SIGNIFICANT = 8.0  # standard uncertainties by which a peak stands out
 _DOWN_TO = 1.0 / 8.0  # of the peak: lines around it that are fitted

@@ -5,17 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-import numpy as np
-from numpy.typing import NDArray
-
 from fusion.manifest import Manifest
 from fusion.measured_results import ClockResult
 from fusion.notices import Notice
+from shaker._checks import ComplexArray, FloatArray
 from shaker.models.resonance.oscillator import Resonance
 from shaker.signals.transfer import TransferFunction
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 EstimatorChoice = Literal["auto", "periodic", "local", "H1", "H2", "Hv"]
 Quantity = Literal["displacement", "velocity", "acceleration"]
 
