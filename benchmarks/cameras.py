@@ -23,18 +23,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.calibrate.adjust import parameters_of
-from photogram.calibrate.model import see
-from photogram.calibrate.result import Calibration
-from photogram.calibrate.session import calibrate_pair
+from photogram.calibration.adjust import parameters_of
+from photogram.calibration.model import Calibration, see
+from photogram.calibration.session import calibrate_pair
 from photogram.camera import Camera
+from photogram.geometry import RigidTransform, vector_from_rotation
 from photogram.images import read_picture
-from photogram.rigid import RigidTransform, vector_from_rotation
-from photogram.synthetic.board import Board, render_board
-from photogram.synthetic.board_session import random_poses, random_rig
-from photogram.synthetic.noise import ImageSensor
-from photogram.target.find import find_target
-from photogram.target.view import Target, TargetNotFound, TargetView
+from photogram.synthetic.board import Board, random_poses, random_rig, render_board
+from photogram.synthetic.scene import ImageSensor
+from photogram.targets.dots import find_target
+from photogram.targets.view import Target, TargetNotFound, TargetView
 
 FloatArray = NDArray[np.float64]
 ROOT = Path(__file__).resolve().parent.parent

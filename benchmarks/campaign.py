@@ -17,8 +17,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from fusion.campaign import run_path
-from fusion.settings import Settings
+from fusion.base import Settings
+from fusion.campaign.run import run_path
 from fusion.simulate import simulate_campaign
 
 WORKERS = 2

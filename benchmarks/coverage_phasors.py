@@ -21,10 +21,9 @@ from multiprocessing import get_context
 import numpy as np
 from coverage_statistics import HEAD, Counts, row
 
-from fusion.analyse import analyse
-from fusion.simulate.draws import Draws
-from fusion.simulate.phasor_cases import CASES, Case, case_setup
-from fusion.simulate.phasors import simulate_phasors
+from fusion.sensitivity.analyse import analyse
+from fusion.simulate.phasors import CASES, Case, case_setup, simulate_phasors
+from fusion.simulate.world import Draws
 
 CHUNK = 100
 """Recordings that a process simulates before it tells what it counted."""

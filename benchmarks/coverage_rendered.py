@@ -15,12 +15,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.evaluate import evaluate_recording
-from fusion.manifest import load_manifest
-from fusion.settings import Settings, no_progress
-from fusion.simulate.draws import Draws
+from fusion.base import Settings, no_progress
+from fusion.recording.load import load_manifest
+from fusion.sensitivity.evaluate import evaluate_recording
 from fusion.simulate.preset import NITSCHE2018
-from fusion.simulate.world import make_world
+from fusion.simulate.world import Draws, make_world
 from fusion.simulate.write import write_campaign
 
 FloatArray = NDArray[np.float64]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binom, f, t
 
-from fusion.analyse import Analysis
+from fusion.sensitivity.analyse import Analysis
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

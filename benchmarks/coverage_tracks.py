@@ -21,30 +21,26 @@ import numpy as np
 from coverage_statistics import HEAD, Counts
 from numpy.typing import NDArray
 
-from fusion.analyse import Analysis, Inputs, analyse
-from fusion.channels import channel_results, find_channel_lines
-from fusion.errors import ComputeError
-from fusion.manifest import Manifest, load_manifest
-from fusion.readings import channel_readings, observations
-from fusion.records import DaqRecord
-from fusion.simulate.channels import record
-from fusion.simulate.draws import Draws
-from fusion.simulate.manifest_text import recording_tables, rig_tables
+from fusion.base import ComputeError
+from fusion.phasors.channels import channel_results, find_channel_lines
+from fusion.phasors.stereo_motion import ImageView, StereoMotion, sensor_from_camera
+from fusion.phasors.stereo_phasors import channel_readings, observations, pairs_phasors
+from fusion.phasors.timing import Exposure, TimeBase, exposure_middles, tie_daqs
+from fusion.recording.files import DaqRecord
+from fusion.recording.load import Manifest, load_manifest
+from fusion.sensitivity.analyse import Analysis, Inputs, analyse
+from fusion.simulate.channels import record, recording_tables, rig_tables, to_toml
 from fusion.simulate.preset import NITSCHE2018, ChannelSpec, Preset
-from fusion.simulate.toml_text import to_toml
-from fusion.simulate.world import TrueStereo, World, make_world
-from fusion.stereo_motion import ImageView, StereoMotion, sensor_from_camera
-from fusion.stereo_phasors import pairs_phasors
-from fusion.timing import Exposure, TimeBase, exposure_middles, tie_daqs
-from photogram.calibration_file import read_calibration, write_calibration
-from photogram.deformation import deformation
+from fusion.simulate.world import Draws, TrueStereo, World, make_world
+from photogram.calibration.file import read_calibration, write_calibration
+from photogram.camera import triangulate
 from photogram.epipolar import check_epipolar
-from photogram.motion import fit_motion
-from photogram.rigid import RigidTransform
-from photogram.track import StereoTracks, Tracks
-from photogram.triangulate import triangulate
-from shaker.signals.recording import RawChannel
-from shaker.signals.sine import exposure_gain
+from photogram.geometry import RigidTransform
+from photogram.motion import deformation, fit_motion
+from photogram.subsets.follow import Tracks
+from photogram.subsets.track import StereoTracks
+from shaker.io.channel import RawChannel
+from shaker.lines.aliasing import exposure_gain
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

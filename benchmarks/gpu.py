@@ -24,13 +24,13 @@ import tifffile
 from numpy.typing import NDArray
 from speckle_plane import Motion, render, speckled_plane
 
-from photogram.device import resolve_device
-from photogram.follow import TrackSettings
-from photogram.icgn import Registration
-from photogram.icgn_torch import follow_frames
+from photogram.bspline import spline_of_image
 from photogram.images import ImageSequence, open_sequence
-from photogram.interpolate import spline_of_image
-from photogram.reference import Reference, TrackStatus, prepare_reference
+from photogram.subsets.follow import TrackSettings
+from photogram.subsets.icgn import Registration
+from photogram.subsets.icgn_stream import follow_frames
+from photogram.subsets.reference import Reference, TrackStatus, prepare_reference
+from photogram.subsets.track import resolve_device
 
 FloatArray = NDArray[np.float64]
 Image = NDArray[np.uint16]

@@ -17,12 +17,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from shaker.models.identification import Identification, identify
-from shaker.models.measured import InertiaError, MeasuredSensitivity, MeasuredTransfer, RelativeError, Sight
-from shaker.models.sensor.sensor_response import SensitivityComparison, fit_sensitivity
-from shaker.models.sensor.spring_damper import SpringPrior
-from shaker.models.suspension import Suspension
-from shaker.signals.phasor import Phasors
+from shaker.identification.fit import identify
+from shaker.identification.measured import InertiaError, MeasuredSensitivity, MeasuredTransfer, RelativeError, Sight
+from shaker.identification.model import Identification
+from shaker.identification.sensitivity import SpringPrior
+from shaker.identification.sensor import SensitivityComparison, fit_sensitivity
+from shaker.mechanics import Suspension
+from shaker.phasor import Phasors
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -26,13 +26,14 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-from fusion.simulate.preset import PRESETS
-from fusion.simulate.scenery import StereoSetup, face_of, nominal_rig
+from fusion.simulate.preset import PRESETS, StereoSetup, face_of, nominal_rig
 from photogram.camera import StereoRig
+from photogram.geometry import RigidTransform
 from photogram.images import ImageSequence, open_sequence
-from photogram.rigid import RigidTransform
-from photogram.synthetic import render, view_of
-from photogram.track import StereoTracks, TrackSettings, TrackStatus, track_stereo
+from photogram.subsets.follow import TrackSettings
+from photogram.subsets.reference import TrackStatus
+from photogram.subsets.track import StereoTracks, track_stereo
+from photogram.synthetic.scene import render, view_of
 
 FloatArray = NDArray[np.float64]
 SIZE_PX, PIXEL_M, FOCAL_PX, RADIUS_M = (1280, 1024), 83e-6, 5420.0, 0.0335

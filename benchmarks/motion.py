@@ -17,17 +17,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.manifest import find_recordings, load_manifest
-from fusion.records import read_daqs
-from fusion.settings import Settings
+from fusion.base import Settings
+from fusion.phasors.stereo_motion import open_images, sensor_from_camera
+from fusion.phasors.timing import tie_daqs
+from fusion.recording.files import read_daqs
+from fusion.recording.load import find_recordings, load_manifest
 from fusion.simulate import simulate
-from fusion.simulate.bound import frame_bounds
-from fusion.stereo_motion import open_images, sensor_from_camera
-from fusion.timing import tie_daqs
+from fusion.simulate.world import frame_bounds
 from photogram.measure import measure_body
 from photogram.motion import RigidMotion
-from photogram.track import TrackSettings
-from shaker.signals.sine import fit_sines
+from photogram.subsets.follow import TrackSettings
+from shaker.sine.fit import fit_sines
 
 FloatArray = NDArray[np.float64]
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")

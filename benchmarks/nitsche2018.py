@@ -19,14 +19,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.evaluate import evaluate_recording
-from fusion.evaluation import Evaluation
-from fusion.manifest import find_recordings, load_manifest
-from fusion.settings import Settings
+from fusion.base import Settings
+from fusion.recording.load import find_recordings, load_manifest
+from fusion.sensitivity.analyse import Evaluation
+from fusion.sensitivity.evaluate import evaluate_recording
 from fusion.simulate import simulate
-from fusion.simulate.bound import frame_bounds
-from shaker.signals.phasor import Phasors
-from shaker.signals.sine import fit_sines
+from fusion.simulate.world import frame_bounds
+from shaker.phasor import Phasors
+from shaker.sine.fit import fit_sines
 
 FloatArray = NDArray[np.float64]
 DRIVEN = 2  # z

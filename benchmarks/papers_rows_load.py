@@ -10,21 +10,16 @@ from numpy.typing import NDArray
 from papers_rows import EXPLAINED, HOLDS, NOT, OPEN, ROUNDED, WRONG, Row
 from scipy.optimize import brentq
 
-from shaker.models.compensation.dynamics import loaded_dynamics, single_mode
-from shaker.models.compensation.filter import Compensation
-from shaker.models.compensation.mismatch import residual_ringing
-from shaker.models.compensation.target import Target, best_damping
-from shaker.models.indices.indices import indices
-from shaker.models.indices.result import Indices
-from shaker.models.linear_system import LinearSystem
-from shaker.models.load_series.characteristics import first_mode_hz, load_curve
-from shaker.models.load_series.fit import fit_resonances
-from shaker.models.load_series.limits import formula_limit
-from shaker.models.load_series.masses import SeriesMasses
-from shaker.models.load_series.model import LoadModel
-from shaker.models.load_series.resonances import Resonances
-from shaker.models.mass_chain import shared_spring
-from shaker.models.step.basis import pole_responses
+from shaker.compensation.effects import residual_ringing
+from shaker.compensation.filter import Compensation, Target, best_damping, loaded_dynamics, single_mode
+from shaker.lti.indices import indices
+from shaker.lti.responses import Indices
+from shaker.lti.system import LinearSystem
+from shaker.mechanics import shared_spring
+from shaker.release.load_fit import SeriesMasses, fit_resonances
+from shaker.release.load_model import LoadModel, first_mode_hz, formula_limit, load_curve
+from shaker.release.load_modes import Resonances
+from shaker.release.onset import pole_responses
 
 FloatArray = NDArray[np.float64]
 AFTER_S = 2e-3

@@ -10,24 +10,22 @@ from numpy.typing import NDArray
 from papers_rows import EXPLAINED, HOLDS, NOT, OPEN, ROUNDED, WRONG, Row
 from scipy.optimize import brentq
 
-from fusion.elastomer.result import Column, spread
-from shaker.models.compensation.dynamics import single_mode
-from shaker.models.compensation.target import band_ratio
-from shaker.models.elastomer.oscillators import MountedChain
-from shaker.models.elastomer.platform_fit import platform_family
-from shaker.models.elastomer.statics import (
+from fusion.sensor.elastomer.evaluate import Column, spread
+from shaker.compensation.filter import band_ratio, single_mode
+from shaker.elastomer.element import platform_family
+from shaker.elastomer.frame import MountedChain
+from shaker.elastomer.geometry import (
     PublishedStatics,
     beam_stiffness,
     guided_stiffness,
     oscillator_hz,
     required_stiffness,
 )
-from shaker.models.indices.indices import indices
-from shaker.models.indices.result import Indices, Mode
-from shaker.models.indices.rounding import rounding_range
-from shaker.models.step.record import StepRecord
-from shaker.models.step_fit.fit import fit_step
-from shaker.models.step_fit.sim import fit_sim
+from shaker.lti.indices import indices, rounding_range
+from shaker.lti.responses import Indices, Mode
+from shaker.release.fit import fit_step
+from shaker.release.record import StepRecord
+from shaker.release.sim import fit_sim
 
 FloatArray = NDArray[np.float64]
 POINT_M = 1e-9

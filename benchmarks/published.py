@@ -24,18 +24,18 @@ from numpy.typing import NDArray
 from published_figures import SweepPoint
 from scipy.optimize import least_squares
 
-from fusion.curve import ratio_curves
-from fusion.drive import Drive, drives_of
-from fusion.evaluate import evaluate_recording
-from fusion.evaluation import Evaluation
-from fusion.manifest import load_manifest
-from fusion.measured_results import StereoResult
-from fusion.point_spread import PointRatios
-from fusion.polar import Polar, element_covariance, polar, rounded
-from fusion.settings import Settings
+from fusion.base import Settings
+from fusion.campaign.curve import ratio_curves
+from fusion.campaign.repeats import Drive, drives_of
+from fusion.estimation.uncertainty import Polar, element_covariance, polar, rounded
+from fusion.phasors.results import StereoResult
+from fusion.recording.load import load_manifest
+from fusion.sensitivity.analyse import Evaluation
+from fusion.sensitivity.evaluate import evaluate_recording
+from fusion.sensitivity.multipoint_vibrometer import PointRatios
 from fusion.simulate import simulate, simulate_campaign
-from shaker.signals.phasor import derivative_factor
-from shaker.signals.sine import fit_sines
+from shaker.phasor import derivative_factor
+from shaker.sine.fit import fit_sines
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

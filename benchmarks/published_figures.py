@@ -11,9 +11,8 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 from published_paper import DAMPING_KG_PER_S, INTERNAL_KG, LAG_S, LOADS_KG, RESONANCE_HZ
 
-from fusion.evaluation import Evaluation
-from fusion.measured_results import StereoResult
-from fusion.plots.style import (
+from fusion.phasors.results import StereoResult
+from fusion.report.style import (
     BLACK,
     BLUE,
     GREEN,
@@ -27,8 +26,9 @@ from fusion.plots.style import (
     lay_out,
     new_figure,
 )
-from shaker.models.resonance.peak import stiffness
-from shaker.signals.phasor import Phasors
+from fusion.sensitivity.analyse import Evaluation
+from shaker.identification.readings import stiffness
+from shaker.phasor import Phasors
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from shaker.models.linear_system import LinearSystem
-from shaker.models.load_series.masses import SeriesMasses
-from shaker.models.load_series.model import LoadModel
-from shaker.models.load_series.resonances import Resonances
+from shaker.lti.system import LinearSystem
+from shaker.release.load_fit import SeriesMasses
+from shaker.release.load_model import LoadModel
+from shaker.release.load_modes import Resonances
 
 BEAM_KG, COVER_KG, PILLAR_KG = 0.089, 0.130, 0.021
 """Table 1."""

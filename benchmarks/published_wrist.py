@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from shaker.models.elastomer.geometry import CrossBeams, Material
-from shaker.models.linear_system import LinearSystem
+from shaker.elastomer.geometry import CrossBeams, Material
+from shaker.lti.system import LinearSystem
 
 FloatArray = NDArray[np.float64]
 

@@ -18,20 +18,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from photogram.calibration_file import read_calibration
+from photogram.calibration.file import read_calibration
+from photogram.camera import triangulate
+from photogram.geometry import fit_rigid
 from photogram.images import open_sequence
 from photogram.motion import fit_motion
-from photogram.rigid import fit_rigid
-from photogram.track import TrackSettings, TrackStatus, match_stereo, track_sequence, track_stereo
-from photogram.triangulate import triangulate
-from shaker.models.resonance.oscillator import Resonance, fit_resonance
-from shaker.models.sensor.chain_shape import NO_CHAIN, Chain
-from shaker.models.sensor.correction import correct_record
-from shaker.models.sensor.sensor_model import Load, SensorModel
-from shaker.models.sensor.usable_band import usable_band
-from shaker.signals.files import read_channels
-from shaker.signals.frequencies import find_lines
-from shaker.signals.sine import fit_sines
+from photogram.subsets.follow import TrackSettings
+from photogram.subsets.reference import TrackStatus
+from photogram.subsets.track import match_stereo, track_sequence, track_stereo
+from shaker.identification.correction import correct_record, usable_band
+from shaker.identification.oscillator import Resonance, fit_resonance
+from shaker.identification.sensitivity import NO_CHAIN, Chain
+from shaker.identification.sensor import Load, SensorModel
+from shaker.io.read import read_channels
+from shaker.lines.frequencies import find_lines
+from shaker.sine.fit import fit_sines
 
 FloatArray = NDArray[np.float64]
 ROOT = Path(__file__).resolve().parent.parent

@@ -20,8 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import sici
 
-from shaker.signals.pulses import pulse_width
-from shaker.signals.sync import Edges, find_edges, fit_trigger, tie_clocks
+from shaker.timebase.edges import Edges, find_edges
+from shaker.timebase.tie import tie_clocks
+from shaker.timebase.trigger import fit_trigger, pulse_width
 
 FloatArray = NDArray[np.float64]
 PERIOD_S = 1.0 / 52.874

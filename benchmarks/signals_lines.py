@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from shaker.signals.frequencies import find_lines
-from shaker.signals.sine import fit_sines
-from shaker.signals.survey import survey_lines
-from shaker.signals.survey.peaks import find_peaks
+from shaker.lines.detection import survey_lines
+from shaker.lines.frequencies import find_lines
+from shaker.lines.spectrum import find_peaks
+from shaker.sine.fit import fit_sines
 
 FloatArray = NDArray[np.float64]
 NOTHING = np.empty(0)

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from shaker.signals.plan.point import Lines, RatePlan, Sampling, lines_of, plan_at
-from shaker.signals.separation import nearest_clear_rate
-from shaker.signals.sine import fit_sines
+from shaker.lines.aliasing import nearest_clear_rate
+from shaker.rate_planner import Lines, RatePlan, Sampling, lines_of, plan_at
+from shaker.sine.fit import fit_sines
 
 FloatArray = NDArray[np.float64]
 LONGER = 16  # length of the records of 1/f noise, in lengths of the frames cut from them

@@ -22,7 +22,9 @@ from scipy.linalg import block_diag
 from scipy.optimize import curve_fit
 from scipy.stats import f as f_distribution
 
-from shaker.signals.sine import SineFit, SineModel, UniformTimes, fit_sines
+from shaker.sine.fit import fit_sines
+from shaker.sine.normal_equations import UniformTimes
+from shaker.sine.solve import SineFit, SineModel
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -24,14 +24,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shaker.models.resonance.oscillator import Kind, Resonance, fit_resonance, fit_transfer_resonance
-from shaker.signals.transfer import (
-    TransferFunction,
-    TransferRecord,
-    transfer_impact,
-    transfer_periodic,
-    transfer_random,
-)
+from shaker.frf.impact import transfer_impact
+from shaker.frf.periodic import transfer_periodic
+from shaker.frf.random import transfer_random
+from shaker.frf.result import TransferFunction, TransferRecord
+from shaker.identification.oscillator import Kind, Resonance, fit_resonance, fit_transfer_resonance
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

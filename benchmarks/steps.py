@@ -22,13 +22,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from shaker.models.linear_system import LinearSystem
-from shaker.models.modal import ModalModel
-from shaker.models.step.record import StepRecord
-from shaker.models.step.release import read_release
-from shaker.models.step_fit.compare import METHODS, compare
-from shaker.models.step_fit.fit import fit_step
-from shaker.models.step_fit.result import Method
+from shaker.lti.modal import ModalModel
+from shaker.lti.system import LinearSystem
+from shaker.release.fit import METHODS, compare, fit_step
+from shaker.release.reading import read_release
+from shaker.release.record import StepRecord
+from shaker.release.sim import Method
 
 FloatArray = NDArray[np.float64]
 RATE_HZ, BEFORE_S, AFTER_S, AMPLITUDE_N = 100e3, 0.01, 0.03, 50.0

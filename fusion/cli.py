@@ -7,23 +7,18 @@ import logging
 import sys
 from collections.abc import Sequence
 
-from fusion.commands.align import add_align
-from fusion.commands.cameras import add_cameras
-from fusion.commands.check import add_check
-from fusion.commands.compensate import add_compensate
-from fusion.commands.decouple import add_decouple
-from fusion.commands.elastomer import add_elastomer
-from fusion.commands.identify import add_identify
-from fusion.commands.import_calibration import add_import_calibration
-from fusion.commands.lines import add_lines
-from fusion.commands.load import add_load
-from fusion.commands.plan import add_plan
-from fusion.commands.rotate import add_rotate
-from fusion.commands.run import add_run
-from fusion.commands.simulate import add_simulate
-from fusion.commands.step import add_step
-from fusion.commands.transfer import add_transfer
-from fusion.commands.values import EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED
+from fusion.commands.cameras import add_align, add_cameras, add_import_calibration
+from fusion.commands.measure import add_check, add_lines, add_plan, add_run, add_simulate, add_transfer
+from fusion.commands.options import EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED
+from fusion.commands.sensor import (
+    add_compensate,
+    add_decouple,
+    add_elastomer,
+    add_identify,
+    add_load,
+    add_rotate,
+    add_step,
+)
 
 log = logging.getLogger("shakercal")
 COMMANDS = (
@@ -85,7 +80,7 @@ def _guarded(options: argparse.Namespace) -> int:
 
 def _verdict(error: BaseException) -> tuple[int, str, bool]:
     """Exit status and sentence for a failure, and whether it is one that the program expects."""
-    from fusion.errors import ComputeError, InputError, is_interruption, told
+    from fusion.base import ComputeError, InputError, is_interruption, told
 
     if is_interruption(error) or not isinstance(error, Exception):
         return EXIT_INTERRUPTED, "interrupted; nothing half-written was left behind", True

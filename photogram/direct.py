@@ -1,4 +1,4 @@
-"""The six components of a body's motion fitted to the grey values of all its pixels in all cameras at once."""
+"""Rigid motion fitted to the grey values of all pixels in all cameras."""
 
 from __future__ import annotations
 
@@ -6,13 +6,290 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numba import prange
 
-from photogram._checks import BoolArray, FloatArray, check_shape
-from photogram.cells import Cells, CellSums, compare_cells, lay_cells, pixel_residuals, prepare_cells
-from photogram.interpolate import Spline
-from photogram.noise import NoiseModel, fit_noise_model
-from photogram.rigid import RigidTransform, rotation_vector_rate
-from photogram.surface import Patches, PlacedCamera, body_patches, patch_rates, patch_warps
+from photogram.arrays import BoolArray, FloatArray, IntArray, check_shape
+from photogram.bspline import Spline, box_inside, evaluate, mean_noise_gain, sample_line, slope_noise_gain
+from photogram.geometry import RigidTransform, rotation_vector_rate
+from photogram.kernels import njit
+from photogram.motion import Patches, PlacedCamera, body_patches, patch_rates, patch_warps
+from photogram.subsets.grid import NoiseModel, fit_noise_model
+from photogram.subsets.reference import RUN_SUMS, run_sums
+
+# All pixels of a textured area in square cells: what each cell of a reference image tells about affine warps.
+
+
+SMALLEST_GAIN = 0.1  # of the reference's contrast, below which a cell shows nothing
+LEAST_FILLED = 0.1  # of a cell, below which it is left out
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """The pixels of one reference image in C cells of side `side_px`, prepared once for a whole series.
+
+    centre_px (C, 2); runs (R, 4): row, first column, length and place in `pixels` of every piece of a row; first
+    (C + 1,): the cells' first runs. pixels (4, P): w, w·f̃, w·f_x, w·f_y with w = 1/noise variance and the grey value f̃
+    without its weighted mean. mean (C,), weight (C,) = Σw, energy (C,) = Σw·f̃², count (C,) pixels. removed (C, 2, 6):
+    weighted mean of each steepest-descent image of the affine warp and its regression on f̃. hessian (C, 6, 6): of what
+    remains of them, gain and offset being free; hessian_noise (C, 6, 6): the part of it that is noise of the gradients.
+    """
+
+    side_px: int
+    centre_px: FloatArray
+    runs: IntArray
+    first: IntArray
+    pixels: FloatArray
+    mean: FloatArray
+    weight: FloatArray
+    energy: FloatArray
+    count: IntArray
+    removed: FloatArray
+    hessian: FloatArray
+    hessian_noise: FloatArray
+
+    def __post_init__(self) -> None:
+        cells = len(self.centre_px)
+        check_shape("centre_px", self.centre_px, (None, 2))
+        check_shape("runs", self.runs, (None, 4))
+        check_shape("first", self.first, (cells + 1,))
+        check_shape("pixels", self.pixels, (4, None))
+        for name in ("mean", "weight", "energy", "count"):
+            check_shape(name, getattr(self, name), (cells,))
+        check_shape("removed", self.removed, (cells, 2, 6))
+        for name in ("hessian", "hessian_noise"):
+            check_shape(name, getattr(self, name), (cells, 6, 6))
+
+
+@dataclass(frozen=True, eq=False)
+class CellSums:
+    """What another image says at given warps: gain (C,), misfit (C,) = Σw·r² of what gain and offset leave.
+
+    slope (C, 6): Σw·SD·g over the projected steepest-descent images SD; misfit_noise (C,): expected misfit per unit of
+    noise variance ratio. A cell that leaves the image, or has less than a tenth of
+    its contrast there, is NaN.
+    """
+
+    gain: FloatArray
+    misfit: FloatArray
+    slope: FloatArray
+    misfit_noise: FloatArray
+
+
+def lay_cells(area: BoolArray, side_px: int) -> tuple[FloatArray, IntArray, IntArray]:
+    """Return centres (C, 2), runs (R, 4) and first runs (C + 1,) of the squares that cover `area` (H, W).
+
+    Squares stand side by side from the area's bounding box on; those less than a tenth filled are left out.
+    """
+    check_shape("area", area, (None, None))
+    if side_px < 3:
+        raise ValueError(f"side_px: expected at least 3, found {side_px}")
+    rows, columns = np.flatnonzero(area.any(axis=1)), np.flatnonzero(area.any(axis=0))
+    centres, runs, first, place = [], [], [0], 0
+    for top in range(rows[0], rows[-1] + 1, side_px) if len(rows) else ():
+        for left in range(columns[0], columns[-1] + 1, side_px):
+            tile = area[top : top + side_px, left : left + side_px]
+            if np.count_nonzero(tile) < LEAST_FILLED * side_px**2:
+                continue
+            for row, start, length in _row_pieces(tile):
+                runs.append((top + row, left + start, length, place))
+                place += length
+            centres.append((left + (side_px - 1) / 2, top + (side_px - 1) / 2))
+            first.append(len(runs))
+    return (
+        np.array(centres, dtype=np.float64).reshape(-1, 2),
+        np.array(runs, dtype=np.int64).reshape(-1, 4),
+        np.array(first, dtype=np.int64),
+    )
+
+
+def prepare_cells(
+    spline: Spline, layout: tuple[FloatArray, IntArray, IntArray], side_px: int, noise: NoiseModel, full_scale: float
+) -> Cells:
+    """Return the cells of `layout` (`lay_cells`) in the image `spline`; pixels at full scale have no weight.
+
+    Steepest-descent images as in `reference.prepare_reference`, weighted by 1/noise variance of the pixel's grey value.
+    White noise of the reference also makes gradients: with the slope's noise gain γ it adds γ·diag(n, Σdx², Σdy²)
+    to the Hessian in each direction.
+    """
+    centre, runs, first = layout
+    where = _pixel_places(runs)
+    value, gradient = evaluate(spline, where)
+    weight = np.where((value < full_scale - 0.5) & np.isfinite(value), 1.0 / noise.variance(value), 0.0)
+    pixels = np.stack([weight, value, gradient[:, 0], gradient[:, 1]])
+    scalars, moments = np.zeros((len(centre), 4)), np.zeros((len(centre), 8, 8))
+    extent = np.zeros((len(centre), 3))
+    _prepare(centre, runs, first, pixels, scalars, moments, extent)
+    mean, total, energy, count = np.ascontiguousarray(scalars.T)  # copied or not, kernels see them alike
+    solid = energy > 0.0
+    safe_total, safe_energy = np.where(solid, total, 1.0), np.where(solid, energy, 1.0)
+    removed = np.stack([moments[:, 0, 2:] / safe_total[:, None], moments[:, 1, 2:] / safe_energy[:, None]], axis=1)
+    hessian = moments[:, 2:, 2:] - np.einsum("c,ci,cj->cij", safe_total, removed[:, 0], removed[:, 0])
+    hessian -= np.einsum("c,ci,cj->cij", safe_energy, removed[:, 1], removed[:, 1])
+    gradient_noise = slope_noise_gain(spline.degree) * np.concatenate([extent, extent], axis=1)[:, :, None] * np.eye(6)
+    hessian[~solid], energy[~solid] = 0.0, np.nan
+    return Cells(
+        side_px, centre, runs, first, pixels, mean, total, energy, count.astype(np.int64), removed, hessian,
+        np.where(solid[:, None, None], gradient_noise, 0.0),
+    )  # fmt: skip
+
+
+def compare_cells(cells: Cells, target: Spline, warp: FloatArray) -> CellSums:
+    """Return what the image `target` says about the cells when each is sought at its affine warp (C, 6).
+
+    misfit_noise is Σ over the cell's pixels of κ_g + gain², reduced by the two fitted parameters: κ_g, the noise that
+    interpolation leaves (`noise_gain`), varies with the sub-pixel position and is averaged over nine points.
+    """
+    check_shape("warp", warp, (len(cells.centre_px), 6))
+    sums = np.full((len(warp), 9), np.nan)
+    shape = (cells.centre_px, cells.runs, cells.first, float(cells.side_px - 1) / 2)
+    _sum_cells(shape, cells.pixels, cells.mean, (target.coefficients, target.degree), np.ascontiguousarray(warp), sums)
+    gain = sums[:, 2] / cells.energy
+    misfit = np.maximum(0.0, sums[:, 1] - sums[:, 0] ** 2 / cells.weight - gain**2 * cells.energy)
+    slope = sums[:, 3:] - cells.removed[:, 0] * sums[:, :1] - cells.removed[:, 1] * sums[:, 2:3]
+    known = gain > SMALLEST_GAIN
+    slope[~known] = np.nan
+    kept = _interpolated_noise(cells, warp, target.degree)
+    return CellSums(np.where(known, gain, np.nan), misfit, slope, (cells.count - 2) * (kept + gain**2))
+
+
+def pixel_residuals(cells: Cells, target: Spline, warp: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return grey value and squared residual (P,) of every pixel, the latter per expected share of noise variance.
+
+    The residual g − a − b·f of each cell's fitted offset and gain, squared, over κ_g + b².
+    """
+    grey = np.full(cells.pixels.shape[1], np.nan)
+    shape = (cells.centre_px, cells.runs, cells.first, float(cells.side_px - 1) / 2)
+    _sample_cells(shape, (target.coefficients, target.degree), np.ascontiguousarray(warp), grey)
+    lengths = np.diff(cells.first)
+    cell_of_run = np.repeat(np.arange(len(lengths)), lengths)
+    cell = np.repeat(cell_of_run, cells.runs[:, 2])
+    weight = cells.pixels[0]
+    centred = np.where(weight > 0.0, cells.pixels[1] / np.where(weight > 0.0, weight, 1.0), 0.0)
+    known = np.isfinite(grey) & (weight > 0.0)
+    filled, used = np.where(known, grey, 0.0), np.where(known, weight, 0.0)
+    total = np.bincount(cell, used, len(lengths))
+    safe = np.where(total > 0.0, total, 1.0)
+    offset = np.bincount(cell, used * filled, len(lengths)) / safe
+    gain = np.bincount(cell, used * filled * centred, len(lengths)) / np.where(cells.energy > 0, cells.energy, 1.0)
+    share = _interpolated_noise(cells, warp, target.degree) + gain**2
+    residual = filled - offset[cell] - gain[cell] * centred
+    squares = residual**2 / share[cell] * (cells.count / np.maximum(cells.count - 2, 1))[cell]
+    return centred + cells.mean[cell], np.where(known, squares, np.nan)
+
+
+def _row_pieces(tile: BoolArray) -> list[tuple[int, int, int]]:
+    """Return row, first column and length of every unbroken piece of a row."""
+    edges = np.diff(np.pad(tile.astype(np.int8), ((0, 0), (1, 1))), axis=1)
+    rows, starts = np.nonzero(edges == 1)
+    _, stops = np.nonzero(edges == -1)
+    return [(int(row), int(start), int(stop - start)) for row, start, stop in zip(rows, starts, stops, strict=True)]
+
+
+def _pixel_places(runs: IntArray) -> FloatArray:
+    """Return the positions (P, 2) of all pixels in the order of the runs."""
+    length = runs[:, 2]
+    along = np.arange(int(length.sum())) - np.repeat(runs[:, 3], length)
+    return np.column_stack([np.repeat(runs[:, 1], length) + along, np.repeat(runs[:, 0], length)]).astype(np.float64)
+
+
+def _interpolated_noise(cells: Cells, warp: FloatArray, degree: int) -> FloatArray:
+    """Return the variance (C,) of interpolated white noise, averaged over nine points of each cell."""
+    third = cells.side_px / 3.0
+    line = np.array([-third, 0.0, third])
+    dx, dy = (grid.ravel() for grid in np.meshgrid(line, line))
+    return mean_noise_gain(cells.centre_px, warp, np.column_stack([dx, dy]), degree)
+
+
+@njit(parallel=True)
+def _prepare(centre, runs, first, pixels, scalars, moments, extent):  # type: ignore[no-untyped-def]
+    """Weight the pixels in place; mean, Σw, Σw·f̃² and count, moments of [1 f̃ SD…], Σ(w·variance)·(1, dx², dy²)."""
+    for c in prange(centre.shape[0]):
+        total, level = 0.0, 0.0
+        for r in range(first[c], first[c + 1]):
+            for p in range(runs[r, 3], runs[r, 3] + runs[r, 2]):
+                total += pixels[0, p]
+                level += pixels[0, p] * pixels[1, p] if pixels[0, p] > 0.0 else 0.0
+        mean = level / total if total > 0.0 else 0.0
+        row = np.empty(8)
+        for r in range(first[c], first[c + 1]):
+            dy = runs[r, 0] - centre[c, 1]
+            for i in range(runs[r, 2]):
+                p, dx = runs[r, 3] + i, runs[r, 1] + i - centre[c, 0]
+                w = pixels[0, p]
+                if w > 0.0:
+                    f, fx, fy = pixels[1, p] - mean, pixels[2, p], pixels[3, p]
+                    row[0], row[1], row[2], row[3], row[4] = 1.0, f, fx, fx * dx, fx * dy
+                    row[5], row[6], row[7] = fy, fy * dx, fy * dy
+                    for j in range(8):
+                        for k in range(8):
+                            moments[c, j, k] += w * row[j] * row[k]
+                    extent[c, 0] += 1.0
+                    extent[c, 1] += dx * dx
+                    extent[c, 2] += dy * dy
+                    scalars[c, 3] += 1.0
+                    pixels[1, p], pixels[2, p], pixels[3, p] = w * f, w * fx, w * fy
+                else:
+                    pixels[1, p], pixels[2, p], pixels[3, p] = 0.0, 0.0, 0.0
+        scalars[c, 0], scalars[c, 1], scalars[c, 2] = mean, total, moments[c, 1, 1]
+
+
+@njit(inline="always")
+def _cell_inside(centre_x, centre_y, reach, warp, coefficients):  # type: ignore[no-untyped-def]
+    """Whether all corners of the warped cell lie within the image; False for NaN."""
+    x, y = centre_x + warp[0], centre_y + warp[3]
+    reach_x = reach * (abs(1.0 + warp[1]) + abs(warp[2]))
+    reach_y = reach * (abs(warp[4]) + abs(1.0 + warp[5]))
+    return box_inside(coefficients, x, y, reach_x, reach_y)
+
+
+@njit(inline="always")
+def _sample_run(run, centre_x, centre_y, target, warp, grey):  # type: ignore[no-untyped-def]
+    """Grey values of the target along one warped run."""
+    coefficients, degree = target
+    dx, dy = run[1] - centre_x, run[0] - centre_y
+    x = run[1] + warp[0] + warp[1] * dx + warp[2] * dy
+    y = run[0] + warp[3] + warp[4] * dx + warp[5] * dy
+    sample_line(coefficients, degree, x, y, 1.0 + warp[1], warp[4], grey)
+
+
+@njit(parallel=True)
+def _sum_cells(shape, pixels, means, target, warps, sums):  # type: ignore[no-untyped-def]
+    """Per cell Σw·g, Σw·g², Σw·f̃·g and the six Σw·SD·g, g without the mean of f; NaN where a cell leaves the image."""
+    centres, runs, first, reach = shape
+    for c in prange(centres.shape[0]):
+        centre_x, centre_y, warp = centres[c, 0], centres[c, 1], warps[c]
+        if not _cell_inside(centre_x, centre_y, reach, warp, target[0]):
+            continue
+        line, row = np.empty(int(2 * reach) + 1), np.empty(RUN_SUMS)
+        found, mean = np.zeros(9), means[c]
+        for r in range(first[c], first[c + 1]):
+            length, start = runs[r, 2], runs[r, 3]
+            grey = line[:length]
+            _sample_run(runs[r], centre_x, centre_y, target, warp, grey)
+            dy = runs[r, 0] - centre_y
+            run_sums(grey, mean, pixels, start, runs[r, 1] - centre_x, row)
+            for k in range(5):
+                found[k] += row[k]
+            found[5] += row[3] * dy
+            found[6] += row[5]
+            found[7] += row[6]
+            found[8] += row[5] * dy
+        sums[c] = found
+
+
+@njit(parallel=True)
+def _sample_cells(shape, target, warps, grey):  # type: ignore[no-untyped-def]
+    """Grey values of the target at all warped pixels."""
+    centres, runs, first, reach = shape
+    for c in prange(centres.shape[0]):
+        if _cell_inside(centres[c, 0], centres[c, 1], reach, warps[c], target[0]):
+            for r in range(first[c], first[c + 1]):
+                piece = grey[runs[r, 3] : runs[r, 3] + runs[r, 2]]
+                _sample_run(runs[r], centres[c, 0], centres[c, 1], target, warps[c], piece)
+
+
+# The six components of a body's motion fitted to the grey values of all its pixels in all cameras at once.
+
 
 REACH_CELLS = 4.0  # how far from the nearest known point a cell's surface may lie
 EVALUATIONS = 12

@@ -6,13 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from photogram._checks import BoolArray, FloatArray, check_shape
-from photogram.camera import StereoRig
-from photogram.follow import Tracks
-from photogram.notice import Notice
-from photogram.rigid import RigidTransform, rotation_from_vector, skew
-from photogram.track import StereoTracks
-from photogram.triangulate import triangulate
+from photogram.arrays import BoolArray, FloatArray, Notice, check_shape
+from photogram.camera import StereoRig, triangulate
+from photogram.geometry import RigidTransform, rotation_from_vector, skew
+from photogram.subsets.follow import Tracks
+from photogram.subsets.track import StereoTracks
 
 FEWEST_POINTS = 8
 FEWEST_FRAMES = 4

@@ -7,32 +7,27 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from photogram._checks import FloatArray
-from photogram.camera import StereoRig
+from photogram.arrays import FloatArray, Notice
+from photogram.bspline import Spline, spline_of_image
+from photogram.camera import Points, StereoRig, triangulate
 from photogram.direct import BodyView, DirectFit, fit_direct, image_noise, rest_covariance, view_body
-from photogram.follow import identity, tracks_of
-from photogram.icgn import Registration
+from photogram.geometry import RigidTransform
 from photogram.images import ImageSequence
-from photogram.interpolate import Spline, spline_of_image
-from photogram.motion import RigidMotion, fit_motion
-from photogram.noise import NoiseModel
-from photogram.notice import Notice
-from photogram.overlap import overlap_correlation
-from photogram.quality import SubsetQuality, assess
-from photogram.reference import Reference
-from photogram.rigid import RigidTransform
-from photogram.surface import PlacedCamera
-from photogram.track import (
+from photogram.motion import PlacedCamera, RigidMotion, fit_motion, overlap_correlation
+from photogram.subsets.follow import TrackSettings, identity, tracks_of
+from photogram.subsets.grid import NoiseModel
+from photogram.subsets.icgn import Registration
+from photogram.subsets.quality import SubsetQuality, assess
+from photogram.subsets.reference import Reference
+from photogram.subsets.track import (
     FollowedFrame,
     StereoGrid,
     StereoTracks,
-    TrackSettings,
     follow_sequence,
     lay_stereo_grid,
     prepare_sequence,
     stereo_tracks,
 )
-from photogram.triangulate import Points, triangulate
 
 Progress = Callable[[int], None]
 Splines = tuple[Spline, Spline]

@@ -1,4 +1,4 @@
-"""Points through time to rigid motion, with covariance."""
+"""Rigid motion of tracked points with covariance, the deformation beside it, and the surface it moves."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from photogram._checks import BoolArray, FloatArray, IntArray, check_shape
-from photogram._inverse import invert
-from photogram._kernel import njit
-from photogram.rigid import (
+from photogram.arrays import BoolArray, FloatArray, IntArray, check_shape
+from photogram.camera import Camera, Points
+from photogram.geometry import (
+    RigidTransform,
     fixes_rotation,
     nearest_rotation,
     rotation_from_vector,
@@ -18,10 +18,44 @@ from photogram.rigid import (
     skew,
     vector_from_rotation,
 )
-from photogram.triangulate import Points
+from photogram.kernels import invert, njit
 
 if TYPE_CHECKING:
-    from scipy.sparse import sparray
+    from scipy.sparse import csr_array, sparray
+
+
+# Overlapping subsets share pixels, and with them their noise.
+
+
+def overlap_correlation(points_px: FloatArray, radius_px: int) -> csr_array:
+    """Correlation (N,N) of the positional noise of subsets with sides w = 2·radius + 1 around points_px (N,2).
+
+    ρ = (1 − |Δx|/w)(1 − |Δy|/w), the share of pixels in common, and 0 where there are none. A subset's error is
+    H⁻¹ Σ f′ε over its pixels (f′: steepest-descent images, ε: white noise), so two subsets have the covariance
+    σ² Hₙ⁻¹ (Σ f′f′ᵀ over the pixels in common) Hₘ⁻¹. In a homogeneous texture that sum is the share times H, and
+    translation is orthogonal to the affine terms (Σ f′² d = 0 about the centre), which leaves the share alone.
+    A subset with a NaN centre shares nothing.
+    """
+    from scipy.sparse import csr_array
+    from scipy.spatial import cKDTree
+
+    check_shape("points_px", points_px, (None, 2))
+    if radius_px < 1:
+        raise ValueError(f"radius_px: expected at least 1, found {radius_px}")
+    count, side = len(points_px), 2 * radius_px + 1
+    known = np.flatnonzero(np.isfinite(points_px).all(axis=1))
+    pairs = known[cKDTree(points_px[known]).query_pairs(side, p=np.inf, output_type="ndarray")]
+    apart = np.abs(points_px[pairs[:, 0]] - points_px[pairs[:, 1]])
+    shared = np.prod(np.maximum(1.0 - apart / side, 0.0), axis=1)
+    own = np.arange(count)
+    rows = np.concatenate([own, pairs[:, 0], pairs[:, 1]])
+    columns = np.concatenate([own, pairs[:, 1], pairs[:, 0]])
+    values = np.concatenate([np.ones(count), shared, shared])
+    return csr_array((values, (rows, columns)), shape=(count, count))
+
+
+# Points through time to rigid motion, with covariance.
+
 
 _START_ROUNDS = 8  # rounds of the robust start
 _CHOICE_ROUNDS = 8  # rounds in which points may be rejected and come back
@@ -323,3 +357,178 @@ def _solvable(normal: FloatArray) -> BoolArray:
     scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     lowest = np.linalg.eigvalsh(normal / (scale[:, :, None] * scale[:, None, :]))[:, 0]
     return np.asarray(positive & (lowest > _SINGULAR))
+
+
+# What a body does beside its rigid motion: residual of every point, with covariance.
+
+
+@dataclass(frozen=True, eq=False)
+class Deformation:
+    """Displacement of N points against the rigidly moving body, in its axes in the pose of the reference.
+
+    reference_m (N, 3): where the points are at rest; residual_m (F, N, 3): about each point's mean over time;
+    covariance_m2 (F, N, 3, 3). NaN = missing.
+    """
+
+    reference_m: FloatArray
+    residual_m: FloatArray
+    covariance_m2: FloatArray
+
+    def __post_init__(self) -> None:
+        """Refuse shapes that do not belong together."""
+        check_shape("reference_m", self.reference_m, (None, 3))
+        check_shape("residual_m", self.residual_m, (None, len(self.reference_m), 3))
+        check_shape("covariance_m2", self.covariance_m2, (*self.residual_m.shape, 3))
+
+
+def deformation(points: Points, motion: RigidMotion, reference_m: FloatArray | None = None) -> Deformation:
+    """Return what remains of points (F, N) after their body's `motion` against reference (N, 3), by default frame 0.
+
+    e = Rᵀ·(x' − o − t) − (x − o) without each point's mean over the F frames in which it is seen, which takes out the
+    noise of the reference: it is constant in the axes of the body. Bending looks smaller by its best rigid fit.
+
+    Vₖ = Rᵀ·(Cₖ − J·Pₖ·Jᵀ)·R, J = [I, −[R·(x − o)]×], with the point's covariance Cₖ and that of the pose Pₖ (as shift
+    and small left rotation): the least-squares residual's own, C − J·(Σ Jᵀ·C⁻¹·J)⁻¹·Jᵀ, for points that the fit used,
+    and the same for a motion from more than these points (an efficient estimate is uncorrelated with its difference
+    from another one: Hausman 1978, Econometrica 46, 1251). The mean leaves (1 − 2/F)·Vₖ + Σ V/F².
+    """
+    reference = points.position_m[0] if reference_m is None else np.asarray(reference_m, dtype=np.float64)
+    frames, count, _ = points.position_m.shape
+    check_shape("reference_m", reference, (count, 3))
+    check_shape("motion.pose", motion.pose, (frames, 6))
+    rotation = rotation_from_vector(motion.pose[:, 3:])
+    rest = reference - motion.origin_m
+    carried = points.position_m - motion.origin_m - motion.pose[:, None, :3]
+    residual = carried @ rotation - rest
+    arm = rest @ np.swapaxes(rotation, 1, 2)
+    own = np.swapaxes(rotation, 1, 2)[:, None] @ (points.covariance_m2 - _leverage(arm, motion)) @ rotation[:, None]
+    seen = np.asarray(np.isfinite(residual).all(axis=2) & np.isfinite(own).all(axis=(2, 3)))
+    number = np.maximum(seen.sum(axis=0), 1)
+    mean = np.sum(np.where(seen[..., None], residual, 0.0), axis=0) / number[:, None]
+    shared = np.sum(np.where(seen[..., None, None], own, 0.0), axis=0) / (number**2)[:, None, None]
+    covariance = (1.0 - 2.0 / number)[:, None, None] * own + shared
+    return Deformation(
+        reference,
+        np.where(seen[..., None], residual - mean, np.nan),
+        np.where(seen[..., None, None], covariance, np.nan),
+    )
+
+
+def _leverage(arm: FloatArray, motion: RigidMotion) -> FloatArray:
+    """Covariance (F, N, 3, 3) of the rigidly moved points with arms (F, N, 3), from that of the pose."""
+    step_of_pose = np.broadcast_to(np.eye(6), motion.covariance.shape).copy()
+    step_of_pose[:, 3:, 3:] = np.linalg.inv(rotation_vector_rate(motion.pose[:, 3:]))
+    covariance = step_of_pose @ motion.covariance @ np.swapaxes(step_of_pose, 1, 2)
+    leverage = np.empty((*arm.shape, 3))
+    for frame, here in enumerate(arm):
+        slope = np.concatenate([np.broadcast_to(np.eye(3), (len(here), 3, 3)), -skew(here)], axis=2)
+        leverage[frame] = slope @ covariance[frame] @ np.swapaxes(slope, 1, 2)
+    return leverage
+
+
+# Where a camera sees the body's surface, and how small patches of it move in the image when the body moves.
+
+
+NEIGHBOURS = 24
+OUTLIER = 4.0  # robust standard deviations from the local plane
+RATE_STEP = 1e-6  # m and rad, of the derivative by the six components
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedCamera:
+    """A camera and where the body's frame is at rest: x_camera = camera_from_body · x_body."""
+
+    camera: Camera
+    camera_from_body: RigidTransform
+
+    def project(self, points_m: FloatArray) -> FloatArray:
+        """Return the pixels (..., 2) of points (..., 3) in the body's frame."""
+        return self.camera.project(self.camera_from_body.apply(points_m))
+
+
+@dataclass(frozen=True, eq=False)
+class Patches:
+    """Small plane patches of a body as one camera sees them at rest.
+
+    centre_px (C, 2); arm_px: half the length over which derivatives are taken; points_m (C, 5, 3): the surface, in the
+    body's frame, at the centre and `arm_px` to its right, left, below and above; NaN where the surface is unknown.
+    """
+
+    centre_px: FloatArray
+    arm_px: float
+    points_m: FloatArray
+
+    def __post_init__(self) -> None:
+        check_shape("centre_px", self.centre_px, (None, 2))
+        check_shape("points_m", self.points_m, (len(self.centre_px), 5, 3))
+
+
+def body_patches(
+    camera: PlacedCamera, known_m: FloatArray, centre_px: FloatArray, arm_px: float, reach_px: float
+) -> Patches:
+    """Return the surface at centre_px (C, 2) from known points (N, 3) of the body.
+
+    A plane has an inverse depth that is linear in the normalised coordinates, 1/Z = w + w_x·x + w_y·y. It is fitted
+    to the 24 points nearest in the image, those more than four robust standard deviations off left out. Where no
+    known point lies within `reach_px`, the surface is unknown.
+    """
+    from scipy.spatial import cKDTree
+
+    check_shape("known_m", known_m, (None, 3))
+    check_shape("centre_px", centre_px, (None, 2))
+    known = camera.camera_from_body.apply(known_m[np.isfinite(known_m).all(axis=1)])
+    if len(known) < 3:
+        raise ValueError(f"known_m: expected at least 3 finite points, found {len(known)}")
+    tree = cKDTree(camera.camera.project(known))
+    distance, nearest = tree.query(centre_px, k=min(NEIGHBOURS, len(known)))
+    centre = camera.camera.undistort(centre_px)
+    plane = _inverse_depth(known[:, :2] / known[:, 2:], 1.0 / known[:, 2], nearest, centre)
+    arms = arm_px * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
+    rays = camera.camera.undistort(centre_px[:, None] + arms)
+    from_centre = rays - centre[:, None]
+    depth = 1.0 / (plane[:, None, 0] + np.einsum("cki,ci->ck", from_centre, plane[:, 1:]))
+    depth[(distance[:, 0] > reach_px)[:, None] | (depth <= 0.0)] = np.nan
+    seen = np.concatenate([rays * depth[..., None], depth[..., None]], axis=2)
+    return Patches(centre_px, arm_px, camera.camera_from_body.inverse().apply(seen))
+
+
+def patch_warps(camera: PlacedCamera, patches: Patches, moved: RigidTransform) -> FloatArray:
+    """Return the affine warps (C, 6) [u u_x u_y v v_x v_y] of the patches when the body moves by `moved`, in px."""
+    rest = camera.project(patches.points_m)
+    shift = camera.project(moved.apply(patches.points_m)) - rest
+    warp = np.empty((len(shift), 6))
+    warp[:, [0, 3]] = shift[:, 0]
+    warp[:, [1, 4]] = (shift[:, 1] - shift[:, 2]) / (2 * patches.arm_px)
+    warp[:, [2, 5]] = (shift[:, 3] - shift[:, 4]) / (2 * patches.arm_px)
+    return warp
+
+
+def patch_rates(camera: PlacedCamera, patches: Patches) -> FloatArray:
+    """Return the derivatives (C, 6, 6) of the patches' affine warps by x y z (m) and rx ry rz (rad) at rest."""
+    rates = np.empty((len(patches.centre_px), 6, 6))
+    for component in range(6):
+        step = np.zeros(6)
+        step[component] = RATE_STEP
+        ahead = patch_warps(camera, patches, RigidTransform.from_pose(step))
+        behind = patch_warps(camera, patches, RigidTransform.from_pose(-step))
+        rates[:, :, component] = (ahead - behind) / (2 * RATE_STEP)
+    return rates
+
+
+def _inverse_depth(ray: FloatArray, inverse: FloatArray, nearest: FloatArray, centre: FloatArray) -> FloatArray:
+    """Return w, w_x, w_y (C, 3) about each centre (C, 2) through its nearest points (C, k), outliers left out."""
+    offset = ray[nearest] - centre[:, None]
+    scale = np.sqrt(np.mean(offset**2)) + 1e-300
+    design = np.concatenate([np.ones((*nearest.shape, 1)), offset / scale], axis=2)
+    value = inverse[nearest]
+    weight = np.ones(nearest.shape)
+    ridge = 1e-9 * np.diag([0.0, 1.0, 1.0])
+    for _ in range(3):
+        normal = np.einsum("ck,cki,ckj->cij", weight, design, design) + ridge
+        slope = np.einsum("ck,cki,ck->ci", weight, design, value)
+        plane = np.linalg.solve(normal, slope[..., None])[..., 0]
+        error = np.abs(value - np.einsum("cki,ci->ck", design, plane))
+        spread = 1.4826 * np.median(error, axis=1, keepdims=True)
+        weight = (error <= OUTLIER * spread + 1e-15).astype(np.float64)
+    plane[:, 1:] /= scale
+    return np.asarray(plane)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from photogram._checks import BoolArray, FloatArray, check_shape
+from photogram.arrays import BoolArray, FloatArray, check_shape
 
 POSITION = ("x", "y", "z")
 REFERENCE = ("x0", "y0", "z0")

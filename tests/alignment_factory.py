@@ -7,15 +7,15 @@ from functools import cache
 
 import numpy as np
 
-from photogram._checks import ComplexArray, FloatArray
-from photogram.alignment import Alignment, KnownAxis, KnownDirection, calibration_steps, fit_axis, linear_motion
-from photogram.alignment.residuals import across
-from photogram.camera import Camera, StereoRig
+from photogram.alignment.evidence import KnownAxis, KnownDirection, across, calibration_steps
+from photogram.alignment.solve import Alignment
+from photogram.alignment.system import fit_axis, linear_motion
+from photogram.arrays import ComplexArray, FloatArray
+from photogram.camera import Camera, StereoRig, triangulate
+from photogram.geometry import RigidTransform, nearest_rotation, rotation_from_vector, vector_from_rotation
 from photogram.motion import RigidMotion
-from photogram.rigid import RigidTransform, nearest_rotation, rotation_from_vector, vector_from_rotation
-from photogram.synthetic import session_covariance
-from photogram.target.view import Target, TargetView
-from photogram.triangulate import triangulate
+from photogram.synthetic.scene import session_covariance
+from photogram.targets.view import Target, TargetView
 
 SIZE_PX = np.array([1280, 1024])
 WORKING_M = 0.45

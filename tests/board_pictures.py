@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram._checks import FloatArray
+from photogram.arrays import FloatArray
 from photogram.camera import Camera
-from photogram.rigid import RigidTransform, rotation_from_vector
+from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.synthetic.board import Board, render_board
-from photogram.synthetic.noise import ImageSensor
-from photogram.target.view import Target, TargetView
+from photogram.synthetic.scene import ImageSensor
+from photogram.targets.view import Target, TargetView
 
 SENSOR = ImageSensor()
 SPACING_M = 3.5e-3

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from photogram._checks import BoolArray, FloatArray
-from photogram.calibrate.result import CalibratedPicture, CalibratedView, Calibration, Determined, Dropped, Parameter
+from photogram.arrays import BoolArray, FloatArray, Notice
+from photogram.calibration.model import CalibratedPicture, CalibratedView, Calibration, Determined, Dropped, Parameter
 from photogram.camera import RIG_PARAMETERS, Camera, StereoRig
-from photogram.notice import Notice
-from photogram.rigid import RigidTransform, rotation_from_vector
-from photogram.target.view import Target
+from photogram.geometry import RigidTransform, rotation_from_vector
+from photogram.targets.view import Target
 
 SIZE_PX = np.array([2448, 2048])
 SPACING_M = 3.5e-3

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.drive import Drive
-from fusion.notices import Notice
-from fusion.provenance import Provenance
-from fusion.read_results import Recorded, SensorFacts
-from fusion.uncertainty import Contribution, Influence, Scope, Uncertainty
+from fusion.campaign.repeats import Drive
+from fusion.estimation.uncertainty import Contribution, Influence, Scope, Uncertainty
+from fusion.report.h5 import Recorded, SensorFacts
+from fusion.report.provenance import Provenance
+from shaker.arrays import Notice
 
 ComplexArray = NDArray[np.complex128]
 FloatArray = NDArray[np.float64]

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import cont2discrete, lfilter
 
-from shaker.models.step.record import StepRecord
+from shaker.release.record import StepRecord
 
 LOADS = ("Fx", "Fy", "Mz")
 FREQUENCY_HZ, DAMPING = np.array([310.0, 335.0, 560.0]), np.array([0.02, 0.015, 0.018])

@@ -7,10 +7,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from fusion.evaluate import evaluate_recording
-from fusion.evaluation import Evaluation
-from fusion.manifest import load_manifest
-from fusion.settings import Settings
+from fusion.base import Settings
+from fusion.recording.load import load_manifest
+from fusion.sensitivity.analyse import Evaluation
+from fusion.sensitivity.evaluate import evaluate_recording
 
 DRIVEN_HZ, DAQ_HZ, SAMPLES, FRAMES = 106.25, 10_000.0, 14_000, 64
 FOLDING_HZ, CLEAR_HZ = 53.125, 49.7

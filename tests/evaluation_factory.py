@@ -11,20 +11,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.evaluation import Evaluation
-from fusion.fuse import Acceleration, CommonEstimate, Consistency
-from fusion.load import LoadResult
-from fusion.measured_results import ChannelResult, ClockResult, StereoResult
-from fusion.notices import Notice
-from fusion.outputs import Outputs
-from fusion.sensitivity import Sensitivity
-from fusion.uncertainty import Contribution, Influence, Uncertainty
+from fusion.estimation.consistency import Acceleration, CommonEstimate, Consistency
+from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty
+from fusion.phasors.results import ChannelResult, ClockResult, StereoResult
+from fusion.sensitivity.analyse import Evaluation
+from fusion.sensitivity.load import LoadResult, Outputs
+from fusion.sensitivity.ratio import Sensitivity
 from photogram.epipolar import EpipolarCheck
 from photogram.motion import RigidMotion
-from shaker.signals.frequencies import Lines
-from shaker.signals.phasor import Phasors
-from shaker.signals.sine import fit_sines
-from shaker.signals.sync import ClockTie, TriggerFit
+from shaker.arrays import Notice
+from shaker.lines.frequencies import Lines
+from shaker.phasor import Phasors
+from shaker.sine.fit import fit_sines
+from shaker.timebase.tie import ClockTie
+from shaker.timebase.trigger import TriggerFit
 
 FREQUENCY_HZ = np.array([106.2503, 212.5006, 425.0012])
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")

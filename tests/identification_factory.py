@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from shaker.models.measured import InertiaError, MeasuredTransfer, RelativeError, Sight
-from shaker.signals.phasor import Phasors
+from shaker.identification.measured import InertiaError, MeasuredTransfer, RelativeError, Sight
+from shaker.phasor import Phasors
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -9,12 +9,9 @@ from typing import Any
 import h5py
 import numpy as np
 
-from fusion.simulate.chirp import Chirp
-from fusion.simulate.draws import Draws
-from fusion.simulate.masses import STAND
-from fusion.simulate.suspended import Suspension, rig_file, write_chirps
-from fusion.simulate.toml_text import to_toml
-from fusion.simulate.world import true_part
+from fusion.simulate.channels import to_toml
+from fusion.simulate.chirp import STAND, Chirp, Suspension, rig_file, write_chirps
+from fusion.simulate.world import Draws, true_part
 
 QUICK = Chirp(sample_rate_hz=12800.0, period_s=0.64, periods=4, band_hz=(800.0, 2400.0))
 SMALL = replace(STAND, chirp=QUICK)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from shaker.signals.transfer import TransferRecord
+from shaker.frf.result import TransferRecord
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -8,8 +8,8 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fusion.drive import Drive
-from fusion.uncertainty import Contribution, Influence, Scope, Uncertainty
+from fusion.campaign.repeats import Drive
+from fusion.estimation.uncertainty import Contribution, Influence, Scope, Uncertainty
 
 AnyArray = NDArray[Any]
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lsim
 
-from shaker.models.step.record import StepRecord
+from shaker.release.record import StepRecord
 
 FloatArray = NDArray[np.float64]
 _FINE = 10

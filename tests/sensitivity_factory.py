@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from shaker.models.measured import MeasuredSensitivity, RelativeError
-from shaker.models.sensor.spring_damper import SpringPrior
+from shaker.identification.measured import MeasuredSensitivity, RelativeError
+from shaker.identification.sensitivity import SpringPrior
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import lsim
 
-from shaker._checks import FloatArray
-from shaker.models.linear_system import LinearSystem
-from shaker.models.step.reading import Reading
-from shaker.models.step.record import StepRecord
+from shaker.arrays import FloatArray
+from shaker.lti.system import LinearSystem
+from shaker.release.record import Reading, StepRecord
 
 RATE_HZ, AMPLITUDE = 100e3, 50.0
 SENSOR = ((1700.0, 0.015),), (6000.0,)

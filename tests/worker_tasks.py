@@ -10,17 +10,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from unittest.mock import patch
 
-from fusion.errors import InputError
+from fusion.base import InputError
 
 if TYPE_CHECKING:
-    from fusion.execution.job import Job, Outcome
+    from fusion.campaign.cluster import Job, Outcome
 
 
 def whole_job(job: Job) -> Outcome:
     """Everything that a run does with a recording but its figures, which take most of the time."""
-    from fusion.execution.job import run_job
+    from fusion.campaign.cluster import run_job
 
-    with patch("fusion.results.render_report", lambda evaluation: f"<!doctype html>{evaluation.manifest.name}"):
+    with patch(
+        "fusion.report.recording.render_report", lambda evaluation: f"<!doctype html>{evaluation.manifest.name}"
+    ):
         return run_job(job)
 
 

@@ -1,1 +1,1 @@
-"""The sub-commands of `shakercal`, one module each; heavy modules are imported when a command acts."""
+"""The sub-commands of `shakercal`."""

@@ -1,11 +1,13 @@
-"""`shakercal cameras`: calibrate a stereo pair."""
+"""The commands that calibrate cameras: cameras, import-calibration, align."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
-from fusion.commands.values import EXIT_DONE, Commands, not_negative, positive, size
+from fusion.commands.options import EXIT_DONE, Commands, device, not_negative, positive, size
+
+# `shakercal cameras`: calibrate a stereo pair.
 
 
 def add_cameras(commands: Commands, common: argparse.ArgumentParser) -> None:
@@ -54,10 +56,9 @@ def add_cameras(commands: Commands, common: argparse.ArgumentParser) -> None:
 
 
 def _act_cameras(options: argparse.Namespace) -> int:
-    from fusion.cameras import CameraSettings, run_cameras
-    from fusion.errors import InputError
-    from fusion.progress import progress_bar
-    from photogram.target.view import Target
+    from fusion.base import InputError, progress_bar
+    from fusion.cameras.calibrate import CameraSettings, run_cameras
+    from photogram.targets.view import Target
 
     try:
         target = Target(options.target, options.spacing, options.size, options.dictionary)
@@ -66,4 +67,69 @@ def _act_cameras(options: argparse.Namespace) -> int:
     settings = CameraSettings(target, options.shape, options.scale_uncertainty)
     with progress_bar(enabled=not options.quiet) as progress:
         run_cameras(options.pictures, settings, options.output, options.force, progress)
+    return EXIT_DONE
+
+
+# `shakercal import-calibration`: take over another program's calibration.
+
+
+def add_import_calibration(commands: Commands, common: argparse.ArgumentParser) -> None:
+    """Add the command's parser."""
+    parser = commands.add_parser(
+        "import-calibration",
+        parents=[common],
+        help="take over a calibration of OpenCV, DICe, VIC-3D, MATLAB or Bouguet's toolbox",
+    )
+    parser.add_argument("calibration", type=Path, metavar="FILE", help="the other program's file")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="JSON", help="calibration file to write")
+    parser.add_argument("--extrinsics", type=Path, metavar="FILE", help="second file, where OpenCV's R and T are apart")
+    parser.add_argument("--image-size", type=size, metavar="2448x2048", help="width x height, if the file has none")
+    parser.add_argument("--length-unit", choices=("m", "mm"), help="of the file's lengths, where it does not say it")
+    parser.add_argument("--force", action="store_true", help="overwrite a calibration file that is there")
+    parser.set_defaults(action=_act_import_calibration)
+
+
+def _act_import_calibration(options: argparse.Namespace) -> int:
+    from fusion.cameras.calibrate import convert_calibration
+
+    source = options.calibration, options.extrinsics
+    found = convert_calibration(source, options.output, options.image_size, options.length_unit, options.force)
+    print(f"calibration of {found} written: {options.output}")
+    return EXIT_DONE
+
+
+# `shakercal align`: place a stereo pair in the sensor frame.
+
+
+def add_align(commands: Commands, common: argparse.ArgumentParser) -> None:
+    """Add the command's parser."""
+    parser = commands.add_parser(
+        "align", parents=[common], help="find where a stereo pair's camera stands in the sensor frame"
+    )
+    parser.add_argument("alignment", type=Path, metavar="ALIGNMENT.toml", help="file that names the evidence")
+    parser.add_argument("-o", "--output", type=Path, metavar="POSE.toml", help="file for the block of rig.toml")
+    parser.add_argument("--force", action="store_true", help="overwrite the output that is there")
+    parser.add_argument(
+        "--allow-outside", action="store_true", help="accept files outside the folder of ALIGNMENT.toml"
+    )
+    parser.add_argument(
+        "--device", type=device, default="auto", metavar="{auto,cpu,cuda}", help="where subsets are tracked"
+    )
+    parser.set_defaults(action=_act_align)
+
+
+def _act_align(options: argparse.Namespace) -> int:
+    from fusion.base import Settings, progress_bar
+    from fusion.cameras.align import align_file
+
+    with progress_bar(enabled=not options.quiet) as progress:
+        text = align_file(
+            options.alignment,
+            options.output,
+            Settings(device=options.device),
+            force=options.force,
+            allow_outside=options.allow_outside,
+            progress=progress,
+        )
+    print(text, end="")
     return EXIT_DONE

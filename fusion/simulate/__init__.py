@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from fusion.settings import ProgressCallback, no_progress
+from fusion.base import ProgressCallback, no_progress
 
 _JITTER_S = 30e-9
 
@@ -20,10 +20,8 @@ def simulate(out: Path, preset: str, seed: int, progress: ProgressCallback = no_
     `switches` are the fields of `SimulationOptions`. The same seed gives the same files. A folder that holds
     anything but an earlier simulation is refused with an `InputError`; it appears whole or not at all.
     """
-    from fusion.simulate.draws import Draws
-    from fusion.simulate.options import SimulationOptions
-    from fusion.simulate.preset import PRESETS
-    from fusion.simulate.world import make_world
+    from fusion.simulate.preset import PRESETS, SimulationOptions
+    from fusion.simulate.world import Draws, make_world
     from fusion.simulate.write import write_campaign
 
     if preset not in PRESETS:
@@ -46,7 +44,7 @@ def simulate_campaign(
     `switches` are the fields of `CampaignOptions`. The same seed gives the same files; other folders are refused as by
     `simulate`.
     """
-    from fusion.simulate.campaign import CAMPAIGNS, CampaignOptions, write_runs
+    from fusion.simulate.write import CAMPAIGNS, CampaignOptions, write_runs
 
     if preset not in CAMPAIGNS:
         raise ValueError(f"preset: expected one of {', '.join(CAMPAIGNS)}, found {preset!r}")
@@ -61,7 +59,7 @@ def simulate_targets(out: Path, seed: int, progress: ProgressCallback = no_progr
 
     The same seed gives the same files; other folders are refused as by `simulate`.
     """
-    from fusion.simulate.targets import write_session
+    from fusion.simulate.statics import write_session
 
     with _whole(out) as partial:
         write_session(partial, seed, progress)
@@ -85,8 +83,7 @@ def simulate_loads(out: Path, preset: str, seed: int, progress: ProgressCallback
 
     The same seed gives the same files; other folders are refused as by `simulate`.
     """
-    from fusion.simulate.masses import write_masses
-    from fusion.simulate.pitching import write_pitching
+    from fusion.simulate.chirp import write_masses, write_pitching
 
     with _whole(out) as partial:
         if preset == "masses":
@@ -101,7 +98,7 @@ def simulate_rotation(out: Path, seed: int) -> tuple[Path, ...]:
 
     The same seed gives the same files; other folders are refused as by `simulate`.
     """
-    from fusion.simulate.rotation import BARE, LOADED, write_rotation
+    from fusion.simulate.statics import BARE, LOADED, write_rotation
 
     with _whole(out) as partial:
         write_rotation(partial, seed)
@@ -113,7 +110,7 @@ def simulate_steps(out: Path, seed: int) -> tuple[Path, ...]:
 
     The same seed gives the same files; other folders are refused as by `simulate`.
     """
-    from fusion.simulate.steps import releases, write_steps
+    from fusion.simulate.releases import releases, write_steps
 
     with _whole(out) as partial:
         write_steps(partial, seed)
@@ -125,7 +122,7 @@ def simulate_load_series(out: Path, seed: int) -> tuple[Path, ...]:
 
     The same seed gives the same files; other folders are refused as by `simulate`.
     """
-    from fusion.simulate.loads import write_loads
+    from fusion.simulate.releases import write_loads
 
     with _whole(out) as partial:
         names = [recording.name for recording in write_loads(partial, seed)]
@@ -137,7 +134,7 @@ def simulate_element(out: Path, seed: int) -> Path:
 
     The same seed gives the same files; other folders are refused as by `simulate`.
     """
-    from fusion.simulate.elastomer import GEOMETRY_FILE, write_element
+    from fusion.simulate.statics import GEOMETRY_FILE, write_element
 
     with _whole(out) as partial:
         write_element(partial, seed)
@@ -147,7 +144,7 @@ def simulate_element(out: Path, seed: int) -> Path:
 @contextmanager
 def _whole(out: Path) -> Iterator[Path]:
     """Yield a folder that takes the place of `out` when it is complete; refuse anything but an earlier simulation."""
-    from fusion.errors import InputError
+    from fusion.base import InputError
 
     other = _not_simulated(out) if out.is_dir() else out if out.exists() else None
     if other is not None:
@@ -170,9 +167,9 @@ def _whole(out: Path) -> Iterator[Path]:
 
 def _not_simulated(out: Path) -> Path | None:
     """Return something in a folder that is neither named by a simulated recording nor its truth, None if all is."""
-    from fusion.errors import InputError
-    from fusion.manifest import load_manifest
-    from fusion.simulate.targets import written_files
+    from fusion.base import InputError
+    from fusion.recording.load import load_manifest
+    from fusion.simulate.statics import written_files
 
     written = written_files(out) | _element_files(out)
     for truth in out.glob("*/truth.json"):
@@ -187,7 +184,7 @@ def _not_simulated(out: Path) -> Path | None:
 
 def _element_files(out: Path) -> set[Path]:
     """Return the files of a folder that `simulate_element` wrote: all of them are there, and nothing is missing."""
-    from fusion.simulate.elastomer import WRITTEN
+    from fusion.simulate.statics import WRITTEN
 
     files = {(out / name).resolve() for name in WRITTEN}
     return files if all(file.is_file() for file in files) else set()

@@ -1,18 +1,179 @@
-"""The true campaign behind the manifests: nominal set-up plus drawn errors, its motion, load and outputs."""
+"""The simulated rig in motion, and the errors drawn for it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fusion.simulate.draws import Draws
-from fusion.simulate.mechanics import ComplexArray, Motion, TruePart, base_motion, sensitivity, wrench
-from fusion.simulate.preset import PartSpec, Preset
-from fusion.simulate.scenery import StereoSetup, nominal_rig
+from fusion.simulate.preset import PRESETS, PartSpec, Preset, StereoSetup, face_of, left_camera, nominal_rig
 from photogram.camera import StereoRig
-from photogram.rigid import RigidTransform, rotation_from_vector
-from shaker._checks import FloatArray
+from photogram.geometry import RigidTransform, rotation_from_vector
+from photogram.synthetic.scene import motion_bound, view_of
+from shaker.arrays import ComplexArray, FloatArray
+
+# The errors of one simulated campaign, drawn from what its manifests state.
+
+
+MOUNTED = ("point", "direction", "transverse", "centre_of_mass")
+"""Last parts of the names of errors that are made anew whenever something is mounted."""
+RECORDED = ("noise", "trigger jitter", "points")
+"""Last parts of the names of what no two recordings share."""
+
+
+@dataclass(frozen=True)
+class Draws:
+    """Normal deviates by name: each name has its own stream of `seed`, so that none depends on what else is drawn.
+
+    `systematic` False gives zeros. `values` remembers every error drawn, for the truth file.
+    """
+
+    seed: int
+    systematic: bool
+    values: dict[str, list[float]] = field(default_factory=dict)
+
+    def stream(self, name: str) -> np.random.Generator:
+        """Return the generator of a name."""
+        return np.random.default_rng([self.seed, zlib.crc32(name.encode())])
+
+    def normal(self, name: str, uncertainty: float | FloatArray, count: int | None = None) -> FloatArray:
+        """Return errors (count,) or scalar-shaped () of the given standard uncertainty, and remember them."""
+        deviate = self.stream(name).standard_normal(count)
+        value = np.asarray(deviate * uncertainty if self.systematic else 0.0 * deviate * uncertainty)
+        if np.any(np.asarray(uncertainty) > 0):
+            self.values[name] = [float(v) for v in np.atleast_1d(value)]
+        return value
+
+    def covariant(self, name: str, covariance: FloatArray) -> FloatArray:
+        """Return errors (P,) with a covariance (P, P), and remember them."""
+        scale = np.sqrt(np.diagonal(covariance))
+        lower = np.linalg.cholesky(covariance / np.outer(scale, scale))
+        value = scale * (lower @ self.stream(name).standard_normal(len(scale))) * (1.0 if self.systematic else 0.0)
+        self.values[name] = [float(v) for v in value]
+        return np.asarray(value)
+
+
+@dataclass(frozen=True)
+class CampaignDraws(Draws):
+    """The errors of one recording of a campaign: those of the rig are its other recordings' too.
+
+    Where something was mounted (`MOUNTED`) differs from `mounting` to mounting, noise (`RECORDED`) from `recording` to
+    recording. The sensor's own parts are never taken off.
+    """
+
+    mounting: str = ""
+    recording: str = ""
+
+    def stream(self, name: str) -> np.random.Generator:
+        """Return the generator of a name, within its mounting or its recording."""
+        last = name.rpartition(".")[2]
+        if last in RECORDED:
+            return super().stream(f"{name} [{self.recording}]")
+        own = name.startswith("internal.")
+        return super().stream(f"{name} [{self.mounting}]" if last in MOUNTED and not own else name)
+
+
+# What really happens: motion of load and base, the load on the sensor, the sensor's answer.
+
+
+@dataclass(frozen=True, eq=False)
+class TruePart:
+    """A rigid part: mass_kg, centre_of_mass_m (3,), inertia_kgm2 (3, 3) about the centre of mass."""
+
+    mass_kg: float
+    centre_of_mass_m: FloatArray
+    inertia_kgm2: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Harmonic motion of a body: frequency_hz (K,), acceleration (K, 6) phasors of the origin point, m/s², rad/s²."""
+
+    frequency_hz: FloatArray
+    acceleration: ComplexArray
+
+    @property
+    def displacement(self) -> ComplexArray:
+        """Displacement phasors (K, 6), m and rad: −A/ω²."""
+        return -self.acceleration / self.omega[:, None] ** 2
+
+    @property
+    def omega(self) -> FloatArray:
+        """Angular frequencies (K,), rad/s."""
+        return 2 * np.pi * self.frequency_hz
+
+    def pose(self, time_s: FloatArray | float) -> FloatArray:
+        """Return the poses (..., 6) at times (...,): translation of the origin point, rotation vector, zero mean."""
+        return harmonic(np.asarray(time_s), self.frequency_hz, self.displacement)
+
+
+def harmonic(time_s: FloatArray, frequency_hz: FloatArray, phasors: ComplexArray) -> FloatArray:
+    """Return Σ Re{X·e^{jωt}} (..., C) at times (...,) of phasors (K, C)."""
+    time = np.asarray(time_s, dtype=np.float64)
+    total = np.zeros((*time.shape, phasors.shape[1]))
+    for frequency, line in zip(frequency_hz, phasors, strict=True):
+        turn = np.exp(2j * np.pi * frequency * time)[..., None]
+        total += (turn * line).real
+    return total
+
+
+def wrench(motion: Motion, parts: Sequence[TruePart], gravity: FloatArray) -> ComplexArray:
+    """Return the phasors (K, 6) of force and moment at the origin that move the parts, in the body's own axes.
+
+    Newton and Euler of each part: F = m·(a + α × c) + m·θ × g, M = c × F + I·α, θ = −α/ω². The last term of F is
+    gravity seen from tilted axes: Rᵀ·(−m·g) = −m·g + m·θ × g to first order.
+    """
+    a, alpha = motion.acceleration[:, :3], motion.acceleration[:, 3:]
+    tilt = np.cross(motion.displacement[:, 3:], gravity)
+    total = np.zeros_like(motion.acceleration)
+    for part in parts:
+        c = part.centre_of_mass_m
+        force = part.mass_kg * (a + np.cross(alpha, c) + tilt)
+        total[:, :3] += force
+        total[:, 3:] += np.cross(c, force) + alpha @ part.inertia_kgm2.T
+    return total
+
+
+def base_motion(load: Motion, mount_hz: FloatArray, damping: float) -> Motion:
+    """Return the motion of the base below an oscillator per component.
+
+    load/base = (1 + 2jζη)/(1 − η² + 2jζη), η = f/f_0 with the component's own f_0 (`mount_hz`, (6,)).
+    """
+    ratio = load.frequency_hz[:, None] / np.asarray(mount_hz)
+    transfer = (1 + 2j * damping * ratio) / (1 - ratio**2 + 2j * damping * ratio)
+    return Motion(load.frequency_hz, load.acceleration / transfer)
+
+
+def sensitivity(frequency_hz: FloatArray, static: FloatArray, damping_s: FloatArray, lag_s: float) -> ComplexArray:
+    """Return the complex sensitivity (K, 6, 6), output per load component, of a spring-damper sensor behind a filter.
+
+    Outputs follow the spring's deflection: component i of the load counts 1/(1 + jω·b_i/k_i) (`damping_s` = b/k),
+    and the chain is a first-order low-pass 1/(1 + jω·lag). `static` (6, 6) carries the cross-talk.
+    """
+    jw = 2j * np.pi * frequency_hz[:, None]
+    per_component = 1 / (1 + jw * damping_s) / (1 + jw * lag_s)
+    return np.asarray(static[None] * per_component[:, None, :])
+
+
+def velocity_at(motion: Motion, point: FloatArray, direction: FloatArray) -> ComplexArray:
+    """Return the phasors (K,) of the velocity of a body point along a fixed direction: d·(v + ω × r)."""
+    velocity = motion.acceleration / (1j * motion.omega[:, None])
+    return np.asarray((velocity[:, :3] + np.cross(velocity[:, 3:], point)) @ direction)
+
+
+def acceleration_at(motion: Motion, point: FloatArray, direction: FloatArray, gravity: FloatArray) -> ComplexArray:
+    """Return the phasors (K,) that an accelerometer reads: d·(a + α × r) − (θ × d)·g, its axis tilting along."""
+    a, alpha = motion.acceleration[:, :3], motion.acceleration[:, 3:]
+    tilted = np.cross(motion.displacement[:, 3:], direction)
+    return np.asarray((a + np.cross(alpha, point)) @ direction - tilted @ gravity)
+
+
+# The true campaign behind the manifests: nominal set-up plus drawn errors, its motion, load and outputs.
+
 
 STATIC_UNCERTAINTY = 1e-3
 """Relative change of a sensor since its static calibration, one standard deviation."""
@@ -116,3 +277,77 @@ def true_pose(setup: StereoSetup, stated: RigidTransform, scale: float, draws: D
     error = draws.normal(f"{setup.name}.pose", np.array(setup.pose_uncertainty), 6)
     turn = rotation_from_vector(error[3:])
     return RigidTransform(turn @ stated.rotation, turn @ (stated.translation_m * scale) + error[:3])
+
+
+# What the images of a simulated recording allow at best.
+
+
+def frame_bounds(preset: str, seed: int) -> dict[str, NDArray[np.float64]]:
+    """Return per stereo pair the Cramér-Rao bound of one frame's motion: standard deviations (6,) in m and rad.
+
+    All pixels of both cameras with the true rig and the nominal noise (`photogram.synthetic.scene.motion_bound`).
+    """
+    draws = Draws(seed, True)
+    bounds = {}
+    for stereo in make_world(PRESETS[preset], draws, 0.0).stereo:
+        face = face_of(stereo.setup, False, draws.stream(f"{stereo.setup.name}.speckle"))
+        right_from_sensor = stereo.rig.right_from_left @ stereo.left_from_sensor
+        views = [view_of(stereo.rig.left, stereo.left_from_sensor), view_of(stereo.rig.right, right_from_sensor)]
+        bounds[stereo.setup.name] = np.sqrt(np.diagonal(motion_bound(views, face, stereo.setup.sensor)))
+    return bounds
+
+
+# Points on the faces that stereo pairs see, as another correlation program writes them.
+
+
+COLUMNS = ("frame", "id", "x", "y", "z")
+FILE_SCALE = 1e-3  # millimetres in the file
+GRID = (8, 5)
+_INSIDE = 0.68  # of the half size: the grid's corners stay on a round face
+_NOISE_M = (0.7e-6, 0.7e-6, 1.8e-6)  # x, y and along the view of the left camera
+
+
+def face_points(setup: StereoSetup) -> FloatArray:
+    """Return a grid (N, 3) of points on a face, in the sensor frame at rest."""
+    across, up = (_INSIDE * half * np.linspace(-1.0, 1.0, n) for half, n in zip(setup.half_size, GRID, strict=True))
+    side = np.cross(np.array(setup.face_up), np.array(setup.face_normal))
+    grid = across[:, None, None] * side + up[None, :, None] * np.array(setup.face_up)
+    return np.asarray(np.array(setup.face_centre) + grid.reshape(-1, 3))
+
+
+@dataclass(frozen=True, eq=False)
+class PointSeries:
+    """Points of one stereo pair: position_m (F, N, 3) in the frame of its left camera, with the errors of the pair."""
+
+    setup: StereoSetup
+    position_m: FloatArray
+
+
+def point_series(world: World, setup: StereoSetup, draws: Draws, noise: bool) -> PointSeries:
+    """Return the points of a pair through all frames: moved, blurred by the exposure, in its own scale and pose.
+
+    A point of the program is the true one in the camera's frame over the scale 1 + e. An exposure of length T shows
+    the mean over T: a line at f is smaller by sin(πfT)/(πfT).
+    """
+    scale = 1 + float(draws.normal(f"{setup.name}.scale", setup.scale_uncertainty))
+    left_from_sensor = true_pose(setup, left_camera(setup), scale, draws).inverse()
+    delay = float(draws.normal(f"{setup.name}.delay", setup.delay_uncertainty))
+    exposure = world.preset.exposure_s
+    motion = world.motion[setup.body]
+    seen = Motion(motion.frequency_hz, motion.acceleration * np.sinc(motion.frequency_hz * exposure)[:, None])
+    rest = face_points(setup)
+    poses = (RigidTransform.from_pose(pose) for pose in seen.pose(world.trigger_s + delay + exposure / 2))
+    position = np.stack([left_from_sensor.apply(pose.apply(rest)) for pose in poses]) / scale
+    if noise:
+        deviate = draws.stream(f"{setup.name}.points").standard_normal(position.shape)
+        position = position + deviate * np.array(_NOISE_M)
+    return PointSeries(setup, position)
+
+
+def write_points(path: Path, series: PointSeries) -> None:
+    """Write a table with one row per frame and point: `COLUMNS`, lengths in millimetres with six decimals."""
+    frames, count = series.position_m.shape[:2]
+    place = np.stack(np.meshgrid(np.arange(frames), np.arange(count), indexing="ij"), axis=-1)
+    rows = np.concatenate([place, series.position_m / FILE_SCALE], axis=2).reshape(-1, len(COLUMNS))
+    text = "\n".join(f"{frame:.0f},{point:.0f},{x:.6f},{y:.6f},{z:.6f}" for frame, point, x, y, z in rows.tolist())
+    path.write_text(f"{','.join(COLUMNS)}\n{text}\n", encoding="utf-8", newline="\n")

@@ -1,4 +1,4 @@
-"""All evidence in one weighted least squares: the pose, its covariance, and whether the pieces fit each other."""
+"""The camera frame in the sensor frame, by least squares over all evidence, and what stays open."""
 
 from __future__ import annotations
 
@@ -7,16 +7,126 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from photogram._checks import FloatArray, check_shape
-from photogram.alignment.evidence import Evidence
-from photogram.alignment.openness import OpenPose, open_components
-from photogram.alignment.residuals import CALIBRATION
-from photogram.alignment.start import starting_pose
+from photogram.alignment.evidence import CALIBRATION, Evidence, KnownFace, KnownPoints, KnownPoses
 from photogram.alignment.system import System, assemble, sum_of_squares
-from photogram.notice import Notice
-from photogram.rigid import RigidTransform, nearest_rotation, rotation_from_vector
+from photogram.arrays import FloatArray, Notice, check_shape
+from photogram.geometry import RigidTransform, fit_rigid, fixes_rotation, nearest_rotation, rotation_from_vector
 
-__all__ = ["Alignment", "OpenPose", "Piece", "align"]
+# A first pose from the evidence, near enough for Gauss-Newton steps.
+
+
+def starting_pose(evidence: Sequence[Evidence]) -> RigidTransform | None:
+    """Return a first `sensor_from_camera` from a known pose, three points or two faces; None without any of them.
+
+    Directions and axes of motion are known up to their sense only and cannot start the search.
+    """
+    for item in evidence:
+        if isinstance(item, KnownPoses):
+            return item.sensor_from_body[0] @ item.left_from_body[0].inverse()
+    points = [item for item in evidence if isinstance(item, KnownPoints)]
+    faces = [item for item in evidence if isinstance(item, KnownFace)]
+    found = _from_points(points)
+    return _from_faces(faces) if found is None else found
+
+
+def _from_points(points: Sequence[KnownPoints]) -> RigidTransform | None:
+    """Return the rigid fit of all points, None where they leave the rotation open."""
+    if sum(len(item.names) for item in points) < 3:
+        return None
+    camera = np.concatenate([item.camera_m for item in points])
+    sensor = np.concatenate([item.sensor_m for item in points])
+    try:
+        return fit_rigid(camera, sensor)
+    except ValueError:
+        return None
+
+
+def _from_faces(faces: Sequence[KnownFace]) -> RigidTransform | None:
+    """Return the pose in which the fitted planes lie on the faces, as near as two or more normals decide."""
+    flat = [(item, *fitted) for item in faces if (fitted := _plane(item.camera_m)) is not None]
+    scatter = sum((np.outer(item.normal, normal) for item, _, normal in flat), start=np.zeros((3, 3)))
+    if len(flat) < 2 or not fixes_rotation(scatter):
+        return None
+    rotation = nearest_rotation(scatter)
+    normals = np.array([item.normal for item, _, _ in flat])
+    offset = np.array([item.normal @ (item.point_m - rotation @ centre) for item, centre, _ in flat])
+    return RigidTransform(rotation, np.linalg.lstsq(normals, offset, rcond=1e-9)[0])
+
+
+def _plane(points_m: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """Return centre and normal of the plane of points (N, 3), the normal towards the camera; None on a line."""
+    if len(points_m) < 3:
+        return None
+    centre = points_m.mean(axis=0)
+    _, singular, rows = np.linalg.svd(points_m - centre, full_matrices=False)
+    if singular[1] < 1e-6 * max(singular[0], 1e-300):
+        return None
+    return centre, rows[2] if rows[2] @ centre < 0.0 else -rows[2]
+
+
+# Which components of a pose the evidence leaves open, told by name.
+
+
+LIMIT = 0.1
+"""Standard uncertainty (m, rad) from which a component counts as open: nothing is evaluated with such a pose."""
+_SAME = 0.02  # sine of the angle below which a direction goes by the name of an axis
+_PURE = 1e-2  # share below which a displacement counts as one without rotation
+
+
+class OpenPose(ValueError):
+    """The evidence leaves components of the pose open; `components` names them."""
+
+    def __init__(self, components: tuple[str, ...]) -> None:
+        self.components = components
+        turns = any(name.startswith("rotation") for name in components)
+        shifts = any(name.startswith("position") for name in components)
+        cures = ["three points or faces, or a target at a known pose"]
+        cures += ["a motion in another direction"] if turns else []
+        cures += ["a rotation axis that is not parallel to others"] if shifts else []
+        verb = "is" if len(components) == 1 and " and " not in components[0] else "are"
+        text = f"{' and '.join(components)} {verb} open: add {', '.join(cures)}, or a pose known before"
+        super().__init__(text)
+
+
+def open_components(information: FloatArray) -> tuple[str, ...]:
+    """Return the names of the components that an information matrix (6, 6) leaves open, empty if none.
+
+    Open are the eigenvectors of the information, in units of `LIMIT`, whose eigenvalue is below 1, which is a standard
+    uncertainty above `LIMIT`. Shifts among them are told apart from what turns.
+    """
+    values, vectors = np.linalg.eigh(information * LIMIT**2)
+    basis = vectors[:, values < 1.0]
+    if not basis.shape[1]:
+        return ()
+    left, singular, right = np.linalg.svd(basis[3:])
+    turning = int(np.count_nonzero(singular > _PURE))
+    shifts = (basis @ right[turning:].T)[:3]
+    found = [f"rotation about {_axes(left[:, :turning])}"] if turning else []
+    if shifts.shape[1]:
+        found.append(f"position along {_axes(np.linalg.svd(shifts, full_matrices=False)[0])}")
+    return tuple(found)
+
+
+def _axes(basis: FloatArray) -> str:
+    """Return the name of the directions that orthonormal columns (3, d) span."""
+    reach = np.linalg.norm(basis, axis=1)
+    inside = [axis for axis, length in zip("xyz", reach, strict=True) if length > 1.0 - _SAME**2]
+    if len(inside) == basis.shape[1]:
+        return " and ".join([", ".join(inside[:-1]), inside[-1]] if len(inside) > 1 else inside)
+    if basis.shape[1] == 1:
+        return f"({', '.join(f'{x:.3g}' for x in _upright(basis[:, 0]))})"
+    normal = np.linalg.svd(basis)[0][:, 2]
+    return f"every direction across ({', '.join(f'{x:.3g}' for x in _upright(normal))})"
+
+
+def _upright(direction: FloatArray) -> FloatArray:
+    """Return a direction with its largest component positive and rounding removed."""
+    turned = direction * np.sign(direction[np.argmax(np.abs(direction))])
+    return np.asarray(np.where(np.abs(turned) < _SAME, 0.0, turned))
+
+
+# All evidence in one weighted least squares: the pose, its covariance, and whether the pieces fit each other.
+
 
 TEST_LEVEL = 0.99
 _STEPS = 50

@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 from evaluation_factory import Choice, make_evaluation
 
-from fusion.evaluation import Evaluation
-from fusion.manifest import Manifest
-from fusion.provenance import versions
-from fusion.settings import Settings
+from fusion.base import Settings
+from fusion.recording.load import Manifest
+from fusion.report.provenance import versions
+from fusion.sensitivity.analyse import Evaluation
 
 FORMAT_DOC = Path(__file__).resolve().parents[2] / "docs" / "recording-format.md"
 FILES = (
@@ -100,7 +100,11 @@ def evaluated(monkeypatch: pytest.MonkeyPatch, ready_evaluation: Evaluation) -> 
             input_hashes=hashes,
         )
 
-    monkeypatch.setattr("fusion.execution.job.evaluate_recording", evaluate)
-    monkeypatch.setattr("fusion.results.render_report", lambda evaluation: f"<!doctype html>{evaluation.manifest.name}")
-    monkeypatch.setattr("fusion.joint.write.render_campaign", lambda evaluation: f"<!doctype html>{evaluation.name}")
+    monkeypatch.setattr("fusion.campaign.cluster.evaluate_recording", evaluate)
+    monkeypatch.setattr(
+        "fusion.report.recording.render_report", lambda evaluation: f"<!doctype html>{evaluation.manifest.name}"
+    )
+    monkeypatch.setattr(
+        "fusion.campaign.joint_report.render_campaign", lambda evaluation: f"<!doctype html>{evaluation.name}"
+    )
     return done

@@ -14,7 +14,7 @@ import pytest
 from alignment_factory import BODY_M, World, displaced, make_world
 from pydantic import BaseModel
 
-from fusion.align.manifest import (
+from fusion.cameras.align_manifest import (
     AlignmentFile,
     AxisBlock,
     CommonView,
@@ -28,10 +28,10 @@ from fusion.align.manifest import (
     read_alignment,
 )
 from fusion.cli import main
-from fusion.manifest import Stereo
-from fusion.simulate.toml_text import to_toml
-from photogram.calibration_file import write_calibration
-from photogram.rigid import RigidTransform, vector_from_rotation
+from fusion.recording.rig import Stereo
+from fusion.simulate.channels import to_toml
+from photogram.calibration.file import write_calibration
+from photogram.geometry import RigidTransform, vector_from_rotation
 
 ROOT = Path(__file__).resolve().parents[2]
 DOC = (ROOT / "docs" / "cameras.md").read_text(encoding="utf-8")

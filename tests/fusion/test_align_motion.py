@@ -13,16 +13,16 @@ import numpy as np
 import pytest
 from alignment_factory import BODY_M, World, displaced, make_world
 
-from fusion.align.manifest import AxisBlock
-from fusion.align.recordings import _axis
-from fusion.align.stills import Pair
+from fusion.cameras.align import _axis
+from fusion.cameras.align_manifest import AxisBlock, Pair
 from fusion.cli import main
-from fusion.simulate.toml_text import to_toml
-from photogram.alignment import align, calibration_steps
+from fusion.simulate.channels import to_toml
+from photogram.alignment.evidence import calibration_steps
+from photogram.alignment.solve import align
+from photogram.camera import triangulate
+from photogram.geometry import rotation_from_vector, vector_from_rotation
 from photogram.motion import fit_motion
-from photogram.rigid import rotation_from_vector, vector_from_rotation
-from photogram.track import TrackStatus
-from photogram.triangulate import triangulate
+from photogram.subsets.reference import TrackStatus
 
 WRONG_RAD = np.array([3.2e-3, -3.0e-3, 2.4e-3])
 U_BEFORE = [1e-3, 1e-3, 1e-3, 5e-3, 5e-3, 5e-3]

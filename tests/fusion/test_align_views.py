@@ -10,9 +10,9 @@ import pytest
 from alignment_factory import TARGET, World, make_world, target_pose
 
 from fusion.cli import main
-from fusion.simulate.toml_text import to_toml
-from photogram.calibration_file import write_calibration
-from photogram.rigid import RigidTransform, vector_from_rotation
+from fusion.simulate.channels import to_toml
+from photogram.calibration.file import write_calibration
+from photogram.geometry import RigidTransform, vector_from_rotation
 from photogram.synthetic.board import Board, render_board
 
 TABLE = {"kind": TARGET.kind, "spacing": TARGET.spacing_m, "size": list(TARGET.size or ())}

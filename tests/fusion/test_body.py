@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fusion.body import Body, Part, make_part
+from fusion.sensitivity.body import Body, Part, make_part
 
 GRAVITY = np.array([0.3, -0.2, -9.8125])
 

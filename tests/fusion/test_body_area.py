@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from fusion.simulate.draws import Draws
-from fusion.simulate.preset import PRESETS
-from fusion.simulate.scenery import face_of, nominal_rig
-from photogram.subset import textured_area
-from photogram.synthetic import render, view_of
+from fusion.simulate.preset import PRESETS, face_of, nominal_rig
+from fusion.simulate.world import Draws
+from photogram.subsets.grid import textured_area
+from photogram.synthetic.scene import render, view_of
 
 BORDER_PX = 5  # beside the image's border nothing is tracked: the body would move out of the image
 

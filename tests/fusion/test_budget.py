@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fusion.budget import budget
-from fusion.uncertainty import Contribution, Influence, Uncertainty
+from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty
+from fusion.sensitivity.load import budget
 
 finite = st.floats(-1.0, 1.0)
 VALUE = np.array([[2.0 * np.exp(0.4j), -0.3 + 0.1j], [1.0j, 5.0 + 0.0j]])

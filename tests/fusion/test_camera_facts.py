@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from calibration_factory import SIZE_PX, SPACING_M, Session, make_calibration
 
-from fusion import camera_facts as facts
-from photogram.calibrate.result import CalibratedPicture, CalibratedView, Calibration
+from fusion.cameras.calibrate import facts
+from photogram.calibration.model import CalibratedPicture, CalibratedView, Calibration
 from photogram.camera import StereoRig
-from photogram.rigid import RigidTransform, rotation_from_vector
+from photogram.geometry import RigidTransform, rotation_from_vector
 
 DRAWS = 4000
 

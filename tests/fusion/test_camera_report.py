@@ -10,22 +10,23 @@ import pytest
 from calibration_factory import Session, make_calibration
 from page_outline import outline
 
-from fusion.camera_report import render_camera_report
-from fusion.camera_tables import (
+from fusion.cameras.figures import draw_pictures
+from fusion.cameras.report import (
     camera_headlines,
     correlations_table,
+    draw_coverage,
+    draw_views,
     dropped_table,
     lengths_table,
     parameters_table,
+    render_camera_report,
     verdict,
     views_table,
 )
-from fusion.plots.camera_residuals import draw_pictures
-from fusion.plots.cameras import draw_coverage, draw_views
-from fusion.provenance import Provenance
-from photogram.calibrate.result import Calibration, Dropped
+from fusion.report.provenance import Provenance
+from photogram.arrays import Notice
+from photogram.calibration.model import Calibration, Dropped
 from photogram.camera import RIG_PARAMETERS
-from photogram.notice import Notice
 
 PROVENANCE = Provenance({"left-01.tif": "ab" * 32}, {"target": "dots"}, {"shakercal": "0.1.0"}, ("top.json",))
 

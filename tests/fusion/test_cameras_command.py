@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 
 from fusion.cli import main
-from fusion.commands.values import EXIT_DONE, EXIT_INPUT
-from fusion.simulate.targets import BOARD
-from photogram.calibration_file import read_calibration
-from photogram.rigid import RigidTransform, vector_from_rotation
-from photogram.synthetic.board import render_board
-from photogram.synthetic.board_session import random_poses, random_rig
+from fusion.commands.options import EXIT_DONE, EXIT_INPUT
+from fusion.simulate.statics import BOARD
+from photogram.calibration.file import read_calibration
+from photogram.geometry import RigidTransform, vector_from_rotation
+from photogram.synthetic.board import random_poses, random_rig, render_board
 
 SIZE = np.array([560, 448])
 TARGET = ["--target", "charuco", "--size", "11x8", "--spacing", "9e-3"]

@@ -12,15 +12,14 @@ from pathlib import Path
 import h5py
 import pytest
 
-from fusion.campaign import exit_status, run_path
+from fusion.base import ComputeError, InputError, Settings
+from fusion.campaign.cluster import Outcome
+from fusion.campaign.run import cluster as under_test
+from fusion.campaign.run import exit_status, run_path
+from fusion.campaign.workers import Answer, call
 from fusion.cli import main
-from fusion.commands.values import EXIT_DONE, EXIT_FAILED, EXIT_INPUT
-from fusion.errors import ComputeError, InputError
-from fusion.execution import job as under_test
-from fusion.execution.job import Outcome
-from fusion.execution.task import Answer, call
-from fusion.results import CAMPAIGN_FILES
-from fusion.settings import Settings
+from fusion.commands.options import EXIT_DONE, EXIT_FAILED, EXIT_INPUT
+from fusion.report.recording import CAMPAIGN_FILES
 
 Campaign = Callable[..., Path]
 Capture = pytest.CaptureFixture[str]
@@ -270,7 +269,7 @@ def test_new_results_take_the_place_of_old_ones_as_a_whole(
         replaced(source, target)
 
     with monkeypatch.context() as patch:
-        patch.setattr("fusion.results.os.replace", refused if kept else killed_after_the_first_step)
+        patch.setattr("fusion.report.recording.os.replace", refused if kept else killed_after_the_first_step)
         if kept:
             assert main(["run", str(campaign), "--subset-radius", "12"]) == EXIT_DONE
         else:
@@ -309,7 +308,7 @@ class Inline:
 def test_outcomes_are_in_the_order_of_the_recordings_whoever_was_first(
     campaign: Path, evaluated: list[str], monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
-    monkeypatch.setattr("fusion.campaign.Workers", Inline)
+    monkeypatch.setattr("fusion.campaign.run.Workers", Inline)
     assert main(["run", str(campaign), "--workers", "2"]) == EXIT_DONE
     told = capsys.readouterr()
     assert evaluated == NAMES[::-1]
@@ -348,7 +347,7 @@ def test_any_failure_of_a_recording_is_its_own(
             raise error
         return good(manifest, *others)
 
-    monkeypatch.setattr("fusion.campaign.Workers", Inline)
+    monkeypatch.setattr("fusion.campaign.run.Workers", Inline)
     monkeypatch.setattr(under_test, "evaluate_recording", evaluate)
     assert main(["run", str(campaign), "-q", "--workers", workers]) == status
     told = capsys.readouterr()
@@ -364,7 +363,7 @@ def test_the_failure_of_a_single_recording_is_told_once(
     def fail(*_: object) -> None:
         raise ComputeError("no motion")
 
-    monkeypatch.setattr("fusion.campaign.Workers", lambda _: Inline(1))
+    monkeypatch.setattr("fusion.campaign.run.Workers", lambda _: Inline(1))
     monkeypatch.setattr(under_test, "evaluate_recording", fail)
     assert main(["run", str(campaign / NAMES[0]), "--workers", "2"]) == EXIT_FAILED
     assert capsys.readouterr().err == "shakercal: no motion\n"

@@ -15,18 +15,23 @@ from campaign_factory import CAPACITY, LOADS, MATRIX_HZ, SENSOR, STATIC, SWEEP_H
 from evaluation_factory import Choice, make_evaluation
 from page_outline import outline
 
-from fusion import results
-from fusion.errors import InputError
-from fusion.joint import write as joint_write
-from fusion.joint.csv_files import CROSSTALK_COLUMNS, CURVE_COLUMNS, campaign_tables
-from fusion.joint.evaluation import CampaignEvaluation, evaluate_campaign
-from fusion.joint.h5_file import campaign_h5, campaign_origin
-from fusion.joint.page import render_campaign
-from fusion.joint.points import curve_points
-from fusion.joint.tables import linearity_table, repeats_table
-from fusion.joint.write import write_campaign
-from fusion.read_results import Recorded, read_uncertainty
-from fusion.results import CAMPAIGN_FILES, check_campaign_folder, write_results
+from fusion.base import InputError
+from fusion.campaign.joint import CampaignEvaluation, curve_points, evaluate_campaign
+from fusion.campaign.joint_report import (
+    CROSSTALK_COLUMNS,
+    CURVE_COLUMNS,
+    campaign_h5,
+    campaign_origin,
+    campaign_tables,
+    linearity_table,
+    render_campaign,
+    repeats_table,
+    write_campaign,
+)
+from fusion.campaign.run import joint_report as joint_write
+from fusion.report.h5 import Recorded, read_uncertainty
+from fusion.report.recording import CAMPAIGN_FILES, check_campaign_folder, write_results
+from fusion.report.recording import recording as results
 
 RESULTS_DOC = Path(__file__).resolve().parents[2] / "docs" / "results.md"
 FAILED = {"Fz-0999": "recording.toml: daq.laser.scale: expected a number, found <nothing>"}

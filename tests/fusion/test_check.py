@@ -12,8 +12,9 @@ import tifffile
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fusion.check import check, geometric_row, observable
-from fusion.manifest import ChannelEntry, load_manifest
+from fusion.recording.check import check, geometric_row, observable
+from fusion.recording.load import load_manifest
+from fusion.recording.manifest import ChannelEntry
 
 Campaign = Callable[..., Path]
 

@@ -19,10 +19,9 @@ from typing import Any
 import pytest
 
 from fusion import simulate as simulation
+from fusion.base import ComputeError, progress_bar
 from fusion.cli import main
-from fusion.commands.values import EXIT_DONE, EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED
-from fusion.errors import ComputeError
-from fusion.progress import progress_bar
+from fusion.commands.options import EXIT_DONE, EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED
 
 HEAVY = ("torch", "kornia", "cv2", "numba", "matplotlib", "scipy", "skimage", "h5py", "rich", "pydantic", "numpy")
 Campaign = Callable[..., Path]
@@ -124,7 +123,7 @@ def test_libraries_are_heard_with_v_only(
             warnings.warn("a warning of a library", stacklevel=2)
         raise ComputeError("no line found")
 
-    monkeypatch.setattr("fusion.execution.job.evaluate_recording", warn)
+    monkeypatch.setattr("fusion.campaign.cluster.evaluate_recording", warn)
     folder = make_campaign()
     assert main(["run", str(folder)]) == EXIT_FAILED
     assert capsys.readouterr().err == "shakercal: no line found\n"
@@ -143,7 +142,7 @@ def _raise(error: BaseException) -> Callable[..., None]:
 
 
 @pytest.mark.usefixtures("evaluated")
-@pytest.mark.parametrize("place", ["fusion.execution.job.evaluate_recording", "fusion.results.write_h5"])
+@pytest.mark.parametrize("place", ["fusion.campaign.cluster.evaluate_recording", "fusion.report.recording.write_h5"])
 @pytest.mark.parametrize(
     ("error", "status", "sentence"),
     [
@@ -180,7 +179,7 @@ def test_an_interruption_that_compiled_code_hands_on(
     def fail(*_: object) -> None:
         raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
 
-    monkeypatch.setattr("fusion.execution.job.evaluate_recording", fail)
+    monkeypatch.setattr("fusion.campaign.cluster.evaluate_recording", fail)
     assert main(["run", str(make_campaign())]) == EXIT_INTERRUPTED
     assert capsys.readouterr().err == "shakercal: interrupted; nothing half-written was left behind\n"
     assert not evaluated
@@ -189,7 +188,7 @@ def test_an_interruption_that_compiled_code_hands_on(
 def test_where_an_internal_error_was_is_told_with_v(
     make_campaign: Campaign, evaluated: list[str], monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
-    monkeypatch.setattr("fusion.execution.job.evaluate_recording", _raise(RuntimeError("a")))
+    monkeypatch.setattr("fusion.campaign.cluster.evaluate_recording", _raise(RuntimeError("a")))
     assert main(["run", str(make_campaign()), "-v"]) == EXIT_FAILED
     assert "Traceback" in capsys.readouterr().err
     assert not evaluated

@@ -16,14 +16,12 @@ import pytest
 import worker_tasks as tasks
 from dask_cluster import PATIENCE_S, Cluster, environment, wait_until
 
-from fusion import campaign as under_test
-from fusion.campaign import run_path
+from fusion.base import ComputeError, InputError, Settings
+from fusion.campaign.cluster import Outcome, connected
+from fusion.campaign.run import run as under_test
+from fusion.campaign.run import run_path
 from fusion.cli import main
-from fusion.commands.values import EXIT_INPUT, EXIT_INTERRUPTED
-from fusion.errors import ComputeError, InputError
-from fusion.execution.cluster import connected
-from fusion.execution.job import Outcome
-from fusion.settings import Settings
+from fusion.commands.options import EXIT_INPUT, EXIT_INTERRUPTED
 from fusion.simulate import simulate_campaign
 
 RECORDINGS = 3
@@ -33,8 +31,8 @@ from unittest.mock import patch
 from fusion.cli import main
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job starts with the signal ignored
-    with patch("fusion.campaign.run_job", getattr(worker_tasks, sys.argv.pop(1))), \\
-         patch("fusion.joint.write.render_campaign", lambda evaluation: evaluation.name):
+    with patch("fusion.campaign.run.run_job", getattr(worker_tasks, sys.argv.pop(1))), \\
+         patch("fusion.campaign.joint_report.render_campaign", lambda evaluation: evaluation.name):
         sys.exit(main(sys.argv[1:]))
 """
 
@@ -69,7 +67,7 @@ def _run(campaign: Path, out: Path, job: Any = tasks.whole_job, **where: Any) ->
     """Run a campaign without its figures."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(under_test, "run_job", (lambda job, _: tasks.whole_job(job)) if not where else job)
-        patch.setattr("fusion.joint.write.render_campaign", lambda evaluation: evaluation.name)
+        patch.setattr("fusion.campaign.joint_report.render_campaign", lambda evaluation: evaluation.name)
         return run_path(campaign, out, Settings(), **where)
 
 
@@ -161,7 +159,7 @@ def test_tasks_of_a_cluster_come_back_like_those_of_processes(cluster: Cluster, 
 def test_an_address_where_nothing_answers_is_refused(
     address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("fusion.execution.cluster.ANSWER_S", 0.5)
+    monkeypatch.setattr("fusion.campaign.cluster.ANSWER_S", 0.5)
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "recording.toml").write_text("")
     assert main(["run", str(tmp_path), "--scheduler", address]) == EXIT_INPUT
@@ -184,7 +182,7 @@ def test_without_the_extra_the_command_says_what_to_install(
 
 
 def test_workers_of_another_version_are_refused(cluster: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fusion.execution.cluster.PROGRAM", "numpy")
+    monkeypatch.setattr("fusion.campaign.cluster.PROGRAM", "numpy")
     found = re.escape(version("shakercal"))
     with pytest.raises(InputError, match=f"expected workers with numpy .*, found numpy {found} at tcp:"):  # noqa: SIM117
         with connected(cluster.address):

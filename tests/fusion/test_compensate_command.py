@@ -13,19 +13,16 @@ import h5py
 import numpy as np
 import pytest
 
+from fusion.base import InputError
 from fusion.cli import main
-from fusion.compensate.evaluate import evaluate_compensation
-from fusion.compensate.evaluation import CompensateEvaluation
-from fusion.compensate.export import header_text, json_text, read_filters
-from fusion.compensate.recording import white_noise
-from fusion.compensate.sources import read_sources
-from fusion.compensate.wish import Wish
-from fusion.errors import InputError
-from fusion.load_series.model_file import model_text
-from fusion.models_file import ModelEntry, ModelsFile, models_text
-from shaker.models.compensation.stream import CompensationFilter
-from shaker.models.load_series.model import LoadModel
-from shaker.models.modal import ModalModel
+from fusion.sensor.compensate.evaluate import CompensateEvaluation, evaluate_compensation, white_noise
+from fusion.sensor.compensate.run import header_text, json_text, read_filters
+from fusion.sensor.compensate.source import Wish, read_sources
+from fusion.sensor.load.evaluate import model_text
+from fusion.sensor.models_file import ModelEntry, ModelsFile, models_text
+from shaker.compensation.filter import CompensationFilter
+from shaker.lti.modal import ModalModel
+from shaker.release.load_model import LoadModel
 
 RATE = 50e3
 GAIN = 2.0e-3
@@ -72,7 +69,7 @@ def _write_loads(folder: Path, *, known: bool = False) -> Path:
 @pytest.fixture
 def no_page(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave the page empty where it is not what is tested: its pictures take most of the time."""
-    monkeypatch.setattr("fusion.compensate.results.render_compensate_page", lambda _: "")
+    monkeypatch.setattr("fusion.sensor.compensate.run.render_compensate_page", lambda _: "")
 
 
 def _write_recording(folder: Path, load_mass: float = 0.048) -> np.ndarray:

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from fusion.coverage import coverage_factor, region, region_factor
+from fusion.estimation.uncertainty import coverage_factor, region, region_factor
 
 
 @pytest.mark.parametrize(

@@ -9,11 +9,19 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
 
-from fusion.curve import INTERPOLATION, Curve, interpolate, matrix_curve, ratio_curves, relative_curve
-from fusion.drive import Drive
-from fusion.interpolation import LEAST_POINTS, interpolation_weights
-from fusion.matrix import fit_matrix
-from fusion.simulate.drives import (
+from fusion.campaign.curve import (
+    INTERPOLATION,
+    LEAST_POINTS,
+    Curve,
+    interpolate,
+    interpolation_weights,
+    matrix_curve,
+    ratio_curves,
+    relative_curve,
+)
+from fusion.campaign.matrix import fit_matrix
+from fusion.campaign.repeats import Drive
+from fusion.simulate.sines import (
     CAPACITY,
     CHANNELS,
     MAIN,

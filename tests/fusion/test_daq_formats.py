@@ -12,11 +12,10 @@ import pyuff
 import scipy.io
 from nptdms import ChannelObject, TdmsWriter
 
-from fusion.errors import InputError
-from fusion.evaluate import evaluate_recording
-from fusion.evaluation import Evaluation
-from fusion.manifest import load_manifest
-from fusion.settings import Settings
+from fusion.base import InputError, Settings
+from fusion.recording.load import load_manifest
+from fusion.sensitivity.analyse import Evaluation
+from fusion.sensitivity.evaluate import evaluate_recording
 
 RATE_HZ, SAMPLES, FREQUENCY_HZ, PHASOR = 4096.0, 4096, 100.01, 0.6 * np.exp(1.1j)
 GRAVITY = 9.80665

@@ -8,12 +8,12 @@ import h5py
 import numpy as np
 import pytest
 
+from fusion.base import InputError
 from fusion.cli import main
-from fusion.decouple.filter_file import read_filter
-from fusion.errors import InputError
-from fusion.results_csv import read_rows
-from fusion.simulate.draws import Draws
-from fusion.simulate.steps import StepRig, sensor_model, write_steps
+from fusion.report.csv_files import read_rows
+from fusion.sensor.decouple.evaluate import read_filter
+from fusion.simulate.releases import StepRig, sensor_model, write_steps
+from fusion.simulate.world import Draws
 
 RIG = StepRig(
     frequency_hz=(170.0, 181.0, 200.0, 350.0, 370.0, 500.0),

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fusion.deflection import deflection_shape
-from photogram.deformation import Deformation, deformation
-from photogram.motion import fit_motion
-from photogram.rigid import rotation_from_vector
-from photogram.triangulate import Points
+from fusion.phasors.results import deflection_shape
+from photogram.camera import Points
+from photogram.geometry import rotation_from_vector
+from photogram.motion import Deformation, deformation, fit_motion
 
 RATE_HZ, LINES_HZ, EXPOSURE_S = 52.874, np.array([106.25, 212.5]), 100e-6
 SIGMA_M = np.array([0.2, 0.2, 0.4]) * 1e-6

@@ -8,8 +8,8 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from fusion.deflection import DeflectionShape
-from fusion.plots.deformation import draw_deflection
+from fusion.phasors.results import DeflectionShape
+from fusion.report.motion_figures import draw_deflection
 
 RIGID = np.array([1e-7, 2e-7j, 2e-5, 0, 0, 0], dtype=complex)
 

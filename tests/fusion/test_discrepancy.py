@@ -28,11 +28,10 @@ from instrument_factory import (
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom, chi2, t
 
-from fusion.acceleration import Acceleration
-from fusion.discrepancy import Contrasts, variance_components
-from fusion.fuse import fuse, fuse_sources
-from fusion.observe import Observation
-from fusion.verdict import untested
+from fusion.estimation.consistency import Acceleration, untested
+from fusion.estimation.fuse import fuse, fuse_sources
+from fusion.estimation.measurement_model import Observation
+from fusion.estimation.variance_components import Contrasts, variance_components
 
 
 def expanded(result: Acceleration, component: int) -> float:

@@ -9,10 +9,9 @@ from hypothesis import strategies as st
 from instrument_factory import TRUTH, beam, camera, lasers, measured, triaxial, turned
 from scipy.stats import binom
 
-from fusion.acceleration import Acceleration
-from fusion.coverage import region_factor
-from fusion.doubt import not_allowed_for
-from fusion.fuse import INCONSISTENCY, fuse
+from fusion.estimation.consistency import Acceleration, not_allowed_for
+from fusion.estimation.fuse import INCONSISTENCY, fuse
+from fusion.estimation.uncertainty import region_factor
 
 TURN_RAD = 5e-3
 

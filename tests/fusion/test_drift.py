@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from drive_factory import CLEAR_HZ, DRIVEN_HZ, evaluate, recording
 
-from fusion.drift import drift_notices, drifts
-from fusion.evaluation import Evaluation
-from fusion.results_h5 import write_h5
-from fusion.signal_tables import drift_table
-from shaker.signals.sync import ClockTie
+from fusion.phasors.channels import drift_notices, drifts
+from fusion.report.h5 import write_h5
+from fusion.report.more_tables import drift_table
+from fusion.sensitivity.analyse import Evaluation
+from shaker.timebase.tie import ClockTie
 
 GROWTH = 4e-3  # per second
 

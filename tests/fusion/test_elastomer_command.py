@@ -17,18 +17,23 @@ import numpy as np
 import pytest
 from page_outline import outline
 
+from fusion.base import InputError
 from fusion.cli import main
-from fusion.elastomer.columns import dominant, measured_column
-from fusion.elastomer.definition import ElementFile, read_definition
-from fusion.elastomer.evaluate import evaluate_element
-from fusion.elastomer.result import Column, spread
-from fusion.elastomer.shapes import frame_shapes, solid_shapes
-from fusion.errors import InputError
-from fusion.manifest.load import _models_in
-from fusion.simulate.elastomer import write_element
-from fusion.simulate.toml_text import to_toml
-from shaker.models.elastomer.modes import NAMES
-from shaker.models.modal import ModalModel
+from fusion.recording.load import _models_in
+from fusion.sensor.elastomer.definition import ElementFile, read_definition
+from fusion.sensor.elastomer.evaluate import (
+    Column,
+    dominant,
+    evaluate_element,
+    frame_shapes,
+    measured_column,
+    solid_shapes,
+    spread,
+)
+from fusion.simulate.channels import to_toml
+from fusion.simulate.statics import write_element
+from shaker.elastomer.frame import NAMES
+from shaker.lti.modal import ModalModel
 
 
 @pytest.fixture(scope="module")
@@ -60,8 +65,8 @@ def element(simulated: Path, tmp_path: Path) -> Path:
 @pytest.fixture
 def no_page(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave page and pictures empty where they are not what is tested."""
-    monkeypatch.setattr("fusion.elastomer.results.shape_pictures", lambda _: {})
-    monkeypatch.setattr("fusion.elastomer.results.render_element_page", lambda *_: "")
+    monkeypatch.setattr("fusion.sensor.elastomer.report.shape_pictures", lambda _: {})
+    monkeypatch.setattr("fusion.sensor.elastomer.report.render_element_page", lambda *_: "")
 
 
 def _edit(folder: Path, **changes: object) -> None:

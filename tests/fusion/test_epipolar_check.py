@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 from evaluation_factory import make_evaluation
 
-from fusion.evaluation import Evaluation
-from fusion.manifest import find_recordings, load_manifest
-from fusion.plots.epipolar import draw_epipolar
-from fusion.records import read_daqs
-from fusion.results_h5 import write_h5
-from fusion.settings import Settings, no_progress
-from fusion.stereo_motion import StereoMotion, measure_images, open_images
-from fusion.timing import tie_daqs
-from photogram.calibration_file import read_calibration, write_calibration
-from photogram.rigid import RigidTransform, rotation_from_vector
+from fusion.base import Settings, no_progress
+from fusion.phasors.stereo_motion import StereoMotion, measure_images, open_images
+from fusion.phasors.timing import tie_daqs
+from fusion.recording.files import read_daqs
+from fusion.recording.load import find_recordings, load_manifest
+from fusion.report.h5 import write_h5
+from fusion.report.signal_figures import draw_epipolar
+from fusion.sensitivity.analyse import Evaluation
+from photogram.calibration.file import read_calibration, write_calibration
+from photogram.geometry import RigidTransform, rotation_from_vector
 
 PAIR = "base"
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from fusion.errors import ComputeError, InputError
+from fusion.base import ComputeError, InputError
 
 SAMPLE = InputError(Path("rig.toml"), "stereo.top.rotation", found="2", expected="a rotation")
 

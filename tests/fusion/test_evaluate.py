@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fusion.evaluate import evaluate_recording
-from fusion.evaluation import Evaluation
-from fusion.manifest import find_recordings, load_manifest
-from fusion.results import write_results
-from fusion.settings import Settings
+from fusion.base import Settings
+from fusion.recording.load import find_recordings, load_manifest
+from fusion.report.recording import write_results
+from fusion.sensitivity.analyse import Evaluation
+from fusion.sensitivity.evaluate import evaluate_recording
 from fusion.simulate import simulate
-from fusion.simulate.bound import frame_bounds
+from fusion.simulate.world import frame_bounds
 
 DRIVEN = 2  # z, Fz
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from drive_factory import AMPLITUDE_M, CLEAR_HZ, DRIVEN_HZ, FOLDING_HZ, evaluate, recording
 
+from fusion.base import ComputeError
 from fusion.cli import main
-from fusion.errors import ComputeError
 
 
 def test_a_vibrometer_goes_on_where_the_cameras_lose_the_line(tmp_path: Path) -> None:

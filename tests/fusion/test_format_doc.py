@@ -13,24 +13,10 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
-from fusion.manifest import (
-    Administration,
-    ChannelEntry,
-    Daq,
-    Environment,
-    Excitation,
-    Images,
-    Load,
-    Part,
-    PointFiles,
-    RecordingFile,
-    Rig,
-    Sensor,
-    Stereo,
-    Take,
-    load_manifest,
-)
-from photogram.calibration_file import read_calibration
+from fusion.recording.load import load_manifest
+from fusion.recording.manifest import ChannelEntry, Daq, Excitation, Images, PointFiles, RecordingFile, Take
+from fusion.recording.rig import Administration, Environment, Load, Part, Rig, Sensor, Stereo
+from photogram.calibration.file import read_calibration
 
 DOC = (Path(__file__).resolve().parents[2] / "docs" / "recording-format.md").read_text(encoding="utf-8")
 MODELS: dict[str, type[BaseModel]] = {

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from fusion.estimate import build_system, solve
-from fusion.fuse import fuse, fuse_sources
-from fusion.observe import ChainUncertainty, Observation, Reading, observe_channels, observe_stereo
-from shaker.signals.phasor import Phasors
+from fusion.estimation.fuse import fuse, fuse_sources
+from fusion.estimation.least_squares import build_system, solve
+from fusion.estimation.measurement_model import ChainUncertainty, Observation, Reading, observe_channels, observe_stereo
+from shaker.phasor import Phasors
 
 FREQUENCY = np.array([106.25, 212.5])
 TRUTH = np.array(

@@ -14,21 +14,16 @@ import pytest
 from identify_factory import DAMPING, LAG_S, SENSITIVITY, SINES_HZ, SMALL, STIFFNESS, write_campaign, write_sines
 from page_outline import outline
 
-from fusion.campaign import run_path
+from fusion.base import InputError, Settings
+from fusion.campaign.run import run_path
 from fusion.cli import main
-from fusion.errors import InputError
-from fusion.identify.campaign import Campaign, read_campaign
-from fusion.identify.evaluate import evaluate_campaign
-from fusion.identify.model_file import read_model
-from fusion.identify.result import ComponentResult, IdentifyEvaluation
-from fusion.identify.results import write_identification
-from fusion.identify.settings import IdentifySettings
-from fusion.settings import Settings
-from fusion.simulate.draws import Draws
-from fusion.simulate.world import true_part
-from shaker.models.sensor.correction import correct_phasors
-from shaker.models.sensor.sensor_model import Load
-from shaker.signals.phasor import Phasors
+from fusion.sensor.identify.evaluate import ComponentResult, IdentifyEvaluation, evaluate_campaign
+from fusion.sensor.identify.measured import Campaign, IdentifySettings, read_campaign
+from fusion.sensor.identify.run import read_model, write_identification
+from fusion.simulate.world import Draws, true_part
+from shaker.identification.correction import correct_phasors
+from shaker.identification.sensor import Load
+from shaker.phasor import Phasors
 
 GUIDE = (Path(__file__).resolve().parents[2] / "docs" / "identify.md").read_text(encoding="utf-8")
 SETTINGS = IdentifySettings(load_masses_kg=(2.0, 20.0))
@@ -40,8 +35,8 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = write_campaign(tmp_path_factory.mktemp("identify") / "campaign")
     write_sines(folder)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fusion.results.render_report", lambda _: "")
-        patch.setattr("fusion.joint.write.render_campaign", lambda _: "")
+        patch.setattr("fusion.report.recording.render_report", lambda _: "")
+        patch.setattr("fusion.campaign.joint_report.render_campaign", lambda _: "")
         outcomes = run_path(folder, None, Settings())
     assert [outcome.error for outcome in outcomes] == [None] * len(SINES_HZ)
     return folder
@@ -281,8 +276,8 @@ def test_the_command_prints_and_keeps_to_the_rules_of_folders(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr("fusion.identify.run.evaluate_campaign", lambda *_: evaluation)
-    monkeypatch.setattr("fusion.identify.results.render_identify_page", lambda _: "")
+    monkeypatch.setattr("fusion.sensor.identify.run.evaluate_campaign", lambda *_: evaluation)
+    monkeypatch.setattr("fusion.sensor.identify.run.render_identify_page", lambda _: "")
     out = tmp_path / "out"
     assert main(["identify", str(campaign), "-o", str(out)]) == 0
     told = capsys.readouterr()

@@ -11,14 +11,11 @@ import pytest
 from identify_factory import DAMPING, QUICK, SMALL, STIFFNESS, write_campaign, write_sines
 
 from fusion.cli import main
-from fusion.identify.campaign import read_campaign
-from fusion.identify.fit import JointFit, joint_fits
-from fusion.identify.measured import Prepared, prepare
-from fusion.identify.sensor import mechanics, modelled
-from fusion.identify.settings import IdentifySettings
-from fusion.simulate import pitching
-from shaker.models.mass_chain import MassChain
-from shaker.models.measured import MeasuredTransfer, RelativeError, Sight
+from fusion.sensor.identify.fit import JointFit, joint_fits, mechanics, modelled
+from fusion.sensor.identify.measured import IdentifySettings, Prepared, prepare, read_campaign
+from fusion.simulate import chirp as pitching
+from shaker.identification.measured import MeasuredTransfer, RelativeError, Sight
+from shaker.mechanics import MassChain
 
 _facing_x = Sight(np.zeros(3), np.array([1.0, 0.0, 0.0]))
 
@@ -124,7 +121,7 @@ def test_two_axes_have_a_result_each(prepared: list[Prepared]) -> None:
 
 
 def test_a_second_peak_calls_for_pitching(tmp_path: Path) -> None:
-    stand = replace(pitching.STAND, chirp=replace(QUICK, period_s=0.32))
+    stand = replace(pitching.PITCHING_STAND, chirp=replace(QUICK, period_s=0.32))
     folder = write_campaign(tmp_path / "campaign", stand)
     found = [prepare(manifest, manifest.name, None)[0] for manifest in read_campaign(folder).transfers]
     fit = _fit(found)
@@ -213,7 +210,7 @@ def test_a_campaign_of_sines_has_no_transfer_functions(campaign: Path, capsys: p
 def test_results_of_other_files_are_refused(spoiled: Path, capsys: pytest.CaptureFixture[str]) -> None:
     import h5py
 
-    from fusion.provenance import Provenance, write_provenance
+    from fusion.report.provenance import Provenance, write_provenance
 
     (spoiled / "sine-0200" / "results").mkdir()
     with h5py.File(spoiled / "sine-0200" / "results" / "result.h5", "w") as file:

@@ -12,15 +12,16 @@ from typing import Any
 import pytest
 
 from fusion.cli import main
-from fusion.evaluate import EVALUATED_KINDS
-from fusion.identify.campaign import read_campaign
-from fusion.identify.evaluate import evaluate_campaign
-from fusion.identify.settings import IdentifySettings
-from fusion.manifest import find_recordings, for_kinds
-from fusion.simulate import masses, pitching, simulate_loads
+from fusion.recording.load import find_recordings, for_kinds
+from fusion.sensitivity.evaluate import EVALUATED_KINDS
+from fusion.sensor.identify.evaluate import evaluate_campaign
+from fusion.sensor.identify.measured import IdentifySettings, read_campaign
+from fusion.sensor.transfer.evaluate import KINDS
+from fusion.simulate import chirp as masses
+from fusion.simulate import chirp as pitching
+from fusion.simulate import simulate_loads
 from fusion.simulate.chirp import Chirp
-from fusion.simulate.sweep import STEP_HZ
-from fusion.transfer.evaluate import KINDS
+from fusion.simulate.sines import STEP_HZ
 
 QUICK = Chirp(sample_rate_hz=12800.0, period_s=0.64, periods=4, band_hz=(900.0, 2200.0))
 STEPS = (1, 5, 11, 15, 19)
@@ -67,7 +68,7 @@ def test_two_chirps_give_stiffness_damping_and_internal_mass(
 
 
 def test_pitching_leaves_the_translational_stiffness(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pitching, "STAND", replace(pitching.STAND, chirp=QUICK))
+    monkeypatch.setattr(pitching, "STAND", replace(pitching.PITCHING_STAND, chirp=QUICK))
     folder = simulate_loads(tmp_path / "try", "pitching", 8)
     (component,) = evaluate_campaign(read_campaign(folder), IdentifySettings()).components
     assert component.fit.model == "pitching"

@@ -7,12 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fusion.chain import ChainUncertainty, Reading
-from fusion.identify.sights import sight, sight_errors
-from fusion.manifest import ChannelEntry
-from fusion.observe import observe_channels
-from shaker.models.measured import AT_THE_BASE, Sight, SightError
-from shaker.signals.phasor import Phasors
+from fusion.estimation.measurement_model import ChainUncertainty, Reading, observe_channels
+from fusion.recording.manifest import ChannelEntry
+from fusion.sensor.identify.measured import sight, sight_errors
+from shaker.identification.measured import AT_THE_BASE, Sight, SightError
+from shaker.phasor import Phasors
 
 UNSURE: dict[str, Any] = {
     "point_uncertainty": [1e-3, 2e-3, 3e-3],

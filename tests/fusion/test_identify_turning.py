@@ -13,17 +13,23 @@ import pytest
 from numpy.typing import NDArray
 
 from fusion.cli import main
-from fusion.identify.campaign import read_campaign
-from fusion.identify.evaluate import evaluate_campaign
-from fusion.identify.fit import joint_fits
-from fusion.identify.model_file import read_model
-from fusion.identify.settings import IdentifySettings
-from fusion.simulate import pitching
-from fusion.simulate.chirp import Chirp, chirp_channels, chirp_samples, chirp_tables, write_chirp_files
-from fusion.simulate.draws import Draws
+from fusion.sensor.identify.evaluate import evaluate_campaign
+from fusion.sensor.identify.fit import joint_fits
+from fusion.sensor.identify.measured import IdentifySettings, read_campaign
+from fusion.sensor.identify.run import read_model
+from fusion.simulate import chirp as pitching
+from fusion.simulate.channels import to_toml
+from fusion.simulate.chirp import (
+    Chirp,
+    chirp_channels,
+    chirp_samples,
+    chirp_tables,
+    rig_file,
+    rig_tables,
+    write_chirp_files,
+)
 from fusion.simulate.preset import PartSpec
-from fusion.simulate.suspended import rig_file, rig_tables
-from fusion.simulate.toml_text import to_toml
+from fusion.simulate.world import Draws
 
 K_RY, B_RY, J_I, U_INTERNAL = 1.07e6, 4.0, 1.5e-3, 1e-4  # N·m/rad, N·m·s/rad, kg·m²
 LOADS = {"small": (5.0, 0.0, 0.0182), "large": (5.0, 0.0, 0.0412)}  # kg, height of the centre of mass in m, kg·m²
@@ -66,7 +72,7 @@ def _write(folder: Path, *, rate: bool, loads: dict[str, Load] = LOADS, chirp: C
     for name, (mass, height, inertia) in loads.items():
         part = PartSpec(f"load {name}", mass, 3e-4, (0.0, 0.0, height), 0.0, (inertia,) * 3, U_J)
         (folder / rig_file(name)).write_text(
-            to_toml(rig_tables(replace(pitching.STAND, internal=internal), part, draws))
+            to_toml(rig_tables(replace(pitching.PITCHING_STAND, internal=internal), part, draws))
         )
         true = (mass, height, inertia + U_J * float(rng.standard_normal()))
         samples = chirp_samples(chirp, draws, {"top": _turned(true, off)}, f"{name}.")

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from fusion.cli import main
-from fusion.commands.values import EXIT_DONE, EXIT_INPUT
-from photogram.calibration_file import read_calibration
+from fusion.commands.options import EXIT_DONE, EXIT_INPUT
+from photogram.calibration.file import read_calibration
 
 MATRIX = np.array([[3200.0, 0, 640], [0, 3200, 512], [0, 0, 1]])
 Capture = pytest.CaptureFixture[str]

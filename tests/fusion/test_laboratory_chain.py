@@ -11,20 +11,18 @@ import cv2
 import numpy as np
 import pytest
 
+from fusion.base import Settings
 from fusion.cli import main
-from fusion.commands.values import EXIT_DONE
-from fusion.evaluate import evaluate_recording
-from fusion.evaluation import Evaluation
-from fusion.manifest import find_recordings, load_manifest
-from fusion.settings import Settings
-from fusion.simulate.draws import Draws
+from fusion.commands.options import EXIT_DONE
+from fusion.recording.load import find_recordings, load_manifest
+from fusion.sensitivity.analyse import Evaluation
+from fusion.sensitivity.evaluate import evaluate_recording
+from fusion.simulate.channels import to_toml
 from fusion.simulate.preset import PRESETS
-from fusion.simulate.toml_text import to_toml
-from fusion.simulate.world import TrueStereo, make_world
-from photogram.rigid import RigidTransform
-from photogram.synthetic.board import Board, render_board
-from photogram.synthetic.board_session import random_poses
-from photogram.target.view import Target
+from fusion.simulate.world import Draws, TrueStereo, make_world
+from photogram.geometry import RigidTransform
+from photogram.synthetic.board import Board, random_poses, render_board
+from photogram.targets.view import Target
 
 BOARD = Board(Target("chessboard", 5e-3, (9, 6)))
 VIEWS = 10

@@ -10,15 +10,15 @@ import h5py
 import numpy as np
 import pytest
 
-from fusion.channels import channel_results, find_channel_lines
 from fusion.cli import main
-from fusion.evaluation import Evaluation
-from fusion.manifest import load_manifest
-from fusion.records import read_daqs
-from fusion.results_h5 import write_h5
-from fusion.signal_tables import lines_table
-from fusion.timing import tie_daqs
-from shaker.signals.frequencies import find_lines
+from fusion.phasors.channels import channel_results, find_channel_lines
+from fusion.phasors.timing import tie_daqs
+from fusion.recording.files import read_daqs
+from fusion.recording.load import load_manifest
+from fusion.report.h5 import write_h5
+from fusion.report.more_tables import lines_table
+from fusion.sensitivity.analyse import Evaluation
+from shaker.lines.frequencies import find_lines
 
 RATE = 12_800.0
 RIG = 'format = 1\nname = "test"\n'

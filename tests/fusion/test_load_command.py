@@ -12,18 +12,23 @@ import numpy as np
 import pytest
 from scipy.signal import StateSpace, lsim
 
+from fusion.base import InputError
 from fusion.cli import main
-from fusion.errors import InputError
-from fusion.load_series.evaluate import evaluate_loads
-from fusion.load_series.model_file import MODEL_FILE, model_text, read_load_models
-from fusion.load_series.rows import parameter_rows
-from fusion.load_series.series import MOVING, read_series
-from fusion.load_series.settings import LoadSettings
-from fusion.load_series.table import read_table
-from fusion.manifest import load_manifest
-from fusion.simulate.draws import Draws
-from fusion.simulate.loads import SeriesRig, load_change, true_model, write_loads
-from shaker.models.load_series.model import LoadModel
+from fusion.recording.load import load_manifest
+from fusion.sensor.load.evaluate import (
+    MODEL_FILE,
+    MOVING,
+    LoadSettings,
+    evaluate_loads,
+    model_text,
+    read_load_models,
+    read_series,
+    read_table,
+)
+from fusion.sensor.load.report import parameter_rows
+from fusion.simulate.releases import SeriesRig, load_change, true_model, write_loads
+from fusion.simulate.world import Draws
+from shaker.release.load_model import LoadModel
 
 PUBLISHED = ((0.0, 500.0), (0.008, 486.0), (0.048, 450.0), (0.098, 393.0), (0.198, 320.0))
 PARAMETERS = ("stiffness", "damping", "coupling_stiffness", "coupling_damping")
@@ -106,7 +111,7 @@ def test_page_is_complete(campaign: Path) -> None:
 @pytest.fixture
 def no_page(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave the page empty where it is not what is tested: its pictures take most of the time."""
-    monkeypatch.setattr("fusion.load_series.results.render_load_page", lambda _: "")
+    monkeypatch.setattr("fusion.sensor.load.run.render_load_page", lambda _: "")
 
 
 @pytest.mark.usefixtures("no_page")

@@ -8,15 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fusion.body import Body, make_part
-from fusion.elastic_joint import make_joint
-from fusion.errors import InputError
-from fusion.fuse import Acceleration
-from fusion.load import LoadResult, load_phasors
-from fusion.manifest import load_manifest
-from fusion.readings import load_body
-from fusion.uncertainty import Contribution, Uncertainty
-from shaker.signals.phasor import Phasors
+from fusion.base import InputError
+from fusion.estimation.consistency import Acceleration
+from fusion.estimation.uncertainty import Contribution, Uncertainty
+from fusion.phasors.stereo_phasors import load_body
+from fusion.recording.load import load_manifest
+from fusion.sensitivity.body import Body, make_joint, make_part
+from fusion.sensitivity.load import LoadResult, load_phasors
+from shaker.phasor import Phasors
 
 FREQUENCY = np.array([106.25, 1000.0])
 MOTION = np.array([[0.5, -0.3j, 189.0, 4.0j, -3.0, 1.0], [0.01, 0.02, 0.9 - 0.2j, 0.1, 0.05j, 0.02]], dtype=complex)

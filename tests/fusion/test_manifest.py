@@ -10,8 +10,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fusion.errors import InputError
-from fusion.manifest import ChannelEntry, Load, Stereo, find_recordings, load_manifest
+from fusion.base import InputError
+from fusion.recording.load import find_recordings, load_manifest
+from fusion.recording.manifest import ChannelEntry
+from fusion.recording.rig import Load, Stereo
 
 Campaign = Callable[..., Path]
 FINITE = st.floats(-1e6, 1e6, allow_nan=False)

@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 from plain_drives import plain_drive, uncertainty
 from scipy.optimize import least_squares
 
-from fusion.coverage import region_factor
-from fusion.drive import Drive
-from fusion.matrix import MatrixFit, MissingExcitationError, cross_talk, fit_matrix, main_components
-from fusion.matrix.solve import solve
-from fusion.matrix.stack import LINES_APART, Stack, stack_drives
-from fusion.simulate.drives import (
+from fusion.campaign.matrix import MatrixFit, cross_talk, fit_matrix, main_components
+from fusion.campaign.matrix_solve import LINES_APART, MissingExcitationError, Stack, solve, stack_drives
+from fusion.campaign.repeats import Drive
+from fusion.estimation.uncertainty import Uncertainty, region_factor
+from fusion.simulate.sines import (
     CAPACITY,
     CHANNELS,
     DriveErrors,
@@ -27,7 +26,6 @@ from fusion.simulate.drives import (
     simulate_drives,
     true_matrix,
 )
-from fusion.uncertainty import Uncertainty
 
 AnyArray = NDArray[Any]
 MAIN = np.eye(6, dtype=np.bool_)

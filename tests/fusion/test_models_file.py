@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fusion.errors import InputError
-from fusion.models_file import MODELS_FILE, ModelEntry, ModelsFile, models_text, read_models
-from shaker.models.modal import ModalModel
+from fusion.base import InputError
+from fusion.sensor.models_file import MODELS_FILE, ModelEntry, ModelsFile, models_text, read_models
+from shaker.lti.modal import ModalModel
 
 SIZES = st.tuples(st.integers(1, 3), st.integers(0, 2))
 

@@ -13,28 +13,32 @@ import pytest
 from evaluation_factory import make_evaluation
 from scipy.stats import norm
 
-from fusion.analyse import Analysis, Inputs, analyse
-from fusion.body import Body, make_part
+from fusion.base import Settings
 from fusion.cli import main
-from fusion.coverage import region_factor
-from fusion.elastic_joint import make_joint
-from fusion.estimate import solve
-from fusion.manifest import ChannelEntry, Stereo
-from fusion.monte_carlo import Known, propagate
-from fusion.monte_carlo.deviates import Deviates
-from fusion.monte_carlo.estimator import Estimator
-from fusion.monte_carlo.instruments import channel_rows, draw_instrument, pair_up
-from fusion.monte_carlo.loads import draw_load_matrices
-from fusion.monte_carlo_tables import monte_carlo_tables
-from fusion.observe import ChainUncertainty, Reading, StereoReading, observe_channels
-from fusion.propagated import FirstOrder, MonteCarlo, Propagated, shortest_interval, summarise, tolerance
-from fusion.results_h5 import write_h5
-from fusion.settings import Settings
-from fusion.simulate.draws import Draws
-from fusion.simulate.phasor_cases import CASES, case_setup
-from fusion.simulate.phasors import lines_at, simulate_phasors
-from fusion.system import build_system
-from shaker.signals.phasor import Phasors
+from fusion.estimation.least_squares import build_system, solve
+from fusion.estimation.measurement_model import ChainUncertainty, Reading, StereoReading, observe_channels
+from fusion.estimation.uncertainty import region_factor
+from fusion.recording.manifest import ChannelEntry
+from fusion.recording.rig import Stereo
+from fusion.report.h5 import write_h5
+from fusion.report.more_tables import monte_carlo_tables
+from fusion.sensitivity.analyse import (
+    Analysis,
+    FirstOrder,
+    Inputs,
+    MonteCarlo,
+    Propagated,
+    analyse,
+    shortest_interval,
+    summarise,
+    tolerance,
+)
+from fusion.sensitivity.body import Body, make_joint, make_part
+from fusion.sensitivity.draws import Deviates, Estimator, channel_rows, draw_instrument, draw_load_matrices, pair_up
+from fusion.sensitivity.monte_carlo import Known, propagate
+from fusion.simulate.phasors import CASES, case_setup, lines_at, simulate_phasors
+from fusion.simulate.world import Draws
+from shaker.phasor import Phasors
 
 LINES = lines_at([100.0], [1])
 OMEGA = 2.0 * np.pi * LINES.frequency_hz

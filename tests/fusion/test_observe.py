@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fusion.observe import ChainUncertainty, Reading, observe_channels, observe_stereo
-from shaker.signals.phasor import Phasors
+from fusion.estimation.measurement_model import ChainUncertainty, Reading, observe_channels, observe_stereo
+from shaker.phasor import Phasors
 
 FREQUENCY = np.array([25.0, 50.0])
 GRAVITY = np.array([0.0, 0.0, -9.8125])

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from fusion.analyse import analyse
-from fusion.coverage import region_factor
-from fusion.simulate.draws import Draws
-from fusion.simulate.phasor_cases import CASES, case_setup
-from fusion.simulate.phasors import simulate_phasors
+from fusion.estimation.uncertainty import region_factor
+from fusion.sensitivity.analyse import analyse
+from fusion.simulate.phasors import CASES, case_setup, simulate_phasors
+from fusion.simulate.world import Draws
 
 TRIALS = 60
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from fusion.cli import main
-from fusion.commands.plan import frequencies
-from fusion.commands.values import EXIT_DONE, EXIT_INPUT
+from fusion.commands.measure import frequencies
+from fusion.commands.options import EXIT_DONE, EXIT_INPUT
 
 Capture = pytest.CaptureFixture[str]
 TWELVE = ["plan", "--frequencies", "53.7:1020.3:12", "--max-rate", "82", "--exposure", "40e-6", "--frames", "211"]

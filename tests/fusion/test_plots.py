@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from evaluation_factory import FREQUENCY_HZ, Choice, make_evaluation
 
-from fusion.evaluation import Evaluation
-from fusion.plots.gallery import draw_all
-from fusion.plots.motion import beat_curve, camera_rate_hz, folded_curve, main_frequency, residual_spectrum
-from fusion.plots.signals import draw_trigger
-from fusion.plots.style import padded, power_text, thin_out
+from fusion.report.motion_figures import beat_curve, camera_rate_hz, folded_curve, main_frequency, residual_spectrum
+from fusion.report.recording import draw_all
+from fusion.report.signal_figures import draw_trigger
+from fusion.report.style import padded, power_text, thin_out
+from fusion.sensitivity.analyse import Evaluation
 
 SVG = "{http://www.w3.org/2000/svg}"
 

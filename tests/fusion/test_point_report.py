@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from page_outline import outline
 
-from fusion.evaluation import Evaluation
-from fusion.plots.points import draw_points, point_pictures
-from fusion.plots.style import Picture
-from fusion.point_spread import PointRatios, PointSpread, axis_name
-from fusion.point_tables import point_tables
-from fusion.report import render_report
-from fusion.results_h5 import write_h5
-from fusion.uncertainty import Contribution, Influence, Uncertainty
+from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty
+from fusion.report.h5 import write_h5
+from fusion.report.more_tables import point_tables
+from fusion.report.recording import render_report
+from fusion.report.signal_figures import draw_points, point_pictures
+from fusion.report.style import Picture
+from fusion.sensitivity.analyse import Evaluation
+from fusion.sensitivity.multipoint_vibrometer import PointRatios, PointSpread, axis_name
 
 FREQUENCY = np.array([106.2503, 212.5006, 425.0012])
 PLACE = np.array([[0.03, 0.0], [0.0, 0.03], [-0.03, 0.0], [0.0, -0.03]])
@@ -72,7 +72,7 @@ def test_the_page_shows_points_where_there_are_some(evaluation: Evaluation, monk
     def only_points(shown: Evaluation) -> dict[str, list[Picture]]:
         return defaultdict(list, points=point_pictures(shown))
 
-    monkeypatch.setattr("fusion.report.draw_all", only_points)
+    monkeypatch.setattr("fusion.report.recording.draw_all", only_points)
     page = outline(render_report(evaluation))
     assert "points" in page.ids
     assert "figure-points-0" in page.ids

@@ -11,14 +11,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fusion.body import Body, make_part
-from fusion.fuse import fuse
-from fusion.load import load_phasors
-from fusion.observe import ChainUncertainty, Observation, Reading, observe_channels
-from fusion.outputs import Outputs, output_phasors
-from fusion.point_spread import PointRatios, PointSpread, point_spreads, with_ratios
-from fusion.sensitivity import Sensitivity, sensitivity_ratio
-from shaker.signals.phasor import Phasors
+from fusion.estimation.fuse import fuse
+from fusion.estimation.measurement_model import ChainUncertainty, Observation, Reading, observe_channels
+from fusion.sensitivity.body import Body, make_part
+from fusion.sensitivity.load import Outputs, load_phasors, output_phasors
+from fusion.sensitivity.multipoint_vibrometer import PointRatios, PointSpread, point_spreads, with_ratios
+from fusion.sensitivity.ratio import Sensitivity, sensitivity_ratio
+from shaker.phasor import Phasors
 
 ComplexArray = NDArray[np.complex128]
 FREQUENCY = np.array([375.9, 751.8])

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fusion.polar import UNIFORM_PHASE_U, Rounded, element_covariance, polar, prefix, rounded, typeset
+from fusion.estimation.uncertainty import UNIFORM_PHASE_U, Rounded, element_covariance, polar, prefix, rounded, typeset
 
 COVARIANCE = np.array([[4e-4, 1.5e-4], [1.5e-4, 2.5e-4]])
 finite = st.floats(-1e3, 1e3)

@@ -8,8 +8,8 @@ from pathlib import Path
 import h5py
 import pytest
 
-from fusion.errors import InputError
-from fusion.provenance import check_folder, hash_files, read_provenance, sha256, versions
+from fusion.base import InputError
+from fusion.report.provenance import check_folder, hash_files, read_provenance, sha256, versions
 
 
 def test_hash_is_that_of_the_whole_file(tmp_path: Path) -> None:

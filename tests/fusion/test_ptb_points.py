@@ -9,13 +9,12 @@ import h5py
 import numpy as np
 import pytest
 
-from fusion.errors import InputError
-from fusion.evaluate import evaluate_recording
-from fusion.evaluation import Evaluation
-from fusion.fuse import Acceleration
-from fusion.manifest import load_manifest
-from fusion.settings import Settings
-from photogram.rigid import rotation_from_vector
+from fusion.base import InputError, Settings
+from fusion.estimation.consistency import Acceleration
+from fusion.recording.load import load_manifest
+from fusion.sensitivity.analyse import Evaluation
+from fusion.sensitivity.evaluate import evaluate_recording
+from photogram.geometry import rotation_from_vector
 
 FREQUENCY_HZ = 106.2507
 OMEGA = 2 * np.pi * FREQUENCY_HZ

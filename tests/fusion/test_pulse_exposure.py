@@ -9,19 +9,18 @@ import h5py
 import numpy as np
 import pytest
 
-from fusion.check import check
+from fusion.base import InputError, Settings
 from fusion.cli import main
-from fusion.errors import InputError
-from fusion.evaluate import evaluate_recording
-from fusion.evaluation import Evaluation
-from fusion.manifest import load_manifest
-from fusion.observe import PulseExposure
-from fusion.records import read_daqs
-from fusion.report_tables import stereo_table
-from fusion.settings import Settings
-from fusion.signal_tables import clocks_table
-from fusion.timing import Exposure, exposure_middles, exposure_of, tie_daqs
-from photogram.rigid import rotation_from_vector
+from fusion.estimation.measurement_model import PulseExposure
+from fusion.phasors.timing import Exposure, exposure_middles, exposure_of, tie_daqs
+from fusion.recording.check import check
+from fusion.recording.files import read_daqs
+from fusion.recording.load import load_manifest
+from fusion.report.more_tables import clocks_table
+from fusion.report.tables import stereo_table
+from fusion.sensitivity.analyse import Evaluation
+from fusion.sensitivity.evaluate import evaluate_recording
+from photogram.geometry import rotation_from_vector
 
 FREQUENCY_HZ = 106.2507
 OMEGA = 2 * np.pi * FREQUENCY_HZ

@@ -10,15 +10,13 @@ import GTC
 import numpy as np
 import pytest
 
-from fusion.body import Body, make_part
-from fusion.fuse import Acceleration
-from fusion.load import LoadResult, load_phasors
-from fusion.observe import ChainUncertainty, Reading
-from fusion.other_loads import other_loads
-from fusion.outputs import Outputs, output_phasors
-from fusion.sensitivity import Sensitivity, sensitivity_ratio
-from fusion.uncertainty import Contribution, Influence, Uncertainty
-from shaker.signals.phasor import Phasors
+from fusion.estimation.consistency import Acceleration
+from fusion.estimation.measurement_model import ChainUncertainty, Reading
+from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty
+from fusion.sensitivity.body import Body, make_part
+from fusion.sensitivity.load import LoadResult, Outputs, load_phasors, output_phasors
+from fusion.sensitivity.ratio import Sensitivity, other_loads, sensitivity_ratio
+from shaker.phasor import Phasors
 
 FREQUENCY = np.array([212.5])
 MOTION = np.array([[0.4 - 0.1j, 0.2j, 40.0 * np.exp(0.7j), 0.0, 0.0, 0.0]])

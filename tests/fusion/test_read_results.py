@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from evaluation_factory import STATIC, Choice, make_evaluation
 
-from fusion import results
-from fusion.drive import drives_of
-from fusion.errors import InputError
-from fusion.evaluation import Evaluation
-from fusion.read_results import read_drives, read_recorded
-from fusion.results import write_results
-from fusion.uncertainty import Influence, Uncertainty
+from fusion.base import InputError
+from fusion.campaign.repeats import drives_of
+from fusion.estimation.uncertainty import Influence, Uncertainty
+from fusion.report.h5 import read_drives, read_recorded
+from fusion.report.recording import recording as results
+from fusion.report.recording import write_results
+from fusion.sensitivity.analyse import Evaluation
 
 
 @pytest.fixture

@@ -10,11 +10,18 @@ import pytest
 from numpy.typing import NDArray
 from plain_drives import plain_drive, uncertainty
 
-from fusion.coverage import region_factor
-from fusion.drive import Drive, between_recordings, group_by_frequency, over_lines
-from fusion.linearity import find_linearity
-from fusion.repeats import BETWEEN, WITHIN, find_repeats
-from fusion.simulate.drives import CAPACITY, DriveErrors, drive_setup, simulate_drives, true_matrix
+from fusion.campaign.curve import find_linearity
+from fusion.campaign.repeats import (
+    BETWEEN,
+    WITHIN,
+    Drive,
+    between_recordings,
+    find_repeats,
+    group_by_frequency,
+    over_lines,
+)
+from fusion.estimation.uncertainty import region_factor
+from fusion.simulate.sines import CAPACITY, DriveErrors, drive_setup, simulate_drives, true_matrix
 
 AnyArray = NDArray[Any]
 LOAD = np.array([3.0, 1.0, 1000.0, 0.5, 0.1, 0.2])

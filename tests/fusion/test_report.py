@@ -13,11 +13,11 @@ from evaluation_factory import Choice, make_evaluation
 from markupsafe import Markup
 from page_outline import outline
 
-from fusion.budget_tables import budget_tables, other_loads_table
-from fusion.evaluation import Evaluation
-from fusion.report import render_report
-from fusion.report_numbers import degrees_of_freedom, fixed, measured, short, times_ten
-from fusion.report_tables import headlines, source_tables
+from fusion.report.more_tables import budget_tables, other_loads_table
+from fusion.report.numbers import degrees_of_freedom, fixed, measured, short, times_ten
+from fusion.report.recording import render_report
+from fusion.report.tables import headlines, source_tables
+from fusion.sensitivity.analyse import Evaluation
 
 
 @pytest.fixture(scope="module")

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from fusion.check import check
-from fusion.errors import InputError
-from fusion.manifest import load_manifest
-from fusion.response import Element, read_chain, read_response
+from fusion.base import InputError
+from fusion.recording.check import check
+from fusion.recording.files import Element, read_chain, read_response
+from fusion.recording.load import load_manifest
 
 FREQUENCY = np.array([100.0, 1000.0, 4000.0])
 DOC = (Path(__file__).resolve().parents[2] / "docs" / "recording-format.md").read_text(encoding="utf-8")

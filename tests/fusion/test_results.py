@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from evaluation_factory import ACCELERATION, Choice, make_evaluation
 
-from fusion import results
-from fusion.errors import InputError
-from fusion.evaluation import Evaluation
-from fusion.provenance import is_current
-from fusion.results import write_results
-from fusion.results_csv import merge_tables
+from fusion.base import InputError
+from fusion.report.csv_files import merge_tables
+from fusion.report.provenance import is_current
+from fusion.report.recording import recording as results
+from fusion.report.recording import write_results
+from fusion.sensitivity.analyse import Evaluation
 
 SENSITIVITY = (
     "frequency_hz,channel,component,magnitude,phase_rad,u_magnitude,u_phase_rad,re,im,u_re,u_im,r,dof,unit,kind,"
@@ -152,7 +152,7 @@ def test_results_answer_for_the_same_input_only(
     assert not is_current(folder, {**hashes, "rig.toml": "00" * 32}, settings)
     assert not is_current(folder, hashes, {**settings, "subset_radius_px": 11})
     assert not is_current(folder.parent, hashes, settings)
-    monkeypatch.setattr("fusion.provenance.importlib.metadata.version", lambda _: "99.0")
+    monkeypatch.setattr("fusion.report.provenance.importlib.metadata.version", lambda _: "99.0")
     assert not is_current(folder, hashes, settings)
 
 

@@ -13,13 +13,12 @@ import h5py
 import numpy as np
 import pytest
 
+from fusion.base import InputError
 from fusion.cli import main
-from fusion.errors import InputError
-from fusion.manifest import load_manifest
-from fusion.rotate.evaluate import evaluate_rotation
-from fusion.rotate.result import JOINT, RotationEvaluation
-from fusion.rotate.run import run_rotate
-from fusion.simulate.rotation import BARE, LOADED, write_rotation
+from fusion.recording.load import load_manifest
+from fusion.sensor.rotate.readings import JOINT, RotationEvaluation
+from fusion.sensor.rotate.run import evaluate_rotation, run_rotate
+from fusion.simulate.statics import BARE, LOADED, write_rotation
 
 ANGLES = np.arange(0.0, 360.0, 22.5)
 PAPER_RIG = """
@@ -72,7 +71,7 @@ def campaign(simulated: Path, tmp_path: Path) -> Path:
 @pytest.fixture
 def no_page(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave the page empty where its figures are not what is tested."""
-    monkeypatch.setattr("fusion.rotate.results.render_rotation_page", lambda _: "")
+    monkeypatch.setattr("fusion.sensor.rotate.run.render_rotation_page", lambda _: "")
 
 
 def _evaluated(folder: Path, *names: str) -> RotationEvaluation:

@@ -8,15 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fusion.manifest import load_manifest
-from fusion.rotate.masses import Campaign, quantities
-from fusion.rotate.readings import read_rotation, turned
-from fusion.rotate.result import Quantity
-from fusion.rotate.surroundings import air_density, local_gravity
-from fusion.simulate.draws import Draws
-from fusion.simulate.rotation import BARE, LOADED, RotationRig, true_outputs, write_rotation
-from shaker.models.weights.harmonics import fit_angles, turning_sense
-from shaker.models.weights.load_mass import fit_weights
+from fusion.recording.load import load_manifest
+from fusion.sensor.rotate.masses import Campaign, quantities
+from fusion.sensor.rotate.readings import Quantity, air_density, local_gravity, read_rotation, turned
+from fusion.simulate.statics import BARE, LOADED, RotationRig, true_outputs, write_rotation
+from fusion.simulate.world import Draws
+from shaker.static_rotation.harmonics import fit_angles, turning_sense
+from shaker.static_rotation.masses import fit_weights
 
 TRIALS = 1000
 BY_CALIBRATION = RotationRig(u_angle_rad=3e-4)

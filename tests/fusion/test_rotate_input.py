@@ -9,7 +9,7 @@ import pytest
 
 from fusion.cli import main
 from fusion.simulate import simulate_rotation
-from fusion.simulate.rotation import BARE, LOADED
+from fusion.simulate.statics import BARE, LOADED
 
 RIG, RECORDING, TABLE = "rig.toml", f"{BARE}/recording.toml", f"{BARE}/readings.csv"
 CASES = [
@@ -117,7 +117,7 @@ def test_recordings_with_other_channels_are_refused(campaign: Path, capsys: pyte
 def test_a_channel_that_stands_still_or_is_missing_is_left_out(
     campaign: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("fusion.rotate.results.render_rotation_page", lambda _: "")
+    monkeypatch.setattr("fusion.sensor.rotate.run.render_rotation_page", lambda _: "")
     before = {name: (campaign / name / "readings.csv").read_text() for name in (BARE, LOADED)}
     try:
         for name, text in before.items():

@@ -11,21 +11,28 @@ import h5py
 import numpy as np
 import pytest
 
-from fusion.coverage import coverage_factor
-from fusion.manifest import load_manifest
-from fusion.repeats import BETWEEN, WITHIN, nested
-from fusion.rotate.evaluate import evaluate_rotation
-from fusion.rotate.masses import MEAN_ROWS, Campaign, quantities
-from fusion.rotate.readings import read_rotation, turned
-from fusion.rotate.result import JOINT, RotationEvaluation
-from fusion.rotate.run import run_rotate
-from fusion.rotate.scatter import Carried, Component, components
-from fusion.rotate.surroundings import air_density, local_gravity, unknown_volume
-from fusion.rotate.tables import budget_tables, repeats_tables
-from fusion.simulate.draws import Draws
-from fusion.simulate.rotation import BARE, LOADED, RotationRig, true_outputs, write_rotation
-from shaker.models.weights.harmonics import fit_angles, turning_sense
-from shaker.models.weights.load_mass import ROWS, fit_weights
+from fusion.campaign.repeats import BETWEEN, WITHIN, nested
+from fusion.estimation.uncertainty import coverage_factor
+from fusion.recording.load import load_manifest
+from fusion.sensor.rotate.masses import MEAN_ROWS, Campaign, quantities
+from fusion.sensor.rotate.readings import (
+    JOINT,
+    Carried,
+    Component,
+    RotationEvaluation,
+    air_density,
+    components,
+    local_gravity,
+    read_rotation,
+    turned,
+    unknown_volume,
+)
+from fusion.sensor.rotate.report import budget_tables, repeats_tables
+from fusion.sensor.rotate.run import evaluate_rotation, run_rotate
+from fusion.simulate.statics import BARE, LOADED, RotationRig, true_outputs, write_rotation
+from fusion.simulate.world import Draws
+from shaker.static_rotation.harmonics import fit_angles, turning_sense
+from shaker.static_rotation.masses import ROWS, fit_weights
 
 TRIALS = 500
 SCATTERING = RotationRig(u_sensitivity=1e-4, u_angle_rad=2e-5, u_load_mass_kg=1e-5, hysteresis=0.0)
@@ -162,7 +169,7 @@ def test_one_mounting_is_told_and_single_recordings_are_not(repeated: tuple[Path
 
 def test_files_of_repeats(repeated: tuple[Path, list[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder, names = repeated
-    monkeypatch.setattr("fusion.rotate.results.render_rotation_page", lambda _: "")
+    monkeypatch.setattr("fusion.sensor.rotate.run.render_rotation_page", lambda _: "")
     run_rotate([folder], tmp_path / "results")
     with (tmp_path / "results" / "rotation.csv").open(newline="") as stream:
         rows = [row for row in csv.DictReader(stream) if row["name"] == "weight_deviation"]

@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from fusion.body import Body, make_part
-from fusion.fuse import Acceleration
-from fusion.load import load_phasors
-from fusion.observe import ChainUncertainty, Reading
-from fusion.outputs import output_phasors
-from fusion.sensitivity import Sensitivity, driven_component, sensitivity_ratio
-from fusion.uncertainty import Contribution, Uncertainty
-from shaker.signals.phasor import Phasors
+from fusion.estimation.consistency import Acceleration
+from fusion.estimation.measurement_model import ChainUncertainty, Reading
+from fusion.estimation.uncertainty import Contribution, Uncertainty
+from fusion.sensitivity.body import Body, make_part
+from fusion.sensitivity.load import load_phasors, output_phasors
+from fusion.sensitivity.ratio import Sensitivity, driven_component, sensitivity_ratio
+from shaker.phasor import Phasors
 
 FREQUENCY = np.array([106.25, 212.5])
 MOTION = np.array([[0.5, -0.3j, 189.0, 4.0j, -3.0, 1.0], [0.01, 0.02, 0.9 - 0.2j, 0.1, 0.05j, 0.02]], dtype=complex)

@@ -14,12 +14,10 @@ import numpy as np
 import pytest
 from dask_cluster import Cluster
 
-from fusion import campaign as under_test
-from fusion.campaign import run_path
-from fusion.errors import InputError
-from fusion.execution.task import Answer, call
-from fusion.execution.workers import Workers
-from fusion.settings import Settings
+from fusion.base import InputError, Settings
+from fusion.campaign.run import run as under_test
+from fusion.campaign.run import run_path
+from fusion.campaign.workers import Answer, Workers, call
 
 NAME = "Fz-0080"
 
@@ -48,7 +46,9 @@ class Inline:
 def _run(recording: Path, out: Path, **where: Any) -> dict[str, bytes]:
     """Every table of a recording; its report is without figures, which take most of the time."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fusion.results.render_report", lambda evaluation: f"<!doctype html>{evaluation.manifest.name}")
+        patch.setattr(
+            "fusion.report.recording.render_report", lambda evaluation: f"<!doctype html>{evaluation.manifest.name}"
+        )
         outcomes = run_path(recording, out, Settings(), **where)
     assert [outcome.folder for outcome in outcomes] == [out]
     return {path.name: path.read_bytes() for path in sorted(out.glob("*.csv"))}

@@ -12,15 +12,23 @@ import numpy as np
 import pytest
 import tifffile
 
-from fusion.errors import InputError
-from fusion.manifest import load_manifest
+from fusion.base import InputError
+from fusion.recording.load import load_manifest
 from fusion.simulate import simulate
-from fusion.simulate.draws import Draws
-from fusion.simulate.mechanics import Motion, TruePart, acceleration_at, base_motion, harmonic, velocity_at, wrench
+from fusion.simulate.channels import to_toml
 from fusion.simulate.preset import PRESETS
-from fusion.simulate.toml_text import to_toml
-from fusion.simulate.world import make_world
-from photogram.rigid import rotation_from_vector
+from fusion.simulate.world import (
+    Draws,
+    Motion,
+    TruePart,
+    acceleration_at,
+    base_motion,
+    harmonic,
+    make_world,
+    velocity_at,
+    wrench,
+)
+from photogram.geometry import rotation_from_vector
 
 GRAVITY = np.array([0.0, 0.0, -9.8125])
 FREQUENCY = np.array([40.0, 120.0])

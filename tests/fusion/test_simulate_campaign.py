@@ -11,18 +11,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from fusion.base import InputError
 from fusion.cli import main
-from fusion.errors import InputError
-from fusion.manifest import load_manifest
+from fusion.recording.load import load_manifest
 from fusion.simulate import simulate_campaign
-from fusion.simulate.campaign import CAMPAIGNS
-from fusion.simulate.draws import CampaignDraws
-from fusion.simulate.points import face_points, point_series
-from fusion.simulate.runs import wrench_direction
-from fusion.simulate.sweep import ROCKING_HZ, laser_points
-from fusion.simulate.world import make_world
+from fusion.simulate.sines import ROCKING_HZ, laser_points, wrench_direction
+from fusion.simulate.world import CampaignDraws, face_points, make_world, point_series
+from fusion.simulate.write import CAMPAIGNS
+from photogram.geometry import rotation_from_vector
 from photogram.point_tables import read_point_tables
-from photogram.rigid import rotation_from_vector
 
 
 @pytest.fixture(scope="module")

@@ -12,15 +12,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from fusion.base import InputError
 from fusion.cli import main
-from fusion.errors import InputError
-from fusion.manifest import load_manifest
-from fusion.simulate import masses, pitching, simulate_loads
-from fusion.simulate.chirp import Chirp
-from fusion.simulate.draws import CampaignDraws, Draws
-from fusion.simulate.mechanics import TruePart
-from fusion.simulate.suspended import Suspension, mass_matrix, write_chirps
-from fusion.simulate.world import make_world, true_part
+from fusion.recording.load import load_manifest
+from fusion.simulate import chirp as masses
+from fusion.simulate import chirp as pitching
+from fusion.simulate import simulate_loads
+from fusion.simulate.chirp import Chirp, Suspension, mass_matrix, write_chirps
+from fusion.simulate.world import CampaignDraws, Draws, TruePart, make_world, true_part
 
 QUICK = Chirp(sample_rate_hz=12800.0, period_s=0.32, periods=3, band_hz=(900.0, 2200.0))
 
@@ -60,7 +59,7 @@ def test_axial_motion_is_that_of_one_oscillator() -> None:
 
 @pytest.mark.parametrize("name", ["4kg", "7kg"])
 def test_pitching_motion_is_that_of_two_coupled_equations_in_state_space(name: str) -> None:
-    stand = pitching.STAND
+    stand = pitching.PITCHING_STAND
     load, internal = _parts(stand, name)
     m, c, inertia = load.mass_kg, load.centre_of_mass_m[2], load.inertia_kgm2[1, 1]
     # About the origin, x to the right, turn about y: the centre of mass at height c moves by x + c·turn; what its
@@ -81,7 +80,7 @@ def test_pitching_motion_is_that_of_two_coupled_equations_in_state_space(name: s
 
 
 def test_mass_matrix_holds_newton_and_euler() -> None:
-    load, _ = _parts(pitching.STAND, "4kg")
+    load, _ = _parts(pitching.PITCHING_STAND, "4kg")
     rng = np.random.default_rng(4)
     a, alpha = rng.standard_normal((2, 3))
     force = load.mass_kg * (a + np.cross(alpha, load.centre_of_mass_m))
@@ -91,11 +90,13 @@ def test_mass_matrix_holds_newton_and_euler() -> None:
 
 def test_resonances_overlap_for_one_pitching_load_and_stand_apart_for_the_other() -> None:
     apart = {}
-    for name in pitching.LOADS:
-        load, internal = _parts(pitching.STAND, name)
+    for name in pitching.PITCHING_LOADS:
+        load, internal = _parts(pitching.PITCHING_STAND, name)
         inertia = (mass_matrix(load) + mass_matrix(internal))[np.ix_((0, 4), (0, 4))]
-        widths = np.linalg.eigvals(np.linalg.solve(inertia, np.diag(pitching.STAND.damping))).real / (2 * np.pi)
-        apart[name] = np.diff(pitching.STAND.resonances_hz(load, internal))[0] / widths.mean()
+        widths = np.linalg.eigvals(np.linalg.solve(inertia, np.diag(pitching.PITCHING_STAND.damping))).real / (
+            2 * np.pi
+        )
+        apart[name] = np.diff(pitching.PITCHING_STAND.resonances_hz(load, internal))[0] / widths.mean()
     assert apart["7kg"] < 1.5
     assert apart["4kg"] > 10.0
 

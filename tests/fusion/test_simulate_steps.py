@@ -10,15 +10,14 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
+from fusion.base import InputError
 from fusion.cli import main
-from fusion.errors import InputError
-from fusion.load import LOAD_COMPONENTS
-from fusion.manifest import load_manifest
+from fusion.recording.load import load_manifest
+from fusion.sensitivity.load import LOAD_COMPONENTS
+from fusion.sensor.step.records import read_step_record
 from fusion.simulate import simulate_steps
-from fusion.simulate.steps import DAQ_FILE, StepRig, releases
-from fusion.step.records import read_step_record
-from shaker.models.step.compare import compare_releases
-from shaker.models.step.release import read_release
+from fusion.simulate.releases import DAQ_FILE, StepRig, releases
+from shaker.release.reading import compare_releases, read_release
 
 SEED = 3
 RIG = StepRig()

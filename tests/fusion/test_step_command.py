@@ -12,7 +12,7 @@ from scipy import optimize
 from step_factory import StepFolder, Truth
 
 from fusion.cli import main
-from fusion.models_file import read_models
+from fusion.sensor.models_file import read_models
 
 TRUTH = Truth(length_s=0.03)
 COTTON = Truth(release_s=2e-3, onset_s=0.0047, length_s=0.03)

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from step_factory import StepFolder, Truth
 
+from fusion.base import InputError
 from fusion.cli import main
-from fusion.errors import InputError
-from fusion.manifest import load_manifest
-from fusion.step.records import read_step, read_step_record
+from fusion.recording.load import load_manifest
+from fusion.sensor.step.records import read_step, read_step_record
 
 TRUTH = replace(Truth(), length_s=0.02)
 OUTPUT = '[[daq.channel]]\nname = "Fz"\nquantity = "output"\nchannel = "Fz"\n'

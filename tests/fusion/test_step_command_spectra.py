@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from step_factory import StepFolder, Truth
 
-from fusion.manifest import load_manifest
-from fusion.step.releases import read_recording
-from fusion.step.spectra import measured_response
+from fusion.recording.load import load_manifest
+from fusion.sensor.step.evaluate import measured_response
+from fusion.sensor.step.releases import read_recording
 
 
 @pytest.mark.parametrize("force", [False, True])

@@ -10,9 +10,9 @@ import pytest
 from evaluation_factory import make_evaluation
 from rich.console import Console
 
-from fusion.coverage import coverage_factor
-from fusion.results_csv import SENSITIVITY_FILE, result_tables, row_element, sensitivity_element
-from fusion.summary import sensitivity_table
+from fusion.campaign.run import sensitivity_table
+from fusion.estimation.uncertainty import coverage_factor
+from fusion.report.csv_files import SENSITIVITY_FILE, result_tables, row_element, sensitivity_element
 
 
 @pytest.fixture(scope="module")

@@ -20,13 +20,13 @@ from take_factory import (
     write_takes,
 )
 
+from fusion.base import Settings
 from fusion.cli import main
-from fusion.commands.values import EXIT_DONE, EXIT_INPUT
-from fusion.evaluate import evaluate_recording
-from fusion.evaluation import Evaluation
-from fusion.manifest import load_manifest
-from fusion.results_csv import result_tables
-from fusion.settings import Settings
+from fusion.commands.options import EXIT_DONE, EXIT_INPUT
+from fusion.recording.load import load_manifest
+from fusion.report.csv_files import result_tables
+from fusion.sensitivity.analyse import Evaluation
+from fusion.sensitivity.evaluate import evaluate_recording
 
 SEEN = [2, 3, 4]  # z, rx, ry
 HARMONICS = {2: 0.01, 3: 0.004}

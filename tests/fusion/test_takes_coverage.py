@@ -10,16 +10,16 @@ import pytest
 from scipy.stats import binom
 from take_factory import BASE_Z, BRIDGE_V, FREQUENCY_HZ, LOAD, MASS_KG, POINTS, RIG, SENSITIVITY, at_point
 
-from fusion.analyse import Analysis, Inputs, analyse
-from fusion.body import Body, make_part
-from fusion.manifest import ChannelEntry, Rig
-from fusion.manifest.load import validate
-from fusion.observe import ChainUncertainty, Reading, observe_channels
-from fusion.pool import pool_readings
-from fusion.referral import Referral, referrals
-from fusion.take import OpenTake
-from shaker.signals.frequencies import Lines
-from shaker.signals.phasor import Phasors
+from fusion.estimation.measurement_model import ChainUncertainty, Reading, observe_channels
+from fusion.phasors.setup import OpenTake, Referral, referrals
+from fusion.phasors.setups import pool_readings
+from fusion.recording.load import validate
+from fusion.recording.manifest import ChannelEntry
+from fusion.recording.rig import Rig
+from fusion.sensitivity.analyse import Analysis, Inputs, analyse
+from fusion.sensitivity.body import Body, make_part
+from shaker.lines.frequencies import Lines
+from shaker.phasor import Phasors
 
 OMEGA = 2.0 * np.pi * FREQUENCY_HZ
 NOISE = 2e-5  # relative, of real and imaginary part

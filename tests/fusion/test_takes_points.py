@@ -20,12 +20,12 @@ from take_factory import (
     write_shot,
 )
 
-from fusion.evaluate import evaluate_recording
-from fusion.evaluation import Evaluation
-from fusion.manifest import load_manifest
-from fusion.results_csv import result_tables
-from fusion.settings import Settings
-from photogram.rigid import rotation_from_vector
+from fusion.base import Settings
+from fusion.recording.load import load_manifest
+from fusion.report.csv_files import result_tables
+from fusion.sensitivity.analyse import Evaluation
+from fusion.sensitivity.evaluate import evaluate_recording
+from photogram.geometry import rotation_from_vector
 
 OMEGA = 2.0 * np.pi * FREQUENCY_HZ
 BASE = np.array([0.1, -0.2j, 98.0 * np.exp(0.72j), 1.0, 0.5j, 0.0])

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from take_factory import HEAD, LASER, LOAD, OUTPUT, POINTS, RATE_HZ, REFERENCE, RIG, Shot, signals
 
+from fusion.base import Settings
 from fusion.cli import main
-from fusion.commands.values import EXIT_DONE, EXIT_INPUT
-from fusion.evaluate import evaluate_recording
-from fusion.evaluation import Evaluation
-from fusion.manifest import load_manifest
-from fusion.records import read_takes
-from fusion.settings import Settings
+from fusion.commands.options import EXIT_DONE, EXIT_INPUT
+from fusion.recording.files import read_takes
+from fusion.recording.load import load_manifest
+from fusion.sensitivity.analyse import Evaluation
+from fusion.sensitivity.evaluate import evaluate_recording
 
 ORIGIN = (0.0, 0.0, 0.05)  # of the file's coordinates in the sensor frame
 DAQ = '[[daq]]\nname = "scan"\nfile = "Scan_time.asc"\n'

@@ -13,15 +13,13 @@ import h5py
 import numpy as np
 import pytest
 
+from fusion.base import InputError
 from fusion.cli import main
-from fusion.errors import InputError
-from fusion.manifest import load_manifest
+from fusion.recording.load import load_manifest
+from fusion.sensor.transfer.evaluate import evaluate_transfer, find_resonances
+from fusion.sensor.transfer.records import ReferenceResult, TransferSettings
+from fusion.sensor.transfer.report import run_transfer, write_transfer
 from fusion.simulate.chirp import ChirpRig, transmissibility, write_chirp
-from fusion.transfer.evaluate import evaluate_transfer
-from fusion.transfer.resonances import find_resonances
-from fusion.transfer.result import ReferenceResult, TransferSettings
-from fusion.transfer.results import write_transfer
-from fusion.transfer.run import run_transfer
 
 RIG = ChirpRig(sample_rate_hz=10240.0, period_s=0.5, periods=5, band_hz=(300.0, 2800.0))
 SLOW = ChirpRig(frequency_hz=400.0, damping_ratio=0.01)
@@ -43,7 +41,7 @@ def recording(simulated: Path, tmp_path: Path) -> Path:
 @pytest.fixture
 def no_page(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave the page empty where its figures are not what is tested."""
-    monkeypatch.setattr("fusion.transfer.results.render_transfer_page", lambda _: "")
+    monkeypatch.setattr("fusion.sensor.transfer.report.render_transfer_page", lambda _: "")
 
 
 def _evaluated(folder: Path, **choices: object) -> ReferenceResult:

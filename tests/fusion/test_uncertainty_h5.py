@@ -12,9 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from fusion.read_results import read_uncertainty
-from fusion.results_h5 import write_uncertainty
-from fusion.uncertainty import Contribution, Influence, Uncertainty
+from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty
+from fusion.report.h5 import read_uncertainty, write_uncertainty
 
 NAME = st.text(st.characters(codec="utf-8", exclude_characters="\0", exclude_categories=["Cs"]), min_size=1, max_size=8)
 NUMBER = st.floats(allow_subnormal=True, width=64)

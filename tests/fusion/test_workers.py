@@ -13,11 +13,8 @@ from pathlib import Path
 import pytest
 import worker_tasks as tasks
 
-from fusion.errors import ComputeError, InputError
-from fusion.execution.task import call
-from fusion.execution.threads import one_blas_thread
-from fusion.execution.workers import Workers
-from fusion.output import remove_abandoned, temporary_beside
+from fusion.base import ComputeError, InputError, remove_abandoned, temporary_beside
+from fusion.campaign.workers import Workers, call, one_blas_thread
 
 PATIENCE_S = 120.0
 ROOT = Path(__file__).resolve().parents[2]
@@ -125,7 +122,7 @@ def test_the_end_leaves_no_process_and_nothing_half_written(tmp_path: Path) -> N
 def test_workers_end_when_the_process_that_leads_them_is_killed(tmp_path: Path) -> None:
     begun = tmp_path / "begun"
     code = (
-        "import sys, pathlib, worker_tasks\nfrom fusion.execution.workers import Workers\n"
+        "import sys, pathlib, worker_tasks\nfrom fusion.campaign.workers import Workers\n"
         "if __name__ == '__main__':\n"
         "    with Workers(1) as workers:\n"
         "        workers.submit(0, worker_tasks.wait_for_ever, pathlib.Path(sys.argv[1])).result()\n"

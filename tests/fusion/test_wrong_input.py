@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 import tifffile
 
-from fusion import stereo_motion
 from fusion.cli import main
-from fusion.commands.values import EXIT_INPUT
+from fusion.commands.options import EXIT_INPUT
+from fusion.phasors import stereo_motion
 
 NAME = "Fz-0080"
 RIG, RECORDING = "rig.toml", f"{NAME}/recording.toml"

@@ -14,11 +14,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fusion.errors import InputError
-from fusion.manifest import RecordingFile, Rig, load_manifest
-from fusion.manifest.load import validate
-from fusion.manifest.paths import PathScope
-from fusion.manifest.values import Context
+from fusion.base import InputError
+from fusion.recording.load import load_manifest, validate
+from fusion.recording.manifest import RecordingFile
+from fusion.recording.rig import Rig
+from fusion.recording.values import Context, PathScope
 
 Campaign = Callable[..., Path]
 RIG, RECORDING = "rig.toml", "recording.toml"

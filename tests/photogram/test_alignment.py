@@ -10,21 +10,20 @@ from alignment_factory import BODY_M, TARGET, World, displaced, make_world, off,
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from photogram.alignment import (
+from photogram.alignment.evidence import (
     Evidence,
     KnownFace,
     KnownPoints,
     KnownPoses,
-    OpenPose,
     StatedFrame,
-    align,
+    across,
     calibration_steps,
     seen_points,
     seen_target,
 )
-from photogram.alignment.residuals import across
-from photogram.calibrate.pose import target_pose as find_pose
-from photogram.rigid import RigidTransform, rotation_from_vector, vector_from_rotation
+from photogram.alignment.solve import OpenPose, align
+from photogram.calibration.start import target_pose as find_pose
+from photogram.geometry import RigidTransform, rotation_from_vector, vector_from_rotation
 
 U_PX = 0.02
 CASES = 100

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 from alignment_factory import TARGET, World, displaced, make_world, target_pose
 
-from photogram.alignment import Alignment, KnownPoses, align, by_parameters, calibration_steps, seen_target
+from photogram.alignment.evidence import KnownPoses, by_parameters, calibration_steps, seen_target
+from photogram.alignment.solve import Alignment, align
 from photogram.camera import StereoRig
-from photogram.rigid import RigidTransform, rotation_from_vector, vector_from_rotation
-from photogram.target.view import TargetView
+from photogram.geometry import RigidTransform, rotation_from_vector, vector_from_rotation
+from photogram.targets.view import TargetView
 
 Views = tuple[TargetView, TargetView]
 U_PLACE_M, U_ROTATION_RAD = 1e-6, 1e-5

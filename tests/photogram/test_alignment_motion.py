@@ -10,10 +10,11 @@ import pytest
 from alignment_factory import NOISE, World, displaced, make_world, shaken, turned
 from scipy.optimize import least_squares
 
-from photogram.alignment import Evidence, KnownPoses, OpenPose, align, fit_axis, linear_motion
-from photogram.alignment.residuals import across, displacement_jacobian
+from photogram.alignment.evidence import Evidence, KnownPoses, across, displacement_jacobian
+from photogram.alignment.solve import OpenPose, align
+from photogram.alignment.system import fit_axis, linear_motion
+from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.motion import RigidMotion
-from photogram.rigid import RigidTransform, rotation_from_vector
 
 X, Y, Z = np.eye(3)
 U_DIRECTION = 5e-5

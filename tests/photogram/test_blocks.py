@@ -11,11 +11,13 @@ import pytest
 
 from photogram import measure
 from photogram.camera import Camera, StereoRig
+from photogram.geometry import RigidTransform
 from photogram.images import ImageSequence
 from photogram.measure import BodyMotion, body_motion, follow_block, measure_body, prepare_body
-from photogram.rigid import RigidTransform
-from photogram.synthetic import Face, ImageSensor, render, speckle_texture, view_of
-from photogram.track import TrackSettings, TrackStatus, follow_sequence, prepare_sequence
+from photogram.subsets.follow import TrackSettings
+from photogram.subsets.reference import TrackStatus
+from photogram.subsets.track import follow_sequence, prepare_sequence
+from photogram.synthetic.scene import Face, ImageSensor, render, speckle_texture, view_of
 
 PIXEL_M, FOCAL, BLOCK = 2e-4, 1500.0, 3
 SENSOR = ImageSensor(12, 8.0, 6.0)

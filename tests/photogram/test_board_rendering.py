@@ -7,10 +7,9 @@ import pytest
 from board_pictures import SPACING_M, camera_of, charuco, chessboard, pose_of, truth_px
 
 from photogram.camera import Camera
-from photogram.rigid import RigidTransform
-from photogram.synthetic.board import Board, render_board
-from photogram.synthetic.board_session import random_poses, random_rig
-from photogram.target.view import Target
+from photogram.geometry import RigidTransform
+from photogram.synthetic.board import Board, random_poses, random_rig, render_board
+from photogram.targets.view import Target
 
 
 @pytest.mark.parametrize(("rows", "legacy"), [(6, False), (6, True), (5, True)])

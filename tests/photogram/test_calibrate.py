@@ -10,14 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from photogram.calibrate.model import ellipse_centres, see
-from photogram.calibrate.pose import target_pose
-from photogram.calibrate.result import Calibration
-from photogram.calibrate.session import calibrate_pair
-from photogram.calibrate.shape import make_shape
+from photogram.calibration.model import Calibration, ellipse_centres, make_shape, see
+from photogram.calibration.session import calibrate_pair
+from photogram.calibration.start import target_pose
 from photogram.camera import Camera, StereoRig
-from photogram.rigid import RigidTransform, rotation_from_vector, skew, vector_from_rotation
-from photogram.target.view import Target, TargetKind, TargetView
+from photogram.geometry import RigidTransform, rotation_from_vector, skew, vector_from_rotation
+from photogram.targets.view import Target, TargetKind, TargetView
 
 SIZE = np.array([1280, 1024])
 SPACING = 0.012

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from photogram.calibration_file import read_calibration, write_calibration
+from photogram.calibration.file import read_calibration, write_calibration
 from photogram.camera import RIG_PARAMETERS, Camera, StereoRig
-from photogram.rigid import RigidTransform
+from photogram.geometry import RigidTransform
 
 EXAMPLE = """{"format": 1, "image_size": [1280, 1024],
  "left":  {"matrix": [[3200, 0, 640], [0, 3200, 512], [0, 0, 1]], "distortion": [-0.08, 0.05, 0, 0, 0]},

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from photogram.calibration_file import read_calibration, write_calibration
-from photogram.calibration_import import ImportedCalibration, import_calibration
+from photogram.calibration.file import read_calibration, write_calibration
+from photogram.calibration.foreign import ImportedCalibration
+from photogram.calibration.foreign_formats import import_calibration
 
 SIZE = (1280, 1024)
 K_LEFT = np.array([[3200.5, 0, 640.25], [0, 3198.75, 511.5], [0, 0, 1.0]])

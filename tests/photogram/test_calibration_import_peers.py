@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from photogram.calibration_import import import_calibration
+from photogram.calibration.foreign_formats import import_calibration
 from photogram.camera import StereoRig
-from photogram.rigid import skew
+from photogram.geometry import skew
 
 GT4_CAMERAS = (
     (  # VIC-3D's calibration of the recording GT4, as DICe's regression test of it holds it

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from photogram.camera import RIG_PARAMETERS, Camera, StereoRig
-from photogram.rigid import RigidTransform
+from photogram.geometry import RigidTransform
 
 SIZE = np.array([1920, 1200])
 DISTORTIONS = [

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from photogram.bspline import evaluate, spline_of_image
 from photogram.camera import Camera
-from photogram.cells import LEAST_FILLED, compare_cells, lay_cells, pixel_residuals, prepare_cells
-from photogram.interpolate import evaluate, spline_of_image
-from photogram.noise import NoiseModel
-from photogram.rigid import RigidTransform
-from photogram.surface import PlacedCamera, body_patches, patch_rates, patch_warps
+from photogram.direct import LEAST_FILLED, compare_cells, lay_cells, pixel_residuals, prepare_cells
+from photogram.geometry import RigidTransform
+from photogram.motion import PlacedCamera, body_patches, patch_rates, patch_warps
+from photogram.subsets.grid import NoiseModel
 
 NOISE = NoiseModel(4.0, 0.01)
 

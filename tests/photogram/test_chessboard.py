@@ -7,9 +7,9 @@ import pytest
 from board_pictures import SENSOR, camera_of, charuco, chessboard, errors, picture, pose_of
 from scipy.ndimage import gaussian_filter
 
-from photogram.rigid import RigidTransform
-from photogram.target.chessboard import find_chessboard
-from photogram.target.view import Target, TargetNotFound
+from photogram.geometry import RigidTransform
+from photogram.targets.chessboard import find_chessboard
+from photogram.targets.view import Target, TargetNotFound
 
 CAMERA = camera_of()
 BOARD = chessboard()

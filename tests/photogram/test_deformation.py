@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from photogram.deformation import Deformation, deformation
-from photogram.motion import RigidMotion, fit_motion
-from photogram.rigid import rotation_from_vector
-from photogram.triangulate import Points
+from photogram.camera import Points
+from photogram.geometry import rotation_from_vector
+from photogram.motion import Deformation, RigidMotion, deformation, fit_motion
 
 ROOT = np.array([[0.3, 0.0, 0.0], [0.05, 0.25, 0.0], [0.1, -0.2, 0.9]]) * 1e-6
 FRAMES = 60

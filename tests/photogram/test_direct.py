@@ -7,14 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from photogram.bspline import Spline, spline_of_image
 from photogram.camera import Camera
 from photogram.direct import BodyView, fit_direct, image_noise, rest_covariance, view_body
-from photogram.interpolate import Spline, spline_of_image
-from photogram.noise import NoiseModel
-from photogram.rigid import RigidTransform
-from photogram.subset import textured_area
-from photogram.surface import PlacedCamera
-from photogram.synthetic import Face, ImageSensor, motion_bound, render, speckle_texture, view_of
+from photogram.geometry import RigidTransform
+from photogram.motion import PlacedCamera
+from photogram.subsets.grid import NoiseModel, textured_area
+from photogram.synthetic.scene import Face, ImageSensor, motion_bound, render, speckle_texture, view_of
 
 PIXEL_M, FOCAL = 2e-4, 1500.0
 SENSOR = ImageSensor(12, 8.0, 6.0)

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from photogram.target.dots import find_dots
-from photogram.target.view import Target, TargetView
+from photogram.targets.dots import find_dots
+from photogram.targets.view import Target, TargetView
 
 RING_GRID = Target("dots", 3.5e-3)
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from photogram.calibration_file import read_calibration
+from photogram.calibration.file import read_calibration
+from photogram.camera import Points, triangulate
+from photogram.geometry import fit_rigid
 from photogram.motion import RigidMotion, fit_motion
-from photogram.rigid import fit_rigid
-from photogram.triangulate import Points, triangulate
 
 UM = 1e-6
 

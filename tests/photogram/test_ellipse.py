@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from photogram.target.ellipse import Ellipses, fit_ellipses
+from photogram.targets.ellipse import Ellipses, fit_ellipses
 
 OVERSAMPLING = 8
 BACKGROUND, CONTRAST = 180.0, -150.0

@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 import pytest
 
-from photogram.calibration_file import read_calibration
+from photogram.calibration.file import read_calibration
 from photogram.camera import RIG_PARAMETERS, Camera, StereoRig
 from photogram.epipolar import MOVED_PX, EpipolarCheck, check_epipolar, epipolar_residual
-from photogram.follow import Tracks
-from photogram.rigid import RigidTransform, rotation_from_vector
-from photogram.track import StereoTracks
+from photogram.geometry import RigidTransform, rotation_from_vector
+from photogram.subsets.follow import Tracks
+from photogram.subsets.track import StereoTracks
 
 SIZE = np.array([1280, 1024])
 NOISE_PX = 0.01

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from photogram.camera import Camera, StereoRig
+from photogram.geometry import RigidTransform
 from photogram.images import ImageSequence
-from photogram.rigid import RigidTransform
-from photogram.synthetic import Face, render, speckle_texture, view_of
-from photogram.track import TrackSettings, TrackStatus, match_stereo, track_sequence
+from photogram.subsets.follow import TrackSettings
+from photogram.subsets.reference import TrackStatus
+from photogram.subsets.track import match_stereo, track_sequence
+from photogram.synthetic.scene import Face, render, speckle_texture, view_of
 
 SIZE = (400, 320)
 FOCAL, DISTANCE_M = 2000.0, 0.5

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from photogram.images import open_sequence
-from photogram.track import TrackSettings, TrackStatus, match_stereo
+from photogram.subsets.follow import TrackSettings
+from photogram.subsets.reference import TrackStatus
+from photogram.subsets.track import match_stereo
 
 COUNT = 300
 

@@ -8,9 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from photogram.calibration_file import read_calibration
-from photogram.camera import StereoRig
-from photogram.triangulate import triangulate
+from photogram.calibration.file import read_calibration
+from photogram.camera import StereoRig, triangulate
 
 UM = 1e-6
 STATES = {"reference": (("x", "y"), ("r2_x", "r2_y"), "ref"), "loaded": (("t1_x", "t1_y"), ("t2_x", "t2_y"), "tar")}

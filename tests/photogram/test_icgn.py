@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from photogram.icgn import noise_of_residual, position_covariance, register
-from photogram.interpolate import spline_of_image
-from photogram.reference import TrackStatus, prepare_reference
+from photogram.bspline import spline_of_image
+from photogram.subsets.icgn import noise_of_residual, position_covariance, register
+from photogram.subsets.reference import TrackStatus, prepare_reference
 
 SIZE = (150, 108)
 CENTRES = np.array([(x, y) for y in range(20, 90, 22) for x in range(20, 132, 22)], dtype=float)

@@ -12,24 +12,23 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.ndimage import spline_filter
 
-from photogram import device as device_module
-from photogram.device import resolve_device
-from photogram.follow import TrackSettings, follow, identity
-from photogram.icgn import Registration, register
-from photogram.icgn_torch import (
+from photogram.bspline import PADDING_PX, spline_of_image
+from photogram.subsets import icgn_torch as engine
+from photogram.subsets import track as device_module
+from photogram.subsets.follow import TrackSettings, follow, identity, predict_warp
+from photogram.subsets.icgn import Registration, register
+from photogram.subsets.icgn_stream import follow_frames
+from photogram.subsets.icgn_torch import (
     TorchSplines,
-    follow_frames,
+    basis_polynomials,
+    forecast_warps,
     prefilter,
     register_frames,
     spline_frames,
     torch_reference,
 )
-from photogram.icgn_torch import register as engine
-from photogram.icgn_torch.forecast import forecast_warps
-from photogram.icgn_torch.frames import basis_polynomials
-from photogram.interpolate import PADDING_PX, spline_of_image
-from photogram.predict import predict_warp
-from photogram.reference import Reference, TrackStatus, prepare_reference
+from photogram.subsets.reference import Reference, TrackStatus, prepare_reference
+from photogram.subsets.track import resolve_device
 
 SIZE = (150, 108)
 CENTRES = np.array([(x, y) for y in range(20, 90, 22) for x in range(20, 132, 22)], dtype=float) + 0.3
@@ -111,7 +110,7 @@ def test_prefilter_takes_every_kind_of_grey_value(kind: str) -> None:
 
 def test_importing_the_package_does_not_import_torch() -> None:
     """Torch takes seconds to import, also for those who track on the CPU."""
-    ask = "import sys, photogram.icgn_torch, photogram.device; print('torch' in sys.modules)"
+    ask = "import sys, photogram.icgn_torch, photogram.subsets.track; print('torch' in sys.modules)"
     answer = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True)
     assert answer.stdout.strip() == "False"
 

@@ -6,15 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from photogram.interpolate import (
-    PADDING_PX,
-    Spline,
-    evaluate,
-    grey_values,
-    noise_gain,
-    slope_noise_gain,
-    spline_of_image,
-)
+from photogram.bspline import PADDING_PX, Spline, evaluate, grey_values, noise_gain, slope_noise_gain, spline_of_image
 
 
 @pytest.mark.parametrize("degree", [3, 5])

@@ -8,10 +8,9 @@ import numba
 import numpy as np
 import pytest
 
-from photogram._kernel import njit
-from photogram.interpolate import basis
-from photogram.sampling import sample_line
-from photogram.sums import AFFINE_SUMS, CURVED_SUMS, RUN_SUMS, affine_sums, curved_sums, run_sums
+from photogram.bspline import basis, sample_line
+from photogram.kernels import njit
+from photogram.subsets.reference import AFFINE_SUMS, CURVED_SUMS, RUN_SUMS, affine_sums, curved_sums, run_sums
 
 FREE = {"contract", "reassoc", "nsz", "arcp"}
 

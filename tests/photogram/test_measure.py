@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from photogram.camera import Camera, StereoRig
-from photogram.deformation import deformation
+from photogram.geometry import RigidTransform
 from photogram.images import ImageSequence
 from photogram.measure import BodyMotion, measure_body
-from photogram.rigid import RigidTransform
-from photogram.synthetic import Face, ImageSensor, render, speckle_texture, view_of
-from photogram.track import TrackSettings
+from photogram.motion import deformation
+from photogram.subsets.follow import TrackSettings
+from photogram.synthetic.scene import Face, ImageSensor, render, speckle_texture, view_of
 
 PIXEL_M, FOCAL = 2e-4, 1500.0
 SENSOR = ImageSensor(12, 8.0, 6.0)

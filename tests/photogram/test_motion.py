@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from photogram.camera import Points
+from photogram.geometry import RigidTransform, fit_rigid
 from photogram.motion import RigidMotion, fit_motion, points_with_estimated_noise, relative_to
-from photogram.rigid import RigidTransform, fit_rigid
-from photogram.triangulate import Points
 
 ORIGIN = np.array([0.02, -0.01, 0.35])
 NOISE = np.array([[1.0, 0.2, 0.5], [0.2, 1.5, -0.4], [0.5, -0.4, 9.0]]) * 1e-12  # depth is the weak direction

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from photogram.icgn import register
-from photogram.interpolate import spline_of_image
-from photogram.motion import fit_motion
-from photogram.overlap import overlap_correlation
-from photogram.reference import prepare_reference
-from photogram.triangulate import Points
+from photogram.bspline import spline_of_image
+from photogram.camera import Points
+from photogram.motion import fit_motion, overlap_correlation
+from photogram.subsets.icgn import register
+from photogram.subsets.reference import prepare_reference
 
 
 def test_correlation_of_registered_subsets_is_their_shared_area(make_texture) -> None:  # type: ignore[no-untyped-def]

@@ -5,15 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from photogram.bspline import spline_of_image
 from photogram.camera import Camera
-from photogram.icgn import register
-from photogram.interpolate import spline_of_image
-from photogram.noise import NoiseModel
-from photogram.quality import aliasing_bias, aliasing_notice, assess, default_radius_px
-from photogram.reference import TrackStatus, prepare_reference
-from photogram.rigid import RigidTransform
-from photogram.subset import lay_grid
-from photogram.synthetic import Face, ImageSensor, render, speckle_texture, view_of
+from photogram.geometry import RigidTransform
+from photogram.subsets.grid import NoiseModel, lay_grid
+from photogram.subsets.icgn import register
+from photogram.subsets.quality import aliasing_bias, aliasing_notice, assess, default_radius_px
+from photogram.subsets.reference import TrackStatus, prepare_reference
+from photogram.synthetic.scene import Face, ImageSensor, render, speckle_texture, view_of
 
 FOCAL_PX, PIXEL_M = 1500.0, 0.2e-3
 SIZE = (220, 180)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
-from photogram.rigid import (
+from photogram.geometry import (
     RigidTransform,
     fit_rigid,
     nearest_rotation,

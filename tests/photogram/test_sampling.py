@@ -7,8 +7,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from photogram.interpolate import evaluate, spline_of_image
-from photogram.sampling import sample_line
+from photogram.bspline import evaluate, sample_line, spline_of_image
 
 IMAGE = np.random.default_rng(51).uniform(0, 4095, (64, 70))
 SPLINES = {degree: spline_of_image(IMAGE, degree) for degree in (3, 5, 7)}

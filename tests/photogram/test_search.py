@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from photogram.search import (
+from photogram.subsets.search import (
     affine_field,
     affine_starts,
     agreeing,

@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from photogram.images import open_sequence
-from photogram.track import TrackSettings, TrackStatus, track_stereo
+from photogram.subsets.follow import TrackSettings
+from photogram.subsets.reference import TrackStatus
+from photogram.subsets.track import track_stereo
 
 
 def test_nothing_moves_by_more_than_its_noise(data_dir: Path) -> None:

@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from photogram.subset import fine_texture_share, lay_grid, speckle_size, subset_mean, subsets_inside, textured_area
+from photogram.subsets.grid import (
+    fine_texture_share,
+    lay_grid,
+    speckle_size,
+    subset_mean,
+    subsets_inside,
+    textured_area,
+)
 
 
 def disc(shape: tuple[int, int], centre: tuple[float, float], radius: float) -> np.ndarray:

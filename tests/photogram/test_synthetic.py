@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from photogram.camera import Camera, StereoRig
-from photogram.rigid import RigidTransform, rotation_from_vector
-from photogram.synthetic import (
+from photogram.geometry import RigidTransform, rotation_from_vector
+from photogram.synthetic.scene import (
     Face,
     ImageSensor,
     Texture,

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from board_pictures import SENSOR, camera_of, chessboard, picture, pose_of, truth_px
 
-from photogram._checks import FloatArray
-from photogram.noise import NoiseModel
+from photogram.arrays import FloatArray
+from photogram.subsets.grid import NoiseModel
 from photogram.synthetic.board import render_board
-from photogram.target.corner_view import lattice_bend
-from photogram.target.corners import refine_corners
-from photogram.target.crossing import NO_CROSSING, OUTSIDE, SATURATED
-from photogram.target.picture import picture_noise
+from photogram.targets.chessboard import lattice_bend
+from photogram.targets.crossing import NO_CROSSING, OUTSIDE, SATURATED, refine_corners
+from photogram.targets.view import picture_noise
 
 NOISE = NoiseModel(36.0, 0.125)
 

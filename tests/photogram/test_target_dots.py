@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
 from photogram.camera import Camera
-from photogram.rigid import RigidTransform, rotation_from_vector
+from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.synthetic.board import Board, render_board
-from photogram.target.dots import find_dots
-from photogram.target.view import Target, TargetNotFound, TargetView
+from photogram.targets.dots import find_dots
+from photogram.targets.view import Target, TargetNotFound, TargetView
 
 SIZE = (800, 640)
 CAMERA = Camera.from_parameters(np.array([1500.0, 1500, 402, 317, -0.15, 0.1, 0, 0, 0]), np.array(SIZE))

@@ -9,18 +9,11 @@ import numpy as np
 import pytest
 
 from photogram.camera import Camera, StereoRig
+from photogram.geometry import RigidTransform
 from photogram.images import ImageSequence
-from photogram.predict import predict_warp
-from photogram.rigid import RigidTransform
-from photogram.track import (
-    TrackSettings,
-    TrackStatus,
-    follow_sequence,
-    match_stereo,
-    prepare_sequence,
-    track_sequence,
-    track_stereo,
-)
+from photogram.subsets.follow import TrackSettings, predict_warp
+from photogram.subsets.reference import TrackStatus
+from photogram.subsets.track import follow_sequence, match_stereo, prepare_sequence, track_sequence, track_stereo
 
 SIZE = (320, 256)
 FOCAL, DISTANCE_M, PIXEL_M = 1500.0, 0.5, 0.5 / 1500.0

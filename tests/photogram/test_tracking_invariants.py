@@ -9,13 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from photogram.camera import Camera, StereoRig
+from photogram.camera import Camera, StereoRig, triangulate
+from photogram.geometry import RigidTransform
 from photogram.images import ImageSequence
 from photogram.motion import RigidMotion, fit_motion
-from photogram.rigid import RigidTransform
-from photogram.synthetic import Face, ImageSensor, render, speckle_texture, view_of
-from photogram.track import Tracks, TrackSettings, TrackStatus, track_sequence, track_stereo
-from photogram.triangulate import triangulate
+from photogram.subsets.follow import Tracks, TrackSettings
+from photogram.subsets.reference import TrackStatus
+from photogram.subsets.track import track_sequence, track_stereo
+from photogram.synthetic.scene import Face, ImageSensor, render, speckle_texture, view_of
 
 FULL_SCALE = 65535
 SIZE = (132, 120)

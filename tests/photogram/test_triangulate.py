@@ -9,9 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
-from photogram.camera import Camera, StereoRig
-from photogram.rigid import RigidTransform
-from photogram.triangulate import Points, triangulate
+from photogram.camera import Camera, Points, StereoRig, triangulate
+from photogram.geometry import RigidTransform
 
 LEFT_PX2 = np.array([[4e-4, 1e-4], [1e-4, 1e-4]])
 RIGHT_PX2 = np.array([[1e-4, -5e-5], [-5e-5, 9e-4]])

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from real_data import SHOCK, SHOCK_RATE_HZ, Shock, as_sensor, read_shock
 
-from shaker.models.sensor.chain_shape import NO_CHAIN
-from shaker.models.sensor.correction import correct_record
-from shaker.models.sensor.sensor_model import Load, SensorModel
-from shaker.models.sensor.usable_band import usable_band
+from shaker.identification.correction import correct_record, usable_band
+from shaker.identification.sensitivity import NO_CHAIN
+from shaker.identification.sensor import Load, SensorModel
 
 SEISMIC = Load(1.0, "force")
 

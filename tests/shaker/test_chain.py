@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
 
-from shaker.signals.chain import (
+from shaker.frf.chain import (
     FilterKind,
     PassBand,
     PoleModel,
@@ -25,7 +25,7 @@ from shaker.signals.chain import (
     split_ratio,
     table_response,
 )
-from shaker.signals.phasor import Phasors
+from shaker.phasor import Phasors
 
 FREQUENCY = np.geomspace(10.0, 5000.0, 400)
 LOWPASS = filter_poles("butterworth", 4, 10e3)

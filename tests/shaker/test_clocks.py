@@ -9,13 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shaker.signals.edges import Edges, find_edges
-from shaker.signals.instants import edge_instants
-from shaker.signals.posterior import Posterior, line_posterior
-from shaker.signals.pulses import pulse_width
-from shaker.signals.shift import decide_shift
-from shaker.signals.sync import ClockTie, tie_clocks
-from shaker.signals.trigger import TriggerFit, fit_trigger
+from shaker.timebase.edges import Edges, find_edges
+from shaker.timebase.tie import ClockTie, decide_shift, edge_instants, tie_clocks
+from shaker.timebase.trigger import Posterior, TriggerFit, fit_trigger, line_posterior, pulse_width
 
 PERIOD_S = 1.0 / 52.874
 EDGES = 80

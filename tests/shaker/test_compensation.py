@@ -6,17 +6,30 @@ import numpy as np
 import pytest
 from scipy import optimize, signal
 
-from shaker.models.compensation.bandwidth import KEPT_SHARE, target_for_bandwidth, target_for_frequency
-from shaker.models.compensation.discrete import discretisation_error, sampled
-from shaker.models.compensation.dynamics import SensorDynamics, loaded_dynamics, modal_dynamics, single_mode
-from shaker.models.compensation.filter import Compensation
-from shaker.models.compensation.mismatch import residual_ringing, ringing_amplitude
-from shaker.models.compensation.noise import white_noise_gain
-from shaker.models.compensation.schedule import Schedule
-from shaker.models.compensation.target import Target, band_ratio, best_damping
-from shaker.models.indices.indices import indices
-from shaker.models.load_series.model import LoadModel
-from shaker.models.modal import ModalModel
+from shaker.compensation.effects import (
+    KEPT_SHARE,
+    residual_ringing,
+    ringing_amplitude,
+    target_for_bandwidth,
+    target_for_frequency,
+    white_noise_gain,
+)
+from shaker.compensation.filter import (
+    Compensation,
+    Schedule,
+    SensorDynamics,
+    Target,
+    band_ratio,
+    best_damping,
+    discretisation_error,
+    loaded_dynamics,
+    modal_dynamics,
+    sampled,
+    single_mode,
+)
+from shaker.lti.indices import indices
+from shaker.lti.modal import ModalModel
+from shaker.release.load_model import LoadModel
 
 PUBLISHED = Compensation(single_mode(500.0, 0.004), Target(1000.0, 0.5))
 TWO_MASSES = LoadModel("Fy", "Fy", "V", 0.240, 2.36e6, 6.0)

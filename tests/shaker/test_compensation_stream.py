@@ -8,15 +8,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
 
-from shaker.models.compensation.discrete import Sections, parameter_sections, sampled
-from shaker.models.compensation.dynamics import single_mode
-from shaker.models.compensation.filter import Compensation
-from shaker.models.compensation.noise import filtered_noise, white_noise_gain
-from shaker.models.compensation.schedule import Schedule
-from shaker.models.compensation.stream import CompensationFilter
-from shaker.models.compensation.target import Target
-from shaker.models.compensation.uncertainty import CompensationWithUncertainty, gain_band
-from shaker.models.load_series.model import LoadModel
+from shaker.compensation.effects import CompensationWithUncertainty, filtered_noise, gain_band, white_noise_gain
+from shaker.compensation.filter import (
+    Compensation,
+    CompensationFilter,
+    Schedule,
+    Sections,
+    Target,
+    parameter_sections,
+    sampled,
+    single_mode,
+)
+from shaker.release.load_model import LoadModel
 
 RATE = 50e3
 THREE_MASSES = LoadModel("Fy", "Fy", "V", 0.240, 2.36e6, 6.0, 1.89e6, 4.0)

@@ -13,12 +13,10 @@ from numpy.typing import NDArray
 from scipy import signal
 from sensitivity_factory import DAMPING, FREQUENCY, LAG, STATIC, STIFFNESS, lag, measured, resonance
 
-from shaker.models.sensor.chain_shape import NO_CHAIN, Chain
-from shaker.models.sensor.correction import correct_phasors, correct_record
-from shaker.models.sensor.sensitivity_fit import fit_chain
-from shaker.models.sensor.sensor_model import Drive, Load, SensorModel, sensor_model
-from shaker.models.sensor.usable_band import usable_band
-from shaker.signals.phasor import Phasors
+from shaker.identification.correction import correct_phasors, correct_record, usable_band
+from shaker.identification.sensitivity import NO_CHAIN, Chain, fit_chain
+from shaker.identification.sensor import Drive, Load, SensorModel, sensor_model
+from shaker.phasor import Phasors
 
 FloatArray = NDArray[np.float64]
 MASS, INTERNAL = 4.236, 0.769

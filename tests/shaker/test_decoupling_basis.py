@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from shaker.models.decoupling.release_basis import SampleBlocks, Shape, release_basis
+from shaker.decoupling.steps import SampleBlocks, Shape, release_basis
 
 POLES = np.array([-160.0 + 10000.0j, -2.0 * np.pi * 6000.0 + 0.0j, -40.0 + 900.0j])
 MIDDLE_S, DURATION_S = 0.31e-3, 0.43e-3

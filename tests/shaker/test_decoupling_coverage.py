@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from shaker.models.decoupling.steps import fit_steps
-from shaker.models.step.basis import pole_responses
-from shaker.models.step.record import StepRecord
+from shaker.decoupling.fit import fit_steps
+from shaker.release.onset import pole_responses
+from shaker.release.record import StepRecord
 
 LOADS = ("Fx", "Fy")
 FREQUENCY_HZ, DAMPING, LAG_HZ, RATE_HZ = np.array([850.0, 1010.0]), np.array([0.02, 0.025]), 2500.0, 50e3

@@ -6,11 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import StateSpace, cont2discrete, dlsim
 
-from shaker.models.decoupling.design import Recorded, Target, design_decoupling
-from shaker.models.decoupling.excited import check_separable, in_order, missing_loads
-from shaker.models.decoupling.filter import DecouplingFilter
-from shaker.models.decoupling.model import MultiModel
-from shaker.models.decoupling.state_space import sampled_modes
+from shaker.decoupling.filter import DecouplingFilter, Recorded, Target, design_decoupling
+from shaker.decoupling.model import MultiModel, sampled_modes
+from shaker.decoupling.order import check_separable, in_order, missing_loads
 
 RATE_HZ = 10e3
 TARGET = Target(np.array([300.0, 250.0]), np.array([0.6, 0.7]))

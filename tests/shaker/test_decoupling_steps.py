@@ -17,10 +17,9 @@ from decoupling_factory import (
     true_response,
 )
 
-from shaker.models.decoupling.crosstalk import crosstalks, static_inverse
-from shaker.models.decoupling.design import Recorded, Target, design_decoupling
-from shaker.models.decoupling.step_result import MultiFit
-from shaker.models.decoupling.steps import fit_steps
+from shaker.decoupling.filter import Recorded, Target, crosstalks, design_decoupling, static_inverse
+from shaker.decoupling.fit import fit_steps
+from shaker.decoupling.result import MultiFit
 
 RELATIVE = SIZE / SIZE[:, None]
 TARGET = Target(np.full(3, 300.0), np.full(3, 0.6))

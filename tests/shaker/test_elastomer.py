@@ -12,18 +12,34 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from shaker.models.elastomer.beam import beam_matrices, lumped
-from shaker.models.elastomer.cross import cross_frame, platform_stiffness
-from shaker.models.elastomer.element import sensitivities, solve_frame
-from shaker.models.elastomer.frame import Frame, rigid_motion
-from shaker.models.elastomer.geometry import CrossBeams, Material, Section
-from shaker.models.elastomer.modes import NAMES, dense_modes, named_modes
-from shaker.models.elastomer.platform import RigidPart, block, joined, pillar
-from shaker.models.elastomer.platform_fit import fit_platform, platform_family
-from shaker.models.elastomer.statics import (
+from shaker.elastomer.element import (
+    cross_frame,
+    fit_platform,
+    platform_family,
+    platform_stiffness,
+    sensitivities,
+    solve_frame,
+)
+from shaker.elastomer.frame import (
+    NAMES,
+    Frame,
+    RigidPart,
+    block,
+    dense_modes,
+    joined,
+    named_modes,
+    pillar,
+    rigid_motion,
+)
+from shaker.elastomer.geometry import (
+    CrossBeams,
+    Material,
     PublishedStatics,
+    Section,
+    beam_matrices,
     beam_stiffness,
     guided_stiffness,
+    lumped,
     oscillator_hz,
     required_stiffness,
 )

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import eigh
 
-from shaker.models.elastomer.oscillators import MountedChain, mounted_hz
+from shaker.elastomer.frame import MountedChain, mounted_hz
 
 positive = st.floats(0.05, 20.0)
 

@@ -8,11 +8,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from shaker.models.elastomer.element import solve_frame
-from shaker.models.elastomer.geometry import CrossBeams, Material
-from shaker.models.elastomer.platform import RigidPart, block
-from shaker.models.elastomer.solid import SolidBlock, SolidModel, converged, solve_solid
-from shaker.models.elastomer.statics import beam_stiffness
+from shaker.elastomer.element import solve_frame
+from shaker.elastomer.frame import RigidPart, block
+from shaker.elastomer.geometry import CrossBeams, Material, beam_stiffness
+from shaker.elastomer.solid import SolidBlock, SolidModel, converged, solve_solid
 
 pytest.importorskip("skfem")
 ALUMINIUM = Material(72e9, 0.3, 2820.0)

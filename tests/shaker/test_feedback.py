@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from shaker.models.compensation.schedule import Schedule
-from shaker.models.compensation.target import Target
-from shaker.models.feedback import HapticLoop, is_stable, largest_stable_gain, push, simulate_feedback
-from shaker.models.load_series.model import LoadModel
+from shaker.compensation.filter import Schedule, Target
+from shaker.compensation.force_feedback import HapticLoop, is_stable, largest_stable_gain, push, simulate_feedback
+from shaker.release.load_model import LoadModel
 
 SENSOR = LoadModel("Fy", "Fy", "V", 0.240, 2.36e6, 6.0)
 LOAD = 0.198

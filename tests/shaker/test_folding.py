@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shaker.signals.folding import (
+from shaker.lines.aliasing import (
     alias_frequency,
     beat_phase,
     condition_number,
@@ -15,8 +15,8 @@ from shaker.signals.folding import (
     folded_harmonics,
     sampling_grid,
     sine_columns,
+    usable_lines,
 )
-from shaker.signals.separation import usable_lines
 
 CAMERA_HZ = 52.874
 

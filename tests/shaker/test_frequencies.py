@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shaker.signals.frequencies import find_lines
-from shaker.signals.sine import SineModel, fit_sines
+from shaker.lines.frequencies import find_lines
+from shaker.sine.fit import fit_sines
+from shaker.sine.solve import SineModel
 
 RATE = 12_800.0
 TRUE_HZ = 106.2495

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from shaker.models.weights.gravity import (
+from shaker.static_rotation.harmonics import (
     air_density_at,
     gravity_at,
     moist_air_density,

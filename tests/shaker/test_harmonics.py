@@ -7,7 +7,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from shaker.models.weights.harmonics import AngleFit, fit_angles, turning_sense
+from shaker.static_rotation.harmonics import AngleFit, fit_angles, turning_sense
 
 STEPS = np.arange(16) * np.pi / 8.0
 BOTH_WAYS = np.concatenate([STEPS, [2.0 * np.pi, 2.0 * np.pi], STEPS[::-1]])

@@ -8,10 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from identification_factory import ALONG_Z, FloatArray, oscillator, recording, rigid_mass
 
-from shaker.models.identification import Identification, Mechanics, identify, poles, respond
-from shaker.models.measured import InertiaError, MeasuredTransfer, RelativeError, Sight
-from shaker.models.resonance.oscillator import fit_resonance
-from shaker.models.suspension import Suspension
+from shaker.identification.fit import identify
+from shaker.identification.measured import InertiaError, MeasuredTransfer, RelativeError, Sight
+from shaker.identification.model import Identification, Mechanics, poles, respond
+from shaker.identification.oscillator import fit_resonance
+from shaker.mechanics import Suspension
 
 K, B, MI = 4.753e8, 900.0, 1.28
 LOADS = (4.236, 8.798)

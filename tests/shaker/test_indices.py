@@ -11,15 +11,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from shaker.models.indices.frequency import gain_curve
-from shaker.models.indices.indices import indices
-from shaker.models.indices.remarks import remarks
-from shaker.models.indices.result import LABELS, unit_of
-from shaker.models.indices.roots import roots_between
-from shaker.models.indices.transient import settling_points, transient
-from shaker.models.indices.uncertain import indices_with_u, settling_u
-from shaker.models.linear_system import LinearSystem
-from shaker.models.modal import ModalModel
+from shaker.lti.indices import indices, indices_with_u, remarks, settling_u
+from shaker.lti.modal import ModalModel
+from shaker.lti.responses import LABELS, gain_curve, roots_between, settling_points, transient, unit_of
+from shaker.lti.system import LinearSystem
 
 FloatArray = NDArray[np.float64]
 DAMPINGS = [1e-5, 0.004, 0.02, 0.2, 0.5, 0.65, 0.9]

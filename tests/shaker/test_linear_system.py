@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import signal
 
-from shaker.models.linear_system import LinearSystem
-from shaker.models.modal import ModalModel
+from shaker.lti.modal import ModalModel
+from shaker.lti.system import LinearSystem
 
 FloatArray = NDArray[np.float64]
 RATE = 1e5

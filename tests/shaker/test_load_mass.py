@@ -10,9 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from shaker.models.weights.harmonics import fit_angles
-from shaker.models.weights.load_mass import ROWS, fit_weights, mass_of_weight
-from shaker.models.weights.turning import SensorOutputs, Turned, start_values
+from shaker.static_rotation.harmonics import fit_angles
+from shaker.static_rotation.masses import ROWS, SensorOutputs, Turned, fit_weights, mass_of_weight, start_values
 
 X, Y, Z = np.eye(3)
 ANGLE = np.arange(16) * np.pi / 8.0

@@ -9,16 +9,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shaker.models.load_series.bands import working_bands
-from shaker.models.load_series.chain_poles import upper_poles
-from shaker.models.load_series.characteristics import first_mode_hz, load_curve, rigid_formula_hz
-from shaker.models.load_series.fit import fit_resonances
-from shaker.models.load_series.identify import Output, identify_loads
-from shaker.models.load_series.limits import change_limit, formula_limit, frequency_limit
-from shaker.models.load_series.masses import SeriesMasses, stated_masses
-from shaker.models.load_series.model import LoadModel
-from shaker.models.load_series.resonances import Resonances, stated_resonances
-from shaker.models.load_series.solutions import other_numbers, other_solution
+from shaker.release.load_fit import SeriesMasses, fit_resonances, stated_masses
+from shaker.release.load_model import (
+    LoadModel,
+    change_limit,
+    first_mode_hz,
+    formula_limit,
+    frequency_limit,
+    load_curve,
+    other_numbers,
+    other_solution,
+    rigid_formula_hz,
+    upper_poles,
+    working_bands,
+)
+from shaker.release.load_modes import Resonances, stated_resonances
+from shaker.release.load_series import Output, identify_loads
 
 LOADS = np.array([0.0, 0.008, 0.048, 0.098, 0.198])
 PUBLISHED_HZ = np.array([500.0, 486.0, 450.0, 393.0, 320.0])

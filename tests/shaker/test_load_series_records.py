@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 from scipy.signal import StateSpace, lsim
 
-from shaker.models.load_series.decay import FreeDecay, coloured, free_decay, projected
-from shaker.models.load_series.identify import LoadIdentification, Output, identify_loads
-from shaker.models.load_series.masses import stated_masses
-from shaker.models.load_series.modes import as_resonances, record_modes
-from shaker.models.load_series.solutions import other_numbers
-from shaker.models.step.reading import Reading
-from shaker.models.step.record import StepRecord
+from shaker.release.load_fit import stated_masses
+from shaker.release.load_model import other_numbers
+from shaker.release.load_modes import FreeDecay, as_resonances, coloured, free_decay, projected, record_modes
+from shaker.release.load_series import LoadIdentification, Output, identify_loads
+from shaker.release.record import Reading, StepRecord
 
 TRUE = np.array([2.36e6, 6.0, 1.89e6, 4.0])
 MOVING, LOADS = 0.240, (0.0, 0.008, 0.048, 0.098, 0.198)

@@ -9,10 +9,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import linalg, signal
 
-from shaker.models.identification import Identification, identify
-from shaker.models.mass_chain import ChainStructure, MassChain, Stage, shared_spring
-from shaker.models.measured import InertiaError, MeasuredTransfer, Sight
-from shaker.signals.phasor import Phasors
+from shaker.identification.fit import identify
+from shaker.identification.measured import InertiaError, MeasuredTransfer, Sight
+from shaker.identification.model import Identification
+from shaker.mechanics import ChainStructure, MassChain, Stage, shared_spring
+from shaker.phasor import Phasors
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

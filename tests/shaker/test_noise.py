@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.special import polygamma
 from scipy.stats import f as fisher
 
-from shaker.signals.noise import LineNoise, level_at_lines, line_noise, neighbour_bins
-from shaker.signals.sine import fit_sines
+from shaker.sine.fit import fit_sines
+from shaker.sine.noise import LineNoise, level_at_lines, line_noise, neighbour_bins
 
 FloatArray = NDArray[np.float64]
 CAMERA_HZ, FRAMES = 52.874, 211

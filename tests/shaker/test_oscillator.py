@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from shaker.models.resonance.oscillator import Kind, Resonance, fit_resonance
+from shaker.identification.oscillator import Kind, Resonance, fit_resonance
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

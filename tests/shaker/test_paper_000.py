@@ -11,16 +11,12 @@ import papers_rows_load as rows
 import published_load as paper
 import pytest
 
-from shaker.models.compensation.dynamics import loaded_dynamics, single_mode
-from shaker.models.compensation.filter import Compensation
-from shaker.models.compensation.mismatch import residual_ringing
-from shaker.models.compensation.target import Target
-from shaker.models.indices.indices import indices
-from shaker.models.indices.result import Indices
-from shaker.models.linear_system import LinearSystem
-from shaker.models.load_series.characteristics import first_mode_hz, load_curve
-from shaker.models.load_series.limits import formula_limit
-from shaker.models.load_series.model import LoadModel
+from shaker.compensation.effects import residual_ringing
+from shaker.compensation.filter import Compensation, Target, loaded_dynamics, single_mode
+from shaker.lti.indices import indices
+from shaker.lti.responses import Indices
+from shaker.lti.system import LinearSystem
+from shaker.release.load_model import LoadModel, first_mode_hz, formula_limit, load_curve
 
 OMEGA = np.sqrt(3.94e7)
 NAN = float("nan")

@@ -12,23 +12,22 @@ import papers_rows_wrist as rows
 import published_wrist as paper
 import pytest
 
-from fusion.elastomer.result import Column, spread
-from shaker.models.compensation.target import band_ratio
-from shaker.models.elastomer.oscillators import MountedChain
-from shaker.models.elastomer.platform_fit import fit_platform
-from shaker.models.elastomer.statics import (
+from fusion.sensor.elastomer.evaluate import Column, spread
+from shaker.compensation.filter import band_ratio
+from shaker.elastomer.element import fit_platform
+from shaker.elastomer.frame import MountedChain
+from shaker.elastomer.geometry import (
     PublishedStatics,
     beam_stiffness,
     guided_stiffness,
     oscillator_hz,
     required_stiffness,
 )
-from shaker.models.indices.indices import indices
-from shaker.models.indices.result import Indices, Mode
-from shaker.models.indices.rounding import rounding_range
-from shaker.models.linear_system import LinearSystem
-from shaker.models.step_fit.fit import fit_step
-from shaker.models.step_fit.sim import fit_sim
+from shaker.lti.indices import indices, rounding_range
+from shaker.lti.responses import Indices, Mode
+from shaker.lti.system import LinearSystem
+from shaker.release.fit import fit_step
+from shaker.release.sim import fit_sim
 
 FORMULA = PublishedStatics(paper.BEAMS)
 NAN = float("nan")

@@ -12,18 +12,18 @@ import papers_rows
 import pytest
 from numpy.typing import NDArray
 
-from shaker.models.mass_chain import shared_spring
-from shaker.models.resonance.peak import damping_from_width, peak_readings, stiffness, width_from_damping
-from shaker.models.sensor.chain_shape import Chain
-from shaker.models.sensor.spring_damper import (
+from shaker.identification.readings import damping_from_width, peak_readings, stiffness, width_from_damping
+from shaker.identification.sensitivity import (
+    Chain,
     damping_from_phase,
     damping_from_sensitivity,
     relative_sensitivity,
     sensitivity_phase_rad,
 )
-from shaker.models.weights.harmonics import fit_angles
-from shaker.models.weights.load_mass import mass_of_weight
-from shaker.signals.phasor import derivative_factor
+from shaker.mechanics import shared_spring
+from shaker.phasor import derivative_factor
+from shaker.static_rotation.harmonics import fit_angles
+from shaker.static_rotation.masses import mass_of_weight
 
 FloatArray = NDArray[np.float64]
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "papers.md"

@@ -9,18 +9,18 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize_scalar
 
-from shaker.models.resonance.circle import fit_circle
-from shaker.models.resonance.noisy_curve import NoisyCurve
-from shaker.models.resonance.oscillator import fit_resonance
-from shaker.models.resonance.peak import (
+from shaker.identification.oscillator import fit_resonance
+from shaker.identification.readings import (
+    NoisyCurve,
     PeakReadings,
+    Width,
     damping_from_width,
+    fit_circle,
     peak_readings,
     stiffness,
     transmissibility_levels,
     width_from_damping,
 )
-from shaker.models.resonance.peak_shape import Width
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

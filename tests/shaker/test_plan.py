@@ -8,20 +8,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import sici
 
-from shaker.signals.folding import alias_frequency, sine_columns
-from shaker.signals.plan.point import Sampling, lines_of, plan_at
-from shaker.signals.plan.prediction import amplitude_covariance, rms_uncertainty
-from shaker.signals.plan.search import (
+from shaker.lines.aliasing import CLEAR_BINS, alias_frequency, separation_bins, sine_columns
+from shaker.rate_planner import (
     PREFERRED,
+    Sampling,
     Scan,
+    amplitude_covariance,
     best_rates,
     candidate_rates,
     condition_over_rate,
     fewest_rates,
+    lines_of,
+    plan_at,
+    rms_uncertainty,
     scan_rates,
 )
-from shaker.signals.separation import CLEAR_BINS, separation_bins
-from shaker.signals.sine import fit_sines
+from shaker.sine.fit import fit_sines
 
 CAMERA_HZ = 52.874
 PUBLISHED = Sampling(frames=211, exposure_s=40e-6)

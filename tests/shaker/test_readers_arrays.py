@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 import scipy.io
 
-from shaker.signals.files import datasets, read_channels
-from shaker.signals.recording import RawChannel
+from shaker.io import channel as datasets
+from shaker.io.channel import RawChannel
+from shaker.io.read import read_channels
 
 RNG = np.random.default_rng(0)
 TABLE = RNG.integers(-3000, 3000, (400, 3)).astype(np.int16)

@@ -15,7 +15,8 @@ import universal_factory as uff
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from shaker.signals.files import read_channels, read_universal_functions, read_universal_shapes
+from shaker.io.read import read_channels
+from shaker.io.universal import read_universal_functions, read_universal_shapes
 
 X = np.arange(120) / 100.0
 Y = np.random.default_rng(0).normal(size=120)

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from nptdms import TdmsFile
 
-from shaker.signals.files import read_channels, read_universal_functions, read_universal_shapes
-from shaker.signals.recording import RawChannel
+from shaker.io.channel import RawChannel
+from shaker.io.read import read_channels
+from shaker.io.universal import read_universal_functions, read_universal_shapes
 
 
 def present(data_dir: Path, *parts: str) -> Path:

@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shaker.signals.files import read_channels, text
-from shaker.signals.recording import RawChannel
+from shaker.io import text
+from shaker.io.channel import RawChannel
+from shaker.io.read import read_channels
 
 
 def read(folder: Path, content: str | bytes, suffix: str = ".csv", rate: float | None = None) -> dict[str, RawChannel]:

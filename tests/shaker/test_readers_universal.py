@@ -10,8 +10,9 @@ import pytest
 import pyuff
 import universal_factory as uff
 
-from shaker.signals.files import read_channels, read_universal_functions, read_universal_shapes
-from shaker.signals.files import universal_sets as sets
+from shaker.io import universal as sets
+from shaker.io.read import read_channels
+from shaker.io.universal import read_universal_functions, read_universal_shapes
 
 RNG = np.random.default_rng(0)
 X = 0.5 + np.arange(50) / 128.0

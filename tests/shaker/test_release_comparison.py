@@ -9,11 +9,8 @@ import pytest
 from release_factory import Truth
 from scipy.stats import ttest_ind
 
-from shaker.models.step.compare import compare_releases
-from shaker.models.step.levels import clipped, correlation_factor, ringing_level
-from shaker.models.step.peaks import response_spectrum, spectrum_peaks
-from shaker.models.step.reading import Reading
-from shaker.models.step.release import read_release
+from shaker.release.reading import compare_releases, read_release
+from shaker.release.record import Reading, clipped, correlation_factor, response_spectrum, ringing_level, spectrum_peaks
 
 
 @pytest.fixture(scope="module")

@@ -10,9 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from release_factory import Truth
 
-from shaker.models.step.reading import Reading
-from shaker.models.step.record import StepRecord
-from shaker.models.step.release import read_release, read_releases
+from shaker.release.reading import read_release, read_releases
+from shaker.release.record import Reading, StepRecord
 
 PLAIN = Truth()
 SLOW = Truth(release_s=3e-3)

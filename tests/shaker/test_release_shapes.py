@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.signal import lsim
 
-from shaker.models.step.basis import pole_responses
-from shaker.models.step.reading import Shape
-from shaker.models.step.shapes import force_responses, load_share, shape_responses
+from shaker.release.onset import force_responses, load_share, pole_responses, shape_responses
+from shaker.release.record import Shape
 
 POLES = np.array([-160.0 + 10680.0j, -2 * np.pi * 6000.0 + 0j])
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shaker.signals.resample import PASS_BAND, kernel_reach, resampled
+from shaker.timebase.edges import PASS_BAND, kernel_reach, resampled
 
 
 @settings(max_examples=25, deadline=None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from shaker.models.indices.rounding import rounding_range
+from shaker.lti.indices import rounding_range
 
 RATE = 1e5
 

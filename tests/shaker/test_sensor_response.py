@@ -24,11 +24,9 @@ from sensitivity_factory import (
     resonance,
 )
 
-from shaker.models.measured import MeasuredSensitivity, RelativeError
-from shaker.models.sensor.chain_shape import CHAIN_PARAMETERS, Chain, ChainKind
-from shaker.models.sensor.sensitivity_fit import SensitivityFit, fit_chain
-from shaker.models.sensor.sensor_response import fit_sensitivity
-from shaker.models.sensor.spring_damper import SpringPrior
+from shaker.identification.measured import MeasuredSensitivity, RelativeError
+from shaker.identification.sensitivity import CHAIN_PARAMETERS, Chain, ChainKind, SensitivityFit, SpringPrior, fit_chain
+from shaker.identification.sensor import fit_sensitivity
 
 ComplexArray = NDArray[np.complex128]
 TIME = DAMPING / STIFFNESS

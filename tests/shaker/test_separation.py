@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shaker.signals.folding import sine_columns
-from shaker.signals.separation import CLEAR_BINS, nearest_clear_rate, separation_bins, usable_lines
+from shaker.lines.aliasing import CLEAR_BINS, nearest_clear_rate, separation_bins, sine_columns, usable_lines
 
 STEP_HZ = 0.01
 LINES = st.lists(st.integers(2, 120), min_size=1, max_size=4, unique=True).map(

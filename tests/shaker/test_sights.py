@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from identification_factory import ALONG_X, ALONG_Z, FloatArray, X, oscillator, recording, rigid_mass, state_space
 
-from shaker.models.identification import Identification, identify, respond
-from shaker.models.identification.sights import acting, sights
-from shaker.models.mass_chain import ChainStructure
-from shaker.models.measured import AT_THE_BASE, MeasuredTransfer, Sight, SightError
-from shaker.models.suspension import Suspension
+from shaker.identification.fit import identify
+from shaker.identification.measured import AT_THE_BASE, MeasuredTransfer, Sight, SightError
+from shaker.identification.model import Identification, respond
+from shaker.identification.problem import acting, sights
+from shaker.mechanics import ChainStructure, Suspension
 
 K_X, K_RY, B_X, B_RY, M_I, J_I = 7.0e8, 1.07e6, 2500.0, 4.0, 0.9, 1.5e-3
 TRUTH = {"stiffness_x": K_X, "stiffness_ry": K_RY, "internal_mass": M_I}

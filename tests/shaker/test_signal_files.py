@@ -11,7 +11,8 @@ import pyuff
 import scipy.io
 from nptdms import ChannelObject, TdmsWriter
 
-from shaker.signals.files import read_channels, read_scan_asc
+from shaker.io.read import read_channels
+from shaker.io.text import read_scan_asc
 
 RATE = 1024.0
 SAMPLES = np.sin(np.arange(64) / 3.0)

@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from shaker.signals.files import read_channels
-from shaker.signals.frequencies import find_lines
-from shaker.signals.recording import RawChannel
-from shaker.signals.sine import fit_sines, folded_harmonics
+from shaker.io.channel import RawChannel
+from shaker.io.read import read_channels
+from shaker.lines.aliasing import folded_harmonics
+from shaker.lines.frequencies import find_lines
+from shaker.sine.fit import fit_sines
 
 TONES_HZ = [100.0, 120.0, 150.0]
 

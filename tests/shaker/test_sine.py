@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import f as f_distribution
 
-from shaker.signals.sine import SineFit, SineModel, fit_sines
+from shaker.sine.fit import fit_sines
+from shaker.sine.solve import SineFit, SineModel
 
 CAMERA_HZ = 52.874
 

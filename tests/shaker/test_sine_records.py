@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import f as f_distribution
 
-from shaker.signals.noise import neighbour_bins
-from shaker.signals.sine import SineFit, SineModel, UniformTimes, fit_sines
-from shaker.signals.sine.ordinates import Demodulator
-from shaker.signals.sine.times import LONG, timeline
+from shaker.sine.fit import fit_sines
+from shaker.sine.noise import neighbour_bins
+from shaker.sine.normal_equations import LONG, Demodulator, UniformTimes, timeline
+from shaker.sine.solve import SineFit, SineModel
 
 RATE_HZ = 51_200.0
 LINES_HZ = np.array([106.2495, 212.499, 1020.3])

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from shaker.signals.noise import line_noise
-from shaker.signals.spectrum import amplitude_spectrum, window_samples
+from shaker.lines.spectrum import amplitude_spectrum, window_samples
+from shaker.sine.noise import line_noise
 
 
 @pytest.mark.parametrize("window", ["rectangular", "hann", "flattop"])

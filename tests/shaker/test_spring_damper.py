@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from shaker.models.sensor.spring_damper import (
+from shaker.identification.sensitivity import (
     SpringPrior,
     damping_from_phase,
     damping_from_sensitivity,

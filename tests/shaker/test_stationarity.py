@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import kstest
 
-from shaker.signals.stationarity import Stationarity, stationarity
+from shaker.sine.fit import Stationarity, stationarity
 
 FloatArray = NDArray[np.float64]
 CAMERA_HZ, FRAMES = 52.874, 211

@@ -9,10 +9,10 @@ import pytest
 from scipy.optimize import brentq
 from step_fit_factory import AMPLITUDE, RATE_HZ, SENSOR, answered, record_of, released, ring_rms, rough, sensor
 
-from shaker._checks import FloatArray
-from shaker.models.modal import ModalModel
-from shaker.models.step_fit.fit import fit_step
-from shaker.models.step_fit.result import StepFit
+from shaker.arrays import FloatArray
+from shaker.lti.modal import ModalModel
+from shaker.release.fit import fit_step
+from shaker.release.sim import StepFit
 
 ONSET = 0.0100026
 

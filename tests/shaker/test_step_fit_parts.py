@@ -9,13 +9,10 @@ from hypothesis import strategies as st
 from scipy.signal import lsim
 from step_fit_factory import sensor
 
-from shaker._checks import FloatArray
-from shaker.models.step.basis import pole_responses
-from shaker.models.step_fit.load import Load, answers
-from shaker.models.step_fit.output_error import Problem, columns, slopes
-from shaker.models.step_fit.samples import every_sample, in_blocks
-from shaker.models.step_fit.start import instruments, peaks_hz, pencil
-from shaker.models.step_fit.structure import Structure
+from shaker.arrays import FloatArray
+from shaker.release.onset import pole_responses
+from shaker.release.output_error import Problem, columns, slopes
+from shaker.release.problem import Load, Structure, answers, every_sample, in_blocks, instruments, peaks_hz, pencil
 
 POLES = np.array([2 * np.pi * 1700 * (-0.015 + 1j), 2 * np.pi * 2900 * (-0.03 + 1j), -3e4])
 TIME = np.arange(1500) / 1e5

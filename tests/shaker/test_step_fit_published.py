@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 from step_fit_factory import RATE_HZ, SENSOR, answered, record_of, rough, sensor
 
-from shaker._checks import FloatArray
-from shaker.models.step_fit.compare import compare
-from shaker.models.step_fit.every_order import every_order
-from shaker.models.step_fit.evolution import fit_evolution
-from shaker.models.step_fit.sim import fit_sim
+from shaker.arrays import FloatArray
+from shaker.release.fit import compare, fit_evolution
+from shaker.release.sim import every_order, fit_sim
 
 ONSET = 0.01
 

@@ -9,11 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shaker.signals.files import read_channels
-from shaker.signals.survey import survey_lines
-from shaker.signals.survey.floor import chance_height, noise_level
-from shaker.signals.survey.hann import centred_spectrum, fit_line
-from shaker.signals.survey.peaks import find_peaks
+from shaker.io.read import read_channels
+from shaker.lines.detection import survey_lines
+from shaker.lines.spectrum import centred_spectrum, chance_height, find_peaks, fit_line, noise_level
 
 NOTHING = np.empty(0)
 RATE = 6400.0

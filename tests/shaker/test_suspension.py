@@ -23,9 +23,10 @@ from identification_factory import (
 )
 from scipy.spatial.transform import Rotation
 
-from shaker.models.identification import Identification, identify, measured_poles, respond
-from shaker.models.measured import InertiaError, MeasuredTransfer, Sight
-from shaker.models.suspension import Suspension
+from shaker.identification.fit import identify
+from shaker.identification.measured import InertiaError, MeasuredTransfer, Sight
+from shaker.identification.model import Identification, measured_poles, respond
+from shaker.mechanics import Suspension
 
 K_X, B_X, K_RY, B_RY, M_I, J_I = 7.0e8, 600.0, 1.1e6, 1.2, 0.9, 1.5e-3
 PITCHING = Suspension((0, 4))

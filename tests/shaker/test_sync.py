@@ -7,7 +7,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from shaker.signals.sync import Edges, TriggerFit, find_edges, fit_trigger, tie_clocks
+from shaker.timebase.edges import Edges, find_edges
+from shaker.timebase.tie import tie_clocks
+from shaker.timebase.trigger import TriggerFit, fit_trigger
 
 PERIOD_S = 1.0 / 52.874
 EDGES = 211

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from oscillator_factory import F0_HZ, ZETA, accelerance, blow, deviations
 from scipy.stats import f as fisher
 
-from shaker.models.resonance.oscillator import fit_transfer_resonance
-from shaker.signals.files import read_channels
-from shaker.signals.transfer import TransferFunction, TransferRecord, transfer_impact
+from shaker.frf.impact import transfer_impact
+from shaker.frf.result import TransferFunction, TransferRecord
+from shaker.identification.oscillator import fit_transfer_resonance
+from shaker.io.read import read_channels
 
 RATE = 25600.0
 BAND = (500.0, 2500.0)

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from oscillator_factory import F0_HZ, chirp, deviations, periodic, record, transmissibility
 from scipy.stats import f as fisher
 
-from shaker.signals.transfer import TransferFunction, TransferRecord, ratio_unit, transfer_periodic
-from shaker.signals.transfer.pooling import pooled_scatter
+from shaker.frf.chain import ratio_unit
+from shaker.frf.periodic import transfer_periodic
+from shaker.frf.result import TransferFunction, TransferRecord, pooled_scatter
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

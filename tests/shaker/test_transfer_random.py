@@ -13,8 +13,9 @@ from scipy.signal import coherence, csd, get_window, welch
 from scipy.stats import chi2
 from scipy.stats import f as fisher
 
-from shaker.models.resonance.oscillator import fit_transfer_resonance
-from shaker.signals.transfer import Estimator, TransferFunction, transfer_random
+from shaker.frf.random import transfer_random
+from shaker.frf.result import Estimator, TransferFunction
+from shaker.identification.oscillator import fit_transfer_resonance
 
 RATE = 6400.0
 SAMPLES = 20 * 6400

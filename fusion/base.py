@@ -1,0 +1,286 @@
+"""What every stage needs: errors, notices, settings, single files, the terminal."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import socket
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from photogram.arrays import Notice as ImageNotice
+from shaker.arrays import Notice
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+# The remarks of all three packages, seen as one kind.
+
+
+AnyNotice = Notice | ImageNotice
+
+
+def warnings_first(notices: Iterable[AnyNotice]) -> list[AnyNotice]:
+    """Return all distinct notices, warnings first."""
+    distinct = {(notice.severity, notice.where, notice.text): notice for notice in notices}
+    return sorted(distinct.values(), key=lambda notice: notice.severity != "warning")
+
+
+# The two ways a run can fail: the user's input is wrong, or something could not be computed.
+
+
+ARGUMENT = re.compile(r"^[a-z_]+(, [a-z_]+)*: (?=expected )")
+"""The name of a function's argument before its sentence, which means nothing to a user."""
+
+
+class InputError(Exception):
+    """A mistake in the user's input, told in one sentence: which file, which key, what was expected, what was found.
+
+    `file`: the file in which the mistake is to be corrected. `key`: TOML key path, column or channel; empty where
+    the file as a whole is meant. `found`, `expected`: short phrases without a full stop; where `expected` is empty,
+    `found` is a sentence of its own. `more`: number of further problems of the same file that are not told.
+    """
+
+    def __init__(self, file: Path | str, key: str, found: str, expected: str, more: int = 0) -> None:
+        super().__init__(file, key, found, expected, more)
+        self.file = Path(file)
+        self.key = key
+        self.found = found
+        self.expected = expected
+        self.more = more
+
+    @classmethod
+    def told_by(cls, error: Exception, file: Path, key: str = "") -> InputError:
+        """Put what a reader or an algorithm says behind file and key, each file named once and seen from `file`."""
+        text = str(error)
+        if isinstance(error, OSError) and error.filename is not None and error.strerror is not None:
+            text = f"{error.filename}: {error.strerror}"
+        own = f"{file}: "
+        text = text.removeprefix(own) if text.startswith(own) else ARGUMENT.sub("", text, count=1)
+        return cls(file, key, found=text.replace(f"{file.parent.resolve()}{os.sep}", ""), expected="")
+
+    def __str__(self) -> str:
+        where = f"{self.file}: {self.key}: " if self.key else f"{self.file}: "
+        rest = f" ({self.more} more problem{'s' if self.more > 1 else ''} in this file)" if self.more else ""
+        told = f"expected {self.expected}, found {self.found}" if self.expected else self.found
+        return " ".join(f"{where}{told}{rest}".split())
+
+
+class ComputeError(Exception):
+    """Something could not be computed although the input could be read; the text says what to do."""
+
+
+def is_interruption(error: BaseException) -> bool:
+    """Whether the user interrupted; compiled code wraps an interruption into an error of its own."""
+    cause = error.__cause__ or error.__context__
+    return isinstance(error, KeyboardInterrupt) or isinstance(cause, KeyboardInterrupt)
+
+
+def told(error: Exception) -> InputError | ComputeError:
+    """Return a failure as one that the user can be told; what the program does not expect becomes a `ComputeError`."""
+    if isinstance(error, InputError | ComputeError):
+        return error
+    if isinstance(error, OSError):
+        return ComputeError(f"the system refused to read or write ({error})")
+    return ComputeError(f"internal error ({type(error).__name__}: {error}); please report it, -v shows where")
+
+
+# What a command writes: where it may go, and how it appears whole or not at all.
+
+
+TEMPORARY = re.compile(r"\..+-(?P<process>\d+)@(?P<host>[^/]+)")
+FORGOTTEN_S = 86_400.0
+"""Age after which what a process of another machine left unfinished is taken for abandoned."""
+
+
+def check_new_file(path: Path, *, force: bool) -> None:
+    """Refuse a place for a file that is taken (by a file: unless `force`) or that is in no folder."""
+    if path.exists() and not (force and path.is_file()):
+        what = "file" if path.is_file() else "folder"
+        raise InputError(path, "", found=f"a {what} of this name", expected="a new file (--force replaces it)")
+    if not path.absolute().parent.is_dir():
+        raise InputError(path, "", found=f"no folder {path.parent}", expected="a file in an existing folder")
+
+
+def write_whole(path: Path, content: str | bytes) -> None:
+    """Write a file by a temporary name and one rename; text as UTF-8 with its line ends as they are."""
+    temporary = temporary_beside(path)
+    try:
+        temporary.write_bytes(content if isinstance(content, bytes) else content.encode("utf-8"))
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def temporary_beside(path: Path) -> Path:
+    """Return the hidden name beside `path` under which this process prepares it: it tells process and machine."""
+    return path.with_name(f".{path.name}-{os.getpid()}@{socket.gethostname()}")
+
+
+def remove_abandoned(folder: Path) -> list[Path]:
+    """Remove from a folder what processes that are gone were preparing there, and return its paths.
+
+    A process of another machine cannot be asked: what it left counts as abandoned after a day without any change.
+    """
+    if not folder.is_dir():
+        return []
+    removed = [entry for entry in folder.iterdir() if _abandoned(entry)]
+    for entry in removed:
+        if entry.is_dir() and not entry.is_symlink():
+            shutil.rmtree(entry, ignore_errors=True)
+        else:
+            entry.unlink(missing_ok=True)
+    return removed
+
+
+def _abandoned(entry: Path) -> bool:
+    """Whether an entry of a folder is a temporary one of a process that is gone."""
+    named = TEMPORARY.fullmatch(entry.name)
+    if named is None:
+        return False
+    if named["host"] == socket.gethostname() and sys.platform != "win32":
+        return not _is_running(int(named["process"]))
+    try:
+        return time.time() - entry.stat().st_mtime > FORGOTTEN_S
+    except FileNotFoundError:  # finished in between
+        return False
+
+
+def _is_running(process: int) -> bool:
+    """Whether a process of this machine exists."""
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:  # of another user
+        return True
+    return True
+
+
+# Where tables and sentences for the user go: a terminal of its own width, a pipe of 120 columns.
+
+
+PIPE_WIDTH = 120
+
+
+def stdout_console() -> Console:
+    """Return a console on stdout that prints text as it is."""
+    from rich.console import Console
+
+    return Console(width=None if sys.stdout.isatty() else PIPE_WIDTH, highlight=False, markup=False)
+
+
+# What a user may choose about a run, beside the manifest.
+
+
+DEFAULT_SEED = 20180401
+FEWEST_DRAWS, MOST_DRAWS = 1000, 1_000_000
+"""Of a Monte Carlo run: 95 % intervals of fewer draws mean nothing, more do not fit into memory."""
+ProgressCallback = Callable[[str, int, int], None]
+"""Called as (stage, done, total) during long work."""
+
+
+def no_progress(stage: str, done: int, total: int) -> None:
+    """Ignore progress, the default of library calls."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Choices that change results and therefore belong to a result's identity.
+
+    `subset_radius_px`: subsets are squares of 2·radius + 1 pixels, laid side by side so that their noise is
+    independent; None takes it from the speckle size found in the images. `spline_degree`: B-spline interpolation of
+    the images, 3, 5 or 7 (7 keeps the interpolation bias below the noise of a whole recording). `device`: where subsets
+    are tracked, "auto", "cpu" or "cuda"; the positions agree to 1e-6 px, so that it does not count in `as_dict`.
+    `monte_carlo`: draws that check the first-order uncertainties, 0 for none, from the streams of `seed`.
+    """
+
+    subset_radius_px: int | None = None
+    spline_degree: int = 7
+    device: str = "auto"
+    monte_carlo: int = 0
+    seed: int = DEFAULT_SEED
+
+    def __post_init__(self) -> None:
+        if self.subset_radius_px is not None and not 4 <= self.subset_radius_px <= 100:
+            raise ValueError(f"subset_radius_px: expected 4 to 100, found {self.subset_radius_px}")
+        if self.spline_degree not in (3, 5, 7):
+            raise ValueError(f"spline_degree: expected 3, 5 or 7, found {self.spline_degree}")
+        if self.monte_carlo and not FEWEST_DRAWS <= self.monte_carlo <= MOST_DRAWS:
+            raise ValueError(f"monte_carlo: expected {FEWEST_DRAWS} to {MOST_DRAWS}, found {self.monte_carlo}")
+        if self.seed < 0:
+            raise ValueError(f"seed: expected 0 or more, found {self.seed}")
+
+    def as_dict(self) -> dict[str, str | float | int]:
+        """Return the settings as plain values for the result files."""
+        radius = "from speckle" if self.subset_radius_px is None else self.subset_radius_px
+        drawn = {"monte_carlo": self.monte_carlo, "seed": self.seed} if self.monte_carlo else {}
+        return {"subset_radius_px": radius, "spline_degree": self.spline_degree, **drawn}
+
+
+# Those who compute tasks for a run: what a recording needs to know of them.
+
+
+class Answer(Protocol):
+    """What a task returned or raised, and what it logged."""
+
+    def opened(self) -> Any:
+        """Return or raise what the task did."""
+
+    def log(self, name: str) -> None:
+        """Log what the task logged, behind the name of what it was about."""
+
+
+class Pending(Protocol):
+    """The answer of a task that another process computes."""
+
+    def result(self) -> Answer:
+        """Return it, or raise why there is none."""
+
+    def add_done_callback(self, told: Callable[[Any], object]) -> None:
+        """Have a function called as soon as there is an answer or none will be."""
+
+
+class Crew(Protocol):
+    """Processes that compute tasks, one each at a time."""
+
+    @property
+    def size(self) -> int:
+        """How many there are."""
+
+    def submit(self, rank: int, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Have a module's function called; of the tasks that wait, the lowest rank comes first.
+
+        Answers that are there may be arguments: the function receives what they hold.
+        """
+
+
+# A progress bar on a terminal, nothing in a pipe.
+
+
+@contextmanager
+def progress_bar(enabled: bool) -> Iterator[ProgressCallback]:
+    """Yield a callback that draws one bar per stage on stderr when it is a terminal and `enabled`."""
+    if not (enabled and sys.stderr.isatty()):
+        yield no_progress
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+    tasks: dict[str, TaskID] = {}
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bars:
+
+        def update(stage: str, done: int, total: int) -> None:
+            if stage not in tasks:
+                tasks[stage] = bars.add_task(stage, total=total)
+            bars.update(tasks[stage], completed=done, total=total)
+
+        yield update

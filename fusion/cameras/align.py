@@ -1,0 +1,423 @@
+"""Where the cameras stand in the sensor frame, from stills and recordings, as a block of rig.toml.
+
+Recordings of a body that moves along a known direction, or turns about a known axis → evidence.
+
+The recordings are evaluated here, not read from the results of a run: those contain the uncertainty of the pose that is
+sought, and no longer the calibration's share by its principal components, which all evidence has in common.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from fusion.base import (
+    AnyNotice,
+    ComputeError,
+    InputError,
+    ProgressCallback,
+    Settings,
+    check_new_file,
+    no_progress,
+    write_whole,
+)
+from fusion.cameras.align_manifest import (
+    AlignmentFile,
+    AxisBlock,
+    Motion,
+    Pair,
+    known_pose,
+    read_alignment,
+    read_pair,
+    still_evidence,
+)
+from fusion.estimation.measurement_model import CALIBRATION
+from fusion.phasors.channels import find_channel_lines
+from fusion.phasors.stereo_motion import (
+    StereoMotion,
+    measure_images,
+    measure_points,
+    motion_lines,
+    open_images,
+    sensor_from_camera,
+)
+from fusion.phasors.stereo_phasors import stereo_phasors
+from fusion.phasors.timing import TimeBase, tie_daqs
+from fusion.recording.files import read_daqs
+from fusion.recording.load import Manifest, load_manifest
+from fusion.report.provenance import sha256
+from photogram.alignment.evidence import Evidence, KnownAxis, KnownDirection, by_parameters, calibration_steps
+from photogram.alignment.solve import Alignment, align
+from photogram.alignment.system import fit_axis, linear_motion
+from photogram.arrays import Notice
+from photogram.camera import StereoRig, triangulate
+from photogram.geometry import RigidTransform
+from photogram.motion import RigidMotion, fit_motion
+from photogram.subsets.reference import TrackStatus
+from shaker.arrays import FloatArray
+
+# Recordings of a body that moves along a known direction, or turns about a known axis → evidence.
+
+
+EFFECT_FRAMES = 12  # frames and subsets that show what the calibration does to an axis
+EFFECT_SUBSETS = 200
+FEWEST_SUBSETS = 6
+UNSTEADY = 4.0  # reduced chi-square of the frames against a fixed axis from which the user is told
+
+
+@dataclass(frozen=True, eq=False)
+class Moving:
+    """What the recordings say, the pose that the first of them states, and remarks."""
+
+    evidence: tuple[Evidence, ...]
+    stated: RigidTransform | None
+    notices: tuple[AnyNotice, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Recorded:
+    """One recording of the pair, evaluated up to the body's motion."""
+
+    manifest: Manifest
+    base: TimeBase
+    measured: StereoMotion
+
+    @property
+    def sensor_from_camera(self) -> RigidTransform:
+        """The pose that the recording's rig.toml states."""
+        return sensor_from_camera(self.measured.stereo)
+
+
+def moving_evidence(
+    path: Path,
+    file: AlignmentFile,
+    pair: Pair | None,
+    settings: Settings,
+    progress: ProgressCallback,
+    allow_outside: bool,
+) -> Moving:
+    """Evaluate all recordings that alignment.toml names."""
+    found: list[Evidence] = []
+    notices: list[AnyNotice] = []
+    stated = None
+    steps = 0 if pair is None else len(pair.steps)
+    blocks: list[Motion | AxisBlock] = [*file.motion, *file.axis]
+    for block in blocks:
+        kind = "motion" if isinstance(block, Motion) else "axis"
+        key = f"{kind}.{block.name}.recordings"
+        manifests = [load_manifest(recording, allow_outside=allow_outside) for recording in block.recordings]
+        recorded = [_record(path, key, file, manifest, settings, progress) for manifest in manifests]
+        stated = recorded[0].sensor_from_camera if stated is None else stated
+        evidence, remarks = (
+            _direction(path, block, recorded, steps) if isinstance(block, Motion) else _axis(block, recorded, pair)
+        )
+        found.append(evidence)
+        notices += remarks
+    return Moving(tuple(found), stated, tuple(notices))
+
+
+def _record(
+    path: Path, key: str, file: AlignmentFile, manifest: Manifest, settings: Settings, progress: ProgressCallback
+) -> _Recorded:
+    """Measure the motion that the pair sees in one recording."""
+    images = next((entry for entry in manifest.images if entry.stereo == file.stereo), None)
+    points = next((entry for entry in manifest.points if entry.stereo == file.stereo), None)
+    if images is None and points is None:
+        expected = f'images or points of the stereo pair "{file.stereo}"'
+        raise InputError(path, key, f"none in {manifest.path}", expected)
+    base = tie_daqs(manifest, read_daqs(manifest))
+    if points is not None:
+        return _Recorded(manifest, base, measure_points(manifest, base, points))
+    assert images is not None
+    calibration = manifest.rig.stereo[file.stereo].calibration
+    if file.calibration is None or calibration is None or sha256(calibration) != sha256(file.calibration):
+        found = "none" if file.calibration is None else "another calibration"
+        raise InputError(path, "calibration", found, f"the one that {manifest.rig_path} names for {file.stereo}")
+    opened = open_images(manifest, base, images)
+    measured = measure_images(manifest, opened, settings, progress)
+    fixed = measured.stereo.model_copy(update={"pose_by_calibration": None})  # effects in the camera's own frame
+    return _Recorded(manifest, base, replace(measured, stereo=fixed))
+
+
+def _direction(
+    path: Path, block: Motion, recorded: Sequence[_Recorded], steps: int
+) -> tuple[KnownDirection, list[AnyNotice]]:
+    """Return the directions in which the body moved at its strongest line."""
+    direction = _known_direction(path, block, [item.manifest for item in recorded])
+    name, motions, covariances, points, effects = f"motion {block.name}", [], [], [], []
+    notices: list[AnyNotice] = []
+    for item in recorded:
+        moved, covariance, changes, minor = _strongest(item)
+        to_camera = item.sensor_from_camera.inverse()
+        turn = np.kron(np.eye(2), to_camera.rotation)
+        padded = np.zeros((steps, 6))
+        padded[: len(changes)] = changes @ turn.T
+        motions.append(turn @ moved)
+        covariances.append(turn @ covariance @ turn.T)
+        points.append(to_camera.translation_m)
+        effects.append(padded)
+        if minor > block.direction_uncertainty:
+            text = (
+                f"{item.manifest.name}: the body moves on an ellipse, {1e3 * minor:.2g} mrad wide, but direction_"
+                f"uncertainty is {1e3 * block.direction_uncertainty:.2g} mrad; is the direction known that well?"
+            )
+            notices.append(Notice("warning", text, name))
+    evidence = KnownDirection(
+        name,
+        np.array(motions),
+        np.array(covariances),
+        np.array(points),
+        direction,
+        np.stack(effects, axis=1),
+        block.direction_uncertainty,
+    )
+    return evidence, notices
+
+
+def _known_direction(path: Path, block: Motion, manifests: Sequence[Manifest]) -> FloatArray:
+    """Return the direction that the block states, else that of its recordings' excitation."""
+    if block.direction is not None:
+        return np.array(block.direction)
+    stated = [manifest.excitation.direction for manifest in manifests]
+    for manifest, direction in zip(manifests, stated, strict=True):
+        if direction is None or len(direction) != 3:
+            expected = f"3 numbers, or the key direction in motion.{block.name} of {path}"
+            raise InputError(manifest.path, "excitation.direction", "no direction of a translation", expected)
+        if direction != stated[0]:
+            expected = "recordings of one direction in a block, since its uncertainty is common to them"
+            raise InputError(path, f"motion.{block.name}.recordings", "several directions", expected)
+    return np.array(stated[0])
+
+
+def _strongest(item: _Recorded) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+    """Return motion (6,), covariance, effects of the calibration and ellipse at the strongest fundamental."""
+    lines = find_channel_lines(item.manifest, item.base) or motion_lines(item.manifest, item.base, [item.measured])
+    phasors = stereo_phasors(item.measured, lines)
+    value = phasors.displacement.value
+    size = np.where(lines.multiple == 1, np.linalg.norm(value[:, :3], axis=1), np.nan)
+    if not np.isfinite(size).any():
+        name = item.measured.entry.stereo
+        raise ComputeError(f"stereo pair {name}: its camera rate tells no fundamental of {item.manifest.path} apart")
+    line = int(np.nanargmax(size))
+    covariance = phasors.displacement.covariance[line].copy()
+    for what, changes in phasors.effects.items():
+        if what != CALIBRATION:
+            stacked = np.concatenate([changes[:, line].real, changes[:, line].imag], axis=1)
+            covariance += stacked.T @ stacked
+    calibration = phasors.effects.get(CALIBRATION)
+    effects = np.zeros((0, 6), dtype=np.complex128) if calibration is None else calibration[:, line]
+    return linear_motion(value[line], covariance, effects)
+
+
+def _axis(block: AxisBlock, recorded: Sequence[_Recorded], pair: Pair | None) -> tuple[KnownAxis, list[AnyNotice]]:
+    """Return the axes about which the body turned."""
+    name, lines, covariances, effects = f"axis {block.name}", [], [], []
+    notices: list[AnyNotice] = []
+    for item in recorded:
+        to_camera = item.sensor_from_camera.inverse()
+        turn = np.kron(np.eye(2), to_camera.rotation)
+        try:
+            axis = fit_axis(item.measured.motion)
+            changes = _axis_effects(item, pair, axis.line)
+        except ValueError as error:
+            raise ComputeError(f"{item.manifest.path}: {error}".replace("motion: ", "")) from error
+        lines.append(np.concatenate([to_camera.apply(axis.line[:3]), to_camera.rotation @ axis.line[3:]]))
+        covariances.append(turn @ axis.covariance @ turn.T)
+        effects.append(changes @ turn.T)
+        if axis.dof and axis.chi2 / axis.dof > UNSTEADY:
+            factor = np.sqrt(axis.chi2 / axis.dof)
+            text = f"{item.manifest.name}: the body turns about no fixed axis, its frames are off by {factor:.2g} times"
+            notices.append(Notice("warning", f"{text} their noise; the axis counts as that much less certain", name))
+    evidence = KnownAxis(
+        name,
+        np.array(lines),
+        np.array(covariances),
+        np.array(block.point),
+        np.array(block.direction),
+        np.stack(effects, axis=1),
+        np.array(block.point_uncertainty),
+        block.direction_uncertainty,
+    )
+    return evidence, notices
+
+
+def _axis_effects(item: _Recorded, pair: Pair | None, line: FloatArray) -> FloatArray:
+    """Return the changes (P, 6) of the axis for each step of the rig, from a few frames and subsets.
+
+    The path from the tracks onward is evaluated again with each perturbed rig. What the calibration does to an axis is
+    smooth over the image and the frames, so that twelve frames over the range of angles show it.
+    """
+    view = item.measured.view
+    if pair is None or view is None:
+        return np.zeros((0 if pair is None else len(pair.steps), 6))
+    motion = item.measured.motion
+    good = (view.tracks.left.status == TrackStatus.OK) & (view.tracks.right.status == TrackStatus.OK)
+    fitted = np.flatnonzero(np.isfinite(motion.pose).all(axis=1))
+    ordered = fitted[np.argsort(motion.pose[fitted, 3:] @ line[3:])]
+    chosen = ordered[np.unique(np.linspace(0, len(ordered) - 1, EFFECT_FRAMES).astype(int))]
+    common = np.flatnonzero(good[chosen].all(axis=0))
+    if len(common) < FEWEST_SUBSETS:
+        raise ValueError(f"only {len(common)} subsets are followed through all frames; look at the images")
+    subsets = common[np.unique(np.linspace(0, len(common) - 1, EFFECT_SUBSETS).astype(int))]
+    left, right = (side.position_px[np.ix_(chosen, subsets)] for side in (view.tracks.left, view.tracks.right))
+    covariance = motion.covariance[chosen]
+
+    def turned(rig: StereoRig) -> FloatArray:
+        points = triangulate(rig, left, right).transformed(item.sensor_from_camera)
+        seen: RigidMotion = replace(fit_motion(points, None, np.zeros(3)), covariance=covariance)
+        found = fit_axis(seen).line
+        return np.asarray(found * np.repeat([1.0, np.sign(found[3:] @ line[3:])], 3))
+
+    nominal = turned(pair.rig)
+    return np.array([turned(pair.rig.perturbed(step)) - nominal for step in pair.steps]).reshape(-1, 6)
+
+
+# The pose that was found, as a block of rig.toml.
+
+
+COVERAGE = 2.0
+EVIDENCE = (
+    ("point", "point", "points"),
+    ("face", "face", "faces"),
+    ("target_view", "target view", "target views"),
+    ("common_view", "common view", "common views"),
+    ("motion", "direction of motion", "directions of motion"),
+    ("axis", "rotation axis", "rotation axes"),
+)
+
+
+def pose_text(file: AlignmentFile, found: Alignment, pair: Pair | None) -> str:
+    """Return the block in the syntax of rig.toml, with comments on its uncertainty and its origin.
+
+    How the pose answers the pair's calibration is written beside `pose_uncertainty`, which contains it, so that a run,
+    in which the same calibration's errors act again, can count them once.
+    """
+    relative = file.other is not None and file.other.rotation is None
+    frame = f"the left camera of {file.other.stereo}" if relative and file.other else "the sensor frame"
+    share = None if relative or pair is None else _calibration_share(found, pair)
+    u = found.u if share is None else share.u
+    held = COVERAGE * np.sqrt(np.diagonal(found.held_covariance))
+    comments = [
+        f"Pose of the left camera of {file.stereo} in {frame}, from {_origin(file)}.",
+        f"U (k = 2): position {_numbers(1e3 * COVERAGE * u[:3])} mm, rotation "
+        f"{_numbers(1e3 * COVERAGE * u[3:])} mrad (x, y, z).",
+        f"Without the calibration's share: {_numbers(1e3 * held[:3])} mm and {_numbers(1e3 * held[3:])} mrad.",
+        f"chi2 = {found.chi2:.3g} with {found.dof} degrees of freedom.",
+    ]
+    if found.enlargement > 1.0:
+        comments.append(f"The evidence does not fit together: U is enlarged by {found.enlargement:.3g}.")
+    pose = found.sensor_from_camera
+    rows = ",\n  ".join(_list(row) for row in pose.rotation)
+    name = file.stereo if file.stereo.replace("_", "").replace("-", "").isalnum() else json.dumps(file.stereo)
+    header = f"[relative.{name}]" if relative else f"[stereo.{name}]"
+    lines = [*(f"# {comment}" for comment in comments), header, f"rotation = [\n  {rows}]"]
+    lines.append(f"translation = {_list(pose.translation_m)}")
+    lines.append(f"pose_uncertainty = {_list(u)}")
+    if share is not None:
+        rows = ",\n  ".join(_list(row) for row in share.by_parameters)
+        lines.append(f"pose_by_calibration = [\n  {rows}]")
+    return "\n".join(lines) + "\n"
+
+
+@dataclass(frozen=True, eq=False)
+class _Share:
+    """How a pose answers the calibration's parameters (6, 24), and its standard uncertainties (6,), all told."""
+
+    by_parameters: FloatArray
+    u: FloatArray
+
+
+def _calibration_share(found: Alignment, pair: Pair) -> _Share | None:
+    """Return the calibration's share, None without a covariance.
+
+    The calibration counts as it is stated, also where this evidence would know it better, since a run does the same.
+    """
+    covered = 0 if pair.rig.covariance is None else len(calibration_steps(pair.rig))
+    if not covered:
+        return None
+    u = np.sqrt(np.diagonal(found.held_covariance) + (found.by_calibration**2).sum(axis=1))
+    return _Share(by_parameters(found.by_calibration[:, :covered], pair.steps[:covered]), u)
+
+
+def _origin(file: AlignmentFile) -> str:
+    """Say what evidence the pose comes from."""
+    parts = []
+    for key, one, many in EVIDENCE:
+        count = len(getattr(file, key))
+        if count:
+            parts.append(f"{count} {one if count == 1 else many}")
+    if file.pose is not None:
+        parts.append("the pose known before")
+    return " and ".join([", ".join(parts[:-1]), parts[-1]] if len(parts) > 1 else parts)
+
+
+def _numbers(values: FloatArray) -> str:
+    """Three values with two digits."""
+    return " ".join(f"{value:.2g}" for value in values)
+
+
+def _list(values: FloatArray) -> str:
+    """A row of TOML with all digits."""
+    return f"[{', '.join(repr(float(value)) for value in values)}]"
+
+
+# The command `shakercal align`: where a stereo pair's left camera stands in the sensor frame.
+
+
+log = logging.getLogger("shakercal")
+
+
+def align_file(
+    path: Path,
+    output: Path | None,
+    settings: Settings,
+    *,
+    force: bool = False,
+    allow_outside: bool = False,
+    progress: ProgressCallback = no_progress,
+) -> str:
+    """Return the block of rig.toml that alignment.toml leads to, and write it to `output` where one is given."""
+    if output is not None:
+        check_new_file(output, force=force)
+    file = read_alignment(path, allow_outside)
+    found, pair = align_cameras(path, file, settings, allow_outside=allow_outside, progress=progress)
+    text = pose_text(file, found, pair)
+    if output is not None:
+        write_whole(output, text)
+    return text
+
+
+def align_cameras(
+    path: Path,
+    file: AlignmentFile,
+    settings: Settings,
+    *,
+    allow_outside: bool = False,
+    progress: ProgressCallback = no_progress,
+) -> tuple[Alignment, Pair | None]:
+    """Return the pose of the left camera from all evidence that alignment.toml names, and the pair with its errors.
+
+    Remarks go to the log.
+    """
+    pair = None if file.calibration is None else read_pair(path, file.calibration, file.scale_uncertainty)
+    evidence = [] if pair is None else still_evidence(path, file, pair)
+    moving = moving_evidence(path, file, pair, settings, progress, allow_outside)
+    evidence += moving.evidence
+    start = None
+    if file.pose is not None:
+        known = (np.array(file.pose.rotation), np.array(file.pose.translation), np.array(file.pose.pose_uncertainty))
+        evidence.append(known_pose(*known))
+    elif not (file.target_view or file.common_view):
+        start = moving.stated
+    try:
+        found = align(evidence, start)
+    except ValueError as error:
+        raise ComputeError(f"{path}: {error}".replace("start: ", "").replace("evidence: ", "")) from error
+    for notice in (*moving.notices, *found.notices):
+        log.log(logging.WARNING if notice.severity == "warning" else logging.INFO, "%s", notice.text)
+    return found, pair

@@ -1,0 +1,433 @@
+"""Alignment files and the stills they name."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import BeforeValidator, model_validator
+
+from fusion.base import InputError
+from fusion.recording.load import read_toml, validate
+from fusion.recording.values import (
+    ZERO3,
+    ZERO6,
+    Block,
+    Context,
+    Direction,
+    ExistingFile,
+    ExistingFiles,
+    FreeVector,
+    NotNegative,
+    PathScope,
+    PoseSpread,
+    Positive,
+    Rotation,
+    Spread3,
+    Text,
+    array_of_tables,
+    refusal,
+    repeated_name,
+    vector,
+)
+from photogram.alignment.evidence import (
+    Evidence,
+    KnownFace,
+    KnownPoints,
+    KnownPoses,
+    StatedFrame,
+    calibration_steps,
+    displacement_jacobian,
+    seen_points,
+    seen_target,
+)
+from photogram.calibration.file import read_calibration
+from photogram.camera import StereoRig
+from photogram.geometry import RigidTransform
+from photogram.images import read_picture
+from photogram.targets.dots import find_target
+from photogram.targets.view import Target, TargetView
+from shaker.arrays import FloatArray
+
+# alignment.toml as checked, typed values: the contract is the table in `docs/cameras.md`.
+
+
+def _size(value: Any) -> tuple[int, int]:
+    """Check columns and rows of a target."""
+    whole = isinstance(value, list | tuple) and len(value) == 2 and all(type(item) is int for item in value)
+    if not whole or min(value) < 2:
+        raise refusal("2 whole numbers of at least 2, columns and rows", f"{value}"[:60])
+    return value[0], value[1]
+
+
+Pixel = Annotated[tuple[float, float], BeforeValidator(vector(2))]
+Blocks = BeforeValidator(array_of_tables)
+
+
+class Point(Block):
+    """A point of known place, and where both cameras see it."""
+
+    name: Text
+    position: FreeVector
+    position_uncertainty: Spread3 = ZERO3
+    left: Pixel
+    right: Pixel
+    pixel_uncertainty: Positive
+
+
+class Face(Block):
+    """A flat face of known place, and a table of points that both cameras see on it."""
+
+    name: Text
+    point: FreeVector
+    normal: Direction
+    offset_uncertainty: NotNegative = 0.0
+    normal_uncertainty: NotNegative = 0.0
+    pixels: ExistingFile
+    pixel_uncertainty: Positive
+
+
+class TargetBlock(Block):
+    """The calibration target of the views."""
+
+    kind: Literal["chessboard", "charuco", "dots", "asymmetric-dots"]
+    spacing: Positive
+    size: Annotated[tuple[int, int] | None, BeforeValidator(_size)] = None
+    dictionary: Text | None = None
+
+    @model_validator(mode="after")
+    def _size_where_needed(self) -> Self:
+        if self.size is None and self.kind != "dots":
+            raise refusal(f"columns and rows of the {self.kind} target", "nothing", key="size")
+        return self
+
+
+class TargetViewBlock(Block):
+    """The target mounted at a known pose, x_sensor = rotation · x_target + translation, and its pictures."""
+
+    name: Text
+    left: ExistingFiles = ()
+    right: ExistingFiles = ()
+    rotation: Rotation
+    translation: FreeVector
+    pose_uncertainty: PoseSpread = ZERO6
+
+    @model_validator(mode="after")
+    def _pictures(self) -> Self:
+        if not self.left and not self.right:
+            raise refusal("the pictures of at least one camera", "none", key="left")
+        if self.left and self.right and len(self.left) != len(self.right):
+            raise refusal(f"{len(self.left)} pictures as on the left", f"{len(self.right)}", key="right")
+        return self
+
+
+class CommonView(Block):
+    """Pictures of the target, wherever it was held, by both stereo pairs."""
+
+    name: Text
+    left: ExistingFile
+    right: ExistingFile
+    other_left: ExistingFile
+    other_right: ExistingFile
+
+
+class OtherPair(Block):
+    """The stereo pair that took part in common views; without a pose the result is relative to its left camera."""
+
+    stereo: Text
+    calibration: ExistingFile
+    scale_uncertainty: NotNegative | None = None
+    rotation: Rotation | None = None
+    translation: FreeVector | None = None
+    pose_uncertainty: PoseSpread = ZERO6
+
+    @model_validator(mode="after")
+    def _whole_pose(self) -> Self:
+        if (self.rotation is None) != (self.translation is None):
+            missing = "rotation" if self.rotation is None else "translation"
+            raise refusal("rotation and translation, or neither", "one of them", key=missing)
+        return self
+
+
+class Motion(Block):
+    """Recordings in one set-up, in which the sensor's origin moves along a known direction."""
+
+    name: Text
+    recordings: ExistingFiles
+    direction: Direction | None = None
+    direction_uncertainty: NotNegative
+
+
+class AxisBlock(Block):
+    """Recordings in one set-up, in which the body turns about a known axis."""
+
+    name: Text
+    recordings: ExistingFiles
+    point: FreeVector
+    point_uncertainty: Spread3 = ZERO3
+    direction: Direction
+    direction_uncertainty: NotNegative
+
+
+class KnownPose(Block):
+    """What was known of the pose before."""
+
+    rotation: Rotation
+    translation: FreeVector
+    pose_uncertainty: PoseSpread
+
+    @model_validator(mode="after")
+    def _no_certainty(self) -> Self:
+        if min(self.pose_uncertainty) <= 0.0:
+            raise refusal("6 numbers above 0 (3 in m, 3 in rad)", f"{min(self.pose_uncertainty):g}", "pose_uncertainty")
+        return self
+
+
+class AlignmentFile(Block):
+    """alignment.toml: the evidence on where a stereo pair's left camera stands in the sensor frame."""
+
+    format: Literal[1]
+    stereo: Text
+    calibration: ExistingFile | None = None
+    scale_uncertainty: NotNegative | None = None
+    datum_uncertainty: PoseSpread = ZERO6
+    pose: KnownPose | None = None
+    target: TargetBlock | None = None
+    other: OtherPair | None = None
+    point: Annotated[tuple[Point, ...], Blocks] = ()
+    face: Annotated[tuple[Face, ...], Blocks] = ()
+    target_view: Annotated[tuple[TargetViewBlock, ...], Blocks] = ()
+    common_view: Annotated[tuple[CommonView, ...], Blocks] = ()
+    motion: Annotated[tuple[Motion, ...], Blocks] = ()
+    axis: Annotated[tuple[AxisBlock, ...], Blocks] = ()
+
+    @model_validator(mode="after")
+    def _belongs_together(self) -> Self:
+        for key in ("point", "face", "target_view", "common_view", "motion", "axis"):
+            blocks = getattr(self, key)
+            twice = repeated_name([block.name for block in blocks])
+            if twice is not None:
+                raise refusal("different names", f'"{twice}" twice', key=key)
+            if blocks and self.calibration is None and key not in ("motion", "axis"):
+                raise refusal(f"the calibration that [[{key}]] needs", "nothing", key="calibration")
+        if (self.target_view or self.common_view) and self.target is None:
+            raise refusal("the [target] that is seen in the views", "nothing", key="target")
+        if self.common_view and self.other is None:
+            raise refusal("the [other] pair of the common views", "nothing", key="other")
+        if self.other is not None and self.other.rotation is None:
+            stray = next(
+                (key for key in ("point", "face", "target_view", "motion", "axis") if getattr(self, key)), None
+            )
+            if stray is not None or self.pose is not None:
+                raise refusal(
+                    "the pose of the other pair, without which all else belongs to another frame",
+                    "nothing",
+                    key="other.rotation",
+                )
+        if not any((self.point, self.face, self.target_view, self.common_view, self.motion, self.axis)):
+            raise refusal("at least one block of evidence such as [[point]] or [[motion]]", "none")
+        return self
+
+
+def read_alignment(path: Path, allow_outside: bool = False) -> AlignmentFile:
+    """Read and check alignment.toml; its paths start in its folder and stay there."""
+    folder = path.parent.resolve()
+    return validate(AlignmentFile, read_toml(path), path, Context(PathScope(folder, folder, allow_outside), {}))
+
+
+# Points, faces and pictures of the target → evidence.
+
+
+PIXEL_COLUMNS = ("left_x", "left_y", "right_x", "right_y")
+FEWEST_FACE_POINTS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """A calibrated stereo pair and the steps (P, 24) that stand for its calibration's errors."""
+
+    rig: StereoRig
+    steps: FloatArray
+
+
+def read_pair(path: Path, calibration: Path, scale_u: float | None, key: str = "") -> Pair:
+    """Read a calibration that `path` names; one without covariance needs a stated scale, under `key`."""
+    try:
+        rig = read_calibration(calibration)
+    except (OSError, ValueError) as error:
+        raise InputError.told_by(error, calibration) from error
+    if rig.covariance is None and scale_u is None:
+        expected = "the relative standard uncertainty of all lengths, required without a calibration's covariance"
+        raise InputError(path, f"{key}scale_uncertainty", "nothing", expected)
+    return Pair(rig, calibration_steps(rig, scale_u or 0.0))
+
+
+def still_evidence(path: Path, file: AlignmentFile, pair: Pair) -> list[Evidence]:
+    """Return the evidence of points, faces and target views."""
+    datum = StatedFrame("datum", np.array(file.datum_uncertainty))
+    found: list[Evidence] = [_points(path, file.point, pair, datum)] if file.point else []
+    found += [_face(path, face, pair, datum) for face in file.face]
+    if file.target is not None:
+        target = _target(path, file.target)
+        found += [_views(path, view, target, pair, datum) for view in file.target_view]
+        if file.other is not None and file.common_view:
+            found.append(_common(path, file.common_view, file.other, target, pair))
+    return found
+
+
+def known_pose(rotation: FloatArray, translation: FloatArray, u: FloatArray) -> Evidence:
+    """Return what was known of the pose before, u (6,) being those of sensor origin and rotation about it."""
+    pose = RigidTransform(rotation, translation)
+    moved = np.eye(6)
+    moved[:3] = displacement_jacobian(translation)
+    covariance = moved @ np.diag(u**2) @ moved.T
+    zero = np.zeros((1, 6, 6))
+    own = (RigidTransform.identity(),)
+    return KnownPoses(("the pose known before",), own, zero, (pose,), covariance[None], np.zeros((0, 1, 6)))
+
+
+def _points(path: Path, points: Sequence[Point], pair: Pair, datum: StatedFrame) -> KnownPoints:
+    """Return the fiducials, triangulated."""
+    seen = []
+    for point in points:
+        pixels = np.array([[point.left], [point.right]])
+        seen.append(seen_points(pair.rig, pair.steps, pixels[0], pixels[1], point.pixel_uncertainty))
+        if not np.isfinite(seen[-1][0]).all():
+            expected = "pixels of one point in front of both cameras"
+            raise InputError(path, f"point.{point.name}", "rays that do not meet", expected)
+    spread = np.array([point.position_uncertainty for point in points])
+    return KnownPoints(
+        tuple(f"point {point.name}" for point in points),
+        np.concatenate([position for position, _, _ in seen]),
+        np.concatenate([covariance for _, covariance, _ in seen]),
+        np.array([point.position for point in points]),
+        spread[:, :, None] ** 2 * np.eye(3),
+        np.concatenate([effects for _, _, effects in seen], axis=1),
+        datum,
+    )
+
+
+def _face(path: Path, face: Face, pair: Pair, datum: StatedFrame) -> KnownFace:
+    """Return the points of a face, triangulated; pixels whose rays do not meet are left out."""
+    pixels = _pixel_table(face.pixels)
+    position, covariance, effects = seen_points(
+        pair.rig, pair.steps, pixels[:, :2], pixels[:, 2:], face.pixel_uncertainty
+    )
+    met = np.isfinite(position).all(axis=1)
+    if np.count_nonzero(met) < FEWEST_FACE_POINTS:
+        expected = f"at least {FEWEST_FACE_POINTS} points in front of both cameras"
+        raise InputError(path, f"face.{face.name}.pixels", f"{np.count_nonzero(met)}", expected)
+    return KnownFace(
+        f"face {face.name}",
+        position[met],
+        covariance[met],
+        np.array(face.point),
+        np.array(face.normal),
+        effects[:, met],
+        face.offset_uncertainty,
+        face.normal_uncertainty,
+        datum,
+    )
+
+
+def _pixel_table(file: Path) -> FloatArray:
+    """Return the pixels (N, 4) of a table with the columns left_x, left_y, right_x, right_y."""
+    try:
+        with file.open(encoding="utf-8-sig", newline="") as stream:
+            reader = csv.DictReader(stream)
+            missing = [name for name in PIXEL_COLUMNS if name not in (reader.fieldnames or ())]
+            if missing:
+                found = ", ".join(reader.fieldnames or ()) or "nothing"
+                raise InputError(file, "", found, f"the columns {', '.join(PIXEL_COLUMNS)}")
+            rows = [[float(row[name]) for name in PIXEL_COLUMNS] for row in reader]
+    except OSError as error:
+        raise InputError(file, "", error.strerror or str(error), "a file that can be read") from error
+    except (TypeError, ValueError) as error:
+        raise InputError(file, "", str(error), "a number in each column") from error
+    return np.array(rows).reshape(-1, len(PIXEL_COLUMNS))
+
+
+def _target(path: Path, block: TargetBlock) -> Target:
+    """Return the target of the views."""
+    try:
+        return Target(block.kind, block.spacing, block.size, block.dictionary)
+    except ValueError as error:
+        raise InputError.told_by(error, path, "target") from error
+
+
+def _view(path: Path, key: str, picture: Path, target: Target, rig: StereoRig) -> TargetView:
+    """Return what one picture shows of the target."""
+    try:
+        image, full_scale = read_picture(picture)
+        view = find_target(image, target, picture.name, full_scale)
+    except (OSError, ValueError) as error:
+        raise InputError.told_by(error, path, key) from error
+    if list(view.size_px) != list(rig.left.size_px):
+        found = f"{picture.name} of {view.size_px[0]} x {view.size_px[1]} pixels"
+        raise InputError(path, key, found, f"{rig.left.size_px[0]} x {rig.left.size_px[1]} as the calibration")
+    return view
+
+
+def _seen(
+    path: Path, key: str, left: TargetView | None, right: TargetView | None, target: Target, pair: Pair
+) -> tuple[RigidTransform, FloatArray, FloatArray]:
+    """Return where a pair sees the target, with covariance and effects."""
+    try:
+        return seen_target(pair.rig, pair.steps, target, left, right)
+    except (ValueError, np.linalg.LinAlgError) as error:
+        raise InputError.told_by(error, path, key) from error
+
+
+def _views(path: Path, block: TargetViewBlock, target: Target, pair: Pair, datum: StatedFrame) -> KnownPoses:
+    """Return the pictures of the target at one known pose, whose error they share."""
+    key, count = f"target_view.{block.name}", max(len(block.left), len(block.right))
+    sides: list[list[TargetView | None]] = []
+    for side, pictures in (("left", block.left), ("right", block.right)):
+        views: list[TargetView | None] = [_view(path, f"{key}.{side}", p, target, pair.rig) for p in pictures]
+        sides.append(views or [None] * count)
+    seen = [_seen(path, key, left, right, target, pair) for left, right in zip(*sides, strict=True)]
+    name, u = f"target view {block.name}", np.array(block.pose_uncertainty)
+    kept = np.flatnonzero(u)
+    return KnownPoses(
+        (name,) * count,
+        tuple(pose for pose, _, _ in seen),
+        np.array([covariance for _, covariance, _ in seen]),
+        (RigidTransform(np.array(block.rotation), np.array(block.translation)),) * count,
+        np.zeros((count, 6, 6)),
+        np.stack([effects for _, _, effects in seen], axis=1),
+        {name: np.repeat(np.diag(u)[kept][:, None], count, axis=1)},
+        datum,
+    )
+
+
+def _common(path: Path, views: Sequence[CommonView], other: OtherPair, target: Target, pair: Pair) -> KnownPoses:
+    """Return the target seen by both pairs, its pose in the sensor frame (or the other camera's) by the other pair."""
+    second = read_pair(path, other.calibration, other.scale_uncertainty, "other.")
+    placed = RigidTransform.identity()
+    if other.rotation is not None and other.translation is not None:
+        placed = RigidTransform(np.array(other.rotation), np.array(other.translation))
+    turn = np.kron(np.eye(2), placed.rotation)
+    own: list[tuple[RigidTransform, FloatArray, FloatArray]] = []
+    known: list[tuple[RigidTransform, FloatArray, FloatArray]] = []
+    for view in views:
+        key = f"common_view.{view.name}"
+        for seer, sides, found in (
+            (pair, (("left", view.left), ("right", view.right)), own),
+            (second, (("other_left", view.other_left), ("other_right", view.other_right)), known),
+        ):
+            left, right = (_view(path, f"{key}.{side}", picture, target, seer.rig) for side, picture in sides)
+            found.append(_seen(path, key, left, right, target, seer))
+    return KnownPoses(
+        tuple(f"common view {view.name}" for view in views),
+        tuple(pose for pose, _, _ in own),
+        np.array([covariance for _, covariance, _ in own]),
+        tuple(placed @ pose for pose, _, _ in known),
+        np.array([turn @ covariance @ turn.T for _, covariance, _ in known]),
+        np.stack([effects for _, _, effects in own], axis=1),
+        {f"calibration of {other.stereo}": np.stack([effects @ turn.T for _, _, effects in known], axis=1)},
+        StatedFrame(f"pose of {other.stereo}", np.array(other.pose_uncertainty)),
+    )

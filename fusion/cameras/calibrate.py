@@ -1,0 +1,238 @@
+"""Stereo pairs from pictures of a target, or from calibrations of other programs."""
+
+from __future__ import annotations
+
+import logging
+import os
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from fusion.base import InputError, ProgressCallback, check_new_file, no_progress, write_whole
+from fusion.cameras.facts import axes_angle_rad, baseline_m
+from fusion.cameras.report import render_camera_report
+from fusion.estimation.uncertainty import rounded
+from fusion.recording.values import natural_key
+from fusion.report.provenance import Provenance, hash_files, versions
+from photogram.calibration.file import write_calibration
+from photogram.calibration.foreign import LengthUnit
+from photogram.calibration.foreign_formats import import_calibration
+from photogram.calibration.model import Calibration, Dropped, ShapeKind
+from photogram.calibration.session import calibrate_pair
+from photogram.calibration.start import FEWEST_VIEWS, Pair
+from photogram.images import read_picture
+from photogram.targets.dots import find_target
+from photogram.targets.view import Target, TargetNotFound, TargetView
+
+# The command `shakercal cameras`: pictures of a target → calibration file and page.
+
+
+PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".pgm")
+MAGIC = "*?["
+
+
+@dataclass(frozen=True)
+class CameraSettings:
+    """What a user may choose: the target, how its shape is taken, and the relative uncertainty of its spacing."""
+
+    target: Target
+    shape: ShapeKind | Literal["auto"] = "auto"
+    scale_u: float = 0.0
+
+
+def calibrate_cameras(
+    left: Sequence[Path], right: Sequence[Path], settings: CameraSettings, progress: ProgressCallback = no_progress
+) -> Calibration:
+    """Return the calibrated pair from the pictures of both cameras, in one order.
+
+    A picture without a usable target is left out and named among what was dropped, with the reason. Raises
+    `InputError` where what remains does not allow a calibration.
+    """
+    pictures = [*left, *right]
+    found = _find(pictures, settings.target, progress)
+    failed = [
+        Dropped(str(path), 0, str(view))
+        for path, view in zip(pictures, found, strict=True)
+        if isinstance(view, TargetNotFound)
+    ]
+    views = [None if isinstance(view, TargetNotFound) else view for view in found]
+    pairs: list[Pair] = list(zip(views[: len(left)], views[len(left) :], strict=True))
+    for side, paths, seen in (("left", left, views[: len(left)]), ("right", right, views[len(left) :])):
+        usable = sum(view is not None for view in seen)
+        if usable < FEWEST_VIEWS:
+            found_text = f"{usable} usable of {len(paths)} {side} pictures ({_reasons(failed)})"
+            raise InputError(_folder(paths), "", found=found_text, expected=f"at least {FEWEST_VIEWS} of each camera")
+    progress("adjust", 0, 1)
+    try:
+        calibration = calibrate_pair(pairs, settings.target, settings.shape, settings.scale_u)
+    except ValueError as error:
+        raise InputError.told_by(error, _folder(pictures)) from error
+    progress("adjust", 1, 1)
+    return replace(calibration, dropped=(*failed, *calibration.dropped))
+
+
+def write_cameras(
+    output: Path, calibration: Calibration, pictures: Sequence[Path], settings: CameraSettings, duration_s: float
+) -> Path:
+    """Write the calibration file and, beside it, its page; return the page's path."""
+    page = output.with_suffix(".html")
+    told = {name: str(value) for name, value in asdict(settings.target).items() if value is not None}
+    used: dict[str, str | float | int] = {**told, "shape": str(settings.shape), "scale_uncertainty": settings.scale_u}
+    hashes = hash_files(pictures, _folder(pictures))
+    provenance = Provenance(hashes, used, versions(), (output.name, page.name))
+    text = render_camera_report(calibration, output.stem, provenance, duration_s)
+    write_calibration(output, calibration.rig, calibration.rms_px)
+    write_whole(page, text)
+    return page
+
+
+def split_pictures(arguments: Sequence[str]) -> tuple[list[Path], list[Path]]:
+    """Return left and right pictures: of two arguments each a folder, a pattern or a file; of more, half and half."""
+    parts = [_expanded(argument) for argument in arguments]
+    if len(parts) == 2:
+        left, right = parts
+    else:
+        every = [path for part in parts for path in part]
+        left, right = every[: len(every) // 2], every[len(every) // 2 :]
+    if len(left) != len(right):
+        expected = "as many left pictures as right ones, the left ones first"
+        raise InputError(_folder([*left, *right]), "", found=f"{len(left)} and {len(right)}", expected=expected)
+    twice = sorted(path for path in set(left) if path in right)
+    if twice:
+        raise InputError(twice[0], "", found="a picture given for both cameras", expected="one for each")
+    return left, right
+
+
+def print_calibration(calibration: Calibration, output: Path, page: Path) -> None:
+    """Print what was found, U at k = 2, and where it lies."""
+    pairs = sum(view.left is not None and view.right is not None for view in calibration.views)
+    rms = calibration.rms_sides_px
+    baseline, angle = baseline_m(calibration.rig), axes_angle_rad(calibration.rig)
+    print(f"{pairs} pairs, rms {calibration.rms_px:.3f} px (left {rms[0]:.3f}, right {rms[1]:.3f})")
+    print(f"baseline {_with_u(baseline.value * 1e3, baseline.u * 1e3)} mm", end=", ")
+    print(f"axes at {_with_u(np.degrees(angle.value), np.degrees(angle.u))} deg (U: k = 2)")
+    for item in calibration.parameters:
+        if item.name.endswith((".fx", ".fy")):
+            print(f"{item.name} {_with_u(item.value, item.u)} px")
+    for dropped in calibration.dropped:
+        what = f"{dropped.points} points left out, " if dropped.points else "left out: "
+        print(f"{dropped.name}: {what}{dropped.reason}")
+    for notice in calibration.notices:
+        print(f"{notice.severity}: {notice.text}")
+    print(f"calibration: {output}")
+    print(f"report: {page}")
+
+
+def run_cameras(
+    arguments: Sequence[str], settings: CameraSettings, output: Path, force: bool, progress: ProgressCallback
+) -> None:
+    """Calibrate from the pictures that the arguments name, write calibration and page, print the summary."""
+    started = time.monotonic()
+    _check_output(output, force)
+    left, right = split_pictures(arguments)
+    calibration = calibrate_cameras(left, right, settings, progress)
+    page = write_cameras(output, calibration, [*left, *right], settings, time.monotonic() - started)
+    print_calibration(calibration, output, page)
+
+
+def _check_output(output: Path, force: bool) -> None:
+    """Refuse a place for calibration and page that is taken, or that is none."""
+    if output.suffix != ".json":
+        raise InputError(output, "", found=output.suffix or "no suffix", expected="a name that ends in .json")
+    for path in (output, output.with_suffix(".html")):
+        check_new_file(path, force=force)
+
+
+def _find(pictures: Sequence[Path], target: Target, progress: ProgressCallback) -> list[TargetView | TargetNotFound]:
+    """Return what every picture shows, two or more at a time."""
+    found: list[TargetView | TargetNotFound] = []
+    with ThreadPoolExecutor(max_workers=min(8, os.cpu_count() or 1)) as workers:
+        for view in workers.map(lambda path: _find_one(path, target), pictures):
+            found.append(view)
+            progress("find target", len(found), len(pictures))
+    return found
+
+
+def _find_one(path: Path, target: Target) -> TargetView | TargetNotFound:
+    """Return the target in one picture, or why there is none."""
+    try:
+        image, full_scale = read_picture(path)
+    except (OSError, ValueError) as error:
+        raise InputError.told_by(error, path) from error
+    try:
+        return find_target(image, target, str(path), full_scale)
+    except TargetNotFound as error:
+        return error
+    except ValueError as error:
+        raise InputError.told_by(error, path) from error
+
+
+def _expanded(argument: str) -> list[Path]:
+    """Return the pictures that a path, a folder or a pattern names, in natural order."""
+    path = Path(argument)
+    if path.is_dir():
+        names = [entry for entry in path.iterdir() if entry.suffix.lower() in PICTURE_SUFFIXES]
+    elif path.exists() or not any(sign in argument for sign in MAGIC):
+        return [path]
+    else:
+        names = [entry for entry in path.parent.glob(path.name) if entry.is_file()]
+    if not names:
+        raise InputError(path, "", found="no pictures", expected=f"files {', '.join(PICTURE_SUFFIXES)}")
+    return sorted(names, key=lambda entry: natural_key(entry.name))
+
+
+def _folder(pictures: Sequence[Path]) -> Path:
+    """Return the folder that all pictures have in common."""
+    return Path(os.path.commonpath([path.absolute().parent for path in pictures]))
+
+
+def _reasons(failed: Sequence[Dropped]) -> str:
+    """Return why pictures failed, one after another."""
+    return "; ".join(f"{Path(item.name).name}: {item.reason}" for item in failed) or "no picture failed"
+
+
+def _with_u(value: float, u: float) -> str:
+    """Return value ± U (k = 2), rounded to U."""
+    text = rounded(value, 2 * u, 0)
+    return f"{text.value} ± {text.expanded}"
+
+
+# The command `shakercal import-calibration`: another program's calibration → a calibration file of this one.
+
+
+log = logging.getLogger("shakercal")
+
+
+def convert_calibration(
+    source: tuple[Path, Path | None],
+    output: Path,
+    image_size: tuple[int, int] | None,
+    length_unit: LengthUnit | None,
+    force: bool = False,
+) -> str:
+    """Write the calibration of `source` (file, extrinsics apart from it or None) to `output` and return the format.
+
+    What the user should know is logged, also the remarks that are no warnings: they say how the file was understood.
+    """
+    check_new_file(output, force=force)
+    path, extrinsics = source
+    try:
+        imported = import_calibration(path, image_size, length_unit, extrinsics)
+    except OSError as error:
+        raise InputError.told_by(error, path) from error
+    except ValueError as error:
+        told = str(error).replace(": image_size: ", ": --image-size: ").replace(": length_unit: ", ": --length-unit: ")
+        raise InputError.told_by(ValueError(told), path) from error
+    try:
+        write_calibration(output, imported.rig)
+    except OSError as error:
+        raise InputError.told_by(error, output) from error
+    for notice in imported.notices:
+        level = logging.WARNING if notice.severity == "warning" else logging.INFO
+        log.log(level, "%s: %s", notice.where, notice.text)
+    return imported.format

@@ -1,0 +1,317 @@
+"""What a calibrated stereo pair means in plain quantities, with their standard uncertainties."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from photogram.calibration.model import COVERAGE_CELLS, CalibratedPicture, CalibratedView, Calibration
+from photogram.camera import Camera, StereoRig, triangulate
+from photogram.geometry import fit_rigid, skew
+from shaker.arrays import FloatArray, IntArray
+
+Side = Literal["left", "right"]
+
+SIDES: tuple[Side, Side] = ("left", "right")
+ROTATION, TRANSLATION = slice(18, 21), slice(21, 24)
+"""Places of the pair's rotation and translation among its parameters."""
+STEP = 1e-3  # of a parameter's uncertainty, by which it is moved for a derivative
+CELLS_ACROSS = 16  # of a picture, in which residuals are averaged
+NEIGHBOURS = 3  # points along a row and rows whose residuals are compared in one picture
+LENGTH_SHARE = 0.1  # length whose uncertainty is stated, as a share of the working distance
+
+
+class Quantity(NamedTuple):
+    """A value and its standard uncertainty (k = 1)."""
+
+    value: float
+    u: float
+
+
+@dataclass(frozen=True, eq=False)
+class Distortion:
+    """What a lens does to a picture: at pixel (R, C, 2) the displacement (R, C, 2) from where a lens without distortion
+    would put the same ray, and its standard uncertainty per coordinate `u_px` (R, C); NaN where there is no such ray.
+    """
+
+    pixel: FloatArray
+    displacement_px: FloatArray
+    u_px: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualMap:
+    """Residuals of one camera in square cells: centre (K, 2), mean (K, 2), points (K,), in the cells that have points.
+
+    `within_px`: rms length about the means; `systematic_px`: rms length of the means themselves, their scatter by
+    chance taken off (one-way analysis of variance, random effects).
+    """
+
+    side_px: float
+    centre_px: FloatArray
+    mean_px: FloatArray
+    count: IntArray
+    within_px: float
+    systematic_px: float
+
+
+@dataclass(frozen=True, eq=False)
+class TargetShape:
+    """Departure of the target's points from its flat lattice: lattice (P, 2), across it (P, 2) and out of it (P,)."""
+
+    lattice_m: FloatArray
+    inside_m: FloatArray
+    height_m: FloatArray
+
+
+@dataclass(frozen=True)
+class ResidualParts:
+    """Rms lengths of what residuals of one camera have in common, chance taken off; the parts overlap.
+
+    `place_px`: at the same place in the picture; `point_px`, `point_m`: at the same point of the target, seen in its
+    plane; `smooth_px`: among neighbours in one picture; `alone_px`: what neighbours do not share.
+    """
+
+    whole_px: float
+    place_px: float
+    point_px: float
+    point_m: float
+    smooth_px: float
+    alone_px: float
+
+
+def covariance_of(rig: StereoRig) -> FloatArray:
+    """Covariance (24, 24) of a calibrated rig."""
+    if rig.covariance is None:
+        raise ValueError("rig: expected a calibrated pair with the covariance of its parameters, found none")
+    return rig.covariance
+
+
+def baseline_m(rig: StereoRig) -> Quantity:
+    """Distance of the two cameras: |t|, u² = eᵀ·C·e with e = t/|t|."""
+    translation = rig.right_from_left.translation_m
+    length = float(np.linalg.norm(translation))
+    direction = translation / length
+    return Quantity(length, _root(direction @ covariance_of(rig)[TRANSLATION, TRANSLATION] @ direction))
+
+
+def axes_angle_rad(rig: StereoRig) -> Quantity:
+    """Angle between the optical axes: a·b = cos α for a = e_z, b = R·e_z in the right camera's frame.
+
+    A small turn δ changes α by δ·(a × b)/|a × b|; parallel axes have no such direction, the largest u is taken then.
+    """
+    axis = rig.right_from_left.rotation[:, 2]
+    across = np.cross([0.0, 0.0, 1.0], axis)
+    sine = float(np.linalg.norm(across))
+    covariance = covariance_of(rig)[ROTATION, ROTATION]
+    if sine < 1e-12:
+        return Quantity(0.0, _root(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
+    return Quantity(float(np.arctan2(sine, axis[2])), _root(across @ covariance @ across) / sine)
+
+
+def distance_m(calibration: Calibration, view: CalibratedView) -> Quantity:
+    """Distance of the target's middle from the left camera."""
+    turned = view.left_from_target.rotation @ calibration.shape_m.mean(axis=0)
+    place = turned + view.left_from_target.translation_m
+    length = float(np.linalg.norm(place))
+    gradient = np.concatenate([place, -place @ skew(turned)]) / length
+    return Quantity(length, _root(gradient @ view.covariance @ gradient))
+
+
+def target_middles_m(calibration: Calibration) -> FloatArray:
+    """Middle (V, 3) of the target in every view, in the left camera's frame."""
+    middle = calibration.shape_m.mean(axis=0)
+    return np.array([view.left_from_target.apply(middle) for view in calibration.views])
+
+
+def working_point_m(calibration: Calibration) -> FloatArray:
+    """Where the target was in the middle of the session (3,): medians over the views."""
+    return np.asarray(np.median(target_middles_m(calibration), axis=0))
+
+
+def tilts_rad(calibration: Calibration) -> FloatArray:
+    """Tilt (V, 2) of the target to the right and down: the angle of its normal to the axis, towards the camera."""
+    normal = np.array([view.left_from_target.rotation[:, 2] for view in calibration.views])
+    normal *= -np.sign(np.sum(normal * target_middles_m(calibration), axis=1, keepdims=True))
+    across = np.linalg.norm(normal[:, :2], axis=1, keepdims=True)
+    angle = np.arctan2(across, -normal[:, 2:])
+    return np.asarray(angle * normal[:, :2] / np.where(across > 0, across, 1.0))
+
+
+def turns_rad(calibration: Calibration) -> FloatArray:
+    """Turn (V,) of the target in the left picture: direction of its first axis, clockwise from the right."""
+    axis = np.array([view.left_from_target.rotation[:2, 0] for view in calibration.views])
+    return np.asarray(np.arctan2(axis[:, 1], axis[:, 0]))
+
+
+def length_u(calibration: Calibration) -> FloatArray:
+    """Relative standard uncertainties (3,) of lengths along x, y, z of the left camera that the calibration leaves.
+
+    Lengths of `LENGTH_SHARE` of the working distance about the working point; by moving the rig's parameters and
+    triangulating the same pixels again.
+    """
+    rig, middle = calibration.rig, working_point_m(calibration)
+    half = 0.5 * LENGTH_SHARE * float(np.linalg.norm(middle)) * np.eye(3)
+    left, right = rig.project(np.concatenate([middle + half, middle - half]))
+
+    def lengths(delta: FloatArray) -> FloatArray:
+        ends = triangulate(rig.perturbed(delta), left[None], right[None]).position_m[0]
+        return np.asarray(np.log(np.linalg.norm(ends[:3] - ends[3:], axis=1)))
+
+    return _propagated(lengths, covariance_of(rig))
+
+
+def distortion(calibration: Calibration, side: Side, columns: int = 33) -> Distortion:
+    """Distortion of one camera on a grid over its whole picture, with the uncertainty of all nine parameters."""
+    camera, covariance = _camera(calibration.rig, side)
+    width, height = camera.size_px
+    rows = max(3, round(columns * height / width))
+    across, down = np.linspace(0, width - 1, columns), np.linspace(0, height - 1, rows)
+    pixel = np.stack(np.meshgrid(across, down), axis=-1)
+
+    def displaced(delta: FloatArray) -> FloatArray:
+        moved = Camera.from_parameters(camera.parameters + delta, camera.size_px)
+        k = moved.matrix
+        return np.asarray(pixel - (moved.undistort(pixel) * [k[0, 0], k[1, 1]] + [k[0, 2], k[1, 2]]))
+
+    u = _propagated(lambda delta: displaced(delta).ravel(), covariance).reshape(pixel.shape)
+    return Distortion(pixel, displaced(np.zeros(9)), np.sqrt((u**2).mean(axis=-1)))
+
+
+def principal_point(rig: StereoRig, side: Side) -> tuple[FloatArray, FloatArray]:
+    """Principal point (2,) in px of one camera, and its covariance (2, 2)."""
+    camera, covariance = _camera(rig, side)
+    return camera.parameters[2:4], covariance[2:4, 2:4]
+
+
+def pictures(calibration: Calibration, side: Side) -> list[CalibratedPicture | None]:
+    """The picture of one camera in every view."""
+    return [view.left if side == "left" else view.right for view in calibration.views]
+
+
+def used_points(calibration: Calibration, side: Side) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Positions (M, 2) and residuals (M, 2) in px of all points of one camera in the fit, and their views (M,)."""
+    found = [(place, picture) for place, picture in enumerate(pictures(calibration, side)) if picture is not None]
+    empty = np.empty((0, 2))
+    return (
+        np.concatenate([empty, *(picture.position_px[picture.used] for _, picture in found)]),
+        np.concatenate([empty, *(picture.residual_px[picture.used] for _, picture in found)]),
+        np.concatenate([np.empty(0, int), *(np.full(picture.used.sum(), place) for place, picture in found)]),
+    )
+
+
+def residual_map(position_px: FloatArray, residual_px: FloatArray, side_px: float) -> ResidualMap:
+    """Means of residuals (M, 2) at positions (M, 2) in square cells of a side."""
+    cells, member = _groups(np.floor((position_px + 0.5) / side_px))
+    mean, count, scatter = _one_way(residual_px, member)
+    return ResidualMap(side_px, (cells + 0.5) * side_px - 0.5, mean, count, *scatter)
+
+
+def cell_px(calibration: Calibration, side: Side) -> float:
+    """Side of the square cells of one camera's picture in which residuals are averaged."""
+    return float(_camera(calibration.rig, side)[0].size_px[0]) / CELLS_ACROSS
+
+
+def residual_parts(calibration: Calibration, side: Side) -> ResidualParts:
+    """What the residuals of one camera have in common."""
+    position, residual, view = used_points(calibration, side)
+    index = np.concatenate([p.index[p.used] for p in pictures(calibration, side) if p is not None])
+    on_target = _onto_target(calibration, side, index, residual, view)
+    _, _, (_, place) = _one_way(residual, _groups(np.floor((position + 0.5) / cell_px(calibration, side)))[1])
+    _, _, (_, print_m) = _one_way(on_target, _groups(index)[1])
+    around = _groups(np.column_stack([view, index // NEIGHBOURS]))[1]
+    _, _, (alone, smooth) = _one_way(residual, around)
+    whole = _root((residual**2).sum(axis=1).mean())
+    scale = whole / _root((on_target**2).sum(axis=1).mean())
+    return ResidualParts(whole, place, print_m * scale, print_m, smooth, alone)
+
+
+def target_shape(calibration: Calibration) -> TargetShape | None:
+    """How the target departs from its flat lattice, laid onto it as a rigid body; None where it was held flat."""
+    lattice = calibration.target.spacing_m * np.column_stack(
+        [calibration.shape_index, np.zeros(len(calibration.shape_m))]
+    )
+    if np.abs(calibration.shape_m - lattice).max() < 1e-12:
+        return None
+    departure = fit_rigid(calibration.shape_m, lattice).apply(calibration.shape_m) - lattice
+    return TargetShape(lattice[:, :2], departure[:, :2], departure[:, 2])
+
+
+def empty_cells(position_px: FloatArray, size_px: Sequence[int] | IntArray) -> FloatArray:
+    """Corners (K, 4) x0 y0 x1 y1 of the cells of a picture in which there is no point."""
+    width, height = (float(size) for size in size_px)
+    columns, rows = COVERAGE_CELLS
+    across, down = np.linspace(-0.5, width - 0.5, columns + 1), np.linspace(-0.5, height - 0.5, rows + 1)
+    counts, _, _ = np.histogram2d(position_px[:, 0], position_px[:, 1], bins=[across, down])
+    i, j = np.nonzero(counts == 0)
+    return np.stack([across[i], down[j], across[i + 1], down[j + 1]], axis=1)
+
+
+def correlation(covariance: FloatArray) -> FloatArray:
+    """Correlation coefficients of a covariance; NaN for parameters without uncertainty."""
+    u = np.sqrt(np.diagonal(covariance))
+    u = np.where(u > 0, u, np.nan)
+    return np.asarray(covariance / np.outer(u, u))
+
+
+def _camera(rig: StereoRig, side: Side) -> tuple[Camera, FloatArray]:
+    """One camera and the covariance (9, 9) of its parameters."""
+    own = slice(0, 9) if side == "left" else slice(9, 18)
+    return (rig.left if side == "left" else rig.right), covariance_of(rig)[own, own]
+
+
+def _onto_target(
+    calibration: Calibration, side: Side, index: IntArray, residual_px: FloatArray, view: IntArray
+) -> FloatArray:
+    """Residuals (M, 2) of points (M, 2) of the lattice in the target's plane, in m, views (M,)."""
+    spacing = calibration.target.spacing_m
+    step = 1e-3 * spacing * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    lattice = spacing * np.column_stack([index, np.zeros(len(index))])
+    found = np.empty_like(residual_px)
+    for number in np.unique(view):
+        mine = view == number
+        places = calibration.views[number].left_from_target.apply(lattice[mine, None] + step)
+        pixel = calibration.rig.project(places)[SIDES.index(side)]
+        jacobian = np.swapaxes(pixel[:, 1:] - pixel[:, :1], 1, 2) / (1e-3 * spacing)
+        found[mine] = np.linalg.solve(jacobian, residual_px[mine, :, None])[..., 0]
+    return found
+
+
+def _groups(key: FloatArray | IntArray) -> tuple[FloatArray, IntArray]:
+    """The different rows (K, C) of a key (M, C), and which of them each row is (M,)."""
+    rows, member = np.unique(np.asarray(key, dtype=np.float64), axis=0, return_inverse=True)
+    return rows, np.asarray(member.reshape(-1), dtype=np.int64)
+
+
+def _one_way(vector: FloatArray, member: IntArray) -> tuple[FloatArray, IntArray, tuple[float, float]]:
+    """Means (K, 2) and sizes (K,) of groups of vectors (M, 2), and the rms lengths within and between the groups.
+
+    Analysis of variance with random effects: the mean square between groups minus that which chance gives it.
+    """
+    count = np.bincount(member)
+    mean = np.stack([np.bincount(member, weights=vector[:, axis]) for axis in (0, 1)], axis=1) / count[:, None]
+    within = float(np.sum((vector - mean[member]) ** 2)) / max(len(vector) - len(count), 1)
+    between = float(count @ (mean**2).sum(axis=1)) / len(vector)
+    return mean, count, (_root(within), _root(between - within * len(count) / len(vector)))
+
+
+def _propagated(function: Callable[[FloatArray], FloatArray], covariance: FloatArray) -> FloatArray:
+    """Standard uncertainties (M,) of a function (P,) → (M,) of parameters about zero, by central differences."""
+    steps = STEP * np.sqrt(np.diagonal(covariance))
+    columns = [
+        (function(change) - function(-change)) / (2 * step)
+        for step, change in zip(steps, np.diag(steps), strict=True)
+        if step > 0
+    ]
+    jacobian = np.stack(columns, axis=-1)
+    moved = steps > 0
+    variance = np.einsum("mi,ij,mj->m", jacobian, covariance[np.ix_(moved, moved)], jacobian)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+
+def _root(variance: FloatArray | float) -> float:
+    """Square root; rounding may leave a variance of zero slightly negative."""
+    return float(np.sqrt(np.maximum(variance, 0.0)))

@@ -1,0 +1,510 @@
+"""The page of a calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+from matplotlib.axes import Axes
+from matplotlib.collections import PatchCollection
+from matplotlib.patches import Rectangle
+from matplotlib.patheffects import withStroke
+
+from fusion.cameras.facts import (
+    LENGTH_SHARE,
+    ROTATION,
+    SIDES,
+    Side,
+    axes_angle_rad,
+    baseline_m,
+    correlation,
+    covariance_of,
+    distance_m,
+    empty_cells,
+    length_u,
+    pictures,
+    residual_parts,
+    target_middles_m,
+    tilts_rad,
+    turns_rad,
+    used_points,
+    working_point_m,
+)
+from fusion.cameras.figures import (
+    draw_correlation,
+    draw_distortion,
+    draw_distribution,
+    draw_pictures,
+    draw_residuals,
+    draw_shape,
+    figure_of,
+    picture_panels,
+    view_colours,
+)
+from fusion.estimation.uncertainty import DASH, rounded
+from fusion.report.numbers import measured, small, times_ten
+from fusion.report.provenance import Provenance
+from fusion.report.style import (
+    BLACK,
+    GREY,
+    LIGHT,
+    RASTER_ABOVE,
+    RED,
+    Picture,
+    drawing,
+    finish,
+    lay_out,
+    new_figure,
+    padded,
+    panel_label,
+)
+from fusion.report.tables import Headline, Table, origin_frame, render_page
+from photogram.calibration.model import CalibratedPicture, CalibratedView, Calibration, Parameter
+from photogram.camera import RIG_PARAMETERS
+from photogram.geometry import vector_from_rotation
+from shaker.arrays import FloatArray
+
+# The tables of the page of a camera calibration: every number rounded to its expanded uncertainty, k = 2.
+
+
+STATES = {
+    "determined": "determined",
+    "indistinct": "not distinguishable from zero",
+    "open": "not determined by these views",
+}
+MEANINGS = {
+    "fx": "focal length across",
+    "fy": "focal length down",
+    "cx": "principal point, x",
+    "cy": "principal point, y",
+    "k1": "radial distortion, r²",
+    "k2": "radial distortion, r⁴",
+    "k3": "radial distortion, r⁶",
+    "p1": "tangential distortion, down",
+    "p2": "tangential distortion, across",
+    "rotation": "rotation vector, right from left",
+    "translation": "translation, right from left",
+}
+KINDS = {
+    "chessboard": "chessboard",
+    "charuco": "ChArUco board",
+    "dots": "dots",
+    "asymmetric-dots": "dots in staggered rows",
+}
+STRONGEST = 8  # correlations listed
+DISPLAY = {"m": (1e3, "mm"), "1": (1.0, "")}
+"""Factor and name of the units that are printed otherwise."""
+
+
+def verdict(calibration: Calibration) -> str:
+    """One or two plain sentences: whether something speaks against this calibration, and what first."""
+    warnings = [notice for notice in calibration.notices if notice.severity == "warning"]
+    missing = [item.name for item in calibration.parameters if item.state == "open"]
+    text = "Nothing in number, place and angle of the views or in the residuals speaks against this calibration."
+    if warnings:
+        where = f" ({warnings[0].where})" if warnings[0].where else ""
+        count = "One warning" if len(warnings) == 1 else f"{len(warnings)} warnings, the first"
+        text = f"{count}{where}: {warnings[0].text}."
+    if missing:
+        text += f" Not determined by these views: {', '.join(missing)}."
+    return text
+
+
+def subject(calibration: Calibration) -> list[tuple[str, str]]:
+    """What was calibrated with what."""
+    target = calibration.target
+    size = f", {target.size[0]} × {target.size[1]}" if target.size is not None else ""
+    sizes = [
+        " × ".join(str(int(n)) for n in camera.size_px) for camera in (calibration.rig.left, calibration.rig.right)
+    ]
+    spacing = measured(1e3 * target.spacing_m, 2e3 * target.spacing_m * calibration.scale_u, "mm").striptags()
+    stated = f"{spacing}, k = 2" if calibration.scale_u > 0 else f"{spacing}, its uncertainty not stated"
+    return [
+        ("Target", f"{KINDS[target.kind]}{size}"),
+        ("Spacing", stated),
+        ("Pictures", f"{sizes[0]} px" if sizes[0] == sizes[1] else f"left {sizes[0]} px, right {sizes[1]} px"),
+    ]
+
+
+def camera_headlines(calibration: Calibration) -> list[Headline]:
+    """The results to remember."""
+    rig = calibration.rig
+    baseline, angle = baseline_m(rig), axes_angle_rad(rig)
+    left, right = calibration.rms_sides_px
+    noise = ", ".join(f"{value:.3f}" for value in calibration.added_px)
+    spacing = "included" if calibration.scale_u > 0 else "missing"
+    share = 200.0 * baseline.u / baseline.value
+    return [
+        Headline(
+            "Residuals of the pair, rms length",
+            f"{calibration.rms_px:.3f} px",
+            f"left {left:.3f} px, right {right:.3f} px; noise added to the points' own: {noise} px per coordinate",
+        ),
+        _views_headline(calibration),
+        Headline(
+            "Baseline",
+            measured(1e3 * baseline.value, 2e3 * baseline.u, "mm"),
+            f"U (k = 2) = {share:.2g} %, the spacing's uncertainty {spacing}",
+        ),
+        Headline(
+            "Angle between the optical axes",
+            measured(float(np.degrees(angle.value)), float(np.degrees(2.0 * angle.u)), "°").replace(" °", "°"),
+            measured(1e3 * angle.value, 2e3 * angle.u, "mrad").striptags(),
+        ),
+        *(_focal_headline(calibration, side) for side in SIDES),
+        _distance_headline(calibration),
+        _scale_headline(calibration),
+    ]
+
+
+def parameters_table(calibration: Calibration) -> Table:
+    """All parameters of the pair with their uncertainty and what the views say about them."""
+    head = ("parameter", "meaning", "value", "u (k = 1)", "U (k = 2)", "unit", "state")
+    turn = vector_from_rotation(calibration.rig.right_from_left.rotation)
+    turns = dict(zip(RIG_PARAMETERS[ROTATION], turn, strict=True))
+    rows = tuple(_parameter_row(item, float(turns.get(item.name, item.value))) for item in calibration.parameters)
+    return Table("Parameters of the pair", head, "llrrrll", rows)
+
+
+def correlations_table(calibration: Calibration) -> Table:
+    """The strongest correlations of different parameters."""
+    found = np.nan_to_num(correlation(covariance_of(calibration.rig)))
+    first, second = np.triu_indices(len(found), 1)
+    order = np.argsort(-np.abs(found[first, second]))[:STRONGEST]
+    rows = tuple(
+        (RIG_PARAMETERS[first[n]], RIG_PARAMETERS[second[n]], _signed(f"{found[first[n], second[n]]:+.4f}"))
+        for n in order
+    )
+    return Table("Strongest correlations", ("parameter", "with", "coefficient"), "llr", rows)
+
+
+def residuals_table(calibration: Calibration) -> Table:
+    """What the residuals have in common."""
+    rows = []
+    for side in SIDES:
+        parts = residual_parts(calibration, side)
+        lengths = (parts.whole_px, parts.place_px, parts.point_px, parts.smooth_px, parts.alone_px)
+        rows.append((side, *(f"{length:.3f}" for length in lengths), f"{1e6 * parts.point_m:.1f}"))
+    shared = ("same place in the picture", "same point of the target", "neighbours in one picture", "each point alone")
+    head = ("camera", "all", *shared, "same point of the target / µm")
+    return Table("What the residuals have in common, rms length / px", head, "lrrrrrr", tuple(rows))
+
+
+def lengths_table(calibration: Calibration) -> Table:
+    """What the calibration leaves uncertain of a length at the working point."""
+    relative = length_u(calibration)
+    length = LENGTH_SHARE * float(np.linalg.norm(working_point_m(calibration)))
+    ways = ("x, to the right", "y, down", "z, away from the camera")
+    rows = tuple((way, small(200.0 * u), small(1e6 * 2.0 * u * length)) for way, u in zip(ways, relative, strict=True))
+    head = ("along, left camera", "U (k = 2) / %", f"U (k = 2) of {1e3 * length:.0f} mm / µm")
+    return Table("Lengths at the middle of the target's positions: what the calibration leaves", head, "lrr", rows)
+
+
+def views_table(calibration: Calibration) -> Table:
+    """Every view: pictures, points in the fit, residuals, and how the target was held."""
+    tilt = np.degrees(np.linalg.norm(tilts_rad(calibration), axis=1))
+    turn = np.degrees(turns_rad(calibration))
+    rows = []
+    for place, view in enumerate(calibration.views):
+        distance = distance_m(calibration, view)
+        both = (view.left, view.right)
+        rows.append(
+            (
+                str(place + 1),
+                _pair(*(picture.name if picture is not None else DASH for picture in both)),
+                _pair(*(_points(picture) for picture in both)),
+                _pair(*(_rms(picture) for picture in both)),
+                f"{tilt[place]:.1f}",
+                _signed(f"{turn[place]:.1f}"),
+                measured(1e3 * distance.value, 2e3 * distance.u),
+            )
+        )
+    head = ("view", "picture, left and right", "points", "rms length / px", "tilt / °", "turn / °", "distance / mm")
+    caption = (
+        "Views: points in the fit of those found; distance of the target's middle from the left camera with U (k = 2)"
+    )
+    return Table(caption, head, "rlrrrrr", tuple(rows))
+
+
+def dropped_table(calibration: Calibration) -> Table | None:
+    """What did not go into the fit, and why; pictures first."""
+    ordered = sorted(calibration.dropped, key=lambda item: item.points > 0)
+    rows = tuple((item.name, str(item.points) if item.points else "all", item.reason) for item in ordered)
+    return Table("Left out of the fit", ("picture", "points", "reason"), "lrl", rows) if rows else None
+
+
+def _views_headline(calibration: Calibration) -> Headline:
+    """Numbers of pairs, points and what was dropped."""
+    found = [picture for side in SIDES for picture in pictures(calibration, side) if picture is not None]
+    used, every = sum(int(picture.used.sum()) for picture in found), sum(len(picture.used) for picture in found)
+    pairs = sum(view.left is not None and view.right is not None for view in calibration.views)
+    whole = sum(item.points == 0 for item in calibration.dropped)
+    value = f"{pairs} pairs" if pairs == len(calibration.views) else f"{pairs} pairs in {len(calibration.views)} views"
+    remark = f"{used} points in the fit, {every - used} left out; pictures dropped: {whole}"
+    return Headline("Views", value, remark)
+
+
+def _focal_headline(calibration: Calibration, side: Side) -> Headline:
+    """Focal length of one camera, and what it sees."""
+    fx, fy = (item for item in calibration.parameters if item.name in (f"{side}.fx", f"{side}.fy"))
+    size = (calibration.rig.left if side == "left" else calibration.rig.right).size_px
+    field = [2.0 * np.degrees(np.arctan(0.5 * n / item.value)) for n, item in zip(size, (fx, fy), strict=True)]
+    down = measured(fy.value, 2.0 * fy.u, "px").striptags()
+    remark = f"fy = {down}; field of view {field[0]:.1f}° × {field[1]:.1f}°"
+    return Headline(f"Focal length fx of the {side} camera", measured(fx.value, 2.0 * fx.u, "px"), remark)
+
+
+def _distance_headline(calibration: Calibration) -> Headline:
+    """Where the target was, and the size of a pixel there."""
+    distances = 1e3 * np.linalg.norm(target_middles_m(calibration), axis=1)
+    middle = float(np.median(distances))
+    pixel = 1e3 * middle / float(calibration.rig.left.matrix[0, 0])
+    remark = f"{distances.min():.0f} mm to {distances.max():.0f} mm; 1 px is {pixel:.0f} µm in the middle"
+    return Headline("Working distance, median of the views", f"{middle:.0f} mm", remark)
+
+
+def _scale_headline(calibration: Calibration) -> Headline:
+    """The part of the uncertainty that all lengths share."""
+    label = "Scale: share of every length from the target's spacing"
+    if calibration.scale_u == 0:
+        return Headline(label, "not stated", "the uncertainty of the spacing is missing in all lengths")
+    return Headline(label, f"U (k = 2) = {small(200.0 * calibration.scale_u)} %", "common to all points and all frames")
+
+
+def _parameter_row(item: Parameter, plain: float) -> tuple[str, ...]:
+    """One parameter of plain value; value, u and U with the same power of ten."""
+    factor, unit = DISPLAY.get(item.unit, (1.0, item.unit))
+    value, u = factor * plain, factor * item.u
+    text = rounded(value, 2.0 * u)
+    standard = rounded(value, u, text.exponent).expanded
+    part, _, name = item.name.partition(".")
+    meaning = f"{MEANINGS[part]}, {name}" if part in MEANINGS else MEANINGS.get(name, "")
+    state = STATES[item.state] if item.u > 0 else "held"
+    shown = times_ten(text.exponent, unit) if text.exponent else Markup(unit or "1")
+    return item.name, meaning, text.value, standard, text.expanded, shown, state
+
+
+def _points(picture: CalibratedPicture | None) -> str:
+    """Points in the fit of those found."""
+    return f"{int(picture.used.sum())} of {len(picture.used)}" if picture is not None else DASH
+
+
+def _rms(picture: CalibratedPicture | None) -> str:
+    """Rms length of one picture's residuals."""
+    return f"{picture.rms_px:.3f}" if picture is not None and picture.used.any() else DASH
+
+
+def _pair(left: str, right: str) -> Markup:
+    """A cell with the entry of the left camera above that of the right."""
+    return Markup("{}<br>{}").format(left, right)
+
+
+def _signed(text: str) -> str:
+    """Number with a typographic minus."""
+    return text.replace("-", "\N{MINUS SIGN}")
+
+
+# Figures of a camera calibration: which figures there are, and from where the target was seen.
+
+
+CIRCLES_DEG = 15.0  # between the circles of the tilts
+LEAST_TURN_DEG, LEAST_DISTANCE_SHARE = 40.0, 0.2
+"""Least spans of the axes of turn and, of its median, of distance: views that are alike shall look so."""
+NUMBER_PT = np.array([9.0, 7.0])  # room that the number of a view takes
+POINTS_DRAWN = 8000.0  # from this number on points are drawn at their smallest
+HALO = [withStroke(linewidth=1.8, foreground="white")]
+
+
+def draw_cameras(calibration: Calibration) -> dict[str, list[Picture]]:
+    """All figures of a calibration, by the section of the page that shows them."""
+    return {
+        "coverage": [draw_coverage(calibration), draw_views(calibration)],
+        "residuals": [
+            *(draw_residuals(calibration, side) for side in SIDES),
+            draw_distribution(calibration),
+            draw_pictures(calibration),
+        ],
+        "lens": [draw_distortion(calibration, side) for side in SIDES],
+        "correlation": [draw_correlation(calibration)],
+        "shape": [picture for picture in [draw_shape(calibration)] if picture is not None],
+    }
+
+
+def draw_coverage(calibration: Calibration) -> Picture:
+    """All points of both cameras in their picture areas; cells without a point are grey."""
+    rig = calibration.rig
+    with drawing("coverage"):
+        figure, panels = picture_panels(2, np.maximum(rig.left.size_px, rig.right.size_px))
+        for axes, side in zip(panels, SIDES, strict=True):
+            _draw_points(axes, calibration, side)
+        caption = (
+            "Found points over the picture area of either camera, one colour per view in the order of the session, "
+            "numbers at outermost points where there is room; red crosses are points left out. Grey cells hold no "
+            "point: there the lens distortion is extrapolated. A good session reaches all corners."
+        )
+        return finish(figure, "coverage", "Where the target was seen", caption)
+
+
+def draw_views(calibration: Calibration) -> Picture:
+    """Tilt, turn and distance of the target in every view, and the scene from above."""
+    with drawing("views"):
+        figure = new_figure(3.0)
+        panels = figure.subplots(1, 3)
+        colours = view_colours(len(calibration.views))
+        tilt = np.degrees(tilts_rad(calibration))
+        _draw_tilts(panels[0], float(np.hypot(*tilt.T).max()))
+        distance = 1e3 * np.linalg.norm(target_middles_m(calibration), axis=1)
+        turn = np.degrees(turns_rad(calibration))
+        panels[1].set_xlim(*_at_least(turn, LEAST_TURN_DEG))
+        panels[1].set_ylim(*_at_least(distance, LEAST_DISTANCE_SHARE * float(np.median(distance))))
+        panels[1].set_xlabel("turn in the left picture / °")
+        panels[1].set_ylabel("distance from the left camera / mm")
+        _draw_scene(panels[2], calibration, colours)
+        lay_out(figure, panels, left=0.62, top=0.28, gap=(0.72, 0.1), label=0.5)
+        _mark(panels[0], tilt, colours)
+        _mark(panels[1], np.stack([turn, distance], axis=1), colours)
+        caption = (
+            "Left: direction and angle by which the target's normal is tilted off the left camera's axis; views with "
+            "the same tilt add little, and focal length and distance are told apart by tilts of 30° and more in "
+            "several directions. Middle: turn of the target about the camera's axis, and its distance. Right: the "
+            "scene in the plane of the baseline and the left camera's axis, with the optical axes dashed and the "
+            "target's outline."
+        )
+        return finish(figure, "views", "How the target was held", caption)
+
+
+def _draw_points(axes: Axes, calibration: Calibration, side: Side) -> None:
+    """Points of one camera, coloured and numbered by view, with the cells that have none."""
+    size = (calibration.rig.left if side == "left" else calibration.rig.right).size_px
+    position, _, view = used_points(calibration, side)
+    cells = empty_cells(position, size)
+    patches = [Rectangle((x0, y0), x1 - x0, y1 - y0) for x0, y0, x1, y1 in cells]
+    axes.add_collection(PatchCollection(patches, facecolor=LIGHT, edgecolor="white", linewidth=0.6))
+    colours = view_colours(len(calibration.views))
+    axes.scatter(
+        position[:, 0],
+        position[:, 1],
+        s=np.clip(POINTS_DRAWN / len(view), 2.0, 7.0),
+        c=colours[view],
+        linewidths=0.0,
+        rasterized=len(view) > RASTER_ABOVE,
+    )
+    left_out = [p.position_px[~p.used] for p in pictures(calibration, side) if p is not None]
+    crosses = np.concatenate([np.empty((0, 2)), *left_out])
+    axes.plot(*crosses.T, "x", color=RED, markersize=3.5, markeredgewidth=0.9)
+    away = np.linalg.norm(position - position.mean(axis=0), axis=1)
+    seen = np.unique(view)
+    _number(axes, position[[np.argmax(np.where(view == number, away, -1.0)) for number in seen]], seen)
+    share = calibration.covered[SIDES.index(side)]
+    panel_label(axes, f"{side} camera: {len(view)} points, {100 * share:.0f} % of the picture covered")
+
+
+def _draw_tilts(axes: Axes, largest: float) -> None:
+    """Circles of equal angle for tilts in degrees up to the largest."""
+    reach = CIRCLES_DEG * max(2.0, np.ceil(1.02 * largest / CIRCLES_DEG))
+    angle = np.linspace(0.0, 2.0 * np.pi, 121)
+    for radius in np.arange(CIRCLES_DEG, reach + 1.0, CIRCLES_DEG):
+        axes.plot(radius * np.cos(angle), radius * np.sin(angle), color=LIGHT, linewidth=0.7, zorder=1)
+        axes.text(0.707 * radius, -0.707 * radius, f"{radius:.0f}°", fontsize=6.5, color=GREY, path_effects=HALO)
+    for line in (axes.axhline, axes.axvline):
+        line(0.0, color=LIGHT, linewidth=0.7, zorder=1)
+    axes.set_xlim(-1.05 * reach, 1.05 * reach)
+    axes.set_ylim(1.05 * reach, -1.05 * reach)
+    axes.set_aspect("equal")
+    axes.grid(visible=False)
+    axes.set_xlabel("tilt to the right / °")
+    axes.set_ylabel("tilt down / °")
+
+
+def _draw_scene(axes: Axes, calibration: Calibration, colours: FloatArray) -> None:
+    """Cameras, optical axes and targets in the plane of the baseline and the left camera's axis."""
+    right = calibration.rig.right_from_left
+    centre, axis = -right.rotation.T @ right.translation_m, right.rotation[2]
+    across = centre * [1.0, 1.0, 0.0]
+    across = across / np.linalg.norm(across) if np.linalg.norm(across) > 0 else np.array([1.0, 0.0, 0.0])
+    plane = 1e3 * np.stack([across, [0.0, 0.0, 1.0]])
+    for view, colour in zip(calibration.views, colours, strict=True):
+        axes.plot(*(plane @ _ends(calibration, view).T), color=colour, linewidth=1.0, solid_capstyle="round")
+    reach = 1.15 * float(np.linalg.norm(target_middles_m(calibration), axis=1).max())
+    for name, place, direction in (("left", np.zeros(3), np.array([0.0, 0.0, 1.0])), ("right", centre, axis)):
+        ends = plane @ np.stack([place, place + reach * direction]).T
+        axes.plot(*ends, color=GREY, linewidth=0.8, linestyle=(0, (5, 3)), zorder=1)
+        axes.plot(*ends[:, 0], marker="s", color=BLACK, markersize=5.0)
+        axes.annotate(name, ends[:, 0], (0.0, -6.0), textcoords="offset points", ha="center", va="top", fontsize=7.5)
+    axes.margins(0.12)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_xlabel("along the baseline / mm")
+    axes.set_ylabel("along the left axis / mm")
+
+
+def _ends(calibration: Calibration, view: CalibratedView) -> FloatArray:
+    """Corners (5, 3) of the target in one view, the first again at the end, in the left camera's frame."""
+    low, high = calibration.shape_m.min(axis=0), calibration.shape_m.max(axis=0)
+    corners = np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]], [low[0], low[1]]])
+    return view.left_from_target.apply(np.column_stack([corners, np.full(5, 0.5 * (low[2] + high[2]))]))
+
+
+def _mark(axes: Axes, place: FloatArray, colours: FloatArray) -> None:
+    """A disc per view at places (V, 2), with its number beside it; axes that have their limits."""
+    axes.scatter(place[:, 0], place[:, 1], s=22.0, c=colours, linewidths=0.0, zorder=3)
+    _number(axes, place, range(len(place)))
+
+
+def _number(axes: Axes, place: FloatArray, views: Iterable[int]) -> None:
+    """Numbers of views, counted from 1, beside places (V, 2), as far as they do not cover each other."""
+    taken = np.empty((0, 2))
+    for point, view in zip(place, views, strict=True):
+        shown = axes.transData.transform(point) * 72.0 / figure_of(axes).dpi
+        if (np.abs(taken - shown) < NUMBER_PT).all(axis=1).any():
+            continue
+        taken = np.vstack([taken, shown])
+        axes.annotate(
+            str(view + 1),
+            (float(point[0]), float(point[1])),
+            (3.5, 2.0),
+            textcoords="offset points",
+            fontsize=6.5,
+            path_effects=HALO,
+            zorder=4,
+        )
+
+
+def _at_least(values: FloatArray, span: float) -> tuple[float, float]:
+    """Limits that hold values with some room and span at least so much, so that alike looks alike."""
+    low, high = padded(float(values.min()), float(values.max()))
+    room = max(0.0, 0.5 * (span - (high - low)))
+    return low - room, high + room
+
+
+# The page of a camera calibration: what was found, how well, and from which views.
+
+
+def render_camera_report(calibration: Calibration, name: str, provenance: Provenance, duration_s: float) -> str:
+    """HTML text of one self-contained page about the calibrated stereo pair `name`.
+
+    `provenance`: hashes of the pictures, settings, versions and the names of the files written beside the page.
+    """
+    return render_page("cameras.html", _context(calibration, name, provenance, duration_s))
+
+
+def _context(calibration: Calibration, name: str, provenance: Provenance, duration_s: float) -> dict[str, Any]:
+    """Everything the template shows."""
+    return {
+        "name": name,
+        "subject": subject(calibration),
+        "verdict": verdict(calibration),
+        "headlines": camera_headlines(calibration),
+        "pictures": draw_cameras(calibration),
+        "views": views_table(calibration),
+        "dropped": dropped_table(calibration),
+        "residuals": residuals_table(calibration),
+        "parameters": parameters_table(calibration),
+        "correlations": correlations_table(calibration),
+        "lengths": lengths_table(calibration),
+        "scale_u": calibration.scale_u,
+        **origin_frame(provenance, calibration.notices),
+        "duration_s": duration_s,
+        "files": provenance.files,
+    }

@@ -1,0 +1,1 @@
+"""Several recordings: run, joined, repeated, as a curve and as a matrix."""

@@ -1,0 +1,452 @@
+"""One curve over frequency per element: ratio against amplitude, values between frequencies, relative to static."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fusion.campaign.matrix import MatrixFit
+from fusion.campaign.repeats import (
+    LEVERS,
+    SAME_FREQUENCY,
+    Drive,
+    Repeats,
+    alike,
+    common_outputs,
+    drive_ratio,
+    mean_ratio,
+    over_lines,
+    plain_mean,
+    relative_uncertainty,
+    stack_values,
+)
+from fusion.estimation.least_squares import real_design
+from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, region
+from fusion.sensitivity.load import LOAD_COMPONENTS
+from fusion.sensitivity.ratio import driven_component
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape
+
+# Linearity: whether the ratio of outputs over load changes with the amplitude of the load.
+
+
+SERIES = 1.2
+"""Least ratio of the largest to the smallest amplitude of a series."""
+
+
+@dataclass(frozen=True)
+class Linearity:
+    """How the ratio changes with amplitude in N recordings of one frequency and direction.
+
+    `amplitude` (N,) of the driven load; `slope` (C,): relative change of the ratio per N or N·m, complex; `change`
+    (C,): from the smallest to the largest amplitude, with `covariance` (C, 2, 2) of (Re, Im) and `dof`; `linear` (C,):
+    whether its 95 % region holds zero.
+    """
+
+    frequency_hz: float
+    direction: tuple[float, ...]
+    component: int
+    channels: tuple[str, ...]
+    recordings: tuple[str, ...]
+    amplitude: FloatArray
+    slope: ComplexArray
+    change: ComplexArray
+    covariance: FloatArray
+    dof: float
+    linear: BoolArray
+
+
+def find_linearity(drives: Iterable[Drive], capacity: Sequence[float] | None = None) -> tuple[Linearity, ...]:
+    """Return how the ratio changes with amplitude wherever one excitation was recorded at amplitudes 1.2 apart."""
+    found = []
+    for group in alike(drives, capacity, amplitudes_apart=False):
+        component = driven_component(group[0].direction, capacity)
+        amplitude = [abs(drive.load[component]) for drive in group]
+        if max(amplitude) >= SERIES * min(amplitude):
+            found.append(linearity(group, component))
+    return tuple(found)
+
+
+def linearity(drives: Sequence[Drive], component: int) -> Linearity:
+    """Return the slope of the ratio over amplitude by generalised least squares.
+
+    S_n/S̄ = a + b·(A_n - Ā), slope b/a; scales common to all recordings cancel, since their covariance is kept. Scatter
+    beyond what is stated enlarges the covariance by chi-square per degree of freedom (Birge 1932, Phys. Rev. 40, 207).
+    Only outputs with a reading other than zero in all recordings have a slope.
+    """
+    channels = [
+        name
+        for name in common_outputs(drives)
+        if all(drive.outputs[drive.channels.index(name)] != 0.0 for drive in drives)
+    ]
+    found = [drive_ratio(drive, component, channels) for drive in drives]
+    plain = plain_mean([value for value, _ in found])
+    readings, stated = stack_values(
+        [(value / plain, relative_uncertainty(uncertainty, plain)) for value, uncertainty in found]
+    )
+    amplitude = np.array([abs(drive.load[component]) for drive in drives])
+    width = float(np.ptp(amplitude))
+    dof = 2 * (len(drives) - 2)
+    fits = [_slope(readings, stated, (amplitude - amplitude.mean()) / width, c) for c in range(len(channels))]
+    change = np.array([fit[0] for fit in fits])
+    covariance = np.array([fit[1] * (max(1.0, fit[2] / dof) if dof else 1.0) for fit in fits])
+    freedom = float(dof) if dof and any(fit[2] > dof for fit in fits) else np.inf
+    linear = np.array([region(complex(v), c, freedom).holds_zero for v, c in zip(change, covariance, strict=True)])
+    return Linearity(
+        frequency_hz=float(np.mean([drive.frequency_hz for drive in drives])),
+        direction=drives[0].direction,
+        component=component,
+        channels=tuple(channels),
+        recordings=tuple(drive.recording for drive in drives),
+        amplitude=amplitude,
+        slope=np.asarray(change / width, dtype=np.complex128),
+        change=change,
+        covariance=covariance,
+        dof=freedom,
+        linear=linear,
+    )
+
+
+def _slope(
+    readings: FloatArray, stated: FloatArray, places: FloatArray, channel: int
+) -> tuple[complex, FloatArray, float]:
+    """Relative slope of one channel over places (N,), its covariance (2, 2), and chi-square."""
+    both = np.array([channel, channel + readings.shape[1] // 2])
+    count = len(readings)
+    values = readings[:, both].ravel()
+    spread = stated[:, both][:, :, :, both].reshape(2 * count, 2 * count)
+    spread = spread + np.eye(2 * count) * 1e-12 * np.trace(spread) / (2 * count)
+    design = np.concatenate([np.kron(np.ones((count, 1)), np.eye(2)), np.kron(places[:, None], np.eye(2))], axis=1)
+    root = np.linalg.cholesky(spread)
+    white = np.linalg.solve(root, np.column_stack([design, values]))
+    unknowns = np.linalg.lstsq(white[:, :4], white[:, 4], rcond=None)[0]
+    covariance = np.linalg.inv(white[:, :4].T @ white[:, :4])
+    residual = white[:, 4] - white[:, :4] @ unknowns
+    middle, step = complex(unknowns[0], unknowns[1]), complex(unknowns[2], unknowns[3])
+    slope = step / middle
+    jacobian = np.concatenate([real_design(np.array([[-slope / middle]])), real_design(np.array([[1.0 / middle]]))], 1)
+    return slope, jacobian @ covariance @ jacobian.T, float(residual @ residual)
+
+
+# Interpolation of noisy values over frequency, with what is not known between the points.
+
+
+LEAST_POINTS = 5
+_LENGTHS = np.geomspace(0.05, 10.0, 6)
+"""Correlation lengths tried first, in units of the range of ln f."""
+_SIZES = np.geomspace(1e-6, 1.0, 7)
+"""Standard deviations tried first, in units of the values."""
+_JITTER = 1e-9
+"""Standard deviation in units of the values that keeps matrices of noiseless points regular."""
+_DIGITS = 1e-13
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Values at Q frequencies as sums over K points: `weight` (Q, K), rows of sum 1.
+
+    `variance` (Q,): by what lies between the points, in squares of the values' unit; `dof`: of its estimate.
+    """
+
+    weight: FloatArray
+    variance: FloatArray
+    dof: float
+
+
+def interpolation_weights(
+    frequency_hz: FloatArray, value: FloatArray, variance: FloatArray, wanted_hz: FloatArray
+) -> Weights:
+    """Return how values (K,) of random `variance` (K,) predict those at other frequencies (Q,).
+
+    Universal kriging over ln f: a parabola in f, which is what stiffness, mass and damping make far below a resonance,
+    plus a stationary process of Matérn's kind with ν = 5/2 (Rasmussen & Williams 2006, Gaussian Processes, 2.7 and
+    eq. 4.17). Its size and length by restricted maximum likelihood; where points left out are predicted worse than
+    that (mean of their normalised squares, ibid. eq. 5.12), its variance is enlarged.
+    """
+    if len(frequency_hz) < LEAST_POINTS:
+        raise ValueError(f"frequency_hz: expected at least {LEAST_POINTS} points, found {len(frequency_hz)}")
+    low, high = float(np.min(frequency_hz)), float(np.max(frequency_hz))
+    outside = wanted_hz[(wanted_hz < low) | (wanted_hz > high)]
+    if len(outside):
+        raise ValueError(f"wanted_hz: expected {low:g} to {high:g} Hz, the range of the points, found {outside[0]:g}")
+    largest = float(np.max(np.abs(value)))
+    size = largest if largest > 0.0 else 1.0
+    data = value[:, None] / size
+    noise = variance / size**2 + _JITTER**2
+    trend, trend_wanted = _parabola(frequency_hz, high), _parabola(wanted_hz, high)
+    place, wanted = np.log(frequency_hz), np.log(wanted_hz)
+    distance = np.abs(place[:, None] - place)
+    contrasts = np.linalg.qr(trend, mode="complete")[0][:, trend.shape[1] :]
+    best = _restricted_maximum(distance, contrasts, data, noise)
+    covariance = _matern(distance, best)
+    across = _matern(np.abs(wanted[:, None] - place), best)
+    readings = covariance + np.diag(noise + _rounding(best))
+    projector = contrasts @ np.linalg.solve(contrasts.T @ readings @ contrasts, contrasts.T)
+    plain = trend_wanted @ np.linalg.pinv(trend)
+    weight = plain + (across - plain @ readings) @ projector
+    between = np.exp(2.0 * best[0]) - 2.0 * np.sum(weight * across, axis=1)
+    between = np.maximum(between + np.einsum("qk,kl,ql->q", weight, covariance, weight), 0.0)
+    factor = _left_out(projector, data)
+    return Weights(weight, factor * between * size**2, float(contrasts.shape[1]))
+
+
+def _parabola(frequency_hz: FloatArray, high: float) -> FloatArray:
+    """Columns 1, f, f² of a trend."""
+    return np.stack([(frequency_hz / high) ** power for power in range(3)], axis=1)
+
+
+def _matern(distance: FloatArray, log_parameters: FloatArray) -> FloatArray:
+    """Matérn covariance, ν = 5/2, of standard deviation and length given by their logarithms."""
+    size, length = np.exp(log_parameters)
+    ratio = np.sqrt(5.0) * distance / length
+    return np.asarray(size**2 * (1.0 + ratio + ratio**2 / 3.0) * np.exp(-ratio))
+
+
+def _rounding(log_parameters: FloatArray) -> float:
+    """Variance of what rounding leaves of a covariance."""
+    return _DIGITS * float(np.exp(2.0 * log_parameters[0]))
+
+
+def _restricted_maximum(distance: FloatArray, contrasts: FloatArray, data: FloatArray, noise: FloatArray) -> FloatArray:
+    """Logarithms of size and length of greatest restricted likelihood: the best of a grid, refined."""
+    from scipy.optimize import minimize
+
+    span = float(np.max(distance))
+    bounds = np.log([[1e-9, 10.0], [_LENGTHS[0] * span, _LENGTHS[-1] * span]])
+    left = contrasts.T @ data
+
+    def cost(parameters: FloatArray) -> float:
+        inside = np.clip(parameters, bounds[:, 0], bounds[:, 1])
+        readings = _matern(distance, inside) + np.diag(noise + _rounding(inside))
+        return _negative_likelihood(contrasts.T @ readings @ contrasts, left) + float(
+            np.sum((parameters - inside) ** 2)
+        )
+
+    grid = [np.log([size, length * span]) for size in _SIZES for length in _LENGTHS]
+    start = min(grid, key=cost)
+    found = minimize(cost, start, method="Nelder-Mead", options={"xatol": 1e-2, "fatol": 1e-3, "maxiter": 100})
+    return np.asarray(np.clip(found.x, bounds[:, 0], bounds[:, 1]))
+
+
+def _negative_likelihood(covariance: FloatArray, left: FloatArray) -> float:
+    """Minus twice the log-likelihood of what contrasts free of the trend leave, up to a constant."""
+    root = np.linalg.cholesky(covariance)
+    return float(2.0 * np.sum(np.log(np.diag(root))) + np.sum(np.linalg.solve(root, left) ** 2))
+
+
+def _left_out(projector: FloatArray, data: FloatArray) -> float:
+    """Mean normalised square of what points left out differ by from their prediction, at least 1."""
+    return max(1.0, float(np.mean((projector @ data) ** 2 / np.diag(projector)[:, None])))
+
+
+# One curve over frequency for every element of the sensitivity: values with U, relative to static, interpolated.
+
+
+INTERPOLATION = "interpolation"
+
+
+@dataclass(frozen=True)
+class Curve:
+    """E elements of the sensitivity at K frequencies, ratios or elements of matrices.
+
+    `elements`: channel and component of each; `value` (K, E), NaN where there is none; `uncertainty` of K lines, with
+    names that hold between recordings, so that what frequencies share is known; `recordings`: those behind each line,
+    none where it was interpolated.
+    """
+
+    kind: Literal["ratio", "matrix"]
+    frequency_hz: FloatArray
+    channels: tuple[str, ...]
+    elements: tuple[tuple[int, int], ...]
+    value: ComplexArray
+    uncertainty: Uncertainty
+    recordings: tuple[tuple[str, ...], ...]
+
+    def __post_init__(self) -> None:
+        lines, count = len(self.frequency_hz), len(self.elements)
+        check_shape("value", self.value, (lines, count))
+        check_shape("uncertainty", self.uncertainty.random[0].covariance, (lines, 2 * count, 2 * count))
+        if len(self.recordings) != lines:
+            raise ValueError(f"recordings: expected {lines} lists, one per frequency, found {len(self.recordings)}")
+
+    def name(self, element: int) -> str:
+        """Return output and load of an element: `Fz/Fx`."""
+        channel, component = self.elements[element]
+        return f"{self.channels[channel]}/{LOAD_COMPONENTS[component]}"
+
+
+def ratio_curves(drives: Iterable[Drive], capacity: Sequence[float] | None = None) -> tuple[Curve, ...]:
+    """Return one curve per driven component: all outputs over it, every frequency the mean of its repeats.
+
+    Recordings of one excitation count as repeats whatever their amplitude. Of several excitations that drive the same
+    component at one frequency (other lever arms) the one with the least of other components is on the curve.
+    """
+    found: dict[int, list[tuple[float, tuple[Drive, ...]]]] = {}
+    for group in alike(drives, capacity, amplitudes_apart=False):
+        component = driven_component(group[0].direction, capacity)
+        found.setdefault(component, []).append((_impurity(group, component), group))
+    return tuple(_ratio_curve(component, _purest(found[component])) for component in sorted(found))
+
+
+def matrix_curve(fits: Sequence[MatrixFit]) -> Curve:
+    """Return the elements of matrices at several frequencies, of one sensor, as one curve."""
+    ordered = sorted(fits, key=lambda fit: fit.frequency_hz)
+    if not ordered or any(fit.channels != ordered[0].channels for fit in ordered):
+        raise ValueError("fits: expected matrices of the same outputs, found others or none")
+    channels = ordered[0].channels
+    return Curve(
+        kind="matrix",
+        frequency_hz=np.array([fit.frequency_hz for fit in ordered]),
+        channels=channels,
+        elements=tuple((c, j) for c in range(len(channels)) for j in range(len(LOAD_COMPONENTS))),
+        value=np.array([fit.value.ravel() for fit in ordered]),
+        uncertainty=over_lines([fit.uncertainty for fit in ordered]),
+        recordings=tuple(tuple(dict.fromkeys(item.recording for item in fit.agreement)) for fit in ordered),
+    )
+
+
+def relative_curve(curve: Curve, static: ArrayLike, u_static: float = 0.0) -> Curve | None:
+    """Return the elements over their static sensitivity, of those that have one; None where none has.
+
+    `static` (C, 6), in the order of the curve's channels; `u_static`: relative, one unknown per element that is the
+    same at all frequencies.
+    """
+    table = np.asarray(static, dtype=np.float64)
+    check_shape("static", table, (len(curve.channels), len(LOAD_COMPONENTS)))
+    places = [e for e, element in enumerate(curve.elements) if table[element] != 0.0]
+    if not places:
+        return None
+    chosen = replace(
+        curve,
+        elements=tuple(curve.elements[e] for e in places),
+        value=curve.value[:, places],
+        uncertainty=curve.uncertainty.at(places),
+    )
+    factor = 1.0 / np.array([table[element] for element in chosen.elements])
+    value = chosen.value * factor
+    scaled = chosen.uncertainty.scaled(np.broadcast_to(factor + 0.0j, value.shape))
+    references = tuple(_reference(chosen, e, value, u_static) for e in range(len(places)) if u_static > 0.0)
+    return replace(chosen, value=value, uncertainty=Uncertainty(scaled.random, (*scaled.influences, *references)))
+
+
+def interpolate(curve: Curve, frequency_hz: FloatArray) -> Curve:
+    """Return the curve at other frequencies within its range, with the uncertainty of the points and between them.
+
+    Real and imaginary part of every element are weighted sums of its points (`fusion.campaign.curve`); what
+    points share acts on the sum as on them, since the weights add up to 1, and noise averages as the weights let it.
+    An element of fewer than five points has no value.
+    """
+    wanted = np.asarray(frequency_hz, dtype=np.float64)
+    lines, count = curve.value.shape
+    data = np.concatenate([curve.value.real, curve.value.imag], axis=1)
+    noise = _point_variance(curve)
+    weight, between = np.zeros((len(wanted), lines, 2 * count)), np.zeros((len(wanted), 2 * count))
+    dof = np.inf
+    for part in range(2 * count):
+        usable = np.flatnonzero(np.isfinite(data[:, part]))
+        if len(usable) < LEAST_POINTS:
+            weight[:, :, part] = np.nan
+            continue
+        found = interpolation_weights(curve.frequency_hz[usable], data[usable, part], noise[usable, part], wanted)
+        weight[:, usable, part], between[:, part], dof = found.weight, found.variance, min(dof, found.dof)
+    sums = np.einsum("qki,ki->qi", weight, np.nan_to_num(data))
+    uncertainty = _interpolated(curve, weight, between, dof)
+    value = np.asarray(sums[:, :count] + 1j * sums[:, count:])
+    return replace(curve, frequency_hz=wanted, value=value, uncertainty=uncertainty, recordings=((),) * len(wanted))
+
+
+def _impurity(group: Sequence[Drive], component: int) -> float:
+    """Largest other component of the load over the driven one, moments over 0.1 m."""
+    size = np.abs(group[0].load) * LEVERS
+    return float(np.max(np.delete(size, component)) / size[component])
+
+
+def _purest(groups: Sequence[tuple[float, tuple[Drive, ...]]]) -> list[tuple[Drive, ...]]:
+    """One group per frequency: the one with the least of other components."""
+    chosen: list[tuple[float, tuple[Drive, ...]]] = []
+    for impurity, group in groups:
+        same = chosen and np.log(group[0].frequency_hz / chosen[-1][1][0].frequency_hz) <= SAME_FREQUENCY
+        if not same:
+            chosen.append((impurity, group))
+        elif impurity < chosen[-1][0]:
+            chosen[-1] = impurity, group
+    return [group for _, group in chosen]
+
+
+def _ratio_curve(component: int, groups: Sequence[tuple[Drive, ...]]) -> Curve:
+    """Curve of all outputs over one component."""
+    means = [mean_ratio(group, component) for group in groups]
+    channels = tuple(dict.fromkeys(name for mean in means for name in mean.channels))
+    parts = [_all_channels(mean, channels) for mean in means]
+    return Curve(
+        kind="ratio",
+        frequency_hz=np.array([mean.frequency_hz for mean in means]),
+        channels=channels,
+        elements=tuple((c, component) for c in range(len(channels))),
+        value=np.array([value for value, _ in parts]),
+        uncertainty=over_lines([uncertainty for _, uncertainty in parts]),
+        recordings=tuple(tuple(dict.fromkeys(mean.recordings)) for mean in means),
+    )
+
+
+def _all_channels(mean: Repeats, channels: Sequence[str]) -> tuple[ComplexArray, Uncertainty]:
+    """Values and uncertainty in the order of all channels, NaN where this frequency has none."""
+    have, want = len(mean.channels), len(channels)
+    value = np.full(want, complex(np.nan, np.nan))
+    matrix = np.zeros((2 * want, 2 * have))
+    for column, name in enumerate(mean.channels):
+        row = channels.index(name)
+        value[row] = mean.value[column]
+        matrix[row, column] = matrix[row + want, column + have] = 1.0
+    found = mean.uncertainty.transformed(matrix[None])
+    absent = np.tile(~np.isfinite(value), 2)
+    first = found.random[0]
+    hidden = np.where(absent[:, None] | absent, np.nan, first.covariance)
+    return value, replace(found, random=(replace(first, covariance=hidden), *found.random[1:]))
+
+
+def _reference(curve: Curve, element: int, value: ComplexArray, u_static: float) -> Influence:
+    """The unknown of one element's static sensitivity: S/S₀ is too small where S₀ is too large."""
+    change = np.zeros(value.shape, np.complex128)
+    change[:, element] = -u_static * np.nan_to_num(value[:, element])
+    effect = np.concatenate([change.real, change.imag], axis=1)
+    return Influence(f"static sensitivity {curve.name(element)}", "static sensitivity", u_static, "1", effect, "rig")
+
+
+def _point_variance(curve: Curve) -> FloatArray:
+    """Variance (K, 2E) that is a point's own: noise, and unknowns that act on one frequency only."""
+    own = np.sum([part.covariance.diagonal(axis1=1, axis2=2) for part in curve.uncertainty.random], axis=0)
+    for influence in curve.uncertainty.influences:
+        if np.count_nonzero(np.any(influence.effect != 0.0, axis=1)) == 1:
+            own = own + influence.effect**2
+    return np.asarray(own)
+
+
+def _interpolated(curve: Curve, weight: FloatArray, between: FloatArray, dof: float) -> Uncertainty:
+    """Uncertainty of weighted sums (Q, K, 2E) of the points, and of what lies between them (Q, 2E)."""
+    size = np.abs(curve.value)
+    size = np.where(size > 0.0, size, np.inf)
+    random = [_averaged(part, weight, size) for part in curve.uncertainty.random]
+    spread = between[:, :, None] * np.eye(between.shape[1])
+    random.append(Contribution(INTERPOLATION, "A", spread, np.full(len(between), dof)))
+    influences = tuple(
+        replace(influence, effect=np.einsum("qki,ki->qi", weight, influence.effect))
+        for influence in curve.uncertainty.influences
+    )
+    return Uncertainty(tuple(random), influences)
+
+
+def _averaged(part: Contribution, weight: FloatArray, size: FloatArray) -> Contribution:
+    """Noise of weighted sums of lines; its degrees of freedom by Welch and Satterthwaite over relative variances."""
+    known = np.nan_to_num(part.covariance)
+    covariance = np.einsum("qki,kij,qkj->qij", weight, known, weight, optimize=True)
+    if part.dof is None:
+        return replace(part, covariance=covariance)
+    relative = known.diagonal(axis1=1, axis2=2) / np.tile(size, (1, 2)) ** 2
+    share = np.einsum("qki,ki->qk", np.nan_to_num(weight) ** 2, relative)
+    total, weighted = share.sum(axis=1), np.sum(share**2 / np.maximum(part.dof, 1.0), axis=1)
+    dof = np.divide(total**2, weighted, out=np.full(len(total), np.inf), where=weighted > 0.0)
+    return replace(part, covariance=covariance, dof=dof)

@@ -1,0 +1,327 @@
+"""The complex 6 x 6 matrix and its cross-talk."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import brentq
+
+from fusion.campaign.matrix_solve import (
+    Excitation,
+    Solution,
+    Stack,
+    excitation,
+    judge,
+    require_six,
+    solve,
+    stack_drives,
+)
+from fusion.campaign.repeats import FREQUENCY_TOLERANCE, LOADS, Drive
+from fusion.estimation.consistency import fails
+from fusion.estimation.least_squares import real_design
+from fusion.estimation.uncertainty import Contribution, Uncertainty, merge_contributions, region
+from fusion.sensitivity.load import LOAD_COMPONENTS
+from fusion.sensitivity.ratio import Sensitivity
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, check_shape
+from shaker.phasor import real_stacked_diagonal
+
+# The complex matrix of sensitivities at one frequency, from several recordings, with all that makes it uncertain.
+
+
+DISAGREEMENT = "disagreement of the recordings"
+DISCREPANCY_RANGE = (1e-9, 10.0)
+RANK_TOLERANCE = 1e-9
+FAR = 100.0
+"""Chi-square per degree of freedom beyond which readings are not described by what is stated."""
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How one drive agrees with the matrix that all others give.
+
+    `normalised_deviation`: root of chi-square per degree of freedom of its outputs (1 is expected, NaN where the others
+    do not determine a matrix); `readings`: number of real readings it was judged by.
+    """
+
+    recording: str
+    mounting: str
+    frequency_hz: float
+    normalised_deviation: float
+    readings: int
+
+
+@dataclass(frozen=True)
+class MatrixFit:
+    """Matrix `value` (C, 6) of outputs over loads at one frequency.
+
+    `uncertainty` (K = 1) of its 6C elements, channel by channel, its unknowns under names that hold between
+    recordings; `load_size` (6,): largest loads of the drives; `excitation`: how well they tell the columns apart;
+    `chi2` and `dof` as stated uncertainties give them; `discrepancy`: what had to be added, relative to the outputs, 0
+    where the recordings agree; `agreement` of every drive, `worst`: the one that agrees least, None where nothing tests
+    it.
+    """
+
+    frequency_hz: float
+    channels: tuple[str, ...]
+    value: ComplexArray
+    uncertainty: Uncertainty
+    load_size: FloatArray
+    excitation: Excitation
+    chi2: float
+    dof: int
+    discrepancy: float
+    agreement: tuple[Agreement, ...]
+    notices: tuple[Notice, ...]
+
+    @property
+    def worst(self) -> Agreement | None:
+        """Return the drive that agrees least with the others."""
+        tested = [item for item in self.agreement if np.isfinite(item.normalised_deviation)]
+        return max(tested, key=lambda item: item.normalised_deviation, default=None)
+
+    def sensitivity(self, unit: str) -> Sensitivity:
+        """Return the matrix as a sensitivity of one line, `unit` being that of the outputs."""
+        return Sensitivity(
+            frequency_hz=np.array([self.frequency_hz]),
+            value=self.value[None],
+            elements=tuple((c, j) for c in range(len(self.channels)) for j in range(LOADS)),
+            uncertainty=self.uncertainty,
+            channels=self.channels,
+            components=LOAD_COMPONENTS,
+            unit=unit,
+            kind=("matrix",),
+            notices=self.notices,
+        )
+
+
+def fit_matrix(
+    drives: Sequence[Drive], channels: Sequence[str] | None = None, tolerance: float = FREQUENCY_TOLERANCE
+) -> MatrixFit:
+    """Return the matrix S of outputs = S · load at the frequency of several drives, by maximum likelihood.
+
+    Loads and outputs err, and what drives share is one unknown for all of them (`fusion.campaign.matrix_solve`). All
+    six columns are determined or none: where the drives do not excite six independent loads,
+    `MissingExcitationError` says what to add, and only ratios of single recordings are left. Where recordings disagree
+    beyond what is stated (chi-square above its 99 % quantile), every output gets the further standard deviation
+    τ·max_j|S_ij|·|load| that makes chi-square equal its degrees of freedom (Paule & Mandel 1982, J. Res. NBS 87, 377);
+    within one mounting and direction it counts as one error, since mounting anew is its usual cause. `channels`: order
+    of the outputs, by default that of the drives; one that is not recorded in enough drives has no row.
+    """
+    _check_frequencies(drives, tolerance)
+    wanted = tuple(dict.fromkeys(name for drive in drives for name in drive.channels) if channels is None else channels)
+    stack = stack_drives(drives, wanted)
+    found = excitation(stack)
+    require_six(found, len(drives))
+    kept = [c for c in range(len(wanted)) if excitation(stack, np.flatnonzero(stack.usable[:, c])).determines]
+    if not kept:
+        raise ValueError("drives: expected an output recorded under six independent loads, found none")
+    notices = _left_out([name for c, name in enumerate(wanted) if c not in kept])
+    stack = stack_drives(drives, [wanted[c] for c in kept])
+    solution, first, tau = _solve(stack)
+    agreement = _agreement(stack, first)
+    fit = MatrixFit(
+        frequency_hz=stack.frequency_hz,
+        channels=stack.channels,
+        value=solution.matrix * stack.output_size[:, None] / stack.load_size,
+        uncertainty=_uncertainty(stack, solution, tau),
+        load_size=stack.load_size,
+        excitation=found,
+        chi2=first.chi2,
+        dof=first.dof,
+        discrepancy=tau,
+        agreement=agreement,
+        notices=notices,
+    )
+    return replace(fit, notices=(*notices, *_consistency_notices(fit)))
+
+
+def _check_frequencies(drives: Sequence[Drive], tolerance: float) -> None:
+    """Refuse drives of different frequencies."""
+    if not drives:
+        raise ValueError("drives: expected at least one, found none")
+    low, high = (limit(drive.frequency_hz for drive in drives) for limit in (min, max))
+    if high > low * (1.0 + tolerance):
+        raise ValueError(f"drives: expected one frequency within {tolerance:.2%}, found {low:g} Hz to {high:g} Hz")
+
+
+def _left_out(channels: Sequence[str]) -> tuple[Notice, ...]:
+    """Say which outputs have no row."""
+    if not channels:
+        return ()
+    text = f"{', '.join(channels)}: no row of the matrix, the recordings that have it excite too few independent loads"
+    return (Notice("warning", text, "matrix"),)
+
+
+def _agreement(stack: Stack, solution: Solution) -> tuple[Agreement, ...]:
+    """Every drive's outputs against what all others say of them (deletion formula of generalised least squares)."""
+    left = solution.projector @ solution.residual
+    sizes = np.sqrt(np.diag(solution.noise + solution.effects @ solution.effects.T))
+    found = []
+    for r, drive in enumerate(stack.drives):
+        rows = np.flatnonzero(solution.drive == r)
+        scale = sizes[rows]
+        values, vectors = np.linalg.eigh(solution.projector[np.ix_(rows, rows)] * np.outer(scale, scale))
+        kept = values > RANK_TOLERANCE
+        chi2 = float(np.sum((vectors[:, kept].T @ (left[rows] * scale)) ** 2 / values[kept]))
+        count = int(np.count_nonzero(kept))
+        deviation = float(np.sqrt(chi2 / count)) if count else np.nan
+        found.append(Agreement(drive.recording, drive.mounting, drive.frequency_hz, deviation, count))
+    return tuple(found)
+
+
+def _solve(stack: Stack) -> tuple[Solution, Solution, float]:
+    """Solution, what stated uncertainties alone say of it, and the relative disagreement it needs (0: none)."""
+    start = judge(stack)
+    if start.chi2 < FAR * max(start.dof, 1):
+        plain = solve(stack)
+        if not fails(plain.chi2, plain.dof):
+            return plain, plain, 0.0
+    solution, tau = _disagreeing(stack)
+    return solution, judge(stack, solution), tau
+
+
+def _spread(stack: Stack, tau: float) -> FloatArray:
+    """Standard deviations (R, C) of real and imaginary parts of the outputs for a relative disagreement."""
+    matrix = judge(stack).matrix
+    return np.asarray(tau * np.linalg.norm(stack.load, axis=1)[:, None] * np.max(np.abs(matrix), axis=1))
+
+
+def _disagreeing(stack: Stack) -> tuple[Solution, float]:
+    """Solution with the relative disagreement that makes chi-square its degrees of freedom, approached from above."""
+    unit = _spread(stack, 1.0)
+
+    def excess(log_tau: float) -> float:
+        found = solve(stack, float(np.exp(log_tau)) * unit)
+        return found.chi2 - found.dof
+
+    high, lowest = np.log(DISCREPANCY_RANGE[::-1])
+    if excess(high) > 0.0:
+        raise ValueError("drives: expected recordings of one sensor, found outputs that no matrix describes")
+    low = high - 1.0
+    while low > lowest and excess(low) < 0.0:
+        low, high = low - 1.0, low
+    if excess(low) < 0.0:
+        return solve(stack), 0.0
+    tau = float(np.exp(brentq(excess, low, high, xtol=1e-2)))
+    return solve(stack, tau * unit), tau
+
+
+def _uncertainty(stack: Stack, solution: Solution, tau: float) -> Uncertainty:
+    """Uncertainty of the 6C elements in their units: readings' own errors, shared unknowns, disagreement."""
+    usable = np.tile(stack.usable, (1, 2))
+    parts: list[Contribution] = []
+    for r in range(len(stack.drives)):
+        gain = np.zeros((len(solution.gain), usable.shape[1]))
+        gain[:, usable[r]] = solution.gain[:, solution.drive == r]
+        parts += stack.output_noise[r].transformed(gain[None]).random
+        parts += stack.load_noise[r].transformed(-(gain @ solution.through[r])[None]).random
+    if tau > 0.0:
+        parts.append(_disagreement(stack, solution, _spread(stack, tau)))
+    effects = solution.effects.T @ solution.gain.T
+    influences = tuple(
+        replace(unknown, effect=effect[None]) for unknown, effect in zip(stack.unknowns, effects, strict=True)
+    )
+    # Elements are brought to comparable sizes before contributions are joined, so that degrees of freedom are theirs.
+    units = np.asarray((stack.output_size[:, None] / stack.load_size).reshape(1, -1), dtype=np.complex128)
+    return Uncertainty(merge_contributions(parts), influences).transformed(real_stacked_diagonal(units))
+
+
+def _disagreement(stack: Stack, solution: Solution, spread: FloatArray) -> Contribution:
+    """Covariance of the matrix from what recordings disagree by, one error for drives mounted and driven alike."""
+    doubled = np.tile(spread, (1, 2))
+    usable = np.tile(stack.usable, (1, 2))
+    alike: dict[tuple[str, tuple[float, ...]], list[int]] = {}
+    for r, drive in enumerate(stack.drives):
+        alike.setdefault((drive.mounting, drive.direction), []).append(r)
+    total = np.zeros((len(solution.gain),) * 2)
+    for members in alike.values():
+        effect = np.zeros((len(solution.gain), usable.shape[1]))
+        for r in members:
+            effect[:, usable[r]] += solution.gain[:, solution.drive == r] * doubled[r, usable[r]]
+        total += effect @ effect.T
+    dof = np.array([float(max(solution.dof, 1))])
+    return Contribution(DISAGREEMENT, "A", total[None], dof)
+
+
+def _consistency_notices(fit: MatrixFit) -> tuple[Notice, ...]:
+    """Say whether the recordings agree, and which does not."""
+    worst = fit.worst
+    if fit.dof == 0 or worst is None:
+        text = f"{len(fit.agreement)} recordings at {fit.frequency_hz:.6g} Hz just determine the matrix: none tests it"
+        return (Notice("info", text, "matrix"),)
+    if fit.discrepancy == 0.0:
+        return ()
+    text = (
+        f"recordings at {fit.frequency_hz:.6g} Hz disagree beyond their uncertainties (chi-square {fit.chi2:.3g} on "
+        f"{fit.dof}), most of all {worst.recording} ({worst.normalised_deviation:.3g} times what is expected): "
+        f"U covers a further {fit.discrepancy:.2g} of every output"
+    )
+    return (Notice("warning", text, "matrix"),)
+
+
+# Cross-talk: what the outputs of a sensor say of loads that are not theirs, at rated loads.
+
+
+@dataclass(frozen=True)
+class CrossTalk:
+    """Output i under the rated load j, relative to its output under its own rated load, at one frequency.
+
+    `value` (C, 6) complex, 1 at the main elements; `main` (C,): component of each channel; `uncertainty` (K = 1) of
+    the 6C values, channel by channel; `half_axis` (C, 6): larger half axis of the 95 % region in the complex plane;
+    `holds_zero` (C, 6): whether that region holds zero, so that no cross-talk has been shown.
+    """
+
+    frequency_hz: float
+    channels: tuple[str, ...]
+    components: tuple[str, ...]
+    main: tuple[int, ...]
+    value: ComplexArray
+    uncertainty: Uncertainty
+    half_axis: FloatArray
+    holds_zero: BoolArray
+
+
+def main_components(value: ComplexArray, capacity: FloatArray) -> tuple[int, ...]:
+    """Return for every channel of a matrix (C, 6) the component (0..5) it is made for.
+
+    The one whose rated load moves it most; where two channels answer most to the same load, their order decides.
+    """
+    largest = np.argmax(np.abs(value) * capacity, axis=1)
+    if len(set(largest.tolist())) == len(largest):
+        return tuple(int(j) for j in largest)
+    return tuple(range(len(value)))
+
+
+def cross_talk(fit: MatrixFit, capacity: Sequence[float]) -> CrossTalk:
+    """Return c_ij = S_ij·capacity_j/(S_im·capacity_m), m the main component of channel i, with its uncertainty.
+
+    dc_ij = (capacity_j/capacity_m)·(dS_ij - S_ij·dS_im/S_im)/S_im: errors that a row has in common cancel.
+    """
+    rated = np.asarray(capacity, dtype=np.float64)
+    check_shape("capacity", rated, (LOADS,))
+    channels = len(fit.channels)
+    main = main_components(fit.value, rated)
+    own = fit.value[np.arange(channels), list(main)]
+    ratio = rated / rated[list(main)][:, None]
+    value = ratio * fit.value / own[:, None]
+    jacobian = np.zeros((channels * LOADS, channels * LOADS), np.complex128)
+    for i, j in np.ndindex(channels, LOADS):
+        if j != main[i]:
+            jacobian[i * LOADS + j, i * LOADS + j] = ratio[i, j] / own[i]
+            jacobian[i * LOADS + j, i * LOADS + main[i]] = -value[i, j] / own[i]
+    uncertainty = fit.uncertainty.transformed(real_design(jacobian)[None])
+    half_axis, holds_zero = _regions(value, uncertainty)
+    return CrossTalk(fit.frequency_hz, fit.channels, LOAD_COMPONENTS, main, value, uncertainty, half_axis, holds_zero)
+
+
+def _regions(value: ComplexArray, uncertainty: Uncertainty) -> tuple[FloatArray, BoolArray]:
+    """Larger half axis of the 95 % region of every value (C, 6), and whether it holds zero."""
+    covariance, dof = uncertainty.covariance[0], uncertainty.dof()[0]
+    half_axis, holds_zero = np.zeros(value.size), np.zeros(value.size, dtype=np.bool_)
+    for place, element in enumerate(value.ravel()):
+        both = [place, place + value.size]
+        found = region(complex(element), covariance[np.ix_(both, both)], float(dof[place]))
+        half_axis[place], holds_zero[place] = found.half_axes[0], found.holds_zero
+    return half_axis.reshape(value.shape), holds_zero.reshape(value.shape)

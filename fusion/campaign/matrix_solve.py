@@ -1,0 +1,537 @@
+"""Rows of the 6 x 6 matrix from several recordings, rank of the excitations, maximum likelihood."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+from fusion.campaign.repeats import LOADS, Drive
+from fusion.estimation.least_squares import real_design
+from fusion.estimation.uncertainty import Influence, Uncertainty
+from fusion.sensitivity.load import LOAD_COMPONENTS
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+
+# Loads and outputs of several drives in units of their own size, with everything that makes them uncertain.
+
+
+SLOPE = 1.0
+"""Standard uncertainty of dln S/dln f: what is not known of a sensor below a third of its resonance."""
+SAME_LINE = 1e-7
+"""Relative difference of frequencies that changes no sensitivity."""
+LINES_APART = "lines apart"
+
+
+@dataclass(frozen=True)
+class Stack:
+    """R drives at one frequency, loads in units of `load_size` (6,), outputs of `output_size` (C,).
+
+    `load` (R, 6), `output` (R, C) with NaN where there is no reading; `load_noise`, `output_noise`: what is each
+    drive's own, by drive; `unknowns` (E): what drives share or load and outputs share, with its change of the loads for
+    one standard uncertainty `load_effect` (E, R, 6), and of the outputs relative to them `output_effect` (E, R, C).
+    """
+
+    drives: tuple[Drive, ...]
+    channels: tuple[str, ...]
+    load_size: FloatArray
+    output_size: FloatArray
+    load: ComplexArray
+    output: ComplexArray
+    load_noise: tuple[Uncertainty, ...]
+    output_noise: tuple[Uncertainty, ...]
+    unknowns: tuple[Influence, ...]
+    load_effect: ComplexArray
+    output_effect: ComplexArray
+
+    @property
+    def frequency_hz(self) -> float:
+        """Return the mean frequency of the drives."""
+        return float(np.mean([drive.frequency_hz for drive in self.drives]))
+
+    @property
+    def usable(self) -> BoolArray:
+        """Return which outputs (R, C) have a reading."""
+        return np.isfinite(self.output)
+
+    def load_covariance(self) -> FloatArray:
+        """Return the whole covariance (R, 12, 12) of every drive's load, common errors included."""
+        effect = np.concatenate([self.load_effect.real, self.load_effect.imag], axis=2)
+        own = np.concatenate([noise.covariance for noise in self.load_noise])
+        return np.asarray(own + np.einsum("eri,erj->rij", effect, effect))
+
+
+def stack_drives(drives: Sequence[Drive], channels: Sequence[str]) -> Stack:
+    """Return drives as one stack, their outputs in the order of `channels`; a channel not recorded has no reading.
+
+    Each component of the load is measured in its largest among the drives, each output likewise.
+    """
+    if not drives:
+        raise ValueError("drives: expected at least one, found none")
+    wanted = tuple(channels)
+    load = np.stack([drive.load for drive in drives])
+    output = np.stack([_in_order(drive, wanted) for drive in drives])
+    load_size, output_size = _size(load), _size(output)
+    parts = [drive.shared() for drive in drives]
+    sized = [
+        (
+            of_load.scaled(np.asarray((1.0 / load_size)[None], dtype=np.complex128)),
+            _outputs_in_order(of_outputs, drive, wanted, output_size),
+        )
+        for drive, (of_load, of_outputs) in zip(drives, parts, strict=True)
+    ]
+    known = {influence.name: influence for both in sized for part in both for influence in part.influences}
+    load_effect = np.zeros((len(known), len(drives), LOADS), np.complex128)
+    output_effect = np.zeros((len(known), len(drives), len(wanted)), np.complex128)
+    place = {name: number for number, name in enumerate(known)}
+    output = output / output_size
+    for row, (of_load, of_outputs) in enumerate(sized):
+        for influence in of_load.influences:
+            load_effect[place[influence.name], row] = _as_complex(influence.effect[0])
+        for influence in of_outputs.influences:
+            change = _as_complex(influence.effect[0])
+            output_effect[place[influence.name], row] = _quotient(change, output[row])
+    stack = Stack(
+        drives=tuple(drives),
+        channels=wanted,
+        load_size=load_size,
+        output_size=output_size,
+        load=load / load_size,
+        output=output,
+        load_noise=tuple(Uncertainty(of_load.random) for of_load, _ in sized),
+        output_noise=tuple(Uncertainty(of_outputs.random) for _, of_outputs in sized),
+        unknowns=tuple(known.values()),
+        load_effect=load_effect,
+        output_effect=output_effect,
+    )
+    return _with_slopes(stack)
+
+
+def _size(values: ComplexArray) -> FloatArray:
+    """Largest magnitude of each column, 1 where there is none."""
+    largest = np.max(np.where(np.isfinite(values), np.abs(values), 0.0), axis=0)
+    return np.where(largest > 0.0, largest, 1.0)
+
+
+def _in_order(drive: Drive, channels: tuple[str, ...]) -> ComplexArray:
+    """Outputs of a drive by the names wanted, NaN where it has none."""
+    empty = complex(np.nan, np.nan)
+    return np.array([drive.outputs[drive.channels.index(c)] if c in drive.channels else empty for c in channels])
+
+
+def _outputs_in_order(
+    uncertainty: Uncertainty, drive: Drive, channels: tuple[str, ...], size: FloatArray
+) -> Uncertainty:
+    """Uncertainty of the outputs by the names wanted, in units of their size; zero where there is no reading."""
+    have, want = len(drive.channels), len(channels)
+    matrix = np.zeros((2 * want, 2 * have))
+    for row, channel in enumerate(channels):
+        if channel in drive.channels and np.isfinite(drive.outputs[drive.channels.index(channel)]):
+            column = drive.channels.index(channel)
+            matrix[row, column] = matrix[row + want, column + have] = 1.0 / size[row]
+    known = Uncertainty(
+        tuple(replace(part, covariance=np.nan_to_num(part.covariance)) for part in uncertainty.random),
+        tuple(replace(influence, effect=np.nan_to_num(influence.effect)) for influence in uncertainty.influences),
+    )
+    return known.transformed(matrix[None])
+
+
+def _as_complex(stacked: FloatArray) -> ComplexArray:
+    """Complex values of [Re, Im]."""
+    half = len(stacked) // 2
+    return np.asarray(stacked[:half] + 1j * stacked[half:])
+
+
+def _quotient(numerator: ComplexArray, denominator: ComplexArray) -> ComplexArray:
+    """Complex quotient, zero where there is no denominator."""
+    usable = np.isfinite(denominator) & (denominator != 0.0)
+    return np.divide(numerator, denominator, out=np.zeros_like(numerator), where=usable)
+
+
+def _with_slopes(stack: Stack) -> Stack:
+    """Stack with one complex unknown per channel more: how its sensitivity changes over lines that lie side by side.
+
+    An output at f is that at the mean f₀ times 1 + s·ln(f/f₀); s has the standard uncertainty `SLOPE` in real and in
+    imaginary part, so that lines apart cost what they must, and lines of one frequency nothing.
+    """
+    frequency = np.array([drive.frequency_hz for drive in stack.drives])
+    away = np.log(frequency / stack.frequency_hz)
+    if np.ptp(away) <= SAME_LINE:
+        return stack
+    unknowns, effects = list(stack.unknowns), [stack.output_effect]
+    for place, channel in enumerate(stack.channels):
+        for part, turn in (("in phase", 1.0), ("out of phase", 1.0j)):
+            effect = np.zeros((1, *stack.output.shape), np.complex128)
+            effect[0, :, place] = SLOPE * turn * away
+            effects.append(effect)
+            name = f"change of {channel} with frequency at {stack.frequency_hz:.6g} Hz, {part}"
+            unknowns.append(Influence(name, LINES_APART, SLOPE, "", np.zeros((1, 2)), "rig"))
+    more = len(unknowns) - len(stack.unknowns)
+    none = np.zeros((more, *stack.load.shape), np.complex128)
+    return replace(
+        stack,
+        unknowns=tuple(unknowns),
+        load_effect=np.concatenate([stack.load_effect, none]),
+        output_effect=np.concatenate(effects),
+    )
+
+
+# Whether recordings excite all six components of the load, and what is missing where they do not.
+
+
+LEAST_SINGULAR = 10.0
+"""Least size of an excitation in its standard uncertainties: its elements of the matrix are then known to 10 %."""
+LEAST_SHARE = 1e-3
+"""Least size of an excitation beside the largest, every component in units of its largest load."""
+MEMBER = 0.05
+"""Share of a missing direction above which a component takes part in it."""
+TOGETHER = 0.1
+"""Correlation in the missing directions above which components are told together."""
+FLOOR = 1e-9
+"""Standard uncertainty, relative to a load's size, below which no load is known."""
+
+HOW = {
+    "Fx": "a recording driven along x",
+    "Fy": "a recording driven along y",
+    "Fz": "a recording driven along z",
+    "Mx": "a recording with a moment about x (force along z off the axis in y, or along y at another height)",
+    "My": "a recording with a moment about y (force along z off the axis in x, or along x at another height)",
+    "Mz": "a recording with a moment about z (force along x or y off the axis)",
+}
+
+
+class MissingExcitationError(ValueError):
+    """The recordings do not excite six independent loads: `missing` names the components, alone or together."""
+
+    def __init__(self, text: str, missing: tuple[tuple[str, ...], ...]) -> None:
+        super().__init__(text)
+        self.missing = missing
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """How strongly R drives excite six independent loads.
+
+    `singular` (6,): of the loads whitened by their covariance, largest first: amplitude of an independent load in its
+    standard uncertainties; `share` (6,): singular values of the loads, every component in units of its own size,
+    relative to the largest. `missing`: components that are not excited, alone or only in fixed proportion.
+    """
+
+    singular: FloatArray
+    share: FloatArray
+    missing: tuple[tuple[str, ...], ...]
+
+    @property
+    def determines(self) -> bool:
+        """Return whether all six columns of a matrix can be determined."""
+        return not self.missing
+
+
+def excitation(stack: Stack, drives: Sequence[int] | NDArray[np.int64] | None = None) -> Excitation:
+    """Return how strongly some of the drives (all by default) excite six independent loads.
+
+    With w_r the loads and Γ_r their complex covariances, the whitened singular values are the roots of
+    vᴴ(Σ w̄_r w_rᵀ)v / vᴴ(Σ Γ̄_r)v at its extremes, a generalised eigenvalue problem: a direction v that is not excited
+    has 1 or less. A direction counts as excited where vᴴ(Σ w̄_r w_rᵀ)v exceeds the squares of both `LEAST_SINGULAR`
+    standard uncertainties and `LEAST_SHARE` of the largest excitation; the others are the negative eigenspace of the
+    difference.
+    """
+    from scipy.linalg import eigh
+
+    chosen = np.arange(len(stack.load)) if drives is None else np.asarray(drives, dtype=np.int64)
+    load = stack.load[chosen]
+    signal = load.conj().T @ load
+    noise = np.sum(_complex_covariance(stack.load_covariance()[chosen]).conj(), axis=0)
+    # Components in units of what is there of them, load or uncertainty, so that none is large or small by itself.
+    size = np.sqrt(np.diag(signal).real + np.diag(noise).real)
+    size = np.where(size > 0.0, size, 1.0)
+    signal, noise = signal / np.outer(size, size), noise / np.outer(size, size) + FLOOR**2 * np.eye(LOADS)
+    singular = np.sqrt(np.maximum(eigh(signal, noise, eigvals_only=True), 0.0))[::-1]
+    share = np.sqrt(np.maximum(np.linalg.eigvalsh(signal), 0.0))[::-1]
+    least = LEAST_SINGULAR**2 * noise + (LEAST_SHARE * share[0]) ** 2 * np.eye(LOADS)
+    values, vectors = np.linalg.eigh(signal - least)
+    lacking = vectors[:, values < 0.0]
+    missing = _missing(np.asarray(lacking @ lacking.conj().T))
+    return Excitation(singular, share / (share[0] if share[0] > 0.0 else 1.0), missing)
+
+
+def require_six(found: Excitation, drives: int) -> None:
+    """Raise `MissingExcitationError` unless the drives excite six independent loads, saying what to add."""
+    if found.determines:
+        return
+    told = ", nor ".join(_told(group) for group in found.missing)
+    wanted = "; ".join(_remedy(group) for group in found.missing)
+    text = f"drives: expected loads in six independent directions, found {drives} that do not excite {told}"
+    raise MissingExcitationError(f"{text}; add {wanted}", found.missing)
+
+
+def _complex_covariance(covariance: FloatArray) -> ComplexArray:
+    """E[n nᴴ] (R, 6, 6) of complex errors from their covariance (R, 12, 12) of [Re, Im]."""
+    half = covariance.shape[1] // 2
+    re, im = covariance[:, :half, :half], covariance[:, half:, half:]
+    cross = covariance[:, half:, :half] - covariance[:, :half, half:]
+    return np.asarray(re + im + 1j * cross)
+
+
+def _missing(projector: ComplexArray) -> tuple[tuple[str, ...], ...]:
+    """Components of the missing directions: each alone, or those that occur in fixed proportion together."""
+    size = np.diag(projector).real
+    members = [j for j in range(LOADS) if size[j] > MEMBER]
+    groups: list[list[int]] = []
+    for j in members:
+        joined = [g for g in groups if any(abs(projector[j, i]) > TOGETHER * np.sqrt(size[i] * size[j]) for i in g)]
+        groups = [g for g in groups if g not in joined] + [sorted([j, *(i for g in joined for i in g)])]
+    found: list[tuple[str, ...]] = []
+    for group in groups:
+        names = tuple(LOAD_COMPONENTS[j] for j in group)
+        whole = round(float(np.sum(size[group]))) >= len(group)
+        found += [(name,) for name in names] if whole else [names]
+    return tuple(sorted(found, key=lambda group: (len(group), LOAD_COMPONENTS.index(group[0]))))
+
+
+def _told(group: tuple[str, ...]) -> str:
+    """A missing excitation in words."""
+    return group[0] if len(group) == 1 else f"{_listed(group)} other than together"
+
+
+def _remedy(group: tuple[str, ...]) -> str:
+    """What would add a missing excitation."""
+    if len(group) == 1:
+        return HOW[group[0]]
+    return f"{HOW[group[-1]]}, so that {_listed(group)} are in another proportion"
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    """Names in a sentence."""
+    return f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+# Maximum likelihood of a matrix from loads and outputs that both err, with unknowns they share.
+
+
+ITERATIONS = 100
+CONVERGED = 1e-7
+"""Largest step, in standard uncertainties, at which the iteration ends."""
+NOISE_FLOOR = 1e-4
+"""Smallest noise of a reading relative to the common errors in it: invisible in U, and sums keep their digits."""
+DIGITS = 1e-10
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Matrix, loads and unknowns that fit a stack best, in its units.
+
+    `matrix` (C, 6), `load` (R, 6), `errors` (E,) in standard uncertainties. Of the N usable real readings, drive by
+    drive: `drive` (N,), `residual` (N,) of the outputs at the measured loads, `effects` (N, E), `noise` (N, N), `gain`
+    (12C, N) from readings to [Re, Im] of the matrix, `through` (R, 2C, 12) from the loads to the readings, `projector`
+    (N, N) with `chi2` = residualᵀ · projector · residual, of `dof` degrees of freedom; `step`: the last one, in
+    standard uncertainties of the elements.
+    """
+
+    matrix: ComplexArray
+    load: ComplexArray
+    errors: FloatArray
+    drive: IntArray
+    residual: FloatArray
+    effects: FloatArray
+    noise: FloatArray
+    gain: FloatArray
+    through: FloatArray
+    projector: FloatArray
+    step: float
+    chi2: float
+    dof: int
+
+
+@dataclass(frozen=True)
+class _Point:
+    """Where the likelihood is linearised: matrix (C, 6), loads (R, 6), errors (E,)."""
+
+    matrix: ComplexArray
+    load: ComplexArray
+    errors: FloatArray
+
+
+@dataclass(frozen=True)
+class _Linear:
+    """The model about a point, all drives: changes of the outputs.
+
+    `residual` (R, 2C), `design` (R, 2C, 12C) for the matrix, `through` (R, 2C, 12) for the loads, `effects` (R, 2C, E)
+    for the unknowns; `load_step` (R, 12, 12) from errors of the readings of the loads to the loads themselves.
+    """
+
+    residual: FloatArray
+    design: FloatArray
+    through: FloatArray
+    effects: FloatArray
+    load_effect: FloatArray
+    load_step: FloatArray
+
+
+def solve(stack: Stack, discrepancy: FloatArray | None = None) -> Solution:
+    """Return the matrix S, the loads L_r and the unknowns e of greatest likelihood.
+
+    Readings are l_r = L_r + E_r(L_r)·e + noise and y_r = (1 + Σ_k ρ_rk·e_k) ∘ (S·L_r) + noise, e with unit priors, E_r
+    following the size of the fitted load and ρ relative, so that no reading that happens to be low gains weight by its
+    common error (D'Agostini 1994, Nucl. Instrum. Methods A 346, 306). Gauss-Newton over S, L and e, in which L and e
+    are eliminated: generalised least squares with the effective covariance of y - S·l and the design at the fitted
+    loads (York 1969, Earth Planet. Sci. Lett. 5, 320, for a line). `discrepancy` (R, C): further standard deviations
+    of the real and the imaginary part of the outputs.
+    """
+    extra = np.zeros(stack.output.shape) if discrepancy is None else discrepancy
+    solution = _from(stack, _start(stack), extra)
+    for _ in range(ITERATIONS):
+        if solution.step <= CONVERGED:
+            return solution
+        solution = _from(stack, _Point(solution.matrix, solution.load, solution.errors), extra)
+    raise ValueError(f"drives: expected loads that determine a matrix, found none after {ITERATIONS} iterations")
+
+
+def judge(stack: Stack, solution: Solution | None = None) -> Solution:
+    """Return one step from a solution, or from the start, with stated uncertainties only: what they say of it.
+
+    Where readings disagree a thousandfold, the greatest likelihood drives the unknowns far beyond where the model is
+    linear, and what it says of a single reading is meaningless; one step does not.
+    """
+    point = _start(stack) if solution is None else _Point(solution.matrix, solution.load, solution.errors)
+    return _from(stack, point, np.zeros(stack.output.shape))
+
+
+def _from(stack: Stack, point: _Point, discrepancy: FloatArray) -> Solution:
+    """One step from a point."""
+    return _step(stack, point, _linearise(stack, point), discrepancy)
+
+
+def _start(stack: Stack) -> _Point:
+    """Matrix by least squares as if the loads were exact."""
+    usable = stack.usable
+    rows = [
+        np.linalg.lstsq(stack.load[usable[:, c]], stack.output[usable[:, c], c], rcond=None)[0]
+        for c in range(len(stack.channels))
+    ]
+    return _Point(np.array(rows), stack.load, np.zeros(len(stack.unknowns)))
+
+
+def _linearise(stack: Stack, point: _Point) -> _Linear:
+    """First-order model of all readings about a point."""
+    drives, channels = stack.output.shape
+    factor = 1.0 + np.einsum("erc,e->rc", stack.output_effect, point.errors)
+    plain = point.load @ point.matrix.T
+    # The size of a load's common errors follows the fitted load: γ = <l, L>/<l, l>, E(L) = E·γ.
+    weight = stack.load.conj() / np.sum(np.abs(stack.load) ** 2, axis=1, keepdims=True)
+    size = np.sum(weight * point.load, axis=1)
+    shift = np.einsum("erj,e->rj", stack.load_effect, point.errors)
+    parts = []
+    for r in range(drives):
+        step = np.linalg.inv(np.eye(LOADS) + shift[r][:, None] * weight[r])
+        through = factor[r][:, None] * point.matrix @ step
+        design = np.zeros((channels, channels * LOADS), np.complex128)
+        for c in range(channels):
+            design[c, c * LOADS : (c + 1) * LOADS] = factor[r, c] * point.load[r]
+        output_effect = (stack.output_effect[:, r] * plain[r]).T
+        load_effect = stack.load_effect[:, r].T * size[r]
+        residual = stack.output[r] - factor[r] * plain[r] - through @ (stack.load[r] - point.load[r])
+        residual = residual + output_effect @ point.errors
+        effects = output_effect - through @ load_effect
+        parts.append((_tall(residual[:, None])[:, 0], *map(real_design, (design, through)), _tall(effects)))
+        parts[-1] += (_tall(load_effect), real_design(step))
+    return _Linear(*(np.stack(column) for column in zip(*parts, strict=True)))
+
+
+def _tall(matrix: ComplexArray) -> FloatArray:
+    """[Re; Im] of the columns of a matrix that acts on real numbers."""
+    return np.concatenate([matrix.real, matrix.imag])
+
+
+def _step(stack: Stack, point: _Point, linear: _Linear, discrepancy: FloatArray) -> Solution:
+    """One Gauss-Newton step: generalised least squares for the matrix, then loads and errors from what is left."""
+    drives, channels = stack.output.shape
+    mask = np.tile(stack.usable, (1, 2))
+    residual, design, effects = linear.residual[mask], linear.design[mask], linear.effects[mask]
+    noise = _noise(stack, linear, discrepancy, mask)
+    noise = _floored(noise, effects, np.concatenate([stack.output.real, stack.output.imag], axis=1)[mask])
+    gain, projector, spread = _least_squares(noise, design, effects)
+    step = gain @ residual
+    left = projector @ residual
+    errors = effects.T @ left
+    load = _loads(stack, point, linear, (left, mask), errors)
+    change = step[: channels * LOADS] + 1j * step[channels * LOADS :]
+    return Solution(
+        matrix=point.matrix + change.reshape(channels, LOADS),
+        load=load,
+        errors=errors,
+        drive=np.repeat(np.arange(drives), 2 * channels).reshape(mask.shape)[mask],
+        residual=residual,
+        effects=effects,
+        noise=noise,
+        gain=gain,
+        through=linear.through,
+        projector=projector,
+        step=float(np.max(np.abs(step) / spread)),
+        chi2=float(residual @ left),
+        dof=len(residual) - design.shape[1],
+    )
+
+
+def _least_squares(
+    noise: FloatArray, design: FloatArray, effects: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Gain (P, N), projector (N, N) and standard uncertainties (P,) of least squares with common errors.
+
+    The system [X A; 0 I], whitened by the noise, is equivalent to the covariance noise + A·Aᵀ but keeps its digits;
+    more unknowns than readings are turned into as many.
+    """
+    root = np.linalg.cholesky(noise)
+    white = solve_triangular(root, np.column_stack([design, effects]), lower=True)
+    count, unknowns = design.shape
+    common = white[:, unknowns:]
+    if common.shape[1] > count:
+        common = np.asarray(np.linalg.qr(common.T, mode="r")).T
+    scale = np.linalg.norm(white[:, :unknowns], axis=0)
+    total = unknowns + common.shape[1]
+    augmented = np.zeros((count + common.shape[1], total))
+    augmented[:count, :unknowns], augmented[:count, unknowns:] = white[:, :unknowns] / scale, common
+    augmented[count:, unknowns:] = np.eye(common.shape[1])
+    q, r = np.linalg.qr(augmented)
+    inverse = solve_triangular(r, np.eye(total))
+    gain = solve_triangular(root, (inverse[:unknowns] @ q[:count].T).T, lower=True, trans="T").T / scale[:, None]
+    half = solve_triangular(root, np.eye(count) - q[:count] @ q[:count].T, lower=True, trans="T")
+    projector = solve_triangular(root, half.T, lower=True, trans="T")
+    return gain, (projector + projector.T) / 2.0, np.linalg.norm(inverse[:unknowns], axis=1) / scale
+
+
+def _noise(stack: Stack, linear: _Linear, discrepancy: FloatArray, mask: NDArray[np.bool_]) -> FloatArray:
+    """Covariance (N, N) of the residuals without the unknowns: outputs, loads seen through the matrix, discrepancy."""
+    ends = np.cumsum(np.sum(mask, axis=1))
+    total = np.zeros((ends[-1], ends[-1]))
+    for r, end in enumerate(ends):
+        own = stack.output_noise[r].covariance[0] + np.diag(np.tile(discrepancy[r] ** 2, 2))
+        own = own + linear.through[r] @ stack.load_noise[r].covariance[0] @ linear.through[r].T
+        start = end - np.count_nonzero(mask[r])
+        total[start:end, start:end] = own[np.ix_(mask[r], mask[r])]
+    return total
+
+
+def _floored(noise: FloatArray, effects: FloatArray, readings: FloatArray) -> FloatArray:
+    """Noise raised where it is far below the common errors, or below the digits of the readings."""
+    floor = (NOISE_FLOOR * np.linalg.norm(effects, axis=1)) ** 2 + (DIGITS * np.max(np.abs(readings))) ** 2
+    return np.asarray(noise + np.diag(np.maximum(floor - np.diag(noise), 0.0)))
+
+
+def _loads(
+    stack: Stack, point: _Point, linear: _Linear, rest: tuple[FloatArray, NDArray[np.bool_]], errors: FloatArray
+) -> ComplexArray:
+    """Loads (R, 6) at the errors found: what is left of a drive's outputs is shared with the noise of its load."""
+    left, mask = rest
+    full = np.zeros(mask.shape)
+    full[mask] = left
+    loads = np.empty_like(point.load)
+    for r, reading in enumerate(stack.load):
+        noise = -stack.load_noise[r].covariance[0] @ linear.through[r].T @ full[r]
+        # Readings at the point, l(L, e) = L + E(L)·e, leave l - l(L, e) - E·(e_new - e) - noise to the step of L.
+        apart = _tall((reading - point.load[r])[:, None])[:, 0] - linear.load_effect[r] @ errors - noise
+        step = linear.load_step[r] @ apart
+        loads[r] = point.load[r] + step[:LOADS] + 1j * step[LOADS:]
+    return loads

@@ -1,0 +1,484 @@
+"""Mean over repeats and mountings of one driven line."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from fusion.estimation.least_squares import BODY_SIZE_M, real_design
+from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty
+from fusion.sensitivity.ratio import driven_component
+from shaker.arrays import ComplexArray, FloatArray, IntArray, Notice, check_shape
+from shaker.phasor import real_stacked_diagonal
+
+if TYPE_CHECKING:
+    from fusion.sensitivity.analyse import Evaluation
+    from fusion.sensitivity.load import LoadResult, Outputs
+
+
+# One driven line of one recording as several recordings are compared: load, outputs, and which unknowns they share.
+
+
+LOADS = 6
+FREQUENCY_TOLERANCE = 0.01
+"""Relative width of a group of lines taken as one frequency: a multi-axis shaker drives several lines side by side."""
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One driven line (its fundamental) of one recording.
+
+    `mounting`: recordings with another text were mounted anew. `direction`: 3 or 6 numbers of the excitation. `load`
+    (6,) in N and N·m, whole, with the uncertainty of what nobody observed; `outputs` (C,) in the sensor's unit, NaN
+    where a channel has no usable reading; their uncertainties have one line (K = 1) and the names of the recording.
+    """
+
+    recording: str
+    mounting: str
+    frequency_hz: float
+    nominal_hz: float
+    direction: tuple[float, ...]
+    load: ComplexArray
+    load_uncertainty: Uncertainty
+    outputs: ComplexArray
+    outputs_uncertainty: Uncertainty
+    channels: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        channels = len(self.channels)
+        check_shape("load", self.load, (LOADS,))
+        check_shape("outputs", self.outputs, (channels,))
+        check_shape("load_uncertainty", self.load_uncertainty.random[0].covariance, (1, 2 * LOADS, 2 * LOADS))
+        check_shape(
+            "outputs_uncertainty", self.outputs_uncertainty.random[0].covariance, (1, 2 * channels, 2 * channels)
+        )
+
+    @property
+    def name(self) -> str:
+        """Return what tells this drive from others: its recording and its frequency."""
+        return f"{self.recording} ({self.nominal_hz:g} Hz)"
+
+    def shared(self) -> tuple[Uncertainty, Uncertainty]:
+        """Return the uncertainties of load and outputs with the names that hold between recordings."""
+        return (
+            between_recordings(self.load_uncertainty, self.recording, self.mounting),
+            between_recordings(self.outputs_uncertainty, self.recording, self.mounting),
+        )
+
+
+def drives_of(evaluation: Evaluation) -> tuple[Drive, ...]:
+    """Return the driven lines of a recording, none without a load, an output or a stated direction."""
+    manifest, load, outputs = evaluation.manifest, evaluation.load, evaluation.outputs
+    if load is None or outputs is None or manifest.excitation.direction is None:
+        return ()
+    lines, direction = evaluation.lines, manifest.excitation.direction
+    return line_drives(manifest.name, manifest.mounting, direction, lines.nominal_hz, lines.multiple, load, outputs)
+
+
+def line_drives(
+    recording: str,
+    mounting: str,
+    direction: Sequence[float],
+    nominal_hz: FloatArray,
+    multiple: IntArray,
+    load: LoadResult,
+    outputs: Outputs,
+) -> tuple[Drive, ...]:
+    """Return the drives of one recording: its lines of multiple 1 at which the load is known.
+
+    `nominal_hz`, `multiple` (K,): of the lines of `load` and `outputs`.
+    """
+    driven = np.flatnonzero((multiple == 1) & np.isfinite(load.value).all(axis=1))
+    return tuple(
+        Drive(
+            recording=recording,
+            mounting=mounting,
+            frequency_hz=float(load.frequency_hz[line]),
+            nominal_hz=float(nominal_hz[line]),
+            direction=tuple(float(number) for number in direction),
+            load=load.value[line],
+            load_uncertainty=at_line(load.uncertainty, line),
+            outputs=outputs.phasors.value[line],
+            outputs_uncertainty=at_line(outputs.uncertainty, line),
+            channels=outputs.phasors.channels,
+        )
+        for line in driven.tolist()
+    )
+
+
+def between_recordings(uncertainty: Uncertainty, recording: str, mounting: str) -> Uncertainty:
+    """Return the uncertainty with every unknown under the name that identifies it among all recordings of a campaign.
+
+    An unknown of the rig keeps its name; one of the mounting is the same in recordings of equal `mounting` only, one of
+    the recording in this recording only. The names are final: all scopes become "rig".
+    """
+    return replace(
+        uncertainty, influences=tuple(_between(influence, recording, mounting) for influence in uncertainty.influences)
+    )
+
+
+def _between(influence: Influence, recording: str, mounting: str) -> Influence:
+    """One unknown under its name among all recordings."""
+    suffix = {"rig": "", "mounting": f" [{mounting}]", "recording": f" [{recording}]"}[influence.scope]
+    return replace(influence, name=f"{influence.name}{suffix}", scope="rig")
+
+
+def at_line(uncertainty: Uncertainty, line: int) -> Uncertainty:
+    """Return the uncertainty of the values at one of the K lines."""
+    here = slice(line, line + 1)
+    random = tuple(
+        replace(part, covariance=part.covariance[here], dof=None if part.dof is None else part.dof[here])
+        for part in uncertainty.random
+    )
+    return Uncertainty(random, tuple(replace(i, effect=i.effect[here]) for i in uncertainty.influences))
+
+
+def over_lines(parts: Sequence[Uncertainty]) -> Uncertainty:
+    """Return uncertainties of the same C values at single lines, joined to one of K lines, unknowns of one name as one.
+
+    Names must hold between the recordings that the parts come from (`between_recordings`).
+    """
+    lines, size = len(parts), parts[0].random[0].covariance.shape[1]
+    random: dict[str, Contribution] = {}
+    influences: dict[str, Influence] = {}
+    for line, part in enumerate(parts):
+        for own in Uncertainty(part.random).grouped():
+            known = random.get(own.label)
+            if known is None:
+                empty = np.zeros((lines, size, size))
+                known = random[own.label] = Contribution(own.label, own.type, empty, np.full(lines, np.inf))
+            known.covariance[line] = own.covariance[0]
+            if own.dof is not None and known.dof is not None:
+                known.dof[line] = own.dof[0]
+        for influence in part.influences:
+            if influence.name not in influences:
+                influences[influence.name] = replace(influence, effect=np.zeros((lines, size)))
+            influences[influence.name].effect[line] = influence.effect[0]
+    return Uncertainty(tuple(random.values()), tuple(influences.values()))
+
+
+def group_by_frequency(
+    drives: Sequence[Drive], tolerance: float = FREQUENCY_TOLERANCE
+) -> tuple[tuple[Drive, ...], ...]:
+    """Return the drives in groups of one frequency, ascending, each at most `tolerance` (relative) wide."""
+    groups: list[list[Drive]] = []
+    for drive in sorted(drives, key=lambda drive: drive.frequency_hz):
+        if groups and drive.frequency_hz <= groups[-1][0].frequency_hz * (1.0 + tolerance):
+            groups[-1].append(drive)
+        else:
+            groups.append([drive])
+    return tuple(tuple(group) for group in groups)
+
+
+# Recordings of one excitation again: their mean with what recordings and mountings scatter by.
+
+
+SAME_FREQUENCY = 1e-4
+"""Relative difference of frequencies at which a sensitivity is the same."""
+SAME_DIRECTION = 1e-3
+SAME_LOAD = 0.05
+"""Difference of any load component (moments over 0.1 m), relative to the driven one, within one excitation."""
+WITHIN, BETWEEN = "repeatability", "mounting anew"
+LEVERS = np.array([1.0, 1.0, 1.0, *np.full(3, 1.0 / BODY_SIZE_M)])
+
+
+@dataclass(frozen=True)
+class Repeats:
+    """Mean ratio of outputs over the driven load of N recordings of one excitation.
+
+    `component`: 0..5, of the load; `amplitude`: its mean. `value` (C,), `uncertainty` (K = 1) with names that hold
+    between recordings; `recordings`, `mountings` (N,), `weight` (N,) in the mean. `within`, `between` (C,): relative
+    standard deviation of a recording and of a mounting beyond what is stated for them, with `within_dof` (N - M) and
+    `between_dof` (M - 1); NaN where there are no degrees of freedom.
+    """
+
+    frequency_hz: float
+    direction: tuple[float, ...]
+    component: int
+    amplitude: float
+    channels: tuple[str, ...]
+    value: ComplexArray
+    uncertainty: Uncertainty
+    recordings: tuple[str, ...]
+    mountings: tuple[str, ...]
+    weight: FloatArray
+    within: FloatArray
+    between: FloatArray
+    within_dof: int
+    between_dof: int
+    notices: tuple[Notice, ...]
+
+
+def drive_ratio(drive: Drive, component: int, channels: Sequence[str]) -> tuple[ComplexArray, Uncertainty]:
+    """Return output over one load component of one drive (C,), with names that hold between recordings (K = 1).
+
+    dS = (dU - S·dL)/L; what outputs and load share acts on both.
+    """
+    of_load, of_outputs = drive.shared()
+    places = [drive.channels.index(channel) for channel in channels]
+    load = drive.load[component]
+    ratio = drive.outputs[places] / load
+    through = real_design(-ratio[:, None] / load)[None]
+    upper = of_outputs.at(places).scaled(np.full((1, len(places)), 1.0 / load, dtype=np.complex128))
+    return np.asarray(ratio), upper.plus(of_load.at([component]).transformed(through))
+
+
+def find_repeats(
+    drives: Iterable[Drive], capacity: Sequence[float] | None = None, *, amplitudes_apart: bool = True
+) -> tuple[Repeats, ...]:
+    """Return the drives in groups of one excitation, each with its mean, ascending in frequency.
+
+    One excitation: frequencies within 1e-4, directions within 1e-3, and every load component (moments over 0.1 m)
+    within 5 % of the driven one; with `amplitudes_apart` false after the loads have been scaled to one amplitude.
+    """
+    groups = alike(drives, capacity, amplitudes_apart=amplitudes_apart)
+    return tuple(mean_ratio(group, driven_component(group[0].direction, capacity)) for group in groups)
+
+
+def alike(
+    drives: Iterable[Drive], capacity: Sequence[float] | None = None, *, amplitudes_apart: bool = True
+) -> tuple[tuple[Drive, ...], ...]:
+    """Return the drives in groups of one excitation, ascending in frequency."""
+    groups: list[list[Drive]] = []
+    for drive in sorted(drives, key=lambda drive: drive.frequency_hz):
+        component = driven_component(drive.direction, capacity)
+        if drive.load[component] == 0.0:
+            continue
+        match = next((g for g in groups if _same(g[0], drive, component, amplitudes_apart=amplitudes_apart)), None)
+        if match is None:
+            groups.append([drive])
+        else:
+            match.append(drive)
+    return tuple(tuple(group) for group in groups)
+
+
+def _same(first: Drive, other: Drive, component: int, *, amplitudes_apart: bool) -> bool:
+    """Whether two drives are one excitation; phases follow the start of the recording, and a sign is one of them."""
+    if abs(np.log(other.frequency_hz / first.frequency_hz)) > SAME_FREQUENCY:
+        return False
+    if len(first.direction) != len(other.direction):
+        return False
+    units = [np.array(drive.direction) / np.linalg.norm(drive.direction) for drive in (first, other)]
+    if min(np.max(np.abs(units[0] - units[1])), np.max(np.abs(units[0] + units[1]))) > SAME_DIRECTION:
+        return False
+    loads = [np.abs(drive.load) * LEVERS for drive in (first, other)]
+    if not amplitudes_apart:
+        loads = [load / load[component] for load in loads]
+    return bool(np.max(np.abs(loads[0] - loads[1])) <= SAME_LOAD * loads[0][component])
+
+
+def mean_ratio(drives: Sequence[Drive], component: int) -> Repeats:
+    """Return the mean over recordings of one excitation of output over a load component.
+
+    One-way random effects, unbalanced: mean squares within and between M mountings, from which what is stated for
+    them is taken off with all its correlations; what is left are variances of a recording (N - M degrees of freedom)
+    and of a mounting (M - 1) beyond what is stated, none where negative (Searle, Casella & McCulloch 1992, Variance
+    Components, 3.6). Recordings and mountings weigh by the inverse of their own variances in the best known
+    channel; shared unknowns do not average away. Only channels with a reading in all recordings have a value.
+    """
+    usable = common_outputs(drives)
+    if not usable:
+        raise ValueError("drives: expected an output that all recordings of one excitation have, found none")
+    found = [drive_ratio(drive, component, usable) for drive in drives]
+    plain = plain_mean([value for value, _ in found])
+    scaled = [(value / plain, relative_uncertainty(uncertainty, plain)) for value, uncertainty in found]
+    mountings = [drive.mounting for drive in drives]
+    scatter = _components(scaled, mountings)
+    weight = _weights(scaled, mountings, scatter)
+    value = np.einsum("n,nc->c", weight, np.array([value for value, _ in found]))
+    uncertainty = _weighted_sum([uncertainty for _, uncertainty in found], weight)
+    extra = _contributions(scatter, weight, mountings, plain)
+    return Repeats(
+        frequency_hz=float(np.mean([drive.frequency_hz for drive in drives])),
+        direction=drives[0].direction,
+        component=component,
+        amplitude=float(np.mean([abs(drive.load[component]) for drive in drives])),
+        channels=tuple(usable),
+        value=value,
+        uncertainty=replace(uncertainty, random=(*uncertainty.random, *extra)),
+        recordings=tuple(drive.recording for drive in drives),
+        mountings=tuple(mountings),
+        weight=weight,
+        within=_deviation(scatter.within, scatter.within_dof),
+        between=_deviation(scatter.between, scatter.between_dof),
+        within_dof=scatter.within_dof,
+        between_dof=scatter.between_dof,
+        notices=_notices(drives, scatter),
+    )
+
+
+class Nested(NamedTuple):
+    """Quadratic forms (N, N) of N readings whose sums of squares are those within and between M mountings.
+
+    `within_dof` N - M, `between_dof` M - 1; `each`: recordings per mounting in the expectation of the mean square
+    between them, NaN of one mounting.
+    """
+
+    within: FloatArray
+    between: FloatArray
+    within_dof: int
+    between_dof: int
+    each: float
+
+
+def nested(mountings: Sequence[str]) -> Nested:
+    """Return the analysis of variance of recordings (N,) by the mounting of each (Searle et al. 1992, 3.6)."""
+    count, kinds = len(mountings), list(dict.fromkeys(mountings))
+    member = np.array([[mounting == kind for mounting in mountings] for kind in kinds], dtype=np.float64)
+    sizes = member.sum(axis=1)
+    own = member.T @ (member / sizes[:, None])
+    whole = np.full((count, count), 1.0 / count)
+    dof = len(kinds) - 1
+    each = (count - float(np.sum(sizes**2)) / count) / dof if dof else np.nan
+    return Nested(np.eye(count) - own, own - whole, count - len(kinds), dof, each)
+
+
+@dataclass(frozen=True)
+class _Scatter:
+    """Covariances (2C, 2C) of relative values beyond what is stated: of a recording and of a mounting."""
+
+    within: FloatArray
+    between: FloatArray
+    within_dof: int
+    between_dof: int
+
+
+def common_outputs(drives: Sequence[Drive]) -> list[str]:
+    """Return the outputs that have a reading in all drives."""
+    return [
+        name
+        for name in drives[0].channels
+        if all(name in d.channels and np.isfinite(d.outputs[d.channels.index(name)]) for d in drives)
+    ]
+
+
+def plain_mean(values: Sequence[ComplexArray]) -> ComplexArray:
+    """Return the mean (C,) that values are measured in, 1 for an output that is dead."""
+    mean = np.mean(values, axis=0)
+    return np.asarray(np.where(mean == 0.0, 1.0, mean))
+
+
+def relative_uncertainty(uncertainty: Uncertainty, value: ComplexArray) -> Uncertainty:
+    """Uncertainty of values divided by constants (C,)."""
+    return uncertainty.scaled(np.asarray(1.0 / value[None], dtype=np.complex128))
+
+
+def stack_values(values: Sequence[tuple[ComplexArray, Uncertainty]]) -> tuple[FloatArray, FloatArray]:
+    """Real readings (N, 2C) and their joint covariance (N, 2C, N, 2C), what is shared included."""
+    readings = np.array([np.concatenate([value.real, value.imag]) for value, _ in values])
+    count, size = readings.shape
+    covariance = np.zeros((count, size, count, size))
+    names = {influence.name: None for _, uncertainty in values for influence in uncertainty.influences}
+    effect = np.zeros((len(names), count, size))
+    place = {name: number for number, name in enumerate(names)}
+    for n, (_, uncertainty) in enumerate(values):
+        covariance[n, :, n] = np.sum([part.covariance[0] for part in uncertainty.random], axis=0)
+        for influence in uncertainty.influences:
+            effect[place[influence.name], n] = influence.effect[0]
+    return readings, covariance + np.einsum("eni,emj->nimj", effect, effect)
+
+
+def _components(values: Sequence[tuple[ComplexArray, Uncertainty]], mountings: Sequence[str]) -> _Scatter:
+    """Variance components of a recording and of a mounting by the analysis of variance."""
+    readings, stated = stack_values(values)
+    size, forms = readings.shape[1], nested(mountings)
+    within = between = np.zeros((size, size))
+    if forms.within_dof:
+        within = _positive(_mean_square(readings, stated, forms.within, forms.within_dof))
+    if forms.between_dof:
+        square = _mean_square(readings, stated, forms.between, forms.between_dof)
+        between = _positive((square - within) / forms.each)
+    return _Scatter(within, between, forms.within_dof, forms.between_dof)
+
+
+def _mean_square(readings: FloatArray, stated: FloatArray, form: FloatArray, dof: int) -> FloatArray:
+    """Mean square (2C, 2C) of a quadratic form (N, N), less what stated uncertainties make of it."""
+    observed = np.einsum("ni,nm,mj->ij", readings, form, readings)
+    return np.asarray((observed - np.einsum("nm,nimj->ij", form, stated)) / dof)
+
+
+def _positive(matrix: FloatArray) -> FloatArray:
+    """Nearest covariance of a symmetric matrix: negative variances are none."""
+    values, vectors = np.linalg.eigh((matrix + matrix.T) / 2.0)
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
+
+
+def _weights(
+    values: Sequence[tuple[ComplexArray, Uncertainty]], mountings: Sequence[str], scatter: _Scatter
+) -> FloatArray:
+    """Weights (N,) of recordings in the mean: recordings of a mounting by the inverse of their own variance, mountings
+    by that of what their recordings and mounting anew leave, both in the best known channel.
+    """
+    own = np.array([_own_variance(uncertainty) for _, uncertainty in values])
+    best = int(np.argmin(np.sum(own, axis=0)))
+    within, between = (_total(part)[best] for part in (scatter.within, scatter.between))
+    variance = own[:, best] + within
+    if not np.all(variance > 0.0):
+        return np.full(len(values), 1.0 / len(values))
+    weight = np.zeros(len(values))
+    for kind in dict.fromkeys(mountings):
+        rows = [place for place, mounting in enumerate(mountings) if mounting == kind]
+        precision = 1.0 / variance[rows]
+        weight[rows] = precision / np.sum(precision) / (between + 1.0 / np.sum(precision))
+    return np.asarray(weight / np.sum(weight))
+
+
+def _own_variance(uncertainty: Uncertainty) -> FloatArray:
+    """Variance (C,) of Re and Im together from what no other recording shares: noise, and unknowns of the recording."""
+    own = np.sum([part.covariance[0] for part in uncertainty.random], axis=0)
+    for influence in uncertainty.influences:
+        if influence.scope == "recording":
+            own = own + np.outer(influence.effect[0], influence.effect[0])
+    return _total(own)
+
+
+def _total(matrix: FloatArray) -> FloatArray:
+    """Sum (C,) of the variances of real and imaginary parts."""
+    variance = np.diag(matrix)
+    return np.asarray(variance[: len(variance) // 2] + variance[len(variance) // 2 :])
+
+
+def _weighted_sum(parts: Sequence[Uncertainty], weight: FloatArray) -> Uncertainty:
+    """Uncertainty of a sum of values (C,) with constant weights (N,)."""
+    size = parts[0].random[0].covariance.shape[1] // 2
+    total = parts[0].scaled(np.full((1, size), weight[0], dtype=np.complex128))
+    for part, share in zip(parts[1:], weight[1:], strict=True):
+        total = total.plus(part.scaled(np.full((1, size), share, dtype=np.complex128)))
+    return total
+
+
+def _contributions(
+    scatter: _Scatter, weight: FloatArray, mountings: Sequence[str], plain: ComplexArray
+) -> list[Contribution]:
+    """What recordings and mountings scatter by beyond what is stated, in the mean."""
+    shares = np.array([np.sum(weight[[m == kind for m in mountings]]) for kind in dict.fromkeys(mountings)])
+    turn = real_stacked_diagonal(plain[None])[0]
+    parts = (
+        (WITHIN, scatter.within, float(np.sum(weight**2)), scatter.within_dof),
+        (BETWEEN, scatter.between, float(np.sum(shares**2)), scatter.between_dof),
+    )
+    return [
+        Contribution(label, "A", (turn @ (factor * matrix) @ turn.T)[None], np.array([float(dof)]))
+        for label, matrix, factor, dof in parts
+        if dof and np.any(matrix)
+    ]
+
+
+def _deviation(matrix: FloatArray, dof: int) -> FloatArray:
+    """Relative standard deviation (C,) of the whole complex value: root of the sum of both parts' variances."""
+    variance = _total(matrix)
+    return np.asarray(np.sqrt(variance) if dof else np.full_like(variance, np.nan))
+
+
+def _notices(drives: Sequence[Drive], scatter: _Scatter) -> tuple[Notice, ...]:
+    """Say where repeats tell nothing of mounting anew."""
+    if len(drives) < 2 or scatter.between_dof:
+        return ()
+    text = (
+        f"{len(drives)} recordings at {drives[0].frequency_hz:.6g} Hz are of one mounting: what mounting anew changes "
+        f"is not in U beyond what is stated of positions and directions"
+    )
+    return (Notice("info", text, "repeats"),)

@@ -1,0 +1,280 @@
+"""One recording or a campaign of several: evaluated where new or changed, told on the terminal."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import TYPE_CHECKING
+
+from fusion.base import (
+    Crew,
+    InputError,
+    Pending,
+    ProgressCallback,
+    Settings,
+    is_interruption,
+    no_progress,
+    remove_abandoned,
+    stdout_console,
+    told,
+)
+from fusion.campaign.cluster import Job, Outcome, connected, run_job
+from fusion.campaign.joint_report import write_campaign
+from fusion.campaign.workers import Workers, one_blas_thread
+from fusion.estimation.uncertainty import Polar, region_factor, rounded
+from fusion.recording.load import RECORDING_NAME, find_recordings, for_kinds
+from fusion.report.csv_files import SENSITIVITY_FILE, read_rows, row_element
+from fusion.report.recording import REPORT_FILE, check_campaign_folder
+from fusion.sensitivity.evaluate import EVALUATED_KINDS
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+
+# What the command prints when it is done: the sensitivity and where the report lies.
+
+
+def print_outcomes(outcomes: Sequence[Outcome]) -> None:
+    """Print one block per recording: its sensitivity with expanded uncertainty and the path of its report."""
+    console = stdout_console()
+    for outcome in outcomes:
+        if outcome.error is not None:
+            console.print(f"{outcome.recording.parent.name}: failed, {outcome.error}", soft_wrap=True)
+            continue
+        rows = read_rows(outcome.folder / SENSITIVITY_FILE)
+        console.print(sensitivity_table(rows) if rows else "no sensitivity: see the report for what was observed")
+        what = "unchanged since the last run" if outcome.resumed else "written"
+        console.print(f"report ({what}): {outcome.folder / 'report.html'}", soft_wrap=True)
+
+
+def sensitivity_table(rows: Sequence[dict[str, str]]) -> Table:
+    """Return the rows of a sensitivity.csv as a table with U = k·u for 95 %, two significant digits of it.
+
+    Of a value that is not distinguishable from 0 the half-axes of its region stand in place of magnitude and phase.
+    """
+    from rich.table import Table
+
+    names = dict.fromkeys(row["recording"] for row in rows)
+    table = Table(title=f"Sensitivity, {', '.join(names)} (U = k·u, 95 %)", title_justify="left")
+    table.add_column("frequency / Hz", justify="right")
+    table.add_column("element")
+    table.add_column("magnitude ± U", justify="right")
+    table.add_column("unit")
+    table.add_column("phase ± U / rad", justify="right")
+    table.add_column("k", justify="right")
+    table.add_column("kind")
+    for row in rows:
+        name = f"{row['channel']} / {row['component']}"
+        magnitude, phase, factor = _cells(row_element(row))
+        table.add_row(f"{float(row['frequency_hz']):.4f}", name, magnitude, row["unit"], phase, factor, row["kind"])
+    return table
+
+
+def _cells(element: Polar) -> tuple[str, str, str]:
+    """Magnitude and phase with U, and k."""
+    if not element.region.holds_zero:
+        magnitude = _with_u(element.magnitude, element.expanded_magnitude)
+        return magnitude, _with_u(element.phase_rad, element.expanded_phase_rad), f"{element.k:.2f}"
+    large, small = element.region.half_axes
+    first = rounded(large, large)
+    second = rounded(small, large, first.exponent)
+    pair = f"(region ± {first.value}, ± {second.value})" + (f"e{first.exponent:d}" if first.exponent else "")
+    return pair, "not distinguishable from 0", f"{region_factor(element.dof):.2f}"
+
+
+def _with_u(value: float, expanded: float) -> str:
+    """Return value ± U with the power of ten they share."""
+    text = rounded(value, expanded)
+    pair = f"{text.value} ± {text.expanded}"
+    return f"({pair})e{text.exponent:d}" if text.exponent else pair
+
+
+# One recording or a folder of several: evaluate here, by several processes or on a cluster; resume, merge.
+
+
+RECORDINGS = "recordings"
+LISTEN_S = 0.5  # between looks for an interruption
+SHARED_FRAMES = 2  # workers per recording from which on they share its frames instead of the recordings
+log = logging.getLogger("shakercal")
+
+
+def run_path(
+    path: Path,
+    output: Path | None,
+    settings: Settings,
+    *,
+    force: bool = False,
+    allow_outside: bool = False,
+    workers: int = 1,
+    scheduler: str | None = None,
+    progress: ProgressCallback = no_progress,
+) -> tuple[Outcome, ...]:
+    """Evaluate a recording, or every recording of a campaign folder, and write the result files.
+
+    A recording writes to `output` (default RECORDING/results). A campaign writes one folder per recording below
+    `output` (default CAMPAIGN/results) and what they tell together at its top; recordings of kinds that are not
+    evaluated here, such as chirps, are left out, and one that fails does not stop the others. A single recording's
+    failure is raised. More than one of `workers` are processes of this machine, `scheduler` is the address of a Dask
+    cluster's: recordings are shared among them, or, where there are too few recordings for that, stereo pairs and
+    blocks of frames. Where it is computed changes no digit of a result.
+    """
+    recordings = find_recordings(path)
+    alone = not is_campaign(path)
+    if not alone:
+        recordings = for_kinds(recordings, EVALUATED_KINDS)
+    top = (recordings[0].parent if alone else path) / "results" if output is None else output
+    folders = [top] if alone else [top / recording.parent.name for recording in recordings]
+    jobs = [
+        Job(recording, folder, settings, force, allow_outside)
+        for recording, folder in zip(recordings, folders, strict=True)
+    ]
+    if not alone:
+        check_campaign_folder(top, [folder.name for folder in folders], force=force)
+    with _clean_end(top.parent if alone else top), _crew(workers, scheduler) as crew:
+        if alone:
+            return (_run_one(jobs[0], crew, progress),)
+        if crew is None or SHARED_FRAMES * len(jobs) <= crew.size:
+            outcomes = _run_here(jobs, crew, progress)
+        else:
+            outcomes = _run_elsewhere(jobs, crew, progress)
+    _write_campaign(top, path.resolve().name, outcomes)
+    return outcomes
+
+
+def is_campaign(path: Path) -> bool:
+    """Whether a path is a folder of recordings instead of one of them."""
+    return path.is_dir() and not (path / RECORDING_NAME).is_file()
+
+
+def exit_status(outcomes: Sequence[Outcome]) -> int:
+    """Return 0 when all recordings are done, 2 when the input of one is wrong, 1 when one could not be computed."""
+    errors = [outcome.error for outcome in outcomes if outcome.error is not None]
+    if any(isinstance(error, InputError) for error in errors):
+        return 2
+    return 1 if errors else 0
+
+
+@contextmanager
+def _clean_end(folder: Path) -> Iterator[None]:
+    """Remove from the folder above the results what processes left unfinished that have ended: before and after."""
+    remove_abandoned(folder)
+    try:
+        yield
+    finally:
+        remove_abandoned(folder)
+
+
+def _crew(workers: int, scheduler: str | None) -> AbstractContextManager[Crew | None]:
+    """Return those who compute; None is this process."""
+    if scheduler is not None:
+        return connected(scheduler)
+    return Workers(workers) if workers > 1 else nullcontext()
+
+
+def _run_one(job: Job, crew: Crew | None, progress: ProgressCallback) -> Outcome:
+    """Run a recording here; a crew follows its images, by paths that hold for a process of any working folder."""
+    if crew is None:
+        return run_job(job, progress)
+    return replace(run_job(job.placed(), progress, crew), recording=job.recording, folder=job.folder)
+
+
+def _run_here(jobs: Sequence[Job], crew: Crew | None, progress: ProgressCallback) -> tuple[Outcome, ...]:
+    """Run one recording after another; what fails is kept in its outcome."""
+    outcomes = []
+    for done, job in enumerate(jobs):
+        progress(RECORDINGS, done, len(jobs))
+        outcomes.append(_outcome(job, partial(_run_one, job, crew, progress)))
+    return tuple(outcomes)
+
+
+def _run_elsewhere(jobs: Sequence[Job], crew: Crew, progress: ProgressCallback) -> tuple[Outcome, ...]:
+    """Have all recordings computed by others; the outcomes are in the recordings' order, whoever was first."""
+    heard: SimpleQueue[tuple[int, Pending]] = SimpleQueue()
+    all_pending = [crew.submit(rank, run_job, job.placed()) for rank, job in enumerate(jobs)]
+    for rank, pending in enumerate(all_pending):
+        pending.add_done_callback(partial(_tell, heard, rank))
+    outcomes: dict[int, Outcome] = {}
+    while len(outcomes) < len(jobs):
+        progress(RECORDINGS, len(outcomes), len(jobs))
+        rank, pending = _next(heard)
+        outcomes[rank] = _outcome(jobs[rank], partial(_received, jobs[rank], pending))
+    return tuple(outcomes[rank] for rank in range(len(jobs)))
+
+
+def _tell(heard: SimpleQueue[tuple[int, Pending]], rank: int, pending: Pending) -> None:
+    """Say that the answer of a recording is there."""
+    heard.put((rank, pending))
+
+
+def _next(heard: SimpleQueue[tuple[int, Pending]]) -> tuple[int, Pending]:
+    """Wait for the next answer, open to interruptions on every system."""
+    while True:
+        with suppress(Empty):
+            return heard.get(timeout=LISTEN_S)
+
+
+def _received(job: Job, pending: Pending) -> Outcome:
+    """Return the outcome that a task brings, in the paths that the user knows, after what it logged."""
+    answer = pending.result()
+    answer.log(job.recording.absolute().parent.name)
+    outcome: Outcome = answer.opened()
+    return replace(outcome, recording=job.recording, folder=job.folder)
+
+
+def _outcome(job: Job, work: Callable[[], Outcome]) -> Outcome:
+    """Do the work for a recording of a campaign; its failure is kept in the outcome."""
+    try:
+        return work()
+    except Exception as error:
+        if is_interruption(error):
+            raise
+        failure = told(error)
+        log.error("%s", failure)
+        log.debug("traceback", exc_info=error)
+        return Outcome(job.recording, job.folder, error=failure)
+
+
+def _write_campaign(top: Path, name: str, outcomes: Sequence[Outcome]) -> None:
+    """Write what the recordings tell together, unless all of them failed."""
+    finished = [outcome.folder for outcome in outcomes if outcome.error is None]
+    failed = {outcome.name: str(outcome.error) for outcome in outcomes if outcome.error is not None}
+    if finished:
+        with one_blas_thread():
+            write_campaign(top, name, finished, failed)
+
+
+# What the command prints when a campaign is done: what became of its recordings, and where the report lies.
+
+
+def print_campaign(outcomes: Sequence[Outcome]) -> None:
+    """Print one line per recording, each failure with its reason, how many there are of each, and the joint report."""
+    console = stdout_console()
+    for outcome in outcomes:
+        console.print(f"{outcome.name}: {_told(outcome)}", soft_wrap=True)
+    console.print(tally(outcomes))
+    done = [outcome for outcome in outcomes if outcome.error is None]
+    if done:
+        console.print(f"report of all: {done[0].folder.parent / REPORT_FILE}", soft_wrap=True)
+
+
+def tally(outcomes: Sequence[Outcome]) -> str:
+    """Return how many recordings were finished, were done before, and failed."""
+    failed = sum(outcome.error is not None for outcome in outcomes)
+    resumed = sum(outcome.resumed for outcome in outcomes)
+    parts = [(len(outcomes) - failed - resumed, "evaluated"), (resumed, "unchanged since the last run")]
+    told = ", ".join(f"{count} {what}" for count, what in (*parts, (failed, "failed")) if count)
+    return f"{len(outcomes)} recording{'' if len(outcomes) == 1 else 's'}: {told}"
+
+
+def _told(outcome: Outcome) -> str:
+    """Return what became of one recording."""
+    if outcome.error is not None:
+        return f"failed, {outcome.error}"
+    return (
+        f"report ({'unchanged since the last run' if outcome.resumed else 'written'}): {outcome.folder / REPORT_FILE}"
+    )

@@ -1,0 +1,340 @@
+"""Processes that share the work on this machine, and are replaced when they die.
+
+How many threads the libraries of one task use.
+
+Linear algebra adds in an order that depends on its threads, so that with another number of them the last digits of a
+result change. Everything a run computes is therefore done with one of them, wherever it is computed.
+"""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import os
+import pickle
+import signal
+import sys
+import threading
+import traceback
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection, wait
+from queue import PriorityQueue
+from typing import Any, cast
+
+from fusion.base import ComputeError
+
+# How many threads the libraries of one task use.
+
+
+LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "NUMBA_NUM_THREADS")
+ONE_THREAD = dict.fromkeys((*LIMITS, "OPENCV_FOR_THREADS_NUM"), "1")
+"""What a process has to be started with for its libraries to use one thread each."""
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Let linear algebra compute with one thread; loops over subsets, whose result does not depend on it, keep all."""
+    import scipy.linalg  # noqa: F401  (brings a linear algebra of its own, which is to be limited too)
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(1, user_api="blas"):
+        yield
+
+
+def with_one_thread(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Call a function while every library computes with one thread."""
+    with one_thread():
+        return function(*arguments)
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Let every library compute with one thread."""
+    import cv2
+    import numba
+    from threadpoolctl import threadpool_limits
+
+    threads = numba.get_num_threads(), cv2.getNumThreads()
+    torch = sys.modules.get("torch")
+    if torch is not None:
+        torch.set_num_threads(1)
+    numba.set_num_threads(1)
+    cv2.setNumThreads(1)
+    try:
+        with one_blas_thread(), threadpool_limits(1):
+            yield
+    finally:
+        numba.set_num_threads(threads[0])
+        cv2.setNumThreads(threads[1])
+
+
+# A task that another process computes: what it returns, raises and logs comes back as one answer.
+
+
+log = logging.getLogger("shakercal")
+_ALONE = threading.Lock()  # threads of one process share the logger and what the libraries are limited to
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What a task returned or raised, and what it logged."""
+
+    value: Any
+    error: Exception | None
+    told: tuple[logging.LogRecord, ...]
+
+    def __reduce__(self) -> tuple[Callable[..., Answer], tuple[bytes]]:
+        """Travel in one piece: a cluster hands over large arrays apart, read where they lie in a message.
+
+        There they begin at any byte, and kernels and sums over such an array are others than over one that numpy made.
+        """
+        return _arrived, (pickle.dumps((self.value, self.error, self.told)),)
+
+    def opened(self) -> Any:
+        """Return or raise what the task did."""
+        if self.error is not None:
+            raise self.error
+        return self.value
+
+    def log(self, name: str) -> None:
+        """Log what the task logged, behind the name of what it was about."""
+        for record in self.told:
+            if log.isEnabledFor(record.levelno):
+                log.log(record.levelno, "%s: %s", name, record.getMessage())
+
+
+def call(function: Callable[..., Any], *arguments: Any) -> Answer:
+    """Call a function, one at a time in a process; answers among its arguments are opened.
+
+    An exception carries the place it came from as its note.
+    """
+    with _ALONE, _kept_log() as told:
+        try:
+            return Answer(function(*(_opened(argument) for argument in arguments)), None, tuple(told))
+        except Exception as error:
+            error.add_note(traceback.format_exc())
+            return Answer(None, error, tuple(told))
+
+
+def _arrived(packed: bytes) -> Answer:
+    """The answer that has travelled."""
+    return Answer(*pickle.loads(packed))
+
+
+def _opened(argument: Any) -> Any:
+    """The value of an answer; anything else as it is."""
+    return argument.opened() if isinstance(argument, Answer) else argument
+
+
+@contextmanager
+def _kept_log() -> Iterator[list[logging.LogRecord]]:
+    """Collect what the program logs instead of telling it here."""
+    kept: list[logging.LogRecord] = []
+    before = log.handlers, log.propagate, log.level
+    log.handlers, log.propagate = [_Keeper(kept)], False
+    log.setLevel(logging.DEBUG)
+    try:
+        yield kept
+    finally:
+        log.handlers, log.propagate = before[:2]
+        log.setLevel(before[2])
+
+
+class _Keeper(logging.Handler):
+    """Keeps records as plain text, which can go to another process."""
+
+    def __init__(self, kept: list[logging.LogRecord]) -> None:
+        super().__init__()
+        self._kept = kept
+
+    def emit(self, record: logging.LogRecord) -> None:
+        plain = logging.makeLogRecord({**vars(record), "msg": record.getMessage(), "args": None, "exc_info": None})
+        self._kept.append(plain)
+
+
+# Processes of this machine that compute tasks, one at a time each, and are replaced when they die.
+
+
+ATTEMPTS = 3
+"""How often a task is begun before the death of its workers counts as the task's own failure."""
+FAREWELL_S = 5.0
+"""How long a worker may take to clean up when it is told to end."""
+NOTHING_MORE = 1 << 60
+
+
+@dataclass(order=True)
+class _Task:
+    """One call that waits for a worker; the lowest rank is the next, then the first come."""
+
+    rank: int
+    number: int
+    function: Callable[..., Any] = field(compare=False)
+    arguments: tuple[Any, ...] = field(compare=False)
+    future: Future[Answer] = field(compare=False, default_factory=Future)
+
+
+class Workers:
+    """A number of processes, each led by a thread of this one; at the end of `with` they all end."""
+
+    def __init__(self, size: int) -> None:
+        self.size = size
+        self._queue: PriorityQueue[_Task] = PriorityQueue()
+        self._number = 0
+        self._starting = threading.Lock()
+        self._stop, self._stopper = multiprocessing.Pipe(duplex=False)
+        self._leaders = [threading.Thread(target=self._lead, daemon=True) for _ in range(size)]
+
+    def __enter__(self) -> Workers:
+        for leader in self._leaders:
+            leader.start()
+        return self
+
+    def __exit__(self, *reason: object) -> None:
+        """End the workers, whatever they are doing; tasks without an answer are cancelled."""
+        self._stopper.close()
+        for _ in self._leaders:
+            self.submit(-NOTHING_MORE, call)
+        for leader in self._leaders:
+            leader.join()
+        while not self._queue.empty():
+            self._queue.get().future.cancel()
+        self._stop.close()
+
+    def submit(self, rank: int, function: Callable[..., Any], *arguments: Any) -> Future[Answer]:
+        """Have a module's function called by a worker; of the tasks that wait, the lowest rank comes first.
+
+        Futures among the arguments are done: the function receives what they hold.
+        """
+        self._number += 1
+        held = tuple(argument.result() if isinstance(argument, Future) else argument for argument in arguments)
+        task = _Task(rank, self._number, function, held)
+        self._queue.put(task)
+        return task.future
+
+    def _lead(self) -> None:
+        """Hand tasks to a worker, and to another when it dies, until the workers are to end."""
+        worker: _Worker | None = None
+        while (task := self._queue.get()).rank > -NOTHING_MORE:
+            try:
+                worker = self._complete(task, worker)
+            except Exception as error:  # told where the answer is awaited
+                worker = None
+                task.future.set_exception(error)
+        if worker is not None:
+            worker.end()
+
+    def _complete(self, task: _Task, worker: _Worker | None) -> _Worker | None:
+        """Have a task computed and return the worker that is still there; a task that ends its workers fails."""
+        for _ in range(ATTEMPTS):
+            if self._stop.poll():
+                break
+            worker = worker or self._new_worker()
+            answer = worker.ask((task.function, task.arguments), self._stop)
+            if answer is not None:
+                task.future.set_result(answer)
+                return worker
+            if self._stop.poll():
+                break
+            status, worker = worker.end(), None
+            log.warning("a worker process ended with status %s; another one begins its work again", status)
+        if self._stop.poll():
+            task.future.cancel()
+        else:
+            text = f"{ATTEMPTS} worker processes ended while they computed it; does the memory suffice?"
+            task.future.set_result(Answer(None, ComputeError(text), ()))
+        return worker
+
+    def _new_worker(self) -> _Worker:
+        """Start a process; the environment it is given is that of this one meanwhile."""
+        with self._starting, _environment(ONE_THREAD):
+            return _Worker()
+
+
+class _Worker:
+    """One process and the connection to it."""
+
+    def __init__(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._connection, other = context.Pipe()
+        self._process = context.Process(target=_serve, args=(other,), daemon=True)
+        self._process.start()
+        other.close()
+
+    def ask(self, task: tuple[Callable[..., Any], tuple[Any, ...]], stop: Connection) -> Answer | None:
+        """Have the process compute a task; None when it died meanwhile or `stop` was closed."""
+        try:
+            self._connection.send(task)
+            if self._connection in wait([self._connection, self._process.sentinel, stop]):
+                return cast(Answer, pickle.loads(self._connection.recv_bytes()))
+        except (EOFError, BrokenPipeError, ConnectionResetError):
+            log.debug("the connection to a worker broke")
+        return None
+
+    def end(self) -> int | None:
+        """End the process, kindly at first, and return its exit status."""
+        self._connection.close()
+        self._process.terminate()
+        self._process.join(FAREWELL_S)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+        status = self._process.exitcode
+        self._process.close()
+        return status
+
+
+def _serve(connection: Connection) -> None:
+    """Answer one task after another until the other side is gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal interrupts all processes; the first one tells the others
+    signal.signal(signal.SIGTERM, _leave)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    logging.getLogger().addHandler(logging.NullHandler())
+    logging.captureWarnings(True)
+    while True:
+        try:
+            function, arguments = connection.recv()
+        except EOFError:
+            signal.signal(signal.SIGTERM, signal.SIG_IGN)  # what is left is clean-up
+            return
+        connection.send_bytes(_packed(call(function, *arguments)))
+
+
+def _leave(*_: object) -> None:
+    """End through all clean-up, which nobody interrupts."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    sys.exit(1)
+
+
+def _packed(answer: Answer) -> bytes:
+    """Return an answer as bytes; an error that cannot travel is told in its own words."""
+    try:
+        return pickle.dumps(answer)
+    except Exception as error:
+        what = error if answer.error is None else answer.error
+        return pickle.dumps(Answer(None, RuntimeError(f"{type(what).__name__}: {what}"), answer.told))
+
+
+def _end_with_parent() -> None:
+    """Wait for the end of the process that started this one, which cannot tell when it is killed, and end too."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+@contextmanager
+def _environment(values: dict[str, str]) -> Iterator[None]:
+    """Set environment variables for the processes that are started meanwhile."""
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value

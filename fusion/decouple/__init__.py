@@ -1,1 +1,0 @@
-"""The command `shakercal decouple`: a common model of all outputs, and the filter against cross-talk."""

@@ -1,0 +1,1 @@
+"""From phasors to accelerations, with what they are uncertain by."""

@@ -1,0 +1,377 @@
+"""Readings of all lines as real rows; accelerations and common errors together by whitened least squares."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from fusion.estimation.measurement_model import CommonError, Observation
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+
+# The linear system behind the fusion: readings of all lines as real rows, and what their common errors do to them.
+
+
+BODY_SIZE_M = 0.1
+"""Length that compares rotations with translations where ranks are decided: a body of the size of a hand."""
+RANK_TOLERANCE = 1e-6
+RESOLUTION_TOLERANCE = 1e-6
+UNOBSERVED_MOTION = 0.02
+"""Standard uncertainty of a component nobody observes, relative to the observed motion (rotations: over 0.1 m)."""
+SCALE = np.array([1.0, 1.0, 1.0, 1.0 / BODY_SIZE_M, 1.0 / BODY_SIZE_M, 1.0 / BODY_SIZE_M])
+
+
+def real_design(matrix: ComplexArray) -> FloatArray:
+    """Return the real (2M, 2J) form of a complex (M, J) matrix that acts on [Re, Im]."""
+    return np.block([[matrix.real, -matrix.imag], [matrix.imag, matrix.real]])
+
+
+def real_stack(values: ComplexArray) -> FloatArray:
+    """Return [Re, Im] along the last axis."""
+    return np.concatenate([values.real, values.imag], axis=-1)
+
+
+def row_space(observations: Sequence[Observation], line: int) -> ComplexArray:
+    """Return a basis (6, R) of the accelerations that the usable readings of one line determine.
+
+    Rows are brought to equal length and rotations measured by `BODY_SIZE_M`, so that only the geometry decides;
+    directions whose singular value is below 1e-6 of the largest are left out.
+    """
+    rows = [o.design[line][np.isfinite(o.phasors.value[line])] * SCALE for o in observations]
+    stacked = np.concatenate(rows) if rows else np.zeros((0, 6), np.complex128)
+    length = np.linalg.norm(stacked, axis=1, keepdims=True)
+    stacked = stacked / np.where(length > 0.0, length, 1.0)
+    if not len(stacked) or not np.any(stacked):
+        return np.zeros((6, 0), np.complex128)
+    _, singular, right = np.linalg.svd(stacked, full_matrices=False)
+    return np.asarray(right[singular > RANK_TOLERANCE * singular[0]].conj().T)
+
+
+def observed_components(basis: ComplexArray) -> BoolArray:
+    """Return which components (6,) lie in the row space: diagonal of the resolution matrix equal to 1 (within 1e-6)."""
+    return np.asarray(np.sum(np.abs(basis) ** 2, axis=1) > 1.0 - RESOLUTION_TOLERANCE)
+
+
+@dataclass(frozen=True)
+class RowErrors:
+    """What the common errors of one observation do to its real rows, a `block` of the system's.
+
+    Effect (n, e) of one standard uncertainty on the rows: `slope` (n, e, 12) · [Re A, Im A] of the row's line +
+    `offset` (n, e), for the system's errors `columns` (e,). `square` (n, 6): half the sum of |slope|², through which
+    motion that nobody observes acts on either part of a reading.
+    """
+
+    block: slice
+    columns: IntArray
+    slope: FloatArray
+    offset: FloatArray
+    square: FloatArray
+
+
+@dataclass(frozen=True)
+class System:
+    """All usable readings of a set of observations as N real rows.
+
+    `readings` (N,), `design` (N, P) on the reduced unknowns, `noise` (N, N), `size` (N,) the largest reading of the
+    row's instrument at its line; `line`, `observation`, `channel` (of the observation), `member` (N,): where each row
+    belongs; `pairs` (N/2, 2): the rows of the real and the imaginary part of every reading; `member_names`; `expand`
+    (12K, P) from the unknowns to [Re A_k, Im A_k] of all lines; `observed` (K, 6); `common`: the E common errors, each
+    once; `errors`: their effects, observation by observation.
+    """
+
+    observations: tuple[Observation, ...]
+    readings: FloatArray
+    design: FloatArray
+    noise: FloatArray
+    size: FloatArray
+    line: IntArray
+    observation: IntArray
+    channel: IntArray
+    member: IntArray
+    pairs: IntArray
+    member_names: tuple[str, ...]
+    expand: FloatArray
+    observed: BoolArray
+    common: tuple[CommonError, ...]
+    errors: tuple[RowErrors, ...]
+
+    def effects(self, acceleration: ComplexArray) -> FloatArray:
+        """Return (N, E): change of the readings for one standard uncertainty of each common error, at A (K, 6)."""
+        effects = np.zeros((len(self.readings), len(self.common)))
+        motion = real_stack(acceleration)[self.line]
+        for part in self.errors:
+            change = np.einsum("nej,nj->ne", part.slope, motion[part.block]) + part.offset
+            effects[part.block, part.columns] = change
+        return effects
+
+    def hidden_variances(self, acceleration: ComplexArray) -> FloatArray:
+        """Return (N,): variance of the readings from components nobody observes, through uncertain design rows.
+
+        A laser that may point 5 mrad aside sees that share of a transverse motion. Such components, zero in the
+        estimate A (K, 6), are given the standard uncertainty `hidden_motion`.
+        """
+        square = hidden_motion(acceleration, self.observed)[self.line] ** 2
+        found = np.zeros(len(self.readings))
+        for part in self.errors:
+            found[part.block] = np.sum(part.square * square[part.block], axis=1)
+        return found
+
+    def acceleration(self, unknowns: FloatArray) -> ComplexArray:
+        """Return A (K, 6) from the reduced unknowns (P,); what no reading determines is zero."""
+        stacked = (self.expand @ unknowns).reshape(-1, 12)
+        return np.asarray(stacked[:, :6] + 1j * stacked[:, 6:])
+
+
+def hidden_motion(acceleration: ComplexArray, observed: BoolArray) -> FloatArray:
+    """Return (K, 6) standard uncertainties assumed of unobserved amplitudes: 2 % of the observed motion, else zero."""
+    size = np.max(np.where(observed, np.abs(acceleration / SCALE), 0.0), axis=1, keepdims=True)
+    return np.asarray(np.where(observed, 0.0, UNOBSERVED_MOTION * size * SCALE))
+
+
+@dataclass(frozen=True)
+class Places:
+    """Which reading each real row (n,) of one observation is: `line`, `channel`, and whether its imaginary part."""
+
+    line: IntArray
+    channel: IntArray
+    imaginary: BoolArray
+
+    @classmethod
+    def of(cls, observation: Observation) -> Places:
+        """Return the rows of all usable readings, line by line, real parts before imaginary ones."""
+        line, channel, imaginary = [], [], []
+        for k, usable in enumerate(np.isfinite(observation.phasors.value)):
+            (found,) = np.nonzero(usable)
+            line.append(np.full(2 * len(found), k))
+            channel.append(np.tile(found, 2))
+            imaginary.append(np.repeat([False, True], len(found)))
+        return cls(np.concatenate(line), np.concatenate(channel), np.concatenate(imaginary))
+
+    def rows(self, values: ComplexArray) -> FloatArray:
+        """Return (..., K, M) complex values as (..., n) real rows."""
+        chosen = values[..., self.line, self.channel]
+        return np.where(self.imaginary, chosen.imag, chosen.real)
+
+    def design(self, matrix: ComplexArray) -> FloatArray:
+        """Return (..., K, M, 6) complex rows as (..., n, 12) real rows that act on [Re A, Im A]."""
+        chosen = matrix[..., self.line, self.channel, :]
+        turned = np.where(self.imaginary[:, None], -1j * chosen, chosen)
+        return np.concatenate([turned.real, -turned.imag], axis=-1)
+
+    def covariance(self, covariance: FloatArray) -> FloatArray:
+        """Return the covariance (n, n) of the rows from that (K, 2M, 2M) of every line."""
+        both = self.channel + self.imaginary * (covariance.shape[1] // 2)
+        same = self.line[:, None] == self.line
+        return np.where(same, covariance[self.line[:, None], both[:, None], both], 0.0)
+
+
+def real_rows(observation: Observation, values: ComplexArray) -> FloatArray:
+    """Return (K, M) values as real rows in the system's order: line by line, usable channels, Re then Im."""
+    return Places.of(observation).rows(values)
+
+
+def build_system(observations: Sequence[Observation]) -> System:
+    """Collect the usable readings of observations that share their lines into one system."""
+    lines = len(observations[0].phasors.frequency_hz)
+    bases = [row_space(observations, line) for line in range(lines)]
+    starts = np.concatenate([[0], np.cumsum([2 * basis.shape[1] for basis in bases])]).astype(np.int64)
+    expand = np.zeros((12 * lines, starts[-1]))
+    for k, basis in enumerate(bases):
+        expand[12 * k : 12 * k + 12, starts[k] : starts[k + 1]] = real_design(SCALE[:, None] * basis)
+    names = tuple(dict.fromkeys(name for o in observations for name in o.members))
+    places = [Places.of(observation) for observation in observations]
+    ends = np.cumsum([len(place.line) for place in places])
+    readings = np.concatenate([p.rows(o.phasors.value) for p, o in zip(places, observations, strict=True)])
+    line = np.concatenate([place.line for place in places])
+    where = np.repeat(np.arange(len(places)), [len(place.line) for place in places])
+    motion = np.concatenate([p.design(o.design) for p, o in zip(places, observations, strict=True)])
+    common: dict[str, CommonError] = {}
+    for observation in observations:
+        for error in observation.common:
+            common.setdefault(error.name, error)
+    columns = {name: column for column, name in enumerate(common)}
+    return System(
+        observations=tuple(observations),
+        readings=readings,
+        design=np.einsum("nj,njp->np", motion, expand.reshape(lines, 12, -1)[line]),
+        noise=_block_diagonal([p.covariance(o.phasors.covariance) for p, o in zip(places, observations, strict=True)]),
+        size=_reading_size(readings, where * lines + line),
+        line=line,
+        observation=where,
+        channel=np.concatenate([place.channel for place in places]),
+        member=np.concatenate(
+            [
+                np.array([names.index(m) for m in o.members])[p.channel]
+                for p, o in zip(places, observations, strict=True)
+            ]
+        ),
+        pairs=_pairs(np.concatenate([place.imaginary for place in places])),
+        member_names=names,
+        expand=expand,
+        observed=np.array([observed_components(basis) for basis in bases]),
+        common=tuple(common.values()),
+        errors=tuple(
+            _row_errors(o, p, slice(end - len(p.line), end), columns)
+            for o, p, end in zip(observations, places, ends.tolist(), strict=True)
+            if o.common
+        ),
+    )
+
+
+def _row_errors(observation: Observation, places: Places, block: slice, columns: dict[str, int]) -> RowErrors:
+    """Effects of the common errors of one observation on its rows."""
+    slopes = np.stack([error.slope for error in observation.common])
+    square = np.sum(np.abs(slopes) ** 2, axis=0) / 2.0
+    return RowErrors(
+        block=block,
+        columns=np.array([columns[error.name] for error in observation.common]),
+        slope=places.design(slopes).swapaxes(0, 1),
+        offset=places.rows(np.stack([error.offset for error in observation.common])).T,
+        square=square[places.line, places.channel],
+    )
+
+
+def _pairs(imaginary: BoolArray) -> IntArray:
+    """Rows of real and imaginary part of every reading: in each line of an observation they come in the same order."""
+    return np.stack([np.flatnonzero(~imaginary), np.flatnonzero(imaginary)], axis=1)
+
+
+def _reading_size(readings: FloatArray, group: IntArray) -> FloatArray:
+    """Largest reading of each row's group (an instrument at a line), one where all are zero."""
+    largest = np.zeros(int(group.max(initial=-1)) + 1)
+    np.maximum.at(largest, group, np.abs(readings))
+    return np.where(largest > 0.0, largest, 1.0)[group]
+
+
+def _block_diagonal(blocks: Sequence[FloatArray]) -> FloatArray:
+    """Square blocks along the diagonal of one matrix."""
+    ends = np.cumsum([len(block) for block in blocks])
+    matrix = np.zeros((ends[-1], ends[-1]))
+    for block, end in zip(blocks, ends, strict=True):
+        matrix[end - len(block) : end, end - len(block) : end] = block
+    return matrix
+
+
+# Whitened least squares: accelerations and common errors estimated together, with all that follows from it.
+
+
+NOISE_FLOOR = 1e-4
+CONVERGED = 1e-10
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Estimate of a system: `acceleration` (K, 6), `errors` (E,) in standard uncertainties, `effects` (N, E) there.
+
+    `remaining` (E,): standard uncertainty of the errors after the estimate over that before.
+    `gain` (12K, N): estimate = gain · readings; `projector` (N, N) = V^-1 - V^-1 X (X^T V^-1 X)^-1 X^T V^-1 with V the
+    covariance of noise and common errors, so that `chi2` = y^T P y; `dof`; `noise` (N, N) as it was used, with the
+    discrepancy and the `hidden` (N,) variances in it.
+    """
+
+    acceleration: ComplexArray
+    errors: FloatArray
+    remaining: FloatArray
+    effects: FloatArray
+    gain: FloatArray
+    projector: FloatArray
+    chi2: float
+    dof: int
+    noise: FloatArray
+    hidden: FloatArray
+
+
+def solve(system: System, extra: FloatArray | None = None, iterations: int = 8) -> Solution:
+    """Estimate accelerations and common errors together by least squares.
+
+    The augmented system [X S; 0 I] [A; e] = [y; 0], whitened by the noise, is equivalent to generalised least squares
+    with the covariance N + S S^T. S is taken at the current estimate and the step repeated, so that no reading that
+    happens to be low gains weight by it (Peelle's puzzle; D'Agostini 1994, Nucl. Instrum. Methods A 346, 306).
+    `extra` (N, N): covariance of the readings beside what is stated.
+    """
+    noise = system.noise if extra is None else system.noise + extra
+    acceleration = system.acceleration(_starting_point(system, noise))
+    for _ in range(iterations):
+        step = _augmented(system, noise, acceleration)
+        found = step.acceleration(system)
+        change = np.max(np.abs(found - acceleration), initial=0.0)
+        acceleration = found
+        if change <= CONVERGED * np.max(np.abs(acceleration), initial=0.0):
+            break
+    return _solution(system, _augmented(system, noise, acceleration))
+
+
+def _starting_point(system: System, noise: FloatArray) -> FloatArray:
+    """Unknowns without common errors, every reading weighted by its noise and a hundredth of its size."""
+    weight = 1.0 / np.sqrt(np.diag(noise) + (1e-2 * system.size) ** 2)
+    return np.asarray(np.linalg.lstsq(system.design * weight[:, None], system.readings * weight, rcond=None)[0])
+
+
+@dataclass(frozen=True)
+class _Step:
+    """The augmented system whitened by the `root` of the `noise`: (N + E, P + E), right side (N,), column `scale`."""
+
+    matrix: FloatArray
+    readings: FloatArray
+    scale: FloatArray
+    root: FloatArray
+    noise: FloatArray
+    effects: FloatArray
+    hidden: FloatArray
+
+    def acceleration(self, system: System) -> ComplexArray:
+        """Return the estimate alone."""
+        unknowns = len(self.scale)
+        right = np.zeros(len(self.matrix))
+        right[: len(self.readings)] = self.readings
+        triangle = np.asarray(np.linalg.qr(np.column_stack([self.matrix, right]), mode="r"))
+        size = self.matrix.shape[1]
+        found = solve_triangular(triangle[:size, :size], triangle[:size, -1], check_finite=False)
+        return system.acceleration(found[:unknowns] / self.scale)
+
+
+def _augmented(system: System, noise: FloatArray, acceleration: ComplexArray) -> _Step:
+    """Whitened system with the effects of the common errors and of unobserved motion at an acceleration (K, 6)."""
+    effects, hidden = system.effects(acceleration), system.hidden_variances(acceleration)
+    # Noise far below the common errors is raised to 1e-4 of them: invisible in U, and P keeps its digits.
+    floor = (NOISE_FLOOR * np.linalg.norm(effects, axis=1)) ** 2 + (1e-12 * system.size) ** 2
+    variance = np.diag(noise) + hidden
+    # A share of 1e-9 of the variances keeps covariances of channels that move alike positive definite.
+    noise = noise + np.diag(hidden + np.maximum(floor - variance, 0.0) + 1e-9 * variance)
+    root = np.asarray(np.linalg.cholesky(noise))
+    count, unknowns, errors = len(system.readings), system.design.shape[1], effects.shape[1]
+    columns = np.column_stack([system.design, effects, system.readings])
+    white = solve_triangular(root, columns, lower=True, check_finite=False)
+    scale = np.asarray(np.linalg.norm(white[:, :unknowns], axis=0))
+    matrix = np.zeros((count + errors, unknowns + errors))
+    matrix[:count] = white[:, :-1]
+    matrix[:count, :unknowns] /= scale
+    matrix[count:, unknowns:] = np.eye(errors)
+    return _Step(matrix, white[:, -1], scale, root, noise, effects, hidden)
+
+
+def _solution(system: System, step: _Step) -> Solution:
+    """Estimate with all that follows from it."""
+    count, unknowns = len(system.readings), system.design.shape[1]
+    q, r = np.linalg.qr(step.matrix)
+    white_projector = np.eye(count) - q[:count] @ q[:count].T
+    inverse = solve_triangular(r, q[:count].T, check_finite=False)
+    left = solve_triangular(
+        step.root, np.column_stack([white_projector, inverse.T]), lower=True, trans="T", check_finite=False
+    )
+    gain = left[:, count:].T
+    after = solve_triangular(r[unknowns:, unknowns:], np.eye(len(r) - unknowns), check_finite=False)
+    return Solution(
+        acceleration=system.acceleration(inverse[:unknowns] @ step.readings / step.scale),
+        errors=inverse[unknowns:] @ step.readings,
+        remaining=np.linalg.norm(after, axis=1),
+        effects=step.effects,
+        gain=system.expand @ (gain[:unknowns] / step.scale[:, None]),
+        projector=solve_triangular(step.root, left[:, :count].T, lower=True, trans="T", check_finite=False),
+        chi2=float(step.readings @ white_projector @ step.readings),
+        dof=count - unknowns,
+        noise=step.noise,
+        hidden=step.hidden,
+    )

@@ -1,0 +1,413 @@
+"""Uncertain numbers by named unknowns; coverage factors and 95 % regions; magnitude and phase."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from shaker.arrays import ComplexArray, FloatArray, IntArray, check_shape
+from shaker.phasor import real_stacked_diagonal
+
+# Coverage: factors that turn standard into expanded uncertainties, and 95 % regions of complex values.
+
+
+COVERAGE = 0.95
+"""Probability with which an interval or a region contains the value."""
+
+
+def coverage_factor(dof: float) -> float:
+    """Return k = t_0.975(dof), so that ±k·u holds a real value 95 times in 100 (JCGM 100, G.3.2).
+
+    `dof`: effective degrees of freedom, infinite where the uncertainty is known; 1.96 then, infinite below 1e-3.
+    """
+    from scipy.special import ndtri, stdtrit
+
+    upper = 0.5 + COVERAGE / 2.0
+    if np.isinf(dof):
+        return float(ndtri(upper))
+    return float(stdtrit(dof, upper)) if dof > 1e-3 else np.inf
+
+
+def region_factor(dof: float) -> float:
+    """Return k₂, so that the ellipse z^T V⁻¹ z ≤ k₂² holds a complex value 95 times in 100.
+
+    k₂² = 2ν/(ν-1)·F_0.95(2, ν-1), chi-square of two degrees of freedom for infinite ν (Willink & Hall 2002,
+    Metrologia 39, 361, eq. 5). F(2, n) has the closed quantile n/2·(0.05^(-2/n) - 1), hence k₂² =
+    ν·(0.05^(-2/(ν-1)) - 1). Infinite for ν ≤ 1: fewer than two complex readings have no region.
+    """
+    tail = -2.0 * np.log(1.0 - COVERAGE)
+    if np.isinf(dof):
+        return float(np.sqrt(tail))
+    # Above a power of e^500 the region is infinite for every purpose.
+    return float(np.sqrt(dof * np.expm1(tail / (dof - 1.0)))) if dof > 1.0 + tail / 500.0 else np.inf
+
+
+@dataclass(frozen=True)
+class Region:
+    """The 95 % region of a complex value: an ellipse about it in the complex plane.
+
+    `half_axes`: the larger and the smaller one, in the unit of the value; `angle_rad`: of the larger one from the real
+    axis, in (-π/2, π/2]; `holds_zero`: whether the origin lies inside, so that amplitude and phase say nothing.
+    """
+
+    half_axes: tuple[float, float]
+    angle_rad: float
+    holds_zero: bool
+
+
+def region(value: complex, covariance: FloatArray, dof: float = np.inf) -> Region:
+    """Return the 95 % region of a complex value with the covariance (2, 2) of (Re, Im)."""
+    if not np.all(np.isfinite(covariance)):
+        return Region((np.inf, np.inf), 0.0, holds_zero=True)
+    variances, axes = np.linalg.eigh(covariance)
+    small, large = (_half_axis(float(variance), dof) for variance in variances)
+    turned = np.abs(axes.T @ [value.real, value.imag])
+    reached = sum(_share(float(part), half) ** 2 for part, half in zip(turned, (small, large), strict=True))
+    along = axes[:, 1] * (1.0 if axes[0, 1] > 0.0 or (axes[0, 1] == 0.0 and axes[1, 1] > 0.0) else -1.0)
+    return Region((large, small), float(np.arctan2(along[1], along[0])), holds_zero=reached <= 1.0)
+
+
+def _half_axis(variance: float, dof: float) -> float:
+    """Half axis of a region; a direction without uncertainty has none, whatever the degrees of freedom."""
+    return region_factor(dof) * float(np.sqrt(variance)) if variance > 0.0 else 0.0
+
+
+def _share(part: float, half_axis: float) -> float:
+    """Part of the way to the edge of a region, infinite outside of one without extent."""
+    if part == 0.0:
+        return 0.0
+    return part / half_axis if half_axis > 0.0 else np.inf
+
+
+# What makes complex values uncertain: noise of its own at every line, and named unknowns that act on many values.
+
+
+Kind = Literal["A", "B"]
+Scope = Literal["recording", "mounting", "rig"]
+"""How long an unknown keeps its value: during one recording, until something is mounted anew, or as long as the rig."""
+
+
+@dataclass(frozen=True)
+class Contribution:
+    """Noise of C complex values at K lines, independent from line to line and of all other contributions.
+
+    `label` is its line of a budget, `type` A or B as in the GUM, `covariance` (K, 2C, 2C) of [all Re, all Im], NaN
+    where a value is not known, `dof` (K,) degrees of freedom, infinite where None.
+    """
+
+    label: str
+    type: Kind
+    covariance: FloatArray
+    dof: FloatArray | None = None
+
+
+@dataclass(frozen=True)
+class Influence:
+    """One real unknown of standard uncertainty `u` (in `unit`), and what one standard uncertainty does to the values.
+
+    `name` identifies the unknown: equal names are the same unknown, wherever they occur within its `scope`. `label`
+    groups unknowns in a budget. `effect` (K, 2C): first-order change of [all Re, all Im], at all lines together.
+    """
+
+    name: str
+    label: str
+    u: float
+    unit: str
+    effect: FloatArray
+    scope: Scope = "recording"
+    type: Kind = "B"
+
+    def acting(self, effect: FloatArray) -> Influence:
+        """Return the same unknown with another effect."""
+        return Influence(self.name, self.label, self.u, self.unit, effect, self.scope, self.type)
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Everything that makes C complex values at K lines uncertain: `random` contributions and common `influences`.
+
+    A first-order error of the values is the sum of the random parts and of effect · ε over the influences, with one
+    standard normal ε for each name: what two results share is told by their names, and nothing is counted twice.
+    """
+
+    random: tuple[Contribution, ...]
+    influences: tuple[Influence, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.random:
+            raise ValueError("random: expected at least one contribution, found none")
+        lines, size = self.random[0].covariance.shape[:2]
+        for part in self.random:
+            check_shape(f"covariance of {part.label}", part.covariance, (lines, size, size))
+        for influence in self.influences:
+            check_shape(f"effect of {influence.name}", influence.effect, (lines, size))
+        names = [influence.name for influence in self.influences]
+        if len(set(names)) < len(names):
+            raise ValueError("influences: expected every name once; add up the effects of one unknown")
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Return the whole covariance (K, 2C, 2C) of [all Re, all Im], line by line."""
+        total = np.sum([part.covariance for part in self.random], axis=0)
+        if self.influences:
+            effects = np.stack([influence.effect for influence in self.influences])
+            total = total + np.einsum("eki,ekj->kij", effects, effects)
+        return np.asarray(total)
+
+    def grouped(self) -> tuple[Contribution, ...]:
+        """Return one contribution per label, in the order of their first appearance: the lines of a budget."""
+        groups: dict[str, list[Influence]] = {}
+        for influence in self.influences:
+            groups.setdefault(influence.label, []).append(influence)
+        parts = list(self.random)
+        for label, group in groups.items():
+            effects = np.stack([influence.effect for influence in group])
+            parts.append(Contribution(label, group[0].type, np.einsum("eki,ekj->kij", effects, effects)))
+        return merge_contributions(parts)
+
+    def transformed(self, jacobian: FloatArray) -> Uncertainty:
+        """Return the uncertainty of D values that change by `jacobian` (K, 2D, 2C) times these values' changes."""
+        random = tuple(
+            replace(part, covariance=jacobian @ part.covariance @ jacobian.swapaxes(1, 2)) for part in self.random
+        )
+        if not self.influences:
+            return Uncertainty(random)
+        effects = np.einsum("kij,ekj->eki", jacobian, np.stack([influence.effect for influence in self.influences]))
+        return Uncertainty(random, tuple(i.acting(effect) for i, effect in zip(self.influences, effects, strict=True)))
+
+    def scaled(self, factor: ComplexArray) -> Uncertainty:
+        """Return the uncertainty of the values times complex factors (K, C)."""
+        return self.transformed(real_stacked_diagonal(np.asarray(factor, dtype=np.complex128)))
+
+    def plus(self, other: Uncertainty) -> Uncertainty:
+        """Return the uncertainty of a sum: noise adds in squares, effects of equal names add as they are."""
+        merged = {influence.name: influence for influence in self.influences}
+        for influence in other.influences:
+            known = merged.get(influence.name)
+            total = influence.effect if known is None else known.effect + influence.effect
+            merged[influence.name] = (influence if known is None else known).acting(total)
+        return Uncertainty(merge_contributions([*self.random, *other.random]), tuple(merged.values()))
+
+    def at(self, values: IntArray | Sequence[int]) -> Uncertainty:
+        """Return the uncertainty of some of the C values, by their places."""
+        size = self.random[0].covariance.shape[1] // 2
+        index = np.asarray(values, dtype=np.int64)
+        both = np.concatenate([index, index + size])
+        random = tuple(replace(part, covariance=part.covariance[:, both[:, None], both]) for part in self.random)
+        return Uncertainty(random, tuple(i.acting(i.effect[:, both]) for i in self.influences))
+
+    def dof(self) -> FloatArray:
+        """Return the effective degrees of freedom (K, C) of every value.
+
+        ν = (2V_rr² + V_rr V_ii + V_ri² + 2V_ii²) / Σ (the same of a contribution)/ν_j, which makes the covariance of a
+        value scatter as much in all as a sample covariance of ν + 1 complex readings would (Willink & Hall 2002,
+        Metrologia 39, 361); contributions of one label are grouped first (JCGM 100, G.4.1).
+        """
+        total = _scatter(self.covariance)
+        weighted = np.zeros_like(total)
+        labels = {influence.label for influence in self.influences}
+        shared = any(part.label in labels for part in self.random)
+        for part in self.grouped() if shared else merge_contributions(self.random):
+            if part.dof is not None:
+                weighted += _scatter(part.covariance) / np.maximum(part.dof, 1.0)[:, None]
+        empty = np.full(total.shape, np.inf)
+        return np.asarray(np.divide(total, weighted, out=empty, where=weighted > 0.0))
+
+
+def _scatter(covariance: FloatArray) -> FloatArray:
+    """Sum (K, C) of the variances of the elements of a sample covariance of (Re, Im), per degree of freedom."""
+    diagonal = covariance.diagonal(axis1=1, axis2=2)
+    size = diagonal.shape[1] // 2
+    real, imaginary = diagonal[:, :size], diagonal[:, size:]
+    mixed = covariance[:, :size, size:].diagonal(axis1=1, axis2=2)
+    return np.asarray(2.0 * real**2 + real * imaginary + mixed**2 + 2.0 * imaginary**2)
+
+
+def total_variance(covariance: FloatArray) -> FloatArray:
+    """Return the sum (K, C) of the variances of Re and Im of every value."""
+    diagonal = covariance.diagonal(axis1=1, axis2=2)
+    size = diagonal.shape[1] // 2
+    return np.asarray(diagonal[:, :size] + diagonal[:, size:])
+
+
+def merge_contributions(parts: Sequence[Contribution]) -> tuple[Contribution, ...]:
+    """Add up contributions of equal label, their degrees of freedom by Welch and Satterthwaite."""
+    groups: dict[str, list[Contribution]] = {}
+    for part in parts:
+        groups.setdefault(part.label, []).append(part)
+    return tuple(group[0] if len(group) == 1 else _sum(group) for group in groups.values())
+
+
+def _sum(group: Sequence[Contribution]) -> Contribution:
+    """Sum of independent contributions to the same values."""
+    covariance = np.sum([part.covariance for part in group], axis=0)
+    if all(part.dof is None for part in group):
+        return replace(group[0], covariance=covariance)
+    weighted = np.zeros(len(covariance))
+    for part in group:
+        trace = np.nansum(total_variance(part.covariance), axis=1)
+        weighted += trace**2 / (np.inf if part.dof is None else np.maximum(part.dof, 1.0))
+    trace = np.nansum(total_variance(covariance), axis=1)
+    empty = np.full(len(covariance), np.inf)
+    dof = np.divide(trace**2, weighted, out=empty, where=weighted > 0.0)
+    return replace(group[0], covariance=covariance, dof=dof)
+
+
+# Complex numbers as magnitude and phase with uncertainty, and how numbers and units are printed.
+
+
+UNIFORM_PHASE_U = float(np.pi / np.sqrt(3.0))
+LARGEST_PLAIN = 1e5
+SMALLEST_PLAIN = 1e-2
+DASH = "–"
+PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
+PLAIN_TO_TYPESET = (("^2", "²"), ("N.m", "N·m"))
+
+
+@dataclass(frozen=True)
+class Polar:
+    """A complex value as magnitude and phase in (-pi, pi] and as parts, with standard uncertainties (k = 1).
+
+    `r`: correlation of real and imaginary part; `dof`: effective degrees of freedom, which decide the coverage factor.
+    """
+
+    magnitude: float
+    phase_rad: float
+    u_magnitude: float
+    u_phase_rad: float
+    re: float
+    im: float
+    u_re: float
+    u_im: float
+    r: float
+    dof: float = np.inf
+
+    @property
+    def k(self) -> float:
+        """Return the coverage factor of magnitude and phase for 95 %."""
+        return coverage_factor(self.dof)
+
+    @property
+    def expanded_magnitude(self) -> float:
+        """Return U of the magnitude, k·u."""
+        return self.k * self.u_magnitude
+
+    @property
+    def expanded_phase_rad(self) -> float:
+        """Return U of the phase, k·u."""
+        return self.k * self.u_phase_rad
+
+    @property
+    def region(self) -> Region:
+        """Return the 95 % region of the complex value."""
+        mixed = self.r * self.u_re * self.u_im
+        covariance = np.array([[self.u_re**2, mixed], [mixed, self.u_im**2]])
+        return region(complex(self.re, self.im), covariance, self.dof)
+
+
+def polar(value: complex, covariance: FloatArray, dof: float = np.inf) -> Polar:
+    """First-order propagation of the covariance (2, 2) of (Re, Im) of `value` to magnitude and phase.
+
+    u(|X|)^2 = e^T V e with e = (Re, Im)/|X|, u(arg X)^2 = n^T V n / |X|^2 with n = (-Im, Re)/|X| (JCGM 102, 9.4).
+    Where |X| is of the order of its uncertainty the expansion fails: u(arg X) is capped at pi/sqrt(3), the standard
+    deviation of a phase of which nothing is known, and at X = 0 u(|X|) is that of the mean direction.
+    """
+    re, im = float(value.real), float(value.imag)
+    magnitude = float(np.hypot(re, im))
+    u_re, u_im = (float(u) for u in np.sqrt(np.diag(covariance)))
+    r = float(covariance[0, 1]) / (u_re * u_im) if u_re * u_im > 0.0 else 0.0
+    u_magnitude, u_phase = _first_order(re, im, magnitude, covariance)
+    return Polar(magnitude, _phase(re, im), u_magnitude, u_phase, re, im, u_re, u_im, r, dof)
+
+
+def element_covariance(covariance: FloatArray, element: int) -> FloatArray:
+    """Covariance (2, 2) of (Re, Im) of one element of a real-stacked covariance (2M, 2M)."""
+    pair = [element, element + covariance.shape[-1] // 2]
+    return covariance[np.ix_(pair, pair)]
+
+
+def _phase(re: float, im: float) -> float:
+    """Phase in (-pi, pi]; an imaginary part of -0 does not turn pi into -pi."""
+    return float(np.arctan2(im + 0.0, re))
+
+
+def _first_order(re: float, im: float, magnitude: float, covariance: FloatArray) -> tuple[float, float]:
+    """Standard uncertainties of magnitude and phase."""
+    if magnitude == 0.0:
+        return float(np.sqrt(np.trace(covariance) / 2.0)), UNIFORM_PHASE_U
+    if np.isnan(covariance).any():
+        return float("nan"), float("nan")
+    along = np.array([re, im]) / magnitude
+    across = np.array([-im, re]) / magnitude
+    variance, turned = float(along @ covariance @ along), float(across @ covariance @ across)
+    return float(np.sqrt(max(variance, 0.0))), min(float(np.sqrt(max(turned, 0.0))) / magnitude, UNIFORM_PHASE_U)
+
+
+class Rounded(NamedTuple):
+    """A value and its expanded uncertainty as decimal texts, both times ten to the power `exponent`."""
+
+    value: str
+    expanded: str
+    exponent: int
+
+
+def rounded(value: float, expanded: float, exponent: int | None = None) -> Rounded:
+    """Value rounded to the second significant digit of its expanded uncertainty (GUM 7.2.6).
+
+    `exponent`: power of ten to take off, by default none for sizes from 0.01 to 100 000 and else that of the larger of
+    the two. Without a usable uncertainty the value has five significant digits and the uncertainty is a dash.
+    """
+    if not np.isfinite(value):
+        return Rounded(DASH, DASH, 0)
+    usable = bool(np.isfinite(expanded)) and expanded > 0.0
+    power = _power(max(abs(value), expanded if usable else 0.0)) if exponent is None else exponent
+    scale = 10.0**-power
+    if not usable:
+        return Rounded(_signed(f"{value * scale:.5g}"), DASH, power)
+    decimals = _decimals(expanded * scale)
+    return Rounded(_signed(_places(value * scale, decimals)), _places(expanded * scale, decimals), power)
+
+
+def _places(value: float, decimals: int) -> str:
+    """Decimal text; a negative number of places rounds to tens or hundreds."""
+    return f"{round(value, decimals):.{max(decimals, 0)}f}"
+
+
+def _decimals(expanded: float) -> int:
+    """Decimal places that show two significant digits."""
+    return 1 - int(f"{expanded:.1e}".partition("e")[2])
+
+
+def _power(size: float) -> int:
+    """Power of ten that leaves one digit before the point, none where the number is readable as it is."""
+    if size == 0.0 or SMALLEST_PLAIN <= size < LARGEST_PLAIN:
+        return 0
+    return int(np.floor(np.log10(size)))
+
+
+def _signed(text: str) -> str:
+    """Typographic minus sign; no sign before zero."""
+    if text.startswith("-") and not text.strip("-0."):
+        return text[1:]
+    return text.replace("-", "\N{MINUS SIGN}")
+
+
+def prefix(values: FloatArray, *, coarse: bool = False) -> tuple[float, str]:
+    """Factor and SI prefix that bring the largest magnitude of `values` to a readable size (`coarse`: at least 1)."""
+    finite = np.abs(values[np.isfinite(values)])
+    largest = float(finite.max()) if finite.size else 1.0
+    threshold = 1.0 if coarse else 0.5
+    for factor, letter in PREFIXES:
+        if largest >= threshold * factor:
+            return factor, letter
+    return PREFIXES[-1]
+
+
+def typeset(unit: str) -> str:
+    """ASCII unit of the result files as it is printed: `m/s^2` becomes `m/s²`."""
+    for plain, nice in PLAIN_TO_TYPESET:
+        unit = unit.replace(plain, nice)
+    return unit

@@ -1,0 +1,344 @@
+"""Disagreement beyond what is stated, as variance components: scatter within instruments, differences between them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.estimation.least_squares import BODY_SIZE_M, SCALE, Places, Solution, System
+from fusion.estimation.measurement_model import Observation
+from shaker.arrays import ComplexArray, FloatArray, IntArray
+
+TEST_LEVEL = 0.99
+RANK_TOLERANCE = 1e-6
+VISIBLE = 1e-4
+ITERATIONS = 100
+NOTHING = np.zeros(0)
+SMALL_READING = 0.1
+"""A reading below this share of the motion has no direction in the complex plane of its own."""
+LEAST_DOF = 4.0
+"""Degrees of freedom of a difference between instruments are never taken as fewer: two instruments that differ by D
+then get u = D/2 about their middle and U = 1.4 D, which covers both."""
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Standard deviations by which the readings of one instrument scatter beyond what is stated of them.
+
+    `amplitude`, `phase` (K,): of the part in phase with the reading and of that at right angles, relative to the size
+    of the motion at the line; `dof` (K,): degrees of freedom of both together, of which neither has more by itself.
+    """
+
+    instrument: str
+    amplitude: FloatArray
+    phase: FloatArray
+    dof: FloatArray
+
+
+@dataclass(frozen=True)
+class Discrepancy:
+    """A further covariance (N, N) of the readings of a system, with its `label` and degrees of freedom (K,)."""
+
+    label: str
+    covariance: FloatArray
+    dof: FloatArray
+
+
+@dataclass(frozen=True)
+class Contrasts:
+    """Combinations of readings of one line that no motion changes.
+
+    `values` (n,), their `spread` (n, n) as stated; `patterns` (C, n, n): covariance of each component of variance one.
+    """
+
+    values: FloatArray
+    spread: FloatArray
+    patterns: FloatArray
+
+    def chi2(self, components: FloatArray) -> float:
+        """Return chi-square of n degrees of freedom, given the components (C,)."""
+        return float(self.values @ np.linalg.solve(self._spread(components), self.values))
+
+    def deviance(self, components: FloatArray) -> float:
+        """Return minus twice the restricted logarithmic likelihood of components (C,), up to a constant."""
+        return self.chi2(components) + float(np.linalg.slogdet(self._spread(components))[1])
+
+    def _spread(self, components: FloatArray) -> FloatArray:
+        """Covariance with some components, (C,) or none."""
+        return self.spread + np.tensordot(components, self.patterns, 1) if len(components) else self.spread
+
+    def normal_equations(self, components: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return F (C, C) and right side (C,) whose solution are the next components.
+
+        F_cd = tr(P D_c P D_d) = right side's derivative, right side y^T P D_c P y - tr(P D_c P V_0): restricted maximum
+        likelihood as iterated minimum norm estimates (Rao 1971; Searle, Casella, McCulloch, Variance Components, 1992,
+        sec. 6.6), P the inverse covariance of the contrasts.
+        """
+        inverse = np.linalg.inv(self._spread(components))
+        turned = inverse @ self.patterns
+        weighted = inverse @ self.values
+        right = np.einsum("i,cij,j->c", weighted, self.patterns, weighted)
+        right = right - np.einsum("cij,ji->c", turned @ inverse, self.spread)
+        return np.einsum("cij,dji->cd", turned, turned), right
+
+
+def variance_components(groups: Sequence[Contrasts]) -> tuple[FloatArray, FloatArray]:
+    """Return variances (C,) common to independent groups, none negative, and their degrees of freedom (C,).
+
+    An error that is the same at all lines shows itself again at each: the groups together therefore do not have more
+    degrees of freedom than the one that knows most. 2 θ²/ν is the asymptotic variance of an estimate θ.
+    """
+    components = np.zeros(len(groups[0].patterns))
+    for _ in range(ITERATIONS):
+        parts = [group.normal_equations(components) for group in groups]
+        found = _not_negative(np.sum([f for f, _ in parts], axis=0), np.sum([r for _, r in parts], axis=0))
+        change, components = np.max(np.abs(found - components)), found
+        if change <= 1e-6 * np.max(components):
+            break
+    dof = np.zeros(len(components))
+    kept = components > 0.0
+    for group in groups:
+        information = group.normal_equations(components)[0][np.ix_(kept, kept)]
+        scale = np.outer(components[kept], components[kept])
+        variance = np.diag(np.linalg.pinv(information * scale, hermitian=True))
+        dof[kept] = np.maximum(dof[kept], np.divide(1.0, variance, out=np.zeros_like(variance), where=variance > 1e-9))
+    return components, dof
+
+
+def _not_negative(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    """Minimum of x^T F x - 2 b^T x over x ≥ 0 (Lawson and Hanson 1974, algorithm 23.10, on the normal equations).
+
+    Components about which the data say nothing are zero.
+    """
+    diagonal = np.diag(matrix)
+    scale = np.sqrt(np.where(diagonal > 0.0, diagonal, np.inf))
+    square, target = matrix / np.outer(scale, scale), right / scale
+    found = np.zeros(len(right))
+    free = np.zeros(len(right), dtype=np.bool_)
+    for _ in range(ITERATIONS):
+        slope = np.where(free, -np.inf, target - square @ found)
+        if np.max(slope) <= 1e-10 * np.max(np.abs(target)):
+            break
+        free[np.argmax(slope)] = True
+        best = _free_minimum(square, target, free)
+        while np.any(best[free] <= 0.0):
+            blocking = np.flatnonzero(free & (best <= 0.0))
+            steps = found[blocking] / np.maximum(found[blocking] - best[blocking], 1e-300)
+            found = found + np.min(steps) * (best - found)
+            free[blocking[steps <= np.min(steps)]] = False
+            found = np.where(free, found, 0.0)
+            best = _free_minimum(square, target, free)
+        found = best
+    return np.asarray(found / scale)
+
+
+def _free_minimum(square: FloatArray, target: FloatArray, free: NDArray[np.bool_]) -> FloatArray:
+    """Minimum over the free components alone, the others zero."""
+    found = np.zeros(len(target))
+    found[free] = np.linalg.lstsq(square[np.ix_(free, free)], target[free], rcond=1e-10)[0]
+    return found
+
+
+def estimate_scatter(system: System, solution: Solution) -> tuple[Scatter, ...]:
+    """Return the scatter of every instrument whose own readings contradict a rigid motion, before they are weighted.
+
+    Each is tested by itself, line by line, against all that is stated of it. An instrument that has no more readings
+    than it sees components cannot be tested and gets none. Where one relative scatter explains all lines it is
+    estimated from all; else every line has its own.
+    """
+    sizes = row_sizes(system, solution.acceleration)
+    lines = range(len(system.observed))
+    tests = [[_of_instrument(system, solution, place, k, sizes) for k in lines] for place in _places(system)]
+    count = sum(group is not None for groups in tests for group in groups)
+    found = []
+    for place, groups in zip(_places(system), tests, strict=True):
+        if any(group is not None and _improbable(group, count) for group in groups):
+            patterns = _own_patterns(system, solution.acceleration, sizes)
+            whole = {k: _of_instrument(system, solution, place, k, sizes, patterns) for k in lines}
+            usable = {k: group for k, group in whole.items() if group is not None}
+            found.append(_scatter(system.observations[place], usable, len(lines)))
+    return tuple(found)
+
+
+def _places(system: System) -> range:
+    """Places of the observations."""
+    return range(len(system.observations))
+
+
+def _of_instrument(
+    system: System, solution: Solution, place: int, line: int, sizes: FloatArray, patterns: FloatArray | None = None
+) -> Contrasts | None:
+    """Contrasts among the readings of one instrument at one line."""
+    rows = np.flatnonzero((system.observation == place) & (system.line == line))
+    return _contrasts(system, solution, rows, sizes, None if patterns is None else patterns[:, rows[:, None], rows])
+
+
+def _scatter(observation: Observation, groups: dict[int, Contrasts], lines: int) -> Scatter:
+    """Components of one instrument, pooled over its lines unless a likelihood ratio says that these differ."""
+    from scipy.stats import chi2
+
+    found, dof = np.zeros((lines, 2)), np.zeros((lines, 2))
+    pooled = variance_components(list(groups.values()))
+    own = {k: variance_components([group]) for k, group in groups.items()}
+    gain = sum(group.deviance(pooled[0]) - group.deviance(own[k][0]) for k, group in groups.items())
+    together = gain <= chi2.ppf(TEST_LEVEL, 2 * len(groups) - 2) if len(groups) > 1 else True
+    for k in groups:
+        found[k], dof[k] = pooled if together else own[k]
+    return Scatter(observation.title, np.sqrt(found[:, 0]), np.sqrt(found[:, 1]), _joint_dof(found, dof))
+
+
+def _joint_dof(components: FloatArray, dof: FloatArray) -> FloatArray:
+    """Degrees of freedom (K,) of two variances (K, 2) together, no more than one has: their ratio is estimated too."""
+    total = np.sum(components, axis=1)
+    weighted = np.sum(components**2 / np.maximum(dof, 1e-3), axis=1)
+    joint = np.divide(total**2, weighted, out=np.full(len(total), np.inf), where=weighted > 0.0)
+    return np.where(total > 0.0, np.minimum(joint, np.max(dof, axis=1)), np.inf)
+
+
+def _improbable(group: Contrasts, tests: int) -> bool:
+    """Tell whether chi-square of what is stated is too great for one of several tests together at 1 %."""
+    from scipy.special import chdtrc
+
+    return bool(chdtrc(len(group.values), group.chi2(NOTHING)) < (1.0 - TEST_LEVEL) / tests)
+
+
+def scatter_covariances(system: System, acceleration: ComplexArray, found: Sequence[Scatter]) -> list[Discrepancy]:
+    """Return what the scatter of instruments adds to the covariance of the readings."""
+    if not found:
+        return []
+    sizes, parts = row_sizes(system, acceleration), []
+    patterns = _own_patterns(system, acceleration, sizes)
+    titles = np.array([observation.title for observation in system.observations])[system.observation]
+    for scatter in found:
+        size = np.where(titles == scatter.instrument, sizes, 0.0)
+        if np.any(size > 0.0):
+            both = zip(patterns, (scatter.amplitude, scatter.phase), strict=True)
+            covariance = np.sum([pattern * (u**2)[system.line] for pattern, u in both], axis=0) * np.outer(size, size)
+            parts.append(Discrepancy(f"{scatter.instrument}: unexplained scatter", covariance, scatter.dof))
+    return parts
+
+
+def failing_lines(system: System, solution: Solution) -> tuple[int, ...]:
+    """Return the lines whose readings contradict each other by themselves, at 1 % for all lines together."""
+    sizes = row_sizes(system, solution.acceleration)
+    every = [np.flatnonzero(system.line == k) for k in range(len(system.observed))]
+    groups = [_contrasts(system, solution, rows, sizes, None) for rows in every]
+    count = sum(group is not None for group in groups)
+    return tuple(k for k, group in enumerate(groups) if group is not None and _improbable(group, count))
+
+
+def disagreement(system: System, solution: Solution, lines: Sequence[int], label: str) -> Discrepancy:
+    """Return what instruments differ by at some lines, as a motion that each sees beside the true one.
+
+    It has a variance of its own in every component, apart for the parts in phase with the motion and at right angles.
+    """
+    sizes = row_sizes(system, solution.acceleration)
+    covariance, dof = np.zeros((len(sizes), len(sizes))), np.full(len(system.observed), np.inf)
+    for k in (k for k in lines if np.any(system.line == k)):
+        rows = np.flatnonzero(system.line == k)
+        patterns = _common_patterns(system, solution.acceleration, rows, sizes)
+        group = _contrasts(system, solution, rows, sizes, patterns)
+        if group is not None:
+            components, freedom = variance_components([group])
+            size = np.outer(sizes[rows], sizes[rows])
+            covariance[np.ix_(rows, rows)] = np.tensordot(components, patterns, 1) * size
+            dof[k] = max(float(_joint_dof(components[None], freedom[None])[0]), LEAST_DOF)
+    return Discrepancy(label, covariance, dof)
+
+
+def row_sizes(system: System, acceleration: ComplexArray) -> FloatArray:
+    """Return the size of the motion in each row's unit (N,): the estimate's or, if larger, the largest reading's."""
+    size = np.linalg.norm(acceleration / SCALE, axis=1)
+    factors = []
+    for observation in system.observations:
+        shift = np.linalg.norm(observation.design[..., :3], axis=2)
+        turn = np.linalg.norm(observation.design[..., 3:], axis=2) / BODY_SIZE_M
+        factors.append(np.where(shift > 0.0, shift, turn))
+        readings = np.nan_to_num(np.abs(observation.phasors.value)) / factors[-1]
+        size = np.maximum(size, np.max(readings, axis=1))
+    size = np.where(size > 0.0, size, 1.0)
+    return np.concatenate(
+        [
+            Places.of(observation).rows(factor * size[:, None] * (1.0 + 1.0j))
+            for observation, factor in zip(system.observations, factors, strict=True)
+        ]
+    )
+
+
+def _contrasts(
+    system: System, solution: Solution, rows: IntArray, sizes: FloatArray, patterns: FloatArray | None
+) -> Contrasts | None:
+    """Combinations of some rows of one line that no motion changes, with patterns (C, n, n); None if there are none."""
+    if not len(rows):
+        return None
+    size = sizes[rows]
+    design = system.design[rows][:, np.any(system.design[rows] != 0.0, axis=0)] / size[:, None]
+    left, singular, _ = np.linalg.svd(design)
+    across = left[:, np.count_nonzero(singular > RANK_TOLERANCE * singular[0]) :]
+    if not across.shape[1]:
+        return None
+    effects = solution.effects[rows]
+    spread = (solution.noise[np.ix_(rows, rows)] + effects @ effects.T) / np.outer(size, size)
+    turned = np.zeros((0, 0, 0)) if patterns is None else _visible(across.T @ patterns @ across, patterns)
+    return Contrasts(across.T @ (system.readings[rows] / size), across.T @ spread @ across, turned)
+
+
+def _visible(turned: FloatArray, patterns: FloatArray) -> FloatArray:
+    """Patterns (C, n, n) of contrasts, zero where next to nothing of a component is left: nobody can know it."""
+    left = np.trace(turned, axis1=1, axis2=2) > VISIBLE * np.trace(patterns, axis1=1, axis2=2)
+    return np.where(left[:, None, None], turned, 0.0)
+
+
+def _own_patterns(system: System, acceleration: ComplexArray, sizes: FloatArray) -> FloatArray:
+    """Return (2, N, N) for independent errors of all readings, relative to the row sizes: in phase, at right angles."""
+    directions = _directions(system, acceleration, sizes)
+    pairs = system.pairs
+    found = np.zeros((2, len(sizes), len(sizes)))
+    for number, turn in enumerate((1.0, 1.0j)):
+        along = directions * turn
+        parts = np.stack([along.real, along.imag], axis=1)
+        found[number, pairs[:, :, None], pairs[:, None, :]] = parts[:, :, None] * parts[:, None, :]
+    return found
+
+
+def _directions(system: System, acceleration: ComplexArray, sizes: FloatArray) -> ComplexArray:
+    """Direction (N/2,) of every reading in the complex plane: its prediction's, or the motion's where that is small."""
+    predicted, coefficient = [], []
+    for observation in system.observations:
+        places = Places.of(observation)
+        line, channel = places.line[~places.imaginary], places.channel[~places.imaginary]
+        rows = observation.design[line, channel]
+        predicted.append(np.einsum("nj,nj->n", rows, acceleration[line]))
+        largest = rows[np.arange(len(rows)), np.argmax(np.abs(rows), axis=1)]
+        coefficient.append(largest / np.abs(largest) * _motion_phase(acceleration)[line])
+    value, other = np.concatenate(predicted), np.concatenate(coefficient)
+    own = np.abs(value) > SMALL_READING * sizes[system.pairs[:, 0]]
+    return np.where(own, value / np.where(own, np.abs(value), 1.0), other)
+
+
+def _motion_phase(acceleration: ComplexArray) -> ComplexArray:
+    """Direction (K,) along which the components of a line lie best in the complex plane."""
+    squares = np.sum((acceleration / SCALE) ** 2, axis=1)
+    return np.asarray(np.exp(0.5j * np.angle(squares)))
+
+
+def _common_patterns(system: System, acceleration: ComplexArray, rows: IntArray, sizes: FloatArray) -> FloatArray:
+    """Return (12, n, n) for a motion that each instrument sees beside the true one, by component and phase."""
+    line = system.line[rows[0]]
+    direction = _motion_phase(acceleration)[line]
+    size = np.linalg.norm(acceleration[line] / SCALE)
+    unit = np.concatenate([np.diag(SCALE * direction), np.diag(SCALE * direction * 1j)]) * size
+    found = np.zeros((12, len(rows), len(rows)))
+    start = 0
+    for observation in system.observations:
+        places = Places.of(observation)
+        chosen = places.line == line
+        seen = places.design(observation.design)[chosen] @ np.concatenate([unit.real, unit.imag], axis=1).T
+        end = start + len(seen)
+        scaled = seen / sizes[rows[start:end], None]
+        found[:, start:end, start:end] = np.einsum("nc,mc->cnm", scaled, scaled)
+        start = end
+    return found

@@ -1,1 +1,0 @@
-"""Where recordings are computed: in this process, in others of this machine, on a Dask cluster."""

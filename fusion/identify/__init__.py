@@ -1,1 +1,0 @@
-"""The sensor as a mechanical system, from transfer functions and sensitivities: `shakercal identify`."""

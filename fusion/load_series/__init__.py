@@ -1,1 +1,0 @@
-"""The command `shakercal load`: resonance over the load mass."""

@@ -1,0 +1,353 @@
+"""Motion of the bodies from image pairs or points."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from fusion.base import AnyNotice, ComputeError, Crew, InputError, Pending, ProgressCallback, Settings
+from fusion.phasors.channels import nominal_lines
+from fusion.phasors.timing import Exposure, TimeBase, exposure_middles, exposure_of
+from fusion.recording.load import Manifest
+from fusion.recording.manifest import Images, PointFiles
+from fusion.recording.rig import Stereo
+from photogram.calibration.file import read_calibration
+from photogram.camera import Points, StereoRig
+from photogram.epipolar import EpipolarCheck, check_epipolar
+from photogram.geometry import RigidTransform
+from photogram.images import GreyImage, ImageSequence, open_sequence, saturated_fraction
+from photogram.measure import (
+    BodyMotion,
+    BodyScene,
+    FollowedBlock,
+    body_motion,
+    follow_block,
+    measure_body,
+    prepare_body,
+)
+from photogram.motion import Deformation, RigidMotion, deformation, fit_motion, points_with_estimated_noise
+from photogram.point_tables import read_point_tables
+from photogram.subsets.follow import TrackSettings
+from photogram.subsets.grid import NoiseModel
+from photogram.subsets.quality import SubsetQuality, suggested_radius_px
+from photogram.subsets.track import StereoTracks, resolve_device
+from shaker.arrays import FloatArray
+from shaker.lines.aliasing import usable_lines
+from shaker.lines.frequencies import Lines, find_lines
+
+# From the image pairs (or points) of one stereo pair to the motion of its body and to displacement phasors.
+
+
+BodyInputs = tuple[tuple[ImageSequence, ImageSequence], StereoRig, RigidTransform, TrackSettings]
+
+COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
+DISPLACEMENT_UNITS = ("m", "m", "m", "rad", "rad", "rad")
+MAX_SATURATED = 0.02  # fraction of pixels at full scale above which a camera is refused
+MIN_SUBSETS = 6
+PERIODIC_SHARE = 0.4  # standard uncertainty of a line over the amplitude of an error periodic in the pixel
+BIAS_STEP_PX = 0.01
+NO_MOTION = "no frame has enough points for a rigid motion"
+
+
+@dataclass(frozen=True)
+class OpenImages:
+    """The images of one stereo pair, opened and checked: sequences, exposures, middles (F,), rig, first left image."""
+
+    entry: Images
+    stereo: Stereo
+    left: ImageSequence
+    right: ImageSequence
+    exposure: Exposure
+    time_s: FloatArray
+    rig: StereoRig
+    first: GreyImage
+
+
+@dataclass(frozen=True)
+class ImageView:
+    """What the images of one stereo pair gave: tracked subsets, their rig, the first left image, the noise models of
+    both cameras and what their subsets promised, and whether the pair still is what was calibrated."""
+
+    tracks: StereoTracks
+    rig: StereoRig
+    reference_image: GreyImage
+    noise: tuple[NoiseModel, NoiseModel] | None
+    quality: tuple[SubsetQuality, SubsetQuality] | None
+    epipolar: EpipolarCheck
+
+
+@dataclass(frozen=True)
+class StereoMotion:
+    """Motion of one body in the sensor frame before any line is known.
+
+    `time_s` (F,) exposure middles on the first block's clock; `motion` from the first frame's pose about the sensor
+    origin; `deformation` what the points do beside it; `view` is None for points of another program.
+    """
+
+    entry: Images | PointFiles
+    stereo: Stereo
+    exposure: Exposure
+    time_s: FloatArray
+    motion: RigidMotion
+    deformation: Deformation
+    reprojection_px: float
+    view: ImageView | None
+    notices: tuple[AnyNotice, ...]
+
+
+def sensor_from_camera(stereo: Stereo) -> RigidTransform:
+    """Return the pose of the left camera (or of the frame of the points) in the sensor frame."""
+    return RigidTransform(np.array(stereo.rotation), np.array(stereo.translation))
+
+
+def open_images(manifest: Manifest, base: TimeBase, entry: Images) -> OpenImages:
+    """Open the images of one stereo pair and check all that can be checked before the work begins."""
+    stereo = manifest.rig.stereo[entry.stereo]
+    left, right = _open(manifest, entry, "left"), _open(manifest, entry, "right")
+    if len(left) != len(right):
+        key = f"images.{entry.stereo}.right"
+        raise InputError(manifest.path, key, found=f"{len(right)} images", expected=f"{len(left)} as on the left")
+    time_s = exposure_middles(manifest, base, entry, len(left))
+    rig = _calibration(stereo, left, right)
+    stereo = _without_calibration_share(stereo, rig)
+    first = _read_first(manifest, entry, left, right)
+    return OpenImages(entry, stereo, left, right, exposure_of(manifest, base, entry), time_s, rig, first)
+
+
+def measure_images(
+    manifest: Manifest, images: OpenImages, settings: Settings, progress: ProgressCallback
+) -> StereoMotion:
+    """Track the image pairs of one stereo pair and fit the rigid motion of the body it sees."""
+    stage, total = f"track {images.entry.stereo}", 2 * len(images.left)
+    with told_of_images(manifest, images):
+        body = measure_body(
+            *body_inputs(images, settings), lambda done: progress(stage, done, total), resolve_device(settings.device)
+        )
+    return seen_motion(images, body)
+
+
+def body_inputs(images: OpenImages, settings: Settings) -> BodyInputs:
+    """Return what `photogram.measure` has to know of a stereo pair: its images, rig, pose, and how to track."""
+    radius = settings.subset_radius_px
+    if radius is None:
+        radius = suggested_radius_px(images.first)
+    options = TrackSettings(radius_px=radius, degree=settings.spline_degree)
+    return (images.left, images.right), images.rig, sensor_from_camera(images.stereo), options
+
+
+@contextmanager
+def told_of_images(manifest: Manifest, images: OpenImages) -> Iterator[None]:
+    """Tell what is refused meanwhile as wrong input of a stereo pair's images."""
+    try:
+        yield
+    except (OSError, ValueError) as error:
+        raise InputError.told_by(error, manifest.path, f"images.{images.entry.stereo}") from error
+
+
+def seen_motion(images: OpenImages, body: BodyMotion) -> StereoMotion:
+    """Return the motion of the body that a stereo pair sees, with what its images tell of the pair itself."""
+    if not np.isfinite(body.motion.pose).all(axis=1).any():
+        raise ComputeError(f"stereo pair {images.entry.stereo}: {NO_MOTION}; look at its images")
+    reprojection = float(np.sqrt(np.nanmean(body.points.reprojection_px**2)))
+    epipolar = check_epipolar(body.tracks, images.rig)
+    return StereoMotion(
+        images.entry,
+        images.stereo,
+        images.exposure,
+        images.time_s,
+        body.motion,
+        deformation(body.points, body.motion),
+        reprojection,
+        ImageView(body.tracks, images.rig, images.first, body.noise, body.quality, epipolar),
+        (*body.notices, *epipolar.notices),
+    )
+
+
+def measure_points(manifest: Manifest, base: TimeBase, entry: PointFiles) -> StereoMotion:
+    """Fit the rigid motion to the points of another program."""
+    stereo = manifest.rig.stereo[entry.stereo]
+    key = f"points.{entry.stereo}.files"
+    try:
+        table = read_point_tables(entry.files, entry.columns, entry.valid_status, entry.scale)
+    except (OSError, ValueError) as error:
+        raise InputError.told_by(error, manifest.path, key) from error
+    time_s = exposure_middles(manifest, base, entry, len(table.frames))
+    try:
+        points = points_with_estimated_noise(table.position_m, table.reference_m)
+    except ValueError as error:
+        raise InputError.told_by(error, manifest.path, key) from error
+    placed = sensor_from_camera(stereo)
+    reference = None if table.reference_m is None else placed.apply(table.reference_m)
+    points = points.transformed(placed)
+    motion = _fit(entry.stereo, points, reference)
+    beside = deformation(points, motion, reference)
+    exposure = exposure_of(manifest, base, entry)
+    return StereoMotion(entry, stereo, exposure, time_s, motion, beside, float("nan"), None, ())
+
+
+def _open(manifest: Manifest, entry: Images, side: str) -> ImageSequence:
+    """Open one camera's images."""
+    paths = entry.left if side == "left" else entry.right
+    try:
+        return _unsaturated(open_sequence(paths, entry.bit_depth))
+    except (OSError, ValueError) as error:
+        raise InputError.told_by(error, manifest.path, f"images.{entry.stereo}.{side}") from error
+
+
+def _unsaturated(sequence: ImageSequence) -> ImageSequence:
+    """Return the same images, of which a saturated one is refused when it is read."""
+    return replace(sequence, reader=partial(_read_unsaturated, sequence))
+
+
+def _read_unsaturated(sequence: ImageSequence, index: int) -> GreyImage:
+    """Return one image that is not saturated."""
+    image = sequence.read(index)
+    saturated = saturated_fraction(image, sequence.full_scale)
+    if saturated > MAX_SATURATED:
+        found = f"{100 * saturated:.1f} % of its pixels at full scale {sequence.full_scale}"
+        raise ValueError(f"{sequence.names[index]}: expected an image that is not saturated, found {found}")
+    return image
+
+
+def _read_first(manifest: Manifest, entry: Images, left: ImageSequence, right: ImageSequence) -> GreyImage:
+    """Return the first left image after a look at the first right one."""
+    images = []
+    for side, sequence in (("left", left), ("right", right)):
+        try:
+            images.append(sequence.read(0))
+        except (OSError, ValueError) as error:
+            raise InputError.told_by(error, manifest.path, f"images.{entry.stereo}.{side}") from error
+    return images[0]
+
+
+def _calibration(stereo: Stereo, left: ImageSequence, right: ImageSequence) -> StereoRig:
+    """Read a stereo pair's calibration and refuse one made for images of another size."""
+    path = stereo.calibration
+    if path is None:
+        raise ComputeError("a stereo pair with images has no calibration")
+    try:
+        rig = read_calibration(path)
+    except (OSError, ValueError) as error:
+        raise InputError.told_by(error, path) from error
+    size = [int(length) for length in rig.left.size_px]
+    for images in (left, right):
+        if size != list(images.size_px):
+            expected = f"{list(images.size_px)}, the size of {images.names[0]}"
+            raise InputError(path, "image_size", found=f"{size}", expected=expected)
+    return rig
+
+
+def _without_calibration_share(stereo: Stereo, rig: StereoRig) -> Stereo:
+    """Return the pair with the uncertainty of its pose as it were with an exact calibration.
+
+    The calibration's share, X·C·Xᵀ with X = `pose_by_calibration`, comes back with the calibration's own effects.
+    """
+    if stereo.pose_by_calibration is None or rig.covariance is None:
+        return stereo
+    answer = np.array(stereo.pose_by_calibration)
+    share = np.einsum("ij,jk,ik->i", answer, rig.covariance, answer)
+    left = np.sqrt(np.maximum(np.square(stereo.pose_uncertainty) - share, 0.0))
+    return stereo.model_copy(update={"pose_uncertainty": tuple(left.tolist())})
+
+
+def _fit(name: str, points: Points, reference_m: FloatArray | None) -> RigidMotion:
+    """Fit the rigid motion about the sensor origin; a series without any frame is an error."""
+    try:
+        motion = fit_motion(points, reference_m, np.zeros(3))
+    except ValueError as error:
+        raise ComputeError(f"stereo pair {name}: no rigid motion can be fitted ({error})") from error
+    if not np.isfinite(motion.pose).all(axis=1).any():
+        raise ComputeError(f"stereo pair {name}: {NO_MOTION}; look at its points")
+    return motion
+
+
+def motion_lines(manifest: Manifest, base: TimeBase, motions: Sequence[StereoMotion]) -> Lines:
+    """Find the lines in the motion itself, for recordings without any channel that shows the excitation.
+
+    The period of the camera trigger is their clock, and its uncertainty part of theirs.
+    """
+    if not motions:
+        raise ComputeError("no channel or camera of this recording shows the excitation; add one to recording.toml")
+    nominal_hz, harmonics = nominal_lines(manifest)
+    first = _first_that_tells(motions, nominal_hz)
+    try:
+        lines = find_lines(first.time_s, first.motion.pose, nominal_hz, harmonics)
+    except ValueError as error:
+        told = ValueError(f"{error} (motion seen by stereo pair {first.entry.stereo})")
+        raise InputError.told_by(told, manifest.path, "excitation.frequencies") from error
+    u_clock_hz = lines.frequency_hz * base.u_trigger_rate(first.entry.trigger)
+    return replace(lines, u_frequency_hz=np.hypot(lines.u_frequency_hz, u_clock_hz))
+
+
+def _first_that_tells(motions: Sequence[StereoMotion], nominal_hz: Sequence[float]) -> StereoMotion:
+    """Return the first stereo pair whose frames tell a fundamental from zero, the Nyquist rate and the others."""
+    reasons: list[str] = []
+    for motion in motions:
+        usable, notices = usable_lines(motion.time_s, np.array(nominal_hz, dtype=np.float64))
+        if usable.any():
+            return motion
+        reasons += [f"stereo pair {motion.entry.stereo}: {notice.text}" for notice in notices]
+    listed = " and ".join(f"{frequency:g} Hz" for frequency in nominal_hz)
+    raise ComputeError(f"no instrument sees the motion of the driven line at {listed} ({'; '.join(reasons)})")
+
+
+# All stereo pairs of a take: followed here one after another, or by a crew, pair by pair and block by block.
+
+
+def measure_pairs(
+    manifest: Manifest,
+    images: Sequence[OpenImages],
+    settings: Settings,
+    progress: ProgressCallback,
+    crew: Crew | None = None,
+) -> tuple[StereoMotion, ...]:
+    """Track the images of stereo pairs and fit the rigid motion of the body that each sees.
+
+    A crew opens the images itself, by the same paths, and its motions are those found without one to the last bit.
+    """
+    if crew is None:
+        return tuple(measure_images(manifest, item, settings, progress) for item in images)
+    prepared = [crew.submit(0, _prepared, body_inputs(item, settings), settings.device) for item in images]
+    begun = []
+    for item, pending in zip(images, prepared, strict=True):
+        scene: BodyScene = _opened(manifest, item, pending)
+        blocks = [crew.submit(1, _followed, pending, frames, settings.device) for frames in scene.blocks]
+        begun.append((item, scene, blocks))
+    return tuple(_joined(manifest, *pair, progress) for pair in begun)
+
+
+def _joined(
+    manifest: Manifest, images: OpenImages, scene: BodyScene, pending: Sequence[Pending], progress: ProgressCallback
+) -> StereoMotion:
+    """The motion of one pair from the answers about its blocks."""
+    stage, total = f"track {images.entry.stereo}", 2 * len(images.left)
+    blocks = []
+    for frames, answer in zip(scene.blocks, pending, strict=True):
+        progress(stage, 2 * frames.start, total)
+        blocks.append(_opened(manifest, images, answer))
+    progress(stage, total, total)
+    with told_of_images(manifest, images):
+        body = body_motion(scene, blocks)
+    return seen_motion(images, body)
+
+
+def _opened(manifest: Manifest, images: OpenImages, pending: Pending) -> Any:
+    """What a task about some images found; what it refused is told as wrong input."""
+    answer = pending.result()
+    with told_of_images(manifest, images):
+        return answer.opened()
+
+
+def _prepared(inputs: BodyInputs, device: str) -> BodyScene:
+    """A task: what following a body needs."""
+    return prepare_body(*inputs, resolve_device(device))
+
+
+def _followed(scene: BodyScene, frames: range, device: str) -> FollowedBlock:
+    """A task: one block of frames."""
+    return follow_block(scene, frames, resolve_device(device))

@@ -1,0 +1,170 @@
+"""Figures of camera rates and of lines."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from fusion.planning.lines import Entry, LineList
+from fusion.planning.plan import Plan
+from fusion.report.style import (
+    BLACK,
+    BLUE,
+    GREY,
+    ORANGE,
+    RED,
+    as_file,
+    decades,
+    drawing,
+    lay_out,
+    new_figure,
+    panel_label,
+    thin_out,
+)
+from shaker.arrays import FloatArray
+from shaker.lines.aliasing import MAX_CONDITION
+from shaker.lines.spectrum import FIRST_BIN
+from shaker.rate_planner import Scan, condition_over_rate, scan_rates
+
+# Figure of a plan: condition of the fit and uncertainty over the camera rate, and the rates chosen.
+
+
+COLUMNS = 420  # of a panel; each shows the largest condition of the rates in it
+RATES_PER_COLUMN = 6
+TOP = 100.0  # where the axis ends
+PREFERRED_COLOUR = "#e3f3ec"
+
+
+def draw_plan(plan: Plan, kind: str) -> bytes:
+    """Draw condition number and uncertainty of every point over the camera rate, as a file (png, svg, pdf)."""
+    rates = np.linspace(*plan.request.limits_hz, COLUMNS * RATES_PER_COLUMN)
+    single = len(plan.points) == 1
+    with drawing("plan"):
+        figure = new_figure(1.0 + (2.0 if single else 0.62 * len(plan.points)))
+        panels = figure.subplots(len(plan.points), 1, squeeze=False, sharex=True, sharey=True)[:, 0]
+        for index, (axes, point) in enumerate(zip(panels, plan.points, strict=True)):
+            scan = scan_rates(point.lines, rates, plan.request.sampling)
+            _draw_curves(axes, scan, condition_over_rate(point.lines, rates, plan.request.sampling.frames))
+            _draw_choices(axes, plan, index)
+        panels[-1].set_xlabel("camera rate / Hz")
+        panels[-1].set_xlim(rates[0], rates[-1])
+        panels[-1].set_ylim(1.0, TOP)
+        decades(panels[-1].yaxis)
+        lay_out(figure, panels, top=0.55, gap=(0.5, 0.2))
+        _legend(figure, plan)
+        return as_file(figure, kind)
+
+
+def _draw_curves(axes: Axes, scan: Scan, condition: FloatArray) -> None:
+    """Condition (largest of each column) and uncertainty, above where the fundamental is best seen."""
+    rates = scan.rate_hz
+    best = scan.preferred == max(1, int(scan.preferred.max()))
+    axes.fill_between(rates, 1.0, TOP, where=best.tolist(), color=PREFERRED_COLOUR, linewidth=0, step="mid")
+    axes.set_yscale("log")
+    centre = rates.reshape(COLUMNS, -1).mean(axis=1)
+    columns = np.minimum(condition, 2.0 * TOP).reshape(COLUMNS, -1)
+    axes.fill_between(centre, 1.0, columns.max(axis=1), color=BLUE, linewidth=0.5, step="mid")
+    axes.plot(centre, np.median(scan.penalty.reshape(COLUMNS, -1), axis=1), color=ORANGE, linewidth=0.9)
+    axes.axhline(MAX_CONDITION, color=GREY, linewidth=0.7, linestyle=(0, (4, 2)))
+
+
+def _draw_choices(axes: Axes, plan: Plan, index: int) -> None:
+    """Mark the rates of this point, and those that serve several."""
+    point = plan.points[index]
+    for choice in point.choices:
+        axes.plot(choice.rate_hz, TOP, marker="v", color=RED, markersize=5.5, clip_on=False, zorder=5)
+    for shared in plan.shared if len(plan.points) > 1 else ():
+        if index in shared.points:
+            axes.axvline(shared.rate_hz, color=RED, linewidth=0.9)
+    low, high = float(point.lines.fundamentals_hz.min()), float(point.lines.fundamentals_hz.max())
+    panel_label(axes, f"{low:.7g} Hz" if low == high else f"{low:.7g} to {high:.7g} Hz together")
+
+
+def _legend(figure: Figure, plan: Plan) -> None:
+    """Name curves and marks, once for all panels."""
+    marks: list[Line2D | Patch] = [
+        Patch(color=BLUE, label="condition number"),
+        Line2D([], [], color=ORANGE, label="worst u over that of white noise"),
+        Patch(color=PREFERRED_COLOUR, label="fundamental at 0.1 to 0.4 of the rate"),
+        Line2D([], [], color=GREY, linestyle=(0, (4, 2)), label="lines dropped above"),
+        Line2D([], [], color=RED, marker="v", linestyle="", label="given" if plan.request.rate_hz else "best rates"),
+    ]
+    if plan.shared and len(plan.points) > 1:
+        marks.append(Line2D([], [], color=RED, label="as few as possible"))
+    figure.legend(handles=marks, loc="upper right", ncols=3, fontsize=7.0, borderaxespad=0.1)
+
+
+# Figure of the lines of a record: its spectrum, the noise floor, and what each line is.
+
+
+POINTS = 1600
+DETAILS = re.compile(r" of |[,(]|(?<=combination) ")
+"""Where the details of what a line is begin."""
+LABELLED = 12  # lines of a panel that are named, the highest
+
+
+def draw_lines(lists: Sequence[LineList], kind: str) -> bytes:
+    """Draw spectrum, noise floor and lines of every channel, as a file (png, svg, pdf)."""
+    panels = [(item, c) for item in lists for c in range(len(item.channels))]
+    with drawing("lines"):
+        figure = new_figure(0.7 + 2.3 * len(panels))
+        every = figure.subplots(len(panels), 1, squeeze=False)[:, 0]
+        for axes, (item, c) in zip(every, panels, strict=True):
+            _draw_channel(axes, item, c)
+        every[-1].set_xlabel("frequency / Hz")
+        lay_out(figure, every, top=0.25, gap=(0.5, 0.42))
+        return as_file(figure, kind)
+
+
+def _draw_channel(axes: Axes, item: LineList, c: int) -> None:
+    """One channel's spectrum with its lines."""
+    frequency, amplitude = item.spectrum_hz[FIRST_BIN:], item.spectrum[FIRST_BIN:, c]
+    edges = np.geomspace(frequency[0], frequency[-1] * 1.0001, POINTS)
+    axes.loglog(*thin_out(frequency, amplitude, edges), color=BLUE, linewidth=0.6)
+    if len(item.floor_hz):
+        above = item.floor_hz >= frequency[0]
+        axes.plot(item.floor_hz[above], item.floor[above, c], color=BLACK, linewidth=0.9)
+    shown = [entry for entry in item.entries if np.isfinite(entry.amplitude[c])]
+    for entry in shown:
+        place = _place(entry, item.rate_hz)
+        axes.plot(place, entry.amplitude[c], marker="v", color=_colour(entry), markersize=4.0, linestyle="")
+    for entry in sorted(shown, key=lambda entry: -float(entry.amplitude[c]))[:LABELLED]:
+        axes.annotate(
+            _short(entry),
+            (_place(entry, item.rate_hz), float(entry.amplitude[c])),
+            xytext=(0, 5),
+            textcoords="offset points",
+            fontsize=5.5,
+            rotation=90,
+            ha="center",
+            color=_colour(entry),
+        )
+    floor = item.floor[:, c] if len(item.floor_hz) else amplitude[amplitude > 0.0]
+    axes.set_ylim(0.2 * float(np.min(floor)), 1e4 * float(amplitude.max()))
+    decades(axes.yaxis)
+    unit = f" / {item.units[c]}" if item.units[c] else ""
+    axes.set_ylabel(f"amplitude{unit}")
+    panel_label(axes, f"{item.channels[c]}: spectrum, noise floor (black) and lines")
+
+
+def _place(entry: Entry, rate_hz: float) -> float:
+    """Return where the spectrum shows a line."""
+    return float(abs(entry.frequency_hz - rate_hz * round(entry.frequency_hz / rate_hz)))
+
+
+def _colour(entry: Entry) -> str:
+    """Tell lines that are fitted or fundamental, explained and unexplained apart."""
+    if entry.use == "fitted" or (not entry.use and entry.what.startswith("fundamental")):
+        return RED
+    return ORANGE if entry.what.startswith("unexplained") else GREY
+
+
+def _short(entry: Entry) -> str:
+    """Return a line's frequency and what it is, without the details."""
+    return f"{entry.frequency_hz:.5g} {DETAILS.split(entry.what)[0].strip()}"

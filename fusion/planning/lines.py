@@ -1,0 +1,291 @@
+"""Every line of a file or recording."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from fusion.base import AnyNotice, InputError, stdout_console
+from fusion.estimation.uncertainty import rounded
+from fusion.phasors.channels import channel_unit, line_record, lines_in
+from fusion.phasors.timing import TimeBase, tie_daqs
+from fusion.recording.files import read_takes, take_blocks, told_in
+from fusion.recording.load import Manifest
+from shaker.arrays import FloatArray
+from shaker.io.channel import RawChannel
+from shaker.io.read import read_channels
+from shaker.lines.aliasing import alias_frequency
+from shaker.lines.detection import Survey, decibel, survey_lines
+from shaker.lines.frequencies import Lines
+from shaker.lines.spectrum import amplitude_spectrum
+from shaker.sine.fit import fit_sines
+
+# `shakercal lines`: every line of a file or of a recording, how far it stands out, what it is, and who sees it.
+
+
+COLUMNS = ("channel", "frequency_hz", "u_frequency_hz", "amplitude", "u_amplitude", "unit", "floor_db", "what", "use")
+_SAME_U, _SAME_HZ = 6.0, 1e-6  # how far a line moves when it is fitted beside others
+_HANN_NOISE = 3.0  # noise power in a bin of the figure's spectrum over the variance of a fitted quadrature
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One line: `amplitude`, `u_amplitude` (C,) NaN where it does not stand out; `floor_db` above the noise in a bin.
+
+    `use`: what a run does with it (empty for a file); `places`: where each camera sees it, in Hz.
+    """
+
+    frequency_hz: float
+    u_frequency_hz: float
+    amplitude: FloatArray
+    u_amplitude: FloatArray
+    floor_db: float
+    what: str
+    use: str = ""
+    places: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class LineList:
+    """Lines of channels sampled together, in ascending frequency, with the spectrum they stand in.
+
+    `cameras`: name and rate (Hz) of what sees the lines aliased. `spectrum_hz` (B,), `spectrum` (B, C), `floor_hz`
+    (D,), `floor` (D, C): amplitudes for the figure.
+    """
+
+    source: Path
+    channels: tuple[str, ...]
+    units: tuple[str, ...]
+    rate_hz: float
+    samples: int
+    entries: tuple[Entry, ...]
+    cameras: tuple[tuple[str, float], ...]
+    spectrum_hz: FloatArray
+    spectrum: FloatArray
+    floor_hz: FloatArray
+    floor: FloatArray
+    notices: tuple[AnyNotice, ...]
+
+
+def lines_of_file(
+    path: Path, names: Sequence[str] | None, rate_hz: float | None, band_hz: tuple[float, float] | None
+) -> list[LineList]:
+    """Survey the channels of a DAQ file, those sampled alike together; a band keeps the lines in it."""
+    try:
+        channels = read_channels(path, names, rate_hz)
+    except (OSError, ValueError) as error:
+        raise InputError.told_by(error, path) from error
+    groups: dict[tuple[float, int], dict[str, RawChannel]] = {}
+    for name, channel in channels.items():
+        groups.setdefault((channel.sample_rate_hz, len(channel.samples)), {})[name] = channel
+    if not groups:
+        raise InputError(path, "", found="none", expected="a channel of samples over time")
+    return [_file_group(path, group, band_hz) for group in groups.values()]
+
+
+def lines_of_recording(manifest: Manifest) -> LineList:
+    """Return the lines that a run of this recording fits, all others of the same channels, and the cameras' aliases.
+
+    Of a recording in takes these are those of the first one.
+    """
+    where, block = take_blocks(manifest)[0]
+    with told_in(block.path, where):
+        first = read_takes(block)[0]
+        manifest, base = first.manifest, tie_daqs(first.manifest, first.records)
+    chosen = line_record(base)
+    if chosen is None:
+        raise InputError(manifest.path, "daq", found="triggers only", expected="a channel that shows the excitation")
+    lines = lines_in(manifest, chosen)
+    names = [channel.name for channel in chosen.channels]
+    units = [channel_unit(manifest, channel) for channel in chosen.channels]
+    cameras = _cameras(manifest, base)
+    rate_hz = chosen.record.raw[names[0]].sample_rate_hz
+    entries = [*_fitted(chosen.time_s, chosen.values, lines, rate_hz), *_others(lines.others, lines.nuisance_hz)]
+    entries = [_seen_by(entry, [rate for _, rate in cameras]) for entry in entries]
+    entries.sort(key=lambda entry: entry.frequency_hz)
+    empty = _as_list(chosen.record.entry.file, names, units, rate_hz, chosen.values, lines.others)
+    return replace(empty, entries=tuple(entries), cameras=cameras, notices=lines.notices)
+
+
+def lines_csv(lists: Sequence[LineList]) -> str:
+    """Return all lines as a table: a row per line and channel in which it stands out."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    cameras = [f"alias_hz_{name.replace(', ', '_')}" for name, _ in lists[0].cameras]
+    writer.writerow((*COLUMNS, *cameras))
+    for item in lists:
+        for entry in item.entries:
+            places = [f"{place:.9g}" for place in entry.places]
+            frequency = [f"{entry.frequency_hz:.12g}", f"{entry.u_frequency_hz:.3g}"]
+            for c in np.flatnonzero(np.isfinite(entry.amplitude)):
+                size = [f"{entry.amplitude[c]:.9g}", f"{entry.u_amplitude[c]:.3g}", item.units[c]]
+                own = [*size, f"{entry.floor_db:.1f}", entry.what, entry.use, *places]
+                writer.writerow([item.channels[c], *frequency, *own])
+    return stream.getvalue()
+
+
+def _file_group(path: Path, group: dict[str, RawChannel], band_hz: tuple[float, float] | None) -> LineList:
+    """Survey channels that were sampled alike."""
+    names, first = list(group), next(iter(group.values()))
+    values = np.stack([channel.samples for channel in group.values()], axis=1)
+    for name, channel in group.items():
+        missing = int(np.count_nonzero(~np.isfinite(channel.samples)))
+        if missing:
+            raise InputError(path, name, found=f"{missing} that are not", expected="finite samples")
+    try:
+        survey = survey_lines(values, first.sample_rate_hz)
+    except ValueError as error:
+        raise InputError.told_by(error, path, names[0]) from error
+    if band_hz is not None:
+        survey = survey.select((survey.frequency_hz >= band_hz[0]) & (survey.frequency_hz <= band_hz[1]))
+    units = [channel.unit for channel in group.values()]
+    empty = _as_list(path, names, units, first.sample_rate_hz, values, survey)
+    return replace(empty, entries=tuple(_others(survey, None)), notices=survey.notices)
+
+
+def _as_list(
+    path: Path, names: Sequence[str], units: Sequence[str], rate_hz: float, values: FloatArray, survey: Survey
+) -> LineList:
+    """Return a list of no lines yet, with the spectrum of its channels."""
+    spectrum = amplitude_spectrum(values, rate_hz)
+    return LineList(
+        source=path,
+        channels=tuple(names),
+        units=tuple(units),
+        rate_hz=rate_hz,
+        samples=len(values),
+        entries=(),
+        cameras=(),
+        spectrum_hz=spectrum.frequency_hz,
+        spectrum=spectrum.amplitude,
+        floor_hz=survey.floor_hz,
+        floor=survey.floor,
+        notices=(),
+    )
+
+
+def _fitted(time_s: FloatArray, values: FloatArray, lines: Lines, rate_hz: float) -> list[Entry]:
+    """Return the lines that a run fits."""
+    names = [str(c) for c in range(values.shape[1])]
+    both = np.concatenate([lines.frequency_hz, lines.nuisance_hz])
+    phasors = fit_sines(time_s, values, both, names, names).phasors
+    amplitude = np.abs(phasors.value)
+    u = np.sqrt((phasors.u_re**2 + phasors.u_im**2) / 2.0)
+    entries = []
+    for k, (frequency, u_frequency) in enumerate(zip(lines.frequency_hz, lines.u_frequency_hz, strict=True)):
+        height = decibel(float(np.max((amplitude[k] / np.maximum(u[k], np.finfo(np.float64).tiny)) ** 2)) / _HANN_NOISE)
+        folded = f", read at {float(alias_frequency(frequency, rate_hz)):.6g} Hz" if frequency > rate_hz / 2.0 else ""
+        what = f"{_named(lines, k, amplitude)}{folded}"
+        entries.append(Entry(float(frequency), float(u_frequency), amplitude[k], u[k], height, what, "fitted"))
+    return entries
+
+
+def _named(lines: Lines, k: int, amplitude: FloatArray) -> str:
+    """Say what line k of a fit is, and how large beside its fundamental."""
+    if lines.multiple[k] == 1:
+        return f"fundamental, nominally {lines.nominal_hz[k]:.6g} Hz"
+    first = int(np.flatnonzero((lines.multiple == 1) & (lines.nominal_hz == lines.nominal_hz[k]))[0])
+    share = float(np.max(amplitude[k] / amplitude[first]))
+    return f"harmonic {lines.multiple[k]} of {lines.nominal_hz[k]:.6g} Hz, {share:.2g} of it"
+
+
+def _others(survey: Survey, nuisance_hz: FloatArray | None) -> list[Entry]:
+    """Return lines of a survey; beside a fit, those that are fitted with its lines are marked."""
+    entries = []
+    for i, origin in enumerate(survey.origin):
+        frequency = float(survey.frequency_hz[i])
+        use = ""
+        if nuisance_hz is not None:
+            beside = bool(np.any(np.abs(nuisance_hz - frequency) <= _SAME_U * survey.u_frequency_hz[i] + _SAME_HZ))
+            use = "fitted beside" if beside else "not fitted"
+        numbers = frequency, float(survey.u_frequency_hz[i]), survey.amplitude[i], survey.u_amplitude[i]
+        entries.append(Entry(*numbers, decibel(float(survey.snr[i])), origin.text, use))
+    return entries
+
+
+def _cameras(manifest: Manifest, base: TimeBase) -> tuple[tuple[str, float], ...]:
+    """Return name and rate of the stereo pairs, those of one trigger together."""
+    rates = {name: 1.0 / fit.period_s for (_, name), fit in base.triggers.items()}
+    pairs: dict[str, list[str]] = {}
+    for entry in (*manifest.images, *manifest.points):
+        if entry.trigger in rates:
+            pairs.setdefault(entry.trigger, []).append(entry.stereo)
+    return tuple((", ".join(names), rates[trigger]) for trigger, names in pairs.items())
+
+
+def _seen_by(entry: Entry, rates: Sequence[float]) -> Entry:
+    """Return a line with the places at which cameras see it."""
+    return replace(entry, places=tuple(float(alias_frequency(entry.frequency_hz, rate)) for rate in rates))
+
+
+# What `shakercal lines` prints: every line with its size, its height over the noise, what it is and why.
+
+
+COVERAGE = 2.0
+WHY_WIDTH = 18
+LISTED = "lines"
+"""Where notices are about that only say what the table shows."""
+
+
+def print_lines(lists: Sequence[LineList]) -> None:
+    """Print the lines to stdout, a table for each group of channels."""
+    from rich import box
+    from rich.table import Table
+
+    console = stdout_console()
+    for item in lists:
+        console.print(_heading(item), soft_wrap=True)
+        if not item.entries:
+            console.print("  no line stands out of the noise")
+            continue
+        table = Table(box=box.SIMPLE, pad_edge=False)
+        table.add_column("frequency / Hz", justify="right", no_wrap=True)
+        for name, _ in item.cameras:
+            table.add_column(f"{name} / Hz", justify="right")
+        table.add_column("amplitude", justify="right", no_wrap=True)
+        if len(item.channels) > 1:
+            table.add_column("in channel", overflow="fold")
+        table.add_column("dB", justify="right")
+        table.add_column("what and why", min_width=WHY_WIDTH)
+        for entry in item.entries:
+            table.add_row(*_cells(item, entry))
+        console.print(table)
+    for notice in dict.fromkeys(notice for item in lists for notice in item.notices if notice.where != LISTED):
+        console.print(f"{notice.severity}: {notice.text}", soft_wrap=True)
+    console.print(
+        "U (k = 2); amplitude: in the channel in which the line stands out most; dB: its power there over that of the "
+        "noise in a bin of the Hann spectrum",
+        soft_wrap=True,
+    )
+
+
+def _heading(item: LineList) -> str:
+    """Say what the table is of."""
+    duration = item.samples / item.rate_hz
+    names = ", ".join(item.channels)
+    seen = "".join(f"; {pairs}: lines as seen at {rate:.6g} Hz" for pairs, rate in item.cameras)
+    return f"{item.source.name}: {names}; {item.samples} samples at {item.rate_hz:.9g} Hz, {duration:.4g} s{seen}"
+
+
+def _cells(item: LineList, entry: Entry) -> list[str]:
+    """Return the cells of one line."""
+    cells = [_with_u(entry.frequency_hz, entry.u_frequency_hz, 0)]
+    cells += [f"{place:.4f}" for place in entry.places]
+    best = int(np.nanargmax(entry.amplitude / np.maximum(entry.u_amplitude, np.finfo(np.float64).tiny)))
+    size = _with_u(float(entry.amplitude[best]), float(entry.u_amplitude[best]))
+    cells.append(f"{size} {item.units[best]}".strip())
+    if len(item.channels) > 1:
+        cells.append(item.channels[best])
+    return [*cells, f"{entry.floor_db:.0f}", f"{entry.use}: {entry.what}" if entry.use else entry.what]
+
+
+def _with_u(value: float, u: float, exponent: int | None = None) -> str:
+    """Return a number with its expanded uncertainty."""
+    text, uncertainty, power = rounded(value, COVERAGE * u, exponent)
+    both = f"{text} ± {uncertainty}"
+    return f"({both})e{power}" if power else both

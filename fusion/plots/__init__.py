@@ -1,1 +1,0 @@
-"""Figures of the report: vector graphics in memory, in one style; uncertainties are expanded ones, k = 2."""

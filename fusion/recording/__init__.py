@@ -1,0 +1,1 @@
+"""A recording and its rig as their files describe them."""

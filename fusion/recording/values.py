@@ -1,0 +1,371 @@
+"""Types of the values in manifests, and where files may lie.
+
+What the values of a manifest may be; each refusal says what was expected and what was found.
+
+The models take TOML values without any conversion but two: an integer is a number, and one number may stand for all
+elements of an uncertainty.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import date, time
+from fnmatch import fnmatchcase
+from pathlib import Path, PurePosixPath, PureWindowsPath
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo
+from pydantic_core import PydanticCustomError
+
+if TYPE_CHECKING:
+    from fusion.recording.rig import Stereo
+
+
+# Paths that stand in a manifest: resolved against its folder, kept inside the campaign, globs ordered naturally.
+
+
+MAGIC = re.compile(r"[*?\[]")
+
+
+class PathError(ValueError):
+    """A path that cannot be used; `expected` and `found` are phrases for the message."""
+
+    def __init__(self, expected: str, found: str) -> None:
+        super().__init__(expected, found)
+        self.expected = expected
+        self.found = found
+
+
+def natural_key(name: str) -> tuple[tuple[tuple[int, int | str], ...], str]:
+    """Sort key that orders runs of digits by value: `a2` before `a10`; ties by the text itself."""
+    parts = re.split(r"([0-9]+)", name)
+    return tuple((0, int(part)) if part.isdigit() else (1, part) for part in parts if part), name
+
+
+@dataclass(frozen=True)
+class PathScope:
+    """Where the paths of one manifest start (`folder`) and which folder they may not leave (`root`, resolved)."""
+
+    folder: Path
+    root: Path
+    allow_outside: bool = False
+
+    def file(self, text: str) -> Path:
+        """Resolve the path of one existing file."""
+        path = self._inside(self._join(text), text)
+        if not path.is_file():
+            raise PathError("an existing file", f"a folder at {path}" if path.is_dir() else f"no file {path}")
+        return path
+
+    def files(self, text: str) -> tuple[Path, ...]:
+        """Resolve one path or a glob (`*`, `?`, `[…]`) to its existing files in natural order."""
+        plain = self._join(text)
+        if plain.is_file():
+            return (self._inside(plain, text),)
+        if not MAGIC.search(text):
+            return (self.file(text),)
+        if "**" in text:
+            raise PathError("a pattern that stays in one folder", f"'{text}' with '**'")
+        matches = [path for path in self._expand(text) if path.is_file()]
+        if not matches:
+            raise PathError("at least one file", f"nothing that matches {plain}")
+        return tuple(self._inside(path, text) for path in matches)
+
+    def _join(self, text: str) -> Path:
+        """Check the syntax of a path and put it behind the manifest's folder."""
+        if not text.strip() or "\0" in text:
+            raise PathError("a path", "an empty text" if not text.strip() else "a text with a NUL character")
+        if "\\" in text:
+            raise PathError("a path with '/' between its parts", f"'{text}'")
+        absolute = PurePosixPath(text).is_absolute() or PureWindowsPath(text).drive != ""
+        if absolute and not self.allow_outside:
+            raise PathError("a path relative to this file", f"'{text}'")
+        return self.folder / text
+
+    def _inside(self, path: Path, text: str) -> Path:
+        """Follow links and refuse what lies outside the campaign's folder."""
+        resolved = path.resolve()
+        if not self.allow_outside and not resolved.is_relative_to(self.root):
+            raise PathError(
+                f"a path inside the folder of rig.toml {self.root} (--allow-outside permits others)",
+                f"'{text}', which leads to {resolved}",
+            )
+        return resolved
+
+    def _expand(self, text: str) -> list[Path]:
+        """Match a glob part by part, case-sensitively, each folder's entries in natural order."""
+        found = [Path(PurePosixPath(text).anchor or self.folder)]
+        for part in PurePosixPath(text).relative_to(PurePosixPath(text).anchor).parts:
+            found = [match for folder in found for match in _matches(folder, part)]
+        return found
+
+
+def _matches(folder: Path, pattern: str) -> list[Path]:
+    """Entries of `folder` that match one part of a glob; hidden ones only where the pattern names the dot."""
+    if not MAGIC.search(pattern):
+        return [folder / pattern] if (folder / pattern).exists() else []
+    if not folder.is_dir():
+        return []
+    names = [entry.name for entry in folder.iterdir() if fnmatchcase(entry.name, pattern)]
+    visible = [name for name in names if pattern.startswith(".") or not name.startswith(".")]
+    return [folder / name for name in sorted(visible, key=natural_key)]
+
+
+# What the values of a manifest may be; each refusal says what was expected and what was found.
+
+
+Vector3 = tuple[float, float, float]
+Vector6 = tuple[float, float, float, float, float, float]
+Matrix3 = tuple[Vector3, Vector3, Vector3]
+BodyName = Literal["load", "base"]
+Component = Literal["Fx", "Fy", "Fz", "Mx", "My", "Mz"]
+
+PULSE: Literal["pulse"] = "pulse"
+ORTHONORMAL_TOLERANCE = 1e-6
+SYMMETRY_TOLERANCE = 1e-6
+ROUNDING_TOLERANCE = 0.01  # of the largest principal moment: tables of two or three digits
+
+
+@dataclass(frozen=True)
+class Context:
+    """What validation needs beside the text: where paths lead, and the stereo pairs of the rig."""
+
+    scope: PathScope
+    stereo: dict[str, Stereo]
+
+
+class Block(BaseModel):
+    """A TOML table: its keys are the attributes, unknown ones are refused, nothing is converted, nothing changes."""
+
+    model_config = ConfigDict(strict=True, frozen=True, extra="forbid")
+
+
+def refusal(expected: str, found: str, key: str = "") -> PydanticCustomError:
+    """The error a validator raises; `key` names the offending key where the whole table was checked."""
+    return PydanticCustomError(
+        "refused", "expected {expected}, found {found}", {"expected": expected, "found": found, "key": key}
+    )
+
+
+def describe(value: Any) -> str:
+    """Say in a few words what was found in a TOML file."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return f'the text "{value if len(value) <= 60 else value[:57] + "..."}"'
+    if isinstance(value, dict):
+        return "a table"
+    if isinstance(value, list | tuple):
+        return f"a list of {len(value)}"
+    if isinstance(value, date | time):
+        return "a date or time"
+    return "nothing" if value is None else f"{value}"[:60]
+
+
+def _is_number(value: Any) -> bool:
+    """Numbers are finite int and float; bool is none."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
+
+
+def _numbers(value: Any, count: int, expected: str) -> tuple[float, ...]:
+    """Check a list of exactly `count` numbers."""
+    if not isinstance(value, list | tuple):
+        raise refusal(expected, describe(value))
+    if len(value) != count:
+        raise refusal(expected, f"{len(value)} elements")
+    wrong = [(i, element) for i, element in enumerate(value, 1) if not _is_number(element)]
+    if wrong:
+        raise refusal(expected, f"{describe(wrong[0][1])} as element {wrong[0][0]}")
+    return tuple(float(element) for element in value)
+
+
+def vector(count: int) -> Callable[[Any], tuple[float, ...]]:
+    """Validator of a list of `count` numbers."""
+    return lambda value: _numbers(value, count, f"{count} numbers")
+
+
+def rows_of(rows: int, columns: int) -> Callable[[Any], tuple[tuple[float, ...], ...]]:
+    """Validator of a list of `rows` lists of `columns` numbers."""
+    expected = f"{rows} rows of {columns} numbers"
+
+    def checked(value: Any) -> tuple[tuple[float, ...], ...]:
+        if not isinstance(value, list | tuple) or len(value) != rows:
+            found = f"{len(value)} rows" if isinstance(value, list | tuple) else describe(value)
+            raise refusal(expected, found)
+        return tuple(_numbers(row, columns, expected) for row in value)
+
+    return checked
+
+
+def unit_vector(value: Any) -> tuple[float, ...]:
+    """Normalise a direction of 3 numbers; the zero vector has none."""
+    elements = _numbers(value, 3, "3 numbers that give a direction")
+    length = float(np.linalg.norm(elements))
+    if length == 0.0:
+        raise refusal("a direction", "the zero vector")
+    return tuple(element / length for element in elements)
+
+
+def spread(count: int) -> Callable[[Any], tuple[float, ...]]:
+    """Validator of the standard uncertainties of `count` elements; one number holds for every element."""
+    expected = f"a number or {count} numbers, none negative"
+
+    def check(value: Any) -> tuple[float, ...]:
+        elements = (float(value),) * count if _is_number(value) else _numbers(value, count, expected)
+        if min(elements) < 0:
+            raise refusal(expected, f"{min(elements):g}")
+        return elements
+
+    return check
+
+
+def pose_spread(value: Any) -> tuple[float, ...]:
+    """Check the six standard uncertainties of a pose: three lengths, three angles, hence never one number for all."""
+    elements = _numbers(value, 6, "6 numbers (3 in m, 3 in rad), none negative")
+    if min(elements) < 0:
+        raise refusal("6 numbers (3 in m, 3 in rad), none negative", f"{min(elements):g}")
+    return elements
+
+
+def exposure(value: Any) -> float | str:
+    """Check the length of an exposure in s, or the word that stands for the width of the trigger's pulses."""
+    if value == PULSE:
+        return PULSE
+    if not _is_number(value) or value < 0:
+        raise refusal(f'a number of at least 0, or "{PULSE}" for the width of the trigger\'s pulses', describe(value))
+    return float(value)
+
+
+def matrix3(value: Any) -> tuple[tuple[float, ...], ...]:
+    """Check three rows of three numbers."""
+    expected = "3 rows of 3 numbers"
+    if not isinstance(value, list | tuple) or len(value) != 3:
+        raise refusal(expected, describe(value))
+    return tuple(_numbers(row, 3, expected) for row in value)
+
+
+def rotation(value: Any) -> tuple[tuple[float, ...], ...]:
+    """Check a rotation matrix: orthonormal to 1e-6, determinant +1."""
+    rows = matrix3(value)
+    array = np.array(rows)
+    error = float(np.abs(array @ array.T - np.eye(3)).max())
+    if error > ORTHONORMAL_TOLERANCE:
+        raise refusal("a rotation matrix, orthonormal to 1e-6", f"rows that depart from it by {error:.2g}")
+    if np.linalg.det(array) < 0:
+        raise refusal("a rotation matrix with determinant +1", "determinant -1, a mirror image")
+    return rows
+
+
+def inertia(value: Any) -> tuple[tuple[float, ...], ...]:
+    """Check an inertia tensor that a body can have: symmetric, no principal moment above the sum of the others.
+
+    All zeros is a point mass. The slack of the sum allows for tables rounded to two or three digits.
+    """
+    rows = matrix3(value)
+    array = np.array(rows)
+    largest = float(np.abs(array).max())
+    row, column = np.unravel_index(int(np.abs(array - array.T).argmax()), (3, 3))
+    if abs(array[row, column] - array[column, row]) > SYMMETRY_TOLERANCE * largest:
+        pair = f"{array[row, column]:g} in row {row + 1}, column {column + 1}"
+        raise refusal("a symmetric matrix", f"{pair} and {array[column, row]:g} opposite")
+    low, middle, high = (float(moment) for moment in np.linalg.eigvalsh((array + array.T) / 2))
+    if low < -SYMMETRY_TOLERANCE * largest:
+        raise refusal("an inertia with positive principal moments", f"the principal moment {low:g} kg m^2")
+    if high > low + middle + ROUNDING_TOLERANCE * high:
+        moments = f"{low:g}, {middle:g} and {high:g} kg m^2"
+        raise refusal("principal moments of which none exceeds the sum of the others", moments)
+    return rows
+
+
+def inertia_spread(value: Any) -> tuple[tuple[float, ...], ...]:
+    """Standard uncertainties of an inertia's elements: one number for all, or a symmetric matrix."""
+    rows = ((float(value),) * 3,) * 3 if _is_number(value) else matrix3(value)
+    array = np.array(rows)
+    if array.min() < 0 or not np.allclose(array, array.T):
+        raise refusal("one number or a symmetric matrix of 3 rows of 3 numbers, none negative", "another matrix")
+    return rows
+
+
+def texts(value: Any) -> tuple[str, ...]:
+    """Check a list of different, non-empty texts."""
+    if not isinstance(value, list | tuple) or not all(isinstance(item, str) and item for item in value):
+        raise refusal("a list of texts", describe(value))
+    repeated = next((item for i, item in enumerate(value) if item in value[:i]), None)
+    if repeated is not None:
+        raise refusal("different names", f'"{repeated}" twice')
+    return tuple(value)
+
+
+def array_of_tables(value: Any) -> Any:
+    """An array of tables as the tuple that the models hold."""
+    if not isinstance(value, list | tuple):
+        raise refusal("blocks in double brackets, [[…]]", describe(value))
+    return tuple(value)
+
+
+def _scope(info: ValidationInfo) -> PathScope:
+    """Where the paths of the manifest under validation start."""
+    if not isinstance(info.context, Context):
+        raise refusal("a resolved path", "a text outside any manifest")
+    return info.context.scope
+
+
+def existing_file(value: Any, info: ValidationInfo) -> Path:
+    """Resolve the path of one existing file."""
+    if isinstance(value, Path):
+        return value
+    if not isinstance(value, str):
+        raise refusal("a path", describe(value))
+    try:
+        return _scope(info).file(value)
+    except (PathError, OSError) as error:
+        raise path_refusal(error) from error
+
+
+def existing_files(value: Any, info: ValidationInfo) -> tuple[Path, ...]:
+    """Resolve one path or glob to its existing files in natural order."""
+    if isinstance(value, tuple) and all(isinstance(item, Path) for item in value):
+        return value
+    if not isinstance(value, str):
+        raise refusal("a path or a pattern such as folder/*.tif", describe(value))
+    try:
+        return _scope(info).files(value)
+    except (PathError, OSError) as error:
+        raise path_refusal(error) from error
+
+
+def path_refusal(error: PathError | OSError) -> PydanticCustomError:
+    """Turn what the file system or the path rules say into a refusal."""
+    if isinstance(error, PathError):
+        return refusal(error.expected, error.found)
+    return refusal("a path that can be read", f"{error.strerror or error} ({error.filename})")
+
+
+def repeated_name(names: Sequence[str]) -> str | None:
+    """First name that stands twice, or None."""
+    return next((name for i, name in enumerate(names) if name in names[:i]), None)
+
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Text = Annotated[str, Field(min_length=1)]
+Texts = Annotated[tuple[str, ...], BeforeValidator(texts)]
+Exposure = Annotated[float | Literal["pulse"], BeforeValidator(exposure)]
+FreeVector = Annotated[Vector3, BeforeValidator(vector(3))]
+Direction = Annotated[Vector3, BeforeValidator(unit_vector)]
+Spread3 = Annotated[Vector3, BeforeValidator(spread(3))]
+PoseSpread = Annotated[Vector6, BeforeValidator(pose_spread)]
+Rotation = Annotated[Matrix3, BeforeValidator(rotation)]
+Inertia = Annotated[Matrix3, BeforeValidator(inertia)]
+InertiaSpread = Annotated[Matrix3, BeforeValidator(inertia_spread)]
+ExistingFile = Annotated[Path, BeforeValidator(existing_file)]
+ExistingFiles = Annotated[tuple[Path, ...], BeforeValidator(existing_files)]
+
+ZERO3: Vector3 = (0.0, 0.0, 0.0)
+ZERO6: Vector6 = (0.0,) * 6
+ZERO33: Matrix3 = (ZERO3, ZERO3, ZERO3)

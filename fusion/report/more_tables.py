@@ -1,0 +1,549 @@
+"""Tables of contradictions, budgets, vibrometer points, Monte Carlo and signals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from markupsafe import Markup
+
+from fusion.estimation.consistency import REMAINING, Acceleration, CommonEstimate, untested
+from fusion.estimation.uncertainty import DASH, Polar, Uncertainty, element_covariance, polar, prefix, rounded, typeset
+from fusion.phasors.channels import Drift, drifts
+from fusion.phasors.results import ClockResult
+from fusion.report.csv_files import sensitivity_unit
+from fusion.report.numbers import (
+    COMPONENTS,
+    LOAD_COMPONENTS,
+    acceleration,
+    common_exponent,
+    degrees_of_freedom,
+    driven_channel,
+    driven_component,
+    driven_element,
+    factor,
+    fixed,
+    main_line,
+    measured,
+    microseconds,
+    number,
+    phase,
+    short,
+    small,
+    static_sensitivity,
+    times_ten,
+)
+from fusion.report.tables import PREFIXED, Table, chi_square_table, consistency_table
+from fusion.sensitivity.analyse import Evaluation, Propagated, RealSpread
+from fusion.sensitivity.load import BudgetEntry, budget
+from fusion.sensitivity.multipoint_vibrometer import FEWEST_POINTS, PointRatios, PointSpread, axis_name
+from fusion.sensitivity.ratio import OtherLoads, other_loads
+from shaker.arrays import ComplexArray, FloatArray
+
+# The report's tables on the agreement of instruments: who deviates, what scatters, what these data do not test.
+
+
+LONGEST = 15
+"""Most unknowns that one table lists: those that deviate most."""
+MINUS = "\N{MINUS SIGN}"
+
+
+def consistency_tables(evaluation: Evaluation) -> list[Table]:
+    """Return the tables on chi-square, every instrument, scatter, and what the data say of the stated unknowns."""
+    fused = [result for result in evaluation.accelerations if result.source == "fused"]
+    found = (
+        chi_square_table(evaluation),
+        consistency_table(evaluation),
+        _scatter_table(fused),
+        _estimates_table(fused),
+        _untested_table(fused),
+    )
+    return [table for table in found if table]
+
+
+def _scatter_table(results: list[Acceleration]) -> Table | None:
+    """Instruments whose readings scatter beyond what is stated of them."""
+    rows = []
+    for result in results:
+        for scatter in result.scatter:
+            parts = zip(result.phasors.frequency_hz, scatter.amplitude, scatter.phase, scatter.dof, strict=True)
+            for frequency, amplitude, phase_rad, dof in parts:
+                sizes = (f"{100.0 * amplitude:.2g}", f"{1e3 * phase_rad:.2g}")
+                freedom = f"{dof:.0f}" if np.isfinite(dof) else DASH
+                rows.append((result.body, scatter.instrument, f"{frequency:.4f}", *sizes, freedom))
+    head = ("body", "instrument", "frequency / Hz", "amplitude / %", "phase / mrad", "dof")
+    caption = "Scatter of an instrument's readings beyond what is stated, relative to the motion (standard deviations)"
+    return Table(caption, head, "llrrrr", tuple(rows)) if rows else None
+
+
+def _estimates_table(results: list[Acceleration]) -> Table | None:
+    """What the readings say of the unknowns that they can test."""
+    rows = []
+    for result in results:
+        tested = [u for u in result.unknowns if u.remaining < REMAINING and np.isfinite(u.deviation)]
+        for unknown in sorted(tested, key=lambda u: -abs(u.deviation))[:LONGEST]:
+            rows.append((result.body, unknown.name, *_stated(unknown), *_found(unknown)))
+    head = ("body", "unknown", "stated u", "unit", "asked for", "estimate / u", "deviation", "u left / u")
+    caption = (
+        "What the readings say of the stated unknowns: the value they ask for, the estimate with what is stated, its "
+        "deviation (standard normal if all is as stated) and what remains of u"
+    )
+    return Table(caption, head, "llrlrrrr", tuple(rows)) if rows else None
+
+
+def _stated(unknown: CommonEstimate) -> tuple[str, str]:
+    """Standard uncertainty of an unknown with its unit."""
+    return f"{unknown.u:.2g}", "" if unknown.unit == "1" else unknown.unit
+
+
+def _found(unknown: CommonEstimate) -> tuple[str, ...]:
+    """Estimate of an unknown: value asked for, estimate, deviation, remaining share."""
+    numbers = (f"{unknown.wanted:.2g}", f"{unknown.estimate:+.2f}", f"{unknown.deviation:+.2f}")
+    return (*(text.replace("-", MINUS) for text in numbers), f"{unknown.remaining:.2f}")
+
+
+def _untested_table(results: list[Acceleration]) -> Table | None:
+    """Unknowns that matter and that nothing in these data tests."""
+    rows = []
+    for result in results:
+        for row in untested(result):
+            effect = f"{100.0 * row.relative:.2g}" if np.isfinite(row.relative) else DASH
+            unit = "" if row.unit == "1" else row.unit
+            share = f"{100.0 * row.share:.0f}"
+            rows.append((result.body, row.name, f"{row.u:.2g}", unit, row.component, effect, share))
+    head = ("body", "unknown", "stated u", "unit", "touches most", "by / % of it", "share of its variance / %")
+    caption = "Not tested by these data: taken as stated, an error beyond that would not be noticed"
+    return Table(caption, head, "llrllrr", tuple(rows)) if rows else None
+
+
+# The report's tables of uncertainty: budgets of the driven component, and what other loads explain of the outputs.
+
+
+SMALLEST_SHARE = 0.05
+"""Share of the variance in % from which a contribution has a row of its own."""
+SMALLEST_SLOPE = 1e-6
+"""Share of the variance in % below which a sensitivity coefficient is rounding."""
+
+
+def budget_tables(evaluation: Evaluation) -> list[Table]:
+    """Budgets of the driven sensitivity, load and acceleration at the strongest line, largest contributions first."""
+    line, component = main_line(evaluation), driven_component(evaluation)
+    found, load = evaluation.sensitivity, evaluation.load
+    tables = []
+    if found is not None and np.isfinite(found.value[line, driven_channel(evaluation), component]):
+        what = f"{found.channels[driven_channel(evaluation)]} per {LOAD_COMPONENTS[component]}"
+        tables.append(_budget_table(found.budget, line, driven_element(evaluation), what, found.frequency_hz[line]))
+    if load is not None and load.observed[line, component]:
+        what, value = f"load {LOAD_COMPONENTS[component]}", load.value[:, [component]]
+        entries = _budget_of(load.uncertainty, value, component)
+        tables.append(_budget_table(entries, line, 0, what, load.frequency_hz[line]))
+    motion = acceleration(evaluation, "load", "fused")
+    if motion is not None and motion.observed[line, component]:
+        what, value = f"acceleration {COMPONENTS[component]} of the load", motion.phasors.value[:, [component]]
+        entries = _budget_of(motion.uncertainty, value, component)
+        tables.append(_budget_table(entries, line, 0, what, motion.phasors.frequency_hz[line]))
+    return tables
+
+
+def _budget_of(uncertainty: Uncertainty, value: ComplexArray, component: int) -> tuple[BudgetEntry, ...]:
+    """Budget of one component, of values (K, 1)."""
+    return budget(uncertainty.at([component]), value)
+
+
+def _budget_table(entries: Sequence[BudgetEntry], line: int, place: int, what: str, frequency_hz: float) -> Table:
+    """One budget: what acts, how much of it, how it acts, and what it contributes to magnitude and phase."""
+    u = np.array([[entry.u_relative[line, place], entry.u_phase_rad[line, place]] for entry in entries])
+    total = np.sqrt(np.sum(u**2, axis=0))
+    share = 100.0 * np.divide(u**2, total**2, out=np.zeros_like(u), where=total > 0.0)
+    order = np.argsort(-np.sum(u**2, axis=1), kind="stable")
+    shown = [int(place) for place in order if np.max(share[place]) >= SMALLEST_SHARE]
+    rows: list[tuple[str, ...]] = []
+    for index in shown:
+        entry = entries[index]
+        slopes = (_slope(entry.coefficient[part, line, place], share[index, part]) for part in (0, 1))
+        kind = f"{entry.type}, {degrees_of_freedom(entry.dof[line])}"
+        rows.append((entry.label, kind, _input(entry), *slopes, *_contribution(u[index], share[index])))
+    rest = np.delete(np.arange(len(entries)), shown)
+    if len(rest):
+        left = _contribution(np.sqrt(np.sum(u[rest] ** 2, axis=0)), np.sum(share[rest], axis=0))
+        rows.append((f"{len(rest)} smaller ones together", "", "", "", "", *left))
+    rows.append((Markup("<b>combined, k = 1</b>"), "", "", "", "", *_contribution(total, np.sum(share, axis=0))))
+    head = (
+        *("contribution", "type, dof", "u of the input", "magnitude per unit", "rad per unit"),
+        *("u(magnitude) / %", "share / %", "u(phase) / mrad", "share / %"),
+    )
+    return Table(f"Budget of {what} at {frequency_hz:.4f} Hz", head, "llrrrrrrr", tuple(rows))
+
+
+def _contribution(u: FloatArray, share: FloatArray) -> tuple[str, str, str, str]:
+    """Contribution (2,) to relative magnitude and phase, each with its share of the variance in %."""
+    return small(100.0 * u[0]), f"{share[0]:.1f}", small(1e3 * u[1]), f"{share[1]:.1f}"
+
+
+def _input(entry: BudgetEntry) -> str:
+    """Standard uncertainty of the unknown with its unit; a dash for noise."""
+    if not np.isfinite(entry.u):
+        return f"{entry.count} unknowns" if entry.count > 1 else DASH
+    unit = "" if entry.unit == "1" else typeset(entry.unit)
+    each = f", {entry.count} times" if entry.count > 1 else ""
+    return Markup("{} {}").format(short(entry.u), unit).strip() + each
+
+
+def _slope(value: float, share: float) -> str:
+    """Sensitivity coefficient, with its sign; of what contributes nothing only that it is about zero."""
+    if not np.isfinite(value):
+        return DASH
+    return short(value) if share >= SMALLEST_SLOPE else "≈ 0"
+
+
+def other_loads_table(evaluation: Evaluation) -> Table | None:
+    """What the other load components explain of each output at the strongest line, by the static sensitivity."""
+    found, outputs, load = evaluation.sensitivity, evaluation.outputs, evaluation.load
+    sensor, static = evaluation.manifest.rig.sensor, static_sensitivity(evaluation)
+    if found is None or outputs is None or load is None or sensor is None or static is None:
+        return None
+    line, component = main_line(evaluation), driven_component(evaluation)
+    shares = other_loads(outputs, load, static, component, sensor.static_sensitivity_uncertainty)
+    rows = [_share_row(shares, line, c, name) for c, name in enumerate(outputs.phasors.channels)]
+    frequency = f"{found.frequency_hz[line]:.4f}"
+    head = ("output", "in phase / %", "across / %", "k", "dof")
+    caption = f"Share of each output that loads beside {LOAD_COMPONENTS[component]} explain at {frequency} Hz, with U"
+    return Table(caption, head, "lrrrr", tuple(rows))
+
+
+def _share_row(shares: OtherLoads, line: int, channel: int, name: str) -> tuple[str, ...]:
+    """Share of one output, as parts in phase with it and across."""
+    if not np.isfinite(shares.value[line, channel]):
+        return name, DASH, DASH, DASH, DASH
+    share = shares.element(line, channel)
+    parts = (
+        fixed(100.0 * part, 100.0 * share.k * u, 0) for part, u in ((share.re, share.u_re), (share.im, share.u_im))
+    )
+    return name, *parts, factor(share.k), degrees_of_freedom(share.dof)
+
+
+# The report's tables of parallel vibrometer points: each point, what they spread and rock, and each one's ratio.
+
+
+def point_tables(evaluation: Evaluation) -> list[Table]:
+    """Per group of parallel points: the points at the strongest line, their spread at every line, their ratios."""
+    tables = []
+    line = main_line(evaluation)
+    for spread in evaluation.points:
+        tables += [_points_table(spread, line), _spread_table(spread)]
+        if spread.ratios is not None:
+            tables.append(_ratios_table(spread, spread.ratios))
+    return tables
+
+
+def elements(value: ComplexArray, uncertainty: Uncertainty, line: int) -> list[Polar]:
+    """Return the C values of a line as magnitude and phase with their uncertainty."""
+    covariance, dof = uncertainty.covariance[line], uncertainty.dof()[line]
+    return [polar(complex(v), element_covariance(covariance, c), float(dof[c])) for c, v in enumerate(value[line])]
+
+
+def _points_table(spread: PointSpread, line: int) -> Table:
+    """Every point at one line: where it is, what it measures, how far it is from the mean and from the plane."""
+    first, second = (axis_name(axis) for axis in spread.axes)
+    mean = spread.mean[line]
+    rows = []
+    for place, (name, found) in enumerate(
+        zip(spread.channels, elements(spread.value, spread.uncertainty, line), strict=True)
+    ):
+        ratio = spread.value[line, place] / mean
+        left = abs(spread.residual[line, place] / mean)
+        rows.append(
+            (
+                name,
+                *(f"{1e3 * lever:.1f}".replace("-", "\N{MINUS SIGN}") for lever in spread.place_m[place]),
+                measured(found.magnitude, found.expanded_magnitude),
+                phase(found),
+                _signed(100.0 * (abs(ratio) - 1.0), 3),
+                _signed(1e3 * float(np.angle(ratio)), 2),
+                number(100.0 * left) if _has_rest(spread) else DASH,
+            )
+        )
+    head = (
+        *("point", f"{first} / mm", f"{second} / mm", "amplitude / (m/s²)", "phase / rad"),
+        *("from the mean / %", "from the mean / mrad", "from the plane / %"),
+    )
+    frequency = float(spread.frequency_hz[line])
+    caption = f"{_title(spread)} at {frequency:.4f} Hz: acceleration of every point with U"
+    return Table(caption, head, "lrrrrrrr", tuple(rows))
+
+
+def _spread_table(spread: PointSpread) -> Table:
+    """Mean, spread, rocking and what the plane leaves at every line."""
+    first, second = (axis_name(axis) for axis in spread.axes)
+    rows = []
+    for line, frequency in enumerate(spread.frequency_hz):
+        mean, *turns = elements(spread.plane, spread.plane_uncertainty, line)
+        micro = 1e6 / (2.0 * np.pi * frequency) ** 2
+        rows.append(
+            (
+                f"{frequency:.4f}",
+                measured(mean.magnitude, mean.expanded_magnitude),
+                phase(mean),
+                number(100.0 * float(spread.amplitude_spread[line])),
+                number(1e3 * float(spread.phase_spread_rad[line])),
+                *(measured(micro * turn.magnitude, micro * turn.expanded_magnitude) for turn in turns),
+                number(100.0 * float(spread.left_relative[line])) if _has_rest(spread) else DASH,
+                number(100.0 * float(spread.left_expected[line])) if _has_rest(spread) else DASH,
+            )
+        )
+    head = (
+        *("frequency / Hz", "mean / (m/s²)", "phase / rad", "spread / %", "spread / mrad"),
+        *(f"rocking about {first} / µrad", f"rocking about {second} / µrad", "left / %", "expected / %"),
+    )
+    caption = (
+        f"{_title(spread)}: mean with U, standard deviation over the points, best rigid plane with U, "
+        "and rms of what it leaves"
+    )
+    return Table(caption, head, "r" * len(head), tuple(rows))
+
+
+def _ratios_table(spread: PointSpread, ratios: PointRatios) -> Table:
+    """Mean and standard deviation of the points' ratios beside the ratio of the fused motion."""
+    exponent = common_exponent(ratios.value)
+    mean = ratios.value.mean(axis=1, keepdims=True)
+    count = ratios.value.shape[1]
+    average = np.kron(np.eye(2), np.full((1, count), 1.0 / count))
+    uncertainty = ratios.uncertainty.transformed(np.broadcast_to(average, (len(mean), *average.shape)))
+    rows = []
+    for line, frequency in enumerate(spread.frequency_hz):
+        (found,) = elements(mean, uncertainty, line)
+        fused = complex(ratios.fused[line])
+        known = bool(np.isfinite(fused))
+        rows.append(
+            (
+                f"{frequency:.4f}",
+                fixed(found.magnitude, found.expanded_magnitude, exponent),
+                number(100.0 * float(ratios.magnitude_spread[line] / ratios.mean_magnitude[line])),
+                phase(found),
+                number(1e3 * float(ratios.phase_spread_rad[line])),
+                _signed(100.0 * (ratios.mean_magnitude[line] / abs(fused) - 1.0), 3) if known else DASH,
+                _signed(1e3 * float(np.angle(mean[line, 0] / fused)), 2) if known else DASH,
+            )
+        )
+    unit = times_ten(exponent, typeset(sensitivity_unit(ratios.unit, ratios.component)))
+    caption = Markup("Output {} over load mass times acceleration, point by point, in {}").format(ratios.channel, unit)
+    head = (
+        *("frequency / Hz", "mean", "spread / %", "phase / rad", "spread / mrad"),
+        *("to the fused ratio / %", "to the fused ratio / mrad"),
+    )
+    return Table(caption, head, "rrrrrrr", tuple(rows))
+
+
+def _title(spread: PointSpread) -> str:
+    """What was measured where."""
+    return (
+        f"{len(spread.channels)} points of {spread.instrument} along {axis_name(spread.direction)} on the {spread.body}"
+    )
+
+
+def _has_rest(spread: PointSpread) -> bool:
+    """Whether there are more points than a plane needs."""
+    return len(spread.channels) > FEWEST_POINTS
+
+
+def _signed(value: float, places: int) -> str:
+    """A difference with its sign."""
+    return f"{value:+.{places}f}".replace("-", "\N{MINUS SIGN}")
+
+
+# The report's tables of a Monte Carlo run: 95 % intervals of the draws beside those of first-order propagation.
+
+
+def monte_carlo_tables(evaluation: Evaluation) -> list[Table]:
+    """Return one table per result: sensitivity first, then load and acceleration of each body; none without a run."""
+    run = evaluation.monte_carlo
+    return [] if run is None else [_table(result, run.draws) for result in reversed(run.results)]
+
+
+def _table(result: Propagated, draws: int) -> Table:
+    """Magnitude, phase and region of every quantity at every driven line."""
+    rows = []
+    for line, frequency in enumerate(result.frequency_hz):
+        for element, name in enumerate(result.elements):
+            if np.isfinite(result.value[line, element]):
+                rows.append((f"{frequency:.4f}", name, *_row(result, draws, line, element)))
+    head = ("frequency / Hz", "quantity", *_columns("magnitude"), *_columns("phase / rad"), "in the region", "")
+    title = result.name[0].upper() + result.name[1:]
+    strong = [np.where(result.weak, 0.0, what.u_end / what.first_u) for what in (result.magnitude, result.phase)]
+    good = float(np.nanmax(strong, initial=0.0))
+    caption = f"{title}: shortest 95 % intervals of {draws} draws, whose number determines their ends to {good:.2g} u"
+    return Table(caption, head, "ll" + "r" * 7 + "l", tuple(rows))
+
+
+def _columns(what: str) -> tuple[str, str, str]:
+    """Heads of the columns of a real quantity."""
+    return f"{what}, Monte Carlo", "first order", "apart / u"
+
+
+def _row(result: Propagated, draws: int, line: int, element: int) -> tuple[str, ...]:
+    """Cells of one quantity: both intervals of magnitude and phase, how far they are apart, the region, the verdict."""
+    unit, cells = result.unit[element], []
+    for what, own in ((result.magnitude, unit), (result.phase, "")):
+        cells += _real_cells(what, line, element, own)
+    return (*cells, f"{100.0 * result.first_holds[line, element]:.1f} %", _verdict(result, draws, line, element))
+
+
+def _verdict(result: Propagated, draws: int, line: int, element: int) -> str:
+    """Whether first-order propagation holds."""
+    small = result.too_small(draws, line, element)
+    if small:
+        return f"first-order U too small: {', '.join(small)}"
+    large = result.refuted(draws, line, element)
+    return f"first-order U larger than need be: {', '.join(large)}" if large else _digits(result, line, element)
+
+
+def _digits(result: Propagated, line: int, element: int) -> str:
+    """In how many digits both ways agree, or that only the region is judged."""
+    if result.weak[line, element]:
+        return "region confirmed; magnitude and phase say little"
+    digits = int(min(result.magnitude.digits[line, element], result.phase.digits[line, element]))
+    return f"agrees in {digits} digit{'s' * (digits != 1)} of u" if digits else "within what the number of draws tells"
+
+
+def _real_cells(spread: RealSpread, line: int, element: int, unit: str) -> list[str]:
+    """Interval of the draws, that of first-order propagation, and the larger distance of their ends over u."""
+    ends = [float(end[line, element]) for end in (spread.low, spread.high, spread.first_low, spread.first_high)]
+    u = float(spread.first_u[line, element])
+    apart = float(max(spread.d_low[line, element], spread.d_high[line, element]))
+    told = f"{apart / u:.2f}" if u > 0.0 and np.isfinite(apart) else DASH
+    return [_interval(ends[0], ends[1], u, unit), _interval(ends[2], ends[3], u, unit), told]
+
+
+def _interval(low: float, high: float, u: float, unit: str) -> str:
+    """Two ends with the digits that u deserves, and the unit with its power of ten."""
+    exponent = rounded(max(abs(low), abs(high)), u).exponent
+    texts = [rounded(end, u, exponent).value for end in (low, high)]
+    if exponent:
+        return Markup("({} … {}) × {}").format(*texts, times_ten(exponent, unit))
+    return Markup("{} … {} {}").format(*texts, typeset(unit))
+
+
+# The report's tables of signals: lines, channels, what drifted, clocks and triggers.
+
+
+OTHER_LINES = 30
+"""Lines without results that are listed, those that stand out most."""
+LEAST_CHANCE = 1e-4
+"""Below it, a chance is only said to be smaller."""
+
+
+def lines_table(evaluation: Evaluation) -> Table:
+    """The lines evaluated, the others that stand out most, and why."""
+    lines, others = evaluation.lines, evaluation.lines.others
+    rows = [
+        (float(f), (measured(f, 2.0 * u), f"{nominal:g}", str(int(multiple)), "result", why))
+        for f, u, nominal, multiple, why in zip(
+            lines.frequency_hz, lines.u_frequency_hz, lines.nominal_hz, lines.multiple, lines.why, strict=True
+        )
+    ]
+    for i in np.argsort(-others.snr, kind="stable")[:OTHER_LINES].tolist():
+        f, u = float(others.frequency_hz[i]), float(others.u_frequency_hz[i])
+        beside = bool(np.any(np.abs(lines.nuisance_hz - f) <= 6.0 * u))
+        use = "fitted beside" if beside else "not fitted"
+        rows.append((f, (measured(f, 2.0 * u), DASH, DASH, use, others.why[i])))
+    rows.sort(key=lambda row: row[0])
+    more = len(others.snr) - OTHER_LINES
+    head = ("frequency / Hz", "nominal / Hz", "multiple", "use", "reason")
+    caption = "Lines of the record, with U (k = 2)" + (f"; {more} weaker ones are left out" if more > 0 else "")
+    return Table(caption, head, "rrrll", tuple(cells for _, cells in rows))
+
+
+def channels_table(evaluation: Evaluation) -> Table | None:
+    """Every DAQ channel at the strongest line."""
+    line, rows = main_line(evaluation), []
+    for channel in evaluation.channels:
+        value = complex(channel.phasors.value[line, 0])
+        element = polar(
+            value, element_covariance(channel.phasors.covariance[line], 0), float(channel.phasors.dof[line])
+        )
+        factor, letter = prefix(np.array([abs(value)])) if channel.unit in PREFIXED else (1.0, "")
+        amplitude = measured(element.magnitude / factor, element.expanded_magnitude / factor, letter + channel.unit)
+        rest = Markup("{} {}").format(short(channel.residual_rms / factor), typeset(letter + channel.unit))
+        rows.append(
+            (
+                channel.name,
+                channel.daq,
+                channel.quantity,
+                f"{channel.sample_rate_hz:g}",
+                amplitude,
+                phase(element),
+                rest,
+            )
+        )
+    head = ("channel", "DAQ", "quantity", "rate / Hz", "amplitude", "phase / rad", "residual rms")
+    caption = "Channels at the strongest line; U (95 %) from the scatter alone"
+    return Table(caption, head, "lllrrrr", tuple(rows)) if rows else None
+
+
+def drift_table(evaluation: Evaluation) -> Table | None:
+    """Return the changes of the driven lines over the record, one row per instrument; None without any."""
+    found = drifts(evaluation.channels, evaluation.stereo, evaluation.lines, evaluation.clocks)
+    if not found:
+        return None
+    head = ("instrument", "line / Hz", "blocks", "periods in each", "amplitude / %", "phase / mrad", "chance of noise")
+    caption = (
+        "Change of amplitude and phase over the record, with U (k = 2) that has the rates of the clocks in it, from "
+        "blocks of whole periods or beats"
+    )
+    return Table(caption, head, "lrrrrrr", tuple(_drift_cells(drift) for drift in found))
+
+
+def clocks_table(evaluation: Evaluation) -> Table | None:
+    """Triggers and ties of the DAQ blocks, one column each."""
+    if not evaluation.clocks:
+        return None
+    found = ["file", "edges found", "missing, doubled, spurious", "trigger rate / Hz", "jitter beyond sampling / µs"]
+    found += ["first edge / s", "pulse width / µs"]
+    names = [*found, "offset in the middle / s", "rate − 1 / 10⁻⁶", "edges paired by"]
+    columns = [
+        (clock.file.name, *_trigger_cells(clock), *_tie_cells(clock, evaluation.clocks[0]))
+        for clock in evaluation.clocks
+    ]
+    rows = tuple((name, *(column[place] for column in columns)) for place, name in enumerate(names))
+    head = ("", *(clock.daq for clock in evaluation.clocks))
+    return Table("Camera trigger and clocks, U (k = 2)", head, "l" + "r" * len(columns), rows)
+
+
+def _drift_cells(drift: Drift) -> tuple[str, ...]:
+    """One instrument at one line."""
+    return (
+        drift.name,
+        f"{drift.frequency_hz:.4f}",
+        str(drift.blocks),
+        f"{drift.periods:.0f}" if drift.whole else f"{drift.periods:.2f}, not whole",
+        fixed(100.0 * drift.amplitude, 200.0 * drift.u_amplitude, 0),
+        fixed(1e3 * drift.phase_rad, 2e3 * drift.u_phase_rad, 0),
+        f"{drift.chance:.2g}" if drift.chance >= LEAST_CHANCE else f"below {LEAST_CHANCE:g}",
+    )
+
+
+def _trigger_cells(clock: ClockResult) -> list[str]:
+    """Edges, missing, doubled and spurious ones, rate, jitter, first edge."""
+    trigger = clock.trigger
+    if trigger is None:
+        return ["no trigger", *[DASH] * 5]
+    u_start, u_period = 2.0 * np.sqrt(np.diag(trigger.covariance))
+    return [
+        str(len(trigger.number)),
+        f"{len(trigger.missing)}, {trigger.doubled}, {trigger.spurious}",
+        measured(1.0 / trigger.period_s, float(u_period) / trigger.period_s**2),
+        number(1e6 * trigger.jitter_s),
+        measured(trigger.start_s, float(u_start)),
+        microseconds(clock.pulse_width_s, clock.u_pulse_width_s),
+    ]
+
+
+def _tie_cells(clock: ClockResult, base: ClockResult) -> list[str]:
+    """Offset in the middle of the common edges and rate against the first block, and what paired the edges."""
+    tie = clock.tie
+    if tie is None:
+        return ["time base" if clock is base else "time base of its take", DASH, DASH]
+    middle = np.asarray(tie.middle_s)
+    offset = measured(float(tie.to_base_s(middle)) - tie.middle_s, 2.0 * float(tie.u_to_base_s(middle)))
+    rate = measured(1e6 * (tie.rate - 1.0), 2e6 * float(np.sqrt(tie.covariance[1, 1])))
+    return [offset, rate, f"{tie.decided_by} ({tie.pairs})"]

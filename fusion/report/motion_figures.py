@@ -1,0 +1,497 @@
+"""Figures of motion and deformation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import Colormap, LinearSegmentedColormap
+from numpy.typing import NDArray
+
+from fusion.estimation.uncertainty import prefix
+from fusion.phasors.results import DeflectionShape, StereoResult
+from fusion.report.signal_figures import draw_epipolar
+from fusion.report.style import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    LIGHT,
+    ORANGE,
+    PURPLE,
+    RASTER_ABOVE,
+    RED,
+    WIDTH_IN,
+    Picture,
+    drawing,
+    finish,
+    lay_out,
+    new_figure,
+    panel_label,
+)
+from fusion.sensitivity.analyse import Evaluation
+from shaker.arrays import ComplexArray, FloatArray
+from shaker.lines.aliasing import alias_frequency
+
+# Figure of one stereo pair: how its body bends at a line, out of its plane and in it.
+
+
+AXES = ("x", "y", "z")
+OUT_QUANTILE, INSIDE_QUANTILE = 2.448, 3.080
+"""Amplitude of one and of two components, in standard uncertainties of their parts, that noise exceeds at 5 % of the
+points: square roots of the 95 % quantiles of chi-square with 2 and 4 degrees of freedom."""
+LONGEST_ARROW = 1.6  # distances between neighbours
+PHASE_COLOURS = (BLUE, GREEN, ORANGE, PURPLE, BLUE)
+"""Colours of -180, -90, 0, 90 and 180 degrees, distinct from the grey of points without a phase."""
+PANEL_IN, TALLEST_IN, FLATTEST_IN = 2.2, 3.2, 0.8
+BELOW_IN, ABOVE_IN, BAR_IN, BAR_HEIGHT_IN = 1.15, 0.3, 0.68, 0.11
+MARGIN_SHARE = 0.03
+
+
+@dataclass(frozen=True)
+class _View:
+    """A shape at one line as it is drawn: plan (N, 2) in mm, out of plane (N,), in plane (N, 2), and noise levels."""
+
+    plan_mm: FloatArray
+    out: ComplexArray
+    out_level: FloatArray
+    inside: ComplexArray
+    inside_level: FloatArray
+    normal: int
+    across: tuple[int, int]
+
+    @property
+    def side_mm(self) -> float:
+        """Distance of neighbouring points."""
+        sample = self.plan_mm[:: max(1, len(self.plan_mm) // 200)]
+        distance = np.abs(sample[:, None, :] - self.plan_mm[None, :, :]).max(axis=2)
+        distance[distance < 1e-6] = np.inf
+        return float(np.median(distance.min(axis=1)))
+
+    @property
+    def limits_mm(self) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper corner of the panels: the whole body with room for a square at its edge."""
+        low, high = self.plan_mm.min(axis=0), self.plan_mm.max(axis=0)
+        room = 1.2 * self.side_mm + MARGIN_SHARE * float((high - low).max())
+        return low - room, high + room
+
+    @property
+    def height_in(self) -> float:
+        """Height of the panels for equal scales."""
+        low, high = self.limits_mm
+        return float(np.clip(PANEL_IN * (high[1] - low[1]) / (high[0] - low[0]), FLATTEST_IN, TALLEST_IN))
+
+
+def draw_deflection(shape: DeflectionShape, line: int, rigid: ComplexArray, name: str, body: str) -> Picture | None:
+    """Amplitude and phase of the deflection out of the plane of the points, and the deflection in that plane.
+
+    `rigid` (6,): displacement phasors of the body at this line; phases are counted from its largest translation. None
+    when fewer than three points have a deflection.
+    """
+    known = np.isfinite(shape.value[line]).all(axis=1)
+    if known.sum() < 3:
+        return None
+    view = _view(shape.reference_m[known], shape.value[line][known], shape.u[line][known])
+    leader = int(np.argmax(np.abs(rigid[:3])))
+    above = np.abs(view.out) > view.out_level
+    identifier = f"deflection-{name}"
+    with drawing(identifier):
+        figure = new_figure(view.height_in + BELOW_IN + ABOVE_IN)
+        panels = figure.subplots(1, 3)
+        _draw_amplitude(panels[0], view)
+        _draw_phase(panels[1], view, above, (float(np.angle(rigid[leader])), AXES[leader]))
+        _draw_in_plane(panels[2], view)
+        for axes in panels:
+            _frame(axes, view)
+        panels[0].set_ylabel(f"{AXES[view.across[1]]} / mm")
+        lay_out(figure, panels, left=0.6, bottom=BELOW_IN, top=ABOVE_IN, gap=(0.5, 0.1), label=0.42)
+        caption = (
+            f"What the {body} does beside its rigid motion at {shape.frequency_hz[line]:.4f} Hz, seen by stereo pair "
+            f"“{name}” (peak values). Left: amplitude along {AXES[view.normal]}, out of the plane of the points; "
+            f"{above.sum()} of {len(above)} points are above the noise level, which noise alone exceeds at one point "
+            f"in twenty. Middle: phase against the rigid translation along {AXES[leader]}, grey where the amplitude "
+            "is below that level. Right: deflection in the plane at the instant of its largest extent, grey below "
+            "the noise level. Bending appears smaller by the rigid motion that fits it best."
+        )
+        return finish(figure, identifier, f"Operating deflection shape seen by {name}", caption)
+
+
+def _view(reference_m: FloatArray, value: ComplexArray, u: FloatArray) -> _View:
+    """Plan and components of a shape (N, 3) with uncertainties (N, 3), in the plane that fits the points best."""
+    _, _, axes = np.linalg.svd(reference_m - reference_m.mean(axis=0), full_matrices=False)
+    normal = axes[2]
+    main = int(np.argmax(np.abs(normal)))
+    normal = normal * np.sign(normal[main])
+    first, second = (axis for axis in range(3) if axis != main)
+    out = value @ normal
+    inside = (value - out[:, None] * normal)[:, [first, second]]
+    return _View(
+        plan_mm=1e3 * reference_m[:, [first, second]],
+        out=out,
+        out_level=OUT_QUANTILE * np.sqrt(u**2 @ normal**2),
+        inside=inside,
+        inside_level=INSIDE_QUANTILE * np.sqrt(np.mean(u[:, [first, second]] ** 2, axis=1)),
+        normal=main,
+        across=(first, second),
+    )
+
+
+def _draw_amplitude(axes: Axes, view: _View) -> None:
+    """Squares coloured by the amplitude out of the plane; the colour bar shows the noise level."""
+    factor, letter = prefix(np.abs(view.out))
+    largest = float(np.abs(view.out).max()) / factor
+    level = float(np.median(view.out_level)) / factor
+    squares = _squares(view, np.abs(view.out) / factor, colormaps["viridis"], (0.0, max(largest, level)))
+    axes.add_collection(squares)
+    bar = _colour_bar(axes, view, squares, f"amplitude / {letter}m")
+    bar.axvline(level, color="white", linewidth=2.6)
+    bar.axvline(level, color=BLACK, linewidth=1.2)
+    panel_label(axes, f"out of plane ({AXES[view.normal]}), noise level {float(f'{level:.2g}'):g} {letter}m")
+
+
+def _draw_phase(axes: Axes, view: _View, above: NDArray[np.bool_], leader: tuple[float, str]) -> None:
+    """Squares coloured by the phase out of the plane, against the leader's, where the amplitude is above the noise."""
+    phase = np.degrees(np.angle(view.out * np.exp(-1j * leader[0])))
+    colours = LinearSegmentedColormap.from_list("phase", PHASE_COLOURS)
+    squares = _squares(view, np.where(above, phase, np.nan), colours, (-180.0, 180.0))
+    axes.add_collection(squares)
+    bar = _colour_bar(axes, view, squares, f"phase against {leader[1]} / °")
+    bar.set_xticks([-180, -90, 0, 90, 180])
+    panel_label(axes, f"out of plane ({AXES[view.normal]}), phase")
+
+
+def _draw_in_plane(axes: Axes, view: _View) -> None:
+    """Arrows at the instant at which the deflection in the plane is largest."""
+    instant = np.exp(-0.5j * np.angle(np.sum(view.inside**2)))
+    arrows = (view.inside * instant).real
+    length = np.sqrt(np.sum(np.abs(view.inside) ** 2, axis=1))
+    factor, letter = prefix(arrows)
+    colour = np.where(length > view.inside_level, BLUE, GREY)
+    longest = float(np.quantile(np.hypot(arrows[:, 0], arrows[:, 1]), 0.98)) / factor
+    scale = max(longest, 1e-12) / (LONGEST_ARROW * view.side_mm)
+    quiver = axes.quiver(
+        *view.plan_mm.T,
+        *(arrows / factor).T,
+        color=list(colour),
+        angles="xy",
+        scale_units="xy",
+        scale=scale,
+        width=0.006,
+        headwidth=3.5,
+        rasterized=len(arrows) > RASTER_ABOVE,
+    )
+    key = float(f"{longest:.1g}")
+    axes.quiverkey(
+        quiver,
+        0.5,
+        -(BAR_IN - BAR_HEIGHT_IN) / view.height_in,
+        key,
+        f"{key:g} {letter}m",
+        labelpos="S",
+        labelsep=0.06,
+        color=BLACK,
+    )
+    level = float(np.median(view.inside_level)) / factor
+    names = ", ".join(AXES[axis] for axis in view.across)
+    panel_label(axes, f"in plane ({names}), noise level {float(f'{level:.2g}'):g} {letter}m")
+
+
+def _squares(view: _View, values: FloatArray, colours: Colormap, limits: tuple[float, float]) -> PolyCollection:
+    """Squares about the points, coloured by values (N,), light grey where they are NaN."""
+    corner = 0.47 * view.side_mm * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    squares = PolyCollection(list(view.plan_mm[:, None, :] + corner), linewidth=0.0, edgecolor="none")
+    squares.set_array(np.ma.masked_invalid(values))
+    squares.set_cmap(colours.with_extremes(bad=LIGHT))
+    squares.set_clim(*limits)
+    squares.set_rasterized(len(values) > RASTER_ABOVE)
+    return squares
+
+
+def _colour_bar(axes: Axes, view: _View, squares: PolyCollection, label: str) -> Axes:
+    """Horizontal colour bar under a panel."""
+    place = axes.inset_axes((0.0, -BAR_IN / view.height_in, 1.0, BAR_HEIGHT_IN / view.height_in))
+    axes.figure.colorbar(squares, cax=place, orientation="horizontal")
+    place.set_xlabel(label)
+    place.grid(visible=False)
+    return place
+
+
+def _frame(axes: Axes, view: _View) -> None:
+    """Equal scales and the whole body."""
+    low, high = view.limits_mm
+    axes.set_xlim(low[0], high[0])
+    axes.set_ylim(low[1], high[1])
+    axes.set_aspect("equal")
+    axes.set_xlabel(f"{AXES[view.across[0]]} / mm")
+    axes.grid(visible=False)
+
+
+# Figures of one stereo pair: motion over time and folded, what the fit leaves, and the image it was seen in.
+
+
+COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
+BASE_UNITS = ("m", "m", "m", "rad", "rad", "rad")
+POINT: dict[str, Any] = {"marker": "o", "linestyle": "none", "markersize": 2.6, "markeredgewidth": 0}
+COMPONENT_COLOURS = (BLUE, ORANGE, RED)
+CURVE_POINTS = 600
+LARGEST_IMAGE_PX = 520
+
+
+def motion_pictures(stereo: StereoResult) -> list[Picture]:
+    """All figures of one stereo pair."""
+    pictures = [draw_motion(stereo), draw_residuals(stereo)]
+    if len(stereo.time_s) >= 8:
+        pictures.append(draw_residual_spectrum(stereo))
+    if stereo.epipolar is not None:
+        pictures.append(draw_epipolar(stereo.epipolar, stereo.time_s, stereo.name))
+    bent = _deflection_picture(stereo)
+    return pictures if bent is None else [*pictures, bent]
+
+
+def _deflection_picture(stereo: StereoResult) -> Picture | None:
+    """The operating deflection shape at the line of the largest motion, where there are points."""
+    if stereo.deflection is None or len(stereo.fit.phasors.frequency_hz) == 0:
+        return None
+    rigid = stereo.fit.phasors.value
+    line = int(np.argmax(np.linalg.norm(rigid[:, :3], axis=1)))
+    return draw_deflection(stereo.deflection, line, rigid[line], stereo.name, stereo.body)
+
+
+def subset_pictures(evaluation: Evaluation) -> list[Picture]:
+    """The reference images with their subsets, where there are images."""
+    seen = [item for item in evaluation.stereo if item.reference_image is not None and item.subsets_px is not None]
+    return [draw_subsets(seen)] if seen else []
+
+
+def draw_motion(stereo: StereoResult) -> Picture:
+    """Six components over time with the fitted lines as this camera rate sees them, and folded over one period."""
+    name = f"motion-{stereo.name}"
+    frequency = main_frequency(stereo)
+    rate = camera_rate_hz(stereo)
+    with drawing(name):
+        figure = new_figure(8.4)
+        panels = figure.subplots(6, 2, sharex="col", gridspec_kw={"width_ratios": [1.9, 1.0]})
+        for component, (over_time, folded) in enumerate(panels):
+            factor = _draw_component(over_time, stereo, component)
+            _draw_folded(folded, stereo, component, frequency, factor)
+        panels[0, 0].set_title("at the exposure times")
+        panels[0, 1].set_title("folded over one period")
+        panels[-1, 0].set_xlabel("time / s")
+        panels[-1, 1].set_xlabel(f"phase of {frequency:.4f} Hz / periods")
+        lay_out(figure, panels.flat, top=0.25, gap=(0.5, 0.14))
+        beat = float(alias_frequency(frequency, rate))
+        caption = (
+            f"Motion of the {stereo.body} seen by stereo pair “{stereo.name}”, about its mean pose: "
+            f"{len(stereo.time_s)} frames at {rate:.4f} Hz. Points: measured; curves: sine approximation. Left, the "
+            f"curve is drawn at the beat frequency of {beat:.4f} Hz, to which this camera rate folds "
+            f"{frequency:.4f} Hz; it passes through the fit at every frame. Right, the frames are ordered by phase."
+        )
+        return finish(figure, name, f"Motion seen by {stereo.name}", caption)
+
+
+def draw_residuals(stereo: StereoResult) -> Picture:
+    """What the sine approximation leaves of each component, over time and as a histogram."""
+    name = f"residuals-{stereo.name}"
+    with drawing(name):
+        figure = new_figure(6.4)
+        panels = figure.subplots(6, 2, sharey="row", sharex="col", gridspec_kw={"width_ratios": [3.4, 1.0]})
+        residual = stereo.residual
+        for component, (over_time, histogram) in enumerate(panels):
+            factor, letter = prefix(residual[:, :3] if component < 3 else residual[:, 3:])
+            scaled = residual[:, component] / factor
+            over_time.plot(stereo.time_s, scaled, color=BLUE, rasterized=len(stereo.time_s) > RASTER_ABOVE, **POINT)
+            over_time.axhline(0.0, color=BLACK, linewidth=0.6)
+            over_time.set_ylabel(f"{COMPONENTS[component]} / {letter}{BASE_UNITS[component]}")
+            _draw_histogram(histogram, scaled[np.isfinite(scaled)])
+        panels[-1, 0].set_xlabel("time / s")
+        panels[-1, 1].set_xlabel("frames")
+        lay_out(figure, panels.flat, gap=(0.12, 0.14))
+        caption = (
+            "Measured motion minus sine approximation, frame by frame, and its distribution beside the normal "
+            "distribution of the same standard deviation s."
+        )
+        return finish(figure, name, f"Residuals of {stereo.name}", caption)
+
+
+def draw_residual_spectrum(stereo: StereoResult) -> Picture:
+    """Amplitude spectrum of the residuals up to half the camera rate, with the places to which the lines fold."""
+    name = f"residual-spectrum-{stereo.name}"
+    rate = camera_rate_hz(stereo)
+    spectrum_hz, amplitude = residual_spectrum(stereo)
+    with drawing(name):
+        figure = new_figure(3.1)
+        panels = figure.subplots(1, 2, sharex=True)
+        for axes, components, unit in zip(panels, ((0, 1, 2), (3, 4, 5)), ("m", "rad"), strict=True):
+            factor, letter = prefix(amplitude[1:, components], coarse=True)
+            for component, colour in zip(components, COMPONENT_COLOURS, strict=True):
+                line = amplitude[1:, component] / factor
+                axes.plot(spectrum_hz[1:], line, color=colour, linewidth=0.9, label=COMPONENTS[component])
+            axes.set_ylim(0.0, 1.25 * float(np.nanmax(amplitude[1:, components])) / factor)
+            axes.set_xlim(0.0, rate / 2.0)
+            axes.set_xlabel("frequency at the camera / Hz")
+            axes.set_ylabel(f"amplitude / {letter}{unit}")
+            _mark_lines(axes, stereo, rate)
+            axes.legend(ncols=3, loc="upper right")
+        lay_out(figure, panels.flat, gap=(0.75, 0.14))
+        caption = (
+            "Amplitude spectrum of the residuals over the frequency at which the camera sees them. Triangles: where "
+            "the fitted lines fold to. White noise alone gives a level spectrum; a peak elsewhere is a disturbance "
+            "or a line that was not fitted."
+        )
+        return finish(figure, name, f"Residual spectrum of {stereo.name}", caption)
+
+
+def draw_subsets(stereo: Sequence[StereoResult]) -> Picture:
+    """First left image of every stereo pair with the subsets that were tracked in it."""
+    with drawing("subsets"):
+        columns = max(2, len(stereo))
+        figure = new_figure(
+            0.75 + (WIDTH_IN - 1.2) / columns * max(_shape(item)[0] / _shape(item)[1] for item in stereo)
+        )
+        panels = figure.subplots(1, columns, squeeze=False)[0]
+        for axes, item in zip(panels, stereo, strict=False):
+            _draw_image(axes, item)
+        for axes in panels[len(stereo) :]:
+            axes.set_axis_off()
+        panels[0].set_ylabel("y / px")
+        lay_out(figure, panels, left=0.6, top=0.25, gap=(0.45, 0.1), label=0.45)
+        caption = "First left images, contrast stretched, with the subsets tracked in them."
+        return finish(figure, "subsets", "Subsets", caption)
+
+
+def main_frequency(stereo: StereoResult) -> float:
+    """Frequency of the strongest translational line of the fit."""
+    phasors = stereo.fit.phasors
+    return float(phasors.frequency_hz[np.argmax(np.abs(phasors.value[:, :3]).max(axis=1))])
+
+
+def camera_rate_hz(stereo: StereoResult) -> float:
+    """Mean frame rate: the median spacing is taken as one frame, gaps count as several."""
+    spacing = np.diff(stereo.time_s)
+    frames = np.round(spacing / np.median(spacing)).sum()
+    return float(frames / (stereo.time_s[-1] - stereo.time_s[0]))
+
+
+def beat_curve(stereo: StereoResult, time_s: FloatArray) -> FloatArray:
+    """Fitted curve (T, 6) with every line moved to its alias, so that it can be drawn between the frames.
+
+    At frame times t_n = t_0 + n/f_c, exp(j2πft_n) = exp(j2πft_0)·exp(j2π(f − m·f_c)(t_n − t_0)) for whole m.
+    """
+    rate, start = camera_rate_hz(stereo), float(stereo.time_s[0])
+    phasors = stereo.fit.phasors
+    alias = phasors.frequency_hz - rate * np.round(phasors.frequency_hz / rate)
+    turns = np.exp(2j * np.pi * (phasors.frequency_hz * start + np.multiply.outer(time_s - start, alias)))
+    drift = np.multiply.outer(time_s - stereo.fit.middle_s, stereo.fit.drift_per_s)
+    return np.asarray(stereo.fit.offset + drift + (turns @ phasors.value).real)
+
+
+def folded_curve(stereo: StereoResult, frequency_hz: float, phase: FloatArray) -> FloatArray:
+    """Fitted curve (T, 6) of one line and its multiples over its phase in periods."""
+    phasors = stereo.fit.phasors
+    multiple = phasors.frequency_hz / frequency_hz
+    own = np.abs(multiple - np.round(multiple)) * frequency_hz * np.ptp(stereo.time_s) < 0.02
+    turns = np.exp(2j * np.pi * np.multiply.outer(phase, np.round(multiple[own])))
+    return np.asarray((turns @ phasors.value[own]).real)
+
+
+def residual_spectrum(stereo: StereoResult) -> tuple[FloatArray, FloatArray]:
+    """Frequencies (B,) and amplitudes (B, 6) of the residuals; missing frames count as zero."""
+    spacing = np.diff(stereo.time_s)
+    place = np.concatenate([[0], np.cumsum(np.round(spacing / np.median(spacing)))]).astype(np.int64)
+    filled = np.zeros((place[-1] + 1, 6))
+    filled[place] = np.nan_to_num(stereo.residual)
+    frequency = np.fft.rfftfreq(len(filled), 1.0 / camera_rate_hz(stereo))
+    present = int(np.isfinite(stereo.residual).all(axis=1).sum())
+    return np.asarray(frequency, dtype=np.float64), np.abs(np.fft.rfft(filled, axis=0)) * 2.0 / max(present, 1)
+
+
+def _draw_component(axes: Axes, stereo: StereoResult, component: int) -> float:
+    """One component over time; returns the unit's factor."""
+    pose = stereo.motion_from_mean.pose[:, component]
+    factor, letter = prefix(pose)
+    fine = np.linspace(stereo.time_s[0], stereo.time_s[-1], CURVE_POINTS)
+    axes.plot(fine, beat_curve(stereo, fine)[:, component] / factor, color=RED, linewidth=1.1, zorder=3)
+    axes.plot(stereo.time_s, pose / factor, color=BLUE, rasterized=len(stereo.time_s) > RASTER_ABOVE, **POINT)
+    axes.set_ylabel(f"{COMPONENTS[component]} / {letter}{BASE_UNITS[component]}")
+    return factor
+
+
+def _draw_folded(axes: Axes, stereo: StereoResult, component: int, frequency: float, factor: float) -> None:
+    """One component over the phase of the main line, other lines, offset and drift taken off."""
+    phase = np.mod(stereo.time_s * frequency, 1.0)
+    fine = np.linspace(0.0, 1.0, 241)
+    measured = folded_curve(stereo, frequency, phase)[:, component] + stereo.residual[:, component]
+    axes.plot(phase, measured / factor, color=BLUE, rasterized=len(stereo.time_s) > RASTER_ABOVE, **POINT)
+    axes.plot(fine, folded_curve(stereo, frequency, fine)[:, component] / factor, color=RED, linewidth=1.1, zorder=3)
+    axes.set_xlim(0.0, 1.0)
+
+
+def _draw_histogram(axes: Axes, values: FloatArray) -> None:
+    """Horizontal histogram with the normal distribution of the same standard deviation."""
+    if len(values) < 3:
+        return
+    deviation = float(np.std(values, ddof=1))
+    counts, edges = np.histogram(values, bins=min(max(8, int(np.sqrt(len(values)))), 30))
+    axes.stairs(counts, edges, orientation="horizontal", fill=True, color=BLUE, alpha=0.45)
+    level = np.linspace(edges[0], edges[-1], 121)
+    if deviation > 0.0:
+        density = np.exp(-0.5 * (level / deviation) ** 2) / (np.sqrt(2.0 * np.pi) * deviation)
+        axes.plot(density * len(values) * (edges[1] - edges[0]), level, color=BLACK, linewidth=0.9)
+    axes.set_xlim(0.0, 1.75 * float(counts.max()))
+    axes.text(
+        0.97, 0.97, f"s = {float(f'{deviation:.2g}'):g}", transform=axes.transAxes, ha="right", va="top", fontsize=7.5
+    )
+
+
+def _mark_lines(axes: Axes, stereo: StereoResult, rate: float) -> None:
+    """Triangles on the frequency axis where the fitted lines fold to."""
+    alias = alias_frequency(stereo.fit.phasors.frequency_hz, rate)
+    axes.plot(alias, np.zeros_like(alias), marker="^", linestyle="none", color=BLACK, markersize=4.5, clip_on=False)
+
+
+def _shape(stereo: StereoResult) -> tuple[int, int]:
+    """Height and width of the reference image."""
+    if stereo.reference_image is None:
+        raise ValueError(f"stereo: expected images of pair {stereo.name}, found points of another program")
+    return stereo.reference_image.shape
+
+
+def _draw_image(axes: Axes, stereo: StereoResult) -> None:
+    """One reference image, reduced to the size at which it is shown, with its subsets."""
+    image, points = stereo.reference_image, stereo.subsets_px
+    if image is None or points is None:
+        return
+    height, width = image.shape
+    low, high = np.percentile(image, (0.5, 99.5))
+    grey = np.clip((image - low) / max(float(high - low), 1.0), 0.0, 1.0).astype(np.float32)
+    scale = min(1.0, LARGEST_IMAGE_PX / max(height, width))
+    shown = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    extent = (-0.5, width - 0.5, height - 0.5, -0.5)
+    axes.imshow(shown, cmap="gray", vmin=0.0, vmax=1.0, extent=extent, interpolation="none")
+    squares = _motion_squares(points, _subset_size(points))
+    axes.add_collection(PolyCollection(list(squares), facecolor="none", edgecolor=ORANGE, linewidth=0.5))
+    axes.set_xlabel("x / px")
+    axes.grid(visible=False)
+    panel_label(axes, f"{stereo.name}: {len(points)} subsets")
+
+
+def _subset_size(points: FloatArray) -> float:
+    """Side of the squares drawn: the distance of neighbours on the grid."""
+    if len(points) < 2:
+        return 21.0
+    sample = points[:: max(1, len(points) // 200)]
+    distance = np.abs(sample[:, None, :] - points[None, :, :]).max(axis=2)
+    distance[distance < 0.5] = np.inf
+    return float(np.median(distance.min(axis=1)))
+
+
+def _motion_squares(points: FloatArray, side: float) -> FloatArray:
+    """Corners (N, 4, 2) of squares about the points."""
+    corner = 0.46 * side * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    return np.asarray(points[:, None, :] + corner)

@@ -1,0 +1,304 @@
+"""Figures of clocks, channels, vibrometer points and epipolar lines."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from fusion.estimation.uncertainty import coverage_factor, prefix, typeset
+from fusion.phasors.results import ChannelResult, ClockResult
+from fusion.report.numbers import main_line
+from fusion.report.style import (
+    BLACK,
+    BLUE,
+    GREY,
+    LIGHT,
+    ORANGE,
+    RASTER_ABOVE,
+    RED,
+    Picture,
+    decades,
+    drawing,
+    finish,
+    lay_out,
+    new_figure,
+    panel_label,
+    power_text,
+    thin_out,
+)
+from fusion.sensitivity.analyse import Evaluation
+from fusion.sensitivity.multipoint_vibrometer import PointSpread, axis_name
+from photogram.epipolar import COVERAGE, EpipolarCheck
+from shaker.arrays import FloatArray
+
+# Figures of the DAQ side: channels with their fit and spectrum, camera trigger.
+
+
+SPECTRUM_POINTS = 700
+EXCERPT_POINTS = 300
+MOST_CHANNELS = 24
+"""Channels and triggers that a figure has room for."""
+PREFIXED = ("m", "m/s", "m/s^2", "rad/s", "N", "V")
+
+
+def channel_pictures(evaluation: Evaluation) -> list[Picture]:
+    """The figure of all channels, where there are any."""
+    return [draw_channels(evaluation.channels[:MOST_CHANNELS], evaluation)] if evaluation.channels else []
+
+
+def trigger_pictures(evaluation: Evaluation) -> list[Picture]:
+    """The figure of all camera triggers, where there are any."""
+    clocks = [clock for clock in evaluation.clocks if clock.trigger is not None and len(clock.trigger.number) > 2]
+    return [draw_trigger(clocks[:MOST_CHANNELS])] if clocks else []
+
+
+def draw_channels(channels: Sequence[ChannelResult], evaluation: Evaluation) -> Picture:
+    """An excerpt of every channel with its fit and the exposures, and its amplitude spectrum with the lines found."""
+    exposures = evaluation.stereo[0].time_s if evaluation.stereo and not evaluation.takes else np.empty(0)
+    lines = evaluation.lines.frequency_hz
+    with drawing("channels"):
+        figure = new_figure(0.7 + 1.2 * len(channels))
+        panels = figure.subplots(
+            len(channels), 2, squeeze=False, gridspec_kw={"width_ratios": [1.15, 1.0]}, sharex="col"
+        )
+        for (excerpt, spectrum), channel in zip(panels, channels, strict=True):
+            _draw_excerpt(excerpt, channel, exposures)
+            _draw_spectrum(spectrum, channel, lines)
+        panels[-1, 0].set_xlabel("time / s")
+        panels[-1, 1].set_xlabel("frequency / Hz")
+        lay_out(figure, panels.flat, top=0.22, gap=(0.7, 0.28), label=0.5)
+        marks = " Vertical lines: middles of the camera exposures." if len(exposures) else ""
+        more = len(evaluation.channels) - len(channels)
+        caption = f"Left: samples (points) and fitted lines (curve).{marks} Right: triangles mark the lines fitted."
+        caption += f" {more} more channels are not drawn." if more else ""
+        return finish(figure, "channels", "Channels", caption)
+
+
+def draw_trigger(clocks: Sequence[ClockResult]) -> Picture:
+    """Deviation of every trigger edge from the periodic model, for each DAQ block."""
+    with drawing("trigger"):
+        figure = new_figure(0.55 + 1.35 * len(clocks))
+        panels = figure.subplots(len(clocks), 1, squeeze=False, sharex=True)[:, 0]
+        for axes, clock in zip(panels, clocks, strict=True):
+            trigger = clock.trigger
+            if trigger is None:
+                continue
+            deviation = trigger.edge_s - trigger.time_s(trigger.number)
+            factor, letter = prefix(np.append(deviation, trigger.resolution_s / 2.0), coarse=True)
+            axes.axhspan(*_half(trigger.resolution_s / factor), color=ORANGE, alpha=0.18, linewidth=0)
+            axes.plot(trigger.number, deviation / factor, "o", color=BLUE, markersize=2.6, markeredgewidth=0)
+            axes.axhline(0.0, color=BLACK, linewidth=0.6)
+            axes.set_ylabel(f"deviation / {letter}s")
+            panel_label(axes, clock.daq)
+        panels[-1].set_xlabel("number of the edge")
+        lay_out(figure, panels, top=0.22, gap=(0.5, 0.28))
+        caption = "Camera trigger edges minus the fitted periodic model. Band: the interval that sampling leaves open."
+        return finish(figure, "trigger", "Trigger", caption)
+
+
+def _draw_excerpt(axes: Axes, channel: ChannelResult, exposures: FloatArray) -> None:
+    """Samples and fit over a short stretch of time."""
+    time, chosen = channel.excerpt_s, slice(0, EXCERPT_POINTS)
+    factor, letter = prefix(channel.excerpt) if channel.unit in PREFIXED else _power(channel.excerpt)
+    if len(time):
+        last = time[chosen][-1]
+        for instant in exposures[(exposures >= time[0]) & (exposures <= last)]:
+            axes.axvline(float(instant), color=GREY, linewidth=0.9, linestyle=(0, (4, 2)))
+    axes.plot(time[chosen], channel.excerpt[chosen] / factor, "o", color=BLUE, markersize=1.7, markeredgewidth=0)
+    axes.plot(time[chosen], channel.excerpt_fit[chosen] / factor, color=RED, linewidth=0.9)
+    axes.set_ylabel(f"{letter}{typeset(channel.unit)}")
+    panel_label(axes, f"{channel.name} ({channel.daq})")
+
+
+def _draw_spectrum(axes: Axes, channel: ChannelResult, lines: FloatArray) -> None:
+    """Amplitude spectrum on logarithmic axes with the lines marked."""
+    keep = (channel.spectrum_hz > 0.0) & (channel.spectrum > 0.0)
+    frequency, amplitude = channel.spectrum_hz[keep], channel.spectrum[keep]
+    if not len(frequency):
+        return
+    edges = np.geomspace(frequency[0], frequency[-1] * 1.0001, SPECTRUM_POINTS)
+    thin_frequency, thin_amplitude = thin_out(frequency, amplitude, edges)
+    axes.loglog(thin_frequency, thin_amplitude, color=BLUE, linewidth=0.8)
+    for line in lines[(lines >= frequency[0]) & (lines <= frequency[-1])]:
+        near = np.abs(frequency - line) <= 2.0 * (frequency[1] - frequency[0] if len(frequency) > 1 else line)
+        top = float(amplitude[near].max()) if near.any() else float(np.median(amplitude))
+        axes.plot(line, 2.2 * top, marker="v", color=RED, markersize=4.5)
+    axes.set_ylim(0.3 * float(np.median(thin_amplitude)), 12.0 * float(amplitude.max()))
+    decades(axes.xaxis)
+    decades(axes.yaxis)
+    axes.set_ylabel(typeset(channel.unit))
+    panel_label(axes, f"{channel.name}: amplitude spectrum")
+
+
+def _power(values: FloatArray) -> tuple[float, str]:
+    """Factor for units that take no prefix."""
+    largest = float(np.nanmax(np.abs(values))) if values.size else 1.0
+    power = 3 * int(np.floor(np.log10(largest) / 3.0)) if largest > 0.0 else 0
+    return (1.0, "") if power == 0 else (10.0**power, f"{power_text(power)} ")
+
+
+def _half(width: float) -> tuple[float, float]:
+    """Interval of a width about zero."""
+    return -width / 2.0, width / 2.0
+
+
+# Figure of parallel vibrometer points: where they are, how far from their mean, and what a rigid plane explains.
+
+
+NAMES_BELOW = 24
+"""Number of points up to which each is named in the map."""
+
+
+def point_pictures(evaluation: Evaluation) -> list[Picture]:
+    """Return one figure per group of parallel points."""
+    line = main_line(evaluation)
+    return [draw_points(spread, line, place) for place, spread in enumerate(evaluation.points)]
+
+
+def draw_points(spread: PointSpread, line: int, place: int) -> Picture:
+    """Map of the points, and deviations of their amplitude and phase from the mean with the best plane's."""
+    name = f"points-{place}"
+    with drawing(name):
+        figure = new_figure(max(2.9, 0.8 + 0.24 * len(spread.channels)))
+        chart, amplitude, phase = figure.subplots(1, 3, gridspec_kw={"width_ratios": [1.15, 1.0, 1.0]})
+        _draw_map(chart, spread, line)
+        along, across, u_along, u_across = _deviations(spread, line)
+        planned = (spread.value[line] - spread.residual[line]) / spread.mean[line]
+        _draw_bars(amplitude, 100.0 * along, 100.0 * u_along, 100.0 * (planned.real - 1.0))
+        _draw_bars(phase, 1e3 * across, 1e3 * u_across, 1e3 * planned.imag)
+        names = [f"{name} ({number})" for number, name in enumerate(spread.channels, 1)]
+        amplitude.set_yticks(range(len(names)), names)
+        phase.set_yticks(range(len(names)), [])
+        amplitude.set_xlabel("amplitude from the mean / %")
+        phase.set_xlabel("phase from the mean / mrad")
+        lay_out(figure, [chart, amplitude, phase], gap=(0.75, 0.2), top=0.35, right=0.15)
+        _make_room(amplitude, figure.get_size_inches()[0])
+        handles, labels = amplitude.get_legend_handles_labels()
+        figure.legend(handles, labels, loc="upper right", ncols=2)
+        caption = (
+            f"Vibrometer points along {axis_name(spread.direction)} on the {spread.body} at "
+            f"{spread.frequency_hz[line]:.4f} Hz: where they are (red: amplitude above the mean, blue: below), and "
+            f"deviation from the mean; bars: U of the deviation; open: the best rigid plane, mean and rocking, there."
+        )
+        return finish(figure, name, "Vibrometer points and rocking", caption)
+
+
+def _make_room(axes: Axes, width_in: float) -> None:
+    """Move the left side of a panel to the right, for names that are longer than numbers."""
+    box = axes.get_position()
+    shift = 0.55 / width_in
+    axes.set_position((box.x0 + shift, box.y0, box.width - shift, box.height))
+
+
+def _deviations(spread: PointSpread, line: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Deviations of the points from their mean, along and across it, relative to it, and their expanded uncertainty."""
+    count = len(spread.channels)
+    centre = np.kron(np.eye(2), np.eye(count) - 1.0 / count)
+    every = np.broadcast_to(centre, (len(spread.mean), *centre.shape))
+    turned = spread.uncertainty.transformed(every).scaled(np.repeat(1.0 / spread.mean[:, None], count, axis=1))
+    u = np.sqrt(turned.covariance[line].diagonal())
+    k = np.array([coverage_factor(float(dof)) for dof in turned.dof()[line]])
+    ratio = spread.value[line] / spread.mean[line]
+    return ratio.real - 1.0, ratio.imag, k * u[:count], k * u[count:]
+
+
+def _draw_bars(axes: Axes, value: FloatArray, expanded: FloatArray, planned: FloatArray) -> None:
+    """Deviations with bars, and the plane's as open markers, one row per point."""
+    rows = np.arange(len(value))
+    axes.axvline(0.0, color=GREY, linewidth=0.8)
+    axes.errorbar(value, rows, xerr=expanded, fmt="o", color=BLUE, elinewidth=1.0, label="point")
+    axes.plot(planned, rows, "D", markerfacecolor="none", markeredgecolor=ORANGE, markersize=7.0, label="rigid plane")
+    axes.set_ylim(len(value) - 0.4, -0.6)
+
+
+def _draw_map(axes: Axes, spread: PointSpread, line: int) -> None:
+    """Points as seen against their direction, coloured by the deviation of their amplitude."""
+    first, second = (axis_name(axis) for axis in spread.axes)
+    place = 1e3 * spread.place_m
+    deviation = 100.0 * (np.abs(spread.value[line] / spread.mean[line]) - 1.0)
+    limit = float(np.max(np.abs(deviation))) or 1.0
+    axes.scatter(
+        place[:, 0], place[:, 1], c=deviation, cmap="RdBu_r", vmin=-limit, vmax=limit, s=70, edgecolors=BLACK, zorder=3
+    )
+    for number, (x, y) in enumerate(place if len(place) <= NAMES_BELOW else []):
+        axes.annotate(str(number + 1), (x, y), (6, 5), textcoords="offset points", fontsize=7.0)
+    axes.plot(0.0, 0.0, "+", color=GREY)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.margins(0.2)
+    axes.set_xlabel(f"{first} / mm")
+    axes.set_ylabel(f"{second} / mm")
+
+
+# Figure of one stereo pair: whether its cameras still are, and stay, what was calibrated.
+
+
+MPX = 1e3
+SMALLEST_PX = 1e-3  # range of the colours where residuals are smaller
+COLOURS = "RdBu_r"
+
+
+def draw_epipolar(check: EpipolarCheck, time_s: FloatArray, name: str) -> Picture:
+    """Mean epipolar residual over time with what the calibration explains, and its mean over time over the picture."""
+    title = f"epipolar-{name}"
+    with drawing(title):
+        figure = new_figure(2.7)
+        course, picture = figure.subplots(1, 2, gridspec_kw={"width_ratios": [1.5, 1.0]})
+        _draw_course(course, check, time_s)
+        _draw_residuals(picture, check)
+        lay_out(figure, (course, picture), right=0.75, gap=(0.75, 0.14))
+        explained = (
+            "Grey band: what calibration and matching explain, k = 2. "
+            if check.pattern_covariance is not None
+            else "The calibration states no uncertainty to compare with. "
+        )
+        caption = (
+            "How far the points of the right picture are off the epipolar lines of their left ones. Left: mean over "
+            f"the points, frame by frame, bars: image noise, k = 2. {explained}A camera that moves makes a step or a "
+            "drift. Right: mean over the frames, over the left picture."
+        )
+        return finish(figure, title, f"Epipolar residuals of {name}", caption)
+
+
+def _draw_course(axes: Axes, check: EpipolarCheck, time_s: FloatArray) -> None:
+    """The mean residual over time."""
+    if check.pattern_covariance is not None:
+        explained = MPX * COVERAGE * float(np.sqrt(check.pattern_covariance[0, 0]))
+        axes.axhspan(-explained, explained, color=LIGHT, linewidth=0)
+    axes.axhline(0.0, color=BLACK, linewidth=0.6)
+    axes.errorbar(
+        time_s,
+        MPX * check.mean_px,
+        yerr=MPX * COVERAGE * check.u_course_px[:, 0],
+        color=BLUE,
+        fmt="o",
+        markersize=2.6,
+        elinewidth=0.7,
+        capsize=0.0,
+        rasterized=len(time_s) > RASTER_ABOVE,
+    )
+    axes.set_xlabel("time / s")
+    axes.set_ylabel("mean residual / mpx")
+
+
+def _draw_residuals(axes: Axes, check: EpipolarCheck) -> None:
+    """The mean residual of every point at its place in the left picture; outliers as crosses."""
+    known = np.isfinite(check.residual_px)
+    if not known.any():
+        axes.set_axis_off()
+        return
+    limit = MPX * max(SMALLEST_PX, float(np.abs(check.residual_px[known]).max()))
+    x, y = check.position_px.T
+    points = axes.scatter(
+        x[known], y[known], c=MPX * check.residual_px[known], cmap=COLOURS, vmin=-limit, vmax=limit, s=14, linewidths=0
+    )
+    points.set_rasterized(int(known.sum()) > RASTER_ABOVE)
+    axes.plot(x[~known], y[~known], "x", color=RED, markersize=4)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.invert_yaxis()
+    axes.set_xlabel("x / px")
+    axes.set_ylabel("y / px")
+    bar = axes.inset_axes((1.03, 0.0, 0.04, 1.0))
+    axes.figure.colorbar(points, cax=bar)
+    bar.set_ylabel("residual / mpx")

@@ -1,0 +1,177 @@
+"""One look for all figures: fonts, colours (Okabe and Ito's, distinct to colour-blind readers), units, SVG output."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+from shaker.arrays import FloatArray
+
+WIDTH_IN = 8.4
+RASTER_DPI = 200
+RASTER_ABOVE = 500
+"""Number of points above which they are drawn as an image inside the vector graphics."""
+BLACK, GREY, LIGHT = "#222222", "#7a7a7a", "#d9d9d9"
+BLUE, ORANGE, GREEN, RED, PURPLE, SKY = "#0072b2", "#e69f00", "#009e73", "#d55e00", "#cc79a7", "#56b4e9"
+SOURCE_COLOUR = {"fused": BLACK, "photogrammetry": BLUE, "vibrometer": RED, "accelerometer": GREEN}
+SOURCE_MARKER = {"fused": "o", "photogrammetry": "s", "vibrometer": "D", "accelerometer": "^"}
+SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+UNDATED: dict[str, dict[str, Any]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {}}
+STYLE: dict[str, Any] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 8.5,
+    "axes.labelsize": 8.5,
+    "axes.titlesize": 9.0,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.edgecolor": BLACK,
+    "axes.labelcolor": BLACK,
+    "axes.linewidth": 0.7,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.formatter.useoffset": False,
+    "grid.color": "#e8e8e8",
+    "grid.linewidth": 0.6,
+    "xtick.labelsize": 8.0,
+    "ytick.labelsize": 8.0,
+    "xtick.color": BLACK,
+    "ytick.color": BLACK,
+    "xtick.major.width": 0.7,
+    "ytick.major.width": 0.7,
+    "xtick.minor.width": 0.4,
+    "ytick.minor.width": 0.4,
+    "legend.frameon": False,
+    "legend.fontsize": 8.0,
+    "legend.handlelength": 1.6,
+    "lines.linewidth": 1.1,
+    "lines.markersize": 4.5,
+    "errorbar.capsize": 2.5,
+    "svg.fonttype": "path",
+}
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One figure: an identifier, a title, a caption of one or two sentences, and the SVG text."""
+
+    name: str
+    title: str
+    caption: str
+    svg: str
+
+
+@contextmanager
+def drawing(name: str) -> Iterator[None]:
+    """Apply the style, and make identifiers inside the SVG depend on the figure's name only."""
+    settings: Any = {**STYLE, "svg.hashsalt": name}
+    with mpl.rc_context(settings):
+        yield
+
+
+def new_figure(height_in: float, width_in: float = WIDTH_IN) -> Figure:
+    """Empty figure of the page's width."""
+    return Figure(figsize=(width_in, height_in))
+
+
+def lay_out(
+    figure: Figure,
+    panels: Iterable[Axes],
+    *,
+    left: float = 0.72,
+    right: float = 0.12,
+    bottom: float = 0.45,
+    top: float = 0.12,
+    gap: tuple[float, float] = (0.6, 0.14),
+    label: float = 0.52,
+) -> None:
+    """Margins, gaps (across, down) and the distance of the y labels from their panel, all in inches."""
+    width, height = figure.get_size_inches()
+    every = list(panels)
+    grid = every[0].get_gridspec()
+    across, down = (grid.ncols, grid.nrows) if grid is not None else (1, 1)
+    panel_width = (width - left - right - (across - 1) * gap[0]) / across
+    panel_height = (height - bottom - top - (down - 1) * gap[1]) / down
+    figure.subplots_adjust(
+        left=left / width,
+        right=1.0 - right / width,
+        bottom=bottom / height,
+        top=1.0 - top / height,
+        wspace=gap[0] / panel_width,
+        hspace=gap[1] / panel_height,
+    )
+    for axes in every:
+        axes.yaxis.set_label_coords(-label / (axes.get_position().width * width), 0.5)
+
+
+def finish(figure: Figure, name: str, title: str, caption: str) -> Picture:
+    """Turn a figure into SVG text without date or other metadata that would change from run to run."""
+    stream = io.StringIO()
+    figure.savefig(stream, format="svg", dpi=RASTER_DPI, metadata={"Date": None, "Creator": None})
+    return Picture(name, title, caption, stream.getvalue())
+
+
+def as_file(figure: Figure, kind: str) -> bytes:
+    """Turn a figure into a png, svg or pdf file without a date."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format=kind, dpi=RASTER_DPI, metadata=UNDATED[kind])
+    return stream.getvalue()
+
+
+def thin_out(x: FloatArray, y: FloatArray, edges: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Largest `y` of each interval between `edges`, with its own `x`: peaks survive, the file stays small."""
+    order = np.searchsorted(edges, x, side="right")
+    starts = np.flatnonzero(np.diff(order, prepend=-1))
+    best = [start + int(np.argmax(y[start:stop])) for start, stop in zip(starts, [*starts[1:], len(x)], strict=True)]
+    return x[best], y[best]
+
+
+def padded(low: float, high: float, share: float = 0.15) -> tuple[float, float]:
+    """Axis limits with some room on both sides."""
+    room = share * (high - low) if high > low else share * max(abs(high), 1e-300)
+    return low - room, high + room
+
+
+def power_text(exponent: int) -> str:
+    """Power of ten in plain characters, which draw much faster than typeset ones."""
+    return "10" + str(exponent).translate(SUPERSCRIPT)
+
+
+def decades(axis: Axis) -> None:
+    """Ticks of a logarithmic axis at powers of ten only."""
+    axis.set_major_locator(LogLocator(10.0, numticks=6))
+    axis.set_major_formatter(
+        FuncFormatter(lambda value, _: power_text(round(float(np.log10(value)))) if value > 0 else "")
+    )
+    axis.set_minor_locator(NullLocator())
+
+
+def panel_label(axes: Axes, text: str) -> None:
+    """Short label above the upper left corner of a panel."""
+    axes.set_title(text, fontsize=8.0, fontweight="normal", pad=2.5)
+
+
+def static_axis(axes: Axes, static: float, label: str) -> None:
+    """Draw a line at the static sensitivity, and on the right the deviation from it."""
+    axes.axhline(static, color=RED, linewidth=1.0, linestyle=(0, (5, 3)), label=label)
+
+    def deviation(magnitude: Any) -> Any:
+        return np.asarray(100.0 * (np.asarray(magnitude) / static - 1.0))
+
+    def magnitude(deviation: Any) -> Any:
+        return np.asarray(static * (1.0 + np.asarray(deviation) / 100.0))
+
+    right = axes.secondary_yaxis("right", functions=(deviation, magnitude))
+    right.set_ylabel("deviation from static / %")
+    right.spines["right"].set_visible(True)

@@ -1,0 +1,1 @@
+"""From accelerations to load and sensitivity: the path of one recording."""

@@ -1,0 +1,306 @@
+"""Mass matrix, lever arms and gravity tilt of the load, and what lies below an elastic joint."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fusion.estimation.uncertainty import Scope
+from photogram.geometry import skew
+from shaker.arrays import ComplexArray, FloatArray
+
+# The elastic joint between a load and what is mounted below it: how the lower side follows the upper one.
+
+
+@dataclass(frozen=True)
+class Joint:
+    """The joint on which a load sits, with the instruments on the load.
+
+    `frequency_hz` (6,): at which the load would resonate on the joint if the lower side stood still, component by
+    component; `u_frequency_hz` (6,): its standard uncertainty, 0 where the joint is only named: then nothing is
+    corrected, and what a correction would change is uncertain as a whole; `damping`: damping ratio of that resonance.
+    """
+
+    frequency_hz: FloatArray
+    u_frequency_hz: FloatArray
+    damping: float
+
+    def follow(self, frequency_hz: FloatArray) -> ComplexArray:
+        """Return (K, 6): motion of the lower side over that of the load, 1 - r²/(1 + 2jζr) with r = f/f_e.
+
+        The joint carries the load's inertia, -ω²·m·x_load = (k + jωb)·(x_below - x_load).
+        """
+        stated = self.u_frequency_hz > 0.0
+        return np.asarray(np.where(stated, 1.0 - self._stretch(frequency_hz), 1.0))
+
+    def change(self, frequency_hz: FloatArray) -> ComplexArray:
+        """Return (K, 6): change of `follow` for one standard uncertainty of the joint.
+
+        Where it is corrected the derivative by f_e times its uncertainty; where it is only named the root mean square,
+        1/√3 of the whole, of an error anywhere between nothing and a joint as elastic as that.
+        """
+        r = frequency_hz[:, None] / self.frequency_hz
+        damped = 1.0 + 2j * self.damping * r
+        slope = r * r * (1.0 + damped) / damped**2 / self.frequency_hz
+        stated = self.u_frequency_hz > 0.0
+        return np.asarray(np.where(stated, slope * self.u_frequency_hz, -self._stretch(frequency_hz) / np.sqrt(3.0)))
+
+    def _stretch(self, frequency_hz: FloatArray) -> ComplexArray:
+        """Share (K, 6) of the load's motion that the joint takes up."""
+        r = frequency_hz[:, None] / self.frequency_hz
+        return np.asarray(r * r / (1.0 + 2j * self.damping * r))
+
+
+def make_joint(frequency_hz: ArrayLike, u_frequency_hz: ArrayLike = 0.0, damping: float = 0.0) -> Joint:
+    """Return a joint; one number stands for all six components."""
+    frequency = np.broadcast_to(np.asarray(frequency_hz, dtype=np.float64), (6,)).copy()
+    u_frequency = np.broadcast_to(np.asarray(u_frequency_hz, dtype=np.float64), (6,)).copy()
+    return Joint(frequency, u_frequency, float(damping))
+
+
+# Bodies about the sensor origin: mass matrix, tilt of the weight in air, and what their uncertain parameters do.
+
+
+COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
+INERTIA_ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+AIR_MOVED_ALONG = 0.5
+"""Mass of the air that a body takes along, in masses of the air it displaces: a sphere's (Lamb 1932, Art. 92)."""
+U_AIR_MOVED_ALONG = 0.5 / np.sqrt(3.0)
+"""Its standard uncertainty: anything from none to once the displaced air, which a long cylinder takes across."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """A rigid part in the sensor frame, with standard uncertainties.
+
+    `mass_kg`; `centre_of_mass_m` (3,); `inertia_kgm2` (3, 3) about its centre of mass; `u_mass_kg`;
+    `u_centre_of_mass_m` (3,); `u_inertia_kgm2` (3, 3), one per entry. `air_share`: mass of the displaced air over the
+    part's own, 0 where it is not known. `below_joint`: on the sensor's side of the load's elastic joint.
+    """
+
+    name: str
+    mass_kg: float
+    centre_of_mass_m: FloatArray
+    inertia_kgm2: FloatArray
+    u_mass_kg: float
+    u_centre_of_mass_m: FloatArray
+    u_inertia_kgm2: FloatArray
+    air_share: float = 0.0
+    below_joint: bool = False
+
+    def __post_init__(self) -> None:
+        for key, shape in (("centre_of_mass_m", (3,)), ("inertia_kgm2", (3, 3))):
+            for name in (key, f"u_{key}"):
+                found = np.shape(getattr(self, name))
+                if found != shape:
+                    raise ValueError(f"{name}: expected shape {shape}, found {found}")
+        if not np.allclose(self.inertia_kgm2, self.inertia_kgm2.T, rtol=0.0, atol=1e-12):
+            raise ValueError(f"inertia_kgm2: expected a symmetric matrix, found {self.inertia_kgm2.tolist()}")
+
+
+def make_part(
+    name: str,
+    mass_kg: float,
+    centre_of_mass_m: ArrayLike,
+    inertia_kgm2: ArrayLike,
+    uncertainties: tuple[float, ArrayLike, ArrayLike] = (0.0, 0.0, 0.0),
+    air_share: float = 0.0,
+    below_joint: bool = False,
+) -> Part:
+    """Return a part from plain lists; one number as an uncertainty (mass, centre of mass, inertia) holds for all."""
+    u_mass, u_centre, u_inertia = uncertainties
+    return Part(
+        name=name,
+        mass_kg=float(mass_kg),
+        centre_of_mass_m=np.array(centre_of_mass_m, dtype=np.float64),
+        inertia_kgm2=np.array(inertia_kgm2, dtype=np.float64),
+        u_mass_kg=float(u_mass),
+        u_centre_of_mass_m=np.broadcast_to(np.asarray(u_centre, dtype=np.float64), (3,)).copy(),
+        u_inertia_kgm2=np.broadcast_to(np.asarray(u_inertia, dtype=np.float64), (3, 3)).copy(),
+        air_share=float(air_share),
+        below_joint=below_joint,
+    )
+
+
+@dataclass(frozen=True)
+class InertialTerms:
+    """What a body, or the change of one, contributes to the equations of motion about the sensor origin.
+
+    `mass_matrix` (6, 6): wrench = mass_matrix · [a, alpha] of the origin. `weight_kg` and `weight_moment_kgm` (3,):
+    mass and mass times centre of mass less those of the displaced air, which gravity acts on.
+    """
+
+    mass_matrix: FloatArray
+    weight_kg: float
+    weight_moment_kgm: FloatArray
+
+    def load_matrix(self, frequency_hz: FloatArray, gravity_mps2: FloatArray | None) -> FloatArray:
+        """Return (K, 6, 6): wrench phasors = matrix · acceleration phasors, in body axes, with the tilt of gravity.
+
+        With theta = -alpha/omega^2 the weight turns in body axes: F = m (theta × g), M = c × m (theta × g).
+        """
+        omega2 = (2.0 * np.pi * frequency_hz) ** 2
+        matrix = np.repeat(self.mass_matrix[None], len(frequency_hz), axis=0)
+        if gravity_mps2 is not None:
+            weight = skew(gravity_mps2)
+            tilt = np.concatenate([self.weight_kg * weight, skew(self.weight_moment_kgm) @ weight])
+            matrix[:, :, 3:] += tilt / omega2[:, None, None]
+        return matrix
+
+
+@dataclass(frozen=True)
+class BodyParameter:
+    """One uncertain number of a part: its standard uncertainty `u` in `unit`, and the change of the part's terms by it.
+
+    `name` contains what was stated, so that another part or another place is another unknown.
+    """
+
+    name: str
+    label: str
+    u: float
+    unit: str
+    scope: Scope
+    change: InertialTerms
+
+
+@dataclass(frozen=True)
+class MatrixChange:
+    """What one standard uncertainty of one unknown does to the load matrix: `change` (K, 6, 6)."""
+
+    name: str
+    label: str
+    u: float
+    unit: str
+    scope: Scope
+    change: ComplexArray
+
+
+@dataclass(frozen=True)
+class Body:
+    """Parts that move as one, or, where the load's `joint` is known, as one above and one below it."""
+
+    parts: tuple[Part, ...]
+    joint: Joint | None = None
+
+    @property
+    def terms(self) -> InertialTerms:
+        """Sum of the parts' terms about the sensor origin, as if everything were rigid."""
+        return _sum([_terms(part) for part in self.parts])
+
+    @property
+    def mass_matrix(self) -> FloatArray:
+        """Mass matrix (6, 6) about the sensor origin: F = m (a + alpha × c), M = c × F + J alpha."""
+        return self.terms.mass_matrix
+
+    def load_matrix(self, frequency_hz: FloatArray, gravity_mps2: FloatArray | None) -> ComplexArray:
+        """Return (K, 6, 6): wrench = matrix · acceleration of the load; parts below its joint follow it."""
+        above, below = ([_terms(p) for p in self.parts if self._below(p) == side] for side in (False, True))
+        matrix = _sum(above).load_matrix(frequency_hz, gravity_mps2).astype(np.complex128)
+        if self.joint is not None and below:
+            lower = _sum(below).load_matrix(frequency_hz, gravity_mps2)
+            matrix += lower * self.joint.follow(frequency_hz)[:, None, :]
+        return matrix
+
+    def matrix_changes(
+        self, frequency_hz: FloatArray, gravity_mps2: FloatArray | None, u_gravity_mps2: FloatArray | None = None
+    ) -> tuple[MatrixChange, ...]:
+        """Return what every uncertain number does to the load matrix: of the parts, of gravity and of the joint."""
+        found = []
+        for part in self.parts:
+            follow = self.joint.follow(frequency_hz)[:, None, :] if self.joint and self._below(part) else np.ones(1)
+            for p in _parameters(part):
+                change = (p.change.load_matrix(frequency_hz, gravity_mps2) * follow).astype(np.complex128)
+                found.append(MatrixChange(p.name, p.label, p.u, p.unit, p.scope, change))
+        return (*found, *self._joint_changes(frequency_hz, gravity_mps2), *self._tilts(frequency_hz, u_gravity_mps2))
+
+    def _below(self, part: Part) -> bool:
+        """Whether a part lies on the sensor's side of a joint."""
+        return self.joint is not None and part.below_joint
+
+    def _joint_changes(self, frequency_hz: FloatArray, gravity_mps2: FloatArray | None) -> Iterator[MatrixChange]:
+        """Changes by the joint, which holds until it is screwed together anew: one unknown per component."""
+        below = [_terms(part) for part in self.parts if self._below(part)]
+        if self.joint is None or not below:
+            return
+        lower, change = _sum(below).load_matrix(frequency_hz, gravity_mps2), self.joint.change(frequency_hz)
+        for place, axis in enumerate(COMPONENTS):
+            stated, u = float(self.joint.frequency_hz[place]), float(self.joint.u_frequency_hz[place])
+            own = np.zeros(lower.shape, dtype=np.complex128)
+            own[:, :, place] = lower[:, :, place] * change[:, None, place]
+            name, label = f"joint of the load {stated:.9g} Hz: {axis}", "joint of the load"
+            yield MatrixChange(name, label, u or 1.0, "Hz" if u else "1", "mounting", own)
+
+    def _tilts(self, frequency_hz: FloatArray, u_gravity_mps2: FloatArray | None) -> Iterator[MatrixChange]:
+        """Changes by the vector of gravity, of which only the tilt of the weight knows."""
+        if u_gravity_mps2 is None:
+            return
+        still = self.load_matrix(frequency_hz, None)
+        for axis in range(3):
+            if u_gravity_mps2[axis] > 0.0:
+                gravity = np.eye(3)[axis] * u_gravity_mps2[axis]
+                change = self.load_matrix(frequency_hz, gravity) - still
+                u = float(u_gravity_mps2[axis])
+                yield MatrixChange(f"gravity {COMPONENTS[axis]}", "gravity", u, "m/s^2", "rig", change)
+
+
+def _sum(terms: list[InertialTerms]) -> InertialTerms:
+    """Terms of several parts together, zero of none."""
+    return InertialTerms(
+        mass_matrix=np.sum([np.zeros((6, 6)), *(term.mass_matrix for term in terms)], axis=0),
+        weight_kg=float(sum(term.weight_kg for term in terms)),
+        weight_moment_kgm=np.sum([np.zeros(3), *(term.weight_moment_kgm for term in terms)], axis=0),
+    )
+
+
+def _terms(part: Part) -> InertialTerms:
+    """Terms of one part about the sensor origin; the air it takes along has inertia but no weight."""
+    mass, lever = part.mass_kg * (1.0 + AIR_MOVED_ALONG * part.air_share), skew(part.centre_of_mass_m)
+    weight = part.mass_kg * (1.0 - part.air_share)
+    matrix = np.zeros((6, 6))
+    matrix[:3, :3] = mass * np.eye(3)
+    matrix[:3, 3:] = -mass * lever
+    matrix[3:, :3] = mass * lever
+    matrix[3:, 3:] = part.inertia_kgm2 - mass * lever @ lever
+    return InertialTerms(matrix, weight, weight * part.centre_of_mass_m)
+
+
+def _parameters(part: Part) -> Iterator[BodyParameter]:
+    """Changes of one part's terms, parameter by parameter."""
+    told = f"{part.name} {part.mass_kg:.9g} kg"
+    place = "[{}]".format(", ".join(f"{float(x):.9g}" for x in part.centre_of_mass_m))
+    if part.u_mass_kg > 0.0:
+        change = _terms(make_part(part.name, part.u_mass_kg, part.centre_of_mass_m, np.zeros((3, 3))))
+        yield BodyParameter(f"{told}: mass", f"{part.name}: mass", part.u_mass_kg, "kg", "rig", change)
+    for axis, letter in enumerate("xyz"):
+        u = float(part.u_centre_of_mass_m[axis])
+        if u > 0.0:
+            name, label = f"{told}: centre of mass {place} {letter}", f"{part.name}: centre of mass"
+            yield BodyParameter(name, label, u, "m", "mounting", _centre_change(part, axis))
+    for row, column in INERTIA_ENTRIES:
+        u = float(part.u_inertia_kgm2[row, column])
+        if u > 0.0:
+            matrix = np.zeros((6, 6))
+            matrix[3 + row, 3 + column] = matrix[3 + column, 3 + row] = u
+            stated, letters = float(part.inertia_kgm2[row, column]), "xyz"[row] + "xyz"[column]
+            name, label = f"{told}: inertia {stated:.9g} {letters}", f"{part.name}: inertia"
+            yield BodyParameter(name, label, u, "kg.m^2", "rig", InertialTerms(matrix, 0.0, np.zeros(3)))
+    if part.air_share > 0.0:
+        u = U_AIR_MOVED_ALONG * part.air_share * part.mass_kg
+        air = _terms(make_part(part.name, u, part.centre_of_mass_m, np.zeros((3, 3))))
+        change = InertialTerms(air.mass_matrix, 0.0, np.zeros(3))
+        yield BodyParameter(f"{told}: air moved along", f"{part.name}: air moved along", u, "kg", "rig", change)
+
+
+def _centre_change(part: Part, axis: int) -> InertialTerms:
+    """First-order change when the centre of mass moves by its uncertainty along one axis."""
+    shift = np.zeros(3)
+    shift[axis] = part.u_centre_of_mass_m[axis]
+    lever, change = skew(part.centre_of_mass_m), skew(shift)
+    matrix = np.zeros((6, 6))
+    matrix[:3, 3:] = -part.mass_kg * change
+    matrix[3:, :3] = part.mass_kg * change
+    matrix[3:, 3:] = -part.mass_kg * (lever @ change + change @ lever)
+    return InertialTerms(matrix, 0.0, part.mass_kg * (1.0 - part.air_share) * shift)

@@ -1,0 +1,279 @@
+"""The sensor's outputs, the wrench on it, and the budget of any result."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fusion.base import AnyNotice
+from fusion.estimation.consistency import Acceleration
+from fusion.estimation.least_squares import BODY_SIZE_M, UNOBSERVED_MOTION, hidden_motion, real_design, real_stack
+from fusion.estimation.measurement_model import Reading, RelativeError, chain_errors, chain_name
+from fusion.estimation.uncertainty import Contribution, Influence, Kind, Uncertainty, total_variance
+from fusion.sensitivity.body import COMPONENTS, Body, MatrixChange
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, check_shape
+from shaker.phasor import Phasors, real_stacked_diagonal, stack_phasors
+
+# The sensor's outputs: phasors of all channels with noise of their own and the errors of their chains by name.
+
+
+NOISE = "output noise"
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """Phasors (K, C) of the sensor's outputs, in the unit of the sensor, with their whole covariance.
+
+    `uncertainty`: noise of the sine approximation, and scale, delay, response and clock errors under the names that
+    the motion's instruments use, so that what both share (a clock, an amplifier) acts on both.
+    """
+
+    phasors: Phasors
+    uncertainty: Uncertainty
+
+    def __post_init__(self) -> None:
+        expected, found = self.phasors.covariance.shape, self.uncertainty.random[0].covariance.shape
+        if found != expected:
+            raise ValueError(f"uncertainty: expected covariances of shape {expected}, found {found}")
+
+
+def output_phasors(readings: Sequence[Reading]) -> Outputs:
+    """Return the outputs of C channels, in the order given.
+
+    An error of a chain, relative (K, C), changes the reading U by relative · U for one standard uncertainty; channels
+    that name one `common` instrument share its errors.
+    """
+    if not readings:
+        raise ValueError("readings: expected at least one output channel, found none")
+    signals = stack_phasors([reading.phasors for reading in readings])
+    chains: dict[str, list[int]] = {}
+    for place, reading in enumerate(readings):
+        chains.setdefault(chain_name(reading), []).append(place)
+    effects: dict[str, tuple[RelativeError, ComplexArray]] = {}
+    for places in chains.values():
+        for error in chain_errors([readings[place] for place in places]):
+            known = effects.get(error.name, (error, np.zeros_like(signals.value)))[1]
+            known[:, places] += error.relative * signals.value[:, places]
+            effects[error.name] = error, known
+    noise = Contribution(NOISE, "A", signals.covariance, signals.dof)
+    uncertainty = Uncertainty((noise,), tuple(_influence(error, change) for error, change in effects.values()))
+    return Outputs(replace(signals, covariance=uncertainty.covariance), uncertainty)
+
+
+def _influence(error: RelativeError, change: ComplexArray) -> Influence:
+    """One unknown of the outputs; a budget names that of a chain by its kind, whichever channel has it."""
+    label = error.label if error.scope == "recording" else "output " + error.label.rpartition(": ")[2]
+    effect = np.concatenate([change.real, change.imag], axis=1)
+    return Influence(error.name, label, error.u, error.unit, effect, error.scope, error.type)
+
+
+# The load at the sensor origin: mass matrix and gravity tilt applied to the acceleration, with its uncertainty.
+
+
+LOAD_COMPONENTS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+LOAD_UNITS = ("N", "N", "N", "N.m", "N.m", "N.m")
+UNOBSERVED_LIMIT = 0.01
+"""Largest relative standard uncertainty that unobserved components may bring to a load component."""
+
+
+@dataclass(frozen=True)
+class LoadResult:
+    """Wrench phasors at the sensor origin in N and N.m, with the manifest's sense.
+
+    `value` (K, 6): the whole estimate, with components of the motion that nobody observed at zero; NaN at lines without
+    any reading. `uncertainty`: of all six, in which those components are contributions of their own. `observed` (K, 6):
+    which components are given as results, since the unobserved ones matter little to them.
+    """
+
+    frequency_hz: FloatArray
+    value: ComplexArray
+    uncertainty: Uncertainty
+    observed: BoolArray
+    notices: tuple[AnyNotice, ...]
+
+    def __post_init__(self) -> None:
+        lines = len(self.frequency_hz)
+        check_shape("value", self.value, (lines, 6))
+        check_shape("observed", self.observed, (lines, 6))
+        check_shape("covariance", self.uncertainty.covariance, (lines, 12, 12))
+
+    @property
+    def phasors(self) -> Phasors:
+        """Return the components that are given as results, NaN elsewhere; `dof` of the largest force of each line."""
+        mask = ~np.tile(self.observed, (1, 2))
+        covariance = np.where(mask[:, :, None] | mask[:, None, :], np.nan, self.uncertainty.covariance)
+        value = np.where(self.observed, self.value, complex(np.nan, np.nan))
+        size = np.abs(self.value) / np.where(np.arange(6) < 3, 1.0, BODY_SIZE_M)
+        largest = np.argmax(np.where(self.observed, size, -1.0), axis=1)
+        dof = self.uncertainty.dof()[np.arange(len(value)), largest]
+        return Phasors(self.frequency_hz, value, covariance, LOAD_COMPONENTS, LOAD_UNITS, dof)
+
+    @property
+    def contributions(self) -> tuple[Contribution, ...]:
+        """Return the budget: one contribution per label; they add up to the covariance of `value`."""
+        return self.uncertainty.grouped()
+
+
+def load_phasors(
+    acceleration: Acceleration,
+    body: Body,
+    gravity_mps2: ArrayLike | None = None,
+    sense: Literal["on_load", "on_sensor"] = "on_load",
+    u_gravity_mps2: ArrayLike | None = None,
+) -> LoadResult:
+    """Return the wrench L = ±(M A + gravity tilt) at the sensor origin, positive as it acts on the load ("on_load").
+
+    Its uncertainty is that of the acceleration carried through, and one influence per uncertain number of body, joint
+    and gravity, (dM/dp · A) u(p). Acceleration components that no instrument observed are taken as zero with a standard
+    uncertainty of 2 % of the observed motion's amplitude (rotations: of amplitude over 0.1 m), a type B contribution
+    "unobserved NAME"; a load component to which they bring more than 1 % is not given.
+    """
+    frequency = acceleration.phasors.frequency_hz
+    gravity, u_gravity = (None if g is None else np.asarray(g, np.float64) for g in (gravity_mps2, u_gravity_mps2))
+    sign = {"on_load": 1.0, "on_sensor": -1.0}[sense]
+    # At a line without any reading nothing is known, neither what is zero nor how uncertain it is.
+    seen = np.where(np.any(acceleration.observed, axis=1), sign, np.nan)[:, None, None]
+    matrix = seen * body.load_matrix(frequency, gravity)
+    changes = [replace(c, change=seen * c.change) for c in body.matrix_changes(frequency, gravity, u_gravity)]
+    known = np.nan_to_num(acceleration.phasors.value)
+    value = np.einsum("kij,kj->ki", matrix, known)
+    hidden = _hidden_contributions(acceleration, matrix, changes)
+    spread = np.sum([np.zeros(value.shape), *(total_variance(part.covariance) for part in hidden.values())], axis=0)
+    observed = np.isfinite(value) & (np.sqrt(spread) <= UNOBSERVED_LIMIT * np.abs(value))
+    carried = _where_observed(acceleration.uncertainty).transformed(real_design(matrix))
+    own = tuple(
+        Influence(c.name, c.label, c.u, c.unit, real_stack(np.einsum("kij,kj->ki", c.change, known)), c.scope)
+        for c in changes
+    )
+    total = Uncertainty((*carried.random, *hidden.values()), (*carried.influences, *own))
+    rigid = np.einsum("kij,kj->ki", seen * replace(body, joint=None).load_matrix(frequency, gravity), known)
+    notices = (*_notices(acceleration, observed, hidden), *_joint_notice(body, frequency, value, rigid))
+    return LoadResult(frequency, value, total, observed, notices)
+
+
+def _where_observed(uncertainty: Uncertainty) -> Uncertainty:
+    """Acceleration's uncertainty with nothing in place of what is not observed: that has a contribution of its own."""
+    random = tuple(replace(part, covariance=np.nan_to_num(part.covariance)) for part in uncertainty.random)
+    return Uncertainty(random, tuple(replace(i, effect=np.nan_to_num(i.effect)) for i in uncertainty.influences))
+
+
+def _hidden_contributions(
+    acceleration: Acceleration, matrix: ComplexArray, changes: Sequence[MatrixChange]
+) -> dict[str, Contribution]:
+    """One type B contribution per component nobody observed; its real and imaginary parts are independent."""
+    variance = hidden_motion(np.nan_to_num(acceleration.phasors.value), acceleration.observed) ** 2 / 2.0
+    # Through the uncertain parameters an unobserved component acts even where its coefficient is zero.
+    ways = np.stack([matrix, *(c.change for c in changes)])
+    found = {}
+    for place, name in enumerate(COMPONENTS):
+        if np.any(variance[:, place] > 0.0):
+            columns = real_design(ways[..., place, None])
+            covariance = np.einsum("wkia,wkja,k->kij", columns, columns, variance[:, place])
+            found[name] = Contribution(f"unobserved {name}", "B", covariance)
+    return found
+
+
+def _notices(acceleration: Acceleration, observed: BoolArray, hidden: Mapping[str, Contribution]) -> tuple[Notice, ...]:
+    """Say which load components rest on assumed zeros and which are not given."""
+    found = []
+    assumed = [name for name, part in hidden.items() if np.any((total_variance(part.covariance) > 0.0) & observed)]
+    if assumed:
+        text = (
+            f"{', '.join(assumed)} of the load were not observed at some lines: taken as zero with a standard "
+            f"uncertainty of {UNOBSERVED_MOTION:.0%} of the motion (rotations: over {BODY_SIZE_M} m)"
+        )
+        found.append(Notice("warning", text, acceleration.body))
+    missing = [name for place, name in enumerate(LOAD_COMPONENTS) if not np.any(observed[:, place])]
+    if missing:
+        text = f"no value of {', '.join(missing)}: components of the motion that were not observed may dominate them"
+        found.append(Notice("info", text, "load"))
+    return tuple(found)
+
+
+def _joint_notice(body: Body, frequency_hz: FloatArray, value: ComplexArray, rigid: ComplexArray) -> tuple[Notice, ...]:
+    """Say what the elastic joint does to the largest force, at the line where that is most."""
+    if body.joint is None:
+        return ()
+    sizes = np.nan_to_num(np.abs(rigid))
+    largest, lines = np.argmax(sizes[:, :3], axis=1), np.arange(len(value))
+    before, after = sizes[lines, largest], np.abs(value)[lines, largest]
+    change = np.divide(after, before, out=np.full(len(value), np.nan), where=before > 0.0) - 1.0
+    if not np.any(np.isfinite(change)):
+        return ()
+    line = int(np.nanargmax(np.abs(change)))
+    name, resonance = LOAD_COMPONENTS[largest[line]], body.joint.frequency_hz[largest[line]]
+    where = f"{name} at {frequency_hz[line]:.6g} Hz"
+    if body.joint.u_frequency_hz[largest[line]] == 0.0:
+        text = f"the load's joint ({resonance:.6g} Hz) is only named: {where} is not corrected for it, U contains it"
+    else:
+        text = f"the load's joint ({resonance:.6g} Hz) changes {where} by {change[line]:+.2%} from that of a rigid body"
+    return (Notice("info", text, "load"),)
+
+
+# The uncertainty budget: what each cause does to magnitude and phase of complex values, line by line.
+
+
+@dataclass(frozen=True)
+class BudgetEntry:
+    """What one cause contributes to C complex values at K lines; all entries of a budget are independent.
+
+    `label`, `type` A or B; `count`: how many unknowns stand behind it, 0 for noise. `u` in `unit`: standard uncertainty
+    of the unknown, NaN for noise and where unknowns of different uncertainty were put together. `coefficient` (2, K,
+    C): change of the relative magnitude and of the phase (rad) per unit of the unknown; for several unknowns of one
+    uncertainty the root of the sum of squares. `u_relative`, `u_phase_rad` (K, C): contribution to the standard
+    uncertainty of the relative magnitude and of the phase. `dof` (K,).
+    """
+
+    label: str
+    type: Kind
+    count: int
+    u: float
+    unit: str
+    coefficient: FloatArray
+    u_relative: FloatArray
+    u_phase_rad: FloatArray
+    dof: FloatArray
+
+
+def budget(uncertainty: Uncertainty, value: ComplexArray) -> tuple[BudgetEntry, ...]:
+    """Return the budget of complex values (K, C): one entry per label, in the order of their first appearance.
+
+    With dX/X = d ln|X| + j d arg X the contributions are those to X turned and divided by X (JCGM 102, 9.4). What an
+    unknown does on several ways (to outputs and load) has been added up in its effect before any square is taken.
+    """
+    usable = np.isfinite(value) & (value != 0.0)
+    turn = np.divide(1.0, value, out=np.full(value.shape, complex(np.nan, np.nan)), where=usable)
+    relative = uncertainty.transformed(real_stacked_diagonal(turn))
+    unknowns: dict[str, list[Influence]] = {}
+    for influence in relative.influences:
+        unknowns.setdefault(influence.label, []).append(influence)
+    infinite = np.full(len(value), np.inf)
+    found = []
+    for part in relative.grouped():
+        variance = np.maximum(part.covariance.diagonal(axis1=1, axis2=2), 0.0)
+        both = np.sqrt(variance).reshape(len(value), 2, -1).swapaxes(0, 1)
+        own = unknowns.get(part.label, [])
+        u, unit = _input(own)
+        dof = infinite if part.dof is None else part.dof
+        coefficient = _coefficient(own, u, both)
+        found.append(BudgetEntry(part.label, part.type, len(own), u, unit, coefficient, both[0], both[1], dof))
+    return tuple(found)
+
+
+def _input(own: Sequence[Influence]) -> tuple[float, str]:
+    """Standard uncertainty and unit that the unknowns of one label have in common, NaN and nothing where none."""
+    known = {(influence.u, influence.unit) for influence in own}
+    return known.pop() if len(known) == 1 else (np.nan, "")
+
+
+def _coefficient(own: Sequence[Influence], u: float, both: FloatArray) -> FloatArray:
+    """Change (2, K, C) of relative magnitude and phase per unit of the unknown, with its sign where there is one."""
+    if not np.isfinite(u) or u == 0.0:
+        return np.full(both.shape, np.nan)
+    if len(own) > 1:
+        return np.asarray(both / u)
+    return np.asarray(own[0].effect.reshape(both.shape[1], 2, -1).swapaxes(0, 1) / u)

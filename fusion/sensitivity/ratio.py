@@ -1,0 +1,224 @@
+"""The complex sensitivity, and what parasitic loads contribute to it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fusion.base import AnyNotice
+from fusion.estimation.least_squares import real_design, real_stack
+from fusion.estimation.uncertainty import Influence, Polar, Uncertainty, element_covariance, polar, rounded
+from fusion.sensitivity.load import LOAD_COMPONENTS, BudgetEntry, LoadResult, Outputs, budget
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, check_shape
+
+# The complex sensitivity: elements by output channel and load component, and the ratio of one recording.
+
+
+Kind = Literal["ratio", "matrix", "harmonic"]
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """Complex sensitivities of C sensor outputs to six load components at K lines.
+
+    `value` (K, C, 6), NaN where not determined; `elements`: channel and component of the E elements determined at any
+    line, of which `uncertainty` is, NaN at lines without a value; `unit` of the outputs ("V/V"), so that an element's
+    unit is (unit)/N or (unit)/(N.m); `kind` per line; `budget` of the E elements.
+    """
+
+    frequency_hz: FloatArray
+    value: ComplexArray
+    elements: tuple[tuple[int, int], ...]
+    uncertainty: Uncertainty
+    channels: tuple[str, ...]
+    components: tuple[str, ...]
+    unit: str
+    kind: tuple[Kind, ...]
+    notices: tuple[AnyNotice, ...]
+    budget: tuple[BudgetEntry, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        lines, count = len(self.frequency_hz), len(self.elements)
+        check_shape("value", self.value, (lines, len(self.channels), len(self.components)))
+        if len(self.kind) != lines:
+            raise ValueError(f"kind: expected {lines} words, one per line, found {len(self.kind)}")
+        check_shape("uncertainty", self.uncertainty.random[0].covariance, (lines, 2 * count, 2 * count))
+        object.__setattr__(self, "budget", budget(self.uncertainty, self.value[:, *self._places()]))
+
+    @property
+    def observed(self) -> BoolArray:
+        """Return which elements (C, 6) have a value at any line."""
+        return np.asarray(np.any(np.isfinite(self.value), axis=0))
+
+    @cached_property
+    def covariance(self) -> FloatArray:
+        """Return the covariance (K, C, 6, 2, 2) of (Re, Im) of every element, NaN where there is none."""
+        found = np.full((*self.value.shape, 2, 2), np.nan)
+        pair = np.arange(len(self.elements))[:, None] + [0, len(self.elements)]
+        found[:, *self._places()] = self.uncertainty.covariance[:, pair[:, :, None], pair[:, None, :]]
+        return found
+
+    @cached_property
+    def dof(self) -> FloatArray:
+        """Return the effective degrees of freedom (K, C, 6) of every element, NaN where there is none."""
+        found = np.full(self.value.shape, np.nan)
+        found[:, *self._places()] = self.uncertainty.dof()
+        return found
+
+    def _places(self) -> tuple[list[int], list[int]]:
+        """Channels and components of the elements, as indices."""
+        return [channel for channel, _ in self.elements], [component for _, component in self.elements]
+
+
+def driven_component(direction: Sequence[float], capacity: Sequence[float] | None = None) -> int:
+    """Return which load component (0..5) the excitation drives: the largest of 3 or 6 numbers.
+
+    Forces and moments of a 6-vector are compared in shares of the rated `capacity` (6,) where it is known.
+    """
+    size = np.abs(np.asarray(direction, dtype=np.float64))
+    if size.shape not in ((3,), (6,)) or not np.any(size > 0.0):
+        raise ValueError(f"direction: expected 3 or 6 numbers, not all zero, found {list(direction)}")
+    if capacity is not None and len(size) == 6:
+        size = size / np.asarray(capacity, dtype=np.float64)
+    return int(np.argmax(size))
+
+
+def sensitivity_ratio(
+    outputs: Outputs,
+    load: LoadResult,
+    direction: Sequence[float],
+    multiple: ArrayLike,
+    unit: str,
+    capacity: Sequence[float] | None = None,
+) -> Sensitivity:
+    """Return output / load of the driven component for every output channel of one recording.
+
+    S = U/L; dS = dU/L - S dL/L, in which an unknown that acts on both (a clock, an amplifier) is one change.
+    `multiple` (K,): 1 at a fundamental ("ratio"), else "harmonic".
+    """
+    channels, component = outputs.phasors.channels, driven_component(direction, capacity)
+    driven = np.where(load.observed[:, component], load.value[:, component], np.nan)[:, None]
+    ratio = quotient(outputs.phasors.value, driven)
+    from_load = load.uncertainty.at([component]).transformed(real_design(quotient(-ratio, driven)[:, :, None]))
+    from_outputs = outputs.uncertainty.scaled(np.broadcast_to(quotient(1.0, driven), ratio.shape))
+    value = np.full((*ratio.shape, 6), complex(np.nan, np.nan))
+    value[:, :, component] = ratio
+    return Sensitivity(
+        frequency_hz=outputs.phasors.frequency_hz,
+        value=value,
+        elements=tuple((channel, component) for channel in range(len(channels))),
+        uncertainty=from_load.plus(from_outputs),
+        channels=channels,
+        components=LOAD_COMPONENTS,
+        unit=unit,
+        kind=tuple("ratio" if m == 1 else "harmonic" for m in np.asarray(multiple).tolist()),
+        notices=_notices(load, component, ratio, capacity),
+    )
+
+
+def quotient(numerator: ComplexArray | float, denominator: ComplexArray) -> ComplexArray:
+    """Return the complex quotient, NaN where the denominator is zero or not known."""
+    shape = np.broadcast_shapes(np.shape(numerator), denominator.shape)
+    usable = np.isfinite(denominator) & (denominator != 0.0)
+    empty = np.full(shape, complex(np.nan, np.nan))
+    return np.asarray(np.divide(numerator, denominator, out=empty, where=usable))
+
+
+def _notices(
+    load: LoadResult, component: int, ratio: ComplexArray, capacity: Sequence[float] | None
+) -> tuple[Notice, ...]:
+    """Say where the driven component is missing, and what else acted on the sensor."""
+    name, found = LOAD_COMPONENTS[component], []
+    if not np.any(np.isfinite(ratio)):
+        return (Notice("warning", f"{name} could not be determined: no sensitivity", "sensitivity"),)
+    given = np.abs(np.where(load.observed, load.value, np.nan))
+    line = int(np.nanargmax(given[:, component]))
+    rated = np.ones(6) if capacity is None else np.asarray(capacity, dtype=np.float64)
+    comparable = np.arange(6) // 3 == component // 3 if capacity is None else np.ones(6, dtype=np.bool_)
+    share = given[line] / rated
+    share = share / share[component]
+    others = [
+        f"{LOAD_COMPONENTS[i]} {share[i]:.2%}"
+        for i in range(6)
+        if i != component and comparable[i] and np.isfinite(share[i])
+    ]
+    if others:
+        basis = "" if capacity is None else " (in shares of the rated loads)"
+        text = f"beside {name} = 100 % the sensor carried {', '.join(others)}{basis}; the ratio contains their part"
+        found.append(Notice("info", text, "sensitivity"))
+    return tuple(found)
+
+
+# What load components that were not meant to act contribute to the outputs of one recording, by the static matrix.
+
+
+@dataclass(frozen=True)
+class OtherLoads:
+    """Share (K, C) of each output that the other load components explain, and its uncertainty.
+
+    `value`: complex, relative to the whole output, NaN where the load is not known; nearly equal to what the ratio of
+    output and driven load is wrong by, relative, if it is read as an element of the sensitivity.
+    """
+
+    value: ComplexArray
+    uncertainty: Uncertainty
+
+    def element(self, line: int, channel: int) -> Polar:
+        """Return one share with its uncertainty; its real part enlarges the output, its imaginary part turns it."""
+        pair = element_covariance(self.uncertainty.covariance[line], channel)
+        return polar(complex(self.value[line, channel]), pair, float(self.uncertainty.dof()[line, channel]))
+
+    def notices(self, line: int, channel: int, where: str) -> tuple[Notice, ...]:
+        """Return what the output of one channel at one line owes to other loads; `where` names both."""
+        if not abs(self.value[line, channel]) > 0.0:
+            return ()
+        share = self.element(line, channel)
+        more, turn = (
+            rounded(100.0 * share.re, 100.0 * share.k * share.u_re, 0),
+            rounded(1e3 * share.im, 1e3 * share.k * share.u_im, 0),
+        )
+        text = (
+            f"by the static sensitivity the other load components make ({more.value} ± {more.expanded}) % of {where} "
+            f"and turn it by ({turn.value} ± {turn.expanded}) mrad"
+        )
+        return (Notice("info", text, "sensitivity"),)
+
+
+def other_loads(
+    outputs: Outputs, load: LoadResult, static: ArrayLike, component: int, u_static: float = 0.0
+) -> OtherLoads:
+    """Return z = Σ_{j≠d} S_cj L_j / U_c over the load components j other than the driven one d.
+
+    `static` (C, 6): static sensitivity of the channels; `u_static`: relative standard uncertainty of each element by
+    itself. dz = Σ (S_cj dL_j + dS_cj L_j) / U_c - z dU_c / U_c, with unknowns that act on both load and outputs as one;
+    components of the motion that nobody observed are in L at zero with their uncertainty.
+    """
+    matrix = np.array(static, dtype=np.complex128)
+    matrix[:, component] = 0.0
+    signal = outputs.phasors.value
+    slope = quotient(matrix, np.broadcast_to(signal[:, :, None], (*signal.shape, 6)))
+    parts = slope * load.value[:, None, :]
+    value = np.sum(parts, axis=2)
+    from_load = load.uncertainty.transformed(real_design(slope))
+    total = from_load.plus(outputs.uncertainty.scaled(quotient(-value, signal)))
+    own = tuple(
+        _static_influence(parts[:, channel, j], channel, j, outputs.phasors.channels, u_static)
+        for channel, j in np.argwhere(matrix != 0.0).tolist()
+        if u_static > 0.0
+    )
+    return OtherLoads(value, Uncertainty(total.random, (*total.influences, *own)))
+
+
+def _static_influence(
+    part: ComplexArray, channel: int, component: int, channels: Sequence[str], u_static: float
+) -> Influence:
+    """One element of the static sensitivity, which explains `part` (K,) of a channel's output."""
+    change = np.zeros((len(part), len(channels)), dtype=np.complex128)
+    change[:, channel] = u_static * part
+    name = f"static sensitivity {channels[channel]} per {LOAD_COMPONENTS[component]}"
+    return Influence(name, "static sensitivity", u_static, "1", real_stack(change), "rig")

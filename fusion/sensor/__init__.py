@@ -1,0 +1,1 @@
+"""The sensor as a mechanical system: one folder per command."""

@@ -1,0 +1,434 @@
+"""The page of a compensation filter."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+
+from fusion.estimation.uncertainty import DASH, rounded
+from fusion.report.csv_files import Row
+from fusion.report.numbers import measured, number
+from fusion.report.recording import page_frame
+from fusion.report.style import Picture
+from fusion.report.tables import Headline, Table, render_page
+from fusion.sensor.compensate.evaluate import (
+    HAND_DAMPING,
+    HAND_STIFFNESS,
+    HANDLE_MASS,
+    PUSH_M,
+    PUSH_S,
+    CompensateEvaluation,
+)
+from fusion.sensor.compensate.figures import (
+    BodeCurves,
+    FilteredChannel,
+    MismatchCurve,
+    NoiseCurve,
+    PushedBall,
+    StepCurves,
+    draw_bode,
+    draw_channel,
+    draw_haptics,
+    draw_mismatch,
+    draw_noise,
+    draw_steps,
+)
+from fusion.sensor.compensate.source import CompensatedChannel, Figures, LoadFilter, SubjectResult
+from shaker.arrays import FloatArray
+from shaker.compensation.effects import gain_band
+from shaker.compensation.filter import band_ratio, best_damping
+from shaker.lti.responses import LABELS, unit_of
+
+# The numbers of a compensation as rows and tables: compensation.csv, the page's tables, what the command prints.
+
+
+COLUMNS = ["channel", "component", "load_mass_kg", "name", "value", "u", "unit"]
+EXPANDED = 2.0
+GRAM, MILLI, PERCENT = 1e3, 1e3, 100.0
+SHOWN = (
+    "natural_hz",
+    "damping_ratio",
+    "peak_hz",
+    "peak_gain",
+    "band_5_hz",
+    "band_10_hz",
+    "half_power_hz",
+    "overshoot",
+    "rise_s",
+    "settling_5_s",
+    "settling_2_s",
+)
+SCALE = {"s": (MILLI, "ms"), "Hz": (1.0, "Hz"), "": (1.0, "")}
+PRINTED = {"band_10_hz": "±10 % band", "overshoot": "overshoot", "settling_2_s": "2 % settling"}
+ERRORS = (0.01, 0.02, 0.05, 0.1, 0.2)
+
+
+def quantity_rows(evaluation: CompensateEvaluation) -> Iterator[Row]:
+    """One row per number."""
+    for result in evaluation.subjects:
+        for found in result.filters:
+            head: Row = [result.subject.channel, result.subject.component, _or_empty(found.load_mass)]
+            for name, value, u, unit in _numbers(result, found):
+                yield [*head, name, _or_empty(value), _or_empty(u), unit]
+
+
+def over(top: str, bottom: str) -> str:
+    """One unit over another; 1 where they are the same."""
+    if top == bottom:
+        return "1"
+    parts = [f"({unit})" if "/" in unit or "." in unit else unit for unit in (top, bottom)]
+    return "/".join(parts)
+
+
+def _or_empty(value: float | None) -> float | str:
+    """A number, nothing for what there is none of."""
+    return "" if value is None else value
+
+
+def _numbers(result: SubjectResult, found: LoadFilter) -> Iterator[tuple[str, float | None, float | None, str]]:
+    """Name, value, u and unit of everything told of one filter."""
+    sensor, target = found.compensation.sensor, found.compensation.target
+    modes = len(sensor.frequency_hz)
+    names = [f"sensor_{name}_{m + 1}" for name in ("frequency_hz", "damping_ratio") for m in range(modes)]
+    names += [f"sensor_real_hz_{q + 1}" for q in range(len(sensor.real_hz))] + ["sensor_static_gain"]
+    gain_unit = over(result.subject.unit, result.subject.load_unit)
+    for name, value, u in zip(names, sensor.vector, sensor.u, strict=True):
+        unit = "Hz" if "_hz" in name else gain_unit if name == "sensor_static_gain" else "1"
+        yield name, float(value), None if np.isnan(u) else float(u), unit
+    yield "target_frequency_hz", target.frequency_hz, None, "Hz"
+    yield "target_damping_ratio", target.damping_ratio, None, "1"
+    for when, figures in (("before", found.before), ("after", found.after)):
+        for name, value_ in figures.indices.figures().items():
+            yield f"{when}_{name}", value_, figures.u[name], unit_of(name) or "1"
+    yield "white_noise_gain", found.noise_gain, None, over(result.output_unit, result.subject.unit)
+    yield "noise", found.noise, None, result.output_unit
+    yield "discretisation_error", found.discretisation_error, None, "1"
+    for off, ringing in zip(found.off_frequency, found.off_ringing, strict=True):
+        yield f"ringing_frequency_{off:+g}", float(ringing), None, "1"
+    for load, ringing in zip(found.off_load, found.load_ringing, strict=True):
+        yield f"ringing_load_{load:.12g}_kg", float(ringing), None, "1"
+
+
+def label(result: SubjectResult, found: LoadFilter) -> str:
+    """Channel and load."""
+    mass = "" if found.load_mass is None else f", load {result.subject.load_text(found.load_mass)}"
+    return f"{result.subject.name}{mass}"
+
+
+def headlines(evaluation: CompensateEvaluation) -> list[Headline]:
+    """Of the first filter: band, overshoot, settling, each before and after."""
+    result = evaluation.subjects[0]
+    found = result.filters[0]
+    where = label(result, found)
+    wanted = (("band_10_hz", "±10 % of the static gain up to"), ("overshoot", "Overshoot"))
+    told = [
+        Headline(text, cell(found.after, name), f"before: {cell(found.before, name)}; {where}")
+        for name, text in (*wanted, ("settling_2_s", "2 % settling"))
+    ]
+    times = found.noise_gain / abs(found.sections.gain)
+    remark = f"white noise at {found.sections.sample_rate_hz:g} Hz; {where}"
+    return [*told, Headline("Noise", f"× {times:.3g}", remark)]
+
+
+def cell(figures: Figures, name: str) -> str:
+    """A figure with U and unit."""
+    value, u = figures.indices.figures()[name], figures.u[name]
+    if value is None or not np.isfinite(value):
+        return DASH if value is None else "no end"
+    percent = name == "overshoot"
+    scale, unit = (PERCENT, "%") if percent else SCALE[unit_of(name)]
+    if u is None:
+        return f"{scale * value:.5g} {unit}".strip()
+    return measured(scale * value, EXPANDED * scale * u, unit)
+
+
+def index_tables(evaluation: CompensateEvaluation) -> list[Table]:
+    """Figures before and after, one table per filter."""
+    tables = []
+    for result in evaluation.subjects:
+        for found in result.filters:
+            rows = [(LABELS[name].capitalize() if LABELS[name][0].islower() else LABELS[name],
+                     cell(found.before, name), cell(found.after, name)) for name in SHOWN]  # fmt: skip
+            known = found.compensation.sensor.covariance is not None
+            caption = f"{label(result, found)}: before and after" + (", with U (k = 2)" if known else "")
+            tables.append(Table(caption, ("figure", "sensor", "compensated"), "lrr", tuple(rows)))
+    return tables
+
+
+def filter_table(evaluation: CompensateEvaluation) -> Table:
+    """Every filter: what it cancels, what it puts there, what it costs."""
+    rows = []
+    for result in evaluation.subjects:
+        for found in result.filters:
+            design = found.compensation
+            u = design.sensor.u
+            poles = [
+                measured(f, 0.0 if np.isnan(u[m]) else EXPANDED * u[m])
+                for m, f in enumerate([*design.sensor.frequency_hz])
+            ]
+            damped = [f"{zeta:.4g}" for zeta in design.sensor.damping_ratio]
+            rows.append(
+                (
+                    label(result, found),
+                    Markup("; ").join([*poles, *(f"real {hertz:.5g}" for hertz in design.sensor.real_hz)]),
+                    "; ".join(damped) or DASH,
+                    f"{design.target.frequency_hz:.6g}",
+                    f"{design.target.damping_ratio:.4g}",
+                    f"{found.sections.sample_rate_hz:g}",
+                    f"{found.noise_gain / abs(found.sections.gain):.3g}",
+                    DASH if found.noise is None else f"{number(found.noise)} {result.output_unit}",
+                    f"{PERCENT * found.discretisation_error:.2g}",
+                )
+            )
+    head = ("filter", "from / Hz", "ζ", "to / Hz", "to ζ", "rate / Hz", "noise ×", "noise after", "sampling / %")
+    return Table("Filters, with U (k = 2) where it is known", head, "lrrrrrrrr", tuple(rows))
+
+
+def mismatch_tables(evaluation: CompensateEvaluation) -> list[Table]:
+    """Residual ringing with other loads, one row per filter; else with a frequency that is off."""
+    tables = []
+    for result in evaluation.subjects:
+        first = result.filters[0]
+        loads = len(first.off_load) > 1
+        head = [result.subject.load_text(float(load)) for load in first.off_load] if loads else []
+        head = head or [_signed_percent(off) for off in first.off_frequency]
+        rows = [
+            (
+                label(result, found),
+                *(f"{PERCENT * r:.3g}" for r in (found.load_ringing if loads else found.off_ringing)),
+            )
+            for found in result.filters
+        ]
+        what = "with other loads" if loads else "with a sensor whose frequency is off"
+        caption = f"{result.subject.name}: residual ringing {what}, % of the step after {MILLI * first.after_s:.3g} ms"
+        if head:
+            tables.append(Table(caption, ("filter for", *head), "l" + "r" * len(head), tuple(rows)))
+    return tables
+
+
+def _signed_percent(share: float) -> str:
+    """A share in % with its sign, none before zero."""
+    return f"{PERCENT * share:+g} %".replace("-", "\N{MINUS SIGN}") if share else "0 %"
+
+
+def haptics_table(evaluation: CompensateEvaluation) -> Table | None:
+    """How stiff the force feedback may be made with each treatment of the signal, and how well it then tracks."""
+    found = evaluation.haptics
+    if found is None:
+        return None
+    rows = []
+    for case in found.cases:
+        error = case.run.tracking_error
+        at_shared = f"{PERCENT * error:.3g} %" if np.isfinite(error) and case.run.stable else "runs away"
+        rows.append((case.name, f"{case.largest_gain:.4g}", f"{PERCENT * case.own_error:.3g} %", at_shared))
+    head = ("signal", "largest stable K", "tracking error at half of it", f"at K = {found.gain:.3g}")
+    caption = f"{found.channel}: force feedback with a load of {GRAM * found.load_mass:.4g} g"
+    return Table(caption, head, "lrrr", tuple(rows))
+
+
+def damping_table(evaluation: CompensateEvaluation) -> Table:
+    """The damping ratio with the widest band for a permitted error, and that band over the natural frequency."""
+    ratios = sorted({*ERRORS, evaluation.wish.permitted_error})
+    target = evaluation.subjects[0].filters[0].compensation.target
+    rows = [
+        (
+            f"±{PERCENT * error:g} %",
+            f"{best_damping(error):.4f}",
+            f"{band_ratio(best_damping(error) * (1 + 1e-12), error):.4f}",
+            f"{band_ratio(target.damping_ratio, error):.4f}",
+        )
+        for error in ratios
+    ]
+    head = ("permitted error", "best ζ", "band / fn", f"band / fn with ζ = {target.damping_ratio:.4g}")
+    return Table("One mode: the damping ratio with the widest band", head, "lrrr", tuple(rows))
+
+
+def printed(evaluation: CompensateEvaluation) -> Iterator[str]:
+    """Lines for the terminal, with U (k = 2) where it is known."""
+    for result in evaluation.subjects:
+        for found in result.filters:
+            target, rate = found.compensation.target, found.sections.sample_rate_hz
+            from_hz, from_damping = (plain(found.before, name) for name in ("natural_hz", "damping_ratio"))
+            yield f"{label(result, found)}"
+            yield f"  natural frequency: {from_hz} -> {target.frequency_hz:.6g} Hz"
+            yield f"  damping ratio: {from_damping} -> {target.damping_ratio:.4g}"
+            for name, text in PRINTED.items():
+                yield f"  {text}: {plain(found.before, name)} -> {plain(found.after, name)}"
+            yield f"  white noise at {rate:g} Hz: × {found.noise_gain / abs(found.sections.gain):.3g}"
+
+
+def plain(figures: Figures, name: str) -> str:
+    """A figure with U and unit as plain text."""
+    value, u = figures.indices.figures()[name], figures.u[name]
+    if value is None or not np.isfinite(value):
+        return "none" if value is None else "no end"
+    scale, unit = (PERCENT, "%") if name == "overshoot" else SCALE[unit_of(name)]
+    told = rounded(scale * value, 0.0 if u is None else EXPANDED * scale * u)
+    power = f"e{told.exponent}" if told.exponent else ""
+    body = told.value if told.expanded == DASH else f"({told.value} ± {told.expanded})"
+    return f"{body}{power} {unit}".strip()
+
+
+# compensate.html: one self-contained page with curves, figures and costs of every filter.
+
+
+PAGE_FILE = "compensate.html"
+POINTS = 900
+STEP_POINTS = 3000
+STEP_PERIODS = 20.0
+DRAWN = 20_000
+
+
+def render_compensate_page(evaluation: CompensateEvaluation) -> str:
+    """HTML text of the page; style and figures are inside, nothing is fetched from elsewhere."""
+    return render_page("compensate.html", _context(evaluation))
+
+
+def frequencies(found: LoadFilter) -> FloatArray:
+    """Frequencies (K,) in Hz of the curves of a filter: two decades below its modes to half the sampling rate."""
+    known = [*found.compensation.sensor.frequency_hz, *found.compensation.sensor.real_hz]
+    low, high = min(known) / 50.0, 0.5 * found.sections.sample_rate_hz
+    even = np.geomspace(low, min(high, 40.0 * found.compensation.target.frequency_hz), POINTS)
+    return np.unique(np.concatenate([even, *(f * (1.0 + np.linspace(-0.05, 0.05, 101)) for f in known)]))
+
+
+def _context(evaluation: CompensateEvaluation) -> dict[str, Any]:
+    """Everything the template shows."""
+    filters = [(result, found) for result in evaluation.subjects for found in result.filters]
+    return {
+        "name": evaluation.name,
+        "subject": _subject(evaluation),
+        "headlines": headlines(evaluation),
+        "filters": filter_table(evaluation),
+        "damping": damping_table(evaluation),
+        "parts": [
+            (label(result, found), [_bode(result, found, evaluation, n), _step(result, found, n)], table)
+            for n, ((result, found), table) in enumerate(zip(filters, index_tables(evaluation), strict=True))
+        ],
+        "noise": [_noise(evaluation)],
+        "mismatch": [picture for n, result in enumerate(evaluation.subjects) for picture in _mismatch(result, n)],
+        "mismatches": mismatch_tables(evaluation),
+        "applied": []
+        if evaluation.applied is None
+        else [_channel(evaluation, one) for one in evaluation.applied.channels],
+        "haptics": haptics_table(evaluation),
+        "haptics_pictures": _haptics(evaluation),
+        "loop": _loop(evaluation),
+        **page_frame(evaluation),
+    }
+
+
+def _subject(evaluation: CompensateEvaluation) -> list[tuple[str, str]]:
+    """What is compensated, and how."""
+    wish = evaluation.wish
+    aim = (
+        f"±{100 * wish.permitted_error:g} % to {wish.bandwidth_hz:g} Hz"
+        if wish.bandwidth_hz is not None
+        else f"{wish.frequency_hz:g} Hz"
+    )
+    kind = "matched poles and zeros" if wish.discretisation == "matched" else "Tustin, prewarped at each mode"
+    facts = [("Wanted", aim), ("For samples", kind)]
+    facts += [(f"Model of {one.subject.name}", one.subject.source) for one in evaluation.subjects]
+    if evaluation.applied is not None:
+        facts.append(("Recording", evaluation.applied.name))
+    return facts
+
+
+def _bode(result: SubjectResult, found: LoadFilter, evaluation: CompensateEvaluation, number: int) -> Picture:
+    """Gain and phase before and after."""
+    design, hertz = found.compensation, frequencies(found)
+    sensor = design.sensor.system.response(hertz) / design.sensor.static_gain
+    known = design.sensor.covariance is not None
+    curves = BodeCurves(
+        title=label(result, found),
+        frequency_hz=hertz,
+        before=sensor,
+        after=sensor * design.system.response(hertz) / design.gain,
+        sampled=sensor * found.sections.response(hertz) / found.sections.gain,
+        u_gain=gain_band(design, hertz).u_gain if known else None,
+        error=evaluation.wish.permitted_error,
+        bands_hz=(found.before.indices.band_10_hz, found.after.indices.band_10_hz),
+    )
+    return draw_bode(f"bode-{number}", curves)
+
+
+def _step(result: SubjectResult, found: LoadFilter, number: int) -> Picture:
+    """A step before and after."""
+    design = found.compensation
+    time = np.linspace(0.0, STEP_PERIODS / design.target.frequency_hz, STEP_POINTS)
+    before = design.sensor.system.step(time) / design.sensor.static_gain
+    after = design.compensated.step(time) / design.compensated.static_gain
+    return draw_steps(f"step-{number}", StepCurves(label(result, found), time, before, after))
+
+
+def _noise(evaluation: CompensateEvaluation) -> Picture:
+    """What the filters do to noise."""
+    curves = []
+    for result in evaluation.subjects:
+        for found in result.filters:
+            hertz = frequencies(found)
+            gain = np.abs(found.sections.response(hertz) / found.sections.gain)
+            white = found.noise_gain / abs(found.sections.gain)
+            curves.append(NoiseCurve(label(result, found), hertz, gain, white))
+    return draw_noise("noise", curves)
+
+
+def _mismatch(result: SubjectResult, number: int) -> list[Picture]:
+    """Residual ringing over the load, or over an error of the frequency."""
+    first = result.filters[0]
+    after = f"Largest deviation from the final value from {1e3 * first.after_s:.3g} ms after a step on."
+    subject = result.subject
+    scale, unit = (1e3, "g") if subject.load_unit == "N" else (1.0, "(kg·m²)")
+    if len(first.off_load) > 1:
+        curves = [
+            MismatchCurve(
+                f"filter for {subject.load_text(one.load_mass or 0.0)}", scale * one.off_load, one.load_ringing
+            )
+            for one in result.filters
+        ]
+        return [draw_mismatch(f"mismatch-{number}", curves, f"load / {unit}", after)]
+    if not len(first.off_frequency):
+        return []
+    curves = [MismatchCurve(label(result, one), 100 * one.off_frequency, one.off_ringing) for one in result.filters]
+    return [draw_mismatch(f"mismatch-{number}", curves, "frequency of the sensor off by / %", after)]
+
+
+def _haptics(evaluation: CompensateEvaluation) -> list[Picture]:
+    """Applied and fed-back force with the filter for no load and with the own one."""
+    found = evaluation.haptics
+    if found is None:
+        return []
+    runs = [
+        PushedBall(case.name, case.run.time_s, case.run.applied, case.run.fed_back)
+        for case in (found.cases[1], found.cases[2])
+    ]
+    return [draw_haptics("haptics", runs, found.gain)]
+
+
+def _loop(evaluation: CompensateEvaluation) -> str:
+    """The loop of the check in words."""
+    found = evaluation.haptics
+    if found is None:
+        return ""
+    return (
+        f"A hand ({HAND_STIFFNESS:g} N/m, {HAND_DAMPING:g} N·s/m) pushes a handle of {HANDLE_MASS:g} kg by "
+        f"{1e3 * PUSH_M:g} mm in {PUSH_S:g} s against a virtual ball of {found.ball_stiffness:g} N/m. The device "
+        "pushes back with the force of the ball and K times its difference to what the sensor tells, one sample late. "
+        "Tracking error: rms of applied less fed-back force over rms of the latter while the ball is touched."
+    )
+
+
+def _channel(evaluation: CompensateEvaluation, channel: CompensatedChannel) -> Picture:
+    """One filtered channel, thinned out."""
+    applied = evaluation.applied
+    assert applied is not None
+    every = max(1, -(-len(channel.value) // DRAWN))
+    keep = slice(None, None, every)
+    raw, value = channel.raw - channel.raw[0], channel.value - channel.value[0]
+    shown = FilteredChannel(
+        channel.channel, channel.unit, applied.time_s[keep], raw[keep], value[keep], channel.u[keep]
+    )
+    return draw_channel(f"recording-{channel.channel}", shown)

@@ -1,0 +1,350 @@
+"""What a compensation filter is made from and for, and what it is."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from fusion.base import InputError
+from fusion.sensitivity.load import LOAD_COMPONENTS, LOAD_UNITS
+from fusion.sensor.load.evaluate import MODEL_FILE, read_load_models
+from fusion.sensor.models_file import MODELS_FILE, ModelEntry, read_models
+from shaker.arrays import FloatArray, Notice
+from shaker.compensation.effects import target_for_bandwidth, target_for_frequency
+from shaker.compensation.filter import (
+    Compensation,
+    Discretisation,
+    Sections,
+    SensorDynamics,
+    Target,
+    loaded_dynamics,
+    modal_dynamics,
+)
+from shaker.lti.modal import ModalModel
+from shaker.lti.responses import Indices
+from shaker.release.load_model import LoadModel
+
+# What the user wants of a compensation.
+
+
+COMMAND = "shakercal compensate"
+
+
+@dataclass(frozen=True)
+class Wish:
+    """The wanted dynamics and how the filter is made.
+
+    Either `frequency_hz`, with `damping_ratio` or else that with the widest band for `permitted_error`, or
+    `bandwidth_hz`: up to where the gain stays within ± `permitted_error` of the static one. `modes` are compensated,
+    and the real poles if `real_hz` says where to; `low_pass_hz` is the corner of a low-pass in the filter.
+    `calibrated`: the filter also divides by the static gain. `load_masses` in kg, those of a sensor whose load is
+    modelled. `channels`: which, none for all. `ball_stiffness` in N/m: that of the virtual ball of a force-feedback
+    check, None for no check.
+    """
+
+    frequency_hz: float | None = None
+    damping_ratio: float | None = None
+    bandwidth_hz: float | None = None
+    permitted_error: float = 0.1
+    real_hz: float | None = None
+    low_pass_hz: float | None = None
+    modes: int = 1
+    sample_rate_hz: float | None = None
+    discretisation: Discretisation = "matched"
+    calibrated: bool = False
+    load_masses: tuple[float, ...] = ()
+    channels: tuple[str, ...] = ()
+    ball_stiffness: float | None = None
+
+    def __post_init__(self) -> None:
+        if (self.frequency_hz is None) == (self.bandwidth_hz is None):
+            found = "none" if self.frequency_hz is None else "both"
+            raise InputError(COMMAND, "", found=found, expected="either --frequency or --bandwidth")
+        if self.bandwidth_hz is not None and self.damping_ratio is not None:
+            expected = "no --damping beside --bandwidth, which finds it"
+            raise InputError(COMMAND, "--damping", found=f"{self.damping_ratio:g}", expected=expected)
+        if not 0 < self.permitted_error < 1:
+            expected = "a permitted error above 0 and below 100 %"
+            raise InputError(COMMAND, "--permitted-error", found=f"{100 * self.permitted_error:g} %", expected=expected)
+
+    def target(self, sensor: SensorDynamics) -> Target:
+        """Return the target for a sensor."""
+        if self.bandwidth_hz is not None:
+            more = (self.permitted_error, self.real_hz, self.low_pass_hz)
+            return target_for_bandwidth(sensor, self.bandwidth_hz, *more)
+        frequency = float(self.frequency_hz or 0.0)
+        if self.damping_ratio is None:
+            more = (self.permitted_error, self.real_hz, self.low_pass_hz)
+            return target_for_frequency(sensor, frequency, *more)
+        return Target(frequency, self.damping_ratio, self.real_hz, self.low_pass_hz)
+
+    @property
+    def settings(self) -> dict[str, str | float | int]:
+        """What was chosen, for the origin of the results."""
+        given: dict[str, str | float | int] = {
+            "permitted_error": self.permitted_error,
+            "modes": self.modes,
+            "discretisation": self.discretisation,
+            "calibrated": int(self.calibrated),
+        }
+        for name in (
+            "frequency_hz",
+            "damping_ratio",
+            "bandwidth_hz",
+            "real_hz",
+            "low_pass_hz",
+            "sample_rate_hz",
+            "ball_stiffness",
+        ):
+            value = getattr(self, name)
+            if value is not None:
+                given[name] = value
+        if self.load_masses:
+            given["load_masses_kg"] = ", ".join(f"{mass:.12g}" for mass in self.load_masses)
+        if self.channels:
+            given["channels"] = ", ".join(self.channels)
+        return given
+
+
+# What is compensated: models of step responses, models over the load, or a frequency and a damping ratio.
+
+
+@dataclass(frozen=True)
+class Subject:
+    """An output channel for a load component, in output `unit` per `load_unit`, with what is known of its dynamics.
+
+    `model`: fitted to releases, over the load, or stated. `noise`: standard deviation of the output at
+    `sample_rate_hz`, None where they are not known. `source`: in words.
+    """
+
+    channel: str
+    component: str
+    unit: str
+    load_unit: str
+    model: ModalModel | LoadModel | SensorDynamics
+    source: str
+    sample_rate_hz: float | None = None
+    noise: float | None = None
+
+    @property
+    def name(self) -> str:
+        """Channel, and the component where that is another."""
+        return self.channel if self.component in (self.channel, "") else f"{self.channel} for {self.component}"
+
+    @property
+    def is_scheduled(self) -> bool:
+        """Whether the filter depends on the load."""
+        return isinstance(self.model, LoadModel)
+
+    def load_text(self, load: float) -> str:
+        """Return a load in g, of a moment in kg·m²."""
+        return f"{1e3 * load:.4g} g" if self.load_unit == "N" else f"{load:.4g} kg·m²"
+
+    def dynamics(self, load_mass: float | None, modes: int, real_poles: bool) -> SensorDynamics:
+        """Return what a filter takes out of the sensor with a load."""
+        if isinstance(self.model, LoadModel):
+            return loaded_dynamics(self.model, load_mass or 0.0, modes=modes)
+        if isinstance(self.model, ModalModel):
+            return modal_dynamics(self.model, modes=modes, real_poles=real_poles)
+        if modes != 1:
+            raise ValueError(f"modes: expected 1 of a sensor stated by frequency and damping, found {modes}")
+        return self.model
+
+
+@dataclass(frozen=True)
+class Sources:
+    """All subjects with the files they come from, and what is to be said of them."""
+
+    name: str
+    subjects: tuple[Subject, ...]
+    files: tuple[Path, ...]
+    notices: tuple[Notice, ...] = ()
+
+
+def read_sources(paths: Sequence[Path]) -> Sources:
+    """Read models.json, load.json, or the one that a folder of results holds; of both in a folder load.json."""
+    found = [_read(path) for path in paths]
+    subjects = [subject for one in found for subject in one.subjects]
+    names = [subject.name for subject in subjects]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        expected = "one model per channel; leave a file out"
+        raise InputError(paths[-1], "", found=f"a second model of {twice}", expected=expected)
+    files = tuple(file for one in found for file in one.files)
+    return Sources(found[0].name, tuple(subjects), files, tuple(notice for one in found for notice in one.notices))
+
+
+def stated(sensor: SensorDynamics) -> Sources:
+    """Return a sensor that is stated by numbers."""
+    told = f"stated: {sensor.frequency_hz[0]:g} Hz, ζ = {sensor.damping_ratio[0]:g}"
+    return Sources("stated sensor", (Subject("sensor", "", "1", "1", sensor, told),), ())
+
+
+def chosen(sources: Sources, channels: Sequence[str]) -> tuple[Subject, ...]:
+    """Return the subjects of some channels, of all where none is named; unknown names raise `InputError`."""
+    known = [subject.channel for subject in sources.subjects]
+    for name in channels:
+        if name not in known:
+            raise InputError(COMMAND, "--channel", found=name, expected=f"one of {', '.join(dict.fromkeys(known))}")
+    return tuple(subject for subject in sources.subjects if not channels or subject.channel in channels)
+
+
+def _read(path: Path) -> Sources:
+    """The subjects of one file or folder."""
+    file = path
+    if path.is_dir():
+        file = next((path / name for name in (MODEL_FILE, MODELS_FILE) if (path / name).is_file()), path)
+        if file == path:
+            expected = f"{MODELS_FILE} of shakercal step or {MODEL_FILE} of shakercal load in it"
+            raise InputError(path, "", found="none of them", expected=expected)
+    return _of_loads(file) if _holds_loads(file) else _of_steps(file)
+
+
+def _holds_loads(file: Path) -> bool:
+    """Whether a file holds models over the load."""
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+        models = content["models"]
+        return bool(models) and "moving_mass" in models[0]
+    except OSError as error:
+        raise InputError(file, "", found=error.strerror or str(error), expected="a file that can be read") from error
+    except (ValueError, KeyError, TypeError) as error:
+        expected = "models as shakercal step or shakercal load writes them"
+        raise InputError(file, "", found=f"something else ({error})", expected=expected) from error
+
+
+def _of_steps(file: Path) -> Sources:
+    """One subject per channel: its own component, or else the one it answers to most."""
+    models = read_models(file)
+    best: dict[str, ModelEntry] = {}
+    for entry in models:
+        before = best.get(entry.channel)
+        own = entry.component == entry.channel
+        more = before is None or abs(entry.model.static_gain) > abs(before.model.static_gain)
+        if own or (more and (before is None or before.component != before.channel)):
+            best[entry.channel] = entry
+    subjects = [
+        Subject(
+            channel=entry.channel,
+            component=entry.component,
+            unit=entry.unit,
+            load_unit=load_unit(entry.component),
+            model=entry.model,
+            source=f"{entry.method}, {entry.recording}",
+            sample_rate_hz=entry.sample_rate_hz,
+            noise=entry.noise,
+        )
+        for entry in best.values()
+    ]
+    if not subjects:
+        raise InputError(file, "models", found="none", expected="at least one model")
+    return Sources(models.name, tuple(subjects), (file,))
+
+
+def _of_loads(file: Path) -> Sources:
+    """One subject per component; of solutions that the data cannot tell apart the first, told in a notice."""
+    subjects, notices = [], []
+    for model in read_load_models(file):
+        if model.solution > 1:
+            continue
+        if model.solutions > 1:
+            text = (
+                f"{model.solutions} solutions fit the records equally well; filters follow the first, and differ from "
+                "the others with loads that were not measured"
+            )
+            notices.append(Notice("warning", text, model.channel))
+        told = "two masses" if model.is_rigid else "three masses"
+        subject = Subject(model.channel, model.component, model.unit, load_unit(model.component), model, told)
+        loads = ", ".join(subject.load_text(load) for load in model.load_masses)
+        subjects.append(replace(subject, source=f"{told}, fitted to loads of {loads}") if loads else subject)
+    return Sources(file.parent.resolve().name, tuple(subjects), (file,), tuple(notices))
+
+
+def load_unit(component: str) -> str:
+    """Return N or N.m."""
+    return dict(zip(LOAD_COMPONENTS, LOAD_UNITS, strict=True)).get(component, "N")
+
+
+# What a compensation consists of.
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Indices of a system with their standard uncertainties by name, None where they are not known."""
+
+    indices: Indices
+    u: dict[str, float | None]
+
+
+@dataclass(frozen=True)
+class LoadFilter:
+    """The filter of a subject with one load: continuous, for samples, and what it does.
+
+    `load_mass` in kg, None where the load is not modelled. `noise_gain`: of white noise at the sampling rate;
+    `noise`: standard deviation after the filter in the filter's output unit, None where that of the output is not
+    known. `discretisation_error`: largest |G_d/G_c - 1| up to `band_hz`. `off_frequency` (K,) relative, `off_ringing`
+    (K,): residual ringing where the sensor's frequency is off by so much; `off_load` (L,) kg and `load_ringing` (L,)
+    likewise with other loads, empty where the load is not modelled. Ringing from `after_s` on.
+    """
+
+    load_mass: float | None
+    compensation: Compensation
+    sections: Sections
+    before: Figures
+    after: Figures
+    noise_gain: float
+    noise: float | None
+    band_hz: float
+    discretisation_error: float
+    after_s: float
+    off_frequency: FloatArray
+    off_ringing: FloatArray
+    off_load: FloatArray
+    load_ringing: FloatArray
+
+
+@dataclass(frozen=True)
+class SubjectResult:
+    """The filters of one channel, one per load."""
+
+    subject: Subject
+    filters: tuple[LoadFilter, ...]
+
+    @property
+    def output_unit(self) -> str:
+        """Unit of what the filter puts out: that of the load where it is calibrated."""
+        return self.subject.load_unit if self.filters[0].compensation.calibrated else self.subject.unit
+
+
+@dataclass(frozen=True)
+class CompensatedChannel:
+    """A channel of a recording after its filter: `value`, standard uncertainty `u` (N,), and `u_noise` in it.
+
+    `raw` (N,): before it, times the static gain of the filter.
+    """
+
+    channel: str
+    unit: str
+    raw: FloatArray
+    value: FloatArray
+    u: FloatArray
+    u_noise: float
+
+
+@dataclass(frozen=True)
+class CompensatedRecording:
+    """The compensated channels of a recording at `start_s` + n/`sample_rate_hz`."""
+
+    name: str
+    sample_rate_hz: float
+    start_s: float
+    channels: tuple[CompensatedChannel, ...]
+
+    @property
+    def time_s(self) -> FloatArray:
+        """Time of every sample (N,) in s."""
+        return np.asarray(self.start_s + np.arange(len(self.channels[0].value)) / self.sample_rate_hz)

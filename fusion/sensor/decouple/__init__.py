@@ -1,0 +1,1 @@
+"""Decoupling of outputs."""

@@ -1,0 +1,352 @@
+"""Several outputs at once: dynamic cross-talk, and the filter that undoes it."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.base import ComputeError, InputError
+from fusion.recording.load import Manifest
+from fusion.report.provenance import versions
+from fusion.sensitivity.load import LOAD_COMPONENTS
+from fusion.sensor.step.records import StepInput, read_step
+from shaker.arrays import FloatArray, Notice
+from shaker.decoupling.filter import (
+    Crosstalk,
+    DecouplingFilter,
+    Recorded,
+    Target,
+    crosstalks,
+    design_decoupling,
+    static_inverse,
+)
+from shaker.decoupling.fit import fit_steps
+from shaker.decoupling.model import MultiModel
+from shaker.decoupling.order import missing_loads
+from shaker.decoupling.result import MultiFit
+
+# What an evaluated decoupling consists of, and what a user may choose about it.
+
+
+K = 2.0
+"""Coverage factor of all expanded uncertainties."""
+
+
+@dataclass(frozen=True)
+class DecoupleSettings:
+    """Choices that change results: wanted frequency in Hz (None: half that of the lowest mode) and damping ratio of the
+    loads behind the filter; `seed` of what is drawn."""
+
+    frequency_hz: float | None = None
+    damping_ratio: float = 0.6
+    seed: int = 1
+
+    def as_dict(self) -> dict[str, str | float | int]:
+        """Return the settings as plain values for the result files."""
+        wanted = "half that of the lowest mode" if self.frequency_hz is None else self.frequency_hz
+        return {"frequency_hz": wanted, "damping_ratio": self.damping_ratio, "seed": self.seed}
+
+
+@dataclass(frozen=True)
+class DecoupleEvaluation:
+    """Records of all loads, the model of all outputs, the filter, and cross-talk at every stage.
+
+    `capacity` (D,): rated loads of the model's components, None where rig.toml states none; `noise_gain` (D,): noise of
+    each load behind the filter over that with the static matrix alone, `noise` (D,) behind the filter in N or N·m;
+    `deviation` (K,): largest |D·H - T| over all elements, in rated loads, at the frequencies of the cross-talk.
+    """
+
+    name: str
+    manifests: tuple[Manifest, ...]
+    fit: MultiFit
+    decoupler: DecouplingFilter
+    stages: tuple[Crosstalk, ...]
+    capacity: FloatArray | None
+    noise: FloatArray
+    noise_gain: FloatArray
+    deviation: FloatArray
+    notices: tuple[Notice, ...]
+    settings: dict[str, str | float | int]
+    versions: dict[str, str]
+    input_hashes: dict[str, str]
+    duration_s: float
+
+    @property
+    def frequency_hz(self) -> FloatArray:
+        """Return the frequencies (K,) of the cross-talk."""
+        return self.stages[0].frequency_hz
+
+    @property
+    def scale(self) -> FloatArray:
+        """Return what loads (D,) are compared in: rated loads, without them 1 N and 1 N·m."""
+        return np.ones(len(self.fit.model.components)) if self.capacity is None else self.capacity
+
+    def comparable(self, reading: int, load: int) -> bool:
+        """Return whether two loads can be compared: by rated loads any, else those of one unit."""
+        names = self.fit.model.components
+        return self.capacity is not None or names[reading][0] == names[load][0]
+
+    def stage(self, name: str) -> Crosstalk | None:
+        """Return the cross-talk of one stage, None where the outputs do not allow it."""
+        return next((stage for stage in self.stages if stage.stage == name), None)
+
+
+def load_unit(component: str) -> str:
+    """Return the unit of a load component as it stands in files."""
+    return "N" if component.startswith("F") else "N.m"
+
+
+# From releases of several loads to a model of all outputs and a filter against cross-talk.
+
+
+DRAWS = 30
+LINES = 150
+FARTHEST = 1.5
+"""Cross-talk is shown up to this multiple of the highest mode or of the target, whichever is higher."""
+DEVIATES = 0.05
+
+
+def evaluate_decoupling(
+    name: str, manifests: Sequence[Manifest], settings: DecoupleSettings, input_hashes: dict[str, str]
+) -> DecoupleEvaluation:
+    """Return model, filter and cross-talk of one sensor: records of releases → fit → filter → before and after.
+
+    Raises `InputError` for what the user can mend in the files, such as a load that no recording releases.
+    """
+    started = time.monotonic()
+    inputs = _read(manifests)
+    fit = _fitted(manifests, inputs)
+    target = _target(fit, settings)
+    decoupler = _designed(fit, target)
+    frequency_hz = _lines(fit, target)
+    stages = crosstalks(fit.model, decoupler, fit.noise, frequency_hz, np.random.default_rng(settings.seed), DRAWS)
+    capacity = _capacity(manifests[0], fit.model.components)
+    deviation = _deviation(decoupler, stages[-1], capacity)
+    static = np.sqrt(static_inverse(fit.model, fit.noise) ** 2 @ fit.noise**2)
+    noise = decoupler.noise(fit.noise)
+    notices = [notice for item in inputs for notice in item.notices]
+    notices += [*fit.notices, *_notices(fit, target, deviation, frequency_hz, capacity)]
+    return DecoupleEvaluation(
+        name=name,
+        manifests=tuple(manifests),
+        fit=fit,
+        decoupler=decoupler,
+        stages=stages,
+        capacity=capacity,
+        noise=noise,
+        noise_gain=noise / static,
+        deviation=deviation,
+        notices=tuple(dict.fromkeys(notices)),
+        settings=settings.as_dict(),
+        versions=versions(),
+        input_hashes=input_hashes,
+        duration_s=time.monotonic() - started,
+    )
+
+
+def _read(manifests: Sequence[Manifest]) -> list[StepInput]:
+    """All records, of one rig, with the same outputs at one rate, and of every load that the sensor measures."""
+    first = manifests[0]
+    for manifest in manifests:
+        if manifest.rig_path.resolve() != first.rig_path.resolve():
+            expected = f"{first.rig_path}, the rig of {first.folder.name}"
+            raise InputError(manifest.path, "rig", found=str(manifest.rig_path), expected=expected)
+    inputs = [read_step(manifest) for manifest in manifests]
+    record = inputs[0].record
+    for item in inputs[1:]:
+        for key in ("channels", "unit", "sample_rate_hz"):
+            found, expected = getattr(item.record, key), getattr(record, key)
+            if found != expected:
+                told = f"{expected} as in {first.folder.name}"
+                raise InputError(item.manifest.path, f"daq.channel ({key})", found=str(found), expected=told)
+    missing = missing_loads(record.channels, [item.record.component for item in inputs], _static(first))
+    if missing:
+        expected = f"a release of every load that the sensor measures; missing: {', '.join(missing)}"
+        found = ", ".join(dict.fromkeys(item.record.component for item in inputs))
+        raise InputError(first.rig_path.parent, "excitation.component", found=found, expected=expected)
+    return inputs
+
+
+def _static(manifest: Manifest) -> FloatArray | None:
+    """The stated static sensitivities (C, 6), None where there are none."""
+    sensor = manifest.rig.sensor
+    if sensor is None or sensor.static_sensitivity is None:
+        return None
+    return np.asarray(sensor.static_sensitivity, dtype=np.float64)
+
+
+def _fitted(manifests: Sequence[Manifest], inputs: Sequence[StepInput]) -> MultiFit:
+    """The model; what the loads do not tell apart is a matter of the files."""
+    try:
+        return fit_steps([item.record for item in inputs])
+    except ValueError as error:
+        text = str(error)
+        if text.startswith(("channels:", "components:")):
+            key, _, rest = text.partition(": ")
+            expected, _, found = rest.removeprefix("expected ").partition(", found ")
+            raise InputError(manifests[0].rig_path.parent, key, found=found, expected=expected) from error
+        raise ComputeError(f"no model of the releases was found: {text}") from error
+
+
+def _target(fit: MultiFit, settings: DecoupleSettings) -> Target:
+    """The wanted dynamics, alike for all loads."""
+    count = len(fit.model.components)
+    wanted = 0.5 * float(fit.model.frequency_hz.min()) if settings.frequency_hz is None else settings.frequency_hz
+    if wanted >= 0.25 * fit.sample_rate_hz:
+        raise ComputeError(
+            f"wanted frequency {wanted:g} Hz: expected below a quarter of the sampling rate, {fit.sample_rate_hz:g} Hz"
+        )
+    return Target(np.full(count, wanted), np.full(count, settings.damping_ratio))
+
+
+def _designed(fit: MultiFit, target: Target) -> DecouplingFilter:
+    """The filter for the noise of the records and loads of the size of the releases."""
+    try:
+        return design_decoupling(fit.model, target, Recorded(fit.sample_rate_hz, fit.noise, fit.amplitude))
+    except (ValueError, np.linalg.LinAlgError) as error:
+        raise ComputeError(f"no filter was found: {error}") from error
+
+
+def _lines(fit: MultiFit, target: Target) -> FloatArray:
+    """Frequencies in Hz, evenly spaced on a logarithmic scale, and those of the modes."""
+    highest = max(float(fit.model.frequency_hz.max()), float(target.frequency_hz.max()))
+    top = min(FARTHEST * highest, 0.45 * fit.sample_rate_hz)
+    low = float(fit.model.frequency_hz.min()) / 100.0
+    spaced = np.geomspace(low, top, LINES)
+    return np.unique(np.concatenate([spaced, fit.model.frequency_hz]))
+
+
+def _capacity(manifest: Manifest, components: Sequence[str]) -> FloatArray | None:
+    """Rated loads of the components, None where they are not stated for all."""
+    sensor = manifest.rig.sensor
+    if sensor is None or sensor.capacity is None:
+        return None
+    stated = dict(zip(LOAD_COMPONENTS, np.asarray(sensor.capacity, dtype=np.float64), strict=False))
+    found = np.array([stated.get(component, 0.0) for component in components])
+    return found if np.all(found > 0) else None
+
+
+def _deviation(decoupler: DecouplingFilter, filtered: Crosstalk, capacity: FloatArray | None) -> FloatArray:
+    """Largest |D·H - T| at every frequency, in rated loads; without them of the loads with themselves."""
+    wanted = decoupler.target(filtered.frequency_hz)[:, :, None] * np.eye(len(filtered.components))
+    difference = np.abs(filtered.value - wanted)
+    if capacity is None:
+        return np.asarray(np.einsum("kii->ki", difference).max(axis=1))
+    return np.asarray(filtered.rated(capacity, difference).max(axis=(1, 2)))
+
+
+def _notices(
+    fit: MultiFit, target: Target, deviation: FloatArray, frequency_hz: FloatArray, capacity: FloatArray | None
+) -> list[Notice]:
+    """What the user should know of target and comparison."""
+    found = []
+    within = frequency_hz <= target.frequency_hz.max()
+    if deviation[within].max() > DEVIATES:
+        place = frequency_hz[within][deviation[within] > DEVIATES][0]
+        text = (
+            f"from {place:.0f} Hz on loads and wanted dynamics differ by more than {100 * DEVIATES:g} %: the outputs "
+            "tell too little there over their noise; a lower frequency is within reach"
+        )
+        found.append(Notice("warning", text, "filter"))
+    if capacity is None:
+        text = "no rated loads (sensor.capacity): cross-talk between forces and moments is not compared"
+        found.append(Notice("info", text, "sensor.capacity"))
+    unknown = [c for c, u in zip(fit.model.components, fit.u_amplitude, strict=True) if u == 0.0]
+    if unknown:
+        text = f"released loads of {', '.join(unknown)} count as exact: U holds noise and fit"
+        found.append(Notice("info", text, "excitation.step_amplitude"))
+    return found
+
+
+# decoupling.json: the filter with the model it comes from, at full precision.
+
+
+FORMAT = 1
+KIND = "shakercal decoupling"
+RECURSION = (
+    "f[n] = sum_k taps[k] y[n-k] + Re sum_i shown[:,i] x_i[n-L]; x_i[n+1] = poles[i] x_i[n] + driven[i] y[n]; "
+    "L = len(taps)-1; complex numbers as [re, im]"
+)
+
+
+def filter_text(decoupler: DecouplingFilter, model: MultiModel) -> str:
+    """Return the text of decoupling.json."""
+    content = {
+        "format": FORMAT,
+        "kind": KIND,
+        "recursion": RECURSION,
+        "channels": list(decoupler.channels),
+        "components": list(decoupler.components),
+        "unit": decoupler.unit,
+        "sample_rate_hz": decoupler.sample_rate_hz,
+        "delay_samples": decoupler.delay,
+        "target": {
+            "frequency_hz": decoupler.target_hz.tolist(),
+            "damping_ratio": decoupler.target_damping.tolist(),
+        },
+        "taps": decoupler.taps.tolist(),
+        "poles": _pairs(decoupler.poles),
+        "driven": _pairs(decoupler.driven),
+        "shown": _pairs(decoupler.shown),
+        "model": _model(model),
+    }
+    return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+
+
+def read_filter(path: Path) -> DecouplingFilter:
+    """Return the filter of a decoupling.json, to the last bit; raises `InputError`."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if content.get("kind") != KIND or content.get("format") != FORMAT:
+            found = f"kind {content.get('kind')!r}, format {content.get('format')!r}"
+            raise InputError(path, "kind", found=found, expected=f"{KIND}, format {FORMAT}")
+        return DecouplingFilter(
+            channels=tuple(content["channels"]),
+            components=tuple(content["components"]),
+            unit=content["unit"],
+            sample_rate_hz=float(content["sample_rate_hz"]),
+            taps=np.array(content["taps"], dtype=np.float64),
+            poles=_complex(content["poles"]),
+            driven=_complex(content["driven"]),
+            shown=_complex(content["shown"]),
+            target_hz=np.array(content["target"]["frequency_hz"], dtype=np.float64),
+            target_damping=np.array(content["target"]["damping_ratio"], dtype=np.float64),
+        )
+    except (OSError, KeyError, TypeError, AttributeError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        expected = "a decoupling.json written by shakercal decouple"
+        raise InputError(path, "", found=str(error), expected=expected) from error
+
+
+def _model(model: MultiModel) -> dict[str, Any]:
+    """The model with standard uncertainties."""
+    found: dict[str, Any] = {
+        name: getattr(model, name).tolist() for name in ("frequency_hz", "damping_ratio", "real_hz", "real_residue")
+    }
+    found["residue"] = _pairs(model.residue)
+    if model.covariance is not None:
+        found["u_frequency_hz"] = model.u.frequency_hz.tolist()
+        found["u_damping_ratio"] = model.u.damping_ratio.tolist()
+        found["u_real_hz"] = model.u.real_hz.tolist()
+        found["u_residue"] = _pairs(model.u.residue)
+        found["u_real_residue"] = model.u.real_residue.tolist()
+    return found
+
+
+def _pairs(values: NDArray[np.complex128]) -> Any:
+    """Complex numbers as [re, im]."""
+    return np.stack([values.real, values.imag], axis=-1).tolist()
+
+
+def _complex(pairs: Any) -> NDArray[np.complex128]:
+    """Complex numbers of [re, im]."""
+    both = np.array(pairs, dtype=np.float64)
+    return np.asarray(both[..., 0] + 1j * both[..., 1])

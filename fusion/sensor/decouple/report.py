@@ -1,0 +1,428 @@
+"""Result folder and page of decoupled outputs."""
+
+from __future__ import annotations
+
+import logging
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from markupsafe import Markup
+
+from fusion.campaign.workers import one_blas_thread
+from fusion.estimation.uncertainty import DASH, rounded, typeset
+from fusion.report.csv_files import csv_text, sensitivity_unit
+from fusion.report.h5 import write_fields, write_value
+from fusion.report.numbers import common_exponent, fixed, measured, number, small, times_ten
+from fusion.report.provenance import check_folder, hash_files
+from fusion.report.recording import ResultFolder, log_notices, page_frame
+from fusion.report.style import Picture
+from fusion.report.tables import Headline, Table, render_page
+from fusion.sensor.decouple.evaluate import (
+    DecoupleEvaluation,
+    DecoupleSettings,
+    K,
+    evaluate_decoupling,
+    filter_text,
+    load_unit,
+)
+from fusion.sensor.decouple.figures import CrosstalkCurves, StepCurves, draw_crosstalk, draw_step
+from fusion.sensor.step.run import step_manifests
+from shaker.arrays import FloatArray
+from shaker.decoupling.filter import Crosstalk, raw_reading, static_inverse, step_readings, step_times
+
+# Tables of a decoupling: what the files, the page and the terminal say.
+
+
+MODEL_COLUMNS = ("quantity", "number", "channel", "component", "value", "u", "U", "k", "unit")
+CROSSTALK_COLUMNS = (
+    *("stage", "quantity", "frequency_hz", "reading", "load"),
+    *("magnitude", "phase_rad", "U", "k", "unit", "rated", "U_rated"),
+)
+STAGE_NAMES = {"raw": "each output alone", "static": "static matrix", "filtered": "filter"}
+Row = list[str | float | int]
+
+
+def model_rows(evaluation: DecoupleEvaluation) -> Iterator[Row]:
+    """Rows of model.csv: poles, ranks, static gains, residues."""
+    model, u = evaluation.fit.model, evaluation.fit.model.u
+    poles = (
+        ("frequency_hz", model.frequency_hz, u.frequency_hz, "Hz"),
+        ("damping_ratio", model.damping_ratio, u.damping_ratio, "1"),
+        ("real_hz", model.real_hz, u.real_hz, "Hz"),
+    )
+    for name, values, spreads, unit in poles:
+        for i, (value, spread) in enumerate(zip(values, spreads, strict=True)):
+            yield [name, i + 1, "", "", float(value), float(spread), K * float(spread), K, unit]
+    for i, rank in enumerate(evaluation.fit.ranks):
+        kind, place = ("rank", i) if i < len(model.frequency_hz) else ("real_rank", i - len(model.frequency_hz))
+        yield [kind, place + 1, "", "", rank.rank, "", "", "", "1"]
+    static, spread_static = model.static_gain, static_u(evaluation)
+    residues = (
+        ("residue_re", model.residue.real, u.residue.real),
+        ("residue_im", model.residue.imag, u.residue.imag),
+        ("real_residue", model.real_residue, u.real_residue),
+    )
+    for d, component in enumerate(model.components):
+        unit = sensitivity_unit(model.unit, component)
+        for c, channel in enumerate(model.channels):
+            spread = float(spread_static[c, d])
+            yield ["static_gain", "", channel, component, float(static[c, d]), spread, K * spread, K, unit]
+            for name, table, spreads in residues:
+                for i, (value, own) in enumerate(zip(table[:, c, d], spreads[:, c, d], strict=True)):
+                    yield [name, i + 1, channel, component, float(value), float(own), K * float(own), K, f"{unit}/s"]
+
+
+def static_u(evaluation: DecoupleEvaluation) -> FloatArray:
+    """Return standard uncertainties (C, D) of the static gains."""
+    model = evaluation.fit.model
+    found = np.zeros((len(model.channels), len(model.components)))
+    for d in range(len(model.components)):
+        slope, covariance = model.column_sensitivity(d, np.zeros(1))
+        found[:, d] = np.sqrt(np.einsum("cp,pq,cq->c", slope[0].real, covariance, slope[0].real))
+    return found
+
+
+def crosstalk_rows(evaluation: DecoupleEvaluation) -> Iterator[Row]:
+    """Rows of crosstalk.csv: every reading of every load at every stage, in a step and over frequency."""
+    for stage in evaluation.stages:
+        for i, reading in enumerate(stage.components):
+            for j, load in enumerate(stage.components):
+                unit = f"{load_unit(reading)}/{'N' if load_unit(load) == 'N' else '(N.m)'}"
+                ratio = evaluation.scale[j] / evaluation.scale[i] if evaluation.comparable(i, j) else np.nan
+                names: Row = [reading, load]
+                peak, spread = float(stage.peak[i, j]), K * float(stage.u_peak[i, j])
+                tail: Row = [spread, K, unit, float(ratio * peak), float(ratio * spread)]
+                yield [stage.stage, "step_peak", "", *names, peak, "", *tail]
+                for k, frequency in enumerate(stage.frequency_hz):
+                    value, spread = complex(stage.value[k, i, j]), K * float(stage.u[k, i, j])
+                    tail = [spread, K, unit, float(ratio * abs(value)), float(ratio * spread)]
+                    yield [stage.stage, "response", float(frequency), *names, abs(value), float(np.angle(value)), *tail]
+
+
+def largest(evaluation: DecoupleEvaluation, stage: Crosstalk) -> tuple[float, float, str]:
+    """Return the cross-talk in a step that may be largest, by value and U, in rated loads, and which it is."""
+    ratio, best = evaluation.scale / evaluation.scale[:, None], (-1.0, 0.0, "")
+    for i, reading in enumerate(stage.components):
+        for j, load in enumerate(stage.components):
+            value = float(stage.peak[i, j] * ratio[i, j])
+            expanded = K * float(stage.u_peak[i, j] * ratio[i, j])
+            if i != j and evaluation.comparable(i, j) and value + expanded > sum(best[:2]):
+                best = (value, expanded, f"{reading} while {load} steps")
+    return best
+
+
+def headlines(evaluation: DecoupleEvaluation) -> list[Headline]:
+    """Return the largest cross-talk at every stage and what the filter makes of the sensor."""
+    found = []
+    for stage in evaluation.stages:
+        value, expanded, which = largest(evaluation, stage)
+        if which:
+            label = f"Cross-talk in a step, {STAGE_NAMES[stage.stage]}"
+            found.append(Headline(label, measured(100 * value, 100 * expanded, "%"), which))
+    target = evaluation.decoupler
+    label = f"{target.target_hz[0]:.6g} Hz, ζ = {target.target_damping[0]:g}"
+    late = 1e6 * target.delay / target.sample_rate_hz
+    found.append(Headline("Dynamics behind the filter", label, f"{target.delay} samples ({late:.3g} µs) late"))
+    return found
+
+
+def modes_table(evaluation: DecoupleEvaluation) -> Table:
+    """Return the common poles, and what each moves."""
+    model, u = evaluation.fit.model, evaluation.fit.model.u
+    rows: list[tuple[str, ...]] = []
+    scale = evaluation.fit.amplitude / evaluation.fit.noise[:, None]
+    for i in np.argsort(model.frequency_hz):
+        rank = evaluation.fit.ranks[i]
+        c, d = np.unravel_index(int(np.argmax(np.abs(model.residue[i]) * scale)), scale.shape)
+        rows.append(
+            (
+                measured(float(model.frequency_hz[i]), K * float(u.frequency_hz[i])),
+                measured(100 * float(model.damping_ratio[i]), 100 * K * float(u.damping_ratio[i])),
+                str(rank.rank),
+                f"{model.channels[c]} by {model.components[d]}",
+            )
+        )
+    for q in np.argsort(model.real_hz):
+        rank = evaluation.fit.ranks[len(model.frequency_hz) + q]
+        value = measured(float(model.real_hz[q]), K * float(u.real_hz[q]))
+        rows.append((value, "real pole", str(rank.rank), DASH))
+    head = ("frequency / Hz", "damping ratio / %", "shapes", "clearest in")
+    return Table("Poles that all outputs share, with U (k = 2)", head, "rrrl", tuple(rows))
+
+
+def peak_tables(evaluation: DecoupleEvaluation) -> list[Table]:
+    """Return for every stage what each load reads while each makes a step, in per cent of rated loads."""
+    found, ratio = [], 100 * evaluation.scale / evaluation.scale[:, None]
+    for stage in evaluation.stages:
+        rows = []
+        for i, reading in enumerate(stage.components):
+            cells: list[str] = []
+            for j in range(len(stage.components)):
+                value, expanded = stage.peak[i, j] * ratio[i, j], K * stage.u_peak[i, j] * ratio[i, j]
+                cells.append(measured(float(value), float(expanded)) if evaluation.comparable(i, j) else DASH)
+            rows.append((reading, *cells))
+        head = ("reading", *(f"step of {name}" for name in stage.components))
+        unit = "rated load" if evaluation.capacity is not None else "the step"
+        caption = f"Largest reading in a step, {STAGE_NAMES[stage.stage]}: % of {unit}, with U (k = 2)"
+        found.append(Table(caption, head, "l" + "r" * len(stage.components), tuple(rows)))
+    return found
+
+
+def static_table(evaluation: DecoupleEvaluation) -> Table:
+    """Return the static outputs with U for rated loads, without these per unit of load."""
+    model = evaluation.fit.model
+    value, expanded = model.static_gain * evaluation.scale, K * static_u(evaluation) * evaluation.scale
+    exponent = common_exponent(value.astype(np.complex128))
+    rows = tuple(
+        (channel, *(fixed(float(value[c, d]), float(expanded[c, d]), exponent) for d in range(value.shape[1])))
+        for c, channel in enumerate(model.channels)
+    )
+    head = ("output", *model.components)
+    wanted = "for the rated load" if evaluation.capacity is not None else "per N and per N·m"
+    caption = Markup("Output at rest {}, in {}, with U (k = 2)").format(wanted, times_ten(exponent, model.unit))
+    return Table(caption, head, "l" + "r" * value.shape[1], rows)
+
+
+def noise_table(evaluation: DecoupleEvaluation) -> Table:
+    """Return the noise of the loads behind the filter beside that of the static matrix."""
+    rows = tuple(
+        (
+            name,
+            number(float(noise / gain)),
+            number(float(noise)),
+            number(float(gain)),
+            typeset(load_unit(name)),
+        )
+        for name, noise, gain in zip(
+            evaluation.fit.model.components, evaluation.noise, evaluation.noise_gain, strict=True
+        )
+    )
+    head = ("load", "static matrix", "filter", "gain", "unit")
+    return Table("Noise of a sample (standard deviation) by the outputs' noise", head, "lrrrl", rows)
+
+
+def releases_table(evaluation: DecoupleEvaluation) -> Table:
+    """Return what was found of every release."""
+    rows = tuple(
+        (
+            release.record,
+            release.component,
+            release.release or DASH,
+            measured(1e3 * release.middle_s, 1e3 * K * release.u_middle_s),
+            measured(1e3 * release.duration_s, 1e3 * K * release.u_duration_s) if release.duration_s else "step",
+            {"ramp": "line", "smooth": "half a cosine"}[release.shape],
+            measured(100 * (release.gain - 1), 100 * K * release.u_gain),
+            small(float(release.misfit.max())),
+        )
+        for release in evaluation.fit.releases
+    )
+    head = ("recording", "load", "released by", "middle / ms", "duration / ms", "along", "size − mean / %", "misfit")
+    return Table("Releases, with U (k = 2); misfit: largest residual over the noise", head, "lllrrlrr", rows)
+
+
+def trials_table(evaluation: DecoupleEvaluation) -> Table:
+    """Return the numbers of poles that were tried."""
+    rows = tuple(
+        (
+            str(t.modes),
+            str(t.reals),
+            f"{t.misfit:.4f}",
+            f"{t.criterion:.0f}".replace("-", "−"),
+            "yes" if t.kept else "no",
+        )
+        for t in evaluation.fit.trials
+    )
+    head = ("modes", "real poles", "residual² over noise²", "criterion", "kept")
+    return Table("Numbers of poles that were tried (around the releases)", head, "rrrrl", rows)
+
+
+def printed(evaluation: DecoupleEvaluation) -> Iterator[str]:
+    """Lines for the terminal."""
+    model, u = evaluation.fit.model, evaluation.fit.model.u
+    told = []
+    for i in np.argsort(model.frequency_hz):
+        text = rounded(float(model.frequency_hz[i]), K * float(u.frequency_hz[i]))
+        told.append(f"({text.value} ± {text.expanded})")
+    yield f"{len(told)} modes common to {len(model.channels)} outputs: {', '.join(told)} Hz (k = 2)"
+    for stage in evaluation.stages:
+        value, expanded, which = largest(evaluation, stage)
+        if which:
+            text = rounded(100 * value, 100 * expanded)
+            yield f"cross-talk in a step, {STAGE_NAMES[stage.stage]}: ({text.value} ± {text.expanded}) %, {which}"
+    target, gain = evaluation.decoupler, evaluation.noise_gain
+    yield (
+        f"filter to {target.target_hz[0]:.6g} Hz, damping ratio {target.target_damping[0]:g}: "
+        f"{len(target.poles)} poles, {target.delay} sample{'' if target.delay == 1 else 's'} of delay, "
+        f"noise gain {gain.min():.3g} to {gain.max():.3g}"
+    )
+
+
+# decouple.html: one self-contained page with modes, cross-talk before and after, filter and origin.
+
+
+PAGE_FILE = "decouple.html"
+SHOWN_S = 5e-3
+
+
+def render_decouple_page(evaluation: DecoupleEvaluation) -> str:
+    """HTML text of the page; style and figures are inside, nothing is fetched from elsewhere."""
+    return render_page("decouple.html", _context(evaluation))
+
+
+def _context(evaluation: DecoupleEvaluation) -> dict[str, Any]:
+    """Everything the template shows."""
+    return {
+        "name": evaluation.name,
+        "subject": _subject(evaluation),
+        "headlines": headlines(evaluation),
+        "crosstalk": [_crosstalk(evaluation)],
+        "peaks": peak_tables(evaluation),
+        "steps": [_step(evaluation)],
+        "modes": modes_table(evaluation),
+        "static": static_table(evaluation),
+        "noise": noise_table(evaluation),
+        "releases": releases_table(evaluation),
+        "trials": trials_table(evaluation),
+        "deviation": f"{100 * float(evaluation.deviation[_within(evaluation)].max()):.2g}",
+        **page_frame(evaluation),
+    }
+
+
+def _within(evaluation: DecoupleEvaluation) -> Any:
+    """Which frequencies lie below that of the wanted dynamics."""
+    return evaluation.frequency_hz <= evaluation.decoupler.target_hz.max()
+
+
+def _subject(evaluation: DecoupleEvaluation) -> list[tuple[str, str]]:
+    """What was released: rig, sensor, recordings."""
+    rig = evaluation.manifests[0].rig
+    facts = [("Rig", rig.name)]
+    if rig.sensor is not None:
+        facts.append(("Sensor", f"{rig.sensor.name} {rig.sensor.serial}".strip()))
+    model = evaluation.fit.model
+    counts = [
+        f"{name} {sum(release.component == name for release in evaluation.fit.releases)}" for name in model.components
+    ]
+    facts.append(("Releases", ", ".join(counts)))
+    facts.append(("Outputs", f"{', '.join(model.channels)} at {evaluation.fit.sample_rate_hz:g} Hz"))
+    return facts
+
+
+def _crosstalk(evaluation: DecoupleEvaluation) -> Picture:
+    """The largest cross-talk of every load over frequency."""
+    curves, ratio = [], 100 * evaluation.scale / evaluation.scale[:, None]
+    names = evaluation.fit.model.components
+    for j, load in enumerate(names):
+        others = [i for i in range(len(names)) if i != j and evaluation.comparable(i, j)]
+        if not others:
+            continue
+        values, expanded = [], []
+        for stage in evaluation.stages:
+            size = np.abs(stage.value[:, others, j]) * ratio[others, j]
+            worst = np.argmax(size, axis=1)[:, None]
+            spread = K * stage.u[:, others, j] * ratio[others, j]
+            values.append(np.take_along_axis(size, worst, axis=1)[:, 0])
+            expanded.append(np.take_along_axis(spread, worst, axis=1)[:, 0])
+        stages = tuple(stage.stage for stage in evaluation.stages)
+        labels = tuple(STAGE_NAMES[stage] for stage in stages)
+        curves.append(CrosstalkCurves(load, evaluation.frequency_hz, stages, labels, tuple(values), tuple(expanded)))
+    return draw_crosstalk(curves, evaluation.fit.model.frequency_hz, float(evaluation.decoupler.target_hz[0]))
+
+
+def _step(evaluation: DecoupleEvaluation) -> Picture:
+    """The readings while the load steps that shows most with the static matrix alone."""
+    model, ratio = evaluation.fit.model, evaluation.scale / evaluation.scale[:, None]
+    static = next(stage for stage in evaluation.stages if stage.stage == "static")
+    size = np.where(np.eye(len(model.components), dtype=np.bool_), 0.0, static.peak * ratio)
+    for i, j in np.ndindex(size.shape):
+        size[i, j] *= evaluation.comparable(i, j)
+    load = int(np.argmax(size.max(axis=0)))
+    time_s = step_times(model, evaluation.decoupler)
+    time_s = time_s[time_s <= SHOWN_S]
+    matrices = (("raw", raw_reading(model)), ("static", static_inverse(model, evaluation.fit.noise)))
+    readers = [(stage, reader) for stage, reader in matrices if reader is not None]
+    shown = [(stage, step_readings(model, reader, time_s)[:, :, load]) for stage, reader in readers]
+    shown.append(("filtered", step_readings(model, evaluation.decoupler, time_s)[:, :, load]))
+    labels = tuple(STAGE_NAMES[stage] for stage, _ in shown)
+    values = tuple(value * ratio[:, load] for _, value in shown)
+    return draw_step(StepCurves(model.components[load], model.components, time_s, labels, values))
+
+
+# The folder of a decoupling's results: filter, tables, HDF5 file and page, whole or not at all.
+
+
+FORMAT = 1
+FILTER_FILE, MODEL_FILE, CROSSTALK_FILE, H5_FILE = "decoupling.json", "model.csv", "crosstalk.csv", "decouple.h5"
+OWN_FILE = re.compile(r"decoupling\.json|(model|crosstalk)\.csv|decouple\.(h5|html)")
+MODEL_FIELDS = ("channels", "components", "unit", "frequency_hz", "damping_ratio", "residue", "real_hz", "real_residue")
+
+
+def write_decoupling(evaluation: DecoupleEvaluation, folder: Path, *, force: bool = False) -> list[Path]:
+    """Write every result file and return their paths; other folders are refused unless `force`."""
+    return ResultFolder(H5_FILE, OWN_FILE, _texts, _fill).write(evaluation, folder, force=force)
+
+
+def _texts(evaluation: DecoupleEvaluation) -> dict[str, str]:
+    """Filter, tables and page."""
+    return {
+        FILTER_FILE: filter_text(evaluation.decoupler, evaluation.fit.model),
+        MODEL_FILE: csv_text(MODEL_COLUMNS, model_rows(evaluation)),
+        CROSSTALK_FILE: csv_text(CROSSTALK_COLUMNS, crosstalk_rows(evaluation)),
+        PAGE_FILE: render_decouple_page(evaluation),
+    }
+
+
+def _fill(file: h5py.File, evaluation: DecoupleEvaluation) -> None:
+    """Fill the HDF5 file."""
+    file.attrs["format"] = FORMAT
+    file.attrs["name"] = evaluation.name
+    file.attrs["model"] = "H(s) = sum R/(s-p) + conj + sum R_q/(s-p_q); poles in rad/s; k = 1"
+    fit = evaluation.fit
+    model = file.create_group("model", track_order=True)
+    for name in (*MODEL_FIELDS, "covariance"):
+        write_value(model, name, getattr(fit.model, name))
+    own = file.create_group("fit", track_order=True)
+    for name in ("noise", "sample_rate_hz", "amplitude", "u_amplitude", "variance_accounted", "losses"):
+        write_value(own, name, getattr(fit, name))
+    releases = file.create_group("releases", track_order=True)
+    for release in fit.releases:
+        write_fields(releases.create_group(release.record, track_order=True), release)
+    write_fields(file.create_group("filter", track_order=True), evaluation.decoupler)
+    for name in ("noise", "noise_gain", "deviation"):
+        write_value(file["filter"], f"{name}_of_loads" if name == "noise" else name, getattr(evaluation, name))
+    stages = file.create_group("crosstalk", track_order=True)
+    for stage in evaluation.stages:
+        write_fields(stages.create_group(stage.stage, track_order=True), stage)
+
+
+# The command `shakercal decouple`: recordings of releases → model, filter, result folder.
+
+
+log = logging.getLogger("shakercal")
+DEFAULT_FOLDER = "decouple"
+
+
+def run_decouple(
+    path: Path, output: Path | None, settings: DecoupleSettings, *, force: bool = False, allow_outside: bool = False
+) -> None:
+    """Evaluate all releases of a campaign together, write the results and print the summary.
+
+    Results stand in the campaign's folder `decouple` or in `output`. A place that cannot take them is refused before
+    anything is computed.
+    """
+    manifests = step_manifests(path, allow_outside=allow_outside)
+    folder = (path if path.is_dir() else path.parent) / DEFAULT_FOLDER if output is None else output
+    hashes = hash_files([file for manifest in manifests for file in manifest.files], manifests[0].root)
+    check_folder(folder, hashes, force=force, marker=H5_FILE)
+    with one_blas_thread():
+        evaluation = evaluate_decoupling(manifests[0].rig.name, manifests, settings, hashes)
+    log_notices(evaluation, log)
+    write_decoupling(evaluation, folder, force=force)
+    print(evaluation.name)
+    for line in printed(evaluation):
+        print(line)
+    print(f"report: {folder / PAGE_FILE}")

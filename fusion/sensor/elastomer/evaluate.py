@@ -1,0 +1,450 @@
+"""Geometry to natural frequencies and mode shapes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from fusion.base import InputError, ProgressCallback, no_progress
+from fusion.report.provenance import versions
+from fusion.sensor.elastomer.definition import Definition
+from fusion.sensor.elastomer.figures import Shape
+from fusion.sensor.models_file import read_models
+from shaker.arrays import FloatArray, Notice
+from shaker.elastomer.element import FrameModel, PlatformFit, platform_family, sensitivities, solve_frame
+from shaker.elastomer.frame import NAMES, MountedChain, mounted_hz, rigid_motion
+from shaker.elastomer.geometry import (
+    PublishedStatics,
+    Section,
+    beam_stiffness,
+    guided_stiffness,
+    oscillator_hz,
+    required_stiffness,
+)
+from shaker.elastomer.solid import SolidModel, converged, solve_solid
+from shaker.lti.modal import ModalModel
+
+# What is computed of an elastic element.
+
+
+class Fact(NamedTuple):
+    """A number of the beam formulas: `printed` by the publication's formula, `right` by what stands in its place."""
+
+    name: str
+    label: str
+    printed: float | None
+    right: float | None
+    unit: str
+    remark: str
+
+
+@dataclass(frozen=True)
+class Column:
+    """Natural frequencies by one model or measurement: `frequency_hz`, `u_hz` (6,), NaN where there is none.
+
+    `kind`: "formula", "frame", "solid", "measured" or "stated". `u_hz` 0 of what is computed or given without it.
+    """
+
+    name: str
+    kind: str
+    frequency_hz: FloatArray
+    u_hz: FloatArray
+
+
+@dataclass(frozen=True)
+class SolidStudy:
+    """The solid on meshes of growing refinement, and on the last but one of them with a platform that does not bend."""
+
+    refinements: tuple[int, ...]
+    meshes: tuple[SolidModel, ...]
+    rigid: SolidModel
+
+    @property
+    def finest(self) -> SolidModel:
+        """The solution that counts."""
+        return self.meshes[-1]
+
+
+@dataclass(frozen=True)
+class Mounted:
+    """Sensor between hand and pedestal: modes (N,) of the chain, and over the hand's mass (H,) joined without spring.
+
+    `stiffness`, `mass`: of the sensor along the direction, as the frame has them.
+    """
+
+    direction: str
+    stiffness: float
+    mass: float
+    frequency_hz: FloatArray
+    damping_ratio: FloatArray
+    hand_mass: FloatArray
+    mounted_hz: FloatArray
+
+
+@dataclass(frozen=True)
+class ElementEvaluation:
+    """An element with its models side by side; `sensitivity`: relative change of the six frequencies per change."""
+
+    name: str
+    definition: Definition
+    facts: tuple[Fact, ...]
+    frame: FrameModel
+    sensitivity: dict[str, FloatArray]
+    solid: SolidStudy | None
+    columns: tuple[Column, ...]
+    fits: tuple[PlatformFit, ...]
+    mounted: Mounted | None
+    notices: tuple[Notice, ...]
+    settings: dict[str, str | float | int]
+    versions: dict[str, str]
+    input_hashes: dict[str, str]
+    duration_s: float
+
+    @property
+    def spread(self) -> FloatArray:
+        """How far apart the columns are, `spread` of them (6,)."""
+        return spread(self.columns)
+
+
+def spread(columns: Sequence[Column]) -> FloatArray:
+    """Return (max - min)/max (6,) over columns, NaN where fewer than two have a value: as the paper's Table 6."""
+    values = np.stack([column.frequency_hz for column in columns])
+    filled = np.isfinite(values)
+    highest = np.max(np.where(filled, values, -np.inf), axis=0)
+    lowest = np.min(np.where(filled, values, np.inf), axis=0)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.where(filled.sum(axis=0) > 1, (highest - lowest) / highest, np.nan))
+
+
+# The columns of the comparison: beam formulas, frame, solid, measured models, stated frequencies.
+
+
+MODE_OF = dict(zip(("Fx", "Fy", "Fz", "Mx", "My", "Mz"), NAMES, strict=True))
+"""Which mode a load component excites."""
+
+
+def formula_column(definition: Definition) -> Column:
+    """Return √(k/m)/2π along the axes from the closed form and the platform's mass; turns have none."""
+    beams, mass = definition.beams, definition.platform.mass_kg
+    stiffness = beam_stiffness(beams, definition.file.platform.half_size)
+    along = oscillator_hz(stiffness.x, mass)
+    return _exact("beam formulas", "formula", {"Tx": along, "Ty": along, "Tz": oscillator_hz(stiffness.z, mass)})
+
+
+def model_columns(frame: FrameModel, solid: SolidStudy | None) -> list[Column]:
+    """Return frame and, where it was asked for, solid."""
+    found = [Column("frame", "frame", frame.modes.frequency_hz, np.zeros(6))]
+    return found + ([Column("solid", "solid", solid.finest.frequency_hz, np.zeros(6))] if solid else [])
+
+
+def stated_columns(definition: Definition) -> list[Column]:
+    """Return the columns of GEOMETRY.toml."""
+    return [_exact(item.name, "stated", item.stated) for item in definition.file.stated]
+
+
+def measured_column(definition: Definition) -> tuple[Column | None, list[Notice]]:
+    """Return the mode of every measured model that swings most after a step, with its standard uncertainty."""
+    path = definition.file.measured
+    if path is None:
+        return None, []
+    value, u = np.full(6, np.nan), np.full(6, np.nan)
+    notices = []
+    for entry in read_models(path).driven:
+        name = MODE_OF.get(entry.component)
+        if name is None or not len(entry.model.frequency_hz):
+            text = f"{entry.component}: no oscillating mode in {path.name}"
+            notices.append(Notice("info", text, "measured"))
+            continue
+        place = NAMES.index(name)
+        value[place], u[place] = dominant(entry.model)
+    return Column("measured", "measured", value, u), notices
+
+
+def dominant(model: ModalModel) -> tuple[float, float]:
+    """Return frequency in Hz and u of the oscillating mode with the largest |r/p|; u is NaN without covariance."""
+    count = len(model.frequency_hz)
+    place = int(np.argmax(np.abs(model.residue / model.poles[:count])))
+    u = np.nan if model.covariance is None else float(np.sqrt(model.covariance[place, place]))
+    return float(model.frequency_hz[place]), u
+
+
+def _exact(name: str, kind: str, known: dict[str, float]) -> Column:
+    """A column of numbers without uncertainty."""
+    value: FloatArray = np.array([known.get(mode, np.nan) for mode in NAMES])
+    return Column(name, kind, value, np.zeros(6))
+
+
+# The numbers of the beam formulas: as the publication's formulas give them, and as mechanics does.
+
+
+PRINTED_SHARE = 0.4
+"""F_Q/F of equation 10."""
+
+
+def statics_facts(definition: Definition, frame: FrameModel) -> tuple[Fact, ...]:
+    """Return shear modulus, force shares, stiffnesses and frequencies, printed formula beside the right one."""
+    beams, mass = definition.beams, definition.platform.mass_kg
+    printed, closed = PublishedStatics(beams), beam_stiffness(beams, definition.file.platform.half_size)
+    point, first = guided_stiffness(beams), float(frame.modes.frequency_hz[0])
+    stiffness = printed.stiffness(PRINTED_SHARE)
+    ratio = printed.force_ratio / 4.0
+    guided, cantilever = "compliant beams guided at mid-span", "compliant beams as cantilevers"
+    shear = beams.material.shear_modulus_pa
+    return (
+        Fact("shear_modulus", "shear modulus G", printed.shear_modulus_pa, shear, "Pa", "E/(1+μ) printed for E/2(1+μ)"),
+        Fact("force_ratio", "F_Q/F_c, eq. 10", printed.force_ratio, ratio, "1", f"{cantilever}; printed value 8"),
+        Fact("beam_share", "F_Q/F, eq. 10", printed.beam_share, ratio / (2 * ratio + 4), "1", "printed value 0.4"),
+        Fact("stiffness_point", "k, platform a point, eq. 11", stiffness, point, "N/m", f"F_Q = 0.4 F; {guided}"),
+        Fact("stiffness_x", "k along x, y with the platform", None, closed.x, "N/m", "closed form, no turning"),
+        Fact("stiffness_z", "k along z with the platform", None, closed.z, "N/m", "closed form, no turning"),
+        Fact(
+            "frequency_point",
+            "f of k and the moving mass, eq. 17",
+            oscillator_hz(stiffness, mass),
+            oscillator_hz(point, mass),
+            "Hz",
+            f"platform and parts, {1e3 * mass:.4g} g",
+        ),
+        Fact(
+            "stiffness_needed",
+            "k that the frame's Tx asks of one oscillator",
+            None,
+            required_stiffness(first, mass),
+            "N/m",
+            f"{first:.1f} Hz with the same mass",
+        ),
+    )
+
+
+def mounted_chain(definition: Definition, frame: FrameModel) -> Mounted | None:
+    """Return the sensor between hand and pedestal, with the frame's stiffness and the mass that its frequency means."""
+    told = definition.file.mounting
+    if told is None:
+        return None
+    place = NAMES.index(told.direction)
+    stiffness = float(frame.stiffness[place])
+    mass = stiffness / (2.0 * np.pi * float(frame.modes.frequency_hz[place])) ** 2
+    chain = MountedChain(
+        mass_kg=np.array([told.hand_mass, mass, told.pedestal_mass]),
+        stiffness=np.array([told.hand_stiffness, stiffness, told.pedestal_stiffness]),
+        damping=np.array([told.hand_damping, told.sensor_damping, told.pedestal_damping]),
+    )
+    frequency, damping = chain.modes()
+    top = told.hand_mass or mass
+    hands = np.linspace(0.0, 2.0 * top, 81)
+    return Mounted(told.direction, stiffness, mass, frequency, damping, hands, mounted_hz(stiffness, mass, hands))
+
+
+# Mode shapes as faces in space, for the pictures: beams and platform of the frame, the outside of the solid.
+
+
+SIDES = ((0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5), (0, 1, 3, 2), (4, 5, 7, 6))
+"""Faces of a box by its corners, numbered with the bits of x, y, z."""
+PLATFORM_PARTS = 4
+"""Tiles along each edge of the platform, so that its colours show how it turns."""
+REVERSED = {
+    "Tx": (True, False),
+    "Ry": (True, False),
+    "Ty": (False, True),
+    "Rx": (False, True),
+    "Tz": (False, False),
+    "Rz": (True, True),
+}
+"""Modes whose motion is mirrored with reversed sign in the planes x = 0 and y = 0."""
+
+
+def frame_shapes(definition: Definition, model: FrameModel) -> list[Shape]:
+    """Return the six modes of the frame, beams with their sections, the platform as a block."""
+    frame, platform = model.frame, definition.file.platform
+    thickness = platform.thickness or definition.beams.beam_height_m
+    centre = np.array([0.0, 0.0, platform.height])
+    part = platform.half_size / PLATFORM_PARTS
+    tiles = part * np.arange(1.0 - PLATFORM_PARTS, PLATFORM_PARTS, 2.0)
+    blocks = [centre + np.array([x, y, 0.0]) + _box(part, part, 0.5 * thickness) for x in tiles for y in tiles]
+    found = []
+    for mode, name in enumerate(NAMES):
+        nodes, own = model.node_motion(mode), model.platform_motion(mode)
+        rest, motion = [], []
+        for ends, section in zip(frame.beam, frame.section, strict=True):
+            corners, moves = _beam(frame.node_m[ends], nodes[ends], section)
+            rest.append(corners)
+            motion.append(moves)
+        rest += blocks
+        motion += [np.stack([(rigid_motion(corner) @ own)[:3] for corner in block]) for block in blocks]
+        faces = [np.stack(parts)[:, SIDES].reshape(-1, 4, 3) for parts in (rest, motion)]
+        found.append(Shape(name, float(model.modes.frequency_hz[mode]), faces[0], faces[1]))
+    return found
+
+
+def solid_shapes(drawn: SolidModel, finest: SolidModel) -> list[Shape]:
+    """Return the six modes on the outside of one mesh, in all quarters, with the finest mesh's frequencies."""
+    faces = _outside(drawn)
+    found = []
+    for mode, name in enumerate(NAMES):
+        rest, motion = [], []
+        for signs in ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)):
+            mirror = np.array([*signs, 1.0])
+            sense = np.prod([-1.0 if s < 0.0 and r else 1.0 for s, r in zip(signs, REVERSED[name], strict=True)])
+            rest.append(drawn.vertex_m[faces] * mirror)
+            motion.append(sense * drawn.motion[mode][faces] * mirror)
+        found.append(Shape(name, float(finest.frequency_hz[mode]), np.concatenate(rest), np.concatenate(motion)))
+    return found
+
+
+def _beam(ends: FloatArray, motion: FloatArray, section: Section) -> tuple[FloatArray, FloatArray]:
+    """Corners (8, 3) of a beam of a section between two nodes (2, 3), and how they move with the nodes (2, 6)."""
+    along = ends[1] - ends[0]
+    across = np.cross([0.0, 0.0, 1.0], along / np.linalg.norm(along))
+    box = _box(1.0, 0.5 * section.width_m, 0.5 * section.height_m)
+    offset = box[:, 1:2] * across + box[:, 2:] * np.array([0.0, 0.0, 1.0])
+    end = (box[:, 0] > 0.0).astype(np.int64)
+    moves = [(rigid_motion(o) @ motion[e])[:3] for o, e in zip(offset, end, strict=True)]
+    return ends[end] + offset, np.stack(moves)
+
+
+def _box(x: float, y: float, z: float) -> FloatArray:
+    """Corners (8, 3) of a box about the origin."""
+    bits = np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)])
+    return np.asarray((2.0 * bits - 1.0) * np.array([x, y, z]))
+
+
+def _outside(model: SolidModel) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
+    """Vertex numbers (P, 4) of the faces that belong to one cell only, those in the planes of symmetry left out."""
+    corners = model.vertex_m[model.cell]
+    bits = (corners > corners.mean(axis=1, keepdims=True)).astype(np.int64) @ np.array([1, 2, 4])
+    ordered = np.take_along_axis(model.cell, np.argsort(bits, axis=1), axis=1)
+    faces = ordered[:, SIDES].reshape(-1, 4)
+    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    single = faces[first[count == 1]]
+    inner = np.any(np.all(np.abs(model.vertex_m[single][..., :2]) < 1e-9, axis=1), axis=1)
+    return np.asarray(single[~inner])
+
+
+# From an element's geometry to its modes: formulas, frame, solid, comparison.
+
+
+KEYS = {
+    "compliant_length_m": "compliant_beams.length",
+    "beam_width_m": "beams.width",
+    "half_size_m": "platform.half_size",
+    "height_m": "platform.height",
+}
+"""Keys of GEOMETRY.toml by the argument that a model refuses."""
+STIFF = 1e3
+"""Factor on the modulus of a platform that does not bend."""
+CONVERGED, FAR = 0.02, 0.10
+"""Change with the mesh, and distance between frame and solid, from which the user is told."""
+
+
+def evaluate_element(
+    definition: Definition, hashes: dict[str, str], *, solid: bool, progress: ProgressCallback = no_progress
+) -> ElementEvaluation:
+    """Return everything that GEOMETRY.toml asks for; the solid model only where wanted, since it takes a minute."""
+    started = time.monotonic()
+    file = definition.file
+    consistent = file.frame.mass_matrix == "consistent"
+    half_size = file.platform.half_size
+    frame = solve_frame(definition.beams, half_size, definition.platform, file.frame.pieces, consistent)
+    study = _solid(definition, progress) if solid else None
+    measured, notices = measured_column(definition)
+    columns = [formula_column(definition), *model_columns(frame, study)]
+    columns += [measured] if measured is not None else []
+    columns += stated_columns(definition)
+    fits = _fits(definition)
+    notices += [*_of_frame(definition, frame), *_of_solid(frame, study), *_of_fits(fits)]
+    return ElementEvaluation(
+        name=file.name,
+        definition=definition,
+        facts=statics_facts(definition, frame),
+        frame=frame,
+        sensitivity=sensitivities(definition.beams, half_size, definition.platform),
+        solid=study,
+        columns=tuple(columns),
+        fits=fits,
+        mounted=mounted_chain(definition, frame),
+        notices=tuple(notices),
+        settings={"solid": int(solid), "pieces": file.frame.pieces, "mass_matrix": file.frame.mass_matrix},
+        versions=versions(),
+        input_hashes=hashes,
+        duration_s=time.monotonic() - started,
+    )
+
+
+def _solid(definition: Definition, progress: ProgressCallback) -> SolidStudy:
+    """The solid on all meshes; `InputError` where a key, or scikit-fem, is missing."""
+    block, refinements = definition.solid_block, definition.file.solid.refinements
+    if block is None:
+        expected = "the thickness of the block that --solid models"
+        raise InputError(definition.path, "platform.thickness", found="nothing", expected=expected)
+    stiff = replace(block, stiffening=STIFF)
+    wanted = [*((block, refinement) for refinement in refinements), (stiff, refinements[-2])]
+    models = []
+    for done, (model, refinement) in enumerate(wanted):
+        progress("solid", done, len(wanted))
+        try:
+            models.append(solve_solid(definition.beams, model, refinement))
+        except ImportError as error:
+            expected = 'the package that pip install "shakercal[solid]" brings'
+            raise InputError("--solid", "", found=f"none ({error})", expected=expected) from error
+        except ValueError as error:
+            key = KEYS.get(str(error).partition(":")[0], "")
+            raise InputError.told_by(error, definition.path, key) from error
+    progress("solid", len(wanted), len(wanted))
+    return SolidStudy(refinements, tuple(models[:-1]), models[-1])
+
+
+def _fits(definition: Definition) -> tuple[PlatformFit, ...]:
+    """Platform data sought from frequencies, at every half-size."""
+    wanted = definition.file.fit
+    if wanted is None:
+        return ()
+    return platform_family(definition.beams, wanted.half_sizes, wanted.frequencies.stated)
+
+
+def _of_frame(definition: Definition, frame: FrameModel) -> list[Notice]:
+    """Names that fit badly, modes between, and what rules the result."""
+    found = []
+    own = np.diag(frame.modes.participation)
+    for name, share in zip(NAMES, own, strict=True):
+        if share < np.max(frame.modes.participation[:, NAMES.index(name)]):
+            text = f"named after a motion of which {100.0 * share:.0f} % is in it, and more in another mode"
+            found.append(Notice("info", text, name))
+    if len(frame.modes.others_hz):
+        told = ", ".join(f"{value:.0f}" for value in frame.modes.others_hz)
+        found.append(Notice("info", f"further modes in between at {told} Hz: the beams' own", "frame"))
+    if definition.file.platform.mass is not None:
+        text = "mass, centre and inertia are taken as stated; every frequency stands and falls with them"
+        found.append(Notice("info", text, "platform"))
+    return found
+
+
+def _of_solid(frame: FrameModel, study: SolidStudy | None) -> list[Notice]:
+    """Whether the mesh suffices, and where frame and solid are far apart and why."""
+    if study is None:
+        return []
+    found = []
+    change = converged(study.meshes)
+    if np.max(np.abs(change)) > CONVERGED:
+        worst = int(np.argmax(np.abs(change)))
+        text = f"{NAMES[worst]} changed by {100.0 * change[worst]:.1f} % with the last mesh; refine [solid] further"
+        found.append(Notice("warning", text, "solid"))
+    for place, name in enumerate(NAMES):
+        one, other = frame.modes.frequency_hz[place], study.finest.frequency_hz[place]
+        if abs(one / other - 1.0) > FAR:
+            stiff = study.rigid.frequency_hz[place]
+            told = [f"{100.0 * (one / value - 1.0):+.0f} %" for value in (other, stiff)]
+            text = f"frame {told[0]} from the solid, {told[1]} from one whose platform does not bend"
+            found.append(Notice("info", text, name))
+    return found
+
+
+def _of_fits(fits: tuple[PlatformFit, ...]) -> list[Notice]:
+    """What all fits say, once; of each what is its own."""
+    notices = [notice for fit in fits for notice in fit.notices]
+    texts = [notice.text for notice in notices]
+    shared = [Notice(n.severity, n.text, "fit") if texts.count(n.text) > 1 else n for n in notices]
+    return list(dict.fromkeys(shared))

@@ -1,0 +1,164 @@
+"""Figures of an elastic element: mode shapes in space, models against one another, the resonance under a hand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.figure import Figure
+
+from fusion.report.style import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    RED,
+    SKY,
+    Picture,
+    as_file,
+    drawing,
+    finish,
+    lay_out,
+    new_figure,
+    panel_label,
+)
+from shaker.arrays import FloatArray
+
+ENLARGED = 0.08
+"""Largest displacement drawn, over the size of the element."""
+VIEW = {"elev": 26.0, "azim": -58.0}
+COLOURS = (BLACK, BLUE, RED, GREEN, ORANGE, PURPLE, SKY, GREY)
+MARKERS = ("o", "s", "D", "^", "v", "P", "X", "*")
+
+
+@dataclass(frozen=True)
+class Shape:
+    """One mode: `rest_m`, `motion` (P, 4, 3) of the corners of all faces, motion in arbitrary units."""
+
+    name: str
+    frequency_hz: float
+    rest_m: FloatArray
+    motion: FloatArray
+
+
+@dataclass(frozen=True)
+class Compared:
+    """Natural frequencies (C, M) in Hz of columns by mode with expanded uncertainties; NaN: none."""
+
+    columns: tuple[str, ...]
+    modes: tuple[str, ...]
+    frequency_hz: FloatArray
+    expanded_hz: FloatArray
+    reference: int
+
+
+@dataclass(frozen=True)
+class HandCurve:
+    """Resonance in Hz (N,) over the mass of a hand (N,) joined without a spring; modes (K,) of the chain with springs.
+
+    `unit`: of the mass, kg or kg·m².
+    """
+
+    direction: str
+    unit: str
+    mass: FloatArray
+    frequency_hz: FloatArray
+    chain_mass: float
+    chain_hz: FloatArray
+
+
+def draw_shapes(name: str, title: str, shapes: Sequence[Shape]) -> tuple[Picture, bytes]:
+    """Six modes in space, at rest as lines and deformed as faces coloured by displacement; picture and png file."""
+    with drawing(name):
+        figure = new_figure(4.6)
+        for place, shape in enumerate(shapes):
+            _panel(figure, place, shape)
+        figure.subplots_adjust(left=0.0, right=1.0, bottom=0.0, top=0.96, wspace=0.0, hspace=0.06)
+        caption = (
+            "Grey lines: at rest. Colour: displacement, from none (dark) to the largest (bright); the same largest "
+            "displacement is drawn in every panel, far larger than any real one."
+        )
+        return finish(figure, name, title, caption), as_file(figure, "png")
+
+
+def draw_compared(compared: Compared) -> Picture:
+    """Every column's frequencies as departure from those of one of them."""
+    name = "elastomer-comparison"
+    with drawing(name):
+        figure = new_figure(3.0)
+        axes = figure.subplots(1, 1)
+        places, reference = np.arange(len(compared.modes)), compared.frequency_hz[compared.reference]
+        width = 0.7 / max(1, len(compared.columns))
+        for c, column in enumerate(compared.columns):
+            shift = (c - 0.5 * (len(compared.columns) - 1)) * width
+            departure = 100.0 * (compared.frequency_hz[c] / reference - 1.0)
+            expanded = np.nan_to_num(100.0 * compared.expanded_hz[c] / reference)
+            look: dict[str, Any] = {"fmt": MARKERS[c % len(MARKERS)], "color": COLOURS[c % len(COLOURS)]}
+            told = np.isfinite(departure)
+            if told.any():
+                axes.errorbar(places[told] + shift, departure[told], expanded[told], label=column, **look)
+        axes.axhline(0.0, color=GREY, linewidth=0.8, zorder=1)
+        axes.set_xticks(places, compared.modes)
+        axes.set_xlim(-0.5, len(places) - 0.5)
+        axes.set_ylabel(f"less {compared.columns[compared.reference]} / %")
+        panel_label(axes, "natural frequencies")
+        axes.legend(loc="lower right", ncols=4, bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
+        lay_out(figure, (axes,), top=0.5, bottom=0.3, left=0.78, label=0.58)
+        caption = "Departure of every column from the frame. Bars: expanded uncertainty U (k = 2) where there is one."
+        return finish(figure, name, "Models against one another", caption)
+
+
+def draw_hand(curve: HandCurve) -> Picture:
+    """The mounted resonance over the hand's mass, and the modes of the chain."""
+    name = "elastomer-mounted"
+    with drawing(name):
+        figure = new_figure(2.8)
+        axes = figure.subplots(1, 1)
+        scale, unit = (1e3, "g") if curve.unit == "kg" else (1e6, "kg·mm²")
+        axes.plot(scale * curve.mass, curve.frequency_hz, color=BLUE, label="hand joined without a spring (eq. 17)")
+        places = np.full(len(curve.chain_hz), scale * curve.chain_mass)
+        axes.plot(places, curve.chain_hz, "o", color=RED, label="hand, sensor and pedestal on springs")
+        axes.set_ylim(0.0, 1.1 * max(float(curve.chain_hz.max()), float(curve.frequency_hz.max())))
+        axes.set_xlabel(f"{'mass' if unit == 'g' else 'moment of inertia'} of the hand / {unit}")
+        axes.set_ylabel("natural frequency / Hz")
+        panel_label(axes, f"mounted sensor, {curve.direction}")
+        axes.legend(loc="lower right", ncols=2, bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
+        lay_out(figure, (axes,), top=0.3, left=0.78, label=0.58)
+        caption = "What a hand or gripper leaves of the element's own frequency."
+        return finish(figure, name, f"Resonance of the mounted sensor, {curve.direction}", caption)
+
+
+def _panel(figure: Figure, place: int, shape: Shape) -> None:
+    """One mode."""
+    from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
+
+    axes: Any = figure.add_subplot(2, 3, place + 1, projection="3d", computed_zorder=False)
+    size = np.linalg.norm(shape.motion, axis=2)
+    largest = float(size.max()) or 1.0
+    extent = float(np.ptp(shape.rest_m[..., 0]))
+    moved = 1e3 * (shape.rest_m + shape.motion * (ENLARGED * extent / largest))
+    rest = 1e3 * np.concatenate([shape.rest_m, shape.rest_m[:, :1]], axis=1)
+    faces = Poly3DCollection(moved, facecolors=colormaps["viridis"](size.mean(axis=1) / largest), zorder=2)
+    faces.set_edgecolor((0.0, 0.0, 0.0, 0.25))
+    faces.set_linewidth(0.25)
+    lines = Line3DCollection(rest, colors=GREY, linewidths=0.3, alpha=0.5, zorder=1)
+    for drawn in (lines, faces):
+        drawn.set_rasterized(True)
+        drawn.set_clip_on(False)
+        axes.add_collection3d(drawn)
+    half = 0.5e3 * extent
+    axes.set(xlim=(-half, half), ylim=(-half, half), zlim=(-0.35 * half, 0.35 * half))
+    axes.set_box_aspect((1.0, 1.0, 0.35), zoom=1.45)
+    axes.view_init(**VIEW)
+    axes.set_axis_off()
+    foot = half * np.array([0.80, -1.12, 0.0])
+    for along, label in zip(0.2 * half * np.eye(3), "xyz", strict=True):
+        axes.plot(*np.stack([foot, foot + along], axis=1), color=BLACK, linewidth=0.8, clip_on=False)
+        axes.text(*(foot + 1.3 * along), label, fontsize=7.0, ha="center", va="center")
+    told = f"{shape.name}   {shape.frequency_hz:.0f} Hz"
+    axes.set_title(told, fontsize=8.5, fontweight="bold", pad=-6.0, loc="center")

@@ -1,0 +1,393 @@
+"""A campaign of several loads to the mechanics of the sensor."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from fusion.base import ARGUMENT
+from fusion.campaign.repeats import Drive, drive_ratio, over_lines
+from fusion.estimation.uncertainty import Uncertainty
+from fusion.recording.load import Manifest
+from fusion.recording.rig import Sensor
+from fusion.report.csv_files import sensitivity_unit
+from fusion.report.h5 import Recorded, SensorFacts, read_recorded
+from fusion.report.provenance import versions
+from fusion.sensitivity.load import LOAD_COMPONENTS
+from fusion.sensitivity.ratio import driven_component
+from fusion.sensor.identify.fit import (
+    JointFit,
+    SensitivityResult,
+    joint_fits,
+    mass_name,
+    modelled,
+    relative_errors,
+    sine_transfers,
+    stated_mass,
+)
+from fusion.sensor.identify.measured import Campaign, EvaluatedSines, IdentifySettings, Prepared, load_along, prepare
+from shaker.arrays import Notice
+from shaker.identification.correction import UsableBand, usable_band
+from shaker.identification.measured import MeasuredSensitivity, ParameterEstimate, RelativeError
+from shaker.identification.readings import PeakReading, peak_readings, stiffness
+from shaker.identification.sensor import Load, SensorModel
+
+# From the results of sine recordings to the sensitivity over frequency.
+
+
+INTERNAL_MASS = "internal mass: mass"
+"""Label under which a load names the uncertainty of the mass inside the sensor."""
+
+
+@dataclass(frozen=True)
+class Referral:
+    """The internal mass found in place of the one stated: what is found, `mass_kg` with `u_mass_kg`, and by recording
+    `stated_kg` and `load_kg`, the mass along the component of what is mounted on the sensor.
+    """
+
+    mass_kg: float
+    u_mass_kg: float
+    stated_kg: Mapping[str, float]
+    load_kg: Mapping[str, float]
+
+    def factor(self, recording: str) -> float:
+        """Return the factor of a sensitivity, (m + m_i stated)/(m + m_i found)."""
+        load = self.load_kg[recording]
+        return (load + self.stated_kg[recording]) / (load + self.mass_kg)
+
+    def relative(self, recording: str) -> float:
+        """Return the relative change of a sensitivity for one standard uncertainty of the internal mass."""
+        return -self.u_mass_kg / (self.load_kg[recording] + self.mass_kg)
+
+
+@dataclass(frozen=True)
+class SineRecording:
+    """Results of one sine recording: `recorded` as it stands there under a name of its own."""
+
+    item: EvaluatedSines
+    recorded: Recorded
+
+
+def read_sines(item: EvaluatedSines, name: str) -> SineRecording:
+    """Read the results of a sine recording by the `name` that tells it from the others."""
+    recorded = read_recorded(item.results)
+    drives = tuple(replace(drive, recording=name) for drive in recorded.drives)
+    return SineRecording(item, replace(recorded, name=name, drives=drives))
+
+
+def sensitivities(
+    recordings: Sequence[SineRecording], referrals: Mapping[int, Referral]
+) -> tuple[MeasuredSensitivity, ...]:
+    """Return the sensitivity of the output of every driven component over frequency, all recordings together.
+
+    `referrals`: for the load components whose internal mass was found, with which the loads are taken anew.
+    """
+    sensor = next((item.recorded.sensor for item in recordings if item.recorded.sensor is not None), None)
+    drives = [drive for item in recordings for drive in item.recorded.drives]
+    if sensor is None or not drives:
+        return ()
+    capacity = None if sensor.capacity is None else sensor.capacity.tolist()
+    groups: dict[int, list[Drive]] = {}
+    for drive in drives:
+        groups.setdefault(driven_component(drive.direction, capacity), []).append(drive)
+    found = [_sensitivity(sensor, j, group, referrals.get(j)) for j, group in sorted(groups.items())]
+    return tuple(item for item in found if item is not None)
+
+
+def _sensitivity(
+    sensor: SensorFacts, component: int, drives: Sequence[Drive], referral: Referral | None
+) -> MeasuredSensitivity | None:
+    """Return output over load of one component at every driven line, ascending in frequency."""
+    channel = main_output(sensor, component, drives)
+    usable = [drive for drive in drives if np.isfinite(drive.outputs[drive.channels.index(channel)])]
+    if not usable:
+        return None
+    usable = sorted(usable, key=lambda drive: drive.frequency_hz)
+    parts = [drive_ratio(drive, component, [channel]) for drive in usable]
+    value, whole = np.array([ratio[0] for ratio, _ in parts]), over_lines([part for _, part in parts])
+    errors: tuple[RelativeError, ...] = ()
+    if referral is not None:
+        factor = np.array([referral.factor(drive.recording) for drive in usable], dtype=np.complex128)
+        value, whole = value * factor, _without_internal_mass(whole).scaled(factor[:, None])
+        own = np.array([[referral.relative(drive.recording)] for drive in usable], dtype=np.complex128)
+        errors = (RelativeError(INTERNAL_MASS, own),)
+    place = sensor.channels.index(channel)
+    static = None if sensor.static is None else float(sensor.static[place, component])
+    return MeasuredSensitivity(
+        channel=channel,
+        component=LOAD_COMPONENTS[component],
+        frequency_hz=np.array([drive.frequency_hz for drive in usable]),
+        value=value,
+        covariance=np.sum([part.covariance for part in whole.random], axis=0),
+        unit=sensitivity_unit(sensor.unit, LOAD_COMPONENTS[component]),
+        errors=(*relative_errors(whole, value[:, None]), *errors),
+        static=static or None,
+        u_static=abs(static or 0.0) * sensor.u_static,
+    )
+
+
+def main_output(sensor: SensorFacts, component: int, drives: Sequence[Drive]) -> str:
+    """Return which output belongs to a load component: that of its name, else the largest, static or as found."""
+    channels = drives[0].channels
+    if LOAD_COMPONENTS[component] in channels:
+        return LOAD_COMPONENTS[component]
+    if sensor.static is not None:
+        rows = [sensor.channels.index(channel) for channel in channels]
+        return channels[int(np.argmax(np.abs(sensor.static[rows, component])))]
+    size = np.nansum([np.abs(drive.outputs) / np.abs(drive.load[component]) for drive in drives], axis=0)
+    return channels[int(np.argmax(size))]
+
+
+def _without_internal_mass(uncertainty: Uncertainty) -> Uncertainty:
+    """An uncertainty without that of the internal mass stated."""
+    kept = tuple(influence for influence in uncertainty.influences if influence.label != INTERNAL_MASS)
+    return replace(uncertainty, influences=kept)
+
+
+# What every method reads from the resonance of every curve, side by side with the joint fit.
+
+
+_DEPARTS = 3.0  # residuals over the noise, rms, from which one oscillator does not explain a peak
+FEWEST_LINES = 20
+"""Lines of a recording below which it has no curve to be read or drawn: steps of sines."""
+LABELS = {
+    "maximum_bin": "line of the maximum",
+    "maximum": "maximum between the lines",
+    "half_power": "half-power width",
+    "half_amplitude": "half-amplitude width",
+    "circle": "Nyquist circle",
+    "oscillator": "oscillator fit",
+    "joint": "joint fit",
+}
+"""Words for readers, in the order in which methods are listed."""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One method's reading of one curve, and the stiffness and damping that follow with the mass that moves.
+
+    `width_hz`: the width the method reads, or 2ζf₀; k = (2πf₀)²m and b = 2ζ√(km) with m = load + internal mass;
+    standard uncertainties of the curve's noise, of `oscillator` and `joint` of all that is stated; NaN: not told.
+    """
+
+    recording: str
+    response: str
+    method: str
+    frequency_hz: float
+    u_frequency_hz: float
+    width_hz: float
+    u_width_hz: float
+    damping_ratio: float
+    u_damping_ratio: float
+    stiffness: float
+    damping: float
+    note: str = ""
+
+
+def read_curves(fit: JointFit, internal_mass: float) -> tuple[tuple[Reading, ...], tuple[Notice, ...]]:
+    """Return all readings of all curves of a joint fit, and why some could not be read."""
+    found: list[Reading] = []
+    notices: list[Notice] = []
+    for item in fit.prepared:
+        if len(item.measured.ratio.frequency_hz) < FEWEST_LINES:
+            continue
+        for response in item.measured.ratio.channels:
+            moved = item.load_kg + internal_mass
+            try:
+                found += [_reading(item, response, reading, moved) for reading in _readings(item, response)]
+            except ValueError as error:
+                where = f"{item.measured.name}: {response}"
+                notices.append(Notice("info", f"no peak was read ({ARGUMENT.sub('', str(error))})", where))
+                continue
+            found += _joint(fit, item, response, moved)
+    return tuple(found), tuple(notices)
+
+
+def _readings(item: Prepared, response: str) -> Iterator[PeakReading]:
+    """What the methods that look at one curve read."""
+    measured = item.measured
+    ratio = measured.ratio.select([response])
+    correlation = measured.line_correlation
+    yield from peak_readings(ratio.frequency_hz, ratio.value[:, 0], ratio.covariance, line_correlation=correlation).all
+    own = [found for found in item.resonances if found.response == response]
+    if own:
+        highest = max(own, key=lambda found: abs(found.fit.model(np.array([found.fit.frequency_hz]))[0]))
+        f0, zeta = highest.fit.frequency_hz, highest.fit.damping_ratio
+        u_zeta = highest.u_damping_ratio
+        width = 2.0 * zeta * f0
+        departs = float(np.sqrt(highest.fit.chi_squared / highest.fit.dof))
+        note = f"departs from one oscillator by {departs:.2g} times the noise" if departs > _DEPARTS else ""
+        yield PeakReading("oscillator", f0, highest.u_frequency_hz, width, 2.0 * u_zeta * f0, zeta, u_zeta, note)
+
+
+def _joint(fit: JointFit, item: Prepared, response: str, moved: float) -> Iterator[Reading]:
+    """What the joint fit says of the modes of one recording."""
+    for mode in fit.identification.modes:
+        if mode.record == item.measured.name:
+            f0, zeta = mode.frequency_hz, mode.damping_ratio
+            width, u_width = 2.0 * zeta * f0, 2.0 * mode.u_damping_ratio * f0
+            own = PeakReading("joint", f0, mode.u_frequency_hz, width, u_width, zeta, mode.u_damping_ratio)
+            yield _reading(item, response, own, moved)
+
+
+def _reading(item: Prepared, response: str, reading: PeakReading, moved: float) -> Reading:
+    """A reading as a row: equations 9 and 10 of Nitsche et al. 2018 with the mass that moves."""
+    k = stiffness(reading.frequency_hz, moved)
+    return Reading(
+        recording=item.measured.name,
+        response=response,
+        method=reading.method,
+        frequency_hz=reading.frequency_hz,
+        u_frequency_hz=reading.u_frequency_hz,
+        width_hz=reading.width_hz,
+        u_width_hz=reading.u_width_hz,
+        damping_ratio=reading.damping_ratio,
+        u_damping_ratio=reading.u_damping_ratio,
+        stiffness=k,
+        damping=2.0 * reading.damping_ratio * float(np.sqrt(k * moved)),
+        note=reading.note,
+    )
+
+
+def of_curve(readings: Sequence[Reading], recording: str, response: str) -> list[Reading]:
+    """Return the readings of one curve in the order of `LABELS`."""
+    own = [reading for reading in readings if (reading.recording, reading.response) == (recording, response)]
+    return sorted(own, key=lambda reading: list(LABELS).index(reading.method))
+
+
+# What an identified sensor consists of.
+
+
+@dataclass(frozen=True)
+class ComponentResult:
+    """Everything found of one component of the sensor.
+
+    `internal_mass`: value, u and unit of what moves with the load inside the sensor; `sensitivity`: None without
+    evaluated sines of this component; `model`: what a correction needs, supported by data in `range_hz`; `bands`: one
+    per load mass `loads`.
+    """
+
+    fit: JointFit
+    internal_mass: ParameterEstimate
+    readings: tuple[Reading, ...]
+    sensitivity: SensitivityResult | None
+    model: SensorModel
+    range_hz: tuple[float, float]
+    loads: tuple[float, ...]
+    bands: tuple[UsableBand, ...]
+
+    @property
+    def name(self) -> str:
+        """Name of the component: x, y, z, rx, ry or rz."""
+        return self.fit.axis
+
+
+@dataclass(frozen=True)
+class IdentifyEvaluation:
+    """A campaign's identification: the sensor, one result per driven component, notices and origin."""
+
+    name: str
+    sensor: Sensor | None
+    components: tuple[ComponentResult, ...]
+    notices: tuple[Notice, ...]
+    settings: dict[str, str | float | int]
+    versions: dict[str, str]
+    input_hashes: dict[str, str]
+    duration_s: float
+
+
+# From a campaign to the sensor as a mechanical system: curves → joint fits → readings, sensitivity, usable bands.
+
+
+def evaluate_campaign(campaign: Campaign, settings: IdentifySettings) -> IdentifyEvaluation:
+    """Return what all recordings of a campaign say of the sensor together.
+
+    Raises `InputError` for what the user can mend in the files.
+    """
+    started = time.monotonic()
+    names = _names([*campaign.transfers, *(item.manifest for item in campaign.sines)])
+    prepared, notices = _prepared(campaign, names, settings)
+    sines = [read_sines(item, names[item.manifest.path]) for item in campaign.sines]
+    driven = {item.component for item in prepared}
+    added = sine_transfers(campaign.sines, names, settings.band_hz)
+    fits = joint_fits([*prepared, *(item for item in added if item.component in driven)], settings)
+    referrals = {fit.component: _referral(fit, sines) for fit in fits if fit.mass_is_free}
+    measured = {item.component: item for item in sensitivities(sines, referrals)}
+    sensor = _sensor([*campaign.transfers, *(item.manifest for item in campaign.sines)])
+    components = [_component(fit, measured.get(LOAD_COMPONENTS[fit.component]), sensor, settings) for fit in fits]
+    told = [notice for _, own in components for notice in own]
+    return IdentifyEvaluation(
+        name=campaign.name,
+        sensor=sensor,
+        components=tuple(component for component, _ in components),
+        notices=tuple(dict.fromkeys([*campaign.notices, *notices, *told])),
+        settings=settings.as_dict(),
+        versions=versions(),
+        input_hashes=campaign.input_hashes,
+        duration_s=time.monotonic() - started,
+    )
+
+
+def _names(manifests: Sequence[Manifest]) -> dict[Path, str]:
+    """Return a name of its own for every recording, by path: a name that occurs twice gets the folder's beside it."""
+    names = [manifest.name for manifest in manifests]
+    return {
+        manifest.path: manifest.name if names.count(manifest.name) == 1 else f"{manifest.name} [{manifest.folder.name}]"
+        for manifest in manifests
+    }
+
+
+def _prepared(
+    campaign: Campaign, names: Mapping[Path, str], settings: IdentifySettings
+) -> tuple[list[Prepared], list[Notice]]:
+    """Evaluate every recording with transfer functions."""
+    prepared: list[Prepared] = []
+    notices: list[Notice] = []
+    for manifest in campaign.transfers:
+        item, told = prepare(manifest, names[manifest.path], settings.band_hz)
+        prepared.append(item)
+        notices += told
+    return prepared, notices
+
+
+def _sensor(manifests: Sequence[Manifest]) -> Sensor | None:
+    """Return the sensor that the rigs state."""
+    return next((manifest.rig.sensor for manifest in manifests if manifest.rig.sensor is not None), None)
+
+
+def _referral(fit: JointFit, sines: Sequence[SineRecording]) -> Referral:
+    """Return the internal mass found, with the masses of the sine recordings."""
+    found = fit.identification[mass_name(fit.component)]
+    stated, loads = {}, {}
+    for item in sines:
+        manifest = item.item.manifest
+        if manifest.rig.sensor is not None and manifest.rig.load is not None:
+            loads[item.recorded.name] = load_along(manifest, fit.component)
+            stated[item.recorded.name] = stated_mass(manifest.rig.sensor, fit.component)[0]
+    return Referral(found.value, found.u, stated, loads)
+
+
+def _component(
+    fit: JointFit, measured: MeasuredSensitivity | None, sensor: Sensor | None, settings: IdentifySettings
+) -> tuple[ComponentResult, tuple[Notice, ...]]:
+    """Return everything of one component, and what is to be said of it."""
+    mass = fit.identification[mass_name(fit.component)]
+    readings, unread = read_curves(fit, mass.value)
+    found = modelled(fit, measured, sensor)
+    loads = settings.load_masses_kg or tuple(sorted(dict.fromkeys(item.load_kg for item in fit.prepared)))
+    loads = () if fit.model == "pitching" else loads
+    bands = tuple(usable_band(found.model, Load(kg, "force"), settings.permitted) for kg in loads)
+    result = ComponentResult(fit, mass, readings, found.sensitivity, found.model, found.range_hz, loads, bands)
+    return result, (*fit.notices, *unread, *found.notices, *_no_band(fit))
+
+
+def _no_band(fit: JointFit) -> tuple[Notice, ...]:
+    """Say why a load that pitches has no usable band."""
+    if fit.model != "pitching":
+        return ()
+    text = "no usable band is given: that of a load that pitches depends on where the force acts, not on its mass alone"
+    return (Notice("info", text, fit.axis),)

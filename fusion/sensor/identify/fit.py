@@ -1,0 +1,453 @@
+"""The sensor's mechanics and chain from what was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.base import ARGUMENT, ComputeError, InputError
+from fusion.campaign.repeats import between_recordings
+from fusion.estimation.least_squares import real_design
+from fusion.estimation.uncertainty import Uncertainty
+from fusion.recording.rig import Sensor
+from fusion.report.csv_files import sensitivity_unit
+from fusion.report.h5 import read_uncertainty
+from fusion.report.provenance import RESULT_FILE
+from fusion.sensitivity.body import COMPONENTS
+from fusion.sensitivity.load import LOAD_COMPONENTS
+from fusion.sensor.identify.measured import (
+    EvaluatedSines,
+    IdentifySettings,
+    Prepared,
+    component_of,
+    drive_of,
+    inertia_errors,
+    mass_unit,
+    rigid_load,
+)
+from shaker.arrays import ComplexArray, FloatArray, Notice, Severity
+from shaker.identification.fit import identify
+from shaker.identification.measured import MeasuredSensitivity, MeasuredTransfer, RelativeError, Sight
+from shaker.identification.model import Identification, Structure
+from shaker.identification.sensitivity import NO_CHAIN, SpringPrior
+from shaker.identification.sensor import SensitivityComparison, SensorModel, fit_sensitivity, sensor_model
+from shaker.mechanics import ChainStructure, Suspension
+from shaker.phasor import Phasors
+
+# One joint fit per driven component: which model, which internal mass, and why.
+
+
+_DIFFERENT = 0.01  # relative difference of load masses from which they tell mass from stiffness
+_MISFIT = 3.0  # residuals over their uncertainty, rms, from which one translation does not explain the curves
+_BETTER = 0.5  # share of χ² per degree of freedom that a richer model has to reach
+_PITCHES_WITH = {0: 4, 1: 3, 3: 1, 4: 0}
+INTERNAL_MASS = "internal_mass"
+"""Name of the mass that moves with the load inside the sensor among the parameters."""
+
+
+@dataclass(frozen=True)
+class JointFit:
+    """The model fitted to all curves of one driven component, why this one, and what it found.
+
+    `mass_is_free`: the internal mass was fitted instead of stated.
+    """
+
+    component: int
+    model: str
+    reason: str
+    structure: Structure
+    mass_is_free: bool
+    identification: Identification
+    prepared: tuple[Prepared, ...]
+    notices: tuple[Notice, ...]
+
+    @property
+    def axis(self) -> str:
+        """Name of the component: x, y, z, rx, ry or rz."""
+        return COMPONENTS[self.component]
+
+
+def joint_fits(prepared: Sequence[Prepared], settings: IdentifySettings) -> tuple[JointFit, ...]:
+    """Return one fit per driven component, each over all recordings that drive it.
+
+    What moves with the load inside the sensor can differ between axes, so that components share no parameter.
+    """
+    groups: dict[int, list[Prepared]] = {}
+    for item in prepared:
+        groups.setdefault(item.component, []).append(item)
+    return tuple(_joint_fit(component, group, settings) for component, group in sorted(groups.items()))
+
+
+def _joint_fit(component: int, group: Sequence[Prepared], settings: IdentifySettings) -> JointFit:
+    """Fit one component."""
+    free = _mass_is_free(component, group, settings)
+    model, reason, found = _chosen(component, group, settings, free=free)
+    structure = _structure(model, component, group)
+    notices = (*found.notices, *_misfit(component, group, found, model))
+    return JointFit(component, model, reason, structure, free, found, tuple(group), notices)
+
+
+def _chosen(
+    component: int, group: Sequence[Prepared], settings: IdentifySettings, *, free: bool
+) -> tuple[str, str, Identification]:
+    """Return the model, why it was taken, and its fit: translation, unless a second peak asks for pitching.
+
+    Two peaks that pitching explains need no other fit; what it does not explain is compared with one translation.
+    """
+    if settings.model != "auto":
+        return settings.model, "as wanted", _fitted(settings.model, component, group, settings, free=free)
+    coupled = component in _PITCHES_WITH and len(_most_peaks(group)) > 1
+    pitching = _fitted("pitching", component, group, settings, free=free) if coupled else None
+    if pitching is not None and departure(pitching) < _MISFIT:
+        return "pitching", _pitches(group, pitching), pitching
+    alone = _fitted("translation", component, group, settings, free=free)
+    if pitching is not None and pitching.chi_squared / pitching.dof < _BETTER * alone.chi_squared / alone.dof:
+        return "pitching", f"{_pitches(group, pitching)}, one translation {departure(alone):.3g}", pitching
+    return (
+        "translation",
+        f"one spring and damper leave residuals of {departure(alone):.3g} times their uncertainty",
+        alone,
+    )
+
+
+def _structure(model: str, component: int, group: Sequence[Prepared]) -> Structure:
+    """Return the structure of a model for a driven component."""
+    if model == "translation":
+        return Suspension((component,))
+    if model == "adapter":
+        return ChainStructure(component)
+    if component not in _PITCHES_WITH:
+        expected = (
+            "a drive along x or y for --model pitching, or about them, which shifts and turns a load whose centre of "
+            "mass is not at the origin"
+        )
+        raise InputError(group[0].manifest.path, "excitation.direction", found=COMPONENTS[component], expected=expected)
+    return Suspension((component, _PITCHES_WITH[component]))
+
+
+def _fitted(
+    model: str, component: int, group: Sequence[Prepared], settings: IdentifySettings, *, free: bool
+) -> Identification:
+    """Fit a model to all curves of a group; what is `free` inside the sensor is fitted, else as stated."""
+    structure = _structure(model, component, group)
+    names = [parameter.name for parameter in structure.parameters]
+    each = [name for name in names if name.startswith("damping_")] if settings.damping == "each" else []
+    inside = {} if free else {mass_name(component): component for component in reversed(range(6))}
+    known = {name: _stated_in(inside[name], group) for name in names if name in inside}
+    records = [item.measured for item in group]
+    try:
+        return identify(records, structure, known=known, each_recording=each)
+    except (ValueError, np.linalg.LinAlgError) as error:
+        told = f"no model was fitted to {', '.join(record.name for record in records)}: {ARGUMENT.sub('', str(error))}"
+        raise ComputeError(f"{told}; --band chooses the lines of one resonance") from error
+
+
+def _mass_is_free(component: int, group: Sequence[Prepared], settings: IdentifySettings) -> bool:
+    """Whether the internal mass is fitted; refused where the loads are alike."""
+    loads = [item.load_kg for item in group]
+    differ = max(loads) > (1.0 + _DIFFERENT) * min(loads)
+    if settings.internal_mass == "free" and not differ:
+        unit = mass_unit(component)
+        expected = (
+            "load masses that differ where the internal mass is to be fitted (--internal-mass stated takes sensor's)"
+        )
+        listed = (
+            f"{loads[0]:.6g} {unit}" if len(loads) == 1 else f"{loads[0]:.6g} {unit} in all {len(loads)} recordings"
+        )
+        raise InputError(group[0].manifest.rig_path, "load.mass", found=listed, expected=expected)
+    return differ if settings.internal_mass == "auto" else settings.internal_mass == "free"
+
+
+def _stated_in(component: int, group: Sequence[Prepared]) -> tuple[float, float]:
+    """Return the internal mass, or moment of inertia, that a rig of the group states, with its standard uncertainty."""
+    sensor = next((item.manifest.rig.sensor for item in group if item.manifest.rig.sensor is not None), None)
+    if sensor is None:
+        expected = "[sensor] with internal_mass, which recordings of one load mass cannot tell from the stiffness"
+        raise InputError(group[0].manifest.rig_path, "sensor", found="nothing", expected=expected)
+    return stated_mass(sensor, component)
+
+
+def stated_mass(sensor: Sensor, component: int) -> tuple[float, float]:
+    """Return what moves with the load inside the sensor along a component as the rig states it, and its u."""
+    if component < 3:
+        return sensor.internal_mass, sensor.internal_mass_uncertainty
+    axis = component - 3
+    return float(sensor.internal_inertia[axis][axis]), float(sensor.internal_inertia_uncertainty[axis][axis])
+
+
+def mass_name(component: int) -> str:
+    """Name of the parameter that moves with the load inside the sensor."""
+    return INTERNAL_MASS if component < 3 else f"internal_inertia_{COMPONENTS[component]}"
+
+
+def departure(found: Identification) -> float:
+    """Return √(χ²/dof): residuals over their uncertainty, rms."""
+    return float(np.sqrt(found.chi_squared / found.dof))
+
+
+def _most_peaks(group: Sequence[Prepared]) -> tuple[float, ...]:
+    """Return the resonances (Hz) of the response that has most of them."""
+    return max((item.peaks_hz(name) for item in group for name in item.measured.ratio.channels), key=len)
+
+
+def _pitches(group: Sequence[Prepared], found: Identification) -> str:
+    """Why pitching was taken."""
+    listed = " and ".join(f"{peak:.6g} Hz" for peak in _most_peaks(group)[:2])
+    return (
+        f"the curves have peaks at {listed}, of which one translation makes one; translation and pitching together "
+        f"leave residuals of {departure(found):.3g} times their uncertainty"
+    )
+
+
+def _misfit(component: int, group: Sequence[Prepared], found: Identification, model: str) -> tuple[Notice, ...]:
+    """Say what else could explain a second peak that the model leaves over."""
+    if departure(found) < _MISFIT or model != "translation" or len(_most_peaks(group)) < 2:
+        return ()
+    text = "one translation does not explain the second peak; --model adapter or pitching, or --band, may"
+    return (Notice("warning", text, f"model {COMPONENTS[component]}"),)
+
+
+# From the results of sine recordings to load over base acceleration: further points of the transfer functions.
+
+
+_ORIGIN_OF_MOTION = "fused"
+AXES = np.eye(3)
+"""Unit vectors of the translations; of a rig that is turned, sines add no points."""
+
+
+def sine_transfers(
+    items: Sequence[EvaluatedSines], names: Mapping[Path, str], band_hz: tuple[float, float] | None
+) -> tuple[Prepared, ...]:
+    """Return load over base along the drive where both were measured, recordings of one load and mounting as one curve.
+
+    `names`: those that tell recordings apart, by the path of their manifest.
+    """
+    groups: dict[tuple[object, ...], list[Prepared]] = {}
+    for item in items:
+        found = _transfer(item, names[item.manifest.path], band_hz)
+        if found is not None:
+            key = (found.mass_matrix.tobytes(), found.drive.tobytes(), item.manifest.mounting, found.clock)
+            groups.setdefault(key, []).append(Prepared(item.manifest, found))
+    joined = [_joined(group) for group in groups.values()]
+    several = len({item.measured.name for item in joined}) < len(joined)
+    return tuple(_by_mounting(item) if several else item for item in joined)
+
+
+def _joined(group: Sequence[Prepared]) -> Prepared:
+    """Return the lines of several recordings as one curve, ascending in frequency; equal names are one unknown."""
+    records = [item.measured for item in group]
+    first = records[0]
+    frequency = np.concatenate([record.ratio.frequency_hz for record in records])
+    order = np.argsort(frequency, kind="stable")
+    ratio = Phasors(
+        frequency_hz=frequency[order],
+        value=np.concatenate([record.ratio.value for record in records])[order],
+        covariance=np.concatenate([record.ratio.covariance for record in records])[order],
+        channels=first.ratio.channels,
+        unit=first.ratio.unit,
+        dof=np.concatenate([record.ratio.dof for record in records])[order],
+    )
+    names = dict.fromkeys(error.name for record in records for error in record.errors)
+    errors = tuple(RelativeError(name, np.concatenate([_error(r, name) for r in records])[order]) for name in names)
+    steps = f"{len(order)} steps of sines, {group[0].manifest.rig.name}"
+    return Prepared(group[0].manifest, replace(first, name=steps, ratio=ratio, errors=errors))
+
+
+def _by_mounting(item: Prepared) -> Prepared:
+    """Curve with the mounting in its name."""
+    name = f"{item.measured.name}, mounting {item.manifest.mounting}"
+    return replace(item, measured=replace(item.measured, name=name))
+
+
+def _error(record: MeasuredTransfer, name: str) -> ComplexArray:
+    """Return what a cause does to the lines of one recording, nothing where it does not know it."""
+    found = (error.relative for error in record.errors if error.name == name)
+    return next(found, np.zeros(record.ratio.value.shape, dtype=np.complex128))
+
+
+def relative_errors(uncertainty: Uncertainty, value: ComplexArray) -> tuple[RelativeError, ...]:
+    """Return the named unknowns of values (K, C) as complex relative deviations for one standard uncertainty."""
+    count = value.shape[1]
+    return tuple(
+        RelativeError(influence.name, (influence.effect[:, :count] + 1j * influence.effect[:, count:]) / value)
+        for influence in uncertainty.influences
+        if np.any(influence.effect != 0.0)
+    )
+
+
+def _transfer(item: EvaluatedSines, name: str, band_hz: tuple[float, float] | None) -> MeasuredTransfer | None:
+    """Return load over base acceleration along the drive at the driven lines, None where one is not known."""
+    manifest = item.manifest
+    drive = drive_of(manifest)
+    component = component_of(drive)
+    if manifest.rig.load is None or component >= len(AXES):
+        return None
+    with h5py.File(item.results / RESULT_FILE, "r") as file:
+        groups = [f"accelerations/{body}-{_ORIGIN_OF_MOTION}" for body in ("load", "base")]
+        if any(group not in file for group in groups):
+            return None
+        frequency = file["lines/frequency_hz"][()]
+        driven = file["lines/multiple"][()] == 1
+        values = [file[group]["phasors/value"][()][:, component] for group in groups]
+        parts = [read_uncertainty(file[group]["uncertainty"]).at([component]) for group in groups]
+    chosen = driven & np.isfinite(values[0]) & np.isfinite(values[1])
+    if band_hz is not None:
+        chosen &= (frequency >= band_hz[0]) & (frequency <= band_hz[1])
+    if not np.any(chosen):
+        return None
+    ratio, whole = _quotient([value[chosen] for value in values], [_at_lines(part, chosen) for part in parts])
+    whole = between_recordings(whole, name, manifest.mounting)
+    body = rigid_load(manifest)
+    along = Sight(np.zeros(3), AXES[component])
+    clock = manifest.daq[0] if manifest.daq else None
+    return MeasuredTransfer(
+        name=name,
+        ratio=Phasors(
+            frequency_hz=frequency[chosen],
+            value=ratio[:, None],
+            covariance=np.sum([part.covariance for part in whole.random], axis=0),
+            channels=(f"load {COMPONENTS[component]}",),
+            unit=("1",),
+            dof=whole.dof()[:, 0],
+        ),
+        tops=(along,),
+        base=along,
+        drive=drive,
+        mass_matrix=body.mass_matrix,
+        errors=relative_errors(whole, ratio[:, None]),
+        inertia_errors=inertia_errors(manifest, body),
+        clock=f"clock of {clock.name}" if clock else f"clock of {name}",
+        u_clock=clock.clock_uncertainty if clock else 0.0,
+    )
+
+
+def _at_lines(uncertainty: Uncertainty, chosen: NDArray[np.bool_]) -> Uncertainty:
+    """Uncertainty of the values at some lines."""
+    random = tuple(
+        replace(part, covariance=part.covariance[chosen], dof=None if part.dof is None else part.dof[chosen])
+        for part in uncertainty.random
+    )
+    return Uncertainty(random, tuple(i.acting(i.effect[chosen]) for i in uncertainty.influences))
+
+
+def _quotient(values: Sequence[ComplexArray], parts: Sequence[Uncertainty]) -> tuple[ComplexArray, Uncertainty]:
+    """Return the first values (K,) over the second and the uncertainty of that; what both share acts on both."""
+    top, base = values
+    ratio = top / base
+    above = parts[0].transformed(real_design((1.0 / base)[:, None, None]))
+    below = parts[1].transformed(real_design((-ratio / base)[:, None, None]))
+    relabelled = tuple(replace(part, label=f"base: {part.label}") for part in below.random)
+    return ratio, above.plus(replace(below, random=relabelled))
+
+
+# The sensor of one component as a correction needs it: spring and damper of the joint fit, chain of S(f).
+
+
+_FEWEST_LINES = 4
+
+
+@dataclass(frozen=True)
+class SensitivityResult:
+    """The sensitivity of one output over frequency, as measured and as explained."""
+
+    measured: MeasuredSensitivity
+    comparison: SensitivityComparison
+
+
+@dataclass(frozen=True)
+class Modelled:
+    """The model of one component, the frequencies from data of which it comes, and its sensitivity where measured."""
+
+    model: SensorModel
+    range_hz: tuple[float, float]
+    sensitivity: SensitivityResult | None
+    notices: tuple[Notice, ...]
+
+
+def modelled(fit: JointFit, measured: MeasuredSensitivity | None, sensor: Sensor | None) -> Modelled:
+    """Return the model of a component with the chain that its sensitivity supports, or with none."""
+    found, covariance = mechanics(fit)
+    if measured is None or len(measured.frequency_hz) < _FEWEST_LINES:
+        return _without_sensitivity(fit, found, covariance, sensor)
+    r_kb = covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]) if covariance[0, 1] != 0.0 else 0.0
+    u_k, u_b = (float(np.sqrt(covariance[place, place])) for place in (0, 1))
+    spring = SpringPrior(float(found[0]), u_k, float(found[1]), u_b, float(r_kb))
+    try:
+        comparison = fit_sensitivity(measured, spring)
+        model = sensor_model(comparison.best, found, covariance)
+    except (ValueError, np.linalg.LinAlgError) as error:
+        reason = ARGUMENT.sub("", str(error))
+        text = f"the sensitivity of {measured.channel} over frequency was not explained ({reason})"
+        bare = _without_sensitivity(fit, found, covariance, sensor)
+        return Modelled(bare.model, bare.range_hz, None, (*bare.notices, Notice("warning", text, measured.channel)))
+    range_hz = (float(measured.frequency_hz[0]), float(measured.frequency_hz[-1]))
+    notices = _verdicts(comparison, f"sensitivity {measured.component}")
+    return Modelled(model, range_hz, SensitivityResult(measured, comparison), notices)
+
+
+def _verdicts(comparison: SensitivityComparison, where: str) -> tuple[Notice, ...]:
+    """Say which explanation the data support, and whether the damping found contradicts the resonance."""
+    supported = Notice("info", _clause(comparison.text), where)
+    if comparison.damping is None:
+        return (supported,)
+    severity: Severity = "warning" if comparison.damping.contradicts else "info"
+    return supported, Notice(severity, _clause(comparison.damping.text), where)
+
+
+def mechanics(fit: JointFit) -> tuple[FloatArray, FloatArray]:
+    """Return [k, b, m_i] (3,) of a joint fit and their covariance (3, 3).
+
+    Of a damping for each recording it is the mean, as uncertain as the dampings scatter.
+    """
+    found, axis = fit.identification, fit.axis
+    dampers = [i for i, name in enumerate(found.names) if name.partition(": ")[0] == f"damping_{axis}"]
+    pick = np.zeros((3, len(found.names)))
+    pick[0, found.names.index(f"stiffness_{axis}")] = 1.0
+    pick[1, dampers] = 1.0 / len(dampers)
+    pick[2, found.names.index(mass_name(fit.component))] = 1.0
+    used = np.any(pick != 0.0, axis=0)
+    if not np.all(np.isfinite(found.covariance[used][:, used])):
+        text = f"the recordings leave stiffness, damping or internal mass of {axis} open"
+        raise ComputeError(f"{text}; another load mass, or --internal-mass stated, tells them")
+    values = np.array([estimate.value for estimate in found.estimates])
+    covariance = pick[:, used] @ found.covariance[np.ix_(used, used)] @ pick[:, used].T
+    if len(dampers) > 1:
+        covariance[1, 1] += float(np.var(values[dampers], ddof=1))
+    return pick @ values, covariance
+
+
+def _without_sensitivity(fit: JointFit, found: FloatArray, covariance: FloatArray, sensor: Sensor | None) -> Modelled:
+    """Return a model without a chain, its sensitivity the static one that is stated, else one output per force."""
+    static, u_static, unit, which = _static(fit, sensor)
+    whole = np.zeros((4, 4))
+    whole[0, 0], whole[1:, 1:] = u_static**2, covariance
+    mass = max(float(found[2]), 0.0)
+    model = SensorModel(static, float(found[0]), float(found[1]), mass, NO_CHAIN, whole, unit)
+    lines = np.concatenate([item.measured.ratio.frequency_hz for item in fit.prepared])
+    text = (
+        f"no sensitivity over frequency was evaluated for {LOAD_COMPONENTS[fit.component]}, for which `shakercal run` "
+        f"has to evaluate sines of {_FEWEST_LINES} frequencies or more: the model has {which} and no chain"
+    )
+    return Modelled(model, (float(lines.min()), float(lines.max())), None, (Notice("info", text, fit.axis),))
+
+
+def _static(fit: JointFit, sensor: Sensor | None) -> tuple[float, float, str, str]:
+    """Return the static sensitivity of the component's output with its u, unit and name, else one per force."""
+    component = LOAD_COMPONENTS[fit.component]
+    if sensor is not None and sensor.static_sensitivity is not None:
+        column = np.array(sensor.static_sensitivity)[:, fit.component]
+        place = sensor.channels.index(component) if component in sensor.channels else int(np.argmax(np.abs(column)))
+        if column[place] != 0.0:
+            u = abs(float(column[place])) * sensor.static_sensitivity_uncertainty
+            return float(column[place]), u, sensitivity_unit(sensor.unit, component), "the static sensitivity stated"
+    return 1.0, 0.0, sensitivity_unit("1", component), "an output of one per force"
+
+
+def _clause(text: str) -> str:
+    """A sentence as the text of a notice."""
+    return text[:1].lower() + text[1:].removesuffix(".")

@@ -1,0 +1,420 @@
+"""What an identification is fitted to: transfer functions of several loads and where transducers sit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+
+from fusion.base import InputError
+from fusion.estimation.measurement_model import across, placement_name
+from fusion.phasors.stereo_phasors import load_body
+from fusion.recording.load import Manifest, find_recordings, load_manifest
+from fusion.recording.manifest import ChannelEntry
+from fusion.report.provenance import RESULT_FILE, hash_files, read_provenance
+from fusion.sensitivity.body import Body
+from fusion.sensitivity.load import LOAD_UNITS
+from fusion.sensor.transfer.evaluate import KINDS, evaluate_transfer
+from fusion.sensor.transfer.records import FoundResonance, ReferenceResult, TransferSettings
+from shaker.arrays import FloatArray, Notice
+from shaker.frf.result import TransferFunction
+from shaker.identification.measured import AT_THE_BASE, InertiaError, MeasuredTransfer, RelativeError, Sight, SightError
+
+# What a user may choose of an identification.
+
+
+ModelChoice = Literal["auto", "translation", "pitching", "adapter"]
+DampingChoice = Literal["common", "each"]
+MassChoice = Literal["auto", "free", "stated"]
+
+
+@dataclass(frozen=True)
+class IdentifySettings:
+    """Choices that change results.
+
+    `model`, `damping` (one for all recordings or one for each), `internal_mass` (fitted, or as stated in rig.toml);
+    "auto" is decided from the recordings. `band_hz`: lines that are fitted, None for all. `load_masses_kg`: for which
+    corrections and usable bands are given, none for those of the recordings. `permitted`: error of the magnitude up to
+    which a band counts as usable.
+    """
+
+    model: ModelChoice = "auto"
+    damping: DampingChoice = "common"
+    internal_mass: MassChoice = "auto"
+    band_hz: tuple[float, float] | None = None
+    load_masses_kg: tuple[float, ...] = ()
+    permitted: float = 0.05
+
+    def __post_init__(self) -> None:
+        for name, choices in (("model", ModelChoice), ("damping", DampingChoice), ("internal_mass", MassChoice)):
+            if getattr(self, name) not in get_args(choices):
+                raise ValueError(f"{name}: expected {', '.join(get_args(choices))}, found {getattr(self, name)}")
+        if self.band_hz is not None and not 0.0 <= self.band_hz[0] < self.band_hz[1]:
+            raise ValueError(f"band_hz: expected the lower frequency first, found {self.band_hz}")
+        if any(not mass > 0.0 for mass in self.load_masses_kg):
+            raise ValueError(f"load_masses_kg: expected masses above 0, found {self.load_masses_kg}")
+        if not 0.0 < self.permitted < 1.0:
+            raise ValueError(f"permitted: expected a share between 0 and 1, found {self.permitted}")
+
+    def as_dict(self) -> dict[str, str | float | int]:
+        """Return the settings as plain values for the result files."""
+        masses = ", ".join(f"{mass:.12g}" for mass in self.load_masses_kg)
+        band = "all lines" if self.band_hz is None else f"{self.band_hz[0]:.12g} to {self.band_hz[1]:.12g}"
+        return {
+            "model": self.model,
+            "damping": self.damping,
+            "internal_mass": self.internal_mass,
+            "band_hz": band,
+            "load_masses_kg": masses or "those of the recordings",
+            "permitted": self.permitted,
+        }
+
+
+# Where the channels of a transfer recording measure, and what is uncertain of it, by names that hold everywhere.
+
+
+def sight(entry: ChannelEntry) -> Sight:
+    """Return where and along what a channel measures, of an angular velocity about what."""
+    turning = entry.quantity == "angular_velocity"
+    point = np.zeros(3) if turning else np.asarray(entry.point, dtype=np.float64)
+    return Sight(point, np.asarray(entry.direction, dtype=np.float64), turning)
+
+
+def sight_errors(base: ChannelEntry, tops: Sequence[ChannelEntry], mounting: str) -> tuple[SightError, ...]:
+    """Return what is uncertain of the places and directions of reference and responses.
+
+    An unknown keeps its value as long as nothing is mounted anew: until then it is one in all recordings and, under its
+    name, in the results of sines.
+    """
+    placed = [(base, AT_THE_BASE), *((entry, place) for place, entry in enumerate(tops))]
+    return tuple(
+        SightError(f"{name} [{mounting}]", place, change)
+        for entry, place in placed
+        for name, change in _changes(entry)
+        if np.any(change != 0.0)
+    )
+
+
+def _changes(entry: ChannelEntry) -> Iterator[tuple[str, FloatArray]]:
+    """Yield name and change (6,) of a channel's row: three coordinates, two tilts, two leaks of what lies across."""
+    seen = sight(entry)
+    for axis, unit, u in zip("xyz", np.eye(3), np.broadcast_to(entry.point_uncertainty, 3), strict=True):
+        lever = np.cross(unit, seen.direction) * (0.0 if seen.turning else u)
+        yield placement_name(entry, "point", axis), np.concatenate([np.zeros(3), lever])
+    leaks = (
+        ("direction", entry.direction_uncertainty),
+        ("transverse sensitivity", entry.transverse_sensitivity / np.sqrt(2.0)),
+    )
+    for number, tangent in enumerate(across(seen.direction)):
+        for kind, u in leaks:
+            yield placement_name(entry, kind, str(number)), u * replace(seen, direction=tangent).row
+
+
+# The recordings of a campaign sorted by what they say of the sensor.
+
+
+RESULTS = "results"
+
+
+@dataclass(frozen=True)
+class EvaluatedSines:
+    """A recording of sines, and the folder with its results."""
+
+    manifest: Manifest
+    results: Path
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """What is there to be read: recordings with transfer functions, evaluated sines, and what is said of the others.
+
+    `input_hashes`: SHA-256 of every file that is used, by its path seen from `folder`.
+    """
+
+    name: str
+    folder: Path
+    transfers: tuple[Manifest, ...]
+    sines: tuple[EvaluatedSines, ...]
+    input_hashes: dict[str, str]
+    notices: tuple[Notice, ...]
+
+
+def read_campaign(path: Path, *, allow_outside: bool = False) -> Campaign:
+    """Read the manifests of a campaign folder, or of one recording, and check that they tell of one sensor.
+
+    Raises `InputError` where no recording has transfer functions.
+    """
+    folder = (path.parent if path.is_file() else path).resolve()
+    manifests = [load_manifest(recording, allow_outside=allow_outside) for recording in find_recordings(path)]
+    transfers = tuple(manifest for manifest in manifests if manifest.excitation.kind in KINDS)
+    if not transfers:
+        kinds = ", ".join(dict.fromkeys(manifest.excitation.kind for manifest in manifests))
+        where = manifests[0].path if len(manifests) == 1 else path
+        expected = f"a recording of the kind {', '.join(KINDS[:-1])} or {KINDS[-1]}, which shows a transfer function"
+        raise InputError(where, "excitation.kind", found=f"only {kinds}", expected=expected)
+    sines, notices = _sines([manifest for manifest in manifests if manifest.excitation.kind == "sine"])
+    _check_one_sensor([*transfers, *(item.manifest for item in sines)])
+    files = [file for manifest in (*transfers, *(item.manifest for item in sines)) for file in manifest.files]
+    hashes = hash_files([*files, *(item.results / RESULT_FILE for item in sines)], folder)
+    return Campaign(folder.name, folder, transfers, sines, hashes, notices)
+
+
+def _sines(manifests: list[Manifest]) -> tuple[tuple[EvaluatedSines, ...], tuple[Notice, ...]]:
+    """Return the recordings of sines with results of these very files, and a remark on those without."""
+    found, missing = [], []
+    for manifest in manifests:
+        results = _results(manifest)
+        if results is None:
+            missing.append(manifest.name)
+        else:
+            found.append(EvaluatedSines(manifest, results))
+    if not missing:
+        return tuple(found), ()
+    text = (
+        f"{len(missing)} recordings of sines have no results of `shakercal run`, which would add their sensitivity"
+        if len(missing) > 1
+        else "this recording of sines has no results of `shakercal run`, which would add its sensitivity"
+    )
+    return tuple(found), (Notice("info", text, missing[0] if len(missing) == 1 else "campaign"),)
+
+
+def _results(manifest: Manifest) -> Path | None:
+    """Return the folder with results of a recording, its own or the campaign's; results of other files are refused."""
+    places = (manifest.folder / RESULTS, manifest.folder.parent / RESULTS / manifest.folder.name)
+    found = [(place, read_provenance(place)) for place in places]
+    there = [(place, origin) for place, origin in found if origin is not None]
+    if not there:
+        return None
+    hashes = hash_files(manifest.files, manifest.root)
+    for place, origin in there:
+        if origin.input_hashes == hashes:
+            return place
+    expected = "the results of these very input files; shakercal run evaluates the recording anew"
+    raise InputError(there[0][0] / RESULT_FILE, "", found="results of other input files", expected=expected)
+
+
+def _check_one_sensor(manifests: list[Manifest]) -> None:
+    """Refuse rigs whose sensors have other names or serial numbers than the first one's."""
+    named = [manifest for manifest in manifests if manifest.rig.sensor is not None]
+    for manifest in named[1:]:
+        first, own = named[0].rig.sensor, manifest.rig.sensor
+        for key in ("name", "serial"):
+            one, other = getattr(first, key), getattr(own, key)
+            if one != other:
+                expected = f'the sensor of {named[0].rig_path}, "{one}"'
+                raise InputError(manifest.rig_path, f"sensor.{key}", found=f'"{other}"', expected=expected)
+
+
+# From an evaluated transfer recording and its rig to the curve that a model of the sensor is fitted to.
+
+
+SETTINGS = TransferSettings(quantity="acceleration")
+"""Every motion as an acceleration, so that a ratio has no unit."""
+TRANSLATIONS = ("displacement", "velocity", "acceleration")
+TURNING = "angular_velocity"
+_ALONG = 1e-3  # share of the drive that the reference must see
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A curve to be fitted, the recording it comes from, and the `resonances` found in its responses one by one."""
+
+    manifest: Manifest
+    measured: MeasuredTransfer
+    resonances: tuple[FoundResonance, ...] = ()
+
+    @property
+    def component(self) -> int:
+        """Which of the six components is driven most."""
+        return component_of(self.measured.drive)
+
+    @property
+    def load_kg(self) -> float:
+        """Mass, or moment of inertia, along the driven component of what is mounted on the sensor."""
+        return float(self.measured.mass_matrix[self.component, self.component])
+
+    @property
+    def u_load_kg(self) -> float:
+        """Its standard uncertainty."""
+        changes = [error.change[self.component, self.component] for error in self.measured.inertia_errors]
+        return float(np.sqrt(np.sum(np.square(changes))))
+
+    def peaks_hz(self, response: str) -> tuple[float, ...]:
+        """Return the frequencies of the resonances of one response, ascending."""
+        return tuple(sorted(found.fit.frequency_hz for found in self.resonances if found.response == response))
+
+
+def prepare(manifest: Manifest, name: str, band_hz: tuple[float, float] | None) -> tuple[Prepared, tuple[Notice, ...]]:
+    """Evaluate a recording and return its curves of load over base by the `name` that tells it from the others.
+
+    Of several references on the base the first is used; responses that are no translation of the load, or turn of one
+    that is turned, are left out.
+    What is said of one oscillator fitted to one response is left to the readings. Raises `InputError`.
+    """
+    entries = {entry.name: entry for daq in manifest.daq for entry in daq.channel if entry.quantity != "trigger"}
+    drive, body = drive_of(manifest), rigid_load(manifest)
+    base = _base_entry(manifest, entries, drive)
+    evaluation = evaluate_transfer(manifest, SETTINGS, {})
+    result = next(result for result in evaluation.references if result.name == base.name)
+    tops = [entries[channel] for channel in result.transfer.ratio.channels if _on_load(entries[channel], drive)]
+    if not tops:
+        expected = f'a {_wanted(drive)} with body = "load"'
+        raise InputError(manifest.path, "excitation.response", found="none on the load", expected=expected)
+    clock, u_clock = _clock(manifest, [base, *tops])
+    transfer, errors = _selected(result, [entry.name for entry in tops], name)
+    measured = MeasuredTransfer(
+        name=name,
+        ratio=transfer.ratio,
+        tops=tuple(sight(entry) for entry in tops),
+        base=sight(base),
+        drive=drive,
+        mass_matrix=body.mass_matrix,
+        errors=errors,
+        inertia_errors=inertia_errors(manifest, body),
+        line_correlation=transfer.line_correlation,
+        added_decay_per_s=transfer.added_decay_per_s,
+        clock=clock,
+        u_clock=u_clock,
+        sight_errors=sight_errors(base, tops, manifest.mounting),
+    )
+    found = tuple(item for item in result.resonances if item.response in transfer.ratio.channels)
+    alone = {f"{channel}/{base.name}" for channel in result.transfer.ratio.channels}
+    notices = tuple(_named(notice, name) for notice in evaluation.notices if notice.where not in alone)
+    return Prepared(manifest, _in_band(measured, manifest, band_hz), found), (
+        *notices,
+        *_left_out(manifest, base, name),
+    )
+
+
+def _left_out(manifest: Manifest, base: ChannelEntry, name: str) -> Iterator[Notice]:
+    """Say what is stated and not used."""
+    others = [reference for reference in manifest.excitation.reference if reference != base.name]
+    if others:
+        yield Notice("info", f"of several references {base.name} is used, {', '.join(others)} left out", name)
+    if manifest.rig.load is not None and manifest.rig.load.elastic_frequency is not None:
+        yield Notice(
+            "warning", "the load is taken as rigid although its joint is stated (load.elastic_frequency)", name
+        )
+
+
+def drive_of(manifest: Manifest) -> FloatArray:
+    """Return the direction (6,) in which the base is driven."""
+    direction = manifest.excitation.direction or ()
+    return np.asarray([*direction, *[0.0] * (6 - len(direction))], dtype=np.float64)
+
+
+def component_of(drive: FloatArray) -> int:
+    """Return which of the six components is driven most."""
+    return int(np.argmax(np.abs(drive)))
+
+
+def rigid_load(manifest: Manifest) -> Body:
+    """Return load and parts without what moves inside the sensor; `InputError` without a load."""
+    sensor = manifest.rig.sensor
+    bare = None if sensor is None else sensor.model_copy(update={"internal_mass": 0.0})
+    body = load_body(replace(manifest, rig=manifest.rig.model_copy(update={"sensor": bare})))
+    if body is None:
+        expected = "[load] with the mass, centre of mass and inertia of what is mounted on the sensor"
+        raise InputError(manifest.rig_path, "load", found="nothing", expected=expected)
+    return replace(body, joint=None)
+
+
+def inertia_errors(manifest: Manifest, body: Body) -> tuple[InertiaError, ...]:
+    """Return what every uncertain number of load and parts does to the mass matrix, by names that hold everywhere.
+
+    What holds until something is mounted anew is another unknown in every mounting.
+    """
+    found = []
+    for change in body.matrix_changes(np.ones(1), None):
+        suffix = "" if change.scope == "rig" else f" [{manifest.mounting}]"
+        found.append(InertiaError(f"{change.name}{suffix}", change.change[0].real))
+    return tuple(found)
+
+
+def load_along(manifest: Manifest, component: int) -> float:
+    """Return the mass, or moment of inertia, along a component of what is mounted on the sensor."""
+    return float(rigid_load(manifest).mass_matrix[component, component])
+
+
+def mass_unit(component: int) -> str:
+    """Return the unit of what resists an acceleration component."""
+    return "kg" if LOAD_UNITS[component] == "N" else "kg.m^2"
+
+
+def _base_entry(manifest: Manifest, entries: dict[str, ChannelEntry], drive: FloatArray) -> ChannelEntry:
+    """Return the first reference that measures the base; the others are refused where there is none."""
+    named = [entries[name] for name in manifest.excitation.reference if name in entries]
+    for entry in named:
+        if entry.body == "base" and _shows_motion(entry, drive):
+            if abs(float(sight(entry).row @ drive)) < _ALONG * float(np.linalg.norm(drive)):
+                found = f'"{entry.name}", which looks across excitation.direction'
+                raise InputError(manifest.path, "excitation.reference", found, "a motion along the excitation")
+            return entry
+    expected = f'a {_wanted(drive)} with body = "base", over which the motion of the load is taken'
+    told = ", ".join(f'"{entry.name}" ({entry.quantity} of {entry.body or "no body"})' for entry in named)
+    raise InputError(manifest.path, "excitation.reference", found=told or "nothing", expected=expected)
+
+
+def _on_load(entry: ChannelEntry, drive: FloatArray) -> bool:
+    """Whether a channel measures how the load moves."""
+    return entry.body == "load" and _shows_motion(entry, drive)
+
+
+def _shows_motion(entry: ChannelEntry, drive: FloatArray) -> bool:
+    """Whether a channel measures a translation, or the turning of a rig that is turned."""
+    return entry.quantity in TRANSLATIONS or (entry.quantity == TURNING and bool(np.any(drive[3:] != 0.0)))
+
+
+def _wanted(drive: FloatArray) -> str:
+    """Words for the quantities that show the motion of a rig driven along `drive`."""
+    if np.any(drive[3:] != 0.0):
+        return "displacement, velocity, acceleration or angular velocity"
+    return "displacement, velocity or acceleration"
+
+
+def _clock(manifest: Manifest, entries: Sequence[ChannelEntry]) -> tuple[str, float]:
+    """Return name and relative uncertainty of the clock that counts: the block's own, the first one's of several."""
+    blocks = [daq for daq in manifest.daq if any(entry in daq.channel for entry in entries)]
+    clock = blocks[0] if len(blocks) == 1 else manifest.daq[0]
+    return f"clock of {clock.name}", clock.clock_uncertainty
+
+
+def _selected(
+    result: ReferenceResult, channels: Sequence[str], recording: str
+) -> tuple[TransferFunction, tuple[RelativeError, ...]]:
+    """Return the ratios of some responses with the covariance of their noise, and their common errors.
+
+    A delay has the sign it has in a run (a signal that is later than stated), and a clock's tie is one recording's own.
+    """
+    places = [result.transfer.ratio.channels.index(channel) for channel in channels]
+    ratio = replace(result.transfer.ratio, covariance=result.random_covariance).select(channels)
+    errors = []
+    for error in result.errors:
+        relative = error.relative[:, places] * (-1.0 if error.name.endswith(": delay") else 1.0)
+        name = f"{error.name} [{recording}]" if error.name.startswith("clock ") else error.name
+        if np.any(relative != 0.0):
+            errors.append(RelativeError(name, relative))
+    coherence, averages = result.transfer.coherence[:, places], result.transfer.averages
+    return replace(result.transfer, ratio=ratio, coherence=coherence, averages=averages), tuple(errors)
+
+
+def _in_band(measured: MeasuredTransfer, manifest: Manifest, band_hz: tuple[float, float] | None) -> MeasuredTransfer:
+    """Return the lines inside the band, and refuse a band that holds none."""
+    if band_hz is None:
+        return measured
+    frequency = measured.ratio.frequency_hz
+    chosen = (frequency >= band_hz[0]) & (frequency <= band_hz[1])
+    if not np.any(chosen):
+        found = f"{band_hz[0]:g} to {band_hz[1]:g} Hz"
+        expected = f"a --band that holds lines between {frequency[0]:.6g} and {frequency[-1]:.6g} Hz"
+        raise InputError(manifest.path, "excitation.band", found=found, expected=expected)
+    errors = tuple(RelativeError(error.name, error.relative[chosen]) for error in measured.errors)
+    return replace(measured, ratio=measured.ratio.at_lines(chosen), errors=errors)
+
+
+def _named(notice: Notice, name: str) -> Notice:
+    """A remark on a channel with the recording it belongs to."""
+    return replace(notice, where=f"{name}: {notice.where}" if notice.where else name)

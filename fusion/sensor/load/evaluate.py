@@ -1,0 +1,545 @@
+"""Releases of several loads to stiffness, damping and resonance over the load mass."""
+
+from __future__ import annotations
+
+import csv
+import json
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fusion.base import ComputeError, InputError
+from fusion.estimation.uncertainty import coverage_factor
+from fusion.recording.load import Manifest
+from fusion.report.provenance import versions
+from fusion.sensitivity.load import LOAD_COMPONENTS
+from fusion.sensor.identify.measured import inertia_errors, rigid_load
+from fusion.sensor.step.releases import Release, read_recording
+from shaker.arrays import FloatArray, Notice
+from shaker.release.load_fit import SeriesMasses, stated_masses
+from shaker.release.load_model import (
+    PARAMETERS,
+    LoadCurve,
+    LoadLimit,
+    LoadModel,
+    change_limit,
+    formula_limit,
+    frequency_limit,
+    load_curve,
+    working_bands,
+)
+from shaker.release.load_modes import FreeDecay, Resonances, as_resonances, free_decay, record_modes, stated_resonances
+from shaker.release.load_series import LoadIdentification, Output, identify_loads
+
+# What a user of `shakercal load` may choose.
+
+
+PERMITTED = 0.05
+
+
+@dataclass(frozen=True)
+class LoadSettings:
+    """`permitted`: error of a formula, or change of the resonance, up to which a load is permitted, as a share.
+
+    `wanted_hz`: resonances that are to be kept; `predicted`: masses, such as those of grippers or of a hand, that
+    characteristics are foretold for, kg or kg·m². `moving_mass`: of a table's sensor with its standard uncertainty, kg;
+    of recordings the rig states it.
+    """
+
+    permitted: float = PERMITTED
+    wanted_hz: tuple[float, ...] = ()
+    predicted: tuple[float, ...] = ()
+    moving_mass: tuple[float, float] | None = None
+
+    def as_settings(self) -> dict[str, str | float | int]:
+        """Return the choices by name."""
+        found: dict[str, str | float | int] = {
+            "permitted": self.permitted,
+            "wanted_hz": " ".join(f"{value:.9g}" for value in self.wanted_hz),
+            "predicted_load_masses": " ".join(f"{value:.9g}" for value in self.predicted),
+        }
+        if self.moving_mass is not None:
+            found |= dict(zip(("moving_mass_kg", "u_moving_mass_kg"), self.moving_mass, strict=True))
+        return found
+
+
+# What a series of loads consists of before any model: records with their masses, or a table of resonances.
+
+
+FORCES = 3
+MOVING = "moving mass of the sensor"
+
+
+@dataclass(frozen=True)
+class LoadSeries:
+    """R records or table rows of one component: names, resonances, masses, the decays behind them (none of a table).
+
+    `noise` (R,): standard deviations of the records, in output units, None of a table.
+    """
+
+    output: Output
+    names: tuple[str, ...]
+    measured: Resonances
+    masses: SeriesMasses
+    decays: tuple[FreeDecay, ...]
+    noise: FloatArray | None
+
+
+def read_series(manifests: Sequence[Manifest]) -> tuple[tuple[LoadSeries, ...], tuple[Notice, ...]]:
+    """Return a series for every component that recordings of a campaign release, and what had to be done.
+
+    Raises `InputError` for what the user can mend in the files.
+    """
+    releases: list[tuple[Manifest, Release]] = []
+    notices: list[Notice] = []
+    for manifest in manifests:
+        release, told = read_recording(manifest)
+        releases.append((manifest, release))
+        notices += told
+    found = []
+    refused: list[InputError] = []
+    for place, component in enumerate(LOAD_COMPONENTS):
+        own = [pair for pair in releases if pair[1].reading.component == component]
+        if own and (missing := _missing_mass(own[0][0], place)) is not None:
+            refused.append(missing)
+            notices.append(
+                Notice("warning", f"left out: {missing.key} is 0, so that stiffness cannot be told", component)
+            )
+        elif own:
+            found.append(_series(own, place))
+    if not found and refused:
+        raise refused[0]
+    return tuple(found), tuple(notices)
+
+
+def _series(releases: list[tuple[Manifest, Release]], component: int) -> LoadSeries:
+    """The records of one component with their masses, the lightest load first."""
+    masses = [_load(manifest, component) for manifest, _ in releases]
+    order = sorted(range(len(releases)), key=lambda place: masses[place][0])
+    releases, masses = [releases[place] for place in order], [masses[place] for place in order]
+    decays, modes = [], []
+    for manifest, release in releases:
+        try:
+            decays.append(free_decay(release.input.record, release.driven, release.reading))
+            modes.append(record_modes(decays[-1]))
+        except ValueError as error:
+            raise InputError.told_by(error, manifest.path, f"daq.channel.{release.driven}") from error
+    return LoadSeries(
+        output=_output(releases),
+        names=tuple(release.name for _, release in releases),
+        measured=as_resonances(modes),
+        masses=_masses([manifest for manifest, _ in releases], masses, component),
+        decays=tuple(decays),
+        noise=np.array([item.noise for item in modes]),
+    )
+
+
+def _output(releases: Sequence[tuple[Manifest, Release]]) -> Output:
+    """Driven output and its static sensitivity: the mean of all releases, which must agree on the channel."""
+    first = releases[0][1]
+    for manifest, release in releases:
+        if release.driven != first.driven:
+            expected = f"{first.driven}, the output that is driven in {first.name}"
+            raise InputError(manifest.path, "daq.channel", found=release.driven, expected=expected)
+    gains = np.array([release.reading.static_gain for _, release in releases])
+    u = np.array([release.reading.u_static_gain for _, release in releases])
+    between = float(np.std(gains, ddof=1) / np.sqrt(len(gains))) if len(gains) > 1 else 0.0
+    spread = max(between, float(np.sqrt(np.sum(u**2))) / len(u))
+    reading = first.reading
+    return Output(reading.component, reading.channel, reading.unit, float(np.mean(gains)), spread)
+
+
+def _load(manifest: Manifest, component: int) -> tuple[float, dict[str, float]]:
+    """Load mass along a component with what each of its named errors changes; nothing without a [load]."""
+    if manifest.rig.load is None:
+        stranded = next((part.name for part in manifest.part if part.body == "load"), None)
+        if stranded is not None:
+            expected = f"the [load] that the part {stranded} belongs to"
+            raise InputError(manifest.rig_path, "load", found="nothing", expected=expected)
+        return 0.0, {}
+    body = rigid_load(manifest)
+    changes = {error.name: float(error.change[component, component]) for error in inertia_errors(manifest, body)}
+    return float(body.mass_matrix[component, component]), {name: value for name, value in changes.items() if value}
+
+
+def _masses(
+    manifests: Sequence[Manifest], loads: Sequence[tuple[float, dict[str, float]]], component: int
+) -> SeriesMasses:
+    """All masses; an error that several recordings name alike is one unknown."""
+    moving, u_moving = _moving(manifests, component)
+    names = list(dict.fromkeys(name for _, changes in loads for name in changes))
+    own = [MOVING] if u_moving > 0.0 else []
+    effect = np.array([[changes.get(name, 0.0) for name in [*own, *names]] for _, changes in loads])
+    moved = np.array([u_moving] * len(own) + [0.0] * len(names))
+    mass = np.array([load for load, _ in loads])
+    return SeriesMasses(moving, mass, (*own, *names), moved, effect.reshape(len(loads), len(moved)))
+
+
+def _moving(manifests: Sequence[Manifest], component: int) -> tuple[float, float]:
+    """Moving mass, or moment of inertia, of the sensor, which all rigs must state alike."""
+    first = _stated(manifests[0], component)
+    for manifest in manifests[1:]:
+        own = _stated(manifest, component)
+        if own != first:
+            expected = f"{first[0]:g} as in {manifests[0].rig_path.name}"
+            raise InputError(manifest.rig_path, _mass_key(component), found=f"{own[0]:g}", expected=expected)
+    return first
+
+
+def _stated(manifest: Manifest, component: int) -> tuple[float, float]:
+    """What a rig states of the moving mass or moment of inertia, with its standard uncertainty."""
+    sensor = manifest.rig.sensor
+    if sensor is None:
+        raise InputError(manifest.rig_path, "sensor", found="nothing", expected="[sensor] with internal_mass")
+    if component < FORCES:
+        return sensor.internal_mass, sensor.internal_mass_uncertainty
+    axis = component - FORCES
+    return float(sensor.internal_inertia[axis][axis]), float(sensor.internal_inertia_uncertainty[axis][axis])
+
+
+def _missing_mass(manifest: Manifest, component: int) -> InputError | None:
+    """The refusal of a rig that does not state what moves with the spring."""
+    if _stated(manifest, component)[0] > 0.0:
+        return None
+    expected = "what of the sensor moves with its spring, above 0: only ratios of masses show in a resonance"
+    return InputError(manifest.rig_path, _mass_key(component), found="0", expected=expected)
+
+
+def _mass_key(component: int) -> str:
+    """Key of the moving mass or moment of inertia."""
+    return "sensor.internal_mass" if component < FORCES else "sensor.internal_inertia"
+
+
+# A table of resonance frequencies of several loads, such as publications and spectrum analysers give.
+
+
+LOAD, FIRST, U_FIRST, SECOND, U_LOAD = "load_mass_kg", "frequency_hz", "u_frequency_hz", "second_hz", "u_load_mass_kg"
+COLUMNS = (LOAD, FIRST, U_FIRST, SECOND, U_LOAD)
+
+
+def read_table(path: Path, moving_mass: float, u_moving_mass: float) -> LoadSeries:
+    """Return the series that a table holds; raises `InputError` that names row and column.
+
+    Columns load_mass_kg and frequency_hz are needed; u_frequency_hz, second_hz and u_load_mass_kg may stand beside
+    them, an empty cell where a value is not known.
+    """
+    columns = _columns(path)
+    order = np.argsort(columns[LOAD], kind="stable")
+    first, load = columns[FIRST][order], columns[LOAD][order]
+    u_first = np.nan_to_num(columns[U_FIRST][order])
+    names = tuple(f"row {place + 1}" for place in order)
+    measured = stated_resonances(first, u_first, columns[SECOND][order])
+    masses = stated_masses(moving_mass, u_moving_mass, load, np.nan_to_num(columns[U_LOAD][order]))
+    return LoadSeries(Output("F", "", ""), names, measured, masses, (), None)
+
+
+def _columns(path: Path) -> dict[str, FloatArray]:
+    """All columns as numbers, NaN where nothing stands."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise InputError(path, "", found=error.strerror or str(error), expected="a file that can be read") from error
+    except UnicodeDecodeError as error:
+        raise InputError(path, "", found="bytes that are no UTF-8", expected="a CSV text") from error
+    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    rows = list(csv.DictReader(lines, delimiter=";" if lines and ";" in lines[0] else ",", skipinitialspace=True))
+    head = [name.strip() for name in (rows[0] if rows else {}) if name is not None]
+    missing = next((name for name in (LOAD, FIRST) if name not in head), None)
+    if missing is not None:
+        raise InputError(path, missing, found="nothing", expected="this column and a row for every load")
+    unknown = next((name for name in head if name not in COLUMNS), None)
+    if unknown is not None:
+        raise InputError(path, unknown, found="this column", expected="columns of " + ", ".join(COLUMNS))
+    return {name: np.array([_number(path, row, name, place) for place, row in enumerate(rows, 1)]) for name in COLUMNS}
+
+
+def _number(path: Path, row: dict[str, str], column: str, place: int) -> float:
+    """One cell, checked."""
+    cell = next((value for name, value in row.items() if name is not None and name.strip() == column), None)
+    text = (cell or "").strip()
+    if not text:
+        if column in (LOAD, FIRST):
+            raise InputError(path, f"{column}, row {place}", found="nothing", expected="a number")
+        return float("nan")
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    low = 0.0 if column in (LOAD, U_FIRST, U_LOAD) else np.nextafter(0.0, 1.0)
+    if not low <= value < np.inf:
+        expected = "a number of at least 0" if low == 0.0 else "a frequency above 0"
+        raise InputError(path, f"{column}, row {place}", found=text, expected=expected)
+    return value
+
+
+# What evaluated load characteristics consist of.
+
+
+@dataclass(frozen=True)
+class NamedLimit:
+    """A load that is permitted: `name` for files, `label` for readers, NaN where there is no limit; u, k = 1."""
+
+    name: str
+    label: str
+    load_mass: float
+    u: float
+
+
+@dataclass(frozen=True)
+class Solution:
+    """One model that the data support, and what follows from it.
+
+    Curves of both modes: `recorded` at the loads (R,), `predicted` at those asked for (P,), `drawn` over a grid (G,);
+    `bands` (R, 2) and `predicted_bands` (P, 2): up to where the gain is within 5 and 10 % of that at rest, Hz.
+    """
+
+    model: LoadModel
+    recorded: LoadCurve
+    predicted: LoadCurve
+    drawn: LoadCurve
+    bands: FloatArray
+    predicted_bands: FloatArray
+    limits: tuple[NamedLimit, ...]
+
+
+@dataclass(frozen=True)
+class ComponentLoads:
+    """The load characteristics of one component.
+
+    `formula_hz` (R,): √(k/(m_E + m_L))/2π with k from the lightest load alone, what a rigid load would have.
+    """
+
+    series: LoadSeries
+    identification: LoadIdentification
+    formula_hz: FloatArray
+    solutions: tuple[Solution, ...]
+
+    @property
+    def name(self) -> str:
+        """The component, Fx … Mz, or F of a table that does not say."""
+        return self.series.output.component
+
+    @property
+    def k(self) -> float:
+        """Coverage factor for 95 %: by the degrees of freedom where the scatter about the model makes U."""
+        fit = self.identification.chosen[0]
+        return coverage_factor(fit.dof[0] if fit.scatter[0] > 0.0 else np.inf)
+
+    @property
+    def covers(self) -> bool:
+        """Whether there is an uncertainty at all."""
+        return self.identification.chosen[0].covariance is not None
+
+
+@dataclass(frozen=True)
+class LoadEvaluation:
+    """Load characteristics of every component of a sensor."""
+
+    name: str
+    rig: str
+    sensor: str
+    components: tuple[ComponentLoads, ...]
+    chosen: LoadSettings
+    notices: tuple[Notice, ...]
+    settings: dict[str, str | float | int]
+    versions: dict[str, str]
+    input_hashes: dict[str, str]
+    duration_s: float
+
+    @property
+    def models(self) -> tuple[LoadModel, ...]:
+        """Every model, of each component in the order of its solutions."""
+        return tuple(solution.model for component in self.components for solution in component.solutions)
+
+
+# From recordings with several loads, or a table of resonances, to load characteristics.
+
+
+GRID = 61
+BEYOND = 1.25
+"""Largest load that curves are drawn to, over the largest one recorded or asked for."""
+
+
+def evaluate_loads(
+    name: str,
+    series: Sequence[LoadSeries],
+    notices: Iterable[Notice],
+    settings: LoadSettings,
+    input_hashes: dict[str, str],
+    manifest: Manifest | None = None,
+) -> LoadEvaluation:
+    """Return the load characteristics of every series; `manifest`: of a recording, for rig and sensor.
+
+    Raises `ComputeError` where no model is found.
+    """
+    started = time.monotonic()
+    components = tuple(_component(own, settings) for own in series)
+    told = [*notices]
+    for component in components:
+        told += [*component.identification.notices, *_of_range(component, settings)]
+    sensor = None if manifest is None else manifest.rig.sensor
+    return LoadEvaluation(
+        name=name,
+        rig="" if manifest is None else manifest.rig.name,
+        sensor="" if sensor is None else f"{sensor.name} {sensor.serial}".strip(),
+        components=components,
+        chosen=settings,
+        notices=tuple(dict.fromkeys(told)),
+        settings=settings.as_settings(),
+        versions=versions(),
+        input_hashes=input_hashes,
+        duration_s=time.monotonic() - started,
+    )
+
+
+def _component(series: LoadSeries, settings: LoadSettings) -> ComponentLoads:
+    """Model and characteristics of one component."""
+    try:
+        found = identify_loads(series.measured, series.masses, series.output, series.decays, series.noise)
+    except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+        text = f"{series.output.component}: no load model was found ({error}); see docs/load.md, when it refuses"
+        raise ComputeError(text) from error
+    loads, moving = series.masses.load, series.masses.moving
+    lightest = int(np.argmin(loads))
+    scale = np.sqrt((moving + loads[lightest]) / (moving + loads))
+    solutions = tuple(_solution(model, series, settings) for model in found.models)
+    return ComponentLoads(series, found, series.measured.frequency_hz[lightest, 0] * scale, solutions)
+
+
+def _solution(model: LoadModel, series: LoadSeries, settings: LoadSettings) -> Solution:
+    """What follows from one model."""
+    loads = series.masses.load
+    asked = np.array(settings.predicted, dtype=np.float64)
+    largest = float(np.max(np.concatenate([loads, asked]))) or model.moving_mass
+    return Solution(
+        model=model,
+        recorded=load_curve(model, loads, series.masses.u_load),
+        predicted=load_curve(model, asked),
+        drawn=load_curve(model, np.linspace(0.0, BEYOND * largest, GRID)),
+        bands=np.array([working_bands(model, float(load)) for load in loads]).reshape(-1, 2),
+        predicted_bands=np.array([working_bands(model, float(load)) for load in asked]).reshape(-1, 2),
+        limits=_limits(model, settings),
+    )
+
+
+def _limits(model: LoadModel, settings: LoadSettings) -> tuple[NamedLimit, ...]:
+    """Loads that are permitted."""
+    share = settings.permitted
+    percent = f"{100.0 * share:g} %"
+    found = [
+        ("formula_limit", f"two-mass formula within {percent} of the resonance", formula_limit(model, share)),
+        ("change_limit", f"resonance within {percent} of that without load", change_limit(model, share)),
+    ]
+    for wanted in settings.wanted_hz:
+        found.append(("frequency_limit", f"resonance of at least {wanted:g} Hz", frequency_limit(model, wanted)))
+    none = LoadLimit(float("nan"), float("nan"))
+    return tuple(NamedLimit(name, label, *(limit or none)) for name, label, limit in found)
+
+
+def _of_range(component: ComponentLoads, settings: LoadSettings) -> list[Notice]:
+    """Say which predictions lie beyond the loads that were recorded."""
+    largest = float(np.max(component.series.masses.load))
+    unit = component.series.output.mass_unit
+    beyond = [mass for mass in settings.predicted if mass > largest]
+    if not beyond:
+        return []
+    told = ", ".join(f"{mass:g}" for mass in beyond)
+    text = f"{told} {unit} lies beyond the largest load recorded, {largest:.4g} {unit}: the model is extrapolated"
+    return [Notice("warning", text, component.name)]
+
+
+# load.json: the load models of a sensor, written and read back to the last bit.
+
+
+FORMAT = 1
+MODEL_FILE = "load.json"
+
+
+def model_text(models: Sequence[LoadModel], campaign: str, sensor: str, program: str) -> str:
+    """Return the content of load.json: one entry per component, or one per solution that the data cannot tell apart."""
+    content = {
+        "format": FORMAT,
+        "campaign": campaign,
+        "sensor": sensor,
+        "program": program,
+        "models": [_entry(model) for model in models],
+    }
+    return json.dumps(content, indent=2, ensure_ascii=False) + "\n"
+
+
+def read_load_models(path: Path) -> tuple[LoadModel, ...]:
+    """Read load.json, or the one in a folder of results; `InputError` names what cannot be read.
+
+    Where one load cannot tell two solutions apart both are there, with `solutions` = 2.
+    """
+    file = path / MODEL_FILE if path.is_dir() else path
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+        if content["format"] != FORMAT:
+            found = f"format {content['format']}"
+            raise InputError(file, "format", found=found, expected=f"format {FORMAT}; shakercal load writes it anew")
+        return tuple(_model(item) for item in content["models"])
+    except OSError as error:
+        raise InputError(file, "", found=error.strerror or str(error), expected="a file that can be read") from error
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        found = f"no key {error}" if isinstance(error, KeyError) else str(error)
+        raise InputError(file, "", found=found, expected="models as shakercal load writes them") from error
+
+
+def parameter_units(component: str) -> dict[str, str]:
+    """Return the units of a model's numbers, of a force or of a moment."""
+    if component.startswith("M"):
+        names = ("N.m/rad", "N.m.s/rad", "N.m/rad", "N.m.s/rad", "kg.m^2")
+    else:
+        names = ("N/m", "N.s/m", "N/m", "N.s/m", "kg")
+    return dict(zip((*PARAMETERS, "moving_mass"), names, strict=True))
+
+
+def _entry(model: LoadModel) -> dict[str, Any]:
+    """One model as nested dictionaries; numbers are SI, covariances in the order of the parameters, then the mass."""
+    total, units = model.total_covariance, parameter_units(model.component)
+    u = [None] * len(model.vector) if total is None else np.sqrt(np.diag(total)).tolist()
+    return {
+        "component": model.component,
+        "channel": model.channel,
+        "unit": model.unit,
+        "structure": "two masses" if model.is_rigid else "three masses",
+        "solution": model.solution,
+        "solutions": model.solutions,
+        "load_masses": list(model.load_masses),
+        "moving_mass": {"value": model.moving_mass, "u": model.u_moving_mass, "unit": units["moving_mass"]},
+        "sensitivity": {"value": model.sensitivity, "u": model.u_sensitivity},
+        "parameters": [
+            {"name": name, "value": float(value), "u": spread, "unit": units[name]}
+            for name, value, spread in zip(PARAMETERS, model.vector, u, strict=False)
+        ],
+        "covariance": None if model.covariance is None else model.covariance.tolist(),
+        "covariance_with_mass": None if model.covariance_with_mass is None else model.covariance_with_mass.tolist(),
+    }
+
+
+def _model(item: dict[str, Any]) -> LoadModel:
+    """One model from its dictionary."""
+    named = {parameter["name"]: float(parameter["value"]) for parameter in item["parameters"]}
+    matrices = {key: item[key] for key in ("covariance", "covariance_with_mass")}
+    return LoadModel(
+        component=str(item["component"]),
+        channel=str(item["channel"]),
+        unit=str(item["unit"]),
+        moving_mass=float(item["moving_mass"]["value"]),
+        stiffness=named["stiffness"],
+        damping=named["damping"],
+        coupling_stiffness=named.get("coupling_stiffness"),
+        coupling_damping=named.get("coupling_damping"),
+        sensitivity=float(item["sensitivity"]["value"]),
+        u_sensitivity=float(item["sensitivity"]["u"]),
+        u_moving_mass=float(item["moving_mass"]["u"]),
+        load_masses=tuple(float(mass) for mass in item["load_masses"]),
+        solution=int(item["solution"]),
+        solutions=int(item["solutions"]),
+        **{key: None if value is None else np.array(value, dtype=np.float64) for key, value in matrices.items()},
+    )

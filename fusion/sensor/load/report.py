@@ -1,0 +1,498 @@
+"""The page of load characteristics."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from fusion.estimation.uncertainty import DASH, rounded, typeset
+from fusion.report.csv_files import Row
+from fusion.report.numbers import factor, measured
+from fusion.report.recording import page_frame
+from fusion.report.style import Picture
+from fusion.report.tables import Headline, Table, render_page
+from fusion.sensor.load.evaluate import ComponentLoads, LoadEvaluation, NamedLimit, Solution, parameter_units
+from fusion.sensor.load.figures import DecaySpectrum, MeasuredLoads, ModelCurve, draw_characteristics, draw_spectra
+from shaker.release.load_model import PARAMETERS, LoadCurve
+from shaker.release.load_modes import projected
+
+# load.csv and parameters.csv: characteristics over the load, and the numbers behind them.
+
+
+RECORDED, PREDICTED, DRAWN = "recorded", "predicted", "curve"
+LOAD_COLUMNS = [
+    "component",
+    "channel",
+    "solution",
+    "kind",
+    "recording",
+    "load_mass",
+    "u_load_mass",
+    "mass_unit",
+    "first_hz",
+    "u_first_hz",
+    "U_first_hz",
+    "second_hz",
+    "u_second_hz",
+    "U_second_hz",
+    "k",
+    "damping_first",
+    "u_damping_first",
+    "damping_second",
+    "u_damping_second",
+    "measured_first_hz",
+    "u_measured_first_hz",
+    "measured_second_hz",
+    "u_measured_second_hz",
+    "measured_damping_first",
+    "u_measured_damping_first",
+    "formula_hz",
+    "band_5_hz",
+    "band_10_hz",
+]
+PARAMETER_COLUMNS = ["component", "channel", "solution", "name", "value", "u", "U", "k", "unit", "u_given_masses"]
+
+
+def load_rows(evaluation: LoadEvaluation) -> Iterator[Row]:
+    """One row per load: those recorded, those asked for, and a grid; what is not known is left empty."""
+    for component in evaluation.components:
+        for solution in component.solutions:
+            for place, name in enumerate(component.series.names):
+                head = _head(component, solution, RECORDED, name)
+                u_mass = float(component.series.masses.u_load[place])
+                tail = [*_measured(component, place), component.formula_hz[place], *solution.bands[place]]
+                yield _row(head, solution.recorded, place, u_mass, component, tail)
+            for place in range(len(solution.predicted.load_mass)):
+                head = _head(component, solution, PREDICTED, "")
+                tail = [*_unmeasured(), *solution.predicted_bands[place]]
+                yield _row(head, solution.predicted, place, 0.0, component, tail)
+            for place in range(len(solution.drawn.load_mass)):
+                head = _head(component, solution, DRAWN, "")
+                yield _row(head, solution.drawn, place, 0.0, component, [*_unmeasured(), np.nan, np.nan])
+
+
+def parameter_rows(evaluation: LoadEvaluation) -> Iterator[Row]:
+    """One row per number of a model, per permitted load, and per named mass error, in its standard uncertainties."""
+    for component in evaluation.components:
+        k, units = component.k, parameter_units(component.name)
+        for solution in component.solutions:
+            model = solution.model
+            head: Row = [component.name, model.channel, model.solution]
+            size, total = len(model.vector), model.total_covariance
+            u = np.full(size + 1, np.nan) if total is None else np.sqrt(np.diag(total))
+            own = np.full(size, np.nan) if model.covariance is None else np.sqrt(np.diag(model.covariance))
+            names = [*PARAMETERS[:size], "moving_mass"]
+            values = [*model.vector, model.moving_mass]
+            for name, value, spread, given in zip(names, values, u, [*own, 0.0], strict=True):
+                if "damping" in name and not model.damping:
+                    continue
+                yield [*head, name, value, *_none(spread, k * spread), k, units[name], *_none(given)]
+            u_gain = model.u_sensitivity
+            unit = f"{model.unit}/{'(N.m)' if component.name.startswith('M') else 'N'}"
+            if model.unit:
+                yield [*head, "sensitivity", model.sensitivity, *_none(u_gain, k * u_gain), k, unit, ""]
+            for limit in solution.limits:
+                spread = limit.u
+                cells = _none(limit.load_mass, spread, k * spread)
+                yield [*head, f"{limit.name}: {limit.label}", *cells, k, units["moving_mass"], ""]
+        fit = component.identification.chosen[0]
+        for name, value in zip(component.series.masses.names, fit.deviates, strict=True):
+            yield [component.name, component.series.output.channel, 1, f"error of {name}", value, "", "", "", "1", ""]
+
+
+def _head(component: ComponentLoads, solution: Solution, kind: str, recording: str) -> Row:
+    """What a row belongs to."""
+    model = solution.model
+    return [component.name, model.channel, model.solution, kind, recording]
+
+
+def _row(head: Row, curve: LoadCurve, place: int, u_mass: float, component: ComponentLoads, tail: Row) -> Row:
+    """One row of load.csv."""
+    mass = "kg.m^2" if component.name.startswith("M") else "kg"
+    cells = [*head, float(curve.load_mass[place]), u_mass, mass]
+    for mode in range(2):
+        u = curve.u_frequency_hz[place, mode]
+        cells += _none(curve.frequency_hz[place, mode], u, component.k * u)
+    cells.append(component.k if component.covers else "")
+    damped = bool(np.any(curve.damping_ratio[np.isfinite(curve.damping_ratio)] > 1e-9))
+    for mode in range(2):
+        pair = (curve.damping_ratio[place, mode], curve.u_damping_ratio[place, mode])
+        cells += _none(*pair) if damped else ["", ""]
+    return [*cells, *_none(*tail)]
+
+
+def _measured(component: ComponentLoads, place: int) -> Row:
+    """What a record or a table shows of one load."""
+    seen = component.series.measured
+    first, second = seen.frequency_hz[place]
+    u_first, u_second = seen.u_frequency_hz[place]
+    return [first, u_first, second, u_second, seen.damping_ratio[place, 0], seen.u_damping_ratio[place, 0]]
+
+
+def _unmeasured() -> Row:
+    """Empty cells in place of what was measured, and of the formula."""
+    return [np.nan] * 7
+
+
+def _none(*values: float | str | None) -> Row:
+    """Numbers, nothing where there is none."""
+    return ["" if value is None or not np.isfinite(float(value)) else float(value) for value in values]
+
+
+# The tables of load.html, and what the command prints.
+
+
+LABELS = {
+    "stiffness": "stiffness k",
+    "damping": "damping c",
+    "coupling_stiffness": "stiffness of the coupling k_L",
+    "coupling_damping": "damping of the coupling c_L",
+    "moving_mass": "moving mass m_E",
+}
+GRAM = 1e3
+
+
+def headlines(component: ComponentLoads) -> list[Headline]:
+    """Stiffnesses, resonance without load, and the first limit, of the first solution."""
+    solution = component.solutions[0]
+    found = []
+    for name, value, u in _numbers(component, solution):
+        if name.endswith("stiffness"):
+            unit = parameter_units(component.name)[name]
+            remark = f"U: k = {factor(component.k)}" if component.covers else "without U"
+            remark += _which(solution)
+            found.append(Headline(_capital(LABELS[name]), measured(value, component.k * u, unit_text(unit)), remark))
+    bare = solution.drawn
+    value, u = float(bare.frequency_hz[0, 0]), float(bare.u_frequency_hz[0, 0])
+    found.append(Headline("Resonance without load", measured(value, component.k * u, "Hz"), "by the model"))
+    for limit in solution.limits[:1]:
+        if np.isfinite(limit.load_mass):
+            found.append(Headline("Two-mass formula holds to", _mass(component, limit), limit.label))
+    return found
+
+
+def parameters_table(component: ComponentLoads) -> Table:
+    """Every number of the model, of each solution."""
+    units = parameter_units(component.name)
+    rows = []
+    for solution in component.solutions:
+        model = solution.model
+        own = () if model.covariance is None else np.sqrt(np.diag(model.covariance)).tolist()
+        given = dict(zip(PARAMETERS, own, strict=False))
+        for name, value, u in _numbers(component, solution):
+            alone = measured(value, component.k * given[name]) if given.get(name) else DASH
+            relative = f"{100.0 * component.k * u / value:.2g}" if u > 0.0 and value else DASH
+            told = measured(value, component.k * u)
+            rows.append((f"{model.solution}", _capital(LABELS[name]), told, unit_text(units[name]), relative, alone))
+    head = ("solution", "quantity", "value", "unit", "U relative / %", "for the stated masses")
+    caption = f"Parameters with U = k·u, k = {factor(component.k)} (95 %)"
+    return _without_first(component, Table(caption, head, "llrlrr", tuple(rows)))
+
+
+def loads_table(component: ComponentLoads, solution: Solution) -> Table:
+    """Every recorded load: what was measured, what the model says, what the two-mass formula says."""
+    seen, rows = component.series.measured, []
+    for place, name in enumerate(component.series.names):
+        first, second = (
+            measured(float(seen.frequency_hz[place, m]), component.k * float(seen.u_frequency_hz[place, m]))
+            if np.isfinite(seen.frequency_hz[place, m])
+            else DASH
+            for m in range(2)
+        )
+        known = float(seen.frequency_hz[place, 0])
+        model, formula = float(solution.recorded.frequency_hz[place, 0]), float(component.formula_hz[place])
+        rigid = float(component.identification.rigid.frequency_hz[place, 0])
+        cells = (_percent(model / known - 1.0), _percent(formula / known - 1.0), _percent(rigid / known - 1.0))
+        mass = f"{GRAM * component.series.masses.load[place]:.6g}"
+        rows.append((name, mass, first, second, *cells))
+    head = (
+        "recording",
+        f"load / {small_unit(component)}",
+        "first / Hz",
+        "second / Hz",
+        "model / %",
+        "formula / %",
+        "two masses / %",
+    )
+    caption = f"Resonances with U; first ones of the models less measured{_which(solution)}"
+    return Table(caption, head, "lrrrrrr", tuple(rows))
+
+
+def bands_table(component: ComponentLoads, solution: Solution) -> Table:
+    """Damping and working bands of every load, recorded or asked for."""
+    rows = []
+    groups = (
+        (solution.recorded, solution.bands, component.series.names),
+        (solution.predicted, solution.predicted_bands, ("predicted",) * len(solution.predicted.load_mass)),
+    )
+    for curve, bands, names in groups:
+        for place, name in enumerate(names):
+            zeta, u = float(curve.damping_ratio[place, 0]), float(curve.u_damping_ratio[place, 0])
+            damping = measured(100.0 * zeta, 100.0 * component.k * u) if solution.model.damping else DASH
+            five, ten = (f"{edge:.4g}" if np.isfinite(edge) else DASH for edge in bands[place])
+            first, second = _curve_cells(component, curve, place)
+            rows.append((name, f"{GRAM * curve.load_mass[place]:.6g}", first, second, damping, five, ten))
+    head = (
+        "load",
+        f"mass / {small_unit(component)}",
+        "first / Hz",
+        "second / Hz",
+        "damping ratio / %",
+        "±5 % to / Hz",
+        "±10 % to / Hz",
+    )
+    caption = f"Mounted resonances, damping and bands in which the gain is that at rest{_which(solution)}"
+    return Table(caption, head, "lrrrrrr", tuple(rows))
+
+
+def limits_table(component: ComponentLoads) -> Table:
+    """Loads that are permitted."""
+    rows = []
+    for solution in component.solutions:
+        for limit in solution.limits:
+            told = _mass(component, limit) if np.isfinite(limit.load_mass) else "no limit, or never met"
+            rows.append((f"{solution.model.solution}", _capital(limit.label), told))
+    head = ("solution", "requirement", "largest load")
+    return _without_first(component, Table("Load limits with U", head, "llr", tuple(rows)))
+
+
+def masses_table(component: ComponentLoads) -> Table | None:
+    """The named errors of the masses, and where the resonances move them."""
+    masses, fit = component.series.masses, component.identification.chosen[0]
+    if not masses.names or fit.covariance is None:
+        return None
+    size = len(fit.numbers)
+    rows = []
+    for q, name in enumerate(masses.names):
+        stated = float(max(abs(masses.moving_effect[q]), np.max(np.abs(masses.load_effect[:, q]), initial=0.0)))
+        left = float(np.sqrt(fit.covariance[size + q, size + q]))
+        shift = f"{fit.deviates[q]:+.2f}".replace("-", "\N{MINUS SIGN}")
+        rows.append((name, f"{GRAM * stated:.3g}", shift, f"{left:.2f}"))
+    head = ("mass error", f"stated u / {small_unit(component)}", "found / stated u", "u left / stated u")
+    return Table("Masses as unknowns: what the resonances say of them", head, "lrrr", tuple(rows))
+
+
+def printed(evaluation: LoadEvaluation) -> Iterator[str]:
+    """Lines for the terminal, U at 95 %."""
+    for component in evaluation.components:
+        for solution in component.solutions:
+            structure = "two masses" if solution.model.is_rigid else "three masses"
+            told = ", ".join(_plain(component, *number) for number in _numbers(component, solution))
+            yield f"{component.name} ({structure}{_which(solution)}): {told}"
+            for curve, names in (
+                (solution.recorded, component.series.names),
+                (solution.predicted, ("predicted",) * len(solution.predicted.load_mass)),
+            ):
+                for place, name in enumerate(names):
+                    first, u = float(curve.frequency_hz[place, 0]), float(curve.u_frequency_hz[place, 0])
+                    mass = f"{GRAM * curve.load_mass[place]:.6g} {small_unit(component)}"
+                    left = _left(component, solution, place, name)
+                    yield f"  {name}: load {mass}, resonance {_value(first, component.k * u, 'Hz')}{left}"
+            for limit in solution.limits:
+                known = np.isfinite(limit.load_mass)
+                told = _value(GRAM * limit.load_mass, GRAM * component.k * limit.u, small_unit(component))
+                yield f"  {limit.label}: {'load up to ' + told if known else 'no limit, or never met'}"
+
+
+def _which(solution: Solution) -> str:
+    """The number of a solution where there are several."""
+    model = solution.model
+    return f", solution {model.solution} of {model.solutions}" if model.solutions > 1 else ""
+
+
+def _left(component: ComponentLoads, solution: Solution, place: int, name: str) -> str:
+    """How far the model is from what was measured."""
+    if name == "predicted":
+        return ""
+    known = float(component.series.measured.frequency_hz[place, 0])
+    return f", measured {known:.6g} Hz ({_percent(float(solution.recorded.frequency_hz[place, 0]) / known - 1.0)} %)"
+
+
+def _numbers(component: ComponentLoads, solution: Solution) -> list[tuple[str, float, float]]:
+    """Name, value and standard uncertainty of every number of a model that is known; NaN without uncertainty."""
+    model = solution.model
+    total = model.total_covariance
+    values = [*model.vector, model.moving_mass]
+    u = [float("nan")] * len(values) if total is None else np.sqrt(np.diag(total)).tolist()
+    names = [*PARAMETERS[: len(model.vector)], "moving_mass"]
+    every = zip(names, (float(v) for v in values), u, strict=True)
+    return [(name, value, spread) for name, value, spread in every if "damping" not in name or model.damping]
+
+
+def _curve_cells(component: ComponentLoads, curve: LoadCurve, place: int) -> tuple[str, str]:
+    """First and second resonance of a model with U."""
+    first, second = (
+        measured(float(curve.frequency_hz[place, m]), component.k * float(curve.u_frequency_hz[place, m]))
+        if np.isfinite(curve.frequency_hz[place, m])
+        else DASH
+        for m in range(2)
+    )
+    return first, second
+
+
+def _without_first(component: ComponentLoads, table: Table) -> Table:
+    """The table without the number of the solution where there is one only."""
+    if len(component.solutions) > 1:
+        return table
+    return Table(table.caption, table.head[1:], table.align[1:], tuple(row[1:] for row in table.rows))
+
+
+def _mass(component: ComponentLoads, limit: NamedLimit) -> str:
+    """A permitted load in g with U."""
+    return measured(GRAM * limit.load_mass, GRAM * component.k * limit.u, small_unit(component))
+
+
+def unit_text(unit: str) -> str:
+    """ASCII unit of the result files as it is printed."""
+    return typeset(unit).replace(".", "·")
+
+
+def small_unit(component: ComponentLoads) -> str:
+    """Unit in which loads are told."""
+    return "g·m²" if component.name.startswith("M") else "g"
+
+
+def _plain(component: ComponentLoads, name: str, value: float, u: float) -> str:
+    """A number with U for the terminal."""
+    unit = unit_text(parameter_units(component.name)[name])
+    symbol = LABELS[name].rpartition(" ")[2]
+    return f"{symbol} = {_value(value, component.k * u, unit)}"
+
+
+def _value(value: float, expanded: float, unit: str) -> str:
+    """A value with U and unit as plain text."""
+    text = rounded(value, expanded)
+    power = f"e{text.exponent}" if text.exponent else ""
+    if text.expanded == DASH:
+        return f"{text.value}{power} {unit}"
+    return f"({text.value} ± {text.expanded}){power} {unit}"
+
+
+def _percent(share: float) -> str:
+    """A deviation in % with a sign."""
+    percent = 100.0 * share
+    text = f"{percent:+.2f}" if abs(percent) >= 1.0 else f"{percent:+.3f}" if abs(percent) >= 5e-4 else "0.000"
+    return text.replace("-", "\N{MINUS SIGN}")
+
+
+def _capital(text: str) -> str:
+    """Text with a capital letter at its beginning."""
+    return text[:1].upper() + text[1:]
+
+
+# load.html: one self-contained page with models, resonances over the load, limits and origin.
+
+
+PAGE_FILE = "load.html"
+PERCENT = 100.0
+
+
+def render_load_page(evaluation: LoadEvaluation) -> str:
+    """HTML text of the page; style and figures are inside, nothing is fetched from elsewhere."""
+    return render_page("load.html", _context(evaluation))
+
+
+def _context(evaluation: LoadEvaluation) -> dict[str, Any]:
+    """Everything the template shows."""
+    return {
+        "name": evaluation.name,
+        "subject": _subject(evaluation),
+        "components": [_component(component, evaluation) for component in evaluation.components],
+        **page_frame(evaluation),
+    }
+
+
+def _subject(evaluation: LoadEvaluation) -> list[tuple[str, str]]:
+    """What was released: rig, sensor, recordings."""
+    facts = [("Rig", evaluation.rig)] if evaluation.rig else []
+    if evaluation.sensor:
+        facts.append(("Sensor", evaluation.sensor))
+    told = [f"{c.name}: {', '.join(c.series.names)}" for c in evaluation.components]
+    return [*facts, ("Loads", "; ".join(told))]
+
+
+def _component(component: ComponentLoads, evaluation: LoadEvaluation) -> dict[str, Any]:
+    """Tables and figures of one component."""
+    first = component.solutions[0]
+    return {
+        "name": component.name,
+        "reason": component.identification.reason,
+        "structure": "Two masses" if first.model.is_rigid else "Three masses",
+        "headlines": headlines(component),
+        "parameters": parameters_table(component),
+        "loads": [loads_table(component, solution) for solution in component.solutions],
+        "bands": [bands_table(component, solution) for solution in component.solutions],
+        "limits": limits_table(component),
+        "masses": masses_table(component),
+        "characteristics": [_characteristics(component, evaluation.chosen.permitted)],
+        "spectra": _spectra(component),
+        "from_records": component.identification.from_records,
+    }
+
+
+def _characteristics(component: ComponentLoads, permitted: float) -> Picture:
+    """Resonances and damping over the load."""
+    curves = [_curve(component, solution) for solution in component.solutions]
+    seen, load = component.series.measured, GRAM * component.series.masses.load
+    first = seen.frequency_hz[:, 0]
+    model = component.solutions[0].recorded.frequency_hz[:, 0]
+    rigid = component.identification.rigid.frequency_hz[:, 0]
+    compared = ["two masses, by the lightest load", "two masses, all loads"]
+    columns = [component.formula_hz, rigid]
+    if not component.solutions[0].model.is_rigid:
+        compared.append("three masses")
+        columns.append(model)
+    measured = MeasuredLoads(
+        load=load,
+        frequency_hz=seen.frequency_hz,
+        expanded=component.k * seen.u_frequency_hz,
+        damping=PERCENT * seen.damping_ratio[:, 0],
+        expanded_damping=PERCENT * component.k * seen.u_damping_ratio[:, 0],
+        compared=tuple(compared),
+        deviation=np.stack([PERCENT * (column / first - 1.0) for column in columns], axis=1),
+        permitted=permitted,
+        unit=small_unit(component),
+    )
+    grid = component.solutions[0].drawn.load_mass
+    masses = component.series.masses
+    lightest = int(np.argmin(masses.load))
+    scale = np.sqrt((masses.moving + masses.load[lightest]) / (masses.moving + grid))
+    return draw_characteristics(f"load-{component.name}", curves, measured, first[lightest] * scale)
+
+
+def _curve(component: ComponentLoads, solution: Solution) -> ModelCurve:
+    """A solution as it is drawn."""
+    drawn, model = solution.drawn, solution.model
+    label = "two masses" if model.is_rigid else "three masses"
+    return ModelCurve(
+        label=f"{label}, solution {model.solution}" if model.solutions > 1 else label,
+        load=GRAM * drawn.load_mass,
+        frequency_hz=drawn.frequency_hz,
+        expanded=component.k * drawn.u_frequency_hz,
+        damping=PERCENT * drawn.damping_ratio[:, 0],
+        expanded_damping=PERCENT * component.k * drawn.u_damping_ratio[:, 0],
+    )
+
+
+def _spectra(component: ComponentLoads) -> list[Picture]:
+    """Spectra of the records, none of a table."""
+    model, found = component.solutions[0].model, []
+    for place, decay in enumerate(component.series.decays):
+        poles = model.poles(float(component.series.masses.load[place]))
+        residual, _ = projected(decay, poles[poles.imag > 0.0])
+        window = np.hanning(len(decay.value))
+        both = [np.abs(np.fft.rfft(window * part)) for part in (decay.value - np.mean(decay.value), residual)]
+        largest = float(both[0].max())
+        load = GRAM * component.series.masses.load[place]
+        found.append(
+            DecaySpectrum(
+                label=f"{decay.name}, load {load:.5g} {small_unit(component)}",
+                frequency_hz=np.asarray(np.fft.rfftfreq(len(decay.value), 1.0 / decay.rate_hz)),
+                amplitude=both[0] / largest,
+                residual=both[1] / largest,
+                modes_hz=component.solutions[0].recorded.frequency_hz[place],
+            )
+        )
+    return [draw_spectra(f"spectra-{component.name}", found)] if found else []

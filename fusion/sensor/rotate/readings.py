@@ -1,0 +1,456 @@
+"""Readings over the angle of an indexing head: surroundings, scatter, and the result they lead to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from fusion.base import InputError
+from fusion.campaign.repeats import BETWEEN, WITHIN, nested
+from fusion.estimation.uncertainty import coverage_factor
+from fusion.recording.load import Manifest
+from fusion.recording.rig import Load, Part, Sensor
+from fusion.sensitivity.load import LOAD_COMPONENTS, LOAD_UNITS
+from shaker.arrays import FloatArray, Notice
+from shaker.io.text import read_table_columns, table_units
+from shaker.static_rotation.harmonics import AngleFit, Known, air_density_at, fit_angles, gravity_at
+from shaker.static_rotation.masses import SensorOutputs, Turned, WeightFit, start_values
+
+# Gravity, air and what is mounted, as the rig states them or as they follow from its place.
+
+
+LIGHTEST_KGM3, HEAVIEST_KGM3 = 2700.0, 8000.0
+"""Densities of aluminium and steel: anything between them may be what nobody has stated."""
+U_STATED_AIR = 0.01
+"""Relative standard uncertainty of an air density that is stated."""
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """A body whose mass is stated: true mass kg, volume per mass m³/kg, centre of mass m (3,), with uncertainties."""
+
+    name: str
+    mass_kg: float
+    u_mass_kg: float
+    volume_m3kg: float
+    u_volume_m3kg: float
+    centre_m: FloatArray
+    u_centre_m: FloatArray
+
+
+def local_gravity(manifest: Manifest) -> Known:
+    """Return the rig's gravity, else that of its latitude and height; refuses a rig that states neither."""
+    environment = manifest.rig.environment
+    if environment is not None and environment.gravity is not None:
+        vector, u = np.array(environment.gravity), np.array(environment.gravity_uncertainty)
+        size = float(np.linalg.norm(vector))
+        return Known(size, float(np.linalg.norm(vector / size * u)), "stated in rig.toml")
+    if environment is None or environment.latitude is None:
+        expected = "local gravity, or latitude and height from which it follows"
+        raise InputError(manifest.rig_path, "environment.gravity", found="nothing", expected=expected)
+    if environment.height is None:
+        expected = "the height above the sea in m that belongs to latitude"
+        raise InputError(manifest.rig_path, "environment.height", found="nothing", expected=expected)
+    return gravity_at(float(np.radians(environment.latitude)), environment.height)
+
+
+def air_density(manifest: Manifest) -> Known:
+    """Return the rig's air density, else that of its pressure, temperature and humidity as far as they are stated."""
+    environment = manifest.rig.environment
+    if environment is None:
+        return air_density_at(None, None, None, None)
+    if environment.air_density is not None:
+        return Known(environment.air_density, U_STATED_AIR * environment.air_density, "stated in rig.toml")
+    return air_density_at(environment.height, environment.pressure, environment.temperature, environment.humidity)
+
+
+def unknown_volume() -> tuple[float, float]:
+    """Return volume per mass, m³/kg, of something between aluminium and steel, and its standard uncertainty."""
+    low, high = 1.0 / HEAVIEST_KGM3, 1.0 / LIGHTEST_KGM3
+    return 0.5 * (low + high), (high - low) / np.sqrt(12.0)
+
+
+def load_bodies(manifest: Manifest) -> tuple[Weighed, ...]:
+    """Return what is taken off for a recording without load: the load and the rig's parts on it."""
+    rig = manifest.rig
+    found = [] if rig.load is None else [_weighed("load", rig.load)]
+    return (*found, *(_weighed(part.name, part) for part in rig.part if part.body == "load"))
+
+
+def own_bodies(manifest: Manifest) -> tuple[Weighed, ...]:
+    """Return what one recording carries beside that: the parts that stand in its own recording.toml."""
+    own = manifest.part[len(manifest.rig.part) :]
+    return tuple(_weighed(part.name, part) for part in own if part.body == "load")
+
+
+def _weighed(name: str, entry: Load | Part) -> Weighed:
+    """One table of the manifests."""
+    volume, u_volume = unknown_volume() if entry.density is None else (1.0 / entry.density, 0.0)
+    centre, u_centre = np.array(entry.centre_of_mass), np.array(entry.centre_of_mass_uncertainty)
+    return Weighed(name, entry.true_mass, entry.mass_uncertainty, volume, u_volume, centre, u_centre)
+
+
+# Repeats of a rotation test: what recordings and mountings of one state scatter by beyond what is stated for them.
+
+
+@dataclass(frozen=True)
+class Repeats:
+    """Recordings of one state, with or without load.
+
+    `recordings`, `mountings` (N,); `within`, `between`: standard deviation in N of a recording's weight and of a
+    mounting's beyond what is stated, with N - M and M - 1 degrees of freedom; NaN where there are none.
+    """
+
+    state: str
+    recordings: tuple[str, ...]
+    mountings: tuple[str, ...]
+    within: float
+    between: float
+    within_dof: int
+    between_dof: int
+
+
+@dataclass(frozen=True)
+class Carried:
+    """What N recordings of one state found: `value` (N, V) and the effect (N, V, r) of every cause of error on it."""
+
+    state: str
+    recordings: tuple[str, ...]
+    mountings: tuple[str, ...]
+    value: FloatArray
+    effects: tuple[FloatArray, ...]
+
+    def repeats(self, gradient: FloatArray) -> Repeats:
+        """Return how much the number with a gradient (V,) scatters."""
+        forms = nested(self.mountings)
+        found = dict(components(self, gradient[None]))
+        within, between = (float(np.sqrt(found[n].variance[0])) if n in found else np.nan for n in (WITHIN, BETWEEN))
+        counts = (forms.within_dof, forms.between_dof)
+        return Repeats(self.state, self.recordings, self.mountings, within, between, *counts)
+
+
+class Component(NamedTuple):
+    """Variance (Q,) of one recording or mounting beyond what is stated, and that of the mean.
+
+    `wide`, `dof` (Q,): variance of the mean and its degrees of freedom for the formula of Welch and Satterthwaite.
+    """
+
+    variance: FloatArray
+    in_mean: FloatArray
+    wide: FloatArray
+    dof: FloatArray
+
+    def spread_over(self, each: float, share: float) -> Component:
+        """Return this per `each` recordings of a mounting, with a share in the mean."""
+        factor = share / each
+        return Component(self.variance / each, self.variance * factor, self.wide * factor, self.dof)
+
+
+def components(carried: Carried, gradient: FloatArray) -> Iterator[tuple[str, Component]]:
+    """Yield what recordings, then mountings, scatter by in Q numbers, each by itself; `gradient` (Q, V) of the mean.
+
+    One-way random effects, unbalanced: of the mean squares s² between the recordings of a mounting and between the
+    mountings, what is stated makes σ², and beyond it are τ² = s² - σ², none where negative (Searle, Casella &
+    McCulloch 1992, Variance Components, 3.6). The mean is that of the recordings; where it scatters, its u has the
+    N - M or M - 1 = ν degrees of freedom of s². Beside other contributions, effective degrees of freedom follow from
+    s² enlarged by its relative variance 2/ν, τ² + 2s²/ν for τ²: with s² itself there are too many wherever few
+    readings happen to scatter little, and 95 % intervals of three would hold 92 in 100.
+    """
+    forms, count = nested(carried.mountings), len(carried.recordings)
+    reading = carried.value @ gradient.T
+    effects = [np.einsum("qv,nvr->nqr", gradient, effect) for effect in carried.effects]
+    known: FloatArray = np.zeros(len(gradient))
+    if forms.within_dof:
+        within = _beyond(reading, effects, forms.within, forms.within_dof, known)
+        known = within.variance
+        yield WITHIN, within.spread_over(1.0, 1.0 / count)
+    if forms.between_dof:
+        found = _beyond(reading, effects, forms.between, forms.between_dof, known)
+        share = sum(carried.mountings.count(kind) ** 2 for kind in set(carried.mountings)) / count**2
+        yield BETWEEN, found.spread_over(forms.each, share)
+
+
+def _beyond(
+    reading: FloatArray, effects: Sequence[FloatArray], form: FloatArray, dof: int, known: FloatArray
+) -> Component:
+    """What a mean square of readings (N, Q) exceeds stated errors by, and a variance that is known beyond them."""
+    square = np.einsum("nq,nm,mq->q", reading, form, reading) / dof
+    stated = sum((np.einsum("nqr,nm,mqr->q", effect, form, effect) for effect in effects), np.zeros(len(square))) / dof
+    variance = np.maximum(square - stated - known, 0.0)
+    enlarged = np.where(variance > 0.0, square * (1.0 + 2.0 / dof), 1.0)
+    wide = np.where(variance > 0.0, variance + square * (2.0 / dof), 0.0)
+    return Component(variance, variance, wide, dof * (wide / enlarged) ** 2)
+
+
+# What an evaluated rotation test consists of.
+
+
+JOINT = "joint"
+"""Component of a mass that all force channels tell together."""
+
+
+class Column(NamedTuple):
+    """One column of a recording's table that is used: the sensor's channel, its unit as written, load or output."""
+
+    channel: str
+    unit: str
+    is_load: bool
+
+
+@dataclass(frozen=True)
+class RotationRecording:
+    """One recording: readings over the angle in the sensor's unit or in N and N·m, and the fit to them.
+
+    `name`: of its folder. `unit` (C,), of every channel. `load` (N, 6): the readings as loads by the calibration
+    matrix `inverse` (6, C), NaN where that does not tell a component.
+    """
+
+    name: str
+    manifest: Manifest
+    with_load: bool
+    unit: tuple[str, ...]
+    fit: AngleFit
+    inverse: FloatArray
+    load: FloatArray
+
+    @property
+    def state(self) -> str:
+        """Return what was on the sensor, in words."""
+        return "with load" if self.with_load else "without load"
+
+    @property
+    def told(self) -> list[int]:
+        """Return the places of the load components that the channels tell."""
+        return [int(i) for i in np.flatnonzero(np.isfinite(self.load).all(axis=0))]
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One number of the result with its standard uncertainty and the degrees of freedom behind that.
+
+    `name` for files, `label` for readers; `component`: Fx … Mz, x, y, z, or all forces together ("joint"); `recording`:
+    the folder of the one it belongs to, empty where it rests on several. `budget`: standard uncertainty by cause.
+    """
+
+    name: str
+    label: str
+    component: str
+    value: float
+    u: float
+    dof: float
+    unit: str
+    recording: str
+    budget: dict[str, float]
+
+    @property
+    def k(self) -> float:
+        """Return the coverage factor for 95 %."""
+        return coverage_factor(self.dof)
+
+    @property
+    def expanded(self) -> float:
+        """Return U = k·u."""
+        return self.k * self.u
+
+
+@dataclass(frozen=True)
+class RotationEvaluation:
+    """All recordings of one sensor on the head, what they weigh, and their surroundings.
+
+    `repeats`: of each state that was recorded more than once.
+    """
+
+    name: str
+    recordings: tuple[RotationRecording, ...]
+    outputs: SensorOutputs
+    gravity: Known
+    air: Known
+    weights: WeightFit
+    quantities: tuple[Quantity, ...]
+    repeats: tuple[Repeats, ...]
+    notices: tuple[Notice, ...]
+    settings: dict[str, str | float | int]
+    versions: dict[str, str]
+    input_hashes: dict[str, str]
+    duration_s: float
+
+    def find(self, name: str, component: str = JOINT, recording: str = "") -> Quantity | None:
+        """Return a quantity, None where the recordings do not tell it."""
+        wanted = (name, component, recording)
+        return next((q for q in self.quantities if (q.name, q.component, q.recording) == wanted), None)
+
+
+# A recording's table of readings over the angle → harmonics of the sensor's outputs.
+
+
+ANGLE = "angle"
+ANGLE_UNITS = {"deg": "deg", "°": "deg", "degree": "deg", "degrees": "deg", "rad": "rad", "radian": "rad"}
+PREFIXES = {"": 1.0, "m": 1e-3, "µ": 1e-6, "μ": 1e-6, "u": 1e-6}
+SPELT = (("·", "."), ("*", "."), (" ", ""), ("Nm", "N.m"))
+
+
+def read_rotation(manifest: Manifest) -> tuple[RotationRecording, SensorOutputs, list[Notice]]:
+    """Return one recording with its fit, how its channels answer loads, and what the user should know of it."""
+    sensor = _sensor(manifest)
+    columns = _columns(manifest, sensor)
+    angle, values = _numbers(manifest, sensor, columns)
+    changing = np.ptp(values, axis=0) > 0.0
+    still = [column.channel for column, moves in zip(columns, changing, strict=True) if not moves]
+    where = manifest.folder.name
+    notices = [Notice("warning", f"{', '.join(still)}: every reading is the same, left out", where)] if still else []
+    missing = [name for name in sensor.channels if name not in [column.channel for column in columns]]
+    if missing:
+        text = f"{table_path(manifest).name} has no column of {', '.join(missing)}"
+        notices.append(Notice("info", text, where))
+    columns = [column for column, moves in zip(columns, changing, strict=True) if moves]
+    if not columns:
+        raise InputError(table_path(manifest), "", "readings that do not change with the angle", "the sensor's outputs")
+    outputs = _outputs(sensor, columns)
+    try:
+        fit = fit_angles(tuple(column.channel for column in columns), angle, values[:, changing])
+    except ValueError as error:
+        raise InputError.told_by(error, table_path(manifest)) from error
+    load = np.where(outputs.determined, fit.reading @ outputs.inverse.T, np.nan)
+    recording = RotationRecording(
+        name=where,
+        manifest=manifest,
+        with_load=bool(manifest.excitation.with_load),
+        unit=tuple(column.unit if column.is_load else sensor.unit for column in columns),
+        fit=fit,
+        inverse=outputs.inverse,
+        load=load,
+    )
+    _check_start(recording, outputs)
+    return recording, outputs, notices
+
+
+def turned(recording: RotationRecording) -> Turned:
+    """Return the first harmonics of a recording with the axis and the direction of gravity as stated."""
+    excitation, fit = recording.manifest.excitation, recording.fit
+    axis, down = np.array(excitation.axis), np.array(excitation.zero_gravity)
+    return Turned(recording.name, fit.amplitude(), fit.covariance(), fit.dof, axis, down)
+
+
+def table_path(manifest: Manifest) -> Path:
+    """Return the path of the table of readings."""
+    if manifest.excitation.file is None:
+        raise InputError(manifest.path, "excitation.file", "nothing", "the table of readings")
+    return manifest.excitation.file
+
+
+def _sensor(manifest: Manifest) -> Sensor:
+    """The sensor on the head."""
+    if manifest.rig.sensor is None:
+        raise InputError(manifest.rig_path, "sensor", "nothing", "the [sensor] whose readings stand in the table")
+    return manifest.rig.sensor
+
+
+def _columns(manifest: Manifest, sensor: Sensor) -> list[Column]:
+    """Which columns are the sensor's channels, and whether they are outputs or loads."""
+    path = table_path(manifest)
+    try:
+        units = table_units(path)
+    except (OSError, ValueError) as error:
+        raise InputError.told_by(error, path) from error
+    if ANGLE not in units:
+        raise InputError(path, ANGLE, f"the columns {', '.join(units)}", "a column of this name")
+    stated, written = manifest.excitation.angle_unit, ANGLE_UNITS.get(units[ANGLE].strip().lower())
+    if units[ANGLE] and written != stated:
+        expected = f'the unit of the column {ANGLE} in {path.name}, "{units[ANGLE]}"'
+        raise InputError(manifest.path, "excitation.angle_unit", found=f'"{stated}"', expected=expected)
+    present = [name for name in sensor.channels if name in units]
+    if not present:
+        expected = f"columns of the sensor's channels {', '.join(sensor.channels)}"
+        raise InputError(path, "", found=", ".join(units), expected=expected)
+    plain = {name: _spelt(units[name]) for name in present}
+    loads = [name for name in present if plain[name] in LOAD_UNITS or _is_bare_load(sensor, plain[name])]
+    if loads and len(loads) < len(present):
+        other = next(name for name in present if name not in loads)
+        raise InputError(path, other, f'the unit "{units[other]}"', f"N or N.m as of {loads[0]}, or outputs throughout")
+    if loads:
+        return [_load_column(manifest, sensor, name, plain[name]) for name in present]
+    if sensor.static_sensitivity is None:
+        expected = (
+            "the sensitivities that turn outputs into loads (the inverse of a calibration matrix), or columns in N"
+        )
+        raise InputError(manifest.rig_path, "sensor.static_sensitivity", found="nothing", expected=expected)
+    return [Column(name, plain[name], is_load=False) for name in present]
+
+
+def _spelt(unit: str) -> str:
+    """A unit in the spelling of the result files."""
+    text = unit.strip()
+    for old, new in SPELT:
+        text = text.replace(old, new)
+    return text
+
+
+def _is_bare_load(sensor: Sensor, unit: str) -> bool:
+    """Whether a column without a unit holds a load: of a sensor whose outputs are loads, without sensitivities."""
+    return not unit and sensor.static_sensitivity is None and _spelt(sensor.unit) in LOAD_UNITS
+
+
+def _load_column(manifest: Manifest, sensor: Sensor, name: str, unit: str) -> Column:
+    """A column that holds a load component."""
+    if name not in LOAD_COMPONENTS:
+        expected = f"one of {', '.join(LOAD_COMPONENTS)}, since columns in N and N.m are loads"
+        raise InputError(manifest.rig_path, "sensor.channels", found=f'"{name}"', expected=expected)
+    right = LOAD_UNITS[LOAD_COMPONENTS.index(name)]
+    if unit not in ("", right):
+        raise InputError(table_path(manifest), name, found=f'the unit "{unit}"', expected=right)
+    return Column(name, right, is_load=True)
+
+
+def _numbers(manifest: Manifest, sensor: Sensor, columns: Sequence[Column]) -> tuple[FloatArray, FloatArray]:
+    """Angles in rad (N,) and readings (N, C) in the unit of each column."""
+    path = table_path(manifest)
+    try:
+        table = read_table_columns(path, [ANGLE, *(column.channel for column in columns)])
+    except (OSError, ValueError) as error:
+        raise InputError.told_by(error, path) from error
+    if not np.isfinite(table).all():
+        row, place = (int(i) for i in np.argwhere(~np.isfinite(table))[0])
+        name = ANGLE if place == 0 else columns[place - 1].channel
+        raise InputError(path, name, found=f"none in row {row + 1}", expected="a number in every row")
+    angle = np.radians(table[:, 0]) if manifest.excitation.angle_unit == "deg" else table[:, 0]
+    return angle, table[:, 1:] * np.array([_factor(manifest, sensor, column) for column in columns])
+
+
+def _factor(manifest: Manifest, sensor: Sensor, column: Column) -> float:
+    """What turns a column into the sensor's unit, or leaves a load as it is."""
+    if column.is_load:
+        return 1.0
+    if "scale" in manifest.excitation.model_fields_set or not column.unit:
+        return manifest.excitation.scale
+    own = _spelt(sensor.unit)
+    for prefix, factor in PREFIXES.items():
+        if column.unit == prefix + own:
+            return factor
+    expected = f'"{sensor.unit}", the same with m or µ before it, N and N.m, or the key scale in recording.toml'
+    raise InputError(table_path(manifest), column.channel, found=f'the unit "{column.unit}"', expected=expected)
+
+
+def _outputs(sensor: Sensor, columns: Sequence[Column]) -> SensorOutputs:
+    """How the channels answer the load: rows of the sensitivity, or of the identity where they are loads already."""
+    if columns[0].is_load:
+        matrix = np.eye(6)[[LOAD_COMPONENTS.index(column.channel) for column in columns]]
+    else:
+        matrix = np.array(sensor.static_sensitivity)[[sensor.channels.index(column.channel) for column in columns]]
+    u = sensor.static_sensitivity_uncertainty * np.abs(matrix)
+    return SensorOutputs(matrix, u, 1 if sensor.sense == "on_sensor" else -1)
+
+
+def _check_start(recording: RotationRecording, outputs: SensorOutputs) -> None:
+    """Refuse readings that cannot be those of a weight turned as stated."""
+    manifest = recording.manifest
+    try:
+        start_values(turned(recording), outputs)
+    except ValueError as error:
+        argument = str(error).partition(":")[0]
+        where = {"axis": (manifest.path, "excitation.axis"), "sensitivity": (manifest.rig_path, "sensor.channels")}
+        file, key = where.get(argument, (table_path(manifest), ""))
+        raise InputError.told_by(error, file, key) from error

@@ -1,0 +1,480 @@
+"""Recordings of releases, and quantities pooled over them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from fusion.base import InputError
+from fusion.estimation.uncertainty import coverage_factor
+from fusion.phasors.channels import channel_unit
+from fusion.recording.files import read_daqs
+from fusion.recording.load import Manifest
+from fusion.recording.manifest import ChannelEntry
+from fusion.sensor.transfer.records import Aligned, align
+from shaker.arrays import ComplexArray, FloatArray, Notice
+from shaker.lti.indices import SETTLING, indices, moving_figures, settling_u
+from shaker.lti.modal import ModalModel
+from shaker.lti.responses import LABELS, Indices, unit_of
+from shaker.release.record import StepRecord
+from shaker.timebase.edges import kernel_reach, resampled
+
+# What the user chooses of an identification from step responses.
+
+
+MethodChoice = Literal["pencil", "arx", "all"]
+ReleaseChoice = Literal["auto", "step", "ramp", "smooth", "measured"]
+
+
+@dataclass(frozen=True)
+class StepSettings:
+    """`method`: what the start of a fit comes from; "all" compares every method beside the default one.
+
+    `modes`, `real_poles`: the structure of the models, chosen by rule where None; `release`: how the load goes, chosen
+    by rule for "auto".
+    """
+
+    method: MethodChoice = "pencil"
+    modes: int | None = None
+    real_poles: int | None = None
+    release: ReleaseChoice = "auto"
+
+    def as_settings(self) -> dict[str, str | float | int]:
+        """Return what was chosen, for the results."""
+        found: dict[str, str | float | int] = {"method": self.method, "release": self.release}
+        for name in ("modes", "real_poles"):
+            value = getattr(self, name)
+            found[name] = "by rule" if value is None else value
+        return found
+
+
+# The record of a release from a recording: outputs and force on one time base, in their units.
+
+
+KIND = "step"
+
+
+@dataclass(frozen=True)
+class StepInput:
+    """A recording, its record, and what had to be done to read it."""
+
+    manifest: Manifest
+    record: StepRecord
+    notices: tuple[Notice, ...]
+
+
+def read_step_record(manifest: Manifest) -> StepRecord:
+    """Return every output channel of a recording of kind step on one time base, and its force where it names one.
+
+    Time is counted on the first block's clock from its earliest sample. Raises `InputError`.
+    """
+    return read_step(manifest).record
+
+
+def read_step(manifest: Manifest) -> StepInput:
+    """Return the record of a recording of kind step, and what had to be done to read it; raises `InputError`."""
+    check_kind(manifest)
+    outputs, force = _outputs(manifest), _force(manifest)
+    wanted = outputs if force is None else [*outputs, force]
+    found = _without_delays(align(manifest, read_daqs(manifest), wanted, "daq"))
+    excitation = manifest.excitation
+    if excitation.component is None or excitation.step_amplitude is None:
+        raise InputError(manifest.path, "excitation.component", found="nothing", expected="the load of the step")
+    record = StepRecord(
+        name=manifest.folder.name,
+        channels=tuple(entry.channel or entry.name for _, entry in outputs),
+        unit=channel_unit(manifest, outputs[0][1]),
+        samples=np.stack(found.values[: len(outputs)]),
+        sample_rate_hz=found.rate_hz,
+        component=excitation.component,
+        amplitude=excitation.step_amplitude,
+        u_amplitude=excitation.step_uncertainty,
+        start_s=found.start_s,
+        force=None if force is None else found.values[-1],
+        onset_s=excitation.onset,
+        release=excitation.release or "",
+    )
+    _check_onset(manifest, record)
+    return StepInput(manifest, record, (*found.notices, *_of_chains(found, record)))
+
+
+def check_kind(manifest: Manifest) -> None:
+    """Refuse recordings that are no step responses, and several takes in one recording."""
+    kind = manifest.excitation.kind
+    if kind != KIND:
+        expected = f"{KIND}, the kind that shakercal step evaluates"
+        raise InputError(manifest.path, "excitation.kind", found=kind, expected=expected)
+    if manifest.take:
+        expected = "one release per recording, in a folder of its own"
+        raise InputError(manifest.path, "take", found=f"{len(manifest.take)} takes", expected=expected)
+
+
+def _outputs(manifest: Manifest) -> list[tuple[str, ChannelEntry]]:
+    """Blocks and entries of the sensor's output channels."""
+    found = [(daq.name, entry) for daq in manifest.daq for entry in daq.channel if entry.quantity == "output"]
+    if not found:
+        raise InputError(manifest.path, "daq.channel", found="none", expected='a channel with quantity = "output"')
+    names = [entry.channel or entry.name for _, entry in found]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        expected = "one record of every output of the sensor"
+        raise InputError(manifest.path, "daq.channel", found=f'output "{twice}" twice', expected=expected)
+    return found
+
+
+def _force(manifest: Manifest) -> tuple[str, ChannelEntry] | None:
+    """Block and entry of the channel that measured the load along, None where the recording names none."""
+    name = manifest.excitation.force
+    if name is None:
+        return None
+    found = [(daq.name, entry) for daq in manifest.daq for entry in daq.channel if entry.name == name]
+    if len(found) != 1 or found[0][1].quantity != "force":
+        told = f'"{name}", of quantity {found[0][1].quantity}' if len(found) == 1 else f'"{name}" {len(found)} times'
+        expected = 'the name of one channel with quantity = "force"'
+        raise InputError(manifest.path, "excitation.force", found=told, expected=expected)
+    return found[0]
+
+
+def _without_delays(found: Aligned) -> Aligned:
+    """Take the stated delays off: what all channels share moves the time, what they do not is resampled."""
+    delays = np.array([channel.entry.delay for channel in found.channels])
+    start_s, shift = found.start_s - float(delays[0]), (delays - delays[0]) * found.rate_hz
+    if not shift.any():
+        return replace(found, start_s=start_s)
+    reach = kernel_reach(1.0)
+    low = int(np.ceil(max(0.0, reach - shift.min())))
+    high = int(np.floor(min(len(found.values[0]), len(found.values[0]) - reach - shift.max())))
+    kept = np.arange(low, high, dtype=np.float64)
+    values = tuple(
+        resampled(value, kept + by, 1.0) if by else value[low:high]
+        for value, by in zip(found.values, shift, strict=True)
+    )
+    return replace(found, values=values, start_s=start_s + low / found.rate_hz)
+
+
+def _check_onset(manifest: Manifest, record: StepRecord) -> None:
+    """Refuse a stated onset outside the record."""
+    onset, last = record.onset_s, record.start_s + (record.samples.shape[1] - 1) / record.sample_rate_hz
+    if onset is not None and not record.start_s < onset < last:
+        expected = f"a time within the record, {record.start_s:.6g} s to {last:.6g} s"
+        raise InputError(manifest.path, "excitation.onset", found=f"{onset:g} s", expected=expected)
+
+
+def _of_chains(found: Aligned, record: StepRecord) -> Sequence[Notice]:
+    """Say of channels with a stated response that the models hold it."""
+    named = [channel.entry.name for channel in found.channels if channel.entry.response is not None]
+    if not named:
+        return ()
+    text = f"the stated response of {', '.join(named)} is not taken off: the model is that of sensor and chain together"
+    return (Notice("warning", text, record.name),)
+
+
+# Coordinates in which models of several releases can be averaged: what a record tells well is linear in them.
+
+
+def to_coordinates(model: ModalModel, scale: float) -> FloatArray:
+    """Return [f_n (M), ζ (M), 1/real_hz (Q), n_0 … n_{P-1}] (2P,), P = 2M + Q, of a model.
+
+    H(s) = Σ n_k (s/ω0)^k/Π(1 - s/p), ω0 = `scale` in rad/s: n_0 is the static gain, and a response that starts
+    smoothly has its highest n_k zero, in every mean too. A real pole enters by its lag: one far above the modes, which
+    hardly shows, has a lag about zero, while its frequency may be anything.
+    """
+    poles, residues = _all(model)
+    found = np.zeros(len(poles), dtype=np.complex128)
+    for place in range(len(poles)):
+        others = np.delete(poles, place)
+        found += residues[place] * np.poly(others / scale)[::-1] / scale
+    numerator = found / np.prod(-poles / scale)
+    return np.concatenate([model.frequency_hz, model.damping_ratio, 1.0 / model.real_hz, numerator.real])
+
+
+def from_coordinates(coordinates: FloatArray, modes: int, reals: int, scale: float) -> FloatArray:
+    """Return the vector (2P,) of a `ModalModel` of coordinates (2P,), the inverse of `to_coordinates`."""
+    order = 2 * modes + reals
+    frequency, damping, lag, numerator = np.split(coordinates, [modes, 2 * modes, order])
+    frame = ModalModel(frequency, damping, np.zeros(modes, dtype=np.complex128), 1.0 / lag, np.zeros(reals))
+    poles, _ = _all(frame)
+    upper, real = poles[:modes], poles[2 * modes :]
+    residues = [_residue(place, poles / scale, numerator) for place in (*range(modes), *range(2 * modes, order))]
+    found = np.array(residues, dtype=np.complex128) * scale
+    of_modes, of_reals = found[: len(upper)], found[len(upper) :].real
+    return np.concatenate([frequency, damping, of_modes.real, of_modes.imag, -real.real / (2 * np.pi), of_reals])
+
+
+def sizes(coordinates: FloatArray, reals: int) -> FloatArray:
+    """Return how large coordinates (2P,) are: themselves, those of the numerator the largest of these."""
+    half = len(coordinates) // 2
+    found = np.abs(coordinates)
+    found[half:] = found[half:].max()
+    lags = slice(half - reals, half)
+    found[lags] = found[lags].max(initial=0.0)
+    return np.asarray(found)
+
+
+def scale_of(model: ModalModel) -> float:
+    """Return the geometric mean of a model's poles in rad/s."""
+    return float(np.exp(np.mean(np.log(np.abs(_all(model)[0])))))
+
+
+def _all(model: ModalModel) -> tuple[ComplexArray, ComplexArray]:
+    """All poles (P,) in rad/s and their residues: upper ones, lower ones, real ones."""
+    upper, real = np.split(model.poles, [len(model.frequency_hz)])
+    residues = (model.residue, model.residue.conj(), model.real_residue + 0j)
+    return np.concatenate([upper, upper.conj(), real]), np.concatenate(residues)
+
+
+def _residue(place: int, poles: ComplexArray, numerator: FloatArray) -> complex:
+    """Residue at one of the poles (P,), over the scale, of Σ n_k x^k/Π(1 - x/p)."""
+    pole = poles[place]
+    top = np.polyval(numerator[::-1], pole)
+    others = np.delete(poles, place)
+    return complex(-pole * top / np.prod(1.0 - pole / others))
+
+
+# Models of several releases become one: a weighted mean, with what releases or mountings scatter by.
+
+
+STEP = 1e-2
+"""Standard uncertainties over which coordinates are moved for derivatives."""
+ROUNDING = 1e-9
+"""Part of a coordinate's size that is rounding."""
+
+
+class Mean(NamedTuple):
+    """Weighted mean (P,) of vectors with its covariance (P, P); `weight` (N,) of the vectors, their sum 1."""
+
+    value: FloatArray
+    covariance: FloatArray
+    weight: FloatArray
+
+
+@dataclass(frozen=True)
+class Pooled:
+    """One model from those of several releases.
+
+    `model` with its whole covariance; `vectors` (N, P), `covariances` (N, P, P), `weights` (N,): of what was averaged
+    last, releases or, where there are several, mountings, as parameters, linear about those of the mean. `scale` (P,):
+    how the parameters move with one standard uncertainty of the scale that all share. `shares` (R,): of each release in
+    the mean.
+    """
+
+    model: ModalModel
+    vectors: FloatArray
+    covariances: FloatArray
+    weights: FloatArray
+    scale: FloatArray
+    shares: FloatArray
+
+    @property
+    def scattered(self) -> int:
+        """Degrees of freedom of what the vectors scatter by."""
+        return len(self.vectors) - 1
+
+    def spread(self, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return standard uncertainties (Q,) of numbers with gradients (Q, P), and their degrees of freedom (Q,).
+
+        u² = Σw²·(u_i² + τ²) + u_scale², τ² = s² - mean u_i² where the vectors scatter by more than is stated. Then
+        the degrees of freedom are those of s², with the scale by Welch and Satterthwaite (JCGM 100, G.4.1), s² enlarged
+        by its relative variance 2/ν as in `fusion.sensor.rotate.readings`; of two vectors, whose s² tells little, only
+        τ² counts as the part with ν = 1, so that k = 12.7 is left to scatter that is far beyond what is stated.
+        """
+        stated = np.einsum("qp,npr,qr->nq", gradient, self.covariances, gradient)
+        variance, dof = self.weights**2 @ stated, np.full(len(gradient), np.inf)
+        common = (gradient @ self.scale) ** 2
+        if self.scattered:
+            off = (self.vectors - self.vectors.mean(axis=0)) @ gradient.T
+            square = np.sum(off**2, axis=0) / self.scattered
+            beyond = np.maximum(square - stated.mean(axis=0), 0.0)
+            by_square = float(np.sum(self.weights**2))
+            variance = variance + by_square * beyond
+            part = beyond if self.scattered == 1 else np.where(beyond > 0.0, square, 0.0)
+            of_scatter = np.minimum(by_square * part, variance)
+            dof = effective_dof(variance + common, of_scatter, self.scattered)
+        return np.asarray(np.sqrt(variance + common)), np.asarray(dof)
+
+
+def effective_dof(variance: FloatArray, of_scatter: FloatArray, dof: int) -> FloatArray:
+    """Return degrees of freedom (Q,) of variances (Q,), of which parts have `dof` of them and the rest is known.
+
+    Welch and Satterthwaite, the parts enlarged by their relative variance 2/ν; infinite without such a part.
+    """
+    wide = of_scatter * (1.0 + 2.0 / dof)
+    rest = np.maximum(variance - of_scatter, 0.0)
+    return np.asarray(dof * (1.0 + np.divide(rest, wide, out=np.full(len(wide), np.inf), where=wide > 0.0)) ** 2)
+
+
+def pool_models(models: Sequence[ModalModel], mountings: Sequence[str], u_scale: float = 0.0) -> Pooled:
+    """Return the mean of models (N) of one structure, mode by mode in rising frequency.
+
+    Averaged are the coordinates of `to_coordinates`, in which static gain and lag are linear; a mean of residues and
+    frequencies of poles that hardly show would have another static gain. Releases of one mounting are averaged first;
+    where there are several mountings, these are then what scatters. `u_scale`: relative standard uncertainty of all
+    residues together, of the load's and of the output's scale, which no average makes smaller.
+    """
+    ordered = [sorted_modes(model) for model in models]
+    scale = scale_of(ordered[0])
+    vectors, covariances = _in_coordinates(ordered, scale)
+    groups = [np.flatnonzero(np.array(mountings) == name) for name in dict.fromkeys(mountings)]
+    within = [weighted_mean(vectors[group], covariances[group]) for group in groups]
+    if len(groups) > 1:
+        vectors, covariances = np.stack([m.value for m in within]), np.stack([m.covariance for m in within])
+    mean = weighted_mean(vectors, covariances) if len(groups) > 1 else within[0]
+    shares = np.zeros(len(models))
+    for group, own, share in zip(groups, within, mean.weight if len(groups) > 1 else [1.0], strict=True):
+        shares[group] = share * own.weight
+    value, back = _back(ordered[0], mean, scale)
+    common = u_scale * _residues(ordered[0], value)
+    model = replace(
+        ordered[0].with_vector(value), covariance=back @ mean.covariance @ back.T + np.outer(common, common)
+    )
+    spread = value + (vectors - mean.value) @ back.T
+    return Pooled(model, spread, back @ covariances @ back.T, mean.weight, common, shares)
+
+
+def _in_coordinates(models: Sequence[ModalModel], scale: float) -> tuple[FloatArray, FloatArray]:
+    """Coordinates (N, P) of models and their covariances (N, P, P), none where it is of rounding alone."""
+    vectors, covariances = [], []
+    for model in models:
+        known = model if model.covariance is not None else replace(model, covariance=_covariance(model))
+        found, slope = known.jacobian(lambda at: to_coordinates(at, scale))
+        covariance = slope @ _covariance(known) @ slope.T
+        told = np.sqrt(np.maximum(np.diag(covariance), 0.0)) > ROUNDING * sizes(found, len(model.real_hz))
+        vectors.append(found)
+        covariances.append(covariance * np.outer(told, told))
+    return np.stack(vectors), np.stack(covariances)
+
+
+def _back(model: ModalModel, mean: Mean, scale: float) -> tuple[FloatArray, FloatArray]:
+    """The parameters (P,) of mean coordinates, and their derivatives (P, P) to these, by central differences."""
+    modes, reals = len(model.frequency_hz), len(model.real_hz)
+    step = np.maximum(STEP * np.sqrt(np.diag(mean.covariance)), 10.0 * ROUNDING * sizes(mean.value, reals))
+    slope = np.zeros((len(step), len(step)))
+    for place, by in enumerate(step):
+        move = by * np.eye(len(step))[place]
+        up, down = (from_coordinates(mean.value + sign * move, modes, reals, scale) for sign in (1.0, -1.0))
+        slope[:, place] = (up - down) / (2.0 * by)
+    return from_coordinates(mean.value, modes, reals, scale), slope
+
+
+def weighted_mean(vectors: FloatArray, covariances: FloatArray) -> Mean:
+    """Return the mean of vectors (N, P) with covariances (N, P, P) under random effects between them.
+
+    Of the sample covariance S of the vectors, what exceeds the mean of the stated variances is scatter: T = D·S·D with
+    D = diag(τ/s), τ² = max(0, s² - mean u²) for each parameter (method of moments; Searle, Casella & McCulloch 1992,
+    Variance Components, 3.6); the covariance is Σw²·(C + T). A vector weighs by the geometric mean of its variances
+    u² + τ², one number for all parameters, so that the mean stays between the vectors.
+    """
+    count, size = vectors.shape
+    stated = np.einsum("npp->np", covariances)
+    between: FloatArray = np.zeros((size, size))
+    if count > 1:
+        sample = np.cov(vectors, rowvar=False, ddof=1).reshape(size, size)
+        square = np.diag(sample)
+        excess = np.sqrt(np.maximum(square - stated.mean(axis=0), 0.0))
+        share = np.divide(excess, np.sqrt(square), out=np.zeros(size), where=square > 0.0)
+        between = share[:, None] * sample * share
+    variance = stated + np.diag(between)
+    known = np.all(variance > 0.0, axis=0)
+    inverse = np.exp(-np.log(variance[:, known]).mean(axis=1)) if known.any() else np.ones(count)
+    weight = inverse / inverse.sum()
+    return Mean(weight @ vectors, np.einsum("n,npq->pq", weight**2, covariances + between), weight)
+
+
+def sorted_modes(model: ModalModel) -> ModalModel:
+    """Return the same model with modes and real poles in rising frequency."""
+    modes, reals = np.argsort(model.frequency_hz), np.argsort(model.real_hz)
+    count = len(modes)
+    order = np.concatenate([*(part * count + modes for part in range(4)), 4 * count + reals])
+    order = np.concatenate([order, 4 * count + len(reals) + reals])
+    covariance = None if model.covariance is None else model.covariance[np.ix_(order, order)]
+    return replace(model, covariance=covariance).with_vector(model.vector[order])
+
+
+def _covariance(model: ModalModel) -> FloatArray:
+    """The covariance of a model, nothing where it is not known."""
+    return np.zeros((len(model.vector),) * 2) if model.covariance is None else model.covariance
+
+
+def _residues(model: ModalModel, vector: FloatArray) -> FloatArray:
+    """The residues' part of a vector (P,), zero elsewhere: how it moves with the scale of the output."""
+    modes, reals = len(model.frequency_hz), len(model.real_hz)
+    mask = np.repeat([0.0, 0.0, 1.0, 1.0, 0.0, 1.0], [modes, modes, modes, modes, reals, reals])
+    return np.asarray(mask * vector)
+
+
+# Numbers of a pooled model with uncertainty: its parameters and its indices.
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A number with its standard uncertainty and the degrees of freedom behind that; `name` for files.
+
+    `u` is NaN where it is not known.
+    """
+
+    name: str
+    label: str
+    value: float
+    u: float
+    dof: float
+    unit: str
+
+    @property
+    def k(self) -> float:
+        """Return the coverage factor for 95 %."""
+        return coverage_factor(self.dof)
+
+    @property
+    def expanded(self) -> float:
+        """Return U = k·u."""
+        return self.k * self.u
+
+
+def parameter_figures(pooled: Pooled, unit: str) -> tuple[Figure, ...]:
+    """Return the parameters of a pooled model, its residues in `unit` per second."""
+    model = pooled.model
+    u, dof = pooled.spread(np.eye(len(model.vector)))
+    found = []
+    for name, value, spread, freedom in zip(model.names, model.vector.tolist(), u, dof, strict=True):
+        own = "Hz" if "_hz_" in name else f"{unit}/s" if "residue" in name else "1"
+        found.append(Figure(name, _label(name), value, float(spread), float(freedom), own))
+    return tuple(found)
+
+
+def index_figures(
+    pooled: Pooled, nominal: float | None, unit: str, sample_rate_hz: float
+) -> tuple[Indices, tuple[Figure, ...]]:
+    """Return the indices of a pooled model, and those that it has as figures with uncertainty.
+
+    `nominal`: the gain that the sensor should have, None where nobody states it: then no band against it. Settling
+    times jump by half periods: their uncertainty is `settling_u`'s, with the degrees of freedom of the damping.
+    """
+    found = indices(pooled.model.system, nominal or 1.0, sample_rate_hz)
+    names, moving = moving_figures(pooled.model, found)
+    spread = zip(names, *(part.tolist() for part in pooled.spread(pooled.model.jacobian(moving)[1])), strict=True)
+    known = {name: (u, dof) for name, u, dof in spread}
+    of_damping = known.get("damping_ratio", (0.0, np.inf))[1]
+    known |= {name: (settling_u(pooled.model, tolerance), of_damping) for name, tolerance in SETTLING.items()}
+    figures = []
+    for name, value in found.figures().items():
+        if value is not None and np.isfinite(value) and (nominal is not None or "nominal" not in name):
+            own = unit if name == "static_gain" else unit_of(name) or "1"
+            figures.append(Figure(name, LABELS[name], value, *known.get(name, (np.nan, np.inf)), own))
+    return found, tuple(figures)
+
+
+def _label(name: str) -> str:
+    """Words for a parameter."""
+    kind, _, number = name.rpartition("_")
+    words = {
+        "frequency_hz": "natural frequency of mode",
+        "damping_ratio": "damping ratio of mode",
+        "residue_re": "residue, real part, of mode",
+        "residue_im": "residue, imaginary part, of mode",
+        "real_hz": "real pole",
+        "real_residue": "residue of real pole",
+    }
+    return f"{words[kind]} {number}"

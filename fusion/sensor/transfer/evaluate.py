@@ -1,0 +1,409 @@
+"""Recordings to corrected transfer functions and resonances."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fusion.base import ARGUMENT, InputError
+from fusion.recording.load import Manifest
+from fusion.recording.manifest import ChannelEntry
+from fusion.report.provenance import versions
+from fusion.sensor.transfer.records import (
+    ChannelChain,
+    CommonError,
+    FoundResonance,
+    Located,
+    Quantity,
+    ReferenceResult,
+    Together,
+    TransferEvaluation,
+    TransferSettings,
+    channel_chain,
+    ratio_errors,
+    read_together,
+)
+from shaker.arrays import ComplexArray, FloatArray, Notice
+from shaker.frf.chain import MOTION_UNITS, QUANTITIES, common_covariance, motion_order, ratio_unit
+from shaker.frf.impact import transfer_impact
+from shaker.frf.periodic import transfer_periodic
+from shaker.frf.random import transfer_random
+from shaker.frf.result import TransferFunction, TransferRecord
+from shaker.identification.oscillator import Kind, Resonance, fit_resonance
+
+# Which estimate a recording calls for, and what the user is told where it cannot be made.
+
+
+_SEGMENTS = 16  # segments beside each other in a record where no line spacing is wanted
+_BLOW_S = 1.0  # window around a blow where no line spacing is wanted
+_KEYS = {
+    "period_s": "excitation.period",
+    "band_hz": "excitation.band",
+    "record": "excitation.reference",
+    "reference": "excitation.reference",
+    "resolution_hz": "--resolution",
+    "duration_s": "--resolution",
+}
+"""Where the user can mend what an argument of the estimate says."""
+
+
+def estimated(manifest: Manifest, together: Together, settings: TransferSettings) -> TransferFunction:
+    """Return the transfer functions as recorded, by the estimator wanted or by the excitation's kind.
+
+    With a period: ratio of the means over whole periods. Impacts: windows around the blows. Else local polynomials, or
+    averaged spectra of overlapping segments. Raises `InputError` naming the manifest's key, or the option, at fault.
+    """
+    excitation, record, band = manifest.excitation, together.samples, _band(manifest, together)
+    repeats = excitation.period is not None or excitation.kind == "multisine"
+    periodic = settings.estimator == "periodic" or (settings.estimator == "auto" and repeats)
+    if periodic and excitation.period is None:
+        expected = "the period in s, which the periodic estimate needs"
+        raise InputError(manifest.path, "excitation.period", found="nothing", expected=expected)
+    try:
+        if periodic and excitation.period is not None:
+            return transfer_periodic(record, excitation.period, settle_periods=excitation.settle_periods, band_hz=band)
+        found = _averaged(_settled(manifest, record), settings, band, blows=excitation.kind == "impact")
+    except ValueError as error:
+        argument = str(error).partition(":")[0]
+        if periodic and argument == "record":
+            found_text = f"{excitation.period:g} s, at whose harmonics {record.reference_name} holds only noise"
+            expected = "the period with which the excitation repeats"
+            raise InputError(manifest.path, "excitation.period", found=found_text, expected=expected) from error
+        raise InputError.told_by(error, manifest.path, _KEYS.get(argument, "excitation")) from error
+    return replace(found, notices=(*found.notices, *_single_sweep(manifest)))
+
+
+def _band(manifest: Manifest, together: Together) -> tuple[float, float] | None:
+    """Return the band to evaluate: the excitation's, and no more than the samples allow."""
+    band, highest = manifest.excitation.band, together.highest_hz
+    if highest is None:
+        return band
+    if band is not None and band[0] >= highest:
+        expected = f"a band that begins below {highest:.6g} Hz, what the slowest channel can show"
+        raise InputError(manifest.path, "excitation.band", found=f"{band[0]:g} to {band[1]:g} Hz", expected=expected)
+    return (0.0, highest) if band is None else (band[0], min(band[1], highest))
+
+
+def _settled(manifest: Manifest, record: TransferRecord) -> TransferRecord:
+    """Return a record without the periods in which it settles."""
+    excitation = manifest.excitation
+    left_out = round(excitation.settle_periods * (excitation.period or 0.0) * record.sample_rate_hz)
+    return replace(record, reference=record.reference[left_out:], responses=record.responses[left_out:])
+
+
+def _averaged(
+    record: TransferRecord, settings: TransferSettings, band_hz: tuple[float, float] | None, *, blows: bool
+) -> TransferFunction:
+    """Return the transfer functions from averaged spectra, of blows or of segments."""
+    estimator = "auto" if settings.estimator == "periodic" else settings.estimator
+    length_s = len(record.reference) / record.sample_rate_hz
+    if blows:
+        window_s = min(_BLOW_S, 0.5 * length_s) if settings.resolution_hz is None else 1.0 / settings.resolution_hz
+        advised = "auto" if estimator == "local" else estimator
+        return transfer_impact(record, window_s, estimator=advised, band_hz=band_hz)
+    resolution_hz = settings.resolution_hz or _SEGMENTS / length_s
+    return transfer_random(record, resolution_hz, estimator=estimator, band_hz=band_hz)
+
+
+def _single_sweep(manifest: Manifest) -> tuple[Notice, ...]:
+    """Say what a chirp without a period loses."""
+    if manifest.excitation.kind != "chirp" or manifest.excitation.period is not None:
+        return ()
+    text = (
+        "no period is stated, so the chirp is taken like noise, which leaves its uncertainty to neighbouring lines; of "
+        "a chirp that repeats, state the period"
+    )
+    return (Notice("warning", text, "excitation.period"),)
+
+
+# Resonances in a measured transfer function: where the peaks are, and an oscillator fitted to each.
+
+
+_PROMINENCE = np.log(2.0)  # of a peak in ln|H|
+_SIGNIFICANT = 8.0  # standard uncertainties by which a peak stands out
+_DOWN_TO = 1.0 / 8.0  # of the peak: lines around it that are fitted
+_FEWEST_LINES = 6
+_POOR_FIT = 2.0  # χ² per degree of freedom from which the rest of all other modes is fitted too
+_VAGUE = 0.25  # relative standard uncertainty of the damping above which a peak is no resonance
+_MOST = 12
+_ROUNDS = 4  # of fitting peaks one after the other, each without all others
+_DEPARTS = 3.0  # residuals over the noise, rms, from which one oscillator does not explain a peak
+
+
+@dataclass(frozen=True)
+class _Curve:
+    """One response over its reference: values (K,), covariance (K, 2, 2) of the noise, common errors by name (K,)."""
+
+    name: str
+    transfer: TransferFunction
+    value: ComplexArray
+    covariance: FloatArray
+    errors: dict[str, ComplexArray]
+    kind: Kind
+
+
+def find_resonances(
+    transfer: TransferFunction, errors: Sequence[CommonError], kinds: Sequence[Kind], u_clock: float
+) -> tuple[tuple[FoundResonance, ...], tuple[Notice, ...]]:
+    """Return the resonances of every response and what is to be said of peaks that no oscillator fits.
+
+    `transfer` with the covariance of its noise alone; `kinds` (C) say which form an oscillator takes in each response;
+    `u_clock`: relative standard uncertainty of the clock, and so of every frequency.
+    """
+    found: list[FoundResonance] = []
+    notices: list[Notice] = []
+    for c, (name, kind) in enumerate(zip(transfer.ratio.channels, kinds, strict=True)):
+        own = {error.name: error.relative[:, c] for error in errors if np.any(error.relative[:, c] != 0.0)}
+        curve = _Curve(name, transfer, transfer.ratio.value[:, c], transfer.channel_covariance(name), own, kind)
+        peaks = _peaks(curve)
+        for (peak, lines), one in zip(peaks, _separated(curve, [lines for _, lines in peaks]), strict=True):
+            if isinstance(one, _Mode):
+                found.append(_with_budget(curve, lines, one, u_clock))
+            notices += _remarks(one, float(transfer.ratio.frequency_hz[peak]), f"{name}/{transfer.reference}")
+    return tuple(found), tuple(notices)
+
+
+@dataclass(frozen=True)
+class _Mode:
+    """One oscillator, and the values (L,) of its lines that it was fitted to, all other oscillators taken off."""
+
+    fit: Resonance
+    value: ComplexArray
+
+
+def _remarks(one: _Mode | str, peak_hz: float, where: str) -> list[Notice]:
+    """Say of a peak that no oscillator was fitted, or that one does not explain it."""
+    if isinstance(one, str):
+        return [Notice("info", f"no oscillator was fitted to the peak at {peak_hz:.6g} Hz ({one})", where)]
+    departs = np.sqrt(one.fit.chi_squared / one.fit.dof)
+    if departs < _DEPARTS:
+        return []
+    text = (
+        f"the peak at {peak_hz:.6g} Hz departs from one oscillator by {departs:.2g} times the noise; its frequency and "
+        "damping depend on the lines that are fitted"
+    )
+    return [Notice("warning", text, where)]
+
+
+def _separated(curve: _Curve, windows: Sequence[slice]) -> list[_Mode | str]:
+    """Fit every peak with the oscillators of all others taken off, in rounds; a text where there is no fit."""
+    found: list[_Mode | str] = ["no fit" for _ in windows]
+    for _ in range(_ROUNDS if len(windows) > 1 else 1):
+        for place, lines in enumerate(windows):
+            frequency = curve.transfer.ratio.frequency_hz[lines]
+            value = curve.value[lines].copy()
+            for other in (*found[:place], *found[place + 1 :]):
+                if isinstance(other, _Mode):
+                    alone = replace(other.fit, residual=np.zeros(2, dtype=np.complex128))
+                    value -= alone.model(frequency, curve.transfer.added_decay_per_s)
+            try:
+                found[place] = _Mode(_best(curve, lines, value), value)
+            except (ValueError, np.linalg.LinAlgError) as error:
+                found[place] = ARGUMENT.sub("", str(error))
+    return found
+
+
+def _peaks(curve: _Curve) -> list[tuple[int, slice]]:
+    """Return the largest significant peaks of |H|, each with the lines around it down to an eighth of its height."""
+    from scipy.signal import find_peaks
+
+    size = np.abs(curve.value)
+    relative = np.sqrt(np.trace(curve.covariance, axis1=1, axis2=2) / 2.0) / size
+    logarithm = np.log(size)
+    places, found = find_peaks(logarithm, prominence=_PROMINENCE)
+    keep = (found["prominences"] > _SIGNIFICANT * relative[places]) & (relative[places] < 1.0 / _SIGNIFICANT)
+    places = places[keep]
+    largest = np.sort(places[np.argsort(-found["prominences"][keep])[:_MOST]])
+    windows = []
+    for number, place in enumerate(largest):
+        low = 0 if number == 0 else largest[number - 1] + int(np.argmin(size[largest[number - 1] : place]))
+        high = len(size) if number + 1 == len(largest) else place + int(np.argmin(size[place : largest[number + 1]]))
+        weak = np.flatnonzero(size[low:high] < _DOWN_TO * size[place]) + low
+        low = max([low, *(weak[weak < place] + 1)])
+        high = min([high, *weak[weak > place]])
+        if high - low >= _FEWEST_LINES:
+            windows.append((int(place), slice(int(low), int(high))))
+    return windows
+
+
+def _best(curve: _Curve, lines: slice, value: ComplexArray) -> Resonance:
+    """Fit one oscillator to values (L,) of some lines, with the rest of all other modes where that explains more."""
+    frequency = curve.transfer.ratio.frequency_hz[lines]
+    fit = _fit(curve, lines, value, residual_terms=False)
+    if fit.chi_squared > _POOR_FIT * fit.dof and len(frequency) >= 2 * _FEWEST_LINES:
+        richer = _fit(curve, lines, value, residual_terms=True)
+        fit = richer if richer.chi_squared / richer.dof < 0.5 * fit.chi_squared / fit.dof else fit
+    if not frequency[0] <= fit.frequency_hz <= frequency[-1]:
+        raise ValueError(f"its frequency would be {fit.frequency_hz:.6g} Hz")
+    if fit.u("damping_ratio") > _VAGUE * fit.damping_ratio:
+        raise ValueError("the noise leaves its damping open")
+    return fit
+
+
+def _with_budget(curve: _Curve, lines: slice, mode: _Mode, u_clock: float) -> FoundResonance:
+    """Return a fit with its uncertainty: noise, and what one standard deviation of every common error changes."""
+    frequency, fit = curve.transfer.ratio.frequency_hz[lines], mode.fit
+    residual_terms = "constant_re" in fit.parameters
+    budget = {"noise": (fit.u("frequency_hz"), fit.u("damping_ratio"))}
+    for name, relative in curve.errors.items():
+        moved = _fit(curve, lines, mode.value * (1.0 + relative[lines]), residual_terms=residual_terms)
+        budget[name] = (moved.frequency_hz - fit.frequency_hz, moved.damping_ratio - fit.damping_ratio)
+    if u_clock > 0.0:
+        budget["rate of the clock"] = (u_clock * fit.frequency_hz, 0.0)
+    u_frequency, u_damping = np.sqrt(np.sum(np.square(list(budget.values())), axis=0))
+    return FoundResonance(
+        curve.name,
+        curve.transfer.reference,
+        fit,
+        (float(frequency[0]), float(frequency[-1])),
+        float(u_frequency),
+        float(u_damping),
+        budget,
+    )
+
+
+def _fit(curve: _Curve, lines: slice, value: ComplexArray, *, residual_terms: bool) -> Resonance:
+    """Fit one oscillator to values at some lines of a curve."""
+    return fit_resonance(
+        curve.transfer.ratio.frequency_hz[lines],
+        value,
+        curve.covariance[lines],
+        curve.kind,
+        residual_terms=residual_terms,
+        added_decay_per_s=curve.transfer.added_decay_per_s,
+        line_correlation=curve.transfer.line_correlation,
+        covariance_dof=curve.transfer.ratio.dof[lines],
+    )
+
+
+# From a recording of a chirp, a multisine, noise or impacts to its transfer functions.
+
+
+KINDS = ("chirp", "multisine", "noise", "impact")
+_FORCED_KIND: dict[int, Kind] = {0: "receptance", 1: "mobility", 2: "accelerance"}
+
+
+def evaluate_transfer(
+    manifest: Manifest, settings: TransferSettings, input_hashes: dict[str, str]
+) -> TransferEvaluation:
+    """Return the transfer functions of one recording: files → estimate → delay, response and quantity → resonances.
+
+    Raises `InputError` for what the user can mend in the files.
+    """
+    started = time.monotonic()
+    check_kind(manifest)
+    read = read_together(manifest)
+    found = [_evaluated(manifest, together, settings) for together in read]
+    base = next((together.base for together in read if together.base is not None), None)
+    notices = [notice for _, told in found for notice in told]
+    return TransferEvaluation(
+        manifest=manifest,
+        references=tuple(result for result, _ in found),
+        clocks=() if base is None else base.results(),
+        notices=tuple(dict.fromkeys(notices)),
+        settings=settings.as_dict(),
+        versions=versions(),
+        input_hashes=input_hashes,
+        duration_s=time.monotonic() - started,
+    )
+
+
+def check_kind(manifest: Manifest) -> None:
+    """Refuse recordings that this command does not evaluate."""
+    excitation = manifest.excitation
+    if excitation.kind not in KINDS:
+        others = {"sine": "run", "rotation": "rotate", "step": "step"}
+        command = others.get(excitation.kind)
+        hint = "" if command is None else f"; shakercal {command} evaluates {excitation.kind}s"
+        expected = f"{', '.join(KINDS[:-1])} or {KINDS[-1]}, the kinds that shakercal transfer evaluates{hint}"
+        raise InputError(manifest.path, "excitation.kind", found=excitation.kind, expected=expected)
+    if manifest.take:
+        expected = "no [[take]] blocks, since shakercal transfer evaluates what was recorded at once"
+        raise InputError(manifest.path, "take", found=f"{len(manifest.take)}", expected=expected)
+
+
+def _evaluated(
+    manifest: Manifest, together: Together, settings: TransferSettings
+) -> tuple[ReferenceResult, list[Notice]]:
+    """Return the transfer functions over one reference with what is to be said of them."""
+    raw = estimated(manifest, together, settings)
+    reference = _chain(together.reference, raw)
+    responses = [_chain(item, raw) for item in together.responses]
+    errors = ratio_errors(reference, responses)
+    factor = np.stack([chain.correction / reference.correction for chain in responses], axis=1)
+    corrected = _converted(raw, factor, together, settings.quantity)
+    kinds = [_kind(reference.entry, chain.entry, settings.quantity) for chain in responses]
+    resonances, told = find_resonances(corrected, errors, kinds, together.u_clock)
+    result = ReferenceResult(
+        name=reference.entry.name,
+        transfer=_with_errors(corrected, errors),
+        random_covariance=corrected.ratio.covariance,
+        errors=errors,
+        resonances=resonances,
+    )
+    return result, [*together.notices, *raw.notices, *told, *_silent([reference, *responses])]
+
+
+def _chain(channel: Located, raw: TransferFunction) -> ChannelChain:
+    """Return a channel's chain at the lines found."""
+    return channel_chain(channel.entry, raw.ratio.frequency_hz, channel.record.entry.name, channel.u_clock_s)
+
+
+def _converted(
+    raw: TransferFunction, factor: ComplexArray, together: Together, quantity: Quantity | None
+) -> TransferFunction:
+    """Return ratios times `factor` (K, C), every motion as the quantity wanted.
+
+    Behind an exponential window a ratio is H(s) at s = a + jω, and a derivative multiplies it by s.
+    """
+    s = raw.added_decay_per_s + 2j * np.pi * raw.ratio.frequency_hz
+    below, unit_below = _as_wanted(together.reference.entry, together.samples.reference_unit, quantity)
+    factors, units = factor.copy(), []
+    for c, (item, unit) in enumerate(zip(together.responses, together.samples.unit, strict=True)):
+        above, unit_above = _as_wanted(item.entry, unit, quantity)
+        factors[:, c] *= s ** (above - below)
+        units.append(ratio_unit(unit_above, unit_below))
+    return replace(raw, ratio=raw.ratio.scaled(factors, units))
+
+
+def _as_wanted(entry: ChannelEntry, unit: str, quantity: Quantity | None) -> tuple[int, str]:
+    """Return how many times a channel is to be differentiated, and the unit it then has; 0 for what is no motion."""
+    if quantity is None or entry.quantity not in ChannelEntry.MOTION:
+        return 0, unit
+    family, have = motion_order(unit)
+    want = QUANTITIES.index(quantity)
+    return want - have, MOTION_UNITS[family][want]
+
+
+def _kind(reference: ChannelEntry, response: ChannelEntry, quantity: Quantity | None) -> Kind:
+    """Return which form one oscillator takes: a base that moves, or a force on the mass."""
+    if reference.quantity in ChannelEntry.MOTION:
+        return "transmissibility"
+    if response.quantity not in QUANTITIES:
+        return "receptance"
+    return _FORCED_KIND[QUANTITIES.index(quantity or response.quantity)]
+
+
+def _with_errors(transfer: TransferFunction, errors: Sequence[CommonError]) -> TransferFunction:
+    """Return a transfer function with the covariance of noise and common errors together."""
+    if not errors:
+        return transfer
+    ratio = transfer.ratio
+    common = common_covariance(ratio.value, np.stack([error.relative for error in errors]))
+    return replace(transfer, ratio=replace(ratio, covariance=ratio.covariance + common))
+
+
+def _silent(chains: Sequence[ChannelChain]) -> list[Notice]:
+    """Name the channels whose scale is taken as exact because nothing else is stated."""
+    names = [
+        chain.entry.name
+        for chain in chains
+        if not (chain.entry.scale_uncertainty or chain.entry.individual_uncertainty or chain.entry.common)
+    ]
+    if not names:
+        return []
+    text = f"no uncertainty of the scale is stated for {', '.join(names)}: the uncertainties hold without it"
+    return [Notice("warning", text, "scale_uncertainty")]

@@ -1,1 +1,0 @@
-"""The command `shakercal step`: releases of a load to models of the sensor."""

@@ -1,1 +1,0 @@
-"""Transfer functions between channels: `shakercal transfer`."""

@@ -1,0 +1,483 @@
+"""B-spline interpolation of images: coefficients, values and gradients, and values along lines of points.
+
+Spline values along straight lines of points, eight points at a time: the inner loop of every registration.
+
+Neighbouring points of a line read neighbouring coefficients as long as the line does not pass into another row or drift
+by a column. Such runs are computed with vectors of eight points. Compilers do not find this by themselves (they cannot
+know that the grey values written are no coefficients), so the few vector operations are written out here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache, reduce
+from math import sqrt
+from operator import add
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import prange, types
+from numba.core import cgutils
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+from photogram.arrays import FloatArray, check_shape
+from photogram.kernels import INDEX, REAL, counted, in_blocks, load, njit, spread, store
+
+# Exact B-spline interpolation of grey images: coefficients, values, gradients.
+
+
+PADDING_PX = 4
+POLES = {
+    3: (sqrt(3.0) - 2.0,),
+    5: (
+        sqrt(67.5 - sqrt(4436.25)) + sqrt(26.25) - 6.5,
+        sqrt(67.5 + sqrt(4436.25)) - sqrt(26.25) - 6.5,
+    ),
+    7: (-0.53528043079643816554, -0.12255461519232669052, -0.0091486948096082769286),
+}
+SMALLEST_TERM = 1e-17
+BLOCK = 16
+
+
+@dataclass(frozen=True)
+class Spline:
+    """An image as a B-spline of `degree` 3, 5 or 7: coefficients (H+8,W+8), mirrored by four pixels on every side."""
+
+    coefficients: FloatArray
+    degree: int
+
+    def __post_init__(self) -> None:
+        check_shape("coefficients", self.coefficients, (None, None))
+        if self.degree not in POLES:
+            raise ValueError(f"degree: expected 3, 5 or 7, found {self.degree}")
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Width and height of the image."""
+        height, width = self.coefficients.shape
+        return width - 2 * PADDING_PX, height - 2 * PADDING_PX
+
+
+def spline_of_image(image: NDArray[np.generic], degree: int = 5) -> Spline:
+    """The spline that passes exactly through the grey values of image (H,W), mirrored at the outermost pixels.
+
+    Recursive prefilter c = Π_z (1−z)(1−1/z) · causal and anticausal first-order filters with the poles z of the
+    B-spline (Unser, Aldroubi, Eden 1993, IEEE Trans. Signal Process. 41, 834, eqs 2.4 and 2.5), in rows and columns.
+    """
+    check_shape("image", image, (None, None))
+    if min(image.shape) < 2 * PADDING_PX:
+        raise ValueError(f"image: expected at least {2 * PADDING_PX} x {2 * PADDING_PX} px, found {image.shape}")
+    if degree not in POLES:
+        raise ValueError(f"degree: expected 3, 5 or 7, found {degree}")
+    inside = np.ascontiguousarray(image, dtype=np.float64)
+    coefficients = _prefilter(inside, np.array(POLES[degree]), PADDING_PX)
+    _mirror(coefficients)
+    return Spline(coefficients, degree)
+
+
+def evaluate(spline: Spline, points_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Values (M,) and gradients (M,2) (∂/∂x, ∂/∂y) of the spline at points_px (M,2); NaN outside the image."""
+    check_shape("points_px", points_px, (None, 2))
+    values, gradients = np.empty(len(points_px)), np.empty((len(points_px), 2))
+    _evaluate(spline.coefficients, spline.degree, np.ascontiguousarray(points_px, dtype=np.float64), values, gradients)
+    return values, gradients
+
+
+def grey_values(spline: Spline) -> FloatArray:
+    """The image (H,W) that the spline passes through: the coefficients weighted by the B-spline at whole pixels."""
+    weights, slopes = np.empty(8), np.empty(8)
+    basis(0.0, spline.degree, weights, slopes)
+    reach = spline.degree // 2
+    width, height = spline.size_px
+    first = PADDING_PX - reach
+    c = spline.coefficients[first : first + height + 2 * reach, first : first + width + 2 * reach]
+    taps = range(2 * reach + 1)
+    down = np.sum([weights[k] * c[k : k + height] for k in taps], axis=0)
+    values: FloatArray = np.sum([weights[k] * down[:, k : k + width] for k in taps], axis=0)
+    return values
+
+
+def noise_gain(fraction_px: FloatArray, degree: int = 5) -> FloatArray:
+    """Variance of interpolated white noise of variance 1 at one-dimensional offsets `fraction_px` from a pixel.
+
+    Σ_k h(t−k)² of the cardinal spline h; in two dimensions the gains of x and y multiply.
+    """
+    table = _noise_gain_table(degree)
+    position = np.mod(fraction_px, 1.0) * (len(table) - 1)
+    gain: FloatArray = np.interp(position, np.arange(len(table)), table)
+    return gain
+
+
+def mean_noise_gain(centre_px: FloatArray, warp: FloatArray, offset_px: FloatArray, degree: int = 5) -> FloatArray:
+    """Variance (N,) of interpolated white noise of variance 1, mean over the offsets (P,2) from centre_px (N,2).
+
+    The points lie where the affine warps (N,6) [u, u_x, u_y, v, v_x, v_y] take them.
+    """
+    deformation = np.eye(2) + warp[:, [1, 2, 4, 5]].reshape(-1, 2, 2)
+    points = (centre_px + warp[:, [0, 3]])[:, None, :] + offset_px @ np.swapaxes(deformation, 1, 2)
+    return np.asarray(np.mean(noise_gain(points[..., 0], degree) * noise_gain(points[..., 1], degree), axis=1))
+
+
+@cache
+def _noise_gain_table(degree: int) -> FloatArray:
+    """`noise_gain` at 33 offsets from 0 to 1: the squared response to a unit impulse, summed over all pixels."""
+    impulse = np.zeros((2 * PADDING_PX, 65))
+    impulse[:] = np.arange(65) == 32
+    spline = spline_of_image(impulse, degree)
+    offsets = np.linspace(0.0, 1.0, 33)
+    x = (np.arange(1, 63)[:, None] + offsets).ravel()
+    values, _ = evaluate(spline, np.column_stack([x, np.full_like(x, PADDING_PX)]))
+    gains: FloatArray = np.sum(values.reshape(62, 33) ** 2, axis=0)
+    return gains
+
+
+@cache
+def slope_noise_gain(degree: int = 5) -> float:
+    """Variance of the spline's slope at a pixel for white noise of variance 1: Σ_k h′(k)² of the cardinal spline h."""
+    impulse = np.zeros((2 * PADDING_PX, 65))
+    impulse[:] = np.arange(65) == 32
+    points = np.column_stack([np.arange(65.0), np.full(65, float(PADDING_PX))])
+    _, gradients = evaluate(spline_of_image(impulse, degree), points)
+    return float(np.sum(gradients[:, 0] ** 2))
+
+
+@njit(parallel=True)
+def _prefilter(image, poles, padding):  # type: ignore[no-untyped-def]
+    """Spline coefficients of an image inside a frame of `padding` zeros: blocks of rows, then of columns.
+
+    A block is copied with its lines side by side, so that each step of the recursion is one for all of them at once.
+    """
+    height, width = image.shape
+    rows, out = np.empty((height, width)), np.zeros((height + 2 * padding, width + 2 * padding))
+    for block in prange((height + BLOCK - 1) // BLOCK):
+        first = block * BLOCK
+        count = min(BLOCK, height - first)
+        lines = np.zeros((width, BLOCK))
+        for i in range(count):
+            for k in range(width):
+                lines[k, i] = image[first + i, k]
+        for pole in poles:
+            _filter_lines(lines, pole)
+        for i in range(count):
+            for k in range(width):
+                rows[first + i, k] = lines[k, i]
+    for block in prange((width + BLOCK - 1) // BLOCK):
+        first = block * BLOCK
+        count = min(BLOCK, width - first)
+        lines = np.zeros((height, BLOCK))
+        lines[:, :count] = rows[:, first : first + count]
+        for pole in poles:
+            _filter_lines(lines, pole)
+        out[padding : padding + height, padding + first : padding + first + count] = lines[:, :count]
+    return out
+
+
+@njit()
+def _filter_lines(lines, pole):  # type: ignore[no-untyped-def]
+    """Both recursions of one pole along the first axis of lines (n,BLOCK), mirrored at their ends."""
+    count = lines.shape[0]
+    gain = (1.0 - pole) * (1.0 - 1.0 / pole)
+    total, power = lines[0].copy(), pole
+    for k in range(1, 2 * count - 2):
+        if abs(power) < SMALLEST_TERM:
+            break
+        source = k if k < count else 2 * count - 2 - k
+        for i in range(BLOCK):
+            total[i] += power * lines[source, i]
+        power *= pole
+    for i in range(BLOCK):
+        lines[0, i] = gain * total[i] / (1.0 - power)
+    for k in range(1, count):
+        for i in range(BLOCK):
+            lines[k, i] = gain * lines[k, i] + pole * lines[k - 1, i]
+    for i in range(BLOCK):
+        lines[-1, i] = pole / (pole * pole - 1.0) * (pole * lines[-2, i] + lines[-1, i])
+    for k in range(count - 2, -1, -1):
+        for i in range(BLOCK):
+            lines[k, i] = pole * (lines[k + 1, i] - lines[k, i])
+
+
+def _mirror(framed: FloatArray) -> None:
+    """Fill the frame of PADDING_PX around an image with its mirror image."""
+    for lines in (framed, framed.T):
+        for k in range(1, PADDING_PX + 1):
+            lines[PADDING_PX - k] = lines[PADDING_PX + k]
+            lines[-1 - PADDING_PX + k] = lines[-1 - PADDING_PX - k]
+
+
+@njit(inline="always")
+def weights_cubic(t):  # type: ignore[no-untyped-def]
+    """Values of the four cubic B-splines that reach offset t in [0,1) (Thévenaz et al. 2000, eq. 18)."""
+    last = t * t * t / 6.0
+    first = 1.0 / 6.0 + 0.5 * t * (t - 1.0) - last
+    third = t + first - 2.0 * last
+    return first, 1.0 - first - third - last, third, last
+
+
+@njit(inline="always")
+def weights_quintic(t):  # type: ignore[no-untyped-def]
+    """Values of the six quintic B-splines that reach offset t in [0,1) (P. Thévenaz's factorisation)."""
+    t2 = t * t
+    last = t * t2 * t2 / 120.0
+    t2 = t2 - t
+    t4 = t2 * t2
+    h = t - 0.5
+    s = t2 * (t2 - 3.0)
+    first = (0.2 + t2 + t4) / 24.0 - last
+    even, odd = (t2 * (t2 - 5.0) + 9.2) / 24.0, -h * (s + 4.0) / 12.0
+    wide, skew = (1.8 - s) / 16.0, h * (t4 - t2 - 5.0) / 24.0
+    return first, wide + skew, even + odd, even - odd, wide - skew, last
+
+
+@njit(inline="always")
+def weights_septic(t):  # type: ignore[no-untyped-def]
+    """Values of the eight septic B-splines that reach offset t in [0,1).
+
+    With h = t − ½ the splines j and 7−j are E(h²) ± h·O(h²); polynomials from the sum of truncated powers (Unser 1999,
+    IEEE Signal Process. Mag. 16, 22, box 1).
+    """
+    h = t - 0.5
+    q = h * h
+    even0 = ((q / 1440.0 + 1.0 / 1152.0) * q + 1.0 / 7680.0) * q + 1.0 / 645120.0
+    odd0 = ((q / -5040.0 - 1.0 / 960.0) * q - 1.0 / 2304.0) * q - 1.0 / 46080.0
+    even1 = ((q / -288.0 + 19.0 / 1152.0) * q + 47.0 / 1536.0) * q + 2179.0 / 645120.0
+    odd1 = ((q / 720.0 - 1.0 / 960.0) * q - 73.0 / 2304.0) * q - 721.0 / 46080.0
+    even2 = ((q / 160.0 - 7.0 / 128.0) * q + 403.0 / 2560.0) * q + 20219.0 / 215040.0
+    odd2 = ((q / -240.0 + 19.0 / 960.0) * q - 5.0 / 2304.0) * q - 9821.0 / 46080.0
+    even3 = ((q / -288.0 + 43.0 / 1152.0) * q - 289.0 / 1536.0) * q + 259723.0 / 645120.0
+    odd3 = ((q / 144.0 - 3.0 / 64.0) * q + 43.0 / 256.0) * q - 289.0 / 1024.0
+    odd0, odd1, odd2, odd3 = h * odd0, h * odd1, h * odd2, h * odd3
+    return (
+        even0 + odd0,
+        even1 + odd1,
+        even2 + odd2,
+        even3 + odd3,
+        even3 - odd3,
+        even2 - odd2,
+        even1 - odd1,
+        even0 - odd0,
+    )
+
+
+@njit()
+def basis(t, degree, values, slopes):  # type: ignore[no-untyped-def]
+    """Values and derivatives of the degree+1 B-splines that reach t in [0,1), by the recursion of de Boor and Cox.
+
+    β_n(x) = ((x + (n+1)/2) β_{n−1}(x+½) + ((n+1)/2 − x) β_{n−1}(x−½)) / n and β_n′(x) = β_{n−1}(x+½) − β_{n−1}(x−½).
+    """
+    values[:] = 0.0
+    values[0] = 1.0
+    for n in range(1, degree + 1):
+        if n == degree:
+            for j in range(degree + 1):
+                slopes[j] = (values[j - 1] if j > 0 else 0.0) - (values[j] if j < degree else 0.0)
+        for j in range(n, -1, -1):
+            left = (t + n - j) * values[j - 1] if j > 0 else 0.0
+            right = (j + 1.0 - t) * values[j] if j < n else 0.0
+            values[j] = (left + right) / n
+
+
+@njit(parallel=True)
+def _evaluate(coefficients, degree, points, values, gradients):  # type: ignore[no-untyped-def]
+    """Value and gradient at every point."""
+    width, height = coefficients.shape[1] - 2 * PADDING_PX, coefficients.shape[0] - 2 * PADDING_PX
+    first = PADDING_PX - degree // 2
+    for m in prange(points.shape[0]):
+        x, y = points[m, 0], points[m, 1]
+        values[m] = np.nan
+        gradients[m] = np.nan
+        if not (x >= 0.0 and y >= 0.0 and x <= width - 1.0 and y <= height - 1.0):
+            continue
+        column, row = int(np.floor(x)), int(np.floor(y))
+        wx, sx, wy, sy = np.empty(8), np.empty(8), np.empty(8), np.empty(8)
+        basis(x - column, degree, wx, sx)
+        basis(y - row, degree, wy, sy)
+        value, along, down = 0.0, 0.0, 0.0
+        for k in range(degree + 1):
+            for j in range(degree + 1):
+                c = coefficients[row + first + k, column + first + j]
+                value += wy[k] * wx[j] * c
+                along += wy[k] * sx[j] * c
+                down += sy[k] * wx[j] * c
+        values[m] = value
+        gradients[m, 0] = along
+        gradients[m, 1] = down
+
+
+# Spline values along straight lines of points, eight points at a time: the inner loop of every registration.
+
+
+SMALLEST_DRIFT = 1e-30
+
+
+def sample_squares(spline: Spline, centre_px: FloatArray, radius_px: int) -> FloatArray:
+    """Values and gradients (N,3,P) [f, f_x, f_y] on P = (2·radius+1)² points, a pixel apart, around centre_px (N,2).
+
+    NaN for squares that are not wholly in the image. Points of a square have the same weights, applied along x, then y.
+    """
+    check_shape("centre_px", centre_px, (None, 2))
+    squares = np.full((len(centre_px), 3, (2 * radius_px + 1) ** 2), np.nan)
+    _sample_squares(spline.coefficients, spline.degree, np.ascontiguousarray(centre_px), radius_px, squares)
+    return squares
+
+
+@njit()
+def sample_line(c, degree, x, y, step_x, step_y, grey):  # type: ignore[no-untyped-def]
+    """Fill grey (n,) with values of a spline of degree 3, 5 or 7 at (x, y) + i·(step_x, step_y), all within the image.
+
+    c (H+8,W+8): `Spline.coefficients`. Runs in which int(x)−i and int(y) stay the same are computed eight points at a
+    time; the polynomials of two runs agree where they meet, so that it does not matter to which run a point is given.
+    """
+    start = 0
+    while start < grey.size:
+        at_x, at_y = x + start * step_x, y + start * step_y
+        stop = _end_of_run(start, grey.size, at_x - int(at_x), at_y - int(at_y), step_x - 1.0, step_y)
+        _run(c, degree, at_x, at_y, step_x - 1.0, step_y, grey, start, stop)
+        start = stop
+
+
+@njit()
+def sample_points(c, degree, x, y, grey):  # type: ignore[no-untyped-def]
+    """Fill grey (n,) with spline values of degree 3, 5 or 7 at any points x (n,), y (n,) within the image."""
+    for i in range(grey.size):
+        _run(c, degree, x[i], y[i], 0.0, 0.0, grey, i, i + 1)
+
+
+@njit(inline="always")
+def _run(c, degree, x, y, drift_x, drift_y, grey, start, stop):  # type: ignore[no-untyped-def]
+    """Points start … stop of one run, the first of them at (x, y)."""
+    column, row = int(x), int(y)
+    s, t = x - column, y - row
+    row, column = row + PADDING_PX - degree // 2, column + PADDING_PX - degree // 2
+    if degree == 7:
+        _run_septic(c, row, column, s, t, drift_x, drift_y, grey, start, stop)
+    elif degree == 5:
+        _run_quintic(c, row, column, s, t, drift_x, drift_y, grey, start, stop)
+    else:
+        _run_cubic(c, row, column, s, t, drift_x, drift_y, grey, start, stop)
+
+
+@njit(inline="always")
+def box_inside(coefficients, x, y, reach_x, reach_y):  # type: ignore[no-untyped-def]
+    """Whether the rectangle about (x, y) lies within the image; False for NaN."""
+    right, bottom = coefficients.shape[1] - 2.0 * PADDING_PX - 1.0, coefficients.shape[0] - 2.0 * PADDING_PX - 1.0
+    return x - reach_x >= 0.0 and x + reach_x <= right and y - reach_y >= 0.0 and y + reach_y <= bottom
+
+
+@njit(inline="always")
+def _end_of_run(start, count, s, t, drift_x, drift_y):  # type: ignore[no-untyped-def]
+    """First point after `start` at which s + i·drift_x or t + i·drift_y has left [0, 1)."""
+    steps = float(count - start)
+    if drift_x > SMALLEST_DRIFT:
+        steps = min(steps, (1.0 - s) / drift_x)
+    elif drift_x < -SMALLEST_DRIFT:
+        steps = min(steps, -s / drift_x)
+    if drift_y > SMALLEST_DRIFT:
+        steps = min(steps, (1.0 - t) / drift_y)
+    elif drift_y < -SMALLEST_DRIFT:
+        steps = min(steps, -t / drift_y)
+    return min(count, start + 1 + int(steps))
+
+
+@njit(parallel=True)
+def _sample_squares(c, degree, centres, radius, squares):  # type: ignore[no-untyped-def]
+    """Every square that lies in the image."""
+    right, bottom = c.shape[1] - 2 * PADDING_PX - 1, c.shape[0] - 2 * PADDING_PX - 1
+    for n in prange(centres.shape[0]):
+        x, y = centres[n, 0] - radius, centres[n, 1] - radius
+        if x >= 0.0 and y >= 0.0 and x + 2 * radius <= right and y + 2 * radius <= bottom:
+            _sample_square(c, degree, x, y, 2 * radius + 1, squares[n])
+
+
+@njit()
+def _sample_square(c, degree, x, y, side, square):  # type: ignore[no-untyped-def]
+    """One square with its first point at (x, y)."""
+    column, row = min(int(x), c.shape[1] - 2 * PADDING_PX - side), min(int(y), c.shape[0] - 2 * PADDING_PX - side)
+    wx, sx, wy, sy = np.empty(8), np.empty(8), np.empty(8), np.empty(8)
+    basis(x - column, degree, wx, sx)
+    basis(y - row, degree, wy, sy)
+    left, top = column + PADDING_PX - degree // 2, row + PADDING_PX - degree // 2
+    smooth, slope = np.empty(side), np.empty(side)
+    square[:] = 0.0
+    for r in range(side + degree):
+        smooth[:] = 0.0
+        slope[:] = 0.0
+        for j in range(degree + 1):
+            line = c[top + r, left + j : left + j + side]
+            for i in range(side):
+                smooth[i] += wx[j] * line[i]
+                slope[i] += sx[j] * line[i]
+        for k in range(max(0, r - side + 1), min(degree, r) + 1):
+            first = (r - k) * side
+            value, along = square[0, first : first + side], square[1, first : first + side]
+            down = square[2, first : first + side]
+            for i in range(side):
+                value[i] += wy[k] * smooth[i]
+                along[i] += wy[k] * slope[i]
+                down[i] += sy[k] * smooth[i]
+
+
+def _fill_block(builder: Any, weights: Callable[..., Any], image: Any, offsets: Any, grey: Any, mask: Any) -> None:
+    """Code for eight points, or those of a mask: grey = Σ_k b_k(t) Σ_j a_j(s) c[k, j + i].
+
+    image: pointer to the first coefficient and the row's length. offsets: s and t of the points.
+    """
+    (first, width), (a, b) = image, (weights(offset) for offset in offsets)
+    lines = []
+    for k in range(len(b)):
+        row = builder.gep(first, [builder.mul(ir.Constant(INDEX, k), width)])
+        taps = [along * load(builder, builder.gep(row, [ir.Constant(INDEX, j)]), mask) for j, along in enumerate(a)]
+        lines.append(reduce(add, taps))
+    store(builder, reduce(add, (down * line for down, line in zip(b, lines, strict=True))), grey, mask)
+
+
+def _run_code(weights: Callable[..., Any]) -> Callable[..., Any]:
+    """Generator of the code of one run for the B-spline weights of one degree: whole blocks, then a masked one."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Sequence[Any]) -> Any:
+        c, row, column, s, t, drift_x, drift_y, grey, start, stop = arguments
+        table = context.make_array(signature.args[0])(context, builder, c)
+        line = context.make_array(signature.args[7])(context, builder, grey)
+        width = cgutils.unpack_tuple(builder, table.shape)[1]
+        corner = builder.gep(table.data, [builder.add(builder.mul(row, width), column)])
+
+        def block(index: Any, mask: Any) -> None:
+            image = builder.gep(corner, [index]), width
+            points = counted(builder, builder.sitofp(index, REAL))
+            offsets = [points * spread(builder, drift) + spread(builder, begin) for begin, drift in along]
+            _fill_block(builder, weights, image, offsets, builder.gep(line.data, [builder.add(start, index)]), mask)
+
+        along = (s, drift_x), (t, drift_y)
+        in_blocks(builder, builder.sub(stop, start), block)
+        return context.get_dummy_value()
+
+    return generate
+
+
+def _run_type(c: Any, grey: Any) -> Any:
+    """Types of a run's arguments; the arrays must be contiguous doubles."""
+    if (c.layout, c.dtype, grey.layout, grey.dtype) != ("C", types.float64, "C", types.float64):
+        raise TypeError(f"c, grey: expected contiguous float64 arrays, found {c} and {grey}")
+    whole, real = types.int64, types.float64
+    return types.void(c, whole, whole, real, real, real, real, grey, whole, whole)
+
+
+@intrinsic
+def _run_septic(typing, c, row, column, s, t, drift_x, drift_y, grey, start, stop):  # type: ignore[no-untyped-def]
+    """Septic values of the points start … stop of one run, whose coefficients begin at c[row, column]."""
+    return _run_type(c, grey), _run_code(weights_septic.py_func)
+
+
+@intrinsic
+def _run_quintic(typing, c, row, column, s, t, drift_x, drift_y, grey, start, stop):  # type: ignore[no-untyped-def]
+    """Quintic values of the points start … stop of one run, whose coefficients begin at c[row, column]."""
+    return _run_type(c, grey), _run_code(weights_quintic.py_func)
+
+
+@intrinsic
+def _run_cubic(typing, c, row, column, s, t, drift_x, drift_y, grey, start, stop):  # type: ignore[no-untyped-def]
+    """Cubic values of the points start … stop of one run, whose coefficients begin at c[row, column]."""
+    return _run_type(c, grey), _run_code(weights_cubic.py_func)

@@ -1,1 +1,0 @@
-"""Target views → stereo rig with covariance."""

@@ -1,0 +1,159 @@
+"""The stereo calibration file: JSON of format 1, read with every key checked, written whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from photogram.arrays import FloatArray, check_shape
+from photogram.camera import RIG_PARAMETERS, Camera, StereoRig
+from photogram.geometry import RigidTransform, nearest_rotation
+
+_KEYS = ("format", "image_size", "left", "right", "rotation", "translation", "reprojection_rms", "covariance")
+
+
+def read_calibration(path: Path) -> StereoRig:
+    """Return the stereo pair of a calibration file; parameters absent from its covariance have variance zero.
+
+    Refused with a `ValueError` naming file and key: unknown, missing or repeated keys, wrong shapes, a rotation more
+    than 10⁻⁶ from orthonormal or with determinant −1. A rotation within that is replaced by the nearest exact one.
+    """
+    path = Path(path)
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_without_repeats)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path}: expected a JSON text, found: {error}") from error
+    try:
+        return _rig(content)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def write_calibration(path: Path, rig: StereoRig, reprojection_rms_px: float | None = None) -> None:
+    """Write a stereo pair as a calibration file of format 1, by a temporary name and one replacement."""
+    if not np.array_equal(rig.left.size_px, rig.right.size_px):
+        raise ValueError(f"rig: expected two images of one size, found {rig.left.size_px} and {rig.right.size_px}")
+    covariance = rig.covariance
+    content = {
+        "format": 1,
+        "image_size": [int(size) for size in rig.left.size_px],
+        "left": {"matrix": rig.left.matrix.tolist(), "distortion": rig.left.distortion.tolist()},
+        "right": {"matrix": rig.right.matrix.tolist(), "distortion": rig.right.distortion.tolist()},
+        "rotation": rig.right_from_left.rotation.tolist(),
+        "translation": rig.right_from_left.translation_m.tolist(),
+        "reprojection_rms": None if reprojection_rms_px is None else float(reprojection_rms_px),
+        "covariance": None
+        if covariance is None
+        else {"parameters": list(RIG_PARAMETERS), "matrix": covariance.tolist()},
+    }
+    path = Path(path)
+    temporary = path.with_name(f"{path.name}.{os.getpid()}.tmp")
+    try:
+        temporary.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return the object of a JSON text, refusing a key that stands twice."""
+    keys = [key for key, _ in pairs]
+    repeated = sorted({key for key in keys if keys.count(key) > 1})
+    if repeated:
+        raise ValueError(f"key {repeated[0]!r} stands twice")
+    return dict(pairs)
+
+
+def _rig(content: Any) -> StereoRig:
+    """Return the checked stereo pair of the parsed text."""
+    _check_keys("", content, _KEYS)
+    if isinstance(content["format"], bool) or content["format"] != 1:
+        raise ValueError(f"format: expected 1, found {content['format']!r}")
+    size = _numbers("image_size", content["image_size"], (2,))
+    if (size != np.round(size)).any() or (size < 1).any():
+        raise ValueError(f"image_size: expected two whole numbers of pixels, found {content['image_size']}")
+    if content["reprojection_rms"] is not None:
+        _numbers("reprojection_rms", content["reprojection_rms"], ())
+    return StereoRig(
+        left=_camera("left", content["left"], size),
+        right=_camera("right", content["right"], size),
+        right_from_left=_transform(content),
+        covariance=_covariance(content["covariance"]),
+    )
+
+
+def _check_keys(where: str, found: Any, expected: tuple[str, ...]) -> None:
+    """Raise `ValueError` unless `found` is an object with exactly the expected keys."""
+    prefix = f"{where}." if where else ""
+    if not isinstance(found, dict):
+        raise ValueError(f"{where or 'content'}: expected an object with keys {', '.join(expected)}, found {found!r}")
+    for key in found:
+        if key not in expected:
+            raise ValueError(f"{prefix}{key}: unknown key, expected {', '.join(expected)}")
+    for key in expected:
+        if key not in found:
+            raise ValueError(f"{prefix}{key}: missing key")
+
+
+def _numbers(where: str, found: Any, shape: tuple[int, ...]) -> FloatArray:
+    """Return nested lists of JSON numbers as an array of the given shape."""
+    array = np.asarray(_plain(where, found), dtype=np.float64)
+    check_shape(where, array, shape)
+    if not np.isfinite(array).all():
+        raise ValueError(f"{where}: expected finite numbers, found NaN or infinity")
+    return array
+
+
+def _plain(where: str, found: Any) -> Any:
+    """Return `found` when it is a number or lists of one length of such."""
+    if isinstance(found, list):
+        parts = [_plain(where, part) for part in found]
+        if len({len(part) if isinstance(part, list) else -1 for part in parts}) > 1:
+            raise ValueError(f"{where}: expected rows of one length")
+        return parts
+    if isinstance(found, bool) or not isinstance(found, int | float):
+        raise ValueError(f"{where}: expected numbers, found {found!r}")
+    return found
+
+
+def _camera(side: str, found: Any, size: FloatArray) -> Camera:
+    """Return the camera of one side."""
+    _check_keys(side, found, ("matrix", "distortion"))
+    matrix = _numbers(f"{side}.matrix", found["matrix"], (3, 3))
+    distortion = _numbers(f"{side}.distortion", found["distortion"], (5,))
+    try:
+        return Camera(matrix, distortion, size.astype(np.int64))
+    except ValueError as error:
+        raise ValueError(f"{side}.{error}") from error
+
+
+def _transform(content: dict[str, Any]) -> RigidTransform:
+    """Return `right_from_left`, its rotation made exact."""
+    rotation = _numbers("rotation", content["rotation"], (3, 3))
+    translation = _numbers("translation", content["translation"], (3,))
+    given = RigidTransform(rotation, translation)
+    return RigidTransform(nearest_rotation(given.rotation), translation)
+
+
+def _covariance(found: Any) -> FloatArray | None:
+    """Return the covariance (24, 24) with zeros for parameters that the file leaves out."""
+    if found is None:
+        return None
+    _check_keys("covariance", found, ("parameters", "matrix"))
+    names = found["parameters"]
+    if not isinstance(names, list) or not names:
+        raise ValueError(f"covariance.parameters: expected a list of names, found {names!r}")
+    unknown = [name for name in names if name not in RIG_PARAMETERS]
+    if unknown:
+        raise ValueError(f"covariance.parameters: expected names like {RIG_PARAMETERS[0]!r}, found {unknown[0]!r}")
+    if len(set(names)) < len(names):
+        raise ValueError("covariance.parameters: expected each name once, found one twice")
+    matrix = _numbers("covariance.matrix", found["matrix"], (len(names), len(names)))
+    full = np.zeros((len(RIG_PARAMETERS), len(RIG_PARAMETERS)))
+    index = [RIG_PARAMETERS.index(name) for name in names]
+    full[np.ix_(index, index)] = matrix
+    return full

@@ -1,0 +1,543 @@
+"""Calibration files of OpenCV, DICe and MATLAB, and of any program by what the file looks like."""
+
+from __future__ import annotations
+
+import json
+import re
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from photogram.arrays import FloatArray, Notice
+from photogram.calibration.foreign import (
+    EVEN,
+    PROJECT,
+    Found,
+    ImportedCalibration,
+    LengthUnit,
+    Lens,
+    build,
+    numbers,
+    read_vic3d,
+    right_from_left,
+    rotation_from_cardan,
+)
+from photogram.geometry import rotation_from_vector, skew
+
+# XML with names of any case.
+
+
+def parse_xml(content: bytes) -> ElementTree.Element:
+    """Return the root of an XML text, all tags and attributes in lower case."""
+    try:
+        root = ElementTree.fromstring(content)
+    except ElementTree.ParseError as error:
+        raise ValueError(f"expected an XML text, found: {error}") from error
+    for element in root.iter():
+        element.tag = element.tag.lower()
+        for name in list(element.attrib):
+            element.attrib[name.lower()] = element.attrib.pop(name)
+    return root
+
+
+# OpenCV: FileStorage in YAML, XML or JSON, and plain JSON with the same content in lists.
+
+
+FORMAT = "OpenCV"
+_MATRICES = ("cameramatrix", "cammatrix", "intrinsicmatrix", "intrinsics", "camera", "matrix", "mtx", "cm", "m", "k")
+_DISTORTIONS = ("distcoeffs", "distcoeff", "distortioncoefficients", "distortioncoeffs", "distortion", "dist", "d")
+_SIDES = (("1", "2"), ("left", "right"), ("l", "r"), ("0", "1"))
+_ROTATIONS = ("r", "rotation", "rotationmatrix", "rmat", "stereor", "rvec")
+_TRANSLATIONS = ("t", "translation", "translationvector", "tvec", "stereot")
+_SIZES = ("imagesize", "imgsize", "size", "resolution")
+_WIDTHS, _HEIGHTS = ("imagewidth", "imgwidth", "width", "w"), ("imageheight", "imgheight", "height", "h")
+_BEYOND = ("k4", "k5", "k6", "s1", "s2", "s3", "s4", "tauX", "tauY")
+_LENGTHS = (4, 5, 8, 12, 14)
+
+Values = dict[str, tuple[str, Any]]
+"""Values of a file by simplified name, each with the name as it stands there."""
+
+
+def read_opencv(text: str, extrinsics: str | None = None) -> Found:
+    """Return what an OpenCV file holds: matrices and distortions of two cameras, R and T with x₂ = R·x₁ + T.
+
+    Names in any of the usual spellings (M1 D1 M2 D2 R T, cameraMatrix1 distCoeffs1, K_left, mtxL, left: {…}); a
+    rotation vector is accepted for R. Distortion in OpenCV's order k1 k2 p1 p2 k3; later coefficients must be zero.
+    """
+    values = _values(text)
+    if extrinsics is not None:
+        values |= _values(extrinsics)
+    matrices, distortions = _pair(values, _MATRICES, "M1 and M2"), _pair(values, _DISTORTIONS, "D1 and D2")
+    lenses = [_lens(matrix, distortion) for matrix, distortion in zip(matrices, distortions, strict=True)]
+    size = _size(values)
+    rotation_name, rotation = _one(values, _ROTATIONS, "rotation R")
+    translation_name, translation = _one(values, _TRANSLATIONS, "translation T")
+    return Found(
+        FORMAT,
+        (lenses[0], lenses[1]),
+        (size, size),
+        _rotation(rotation_name, rotation),
+        numbers(translation_name, translation, 3),
+        None,
+    )
+
+
+def _values(text: str) -> Values:
+    """Return every value of a text."""
+    content = _json(text) if text.lstrip().startswith(("{", "[")) else _storage(text)
+    return {re.sub(r"[^a-z0-9]", "", name.lower()): (name, value) for name, value in _flat("", content)}
+
+
+def _json(text: str) -> Any:
+    """Return the content of a JSON text."""
+    try:
+        return json.loads(text)
+    except ValueError as error:
+        raise ValueError(f"expected a JSON text, found: {error}") from error
+
+
+def _flat(prefix: str, content: Any) -> Iterator[tuple[str, Any]]:
+    """Yield name and value of everything, the names of objects within objects joined by points."""
+    if not isinstance(content, dict):
+        yield prefix, content
+    elif _is_array(content):
+        yield prefix, content["data"]
+    else:
+        for name, value in content.items():
+            yield from _flat(f"{prefix}.{name}" if prefix else name, value)
+
+
+def _is_array(content: dict[str, Any]) -> bool:
+    """Whether a map is an OpenCV matrix: two-dimensional, or of any dimension as OpenCV 5 writes vectors."""
+    return "data" in content and ("rows" in content or "sizes" in content)
+
+
+def _storage(text: str) -> dict[str, Any]:
+    """Return the content of a FileStorage text as nested objects."""
+    import cv2
+
+    level = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+        return dict(_children(storage.root()))
+    except (SystemError, cv2.error) as error:
+        raise ValueError("expected an OpenCV FileStorage text, found one that OpenCV cannot parse") from error
+    finally:
+        cv2.utils.logging.setLogLevel(level)
+
+
+def _children(node: Any) -> Iterator[tuple[str, Any]]:
+    """Yield name and content of everything in a map."""
+    names = node.keys()
+    for name in names:
+        yield name, _node(node.getNode(name))
+
+
+def _node(node: Any) -> Any:
+    """Return a node as number, text, list, array, or object of such."""
+    if node.isMap():
+        children = dict(_children(node))
+        return np.asarray(node.mat(), dtype=np.float64) if _is_array(children) else children
+    if node.isSeq():
+        return [_node(node.at(index)) for index in range(node.size())]
+    return node.string() if node.isString() else node.real()
+
+
+def _pair(values: Values, names: tuple[str, ...], what: str) -> tuple[tuple[str, Any], tuple[str, Any]]:
+    """Return the values of the left and the right camera; `ValueError` where there are none, or those of one only."""
+    for first, second in _SIDES:
+        for name in names:
+            for left, right in ((name + first, name + second), (first + name, second + name)):
+                if left in values and right in values:
+                    return values[left], values[right]
+    single = [values[name][0] for name in names if name in values]
+    if single:
+        raise ValueError(f"{single[0]}: expected two cameras ({what}), found the calibration of a single one")
+    raise ValueError(f"expected {what}, or the same under another usual name, found neither")
+
+
+def _one(values: Values, names: tuple[str, ...], what: str) -> tuple[str, Any]:
+    """Return the first value under any of the names."""
+    for name in names:
+        if name in values:
+            return values[name]
+    raise ValueError(f"expected the {what} from the first to the second camera, found none: is it in a second file?")
+
+
+def _lens(matrix: tuple[str, Any], distortion: tuple[str, Any]) -> Lens:
+    """Return one camera's lens."""
+    name, value = matrix
+    k = numbers(name, value, (3, 3))
+    if k[0, 1] != 0 or k[1, 0] != 0 or not np.array_equal(k[2], [0, 0, 1]):
+        raise ValueError(f"{name}: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], found {k.tolist()}")
+    name, value = distortion
+    length = np.size(np.asarray(value, dtype=object))
+    if length not in _LENGTHS:
+        raise ValueError(f"{name}: expected {', '.join(map(str, _LENGTHS))} coefficients, found {length}")
+    coefficients = numbers(name, value, length)
+    for label, coefficient in zip(_BEYOND, coefficients[5:], strict=False):
+        if coefficient != 0:
+            raise ValueError(
+                f"{name}: expected the distortion k1 k2 p1 p2 k3, found {label} = {coefficient:g} of a larger model; "
+                "calibrate without it"
+            )
+    k1, k2, p1, p2, k3 = (*coefficients[:5], 0.0)[:5]
+    return Lens(np.array([k[0, 0], k[1, 1]]), k[:2, 2].copy(), np.array([k1, k2, k3]), np.array([p1, p2]))
+
+
+def _rotation(name: str, value: Any) -> FloatArray:
+    """Return R of a matrix or of a rotation vector."""
+    if np.size(np.asarray(value, dtype=object)) == 3:
+        return rotation_from_vector(numbers(name, value, 3))
+    return numbers(name, value, (3, 3))
+
+
+def _size(values: Values) -> tuple[int, int] | None:
+    """Return width and height where the file holds them."""
+    for name in _SIZES:
+        if name in values:
+            width, height = numbers(values[name][0], values[name][1], 2)
+            return int(width), int(height)
+    width_value = [values[name] for name in _WIDTHS if name in values]
+    height_value = [values[name] for name in _HEIGHTS if name in values]
+    if not (width_value and height_value):
+        return None
+    return int(numbers(*width_value[0], 1)[0]), int(numbers(*height_value[0], 1)[0])
+
+
+# DICe: camera systems in XML, and the text of 16 intrinsic and 6 or 12 extrinsic numbers before it.
+
+
+DICE_FORMAT = "DICe"
+_SYSTEM_FILE = "dice_xml_camera_system_file"
+_POWERS = {  # of r in the factor by which x and y are multiplied
+    "OPENCV_LENS_DISTORTION": EVEN,
+    "K1R1_K2R2_K3R3": (0, 1, 2),  # r + k1·r + k2·r² + k3·r³
+    "K1R2_K2R4_K3R6": (1, 3, 5),
+    "K1R3_K2R5_K3R7": EVEN,
+    "VIC3D_LENS_DISTORTION": EVEN,  # the numbers are VIC-3D's own
+}
+_LINEAR = "K1R1_K2R2_K3R3"
+_NONE = "NO_LENS_DISTORTION"
+_dice_BEYOND = ("K4", "K5", "K6", "S1", "S2", "S3", "S4", "T1", "T2")
+_TEXT_ORDER = "cx cy fx fy fs k1 k2 k3 of either camera, alpha beta gamma or R11…R33, tx ty tz, [height width]"
+
+
+def read_dice_xml(root: ElementTree.Element) -> Found:
+    """Return what a DICe camera system file holds (`DICe_Camera.cpp`, `DICe_CameraSystem.cpp` of dicengine).
+
+    Either camera has x_camera = R·x_world + t, or, with `extrinsics_relative_camera_to_camera`, the second one
+    x₁ = R·x₀ + t. Angles ALPHA BETA GAMMA in degrees, R = R_z·R_y·R_x. Lengths in the unit of the target's spacing, mm
+    by the program's habit.
+    """
+    system = _parameters(root)
+    kind = system.get("XML_FILE_FORMAT", "")
+    if kind.lower() != _SYSTEM_FILE:
+        raise ValueError(f"xml_file_format: expected DICe_xml_camera_system_file, found {kind or 'none'}")
+    lists = {part.get("name", "").upper(): part for part in root.findall("parameterlist")}
+    cameras = sorted(name for name in lists if name.startswith("CAMERA "))
+    if cameras != ["CAMERA 0", "CAMERA 1"]:
+        raise ValueError(f"CAMERA: expected CAMERA 0 and CAMERA 1, found {', '.join(cameras) or 'none'}")
+    first, second = (_camera(name, lists[name]) for name in cameras)
+    rotation, translation = second[2], second[3]
+    if system.get("EXTRINSICS_RELATIVE_CAMERA_TO_CAMERA", "false").lower() != "true":
+        rotation, translation = right_from_left((first[2], first[3]), (second[2], second[3]))
+    notices = _linear_notice(first[0], second[0])
+    return Found(DICE_FORMAT, (first[0], second[0]), (first[1], second[1]), rotation, translation, "mm", notices)
+
+
+def read_dice_text(text: str) -> Found:
+    """Return what DICe's former text holds: one number a line, comments after #.
+
+    Order: cx cy fx fy fs k1 k2 k3 of either camera, then α β γ (degrees) or R by rows, tx ty tz of x₁ = R·x₀ + t, then
+    height and width where they are given. The program's readers differ in what they do with k1 k2 k3; they are taken as
+    what its own calibration (OpenCV's) and VIC-3D, from where such lists are copied, write: 1 + k1·r² + k2·r⁴ + k3·r⁶.
+    """
+    lines = [line.split("#", 1)[0].strip() for line in text.splitlines()]
+    words = [line for line in lines if line]
+    extrinsic, has_size = {22: (6, False), 24: (6, True), 28: (12, False), 30: (12, True)}.get(len(words), (0, False))
+    if not extrinsic:
+        raise ValueError(f"expected 22, 24, 28 or 30 numbers, one a line ({_TEXT_ORDER}), found {len(words)}")
+    values = numbers("content", words, len(words))
+    outer = values[16 : 16 + extrinsic]
+    rotation = rotation_from_cardan(outer[:3]) if extrinsic == 6 else outer[:9].reshape(3, 3)
+    size = (int(values[-1]), int(values[-2])) if has_size else None
+    lenses = tuple(
+        Lens(each[2:4], each[:2], each[5:8], np.zeros(2), skew_px=float(each[4])) for each in (values[:8], values[8:16])
+    )
+    return Found(DICE_FORMAT, (lenses[0], lenses[1]), (size, size), rotation, outer[-3:], "mm", _text_notices(values))
+
+
+def _linear_notice(*lenses: Lens) -> tuple[Notice, ...]:
+    """A warning where a distortion grows with r itself, which is a change of the focal length and seldom meant."""
+    if not any(lens.exponents == _POWERS[_LINEAR] and lens.radial.any() for lens in lenses):
+        return ()
+    text = (
+        f"the lenses are taken as {_LINEAR}, as the file says; DICe writes this also for files that it converted from "
+        "its former text, whose numbers are OpenCV's or VIC-3D's: K1R3_K2R5_K3R7 would be right there"
+    )
+    return (Notice("warning", text, "distortion"),)
+
+
+def _text_notices(values: FloatArray) -> tuple[Notice, ...]:
+    """How the distortion of a text was read, where there is any."""
+    if not values[[5, 6, 7, 13, 14, 15]].any():
+        return ()
+    text = "k1 k2 k3 are taken as the factor 1 + k1 r^2 + k2 r^4 + k3 r^6, r = 1 one focal length off the centre"
+    return (Notice("info", text, "distortion"),)
+
+
+def _parameters(element: ElementTree.Element) -> dict[str, str]:
+    """Return the values of a list's own parameters by upper-case name."""
+    return {part.get("name", "").upper(): part.get("value", "") for part in element.findall("parameter")}
+
+
+def _camera(name: str, element: ElementTree.Element) -> tuple[Lens, tuple[int, int], FloatArray, FloatArray]:
+    """Return lens, size, rotation and translation of one camera."""
+    values = _parameters(element)
+
+    def number(key: str) -> float:
+        return float(numbers(f"{name}.{key}", values.get(key, "0"), 1)[0])
+
+    for key in ("CX", "CY", "FX", "FY", "IMAGE_HEIGHT_WIDTH"):
+        if key not in values:
+            raise ValueError(f"{name}.{key}: missing")
+    for key in _dice_BEYOND:
+        if number(key) != 0:
+            raise ValueError(f"{name}.{key}: expected k1 k2 k3 p1 p2 alone, found {key} = {number(key):g}")
+    model = values.get("LENS_DISTORTION_MODEL", _NONE).upper()
+    if model != _NONE and model not in _POWERS:
+        raise ValueError(f"{name}.LENS_DISTORTION_MODEL: expected {', '.join((_NONE, *_POWERS))}, found {model}")
+    radial = np.array([number("K1"), number("K2"), number("K3")]) * (model != _NONE)
+    tangential = np.array([number("P1"), number("P2")]) * (model == "OPENCV_LENS_DISTORTION")
+    lens = Lens(
+        np.array([number("FX"), number("FY")]),
+        np.array([number("CX"), number("CY")]),
+        radial,
+        tangential,
+        skew_px=number("FS"),
+        exponents=_POWERS.get(model, EVEN),
+    )
+    height, width = _list(f"{name}.IMAGE_HEIGHT_WIDTH", values["IMAGE_HEIGHT_WIDTH"], 2)
+    translation = np.array([number("TX"), number("TY"), number("TZ")])
+    return lens, (int(width), int(height)), _dice_rotation(name, element, values), translation
+
+
+def _dice_rotation(name: str, element: ElementTree.Element, values: dict[str, str]) -> FloatArray:
+    """Return the rotation of one camera: matrix, angles, or none."""
+    for part in element.findall("parameterlist"):
+        if part.get("name", "").lower() == "rotation_3x3_matrix":
+            rows = _parameters(part)
+            return np.array([_list(f"{name}.ROW {i}", rows.get(f"ROW {i}", ""), 3) for i in range(3)])
+    angles = [values.get(key, "0") for key in ("ALPHA", "BETA", "GAMMA")]
+    return rotation_from_cardan(numbers(f"{name}.ALPHA, BETA, GAMMA", angles, 3))
+
+
+def _list(where: str, text: str, count: int) -> FloatArray:
+    """Return the numbers of a text like { 1, 2 }."""
+    return numbers(where, re.findall(r"[^\s,{}]+", text), count)
+
+
+# MATLAB: stereoParameters as JSON, and Bouguet's calibration toolbox as text.
+
+
+MATLAB, BOUGUET = "MATLAB", "Bouguet's toolbox"
+_UNITS: dict[str, LengthUnit] = {"mm": "mm", "millimeters": "mm", "millimetres": "mm", "m": "m", "meters": "m"}
+_ESSENTIAL = 1e-3  # relative departure of an essential matrix from that of R and T above which they contradict
+_ASSIGNMENT = re.compile(r"\b([A-Za-z]\w*)\s*=\s*(?:\[([^\]]*)\]|([-+]?[\d.][\w.+-]*))")
+
+
+def read_matlab(text: str) -> Found:
+    """Return what jsonencode(toStruct(stereoParams)), or jsonencode(stereoParams), wrote.
+
+    Pixels count from 1 there, so that 1 is taken off the principal point (MathWorks, `stereoParametersToOpenCV`).
+    `K` is the camera matrix and `PoseCamera2` has x₂ = R·x₁ + T; the older `IntrinsicMatrix` and `RotationOfCamera2`
+    are the transposed ones, x₂ᵀ = x₁ᵀ·R + T. An `EssentialMatrix` in the file must agree with R and T.
+    """
+    content = json.loads(text)
+    cameras = [_object(content, f"CameraParameters{number}") for number in (1, 2)]
+    lenses = [_matlab_lens(f"CameraParameters{number}", camera) for number, camera in enumerate(cameras, start=1)]
+    sizes = [_matlab_size(f"CameraParameters{number}", camera) for number, camera in enumerate(cameras, start=1)]
+    rotation, translation = _extrinsics(content)
+    _check_essential(content, rotation, translation)
+    unit = _UNITS.get(str(content.get("WorldUnits", cameras[0].get("WorldUnits", ""))).lower())
+    return Found(MATLAB, (lenses[0], lenses[1]), (sizes[0], sizes[1]), rotation, translation, unit)
+
+
+def read_bouguet(text: str) -> Found:
+    """Return what Bouguet's stereo calibration prints or saves as assignments: fc_left = [ … ], …, om, T.
+
+    x_right = R(om)·x_left + T in mm; kc: k1 k2 p1 p2 k3; skew alpha_c·fc(1); the toolbox counts pixels from 0, as it
+    takes 1 off every corner (`click_ima_calib.m`). `nx`, `ny`: image size, where they are given.
+    """
+    uncommented = re.sub(r"^\s*%.*$", "", text, flags=re.MULTILINE)
+    values: dict[str, str] = {}
+    for name, inside, scalar in _ASSIGNMENT.findall(uncommented):
+        values.setdefault(name, inside or scalar)
+
+    def array(name: str, count: int) -> FloatArray:
+        if name not in values:
+            raise ValueError(f"{name}: missing")
+        return numbers(name, re.findall(r"[^\s,;]+", values[name]), count)
+
+    lenses = []
+    for side in ("left", "right"):
+        focal, centre, kc = array(f"fc_{side}", 2), array(f"cc_{side}", 2), array(f"kc_{side}", 5)
+        alpha = float(array(f"alpha_c_{side}", 1)[0]) if f"alpha_c_{side}" in values else 0.0
+        lenses.append(Lens(focal, centre, kc[[0, 1, 4]], kc[2:4], skew_px=alpha * float(focal[0])))
+    rotation = array("R", 9).reshape(3, 3) if "om" not in values else rotation_from_vector(array("om", 3))
+    size = (int(array("nx", 1)[0]), int(array("ny", 1)[0])) if {"nx", "ny"} <= set(values) else None
+    return Found(BOUGUET, (lenses[0], lenses[1]), (size, size), rotation, array("T", 3), "mm")
+
+
+def _object(content: Any, name: str) -> dict[str, Any]:
+    """Return an object within the content."""
+    found = content.get(name)
+    if not isinstance(found, dict):
+        raise ValueError(f"{name}: expected an object, found {str(found)[:40]!r}")
+    return found
+
+
+def _matlab_lens(name: str, camera: dict[str, Any]) -> Lens:
+    """Return one camera's lens, its principal point counted from 0."""
+    inner = camera.get("Intrinsics") if isinstance(camera.get("Intrinsics"), dict) else camera
+    parameters = {**camera, **inner} if inner is not None else camera
+    if parameters.get("K") is not None:
+        k = numbers(f"{name}.K", parameters["K"], (3, 3))
+    elif parameters.get("IntrinsicMatrix") is not None:
+        k = numbers(f"{name}.IntrinsicMatrix", parameters["IntrinsicMatrix"], (3, 3)).T
+    else:
+        raise ValueError(f"{name}: expected K or IntrinsicMatrix, found neither")
+    if k[1, 0] != 0 or not np.array_equal(k[2], [0, 0, 1]):
+        raise ValueError(f"{name}: expected a camera matrix, found {k.tolist()}")
+    radial = np.zeros(3)
+    coefficients = np.atleast_1d(np.asarray(parameters.get("RadialDistortion", [0, 0])))
+    if coefficients.size not in (2, 3):
+        raise ValueError(f"{name}.RadialDistortion: expected 2 or 3 numbers, found {coefficients.size}")
+    radial[: coefficients.size] = numbers(f"{name}.RadialDistortion", coefficients, coefficients.size)
+    tangential = numbers(f"{name}.TangentialDistortion", parameters.get("TangentialDistortion", [0, 0]), 2)
+    return Lens(np.array([k[0, 0], k[1, 1]]), k[:2, 2] - 1.0, radial, tangential, skew_px=float(k[0, 1]))
+
+
+def _matlab_size(name: str, camera: dict[str, Any]) -> tuple[int, int] | None:
+    """Return width and height of a camera's pictures, which MATLAB keeps as rows and columns."""
+    inner = camera.get("Intrinsics")
+    given = camera.get("ImageSize") or (inner.get("ImageSize") if isinstance(inner, dict) else None)
+    if not given:
+        return None
+    rows, columns = numbers(f"{name}.ImageSize", given, 2)
+    return int(columns), int(rows)
+
+
+def _extrinsics(content: dict[str, Any]) -> tuple[FloatArray, FloatArray]:
+    """Return R and T of x₂ = R·x₁ + T."""
+    pose = content.get("PoseCamera2")
+    if isinstance(pose, dict):
+        if pose.get("A") is not None:
+            matrix = numbers("PoseCamera2.A", pose["A"], (4, 4))
+            return matrix[:3, :3], matrix[:3, 3]
+        rotation = numbers("PoseCamera2.R", pose.get("R"), (3, 3))
+        return rotation, numbers("PoseCamera2.Translation", pose.get("Translation"), 3)
+    if content.get("RotationOfCamera2") is None:
+        raise ValueError("expected PoseCamera2, or RotationOfCamera2 and TranslationOfCamera2, found neither")
+    rotation = numbers("RotationOfCamera2", content["RotationOfCamera2"], (3, 3)).T
+    return rotation, numbers("TranslationOfCamera2", content.get("TranslationOfCamera2"), 3)
+
+
+def _check_essential(content: dict[str, Any], rotation: FloatArray, translation: FloatArray) -> None:
+    """Raise `ValueError` where the file's essential matrix is not [T]ₓ·R up to a factor."""
+    if content.get("EssentialMatrix") is None:
+        return
+    found = numbers("EssentialMatrix", content["EssentialMatrix"], 9)
+    expected = (skew(translation) @ rotation).ravel()
+    share = abs(found @ expected) / (np.linalg.norm(found) * np.linalg.norm(expected))
+    if not 1.0 - share < _ESSENTIAL**2:
+        raise ValueError("EssentialMatrix: expected the one of the file's rotation and translation, found another")
+
+
+# Calibrations of other programs → `StereoRig`: OpenCV, DICe, VIC-3D, MATLAB, Bouguet's toolbox.
+
+
+def import_calibration(
+    path: Path,
+    image_size: tuple[int, int] | None = None,
+    length_unit: LengthUnit | None = None,
+    extrinsics: Path | None = None,
+) -> ImportedCalibration:
+    """Return the stereo pair of another program's calibration file; its content, not its name, tells the format.
+
+    `image_size` (width, height): for files that do not hold it. `length_unit`: for OpenCV's files, which do not say it,
+    and against the unit that a format has by habit. `extrinsics`: the second file of OpenCV's sample program, which
+    writes intrinsics and extrinsics apart. `ValueError` names the file and what is wrong in it.
+    """
+    path = Path(path)
+    if image_size is not None and min(image_size) < 1:
+        raise ValueError(f"image_size: expected a width and a height of at least 1, found {image_size}")
+    second = None if extrinsics is None else _decoded(extrinsics, Path(extrinsics).read_bytes())
+    try:
+        return build(_found(_content(path), second), image_size, length_unit)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def _content(path: Path) -> bytes:
+    """Return a file's content; of a zipped VIC-3D project the one part that matters."""
+    if not zipfile.is_zipfile(path):
+        return path.read_bytes()
+    with zipfile.ZipFile(path) as archive:
+        try:
+            return archive.read(PROJECT)
+        except KeyError as error:
+            raise ValueError(f"expected {PROJECT} in this zipped file, found none") from error
+
+
+def _decoded(path: Path, content: bytes) -> str:
+    """Return the text of a file."""
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path}: expected a text, found other bytes") from error
+
+
+def _found(content: bytes, extrinsics: str | None) -> Found:
+    """Return what a file of any known format holds."""
+    text = content.decode("utf-8-sig", errors="replace")
+    if text.lstrip().startswith("<"):
+        return _found_in_xml(content, text, extrinsics)
+    if text.lstrip().startswith("{"):
+        return _found_in_json(text, extrinsics)
+    if text.startswith("%YAML"):
+        return read_opencv(text, extrinsics)
+    if "fc_left" in text:
+        return read_bouguet(text)
+    return read_dice_text(text)
+
+
+def _found_in_xml(content: bytes, text: str, extrinsics: str | None) -> Found:
+    """Return what an XML text of OpenCV, DICe or VIC-3D holds."""
+    root = parse_xml(content)
+    if root.tag == "opencv_storage":
+        return read_opencv(text, extrinsics)
+    if root.tag == "parameterlist":
+        return read_dice_xml(root)
+    if next(root.iter("camera"), None) is not None:
+        return read_vic3d(root)
+    raise ValueError(f"expected XML of OpenCV, DICe or VIC-3D, found one that begins with <{root.tag}>")
+
+
+def _found_in_json(text: str, extrinsics: str | None) -> Found:
+    """Return what a JSON text of MATLAB or OpenCV holds."""
+    try:
+        content = json.loads(text)
+    except ValueError as error:
+        raise ValueError(f"expected a JSON text, found: {error}") from error
+    if "CameraParameters1" in content:
+        return read_matlab(text)
+    if content.get("format") == 1 and "rotation" in content:
+        raise ValueError("expected another program's calibration, found one of this program, ready for use")
+    return read_opencv(text, extrinsics)

@@ -1,0 +1,385 @@
+"""A calibration session: target views of two cameras to a stereo pair with covariance, and what speaks against it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from photogram.arrays import BoolArray, FloatArray, Notice
+from photogram.calibration.adjust import Adjusted, Bundle, Picture, Prior, adjust, parameters_of, whitened_squares
+from photogram.calibration.model import (
+    CalibratedPicture,
+    CalibratedView,
+    Calibration,
+    Determined,
+    Dropped,
+    Parameter,
+    ShapeKind,
+    covered_share,
+    spread_of_turns,
+)
+from photogram.calibration.start import Pair, lens_prior, picture_of, start_bundle
+from photogram.camera import RIG_PARAMETERS, StereoRig
+from photogram.targets.view import Target, TargetView
+
+# What a calibration session was good for: which parameters it determines, what it covers, what to add.
+
+
+"""Columns and rows of the cells of a picture by which its coverage is told."""
+_OPEN = 0.5  # share of the prior's standard deviation above which the views told nothing
+_DISTINCT = 2.0  # standard uncertainties beyond which a distortion is not zero
+_MANY_VIEWS = 8
+_LITTLE_TURN_RAD = np.radians(5.0)
+_ENOUGH_COVER = 0.6
+_FOCAL_U = 0.005  # relative standard uncertainty of a focal length above which the user is told
+_FOCAL_LIMIT = 0.05  # and above which the calibration is refused
+_ADDED_PX = 0.15  # noise beyond the pictures' own, per coordinate, above which the user is told
+_UNITS = {"f": "px", "c": "px", "k": "1", "p": "1"}
+
+
+def rig_parameters(rig: StereoRig, prior: Prior) -> tuple[Parameter, ...]:
+    """Return the 24 parameters of a rig with covariance, and what the views say about each."""
+    covariance = np.zeros((24, 24)) if rig.covariance is None else rig.covariance
+    found = []
+    for number, (name, value) in enumerate(zip(RIG_PARAMETERS, parameters_of(rig), strict=True)):
+        u, kind = float(np.sqrt(covariance[number, number])), name.split(".")[1][0]
+        lens = not name.startswith(("rotation", "translation"))
+        unit = _UNITS[kind] if lens else ("rad" if name.startswith("rotation") else "m")
+        state: Determined = "determined"
+        if u > _OPEN * prior.sigma[number]:
+            state = "open"
+        elif lens and kind in "kp" and abs(value) < _DISTINCT * u:
+            state = "indistinct"
+        found.append(Parameter(name, float(value), u, unit, state))
+    return tuple(found)
+
+
+def refuse_open_focal_lengths(parameters: Sequence[Parameter]) -> None:
+    """Raise `ValueError` when the views leave a focal length open."""
+    for item in parameters:
+        if item.name.endswith((".fx", ".fy")) and not item.u < _FOCAL_LIMIT * item.value:
+            raise ValueError(
+                f"the views leave {item.name} open: {item.value:.0f} px, standard uncertainty {item.u:.0f} px; "
+                "add views turned by 20° and more about both axes of the picture, and at other distances"
+            )
+
+
+def session_notices(calibration: Calibration) -> tuple[Notice, ...]:
+    """Return what the user should know of a calibration, and what to add to the session."""
+    found = _view_notices(calibration) + _parameter_notices(calibration) + _residual_notices(calibration)
+    if calibration.scale_u == 0:
+        text = "the uncertainty of the target's spacing is not stated, so that of all lengths lacks its share"
+        found.append(Notice("warning", text, "scale"))
+    return tuple(found)
+
+
+def _view_notices(calibration: Calibration) -> list[Notice]:
+    """Return what is missing in number, turn and place of the views."""
+    found = []
+    pairs = sum(view.left is not None and view.right is not None for view in calibration.views)
+    if pairs < _MANY_VIEWS:
+        found.append(
+            Notice("warning", f"only {pairs} pairs; {_MANY_VIEWS} to 20 make a calibration that can be judged", "views")
+        )
+    spread, axes = spread_of_turns([view.left_from_target for view in calibration.views])
+    if spread[0] < _LITTLE_TURN_RAD:
+        axis = "vertical" if abs(axes[0, 0]) > abs(axes[1, 0]) else "horizontal"
+        text = f"the target is hardly turned about the picture's {axis} axis ({np.degrees(spread[0]):.1f}° rms)"
+        found.append(Notice("warning", f"{text}; add views turned by 20° and more about it", "views"))
+    for side, share in zip(("left", "right"), calibration.covered, strict=True):
+        if share < _ENOUGH_COVER:
+            text = (
+                f"the points cover {100 * share:.0f} % of the {side} picture; add views with the target near its edges"
+            )
+            found.append(Notice("warning", f"{text}, or measure within the part that is covered", side))
+    return found
+
+
+def _parameter_notices(calibration: Calibration) -> list[Notice]:
+    """Return what the views say about the parameters."""
+    found = []
+    for item in calibration.parameters:
+        if item.name.endswith((".fx", ".fy")) and item.u > _FOCAL_U * item.value:
+            text = f"{item.name} is known to {100 * item.u / item.value:.1f} % only (k = 1)"
+            found.append(Notice("warning", f"{text}; more turned views at other distances improve it", item.name))
+    states = {
+        "open": "not determined by these views (taken from an ordinary lens)",
+        "indistinct": "not distinguishable from zero",
+    }
+    for state, text in states.items():
+        names = [item.name for item in calibration.parameters if item.state == state]
+        if names:
+            found.append(Notice("info", f"{', '.join(names)}: {text}", "distortion"))
+    return found
+
+
+def _residual_notices(calibration: Calibration) -> list[Notice]:
+    """Return how far the residuals exceed what the pictures' noise explains, and what the target's shape has to do."""
+    flat = np.column_stack([calibration.shape_index * calibration.target.spacing_m, np.zeros(len(calibration.shape_m))])
+    off = calibration.shape_m - flat
+    if off.any():
+        x, y, z = 1e6 * np.sqrt((off**2).mean(axis=0))
+        text = f"the target's points lie {x:.0f}, {y:.0f} µm rms off their lattice and {z:.0f} µm across it"
+        return [
+            Notice("info", f"{text}; this was estimated together with the cameras", "target"),
+            *_noise_notices(calibration),
+        ]
+    return _noise_notices(calibration)
+
+
+def _noise_notices(calibration: Calibration) -> list[Notice]:
+    """Return how far the residuals exceed what the pictures' noise explains."""
+    worst = max(calibration.added_px)
+    if worst < _ADDED_PX:
+        return []
+    text = f"the points are {worst:.2f} px (per coordinate) off beyond the pictures' noise: rough print, a bent target"
+    return [Notice("warning", f"{text} or a lens that the model does not describe; see the residual maps", "residuals")]
+
+
+# From target views to a calibrated stereo pair.
+
+
+_ROUNDS = 12
+_START_NOISE_PX = 0.2  # noise added to every point's own in the first round
+_REJECTED = 25.0  # squared distance, in standard deviations, beyond which a point is an outlier
+_MEDIAN_CHI2 = 2 * np.log(2.0)  # median of χ² with two degrees of freedom
+_REJECTED_SHARE = 0.3  # of a picture's points, beyond which the whole picture is dropped
+_SCATTER = 5.0  # times the median of all pictures, beyond which a picture is dropped
+_WORTH = 1.0  # unexplained over own variance above which offsets of the target's points are tried
+_VIEWS_FOR_SHAPE = 5
+_SETTLED = 0.01  # relative change of the added noise that ends the rounds
+
+
+def calibrate_pair(
+    pairs: Sequence[Pair], target: Target, shape: ShapeKind | Literal["auto"] = "auto", scale_u: float = 0.0
+) -> Calibration:
+    """Return the stereo pair that the target's views (left, right) tell, with the covariance of all its parameters.
+
+    Maximum likelihood over all pictures at once. Beside the points' own covariance, a noise common to all points of a
+    camera is estimated from the residuals (print and paper, blooming), then points beyond five standard deviations are
+    left out, and pictures in which that are too many, until nothing changes. The covariance is that of the fit times
+    the reduced χ²; `scale_u`, the relative standard uncertainty of the target's spacing, is added along the baseline,
+    for with the spacing all lengths grow alike. `shape` "auto": flat, unless offsets of the single points, the same in
+    all views, explain most of what the pictures' noise does not. Raises `ValueError` when the views do not allow a
+    calibration.
+    """
+    if shape != "auto":
+        return _result(*_calibrated(pairs, target, shape), target, scale_u)
+    fit, dropped = _calibrated(pairs, target, "flat")
+    if _unexplained(fit) > _WORTH and len(fit.adjusted.bundle.poses) >= _VIEWS_FOR_SHAPE:
+        freed, freed_dropped = _calibrated(pairs, target, "free")
+        if _unexplained(freed) < _unexplained(fit) / 2:
+            fit, dropped = freed, freed_dropped
+    return _result(fit, dropped, target, scale_u)
+
+
+def _calibrated(pairs: Sequence[Pair], target: Target, shape: ShapeKind) -> tuple[_Fit, tuple[Dropped, ...]]:
+    """Return the fit and what was dropped on the way, pictures that do not belong to the others included."""
+    dropped: tuple[Dropped, ...] = ()
+    while True:
+        start = start_bundle(pairs, target, shape)
+        fit = _settle(start.bundle, _Session.of(start.bundle, start.pairs, target))
+        bad = _bad_pictures(fit)
+        dropped += (*start.dropped, *bad)
+        pairs = _without(start.pairs, [item.name for item in bad])
+        if not bad:
+            return fit, dropped
+
+
+def _unexplained(fit: _Fit) -> float:
+    """Return the variance that had to be added to the points' own, in units of that."""
+    own = np.median([np.median(np.einsum("nii->n", view.covariance_px2) / 2) for view in fit.session.views])
+    return float(np.mean(np.square(fit.session.added_px)) / own)
+
+
+@dataclass(frozen=True, eq=False)
+class _Session:
+    """The pictures, which of their points (N,) take part, and the noise (left, right) added to the points' own."""
+
+    names: tuple[str, ...]
+    views: tuple[TargetView, ...]
+    pictures: tuple[Picture, ...]
+    used: tuple[BoolArray, ...]
+    added_px: tuple[float, float]
+
+    @staticmethod
+    def of(bundle: Bundle, pairs: Sequence[Pair], target: Target) -> _Session:
+        """Return the session before the first round."""
+        views, pictures = [], []
+        radius = float(np.median([view.radius for pair in pairs for view in pair if view is not None]))
+        for number, pair in enumerate(pairs):
+            for side, view in enumerate(pair):
+                if view is not None:
+                    same = replace(view, radius=radius)
+                    views.append(same)
+                    pictures.append(picture_of(same, number, side, bundle.shape.index, target.spacing_m))
+        used = tuple(np.ones(len(view.index), np.bool_) for view in views)
+        names = tuple(view.name for view in views)
+        return _Session(names, tuple(views), tuple(pictures), used, (_START_NOISE_PX, _START_NOISE_PX))
+
+    def weighted(self, every: bool = False) -> tuple[Picture, ...]:
+        """Return the pictures with the weights of this round; of `every` point, or zero for those left out."""
+        weighted = []
+        for view, picture, used in zip(self.views, self.pictures, self.used, strict=True):
+            total = view.covariance_px2 + self.added_px[picture.side] ** 2 * np.eye(2)
+            weighted.append(_with_precision(picture, total, used | every))
+        return tuple(weighted)
+
+
+def _with_precision(picture: Picture, covariance_px2: FloatArray, used: BoolArray) -> Picture:
+    """Return the picture with the inverse covariances (N, 2, 2) of the points in use, zero for the others."""
+    precision = np.asarray(np.linalg.inv(covariance_px2), dtype=np.float64)
+    return replace(picture, precision=precision * used[:, None, None])
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """What the rounds settled on: residuals (N, 2) and whitened squares (N,) of every point of every picture."""
+
+    session: _Session
+    adjusted: Adjusted
+    residuals: tuple[FloatArray, ...]
+    squares: tuple[FloatArray, ...]
+    dof: float
+
+    @property
+    def variance_factor(self) -> float:
+        """Reduced χ² of the points that take part."""
+        total = sum(float(square[used].sum()) for square, used in zip(self.squares, self.session.used, strict=True))
+        return total / self.dof
+
+
+def _settle(bundle: Bundle, session: _Session) -> _Fit:
+    """Adjust, estimate the noise and leave points out until nothing changes any more."""
+    for _ in range(_ROUNDS):
+        fit = _fit(bundle, session)
+        bundle = _with_shape_prior(fit)
+        after = _judged(fit)
+        same = all(np.array_equal(a, b) for a, b in zip(after.used, session.used, strict=True))
+        change = np.abs(np.subtract(after.added_px, session.added_px)) / np.maximum(session.added_px, 1e-3)
+        if same and (change < _SETTLED).all():
+            return fit
+        session = after
+    return _fit(bundle, session)
+
+
+def _fit(bundle: Bundle, session: _Session) -> _Fit:
+    """Adjust once with the session's weights."""
+    adjusted = adjust(bundle, session.weighted(), lens_prior(bundle.rig))
+    found = [whitened_squares(adjusted.bundle, picture) for picture in session.weighted(every=True)]
+    residuals, squares = tuple(residual for residual, _ in found), tuple(square for _, square in found)
+    return _Fit(session, adjusted, residuals, squares, _degrees_of_freedom(session, adjusted))
+
+
+def _degrees_of_freedom(session: _Session, adjusted: Adjusted) -> float:
+    """Return the number of coordinates minus that of parameters, a parameter counting as far as the data fix it."""
+    prior = lens_prior(adjusted.bundle.rig).sigma
+    prior = np.concatenate([prior, adjusted.bundle.shape.prior_m])
+    parameters = float(np.sum(1 - np.diagonal(adjusted.covariance) / prior**2)) + 6 * len(adjusted.bundle.poses)
+    dof = 2 * sum(int(used.sum()) for used in session.used) - parameters
+    if dof < 1:
+        raise ValueError("the pictures have fewer points than a calibration has unknowns; add views")
+    return dof
+
+
+def _with_shape_prior(fit: _Fit) -> Bundle:
+    """Return the bundle with the spread of its target's points as it shows in them."""
+    bundle = fit.adjusted.bundle
+    variance = np.diagonal(fit.adjusted.covariance)[len(bundle.rig.parameters) :]
+    return replace(bundle, shape=bundle.shape.with_prior_from(variance))
+
+
+def _judged(fit: _Fit) -> _Session:
+    """Return the session with the noise found in the residuals, and without the points that it cannot explain.
+
+    The noise is the median's, which outliers do not move; all points are judged anew, so one left out may come back.
+    """
+    session = fit.session
+    share = 2 * sum(len(used) for used in session.used) / fit.dof
+    added = []
+    for side in (0, 1):
+        mine = [n for n, picture in enumerate(session.pictures) if picture.side == side]
+        length2 = np.concatenate([(fit.residuals[n][session.used[n]] ** 2).sum(axis=1) for n in mine])
+        own = np.concatenate([np.einsum("nii->n", session.views[n].covariance_px2)[session.used[n]] for n in mine])
+        added.append(float(np.sqrt(max(np.median(length2) / _MEDIAN_CHI2 * share - np.median(own) / 2, 0.0))))
+    anew = replace(session, added_px=(added[0], added[1]))
+    precision = [picture.precision for picture in anew.weighted(every=True)]
+    squares = [np.einsum("ni,nij,nj->n", r, p, r) for r, p in zip(fit.residuals, precision, strict=True)]
+    scale = max(1.0, float(np.median(np.concatenate(squares))) / _MEDIAN_CHI2)
+    return replace(anew, used=tuple(square <= _REJECTED * scale for square in squares))
+
+
+def _bad_pictures(fit: _Fit) -> list[Dropped]:
+    """Return the pictures whose points scatter far more than those of the others, or miss in too large a share."""
+    session, bad = fit.session, []
+    spread = np.array([np.sqrt(np.median((residual**2).sum(axis=1))) for residual in fit.residuals])
+    typical = float(np.median(spread))
+    for name, used, own in zip(session.names, session.used, spread, strict=True):
+        share = 1 - used.mean()
+        if share > _REJECTED_SHARE:
+            reason = f"{100 * share:.0f} % of its points are more than {np.sqrt(_REJECTED):.0f} standard deviations off"
+            bad.append(Dropped(name, 0, reason))
+        elif own > _SCATTER * typical:
+            bad.append(Dropped(name, 0, f"its points scatter by {own:.2f} px, those of the others by {typical:.2f} px"))
+    return bad
+
+
+def _without(pairs: Sequence[Pair], names: Sequence[str]) -> list[Pair]:
+    """Return the pairs without the named pictures."""
+    kept = [tuple(None if view is not None and view.name in names else view for view in pair) for pair in pairs]
+    return [(left, right) for left, right in kept if left is not None or right is not None]
+
+
+def _result(fit: _Fit, dropped: tuple[Dropped, ...], target: Target, scale_u: float) -> Calibration:
+    """Collect everything that the calibration tells."""
+    bundle, session, factor = fit.adjusted.bundle, fit.session, fit.variance_factor
+    covariance = fit.adjusted.covariance[:24, :24] * factor
+    baseline = np.concatenate([np.zeros(21), bundle.rig.right_from_left.translation_m])
+    rig = replace(bundle.rig, covariance=covariance + scale_u**2 * np.outer(baseline, baseline))
+    pictures = [_picture(fit, n, np.sqrt(factor)) for n in range(len(session.names))]
+    left_out = [
+        Dropped(picture.name, int((~picture.used).sum()), "more than five standard deviations off")
+        for picture in pictures
+        if not picture.used.all()
+    ]
+    views = []
+    for number, pose in enumerate(bundle.poses):
+        sides = {p.side: found for p, found in zip(session.pictures, pictures, strict=True) if p.view == number}
+        views.append(CalibratedView(pose, fit.adjusted.pose_covariance[number] * factor, sides.get(0), sides.get(1)))
+    by_side = [[found for p, found in zip(session.pictures, pictures, strict=True) if p.side == s] for s in (0, 1)]
+    parameters = rig_parameters(rig, lens_prior(bundle.rig))
+    refuse_open_focal_lengths(parameters)
+    calibration = Calibration(
+        rig=rig,
+        target=target,
+        views=tuple(views),
+        parameters=parameters,
+        rms_px=_rms(pictures),
+        rms_sides_px=(_rms(by_side[0]), _rms(by_side[1])),
+        added_px=session.added_px,
+        sigma_factor=float(np.sqrt(factor)),
+        dof=fit.dof,
+        shape_index=bundle.shape.index,
+        shape_m=bundle.shape.points_m,
+        scale_u=scale_u,
+        covered=(covered_share(by_side[0], rig.left.size_px), covered_share(by_side[1], rig.right.size_px)),
+        dropped=(*dropped, *left_out),
+        notices=(),
+    )
+    return replace(calibration, notices=session_notices(calibration))
+
+
+def _picture(fit: _Fit, number: int, factor: float) -> CalibratedPicture:
+    """Return one picture as it stands in the fit."""
+    view, residual = fit.session.views[number], fit.residuals[number]
+    normalised = np.sqrt(fit.squares[number]) / factor
+    return CalibratedPicture(view.name, view.index, view.position_px, residual, normalised, fit.session.used[number])
+
+
+def _rms(pictures: Sequence[CalibratedPicture]) -> float:
+    """Return the rms length of the residuals of all points in use."""
+    squares = np.concatenate([(picture.residual_px[picture.used] ** 2).sum(axis=1) for picture in pictures])
+    return float(np.sqrt(squares.mean()))

@@ -1,0 +1,334 @@
+"""Where the bundle adjustment starts: pairing of views, poses, cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from photogram.arrays import FloatArray, IntArray
+from photogram.calibration.adjust import Bundle, Picture, Prior, moved_pose
+from photogram.calibration.model import Dropped, ShapeKind, make_shape, refuse_similar_views
+from photogram.camera import Camera, StereoRig
+from photogram.geometry import RigidTransform, rotation_from_vector, vector_from_rotation
+from photogram.targets.view import Target, TargetView
+
+# Which pictures of two cameras show one position of the target, and how the cameras stand to each other.
+
+
+Pair = tuple[TargetView | None, TargetView | None]
+Poses = dict[int, RigidTransform]
+
+_STRANGE = 5.0  # times the median disagreement, beyond which a pair is strange
+_TOLERATED = 0.05  # disagreement that is never strange: rad, share of the distance
+_QUARTER_TURN = np.array([[0, -1], [1, 0]])
+
+
+@dataclass(frozen=True, eq=False)
+class Pairing:
+    """`right_from_left`, the pairs with their right poses, and the numbers of the pairs that do not agree with it."""
+
+    right_from_left: RigidTransform
+    pairs: tuple[Pair, ...]
+    right_poses: Poses
+    strange: tuple[int, ...]
+
+
+def pair_up(pairs: Sequence[Pair], left_poses: Poses, right_poses: Poses, target: Target) -> Pairing:
+    """Return the relative pose of the pair that agrees best with all others, and who does not agree.
+
+    A target that looks alike after half a turn (a square one after a quarter) may be numbered differently in the two
+    pictures of a pair: where another numbering of the right one makes it agree, that is taken. Raises `ValueError`
+    when most pairs do not agree: the two lists of pictures do not belong together.
+    """
+    common = sorted(set(left_poses) & set(right_poses))
+    if not common:
+        raise ValueError(
+            "no position of the target is seen by both cameras; the two lists of pictures must be in one order"
+        )
+    depth = float(np.median([np.linalg.norm(left_poses[view].translation_m) for view in common]))
+    relative, limit = _agreed([right_poses[view] @ left_poses[view].inverse() for view in common], depth)
+    numbered, poses, strange = list(pairs), dict(right_poses), []
+    for view in common:
+        for turn in ((np.eye(2, dtype=np.int64), np.zeros(2)), *_look_alikes(target)):
+            pose = right_poses[view] @ _moves_points(turn, target.spacing_m).inverse()
+            if _disagreement(pose @ left_poses[view].inverse(), relative, depth) <= limit:
+                left, right = pairs[view]
+                numbered[view], poses[view] = (left, _renumbered(right, turn)), pose
+                break
+        else:
+            strange.append(view)
+    if len(strange) * 2 > len(common) or limit > 10 * _TOLERATED:
+        raise ValueError(
+            "the left and right pictures do not belong together: no relative pose of the cameras fits most pairs; "
+            "give all left pictures first, then all right ones in the same order"
+        )
+    return Pairing(relative, tuple(numbered), poses, tuple(strange))
+
+
+def _agreed(found: Sequence[RigidTransform], depth_m: float) -> tuple[RigidTransform, float]:
+    """Return the relative pose nearest to all others, and how far off another one may be."""
+    apart = np.array([[_disagreement(a, b, depth_m) for b in found] for a in found])
+    best = int(np.argmin(np.median(apart, axis=1)))
+    return found[best], max(_TOLERATED, _STRANGE * float(np.median(apart[best])))
+
+
+def _disagreement(a: RigidTransform, b: RigidTransform, depth_m: float) -> float:
+    """Return how far two relative poses are apart: rotation in rad or shift in distances, whichever is more."""
+    turn = float(np.linalg.norm(vector_from_rotation(a.rotation @ b.rotation.T)))
+    return max(turn, float(np.linalg.norm(a.translation_m - b.translation_m)) / depth_m)
+
+
+def _look_alikes(target: Target) -> list[tuple[IntArray, FloatArray]]:
+    """Return the turns (matrix (2, 2), shift (2,)) of lattice indices after which the target looks the same."""
+    if target.size is None or target.kind == "charuco":
+        return []
+    columns, rows = target.size
+    asymmetric = target.kind == "asymmetric-dots"
+    unlike = (columns + rows) % 2 == 1 if target.kind == "chessboard" else asymmetric and rows % 2 == 1
+    if unlike:
+        return []
+    last = np.array([2 * columns - 1 if asymmetric else columns - 1, rows - 1])
+    turns = [-np.eye(2, dtype=np.int64)]
+    if columns == rows and not asymmetric:
+        turns += [_QUARTER_TURN, -_QUARTER_TURN]
+    return [(turn, (last - turn @ last) / 2) for turn in turns]
+
+
+def _moves_points(turn: tuple[IntArray, FloatArray], spacing_m: float) -> RigidTransform:
+    """Return the turn of indices as one of the target's points."""
+    rotation = np.eye(3)
+    rotation[:2, :2] = turn[0]
+    return RigidTransform(rotation, np.append(turn[1], 0.0) * spacing_m)
+
+
+def _renumbered(view: TargetView | None, turn: tuple[IntArray, FloatArray]) -> TargetView | None:
+    """Return the view with its indices turned."""
+    if view is None:
+        return None
+    return replace(view, index=np.rint(view.index @ turn[0].T + turn[1]).astype(np.int64))
+
+
+# Where a target stands, seen by a calibrated pair.
+
+
+_STEPS = 30
+_CONVERGED = 1e-9  # expected decrease of the sum of squares that ends the iteration
+
+
+def target_pose(
+    rig: StereoRig, target: Target, left: TargetView | None, right: TargetView | None
+) -> tuple[RigidTransform, FloatArray]:
+    """Return the pose `left_from_target` and its covariance (6, 6): translation (m), left-multiplied rotation (rad).
+
+    Gauss–Newton on the points of one or both pictures, from the better of the two poses in which a plane looks alike
+    (Collins and Bartoli 2014, International Journal of Computer Vision 109, 252). The covariance is that of the
+    pictures' noise: the calibration's and the spacing's uncertainty are common to all poses and not contained.
+    """
+    seen = [(view, side) for side, view in enumerate((left, right)) if view is not None]
+    if not seen:
+        raise ValueError("left, right: expected at least one picture of the target, found none")
+    index = np.unique(np.concatenate([view.index for view, _ in seen]), axis=0)
+    shape = make_shape("flat", index, target.spacing_m)
+    pictures = [picture_of(view, 0, side, index, target.spacing_m) for view, side in seen]
+    found = [_refined(Bundle(rig, (start,), shape), pictures) for start in _starts(rig, pictures[0], shape.flat_m)]
+    best = min(found, key=lambda fit: fit[2])
+    if not np.isfinite(best[2]):
+        raise ValueError(f"{seen[0][0].name}: no pose of the target explains its points")
+    return best[0], best[1]
+
+
+def picture_of(view: TargetView, number: int, side: int, index: IntArray, spacing_m: float) -> Picture:
+    """Return a target view as picture of view `number`, its points as rows of `index` (P, 2)."""
+    rows = {tuple(pair): row for row, pair in enumerate(index.tolist())}
+    point = np.array([rows[tuple(pair)] for pair in view.index.tolist()], dtype=np.int64)
+    precision = np.asarray(np.linalg.inv(view.covariance_px2), dtype=np.float64)
+    return Picture(number, side, point, view.position_px, precision, view.radius * spacing_m)
+
+
+def _starts(rig: StereoRig, picture: Picture, flat_m: FloatArray) -> list[RigidTransform]:
+    """Return the two poses of a plane that one picture allows, as poses in the left camera."""
+    import cv2
+
+    camera = rig.right if picture.side else rig.left
+    rays = camera.undistort(picture.position_px)
+    count, turns, shifts, _ = cv2.solvePnPGeneric(
+        flat_m[picture.point], rays, np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE
+    )
+    if not count:
+        raise ValueError("left, right: expected points of a target that are not all on one line")
+    from_target = [
+        RigidTransform(rotation_from_vector(np.array(turn, float).ravel()), np.array(shift, float).ravel())
+        for turn, shift in zip(turns, shifts, strict=True)
+    ]
+    to_left = rig.right_from_left.inverse() if picture.side else None
+    return [pose if to_left is None else to_left @ pose for pose in from_target]
+
+
+def _refined(bundle: Bundle, pictures: list[Picture]) -> tuple[RigidTransform, FloatArray, float]:
+    """Return the pose after Gauss–Newton, its covariance and the sum of squares (infinite where it diverges)."""
+    for _ in range(_STEPS):
+        normal, side, squares = np.zeros((6, 6)), np.zeros(6), 0.0
+        for picture in pictures:
+            seen = bundle.see(picture)
+            residual = picture.position_px - seen.pixel
+            weighted = picture.precision @ seen.by_pose
+            normal += np.einsum("nki,nkj->ij", seen.by_pose, weighted)
+            side += np.einsum("nki,nk->i", weighted, residual)
+            squares += float(np.einsum("ni,nij,nj->", residual, picture.precision, residual))
+        if not np.isfinite(squares):
+            break
+        step = np.asarray(np.linalg.solve(normal, side), dtype=np.float64)
+        middle = bundle.shape.flat_m.mean(axis=0)
+        bundle = replace(bundle, poses=(moved_pose(middle, bundle.poses[0], step, np.zeros(2)),))
+        if side @ step < _CONVERGED:
+            return bundle.poses[0], np.asarray(np.linalg.inv(normal), dtype=np.float64), squares
+    return bundle.poses[0], np.full((6, 6), np.nan), np.inf
+
+
+# Where the bundle adjustment starts: each camera alone by OpenCV, the relative pose by agreement of the views.
+
+
+FEWEST_VIEWS = 3
+FEWEST_POINTS = 6
+_TOLERATED_PX = 1.0  # rms that is never strange
+
+# What is known of a lens beforehand: principal point off the middle in widths of the picture; the terms of distortion
+# at the picture's corner, radial relative to the radius (k1, k2, k3), decentring likewise.
+_CENTRE_SPREAD = 0.05
+_RADIAL_SPREAD = (0.1, 0.05, 0.05)
+_DECENTRING_SPREAD = 0.005
+_ASPECT_SPREAD = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """The first bundle, the pairs that take part in it (one per pose), and what was dropped."""
+
+    bundle: Bundle
+    pairs: tuple[Pair, ...]
+    dropped: tuple[Dropped, ...]
+
+
+def start_bundle(pairs: Sequence[Pair], target: Target, shape: ShapeKind) -> Start:
+    """Return the first guess of everything from target views (left, right), None for a picture without target.
+
+    A picture whose points fit its camera's others badly is dropped, and a pair whose relative pose is not the
+    others'. Raises `ValueError` when fewer than three views remain for a camera, or no pair.
+    """
+    sides = [_single(pairs, side, target) for side in (0, 1)]
+    dropped = [item for side in sides for item in side.dropped]
+    for side in sides:
+        refuse_similar_views(list(side.poses.values()))
+    pairing = pair_up(pairs, sides[0].poses, sides[1].poses, target)
+    relative, strange, pairs = pairing.right_from_left, pairing.strange, pairing.pairs
+    for view in strange:
+        names = " and ".join(seen.name for seen in pairs[view] if seen is not None)
+        reason = "the two pictures do not show one position of the target (mixed up, mirrored, or it moved in between)"
+        dropped.append(Dropped(names, 0, reason))
+    kept, poses = [], []
+    for view, pair in enumerate(pairs):
+        used = [
+            seen if view in side.poses and view not in strange else None for seen, side in zip(pair, sides, strict=True)
+        ]
+        if used[0] is None and used[1] is None:
+            continue
+        kept.append((used[0], used[1]))
+        poses.append(sides[0].poses[view] if used[0] is not None else relative.inverse() @ pairing.right_poses[view])
+    _check_count(kept)
+    rig = StereoRig(sides[0].camera, sides[1].camera, relative)
+    index = np.unique(np.concatenate([seen.index for pair in kept for seen in pair if seen is not None]), axis=0)
+    return Start(Bundle(rig, tuple(poses), make_shape(shape, index, target.spacing_m)), tuple(kept), tuple(dropped))
+
+
+def lens_prior(rig: StereoRig) -> Prior:
+    """Return what is known of any two lenses: their middle and their distortion, nothing of focal lengths and places.
+
+    Principal point within 5 % of the picture's width; at the picture's corner k1 changes the radius by 10 %, k2 and k3
+    by 5 %, the decentring terms by 0.5 %; fx and fy differ by 0.1 % (standard deviations). Only what the views leave
+    open keeps these values.
+    """
+    value, sigma = np.zeros(24), np.full(24, np.inf)
+    for first, camera in ((0, rig.left), (9, rig.right)):
+        corner = float(np.linalg.norm(camera.size_px / 2) / np.mean(camera.parameters[:2]))
+        value[first + 2 : first + 4] = (camera.size_px - 1) / 2
+        sigma[first + 2 : first + 4] = _CENTRE_SPREAD * camera.size_px[0]
+        k1, k2, k3 = (spread / corner**power for spread, power in zip(_RADIAL_SPREAD, (2, 4, 6), strict=True))
+        tangential = _DECENTRING_SPREAD / corner
+        sigma[first + 4 : first + 9] = k1, k2, tangential, tangential, k3
+    left, right = (_ASPECT_SPREAD * float(camera.parameters[0]) for camera in (rig.left, rig.right))
+    return Prior(value, sigma, (left, right))
+
+
+@dataclass(frozen=True, eq=False)
+class _Single:
+    """One camera alone: its parameters, the target's pose in it by view, and what was dropped."""
+
+    camera: Camera
+    poses: dict[int, RigidTransform]
+    dropped: tuple[Dropped, ...]
+
+
+def _single(pairs: Sequence[Pair], side: int, target: Target) -> _Single:
+    """Calibrate one camera by OpenCV (focal length and k1), leaving out pictures that do not fit the others."""
+    seen = {view: pair[side] for view, pair in enumerate(pairs)}
+    views = {view: found for view, found in seen.items() if found is not None and len(found.index) >= FEWEST_POINTS}
+    sizes = {tuple(found.size_px.tolist()) for found in views.values()}
+    if len(sizes) > 1:
+        names = [
+            next(found.name for found in views.values() if tuple(found.size_px.tolist()) == s) for s in sorted(sizes)
+        ]
+        raise ValueError(f"pictures of one camera differ in size: {names[0]} and {names[1]}")
+    dropped: list[Dropped] = []
+    while True:
+        if len(views) < FEWEST_VIEWS:
+            raise ValueError(_too_few(side, len(views), dropped))
+        camera, poses, rms = _opencv(list(views.values()), target)
+        limit = max(_STRANGE * float(np.median(rms)), _TOLERATED_PX)
+        worst = int(np.argmax(rms))
+        if rms[worst] <= limit:
+            return _Single(camera, dict(zip(views, poses, strict=True)), tuple(dropped))
+        view = list(views)[worst]
+        reason = f"its points are {rms[worst]:.1f} px off what the other pictures of this camera say"
+        dropped.append(Dropped(views.pop(view).name, 0, reason))
+
+
+def _too_few(side: int, found: int, dropped: Sequence[Dropped]) -> str:
+    """Return the sentence about too few views of a camera."""
+    camera = ("left", "right")[side]
+    text = f"the {camera} camera has {found} usable pictures of the target, at least {FEWEST_VIEWS} are needed"
+    return text + "".join(f"; {item.name}: {item.reason}" for item in dropped)
+
+
+def _opencv(views: Sequence[TargetView], target: Target) -> tuple[Camera, list[RigidTransform], FloatArray]:
+    """Return camera, target poses and the rms residual of every picture."""
+    import cv2
+
+    objects = [
+        np.column_stack([seen.index * target.spacing_m, np.zeros(len(seen.index))]).astype(np.float32) for seen in views
+    ]
+    pixels = [seen.position_px.astype(np.float32).reshape(-1, 1, 2) for seen in views]
+    size = views[0].size_px
+    shape = (int(size[0]), int(size[1]))
+    flags = cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST
+    flags |= cv2.CALIB_FIX_PRINCIPAL_POINT | cv2.CALIB_FIX_ASPECT_RATIO  # hardly determined with long focal lengths
+    centred = np.array([[shape[0], 0.0, (shape[0] - 1) / 2], [0.0, shape[0], (shape[1] - 1) / 2], [0.0, 0.0, 1.0]])
+    try:
+        found = cv2.calibrateCameraExtended(objects, pixels, shape, centred, np.zeros(5), flags=flags)
+    except cv2.error as error:
+        raise ValueError(f"the pictures of {views[0].name} and others do not determine a camera") from error
+    _, matrix, distortion, turns, shifts, *_, rms = found
+    parameters = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *np.ravel(distortion)[:5]])
+    poses = [
+        RigidTransform(rotation_from_vector(np.array(turn, float).ravel()), np.array(shift, float).ravel())
+        for turn, shift in zip(turns, shifts, strict=True)
+    ]
+    return Camera.from_parameters(parameters, size), poses, np.array(rms, float).ravel()
+
+
+def _check_count(pairs: Sequence[Pair]) -> None:
+    """Refuse a session with fewer than three pairs seen by both cameras."""
+    both = sum(left is not None and right is not None for left, right in pairs)
+    if both < FEWEST_VIEWS:
+        raise ValueError(f"{both} positions of the target are seen by both cameras, at least {FEWEST_VIEWS} are needed")

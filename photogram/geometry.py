@@ -1,0 +1,176 @@
+"""Rigid transforms, named `b_from_a`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from photogram.arrays import BoolArray, FloatArray, check_shape
+
+_ORTHONORMAL = 1e-6  # largest departure of RᵀR from the identity that is taken for a rotation
+_COLLINEAR = 1e-6  # smallest ratio of width to length of a point set that fixes a rotation
+
+
+@dataclass(frozen=True, eq=False)
+class RigidTransform:
+    """The motion x_b = R·x_a + t, named `b_from_a`: rotation (3, 3), translation_m (3,)."""
+
+    rotation: FloatArray
+    translation_m: FloatArray
+
+    def __post_init__(self) -> None:
+        """Refuse wrong shapes and whatever is no rotation."""
+        check_shape("rotation", self.rotation, (3, 3))
+        check_shape("translation_m", self.translation_m, (3,))
+        departure = float(np.abs(self.rotation.T @ self.rotation - np.eye(3)).max())
+        if not departure <= _ORTHONORMAL:
+            raise ValueError(f"rotation: expected an orthonormal matrix, found one {departure:.1e} away from it")
+        if np.linalg.det(self.rotation) < 0:
+            raise ValueError("rotation: expected determinant +1, found -1 (a reflection)")
+
+    @staticmethod
+    def identity() -> RigidTransform:
+        """Return the transform that moves nothing."""
+        return RigidTransform(np.eye(3), np.zeros(3))
+
+    @staticmethod
+    def from_pose(pose: FloatArray) -> RigidTransform:
+        """Return the transform of pose (6,): translation (m), then rotation vector (rad)."""
+        check_shape("pose", np.asarray(pose), (6,))
+        pose = np.asarray(pose, dtype=np.float64)
+        return RigidTransform(rotation_from_vector(pose[3:]), pose[:3].copy())
+
+    @property
+    def pose(self) -> FloatArray:
+        """The pose (6,): translation (m), then rotation vector (rad)."""
+        return np.concatenate([self.translation_m, vector_from_rotation(self.rotation)])
+
+    def apply(self, points_m: FloatArray) -> FloatArray:
+        """Return R·x + t of points (..., 3)."""
+        return np.asarray(points_m) @ self.rotation.T + self.translation_m
+
+    def inverse(self) -> RigidTransform:
+        """Return `a_from_b` of `b_from_a`: x_a = Rᵀ·(x_b − t)."""
+        return RigidTransform(self.rotation.T.copy(), -self.rotation.T @ self.translation_m)
+
+    def __matmul__(self, other: RigidTransform) -> RigidTransform:
+        """Return the composition `c_from_b @ b_from_a` = `c_from_a`."""
+        return RigidTransform(self.rotation @ other.rotation, self.apply(other.translation_m))
+
+
+def skew(vector: FloatArray) -> FloatArray:
+    """Return the matrices (..., 3, 3) that multiply like the cross product by vectors (..., 3): [v]×·x = v × x."""
+    v = np.asarray(vector, dtype=np.float64)
+    matrix = np.zeros((*v.shape, 3))
+    matrix[..., 0, 1], matrix[..., 0, 2], matrix[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
+    matrix[..., 1, 0], matrix[..., 2, 0], matrix[..., 2, 1] = v[..., 2], -v[..., 1], v[..., 0]
+    return matrix
+
+
+def rotation_from_vector(vector_rad: FloatArray) -> FloatArray:
+    """Return the rotation matrices (..., 3, 3) of rotation vectors (..., 3) in rad.
+
+    Rodrigues' formula R = I + sin φ/φ·[v]× + (1 − cos φ)/φ²·[v]×², φ = |v|, with the second coefficient written as
+    ½·(sin(φ/2)/(φ/2))², which loses no digits at small angles.
+    """
+    v = np.asarray(vector_rad, dtype=np.float64)
+    angle = np.linalg.norm(v, axis=-1)[..., None, None]
+    first = np.sinc(angle / np.pi)
+    second = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
+    cross = skew(v)
+    return np.asarray(np.eye(3) + first * cross + second * (cross @ cross))
+
+
+def vector_from_rotation(rotation: FloatArray) -> FloatArray:
+    """Return the rotation vectors (..., 3) in rad, |v| ≤ π, of rotation matrices (..., 3, 3).
+
+    By way of the unit quaternion taken from its largest component (Shepperd 1978, J. Guidance and Control 1, 223), so
+    that angles near 0 and near π keep full precision.
+    """
+    quaternion = _quaternion(np.asarray(rotation, dtype=np.float64))
+    real, imaginary = quaternion[..., :1], quaternion[..., 1:]
+    sine = np.linalg.norm(imaginary, axis=-1, keepdims=True)
+    half = np.arctan2(sine, real)
+    ratio = np.where(sine > 0, 2 * half / np.where(sine > 0, sine, 1.0), 2.0)
+    return np.asarray(ratio * imaginary)
+
+
+def _quaternion(rotation: FloatArray) -> FloatArray:
+    """Return the unit quaternions (..., 4), real part first and not negative."""
+    r = rotation
+    candidates = np.empty((*r.shape[:-2], 4, 4))
+    trace = np.trace(r, axis1=-2, axis2=-1)
+    candidates[..., 0, 0] = 1 + trace
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        candidates[..., i + 1, i + 1] = 1 + 2 * r[..., i, i] - trace
+        candidates[..., 0, i + 1] = candidates[..., i + 1, 0] = r[..., k, j] - r[..., j, k]
+        candidates[..., j + 1, k + 1] = candidates[..., k + 1, j + 1] = r[..., k, j] + r[..., j, k]
+    largest = np.argmax(np.diagonal(candidates, axis1=-2, axis2=-1), axis=-1)
+    chosen = np.take_along_axis(candidates, largest[..., None, None], axis=-2)[..., 0, :]
+    chosen = np.where(chosen[..., :1] < 0, -chosen, chosen)
+    return np.asarray(chosen / np.linalg.norm(chosen, axis=-1, keepdims=True))
+
+
+def rotation_vector_rate(vector_rad: FloatArray) -> FloatArray:
+    """Return d v / d δ (..., 3, 3): how rotation vectors v (..., 3) answer a small left-multiplied rotation δ.
+
+    exp(δ)·exp(v) = exp(v + J⁻¹·δ), J⁻¹ = I − ½·[v]× + (1 − (φ/2)·cot(φ/2))/φ²·[v]×², the inverse left Jacobian of
+    SO(3) (Chirikjian 2012, Stochastic Models, Information Theory, and Lie Groups 2, section 10.7).
+    """
+    v = np.asarray(vector_rad, dtype=np.float64)
+    angle = np.linalg.norm(v, axis=-1)[..., None, None]
+    small = angle < 1e-2
+    half = np.where(small, 1.0, angle) / 2
+    exact = (1 - half / np.tan(half)) / (4 * half**2)
+    coefficient = np.where(small, 1 / 12 + angle**2 / 720 + angle**4 / 30240, exact)
+    cross = skew(v)
+    return np.asarray(np.eye(3) - 0.5 * cross + coefficient * (cross @ cross))
+
+
+def nearest_rotation(matrix: FloatArray) -> FloatArray:
+    """Return the rotations R (..., 3, 3), determinant +1, that maximise trace(Rᵀ·M) for matrices M (..., 3, 3).
+
+    R = U·diag(1, 1, det(U·Vᵀ))·Vᵀ with M = U·S·Vᵀ (Arun, Huang, Blostein 1987, IEEE PAMI 9, 698; the determinant from
+    Umeyama 1991, IEEE PAMI 13, 376, eq. 43, which excludes the reflection).
+    """
+    u, _, vt = np.linalg.svd(matrix)
+    sign = np.where(np.linalg.det(u @ vt) < 0, -1.0, 1.0)
+    u = np.concatenate([u[..., :2], u[..., 2:] * sign[..., None, None]], axis=-1)
+    return np.asarray(u @ vt)
+
+
+def fixes_rotation(cross_scatter: FloatArray) -> BoolArray:
+    """Return whether centred point sets with scatter Σ w·y·xᵀ (..., 3, 3) have rank ≥ 2, so that a rotation is fixed.
+
+    Refused are coincident points and those on one line: a width below 10⁻⁶ of their length.
+    """
+    singular = np.linalg.svd(cross_scatter, compute_uv=False)
+    return np.asarray((singular[..., 0] > 0) & (singular[..., 1] > _COLLINEAR**2 * singular[..., 0]))
+
+
+def fit_rigid(source_m: FloatArray, target_m: FloatArray, weight: FloatArray | None = None) -> RigidTransform:
+    """Return the rigid transform that carries source (N, 3) onto target (N, 3) with least squares, weight (N,) ≥ 0.
+
+    Minimises Σ w·|y − R·x − t|²: centred on the weighted means, rotation by `nearest_rotation` (Arun et al. 1987).
+    Planar sets are normal; points on one line, or fewer than three, leave the rotation open and are refused.
+    """
+    source, target = np.asarray(source_m, dtype=np.float64), np.asarray(target_m, dtype=np.float64)
+    check_shape("source_m", source, (None, 3))
+    check_shape("target_m", target, source.shape)
+    weights = np.ones(len(source)) if weight is None else np.asarray(weight, dtype=np.float64)
+    check_shape("weight", weights, (len(source),))
+    if not (np.isfinite(source).all() and np.isfinite(target).all()):
+        raise ValueError("source_m, target_m: expected finite points, found NaN or infinity; drop failed points first")
+    if not (np.isfinite(weights).all() and (weights >= 0).all()):
+        raise ValueError("weight: expected finite values >= 0")
+    if np.count_nonzero(weights) < 3:
+        raise ValueError(f"source_m: expected at least 3 points with weight, found {np.count_nonzero(weights)}")
+    share = weights / weights.sum()
+    source_mean, target_mean = share @ source, share @ target
+    scatter = ((target - target_mean) * share[:, None]).T @ (source - source_mean)
+    if not fixes_rotation(scatter):
+        raise ValueError("source_m: expected points that are not all on one line, found a set of rank below 2")
+    rotation = nearest_rotation(scatter)
+    return RigidTransform(rotation, target_mean - rotation @ source_mean)

@@ -1,0 +1,240 @@
+"""Compiled kernels: numba with a cache that knows its sources, eight doubles at a time, small inverses.
+
+Compiled functions whose cache on disk knows all the sources that they may have been compiled from.
+
+Numba keeps a compiled function as long as the function's own file is unchanged. A kernel holds the code and the
+constants of the functions that it calls, though, which are in other files: after a change there it would go on
+computing with the old ones. Here the cache is the user's, one for all checkouts, and a change in any source of the
+package makes all kernels new.
+
+A kernel computes the same digits in every process. Numba compiles a function with the options of the one that calls it
+where it states none itself, and copies it into the kernels that call it; which of the copies runs hangs on what was
+compiled or loaded before. So all options are stated, and fast-math, by which every copy may round in another way, is
+none of them: `lanes` has the arithmetic that needs it.
+
+Eight doubles at a time in code that is being generated, with arithmetic that leaves a compiler no choice.
+
+With fast-math a compiler may add in another order and fuse products with sums as it sees fit, which is another way for
+every place that a function is compiled into, and for every kind of processor. Which of these copies runs depends on
+what a process has compiled or loaded before, so that two processes would differ in the last digits. Here every
+operation is written out instead: a product that goes into a sum is fused with it, and lanes are added in pairs.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import shutil
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numba
+from llvmlite import ir
+from numba.core import cgutils
+from numba.core.caching import IndexDataCacheFile
+
+from photogram.arrays import FloatArray
+
+UNUSED_S = 30 * 86400.0
+
+
+def njit(
+    *, parallel: bool = False, nogil: bool = False, error_model: str = "python", inline: str = "never"
+) -> Callable[[Callable[..., Any]], Any]:
+    """`numba.njit` with these options and no others, cached for the user until a source of this package changes."""
+
+    def compiled(function: Callable[..., Any]) -> Any:
+        dispatcher = numba.njit(parallel=parallel, nogil=nogil, error_model=error_model, inline=inline, fastmath=False)(
+            function
+        )
+        if numba.config.DISABLE_JIT:
+            return dispatcher
+        dispatcher.enable_caching()
+        cache, folder = dispatcher._cache, _cache_folder()  # numba offers no public way to say where and until when
+        if folder is not None:
+            cache._cache_path = str(folder)
+            cache._cache_file = IndexDataCacheFile(str(folder), cache._impl.filename_base, _sources_digest())
+        return dispatcher
+
+    return compiled
+
+
+@cache
+def _sources_digest() -> str:
+    """Hash of the sources of the package, whatever folder they stand in and whenever they were written."""
+    folder, digest = Path(__file__).parent, hashlib.sha256()
+    for path in sorted(folder.rglob("*.py")):
+        digest.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()
+
+
+@cache
+def _cache_folder() -> Path | None:
+    """The user's folder of kernels compiled from these sources, shared by all checkouts; None where it cannot be.
+
+    Kernels of other versions that nobody has used for a month are removed.
+    """
+    home = os.environ.get("LOCALAPPDATA") if sys.platform == "win32" else os.environ.get("XDG_CACHE_HOME")
+    kernels = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(home or Path.home() / ".cache") / "shakercal" / "kernels")
+    folder = kernels / _sources_digest()[:16]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        os.utime(folder)
+    except OSError:
+        return None
+    for other in kernels.iterdir():
+        with contextlib.suppress(OSError):
+            if other.stat().st_mtime < folder.stat().st_mtime - UNUSED_S:
+                shutil.rmtree(other, ignore_errors=True)
+    return folder
+
+
+# Eight doubles at a time in code that is being generated, with arithmetic that leaves a compiler no choice.
+
+
+LANES = 8
+REAL = ir.DoubleType()
+REALS = ir.VectorType(REAL, LANES)
+INDEX = ir.IntType(64)
+INDICES = ir.VectorType(INDEX, LANES)
+MASK = ir.VectorType(ir.IntType(1), LANES)
+_WORD = ir.IntType(32)
+
+
+@dataclass(frozen=True)
+class Lanes:
+    """Eight doubles, with the arithmetic that formulas are written in; `factors` of a product are kept for its sum."""
+
+    builder: Any
+    value: Any
+    factors: tuple[Any, Any] | None = None
+
+    def __add__(self, other: Any) -> Lanes:
+        right = self._like(other)
+        if right.factors is not None:
+            return self._plus_product(right.factors)
+        if self.factors is not None:
+            return right._plus_product(self.factors)
+        return Lanes(self.builder, self.builder.fadd(self.value, right.value))
+
+    def __radd__(self, other: Any) -> Lanes:
+        return self.__add__(other)
+
+    def __sub__(self, other: Any) -> Lanes:
+        return self.__add__(-self._like(other))
+
+    def __rsub__(self, other: Any) -> Lanes:
+        return (-self).__add__(other)
+
+    def __mul__(self, other: Any) -> Lanes:
+        factors = self.value, self._like(other).value
+        return Lanes(self.builder, self.builder.fmul(*factors), factors)
+
+    def __rmul__(self, other: Any) -> Lanes:
+        return self.__mul__(other)
+
+    def __truediv__(self, other: float) -> Lanes:
+        return self * (1.0 / other)
+
+    def __neg__(self) -> Lanes:
+        negative = self.builder.fneg(self.value)
+        if self.factors is None:
+            return Lanes(self.builder, negative)
+        return Lanes(self.builder, negative, (self.builder.fneg(self.factors[0]), self.factors[1]))
+
+    def _like(self, other: Any) -> Lanes:
+        """Lanes as they are; a number stands for eight of it."""
+        return other if isinstance(other, Lanes) else Lanes(self.builder, ir.Constant(REALS, [float(other)] * LANES))
+
+    def _plus_product(self, factors: tuple[Any, Any]) -> Lanes:
+        """The sum with a product, rounded once."""
+        kind = ir.FunctionType(REALS, [REALS, REALS, REALS])
+        fused = cgutils.get_or_insert_function(self.builder.module, kind, f"llvm.fma.v{LANES}f64")
+        return Lanes(self.builder, self.builder.call(fused, [*factors, self.value]))
+
+
+def counted(builder: Any, begin: Any) -> Lanes:
+    """The numbers begin, begin + 1 … of eight lanes; begin is a double."""
+    return spread(builder, begin) + Lanes(builder, ir.Constant(REALS, [float(lane) for lane in range(LANES)]))
+
+
+def spread(builder: Any, scalar: Any) -> Lanes:
+    """A double eight times."""
+    return Lanes(builder, _spread(builder, scalar, REALS))
+
+
+def first_lanes(builder: Any, number: Any) -> Any:
+    """The mask of the first so many lanes."""
+    lanes = ir.Constant(INDICES, list(range(LANES)))
+    return builder.icmp_signed("<", lanes, _spread(builder, number, INDICES))
+
+
+def load(builder: Any, pointer: Any, mask: Any = None) -> Lanes:
+    """Eight doubles in a row, those outside the mask zero and their memory untouched."""
+    place = builder.bitcast(pointer, REALS.as_pointer())
+    if mask is None:
+        return Lanes(builder, builder.load(place, align=8))
+    kind = ir.FunctionType(REALS, [place.type, _WORD, MASK, REALS])
+    masked = cgutils.get_or_insert_function(builder.module, kind, f"llvm.masked.load.v{LANES}f64.p0")
+    nothing = ir.Constant(REALS, [0.0] * LANES)
+    return Lanes(builder, builder.call(masked, [place, ir.Constant(_WORD, 8), mask, nothing]))
+
+
+def store(builder: Any, lanes: Lanes, pointer: Any, mask: Any = None) -> None:
+    """Write eight doubles in a row, only those of the mask."""
+    place = builder.bitcast(pointer, REALS.as_pointer())
+    if mask is None:
+        builder.store(lanes.value, place, align=8)
+        return
+    kind = ir.FunctionType(ir.VoidType(), [REALS, place.type, _WORD, MASK])
+    masked = cgutils.get_or_insert_function(builder.module, kind, f"llvm.masked.store.v{LANES}f64.p0")
+    builder.call(masked, [lanes.value, place, ir.Constant(_WORD, 8), mask])
+
+
+def across(builder: Any, lanes: Lanes) -> Any:
+    """The sum of eight lanes, a double: halves added to each other until one is left."""
+    value, width = lanes.value, LANES
+    while width > 1:
+        width //= 2
+        low, high = (ir.Constant(ir.VectorType(_WORD, width), list(range(at, at + width))) for at in (0, width))
+        value = builder.fadd(*(builder.shuffle_vector(value, value, half) for half in (low, high)))
+    return builder.extract_element(value, ir.Constant(_WORD, 0))
+
+
+def in_blocks(builder: Any, count: Any, block: Any) -> None:
+    """Code that calls block(index, mask) for every eight of `count` points, the last time with a mask if need be."""
+    full = builder.and_(count, ir.Constant(INDEX, -LANES))
+    with cgutils.for_range_slice(builder, ir.Constant(INDEX, 0), full, ir.Constant(INDEX, LANES), INDEX) as (index, _):
+        block(index, None)
+    with builder.if_then(builder.icmp_signed("<", full, count)):
+        block(full, first_lanes(builder, builder.sub(count, full)))
+
+
+def _spread(builder: Any, scalar: Any, kind: Any) -> Any:
+    """A vector that holds the scalar eight times."""
+    single = builder.insert_element(ir.Constant(kind, ir.Undefined), scalar, ir.Constant(_WORD, 0))
+    return builder.shuffle_vector(single, single, ir.Constant(ir.VectorType(_WORD, LANES), [0] * LANES))
+
+
+# The inverse of a small covariance matrix, compiled.
+
+
+@njit()
+def invert(matrix: FloatArray, inverse: FloatArray) -> bool:
+    """Invert a symmetric positive definite (3, 3) by its cofactors; return whether it is one."""
+    for i in range(3):
+        for j in range(3):
+            a, b, c, d = (i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3
+            inverse[j, i] = matrix[a, c] * matrix[b, d] - matrix[a, d] * matrix[b, c]
+    determinant = matrix[0, 0] * inverse[0, 0] + matrix[0, 1] * inverse[1, 0] + matrix[0, 2] * inverse[2, 0]
+    if not determinant > 0.0:
+        return False
+    for i in range(3):
+        for j in range(3):
+            inverse[i, j] /= determinant
+    return True

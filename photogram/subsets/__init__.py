@@ -1,0 +1,1 @@
+"""Subsets of images: grid, reference, registration, tracks."""

@@ -1,0 +1,537 @@
+"""Inverse-compositional Gauss-Newton batched over frames and subsets, for a GPU."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
+from math import ceil, comb, factorial, log
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photogram.arrays import FloatArray, check_shape
+from photogram.bspline import PADDING_PX, POLES, SMALLEST_TERM
+from photogram.subsets.follow import predict_warp
+from photogram.subsets.icgn import GAIN_AND_OFFSET, LINEAR_PX, REMAINING, SMALL_STEP, Registration
+from photogram.subsets.reference import Reference, TrackStatus, shape_values, subset_offsets
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+
+# Where subsets will be in many frames to come, from a long past.
+
+
+FEWEST = 8
+TRUSTED_PX = 0.5
+FINER = 33
+REFINEMENTS = 4
+
+
+def forecast_warps(history: Sequence[FloatArray], most: int) -> FloatArray:
+    """Warps (K,N,6) of the next 1 ≤ K ≤ `most` frames after those in `history` (oldest first, N,6 each).
+
+    Frames stay where the last one was, or follow a sine with a mean and a drift, of one frequency for all subsets,
+    fitted to all frames: whichever would have foretold the last quarter of them better. Not more frames are foretold
+    than there were, and only the next one, by `predict_warp`, when that last quarter would have been missed by half a
+    pixel. In a frame in which it was lost, a subset counts as in the one before.
+    """
+    found = np.stack(history)
+    series = _filled(found)
+    kept = np.isfinite(found if np.isfinite(found).all(axis=(0, 2)).any() else series).all(axis=(0, 2))
+    shifts = series[:, kept][..., [0, 3]].reshape(len(series), -1)
+    count, tested = min(most, len(series)), len(series) // 4
+    if count == 1 or len(series) - tested < FEWEST or shifts.size == 0:
+        return predict_warp(history[-6:])[None]
+    known, truth = np.split(shifts, [len(series) - tested])
+    stayed = float(np.median(np.abs(known[-1] - truth)))
+    swung = float(np.median(np.abs(_continued(known, _frequency(known), tested) - truth)))
+    if min(stayed, swung) > TRUSTED_PX:
+        return predict_warp(history[-6:])[None]
+    if stayed < swung:
+        return np.repeat(series[-1:], count, axis=0)
+    return _continued(series.reshape(len(series), -1), _frequency(shifts), count).reshape(count, *series.shape[1:])
+
+
+def _filled(series: FloatArray) -> FloatArray:
+    """Warps (M,N,6) with those of the frame before in the place of missing ones."""
+    filled = series.copy()
+    for before, here in pairwise(filled):
+        np.copyto(here, before, where=np.isnan(here))
+    return filled
+
+
+def _continued(series: FloatArray, frequency: float, count: int) -> FloatArray:
+    """The next values (count,K) of a series (M,K) by least squares."""
+    past, coming = np.split(np.arange(len(series) + count, dtype=np.float64), [len(series)])
+    guess: FloatArray = _design(frequency, coming) @ (np.linalg.pinv(_design(frequency, past)) @ series)
+    return guess
+
+
+def _design(frequency: FloatArray | float, frames: FloatArray) -> FloatArray:
+    """Columns (...,M,4) of a mean, a drift, a cosine and a sine of `frequency` (...) in radians per frame."""
+    phase = np.multiply.outer(frequency, frames)
+    drift = np.broadcast_to(frames, phase.shape)
+    columns: FloatArray = np.stack([np.ones_like(phase), drift, np.cos(phase), np.sin(phase)], axis=-1)
+    return columns
+
+
+def _frequency(shifts: FloatArray) -> float:
+    """Frequency in radians per frame of the sine that fits the leading component of the shifts (M,K) best.
+
+    At least half a period lies within the M frames. A grid of a quarter of the resolution is made finer four times.
+    """
+    frames = np.arange(len(shifts), dtype=np.float64)
+    line = np.stack([np.ones_like(frames), frames], axis=1)
+    left = shifts - line @ (np.linalg.pinv(line) @ shifts)
+    _, vectors = np.linalg.eigh(left @ left.T)
+    course, lowest = vectors[:, -1], np.pi / len(shifts)
+    grid = np.linspace(lowest, np.pi, 4 * len(shifts))
+    for _ in range(REFINEMENTS):
+        basis, _ = np.linalg.qr(_design(grid, frames))
+        best = grid[np.argmax(np.sum((course @ basis) ** 2, axis=-1))]
+        reach = grid[1] - grid[0]
+        grid = np.linspace(max(best - reach, lowest), min(best + reach, np.pi), FINER)
+    return float(best)
+
+
+# Images as B-splines on a device: coefficients of a stack of frames, and their values at many points.
+
+
+PRECISIONS = ("float64", "float32")
+BLOCK = 128
+
+
+@dataclass(frozen=True)
+class TorchSplines:
+    """B images as B-splines of `degree` 3, 5 or 7: coefficients (B,H+8,W+8) on their device, padded as in `Spline`."""
+
+    coefficients: Tensor
+    degree: int
+
+    def __post_init__(self) -> None:
+        if self.coefficients.ndim != 3 or not self.coefficients.is_contiguous():
+            raise ValueError(
+                f"coefficients: expected a contiguous tensor of shape (any, any, any), "
+                f"found {tuple(self.coefficients.shape)}"
+            )
+        if self.degree not in POLES:
+            raise ValueError(f"degree: expected 3, 5 or 7, found {self.degree}")
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Width and height of the images."""
+        _, height, width = self.coefficients.shape
+        return width - 2 * PADDING_PX, height - 2 * PADDING_PX
+
+
+def spline_frames(images: NDArray[np.generic], degree: int, device: str, precision: str = "float64") -> TorchSplines:
+    """The splines through the grey values of images (B,H,W), on the device."""
+    return TorchSplines(prefilter(images, degree, device, precision), degree)
+
+
+def prefilter(images: NDArray[np.generic], degree: int, device: str, precision: str = "float64") -> Tensor:
+    """Spline coefficients (B,H+8,W+8) of images (B,H,W), mirrored at the outermost pixels, on the device.
+
+    C = A_H · image · A_Wᵀ with A the exact inverse of the B-spline sampled at whole pixels, its mirrored borders
+    included: the recursion of `spline_of_image` as matrix products, which suit a GPU better. Blocks of A are multiplied
+    with what reaches them by more than 1e-17.
+    """
+    import torch
+
+    check_shape("images", images, (None, None, None))
+    _, height, width = images.shape
+    if min(height, width) < 2 * PADDING_PX:
+        raise ValueError(f"images: expected at least {2 * PADDING_PX} x {2 * PADDING_PX} px, found {images.shape[1:]}")
+    if degree not in POLES:
+        raise ValueError(f"degree: expected 3, 5 or 7, found {degree}")
+    native = np.ascontiguousarray(images, dtype=images.dtype.newbyteorder("="))
+    raw = torch.from_numpy(native).to(device).to(torch_type(precision))
+    down = _filtered(raw.transpose(1, 2).contiguous(), degree)
+    return _filtered(down.transpose(1, 2).contiguous(), degree)
+
+
+def torch_type(precision: str) -> Any:
+    """The torch type named 'float64' or 'float32'."""
+    import torch
+
+    if precision not in PRECISIONS:
+        raise ValueError(f"precision: expected one of {', '.join(PRECISIONS)}, found {precision!r}")
+    return getattr(torch, precision)
+
+
+def basis_polynomials(degree: int) -> FloatArray:
+    """Coefficients (degree+1 powers of t, degree+1 splines) of the B-splines that reach the offset t in [0,1).
+
+    Spline j is β(t + (degree−1)/2 − j), β the sum of truncated powers (Unser 1999, IEEE Signal Process. Mag. 16, 22,
+    box 1): β(x) = Σ_k (−1)^k C(n+1,k) max(0, x + (n+1)/2 − k)^n / n!.
+    """
+    n = degree
+    table = np.zeros((n + 1, n + 1))
+    for j in range(n + 1):
+        for k in range(n - j + 1):
+            for power in range(n + 1):
+                term = comb(n, power) * (n - j - k) ** (n - power)
+                table[power, j] += (-1) ** k * comb(n + 1, k) * term / factorial(n)
+    return table
+
+
+def sample(frames: TorchSplines, corner: Tensor, place_px: Tensor, polynomials: Tensor) -> Tensor:
+    """Grey values (n,P) at place_px (2,n,P) [x, y], relative to the pixels whose coefficients begin at corner (n,).
+
+    Every point gathers (degree+1) rows of neighbouring coefficients, overlapping windows of one long line, and sums
+    them with its weights down; the weights along x follow.
+    """
+    import torch
+    from torch.nn.functional import embedding_bag
+
+    taps = frames.degree + 1
+    line = frames.coefficients.view(-1)
+    windows = line.as_strided((line.numel() - taps + 1, taps), (1, 1))
+    stride = frames.coefficients.shape[2]
+    whole = place_px.floor()
+    along, down = _weights((place_px - whole).view(2, -1), polynomials)
+    column, row = whole.to(corner.dtype)
+    rows = stride * torch.arange(taps, dtype=corner.dtype, device=corner.device)
+    first = (corner[:, None] + row * stride + column).view(-1, 1) + rows
+    summed = embedding_bag(first, windows, per_sample_weights=down, mode="sum")
+    return summed.mul_(along).sum(dim=1).view(place_px.shape[1:])
+
+
+def corner_of(frames: TorchSplines, frame: Tensor, pixel: Tensor) -> Tensor:
+    """Flat indices (n,) of the first coefficients that reach the whole pixels (n,2) of the frames (n,)."""
+    import torch
+
+    _, height, width = frames.coefficients.shape
+    first = PADDING_PX - frames.degree // 2
+    corner = (frame * height + pixel[:, 1] + first) * width + pixel[:, 0] + first
+    return corner.to(torch.int32 if frames.coefficients.numel() < 2**31 else torch.int64)
+
+
+def _weights(fraction: Tensor, polynomials: Tensor) -> Tensor:
+    """Values (2,M,degree+1) of the B-splines that reach the offsets (2,M) in [0,1)."""
+    import torch
+
+    powers = fraction.new_empty((len(polynomials), *fraction.shape))
+    powers[0], powers[1] = 1.0, fraction
+    for k in range(2, len(powers)):
+        torch.mul(powers[k - 1], fraction, out=powers[k])
+    return torch.matmul(powers.permute(1, 2, 0), polynomials)
+
+
+def _filtered(lines: Tensor, degree: int) -> Tensor:
+    """Coefficients (...,n+8) of lines of n pixels (...,n), mirrored by four at both ends."""
+    import torch
+
+    inverse = torch.from_numpy(_inverse_filter(lines.shape[-1], degree)).to(lines)
+    reach = 2 * PADDING_PX + ceil(log(SMALLEST_TERM) / log(max(map(abs, POLES[degree]))))
+    coefficients = lines.new_empty((*lines.shape[:-1], len(inverse)))
+    for first in range(0, len(inverse), BLOCK):
+        block, near = slice(first, first + BLOCK), slice(max(0, first - reach), first + BLOCK + reach)
+        coefficients[..., block] = torch.matmul(lines[..., near], inverse[block, near].T)
+    return coefficients
+
+
+@lru_cache(maxsize=4)
+def _inverse_filter(size: int, degree: int) -> FloatArray:
+    """Matrix (size+8,size) from the pixels of a line to its spline coefficients, mirrored by four at both ends."""
+    reach = degree // 2
+    values = basis_polynomials(degree)[0, : 2 * reach + 1]
+    sampled = np.zeros((size, size))
+    pixel = np.arange(size)
+    for offset, value in zip(range(-reach, reach + 1), values, strict=True):
+        neighbour = np.abs(pixel + offset)
+        np.add.at(sampled, (pixel, np.minimum(neighbour, 2 * (size - 1) - neighbour)), value)
+    inverse = np.linalg.inv(sampled)
+    inverse[np.abs(inverse) < SMALLEST_TERM] = 0.0
+    return np.pad(inverse, ((PADDING_PX, PADDING_PX), (0, 0)), mode="reflect")
+
+
+# Gauss-Newton registration of all subsets in all frames of a batch at once; the algorithm is `photogram.icgn`'s.
+
+
+RUNNING = -1
+WORKING_BYTES = {"cpu": 2**26, "cuda": 2**31}
+NUMBERS_PER_PIXEL = 48
+
+
+@dataclass(frozen=True)
+class TorchReference:
+    """A `Reference` on a device: N subsets of P pixels, with m = 2, 6 or 12 parameters of order 0, 1 or 2.
+
+    pixels (N,3,P) and shape (s,P) = [1, dx, dy, dx²/2, dx dy, dy²/2], s = 3 or for order 2 six, in the precision of the
+    sampling; in float64 rim (s,): the largest values of these shape functions, centre_px (N,2), mean (N,), energy (N,),
+    removed (N,2,m), inverse_hessian (N,m,m); status (N,).
+    """
+
+    radius_px: int
+    order: int
+    pixels: Tensor
+    shape: Tensor
+    rim: Tensor
+    centre_px: Tensor
+    mean: Tensor
+    energy: Tensor
+    removed: Tensor
+    inverse_hessian: Tensor
+    status: Tensor
+
+    @property
+    def columns(self) -> int:
+        """Length of a warp: 6, or 12 for order 2."""
+        return 2 * len(self.shape)
+
+
+@dataclass(frozen=True)
+class _Limits:
+    """When a subset is found, and when it is given up."""
+
+    max_iterations: int
+    convergence_px: float
+    min_zncc: float
+
+
+def torch_reference(reference: Reference, device: str, precision: str = "float64") -> TorchReference:
+    """The reference on the device, its pixels in `precision`: 'float64', or 'float32' for GPUs without fast float64."""
+    import torch
+
+    pixel_type = torch_type(precision)
+    shape = shape_values(subset_offsets(reference.radius_px), max(reference.order, 1))
+    fields = ("centre_px", "mean", "energy", "removed", "inverse_hessian", "status")
+    return TorchReference(
+        reference.radius_px,
+        reference.order,
+        torch.from_numpy(reference.pixels).to(device, pixel_type),
+        torch.from_numpy(shape).to(device, pixel_type),
+        torch.from_numpy(shape.max(axis=1)).to(device),
+        **{name: torch.from_numpy(getattr(reference, name)).to(device) for name in fields},
+    )
+
+
+def register_frames(
+    reference: TorchReference,
+    frames: TorchSplines,
+    start: FloatArray,
+    max_iterations: int,
+    convergence_px: float,
+    min_zncc: float,
+    working_bytes: int | None = None,
+) -> tuple[Registration, ...]:
+    """Find every subset in every frame, beginning at the warps `start` (B,N,6); NaN = no start. One result per frame.
+
+    Order 2 has warps (N,12) and takes starts (B,N,12) as well. Same steps, stopping rule and statuses as
+    `photogram.subsets.icgn.register`. Pairs of frame and subset are worked through in portions that need about
+    `working_bytes` on the device (64 MiB on a CPU, 2 GiB on a GPU).
+    """
+    import torch
+
+    count, columns, device = len(reference.centre_px), reference.columns, reference.centre_px.device
+    given = columns if start.shape[2:] == (columns,) else 6
+    check_shape("start", start, (len(frames.coefficients), count, given))
+    warp = torch.zeros((start.size // given, columns), dtype=torch.float64, device=device)
+    warp[:, :given] = torch.from_numpy(np.ascontiguousarray(start, dtype=np.float64)).to(device).view(-1, given)
+    scores = torch.full((len(warp), 3), torch.nan, dtype=torch.float64, device=device)
+    outcome = torch.zeros((len(warp), 2), dtype=torch.int64, device=device)
+    usable = reference.status.repeat(len(start)).to(torch.int64)
+    ready = torch.where(warp.isfinite().all(dim=1), RUNNING, int(TrackStatus.NO_START))
+    outcome[:, 0] = torch.where(usable == TrackStatus.OK, ready, usable)
+    limits = _Limits(max_iterations, convergence_px, min_zncc)
+    budget = WORKING_BYTES[device.type] if working_bytes is None else working_bytes
+    size = NUMBERS_PER_PIXEL * reference.shape.shape[1] * reference.shape.element_size()
+    for pairs in torch.nonzero(outcome[:, 0] == RUNNING)[:, 0].split(max(1, budget // size)):
+        _register_pairs(reference, frames, limits, pairs, (warp, scores, outcome))
+    return _registrations(warp, scores, outcome, count)
+
+
+def _registrations(warp: Tensor, scores: Tensor, outcome: Tensor, count: int) -> tuple[Registration, ...]:
+    """Results of all pairs as one Registration of `count` subsets per frame."""
+    warps, ratings, outcomes = (
+        values.cpu().numpy().reshape(-1, count, values.shape[1]) for values in (warp, scores, outcome)
+    )
+    status = outcomes[..., 0].astype(np.int8)
+    warps[status != TrackStatus.OK] = np.nan
+    return tuple(
+        Registration(warps[b], ratings[b, :, 0], ratings[b, :, 1], ratings[b, :, 2], status[b], outcomes[b, :, 1])
+        for b in range(len(warps))
+    )
+
+
+def _register_pairs(
+    reference: TorchReference,
+    frames: TorchSplines,
+    limits: _Limits,
+    pairs: Tensor,
+    state: tuple[Tensor, Tensor, Tensor],
+) -> None:
+    """Gauss-Newton steps of the pairs (flat frame·N + subset) until all stand still; updates state in place.
+
+    The one wait for the device in every iteration is the choice of the pairs that go on.
+    """
+    import torch
+
+    all_warp, all_scores, outcome = state
+    first_shift = all_warp[pairs][:, :6:3]
+    basis = torch.from_numpy(basis_polynomials(frames.degree)).to(reference.pixels)
+    compose_inverse = _compose_inverse_quadratic if reference.order == 2 else _compose_inverse
+    for iteration in range(1, limits.max_iterations + 1):
+        warp = all_warp[pairs]
+        frame, subset = pairs // len(reference.centre_px), pairs % len(reference.centre_px)
+        gone = _gone(reference, frames, subset, warp, first_shift)
+        sums = _correlate(reference, frames, (frame, subset, warp, gone), basis)
+        step, scores, small = _solve(reference, subset, *sums)
+        fate, scores = _judge(reference.rim, limits, gone, (step, scores, small))
+        all_warp[pairs], all_scores[pairs] = compose_inverse(warp, step), scores
+        outcome[pairs] = torch.stack([fate, torch.full_like(fate, iteration)], dim=1)
+        going_on = torch.nonzero(fate == RUNNING)[:, 0]
+        if len(going_on) == 0:
+            return
+        pairs, first_shift = pairs[going_on], first_shift[going_on]
+    outcome[pairs, 0] = int(TrackStatus.NOT_CONVERGED)
+
+
+def _gone(reference: TorchReference, frames: TorchSplines, subset: Tensor, warp: Tensor, first_shift: Tensor) -> Tensor:
+    """Status (n,) of the pairs that have run away or left the image, `RUNNING` for the others."""
+    import torch
+
+    radius, shift = reference.radius_px, warp[:, :6:3]
+    centre = reference.centre_px[subset] + shift
+    reach = _polynomials(warp)[:, :, 1:].abs() @ reference.rim[1:]
+    after, (right, bottom) = centre + reach, frames.size_px
+    inside = (centre >= reach).all(dim=1) & (after[:, 0] <= right - 1.0) & (after[:, 1] <= bottom - 1.0)
+    far = (shift - first_shift).abs().sum(dim=1) > 2.0 * radius
+    fate = torch.full_like(subset, RUNNING).masked_fill_(~inside, int(TrackStatus.LEFT_IMAGE))
+    return fate.masked_fill_(far, int(TrackStatus.NOT_CONVERGED))
+
+
+def _correlate(
+    reference: TorchReference, frames: TorchSplines, pair: tuple[Tensor, Tensor, Tensor, Tensor], basis: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Sums (n,) of g and of g², sums (n,3,s) of f̃g, f_x g, f_y g times the shape functions; g without the mean of f.
+
+    Pairs are frame, subset, warp and gone; those that are gone shrink to the first pixel. Points are placed relative to
+    the pixel under the subset's centre, so that float32 resolves them to 1e-6 px.
+    """
+    import torch
+
+    frame, subset, warp, gone = pair
+    places = _polynomials(warp)
+    places[:, :, 0] += reference.centre_px[subset]
+    places.masked_fill_((gone != RUNNING)[:, None, None], 0.0)
+    pixel = places[:, :, 0].floor()
+    places[:, :, 0] -= pixel
+    placed = torch.matmul(places.transpose(0, 1).to(reference.shape.dtype).contiguous(), reference.shape)
+    grey = sample(frames, corner_of(frames, frame, pixel.to(torch.int64)), placed, basis)
+    grey -= reference.mean[subset, None].to(grey.dtype)
+    products = reference.pixels[subset].mul_(grey[:, None])
+    moments = torch.matmul(products, reference.shape.T).to(torch.float64)
+    moments[:, 0, 0] = products[:, 0].sum(dim=1, dtype=torch.float64)
+    return grey.sum(dim=1, dtype=torch.float64), grey.square().sum(dim=1, dtype=torch.float64), moments
+
+
+def _solve(
+    reference: TorchReference, subset: Tensor, total: Tensor, square: Tensor, moments: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Steps (n,6 or 12), scores (n,3) = [zncc, gain, residual variance] after them, and whether they are small (n,)."""
+    import torch
+
+    size, energy, removed = reference.shape.shape[1], reference.energy[subset], reference.removed[subset]
+    product = moments[:, 0, 0]
+    spread, gain = square - total.square() / size, product / energy
+    slope = moments[:, 1:, 0] if reference.order == 0 else _columns(moments[:, 1:])
+    slope = slope - removed[:, 0] * total[:, None] - removed[:, 1] * product[:, None]
+    solution = torch.matmul(reference.inverse_hessian[subset], slope[:, :, None])[:, :, 0] / gain[:, None]
+    improvement = (solution * slope).sum(dim=1)
+    left = (spread - (product + improvement) * gain).clamp(min=0.0)
+    zncc, residual = (1.0 - left / spread).clamp(min=0.0).sqrt(), left / (size - slope.shape[1] - GAIN_AND_OFFSET)
+    correlated = (spread > 0.0) & (gain > 0.0)
+    scores = torch.stack([zncc, gain, residual], dim=1).masked_fill_(~correlated[:, None], torch.nan)
+    small = gain * improvement < SMALL_STEP**2 * slope.shape[1] * residual
+    step = solution
+    if reference.order == 0:
+        step = torch.zeros((len(subset), 6), dtype=solution.dtype, device=solution.device)
+        step[:, :6:3] = solution
+    return step, scores, small
+
+
+def _judge(rim: Tensor, limits: _Limits, gone: Tensor, solved: tuple[Tensor, Tensor, Tensor]) -> tuple[Tensor, Tensor]:
+    """Status (n,) after this step, `RUNNING` where another is needed, and scores (n,3) of those that stand still."""
+    import torch
+
+    step, scores, small = solved
+    zncc = scores[:, 0]
+    moved = (step[:, :6].view(-1, 2, 3) * rim[:3]).square().sum(dim=(1, 2))
+    moved = moved + rim[1] ** 4 / 4.0 * step[:, 6:].square().sum(dim=1)
+    still = (moved < LINEAR_PX**2) & (small | (REMAINING**2 * moved < limits.convergence_px**2))
+    still &= zncc.isfinite() & (gone == RUNNING)
+    alike = zncc >= limits.min_zncc
+    fate = torch.full_like(gone, RUNNING).masked_fill_(still & alike, int(TrackStatus.OK))
+    fate.masked_fill_((still & ~alike) | ~zncc.isfinite(), int(TrackStatus.LOW_CORRELATION))
+    return torch.where(gone == RUNNING, fate, gone), scores.masked_fill(~still[:, None], torch.nan)
+
+
+def _polynomials(warp: Tensor) -> Tensor:
+    """Where a warp (n,6 or 12) takes dx and dy: coefficients (n,2,s) of 1, dx, dy, dx²/2, dx dy, dy²/2."""
+    import torch
+
+    places = torch.cat([warp[:, :6].view(-1, 2, 3), warp[:, 6:].reshape(len(warp), 2, (warp.shape[1] - 6) // 2)], dim=2)
+    places[:, 0, 1] += 1.0
+    places[:, 1, 2] += 1.0
+    return places
+
+
+def _columns(values: Tensor) -> Tensor:
+    """Values (n,2,s) in the order of a warp (n,6 or 12)."""
+    import torch
+
+    return torch.cat([values[:, :, :3].flatten(1), values[:, :, 3:].flatten(1)], dim=1)
+
+
+def _compose_inverse(warp: Tensor, step: Tensor) -> Tensor:
+    """Warps (n,6) ∘ steps⁻¹, both affine."""
+    import torch
+
+    a, b, c, d = 1.0 + step[:, 1], step[:, 2], step[:, 4], 1.0 + step[:, 5]
+    scale = 1.0 / (a * d - b * c)
+    ia, ib, ic, id_ = d * scale, -b * scale, -c * scale, a * scale
+    iu, iv = -(ia * step[:, 0] + ib * step[:, 3]), -(ic * step[:, 0] + id_ * step[:, 3])
+    p, q, r, s = 1.0 + warp[:, 1], warp[:, 2], warp[:, 4], 1.0 + warp[:, 5]
+    across = [warp[:, 0] + p * iu + q * iv, p * ia + q * ic - 1.0, p * ib + q * id_]
+    down = [warp[:, 3] + r * iu + s * iv, r * ia + s * ic, r * ib + s * id_ - 1.0]
+    return torch.stack(across + down, dim=1)
+
+
+def _compose_inverse_quadratic(warp: Tensor, step: Tensor) -> Tensor:
+    """Warps (n,12) ∘ steps⁻¹, both polynomials of second order, as matrices on their powers (Gao 2015)."""
+    import torch
+
+    product = torch.matmul(_matrices(warp), torch.linalg.inv_ex(_matrices(step)).inverse)
+    places = product[:, 1:3].clone()
+    places[:, :, 3::2] *= 2.0
+    places[:, 0, 1] -= 1.0
+    places[:, 1, 2] -= 1.0
+    return _columns(places)
+
+
+def _matrices(warp: Tensor) -> Tensor:
+    """How warps (n,12) map [1, dx, dy, dx², dx dy, dy²], (n,6,6), powers above the second left out."""
+    import torch
+
+    places = _polynomials(warp)
+    places[:, :, 3::2] *= 0.5
+    x, y = places.unbind(dim=1)
+    one = torch.zeros_like(x)
+    one[:, 0] = 1.0
+    return torch.stack([one, x, y, _product(x, x), _product(x, y), _product(y, y)], dim=1)
+
+
+def _product(p: Tensor, q: Tensor) -> Tensor:
+    """Product of polynomials (n,6) in [1, dx, dy, dx², dx dy, dy²], powers above the second left out."""
+    product = p[:, :1] * q + q[:, :1] * p
+    product[:, 0] = p[:, 0] * q[:, 0]
+    product[:, 3] += p[:, 1] * q[:, 1]
+    product[:, 4] += p[:, 1] * q[:, 2] + p[:, 2] * q[:, 1]
+    product[:, 5] += p[:, 2] * q[:, 2]
+    return product

@@ -1,0 +1,319 @@
+"""What the reference image contributes to a registration, prepared once per series."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import prange, types
+from numba.core import cgutils
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+from photogram.arrays import BoolArray, FloatArray, check_shape
+from photogram.bspline import Spline, grey_values, noise_gain, sample_squares, slope_noise_gain
+from photogram.kernels import LANES, REALS, Lanes, across, counted, in_blocks, load, njit, spread
+
+# Sums over the pixels of subsets and of rows of cells, eight pixels at a time and always in the same order.
+
+
+_Terms = tuple[Lanes, ...]
+AFFINE_SUMS, CURVED_SUMS, RUN_SUMS = 9, 6, 7
+
+
+def _affine_terms(g: Lanes, f: Lanes, along: Lanes, down: Lanes, dx: Lanes, dy: Lanes) -> _Terms:
+    """What is summed for an affine warp."""
+    a, d = along * g, down * g
+    return g, g * g, f * g, a, a * dx, a * dy, d, d * dx, d * dy
+
+
+def _curved_terms(g: Lanes, _: Lanes, along: Lanes, down: Lanes, dx: Lanes, dy: Lanes) -> _Terms:
+    """What is summed besides for a warp of second order."""
+    a, d = along * g, down * g
+    xx, xy, yy = 0.5 * dx * dx, dx * dy, 0.5 * dy * dy
+    return a * xx, a * xy, a * yy, d * xx, d * xy, d * yy
+
+
+def _run_terms(g: Lanes, weight: Lanes, f: Lanes, along: Lanes, down: Lanes, dx: Lanes) -> _Terms:
+    """What is summed of weighted pixels side by side."""
+    w, a, d = weight * g, along * g, down * g
+    return w, w * g, f * g, a, a * dx, d, d * dx
+
+
+@intrinsic
+def affine_sums(typing, grey, mean, pixels, offsets, sums):  # type: ignore[no-untyped-def]
+    """Fill sums (9,) with Σg, Σg², Σf̃·g and Σ(f_x, f_x·dx, f_x·dy, f_y, f_y·dx, f_y·dy)·g, g = grey (P,) − mean.
+
+    pixels (3,P): f̃, f_x, f_y; offsets (2,P): dx, dy.
+    """
+    return _type(grey, mean, pixels, offsets, sums), _subset_code(_affine_terms, AFFINE_SUMS)
+
+
+@intrinsic
+def curved_sums(typing, grey, mean, pixels, offsets, sums):  # type: ignore[no-untyped-def]
+    """Fill sums (6,) with Σf_x·(dx²/2, dx·dy, dy²/2)·g and Σf_y·(…)·g; arguments as of `affine_sums`."""
+    return _type(grey, mean, pixels, offsets, sums), _subset_code(_curved_terms, CURVED_SUMS)
+
+
+@intrinsic
+def run_sums(typing, grey, mean, pixels, start, dx, sums):  # type: ignore[no-untyped-def]
+    """Fill sums (7,) with Σw·g, Σw·g², Σw·f̃·g, Σw·f_x·g, Σw·f_x·dx·g, Σw·f_y·g, Σw·f_y·dx·g, g = grey (n,) − mean.
+
+    pixels (4,P): w, w·f̃, w·f_x, w·f_y, of which n from `start` on; dx: of the first one, the others a pixel apart.
+    """
+    return _type(grey, mean, pixels, start, dx, sums), _run_code
+
+
+def _type(*arguments: Any) -> Any:
+    """Types of the arguments; the arrays must be contiguous doubles."""
+    for kind in arguments:
+        if isinstance(kind, types.Array) and (kind.layout, kind.dtype) != ("C", types.float64):
+            raise TypeError(f"expected contiguous float64 arrays, found {kind}")
+    taken = [kind if isinstance(kind, types.Array | types.Integer) else types.float64 for kind in arguments]
+    return types.void(*taken)
+
+
+def _subset_code(terms: Callable[..., _Terms], number: int) -> Callable[..., Any]:
+    """Generator of the code of sums over a subset."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Sequence[Any]) -> Any:
+        grey, pixels, offsets, sums = (_array(context, builder, signature, arguments, k) for k in (0, 2, 3, 4))
+        (count,) = cgutils.unpack_tuple(builder, grey.shape)
+        mean = spread(builder, arguments[1])
+
+        def block(index: Any, mask: Any) -> _Terms:
+            rows = [(pixels, 0), (pixels, 1), (pixels, 2), (offsets, 0), (offsets, 1)]
+            read = [load(builder, _place(builder, table, row, index), mask) for table, row in rows]
+            g = load(builder, builder.gep(grey.data, [index]), mask) - mean
+            return terms(_within(builder, g, mask), *read)
+
+        _sum(builder, (count, number, block), sums.data)
+        return context.get_dummy_value()
+
+    return generate
+
+
+def _run_code(context: Any, builder: Any, signature: Any, arguments: Sequence[Any]) -> Any:
+    """Code of sums over pixels side by side."""
+    grey, pixels, sums = (_array(context, builder, signature, arguments, k) for k in (0, 2, 5))
+    _, mean, _, start, first, _ = arguments
+    (count,) = cgutils.unpack_tuple(builder, grey.shape)
+    level, begin = spread(builder, mean), counted(builder, first)
+
+    def block(index: Any, mask: Any) -> _Terms:
+        place = builder.add(start, index)
+        w, f, along, down = (load(builder, _place(builder, pixels, row, place), mask) for row in range(4))
+        g = load(builder, builder.gep(grey.data, [index]), mask) - level
+        dx = begin + spread(builder, builder.sitofp(index, ir.DoubleType()))
+        return _run_terms(_within(builder, g, mask), w, f, along, down, dx)
+
+    _sum(builder, (count, RUN_SUMS, block), sums.data)
+    return context.get_dummy_value()
+
+
+def _sum(builder: Any, loop: tuple[Any, int, Callable[..., _Terms]], sums: Any) -> None:
+    """Code that adds the terms of all blocks lane by lane, then the lanes; loop: points, sums, terms of a block."""
+    count, number, block = loop
+    nothing = ir.Constant(REALS, [0.0] * LANES)
+    totals = [cgutils.alloca_once(builder, REALS) for _ in range(number)]
+    for total in totals:
+        builder.store(nothing, total)
+
+    def add(index: Any, mask: Any) -> None:
+        for total, term in zip(totals, block(index, mask), strict=True):
+            builder.store((Lanes(builder, builder.load(total)) + term).value, total)
+
+    in_blocks(builder, count, add)
+    for k, total in enumerate(totals):
+        place = builder.gep(sums, [ir.Constant(ir.IntType(64), k)])
+        builder.store(across(builder, Lanes(builder, builder.load(total))), place)
+
+
+def _within(builder: Any, lanes: Lanes, mask: Any) -> Lanes:
+    """The lanes of the mask, zero in the others."""
+    if mask is None:
+        return lanes
+    return Lanes(builder, builder.select(mask, lanes.value, ir.Constant(REALS, [0.0] * LANES)))
+
+
+def _array(context: Any, builder: Any, signature: Any, arguments: Sequence[Any], number: int) -> Any:
+    """One of the arguments that are arrays."""
+    return context.make_array(signature.args[number])(context, builder, arguments[number])
+
+
+def _place(builder: Any, table: Any, row: int, column: Any) -> Any:
+    """Pointer to an element of a table of contiguous rows."""
+    width = cgutils.unpack_tuple(builder, table.shape)[1]
+    return builder.gep(table.data, [builder.add(builder.mul(ir.Constant(ir.IntType(64), row), width), column)])
+
+
+# Subsets of a reference image, prepared once: grey values, gradients, Hessians, and what the texture determines.
+
+
+SMALLEST_NOISE = 1e-9
+SMALLEST_CONTRAST = 1e-9
+LEAST_RATIO = 4.0
+SMALLEST_EXCESS = 1e-2
+PARAMETERS = {0: 2, 1: 6, 2: 12}
+CHUNK = 256
+
+
+class TrackStatus(IntEnum):
+    """What became of one subset in one frame; every status but `OK` comes with NaN positions."""
+
+    OK = 0
+    NOT_CONVERGED = 1
+    LOW_CORRELATION = 2
+    LEFT_IMAGE = 3
+    FLAT = 4
+    SATURATED = 5
+    NO_START = 6
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Square subsets of P = (2·radius+1)² pixels around centre_px (N,2), prepared once for a whole sequence.
+
+    pixels (N,3,P): grey value f̃ without its mean, gradient along x, gradient along y. mean (N,): of the grey values;
+    energy (N,): Σf̃². order: of the shape function, 0 (translation), 1 (affine) or 2, with m = 2, 6 or 12 parameters.
+    removed (N,2,m): mean of each steepest-descent image and its regression on f̃. inverse_hessian (N,m,m): of the
+    steepest-descent images without what is removed, so that gain and offset are free parameters, and without what noise
+    of the reference adds; zero along what the texture does not determine. position_variance (N,2,2): covariance of the
+    translation in px² for image noise of variance 1. noise_gain (N,): variance of the subset's grey values per variance
+    of the pixels. status (N,): `OK`, `FLAT` or `LEFT_IMAGE`.
+    """
+
+    centre_px: FloatArray
+    radius_px: int
+    pixels: FloatArray
+    mean: FloatArray
+    energy: FloatArray
+    removed: FloatArray
+    inverse_hessian: FloatArray
+    position_variance: FloatArray
+    noise_gain: FloatArray
+    status: NDArray[np.int8]
+    order: int = 1
+
+    def __post_init__(self) -> None:
+        if self.order not in PARAMETERS:
+            raise ValueError(f"order: expected 0, 1 or 2, found {self.order}")
+        check_shape("centre_px", self.centre_px, (None, 2))
+        count, size = len(self.centre_px), (2 * self.radius_px + 1) ** 2
+        check_shape("pixels", self.pixels, (count, 3, size))
+        parameters = PARAMETERS[self.order]
+        check_shape("removed", self.removed, (count, 2, parameters))
+        check_shape("inverse_hessian", self.inverse_hessian, (count, parameters, parameters))
+        check_shape("position_variance", self.position_variance, (count, 2, 2))
+        for name in ("mean", "energy", "noise_gain", "status"):
+            check_shape(name, getattr(self, name), (count,))
+
+
+def prepare_reference(spline: Spline, centre_px: FloatArray, radius_px: int, order: int = 1) -> Reference:
+    """Grey values, gradients and Hessians of the subsets of one image; centres (N,2) need not be whole pixels.
+
+    Steepest-descent images of the affine warp: [f_x, f_x dx, f_x dy, f_y, f_y dx, f_y dy] (Baker, Matthews 2004,
+    Int. J. Comput. Vis. 56, 221; Pan, Li, Tong 2013, Exp. Mech. 53, 1277), each without its mean and its part along f̃;
+    order 0 has f_x and f_y alone, order 2 further f_x and f_y times dx²/2, dx dy, dy²/2.
+
+    Noise of the reference makes gradients too, with the Hessian N = σ²γ·diag(1, dx², dy² …) summed over the subset. In
+    the basis H v = μ N v, directions with μ < 4 are noise, not texture (along an edge): they are held at their start.
+    Since N adds to H but not to what is found, the inverse along v is 1/(μ−1), which makes a step as long as it should
+    be (with 1/μ every step falls short by 1/μ of itself), and the variance is μ/(μ−1)².
+    """
+    check_shape("centre_px", centre_px, (None, 2))
+    if order not in PARAMETERS:
+        raise ValueError(f"order: expected 0, 1 or 2, found {order}")
+    pixels = sample_squares(spline, centre_px, radius_px)
+    count, size, parameters = len(centre_px), pixels.shape[2], PARAMETERS[order]
+    mean = pixels[:, 0].mean(axis=1)
+    pixels[:, 0] -= mean[:, None]
+    energy = np.sum(pixels[:, 0] ** 2, axis=1)
+    status = np.where(np.isfinite(pixels).all(axis=(1, 2)), np.int8(TrackStatus.OK), np.int8(TrackStatus.LEFT_IMAGE))
+    status[energy <= size * (SMALLEST_CONTRAST * np.abs(mean)) ** 2] = TrackStatus.FLAT
+    floor = slope_noise_gain(spline.degree) * _pixel_noise(spline, centre_px, radius_px) ** 2
+    floor = np.maximum(floor, SMALLEST_NOISE * energy / size)
+    shape = shape_values(subset_offsets(radius_px), order)
+    removed, inverse = np.zeros((count, 2, parameters)), np.full((count, parameters, parameters), np.nan)
+    variance = np.full((count, 2, 2), np.nan)
+    usable = np.flatnonzero(status == TrackStatus.OK)
+    for part in np.array_split(usable, range(CHUNK, len(usable), CHUNK)):
+        hessian, removed[part] = _hessians(pixels[part], energy[part], shape)
+        known, inverse[part], variance[part] = _invert(hessian, floor[part], np.sum(shape**2, axis=1))
+        status[part[~known]] = TrackStatus.FLAT
+    gain = noise_gain(centre_px[:, 0], spline.degree) * noise_gain(centre_px[:, 1], spline.degree)
+    return Reference(
+        centre_px, radius_px, pixels, mean, energy, removed, inverse, variance, gain, status.astype(np.int8), order
+    )
+
+
+def shape_values(offsets: FloatArray, order: int) -> FloatArray:
+    """Values (m/2,P) of one coordinate's shape functions at offsets (P,2): 1; dx, dy; dx²/2, dx dy, dy²/2."""
+    x, y = offsets.T
+    values: FloatArray = np.stack([np.ones_like(x), x, y, x * x / 2.0, x * y, y * y / 2.0])
+    return values[: PARAMETERS[order] // 2]
+
+
+def subset_offsets(radius_px: int) -> FloatArray:
+    """Pixels (P,2) of a subset relative to its centre, row by row."""
+    line = np.arange(-radius_px, radius_px + 1, dtype=np.float64)
+    rows, columns = np.meshgrid(line, line, indexing="ij")
+    return np.column_stack([columns.ravel(), rows.ravel()])
+
+
+def _pixel_noise(spline: Spline, centre_px: FloatArray, radius_px: int) -> FloatArray:
+    """Standard deviation (N,) of white noise in each subset, from the median of mixed third differences of its pixels.
+
+    The differences (1 −3 3 −1) in x and y suppress texture of a few pixels' size; |·| has the median 0.6745 · 20 σ.
+    """
+    fine = np.abs(np.diff(np.diff(grey_values(spline), n=3, axis=0), n=3, axis=1))
+    corner = np.rint(np.nan_to_num(centre_px, nan=-1e6)).astype(np.int64) - radius_px
+    middle = np.zeros(len(corner))
+    _medians(fine, corner, 2 * radius_px - 2, middle)
+    return middle / (0.6745 * 20.0)
+
+
+@njit(parallel=True)
+def _medians(values, corner, side, middle):  # type: ignore[no-untyped-def]
+    """Median of every square of values (H,W) whose first column and row are corner (N,2); 0 where it is not inside."""
+    for n in prange(corner.shape[0]):
+        x, y = corner[n, 0], corner[n, 1]
+        if x >= 0 and y >= 0 and x + side <= values.shape[1] and y + side <= values.shape[0]:
+            middle[n] = np.median(values[y : y + side, x : x + side])
+
+
+def _hessians(pixels: FloatArray, energy: FloatArray, shape: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Hessians (n,m,m) of the steepest-descent images without their mean and part along f̃, and these (n,2,m)."""
+    size = pixels.shape[2]
+    steepest = np.concatenate(
+        [pixels[:, axis, None] * part for part in (shape[:3], shape[3:]) for axis in (1, 2)], axis=1
+    )
+    mean = steepest.mean(axis=2)
+    part = (steepest @ pixels[:, 0, :, None])[..., 0] / energy[:, None]
+    removed = np.stack([mean, part], axis=1)
+    hessian = steepest @ np.swapaxes(steepest, 1, 2)
+    hessian -= size * mean[:, :, None] * mean[:, None, :] + energy[:, None, None] * part[:, :, None] * part[:, None, :]
+    return hessian, removed
+
+
+def _invert(
+    hessian: FloatArray, slope_noise2: FloatArray, extent: FloatArray
+) -> tuple[BoolArray, FloatArray, FloatArray]:
+    """Whether anything is determined (n,), inverse Hessians (n,m,m) of it, variances (n,2,2) of the translation."""
+    extents = np.concatenate([extent[:3], extent[:3], extent[3:], extent[3:]])
+    scale = 1.0 / np.sqrt(slope_noise2[:, None] * extents)
+    ratio, vectors = np.linalg.eigh(hessian * scale[:, :, None] * scale[:, None, :])
+    directions = vectors * scale[:, :, None]
+    clear = ratio > LEAST_RATIO
+    weights = np.where(clear, 1.0 / (np.maximum(ratio, LEAST_RATIO) - 1.0), 0.0)
+    inverse = (directions * weights[:, None, :]) @ np.swapaxes(directions, 1, 2)
+    translation = directions[:, [0, min(3, len(extent))]]
+    spread = ratio / np.maximum(ratio - 1.0, SMALLEST_EXCESS) ** 2
+    variance = (translation * spread[:, None, :]) @ np.swapaxes(translation, 1, 2)
+    known = np.asarray(clear.any(axis=1), dtype=np.bool_)
+    inverse[~known], variance[~known] = np.nan, np.nan
+    return known, inverse, variance

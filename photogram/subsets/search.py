@@ -1,0 +1,189 @@
+"""First guesses for subsets: features between two views, template matching for large motion, good neighbours."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photogram.arrays import BoolArray, FloatArray, check_shape
+
+Image = NDArray[Any]
+FEATURES = 6000
+NEIGHBOURS = 16
+FEWEST_INLIERS = 5
+RANSAC_PX = 1.5
+RATIO = 0.8
+CHUNK = 1000
+
+
+def match_features(left_image: Image, right_image: Image) -> tuple[FloatArray, FloatArray]:
+    """Positions (M,2), (M,2) of the same features in both images: SIFT, mutually nearest, with the ratio test.
+
+    Lowe 2004, Int. J. Comput. Vis. 60, 91; OpenCV's features, at most 6000 per image.
+    """
+    import cv2
+
+    finder = cv2.SIFT.create(nfeatures=FEATURES, contrastThreshold=0.01)
+    left_points, left_words = finder.detectAndCompute(_eight_bit(left_image), None)
+    right_points, right_words = finder.detectAndCompute(_eight_bit(right_image), None)
+    if min(len(left_points), len(right_points)) < 2:
+        return np.empty((0, 2)), np.empty((0, 2))
+    pairs = _mutual_nearest(np.asarray(left_words, np.float32), np.asarray(right_words, np.float32))
+    left = np.array([left_points[first].pt for first, _ in pairs], dtype=np.float64).reshape(-1, 2)
+    right = np.array([right_points[second].pt for _, second in pairs], dtype=np.float64).reshape(-1, 2)
+    return left, right
+
+
+def affine_starts(points_px: FloatArray, source_px: FloatArray, target_px: FloatArray) -> FloatArray:
+    """Warps (N,6) at points_px (N,2) from the matches source_px → target_px (M,2) around each; NaN where few agree.
+
+    Affine map of the 16 nearest matches by RANSAC (Fischler, Bolles 1981, Commun. ACM 24, 381), at least 5 in line.
+    """
+    import cv2
+    from scipy.spatial import cKDTree
+
+    check_shape("points_px", points_px, (None, 2))
+    starts = np.full((len(points_px), 6), np.nan)
+    if len(source_px) < FEWEST_INLIERS:
+        return starts
+    count = min(NEIGHBOURS, len(source_px))
+    _, nearest = cKDTree(source_px).query(points_px, k=count)
+    for n, near in enumerate(nearest):
+        origin = points_px[n]
+        affine, inliers = cv2.estimateAffine2D(
+            source_px[near] - origin, target_px[near] - origin, ransacReprojThreshold=RANSAC_PX
+        )
+        if affine is not None and int(inliers.sum()) >= FEWEST_INLIERS:
+            starts[n] = warp_of_affine(np.asarray(affine, dtype=np.float64))
+    return starts
+
+
+def neighbour_starts(points_px: FloatArray, warp: FloatArray) -> FloatArray:
+    """Warps (N,6) carried over from the nearest point whose warp (N,6) is known, by that point's own affine map.
+
+    Warps (N,12) of second order are carried over with the curvature of that point.
+    """
+    from scipy.spatial import cKDTree
+
+    known = np.isfinite(warp).all(axis=1) & np.isfinite(points_px).all(axis=1)
+    starts = np.full_like(warp, np.nan)
+    wanted = np.isfinite(points_px).all(axis=1)
+    if not known.any() or not wanted.any():
+        return starts
+    _, nearest = cKDTree(points_px[known]).query(points_px[wanted])
+    source = warp[known][nearest]
+    distance = points_px[wanted] - points_px[known][nearest]
+    starts[wanted] = source
+    x, y = distance.T
+    for u, curved in ((0, source[:, 6:9]), (3, source[:, 9:12])):
+        starts[wanted, u] += source[:, u + 1] * x + source[:, u + 2] * y
+        if curved.shape[1]:
+            xx, xy, yy = curved.T
+            starts[wanted, u] += xx * x * x / 2.0 + xy * x * y + yy * y * y / 2.0
+            starts[wanted, u + 1] += xx * x + xy * y
+            starts[wanted, u + 2] += xy * x + yy * y
+    return starts
+
+
+def template_shifts(
+    reference: Image, image: Image, points_px: FloatArray, radius_px: int, reach_px: int, guess_px: FloatArray
+) -> FloatArray:
+    """Displacements (N,2), whole pixels, at which subsets of `reference` correlate best with `image`; NaN outside.
+
+    Zero-normalised cross-correlation by FFT (OpenCV) within `reach_px` around the guessed displacements guess_px (N,2).
+    """
+    import cv2
+
+    shifts = np.full((len(points_px), 2), np.nan)
+    first, second = reference.astype(np.float32), image.astype(np.float32)
+    for n, (point, guess) in enumerate(zip(points_px, guess_px, strict=True)):
+        x, y = np.rint(point).astype(np.int64)
+        template = _cut(first, x, y, radius_px)[0]
+        place = np.rint(point + guess).astype(np.int64)
+        window, left, top = _cut(second, place[0], place[1], radius_px + reach_px)
+        full = template.shape == (2 * radius_px + 1, 2 * radius_px + 1)
+        if full and window.shape[0] >= template.shape[0] and window.shape[1] >= template.shape[1]:
+            score = cv2.matchTemplate(window, template, cv2.TM_CCOEFF_NORMED)
+            row, column = np.unravel_index(int(np.argmax(score)), score.shape)
+            shifts[n] = left + column + radius_px - x, top + row + radius_px - y
+    return shifts
+
+
+def affine_field(points_px: FloatArray, displacement_px: FloatArray, targets_px: FloatArray) -> FloatArray:
+    """Warps (N,6) at targets_px (N,2) from one affine motion through the points' displacements, outliers left out.
+
+    With fewer than four agreeing points, the median displacement everywhere; NaN where there is none at all.
+    """
+    import cv2
+
+    starts = np.full((len(targets_px), 6), np.nan)
+    known = np.isfinite(displacement_px).all(axis=1)
+    source, moved = points_px[known], points_px[known] + displacement_px[known]
+    if len(source) == 0:
+        return starts
+    affine, agree = np.eye(2, 3), 0
+    if len(source) > 3:
+        found, inliers = cv2.estimateAffine2D(source, moved, ransacReprojThreshold=2.0)
+        if found is not None and inliers is not None:
+            affine, agree = np.asarray(found, dtype=np.float64), int(np.sum(inliers))
+    if agree < 4:
+        starts[:] = 0.0
+        starts[:, [0, 3]] = np.median(displacement_px[known], axis=0)
+        return starts
+    starts[:] = warp_of_affine(affine)
+    starts[:, [0, 3]] = targets_px @ affine[:, :2].T + affine[:, 2] - targets_px
+    return starts
+
+
+def epipolar_distance(fundamental: FloatArray, left_px: FloatArray, right_px: FloatArray) -> FloatArray:
+    """Signed distances (N,) in px of right_px (N,2) from the epipolar lines F·[left; 1] of left_px (N,2)."""
+    check_shape("fundamental", fundamental, (3, 3))
+    lines = np.column_stack([left_px, np.ones(len(left_px))]) @ fundamental.T
+    distance: FloatArray = np.sum(lines[:, :2] * right_px, axis=1) + lines[:, 2]
+    return distance / np.hypot(lines[:, 0], lines[:, 1])
+
+
+def agreeing(distance_px: FloatArray, tolerance_px: float) -> BoolArray:
+    """Which distances lie within the tolerance of their median; NaN does not."""
+    if not np.isfinite(distance_px).any():
+        return np.zeros(len(distance_px), dtype=np.bool_)
+    return np.asarray(np.abs(distance_px - np.nanmedian(distance_px)) <= tolerance_px)
+
+
+def warp_of_affine(affine: FloatArray) -> FloatArray:
+    """The warp [u, u_x, u_y, v, v_x, v_y] of the 2 x 3 affine map of coordinates."""
+    (a, b, u), (c, d, v) = affine
+    return np.array([u, a - 1.0, b, v, c, d - 1.0])
+
+
+def _mutual_nearest(left: NDArray[np.float32], right: NDArray[np.float32]) -> list[tuple[int, int]]:
+    """Pairs of descriptors that are each other's nearest, clearly nearer than the left one's second nearest."""
+    size = np.sum(right**2, axis=1)
+    least, back = np.full(len(right), np.inf), np.zeros(len(right), dtype=np.int64)
+    candidates: list[tuple[int, int]] = []
+    for start in range(0, len(left), CHUNK):
+        part = left[start : start + CHUNK]
+        square = np.maximum(np.sum(part**2, axis=1)[:, None] - 2.0 * part @ right.T + size, 0.0)
+        nearest, closer = np.argmin(square, axis=1), np.argmin(square, axis=0)
+        first, second = np.partition(square, 1, axis=1)[:, :2].T
+        candidates += [(start + int(n), int(nearest[n])) for n in np.flatnonzero(first < RATIO**2 * second)]
+        better = square[closer, np.arange(len(right))] < least
+        least[better] = square[closer, np.arange(len(right))][better]
+        back[better] = start + closer[better]
+    return [pair for pair in candidates if back[pair[1]] == pair[0]]
+
+
+def _eight_bit(image: Image) -> NDArray[np.uint8]:
+    """Grey values between the 0.5 and 99.5 % quantiles spread over 8 bits, for feature detection alone."""
+    low, high = np.percentile(image, (0.5, 99.5))
+    spread = (image.astype(np.float64) - low) * (255.0 / max(high - low, 1.0))
+    eight: NDArray[np.uint8] = np.clip(spread, 0.0, 255.0).astype(np.uint8)
+    return eight
+
+
+def _cut(image: NDArray[np.float32], x: int, y: int, radius: int) -> tuple[NDArray[np.float32], int, int]:
+    """The part of a square around a pixel that lies in the image, and its left and top."""
+    left, top = max(0, x - radius), max(0, y - radius)
+    return image[top : max(top, y + radius + 1), left : max(left, x + radius + 1)], left, top

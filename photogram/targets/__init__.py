@@ -1,0 +1,1 @@
+"""Calibration targets in pictures: chessboard, ChArUco, dot grids."""

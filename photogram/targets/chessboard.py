@@ -1,0 +1,416 @@
+"""Chessboards and ChArUco boards."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photogram.arrays import BoolArray, FloatArray, IntArray
+from photogram.targets.crossing import GOOD, REASONS, Corners, refine_corners
+from photogram.targets.dots import Board, apply, find_board, find_dictionary, find_markers, markers_on
+from photogram.targets.view import (
+    Target,
+    TargetNotFound,
+    TargetView,
+    check_blur,
+    check_exposure,
+    outline,
+    picture_fault,
+    picture_noise,
+)
+
+# From where corners of a lattice of squares are expected to the view of a target: measured, checked, judged.
+
+
+_LEAST_CONTRAST = 0.4  # of a corner, in units of the median over the target
+_ROOM = 0.75  # squares around the outermost corners that belong to the target's area
+_FEWEST = 6
+_STRIP = 0.08  # of a square, along the edges of squares with markers, at first
+_CLEAR, _NARROWEST, _WIDEST = 0.15, 0.05, 0.12  # the same later: the first less 2σ of the blur, between the others
+
+
+def corner_view(
+    image: NDArray[Any],
+    index: IntArray,
+    start_px: FloatArray,
+    axes_px: FloatArray,
+    name: str,
+    full_scale: float,
+    markers: bool = False,
+) -> TargetView:
+    """Return the view of the corners `index` (N, 2) that are expected at start_px (N, 2), squares' sides axes_px.
+
+    The corners are fitted twice: the second time with the curvature of the edges that the first found. A corner counts
+    if it has the colours of its place in the lattice and at least 0.4 of the usual contrast.
+    `markers`: the bright squares hold some, and only a strip along the edges is used, the narrower the softer they are.
+    Raises `TargetNotFound` for a bad exposure, a blur, or where fewer than 6 corners, or all on one line, remain.
+    """
+    area = outline(np.concatenate([start_px + _ROOM * side for side in _diagonals(axes_px)]))
+    check_exposure(image, area, full_scale)
+    noise = picture_noise(_cut(image, area))
+    first = refine_corners(image, start_px, axes_px, noise, full_scale, strip=_STRIP if markers else np.inf)
+    good = first.status == GOOD
+    if good.sum() < _FEWEST:
+        raise TargetNotFound(_few(first.status, good))
+    start = np.where(good[:, None], first.position_px, start_px)
+    bend = lattice_bend(index, first.position_px)
+    side = float(np.median(np.sqrt(np.abs(np.linalg.det(axes_px)))))
+    soft = float(np.nanmedian(first.blur_px)) / side
+    strip = float(np.clip(_CLEAR - 2 * soft, _NARROWEST, _WIDEST)) if markers else np.inf
+    corners = refine_corners(image, start, axes_px, noise, full_scale, bend, strip)
+    check_blur(float(np.nanmedian(corners.blur_px)), side)
+    good = _belongs(index, corners)
+    if good.sum() < _FEWEST or _on_a_line(index[good]):
+        raise TargetNotFound(_few(corners.status, good))
+    return TargetView(
+        name,
+        index[good],
+        corners.position_px[good],
+        corners.covariance_px2[good],
+        0.0,
+        float(np.median(corners.blur_px[good])),
+        np.array(image.shape[::-1]),
+    )
+
+
+def lattice_bend(index: IntArray, position_px: FloatArray) -> FloatArray:
+    """Return the curvature (N, 2), 1/px, of the edges through corners index (N, 2) at position_px (N, 2).
+
+    First the edge along the second lattice direction, then that along the first, positive where it turns towards the
+    other direction's negative side, as `refine_corners` takes it. Second differences of neighbours, smoothed by a
+    polynomial of second degree over the lattice; NaN positions are left out.
+    """
+    low = index.min(axis=0)
+    place = index - low
+    grid = np.full((*(place.max(axis=0) + 1), 2), np.nan)
+    grid[place[:, 0], place[:, 1]] = position_px
+    bend = np.zeros((len(index), 2))
+    for k, lattice in ((0, grid), (1, grid.swapaxes(0, 1))):
+        before, middle, after = lattice[:, :-2], lattice[:, 1:-1], lattice[:, 2:]
+        along = (after - before) / 2
+        length = np.linalg.norm(along, axis=-1)
+        normal = np.stack([along[..., 1], -along[..., 0]], axis=-1) / length[..., None]
+        across = np.nanmean(lattice[1:] - lattice[:-1], axis=(0, 1))
+        normal *= np.sign((normal * across).sum(axis=-1, keepdims=True))
+        turn = -((after + before - 2 * middle) * normal).sum(axis=-1) / length**2
+        at = np.argwhere(np.isfinite(turn))
+        wanted = place if k == 0 else place[:, ::-1]
+        bend[:, k] = _smooth(at + np.array([0, 1]), turn[tuple(at.T)], wanted)
+    return bend
+
+
+def _smooth(at: IntArray, value: FloatArray, wanted: IntArray) -> FloatArray:
+    """Return a polynomial through values (M,) at lattice points (M, 2), evaluated at `wanted` (N, 2)."""
+    if len(value) < 3:
+        return np.zeros(len(wanted))
+    terms = 6 if len(value) >= 18 else 3 if len(value) >= 9 else 1
+    solution = np.linalg.lstsq(_powers(at)[:, :terms], value, rcond=None)[0]
+    return np.asarray(_powers(wanted)[:, :terms] @ solution)
+
+
+def _powers(at: IntArray) -> FloatArray:
+    """Return 1, x, y, x², xy, y² (N, 6) of lattice points."""
+    x, y = at.T / 10.0
+    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
+
+
+def _diagonals(axes_px: FloatArray) -> list[FloatArray]:
+    """Return the ways (N, 2) from each corner across the four squares around it."""
+    return [a * axes_px[:, 0] + b * axes_px[:, 1] for a in (-1, 1) for b in (-1, 1)]
+
+
+def _cut(image: NDArray[Any], area: FloatArray) -> NDArray[Any]:
+    """Return the rectangle of the picture around a polygon."""
+    left, top = np.maximum(np.floor(area.min(axis=0)), 0).astype(int)
+    right, bottom = np.ceil(area.max(axis=0)).astype(int) + 1
+    return image[top:bottom, left:right]
+
+
+def _belongs(index: IntArray, corners: Corners) -> BoolArray:
+    """Return which corners were found with the colours and the contrast that they ought to have."""
+    good = corners.status == GOOD
+    contrast = np.where((index.sum(axis=1) % 2 == 0), 1.0, -1.0) * corners.half_contrast
+    usual = float(np.median(contrast[good]))
+    return np.asarray(good & (contrast / usual > _LEAST_CONTRAST))
+
+
+def _on_a_line(index: IntArray) -> bool:
+    """Return whether lattice points (N, 2) lie on one line."""
+    return bool(np.linalg.matrix_rank(index - index.mean(axis=0)) < 2)
+
+
+def _few(status: IntArray, good: BoolArray) -> str:
+    """Return why too few corners are left."""
+    lost = status[status != GOOD]
+    reason = f", most others are lost: {REASONS[int(np.bincount(lost).argmax())]}" if len(lost) else ""
+    return f"only {int(good.sum())} of {len(status)} corners can be measured{reason}"
+
+
+# A chessboard in a picture: coarse search by OpenCV, which corner is which, sub-pixel positions.
+
+
+_SEARCHED_PX = 1400  # longest side of the picture in which the board is searched first
+
+
+def find_chessboard(image: NDArray[Any], target: Target, name: str, full_scale: float) -> TargetView:
+    """Return the inner corners of a chessboard that lies in the picture (H, W) as a whole.
+
+    Index (i, j): first index to the right, second down, so that the third axis points away from the camera, and the
+    square beyond corner (0, 0) is black. Where two orientations fulfil this (columns and rows both odd or both even)
+    the one whose first axis points to the right of the picture is taken: hold such a board upright in all pictures.
+    A chessboard's mirror image is a chessboard; no single picture tells it.
+    Raises `TargetNotFound` with what is wrong with the picture.
+    """
+    if target.size is None:
+        raise ValueError("target: expected the number of inner corners, found no size")
+    grey = eight_bit(image)
+    corners = _search(grey, target.size)
+    if corners is None:
+        raise TargetNotFound(_reason(image, grey, target.size, full_scale))
+    _refuse_larger(grey, corners)
+    lattice = _oriented(grey, corners)
+    axes = np.stack([np.gradient(lattice, axis=0), np.gradient(lattice, axis=1)], axis=2)
+    index = np.stack(np.meshgrid(*[np.arange(n) for n in lattice.shape[:2]], indexing="ij"), axis=-1)
+    return corner_view(image, index.reshape(-1, 2), lattice.reshape(-1, 2), axes.reshape(-1, 2, 2), name, full_scale)
+
+
+def eight_bit(image: NDArray[Any]) -> NDArray[np.uint8]:
+    """Return the picture with its range of grey values, but for the outer thousandths, spread over 8 bits."""
+    low, high = np.percentile(image[::4, ::4], [0.1, 99.9])
+    spread = (image.astype(np.float32) - low) * (255 / max(high - low, 1e-6))
+    return np.asarray(np.clip(np.rint(spread), 0, 255), dtype=np.uint8)
+
+
+def reduced(grey: NDArray[np.uint8], longest_px: int) -> tuple[NDArray[np.uint8], int]:
+    """Return a picture made smaller by a whole factor to at most `longest_px`, and the factor."""
+    import cv2
+
+    factor = -(-max(grey.shape) // longest_px)
+    if factor == 1:
+        return grey, 1
+    height, width = (n // factor for n in grey.shape)
+    part = grey[: height * factor, : width * factor]
+    return np.asarray(cv2.resize(part, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8), factor
+
+
+def _search(grey: NDArray[np.uint8], size: tuple[int, int]) -> FloatArray | None:
+    """Return the corners (columns, rows, 2) in px that OpenCV finds, first in a smaller picture, None for none."""
+    import cv2
+
+    small, factor = reduced(grey, _SEARCHED_PX)
+    for picture, scale in ((small, factor), (grey, 1)) if factor > 1 else ((grey, 1),):
+        found, corners = cv2.findChessboardCornersSB(picture, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+        if found:
+            position = (np.asarray(corners, dtype=np.float64).reshape(size[1], size[0], 2) + 0.5) * scale - 0.5
+            return position.swapaxes(0, 1)
+    return None
+
+
+def _quadrants(grey: NDArray[np.uint8], corners: FloatArray, axes: FloatArray) -> FloatArray:
+    """Return the grey values (..., 4) of squares −−, ++, +−, −+ around corners (..., 2), NaN outside the picture."""
+    place = np.array([[-1, -1], [1, 1], [1, -1], [-1, 1]]) * 0.3
+    points = corners[..., None, :] + place @ axes
+    column, row = np.rint(points[..., 0]).astype(int), np.rint(points[..., 1]).astype(int)
+    inside = (column >= 0) & (row >= 0) & (column < grey.shape[1]) & (row < grey.shape[0])
+    value = grey[np.clip(row, 0, grey.shape[0] - 1), np.clip(column, 0, grey.shape[1] - 1)]
+    return np.where(inside, value, np.nan)
+
+
+def _saddle(quadrants: FloatArray) -> FloatArray:
+    """Return by how much the darker of one pair of opposite squares is brighter than the brighter of the other."""
+    equal, unequal = quadrants[..., :2], quadrants[..., 2:]
+    return np.asarray(np.maximum(equal.min(-1) - unequal.max(-1), unequal.min(-1) - equal.max(-1)))
+
+
+def _refuse_larger(grey: NDArray[np.uint8], corners: FloatArray) -> None:
+    """Raise `TargetNotFound` where the lattice of corners goes on beyond one of its sides."""
+    axes = np.stack([np.gradient(corners, axis=0), np.gradient(corners, axis=1)], axis=2)
+    usual = float(np.nanmedian(_saddle(_quadrants(grey, corners, axes))))
+    for side in range(4):
+        turned, turned_axes = np.rot90(corners, side), np.rot90(axes, side)
+        beyond = 3 * turned[0] - 3 * turned[1] + turned[2] if len(turned) > 2 else 2 * turned[0] - turned[1]
+        strength = _saddle(_quadrants(grey, beyond, turned_axes[0]))
+        if float(np.median(np.nan_to_num(strength))) > 0.5 * usual:
+            columns, rows = corners.shape[:2]
+            raise TargetNotFound(f"another target: a chessboard of more than {columns} x {rows} inner corners")
+
+
+def _oriented(grey: NDArray[np.uint8], corners: FloatArray) -> FloatArray:
+    """Return the lattice (columns, rows, 2) turned so that it is right-handed and begins at a black square."""
+    columns, rows = corners.shape[:2]
+    along, down = corners[-1, 0] - corners[0, 0], corners[0, -1] - corners[0, 0]
+    if along[0] * down[1] - along[1] * down[0] < 0:
+        corners = corners[::-1]
+    turns = range(4) if columns == rows else (0, 2)
+    candidates = [np.rot90(corners, turn) for turn in turns]
+    black = [lattice for lattice in candidates if _begins_black(grey, lattice)]
+    return max(black or candidates, key=_rightward)
+
+
+def _begins_black(grey: NDArray[np.uint8], lattice: FloatArray) -> bool:
+    """Return whether the square beyond corner (0, 0) and those of its colour are the dark ones."""
+    axes = np.stack([np.gradient(lattice, axis=0), np.gradient(lattice, axis=1)], axis=2)
+    quadrants = _quadrants(grey, lattice, axes)
+    brighter = np.nan_to_num(quadrants[..., :2].sum(-1) - quadrants[..., 2:].sum(-1))
+    parity = np.add.outer(np.arange(lattice.shape[0]), np.arange(lattice.shape[1])) % 2
+    return bool((brighter * np.where(parity == 0, 1, -1)).sum() < 0)
+
+
+def _rightward(lattice: FloatArray) -> float:
+    """Return the cosine between the first lattice direction and the picture's x axis."""
+    along = lattice[-1].mean(axis=0) - lattice[0].mean(axis=0)
+    return float(along[0] / np.linalg.norm(along))
+
+
+def _reason(image: NDArray[Any], grey: NDArray[np.uint8], size: tuple[int, int], full_scale: float) -> str:
+    """Return what is wrong with a picture in which the board was not found."""
+    fault = picture_fault(image, full_scale)
+    if fault is not None:
+        return fault
+    small, _ = reduced(grey, _SEARCHED_PX)
+    wanted = f"{size[0]} x {size[1]}"
+    lattice = _largest(small, size)
+    if lattice is None:
+        return f"no chessboard of {wanted} inner corners"
+    rows, columns = lattice.shape[:2]
+    seen = f"{max(rows, columns)} x {min(rows, columns)}"
+    if _near_edge(lattice, small.shape[1], small.shape[0]):
+        return f"runs over the edge of the picture: {seen} of {wanted} inner corners are seen"
+    return f"another target, or one partly covered: a chessboard of {seen} inner corners, expected {wanted}"
+
+
+def _largest(grey: NDArray[np.uint8], size: tuple[int, int]) -> FloatArray | None:
+    """Return the largest lattice (rows, columns, 2) of corners that OpenCV grows from smaller ones, None for none."""
+    import cv2
+
+    flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE
+    lattices = []
+    for less in (1, 2, 4, max(size)):
+        seed = (max(size[0] - less, 3), max(size[1] - less, 3))
+        found, corners, meta = cv2.findChessboardCornersSBWithMeta(grey, seed, flags=flags)
+        if found:
+            lattices.append(np.asarray(corners, dtype=np.float64).reshape(*np.asarray(meta).shape[:2], 2))
+    return max(lattices, key=lambda lattice: lattice.size, default=None)
+
+
+def _near_edge(lattice: FloatArray, width: int, height: int) -> bool:
+    """Return whether the next corner but one beyond a side of the lattice would lie outside the picture."""
+    sides = [np.rot90(lattice, turn) for turn in range(4)]
+    beyond = np.concatenate([side[0] + 1.5 * (side[0] - side[1]) for side in sides])
+    return bool(((beyond < 0) | (beyond > [width - 1, height - 1])).any())
+
+
+# A ChArUco board in a picture, whole or in part: its markers name the squares, its inner corners are measured.
+
+
+_NEAR = 1.3  # squares between a corner and the nearest marker that was seen
+_FIT_SHARE = 0.7  # of the markers seen that have to be in their places
+
+
+def find_charuco(image: NDArray[Any], target: Target, name: str, full_scale: float) -> TargetView:
+    """Return the inner corners of a ChArUco board in a picture (H, W) that shows at least a part of it.
+
+    `target.size` counts squares; index (i, j), i = 0 … columns − 2, j = 0 … rows − 2, counts inner corners from the
+    one nearest to the board's upper left square, the first index along the rows of markers. The target's origin is
+    that corner, one square inside the printed pattern's. The pattern, new or legacy (OpenCV before 4.6), and a
+    dictionary that is not named are found from the picture; the size of the markers in their squares plays no part.
+    Raises `TargetNotFound` with what is wrong with the picture.
+    """
+    if target.size is None:
+        raise ValueError("target: expected the number of squares, found no size")
+    grey = eight_bit(image)
+    dictionary = target.dictionary or _dictionary(grey, target.size)
+    board = None if dictionary is None else _charuco_search(grey, target.size, dictionary)
+    if board is None or dictionary is None:
+        raise TargetNotFound(_charuco_reason(image, grey, target, dictionary, full_scale))
+    _refuse_another(board, target.size)
+    index, start, axes = _expected(board, target.size)
+    return corner_view(image, index, start, axes, name, full_scale, markers=True)
+
+
+def _dictionary(grey: NDArray[np.uint8], size: tuple[int, int]) -> str | None:
+    """Return the dictionary that fits the board in the picture, None for none."""
+    small, factor = reduced(grey, _SEARCHED_PX)
+    found = find_dictionary(small, size)
+    return found if found is not None or factor == 1 else find_dictionary(grey, size)
+
+
+def _charuco_search(grey: NDArray[np.uint8], size: tuple[int, int], dictionary: str) -> Board | None:
+    """Return the board seen, in a smaller picture or, if some markers are missing there, in the picture itself."""
+    small, factor = reduced(grey, _SEARCHED_PX)
+    board = _enlarged(find_board(find_markers(small, dictionary), size, small.shape), factor)
+    if factor == 1 or (board is not None and len(board.place) == markers_on(size, board.legacy)):
+        return board
+    whole = find_board(find_markers(grey, dictionary), size, grey.shape)
+    both = [found for found in (whole, board) if found is not None]
+    return max(both, key=lambda found: len(found.place), default=None)
+
+
+def _enlarged(board: Board | None, factor: int) -> Board | None:
+    """Return a board found in a picture smaller by `factor` in the pixels of the picture itself."""
+    if board is None:
+        return None
+    small_from_px = np.array([[1, 0, 0.5 - factor / 2], [0, 1, 0.5 - factor / 2], [0, 0, factor]]) / factor
+    centre = (board.centre_px + 0.5) * factor - 0.5
+    return Board(board.place, centre, board.lattice_from_px @ small_from_px, board.legacy, board.seen)
+
+
+def _refuse_another(board: Board, size: tuple[int, int]) -> None:
+    """Raise `TargetNotFound` where many markers are not in the places of this board, or all are seen in a mirror."""
+    wanted = f"{size[0]} x {size[1]} squares"
+    if len(board.place) < _FIT_SHARE * board.seen:
+        fitting = f"{len(board.place)} of {board.seen} markers"
+        raise TargetNotFound(f"another target: only {fitting} are where a ChArUco board of {wanted} has them")
+
+
+def _expected(board: Board, size: tuple[int, int]) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Return index (N, 2), position (N, 2) and squares' sides (N, 2, 2) in px of the corners near the markers seen.
+
+    The homography of the markers' centres and, where there are enough of them, a polynomial in the lattice for what
+    the lens adds to it.
+    """
+    i, j = np.meshgrid(np.arange(size[0] - 1), np.arange(size[1] - 1), indexing="ij")
+    index = np.column_stack([i.ravel(), j.ravel()])
+    corner = index.astype(np.float64)
+    px_from_lattice = np.asarray(np.linalg.inv(board.lattice_from_px), dtype=np.float64)
+    bent = board.centre_px - apply(px_from_lattice, board.place)
+    count = len(board.place)
+    terms = 10 if count >= 20 else 6 if count >= 12 else 3 if count >= 6 else 0
+    solution = np.linalg.lstsq(_charuco_powers(board.place)[:, :terms], bent, rcond=None)[0]
+
+    def expected(place: FloatArray) -> FloatArray:
+        return np.asarray(apply(px_from_lattice, place) + _charuco_powers(place)[:, :terms] @ solution)
+
+    half = 0.5 * np.eye(2)
+    sides = [expected(corner + half[k]) - expected(corner - half[k]) for k in range(2)]
+    distance = np.linalg.norm(index[:, None] - board.place[None], axis=2).min(axis=1)
+    near = distance < _NEAR
+    return index[near], expected(corner)[near], np.stack(sides, axis=1)[near]
+
+
+def _charuco_powers(place: FloatArray) -> FloatArray:
+    """Return the powers (N, 10) of lattice points up to the third degree."""
+    x, y = place.T / 10.0
+    one = np.ones_like(x)
+    return np.stack([one, x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3], axis=1)
+
+
+def _charuco_reason(
+    image: NDArray[Any], grey: NDArray[np.uint8], target: Target, dictionary: str | None, full_scale: float
+) -> str:
+    """Return what is wrong with a picture in which the board was not found."""
+    fault = picture_fault(image, full_scale)
+    if fault is not None:
+        return fault
+    size = target.size or (0, 0)
+    flipped = np.ascontiguousarray(grey[:, ::-1])
+    mirrored = dictionary or _dictionary(flipped, size)
+    if mirrored is not None and _charuco_search(flipped, size, mirrored) is not None:
+        return "mirrored: the markers can be read in the picture's mirror image"
+    seen = 0 if dictionary is None else len(find_markers(grey, dictionary).number)
+    wanted = f"a ChArUco board of {size[0]} x {size[1]} squares"
+    if seen == 0:
+        return f"no markers of {wanted}" + (f" in {target.dictionary}" if target.dictionary else "")
+    return f"another target, or too little of it: {seen} markers are seen, not in the places of {wanted}"

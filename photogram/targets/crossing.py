@@ -1,0 +1,418 @@
+"""Crossings of a chessboard: where they are, and to what part of a pixel."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photogram.arrays import FloatArray, IntArray, check_shape
+from photogram.kernels import njit
+from photogram.subsets.grid import QUANTISATION, NoiseModel
+
+# The kernel that fits the crossing of two edges to the grey values around a corner.
+
+
+PARAMETERS = 10  # centre x, y, angles of both edges' normals, mean, half contrast, relative slope x, y, blur of both
+GOOD, OUTSIDE, SATURATED, NO_CROSSING = 0, 1, 2, 3
+_ROUNDS = 30
+_MOST_PIXELS = 20_000  # of a window
+_CONVERGED_PX = 1e-5
+_SMALLEST_WINDOW_PX = 4.0  # half width
+_SHARPEST_PX = 0.25  # smallest blur σ of the model
+_FARTHEST = 0.35  # of a square's side, that a corner may lie from where it was expected
+
+
+@njit(error_model="numpy")
+def _cholesky(matrix: FloatArray, factor: FloatArray) -> bool:
+    """Fill the lower factor of a symmetric matrix; return whether it is positive definite."""
+    size = matrix.shape[0]
+    for i in range(size):
+        for j in range(i + 1):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= factor[i, k] * factor[j, k]
+            if i == j:
+                if not total > 1e-14 * matrix[i, i]:
+                    return False
+                factor[i, i] = math.sqrt(total)
+            else:
+                factor[i, j] = total / factor[j, j]
+    return True
+
+
+@njit(error_model="numpy")
+def _solve(factor: FloatArray, vector: FloatArray) -> None:
+    """Replace a vector by the solution of factor·factorᵀ·x = vector."""
+    size = vector.size
+    for i in range(size):
+        for k in range(i):
+            vector[i] -= factor[i, k] * vector[k]
+        vector[i] /= factor[i, i]
+    for i in range(size - 1, -1, -1):
+        for k in range(i + 1, size):
+            vector[i] -= factor[k, i] * vector[k]
+        vector[i] /= factor[i, i]
+
+
+@njit(error_model="numpy")
+def _edge(distance: float, sigma: float) -> tuple[float, float]:
+    """Return erf(d/(√2·σ)) and its derivative by d."""
+    scaled = distance / sigma
+    return math.erf(scaled / math.sqrt(2.0)), math.sqrt(2.0 / math.pi) / sigma * math.exp(-0.5 * scaled * scaled)
+
+
+@njit(error_model="numpy")
+def _model(p: FloatArray, bend: FloatArray, x: float, y: float, slope: FloatArray) -> float:
+    """Return the grey value at (x, y) and fill its derivatives (10,) by the parameters.
+
+    (1 + g·r)·(a + b·E(d₁/σ₁)·E(d₂/σ₂)), r from the centre, d_k = n_k·r + bend_k/2·(along the edge)².
+    """
+    rx, ry = x - p[0], y - p[1]
+    cos_1, sin_1, cos_2, sin_2 = math.cos(p[2]), math.sin(p[2]), math.cos(p[3]), math.sin(p[3])
+    along_1, along_2 = cos_1 * ry - sin_1 * rx, cos_2 * ry - sin_2 * rx
+    across_1, across_2 = cos_1 * rx + sin_1 * ry, cos_2 * rx + sin_2 * ry
+    d_1, d_2 = across_1 + 0.5 * bend[0] * along_1 * along_1, across_2 + 0.5 * bend[1] * along_2 * along_2
+    e_1, s_1 = _edge(d_1, p[8])
+    e_2, s_2 = _edge(d_2, p[9])
+    light, pattern = 1.0 + p[6] * rx + p[7] * ry, p[4] + p[5] * e_1 * e_2
+    by_1, by_2 = light * p[5] * s_1 * e_2, light * p[5] * e_1 * s_2
+    slope[0] = -by_1 * cos_1 - by_2 * cos_2 - p[6] * pattern
+    slope[1] = -by_1 * sin_1 - by_2 * sin_2 - p[7] * pattern
+    slope[2], slope[3] = by_1 * along_1, by_2 * along_2
+    slope[4], slope[5] = light, light * e_1 * e_2
+    slope[6], slope[7] = rx * pattern, ry * pattern
+    slope[8], slope[9] = -by_1 * d_1 / p[8], -by_2 * d_2 / p[9]
+    return float(light * pattern)
+
+
+@njit(error_model="numpy")
+def _normal_equations(
+    image: NDArray[np.float32],
+    pixels: NDArray[np.int32],
+    p: FloatArray,
+    bend: FloatArray,
+    weight: FloatArray,
+    matrix: FloatArray,
+    vector: FloatArray,
+) -> float:
+    """Fill the weighted normal equations over the pixels (M, 2); return the weighted sum of squared residuals."""
+    slope = np.empty(PARAMETERS)
+    matrix[:] = 0.0
+    vector[:] = 0.0
+    total = 0.0
+    for k in range(pixels.shape[0]):
+        expected = _model(p, bend, float(pixels[k, 0]), float(pixels[k, 1]), slope)
+        residual = image[pixels[k, 1], pixels[k, 0]] - expected
+        total += weight[k] * residual * residual
+        for i in range(PARAMETERS):
+            vector[i] += weight[k] * slope[i] * residual
+            for j in range(i + 1):
+                matrix[i, j] += weight[k] * slope[i] * slope[j]
+    return total
+
+
+@njit(error_model="numpy")
+def _weigh(
+    pixels: NDArray[np.int32], taper: FloatArray, p: FloatArray, bend: FloatArray, noise: FloatArray, weight: FloatArray
+) -> None:
+    """Fill weights (M,), taper/variance of the noise at the modelled grey values."""
+    slope = np.empty(PARAMETERS)
+    for k in range(pixels.shape[0]):
+        expected = _model(p, bend, float(pixels[k, 0]), float(pixels[k, 1]), slope)
+        weight[k] = taper[k] / max(noise[0] + noise[1] * expected, noise[2])
+
+
+@njit(error_model="numpy")
+def _window(
+    image: NDArray[np.float32],
+    centre: FloatArray,
+    axes: FloatArray,
+    size: FloatArray,
+    pixels: NDArray[np.int32],
+    taper: FloatArray,
+) -> int:
+    """Fill the pixels (M, 2) of a corner's window; return their number, −1 if it runs over the picture's edge.
+
+    Along the lattice's axes the window reaches `size[0]` of a square to either side. In quadrants of the colour
+    `size[2]`, 1 where both axes have the same sign, the weights `taper` (M,) fall to 0 within `size[1]` of a square
+    from the nearer edge, as (1 − x²)²: smoothly, so that what lies beyond moves nothing with the pixels' phase.
+    """
+    determinant = axes[0, 0] * axes[1, 1] - axes[0, 1] * axes[1, 0]
+    half_x = size[0] * (abs(axes[0, 0]) + abs(axes[1, 0]))
+    half_y = size[0] * (abs(axes[0, 1]) + abs(axes[1, 1]))
+    left, right = math.ceil(centre[0] - half_x), math.floor(centre[0] + half_x)
+    top, bottom = math.ceil(centre[1] - half_y), math.floor(centre[1] + half_y)
+    if left < 0 or top < 0 or right >= image.shape[1] or bottom >= image.shape[0]:
+        return -1
+    count = 0
+    for row in range(top, bottom + 1):
+        for column in range(left, right + 1):
+            rx, ry = column - centre[0], row - centre[1]
+            s = (rx * axes[1, 1] - ry * axes[1, 0]) / determinant
+            t = (ry * axes[0, 0] - rx * axes[0, 1]) / determinant
+            far = min(abs(s), abs(t)) / size[1] if s * t * size[2] > 0.0 else 0.0
+            if abs(s) <= size[0] and abs(t) <= size[0] and far < 1.0 and count < pixels.shape[0]:
+                pixels[count, 0], pixels[count, 1] = column, row
+                taper[count] = (1.0 - far * far) ** 2
+                count += 1
+    return count
+
+
+@njit(error_model="numpy")
+def _start(
+    image: NDArray[np.float32], pixels: NDArray[np.int32], centre: FloatArray, axes: FloatArray, p: FloatArray
+) -> None:
+    """Fill start values: edges along the axes, grey levels from the means of equal and unequal quadrants."""
+    sums, counts = np.zeros(2), np.full(2, 1e-9)
+    determinant = axes[0, 0] * axes[1, 1] - axes[0, 1] * axes[1, 0]
+    for k in range(pixels.shape[0]):
+        rx, ry = pixels[k, 0] - centre[0], pixels[k, 1] - centre[1]
+        s, t = rx * axes[1, 1] - ry * axes[1, 0], ry * axes[0, 0] - rx * axes[0, 1]
+        kind = 0 if s * t > 0.0 else 1
+        sums[kind] += image[pixels[k, 1], pixels[k, 0]]
+        counts[kind] += 1.0
+    sign = 1.0 if determinant > 0.0 else -1.0
+    p[0], p[1] = centre[0], centre[1]
+    p[2] = math.atan2(-sign * axes[1, 0], sign * axes[1, 1])
+    p[3] = math.atan2(sign * axes[0, 0], -sign * axes[0, 1])
+    same, other = sums[0] / counts[0], sums[1] / counts[1]
+    p[4], p[5], p[6], p[7] = 0.5 * (same + other), 0.5 * (same - other), 0.0, 0.0
+    p[8], p[9] = 1.0, 1.0
+
+
+@njit(error_model="numpy")
+def _fit(
+    image: NDArray[np.float32],
+    pixels: NDArray[np.int32],
+    bend: FloatArray,
+    weight: FloatArray,
+    p: FloatArray,
+    inverse: FloatArray,
+) -> float:
+    """Improve the parameters by Levenberg's method; return the weighted sum of squares, NaN without convergence.
+
+    Fills inverse (2, 10), the centre's rows of the inverse of the normal matrix.
+    """
+    matrix, factor = np.empty((PARAMETERS, PARAMETERS)), np.zeros((PARAMETERS, PARAMETERS))
+    damped, vector = np.empty_like(matrix), np.empty(PARAMETERS)
+    tried, step = np.empty(PARAMETERS), np.empty(PARAMETERS)
+    cost = _normal_equations(image, pixels, p, bend, weight, matrix, vector)
+    damping, converged = 1e-2, False
+    for _ in range(_ROUNDS):
+        damped[:] = matrix
+        for i in range(PARAMETERS):
+            damped[i, i] *= 1.0 + damping
+        if not _cholesky(damped, factor):
+            return math.nan
+        step[:] = vector
+        _solve(factor, step)
+        tried[:] = p + step
+        tried[8], tried[9] = max(tried[8], _SHARPEST_PX), max(tried[9], _SHARPEST_PX)
+        new_cost = _normal_equations(image, pixels, tried, bend, weight, matrix, vector)
+        converged = damping < 1.0 and abs(step[0]) + abs(step[1]) < _CONVERGED_PX
+        if new_cost <= cost or converged:
+            p[:] = tried
+            cost, damping = new_cost, damping * 0.1
+        else:
+            _normal_equations(image, pixels, p, bend, weight, matrix, vector)
+            damping = max(damping * 10.0, 1e-6)
+        if converged or damping > 1e6:
+            break
+    if not converged or not _cholesky(matrix, factor):
+        return math.nan
+    for i in range(2):
+        inverse[i] = 0.0
+        inverse[i, i] = 1.0
+        _solve(factor, inverse[i])
+    return float(cost)
+
+
+@njit(error_model="numpy")
+def _spread(
+    pixels: NDArray[np.int32],
+    taper: FloatArray,
+    weight: FloatArray,
+    p: FloatArray,
+    bend: FloatArray,
+    inverse: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Fill the covariance xx, xy, yy of the centre: N⁻¹·Jᵀ·W·V·W·J·N⁻¹ with N = Jᵀ·W·J, V = taper/weight."""
+    slope = np.empty(PARAMETERS)
+    out[:] = 0.0
+    for k in range(pixels.shape[0]):
+        _model(p, bend, float(pixels[k, 0]), float(pixels[k, 1]), slope)
+        x, y = 0.0, 0.0
+        for i in range(PARAMETERS):
+            x += inverse[0, i] * slope[i]
+            y += inverse[1, i] * slope[i]
+        share = taper[k] * weight[k]
+        out[0] += share * x * x
+        out[1] += share * x * y
+        out[2] += share * y * y
+
+
+@njit(nogil=True, error_model="numpy")
+def fit_crossings(
+    image: NDArray[np.float32],
+    start: FloatArray,
+    axes: FloatArray,
+    bend: FloatArray,
+    window: FloatArray,
+    noise: FloatArray,
+    saturation: float,
+    fitted: FloatArray,
+) -> None:
+    """Fill fitted (N, 16) for corners expected at start (N, 2).
+
+    fitted: parameters (10), covariance xx xy yy, reduced χ², share of saturated pixels, status.
+    axes (N, 2, 2): a square's two sides in px. bend (N, 2): curvature of both edges, 1/px.
+    window (N, 3): see `_window`. noise (3,): variance of a black pixel, its rise per grey value, its least value.
+    """
+    buffer, weight, taper = np.empty((_MOST_PIXELS, 2), dtype=np.int32), np.empty(_MOST_PIXELS), np.empty(_MOST_PIXELS)
+    inverse, p, size = np.empty((2, PARAMETERS)), np.empty(PARAMETERS), np.empty(3)
+    for n in range(start.shape[0]):
+        out = fitted[n]
+        out[:] = math.nan
+        out[15] = OUTSIDE
+        shorter = math.sqrt(min(axes[n, 0, 0] ** 2 + axes[n, 0, 1] ** 2, axes[n, 1, 0] ** 2 + axes[n, 1, 1] ** 2))
+        size[:] = window[n]
+        count = _window(image, start[n], axes[n], size, buffer, taper)
+        while count < 0 and 0.8 * size[0] * shorter > _SMALLEST_WINDOW_PX:
+            size[0] *= 0.8
+            count = _window(image, start[n], axes[n], size, buffer, taper)
+        if count < 2 * PARAMETERS:
+            continue
+        full = 0
+        for k in range(count):
+            full += image[buffer[k, 1], buffer[k, 0]] >= saturation
+        out[14] = full / count
+        _start(image, buffer[:count], start[n], axes[n], p)
+        _weigh(buffer[:count], taper, p, bend[n], noise, weight)
+        cost = _fit(image, buffer[:count], bend[n], weight, p, inverse)
+        out[15] = NO_CROSSING
+        if not (cost >= 0.0 and math.hypot(p[0] - start[n, 0], p[1] - start[n, 1]) < _FARTHEST * shorter):
+            continue
+        recount = _window(image, p[:2].copy(), axes[n], size, buffer, taper)
+        count = recount if recount > 0 else _window(image, start[n], axes[n], size, buffer, taper)
+        _weigh(buffer[:count], taper, p, bend[n], noise, weight)
+        cost = _fit(image, buffer[:count], bend[n], weight, p, inverse)
+        if not cost >= 0.0:
+            continue
+        _spread(buffer[:count], taper, weight, p, bend[n], inverse, out[10:13])
+        out[:10] = p
+        out[13], out[15] = cost / max(taper[:count].sum() - PARAMETERS, 1.0), GOOD
+
+
+# Sub-pixel positions of chessboard corners, by least squares to the crossing of two blurred edges.
+
+
+REASONS = {
+    GOOD: "found",
+    OUTSIDE: "too close to the picture's edge",
+    SATURATED: "overexposed",
+    NO_CROSSING: "no crossing of two edges",
+}
+_WINDOW = 0.55  # of a square's side, to either side of the corner
+_WIDEST_PX = 14.0  # the same, in px: beyond it edges hardly add what their curvature takes
+_APERTURE = 1.0 / 12.0  # variance of a pixel's width, part of the fitted blur
+_SATURATED = 0.995  # of full scale
+_MOST_SATURATED = 0.02  # share of a window
+_LEAST_SIGNAL = 4.0  # half contrast in standard deviations of the noise
+
+
+@dataclass(frozen=True, eq=False)
+class Corners:
+    """Corners found: position_px (N, 2), covariance_px2 (N, 2, 2), NaN where `status` (N,) is not 0 (see `REASONS`).
+
+    `blur_px` (N,): σ of the edges without the pixels' own width. `half_contrast` (N,): half the difference of the
+    quadrants in grey values, positive where those between axes of equal sign are bright. `misfit` (N,): reduced χ²
+    of the grey values: 1 where the model holds to within the noise.
+    """
+
+    position_px: FloatArray
+    covariance_px2: FloatArray
+    blur_px: FloatArray
+    half_contrast: FloatArray
+    misfit: FloatArray
+    status: IntArray
+
+    def __post_init__(self) -> None:
+        """Refuse shapes that do not belong together."""
+        check_shape("position_px", self.position_px, (None, 2))
+        count = len(self.position_px)
+        check_shape("covariance_px2", self.covariance_px2, (count, 2, 2))
+        for name in ("blur_px", "half_contrast", "misfit", "status"):
+            check_shape(name, getattr(self, name), (count,))
+
+
+def refine_corners(
+    image: NDArray[Any],
+    start_px: FloatArray,
+    axes_px: FloatArray,
+    noise: NoiseModel,
+    full_scale: float,
+    bend_per_px: FloatArray | None = None,
+    strip: float = np.inf,
+) -> Corners:
+    """Return the corners of squares near start_px (N, 2) in a picture (H, W).
+
+    axes_px (N, 2, 2): a square's sides from the corner, in px, along the first and the second lattice direction. The
+    grey values around a corner are fitted by (1 + g·r)·(a + b·erf(d₁/√2σ₁)·erf(d₂/√2σ₂)), d₁ and d₂ the distances from
+    two lines of free direction, weighted by the noise: whatever blurs the picture, the crossing of two straight edges
+    is point-symmetric about the corner but for the light's slope g, so that an imperfect edge profile moves nothing.
+    Edges that the lens bends are not: bend_per_px (N, 2), the curvature of the edges along the second and the first
+    direction, is taken as known (`lattice_bend`). The window ends 0.55 squares or 14 px from the corner; `strip`: in
+    bright squares only pixels within so many squares of an edge count, the less the farther (ChArUco: the markers lie
+    beyond).
+
+    The covariance is that of the weighted fit for the given noise, the other parameters unknown.
+    """
+    check_shape("start_px", start_px, (None, 2))
+    count = len(start_px)
+    check_shape("axes_px", axes_px, (count, 2, 2))
+    bend = np.zeros((count, 2)) if bend_per_px is None else bend_per_px
+    check_shape("bend_per_px", bend, (count, 2))
+    grey = np.ascontiguousarray(image, dtype=np.float32)
+    side = np.linalg.norm(axes_px, axis=2).max(axis=1)
+    window = np.zeros((count, 3))
+    window[:, 0] = np.minimum(_WINDOW, _WIDEST_PX / side)
+    window[:, 1] = strip
+    window[:, 2] = _bright_quadrants(grey, start_px, axes_px) if np.isfinite(strip) else 0.0
+    variance = np.array([noise.read_variance_grey2, noise.variance_per_grey, QUANTISATION])
+    fitted = np.empty((count, 16))
+    fit_crossings(grey, start_px, axes_px, bend, window, variance, _SATURATED * full_scale, fitted)
+    return _corners(fitted, noise)
+
+
+def _bright_quadrants(grey: NDArray[np.float32], start_px: FloatArray, axes_px: FloatArray) -> FloatArray:
+    """Return +1 (N,) where the quadrants between axes of equal sign are the brighter ones near the corner, else −1."""
+    from scipy.ndimage import map_coordinates
+
+    place = np.array([[1, 1], [-1, -1], [1, -1], [-1, 1]]) * 0.08
+    points = start_px[:, None, :] + place @ axes_px
+    values = map_coordinates(grey, points.reshape(-1, 2).T[::-1], order=1, mode="nearest").reshape(-1, 4)
+    return np.where(values[:, :2].sum(axis=1) > values[:, 2:].sum(axis=1), 1.0, -1.0)
+
+
+def _corners(fitted: FloatArray, noise: NoiseModel) -> Corners:
+    """Return the fits as `Corners`, failed ones as NaN."""
+    status = fitted[:, 15].astype(np.int64)
+    status[(status != OUTSIDE) & (fitted[:, 14] > _MOST_SATURATED)] = SATURATED
+    sigma = np.sqrt(noise.variance(fitted[:, 4]))
+    status[(status == GOOD) & ~(np.abs(fitted[:, 5]) > _LEAST_SIGNAL * sigma)] = NO_CROSSING
+    good = status == GOOD
+    blur = np.sqrt(np.maximum(0.5 * (fitted[:, 8] ** 2 + fitted[:, 9] ** 2) - _APERTURE, 0.0))
+    covariance = fitted[:, [10, 11, 11, 12]].reshape(-1, 2, 2)
+    return Corners(
+        np.where(good[:, None], fitted[:, :2], np.nan),
+        np.where(good[:, None, None], covariance, np.nan),
+        np.where(good, blur, np.nan),
+        np.where(good, fitted[:, 5], np.nan),
+        np.where(good, fitted[:, 13], np.nan),
+        status,
+    )

@@ -1,0 +1,180 @@
+"""A target seen in a picture: image points with covariance, and the picture they come from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photogram.arrays import BoolArray, FloatArray, IntArray, check_shape
+from photogram.subsets.grid import NoiseModel, fit_noise_model
+
+# A calibration target, and what one picture shows of it.
+
+
+TargetKind = Literal["chessboard", "charuco", "dots", "asymmetric-dots"]
+
+
+@dataclass(frozen=True)
+class Target:
+    """A flat target whose points lie on a square lattice.
+
+    `spacing_m`: distance of neighbouring lattice points. Chessboard and ChArUco: the side of a square; dots: centre to
+    centre; asymmetric dots: distance of neighbouring rows, half that of dots in a row.
+    `size`: columns and rows; of a chessboard its inner corners, of a ChArUco board its squares, of dots the dots
+    (asymmetric: dots in a row, rows). None only for dots with three ring markers, which name their neighbours.
+    `dictionary`: name of the ArUco dictionary, None to find it.
+    """
+
+    kind: TargetKind
+    spacing_m: float
+    size: tuple[int, int] | None = None
+    dictionary: str | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a target without extent."""
+        if not self.spacing_m > 0:
+            raise ValueError(f"spacing_m: expected a length above 0, found {self.spacing_m}")
+        if self.size is None and self.kind != "dots":
+            raise ValueError(f"size: expected columns and rows of the {self.kind} target, found none")
+        if self.size is not None and min(self.size) < 2:
+            raise ValueError(f"size: expected at least 2 columns and rows, found {self.size[0]} x {self.size[1]}")
+
+
+@dataclass(frozen=True, eq=False)
+class TargetView:
+    """The points of a target in one picture.
+
+    `name`: of the picture. `index` (N, 2): column and row of each point in the target's lattice, each pair once, so
+    that it lies at spacing·(column, row, 0) in the target's frame. `position_px` (N, 2): sub-pixel positions: for
+    corners the crossing itself, for dots the centre of the ellipse that is seen (`radius` > 0), which perspective moves
+    off the image of the dot's centre. `covariance_px2` (N, 2, 2): from the picture's noise. `radius`: of the dots in
+    units of the lattice spacing, 0 for corners. `blur_px`: σ of the edges' blur, median over the points. `size_px`
+    (2,): width and height of the picture.
+    """
+
+    name: str
+    index: IntArray
+    position_px: FloatArray
+    covariance_px2: FloatArray
+    radius: float
+    blur_px: float
+    size_px: IntArray
+
+    def __post_init__(self) -> None:
+        """Refuse shapes that do not belong together and points named twice."""
+        check_shape("index", self.index, (None, 2))
+        check_shape("position_px", self.position_px, (len(self.index), 2))
+        check_shape("covariance_px2", self.covariance_px2, (len(self.index), 2, 2))
+        check_shape("size_px", self.size_px, (2,))
+        if len(np.unique(self.index, axis=0)) < len(self.index):
+            raise ValueError("index: expected each point once, found one twice")
+
+
+class TargetNotFound(ValueError):
+    """No target, or none that may be used, in a picture; the text says what is wrong with the picture."""
+
+
+# Whether a picture of a target is good enough to measure in: exposure, contrast, blur, and its noise.
+
+
+_SATURATED = 0.995  # of full scale: what counts as saturated
+_MOST_SATURATED = 0.1  # share of the target's pixels that may be saturated
+_LEAST_CONTRAST = 0.02  # between bright and dark, of full scale
+_LEAST_SIGNAL = 8.0  # the same, in standard deviations of the noise
+_BLUR_PX, _BLUR_CELL = 2.6, 0.12  # blur σ that always passes, in px, and in units of the target's cells
+_FLAT = 0.02  # gradient per px, of the picture's contrast, below which a pixel counts as flat
+
+
+def check_exposure(image: NDArray[Any], area: NDArray[Any], full_scale: float) -> None:
+    """Raise `TargetNotFound` for a target too bright or without contrast; `area`: polygon (P, 2) px or mask (H, W).
+
+    Overexposed: more than a tenth of its pixels reach full scale. Underexposed: the range between the 5th and the
+    95th percentile is below 2 % of full scale.
+    """
+    grey = image[_mask(image, area)]
+    if grey.size == 0:
+        raise ValueError("area: expected a part of the picture, found none of its pixels")
+    saturated = float((grey >= _SATURATED * full_scale).mean())
+    if saturated > _MOST_SATURATED:
+        raise TargetNotFound(f"overexposed: {100 * saturated:.0f} % of the target's pixels reach full scale")
+    low, high = np.percentile(grey, [5, 95])
+    if high - low < _LEAST_CONTRAST * full_scale:
+        share = 100 * (high - low) / full_scale
+        raise TargetNotFound(f"underexposed: bright and dark differ by {share:.1f} % of full scale")
+
+
+def check_blur(blur_px: float, cell_px: float) -> None:
+    """Raise `TargetNotFound` for edges blurred by σ = `blur_px` beyond both 2.6 px and 0.12 of a cell `cell_px`.
+
+    A cell is a square's side, or the dots' distance.
+    """
+    if not blur_px <= max(_BLUR_PX, _BLUR_CELL * cell_px):
+        raise TargetNotFound(f"blurred: edges are soft by σ = {blur_px:.1f} px where cells measure {cell_px:.0f} px")
+
+
+def picture_fault(image: NDArray[Any], full_scale: float) -> str | None:
+    """Return what is wrong with a picture as a whole, as the beginning of a sentence, None for nothing obvious.
+
+    For pictures in which no target was found: too bright, without contrast, or nowhere a sharp edge: the steepest
+    gradient (99.9th percentile, at a scale of 1 px) against the range of grey levels gives the edges' σ.
+    """
+    from scipy.ndimage import gaussian_gradient_magnitude
+
+    saturated = float((image >= _SATURATED * full_scale).mean())
+    if saturated > 0.5:
+        return f"overexposed: {100 * saturated:.0f} % of the picture's pixels reach full scale"
+    low, high = np.percentile(image, [1, 99])
+    if high - low < _LEAST_CONTRAST * full_scale:
+        return f"underexposed: bright and dark differ by {100 * (high - low) / full_scale:.1f} % of full scale"
+    steepest = float(np.percentile(gaussian_gradient_magnitude(image.astype(np.float32), 1.0), 99.9))
+    sigma = float(high - low) / (np.sqrt(2 * np.pi) * max(steepest, 1e-9))
+    if sigma > 1.5 * _BLUR_PX:
+        return f"blurred: no edge is sharper than σ = {sigma:.1f} px"
+    return None
+
+
+def picture_noise(image: NDArray[Any]) -> NoiseModel:
+    """Return the noise against brightness (grey²) of a picture (H, W) with flat areas, such as a target's.
+
+    Squares of the difference operator [1 −2 1]ᵀ·[1 −2 1]/6, which sees no linear change of brightness and has the
+    noise's own variance (Immerkær 1996, Computer Vision and Image Understanding 64, 300), at pixels where the gradient
+    at a scale of 2 px is small.
+    """
+    import cv2
+
+    check_shape("image", image, (None, None))
+    grey = image.astype(np.float32)
+    step = np.array([1.0, -2.0, 1.0], dtype=np.float32)
+    fine = cv2.sepFilter2D(grey, cv2.CV_32F, step, step / 6)
+    smooth = cv2.GaussianBlur(grey, (0, 0), 2.0)
+    slope = np.hypot(cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=0.125), cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=0.125))
+    low, high = np.percentile(smooth[::4, ::4], [2, 98])
+    flat = slope < _FLAT * (high - low)
+    flat[[0, -1]], flat[:, [0, -1]] = False, False
+    if flat.sum() < 1000:
+        flat = np.ones_like(flat)
+    stride = max(1, int(flat.sum()) // 100_000)
+    return fit_noise_model(smooth[flat][::stride].astype(np.float64), fine[flat][::stride].astype(np.float64) ** 2)
+
+
+def _mask(image: NDArray[Any], area: NDArray[Any]) -> BoolArray:
+    """Return the pixels (H, W) of a polygon (P, 2), or of a mask as it is."""
+    if area.dtype == np.bool_:
+        check_shape("area", area, image.shape)
+        return area
+    import cv2
+
+    check_shape("area", area, (None, 2))
+    filled = np.zeros(image.shape, dtype=np.uint8)
+    cv2.fillPoly(filled, [np.rint(area).astype(np.int32)], 1)
+    return np.asarray(filled > 0)
+
+
+def outline(position_px: FloatArray) -> FloatArray:
+    """Return the convex hull (P, 2) of points (N, 2): the area that a target's points enclose."""
+    import cv2
+
+    return np.asarray(cv2.convexHull(position_px.astype(np.float32)), dtype=np.float64).reshape(-1, 2)

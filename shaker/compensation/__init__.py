@@ -1,0 +1,1 @@
+"""Filters that give a sensor other dynamics, and what they do."""

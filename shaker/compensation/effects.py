@@ -1,0 +1,331 @@
+"""What a compensation filter does: bandwidth, noise, mismatch, uncertainty."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from shaker.arrays import ComplexArray, FloatArray, check_shape
+from shaker.compensation.filter import (
+    Compensation,
+    CompensationFilter,
+    Discretisation,
+    Sections,
+    SensorDynamics,
+    Target,
+    best_damping,
+    cancelled_poles,
+    low_pass_poles,
+    mode_poles,
+    parameter_sections,
+    sampled,
+    target_poles,
+)
+from shaker.lti.system import LinearSystem
+
+# The target that keeps a whole sensor within a permitted error up to a wanted frequency.
+
+
+KEPT_SHARE = 0.1
+"""Share of the permitted error that is left to the uncertainty of the model."""
+HIGHEST_FACTOR = 32.0
+RESOLUTION = 1e-10
+REACH, FINE = 4.0, 2001
+POINTS = 257
+
+
+def target_for_bandwidth(
+    sensor: SensorDynamics,
+    bandwidth_hz: float,
+    permitted_error: float = 0.1,
+    real_hz: float | None = None,
+    low_pass_hz: float | None = None,
+) -> Target:
+    """Return the target of lowest natural frequency with which the whole sensor stays within 1 ± δ up to a frequency.
+
+    All its poles and zeros count, also those that stay. A tenth of δ is left to the uncertainty of the model.
+    The lowest natural frequency passes the least noise.
+    """
+    from scipy.optimize import minimize_scalar
+
+    if not bandwidth_hz > 0:
+        raise ValueError(f"bandwidth_hz: expected a positive number, found {bandwidth_hz}")
+    if not len(sensor.frequency_hz):
+        raise ValueError("frequency_hz: expected a mode to compensate for a bandwidth, found real poles only")
+    start = best_damping((1.0 - KEPT_SHARE) * permitted_error)
+
+    wanted = Target(bandwidth_hz, start, real_hz, low_pass_hz)
+
+    def lowest(damping: float) -> float:
+        return _lowest_frequency(sensor, bandwidth_hz, permitted_error, replace(wanted, damping_ratio=float(damping)))
+
+    dampings = start + np.linspace(-0.25, 0.4, 27)
+    tried = np.array([lowest(damping) for damping in dampings])
+    if not np.any(np.isfinite(tried)):
+        raise ValueError(
+            f"bandwidth_hz: expected one that the poles which are not compensated leave within ±{permitted_error:.2g}"
+            f" of the static gain, found {bandwidth_hz:g}; compensate more modes or the real poles, "
+            "or raise the low-pass"
+        )
+    near = dampings[int(np.argmin(tried))]
+    found = minimize_scalar(lowest, bounds=(near - 0.025, near + 0.025), method="bounded", options={"xatol": 1e-7})
+    damping = float(found.x) if found.fun <= np.min(tried) else float(near)
+    return replace(wanted, frequency_hz=lowest(damping), damping_ratio=damping)
+
+
+def target_for_frequency(
+    sensor: SensorDynamics,
+    frequency_hz: float,
+    permitted_error: float = 0.1,
+    real_hz: float | None = None,
+    low_pass_hz: float | None = None,
+) -> Target:
+    """Return the target of a natural frequency whose damping ratio gives the whole sensor the widest band of 1 ± δ.
+
+    A tenth of δ is left to the uncertainty of the model. For one mode that is `best_damping` of what is left.
+    """
+    start = best_damping((1.0 - KEPT_SHARE) * permitted_error)
+    wanted = Target(frequency_hz, start, real_hz, low_pass_hz)
+    if not len(sensor.frequency_hz):
+        return wanted
+    gain = _gains(sensor, np.linspace(0.0, REACH * frequency_hz, FINE))
+    allowed = (1.0 - KEPT_SHARE) * permitted_error
+
+    def reached(damping: float) -> int:
+        outside = np.abs(gain(replace(wanted, damping_ratio=damping)) - 1.0) > allowed
+        return int(np.argmax(np.append(outside, True)))
+
+    dampings = np.concatenate([[start], start + np.arange(-250, 401) * 1e-3])
+    best = int(np.argmax([reached(float(one)) for one in dampings]))
+    return replace(wanted, damping_ratio=float(dampings[best]))
+
+
+def _lowest_frequency(sensor: SensorDynamics, bandwidth_hz: float, permitted_error: float, wanted: Target) -> float:
+    """Lowest natural frequency with which the band is kept, infinite where none does."""
+    gain = _gains(sensor, np.linspace(0.0, bandwidth_hz, POINTS))
+    allowed = (1.0 - KEPT_SHARE) * permitted_error
+
+    def kept(frequency: float) -> bool:
+        return bool(np.max(np.abs(gain(replace(wanted, frequency_hz=frequency)) - 1.0)) <= allowed)
+
+    low, high = bandwidth_hz / HIGHEST_FACTOR, bandwidth_hz * HIGHEST_FACTOR
+    if not kept(high):
+        return float("inf")
+    while high / low > 1.0 + RESOLUTION:
+        middle = float(np.sqrt(low * high))
+        low, high = (low, middle) if kept(middle) else (middle, high)
+    return high
+
+
+def _gains(sensor: SensorDynamics, frequency_hz: FloatArray) -> Callable[[Target], FloatArray]:
+    """The gain over the static one (K,) of the compensated sensor at frequencies (K,), as a function of the target."""
+    s: ComplexArray = np.asarray(2j * np.pi * frequency_hz, dtype=np.complex128)
+    rest = np.abs(sensor.system.at(s) / sensor.static_gain * _denominator(s, cancelled_poles(sensor)))
+
+    def gain(target: Target) -> FloatArray:
+        poles = [*target_poles(sensor, target), *low_pass_poles(target)]
+        return np.asarray(rest / np.abs(_denominator(s, poles)))
+
+    return gain
+
+
+def _denominator(s: ComplexArray, poles: list[ComplexArray]) -> ComplexArray:
+    """Π(1 - s/p) (K,) over all poles p."""
+    return np.asarray(np.prod(1.0 - s[:, None] / np.concatenate(poles), axis=1))
+
+
+# What a compensation filter makes of the sensor's noise.
+
+
+@dataclass(frozen=True)
+class FilteredNoise:
+    """Noise after a filter: `density` (K,) in output unit/√Hz at `frequency_hz` (K,), and `std` over that range."""
+
+    frequency_hz: FloatArray
+    density: FloatArray
+    std: float
+
+
+def white_noise_gain(sections: Sections) -> float:
+    """Return standard deviation out over in of white noise of the sampling: √Σh², h the impulse response.
+
+    By the covariance P = APAᵀ + BBᵀ of the state, Σh² = CPCᵀ + D².
+    """
+    from scipy.linalg import solve_discrete_lyapunov
+
+    a, b, c, d = state_space(sections)
+    spread = solve_discrete_lyapunov(a, np.outer(b, b), method="direct")
+    return float(np.sqrt(c @ spread @ c + d**2))
+
+
+def filtered_noise(sections: Sections, frequency_hz: FloatArray, density: FloatArray) -> FilteredNoise:
+    """Return what a measured noise density (K,), in unit/√Hz at rising frequencies (K,), becomes; std by trapezoids."""
+    check_shape("density", density, frequency_hz.shape)
+    if len(frequency_hz) < 2 or np.any(np.diff(frequency_hz) <= 0) or np.any(density < 0):
+        raise ValueError("frequency_hz, density: expected rising frequencies and densities of at least 0, found others")
+    after = np.abs(sections.response(frequency_hz)) * density
+    return FilteredNoise(frequency_hz, after, float(np.sqrt(np.trapezoid(after**2, frequency_hz))))
+
+
+def state_space(sections: Sections) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+    """Return A (2S, 2S), B, C (2S,), D of the sections in a row, x[n+1] = A x[n] + B u[n], y = C x + D u.
+
+    The states are those of the second transposed direct form, section after section, as the streaming filter has them.
+    """
+    size = 2 * len(sections.sos)
+    a, b, c, d = np.zeros((size, size)), np.zeros(size), np.zeros(size), 1.0
+    for place, (b0, b1, b2, _, a1, a2) in enumerate(sections.sos):
+        own = slice(2 * place, 2 * place + 2)
+        through = np.array([b1 - a1 * b0, b2 - a2 * b0])
+        a[own] += np.outer(through, c)
+        a[own, own] += np.array([[-a1, 1.0], [-a2, 0.0]])
+        b[own] = through * d
+        c, d = b0 * c, b0 * d
+        c[2 * place] += 1.0
+    return a, b, sections.gain * c, float(sections.gain * d)
+
+
+# What is left where a filter meets another sensor than it was made for: another load, or a model that is off.
+
+
+PERIODS = 6
+PER_PERIOD = 256
+
+
+def met(compensation: Compensation, sensor: LinearSystem) -> LinearSystem:
+    """Return the filter behind another sensor, all poles and zeros kept."""
+    return sensor.times(compensation.system)
+
+
+def moved(sensor: SensorDynamics, vector: FloatArray) -> LinearSystem:
+    """Return the whole sensor with other values of `SensorDynamics.vector`; its other poles and zeros stay."""
+    modes, reals = len(sensor.frequency_hz), len(sensor.real_hz)
+    f, zeta, real, gain = np.split(np.asarray(vector, dtype=np.float64), np.cumsum([modes, modes, reals]))
+    poles = [pole for one, damping in zip(f, zeta, strict=True) for pole in mode_poles(one, damping)]
+    left = list(sensor.system.poles)
+    for pole in np.concatenate(cancelled_poles(sensor)):
+        left.pop(int(np.argmin(np.abs(np.array(left) - pole))))
+    found = LinearSystem(sensor.system.zeros, np.array([*left, *poles, *(-2 * np.pi * real)]), 1.0)
+    return replace(found, gain=float(gain[0]) / found.static_gain)
+
+
+def with_frequency(sensor: SensorDynamics, factor: float) -> LinearSystem:
+    """Return the whole sensor with the frequencies of the cancelled modes times a factor, as another load makes it."""
+    vector = sensor.vector.copy()
+    vector[: len(sensor.frequency_hz)] *= factor
+    return moved(sensor, vector)
+
+
+def residual_ringing(compensation: Compensation, sensor: LinearSystem, after_s: float) -> float:
+    """Return the largest |y/y(∞) - 1| after a step from `after_s` on, over some periods of the slowest oscillation.
+
+    y is the response of `sensor` with the filter behind it. The sensor that the filter was made for leaves the target's
+    own decay; another one rings at its own frequency.
+    """
+    if not after_s >= 0:
+        raise ValueError(f"after_s: expected 0 or more, found {after_s}")
+    whole = met(compensation, sensor)
+    swinging = np.abs(whole.poles.imag[whole.poles.imag > 0])
+    if not len(swinging):
+        return float(np.abs(whole.step(np.array([after_s]))[0] / whole.static_gain - 1.0))
+    span = PERIODS * 2 * np.pi / np.min(swinging)
+    count = int(min(1 << 15, PERIODS * PER_PERIOD * np.max(swinging) / np.min(swinging)))
+    time = after_s + np.linspace(0.0, span, count)
+    return float(np.max(np.abs(whole.step(time) / whole.static_gain - 1.0)))
+
+
+def ringing_amplitude(compensation: Compensation, sensor: LinearSystem) -> FloatArray:
+    """Return the amplitude after a step of every oscillating pole of the sensor (M,), over the final value."""
+    whole = met(compensation, sensor)
+    upper = sensor.poles[sensor.poles.imag > 0]
+    places = [int(np.argmin(np.abs(whole.poles - pole))) for pole in upper]
+    terms, _ = whole.step_terms()
+    return np.asarray(2.0 * np.abs(terms[places]) / abs(whole.static_gain))
+
+
+# How well a compensated signal is known: by frequency and sample by sample.
+
+
+@dataclass(frozen=True)
+class GainBand:
+    """Standard uncertainties over `frequency_hz` (K,) of a compensated sensor: `u_gain` relative, `u_phase_rad`."""
+
+    frequency_hz: FloatArray
+    u_gain: FloatArray
+    u_phase_rad: FloatArray
+
+
+@dataclass(frozen=True)
+class CompensatedSignal:
+    """Compensated samples `value` (C, N) with standard uncertainty `u` (C, N).
+
+    `u_model` (C, N): what the sensor's model contributes, 0 where its covariance is not known; `u_noise`: the noise
+    after the filter, the same for all samples.
+    """
+
+    value: FloatArray
+    u_model: FloatArray
+    u_noise: float
+
+    def __post_init__(self) -> None:
+        check_shape("u_model", self.u_model, self.value.shape)
+
+    @property
+    def u(self) -> FloatArray:
+        """Standard uncertainty (C, N): both together."""
+        return np.asarray(np.hypot(self.u_model, self.u_noise))
+
+
+def gain_band(compensation: Compensation, frequency_hz: FloatArray) -> GainBand:
+    """Return u of the compensated sensor by the model's covariance V, to first order: δT/T = Σ (∂ ln G_c/∂θ) δθ.
+
+    First order holds while u of a cancelled frequency is small against half the width ζ·fn of its resonance.
+    """
+    covariance = compensation.sensor.covariance
+    if covariance is None:
+        raise ValueError("sensor: expected a model with covariance, found none")
+    slopes = compensation.sensitivities(frequency_hz)
+    spreads = (np.sqrt(np.einsum("kp,pq,kq->k", part, covariance, part)) for part in (slopes.real, slopes.imag))
+    return GainBand(np.asarray(frequency_hz), *spreads)
+
+
+class CompensationWithUncertainty:
+    """A `CompensationFilter` that also runs the filters of ∂y/∂θ along, so that every sample has its uncertainty.
+
+    u² = gᵀVg + (noise·√Σh²)², g (P,) the derivatives at the sample, V the covariance of the sensor's parameters,
+    `noise` the standard deviation of the input, white at the sampling rate. What the parameters contribute is common to
+    all samples, what noise contributes is not.
+    """
+
+    def __init__(
+        self,
+        compensation: Compensation,
+        sample_rate_hz: float,
+        method: Discretisation = "matched",
+        *,
+        channels: int = 1,
+        level: FloatArray | float | None = 0.0,
+        noise: float = 0.0,
+    ) -> None:
+        sections = sampled(compensation, sample_rate_hz, method)
+        covariance = compensation.sensor.covariance
+        size = len(compensation.sensor.vector)
+        self._covariance = np.zeros((size, size)) if covariance is None else covariance
+        known = np.any(self._covariance != 0.0, axis=0)
+        self._known = np.flatnonzero(known)
+        self._filter = CompensationFilter(sections, channels, level)
+        every = parameter_sections(compensation, sample_rate_hz, method)
+        self._slopes = [CompensationFilter(every[place], channels, level) for place in self._known]
+        self._noise = noise * white_noise_gain(sections)
+
+    def __call__(self, block: FloatArray) -> CompensatedSignal:
+        """Return the compensated block (C, N) with its uncertainty."""
+        value = self._filter(block)
+        if not self._slopes:
+            return CompensatedSignal(value, np.zeros_like(value), self._noise)
+        slopes = np.stack([run(block) for run in self._slopes])
+        known = self._covariance[np.ix_(self._known, self._known)]
+        variance = np.einsum("pcn,pq,qcn->cn", slopes, known, slopes)
+        return CompensatedSignal(value, np.sqrt(np.maximum(variance, 0.0)), self._noise)

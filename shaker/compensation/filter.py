@@ -1,0 +1,547 @@
+"""Filters that give a sensor other dynamics, scheduled on its load, sample by sample."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from shaker.arrays import ComplexArray, FloatArray, IntArray, check_shape
+from shaker.lti.indices import step_shares
+from shaker.lti.modal import ModalModel
+from shaker.lti.system import LinearSystem
+from shaker.release.load_model import LoadModel
+
+# What a compensation filter takes out of a sensor: modes, real poles and static gain, with covariance.
+
+
+RELATIVE_STEP = 1e-5
+"""Of the load mass, to either side, for the derivative by it."""
+
+
+@dataclass(frozen=True)
+class SensorDynamics:
+    """The poles of a sensor that a filter cancels, and the whole sensor `system`, output unit per load unit.
+
+    Modes `frequency_hz` (M,), rising, with `damping_ratio` (M,) and real poles at -2π·`real_hz` (Q,); `static_gain` =
+    H(0). `covariance` (P, P), P = 2M + Q + 1, of `vector` = [frequency_hz, damping_ratio, real_hz, static_gain]; None
+    where it is not known.
+    """
+
+    frequency_hz: FloatArray
+    damping_ratio: FloatArray
+    real_hz: FloatArray
+    static_gain: float
+    system: LinearSystem
+    covariance: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        modes, reals = len(self.frequency_hz), len(self.real_hz)
+        check_shape("damping_ratio", self.damping_ratio, (modes,))
+        if modes + reals == 0:
+            raise ValueError("frequency_hz: expected a mode or a real pole to compensate, found none")
+        for name in ("frequency_hz", "real_hz"):
+            if not np.all(getattr(self, name) > 0):
+                raise ValueError(f"{name}: expected positive numbers, found {getattr(self, name).tolist()}")
+        if np.any(self.damping_ratio < 0) or np.any(self.damping_ratio >= 1):
+            told = self.damping_ratio.tolist()
+            raise ValueError(f"damping_ratio: expected 0 or more and below 1 of a stable sensor, found {told}")
+        if not np.isfinite(self.static_gain) or self.static_gain == 0:
+            raise ValueError(f"static_gain: expected a number other than 0, found {self.static_gain}")
+        if self.covariance is not None:
+            check_shape("covariance", self.covariance, (2 * modes + reals + 1,) * 2)
+
+    @property
+    def vector(self) -> FloatArray:
+        """All parameters (P,) in the order of `covariance`."""
+        return np.concatenate([self.frequency_hz, self.damping_ratio, self.real_hz, [self.static_gain]])
+
+    @property
+    def u(self) -> FloatArray:
+        """Standard uncertainties (P,) of `vector`, NaN where they are not known."""
+        if self.covariance is None:
+            return np.full(len(self.vector), np.nan)
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+
+def single_mode(
+    frequency_hz: float,
+    damping_ratio: float,
+    *,
+    static_gain: float = 1.0,
+    u_frequency_hz: float | None = None,
+    u_damping_ratio: float | None = None,
+) -> SensorDynamics:
+    """Return the dynamics of G = gain·ω²/(s² + 2ζωs + ω²); u are independent, one that is not given counts as 0."""
+    omega = 2 * np.pi * frequency_hz
+    system = LinearSystem.from_coefficients(
+        np.array([static_gain * omega**2]), np.array([1.0, 2 * damping_ratio * omega, omega**2])
+    )
+    known = u_frequency_hz is not None or u_damping_ratio is not None
+    covariance = np.diag([u_frequency_hz or 0.0, u_damping_ratio or 0.0, 0.0]) ** 2 if known else None
+    frequency, damping = np.array([float(frequency_hz)]), np.array([float(damping_ratio)])
+    return SensorDynamics(frequency, damping, np.zeros(0), static_gain, system, covariance)
+
+
+def modal_dynamics(model: ModalModel, *, modes: int = 1, real_poles: bool = False) -> SensorDynamics:
+    """Return the `modes` modes with the largest share in the step response, and all real poles if wanted.
+
+    The covariance is that of the model, static gain and poles together.
+    """
+    count = len(model.frequency_hz)
+    if not 0 <= modes <= count:
+        raise ValueError(f"modes: expected 0 to {count}, as many as the model has, found {modes}")
+    share = np.abs(model.residue / model.poles[:count])
+    chosen = np.argsort(-share, kind="stable")[:modes]
+    chosen = chosen[np.argsort(model.frequency_hz[chosen])]
+
+    def vector(one: ModalModel) -> FloatArray:
+        reals = one.real_hz if real_poles else np.zeros(0)
+        return np.concatenate([one.frequency_hz[chosen], one.damping_ratio[chosen], reals, [one.static_gain]])
+
+    value, covariance = (vector(model), None) if model.covariance is None else model.propagate(vector)
+    f, zeta, real, gain = np.split(value, np.cumsum([modes, modes, len(value) - 2 * modes - 1]))
+    return SensorDynamics(f, zeta, real, float(gain[0]), model.system, covariance)
+
+
+def loaded_dynamics(model: LoadModel, load_mass: float, *, modes: int = 1, u_load_mass: float = 0.0) -> SensorDynamics:
+    """Return the dynamics of a sensor with a load mass in kg: the modes with the largest share in the step response.
+
+    The covariance holds that of stiffnesses, dampings and moving mass, and the uncertainties of static sensitivity and
+    load mass, of a load that is there. A load without mass leaves one mode, also where more are wanted.
+    """
+    system = model.system(load_mass)
+    upper = int(np.sum(system.poles.imag > 0))
+    if not upper:
+        raise ValueError(f"load_mass: expected a load that lets the sensor oscillate, found {load_mass} kg")
+    chosen = dominant(system, min(modes, upper))
+    value, covariance = _read(system, chosen), None
+    if model.total_covariance is not None:
+        covariance = model.propagate(lambda one: _read(one.system(load_mass), chosen))[1]
+        covariance[-1, -1] += model.u_sensitivity**2
+        if u_load_mass and load_mass:
+            ends = (_read(model.system(load_mass * (1.0 + by)), chosen) for by in (RELATIVE_STEP, -RELATIVE_STEP))
+            slope = np.subtract(*ends) / (2.0 * RELATIVE_STEP * load_mass)
+            covariance = covariance + u_load_mass**2 * np.outer(slope, slope)
+    f, zeta, gain = np.split(value, [len(chosen), 2 * len(chosen)])
+    return SensorDynamics(f, zeta, np.zeros(0), float(gain[0]), system, covariance)
+
+
+def dominant(system: LinearSystem, count: int) -> IntArray:
+    """Return the places (count,) of the oscillating modes, by rising frequency, that swing most after a step."""
+    upper = np.flatnonzero(system.poles.imag > 0)
+    if not 0 <= count <= len(upper):
+        raise ValueError(f"count: expected 0 to {len(upper)}, as many modes as there are, found {count}")
+    return np.sort(np.argsort(-step_shares(system)[upper], kind="stable")[:count])
+
+
+def _read(system: LinearSystem, chosen: IntArray) -> FloatArray:
+    """Frequencies, damping ratios of chosen modes, and the static gain."""
+    upper: ComplexArray = system.poles[system.poles.imag > 0][chosen]
+    return np.concatenate([np.abs(upper) / (2 * np.pi), -upper.real / np.abs(upper), [system.static_gain]])
+
+
+# The dynamics a compensated sensor shall have, stated or found for a wanted bandwidth.
+
+
+MODE_SPACING = 2.0
+"""How far apart, over the target's frequency, further modes are put at least."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """Natural frequency in Hz and damping ratio that the lowest compensated mode shall have.
+
+    Further compensated modes get the same damping ratio and keep their frequency, but are moved to twice, four times, …
+    the target's where they lie below. `real_hz`: where the slowest compensated real pole shall lie, the others by the
+    same factor; needed only where there is one. `low_pass_hz`: corner of a second-order Butterworth low-pass in the
+    filter, None for none: the sensor is then damped as wanted and less noise passes.
+    """
+
+    frequency_hz: float
+    damping_ratio: float
+    real_hz: float | None = None
+    low_pass_hz: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("frequency_hz", "damping_ratio", "real_hz", "low_pass_hz"):
+            value = getattr(self, name)
+            if value is not None and not (value > 0 and np.isfinite(value)):
+                raise ValueError(f"{name}: expected a positive number, found {value}")
+
+
+def best_damping(permitted_error: float) -> float:
+    """Return the damping ratio with the widest band |H|/H(0) within 1 ± δ of one mode of given natural frequency.
+
+    Its peak 1/(2ζ√(1 - ζ²)) just comes to 1 + δ: ζ² = [1 - √(1 - (1 + δ)⁻²)]/2; 0.540 for 10 %, 0.590 for 5 %.
+    """
+    if not 0 < permitted_error < 1:
+        raise ValueError(f"permitted_error: expected above 0 and below 1, found {permitted_error}")
+    return float(np.sqrt(0.5 * (1.0 - np.sqrt(1.0 - (1.0 + permitted_error) ** -2))))
+
+
+def band_ratio(damping_ratio: float, permitted_error: float) -> float:
+    """Return up to which f/fn one mode of fn stays within |H|/H(0) = 1 ± δ.
+
+    With x = (f/fn)², |H|⁻² = x² - 2(1 - 2ζ²)x + 1; the lower of the roots for 1 + δ, where it is passed, and 1 - δ.
+    """
+    middle = 1.0 - 2.0 * damping_ratio**2
+    up = middle**2 - 1.0 + (1.0 + permitted_error) ** -2
+    if middle > 0 and up > 0:
+        return float(np.sqrt(middle - np.sqrt(up)))
+    return float(np.sqrt(middle + np.sqrt(middle**2 - 1.0 + (1.0 - permitted_error) ** -2)))
+
+
+def cancelled_poles(sensor: SensorDynamics) -> list[ComplexArray]:
+    """Return the poles in rad/s that a filter cancels, section by section: a pair of each mode, one of a real pole."""
+    pairs = [mode_poles(f, z) for f, z in zip(sensor.frequency_hz, sensor.damping_ratio, strict=True)]
+    return [*pairs, *(np.array([-2 * np.pi * f + 0j]) for f in sensor.real_hz)]
+
+
+def target_poles(sensor: SensorDynamics, target: Target) -> list[ComplexArray]:
+    """Return the poles in rad/s that take their place, section by section."""
+    found = []
+    if len(sensor.frequency_hz):
+        least = target.frequency_hz * MODE_SPACING * np.arange(1, len(sensor.frequency_hz))
+        frequencies = [target.frequency_hz, *np.maximum(sensor.frequency_hz[1:], least)]
+        found = [mode_poles(float(f), target.damping_ratio) for f in frequencies]
+    if len(sensor.real_hz):
+        if target.real_hz is None:
+            raise ValueError("real_hz: expected where the slowest real pole shall lie, found none")
+        factor = target.real_hz / np.min(sensor.real_hz)
+        found += [np.array([-2 * np.pi * factor * f + 0j]) for f in sensor.real_hz]
+    return found
+
+
+def low_pass_poles(target: Target) -> list[ComplexArray]:
+    """Return the poles in rad/s of the low-pass, a section of its own, or no section."""
+    return [] if target.low_pass_hz is None else [mode_poles(target.low_pass_hz, float(np.sqrt(0.5)))]
+
+
+def mode_poles(frequency_hz: float, damping_ratio: float) -> ComplexArray:
+    """Return both poles in rad/s of a mode, real ones from a damping ratio of 1 on."""
+    root = np.sqrt(complex(damping_ratio**2 - 1.0))
+    return np.asarray(2 * np.pi * frequency_hz * np.array([-damping_ratio + root, -damping_ratio - root]))
+
+
+# The continuous compensation filter: the sensor's denominator over the wanted one.
+
+
+@dataclass(frozen=True)
+class Compensation:
+    """G_c(s) = gain·Π_i [Π(s - zero)/Π(s - pole)]_i, each factor i scaled to 1 at s = 0.
+
+    The zeros are the poles of `sensor` that go, the poles those of `target`: at least as many, so that it is proper.
+    gain is 1, or 1/H(0) of the sensor where the filter is `calibrated` and turns the output into the load (paper "load
+    characteristics", eqs. 15 and 17, for one mode).
+    """
+
+    sensor: SensorDynamics
+    target: Target
+    calibrated: bool = False
+
+    def __post_init__(self) -> None:
+        target_poles(self.sensor, self.target)
+
+    @property
+    def gain(self) -> float:
+        """G_c(0)."""
+        return 1.0 / self.sensor.static_gain if self.calibrated else 1.0
+
+    @property
+    def factors(self) -> list[tuple[ComplexArray, ComplexArray]]:
+        """Zeros and poles in rad/s of every factor: those of a low-pass, two of each mode, one of each real pole."""
+        first = [(np.zeros(0, dtype=np.complex128), poles) for poles in low_pass_poles(self.target)]
+        return [*first, *zip(cancelled_poles(self.sensor), target_poles(self.sensor, self.target), strict=True)]
+
+    @property
+    def system(self) -> LinearSystem:
+        """The filter as zeros, poles and gain."""
+        zeros, poles = (np.concatenate(part) for part in zip(*self.factors, strict=True))
+        return LinearSystem(zeros, poles, self.gain * float(np.real(np.prod(poles) / np.prod(zeros))))
+
+    @property
+    def compensated(self) -> LinearSystem:
+        """Sensor and filter in a row, without the poles that the filter cancels."""
+        left, gain = list(self.sensor.system.poles), self.system.gain * self.sensor.system.gain
+        zeros, poles = (np.concatenate(part) for part in zip(*self.factors, strict=True))
+        for zero in zeros:
+            left.pop(int(np.argmin(np.abs(np.array(left) - zero))))
+        return LinearSystem(self.sensor.system.zeros, np.concatenate([left, poles]), gain)
+
+    @property
+    def least_white_gain(self) -> float:
+        """|G_c| far above all poles: what the filter does to the noise there; 0 with a low-pass."""
+        return abs(self.system.direct)
+
+    def sensitivities(self, frequency_hz: FloatArray) -> ComplexArray:
+        """Return ∂ ln G_c/∂θ (K, P) of the parameters θ of `sensor.vector` at frequencies (K,) in Hz.
+
+        A mode's factor N = 1 + 2ζs/ω + s²/ω², a real pole's N = 1 + s/a; the static gain counts if calibrated.
+        """
+        s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[:, None]
+        omega, zeta, a = (
+            2 * np.pi * self.sensor.frequency_hz,
+            self.sensor.damping_ratio,
+            2 * np.pi * self.sensor.real_hz,
+        )
+        mode = 1.0 + 2.0 * zeta * s / omega + (s / omega) ** 2
+        by_frequency = -2 * np.pi * (2.0 * zeta * s / omega**2 + 2.0 * s**2 / omega**3) / mode
+        by_real = -2 * np.pi * s / a**2 / (1.0 + s / a)
+        by_gain = np.full_like(s, -1.0 / self.sensor.static_gain if self.calibrated else 0.0)
+        return np.concatenate([by_frequency, 2.0 * s / omega / mode, by_real, by_gain], axis=1)
+
+
+# The compensation filter for samples: second-order sections, each of static gain 1, and what sampling costs.
+
+
+Discretisation = Literal["matched", "tustin"]
+HIGHEST_SHARE = 0.45
+"""Share of the sampling rate up to which a pole or a zero may lie."""
+DISCRETE_RELATIVE_STEP = 1e-6
+
+
+@dataclass(frozen=True)
+class Sections:
+    """y = gain·Π_i (b0 + b1 z⁻¹ + b2 z⁻²)/(1 + a1 z⁻¹ + a2 z⁻²) u at `sample_rate_hz`.
+
+    `sos` (S, 6): rows [b0, b1, b2, 1, a1, a2], run in this order; each has the static gain 1, so that a change of the
+    coefficients between two samples leaves a constant signal alone.
+    """
+
+    sos: FloatArray
+    gain: float
+    sample_rate_hz: float
+
+    def __post_init__(self) -> None:
+        check_shape("sos", self.sos, (None, 6))
+        if np.any(self.sos[:, 3] != 1.0):
+            raise ValueError(f"sos: expected sections with a0 = 1, found {self.sos[:, 3].tolist()}")
+
+    def response(self, frequency_hz: FloatArray) -> ComplexArray:
+        """Return the frequency response (K,) at frequencies (K,) in Hz, section by section.
+
+        Polynomials are taken in w = 1 - z⁻¹, which is small where the sampling is fast and differences would cancel.
+        """
+        w = -np.expm1(-2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[:, None] / self.sample_rate_hz)
+        b, a = (_in_differences(part) for part in (self.sos[:, :3], self.sos[:, 3:]))
+        tops = b[:, 0] + w * (b[:, 1] + w * b[:, 2])
+        return np.asarray(self.gain * np.prod(tops / (a[:, 0] + w * (a[:, 1] + w * a[:, 2])), axis=1))
+
+    @property
+    def delay_free(self) -> float:
+        """What the filter makes of a jump of 1 from one sample to the next, at once."""
+        return float(self.gain * np.prod(self.sos[:, 0]))
+
+
+def sampled(compensation: Compensation, sample_rate_hz: float, method: Discretisation = "matched") -> Sections:
+    """Return a filter for samples at a rate.
+
+    "matched": z = exp(s/fs) of every pole and zero; the zeros stand exactly on the poles of the sampled sensor, which
+    cancel at every rate. "tustin": s = K(z - 1)/(z + 1), K = ω/tan(ω/2fs), ω = |zero| of each section, so that the
+    frequency of every cancelled mode is kept.
+    """
+    if method not in ("matched", "tustin"):
+        raise ValueError(f'method: expected "matched" or "tustin", found "{method}"')
+    fastest = max(float(np.max(np.abs(np.concatenate(factor)))) for factor in compensation.factors) / (2 * np.pi)
+    if not fastest <= HIGHEST_SHARE * sample_rate_hz:
+        least = fastest / HIGHEST_SHARE
+        raise ValueError(f"sample_rate_hz: expected at least {least:.6g} for a filter to {fastest:.6g} Hz, "
+                         f"found {sample_rate_hz:g}")  # fmt: skip
+    rows = [section_row(zeros, poles, sample_rate_hz, method) for zeros, poles in compensation.factors]
+    return Sections(np.stack(rows), compensation.gain, float(sample_rate_hz))
+
+
+def filled(sections: Sections, count: int) -> Sections:
+    """Return the same filter as `count` sections, those added letting everything pass."""
+    if count < len(sections.sos):
+        raise ValueError(f"count: expected at least {len(sections.sos)}, as many as there are, found {count}")
+    more = np.tile([1.0, 0.0, 0.0, 1.0, 0.0, 0.0], (count - len(sections.sos), 1))
+    return Sections(np.concatenate([sections.sos, more]), sections.gain, sections.sample_rate_hz)
+
+
+def section_row(zeros: ComplexArray, poles: ComplexArray, rate_hz: float, method: Discretisation) -> FloatArray:
+    """Return one section (6,) of zeros and poles in rad/s, one or two of each, with the static gain 1.
+
+    A low-pass, which has no zeros, is always made by Tustin's rule, prewarped at its corner.
+    """
+    constant = None
+    if method == "tustin" or not len(zeros):
+        omega = float(np.abs(zeros[0] if len(zeros) else poles[0]))
+        constant = omega / np.tan(0.5 * omega / rate_hz)
+    if not len(zeros):
+        bottom, rest = _polynomial(poles, rate_hz, constant)
+        return np.concatenate([np.array([0.25, 0.5, 0.25]) * rest, bottom])
+    (top, rest_top), (bottom, rest_bottom) = (_polynomial(part, rate_hz, constant) for part in (zeros, poles))
+    return np.concatenate([top * (rest_bottom / rest_top), bottom])
+
+
+def _polynomial(roots: ComplexArray, rate_hz: float, constant: float | None) -> tuple[FloatArray, float]:
+    """Π(1 - r z⁻¹) (3,) of the images r of roots in rad/s, and its value at z = 1."""
+    if constant is None:
+        images, rest = np.exp(roots / rate_hz), -np.expm1(roots / rate_hz)
+    else:
+        images, rest = (1.0 + roots / constant) / (1.0 - roots / constant), -2.0 * roots / (constant - roots)
+    coefficients = np.array([1.0, 0.0, 0.0])
+    coefficients[1] = -np.sum(images).real
+    coefficients[2] = np.prod(images).real if len(roots) == 2 else 0.0
+    return coefficients, float(np.prod(rest).real)
+
+
+def parameter_sections(
+    compensation: Compensation, sample_rate_hz: float, method: Discretisation = "matched"
+) -> tuple[Sections, ...]:
+    """Return the filters of ∂y/∂θ, one per parameter θ of `sensor.vector`: the section of θ is replaced.
+
+    The poles do not depend on the sensor, so that ∂y/∂θ is y's filter with ∂b/∂θ in place of b, by central differences.
+    """
+    base = sampled(compensation, sample_rate_hz, method)
+    sensor = compensation.sensor
+    modes, reals = len(sensor.frequency_hz), len(sensor.real_hz)
+    owner = [*range(modes), *range(modes), *(modes + np.arange(reals))]
+    first, found = len(base.sos) - modes - reals, []
+    for parameter, section in enumerate(owner):
+        size = DISCRETE_RELATIVE_STEP * (1.0 if modes <= parameter < 2 * modes else sensor.vector[parameter])
+        up, down = (
+            _moved_row(compensation, parameter, section, sign * size, sample_rate_hz, method) for sign in (1, -1)
+        )
+        sos = base.sos.copy()
+        sos[first + section, :3] = (up - down)[:3] / (2.0 * size)
+        found.append(Sections(sos, base.gain, base.sample_rate_hz))
+    slope = -base.gain / sensor.static_gain if compensation.calibrated else 0.0
+    return (*found, Sections(base.sos, slope, base.sample_rate_hz))
+
+
+def _moved_row(
+    compensation: Compensation, parameter: int, section: int, by: float, rate_hz: float, method: Discretisation
+) -> FloatArray:
+    """The section of a parameter with the sensor's value moved and the target left where it is."""
+    sensor = compensation.sensor
+    value = sensor.vector.copy()
+    value[parameter] += by
+    modes = len(sensor.frequency_hz)
+    if section < modes:
+        omega, zeta = 2 * np.pi * value[section], value[modes + section]
+        root = 1j * omega * np.sqrt(1.0 - zeta**2)
+        zeros = np.array([-zeta * omega + root, -zeta * omega - root])
+    else:
+        zeros = np.array([-2 * np.pi * value[modes + section] + 0j])
+    first = len(compensation.factors) - modes - len(sensor.real_hz)
+    return section_row(zeros, compensation.factors[first + section][1], rate_hz, method)
+
+
+def discretisation_error(compensation: Compensation, sections: Sections, frequency_hz: FloatArray) -> ComplexArray:
+    """Return G_d/G_c - 1 (K,), the sampled filter against the continuous one, at frequencies (K,) in Hz."""
+    return np.asarray(sections.response(frequency_hz) / compensation.system.response(frequency_hz) - 1.0)
+
+
+def _in_differences(coefficients: FloatArray) -> FloatArray:
+    """Coefficients (S, 3) of 1, w, w² from those of 1, z⁻¹, z⁻², z⁻¹ = 1 - w."""
+    c0, c1, c2 = coefficients.T
+    return np.stack([c0 + c1 + c2, -c1 - 2.0 * c2, c2], axis=1)
+
+
+# Compensation filters over the load that a sensor carries.
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """One target for every load: poles are computed anew for each load mass in kg, `modes` of them are compensated.
+
+    The target of the lowest mode stays, so that the compensated sensor answers alike whatever it carries.
+    """
+
+    model: LoadModel
+    target: Target
+    modes: int = 1
+    calibrated: bool = False
+
+    def at(self, load_mass: float, u_load_mass: float = 0.0) -> Compensation:
+        """Return the filter for a load."""
+        sensor = loaded_dynamics(self.model, load_mass, modes=self.modes, u_load_mass=u_load_mass)
+        return Compensation(sensor, self.target, self.calibrated)
+
+    def sections(self, load_mass: float, sample_rate_hz: float, method: Discretisation = "matched") -> Sections:
+        """Return the filter for a load and samples, always as many sections, for `CompensationFilter.switch`.
+
+        Where a load has fewer modes the last sections let everything pass.
+        """
+        return filled(
+            sampled(self.at(load_mass), sample_rate_hz, method), self.modes + (self.target.low_pass_hz is not None)
+        )
+
+
+# A compensation filter that runs along with the data, block by block.
+
+
+class CompensationFilter:
+    """Filters blocks (C, N) of `channels` channels and keeps its state between them.
+
+    The output of any split into blocks equals that of one block bit for bit. It starts settled at `level` (C,) or one
+    number, in the unit of the input; None: at the first sample. `switch` changes the coefficients before the next
+    sample: every section keeps its last two inputs and outputs, so that the output goes on from where it was. A
+    constant signal does not notice a switch, and a smooth one moves by no more than its own change over one sample.
+    """
+
+    def __init__(self, sections: Sections, channels: int = 1, level: FloatArray | float | None = 0.0) -> None:
+        if channels < 1:
+            raise ValueError(f"channels: expected 1 or more, found {channels}")
+        self._sections = sections
+        self._channels = channels
+        self._past = np.zeros((len(sections.sos) + 1, 2, channels))
+        self._state = np.zeros((len(sections.sos), 2, channels))
+        self._started = level is not None
+        if level is not None:
+            self._settle(np.broadcast_to(np.asarray(level, dtype=np.float64), (channels,)))
+
+    @property
+    def sections(self) -> Sections:
+        """The coefficients in use."""
+        return self._sections
+
+    def __call__(self, block: FloatArray) -> FloatArray:
+        """Return the compensated block (C, N); samples that are not finite are refused, they would never fade."""
+        from scipy.signal import sosfilt
+
+        signal = np.ascontiguousarray(block, dtype=np.float64)
+        check_shape("block", signal, (self._channels, None))
+        if not np.all(np.isfinite(signal)):
+            raise ValueError("block: expected finite samples, found others")
+        if not signal.shape[1]:
+            return signal
+        if not self._started:
+            self._settle(signal[:, 0])
+            self._started = True
+        self._remember(0, signal)
+        for place, row in enumerate(self._sections.sos):
+            state = np.ascontiguousarray(self._state[place].T)[None]
+            signal, after = sosfilt(row[None], signal, axis=1, zi=state)
+            self._state[place] = after[0].T
+            self._remember(place + 1, signal)
+        return np.asarray(self._sections.gain * signal)
+
+    def switch(self, sections: Sections) -> None:
+        """Use other coefficients, as many sections at the same rate, from the next sample on."""
+        if sections.sos.shape != self._sections.sos.shape:
+            raise ValueError(f"sections: expected {len(self._sections.sos)}, found {len(sections.sos)}")
+        if sections.sample_rate_hz != self._sections.sample_rate_hz:
+            expected = self._sections.sample_rate_hz
+            raise ValueError(f"sections: expected a rate of {expected} Hz, found {sections.sample_rate_hz} Hz")
+        self._sections = sections
+        for place, (_, b1, b2, _, a1, a2) in enumerate(sections.sos):
+            x, y = self._past[place], self._past[place + 1]
+            self._state[place, 1] = b2 * x[1] - a2 * y[1]
+            self._state[place, 0] = b1 * x[1] - a1 * y[1] + b2 * x[0] - a2 * y[0]
+
+    def _settle(self, level: FloatArray) -> None:
+        """The state of having seen one level for ever."""
+        self._past[0] = level
+        for place, row in enumerate(self._sections.sos):
+            self._past[place + 1] = self._past[place] * (np.sum(row[:3]) / np.sum(row[3:]))
+        self.switch(self._sections)
+
+    def _remember(self, place: int, signal: FloatArray) -> None:
+        """Keep the last two samples at one place between the sections, the older first."""
+        kept = np.concatenate([self._past[place], signal[:, -2:].T])
+        self._past[place] = kept[-2:]

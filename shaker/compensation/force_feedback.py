@@ -1,0 +1,224 @@
+"""Force feedback through a sensor: a user pushes a haptic handle against a virtual ball, and a loop makes him feel it.
+
+The check of section VI of the publication on load characteristics of force sensors, on simulated data: applied and
+fed-back force with a sensor as it is, with a compensation made for no load, and with one that knows the load.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from shaker.arrays import FloatArray, check_shape
+from shaker.compensation.effects import state_space
+from shaker.compensation.filter import Sections
+from shaker.lti.system import LinearSystem
+
+RUNAWAY = 1e3
+"""Forces over the largest one the hand could give at rest from which a run is given up."""
+HIGHEST_GAIN = 1e4
+GRID = 161
+
+
+@dataclass(frozen=True)
+class HapticLoop:
+    """Hand, device, ball and force control.
+
+    The hand holds the handle of mass M at x through a spring and a damper, F_u = k_h(x_h - x) + b_h(v_h - v), and moves
+    its own end x_h; M v' = F_u - F_a - B v. The ball pushes back with F_v = k·depth. Control makes the hand feel it:
+    F_a = F_v + K(F_v - y), y the force that the sensor tells, K = `force_gain`: the handle then feels like one of mass
+    M/(1 + K). The actuator gets each F_a one sample late. Masses in kg, stiffnesses in N/m, dampings in N·s/m.
+    """
+
+    hand_stiffness: float
+    hand_damping: float
+    mass: float
+    damping: float
+    ball_stiffness: float
+    force_gain: float
+    sample_rate_hz: float
+
+    def __post_init__(self) -> None:
+        for name in ("hand_stiffness", "mass", "sample_rate_hz"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name}: expected a positive number, found {getattr(self, name)}")
+        for name in ("hand_damping", "damping", "ball_stiffness", "force_gain"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"{name}: expected 0 or more, found {getattr(self, name)}")
+
+
+@dataclass(frozen=True)
+class FeedbackRun:
+    """What user, sensor and ball did, samples (N,) in N; NaN from where the loop ran away.
+
+    `applied` F_u, `told` what the sensor says of it, `fed_back` F_v of the ball. `tracking_error`: rms of F_u - F_v
+    over rms of F_v while the ball is touched; `largest_error` likewise over the largest F_v. Infinite, both, for a run
+    that ran away.
+    """
+
+    time_s: FloatArray
+    applied: FloatArray
+    told: FloatArray
+    fed_back: FloatArray
+    stable: bool
+    tracking_error: float
+    largest_error: float
+
+
+@dataclass(frozen=True)
+class _Matrices:
+    """z[n+1] = A z[n] + B [x_h, v_h, wall, noise]; rows that read F_u, told force and F_v from z and the inputs."""
+
+    a: FloatArray
+    b: FloatArray
+    read: FloatArray
+    feed: FloatArray
+
+
+def push(time_s: FloatArray, depth_m: float, duration_s: float) -> FloatArray:
+    """Return the place of the hand (N,) that pushes to a depth and comes back: depth·(1 - cos 2πt/T)/2."""
+    return np.asarray(0.5 * depth_m * (1.0 - np.cos(2 * np.pi * np.minimum(time_s / duration_s, 1.0))))
+
+
+def simulate_feedback(
+    loop: HapticLoop,
+    sensor: LinearSystem,
+    sections: Sections | None,
+    hand_m: FloatArray,
+    *,
+    wall_m: float = 0.0,
+    noise: FloatArray | None = None,
+) -> FeedbackRun:
+    """Return what happens as the hand moves along `hand_m` (N,) towards a ball whose surface is at `wall_m`.
+
+    `sensor`: output over force with the load it carries; its output is divided by its static gain. `sections`: the
+    compensation in its static-gain-1 form, None for none. `noise` (N,) in N is added to what the sensor tells.
+    """
+    check_shape("hand_m", hand_m, (None,))
+    added = np.zeros(len(hand_m)) if noise is None else noise
+    check_shape("noise", added, hand_m.shape)
+    speed = np.gradient(hand_m) * loop.sample_rate_hz
+    inputs = np.stack([hand_m, speed, np.full(len(hand_m), wall_m), added], axis=1)
+    regimes = [_matrices(loop, sensor, sections, contact) for contact in (False, True)]
+    found = _run(regimes, inputs, RUNAWAY * loop.hand_stiffness * float(np.max(np.abs(hand_m)) + 1e-12))
+    applied, told, fed_back = found.T
+    touched = fed_back != 0.0
+    error, size = np.abs(applied - fed_back)[touched], np.abs(fed_back[touched])
+    finished = bool(np.all(np.isfinite(found))) and touched.any()
+    return FeedbackRun(
+        np.arange(len(hand_m)) / loop.sample_rate_hz,
+        applied,
+        told,
+        fed_back,
+        is_stable(loop, sensor, sections),
+        float(np.sqrt(np.mean(error**2) / np.mean(size**2))) if finished else float("inf"),
+        float(np.max(error) / np.max(size)) if finished else float("inf"),
+    )
+
+
+def is_stable(loop: HapticLoop, sensor: LinearSystem, sections: Sections | None) -> bool:
+    """Whether every eigenvalue of the sampled loop decays, away from the ball and in it."""
+    regimes = (_matrices(loop, sensor, sections, contact).a for contact in (False, True))
+    return all(float(np.max(np.abs(np.linalg.eigvals(a)))) < 1.0 for a in regimes)
+
+
+def largest_stable_gain(loop: HapticLoop, sensor: LinearSystem, sections: Sections | None) -> float:
+    """Return the force gain at which the loop first loses its stability, 0 where it never has any; at most 10 000."""
+
+    def stable(gain: float) -> bool:
+        return is_stable(replace(loop, force_gain=gain), sensor, sections)
+
+    if not stable(0.0):
+        return 0.0
+    grid = np.geomspace(1e-3, HIGHEST_GAIN, GRID)
+    lost = next((place for place, gain in enumerate(grid) if not stable(float(gain))), None)
+    if lost is None:
+        return HIGHEST_GAIN
+    low, high = (float(grid[lost - 1]) if lost else 0.0), float(grid[lost])
+    while high - low > 1e-9 * high:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if stable(middle) else (low, middle)
+    return low
+
+
+def _run(regimes: list[_Matrices], inputs: FloatArray, limit: float) -> FloatArray:
+    """Applied, told and fed-back force (N, 3), NaN from where the first of them exceeds a limit."""
+    found = np.full((len(inputs), 3), np.nan)
+    state = np.zeros(len(regimes[0].a))
+    for place, given in enumerate(inputs):
+        now = regimes[int(state[0] > given[2])]
+        found[place] = now.read @ state + now.feed @ given
+        if not abs(found[place, 0]) < limit:
+            found[place:] = np.nan
+            break
+        state = now.a @ state + now.b @ given
+    return found
+
+
+def _matrices(loop: HapticLoop, sensor: LinearSystem, sections: Sections | None, contact: bool) -> _Matrices:
+    """The loop as one sampled system; z = [x, v, sensor, F_a of the sample before, filter]."""
+    plant, drive, output = _plant(loop, sensor)
+    size = len(plant)
+    filtered = (np.zeros((0, 0)), np.zeros(0), np.zeros(0), 1.0) if sections is None else state_space(_unit(sections))
+    af, bf, cf, df = filtered
+    total = size + 1 + len(bf)
+    tells = np.concatenate([output, [0.0], np.zeros(len(bf))])
+    told, told_feed = df * tells, np.array([0.0, 0.0, 0.0, df])
+    told[size + 1 :] += cf
+    ball, ball_feed = np.zeros(total), np.zeros(4)
+    if contact:
+        ball[0], ball_feed[2] = loop.ball_stiffness, -loop.ball_stiffness
+    gain = loop.force_gain
+    a, b = np.zeros((total, total)), np.zeros((total, 4))
+    a[:size, :size], a[:size, size], b[:size, :2] = plant, drive[:, 2], drive[:, :2]
+    a[size], b[size] = (1.0 + gain) * ball - gain * told, (1.0 + gain) * ball_feed - gain * told_feed
+    a[size + 1 :, size + 1 :] = af
+    a[size + 1 :] += np.outer(bf, tells)
+    b[size + 1 :, 3] = bf
+    hand, hand_feed = np.zeros(total), np.array([loop.hand_stiffness, loop.hand_damping, 0.0, 0.0])
+    hand[:2] = -hand_feed[:2]
+    return _Matrices(a, b, np.stack([hand, told, ball]), np.stack([hand_feed, told_feed, ball_feed]))
+
+
+def _plant(loop: HapticLoop, sensor: LinearSystem) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Handle and sensor over one sample: state matrix, drive by [x_h, v_h, F_a] held, and the output in N."""
+    from scipy.linalg import expm
+
+    own, into, output = _modal(sensor)
+    size = 2 + len(into)
+    a, b = np.zeros((size, size)), np.zeros((size, 3))
+    hand = np.array([loop.hand_stiffness, loop.hand_damping])
+    a[0, 1], a[1, :2], b[1] = 1.0, -hand / loop.mass, np.array([*hand, -1.0]) / loop.mass
+    a[1, 1] -= loop.damping / loop.mass
+    a[2:, 2:], a[2:, :2], b[2:, :2] = own, -np.outer(into, hand), np.outer(into, hand)
+    both = np.zeros((size + 3, size + 3))
+    both[:size, :size], both[:size, size:] = a / loop.sample_rate_hz, b / loop.sample_rate_hz
+    step = expm(both)
+    return step[:size, :size], step[:size, size:], np.concatenate([[0.0, 0.0], output])
+
+
+def _modal(sensor: LinearSystem) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """A, B, C of a sensor over its static gain as decoupled modes and real poles."""
+    if len(sensor.zeros) >= len(sensor.poles):
+        raise ValueError("sensor: expected more poles than zeros, found as many")
+    residues = sensor.residues() / sensor.static_gain
+    size = len(sensor.poles)
+    own, into, output, place = np.zeros((size, size)), np.zeros(size), np.zeros(size), 0
+    for pole, residue in zip(sensor.poles, residues, strict=True):
+        if pole.imag < 0:
+            continue
+        into[place] = 1.0
+        if pole.imag == 0:
+            own[place, place], output[place] = pole.real, residue.real
+            place += 1
+            continue
+        own[place : place + 2, place : place + 2] = [[pole.real, -pole.imag], [pole.imag, pole.real]]
+        output[place : place + 2] = [2.0 * residue.real, -2.0 * residue.imag]
+        place += 2
+    return own, into, output
+
+
+def _unit(sections: Sections) -> Sections:
+    """The sections with the static gain 1."""
+    return replace(sections, gain=1.0)

@@ -1,0 +1,480 @@
+"""The filter that undoes cross-talk, and the cross-talk before and after it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.random import Generator
+
+from shaker.arrays import ComplexArray, FloatArray, check_shape
+from shaker.decoupling.model import MultiModel, StateSpace, sampled_modes
+
+# The filter against cross-talk: outputs to loads, as direct taps and a bank of poles, block by block.
+
+
+@dataclass(frozen=True)
+class FilterState:
+    """What a filter keeps between blocks: the last inputs (L, C) and what its poles hold (N,)."""
+
+    inputs: FloatArray
+    poles: ComplexArray
+
+
+@dataclass(frozen=True)
+class DecouplingFilter:
+    """Loads `components` (D,) from outputs `channels` (C,) in `unit`, sampled at `sample_rate_hz`.
+
+    f[n] = Σ_k `taps`[k]·y[n - k] + Re Σ_i `shown`[:, i]·x_i[n - L], x_i[n + 1] = `poles`[i]·x_i[n] + `driven`[i]·y[n],
+    L = `delay`: taps (L + 1, D, C), poles (N,) within the unit circle, one of each conjugate pair, driven (N, C), shown
+    (D, N). The loads come L samples late, with the dynamics of one oscillator each: `target_hz`, `target_damping` (D,).
+    """
+
+    channels: tuple[str, ...]
+    components: tuple[str, ...]
+    unit: str
+    sample_rate_hz: float
+    taps: FloatArray
+    poles: ComplexArray
+    driven: ComplexArray
+    shown: ComplexArray
+    target_hz: FloatArray
+    target_damping: FloatArray
+
+    def __post_init__(self) -> None:
+        outputs, loads, count = len(self.channels), len(self.components), len(self.poles)
+        check_shape("taps", self.taps, (None, loads, outputs))
+        check_shape("poles", self.poles, (count,))
+        check_shape("driven", self.driven, (count, outputs))
+        check_shape("shown", self.shown, (loads, count))
+        check_shape("target_hz", self.target_hz, (loads,))
+        check_shape("target_damping", self.target_damping, (loads,))
+        if np.any(np.abs(self.poles) >= 1.0):
+            raise ValueError(f"poles: expected within the unit circle, found {np.abs(self.poles).max():.9g}")
+
+    @property
+    def delay(self) -> int:
+        """By how many samples the loads are late."""
+        return len(self.taps) - 1
+
+    def rest(self, outputs: FloatArray | None = None) -> FilterState:
+        """Return the state of a filter whose inputs have been constant (C,) for long, zero where not stated."""
+        level = np.zeros(len(self.channels)) if outputs is None else np.asarray(outputs, dtype=np.float64)
+        check_shape("outputs", level, (len(self.channels),))
+        return FilterState(np.tile(level, (self.delay, 1)), self.driven @ level / (1.0 - self.poles))
+
+    def process(self, outputs: FloatArray, state: FilterState) -> tuple[FloatArray, FilterState]:
+        """Return the loads (N, D) of the next outputs (N, C), and the state to go on with.
+
+        Sums run in a fixed order sample by sample, so that blocks of any length give the same bits as one record.
+        """
+        from scipy.signal import lfilter
+
+        values = np.asarray(outputs, dtype=np.float64)
+        check_shape("outputs", values, (None, len(self.channels)))
+        if not len(values):
+            return np.zeros((0, len(self.components))), state
+        whole = np.concatenate([state.inputs, values]).T.copy()
+        count, delay = len(values), self.delay
+        found = np.zeros((len(self.components), count))
+        for k, tap in enumerate(self.taps):
+            for c, column in enumerate(tap.T):
+                for d, weight in enumerate(column):
+                    found[d] += weight * whole[c, delay - k : delay - k + count]
+        held = np.empty_like(state.poles)
+        for i, pole in enumerate(self.poles):
+            drive = _weighted(self.driven[i], whole[:, :count])
+            answer, held[i : i + 1] = lfilter([0.0, 1.0], [1.0, -pole], drive, zi=state.poles[i : i + 1])
+            real, imag = answer.real.copy(), answer.imag.copy()
+            for d, weight in enumerate(self.shown[:, i]):
+                found[d] += weight.real * real - weight.imag * imag
+        return found.T.copy(), FilterState(whole[:, count:].T.copy(), held)
+
+    def apply(self, outputs: FloatArray) -> FloatArray:
+        """Return the loads (N, D) of a whole record (N, C) that begins at rest at its first sample."""
+        return self.process(outputs, self.rest(np.asarray(outputs)[0]))[0]
+
+    def response(self, frequency_hz: FloatArray) -> ComplexArray:
+        """Return the loads over the outputs (K, D, C) at frequencies (K,) in Hz."""
+        z = np.exp(2j * np.pi * np.asarray(frequency_hz, dtype=np.float64) / self.sample_rate_hz)
+        found = np.einsum("kl,ldc->kdc", z[:, None] ** -np.arange(len(self.taps)), self.taps)
+        for sign in (1, -1):
+            poles, driven, shown = (
+                part if sign > 0 else part.conj() for part in (self.poles, self.driven, self.shown / 2.0)
+            )
+            basis = z[:, None] ** -self.delay / (z[:, None] - poles)
+            found = found + np.einsum("kn,dn,nc->kdc", basis, shown, driven, optimize=True)
+        return np.asarray(found)
+
+    def target(self, frequency_hz: FloatArray) -> ComplexArray:
+        """Return the wanted dynamics (K, D) with the delay: ω²/(s² + 2ζωs + ω²)·exp(-sL/fs)."""
+        s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[:, None]
+        omega = 2 * np.pi * self.target_hz
+        late = np.exp(-s * self.delay / self.sample_rate_hz)
+        return np.asarray(omega**2 / (s**2 + 2 * self.target_damping * omega * s + omega**2) * late)
+
+    def noise(self, outputs: FloatArray) -> FloatArray:
+        """Return standard deviations (D,) of the loads for white noise of standard deviations (C,) of the outputs."""
+        spread = np.asarray(outputs, dtype=np.float64)
+        check_shape("outputs", spread, (len(self.channels),))
+        power = np.einsum("ldc,c->d", self.taps**2, spread**2)
+        poles = np.concatenate([self.poles, self.poles.conj()])
+        driven = np.concatenate([self.driven, self.driven.conj()]) * spread
+        shown = np.concatenate([self.shown, self.shown.conj()], axis=1) / 2.0
+        among = (driven @ driven.conj().T) / (1.0 - np.outer(poles, poles.conj()))
+        return np.asarray(np.sqrt(power + np.real(np.einsum("dn,nm,dm->d", shown, among, shown.conj()))))
+
+
+def _weighted(weights: ComplexArray, rows: FloatArray) -> ComplexArray:
+    """Σ weights·rows in the order of the rows, real and imaginary part apart."""
+    real, imag = np.zeros(rows.shape[1]), np.zeros(rows.shape[1])
+    for weight, row in zip(weights, rows, strict=True):
+        real += weight.real * row
+        imag += weight.imag * row
+    return real + 1j * imag
+
+
+# Design of the filter against cross-talk: the load that explains the outputs best, with wanted dynamics.
+
+
+_DELAYS = 32
+_GAIN_LEFT = 2.0
+_SMALL = 1e-2
+_REAL = 1e-9
+
+
+@dataclass(frozen=True)
+class Target:
+    """Wanted dynamics of every load: `frequency_hz` and `damping_ratio` of one oscillator each (D,), static gain 1."""
+
+    frequency_hz: FloatArray
+    damping_ratio: FloatArray
+
+    def __post_init__(self) -> None:
+        check_shape("damping_ratio", self.damping_ratio, self.frequency_hz.shape)
+        if np.any(self.frequency_hz <= 0):
+            raise ValueError(f"frequency_hz: expected above 0, found {self.frequency_hz.tolist()}")
+        if np.any((self.damping_ratio <= 0) | (self.damping_ratio >= 1)):
+            raise ValueError(f"damping_ratio: expected between 0 and 1, found {self.damping_ratio.tolist()}")
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What a filter is designed for: noise (C,) of a sample of the outputs at `sample_rate_hz`, and loads (D,): the
+    standard deviation of a sample of a white one. Their ratio rules how far the filter goes beyond the resonances."""
+
+    sample_rate_hz: float
+    noise: FloatArray
+    load: FloatArray
+
+
+def design_decoupling(
+    model: MultiModel, target: Target, recorded: Recorded, delay: int | None = None
+) -> DecouplingFilter:
+    """Return the stable filter D that brings D·H closest to the target T, delayed by `delay` samples.
+
+    An inverse of H grows without bound above the resonances, and grows in time where H has zeros in the right half
+    plane. Instead the mean square of T·f - D·(H·f + noise) is made least for white loads f: the steady Kalman filter of
+    the states of H and T, which share their load, with smoothing over `delay` samples (Anderson and Moore, Optimal
+    Filtering, 1979, chapters 4 and 7). It is stable whatever H is, and where the load stands clear of the noise and H
+    has no such zeros D·H = T. Its static gain is then made exact. By default the delay is the shortest of up to 32
+    samples whose error is within twice that of the longest, or below 1 % of the load, for every load.
+    """
+    if not model.stable:
+        raise ValueError("model: expected one whose poles all decay, found one that grows")
+    check_shape("frequency_hz", target.frequency_hz, (len(model.components),))
+    plant, wanted = _scaled(model, target, recorded)
+    gains = _smoother(plant, wanted, _DELAYS if delay is None else delay)
+    lag = _shortest(gains) if delay is None else delay
+    return _assembled(model, target, recorded, gains, lag)
+
+
+@dataclass(frozen=True)
+class _Gains:
+    """The steady filter in units of noise and loads: x⁺ = m·x + k·y, innovations y - c·x, gains[i] of the innovation i
+    samples after the load, `left` (L + 1, D): mean square error of every load by delay; `size` (D,): mean
+    square of the load with the wanted dynamics."""
+
+    m: FloatArray
+    k: FloatArray
+    c: FloatArray
+    wanted: FloatArray
+    gains: FloatArray
+    left: FloatArray
+    size: FloatArray
+
+
+def _scaled(model: MultiModel, target: Target, recorded: Recorded) -> tuple[StateSpace, StateSpace]:
+    """Outputs over their noise, and wanted loads, from the loads over their size."""
+    shape = recorded.load / recorded.noise[:, None]
+    poles = model.poles
+    residues = [residue * shape for residue in (*model.residue, *model.real_residue)]
+    omega, zeta = 2 * np.pi * target.frequency_hz, target.damping_ratio
+    upper = omega * (-zeta + 1j * np.sqrt(1 - zeta**2))
+    own = [np.outer(unit, unit) * omega[i] ** 2 / (2j * upper[i].imag) for i, unit in enumerate(np.eye(len(omega)))]
+    rate = recorded.sample_rate_hz
+    return sampled_modes(poles, residues, rate), sampled_modes(upper, own, rate)
+
+
+def _smoother(plant: StateSpace, wanted: StateSpace, delay: int) -> _Gains:
+    """Steady Kalman filter of both systems with the gains of smoothing over a delay; loads and noise of unit size."""
+    from scipy.linalg import block_diag, solve_discrete_are, solve_discrete_lyapunov
+
+    a, b = block_diag(plant.a, wanted.a), np.concatenate([plant.b, wanted.b])
+    c = np.concatenate([plant.c, np.zeros((len(plant.c), len(wanted.a)))], axis=1)
+    shown = np.concatenate([np.zeros((len(wanted.c), len(plant.a))), wanted.c], axis=1)
+    r, s = np.eye(len(c)) + plant.d @ plant.d.T, b @ plant.d.T
+    p = solve_discrete_are(a.T, c.T, b @ b.T, r, s=s)
+    spread = c @ p @ c.T + r
+    k = np.linalg.solve(spread, (a @ p @ c.T + s).T).T
+    m = a - k @ c
+    first = shown @ p @ c.T + wanted.d @ plant.d.T
+    along = shown @ p @ m.T + wanted.d @ (b - k @ plant.d).T
+    together = [first]
+    for _ in range(delay):
+        together.append(along @ c.T)
+        along = along @ m.T
+    gains = np.array([np.linalg.solve(spread, part.T).T for part in together])
+    before = np.diag(shown @ p @ shown.T + wanted.d @ wanted.d.T)
+    told = np.cumsum([np.einsum("dc,dc->d", gain, part) for gain, part in zip(gains, together, strict=True)], axis=0)
+    moved = solve_discrete_lyapunov(wanted.a, wanted.b @ wanted.b.T)
+    size = np.diag(wanted.c @ moved @ wanted.c.T + wanted.d @ wanted.d.T)
+    return _Gains(m, k, c, shown, gains, before - told, size)
+
+
+def _shortest(gains: _Gains) -> int:
+    """The shortest delay whose root mean square error is small, or near that of the longest, for every load."""
+    error = np.sqrt(np.maximum(gains.left, 0.0))
+    near = np.all(error <= np.maximum(_GAIN_LEFT * error[-1], _SMALL * np.sqrt(gains.size)), axis=1)
+    return int(np.flatnonzero(near)[0])
+
+
+def _assembled(model: MultiModel, target: Target, recorded: Recorded, found: _Gains, lag: int) -> DecouplingFilter:
+    """The filter as taps and poles: innovations up to the delay are written as outputs and the state before them.
+
+    f(t) = z·x(t) + Σ_i G_i (y(t + i) - c·x(t + i)), x(t + i) = mⁱ x(t) + Σ_{l < i} m^{i - 1 - l} k y(t + l).
+    """
+    outputs, loads = found.c.shape[0], len(found.wanted)
+    taps, shown = np.zeros((lag + 1, loads, outputs)), found.wanted.copy()
+    powers = [np.eye(len(found.m))]
+    for _ in range(lag):
+        powers.append(found.m @ powers[-1])
+    for i in range(lag + 1):
+        taps[lag - i] += found.gains[i]
+        shown = shown - found.gains[i] @ found.c @ powers[i]
+        for early in range(i):
+            taps[lag - early] -= found.gains[i] @ found.c @ powers[i - 1 - early] @ found.k
+    poles, vectors = np.linalg.eig(found.m)
+    driven, seen = np.linalg.solve(vectors, found.k.astype(np.complex128)), shown @ vectors
+    kept = poles.imag > -_REAL * np.abs(poles)
+    double = np.where(poles[kept].imag > _REAL * np.abs(poles[kept]), 2.0, 1.0)
+    raw = DecouplingFilter(
+        channels=model.channels,
+        components=model.components,
+        unit=model.unit,
+        sample_rate_hz=recorded.sample_rate_hz,
+        taps=taps * recorded.load[:, None] / recorded.noise,
+        poles=poles[kept].astype(np.complex128),
+        driven=driven[kept] / recorded.noise,
+        shown=seen[:, kept] * double * recorded.load[:, None],
+        target_hz=target.frequency_hz,
+        target_damping=target.damping_ratio,
+    )
+    return _exact_at_rest(raw, model)
+
+
+def _exact_at_rest(raw: DecouplingFilter, model: MultiModel) -> DecouplingFilter:
+    """The filter times the matrix that makes D(0)·H(0) one."""
+    static = raw.response(np.zeros(1))[0].real @ model.static_gain
+    mend = np.linalg.inv(static)
+    return replace(raw, taps=np.asarray(np.einsum("de,lec->ldc", mend, raw.taps)), shown=mend @ raw.shown)
+
+
+# How much of one load is read as another: before, with the static matrix alone, and behind the filter.
+
+
+STAGES = ("raw", "static", "filtered")
+_DECAYS = 5.0
+_LONGEST = 20000
+_SHORTENED = 0.05
+
+
+@dataclass(frozen=True)
+class Crosstalk:
+    """Loads read over loads applied at one stage, in units of the loads: N or N·m per N or N·m.
+
+    `stage`: "raw" (each load by the output of its name over its own sensitivity), "static" (inverse of the static
+    matrix), "filtered". `value` (K, D, D) complex at `frequency_hz` (K,): reading i for load j, with standard
+    uncertainty `u` (K, D, D) of its modulus by the model. `peak` (D, D): largest reading i in size while load j makes a
+    unit step, with `u_peak`.
+    """
+
+    stage: str
+    components: tuple[str, ...]
+    frequency_hz: FloatArray
+    value: ComplexArray
+    u: FloatArray
+    peak: FloatArray
+    u_peak: FloatArray
+
+    def rated(self, capacity: FloatArray, values: FloatArray) -> FloatArray:
+        """Return readings (…, D, D) in rated loads `capacity` (D,): reading i over its own for load j at its own."""
+        return np.asarray(np.abs(values) * capacity / capacity[:, None])
+
+
+def main_outputs(model: MultiModel) -> tuple[int, ...] | None:
+    """Return the output that each load is read from where outputs are named after loads, else that it moves most.
+
+    None where two loads would be read from one output.
+    """
+    size = np.abs(model.static_gain) / np.linalg.norm(model.static_gain, axis=1, keepdims=True)
+    found = tuple(
+        model.channels.index(name) if name in model.channels else int(np.argmax(size[:, d]))
+        for d, name in enumerate(model.components)
+    )
+    return found if len(set(found)) == len(found) else None
+
+
+def static_inverse(model: MultiModel, noise: FloatArray) -> FloatArray:
+    """Return the matrix (D, C) that reads loads from outputs at rest, of more outputs than loads by least squares."""
+    weight = 1.0 / noise
+    return np.asarray(np.linalg.pinv(weight[:, None] * model.static_gain) * weight)
+
+
+def raw_reading(model: MultiModel) -> FloatArray | None:
+    """Return the matrix (D, C) that reads each load from its own output, None where two loads share one."""
+    mains = main_outputs(model)
+    if mains is None:
+        return None
+    found = np.zeros((len(model.components), len(model.channels)))
+    for d, c in enumerate(mains):
+        found[d, c] = 1.0 / model.static_gain[c, d]
+    return found
+
+
+def crosstalks(
+    model: MultiModel,
+    decoupler: DecouplingFilter,
+    noise: FloatArray,
+    frequency_hz: FloatArray,
+    rng: Generator,
+    draws: int,
+) -> tuple[Crosstalk, ...]:
+    """Return the cross-talk at every stage that the outputs allow.
+
+    Readings and filter stay those of the model; its uncertainty says how far the sensor may differ: over frequency by
+    its covariance to first order, for the peaks by the slope towards `draws` models drawn from it.
+    """
+    matrices = (("raw", raw_reading(model)), ("static", static_inverse(model, noise)))
+    readers = [(stage, _constant(matrix, len(frequency_hz))) for stage, matrix in matrices if matrix is not None]
+    readers.append(("filtered", decoupler.response(frequency_hz)))
+    response = model.response(frequency_hz)
+    drawn = _peaks(model, decoupler, dict(matrices), rng, draws)
+    found = []
+    for stage, reader in readers:
+        value = reader @ response
+        peak, u_peak = drawn[stage]
+        found.append(
+            Crosstalk(
+                stage, model.components, frequency_hz, value, _u(model, reader, value, frequency_hz), peak, u_peak
+            )
+        )
+    return tuple(found)
+
+
+def step_readings(model: MultiModel, reader: FloatArray | DecouplingFilter, time_s: FloatArray) -> FloatArray:
+    """Return the loads read (N, D, D) at equally spaced times while each load makes a unit step at t = 0."""
+    outputs = model.step(time_s)
+    if not isinstance(reader, DecouplingFilter):
+        return np.asarray(np.einsum("dc,nce->nde", reader, outputs))
+    columns = [reader.process(outputs[:, :, j], reader.rest())[0] for j in range(len(model.components))]
+    return np.stack(columns, axis=2)
+
+
+def step_times(model: MultiModel, decoupler: DecouplingFilter) -> FloatArray:
+    """Return the times of samples from a step till the slowest mode has decayed."""
+    slowest = float(np.min(-model.poles.real))
+    count = min(_LONGEST, int(_DECAYS / slowest * decoupler.sample_rate_hz) + 20 * (decoupler.delay + 1))
+    return np.arange(count) / decoupler.sample_rate_hz
+
+
+def _constant(matrix: FloatArray, count: int) -> ComplexArray:
+    """A matrix at every frequency."""
+    return np.asarray(np.broadcast_to(matrix, (count, *matrix.shape)), dtype=np.complex128)
+
+
+def _u(model: MultiModel, reader: ComplexArray, value: ComplexArray, frequency_hz: FloatArray) -> FloatArray:
+    """Standard uncertainty of every reading in a direction of the complex plane, the mean of all directions."""
+    found = np.zeros(value.shape)
+    for j in range(value.shape[2]):
+        slope, covariance = model.column_sensitivity(j, frequency_hz)
+        change = np.einsum("kdc,kcp->kdp", reader, slope, optimize=True)
+        root = np.linalg.cholesky(_safe(covariance))
+        parts = change @ root
+        found[:, :, j] = np.linalg.norm(parts, axis=2) / np.sqrt(2.0)
+    return found
+
+
+def _safe(covariance: FloatArray) -> FloatArray:
+    """A covariance with positive eigenvalues, however small."""
+    size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    value, vector = np.linalg.eigh(covariance / np.outer(size, size))
+    mended = (vector * np.maximum(value, 1e-12)) @ vector.T
+    return np.asarray(mended * np.outer(size, size))
+
+
+def _peaks(
+    model: MultiModel,
+    decoupler: DecouplingFilter,
+    matrices: dict[str, FloatArray | None],
+    rng: Generator,
+    draws: int,
+) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Peaks of the readings in a unit step of every load by stage, and what models drawn from the covariance differ.
+
+    What a drawn model reads is extrapolated from a model near by: the answers are linear in what the data tell, but not
+    in poles far from the fitted ones, of which only the sum of their effects is known.
+    """
+    time_s = step_times(model, decoupler)
+    near = _near(model, rng, draws)
+    found = {}
+    kernels = {stage: matrix[None] for stage, matrix in matrices.items() if matrix is not None}
+    kernels["filtered"] = _impulses(decoupler, len(time_s))
+    for stage, kernel in kernels.items():
+        here = _convolved(kernel, model.step(time_s))
+        peak = np.max(np.abs(here), axis=0)
+        moved = [here + (_convolved(kernel, one.step(time_s)) - here) / _SHORTENED for one in near]
+        spread = np.mean([(np.max(np.abs(other), axis=0) - peak) ** 2 for other in moved], axis=0)
+        found[stage] = (peak, np.asarray(np.sqrt(spread)))
+    return found
+
+
+def _impulses(decoupler: DecouplingFilter, count: int) -> FloatArray:
+    """Answers (N, D, C) of the filter to a unit sample of every output."""
+    units = np.eye(len(decoupler.channels))
+    columns = []
+    for unit in units:
+        outputs = np.zeros((count, len(units)))
+        outputs[0] = unit
+        columns.append(decoupler.process(outputs, decoupler.rest())[0])
+    return np.stack(columns, axis=2)
+
+
+def _convolved(kernel: FloatArray, outputs: FloatArray) -> FloatArray:
+    """Readings (N, D, D) of outputs (N, C, D) by a filter's answers (N, D, C), or by one matrix (1, D, C)."""
+    if len(kernel) == 1:
+        return np.asarray(kernel[0] @ outputs)
+    from scipy.fft import irfft, next_fast_len, rfft
+
+    size = next_fast_len(2 * len(outputs), real=True)
+    product = rfft(kernel, size, axis=0) @ rfft(outputs, size, axis=0)
+    return np.asarray(irfft(product, size, axis=0)[: len(outputs)])
+
+
+def _near(model: MultiModel, rng: Generator, draws: int) -> list[MultiModel]:
+    """Models drawn from the covariance, brought near: of poles far away only what they do to first order is known."""
+    if model.covariance is None:
+        raise ValueError("model: expected one with covariance, found none")
+    root = np.linalg.cholesky(_safe(model.covariance))
+    vectors = model.vector + _SHORTENED * rng.standard_normal((draws, len(root))) @ root.T
+    return [model.with_vector(vector) for vector in vectors]

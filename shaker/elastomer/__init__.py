@@ -1,0 +1,1 @@
+"""The cross-beam element of a sensor."""

@@ -1,0 +1,297 @@
+"""The element as an elastic solid of quadratic hexahedra: what the frame leaves out, joints and plates that bend.
+
+Needs scikit-fem (`pip install shakercal[solid]`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from shaker.arrays import FloatArray, IntArray
+from shaker.elastomer.frame import NAMES, RigidPart, assigned, rigid_motion
+from shaker.elastomer.geometry import CrossBeams
+
+PARITIES = {"vertical": (False, False), "sideways": (True, False), "turning": (True, True)}
+"""Whether the motion is mirrored with reversed sign in the planes x = 0 and y = 0."""
+NAMED = {"vertical": ("Tz",), "sideways": ("Tx", "Ry"), "turning": ("Rz",)}
+"""Rigid motions of each kind; Ty and Rx are Tx and Ry mirrored in the diagonal."""
+COARSE_LENGTH = 6.0
+"""Longest edge of the coarsest mesh over the thinnest section: longer elements hold thin beams straight."""
+COUNT = 6
+"""Modes computed of each kind."""
+
+
+@dataclass(frozen=True)
+class SolidBlock:
+    """The elastic platform: a block of edge 2·`half_size_m`, `thickness_m` high, its centre at `height_m`.
+
+    `density_kgm3` of the block, 0 where `attached` holds its mass too. `attached`: rigid parts that follow the block's
+    mean motion. `stiffening`: factor on the block's modulus; a large one shows what a rigid platform would do.
+    """
+
+    half_size_m: float
+    thickness_m: float
+    height_m: float
+    density_kgm3: float
+    attached: RigidPart | None = None
+    stiffening: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not (self.half_size_m > 0.0 and self.thickness_m > 0.0 and self.density_kgm3 >= 0.0):
+            found = f"{self.half_size_m} m, {self.thickness_m} m, {self.density_kgm3} kg/m3"
+            raise ValueError(f"half_size_m, thickness_m, density_kgm3: expected sizes above 0, found {found}")
+        if self.density_kgm3 == 0.0 and self.attached is None:
+            raise ValueError("attached: expected the mass of a block without density, found none")
+
+
+@dataclass(frozen=True)
+class SolidModel:
+    """Solution on one mesh: `frequency_hz`, `stiffness` (6,) in the order of `NAMES`; `unknowns` of the whole element.
+
+    `stiffness`: load per mean displacement or turn of the platform in N/m, N·m/rad. `vertex_m` (V, 3), `cell` (C, 8) of
+    the quarter x, y ≥ 0, `motion` (6, V, 3) of its vertices in every mode.
+    """
+
+    frequency_hz: FloatArray
+    stiffness: FloatArray
+    unknowns: int
+    vertex_m: FloatArray
+    cell: IntArray
+    motion: FloatArray
+
+
+def solve_solid(beams: CrossBeams, block: SolidBlock, refinement: int = 2) -> SolidModel:
+    """Return frequencies and stiffness of the solid, edges no longer than 6/`refinement` times the thinnest section.
+
+    Two planes of symmetry leave a quarter, solved once for each kind of motion. The sides of the compliant beams'
+    ends are clamped, as welded into rigid rims.
+    """
+    quarter = _Quarter(beams, block, refinement)
+    frequency, stiffness, motion = {}, {}, {}
+    for kind, names in NAMED.items():
+        found, shapes, rigid_stiffness = quarter.solve(kind)
+        for place, name in enumerate(names):
+            frequency[name], motion[name], stiffness[name] = found[place], shapes[place], rigid_stiffness[place]
+    for name, like in (("Ty", "Tx"), ("Rx", "Ry")):
+        frequency[name], stiffness[name] = frequency[like], stiffness[like]
+        motion[name] = quarter.mirrored(motion[like]) * (1.0 if name == "Ty" else -1.0)
+    return SolidModel(
+        frequency_hz=np.array([frequency[name] for name in NAMES]),
+        stiffness=np.array([stiffness[name] for name in NAMES]),
+        unknowns=12 * quarter.basis.N,
+        vertex_m=np.ascontiguousarray(quarter.mesh.p.T),
+        cell=np.ascontiguousarray(quarter.mesh.t.T),
+        motion=np.stack([motion[name] for name in NAMES]),
+    )
+
+
+def converged(models: tuple[SolidModel, ...]) -> FloatArray:
+    """Return the relative change (6,) of the frequencies from the last mesh but one to the last."""
+    if len(models) < 2:
+        raise ValueError(f"models: expected two meshes or more, found {len(models)}")
+    return np.asarray(models[-1].frequency_hz / models[-2].frequency_hz - 1.0)
+
+
+class _Quarter:
+    """Mesh and matrices of the quarter x, y ≥ 0."""
+
+    def __init__(self, beams: CrossBeams, block: SolidBlock, refinement: int) -> None:
+        _check_mesh(beams, block)
+        self.beams, self.block = beams, block
+        self.mesh, self.platform = _mesh(beams, block, refinement)
+
+    @cached_property
+    def basis(self) -> Any:
+        """Quadratic functions of all three coordinates, the same for every component of the displacement."""
+        from skfem import Basis, ElementHex2
+
+        return Basis(self.mesh, ElementHex2(), intorder=4)
+
+    @property
+    def place_m(self) -> FloatArray:
+        """Places (N, 3) of the nodes; node n has the unknowns 3n, 3n + 1, 3n + 2."""
+        return np.asarray(self.basis.doflocs.T)
+
+    @cached_property
+    def matrices(self) -> tuple[Any, Any, Any]:
+        """Stiffness, mass, and the platform's geometry (mass at unit density)."""
+        from skfem.models.elasticity import lame_parameters
+
+        material = self.beams.material
+        lame = lame_parameters(material.youngs_modulus_pa, material.poisson_ratio)
+        stiffening = np.where(self.platform, self.block.stiffening, 1.0)
+        density = np.where(self.platform, self.block.density_kgm3, material.density_kgm3)
+        stiffness = self._assembled(_elastic(self.basis, *lame) * stiffening[:, None, None, None, None])
+        product = _inert(self.basis)
+        mass, geometry = (
+            self._assembled(product * weight[:, None, None, None, None])
+            for weight in (density, self.platform.astype(np.float64))
+        )
+        return stiffness.tocsc(), mass.tocsr(), geometry.tocsr()
+
+    def _assembled(self, local: FloatArray) -> Any:
+        """Sparse matrix of the matrices (C, L, 3, L, 3) of all cells."""
+        from scipy.sparse import coo_matrix
+
+        unknown = 3 * self.basis.element_dofs.T[:, :, None] + np.arange(3)
+        row = np.broadcast_to(unknown[:, :, :, None, None], local.shape)
+        column = np.broadcast_to(unknown[:, None, None, :, :], local.shape)
+        size = 3 * self.basis.N
+        return coo_matrix((local.ravel(), (row.ravel(), column.ravel())), shape=(size, size))
+
+    def solve(self, kind: str) -> tuple[FloatArray, list[FloatArray], FloatArray]:
+        """Return the modes named after the rigid motions of one kind: Hz, motion of vertices (V, 3), stiffness."""
+        from scipy.sparse.linalg import LinearOperator, eigsh, splu
+
+        stiffness, mass, geometry = self.matrices
+        free = self._free(kind)
+        rigid = self._rigid(NAMED[kind])
+        weighed = geometry @ rigid
+        mean = (weighed @ np.linalg.inv(rigid.T @ weighed))[free]
+        extra = self._attached(NAMED[kind]) / 4.0
+        inert = mass[free][:, free]
+        solver = splu(stiffness[free][:, free], permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+        size = len(free)
+
+        def weigh(motion: FloatArray) -> FloatArray:
+            return np.asarray(inert @ motion + mean @ (extra @ (mean.T @ motion)))
+
+        squared, shape = eigsh(
+            stiffness[free][:, free],
+            k=COUNT,
+            M=LinearOperator((size, size), matvec=weigh, dtype=np.float64),
+            sigma=0.0,
+            OPinv=LinearOperator((size, size), matvec=solver.solve, dtype=np.float64),
+            v0=solver.solve(mean.sum(axis=1)),
+        )
+        factor = shape.T @ weigh(_apart(rigid[free], weigh))
+        chosen = assigned(factor)
+        sign = np.where(factor[chosen, np.arange(len(chosen))] < 0.0, -1.0, 1.0)
+        whole = np.zeros((3 * self.basis.N, len(chosen)))
+        whole[free] = shape[:, chosen] * sign
+        vertices = self.basis.nodal_dofs[0]
+        motion = [column.reshape(-1, 3)[vertices] for column in whole.T]
+        compliance = np.diag(mean.T @ solver.solve(mean)) / 4.0
+        return np.sqrt(squared[chosen]) / (2.0 * np.pi), motion, 1.0 / compliance
+
+    def mirrored(self, motion: FloatArray) -> FloatArray:
+        """Return the motion (V, 3) of vertices mirrored in the diagonal x = y."""
+        points = self.mesh.p.T
+        key = np.round(points * 1e9).astype(np.int64)
+        place = {tuple(row): i for i, row in enumerate(key.tolist())}
+        other = np.array([place[y, x, z] for x, y, z in key.tolist()])
+        return np.asarray(motion[other][:, [1, 0, 2]])
+
+    def _free(self, kind: str) -> IntArray:
+        """Unknowns that neither clamp nor symmetry holds."""
+        beams, near = self.beams, 1e-9
+        inner, half = 0.5 * (beams.span_m - beams.compliant_thickness_m), 0.5 * beams.compliant_length_m
+        x, y, _ = place = self.place_m.T
+        clamped = (np.abs(y - half) < near) & (x > inner - near) | (np.abs(x - half) < near) & (y > inner - near)
+        held = np.repeat(clamped[:, None], 3, axis=1)
+        for axis, reversed_sign in enumerate(PARITIES[kind]):
+            plane = np.abs(place[axis]) < near
+            normal = np.arange(3) == axis
+            held |= plane[:, None] & (~normal if reversed_sign else normal)
+        return np.flatnonzero(~held.ravel())
+
+    def _rigid(self, names: tuple[str, ...]) -> FloatArray:
+        """Rigid motions (N, k) by name, turns about the origin."""
+        motions = np.concatenate([rigid_motion(place)[:3] for place in self.place_m])
+        return np.asarray(motions[:, [NAMES.index(name) for name in names]])
+
+    def _attached(self, names: tuple[str, ...]) -> FloatArray:
+        """Mass matrix (k, k) of the attached parts over the rigid motions."""
+        places = [NAMES.index(name) for name in names]
+        part = self.block.attached
+        return np.zeros((len(places),) * 2) if part is None else part.mass_matrix[np.ix_(places, places)]
+
+
+def _elastic(basis: Any, first: float, second: float) -> FloatArray:
+    """Stiffness (C, L, 3, L, 3) of every cell: ∫ λ ∂_a N_i ∂_b N_j + μ (∂_b N_i ∂_a N_j + δ_ab ∇N_i·∇N_j) dV."""
+    gradient = np.stack([field.grad for (field,) in basis.basis])
+    functions, axes, cells, points = gradient.shape
+    flat = gradient.reshape(functions * axes, cells, points).transpose(1, 0, 2)
+    product = (flat * basis.dx[:, None, :]) @ flat.transpose(0, 2, 1)
+    product = product.reshape(cells, functions, axes, functions, axes)
+    dot = np.einsum("eiaja->eij", product)
+    found = first * product + second * product.transpose(0, 1, 4, 3, 2)
+    for axis in range(axes):
+        found[:, :, axis, :, axis] += second * dot
+    return np.asarray(found)
+
+
+def _inert(basis: Any) -> FloatArray:
+    """Mass (C, L, 3, L, 3) of every cell at unit density: ∫ N_i N_j δ_ab dV."""
+    value = np.stack([np.broadcast_to(np.asarray(field), basis.dx.shape) for (field,) in basis.basis], axis=1)
+    product = (value * basis.dx[:, None, :]) @ value.transpose(0, 2, 1)
+    found = np.zeros((*product.shape[:2], 3, product.shape[2], 3))
+    for axis in range(3):
+        found[:, :, axis, :, axis] = product
+    return found
+
+
+def _apart(rigid: FloatArray, weigh: Callable[[FloatArray], FloatArray]) -> FloatArray:
+    """Rigid motions (N, k) of mass 1, a turn being about the centre of mass instead of the origin."""
+    found = rigid.copy()
+    for place in range(rigid.shape[1]):
+        for other in range(place):
+            found[:, place] -= found[:, other] * (found[:, other] @ weigh(rigid[:, place]))
+        found[:, place] /= np.sqrt(found[:, place] @ weigh(found[:, place]))
+    return found
+
+
+def _check_mesh(beams: CrossBeams, block: SolidBlock) -> None:
+    """Refuse sizes of which no element can be made: what must meet does, what must not does not."""
+    clear = beams.span_m - beams.compliant_thickness_m
+    if beams.compliant_length_m > clear:
+        expected = f"at most {clear} m, where compliant beams meet"
+        raise ValueError(f"compliant_length_m: expected {expected}, found {beams.compliant_length_m} m")
+    if 0.5 * beams.beam_width_m > min(block.half_size_m, 0.5 * beams.compliant_length_m):
+        expected = "no more than platform and compliant beams"
+        raise ValueError(f"beam_width_m: expected {expected}, found {beams.beam_width_m} m")
+    if block.half_size_m >= 0.5 * clear:
+        expected = f"below {0.5 * clear} m, where the compliant beams are"
+        raise ValueError(f"half_size_m: expected {expected}, found {block.half_size_m} m")
+    if abs(block.height_m) >= 0.5 * (block.thickness_m + beams.beam_height_m):
+        expected = "a block that the beams reach"
+        raise ValueError(f"height_m: expected {expected}, found its centre at {block.height_m} m")
+
+
+def _mesh(beams: CrossBeams, block: SolidBlock, refinement: int) -> tuple[Any, Any]:
+    """Mesh of the quarter, cells of a grid that lie in one of the boxes; which of them (C,) are the platform's."""
+    from skfem import MeshHex
+
+    inner, outer = (0.5 * (beams.span_m + sign * beams.compliant_thickness_m) for sign in (-1.0, 1.0))
+    side, half, across = block.half_size_m, 0.5 * beams.compliant_length_m, 0.5 * beams.beam_width_m
+    low, high = (block.height_m + sign * 0.5 * block.thickness_m for sign in (-1.0, 1.0))
+    thinnest = min(beams.compliant_thickness_m, beams.beam_width_m, beams.beam_height_m, beams.compliant_height_m)
+    longest = COARSE_LENGTH * thinnest / refinement
+    flat = _divided({0.0, across, side, half, inner, outer}, longest)
+    tops = {sign * 0.5 * size for sign in (-1.0, 1.0) for size in (beams.beam_height_m, beams.compliant_height_m)}
+    mesh = MeshHex.init_tensor(flat, flat, _divided({*tops, low, high}, longest))
+    x, y, z = mesh.p[:, mesh.t].mean(axis=1)
+    platform = (x < side) & (y < side) & (z > low) & (z < high)
+    inside = platform.copy()
+    for along, beside in ((x, y), (y, x)):
+        inside |= (along < inner) & (beside < across) & (np.abs(z) < 0.5 * beams.beam_height_m) & (along > side)
+        compliant = (along > inner) & (along < outer) & (beside < half)
+        inside |= compliant & (np.abs(z) < 0.5 * beams.compliant_height_m)
+    kept = np.flatnonzero(inside)
+    return mesh.restrict(kept), platform[kept]
+
+
+def _divided(breaks: set[float], longest: float) -> FloatArray:
+    """Grid lines through all breaks and between them, none further apart than `longest`."""
+    ends = np.unique(np.round(sorted(breaks), 12))
+    parts = [ends[:1]]
+    for start, stop in pairwise(ends):
+        pieces = int(np.ceil((stop - start) / longest * (1.0 - 1e-9)))
+        parts.append(np.linspace(start, stop, pieces + 1)[1:])
+    return np.concatenate(parts)

@@ -1,0 +1,1 @@
+"""Frequency response functions: measuring chains as stated, transfer functions as measured."""

@@ -1,0 +1,362 @@
+"""The frequency response of a measuring chain: from a table or from gain and poles, multiplied up, and taken off."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape
+from shaker.phasor import Phasors, derivative_factor
+
+FilterKind = Literal["butterworth", "bessel", "resonance"]
+PassBand = Literal["lowpass", "highpass"]
+QUANTITIES = ("displacement", "velocity", "acceleration")
+"""Names of the quantities that differentiation turns into each other, by the order of the derivative."""
+MOTION_UNITS = (("m", "m/s", "m/s^2"), ("rad", "rad/s", "rad/s^2"))
+
+
+@dataclass(frozen=True)
+class ChainResponse:
+    """Response of a chain at K lines: true phasor = measured phasor / `value`.
+
+    `value` (K,) complex; `errors` (E, K): the complex relative deviation of `value` (real part: of the magnitude,
+    imaginary part: of the phase in rad) that one standard deviation of each of E independent causes makes, at all
+    lines at once; `causes` (E names).
+    """
+
+    value: ComplexArray
+    errors: ComplexArray
+    causes: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        check_shape("value", self.value, (None,))
+        check_shape("errors", self.errors, (len(self.causes), len(self.value)))
+
+    @property
+    def u_magnitude(self) -> FloatArray:
+        """Relative standard uncertainty of the magnitude, (K,)."""
+        return np.asarray(np.sqrt(np.sum(self.errors.real**2, axis=0)))
+
+    @property
+    def u_phase_rad(self) -> FloatArray:
+        """Standard uncertainty of the phase in rad, (K,)."""
+        return np.asarray(np.sqrt(np.sum(self.errors.imag**2, axis=0)))
+
+
+@dataclass(frozen=True)
+class ResponseTable:
+    """A calibrated response at N ascending frequencies: `magnitude` > 0 and `phase_rad` (of any turn), (N,) each.
+
+    `u_magnitude` is in the unit of the magnitude, `u_phase_rad` in rad.
+    """
+
+    frequency_hz: FloatArray
+    magnitude: FloatArray
+    phase_rad: FloatArray
+    u_magnitude: FloatArray
+    u_phase_rad: FloatArray
+
+    def __post_init__(self) -> None:
+        check_shape("frequency_hz", self.frequency_hz, (None,))
+        for name in ("magnitude", "phase_rad", "u_magnitude", "u_phase_rad"):
+            check_shape(name, getattr(self, name), self.frequency_hz.shape)
+        if len(self.frequency_hz) == 0 or np.any(np.diff(self.frequency_hz) <= 0.0):
+            raise ValueError("frequency_hz: expected ascending frequencies, found values that do not ascend")
+        if np.any(self.magnitude <= 0.0):
+            raise ValueError(f"magnitude: expected positive values, found {self.magnitude.min():g}")
+
+
+@dataclass(frozen=True)
+class PoleModel:
+    """H(jω) = k·Π(jω − z) / Π(jω − p)·exp(−jωτ), z and p in rad/s, τ = `delay_s`.
+
+    `gain` is k where `gain_hz` is None, else the value (sign included) that |H| has at this frequency.
+    """
+
+    zeros: ComplexArray = field(default_factory=lambda: np.empty(0, dtype=np.complex128))
+    poles: ComplexArray = field(default_factory=lambda: np.empty(0, dtype=np.complex128))
+    gain: float = 1.0
+    gain_hz: float | None = None
+    delay_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("zeros", "poles"):
+            roots = getattr(self, name)
+            check_shape(name, roots, (None,))
+            if not _conjugate(roots):
+                raise ValueError(f"{name}: expected each complex root with its conjugate, found {_told(roots)}")
+        if np.any(self.poles.real > 0.0):
+            raise ValueError(f"poles: expected real parts of at most 0, found {self.poles.real.max():g}")
+        if self.gain == 0.0:
+            raise ValueError("gain: expected a number other than 0, found 0")
+
+
+def table_response(table: ResponseTable, frequency_hz: FloatArray) -> ChainResponse:
+    """Interpolate a response table to frequencies (K,) in Hz within its range.
+
+    Cubic splines (not-a-knot) through ln|H| and through the phase, from which the mean delay has been taken, over f
+    or ln f, whichever predicts the table's points better from their neighbours. The table's standard uncertainties,
+    linear in between, are errors common to all lines. The interpolation's own error is what leaving out every other
+    point (odd or even ones, whichever matters more) changes: for a smooth response about 16 times its error, h⁴f⁗/384
+    at steps h, and for scattered points about their scatter, which is an error as well.
+    """
+    low, high = table.frequency_hz[0], table.frequency_hz[-1]
+    outside = [f for f in frequency_hz if not low <= f <= high]
+    if outside:
+        raise ValueError(f"frequency_hz: expected {low:g} to {high:g} Hz, the range of the table, found {outside[0]:g}")
+    phase = np.unwrap(table.phase_rad)
+    delay = _mean_delay(table.frequency_hz, phase)
+    logarithm = np.log(table.magnitude) + 1j * (phase + 2.0 * np.pi * table.frequency_hz * delay)
+    knots, wanted = _abscissa(table.frequency_hz, logarithm, np.asarray(frequency_hz, dtype=np.float64))
+    fine = _spline(knots, logarithm, wanted)
+    changes = np.stack([_spline(knots[kept], logarithm[kept], wanted) - fine for kept in _halves(len(knots))])
+    change = np.take_along_axis(changes, np.argmax(np.abs(changes), axis=0)[None], axis=0)[0]
+    value = np.asarray(np.exp(fine - 2j * np.pi * np.asarray(frequency_hz) * delay), dtype=np.complex128)
+    u_magnitude = np.interp(wanted, knots, table.u_magnitude / table.magnitude)
+    u_phase = np.interp(wanted, knots, table.u_phase_rad)
+    errors = np.stack([u_magnitude + 0j, 1j * u_phase, change])
+    return ChainResponse(value, errors, ("magnitude of the table", "phase of the table", "interpolation"))
+
+
+def pole_response(
+    frequency_hz: FloatArray,
+    model: PoleModel,
+    *,
+    u_gain: float = 0.0,
+    u_frequency: float = 0.0,
+    u_delay_s: float = 0.0,
+) -> ChainResponse:
+    """Return the response of a pole model at frequencies (K,) in Hz.
+
+    `u_gain`: relative; `u_frequency`: relative, of all zeros and poles together (a corner frequency that is off by 1 %
+    moves every pole of its filter by 1 %); `u_delay_s`. With s = jω, ∂ln H/∂ln p = p/(s − p), ∂ln H/∂ln z = −z/(s − z)
+    and ∂ln H/∂τ = −s; where the gain is stated at a frequency, its magnitude there does not move.
+    """
+    s = _laplace(frequency_hz)
+    gain, held = model.gain, 0.0
+    if model.gain_hz is not None:
+        at = _laplace(np.array([model.gain_hz]))
+        gain = model.gain / _finite(abs(_product(at, model)), [model.gain_hz])[0]
+        held = float(_frequency_slope(at, model)[0].real)
+    shape = _finite(_product(s, model), frequency_hz)
+    errors = np.stack([u_gain + 0.0 * s, u_frequency * (_frequency_slope(s, model) - held), -s * u_delay_s])
+    value = np.asarray(gain * shape * np.exp(-s * model.delay_s), dtype=np.complex128)
+    return ChainResponse(value, np.asarray(errors), ("gain", "frequency", "delay"))
+
+
+def filter_poles(
+    kind: FilterKind, order: int, corner_hz: float, band: PassBand = "lowpass", damping: float = np.sqrt(0.5)
+) -> PoleModel:
+    """Return a standard analogue filter of gain 1 in its pass band, its response at `corner_hz` being −3 dB.
+
+    `butterworth`, `bessel` (normalised to −3 dB, not to its delay): of an order of 1 to 12 (scipy.signal gives the
+    poles). `resonance`: one pair of poles at |p| = 2π·corner_hz with a `damping` ratio (order 2; −3 dB only at 0.707),
+    the response of an accelerometer below and at its mounted resonance.
+    """
+    if not 1 <= order <= 12:
+        raise ValueError(f"order: expected 1 to 12, found {order}")
+    if not corner_hz > 0.0:
+        raise ValueError(f"corner_hz: expected a frequency above 0 Hz, found {corner_hz:g}")
+    if kind == "resonance":
+        return _resonance(order, corner_hz, band, damping)
+    from scipy import signal
+
+    short = "low" if band == "lowpass" else "high"
+    corner = 2.0 * np.pi * corner_hz
+    if kind == "butterworth":
+        zeros, poles, gain = signal.butter(order, corner, short, analog=True, output="zpk")
+    else:
+        zeros, poles, gain = signal.bessel(order, corner, short, analog=True, output="zpk", norm="mag")
+    return _passing(np.asarray(zeros, dtype=np.complex128), np.asarray(poles, dtype=np.complex128), float(gain), band)
+
+
+def product(responses: Sequence[ChainResponse]) -> ChainResponse:
+    """Return the response of elements one behind the other; their errors are independent of each other."""
+    value = np.prod([response.value for response in responses], axis=0)
+    errors = np.concatenate([response.errors for response in responses])
+    return ChainResponse(value, errors, tuple(cause for response in responses for cause in response.causes))
+
+
+def de_embedded(phasors: Phasors, response: ChainResponse) -> Phasors:
+    """Return phasors (K, C) that all went through one chain as they were before it: X / H, random covariance only.
+
+    The errors of the response are common to all lines and channels: `common_covariance` says what they add.
+    """
+    check_shape("response.value", response.value, phasors.frequency_hz.shape)
+    return phasors.scaled(1.0 / response.value[:, None])
+
+
+def common_covariance(value: ComplexArray, errors: ComplexArray) -> FloatArray:
+    """Return what E independent relative errors (E, K, C) add to the covariance of phasors (K, C): (K, 2C, 2C).
+
+    Σ_e d_e·d_eᵀ per line, d_e = [Re, Im] of `value`·error_e.
+    """
+    deviation = value * errors
+    stacked = np.concatenate([deviation.real, deviation.imag], axis=-1)
+    return np.asarray(np.einsum("eki,ekj->kij", stacked, stacked))
+
+
+def converted(phasors: Phasors, to: str) -> Phasors:
+    """Return phasors of motion, or transfer functions of motion per something else, as another time derivative.
+
+    `to`: `displacement`, `velocity` or `acceleration`. The unit of a channel says what it is: `m/s` or `rad/s`, in a
+    ratio `(m/s)/N` what stands before the last division. X_a = jω·X_v = (jω)²·X_d.
+    """
+    if to not in QUANTITIES:
+        raise ValueError(f"to: expected one of {', '.join(QUANTITIES)}, found {to}")
+    order = QUANTITIES.index(to)
+    factors, units = [], []
+    for unit in phasors.unit:
+        above, below = split_ratio(unit)
+        family, have = motion_order(above)
+        factors.append(derivative_factor(phasors.frequency_hz, order - have))
+        units.append(ratio_unit(MOTION_UNITS[family][order], below) if below else MOTION_UNITS[family][order])
+    return phasors.scaled(np.stack(factors, axis=1), units)
+
+
+def motion_order(unit: str) -> tuple[int, int]:
+    """Return which family of `MOTION_UNITS` a unit belongs to and its order of derivative; refuse other units."""
+    for family, units in enumerate(MOTION_UNITS):
+        if unit in units:
+            return family, units.index(unit)
+    known = ", ".join(unit for units in MOTION_UNITS for unit in units)
+    raise ValueError(f"unit: expected one of {known}, found {unit}")
+
+
+def ratio_unit(above: str, below: str) -> str:
+    """Return the unit of a ratio, parts that are compound in brackets: `(m/s^2)/N`; 1 for equal units."""
+    if above == below:
+        return "1"
+    parts = (part or "1" for part in (above, below))
+    top, bottom = (f"({part})" if any(sign in part for sign in "/.·* ") else part for part in parts)
+    return f"{top}/{bottom}"
+
+
+def split_ratio(unit: str) -> tuple[str, str]:
+    """Return what stands above and below the last division of a unit that `ratio_unit` made; below is empty else."""
+    if any(unit in units for units in MOTION_UNITS):
+        return unit, ""
+    depth = 0
+    for place in range(len(unit) - 1, -1, -1):
+        depth += {")": 1, "(": -1}.get(unit[place], 0)
+        if unit[place] == "/" and depth == 0:
+            return _unwrapped(unit[:place]), _unwrapped(unit[place + 1 :])
+    return unit, ""
+
+
+def _unwrapped(unit: str) -> str:
+    """Return a unit without the brackets around it."""
+    return unit[1:-1] if unit.startswith("(") and unit.endswith(")") else unit
+
+
+def _resonance(order: int, corner_hz: float, band: PassBand, damping: float) -> PoleModel:
+    """Return one pair of poles (or two real ones where damped above 1)."""
+    if order != 2:
+        raise ValueError(f"order: expected 2 for a resonance, found {order}")
+    if not damping > 0.0:
+        raise ValueError(f"damping: expected a ratio above 0, found {damping:g}")
+    corner = 2.0 * np.pi * corner_hz
+    turn = np.sqrt(complex(damping**2 - 1.0))
+    poles = corner * np.array([-damping + turn, -damping - turn], dtype=np.complex128)
+    zeros = np.zeros(2 if band == "highpass" else 0, dtype=np.complex128)
+    return _passing(zeros, poles, corner**2 if band == "lowpass" else 1.0, band)
+
+
+def _passing(zeros: ComplexArray, poles: ComplexArray, gain: float, band: PassBand) -> PoleModel:
+    """Return a filter whose gain is held in its pass band: at 0 Hz, or (k = 1) at the highest frequencies."""
+    return PoleModel(zeros, poles, 1.0, 0.0) if band == "lowpass" else PoleModel(zeros, poles, gain)
+
+
+def _laplace(frequency_hz: FloatArray) -> ComplexArray:
+    """Return s = jω of frequencies in Hz."""
+    return np.asarray(2j * np.pi * np.asarray(frequency_hz, dtype=np.float64), dtype=np.complex128)
+
+
+def _product(s: ComplexArray, model: PoleModel) -> ComplexArray:
+    """Return Π(s − z) / Π(s − p) at s (K,), factor by factor so that nothing overflows before it cancels."""
+    value = np.ones(len(s), dtype=np.complex128)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for place in range(max(len(model.zeros), len(model.poles))):
+            if place < len(model.zeros):
+                value = value * (s - model.zeros[place])
+            if place < len(model.poles):
+                value = value / (s - model.poles[place])
+    return value
+
+
+def _frequency_slope(s: ComplexArray, model: PoleModel) -> ComplexArray:
+    """Return ∂ln H/∂ln(all zeros and poles) at s (K,); roots at 0 stay there."""
+    slope = np.zeros(len(s), dtype=np.complex128)
+    for roots, sign in ((model.poles, 1.0), (model.zeros, -1.0)):
+        for root in roots[roots != 0.0]:
+            slope = slope + sign * root / (s - root)
+    return slope
+
+
+def _finite(value: np.ndarray, frequency_hz: Sequence[float] | FloatArray) -> np.ndarray:
+    """Refuse frequencies at which a response is zero or infinite."""
+    bad = np.flatnonzero(~np.isfinite(value) | (value == 0.0))
+    if len(bad):
+        raise ValueError(
+            f"frequency_hz: expected frequencies other than a zero or a pole, found {frequency_hz[bad[0]]:g} Hz"
+        )
+    return value
+
+
+def _conjugate(roots: ComplexArray) -> bool:
+    """Whether roots come in conjugate pairs (to 1e-9), so that the response is that of a real system."""
+    mirrored = roots.conj()
+    scale = 1e-9 * (np.abs(roots).max() if len(roots) else 0.0)
+    left = list(range(len(roots)))
+    for root in mirrored:
+        partner = next((i for i in left if abs(roots[i] - root) <= scale), None)
+        if partner is None:
+            return False
+        left.remove(partner)
+    return True
+
+
+def _told(roots: ComplexArray) -> str:
+    """Return the first root without a conjugate."""
+    alone = max(roots, key=lambda root: float(np.abs(roots - root.conjugate()).min()))
+    return f"{alone.real:g} {alone.imag:+g}j alone"
+
+
+def _mean_delay(frequency_hz: FloatArray, phase_rad: FloatArray) -> float:
+    """Return the delay τ of the straight line −2πτ·f + const nearest to an unwrapped phase; 0 for one point."""
+    centred = frequency_hz - frequency_hz.mean()
+    spread = float(centred @ centred)
+    return -float(centred @ phase_rad) / (2.0 * np.pi * spread) if spread > 0.0 else 0.0
+
+
+def _abscissa(knots: FloatArray, values: ComplexArray, wanted: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return knots and wanted frequencies, or their logarithms where these predict left-out values (N,) better."""
+    if knots[0] <= 0.0 or len(knots) < 4:
+        return knots, wanted
+    plain, logarithmic = (_prediction_error(x, values) for x in (knots, np.log(knots)))
+    return (knots, wanted) if plain <= logarithmic else (np.log(knots), np.log(wanted))
+
+
+def _prediction_error(knots: FloatArray, values: ComplexArray) -> float:
+    """Return the sum of squared errors with which either half of the knots predicts the other."""
+    missed = [_spline(knots[kept], values[kept], knots[~kept]) - values[~kept] for kept in _halves(len(knots))]
+    return float(np.sum(np.abs(np.concatenate(missed)) ** 2))
+
+
+def _halves(count: int) -> tuple[BoolArray, BoolArray]:
+    """Return masks (N,) of every other knot, the first and last in both."""
+    odd = np.arange(count) % 2 == 1
+    ends = np.isin(np.arange(count), [0, count - 1])
+    return odd | ends, ~odd | ends
+
+
+def _spline(knots: FloatArray, values: ComplexArray, wanted: FloatArray) -> ComplexArray:
+    """Return the not-a-knot cubic spline through values (N,) at wanted places; a constant for one knot."""
+    if len(knots) == 1:
+        return np.full(len(wanted), values[0])
+    from scipy.interpolate import CubicSpline
+
+    return np.asarray(CubicSpline(knots, values)(wanted))

@@ -1,0 +1,351 @@
+"""Transfer functions from blows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Notice
+from shaker.frf.random import Choice, Spectra, choose_estimator, transfer_of
+from shaker.frf.result import TransferFunction, TransferRecord, circular_covariance, pooled_scatter, share_of_reference
+from shaker.lines.spectrum import window_samples
+from shaker.phasor import Phasors
+
+# Hits of an impact hammer in a force record: where they are, and which of them count.
+
+
+_HIT = 0.1  # share of the largest force from which a pulse is a hit
+_FOOT = 0.01  # share of a pulse's peak at which it begins and ends
+_AGAIN = 0.05  # share of a pulse's peak from which a second pulse is a second hit
+_NOISE = 6.0  # standard deviations of the force at rest that no foot goes below
+_FAR = 0.3  # share of the largest excursion from which an end of the range is not the level at rest
+_CLIPPED = 3  # equal samples in a row at the range's end that tell an overload
+
+
+@dataclass(frozen=True)
+class Hit:
+    """A pulse: first and last sample above its foot, and its peak; `refused` says why it does not count (or empty)."""
+
+    first: int
+    last: int
+    peak: int
+    refused: str = ""
+
+
+def find_hits(record: TransferRecord, length: int) -> list[Hit]:
+    """Return the hits of a record whose reference is a force, judged for windows of `length` samples.
+
+    A hit does not count where the record ends before its window does, where a second pulse stands in the window (which
+    is no hit of its own), and where any channel is overloaded in it.
+    """
+    force, noise = _pulses_up(record.reference)
+    largest = float(force.max(initial=0.0))
+    if not largest > 2.0 * _NOISE * noise:
+        raise ValueError(f"reference: expected a force with hits, found only noise in {record.reference_name}")
+    overloaded = _overloads(record)
+    above = _runs(force > _HIT * largest)
+    hits: list[Hit] = []
+    for low, high in above:
+        if hits and low < hits[-1].first + length:
+            continue
+        hits.append(_judged(force, noise, overloaded, _foot(force, noise, low, high), length))
+    return hits
+
+
+def _pulses_up(reference: FloatArray) -> tuple[FloatArray, float]:
+    """Return the force without its rest level, pulses upwards, and the standard deviation of its noise at rest."""
+    rest = float(np.median(reference))
+    deviation = reference - rest
+    noise = float(np.median(np.abs(deviation)) / 0.6745)
+    return (deviation if deviation.max() >= -deviation.min() else -deviation), noise
+
+
+def _foot(force: FloatArray, noise: float, low: int, high: int) -> tuple[int, int, int]:
+    """Return first, last and peak sample of the pulse around samples low … high."""
+    peak = low + int(np.argmax(force[low : high + 1]))
+    foot = max(_FOOT * float(force[peak]), _NOISE * noise)
+    before = np.flatnonzero(force[: peak + 1] < foot)
+    after = np.flatnonzero(force[peak:] < foot)
+    first = int(before[-1]) + 1 if len(before) else 0
+    last = peak + int(after[0]) - 1 if len(after) else len(force) - 1
+    return first, last, peak
+
+
+def _judged(force: FloatArray, noise: float, overloaded: BoolArray, pulse: tuple[int, int, int], length: int) -> Hit:
+    """Return a hit with the reason why it does not count."""
+    first, last, peak = pulse
+    end = first + length
+    rest = force[last + 1 + (last - first + 1) // 2 : end]
+    again = np.flatnonzero(rest > max(_AGAIN * float(force[peak]), _NOISE * noise))
+    if end > len(force):
+        return Hit(first, last, peak, "the record ends before its window does")
+    if overloaded[first:end].any():
+        return Hit(first, last, peak, "a channel is overloaded")
+    if len(again):
+        return Hit(first, last, peak, f"a second pulse follows {again[0] + 1 + (last - first + 1) // 2} samples later")
+    return Hit(first, last, peak)
+
+
+def _runs(mask: BoolArray) -> list[tuple[int, int]]:
+    """Return first and last index of every run of true samples."""
+    edges: IntArray = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    return [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _overloads(record: TransferRecord) -> BoolArray:
+    """Tell the samples (S,) where any channel stays at the end of its range."""
+    found = np.zeros(len(record.reference), dtype=np.bool_)
+    for samples in (record.reference, *record.responses.T):
+        rest = float(np.median(samples))
+        far = _FAR * float(np.max(np.abs(samples - rest)))
+        for end in (samples.min(), samples.max()):
+            if abs(end - rest) < far:
+                continue
+            for low, high in _runs(samples == end):
+                if high - low + 1 >= _CLIPPED:
+                    found[low : high + 1] = True
+    return found
+
+
+# Transfer functions from hammer blows: windows, average over hits, covariance over hits.
+
+
+_END = (1e-6, 1e-3)  # least and largest share of a response's beginning that its end may keep
+_HIDDEN = 0.3  # share of the noise at which the end of a response is hidden in it
+_STANDS_OUT = 8.0  # factor over the lines around from which a line still rings
+_AROUND = 41  # lines that are around
+_EXCITED = 0.01  # share of the force spectrum's maximum below which nothing is excited
+_ENOUGH = 5  # hits from which the coherence tells where the noise is
+_REST = 8  # samples before the hits from which noise can be read
+_REACH = 512  # lines over which errors correlate under an exponential window, at most
+
+
+def transfer_impact(
+    record: TransferRecord,
+    duration_s: float,
+    *,
+    pretrigger_s: float | None = None,
+    added_decay_per_s: float | None = None,
+    estimator: Literal["auto", "H1", "H2", "Hv"] = "auto",
+    band_hz: tuple[float, float] | None = None,
+) -> TransferFunction:
+    """Return H from hammer blows: windows of `duration_s` around every hit that counts, averaged.
+
+    Hits with a second pulse, an overload or a window beyond the record do not count, with a notice. The force keeps its
+    pulse only (force window with cosine flanks). Force and responses are multiplied by exp(-at), t from the hit: the
+    ratio is then exactly H(a + jω), also if the response outlasts the window but for exp(-a·duration). a is
+    `added_decay_per_s`; None takes the smallest that hides what the slowest mode still does at the end in its noise,
+    often zero. The covariance is the scatter over the hits, pooled over neighbouring lines; that of a single hit
+    is the noise before it, taken as white. `pretrigger_s` is what the window shows before a hit, None 5 % of it.
+    """
+    rate = record.sample_rate_hz
+    length = round(duration_s * rate)
+    wanted = round((0.05 * duration_s if pretrigger_s is None else pretrigger_s) * rate)
+    if not 0 <= wanted < length // 2 or length < 64:
+        raise ValueError(
+            f"duration_s: expected 64 samples or more and a shorter pretrigger_s, found {length} and {wanted} samples"
+        )
+    hits = find_hits(record, length)
+    taken = [hit for hit in hits if not hit.refused]
+    if not taken:
+        raise ValueError(f"record: expected a hit that counts, found {len(hits)}: {'; '.join(h.refused for h in hits)}")
+    blows = _cut(record, taken, length, min([wanted, *(hit.first for hit in taken)]))
+    decay = _needed_decay(blows) if added_decay_per_s is None else added_decay_per_s
+    lines = _transformed(blows, decay, band_hz or (0.0, 0.5 * rate))
+    averages = np.full(len(lines.frequency_hz), float(len(taken)))
+    spectra = Spectra(np.mean(lines.value[:, :, :, None] * lines.value.conj()[:, :, None, :], axis=0), averages)
+    choice = _choice(spectra, estimator, record.reference_name)
+    found = transfer_of(spectra, choice)
+    correlation = _line_correlation(blows, decay, len(lines.frequency_hz))
+    covariance, dof = _covariance(lines, found.ratio, (correlation, _force_correlation(blows, decay)))
+    return TransferFunction(
+        ratio=Phasors(lines.frequency_hz, found.ratio, covariance, record.channels, record.ratio_unit, dof),
+        coherence=found.coherence,
+        estimator=choice.estimator,
+        reference=record.reference_name,
+        averages=averages,
+        line_spacing_hz=rate / length,
+        line_correlation=correlation,
+        notices=_notices(record, hits, choice, decay, lines),
+        added_decay_per_s=decay,
+    )
+
+
+@dataclass(frozen=True)
+class _Blows:
+    """Windows (N samples) of n hits: `time_s` (N,) from the hit, `samples` (n, N, 1 + C) without offset, force first.
+
+    `force_window` (n, N); `noise` (1 + C, 1 + C): covariance of the samples before the hits, of `noise_dof` degrees of
+    freedom, zero where there are too few.
+    """
+
+    time_s: FloatArray
+    samples: FloatArray
+    force_window: FloatArray
+    noise: FloatArray
+    noise_dof: float
+
+
+@dataclass(frozen=True)
+class _Lines:
+    """Transforms `value` (n, K, 1 + C) at the lines excited; `noise` (K, 1 + C, 1 + C) that stands in each of them."""
+
+    frequency_hz: FloatArray
+    value: ComplexArray
+    noise: FloatArray
+    noise_dof: float
+
+
+def _cut(record: TransferRecord, hits: list[Hit], length: int, before: int) -> _Blows:
+    """Cut the windows and take offsets off: of the force that before the hit, of the responses that of the second half.
+
+    A Hann weight keeps what still rings out of a response's offset.
+    """
+    together = np.column_stack([record.reference, record.responses])
+    windows = np.stack([together[hit.first - before : hit.first - before + length] for hit in hits])
+    rest = windows[:, :before] - windows[:, :before].mean(axis=1, keepdims=True) if before else windows[:, :0]
+    half = length // 2
+    offset = np.einsum("l,nlc->nc", window_samples("hann", half) / half, windows[:, -half:])
+    offset[:, 0] = windows[:, :before, 0].mean(axis=1) if before else np.median(record.reference)
+    windows = windows - offset[:, None, :]
+    rest = rest.reshape(-1, together.shape[1])
+    dof = len(hits) * (before - 1.0) if before >= _REST else 0.0
+    noise = rest.T @ rest / dof if dof else np.zeros((together.shape[1],) * 2)
+    force_window = np.stack([_force_window(length, before, hit.last - hit.first + 1) for hit in hits])
+    return _Blows((np.arange(length) - before) / record.sample_rate_hz, windows, force_window, noise, dof)
+
+
+def _force_window(length: int, before: int, pulse: int) -> FloatArray:
+    """Return a window (N,) that is one over the pulse and half its length on either side, with cosine flanks."""
+    half = max(2, pulse // 2)
+    outside = np.maximum(before - half - np.arange(length), np.arange(length) - (before + pulse - 1 + half))
+    return np.asarray(0.5 + 0.5 * np.cos(np.pi * np.clip(outside / half, 0.0, 1.0)))
+
+
+def _needed_decay(blows: _Blows) -> float:
+    """Return the decay per second that lets every mode end below the noise, zero where none is needed.
+
+    Modes are the lines that stand out of the spectrum of the window's last quarter; how much lower they are than in the
+    first quarter tells their own decay.
+    """
+    from scipy.ndimage import median_filter
+
+    begin = int(np.searchsorted(blows.time_s, 0.0))
+    quarter = (len(blows.time_s) - begin) // 4
+    taper = window_samples("hann", quarter)[:, None]
+    first, last = (
+        np.sqrt(np.mean(np.abs(np.fft.rfft(part * taper, axis=1)[:, 2:]) ** 2, axis=0))
+        for part in (blows.samples[:, begin : begin + quarter, 1:], blows.samples[:, -quarter:, 1:])
+    )
+    around = median_filter(last, size=(min(_AROUND, len(last)), 1), mode="nearest")
+    rings = last > _STANDS_OUT * around
+    if not rings.any():
+        return 0.0
+    start = np.maximum(first[rings], np.finfo(np.float64).tiny)
+    allowed = np.clip(_HIDDEN * around[rings] / start, *_END)
+    # Three quarters of the window lie between the two, four between the hit and the end.
+    left = np.minimum(last[rings] / start, 1.0) ** (4.0 / 3.0)
+    return max(0.0, float(np.max(np.log(left / allowed)) / blows.time_s[-1]))
+
+
+def _transformed(blows: _Blows, decay: float, band_hz: tuple[float, float]) -> _Lines:
+    """Return the transforms of the windows at the lines of the band that the force excites without a gap from zero."""
+    length = len(blows.time_s)
+    window = np.exp(-decay * blows.time_s)
+    seen = blows.samples * window[:, None]
+    seen[:, :, 0] *= blows.force_window
+    rate = 1.0 / (blows.time_s[1] - blows.time_s[0])
+    frequency = np.fft.rfftfreq(length, 1.0 / rate)
+    value = np.fft.rfft(seen, axis=1)
+    force = np.sqrt(np.mean(np.abs(value[:, :, 0]) ** 2, axis=0))
+    weak = np.flatnonzero(force < _EXCITED * force.max())
+    inside = (frequency >= band_hz[0]) & (frequency <= band_hz[1])
+    inside[0] = inside[-1] = False
+    inside[weak[0] if len(weak) else len(inside) :] = False
+    if not inside.any():
+        raise ValueError(
+            f"band_hz: expected lines that the force excites, found none in {band_hz[0]} to {band_hz[1]} Hz"
+        )
+    # White noise of the samples, as the windows let it through.
+    share = np.append(
+        np.mean(np.sum((window * blows.force_window) ** 2, axis=1)), np.full(value.shape[2] - 1, window @ window)
+    )
+    noise = blows.noise * np.sqrt(np.multiply.outer(share, share))
+    noise[0, 1:] = noise[1:, 0] = 0.0
+    return _Lines(np.asarray(frequency[inside], dtype=np.float64), value[:, inside], noise, blows.noise_dof)
+
+
+def _choice(spectra: Spectra, wanted: Literal["auto", "H1", "H2", "Hv"], reference_name: str) -> Choice:
+    """Return the estimator to take; few hits do not tell where the noise is."""
+    few = bool(spectra.averages[0] < _ENOUGH)
+    if wanted == "auto" and few:
+        return Choice("H1", 1.0, f"fewer than {_ENOUGH} hits, and the window keeps noise off the force")
+    return choose_estimator(spectra, wanted, 1.0 if few else None, reference_name)
+
+
+def _line_correlation(blows: _Blows, decay: float, lines: int) -> ComplexArray:
+    """Return the correlation (D,) of the errors of lines 0, 1, 2 … apart under the exponential window."""
+    if decay == 0.0:
+        return np.ones(1, dtype=np.complex128)
+    square = np.exp(-2.0 * decay * blows.time_s)
+    found = np.fft.fft(np.roll(square, -int(np.searchsorted(blows.time_s, 0.0))))
+    return np.asarray(found[: min(_REACH, lines)] / found[0])
+
+
+def _force_correlation(blows: _Blows, decay: float) -> ComplexArray:
+    """Return the correlation (D,) of the force's noise at lines 0, 1, 2 … apart, under the force window."""
+    square = np.mean(blows.force_window**2, axis=0) * np.exp(-2.0 * decay * blows.time_s)
+    found = np.fft.fft(square)
+    return np.asarray(found / found[0])
+
+
+def _worth(number: FloatArray, correlation: ComplexArray) -> FloatArray:
+    """Return as how many independent lines `number` (K,) neighbours count whose errors correlate (D,)."""
+    return np.asarray(np.maximum(1.0, number / (1.0 + 2.0 * np.sum(np.abs(correlation[1:17]) ** 2))))
+
+
+def _covariance(
+    lines: _Lines, ratio: ComplexArray, correlations: tuple[ComplexArray, ComplexArray]
+) -> tuple[FloatArray, FloatArray]:
+    """Return the covariance (K, 2C, 2C) of the ratio and its dof (K,), given how lines correlate: all, force alone.
+
+    The force window leaves the force's noise in one hit about the same over many lines: what it does to them is known
+    from the hits only. Flat noise and noise times |H|² add as Welch and Satterthwaite say: 1/ν = (1 - s)²/ν₁ + s²/ν₂.
+    """
+    count = len(lines.value)
+    force = np.sum(np.abs(lines.value[:, :, 0]) ** 2, axis=0)[:, None, None]
+    if count > 1:
+        error = lines.value[:, :, 1:] - ratio * lines.value[:, :, :1]
+        scatter = np.einsum("nkc,nkd->kcd", error, error.conj()) / (count - 1)
+        pooled, number = pooled_scatter(scatter, ratio, 2.0 * (count - 1))
+        flat, through = (_worth(number, correlation) for correlation in correlations)
+        share = np.max(share_of_reference(scatter, ratio), axis=1)
+        worth = 1.0 / ((1.0 - share) ** 2 / flat + share**2 / np.minimum(flat, through))
+        return circular_covariance(pooled / force), 2.0 * (count - 1) * worth
+    if lines.noise_dof == 0.0:
+        size = 2 * ratio.shape[1]
+        return np.full((len(ratio), size, size), np.nan), np.full(len(ratio), np.nan)
+    through = ratio[:, :, None] * ratio.conj()[:, None, :] * lines.noise[0, 0]
+    return circular_covariance((lines.noise[1:, 1:] + through) / force), np.full(len(ratio), lines.noise_dof)
+
+
+def _notices(
+    record: TransferRecord, hits: list[Hit], choice: Choice, decay: float, lines: _Lines
+) -> tuple[Notice, ...]:
+    """Return what the user should know about hits, windows and estimator."""
+    count = len(lines.value)
+    found = [choice.notice(record.reference_name, f"{count} of {len(hits)} hits")]
+    for number, hit in enumerate(hits, start=1):
+        if hit.refused:
+            seconds = hit.peak / record.sample_rate_hz
+            text = f"hit {number} at {seconds:.6g} s does not count: {hit.refused}"
+            found.append(Notice("warning", text, record.reference_name))
+    if decay > 0.0:
+        text = f"exponential window exp(-{decay:.6g}/s·t): the transfer function is H(a + jω), fits take the window off"
+        found.append(Notice("info", text, record.reference_name))
+    if count == 1:
+        known = "is the noise before it" if lines.noise_dof else "is not known: too few samples before it"
+        found.append(Notice("warning", f"a single hit: its uncertainty {known}", record.reference_name))
+    return tuple(found)

@@ -1,0 +1,409 @@
+"""Transfer functions from periodic excitation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Notice
+from shaker.frf.result import TransferFunction, TransferRecord, circular_covariance, excited_lines, pooled_scatter
+from shaker.phasor import Phasors
+
+# Phasors of every period of a periodic signal, also where the period is no whole number of samples.
+
+
+_SOFT_SAMPLES = 128  # length of the seam of two soft windows, at most
+_SOFT_ORDER = 8
+_WHOLE = 1e-7  # distance from a whole number of samples that no record notices
+_STEPS = 8
+_TOLERANCE = 1e-3  # error of a stated period that is put right
+_SAME_PERIOD = 4.0  # standard uncertainties within which a stated period is taken to be the true one
+
+
+@dataclass(frozen=True)
+class Periods:
+    """Phasors of M periods at the harmonics (K,) of 1/period: `value` (M, K, C), phases from each period's begin."""
+
+    harmonic: IntArray
+    value: ComplexArray
+
+
+@dataclass(frozen=True)
+class Period:
+    """Length of a period in samples, its uncertainty, and where the first kept period begins."""
+
+    samples: float
+    u_samples: float
+    start: float
+    count: int
+
+
+def count_periods(length: int, start: float, samples: float) -> int:
+    """Return how many periods a record holds; the last may lack less than half a seam where samples do not fit."""
+    slack = 0.0 if _is_whole(samples) and _is_whole(start) else 0.5 * _seam(samples)
+    return int(np.floor((length - start + slack) / samples + 1e-12))
+
+
+def find_period(reference: FloatArray, samples: float, settle_periods: int) -> Period:
+    """Return the exact period of `reference` (S,) from a stated one in samples, good to 0.1 %.
+
+    Delays of all periods against their mean, d_m = Σ k·Im(X_m X̄*) / Σ k²|X̄|², weigh every line by its information;
+    their slope over m is the period's error. The stated period is kept where the record does not contradict it.
+    """
+    stated, u_samples = samples, np.inf
+    for step in range(_STEPS):
+        start = settle_periods * samples
+        count = count_periods(len(reference), start, samples)
+        if count < 2:
+            break
+        spectrum = period_phasors(reference[:, None], Period(samples, 0.0, start, count), (0.0, 0.45), rounds=2).value[
+            :, :, 0
+        ]
+        error, u_samples = _period_error(spectrum, samples)
+        if (step == 0 and abs(error) <= _SAME_PERIOD * u_samples) or abs(error) <= 0.05 * u_samples:
+            break
+        samples += error
+    if abs(samples - stated) > _TOLERANCE * stated:
+        raise ValueError(
+            f"period_s: expected the period of the reference within 0.1 %, found a record that repeats after "
+            f"{samples / stated:.5f} of it"
+        )
+    start = settle_periods * samples
+    return Period(samples, u_samples, start, count_periods(len(reference), start, samples))
+
+
+def _period_error(spectrum: ComplexArray, samples: float) -> tuple[float, float]:
+    """Return by how many samples the period is too short, and its uncertainty, from phasors (M, K) at 1, 2 … K.
+
+    What repeats too late by e samples turns its k-th phasor by -2πke/P from one period to the next.
+    """
+    count, lines = spectrum.shape
+    harmonic = np.arange(1.0, lines + 1.0)
+    coarse = _coarse_error(np.sum(spectrum[1:] * spectrum[:-1].conj(), axis=0), samples)
+    turn = np.exp(2j * np.pi * np.multiply.outer(np.arange(count), harmonic) * coarse / samples)
+    aligned = spectrum * turn
+    mean = aligned.mean(axis=0)
+    weight = np.sum(harmonic**2 * np.abs(mean) ** 2)
+    if not weight > 0.0:
+        raise ValueError("reference: expected a periodic signal, found none")
+    scale = samples / (2.0 * np.pi * weight)
+    delay = -scale * np.sum(harmonic * (aligned * mean.conj()).imag, axis=1)
+    scatter = np.sum(np.abs(aligned - mean) ** 2, axis=0) / (count - 1)
+    u_delay = scale * np.sqrt(0.5 * np.sum(harmonic**2 * np.abs(mean) ** 2 * scatter))
+    middle = np.arange(count) - 0.5 * (count - 1)
+    return coarse + float(middle @ delay / (middle @ middle)), float(u_delay / np.sqrt(middle @ middle))
+
+
+def _coarse_error(cross: ComplexArray, samples: float) -> float:
+    """Return the delay between periods in samples: of the highest peaks of their correlation the one nearest zero."""
+    points = 2 * (len(cross) + 1)
+    correlation = np.fft.irfft(np.concatenate([[0.0], cross]), n=points)
+    lag = np.fft.fftfreq(points, 1.0 / points)
+    inside = np.abs(lag) <= max(2.0, 1.5 * _TOLERANCE * points)
+    high = inside & (correlation >= 0.98 * correlation[inside].max())
+    place = lag[high][np.argmin(np.abs(lag[high]))]
+    return float(place * samples / points)
+
+
+def period_phasors(data: FloatArray, period: Period, share: tuple[float, float], rounds: int = 5) -> Periods:
+    """Return the phasors of every period of `data` (S, C) at the harmonics between two shares of the sampling rate.
+
+    A period of a whole number of samples is transformed as it is. Otherwise each period is seen through a window that
+    rises and falls as 1 - rise of the next one, so that all windows add to one: then Σ w(t)·exp(j2πnt/T) is zero for
+    every n but 0 to 1e-7 or better (at 0.4 of the rate 1e-11), and the harmonics do not leak into one another. The
+    harmonics of 1/T lie on no grid of a fast Fourier transform; the chirp z-transform (Rabiner, Schafer and Rader
+    1969) reaches them. What the seams at both ends of the record lack comes from the mean
+    period, in some rounds.
+    """
+    harmonic = np.arange(max(1, int(np.ceil(share[0] * period.samples))), int(share[1] * period.samples) + 1)
+    if not len(harmonic):
+        raise ValueError(f"band_hz: expected a band with harmonics of the period, found none of {period.samples:.6g}")
+    if _is_whole(period.samples) and _is_whole(period.start):
+        samples, start = round(period.samples), round(period.start)
+        kept = data[start : start + period.count * samples].reshape(period.count, samples, -1)
+        value = np.stack([np.fft.rfft(part, axis=0)[harmonic] for part in kept])
+        return Periods(harmonic, 2.0 / samples * value)
+    return Periods(harmonic, _soft_phasors(data, period, harmonic, rounds))
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """One period as its window sees it: where it stands in the padded record, the window, and its transform."""
+
+    part: slice
+    window: FloatArray
+    transform: Callable[..., ComplexArray]
+    turn: ComplexArray
+
+    def phasors(self, padded: FloatArray) -> ComplexArray:
+        """Return the phasors (K, C) of the period."""
+        return self.turn[:, None] * self.transform(self.window[:, None] * padded[self.part], axis=0)
+
+
+def _soft_phasors(data: FloatArray, period: Period, harmonic: IntArray, rounds: int) -> ComplexArray:
+    """Return phasors (M, K, C) through windows whose sum is one."""
+    half = int(np.ceil(0.5 * _seam(period.samples))) + 1
+    first = int(np.floor(period.start)) - half
+    last = int(np.ceil(period.start + period.count * period.samples)) + half
+    index = np.arange(first, last)
+    missing = (index < 0) | (index >= len(data))
+    padded = data[np.clip(index, 0, len(data) - 1)] - data.mean(axis=0)
+    padded[missing] = 0.0
+    seen = _windows(index, period, np.arange(1, int(0.49 * period.samples) + 1))
+    value = np.stack([window.phasors(padded) for window in seen])
+    weight = np.zeros(len(index))
+    for window in seen:
+        weight[window.part] += window.window
+    weight = weight[missing] / period.count
+    turns = 2j * np.pi / period.samples * (index[missing] - period.start)
+    basis = np.exp(np.multiply.outer(turns, np.arange(1.0, value.shape[1] + 1.0)))
+    for _ in range(rounds if missing.any() else 0):
+        model = (basis @ value.mean(axis=0)).real
+        # A sample that is missing lowers the mean it is taken from by its own weight.
+        padded[missing] += (model - padded[missing]) / (1.0 - weight[:, None])
+        for m in {0, period.count - 1}:
+            value[m] = seen[m].phasors(padded)
+    return np.asarray(value[:, harmonic[0] - 1 : harmonic[-1]])
+
+
+def _windows(index: IntArray, period: Period, harmonic: IntArray) -> list[_Seen]:
+    """Return the soft windows of all periods and their transforms at the harmonics 1, 2 … K."""
+    from scipy.signal import CZT
+    from scipy.special import betainc
+
+    seam, samples = _seam(period.samples), period.samples
+
+    def rise(t: FloatArray) -> FloatArray:
+        return np.asarray(betainc(_SOFT_ORDER + 1, _SOFT_ORDER + 1, np.clip(t / seam + 0.5, 0.0, 1.0)))
+
+    step = np.exp(-2j * np.pi / samples)
+    transforms: dict[int, Callable[..., ComplexArray]] = {}
+    seen = []
+    for number in range(period.count):
+        begin = period.start + number * samples
+        low, high = np.searchsorted(index, [begin - 0.5 * seam, begin + samples + 0.5 * seam])
+        time = np.asarray(index[low:high] - begin, dtype=np.float64)
+        length = int(high - low)
+        if length not in transforms:
+            transforms[length] = CZT(length, m=len(harmonic), w=step, a=1.0 / step)
+        turn = 2.0 / samples * np.exp(-2j * np.pi * harmonic * (time[0] / samples))
+        seen.append(_Seen(slice(low, high), rise(time) - rise(time - samples), transforms[length], turn))
+    return seen
+
+
+def _seam(samples: float) -> float:
+    """Return over how many samples one window passes into the next."""
+    return float(min(_SOFT_SAMPLES, samples / 4.0))
+
+
+def _is_whole(samples: float) -> bool:
+    """Tell whether a number of samples is whole as far as any record can tell."""
+    return abs(samples - round(samples)) < _WHOLE * max(1.0, samples / 1e4)
+
+
+# What periods tell beyond the transfer function: a structure not settled, a drift, distortions.
+
+
+_BLOCK = 8  # lines that are tested together
+_UNLIKELY = 1e-4  # probability, over all blocks of a record, below which periods differ
+_GAIN = 1e-3  # change of the reference's amplitude between periods that is told
+_CLOCK = 1e-7  # relative difference of the excitation's clock that is told
+_DISTORTION = 3.0  # mean of an unexcited line over its uncertainty, rms, from which it is a distortion
+
+
+def period_notices(
+    record: TransferRecord, period: Period, lines: Periods, excited: BoolArray, ratio: ComplexArray
+) -> tuple[Notice, ...]:
+    """Return the notices on the periods of a record; `lines.value` (M, K, 1 + C), `ratio` (E, C) at excited lines."""
+    rate = record.sample_rate_hz
+    frequency = np.asarray(lines.harmonic * (rate / period.samples), dtype=np.float64)
+    value = lines.value[:, excited]
+    found = [_choice(record, period, int(np.count_nonzero(excited)))]
+    found += _reference_drift(value[:, :, 0], record.reference_name)
+    for c, name in enumerate(record.channels):
+        error = value[:, :, 1 + c] - ratio[:, c] * value[:, :, 0]
+        found += _unsettled(error, value[:, :, 1 + c], frequency[excited], name)
+        found += _distortions(lines, excited, ratio[:, c], 1 + c, name)
+    return tuple(found)
+
+
+def _choice(record: TransferRecord, period: Period, lines: int) -> Notice:
+    """Say which estimator was taken and why."""
+    seconds = period.samples / record.sample_rate_hz
+    text = (
+        f"periodic excitation, {period.count} periods of {seconds:.9g} s (u {period.u_samples / period.samples:.1e}), "
+        f"{lines} lines: ratio of the means over periods, leaks nothing, not biased by noise on either channel"
+    )
+    return Notice("info", text, record.reference_name)
+
+
+def _reference_drift(reference: ComplexArray, name: str) -> list[Notice]:
+    """Tell a reference whose amplitude changes from period to period; the ratio does not suffer."""
+    mean = reference.mean(axis=0)
+    power = np.sum(np.abs(mean) ** 2)
+    gain = np.sum(reference * mean.conj(), axis=1) / power
+    scatter = np.sum(np.abs(reference - gain[:, None] * mean) ** 2 * np.abs(mean) ** 2) / max(1, len(reference) - 1)
+    u_gain = np.sqrt(0.5 * scatter) / power
+    span = float(np.ptp(gain.real))
+    if span < max(_GAIN, 6.0 * float(u_gain)):
+        return []
+    text = f"the excitation's amplitude changes by {100.0 * span:.2g} % between periods; the ratio does not suffer"
+    return [Notice("info", text, name)]
+
+
+def _unsettled(error: ComplexArray, response: ComplexArray, frequency: FloatArray, name: str) -> list[Notice]:
+    """Tell a first period that differs from the others, and a response that drifts over the periods."""
+    count = len(error)
+    if count < 3:
+        return []
+    first = np.full(count, -1.0 / (count - 1))
+    first[0] = 1.0
+    found = _differs(error, first, frequency)
+    if found.any():
+        size = np.abs(error[0] - error[1:].mean(axis=0))[found].max() / np.abs(response.mean(axis=0))[found].max()
+        text = (
+            f"the first kept period differs from the others between {frequency[found].min():.6g} and "
+            f"{frequency[found].max():.6g} Hz, by up to {100.0 * size:.2g} % of the response: the structure had not "
+            "settled; leave out one period more (settle_periods)"
+        )
+        return [Notice("warning", text, name)]
+    trend = _differs(error, np.arange(0.0, count) - 0.5 * (count - 1), frequency)
+    if trend.any():
+        text = (
+            f"response over reference drifts over the periods between {frequency[trend].min():.6g} and "
+            f"{frequency[trend].max():.6g} Hz: what is given is the mean"
+        )
+        return [Notice("warning", text, name)]
+    return []
+
+
+def _differs(error: ComplexArray, contrast: FloatArray, frequency: FloatArray) -> BoolArray:
+    """Tell the lines (K,) in whose blocks a contrast over periods exceeds what is left: F of 2n and 2n(M-2)."""
+    from scipy.special import fdtrc
+
+    unit = contrast / np.sqrt(contrast @ contrast)
+    along = np.einsum("m,mk->k", unit, error)
+    power = np.abs(along) ** 2
+    rest = np.sum(np.abs(error - error.mean(axis=0)) ** 2, axis=0) - power
+    blocks = np.arange(0, len(frequency), _BLOCK)
+    size = np.diff(np.append(blocks, len(frequency)))
+    others = len(error) - 2
+    tiny = np.finfo(np.float64).tiny
+    quotient = np.add.reduceat(power, blocks) / np.maximum(np.add.reduceat(rest, blocks) / others, tiny)
+    probability = fdtrc(2.0 * size, 2.0 * size * others, quotient)
+    return np.repeat(np.asarray(probability < _UNLIKELY / len(blocks)), size)
+
+
+def _distortions(lines: Periods, excited: BoolArray, ratio: ComplexArray, channel: int, name: str) -> list[Notice]:
+    """Tell what stands on even and odd unexcited lines inside the band, where a multisine leaves such lines."""
+    place = np.flatnonzero(excited)
+    silent = ~excited
+    silent[: place[0]] = silent[place[-1] :] = False
+    if np.count_nonzero(silent) < 0.1 * len(place):
+        return []
+    through = np.interp(lines.harmonic, lines.harmonic[place], ratio.real) + 1j * np.interp(
+        lines.harmonic, lines.harmonic[place], ratio.imag
+    )
+    # What the distorted reference itself drives through the structure is no distortion of the response.
+    own = lines.value[:, :, channel] - through * lines.value[:, :, 0]
+    level = np.sqrt(np.mean(np.abs(lines.value[:, excited, channel].mean(axis=0)) ** 2))
+    told = []
+    for word, remainder in (("even", 0), ("odd", 1)):
+        chosen = silent & (lines.harmonic % 2 == remainder)
+        if not chosen.any():
+            continue
+        mean = np.mean(np.abs(own[:, chosen].mean(axis=0)) ** 2)
+        noise = np.mean(np.var(own[:, chosen], axis=0, ddof=1)) / len(own)
+        if mean > _DISTORTION**2 * noise:
+            told.append(f"{20.0 * np.log10(np.sqrt(mean - noise) / level):.0f} dB at {word} lines")
+    if not told:
+        return []
+    text = f"non-linear distortions: {' and '.join(told)} that are not excited, relative to the excited ones"
+    return [Notice("warning", text, name)]
+
+
+# Transfer functions from periodic excitation: errors-in-variables estimate, covariance over periods.
+
+
+_HIGHEST = 0.45  # share of the sampling rate up to which lines are taken where no band is named
+
+
+def transfer_periodic(
+    record: TransferRecord,
+    period_s: float,
+    *,
+    settle_periods: int = 0,
+    band_hz: tuple[float, float] | None = None,
+) -> TransferFunction:
+    """Return H = Ȳ/X̄ at the excited harmonics of a periodic excitation (chirp, multisine) from its whole periods.
+
+    The maximum-likelihood estimate with noise on reference and responses (Pintelon and Schoukens, System
+    Identification, 2nd ed., section 2.7.2): phasors are averaged over the M periods after the first `settle_periods`,
+    then divided. The period is refined on the reference, so that an excitation clock beside the DAQ's leaks nothing.
+    The covariance follows from the scatter of Y_m - H·X_m over the periods (M ≥ 2), pooled over up to 17
+    neighbouring lines; `dof` is 2(M-1) times the lines pooled.
+    """
+    rate = record.sample_rate_hz
+    if settle_periods < 0 or not period_s * rate >= 16.0:
+        raise ValueError(
+            f"period_s: expected a period of 16 samples or more and settle_periods 0 or more, found {period_s} s "
+            f"at {rate} Hz and {settle_periods}"
+        )
+    period = find_period(record.reference, period_s * rate, settle_periods)
+    if period.count < 2:
+        raise ValueError(
+            f"period_s: expected at least 2 whole periods after {settle_periods} to settle, found {period.count} in "
+            f"{len(record.reference) / rate:.6g} s"
+        )
+    share = (0.0, _HIGHEST) if band_hz is None else (max(0.0, band_hz[0] / rate), min(0.5, band_hz[1] / rate))
+    together = np.column_stack([record.reference, record.responses])
+    lines = period_phasors(together, period, share)
+    excited = excited_lines(lines.value[:, :, 0])
+    if not excited.any():
+        raise ValueError(
+            f"record: expected a reference that excites lines, found only noise in {record.reference_name}"
+        )
+    estimate = _estimate(lines.value[:, excited])
+    frequency = np.asarray(lines.harmonic * (rate / period.samples), dtype=np.float64)
+    notices = period_notices(record, period, lines, excited, estimate.ratio)
+    kept = int(np.count_nonzero(excited))
+    return TransferFunction(
+        ratio=Phasors(
+            frequency[excited], estimate.ratio, estimate.covariance, record.channels, record.ratio_unit, estimate.dof
+        ),
+        coherence=estimate.coherence,
+        estimator="periodic",
+        reference=record.reference_name,
+        averages=np.full(kept, float(period.count)),
+        line_spacing_hz=rate / period.samples,
+        line_correlation=np.ones(1, dtype=np.complex128),
+        notices=notices,
+    )
+
+
+@dataclass(frozen=True)
+class _Estimate:
+    """Ratio (K, C), covariance (K, 2C, 2C), dof (K,), coherence over periods (K, C)."""
+
+    ratio: ComplexArray
+    covariance: FloatArray
+    dof: FloatArray
+    coherence: FloatArray
+
+
+def _estimate(value: ComplexArray) -> _Estimate:
+    """Return the ratio of the means over periods of phasors (M, K, 1 + C), reference first."""
+    count = len(value)
+    reference, responses = value[:, :, 0], value[:, :, 1:]
+    mean = reference.mean(axis=0)
+    ratio = responses.mean(axis=0) / mean[:, None]
+    error = responses - ratio * reference[:, :, None]
+    scatter = np.einsum("mkc,mkd->kcd", error, error.conj()) / (count - 1)
+    pooled, lines = pooled_scatter(scatter, ratio, 2.0 * (count - 1))
+    covariance = circular_covariance(pooled / (count * np.abs(mean[:, None, None]) ** 2))
+    cross = np.abs(np.sum(responses * reference.conj()[:, :, None], axis=0)) ** 2
+    power = np.sum(np.abs(reference) ** 2, axis=0)[:, None] * np.sum(np.abs(responses) ** 2, axis=0)
+    coherence = np.divide(cross, power, out=np.ones_like(power), where=power > 0.0)
+    return _Estimate(ratio, covariance, 2.0 * (count - 1) * lines, np.minimum(coherence, 1.0))

@@ -1,0 +1,464 @@
+"""Transfer functions from noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Notice, check_shape
+from shaker.frf.result import TransferFunction, TransferRecord, circular_covariance, resolution_notices
+from shaker.lines.spectrum import window_samples
+from shaker.phasor import Phasors
+
+# H1, H2 and Hv from averaged spectra, their covariance, and the choice among them.
+
+
+_TOLERANCE = 0.3  # bias of an estimator, over its standard uncertainty, that is accepted
+_TELLING = 0.5  # coherence from which 1 - γ² is about the sum of the two noise-to-signal ratios
+
+
+@dataclass(frozen=True)
+class Spectra:
+    """Averaged spectra `power` (K, 1 + C, 1 + C) = E[z zᴴ] of [reference, responses], each worth `averages` (K,)."""
+
+    power: ComplexArray
+    averages: FloatArray
+
+    def __post_init__(self) -> None:
+        check_shape("power", self.power, (None, self.power.shape[-1], self.power.shape[-1]))
+        check_shape("averages", self.averages, (len(self.power),))
+
+    @property
+    def reference(self) -> FloatArray:
+        """S_xx (K,)."""
+        return np.asarray(self.power[:, 0, 0].real)
+
+    @property
+    def responses(self) -> FloatArray:
+        """S_yy (K, C)."""
+        return np.asarray(np.einsum("kcc->kc", self.power).real[:, 1:])
+
+    @property
+    def cross(self) -> ComplexArray:
+        """E[y x*] (K, C), which over S_xx is H1."""
+        return np.asarray(self.power[:, 1:, 0])
+
+    @property
+    def coherence(self) -> FloatArray:
+        """|S_xy|²/(S_xx S_yy) (K, C), one where a channel is silent."""
+        both = self.reference[:, None] * self.responses
+        found = np.divide(np.abs(self.cross) ** 2, both, out=np.ones_like(both), where=both > 0.0)
+        return np.asarray(np.minimum(found, 1.0))
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The estimator taken, the ratio of the noise powers that Hv uses, and why."""
+
+    estimator: Literal["H1", "H2", "Hv"]
+    noise_ratio: float
+    why: str
+
+    def notice(self, where: str, averaged: str) -> Notice:
+        """Return the notice that tells the choice."""
+        return Notice("info", f"{self.estimator} of {averaged}: {self.why}", where)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Ratio (K, C), covariance (K, 2C, 2C), coherence (K, C)."""
+
+    ratio: ComplexArray
+    covariance: FloatArray
+    coherence: FloatArray
+
+
+def transfer_of(spectra: Spectra, choice: Choice) -> Estimate:
+    """Return the ratio of the responses to the reference with the estimator chosen."""
+    ratio = _ratio(spectra, choice)
+    power, averages = spectra.power, spectra.averages
+    cross = ratio[:, :, None] * spectra.cross.conj()[:, None, :]
+    # Power of y - H x for the H found; for H1 it is what the regression leaves.
+    left = power[:, 1:, 1:] - cross - cross.conj().swapaxes(1, 2)
+    left = left + ratio[:, :, None] * ratio.conj()[:, None, :] * power[:, :1, :1]
+    coherence = spectra.coherence
+    if np.all(averages > 1.0):
+        noise = left / (power[:, :1, :1].real * (averages[:, None, None] - 1.0))
+        if choice.estimator != "H1":
+            loss = 1.0 / np.sqrt(np.maximum(coherence, 1.0 / averages[:, None]))
+            noise = noise * loss[:, :, None] * loss[:, None, :]
+        covariance = circular_covariance(_positive(noise))
+    else:
+        covariance = np.full((len(ratio), 2 * ratio.shape[1], 2 * ratio.shape[1]), np.nan)
+    return Estimate(ratio, covariance, coherence)
+
+
+def _ratio(spectra: Spectra, choice: Choice) -> ComplexArray:
+    """Return H (K, C); Hv minimises the noise |n_x|² + |n_y|²/κ that explains the spectra."""
+    cross, reference, responses = spectra.cross, spectra.reference[:, None], spectra.responses
+    if choice.estimator == "H1":
+        return np.asarray(cross / reference)
+    if choice.estimator == "H2":
+        return np.asarray(responses / cross.conj())
+    kappa = choice.noise_ratio
+    difference = responses - kappa * reference
+    root = np.sqrt(difference**2 + 4.0 * kappa * np.abs(cross) ** 2)
+    return np.asarray((difference + root) / (2.0 * cross.conj()))
+
+
+def _positive(noise: ComplexArray) -> ComplexArray:
+    """Return Hermitian matrices with a diagonal that rounding has not made negative."""
+    hermitian = 0.5 * (noise + noise.conj().swapaxes(1, 2))
+    diagonal = np.arange(noise.shape[1])
+    hermitian[:, diagonal, diagonal] = np.maximum(hermitian[:, diagonal, diagonal].real, np.finfo(np.float64).tiny)
+    return np.asarray(hermitian)
+
+
+def choose_estimator(
+    spectra: Spectra,
+    wanted: Literal["auto", "H1", "H2", "Hv"],
+    noise_ratio: float | None,
+    reference_name: str,
+) -> Choice:
+    """Return the estimator to take: the one wanted, or the one whose bias stays below its uncertainty.
+
+    The coherence tells noise on the reference from noise on a response, if both are about white over the band:
+    1 - γ² = N_x/S_xx + N_y/S_yy, solved for N_x, N_y ≥ 0 by weighted least squares.
+    """
+    if noise_ratio is not None and not noise_ratio > 0.0:
+        raise ValueError(f"noise_ratio: expected a positive number, found {noise_ratio}")
+    on_reference, on_response, bias_h1, bias_h2 = _noise_shares(spectra)
+    found = noise_ratio if noise_ratio is not None else _quotient(on_response, on_reference)
+    if wanted != "auto":
+        if wanted == "Hv" and found is None:
+            raise ValueError(
+                "noise_ratio: expected the ratio of the noise powers, found none and no noise to tell it by"
+            )
+        return Choice(wanted, found or 1.0, "as asked")
+    if bias_h1 <= _TOLERANCE:
+        return Choice("H1", found or 1.0, f"noise on {reference_name} biases it by less than its uncertainty")
+    if bias_h2 <= _TOLERANCE:
+        return Choice("H2", found or 1.0, f"the noise is on {reference_name}, little on the responses")
+    why = f"noise on {reference_name} and on the responses, powers in the ratio 1 : {found or 1.0:.3g}"
+    return Choice("Hv", found or 1.0, why)
+
+
+def _quotient(on_response: float, on_reference: float) -> float | None:
+    """Return the ratio of the noise powers where both are known."""
+    return on_response / on_reference if on_reference > 0.0 and on_response > 0.0 else None
+
+
+def _noise_shares(spectra: Spectra) -> tuple[float, float, float, float]:
+    """Return noise powers on reference and responses, and the bias of H1 and H2 over its uncertainty (95th centile)."""
+    from scipy.optimize import nnls
+
+    coherence = spectra.coherence
+    bias = (1.0 - coherence) ** 2 / spectra.averages[:, None]
+    missing = np.maximum(1.0 - coherence - bias, 0.0)
+    # The estimate of 1 - γ² scatters by about √2 γ (1 - γ²)/√n; a smooth stand-in weighs the lines.
+    scale = 1.0 / np.maximum(missing, np.maximum(np.median(missing), 1e-12))
+    fits, shares = [], []
+    for c in range(coherence.shape[1]):
+        told = _telling(coherence[:, c])
+        x, y, averages = spectra.reference[told], spectra.responses[told, c], spectra.averages[told]
+        columns = np.stack([1.0 / x, 1.0 / y], axis=1) * scale[told, c, None]
+        unit = np.linalg.norm(columns, axis=0)
+        level = nnls(columns / unit, missing[told, c] * scale[told, c])[0] / unit
+        fits.append(level)
+        u_relative = np.sqrt(np.maximum(missing[told, c], 1e-12) / averages)
+        shares.append(np.quantile([level[0] / x / u_relative, level[1] / y / u_relative], 0.95, axis=1))
+    noise = np.median(fits, axis=0)
+    bias_h1, bias_h2 = np.max(shares, axis=0)
+    return float(noise[0]), float(noise[1]), float(bias_h1), float(bias_h2)
+
+
+def _telling(coherence: FloatArray) -> BoolArray:
+    """Tell the lines (K,) whose signal is above the noise, all where none is: beside a band, noise is all there is."""
+    above = coherence > _TELLING
+    return np.asarray(above if above.any() else np.ones_like(above))
+
+
+# Transfer functions by local polynomials: the spectrum of a whole record, without segments and window.
+
+
+_ORDER = 6  # of the polynomials in frequency
+_LOWER_ORDER = 4  # of those that show what the order matters
+_WINDOW = 5.0  # lines of the wanted spacing that one polynomial spans
+_UNKNOWNS = 2 * (_ORDER + 1)  # coefficients of transfer function and transient
+_FEWEST_BINS = 2 * _UNKNOWNS  # of a record's spectrum in a window, half of them for the noise
+LEAST_SEGMENTS = _FEWEST_BINS / _WINDOW
+"""Length of the shortest record over 1/(line spacing)."""
+_CERTAIN = 4.0  # times its variance that the square of a difference reaches by chance once in fifty lines
+_TOGETHER = 200_000  # bins of all windows that are solved at once
+
+
+@dataclass(frozen=True)
+class LocalSpectra:
+    """Spectra at K lines freed from leakage, `dof` real degrees of freedom of the noise, correlation of lines (D,).
+
+    `bias` (K, C): by how much a lower order gives another transfer function, zero where noise may have done it.
+    """
+
+    spectra: Spectra
+    bias: ComplexArray
+    dof: float
+    line_correlation: ComplexArray
+    bins: int
+
+    def text(self) -> str:
+        """Say what was fitted."""
+        return f"local polynomials of order {_ORDER} over {self.bins} bins of the whole record"
+
+
+def enough_bins(samples: int, length: int) -> bool:
+    """Tell whether a record of `samples` has bins enough for lines a `length`-th of the sample rate apart."""
+    return samples >= LEAST_SEGMENTS * length
+
+
+def local_spectra(record: TransferRecord, length: int, frequency_hz: FloatArray) -> LocalSpectra:
+    """Return spectra [reference, responses] at lines (K,), Hz, a `length`-th of the sample rate apart.
+
+    Over a window of five lines of the record's own DFT, r bins from the line,
+    Y(r) = Σ g_s rˢ·X(r) + Σ t_s rˢ, s = 0 … 6, by least squares: t is what the record's beginning and end leave
+    (leakage), smooth in frequency, g₀ the transfer function at the line (Pintelon and Schoukens, System Identification,
+    2nd ed., 2012, sec. 7.2; Schoukens, Vandersteen, Barbé and Pintelon, Eur. J. Control 15, 2009). What the fit leaves,
+    per degree of freedom, is the noise S_ee. Given back is S_xx = mean |X|², S_yx = g₀ S_xx, S_yy = |g₀|² S_xx + S_ee,
+    worth n + 1 averages, n = (X*QX)/S_xx, Q the projection on what the other unknowns do not explain: then
+    var g₀ = S_ee/(n S_xx), and noise on the reference lowers g₀ as it lowers H1, so that H2 and Hv can be had from
+    these spectra as from averaged ones. Errors of two lines correlate as far as their windows overlap. A resonance
+    that is too narrow for these polynomials is still more so for those of order 4: the difference bounds the bias.
+    """
+    samples = len(record.reference)
+    together = np.column_stack([record.reference, record.responses])
+    transform = np.fft.rfft(together - together.mean(axis=0), axis=0)
+    bins = round(_WINDOW * samples / length)
+    place = frequency_hz * (samples / record.sample_rate_hz)
+    first = np.clip(np.round(place - 0.5 * (bins - 1)).astype(np.int64), 1, len(transform) - 1 - bins)
+    count = max(1, _TOGETHER // bins)
+    parts = [_solved(transform, place[k : k + count], first[k : k + count], bins) for k in range(0, len(place), count)]
+    power, averages, bias = (np.concatenate(part) for part in zip(*parts, strict=True))
+    correlation = _kernel_correlation(bins, samples / length)
+    return LocalSpectra(Spectra(power, averages), bias, 2.0 * (bins - _UNKNOWNS), correlation, bins)
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Polynomials in windows of B bins: `ratio` (K, C), `information` (K,) and `noise` (K, C, C) behind it."""
+
+    ratio: ComplexArray
+    information: FloatArray
+    noise: ComplexArray
+
+
+def _solved(
+    transform: ComplexArray, place: FloatArray, first: IntArray, bins: int
+) -> tuple[ComplexArray, FloatArray, ComplexArray]:
+    """Return power (K, 1 + C, 1 + C), averages (K,) and bias (K, C) of the windows that begin at the bins `first`."""
+    index = first[:, None] + np.arange(bins)
+    powers = ((index - place[:, None]) / (0.5 * bins))[:, :, None] ** np.arange(_ORDER + 1)
+    reference, responses = transform[index, :1], transform[index, 1:]
+    fit = _fitted(powers, reference, responses)
+    lower = _fitted(powers[:, :, : _LOWER_ORDER + 1], reference, responses)
+    level = np.mean(np.abs(reference[:, :, 0]) ** 2, axis=1) + np.finfo(np.float64).tiny ** 0.5
+    through = np.concatenate([np.ones_like(fit.ratio[:, :1]), fit.ratio], axis=1)
+    power = level[:, None, None] * through[:, :, None] * through.conj()[:, None, :]
+    power[:, 1:, 1:] += fit.noise
+    # The lower fit is part of the higher one, so that the variance of their difference is that of their variances.
+    gained = 1.0 / fit.information - 1.0 / lower.information
+    by_chance = np.einsum("kcc->kc", fit.noise).real * gained[:, None]
+    difference = fit.ratio - lower.ratio
+    bias = np.where(np.abs(difference) ** 2 > _CERTAIN * by_chance, difference, 0.0)
+    return power, 1.0 + fit.information / level, bias
+
+
+def _fitted(powers: FloatArray, reference: ComplexArray, responses: ComplexArray) -> _Fit:
+    """Fit polynomials with `powers` (K, B, P) of the place to responses (K, B, C) on a reference (K, B, 1)."""
+    # The transfer function at the line comes last but the responses, so that the triangle holds it alone.
+    columns = np.concatenate([powers[:, :, 1:] * reference, powers, reference, responses], axis=2)
+    triangle: ComplexArray = np.asarray(np.linalg.qr(columns, mode="r"))
+    last = 2 * powers.shape[2] - 1
+    pivot = triangle[:, last, last]
+    pivot = np.where(pivot == 0.0, np.finfo(np.float64).tiny ** 0.25, pivot)
+    left = triangle[:, last + 1 :, last + 1 :]
+    noise = left.swapaxes(1, 2) @ left.conj() / (powers.shape[1] - last - 1)
+    return _Fit(triangle[:, last, last + 1 :] / pivot[:, None], np.abs(pivot) ** 2, noise)
+
+
+def _kernel_correlation(bins: int, step: float) -> ComplexArray:
+    """Return the correlation (D,) of polynomial fits at the middle of windows that lie `step` bins apart."""
+    centred = (np.arange(bins) - 0.5 * (bins - 1)) / (0.5 * bins)
+    kernel = np.linalg.pinv(centred[:, None] ** np.arange(_ORDER + 1))[0]
+    apart = np.round(np.arange(0.0, bins, step)).astype(np.int64)
+    apart = apart[apart < bins]
+    return np.array([kernel[: bins - d] @ kernel[d:] / (kernel @ kernel) for d in apart], dtype=np.complex128)
+
+
+# Transfer functions from noise: local polynomials, or averaged spectra of overlapping segments; H1, H2, Hv.
+
+
+_HOP = 3  # segments begin every third of their length: 67 % overlap
+_FIRST_BIN = 3  # a Hann window lets what the mean left reach the bins below
+_REACH = 8  # lines over which those errors correlate
+_CORRELATED = 1e-4  # correlation of the errors of neighbouring lines that counts
+
+
+def transfer_random(
+    record: TransferRecord,
+    resolution_hz: float,
+    *,
+    estimator: Literal["auto", "local", "H1", "H2", "Hv"] = "auto",
+    noise_ratio: float | None = None,
+    band_hz: tuple[float, float] | None = None,
+) -> TransferFunction:
+    """Return H from a stationary random excitation at lines `resolution_hz` apart.
+
+    "local": local polynomials on the spectrum of the whole record (see `local_spectra`), no leakage, H1, H2 or Hv of
+    the spectra that they give. "H1", "H2", "Hv": Welch's averaged spectra of Hann segments of 1/resolution that overlap
+    by 67 % and count as n independent ones (IEEE Trans. Audio Electroacoust. 15, 1967). "auto" takes "local" where the
+    record is 5.6 such segments long or more, else the segments.
+    H1 = S_xy/S_xx suffers from noise on the reference, H2 = S_yy/S_yx from noise on the response, Hv (total least
+    squares) from neither if the ratio of the noise powers, response over reference, is that of `noise_ratio`; None
+    takes it from the coherence. A notice says what was taken and why. Covariance: S_ee/(n S_xx) of what H leaves of the
+    responses (Bendat and Piersol, Random Data, 4th ed., eqs. 9.89 and 9.90, without the approximation for large n);
+    added is the square of the bias: of segments its leading term, H''/6 per line squared (the average of H over |W|²,
+    whose second moment is 1/3 for Hann), of polynomials what a lower order makes of H.
+    """
+    length = _length(record, resolution_hz)
+    chosen = _lines(record.sample_rate_hz, length, band_hz)
+    local = estimator == "local" or (estimator == "auto" and enough_bins(len(record.reference), length))
+    source = _local(record, length, chosen) if local else _segments(record, length, chosen)
+    wanted = "auto" if estimator == "local" else estimator
+    choice = choose_estimator(source.spectra, wanted, noise_ratio, record.reference_name)
+    found = transfer_of(source.spectra, choice)
+    bias = _leakage(found.ratio) if source.bias is None else source.bias
+    covariance = found.covariance + circular_covariance(bias[:, :, None] * bias.conj()[:, None, :])
+    notices = [choice.notice(record.reference_name, source.text)]
+    cause = "a polynomial over five lines" if local else "leakage"
+    for c, name in enumerate(record.channels):
+        notices += resolution_notices(chosen, found.ratio[:, c], np.sqrt(found.covariance[:, c, c]), name, cause)
+    return TransferFunction(
+        ratio=Phasors(chosen, found.ratio, covariance, record.channels, record.ratio_unit, source.dof),
+        coherence=found.coherence,
+        estimator="local" if local else choice.estimator,
+        reference=record.reference_name,
+        averages=source.spectra.averages,
+        line_spacing_hz=record.sample_rate_hz / length,
+        line_correlation=source.line_correlation,
+        notices=tuple(notices),
+    )
+
+
+@dataclass(frozen=True)
+class _Source:
+    """Spectra at K lines, bias (K, C) if known, `dof` (K,) of noise, correlation of lines (D,), how they were made."""
+
+    spectra: Spectra
+    bias: ComplexArray | None
+    dof: FloatArray
+    line_correlation: ComplexArray
+    text: str
+
+
+def _length(record: TransferRecord, resolution_hz: float) -> int:
+    """Return the samples of 1/resolution."""
+    rate = record.sample_rate_hz
+    if not 0.0 < resolution_hz < rate / 16.0:
+        raise ValueError(f"resolution_hz: expected a value in (0, {rate / 16.0:.6g}), found {resolution_hz}")
+    length = round(rate / resolution_hz)
+    if len(record.reference) < 2 * length:
+        raise ValueError(
+            f"resolution_hz: expected two segments or more in the record, so at least "
+            f"{2.0 * rate / len(record.reference):.3g} Hz, found {resolution_hz} Hz"
+        )
+    return length
+
+
+def _lines(rate: float, length: int, band_hz: tuple[float, float] | None) -> FloatArray:
+    """Return the lines (K,), Hz, inside a band."""
+    frequency = np.fft.rfftfreq(length, 1.0 / rate)
+    low, high = band_hz or (0.0, 0.5 * rate)
+    inside = (frequency >= low) & (frequency <= high)
+    inside[:_FIRST_BIN] = inside[-1] = False
+    if not inside.any():
+        raise ValueError(f"band_hz: expected a band with lines of {rate / length:.6g} Hz, found {low} to {high} Hz")
+    return np.asarray(frequency[inside], dtype=np.float64)
+
+
+def _local(record: TransferRecord, length: int, frequency_hz: FloatArray) -> _Source:
+    """Return spectra by local polynomials."""
+    samples = len(record.reference)
+    if not enough_bins(samples, length):
+        least = record.sample_rate_hz / samples * LEAST_SEGMENTS
+        expected = f"expected lines at least {least:.3g} Hz apart for local polynomials"
+        raise ValueError(f"resolution_hz: {expected}, found {record.sample_rate_hz / length:.6g} Hz")
+    found = local_spectra(record, length, frequency_hz)
+    return _Source(
+        found.spectra, found.bias, np.full(len(frequency_hz), found.dof), found.line_correlation, found.text()
+    )
+
+
+def _segments(record: TransferRecord, length: int, frequency_hz: FloatArray) -> _Source:
+    """Return averaged spectra of segments."""
+    overlap = _Overlap.of(len(record.reference), length)
+    first = round(float(frequency_hz[0]) * length / record.sample_rate_hz)
+    spectra = _averaged(record, overlap, slice(first, first + len(frequency_hz)))
+    dof = np.full(len(frequency_hz), 2.0 * (overlap.independent - 1.0))
+    return _Source(spectra, None, dof, overlap.line_correlation, overlap.text())
+
+
+def _leakage(ratio: ComplexArray) -> ComplexArray:
+    """Return the bias H''/6 (K, C) that a Hann window gives H (K, C), zero at both ends."""
+    bias = np.zeros_like(ratio)
+    bias[1:-1] = (ratio[2:] - 2.0 * ratio[1:-1] + ratio[:-2]) / 6.0
+    return bias
+
+
+@dataclass(frozen=True)
+class _Overlap:
+    """Segments of a record: how they overlap, and what that means for their average.
+
+    `independent`: equivalent number of independent segments; `line_correlation` (D,) of the errors of an averaged
+    cross spectrum at neighbouring lines.
+    """
+
+    window: FloatArray
+    starts: tuple[int, ...]
+    independent: float
+    line_correlation: ComplexArray
+
+    @classmethod
+    def of(cls, samples: int, length: int) -> _Overlap:
+        """Lay segments over a record; noise in two of them d apart correlates as Σ w(n)·w(n+d)·exp(-jωn)."""
+        window = window_samples("hann", length)
+        hop = max(1, length // _HOP)
+        starts = tuple(range(0, samples - length + 1, hop))
+        count = len(starts)
+        total = np.zeros(_REACH)
+        for apart in range(min(count, -(-length // hop))):
+            overlap = np.zeros(length)
+            overlap[: length - apart * hop] = window[apart * hop :] * window[: length - apart * hop]
+            share = (count - apart) / count * (1.0 if apart == 0 else 2.0)
+            total = total + share * np.abs(np.fft.rfft(overlap)[:_REACH] / np.sum(window**2)) ** 2
+        correlation = np.asarray(total / total[0], dtype=np.complex128)
+        return cls(window, starts, count / float(total[0]), correlation[np.abs(correlation) > _CORRELATED])
+
+    def text(self) -> str:
+        """Say what was averaged."""
+        return f"{len(self.starts)} Hann segments with 67 % overlap, worth {self.independent:.3g} independent ones"
+
+
+def _averaged(record: TransferRecord, overlap: _Overlap, inside: slice) -> Spectra:
+    """Return the averaged auto and cross spectra at the lines inside the band."""
+    length = len(overlap.window)
+    together = np.column_stack([record.reference, record.responses])
+    together = together - together.mean(axis=0)
+    lines, channels = inside.stop - inside.start, together.shape[1]
+    total = np.zeros((lines, channels, channels), dtype=np.complex128)
+    for start in overlap.starts:
+        part = together[start : start + length]
+        value = np.fft.rfft(overlap.window[:, None] * part, axis=0)[inside]
+        total += value[:, :, None] * value.conj()[:, None, :]
+    total /= len(overlap.starts)
+    return Spectra(total, np.full(lines, overlap.independent))

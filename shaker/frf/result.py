@@ -1,0 +1,273 @@
+"""What a measurement of transfer functions returns, and which of its lines were excited."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, check_shape
+from shaker.frf.chain import ratio_unit
+from shaker.phasor import Phasors
+
+# What goes into the estimate of a transfer function, and what comes out.
+
+
+Estimator = Literal["H1", "H2", "Hv", "periodic", "local"]
+
+
+@dataclass(frozen=True)
+class TransferRecord:
+    """Samples of a reference and of C responses on one clock.
+
+    `reference` (S,), `responses` (S, C), both at `start + i / sample_rate_hz`; `reference_name` and `reference_unit`,
+    `channels` and `unit` (C names of the responses and their units).
+    """
+
+    reference: FloatArray
+    responses: FloatArray
+    sample_rate_hz: float
+    reference_name: str
+    reference_unit: str
+    channels: tuple[str, ...]
+    unit: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        check_shape("reference", self.reference, (None,))
+        check_shape("responses", self.responses, (len(self.reference), len(self.channels)))
+        if not self.sample_rate_hz > 0.0:
+            raise ValueError(f"sample_rate_hz: expected a positive number, found {self.sample_rate_hz}")
+        if len(self.unit) != len(self.channels):
+            raise ValueError(f"unit: expected {len(self.channels)} units, one per response, found {len(self.unit)}")
+        named = {self.reference_name: self.reference} | dict(zip(self.channels, self.responses.T, strict=True))
+        if len(named) != 1 + len(self.channels):
+            raise ValueError(f"channels: expected names that differ, found {self.reference_name}, {self.channels}")
+        gaps = [name for name, samples in named.items() if not np.isfinite(samples).all()]
+        if gaps:
+            raise ValueError(f"responses: expected samples without gaps, found NaN in {', '.join(gaps)}")
+
+    @property
+    def ratio_unit(self) -> tuple[str, ...]:
+        """Units of response over reference, "1" where they are the same."""
+        return tuple(ratio_unit(unit, self.reference_unit) for unit in self.unit)
+
+
+@dataclass(frozen=True)
+class TransferFunction:
+    """Responses over a reference at K lines, H = Y/X.
+
+    `ratio`: the C responses over the reference with covariance; `coherence` (K, C), as estimated (see
+    `coherence_bias`); `averages` (K,): independent averages behind it; `added_decay_per_s`: the decay a that an
+    exponential window has added, so that `ratio` is H(s) at s = a + jω; `line_correlation` (D,): correlation of the
+    errors of lines that are 0, 1, 2 … lines of the grid `line_spacing_hz` apart, [1] where they are independent.
+    """
+
+    ratio: Phasors
+    coherence: FloatArray
+    estimator: Estimator
+    reference: str
+    averages: FloatArray
+    line_spacing_hz: float
+    line_correlation: ComplexArray
+    notices: tuple[Notice, ...] = ()
+    added_decay_per_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        lines, channels = self.ratio.value.shape
+        check_shape("coherence", self.coherence, (lines, channels))
+        check_shape("averages", self.averages, (lines,))
+        check_shape("line_correlation", self.line_correlation, (None,))
+
+    @property
+    def coherence_bias(self) -> FloatArray:
+        """Bias (1 - γ²)²/n of the estimated coherence, (K, C); Bendat and Piersol, Random Data, 4th ed., eq. 9.76."""
+        return np.asarray((1.0 - self.coherence) ** 2 / self.averages[:, None])
+
+    def at_lines(self, lines: NDArray[Any]) -> TransferFunction:
+        """Return the lines chosen by a mask (K,) or by indices."""
+        return replace(
+            self,
+            ratio=self.ratio.at_lines(lines),
+            coherence=self.coherence[lines],
+            averages=self.averages[lines],
+        )
+
+    def between(self, band_hz: tuple[float, float]) -> TransferFunction:
+        """Return the lines inside a band."""
+        frequency = self.ratio.frequency_hz
+        return self.at_lines((frequency >= band_hz[0]) & (frequency <= band_hz[1]))
+
+    def channel_covariance(self, channel: str) -> FloatArray:
+        """Return the covariance (K, 2, 2) of [Re, Im] of one response."""
+        return self.ratio.select([channel]).covariance
+
+
+def circular_covariance(complex_covariance: ComplexArray) -> FloatArray:
+    """Return the covariance (K, 2C, 2C) of [all Re, all Im] of circular noise with E[e eᴴ] given as (K, C, C)."""
+    half = 0.5 * complex_covariance
+    return np.asarray(np.block([[half.real, -half.imag], [half.imag, half.real]]))
+
+
+# Which harmonics a periodic reference excites.
+
+
+_SIGNAL = 10.0  # mean over its standard uncertainty from which a line is a signal
+_STRONG = 0.1  # share of the largest line nearby from which a line is excited for sure
+_NEARBY = 12  # lines on either side that are nearby
+_WEAKEST = 1e-3  # share of the largest line of all below which a line is a distortion or a spur
+_DENSE = 0.7  # share of strong lines from which every line of a band is excited (a chirp)
+
+
+def excited_lines(reference: ComplexArray) -> BoolArray:
+    """Tell which lines (K,) the phasors (M, K) of M periods of a reference excite.
+
+    A line is excited that stands ten times above its own standard uncertainty and, where only some lines are excited
+    (multisine with unexcited lines that show distortions), above a tenth of the largest line nearby.
+    """
+    from scipy.ndimage import maximum_filter1d
+
+    lines = reference.shape[1]
+    magnitude = np.abs(reference.mean(axis=0))
+    signal = magnitude > _SIGNAL * _u_mean(reference)
+    nearby = maximum_filter1d(magnitude, size=min(2 * _NEARBY + 1, lines), mode="nearest")
+    strong = signal & (magnitude > _STRONG * nearby) & (magnitude > _WEAKEST * magnitude.max(initial=0.0))
+    if not strong.any():
+        return np.asarray(strong)
+    place = np.flatnonzero(strong)
+    inside = np.zeros(lines, dtype=np.bool_)
+    inside[place[0] : place[-1] + 1] = True
+    dense = np.count_nonzero(strong) > _DENSE * np.count_nonzero(inside)
+    return np.asarray(inside & signal if dense else strong)
+
+
+def _u_mean(reference: ComplexArray) -> FloatArray:
+    """Return the standard uncertainty of the mean over periods, of both quadratures together, from lines nearby."""
+    from scipy.ndimage import uniform_filter1d
+
+    count, lines = reference.shape
+    scatter = np.sum(np.abs(reference - reference.mean(axis=0)) ** 2, axis=0) / (count - 1)
+    smooth = uniform_filter1d(scatter, size=min(2 * _NEARBY + 1, lines), mode="nearest")
+    return np.asarray(np.sqrt(np.maximum(smooth, scatter) / count))
+
+
+# Whether the lines of a transfer function resolve its resonances.
+
+
+_LEAST = 6.0  # lines of a Hann window, or of local polynomials, between half-power points below which a peak reads low
+_PROMINENCE = 2.0  # factor by which a peak stands above its surroundings
+_REACH = 40  # lines on either side that are its surroundings
+_CERTAIN = 0.1  # relative uncertainty of |H| from which a peak may be noise
+
+
+def resolution_notices(
+    frequency_hz: FloatArray, ratio: ComplexArray, u_ratio: FloatArray, name: str, cause: str
+) -> list[Notice]:
+    """Tell peaks of |H| (K,), uncertainty `u_ratio` (K,), so narrow that the `cause` named lowers and widens them."""
+    from scipy.signal import find_peaks, peak_widths
+
+    magnitude = np.abs(ratio)
+    level = np.log(np.maximum(magnitude, np.finfo(np.float64).tiny))
+    peaks = find_peaks(level, prominence=np.log(_PROMINENCE), wlen=2 * _REACH + 1)[0]
+    peaks = peaks[u_ratio[peaks] < _CERTAIN * magnitude[peaks]]
+    if not len(peaks):
+        return []
+    # Half power lies ln √2 below the peak of the logarithm.
+    prominences = (np.full(len(peaks), 0.5 * np.log(2.0)), np.maximum(peaks - _REACH, 0), peaks + _REACH)
+    bounds = (prominences[0], prominences[1], np.minimum(prominences[2], len(level) - 1))
+    widths = peak_widths(level, peaks, rel_height=1.0, prominence_data=bounds)[0]
+    narrow = widths < _LEAST
+    if not narrow.any():
+        return []
+    spacing = float(frequency_hz[1] - frequency_hz[0])
+    listed = ", ".join(f"{frequency_hz[p]:.6g}" for p in peaks[narrow][:6])
+    width = float(widths[narrow].min())
+    text = (
+        f"half-power width of {width:.2g} lines at {listed} Hz: {cause} lowers and widens such a peak; lines "
+        f"{spacing * max(1.0, width) / (2.0 * _LEAST):.2g} Hz apart would show it"
+    )
+    return [Notice("warning", text, name)]
+
+
+# Noise of neighbouring lines taken together.
+
+
+_NEIGHBOURS = 8  # lines on either side that share one estimate of the noise
+_BLOCK = 64  # lines over which the shares of the noise are steady
+_SHAPE_STEPS = 60
+_STANDS_OUT = 1e-5  # probability below which a line counts as noisier than its neighbours
+
+
+def pooled_scatter(scatter: ComplexArray, ratio: ComplexArray, dof: float) -> tuple[ComplexArray, FloatArray]:
+    """Return the noise (K, C, C) averaged over up to 17 neighbouring lines, and how many lines (K,) each average has.
+
+    Across a resonance the noise of y - Hx is not level: that of the response is, that of the reference arrives times
+    |H|², and so does what shakes the base. So every line's scatter is first divided by a shape A + B|H|², A, B ≥ 0
+    steady over 64 lines, then averaged, then multiplied by the shape again. A line that is noisier than `dof` degrees
+    of freedom allow (mains, a spur) keeps its own noise to itself; where its scatter has too few degrees of freedom for
+    the correlation of C responses, that of the neighbours, enlarged.
+    """
+    lines = len(scatter)
+    level = np.einsum("kcc->kc", scatter).real
+    shape = np.sqrt(np.sum(_shape(level, np.abs(ratio) ** 2), axis=0))
+    product = shape[:, :, None] * shape[:, None, :]
+    even = scatter / product
+    alone = _stands_out(level / shape**2, dof)
+    counted = np.where(alone[:, None, None], 0.0, even)
+    total, number = np.zeros_like(counted), np.zeros(lines)
+    for offset in range(-min(_NEIGHBOURS, lines - 1), min(_NEIGHBOURS, lines - 1) + 1):
+        first, last = max(0, -offset), min(lines, lines - offset)
+        total[first:last] += counted[first + offset : last + offset]
+        number[first:last] += ~alone[first + offset : last + offset]
+    mean = np.asarray(total / np.maximum(number, 1.0)[:, None, None], dtype=np.complex128)
+    own = even if dof >= 2.0 * level.shape[1] else _enlarged(mean, even)
+    mean = np.where(alone[:, None, None], own, mean)
+    return np.asarray(mean * product), np.where(alone, 1.0, number)
+
+
+def _enlarged(mean: ComplexArray, even: ComplexArray) -> ComplexArray:
+    """Return the neighbours' noise (K, C, C) times what the line's own exceeds it by in the channel where most so."""
+    around, level = (np.einsum("kcc->kc", part).real for part in (mean, even))
+    tiny = np.finfo(np.float64).tiny
+    factor = np.max(level / np.maximum(around, tiny), axis=1)
+    return np.asarray(np.where(np.any(around > 0.0, axis=1)[:, None, None], mean * factor[:, None, None], even))
+
+
+def share_of_reference(scatter: ComplexArray, ratio: ComplexArray) -> FloatArray:
+    """Return the share (K, C) that arrives times |H|² in the noise (K, C, C) of y - Hx, as `pooled_scatter` sees it."""
+    level, gain = np.einsum("kcc->kc", scatter).real, np.abs(ratio) ** 2
+    flat, through = _shape(level, gain)
+    return np.asarray(through / (flat + through))
+
+
+def _shape(level: FloatArray, gain: FloatArray) -> FloatArray:
+    """Return A and B·gain (2, K, C) of noise levels with an exponential-like scatter, by maximum Whittle likelihood.
+
+    The multiplicative steps are those of Févotte, Bertin and Durrieu, Neural Computation 21 (2009).
+    """
+    tiny = np.finfo(np.float64).tiny ** 0.25
+    lines = len(level)
+    size = min(_BLOCK, lines)
+    blocks = max(1, lines // size)
+    edges = np.linspace(0, lines, blocks + 1).astype(np.int64)[:-1]
+    count = np.diff(np.append(edges, lines))
+    basis = np.stack([np.ones_like(gain), gain], axis=-1)
+    white = np.add.reduceat(level, edges, axis=0) / count[:, None] + tiny
+    steady = np.add.reduceat(basis, edges, axis=0) / count[:, None, None] + tiny
+    coefficients = 0.5 * white[:, :, None] / steady
+    for _ in range(_SHAPE_STEPS):
+        model = np.sum(basis * np.repeat(coefficients, count, axis=0), axis=-1)
+        up = np.add.reduceat(basis * (level / model**2)[:, :, None], edges, axis=0)
+        down = np.add.reduceat(basis / model[:, :, None], edges, axis=0)
+        coefficients = coefficients * np.sqrt(up / down) + tiny**2
+    return np.asarray(np.moveaxis(basis * np.repeat(coefficients, count, axis=0), -1, 0) + 0.5 * tiny)
+
+
+def _stands_out(level: FloatArray, dof: float) -> BoolArray:
+    """Tell which lines are noisier than a common noise lets a line be in any channel of `level` (K, C)."""
+    from scipy.ndimage import median_filter
+    from scipy.special import chdtri
+
+    around = median_filter(level, size=(min(2 * _NEIGHBOURS + 1, len(level)), 1), mode="nearest")
+    return np.asarray(np.any(level > chdtri(dof, _STANDS_OUT) / chdtri(dof, 0.5) * around, axis=1))

@@ -1,0 +1,1 @@
+"""Resonances, structures and sensors identified from transfer functions."""

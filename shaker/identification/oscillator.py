@@ -1,0 +1,386 @@
+"""One resonance fitted to a transfer function, with covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from shaker.arrays import ComplexArray, FloatArray, check_shape
+from shaker.frf.result import TransferFunction
+
+# How large the noise of every line is: as stated from its scatter, and as its residual says.
+
+
+_FEWEST_DOF, _MOST_DOF = 3.0, 1e9  # of a stated covariance, as used
+
+
+@dataclass(frozen=True)
+class CurveResidual:
+    """Residuals of one curve: `length` (K,) = T² = rᵀS⁻¹r over the covariance S stated of p real numbers, `dof` (K,).
+
+    `size` is p; `dof` are the degrees of freedom ν behind S, infinite where S is known.
+    """
+
+    length: FloatArray
+    dof: FloatArray
+    size: int
+
+    def __post_init__(self) -> None:
+        check_shape("length", self.length, (None,))
+        check_shape("dof", self.dof, self.length.shape)
+
+
+@dataclass(frozen=True)
+class SeenNoise:
+    """Factors on the stated covariances: `lines` (K,) per curve, used as weights; `common` λ ≥ 1 to all of them.
+
+    `chi_squared` of the residuals over the covariances as stated, `dof` what it would be by noise alone, were these
+    exact, `expected` its mean over `dof` as they are; `chance`: relative standard deviation of χ²/dof by noise alone.
+    """
+
+    lines: tuple[FloatArray, ...]
+    common: float
+    chi_squared: float
+    dof: float
+    expected: float
+    chance: float
+
+
+def seen_noise(curves: Sequence[CurveResidual], unknowns: float) -> SeenNoise:
+    """Return the noise that residuals of a fit with a number of `unknowns` show.
+
+    T² and the covariance S of ν degrees of freedom both say how noisy a line is, so that it weighs (ν + p)/(ν + T²), as
+    in Student's likelihood (Lange, Little and Taylor, J. Am. Stat. Assoc. 84, 1989). With n = ν + p, νS + rrᵀ ~ χ²ₙ:
+    the weights come out too large by n/(n - 2) in the mean, and such an estimate has n/(n - 2) times the variance of
+    one with S known; both factors are in `lines`. λ = χ²/dof over its expectation ν/(ν - 2), at least 1.
+    """
+    freedoms = [np.clip(curve.dof, _FEWEST_DOF, _MOST_DOF) for curve in curves]
+    pairs = list(zip(curves, freedoms, strict=True))
+    real = sum(curve.size * len(curve.length) for curve in curves)
+    chi_squared = float(sum(curve.length.sum() for curve in curves))
+    spread = sum(curve.size * np.sum(_widened(v, curve.size)) for curve, v in pairs) / real
+    expected = float(sum(curve.size * np.sum(v / (v - 2.0)) for curve, v in pairs) / real)
+    dof = max(1.0, real - unknowns)
+    common = max(1.0, chi_squared / dof / expected)
+    factors = tuple((common * v + curve.length) * (v + curve.size) / (v + curve.size - 2.0) ** 2 for curve, v in pairs)
+    return SeenNoise(factors, common, chi_squared, dof, expected, float(np.sqrt(2.0 * spread / dof)))
+
+
+def _widened(freedom: FloatArray, size: int) -> FloatArray:
+    """Return how much more T² of `size` real numbers varies, relatively, than χ² does, as the F distribution says."""
+    return np.asarray((freedom + size - 2.0) / np.maximum(freedom - 4.0, 1.0))
+
+
+# One resonance fitted to a measured transfer function.
+
+
+Kind = Literal["transmissibility", "receptance", "mobility", "accelerance"]
+
+_ORDER: dict[str, int] = {"transmissibility": 0, "receptance": 0, "mobility": 1, "accelerance": 2}
+_START_ROUNDS = 10
+_STEPS = 60
+_SMALL_STEP = 1e-5  # change of the whitened model at which a fit has converged
+_LARGEST_DAMPING = 1e6  # of a Levenberg-Marquardt step
+_NOISE_ROUNDS = 5
+_EVEN = 0.01  # relative spread over the lines of what their covariances change by, at which weights have settled
+
+
+@dataclass(frozen=True)
+class Resonance:
+    """A resonance with its uncertainty.
+
+    `frequency_hz`: f₀ of the undamped oscillator; `damping_ratio` ζ; complex `gain` G; `delay_s`; `residual` (2,)
+    complex: the mass line R₋/s² and the constant R₊ of all other modes; delay and residual are zero where not fitted.
+    `parameters` (P,) names what was fitted, in the order of `covariance` (P, P); `chi_squared` is that of the residuals
+    over the uncertainties given, divided by ν/(ν - 2) where these have ν degrees of freedom, so that noise alone gives
+    `dof` in the mean. The covariance is enlarged by χ²/dof where that exceeds one.
+    """
+
+    kind: Kind
+    frequency_hz: float
+    damping_ratio: float
+    gain: complex
+    delay_s: float
+    residual: ComplexArray
+    parameters: tuple[str, ...]
+    covariance: FloatArray
+    chi_squared: float
+    dof: float
+
+    def __post_init__(self) -> None:
+        check_shape("residual", self.residual, (2,))
+        check_shape("covariance", self.covariance, (len(self.parameters), len(self.parameters)))
+
+    def model(self, frequency_hz: FloatArray, added_decay_per_s: float = 0.0) -> ComplexArray:
+        """Return H(s) (K,) at s = a + jω."""
+        vector = [self.frequency_hz, self.damping_ratio, self.gain.real, self.gain.imag, self.delay_s]
+        vector += [part for term in self.residual for part in (term.real, term.imag)]
+        return _evaluate(self.kind, _names(True, True), _laplace(frequency_hz, added_decay_per_s), np.array(vector))[0]
+
+    def u(self, parameter: str) -> float:
+        """Return the standard uncertainty of a fitted parameter."""
+        if parameter not in self.parameters:
+            raise ValueError(f"parameter: expected one of {', '.join(self.parameters)}, found {parameter}")
+        place = self.parameters.index(parameter)
+        return float(np.sqrt(self.covariance[place, place]))
+
+    @property
+    def quality(self) -> float:
+        """Quality factor Q = 1/(2ζ)."""
+        return 0.5 / self.damping_ratio
+
+    @property
+    def half_power_hz(self) -> tuple[float, float]:
+        """Frequencies where |1/(1 - r² + 2jζr)|² is half of its maximum: r² = 1 - 2ζ² ∓ 2ζ√(1 - ζ²)."""
+        z = self.damping_ratio
+        middle, half = 1.0 - 2.0 * z * z, 2.0 * z * np.sqrt(max(0.0, 1.0 - z * z))
+        low, high = np.sqrt(np.maximum(0.0, np.array([middle - half, middle + half])))
+        return self.frequency_hz * float(low), self.frequency_hz * float(high)
+
+
+def fit_resonance(
+    frequency_hz: FloatArray,
+    value: ComplexArray,
+    covariance: FloatArray,
+    kind: Kind,
+    *,
+    delay: bool = False,
+    residual_terms: bool = False,
+    added_decay_per_s: float = 0.0,
+    line_correlation: ComplexArray | None = None,
+    covariance_dof: FloatArray | None = None,
+) -> Resonance:
+    """Fit one resonance to H `value` (K,) at `frequency_hz` (K,) with `covariance` (K, 2, 2) of [Re, Im].
+
+    With p = s/ω₀, s = a + jω and D = 1 + 2ζp + p²: transmissibility G·(1 + 2ζp)/D (base excitation), receptance G/D,
+    mobility G·s/D, accelerance G·s²/D, so that G = 1/k of an oscillator driven by a force; `residual_terms` adds
+    R₋/s² + R₊ to 1/D's place, `delay` a factor exp(-sτ). `added_decay_per_s` is the a of an exponential window.
+    Start: linear rational fit (Levy 1959) with the weights of Sanathanan and Koerner (IEEE Trans. Autom. Control 8,
+    1963). Then Levenberg-Marquardt on the residuals whitened by their covariance. `line_correlation` (D,), that of the
+    errors of lines 0, 1, 2 … apart (see `TransferFunction`), enters the covariance of the result. `covariance_dof`
+    (K,): degrees of freedom behind `covariance` where it was estimated, so that lines weigh by it and by their
+    residuals together (see `seen_noise`).
+    """
+    frequency, value = np.asarray(frequency_hz, dtype=np.float64), np.asarray(value, dtype=np.complex128)
+    check_shape("frequency_hz", frequency, (None,))
+    check_shape("value", value, frequency.shape)
+    check_shape("covariance", covariance, (*frequency.shape, 2, 2))
+    names = _names(delay, residual_terms)
+    if 2 * len(frequency) <= len(names):
+        raise ValueError(f"frequency_hz: expected more than {len(names) // 2} lines, found {len(frequency)}")
+    behind = np.full(len(frequency), np.inf) if covariance_dof is None else np.asarray(covariance_dof, np.float64)
+    check_shape("covariance_dof", behind, frequency.shape)
+    s = _laplace(frequency, added_decay_per_s)
+    vector, jacobian, noise = _weighed(kind, names, s, value, _whitening(covariance), behind)
+    covariance = _parameter_covariance(frequency, jacobian, line_correlation)
+    fitted = dict(zip(names, vector.tolist(), strict=True))
+    low, high = (complex(fitted.get(f"{n}_re", 0.0), fitted.get(f"{n}_im", 0.0)) for n in ("mass_line", "constant"))
+    return Resonance(
+        kind=kind,
+        frequency_hz=fitted["frequency_hz"],
+        damping_ratio=fitted["damping_ratio"],
+        gain=complex(fitted["gain_re"], fitted["gain_im"]),
+        delay_s=fitted.get("delay_s", 0.0),
+        residual=np.array([low, high]),
+        parameters=names,
+        covariance=covariance,
+        chi_squared=noise.chi_squared / noise.expected,
+        dof=noise.dof,
+    )
+
+
+def fit_transfer_resonance(
+    transfer: TransferFunction,
+    channel: str,
+    kind: Kind,
+    band_hz: tuple[float, float],
+    *,
+    delay: bool = False,
+    residual_terms: bool = False,
+) -> Resonance:
+    """Fit one resonance to one response of a transfer function between two frequencies, as `fit_resonance` does."""
+    part = transfer.between(band_hz)
+    ratio = part.ratio.select([channel])
+    return fit_resonance(
+        ratio.frequency_hz,
+        ratio.value[:, 0],
+        ratio.covariance,
+        kind,
+        delay=delay,
+        residual_terms=residual_terms,
+        added_decay_per_s=part.added_decay_per_s,
+        line_correlation=part.line_correlation,
+        covariance_dof=ratio.dof,
+    )
+
+
+def _names(delay: bool, residual_terms: bool) -> tuple[str, ...]:
+    """Return the names of the parameters that are fitted."""
+    names = ["frequency_hz", "damping_ratio", "gain_re", "gain_im"]
+    names += ["delay_s"] if delay else []
+    names += ["mass_line_re", "mass_line_im", "constant_re", "constant_im"] if residual_terms else []
+    return tuple(names)
+
+
+def _laplace(frequency_hz: FloatArray, added_decay_per_s: float) -> ComplexArray:
+    """Return s = a + jω."""
+    return np.asarray(added_decay_per_s + 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64))
+
+
+def _evaluate(
+    kind: Kind, names: tuple[str, ...], s: ComplexArray, vector: FloatArray
+) -> tuple[ComplexArray, ComplexArray]:
+    """Return H (K,) and its derivatives (K, P) by the parameters named."""
+    fitted = dict(zip(names, vector, strict=True))
+    zeta, delay = fitted["damping_ratio"], fitted.get("delay_s", 0.0)
+    gain = complex(fitted["gain_re"], fitted["gain_im"])
+    base_excited = float(kind == "transmissibility")
+    p = s / (2.0 * np.pi * fitted["frequency_hz"])
+    pole = 1.0 + 2.0 * zeta * p + p * p
+    shape = (1.0 + base_excited * 2.0 * zeta * p) / pole
+    before = s ** _ORDER[kind] * np.exp(-s * delay)
+    by_p = (base_excited * 2.0 * zeta - shape * (2.0 * zeta + 2.0 * p)) / pole
+    columns = {
+        "frequency_hz": before * gain * by_p * (-p / fitted["frequency_hz"]),
+        "damping_ratio": before * gain * (base_excited - shape) * 2.0 * p / pole,
+        "gain": before * shape,
+        "mass_line": before / s**2,
+        "constant": before,
+    }
+    value = gain * columns["gain"]
+    for name in ("mass_line", "constant"):
+        value = value + complex(fitted.get(f"{name}_re", 0.0), fitted.get(f"{name}_im", 0.0)) * columns[name]
+    for name in ("gain", "mass_line", "constant"):
+        columns[f"{name}_re"], columns[f"{name}_im"] = columns[name], 1j * columns[name]
+    columns["delay_s"] = -s * value
+    return np.asarray(value), np.stack([columns[name] for name in names], axis=1)
+
+
+def _whitening(covariance: FloatArray) -> FloatArray:
+    """Return the matrices (K, 2, 2) that turn errors of the given covariance into independent ones of variance one."""
+    try:
+        lower = np.linalg.cholesky(covariance)
+    except np.linalg.LinAlgError as error:
+        raise ValueError("covariance: expected positive definite matrices (K, 2, 2), found others") from error
+    return np.asarray(np.linalg.inv(lower))
+
+
+def _real(whitening: FloatArray, columns: ComplexArray) -> FloatArray:
+    """Return complex columns (K, P) as whitened real ones (K, 2, P)."""
+    return np.asarray(whitening @ np.stack([columns.real, columns.imag], axis=1))
+
+
+def _least_squares(columns: FloatArray, right: FloatArray) -> FloatArray:
+    """Solve columns (K, 2, P) · x = right (K, 2) with columns scaled to unit length."""
+    flat = columns.reshape(-1, columns.shape[-1])
+    scale = np.maximum(np.linalg.norm(flat, axis=0), np.finfo(np.float64).tiny)
+    return np.asarray(np.linalg.lstsq(flat / scale, right.reshape(-1), rcond=None)[0] / scale)
+
+
+def _start(
+    kind: Kind, names: tuple[str, ...], s: ComplexArray, value: ComplexArray, whitening: FloatArray
+) -> FloatArray:
+    """Return starting values from a linear rational fit, b(q)/(q² + a₁q + a₀) with q = s/ω in mid-band."""
+    middle = float(np.median(np.abs(s)))
+    q = s / middle
+    response = value / s ** _ORDER[kind]
+    powers = (-2, -1, 0, 1, 2) if "constant_re" in names else (0, 1)
+    weight = np.sqrt(np.abs(np.linalg.det(whitening))) * np.abs(s ** _ORDER[kind])
+    divisor = np.ones(len(q))
+    numerator = [part for power in powers for part in (-(q**power), -1j * q**power)]
+    pole = np.array([1.0, 0.02])
+    for _ in range(_START_ROUNDS):
+        columns = np.stack([response, response * q, *numerator], axis=1) * (weight / divisor)[:, None]
+        right = -response * q * q * weight / divisor
+        both = np.stack([columns.real, columns.imag], axis=1)
+        pole = _least_squares(both, np.stack([right.real, right.imag], axis=1))[:2]
+        divisor = np.maximum(np.abs(q * q + pole[1] * q + pole[0]), 1e-9)
+    if not (pole[0] > 0.0 and pole[1] > 0.0):
+        pole = np.array([np.abs(q[np.argmax(np.abs(response))]) ** 2, 0.02])
+    vector = np.zeros(len(names))
+    vector[:2] = np.sqrt(pole[0]) * middle / (2.0 * np.pi), 0.5 * pole[1] / np.sqrt(pole[0])
+    return vector
+
+
+def _weighed(
+    kind: Kind, names: tuple[str, ...], s: ComplexArray, value: ComplexArray, whitening: FloatArray, dof: FloatArray
+) -> tuple[FloatArray, FloatArray, SeenNoise]:
+    """Return the parameters, the derivatives (K, 2, P) whitened by the noise seen in the lines, and that noise."""
+    vector, factor = _start(kind, names, s, value, whitening), np.ones(len(s))
+    for _ in range(1 + _NOISE_ROUNDS):
+        weighed = whitening / np.sqrt(factor)[:, None, None]
+        vector, residual, jacobian = _adjusted(kind, names, s, value, weighed, vector)
+        length = np.sum(residual**2, axis=1) * factor
+        noise = seen_noise([CurveResidual(length, dof, residual.shape[1])], float(len(names)))
+        before, factor = factor, noise.lines[0]
+        if np.ptp(factor / before) <= _EVEN * np.max(factor / before):
+            break
+    return vector, jacobian * np.sqrt(before / factor)[:, None, None], noise
+
+
+def _adjusted(
+    kind: Kind, names: tuple[str, ...], s: ComplexArray, value: ComplexArray, whitening: FloatArray, start: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the parameters of least squares, the whitened residuals (K, 2) and derivatives (K, 2, P) there.
+
+    Gain and residual terms are linear and follow every step of the others (variable projection).
+    """
+    linear = [i for i, name in enumerate(names) if name.endswith(("_re", "_im"))]
+    measured = _real(whitening, value[:, None])[:, :, 0]
+
+    def at(tried: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+        vector = tried.copy()
+        columns = _real(whitening, _evaluate(kind, names, s, vector)[1][:, linear])
+        vector[linear] = _least_squares(columns, measured)
+        model, derivative = _evaluate(kind, names, s, vector)
+        residual = measured - _real(whitening, model[:, None])[:, :, 0]
+        return vector, residual, _real(whitening, derivative), float(np.sum(residual**2))
+
+    damping = 1e-6
+    vector, residual, jacobian, chi_squared = at(start)
+    for _ in range(_STEPS):
+        flat = jacobian.reshape(-1, len(names))
+        scale = np.linalg.norm(flat, axis=0)
+        damped = np.vstack([flat / scale, np.sqrt(damping) * np.eye(len(names))])
+        right = np.append(residual.reshape(-1), np.zeros(len(names)))
+        step = np.linalg.lstsq(damped, right, rcond=None)[0] / scale
+        tried = vector + step
+        if tried[0] > 0.0 and tried[1] > 0.0:
+            new = at(tried)
+            if new[-1] <= chi_squared * (1.0 + 1e-12):
+                vector, residual, jacobian, chi_squared = new
+                damping *= 0.1
+                if np.sum((flat @ step) ** 2) < _SMALL_STEP**2:
+                    return vector, residual, jacobian
+                continue
+        damping = max(10.0 * damping, 1e-6)
+        if damping > _LARGEST_DAMPING:
+            return vector, residual, jacobian
+    raise ValueError(
+        "value: expected a transfer function with a resonance inside its band, found none that a fit meets"
+    )
+
+
+def _parameter_covariance(
+    frequency_hz: FloatArray, jacobian: FloatArray, line_correlation: ComplexArray | None
+) -> FloatArray:
+    """Return (JᵀJ)⁻¹ of whitened derivatives (K, 2, P), or the sandwich (JᵀJ)⁻¹ JᵀRJ (JᵀJ)⁻¹ of correlated lines."""
+    flat = jacobian.reshape(-1, jacobian.shape[-1])
+    scale = np.linalg.norm(flat, axis=0)
+    flat = flat / scale
+    root = np.linalg.inv(np.linalg.qr(flat, mode="r"))
+    inverse = root @ root.T
+    if line_correlation is not None and len(line_correlation) > 1:
+        place = np.round((frequency_hz - frequency_hz.min()) / np.min(np.diff(np.sort(frequency_hz)))).astype(np.int64)
+        grid = np.zeros((place.max() + len(line_correlation), flat.shape[1]), dtype=np.complex128)
+        grid[place] = (jacobian[:, 0] + 1j * jacobian[:, 1]) / scale
+        length = place.max() + 1
+        spread = (grid[:length].conj().T @ grid[:length]).real
+        for apart, correlation in enumerate(line_correlation[1:], start=1):
+            pair = correlation * grid[apart : apart + length].conj().T @ grid[:length]
+            spread += (pair + pair.conj().T).real
+        inverse = inverse @ spread @ inverse
+    return np.asarray(0.5 * (inverse + inverse.T) / np.multiply.outer(scale, scale))

@@ -1,0 +1,462 @@
+"""The least-squares problem of an identification: what transducers see, and where it starts."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from shaker.identification.measured import AT_THE_BASE, MeasuredTransfer, SightError
+from shaker.identification.model import (
+    Mechanics,
+    Parameter,
+    Response,
+    Structure,
+    measured_poles,
+    respond,
+    significant_poles,
+)
+
+# Uncertain places and directions of transducers: how they change what is read of a motion, and the ratios.
+
+
+_NOTHING = 1e-12  # share of a change below which it is rounding
+
+
+@dataclass(frozen=True)
+class Sights:
+    """What one standard deviation of S unknowns of a recording changes of the readings of its C responses.
+
+    `places` (S,) among all unknowns; `rows` (S, C, n) of p and `offset` (S, C) of the base's motion, `reference` (S,)
+    what the reference reads of the latter.
+    """
+
+    places: IntArray
+    rows: FloatArray
+    offset: FloatArray
+    reference: FloatArray
+
+    def moved(self, mechanics: Mechanics, vector: FloatArray) -> Mechanics:
+        """Return mechanics as seen from where the unknowns say that the transducers are."""
+        if len(self.places) == 0:
+            return mechanics
+        off = vector[self.places]
+        return replace(
+            mechanics,
+            rows=mechanics.rows + np.tensordot(off, self.rows, 1),
+            offset=mechanics.offset + off @ self.offset,
+            reference_offset=mechanics.reference_offset + float(off @ self.reference),
+        )
+
+    def derivatives(self, found: Response) -> ComplexArray:
+        """Return the derivatives (K, C, S) of ratios: a row that changes by r reads r·X/(d·X_base) more."""
+        above = np.einsum("kn,scn->kcs", found.motion, self.rows) + self.offset.T
+        return np.asarray((above - found.value[:, :, None] * self.reference) / found.below[:, None, None])
+
+
+def acting(record: MeasuredTransfer, body: FloatArray) -> tuple[SightError, ...]:
+    """Return the errors of sights that change a reading of a load that moves along `body` (6, n) beside its base."""
+    seen = np.column_stack([record.drive / np.linalg.norm(record.drive), body])
+    return tuple(
+        error
+        for error in record.sight_errors
+        if np.abs(error.change @ (seen[:, :1] if error.place == AT_THE_BASE else seen)).max()
+        > _NOTHING * np.abs(error.change).max()
+    )
+
+
+def sights(record: MeasuredTransfer, body: FloatArray, names: Mapping[str, int]) -> Sights:
+    """Return the errors of a recording that act, with the places of their `names` among the unknowns."""
+    errors = acting(record, body)
+    count, shape = len(errors), (len(errors), len(record.tops))
+    found = Sights(
+        places=np.array([names[f"error: {error.name}"] for error in errors], dtype=np.int64),
+        rows=np.zeros((*shape, body.shape[1])),
+        offset=np.zeros(shape),
+        reference=np.zeros(count),
+    )
+    for number, error in enumerate(errors):
+        if error.place == AT_THE_BASE:
+            found.reference[number] = error.change @ record.drive
+        else:
+            found.rows[number, error.place] = error.change @ body
+            found.offset[number, error.place] = error.change @ record.drive
+    return found
+
+
+# The unknowns of an identification in one vector, and the whitened residuals of every recording with derivatives.
+
+
+DELAY_UNIT_S = 1e-6  # in which free delays are unknown
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One recording ready to be compared: which unknowns act on it and how.
+
+    `terms` (P+E,): places of the weights of `mechanics` among the unknowns; `factors` (F,) those of what multiplies the
+    ratios by exp(z · `relative` (K, C, F)); `sights`: what transducers elsewhere than stated change; `clock`: place of
+    the clock's error, -1 without. `whitening` (K, 2C, 2C).
+    """
+
+    record: MeasuredTransfer
+    mechanics: Mechanics
+    terms: IntArray
+    factors: IntArray
+    relative: ComplexArray
+    sights: Sights
+    clock: int
+    whitening: FloatArray
+
+    def weights(self, vector: FloatArray) -> FloatArray:
+        """Return the weights (1+P+E,) of the mechanics' terms."""
+        return np.concatenate([[1.0], vector[self.terms]])
+
+    @property
+    def places(self) -> IntArray:
+        """Places of the columns of `modelled` among the unknowns."""
+        clock = [self.clock] if self.clock >= 0 else []
+        return np.concatenate([self.terms, self.factors, self.sights.places, np.array(clock, dtype=np.int64)])
+
+    def modelled(self, vector: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        """Return the ratios (K, C) that unknowns lead to, and their derivatives (K, C, L) by those at `places`."""
+        u_clock = self.record.u_clock if self.clock >= 0 else 0.0
+        s = self.record.s * (1.0 + u_clock * vector[self.clock])
+        found = respond(self.sights.moved(self.mechanics, vector), self.weights(vector), s)
+        factor = np.exp(self.relative @ vector[self.factors])
+        value = found.value * factor
+        seen = self.sights.derivatives(found) * factor[:, :, None]
+        columns = [found.by_term * factor[:, :, None], value[:, :, None] * self.relative, seen]
+        if self.clock >= 0:
+            columns.append((u_clock * found.by_log_s * factor)[:, :, None])
+        return value, np.concatenate(columns, axis=2)
+
+    def whitened(self, deviation: ComplexArray) -> FloatArray:
+        """Return complex deviations (K, C, L) as independent real ones of variance one, (K, 2C, L)."""
+        return np.asarray(self.whitening @ np.concatenate([deviation.real, deviation.imag], axis=1))
+
+
+@dataclass(frozen=True)
+class Problem:
+    """All recordings and all unknowns (N,): parameters first, then free factors, then named errors.
+
+    `parameters`: what is fitted, with `kind` (P,) the place in the structure. `names` (N,). A priori an unknown is
+    `expected` (N,) with `precision` (N,) = 1/u², zero without knowledge; `fixed` (N,) ones stay there.
+    """
+
+    curves: tuple[Curve, ...]
+    parameters: tuple[Parameter, ...]
+    kind: IntArray
+    names: tuple[str, ...]
+    expected: FloatArray
+    precision: FloatArray
+    fixed: BoolArray
+
+    def weighed(self, factors: Sequence[FloatArray]) -> Problem:
+        """Return the problem with the covariances of its lines times `factors` (K,) per recording."""
+        curves = [
+            replace(curve, whitening=curve.whitening / np.sqrt(factor)[:, None, None])
+            for curve, factor in zip(self.curves, factors, strict=True)
+        ]
+        return replace(self, curves=tuple(curves))
+
+
+def build(
+    records: Sequence[MeasuredTransfer],
+    structure: Structure,
+    known: Mapping[str, tuple[float, float]],
+    each_recording: Collection[str],
+    gain: Collection[str],
+    delay: Collection[str],
+) -> Problem:
+    """Return recordings and unknowns in the form that is solved."""
+    _check(records, structure, known, each_recording, [*gain, *delay])
+    parameters, kinds, places = _parameters(records, structure, each_recording)
+    names = {parameter.name: place for place, parameter in enumerate(parameters)}
+    factors = [_free(record, gain, delay) for record in records]
+    for free in factors:
+        for name in free:
+            names[name] = len(names)
+    first_error = len(names)
+    for record in records:
+        causes = [error.name for error in record.errors] + [error.name for error in record.inertia_errors]
+        causes += [error.name for error in acting(record, structure.body)]
+        for name in [*causes, record.clock] if record.u_clock > 0.0 else causes:
+            names.setdefault(f"error: {name}", len(names))
+    curves = tuple(
+        _curve(record, structure, place, free, names)
+        for record, place, free in zip(records, places, factors, strict=True)
+    )
+    count = len(names)
+    expected, precision, fixed = np.zeros(count), np.zeros(count), np.zeros(count, dtype=np.bool_)
+    precision[first_error:] = 1.0
+    for place, kind in enumerate(kinds):
+        if (stated := known.get(structure.parameters[kind].name)) is not None:
+            expected[place], fixed[place] = stated[0], stated[1] == 0.0
+            precision[place] = 0.0 if fixed[place] else 1.0 / stated[1] ** 2
+    return Problem(curves, parameters, np.array(kinds), tuple(names), expected, precision, fixed)
+
+
+def _check(
+    records: Sequence[MeasuredTransfer],
+    structure: Structure,
+    known: Mapping[str, tuple[float, float]],
+    each_recording: Collection[str],
+    channels: Sequence[str],
+) -> None:
+    """Refuse names that do not exist and recordings that cannot be told apart."""
+    if not records:
+        raise ValueError("records: expected one recording or more, found none")
+    if len({record.name for record in records}) < len(records):
+        raise ValueError(f"records: expected different names, found {', '.join(r.name for r in records)}")
+    have = [parameter.name for parameter in structure.parameters]
+    measured = {channel for record in records for channel in record.ratio.channels}
+    wanted = (("known", known, have), ("each_recording", each_recording, have), ("gain, delay", channels, measured))
+    for argument, names, allowed in wanted:
+        for name in names:
+            if name not in allowed:
+                raise ValueError(f"{argument}: expected some of {', '.join(allowed)}, found {name}")
+    for name, (_, u) in known.items():
+        if not u >= 0.0:
+            raise ValueError(f"known: expected an uncertainty of 0 or more for {name}, found {u}")
+    for record in records:
+        if abs(float(record.base.row @ record.drive)) < 1e-9 * float(np.abs(record.drive).max()):
+            raise ValueError(f"records: expected a reference that sees the drive of {record.name}, found one across it")
+
+
+def _parameters(
+    records: Sequence[MeasuredTransfer], structure: Structure, each_recording: Collection[str]
+) -> tuple[tuple[Parameter, ...], list[int], list[IntArray]]:
+    """Return the parameters fitted, the structure's they stand for, and the places (P,) that each recording uses."""
+    fitted: list[Parameter] = []
+    kinds: list[int] = []
+    places = np.zeros((len(records), len(structure.parameters)), dtype=np.int64)
+    for kind, parameter in enumerate(structure.parameters):
+        if parameter.name not in each_recording:
+            places[:, kind] = len(fitted)
+            fitted.append(parameter)
+            kinds.append(kind)
+            continue
+        for row, record in enumerate(records):
+            places[row, kind] = len(fitted)
+            label = f"{parameter.label}, {record.name}"
+            fitted.append(Parameter(f"{parameter.name}: {record.name}", label, parameter.unit))
+            kinds.append(kind)
+    return tuple(fitted), kinds, list(places)
+
+
+def factor_name(kind: str, record: MeasuredTransfer, channel: str) -> str:
+    """Return the name of a free factor among the unknowns."""
+    return f"{kind}: {record.name}: {channel}"
+
+
+def _free(record: MeasuredTransfer, gain: Collection[str], delay: Collection[str]) -> dict[str, ComplexArray]:
+    """Return what one unit of every free factor changes of the logarithm of a recording's ratios (K, C)."""
+    found: dict[str, ComplexArray] = {}
+    for c, channel in enumerate(record.ratio.channels):
+        column = np.zeros(record.ratio.value.shape, dtype=np.complex128)
+        column[:, c] = 1.0
+        if channel in gain:
+            found[factor_name("ln gain", record, channel)] = column
+            found[factor_name("gain phase", record, channel)] = 1j * column
+        if channel in delay:
+            found[factor_name("delay", record, channel)] = -DELAY_UNIT_S * record.s[:, None] * column
+    return found
+
+
+def _curve(
+    record: MeasuredTransfer,
+    structure: Structure,
+    parameters: IntArray,
+    free: Mapping[str, ComplexArray],
+    names: Mapping[str, int],
+) -> Curve:
+    """Return a recording with the places of its unknowns."""
+    try:
+        lower = np.linalg.cholesky(record.ratio.covariance)
+    except np.linalg.LinAlgError as error:
+        raise ValueError(f"records: expected positive definite covariances in {record.name}, found others") from error
+    relative = [*free.values(), *(error.relative for error in record.errors)]
+    inertia = [names[f"error: {error.name}"] for error in record.inertia_errors]
+    factors = [*(names[name] for name in free), *(names[f"error: {error.name}"] for error in record.errors)]
+    return Curve(
+        record=record,
+        mechanics=structure.mechanics(record),
+        terms=np.concatenate([parameters, np.array(inertia, dtype=np.int64)]),
+        factors=np.array(factors, dtype=np.int64),
+        relative=np.stack(relative, axis=2) if relative else np.zeros((*record.ratio.value.shape, 0), np.complex128),
+        sights=sights(record, structure.body, names),
+        clock=names[f"error: {record.clock}"] if record.u_clock > 0.0 else -1,
+        whitening=np.linalg.inv(lower),
+    )
+
+
+# Where a fit starts: parameters whose modes are those of the measured poles, and the gains that follow.
+
+
+_ROUNDS = 12
+_POLE_PRECISION = 3e-3  # relative, of the frequency of a measured pole
+_STIFFNESS_RANGE = 2.0  # standard deviation of ln k about where a structure starts
+_INERTIA_RANGE = 0.3  # standard deviation of an inertia, in parts of the whole
+_LARGEST_DAMPING_RATIO = 0.4  # of what is taken for a mode
+_LEAST_DAMPING_RATIO = 1e-3
+_ALIKE = 1e-3  # relative difference of starting values that are one
+
+
+@dataclass(frozen=True)
+class _Terms:
+    """What a parameter is: one of stiffness, of inertia with `whole` (P,) the inertia it adds to, or of damping."""
+
+    stiffness: BoolArray
+    inertia: BoolArray
+    damping: BoolArray
+    whole: FloatArray
+
+
+def starting_vectors(problem: Problem, starts: FloatArray) -> list[FloatArray]:
+    """Return vectors of unknowns to start from, made from a structure's `starts` (S, P)."""
+    measured = [_believed(curve) for curve in problem.curves]
+    found: list[FloatArray] = []
+    for start in starts:
+        vector = problem.expected.copy()
+        stated = (problem.precision > 0.0) | problem.fixed
+        count = len(problem.kind)
+        vector[:count] = np.where(stated[:count], vector[:count], start[problem.kind])
+        terms = _terms(problem, vector)
+        vector = _damped(problem, terms, _matched(problem, terms, vector, measured, stated), measured, stated)
+        if not any(np.allclose(vector, other, rtol=_ALIKE, atol=0.0) for other in found):
+            found.append(vector)
+    return [_gained(problem, vector) for vector in found]
+
+
+def _believed(curve: Curve) -> ComplexArray:
+    """Return the measured poles of a recording that lie in its band, ring and stand out."""
+    count = curve.mechanics.forcing.shape[1]
+    poles = measured_poles(curve.record, count)
+    size = np.abs(poles)
+    inside = (size > 0.7 * np.abs(curve.record.s).min()) & (size < 1.3 * np.abs(curve.record.s).max())
+    return significant_poles(curve.record, poles[inside & (-poles.real < _LARGEST_DAMPING_RATIO * size)])
+
+
+def _terms(problem: Problem, vector: FloatArray) -> _Terms:
+    """Return what the parameters are, from the matrices that they act on."""
+    count = len(problem.kind)
+    acts, whole = np.zeros((3, count), dtype=np.bool_), np.ones(count)
+    for curve in problem.curves:
+        mechanics, (mass, _, _) = curve.mechanics, curve.mechanics.at(curve.weights(vector))[0]
+        for term, place in enumerate(curve.terms, start=1):
+            if place < count:
+                acts[:, place] |= np.any(mechanics.matrices[term] != 0.0, axis=(1, 2))
+                share = mechanics.matrices[term, 0].diagonal()
+                if np.any(share > 0.0):
+                    whole[place] = float(np.min(mass.diagonal()[share > 0.0] / share[share > 0.0]))
+    return _Terms(acts[2], acts[0] & ~acts[2], acts[1] & ~acts[0] & ~acts[2], whole)
+
+
+def _matched(
+    problem: Problem, terms: _Terms, start: FloatArray, measured: Sequence[ComplexArray], stated: BoolArray
+) -> FloatArray:
+    """Return unknowns whose undamped modes have the frequencies of the measured poles, near where they start."""
+    count = len(problem.kind)
+    moved = np.flatnonzero((terms.stiffness | terms.inertia) & ~stated[:count])
+    logarithmic = terms.stiffness[moved]
+    unit = np.where(logarithmic, _STIFFNESS_RANGE, _INERTIA_RANGE * terms.whole[moved])
+    x, vector = np.zeros(len(moved)), start
+    for _ in range(_ROUNDS):
+        rows, right = [], []
+        for curve, poles in zip(problem.curves, measured, strict=True):
+            frequency, by_unknown = _undamped(curve, vector)
+            for pole, mode in _pairs(poles, frequency):
+                change = by_unknown[mode, moved] * np.where(logarithmic, vector[moved], 1.0) * unit
+                rows.append(change / _POLE_PRECISION)
+                right.append(np.log(np.abs(pole) / frequency[mode]) / _POLE_PRECISION)
+        rows.extend(np.eye(len(moved)))
+        right.extend(-x)
+        step = np.linalg.lstsq(np.array(rows), np.array(right), rcond=None)[0]
+        step /= max(1.0, float(np.abs(step).max(initial=0.0)))
+        x = x + step
+        vector = start.copy()
+        vector[moved] = np.where(logarithmic, start[moved] * np.exp(x * unit), start[moved] + x * unit)
+        if np.abs(step).max(initial=0.0) < 1e-5:
+            break
+    return vector
+
+
+def _undamped(curve: Curve, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the undamped ω (n,) in 1/s, ascending, and the derivatives (n, N) of ln ω by all unknowns."""
+    omega, shape = _modes(curve.mechanics, curve.weights(vector))
+    matrices = curve.mechanics.matrices[1:]
+    change = np.einsum("im,qij,jm->mq", shape, matrices[:, 2], shape)
+    change -= omega[:, None] ** 2 * np.einsum("im,qij,jm->mq", shape, matrices[:, 0], shape)
+    return omega, _by_unknown(curve, change / (2.0 * omega[:, None] ** 2), len(vector))
+
+
+def _by_unknown(curve: Curve, by_term: FloatArray, count: int) -> FloatArray:
+    """Return derivatives (n, N) by all unknowns of those (n, P+E) by the terms of a recording."""
+    found = np.zeros((len(by_term), count))
+    for column, place in enumerate(curve.terms):
+        found[:, place] += by_term[:, column]
+    return found
+
+
+def _modes(mechanics: Mechanics, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return ω (n,) and shapes (n, n), columns of unit modal mass, without damping; masses are kept above zero."""
+    (mass, _, stiffness), _ = mechanics.at(weights)
+    values, vectors = np.linalg.eigh(mass)
+    root = vectors / np.sqrt(np.maximum(values, 1e-3 * values.max()))
+    square, turned = np.linalg.eigh(root.T @ stiffness @ root)
+    return np.sqrt(np.maximum(square, 1e-12 * square.max())), root @ turned
+
+
+def _pairs(poles: ComplexArray, frequency: FloatArray) -> list[tuple[complex, int]]:
+    """Return measured poles with the number of the mode each one is."""
+    if len(poles) == len(frequency):
+        return list(zip(poles.tolist(), range(len(frequency)), strict=True))
+    nearest = [int(np.argmin(np.abs(np.log(np.abs(pole) / frequency)))) for pole in poles]
+    return list(zip(poles.tolist(), nearest, strict=True))
+
+
+def _damped(
+    problem: Problem, terms: _Terms, vector: FloatArray, measured: Sequence[ComplexArray], stated: BoolArray
+) -> FloatArray:
+    """Return unknowns with dampings that give the measured poles their decay, none below a small one."""
+    count = len(problem.kind)
+    moved = np.flatnonzero(terms.damping & ~stated[:count])
+    if len(moved) == 0:
+        return vector
+    rows, right, least = [], [], np.full(len(vector), np.inf)
+    for curve, poles in zip(problem.curves, measured, strict=True):
+        omega, shape = _modes(curve.mechanics, curve.weights(vector))
+        by_term = np.einsum("im,qij,jm->mq", shape, curve.mechanics.matrices[1:, 1], shape)
+        share = _by_unknown(curve, by_term, len(vector))
+        for place in moved[share[:, moved].max(axis=0) > 0.0]:
+            mode = int(np.argmax(share[:, place]))
+            floor = 2.0 * _LEAST_DAMPING_RATIO * omega[mode] / share[mode, place]
+            least[place] = min(least[place], floor)
+        for pole, mode in _pairs(poles, omega):
+            rows.append(share[mode, moved] / abs(pole))
+            right.append(-2.0 * pole.real / abs(pole))
+    found = np.linalg.lstsq(np.array(rows), np.array(right), rcond=None)[0] if rows else np.zeros(len(moved))
+    damped = vector.copy()
+    damped[moved] = np.maximum(found, np.where(np.isfinite(least[moved]), least[moved], 0.0))
+    return damped
+
+
+def _gained(problem: Problem, vector: FloatArray) -> FloatArray:
+    """Return unknowns with the free gains that bring the modelled curves nearest to the measured ones."""
+    gained = vector.copy()
+    places = {name: place for place, name in enumerate(problem.names)}
+    for curve in problem.curves:
+        record = curve.record
+        value = curve.modelled(vector)[0]
+        noise = record.ratio.u_re**2 + record.ratio.u_im**2
+        for c, channel in enumerate(record.ratio.channels):
+            place = places.get(factor_name("ln gain", record, channel))
+            if place is not None:
+                weighted = value[:, c].conj() / noise[:, c]
+                gain = complex(np.sum(weighted * record.ratio.value[:, c]) / np.sum(weighted * value[:, c]))
+                gained[place] = np.log(max(abs(gain), np.finfo(np.float64).tiny))
+                gained[places[factor_name("gain phase", record, channel)]] = np.angle(gain)
+    return gained

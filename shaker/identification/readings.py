@@ -1,0 +1,568 @@
+"""A resonance read from a transfer function without a fit: maximum, widths, Nyquist circle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape
+
+# A measured complex curve with its noise, and what that noise does to any number read from the curve.
+
+
+@dataclass(frozen=True)
+class NoisyCurve:
+    """H `value` (K,) at ascending `frequency_hz` (K,), `covariance` (K, 2, 2) of [Re, Im], the noise of each line.
+
+    `line_correlation` (D,): correlation of the errors of lines 0, 1, 2 … apart, as in `TransferFunction`.
+    """
+
+    frequency_hz: FloatArray
+    value: ComplexArray
+    covariance: FloatArray
+    line_correlation: ComplexArray | None = None
+
+    def __post_init__(self) -> None:
+        check_shape("frequency_hz", self.frequency_hz, (None,))
+        check_shape("value", self.value, self.frequency_hz.shape)
+        check_shape("covariance", self.covariance, (*self.frequency_hz.shape, 2, 2))
+        if not (self.frequency_hz[0] > 0.0 and np.all(np.diff(self.frequency_hz) > 0.0)):
+            raise ValueError("frequency_hz: expected ascending positive frequencies, found others")
+        if not (np.all(np.isfinite(self.value)) and np.all(np.abs(self.value) > 0.0)):
+            raise ValueError("value: expected finite numbers other than zero, found others")
+        c = self.covariance
+        if not (np.all(c[:, 0, 0] > 0.0) and np.all(c[:, 0, 0] * c[:, 1, 1] > c[:, 0, 1] * c[:, 1, 0])):
+            raise ValueError("covariance: expected positive definite matrices (K, 2, 2), found others")
+
+    @property
+    def spacing_hz(self) -> float:
+        """Return the distance of neighbouring lines."""
+        return float(np.min(np.diff(self.frequency_hz)))
+
+    def variance_along(self, direction: ComplexArray) -> FloatArray:
+        """Return the variance (K,) of Re{conj(d)·δH} for a direction d (K,) in the complex plane."""
+        re, im, c = direction.real, direction.imag, self.covariance
+        return np.asarray(re * re * c[:, 0, 0] + 2.0 * re * im * c[:, 0, 1] + im * im * c[:, 1, 1])
+
+    def propagated(self, gradient: ComplexArray) -> FloatArray:
+        """Return the covariance (P, P) of numbers y with δy = Σₖ Re{conj(g)·δH}, `gradient` g (P, K)."""
+        first = np.sqrt(self.covariance[:, 0, 0])
+        second = self.covariance[:, 0, 1] / first
+        rest = np.sqrt(self.covariance[:, 1, 1] - second**2)
+        white = gradient.real * first + gradient.imag * (second + 1j * rest)
+        if self.line_correlation is None or len(self.line_correlation) < 2:
+            return np.asarray((white.conj() @ white.T).real)
+        place = np.round((self.frequency_hz - self.frequency_hz[0]) / self.spacing_hz).astype(np.int64)
+        length = place[-1] + 1
+        grid = np.zeros((length + len(self.line_correlation), len(gradient)), dtype=np.complex128)
+        grid[place] = white.T
+        spread = (grid.conj().T @ grid).real
+        for apart, correlation in enumerate(self.line_correlation[1:], start=1):
+            pair = correlation * grid[apart : apart + length].conj().T @ grid[:length]
+            spread += (pair + pair.conj().T).real
+        return np.asarray(spread)
+
+
+# The circle that a resonance draws in the complex plane, and the frequency and damping that its angles tell.
+
+
+_CIRCLE_STEPS = 20
+_ANGLE_STEPS = 30
+_PASSES = 3
+_FEWEST_LINES = 5
+
+
+@dataclass(frozen=True)
+class CircleFit:
+    """Natural frequency f₀ of the undamped oscillator and damping ratio ζ with `covariance` (2, 2) of both.
+
+    `centre`, `radius`: the circle in the plane of H·(jf/f₀)/(1 + 2jζf/f₀).
+    """
+
+    frequency_hz: float
+    damping_ratio: float
+    covariance: FloatArray
+    centre: complex
+    radius: float
+
+
+def fit_circle(curve: NoisyCurve, frequency_hz: float, damping_ratio: float) -> CircleFit | None:
+    """Return f₀ and ζ of a base-excited oscillator from the angles of its circle, None where no circle is found.
+
+    G·(1 + 2jζr)/(1 - r² + 2jζr) times jr/(1 + 2jζr), r = f/f₀, is G/(2ζ + j(r - 1/r)): a circle, whose angle about its
+    centre is θ = α + 2 atan((1/r - r)/(2ζ)), so that f·tan((θ - α)/2) is a straight line over f². The circle: algebraic
+    (Taubin, IEEE Trans. PAMI 13, 1991), then of least weighted distances; the angles: f₀, ζ and α by weighted least
+    squares (Kennedy and Pancoast, J. Aeronaut. Sci. 14, 1947; Ewins, Modal Testing, 2000, 4.3). A constant that other
+    modes add moves the circle and not the angles. `frequency_hz`, `damping_ratio`: start, also of which lines are used:
+    those above half the maximum, at least five.
+    """
+    fit = None
+    for _ in range(_PASSES):
+        fit = _fit_once(curve, frequency_hz, damping_ratio)
+        if fit is None:
+            return None
+        frequency_hz, damping_ratio = fit.frequency_hz, fit.damping_ratio
+    return fit
+
+
+def _fit_once(curve: NoisyCurve, f0: float, zeta: float) -> CircleFit | None:
+    """Return the circle of the lines above half amplitude of a resonance known from before."""
+    part = _around(curve, f0, np.sqrt(3.0) * zeta * f0)
+    r = part.frequency_hz / f0
+    factor = 1j * r / (1.0 + 2j * zeta * r)
+    points = part.value * factor
+    circle = _geometric(points, part, factor)
+    angles = _angles(points, part, factor, circle[0], (f0, zeta)) if circle is not None else None
+    if circle is None or angles is None:
+        return None
+    gradient = _gradient(points, circle, angles[1]) * factor.conj()
+    centre = complex(circle[0][0], circle[0][1])
+    return CircleFit(*angles[0], part.propagated(gradient), centre, float(circle[0][2]))
+
+
+def _around(curve: NoisyCurve, frequency_hz: float, reach_hz: float) -> NoisyCurve:
+    """Return the lines nearer to a frequency than `reach_hz`, the nearest five at least."""
+    distance = np.abs(curve.frequency_hz - frequency_hz)
+    reach = max(reach_hz, float(np.sort(distance)[min(_FEWEST_LINES, len(distance)) - 1]))
+    keep = distance <= reach
+    return NoisyCurve(curve.frequency_hz[keep], curve.value[keep], curve.covariance[keep], curve.line_correlation)
+
+
+def _taubin(points: ComplexArray) -> FloatArray:
+    """Return centre and radius (3,) of the algebraic circle through points, Taubin's normalisation."""
+    middle = points.mean()
+    around = points - middle
+    square = np.abs(around) ** 2
+    scale = 2.0 * np.sqrt(square.mean())
+    columns = np.stack([(square - square.mean()) / scale, around.real, around.imag], axis=1)
+    a, b, c = np.linalg.svd(columns, full_matrices=False)[2][2]
+    a = a / scale
+    shift = -complex(b, c) / (2.0 * a)
+    centre = middle + shift
+    return np.array([centre.real, centre.imag, np.sqrt(abs(shift) ** 2 + square.mean())])
+
+
+def _geometric(points: ComplexArray, curve: NoisyCurve, factor: ComplexArray) -> tuple[FloatArray, FloatArray] | None:
+    """Return the circle (3,) of least weighted distances, and its change (3, K) with the distance of each point."""
+    with np.errstate(all="ignore"):
+        circle = _taubin(points)
+    for _ in range(_CIRCLE_STEPS):
+        if not np.all(np.isfinite(circle)):
+            return None
+        out = points - complex(circle[0], circle[1])
+        normal = out / np.maximum(np.abs(out), np.finfo(np.float64).tiny)
+        root = 1.0 / np.sqrt(curve.variance_along(normal * factor.conj()))
+        columns = np.stack([normal.real, normal.imag, np.ones(len(points))], axis=1)
+        change = np.linalg.pinv(columns * root[:, None]) * root
+        step = change @ (np.abs(out) - circle[2])
+        circle = circle + step
+        if np.abs(step).max() < 1e-12 * circle[2]:
+            break
+    return circle, change
+
+
+def _angles(
+    points: ComplexArray, curve: NoisyCurve, factor: ComplexArray, circle: FloatArray, start: tuple[float, float]
+) -> tuple[tuple[float, float], FloatArray] | None:
+    """Return f₀ and ζ of the angles about the centre, and their change (2, K) with the angle of each point."""
+    frequency = curve.frequency_hz
+    out = points - complex(circle[0], circle[1])
+    tangent = 1j * out / np.abs(out) ** 2
+    root = 1.0 / np.sqrt(curve.variance_along(tangent * factor.conj()))
+    f0, zeta = start
+    alpha = float(np.angle(np.sum(out * np.exp(-1j * _angle_model(frequency, f0, zeta)[0]))))
+    for _ in range(_ANGLE_STEPS):
+        model, columns = _angle_model(frequency, f0, zeta)
+        change = np.linalg.pinv(columns * root[:, None]) * root
+        step = change @ np.angle(out * np.exp(-1j * (model + alpha)))
+        step *= min(1.0, 0.5 / max(abs(step[0]), abs(step[1])))
+        f0, zeta, alpha = f0 * np.exp(step[0] * zeta), zeta * np.exp(step[1]), alpha + step[2]
+        if not (np.isfinite(f0) and 1e-9 < zeta < 1.0):
+            return None
+        if np.abs(step).max() < 1e-12:
+            break
+    if np.abs(step).max() > 1e-6:
+        return None
+    return (float(f0), float(zeta)), change[:2] * np.array([[zeta * f0], [zeta]])
+
+
+def _angle_model(frequency_hz: FloatArray, f0: float, zeta: float) -> tuple[FloatArray, FloatArray]:
+    """Return 2 atan((1/r - r)/(2ζ)) (K,) and its derivatives (K, 3) by ln(f₀)/ζ, ln ζ and the angle α."""
+    r = frequency_hz / f0
+    tangent = (1.0 / r - r) / (2.0 * zeta)
+    by_tangent = 2.0 / (1.0 + tangent**2)
+    columns = [by_tangent * (1.0 / r + r) / 2.0, -by_tangent * tangent, np.ones(len(r))]
+    return np.asarray(2.0 * np.arctan(tangent)), np.stack(columns, axis=1)
+
+
+def _gradient(points: ComplexArray, circle: tuple[FloatArray, FloatArray], by_angle: FloatArray) -> ComplexArray:
+    """Return the change (2, K) of f₀ and ζ with every point, by its own angle and by the centre that all points set."""
+    out = points - complex(circle[0][0], circle[0][1])
+    tangent, normal = 1j * out / np.abs(out) ** 2, out / np.abs(out)
+    by_centre = np.stack([by_angle @ tangent.real, by_angle @ tangent.imag], axis=1)
+    return np.asarray(by_angle * tangent - (by_centre @ circle[1][:2]) * normal)
+
+
+# Where |H| of one resonance is largest and where it has fallen to a given share of that, between the lines.
+
+
+Width = Literal["half_power", "half_amplitude"]
+LEVELS: dict[Width, float] = {"half_power": 2.0, "half_amplitude": 4.0}  # of 1/|H|², relative to the maximum
+
+
+@dataclass(frozen=True)
+class Place:
+    """A frequency read from a curve, 1/|H|² there, and their gradients (K,) by 1/|H|² of every line; NaN: not found."""
+
+    frequency_hz: float
+    inverse: float
+    by_line: FloatArray
+    inverse_by_line: FloatArray
+
+
+@dataclass(frozen=True)
+class _Parabola:
+    """1/|H|² = c₀ + c₁u + c₂u² near one frequency, u = (f² - `centre`)/`scale`; c = `by_line` (3, K) · 1/|H|²."""
+
+    centre: float
+    scale: float
+    coefficients: FloatArray
+    by_line: FloatArray
+
+    def frequency(self, u: float, u_by_line: FloatArray) -> tuple[float, FloatArray]:
+        """Return the frequency at u and its gradient (K,)."""
+        frequency = float(np.sqrt(self.centre + self.scale * u))
+        return frequency, np.asarray(u_by_line * self.scale / (2.0 * frequency))
+
+
+def _nowhere(curve: NoisyCurve) -> Place:
+    """Return the place that was not found."""
+    nothing = np.full(len(curve.frequency_hz), np.nan)
+    return Place(np.nan, np.nan, nothing, nothing)
+
+
+def read_shape(curve: NoisyCurve) -> tuple[Place, dict[Width, tuple[Place, Place]]]:
+    """Return the maximum and the crossings below and above it for both widths.
+
+    1/|H|² of one base-excited oscillator is a parabola over f², but for a factor 1 + 4ζ²f²/f₀². The maximum is the
+    vertex of the parabola of the lines above half power, a crossing that of the lines within a quarter width around it.
+    """
+    frequency, low, high = _first_look(curve)
+    top = _nowhere(curve)
+    crossings: dict[Width, tuple[Place, Place]] = {}
+    for _ in range(_PASSES):
+        width = high - low
+        top = _top(curve, frequency, 0.5 * width)
+        if not np.isfinite(top.frequency_hz):
+            return top, dict.fromkeys(LEVELS, (top, top))
+        for name, level in LEVELS.items():
+            reach = 0.5 * width * np.sqrt(level - 1.0)
+            pair = [_crossing(curve, top, level, top.frequency_hz + side * reach, 0.25 * width) for side in (-1, 1)]
+            crossings[name] = pair[0], pair[1]
+        found = [place.frequency_hz for place in crossings["half_power"]]
+        if not np.all(np.isfinite(found)):
+            break
+        frequency, (low, high) = top.frequency_hz, found
+    return top, crossings
+
+
+def _first_look(curve: NoisyCurve) -> tuple[float, float, float]:
+    """Return the line of the maximum and where the lines next to it first fall below 1/√2 of it, mirrored if absent."""
+    power = _smoothed_power(curve)
+    peak = int(np.argmax(power))
+    at = float(curve.frequency_hz[peak])
+    below = np.flatnonzero(power < 0.5 * power[peak])
+    left, right = below[below < peak], below[below > peak]
+    reach = [at - curve.frequency_hz[left[-1]]] if len(left) else []
+    reach += [curve.frequency_hz[right[0]] - at] if len(right) else []
+    nearest = float(np.min(reach)) if reach else float(curve.frequency_hz[-1] - curve.frequency_hz[0])
+    return at, at - nearest, at + nearest
+
+
+def _smoothed_power(curve: NoisyCurve) -> FloatArray:
+    """Return |H|² (K,) averaged over as many lines as make 3 % of its noise at the maximum, a twentieth at most."""
+    magnitude = np.abs(curve.value)
+    peak = int(np.argmax(magnitude))
+    noise = 2.0 * np.sqrt(np.trace(curve.covariance[peak]) / 2.0) / magnitude[peak]
+    length = int(np.clip(np.ceil((noise / 0.03) ** 2), 1, max(1, len(magnitude) // 20)))
+    window = np.ones(length)
+    total = np.convolve(magnitude**2, window, mode="same")
+    return np.asarray(total / np.convolve(np.ones(len(magnitude)), window, mode="same"))
+
+
+def _parabola(curve: NoisyCurve, frequency_hz: float, reach_hz: float, fewest: int) -> _Parabola:
+    """Fit 1/|H|² by a weighted parabola over f² to the lines within reach of a frequency, the nearest at least.
+
+    Noise of variances σᵣ², σₜ² along and across H makes 1/|H|² too large by (3σᵣ² - σₜ²)/|H|⁴ on average.
+    """
+    distance = np.abs(curve.frequency_hz - frequency_hz)
+    reach = max(reach_hz, float(np.sort(distance)[fewest - 1]))
+    chosen: BoolArray = distance <= reach
+    centre, scale = frequency_hz**2, 2.0 * frequency_hz * reach
+    u = (curve.frequency_hz[chosen] ** 2 - centre) / scale
+    powers = np.stack([np.ones(len(u)), u, u * u], axis=1)
+    unit = curve.value / np.abs(curve.value)
+    radial, tangential = (curve.variance_along(direction)[chosen] for direction in (unit, 1j * unit))
+    smooth = np.abs(curve.value[chosen]) ** -2.0
+    inverse = smooth - (3.0 * radial - tangential) * smooth**2
+    for _ in range(2):
+        weighted = powers / (smooth**3 * radial)[:, None]
+        solve = np.linalg.solve(weighted.T @ powers, weighted.T)
+        coefficients = solve @ inverse
+        smooth = np.maximum(powers @ coefficients, 0.1 * smooth)
+    by_line = np.zeros((3, len(distance)))
+    by_line[:, chosen] = solve
+    return _Parabola(centre, scale, coefficients, by_line)
+
+
+def _top(curve: NoisyCurve, frequency_hz: float, reach_hz: float) -> Place:
+    """Return the vertex of the parabola of the lines around a maximum."""
+    parabola = _parabola(curve, frequency_hz, reach_hz, 3)
+    c0, c1, c2 = parabola.coefficients
+    u = -0.5 * c1 / c2 if c2 > 0.0 else np.nan
+    inverse = c0 + 0.5 * c1 * u
+    if not (abs(u) < 2.0 and inverse > 0.0):
+        return _nowhere(curve)
+    u_by_line = (c1 / c2 * parabola.by_line[2] - parabola.by_line[1]) / (2.0 * c2)
+    frequency, by_line = parabola.frequency(u, u_by_line)
+    return Place(frequency, float(inverse), by_line, np.array([1.0, u, u * u]) @ parabola.by_line)
+
+
+def _crossing(curve: NoisyCurve, top: Place, level: float, frequency_hz: float, reach_hz: float) -> Place:
+    """Return where the parabola of the lines around a flank has `level` times the 1/|H|² of the maximum."""
+    if not curve.frequency_hz[0] <= frequency_hz <= curve.frequency_hz[-1]:
+        return _nowhere(curve)
+    parabola = _parabola(curve, frequency_hz, reach_hz, 4)
+    c0, c1, c2 = parabola.coefficients
+    target = level * top.inverse
+    outward = np.sign(frequency_hz - top.frequency_hz)
+    root = c1 * c1 - 4.0 * c2 * (c0 - target)
+    if not root > 0.0:
+        return _nowhere(curve)
+    slope = outward * np.sqrt(root)
+    u = 2.0 * (target - c0) / (slope + c1)
+    if not abs(u) < 3.0:
+        return _nowhere(curve)
+    u_by_line = (level * top.inverse_by_line - np.array([1.0, u, u * u]) @ parabola.by_line) / slope
+    frequency, by_line = parabola.frequency(u, u_by_line)
+    return Place(frequency, target, by_line, level * top.inverse_by_line)
+
+
+def uncertainties(curve: NoisyCurve, *by_inverse: FloatArray) -> FloatArray:
+    """Return standard uncertainties (P,) of numbers with these gradients (K,) by 1/|H|² of every line."""
+    square = np.abs(curve.value) ** 2
+    gradient = np.stack(by_inverse) * (-2.0 * curve.value / square**2)
+    return np.asarray(np.sqrt(np.diag(curve.propagated(gradient))))
+
+
+def wandering_hz2(curve: NoisyCurve, top: Place, width_hz: float) -> float:
+    """Return the variance of the line of the largest |H| that comes from noise: which line wins, all equally spaced.
+
+    The lines above half power are independent and normal about |H| of the oscillator; each wins with the probability
+    ∫ φₖ(a) Πⱼ Φⱼ(a) da.
+    """
+    from scipy.special import log_ndtr
+
+    near = np.abs(curve.frequency_hz - top.frequency_hz) <= max(0.5 * width_hz, curve.spacing_hz)
+    frequency = curve.frequency_hz[near]
+    detuned = 2.0 * (frequency - top.frequency_hz) / width_hz
+    expected = 1.0 / np.sqrt(top.inverse * (1.0 + detuned**2))
+    u = np.sqrt(curve.variance_along(curve.value / np.abs(curve.value)))[near]
+    level = np.linspace(expected.max() - 4.0 * u.max(), expected.max() + 6.0 * u.max(), 400)
+    score = (level[:, None] - expected) / u
+    log_below = log_ndtr(score)
+    wins = np.exp(log_below.sum(axis=1, keepdims=True) - log_below - 0.5 * score**2) / u
+    chance = wins.sum(axis=0) / wins.sum()
+    return float(chance @ (frequency - chance @ frequency) ** 2)
+
+
+# Readings of one resonance from a transfer function, without a model fit: maximum, widths, Nyquist circle.
+
+
+_RESOLVED_LINES = 4.0  # in the half-power width, below which a width read from the lines is not to be trusted
+
+
+@dataclass(frozen=True)
+class PeakReading:
+    """One reading: frequency, width and damping ratio with standard uncertainties; NaN for what it does not tell.
+
+    `note`: what the reader of these numbers has to know, empty for most.
+    """
+
+    method: str
+    frequency_hz: float
+    u_frequency_hz: float
+    width_hz: float
+    u_width_hz: float
+    damping_ratio: float
+    u_damping_ratio: float
+    note: str = ""
+
+    @property
+    def quality(self) -> float:
+        """Quality factor 1/(2ζ)."""
+        return 0.5 / self.damping_ratio
+
+
+@dataclass(frozen=True)
+class PeakReadings:
+    """All readings of one resonance of a base-excited mass.
+
+    `maximum_bin`: the line of the largest |H|; `maximum`: the top between the lines; both are the frequency of the
+    maximum, which lies ζ²f₀ below f₀. `half_power`: f₀ and ζ from the two frequencies where |H| is 1/√2 of its maximum.
+    `half_amplitude`: f₀ = frequency of the maximum and ζ = width/(2f₀) with the width at half the maximum, as equation
+    10 of Nitsche et al. (J. Sens. Sens. Syst. 7, 2018) words it: √3 times the damping there is. `circle`: f₀ and ζ from
+    the angles of the Nyquist circle. `lines_in_width`: half-power width over line spacing.
+    """
+
+    maximum_bin: PeakReading
+    maximum: PeakReading
+    half_power: PeakReading
+    half_amplitude: PeakReading
+    circle: PeakReading
+    lines_in_width: float
+
+    @property
+    def all(self) -> tuple[PeakReading, ...]:
+        """Return the readings in the order of their description."""
+        return self.maximum_bin, self.maximum, self.half_power, self.half_amplitude, self.circle
+
+
+def peak_readings(
+    frequency_hz: FloatArray,
+    value: ComplexArray,
+    covariance: FloatArray,
+    *,
+    line_correlation: ComplexArray | None = None,
+) -> PeakReadings:
+    """Read the highest resonance of H = motion of a mass over that of its base.
+
+    `value` (K,) at ascending `frequency_hz` (K,), `covariance` (K, 2, 2) of [Re, Im], `line_correlation` (D,) as in
+    `TransferFunction`. All but `maximum_bin` are free of bias by the line spacing.
+    """
+    curve = NoisyCurve(frequency_hz, np.asarray(value, dtype=np.complex128), covariance, line_correlation)
+    if len(curve.frequency_hz) < _FEWEST_LINES:
+        raise ValueError(f"frequency_hz: expected at least {_FEWEST_LINES} lines, found {len(curve.frequency_hz)}")
+    top, crossings = read_shape(curve)
+    low, high = crossings["half_power"]
+    lines = (high.frequency_hz - low.frequency_hz) / curve.spacing_hz
+    half_power = _half_power(curve, top, low, high, _width_note(lines))
+    return PeakReadings(
+        maximum_bin=_bin(curve, top, high.frequency_hz - low.frequency_hz),
+        maximum=_maximum(curve, top),
+        half_power=half_power,
+        half_amplitude=_half_amplitude(curve, top, *crossings["half_amplitude"], _width_note(lines)),
+        circle=_circle(curve, half_power),
+        lines_in_width=float(lines),
+    )
+
+
+def stiffness(frequency_hz: float, mass: float) -> float:
+    """Return k = (2πf₀)²m, N/m of kg or N·m/rad of kg·m² (Nitsche et al. 2018, equation 9)."""
+    return float((2.0 * np.pi * frequency_hz) ** 2 * mass)
+
+
+def damping_from_width(width_hz: float, mass: float, width: Width = "half_power") -> float:
+    """Return b = √(km)·Δf/f₀ = 2πmΔf, kg/s (Nitsche et al. 2018, equation 10, which holds for the half-power width).
+
+    The width at half the amplitude is √3 times as large and is divided by it.
+    """
+    return float(2.0 * np.pi * mass * width_hz / np.sqrt(LEVELS[width] - 1.0))
+
+
+def width_from_damping(damping: float, mass: float, width: Width = "half_power") -> float:
+    """Return the width Δf in Hz that a damping b shows: b/(2πm), times √3 at half the amplitude."""
+    return float(damping * np.sqrt(LEVELS[width] - 1.0) / (2.0 * np.pi * mass))
+
+
+def transmissibility_levels(damping_ratio: float, level: float = 2.0) -> tuple[float, float, float]:
+    """Return r = f/f₀ of the maximum of |(1 + 2jζr)/(1 - r² + 2jζr)|, and below and above it where 1/|H|² is `level`
+    times as large, zero where that is nowhere: r² solves y² - (2 - 4ζ² + 4ζ²c)y + 1 - c = 0, c = level/|H|²max.
+    """
+    square = 4.0 * damping_ratio**2
+    highest = 2.0 / (np.sqrt(1.0 + 2.0 * square) + 1.0)
+    at_level = level * ((1.0 - highest) ** 2 + square * highest) / (1.0 + square * highest)
+    middle = 1.0 - 0.5 * square * (1.0 - at_level)
+    root = np.sqrt(middle**2 - 1.0 + at_level)
+    return float(np.sqrt(highest)), float(np.sqrt(max(0.0, middle - root))), float(np.sqrt(middle + root))
+
+
+def _width_note(lines: float) -> str:
+    """Return the note on a width that the line spacing does not resolve."""
+    if not np.isfinite(lines) or lines >= _RESOLVED_LINES:
+        return ""
+    few = f"{lines:.1f} lines in the half-power width, fewer than {_RESOLVED_LINES:.0f}"
+    return f"{few}: between them the curve is taken to be that of one oscillator"
+
+
+def _bin(curve: NoisyCurve, top: Place, width_hz: float) -> PeakReading:
+    """Return the line of the maximum, uncertain by half a spacing and by which line noise lets win."""
+    frequency = float(curve.frequency_hz[np.argmax(np.abs(curve.value))])
+    noise = wandering_hz2(curve, top, width_hz) if np.isfinite(width_hz) else np.nan
+    return _without_width("maximum_bin", frequency, float(np.sqrt(curve.spacing_hz**2 / 12.0 + noise)), "")
+
+
+def _maximum(curve: NoisyCurve, top: Place) -> PeakReading:
+    """Return the vertex between the lines."""
+    note = "" if np.isfinite(top.frequency_hz) else "no maximum between the lines of this band"
+    u = float(uncertainties(curve, top.by_line)[0])
+    return _without_width("maximum", top.frequency_hz, u, note)
+
+
+def _without_width(method: str, frequency_hz: float, u_hz: float, note: str) -> PeakReading:
+    """Return a reading of the frequency alone."""
+    return PeakReading(method, frequency_hz, u_hz, np.nan, np.nan, np.nan, np.nan, note)
+
+
+def _half_power(curve: NoisyCurve, top: Place, low: Place, high: Place, note: str) -> PeakReading:
+    """Return the f₀ and ζ of which the oscillator has its maximum and its half-power points where they were read."""
+    width = high.frequency_hz - low.frequency_hz
+    if not np.isfinite(width):
+        return _unread("half_power")
+    zeta = 0.5 * width / top.frequency_hz
+    for _ in range(20):
+        highest, below, above = transmissibility_levels(zeta)
+        zeta *= width / top.frequency_hz * highest / (above - below)
+    middle = 1.0 / np.sqrt(below * above)
+    f0 = float(np.sqrt(low.frequency_hz * high.frequency_hz) * middle)
+    by_width = high.by_line - low.by_line
+    by_f0 = 0.5 * f0 * (low.by_line / low.frequency_hz + high.by_line / high.frequency_hz)
+    by_zeta = zeta * (by_width / width - top.by_line / top.frequency_hz)
+    u = uncertainties(curve, by_f0, by_width, by_zeta)
+    return PeakReading("half_power", f0, float(u[0]), width, float(u[1]), float(zeta), float(u[2]), note)
+
+
+def _half_amplitude(curve: NoisyCurve, top: Place, low: Place, high: Place, note: str) -> PeakReading:
+    """Return equation 10 with the width at half the maximum, without the √3 that this width is wider."""
+    width = high.frequency_hz - low.frequency_hz
+    if not np.isfinite(width):
+        return _unread("half_amplitude")
+    by_width = high.by_line - low.by_line
+    zeta = 0.5 * width / top.frequency_hz
+    by_zeta = zeta * (by_width / width - top.by_line / top.frequency_hz)
+    u = uncertainties(curve, top.by_line, by_width, by_zeta)
+    told = "damping overstated by √3" + (f"; {note}" if note else "")
+    return PeakReading(
+        "half_amplitude", top.frequency_hz, float(u[0]), width, float(u[1]), float(zeta), float(u[2]), told
+    )
+
+
+def _unread(method: str) -> PeakReading:
+    """Return the reading of a peak that does not fall far enough inside the band."""
+    level = "1/√2" if method == "half_power" else "1/2"
+    nothing = (np.nan,) * 6
+    return PeakReading(method, *nothing, f"|H| does not fall to {level} of its maximum on both sides inside the band")
+
+
+def _circle(curve: NoisyCurve, start: PeakReading) -> PeakReading:
+    """Return f₀ and ζ of the angles of the Nyquist circle, started where the half-power reading stands."""
+    fit = fit_circle(curve, start.frequency_hz, start.damping_ratio) if np.isfinite(start.damping_ratio) else None
+    if fit is None:
+        return PeakReading("circle", *(np.nan,) * 6, "no circle found in the complex plane")
+    f0, zeta = fit.frequency_hz, fit.damping_ratio
+    by_width = np.array([2.0 * zeta, 2.0 * f0])
+    u_f0, u_zeta = np.sqrt(np.diag(fit.covariance)).tolist()
+    u_width = float(np.sqrt(by_width @ fit.covariance @ by_width))
+    return PeakReading("circle", f0, u_f0, 2.0 * zeta * f0, u_width, zeta, u_zeta)

@@ -1,0 +1,1 @@
+"""Channels from the files of data acquisition systems."""

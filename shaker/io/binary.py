@@ -1,0 +1,309 @@
+"""HDF5, MATLAB and WAVE files."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shaker.io.channel import (
+    Column,
+    RawChannel,
+    checked_rate,
+    chosen,
+    columns_of,
+    is_time,
+    length_of,
+    numbers,
+    rate_of_times,
+    read_datasets,
+)
+
+# HDF5: one dataset per channel with attributes `sample_rate`, optional `start_time`, `unit`.
+
+
+_RATES = ("sample_rate", "sampling_rate", "sampling_frequency", "fs")
+_STARTS = ("start_time",)
+_UNITS = ("unit", "units")
+
+
+def read_hdf5(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
+    """Read channels by the names of their datasets, in groups as `group/name`.
+
+    A table (S, C) or (C, S) has the channels `name/1`, `name/2`, …, a dataset of records one channel `name/field` per
+    field of numbers. The rate is the attribute `sample_rate` (or `sampling_rate`, `sampling_frequency`, `fs`) of the
+    dataset, else of the groups around it, else of the file; without it a dataset or field `time` (s, uniform) beside
+    the channel and of its length counts, then `sample_rate_hz`. `unit` (or `units`) and `start_time` are looked for
+    in the same places. Memory: the result and one block.
+    """
+    import h5py
+
+    with h5py.File(path, "r") as file:
+        columns: dict[str, Column] = {}
+
+        def collect(name: str, node: Any) -> None:
+            if isinstance(node, h5py.Dataset):
+                columns.update(columns_of(name, node))
+
+        file.visititems(collect)
+        present = columns if names is not None else [name for name in columns if not is_time(name.rsplit("/", 1)[-1])]
+        wanted = chosen(path, names, present)
+        rates = {name: _attribute(file, columns[name].dataset, _RATES) for name in wanted}
+        times = {name: _time_beside(file, name, columns) for name in wanted if rates[name] is None}
+        needed = {*wanted, *(time for time in times.values() if time)}
+        values = read_datasets(file, {name: columns[name] for name in needed})
+        result = {}
+        for name in wanted:
+            index, dataset, where = columns[name].index, columns[name].dataset, f'channel "{name}"'
+            rate = _number(path, where, rates[name], index)
+            start = _number(path, where, _attribute(file, dataset, _STARTS), index) or 0.0
+            time = times.get(name)
+            if time is not None:
+                rate, start = rate_of_times(path, values[time], f'{where}: dataset "{time}"')
+            rate = checked_rate(path, sample_rate_hz if rate is None else rate, where)
+            result[name] = RawChannel(values[name], rate, start, _text(_attribute(file, dataset, _UNITS), index))
+    return result
+
+
+def _attribute(file: Any, name: str, keys: Sequence[str]) -> Any:
+    """Return an attribute of a dataset, else of the groups around it, else of the file; None where there is none."""
+    node = file[name]
+    while True:
+        for key in keys:
+            if key in node.attrs:
+                return node.attrs[key]
+        if node.name == "/":
+            return None
+        node = node.parent
+
+
+def _time_beside(file: Any, name: str, columns: Mapping[str, Column]) -> str | None:
+    """Return the dataset or field `time` beside a channel (or beside its table) and of its length."""
+    group = name.rpartition("/")[0]
+    length = length_of(file[columns[name].dataset], columns[name])
+    for other, column in columns.items():
+        parent, _, tail = other.rpartition("/")
+        beside = parent in (group, group.rpartition("/")[0])
+        if beside and is_time(tail) and length_of(file[column.dataset], column) == length:
+            return other
+    return None
+
+
+def _number(path: Path, where: str, value: Any, index: int | None) -> float | None:
+    """Return an attribute's number (one for all columns of a table, or one each), None where there is none."""
+    if value is None:
+        return None
+    try:
+        values = np.asarray(value, dtype=np.float64).reshape(-1)
+        return float(values[index] if index is not None and len(values) > 1 else values.reshape(())[()])
+    except (TypeError, ValueError, IndexError) as error:
+        raise ValueError(f"{path}: {where}: expected numbers in sample_rate and start_time, found {value!r}") from error
+
+
+def _text(value: Any, index: int | None) -> str:
+    """Return an attribute's text, of several that of a table's column; empty where there is none."""
+    if value is None:
+        return ""
+    values = np.asarray(value, dtype=object).reshape(-1)
+    own = values[index if index is not None and index < len(values) else 0] if len(values) else ""
+    return own.decode("utf-8", "replace") if isinstance(own, bytes) else str(own)
+
+
+# MATLAB files, versions 4 to 7.2 and 7.3 (HDF5 inside): one vector, table column or field of a struct per channel.
+
+
+_HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+_matlab_RATES, _matlab_STARTS, _matlab_UNITS = ("sample_rate", "fs", "Fs"), ("start_time",), ("unit", "units")
+_TIMES = ("time", "Time", "t")
+
+
+@dataclass(frozen=True)
+class _Variables:
+    """What a file holds, fields of structs as `struct.field`: arrays of numbers, texts, and what cannot be read."""
+
+    arrays: dict[str, Any]
+    texts: dict[str, str]
+    others: dict[str, str]
+
+
+def read_matlab(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
+    """Read vectors by their names, fields of structs as `struct.field`, columns of a table (S, C) as `name/1`, ….
+
+    The rate is a scalar `sample_rate` (or `fs`, `Fs`) beside the channel, else in the structs around it, else in the
+    file; without it a vector `time` (or `t`; s, uniform) there of the channel's length counts, then `sample_rate_hz`.
+    Texts `unit` (or `units`) and the scalar `start_time` are looked for in the same places. Cell arrays, arrays of
+    structs and objects (among them `timeseries`) are refused by name.
+    """
+    if not _is_hdf5(path):
+        return _channels(path, _classic(path, names), names, sample_rate_hz)
+    import h5py
+
+    with h5py.File(path, "r") as file:
+        return _channels(path, _sorted(_hdf5_leaves("", file)), names, sample_rate_hz)
+
+
+def _channels(
+    path: Path, variables: _Variables, names: Sequence[str] | None, sample_rate_hz: float | None
+) -> dict[str, RawChannel]:
+    """Return the channels among the variables of a file."""
+    arrays = variables.arrays
+    columns: dict[str, Column] = {}
+    for name, array in arrays.items():
+        if array.size > 1:
+            columns |= columns_of(name, array)
+    for name in names or ():
+        if name not in columns and name in variables.others:
+            raise ValueError(f'{path}: channel "{name}": expected a vector of numbers, found {variables.others[name]}')
+    wanted = chosen(path, names, columns if names is not None else [n for n in columns if not _is_clock(n)])
+    rates = {name: _scalar(arrays, name, _matlab_RATES) for name in wanted}
+    times = {name: _matlab_time_beside(arrays, name, columns) for name in wanted if rates[name] is None}
+    needed = {*wanted, *(time for time in times.values() if time)}
+    values = read_datasets(arrays, {name: columns[name] for name in needed})
+    result = {}
+    for name in wanted:
+        rate, start, where = rates[name], _scalar(arrays, name, _matlab_STARTS) or 0.0, f'channel "{name}"'
+        time = times.get(name)
+        if time is not None:
+            rate, start = rate_of_times(path, values[time], f'{where}: variable "{time}"')
+        rate = checked_rate(path, sample_rate_hz if rate is None else rate, where)
+        unit = next((variables.texts[key] for key in _beside(name, _matlab_UNITS) if key in variables.texts), "")
+        result[name] = RawChannel(values[name], rate, start, unit)
+    return result
+
+
+def _beside(name: str, keys: Sequence[str]) -> Iterator[str]:
+    """Yield the names that keys have beside a channel, in the structs around it, and in the file."""
+    struct = name.rpartition("/")[0] or name
+    while struct:
+        struct = struct.rpartition(".")[0]
+        yield from (f"{struct}.{key}" if struct else key for key in keys)
+
+
+def _is_clock(name: str) -> bool:
+    """Tell whether a variable holds times."""
+    return name.rpartition(".")[2] in _TIMES
+
+
+def _scalar(arrays: Mapping[str, Any], name: str, keys: Sequence[str]) -> float | None:
+    """Return the number that stands beside a channel under one of the keys, None where there is none."""
+    for key in _beside(name, keys):
+        if key in arrays and arrays[key].size == 1:
+            return float(np.asarray(arrays[key][()]).reshape(()))
+    return None
+
+
+def _matlab_time_beside(arrays: Mapping[str, Any], name: str, columns: Mapping[str, Column]) -> str | None:
+    """Return the vector of times beside a channel that has its length."""
+    length = length_of(arrays[columns[name].dataset], columns[name])
+    for other in _beside(name, _TIMES):
+        if other in columns and other != name and length_of(arrays[other], columns[other]) == length:
+            return other
+    return None
+
+
+def _is_hdf5(path: Path) -> bool:
+    """Tell whether the file is version 7.3: HDF5 behind a user block of 512 bytes (or none)."""
+    with path.open("rb") as file:
+        head = file.read(520)
+    return head[:8] == _HDF5_SIGNATURE or head[512:520] == _HDF5_SIGNATURE
+
+
+def _sorted(leaves: Iterator[tuple[str, Any]]) -> _Variables:
+    """Sort what a file holds: numbers, texts, and descriptions (in a tuple) of what cannot be read."""
+    variables = _Variables({}, {}, {})
+    for name, leaf in leaves:
+        if isinstance(leaf, str):
+            variables.texts[name] = leaf
+        elif isinstance(leaf, tuple):
+            variables.others[name] = leaf[0]
+        else:
+            variables.arrays[name] = leaf
+    return variables
+
+
+def _hdf5_leaves(prefix: str, group: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the variables of a version 7.3 file; arrays stay in the file."""
+    for key, node in group.items():
+        if key.startswith("#"):
+            continue
+        name, kind = prefix + key, bytes(node.attrs.get("MATLAB_class", b"")).decode()
+        if hasattr(node, "items"):
+            yield from _hdf5_leaves(f"{name}.", node)
+        elif kind == "cell" or node.dtype.kind == "O":
+            yield name, ("a cell array" if kind == "cell" else "an array of structs or an object",)
+        elif "MATLAB_empty" in node.attrs:
+            yield name, ("an empty array",)
+        elif kind == "char":
+            yield name, "".join(map(chr, np.asarray(node[()]).ravel()))
+        elif kind == "string" or node.attrs.get("MATLAB_object_decode"):
+            yield name, ("a MATLAB object",)
+        else:
+            yield name, node if node.dtype.kind in "biuf" else ("complex numbers",)
+
+
+def _classic(path: Path, names: Sequence[str] | None) -> _Variables:
+    """Return the variables of an older file, where only some channels are asked for those that matter to them."""
+    from scipy.io import loadmat, whosmat
+
+    roots = None
+    if names is not None:
+        roots = {re.split("[./]", name)[0] for name in names}
+        if roots <= {name for name, *_ in whosmat(str(path))}:
+            roots |= {*_matlab_RATES, *_matlab_STARTS, *_matlab_UNITS, *_TIMES}
+        else:
+            roots = None  # a name is wrong: all of them stand in the message
+    content = loadmat(str(path), variable_names=roots)
+    return _sorted(leaf for name, value in content.items() for leaf in _classic_leaves(name, value))
+
+
+def _classic_leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Yield a variable of an older file, of a struct its fields."""
+    if name.startswith("__") or not isinstance(value, np.ndarray):
+        return
+    if type(value).__name__ in ("MatlabOpaque", "MatlabFunction", "MatlabObject"):
+        yield name, ("a MATLAB object",)
+    elif value.dtype.names:
+        if value.size != 1:
+            yield name, (f"an array of {value.size} structs",)
+            return
+        for field in value.dtype.names:
+            yield from _classic_leaves(f"{name}.{field}", value[field].reshape(-1)[0])
+    elif value.dtype.kind == "O":
+        yield name, ("a cell array",)
+    elif value.dtype.kind in "US":
+        yield name, "".join(map(str, value.ravel()[:1]))
+    elif value.dtype.kind in "biuf" and value.size:
+        yield name, value
+    else:
+        yield name, ("complex numbers" if value.size else "an empty array",)
+
+
+# WAV files, their channels called by number.
+
+
+def read_wave(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
+    """Read channels by number, counted from 1, in the file's own numbers.
+
+    16- and 32-bit integers come as they are, 24-bit ones as the upper bytes of 32 bits (times 256), 8-bit ones from 0
+    to 255; floats as they are. The channel's scale has to turn these into SI units. RIFF, RIFX and RF64 files are
+    read. The file states its own sampling rate, and `sample_rate_hz` is not used.
+    """
+    from scipy.io import wavfile
+
+    with warnings.catch_warnings():
+        # Chunks with remarks of the recorder are passed over; a record shorter than its header says is not.
+        warnings.simplefilter("ignore", wavfile.WavFileWarning)
+        warnings.filterwarnings("error", message="Reached EOF", category=wavfile.WavFileWarning)
+        try:
+            with path.open("rb") as file:
+                rate, samples = wavfile.read(file)
+        except wavfile.WavFileWarning as error:
+            raise ValueError(f"{path}: expected a complete WAV file, found its end too early") from error
+    columns = samples.reshape(len(samples), -1)
+    wanted = chosen(path, names, [str(i + 1) for i in range(columns.shape[1])])
+    return {name: RawChannel(numbers(path, name, columns[:, int(name) - 1]), float(rate), 0.0, "") for name in wanted}

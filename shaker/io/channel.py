@@ -1,0 +1,192 @@
+"""Raw channels, and what the readers of all formats share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shaker.arrays import FloatArray, check_shape
+
+# One recorded channel as it stands in a file.
+
+
+@dataclass(frozen=True)
+class RawChannel:
+    """Samples of one channel in the file's own unit.
+
+    `samples` (S,), taken at `start_s + i / sample_rate_hz`; `start_s` is the file's start time (s, 0 where the file
+    states none), `unit` the file's own words (empty where it has none).
+    """
+
+    samples: FloatArray
+    sample_rate_hz: float
+    start_s: float = 0.0
+    unit: str = ""
+
+    def __post_init__(self) -> None:
+        check_shape("samples", self.samples, (None,))
+        if not self.sample_rate_hz > 0.0:
+            raise ValueError(f"sample_rate_hz: expected a positive number, found {self.sample_rate_hz}")
+
+
+# What all file readers share: choosing channels by name, and errors of one sentence that name the file.
+
+
+BLOCK = 1 << 20  # bytes read at a time
+UNIFORM = 0.5  # of a sampling interval: how far a time column may stray from a uniform one
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Turn whatever goes wrong with a file into `OSError` or `ValueError`: one sentence that begins with its path."""
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: expected a file, found none")
+    try:
+        yield
+    except MemoryError:
+        raise
+    except Exception as error:
+        # The libraries answer damaged files with errors of every kind; here they become one.
+        text = " ".join(str(error).split())
+        if isinstance(error, OSError | ValueError) and text.startswith(str(path)):
+            raise
+        kind, cause = path.suffix.lower(), f"{type(error).__name__}: {text}"
+        raise ValueError(f"{path}: expected a readable {kind} file, found a damaged one ({cause})") from error
+
+
+def chosen(path: Path, names: Sequence[str] | None, present: Iterable[str]) -> list[str]:
+    """Return the names wanted (all present ones for None), or raise `ValueError` naming those present."""
+    available = list(present)
+    if names is None:
+        return available
+    for name in names:
+        if name not in available:
+            raise ValueError(f'{path}: expected a channel "{name}", found {listed(available)}')
+    return list(names)
+
+
+def listed(names: Sequence[str], most: int = 12) -> str:
+    """Return names as a readable list."""
+    if not names:
+        return "no channels"
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(f'"{name}"' for name in names[:most]) + more
+
+
+def is_time(name: str) -> bool:
+    """Tell whether a channel or column is the time by its name, in whatever case."""
+    return name.strip().lower() == "time"
+
+
+def checked_rate(path: Path, rate: float | None, where: str) -> float:
+    """Return a sampling rate, or raise `ValueError` where there is none or it is not positive."""
+    if rate is None:
+        raise ValueError(f"{path}: expected a sampling rate for {where}, found none; give sample_rate")
+    if not (np.isfinite(rate) and rate > 0.0):
+        raise ValueError(f"{path}: expected a positive sampling rate for {where}, found {rate}")
+    return float(rate)
+
+
+def numbers(path: Path, name: str, samples: object) -> FloatArray:
+    """Return samples as float64 (S,), or raise `ValueError` naming the channel."""
+    array = np.asarray(samples)
+    if array.ndim != 1 or array.dtype.kind not in "biuf":
+        raise ValueError(
+            f'{path}: channel "{name}": expected one row of real numbers, found {array.dtype} of shape {array.shape}'
+        )
+    if not len(array):
+        raise ValueError(f'{path}: channel "{name}": expected samples, found none')
+    return np.ascontiguousarray(array, dtype=np.float64)
+
+
+def rate_of_times(path: Path, time_s: FloatArray, where: str) -> tuple[float, float]:
+    """Return rate and start of a uniform time column, or raise `ValueError`."""
+    if len(time_s) < 2:
+        raise ValueError(f"{path}: {where}: expected at least 2 samples, found {len(time_s)}")
+    interval = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
+    stray = np.max(np.abs(time_s - time_s[0] - interval * np.arange(len(time_s)))) if interval > 0.0 else np.inf
+    if not stray <= UNIFORM * interval:
+        raise ValueError(f"{path}: {where}: expected times in uniform steps, found gaps or steps back")
+    return 1.0 / interval, float(time_s[0])
+
+
+# Channels in arrays of numbers, in memory or in an HDF5 file: vectors, tables, records.
+
+
+_NUMBERS = "biuf"
+_SLENDER = 4  # a table has at least that many times more samples than channels; others are pictures or matrices
+
+
+@dataclass(frozen=True)
+class Column:
+    """Where a channel's samples stand: along `axis` of a dataset, at `index` of the other axis, or in a `field`."""
+
+    dataset: str
+    axis: int = 0
+    index: int | None = None
+    field: str | None = None
+
+
+def columns_of(name: str, dataset: Any) -> dict[str, Column]:
+    """Return the channels of a dataset by name, none where it holds no series of numbers.
+
+    A table (S, C) or (C, S) has the channels `name/1`, `name/2`, … across its longer side, a dataset of records
+    `name/field`; a vector, and a table of one row or column, is one channel.
+    """
+    if dataset.shape is None or dataset.size < 1 or dataset.ndim > 2:
+        return {}
+    if dataset.dtype.names and dataset.ndim == 1:
+        fields = [field for field in dataset.dtype.names if dataset.dtype[field].kind in _NUMBERS]
+        return {f"{name}/{field}": Column(name, field=field) for field in fields}
+    if dataset.dtype.kind in _NUMBERS and dataset.ndim == 1:
+        return {name: Column(name)}
+    count, length = min(dataset.shape, default=0), max(dataset.shape, default=0)
+    if dataset.dtype.kind not in _NUMBERS or length == count or (count > 1 and length < _SLENDER * count):
+        return {}
+    axis = dataset.shape.index(length)
+    return {f"{name}/{i + 1}" if count > 1 else name: Column(name, axis, i) for i in range(count)}
+
+
+def length_of(dataset: Any, column: Column) -> int:
+    """Return the number of samples of a channel."""
+    return int(dataset.shape[column.axis])
+
+
+def read_datasets(datasets: Mapping[str, Any], wanted: Mapping[str, Column]) -> dict[str, FloatArray]:
+    """Return the samples (S,) of channels by name; each dataset is read once, in blocks of whole chunks."""
+    result: dict[str, FloatArray] = {}
+    for name in dict.fromkeys(column.dataset for column in wanted.values()):
+        own = {key: column for key, column in wanted.items() if column.dataset == name}
+        result |= dict(zip(own, _read(datasets[name], list(own.values())), strict=True))
+    return result
+
+
+def _read(dataset: Any, columns: Sequence[Column]) -> list[FloatArray]:
+    """Return the samples of the columns of one dataset."""
+    axis = columns[0].axis
+    length = dataset.shape[axis]
+    results = [np.empty(length) for _ in columns]
+    chunks = getattr(dataset, "chunks", None)
+    chunk = chunks[axis] if chunks else 1
+    item = dataset.dtype.itemsize * dataset.size // length
+    rows = max(chunk, BLOCK // item // chunk * chunk)
+    for first in range(0, length, rows):
+        part = slice(first, min(first + rows, length))
+        block = np.asarray(dataset[part] if axis == 0 else dataset[:, part])
+        for result, column in zip(results, columns, strict=True):
+            result[part] = _taken(block, column)
+    return results
+
+
+def _taken(block: np.ndarray[Any, Any], column: Column) -> np.ndarray[Any, Any]:
+    """Return a channel's part of a block."""
+    if column.field is not None:
+        return block[column.field]
+    if column.index is None:
+        return block
+    return block[:, column.index] if column.axis == 0 else block[column.index]

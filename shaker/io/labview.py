@@ -1,0 +1,226 @@
+"""LabVIEW measurement files (.lvm): text with tab, comma or semicolon, decimal point or comma."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from shaker.arrays import FloatArray
+from shaker.io.channel import RawChannel, chosen
+from shaker.io.text import TextLayout, count_lines, decoded, find_bytes, read_columns
+
+_END, _CHANNELS = b"***End_of_Header***", b"\nChannels"
+_SPECIAL, _SPECIAL_END = "***Start_Special***", "***End_Special***"
+_SEPARATORS = {"Tab": "\t", "Comma": ",", "Semicolon": ";"}
+_COMMENT, _TIMES, _SEPARATOR = "Comment", "X_Value", "Separator"
+_GAP = 0.5  # of a sampling interval: how far a segment or a time may lie from where the last one left off
+
+
+@dataclass(frozen=True)
+class _Segment:
+    """One block of a file: header entries, column titles, layout, bytes of its rows and the line of the first."""
+
+    header: dict[str, list[str]]
+    titles: list[str]
+    layout: TextLayout
+    start: int
+    stop: int
+    line: int
+
+
+@dataclass(frozen=True)
+class _Part:
+    """One channel in one segment: samples, their times where there is an X column, the segment, its own place."""
+
+    samples: FloatArray
+    times: FloatArray | None
+    segment: _Segment
+    index: int
+
+
+def read_labview(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
+    """Read the channels of a LabVIEW measurement file by their column titles.
+
+    Titles that occur twice get their number (`Force #1`, `Force #2`). The sampling interval is the header's `Delta_X`.
+    Where an X column contradicts it, the column counts: such a file was decimated after recording and kept its old
+    header; an interval that is a whole multiple of `Delta_X` is then taken as exactly that. Several segments must
+    continue one another (by `X0` or the X column, and their time stamps) and are joined. The `Comment` column and
+    special blocks are passed over. `sample_rate_hz` serves files that state no interval. Memory: the result and one
+    block.
+    """
+    with path.open("rb") as stream:
+        segments = list(_segments(path, stream))
+    wanted = chosen(path, names, _channel_columns(segments[0].titles))
+    parts: dict[str, list[_Part]] = {name: [] for name in wanted}
+    for segment in segments:
+        for name, part in _read_segment(path, segment, wanted).items():
+            parts[name].append(part)
+    return {name: _joined(path, parts.pop(name), sample_rate_hz) for name in wanted}
+
+
+def _segments(path: Path, stream: BinaryIO) -> Iterator[_Segment]:
+    """Yield the segments of a file, their headers read."""
+    if not stream.readline().startswith(b"LabVIEW Measurement"):
+        raise ValueError(f"{path}: expected the first line of a LabVIEW measurement, found another")
+    place, size = stream.tell(), stream.seek(0, 2)
+    file_header, place, line = _header(path, stream, place, size, 2, None)
+    separator = _SEPARATORS.get(file_header.get(_SEPARATOR, ["Tab"])[0], "\t")
+    comma = file_header.get("Decimal_Separator", ["."])[0] == "," and separator != ","
+    while place < size:
+        header, place, line = _header(path, stream, place, size, line, separator)
+        titles = [title.strip() for title in decoded(stream.readline()).rstrip("\r\n").split(separator)]
+        if titles == [""]:
+            raise ValueError(f"{path}: line {line}: expected column titles after the header, found none")
+        start = stream.tell()
+        columns = len(titles) - (1 if titles[-1] in (_COMMENT, "") else 0)
+        layout = TextLayout(path, columns, separator, comma, remarks=True)
+        stop = find_bytes(stream, _CHANNELS, start, size) + 1 or size
+        special = find_bytes(stream, _SPECIAL.encode(), start, stop)
+        rows_end = special if special >= 0 else stop
+        yield _Segment({**file_header, **header}, titles, layout, start, rows_end, line + 1)
+        if special >= 0 and find_bytes(stream, _END, special, size) < 0:
+            return
+        line, place = line + 1 + count_lines(stream, start, rows_end), rows_end
+
+
+def _header(
+    path: Path, stream: BinaryIO, start: int, size: int, line: int, separator: str | None
+) -> tuple[dict[str, list[str]], int, int]:
+    """Return the entries of a header, the byte behind it and the number of the line there.
+
+    The header of the file (`separator` None) is split by what stands behind its key Separator.
+    """
+    end = find_bytes(stream, _END, start, size)
+    if end < 0:
+        raise ValueError(f"{path}: line {line}: expected ***End_of_Header***, found the end of the file")
+    stream.seek(start)
+    raw = stream.read(end - start) + stream.readline()
+    lines = decoded(raw).splitlines()
+    own = next((line[len(_SEPARATOR)] for line in lines if line.startswith(_SEPARATOR) and line != _SEPARATOR), "\t")
+    return _entries(lines, own if separator is None else separator), start + len(raw), line + raw.count(b"\n")
+
+
+def _entries(lines: Sequence[str], separator: str) -> dict[str, list[str]]:
+    """Return header lines as key and values, without those of special blocks."""
+    entries: dict[str, list[str]] = {}
+    special = False
+    for line in lines:
+        special = (special or line.startswith(_SPECIAL)) and not line.startswith(_SPECIAL_END)
+        cells = [cell.strip() for cell in line.split(separator)]
+        if not special and cells[0] and len(cells) > 1:
+            entries[cells[0]] = cells[1:]
+    return entries
+
+
+def _channel_columns(titles: Sequence[str]) -> dict[str, int]:
+    """Return the columns of channels by unique names."""
+    columns = [i for i, title in enumerate(titles) if title not in (_TIMES, _COMMENT, "")]
+    plain = [titles[i] for i in columns]
+    seen = [plain[: i + 1].count(name) for i, name in enumerate(plain)]
+    return {
+        name if plain.count(name) == 1 else f"{name} #{number}": i
+        for name, number, i in zip(plain, seen, columns, strict=True)
+    }
+
+
+def _read_segment(path: Path, segment: _Segment, wanted: Sequence[str]) -> dict[str, _Part]:
+    """Read the channels wanted of a segment, and the X columns that belong to them."""
+    channels = _channel_columns(segment.titles)
+    for name in wanted:
+        if name not in channels:
+            raise ValueError(f'{path}: line {segment.line}: expected the channel "{name}" in every segment')
+    own = {name: channels[name] for name in wanted}
+    before = {name: [i for i in range(column) if segment.titles[i] == _TIMES] for name, column in own.items()}
+    needed = sorted({*own.values(), *(i for places in before.values() for i in places)})
+    read = read_columns(segment.layout, segment.start, segment.stop, segment.line, needed)
+    columns = dict(zip(needed, read, strict=True))
+    numbers = list(channels)
+    return {name: _part(segment, columns, own[name], before[name], numbers.index(name)) for name in wanted}
+
+
+def _part(
+    segment: _Segment, columns: Mapping[int, FloatArray], column: int, before: Sequence[int], index: int
+) -> _Part:
+    """Put a channel of a segment together; columns shorter than others (X_Columns Multi) end where the header says."""
+    samples = columns[column]
+    stated = int(_value(segment, "Samples", index, len(samples)))
+    if 0 < stated < len(samples) and np.isnan(samples[stated:]).all():
+        samples = samples[:stated]
+    times = [columns[i][: len(samples)] for i in before if np.isfinite(columns[i][: len(samples)]).all()]
+    return _Part(samples, times[-1] if times else None, segment, index)
+
+
+def _joined(path: Path, parts: Sequence[_Part], sample_rate_hz: float | None) -> RawChannel:
+    """Join one channel over the segments, which must continue one another."""
+    steps = [_interval(path, part, sample_rate_hz) for part in parts]
+    first = parts[0]
+    start = expected = _start(first)
+    for part, step in zip(parts, steps, strict=True):
+        line = part.segment.line - 1
+        if abs(step - steps[0]) > 1e-6 * steps[0]:
+            raise ValueError(f"{path}: line {line}: expected one sampling interval, found {step} s")
+        here = _start(part) + _stamp(part) - _stamp(first)
+        if abs(here - expected) > _GAP * steps[0]:
+            raise ValueError(
+                f"{path}: line {line}: expected a segment that goes on at {expected:.6f} s, found one from {here:.6f} s"
+            )
+        expected += len(part.samples) * steps[0]
+    samples = first.samples if len(parts) == 1 else np.concatenate([part.samples for part in parts])
+    units = first.segment.header.get("Y_Unit_Label", [])
+    return RawChannel(samples, 1.0 / steps[0], start, units[first.index] if first.index < len(units) else "")
+
+
+def _start(part: _Part) -> float:
+    """Return the time of a part's first sample, from its X column or header."""
+    return float(part.times[0]) if part.times is not None else _value(part.segment, "X0", part.index, 0.0)
+
+
+def _value(segment: _Segment, key: str, index: int, default: float) -> float:
+    """Return a channel's number from the header."""
+    cells = [cell for cell in segment.header.get(key, []) if cell]
+    return float(cells[min(index, len(cells) - 1)].replace(",", ".")) if cells else default
+
+
+def _interval(path: Path, part: _Part, sample_rate_hz: float | None) -> float:
+    """Return the sampling interval of a channel in a segment (s)."""
+    given = 1.0 / sample_rate_hz if sample_rate_hz is not None else 0.0
+    stated, count = _value(part.segment, "Delta_X", part.index, given), len(part.samples)
+    line = part.segment.line - 1
+    if part.times is not None and count > 1:
+        times = part.times
+        measured = float(times[-1] - times[0]) / (count - 1)
+        if not measured > 0.0:
+            raise ValueError(f"{path}: line {line}: expected a rising X column, found {measured} s per sample")
+        stray = np.max(np.abs(times - times[0] - measured * np.arange(count)))
+        if stray > _GAP * measured:
+            raise ValueError(f"{path}: line {line}: expected an X column in uniform steps, found gaps or steps back")
+        multiple = round(measured / stated) if stated > 0.0 else 0
+        # The column is printed with few digits; the header's interval, or a multiple of it, has them all.
+        exact = multiple > 0 and abs(multiple * stated - measured) * (count - 1) <= _GAP * measured
+        if not (exact and multiple == 1):
+            return multiple * stated if exact else measured
+    if not stated > 0.0:
+        raise ValueError(f"{path}: expected a sampling interval Delta_X, found none; give sample_rate")
+    samples = int(_value(part.segment, "Samples", part.index, count))
+    if count < samples:
+        raise ValueError(f"{path}: line {line}: expected {samples} samples as the header says, found {count}")
+    return stated
+
+
+def _stamp(part: _Part) -> float:
+    """Return a segment's time stamp in seconds, 0 where it has none."""
+    dates, times = part.segment.header.get("Date", []), part.segment.header.get("Time", [])
+    if not dates or not times:
+        return 0.0
+    date = dates[min(part.index, len(dates) - 1)]
+    time = times[min(part.index, len(times) - 1)].replace(",", ".")
+    if not date or not time:
+        return 0.0
+    clock, _, fraction = time.partition(".")
+    seconds = (datetime.strptime(f"{date} {clock}", "%Y/%m/%d %H:%M:%S") - datetime(2000, 1, 1)).total_seconds()
+    return seconds + float(f"0.{fraction or 0}")

@@ -1,0 +1,499 @@
+"""TDMS files of LabVIEW, in blocks."""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shaker.arrays import FloatArray
+from shaker.io.channel import BLOCK, RawChannel, checked_rate, chosen, is_time, rate_of_times
+
+# Where the values of every channel stand in a TDMS file (NI, "TDMS file format internal structure", version 2.0).
+
+
+_LEAD = 28  # bytes before every segment's metadata
+_METADATA, _NEW_LIST, _RAW, _INTERLEAVED, _BIG_ENDIAN = 1 << 1, 1 << 2, 1 << 3, 1 << 5, 1 << 6
+_NO_DATA, _AS_BEFORE, _FORMAT_CHANGING, _DIGITAL_LINE = 0xFFFFFFFF, 0, 0x1269, 0x126A
+_UNENDING = 0xFFFFFFFFFFFFFFFF  # length of a segment whose writer never closed it
+_STRING, _BOOLEAN, _STAMP = 0x20, 0x21, 0x44
+_NUMBERS = {1: "i1", 2: "i2", 3: "i4", 4: "i8", 5: "u1", 6: "u2", 7: "u4", 8: "u8", 9: "f4", 10: "f8"}
+_NUMBERS |= {0x19: "f4", 0x1A: "f8", _BOOLEAN: "u1", 0x08000C: "c8", 0x10000D: "c16"}
+_CARD_NUMBERS = {0: "u1", 1: "i1", 2: "u2", 3: "i2", 4: "u4", 5: "i4", 6: "u8", 7: "i8", 8: "f4", 9: "f8"}
+DAQMX = -1  # no scale: the value itself
+
+
+@dataclass(frozen=True)
+class Field:
+    """The values of one channel in a record: `count` of type `dtype` from byte `offset` on.
+
+    `scale` tells the raw scales of a card apart (`DAQMX` where the channel has none); `bit` is that of a digital line.
+    """
+
+    path: str
+    offset: int
+    count: int
+    dtype: np.dtype[Any]
+    scale: int = DAQMX
+    bit: int | None = None
+
+
+@dataclass(frozen=True)
+class Region:
+    """Records of `stride` bytes, `repeats` of them, from byte `position` of the file on."""
+
+    position: int
+    stride: int
+    repeats: int
+    fields: tuple[Field, ...]
+
+
+@dataclass(frozen=True)
+class TdmsIndex:
+    """Properties of every object by its path (`/'group'/'channel'`), and the regions of raw values in their order."""
+
+    properties: dict[str, dict[str, Any]]
+    regions: tuple[Region, ...]
+
+
+@dataclass(frozen=True)
+class _Raw:
+    """A channel's part of one chunk: number of values, their type (None: texts), bytes, scales of a card."""
+
+    count: int
+    dtype: np.dtype[Any] | None
+    size: int
+    scales: tuple[tuple[int, Field], ...] = ()  # buffer and place in its records
+    widths: tuple[int, ...] = ()
+
+
+def read_index(path: Path, stream: BinaryIO) -> TdmsIndex:
+    """Read the metadata of all segments, and nothing else; `ValueError` where the file is cut off."""
+    size = stream.seek(0, 2)
+    properties: dict[str, dict[str, Any]] = {}
+    known: dict[str, _Raw] = {}
+    active: dict[str, bool] = {}
+    regions: list[Region] = []
+    position = 0
+    while position < size:
+        stream.seek(position)
+        lead = stream.read(_LEAD)
+        if lead[:4] != b"TDSm":
+            raise ValueError(f"{path}: expected a TDMS segment at byte {position}, found {lead[:4]!r}")
+        if len(lead) < _LEAD:
+            raise _cut_off(path)
+        flags = struct.unpack_from("<L", lead, 4)[0]
+        order = ">" if flags & _BIG_ENDIAN else "<"
+        length, metadata = struct.unpack_from(f"{order}QQ", lead, 12)
+        end, start = position + _LEAD + length, position + _LEAD + metadata
+        if length == _UNENDING or end > size or start > end:
+            raise _cut_off(path)
+        if flags & _METADATA:
+            _read_objects(_Cursor(stream.read(metadata), order), bool(flags & _NEW_LIST), active, known, properties)
+        if flags & _RAW:
+            chunk = {name: known[name] for name, has_data in active.items() if has_data}
+            regions += _regions(path, chunk, bool(flags & _INTERLEAVED), start, end - start)
+        position = end
+    return TdmsIndex(properties, tuple(regions))
+
+
+def path_parts(path: str) -> tuple[str, ...]:
+    """Return group and channel of an object's path; quotes inside a name are doubled."""
+    return tuple(part.replace("''", "'") for part in path[2:-1].split("'/'")) if len(path) > 1 else ()
+
+
+def _cut_off(path: Path) -> ValueError:
+    return ValueError(f"{path}: expected a complete TDMS file, found its last segment cut off")
+
+
+class _Cursor:
+    """Reads one value after another from a segment's metadata."""
+
+    def __init__(self, data: bytes, order: str) -> None:
+        self.data, self.order, self.place = data, order, 0
+
+    def take(self, codes: str) -> tuple[Any, ...]:
+        """Return numbers by their codes of `struct`."""
+        codes = self.order + codes
+        values = struct.unpack_from(codes, self.data, self.place)
+        self.place += struct.calcsize(codes)
+        return values
+
+    def text(self) -> str:
+        """Return a text with its length before it."""
+        (length,) = self.take("L")
+        raw = self.take(f"{length}s")[0]
+        return bytes(raw).decode("utf-8", "replace")
+
+    def value(self, kind: int) -> Any:
+        """Return a property's value; time stamps in seconds since 1904, exactly."""
+        if kind == _STRING:
+            return self.text()
+        if kind == _STAMP:
+            parts = self.take("qQ" if self.order == ">" else "Qq")
+            seconds, fraction = parts if self.order == ">" else parts[::-1]
+            return seconds + Fraction(fraction, 1 << 64)
+        dtype = _number_type(kind, self.order)
+        value = np.frombuffer(self.data, dtype, 1, self.place)[0].item()
+        self.place += dtype.itemsize
+        return bool(value) if kind == _BOOLEAN else value
+
+
+def _number_type(kind: int, order: str) -> np.dtype[Any]:
+    """Return numpy's type of TDMS's type number."""
+    if kind not in _NUMBERS:
+        raise ValueError(f"expected numbers of a known type, found type 0x{kind:X}")
+    return np.dtype(order + _NUMBERS[kind])
+
+
+def _read_objects(
+    cursor: _Cursor,
+    new_list: bool,
+    active: dict[str, bool],
+    known: dict[str, _Raw],
+    properties: dict[str, dict[str, Any]],
+) -> None:
+    """Take over what a segment's metadata says about objects, their raw data and properties."""
+    if new_list:
+        active.clear()
+    (objects,) = cursor.take("L")
+    for _ in range(objects):
+        path = cursor.text()
+        (kind,) = cursor.take("L")
+        if kind not in (_NO_DATA, _AS_BEFORE):
+            known[path] = _card_raw(cursor, path, kind) if kind in (_FORMAT_CHANGING, _DIGITAL_LINE) else _raw(cursor)
+        elif kind == _AS_BEFORE and path not in known:
+            raise ValueError(f"expected the layout of {path}, found none before its first data")
+        active[path] = kind != _NO_DATA
+        own = properties.setdefault(path, {})
+        for _ in range(cursor.take("L")[0]):
+            name = cursor.text()
+            own[name] = cursor.value(cursor.take("L")[0])
+
+
+def _raw(cursor: _Cursor) -> _Raw:
+    """Read the index of plain raw data."""
+    kind, _, count = cursor.take("LLQ")
+    if kind == _STRING:
+        return _Raw(count, None, cursor.take("Q")[0])
+    if kind == _STAMP:
+        names = ["seconds", "fraction"] if cursor.order == ">" else ["fraction", "seconds"]
+        codes = {"seconds": f"{cursor.order}i8", "fraction": f"{cursor.order}u8"}
+        dtype = np.dtype([(name, codes[name]) for name in names])
+    else:
+        dtype = _number_type(kind, cursor.order)
+    return _Raw(count, dtype, count * dtype.itemsize)
+
+
+def _card_raw(cursor: _Cursor, path: str, kind: int) -> _Raw:
+    """Read the index of a card's raw data (DAQmx): interleaved buffers, one per card."""
+    channel_kind, _, count, scales = cursor.take("LLQL")
+    places = []
+    for _ in range(scales):
+        code, buffer, offset, *_, scale = cursor.take("LLLLL" if kind == _FORMAT_CHANGING else "LLLBL")
+        bit = offset % 8 if kind == _DIGITAL_LINE else None
+        place = offset if bit is None else offset // 8
+        dtype = np.dtype(cursor.order + _CARD_NUMBERS[code])
+        number = scale if channel_kind == _NO_DATA else DAQMX
+        places.append((buffer, Field(path, place, 1, dtype, number, bit)))
+    widths = cursor.take(f"{cursor.take('L')[0]}L")
+    return _Raw(count, np.dtype("f8"), 0, tuple(places), widths)
+
+
+def _regions(path: Path, chunk: Mapping[str, _Raw], interleaved: bool, position: int, size: int) -> list[Region]:
+    """Return the regions of one segment's raw data."""
+    if any(raw.widths for raw in chunk.values()):
+        return _card_regions(path, chunk, position, size)
+    length = sum(raw.size for raw in chunk.values())
+    if not length or not size:
+        return []
+    offsets = np.cumsum([0] + [raw.size for raw in chunk.values()]).tolist()
+    if interleaved and not any(raw.dtype is None for raw in chunk.values()):
+        if len({raw.count for raw in chunk.values()}) > 1:
+            raise ValueError(f"{path}: expected equally many values of all interleaved channels, found different ones")
+        count = next(iter(chunk.values())).count
+        offsets, length, chunk = (
+            [o // count for o in offsets],
+            length // count,
+            {name: _Raw(1, raw.dtype, raw.size // count) for name, raw in chunk.items()},
+        )
+    if size % length:
+        raise _cut_off(path)
+    fields = tuple(
+        Field(name, offset, raw.count, raw.dtype)
+        for (name, raw), offset in zip(chunk.items(), offsets, strict=False)
+        if raw.dtype is not None
+    )
+    return [Region(position, length, size // length, fields)]
+
+
+def _card_regions(path: Path, chunk: Mapping[str, _Raw], position: int, size: int) -> list[Region]:
+    """Return the regions of a segment of cards: in every chunk one buffer of rows after another."""
+    widths = next(iter(chunk.values())).widths
+    if any(raw.widths != widths for raw in chunk.values()):
+        raise ValueError(f"{path}: expected one layout of all channels of the cards, found several")
+    places = [(raw.count, buffer, field) for raw in chunk.values() for buffer, field in raw.scales]
+    rows = [max((count for count, at, _ in places if at == buffer), default=0) for buffer in range(len(widths))]
+    fields = [tuple(field for _, at, field in places if at == buffer) for buffer in range(len(widths))]
+    if len(widths) == 1:
+        if size % widths[0]:
+            raise _cut_off(path)
+        return [Region(position, widths[0], size // widths[0], fields[0])]
+    length = sum(row * width for row, width in zip(rows, widths, strict=True))
+    if not length or size % length:
+        raise _cut_off(path)
+    regions = []
+    for start in range(position, position + size, length):
+        place = start
+        for row, width, own in zip(rows, widths, fields, strict=True):
+            regions.append(Region(place, width, row, own))
+            place += row * width
+    return regions
+
+
+# NI TDMS: channels `group/channel` with their scales, in one pass over the file, block by block.
+
+
+_SCALES = ("Polynomial", "Linear", "RTD", "Strain", "Table", "Thermistor", "Thermocouple", "Add", "Subtract")
+_SCALE_KEY = re.compile(r"NI_Scale\[(\d+)\]_Scale_Type")
+_MOST_SCALES = 1000
+_SCALE_BLOCK = 1 << 14  # samples scaled at a time: their intermediate results stay in the cache
+_Key = tuple[str, int]  # a channel's path and the number of its raw scale
+
+
+@dataclass
+class _Sink:
+    """Values (S,) of a channel, how many are in, and the scale that each block gets at once (None: none, or later)."""
+
+    values: FloatArray
+    scale: Any = None
+    filled: int = 0
+
+
+@dataclass(frozen=True)
+class _tdms_Raw:
+    """What the library's scales take: values, or values by the number of the raw scale."""
+
+    data: FloatArray | None
+    scaler_data: dict[int, FloatArray] = field(default_factory=dict)
+
+
+def read_tdms(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
+    """Read channels by `group/channel`, or by the channel's name alone where only one group has it.
+
+    The interval is `wf_increment`; without it, a channel `time` (numbers in seconds, or time stamps) of the same group
+    and length counts, then `sample_rate_hz`. A channel starts at `wf_start_offset`, plus the lead of its
+    `wf_start_time` over the earliest of the channels asked for. Scales of the hardware (`NI_Scale`) are applied. Texts
+    and complex numbers are passed over. Memory: the result and one block.
+    """
+    with path.open("rb") as stream:
+        index = read_index(path, stream)
+        types = {own.path: own.dtype for region in index.regions for own in region.fields}
+        lengths = _lengths(index.regions)
+        present = {
+            "/".join(path_parts(name)): name
+            for name, dtype in types.items()
+            if dtype.kind in "biuf" and any(lengths[key] for key in lengths if key[0] == name)
+        }
+        bare = [path_parts(name)[-1] for name in present.values()]
+        alone = {tail: name for tail, name in zip(bare, present.values(), strict=True) if bare.count(tail) == 1}
+        if names is not None:
+            chosen(path, names, [*present, *(tail for tail in alone if tail not in present)])
+        paths = present if names is None else {name: present.get(name) or alone[name] for name in names}
+        times = {name: _time_of(name, index, types, lengths) for name in paths.values()}
+        wanted = {*paths.values(), *(time for time in times.values() if time)}
+        values = _values(path, stream, index, wanted)
+        starts = _starts(stream, index, types, {times[own] or own for own in paths.values()})
+    result = {}
+    for name, own in paths.items():
+        rate, start = _clock(path, name, index.properties.get(own, {}), values, times[own], sample_rate_hz)
+        result[name] = RawChannel(
+            values[own],
+            rate,
+            start + starts.get(times[own] or own, 0.0),
+            str(index.properties.get(own, {}).get("unit_string", "")),
+        )
+    return result
+
+
+def _lengths(regions: Iterable[Region]) -> dict[_Key, int]:
+    """Return the number of values of every channel and raw scale."""
+    lengths: dict[_Key, int] = {}
+    for region in regions:
+        for own in region.fields:
+            key = own.path, own.scale
+            lengths[key] = lengths.get(key, 0) + own.count * region.repeats
+    return lengths
+
+
+def _time_of(
+    name: str, index: TdmsIndex, types: Mapping[str, np.dtype[Any]], lengths: Mapping[_Key, int]
+) -> str | None:
+    """Return the time channel that belongs to a channel without `wf_increment`."""
+    if index.properties.get(name, {}).get("wf_increment"):
+        return None
+    group, *_ = path_parts(name)
+    for other in types:
+        own_group, *tail = path_parts(other)
+        fits = lengths.get((other, DAQMX)) == lengths.get((name, DAQMX))
+        if other != name and own_group == group and tail and is_time(tail[0]) and fits:
+            return other
+    return None
+
+
+def _values(path: Path, stream: BinaryIO, index: TdmsIndex, wanted: set[str]) -> dict[str, FloatArray]:
+    """Return the values of the channels wanted, scaled; time stamps in seconds from their first second.
+
+    A card's channel without scale is its first raw scale.
+    """
+    sinks = {key: _Sink(np.empty(length)) for key, length in _lengths(index.regions).items() if key[0] in wanted}
+    keys = {name: [key for key in sinks if key[0] == name] for name in wanted}
+    scales = {name: _scale(path, name, index) for name in wanted}
+    for name, own in keys.items():
+        if len(own) == 1:
+            sinks[own[0]].scale = scales[name]
+    bases: dict[str, int] = {}
+    for region in index.regions:
+        fields = [own for own in region.fields if own.path in wanted]
+        if fields:
+            _read_region(path, stream, region, fields, sinks, bases)
+    for name, own in keys.items():
+        if len(own) > 1 and scales[name] is not None:
+            _apply(scales[name], {key[1]: sinks[key].values for key in own})
+    return {name: sinks[own[0]].values for name, own in keys.items()}
+
+
+def _read_region(
+    path: Path,
+    stream: BinaryIO,
+    region: Region,
+    fields: Sequence[Field],
+    sinks: Mapping[_Key, _Sink],
+    bases: dict[str, int],
+) -> None:
+    """Read a region block by block into the channels' arrays."""
+    if region.stride > BLOCK:
+        for position, part in _pieces(region, fields):
+            _store(part, _read(path, stream, position, part.count * part.dtype.itemsize), 0, sinks, bases)
+        return
+    rows = max(1, BLOCK // max(1, region.stride))
+    for first in range(0, region.repeats, rows):
+        count = min(rows, region.repeats - first)
+        block = _read(path, stream, region.position + first * region.stride, count * region.stride)
+        for own in fields:
+            _store(own, block, region.stride, sinks, bases)
+
+
+def _pieces(region: Region, fields: Sequence[Field]) -> Iterable[tuple[int, Field]]:
+    """Yield position and values of pieces no larger than a block, where a record is larger than that."""
+    for repeat in range(region.repeats):
+        for own in fields:
+            size = own.dtype.itemsize
+            for first in range(0, own.count, BLOCK // size):
+                count = min(BLOCK // size, own.count - first)
+                position = region.position + repeat * region.stride + own.offset + first * size
+                yield position, Field(own.path, 0, count, own.dtype, own.scale, own.bit)
+
+
+def _read(path: Path, stream: BinaryIO, position: int, size: int) -> bytes:
+    """Read bytes, all of them."""
+    stream.seek(position)
+    block = stream.read(size)
+    if len(block) < size:
+        raise ValueError(f"{path}: expected a complete TDMS file, found its end at byte {position + len(block)}")
+    return block
+
+
+def _store(own: Field, block: bytes, stride: int, sinks: Mapping[_Key, _Sink], bases: dict[str, int]) -> None:
+    """Put a channel's values from a block of records into its array."""
+    sink = sinks[own.path, own.scale]
+    repeats = len(block) // stride if stride else 1
+    raw: NDArray[Any] = np.ndarray((repeats, own.count), own.dtype, block, own.offset, (stride, own.dtype.itemsize))
+    if own.bit is not None:
+        raw = raw >> own.bit & 1
+    elif own.dtype.names:
+        base = bases.setdefault(own.path, int(raw["seconds"][0, 0]))
+        raw = (raw["seconds"] - base) + raw["fraction"] * 2.0**-64
+    target = sink.values[sink.filled : sink.filled + repeats * own.count]
+    target.reshape(repeats, own.count)[...] = raw
+    sink.filled += len(target)
+    if sink.scale is not None:
+        _apply(sink.scale, {own.scale: target})
+
+
+def _apply(scale: Any, raw: Mapping[int, FloatArray]) -> None:
+    """Put scaled values in the place of the first raw ones, some thousand at a time: they stay in the cache."""
+    target = next(iter(raw.values()))
+    for first in range(0, len(target), _SCALE_BLOCK):
+        numbers = {number: values[first : first + _SCALE_BLOCK] for number, values in raw.items()}
+        target[first : first + _SCALE_BLOCK] = scale.scale(_tdms_Raw(numbers.get(DAQMX), numbers))
+
+
+def _scale(path: Path, name: str, index: TdmsIndex) -> Any:
+    """Return the library's scale of a channel, None where it has none, or raise `ValueError` for an unknown one."""
+    parts = path_parts(name)
+    layers = [index.properties.get(key, {}) for key in (name, "/'" + parts[0].replace("'", "''") + "'", "/")]
+    scales = {
+        match[1]: str(value) for layer in layers for key, value in layer.items() if (match := _SCALE_KEY.fullmatch(key))
+    }
+    numbers = [int(layer["NI_Number_Of_Scales"]) for layer in layers if "NI_Number_Of_Scales" in layer]
+    if not scales and not numbers:
+        return None
+    where = f'{path}: channel "{"/".join(parts)}"'
+    for kind in scales.values():
+        if kind not in (*_SCALES, "AdvancedAPI"):
+            raise ValueError(f"{where}: expected a known scale, found {kind!r}")
+    most = max([*map(int, scales), *numbers])
+    if most > _MOST_SCALES:
+        raise ValueError(f"{where}: expected at most {_MOST_SCALES} scales, found {most}")
+    from nptdms.scaling import get_scaling
+
+    return get_scaling(*layers)
+
+
+def _starts(
+    stream: BinaryIO, index: TdmsIndex, types: Mapping[str, np.dtype[Any]], wanted: Iterable[str]
+) -> dict[str, float]:
+    """Return by how many seconds every channel begins after the earliest of those wanted, from their time stamps."""
+    stamps: dict[str, Fraction] = {}
+    for name in wanted:
+        stamp = index.properties.get(name, {}).get("wf_start_time")
+        if types[name].names:
+            stamps[name] = Fraction(_first_second(stream, index, name))
+        elif isinstance(stamp, Fraction | int) and stamp > 0:  # 0 is the year 1904: no time was set
+            stamps[name] = Fraction(stamp)
+    earliest = min(stamps.values(), default=Fraction(0))
+    return {name: round(float(stamp - earliest), 12) for name, stamp in stamps.items()}
+
+
+def _first_second(stream: BinaryIO, index: TdmsIndex, name: str) -> int:
+    """Return the whole seconds of a channel's first time stamp."""
+    for region in index.regions:
+        for own in region.fields:
+            if own.path == name and own.count and region.repeats:
+                stream.seek(region.position + own.offset)
+                return int(np.frombuffer(stream.read(own.dtype.itemsize), own.dtype)["seconds"][0])
+    return 0
+
+
+def _clock(
+    path: Path,
+    name: str,
+    properties: Mapping[str, Any],
+    values: Mapping[str, FloatArray],
+    time: str | None,
+    sample_rate_hz: float | None,
+) -> tuple[float, float]:
+    """Return rate and start of a channel by its own properties, its time channel, or the rate given."""
+    where = f'channel "{name}"'
+    if time is not None:
+        return rate_of_times(path, values[time], f'{where}: time channel "{path_parts(time)[-1]}"')
+    step, start = properties.get("wf_increment"), properties.get("wf_start_offset", 0.0)
+    return checked_rate(path, 1.0 / float(step) if step else sample_rate_hz, where), float(start)

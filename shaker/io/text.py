@@ -1,0 +1,437 @@
+"""Text tables and scan files.
+
+Text export of a scanning vibrometer, as in PTB's data set 10.7795/720.20181105 (`Scan_time.asc`).
+
+The published description (content.txt) says: from line 19 on stand the x, y, z coordinates of the scan points, then a
+line with the number of samples and the sampling interval (line 29 in one file, 44 in another), then data blocks, each
+with one data set per scan point: block 1 the vibrometer, blocks 2 and 3 reference, force or camera trigger. What it
+leaves open is decided here, and only here:
+
+- Coordinates are metres; a scan point is a line of exactly three numbers, and the list ends at the first line that is
+  none.
+- The acquisition line is the first line after it with exactly two numbers, a whole number of samples and a positive
+  interval in seconds.
+- Numbers are separated by blanks, tabs or semicolons, with a decimal point or comma. Lines that are not all numbers
+  (titles, blank lines) are passed over.
+- A block is a table of one row per sample with one column per scan point, or, where rows have another length, the
+  data sets of its points one after another. All blocks have the same size; there may be any number of them.
+- Units are not read from the file: the manifest's scale converts.
+- The first sample of every data set is at time zero.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from shaker.arrays import FloatArray, check_shape
+from shaker.io.channel import BLOCK, RawChannel, checked_rate, chosen, is_time, rate_of_times, reading
+
+# Rows of numbers in text files: whole blocks at once, line by line only where a block holds anything unusual.
+
+
+_COMMENT = "#"
+_COMMA_TO_POINT = bytes.maketrans(b",", b".")
+
+
+@dataclass(frozen=True)
+class TextLayout:
+    """How rows are written: number of columns, delimiter (empty: white space), decimal comma or point.
+
+    `remarks` tells whether what follows the last column is a remark; else it has to be empty.
+    """
+
+    path: Path
+    columns: int
+    delimiter: str
+    comma: bool
+    remarks: bool = False
+
+
+def read_columns(layout: TextLayout, start: int, stop: int, line: int, wanted: Sequence[int]) -> list[FloatArray]:
+    """Return the columns wanted, each (S,), of the rows in bytes `start` to `stop`, which begin at line number `line`.
+
+    Empty cells are NaN; empty lines and lines that begin with # are passed over. Memory: the result and one block.
+    """
+    columns = [np.empty(0) for _ in wanted]
+    filled = 0
+    with layout.path.open("rb") as stream:
+        for place, block in whole_lines(stream, start, stop):
+            rows = _whole_block(layout, block)
+            rows = _line_by_line(layout, block, line, wanted) if rows is None else rows[:, list(wanted)]
+            line += block.count(b"\n")
+            if columns and filled + len(rows) > len(columns[0]):
+                share = (place - start) / (stop - start)
+                room = max(filled + len(rows), int((filled + len(rows)) / share * 1.01))
+                for column in columns:
+                    column.resize(room, refcheck=False)
+            for column, own in zip(columns, rows.T, strict=True):
+                column[filled : filled + len(rows)] = own
+            filled += len(rows)
+    for column in columns:
+        column.resize(filled, refcheck=False)
+    if not filled:
+        raise ValueError(f"{layout.path}: line {line}: expected rows of numbers, found none")
+    return columns
+
+
+def find_bytes(stream: BinaryIO, text: bytes, start: int, stop: int) -> int:
+    """Return where a text first stands in bytes `start` to `stop` of a file, -1 where it does not."""
+    position, tail, overlap = start, b"", len(text) - 1
+    stream.seek(start)
+    while block := stream.read(min(BLOCK, stop - position)):
+        seam = tail + block[:overlap]
+        for place, part in ((position - len(tail), seam), (position, block)):
+            found = part.find(text)
+            if found >= 0:
+                return place + found
+        position += len(block)
+        tail = (seam if len(block) < overlap else block)[-overlap:]
+    return -1
+
+
+def count_lines(stream: BinaryIO, start: int, stop: int) -> int:
+    """Return the number of line ends in bytes `start` to `stop` of a file."""
+    stream.seek(start)
+    lines = 0
+    while start < stop and (block := stream.read(min(BLOCK, stop - start))):
+        start += len(block)
+        lines += block.count(b"\n")
+    return lines
+
+
+def decoded(raw: bytes) -> str:
+    """Return text that is UTF-8, with or without mark, or else Latin-1."""
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return raw.decode("latin-1")
+
+
+def whole_lines(stream: BinaryIO, start: int, stop: int) -> Iterator[tuple[int, bytes]]:
+    """Yield blocks of whole lines, each ending with a line end, and the place behind them."""
+    stream.seek(start)
+    rest = b""
+    while start < stop and (block := stream.read(min(BLOCK, stop - start))):
+        start += len(block)
+        head, mark, tail = block.rpartition(b"\n")
+        if mark:
+            yield start - len(tail), rest + head + mark
+            rest = tail
+        else:
+            rest += tail
+    if rest.strip():
+        yield stop, rest + b"\n"
+
+
+def _whole_block(layout: TextLayout, block: bytes) -> FloatArray | None:
+    """Return the rows of a block in which every row has the same cells and all hold numbers, else None."""
+    delimiter = layout.delimiter.encode()
+    block = block.replace(b"\r\n", b"\n")
+    if layout.comma:
+        block = block.translate(_COMMA_TO_POINT)
+    empty_first = bool(delimiter) and block.startswith(delimiter)
+    if empty_first:
+        block = block[1:].replace(b"\n" + delimiter, b"\n")
+    if delimiter and block.find(delimiter + b"\n", 0, block.find(b"\n") + 1) >= 0:
+        block = block.replace(delimiter + b"\n", b"\n")
+    rows = plain_rows(block, layout.delimiter)
+    if rows is None or rows.shape[1] != layout.columns - empty_first:
+        return None
+    return np.pad(rows, ((0, 0), (1, 0)), constant_values=np.nan) if empty_first else rows
+
+
+def plain_rows(block: bytes, delimiter: str) -> FloatArray | None:
+    """Return the rows (S, columns) of a block with nothing but numbers in equally many cells, else None."""
+    if not block.strip() or _COMMENT.encode() in block:
+        return None
+    try:
+        return np.loadtxt(BytesIO(block), delimiter=delimiter or None, comments=None, quotechar='"', ndmin=2)
+    except ValueError:
+        return None
+
+
+def _line_by_line(layout: TextLayout, block: bytes, line: int, wanted: Sequence[int]) -> FloatArray:
+    """Return the columns wanted (S, W) of a block, or raise `ValueError` naming the line; others may hold texts."""
+    rows = []
+    for number, text in enumerate(decoded(block.replace(b"\r\n", b"\n")).split("\n"), line):
+        if not text.strip() or text.startswith(_COMMENT):
+            continue
+        cells = text.split(layout.delimiter or None)
+        if layout.remarks or not any(cell.strip() for cell in cells[layout.columns :]):
+            cells = cells[: layout.columns]
+        if len(cells) != layout.columns:
+            raise ValueError(f"{layout.path}: line {number}: expected {layout.columns} columns, found {len(cells)}")
+        try:
+            rows.append([number_of(cells[i], layout.comma) for i in wanted])
+        except ValueError as error:
+            raise ValueError(f"{layout.path}: line {number}: expected numbers, found {text.strip()[:60]!r}") from error
+    return np.array(rows).reshape(-1, len(wanted))
+
+
+def number_of(cell: str, comma: bool) -> float:
+    """Return the number in a cell, NaN where it is empty."""
+    cell = cell.strip().strip('"')
+    return float(cell.replace(",", ".") if comma else cell) if cell else float("nan")
+
+
+# CSV: a header with the channels' names, an optional row of units, numbers.
+
+
+_DELIMITERS = ("\t", ";", ",")
+_STATED = re.compile(r'"?sep=(.)"?\s*', re.IGNORECASE)  # how Excel is told the delimiter
+_NAME_AND_UNIT = re.compile(r"(.*\S)\s*(?:\[([^][]*)\]|\(([^()]*)\))")
+_SECONDS = {"": 1.0, "s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9, "min": 60.0}
+
+
+@dataclass(frozen=True)
+class _Head:
+    """What stands above the numbers: names, their units, the layout, byte and line number of the first row."""
+
+    names: list[str]
+    units: list[str]
+    layout: TextLayout
+    start: int
+    line: int
+
+
+def read_table(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
+    """Read a text table with a header line; lines that begin with # are remarks.
+
+    The delimiter is the one that a first line `sep=;` states, else the tab, semicolon or comma that splits the header
+    into most cells, else white space; decimal commas are understood where the comma is not the delimiter. A row of
+    units may follow the header, or units may stand in it (`Fz [N]`, `Fz (N)`; the channel answers to `Fz` too). Times
+    come from a column `time`, uniform, in s or as its unit says (ms, us, ns, min), else from `sample_rate_hz`; empty
+    cells and `nan` are NaN. Memory: the result and one block.
+    """
+    size = path.stat().st_size
+    with path.open("rb") as stream:
+        head = _head(path, stream)
+    short = [_split_unit(name)[0] for name in head.names]
+    time = next((i for i, name in enumerate(short) if is_time(name)), None)
+    present = {name: i for i, name in enumerate(head.names) if i != time}
+    alone = {name: i for i, name in enumerate(short) if i != time and short.count(name) == 1 and name not in present}
+    if names is not None:
+        chosen(path, names, [*present, *alone])
+    places = present if names is None else {name: present.get(name, alone.get(name, 0)) for name in names}
+    wanted = sorted({*places.values(), *([] if time is None else [time])})
+    columns = dict(zip(wanted, read_columns(head.layout, head.start, size, head.line, wanted), strict=True))
+    if time is None:
+        rate, start = checked_rate(path, sample_rate_hz, 'a table without a column "time"'), 0.0
+    else:
+        where = f'column "{head.names[time]}"'
+        factor = _SECONDS.get(head.units[time].strip().lower())
+        if factor is None:
+            raise ValueError(f"{path}: {where}: expected s, ms, us, ns or min, found {head.units[time]!r}")
+        rate, start = rate_of_times(path, columns.pop(time) * factor, where)
+    return {name: RawChannel(columns[i], rate, start, head.units[i]) for name, i in places.items()}
+
+
+def table_units(path: Path) -> dict[str, str]:
+    """Return the columns of a text table, named without their units, and the unit of each."""
+    with reading(path):
+        with path.open("rb") as stream:
+            head = _head(path, stream)
+        short = [_split_unit(name)[0] for name in head.names]
+        names = [own if short.count(own) == 1 else name for own, name in zip(short, head.names, strict=True)]
+        return dict(zip(names, head.units, strict=True))
+
+
+def read_table_columns(path: Path, names: Sequence[str]) -> FloatArray:
+    """Read columns, named as `table_units` does, of a text table whose rows need no times, as (S, len(names))."""
+    places = list(table_units(path))
+    with reading(path):
+        chosen(path, names, places)
+        with path.open("rb") as stream:
+            head = _head(path, stream)
+        wanted = sorted({places.index(name) for name in names})
+        columns = read_columns(head.layout, head.start, path.stat().st_size, head.line, wanted)
+        return np.stack([columns[wanted.index(places.index(name))] for name in names], axis=1)
+
+
+def _head(path: Path, stream: BinaryIO) -> _Head:
+    """Read the header and the row of units."""
+    if b"\0" in stream.read(4096):
+        raise ValueError(f"{path}: expected text, found binary data")
+    stream.seek(0)
+    start, line, text = _next_line(stream, 0)
+    stated = _STATED.fullmatch(text)
+    if stated:
+        start, line, text = _next_line(stream, line)
+    delimiter = stated[1] if stated else _delimiter(text)
+    comma = delimiter != ","
+    names = _cells(text, delimiter)
+    header_line = line
+    start, line, second = _next_line(stream, line)
+    if not second:
+        raise ValueError(f"{path}: expected a header and rows of numbers, found {1 if text else 0} lines")
+    if len(names) > 1 and not names[-1]:
+        names.pop()
+    if len(set(names)) < len(names) or all(_is_number(name, comma) for name in names):
+        raise ValueError(f"{path}: line {header_line}: expected a header with one name per column, found {names}")
+    units = [_split_unit(name)[1] for name in names]
+    cells = _cells(second, delimiter)
+    if _are_units(cells, comma):
+        stripped = [cell.strip("[]()").strip() for cell in cells] + [""] * len(names)
+        units = [row or own for row, own in zip(stripped, units, strict=False)]
+        start, line = stream.tell(), line + 1
+    return _Head(names, units, TextLayout(path, len(names), delimiter, comma), start, line)
+
+
+def _next_line(stream: BinaryIO, line: int) -> tuple[int, int, str]:
+    """Return place, number and text of the next line that is neither empty nor a remark; no text at the end."""
+    while True:
+        start, raw = stream.tell(), stream.readline()
+        line += 1
+        text = decoded(raw).rstrip("\r\n")
+        if not raw or (text.strip() and not text.startswith(_COMMENT)):
+            return start, line, text
+
+
+def _delimiter(header: str) -> str:
+    """Return the delimiter that gives most cells outside quotes, empty for white space."""
+    plain = re.sub(r'"[^"]*"', "", header)
+    best = max(_DELIMITERS, key=plain.count)
+    return best if best in plain else ""
+
+
+def _cells(line: str, delimiter: str) -> list[str]:
+    """Split a line into cells without quotes and blanks."""
+    if not delimiter:
+        return [cell[0] or cell[1] for cell in re.findall(r'"([^"]*)"|(\S+)', line)]
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))]
+
+
+def _split_unit(name: str) -> tuple[str, str]:
+    """Return a column's name without its unit, and the unit: `Fz [N]` or `Fz (N)`."""
+    match = _NAME_AND_UNIT.fullmatch(name)
+    return (match[1], (match[2] or match[3] or "").strip()) if match else (name, "")
+
+
+def _are_units(cells: Sequence[str], comma: bool) -> bool:
+    """Tell whether a row holds units: texts, and no number but the unit 1."""
+    return any(cell and not _is_number(cell, comma) for cell in cells) and not any(
+        _is_number(cell, comma) for cell in cells if cell != "1"
+    )
+
+
+def _is_number(cell: str, comma: bool) -> bool:
+    """Tell whether a cell holds a number."""
+    try:
+        number_of(cell, comma)
+    except ValueError:
+        return False
+    return bool(cell)
+
+
+# Text export of a scanning vibrometer, as in PTB's data set 10.7795/720.20181105 (`Scan_time.asc`).
+
+
+_FIRST_POINT = 19  # line number, counted from 1
+_PLAIN = bytes.maketrans(b",;", b". ")  # decimal comma to point, semicolon to blank
+
+
+@dataclass(frozen=True)
+class Scan:
+    """A scan: `point_m` (P, 3), `samples` (B blocks, P points, S), taken point after point, each from time zero."""
+
+    point_m: FloatArray
+    samples: FloatArray
+    sample_rate_hz: float
+
+    def __post_init__(self) -> None:
+        check_shape("point_m", self.point_m, (None, 3))
+        check_shape("samples", self.samples, (None, len(self.point_m), None))
+
+    def take(self, point: int) -> dict[str, RawChannel]:
+        """Return what was recorded at one scan point: block numbers "1", "2", … to channels."""
+        return {
+            str(block + 1): RawChannel(self.samples[block, point], self.sample_rate_hz)
+            for block in range(len(self.samples))
+        }
+
+
+def read_scan_asc(path: Path) -> Scan:
+    """Read a scanning vibrometer's text; every scan point is a take of its own."""
+    with reading(path):
+        return _scan(path)
+
+
+def _scan(path: Path) -> Scan:
+    """Read points, acquisition and data blocks."""
+    with path.open("rb") as stream:
+        for _ in range(_FIRST_POINT - 1):
+            stream.readline()
+        points = []
+        while len(row := _numbers(line := stream.readline())) == 3:
+            points.append(row)
+        if not points:
+            raise ValueError(f"{path}: line {_FIRST_POINT}: expected x, y, z of the first scan point, found none")
+        samples, interval = _acquisition(path, stream, line)
+        start, stop = stream.tell(), stream.seek(0, 2)
+        values, widths = _data(stream, start, stop)
+    count = len(points)
+    block = count * samples
+    if not len(values) or len(values) % block:
+        raise ValueError(
+            f"{path}: expected whole blocks of {count} points with {samples} samples ({block} numbers), "
+            f"found {len(values)} numbers"
+        )
+    by_rows = count > 1 and widths == {count}
+    shaped = values.reshape(-1, samples, count).swapaxes(1, 2) if by_rows else values.reshape(-1, count, samples)
+    return Scan(np.array(points), np.ascontiguousarray(shaped), 1.0 / interval)
+
+
+def read_scan_channels(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
+    """Read a scan by `block/point`, both counted from 1; `block` alone where the scan has one point."""
+    scan = read_scan_asc(path)
+    present = {
+        f"{block}/{point + 1}": channel
+        for point in range(len(scan.point_m))
+        for block, channel in scan.take(point).items()
+    }
+    if len(scan.point_m) == 1:
+        present |= scan.take(0)
+    return {name: present[name] for name in chosen(path, names, present)}
+
+
+def _numbers(line: bytes) -> list[float]:
+    """Return a line's numbers, none where it holds anything else."""
+    try:
+        return [float(cell) for cell in line.translate(_PLAIN).split()]
+    except ValueError:
+        return []
+
+
+def _acquisition(path: Path, stream: BinaryIO, line: bytes) -> tuple[int, float]:
+    """Return number of samples and sampling interval from the first line of numbers, which is to be theirs."""
+    while line:
+        row = _numbers(line)
+        if row:
+            if len(row) == 2 and row[0] >= 1.0 and row[0] == int(row[0]) and row[1] > 0.0:
+                return int(row[0]), row[1]
+            break
+        line = stream.readline()
+    raise ValueError(f"{path}: expected a line with the number of samples and the sampling interval, found none")
+
+
+def _data(stream: BinaryIO, start: int, stop: int) -> tuple[FloatArray, set[int]]:
+    """Return all numbers behind the acquisition line one after another, and the lengths of their rows."""
+    parts, widths = [], set()
+    for _, block in whole_lines(stream, start, stop):
+        rows = plain_rows(block.translate(_PLAIN), "")
+        if rows is not None:
+            parts.append(rows.reshape(-1))
+            widths.add(rows.shape[1])
+            continue
+        single = [row for row in map(_numbers, block.splitlines()) if row]
+        parts.append(np.array([value for row in single for value in row]))
+        widths |= {len(row) for row in single}
+    return np.concatenate(parts) if parts else np.empty(0), widths

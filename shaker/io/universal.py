@@ -1,0 +1,517 @@
+"""Universal files: data sets 55, 58 and 58b.
+
+Data sets of universal files, and the functions of data set 58 in them (SDRC/UC-SDRL, "Universal file formats").
+
+The binary form 58b (UC-SDRL, "The binary 58 universal file format") holds the same eleven text records and then the
+numbers of record 12 one after another without field widths or line ends, as many bytes as its first line says. Byte
+order and floating point format stand in that line. For unevenly spaced values of double precision the description
+leaves open whether the abscissa, single precision in the text form, is; the number of bytes tells.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shaker.arrays import ComplexArray, FloatArray, IntArray, check_shape
+from shaker.io.channel import BLOCK, RawChannel, checked_rate, chosen, numbers, rate_of_times, reading
+from shaker.io.text import plain_rows
+
+# Data sets of universal files, and the functions of data set 58 in them (SDRC/UC-SDRL, "Universal file formats").
+
+
+_MARK = b"-1"
+_HEADER = 11  # text records before the numbers of data set 58
+_DIRECTIONS = {0: "", 1: "+X", 2: "+Y", 3: "+Z", 4: "+RX", 5: "+RY", 6: "+RZ"}
+_DIRECTIONS |= {-key: "-" + text[1:] for key, text in _DIRECTIONS.items() if key}
+_NOTHING = ("", "NONE")
+_ORDERS = {1: "<", 2: ">"}
+_IEEE = 2
+_FLOATS = {1: "DEC VMS", 3: "IBM 5/370"}
+
+
+@dataclass(frozen=True)
+class DataSet:
+    """One data set: its number, the rest of its first line, and its bytes `start` to `stop` in the file."""
+
+    kind: int
+    more: bytes
+    line: int
+    start: int
+    stop: int
+
+
+@dataclass(frozen=True)
+class Axis:
+    """What an axis of a function shows: the number of its quantity, its label and unit (empty where not stated)."""
+
+    quantity: int
+    label: str
+    unit: str
+
+
+@dataclass(frozen=True)
+class FunctionHeader:
+    """The text records of a function: its kind, points (`12+Z`), form of the numbers and axes."""
+
+    titles: tuple[str, ...]
+    kind: int
+    response_name: str
+    response_point: str
+    reference_name: str
+    reference_point: str
+    ordinate_type: int
+    count: int
+    even: bool
+    start: float
+    step: float
+    abscissa: Axis
+    ordinate: Axis
+    denominator: Axis
+
+    @property
+    def is_complex(self) -> bool:
+        """Whether every value is two numbers."""
+        return self.ordinate_type in (5, 6)
+
+    @property
+    def is_double(self) -> bool:
+        """Whether the values have double precision."""
+        return self.ordinate_type in (4, 6)
+
+
+def data_sets(path: Path, stream: BinaryIO) -> Iterator[DataSet]:
+    """Yield the data sets of a file in their order; `ValueError` where an end mark is missing."""
+    line = 0
+    while text := stream.readline():
+        line += 1
+        if not text.strip():
+            continue
+        if text.strip() != _MARK:
+            raise ValueError(f"{path}: line {line}: expected the mark -1 before a data set, found {_shown(text)}")
+        first, place = stream.readline(), line
+        kind = first[:6].strip()
+        if not kind.isdigit():
+            raise ValueError(f"{path}: line {line + 1}: expected the number of a data set, found {_shown(first)}")
+        start, more = stream.tell(), first[6:]
+        if int(kind) == 58 and more[:1].lower() == b"b":
+            lines, stop = _HEADER, _skip_binary(path, stream, more, line + 1)
+        else:
+            lines, stop = _skip_text(path, stream, line + 1)
+        line += lines + 2
+        yield DataSet(int(kind), more, place + 1, start, stop)
+
+
+def _skip_text(path: Path, stream: BinaryIO, line: int) -> tuple[int, int]:
+    """Move behind the end mark of a text data set; return its number of lines and its end."""
+    stop, lines = stream.tell(), 0
+    while text := stream.readline():
+        if text.strip() == _MARK:
+            return lines, stop
+        stop, lines = stop + len(text), lines + 1
+    raise ValueError(f"{path}: line {line + lines}: expected the end mark -1 of the last data set, found the end")
+
+
+def _skip_binary(path: Path, stream: BinaryIO, more: bytes, line: int) -> int:
+    """Move behind the end mark of a binary data set; return the end of its numbers."""
+    records = [stream.readline() for _ in range(_HEADER)]
+    head, place = function_header(path, records, line), stream.tell()
+    stated = _integer(more[25:37])
+    sizes = [size for size in _sizes(head) if size == stated] + [size for size in _sizes(head) if size != stated]
+    for size in sizes:
+        stream.seek(place + size)
+        tail = stream.readline()
+        if not tail.strip():
+            tail = stream.readline()
+        if tail.strip() == _MARK:
+            return place + size
+    raise ValueError(
+        f"{path}: line {line}: expected the end mark -1 after {sizes[0]} bytes of {head.count} values, found none"
+    )
+
+
+def _sizes(head: FunctionHeader) -> list[int]:
+    """Return how many bytes the numbers of a binary function may take."""
+    value = (8 if head.is_double else 4) * (2 if head.is_complex else 1)
+    return [head.count * (value + abscissa) for abscissa in ((0,) if head.even else (4, 8))]
+
+
+def function_header(path: Path, records: Sequence[bytes], line: int) -> FunctionHeader:
+    """Return what the eleven text records of data set 58 say; `line` is that of the data set's number."""
+    if len(records) < _HEADER or not records[-1]:
+        raise ValueError(f"{path}: line {line}: expected {_HEADER} records of data set 58, found fewer")
+    texts = [_decoded(record) for record in records]
+    point, form = texts[5].ljust(80), texts[6].ljust(69)
+    numbers = _integer(form[:10]), _integer(form[10:20]), _integer(form[20:30])
+    if numbers[0] not in (2, 4, 5, 6) or numbers[1] < 0:
+        raise ValueError(f"{path}: line {line + 7}: expected type and number of values, found {_shown(records[6])}")
+    return FunctionHeader(
+        tuple("" if text.strip() in _NOTHING else text.strip() for text in texts[:5]),
+        _integer(point[:5]),
+        _name(point[31:41]),
+        _point(point[41:51], point[51:55]),
+        _name(point[56:66]),
+        _point(point[66:76], point[76:80]),
+        numbers[0],
+        numbers[1],
+        numbers[2] == 1,
+        _real(form[30:43]),
+        _real(form[43:56]),
+        *(Axis(_integer(text[:10]), _name(text[26:46]), _name(text[47:67])) for text in texts[7:10]),
+    )
+
+
+def function_values(
+    path: Path, stream: BinaryIO, data: DataSet, head: FunctionHeader
+) -> tuple[FloatArray, NDArray[np.float64] | NDArray[np.complex128]]:
+    """Return abscissa (N,) and values (N,) of a function, real or complex as it is stored."""
+    stream.seek(data.start)
+    for _ in range(_HEADER):
+        stream.readline()
+    read = _binary if data.more[:1].lower() == b"b" else _text
+    columns = read(path, stream, data, head)
+    abscissa: FloatArray = head.start + head.step * np.arange(head.count, dtype=np.float64)
+    if not head.even:
+        abscissa = columns[0]
+    first = 0 if head.even else 1
+    return abscissa, columns[first] + 1j * columns[first + 1] if head.is_complex else columns[first]
+
+
+def _binary(path: Path, stream: BinaryIO, data: DataSet, head: FunctionHeader) -> FloatArray:
+    """Return the numbers of a binary function (columns, N), read block by block."""
+    order, floats = _integer(data.more[1:7]), _integer(data.more[7:13])
+    if order not in _ORDERS or floats != _IEEE:
+        found = f"byte order {order}, number format {_FLOATS.get(floats, floats)}"
+        raise ValueError(f"{path}: line {data.line}: expected byte order 1 or 2 and IEEE 754 numbers, found {found}")
+    value = ("f8" if head.is_double else "f4",) * (2 if head.is_complex else 1)
+    width = (data.stop - stream.tell()) // max(head.count, 1)
+    types = value if head.even else (f"f{width - sum(int(code[1]) for code in value)}", *value)
+    record = np.dtype([(str(i), _ORDERS[order] + code) for i, code in enumerate(types)])
+    columns = np.empty((len(types), head.count))
+    rows = BLOCK // record.itemsize
+    for first in range(0, head.count, rows):
+        block = np.frombuffer(stream.read(record.itemsize * min(rows, head.count - first)), record)
+        for column, name in zip(columns, block.dtype.names or (), strict=True):
+            column[first : first + len(block)] = block[name]
+    return columns
+
+
+def _text(path: Path, stream: BinaryIO, data: DataSet, head: FunctionHeader) -> FloatArray:
+    """Return the numbers of a text function (columns, N), by the field widths of its case or else by blanks."""
+    columns = (2 if head.is_complex else 1) + (0 if head.even else 1)
+    start = stream.tell()
+    if columns * head.count > data.stop - start:
+        raise ValueError(f"{path}: line {data.line}: expected {columns * head.count} numbers, found far fewer")
+    numbers, filled = np.empty(columns * head.count), 0
+    while (left := data.stop - stream.tell()) > 0:
+        block = fixed_width(stream.readlines(min(BLOCK, max(left - 1, 1))), _widths(head))
+        if block is None or filled + len(block) > len(numbers):
+            filled = -1
+            break
+        numbers[filled : filled + len(block)] = block
+        filled += len(block)
+    if filled != len(numbers):
+        stream.seek(start)
+        free = free_width(stream.read(data.stop - start))
+        if free is None or len(free) != len(numbers):
+            found = "others" if free is None else f"{len(free)}"
+            raise ValueError(f"{path}: line {data.line}: expected {len(numbers)} numbers, found {found}")
+        numbers = free
+    return np.ascontiguousarray(numbers.reshape(-1, columns).T)
+
+
+def _widths(head: FunctionHeader) -> tuple[int, ...]:
+    """Return the field widths of a line of numbers: cases 1 to 8 of record 12."""
+    if not head.is_double:
+        return (13,) * 6
+    if head.even:
+        return (20,) * 4
+    return (13, 20, 20) if head.is_complex else (13, 20, 13, 20)
+
+
+def fixed_width(lines: Sequence[bytes], widths: Sequence[int]) -> FloatArray | None:
+    """Return the numbers in lines of fixed fields, None where one is no number; the last line may end early."""
+    total = sum(widths)
+    padded = b"".join(line.rstrip(b"\r\n").ljust(total)[:total] for line in lines)
+    table = np.frombuffer(padded.translate(_EXPONENT), np.uint8).reshape(-1, total)
+    spaced = np.full((len(table), total + len(widths)), ord(" "), np.uint8)
+    spaced[:, -1] = ord("\n")
+    place = 0
+    for i, width in enumerate(widths):
+        spaced[:, place + i : place + i + width] = table[:, place : place + width]
+        place += width
+    last = free_width(spaced[-1:].tobytes())
+    if len(spaced) < 2 or last is None:
+        return last
+    rows = plain_rows(spaced[:-1].tobytes(), "")
+    return None if rows is None or rows.shape[1] != len(widths) else np.append(rows, last)
+
+
+def free_width(raw: bytes) -> FloatArray | None:
+    """Return the numbers between blanks, None where anything else stands there; Fortran's D is an exponent too."""
+    try:
+        return np.array(raw.translate(_EXPONENT).split(), dtype=np.float64)
+    except ValueError:
+        return None
+
+
+_EXPONENT = bytes.maketrans(b"Dd", b"EE")
+
+
+def _decoded(record: bytes) -> str:
+    """Return a record's text."""
+    try:
+        return record.decode("utf-8").rstrip("\r\n")
+    except UnicodeDecodeError:
+        return record.decode("latin-1").rstrip("\r\n")
+
+
+def _integer(text: str | bytes) -> int:
+    """Return a field's whole number, 0 where it is blank."""
+    return int(text) if text.strip() else 0
+
+
+def _real(text: str) -> float:
+    """Return a field's number, 0 where it is blank."""
+    return float(text.upper().replace("D", "E")) if text.strip() else 0.0
+
+
+def _name(text: str) -> str:
+    """Return a field's text, empty for NONE."""
+    return "" if text.strip().upper() in _NOTHING else text.strip()
+
+
+def _point(node: str, direction: str) -> str:
+    """Return node and direction, as 12+Z."""
+    return f"{_integer(node)}{_DIRECTIONS.get(_integer(direction), '')}"
+
+
+def _shown(text: bytes) -> str:
+    """Return the beginning of a line for a message."""
+    return repr(_decoded(text).strip()[:40])
+
+
+# Universal files: mode shapes and operating deflection shapes, data set 55 (data at nodes).
+
+
+_ANALYSES = (
+    "unknown", "static", "normal mode", "complex mode, first order", "transient", "frequency response", "buckling",
+    "complex mode, second order",
+)  # fmt: skip
+_QUANTITIES = {0: "unknown", 1: "general", 8: "displacement", 9: "reaction force", 11: "velocity", 12: "acceleration"}
+_MODE, _TRANSIENT, _RESPONSE, _COMPLEX_MODES = 2, 4, 5, (3, 7)
+_COMPLEX = 5  # data type of complex values
+
+
+@dataclass(frozen=True)
+class UniversalShape:
+    """A shape: `value` (N, D) at nodes `node` (N,), D components in the order x, y, z (, rx, ry, rz).
+
+    `analysis` and `quantity` in words ("normal mode", "frequency response"; "displacement", …); `frequency_hz` is NaN
+    where the analysis has none, `damping_ratio` where the file states none, `time_s` except for transients.
+    """
+
+    node: IntArray
+    value: ComplexArray
+    analysis: str
+    quantity: str
+    frequency_hz: float
+    damping_ratio: float
+    time_s: float
+    titles: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        check_shape("node", self.node, (None,))
+        check_shape("value", self.value, (len(self.node), None))
+
+
+def read_universal_shapes(path: Path) -> tuple[UniversalShape, ...]:
+    """Read all shapes of a universal file, in its order; data sets of other kinds are passed over."""
+    shapes = []
+    with reading(path), path.open("rb") as stream:
+        for data in list(data_sets(path, stream)):
+            if data.kind == 55:
+                stream.seek(data.start)
+                shapes.append(_shape(path, data.line, stream.read(data.stop - data.start).splitlines()))
+    return tuple(shapes)
+
+
+def _shape(path: Path, line: int, lines: list[bytes]) -> UniversalShape:
+    """Return the shape that the lines of one data set hold."""
+    if len(lines) < 8:
+        raise ValueError(f"{path}: line {line}: expected at least 8 records of data set 55, found {len(lines)}")
+    _, analysis, _, quantity, data_type, components = _integers(lines[5], 6)
+    counts = _integers(lines[6], 2)
+    place = 7 + (2 + counts[0] - 1) // 8  # eight whole numbers a line, its two counts among them
+    real_lines = max(1, -(-counts[1] // 6))
+    reals = _reals(path, line, lines[place : place + real_lines])
+    node, value = _nodes(path, line, lines[place + real_lines :], components * (2 if data_type == _COMPLEX else 1))
+    complex_value = value[:, ::2] + 1j * value[:, 1::2] if data_type == _COMPLEX else value.astype(complex)
+    frequency, damping, time = _abscissa(analysis, reals)
+    titles = tuple(text.decode("latin-1").strip() for text in lines[:5])
+    return UniversalShape(
+        node,
+        complex_value,
+        _ANALYSES[analysis] if 0 <= analysis < len(_ANALYSES) else f"analysis type {analysis}",
+        _QUANTITIES.get(quantity, f"data type {quantity}"),
+        frequency,
+        damping,
+        time,
+        tuple("" if title == "NONE" else title for title in titles),
+    )
+
+
+def _abscissa(analysis: int, reals: np.ndarray) -> tuple[float, float, float]:
+    """Return frequency, damping ratio and time of a shape from its real parameters."""
+    reals = np.concatenate([reals, np.full(4, np.nan)])
+    if analysis == _MODE:
+        return float(reals[0]), float(reals[2]), np.nan
+    if analysis == _RESPONSE:
+        return float(reals[0]), np.nan, np.nan
+    if analysis in _COMPLEX_MODES:
+        eigenvalue = complex(reals[0], reals[1])
+        size = abs(eigenvalue)
+        return size / (2.0 * np.pi), -eigenvalue.real / size if size else np.nan, np.nan
+    return np.nan, np.nan, float(reals[0]) if analysis == _TRANSIENT else np.nan
+
+
+def _nodes(path: Path, line: int, lines: list[bytes], values: int) -> tuple[IntArray, np.ndarray]:
+    """Return node numbers (N,) and their numbers (N, values)."""
+    lines = [text for text in lines if text.strip()]
+    each = 1 + max(1, -(-values // 6))
+    if not lines or len(lines) % each:
+        raise ValueError(f"{path}: line {line}: expected {each} lines for every node, found {len(lines)} in all")
+    node = np.array([_integers(text, 1)[0] for text in lines[::each]], dtype=np.int64)
+    data = [text for i, text in enumerate(lines) if i % each]
+    return node, _reals(path, line, data, len(node) * values).reshape(len(node), values)
+
+
+def _integers(text: bytes, count: int) -> list[int]:
+    """Return the first whole numbers of a record."""
+    return [int(cell) for cell in text.split()[:count]] + [0] * (count - len(text.split()[:count]))
+
+
+def _reals(path: Path, line: int, lines: list[bytes], count: int | None = None) -> np.ndarray:
+    """Return the numbers of records of format 6E13.5, or between blanks, `count` of them where it is known."""
+    for values in (fixed_width(lines, (13,) * 6), free_width(b" ".join(lines))):
+        if values is not None and count in (None, len(values)):
+            return values
+    raise ValueError(f"{path}: line {line}: expected {count or 'some'} values of data set 55, found others")
+
+
+# Universal files: time responses and other functions of data set 58, text and binary.
+
+
+_TIME_RESPONSE = 1
+_KINDS = (
+    "general", "time response", "auto spectrum", "cross spectrum", "frequency response", "transmissibility",
+    "coherence", "auto correlation", "cross correlation", "power spectral density", "energy spectral density",
+    "probability density", "spectrum",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class UniversalFunction:
+    """A function of data set 58: `value` (N,), real or complex as stored, over `abscissa` (N,).
+
+    `kind` in words ("frequency response", "spectrum", …); `response` and `reference` are node and direction (`12+Z`);
+    `unit` is the ordinate's, over that of its denominator where it has one (`(m/s^2)/N`); texts are empty where the
+    file says nothing. Frequency responses follow the file's own sign; universal files state none, and exp(+jωt) is
+    usual.
+    """
+
+    name: str
+    kind: str
+    abscissa: FloatArray
+    value: NDArray[np.float64] | NDArray[np.complex128]
+    abscissa_unit: str
+    unit: str
+    response: str
+    reference: str
+    titles: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_shape("abscissa", self.abscissa, (None,))
+        check_shape("value", self.value, (len(self.abscissa),))
+
+
+def read_universal(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
+    """Read the time responses of a universal file.
+
+    A channel is called by its response entity name where it has one, else by the label of its ordinate, else by node
+    and direction (`12+Z`); names that occur twice get node and direction after them (`Mic 3+X`), and where these do
+    not tell them apart either, the place in the file (`Mic #2`). Its unit is the ordinate's units label. Data sets of
+    other kinds are passed over. Text headers hold the sampling interval with six digits, so a clock read from them may
+    be wrong by several parts in 10⁷; the trigger edges put that right.
+    """
+    headers = _headers(path)
+    present = {name: item for name, item in _named(headers).items() if item[1].kind == _TIME_RESPONSE}
+    result = {}
+    with path.open("rb") as stream:
+        for name in chosen(path, names, present):
+            data, head = present[name]
+            times, values = function_values(path, stream, data, head)
+            where = f'channel "{name}"'
+            if head.even:
+                rate, start = checked_rate(path, 1.0 / head.step if head.step else sample_rate_hz, where), head.start
+            else:
+                rate, start = rate_of_times(path, times, where)
+            result[name] = RawChannel(numbers(path, name, values), rate, start, head.ordinate.unit)
+    return result
+
+
+def read_universal_functions(path: Path) -> tuple[UniversalFunction, ...]:
+    """Read all functions of data set 58 of a universal file: frequency responses, spectra, and time responses."""
+    with reading(path):
+        headers = _headers(path)
+        with path.open("rb") as stream:
+            return tuple(
+                _function(name, head, *function_values(path, stream, data, head))
+                for name, (data, head) in _named(headers).items()
+            )
+
+
+def _headers(path: Path) -> list[tuple[DataSet, FunctionHeader]]:
+    """Return the functions of a file without their numbers."""
+    with path.open("rb") as stream:
+        found = list(data_sets(path, stream))
+        if not found:
+            raise ValueError(f"{path}: expected data sets of a universal file, found none")
+        headers = []
+        for data in found:
+            if data.kind == 58:
+                stream.seek(data.start)
+                records = [stream.readline() for _ in range(11)]
+                headers.append((data, function_header(path, records, data.line)))
+    return headers
+
+
+def _function(
+    name: str, head: FunctionHeader, abscissa: FloatArray, value: NDArray[np.float64] | NDArray[np.complex128]
+) -> UniversalFunction:
+    """Put a function together."""
+    unit = head.ordinate.unit
+    if head.denominator.unit:
+        unit = f"({unit})/({head.denominator.unit})"
+    kind = _KINDS[head.kind] if 0 <= head.kind < len(_KINDS) else f"function type {head.kind}"
+    return UniversalFunction(
+        name, kind, abscissa, value, head.abscissa.unit, unit, head.response_point, head.reference_point, head.titles
+    )
+
+
+def _named(headers: list[tuple[DataSet, FunctionHeader]]) -> dict[str, tuple[DataSet, FunctionHeader]]:
+    """Return the functions by unique names."""
+    plain = [head.response_name or head.ordinate.label or head.response_point for _, head in headers]
+    full = [
+        name if plain.count(name) == 1 else f"{name} {head.response_point}".strip()
+        for name, (_, head) in zip(plain, headers, strict=True)
+    ]
+    return {
+        name if full.count(name) == 1 else f"{name} #{i + 1}": item
+        for i, (name, item) in enumerate(zip(full, headers, strict=True))
+    }

@@ -1,0 +1,271 @@
+"""What sampling does to lines: aliases, loss by exposure, and which sampling times can tell lines apart."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from shaker.arrays import BoolArray, FloatArray, IntArray, Notice, check_shape
+
+# What sampling does to a line: aliases, lines that fold onto each other, loss by exposure.
+
+
+GRID_TOLERANCE = 1e-2  # of a sampling interval: times this close to a grid are treated as being on it
+
+
+@dataclass(frozen=True)
+class Fold:
+    """A harmonic that a sampling rate folds onto another line: `frequency_hz` = `multiple`·`fundamental_hz`."""
+
+    frequency_hz: float
+    fundamental_hz: float
+    multiple: int
+    alias_hz: float
+
+
+@dataclass(frozen=True)
+class SamplingGrid:
+    """Uniform sampling with gaps: sample i lies at `start_s + index[i] / rate_hz`."""
+
+    start_s: float
+    rate_hz: float
+    index: IntArray
+
+    @property
+    def length(self) -> int:
+        """Number of grid places from the first to the last sample."""
+        return int(self.index[-1]) + 1
+
+    def filled(self, values: FloatArray) -> FloatArray:
+        """Return values (S, C) on all places of the grid, zero in the gaps."""
+        if len(values) == self.length:
+            return values
+        full = np.zeros((self.length, values.shape[1]))
+        full[self.index] = values
+        return full
+
+
+def alias_frequency(frequency_hz: FloatArray | float, rate_hz: float) -> FloatArray:
+    """Return where lines appear between zero and the Nyquist frequency: |f - rate·round(f / rate)|."""
+    f = np.asarray(frequency_hz, dtype=np.float64)
+    return np.asarray(np.abs(f - rate_hz * np.round(f / rate_hz)))
+
+
+def exposure_gain(frequency_hz: FloatArray, exposure_s: float) -> FloatArray:
+    """Return sin(πfT) / (πfT): what a rectangular exposure of T seconds leaves of a line's amplitude."""
+    return np.asarray(np.sinc(np.asarray(frequency_hz, dtype=np.float64) * exposure_s))
+
+
+def beat_phase(time_s: FloatArray, frequency_hz: float) -> FloatArray:
+    """Return the phase of a line at the times given, in [0, 2π) rad: the abscissa that folds a record on one period.
+
+    A camera slower than the line sees one period spread over one beat; over this phase the frames fall into place.
+    """
+    return np.asarray(2.0 * np.pi * np.mod(np.asarray(time_s, dtype=np.float64) * frequency_hz, 1.0))
+
+
+def sampling_grid(time_s: FloatArray) -> SamplingGrid | None:
+    """Return the uniform grid (with gaps) on which ascending times lie within 1 % of an interval, or None."""
+    check_shape("time_s", time_s, (None,))
+    if len(time_s) < 3 or not np.all(np.diff(time_s) > 0.0):
+        return None
+    interval = float(np.median(np.diff(time_s)))
+    index = np.concatenate([[0], np.cumsum(np.round(np.diff(time_s) / interval))]).astype(np.int64)
+    if index[-1] < len(time_s) - 1 or np.any(np.diff(index) < 1):
+        return None
+    centred = index - index.mean()
+    interval = float(centred @ time_s / (centred @ centred))
+    start = float(np.mean(time_s) - interval * index.mean())
+    deviation = float(np.max(np.abs(time_s - start - interval * index)))
+    return SamplingGrid(start, 1.0 / interval, index) if deviation <= GRID_TOLERANCE * interval else None
+
+
+def sine_columns(time_s: FloatArray, frequency_hz: FloatArray, drift: bool = False) -> FloatArray:
+    """Return the design matrix (S, 2K + 1 or 2): cos and sin of each line in turn, then offset and drift.
+
+    Columns have unit length for ideal sampling (cos, sin by √(2/S)), so the condition number says how far the actual
+    sampling is from it; a line at zero or the Nyquist frequency keeps a vanishing column and is seen at once. The
+    drift column is linear in time, zero in the middle.
+    """
+    samples, lines = len(time_s), len(frequency_hz)
+    columns = np.empty((samples, 2 * lines + (2 if drift else 1)), order="F")
+    scale = np.sqrt(2.0 / samples)
+    for k, frequency in enumerate(frequency_hz):
+        # Whole turns are taken off before the angle is formed, so long records keep their last digits.
+        angle = 2.0 * np.pi * np.mod(frequency * time_s, 1.0)
+        columns[:, 2 * k] = scale * np.cos(angle)
+        columns[:, 2 * k + 1] = scale * np.sin(angle)
+    columns[:, 2 * lines] = np.sqrt(1.0 / samples)
+    if drift:
+        centred = time_s - np.mean(time_s)
+        columns[:, 2 * lines + 1] = centred / np.linalg.norm(centred)
+    return columns
+
+
+def condition_number(gram: FloatArray) -> float:
+    """Return the condition number of a design matrix from its Gram matrix XᵀX (infinite where singular)."""
+    eigenvalues = np.linalg.eigvalsh(gram)
+    limit = float(eigenvalues[-1]) * len(gram) * float(np.finfo(np.float64).eps)
+    return float(np.sqrt(eigenvalues[-1] / eigenvalues[0])) if eigenvalues[0] > limit else float("inf")
+
+
+def folded_harmonics(
+    frequency_hz: float,
+    fundamentals_hz: Sequence[float],
+    rate_hz: float,
+    resolution_hz: float,
+    max_multiple: int = 20,
+) -> tuple[Fold, ...]:
+    """Return the harmonics of the fundamentals that `rate_hz` folds within `resolution_hz` of a line's alias.
+
+    What they contain in an unfiltered record is added to the line, and no fit can take it out.
+    """
+    alias = float(alias_frequency(frequency_hz, rate_hz))
+    found: dict[float, Fold] = {}
+    for fundamental in fundamentals_hz:
+        for multiple in range(1, max_multiple + 1):
+            other = multiple * fundamental
+            other_alias = float(alias_frequency(other, rate_hz))
+            same_line = abs(other - frequency_hz) <= resolution_hz
+            known = any(abs(other - f) <= resolution_hz for f in found)
+            if abs(other_alias - alias) <= resolution_hz and not same_line and not known:
+                found[other] = Fold(other, float(fundamental), multiple, other_alias)
+    return tuple(sorted(found.values(), key=lambda fold: fold.frequency_hz))
+
+
+# Which lines a series of sampling times can tell apart, and the nearest rate that can.
+
+
+MAX_CONDITION = 10.0  # above it, the standard uncertainty of a line is several times that of well-spread sampling
+CLEAR_BINS = 1.25
+"""Distance, in bins of rate/frames, of lines that are clear of each other: the condition number is then at most 3."""
+_MAX_CHANGE = 0.2  # of the rate: a cure that lies farther away is a new measurement, not a change of this one
+_RATE_STEP_HZ = 1e-3
+
+
+def usable_lines(
+    time_s: FloatArray, frequency_hz: FloatArray, max_condition: float = MAX_CONDITION, drift: bool = False
+) -> tuple[BoolArray, tuple[Notice, ...]]:
+    """Return which lines (K,) these sampling times can tell apart, and a notice for each that is dropped.
+
+    Lines are taken in the order given (fundamentals first, please); one is dropped when, with the lines kept so far
+    and the offset, it lifts the condition number of the design matrix above `max_condition`. The notice says what it
+    folds onto and which nearby rate would separate all the lines.
+    """
+    columns = sine_columns(time_s, frequency_hz, drift)
+    gram = columns.T @ columns
+    constant = list(range(2 * len(frequency_hz), columns.shape[1]))
+    kept: list[int] = []
+    dropped: list[int] = []
+    for k in range(len(frequency_hz)):
+        chosen = [i for line in [*kept, k] for i in (2 * line, 2 * line + 1)] + constant
+        usable = condition_number(gram[np.ix_(chosen, chosen)]) <= max_condition
+        (kept if usable else dropped).append(k)
+    mask = np.zeros(len(frequency_hz), dtype=np.bool_)
+    mask[kept] = True
+    if not dropped:
+        return mask, ()
+    grid = sampling_grid(time_s)
+    lines = np.asarray(frequency_hz, dtype=np.float64)
+    return mask, tuple(_dropped(grid, float(lines[k]), lines[[i for i in kept if i < k]], lines) for k in dropped)
+
+
+def separation_bins(frequency_hz: FloatArray, rate_hz: float, frames: int) -> float:
+    """Return how far apart lines (K,) and zero lie when sampled uniformly, in bins of rate/frames.
+
+    The smallest distance, modulo the rate, between any two of the complex exponentials at 0 and ±f that the lines
+    are made of; a line's distance from the Nyquist frequency thus counts twice. A distance of s > 1 bins bounds the
+    condition number of the design matrix by √((s + 1)/(s - 1)), whatever the number of lines (Moitra, Proc. 47th
+    ACM Symp. Theory of Computing (2015), Theorem 2.3, for many frames).
+    """
+    turns = differences_hz(frequency_hz) / rate_hz
+    return float(frames * np.min(np.abs(turns - np.round(turns)), initial=0.5))
+
+
+def differences_hz(frequency_hz: FloatArray) -> FloatArray:
+    """Return the distances f_i, 2·f_i, f_i + f_j and |f_i - f_j| of the exponentials at 0 and ±f of lines (K,)."""
+    check_shape("frequency_hz", frequency_hz, (None,))
+    first, second = np.triu_indices(len(frequency_hz), k=1)
+    f, g = frequency_hz[first], frequency_hz[second]
+    return np.concatenate([frequency_hz, 2.0 * frequency_hz, f + g, np.abs(f - g)])
+
+
+def nearest_clear_rate(
+    frequency_hz: FloatArray,
+    rate_hz: float,
+    frames: int,
+    *,
+    separation: float = CLEAR_BINS,
+    step_hz: float = _RATE_STEP_HZ,
+    max_change: float = _MAX_CHANGE,
+) -> float | None:
+    """Return the rate nearest to `rate_hz` at which lines (K,) are `separation` bins apart, None if there is none.
+
+    Only multiples of `step_hz` within `max_change`·`rate_hz` count. Two exponentials that differ by F are too close
+    where |F/rate - k| < separation/frames for a whole number k, which is an interval of rates; from the present rate
+    outwards, each interval met is left at its far end, so no rate is missed and few are looked at.
+    """
+    if not (rate_hz > 0.0 and step_hz > 0.0):
+        raise ValueError(f"rate_hz, step_hz: expected numbers above 0, found {rate_hz} and {step_hz}")
+    differences = differences_hz(frequency_hz)
+    margin = separation / frames
+    limits = (rate_hz * (1.0 - max_change), rate_hz * (1.0 + max_change))
+    found = [
+        rate
+        for direction, limit in zip((-1, 1), limits, strict=True)
+        if (rate := _clear_rate_towards(differences, margin, rate_hz, step_hz * direction, limit)) is not None
+    ]
+    return min(found, key=lambda rate: abs(rate - rate_hz), default=None)
+
+
+def _clear_rate_towards(
+    differences: FloatArray, margin: float, start: float, step: float, limit: float
+) -> float | None:
+    """Return the first multiple of `step` from `start` towards `limit` that no interval excludes."""
+    outward = 1.0 if step > 0.0 else -1.0
+    count = np.ceil(start / step - 1e-9)  # a negative step turns "next above" into "next below"
+    while outward * (limit - count * step) >= 0.0:
+        rate = count * step
+        turns = differences / rate
+        nearest = np.round(turns)
+        close = np.abs(turns - nearest) < margin
+        if not close.any():
+            return float(np.round(rate, 9))
+        ends = nearest[close] - outward * margin
+        if np.any(ends <= 0.0):  # these two come no farther apart in this direction
+            return None
+        edge = outward * np.max(outward * differences[close] / ends)
+        count = max(count + 1.0, np.ceil(edge / step))
+    return None
+
+
+def _dropped(grid: SamplingGrid | None, frequency: float, kept: FloatArray, wanted: FloatArray) -> Notice:
+    """Say why a line cannot be used: what it folds onto, with the alias frequencies, and the rate that cures it."""
+    where = f"{frequency:.6g} Hz"
+    if grid is None:
+        return Notice("warning", f"{where} cannot be told apart from the other lines at these sampling times", where)
+    rate, resolution = grid.rate_hz, grid.rate_hz / grid.length
+    alias = float(alias_frequency(frequency, rate))
+    reasons = [(alias, "zero"), (abs(rate / 2.0 - alias), "the Nyquist frequency")]
+    for other in kept:
+        other_alias = float(alias_frequency(other, rate))
+        reasons.append((abs(alias - other_alias), f"the line {other:.6g} Hz (at {other_alias:.4g} Hz)"))
+    distance, target = min(reasons)
+    close = f"onto {target}" if distance < 1e-3 * resolution else f"to within {distance:.3g} Hz of {target}"
+    text = (
+        f"{where} is dropped: sampled at {rate:.6g} Hz it folds to {alias:.4g} Hz, {close}, "
+        f"and {grid.length / rate:.4g} s of record resolve {resolution:.3g} Hz"
+    )
+    return Notice("warning", text + _cure(grid, wanted, np.append(kept, frequency)), where)
+
+
+def _cure(grid: SamplingGrid, *choices: FloatArray) -> str:
+    """Name the nearest rate that separates the first of several sets of lines that any nearby rate separates."""
+    for lines in choices:
+        rate = nearest_clear_rate(lines, grid.rate_hz, grid.length)
+        if rate is not None:
+            what = "all lines" if lines is choices[0] else "it"
+            return f"; a camera rate of {rate:.3f} Hz ({rate - grid.rate_hz:+.3f} Hz) would separate {what}"
+    return ""

@@ -1,0 +1,559 @@
+"""Every line of a record, and what it is: driven, harmonic, mains, alias."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+from typing import Literal
+
+import numpy as np
+
+from shaker.arrays import BoolArray, FloatArray, Notice, check_shape
+from shaker.lines.aliasing import alias_frequency
+from shaker.lines.spectrum import MOST_LINES, Peaks, find_peaks
+
+# What a line most likely is: fundamental, multiple or part of one, combination, mains, side band, or unexplained.
+
+
+Kind = Literal[
+    "fundamental",
+    "harmonic",
+    "sub-harmonic",
+    "combination",
+    "mains",
+    "folded harmonic",
+    "folded combination",
+    "side band",
+    "unexplained",
+]
+MAINS_HZ = (50.0, 60.0)
+MAINS_MULTIPLES = 20
+_MAINS_ALONE = 7  # highest multiple taken for mains without another mains line to prove it
+MAX_MULTIPLE = 40
+_LOW_MULTIPLE = 10  # of a folded harmonic that is told beside another explanation
+_MAINS_TOLERANCE = 2e-3  # relative: how far a grid strays
+_TOLERANCE_U = 4.0  # standard uncertainties within which two frequencies agree
+_TOLERANCE_BINS = 0.2  # and resolutions
+_SIMPLE_ORDERS, _HIGHER_ORDERS = range(2, 4), range(4, 6)  # m + n of the combinations m·f1 ± n·f2
+_FUNDAMENTAL = 0.01  # of the strongest line: below it, what nothing explains is unexplained, not another fundamental
+_BASE = 0.05  # of a line that is to be a harmonic of it: the weakest fundamental
+_PROOF = 1e-3  # of the line that is to be a harmonic: what a further multiple must reach
+_HUM = 0.2  # of the strongest line: the largest mains line that is not taken for a fundamental
+_SMALLER = 0.5  # of the fundamental: the largest side band, combination, part of it or folded harmonic
+_ALIKE = 2.0  # ratio up to which two side bands are a pair
+_DIVISORS = (2, 3)
+_PERHAPS = 0.1  # expected number of chance coincidences from which a name is doubtful
+
+
+@dataclass(frozen=True)
+class Origin:
+    """What a line is: kind, the words for it, fundamental it belongs to (Hz, NaN where none), and its multiple."""
+
+    kind: Kind
+    text: str
+    fundamental_hz: float = float("nan")
+    multiple: int = 0
+
+
+@dataclass(frozen=True)
+class LineList:
+    """Lines to be explained: `frequency_hz`, `u_hz`, `strength` (L,) relative to the strongest, and their sampling."""
+
+    frequency_hz: FloatArray
+    u_hz: FloatArray
+    strength: FloatArray
+    rate_hz: float
+    resolution_hz: float
+
+
+@dataclass
+class _State:
+    """Names found so far, and the fundamentals they rest on."""
+
+    lines: LineList
+    fundamentals: list[float] = field(default_factory=list)
+    u_fundamental: list[float] = field(default_factory=list)
+    strength: list[float] = field(default_factory=list)
+    origins: dict[int, Origin] = field(default_factory=dict)
+    mains: dict[float, tuple[float, float]] = field(default_factory=dict)  # by nominal: as found, with uncertainty
+
+    def tolerance(self, i: int, u_other: float) -> float:
+        """Return within which distance line i agrees with a prediction."""
+        u = math.hypot(self.lines.u_hz[i], u_other)
+        return max(_TOLERANCE_U * u, _TOLERANCE_BINS * self.lines.resolution_hz)
+
+    def fits(self, i: int, wanted: float, u_wanted: float) -> bool:
+        """Tell whether line i lies where `wanted` appears in the spectrum."""
+        place = abs(wanted - self.lines.rate_hz * round(wanted / self.lines.rate_hz))
+        return abs(place - float(self.lines.frequency_hz[i])) <= self.tolerance(i, u_wanted)
+
+    def find(self, wanted: float, u_wanted: float) -> int | None:
+        """Return the line nearest to a frequency, None where none agrees."""
+        if wanted >= self.lines.rate_hz / 2.0:
+            return None
+        i = int(np.argmin(np.abs(self.lines.frequency_hz - wanted)))
+        return i if self.fits(i, wanted, u_wanted) else None
+
+    def add_fundamental(self, frequency: float, u: float, strength: float) -> None:
+        """Keep another fundamental."""
+        self.fundamentals.append(frequency)
+        self.u_fundamental.append(u)
+        self.strength.append(strength)
+
+    def perhaps(self, i: int, places: float) -> str:
+        """Return a word of doubt where so many predicted places hit a line by chance."""
+        chance = places * 4.0 * self.tolerance(i, 0.0) / self.lines.rate_hz
+        return "perhaps " if chance > _PERHAPS else ""
+
+
+def name_lines(lines: LineList, fundamental_hz: FloatArray | None = None) -> tuple[Origin, ...]:
+    """Return what each line is, with the fundamentals given, or with those that explain the most.
+
+    Without any given, lines are taken in the order of their strength. One that no fundamental so far explains becomes
+    a fundamental itself, or, where there is a line at its half, third, … and a further multiple of that which it does
+    not explain, a harmonic of it: the strongest line may be the second harmonic, but a lone sub-harmonic is not the
+    fundamental. Mains and pairs of side bands are told first; what is weaker than a hundredth of the strongest line and
+    explained by nothing is no fundamental.
+    """
+    state = _State(lines)
+    if fundamental_hz is None:
+        _choose_fundamentals(state)
+    else:
+        for f in fundamental_hz:
+            _accept(state, float(f))
+    for _ in range(2):  # a name may rest on a line that was named later
+        for i in np.argsort(-lines.strength, kind="stable").tolist():
+            if i not in state.origins or state.origins[i].kind == "unexplained":
+                state.origins[i] = _explain(state, i) or Origin("unexplained", "unexplained")
+    return tuple(state.origins[i] for i in range(len(lines.frequency_hz)))
+
+
+def _choose_fundamentals(state: _State) -> None:
+    """Find the fundamentals, strongest line first."""
+    lines = state.lines
+    for i in np.argsort(-lines.strength, kind="stable").tolist():
+        if i in state.origins or lines.strength[i] < _FUNDAMENTAL:
+            continue
+        explained = _explain(state, i) if state.fundamentals else None
+        if explained is not None:
+            state.origins[i] = explained
+            continue
+        lowest = _lowest(state, i)
+        _accept(state, float(lines.frequency_hz[lowest]), lowest)
+        if lowest != i:
+            state.origins[i] = _explain(state, i) or Origin("unexplained", "unexplained")
+
+
+def _accept(state: _State, frequency: float, index: int | None = None) -> None:
+    """Take a frequency as a fundamental and name its line where there is one."""
+    if index is None:
+        folded = float(alias_frequency(frequency, state.lines.rate_hz))
+        index = state.find(folded, 0.0) if len(state.lines.frequency_hz) else None
+    if index is None:
+        state.add_fundamental(frequency, 0.0, 1.0)
+    else:
+        state.add_fundamental(frequency, float(state.lines.u_hz[index]), float(state.lines.strength[index]))
+        seen = state.lines.frequency_hz[index]
+        above = f" {frequency:.6g} Hz, read at {seen:.6g} Hz" if frequency > state.lines.rate_hz / 2.0 else ""
+        mains = next((m for m in MAINS_HZ if abs(frequency - m) <= _MAINS_TOLERANCE * m), None)
+        doubt = f" (or mains hum, {mains:g} Hz)" if mains else ""
+        state.origins[index] = Origin("fundamental", f"fundamental{above}{doubt}", frequency, 1)
+
+
+def _lowest(state: _State, i: int) -> int:
+    """Return the line of which line i is a harmonic, with a further multiple to prove it; i itself where none is."""
+    f, u = float(state.lines.frequency_hz[i]), float(state.lines.u_hz[i])
+    strength = state.lines.strength
+    for m in reversed(_DIVISORS):
+        base = state.find(f / m, u / m)
+        if base is None or base in state.origins or strength[base] < _BASE * strength[i]:
+            continue
+        others = [state.find(k * f / m, k * u / m) for k in range(2, 2 * m + 2) if k % m]
+        if any(o is not None and o not in state.origins and strength[o] > _PROOF * strength[i] for o in others):
+            return base
+    return i
+
+
+def _explain(state: _State, i: int) -> Origin | None:
+    """Return the simplest explanation of a line, None where there is none; with a low folded harmonic as another."""
+    plain = _harmonic(state, i) or _mains(state, i, range(1, 2))
+    if plain is not None:
+        return plain
+    found = (
+        _sub_harmonic(state, i)
+        or _combination(state, i, _SIMPLE_ORDERS)
+        or _mains(state, i, range(2, MAINS_MULTIPLES + 1))
+        or _combination(state, i, _HIGHER_ORDERS)
+        or _side_band(state, i)
+    )
+    folded = _folded(state, i)
+    if found is None:
+        return folded or _folded_combination(state, i)
+    other = f" (or {folded.text})" if folded is not None and folded.multiple <= _LOW_MULTIPLE else ""
+    return replace(found, text=found.text + other)
+
+
+def _pairs(state: _State) -> Iterator[tuple[float, float, float]]:
+    """Yield the fundamentals with uncertainty and strength, strongest first."""
+    order = np.argsort(-np.array(state.strength), kind="stable")
+    for q in order.tolist():
+        yield state.fundamentals[q], state.u_fundamental[q], state.strength[q]
+
+
+def _harmonic(state: _State, i: int) -> Origin | None:
+    """Explain a line as a multiple of a fundamental, the lowest there is."""
+    found: Origin | None = None
+    for f, u, strength in _pairs(state):
+        m = round(float(state.lines.frequency_hz[i]) / f)
+        fits = 2 <= m <= MAX_MULTIPLE and m * f < state.lines.rate_hz / 2.0 and state.fits(i, m * f, m * u)
+        if fits and (found is None or m < found.multiple):
+            share = float(state.lines.strength[i]) / strength
+            found = Origin("harmonic", f"harmonic {m} of {f:.6g} Hz, {share:.2g} of it", f, m)
+    return found
+
+
+def _mains(state: _State, i: int, multiples: range) -> Origin | None:
+    """Explain a line by the grid; once one of its lines is found, the others must be multiples of that one's."""
+    f, u = float(state.lines.frequency_hz[i]), float(state.lines.u_hz[i])
+    for mains in MAINS_HZ if state.lines.strength[i] < _HUM else ():
+        m = round(f / mains)
+        if m not in multiples:
+            continue
+        if mains in state.mains:
+            found, u_found = state.mains[mains]
+            agrees = state.fits(i, m * found, m * u_found)
+        else:
+            strays = max(_MAINS_TOLERANCE * f, _TOLERANCE_BINS * state.lines.resolution_hz)
+            agrees = m <= _MAINS_ALONE and abs(f - m * mains) <= strays
+        if agrees:
+            state.mains.setdefault(mains, (f / m, u / m))
+            text = f"mains hum ({mains:g} Hz)" if m == 1 else f"mains hum (harmonic {m} of {mains:g} Hz)"
+            return Origin("mains", text, mains, m)
+    return None
+
+
+def _sub_harmonic(state: _State, i: int) -> Origin | None:
+    """Explain a line as a half or a third of a fundamental, or, where that is there, as a multiple of it."""
+    frequency = float(state.lines.frequency_hz[i])
+    for f, u, strength in _pairs(state):
+        for part in _DIVISORS:
+            k = round(part * frequency / f)
+            if k % part == 0 or k >= 2 * part + 2 or state.lines.strength[i] > _SMALLER * strength:
+                continue
+            if state.fits(i, k * f / part, k * u / part) and (k == 1 or state.find(f / part, u / part) is not None):
+                return Origin("sub-harmonic", f"sub-harmonic, {k}/{part} of {f:.6g} Hz", f)
+    return None
+
+
+def _combined(state: _State, i: int, orders: range) -> Iterator[tuple[int, int, float, float, float, float]]:
+    """Yield (m, ±n, f1, f2, frequency, u) of the combinations of two fundamentals above line i, simplest first."""
+    known = [(f, u) for f, u, strength in _pairs(state) if _SMALLER * strength > state.lines.strength[i]]
+    for order in orders:
+        for (f1, u1), (f2, u2) in combinations(known, 2):
+            for m in range(1, order):
+                for sign in (1, -1):
+                    n = sign * (order - m)
+                    wanted = m * f1 + n * f2
+                    yield (m, n, f1, f2, abs(wanted), float(np.hypot(m * u1, n * u2)))
+
+
+def _combination_text(m: int, n: int, f1: float, f2: float) -> str:
+    """Say a combination, its positive part first."""
+    if n < 0 and m * f1 + n * f2 < 0.0:
+        (m, f1), (n, f2) = (-n, f2), (-m, f1)
+    first, second = (f"{abs(k)}·{f:.6g}" if abs(k) > 1 else f"{f:.6g}" for k, f in ((m, f1), (n, f2)))
+    return f"combination {first} {'+' if n > 0 else '-'} {second} Hz"
+
+
+def _combination(state: _State, i: int, orders: range) -> Origin | None:
+    """Explain a line as a combination of two fundamentals."""
+    places = len(state.fundamentals) * (len(state.fundamentals) - 1) * orders[-1]
+    for m, n, f1, f2, wanted, u in _combined(state, i, orders):
+        if 0.0 < wanted < state.lines.rate_hz / 2.0 and state.fits(i, wanted, u):
+            return Origin("combination", state.perhaps(i, places) + _combination_text(m, n, f1, f2))
+    return None
+
+
+def _folded_combination(state: _State, i: int) -> Origin | None:
+    """Explain a line as a combination of two fundamentals above the Nyquist frequency."""
+    places = len(state.fundamentals) * (len(state.fundamentals) - 1) * _SIMPLE_ORDERS[-1]
+    for m, n, f1, f2, wanted, u in _combined(state, i, _SIMPLE_ORDERS):
+        if wanted >= state.lines.rate_hz / 2.0 and state.fits(i, wanted, u):
+            text = f"{_combination_text(m, n, f1, f2)}, folded from {wanted:.6g} Hz"
+            return Origin("folded combination", state.perhaps(i, places) + text)
+    return None
+
+
+def _folded(state: _State, i: int) -> Origin | None:
+    """Explain a line as a harmonic above the Nyquist frequency that no filter kept out."""
+    for m in range(2, MAX_MULTIPLE + 1):
+        for f, u, strength in _pairs(state):
+            beyond = m * f >= state.lines.rate_hz / 2.0 and state.lines.strength[i] < _SMALLER * strength
+            if beyond and state.fits(i, m * f, m * u):
+                doubt = state.perhaps(i, m * len(state.fundamentals))
+                text = f"{doubt}harmonic {m} of {f:.6g} Hz, folded from {m * f:.6g} Hz"
+                return Origin("folded harmonic", text, f, m)
+    return None
+
+
+def _side_band(state: _State, i: int) -> Origin | None:
+    """Explain a line by the modulation of a stronger one: a partner of like height on the other side, or mains."""
+    lines = state.lines
+    frequency, u = float(lines.frequency_hz[i]), float(lines.u_hz[i])
+    named = [j for j, origin in state.origins.items() if origin.kind in ("fundamental", "harmonic")]
+    for j in sorted(named, key=lambda j: abs(float(lines.frequency_hz[j]) - frequency)):
+        carrier = float(lines.frequency_hz[j])
+        if lines.strength[i] > _SMALLER * lines.strength[j] or i == j:
+            continue
+        apart = frequency - carrier
+        partner = state.find(carrier - apart, float(np.hypot(u, 2.0 * lines.u_hz[j]))) if apart < carrier else None
+        if partner is None or partner == i or partner in named:
+            continue
+        ratio = float(lines.strength[partner] / lines.strength[i])
+        if 1.0 / _ALIKE <= ratio <= _ALIKE:
+            text = f"side band of {carrier:.6g} Hz at {'+' if apart > 0 else '-'}{abs(apart):.4g} Hz"
+            return Origin("side band", state.perhaps(i, len(named)) + text, carrier)
+    return None
+
+
+# Every line of a record, how far it stands out of the noise, and what it most likely is.
+
+
+FALSE_ALARM = 1e-3  # probability that noise alone adds any line to the list
+_SAME_BINS = 0.75  # lines of two channels closer than this are one
+_EXPECTED_MULTIPLE = 20
+_EXPECTED_MAINS = 7
+_CAPTURE = 5e-3  # relative: how far a fundamental may lie from its nominal frequency, besides two bins
+_FEWEST = 32  # samples
+_MOST_COMBINED = 6  # fundamentals whose sums and differences are expected
+_FLOOR_POINTS = 400
+_HANN_NOISE = 3.0  # noise power in a Hann bin over the variance of a fitted quadrature: 6 σ²/N over 2 σ²/N
+
+
+@dataclass(frozen=True)
+class Survey:
+    """Lines of a record in ascending frequency, as they stand in its spectrum (folded lines at their alias).
+
+    `frequency_hz`, `u_frequency_hz` (L,); `amplitude`, `u_amplitude` (L, C) peak amplitude in each channel with the
+    standard uncertainty from its noise, NaN where the line does not stand out of that channel; `snr` (L,) power of the
+    line over the noise power in a bin of the Hann spectrum, the best of the channels; `origin` (L,) what it most likely
+    is. `floor_hz` (B,), `floor` (B, C): the noise floor as amplitude per bin, thinned.
+    """
+
+    frequency_hz: FloatArray
+    u_frequency_hz: FloatArray
+    amplitude: FloatArray
+    u_amplitude: FloatArray
+    snr: FloatArray
+    origin: tuple[Origin, ...]
+    floor_hz: FloatArray
+    floor: FloatArray
+    notices: tuple[Notice, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_shape("frequency_hz", self.frequency_hz, (None,))
+        lines = self.frequency_hz.shape
+        check_shape("u_frequency_hz", self.u_frequency_hz, lines)
+        check_shape("amplitude", self.amplitude, (*lines, None))
+        check_shape("u_amplitude", self.u_amplitude, self.amplitude.shape)
+        check_shape("snr", self.snr, lines)
+        check_shape("floor", self.floor, (len(self.floor_hz), self.amplitude.shape[1]))
+        if len(self.origin) != lines[0]:
+            raise ValueError(f"origin: expected {lines[0]} origins, one per line, found {len(self.origin)}")
+
+    @property
+    def why(self) -> tuple[str, ...]:
+        """For each line, what it is and how far it stands out."""
+        return tuple(
+            f"{origin.text}, {decibel(snr):.0f} dB over the noise floor"
+            for origin, snr in zip(self.origin, self.snr.tolist(), strict=True)
+        )
+
+    def select(self, chosen: BoolArray) -> Survey:
+        """Return the lines of a mask (L,) only."""
+        index = np.flatnonzero(chosen)
+        return Survey(
+            self.frequency_hz[index],
+            self.u_frequency_hz[index],
+            self.amplitude[index],
+            self.u_amplitude[index],
+            self.snr[index],
+            tuple(self.origin[int(i)] for i in index),
+            self.floor_hz,
+            self.floor,
+            self.notices,
+        )
+
+    def named(self, origin: tuple[Origin, ...]) -> Survey:
+        """Return the same lines under other names."""
+        return replace(self, origin=origin)
+
+    def joined(
+        self, frequency_hz: FloatArray, u_frequency_hz: FloatArray, amplitude: FloatArray, u_amplitude: FloatArray
+    ) -> Survey:
+        """Return the lines with others (N,) of amplitude (N, C) that had been taken out of the record."""
+        power = np.max(amplitude**2 / np.maximum(_HANN_NOISE * u_amplitude**2, np.finfo(np.float64).tiny), axis=1)
+        order = np.argsort(np.concatenate([self.frequency_hz, frequency_hz]), kind="stable")
+        origin = (*self.origin, *(Origin("unexplained", "unexplained"),) * len(frequency_hz))
+        return replace(
+            self,
+            frequency_hz=np.concatenate([self.frequency_hz, frequency_hz])[order],
+            u_frequency_hz=np.concatenate([self.u_frequency_hz, u_frequency_hz])[order],
+            amplitude=np.concatenate([self.amplitude, amplitude])[order],
+            u_amplitude=np.concatenate([self.u_amplitude, u_amplitude])[order],
+            snr=np.concatenate([self.snr, power])[order],
+            origin=tuple(origin[int(i)] for i in order),
+        )
+
+
+def no_lines() -> Survey:
+    """Return a survey of nothing."""
+    nothing, none = np.empty(0), np.empty((0, 0))
+    return Survey(nothing, nothing, none, none, nothing, (), nothing, none)
+
+
+def decibel(power_ratio: float) -> float:
+    """Return 10·lg of a ratio of powers."""
+    return float(10.0 * np.log10(power_ratio))
+
+
+def survey_lines(
+    values: FloatArray,
+    rate_hz: float,
+    nominal_hz: Sequence[float] = (),
+    false_alarm: float = FALSE_ALARM,
+) -> Survey:
+    """Find and name the lines of uniform samples (S,) or (S, C): peaks of each channel's spectrum over its noise floor.
+
+    Noise alone adds a line with probability `false_alarm`, whatever the length of the record and the number of
+    channels, for noise whose spectrum is smooth over some 16 bins. Places where lines are expected (harmonics and
+    halves of the fundamentals, mains) need less height; for this the record is looked at twice. Without nominal
+    frequencies the fundamentals are those that explain the most.
+    """
+    data = values[:, None] if values.ndim == 1 else values
+    check_shape("values", data, (None, None))
+    if len(data) < _FEWEST:
+        raise ValueError(f"values: expected at least {_FEWEST} samples, found {len(data)}")
+    if not np.isfinite(data).all():
+        raise ValueError(f"values: expected finite samples, found {int(np.sum(~np.isfinite(data)))} that are not")
+    if not rate_hz > 0.0:
+        raise ValueError(f"rate_hz: expected a positive number, found {rate_hz}")
+    first = look(data, rate_hz, false_alarm)
+    given, notices = _nominal(first, nominal_hz, rate_hz, len(data))
+    fundamentals = given if len(nominal_hz) else None
+    if fundamentals is None:
+        named = with_origins(first, rate_hz, len(data))
+        fundamentals_seen = np.array([o.fundamental_hz for o in named.origin if o.kind == "fundamental"])
+    else:
+        fundamentals_seen = fundamentals
+    second = look(data, rate_hz, false_alarm, expected_places(fundamentals_seen, rate_hz))
+    found = with_origins(second, rate_hz, len(data), fundamentals)
+    return replace(found, notices=found.notices + notices)
+
+
+def look(
+    data: FloatArray,
+    rate_hz: float,
+    false_alarm: float,
+    expected_hz: FloatArray | None = None,
+    taken_hz: FloatArray | None = None,
+    smallest: FloatArray | None = None,
+) -> Survey:
+    """Return the lines of uniform samples (S, C), not yet named.
+
+    `expected_hz`: where less height is enough. `taken_hz`: lines whose fit left these samples as residual. `smallest`
+    (C,): amplitude below which a peak is rounding.
+    """
+    samples, channels = data.shape
+    to_bins = samples / rate_hz
+    expected = np.empty(0) if expected_hz is None else expected_hz * to_bins
+    taken = np.empty(0) if taken_hz is None else alias_frequency(taken_hz, rate_hz) * to_bins
+    least = np.zeros(channels) if smallest is None else smallest
+    peaks = [
+        find_peaks(np.ascontiguousarray(data[:, c]), false_alarm / channels, expected, taken, float(least[c]))
+        for c in range(channels)
+    ]
+    return _merged(peaks, rate_hz / samples)
+
+
+def expected_places(fundamental_hz: FloatArray, rate_hz: float) -> FloatArray:
+    """Return where lines are expected below the Nyquist frequency: multiples, parts, sums of fundamentals, mains."""
+    places = [m * mains for mains in MAINS_HZ for m in range(1, _EXPECTED_MAINS + 1)]
+    for f in fundamental_hz.tolist():
+        places += [m * f for m in range(1, _EXPECTED_MULTIPLE + 1)] + [f * part for part in (1 / 3, 0.5, 2 / 3, 1.5)]
+    for f, g in combinations(fundamental_hz.tolist()[:_MOST_COMBINED], 2):
+        places += [f + g, abs(f - g)]
+    return np.unique([place for place in places if place < rate_hz / 2.0])
+
+
+def with_origins(survey: Survey, rate_hz: float, samples: int, fundamental_hz: FloatArray | None = None) -> Survey:
+    """Return a survey with its lines named, by the fundamentals given or those that explain the most."""
+    if not len(survey.frequency_hz):
+        return survey
+    strength = relative_strength(survey.amplitude)
+    lines = LineList(survey.frequency_hz, survey.u_frequency_hz, strength, rate_hz, rate_hz / samples)
+    return replace(survey, origin=name_lines(lines, fundamental_hz))
+
+
+def relative_strength(amplitude: FloatArray) -> FloatArray:
+    """Return the amplitudes (L, C) relative to each channel's largest, the best of the channels (L,)."""
+    filled = np.nan_to_num(amplitude)
+    return np.asarray(np.max(filled / np.maximum(filled.max(axis=0), np.finfo(np.float64).tiny), axis=1))
+
+
+def _nominal(
+    survey: Survey, nominal_hz: Sequence[float], rate_hz: float, samples: int
+) -> tuple[FloatArray, tuple[Notice, ...]]:
+    """Return the strongest line near each nominal frequency (at its alias), and a notice where there is none."""
+    found, notices = [], []
+    strength = relative_strength(survey.amplitude) if len(survey.frequency_hz) else np.empty(0)
+    for nominal in sorted(set(nominal_hz)):
+        alias = float(alias_frequency(nominal, rate_hz))
+        capture = _CAPTURE * nominal + 2.0 * rate_hz / samples
+        near = np.flatnonzero(np.abs(survey.frequency_hz - alias) <= capture)
+        if len(near):
+            seen = float(survey.frequency_hz[near[np.argmax(strength[near])]])
+            downwards = nominal - rate_hz * np.floor(nominal / rate_hz) > rate_hz / 2.0
+            found.append(nominal + (alias - seen if downwards else seen - alias))
+        else:
+            text = f"no line stands out of the noise within {capture:.3g} Hz of the nominal {nominal:.6g} Hz"
+            notices.append(Notice("warning", text, f"{nominal:.6g} Hz"))
+    return np.array(found), tuple(notices)
+
+
+def _merged(peaks: Sequence[Peaks], resolution_hz: float) -> Survey:
+    """Put the lines of all channels together: one line where they lie closer than a bin can tell."""
+    every = sorted((float(p.place[i]), c, i) for c, p in enumerate(peaks) for i in range(len(p.place)))
+    groups: list[list[tuple[float, int, int]]] = []
+    for item in every:
+        if groups and item[0] - groups[-1][0][0] < _SAME_BINS and item[1] not in [c for _, c, _ in groups[-1]]:
+            groups[-1].append(item)
+        else:
+            groups.append([item])
+    lines, channels = len(groups), len(peaks)
+    place, u_place, snr = np.empty(lines), np.empty(lines), np.empty(lines)
+    amplitude, u_amplitude = np.full((lines, channels), np.nan), np.full((lines, channels), np.nan)
+    for k, group in enumerate(groups):
+        weight = np.array([1.0 / float(peaks[c].u_place[i]) ** 2 for _, c, i in group])
+        place[k] = weight @ np.array([item[0] for item in group]) / weight.sum()
+        u_place[k] = 1.0 / np.sqrt(weight.sum())
+        for _, c, i in group:
+            amplitude[k, c], u_amplitude[k, c] = abs(peaks[c].value[i]), peaks[c].u_value[i]
+        snr[k] = max(float(abs(peaks[c].value[i]) ** 2 / peaks[c].noise[i]) for _, c, i in group)
+    level = np.stack([np.sqrt(p.level) for p in peaks], axis=1)
+    shown = np.unique(np.round(np.geomspace(1.0, max(len(level) - 1, 1), _FLOOR_POINTS)).astype(np.int64))
+    cut = sum(p.cut for p in peaks)
+    told = f"more than {MOST_LINES} lines in a channel; the {cut} weakest are left out"
+    return Survey(
+        frequency_hz=place * resolution_hz,
+        u_frequency_hz=u_place * resolution_hz,
+        amplitude=amplitude,
+        u_amplitude=u_amplitude,
+        snr=snr,
+        origin=(Origin("unexplained", "unexplained"),) * lines,
+        floor_hz=np.asarray(shown * resolution_hz, dtype=np.float64),
+        floor=level[shown],
+        notices=(Notice("info", told, "spectrum"),) if cut else (),
+    )

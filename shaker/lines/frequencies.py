@@ -1,0 +1,353 @@
+"""Which lines a recording contains: fundamentals refined, harmonics that stand out, and what else there is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from shaker.arrays import BoolArray, FloatArray, IntArray, Notice, check_shape
+from shaker.lines.aliasing import SamplingGrid, alias_frequency, folded_harmonics, sampling_grid, usable_lines
+from shaker.lines.detection import (
+    FALSE_ALARM,
+    LineList,
+    Survey,
+    expected_places,
+    look,
+    name_lines,
+    no_lines,
+    relative_strength,
+)
+from shaker.lines.spectrum import excess_power
+from shaker.sine.fit import fit_sines
+from shaker.sine.solve import SineFit, SineModel
+
+MAX_MULTIPLE = 20  # harmonics looked for
+_CAPTURE = 5e-3  # relative: how far a fundamental may lie from its nominal frequency, besides two bins
+_PROMINENT = 36.0  # times the noise power that a fundamental must reach; exp(-36) by chance in one bin
+_NYQUIST_SHARE = 0.98  # of the Nyquist frequency up to which harmonics are looked for
+_SMALLEST = 1e-9  # of the strongest line: below it, rounding looks like lines
+_ROUNDS = 4  # of fitting and looking at what is left, where gaps let lines leak
+_LEAK = 0.1  # of a line's uncertainty: what another line may leave in it before it is fitted too
+_MOST_NUISANCES = 12
+_NAMED = 4  # folded harmonics named in one notice
+_STRANGERS = 3  # other lines named in one notice
+
+
+@dataclass(frozen=True)
+class Lines:
+    """Lines of a recording in ascending frequency.
+
+    `frequency_hz`, `u_frequency_hz` (K,) on the clock of the times given; `nominal_hz` (K,) the nominal fundamental
+    each belongs to, `multiple` (K,) its harmonic number; `why` (K,) why it is in the list. `others`: what else the
+    recording holds, at the places where the spectrum shows it, and what it most likely is. `nuisance_hz` (N,): those of
+    the others that would leak into the lines and are to be fitted with them, though they are no result.
+    """
+
+    frequency_hz: FloatArray
+    u_frequency_hz: FloatArray
+    nominal_hz: FloatArray
+    multiple: IntArray
+    why: tuple[str, ...]
+    notices: tuple[Notice, ...]
+    others: Survey = field(default_factory=no_lines)
+    nuisance_hz: FloatArray = field(default_factory=lambda: np.empty(0))
+
+    def __post_init__(self) -> None:
+        check_shape("frequency_hz", self.frequency_hz, (None,))
+        lines = self.frequency_hz.shape
+        check_shape("u_frequency_hz", self.u_frequency_hz, lines)
+        check_shape("nominal_hz", self.nominal_hz, lines)
+        check_shape("multiple", self.multiple, lines)
+        check_shape("nuisance_hz", self.nuisance_hz, (None,))
+        if len(self.why) != lines[0]:
+            raise ValueError(f"why: expected {lines[0]} texts, one per line, found {len(self.why)}")
+
+
+def find_lines(
+    time_s: FloatArray,
+    values: FloatArray,
+    nominal_hz: Sequence[float],
+    harmonics: Literal["auto"] | Sequence[int] = "auto",
+) -> Lines:
+    """Find the lines of a recording in its fastest channels: `values` (S,) or (S, C) at uniform `time_s` (S,).
+
+    Each nominal fundamental must stand out of the spectrum within 0.5 % and two bins and is refined by least squares;
+    below the Nyquist rate it is looked for at its alias. What the fit leaves is searched for further lines as
+    `survey_lines` does: "auto" adds the harmonics among them (up to the 20th, below 0.98 of the Nyquist frequency), so
+    that noise alone adds any with probability 1e-3 only; a list adds those multiples instead. All else is told as
+    `others`; those that would leak into a line by more than a tenth of its uncertainty are fitted with them. Lines
+    folding onto another are left out.
+    """
+    time, data = _complete(time_s, values)
+    grid = sampling_grid(time)
+    if grid is None:
+        raise ValueError("time_s: expected ascending times on a uniform grid, found gaps that are no multiples of it")
+    nominal = np.array(sorted(set(nominal_hz)), dtype=np.float64)
+    usable, notices = usable_lines(time, nominal)
+    if not np.any(usable):
+        raise ValueError(f"nominal_hz: expected a line that the sampling can tell apart, but {notices[0].text}")
+    notices += _unfiltered(nominal[usable], nominal, grid)
+    nominal = nominal[usable]
+    record = _Record(time, data, grid)
+    chosen = _Chosen(record.peaks_near(nominal), [[1] for _ in nominal], np.empty(0))
+    if harmonics != "auto":
+        multiples, above = _listed(nominal, harmonics, grid)
+        chosen, notices = _Chosen(chosen.fundamental, multiples, np.empty(0)), notices + above
+    fitted, others = _settle(record, chosen, harmonics == "auto")
+    return _as_lines(fitted, others, nominal, notices, harmonics == "auto")
+
+
+def _settle(record: _Record, chosen: _Chosen, auto: bool) -> tuple[_Fitted, Survey]:
+    """Fit, look at what is left and fit again, until nothing new is to be fitted."""
+    fitted = record.fit(chosen)
+    for _ in range(_ROUNDS if record.has_gaps else 1):
+        others = record.look(fitted)
+        wanted = _extended(record, fitted, others, auto)
+        added = wanted.lines.size > fitted.chosen.lines.size or wanted.nuisance.size > fitted.chosen.nuisance.size
+        others = others.select(~_near(others.frequency_hz, record.alias(wanted.lines), record.resolution_hz))
+        if not added:
+            break
+        fitted = record.fit(wanted)
+    return fitted, others
+
+
+@dataclass(frozen=True)
+class _Chosen:
+    """What is fitted: fundamentals (Q,) in Hz with their multiples, and nuisances (N,) in Hz."""
+
+    fundamental: FloatArray
+    multiples: list[list[int]]
+    nuisance: FloatArray
+
+    @property
+    def place(self) -> list[tuple[int, int]]:
+        """Fundamental and multiple of each line."""
+        return [(q, m) for q, orders in enumerate(self.multiples) for m in orders]
+
+    @property
+    def lines(self) -> FloatArray:
+        """All lines (K,) in Hz, fundamental by fundamental."""
+        return np.array([m * self.fundamental[q] for q, m in self.place])
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """The lines chosen, at their refined frequencies, and their fit, nuisances last."""
+
+    chosen: _Chosen
+    u_fundamental: FloatArray
+    fit: SineFit
+
+
+@dataclass(frozen=True)
+class _Record:
+    """Complete samples (S, C) on a grid."""
+
+    time_s: FloatArray
+    data: FloatArray
+    grid: SamplingGrid
+
+    @property
+    def has_gaps(self) -> bool:
+        """Whether samples are missing on the grid."""
+        return len(self.time_s) < self.grid.length
+
+    @property
+    def resolution_hz(self) -> float:
+        """One bin."""
+        return self.grid.rate_hz / self.grid.length
+
+    def alias(self, frequency_hz: FloatArray) -> FloatArray:
+        """Return where lines appear."""
+        return alias_frequency(frequency_hz, self.grid.rate_hz)
+
+    def peaks_near(self, nominal: FloatArray) -> FloatArray:
+        """Return the frequencies of the peaks nearest to nominal ones (at their aliases), or raise `ValueError`."""
+        alias = self.alias(nominal)
+        apart = np.abs(np.subtract.outer(alias, alias)) + np.where(np.eye(len(alias)) > 0.0, np.inf, 0.0)
+        capture = np.minimum(_CAPTURE * nominal + 2.0 * self.resolution_hz, apart.min(axis=1) / 2.0)
+        capture = np.maximum(capture, self.resolution_hz)
+        intervals = np.stack([alias - capture, alias + capture], axis=1) / self.resolution_hz
+        filled = self.grid.filled(self.data - self.data.mean(axis=0))
+        found = [excess_power(np.ascontiguousarray(column), intervals) for column in filled.T]
+        height = np.stack([ratio for ratio, _, _ in found], axis=1)
+        for q in np.flatnonzero(~(height.max(axis=1) > _PROMINENT)):
+            raise ValueError(
+                f"nominal_hz: expected {nominal[q]:.6g} Hz to stand out of the spectrum, found no peak above "
+                f"{np.sqrt(_PROMINENT):g} times the noise within {capture[q]:.3g} Hz"
+            )
+        best = np.argmax(height, axis=1)
+        folded = np.array([found[c][1][q] for q, c in enumerate(best)]) * self.resolution_hz
+        downwards = nominal - self.grid.rate_hz * np.floor(nominal / self.grid.rate_hz) > self.grid.rate_hz / 2.0
+        return np.asarray(nominal + np.where(downwards, alias - folded, folded - alias))
+
+    def fit(self, chosen: _Chosen) -> _Fitted:
+        """Refine the fundamentals jointly with their harmonics, nuisances free beside them."""
+        label = [q for q, _ in chosen.place] + [len(chosen.fundamental) + n for n in range(len(chosen.nuisance))]
+        start = np.concatenate([chosen.lines, chosen.nuisance])
+        names = [str(c) for c in range(self.data.shape[1])]
+        try:
+            fit = fit_sines(self.time_s, self.data, start, names, names, model=SineModel(free=tuple(label)))
+        except ValueError:
+            if not len(chosen.nuisance):
+                raise
+            return self.fit(_Chosen(chosen.fundamental, chosen.multiples, np.empty(0)))
+        first = [label.index(q) for q in range(len(chosen.fundamental))]
+        found = fit.phasors.frequency_hz
+        order = np.array([chosen.place[k][1] for k in first], dtype=np.float64)
+        refined = _Chosen(found[first] / order, chosen.multiples, found[len(chosen.lines) :])
+        return _Fitted(refined, fit.u_frequency_hz[first] / order, fit)
+
+    def look(self, fitted: _Fitted) -> Survey:
+        """Return the lines in what a fit leaves, and its nuisances, named."""
+        lines, fit = fitted.chosen.lines, fitted.fit
+        amplitude = np.abs(fit.phasors.value)
+        residual = self.grid.filled(fit.residual_of(self.time_s, self.data))
+        found = look(
+            residual,
+            self.grid.rate_hz,
+            FALSE_ALARM,
+            expected_places(fitted.chosen.fundamental, self.grid.rate_hz),
+            fit.phasors.frequency_hz,
+            _SMALLEST * amplitude.max(axis=0),
+        )
+        found = _with_nuisances(found, fitted)
+        frequency = np.concatenate([self.alias(lines), found.frequency_hz])
+        u = np.concatenate([fit.u_frequency_hz[: len(lines)], found.u_frequency_hz])
+        strength = relative_strength(np.concatenate([amplitude[: len(lines)], found.amplitude]))
+        every = LineList(frequency, u, strength, self.grid.rate_hz, self.resolution_hz)
+        return found.named(name_lines(every, fitted.chosen.fundamental)[len(lines) :])
+
+
+def _with_nuisances(found: Survey, fitted: _Fitted) -> Survey:
+    """Return the survey of a residual with the nuisances that were fitted put back."""
+    first, phasors = len(fitted.chosen.lines), fitted.fit.phasors
+    if first == len(phasors.frequency_hz):
+        return found
+    amplitude, u = np.abs(phasors.value[first:]), np.sqrt((phasors.u_re**2 + phasors.u_im**2) / 2.0)[first:]
+    return found.joined(phasors.frequency_hz[first:], fitted.fit.u_frequency_hz[first:], amplitude, u)
+
+
+def _extended(record: _Record, fitted: _Fitted, others: Survey, auto: bool) -> _Chosen:
+    """Return what is to be fitted: the lines so far, harmonics among the others, and others that leak into them."""
+    multiples = [list(orders) for orders in fitted.chosen.multiples]
+    limit = _NYQUIST_SHARE * record.grid.rate_hz / 2.0
+    for frequency, origin in zip(others.frequency_hz, others.origin, strict=True):
+        if auto and origin.kind == "harmonic" and origin.multiple <= MAX_MULTIPLE and frequency < limit:
+            q = int(np.argmin(np.abs(fitted.chosen.fundamental - origin.fundamental_hz)))
+            multiples[q] = sorted({*multiples[q], origin.multiple})
+    chosen = _Chosen(fitted.chosen.fundamental, multiples, fitted.chosen.nuisance)
+    lines = record.alias(chosen.lines)
+    left = others.select(~_near(others.frequency_hz, lines, record.resolution_hz))
+    if not len(left.frequency_hz):
+        return chosen
+    phasors = fitted.fit.phasors
+    u = np.sqrt((phasors.u_re**2 + phasors.u_im**2) / 2.0)[: len(fitted.chosen.lines)].min(axis=0)
+    apart = np.min(np.abs(np.subtract.outer(left.frequency_hz, lines)), axis=1) / record.resolution_hz
+    leak = np.max(np.nan_to_num(left.amplitude) / np.maximum(u, np.finfo(np.float64).tiny), axis=1) / (np.pi * apart)
+    strongest = np.argsort(-leak, kind="stable")[:_MOST_NUISANCES]
+    return _Chosen(chosen.fundamental, multiples, np.sort(left.frequency_hz[strongest[leak[strongest] > _LEAK]]))
+
+
+def _near(frequency_hz: FloatArray, lines: FloatArray, resolution_hz: float) -> BoolArray:
+    """Tell which frequencies (L,) are those of lines."""
+    return np.asarray(np.any(np.abs(np.subtract.outer(frequency_hz, lines)) < 1.5 * resolution_hz, axis=1))
+
+
+def _complete(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return times and values (S, C) of the samples without NaN, channels that never change left out."""
+    check_shape("time_s", time_s, (None,))
+    data = values[:, None] if values.ndim == 1 else values
+    check_shape("values", data, (len(time_s), None))
+    present = np.isfinite(data).all(axis=1)
+    moving = np.ptp(data[present], axis=0) > 0.0 if present.any() else np.zeros(data.shape[1], dtype=np.bool_)
+    if not moving.any():
+        raise ValueError(f"values: expected a channel that changes, found {data.shape[1]} without any change")
+    return time_s[present], data[present][:, moving]
+
+
+def _unfiltered(nominal: FloatArray, all_nominal: FloatArray, grid: SamplingGrid) -> tuple[Notice, ...]:
+    """Name for each fundamental above the Nyquist frequency the harmonics that nothing can have kept off its alias."""
+    resolution = grid.rate_hz / grid.length
+    notices = []
+    for frequency in nominal[nominal > grid.rate_hz / 2.0].tolist():
+        folds = folded_harmonics(frequency, all_nominal.tolist(), grid.rate_hz, resolution, MAX_MULTIPLE)
+        if folds:
+            names = [f"{fold.frequency_hz:.6g} Hz ({fold.multiple} × {fold.fundamental_hz:.6g} Hz)" for fold in folds]
+            text = (
+                f"{frequency:.6g} Hz, sampled at {grid.rate_hz:.6g} Hz, is read at {folds[0].alias_hz:.5g} Hz, where "
+                f"these would be too and add to it: {', '.join(names[:_NAMED])}"
+            )
+            more = f" and {len(names) - _NAMED} higher ones" if len(names) > _NAMED else ""
+            notices.append(Notice("warning", text + more, f"{frequency:.6g} Hz"))
+    return tuple(notices)
+
+
+def _listed(
+    nominal: FloatArray, harmonics: Sequence[int], grid: SamplingGrid
+) -> tuple[list[list[int]], tuple[Notice, ...]]:
+    """Return the multiples asked for that lie below the Nyquist frequency, and notices about the others."""
+    wrong = [m for m in harmonics if m < 1]
+    if wrong:
+        raise ValueError(f"harmonics: expected multiples of 1 and above, found {wrong[0]}")
+    orders = sorted({1, *harmonics})
+    limit = _NYQUIST_SHARE * grid.rate_hz / 2.0
+    taken: list[float] = []
+    multiples: list[list[int]] = [[] for _ in nominal]
+    notices = []
+    for m in orders:
+        for q, f in enumerate(nominal):
+            if m > 1 and m * f >= limit:
+                text = f"harmonic {m} of {f:.6g} Hz lies above {limit:.6g} Hz, out of reach of the fastest channel"
+                notices.append(Notice("warning", text, f"{m * f:.6g} Hz"))
+            elif not any(abs(m * f - other) <= 1.5 * grid.rate_hz / grid.length for other in taken):
+                multiples[q].append(m)
+                taken.append(m * f)
+    return multiples, tuple(notices)
+
+
+def _as_lines(fitted: _Fitted, others: Survey, nominal: FloatArray, notices: tuple[Notice, ...], auto: bool) -> Lines:
+    """Assemble the result in ascending frequency, with reasons and remarks."""
+    chosen, phasors = fitted.chosen, fitted.fit.phasors
+    place, lines = chosen.place, chosen.lines
+    amplitude = np.abs(phasors.value)[: len(lines)]
+    level = np.sqrt((phasors.u_re**2 + phasors.u_im**2) / 2.0)[: len(lines)]
+    height = np.max(amplitude / np.maximum(level, np.finfo(np.float64).tiny), axis=1)
+    first = {q: k for k, (q, m) in enumerate(place) if m == 1}
+    why = []
+    for k, (q, m) in enumerate(place):
+        share = float(np.max(amplitude[k] / amplitude[first[q]]))
+        reason = "stands out" if auto else "asked for"
+        why.append(
+            f"fundamental, {height[k]:.3g} times its noise"
+            if m == 1
+            else f"harmonic {m} of {nominal[q]:.6g} Hz {reason}: {share:.2g} of the fundamental, "
+            f"{height[k]:.3g} times its noise"
+        )
+    order = np.argsort(lines)
+    index = np.array([q for q, _ in place])
+    order_of = np.array([m for _, m in place])
+    return Lines(
+        frequency_hz=lines[order],
+        u_frequency_hz=(order_of * fitted.u_fundamental[index])[order],
+        nominal_hz=nominal[index][order],
+        multiple=order_of[order],
+        why=tuple(why[i] for i in order),
+        notices=notices + _strangers(others),
+        others=others,
+        nuisance_hz=chosen.nuisance,
+    )
+
+
+def _strangers(others: Survey) -> tuple[Notice, ...]:
+    """Tell about the lines that stand out most and are in no fit."""
+    told = []
+    for i in np.argsort(-others.snr, kind="stable")[:_STRANGERS].tolist():
+        told.append(f"{others.frequency_hz[i]:.6g} Hz ({others.why[i]})")
+    if not told:
+        return ()
+    more = f" and {len(others.snr) - len(told)} more" if len(others.snr) > len(told) else ""
+    return (Notice("info", f"no results for other lines of the record: {'; '.join(told)}{more}", "lines"),)

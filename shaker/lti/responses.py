@@ -1,0 +1,509 @@
+"""What a system does in time and over frequency: resonance, bands, overshoot, rise, settling."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import count, pairwise
+
+import numpy as np
+
+from shaker.arrays import ComplexArray, FloatArray, IntArray, Notice
+from shaker.lti.system import LinearSystem
+
+# The figures that describe how a sensor follows a load that changes.
+
+
+UNITS = {"hz": "Hz", "s": "s"}
+LABELS = {
+    "static_gain": "static gain",
+    "natural_hz": "natural frequency of the dominant mode",
+    "damped_hz": "damped frequency of the dominant mode",
+    "damping_ratio": "damping ratio of the dominant mode",
+    "peak_hz": "frequency of the highest gain",
+    "peak_gain": "highest gain over the static gain",
+    "quadrature_hz": "frequency at 90° of phase",
+    "half_power_hz": "−3 dB",
+    "band_5_hz": "±5 % of the static gain up to",
+    "band_10_hz": "±10 % of the static gain up to",
+    "band_5_nominal_hz": "±5 % of the nominal gain up to",
+    "band_10_nominal_hz": "±10 % of the nominal gain up to",
+    "overshoot": "overshoot",
+    "rise_s": "rise time, 10 to 90 %",
+    "settling_5_s": "settling time, ±5 %",
+    "settling_2_s": "settling time, ±2 %",
+}
+"""The figures of `Indices` in the order of a table, with the words for them."""
+
+
+@dataclass(frozen=True)
+class Mode:
+    """An oscillating mode: pole in rad/s, f_n = |p|/2π, f_d = Im p/2π, ζ = -Re p/|p|.
+
+    `step_share`: amplitude of its oscillation after a step over the static gain, None where poles coincide.
+    """
+
+    pole: complex
+    natural_hz: float
+    damped_hz: float
+    damping_ratio: float
+    step_share: float | None
+
+
+@dataclass(frozen=True)
+class Indices:
+    """Figures of one system; None where the system has no such figure.
+
+    `modes` by natural frequency and `dominant`, the one that oscillates most after a step; `natural_hz`, `damped_hz`
+    and `damping_ratio` are its. `peak_gain` is over the static gain. Bands end where |H| first leaves ±5 or ±10 % of
+    |H(0)|, or of the nominal gain; infinite where it never does (at half the rate for samples); `half_power_hz`: where
+    it first falls below |H(0)|/√2; `quadrature_hz`: where the phase first is 90° from that at rest. `overshoot`: the
+    highest value after a step beyond the final one over the final one; `rise_s` from its first 10 % to its first 90 %;
+    `settling_2_s`, `settling_5_s`: from where on the response stays within 2 or 5 % of the final value.
+    """
+
+    static_gain: float
+    stable: bool
+    modes: tuple[Mode, ...]
+    dominant: Mode | None
+    real_poles_hz: tuple[float, ...]
+    peak_hz: float | None
+    peak_gain: float | None
+    quadrature_hz: float | None
+    half_power_hz: float | None
+    band_5_hz: float | None
+    band_10_hz: float | None
+    band_5_nominal_hz: float | None
+    band_10_nominal_hz: float | None
+    overshoot: float | None
+    rise_s: float | None
+    settling_2_s: float | None
+    settling_5_s: float | None
+    notices: tuple[Notice, ...] = ()
+
+    @property
+    def natural_hz(self) -> float | None:
+        """f_n of the dominant mode."""
+        return None if self.dominant is None else self.dominant.natural_hz
+
+    @property
+    def damped_hz(self) -> float | None:
+        """f_d of the dominant mode."""
+        return None if self.dominant is None else self.dominant.damped_hz
+
+    @property
+    def damping_ratio(self) -> float | None:
+        """ζ of the dominant mode."""
+        return None if self.dominant is None else self.dominant.damping_ratio
+
+    def figures(self) -> dict[str, float | None]:
+        """Return every figure by its name, in the order of `LABELS`."""
+        return {name: getattr(self, name) for name in LABELS}
+
+
+@dataclass(frozen=True)
+class UncertainIndices:
+    """Figures of a model with standard uncertainties by name; None where a figure has none."""
+
+    indices: Indices
+    u: dict[str, float | None]
+
+
+def unit_of(name: str) -> str:
+    """Return the unit of a figure: Hz, s, or none."""
+    return UNITS.get(name.rsplit("_", 1)[-1], "")
+
+
+# Roots of a function between pairs of points, all at once.
+
+
+STEPS = 120
+TINY = 2.0 * float(np.finfo(np.float64).eps)
+"""Share of a root to which it is found."""
+
+
+def sign_changes(value: FloatArray) -> IntArray:
+    """Return the places i at which `value` (N,) changes its sign between i and i + 1, or is 0 at i + 1."""
+    positive = value > 0
+    return np.asarray(np.flatnonzero(positive[1:] != positive[:-1]), dtype=np.int64)
+
+
+def roots_between(function: Callable[[FloatArray], FloatArray], low: FloatArray, high: FloatArray) -> FloatArray:
+    """Return a root (R,) of a function of (R,) between each `low` and `high`, at which its signs differ.
+
+    Inverse quadratic interpolation where it is safe, else bisection (Chandrupatla, Adv. Eng. Softw. 28 (1997) 145-149),
+    to the last digits.
+    """
+    other, point = np.array(low, dtype=np.float64), np.array(high, dtype=np.float64)
+    if not len(point):
+        return point
+    at_other, value = function(other), function(point)
+    ahead = np.full(len(point), 0.5)
+    with np.errstate(all="ignore"):
+        for _ in range(STEPS):
+            new = point + ahead * (other - point)
+            at_new = function(new)
+            same = np.sign(at_new) == np.sign(value)
+            third, at_third = np.where(same, point, other), np.where(same, value, at_other)
+            other, at_other = np.where(same, other, point), np.where(same, at_other, value)
+            point, value = new, at_new
+            best = np.where(np.abs(value) < np.abs(at_other), point, other)
+            least = TINY * np.abs(best) / np.abs(other - point)
+            if np.all((least > 0.5) | (value == 0) | (at_other == 0)):
+                break
+            ahead = np.clip(_interpolated((point, other, third), (value, at_other, at_third)), least, 1.0 - least)
+    return np.where(value == 0, point, np.where(at_other == 0, other, best))
+
+
+def _interpolated(place: tuple[FloatArray, ...], value: tuple[FloatArray, ...]) -> FloatArray:
+    """Return how far the root lies from the first towards the second of three points (R,), 0.5 where that is unsafe."""
+    (a, b, c), (at_a, at_b, at_c) = place, value
+    where, level = (a - b) / (c - b), (at_a - at_b) / (at_c - at_b)
+    safe = (level**2 < where) & ((1.0 - level) ** 2 < 1.0 - where)
+    found = at_a / (at_b - at_a) * at_c / (at_b - at_c)
+    found += (c - a) / (b - a) * at_a / (at_c - at_a) * at_b / (at_c - at_b)
+    return np.where(safe, found, 0.5)
+
+
+# Where the gain of a system peaks, falls and leaves a band, over frequency.
+
+
+POINTS = 60
+"""Points per decade of distance from every pole and zero."""
+
+
+@dataclass(frozen=True)
+class GainCurve:
+    """|H| over frequency: `edges_hz` (E,), rising from 0, with `gain` (E,), between which |H| only rises or only falls.
+
+    The last edge is half the sampling rate, or, of a continuous system, far above every pole and zero, where |H| has
+    come to its last slope; `gain_beyond`: what it tends to from there on.
+    """
+
+    system: LinearSystem
+    edges_hz: FloatArray
+    gain: FloatArray
+    gain_beyond: float
+
+    def crossings(self, *levels: float) -> list[float]:
+        """Return every frequency in Hz at which |H| passes one of the levels, rising."""
+        passed = [sign_changes(self.gain - level) for level in levels]
+        level, places = np.repeat(levels, [len(own) for own in passed]), np.concatenate(passed)
+
+        def above(hertz: FloatArray) -> FloatArray:
+            return np.asarray(np.abs(self.system.response(hertz)) / level - 1.0)
+
+        found = roots_between(above, self.edges_hz[places], self.edges_hz[places + 1])
+        return [float(f) for f in np.sort(found)]
+
+    def inside(self, low: float, high: float) -> list[tuple[float, float]]:
+        """Return the ranges of frequency in Hz in which low ≤ |H| ≤ high, rising; the last may be endless."""
+        ends = [0.0, *self.crossings(low, high), float(self.edges_hz[-1])]
+        middle = np.abs(self.system.response(np.array([0.5 * (begin + end) for begin, end in pairwise(ends)])))
+        found: list[tuple[float, float]] = []
+        for (begin, end), gain in zip(pairwise(ends), middle, strict=True):
+            if not low <= gain <= high:
+                continue
+            if found and found[-1][1] == begin:
+                found[-1] = (found[-1][0], end)
+            else:
+                found.append((begin, end))
+        if found and self.system.sample_rate_hz is None and found[-1][1] == ends[-1]:
+            found[-1] = (found[-1][0], np.inf)
+        return found
+
+
+def gain_curve(system: LinearSystem) -> GainCurve:
+    """Return |H| over frequency in pieces that only rise or only fall.
+
+    The turning points are the zeros of d ln|H|/dω = Re{x'·[Σ 1/(x - zero) - Σ 1/(x - pole)]}, x' = dx/dω, between
+    points that lie close where poles and zeros are near: no resonance is too narrow.
+    """
+    grid = _grid(system)
+    places = sign_changes(log_slope(system, grid))
+    turns = roots_between(lambda hertz: log_slope(system, hertz), grid[places], grid[places + 1])
+    edges = np.concatenate([[0.0], turns, grid[-1:]])
+    return GainCurve(system, edges, np.abs(system.response(edges)), _beyond(system))
+
+
+def _beyond(system: LinearSystem) -> float:
+    """Return the gain at the highest frequency: at half the rate, or at infinity."""
+    if system.sample_rate_hz is not None:
+        return float(np.abs(system.at(np.array([-1.0 + 0j]))[0]))
+    return abs(system.gain) if len(system.zeros) == len(system.poles) else 0.0
+
+
+def places_rad(system: LinearSystem) -> tuple[ComplexArray, ComplexArray]:
+    """Return zeros and poles as s in rad/s, those of samples by ln(z)·rate; z = 0 is left out."""
+    if system.sample_rate_hz is None:
+        return system.zeros, system.poles
+    zeros, poles = (np.log(part[part != 0]) * system.sample_rate_hz for part in (system.zeros, system.poles))
+    return np.asarray(zeros), np.asarray(poles)
+
+
+def _grid(system: LinearSystem) -> FloatArray:
+    """Return frequencies (G,) in Hz, rising, that lie as close as zeros and poles make the gain change."""
+    features = np.concatenate(places_rad(system))
+    features = features[np.abs(features) > 0] / (2 * np.pi)
+    if not len(features):
+        features = np.ones(1, dtype=np.complex128)
+    sizes = np.abs(features)
+    least, most = 1e-4 * sizes.min(), 1e3 * sizes.max()
+    if system.sample_rate_hz is not None:
+        most = 0.5 * system.sample_rate_hz
+    parts = [np.geomspace(min(least, 1e-3 * most), most, int(POINTS * np.log10(most / min(least, 1e-3 * most))) + 2)]
+    for place, size in zip(features, sizes, strict=True):
+        if place.imag <= 0:
+            continue
+        width = max(abs(place.real), 1e-9 * size)
+        away = np.geomspace(1e-2 * width, size, int(POINTS * np.log10(1e2 * size / width)) + 2)
+        parts += [place.imag - away, place.imag + away]
+    grid = np.unique(np.concatenate([*parts, [most]]))
+    return np.asarray(grid[(grid > 0) & (grid <= most)])
+
+
+def log_slope(system: LinearSystem, hertz: FloatArray) -> FloatArray:
+    """Return d ln|H|/dω (K,) in s at frequencies (K,) in Hz, 0 on a zero or a pole, where it changes its sign."""
+    x = 2j * np.pi * np.asarray(hertz)
+    change: ComplexArray = np.full(len(x), 1j)
+    if system.sample_rate_hz is not None:
+        x = np.exp(x / system.sample_rate_hz)
+        change = 1j * x / system.sample_rate_hz
+    away = x[:, None] - np.concatenate([system.zeros, system.poles])
+    sense = np.repeat([1.0, -1.0], [len(system.zeros), len(system.poles)])
+    hit = away == 0
+    found = (change * np.sum(sense / np.where(hit, 1.0, away), axis=1)).real
+    return np.asarray(np.where(np.any(hit, axis=1), 0.0, found))
+
+
+def band_end(curve: GainCurve, reference: float, tolerance: float) -> float | None:
+    """Return the frequency in Hz up to which |H| is within ±`tolerance` of |`reference`|, None if not at rest."""
+    level = abs(reference)
+    ranges = curve.inside((1 - tolerance) * level, (1 + tolerance) * level)
+    return ranges[0][1] if ranges and ranges[0][0] == 0.0 else None
+
+
+def half_power(curve: GainCurve) -> float | None:
+    """Return the frequency in Hz at which |H| first falls below |H(0)|/√2, None if nowhere."""
+    if curve.gain[0] == 0:
+        return None
+    found = curve.crossings(float(curve.gain[0]) / np.sqrt(2.0))
+    return found[0] if found else None
+
+
+def peak(curve: GainCurve) -> tuple[float, float] | None:
+    """Return frequency in Hz and |H| of the highest maximum between rest and the end, None if |H| only falls."""
+    place = int(np.argmax(curve.gain))
+    if place in (0, len(curve.gain) - 1):
+        return None
+    return float(curve.edges_hz[place]), float(curve.gain[place])
+
+
+def quadrature(system: LinearSystem) -> float | None:
+    """Return the first frequency in Hz at which H is 90° from H(0), None if nowhere."""
+    gain, grid = system.static_gain, _grid(system)
+    if gain == 0:
+        return None
+
+    def along(hertz: FloatArray) -> FloatArray:
+        return np.asarray(system.response(hertz).real / gain)
+
+    first = sign_changes(along(grid))[:1]
+    found = roots_between(along, grid[first], grid[first + 1])
+    return float(found[0]) if len(found) else None
+
+
+# Overshoot, rise and settling of the response to a step.
+
+
+PER_PERIOD = 48
+"""Points per period, or per time constant, of the fastest pole that still matters."""
+SAMPLES = 1 << 22
+"""Longest response of a sampled system that is computed."""
+BLOCK = 1024
+SHORT = 0.01
+"""Share by which a turning point may lie beyond the points around it: 1 - cos(π/48) is a fifth of that."""
+FORGOTTEN = 1e-8
+"""Share of the final value below which a pole's part no longer decides where the grid's points lie."""
+
+COINCIDING = 1e12
+"""Bound of the parts, over the final value, where poles coincide and the parts themselves say nothing."""
+
+
+@dataclass(frozen=True)
+class Transient:
+    """Figures of a step response: `overshoot` over the final value; times in s; None where there is none.
+
+    `highest_s`, `passing_s` (2,): when it is highest and when it first reaches 10 and 90 %; of a continuous system.
+    """
+
+    overshoot: float | None = None
+    rise_s: float | None = None
+    settling_2_s: float | None = None
+    settling_5_s: float | None = None
+    highest_s: float | None = None
+    passing_s: tuple[float, float] | None = None
+
+
+def transient(system: LinearSystem) -> Transient:
+    """Return overshoot, rise and settling; nothing for a system that is unstable or has no static gain."""
+    if not system.stable or not system.static_gain or not np.isfinite(system.static_gain):
+        return Transient()
+    if not len(system.poles):
+        return Transient(0.0, 0.0, 0.0, 0.0)
+    if system.sample_rate_hz is not None:
+        return _sampled(system, system.sample_rate_hz)
+    response = _Response(system)
+    first, last = response.first_passing(0.1), response.first_passing(0.9)
+    settled = [float(response.settling(tolerance)[0]) for tolerance in (0.02, 0.05)]
+    over, highest = response.overshoot()
+    return Transient(over, last - first, settled[0], settled[1], highest, (first, last))
+
+
+def settling_points(system: LinearSystem, tolerance: float) -> FloatArray | None:
+    """Return times (3,) in s of a continuous system: settled, the turning points before and after; None if never."""
+    if not system.stable or not system.static_gain or not len(system.poles):
+        return None
+    return _Response(system).settling(tolerance)
+
+
+def _sampled(system: LinearSystem, rate: float) -> Transient:
+    """Return the figures of a sampled system from its samples, crossings between two of them by a straight line."""
+    slowest = float(np.max(np.abs(system.poles)))
+    length = len(system.poles) + 64 + (int(40.0 / -np.log(slowest)) if slowest > 0 else 0)
+    if length > SAMPLES:
+        return Transient()
+    ratio = system.step(np.arange(length) / rate) / system.static_gain
+
+    def passing(level: float) -> float:
+        place = int(np.argmax(ratio >= level))
+        before = ratio[place - 1] if place else 0.0
+        return float(place - (ratio[place] - level) / (ratio[place] - before)) if place else 0.0
+
+    def settled(tolerance: float) -> float:
+        outside = np.flatnonzero(np.abs(ratio - 1) > tolerance)
+        return float((outside[-1] + 1) / rate) if len(outside) else 0.0
+
+    over = max(float(ratio.max()) - 1.0, 0.0)
+    return Transient(over, (passing(0.9) - passing(0.1)) / rate, settled(0.02), settled(0.05))
+
+
+class _Response:
+    """A continuous step response over its final value, with what decides how finely it is looked at."""
+
+    def __init__(self, system: LinearSystem) -> None:
+        """Split the response into its poles where they are apart."""
+        self.system, self.gain, self.poles = system, system.static_gain, system.poles
+        self.slowest = float(np.min(-self.poles.real))
+        terms, self.apart = system.step_terms()
+        self.terms = terms / self.gain if self.apart else terms
+        self.size: FloatArray = np.abs(self.terms) if self.apart else np.full(len(terms), COINCIDING)
+        self.pieces: dict[tuple[float, float], tuple[FloatArray, FloatArray]] = {}
+
+    def ratio(self, time_s: FloatArray) -> FloatArray:
+        """Return the response over its final value (N,)."""
+        if not self.apart:
+            return np.asarray(self.system.step(time_s) / self.gain)
+        return np.asarray(1.0 + np.real(np.exp(time_s[:, None] * self.poles) @ self.terms))
+
+    def slope(self, time_s: FloatArray) -> FloatArray:
+        """Return its derivative (N,) in 1/s."""
+        if not self.apart:
+            return np.asarray(self.system.impulse(time_s) / self.gain)
+        return np.asarray(np.real(np.exp(time_s[:, None] * self.poles) @ (self.terms * self.poles)))
+
+    def envelope(self, time_s: float) -> float:
+        """Return a bound of what is still to come: Σ |r/p|·exp(Re p t) over the final value."""
+        return float(np.sum(self.size * np.exp(self.poles.real * time_s)))
+
+    def quiet(self, level: float) -> float:
+        """Return a time from which on the envelope is below `level`."""
+        if self.envelope(0.0) <= level:
+            return 0.0
+        top = next(t for t in (2.0**k / self.slowest for k in count()) if self.envelope(t) < level)
+
+        def above(time_s: FloatArray) -> FloatArray:
+            return np.array([np.log(self.envelope(float(t)) / level) for t in time_s])
+
+        return float(roots_between(above, np.zeros(1), np.array([top]))[0])
+
+    def spacing(self, time_s: float) -> float:
+        """Return how far apart points may lie from a time on."""
+        alive = self.size * np.exp(self.poles.real * time_s) > FORGOTTEN
+        fastest = np.max(np.abs(self.poles[alive]), initial=self.slowest)
+        return float(2 * np.pi / fastest / PER_PERIOD)
+
+    @cached_property
+    def last(self) -> float:
+        """When nothing is left that a level of 10 or 90 % or the overshoot could notice."""
+        return self.quiet(1e-4)
+
+    def blocks(self) -> Iterator[tuple[float, float]]:
+        """Yield begin and end of pieces with evenly spaced points, until nothing is left."""
+        begin, last = 0.0, self.last
+        while begin < last:
+            end = begin + BLOCK * self.spacing(begin)
+            yield begin, end
+            begin = end
+
+    def coarse(self, begin: float, end: float) -> FloatArray:
+        """Return the response at the points of a piece, between which it exceeds them by less than `SHORT`."""
+        return self.ratio(np.linspace(begin, end, BLOCK + 1))
+
+    def extremes(self, begin: float, end: float) -> tuple[FloatArray, FloatArray]:
+        """Return times, begin, every turning point and end, and the response there; looked for once."""
+        if (begin, end) not in self.pieces:
+            time = np.linspace(begin, end, BLOCK + 1)
+            places = sign_changes(self.slope(time))
+            found = np.concatenate([[begin], roots_between(self.slope, time[places], time[places + 1]), [end]])
+            self.pieces[begin, end] = found, self.ratio(found)
+        return self.pieces[begin, end]
+
+    def overshoot(self) -> tuple[float, float | None]:
+        """Return the highest value less the final one and its time; 0 and None where the final one is the highest."""
+        best, when = 0.0, None
+        for begin, end in self.blocks():
+            if float(self.coarse(begin, end).max()) - 1.0 >= (1 - SHORT) * best:
+                time, value = self.extremes(begin, end)
+                place = int(np.argmax(value))
+                if value[place] - 1.0 > best:
+                    best, when = float(value[place]) - 1.0, float(time[place])
+            if self.envelope(end) <= best:
+                break
+        return best, when
+
+    def first_passing(self, level: float) -> float:
+        """Return when the response first reaches a share of the final value."""
+        begin = end = 0.0
+        for begin, end in self.blocks():
+            time, value = self.extremes(begin, end)
+            above = np.flatnonzero(value >= level)
+            if len(above):
+                return self._passing(time, int(above[0]) - 1, level)
+        return end
+
+    def settling(self, tolerance: float) -> FloatArray:
+        """Return times (3,): from when on it stays within a tolerance, the turning points before and after that."""
+        period = 2 * np.pi / float(np.min(np.abs(self.poles)))
+        end = min(self.quiet(tolerance) + period, self.quiet(0.05 * tolerance))
+        while end > 0:
+            begin = max(0.5 * end, end - BLOCK * self.spacing(0.5 * end)) if end > self.spacing(0.0) else 0.0
+            if float(np.abs(self.coarse(begin, end) - 1).max()) < (1 - SHORT) * tolerance:
+                end = begin
+                continue
+            time, value = self.extremes(begin, end)
+            outside = np.flatnonzero(np.abs(value - 1) > tolerance)
+            if len(outside):
+                place = int(outside[-1])
+                settled = self._passing(time, place, float(1 + np.copysign(tolerance, value[place] - 1)))
+                return np.array([settled, time[place], time[min(place + 1, len(time) - 1)]])
+            end = begin
+        return np.zeros(3)
+
+    def _passing(self, time_s: FloatArray, place: int, level: float) -> float:
+        """Return where the response passes a level after turning point `place`, or at the end beside it."""
+        if place < 0 or place == len(time_s) - 1:
+            return float(time_s[place if place > 0 else 0])
+        ends = time_s[place : place + 1], time_s[place + 1 : place + 2]
+        return float(roots_between(lambda t: self.ratio(t) - level, *ends)[0])

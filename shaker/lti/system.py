@@ -1,0 +1,407 @@
+"""Linear systems by zeros, poles and gain, continuous or sampled, and the conversions between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from shaker.arrays import ComplexArray, FloatArray, check_shape
+
+# Between zeros, poles and gain and a sum of residues over poles.
+
+
+def residues(zeros: ComplexArray, poles: ComplexArray, gain: float) -> ComplexArray:
+    """Return r (P,) of gain·Π(x - zeros)/Π(x - poles) = direct + Σ r/(x - pole), infinite where poles coincide."""
+    found = np.full(len(poles), gain, dtype=np.complex128)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for i, pole in enumerate(poles):
+            above = np.ones(len(poles), dtype=np.complex128)
+            above[: len(zeros)] = pole - zeros
+            below = pole - poles
+            below[i] = 1.0
+            found[i] *= np.prod(above / below)
+    return np.asarray(np.where(np.isfinite(found), found, np.inf))
+
+
+def zeros_and_gain(
+    poles: ComplexArray, residues: ComplexArray, direct: float = 0.0, rest: float = 0.0
+) -> tuple[ComplexArray, float]:
+    """Return zeros (Z,) and gain of direct + Σ residue/(x - pole), poles (P,) different, in conjugate pairs.
+
+    The numerator is made in powers of x - `rest`, the x of frequency zero, in units of the poles' typical distance from
+    it, so that the poles of oversampled signals, all near z = 1, keep their digits. Leading coefficients that are zero
+    but for rounding are left out.
+    """
+    distance = np.abs(poles - rest)
+    scale = float(np.exp(np.mean(np.log(distance[distance > 0])))) if np.any(distance > 0) else 1.0
+    near = (poles - rest) / scale
+    terms = [direct * np.atleast_1d(np.poly(near))]
+    for i, residue in enumerate(residues):
+        terms.append(np.concatenate([[0.0], residue / scale * np.atleast_1d(np.poly(np.delete(near, i)))]))
+    total, size = np.sum(terms, axis=0).real, np.sum(np.abs(terms), axis=0)
+    kept = np.flatnonzero(np.abs(total) > 1e-13 * size)
+    if not len(kept):
+        raise ValueError("residues: expected one other than 0, found none")
+    first = int(kept[0])
+    return np.asarray(np.roots(total[first:]) * scale + rest + 0j), float(total[first]) * scale**first
+
+
+# Between continuous systems and systems of samples, both by zeros, poles and gain.
+
+
+Method = Literal["tustin", "zoh", "matched"]
+Parts = tuple[ComplexArray, ComplexArray, float]
+
+
+def tustin_constant(rate_hz: float, prewarp_hz: float | None) -> float:
+    """Return c of s = c (z - 1)/(z + 1) in rad/s: 2 fs, or ω/tan(ω/2fs), for which one frequency stays in place."""
+    if prewarp_hz is None:
+        return 2.0 * rate_hz
+    if not 0 < prewarp_hz < 0.5 * rate_hz:
+        raise ValueError(f"prewarp_hz: expected one between 0 and {0.5 * rate_hz} Hz, found {prewarp_hz}")
+    return float(2 * np.pi * prewarp_hz / np.tan(np.pi * prewarp_hz / rate_hz))
+
+
+def tustin_to_samples(zeros: ComplexArray, poles: ComplexArray, gain: float, c: float) -> Parts:
+    """Return H(z) of H(s) by s = c (z - 1)/(z + 1): z = (c + s)/(c - s), zeros at infinity at z = -1."""
+    at_infinity = np.full(len(poles) - len(zeros), -1.0 + 0j)
+    found = np.concatenate([(c + zeros) / (c - zeros), at_infinity])
+    factor = np.prod((c - zeros) / (c - poles[: len(zeros)])) / np.prod(c - poles[len(zeros) :])
+    return found, np.asarray((c + poles) / (c - poles)), float(np.real(gain * factor))
+
+
+def tustin_to_continuous(zeros: ComplexArray, poles: ComplexArray, gain: float, c: float) -> Parts:
+    """Return H(s) of H(z) by z = (c + s)/(c - s): zeros at z = -1 go to infinity; a pole there has no place."""
+    if np.any(poles == -1):
+        raise ValueError("poles: expected none at z = -1 for the Tustin conversion, found one")
+    far = len(poles) - len(zeros)
+    left = zeros[zeros != -1]
+    found = np.concatenate([c * (left - 1) / (left + 1), np.full(far, c + 0j)])
+    factor = gain * np.prod(left + 1) * (2 * c) ** (len(zeros) - len(left)) * (-1.0) ** far / np.prod(poles + 1)
+    return found, np.asarray(c * (poles - 1) / (poles + 1)), float(np.real(factor))
+
+
+def zoh_to_samples(zeros: ComplexArray, poles: ComplexArray, gain: float, rate_hz: float) -> Parts:
+    """Return H(z) with the same response to a load that is constant between samples.
+
+    Poles exp(p/fs); residues r·(exp(p/fs) - 1)/p, r/fs of a pole at 0; what passes at once stays.
+    """
+    parts = _residues(zeros, poles, gain)
+    z = np.exp(poles / rate_hz)
+    held = np.where(poles == 0, 1 / rate_hz, np.expm1(poles / rate_hz) / np.where(poles == 0, 1.0, poles))
+    direct = gain if len(zeros) == len(poles) else 0.0
+    found, factor = zeros_and_gain(z, parts * held, direct, rest=1.0)
+    return found, z, factor
+
+
+def zoh_to_continuous(zeros: ComplexArray, poles: ComplexArray, gain: float, rate_hz: float) -> Parts:
+    """Return the H(s) whose response to loads that are constant between samples is that of H(z); poles ln(z)·fs."""
+    parts, p = _residues(zeros, poles, gain), _logarithms(poles, rate_hz)
+    held = np.where(p == 0, 1 / rate_hz, np.expm1(p / rate_hz) / np.where(p == 0, 1.0, p))
+    direct = gain if len(zeros) == len(poles) else 0.0
+    found, factor = zeros_and_gain(p, parts / held, direct)
+    return found, p, factor
+
+
+def matched_to_samples(zeros: ComplexArray, poles: ComplexArray, gain: float, rate_hz: float) -> Parts:
+    """Return H(z) with zeros and poles exp(s/fs), zeros at infinity at z = -1, and the same gain at one frequency."""
+    at_infinity = np.full(len(poles) - len(zeros), -1.0 + 0j)
+    found = np.concatenate([np.exp(zeros / rate_hz), at_infinity])
+    z = np.exp(poles / rate_hz)
+    factor = _same_gain((zeros, poles, gain), (found, z, 1.0), rate_hz)
+    return np.asarray(found), np.asarray(z), factor
+
+
+def matched_to_continuous(zeros: ComplexArray, poles: ComplexArray, gain: float, rate_hz: float) -> Parts:
+    """Return H(s) with zeros and poles ln(z)·fs, zeros at z = -1 at infinity, and the gain of H(z) at one frequency."""
+    found, p = _logarithms(zeros[zeros != -1], rate_hz), _logarithms(poles, rate_hz)
+    factor = 1.0 / _same_gain((found, p, 1.0), (zeros, poles, gain), rate_hz)
+    return found, p, factor
+
+
+def _residues(zeros: ComplexArray, poles: ComplexArray, gain: float) -> ComplexArray:
+    """Return the residues of different poles."""
+    found = residues(zeros, poles, gain)
+    if not np.all(np.isfinite(found)):
+        raise ValueError("poles: expected different ones for the zoh conversion, found some that coincide; use tustin")
+    return found
+
+
+def _logarithms(z: ComplexArray, rate_hz: float) -> ComplexArray:
+    """Return ln(z)·fs; a z that no real continuous system has is refused."""
+    alone = z[(z.imag == 0) & (z.real <= 0)]
+    if len(alone):
+        raise ValueError(
+            f"system: expected no real pole or zero at or below z = 0, found {alone[0].real:.6g}: such a one turns its "
+            "sign with every sample, which nothing continuous does; use tustin"
+        )
+    return np.asarray(np.log(z) * rate_hz)
+
+
+def _same_gain(continuous: Parts, samples: Parts, rate_hz: float) -> float:
+    """Return what the sampled system must be multiplied by for the gain at rest, or at fs/100 where that has none."""
+
+    def at(parts: Parts, x: complex) -> complex:
+        above, below = x - parts[0], x - parts[1]
+        count = len(above)
+        return complex(parts[2] * np.prod(above / below[:count]) / np.prod(below[count:]))
+
+    flat = not any(np.any(part == 0) for part in continuous[:2])
+    if flat:
+        return float((at(continuous, 0j) / at(samples, 1 + 0j)).real)
+    jump = 2j * np.pi / 100
+    ratio = at(continuous, jump * rate_hz) / at(samples, np.exp(jump))
+    return float(np.copysign(abs(ratio), ratio.real))
+
+
+# A linear system with one input and one output, by its zeros, poles and gain, continuous or sampled.
+
+
+SOUND = 1e5
+"""How much larger than their sum the parts of a response may be; beyond, poles count as coinciding."""
+
+
+@dataclass(frozen=True)
+class LinearSystem:
+    """H = gain·Π(x - zeros)/Π(x - poles), x = s in rad/s, or x = z of samples at `sample_rate_hz`.
+
+    `zeros` (Z,), `poles` (P,) complex, those that are not real in conjugate pairs; Z ≤ P. Polynomial coefficients are
+    made from them where a format asks for it and never kept: rounded ones move the poles of an oversampled system.
+    """
+
+    zeros: ComplexArray
+    poles: ComplexArray
+    gain: float
+    sample_rate_hz: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("zeros", "poles"):
+            value = np.asarray(getattr(self, name), dtype=np.complex128)
+            check_shape(name, value, (None,))
+            object.__setattr__(self, name, paired(value, name))
+        if len(self.zeros) > len(self.poles):
+            raise ValueError(f"zeros: expected at most as many as poles, {len(self.poles)}, found {len(self.zeros)}")
+
+    @staticmethod
+    def from_coefficients(
+        numerator: FloatArray, denominator: FloatArray, sample_rate_hz: float | None = None
+    ) -> LinearSystem:
+        """Return the system of polynomials in falling powers of s or z (of z⁻¹: both padded to one length)."""
+        top, bottom = (np.trim_zeros(np.asarray(part, float), "f") for part in (numerator, denominator))
+        if not len(top) or not len(bottom):
+            raise ValueError("numerator, denominator: expected a coefficient other than 0 in both, found none")
+        zeros, poles = (np.asarray(np.roots(part) + 0j) for part in (top, bottom))
+        return LinearSystem(zeros, poles, float(top[0] / bottom[0]), sample_rate_hz)
+
+    @staticmethod
+    def from_residues(
+        poles: ComplexArray, residues: ComplexArray, direct: float = 0.0, sample_rate_hz: float | None = None
+    ) -> LinearSystem:
+        """Return the system direct + Σ residue/(x - pole) of different poles (P,), in conjugate pairs."""
+        p, r = np.asarray(poles, dtype=np.complex128), np.asarray(residues, dtype=np.complex128)
+        zeros, gain = zeros_and_gain(p, r, direct, rest=0.0 if sample_rate_hz is None else 1.0)
+        return LinearSystem(zeros, p, gain, sample_rate_hz)
+
+    def coefficients(self) -> tuple[FloatArray, FloatArray]:
+        """Return numerator and monic denominator in falling powers, the numerator padded with zeros in front."""
+        top = np.atleast_1d(self.gain * np.real(np.poly(self.zeros)))
+        bottom = np.atleast_1d(np.real(np.poly(self.poles)))
+        return np.concatenate([np.zeros(len(bottom) - len(top)), top]), bottom
+
+    @property
+    def rest(self) -> complex:
+        """The s or z of frequency zero."""
+        return 0j if self.sample_rate_hz is None else 1 + 0j
+
+    @property
+    def static_gain(self) -> float:
+        """H at frequency zero."""
+        return float(self.at(np.array([self.rest]))[0].real)
+
+    def at(self, x: ComplexArray) -> ComplexArray:
+        """Return H (K,) at s or z (K,), factor by factor, so that no coefficient loses digits; infinite at a pole."""
+        place = np.asarray(x, dtype=np.complex128)[:, None]
+        above = np.full((len(place), len(self.poles)), 1.0 + 0j)
+        above[:, : len(self.zeros)] = place - self.zeros
+        below = place - self.poles
+        hit = np.any(below == 0, axis=1)
+        found = self.gain * np.prod(above / np.where(below == 0, 1.0, below), axis=1)
+        return np.asarray(np.where(hit, np.inf + 0j, found))
+
+    def response(self, frequency_hz: FloatArray) -> ComplexArray:
+        """Return H (K,) at frequencies (K,) in Hz: at s = jω, or at z = exp(jω/fs)."""
+        s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)
+        return self.at(np.asarray(s if self.sample_rate_hz is None else np.exp(s / self.sample_rate_hz)))
+
+    @property
+    def stable(self) -> bool:
+        """Whether every pole decays."""
+        return bool(np.all(self.poles.real < 0) if self.sample_rate_hz is None else np.all(np.abs(self.poles) < 1))
+
+    def sections(self) -> FloatArray:
+        """Return a sampled system as second-order sections (S, 6) for `scipy.signal.sosfilt`."""
+        from scipy.signal import zpk2sos
+
+        if self.sample_rate_hz is None:
+            raise ValueError("sample_rate_hz: expected that of a sampled system, found none")
+        found = np.asarray(zpk2sos(self.zeros, self.poles, self.gain))
+        late = len(self.poles) - len(self.zeros)
+        for row in found:  # zpk2sos fills up with zeros at z = 0, each of which makes the output a sample early
+            while late and row[2] == 0:
+                row[:3] = 0.0, row[0], row[1]
+                late -= 1
+        return found
+
+    @property
+    def direct(self) -> float:
+        """H at infinite s or z: what passes at once."""
+        return self.gain if len(self.zeros) == len(self.poles) else 0.0
+
+    def residues(self) -> ComplexArray:
+        """Return r (P,) of H = direct + Σ r/(x - pole), infinite where poles coincide."""
+        return residues(self.zeros, self.poles, self.gain)
+
+    def step_terms(self) -> tuple[ComplexArray, bool]:
+        """Return a (P,) of the response direct + Σ a·(exp(pole·t) - 1) to a step, and whether poles are far apart."""
+        if self.sample_rate_hz is not None or np.any(self.poles == 0):
+            raise ValueError("system: expected a continuous one without a pole at 0")
+        parts = self.residues()
+        if not np.all(np.isfinite(parts)):
+            return parts, False
+        terms = parts / self.poles
+        return terms, bool(np.sum(np.abs(terms)) < SOUND * max(abs(self.static_gain), abs(self.direct)))
+
+    def step(self, time_s: FloatArray) -> FloatArray:
+        """Return the response (N,) to a unit step at t = 0, zero before; of samples the last one at each time."""
+        return self._driven(time_s, step=True)
+
+    def impulse(self, time_s: FloatArray) -> FloatArray:
+        """Return the response (N,) to a unit impulse, without what passes at once; of samples that to a unit sample."""
+        return self._driven(time_s, step=False)
+
+    def _driven(self, time_s: FloatArray, step: bool) -> FloatArray:
+        """Return a response by poles where they are apart, by the matrix exponential where they coincide."""
+        time = np.asarray(time_s, dtype=np.float64)
+        late = time >= 0
+        found = np.zeros(len(time))
+        t = time[late]
+        if not len(t):
+            return found
+        if self.sample_rate_hz is not None:
+            found[late] = self._samples(t * self.sample_rate_hz, step)
+            return found
+        if np.all(self.poles != 0):
+            terms, sound = self.step_terms()
+            if sound and step:
+                found[late] = self.direct + np.real(np.expm1(t[:, None] * self.poles) @ terms)
+            elif sound:
+                found[late] = np.real(np.exp(t[:, None] * self.poles) @ (terms * self.poles))
+            if sound:
+                return found
+        found[late] = self._by_matrix(t, step)
+        return found
+
+    def _samples(self, place: FloatArray, step: bool) -> FloatArray:
+        """Return the response at places (N,) in samples, the last sample before each."""
+        from scipy.signal import sosfilt
+
+        index = np.floor(place + 1e-6).astype(np.int64)
+        drive = np.ones(int(index.max()) + 1)
+        drive[1:] = 1.0 if step else 0.0
+        return np.asarray(sosfilt(self.sections(), drive)[index])
+
+    def _by_matrix(self, time_s: FloatArray, step: bool) -> FloatArray:
+        """Return a continuous response at times (N,) from a chain of first-order systems."""
+        from scipy.linalg import expm
+
+        state, drive, output = self._chain()
+        if step:  # the load is one more state, which stays at 1
+            state = np.block([[state, drive[:, None]], [np.zeros((1, len(drive) + 1))]])
+            drive, output = np.append(np.zeros(len(drive)), 1.0), np.append(output, self.direct)
+        steps = np.diff(time_s)
+        if len(steps) < 2 or np.ptp(steps) > 1e-9 * np.max(np.abs(steps)):
+            return np.asarray((expm(time_s[:, None, None] * state) @ drive @ output).real)
+        now, onward = expm(time_s[0] * state) @ drive, expm(np.mean(steps) * state)
+        found = np.empty((len(time_s), len(now)), dtype=np.complex128)
+        for place in range(len(found)):
+            found[place] = now
+            now = onward @ now
+        return np.asarray((found @ output).real)
+
+    def _chain(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """Return state (P, P), drive (P,) and output (P,) of factors 1 + (p - z)/(s - p) and 1/(s - p) in a row."""
+        count = len(self.poles)
+        state = np.diag(self.poles).astype(np.complex128)
+        drive, output = np.zeros((2, count), dtype=np.complex128)
+        through, passing = np.zeros(count, dtype=np.complex128), 1.0
+        for i, pole in enumerate(self.poles):
+            state[i, :i], drive[i] = through[:i], passing
+            if i < len(self.zeros):
+                through[i] = pole - self.zeros[i]
+            else:
+                through[:] = 0.0
+                through[i], passing = 1.0, 0.0
+        output[:] = self.gain * through
+        return state, drive, output
+
+    def sampled(self, rate_hz: float, method: Method = "zoh", prewarp_hz: float | None = None) -> LinearSystem:
+        """Return the system of samples at `rate_hz` that stands for this continuous one.
+
+        `zoh`: the same response to a load that is constant between samples, poles exp(p/fs). `tustin`:
+        s = c (z - 1)/(z + 1), c = 2 fs, or ω/tan(ω/2fs) so that H is the same at `prewarp_hz`. `matched`: zeros and
+        poles exp(·/fs), zeros at infinity to z = -1, the same static gain (|H| at fs/100 where that is 0 or infinite).
+        """
+        if self.sample_rate_hz is not None:
+            raise ValueError(f"system: expected a continuous one, found samples at {self.sample_rate_hz} Hz")
+        if not rate_hz > 0:
+            raise ValueError(f"rate_hz: expected a positive number, found {rate_hz}")
+        if prewarp_hz is not None and method != "tustin":
+            raise ValueError(f"prewarp_hz: expected with tustin only, found with {method}")
+        parts = (self.zeros, self.poles, self.gain)
+        if method == "tustin":
+            return LinearSystem(*tustin_to_samples(*parts, tustin_constant(rate_hz, prewarp_hz)), rate_hz)
+        convert = {"zoh": zoh_to_samples, "matched": matched_to_samples}[method]
+        return LinearSystem(*convert(*parts, rate_hz), rate_hz)
+
+    def continuous(self, method: Method = "tustin", prewarp_hz: float | None = None) -> LinearSystem:
+        """Return the continuous system that a sampled one stands for, the inverse of `sampled`.
+
+        Refused: a real pole or zero at or below z = 0 but by `tustin`, which alone has a place for it.
+        """
+        rate = self.sample_rate_hz
+        if rate is None:
+            raise ValueError("sample_rate_hz: expected that of a sampled system, found none")
+        if prewarp_hz is not None and method != "tustin":
+            raise ValueError(f"prewarp_hz: expected with tustin only, found with {method}")
+        parts = (self.zeros, self.poles, self.gain)
+        if method == "tustin":
+            return LinearSystem(*tustin_to_continuous(*parts, tustin_constant(rate, prewarp_hz)))
+        convert = {"zoh": zoh_to_continuous, "matched": matched_to_continuous}[method]
+        return LinearSystem(*convert(*parts, rate))
+
+    def times(self, other: LinearSystem) -> LinearSystem:
+        """Return the product of two systems; nothing is cancelled."""
+        if self.sample_rate_hz != other.sample_rate_hz:
+            raise ValueError(f"other: expected one at {self.sample_rate_hz}, found one at {other.sample_rate_hz} Hz")
+        zeros, poles = np.concatenate([self.zeros, other.zeros]), np.concatenate([self.poles, other.poles])
+        return LinearSystem(zeros, poles, self.gain * other.gain, self.sample_rate_hz)
+
+
+def paired(roots: ComplexArray, name: str) -> ComplexArray:
+    """Return roots (N,) with conjugate pairs exact, pairs first by size, then real ones; one alone is refused."""
+    scale = 1e-9 * max(1e-300, float(np.max(np.abs(roots), initial=0.0)))
+    above = roots[roots.imag > scale]
+    below = roots[roots.imag < -scale]
+    real = roots[np.abs(roots.imag) <= scale].real
+    left = list(below.conj())
+    for root in above:
+        near = int(np.argmin(np.abs(np.array(left) - root))) if left else -1
+        if near < 0 or abs(left[near] - root) > 1e-6 * abs(root):
+            raise ValueError(f"{name}: expected conjugate pairs, found {root} without its conjugate")
+        left.pop(near)
+    if left:
+        raise ValueError(f"{name}: expected conjugate pairs, found {left[0].conjugate()} without its conjugate")
+    above = above[np.argsort(np.abs(above), kind="stable")]
+    return np.concatenate([np.stack([above, above.conj()], axis=1).ravel(), np.sort(real) + 0j])

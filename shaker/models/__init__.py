@@ -1,1 +1,0 @@
-"""Mechanical models of the sensor and its load."""

@@ -1,1 +1,0 @@
-"""Filters that compensate the dynamics of a sensor."""

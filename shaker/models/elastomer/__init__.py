@@ -1,1 +1,0 @@
-"""The elastic element of a cross-beam sensor: statics, chains of oscillators, frame and solid model."""

@@ -1,1 +1,0 @@
-"""Indices of a model: resonance, bands, overshoot, rise and settling."""

@@ -1,1 +1,0 @@
-"""Load characteristics: stiffness, damping and resonances of a sensor over the mass it carries."""

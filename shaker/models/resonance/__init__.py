@@ -1,1 +1,0 @@
-"""What a single resonance shows: its readings and its fit."""

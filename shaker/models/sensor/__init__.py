@@ -1,1 +1,0 @@
-"""The sensor with its measuring chain: sensitivity over frequency, usable band, correction."""

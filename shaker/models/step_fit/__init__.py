@@ -1,1 +1,0 @@
-"""Models identified from step responses."""

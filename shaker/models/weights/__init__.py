@@ -1,1 +1,0 @@
-"""Masses from the weight of what turns."""

@@ -1,0 +1,130 @@
+"""Complex amplitudes of several channels at several lines, with their covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shaker.arrays import ComplexArray, FloatArray, check_shape
+
+
+@dataclass(frozen=True)
+class Phasors:
+    """Peak phasors X of x(t) = Re{X exp(+jωt)}, so that X = a - jb for a·cos ωt + b·sin ωt.
+
+    `frequency_hz` (K,), `value` (K, C) complex, `covariance` (K, 2C, 2C) of [all Re, all Im], `channels` and `unit`
+    (C names), `dof` (K,) degrees of freedom behind the covariance.
+    """
+
+    frequency_hz: FloatArray
+    value: ComplexArray
+    covariance: FloatArray
+    channels: tuple[str, ...]
+    unit: tuple[str, ...]
+    dof: FloatArray
+
+    def __post_init__(self) -> None:
+        check_shape("frequency_hz", self.frequency_hz, (None,))
+        lines, channels = len(self.frequency_hz), len(self.channels)
+        check_shape("value", self.value, (lines, channels))
+        check_shape("covariance", self.covariance, (lines, 2 * channels, 2 * channels))
+        check_shape("dof", self.dof, (lines,))
+        if len(self.unit) != channels:
+            raise ValueError(f"unit: expected {channels} units, one per channel, found {len(self.unit)}")
+
+    @property
+    def u_re(self) -> FloatArray:
+        """Standard uncertainty of the real parts, (K, C)."""
+        return np.sqrt(self.covariance.diagonal(axis1=1, axis2=2)[:, : len(self.channels)])
+
+    @property
+    def u_im(self) -> FloatArray:
+        """Standard uncertainty of the imaginary parts, (K, C)."""
+        return np.sqrt(self.covariance.diagonal(axis1=1, axis2=2)[:, len(self.channels) :])
+
+    def select(self, channels: Sequence[str]) -> Phasors:
+        """Return the named channels, in the order named."""
+        unknown = [name for name in channels if name not in self.channels]
+        if unknown:
+            raise ValueError(f"channels: expected some of {', '.join(self.channels)}, found {', '.join(unknown)}")
+        index = np.array([self.channels.index(name) for name in channels], dtype=np.int64)
+        both = np.concatenate([index, index + len(self.channels)])
+        return replace(
+            self,
+            value=self.value[:, index],
+            covariance=self.covariance[:, both[:, None], both],
+            channels=tuple(channels),
+            unit=tuple(self.unit[i] for i in index),
+        )
+
+    def at_lines(self, lines: NDArray[Any]) -> Phasors:
+        """Return the lines chosen by a mask (K,) or by indices."""
+        return replace(
+            self,
+            frequency_hz=self.frequency_hz[lines],
+            value=self.value[lines],
+            covariance=self.covariance[lines],
+            dof=self.dof[lines],
+        )
+
+    def scaled(self, factor: ComplexArray | FloatArray | complex, unit: Sequence[str] | None = None) -> Phasors:
+        """Return the phasors times `factor`, broadcast to (K, C), with the covariance carried along."""
+        complex_factor = np.broadcast_to(np.asarray(factor, dtype=np.complex128), self.value.shape)
+        jacobian = real_stacked_diagonal(complex_factor)
+        return replace(
+            self,
+            value=self.value * complex_factor,
+            covariance=jacobian @ self.covariance @ jacobian.swapaxes(1, 2),
+            unit=self.unit if unit is None else tuple(unit),
+        )
+
+    def differentiated(self, order: int, unit: Sequence[str]) -> Phasors:
+        """Return the phasors of the `order`-th time derivative (negative: integral), in the units named."""
+        return self.scaled(derivative_factor(self.frequency_hz, order)[:, None], unit)
+
+
+def derivative_factor(frequency_hz: FloatArray, order: int) -> ComplexArray:
+    """Return (jω)^order for frequencies in Hz: 2 turns a displacement into an acceleration, -1 into its integral."""
+    # Powers of j are exact here; complex powers would leave 1e-16 in the part that is zero.
+    turn = np.array([1.0, 1.0j, -1.0, -1.0j])[order % 4]
+    return np.asarray(turn * (2.0 * np.pi * np.asarray(frequency_hz, dtype=np.float64)) ** float(order))
+
+
+def real_stacked_diagonal(factor: ComplexArray) -> FloatArray:
+    """Return the real (K, 2C, 2C) matrices that multiply [all Re, all Im] as `factor` (K, C) multiplies the phasors."""
+    lines, channels = factor.shape
+    matrix = np.zeros((lines, 2 * channels, 2 * channels))
+    diagonal = np.arange(channels)
+    matrix[:, diagonal, diagonal] = factor.real
+    matrix[:, diagonal, diagonal + channels] = -factor.imag
+    matrix[:, diagonal + channels, diagonal] = factor.imag
+    matrix[:, diagonal + channels, diagonal + channels] = factor.real
+    return matrix
+
+
+def stack_phasors(parts: Sequence[Phasors]) -> Phasors:
+    """Join phasors of independent channels at the same lines into one, with a block-diagonal covariance."""
+    first = parts[0]
+    for part in parts[1:]:
+        if not np.array_equal(part.frequency_hz, first.frequency_hz):
+            raise ValueError("parts: expected the same lines in all, found different frequencies")
+    total = sum(len(part.channels) for part in parts)
+    covariance = np.zeros((len(first.frequency_hz), 2 * total, 2 * total))
+    start = 0
+    for part in parts:
+        index = np.arange(start, start + len(part.channels))
+        both = np.concatenate([index, index + total])
+        covariance[:, both[:, None], both] = part.covariance
+        start += len(part.channels)
+    return Phasors(
+        frequency_hz=first.frequency_hz,
+        value=np.concatenate([part.value for part in parts], axis=1),
+        covariance=covariance,
+        channels=tuple(name for part in parts for name in part.channels),
+        unit=tuple(unit for part in parts for unit in part.unit),
+        dof=np.min([part.dof for part in parts], axis=0),
+    )

@@ -1,0 +1,404 @@
+"""What a camera rate makes of excited lines, the uncertainty to expect, and which rates are good."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from shaker.arrays import BoolArray, FloatArray, IntArray, check_shape
+from shaker.lines.aliasing import (
+    CLEAR_BINS,
+    Fold,
+    alias_frequency,
+    condition_number,
+    exposure_gain,
+    folded_harmonics,
+    sine_columns,
+)
+
+# How uncertain the amplitudes of a least-squares fit of sines will be, before anything is measured.
+
+
+_REFINEMENT = 16  # points of the noise integral per bin of the record
+
+
+def amplitude_covariance(
+    frequency_hz: FloatArray, rate_hz: float, frames: int, corner_hz: float = 0.0
+) -> tuple[FloatArray, float]:
+    """Return the covariance (K, 2, 2) of the fitted cosine and sine amplitudes of lines (K,), and the condition number.
+
+    For an ordinary least-squares fit of the lines and an offset to `frames` uniform samples, disturbed by noise of
+    spectral density S(f) = (2/rate)·(1 + corner/f): white with unit variance per frame, and 1/f noise that is as
+    strong at `corner_hz`. With C = (XᵀX)⁻¹Xᵀ the covariance is (XᵀX)⁻¹ + ∫(corner/|f|)·C(f)·C(f)ᴴ df/rate, where C(f)
+    are the Fourier transforms of the rows of C; for well separated lines both quadratures have (2/frames)·(1 +
+    corner/alias). The integral is finite because the fitted offset takes out what is constant.
+    """
+    check_shape("frequency_hz", frequency_hz, (None,))
+    lines = len(frequency_hz)
+    if not frames > 2 * lines + 1:
+        raise ValueError(f"frames: expected more than {2 * lines + 1} for {lines} lines and an offset, found {frames}")
+    columns = sine_columns(np.arange(frames) / rate_hz, frequency_hz)
+    gram = columns.T @ columns
+    condition = condition_number(gram)
+    if not np.isfinite(condition):
+        return np.full((lines, 2, 2), np.inf), condition
+    inverse = np.linalg.inv(gram)
+    covariance = inverse if corner_hz == 0.0 else inverse + _coloured(inverse @ columns.T, rate_hz, corner_hz)
+    pairs = np.arange(2 * lines).reshape(lines, 2)
+    return np.asarray(2.0 / frames * covariance[pairs[:, :, None], pairs[:, None, :]]), condition
+
+
+def rms_uncertainty(covariance: FloatArray) -> FloatArray:
+    """Return √(trace/2) of covariances (K, 2, 2): the standard uncertainty of an amplitude, over all phases (K,)."""
+    return np.asarray(np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2.0))
+
+
+def _coloured(rows: FloatArray, rate_hz: float, corner_hz: float) -> FloatArray:
+    """Return the covariance (P, P) that 1/f noise leaves in the coefficients rows (P, S) · samples."""
+    length = _REFINEMENT * rows.shape[1]
+    response = np.fft.rfft(rows, n=length, axis=1)[:, 1:]  # at zero the offset takes all
+    density = corner_hz / (rate_hz / length * np.arange(1, response.shape[1] + 1))
+    weight = np.full(response.shape[1], 2.0 / length)
+    weight[-1] = 1.0 / length  # the length is even: the Nyquist frequency counts once
+    return np.asarray(((response * (weight * density)) @ response.conj().T).real)
+
+
+# One point of a plan: the lines of an excitation, and what one camera rate makes of them.
+
+
+WATCHED = 20
+"""Highest multiple of a fundamental whose fold onto a fitted line is looked for."""
+_SAME = 1e-9  # relative difference below which a harmonic of one fundamental is a line of another
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """What stays the same while camera rates are compared.
+
+    `frames` per point, `exposure_s` of each; `harmonics` fitted with every fundamental (1: it alone); `corner_hz` at
+    which 1/f noise is as strong as white noise; `tolerance`, the relative accuracy to which excitation and camera
+    rate are known beforehand.
+    """
+
+    frames: int
+    exposure_s: float = 0.0
+    harmonics: int = 5
+    corner_hz: float = 5.0
+    tolerance: float = 1e-4
+
+    def __post_init__(self) -> None:
+        if self.frames < 4 or self.harmonics < 1:
+            found = f"{self.frames} and {self.harmonics}"
+            raise ValueError(f"frames, harmonics: expected at least 4 frames and 1 harmonic, found {found}")
+        for name in ("exposure_s", "corner_hz", "tolerance"):
+            value = getattr(self, name)
+            if not 0.0 <= value < np.inf:
+                raise ValueError(f"{name}: expected a number of at least 0, found {value}")
+
+
+@dataclass(frozen=True)
+class Lines:
+    """Lines (K,) that a point excites: `frequency_hz` = `multiple` · `fundamental_hz`, fundamentals first."""
+
+    frequency_hz: FloatArray
+    fundamental_hz: FloatArray
+    multiple: IntArray
+
+    def __post_init__(self) -> None:
+        check_shape("frequency_hz", self.frequency_hz, (None,))
+        check_shape("fundamental_hz", self.fundamental_hz, self.frequency_hz.shape)
+        check_shape("multiple", self.multiple, self.frequency_hz.shape)
+
+    @property
+    def fundamentals_hz(self) -> FloatArray:
+        """Frequencies excited, (E,)."""
+        return np.asarray(self.frequency_hz[self.multiple == 1])
+
+
+@dataclass(frozen=True)
+class RatePlan:
+    """What one camera rate makes of a point.
+
+    For each line (K,): `alias_hz`, where it appears; `gain`, what the exposure leaves of its amplitude; `u_amplitude`,
+    the standard uncertainty of its amplitude, corrected for the exposure, for white noise of unit variance per frame
+    (over the amplitude it is that of the phase in rad); `distance_hz` from the nearest other line, zero or the Nyquist
+    frequency, and `neighbour_hz`, the frequency of that line (0 for zero, inf for the Nyquist frequency). `condition`
+    of the design matrix; `folds`, unfitted harmonics that fall within a bin of a fitted line; `duration_s`.
+    """
+
+    lines: Lines
+    rate_hz: float
+    frames: int
+    alias_hz: FloatArray
+    gain: FloatArray
+    u_amplitude: FloatArray
+    distance_hz: FloatArray
+    neighbour_hz: FloatArray
+    condition: float
+    folds: tuple[Fold, ...]
+
+    @property
+    def resolution_hz(self) -> float:
+        """Width of a bin, rate/frames."""
+        return self.rate_hz / self.frames
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first frame to the end of the last frame's interval."""
+        return self.frames / self.rate_hz
+
+    @property
+    def distance_bins(self) -> float:
+        """Smallest distance of any two lines, in bins."""
+        return float(np.min(self.distance_hz)) / self.resolution_hz
+
+
+def lines_of(fundamentals_hz: Sequence[float], harmonics: int) -> Lines:
+    """Return the lines that fundamentals excited at the same time bring: multiples 1 to `harmonics` of each, once."""
+    fundamentals = np.asarray(fundamentals_hz, dtype=np.float64)
+    check_shape("fundamentals_hz", fundamentals, (None,))
+    if not (len(fundamentals) and np.all(np.isfinite(fundamentals)) and np.all(fundamentals > 0.0)):
+        raise ValueError(f"fundamentals_hz: expected frequencies above 0, found {fundamentals.tolist()}")
+    multiple = np.repeat(np.arange(1, harmonics + 1, dtype=np.int64), len(fundamentals))
+    fundamental = np.tile(fundamentals, harmonics)
+    frequency = np.asarray(multiple * fundamental, dtype=np.float64)
+    kept: list[int] = []
+    for k in range(len(frequency)):
+        if all(abs(frequency[k] - frequency[i]) > _SAME * frequency[k] for i in kept):
+            kept.append(k)
+    return Lines(frequency[kept], fundamental[kept], multiple[kept])
+
+
+def plan_at(lines: Lines, rate_hz: float, sampling: Sampling) -> RatePlan:
+    """Return what `rate_hz` makes of the lines: aliases, neighbours, loss by exposure, uncertainty."""
+    frequency = lines.frequency_hz
+    covariance, condition = amplitude_covariance(frequency, rate_hz, sampling.frames, sampling.corner_hz)
+    gain = exposure_gain(frequency, sampling.exposure_s)
+    distance, neighbour = _neighbours(frequency, rate_hz)
+    return RatePlan(
+        lines=lines,
+        rate_hz=rate_hz,
+        frames=sampling.frames,
+        alias_hz=alias_frequency(frequency, rate_hz),
+        gain=gain,
+        u_amplitude=rms_uncertainty(covariance) / np.maximum(np.abs(gain), np.finfo(np.float64).tiny),
+        distance_hz=distance,
+        neighbour_hz=neighbour,
+        condition=condition,
+        folds=_unfitted_folds(lines, rate_hz, rate_hz / sampling.frames),
+    )
+
+
+def _neighbours(frequency: FloatArray, rate_hz: float) -> tuple[FloatArray, FloatArray]:
+    """Return the distance of each alias (K,) from the nearest other, zero or the Nyquist frequency, and which it is."""
+    alias = alias_frequency(frequency, rate_hz)
+    among = np.abs(np.subtract.outer(alias, alias))
+    np.fill_diagonal(among, np.inf)
+    # A line near the Nyquist frequency meets its own mirror image, which is twice as far away.
+    distance = np.column_stack([among, alias, rate_hz - 2.0 * alias])
+    names = np.append(frequency, [0.0, np.inf])
+    nearest = np.argmin(distance, axis=1)
+    return distance[np.arange(len(alias)), nearest], names[nearest]
+
+
+def _unfitted_folds(lines: Lines, rate_hz: float, resolution_hz: float) -> tuple[Fold, ...]:
+    """Return harmonics up to the 20th, not fitted themselves, that come within a bin of a fitted line."""
+    found: dict[float, Fold] = {}
+    for frequency in lines.frequency_hz:
+        for fold in folded_harmonics(frequency, lines.fundamentals_hz.tolist(), rate_hz, resolution_hz, WATCHED):
+            if np.all(np.abs(lines.frequency_hz - fold.frequency_hz) > _SAME * fold.frequency_hz):
+                found[fold.frequency_hz] = fold
+    return tuple(found[f] for f in sorted(found))
+
+
+# Which camera rates are good for a point, and which few serve all of them.
+
+
+PREFERRED = (0.1, 0.4)
+"""Share of the camera rate between which fundamentals are best seen: above 1/f noise, below the Nyquist frequency."""
+_NEAR_BEST = 1.05  # uncertainties this close are equal, and the distance between lines decides
+_APART = 0.02  # of the range of rates: choices closer than this are one choice
+_POINTS_PER_INTERVAL = 4  # rates tried within the narrowest interval in which two lines meet
+_MAX_ENTRIES = 4_000_000  # points times rates held at a time
+_MAX_GRAM_ENTRIES = 1_000_000  # of Gram matrices formed at a time
+_UNMIXED_BINS = 1.0  # between a fitted line and a harmonic that is not
+
+
+@dataclass(frozen=True)
+class Scan:
+    """Rates (R,) tried for a point.
+
+    `margin_bins`, smallest distance of two lines less what the tolerance may take of it; `penalty`, the largest factor
+    by which 1/f noise raises a line's uncertainty above that of white noise; `preferred`, number of fundamentals
+    between 0.1 and 0.4 of the rate; `unmixed`, the clear rates at which no harmonic that is not fitted comes within a
+    bin of a line.
+    """
+
+    rate_hz: FloatArray
+    margin_bins: FloatArray
+    penalty: FloatArray
+    preferred: IntArray
+    unmixed: BoolArray
+
+    def __post_init__(self) -> None:
+        for name in ("margin_bins", "penalty", "preferred", "unmixed"):
+            check_shape(name, getattr(self, name), self.rate_hz.shape)
+
+    @property
+    def clear(self) -> BoolArray:
+        """Where every line is far enough from every other."""
+        return np.asarray(self.margin_bins >= CLEAR_BINS)
+
+    @property
+    def good(self) -> BoolArray:
+        """The clear rates that see most fundamentals where they are best seen, unmixed ones only if there are any."""
+        good = self.clear
+        if good.any():
+            good &= self.preferred == self.preferred[good].max()
+        return good & self.unmixed if np.any(good & self.unmixed) else good
+
+
+def candidate_rates(
+    points: Sequence[Lines], sampling: Sampling, limits_hz: tuple[float, float], step_hz: float
+) -> FloatArray:
+    """Return the multiples of `step_hz` within the limits that are worth looking at, for all points.
+
+    Two lines whose frequencies differ by F (modulo the rate) meet within a bin over a range of rates of
+    rate²/(frames·F): some rates within the narrowest such range are enough.
+    """
+    low, high = limits_hz
+    if not 0.0 < low <= high:
+        raise ValueError(f"limits_hz: expected a range of rates above 0, found {low} to {high}")
+    if not 0.0 < step_hz <= high:
+        raise ValueError(f"step_hz: expected a number between 0 and {high}, found {step_hz}")
+    highest = 2.0 * max(float(lines.frequency_hz.max()) for lines in points)
+    narrowest = low * high / (sampling.frames * highest)
+    most = max(_MAX_ENTRIES // len(points), 1)
+    stride = max(1, int(narrowest / _POINTS_PER_INTERVAL / step_hz), int(np.ceil((high - low) / step_hz / most)))
+    first, last = int(np.ceil(low / step_hz - 1e-9)), int(np.floor(high / step_hz + 1e-9))
+    rates = np.arange(last, first - 1, -stride, dtype=np.int64)[::-1] * step_hz
+    if not len(rates):
+        raise ValueError(f"limits_hz: expected a multiple of {step_hz} between {low} and {high}, found none")
+    return np.asarray(np.round(rates, 9))
+
+
+def scan_rates(lines: Lines, rate_hz: FloatArray, sampling: Sampling) -> Scan:
+    """Look at every rate (R,) for the lines of one point, by their aliases alone."""
+    margin = _margin_bins(*_differences(lines), rate_hz, sampling)
+    unmixed = margin >= CLEAR_BINS  # the other rates are not good whatever else folds there
+    watched = _watched_differences(lines, sampling.harmonics)
+    unmixed[unmixed] = _margin_bins(*watched, rate_hz[unmixed], sampling) >= _UNMIXED_BINS
+    penalty = np.zeros(len(rate_hz))
+    preferred = np.zeros(len(rate_hz), dtype=np.int64)
+    for frequency, multiple in zip(lines.frequency_hz, lines.multiple, strict=True):
+        turns = frequency / rate_hz
+        share = np.abs(turns - np.round(turns))
+        lowest = np.maximum(share, 0.5 / sampling.frames)
+        penalty = np.maximum(penalty, np.sqrt(1.0 + sampling.corner_hz / (lowest * rate_hz)))
+        preferred += (multiple == 1) & (share >= PREFERRED[0]) & (share <= PREFERRED[1])
+    return Scan(rate_hz, margin, penalty, preferred, unmixed)
+
+
+def best_rates(scan: Scan, count: int = 3) -> tuple[float, ...]:
+    """Return up to `count` rates, best first; empty where no rate keeps the lines apart.
+
+    The best is, among the good rates whose penalty is within 5 % of the smallest, the one that keeps the lines
+    farthest apart; the next are the best of those that are not near one already chosen.
+    """
+    left = scan.good
+    apart = _APART * float(scan.rate_hz[-1] - scan.rate_hz[0])
+    chosen: list[float] = []
+    while left.any() and len(chosen) < count:
+        rate = float(scan.rate_hz[_best_of(left, scan.penalty, scan.margin_bins)])
+        chosen.append(rate)
+        left = left & (np.abs(scan.rate_hz - rate) > apart)
+    return tuple(chosen)
+
+
+def fewest_rates(scans: Sequence[Scan]) -> tuple[tuple[float, tuple[int, ...]], ...]:
+    """Return a smallest set of rates, found greedily, that is good for every point that has a good rate.
+
+    Each with the indices of the points that it serves. All scans have the same rates.
+    """
+    good = np.array([scan.good for scan in scans])
+    penalty = np.array([scan.penalty for scan in scans])
+    margin = np.array([scan.margin_bins for scan in scans])
+    waiting = good.any(axis=1)
+    chosen: list[tuple[float, tuple[int, ...]]] = []
+    while waiting.any():
+        served = np.sum(good[waiting], axis=0)
+        most = served == served.max()
+        worst = np.max(np.where(good[waiting], penalty[waiting], 0.0), axis=0)
+        closest = np.min(np.where(good[waiting], margin[waiting], np.inf), axis=0)
+        best = _best_of(most, worst, closest)
+        serves = waiting & good[:, best]
+        chosen.append((float(scans[0].rate_hz[best]), tuple(np.flatnonzero(serves).tolist())))
+        waiting = waiting & ~serves
+    return tuple(chosen)
+
+
+def condition_over_rate(lines: Lines, rate_hz: FloatArray, frames: int) -> FloatArray:
+    """Return the condition number of the design matrix at rates (R,), from Dirichlet's kernel.
+
+    Cosines, sines and offset are unitarily equivalent to the exponentials at 0 and ±f, whose Gram matrix over frames
+    counted from the middle is sin(πNδ)/(N·sin πδ) with their distances δ per frame.
+    """
+    check_shape("rate_hz", rate_hz, (None,))
+    signed = np.concatenate([[0.0], lines.frequency_hz, -lines.frequency_hz])
+    distance = np.subtract.outer(signed, signed)
+    parts = np.array_split(rate_hz, max(1, len(rate_hz) * distance.size // _MAX_GRAM_ENTRIES))
+    return np.concatenate([_conditions(distance / part[:, None, None], frames) for part in parts])
+
+
+def _conditions(turns: FloatArray, frames: int) -> FloatArray:
+    """Return the condition numbers (R,) for distances in turns per frame (R, P, P), infinite where singular."""
+    below = np.sin(np.pi * turns)
+    met = np.abs(below) < 1e-9  # there the kernel is ±1
+    limit = np.cos(np.pi * frames * turns) * np.cos(np.pi * turns)
+    gram = np.where(met, limit, np.sin(np.pi * frames * turns) / (frames * np.where(met, 1.0, below)))
+    eigenvalues = np.linalg.eigvalsh(gram)
+    smallest, largest = eigenvalues[:, 0], eigenvalues[:, -1]
+    singular = smallest <= largest * turns.shape[-1] * np.finfo(np.float64).eps
+    return np.asarray(np.where(singular, np.inf, np.sqrt(largest / np.where(singular, 1.0, smallest))))
+
+
+def _best_of(allowed: BoolArray, penalty: FloatArray, margin: FloatArray) -> int:
+    """Return the index of the widest margin among the allowed rates with nearly the smallest penalty."""
+    near = allowed & (penalty <= _NEAR_BEST * penalty[allowed].min())
+    return int(np.argmax(np.where(near, margin, -np.inf)))
+
+
+def _differences(lines: Lines) -> tuple[FloatArray, FloatArray]:
+    """Return the distances of the exponentials of the lines, and by how much they change per unit of tolerance."""
+    first, second = np.triu_indices(len(lines.frequency_hz), k=1)
+    f, g = lines.frequency_hz[first], lines.frequency_hz[second]
+    one = lines.fundamental_hz[first] == lines.fundamental_hz[second]
+    own = np.concatenate([lines.frequency_hz, 2.0 * lines.frequency_hz])
+    return _once(
+        np.concatenate([own, f + g, np.abs(f - g)]), np.concatenate([own, f + g, np.where(one, np.abs(f - g), f + g)])
+    )
+
+
+def _watched_differences(lines: Lines, harmonics: int) -> tuple[FloatArray, FloatArray]:
+    """Return the same between the lines and the harmonics that are not fitted."""
+    watched = np.outer(np.arange(harmonics + 1, WATCHED + 1), lines.fundamentals_hz).ravel()
+    difference = np.abs(np.concatenate([np.add.outer(watched, sign * lines.frequency_hz).ravel() for sign in (1, -1)]))
+    return _once(difference[difference > 1e-6 * lines.frequency_hz.max()], None)
+
+
+def _once(difference: FloatArray, slack: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    """Return each pair of difference and slack (none: zero) once: harmonics of one fundamental repeat them."""
+    both = np.column_stack([difference, np.zeros_like(difference) if slack is None else slack])
+    unique: FloatArray = np.unique(np.round(both, 9), axis=0)
+    return unique[:, 0], unique[:, 1]
+
+
+def _margin_bins(difference: FloatArray, slack: FloatArray, rate_hz: FloatArray, sampling: Sampling) -> FloatArray:
+    """Return the smallest distance of any two exponentials at each rate, less the tolerance's share, in bins."""
+    smallest = np.full(len(rate_hz), 0.5)
+    for distance, change in zip(difference, slack * sampling.tolerance, strict=True):
+        turns = distance / rate_hz
+        np.minimum(smallest, np.abs(turns - np.round(turns)) - change / rate_hz, out=smallest)
+    return np.asarray(smallest * sampling.frames)

@@ -1,0 +1,1 @@
+"""Releases of a load: the record, its models, several loads."""

@@ -1,0 +1,378 @@
+"""Two and three masses in a row under several loads: poles, load characteristics, bands, load limit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from shaker.arrays import ComplexArray, FloatArray, check_shape
+from shaker.lti.responses import band_end, gain_curve
+from shaker.lti.system import LinearSystem
+
+# The sensor and its load as masses in a row on a rigid base.
+
+
+PARAMETERS = ("stiffness", "damping", "coupling_stiffness", "coupling_damping")
+
+
+@dataclass(frozen=True)
+class LoadModel:
+    """Moving mass m_E on the sensor's spring k, c; the load mass m_L on it through k_L, c_L, which may be rigid (None).
+
+    Output U = n·x_E over a force on the load (eqs. 2, 3 of the publication named in `docs/load.md`):
+    H(s) = n (c_L s + k_L)/B(s), B(s) = m_L m_E s⁴ + [m_L (c + c_L) + m_E c_L] s³ + [m_L (k + k_L) + c c_L + m_E k_L] s²
+    + (k c_L + c k_L) s + k k_L; rigid: H(s) = n/[(m_E + m_L) s² + c s + k]. `moving_mass` in kg with `u_moving_mass`,
+    stiffnesses in N/m, dampings in N·s/m, `sensitivity` = n/k in output unit per N. `covariance` (P, P) of
+    `PARAMETERS`, the first two where the load is rigid, for the stated masses; `covariance_with_mass` (P + 1, P + 1) of
+    [*parameters, moving mass] with what the uncertain masses add; None where they are not known. `load_masses`: those
+    that the model was fitted to. `solution` of `solutions`: number of this one of those that the data cannot tell
+    apart. Of a moment, inertias stand in place of masses, N·m/rad in place of N/m.
+    """
+
+    component: str
+    channel: str
+    unit: str
+    moving_mass: float
+    stiffness: float
+    damping: float
+    coupling_stiffness: float | None = None
+    coupling_damping: float | None = None
+    sensitivity: float = 1.0
+    u_moving_mass: float = 0.0
+    covariance: FloatArray | None = None
+    u_sensitivity: float = 0.0
+    covariance_with_mass: FloatArray | None = None
+    load_masses: tuple[float, ...] = ()
+    solution: int = 1
+    solutions: int = 1
+
+    def __post_init__(self) -> None:
+        if (self.coupling_stiffness is None) != (self.coupling_damping is None):
+            raise ValueError("coupling_stiffness, coupling_damping: expected both or none, found one")
+        if self.covariance is not None:
+            check_shape("covariance", self.covariance, (len(self.vector),) * 2)
+        if self.covariance_with_mass is not None:
+            check_shape("covariance_with_mass", self.covariance_with_mass, (len(self.vector) + 1,) * 2)
+
+    @property
+    def is_rigid(self) -> bool:
+        """Whether the load moves as one with the sensor's moving mass (two-mass model)."""
+        return self.coupling_stiffness is None
+
+    @property
+    def vector(self) -> FloatArray:
+        """The parameters (P,) in the order of `PARAMETERS`."""
+        values = (self.stiffness, self.damping, self.coupling_stiffness, self.coupling_damping)
+        return np.array([value for value in values if value is not None])
+
+    @property
+    def total_covariance(self) -> FloatArray | None:
+        """Covariance (P + 1, P + 1) of [*parameters, moving mass]; without `covariance_with_mass` masses add only u."""
+        if self.covariance_with_mass is not None or self.covariance is None:
+            return self.covariance_with_mass
+        size = len(self.vector)
+        total = np.zeros((size + 1, size + 1))
+        total[:size, :size], total[size, size] = self.covariance, self.u_moving_mass**2
+        return total
+
+    def with_numbers(self, numbers: FloatArray) -> LoadModel:
+        """Return the model of other [*parameters, moving mass] (P + 1,), with the same covariances."""
+        *values, mass = (float(number) for number in numbers)
+        k, c = values[:2]
+        kl, cl = values[2:] if not self.is_rigid else (None, None)
+        return replace(self, moving_mass=mass, stiffness=k, damping=c, coupling_stiffness=kl, coupling_damping=cl)
+
+    def propagate(self, function: Callable[[LoadModel], FloatArray]) -> tuple[FloatArray, FloatArray]:
+        """Return a function's values (Q,) and their covariance (Q, Q), by central differences over every number."""
+        total = self.total_covariance
+        if total is None:
+            raise ValueError("covariance: expected that of the parameters, found none")
+        value, u = np.asarray(function(self)), np.sqrt(np.diag(total))
+        numbers = np.append(self.vector, self.moving_mass)
+        jacobian = np.zeros((len(value), len(u)))
+        for place in np.flatnonzero(u):
+            shift = np.eye(len(u))[place] * min(1e-2 * u[place], 1e-3 * abs(numbers[place]) or np.inf)
+            up, down = (np.asarray(function(self.with_numbers(numbers + s * shift))) for s in (1.0, -1.0))
+            jacobian[:, place] = (up - down) / (2.0 * shift[place])
+        return value, jacobian @ total @ jacobian.T
+
+    def poles(self, load_mass: float) -> ComplexArray:
+        """Return all poles in rad/s with a load mass in kg, 2 or 4; a load of no mass is rigid."""
+        return self.system(load_mass).poles
+
+    def system(self, load_mass: float) -> LinearSystem:
+        """Return output over the force on a load of given mass, in output unit per N."""
+        if not load_mass >= 0:
+            raise ValueError(f"load_mass: expected 0 or more, found {load_mass}")
+        m, k, c, n = self.moving_mass, self.stiffness, self.damping, self.sensitivity * self.stiffness
+        kl, cl, ml = self.coupling_stiffness, self.coupling_damping, load_mass
+        if kl is None or cl is None or ml == 0:
+            return LinearSystem.from_coefficients(np.array([n]), np.array([m + ml, c, k]))
+        below = [ml * m, ml * (c + cl) + m * cl, ml * (k + kl) + c * cl + m * kl, k * cl + c * kl, k * kl]
+        return LinearSystem.from_coefficients(n * np.array([cl, kl]), np.array(below))
+
+
+# Poles of the loaded sensor and how they move with every stiffness, damping and mass.
+
+
+def upper_poles(numbers: FloatArray, moving_mass: float, load_mass: float) -> tuple[ComplexArray, ComplexArray]:
+    """Return the upper poles (M,) in rad/s, the lowest first, and their derivatives (M, P + 2).
+
+    `numbers` (P,): stiffness, damping, and those of the coupling unless the load is rigid. Derivatives by the numbers,
+    the moving mass and the load mass: dp/dθ = -(∂B/∂θ)/(∂B/∂s) with the polynomial B of `LoadModel`. A load of no mass
+    has no second mode. Overdamped modes have no upper pole and are missing.
+    """
+    if len(numbers) == 2 or load_mass == 0.0:
+        below, rates = _rigid(numbers, moving_mass, load_mass)
+    else:
+        below, rates = _elastic(numbers, moving_mass, load_mass)
+    order = len(below) - 1
+    companion = np.eye(order, k=-1)
+    companion[0] = -below[1:] / below[0]
+    roots = np.linalg.eigvals(companion)
+    poles = roots[roots.imag > 0.0]
+    poles = poles[np.argsort(np.abs(poles))]
+    powers = poles[:, None] ** np.arange(order, -1, -1)
+    slope = powers[:, 1:] @ (below[:-1] * np.arange(order, 0, -1))
+    return np.asarray(poles, dtype=np.complex128), np.asarray(-(powers @ rates.T) / slope[:, None], dtype=np.complex128)
+
+
+def _rigid(numbers: FloatArray, m: float, ml: float) -> tuple[FloatArray, FloatArray]:
+    """B = (m_E + m_L) s² + c s + k and its derivatives by all numbers and both masses."""
+    below = np.array([m + ml, numbers[1], numbers[0]])
+    rates = np.zeros((len(numbers) + 2, 3))
+    rates[0, 2], rates[1, 1] = 1.0, 1.0
+    rates[-2:, 0] = 1.0
+    return below, rates
+
+
+def _elastic(numbers: FloatArray, m: float, ml: float) -> tuple[FloatArray, FloatArray]:
+    """B of the three-mass model and its derivatives by k, c, k_L, c_L, m_E, m_L."""
+    k, c, kl, cl = numbers
+    below = np.array([ml * m, ml * (c + cl) + m * cl, ml * (k + kl) + c * cl + m * kl, k * cl + c * kl, k * kl])
+    rates = np.array(
+        [
+            [0.0, 0.0, ml, cl, kl],
+            [0.0, ml, cl, kl, 0.0],
+            [0.0, 0.0, ml + m, c, k],
+            [0.0, ml + m, c, k, 0.0],
+            [ml, cl, kl, 0.0, 0.0],
+            [m, c + cl, k + kl, 0.0, 0.0],
+        ]
+    )
+    return below, rates
+
+
+# The second set of parameters that one load mass cannot tell from the first.
+
+
+def other_numbers(numbers: FloatArray, moving_mass: float, load_mass: float) -> FloatArray:
+    """Return the other k, c, k_L, c_L (4,) with the same poles at one load mass.
+
+    With K = k + c s and K_L = k_L + c_L s the polynomial of `LoadModel` is m_E m_L s⁴ + [m_L K + (m_E + m_L) K_L] s² +
+    K K_L. It stays the same where K' = K_L (m_E + m_L)/m_L and K_L' = K m_L/(m_E + m_L), for any damping. The output's
+    modal shares stay as well, but for the zero at -k_L/c_L, which moves to -k/c: of light damping both are far away.
+    """
+    ratio = (moving_mass + load_mass) / load_mass
+    k, c, kl, cl = (float(number) for number in numbers)
+    return np.array([kl * ratio, cl * ratio, k / ratio, c / ratio])
+
+
+def other_solution(model: LoadModel, load_mass: float) -> LoadModel:
+    """Return the model with the same poles at one load mass; covariances follow by first order."""
+    if model.is_rigid or load_mass <= 0:
+        raise ValueError("model: expected one with an elastic coupling and a load mass, found a rigid one")
+
+    def swapped(numbers: FloatArray) -> FloatArray:
+        return np.append(other_numbers(numbers[:4], float(numbers[4]), load_mass), numbers[4])
+
+    numbers = np.append(model.vector, model.moving_mass)
+    turned = model.with_numbers(swapped(numbers))
+    ratio = (model.moving_mass + load_mass) / load_mass
+    jacobian = np.zeros((5, 5))
+    jacobian[0, 2] = jacobian[1, 3] = ratio
+    jacobian[2, 0] = jacobian[3, 1] = 1.0 / ratio
+    jacobian[4, 4] = 1.0
+    jacobian[:4, 4] = [
+        model.vector[2] / load_mass,
+        model.vector[3] / load_mass,
+        *(-turned.vector[2:] / (ratio * load_mass)),
+    ]
+    own, total = model.covariance, model.covariance_with_mass
+    return replace(
+        turned,
+        covariance=None if own is None else jacobian[:4, :4] @ own @ jacobian[:4, :4].T,
+        covariance_with_mass=None if total is None else jacobian @ total @ jacobian.T,
+    )
+
+
+# Resonance and damping of a sensor over the mass it carries, with their uncertainties.
+
+
+@dataclass(frozen=True)
+class LoadCurve:
+    """Modes over load masses (K,) in kg: natural frequencies in Hz and damping ratios, first and second mode.
+
+    `frequency_hz`, `damping_ratio` and their standard uncertainties (K, 2), NaN where there is no second mode or no
+    covariance. f = |p|/2π, ζ = -Re p/|p| of the poles p of `LoadModel.system`.
+    """
+
+    load_mass: FloatArray
+    frequency_hz: FloatArray
+    damping_ratio: FloatArray
+    u_frequency_hz: FloatArray
+    u_damping_ratio: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in ("frequency_hz", "damping_ratio", "u_frequency_hz", "u_damping_ratio"):
+            check_shape(name, getattr(self, name), (len(self.load_mass), 2))
+
+
+def load_curve(model: LoadModel, load_mass: FloatArray, u_load_mass: FloatArray | None = None) -> LoadCurve:
+    """Return frequencies and dampings of both modes over load masses (K,).
+
+    Uncertainties by the model's covariance and those of the load masses (K,), none by default.
+    """
+    masses = np.asarray(load_mass, dtype=np.float64)
+    if model.total_covariance is None:
+        values = _modes(model, masses)
+        spread = np.full_like(values, np.nan)
+    else:
+        values, covariance = model.propagate(lambda changed: _modes(changed, masses))
+        spread = np.sqrt(np.diag(covariance))
+        if u_load_mass is not None and np.any(u_load_mass > 0):
+            change = _modes(model, masses + u_load_mass) - _modes(model, np.maximum(masses - u_load_mass, 0.0))
+            spread = np.hypot(spread, 0.5 * change)
+    f, z = values.reshape(2, len(masses), 2)
+    u_f, u_z = spread.reshape(2, len(masses), 2)
+    return LoadCurve(masses, f, z, np.where(np.isnan(f), np.nan, u_f), np.where(np.isnan(z), np.nan, u_z))
+
+
+def first_mode_hz(model: LoadModel, load_mass: float) -> float:
+    """Return the natural frequency of the lowest mode with a load mass, in Hz."""
+    poles, _ = upper_poles(model.vector, model.moving_mass, load_mass)
+    return float(np.abs(poles[0])) / (2.0 * np.pi) if len(poles) else float("nan")
+
+
+def rigid_formula_hz(model: LoadModel, load_mass: float) -> float:
+    """Return √(k/(m_E + m_L))/2π in Hz: what the stiffness would mean were the load rigid (eq. 6)."""
+    return float(np.sqrt(model.stiffness / (model.moving_mass + load_mass)) / (2.0 * np.pi))
+
+
+def _modes(model: LoadModel, masses: FloatArray) -> FloatArray:
+    """Frequencies, then damping ratios, (2 K 2,) of the modes by size; NaN for a second one that is not there."""
+    found = np.full((2, len(masses), 2), np.nan)
+    for place, mass in enumerate(masses):
+        upper, _ = upper_poles(model.vector, model.moving_mass, float(mass))
+        found[0, place, : len(upper)] = np.abs(upper) / (2.0 * np.pi)
+        found[1, place, : len(upper)] = -upper.real / np.abs(upper)
+    return np.asarray(found.ravel())
+
+
+# How far a loaded sensor can be used as it is.
+
+
+TOLERANCES = (0.05, 0.10)
+"""Departures of the gain from that at rest for which bands are given."""
+SMALLEST_DAMPING = 1e-4
+"""Damping ratio that stands for none: bands do not depend on it."""
+
+
+def working_bands(model: LoadModel, load_mass: float, tolerances: tuple[float, ...] = TOLERANCES) -> FloatArray:
+    """Return the frequencies (T,) in Hz up to which |H| stays within each tolerance of |H(0)|, NaN if it always does.
+
+    A model without damping, as resonances alone tell it, has the same bands as one of very light damping.
+    """
+    if model.damping == 0.0:
+        light = 2.0 * SMALLEST_DAMPING * np.sqrt(model.stiffness * model.moving_mass)
+        other = None
+        if model.coupling_stiffness is not None:
+            other = light * model.coupling_stiffness / model.stiffness
+        model = replace(model, damping=light, coupling_damping=other)
+    system = model.system(load_mass)
+    curve, level = gain_curve(system), system.static_gain
+    ends = [band_end(curve, level, tolerance) for tolerance in tolerances]
+    return np.array([np.nan if end is None or np.isinf(end) else end for end in ends])
+
+
+# How much load a sensor bears before its resonance, or a formula for it, is off by more than permitted.
+
+
+ROUNDING = 1e-9
+"""Relative uncertainty that only the rounding of a root makes."""
+HEAVIEST = 1e4
+"""Load mass over the moving mass up to which limits are looked for."""
+
+
+class LoadLimit(NamedTuple):
+    """A load mass in kg (kg·m² of a moment) with its standard uncertainty, NaN where that is not known."""
+
+    load_mass: float
+    u: float
+
+
+def formula_limit(model: LoadModel, permitted: float) -> LoadLimit | None:
+    """Return the load mass from which √(k/(m_E + m_L)) is too high by more than a share `permitted` of the resonance.
+
+    None where it never is: a rigid load, or a coupling that is stiff enough. For large loads the formula is too high by
+    √(1 + k/k_L).
+    """
+    _check_share(permitted)
+
+    def beyond(changed: LoadModel, load: float) -> float:
+        return rigid_formula_hz(changed, load) / first_mode_hz(changed, load) - 1.0 - permitted
+
+    return _limit(model, beyond)
+
+
+def change_limit(model: LoadModel, permitted: float) -> LoadLimit | None:
+    """Return the load mass that lowers the resonance by a share `permitted` of that without load."""
+    _check_share(permitted)
+
+    def beyond(changed: LoadModel, load: float) -> float:
+        return 1.0 - permitted - first_mode_hz(changed, load) / first_mode_hz(changed, 0.0)
+
+    return _limit(model, beyond)
+
+
+def frequency_limit(model: LoadModel, wanted_hz: float) -> LoadLimit | None:
+    """Return the load mass up to which the resonance stays at or above `wanted_hz`, None where it never is."""
+    if not wanted_hz > 0:
+        raise ValueError(f"wanted_hz: expected a frequency above 0, found {wanted_hz}")
+    if first_mode_hz(model, 0.0) < wanted_hz:
+        return None
+    return _limit(model, lambda changed, load: wanted_hz / first_mode_hz(changed, load) - 1.0)
+
+
+def _check_share(permitted: float) -> None:
+    """Refuse what is no share."""
+    if not 0.0 < permitted < 1.0:
+        raise ValueError(f"permitted: expected a share between 0 and 1, found {permitted}")
+
+
+def _limit(model: LoadModel, beyond: Callable[[LoadModel, float], float]) -> LoadLimit | None:
+    """The root of a function of the load that rises from below zero, with its uncertainty by the model's covariance."""
+    from scipy.optimize import brentq
+
+    def root(changed: LoadModel) -> float:
+        low, high = 0.0, 1e-3 * changed.moving_mass
+        while beyond(changed, high) <= 0.0:
+            low, high = high, 2.0 * high
+            if high > HEAVIEST * changed.moving_mass:
+                return float("nan")
+        return float(brentq(lambda load: beyond(changed, load), low, high, xtol=1e-14 * changed.moving_mass))
+
+    value = root(model)
+    if np.isnan(value):
+        return None
+    if model.total_covariance is None:
+        return LoadLimit(value, float("nan"))
+
+    def at(changed: LoadModel) -> FloatArray:
+        return np.array([root(changed)])
+
+    u = float(np.sqrt(model.propagate(at)[1][0, 0]))
+    return LoadLimit(value, u if u > ROUNDING * value else 0.0)

@@ -1,0 +1,346 @@
+"""Resonances of one load from its ringing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from shaker.arrays import ComplexArray, FloatArray, check_shape
+from shaker.release.record import Reading, StepRecord
+
+# What is measured of every load: resonances and dampings, read from records or stated.
+
+
+@dataclass(frozen=True)
+class Resonances:
+    """First and second mode of R records: natural frequencies in Hz and damping ratios, (R, 2) each, NaN where unknown.
+
+    `u_…`: standard uncertainties, 0 where none is known, so that only the scatter about a model tells.
+    """
+
+    names: tuple[str, ...]
+    frequency_hz: FloatArray
+    u_frequency_hz: FloatArray
+    damping_ratio: FloatArray
+    u_damping_ratio: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in ("frequency_hz", "u_frequency_hz", "damping_ratio", "u_damping_ratio"):
+            check_shape(name, getattr(self, name), (len(self.names), 2))
+        known = self.frequency_hz[np.isfinite(self.frequency_hz)]
+        if np.any(known <= 0) or np.any(np.isnan(self.frequency_hz[:, 0])):
+            raise ValueError("frequency_hz: expected a first resonance above 0 of every record, found none")
+
+    @property
+    def has_damping(self) -> bool:
+        """Whether any damping is known."""
+        return bool(np.any(np.isfinite(self.damping_ratio)))
+
+    @property
+    def has_second(self) -> bool:
+        """Whether a second mode was seen."""
+        return bool(np.any(np.isfinite(self.frequency_hz[:, 1])))
+
+
+def stated_resonances(
+    first_hz: FloatArray, u_first_hz: FloatArray | None = None, second_hz: FloatArray | None = None
+) -> Resonances:
+    """Return resonances without damping: first ones (R,), where known their uncertainties, and second ones or NaN.
+
+    A second one is taken to be known as well, in parts of itself, as the first.
+    """
+    first = np.asarray(first_hz, dtype=np.float64)
+    u = np.zeros_like(first) if u_first_hz is None else np.asarray(u_first_hz, dtype=np.float64)
+    second = np.full_like(first, np.nan) if second_hz is None else np.asarray(second_hz, dtype=np.float64)
+    both = np.stack([first, second], axis=1)
+    empty = np.full_like(both, np.nan)
+    return Resonances(tuple(f"{f:g} Hz" for f in first), both, both * (u / first)[:, None], empty, empty)
+
+
+# The free oscillation after a release, decimated: what the poles of a load are fitted to.
+
+
+RATE_OVER_FIRST = 16.0
+"""Sampling rate over the first resonance: second modes up to six times the first stay in the passband."""
+PASSBAND = 0.42
+"""Edge of the decimating filter's passband over the rate it decimates to."""
+TAPS = 20
+"""Length of the decimating filter in samples of the decimated record."""
+FEWEST = 64
+
+
+@dataclass(frozen=True)
+class FreeDecay:
+    """The output of one record from the end of its release on: `value` (N,) in output units at `time_s` (N,).
+
+    Low-pass filtered and decimated by `decimation`. A filter scales every exponential by a number of its own, which the
+    free amplitudes take up; so does the release, whatever its shape, once it is over. Poles stay as they are.
+    """
+
+    name: str
+    time_s: FloatArray
+    value: FloatArray
+    decimation: int
+
+    def __post_init__(self) -> None:
+        check_shape("value", self.value, self.time_s.shape)
+
+    @property
+    def rate_hz(self) -> float:
+        """Sampling rate."""
+        return float((len(self.time_s) - 1) / (self.time_s[-1] - self.time_s[0]))
+
+
+def free_decay(record: StepRecord, channel: str, reading: Reading) -> FreeDecay:
+    """Return the free oscillation of one channel after its release, of which `reading` says when it is over."""
+    from scipy.signal import firwin, upfirdn
+
+    begin = reading.onset_s + 2.0 * reading.u_onset_s + reading.release_s + reading.u_release_s
+    first = int(np.ceil((begin - record.start_s) * record.sample_rate_hz)) + 1
+    value = record.samples[record.channels.index(channel)][max(first, 0) :]
+    if len(value) < FEWEST:
+        raise ValueError(f"record: expected {FEWEST} samples of {record.name} after the release, found {len(value)}")
+    peak = _highest(value - reading.steady, record.sample_rate_hz)
+    decimation = max(1, int(record.sample_rate_hz / (RATE_OVER_FIRST * peak)))
+    time_s = record.start_s + (max(first, 0) + np.arange(len(value))) / record.sample_rate_hz
+    if decimation > 1 and len(value) >= (TAPS + FEWEST) * decimation:
+        taps = firwin(TAPS * decimation + 1, PASSBAND, window=("kaiser", 6.0), fs=float(decimation))
+        whole = (len(value) - len(taps)) // decimation + 1
+        value = upfirdn(taps, value - reading.steady, 1, decimation)[TAPS : TAPS + whole] + reading.steady
+        time_s = time_s[TAPS * decimation // 2 :: decimation][:whole]
+    else:
+        decimation = 1
+    return FreeDecay(record.name, time_s, np.asarray(value), decimation)
+
+
+def projected(decay: FreeDecay, poles: ComplexArray) -> tuple[FloatArray, FloatArray]:
+    """Return what free amplitudes of modes (M,) and a level leave (N,), and its derivatives (N, 2M) by Re p and Im p.
+
+    y = b + Σ Re{a_m exp(p_m t)} with b and a_m by linear least squares (variable projection, Golub & Pereyra 1973, the
+    derivatives in Kaufman's form).
+    """
+    t = decay.time_s - decay.time_s[0]
+    waves = np.exp(t[:, None] * poles)
+    design = np.hstack([np.ones((len(t), 1)), waves.real, -waves.imag])
+    basis, triangle = np.linalg.qr(design)
+    along = basis.T @ decay.value
+    amplitude = np.linalg.solve(triangle, along)[1:].reshape(2, -1)
+    swing = t[:, None] * waves * (amplitude[0] + 1j * amplitude[1])
+    slope = -np.stack([swing.real, -swing.imag], axis=2).reshape(len(t), -1)
+    return decay.value - basis @ along, slope - basis @ (basis.T @ slope)
+
+
+def coloured(slope: FloatArray, residual: FloatArray) -> FloatArray:
+    """Return Jᵀ R J (P, P): derivatives (N, P) and the autocovariance R of the noise that the residual (N,) shows.
+
+    R has the residual's periodogram, smoothed over neighbouring lines, as its spectrum.
+    """
+    count = len(residual)
+    power = np.abs(np.fft.rfft(residual)) ** 2 / count
+    width = min(101, max(3, len(power) // 8) | 1)
+    padded = np.pad(power, width // 2, mode="reflect")
+    smooth = np.convolve(padded, np.full(width, 1.0 / width), mode="valid")
+    lines = np.fft.rfft(slope, axis=0)
+    weight = np.full(len(smooth), 2.0)
+    weight[0] = 1.0
+    if count % 2 == 0:
+        weight[-1] = 1.0
+    return np.asarray((lines.conj().T * (smooth * weight / count)) @ lines).real
+
+
+def _highest(value: FloatArray, rate_hz: float) -> float:
+    """Frequency in Hz of the highest line of the spectrum, to a line."""
+    window = np.hanning(len(value))
+    size = np.abs(np.fft.rfft((value - np.mean(value)) * window))
+    size[:3] = 0.0
+    return float(np.argmax(size)) * rate_hz / len(value)
+
+
+# Levenberg's and Marquardt's method for residuals that come with their derivatives.
+
+
+Residual = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+FIRST, GROW, SHRINK = 1e-4, 10.0, 0.2
+LARGEST = 1e12
+ROUNDS = 100
+NOTHING = 1e-18
+"""Share of the sum at the start below which no step is worth its while."""
+
+
+def minimum(function: Residual, start: FloatArray, tolerance: float = 1e-10) -> tuple[FloatArray, float]:
+    """Return x (X,) with the smallest Σ r² next to a start, and that sum.
+
+    `function` returns r (N,) and dr/dx (N, X); where r is not finite a step is refused. Ends when a step would lower
+    the sum by less than `tolerance` of it or moves nothing (Marquardt 1963; each unknown damped by its curvature).
+    """
+    x = np.asarray(start, dtype=np.float64)
+    residual, slope = function(x)
+    cost = float(residual @ residual)
+    if not np.isfinite(cost):
+        raise ValueError("start: expected unknowns for which all residuals are finite, found others")
+    first, damping = cost, FIRST
+    size, triangle, along = _reduced(residual, slope)
+    for _ in range(ROUNDS):
+        step = _step(triangle, along, damping)
+        foretold = float(along @ along - np.sum((along + triangle @ step) ** 2))
+        step = step / size
+        if foretold <= max(tolerance * cost, NOTHING * first) or np.all(np.abs(step) <= 1e-14 * np.abs(x)):
+            break
+        trial, trial_slope = function(x + step)
+        lower = float(trial @ trial)
+        if np.isfinite(lower) and lower < cost:
+            x, cost = x + step, lower
+            size, triangle, along = _reduced(trial, trial_slope)
+            damping = max(damping * SHRINK, 1e-15)
+        else:
+            damping *= GROW
+            if damping > LARGEST:
+                break
+    return x, cost
+
+
+def _reduced(residual: FloatArray, slope: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Size of every column (X,), the scaled problem as a triangle (X, X), and the residual along it (X,)."""
+    size = np.sqrt(np.sum(slope**2, axis=0))
+    size[size == 0.0] = 1.0
+    basis, triangle = np.linalg.qr(slope / size)
+    return size, triangle, basis.T @ residual
+
+
+def _step(triangle: FloatArray, along: FloatArray, damping: float) -> FloatArray:
+    """The damped step, by least squares, not by the normal equations."""
+    count = triangle.shape[1]
+    rows = np.vstack([triangle, np.sqrt(damping) * np.eye(count)])
+    return np.asarray(np.linalg.lstsq(rows, -np.concatenate([along, np.zeros(count)]), rcond=None)[0])
+
+
+# The modes that one record shows after its release, by itself.
+
+
+PARTS = (1, 3, 9, 27)
+"""The record and ever shorter beginnings of it in which modes of any damping stand out."""
+NEAREST = 2
+"""Number of starts that are followed, those that leave least."""
+SEPARATE = 1.15
+"""Ratio to the first resonance from which another one counts as second mode."""
+CLEAR = 8.0
+"""Height of a line over the median of the spectrum from which it may be a mode."""
+SURE = 1e-6
+"""Chance of a second mode in noise above which none is taken to be seen."""
+HEAVIEST, VAGUEST = 0.3, 0.05
+"""Damping ratio and relative uncertainty of the frequency up to which a second mode is used."""
+
+
+@dataclass(frozen=True)
+class RecordModes:
+    """One or two modes of a record: upper poles (M,) in rad/s, covariance (2M, 2M) of [Re p, Im p] of each mode.
+
+    `noise`: standard deviation of what the modes leave, in output units.
+    """
+
+    name: str
+    poles: ComplexArray
+    covariance: FloatArray
+    noise: float
+
+    @property
+    def frequency_hz(self) -> FloatArray:
+        """Natural frequencies (M,)."""
+        return np.asarray(np.abs(self.poles) / (2.0 * np.pi))
+
+    @property
+    def damping_ratio(self) -> FloatArray:
+        """Damping ratios (M,)."""
+        return np.asarray(-self.poles.real / np.abs(self.poles))
+
+    @property
+    def u(self) -> tuple[FloatArray, FloatArray]:
+        """Standard uncertainties of frequencies and damping ratios (M,)."""
+        found = []
+        for m, p in enumerate(self.poles):
+            own, size = self.covariance[2 * m : 2 * m + 2, 2 * m : 2 * m + 2], abs(p)
+            f = np.array([p.real, p.imag]) / size
+            z = np.array([-(p.imag**2), p.real * p.imag]) / size**3
+            found.append((np.sqrt(f @ own @ f) / (2.0 * np.pi), np.sqrt(z @ own @ z)))
+        both = np.array(found)
+        return both[:, 0], both[:, 1]
+
+
+def record_modes(decay: FreeDecay) -> RecordModes:
+    """Return the first mode of a record, and a second above it where one stands out of the noise."""
+    from scipy.special import fdtrc
+
+    one = _fitted(decay, _starts(decay, decay.value - np.mean(decay.value), 0.0), np.zeros(0, dtype=np.complex128))
+    left, _ = projected(decay, one.poles)
+    floor_hz = SEPARATE * float(one.frequency_hz[0])
+    starts = _starts(decay, left, floor_hz)
+    if not starts:
+        return one
+    two = _fitted(decay, starts, one.poles)
+    free = len(decay.value) - 9
+    gain = (one.noise**2 * (free + 4) - two.noise**2 * free) / 4.0 / two.noise**2
+    seen = fdtrc(4, free, max(gain, 0.0)) < SURE and _usable(two, floor_hz)
+    return two if seen else one
+
+
+def as_resonances(found: list[RecordModes]) -> Resonances:
+    """Return the modes of all records as one table."""
+    table = np.full((4, len(found), 2), np.nan)
+    for r, modes in enumerate(found):
+        count = len(modes.poles)
+        for place, values in enumerate((modes.frequency_hz, modes.u[0], modes.damping_ratio, modes.u[1])):
+            table[place, r, :count] = values
+    return Resonances(tuple(modes.name for modes in found), *table)
+
+
+def _usable(two: RecordModes, floor_hz: float) -> bool:
+    """Whether the second of two modes decays, lies above the first and is known well enough."""
+    f, z = float(two.frequency_hz[1]), float(two.damping_ratio[1])
+    return 0.0 < z < HEAVIEST and f > floor_hz and float(two.u[0][1]) < VAGUEST * f
+
+
+def _starts(decay: FreeDecay, value: FloatArray, above_hz: float) -> list[complex]:
+    """Poles at the highest line of each beginning of a record that stands out of its spectrum."""
+    found = []
+    for part in PARTS:
+        count = len(value) // part
+        if count < 32:
+            break
+        size = np.abs(np.fft.rfft((value[:count] - np.mean(value[:count])) * np.hanning(count), 4 * count))
+        hertz = np.fft.rfftfreq(4 * count, 1.0 / decay.rate_hz)
+        size[(hertz <= above_hz) | (hertz < 2.0 * decay.rate_hz / count)] = 0.0
+        place = int(np.argmax(size))
+        if size[place] > CLEAR * np.median(size[size > 0.0]) or above_hz == 0.0:
+            omega = 2.0 * np.pi * float(hertz[place])
+            found.append(complex(-_decay_rate(value[:count], omega, decay.rate_hz), omega))
+    return found
+
+
+def _decay_rate(value: FloatArray, omega: float, rate_hz: float) -> float:
+    """Decay rate in 1/s of one line by its amplitudes in the first and in the second half."""
+    half = len(value) // 2
+    wave = np.hanning(half) * np.exp(-1j * omega * np.arange(half) / rate_hz)
+    early, late = abs(wave @ value[:half]), abs(wave @ value[half : 2 * half])
+    return float(max(np.log(early / max(late, 1e-300)), 0.1) * rate_hz / half)
+
+
+def _fitted(decay: FreeDecay, starts: list[complex], known: ComplexArray) -> RecordModes:
+    """The best of the fits that begin at known poles and a further one."""
+    best: tuple[FloatArray, float] | None = None
+    tried = [np.append(known, start) for start in starts]
+    tried.sort(key=lambda poles: float(np.sum(projected(decay, poles)[0] ** 2)))
+    for poles in tried[:NEAREST]:
+        x = np.stack([poles.real, poles.imag], axis=1).ravel()
+        found = minimum(lambda x: projected(decay, x[::2] + 1j * x[1::2]), x)
+        if best is None or found[1] < best[1]:
+            best = found
+    if best is None:
+        raise ValueError(f"decay: expected an oscillation after the release of {decay.name}, found none")
+    poles = np.asarray(best[0][::2] + 1j * best[0][1::2])
+    residual, slope = projected(decay, poles)
+    inner = np.linalg.inv(slope.T @ slope)
+    free = len(residual) - 1 - 2 * len(best[0])
+    covariance = inner @ coloured(slope, residual) @ inner * len(residual) / free
+    return RecordModes(decay.name, poles, covariance, float(np.sqrt(residual @ residual / free)))

@@ -1,0 +1,406 @@
+"""How many poles a release shows, and what speaks against a fit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Literal
+
+import numpy as np
+
+from shaker.arrays import ComplexArray, FloatArray, Notice, Severity
+from shaker.lti.modal import ModalModel
+from shaker.release.output_error import Problem, Solution, Spread, design, gain_by, solve, squares
+from shaker.release.problem import (
+    Load,
+    Samples,
+    Structure,
+    block_length,
+    in_blocks,
+    instruments,
+    peaks_hz,
+    pencil,
+    thinned,
+    upper_poles,
+)
+from shaker.release.record import Reading, StepRecord
+
+# The modes that ring after a release: how many, and where the fit with the release starts from.
+
+
+MOST = 4  # modes that the rule looks for
+CLEAR = 12.0  # fall of B·ln(sum of squares) by a parameter that is taken for real
+_STEEP = 0.5  # damping ratio above which a further mode is taken for a disturbance
+
+
+def decay_modes(
+    whole: Samples, reading: Reading, method: Literal["pencil", "arx"], count: int | None
+) -> tuple[ComplexArray, float]:
+    """Return the upper poles (M,) in rad/s that ring after the release, as many as told or supported, and the colour.
+
+    Exponentials with free amplitudes and a level are fitted to the decay alone, so that neither the release nor fast
+    poles matter. A further mode stays where its line stands out of the residual's spectrum, its ζ is between 0 and
+    0.5, and it lowers B·ln(sum of squares) by more than 12 for each of its four parameters. The colour: density of the
+    residual's blocks over that of white noise of the same variance.
+    """
+    decay = _after(whole, reading)
+    near = peaks_hz(decay.value, decay.step_s, count or 1)
+    if not near.size:
+        raise ValueError(f"{reading.record}, {reading.channel}: no oscillation above the noise after the release")
+    values, coarse = thinned(decay.value, decay.step_s, float(near.max()))
+    find = pencil if method == "pencil" else instruments
+    modes = upper_poles(find(values - values.mean(), coarse, 2 * (count or 1) + 1), count or 1, near)
+    found = _rung(decay, modes)
+    while count is None and found.problem.structure.modes < MOST:
+        further = _with_another(decay, found)
+        if further is None:
+            break
+        found = further
+    poles = found.problem.structure.poles(found.vector)
+    colour = found.variance / max(1e-300, float(np.var(_left(decay, found))))
+    return poles[np.argsort(np.abs(poles))], max(1.0, colour)
+
+
+def _after(whole: Samples, reading: Reading) -> Samples:
+    """Return what follows the release."""
+    start = reading.onset_s + reading.release_s + reading.u_onset_s
+    last = whole.time_s[len(whole.time_s) * 3 // 4]
+    return whole.between(min(start, float(last)), np.inf)
+
+
+def _rung(decay: Samples, modes: ComplexArray) -> Solution:
+    """Return exponentials with free amplitudes fitted to a decay."""
+    begin = float(decay.time_s[0]) - decay.step_s
+    structure = Structure(len(modes), 0, 2 * len(modes), float(np.exp(np.mean(np.log(np.abs(modes))))))
+    samples = in_blocks(decay, begin, begin, block_length(1.0 / decay.step_s, float(np.abs(modes).max()) / (2 * np.pi)))
+    start = np.append(structure.vector(modes), begin)
+    pinned = np.append(np.full(structure.order, np.inf), 1e-3 * decay.step_s)
+    return solve(Problem(structure, Load("step", 1.0), samples, start, pinned), start)
+
+
+def _with_another(decay: Samples, found: Solution) -> Solution | None:
+    """Return the fit with one more mode, None where the decay does not support it."""
+    rest = replace(decay, value=_left(decay, found))
+    near = peaks_hz(rest.value, rest.step_s, 1, local=True)
+    if not near.size:
+        return None
+    values, coarse = thinned(rest.value, rest.step_s, float(near[0]))
+    extra = upper_poles(pencil(values - values.mean(), coarse, 3), 1, near)
+    modes = np.concatenate([found.problem.structure.poles(found.vector), extra])
+    modes = modes[np.argsort(np.abs(modes))]
+    trial = _rung(decay, modes)
+    zeta = trial.vector[len(modes) : 2 * len(modes)]
+    gain = trial.size * float(np.log(_square(decay, found) / _square(decay, trial)))
+    return trial if gain > 4 * CLEAR and np.all((zeta > 0) & (zeta < _STEEP)) else None
+
+
+def _left(decay: Samples, found: Solution) -> FloatArray:
+    """Return the residual (N,) at every sample."""
+    return np.asarray(decay.value - design(found.problem, found.vector, decay) @ found.linear)
+
+
+def _square(decay: Samples, found: Solution) -> float:
+    rest = _left(decay, found)
+    return float(rest @ rest)
+
+
+# When and how a load goes, how fast the real poles are, how smooth the start is: the best of a grid, modes known.
+
+
+LENGTHS = (0.25, 0.6, 1.2)  # lengths of the release tried, in rise times
+TERM = 8.0  # fall of B·ln(sum of squares) by a numerator term that is taken for real
+_REAL = (1.5, 4.0, 10.0)  # real poles tried, in frequencies of the lowest mode
+_LAG = (0.0, 0.08, 0.17, 0.25)  # periods by which the half-way point follows the middle of the release
+_LOOSE = (1.5, 2.0)  # standard deviations of what the grid says of logarithms of real poles and of the length
+
+
+def first_vectors(
+    structure: Structure, load: Load, samples: Samples, modes: ComplexArray, reading: Reading
+) -> list[FloatArray]:
+    """Return, for every number of numerator terms up to all, the grid point that leaves least about the release."""
+    lowest = float(np.abs(modes).min()) / (2 * np.pi)
+    rise = min(reading.rise_s, 3.0 / lowest + reading.release_s)
+    near = samples.between(reading.onset_s - 2.0 / lowest, reading.onset_s + reading.release_s + rise + 2.0 / lowest)
+    rich = structure.with_terms(structure.order)
+    best, found = np.full(rich.terms, np.inf), [np.zeros(0)] * rich.terms
+    for vector in _grid(structure, load, near, modes, reading, rise):
+        costs = squares(Problem(rich, load, near, vector, np.ones(len(vector)), reading.onset_s), vector)
+        found = [vector if cost < old else kept for cost, old, kept in zip(costs, best, found, strict=True)]
+        best = np.minimum(best, costs)
+    return found
+
+
+def known_about(problem: Problem, vector: FloatArray, highest_hz: float) -> tuple[Problem, FloatArray]:
+    """Return a problem that knows a vector beforehand, widely, and the vector; the onset to 1/`highest_hz`."""
+    modes, order = problem.structure.modes, problem.structure.order
+    wide = np.full(len(vector), np.inf)
+    wide[2 * modes : order] = _LOOSE[0]
+    wide[order : order + 2] = np.array([1.0 / highest_hz, _LOOSE[1]])[: len(vector) - order]
+    return replace(problem, known=vector, u_known=wide), vector
+
+
+def _grid(
+    structure: Structure, load: Load, near: Samples, modes: ComplexArray, reading: Reading, rise: float
+) -> list[FloatArray]:
+    """Return the vectors that are tried."""
+    lowest = float(np.abs(modes).min()) / (2 * np.pi)
+    half, found = _half_way(near, reading), []
+    lengths = np.array(LENGTHS) * rise if load.lasting else np.zeros(1)
+    if load.lasting and reading.release_s > 0:
+        lengths = np.array([reading.release_s])
+    for reals in _real_poles(structure.reals, lowest, 0.4 / near.step_s):
+        head = structure.vector(np.concatenate([modes, reals]))
+        lag = float(np.sum(-1.0 / reals.real))
+        for length in lengths:
+            tail = [np.log(length)] if load.lasting else []
+            middles = [half - lag - share / lowest for share in _LAG] + [reading.onset_s + 0.5 * length]
+            for middle in middles if load.timed else [0.0]:
+                found.append(np.concatenate([head, [middle] if load.timed else [], tail]))
+    return found
+
+
+def _real_poles(count: int, lowest: float, fastest: float) -> list[ComplexArray]:
+    """Return the sets (Q,) of real poles that are tried, in rad/s, rising within a set."""
+    values = [min(share * lowest, fastest) for share in _REAL]
+    sets = [pick for pick in product(values, repeat=count) if list(pick) == sorted(pick)]
+    spread = 1.0 + 0.2 * np.arange(count)
+    return [-2 * np.pi * np.array(pick) * spread + 0j for pick in sets]
+
+
+def _half_way(near: Samples, reading: Reading) -> float:
+    """Return when the output is first half-way to its new level."""
+    change = reading.steady - reading.baseline
+    passed = np.flatnonzero((near.value - reading.baseline) * change >= 0.5 * change**2)
+    later = passed[near.time_s[passed] >= reading.onset_s]
+    return float(near.time_s[later[0]]) if later.size else reading.onset_s
+
+
+# How many poles a record tells, how its load went, and how smoothly its response starts.
+
+
+_CERTAIN = 4.0  # standard uncertainties of the release's length, as read, from which on its shape may be told
+_SHORT = 0.25  # periods of the fastest mode that a release has to last for its shape to matter
+_ROUNDING = 1e-9  # share of the output below which a residual is taken for rounding
+
+
+@dataclass(frozen=True)
+class Search:
+    """What is looked for in a record: `whole` its samples, `loads` that come into question, the likeliest first;
+    `modes` and `reals` where they are given; `colour` of the noise as in `Problem`."""
+
+    whole: Samples
+    reading: Reading
+    loads: tuple[Load, ...]
+    method: Literal["pencil", "arx"]
+    modes: int | None
+    reals: int | None
+    colour: float = 1.0
+
+
+@dataclass(frozen=True)
+class Found:
+    """The fit that a record supports, the sums of squares on the way, and a fit with another shape of the release that
+    the record tells hardly from it, None where there is none."""
+
+    solution: Solution
+    path: tuple[float, ...]
+    rival: Solution | None = None
+
+
+def searched(search: Search) -> Found:
+    """Return the fit that the record supports.
+
+    Modes are counted on the decay. One real pole and the length of the release are always fitted: a lag or a release
+    too short to be told changes the amplitude and the phase of the ringing all the same, and a model without it states
+    a certainty that the record does not give. A second real pole is there where it lowers B·ln(sum of squares) by more
+    than 12, a numerator term or another shape of the release where by more than 8, B the number of blocks; coloured
+    noise, which lowers it without any reason, asks for as much more as its density is higher.
+    """
+    modes, colour = decay_modes(_ringing(search), search.reading, search.method, search.modes)
+    search = replace(search, colour=colour)
+    found, rival = _over_loads(search, modes, 1 if search.reals is None else search.reals)
+    path = list(found.path)
+    if search.reals is None:
+        found = _second_real(search, found, path)
+    return Found(found, tuple(path), rival)
+
+
+def _ringing(search: Search) -> Samples:
+    """Return the samples without what simply follows a measured load, so that what rings is left."""
+    load = search.loads[0].force
+    if load is None:
+        return search.whole
+    follows = np.stack([np.ones(len(load)), load], axis=1)
+    value = search.whole.value
+    return replace(search.whole, value=value - follows @ np.linalg.lstsq(follows, value, rcond=None)[0])
+
+
+def charge(plain: Solution, rich: Solution) -> float:
+    """Return by how much B·ln(sum of squares) has to fall: 8 for a term or another release, 12 for a real pole."""
+    terms = rich.problem.structure.terms - plain.problem.structure.terms
+    other = rich.problem.load.shape != plain.problem.load.shape
+    poles = rich.problem.structure.order - plain.problem.structure.order
+    return rich.problem.colour * (TERM * (terms + other) + CLEAR * poles)
+
+
+def better(plain: Solution, rich: Solution) -> bool:
+    """Return whether a richer fit is worth its parameters."""
+    samples = plain.problem.samples
+    least = _ROUNDING**2 * float(np.sum((samples.weight * samples.value) ** 2))
+    return plain.size * float(np.log((plain.square + least) / (rich.square + least))) > charge(plain, rich)
+
+
+def _over_loads(search: Search, modes: ComplexArray, reals: int) -> tuple[Solution, Solution | None]:
+    """Return the best fit with given modes to start from over the loads that come into question, and its rival.
+
+    The shape is not looked for of a release whose length cannot be told, or that is short to the fastest mode.
+    """
+    best, rival = _fit_one(search, search.loads[0], modes, reals), None
+    highest = float(np.abs(modes).max()) / (2 * np.pi)
+    if search.reading.release_s < max(_CERTAIN * search.reading.u_release_s, _SHORT / highest):
+        return best, rival
+    for load in search.loads[1:]:
+        trial = _fit_one(search, load, modes, reals)
+        if better(best, trial):
+            best, trial = trial, best
+        rival = trial if not better(trial, best) else rival
+    return best, rival
+
+
+def _fit_one(search: Search, load: Load, modes: ComplexArray, reals: int) -> Solution:
+    """Return the fit for one load, with the numerator terms that it needs."""
+    reading, whole = search.reading, search.whole
+    highest, lowest = (float(edge) / (2 * np.pi) for edge in (np.abs(modes).max(), np.abs(modes).min()))
+    structure = Structure(len(modes), reals, 1, float(np.exp(np.mean(np.log(np.abs(modes))))))
+    margin = 0.5 / lowest + 3.0 * whole.step_s
+    end = reading.onset_s + reading.release_s + 2.0 * margin
+    samples = in_blocks(whole, reading.onset_s - margin, end, block_length(1.0 / whole.step_s, highest))
+    starts = first_vectors(structure, load, samples, modes, reading)
+    problem = Problem(structure, load, samples, starts[0], starts[0], reading.onset_s, search.colour)
+    return more_terms(solve(*known_about(problem, starts[0], highest)), starts, highest)
+
+
+def more_terms(found: Solution, starts: list[FloatArray], highest_hz: float) -> Solution:
+    """Return the fit with the numerator terms that it is worth, each tried from the last fit or from its own start."""
+    problem = found.problem
+    for terms in range(2, problem.structure.order + 1):
+        richer = replace(problem, structure=problem.structure.with_terms(terms))
+        gain, _ = gain_by(found, richer, [found.vector, starts[terms - 1]])
+        if gain > TERM * problem.colour * (terms - found.problem.structure.terms):
+            start = min(found.vector, starts[terms - 1], key=lambda vector: squares(richer, vector)[-1])
+            firm = 1.0 if terms <= problem.structure.smoothest else 6.0
+            trial = solve(*known_about(richer, start, firm * highest_hz))
+            found = replace(trial, path=found.path + trial.path) if better(found, trial) else found
+    return found
+
+
+def _second_real(search: Search, found: Solution, path: list[float]) -> Solution:
+    """Return the fit with a second real pole, where it is worth it."""
+    structure, order = found.problem.structure, found.problem.structure.order
+    two = replace(found.problem, structure=replace(structure, reals=2))
+    starts = [np.insert(found.vector, order, found.vector[order - 1] + further) for further in (-0.7, 0.7, 1.6)]
+    gain, start = gain_by(found, two, starts)
+    if gain < CLEAR * search.colour:
+        return found
+    highest = float(np.exp(found.vector[: structure.modes].max())) / (2 * np.pi)
+    more = solve(*known_about(two, start, highest))
+    path += more.path
+    return more if better(found, more) else found
+
+
+# What the user should know of an identification.
+
+
+SHAPES = {"step": "a step", "ramp": "a ramp", "smooth": "half a cosine", "measured": "the measured force"}
+_UNCLEAR = 0.25  # relative standard uncertainty of a real pole or of a damping ratio that says little of it
+_MORE = 1.5  # residual's variance over that of the noise before the release that a right model would leave
+
+
+def remarks(record: StepRecord, reading: Reading, found: Found, model: ModalModel, known: Spread) -> tuple[Notice, ...]:
+    """Return remarks on the poles, on the residual and on the release."""
+    where = f"{record.name}, {reading.channel}"
+    told = [*_poles(model, record.sample_rate_hz), *_residual(reading, known)]
+    told += [*_release(record, found.solution, known), *_rival(found, model)]
+    return tuple(Notice(severity, text, where) for severity, text in told)
+
+
+def _poles(model: ModalModel, rate_hz: float) -> Iterator[tuple[Severity, str]]:
+    """Yield what is wrong with poles: growing ones, ones that the sampling cannot tell, ones of no clear value."""
+    assert model.covariance is not None
+    u, modes = np.sqrt(np.diag(model.covariance)), len(model.frequency_hz)
+    for place, (hz, zeta) in enumerate(zip(model.frequency_hz, model.damping_ratio, strict=True)):
+        if zeta < 0:
+            yield "warning", f"the mode at {hz:.5g} Hz grows, ζ = {zeta:.3g}: the model is unstable"
+        elif u[modes + place] > _UNCLEAR * zeta or zeta > 0.6:
+            yield (
+                "warning",
+                f"the mode at {hz:.5g} Hz, ζ = {zeta:.2g} ± {u[modes + place]:.1g}, may be none of the sensor's",
+            )
+        if hz > 0.4 * rate_hz:
+            yield "warning", f"the mode at {hz:.5g} Hz lies near half the sampling rate of {rate_hz:.6g} Hz"
+    for place, hz in enumerate(model.real_hz):
+        if hz > 0.5 * rate_hz or u[4 * modes + place] > _UNCLEAR * abs(hz):
+            yield (
+                "warning",
+                f"the real pole at {hz:.3g} ± {u[4 * modes + place]:.1g} Hz is hardly told by the record",
+            )
+
+
+def _residual(reading: Reading, known: Spread) -> Iterator[tuple[Severity, str]]:
+    """Yield what the residual says of the model's order and of the noise."""
+    ratio = float(np.std(known.residual)) / reading.noise if reading.noise > 0 else np.inf
+    if ratio**2 > _MORE:
+        yield (
+            "warning",
+            f"the residual is {ratio:.3g} times the noise before the release: the model's order is doubtful",
+        )
+    elif not known.white:
+        yield (
+            "info",
+            f"the noise is coloured: the uncertainty of the poles is {np.sqrt(known.excess):.2g} times as large",
+        )
+    if reading.clipped:
+        yield "warning", "the output ran into its limit: what was cut off bends the model"
+
+
+def _release(record: StepRecord, solution: Solution, known: Spread) -> Iterator[tuple[Severity, str]]:
+    """Yield what the release leaves open."""
+    load, samples = solution.problem.load, solution.problem.samples
+    if not load.timed:
+        return
+    middle, length = solution.problem.release(solution.vector)
+    fastest = float(np.exp(np.max(solution.vector[: solution.problem.structure.modes]))) / (2 * np.pi)
+    if known.u_onset_s > 0.1 / fastest:
+        yield (
+            "info",
+            f"the onset is known to {known.u_onset_s:.1g} s only, and with it the phases of the residues; "
+            "poles and static gain do not depend on it",
+        )
+    coarse = samples.time_s[samples.length > 1]
+    if np.any(np.abs(coarse - middle) < 0.5 * length):
+        yield "warning", f"the release at {middle:.6g} s lies outside the part of the record where it was looked for"
+    if record.onset_s is not None and abs(record.onset_s - middle + 0.5 * length) > 1.0 / fastest:
+        yield (
+            "warning",
+            f"the onset found, {middle - 0.5 * length:.6g} s, is not the one stated, {record.onset_s:.6g} s",
+        )
+
+
+def _rival(found: Found, model: ModalModel) -> Iterator[tuple[Severity, str]]:
+    """Yield what another shape of the release, which the record does not exclude, would make of the real poles."""
+    assert model.covariance is not None
+    if found.rival is None or not len(model.real_hz):
+        return
+    structure = found.rival.problem.structure
+    others = np.sort(-structure.poles(found.rival.vector)[structure.modes :].real / (2 * np.pi))
+    own, u = np.sort(model.real_hz), np.sqrt(np.diag(model.covariance))[4 * structure.modes :][: len(model.real_hz)]
+    if len(others) == len(own) and np.all(np.abs(others - own) < u[np.argsort(model.real_hz)]):
+        return
+    shapes = [SHAPES[solution.problem.load.shape] for solution in (found.solution, found.rival)]
+    values = [" and ".join(f"{hz:.3g}" for hz in poles) for poles in (own, others)]
+    yield (
+        "info",
+        f"the record does not tell whether the release is {shapes[0]} or {shapes[1]}: the real pole is {values[0]} Hz "
+        f"or {values[1]} Hz, and gains between rest and resonance depend on which",
+    )

@@ -1,0 +1,433 @@
+"""Output-error fit of a release, with covariance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from shaker.arrays import ComplexArray, FloatArray
+from shaker.lti.modal import ModalModel
+from shaker.release.problem import Answers, Load, Samples, Structure, answers, responses
+
+# Output-error least squares: linear parameters projected out, the others by Levenberg-Marquardt.
+
+
+_STEPS = 60  # Levenberg-Marquardt steps, more than any solvable case was seen to take
+_ENOUGH = 1e-4  # predicted fall of the sum of squares, over the variance, below which a step changes nothing
+_STUCK = 1e9  # damping at which no step is left that helps
+_STEEPEST = 0.995  # largest |ζ| of an oscillating mode
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is fitted: a structure's answer to a load, to samples.
+
+    Parameters: those of the structure, then the release's middle in s (a timed load) and the logarithm of its length
+    in s (a lasting one). `known`, `u_known` (K,): what is known of them beforehand, wide, infinitely so for the modes:
+    a record that does not tell the real poles or the release is solved all the same. `onset_s` of a load without one;
+    `colour`: density of the blocks' noise over that of white noise with the samples' variance, 1 where it is white.
+    """
+
+    structure: Structure
+    load: Load
+    samples: Samples
+    known: FloatArray
+    u_known: FloatArray
+    onset_s: float = 0.0
+    colour: float = 1.0
+
+    @property
+    def count(self) -> int:
+        """Number of parameters that the answer depends on nonlinearly."""
+        return self.structure.order + self.load.timed + self.load.lasting
+
+    def release(self, vector: FloatArray) -> tuple[float, float]:
+        """Return the middle and the length of the release in s."""
+        order = self.structure.order
+        middle = float(vector[order]) if self.load.timed else self.onset_s
+        return middle, float(np.exp(vector[order + 1])) if self.load.lasting else 0.0
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A fit: `vector` of the nonlinear parameters, `linear` [baseline, numerator terms], `square` weighted sum of
+    squares of the residual, `path` of it over the steps; `problem` that was solved."""
+
+    problem: Problem
+    vector: FloatArray
+    linear: FloatArray
+    square: float
+    path: tuple[float, ...] = ()
+
+    @property
+    def size(self) -> int:
+        """Number of blocks."""
+        return len(self.problem.samples.value)
+
+    @property
+    def free(self) -> int:
+        """Number of all parameters."""
+        return len(self.vector) + len(self.linear)
+
+    @property
+    def variance(self) -> float:
+        """Variance of a sample's noise by the residual."""
+        return self.square / max(1, self.size - self.free)
+
+    @property
+    def residues(self) -> ComplexArray:
+        """Residues (M + Q,) in output unit per load unit and second, upper poles first, real ones last."""
+        shares, _ = self.problem.structure.shares(self.vector)
+        return np.asarray(shares @ self.linear[1:])
+
+
+def columns(problem: Problem, vector: FloatArray, samples: Samples) -> tuple[FloatArray, Answers]:
+    """Return the design (B, 1 + terms) of baseline and numerator terms, unweighted, and the poles' answers."""
+    middle, length = problem.release(vector)
+    found = answers(problem.load, problem.structure.poles(vector), samples, middle, length)
+    return _design(problem, vector, found.value), found
+
+
+def design(problem: Problem, vector: FloatArray, samples: Samples) -> FloatArray:
+    """Return the design of `columns` alone."""
+    middle, length = problem.release(vector)
+    poles = problem.structure.poles(vector)
+    return _design(problem, vector, responses(problem.load, poles, samples, middle, length))
+
+
+def _design(problem: Problem, vector: FloatArray, value: ComplexArray) -> FloatArray:
+    """Return the design of the poles' responses (B, P)."""
+    shares, _ = problem.structure.shares(vector)
+    parts = np.real(value @ (_twice(problem.structure)[:, None] * shares))
+    return np.concatenate([np.ones((len(parts), 1)), parts], axis=1)
+
+
+def slopes(problem: Problem, vector: FloatArray, linear: FloatArray, found: Answers) -> FloatArray:
+    """Return derivatives (B, K) of the fitted output to the nonlinear parameters, unweighted."""
+    structure = problem.structure
+    shares, by_vector = structure.shares(vector)
+    twice = _twice(structure)
+    residues, moved = twice * (shares @ linear[1:]), twice[:, None] * np.einsum("pkm,k->pm", by_vector, linear[1:])
+    poles = structure.pole_slopes(vector) * residues[:, None]
+    out = [np.real(found.by_pole @ poles + found.value @ moved)]
+    if problem.load.timed:
+        out.append(np.real(found.by_onset @ residues)[:, None])
+    if problem.load.lasting:
+        out.append(np.exp(vector[-1]) * np.real(found.by_length @ residues)[:, None])
+    return np.concatenate(out, axis=1)
+
+
+def squares(problem: Problem, vector: FloatArray) -> FloatArray:
+    """Return the weighted sums of squares (terms,) that 1, 2, … numerator terms leave, by one factorisation."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = design(problem, vector, problem.samples)
+    whole = np.concatenate([found, problem.samples.value[:, None]], axis=1) * problem.samples.weight[:, None]
+    if not np.all(np.isfinite(whole)):
+        return np.full(problem.structure.terms, np.inf)
+    last = np.asarray(np.linalg.qr(whole)[1])[:, -1]
+    return np.asarray(np.cumsum(last[::-1] ** 2)[::-1][2:])
+
+
+def solve(problem: Problem, start: FloatArray) -> Solution:
+    """Return the fit from a start vector (K,), by variable projection with Kaufman's derivative."""
+    now, damping = _at(problem, start), 1e-3
+    path = [now.solution.square]
+    for _ in range(_STEPS):
+        jacobian, rest = _projected(now)
+        normal, gradient = jacobian.T @ jacobian, jacobian.T @ rest
+        trial = now
+        while trial is now:
+            step = _step(normal, gradient, damping)
+            if float(step @ (2.0 * gradient - normal @ step)) < _ENOUGH * now.solution.variance or damping > _STUCK:
+                return replace(now.solution, path=tuple(path))
+            further = _at(problem, now.solution.vector + step)
+            if _cost(further.solution, now.solution.variance) < _cost(now.solution, now.solution.variance):
+                trial = further
+            else:
+                damping *= 10.0
+        damping, now = max(1e-8, damping * 0.03), trial
+        path.append(now.solution.square)
+    return replace(now.solution, path=tuple(path))
+
+
+def gain_by(found: Solution, problem: Problem, vectors: list[FloatArray]) -> tuple[float, FloatArray]:
+    """Return how much of B·ln(sum of squares) a fit would lose by a step towards a richer model, and the best vector.
+
+    The richer model's design at each vector joins the fit's own design and derivatives; what the three together leave
+    of the samples tells, without a solution, whether the richer model is worth one.
+    """
+    weight = found.problem.samples.weight[:, None]
+    own_design, answers_ = columns(found.problem, found.vector, found.problem.samples)
+    own = np.concatenate([own_design, slopes(found.problem, found.vector, found.linear, answers_)], axis=1)
+    value = found.problem.samples.value * weight[:, 0]
+    best, chosen = 0.0, vectors[0]
+    for vector in vectors:
+        whole = np.concatenate([own, design(problem, vector, found.problem.samples)], axis=1) * weight
+        left = value - whole @ _linear(whole, value)
+        gain = found.size * float(np.log(found.square / (left @ left)))
+        if gain > best:
+            best, chosen = gain, vector
+    return best, chosen
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """A solution with its unweighted design (B, 1 + terms) and the poles' answers."""
+
+    solution: Solution
+    design: FloatArray
+    found: Answers
+
+
+def _cost(solution: Solution, variance: float) -> float:
+    """Return the sum of squares with the pull of what was known beforehand."""
+    pull = (solution.vector - solution.problem.known) / solution.problem.u_known
+    return solution.square + float(pull @ pull) * variance
+
+
+def _step(normal: FloatArray, gradient: FloatArray, damping: float) -> FloatArray:
+    """Return the damped step; the damping follows the parameters' own scales."""
+    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    scaled = normal / scale / scale[:, None] + damping * np.eye(len(scale))
+    return np.asarray(np.linalg.lstsq(scaled, gradient / scale, rcond=None)[0] / scale)
+
+
+def _at(problem: Problem, vector: FloatArray) -> _Trial:
+    """Return the best baseline and numerator for given poles and release; what is impossible costs infinitely much."""
+    blank = np.zeros((0, 0), dtype=np.complex128)
+    nowhere = Solution(problem, vector, np.zeros(1 + problem.structure.terms), np.inf)
+    if not _possible(problem, vector):
+        return _Trial(nowhere, np.zeros((0, 0)), Answers(blank, blank, blank, blank))
+    weight = problem.samples.weight
+    with np.errstate(over="ignore", invalid="ignore"):
+        matrix, found = columns(problem, vector, problem.samples)
+    if not np.all(np.isfinite(matrix)):
+        return _Trial(nowhere, matrix, found)
+    linear = _linear(matrix * weight[:, None], problem.samples.value * weight)
+    rest = (problem.samples.value - matrix @ linear) * weight
+    return _Trial(Solution(problem, vector, linear, float(rest @ rest)), matrix, found)
+
+
+def _possible(problem: Problem, vector: FloatArray) -> bool:
+    """Return whether modes oscillate, poles are numbers and the release is no longer than the record."""
+    modes, order = problem.structure.modes, problem.structure.order
+    time_s = problem.samples.time_s
+    longest = np.log(time_s[-1] - time_s[0])
+    steep = np.any(np.abs(vector[modes : 2 * modes]) > _STEEPEST)
+    return not (steep or np.any(np.abs(vector[:order]) > 50.0) or (problem.load.lasting and vector[-1] > longest))
+
+
+def _linear(matrix: FloatArray, value: FloatArray) -> FloatArray:
+    """Return the coefficients of the columns by least squares, columns scaled."""
+    scale = np.sqrt(np.einsum("bk,bk->k", matrix, matrix))
+    scale[scale == 0] = 1.0
+    q, r = np.linalg.qr(matrix / scale)
+    diagonal = np.abs(np.diag(r))
+    if diagonal.min() < 1e-12 * diagonal.max():
+        return np.asarray(np.linalg.lstsq(matrix / scale, value, rcond=1e-12)[0] / scale)
+    return np.asarray(np.linalg.solve(r, q.T @ value) / scale)
+
+
+def _projected(now: _Trial) -> tuple[FloatArray, FloatArray]:
+    """Return Kaufman's derivative and residual, weighted, with the rows of what was known beforehand."""
+    solution, problem = now.solution, now.solution.problem
+    weight = problem.samples.weight[:, None]
+    jacobian = slopes(problem, solution.vector, solution.linear, now.found) * weight
+    q, _ = np.linalg.qr(now.design * weight)
+    jacobian = jacobian - q @ (q.T @ jacobian)
+    rest = (problem.samples.value - now.design @ solution.linear) * weight[:, 0]
+    firm = np.sqrt(solution.variance) / problem.u_known
+    pull = (problem.known - solution.vector) * firm
+    return np.concatenate([jacobian, np.diag(firm)]), np.concatenate([rest, pull])
+
+
+def _twice(structure: Structure) -> FloatArray:
+    """Return 2 for every upper pole, which stands for its conjugate too, and 1 for every real one."""
+    return np.concatenate([np.full(structure.modes, 2.0), np.ones(structure.reals)])
+
+
+# Covariance of a fit, honest with noise that is coloured by a filter and with a coarse converter.
+
+
+_LAGS = 20  # the record's length over the lags of the residual's correlation that are kept
+_TESTED = 40  # lags that the residual is tested for correlation at
+_WHITE = 73.4  # largest sum of N·r² over forty lags that white noise passes 999 times in 1000
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Covariance (P, P) of a modal model's vector, without that of the load; standard uncertainties of the release.
+
+    `fitted`, `residual` (N,): at every sample; `white`: whether the residual passes as white noise; `excess`: its
+    density about the lowest mode over that of white noise, 1 where it is white.
+    """
+
+    covariance: FloatArray
+    u_onset_s: float
+    u_release_s: float
+    fitted: FloatArray
+    residual: FloatArray
+    white: bool
+    excess: float
+
+
+def spread(solution: Solution, whole: Samples) -> Spread:
+    """Return what is known of a fit's parameters, from the residual at every sample.
+
+    Where the residual is not white, (JᵀJ)⁻¹JᵀRJ(JᵀJ)⁻¹ with R of its correlation through a Parzen window. A converter
+    whose step is not dithered by noise errs by one value for a whole level: that is added for both levels.
+    """
+    problem = solution.problem
+    design, found = columns(problem, solution.vector, whole)
+    jacobian = np.concatenate([slopes(problem, solution.vector, solution.linear, found), design], axis=1)
+    fitted = np.asarray(design @ solution.linear)
+    residual = whole.value - fitted
+    freedom = max(1, len(residual) - jacobian.shape[1])
+    variance = float(residual @ residual) / freedom
+    scale = np.sqrt(np.einsum("nk,nk->k", jacobian, jacobian))
+    scale[scale == 0] = 1.0
+    scaled = jacobian / scale
+    known = _known(solution, scale, scaled.T @ scaled, variance)
+    normal = scaled.T @ scaled + known * variance
+    inverse = np.linalg.pinv(normal, rcond=1e-14, hermitian=True)
+    gain = inverse @ scaled.T
+    white = _passes_as_white(residual)
+    middle = inverse * variance
+    excess = 1.0
+    if not white:
+        coloured = gain @ _correlated(residual, gain.T) * len(residual) / freedom
+        excess = float(coloured[0, 0] / max(1e-300, (gain @ gain.T)[0, 0] * variance))
+        middle = coloured + inverse @ (known * variance**2) @ inverse
+    middle = middle + _converter(whole, residual, gain, fitted)
+    covariance = middle / np.outer(scale, scale)
+    onset, length = _release(solution, covariance)
+    return Spread(_mapped(solution, covariance), onset, length, fitted, residual, white, excess)
+
+
+def modal_model(solution: Solution, covariance: FloatArray, u_amplitude: float) -> ModalModel:
+    """Return a fit as a model; the load's relative uncertainty joins the residues."""
+    structure = solution.problem.structure
+    poles, residues, m = structure.poles(solution.vector), solution.residues, structure.modes
+    omega = np.abs(poles[:m])
+    hz = -poles[m:].real / (2 * np.pi)
+    model = ModalModel(omega / (2 * np.pi), -poles[:m].real / omega, residues[:m], hz, residues[m:].real)
+    common = np.concatenate([np.zeros(2 * m), residues[:m].real, residues[:m].imag, 0 * hz, residues[m:].real])
+    total = covariance + u_amplitude**2 * np.outer(common, common)
+    return ModalModel(
+        model.frequency_hz,
+        model.damping_ratio,
+        model.residue,
+        model.real_hz,
+        model.real_residue,
+        0.5 * (total + total.T),
+    )
+
+
+def _known(solution: Solution, scale: FloatArray, normal: FloatArray, variance: float) -> FloatArray:
+    """Return what is known beforehand as the scaled normal matrix of one variance.
+
+    Of the onset it is what the fit was given. Of real poles and the release's length, which the fit was only led by, it
+    is that each of the squares 1/a² and T²/12 is positive and at most their sum, which the record tells well even where
+    it cannot tell them apart.
+    """
+    problem, order = solution.problem, solution.problem.structure.order
+    added = np.zeros(len(scale))
+    if problem.load.timed:
+        added[order] = 1.0 / (problem.u_known[order] * scale[order]) ** 2
+    squares = _squares(solution) / scale
+    parts = np.flatnonzero(squares)
+    if len(parts) > 1:
+        free = variance * np.asarray(np.linalg.pinv(normal + np.diag(added * variance), rcond=1e-14, hermitian=True))
+        spread_s2 = np.sqrt(max(0.0, float(squares @ free @ squares)))
+        largest = 0.5 * float(np.sum(np.abs(squares * scale))) + 2.0 * spread_s2
+        added[parts] += 3.0 * (squares[parts] / largest) ** 2
+    return np.diag(added)
+
+
+def _squares(solution: Solution) -> FloatArray:
+    """Return derivatives (K + 1 + terms,) of Σ 1/a² + T²/12 in s², real poles -a and length T, to the parameters."""
+    problem, structure = solution.problem, solution.problem.structure
+    found = np.zeros(problem.count + len(solution.linear))
+    real = slice(2 * structure.modes, structure.order)
+    found[real] = -2.0 * np.exp(-2.0 * solution.vector[real])
+    if problem.load.lasting:
+        found[structure.order + problem.load.timed] = problem.release(solution.vector)[1] ** 2 / 6.0
+    return found
+
+
+def _passes_as_white(residual: FloatArray) -> bool:
+    """Return whether the correlation of a residual (N,) at forty lags is that of white noise."""
+    if not np.any(residual):
+        return True
+    count = len(residual)
+    power = np.abs(np.fft.rfft(residual, 2 * count)) ** 2
+    correlation = np.fft.irfft(power)[: _TESTED + 1]
+    return bool(count * np.sum((correlation[1:] / correlation[0]) ** 2) < _WHITE)
+
+
+def _correlated(residual: FloatArray, columns_: FloatArray) -> FloatArray:
+    """Return R·columns (N, K), R the correlation matrix of the residual (N,) by a Parzen window."""
+    count = len(residual)
+    size = 2 ** int(np.ceil(np.log2(2 * count)))
+    correlation = np.fft.irfft(np.abs(np.fft.rfft(residual, size)) ** 2)[:count] / count
+    x = np.arange(count) / max(_TESTED, count // _LAGS)
+    window = np.where(x <= 0.5, 1 - 6 * x**2 + 6 * x**3, 2 * np.maximum(0.0, 1 - x) ** 3)
+    kept = correlation * window
+    density = np.fft.rfft(np.concatenate([kept, np.zeros(size - 2 * count + 1), kept[:0:-1]]))
+    spectrum = np.fft.rfft(columns_, size, axis=0)
+    return np.asarray(np.fft.irfft(density[:, None] * spectrum, size, axis=0)[:count])
+
+
+def _converter(whole: Samples, residual: FloatArray, gain: FloatArray, fitted: FloatArray) -> FloatArray:
+    """Return the covariance (K, K) that a converter's rounding adds through both levels.
+
+    Gaussian noise of σ leaves q/π·exp(-2π²σ²/q²) of the rounding's error of a steady level, q the converter's step.
+    """
+    steps = np.diff(np.unique(whole.value))
+    q = float(steps.min()) if steps.size else 0.0
+    noise = max(0.0, float(np.var(residual)) - q**2 / 12.0)
+    error = q / np.sqrt(12.0) * np.exp(-2.0 * np.pi**2 * noise / q**2) if q > 0 else 0.0
+    late = (fitted - fitted[0]) * (fitted[-1] - fitted[0]) > 0.5 * (fitted[-1] - fitted[0]) ** 2
+    levels = np.stack([gain @ late.astype(float), gain @ (~late).astype(float)], axis=1)
+    return np.asarray(error**2 * levels @ levels.T)
+
+
+def _release(solution: Solution, covariance: FloatArray) -> tuple[float, float]:
+    """Return standard uncertainties of the onset and of the release's length in s."""
+    problem = solution.problem
+    order = problem.structure.order
+    if not problem.load.timed:
+        return 0.0, 0.0
+    row = np.zeros((2, len(covariance)))
+    row[0, order] = 1.0
+    if problem.load.lasting:
+        length = problem.release(solution.vector)[1]
+        row[:, order + 1] = -0.5 * length, length
+    u = np.sqrt(np.diag(row @ covariance @ row.T))
+    return float(u[0]), float(u[1])
+
+
+def _mapped(solution: Solution, covariance: FloatArray) -> FloatArray:
+    """Return the covariance (P, P) of the modal model's vector from that of the fit's parameters."""
+    problem, structure = solution.problem, solution.problem.structure
+    jacobian = _model_slopes(structure, solution.vector, solution.linear, problem.count)
+    return np.asarray(jacobian @ covariance @ jacobian.T)
+
+
+def _model_slopes(structure: Structure, vector: FloatArray, linear: FloatArray, count: int) -> FloatArray:
+    """Return derivatives (P, K + 1 + terms) of a modal model's vector to the fit's parameters."""
+    m, n = structure.modes, structure.order
+    shares, by_vector = structure.shares(vector)
+    out = np.zeros((4 * m + 2 * structure.reals, count + len(linear)))
+    frequency, hz = np.exp(vector[:m]) / (2 * np.pi), np.exp(vector[2 * m : n]) / (2 * np.pi)
+    out[np.arange(m), np.arange(m)] = frequency
+    out[np.arange(m, 2 * m), np.arange(m, 2 * m)] = 1.0
+    reals = np.arange(structure.reals)
+    out[4 * m + reals, 2 * m + reals] = hz
+    moved = np.zeros((len(shares), count + len(linear)), dtype=np.complex128)
+    moved[:, :n] = np.einsum("pkm,k->pm", by_vector, linear[1:])
+    moved[:, count + 1 :] = shares
+    out[2 * m : 3 * m], out[3 * m : 4 * m] = moved[:m].real, moved[:m].imag
+    out[4 * m + structure.reals :] = moved[m:].real
+    return out

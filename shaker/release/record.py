@@ -1,0 +1,433 @@
+"""The record of a release: where it is, its levels, peaks and ringing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from shaker.arrays import ComplexArray, FloatArray, Notice, check_shape
+from shaker.lines.spectrum import Spectrum
+
+# The record of one release.
+
+
+@dataclass(frozen=True)
+class StepRecord:
+    """Outputs of a sensor while a load is put on or taken off at once.
+
+    `samples` (C, N) of the outputs `channels` (C,) in `unit`, at `sample_rate_hz`; sample n is at `start_s` + n/rate.
+    `component` (Fx … Mz) changes by `amplitude`, signed, in N or N·m, with relative standard uncertainty `u_amplitude`.
+    `force` (N,): the load measured along, in N or N·m, None where it was not. `onset_s`: when the release begins, where
+    it is stated. `release`: what let go, such as "fishing line", or "". `name` is for messages.
+    """
+
+    name: str
+    channels: tuple[str, ...]
+    unit: str
+    samples: FloatArray
+    sample_rate_hz: float
+    component: str
+    amplitude: float
+    u_amplitude: float = 0.0
+    start_s: float = 0.0
+    force: FloatArray | None = None
+    onset_s: float | None = None
+    release: str = ""
+
+    def __post_init__(self) -> None:
+        check_shape("samples", self.samples, (len(self.channels), None))
+        if self.force is not None:
+            check_shape("force", self.force, self.samples.shape[1:])
+        if not self.sample_rate_hz > 0:
+            raise ValueError(f"sample_rate_hz: expected a positive number, found {self.sample_rate_hz}")
+        if self.amplitude == 0 or not np.isfinite(self.amplitude):
+            raise ValueError(f"amplitude: expected a number other than 0, found {self.amplitude}")
+
+    @property
+    def time_s(self) -> FloatArray:
+        """Time of every sample (N,) in s."""
+        return np.asarray(self.start_s + np.arange(self.samples.shape[1]) / self.sample_rate_hz)
+
+
+# What a record shows of its release before any model is identified.
+
+
+Shape = Literal["step", "ramp", "smooth", "measured"]
+"""How the load goes: at once, along a straight line, along half a cosine, or as the force channel shows."""
+
+
+@dataclass(frozen=True)
+class SpectrumPeak:
+    """A peak of the response's amplitude spectrum: frequency with standard uncertainty in Hz, and amplitude over that
+    of the highest peak (`share`) with its standard uncertainty."""
+
+    frequency_hz: float
+    u_frequency_hz: float
+    share: float
+    u_share: float
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One release as one output shows it; times in s of the record's clock, levels in the output's `unit`.
+
+    `onset_s`: when the load begins to change, `release_s`: how long it changes, `shape`: how; all with standard
+    uncertainties `u_…`. `baseline`, `steady`: output before and long after; `sign` of their difference. `rise_s`: from
+    10 % to 90 % of it. `static_gain`: (steady - baseline)/amplitude, in output unit per N or N·m. `noise`: standard
+    deviation of a sample. `clipped`: whether the output ran into its limit. `peaks`: first and second of the spectrum.
+    `record`, `release`: names of the record and of what let go.
+    """
+
+    record: str
+    channel: str
+    component: str
+    unit: str
+    release: str
+    onset_s: float
+    u_onset_s: float
+    sign: int
+    baseline: float
+    u_baseline: float
+    steady: float
+    u_steady: float
+    rise_s: float
+    u_rise_s: float
+    shape: Shape
+    release_s: float
+    u_release_s: float
+    static_gain: float
+    u_static_gain: float
+    noise: float
+    clipped: bool
+    peaks: tuple[SpectrumPeak, ...] = ()
+    notices: tuple[Notice, ...] = ()
+
+
+# Where in a record the release is, found without a model.
+
+
+_FIRST = 0.005  # share of the record that is taken for rest before the release is looked for
+_LAST = 0.2  # share of what follows the release from which the new level is read
+_MOTION = 5.0  # standard deviations that a sample must leave the baseline by
+_RUN = 3  # samples in a row that must have passed a level
+_GUARD = 0.9  # share of the rest before the first motion that is free of it beyond doubt
+
+
+@dataclass(frozen=True)
+class Location:
+    """Rough place of a release: sample of the first motion above the noise, and levels with the samples' noise.
+
+    `low`, `high`: where the output first passes 10 % and 90 % of the change, in samples with fractions.
+    """
+
+    first: int
+    low: float
+    high: float
+    baseline: float
+    steady: float
+    noise: float
+    resolution: float
+
+    @property
+    def strength(self) -> float:
+        """Change of level over the noise of a sample."""
+        return abs(self.steady - self.baseline) / max(self.noise, 1e-300)
+
+    @property
+    def longest(self) -> float:
+        """Length in samples of a ramp that the output follows from 10 % to 90 %, more where noise hides its begin."""
+        seen = max(0.9 - max(0.1, _MOTION / max(self.strength, 1e-300)), 0.2)
+        return max(self.high - self.low, 2.0) * 0.8 / seen**2
+
+
+def locate(samples: FloatArray, near: int | None = None) -> Location:
+    """Return where samples (N,) begin to change and where to; `near`: the sample where that is stated to happen.
+
+    The first motion is the last sample within five standard deviations of the baseline ahead of the half-way point.
+    """
+    count = len(samples)
+    if count < 64:
+        raise ValueError(f"samples: expected at least 64 of a release, found {count}")
+    if near is not None and not 8 <= near < count - 16:
+        raise ValueError(f"near: expected a sample of 8 to {count - 17} that leaves rest and response, found {near}")
+    rest = max(16, int(_FIRST * count)) if near is None else int(_GUARD * near)
+    first = near if near is not None else rest
+    baseline, steady = float(np.mean(samples[:rest])), float(np.mean(samples[-max(8, int(_LAST * count)) :]))
+    noise = resolution = 0.0
+    for _ in range(3):
+        before = samples[:rest]
+        baseline = float(np.mean(before))
+        resolution = _resolution(samples)
+        noise = max(float(np.std(before)), resolution / np.sqrt(12.0))
+        half = _passing(samples, baseline, steady, 0.5, rest)
+        quiet = np.flatnonzero(np.abs(samples[: int(half) + 1] - baseline) <= _MOTION * noise)
+        first = int(quiet[-1]) + 1 if quiet.size else int(half)
+        rest = max(16, int(_GUARD * first)) if first > 16 else rest
+        steady = float(np.mean(samples[first + int((1.0 - _LAST) * (count - first)) :]))
+    low, high = (_passing(samples, baseline, steady, share, max(first - 1, 0)) for share in (0.1, 0.9))
+    return Location(first, low, high, baseline, steady, noise, resolution)
+
+
+def _passing(samples: FloatArray, baseline: float, steady: float, share: float, start: int) -> float:
+    """Return where samples first pass a share of the change after `start`, between samples by a straight line.
+
+    So many samples in a row must have passed that noise does not.
+    """
+    change = steady - baseline
+    relative = (samples[start:] - baseline) / change if change else np.zeros(len(samples) - start)
+    runs = np.convolve(relative >= share, np.ones(_RUN))[_RUN - 1 :]
+    above = np.flatnonzero(runs[: len(relative)] >= _RUN)
+    if not above.size:
+        return float(len(samples) - 1)
+    place = int(above[0])
+    if place == 0:
+        return float(start)
+    return start + place - 1 + float((share - relative[place - 1]) / (relative[place] - relative[place - 1]))
+
+
+def _resolution(samples: FloatArray) -> float:
+    """Return the smallest difference between two values that occur, 0 where all are the same."""
+    steps = np.diff(np.unique(samples))
+    return float(steps.min()) if steps.size else 0.0
+
+
+# Levels before and after a release, and whether the record holds all of it.
+
+
+_OUTSIDE = 12.0  # resolutions that the record falls off beside a cut peak; the top of a wave falls off by 9 at most
+_NOISE = 6.0
+
+
+@dataclass(frozen=True)
+class Level:
+    """A level with standard uncertainty, the standard deviation of the samples about it (and about what rings), and
+    how much it drifts over the samples, over the standard uncertainty of that (`drift`)."""
+
+    value: float
+    u: float
+    noise: float
+    drift: float
+    drift_over_u: float
+
+
+def rest_level(samples: FloatArray, resolution: float) -> Level:
+    """Return the mean of samples (N,) at rest; the uncertainty holds their correlation and the last digit."""
+    return ringing_level(samples, np.zeros(0, dtype=np.complex128), resolution)
+
+
+def ringing_level(samples: FloatArray, poles: ComplexArray, resolution: float) -> Level:
+    """Return the level about which samples (N,) ring, by least squares with decays of upper poles (M,) per sample."""
+    count = len(samples)
+    place = np.arange(count, dtype=np.float64)
+    decays = np.exp(np.outer(place, poles))
+    middle = (place - place.mean()) / count
+    columns = np.concatenate([np.ones((count, 1)), decays.real, decays.imag], axis=1)
+    value, u, residual = _fitted(columns, samples, 0)
+    drift, u_drift, _ = _fitted(np.concatenate([columns, middle[:, None]], axis=1), samples, columns.shape[1])
+    least = resolution / np.sqrt(12.0)
+    noise = float(np.sqrt(residual @ residual / max(count - columns.shape[1], 1)))
+    digit = least if noise < least else 0.0  # without noise the last digit is the same in all samples
+    return Level(value, float(np.hypot(u, digit)), max(noise, least), drift, drift / max(u_drift, digit, 1e-300))
+
+
+def _fitted(columns: FloatArray, samples: FloatArray, wanted: int) -> tuple[float, float, FloatArray]:
+    """Return one coefficient with standard uncertainty, and the residual (N,)."""
+    size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    inverse = np.linalg.pinv((columns / size).T @ (columns / size), rcond=1e-12, hermitian=True)
+    linear = inverse @ ((columns / size).T @ samples)
+    residual = samples - (columns / size) @ linear
+    variance = float(residual @ residual) / max(len(samples) - columns.shape[1], 1) * correlation_factor(residual)
+    return (
+        float(linear[wanted] / size[wanted]),
+        float(np.sqrt(variance * inverse[wanted, wanted]) / size[wanted]),
+        residual,
+    )
+
+
+def correlation_factor(residual: FloatArray) -> float:
+    """Return by how much correlation enlarges the variance of a mean over that of white noise, at least 1.
+
+    1 + 2Σρ over lags until a pair of neighbouring ones no longer sums to more than its scatter (Geyer, Stat. Sci. 7,
+    1992).
+    """
+    count = len(residual)
+    centred = residual - residual.mean()
+    power = float(centred @ centred)
+    total, lag = 0.0, 1
+    while power > 0.0 and lag + 1 < count // 2:
+        pair = float(centred[:-lag] @ centred[lag:] + centred[: -lag - 1] @ centred[lag + 1 :]) / power
+        if pair < 2.0 * np.sqrt(2.0 / count):
+            break
+        total, lag = total + pair, lag + 2
+    return max(1.0, 1.0 + 2.0 * total)
+
+
+def clipped(samples: FloatArray, resolution: float, noise: float) -> bool:
+    """Tell whether the largest or smallest value of samples (N,) is a limit that cuts the record.
+
+    A run of equal samples at the top of a wave of resolution q falls off by 9q at most within its own length on either
+    side; a cut one falls off by more.
+    """
+    return any(_cut(sign * samples, resolution, noise) for sign in (1.0, -1.0))
+
+
+def _cut(samples: FloatArray, resolution: float, noise: float) -> bool:
+    """Tell whether the largest value cuts the record."""
+    top = np.concatenate([[False], samples >= samples.max() - 0.25 * resolution, [False]])
+    edges = np.flatnonzero(np.diff(top.astype(np.int8)))
+    for start, end in zip(edges[::2], edges[1::2], strict=True):
+        length = int(end - start)
+        if length < _RUN or start - length < 0 or end + length > len(samples):
+            continue
+        beside = samples.max() - max(samples[start - length], samples[end + length - 1])
+        if beside > _OUTSIDE * resolution + _NOISE * noise:
+            return True
+    return False
+
+
+# What rings after a release: start values of its poles.
+
+
+_POINTS = 240  # samples of the ringing that the pencil takes
+_PER_PERIOD = 8  # of them per period of the highest line
+_LINE = 6.0  # noise levels that a line of the spectrum must stand above
+_SMALL = 3e-3  # share of the highest line below which others are left out
+_MODES = 3
+
+
+def ringing_poles(samples: FloatArray, sample_rate_hz: float, noise: float) -> ComplexArray:
+    """Return the upper poles (M,) in rad/s of a free decay (N,) about zero, the strongest first, none where none rings.
+
+    Matrix pencil (Hua & Sarkar 1990) of block means; the number of modes follows from the singular values above the
+    noise.
+    """
+    highest = _highest_line(samples, sample_rate_hz, noise)
+    if highest is None:
+        return np.zeros(0, dtype=np.complex128)
+    block = max(1, int(sample_rate_hz / (_PER_PERIOD * highest)))
+    count = min(len(samples) // block, _POINTS)
+    means = samples[: count * block].reshape(count, block).mean(axis=1)
+    poles, weights = pencil(means, noise / np.sqrt(block), 2 * _MODES)
+    poles = poles * sample_rate_hz / block
+    upper = (poles.imag > 0) & (np.abs(poles.imag) < 0.9 * np.pi * sample_rate_hz / block)
+    upper &= np.abs(poles.real) < 0.7 * np.abs(poles)
+    order = np.argsort(-np.abs(weights[upper]), kind="stable")
+    return np.asarray(poles[upper][order])
+
+
+def pencil(samples: FloatArray, noise: float, most: int) -> tuple[ComplexArray, ComplexArray]:
+    """Return poles (P,) per sample and weights (P,) of Σ w·exp(p n) in samples (N,), P at most `most`."""
+    length = len(samples) // 3
+    hankel = np.lib.stride_tricks.sliding_window_view(samples, length + 1)
+    _, size, right = np.linalg.svd(hankel, full_matrices=False)
+    # the largest singular value of a white Hankel matrix, about σ(√rows + √columns), is passed by a margin
+    threshold = 1.5 * noise * (np.sqrt(hankel.shape[0]) + np.sqrt(hankel.shape[1]))
+    kept = int(np.clip(np.count_nonzero(size > max(threshold, 1e-9 * size[0])), 2, most))
+    kept += kept % 2
+    basis = right[:kept].T
+    moved = np.linalg.lstsq(basis[:-1], basis[1:], rcond=None)[0]
+    poles = np.log(np.linalg.eigvals(moved).astype(np.complex128))
+    powers = np.exp(np.outer(np.arange(len(samples)), poles))
+    weights = np.linalg.lstsq(powers, samples.astype(np.complex128), rcond=None)[0]
+    return np.asarray(poles), np.asarray(weights)
+
+
+def _highest_line(samples: FloatArray, sample_rate_hz: float, noise: float) -> float | None:
+    """Return the highest frequency at which the spectrum has a line above noise and above a share of the strongest."""
+    count = len(samples)
+    window = np.cos(0.5 * np.pi * np.arange(count) / count) ** 2
+    size = np.abs(np.fft.rfft(samples * window))
+    floor = max(_LINE * noise * float(np.sqrt(np.sum(window**2))), _SMALL * float(size[2:].max(initial=0.0)))
+    inner = size[2:-1]
+    lines = np.flatnonzero((inner > size[1:-2]) & (inner >= size[3:]) & (inner > floor)) + 2
+    return float(lines[-1] * sample_rate_hz / count) if lines.size else None
+
+
+# The spectrum of a response: its first and second peak.
+
+
+_LEVEL = 5.0  # noise levels that a peak must stand above
+_PADDED = 4  # length of the transform over that of the record
+_DIP = 7.0  # noise levels that the spectrum dips by between two peaks
+_SHARE = 1e-3  # of the highest peak below which others are the window's
+_REFINED = 40
+
+
+def response_spectrum(ringing: FloatArray, sample_rate_hz: float) -> Spectrum:
+    """Return the one-sided amplitude spectrum of what rings (N,) about its level, in its unit.
+
+    Weighted with half a Hann window, cos²(πn/2N), which begins with the ringing and ends it softly; a lasting sine
+    shows its amplitude.
+    """
+    window = _window(len(ringing))
+    amplitude = 2.0 * np.abs(np.fft.rfft(ringing * window, _PADDED * len(ringing))) / window.sum()
+    frequency = np.fft.rfftfreq(_PADDED * len(ringing), 1.0 / sample_rate_hz)
+    return Spectrum(np.asarray(frequency, dtype=np.float64), np.asarray(amplitude, dtype=np.float64))
+
+
+def spectrum_peaks(ringing: FloatArray, sample_rate_hz: float, noise: float, most: int = 2) -> tuple[SpectrumPeak, ...]:
+    """Return the `most` highest peaks of `response_spectrum`, in order of frequency, found between its lines.
+
+    At a maximum of |X|², X(f) = Σ w·y·exp(-j2πft), white noise of standard deviation `noise` moves the frequency by
+    -Σ n·c/(|X|²)'' with c = d(|X|²)'/dy, and the amplitude by Re(X* N)/|X|.
+    """
+    spectrum = response_spectrum(ringing, sample_rate_hz)
+    window = _window(len(ringing))
+    size, floor = spectrum.amplitude, 2.0 * noise * float(np.sqrt(np.sum(window**2))) / window.sum()
+    inner = size[1:-1]
+    tops = np.flatnonzero((inner > size[:-2]) & (inner >= size[2:])) + 1
+    tops = tops[(tops >= 2 * _PADDED) & (size[tops] > max(_LEVEL * floor, _SHARE * size.max()))]
+    order: list[int] = []
+    for top in tops[np.argsort(-size[tops], kind="stable")]:
+        if all(_apart(size, top, other, _DIP * floor) for other in order) and len(order) < most:
+            order.append(int(top))
+    found = [
+        _refined(ringing * window, window, sample_rate_hz, float(spectrum.frequency_hz[top]), noise) for top in order
+    ]
+    if not found:
+        return ()
+    _, _, highest, u_highest = found[0]
+    peaks = [
+        SpectrumPeak(
+            f, u_f, float(a / highest), float(np.hypot(u_a / highest, a / highest * u_highest / highest)) if n else 0.0
+        )
+        for n, (f, u_f, a, u_a) in enumerate(found)
+    ]
+    return tuple(sorted(peaks, key=lambda peak: peak.frequency_hz))
+
+
+def _apart(size: FloatArray, top: int, other: int, ripple: float) -> bool:
+    """Tell whether the spectrum dips between two maxima, `top` the lower one, by a third and by more than ripple."""
+    low, high = sorted((int(top), other))
+    return bool(np.min(size[low : high + 1]) < min(size[top] / 1.5, size[top] - ripple))
+
+
+def _refined(
+    weighted: FloatArray, window: FloatArray, sample_rate_hz: float, near_hz: float, noise: float
+) -> tuple[float, float, float, float]:
+    """Return frequency, its standard uncertainty, amplitude and its standard uncertainty of the maximum near a line."""
+    time_s = (np.arange(len(weighted)) - 0.5 * len(weighted)) / sample_rate_hz
+    omega = 2 * np.pi * near_hz
+    limit = np.pi * sample_rate_hz / (_PADDED * len(weighted))
+    for _ in range(_REFINED):
+        turned = np.exp(-1j * omega * time_s)
+        x0, x1, x2 = (np.sum(weighted * turned * (-1j * time_s) ** k) for k in range(3))
+        slope = 2.0 * float(np.real(np.conj(x0) * x1))
+        curvature = 2.0 * float(np.abs(x1) ** 2 + np.real(np.conj(x0) * x2))
+        move = float(np.clip(-slope / curvature, -limit, limit)) if curvature < 0 else float(np.sign(slope)) * limit
+        omega += move
+        if abs(move) < 1e-9 * omega:
+            break
+    by_sample = 2.0 * np.real(window * turned * (np.conj(x0) * (-1j * time_s) + np.conj(x1)))
+    by_size = np.real(np.conj(x0) * window * turned) / abs(x0)
+    scale = 2.0 / window.sum()
+    u_omega = noise * float(np.linalg.norm(by_sample)) / abs(curvature)
+    u_size = noise * float(np.linalg.norm(by_size)) * scale
+    return omega / (2 * np.pi), u_omega / (2 * np.pi), float(abs(x0)) * scale, u_size
+
+
+def _window(count: int) -> FloatArray:
+    """Return half a Hann window (N,) that begins at 1."""
+    return np.asarray(np.cos(0.5 * np.pi * np.arange(count) / count) ** 2)

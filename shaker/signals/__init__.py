@@ -1,1 +1,0 @@
-"""Time base, sines, spectra: from recorded channels to phasors."""

@@ -1,0 +1,1 @@
+"""Sine approximation at exact times, also far below the Nyquist rate."""

@@ -1,0 +1,402 @@
+"""Sine approximation over exact times, and its stationarity over blocks of whole periods."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Notice, check_shape
+from shaker.lines.aliasing import MAX_CONDITION, alias_frequency, sampling_grid, separation_bins, sine_columns
+from shaker.sine.noise import LineNoise, line_noise
+from shaker.sine.normal_equations import (
+    Columns,
+    Samples,
+    SineSolution,
+    Timeline,
+    Times,
+    Tones,
+    UniformTimes,
+    as_complex,
+    check_samples,
+    solve_sines,
+    timeline,
+)
+from shaker.sine.solve import (
+    Estimate,
+    Remainder,
+    SineFit,
+    SineModel,
+    System,
+    estimate,
+    factor_of,
+    find_spikes,
+    frequency_step,
+    moved,
+    noise_at_lines,
+    phasors_at_zero,
+    remainder,
+    spike_limit,
+    spike_notice,
+)
+
+# Sine approximation: complex amplitudes, frequencies and decay rates of lines in samples at arbitrary times.
+
+
+_PLAIN = SineModel()
+_ROUNDING = 1e-15  # of a channel's lines: no residual is known better
+_SCAN = 1 << 14  # rows looked through at a time
+
+
+def fit_sines(
+    time_s: Times,
+    values: FloatArray,
+    frequency_hz: FloatArray,
+    channels: Sequence[str],
+    unit: Sequence[str],
+    *,
+    model: SineModel = _PLAIN,
+    variance: FloatArray | None = None,
+    robust: bool = False,
+) -> SineFit:
+    """Fit offset, lines (K,) and what `model` adds to `values` (S, C) at `time_s` (S,) by least squares.
+
+    The three-parameter fit of IEEE 1057 and method 3 of ISO 16063-11 for any number of lines and channels at once,
+    above or below the Nyquist rate alike; with free frequencies the four-parameter fit, its frequencies common to all
+    channels. Rows with a NaN in any channel are dropped. `variance` (S,) or (S, C): noise variances of the samples, up
+    to a common factor for each channel. `robust` leaves out rows whose residual stands out of the noise so far that
+    Gaussian noise loses none in 99 of 100 records, and names them.
+
+    The covariance of a line is (XᵀX)⁻¹ ⊗ Σ with the residuals' covariance Σ = F·Fᵀ (C, C), plus what frequency and
+    decay add. Where the times lie on a grid and the record is long enough, Σ = F·diag(S)·Fᵀ instead, S the spectral
+    density around the line's alias of the series F⁻¹·residual: noise counts where it acts, and combinations of channels
+    that are known better than each channel keep their own.
+
+    Uniform records above 10⁵ samples pass through block by block; neither columns nor residual are ever held.
+    """
+    _check_arguments(time_s, values, frequency_hz, channels, unit)
+    present = _present(values)
+    samples = Samples(timeline(time_s, present), values, _root(values, variance, present))
+    names = (tuple(channels), tuple(unit))
+    where = ", ".join(channels)
+    notices: tuple[Notice, ...] = ()
+    if present is not None:
+        missing = len(time_s) - int(np.count_nonzero(present))
+        notices = (Notice("info", f"{missing} of {len(time_s)} samples are missing", where),)
+    check_samples(samples.count, _parameters(frequency_hz, model))
+    if not robust:
+        return _fitted(time_s, samples, frequency_hz, model, names, notices)
+    spikes = find_spikes(samples, frequency_hz, model)
+    if spikes.any():
+        limit = spike_limit(samples, len(frequency_hz), model)
+        first_s = float(_written_out(time_s)[np.argmax(spikes)])
+        notices += (spike_notice(spikes, samples, limit, first_s, where),)
+        samples = samples.without(spikes)
+    check_samples(samples.count, _parameters(frequency_hz, model))
+    return replace(_fitted(time_s, samples, frequency_hz, model, names, notices), spikes=np.flatnonzero(spikes))
+
+
+def _fitted(
+    time_s: Times,
+    samples: Samples,
+    frequency_hz: FloatArray,
+    model: SineModel,
+    names: tuple[tuple[str, ...], tuple[str, ...]],
+    notices: tuple[Notice, ...],
+) -> SineFit:
+    """Fit the samples kept, and turn parameters about the middle of the record into the result."""
+    lines, unknown = len(frequency_hz), model.exponents(frequency_hz)
+    columns, system, coefficients = estimate(samples, frequency_hz, model)
+    left = remainder(samples, columns, coefficients)
+    held_s = _written_out(time_s) if left.held is not None else None
+    found, dof, rms = _final(samples, columns, system, coefficients, left, unknown, held_s)
+    covariance = found.exponent_covariance()
+    change = found.linear_change()[2 * lines]
+    spread = found.system.spread()[:, :, 2 * lines, 2 * lines]
+    middle = samples.timeline.middle_s
+    return SineFit(
+        phasors=phasors_at_zero(found, covariance, _to_zero(found.tones, samples.timeline), middle, dof[:lines], names),
+        offset=found.coefficients[2 * lines],
+        offset_covariance=spread * found.noise_between(lines, lines) + change @ covariance @ change.T,
+        drift_per_s=found.coefficients[2 * lines + 1] if model.drift else np.zeros(len(names[0])),
+        middle_s=middle,
+        u_frequency_hz=np.sqrt(np.einsum("kq,qr,kr->k", unknown.imag, covariance, unknown.imag)) / (2.0 * np.pi),
+        decay_per_s=found.tones.decay_per_s,
+        u_decay_per_s=np.sqrt(np.einsum("kq,qr,kr->k", unknown.real, covariance, unknown.real)),
+        residual_rms=rms,
+        spikes=np.zeros(0, dtype=np.int64),
+        condition=system.condition,
+        notices=notices,
+    )
+
+
+def _final(
+    samples: Samples,
+    columns: Columns,
+    system: System,
+    coefficients: FloatArray,
+    left: Remainder,
+    unknown: ComplexArray,
+    time_s: FloatArray | None,
+) -> tuple[Estimate, FloatArray, FloatArray]:
+    """Take the last step on the exact residual; return the estimate, degrees of freedom (K + 1,) and rms (C,)."""
+    lines, channels = len(columns.tones.frequency_hz), samples.values.shape[1]
+    free = samples.count - system.linear - unknown.shape[1] / channels
+    change = system.coefficients(left.right)
+    gained = left.right[: system.linear].T @ change
+    power = left.power - (gained + gained.T) / 2.0
+    power += np.diag(np.maximum(0.0, -power.diagonal()))
+    factor, whitening = factor_of(power / free)
+    noise = noise_at_lines(samples, columns, left, whitening, time_s)
+    if noise is None:
+        noise = LineNoise(np.ones((lines + 1, channels)), np.full(lines + 1, free))
+    tones, total = columns.tones, coefficients + change
+    step = None
+    if unknown.shape[1]:
+        value = as_complex(coefficients, lines)
+        rounding = (_ROUNDING * np.abs(value).max(axis=0)) ** 2
+        step = frequency_step(system, left.right, value, unknown, np.maximum(power.diagonal() / free, rounding))
+        tones = moved(tones, unknown, step.change)
+    found = Estimate(tones, total, system, factor, noise.variance, unknown, step)
+    if step is not None:
+        found = replace(found, coefficients=total + found.linear_change() @ step.change)
+    return found, np.minimum(noise.dof, free), np.sqrt(power.diagonal() / samples.count)
+
+
+def _to_zero(tones: Tones, times: Timeline) -> ComplexArray:
+    """Return exp(-s·t) (K,), which takes phasors from the middle t of the record to time zero."""
+    turns = np.array([times.middle_turns(float(f)) for f in tones.frequency_hz])
+    return np.asarray(np.exp(tones.decay_per_s * times.middle_s - 2j * np.pi * turns))
+
+
+def _parameters(frequency_hz: FloatArray, model: SineModel) -> int:
+    """Return the number of parameters of one channel."""
+    return 2 * len(frequency_hz) + (2 if model.drift else 1) + int(model.exponents(frequency_hz).shape[1])
+
+
+def _present(values: FloatArray) -> BoolArray | None:
+    """Return which rows (S,) have finite values in all channels, None where all have."""
+    parts = [slice(first, first + _SCAN) for first in range(0, len(values), _SCAN)]
+    with np.errstate(over="ignore", invalid="ignore"):
+        if all(np.isfinite(np.sum(values[part])) for part in parts):
+            return None
+    present = np.concatenate([np.isfinite(values[part]).all(axis=1) for part in parts])
+    return None if present.all() else present
+
+
+def _root(values: FloatArray, variance: FloatArray | None, present: BoolArray | None) -> FloatArray | None:
+    """Return weights 1/σ (S,) or (S, C) with mean square one over the rows present, zero elsewhere; None for ones."""
+    if variance is None:
+        return None if present is None else present.astype(np.float64)
+    if variance.shape not in (values.shape, values.shape[:1]):
+        expected = f"an array of shape {values.shape[:1]} or {values.shape}"
+        raise ValueError(f"variance: expected {expected}, found {variance.shape}")
+    kept = np.ones(len(values), dtype=np.bool_) if present is None else present
+    if not np.all((variance[kept] > 0.0) & np.isfinite(variance[kept])):
+        raise ValueError("variance: expected positive numbers, found others")
+    root = np.zeros(variance.shape)
+    root[kept] = 1.0 / np.sqrt(variance[kept])
+    return np.asarray(root / np.sqrt(np.mean(root[kept] ** 2, axis=0)))
+
+
+def _written_out(time_s: Times) -> FloatArray:
+    """Return the times as an array."""
+    return time_s.array() if isinstance(time_s, UniformTimes) else time_s
+
+
+def _check_arguments(
+    time_s: Times, values: FloatArray, frequency_hz: FloatArray, channels: Sequence[str], unit: Sequence[str]
+) -> None:
+    """Refuse arrays that do not belong together."""
+    if not isinstance(time_s, UniformTimes):
+        check_shape("time_s", time_s, (None,))
+        if not np.all(np.isfinite(time_s)):
+            raise ValueError(f"time_s: expected finite times, found {int(np.sum(~np.isfinite(time_s)))} that are not")
+    check_shape("values", values, (len(time_s), len(channels)))
+    check_shape("frequency_hz", frequency_hz, (None,))
+    if len(unit) != len(channels):
+        raise ValueError(f"unit: expected {len(channels)} units, one per channel, found {len(unit)}")
+
+
+# Whether amplitude and phase of lines stay the same through a record, from blocks of whole periods.
+
+
+MAX_BLOCKS = 10
+_UNUSED = 0.02  # of the record may be left over for the sake of more blocks
+_APART = 8.0  # bins between lines from which on a drift can be taken off without touching their noise
+_SLOPES = ("amplitude_per_s", "u_amplitude_per_s", "phase_rad_per_s", "u_phase_rad_per_s", "p_value")
+_NOISE_SAMPLES = 1 << 17  # of a longer record no more are needed for its noise density
+
+
+@dataclass(frozen=True)
+class Stationarity:
+    """Phasors of K lines in C channels over B blocks of a record, and what they say of a drift.
+
+    `time_s` (B,) middles of the blocks, of `block_s` each; `periods`, how many of the first line's periods a block
+    holds (below twice its frequency, those of its alias), `whole` whether that is a whole number. `value` (B, K, C),
+    referred to time zero as those of the whole record, with `u` (B, K, C), standard uncertainty of either part.
+    `amplitude_per_s` and `phase_rad_per_s` (K, C): slope of a straight line through the blocks, with their `u_`.
+    `p_value` (K, C): how often noise alone moves the blocks that far from their mean.
+    """
+
+    frequency_hz: FloatArray
+    channels: tuple[str, ...]
+    time_s: FloatArray
+    block_s: float
+    periods: float
+    whole: bool
+    value: ComplexArray
+    u: FloatArray
+    amplitude_per_s: FloatArray
+    u_amplitude_per_s: FloatArray
+    phase_rad_per_s: FloatArray
+    u_phase_rad_per_s: FloatArray
+    p_value: FloatArray
+
+    def __post_init__(self) -> None:
+        lines, channels = len(self.frequency_hz), len(self.channels)
+        check_shape("time_s", self.time_s, (None,))
+        for name in ("value", "u"):
+            check_shape(name, getattr(self, name), (len(self.time_s), lines, channels))
+        for name in _SLOPES:
+            check_shape(name, getattr(self, name), (lines, channels))
+
+    @property
+    def length_s(self) -> float:
+        """Time from the beginning of the first block to the end of the last."""
+        return float(self.time_s[-1] - self.time_s[0]) + self.block_s
+
+    def select(self, channel: str) -> Stationarity:
+        """Return one channel."""
+        if channel not in self.channels:
+            raise ValueError(f"channel: expected one of {', '.join(self.channels)}, found {channel}")
+        place = self.channels.index(channel)
+        names = ("value", "u", *_SLOPES)
+        chosen = {name: getattr(self, name)[..., place : place + 1] for name in names}
+        return replace(self, channels=(channel,), **chosen)
+
+
+def stationarity(
+    time_s: FloatArray, values: FloatArray, frequency_hz: FloatArray, channels: Sequence[str]
+) -> Stationarity | None:
+    """Fit the lines (K,) to blocks of `values` (S, C) at ascending times (S,), the blocks holding whole periods.
+
+    The periods are those of the first line's alias, so that beyond the Nyquist rate a block holds whole beats; where
+    the record has fewer than two, its halves are the blocks. At most ten blocks. Phasors of a block come from the fit
+    of all lines and an offset to its samples, their noise from the density around each line of what the whole record's
+    fit leaves, without the sidebands that a drift makes. The test is that of Fisher for 2(B - 1) real residuals about
+    the weighted mean. None where the blocks are too short to tell the lines apart. Rows with a NaN are left out.
+    """
+    check_shape("time_s", time_s, (None,))
+    check_shape("values", values, (len(time_s), len(channels)))
+    present = np.isfinite(values).all(axis=1)
+    time, data = (time_s, values) if present.all() else (time_s[present], values[present])
+    block_s, periods, whole = _block_length(time, frequency_hz)
+    blocks = _blocks(time, block_s)
+    found = [_solved(time[rows], data[rows], frequency_hz) for rows in blocks]
+    solved = [solution for solution in found if solution is not None]
+    if len(solved) < len(blocks):
+        return None
+    value, spread = _phasors(solved, [rows.stop - rows.start for rows in blocks], len(frequency_hz))
+    variance, dof = _noise(time, data, frequency_hz)
+    u = np.sqrt(spread[:, :, None] * variance[None])
+    middle = np.array([time[rows].mean() for rows in blocks])
+    amplitude, phase, p_value = _course(middle, value, u, dof)
+    return Stationarity(
+        frequency_hz, tuple(channels), middle, block_s, periods, whole, value, u, *amplitude, *phase, p_value
+    )
+
+
+def _block_length(time: FloatArray, frequency_hz: FloatArray) -> tuple[float, float, bool]:
+    """Return length of a block in s, the first line's periods in it, and whether these are whole."""
+    grid = sampling_grid(time)
+    if grid is None:
+        length, seen_hz = float(time[-1] - time[0]), float(frequency_hz[0])
+    else:
+        length, seen_hz = grid.length / grid.rate_hz, float(alias_frequency(frequency_hz[0], grid.rate_hz))
+    # A tenth of a period more or less is no harm: each block is fitted, not averaged.
+    total = int(np.floor(length * seen_hz + 0.1))
+    if total < 2:
+        return length / 2.0, length * seen_hz / 2.0, False
+    counts = np.arange(2, min(total, MAX_BLOCKS) + 1)
+    used = counts * (total // counts)
+    count = int(np.max(counts[used >= min((1.0 - _UNUSED) * total, used.max())]))
+    periods = total // count
+    return min(periods / seen_hz, length / count), float(periods), True
+
+
+def _blocks(time: FloatArray, block_s: float) -> list[slice]:
+    """Return the rows of each block, the blocks in the middle of the record."""
+    interval = float(time[-1] - time[0]) / (len(time) - 1)
+    length = float(time[-1] - time[0]) + interval
+    count = int(np.floor(length / block_s * (1.0 + 1e-9)))
+    start = float(time[0]) - interval / 2.0 + (length - count * block_s) / 2.0
+    edges: IntArray = np.searchsorted(time, start + block_s * np.arange(count + 1))
+    return [slice(int(low), int(high)) for low, high in pairwise(edges)]
+
+
+def _solved(time: FloatArray, data: FloatArray, frequency_hz: FloatArray) -> SineSolution | None:
+    """Fit all lines to one block, None where it cannot tell them apart."""
+    columns = sine_columns(time, frequency_hz)
+    if len(columns) <= columns.shape[1]:
+        return None
+    try:
+        solution = solve_sines(columns, data)
+    except ValueError:
+        return None
+    return solution if solution.condition <= MAX_CONDITION else None
+
+
+def _phasors(solved: Sequence[SineSolution], samples: Sequence[int], lines: int) -> tuple[ComplexArray, FloatArray]:
+    """Return the phasors (B, K, C) and the variance (B, K) of their parts for noise of variance 1."""
+    scale = np.sqrt(2.0 / np.array(samples, dtype=np.float64))
+    parts = np.array([solution.coefficients[: 2 * lines] for solution in solved])
+    value = scale[:, None, None] * (parts[:, 0::2] - 1j * parts[:, 1::2])
+    inverse = np.array([np.diag(solution.inverse)[: 2 * lines] for solution in solved])
+    return value, scale[:, None] ** 2 * (inverse[:, 0::2] + inverse[:, 1::2]) / 2.0
+
+
+def _noise(time: FloatArray, data: FloatArray, frequency_hz: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the noise variance (K, C) around the lines, and its degrees of freedom (K,), from the record's middle."""
+    first = max(0, (len(time) - _NOISE_SAMPLES) // 2)
+    time, data = time[first : first + _NOISE_SAMPLES], data[first : first + _NOISE_SAMPLES]
+    columns, lines, grid = sine_columns(time, frequency_hz), len(frequency_hz), sampling_grid(time)
+    if grid is not None and separation_bins(frequency_hz, grid.rate_hz, grid.length) >= _APART:
+        # A drift of amplitude and phase makes skirts around each line that would count as noise.
+        span = np.sqrt(3.0) * (2.0 * (time - time[0]) / (time[-1] - time[0]) - 1.0)
+        columns = np.hstack([columns, columns[:, : 2 * lines] * span[:, None]])
+    solution = solve_sines(columns, data)
+    residual, free = solution.residual, float(len(time) - len(solution.coefficients))
+    if grid is not None:
+        line_bin = alias_frequency(frequency_hz, grid.rate_hz) * grid.length / grid.rate_hz
+        noise = line_noise(grid.filled(residual), len(time), line_bin, blocks=False)
+        if noise is not None:
+            return noise.variance, np.minimum(noise.dof, free)
+    return np.tile(np.sum(residual**2, axis=0) / free, (lines, 1)), np.full(lines, free)
+
+
+_Slope = tuple[FloatArray, FloatArray]
+
+
+def _course(
+    middle: FloatArray, value: ComplexArray, u: FloatArray, dof: FloatArray
+) -> tuple[_Slope, _Slope, FloatArray]:
+    """Return the slopes of amplitude and phase with their uncertainty (K, C), and the chance of such blocks."""
+    from scipy.stats import f
+
+    tiny = np.finfo(np.float64).tiny
+    weight = 1.0 / np.maximum(u**2, tiny)
+    mean = np.sum(weight * value, axis=0) / np.sum(weight, axis=0)
+    # Along the mean phasor the change of amplitude, across it that of phase times amplitude.
+    turned = (value - mean) * np.exp(-1j * np.angle(mean))
+    chi2 = np.sum(weight * np.abs(turned) ** 2, axis=0)
+    free = 2.0 * (len(middle) - 1)
+    centred = middle[:, None, None] - np.sum(weight * middle[:, None, None], axis=0) / np.sum(weight, axis=0)
+    spread = np.sum(weight * centred**2, axis=0)
+    slope = np.sum(weight * centred * turned, axis=0) / spread
+    u_slope = 1.0 / np.sqrt(spread)
+    size = np.maximum(np.abs(mean), tiny)
+    p_value = np.asarray(f.sf(chi2 / free, free, dof[:, None]))
+    return (slope.real, u_slope), (slope.imag / size, u_slope / size), p_value

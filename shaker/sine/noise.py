@@ -1,0 +1,374 @@
+"""The noise of a line: spectral density of what remains around it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, check_shape
+
+# Sines that stand out beside lines, and straight-line changes of the lines, taken off before noise is read.
+
+
+OFFSET_BIN = 0.5  # a place up to here is that of the offset
+TONE_CLEARANCE = 1.9  # bins beside a line within which a peak is the line's own unrest
+_TONE_LIMIT = 9.2  # height of a sine over the level: exceeded by pure noise once in 10⁴ places
+_TONES = 16  # sines and changes that are looked for
+
+LevelOf = Callable[[ComplexArray], FloatArray]
+
+
+@dataclass(frozen=True)
+class WithoutTones:
+    """What is left of ordinates (K, M, C) near lines (K,) when tones have been taken off.
+
+    `rest` (K, M, C) without sines and changes of the lines, `steady` (K, M, C) without the changes only, `leaked`
+    (K, C) the power that the sines have left in the fitted lines.
+    """
+
+    rest: ComplexArray
+    steady: ComplexArray
+    leaked: FloatArray
+
+    def __post_init__(self) -> None:
+        check_shape("steady", self.steady, self.rest.shape)
+        check_shape("leaked", self.leaked, (self.rest.shape[0], self.rest.shape[2]))
+
+
+def take_tones_off(
+    ordinates: ComplexArray, bins: FloatArray, line_bin: FloatArray, length: int, level_of: LevelOf
+) -> WithoutTones:
+    """Take sines and straight-line changes of lines (K,) at fractional bins off ordinates (K, M, C) at bins (K, M).
+
+    The ordinates, DFT over the root of the number of samples, are those near each line of a record of `length`
+    samples. Sines on and between bins and what a line's straight-line change makes are compared by their height over
+    the noise level that `level_of` reads from the ordinates (K, M, C), and the highest goes first, until pure noise
+    would be as high (Högbom 1974, CLEAN, one channel and line at a time).
+    """
+    rest, changed = ordinates.copy(), np.zeros_like(ordinates)
+    leaked = np.zeros((len(bins), ordinates.shape[2]))
+    places = line_bin[line_bin > OFFSET_BIN]
+    for _ in range(_TONES):
+        level = level_of(rest)
+        place, height = _highest_peak(rest, level, bins, line_bin)
+        change, drift_height = _highest_change(rest, level, bins, places, length)
+        drifts = (drift_height > height) & (drift_height > _TONE_LIMIT)
+        peaks = (height >= drift_height) & (height > _TONE_LIMIT)
+        if not (drifts.any() or peaks.any()):
+            break
+        where, top = _sine_at(rest, place, bins, length)
+        top = np.where(peaks, top, 0.0)
+        change = np.where(drifts[:, None, :], change, 0.0)
+        leaked += np.abs(_sine(line_bin[:, None], where, top, length)) ** 2
+        rest -= change + _sine(bins[:, :, None], where[:, None, :], top[:, None, :], length)
+        changed += change
+    return WithoutTones(rest, ordinates - changed, leaked)
+
+
+def _highest_peak(
+    ordinates: ComplexArray, level: FloatArray, bins: FloatArray, line_bin: FloatArray
+) -> tuple[IntArray, FloatArray]:
+    """Return the index (K, C) of the lower of the two ordinates where a sine stands highest, and its height there.
+
+    Ordinates on a bin and, as half the squared difference of neighbours, between two bins are standard exponential
+    variables over the level where there is no sine. Near a line a peak is the line's own unrest.
+    """
+    relative = ordinates / np.sqrt(level)
+    between = np.abs(relative[:, 1:] - relative[:, :-1]) ** 2 / 2.0
+    height = np.maximum(between, np.maximum(np.abs(relative[:, 1:]) ** 2, np.abs(relative[:, :-1]) ** 2))
+    away = np.abs(bins[:, None, :] - line_bin[None, :, None]).min(axis=1) > TONE_CLEARANCE
+    allowed = (np.diff(bins, axis=1) == 1.0) & away[:, :-1] & away[:, 1:]
+    height = np.where(allowed[:, :, None], height, 0.0)
+    # Of the two pairs that an ordinate belongs to, the one with the higher partner.
+    pair = np.abs(relative[:, 1:]) ** 2 + np.abs(relative[:, :-1]) ** 2
+    top = height.max(axis=1, keepdims=True)
+    place = np.argmax(np.where(height >= top, pair, -1.0), axis=1)
+    return place, top[:, 0]
+
+
+def _sine_at(
+    ordinates: ComplexArray, place: IntArray, bins: FloatArray, length: int
+) -> tuple[FloatArray, ComplexArray]:
+    """Return place in bins and transform (K, C) of the sine between the ordinates `place` and the next.
+
+    For a rectangular window these are as 1/distance from it, of opposite sign.
+    """
+    low = np.take_along_axis(ordinates, place[:, None, :], axis=1)[:, 0]
+    high = np.take_along_axis(ordinates, place[:, None, :] + 1, axis=1)[:, 0]
+    difference = high - low
+    share = np.clip((high / np.where(difference == 0.0, 1.0, difference)).real, 0.0, 1.0)
+    where = np.take_along_axis(bins[:, :, None], place[:, None, :], axis=1)[:, 0] + share
+    before, after = _kernel(-share, length), _kernel(1.0 - share, length)
+    top = (low * before.conj() + high * after.conj()) / (np.abs(before) ** 2 + np.abs(after) ** 2)
+    return where, np.asarray(top)
+
+
+def _highest_change(
+    ordinates: ComplexArray, level: FloatArray, bins: FloatArray, places: FloatArray, length: int
+) -> tuple[ComplexArray, FloatArray]:
+    """Return what the straight-line change of a line that stands highest makes (K, M, C), and its height (K, C)."""
+    best, height = np.zeros_like(ordinates), np.zeros((len(bins), ordinates.shape[2]))
+    for place in places:
+        near = (bins[:, 0] < place) & (place < bins[:, -1])
+        ramp = np.where(near[:, None], _ramp_kernel(bins - place, length), 0.0)[:, :, None]
+        seen = np.sum(np.abs(ramp) ** 2 / level, axis=1)
+        size = np.sum(ramp.conj() * ordinates / level, axis=1) / np.where(near[:, None], seen, 1.0)
+        own = np.abs(size) ** 2 * seen
+        size = size[:, None, :]
+        made = size * ramp + size.conj() * _ramp_kernel(bins + place, length)[:, :, None]
+        best = np.where((own > height)[:, None, :], made, best)
+        height = np.maximum(own, height)
+    return best, height
+
+
+def _sine(bins: FloatArray, place: FloatArray, top: ComplexArray, length: int) -> ComplexArray:
+    """Return the transform at `bins` of a real sine: `top` at its place, and its image below zero."""
+    return np.asarray(top * _kernel(bins - place, length) + top.conj() * _kernel(bins + place, length))
+
+
+def _kernel(distance: FloatArray, length: int) -> ComplexArray:
+    """Return the transform of a complex sine of `length` samples at `distance` bins from it, 1 at its place."""
+    turn = np.exp(-1j * np.pi * distance * (1.0 - 1.0 / length))
+    return np.asarray(np.sinc(distance) / np.sinc(distance / length) * turn)
+
+
+def _ramp_kernel(distance: FloatArray, length: int) -> ComplexArray:
+    """Return the transform of a complex sine that grows from -1 to 1 over the record, at `distance` bins from it."""
+    angle = np.pi * distance
+    size = (np.cos(angle) - np.sinc(distance)) / np.where(angle == 0.0, 1.0, angle)
+    return np.asarray(1j * size * np.exp(-1j * angle * (1.0 - 1.0 / length)))
+
+
+# The noise that disturbs a line: spectral density of the residual around it.
+
+
+_NEIGHBOURS = 96  # bins from which the noise around a line is estimated
+_MIN_NEIGHBOURS = 12
+_CLEARANCE = 0.75  # bins beside a line that its own fit has emptied
+# Shapes that the noise may have: S(j) = s·(1 + (corner/j)^exponent), the corner in bins.
+# With a corner below four bins a steep one differs from white noise in the first ordinates only, which tell too little.
+_CORNERS = {1.0: 2.0 ** np.arange(0, 10), 2.0: 2.0 ** np.arange(2, 10), 3.0: 2.0 ** np.arange(2, 10)}
+_WHITE_WEIGHT = 0.25  # prior weight of white noise; the exponents share the rest
+_BLOCK_BINS = 4  # ordinates nearest to a line, which say what blocks of the record scatter by
+_BLOCK_LIMIT = 3.27  # their mean over the level: exceeded by pure noise once in 1000 lines
+_NEWTON_STEPS = 30
+_NOTHING = 1e-77  # power of an ordinate below which there is no noise
+
+
+@dataclass(frozen=True)
+class LineNoise:
+    """Variance that a white series would need to disturb each line as the actual noise does.
+
+    `variance` (K, C) in the squared unit of the samples, `dof` (K,) of the estimate.
+    """
+
+    variance: FloatArray
+    dof: FloatArray
+
+
+@dataclass(frozen=True)
+class _Levels:
+    """What `count` ordinates (K, M, C) say of N shapes: `shape` (K, N, M), `weight` and `scale` (K, N, C)."""
+
+    shape: FloatArray
+    weight: FloatArray
+    scale: FloatArray
+    count: int
+
+    @property
+    def mean(self) -> FloatArray:
+        """Level at the bins, (K, M, C)."""
+        return np.asarray(self.shape.swapaxes(1, 2) @ (self.weight * self.scale))
+
+
+def line_noise(residual: FloatArray, samples: int, line_bin: FloatArray, *, blocks: bool = True) -> LineNoise | None:
+    """Return the noise of lines at fractional bins (K,) from the residual (L, C) of their fit, zero-filled in gaps.
+
+    `samples` is the number of samples present. Sines that stand out between the lines (mains) are no noise: they are
+    taken off, and what they leave in a line is added to its variance. Without `blocks` the noise may be smaller than
+    the scatter between blocks. None where the record has too few bins.
+    """
+    bins = neighbour_bins(len(residual), line_bin)
+    if bins is None:
+        return None
+    # The transposed copy makes every channel's transform contiguous, several times faster for long records.
+    transform = np.fft.rfft(np.ascontiguousarray(residual.T), axis=1)
+    ordinates = np.moveaxis(transform[:, bins], 0, -1) / np.sqrt(samples)
+    return noise_of_ordinates(ordinates, bins.astype(np.float64), line_bin, len(residual), blocks=blocks)
+
+
+def noise_of_ordinates(
+    ordinates: ComplexArray, bins: FloatArray, line_bin: FloatArray, length: int, *, blocks: bool = True
+) -> LineNoise:
+    """Return the noise of lines (K,) from ordinates (K, M, C), DFT over the root of the number of samples, near each.
+
+    As `level_at_lines`, but sines that stand out between the lines are taken off first, and so is what a straight-line
+    change of a line's amplitude and phase makes of it, where that stands out: the mean over the record is as well
+    known as that of a steady line, and `stationarity` tells the change. The noise is no smaller than the scatter
+    between blocks of the record about that straight line, which is the mean of the ordinates nearest to the line,
+    where that is significantly larger. `length`: of the record.
+    """
+    shape = _shapes(bins)
+    found = take_tones_off(
+        ordinates, bins, line_bin, length, lambda rest: _fit_levels(np.abs(rest) ** 2 + _NOTHING, shape).mean
+    )
+    variance, dof, level = _levels_at_lines(np.abs(found.rest) ** 2, bins, line_bin)
+    if blocks:
+        distance = np.abs(bins - line_bin[:, None])
+        # Beside the line a sine may be the line's own unrest; farther off it is another's.
+        near = np.where((distance < TONE_CLEARANCE + 0.5)[:, :, None], found.steady, found.rest)
+        variance, dof = _not_below_blocks(np.abs(near) ** 2, level, distance, variance, dof)
+    return _with_one_dof(variance + found.leaked, dof)
+
+
+def neighbour_bins(length: int, line_bin: FloatArray) -> IntArray | None:
+    """Return the bins (K, M) of a record of `length` samples from which `level_at_lines` reads the noise of lines (K,).
+
+    The nearest to each line, ascending, without those that a fitted line or the mean has emptied; None where there are
+    too few.
+    """
+    # Bin 0 is the offset's and the Nyquist bin of an even length has one quadrature only.
+    bins = np.arange(1, (length + 1) // 2)
+    candidates = bins[_free_bins(bins.astype(np.float64), line_bin)]
+    if len(candidates) < _MIN_NEIGHBOURS:
+        return None
+    count = min(_NEIGHBOURS, len(candidates))
+    return np.stack([np.sort(candidates[_nearest(candidates, j, count)]) for j in line_bin])
+
+
+def level_at_lines(power: FloatArray, bins: FloatArray, line_bin: FloatArray) -> LineNoise:
+    """Return the noise of lines at fractional bins (K,) from periodogram ordinates (K, M, C) at bins (K, M) near each.
+
+    Ordinates are |DFT|² over the number of samples, so that white noise of variance σ² has mean σ². Each is its level
+    S(j) times a standard exponential variable (Whittle's likelihood); S(j) = s·h(j) with shapes h white, 1/f, 1/f² and
+    1/f³ above white noise of various corners. With the prior 1/s a shape has the weight Π 1/h(j)·Q^-M, Q = Σ I(j)/h(j),
+    and s the inverse gamma distribution (M, Q). The noise of the line, s·h(line), is distributed as their mixture, from
+    which come its degrees of freedom and the variance whose 95 % region is that of the mixture: drift and 1/f noise
+    count where they act, as far as they are known. A place up to half a bin is that of the offset.
+    """
+    check_shape("line_bin", line_bin, (None,))
+    check_shape("bins", bins, (len(line_bin), None))
+    check_shape("power", power, (*bins.shape, None))
+    variance, dof, _ = _levels_at_lines(power, bins, line_bin)
+    return _with_one_dof(variance, dof)
+
+
+def _levels_at_lines(
+    power: FloatArray, bins: FloatArray, line_bin: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return variance and degrees of freedom (K, C) at the lines, and the level (K, M, C) at the bins."""
+    # What the fit of the lines has taken away is put back; numbers of any size become moderate ones.
+    top = np.maximum(power.max(axis=1, keepdims=True), _NOTHING)
+    relative = np.maximum(power / top, 1e-30) / (1.0 - _loss(bins, line_bin))[:, :, None]
+    levels = _fit_levels(relative, _shapes(bins))
+    at_line = _shapes(np.maximum(line_bin, OFFSET_BIN)[:, None])[:, :, 0]
+    variance, dof = _mixture(levels, at_line)
+    return variance * top[:, 0], dof, levels.mean * top
+
+
+def _with_one_dof(variance: FloatArray, dof: FloatArray) -> LineNoise:
+    """Give all channels of a line the same degrees of freedom and keep their 95 % regions."""
+    common = 1.0 / np.mean(1.0 / dof, axis=1)
+    return LineNoise(variance * _limit(dof) / _limit(common)[:, None], common)
+
+
+def _free_bins(bins: FloatArray, line_bin: FloatArray) -> BoolArray:
+    """Tell which bins no fitted line has emptied; the offset empties bin 0 only."""
+    free = np.ones(len(bins), dtype=np.bool_)
+    for j in line_bin[line_bin > OFFSET_BIN]:
+        low, high = np.searchsorted(bins, [j - _CLEARANCE, j + _CLEARANCE])
+        free[low:high] = False
+    return free
+
+
+def _nearest(candidates: IntArray, j: float, count: int) -> IntArray:
+    """Return the indices of the `count` candidates nearest to bin j."""
+    place = int(np.searchsorted(candidates, j))
+    low = max(0, min(place - count, len(candidates) - 2 * count))
+    window = np.arange(low, min(len(candidates), low + 2 * count))
+    order = np.argsort(np.abs(candidates[window] - j), kind="stable")
+    return np.asarray(window[order[:count]], dtype=np.int64)
+
+
+def _shapes(bins: FloatArray) -> FloatArray:
+    """Return the shapes (K, N, M) at bins (K, M), white noise first."""
+    place = bins[:, None, :]
+    coloured = [1.0 + (corner[:, None] / place) ** exponent for exponent, corner in _CORNERS.items()]
+    return np.concatenate([np.ones_like(place), *coloured], axis=1)
+
+
+def _prior() -> FloatArray:
+    """Return the prior weights (N,) of the shapes."""
+    share = (1.0 - _WHITE_WEIGHT) / len(_CORNERS)
+    return np.concatenate([[_WHITE_WEIGHT], *(np.full(len(c), share / len(c)) for c in _CORNERS.values())])
+
+
+def _fit_levels(power: FloatArray, shape: FloatArray) -> _Levels:
+    """Return weight and scale of each shape given ordinates (K, M, C)."""
+    count = power.shape[1]
+    total = (1.0 / shape) @ power
+    log_weight = np.log(_prior())[:, None] - np.log(shape).sum(axis=2, keepdims=True) - count * np.log(total)
+    weight = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
+    return _Levels(shape, weight / weight.sum(axis=1, keepdims=True), total / count, count)
+
+
+def _loss(bins: FloatArray, line_bin: FloatArray) -> FloatArray:
+    """Return the share of the noise at bins (K, M) that the fit of the lines has taken away."""
+    distance = bins[None, :, :] - line_bin[line_bin > OFFSET_BIN][:, None, None]
+    return np.asarray(np.minimum(np.sum(np.sinc(distance) ** 2, axis=0), 0.8))
+
+
+def _mixture(levels: _Levels, at_line: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return variance and degrees of freedom (K, C) for the mixture of the level at the line, shapes (K, N) there.
+
+    |error|²/2 over the level is a standard exponential variable, so P(|error|²/2 > r) = Σ w (1 + r/(h·Q))^-M. The
+    degrees of freedom are those of the scaled inverse χ² distribution with the same variance of the logarithm.
+    """
+    count = levels.count
+    total = at_line[:, :, None] * levels.scale * count
+    logs = np.log(total)
+    mean = np.sum(levels.weight * logs, axis=1, keepdims=True)
+    spread = np.sum(levels.weight * (logs - mean) ** 2, axis=1) + _trigamma(np.asarray(float(count)))
+    dof = 2.0 * _inverse_trigamma(spread)
+    log_radius = np.log(3.0 / count) + mean[:, 0]
+    for _ in range(_NEWTON_STEPS):
+        ratio = np.exp(log_radius)[:, None] / total
+        tails = levels.weight * (1.0 + ratio) ** -count
+        tail = tails.sum(axis=1)
+        slope = -np.sum(tails * count * ratio / (1.0 + ratio), axis=1) / tail
+        step = np.log(tail / 0.05) / slope
+        log_radius -= np.clip(step, -1.0, 1.0)
+        if np.max(np.abs(step)) < 1e-6:
+            break
+    return np.exp(log_radius) / _limit(dof), dof
+
+
+def _limit(dof: FloatArray) -> FloatArray:
+    """Return the 95 % point of Fisher's distribution with 2 and `dof` degrees of freedom."""
+    return np.asarray(dof / 2.0 * (0.05 ** (-2.0 / dof) - 1.0))
+
+
+def _trigamma(x: FloatArray) -> FloatArray:
+    """Return ψ'(x) for x ≥ 1 within 2 % (Abramowitz and Stegun, 6.4.12)."""
+    return np.asarray(1.0 / x + 1.0 / (2.0 * x**2) + 1.0 / (6.0 * x**3))
+
+
+def _inverse_trigamma(value: FloatArray) -> FloatArray:
+    """Return x with ψ'(x) = value, at least 1."""
+    x = 1.0 / value + 0.5
+    for _ in range(6):
+        x = np.maximum(x + (_trigamma(x) - value) / (1.0 / x**2 + 1.0 / x**3 + 1.0 / (2.0 * x**4)), 1.0)
+    return x
+
+
+def _not_below_blocks(
+    power: FloatArray, level: FloatArray, distance: FloatArray, variance: FloatArray, dof: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Raise variance (K, C) to the scatter between blocks, of ordinates nearest to the line, where that is larger."""
+    nearest = np.argsort(distance, axis=1, kind="stable")[:, :_BLOCK_BINS, None]
+    relative = np.mean(np.take_along_axis(power / level, nearest, axis=1), axis=1)
+    scatter = np.mean(np.take_along_axis(power, nearest, axis=1), axis=1)
+    unrest = (relative > _BLOCK_LIMIT) & (scatter > variance)
+    return np.where(unrest, scatter, variance), np.where(unrest, np.minimum(dof, 2.0 * _BLOCK_BINS), dof)

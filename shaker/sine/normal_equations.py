@@ -1,0 +1,517 @@
+"""Sampling times, and normal equations of sines over records of any length, in one pass.
+
+Normal equations of damped sines, gathered block by block without a design matrix.
+
+In a block of local times τ around its centre t_b, a line Re{X exp(s·t)}, s = -δ + jω, is Re{X exp(s·t_b) · exp(s·τ)}:
+its columns are those of any other block, turned by exp(s·t_b). Columns of uniform blocks are therefore made once.
+Times are counted from the middle of the record throughout.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from itertools import pairwise
+from math import factorial
+
+import numpy as np
+
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, check_shape
+from shaker.lines.aliasing import condition_number, sine_columns
+
+# Sampling times of a record, cut into blocks whose phases are exact however long the record is.
+
+
+LONG = 1 << 17  # samples from which a record is never copied, and its residual never held
+_BLOCKS = 2048  # blocks of a long record
+_SHORT_BLOCK = 2048  # samples in a block of a short one
+_ROUNDING = 8.0  # units in the last place by which the times of a uniform grid may be off
+
+
+@dataclass(frozen=True)
+class UniformTimes:
+    """Times `start_s` + i / `rate_hz`, i < `samples`, in place of an array that would hold them."""
+
+    start_s: float
+    rate_hz: float
+    samples: int
+
+    def __len__(self) -> int:
+        return self.samples
+
+    def array(self) -> FloatArray:
+        """Return the times (S,) written out."""
+        return np.asarray(self.start_s + np.arange(self.samples) / self.rate_hz)
+
+
+Times = FloatArray | UniformTimes
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """A uniform grid: sample i at `start_s` + i·`interval_s`, both exact; block centres at samples `centre` (B,)."""
+
+    start_s: Fraction
+    interval_s: Fraction
+    middle: int
+    centre: IntArray
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """Times of S samples in B blocks: t = `middle_s` + `centre_s[b]` + local time.
+
+    `edges` (B + 1,) rows at which blocks begin; `local_s` one block's local times where the sampling is uniform
+    (`grid`), those of all samples (S,) where it is not.
+    """
+
+    edges: IntArray
+    middle_s: float
+    centre_s: FloatArray
+    local_s: FloatArray
+    grid: _Grid | None
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return int(self.edges[-1])
+
+    def rows(self, block: int) -> slice:
+        """Return the rows of a block."""
+        return slice(int(self.edges[block]), int(self.edges[block + 1]))
+
+    def local(self, block: int) -> FloatArray:
+        """Return the local times of a block's samples, counted from its centre."""
+        rows = self.rows(block)
+        return self.local_s[: rows.stop - rows.start] if self.grid else self.local_s[rows]
+
+    def is_full(self, block: int) -> bool:
+        """Tell whether a block has the same local times as all other full ones."""
+        return self.grid is not None and self.edges[block + 1] - self.edges[block] == len(self.local_s)
+
+    def turns(self, frequency_hz: float) -> FloatArray:
+        """Return the periods (B,) from the middle of the record to the centre of each block, whole ones taken off.
+
+        On a grid by a phase accumulator of 64 bits (as in a numerically controlled oscillator): 3·10⁶ samples leave
+        no more than 10⁻¹² rad.
+        """
+        if self.grid is None:
+            return np.mod(frequency_hz * self.centre_s, 1.0)
+        step = round(Fraction(frequency_hz) * self.grid.interval_s % 1 * 2**64) % 2**64
+        places = (self.grid.centre - self.grid.middle).view(np.uint64)
+        return np.asarray((places * np.array([step], dtype=np.uint64)) / 2.0**64, dtype=np.float64)
+
+    def middle_turns(self, frequency_hz: float) -> float:
+        """Return the periods from time zero to the middle of the record, whole ones taken off."""
+        if self.grid is None:
+            return float(np.mod(frequency_hz * self.middle_s, 1.0))
+        middle = self.grid.start_s + self.grid.middle * self.grid.interval_s
+        return float(Fraction(frequency_hz) * middle % 1)
+
+
+def timeline(times: Times, kept: BoolArray | None) -> Timeline:
+    """Return the blocks of a record; long ones that are uniform but for rounding become a grid."""
+    if isinstance(times, UniformTimes):
+        return _on_grid(Fraction(times.start_s), 1 / Fraction(times.rate_hz), times.samples)
+    grid = _uniform(times) if len(times) > LONG else None
+    if grid is not None:
+        return _on_grid(*grid, len(times))
+    edges = _edges(len(times))
+    middle = float(np.mean(times if kept is None else times[kept]))
+    local = times - middle
+    centre = np.array([local[a:b].mean() for a, b in pairwise(edges)])
+    local -= np.repeat(centre, np.diff(edges))
+    return Timeline(edges, middle, centre, local, None)
+
+
+def _edges(samples: int) -> IntArray:
+    """Return the rows (B + 1,) at which blocks begin and the last one ends."""
+    length = min(samples, _SHORT_BLOCK) if samples <= LONG else -(-samples // _BLOCKS)
+    return np.append(np.arange(0, samples, max(length, 1)), samples).astype(np.int64)
+
+
+def _on_grid(start_s: Fraction, interval_s: Fraction, samples: int) -> Timeline:
+    """Return the blocks of a uniform grid."""
+    edges = _edges(samples)
+    length = int(edges[1])
+    middle = (samples - 1) // 2
+    centre = edges[:-1] + length // 2
+    interval = float(interval_s)
+    local = np.asarray((np.arange(length) - length // 2) * interval, dtype=np.float64)
+    grid = _Grid(start_s, interval_s, middle, centre)
+    centre_s = np.asarray((centre - middle) * interval, dtype=np.float64)
+    return Timeline(edges, float(start_s + middle * interval_s), centre_s, local, grid)
+
+
+def _uniform(time_s: FloatArray) -> tuple[Fraction, Fraction] | None:
+    """Return start and interval of the grid from which only rounding separates the times; None if something else does.
+
+    The line through the deviations is added exactly, so that what rounding did to single times averages out.
+    """
+    samples = len(time_s)
+    start, interval = float(time_s[0]), float(time_s[-1] - time_s[0]) / (samples - 1)
+    tolerance = _ROUNDING * float(np.spacing(max(abs(float(time_s[0])), abs(float(time_s[-1])))))
+    if not interval > 0.0:
+        return None
+    half = (samples - 1) / 2.0
+    total = moment = 0.0
+    for first in range(0, samples, LONG):
+        index = np.arange(first, min(first + LONG, samples))
+        deviation = time_s[index[0] : index[-1] + 1] - (start + interval * index)
+        if not np.max(np.abs(deviation)) <= tolerance:
+            return None
+        total += float(np.sum(deviation))
+        moment += float(deviation @ (index - half))
+    slope = moment / (samples * (samples**2 - 1.0) / 12.0)
+    first_s = Fraction(start) + Fraction(total / samples) - Fraction(slope) * Fraction(half)
+    return first_s, Fraction(interval) + Fraction(slope)
+
+
+# The noise around lines from the residual of a long uniform record, without ever holding it.
+
+
+_ORDERS = 4  # powers of time per block: 30 bins off in 2048 blocks, they leave 2·10⁻⁷ of an ordinate
+
+
+@dataclass(frozen=True)
+class Demodulator:
+    """Discrete Fourier transform of a record at chosen bins only, (K, M) in K groups of neighbours.
+
+    In each block the record is turned down by the bin in the middle of a group and multiplied by the powers of time of
+    a Taylor series; what remains of the exponential is smooth over a block, so these moments yield all the bins of the
+    group, without the droop and the aliases of a decimation.
+    """
+
+    timeline: Timeline
+    bins: IntArray
+
+    @property
+    def centre(self) -> IntArray:
+        """Bin (K,) to which each group is turned down."""
+        return np.asarray((self.bins.min(axis=1) + self.bins.max(axis=1)) // 2)
+
+    def columns(self) -> FloatArray:
+        """Return the columns (L, 2·K·4) of a full block: cosine and sine, times powers of time from -1 to 1."""
+        length = int(self.timeline.edges[1])
+        place = np.arange(length) - length // 2
+        angle = 2.0 * np.pi * np.mod(np.multiply.outer(place, self.centre) / self.timeline.samples, 1.0)
+        turn = np.stack([np.cos(angle), -np.sin(angle)], axis=1)
+        powers = (place / self._half)[:, None] ** np.arange(_ORDERS)
+        return np.asfortranarray((turn[..., None] * powers[:, None, None, :]).reshape(length, -1))
+
+    def transform(self, moments: FloatArray) -> ComplexArray:
+        """Return the transform (K, M, C) from the blocks' sums (B, 2·K·4, C) of columns times samples."""
+        blocks, _, channels = moments.shape
+        groups, samples = self.bins.shape[0], self.timeline.samples
+        parts = moments.reshape(blocks, 2, groups, _ORDERS, channels)
+        together = parts[:, 0] + 1j * parts[:, 1]
+        centre = self.timeline.edges[:-1] + int(self.timeline.edges[1]) // 2
+        scale = np.array([(-1j) ** m / factorial(m) for m in range(_ORDERS)])
+        found = np.empty((*self.bins.shape, channels), dtype=np.complex128)
+        for k, bins in enumerate(self.bins):
+            # j·n mod N in whole numbers: the phases of the blocks are exact.
+            angle = 2.0 * np.pi * (np.multiply.outer(bins, centre) % samples) / samples
+            change = 2.0 * np.pi * (bins - self.centre[k]) * self._half / samples
+            series = scale * change[:, None] ** np.arange(_ORDERS)
+            kernel = np.exp(-1j * angle)[:, :, None] * series[:, None, :]
+            found[k] = kernel.reshape(len(bins), -1) @ together[:, k].reshape(-1, channels)
+        return found
+
+    @property
+    def _half(self) -> float:
+        """Half the length of a block in samples."""
+        return int(self.timeline.edges[1]) / 2.0
+
+
+# Normal equations of damped sines, gathered block by block without a design matrix.
+
+
+_CHUNK = 1 << 16  # values worked on at a time: they stay in the processor's cache
+
+
+@dataclass(frozen=True)
+class Samples:
+    """What is fitted: `values` (S, C) at the times of `timeline`, rows weighted by `root` (S,) or (S, C), 0 = left out.
+
+    `root` is one over the standard deviation; None stands for ones.
+    """
+
+    timeline: Timeline
+    values: FloatArray
+    root: FloatArray | None
+
+    @property
+    def count(self) -> int:
+        """Number of rows that take part."""
+        return self.timeline.samples if self.root is None else int(np.count_nonzero(self.kept()))
+
+    def kept(self) -> BoolArray:
+        """Return which rows (S,) take part."""
+        if self.root is None:
+            return np.ones(self.timeline.samples, dtype=np.bool_)
+        return np.asarray(self.root > 0.0 if self.root.ndim == 1 else (self.root > 0.0).all(axis=1))
+
+    def without(self, rows: BoolArray) -> Samples:
+        """Return the same samples less some rows (S,)."""
+        if self.root is None:
+            return replace(self, root=(~rows).astype(np.float64))
+        return replace(self, root=np.where(rows if self.root.ndim == 1 else rows[:, None], 0.0, self.root))
+
+    def chunks(self) -> Iterator[Chunk]:
+        """Yield all blocks: those with the same columns side by side, the others alone.
+
+        Few large products instead of many small ones, which threads of the linear algebra would fight over.
+        """
+        times = self.timeline
+        blocks, length, channels = len(times.centre_s), int(times.edges[1]), self.values.shape[1]
+        most = max(1, _CHUNK // (length * channels))
+        for first in range(0, blocks, most):
+            last = min(first + most, blocks)
+            rows = slice(int(times.edges[first]), int(times.edges[last]))
+            if times.is_full(last - 1) and (self.root is None or np.all(self.root[rows] == 1.0)):
+                values = self.values[rows].reshape(last - first, length, channels).transpose(1, 0, 2)
+                yield Chunk(first, last, channels, values.reshape(length, -1), None)
+            else:
+                yield from (self._alone(b) for b in range(first, last))
+
+    def _alone(self, block: int) -> Chunk:
+        """Return one block, its values zero where left out."""
+        rows, channels = self.timeline.rows(block), self.values.shape[1]
+        root = None if self.root is None else self.root[rows].reshape(rows.stop - rows.start, -1)
+        if root is None or np.all(root == 1.0):
+            return Chunk(block, block + 1, channels, self.values[rows], None)
+        gone = (root == 0.0).any(axis=1)
+        return Chunk(block, block + 1, channels, np.where(gone[:, None], 0.0, self.values[rows]), root)
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Blocks `first` to `last` - 1 side by side: `values` (n, B·C), weights `root` (n, 1) or (n, C), None for ones.
+
+    A block with weights stands alone.
+    """
+
+    first: int
+    last: int
+    channels: int
+    values: FloatArray
+    root: FloatArray | None
+
+    def weighted(self, values: FloatArray, power: int) -> FloatArray:
+        """Return values times a power of their weights."""
+        return values if self.root is None else values * self.root**power
+
+    def columns(self, columns: Columns, timeline: Timeline, common: FloatArray) -> FloatArray:
+        """Return the columns of these blocks, `common` those of the first one and all full ones."""
+        shared = self.first == 0 or timeline.is_full(self.first)
+        return common if shared else columns.local(timeline.local(self.first))
+
+    def by_block(self, sums: FloatArray) -> FloatArray:
+        """Return sums (P, B·C) of the blocks as (B, P, C)."""
+        return sums.reshape(len(sums), -1, self.channels).swapaxes(0, 1)
+
+    def side_by_side(self, parts: FloatArray) -> FloatArray:
+        """Return parts (B, P, C) of the blocks as (P, B·C)."""
+        return parts.swapaxes(0, 1).reshape(parts.shape[1], -1)
+
+    def in_order(self, values: FloatArray) -> FloatArray:
+        """Return values (n, B·C) as samples (B·n, C) in the order of time."""
+        return self.by_block(values).reshape(-1, self.channels)
+
+
+@dataclass(frozen=True)
+class Tones:
+    """Frequencies and decay rates (K,) of the lines exp((-δ + 2πjf)·t)."""
+
+    frequency_hz: FloatArray
+    decay_per_s: FloatArray
+
+
+@dataclass(frozen=True)
+class Columns:
+    """The columns of a fit: Re and Im of each of the `tones` in turn, offset, `drift`, and the `slopes`.
+
+    The slopes are the lines' columns times t: what a change of frequency or decay rate does.
+    """
+
+    tones: Tones
+    drift: bool
+    slopes: bool
+
+    @property
+    def linear(self) -> int:
+        """Number of columns without the slopes."""
+        return 2 * len(self.tones.frequency_hz) + (2 if self.drift else 1)
+
+    def local(self, local_s: FloatArray) -> FloatArray:
+        """Return the columns (n, P) at local times (n,)."""
+        tones, lines = self.tones, len(self.tones.frequency_hz)
+        columns = np.empty((len(local_s), self.linear + (2 * lines if self.slopes else 0)), order="F")
+        for k in range(lines):
+            # Whole turns are taken off before the angle is formed, so long records keep their last digits.
+            angle = 2.0 * np.pi * np.mod(tones.frequency_hz[k] * local_s, 1.0)
+            envelope = np.exp(-tones.decay_per_s[k] * local_s) if tones.decay_per_s[k] else 1.0
+            columns[:, 2 * k] = np.cos(angle) * envelope
+            columns[:, 2 * k + 1] = -np.sin(angle) * envelope
+        columns[:, 2 * lines] = 1.0
+        if self.drift:
+            columns[:, 2 * lines + 1] = local_s
+        if self.slopes:
+            columns[:, self.linear :] = columns[:, : 2 * lines] * local_s[:, None]
+        return columns
+
+    def turned(self, timeline: Timeline) -> FloatArray:
+        """Return the matrices (B, P, P) that turn coefficients of the record into those of each block."""
+        lines, linear, centre = len(self.tones.frequency_hz), self.linear, timeline.centre_s
+        size = linear + (2 * lines if self.slopes else 0)
+        matrix = np.zeros((len(centre), size, size))
+        for k in range(lines):
+            angle = 2.0 * np.pi * timeline.turns(float(self.tones.frequency_hz[k]))
+            factor = np.exp(1j * angle - self.tones.decay_per_s[k] * centre)
+            turn = np.array([[factor.real, -factor.imag], [factor.imag, factor.real]]).transpose(2, 0, 1)
+            own = slice(2 * k, 2 * k + 2)
+            matrix[:, own, own] = turn
+            if self.slopes:
+                slope = slice(linear + 2 * k, linear + 2 * k + 2)
+                matrix[:, slope, slope] = turn
+                matrix[:, own, slope] = centre[:, None, None] * turn
+        matrix[:, 2 * lines, 2 * lines] = 1.0
+        if self.drift:
+            matrix[:, 2 * lines + 1, 2 * lines + 1] = 1.0
+            matrix[:, 2 * lines, 2 * lines + 1] = centre
+        return matrix
+
+
+@dataclass(frozen=True)
+class Normal:
+    """Sums over all samples: `gram` (D, D, P, P) of the weighted columns, `right` (P, C), `power` (C,) of the values.
+
+    D = 1 where all channels have the same weights, else C; the power is summed only where there are slopes.
+    """
+
+    gram: FloatArray
+    right: FloatArray
+    power: FloatArray
+
+
+def normal_equations(samples: Samples, columns: Columns) -> Normal:
+    """Gather the normal equations of a fit in one pass over its samples."""
+    timeline = samples.timeline
+    turned = columns.turned(timeline)
+    size, channels = turned.shape[1], samples.values.shape[1]
+    common = columns.local(timeline.local(0))
+    common_gram = common.T @ common
+    each = samples.root is not None and samples.root.ndim == 2
+    gram = np.zeros((channels, channels, size, size) if each else (1, 1, size, size))
+    alike = np.zeros(len(timeline.centre_s), dtype=np.bool_)
+    local_right = np.empty((len(timeline.centre_s), size, channels))
+    power = np.zeros(channels)
+    for chunk in samples.chunks():
+        basis = chunk.columns(columns, timeline, common)
+        weighted = chunk.weighted(chunk.values, 2)
+        if columns.slopes:
+            pair = weighted.reshape(-1, channels), chunk.values.reshape(-1, channels)
+            power += np.einsum("ij,ij->j", *pair)
+        local_right[chunk.first : chunk.last] = chunk.by_block(basis.T @ weighted)
+        if chunk.root is None and basis is common:
+            alike[chunk.first : chunk.last] = True
+        else:
+            turn = turned[chunk.first]
+            gram += turn.T @ _weighted_gram(basis, chunk.root) @ turn
+    chosen = turned[alike]
+    gram += np.sum(chosen.swapaxes(1, 2) @ common_gram @ chosen, axis=0)
+    right = np.sum(turned.swapaxes(1, 2) @ local_right, axis=0)
+    return Normal(gram, np.asarray(right), power)
+
+
+def _weighted_gram(basis: FloatArray, root: FloatArray | None) -> FloatArray:
+    """Return the Gram matrices (D, D, P, P) of a block's columns, weighted for each channel."""
+    if root is None:
+        return np.asarray((basis.T @ basis)[None, None])
+    size, kinds = basis.shape[1], root.shape[1]
+    weighted = (root[:, :, None] * basis[:, None, :]).reshape(len(basis), kinds * size)
+    return np.asarray((weighted.T @ weighted).reshape(kinds, size, kinds, size).transpose(0, 2, 1, 3))
+
+
+def residuals(
+    samples: Samples, columns: Columns, coefficients: FloatArray
+) -> Iterator[tuple[Chunk, FloatArray, FloatArray]]:
+    """Yield chunk by chunk the blocks, their columns (n, P) and their residual (n, B·C), weighted, zero where left out.
+
+    `coefficients` (P or fewer, C): those of the first columns.
+    """
+    timeline = samples.timeline
+    own = columns.turned(timeline)[:, :, : len(coefficients)] @ coefficients
+    common = columns.local(timeline.local(0))
+    for chunk in samples.chunks():
+        basis = chunk.columns(columns, timeline, common)
+        residual = chunk.values - basis @ chunk.side_by_side(own[chunk.first : chunk.last])
+        yield chunk, basis, chunk.weighted(residual, 1)
+
+
+def as_complex(coefficients: FloatArray, lines: int) -> ComplexArray:
+    """Return the complex amplitudes (K, ...) of coefficients (2K or more, ...)."""
+    return np.asarray(coefficients[0 : 2 * lines : 2] + 1j * coefficients[1 : 2 * lines : 2])
+
+
+# Least squares with a design matrix, for short records and for channels too many for a covariance.
+
+
+SINGULAR = 1e6  # condition above which the normal equations carry no information about some line
+
+
+@dataclass(frozen=True)
+class SineSolution:
+    """Least-squares solution of a design matrix: `coefficients` (P, C), `inverse` (P, P) of XᵀX, `residual` (S, C)."""
+
+    coefficients: FloatArray
+    inverse: FloatArray
+    residual: FloatArray
+    condition: float
+
+
+def solve_sines(columns: FloatArray, data: FloatArray) -> SineSolution:
+    """Solve columns (S, P) · coefficients = data (S, C) by normal equations with one step of refinement.
+
+    The columns have about unit length and a condition number below 10⁶ is demanded, so the refined solution has the
+    accuracy of an orthogonal factorisation at a fraction of its time.
+    """
+    samples, parameters = columns.shape
+    check_samples(samples, parameters)
+    gram = columns.T @ columns
+    condition = condition_number(gram)
+    check_condition(condition)
+    inverse = np.linalg.inv(gram)
+    coefficients = inverse @ (columns.T @ data)
+    coefficients += inverse @ (columns.T @ (data - columns @ coefficients))
+    return SineSolution(coefficients, np.asarray(inverse), data - columns @ coefficients, condition)
+
+
+def sine_amplitudes(
+    time_s: FloatArray, values: FloatArray, frequency_hz: FloatArray
+) -> tuple[FloatArray, ComplexArray]:
+    """Return offset (C,) and phasors (K, C) of `values` (S, C) at `time_s` (S,) as `fit_sines`, without covariance.
+
+    For many channels, whose covariance matrix would be large.
+    """
+    check_shape("values", values, (len(time_s), None))
+    lines, samples = len(frequency_hz), len(time_s)
+    found = solve_sines(sine_columns(time_s, frequency_hz), values).coefficients
+    value = np.sqrt(2.0 / samples) * (found[0 : 2 * lines : 2] - 1j * found[1 : 2 * lines : 2])
+    return found[2 * lines] / np.sqrt(samples), np.asarray(value)
+
+
+def check_samples(samples: int, parameters: int) -> None:
+    """Refuse a fit without degrees of freedom."""
+    if samples <= parameters:
+        raise ValueError(f"time_s: expected more than {parameters} complete samples, found {samples}")
+
+
+def check_condition(condition: float) -> None:
+    """Refuse lines that the sampling folds onto each other."""
+    if not condition < SINGULAR:
+        raise ValueError(
+            f"frequency_hz: expected lines that the sampling times can tell apart, found condition number "
+            f"{condition:.2g}; drop those that usable_lines names"
+        )

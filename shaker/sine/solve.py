@@ -1,0 +1,501 @@
+"""Sines by least squares: free frequencies, drift, decay, spikes; what they return."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Notice, check_shape
+from shaker.lines.aliasing import alias_frequency, condition_number, sampling_grid
+from shaker.phasor import Phasors
+from shaker.sine.noise import LineNoise, line_noise, neighbour_bins, noise_of_ordinates
+from shaker.sine.normal_equations import (
+    LONG,
+    Columns,
+    Demodulator,
+    Normal,
+    Samples,
+    Tones,
+    as_complex,
+    check_condition,
+    normal_equations,
+    residuals,
+)
+
+# Linear parameters eliminated, frequencies and decay rates by Gauss-Newton (variable projection).
+
+
+_STEPS = 40
+_CONVERGED = 1e-3  # of the standard uncertainty: the last step is taken on the exact residual
+_STANDS = 1e-9  # rad: a step that turns the ends of the record by less is the last, too
+_FARTHEST = 2.0  # rad by which one step may turn the ends of the record against its middle
+_ROUNDING = 1e-14  # of a channel's power: below it, differences of sums are rounding
+_SINGULAR = 1e-12
+
+
+@dataclass(frozen=True)
+class SineModel:
+    """What is fitted beside amplitudes, phases and an offset.
+
+    `drift`: a linear drift. `free`: a label per line; the frequencies of lines with the same label share one relative
+    change, as harmonics do and everything made by one generator; -1 for a known frequency, None for all known.
+    `decay`: lines decay as exp(-δt), all at one rate or each at its own.
+    """
+
+    drift: bool = False
+    free: tuple[int, ...] | None = None
+    decay: Literal["none", "common", "each"] = "none"
+
+    def exponents(self, frequency_hz: FloatArray) -> ComplexArray:
+        """Return the derivative (K, Q) of the exponents s = -δ + jω by the Q unknowns: relative frequencies, then δ."""
+        lines = len(frequency_hz)
+        labels = np.full(lines, -1) if self.free is None else np.asarray(self.free)
+        if labels.shape != (lines,):
+            raise ValueError(f"free: expected {lines} labels, one per line, found {len(labels)}")
+        groups = [(labels == label) * (2j * np.pi * frequency_hz) for label in np.unique(labels[labels >= 0])]
+        decays = {"none": [], "common": [-np.ones(lines)], "each": list(-np.eye(lines))}[self.decay]
+        return np.array([*groups, *decays], dtype=np.complex128).reshape(-1, lines).T
+
+
+@dataclass(frozen=True)
+class System:
+    """Normal equations solved for the linear parameters.
+
+    `gram` (D, D, P', P') of all columns, D = 1 where all channels have the same weights, else C; `inverse` (D, P, P)
+    for the P linear ones; `project` (D, P', 2K) combines columns to slopes that the linear ones cannot imitate;
+    `condition` of the linear columns at unit length.
+    """
+
+    gram: FloatArray
+    inverse: FloatArray
+    project: FloatArray
+    condition: float
+
+    @property
+    def linear(self) -> int:
+        """Number of linear parameters."""
+        return int(self.inverse.shape[1])
+
+    def coefficients(self, right: FloatArray) -> FloatArray:
+        """Return the linear parameters (P, C) of right-hand sides (P', C)."""
+        return _products(self.inverse, right[: self.linear])
+
+    def slopes(self, right: FloatArray) -> FloatArray:
+        """Return the projected slopes' products (2K, C) with the values."""
+        return _products(self.project.swapaxes(1, 2), right)
+
+    def information(self) -> FloatArray:
+        """Return the products (D, D, 2K, 2K) of the projected slopes of one channel with those of another."""
+        return np.asarray(self.project.swapaxes(1, 2)[:, None] @ self.gram @ self.project[None])
+
+    def own_information(self) -> FloatArray:
+        """Return the products (D, 2K, 2K) of each channel's projected slopes with themselves."""
+        own = np.einsum("ddpq->dpq", self.gram)
+        return np.asarray(self.project.swapaxes(1, 2) @ own @ self.project)
+
+    def spread(self) -> FloatArray:
+        """Return G⁻¹·XᵀX·G⁻¹ (D, D, P, P): the linear parameters' covariance between channels for unit noise."""
+        gram = self.gram[:, :, : self.linear, : self.linear]
+        return np.asarray(self.inverse[:, None] @ gram @ self.inverse[None])
+
+
+def _products(matrices: FloatArray, right: FloatArray) -> FloatArray:
+    """Return the products (N, C) of one matrix (1, N, M), or of each channel's own (C, N, M), with columns (M, C)."""
+    if len(matrices) == 1:
+        return np.asarray(matrices[0] @ right)
+    return np.asarray((matrices @ right.T[:, :, None])[:, :, 0].T)
+
+
+def solved(normal: Normal, columns: Columns) -> System:
+    """Invert the normal equations of the linear columns, scaled to unit length."""
+    lines, linear = len(columns.tones.frequency_hz), columns.linear
+    own = np.einsum("ddpq->dpq", normal.gram)
+    squares = np.einsum("dpp->dp", own)[:, :linear].copy()
+    pairs = squares[:, : 2 * lines].reshape(len(own), lines, 2)
+    # Both columns of a line by the same factor: at zero or the Nyquist frequency one of them vanishes, and must.
+    squares[:, : 2 * lines] = np.repeat(pairs.mean(axis=2), 2, axis=1)
+    scale = 1.0 / np.sqrt(squares)
+    scaled = own[:, :linear, :linear] * scale[:, :, None] * scale[:, None, :]
+    condition = max(condition_number(matrix) for matrix in scaled)
+    check_condition(condition)
+    inverse = np.linalg.inv(scaled) * scale[:, :, None] * scale[:, None, :]
+    inverse = (inverse + inverse.swapaxes(1, 2)) / 2.0
+    carried = -inverse @ own[:, :linear, linear:]
+    rest = np.broadcast_to(np.eye(own.shape[1] - linear), (len(own), own.shape[1] - linear, own.shape[1] - linear))
+    return System(normal.gram, inverse, np.concatenate([carried, rest], axis=1), condition)
+
+
+@dataclass(frozen=True)
+class Step:
+    """A Gauss-Newton step: `change` (Q,) of the unknowns, `inverse` (Q, Q) of the Hessian.
+
+    `derivative` (C, 2K, Q): of the slopes' coefficients in each channel; `pull`: the same over its noise variance.
+    """
+
+    change: FloatArray
+    inverse: FloatArray
+    derivative: FloatArray
+    pull: FloatArray
+
+
+def frequency_step(
+    system: System, right: FloatArray, value: ComplexArray, exponents: ComplexArray, variance: FloatArray
+) -> Step:
+    """Return the step of frequencies and decay rates from products `right` (P', C) with values or residuals.
+
+    Gauss-Newton on the nonlinear unknowns alone, the linear ones projected out (variable projection; Golub and Pereyra
+    1973, with Kaufman's simplification). Channels weigh by their noise variance (C,).
+    """
+    product = value.T[:, :, None] * exponents[None]
+    derivative = np.stack([product.real, product.imag], axis=2).reshape(len(variance), -1, exponents.shape[1])
+    weight = np.divide(1.0, variance, out=np.zeros_like(variance), where=variance > 0.0)
+    pull = derivative * weight[:, None, None]
+    hessian = np.sum(pull.swapaxes(1, 2) @ system.own_information() @ derivative, axis=0)
+    size = np.sqrt(hessian.diagonal())
+    scaled = hessian / np.multiply.outer(size, size) if np.all(size > 0.0) else np.zeros_like(hessian)
+    if not np.linalg.eigvalsh(scaled)[0] > _SINGULAR:
+        raise ValueError("frequency_hz: expected lines whose frequencies and decays the record tells, found none")
+    inverse = np.linalg.inv(scaled) / np.multiply.outer(size, size)
+    gradient = np.einsum("ckq,kc->q", pull, system.slopes(right))
+    return Step(inverse @ gradient, inverse, derivative, pull)
+
+
+def moved(tones: Tones, exponents: ComplexArray, change: FloatArray) -> Tones:
+    """Return the lines after a step of the unknowns."""
+    exponent = exponents @ change
+    return Tones(tones.frequency_hz + exponent.imag / (2.0 * np.pi), tones.decay_per_s - exponent.real)
+
+
+def _turn(exponent_change: ComplexArray, value: ComplexArray) -> float:
+    """Return the rate at which a change of the exponents (K,) turns the lines (K, C), in rad/s, rms by their power."""
+    power = np.sum(np.abs(value) ** 2, axis=1)
+    return float(np.sqrt(power @ np.abs(exponent_change) ** 2 / np.sum(power))) if power.any() else 0.0
+
+
+def estimate(samples: Samples, frequency_hz: FloatArray, model: SineModel) -> tuple[Columns, System, FloatArray]:
+    """Return columns, normal equations and linear parameters (P, C), frequencies and decays within 1/1000 of their u.
+
+    One pass over the data where frequencies are known and nothing decays, else one per step.
+    """
+    exponents = model.exponents(frequency_hz)
+    count = exponents.shape[1]
+    tones = Tones(np.array(frequency_hz, dtype=np.float64), np.zeros(len(frequency_hz)))
+    columns = Columns(tones, model.drift, count > 0)
+    half_s = float(np.max(np.abs(samples.timeline.centre_s))) + float(np.max(np.abs(samples.timeline.local_s)))
+    for _ in range(_STEPS):
+        normal = normal_equations(samples, columns)
+        system = solved(normal, columns)
+        coefficients = system.coefficients(normal.right)
+        if not count:
+            return columns, system, coefficients
+        left = normal.power - np.einsum("pc,pc->c", coefficients, normal.right[: system.linear])
+        variance = np.maximum(left, _ROUNDING * normal.power) / samples.timeline.samples
+        value = as_complex(coefficients, len(frequency_hz))
+        step = frequency_step(system, normal.right, value, exponents, variance)
+        turn = half_s * _turn(exponents @ step.change, value)
+        if turn <= _STANDS or np.all(np.abs(step.change) <= _CONVERGED * np.sqrt(step.inverse.diagonal())):
+            return columns, system, coefficients
+        shorter = min(1.0, _FARTHEST / turn) if turn > 0.0 else 1.0
+        columns = replace(columns, tones=moved(columns.tones, exponents, shorter * step.change))
+    listed = ", ".join(f"{f:.6g}" for f in frequency_hz)
+    raise ValueError(f"frequency_hz: expected frequencies from which the fit converges, found {listed} Hz")
+
+
+# Result of a sine approximation, with the covariance that frequencies and decay rates share with the phasors.
+
+
+_CHUNK = 1 << 16  # samples for which the curve is worked out at a time
+
+
+@dataclass(frozen=True)
+class SineFit:
+    """Sine approximation of C channels over S times.
+
+    `phasors` (K lines, C channels), at time zero also where lines decay; `offset` (C,), the value at mean phase zero,
+    with `offset_covariance` (C, C); `drift_per_s` (C,), zero where no drift was fitted, counted from `middle_s`;
+    `u_frequency_hz` (K,), zero where the frequency was known; `decay_per_s`, `u_decay_per_s` (K,), δ of exp(-δt), zero
+    where none was fitted; `residual_rms` (C,) over the samples used; `spikes`, the rows left out for standing out;
+    `condition` of the design matrix with columns of unit length.
+    """
+
+    phasors: Phasors
+    offset: FloatArray
+    offset_covariance: FloatArray
+    drift_per_s: FloatArray
+    middle_s: float
+    u_frequency_hz: FloatArray
+    decay_per_s: FloatArray
+    u_decay_per_s: FloatArray
+    residual_rms: FloatArray
+    spikes: IntArray
+    condition: float
+    notices: tuple[Notice, ...]
+
+    def __post_init__(self) -> None:
+        lines, channels = self.phasors.value.shape
+        for name in ("offset", "drift_per_s", "residual_rms"):
+            check_shape(name, getattr(self, name), (channels,))
+        for name in ("u_frequency_hz", "decay_per_s", "u_decay_per_s"):
+            check_shape(name, getattr(self, name), (lines,))
+        check_shape("offset_covariance", self.offset_covariance, (channels, channels))
+        check_shape("spikes", self.spikes, (None,))
+
+    def model(self, time_s: FloatArray) -> FloatArray:
+        """Return the fitted curve (T, C) at times (T,): offset + drift + Σ Re{X exp((jω - δ)t)}."""
+        curve = np.empty((len(time_s), len(self.offset)))
+        exponent = 2j * np.pi * self.phasors.frequency_hz - self.decay_per_s
+        for first in range(0, len(time_s), _CHUNK):
+            time = time_s[first : first + _CHUNK]
+            turns = np.exp(np.multiply.outer(time, exponent))
+            drift = np.multiply.outer(time - self.middle_s, self.drift_per_s)
+            curve[first : first + _CHUNK] = self.offset + drift + (turns @ self.phasors.value).real
+        return curve
+
+    def residual_of(self, time_s: FloatArray, values: FloatArray) -> FloatArray:
+        """Return values (T, C) at times (T,) less the fitted curve; rows with a NaN in any channel are NaN."""
+        residual = values - self.model(time_s)
+        residual[~np.isfinite(values).all(axis=1)] = np.nan
+        return np.asarray(residual)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A solved fit about the middle of its record: what covariances are made of.
+
+    `coefficients` (P, C); `system`; `factor` (C, C) with F·Fᵀ the residuals' covariance and `noise` (K + 1, C), the
+    density of F⁻¹·residual around each line and zero over its mean; `exponents` (K, Q) derivative of each line's
+    exponent by the Q unknown frequencies and decay rates, `step` the last one, None where there are none.
+    """
+
+    tones: Tones
+    coefficients: FloatArray
+    system: System
+    factor: FloatArray
+    noise: FloatArray
+    exponents: ComplexArray
+    step: Step | None
+
+    @property
+    def lines(self) -> int:
+        """Number of lines."""
+        return len(self.tones.frequency_hz)
+
+    def noise_between(self, first: int, second: int) -> FloatArray:
+        """Return the noise covariance (C, C) between what two lines see; equal ones for that of a line."""
+        level = np.sqrt(self.noise[first] * self.noise[second])
+        return np.asarray(self.factor * level @ self.factor.T)
+
+    def exponent_covariance(self) -> FloatArray:
+        """Return the covariance (Q, Q) of the unknown frequencies and decay rates, with the noise of each line."""
+        if self.step is None:
+            return np.zeros((0, 0))
+        seen = np.repeat(self.factor[:, None, :] * np.sqrt(self.noise[: self.lines]), 2, axis=1)
+        noise = np.tensordot(seen, seen, axes=(2, 2))  # channel and slope, channel and slope
+        both = noise * self.system.information().transpose(0, 2, 1, 3)
+        pull = self.step.pull.reshape(-1, self.step.pull.shape[2])
+        middle = pull.T @ both.reshape(len(pull), len(pull)) @ pull
+        return np.asarray(self.step.inverse @ middle @ self.step.inverse)
+
+    def linear_change(self) -> FloatArray:
+        """Return the derivative (P, C, Q) of the linear parameters by the unknown frequencies and decay rates."""
+        if self.step is None:
+            return np.zeros((*self.coefficients.shape, 0))
+        carried = self.system.project[:, : self.system.linear] @ self.step.derivative
+        return np.asarray(carried.transpose(1, 0, 2))
+
+
+def phasors_at_zero(
+    found: Estimate,
+    exponent_covariance: FloatArray,
+    factor: ComplexArray,
+    middle_s: float,
+    dof: FloatArray,
+    names: tuple[tuple[str, ...], tuple[str, ...]],
+) -> Phasors:
+    """Return the phasors at time zero from those about the middle, `factor` (K,) = exp(-s·middle) apart.
+
+    Error of frequency and decay turns and scales a phasor from the middle to time zero: dX = exp(-s·t)·(dX' - X'·t·ds),
+    which with the covariance of s adds to the (XᵀX)⁻¹ ⊗ Σ of a fit at known frequencies.
+    """
+    lines, channels = found.lines, found.coefficients.shape[1]
+    value = as_complex(found.coefficients, lines)
+    spread = found.system.spread()
+    change = as_complex(found.linear_change(), lines) - middle_s * value[:, :, None] * found.exponents[:, None, :]
+    covariance = np.empty((lines, 2 * channels, 2 * channels))
+    for k in range(lines):
+        own = slice(2 * k, 2 * k + 2)
+        block = spread[:, :, own, own] * found.noise_between(k, k)[:, :, None, None]
+        stacked = np.concatenate([change[k].real, change[k].imag])
+        covariance[k] = block.transpose(2, 0, 3, 1).reshape(2 * channels, 2 * channels)
+        covariance[k] += stacked @ exponent_covariance @ stacked.T
+    middle = Phasors(found.tones.frequency_hz, value, covariance, *names, dof)
+    return middle.scaled(factor[:, None])
+
+
+# What a fit leaves: its sums, its covariance between channels, and its density around each line.
+
+
+_DEPENDENT = 1e-12  # smallest eigenvalue of a correlation matrix that counts, for channels that depend on others
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """Sums over the residual of a fit, each weighted.
+
+    `right` (P, C): columns times residual; `power` (C, C): residual times residual; `held` (S, C) the residual itself
+    of a short record, `transform` (K + 1, M, C) its Fourier transform at `bins` (K + 1, M) near the lines and near zero
+    of a long one.
+    """
+
+    right: FloatArray
+    power: FloatArray
+    held: FloatArray | None
+    transform: ComplexArray | None
+    bins: IntArray | None
+
+
+def remainder(samples: Samples, columns: Columns, coefficients: FloatArray) -> Remainder:
+    """Gather what a fit leaves in one pass over its samples."""
+    timeline, channels = samples.timeline, samples.values.shape[1]
+    turned = columns.turned(timeline)
+    long = timeline.grid is not None and timeline.samples > LONG
+    bins = neighbour_bins(timeline.samples, line_bins(columns, timeline.samples, rate_hz(samples))) if long else None
+    demodulator = None if bins is None else Demodulator(timeline, bins)
+    down = np.empty((0, 0)) if demodulator is None else demodulator.columns()
+    moments = np.empty((len(turned), down.shape[1], channels))
+    held = None if long else np.empty(samples.values.shape)
+    local_right = np.empty((len(turned), turned.shape[1], channels))
+    power = np.zeros((channels, channels))
+    for chunk, basis, residual in residuals(samples, columns, coefficients):
+        blocks = slice(chunk.first, chunk.last)
+        single = residual.reshape(-1, channels)
+        power += single.T @ single
+        local_right[blocks] = chunk.by_block(basis.T @ chunk.weighted(residual, 1))
+        if demodulator is not None:
+            moments[blocks] = chunk.by_block(down[: len(residual)].T @ residual)
+        if held is not None:
+            held[timeline.edges[chunk.first] : timeline.edges[chunk.last]] = chunk.in_order(residual)
+    right = np.asarray(np.sum(turned.swapaxes(1, 2) @ local_right, axis=0))
+    transform = None if demodulator is None else demodulator.transform(moments)
+    return Remainder(right, power, held, transform, bins)
+
+
+def noise_at_lines(
+    samples: Samples, columns: Columns, left: Remainder, whitening: FloatArray, time_s: FloatArray | None
+) -> LineNoise | None:
+    """Return the noise of the whitened series at each line and, last, at the lowest bin for the offset.
+
+    `time_s`: the times of a record whose residual is held. None where times lie on no grid or are too few.
+    """
+    if left.transform is not None and left.bins is not None:
+        ordinates = left.transform @ whitening.T / np.sqrt(samples.count)
+        line_bin = line_bins(columns, samples.timeline.samples, rate_hz(samples))
+        return noise_of_ordinates(ordinates, left.bins.astype(np.float64), line_bin, samples.timeline.samples)
+    if left.held is None or time_s is None:
+        return None
+    kept = samples.kept()
+    grid = sampling_grid(time_s[kept])
+    if grid is None:
+        return None
+    whitened = np.asarray(left.held[kept] @ whitening.T)
+    return line_noise(grid.filled(whitened), len(whitened), line_bins(columns, grid.length, grid.rate_hz))
+
+
+def rate_hz(samples: Samples) -> float:
+    """Return the sampling rate of a uniform record."""
+    grid = samples.timeline.grid
+    return 0.0 if grid is None else 1.0 / float(grid.interval_s)
+
+
+def line_bins(columns: Columns, length: int, rate: float) -> FloatArray:
+    """Return the places of all lines in bins of a record, and half a bin for the offset."""
+    return np.append(alias_frequency(columns.tones.frequency_hz, rate) * length / rate, 0.5)
+
+
+def factor_of(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return F (C, C) with F·Fᵀ = covariance, and F⁻¹, zero for channels without noise.
+
+    F = D·√R with the symmetric root of the correlation matrix: of all roots the one that mixes the channels least, and
+    the same in whatever order they stand.
+    """
+    sigma = np.sqrt(covariance.diagonal())
+    inverse_sigma = np.divide(1.0, sigma, out=np.zeros_like(sigma), where=sigma > 0.0)
+    correlation = covariance * np.multiply.outer(inverse_sigma, inverse_sigma)
+    eigenvalues, vectors = np.linalg.eigh(correlation)
+    root = np.sqrt(np.maximum(eigenvalues, _DEPENDENT))
+    factor = sigma[:, None] * ((vectors * root) @ vectors.T)
+    inverse = ((vectors / root) @ vectors.T) * inverse_sigma
+    return np.asarray(factor), np.asarray(inverse)
+
+
+# Samples that stand out of the noise of a fit.
+
+
+_FALSE_ALARM = 0.01  # samples of a whole record that Gaussian noise may lose
+_SCATTER = 1.16  # relative standard deviation of a median absolute deviation, times the root of the samples
+_SAMPLE = 1 << 16  # residuals from which the scale of a long record is read
+_NORMAL_MEDIAN = 0.6744897501960817  # of |x| for a standard normal x
+_ROUNDS = 20
+_robust_ROUNDING = 1e-12  # of the largest coefficient: no residual is judged more finely
+_MOST = 0.25  # of the samples: more are no spikes
+
+
+def find_spikes(samples: Samples, frequency_hz: FloatArray, model: SineModel) -> BoolArray:
+    """Return the rows (S,) whose residual stands out of the noise in any channel.
+
+    Fit, take away what stands out by more than `spike_limit` standard deviations, fit again, until it is the same set;
+    every row is judged anew each time. The deviation is that of the median absolute residual, which half of the rows
+    may spoil (Hampel, J. Am. Stat. Assoc. 69 (1974) 383). Where more than a quarter stands out, this is no Gaussian
+    noise with spikes, and nothing is left out.
+    """
+    limit = spike_limit(samples, len(frequency_hz), model)
+    spikes = np.zeros(samples.timeline.samples, dtype=np.bool_)
+    for _ in range(_ROUNDS):
+        columns, _, coefficients = estimate(samples.without(spikes) if spikes.any() else samples, frequency_hz, model)
+        scale = _scale(samples, columns, coefficients)
+        found = np.zeros_like(spikes)
+        for chunk, _, residual in residuals(samples, columns, coefficients):
+            rows = slice(samples.timeline.edges[chunk.first], samples.timeline.edges[chunk.last])
+            found[rows] = (np.abs(chunk.in_order(residual)) > limit * scale).any(axis=1)
+        if np.count_nonzero(found) > _MOST * samples.count:
+            return np.zeros_like(spikes)
+        if np.array_equal(found, spikes):
+            break
+        spikes = found
+    return spikes
+
+
+def spike_limit(samples: Samples, lines: int, model: SineModel) -> float:
+    """Return how many standard deviations a sample must stand out: Gaussian noise does so in 1 of 100 records.
+
+    Wider by two standard deviations of the scale itself, so that short records lose no more.
+    """
+    from scipy.special import ndtri
+
+    count = samples.count
+    tail = -float(ndtri(_FALSE_ALARM / (2.0 * count * samples.values.shape[1])))
+    parameters = 2 * lines + (2 if model.drift else 1)
+    return tail * (1.0 + 2.0 * _SCATTER / float(np.sqrt(count))) * float(np.sqrt(count / (count - parameters)))
+
+
+def spike_notice(spikes: BoolArray, samples: Samples, limit: float, first_s: float, where: str) -> Notice:
+    """Tell how many samples were left out."""
+    text = (
+        f"{np.count_nonzero(spikes)} of {samples.count} samples stand out of the noise by more than {limit:.2g} "
+        f"standard deviations and are left out, the first at {first_s:.6g} s"
+    )
+    return Notice("warning", text, where)
+
+
+def _scale(samples: Samples, columns: Columns, coefficients: FloatArray) -> FloatArray:
+    """Return the standard deviation (C,) of the weighted residual, from evenly spaced rows, by its median."""
+    step = -(-samples.timeline.samples // _SAMPLE)
+    chosen = []
+    for chunk, _, residual in residuals(samples, columns, coefficients):
+        rows = slice(-int(samples.timeline.edges[chunk.first]) % step, None, step)
+        part = chunk.in_order(residual)[rows]
+        chosen.append(part.copy() if chunk.root is None else part[(chunk.root[rows] > 0.0).all(axis=1)])
+    scale = np.median(np.abs(np.concatenate(chosen)), axis=0) / _NORMAL_MEDIAN
+    return np.asarray(np.maximum(scale, _robust_ROUNDING * np.max(np.abs(coefficients), axis=0)))

@@ -1,0 +1,1 @@
+"""Readings over the angle of an indexing head."""

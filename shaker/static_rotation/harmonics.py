@@ -1,0 +1,368 @@
+"""Local gravity and air; harmonics of readings over the angle of an indexing head."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from shaker.arrays import ComplexArray, FloatArray, check_shape
+
+# What a weighing needs of its surroundings: gravity from latitude and height, density of the air.
+
+
+GRS80_EQUATOR_MPS2 = 9.7803267715
+GRS80_POLE_MPS2 = 9.8321863685
+GRS80_SEMI_MAJOR_M = 6_378_137.0
+GRS80_FLATTENING = 1.0 / 298.257222101
+GRS80_ROTATION = 0.00344978600308
+"""m = ω²a²b/(GM) of the Geodetic Reference System 1980."""
+U_NORMAL_GRAVITY = 0.5e-4
+"""Relative standard uncertainty with which normal gravity stands for gravity at a place.
+
+Half of the 10⁻⁴ that PTB states for the same formula from latitude and height above the sea (g-Extractor of the gravity
+information system). Measured gravity differs from it by some 35·10⁻⁵ m/s² on the global average; in high mountains, and
+on ocean islands, it may differ by several times as much.
+"""
+LAYER_K, LAPSE_K_PER_M, SEA_PRESSURE_PA = 288.15, 0.0065, 101_325.0
+STANDARD_EXPONENT = 5.255877
+AIR_GAS_CONSTANT = 3.483740e-3  # kg K/J, molar mass of dry air with 400 ppm CO2 over R, CIPM-2007 eq. 2
+ABSOLUTE_ZERO_C = -273.15
+U_FORMULA = 22e-6
+"""Relative standard uncertainty of the CIPM-2007 formula itself."""
+WEATHER_PA, ANY_PLACE_PA = 1000.0, 4000.0
+"""Standard deviation of the pressure about the standard atmosphere's: at a known height, and where none is known."""
+ROOM_C, U_ROOM_C = 20.0, 3.0
+HUMIDITY, U_HUMIDITY = 0.5, 0.2
+U_MEASURED_PA, U_MEASURED_C, U_MEASURED_HUMIDITY = 100.0, 0.5, 0.05
+"""Standard uncertainties that are taken for pressure, temperature and humidity where somebody has measured them."""
+
+
+class Known(NamedTuple):
+    """A number with its standard uncertainty, and where it comes from in words."""
+
+    value: float
+    u: float
+    source: str
+
+
+def normal_gravity(latitude_rad: float, height_m: float) -> float:
+    """Return gravity in m/s² of the Geodetic Reference System 1980 at a height above its ellipsoid.
+
+    On the ellipsoid γ = (a γ_e cos²φ + b γ_p sin²φ)/√(a² cos²φ + b² sin²φ) (Somigliana 1929; constants: Moritz 2000, J.
+    Geodesy 74, 128), above it γ·(1 - 2(1 + f + m - 2f sin²φ)h/a + 3(h/a)²) (Heiskanen & Moritz 1967, eq. 2-123).
+    """
+    if not abs(latitude_rad) <= np.pi / 2.0 + 1e-12:
+        raise ValueError(f"latitude_rad: expected an angle from -pi/2 to pi/2, found {latitude_rad}")
+    a, f = GRS80_SEMI_MAJOR_M, GRS80_FLATTENING
+    b = a * (1.0 - f)
+    square = np.sin(latitude_rad) ** 2
+    above = a * GRS80_EQUATOR_MPS2 * (1.0 - square) + b * GRS80_POLE_MPS2 * square
+    ground = above / np.sqrt(a * a * (1.0 - square) + b * b * square)
+    share = height_m / a
+    lapse = 2.0 * (1.0 + f + GRS80_ROTATION - 2.0 * f * square) * share
+    return float(ground * (1.0 - lapse + 3.0 * share * share))
+
+
+def gravity_at(latitude_rad: float, height_m: float) -> Known:
+    """Return gravity in m/s² at a place by its latitude and its height above the sea, with its standard uncertainty.
+
+    The height above the sea stands for that above the ellipsoid, as in PTB's g-Extractor: the anomalies that make up
+    the uncertainty are those about this value.
+    """
+    value = normal_gravity(latitude_rad, height_m)
+    source = f"normal gravity (GRS 80) at {np.degrees(latitude_rad):.6g}° and {height_m:g} m"
+    return Known(value, U_NORMAL_GRAVITY * value, source)
+
+
+def standard_pressure(height_m: float) -> float:
+    """Return the air pressure in Pa of the standard atmosphere (ISO 2533) below 11 km."""
+    return float(SEA_PRESSURE_PA * (1.0 - LAPSE_K_PER_M * height_m / LAYER_K) ** STANDARD_EXPONENT)
+
+
+def moist_air_density(pressure_pa: float, temperature_c: float, humidity: float) -> float:
+    """Return the density of air in kg/m³ with 400 ppm of CO2; `humidity`: relative, from 0 to 1.
+
+    ρ = p M_a/(Z R T)·(1 - 0.3780 x_v) by CIPM-2007 (Picard et al. 2008, Metrologia 45, 149), relative standard
+    uncertainty 22·10⁻⁶ within 600 to 1100 hPa and 15 to 27 °C, where it was made; a few 10⁻⁵ further off.
+    """
+    if not 0.0 <= humidity <= 1.0:
+        raise ValueError(f"humidity: expected a number from 0 to 1, found {humidity}")
+    p, t = pressure_pa, temperature_c
+    kelvin = t - ABSOLUTE_ZERO_C
+    saturated = np.exp(1.2378847e-5 * kelvin**2 - 1.9121316e-2 * kelvin + 33.93711047 - 6.3431645e3 / kelvin)
+    enhancement = 1.00062 + 3.14e-8 * p + 5.6e-7 * t * t
+    x = humidity * enhancement * saturated / p
+    first = 1.58123e-6 - 2.9331e-8 * t + 1.1043e-10 * t * t
+    first += (5.707e-6 - 2.051e-8 * t) * x + (1.9898e-4 - 2.376e-6 * t) * x * x
+    compressibility = 1.0 - p / kelvin * first + (p / kelvin) ** 2 * (1.83e-11 - 0.765e-8 * x * x)
+    return float(AIR_GAS_CONSTANT * p / (compressibility * kelvin) * (1.0 - 0.3780 * x))
+
+
+def air_density_at(
+    height_m: float | None, pressure_pa: float | None, temperature_c: float | None, humidity: float | None
+) -> Known:
+    """Return the density of air in kg/m³ from what is known of it; what is not is a laboratory's usual condition.
+
+    Pressure: of the standard atmosphere at the height, ±10 hPa of weather, without a height that at sea level ±40 hPa;
+    20 °C ± 3 K; relative humidity 0.5 ± 0.2. Measured values count as known to 1 hPa, 0.5 K and 0.05 (all k = 1).
+    """
+    weather = Known(standard_pressure(height_m or 0.0), ANY_PLACE_PA if height_m is None else WEATHER_PA, "")
+    parts = [
+        weather if pressure_pa is None else Known(pressure_pa, U_MEASURED_PA, "pressure"),
+        Known(ROOM_C, U_ROOM_C, "") if temperature_c is None else Known(temperature_c, U_MEASURED_C, "temperature"),
+        Known(HUMIDITY, U_HUMIDITY, "") if humidity is None else Known(humidity, U_MEASURED_HUMIDITY, "humidity"),
+    ]
+    centre = np.array([part.value for part in parts])
+    steps = np.diag([part.u for part in parts])
+    value = moist_air_density(*centre)
+    half = [_density(centre + step) - _density(centre - step) for step in steps]
+    u = float(np.hypot(np.linalg.norm(half) / 2.0, U_FORMULA * value))
+    stated = [part.source for part in parts if part.source]
+    stated += ["height"] if height_m is not None and pressure_pa is None else []
+    return Known(value, u, f"CIPM-2007 from {', '.join(stated) or 'the usual conditions of a laboratory'}")
+
+
+def _density(conditions: FloatArray) -> float:
+    """Density at pressure, temperature and a humidity kept within its limits."""
+    return moist_air_density(conditions[0], conditions[1], float(np.clip(conditions[2], 0.0, 1.0)))
+
+
+# Readings over the angle of an indexing head as harmonics: all channels in one solve, only what the data show.
+
+
+CHANCE = 1e-3
+"""Probability with which a term that is not there may enter a fit."""
+HIGHEST_ORDER = 8
+LEAST_DOF = 3
+LARGEST_CONDITION = 30.0
+SAME_ANGLE_RAD = 1e-3
+ROUNDING, FINEST, WHOLE = 1e-12, 1e-12, 1e-3
+"""Relative precision of computed numbers, that of the finest display looked for, and what counts as a whole number."""
+
+
+class Reversal(NamedTuple):
+    """What turning back changes: `angle_rad` (K,) read in both senses, `difference` (K, C) forward less backward."""
+
+    angle_rad: FloatArray
+    difference: FloatArray
+
+
+@dataclass(frozen=True)
+class AngleFit:
+    """Readings (N, C) at angles (N,) as a sum of terms: reading = design · coefficient + residual.
+
+    `terms` (P,) names the columns of `design` (N, P): offset, cos 1, sin 1, and where the data show them cos n, sin n,
+    drift (over the order of the readings, from -1 to 1) and sense (difference between turning forward and back).
+    `inverse` (P, P): (XᵀX)⁻¹; `noise` (C, C): covariance of a reading with `dof` degrees of freedom, so that the
+    covariance of coefficients p, q of channels c, d is noise[c, d]·inverse[p, q].
+    """
+
+    channels: tuple[str, ...]
+    angle_rad: FloatArray
+    reading: FloatArray
+    terms: tuple[str, ...]
+    design: FloatArray
+    coefficient: FloatArray
+    inverse: FloatArray
+    noise: FloatArray
+    dof: float
+
+    def __post_init__(self) -> None:
+        count, channels, terms = len(self.angle_rad), len(self.channels), len(self.terms)
+        check_shape("reading", self.reading, (count, channels))
+        check_shape("design", self.design, (count, terms))
+        check_shape("coefficient", self.coefficient, (terms, channels))
+        check_shape("inverse", self.inverse, (terms, terms))
+        check_shape("noise", self.noise, (channels, channels))
+
+    @property
+    def residual(self) -> FloatArray:
+        """Return what the terms leave of the readings (N, C)."""
+        return np.asarray(self.reading - self.design @ self.coefficient)
+
+    @property
+    def orders(self) -> tuple[int, ...]:
+        """Return the harmonics in the fit, ascending."""
+        return tuple(int(name[4:]) for name in self.terms if name.startswith("cos "))
+
+    @property
+    def offset(self) -> FloatArray:
+        """Return the mean reading over a turn (C,)."""
+        return np.asarray(self.coefficient[0])
+
+    def amplitude(self, order: int = 1) -> ComplexArray:
+        """Return A (C,) of a harmonic, so that the reading is Re{A exp(+j·order·angle)}."""
+        cosine, sine = self._places(order)
+        return np.asarray(self.coefficient[cosine] - 1j * self.coefficient[sine])
+
+    def covariance(self, order: int = 1) -> FloatArray:
+        """Return the covariance (2C, 2C) of [all Re, all Im] of a harmonic's amplitude, the noise alone."""
+        places = self._places(order)
+        turn = np.array([[1.0, -1.0], [-1.0, 1.0]])
+        return np.asarray(np.kron(turn * self.inverse[np.ix_(places, places)], self.noise))
+
+    def u_coefficient(self) -> FloatArray:
+        """Return the standard uncertainties (P, C) of the coefficients, of noise alone."""
+        return np.asarray(np.sqrt(np.outer(np.diag(self.inverse), np.diag(self.noise))))
+
+    def curve(self, angle_rad: FloatArray) -> FloatArray:
+        """Return offset and harmonics at angles (M,) as (M, C), without drift and sense."""
+        columns = np.zeros((len(angle_rad), len(self.terms)))
+        for place, name in enumerate(self.terms):
+            columns[:, place] = _periodic(name, angle_rad)
+        return np.asarray(columns @ self.coefficient)
+
+    def reversal(self) -> Reversal:
+        """Return the differences between readings of both senses of turning at angles that were met in both."""
+        sense, turned = turning_sense(self.angle_rad), np.mod(self.angle_rad, 2.0 * np.pi)
+        found, differences = [], []
+        for angle in _distinct(turned):
+            here = np.abs(np.angle(np.exp(1j * (turned - angle)))) < SAME_ANGLE_RAD
+            forward, back = here & (sense > 0.0), here & (sense < 0.0)
+            if forward.any() and back.any():
+                found.append(angle)
+                differences.append(self.reading[forward].mean(axis=0) - self.reading[back].mean(axis=0))
+        return Reversal(np.array(found), np.reshape(differences, (len(found), len(self.channels))))
+
+    def _places(self, order: int) -> list[int]:
+        """Columns of a harmonic."""
+        if order not in self.orders:
+            raise ValueError(f"order: expected one of {self.orders}, found {order}")
+        return [self.terms.index(f"{part} {order}") for part in ("cos", "sin")]
+
+
+def fit_angles(channels: tuple[str, ...], angle_rad: FloatArray, reading: FloatArray) -> AngleFit:
+    """Fit offset and first harmonic to readings (N, C) of C channels at angles (N,), and further terms that they show.
+
+    Offered are harmonics 2, 3, … as far as the angles tell them apart, a linear drift over the order of the readings
+    and, where the head was turned both ways, the difference of the two (offset and first harmonic). A term enters, the
+    clearest first, where an F test of one channel gives it to chance less than once in 1000, all channels together.
+    Angles in any order, repeated or not. A reading is at least as uncertain as its
+    last digit a, a²/12.
+    """
+    angle, values = np.asarray(angle_rad, np.float64), np.asarray(reading, np.float64)
+    check_shape("angle_rad", angle, (None,))
+    check_shape("reading", values, (len(angle), len(channels)))
+    if not (np.isfinite(angle).all() and np.isfinite(values).all()):
+        raise ValueError("reading: expected finite angles and readings, found others")
+    terms, blocks = _offered(angle)
+    design = np.stack([columns for _, columns in terms], axis=1)
+    if len(angle) <= design.shape[1] or np.linalg.cond(design) > LARGEST_CONDITION:
+        spread = f"{len(angle)} readings at {len(_distinct(np.mod(angle, 2.0 * np.pi)))} angles"
+        raise ValueError(f"angle_rad: expected at least four angles spread over most of a turn, found {spread}")
+    floor = _resolution(values) ** 2 / 12.0 + (ROUNDING * np.abs(values).max(axis=0)) ** 2
+    names = [name for name, _ in terms]
+    while (entering := _clearest(design, blocks, values, floor)) is not None:
+        block = blocks.pop(entering)
+        names += [name for name, _ in block]
+        design = np.column_stack([design, *(column for _, column in block)])
+    return _fitted(channels, angle, values, tuple(names), design, floor)
+
+
+def turning_sense(angle_rad: FloatArray) -> FloatArray:
+    """Return +1 or -1 (N,): in which sense the head came to each angle, by the shorter way; 0 for a single reading.
+
+    The first reading counts as come to like the second, one at the same angle like the one before.
+    """
+    step = np.angle(np.exp(1j * np.diff(angle_rad)))
+    sense = np.where(np.abs(step) < SAME_ANGLE_RAD, 0.0, np.sign(step))
+    for i in range(1, len(sense)):
+        sense[i] = sense[i] or sense[i - 1]
+    moved = sense[sense != 0.0]
+    first = moved[0] if len(moved) else 0.0
+    return np.concatenate([[first], np.where(sense == 0.0, first, sense)])
+
+
+Term = tuple[str, FloatArray]
+
+
+def _offered(angle: FloatArray) -> tuple[list[Term], list[list[Term]]]:
+    """Terms of every fit, and the blocks of terms that the data may add."""
+    count = len(_distinct(np.mod(angle, 2.0 * np.pi)))
+    always = [(name, _periodic(name, angle)) for name in ("offset", "cos 1", "sin 1")]
+    highest = min(HIGHEST_ORDER, (count - 1) // 2)
+    pairs = [(f"cos {order}", f"sin {order}") for order in range(2, highest + 1)]
+    blocks = [[(name, _periodic(name, angle)) for name in pair] for pair in pairs]
+    blocks.append([("drift", np.linspace(-1.0, 1.0, len(angle)))])
+    sense = turning_sense(angle)
+    if np.ptp(sense) > 0.0:
+        blocks.append([(f"sense {name}".removesuffix(" offset"), sense * column) for name, column in always])
+    return always, blocks
+
+
+def _periodic(name: str, angle: FloatArray) -> FloatArray:
+    """Column of a term that depends on the angle alone, zeros for the others."""
+    kind, _, order = name.partition(" ")
+    if kind in ("cos", "sin"):
+        return np.asarray(getattr(np, kind)(int(order) * angle))
+    return np.full(len(angle), float(name == "offset"))
+
+
+def _distinct(turned: FloatArray) -> FloatArray:
+    """Angles within a turn that differ by more than what counts as the same."""
+    ordered = np.sort(turned)
+    kept = ordered[np.diff(ordered, prepend=-np.inf) > SAME_ANGLE_RAD]
+    wraps = len(kept) > 1 and kept[0] + 2.0 * np.pi - kept[-1] < SAME_ANGLE_RAD
+    return np.asarray(kept[:-1] if wraps else kept)
+
+
+def _resolution(values: FloatArray) -> FloatArray:
+    """Last digit of every channel's readings (C,), 0 where they have none."""
+    return np.array([_last_digit(column) for column in values.T])
+
+
+def _last_digit(column: FloatArray) -> float:
+    """Largest of 1, 2, 5 times a power of ten of which all readings are multiples, 0 where there is none."""
+    largest = float(np.abs(column).max())
+    if FINEST * largest < np.finfo(np.float64).tiny:
+        return 0.0
+    for power in range(int(np.ceil(np.log10(largest))), int(np.floor(np.log10(FINEST * largest))), -1):
+        for mantissa in (5.0, 2.0, 1.0):
+            steps = column / (mantissa * 10.0**power)
+            if np.all(np.abs(steps - np.round(steps)) < WHOLE):
+                return float(mantissa * 10.0**power)
+    return 0.0
+
+
+def _clearest(design: FloatArray, blocks: list[list[Term]], values: FloatArray, floor: FloatArray) -> int | None:
+    """Which block the readings show most clearly, None where it may be chance."""
+    from scipy.special import fdtrc
+
+    basis = np.linalg.qr(design)[0]
+    left = values - basis @ (basis.T @ values)
+    before = np.sum(left**2, axis=0)
+    best, least = None, CHANCE / max(1, len(floor))
+    for place, block in enumerate(blocks):
+        columns = np.stack([column for _, column in block], axis=1)
+        own = columns - basis @ (basis.T @ columns)
+        dof = len(design) - design.shape[1] - len(block)
+        axes, size, _ = np.linalg.svd(own, full_matrices=False)
+        if dof < LEAST_DOF or size[-1] * LARGEST_CONDITION < np.linalg.norm(columns[:, 0]):
+            continue
+        gain = np.sum((axes.T @ left) ** 2, axis=0)
+        noise = np.maximum((before - gain) / dof, floor)
+        ratio = gain / len(block) / np.where(noise > 0.0, noise, 1.0)
+        chance = float(np.min(fdtrc(len(block), dof, ratio)))
+        if chance < least:
+            best, least = place, chance
+    return best
+
+
+def _fitted(
+    channels: tuple[str, ...],
+    angle: FloatArray,
+    values: FloatArray,
+    terms: tuple[str, ...],
+    design: FloatArray,
+    floor: FloatArray,
+) -> AngleFit:
+    """Least squares of all channels with the terms chosen."""
+    inverse: FloatArray = np.asarray(np.linalg.inv(design.T @ design), np.float64)
+    coefficient = inverse @ design.T @ values
+    residual = values - design @ coefficient
+    dof = len(design) - len(terms)
+    noise = residual.T @ residual / dof
+    noise += np.diag(np.maximum(0.0, floor - np.diag(noise)))
+    return AngleFit(channels, angle, values, terms, design, coefficient, inverse, noise, float(dof))

@@ -1,0 +1,452 @@
+"""What turns the readings of an indexing head, and the masses they mean."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal, NamedTuple, TypeVar
+
+import numpy as np
+
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, check_shape
+
+# A sensor that is turned about a horizontal axis: how its outputs answer, what they read, what a weight does.
+
+
+ArrayOf = TypeVar("ArrayOf", FloatArray, ComplexArray)
+FORCES = 3
+OWN = 7
+"""Unknowns of a recording: weight N, first moment N·m (3), zero angle rad, tilt of the axis rad (2)."""
+LEAST_SHARE = 0.3
+"""Share of the weight that a force component must feel at some angle for a weight of its own."""
+DETERMINED = 1e-6
+
+
+@dataclass(frozen=True)
+class SensorOutputs:
+    """How C outputs answer the load: `sensitivity` (C, 6) output per Fx … Mz, `u` (C, 6) of every element, independent.
+
+    `sense`: +1 where outputs are positive for the load on the sensor, -1 for that of the sensor on what it carries.
+    """
+
+    sensitivity: FloatArray
+    u: FloatArray
+    sense: Literal[1, -1] = 1
+
+    def __post_init__(self) -> None:
+        check_shape("sensitivity", self.sensitivity, (None, 6))
+        check_shape("u", self.u, self.sensitivity.shape)
+
+    @cached_property
+    def inverse(self) -> FloatArray:
+        """Return the calibration matrix (6, C), load per output: the pseudo-inverse, columns scaled to one size."""
+        size = np.linalg.norm(self.sensitivity, axis=0)
+        scale = np.where(size > 0.0, size, 1.0)
+        return np.asarray(np.linalg.pinv(self.sensitivity / scale, rcond=1e-9) / scale[:, None])
+
+    @cached_property
+    def determined(self) -> BoolArray:
+        """Return (6,): which load components the outputs tell from all others."""
+        identity = self.inverse @ self.sensitivity
+        return np.asarray(np.all(np.abs(identity - np.eye(6)) < DETERMINED, axis=1))
+
+
+@dataclass(frozen=True)
+class Turned:
+    """One recording: first harmonics of the C outputs and how the head stood.
+
+    `amplitude` (C,): output = Re{amplitude exp(+jθ)}, θ counted as the sensor turns, right-handed about `axis` (3,);
+    `covariance` (2C, 2C) of [all Re, all Im], of noise with `dof` degrees of freedom; `down` (3,): direction of gravity
+    at θ = 0, both unit vectors in sensor axes.
+    """
+
+    name: str
+    amplitude: ComplexArray
+    covariance: FloatArray
+    dof: float
+    axis: FloatArray
+    down: FloatArray
+
+    def __post_init__(self) -> None:
+        check_shape("covariance", self.covariance, (2 * len(self.amplitude), 2 * len(self.amplitude)))
+        check_shape("axis", self.axis, (3,))
+        check_shape("down", self.down, (3,))
+        if np.linalg.norm(np.cross(self.axis, self.down)) < 0.5:
+            raise ValueError("axis: expected one across gravity, found one within 30 degrees of it")
+
+    @cached_property
+    def frame(self) -> tuple[float, FloatArray, FloatArray]:
+        """Return the share of gravity that turns, its direction at θ = 0, and that across it: axis × direction."""
+        across = self.down - self.axis * float(self.axis @ self.down)
+        share = float(np.linalg.norm(across))
+        return share, across / share, _skew(self.axis) @ across / share
+
+
+def weight_load(record: Turned, own: FloatArray, sense: int) -> tuple[ComplexArray, ComplexArray]:
+    """Return the load (6,) phasor of a recording's unknowns `own` (7,), and its derivatives (6, 7)."""
+    share, _, _ = record.frame
+    turn = sense * np.exp(1j * own[4])
+    phasor = turn * turning_phasor(record, own[5:])
+    tilts = turn * share * np.outer(record.axis, [-1.0, -1j])
+    columns = np.zeros((6, OWN), np.complex128)
+    columns[:3, 0] = phasor
+    columns[3:, 1:4] = -_skew(phasor)
+    load = columns[:, :4] @ own[:4]
+    columns[:, 4] = 1j * load
+    columns[:3, 5:] = own[0] * tilts
+    columns[3:, 5:] = _skew(own[1:4]) @ tilts
+    return np.asarray(load), columns
+
+
+def start_values(record: Turned, outputs: SensorOutputs) -> FloatArray:
+    """Return the unknowns (7,) of a recording from the forces alone; refuses readings that turn the other way round."""
+    phasor = outputs.sense * turning_phasor(record, np.zeros(2))
+    seen = outputs.determined[:FORCES] & (np.abs(phasor) > LEAST_SHARE)
+    if not seen.any():
+        raise ValueError("sensitivity: expected an output for a force across the axis, found none")
+    force, size = (outputs.inverse @ record.amplitude)[:FORCES][seen], np.sum(np.abs(phasor[seen]) ** 2)
+    with_axis = np.sum(force * np.conj(phasor[seen])) / size
+    against = np.sum(force * phasor[seen]) / size
+    if abs(against) > 1.5 * abs(with_axis):
+        raise ValueError(
+            "axis: expected the sense of turning for which gravity turns backwards in the sensor, found readings that "
+            "turn the other way round; reverse the axis"
+        )
+    if abs(with_axis) == 0.0:
+        raise ValueError("amplitude: expected forces that change with the angle, found none")
+    return np.array([abs(with_axis), 0.0, 0.0, 0.0, float(np.angle(with_axis)), 0.0, 0.0])
+
+
+def _skew(vector: ArrayOf) -> ArrayOf:
+    """Return the matrix (3, 3) whose product with w is vector × w."""
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]], dtype=vector.dtype)
+
+
+def turning_phasor(record: Turned, tilt: FloatArray) -> ComplexArray:
+    """Return U (3,), gravity's direction in sensor axes as a phasor, the axis tilted along and across it at zero."""
+    share, along, across = record.frame
+    turn = tilt[0] * across - tilt[1] * along
+    angle = float(np.linalg.norm(turn))
+    phasor = along + 1j * across
+    if angle > 0.0:
+        k = turn / angle
+        turned = np.cos(angle) * phasor + np.sin(angle) * (_skew(k) @ phasor)
+        phasor = turned + (1.0 - np.cos(angle)) * (k @ phasor) * k
+    return np.asarray(share * phasor)
+
+
+# Weights, first moments and masses from the first harmonic of a sensor that is turned about a horizontal axis.
+
+
+Number = TypeVar("Number", float, FloatArray)
+ROWS = OWN + FORCES
+"""Numbers of a recording in `WeightFit`: its unknowns, then the weight by each force component alone."""
+LEVER_M, TILT_RAD = 1.0, 0.1
+"""Standard deviations of what nothing is known of: lever of the weight, tilt of the axis."""
+USUAL_LEVER_M = 0.1
+"""Lever at which forces and moments count alike where outputs of either kind are told apart."""
+CHANCE, CHANCE_OF_FEW, FEW_DOF = 1e-3, 1e-2, 5.0
+"""Probability with which channels that agree may be taken for ones that do not; with fewer degrees of freedom, more."""
+_STEPS, _CONVERGED = 20, 1e-6
+_SMALLEST_DEPARTURE, _DEPARTURE_STEP = 1e-9, 1.001
+
+
+def mass_of_weight(weight_n: Number, gravity_mps2: Number, air_share: Number | float = 0.0) -> Number:
+    """Return the mass in kg of a weight in air, m = F/(g·(1 - ρ_air/ρ)); `air_share`: ρ_air/ρ of the body.
+
+    Nitsche et al. 2018, eq. 7, whose masses are without buoyancy (`air_share` 0).
+    """
+    return weight_n / (gravity_mps2 * (1.0 - air_share))
+
+
+class Source(NamedTuple):
+    """Independent errors of one kind: `effect` (V, r) of r unit deviates on all V numbers of a fit, with `dof`."""
+
+    name: str
+    kind: Literal["A", "B"]
+    dof: float
+    effect: FloatArray
+
+
+@dataclass(frozen=True)
+class WeightFit:
+    """Weights of R recordings with one sensor.
+
+    `value` (R·10,), for each recording in turn: weight N, first moment x y z (weight times centre of mass, N·m), zero
+    angle rad, tilt of the axis rad along gravity at zero angle and across it, and the weight by Fx, Fy, Fz alone (NaN
+    where a component does not tell). `sources`: every cause of error with its effect on all of them. `load` (R, 6):
+    first harmonics of the load by the calibration matrix (NaN where not determined). `chi_squared`, `dof`: how well
+    weights explain all outputs; `departure`: share of the weight by which every first harmonic departs from that of a
+    turned weight beyond what is stated, 0 where the channels agree.
+    """
+
+    names: tuple[str, ...]
+    value: FloatArray
+    sources: tuple[Source, ...]
+    load: ComplexArray
+    chi_squared: float
+    dof: float
+    departure: float
+
+    def __post_init__(self) -> None:
+        check_shape("value", self.value, (ROWS * len(self.names),))
+        check_shape("load", self.load, (len(self.names), 6))
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Return the covariance of `value`."""
+        return np.asarray(sum(source.effect @ source.effect.T for source in self.sources))
+
+    def place(self, recording: int, row: int) -> int:
+        """Return where a number of a recording stands in `value`."""
+        return ROWS * recording + row
+
+
+def fit_weights(records: Sequence[Turned], outputs: SensorOutputs, u_angle_rad: float = 0.0) -> WeightFit:
+    """Fit weight, first moment, zero angle and axis of every recording to all first harmonics.
+
+    In sensor axes gravity turns backwards: force = W·U·exp(jθ₀), moment = μ × U·exp(jθ₀), U = d + j n × d with n the
+    axis, d gravity's direction at zero angle. Every element of the sensitivity is an unknown with its stated
+    uncertainty, common to all recordings; so are errors of the head's angle twice per turn (ε_s sin 2θ + ε_c cos 2θ,
+    `u_angle_rad` each), the only ones that first harmonics feel: A → A - (j/2)·conj(A)·(ε_c - jε_s). Outputs weigh by
+    their own noise. Where an F test gives what all outputs, or those of forces, leave to chance less than once in 1000
+    (of few readings: in 100), every first harmonic is taken to be uncertain by one more share of the weight, as large
+    as makes χ² its degrees of freedom (Paule & Mandel 1982, J. Res. NBS 87, 377).
+    """
+    from scipy.special import fdtrc
+
+    if not records:
+        raise ValueError("records: expected at least one, found none")
+    problem = _Problem(tuple(records), outputs, u_angle_rad)
+    fit = _converged(problem)
+    noise_dof = sum(record.dof for record in records)
+    chance = CHANCE if noise_dof >= FEW_DOF else CHANCE_OF_FEW
+    if all(test.dof < 0.5 or fdtrc(test.dof, noise_dof, test.excess) >= chance for test in fit.tests):
+        return _result(fit)
+    low, high = _SMALLEST_DEPARTURE, 1.0
+    while high > low * _DEPARTURE_STEP:
+        middle = float(np.sqrt(low * high))
+        fit = _converged(replace(problem, departure=middle))
+        low, high = (middle, high) if max(test.excess for test in fit.tests) > 1.0 else (low, middle)
+    return _result(fit)
+
+
+class _Test(NamedTuple):
+    """χ² and its degrees of freedom."""
+
+    chi_squared: float
+    dof: float
+
+    @property
+    def excess(self) -> float:
+        """χ² per degree of freedom, none where there is no freedom."""
+        return self.chi_squared / self.dof if self.dof > 0.5 else 0.0
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """All recordings with one sensor as a least-squares problem of real rows; unknowns: recordings', then shared."""
+
+    records: tuple[Turned, ...]
+    outputs: SensorOutputs
+    u_angle_rad: float
+    departure: float = 0.0
+
+    @cached_property
+    def start(self) -> FloatArray:
+        """Unknowns before the first step."""
+        own = [start_values(record, self.outputs) for record in self.records]
+        return np.concatenate([*own, np.zeros(self.shared)])
+
+    @cached_property
+    def departures(self) -> FloatArray:
+        """What `departure` makes of every real row: that share of the weight, of moments at the usual lever."""
+        lever = np.repeat([1.0, USUAL_LEVER_M], FORCES)
+        size = np.max(np.abs(self.outputs.sensitivity) * lever, axis=1)
+        weights = self.start[: OWN * len(self.records) : OWN]
+        return self.departure * np.concatenate([np.tile(weight * size, 2) for weight in weights])
+
+    @cached_property
+    def forces(self) -> BoolArray:
+        """Which outputs answer to forces rather than moments (C,)."""
+        size = np.abs(self.outputs.sensitivity)
+        return np.asarray(size[:, :FORCES].sum(axis=1) > USUAL_LEVER_M * size[:, FORCES:].sum(axis=1))
+
+    @cached_property
+    def elements(self) -> IntArray:
+        """Rows (E, 2) of the uncertain elements of the sensitivity."""
+        return np.argwhere(self.outputs.u > 0.0)
+
+    @property
+    def shared(self) -> int:
+        """Number of unknowns that all recordings share: elements, then twice-per-turn errors (cos, sin) of the head."""
+        return len(self.elements) + (2 if self.u_angle_rad > 0.0 else 0)
+
+    @cached_property
+    def weight(self) -> FloatArray:
+        """One over the variance of every real row."""
+        variance = np.concatenate([np.diag(record.covariance) for record in self.records])
+        return np.asarray(1.0 / (variance + self.departures**2))
+
+    def prior(self, vector: FloatArray) -> FloatArray:
+        """One over the prior variance of every unknown, zero where it is free."""
+        weights = []
+        for r in range(len(self.records)):
+            lever = 1.0 / (LEVER_M * vector[OWN * r]) ** 2
+            weights += [0.0, lever, lever, lever, 0.0, TILT_RAD**-2, TILT_RAD**-2]
+        return np.array([*weights, *([1.0] * self.shared)])
+
+    def linearised(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Residuals (rows,) and derivatives (rows, unknowns) of the model at a vector."""
+        residuals, blocks = [], []
+        own = OWN * len(self.records)
+        elements, matrix = self.elements, self.outputs.sensitivity.copy()
+        rows, columns = elements.T
+        matrix[rows, columns] += vector[own : own + len(elements)] * self.outputs.u[rows, columns]
+        for r, record in enumerate(self.records):
+            load, by_own = weight_load(record, vector[OWN * r : OWN * (r + 1)], self.outputs.sense)
+            if self.u_angle_rad > 0.0:
+                twice = self.u_angle_rad * complex(vector[-2], -vector[-1])
+                by_head = -0.5j * np.conj(load)[:, None] * self.u_angle_rad * np.array([1.0, -1j])
+                load, by_own = load - 0.5j * np.conj(load) * twice, by_own - 0.5j * np.conj(by_own) * twice
+            else:
+                by_head = np.zeros((6, 0), np.complex128)
+            jacobian = np.zeros((len(matrix), len(vector)), np.complex128)
+            jacobian[:, OWN * r : OWN * (r + 1)] = matrix @ by_own
+            jacobian[rows, own + np.arange(len(elements))] = self.outputs.u[rows, columns] * load[columns]
+            jacobian[:, own + len(elements) :] = matrix @ by_head
+            missing = record.amplitude - matrix @ load
+            residuals += [missing.real, missing.imag]
+            blocks += [jacobian.real, jacobian.imag]
+        return np.concatenate(residuals), np.concatenate(blocks)
+
+    def solved(
+        self, vector: FloatArray, residual: FloatArray, jacobian: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Scale of the unknowns, the step of the fit, and the inverse of the normal matrix."""
+        prior = self.prior(vector)
+        normal = jacobian.T @ (self.weight[:, None] * jacobian) + np.diag(prior)
+        scale = 1.0 / np.sqrt(np.diag(normal))
+        inverse = scale[:, None] * np.linalg.inv(normal * np.outer(scale, scale)) * scale
+        right = jacobian.T @ (self.weight * residual) - prior * vector
+        return np.sqrt(np.diag(inverse)), inverse @ right, np.asarray(inverse)
+
+
+class _Converged(NamedTuple):
+    """A problem at its solution."""
+
+    problem: _Problem
+    vector: FloatArray
+    residual: FloatArray
+    inverse: FloatArray
+
+    @property
+    def tests(self) -> tuple[_Test, _Test]:
+        """χ² of all outputs and of those of forces."""
+        problem, count = self.problem, len(self.problem.records)
+        prior = problem.prior(self.vector)
+        own = problem.weight * self.residual**2
+        shares = float(np.sum(prior * self.vector**2))
+        known = (prior * np.diag(self.inverse))[: OWN * count]
+        rows = 2 * int(problem.forces.sum())
+        freedom = count * max(0, rows - 2 - (2 if rows > 4 else 0))
+        forces = float(own.reshape(count, 2, -1)[:, :, problem.forces].sum())
+        every = _Test(float(own.sum()) + shares, len(own) - float(np.sum(1.0 - known)))
+        return every, _Test(forces + shares, float(freedom))
+
+
+def _converged(problem: _Problem) -> _Converged:
+    """Gauss-Newton steps from the start to the solution."""
+    vector = problem.start
+    for _ in range(_STEPS):
+        residual, jacobian = problem.linearised(vector)
+        scale, step, inverse = problem.solved(vector, residual, jacobian)
+        vector = vector + step
+        if np.max(np.abs(step) / scale) < _CONVERGED:
+            break
+    residual, jacobian = problem.linearised(vector)
+    _, _, inverse = problem.solved(vector, residual, jacobian)
+    return _Converged(problem, vector, residual, inverse)
+
+
+def _result(fit: _Converged) -> WeightFit:
+    """Values, sources and the test of a fit."""
+    problem, vector = fit.problem, fit.vector
+    inverse, told = problem.outputs.inverse, problem.outputs.determined
+    loads = np.array([np.where(told, inverse @ record.amplitude, np.nan) for record in problem.records])
+    value = np.empty(ROWS * len(problem.records))
+    for r in range(len(problem.records)):
+        value[ROWS * r : ROWS * r + OWN] = vector[OWN * r : OWN * (r + 1)]
+        value[ROWS * r + OWN : ROWS * (r + 1)] = np.real(loads[r][:FORCES] * _projection(problem, r, vector))
+    names, every = tuple(record.name for record in problem.records), fit.tests[0]
+    sources = tuple(_sources(fit))
+    return WeightFit(names, value, sources, loads, every.chi_squared, every.dof, problem.departure)
+
+
+def _projection(problem: _Problem, r: int, vector: FloatArray) -> ComplexArray:
+    """Factors (3,) whose product with a force component has the weight as its real part; NaN where it feels little."""
+    own = vector[OWN * r : OWN * (r + 1)]
+    phasor = problem.outputs.sense * np.exp(1j * own[4]) * turning_phasor(problem.records[r], own[5:])
+    size = np.abs(phasor)
+    seen = problem.outputs.determined[:FORCES] & (size > LEAST_SHARE)
+    return np.asarray(np.where(seen, np.conj(phasor) / np.where(seen, size, 1.0) ** 2, np.nan))
+
+
+def _sources(fit: _Converged) -> Iterator[Source]:
+    """Every cause of error with its effect on all values; effects of deviates that are one in truth."""
+    problem, vector, inverse = fit.problem, fit.vector, fit.inverse
+    count, own, elements = len(problem.records), OWN * len(problem.records), problem.elements
+    _, jacobian = problem.linearised(vector)
+    gain = inverse @ (jacobian.T * problem.weight)
+    prior = problem.prior(vector)
+    size = 2 * len(problem.outputs.sensitivity)
+    departing = []
+    for r, record in enumerate(problem.records):
+        rows = slice(size * r, size * (r + 1))
+        by_row = _spread(gain[:, rows], count)
+        to_load = problem.outputs.inverse[:FORCES] * _projection(problem, r, vector)[:, None]
+        by_row[ROWS * r + OWN : ROWS * (r + 1)] = np.hstack([to_load.real, -to_load.imag])
+        yield Source(f"noise of {record.name}", "A", record.dof, by_row @ _root(record.covariance))
+        departing.append(by_row * problem.departures[rows])
+    if problem.departure > 0.0:
+        freedom = min(test.dof for test in fit.tests if test.dof > 0.5)
+        yield Source("channels that disagree", "A", freedom, np.hstack(departing))
+    shared = -_spread(inverse * prior, count)
+    for r in range(count):
+        shared[ROWS * r + OWN : ROWS * (r + 1), own:] = _alone(problem, r, vector)
+    ends = own + len(elements)
+    weak = [OWN * r + place for r in range(count) for place in (1, 2, 3, 5, 6)]
+    if len(elements):
+        yield Source("calibration matrix", "B", np.inf, shared[:, own:ends])
+    if problem.u_angle_rad > 0.0:
+        yield Source("angle of the head", "B", np.inf, shared[:, ends:])
+    yield Source("what no channel tells", "B", np.inf, shared[:, weak] / np.sqrt(prior[weak]))
+
+
+def _alone(problem: _Problem, r: int, vector: FloatArray) -> FloatArray:
+    """Effect (3, shared) of the shared unknowns on the weights by each force component alone."""
+    load, _ = weight_load(problem.records[r], vector[OWN * r : OWN * (r + 1)], problem.outputs.sense)
+    factor, inverse = _projection(problem, r, vector), problem.outputs.inverse[:FORCES]
+    rows, columns = problem.elements.T
+    by_element = inverse[:, rows] * problem.outputs.u[rows, columns] * load[columns]
+    turned = -0.5j * problem.u_angle_rad * np.conj(load[:FORCES, None]) * np.array([1.0, -1j])
+    every = np.hstack([by_element, turned]) if problem.u_angle_rad > 0.0 else by_element
+    return np.asarray(np.real(every * factor[:, None]))
+
+
+def _spread(effect: FloatArray, recordings: int) -> FloatArray:
+    """Effects on the unknowns (U, r) as effects on all values (V, r), zero where a value is no unknown."""
+    wide = np.zeros((ROWS * recordings, effect.shape[1]))
+    for r in range(recordings):
+        wide[ROWS * r : ROWS * r + OWN] = effect[OWN * r : OWN * (r + 1)]
+    return wide
+
+
+def _root(covariance: FloatArray) -> FloatArray:
+    """Return a matrix whose square is the covariance, which may have directions without spread."""
+    scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    safe = np.where(scale > 0.0, scale, 1.0)
+    variance, axes = np.linalg.eigh(covariance / np.outer(safe, safe))
+    return np.asarray(safe[:, None] * axes * np.sqrt(np.maximum(variance, 0.0)))

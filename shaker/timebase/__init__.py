@@ -1,0 +1,1 @@
+"""One time base for all records: edges, triggers, clock ties."""

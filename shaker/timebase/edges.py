@@ -1,0 +1,285 @@
+"""Edges in a sampled signal, which edge is which of a periodic trigger, and signals read at other times."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from shaker.arrays import BoolArray, FloatArray, IntArray, check_shape
+
+# Trigger edges in a sampled signal.
+
+
+EdgeKind = Literal["sampled", "resolved"]
+
+_HYSTERESIS = 0.1  # of the distance from the threshold to the nearer level
+_ON_RISE = 0.12  # of the step: samples beside the crossings further than this from their level lie on the rise
+_HALF_WIDTH = 24  # samples of the interpolation kernel on each side
+_KAISER = 8.0
+
+
+@dataclass(frozen=True)
+class Edges:
+    """Edges of a trigger signal, in seconds from the record's first sample.
+
+    Each crossing lies in (`lower_s`, `upper_s`] (E,), between the last sample below the level and the first at or above
+    it. `estimate_s` (E,): without the half-sample bias, the middle where no sample lies on the rise (`kind` "sampled"),
+    the crossing of the reconstructed signal where the rise is "resolved"; `u_reading_s` is then what the noise of the
+    samples does to it. `record_s` is the record's length, `threshold` the level used.
+    """
+
+    lower_s: FloatArray
+    upper_s: FloatArray
+    estimate_s: FloatArray
+    kind: EdgeKind
+    u_reading_s: float
+    record_s: float
+    threshold: float
+
+    def __post_init__(self) -> None:
+        check_shape("lower_s", self.lower_s, (None,))
+        check_shape("upper_s", self.upper_s, self.lower_s.shape)
+        check_shape("estimate_s", self.estimate_s, self.lower_s.shape)
+
+
+def find_edges(
+    samples: FloatArray,
+    sample_rate_hz: float,
+    threshold: float | None = None,
+    edge: Literal["rising", "falling"] = "rising",
+) -> Edges:
+    """Find where samples (S,) cross `threshold` in the sense of `edge`.
+
+    Default threshold: midway between the 5 % and 95 % quantiles; where these do not span the signal (pulses shorter
+    than 5 % of the record), midway between the smallest and largest sample. A hysteresis of 10 % of the step keeps
+    noise from counting twice. Where most edges have a sample on the rise, the crossing is that of the signal
+    reconstructed by a Kaiser-windowed sinc: exact for a band-limited input, and a start for `shaker.timebase.trigger`
+    where the rise is another.
+    """
+    check_shape("samples", samples, (None,))
+    if not np.all(np.isfinite(samples)):
+        raise ValueError(f"samples: expected numbers, found {int(np.sum(~np.isfinite(samples)))} NaN or infinite")
+    if edge not in ("rising", "falling"):
+        raise ValueError(f'edge: expected "rising" or "falling", found "{edge}"')
+    sign = 1.0 if edge == "rising" else -1.0
+    signal = sign * samples
+    low, high = _levels(signal)
+    level = (low + high) / 2.0 if threshold is None else sign * threshold
+    lowest, highest = float(signal.min()), float(signal.max())
+    if not low < level < high and abs(level - (lowest + highest) / 2.0) < 0.4 * (highest - lowest):
+        low, high = lowest, highest  # a quantile lies on the rise
+    if not low < level < high:
+        raise ValueError(
+            f"threshold: expected a level that the signal crosses, found {sign * level:.6g} while the "
+            f"signal stays between {samples.min():.6g} and {samples.max():.6g}"
+        )
+    after = _crossings(signal, level, _HYSTERESIS * min(level - low, high - level))
+    step = 1.0 / sample_rate_hz
+    upper = np.asarray(step * after, dtype=np.float64)
+    if len(after) and _on_rise(signal, after, level):
+        crossing, noise = _reconstructed(signal, after, level)
+        return Edges(upper - step, upper, step * crossing, "resolved", step * noise, step * len(samples), sign * level)
+    return Edges(upper - step, upper, upper - step / 2.0, "sampled", 0.0, step * len(samples), sign * level)
+
+
+def _levels(signal: FloatArray) -> tuple[float, float]:
+    """Return the low and the high level of a trigger signal."""
+    low, high = np.quantile(signal, [0.05, 0.95])
+    lowest, highest = float(signal.min()), float(signal.max())
+    noise = float(np.median(np.abs(np.diff(signal)))) / 0.954 if len(signal) > 1 else 0.0
+    if high - low > max(8.0 * noise, 0.05 * (highest - lowest)):
+        return float(low), float(high)
+    return lowest, highest
+
+
+def _crossings(signal: FloatArray, level: float, hysteresis: float) -> IntArray:
+    """Return the index of the first sample at or above `level` of each rise through the hysteresis band."""
+    low = np.flatnonzero(signal <= level - hysteresis)
+    high = np.flatnonzero(signal >= level + hysteresis)
+    if not len(low) or not len(high):
+        return np.zeros(0, dtype=np.int64)
+    # A rise begins at the last low sample before a high one that follows it without another low between.
+    next_high = np.searchsorted(high, low)
+    has_high = next_high < len(high)
+    low, target = low[has_high], high[next_high[has_high]]
+    last_low = low[np.append(target[1:] != target[:-1], True)] if len(low) else low
+    crossing = np.flatnonzero((signal[:-1] < level) & (signal[1:] >= level)) + 1
+    return np.asarray(crossing[np.searchsorted(crossing, last_low, side="right")], dtype=np.int64)
+
+
+def _on_rise(signal: FloatArray, after: IntArray, level: float) -> bool:
+    """Tell whether samples beside the crossings lie between the levels: a resolved, band-limited rise."""
+    low, high = float(np.median(signal[signal < level])), float(np.median(signal[signal >= level]))
+    before_off = (signal[after - 1] - low) / (high - low)
+    after_off = (high - signal[after]) / (high - low)
+    return bool(np.median(np.maximum(before_off, after_off)) > _ON_RISE)
+
+
+def _reconstructed(signal: FloatArray, after: IntArray, level: float) -> tuple[FloatArray, float]:
+    """Return the crossings of the band-limited signal between sample after-1 and after, and their noise, in samples."""
+    tap = np.arange(-_HALF_WIDTH, _HALF_WIDTH)
+    index = np.clip(after[:, None] + tap, 0, len(signal) - 1)
+    local = signal[index] - level
+    low, high = np.full(len(after), -1.0), np.zeros(len(after))
+    for _ in range(40):
+        middle = (low + high) / 2.0
+        above = _interpolate(local, tap, middle) >= 0.0
+        high, low = np.where(above, middle, high), np.where(above, low, middle)
+    estimate = (low + high) / 2.0
+    slope = (_interpolate(local, tap, estimate + 0.05) - _interpolate(local, tap, estimate - 0.05)) / 0.1
+    # Noise of single samples, seen in second differences where the signal is at rest, divided by the slope.
+    noise = float(np.median(np.abs(np.diff(signal, 2)))) / (0.6745 * np.sqrt(6.0))
+    return after + estimate, noise / float(np.median(np.abs(slope)))
+
+
+def _interpolate(local: FloatArray, tap: IntArray, place: FloatArray) -> FloatArray:
+    """Return the signal at fractional places from its neighbours by a Kaiser-windowed sinc, (E,)."""
+    distance = place[:, None] - tap
+    inside = np.clip(1.0 - (distance / _HALF_WIDTH) ** 2, 0.0, None)
+    kernel = np.sinc(distance) * np.i0(_KAISER * np.sqrt(inside)) / np.i0(_KAISER)
+    return np.asarray(np.sum(local * kernel, axis=1) / np.sum(kernel, axis=1))
+
+
+# Numbers of the edges of a periodic trigger: which edge is which period, and which are none.
+
+
+_CAPTURE = 0.2  # of a period: an edge further from its place is spurious
+
+
+@dataclass(frozen=True)
+class Numbering:
+    """Number of every edge (E,), which are kept (E,) as the period's own, and how many were doubled or spurious."""
+
+    number: IntArray
+    kept: BoolArray
+    doubled: int
+    spurious: int
+
+    def __post_init__(self) -> None:
+        check_shape("kept", self.kept, self.number.shape)
+
+
+def number_edges(edges: Edges) -> Numbering:
+    """Number the edges by the period that most of them share.
+
+    Of several edges at one place the nearest stays, the others are doubled; those off every place are spurious.
+    """
+    time = edges.estimate_s
+    if len(time) < 3:
+        raise ValueError(f"edges: expected at least 3 edges, found {len(time)}")
+    period = _period(time, edges.upper_s - edges.lower_s)
+    start = period * np.angle(np.mean(np.exp(2j * np.pi * time / period))) / (2.0 * np.pi)
+    # The first line is drawn aside by doubled edges; one through the edges that agree with each other is not.
+    for _ in range(3):
+        number, kept = _assigned((time - start) / period)
+        kept = _without_outliers(number, edges, kept)
+        own = int(np.count_nonzero(kept))
+        if own < 3 or 2 * own < len(time):
+            raise ValueError(
+                f"edges: expected at least 3 edges of one period and half of all, found {own} of {len(time)}"
+            )
+        period, start = np.polyfit(number[kept], time[kept], 1)
+    near = np.abs((time - start) / period - number) <= _CAPTURE
+    doubled = int(np.count_nonzero(~kept & near & np.isin(number, number[kept])))
+    return Numbering(number, kept, doubled, int(np.count_nonzero(~kept)) - doubled)
+
+
+def _assigned(place: FloatArray) -> tuple[IntArray, BoolArray]:
+    """Round places to numbers; of several edges with one number the nearest to its place stays."""
+    number = np.round(place).astype(np.int64)
+    distance = np.abs(place - number)
+    kept = distance <= _CAPTURE
+    order = np.lexsort((distance, number))
+    kept[order[1:][np.diff(number[order]) == 0]] = False
+    return number, kept
+
+
+def _period(time: FloatArray, width: FloatArray) -> float:
+    """Return the period with the largest Rayleigh statistic |Σ exp(2πi t/p)| near the commonest gap."""
+    gap = np.diff(time)
+    tolerance = max(0.02, 1.5 * float(np.median(width)) / float(np.median(gap)))
+    ordered = np.sort(gap)
+    like = np.searchsorted(ordered, gap * (1.0 + tolerance)) - np.searchsorted(ordered, gap * (1.0 - tolerance))
+    best = float(np.max(gap[like >= 0.8 * like.max()]))
+    typical = float(np.median(gap[np.abs(gap - best) <= tolerance * best]))
+    span = float(time[-1] - time[0])
+    count = 2 * int(np.ceil(8.0 * tolerance * span / typical)) + 1
+    rate = np.linspace(1.0 - tolerance, 1.0 + tolerance, count) / typical
+    coherence = [float(np.abs(np.sum(np.exp(2j * np.pi * f * time)))) for f in rate]
+    return 1.0 / float(rate[int(np.argmax(coherence))])
+
+
+def _without_outliers(number: IntArray, edges: Edges, kept: BoolArray) -> BoolArray:
+    """Drop edges far from a straight line through the others: by 6 robust standard deviations and more."""
+    resolution = (1.5 if edges.kind == "sampled" else 0.1) * float(np.median(edges.upper_s - edges.lower_s))
+    for _ in range(10):
+        if np.count_nonzero(kept) < 3:
+            break
+        line = np.polynomial.Polynomial.fit(number[kept], edges.estimate_s[kept], 1)
+        deviation = np.abs(edges.estimate_s - line(number))
+        spread = 1.4826 * float(np.median(deviation[kept]))
+        stay = kept & (deviation <= max(6.0 * spread, resolution))
+        if np.array_equal(stay, kept):
+            break
+        kept = stay
+    return kept
+
+
+# A sampled signal read at other times: band-limited interpolation.
+
+
+PASS_BAND = 0.4
+"""Share of the lower of the two rates below which a resampled signal is what it was."""
+_BETA = 10.06  # Kaiser window of -100 dB
+_BLOCK = 1 << 14  # times interpolated at once
+_PHASES = 1 << 11  # rows of the kernel's table per sample; linear in between errs by less than 1e-6
+
+
+def kernel_reach(share: float) -> int:
+    """Return how many samples to either side of a time enter its value, at a new rate of `share` of the old one.
+
+    Half of Kaiser's N = (A - 8)/(2.285·Δω) for A = 100 dB and the transition from 0.4 to 0.6 of the lower rate.
+    """
+    taps = (100.0 - 8.0) / (2.285 * 2.0 * np.pi * (1.0 - 2.0 * PASS_BAND) * share)
+    return int(np.ceil(0.5 * taps))
+
+
+def resampled(samples: FloatArray, position: FloatArray, share: float = 1.0) -> FloatArray:
+    """Return samples (S,) at fractional positions (T,), counted in samples from the first one.
+
+    Convolution with a sinc of the pass band up to half of `share` of the sampling rate, under a Kaiser window (Kaiser
+    and Schafer, IEEE Trans. Acoust. 28, 1980): a line below 0.4·`share` of the rate keeps amplitude and phase to 3e-5,
+    what lies above 0.6·`share`, and would fold onto it at a rate of `share`, is taken out by 100 dB. `share` is the
+    new rate over the old one where that is lower. Positions must lie `kernel_reach` inside the record.
+    """
+    check_shape("samples", samples, (None,))
+    check_shape("position", position, (None,))
+    if not 0.0 < share <= 1.0:
+        raise ValueError(f"share: expected a number above 0 and at most 1, found {share:g}")
+    reach = kernel_reach(share)
+    low, high = float(position.min(initial=reach)), float(position.max(initial=reach))
+    if low < reach - 1 or high > len(samples) - reach:
+        raise ValueError(
+            f"position: expected {reach - 1} to {len(samples) - reach} samples, found {low:.1f} to {high:.1f}"
+        )
+    table = _kernel(reach, share)
+    offsets = np.arange(1 - reach, reach + 1)
+    found = np.empty(len(position))
+    for start in range(0, len(position), _BLOCK):
+        part = position[start : start + _BLOCK]
+        first = np.floor(part).astype(np.int64)
+        row, between = np.divmod((part - first) * _PHASES, 1.0)
+        place = row.astype(np.int64)
+        near = samples[first[:, None] + offsets]
+        lower, upper = (np.einsum("ts,ts->t", table[place + step], near) for step in (0, 1))
+        found[start : start + _BLOCK] = lower + between * (upper - lower)
+    return found
+
+
+def _kernel(reach: int, share: float) -> FloatArray:
+    """Return the weights (phases + 1, 2·reach) of the samples around a time, by its place between two samples."""
+    away = np.arange(1 - reach, reach + 1) - np.linspace(0.0, 1.0, _PHASES + 1)[:, None]
+    weight = np.sinc(share * away) * np.i0(_BETA * np.sqrt(np.maximum(0.0, 1.0 - (away / reach) ** 2)))
+    return np.asarray(weight / weight.sum(axis=1, keepdims=True))

@@ -1,0 +1,456 @@
+"""The tie between two clocks: which edges belong together, and the line between them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from math import comb
+
+import numpy as np
+
+from shaker.arrays import FloatArray, IntArray, Notice, check_shape
+from shaker.timebase.trigger import (
+    LEAST_JITTER,
+    Posterior,
+    TriggerFit,
+    fit_resolved,
+    line_posterior,
+    straight_line,
+)
+
+# Which edges of two records belong together: the whole-period shift and what decides it.
+
+
+_GAP_MATCH = 0.8  # share of the missing edges that must be missing in both records for gaps to decide the shift
+_GAP_CHANCE = 1e-3  # probability of as many coincidences at any shift by chance, where gaps lie outside the overlap
+_START_MATCH = 0.25  # of a period: how well start times must agree with a whole number of periods
+_JITTER_EDGES = 20
+_JITTER_SHARE = 0.4  # of an edge's interval: jitter that rises above the pattern which sampling makes
+_JITTER_RESOLVED = 0.1  # of a sample: the interval that the unknown shape of a resolved rise may leave
+_JITTER_SCORE = 6.0  # standard deviations by which one shift's correlation of the jitter must stand out
+_JITTER_RIVAL = 0.6  # of the best shift's correlation: largest that any other shift may reach
+
+
+@dataclass(frozen=True)
+class Shift:
+    """Which base edge the other record's edge 0 is, and what decided that, in words."""
+
+    edges: int
+    decided_by: str
+
+
+def decide_shift(base: TriggerFit, other: TriggerFit, start_difference_s: float | None = None) -> Shift:
+    """Return which base edge the other record's edge 0 is.
+
+    Burst starts and ends that the records show leave a range of shifts; where it is more than one, gaps that both
+    show, the jitter that both saw, or start times (good to a quarter period) choose among them. Where start and end
+    contradict each other, because edges are lost at an end, the same three choose. `ValueError` where none does.
+    """
+    low, high = _bounds(base, other)
+    if low == high:
+        return Shift(low, _burst_evidence(base, other))
+    between = (low, high) if low < high else (high, low)
+    for shift, name in (
+        (_by_gaps(base, other, *between), "gaps"),
+        (_by_jitter(base, other, *between), "jitter"),
+        (by_start_times(base, other, start_difference_s), "start times"),
+    ):
+        if shift is not None and between[0] <= shift <= between[1]:
+            return Shift(shift, name)
+    if low > high:
+        found = f"{base.edges} and {other.edges} edges whose ends of the burst say {low} and {high}"
+    else:
+        found = f"{high - low + 1} whole-period shifts from {low} to {high}"
+        found += f" that fit {base.edges} and {other.edges} edges"
+    raise ValueError(
+        f"shift: expected burst start, burst end, gaps or start times to say which edges belong together, found "
+        f"{found}; give first_edge"
+    )
+
+
+def by_start_times(base: TriggerFit, other: TriggerFit, start_difference_s: float | None) -> int | None:
+    """Return the shift that start times tell, None where they lie between two."""
+    if start_difference_s is None:
+        return None
+    exact = (other.start_s + start_difference_s - base.start_s) / base.period_s
+    return round(exact) if abs(exact - round(exact)) <= _START_MATCH else None
+
+
+def _bounds(base: TriggerFit, other: TriggerFit) -> tuple[int, int]:
+    """Return the smallest and largest shift that burst starts and ends allow."""
+    difference = base.edges - other.edges
+    low, high = 1 - other.edges, base.edges - 1
+    if base.idle_before:  # the other record's first edge cannot come before the burst
+        low = max(low, 0)
+    if other.idle_after:
+        low = max(low, difference)
+    if other.idle_before:
+        high = min(high, 0)
+    if base.idle_after:
+        high = min(high, difference)
+    return low, high
+
+
+def _burst_evidence(base: TriggerFit, other: TriggerFit) -> str:
+    """Name what leaves a single shift."""
+    start = base.idle_before and other.idle_before
+    end = base.idle_after and other.idle_after
+    if start and end:
+        return "burst start and end"
+    return "burst start" if start else "burst end" if end else "burst length"
+
+
+def _by_gaps(base: TriggerFit, other: TriggerFit, low: int, high: int) -> int | None:
+    """Return the one shift in the range at which the missing edges of both records coincide, else None."""
+    matching = []
+    for shift in range(low, high + 1):
+        first, last = max(0, shift), min(base.edges, other.edges + shift) - 1
+        here = {i for i in base.missing if first <= i <= last}
+        there = {i + shift for i in other.missing if first <= i + shift <= last}
+        both, overlap = len(here & there), last - first + 1
+        if not both or both < _GAP_MATCH * len(here | there) or 2 * overlap < other.edges:
+            continue
+        everything = both >= _GAP_MATCH * max(len(base.missing), len(other.missing))
+        if everything or (high - low + 1) * _by_chance(both, overlap, len(here), len(there)) < _GAP_CHANCE:
+            matching.append(shift)
+    return matching[0] if len(matching) == 1 else None
+
+
+def _by_chance(both: int, edges: int, here: int, there: int) -> float:
+    """Return the probability that at least `both` of two independent sets of missing edges coincide."""
+    ways = sum(comb(here, k) * comb(edges - here, there - k) for k in range(both, min(here, there) + 1))
+    return ways / comb(edges, there)
+
+
+def _by_jitter(base: TriggerFit, other: TriggerFit, low: int, high: int) -> int | None:
+    """Return the one shift in the range at which the deviations from the period agree, else None."""
+    if not (_jitters(base) and _jitters(other)):
+        return None
+    here, there = _deviations(base), _deviations(other)
+    score = np.zeros(high - low + 1)
+    for i, shift in enumerate(range(low, high + 1)):
+        first, last = max(0, shift), min(base.edges, other.edges + shift)
+        if last - first < _JITTER_EDGES:
+            continue
+        a, b = here[first:last], there[first - shift : last - shift]
+        norm = float(np.sqrt((a @ a) * (b @ b)))
+        score[i] = float(a @ b) / norm * np.sqrt(np.count_nonzero(a * b)) if norm > 0.0 else 0.0
+    best = int(np.argmax(score))
+    rivals = np.delete(score, best)
+    stands_out = score[best] > _JITTER_SCORE and np.all(rivals < _JITTER_RIVAL * score[best])
+    return low + best if stands_out else None
+
+
+def _jitters(fit: TriggerFit) -> bool:
+    """Tell whether the jitter rises above what sampling and the shape of the rise do to an edge."""
+    least = 1.0 if fit.kind == "sampled" else _JITTER_RESOLVED
+    return fit.jitter_s > _JITTER_SHARE * max(fit.resolution_s, least * fit.sample_s)
+
+
+def _deviations(fit: TriggerFit) -> FloatArray:
+    """Return every edge's deviation from the model (edges,), 0 where it is missing."""
+    deviation = np.zeros(fit.edges)
+    deviation[fit.number] = fit.edge_s - fit.time_s(fit.number)
+    return deviation
+
+
+# The straight line from one clock to another, from the edges that both have seen.
+
+
+_LEAST_PAIRS = 4
+_DIFFERENCE = np.array([[1.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, -1.0]])
+
+
+@dataclass(frozen=True)
+class ClockLine:
+    """t_base = offset_s + rate·t_other with covariance (2, 2) of (offset_s, rate)."""
+
+    offset_s: float
+    rate: float
+    covariance: FloatArray
+
+    def __post_init__(self) -> None:
+        check_shape("covariance", self.covariance, (2, 2))
+
+    def at(self, time_s: FloatArray) -> FloatArray:
+        """Return times of the other clock on the base clock."""
+        return np.asarray(self.offset_s + self.rate * np.asarray(time_s, dtype=np.float64))
+
+    def u_at(self, time_s: FloatArray) -> FloatArray:
+        """Return the standard uncertainty of `at`."""
+        t, c = np.asarray(time_s, dtype=np.float64), self.covariance
+        return np.asarray(np.sqrt(c[0, 0] + 2.0 * t * c[0, 1] + t**2 * c[1, 1]))
+
+    def inverse(self) -> ClockLine:
+        """Return the line with the two clocks exchanged."""
+        rate = 1.0 / self.rate
+        jacobian = np.array([[-rate, self.offset_s * rate**2], [0.0, -(rate**2)]])
+        return ClockLine(-self.offset_s * rate, rate, jacobian @ self.covariance @ jacobian.T)
+
+
+def clock_line(base: TriggerFit, other: TriggerFit, shift: int) -> ClockLine:
+    """Return the line from the other clock to the base clock; `shift` is the base edge that is the other's edge 0.
+
+    The trigger's jitter is the same in both records and cancels in the differences of paired edges; what sampling
+    leaves open is not. Where both records give intervals, both lines and the common jitter are estimated together;
+    where one resolves its edges, they take the period's place for the other's intervals; where both do, the
+    differences are fitted. Two periodic models one by one are the start, and the result where they know more.
+    """
+    _, here, there = np.intersect1d(base.number, other.number + shift, return_indices=True)
+    single = _from_models(base, other, shift)
+    if len(here) < _LEAST_PAIRS:
+        return single
+    if base.kind == other.kind:
+        fit_pairs = _from_crossings if base.kind == "resolved" else _from_middles
+        paired = fit_pairs(base, other, here, there)
+        middle = np.asarray(np.mean(other.edge_s[there]))
+        line = paired if paired.u_at(middle) < single.u_at(middle) else single
+        if base.kind == "sampled":
+            line = _from_intervals(base, other, shift, line, line is paired)
+        elif line is single:
+            return line
+    elif base.kind == "resolved":
+        line = _from_one_resolved(base, other, here, there).inverse()
+    else:
+        line = _from_one_resolved(other, base, there, here)
+    return replace(line, covariance=line.covariance + np.diag([(base.open_s**2 + other.open_s**2) / 12.0, 0.0]))
+
+
+def _from_models(base: TriggerFit, other: TriggerFit, shift: int) -> ClockLine:
+    """Compare the two periodic models as if their errors had nothing in common."""
+    rate = base.period_s / other.period_s
+    offset = base.start_s + shift * base.period_s - rate * other.start_s
+    jacobian = np.array(
+        [
+            [1.0, shift - other.start_s / other.period_s, -rate, rate * other.start_s / other.period_s],
+            [0.0, 1.0 / other.period_s, 0.0, -rate / other.period_s],
+        ]
+    )
+    joint = np.zeros((4, 4))
+    joint[:2, :2], joint[2:, 2:] = base.covariance, other.covariance
+    return ClockLine(offset, rate, jacobian @ joint @ jacobian.T)
+
+
+def _from_middles(base: TriggerFit, other: TriggerFit, here: IntArray, there: IntArray) -> ClockLine:
+    """Fit a line to the middles of paired intervals."""
+    place, unscale = _scaled(other.edge_s[there])
+    return unscale(straight_line(place, base.edge_s[here], 0.3 * base.resolution_s))
+
+
+def _from_crossings(base: TriggerFit, other: TriggerFit, here: IntArray, there: IntArray) -> ClockLine:
+    """Fit a line to paired resolved crossings, free of the trigger's jitter."""
+    place, unscale = _scaled(other.crossing_s[there])
+    y, x = base.crossing_s[here], other.crossing_s[there]
+    phases = [(y - base.lower_s[here]) / base.sample_s, (x - other.lower_s[there]) / other.sample_s]
+    fit = fit_resolved(y, place, phases)
+    return unscale(Posterior(fit.mean, fit.covariance, fit.scatter_s))
+
+
+def _from_one_resolved(resolved: TriggerFit, sampled: TriggerFit, here: IntArray, there: IntArray) -> ClockLine:
+    """Return the line from the clock with resolved edges to the one with intervals."""
+    place, unscale = _scaled(resolved.edge_s[here])
+    lower, upper = sampled.lower_s[there], sampled.upper_s[there]
+    width = float(np.median(upper - lower))
+    start = straight_line(place, (lower + upper) / 2.0, 0.3 * width)
+    return unscale(line_posterior(place, lower[None], upper[None], start, LEAST_JITTER * width))
+
+
+def _from_intervals(base: TriggerFit, other: TriggerFit, shift: int, start: ClockLine, paired: bool) -> ClockLine:
+    """Estimate both lines and the common jitter from the intervals of both records.
+
+    The other record's intervals are read on the base clock by `start`; the two lines then differ by what `start`
+    lacks.
+    """
+    numbers = np.union1d(base.number, other.number + shift)
+    centre, half = (numbers[0] + numbers[-1]) / 2.0, (numbers[-1] - numbers[0]) / 2.0
+    lower, upper = np.full((2, len(numbers)), -np.inf), np.full((2, len(numbers)), np.inf)
+    for row, (fit, number) in enumerate(((base, base.number), (other, other.number + shift))):
+        at = np.searchsorted(numbers, number)
+        lower[row, at], upper[row, at] = fit.lower_s, fit.upper_s
+    lower[1], upper[1] = start.at(lower[1]), start.at(upper[1])
+    to_middle = np.array([[1.0, centre], [0.0, half]])
+    line = to_middle @ np.array([base.start_s, base.period_s])
+    own = to_middle @ base.covariance @ to_middle.T
+    over = np.array([[1.0, other.time_s(centre - shift)], [0.0, half * other.period_s]])
+    difference = over @ start.covariance @ over.T
+    cross, second = (own, own + difference) if paired else (np.zeros((2, 2)), difference - own)
+    covariance = np.block([[own, cross], [cross, second]])
+    jitter = max(base.jitter_s, other.jitter_s)
+    place = (numbers - centre) / half
+    found = line_posterior(
+        place,
+        lower,
+        upper,
+        Posterior(np.tile(line, 2), covariance, jitter),
+        LEAST_JITTER * base.resolution_s,
+    )
+    shifted, tilted = _DIFFERENCE @ found.mean
+    # On the base clock: later by shifted + tilted·(time - line[0]) / line[1].
+    stretch = 1.0 + tilted / line[1]
+    offset = shifted - tilted * line[0] / line[1] + stretch * start.offset_s
+    jacobian = np.array([[1.0, (start.offset_s - line[0]) / line[1]], [0.0, start.rate / line[1]]])
+    covariance = jacobian @ _DIFFERENCE @ found.covariance @ _DIFFERENCE.T @ jacobian.T
+    return ClockLine(float(offset), float(stretch * start.rate), covariance)
+
+
+def _scaled(time: FloatArray) -> tuple[FloatArray, Callable[[Posterior], ClockLine]]:
+    """Return times as places within ±1, and what turns a line over places into one over times."""
+    centre, half = (time[0] + time[-1]) / 2.0, (time[-1] - time[0]) / 2.0
+    jacobian = np.array([[1.0, -centre / half], [0.0, 1.0 / half]])
+
+    def unscale(line: Posterior) -> ClockLine:
+        offset, rate = jacobian @ line.mean
+        return ClockLine(float(offset), float(rate), jacobian @ line.covariance @ jacobian.T)
+
+    return (time - centre) / half, unscale
+
+
+# One clock against another by the edges of the trigger that both have recorded.
+
+
+_SAME_PERIOD = 0.01  # relative: clocks differ by less, two triggers by more
+
+
+@dataclass(frozen=True)
+class ClockTie:
+    """One clock read on another: t_base = offset_s + rate·t_other, both in seconds from their record's first sample.
+
+    `covariance` (2, 2) of (offset_s, rate); `shift` is the base edge that the other record's edge 0 belongs to,
+    `decided_by` what says so; `pairs` edges were seen by both, `middle_s` is the middle of these on the other clock.
+    """
+
+    offset_s: float
+    rate: float
+    covariance: FloatArray
+    shift: int
+    decided_by: str
+    pairs: int
+    middle_s: float
+    notices: tuple[Notice, ...]
+
+    def __post_init__(self) -> None:
+        check_shape("covariance", self.covariance, (2, 2))
+
+    def to_base_s(self, time_s: FloatArray) -> FloatArray:
+        """Return times of the other clock on the base clock."""
+        return np.asarray(self.offset_s + self.rate * np.asarray(time_s, dtype=np.float64))
+
+    def u_to_base_s(self, time_s: FloatArray) -> FloatArray:
+        """Return the standard uncertainty of `to_base_s`."""
+        t, c = np.asarray(time_s, dtype=np.float64), self.covariance
+        return np.asarray(np.sqrt(c[0, 0] + 2.0 * t * c[0, 1] + t**2 * c[1, 1]))
+
+
+def tie_clocks(
+    base: TriggerFit, other: TriggerFit, shift: int | None = None, *, start_difference_s: float | None = None
+) -> ClockTie:
+    """Tie another DAQ's clock to the base clock by the trigger both have recorded: t_base = offset_s + rate·t_other.
+
+    `shift` is the number of the base edge that is the other record's edge 0. Where it is not given, it is found
+    (`decide_shift`), with `start_difference_s` (how much later the other record started) among the evidence; where
+    nothing decides it, `ValueError`. The line is that of `clock_line`.
+    """
+    if abs(other.period_s / base.period_s - 1.0) > _SAME_PERIOD:
+        raise ValueError(
+            f"other: expected the trigger period of the base clock, {base.period_s:.6g} s, found {other.period_s:.6g} s"
+        )
+    decided = decide_shift(base, other, start_difference_s) if shift is None else Shift(shift, "first_edge")
+    pairs, _, there = np.intersect1d(base.number, other.number + decided.edges, return_indices=True)
+    # Always from the coarser to the finer record, so that exchanged roles give the same tie.
+    if _fineness(other) < _fineness(base):
+        line = clock_line(other, base, -decided.edges).inverse()
+    else:
+        line = clock_line(base, other, decided.edges)
+    return ClockTie(
+        offset_s=line.offset_s,
+        rate=line.rate,
+        covariance=line.covariance,
+        shift=decided.edges,
+        decided_by=decided.decided_by,
+        pairs=len(pairs),
+        middle_s=float(np.mean(other.edge_s[there] if len(pairs) else other.edge_s)),
+        notices=_notices(decided, by_start_times(base, other, start_difference_s)),
+    )
+
+
+def _fineness(fit: TriggerFit) -> tuple[float, int, float]:
+    """Return a key that orders records: the one with the finer edges first."""
+    return fit.resolution_s, fit.edges, fit.start_s
+
+
+def _notices(decided: Shift, by_start: int | None) -> tuple[Notice, ...]:
+    """Tell where start times contradict what decided the shift."""
+    if by_start is None or by_start == decided.edges:
+        return ()
+    text = (
+        f"the start times put edge 0 at edge {by_start} of the first clock, {decided.decided_by} at {decided.edges}, "
+        "which counts; first_edge states it where that is wrong"
+    )
+    return (Notice("info", text, "clock"),)
+
+
+# Instants of single trigger edges from all records that saw them: the periodic model and each edge's own deviation.
+
+
+@dataclass(frozen=True)
+class EdgeInstants:
+    """Times (F,) of edges on the base clock and their standard uncertainty (F,), which holds that of model and ties."""
+
+    time_s: FloatArray
+    u_time_s: FloatArray
+
+    def __post_init__(self) -> None:
+        check_shape("time_s", self.time_s, (None,))
+        check_shape("u_time_s", self.u_time_s, self.time_s.shape)
+
+
+def edge_instants(
+    base: TriggerFit, number: IntArray, others: Sequence[tuple[TriggerFit, ClockTie]] = ()
+) -> EdgeInstants:
+    """Return the instants of the base record's edges numbered (F,), with what other records saw of the same edges.
+
+    An edge is the model's time plus a Gaussian deviation of the size of the jitter. Resolved crossings update it as
+    readings with their own noise; intervals truncate what is left. So edges without jitter follow the model, those with
+    much follow what was seen, and one that no record has seen keeps the model's time and the jitter as uncertainty.
+    """
+    records = [(base, base.number, None), *((fit, fit.number + tie.shift, tie) for fit, tie in others)]
+    mean, variance = np.zeros(len(number)), base.jitter_s**2 + base.u_time_s(number) ** 2
+    below, above = np.full(len(number), -np.inf), np.full(len(number), np.inf)
+    model = base.time_s(number)
+    for fit, seen, tie in records:
+        _, at, which = np.intersect1d(number, seen, return_indices=True)
+        lower, upper, edge = (
+            (time if tie is None else tie.to_base_s(time)) - model[at]
+            for time in (fit.lower_s[which], fit.upper_s[which], fit.edge_s[which])
+        )
+        if fit.kind == "resolved":
+            u_tie = np.zeros(len(at)) if tie is None else tie.u_to_base_s(fit.edge_s[which])
+            noise = np.maximum(fit.resolution_s**2 / 12.0 + u_tie**2, 1e-30)
+            gain = variance[at] / (variance[at] + noise)
+            mean[at] += gain * (edge - mean[at])
+            variance[at] *= 1.0 - gain
+        else:
+            below[at], above[at] = np.maximum(below[at], lower), np.minimum(above[at], upper)
+    mean, variance = _truncated(mean, variance, below, above)
+    return EdgeInstants(model + mean, np.sqrt(variance))
+
+
+def _truncated(
+    mean: FloatArray, variance: FloatArray, below: FloatArray, above: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return mean and variance of Gaussians (F,) between bounds; as they were where the bounds are far off."""
+    from scipy.special import ndtr
+
+    deviation = np.sqrt(np.maximum(variance, 1e-30))
+    low, high = np.clip((below - mean) / deviation, -40.0, 40.0), np.clip((above - mean) / deviation, -40.0, 40.0)
+    share = ndtr(high) - ndtr(low)
+    # An interval that the model misses by more than the jitter explains says nothing about the jitter.
+    inside = share > 1e-6
+    share = np.where(inside, share, 1.0)
+    density_low, density_high = np.exp(-0.5 * low**2), np.exp(-0.5 * high**2)
+    step = (density_low - density_high) / np.sqrt(2.0 * np.pi) / share
+    spread = 1.0 + (low * density_low - high * density_high) / np.sqrt(2.0 * np.pi) / share - step**2
+    return (
+        np.where(inside, mean + deviation * step, mean),
+        np.where(inside, variance * np.clip(spread, 0.0, 1.0), variance),
+    )

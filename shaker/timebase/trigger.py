@@ -1,0 +1,447 @@
+"""The periodic model of a trigger: start, period, jitter, width of its pulses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from shaker.arrays import FloatArray, IntArray, Notice, check_shape
+from shaker.timebase.edges import EdgeKind, Edges, find_edges, number_edges
+
+# What intervals say about straight lines: the posterior of a trigger's model by adaptive importance sampling.
+
+
+_POINTS = 500  # while the proposals settle
+_LAST_POINTS = 2000
+_WIDER = 1.35  # of the standard deviation: proposals reach over the corners of a polygon
+_ROUNDS = 30
+_SETTLED = 0.15  # relative change of the standard deviations below which the sampling has settled
+_STRAY = 1e-6  # probability of an edge that the model does not explain
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Mean (P,) and covariance (P, P) of the parameters, and the mean jitter, in seconds."""
+
+    mean: FloatArray
+    covariance: FloatArray
+    jitter_s: float
+
+    def __post_init__(self) -> None:
+        check_shape("covariance", self.covariance, (len(self.mean), len(self.mean)))
+
+
+def line_posterior(
+    place: FloatArray, lower: FloatArray, upper: FloatArray, start: Posterior, least_jitter_s: float
+) -> Posterior:
+    """Return what intervals (R, E) in R records say about one line of instants per record.
+
+    Record r puts edge e, with jitter ε_e common to all records, at m_r + h_r·place_e + ε_e, which lies in
+    (lower_re, upper_re]; infinite bounds stand for an edge that record has not seen. Parameters: m_1 h_1 m_2 h_2 …
+    Likelihood of an edge: Φ(b/σ) - Φ(a/σ) with a the largest lower and b the smallest upper bound less its line;
+    Gaussian jitter σ of unknown size, log-uniform above `least_jitter_s`. The posterior tends to the polygon of all
+    intervals as the jitter vanishes and to the paired differences as it grows. `start` need only be roughly right:
+    Gaussian proposals are fitted to the weighted points, tempered where few points carry the weight, until they
+    settle (Cappé et al., Statistics and Computing 18, 2008: adaptive importance sampling). No random numbers: the
+    points are a low-discrepancy sequence.
+    """
+    all_points = _normal_points(len(start.mean) + 1)
+    normal = all_points[:_POINTS]
+    most = 3.0 * start.jitter_s + 0.3 * float(np.median((upper - lower)[np.isfinite(upper - lower)]))
+    limits = np.log([least_jitter_s, max(most, 3.0 * least_jitter_s)])
+    mean = np.append(start.mean, np.clip(np.log(max(start.jitter_s, least_jitter_s)), *limits))
+    covariance = np.zeros((len(mean), len(mean)))
+    covariance[:-1, :-1], covariance[-1, -1] = start.covariance, 1.0
+    for _ in range(_ROUNDS):
+        points = mean + normal @ (_WIDER * np.linalg.cholesky(covariance)).T
+        log_weight = _log_likelihood(points, limits, place, lower, upper) + 0.5 * np.sum(normal**2, axis=1)
+        weight, tempered = _weights(log_weight)
+        mean = weight @ points
+        centred = points - mean
+        old, covariance = covariance, (weight[:, None] * centred).T @ centred
+        if len(normal) == _LAST_POINTS:
+            break
+        change = np.sqrt(np.diagonal(covariance) / np.diagonal(old)) - 1.0
+        if not tempered and np.max(np.abs(change)) < _SETTLED:
+            normal = all_points
+    jitter = float(weight @ np.exp(points[:, -1]))
+    return Posterior(mean[:-1], covariance[:-1, :-1], jitter)
+
+
+def _weights(log_weight: FloatArray) -> tuple[FloatArray, bool]:
+    """Return weights that sum to one, flattened until at least a twentieth of the points counts, and whether so."""
+    power = 1.0
+    while True:
+        weight = np.exp(power * (log_weight - log_weight.max()))
+        weight /= weight.sum()
+        if 1.0 / np.sum(weight**2) >= len(weight) / 20.0:
+            return weight, power < 1.0
+        power *= 0.7
+
+
+def _log_likelihood(
+    points: FloatArray, limits: FloatArray, place: FloatArray, lower: FloatArray, upper: FloatArray
+) -> FloatArray:
+    """Return the log-likelihood (N,) of points (N, 2R + 1): a line per record and the logarithm of the jitter."""
+    from scipy.special import ndtr
+
+    jitter = np.exp(np.clip(points[:, -1], *limits))
+    below = np.full((len(points), len(place)), -np.inf)
+    above = np.full((len(points), len(place)), np.inf)
+    for record, (low, high) in enumerate(zip(lower, upper, strict=True)):
+        line = points[:, 2 * record, None] + points[:, 2 * record + 1, None] * place
+        below, above = np.maximum(below, low - line), np.minimum(above, high - line)
+    # Edges whose intervals hold every line with room to spare say nothing.
+    reach = 6.0 * jitter.max()
+    telling = (below.max(axis=0) > -reach) | (above.min(axis=0) < reach)
+    below, above = below[:, telling] / jitter[:, None], above[:, telling] / jitter[:, None]
+    share = np.maximum(ndtr(above) - ndtr(below), 0.0) + _STRAY
+    outside = (points[:, -1] < limits[0]) | (points[:, -1] > limits[1])
+    return np.where(outside, -np.inf, np.log(share).sum(axis=1))
+
+
+def _normal_points(dimensions: int) -> FloatArray:
+    """Return standard normal points (N, D) from the additive recurrence with the generalised golden ratio."""
+    from scipy.special import ndtri
+
+    ratio = 1.5
+    for _ in range(50):  # ratio^(D + 1) = ratio + 1
+        ratio = (1.0 + ratio) ** (1.0 / (dimensions + 1))
+    step = ratio ** -np.arange(1.0, dimensions + 1)
+    return np.asarray(ndtri((0.5 + np.arange(1.0, _LAST_POINTS + 1)[:, None] * step) % 1.0))
+
+
+# Crossings of a resolved rise: what its shape adds to the reconstruction, learnt from all edges.
+
+
+_TERMS = (0, 2, 4, 6, 8)
+_EDGES_PER_TERM = 8
+_CONDITION = 1e3
+
+
+@dataclass(frozen=True)
+class RiseFit:
+    """Line through edges: mean (2,) and covariance (2, 2) of its two coefficients, `correction_s` (E,) of every edge.
+
+    `scatter_s` is the standard deviation of the corrected edges about the line.
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+    correction_s: FloatArray
+    scatter_s: float
+
+    def __post_init__(self) -> None:
+        check_shape("covariance", self.covariance, (2, 2))
+        check_shape("correction_s", self.correction_s, (None,))
+
+
+def fit_resolved(time_s: FloatArray, place: FloatArray, phases: Sequence[FloatArray]) -> RiseFit:
+    """Fit time_s (E,) = m + h·place + Σ a_j sin(π j φ) with the phase φ (E,) of each crossing between two samples.
+
+    A rise that is not band-limited (a ramp, an exponential) leaves the reconstruction with an error that depends on
+    where the crossing lies between two samples, and only on that; it vanishes where a sample is the crossing (φ = 0 or
+    1), hence the sines. One series for each array of `phases`; its length follows from the data (Schwarz criterion), 0
+    for a band-limited input. The idea is that of the effective point-spread function (Anderson & King, PASP 112, 2000).
+    """
+    line = np.stack([np.ones_like(place), place], axis=1)
+    best, best_score = None, np.inf
+    for terms in _TERMS:
+        order = np.arange(1, terms + 1)
+        series = [np.sin(np.pi * order * phase[:, None]) for phase in phases]
+        columns = np.concatenate([line, *series], axis=1)
+        if terms and (columns.shape[1] * _EDGES_PER_TERM > len(time_s) or np.linalg.cond(columns) > _CONDITION):
+            break
+        fit, squares = _least_squares(columns, time_s)
+        score = len(time_s) * np.log(squares + 1e-300) + columns.shape[1] * np.log(len(time_s))
+        if best is None or score < best_score:
+            best, best_score = fit, score
+    assert best is not None
+    return best
+
+
+def _least_squares(columns: FloatArray, time: FloatArray) -> tuple[RiseFit, float]:
+    """Return the fit of one set of columns and its sum of squares."""
+    inverse = np.linalg.inv(columns.T @ columns)
+    centre = float(time.mean())
+    value = inverse @ (columns.T @ (time - centre))
+    residual = time - centre - columns @ value
+    squares = float(residual @ residual)
+    variance = squares / max(len(time) - columns.shape[1], 1)
+    mean = value[:2] + np.array([centre, 0.0])
+    return RiseFit(mean, variance * inverse[:2, :2], columns[:, 2:] @ value[2:], float(np.sqrt(variance))), squares
+
+
+# The periodic model of a camera trigger: start, period, jitter, missing, doubled and spurious edges.
+
+
+LEAST_JITTER = 1e-4  # of a sample
+_IDLE = 1.05  # periods without an edge at an end of the record that show the burst to begin or end there
+_LOCKED = 0.15  # of a sample: no edge over this range of phases once there are enough of them
+_LOCKED_RISE = 0.1  # of a sample: interval of a reconstructed crossing's error that no other phase averages out
+_RINGING = 1e-3  # of a sample: interval that the ringing of the pulse's other edge leaves open of a resolved one
+
+
+@dataclass(frozen=True)
+class TriggerFit:
+    """Periodic model t_k = start_s + k·period_s of a trigger, in seconds from the record's first sample.
+
+    `number` (E,): count of each edge kept (0 = first), which lies in (`lower_s`, `upper_s`] (E,); `edge_s` (E,) their
+    own estimates, from which `correction_s` (E,) for the shape of the rise is taken off already. `kind`: what the model
+    rests on, the intervals ("sampled") or the estimates ("resolved"); `resolution_s`: √12 times what sampling and noise
+    leave open of one edge; `open_s`: of all edges alike, because they keep falling on the same places between samples
+    or for the ringing of others. `covariance` (2, 2) of (start_s, period_s); `jitter_s` standard deviation of the edges
+    about the model beyond what sampling explains; `missing` numbers without an edge, `doubled` and `spurious` edges
+    dropped. `idle_before`, `idle_after`: the record shows that the burst begins or ends here.
+    """
+
+    start_s: float
+    period_s: float
+    number: IntArray
+    lower_s: FloatArray
+    upper_s: FloatArray
+    edge_s: FloatArray
+    correction_s: FloatArray
+    kind: EdgeKind
+    covariance: FloatArray
+    jitter_s: float
+    missing: tuple[int, ...]
+    doubled: int
+    spurious: int
+    idle_before: bool
+    idle_after: bool
+    resolution_s: float
+    open_s: float
+    notices: tuple[Notice, ...]
+
+    def __post_init__(self) -> None:
+        check_shape("number", self.number, (None,))
+        for name in ("lower_s", "upper_s", "edge_s", "correction_s"):
+            check_shape(name, getattr(self, name), self.number.shape)
+        check_shape("covariance", self.covariance, (2, 2))
+
+    @property
+    def edges(self) -> int:
+        """Number of edges from the first to the last, missing ones counted."""
+        return int(self.number[-1]) + 1
+
+    @property
+    def crossing_s(self) -> FloatArray:
+        """Edges as reconstructed, without the correction, (E,)."""
+        return self.edge_s + self.correction_s
+
+    @property
+    def sample_s(self) -> float:
+        """Sampling interval."""
+        return float(np.median(self.upper_s - self.lower_s))
+
+    def time_s(self, number: IntArray) -> FloatArray:
+        """Return the modelled times of the edges numbered (any shape), seconds from the record's first sample."""
+        return np.asarray(self.start_s + self.period_s * np.asarray(number, dtype=np.float64))
+
+    def u_time_s(self, number: IntArray) -> FloatArray:
+        """Return the standard uncertainty of `time_s` from the fit (the single edge's jitter is not in it)."""
+        k = np.asarray(number, dtype=np.float64)
+        c = self.covariance
+        return np.asarray(np.sqrt(c[0, 0] + 2.0 * k * c[0, 1] + k**2 * c[1, 1]))
+
+    def later_by(self, lag_s: float) -> TriggerFit:
+        """Return the same trigger on a time axis on which it comes `lag_s` later."""
+        return replace(
+            self,
+            start_s=self.start_s + lag_s,
+            lower_s=self.lower_s + lag_s,
+            upper_s=self.upper_s + lag_s,
+            edge_s=self.edge_s + lag_s,
+        )
+
+
+def fit_trigger(edges: Edges) -> TriggerFit:
+    """Fit t_k = start + k·period to the edges of a periodic trigger and number them.
+
+    Missing edges are counted, doubled and stray ones dropped. Each true instant is known to lie in an interval one
+    sample wide; the estimate is the mean of the posterior of (start, period) under Gaussian jitter of unknown size,
+    which tends to the centre of the polygon of all intervals as the jitter vanishes (error ~ 1/edges) and to least
+    squares as it grows (error ~ 1/√edges). Where the rise is resolved, least squares on the reconstructed crossings
+    knows more; of the two the one with the smaller uncertainty counts. At least three edges are needed.
+    """
+    found = number_edges(edges)
+    n = found.number[found.kept] - found.number[found.kept][0]
+    lower, upper, estimate = edges.lower_s[found.kept], edges.upper_s[found.kept], edges.estimate_s[found.kept]
+    half = n[-1] / 2.0
+    place = (n - half) / half
+    sample = float(np.median(upper - lower))
+    kind: EdgeKind = "sampled"
+    line, resolution = _from_intervals(place, lower, upper), sample
+    edge, correction = (lower + upper) / 2.0, np.zeros(len(n))
+    if edges.kind == "resolved":
+        resolved, learnt = _from_crossings(place, estimate, (estimate - lower) / sample, edges.u_reading_s)
+        if resolved.covariance[0, 0] < line.covariance[0, 0]:
+            line, kind, edge, correction = resolved, "resolved", estimate - learnt, learnt
+            resolution = np.sqrt(12.0) * edges.u_reading_s
+    locked = _locked_gap(n, line.mean[1] / half / sample, line.jitter_s / sample)
+    open_s = sample * (locked if kind == "sampled" else _LOCKED_RISE if locked else _RINGING)
+    line = replace(line, covariance=line.covariance + np.diag([open_s**2 / 12.0, 0.0]))
+    # From (middle, half span) to (start, period).
+    jacobian = np.array([[1.0, -1.0], [0.0, 1.0 / half]])
+    start, period = jacobian @ line.mean
+    missing = tuple(int(i) for i in np.setdiff1d(np.arange(n[-1] + 1), n))
+    fit = TriggerFit(
+        start_s=float(start),
+        period_s=float(period),
+        number=n,
+        lower_s=lower,
+        upper_s=upper,
+        edge_s=edge,
+        correction_s=correction,
+        kind=kind,
+        covariance=jacobian @ line.covariance @ jacobian.T,
+        jitter_s=line.jitter_s,
+        missing=missing,
+        doubled=found.doubled,
+        spurious=found.spurious,
+        idle_before=bool(start > _IDLE * period),
+        idle_after=bool(edges.record_s - (start + n[-1] * period) > _IDLE * period),
+        resolution_s=float(resolution),
+        open_s=open_s,
+        notices=(),
+    )
+    return replace(fit, notices=_notices(fit))
+
+
+def straight_line(place: FloatArray, time: FloatArray, least_scatter: float) -> Posterior:
+    """Fit time (E,) = m + h·place (E,) by least squares, with a scatter of at least `least_scatter`."""
+    columns = np.stack([np.ones_like(place), place], axis=1)
+    inverse = np.linalg.inv(columns.T @ columns)
+    mean = inverse @ columns.T @ time
+    residual = time - columns @ mean
+    scatter = float(np.sqrt(residual @ residual / max(len(time) - 2, 1)))
+    return Posterior(mean, inverse * max(scatter, least_scatter) ** 2, scatter)
+
+
+def _from_intervals(place: FloatArray, lower: FloatArray, upper: FloatArray) -> Posterior:
+    """Return (middle, half span) and jitter from intervals that hold the edges."""
+    width = float(np.median(upper - lower))
+    # Rounding to samples scatters by 0.29 of one, except where period and sampling are commensurate.
+    start = straight_line(place, (lower + upper) / 2.0, 0.3 * width)
+    return line_posterior(place, lower[None], upper[None], start, LEAST_JITTER * width)
+
+
+def _from_crossings(
+    place: FloatArray, time: FloatArray, phase: FloatArray, u_reading: float
+) -> tuple[Posterior, FloatArray]:
+    """Return (middle, half span) and jitter from resolved crossings, and the correction of each of them (E,)."""
+    fit = fit_resolved(time, place, [phase])
+    jitter = float(np.sqrt(max(fit.scatter_s**2 - u_reading**2, 0.0)))
+    return Posterior(fit.mean, fit.covariance, jitter), fit.correction_s
+
+
+def _locked_gap(number: IntArray, period: float, jitter: float) -> float:
+    """Return the largest gap between the edges' places between samples if they take few, else 0; all in samples."""
+    phase = np.sort(number * period % 1.0)
+    gap = float(np.max(np.append(np.diff(phase), phase[0] + 1.0 - phase[-1])))
+    return gap if gap > max(_LOCKED, 10.0 / len(number)) and jitter < _LOCKED else 0.0
+
+
+def _notices(fit: TriggerFit) -> tuple[Notice, ...]:
+    """Tell about edges that were not where the period puts them."""
+    found = []
+    if fit.missing:
+        listed = ", ".join(str(i) for i in fit.missing[:5]) + (", …" if len(fit.missing) > 5 else "")
+        found.append(Notice("warning", f"{len(fit.missing)} edges are missing (numbers {listed})", "trigger"))
+    off = f"edges off the period of {fit.period_s:.6g} s"
+    for count, what in ((fit.doubled, "doubled edges"), (fit.spurious, off)):
+        if count:
+            found.append(Notice("warning", f"{count} {what} were dropped", "trigger"))
+    if fit.jitter_s > 1e-3 * fit.period_s:
+        text = f"jitter of {fit.jitter_s * 1e6:.3g} us, over 0.1 % of the period"
+        found.append(Notice("warning", text, "trigger"))
+    if fit.open_s > _RINGING * fit.sample_s:
+        u_middle = float(fit.u_time_s(np.asarray(fit.edges // 2)))
+        text = (
+            f"the edges always fall on the same places between two samples, which leaves their instants open to "
+            f"{u_middle * 1e6:.2g} us; a period that is no simple multiple of the sampling interval removes this"
+        )
+        found.append(Notice("info", text, "trigger"))
+    return tuple(found)
+
+
+# Width of a trigger's pulses, as a strobe's exposure needs it.
+
+
+_LEAST = 1.5  # samples: pulses shorter than one fall between the samples, and those seen seem one long
+_LEAST_RISES = 5.0  # of the rise: shorter pulses do not settle at their level
+_NEAR = 16  # samples beside a flank on which its rise is looked for
+_pulses_RINGING = (
+    0.2  # standard uncertainty in samples² over the width: crossings of one flank on the ringing of the other
+)
+
+
+@dataclass(frozen=True)
+class PulseWidth:
+    """Mean width of a signal's pulses with its standard uncertainty, their number, and the models of both flanks."""
+
+    width_s: float
+    u_width_s: float
+    pulses: int
+    begin: TriggerFit
+    end: TriggerFit
+    notices: tuple[Notice, ...]
+
+
+def pulse_width(
+    samples: FloatArray,
+    sample_rate_hz: float,
+    threshold: float | None = None,
+    edge: Literal["rising", "falling"] = "rising",
+) -> PulseWidth:
+    """Measure the width of the pulses that begin with `edge` in samples (S,), where they cross `threshold`.
+
+    Default threshold: half height, midway between the medians of the samples of either level. Both flanks follow the
+    same periodic model (`fit_trigger`); the width is the distance of their lines in the middle of the burst, where
+    neither depends on the period. Independent errors are assumed: jitter common to both flanks makes the uncertainty
+    too large, never too small. Behind a low-pass filter one flank lies on the ringing of the other, an ideal filter's
+    being sin(πx)/(π²x) at x samples from it, which the uncertainty of short pulses allows for.
+    """
+    ends: Literal["rising", "falling"] = "falling" if edge == "rising" else "rising"
+    low, high = _levels(samples, find_edges(samples, sample_rate_hz, threshold, edge).threshold)
+    level = (low + high) / 2.0 if threshold is None else threshold
+    begin = fit_trigger(find_edges(samples, sample_rate_hz, level, edge))
+    end = fit_trigger(find_edges(samples, sample_rate_hz, level, ends))
+    if abs(end.period_s / begin.period_s - 1.0) > 0.5 / begin.edges:
+        raise ValueError(
+            f"samples: expected pulses, found {edge} edges every {begin.period_s:.6g} s and {ends} ones every "
+            f"{end.period_s:.6g} s"
+        )
+    middle = np.asarray(begin.edges // 2)
+    # The first end after this beginning.
+    partner = np.asarray(np.ceil((begin.time_s(middle) - end.start_s) / end.period_s), dtype=np.int64)
+    width = float(end.time_s(partner) - begin.time_s(middle))
+    flanks = sample_rate_hz * np.concatenate([begin.edge_s, end.edge_s])
+    least = max(_LEAST, _LEAST_RISES * _rise((samples - low) / (high - low), flanks))
+    if width * sample_rate_hz < least:
+        raise ValueError(
+            f"samples: expected pulses of at least {least:.2g} samples, {1e6 * least / sample_rate_hz:.3g} us, found "
+            f"some of {1e6 * width:.3g} us"
+        )
+    u = float(np.hypot(begin.u_time_s(middle), end.u_time_s(partner)))
+    if "resolved" in (begin.kind, end.kind):
+        u = float(np.hypot(u, _pulses_RINGING / (width * sample_rate_hz**2)))
+    notices = tuple(dict.fromkeys(begin.notices + end.notices))
+    return PulseWidth(width, u, min(len(begin.number), len(end.number)), begin, end, notices)
+
+
+def _levels(samples: FloatArray, between: float) -> tuple[float, float]:
+    """Return the medians of the samples below and above a level between them."""
+    above = samples >= between
+    return float(np.median(samples[~above])), float(np.median(samples[above]))
+
+
+def _rise(height: FloatArray, flanks: FloatArray) -> float:
+    """Return how many samples per flank, these at places (E,), lie between 10 % and 90 % of the height (S,)."""
+    near = np.rint(flanks).astype(np.int64)[:, None] + np.arange(-_NEAR, _NEAR + 1)
+    beside = height[np.unique(np.clip(near, 0, len(height) - 1))]
+    return float(np.count_nonzero(np.abs(beside - 0.5) < 0.4) / len(flanks))
