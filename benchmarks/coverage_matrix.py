@@ -3,7 +3,7 @@
     python benchmarks/coverage_matrix.py [--trials 1000] [--seed 1]
 
 Eight recordings (axial, off the axis, transverse; every one mounted anew) of a sensor with ±2 % cross-talk at rated
-loads, at the level of loads and outputs (`fusion.simulate.sines`): scales, times, masses, centres of mass, inertia and
+loads, at the level of loads and outputs (`simulated_drives`): scales, times, masses, centres of mass, inertia and
 the pose of the instruments are common to the recordings that share them. Then: the same without systematic errors, in
 truth and in what is stated; one recording of the eight with 1 % that nobody states; recordings on axis only; means over
 four mountings of three recordings that scatter by 0.3 % and 0.1 %. Some four minutes on one core.
@@ -18,12 +18,12 @@ from dataclasses import replace
 import numpy as np
 from coverage_statistics import HEAD, Tally, row
 from numpy.typing import NDArray
+from simulated_drives import CAPACITY, DriveErrors, drive_setup, eight_setups, simulate_drives, true_matrix
 
 from fusion.campaign.matrix import cross_talk, fit_matrix
 from fusion.campaign.matrix_solve import MissingExcitationError
 from fusion.campaign.repeats import Drive, find_repeats
 from fusion.estimation.uncertainty import Uncertainty
-from fusion.simulate.sines import CAPACITY, DriveErrors, drive_setup, eight_setups, simulate_drives, true_matrix
 
 ComplexArray = NDArray[np.complex128]
 BoolArray = NDArray[np.bool_]

@@ -4,7 +4,7 @@
 
 One stereo pair (six components), three laser points, a triaxial accelerometer that gravity tilts, a load of several
 parts, six outputs recorded on a clock of their own. Readings come from exact rigid kinematics with finite errors
-(`fusion.simulate.phasors`), the results from the program's own path after the phasors. Cases: a uniaxial excitation
+(`simulated_phasors`), the results from the program's own path after the phasors. Cases: a uniaxial excitation
 along z, a transverse one along x, a moment on a cross beam with offset masses; the z case with outputs and lasers on
 one clock; eight laser points that scatter a thousandth more than is stated.
 """
@@ -20,9 +20,9 @@ from multiprocessing import get_context
 
 import numpy as np
 from coverage_statistics import HEAD, Counts, row
+from simulated_phasors import CASES, Case, case_setup, simulate_phasors
 
 from fusion.sensitivity.analyse import analyse
-from fusion.simulate.phasors import CASES, Case, case_setup, simulate_phasors
 from fusion.simulate.world import Draws
 
 CHUNK = 100

@@ -8,6 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
+from simulated_drives import (
+    CAPACITY,
+    MAIN,
+    DriveErrors,
+    drive_setup,
+    eight_setups,
+    simulate_drives,
+    true_matrix,
+)
 
 from fusion.campaign.curve import (
     INTERPOLATION,
@@ -21,16 +30,7 @@ from fusion.campaign.curve import (
 )
 from fusion.campaign.matrix import fit_matrix
 from fusion.campaign.repeats import Drive
-from fusion.simulate.sines import (
-    CAPACITY,
-    CHANNELS,
-    MAIN,
-    DriveErrors,
-    drive_setup,
-    eight_setups,
-    simulate_drives,
-    true_matrix,
-)
+from shaker.labels import LOAD_COMPONENTS
 
 AnyArray = NDArray[Any]
 RESONANCE_HZ = 2500.0
@@ -80,14 +80,17 @@ def test_an_output_that_a_frequency_lacks_is_no_number_there() -> None:
     drives, _ = sweep(lines=6)
     partial = [
         replace(
-            d, outputs=d.outputs[:3], outputs_uncertainty=d.outputs_uncertainty.at([0, 1, 2]), channels=CHANNELS[:3]
+            d,
+            outputs=d.outputs[:3],
+            outputs_uncertainty=d.outputs_uncertainty.at([0, 1, 2]),
+            channels=LOAD_COMPONENTS[:3],
         )
         if n < 2
         else d
         for n, d in enumerate(drives)
     ]
     (curve,) = ratio_curves(partial, CAPACITY.tolist())
-    assert curve.channels == CHANNELS
+    assert curve.channels == LOAD_COMPONENTS
     assert np.isnan(curve.value[0, 3:]).all()
     assert np.isfinite(curve.value[0, :3]).all()
     covariance = curve.uncertainty.covariance
@@ -120,7 +123,7 @@ def test_matrices_make_a_curve_that_shares_its_unknowns() -> None:
     covariance = np.concatenate([fits[1].uncertainty.covariance, fits[0].uncertainty.covariance])
     np.testing.assert_allclose(curve.uncertainty.covariance, covariance, rtol=1e-9, atol=1e-30)
     with pytest.raises(ValueError, match="matrices of the same outputs"):
-        matrix_curve([fits[0], replace(fits[1], channels=CHANNELS[::-1])])
+        matrix_curve([fits[0], replace(fits[1], channels=LOAD_COMPONENTS[::-1])])
 
 
 def test_relative_to_static() -> None:

@@ -12,20 +12,20 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from plain_drives import plain_drive, uncertainty
 from scipy.optimize import least_squares
-
-from fusion.campaign.matrix import MatrixFit, cross_talk, fit_matrix, main_components
-from fusion.campaign.matrix_solve import LINES_APART, MissingExcitationError, Stack, solve, stack_drives
-from fusion.campaign.repeats import Drive
-from fusion.estimation.uncertainty import Uncertainty, region_factor
-from fusion.simulate.sines import (
+from simulated_drives import (
     CAPACITY,
-    CHANNELS,
     DriveErrors,
     drive_setup,
     eight_setups,
     simulate_drives,
     true_matrix,
 )
+
+from fusion.campaign.matrix import MatrixFit, cross_talk, fit_matrix, main_components
+from fusion.campaign.matrix_solve import LINES_APART, MissingExcitationError, Stack, solve, stack_drives
+from fusion.campaign.repeats import Drive
+from fusion.estimation.uncertainty import Uncertainty, region_factor
+from shaker.labels import LOAD_COMPONENTS
 
 AnyArray = NDArray[Any]
 MAIN = np.eye(6, dtype=np.bool_)
@@ -161,8 +161,8 @@ def test_regions_hold_the_matrix_95_times_in_100() -> None:
 
 def test_the_covariance_is_that_of_least_squares_with_everything_correlated() -> None:
     drives, _ = eight_drives(1)
-    fit, solution = fit_matrix(drives), solve(stack_drives(drives, CHANNELS))
-    units = np.tile((stack_drives(drives, CHANNELS).output_size[:, None] / fit.load_size).ravel(), 2)
+    fit, solution = fit_matrix(drives), solve(stack_drives(drives, LOAD_COMPONENTS))
+    units = np.tile((stack_drives(drives, LOAD_COMPONENTS).output_size[:, None] / fit.load_size).ravel(), 2)
     whole = solution.gain @ (solution.noise + solution.effects @ solution.effects.T) @ solution.gain.T
     np.testing.assert_allclose(fit.uncertainty.covariance[0], whole * np.outer(units, units), rtol=1e-6, atol=1e-30)
     names = [influence.name for influence in fit.uncertainty.influences]
@@ -244,7 +244,7 @@ def test_outputs_that_are_not_always_recorded() -> None:
     silent = np.where(np.arange(6) == 2, complex(np.nan, np.nan), drives[2].outputs)
     some = [*drives[:2], replace(drives[2], outputs=silent), *drives[3:]]
     fit = fit_matrix(some)
-    assert fit.channels == CHANNELS
+    assert fit.channels == LOAD_COMPONENTS
     assert np.max(np.abs(normalised(fit, truth))) < 4.5
     few = [replace(drive, outputs=silent) if n % 2 else drive for n, drive in enumerate(drives)]
     fit = fit_matrix(few)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from evaluation_factory import make_evaluation
 from scipy.stats import norm
+from simulated_phasors import CASES, case_setup, lines_at, simulate_phasors
 
 from fusion.base import Settings
 from fusion.cli import main
@@ -36,9 +37,8 @@ from fusion.sensitivity.analyse import (
 from fusion.sensitivity.body import Body, make_joint, make_part
 from fusion.sensitivity.draws import Deviates, Estimator, channel_rows, draw_instrument, draw_load_matrices, pair_up
 from fusion.sensitivity.monte_carlo import Known, propagate
-from fusion.simulate.phasors import CASES, case_setup, lines_at, simulate_phasors
 from fusion.simulate.world import Draws
-from shaker.phasor import Phasors
+from shaker.sine.phasor import Phasors
 
 LINES = lines_at([100.0], [1])
 OMEGA = 2.0 * np.pi * LINES.frequency_hz

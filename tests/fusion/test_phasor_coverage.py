@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import binom
+from simulated_phasors import CASES, case_setup, simulate_phasors
 
 from fusion.estimation.uncertainty import region_factor
 from fusion.sensitivity.analyse import analyse
-from fusion.simulate.phasors import CASES, case_setup, simulate_phasors
 from fusion.simulate.world import Draws
 
 TRIALS = 60

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from plain_drives import plain_drive, uncertainty
+from simulated_drives import CAPACITY, DriveErrors, drive_setup, simulate_drives, true_matrix
 
 from fusion.campaign.curve import find_linearity
 from fusion.campaign.repeats import (
@@ -21,7 +22,6 @@ from fusion.campaign.repeats import (
     over_lines,
 )
 from fusion.estimation.uncertainty import region_factor
-from fusion.simulate.sines import CAPACITY, DriveErrors, drive_setup, simulate_drives, true_matrix
 
 AnyArray = NDArray[Any]
 LOAD = np.array([3.0, 1.0, 1000.0, 0.5, 0.1, 0.2])

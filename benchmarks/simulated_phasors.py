@@ -16,8 +16,9 @@ from fusion.sensitivity.monte_carlo import Known
 from fusion.simulate.world import Draws, Motion, TruePart, acceleration_at, velocity_at, wrench
 from photogram.geometry import rotation_from_vector
 from shaker.arrays import ComplexArray, FloatArray
+from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, component_units
 from shaker.lines.frequencies import Lines
-from shaker.phasor import Phasors
+from shaker.sine.phasor import Phasors
 
 # Recordings at the level of phasors: exact readings of drawn instruments, and what the program is told of them.
 
@@ -218,7 +219,7 @@ CAPACITY = (2000.0, 2000.0, 4000.0, 100.0, 100.0, 100.0)
 GAINS = np.array([5.1e-7, 5.1e-7, 2.0e-7, 9.1e-6, 9.1e-6, 8.2e-6])
 SENSOR = Sensor(
     name="six components",
-    channels=("Fx", "Fy", "Fz", "Mx", "My", "Mz"),
+    channels=LOAD_COMPONENTS,
     unit="V/V",
     sense="on_load",
     capacity=CAPACITY,
@@ -340,9 +341,9 @@ def stereo_pair(motion: ComplexArray) -> Pair:
     displacement = -motion / OMEGA[:, None] ** 2
     relative = 1e-4 * rng.standard_normal((3, 6, 6)) * np.outer([1, 1, 1, 5, 5, 5], [1, 1, 1, 0.1, 0.1, 0.1])
     effects = {"calibration": np.einsum("pij,kj->pki", relative, displacement)}
-    names = ("x", "y", "z", "rx", "ry", "rz")
-    units = ("m", "m", "m", "rad", "rad", "rad")
-    phasors = Phasors(LINES.frequency_hz, displacement, covariance, names, units, np.full(len(OMEGA), 40.0))
+    phasors = Phasors(
+        LINES.frequency_hz, displacement, covariance, MOTION_COMPONENTS, component_units(0), np.full(len(OMEGA), 40.0)
+    )
     return Pair(StereoReading("top", entry, phasors, effects, 1e-6, ("camera_trigger", 2e-7)), 40.0)
 
 
