@@ -1,0 +1,280 @@
+"""Nonlinear least squares: one method of Levenberg and Marquardt, and the elimination of what enters linearly.
+
+Residuals are whitened: of unit variance, or of one unknown variance. A fit is a search over points. A point knows its
+parameters, its loss (the sum of squares), and on demand its normal equations; how it comes by them is its own affair:
+`Residuals` from a residual and its Jacobian, `Separable` from blocks whose coefficients are projected out (variable
+projection; Golub and Pereyra, Inverse Problems 19 (2003) R1, with Kaufman's Jacobian, BIT 15 (1975) 49).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Generic, Protocol, TypeVar
+
+import numpy as np
+
+from shaker.arrays import FloatArray, IntArray
+
+_NOTHING = 1e-18  # share of the first loss below which no step is worth its while: rounding alone is left
+_STILL = 1e-14  # relative change of every parameter below which nothing moves
+_RANK = 1e-12  # diagonal of a triangle, over its largest element, below which columns depend on one another
+
+
+class Point(Protocol):
+    """A trial of parameters (P,): its loss, infinite where the parameters are impossible."""
+
+    @property
+    def parameters(self) -> FloatArray: ...
+
+    @property
+    def loss(self) -> float: ...
+
+    @property
+    def freedom(self) -> int:
+        """Number of data less that of all parameters, linear ones too, at least 1."""
+        ...
+
+    @property
+    def normal(self) -> tuple[FloatArray, FloatArray]:
+        """JᵀJ (P, P) and -Jᵀr (P,) of the residual r: a row and column of zeros holds a parameter where it is."""
+        ...
+
+
+P = TypeVar("P", bound=Point)
+
+
+@dataclass(frozen=True)
+class Rules:
+    """When a search ends, and how it is damped.
+
+    It ends where a step is foretold to lower the loss by less than max(`foretold`, `foretold_share`·loss), or where one
+    did lower it by less than max(`gained`, `gained_share`·loss); after `steps`; or where no step damped by up to
+    `largest`, or by `tries` dampings in a row, lowers it. The damping begins at `first`, times `grow` after a step
+    refused, times `shrink` after one taken, never below `least`.
+    """
+
+    foretold: float = 0.0
+    foretold_share: float = 1e-10
+    gained: float = 0.0
+    gained_share: float = 0.0
+    steps: int = 100
+    tries: int = 100
+    first: float = 1e-3
+    grow: float = 10.0
+    shrink: float = 0.1
+    least: float = 1e-9
+    largest: float = 1e9
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of parameters beforehand: `value` (P,) with standard deviations `u` (P,), infinite where nothing.
+
+    Its weight against the data takes the residual's variance at the present point for that of the data.
+    """
+
+    value: FloatArray
+    u: FloatArray
+
+    def pull(self, parameters: FloatArray) -> float:
+        """Return Σ ((x - value)/u)²."""
+        return float(np.sum(((parameters - self.value) / self.u) ** 2))
+
+
+@dataclass(frozen=True)
+class Minimum(Generic[P]):
+    """Where a search ended: the point, the losses on the way, and whether it came to rest."""
+
+    point: P
+    losses: tuple[float, ...]
+    converged: bool
+
+
+def levenberg_marquardt(
+    evaluate: Callable[[FloatArray], P | None],
+    start: P,
+    rules: Rules,
+    smallest: FloatArray | None = None,
+    prior: Prior | None = None,
+) -> Minimum[P]:
+    """Return the least squares next to a start (Marquardt, J. SIAM 11 (1963) 431).
+
+    `evaluate` gives the point of parameters (P,), of others near by where these are beyond a bound, or None where there
+    is none. Every parameter is damped by its own curvature, at least by that of `smallest` (P,), the change of it that
+    matters, so that one which the data do not tell stays where it is.
+    """
+    if not np.isfinite(start.loss):
+        raise ValueError("start: expected parameters for which all residuals are finite, found others")
+    floor = 1e-300 if smallest is None else 1.0 / smallest**2
+    here, damping, losses = start, rules.first, [start.loss]
+    for _ in range(rules.steps):
+        normal, downhill = here.normal
+        variance = here.loss / here.freedom
+        if prior is not None:
+            normal = normal + np.diag(variance / prior.u**2)
+            downhill = downhill + variance * (prior.value - here.parameters) / prior.u**2
+        scale = np.sqrt(np.maximum(np.diag(normal), floor))
+        scaled, target = normal / scale / scale[:, None], downhill / scale
+        for tried in range(rules.tries + 1):
+            step = _damped(scaled, target, damping) / scale
+            foretold = float(step @ (2.0 * downhill - normal @ step))
+            least = max(rules.foretold, rules.foretold_share * here.loss, _NOTHING * losses[0])
+            if foretold < least or np.all(np.abs(step) <= _STILL * np.abs(here.parameters)):
+                return Minimum(here, tuple(losses), True)
+            if tried == rules.tries or damping > rules.largest:
+                return Minimum(here, tuple(losses), tried == rules.tries)
+            there = evaluate(here.parameters + step)
+            if there is not None and _falls(here, there, variance, prior):
+                break
+            damping *= rules.grow
+        assert there is not None
+        gained = here.loss - there.loss
+        little = gained < max(rules.gained, rules.gained_share * here.loss)
+        here, damping = there, max(damping * rules.shrink, rules.least)
+        losses.append(here.loss)
+        if little:
+            return Minimum(here, tuple(losses), True)
+    return Minimum(here, tuple(losses), False)
+
+
+def _damped(scaled: FloatArray, target: FloatArray, damping: float) -> FloatArray:
+    """Return the step of scaled normal equations with a damping of their diagonal."""
+    matrix = scaled + damping * np.eye(len(target))
+    try:
+        return np.asarray(np.linalg.solve(matrix, target))
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.lstsq(matrix, target, rcond=None)[0])
+
+
+def _falls(here: Point, there: Point, variance: float, prior: Prior | None) -> bool:
+    """Return whether the loss falls, with the pull of what was known beforehand."""
+    if prior is None:
+        return there.loss < here.loss
+    pulls = [variance * prior.pull(point.parameters) for point in (here, there)]
+    return there.loss + pulls[1] < here.loss + pulls[0]
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """A point by its whitened residual r (N,) and Jacobian dr/dx (N, P)."""
+
+    parameters: FloatArray
+    residual: FloatArray
+    jacobian: FloatArray
+
+    @property
+    def loss(self) -> float:
+        """Sum of squares."""
+        value = float(self.residual @ self.residual)
+        return value if np.isfinite(value) else np.inf
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom, at least 1."""
+        return max(1, len(self.residual) - len(self.parameters))
+
+    @property
+    def normal(self) -> tuple[FloatArray, FloatArray]:
+        """Normal equations."""
+        return self.jacobian.T @ self.jacobian, -self.jacobian.T @ self.residual
+
+
+@dataclass(frozen=True)
+class Eliminated:
+    """Coefficients (B, C) of a design (N, B) by least squares, what they leave of the data (N, C), `basis` (N, B) of
+    the design's columns, and `root` (B, B) with root·rootᵀ = (AᵀA)⁻¹."""
+
+    coefficients: FloatArray
+    residual: FloatArray
+    basis: FloatArray
+    root: FloatArray
+
+    def beside(self, columns: FloatArray) -> FloatArray:
+        """Return the part of columns (N, …) that the design cannot take up."""
+        table = columns.reshape(len(self.basis), -1)
+        return np.asarray(columns - (self.basis @ (self.basis.T @ table)).reshape(columns.shape))
+
+
+def eliminate(design: FloatArray, data: FloatArray) -> Eliminated:
+    """Return data (N, C) explained by a design (N, B), columns scaled to one length; those that depend share alike."""
+    size = np.sqrt(np.einsum("nb,nb->b", design, design))
+    size[size == 0.0] = 1.0
+    scaled = design / size
+    basis, triangle = np.linalg.qr(scaled)
+    diagonal = np.abs(np.diag(triangle))
+    if diagonal.min(initial=np.inf) < _RANK * diagonal.max(initial=0.0):
+        root = np.linalg.pinv(triangle, rcond=_RANK) / size[:, None]
+        own = np.linalg.lstsq(scaled, data, rcond=_RANK)[0] / size[:, None]
+    else:
+        from scipy.linalg import solve_triangular
+
+        both = np.concatenate([basis.T @ data, np.eye(len(size))], axis=1)
+        own, root = np.split(solve_triangular(triangle, both) / size[:, None], [data.shape[1]], axis=1)
+    return Eliminated(own, data - design @ own, basis, root)
+
+
+@dataclass(frozen=True)
+class Block:
+    """Rows `design` (N, B) that explain `data` (N, C) by coefficients of their own.
+
+    `changes`: of coefficients (B, C), which parameters (p,) move these rows, and how the fitted rows change with each,
+    (N, p, C).
+    """
+
+    design: FloatArray
+    data: FloatArray
+    changes: Callable[[FloatArray], tuple[IntArray, FloatArray]]
+
+
+@dataclass(frozen=True)
+class Separable:
+    """A point by blocks whose coefficients are projected out; parameters (P,) are those that blocks share."""
+
+    parameters: FloatArray
+    blocks: Sequence[Block]
+
+    @cached_property
+    def solved(self) -> tuple[Eliminated, ...]:
+        """Coefficients and residuals of every block."""
+        return tuple(eliminate(block.design, block.data) for block in self.blocks)
+
+    @property
+    def coefficients(self) -> tuple[FloatArray, ...]:
+        """Coefficients (B, C) of every block."""
+        return tuple(part.coefficients for part in self.solved)
+
+    @property
+    def residuals(self) -> tuple[FloatArray, ...]:
+        """What is left of the data (N, C) of every block."""
+        return tuple(part.residual for part in self.solved)
+
+    @cached_property
+    def loss(self) -> float:
+        """Sum of squares, infinite where a design is not finite."""
+        if not all(np.all(np.isfinite(block.design)) for block in self.blocks):
+            return np.inf
+        return float(sum(np.vdot(part.residual, part.residual) for part in self.solved))
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom, at least 1."""
+        linear = sum(part.coefficients.size for part in self.solved)
+        return max(1, sum(block.data.size for block in self.blocks) - linear - len(self.parameters))
+
+    @cached_property
+    def slopes(self) -> tuple[tuple[IntArray, FloatArray], ...]:
+        """Parameters (p,) and changes (N, p, C) of every block at its best coefficients."""
+        return tuple(block.changes(part.coefficients) for block, part in zip(self.blocks, self.solved, strict=True))
+
+    @cached_property
+    def normal(self) -> tuple[FloatArray, FloatArray]:
+        """Normal equations of Kaufman's Jacobian."""
+        count = len(self.parameters)
+        normal, downhill = np.zeros((count, count)), np.zeros(count)
+        for part, (places, change) in zip(self.solved, self.slopes, strict=True):
+            free = part.beside(change).transpose(0, 2, 1).reshape(-1, len(places))
+            normal[np.ix_(places, places)] += free.T @ free
+            downhill[places] += free.T @ part.residual.ravel()
+        return normal, downhill

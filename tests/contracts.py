@@ -1,0 +1,54 @@
+"""What every estimator owes: its regions hold the truth as often as they say."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import binom, chi2
+
+LEVEL = 0.95
+CHANCE = 1e-3
+"""Chance that a perfect estimator fails a contract."""
+
+
+def acceptance(trials: int, values: int = 1, level: float = LEVEL) -> tuple[int, int]:
+    """Return the fewest and the most of `trials` that regions of a perfect estimator hold, for all of several values."""
+    tail = 0.5 * CHANCE / values
+    return int(binom.ppf(tail, trials, level)), int(binom.isf(tail, trials, level))
+
+
+def coverage_contract(
+    estimate: Callable[[int], tuple[ArrayLike, ArrayLike]],
+    truth: ArrayLike,
+    trials: int,
+    *,
+    cautious: bool = False,
+) -> np.ndarray:
+    """Assert that 95 % regions hold the truth as often as those of a perfect estimator, and return how often (Q,).
+
+    `estimate(trial)` returns the values (Q,) of one trial with their expanded uncertainties U (Q,), or with their
+    covariance (Q, Q): then the one region is the ellipsoid of all of them. Complex values count as Re and Im.
+    `cautious`: regions may hold the truth more often, as those do that cover what one trial cannot tell.
+    """
+    true, inside = _real(truth), []
+    for trial in range(trials):
+        value, spread = estimate(trial)
+        off, size = _real(value) - true, np.asarray(spread, dtype=np.float64)
+        if size.ndim == 2:
+            inside.append([off @ np.linalg.solve(size, off) <= chi2.ppf(LEVEL, len(off))])
+        else:
+            inside.append(np.abs(off) <= np.atleast_1d(size))
+    held = np.sum(inside, axis=0)
+    fewest, most = acceptance(trials, len(held))
+    told = f"{held.tolist()} of {trials} trials, expected {fewest} to {most}"
+    assert np.all(held >= fewest), f"regions too small: they hold the truth in {told}"
+    assert cautious or np.all(held <= most), f"regions too large: they hold the truth in {told}"
+    return np.asarray(held / trials)
+
+
+def _real(values: ArrayLike) -> np.ndarray:
+    """Return values as real ones (Q,)."""
+    flat = np.atleast_1d(np.asarray(values)).ravel()
+    return np.concatenate([flat.real, flat.imag]) if np.iscomplexobj(flat) else flat.astype(np.float64)
