@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shaker.identification.fit import identify
-from shaker.identification.measured import InertiaError, MeasuredSensitivity, MeasuredTransfer, RelativeError, Sight
+from shaker.identification.measured import InertiaError, MeasuredSensitivity, MeasuredTransfer, RelativeError, Placement
 from shaker.identification.model import Identification
 from shaker.identification.sensitivity import SpringPrior
 from shaker.identification.sensor import SensitivityComparison, fit_sensitivity
 from shaker.mechanics import Suspension
-from shaker.phasor import Phasors
+from shaker.sine.phasor import Phasors
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -120,7 +120,7 @@ def axial(rng: np.random.Generator, spacing_hz: float) -> tuple[list[MeasuredTra
     """Return recordings of two loads on the axial spring, H = (k + bs)/((m + m_i) s² + bs + k), and the truth."""
     true, errors, records = varied(rng, AXIAL), drawn(rng, 1), []
     k, b, m_i = true.values()
-    place = Sight(np.array([0.0, 0.0, 0.05]), np.array([0.0, 0.0, 1.0]))
+    place = Placement(np.array([0.0, 0.0, 0.05]), np.array([0.0, 0.0, 1.0]))
     for number, stated in enumerate(LOADS_KG):
         mass = stated + U_MASS * float(rng.standard_normal()) + m_i
 
@@ -167,8 +167,8 @@ def pitching(rng: np.random.Generator, spacing_hz: float) -> tuple[list[Measured
             return np.stack([x + z * theta for z in TOPS_M], axis=1)
 
         facts = {
-            "tops": tuple(Sight(np.array([0.05, 0.0, z]), axis) for z in TOPS_M),
-            "base": Sight(np.array([-0.12, 0.0, 0.0]), axis),
+            "tops": tuple(Placement(np.array([0.05, 0.0, z]), axis) for z in TOPS_M),
+            "base": Placement(np.array([-0.12, 0.0, 0.0]), axis),
             "drive": np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
             "mass_matrix": _rigid(mass, height, inertia),
             "inertia_errors": _load_errors(number, mass, height, inertia),

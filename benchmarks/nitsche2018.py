@@ -25,8 +25,8 @@ from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.evaluate import evaluate_recording
 from fusion.simulate import simulate
 from fusion.simulate.world import frame_bounds
-from shaker.phasor import Phasors
 from shaker.sine.fit import fit_sines
+from shaker.sine.phasor import Phasors
 
 FloatArray = NDArray[np.float64]
 DRIVEN = 2  # z

@@ -34,8 +34,8 @@ from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.evaluate import evaluate_recording
 from fusion.sensitivity.multipoint_vibrometer import PointRatios
 from fusion.simulate import simulate, simulate_campaign
-from shaker.phasor import derivative_factor
 from shaker.sine.fit import fit_sines
+from shaker.sine.phasor import derivative_factor
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

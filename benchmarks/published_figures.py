@@ -28,7 +28,7 @@ from fusion.report.style import (
 )
 from fusion.sensitivity.analyse import Evaluation
 from shaker.identification.readings import stiffness
-from shaker.phasor import Phasors
+from shaker.sine.phasor import Phasors
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

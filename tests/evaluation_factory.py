@@ -21,8 +21,8 @@ from photogram.epipolar import EpipolarCheck
 from photogram.motion import RigidMotion
 from shaker.arrays import Notice
 from shaker.lines.frequencies import Lines
-from shaker.phasor import Phasors
 from shaker.sine.fit import fit_sines
+from shaker.sine.phasor import Phasors
 from shaker.timebase.tie import ClockTie
 from shaker.timebase.trigger import TriggerFit
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from shaker.identification.measured import InertiaError, MeasuredTransfer, RelativeError, Sight
-from shaker.phasor import Phasors
+from shaker.identification.measured import InertiaError, MeasuredTransfer, RelativeError, Placement
+from shaker.sine.phasor import Phasors
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -66,8 +66,8 @@ def recording(
     *,
     noise: float | FloatArray,
     rng: np.random.Generator | None = None,
-    tops: Sequence[Sight] | None = None,
-    base: Sight | None = None,
+    tops: Sequence[Placement] | None = None,
+    base: Placement | None = None,
     errors: Sequence[RelativeError] = (),
     inertia_errors: Sequence[InertiaError] = (),
     line_correlation: ComplexArray | None = None,
@@ -89,7 +89,7 @@ def recording(
         draws = rng.standard_normal((2, lines, channels))
         value = value + size * (draws[0] + 1j * draws[1])
         covariance *= (rng.chisquare(dof, lines) / dof)[:, None, None]
-    sight = Sight(np.zeros(3), drive[:3] if np.any(drive[:3]) else Z)
+    sight = Placement(np.zeros(3), drive[:3] if np.any(drive[:3]) else Z)
     ratio = Phasors(
         frequency_hz,
         value,

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fusion.estimation.measurement_model import ChainUncertainty, Observation, Reading, observe_channels, observe_stereo
-from shaker.phasor import Phasors
+from shaker.sine.phasor import Phasors
 
 FREQUENCY = np.array([106.25, 212.5])
 OMEGA = 2.0 * np.pi * FREQUENCY

@@ -26,9 +26,9 @@ from fusion.campaign.repeats import (
 )
 from fusion.estimation.least_squares import real_design
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, region
-from fusion.sensitivity.load import LOAD_COMPONENTS
 from fusion.sensitivity.ratio import driven_component
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape
+from shaker.labels import LOAD_COMPONENTS
 
 # Linearity: whether the ratio of outputs over load changes with the amplitude of the load.
 

@@ -35,8 +35,8 @@ from fusion.report.h5 import Recorded, SensorFacts
 from fusion.report.numbers import common_exponent, fixed, measured, polar_cells, small, times_ten
 from fusion.report.style import Picture
 from fusion.report.tables import Headline, Table
-from fusion.sensitivity.load import LOAD_COMPONENTS
 from shaker.arrays import ComplexArray, Notice, Severity
+from shaker.labels import LOAD_COMPONENTS
 
 # What the recordings of a campaign say together: matrices, cross-talk, repeats, linearity, one curve per element.
 

@@ -46,7 +46,7 @@ from fusion.report.provenance import Provenance, write_provenance
 from fusion.report.recording import CAMPAIGN_FILE, CROSSTALK_FILE, CURVE_FILE, REPORT_FILE
 from fusion.report.style import Picture
 from fusion.report.tables import Table, origin_frame, render_page
-from fusion.sensitivity.load import LOAD_COMPONENTS, LOAD_UNITS
+from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS
 
 # The joint tables of a campaign: matrices among the sensitivities, curves over frequency, cross-talk.
 

@@ -22,10 +22,10 @@ from fusion.campaign.repeats import FREQUENCY_TOLERANCE, LOADS, Drive
 from fusion.estimation.consistency import fails
 from fusion.estimation.least_squares import real_design
 from fusion.estimation.uncertainty import Contribution, Uncertainty, merge_contributions, region
-from fusion.sensitivity.load import LOAD_COMPONENTS
 from fusion.sensitivity.ratio import Sensitivity
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, check_shape
-from shaker.phasor import real_stacked_diagonal
+from shaker.labels import LOAD_COMPONENTS
+from shaker.sine.phasor import real_stacked_diagonal
 
 # The complex matrix of sensitivities at one frequency, from several recordings, with all that makes it uncertain.
 

@@ -12,8 +12,8 @@ from scipy.linalg import solve_triangular
 from fusion.campaign.repeats import LOADS, Drive
 from fusion.estimation.least_squares import real_design
 from fusion.estimation.uncertainty import Influence, Uncertainty
-from fusion.sensitivity.load import LOAD_COMPONENTS
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from shaker.labels import LOAD_COMPONENTS
 
 # Loads and outputs of several drives in units of their own size, with everything that makes them uncertain.
 

@@ -12,7 +12,7 @@ from fusion.estimation.least_squares import BODY_SIZE_M, real_design
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty
 from fusion.sensitivity.ratio import driven_component
 from shaker.arrays import ComplexArray, FloatArray, IntArray, Notice, check_shape
-from shaker.phasor import real_stacked_diagonal
+from shaker.sine.phasor import real_stacked_diagonal
 
 if TYPE_CHECKING:
     from fusion.sensitivity.analyse import Evaluation

@@ -121,7 +121,7 @@ def _act_plan(options: argparse.Namespace) -> int:
     from fusion.base import check_new_file, write_whole
     from fusion.planning.plan import Request, Size, make_plan, plan_csv
     from fusion.planning.plan_report import print_plan
-    from shaker.rate_planner import Sampling
+    from shaker.lines.rate_planner import Sampling
 
     for path in filter(None, (options.figure, options.csv)):
         check_new_file(path, force=options.force)

@@ -13,9 +13,9 @@ from fusion.estimation.least_squares import SCALE, Solution, System, real_design
 from fusion.estimation.measurement_model import CommonError, Observation
 from fusion.estimation.uncertainty import Contribution, Uncertainty, total_variance
 from fusion.estimation.variance_components import LEAST_DOF, Contrasts, Discrepancy, Scatter, variance_components
-from fusion.sensitivity.body import COMPONENTS
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Notice
-from shaker.phasor import Phasors
+from shaker.labels import MOTION_COMPONENTS
+from shaker.sine.phasor import Phasors
 
 # Whether instruments agree: all together, each against the others' prediction, each unknown against what is stated.
 
@@ -274,7 +274,6 @@ def _shares(system: System, effects: FloatArray) -> FloatArray:
 
 
 Source = Literal["fused", "photogrammetry", "vibrometer", "accelerometer"]
-UNITS = ("m/s^2",) * 3 + ("rad/s^2",) * 3
 
 
 @dataclass(frozen=True)
@@ -348,7 +347,7 @@ def untested(result: Acceleration) -> tuple[Untested, ...]:
         if unknown.remaining > REMAINING and share[c] > NOTABLE_SHARE:
             relative = float(size[c] / np.abs(value[line, c])) if value[line, c] else np.inf
             row = Untested(
-                unknown.name, unknown.label, unknown.u, unknown.unit, COMPONENTS[c], float(share[c]), relative
+                unknown.name, unknown.label, unknown.u, unknown.unit, MOTION_COMPONENTS[c], float(share[c]), relative
             )
             found.append(row)
     return tuple(sorted(found, key=lambda row: -row.share))
@@ -382,7 +381,7 @@ def _missing(result: Acceleration) -> list[Notice]:
     for pattern in [] if np.all(result.observed) else np.unique(~result.observed, axis=0):
         lines = int(np.sum(np.all(result.observed == ~pattern, axis=1)))
         if np.any(pattern):
-            missing = ", ".join(name for name, hidden in zip(COMPONENTS, pattern, strict=True) if hidden)
+            missing = ", ".join(name for name, hidden in zip(MOTION_COMPONENTS, pattern, strict=True) if hidden)
             text = (
                 f"{missing} of the {result.body} cannot be told from the readings of {titles} at {lines} of "
                 f"{len(result.observed)} lines: too few points, directions or usable lines; no values are given"

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fusion.estimation.consistency import (
-    UNITS,
     Acceleration,
     Source,
     compare,
@@ -31,9 +30,9 @@ from fusion.estimation.variance_components import (
     failing_lines,
     scatter_covariances,
 )
-from fusion.sensitivity.body import COMPONENTS
 from shaker.arrays import BoolArray, FloatArray
-from shaker.phasor import Phasors
+from shaker.labels import MOTION_COMPONENTS, component_units
+from shaker.sine.phasor import Phasors
 
 SINGLE_SOURCES: tuple[Source, ...] = ("photogrammetry", "vibrometer", "accelerometer")
 INCONSISTENCY = "inconsistency of instruments"
@@ -133,8 +132,8 @@ def _phasors(system: System, solution: Solution, uncertainty: Uncertainty) -> Ph
         frequency_hz=system.observations[0].phasors.frequency_hz,
         value=np.where(system.observed, solution.acceleration, complex(np.nan, np.nan)),
         covariance=uncertainty.covariance,
-        channels=COMPONENTS,
-        unit=UNITS,
+        channels=MOTION_COMPONENTS,
+        unit=component_units(2),
         dof=uncertainty.dof()[lines, component],
     )
 

@@ -14,7 +14,7 @@ from fusion.estimation.uncertainty import Kind as UncertaintyKind
 from fusion.estimation.uncertainty import Scope
 from photogram.geometry import skew
 from shaker.arrays import ComplexArray, FloatArray, check_shape
-from shaker.phasor import Phasors, derivative_factor, stack_phasors
+from shaker.sine.phasor import Phasors, derivative_factor, stack_phasors
 
 if TYPE_CHECKING:
     from fusion.recording.manifest import ChannelEntry

@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from shaker.arrays import ComplexArray, FloatArray, IntArray, check_shape
-from shaker.phasor import real_stacked_diagonal
+from shaker.sine.phasor import real_stacked_diagonal
 
 # Coverage: factors that turn standard into expanded uncertainties, and 95 % regions of complex values.
 

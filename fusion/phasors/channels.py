@@ -16,12 +16,13 @@ from fusion.recording.files import DaqRecord, read_response
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry
 from shaker.arrays import FloatArray, Notice
+from shaker.labels import QUANTITY_UNITS
 from shaker.lines.aliasing import alias_frequency
 from shaker.lines.detection import relative_strength, survey_lines
 from shaker.lines.frequencies import Lines, find_lines
 from shaker.lines.spectrum import amplitude_spectrum
-from shaker.phasor import Phasors
 from shaker.sine.fit import Stationarity, fit_sines, stationarity
+from shaker.sine.phasor import Phasors
 from shaker.sine.solve import SineFit
 
 # How far amplitude and phase of the driven lines changed while each instrument was recording.
@@ -122,14 +123,6 @@ def _of_lines(name: str, steady: Stationarity, driven: Sequence[float], u_rate: 
 # The DAQ channels of a recording turned into phasors in SI, delay and chain response taken off.
 
 
-QUANTITY_UNITS = {
-    "displacement": "m",
-    "velocity": "m/s",
-    "acceleration": "m/s^2",
-    "angular_velocity": "rad/s",
-    "force": "N",
-    "voltage": "V",
-}
 EXCERPT_PERIODS = 4
 DRIVEN = 0.05
 """Of the strongest line: what a line of a multisine without stated frequencies must reach."""

@@ -15,9 +15,9 @@ from photogram.motion import Deformation, RigidMotion
 from photogram.subsets.grid import NoiseModel
 from shaker.arrays import ComplexArray, FloatArray, check_shape
 from shaker.lines.aliasing import exposure_gain, sine_columns
-from shaker.phasor import Phasors
 from shaker.sine.fit import Stationarity
 from shaker.sine.normal_equations import solve_sines
+from shaker.sine.phasor import Phasors
 from shaker.sine.solve import SineFit
 from shaker.timebase.tie import ClockTie
 from shaker.timebase.trigger import TriggerFit

@@ -26,7 +26,7 @@ from fusion.recording.load import Manifest
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice
 from shaker.lines.aliasing import alias_frequency
 from shaker.lines.frequencies import Lines
-from shaker.phasor import Phasors, real_stacked_diagonal
+from shaker.sine.phasor import Phasors, real_stacked_diagonal
 
 # One take: what was recorded at once, from its files to the phasors of every instrument.
 

@@ -18,8 +18,8 @@ from fusion.phasors.setup import MeasuredTake, Referral, drift_notices
 from fusion.recording.manifest import ChannelEntry
 from shaker.arrays import ComplexArray, FloatArray, Notice
 from shaker.lines.frequencies import Lines
-from shaker.phasor import Phasors
 from shaker.sine.fit import Stationarity
+from shaker.sine.phasor import Phasors
 
 # A channel that several takes recorded: one reading from all of them, what they scatter by being noise.
 

@@ -36,18 +36,17 @@ from photogram.motion import RigidMotion, fit_motion, relative_to
 from photogram.subsets.reference import TrackStatus
 from photogram.subsets.track import StereoTracks
 from shaker.arrays import ComplexArray, FloatArray, Notice
+from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.lines.aliasing import exposure_gain, usable_lines
 from shaker.lines.frequencies import Lines
-from shaker.phasor import Phasors
 from shaker.sine.fit import fit_sines, stationarity
 from shaker.sine.normal_equations import sine_amplitudes
+from shaker.sine.phasor import Phasors
 from shaker.sine.solve import SineFit
 
 # From the motion of a stereo pair's body to displacement phasors, and what is common to all its frames.
 
 
-COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
-DISPLACEMENT_UNITS = ("m", "m", "m", "rad", "rad", "rad")
 MIN_SUBSETS = 6
 PERIODIC_SHARE = 0.4  # standard uncertainty of a line over the amplitude of an error periodic in the pixel
 BIAS_STEP_PX = 0.01
@@ -125,7 +124,7 @@ def stereo_phasors(measured: StereoMotion, lines: Lines) -> StereoPhasors:
     shape = deflection_shape(measured.time_s, frequency_hz, measured.deformation, measured.exposure.length_s)
     pose = from_mean.pose.copy()
     pose[fit.spikes] = np.nan
-    steady = stationarity(measured.time_s, pose, frequency_hz, COMPONENTS)
+    steady = stationarity(measured.time_s, pose, frequency_hz, MOTION_COMPONENTS)
     result = replace(_result(measured, from_mean, fit, usable), deflection=shape, stationarity=steady)
     return StereoPhasors(measured.entry, measured.stereo, result, displacement, effects, notices)
 
@@ -135,9 +134,11 @@ def _fit_about_mean(name: str, measured: StereoMotion, frequency_hz: FloatArray)
     motion = measured.motion
     try:
         for _ in range(2):
-            fit = fit_sines(measured.time_s, motion.pose, frequency_hz, COMPONENTS, DISPLACEMENT_UNITS, robust=True)
+            fit = fit_sines(
+                measured.time_s, motion.pose, frequency_hz, MOTION_COMPONENTS, component_units(0), robust=True
+            )
             motion = relative_to(motion, fit.offset)
-        fit = fit_sines(measured.time_s, motion.pose, frequency_hz, COMPONENTS, DISPLACEMENT_UNITS, robust=True)
+        fit = fit_sines(measured.time_s, motion.pose, frequency_hz, MOTION_COMPONENTS, component_units(0), robust=True)
         return motion, fit
     except ValueError as error:
         raise ComputeError(f"stereo pair {name}: the lines cannot be fitted to its motion ({error})") from error

@@ -29,8 +29,8 @@ from fusion.report.style import (
 )
 from shaker.arrays import FloatArray
 from shaker.lines.aliasing import MAX_CONDITION
+from shaker.lines.rate_planner import Scan, condition_over_rate, scan_rates
 from shaker.lines.spectrum import FIRST_BIN
-from shaker.rate_planner import Scan, condition_over_rate, scan_rates
 
 # Figure of a plan: condition of the fit and uncertainty over the camera rate, and the rates chosen.
 

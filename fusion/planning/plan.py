@@ -11,7 +11,7 @@ import numpy as np
 
 from fusion.base import InputError
 from shaker.arrays import FloatArray
-from shaker.rate_planner import (
+from shaker.lines.rate_planner import (
     Lines,
     RatePlan,
     Sampling,

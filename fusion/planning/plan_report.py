@@ -12,7 +12,7 @@ from fusion.estimation.uncertainty import DASH, prefix
 from fusion.planning.plan import Plan, Point, Size
 from shaker.arrays import FloatArray
 from shaker.lines.aliasing import CLEAR_BINS
-from shaker.rate_planner import PREFERRED, RatePlan
+from shaker.lines.rate_planner import PREFERRED, RatePlan
 
 if TYPE_CHECKING:
     from rich.console import Console

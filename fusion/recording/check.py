@@ -17,10 +17,9 @@ from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry, Daq, Frames, Images, PointFiles
 from fusion.recording.values import PULSE
 from shaker.io.channel import RawChannel
+from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
 
 BODIES = ("load", "base")
-MOTION = ("x", "y", "z", "rx", "ry", "rz")
-LOADS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 NO_REFERENCE = "no channel"
 ROW_TOLERANCE = 1e-9
 """Relative singular value below which instruments do not tell two motions apart."""
@@ -37,7 +36,7 @@ class Observability:
     @property
     def components(self) -> tuple[str, ...]:
         """Names of the components determined."""
-        return tuple(name for name, seen in zip(MOTION, observable(self.rows), strict=True) if seen)
+        return tuple(name for name, seen in zip(MOTION_COMPONENTS, observable(self.rows), strict=True) if seen)
 
 
 @dataclass(frozen=True)
@@ -351,7 +350,7 @@ def _all_rows(observed: list[Observability], body: str) -> NDArray[np.float64]:
 
 def _unseen(rows: NDArray[np.float64]) -> tuple[str, ...]:
     """Components that rows do not determine."""
-    return tuple(name for name, seen in zip(MOTION, observable(rows), strict=True) if not seen)
+    return tuple(name for name, seen in zip(MOTION_COMPONENTS, observable(rows), strict=True) if not seen)
 
 
 def _driven_but_unseen(manifest: Manifest, rows: NDArray[np.float64]) -> list[str]:
@@ -360,7 +359,7 @@ def _driven_but_unseen(manifest: Manifest, rows: NDArray[np.float64]) -> list[st
     given = manifest.excitation.direction or ()
     direction[: len(given)] = given
     seen = observable(rows)
-    return [LOADS[i] for i in np.flatnonzero(direction) if len(rows) and not seen[i]]
+    return [LOAD_COMPONENTS[i] for i in np.flatnonzero(direction) if len(rows) and not seen[i]]
 
 
 def _loose(takes: Sequence[Manifest]) -> list[str]:

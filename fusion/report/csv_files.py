@@ -15,7 +15,7 @@ from fusion.phasors.results import StereoResult
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.ratio import Sensitivity
 from shaker.arrays import FloatArray
-from shaker.phasor import Phasors
+from shaker.sine.phasor import Phasors
 
 SENSITIVITY_FILE, ACCELERATION_FILE, LOAD_FILE = "sensitivity.csv", "acceleration.csv", "load.csv"
 POLAR_COLUMNS = ("magnitude", "phase_rad", "u_magnitude", "u_phase_rad", "re", "im", "u_re", "u_im", "r", "dof")

@@ -15,8 +15,6 @@ from fusion.estimation.consistency import Acceleration
 from fusion.estimation.uncertainty import Polar, element_covariance, polar, prefix, typeset
 from fusion.report.csv_files import sensitivity_element, sensitivity_unit
 from fusion.report.numbers import (
-    COMPONENTS,
-    LOAD_COMPONENTS,
     acceleration,
     bodies,
     by_source,
@@ -45,6 +43,7 @@ from fusion.report.style import (
 )
 from fusion.sensitivity.analyse import Evaluation
 from shaker.arrays import FloatArray
+from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
 
 # Figures of the acceleration: sources side by side, and weak components in the complex plane.
 
@@ -68,7 +67,7 @@ def draw_sources(evaluation: Evaluation, compared: list[str]) -> Picture:
         panels = figure.subplots(len(compared), 2, squeeze=False, sharex="col", gridspec_kw={"height_ratios": counts})
         for (left, right), body in zip(panels, compared, strict=True):
             _draw_deviations(left, right, by_source(evaluation, body), line, component)
-            left.set_title(f"{body}, {COMPONENTS[component]}")
+            left.set_title(f"{body}, {MOTION_COMPONENTS[component]}")
         panels[-1, 0].set_xlabel("deviation of the amplitude / %")
         panels[-1, 1].set_xlabel("deviation of the phase / mrad")
         lay_out(figure, panels.flat, left=1.15, top=0.25, gap=(0.25, 0.35))
@@ -157,7 +156,7 @@ def _draw_plane(axes: Axes, results: list[Acceleration], line: int, component: i
     """One component of all sources in the complex plane."""
     found = [(result, element) for result in results if (element := _element(result, line, component)) is not None]
     unit = results[0].phasors.unit[component]
-    axes.set_title(COMPONENTS[component])
+    axes.set_title(MOTION_COMPONENTS[component])
     if not found:
         axes.text(0.5, 0.5, "not observed", ha="center", va="center", color=GREY, transform=axes.transAxes)
         axes.set_axis_off()

@@ -19,7 +19,7 @@ from fusion.report.provenance import RESULT_FILE, Provenance, read_provenance, w
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.load import LoadResult, Outputs
 from shaker.arrays import FloatArray, Notice
-from shaker.phasor import Phasors
+from shaker.sine.phasor import Phasors
 
 # result.h5: the whole evaluation, every covariance written out; the groups and names are those of the data classes.
 

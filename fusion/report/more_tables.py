@@ -13,8 +13,6 @@ from fusion.phasors.channels import Drift, drifts
 from fusion.phasors.results import ClockResult
 from fusion.report.csv_files import sensitivity_unit
 from fusion.report.numbers import (
-    COMPONENTS,
-    LOAD_COMPONENTS,
     acceleration,
     common_exponent,
     degrees_of_freedom,
@@ -39,6 +37,7 @@ from fusion.sensitivity.load import BudgetEntry, budget
 from fusion.sensitivity.multipoint_vibrometer import FEWEST_POINTS, PointRatios, PointSpread, axis_name
 from fusion.sensitivity.ratio import OtherLoads, other_loads
 from shaker.arrays import ComplexArray, FloatArray
+from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
 
 # The report's tables on the agreement of instruments: who deviates, what scatters, what these data do not test.
 
@@ -139,7 +138,7 @@ def budget_tables(evaluation: Evaluation) -> list[Table]:
         tables.append(_budget_table(entries, line, 0, what, load.frequency_hz[line]))
     motion = acceleration(evaluation, "load", "fused")
     if motion is not None and motion.observed[line, component]:
-        what, value = f"acceleration {COMPONENTS[component]} of the load", motion.phasors.value[:, [component]]
+        what, value = f"acceleration {MOTION_COMPONENTS[component]} of the load", motion.phasors.value[:, [component]]
         entries = _budget_of(motion.uncertainty, value, component)
         tables.append(_budget_table(entries, line, 0, what, motion.phasors.frequency_hz[line]))
     return tables

@@ -37,12 +37,12 @@ from fusion.report.style import (
 )
 from fusion.sensitivity.analyse import Evaluation
 from shaker.arrays import ComplexArray, FloatArray
+from shaker.labels import AXES, MOTION_COMPONENTS, component_units
 from shaker.lines.aliasing import alias_frequency
 
 # Figure of one stereo pair: how its body bends at a line, out of its plane and in it.
 
 
-AXES = ("x", "y", "z")
 OUT_QUANTILE, INSIDE_QUANTILE = 2.448, 3.080
 """Amplitude of one and of two components, in standard uncertainties of their parts, that noise exceeds at 5 % of the
 points: square roots of the 95 % quantiles of chi-square with 2 and 4 degrees of freedom."""
@@ -235,8 +235,6 @@ def _frame(axes: Axes, view: _View) -> None:
 # Figures of one stereo pair: motion over time and folded, what the fit leaves, and the image it was seen in.
 
 
-COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
-BASE_UNITS = ("m", "m", "m", "rad", "rad", "rad")
 POINT: dict[str, Any] = {"marker": "o", "linestyle": "none", "markersize": 2.6, "markeredgewidth": 0}
 COMPONENT_COLOURS = (BLUE, ORANGE, RED)
 CURVE_POINTS = 600
@@ -307,7 +305,7 @@ def draw_residuals(stereo: StereoResult) -> Picture:
             scaled = residual[:, component] / factor
             over_time.plot(stereo.time_s, scaled, color=BLUE, rasterized=len(stereo.time_s) > RASTER_ABOVE, **POINT)
             over_time.axhline(0.0, color=BLACK, linewidth=0.6)
-            over_time.set_ylabel(f"{COMPONENTS[component]} / {letter}{BASE_UNITS[component]}")
+            over_time.set_ylabel(f"{MOTION_COMPONENTS[component]} / {letter}{component_units(0)[component]}")
             _draw_histogram(histogram, scaled[np.isfinite(scaled)])
         panels[-1, 0].set_xlabel("time / s")
         panels[-1, 1].set_xlabel("frames")
@@ -331,7 +329,7 @@ def draw_residual_spectrum(stereo: StereoResult) -> Picture:
             factor, letter = prefix(amplitude[1:, components], coarse=True)
             for component, colour in zip(components, COMPONENT_COLOURS, strict=True):
                 line = amplitude[1:, component] / factor
-                axes.plot(spectrum_hz[1:], line, color=colour, linewidth=0.9, label=COMPONENTS[component])
+                axes.plot(spectrum_hz[1:], line, color=colour, linewidth=0.9, label=MOTION_COMPONENTS[component])
             axes.set_ylim(0.0, 1.25 * float(np.nanmax(amplitude[1:, components])) / factor)
             axes.set_xlim(0.0, rate / 2.0)
             axes.set_xlabel("frequency at the camera / Hz")
@@ -418,7 +416,7 @@ def _draw_component(axes: Axes, stereo: StereoResult, component: int) -> float:
     fine = np.linspace(stereo.time_s[0], stereo.time_s[-1], CURVE_POINTS)
     axes.plot(fine, beat_curve(stereo, fine)[:, component] / factor, color=RED, linewidth=1.1, zorder=3)
     axes.plot(stereo.time_s, pose / factor, color=BLUE, rasterized=len(stereo.time_s) > RASTER_ABOVE, **POINT)
-    axes.set_ylabel(f"{COMPONENTS[component]} / {letter}{BASE_UNITS[component]}")
+    axes.set_ylabel(f"{MOTION_COMPONENTS[component]} / {letter}{component_units(0)[component]}")
     return factor
 
 

@@ -33,13 +33,14 @@ from fusion.report.more_tables import (
     point_tables,
 )
 from fusion.report.motion_figures import motion_pictures, subset_pictures
-from fusion.report.numbers import LOAD_COMPONENTS, driven_channel, driven_component, driven_element, main_line, measured
+from fusion.report.numbers import driven_channel, driven_component, driven_element, main_line, measured
 from fusion.report.provenance import RESULT_FILE, Provenance, check_folder, read_provenance, write_provenance
 from fusion.report.signal_figures import channel_pictures, point_pictures, trigger_pictures
 from fusion.report.style import Picture
 from fusion.report.tables import origin_frame, render_page, takes_table
 from fusion.sensitivity.analyse import Evaluation
 from shaker.arrays import Notice
+from shaker.labels import LOAD_COMPONENTS
 
 # Which figures the report of one recording holds.
 

@@ -19,8 +19,6 @@ from fusion.estimation.uncertainty import DASH, Polar, element_covariance, polar
 from fusion.phasors.results import StereoResult
 from fusion.report.csv_files import sensitivity_element, sensitivity_unit
 from fusion.report.numbers import (
-    COMPONENTS,
-    LOAD_COMPONENTS,
     WEAK,
     acceleration,
     bodies,
@@ -41,7 +39,8 @@ from fusion.report.numbers import (
 )
 from fusion.report.provenance import PROGRAM, Provenance
 from fusion.sensitivity.analyse import Evaluation
-from shaker.phasor import Phasors
+from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
+from shaker.sine.phasor import Phasors
 
 # The tables of the report: every number rounded to its expanded uncertainty, whose coverage factor stands with it.
 
@@ -78,7 +77,9 @@ def headlines(evaluation: Evaluation) -> list[Headline]:
     result = acceleration(evaluation, "load", "fused") or next(iter(evaluation.accelerations), None)
     if result is not None and result.observed[line, component]:
         dof = float(result.uncertainty.dof()[line, component])
-        found.append(_phasor_headline(result.phasors, dof, line, component, f"Acceleration {COMPONENTS[component]}"))
+        found.append(
+            _phasor_headline(result.phasors, dof, line, component, f"Acceleration {MOTION_COMPONENTS[component]}")
+        )
     if evaluation.load is not None and evaluation.load.observed[line, component]:
         load, dof = evaluation.load, float(evaluation.load.uncertainty.dof()[line, component])
         found.append(_phasor_headline(load.phasors, dof, line, component, f"Load {LOAD_COMPONENTS[component]}"))
@@ -274,7 +275,7 @@ def _source_row(results: Sequence[Acceleration], line: int, component: int) -> t
     """One component of all sources in one unit."""
     values = np.array([abs(result.phasors.value[line, component]) for result in results])
     scale, letter = prefix(values)
-    cells: list[str] = [COMPONENTS[component], letter + typeset(results[0].phasors.unit[component])]
+    cells: list[str] = [MOTION_COMPONENTS[component], letter + typeset(results[0].phasors.unit[component])]
     for result in results:
         value = complex(result.phasors.value[line, component])
         if not result.observed[line, component] or not np.isfinite(value):

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from fusion.estimation.uncertainty import Scope
 from photogram.geometry import skew
 from shaker.arrays import ComplexArray, FloatArray
+from shaker.labels import MOTION_COMPONENTS
 
 # The elastic joint between a load and what is mounted below it: how the lower side follows the upper one.
 
@@ -64,7 +65,6 @@ def make_joint(frequency_hz: ArrayLike, u_frequency_hz: ArrayLike = 0.0, damping
 # Bodies about the sensor origin: mass matrix, tilt of the weight in air, and what their uncertain parameters do.
 
 
-COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 INERTIA_ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 AIR_MOVED_ALONG = 0.5
 """Mass of the air that a body takes along, in masses of the air it displaces: a sphere's (Lamb 1932, Art. 92)."""
@@ -226,7 +226,7 @@ class Body:
         if self.joint is None or not below:
             return
         lower, change = _sum(below).load_matrix(frequency_hz, gravity_mps2), self.joint.change(frequency_hz)
-        for place, axis in enumerate(COMPONENTS):
+        for place, axis in enumerate(MOTION_COMPONENTS):
             stated, u = float(self.joint.frequency_hz[place]), float(self.joint.u_frequency_hz[place])
             own = np.zeros(lower.shape, dtype=np.complex128)
             own[:, :, place] = lower[:, :, place] * change[:, None, place]
@@ -243,7 +243,7 @@ class Body:
                 gravity = np.eye(3)[axis] * u_gravity_mps2[axis]
                 change = self.load_matrix(frequency_hz, gravity) - still
                 u = float(u_gravity_mps2[axis])
-                yield MatrixChange(f"gravity {COMPONENTS[axis]}", "gravity", u, "m/s^2", "rig", change)
+                yield MatrixChange(f"gravity {MOTION_COMPONENTS[axis]}", "gravity", u, "m/s^2", "rig", change)
 
 
 def _sum(terms: list[InertialTerms]) -> InertialTerms:

@@ -25,7 +25,7 @@ from fusion.recording.manifest import ChannelEntry
 from fusion.sensitivity.body import INERTIA_ENTRIES, Body, Part
 from photogram.geometry import rotation_from_vector
 from shaker.arrays import ComplexArray, FloatArray
-from shaker.phasor import derivative_factor
+from shaker.sine.phasor import derivative_factor
 
 # Draws of unknowns by their names, the same whatever else is drawn and in whatever order.
 

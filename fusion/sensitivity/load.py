@@ -14,9 +14,10 @@ from fusion.estimation.consistency import Acceleration
 from fusion.estimation.least_squares import BODY_SIZE_M, UNOBSERVED_MOTION, hidden_motion, real_design, real_stack
 from fusion.estimation.measurement_model import Reading, RelativeError, chain_errors, chain_name
 from fusion.estimation.uncertainty import Contribution, Influence, Kind, Uncertainty, total_variance
-from fusion.sensitivity.body import COMPONENTS, Body, MatrixChange
+from fusion.sensitivity.body import Body, MatrixChange
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, check_shape
-from shaker.phasor import Phasors, real_stacked_diagonal, stack_phasors
+from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS
+from shaker.sine.phasor import Phasors, real_stacked_diagonal, stack_phasors
 
 # The sensor's outputs: phasors of all channels with noise of their own and the errors of their chains by name.
 
@@ -74,8 +75,6 @@ def _influence(error: RelativeError, change: ComplexArray) -> Influence:
 # The load at the sensor origin: mass matrix and gravity tilt applied to the acceleration, with its uncertainty.
 
 
-LOAD_COMPONENTS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
-LOAD_UNITS = ("N", "N", "N", "N.m", "N.m", "N.m")
 UNOBSERVED_LIMIT = 0.01
 """Largest relative standard uncertainty that unobserved components may bring to a load component."""
 
@@ -169,7 +168,7 @@ def _hidden_contributions(
     # Through the uncertain parameters an unobserved component acts even where its coefficient is zero.
     ways = np.stack([matrix, *(c.change for c in changes)])
     found = {}
-    for place, name in enumerate(COMPONENTS):
+    for place, name in enumerate(MOTION_COMPONENTS):
         if np.any(variance[:, place] > 0.0):
             columns = real_design(ways[..., place, None])
             covariance = np.einsum("wkia,wkja,k->kij", columns, columns, variance[:, place])

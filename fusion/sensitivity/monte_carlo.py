@@ -15,10 +15,9 @@ from fusion.estimation.measurement_model import Reading, StereoReading
 from fusion.estimation.uncertainty import Uncertainty
 from fusion.estimation.variance_components import LEAST_DOF
 from fusion.sensitivity.analyse import Analysis, FirstOrder, Inputs, MonteCarlo, Propagated, judged, summarise
-from fusion.sensitivity.body import COMPONENTS
 from fusion.sensitivity.draws import Deviates, Estimator, Instrument, draw_instrument, draw_load_matrices, pair_up
-from fusion.sensitivity.load import LOAD_COMPONENTS, LOAD_UNITS
 from shaker.arrays import ComplexArray, FloatArray, IntArray, Notice
+from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS
 
 NAMED = 4  # quantities named in a notice
 BLOCK = 2000
@@ -175,7 +174,7 @@ def _first_order(found: Analysis) -> Iterable[FirstOrder]:
     for fused in found.accelerations:
         if fused.source == "fused":
             seen = fused.phasors
-            yield _of(_acceleration_name(fused), COMPONENTS, seen.unit, seen.value, fused.uncertainty, found)
+            yield _of(_acceleration_name(fused), MOTION_COMPONENTS, seen.unit, seen.value, fused.uncertainty, found)
     if found.load is not None:
         value = np.where(found.load.observed, found.load.value, complex(np.nan, np.nan))
         yield _of("load", LOAD_COMPONENTS, LOAD_UNITS, value, found.load.uncertainty, found)

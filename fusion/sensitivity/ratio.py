@@ -13,8 +13,9 @@ from numpy.typing import ArrayLike
 from fusion.base import AnyNotice
 from fusion.estimation.least_squares import real_design, real_stack
 from fusion.estimation.uncertainty import Influence, Polar, Uncertainty, element_covariance, polar, rounded
-from fusion.sensitivity.load import LOAD_COMPONENTS, BudgetEntry, LoadResult, Outputs, budget
+from fusion.sensitivity.load import BudgetEntry, LoadResult, Outputs, budget
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, check_shape
+from shaker.labels import LOAD_COMPONENTS
 
 # The complex sensitivity: elements by output channel and load component, and the ratio of one recording.
 

@@ -14,6 +14,7 @@ from fusion.simulate.preset import ChannelSpec, DaqSpec, PartSpec, Preset, Stere
 from fusion.simulate.world import Draws, TrueStereo, World, acceleration_at, harmonic, velocity_at
 from photogram.geometry import RigidTransform
 from shaker.arrays import ComplexArray, FloatArray
+from shaker.labels import LOAD_COMPONENTS
 
 # Write nested dictionaries as TOML text.
 
@@ -111,7 +112,7 @@ def recorded_phasors(world: World, daq: DaqSpec, spec: ChannelSpec, draws: Draws
 def _true_phasors(world: World, spec: ChannelSpec, draws: Draws) -> ComplexArray:
     """Return the phasors (K,) of the quantity in SI, at the point and along the axis where the channel really sits."""
     if spec.quantity == "output":
-        return np.asarray(world.outputs[:, ("Fx", "Fy", "Fz", "Mx", "My", "Mz").index(spec.name)])
+        return np.asarray(world.outputs[:, LOAD_COMPONENTS.index(spec.name)])
     motion = world.motion[spec.body]
     point = np.array(spec.point) + draws.normal(f"{spec.name}.point", spec.stated.get("point_uncertainty", 0.0), 3)
     nominal = np.array(spec.direction)
@@ -176,7 +177,7 @@ def sensor_keys(preset: Preset, static: NDArray[np.float64]) -> dict[str, Any]:
     return {
         "name": preset.sensor_name,
         "serial": preset.serial,
-        "channels": ["Fx", "Fy", "Fz", "Mx", "My", "Mz"],
+        "channels": list(LOAD_COMPONENTS),
         "unit": "V/V",
         "sense": preset.sense,
         "capacity": list(preset.capacity),

@@ -27,6 +27,7 @@ from fusion.simulate.world import (
 from fusion.simulate.write import TRIGGER_JITTER_S, write_run
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.frf.chain import filter_poles, pole_response
+from shaker.labels import MOTION_COMPONENTS
 
 # Simulated transfer recordings: accelerometers on a base that a periodic chirp drives, and on what stands on it.
 
@@ -237,7 +238,6 @@ def _truth(rig: ChirpRig, seed: int, draws: Draws) -> dict[str, Any]:
 
 Place = tuple[float, float, float]
 
-COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 STIFFNESS_UNITS = ("N/m", "N/m", "N/m", "N.m/rad", "N.m/rad", "N.m/rad")
 
 
@@ -353,7 +353,7 @@ def _ratio(stand: Suspension, load: TruePart, internal: TruePart, point: Place) 
 
 def _springs(stand: Suspension) -> dict[str, Any]:
     """Return stiffness and damping by component."""
-    names = [COMPONENTS[place] for place in stand.free]
+    names = [MOTION_COMPONENTS[place] for place in stand.free]
     return {
         "stiffness": dict(zip(names, stand.stiffness, strict=True)),
         "damping": dict(zip(names, stand.damping, strict=True)),

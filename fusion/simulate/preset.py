@@ -11,6 +11,7 @@ from photogram.camera import Camera, StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.synthetic.scene import Face, ImageSensor, session_covariance, speckle_texture
 from shaker.arrays import FloatArray
+from shaker.labels import LOAD_COMPONENTS
 
 # What a simulation may leave out or make smaller.
 
@@ -292,7 +293,6 @@ def bridge(names: tuple[str, ...], noise: float) -> tuple[ChannelSpec, ...]:
 
 
 TRIGGER = ChannelSpec("camera_trigger", "trigger", 1.0, 0.01, 20 / 2**12)
-OUTPUTS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
 NITSCHE2018 = Preset(
     name="nitsche2018",
@@ -370,7 +370,7 @@ NITSCHE2018 = Preset(
                 TRIGGER,
             ),
         ),
-        DaqSpec("bridge", "bridge.tdms", 50000.0, 1e-6, 0.3137, 5.0, (*bridge(OUTPUTS, 2e-5), TRIGGER), ""),
+        DaqSpec("bridge", "bridge.tdms", 50000.0, 1e-6, 0.3137, 5.0, (*bridge(LOAD_COMPONENTS, 2e-5), TRIGGER), ""),
     ),
 )
 
@@ -462,7 +462,7 @@ DEMO = Preset(
             1e-6,
             0.0837,
             0.95,
-            (*bridge(OUTPUTS, 2e-5), TRIGGER),
+            (*bridge(LOAD_COMPONENTS, 2e-5), TRIGGER),
             "bridge-response.csv",
         ),
     ),

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from fusion.sensitivity.load import LOAD_COMPONENTS
 from fusion.simulate.channels import to_toml
 from fusion.simulate.world import Draws
 from shaker.arrays import FloatArray
+from shaker.labels import LOAD_COMPONENTS
 from shaker.lti.modal import ModalModel
 from shaker.release.load_model import LoadModel
 from shaker.release.onset import pole_responses

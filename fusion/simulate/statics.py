@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from fusion.base import ProgressCallback
-from fusion.sensitivity.load import LOAD_COMPONENTS
 from fusion.sensor.models_file import MODELS_FILE, ModelEntry, ModelsFile, models_text
 from fusion.simulate.channels import to_toml
 from fusion.simulate.world import Draws
@@ -23,6 +22,7 @@ from shaker.arrays import FloatArray
 from shaker.elastomer.element import solve_frame
 from shaker.elastomer.frame import NAMES, block
 from shaker.elastomer.geometry import CrossBeams, Material
+from shaker.labels import LOAD_COMPONENTS
 from shaker.lti.modal import ModalModel
 from shaker.static_rotation.harmonics import air_density_at, gravity_at
 
@@ -257,7 +257,6 @@ PUBLISHED = {
     "published finite elements": (1660.0, 1661.0, 2025.0, 3577.0, 3578.0, 5094.0),
 }
 FIT_HALF_SIZES_M = [0.005, 0.008, 0.010, 0.012, 0.014, 0.016, 0.018, 0.020]
-COMPONENTS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 DAMPING_RATIO, U_DAMPING_RATIO, U_FREQUENCY = 0.015, 1e-4, 1e-4
 SAMPLE_RATE_HZ, NOISE = 1e5, 1e-9
 
@@ -275,7 +274,7 @@ def write_element(folder: Path, seed: int) -> Path:
         "frequency_hz": dict(zip(NAMES, frequency.tolist(), strict=True)),
     }
     entries = tuple(
-        _entry(component, float(value), draws) for component, value in zip(COMPONENTS, frequency, strict=True)
+        _entry(component, float(value), draws) for component, value in zip(LOAD_COMPONENTS, frequency, strict=True)
     )
     models = ModelsFile("cross-beam element, simulated", "six-axis wrist sensor", "simulated", entries)
     texts = {

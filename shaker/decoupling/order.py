@@ -10,18 +10,23 @@ import numpy as np
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.decoupling.model import Block, Projected, Solution, minimise, project
 from shaker.decoupling.steps import Poles, Release, Shape, StepProblem, decay_start, shared_poles
+from shaker.labels import LOAD_COMPONENTS
 
 # Whether loads were excited, and whether the outputs tell them apart.
 
 
-LOADS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 _SEPARATE = 1e-3
 
 
 def in_order(components: Iterable[str]) -> tuple[str, ...]:
     """Return the load components that occur, once each, Fx first."""
     named = dict.fromkeys(components)
-    return tuple(sorted(named, key=lambda name: (LOADS.index(name) if name in LOADS else len(LOADS), name)))
+    return tuple(
+        sorted(
+            named,
+            key=lambda name: (LOAD_COMPONENTS.index(name) if name in LOAD_COMPONENTS else len(LOAD_COMPONENTS), name),
+        )
+    )
 
 
 def missing_loads(
@@ -32,10 +37,10 @@ def missing_loads(
     It measures those that its outputs are named after, and those of which `static_sensitivity` (C, 6) holds a number
     other than 0.
     """
-    named = {name for name in LOADS if name in channels}
+    named = {name for name in LOAD_COMPONENTS if name in channels}
     if static_sensitivity is not None:
-        named |= {name for name, column in zip(LOADS, static_sensitivity.T, strict=True) if np.any(column)}
-    return tuple(name for name in LOADS if name in named and name not in components)
+        named |= {name for name, column in zip(LOAD_COMPONENTS, static_sensitivity.T, strict=True) if np.any(column)}
+    return tuple(name for name in LOAD_COMPONENTS if name in named and name not in components)
 
 
 def check_separable(static_gain: FloatArray, channels: Sequence[str], components: Sequence[str]) -> None:

@@ -9,13 +9,13 @@ from typing import Literal
 import numpy as np
 
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape
-from shaker.phasor import Phasors, derivative_factor
+from shaker.labels import MOTION_UNITS
+from shaker.sine.phasor import Phasors, derivative_factor
 
 FilterKind = Literal["butterworth", "bessel", "resonance"]
 PassBand = Literal["lowpass", "highpass"]
 QUANTITIES = ("displacement", "velocity", "acceleration")
 """Names of the quantities that differentiation turns into each other, by the order of the derivative."""
-MOTION_UNITS = (("m", "m/s", "m/s^2"), ("rad", "rad/s", "rad/s^2"))
 
 
 @dataclass(frozen=True)

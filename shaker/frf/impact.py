@@ -11,7 +11,7 @@ from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Notice
 from shaker.frf.random import Choice, Spectra, choose_estimator, transfer_of
 from shaker.frf.result import TransferFunction, TransferRecord, circular_covariance, pooled_scatter, share_of_reference
 from shaker.lines.spectrum import window_samples
-from shaker.phasor import Phasors
+from shaker.sine.phasor import Phasors
 
 # Hits of an impact hammer in a force record: where they are, and which of them count.
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Notice
 from shaker.frf.result import TransferFunction, TransferRecord, circular_covariance, excited_lines, pooled_scatter
-from shaker.phasor import Phasors
+from shaker.sine.phasor import Phasors
 
 # Phasors of every period of a periodic signal, also where the period is no whole number of samples.
 

@@ -10,7 +10,7 @@ import numpy as np
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Notice, check_shape
 from shaker.frf.result import TransferFunction, TransferRecord, circular_covariance, resolution_notices
 from shaker.lines.spectrum import window_samples
-from shaker.phasor import Phasors
+from shaker.sine.phasor import Phasors
 
 # H1, H2 and Hv from averaged spectra, their covariance, and the choice among them.
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, check_shape
 from shaker.frf.chain import ratio_unit
-from shaker.phasor import Phasors
+from shaker.sine.phasor import Phasors
 
 # What goes into the estimate of a transfer function, and what comes out.
 

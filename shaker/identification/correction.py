@@ -10,7 +10,7 @@ import numpy as np
 from shaker.arrays import ComplexArray, FloatArray, Notice, check_shape
 from shaker.frf.chain import common_covariance, split_ratio
 from shaker.identification.sensor import Load, SensorModel
-from shaker.phasor import Phasors
+from shaker.sine.phasor import Phasors
 
 # Up to which frequency the static sensitivity is enough.
 

@@ -1,20 +1,21 @@
-"""Measured curves with their errors by name: what the models of a sensor are fitted to."""
+"""Measured curves with their errors by name, what the models of a sensor are fitted to; how large their noise is."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from shaker.arrays import ComplexArray, FloatArray, check_shape
-from shaker.phasor import Phasors
+from shaker.sine.phasor import Phasors
 
 AT_THE_BASE = -1
 """Place of the reference among the transducers of a recording, whose responses count from 0."""
 
 
 @dataclass(frozen=True)
-class Sight:
+class Placement:
     """Where and along which unit direction a transducer measures: `point_m` (3,), `direction` (3,), sensor axes.
 
     `turning`: it measures how the body turns about the direction, which is the same everywhere.
@@ -65,7 +66,7 @@ class InertiaError:
 
 
 @dataclass(frozen=True)
-class SightError:
+class PlacementError:
     """One uncertain number of where or along what a transducer measures: `change` (6,) of its row for one standard
     deviation.
 
@@ -89,14 +90,14 @@ class MeasuredTransfer:
     C responses measure on the load, `base`: where the reference measures; `drive` (6,): direction in which the base
     moves as a rigid body, [x y z rx ry rz] about the sensor origin. `mass_matrix` (6, 6): load and parts about the
     sensor origin, without what moves inside the sensor. `line_correlation` (D,) as in `TransferFunction`.
-    `clock`, `u_clock`: name and relative standard uncertainty of the clock, and so of all frequencies. `sight_errors`:
+    `clock`, `u_clock`: name and relative standard uncertainty of the clock, and so of all frequencies. `placement_errors`:
     what is uncertain of places and directions of the transducers.
     """
 
     name: str
     ratio: Phasors
-    tops: tuple[Sight, ...]
-    base: Sight
+    tops: tuple[Placement, ...]
+    base: Placement
     drive: FloatArray
     mass_matrix: FloatArray
     errors: tuple[RelativeError, ...] = ()
@@ -105,7 +106,7 @@ class MeasuredTransfer:
     added_decay_per_s: float = 0.0
     clock: str = "clock"
     u_clock: float = 0.0
-    sight_errors: tuple[SightError, ...] = ()
+    placement_errors: tuple[PlacementError, ...] = ()
 
     def __post_init__(self) -> None:
         shape = self.ratio.value.shape
@@ -115,10 +116,10 @@ class MeasuredTransfer:
         check_shape("mass_matrix", self.mass_matrix, (6, 6))
         for error in self.errors:
             check_shape(f"errors: {error.name}", error.relative, shape)
-        for sight in self.sight_errors:
-            if not AT_THE_BASE <= sight.place < shape[1]:
+        for error in self.placement_errors:
+            if not AT_THE_BASE <= error.place < shape[1]:
                 raise ValueError(
-                    f"sight_errors: expected a place of {AT_THE_BASE} to {shape[1] - 1}, found {sight.place}"
+                    f"placement_errors: expected a place of {AT_THE_BASE} to {shape[1] - 1}, found {error.place}"
                 )
 
     @property
@@ -164,3 +165,90 @@ class ParameterEstimate:
     value: float
     u: float
     unit: str
+
+
+# The noise of measured lines: whitened, correlated between lines, as stated from scatter and as residuals show it.
+
+
+def whitening_of(covariance: FloatArray, name: str = "covariance") -> FloatArray:
+    """Return the matrices (K, p, p) that turn errors of the given covariances into independent ones of variance one."""
+    try:
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+    except np.linalg.LinAlgError as error:
+        raise ValueError(f"{name}: expected positive definite matrices, found others") from error
+
+
+def between_lines(frequency_hz: FloatArray, columns: ComplexArray, correlation: ComplexArray | None) -> FloatArray:
+    """Return Re Tᴴ(R - 1)T (N, N) of whitened columns T (K, …, N) at lines (K,).
+
+    R: the `correlation` (D,) of the errors of lines 0, 1, 2 … apart, as in `TransferFunction`.
+    """
+    count = columns.shape[-1]
+    total = np.zeros((count, count))
+    if correlation is None or len(correlation) < 2:
+        return total
+    place = np.round((frequency_hz - frequency_hz.min()) / np.min(np.diff(np.sort(frequency_hz)))).astype(np.int64)
+    length = int(place.max()) + 1
+    grid = np.zeros((length + len(correlation), *columns.shape[1:]), dtype=np.complex128)
+    grid[place] = columns
+    here = grid[:length].reshape(-1, count)
+    for apart, value in enumerate(correlation[1:], start=1):
+        pair = value * (grid[apart : apart + length].reshape(-1, count).conj().T @ here)
+        total += (pair + pair.conj().T).real
+    return total
+
+
+_FEWEST_DOF, _MOST_DOF = 3.0, 1e9  # of a stated covariance, as used
+
+
+@dataclass(frozen=True)
+class CurveResidual:
+    """Residuals of one curve: `length` (K,) = T² = rᵀS⁻¹r over the covariance S stated of p real numbers, `dof` (K,).
+
+    `size` is p; `dof` are the degrees of freedom ν behind S, infinite where S is known.
+    """
+
+    length: FloatArray
+    dof: FloatArray
+    size: int
+
+    def __post_init__(self) -> None:
+        check_shape("length", self.length, (None,))
+        check_shape("dof", self.dof, self.length.shape)
+
+
+@dataclass(frozen=True)
+class SeenNoise:
+    """Factors on the stated covariances: `lines` (K,) per curve, used as weights; `common` λ ≥ 1 to all of them.
+
+    `chi_squared` of the residuals over the covariances as stated, `dof` what it would be by noise alone, were these
+    exact, `expected` its mean over `dof` as they are; `chance`: relative standard deviation of χ²/dof by noise alone.
+    """
+
+    lines: tuple[FloatArray, ...]
+    common: float
+    chi_squared: float
+    dof: float
+    expected: float
+    chance: float
+
+
+def seen_noise(curves: Sequence[CurveResidual], unknowns: float) -> SeenNoise:
+    """Return the noise that residuals of a fit with a number of `unknowns` show.
+
+    T² and the covariance S of ν degrees of freedom both say how noisy a line is, so that it weighs (ν + p)/(ν + T²), as
+    in Student's likelihood (Lange, Little and Taylor, J. Am. Stat. Assoc. 84, 1989). With n = ν + p, νS + rrᵀ ~ χ²ₙ:
+    the weights come out too large by n/(n - 2) in the mean, and such an estimate has n/(n - 2) times the variance of
+    one with S known; both factors are in `lines`. λ = χ²/dof over its expectation ν/(ν - 2), at least 1.
+    """
+    freedoms = [np.clip(curve.dof, _FEWEST_DOF, _MOST_DOF) for curve in curves]
+    pairs = list(zip(curves, freedoms, strict=True))
+    real = sum(curve.size * len(curve.length) for curve in curves)
+    chi_squared = float(sum(curve.length.sum() for curve in curves))
+    # T² of p real numbers varies more than χ² does, as the F distribution says.
+    spread = sum(c.size * np.sum((v + c.size - 2.0) / np.maximum(v - 4.0, 1.0)) for c, v in pairs) / real
+    expected = float(sum(curve.size * np.sum(v / (v - 2.0)) for curve, v in pairs) / real)
+    dof = max(1.0, real - unknowns)
+    common = max(1.0, chi_squared / dof / expected)
+    factors = tuple((common * v + curve.length) * (v + curve.size) / (v + curve.size - 2.0) ** 2 for curve, v in pairs)
+    return SeenNoise(factors, common, chi_squared, dof, expected, float(np.sqrt(2.0 * spread / dof)))

@@ -9,7 +9,6 @@ import numpy as np
 
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Notice, check_shape
 from shaker.lines.aliasing import alias_frequency, condition_number, sampling_grid
-from shaker.phasor import Phasors
 from shaker.sine.noise import LineNoise, line_noise, neighbour_bins, noise_of_ordinates
 from shaker.sine.normal_equations import (
     LONG,
@@ -23,6 +22,7 @@ from shaker.sine.normal_equations import (
     normal_equations,
     residuals,
 )
+from shaker.sine.phasor import Phasors
 
 # Linear parameters eliminated, frequencies and decay rates by Gauss-Newton (variable projection).
 

@@ -14,7 +14,7 @@ from scipy.stats import chi2
 from fusion.estimation.fuse import fuse, fuse_sources
 from fusion.estimation.least_squares import build_system, solve
 from fusion.estimation.measurement_model import ChainUncertainty, Observation, Reading, observe_channels, observe_stereo
-from shaker.phasor import Phasors
+from shaker.sine.phasor import Phasors
 
 FREQUENCY = np.array([106.25, 212.5])
 TRUTH = np.array(

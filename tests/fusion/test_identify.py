@@ -15,7 +15,7 @@ from identify_factory import DAMPING, LAG_S, SENSITIVITY, SINES_HZ, SMALL, STIFF
 from page_outline import outline
 
 from fusion.base import InputError, Settings
-from fusion.campaign.run import run_path
+from fusion.campaign import run_path
 from fusion.cli import main
 from fusion.sensor.identify.evaluate import ComponentResult, IdentifyEvaluation, evaluate_campaign
 from fusion.sensor.identify.measured import Campaign, IdentifySettings, read_campaign
@@ -23,7 +23,7 @@ from fusion.sensor.identify.run import read_model, write_identification
 from fusion.simulate.world import Draws, true_part
 from shaker.identification.correction import correct_phasors
 from shaker.identification.sensor import Load
-from shaker.phasor import Phasors
+from shaker.sine.phasor import Phasors
 
 GUIDE = (Path(__file__).resolve().parents[2] / "docs" / "identify.md").read_text(encoding="utf-8")
 SETTINGS = IdentifySettings(load_masses_kg=(2.0, 20.0))

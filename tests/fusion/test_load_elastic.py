@@ -15,7 +15,7 @@ from fusion.phasors.stereo_phasors import load_body
 from fusion.recording.load import load_manifest
 from fusion.sensitivity.body import Body, make_joint, make_part
 from fusion.sensitivity.load import LoadResult, load_phasors
-from shaker.phasor import Phasors
+from shaker.sine.phasor import Phasors
 
 FREQUENCY = np.array([106.25, 1000.0])
 MOTION = np.array([[0.5, -0.3j, 189.0, 4.0j, -3.0, 1.0], [0.01, 0.02, 0.9 - 0.2j, 0.1, 0.05j, 0.02]], dtype=complex)

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from fusion.estimation.measurement_model import ChainUncertainty, Reading, observe_channels, observe_stereo
-from shaker.phasor import Phasors
+from shaker.sine.phasor import Phasors
 
 FREQUENCY = np.array([25.0, 50.0])
 GRAVITY = np.array([0.0, 0.0, -9.8125])

@@ -17,7 +17,7 @@ from fusion.sensitivity.body import Body, make_part
 from fusion.sensitivity.load import Outputs, load_phasors, output_phasors
 from fusion.sensitivity.multipoint_vibrometer import PointRatios, PointSpread, point_spreads, with_ratios
 from fusion.sensitivity.ratio import Sensitivity, sensitivity_ratio
-from shaker.phasor import Phasors
+from shaker.sine.phasor import Phasors
 
 ComplexArray = NDArray[np.complex128]
 FREQUENCY = np.array([375.9, 751.8])

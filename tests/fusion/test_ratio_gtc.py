@@ -16,7 +16,7 @@ from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty
 from fusion.sensitivity.body import Body, make_part
 from fusion.sensitivity.load import LoadResult, Outputs, load_phasors, output_phasors
 from fusion.sensitivity.ratio import Sensitivity, other_loads, sensitivity_ratio
-from shaker.phasor import Phasors
+from shaker.sine.phasor import Phasors
 
 FREQUENCY = np.array([212.5])
 MOTION = np.array([[0.4 - 0.1j, 0.2j, 40.0 * np.exp(0.7j), 0.0, 0.0, 0.0]])

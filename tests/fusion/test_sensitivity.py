@@ -16,7 +16,7 @@ from fusion.estimation.uncertainty import Contribution, Uncertainty
 from fusion.sensitivity.body import Body, make_part
 from fusion.sensitivity.load import load_phasors, output_phasors
 from fusion.sensitivity.ratio import Sensitivity, driven_component, sensitivity_ratio
-from shaker.phasor import Phasors
+from shaker.sine.phasor import Phasors
 
 FREQUENCY = np.array([106.25, 212.5])
 MOTION = np.array([[0.5, -0.3j, 189.0, 4.0j, -3.0, 1.0], [0.01, 0.02, 0.9 - 0.2j, 0.1, 0.05j, 0.02]], dtype=complex)

@@ -13,10 +13,10 @@ from scipy.signal import lsim
 from fusion.base import InputError
 from fusion.cli import main
 from fusion.recording.load import load_manifest
-from fusion.sensitivity.load import LOAD_COMPONENTS
 from fusion.sensor.step.records import read_step_record
 from fusion.simulate import simulate_steps
 from fusion.simulate.releases import DAQ_FILE, StepRig, releases
+from shaker.labels import LOAD_COMPONENTS
 from shaker.release.reading import compare_releases, read_release
 
 SEED = 3

@@ -19,7 +19,7 @@ from fusion.recording.rig import Rig
 from fusion.sensitivity.analyse import Analysis, Inputs, analyse
 from fusion.sensitivity.body import Body, make_part
 from shaker.lines.frequencies import Lines
-from shaker.phasor import Phasors
+from shaker.sine.phasor import Phasors
 
 OMEGA = 2.0 * np.pi * FREQUENCY_HZ
 NOISE = 2e-5  # relative, of real and imaginary part

@@ -25,7 +25,7 @@ from shaker.frf.chain import (
     split_ratio,
     table_response,
 )
-from shaker.phasor import Phasors
+from shaker.sine.phasor import Phasors
 
 FREQUENCY = np.geomspace(10.0, 5000.0, 400)
 LOWPASS = filter_poles("butterworth", 4, 10e3)

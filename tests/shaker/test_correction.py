@@ -16,7 +16,7 @@ from sensitivity_factory import DAMPING, FREQUENCY, LAG, STATIC, STIFFNESS, lag,
 from shaker.identification.correction import correct_phasors, correct_record, usable_band
 from shaker.identification.sensitivity import NO_CHAIN, Chain, fit_chain
 from shaker.identification.sensor import Drive, Load, SensorModel, sensor_model
-from shaker.phasor import Phasors
+from shaker.sine.phasor import Phasors
 
 FloatArray = NDArray[np.float64]
 MASS, INTERNAL = 4.236, 0.769

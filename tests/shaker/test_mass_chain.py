@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from scipy import linalg, signal
 
 from shaker.identification.fit import identify
-from shaker.identification.measured import InertiaError, MeasuredTransfer, Sight
+from shaker.identification.measured import InertiaError, MeasuredTransfer, Placement
 from shaker.identification.model import Identification
 from shaker.mechanics import ChainStructure, MassChain, Stage, shared_spring
-from shaker.phasor import Phasors
+from shaker.sine.phasor import Phasors
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -195,7 +195,7 @@ def recording(component: int, load: float, k_adapter: float, rng: np.random.Gene
     value = value + u * (rng.standard_normal(len(s)) + 1j * rng.standard_normal(len(s)))
     covariance = u**2 * np.eye(2) * np.ones((len(s), 1, 1))
     phasors = Phasors(frequency, value[:, None], covariance, ("top",), ("1",), np.full(len(s), 1e6))
-    sight = Sight(np.array([0.1, 0.0, 0.02]), np.array([0.0, 1.0, 0.0]))  # sees y, and turns about z by 0.1 m
+    sight = Placement(np.array([0.1, 0.0, 0.02]), np.array([0.0, 1.0, 0.0]))  # sees y, and turns about z by 0.1 m
     matrix = np.diag([load] * 6)
     change = InertiaError(f"load {load:g}", 1e-5 * load * np.eye(6))
     drive = np.eye(6)[component]

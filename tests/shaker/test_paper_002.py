@@ -21,7 +21,7 @@ from shaker.identification.sensitivity import (
     sensitivity_phase_rad,
 )
 from shaker.mechanics import shared_spring
-from shaker.phasor import derivative_factor
+from shaker.sine.phasor import derivative_factor
 from shaker.static_rotation.harmonics import fit_angles
 from shaker.static_rotation.masses import mass_of_weight
 

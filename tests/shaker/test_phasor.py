@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shaker.phasor import Phasors, derivative_factor, stack_phasors
+from shaker.sine.phasor import Phasors, derivative_factor, stack_phasors
 
 
 def _random_phasors(rng: np.random.Generator, lines: int = 2, channels: int = 3) -> Phasors:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.special import sici
 
 from shaker.lines.aliasing import CLEAR_BINS, alias_frequency, separation_bins, sine_columns
-from shaker.rate_planner import (
+from shaker.lines.rate_planner import (
     PREFERRED,
     Sampling,
     Scan,

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from fusion.base import InputError
-from fusion.sensitivity.load import LOAD_COMPONENTS, LOAD_UNITS
 from fusion.sensor.load.evaluate import MODEL_FILE, read_load_models
 from fusion.sensor.models_file import MODELS_FILE, ModelEntry, read_models
 from shaker.arrays import FloatArray, Notice
@@ -24,6 +23,7 @@ from shaker.compensation.filter import (
     loaded_dynamics,
     modal_dynamics,
 )
+from shaker.labels import load_unit
 from shaker.lti.modal import ModalModel
 from shaker.lti.responses import Indices
 from shaker.release.load_model import LoadModel
@@ -262,11 +262,6 @@ def _of_loads(file: Path) -> Sources:
         loads = ", ".join(subject.load_text(load) for load in model.load_masses)
         subjects.append(replace(subject, source=f"{told}, fitted to loads of {loads}") if loads else subject)
     return Sources(file.parent.resolve().name, tuple(subjects), (file,), tuple(notices))
-
-
-def load_unit(component: str) -> str:
-    """Return N or N.m."""
-    return dict(zip(LOAD_COMPONENTS, LOAD_UNITS, strict=True)).get(component, "N")
 
 
 # What a compensation consists of.

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from fusion.base import ComputeError, InputError
 from fusion.recording.load import Manifest
 from fusion.report.provenance import versions
-from fusion.sensitivity.load import LOAD_COMPONENTS
 from fusion.sensor.step.records import StepInput, read_step
 from shaker.arrays import FloatArray, Notice
 from shaker.decoupling.filter import (
@@ -31,6 +30,7 @@ from shaker.decoupling.fit import fit_steps
 from shaker.decoupling.model import MultiModel
 from shaker.decoupling.order import missing_loads
 from shaker.decoupling.result import MultiFit
+from shaker.labels import LOAD_COMPONENTS
 
 # What an evaluated decoupling consists of, and what a user may choose about it.
 
@@ -96,11 +96,6 @@ class DecoupleEvaluation:
     def stage(self, name: str) -> Crosstalk | None:
         """Return the cross-talk of one stage, None where the outputs do not allow it."""
         return next((stage for stage in self.stages if stage.stage == name), None)
-
-
-def load_unit(component: str) -> str:
-    """Return the unit of a load component as it stands in files."""
-    return "N" if component.startswith("F") else "N.m"
 
 
 # From releases of several loads to a model of all outputs and a filter against cross-talk.

@@ -27,12 +27,12 @@ from fusion.sensor.decouple.evaluate import (
     K,
     evaluate_decoupling,
     filter_text,
-    load_unit,
 )
 from fusion.sensor.decouple.figures import CrosstalkCurves, StepCurves, draw_crosstalk, draw_step
 from fusion.sensor.step.run import step_manifests
 from shaker.arrays import FloatArray
 from shaker.decoupling.filter import Crosstalk, raw_reading, static_inverse, step_readings, step_times
+from shaker.labels import load_unit
 
 # Tables of a decoupling: what the files, the page and the terminal say.
 

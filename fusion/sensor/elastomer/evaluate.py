@@ -26,6 +26,7 @@ from shaker.elastomer.geometry import (
     required_stiffness,
 )
 from shaker.elastomer.solid import SolidModel, converged, solve_solid
+from shaker.labels import LOAD_COMPONENTS
 from shaker.lti.modal import ModalModel
 
 # What is computed of an elastic element.
@@ -123,7 +124,7 @@ def spread(columns: Sequence[Column]) -> FloatArray:
 # The columns of the comparison: beam formulas, frame, solid, measured models, stated frequencies.
 
 
-MODE_OF = dict(zip(("Fx", "Fy", "Fz", "Mx", "My", "Mz"), NAMES, strict=True))
+MODE_OF = dict(zip(LOAD_COMPONENTS, NAMES, strict=True))
 """Which mode a load component excites."""
 
 

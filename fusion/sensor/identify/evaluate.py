@@ -17,7 +17,6 @@ from fusion.recording.rig import Sensor
 from fusion.report.csv_files import sensitivity_unit
 from fusion.report.h5 import Recorded, SensorFacts, read_recorded
 from fusion.report.provenance import versions
-from fusion.sensitivity.load import LOAD_COMPONENTS
 from fusion.sensitivity.ratio import driven_component
 from fusion.sensor.identify.fit import (
     JointFit,
@@ -35,6 +34,7 @@ from shaker.identification.correction import UsableBand, usable_band
 from shaker.identification.measured import MeasuredSensitivity, ParameterEstimate, RelativeError
 from shaker.identification.readings import PeakReading, peak_readings, stiffness
 from shaker.identification.sensor import Load, SensorModel
+from shaker.labels import LOAD_COMPONENTS
 
 # From the results of sine recordings to the sensitivity over frequency.
 

@@ -18,8 +18,6 @@ from fusion.recording.rig import Sensor
 from fusion.report.csv_files import sensitivity_unit
 from fusion.report.h5 import read_uncertainty
 from fusion.report.provenance import RESULT_FILE
-from fusion.sensitivity.body import COMPONENTS
-from fusion.sensitivity.load import LOAD_COMPONENTS
 from fusion.sensor.identify.measured import (
     EvaluatedSines,
     IdentifySettings,
@@ -32,12 +30,13 @@ from fusion.sensor.identify.measured import (
 )
 from shaker.arrays import ComplexArray, FloatArray, Notice, Severity
 from shaker.identification.fit import identify
-from shaker.identification.measured import MeasuredSensitivity, MeasuredTransfer, RelativeError, Sight
+from shaker.identification.measured import MeasuredSensitivity, MeasuredTransfer, RelativeError, Placement
 from shaker.identification.model import Identification, Structure
 from shaker.identification.sensitivity import NO_CHAIN, SpringPrior
 from shaker.identification.sensor import SensitivityComparison, SensorModel, fit_sensitivity, sensor_model
+from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
 from shaker.mechanics import ChainStructure, Suspension
-from shaker.phasor import Phasors
+from shaker.sine.phasor import Phasors
 
 # One joint fit per driven component: which model, which internal mass, and why.
 
@@ -69,7 +68,7 @@ class JointFit:
     @property
     def axis(self) -> str:
         """Name of the component: x, y, z, rx, ry or rz."""
-        return COMPONENTS[self.component]
+        return MOTION_COMPONENTS[self.component]
 
 
 def joint_fits(prepared: Sequence[Prepared], settings: IdentifySettings) -> tuple[JointFit, ...]:
@@ -126,7 +125,9 @@ def _structure(model: str, component: int, group: Sequence[Prepared]) -> Structu
             "a drive along x or y for --model pitching, or about them, which shifts and turns a load whose centre of "
             "mass is not at the origin"
         )
-        raise InputError(group[0].manifest.path, "excitation.direction", found=COMPONENTS[component], expected=expected)
+        raise InputError(
+            group[0].manifest.path, "excitation.direction", found=MOTION_COMPONENTS[component], expected=expected
+        )
     return Suspension((component, _PITCHES_WITH[component]))
 
 
@@ -182,7 +183,7 @@ def stated_mass(sensor: Sensor, component: int) -> tuple[float, float]:
 
 def mass_name(component: int) -> str:
     """Name of the parameter that moves with the load inside the sensor."""
-    return INTERNAL_MASS if component < 3 else f"internal_inertia_{COMPONENTS[component]}"
+    return INTERNAL_MASS if component < 3 else f"internal_inertia_{MOTION_COMPONENTS[component]}"
 
 
 def departure(found: Identification) -> float:
@@ -209,7 +210,7 @@ def _misfit(component: int, group: Sequence[Prepared], found: Identification, mo
     if departure(found) < _MISFIT or model != "translation" or len(_most_peaks(group)) < 2:
         return ()
     text = "one translation does not explain the second peak; --model adapter or pitching, or --band, may"
-    return (Notice("warning", text, f"model {COMPONENTS[component]}"),)
+    return (Notice("warning", text, f"model {MOTION_COMPONENTS[component]}"),)
 
 
 # From the results of sine recordings to load over base acceleration: further points of the transfer functions.
@@ -303,7 +304,7 @@ def _transfer(item: EvaluatedSines, name: str, band_hz: tuple[float, float] | No
     ratio, whole = _quotient([value[chosen] for value in values], [_at_lines(part, chosen) for part in parts])
     whole = between_recordings(whole, name, manifest.mounting)
     body = rigid_load(manifest)
-    along = Sight(np.zeros(3), AXES[component])
+    along = Placement(np.zeros(3), AXES[component])
     clock = manifest.daq[0] if manifest.daq else None
     return MeasuredTransfer(
         name=name,
@@ -311,7 +312,7 @@ def _transfer(item: EvaluatedSines, name: str, band_hz: tuple[float, float] | No
             frequency_hz=frequency[chosen],
             value=ratio[:, None],
             covariance=np.sum([part.covariance for part in whole.random], axis=0),
-            channels=(f"load {COMPONENTS[component]}",),
+            channels=(f"load {MOTION_COMPONENTS[component]}",),
             unit=("1",),
             dof=whole.dof()[:, 0],
         ),

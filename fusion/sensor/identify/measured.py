@@ -16,12 +16,12 @@ from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.recording.manifest import ChannelEntry
 from fusion.report.provenance import RESULT_FILE, hash_files, read_provenance
 from fusion.sensitivity.body import Body
-from fusion.sensitivity.load import LOAD_UNITS
 from fusion.sensor.transfer.evaluate import KINDS, evaluate_transfer
 from fusion.sensor.transfer.records import FoundResonance, ReferenceResult, TransferSettings
 from shaker.arrays import FloatArray, Notice
 from shaker.frf.result import TransferFunction
-from shaker.identification.measured import AT_THE_BASE, InertiaError, MeasuredTransfer, RelativeError, Sight, SightError
+from shaker.identification.measured import AT_THE_BASE, InertiaError, MeasuredTransfer, RelativeError, Placement, PlacementError
+from shaker.labels import LOAD_UNITS
 
 # What a user may choose of an identification.
 
@@ -76,14 +76,14 @@ class IdentifySettings:
 # Where the channels of a transfer recording measure, and what is uncertain of it, by names that hold everywhere.
 
 
-def sight(entry: ChannelEntry) -> Sight:
+def sight(entry: ChannelEntry) -> Placement:
     """Return where and along what a channel measures, of an angular velocity about what."""
     turning = entry.quantity == "angular_velocity"
     point = np.zeros(3) if turning else np.asarray(entry.point, dtype=np.float64)
-    return Sight(point, np.asarray(entry.direction, dtype=np.float64), turning)
+    return Placement(point, np.asarray(entry.direction, dtype=np.float64), turning)
 
 
-def sight_errors(base: ChannelEntry, tops: Sequence[ChannelEntry], mounting: str) -> tuple[SightError, ...]:
+def placement_errors(base: ChannelEntry, tops: Sequence[ChannelEntry], mounting: str) -> tuple[PlacementError, ...]:
     """Return what is uncertain of the places and directions of reference and responses.
 
     An unknown keeps its value as long as nothing is mounted anew: until then it is one in all recordings and, under its
@@ -91,7 +91,7 @@ def sight_errors(base: ChannelEntry, tops: Sequence[ChannelEntry], mounting: str
     """
     placed = [(base, AT_THE_BASE), *((entry, place) for place, entry in enumerate(tops))]
     return tuple(
-        SightError(f"{name} [{mounting}]", place, change)
+        PlacementError(f"{name} [{mounting}]", place, change)
         for entry, place in placed
         for name, change in _changes(entry)
         if np.any(change != 0.0)
@@ -278,7 +278,7 @@ def prepare(manifest: Manifest, name: str, band_hz: tuple[float, float] | None) 
         added_decay_per_s=transfer.added_decay_per_s,
         clock=clock,
         u_clock=u_clock,
-        sight_errors=sight_errors(base, tops, manifest.mounting),
+        placement_errors=placement_errors(base, tops, manifest.mounting),
     )
     found = tuple(item for item in result.resonances if item.response in transfer.ratio.channels)
     alone = {f"{channel}/{base.name}" for channel in result.transfer.ratio.channels}

@@ -15,12 +15,12 @@ from fusion.report.numbers import measured, small, times_ten
 from fusion.report.recording import page_frame
 from fusion.report.style import Picture
 from fusion.report.tables import Headline, Table, render_page
-from fusion.sensitivity.load import LOAD_COMPONENTS
 from fusion.sensor.identify.evaluate import LABELS, ComponentResult, IdentifyEvaluation, Reading, of_curve
 from fusion.sensor.identify.figures import curve_pictures, sensitivity_pictures
 from shaker.identification.correction import UsableBand
 from shaker.identification.measured import ParameterEstimate
 from shaker.identification.sensor import CHAIN_WORDS
+from shaker.labels import LOAD_COMPONENTS
 
 # An identification as rows of files: parameters.csv and readings.csv.
 

@@ -18,7 +18,6 @@ from fusion.report.csv_files import csv_text
 from fusion.report.h5 import write_fields, write_value
 from fusion.report.provenance import check_folder
 from fusion.report.recording import ResultFolder, log_notices
-from fusion.sensitivity.load import LOAD_COMPONENTS
 from fusion.sensor.identify.evaluate import ComponentResult, IdentifyEvaluation, evaluate_campaign
 from fusion.sensor.identify.measured import IdentifySettings, read_campaign
 from fusion.sensor.identify.report import (
@@ -33,6 +32,7 @@ from fusion.sensor.identify.report import (
 )
 from shaker.identification.sensitivity import CHAIN_PARAMETERS, Chain, ChainKind
 from shaker.identification.sensor import SENSOR_PARAMETERS, SensorModel
+from shaker.labels import LOAD_COMPONENTS
 
 # model.json: what a correction of the sensor's output needs, written and read back to the last bit.
 

@@ -16,10 +16,10 @@ from fusion.base import ComputeError, InputError
 from fusion.estimation.uncertainty import coverage_factor
 from fusion.recording.load import Manifest
 from fusion.report.provenance import versions
-from fusion.sensitivity.load import LOAD_COMPONENTS
 from fusion.sensor.identify.measured import inertia_errors, rigid_load
 from fusion.sensor.step.releases import Release, read_recording
 from shaker.arrays import FloatArray, Notice
+from shaker.labels import LOAD_COMPONENTS
 from shaker.release.load_fit import SeriesMasses, stated_masses
 from shaker.release.load_model import (
     PARAMETERS,

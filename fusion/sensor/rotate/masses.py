@@ -23,11 +23,10 @@ from fusion.sensor.rotate.readings import (
     unknown_volume,
 )
 from shaker.arrays import FloatArray
+from shaker.labels import AXES, LOAD_COMPONENTS
 from shaker.static_rotation.harmonics import Known
 from shaker.static_rotation.masses import FORCES, OWN, ROWS, Source, Turned, WeightFit, mass_of_weight
 
-AXES = ("x", "y", "z")
-FORCE_NAMES = ("Fx", "Fy", "Fz")
 UNTOLD = "what no channel tells"
 LARGEST_UNTOLD = 0.1
 """Share of that in the uncertainty of a number above which the recordings do not tell it."""
@@ -272,7 +271,7 @@ def _derived(campaign: Campaign, inputs: FloatArray) -> Told:
 def _seen(campaign: Campaign) -> list[tuple[int, str]]:
     """Columns of `_Mean.weight` that every recording has, by component: the joint one, and forces that tell alone."""
     values = campaign.weights.value.reshape(-1, ROWS)[:, OWN:]
-    alone = [(1 + i, name) for i, name in enumerate(FORCE_NAMES) if np.isfinite(values[:, i]).all()]
+    alone = [(1 + i, name) for i, name in enumerate(LOAD_COMPONENTS[:3]) if np.isfinite(values[:, i]).all()]
     return [(0, JOINT), *alone]
 
 
@@ -345,7 +344,7 @@ def _one_recording(campaign: Campaign, view: _View, r: int) -> Told:
     name, row = campaign.recordings[r].name, view.fit[r]
     yield Head("weight", "weight in air", JOINT, "N", name), row[0]
     finite = np.isfinite(campaign.weights.value.reshape(-1, ROWS)[r, OWN:])
-    for i, component in enumerate(FORCE_NAMES):
+    for i, component in enumerate(LOAD_COMPONENTS[:3]):
         if finite[i]:
             yield Head("weight", "weight in air", component, "N", name), row[OWN + i]
     yield Head("zero_angle", "gravity at angle 0 ahead of its stated direction", "", "rad", name), row[4]

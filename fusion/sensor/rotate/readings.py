@@ -14,9 +14,9 @@ from fusion.campaign.repeats import BETWEEN, WITHIN, nested
 from fusion.estimation.uncertainty import coverage_factor
 from fusion.recording.load import Manifest
 from fusion.recording.rig import Load, Part, Sensor
-from fusion.sensitivity.load import LOAD_COMPONENTS, LOAD_UNITS
 from shaker.arrays import FloatArray, Notice
 from shaker.io.text import read_table_columns, table_units
+from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS
 from shaker.static_rotation.harmonics import AngleFit, Known, air_density_at, fit_angles, gravity_at
 from shaker.static_rotation.masses import SensorOutputs, Turned, WeightFit, start_values
 

@@ -14,11 +14,11 @@ from fusion.report.numbers import degrees_of_freedom, factor, measured, short, s
 from fusion.report.recording import page_frame
 from fusion.report.style import Picture
 from fusion.report.tables import Headline, Table, render_page
-from fusion.sensitivity.load import LOAD_COMPONENTS, LOAD_UNITS
 from fusion.sensor.rotate.figures import Deviations, TurnedReadings, draw_deviations, draw_readings
 from fusion.sensor.rotate.masses import UNTOLD
 from fusion.sensor.rotate.readings import JOINT, Quantity, RotationEvaluation, RotationRecording
 from shaker.arrays import FloatArray
+from shaker.labels import AXES, LOAD_COMPONENTS, LOAD_UNITS
 from shaker.static_rotation.harmonics import turning_sense
 from shaker.static_rotation.masses import FORCES
 
@@ -92,16 +92,18 @@ def centres_table(evaluation: RotationEvaluation) -> Table | None:
         found = {q.component: q for q in _named(evaluation, (name,))}
         if found:
             label = _capital(next(iter(found.values())).label)
-            cells = [_scaled_value(found[axis]) if axis in found else DASH for axis in ("x", "y", "z")]
+            cells = [_scaled_value(found[axis]) if axis in found else DASH for axis in AXES]
             rows.append((f"{label} / mm", *cells))
-    head = ("place", "x", "y", "z")
+    head = ("place", *AXES)
     return Table("Centres of mass, sensor axes, with U", head, "lrrr", tuple(rows)) if rows else None
 
 
 def recordings_table(evaluation: RotationEvaluation) -> Table:
     """Each recording: what was read, what it weighs, how the head stood."""
     by = [
-        name for name in (JOINT, "Fx", "Fy", "Fz") if any(q.component == name for q in _named(evaluation, ("weight",)))
+        name
+        for name in (JOINT, *LOAD_COMPONENTS[:3])
+        if any(q.component == name for q in _named(evaluation, ("weight",)))
     ]
     rows = []
     for recording in evaluation.recordings:

@@ -12,7 +12,6 @@ from fusion.base import ComputeError, InputError
 from fusion.recording.load import Manifest
 from fusion.report.csv_files import sensitivity_unit
 from fusion.report.provenance import versions
-from fusion.sensitivity.load import LOAD_COMPONENTS
 from fusion.sensor.models_file import ModelEntry
 from fusion.sensor.step.records import Pooled, StepSettings, check_kind, index_figures, parameter_figures, pool_models
 from fusion.sensor.step.releases import (
@@ -30,6 +29,7 @@ from fusion.sensor.step.releases import (
     static_gains,
 )
 from shaker.arrays import ComplexArray, FloatArray, Notice
+from shaker.labels import LOAD_COMPONENTS
 
 # One load component: its releases become a model with indices, its ropes and methods are compared.
 

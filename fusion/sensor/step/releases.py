@@ -14,10 +14,10 @@ from fusion.estimation.uncertainty import coverage_factor
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry
 from fusion.recording.rig import Sensor
-from fusion.sensitivity.load import LOAD_COMPONENTS
 from fusion.sensor.models_file import ModelEntry
 from fusion.sensor.step.records import Figure, Pooled, StepInput, StepSettings, effective_dof, read_step
 from shaker.arrays import FloatArray, Notice
+from shaker.labels import LOAD_COMPONENTS
 from shaker.lti.indices import indices
 from shaker.lti.responses import Indices
 from shaker.release.fit import METHODS, compare, fit_step

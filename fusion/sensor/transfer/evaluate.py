@@ -27,12 +27,13 @@ from fusion.sensor.transfer.records import (
     read_together,
 )
 from shaker.arrays import ComplexArray, FloatArray, Notice
-from shaker.frf.chain import MOTION_UNITS, QUANTITIES, common_covariance, motion_order, ratio_unit
+from shaker.frf.chain import QUANTITIES, common_covariance, motion_order, ratio_unit
 from shaker.frf.impact import transfer_impact
 from shaker.frf.periodic import transfer_periodic
 from shaker.frf.random import transfer_random
 from shaker.frf.result import TransferFunction, TransferRecord
 from shaker.identification.oscillator import Kind, Resonance, fit_resonance
+from shaker.labels import MOTION_UNITS
 
 # Which estimate a recording calls for, and what the user is told where it cannot be made.
 
