@@ -1,29 +1,30 @@
-# `make demo` runs the main job on a fresh machine; `make test` passes the tests. Both set up .venv themselves.
+# `make demo` runs the main job on a fresh machine, `make test` what every change must pass, `make validate` what needs
+# statistics or recordings rendered at full size. Each sets up .venv itself, with what it needs and no more.
 PYTHON ?= python3
 BIN := .venv/bin
 export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export OMP_WAIT_POLICY := passive
 
-.PHONY: demo test lint types fast sample-images benchmark wheel clean
+.PHONY: demo test validate lint types sample-images benchmark wheel clean
 
 demo: .venv/installed
 	$(BIN)/shakercal run sample_images/demo -o demo-results --force
 
-# One process per core, each with one thread; files in their order, since the longest ones have few tests and must not come last.
-PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
+# One process per core, each with one thread; an idle process takes tests over from one that has many left.
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
 
 test: lint types
-	$(PYTEST)
-
-fast: .venv/installed
 	$(PYTEST) -m "not slow"
 
-lint: .venv/installed
+validate: .venv/dev
+	$(PYTEST) -m slow
+
+lint: .venv/dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-types: .venv/installed
+types: .venv/dev
 	$(BIN)/mypy
 
 sample-images: .venv/installed
@@ -32,12 +33,16 @@ sample-images: .venv/installed
 benchmark: .venv/installed
 	$(BIN)/python benchmarks/nitsche2018.py
 
-wheel: .venv/installed
+wheel: .venv/dev
 	$(BIN)/python -m build
 
 .venv/installed: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "shakercal needs Python 3.11 or newer")'
 	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --editable .
+	touch $@
+
+.venv/dev: .venv/installed
 	$(BIN)/python -m pip install --quiet --editable ".[dev]"
 	touch $@
 

@@ -33,6 +33,7 @@ from fusion.report.recording import REPORT_FILE, check_campaign_folder
 from fusion.sensitivity.evaluate import EVALUATED_KINDS
 
 if TYPE_CHECKING:
+    from rich.console import Console
     from rich.table import Table
 
 
@@ -46,21 +47,31 @@ def print_outcomes(outcomes: Sequence[Outcome]) -> None:
         if outcome.error is not None:
             console.print(f"{outcome.recording.parent.name}: failed, {outcome.error}", soft_wrap=True)
             continue
-        rows = read_rows(outcome.folder / SENSITIVITY_FILE)
-        console.print(sensitivity_table(rows) if rows else "no sensitivity: see the report for what was observed")
+        _print_sensitivity(console, outcome.folder / SENSITIVITY_FILE)
         what = "unchanged since the last run" if outcome.resumed else "written"
         console.print(f"report ({what}): {outcome.folder / 'report.html'}", soft_wrap=True)
+
+
+def _print_sensitivity(console: Console, file: Path) -> None:
+    """Print the sensitivity of one recording or of several together."""
+    rows = read_rows(file)
+    console.print(sensitivity_table(rows) if rows else "no sensitivity: see the report for what was observed")
 
 
 def sensitivity_table(rows: Sequence[dict[str, str]]) -> Table:
     """Return the rows of a sensitivity.csv as a table with U = k·u for 95 %, two significant digits of it.
 
     Of a value that is not distinguishable from 0 the half-axes of its region stand in place of magnitude and phase.
+    Rows of several recordings name theirs.
     """
     from rich.table import Table
 
-    names = dict.fromkeys(row["recording"] for row in rows)
-    table = Table(title=f"Sensitivity, {', '.join(names)} (U = k·u, 95 %)", title_justify="left")
+    names = list(dict.fromkeys(row["recording"] for row in rows))
+    several = len(names) > 1
+    what = f"{len(names)} recordings" if several else names[0]
+    table = Table(title=f"Sensitivity, {what} (U = k·u, 95 %)", title_justify="left")
+    if several:
+        table.add_column("recording")
     table.add_column("frequency / Hz", justify="right")
     table.add_column("element")
     table.add_column("magnitude ± U", justify="right")
@@ -71,7 +82,9 @@ def sensitivity_table(rows: Sequence[dict[str, str]]) -> Table:
     for row in rows:
         name = f"{row['channel']} / {row['component']}"
         magnitude, phase, factor = _cells(row_element(row))
-        table.add_row(f"{float(row['frequency_hz']):.4f}", name, magnitude, row["unit"], phase, factor, row["kind"])
+        frequency = f"{float(row['frequency_hz']):.4f}"
+        cells = (frequency, name, magnitude, row["unit"], phase, factor, row["kind"])
+        table.add_row(*([row["recording"]] if several else []), *cells)
     return table
 
 
@@ -259,7 +272,9 @@ def print_campaign(outcomes: Sequence[Outcome]) -> None:
     console.print(tally(outcomes))
     done = [outcome for outcome in outcomes if outcome.error is None]
     if done:
-        console.print(f"report of all: {done[0].folder.parent / REPORT_FILE}", soft_wrap=True)
+        top = done[0].folder.parent
+        _print_sensitivity(console, top / SENSITIVITY_FILE)
+        console.print(f"report of all: {top / REPORT_FILE}", soft_wrap=True)
 
 
 def tally(outcomes: Sequence[Outcome]) -> str:
