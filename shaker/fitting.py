@@ -26,10 +26,14 @@ class Point(Protocol):
     """A trial of parameters (P,): its loss, infinite where the parameters are impossible."""
 
     @property
-    def parameters(self) -> FloatArray: ...
+    def parameters(self) -> FloatArray:
+        """Parameters (P,)."""
+        ...
 
     @property
-    def loss(self) -> float: ...
+    def loss(self) -> float:
+        """Sum of squares of the residual."""
+        ...
 
     @property
     def freedom(self) -> int:

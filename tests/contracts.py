@@ -14,7 +14,7 @@ CHANCE = 1e-3
 
 
 def acceptance(trials: int, values: int = 1, level: float = LEVEL) -> tuple[int, int]:
-    """Return the fewest and the most of `trials` that regions of a perfect estimator hold, for all of several values."""
+    """Return the fewest and the most of `trials` that a perfect estimator's regions hold, over several values."""
     tail = 0.5 * CHANCE / values
     return int(binom.ppf(tail, trials, level)), int(binom.isf(tail, trials, level))
 
