@@ -17,12 +17,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from shaker.identification.fit import identify
-from shaker.identification.measured import InertiaError, MeasuredSensitivity, MeasuredTransfer, RelativeError, Placement
-from shaker.identification.model import Identification
+from shaker.identification.fit import Identification, identify
+from shaker.identification.measured import InertiaError, MeasuredSensitivity, MeasuredTransfer, Placement, RelativeError
 from shaker.identification.sensitivity import SpringPrior
 from shaker.identification.sensor import SensitivityComparison, fit_sensitivity
-from shaker.mechanics import Suspension
+from shaker.identification.structures import Suspension
 from shaker.sine.phasor import Phasors
 
 FloatArray = NDArray[np.float64]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from shaker.identification.measured import InertiaError, MeasuredTransfer, RelativeError, Placement
+from shaker.identification.measured import InertiaError, MeasuredTransfer, Placement, RelativeError
 from shaker.sine.phasor import Phasors
 
 FloatArray = NDArray[np.float64]

@@ -3,25 +3,127 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, Notice
-from shaker.identification.measured import MeasuredTransfer, ParameterEstimate
-from shaker.identification.model import (
-    FreeFactor,
-    Identification,
-    ModeEstimate,
+from shaker.arrays import ComplexArray, FloatArray, Notice, check_shape
+from shaker.identification.measured import (
+    CurveResidual,
+    MeasuredTransfer,
     NamedUnknown,
-    Structure,
-    poles,
+    ParameterEstimate,
+    SeenNoise,
+    between_lines,
+    seen_noise,
 )
-from shaker.identification.oscillator import CurveResidual, SeenNoise, seen_noise
-from shaker.identification.problem import DELAY_UNIT_S, Curve, Problem, build, factor_name, starting_vectors
+from shaker.identification.problem import DELAY_UNIT_S, Problem, build, factor_name, starting_vectors, whole_inertia
+from shaker.identification.structures import Structure
+from shaker.mechanics import poles
+
+# What an identification says: parameters, modes, named errors, how well the model explains the curves.
+
+
+@dataclass(frozen=True)
+class ModeEstimate:
+    """One mode of one recording, `number` from 0 by rising frequency, with standard uncertainties.
+
+    `frequency_hz` f₀ = |λ|/2π of the undamped oscillator, `damping_ratio` ζ = -Re λ/|λ| of the pole λ.
+    """
+
+    record: str
+    number: int
+    frequency_hz: float
+    u_frequency_hz: float
+    damping_ratio: float
+    u_damping_ratio: float
+
+    @property
+    def quality(self) -> float:
+        """Quality factor Q = 1/(2ζ)."""
+        return 0.5 / self.damping_ratio
+
+    @property
+    def u_quality(self) -> float:
+        """Standard uncertainty of Q."""
+        return abs(self.quality / self.damping_ratio) * self.u_damping_ratio
+
+
+@dataclass(frozen=True)
+class FreeFactor:
+    """Gain or delay of one response in one recording that was left free: the curve is H · gain · exp(-s delay)."""
+
+    record: str
+    channel: str
+    gain: complex
+    u_gain_relative: float
+    u_gain_phase_rad: float
+    delay_s: float
+    u_delay_s: float
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Parameters of a structure from all recordings together.
+
+    `estimates` (P): parameters, of one recording alone "name: recording"; `covariance` (P, P) of them, infinite
+    where the recordings leave one open. `derived`: b/k of each spring and damper. `modes`: of each recording.
+    `unknowns`: named errors. `factors`: free gains and delays. `model`, `residual` (K, C): per recording, curve with
+    all errors found, and what was measured less the model. `chi_squared` of the residuals over the covariances as
+    stated, with `dof`; where χ²/dof exceeds what noise explains, the noise is enlarged by the excess. `budget` by
+    cause: change (P,) of the parameters for one standard deviation of a named error or of a number stated beforehand,
+    and what "noise" adds; their squares sum up to the variances.
+    """
+
+    estimates: tuple[ParameterEstimate, ...]
+    covariance: FloatArray
+    derived: tuple[ParameterEstimate, ...]
+    modes: tuple[ModeEstimate, ...]
+    unknowns: tuple[NamedUnknown, ...]
+    factors: tuple[FreeFactor, ...]
+    model: tuple[ComplexArray, ...]
+    residual: tuple[ComplexArray, ...]
+    chi_squared: float
+    dof: float
+    notices: tuple[Notice, ...]
+    budget: Mapping[str, FloatArray] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        check_shape("covariance", self.covariance, (len(self.estimates), len(self.estimates)))
+
+    def __getitem__(self, name: str) -> ParameterEstimate:
+        """Return the parameter or derived number of a name."""
+        for estimate in (*self.estimates, *self.derived):
+            if estimate.name == name:
+                return estimate
+        names = ", ".join(estimate.name for estimate in (*self.estimates, *self.derived))
+        raise ValueError(f"name: expected one of {names}, found {name}")
+
+    def value(self, name: str) -> float:
+        """Return the value of a parameter or derived number."""
+        return self[name].value
+
+    def u(self, name: str) -> float:
+        """Return the standard uncertainty of a parameter or derived number."""
+        return self[name].u
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters, in the order of `covariance`."""
+        return tuple(estimate.name for estimate in self.estimates)
+
+    @property
+    def correlation(self) -> FloatArray:
+        """Correlation matrix (P, P) of the parameters; zero for what is fixed or open."""
+        size = np.sqrt(self.covariance.diagonal())
+        known = np.isfinite(size) & (size > 0.0)
+        correlation = np.zeros_like(self.covariance)
+        inside = np.ix_(known, known)
+        correlation[inside] = self.covariance[inside] / np.multiply.outer(size[known], size[known])
+        return correlation + np.diag(1.0 - correlation.diagonal())
+
 
 # Levenberg-Marquardt over all recordings, and the covariance of what it finds.
-
 
 _STEPS = 100
 _SMALL_STEP = 1e-3  # length of a step in standard uncertainties at which a fit has converged
@@ -193,13 +295,12 @@ class Spread:
 
     def covariance_of(self, gradients: FloatArray) -> FloatArray:
         """Return the covariance (G, G) of numbers with `gradients` (G, N): open ones infinite, and without relation."""
-        found = gradients @ self.covariance @ gradients.T
-        size = np.array([self.u(gradient) for gradient in gradients])
-        unknown = ~np.isfinite(size)
-        found[unknown] = 0.0
-        found[:, unknown] = 0.0
-        found[unknown, unknown] = np.inf
-        return np.asarray(found)
+        covariance = gradients @ self.covariance @ gradients.T
+        open_ones = ~np.isfinite([self.u(gradient) for gradient in gradients])
+        covariance[open_ones] = 0.0
+        covariance[:, open_ones] = 0.0
+        covariance[open_ones, open_ones] = np.inf
+        return np.asarray(covariance)
 
 
 def spread(problem: Problem, state: State) -> Spread:
@@ -208,131 +309,88 @@ def spread(problem: Problem, state: State) -> Spread:
     In a basis in which A = 1, so that what the stated masses and scales leave open does not lose its digits.
     """
     count, free = len(state.vector), ~problem.fixed
-    wide = [_wide(problem, curve, part) for curve, part in zip(problem.curves, state.jacobians, strict=True)]
-    rows = [jacobian.reshape(-1, count) for jacobian in wide]
-    stacked = np.concatenate([*rows, np.diag(np.sqrt(problem.precision))])
+    wide = []
+    for curve, jacobian in zip(problem.curves, state.jacobians, strict=True):
+        by_all = np.zeros((*jacobian.shape[:2], count))
+        np.add.at(by_all, (slice(None), slice(None), curve.places), jacobian)
+        by_all[:, :, problem.fixed] = 0.0
+        wide.append(by_all)
+    stacked = np.concatenate([*(rows.reshape(-1, count) for rows in wide), np.diag(np.sqrt(problem.precision))])
     size = np.linalg.norm(stacked, axis=0)
     size[size == 0.0] = 1.0
-    triangle = np.linalg.qr((stacked / size)[:, free], mode="r")
-    singular, found = np.linalg.svd(triangle)[1:]
-    directions = np.zeros((len(found), count))
-    directions[:, free] = found
+    singular, rotation = np.linalg.svd(np.linalg.qr((stacked / size)[:, free], mode="r"))[1:]
+    directions = np.zeros((len(rotation), count))
+    directions[:, free] = rotation
     determined = singular > _OPEN * singular.max()
     basis = directions[determined].T / singular[determined] / size[:, None]
     middle = np.eye(basis.shape[1])
-    for curve, jacobian in zip(problem.curves, wide, strict=True):
-        correlation = curve.record.line_correlation
-        if correlation is not None and len(correlation) > 1:
-            middle += _between_lines(curve.record.ratio.frequency_hz, jacobian @ basis, correlation)
+    for curve, by_all in zip(problem.curves, wide, strict=True):
+        real, imaginary = np.split(by_all @ basis, 2, axis=1)
+        record = curve.record
+        middle += between_lines(record.ratio.frequency_hz, real + 1j * imaginary, record.line_correlation)
     prior = basis @ basis.T * np.sqrt(problem.precision)
     uphill = state.gradient + problem.precision * (problem.expected - state.vector)
     unsettled = float(np.linalg.norm(uphill @ basis))
     return Spread(basis @ middle @ basis.T, directions[~determined], 1.0 / size, prior, unsettled)
 
 
-def _wide(problem: Problem, curve: Curve, jacobian: FloatArray) -> FloatArray:
-    """Return derivatives (K, 2C, N) by all unknowns of those (K, 2C, L) by a curve's own, none by fixed ones."""
-    wide = np.zeros((*jacobian.shape[:2], len(problem.names)))
-    for column, place in enumerate(curve.places):
-        wide[:, :, place] += jacobian[:, :, column]
-    wide[:, :, problem.fixed] = 0.0
-    return wide
-
-
-def _between_lines(frequency_hz: FloatArray, columns: FloatArray, correlation: ComplexArray) -> FloatArray:
-    """Return Tᵀ(R - 1)T of whitened columns T (K, 2C, N), R the `correlation` (D,) of lines 0, 1, 2 … apart."""
-    place = np.round((frequency_hz - frequency_hz.min()) / np.min(np.diff(np.sort(frequency_hz)))).astype(np.int64)
-    length, channels, count = int(place.max()) + 1, columns.shape[1] // 2, columns.shape[2]
-    grid: ComplexArray = np.zeros((length + len(correlation), channels, count), dtype=np.complex128)
-    grid[place] = columns[:, :channels] + 1j * columns[:, channels:]
-    here = grid[:length].reshape(-1, count)
-    total = np.zeros((count, count))
-    for apart, value in enumerate(correlation[1:], start=1):
-        pair = value * (grid[apart : apart + length].reshape(-1, count).conj().T @ here)
-        total += (pair + pair.conj().T).real
-    return total
-
-
 # What is to be said of an identification: what the recordings leave open, what contradicts what was stated.
 
-
-_remarks_OPEN = 1.0 / 3.0  # u over value from which a parameter is called open
+_UNKNOWN = 1.0 / 3.0  # u over value from which a parameter is called open
 _NEGLIGIBLE = 0.02  # part of the whole inertia below which an internal one need not be known
 _PULL = 3.0  # deviation in standard uncertainties that is named
 _NOISE_INFO, _NOISE_WARNING = 1.2, 4.0  # χ²/dof that is named
 _CHANCES = 5.0  # standard deviations by which χ²/dof exceeds what noise leaves
 _SETTLED = 0.1  # standard uncertainties from the minimum that do not matter
 _UNTOUCHED = 0.95  # of a stated uncertainty, left: the recordings say nothing of it
+_HELPS = {
+    "internal": "loads that differ more tell it, or a stated value does",
+    "stiffness": "a band that holds its resonance tells it; where the masses are open, stiffness is too",
+    "damping": "lines closer to its resonance tell it",
+}
 
 
-def remarks(
+def _notices(
     problem: Problem, state: State, found: Spread, estimates: tuple[ParameterEstimate, ...], noise: SeenNoise
 ) -> tuple[Notice, ...]:
     """Return all notices of an identification."""
-    notices = [*_misfit(noise), *_unsettled(found)]
-    whole = _whole(problem, state)
+    notices = []
+    if noise.common >= max(_NOISE_INFO, 1.0 + _CHANCES * noise.chance):
+        text = (
+            f"the curves depart from the model by {np.sqrt(noise.common):.2g} times their noise; the uncertainties are "
+            "enlarged by this factor"
+        )
+        if noise.common < _NOISE_WARNING:
+            notices.append(Notice("info", text, "identification"))
+        else:
+            text += ", and the parameters depend on the lines that are fitted"
+            notices.append(Notice("warning", text, "identification"))
+    if found.unsettled >= _SETTLED:
+        text = (
+            f"the fit ended {found.unsettled:.2g} standard uncertainties before it settled; state what is known of "
+            "the parameters, or fit fewer components"
+        )
+        notices.append(Notice("warning", text, "identification"))
+    whole = np.nan_to_num(whole_inertia(problem, state.vector))
     for place, estimate in enumerate(estimates):
         if problem.fixed[place]:
             continue
         if problem.precision[place] > 0.0:
-            notices += [*_stated(problem, estimate, place), *_negative(estimate)]
+            notices += [*_against_stated(problem, estimate, place), *_negative(estimate)]
+        elif estimate.u > _UNKNOWN * max(abs(estimate.value), _NEGLIGIBLE * whole[place]):
+            size = "" if not np.isfinite(estimate.u) else f": its uncertainty is {estimate.u:.2g} {estimate.unit}"
+            helps = next((text for start, text in _HELPS.items() if estimate.name.startswith(start)), "state its value")
+            text = f"the data cannot tell the {estimate.label}{size}; {helps}"
+            notices.append(Notice("warning", text, estimate.name))
         else:
-            notices += _left_open(estimate, whole[place]) or _negative(estimate)
+            notices += _negative(estimate)
     for place in range(len(estimates), len(problem.names)):
-        if problem.precision[place] > 0.0:
-            notices += _pulled(problem.names[place].removeprefix("error: "), state, found, place)
+        off, remaining = float(state.vector[place]), float(found.covariance[place, place])
+        if problem.precision[place] > 0.0 and off**2 > _PULL**2 * max(1e-6, 1.0 - remaining):
+            name = problem.names[place].removeprefix("error: ")
+            text = f"the fit needs {name} to be off by {abs(off):.2g} times its standard uncertainty"
+            notices.append(Notice("warning", text, name))
     return tuple(notices)
-
-
-def _misfit(noise: SeenNoise) -> list[Notice]:
-    """Say that the residuals exceed the noise."""
-    if noise.common < max(_NOISE_INFO, 1.0 + _CHANCES * noise.chance):
-        return []
-    text = (
-        f"the curves depart from the model by {np.sqrt(noise.common):.2g} times their noise; the uncertainties are "
-        "enlarged by this factor"
-    )
-    if noise.common < _NOISE_WARNING:
-        return [Notice("info", text, "identification")]
-    text += ", and the parameters depend on the lines that are fitted"
-    return [Notice("warning", text, "identification")]
-
-
-def _unsettled(found: Spread) -> list[Notice]:
-    """Say that no minimum was reached."""
-    if found.unsettled < _SETTLED:
-        return []
-    text = (
-        f"the fit ended {found.unsettled:.2g} standard uncertainties before it settled; state what is known of "
-        "the parameters, or fit fewer components"
-    )
-    return [Notice("warning", text, "identification")]
-
-
-def _whole(problem: Problem, state: State) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    """Return for parameters of inertia the smallest inertia (P,) that they are a part of, zero for all others."""
-    whole = np.full(len(problem.kind), np.inf)
-    for curve in problem.curves:
-        mass = curve.mechanics.at(curve.weights(state.vector))[0][0].diagonal()
-        for term, place in enumerate(curve.terms, start=1):
-            share = curve.mechanics.matrices[term, 0].diagonal()
-            if place < len(whole) and np.any(share > 0.0):
-                whole[place] = min(whole[place], float(np.min(mass[share > 0.0] / share[share > 0.0])))
-    return np.where(np.isfinite(whole), whole, 0.0)
-
-
-def _left_open(estimate: ParameterEstimate, whole: float) -> list[Notice]:
-    """Say that the recordings do not tell a parameter."""
-    if estimate.u <= _remarks_OPEN * max(abs(estimate.value), _NEGLIGIBLE * whole):
-        return []
-    size = "" if not np.isfinite(estimate.u) else f": its uncertainty is {estimate.u:.2g} {estimate.unit}"
-    helps = {
-        "internal": "loads that differ more tell it, or a stated value does",
-        "stiffness": "a band that holds its resonance tells it; where the masses are open, stiffness is too",
-        "damping": "lines closer to its resonance tell it",
-    }
-    help_text = next((text for start, text in helps.items() if estimate.name.startswith(start)), "state its value")
-    return [Notice("warning", f"the data cannot tell the {estimate.label}{size}; {help_text}", estimate.name)]
 
 
 def _negative(estimate: ParameterEstimate) -> list[Notice]:
@@ -352,7 +410,7 @@ def _negative(estimate: ParameterEstimate) -> list[Notice]:
     return [Notice("warning", text, estimate.name)]
 
 
-def _stated(problem: Problem, estimate: ParameterEstimate, place: int) -> list[Notice]:
+def _against_stated(problem: Problem, estimate: ParameterEstimate, place: int) -> list[Notice]:
     """Say that a stated parameter is contradicted, or that the recordings add nothing to it."""
     stated, u = problem.expected[place], 1.0 / np.sqrt(problem.precision[place])
     if estimate.u > _UNTOUCHED * u:
@@ -370,17 +428,7 @@ def _stated(problem: Problem, estimate: ParameterEstimate, place: int) -> list[N
     return [Notice("warning", text, estimate.name)]
 
 
-def _pulled(name: str, state: State, found: Spread, place: int) -> list[Notice]:
-    """Say that the recordings contradict the uncertainty stated of a cause of error."""
-    estimate, remaining = float(state.vector[place]), float(found.covariance[place, place])
-    if estimate**2 <= _PULL**2 * max(1e-6, 1.0 - remaining):
-        return []
-    text = f"the fit needs {name} to be off by {abs(estimate):.2g} times its standard uncertainty"
-    return [Notice("warning", text, name)]
-
-
 # All recordings in one complex least-squares fit.
-
 
 _EXPLAINED = 4.0  # χ² per line below which no other start is tried
 _NOISE_ROUNDS = 4
@@ -407,40 +455,34 @@ def identify(
     lines = sum(2 * record.ratio.value.size for record in records)
     if lines <= np.count_nonzero((problem.precision == 0.0) & ~problem.fixed):
         raise ValueError(f"records: expected more real values than unknowns, found {lines} for {len(problem.names)}")
-    state = _best(problem, starting_vectors(problem, structure.starts(records)), lines)
-    weighted, state, noise = _weighed(problem, state)
-    return _result(weighted, state, spread(weighted, state), noise)
-
-
-def _best(problem: Problem, vectors: Sequence[FloatArray], lines: int) -> State:
-    """Return the first solution that explains the curves, from the most promising start on, else the best of all."""
     tried: list[State] = []
+    vectors = starting_vectors(problem, structure.starts(records))
     for start in sorted((evaluate(problem, vector) for vector in vectors), key=lambda state: state.cost):
         tried.append(solve(problem, start))
         if tried[-1].cost < _EXPLAINED * lines:
             break
-    return min(tried, key=lambda state: state.cost)
-
-
-def _seen(problem: Problem, state: State, before: Sequence[FloatArray]) -> SeenNoise:
-    """Return the noise seen at a `state`, whose residuals are whitened with the factors `before`."""
-    curves = [
-        CurveResidual(np.sum(residual**2, axis=1) * factor, curve.record.ratio.dof, residual.shape[1])
-        for curve, residual, factor in zip(problem.curves, state.residuals, before, strict=True)
-    ]
-    return seen_noise(curves, effective(problem, state))
+    weighted, state, noise = _weighed(problem, min(tried, key=lambda state: state.cost))
+    return _result(weighted, state, spread(weighted, state), noise)
 
 
 def _weighed(problem: Problem, state: State) -> tuple[Problem, State, SeenNoise]:
     """Return the problem with its lines weighed by the noise seen in them, its solution, and that noise."""
+
+    def seen(problem: Problem, state: State) -> SeenNoise:
+        curves = [
+            CurveResidual(np.sum(residual**2, axis=1) * factor, curve.record.ratio.dof, residual.shape[1])
+            for curve, residual, factor in zip(problem.curves, state.residuals, factors, strict=True)
+        ]
+        return seen_noise(curves, effective(problem, state))
+
     factors: tuple[FloatArray, ...] = tuple(np.ones(len(curve.whitening)) for curve in problem.curves)
-    noise, weighted = _seen(problem, state, factors), problem
+    noise, weighted = seen(problem, state), problem
     for _ in range(_NOISE_ROUNDS):
         scale = [np.sqrt(old / new) for old, new in zip(factors, noise.lines, strict=True)]
         factors, before = noise.lines, state.vector
         weighted = problem.weighed(factors)
         state = solve(weighted, rescaled(weighted, state, scale))
-        noise = _seen(weighted, state, factors)
+        noise = seen(weighted, state)
         if np.array_equal(before, state.vector):
             break
     return weighted, state, noise
@@ -448,51 +490,34 @@ def _weighed(problem: Problem, state: State) -> tuple[Problem, State, SeenNoise]
 
 def _result(problem: Problem, state: State, found: Spread, noise: SeenNoise) -> Identification:
     """Return what a solution says."""
-    count = len(problem.kind)
-    estimates = _estimates(problem, state, found)
-    model = tuple(curve.modelled(state.vector)[0] for curve in problem.curves)
-    unknowns = tuple(
-        NamedUnknown(
-            name.removeprefix("error: "), float(state.vector[place]), found.u(np.eye(len(problem.names))[place])
-        )
-        for place, name in enumerate(problem.names)
-        if name.startswith("error: ") and place >= count
+    count, unit = len(problem.kind), np.eye(len(problem.names))
+    estimates = tuple(
+        ParameterEstimate(p.name, p.label, float(state.vector[place]), found.u(unit[place]), p.unit)
+        for place, p in enumerate(problem.parameters)
     )
+    model = tuple(curve.modelled(state.vector)[0] for curve in problem.curves)
+    unknowns, causes = [], {}
+    for place, name in enumerate(problem.names):
+        cause = name.removeprefix("error: ")
+        if place >= count and name.startswith("error: "):
+            unknowns.append(NamedUnknown(cause, float(state.vector[place]), found.u(unit[place])))
+        if problem.precision[place] > 0.0:
+            causes[cause if place >= count else f"{name} as stated"] = found.prior[:count, place]
+    known = np.sum([np.zeros(count), *(change**2 for change in causes.values())], axis=0)
+    noise_left = np.sqrt(np.maximum(found.covariance.diagonal()[:count] - known, 0.0))
     return Identification(
         estimates=estimates,
-        covariance=found.covariance_of(np.eye(count, len(problem.names))),
+        covariance=found.covariance_of(unit[:count]),
         derived=_lags(problem, state, found),
         modes=_modes(problem, state, found),
-        unknowns=unknowns,
+        unknowns=tuple(unknowns),
         factors=_factors(problem, state, found),
         model=model,
         residual=tuple(curve.record.ratio.value - value for curve, value in zip(problem.curves, model, strict=True)),
         chi_squared=noise.chi_squared,
         dof=noise.dof,
-        notices=remarks(problem, state, found, estimates, noise),
-        budget=_budget(problem, found),
-    )
-
-
-def _budget(problem: Problem, found: Spread) -> dict[str, FloatArray]:
-    """Return what every cause changes of the parameters."""
-    count = len(problem.kind)
-    causes: dict[str, FloatArray] = {}
-    for place, name in enumerate(problem.names):
-        if problem.precision[place] > 0.0:
-            words = name.removeprefix("error: ") if place >= count else f"{name} as stated"
-            causes[words] = found.prior[:count, place]
-    known = np.sum([np.zeros(count), *(change**2 for change in causes.values())], axis=0)
-    left = found.covariance.diagonal()[:count] - known
-    return {"noise": np.sqrt(np.maximum(left, 0.0)), **causes}
-
-
-def _estimates(problem: Problem, state: State, found: Spread) -> tuple[ParameterEstimate, ...]:
-    """Return the parameters with their uncertainties."""
-    unit = np.eye(len(problem.names))
-    return tuple(
-        ParameterEstimate(p.name, p.label, float(state.vector[place]), found.u(unit[place]), p.unit)
-        for place, p in enumerate(problem.parameters)
+        notices=_notices(problem, state, found, estimates, noise),
+        budget={"noise": noise_left, **causes},
     )
 
 
@@ -533,32 +558,19 @@ def _modes(problem: Problem, state: State, found: Spread) -> tuple[ModeEstimate,
 
 def _factors(problem: Problem, state: State, found: Spread) -> tuple[FreeFactor, ...]:
     """Return the gains and delays that were free."""
-    places = {name: place for place, name in enumerate(problem.names)}
+    places, unit = {name: place for place, name in enumerate(problem.names)}, np.eye(len(problem.names))
 
     def of(name: str) -> tuple[float, float]:
         place = places.get(name)
-        if place is None:
-            return 0.0, 0.0
-        gradient: FloatArray = np.eye(len(problem.names))[place]
-        return float(state.vector[place]), found.u(gradient)
+        return (0.0, 0.0) if place is None else (float(state.vector[place]), found.u(unit[place]))
 
     factors = []
-    for curve in problem.curves:
-        for channel in curve.record.ratio.channels:
-            size, phase, delay = (
-                of(factor_name(kind, curve.record, channel)) for kind in ("ln gain", "gain phase", "delay")
+    for record in (curve.record for curve in problem.curves):
+        for channel in record.ratio.channels:
+            (size, u_size), (phase, u_phase), (delay, u_delay) = (
+                of(factor_name(kind, record, channel)) for kind in ("ln gain", "gain phase", "delay")
             )
-            if size[1] > 0.0 or delay[1] > 0.0:
-                gain = complex(np.exp(complex(size[0], phase[0])))
-                factors.append(
-                    FreeFactor(
-                        curve.record.name,
-                        channel,
-                        gain,
-                        size[1],
-                        phase[1],
-                        delay[0] * DELAY_UNIT_S,
-                        delay[1] * DELAY_UNIT_S,
-                    )
-                )
+            if u_size > 0.0 or u_delay > 0.0:
+                gain, times = complex(np.exp(complex(size, phase))), (delay * DELAY_UNIT_S, u_delay * DELAY_UNIT_S)
+                factors.append(FreeFactor(record.name, channel, gain, u_size, u_phase, *times))
     return tuple(factors)

@@ -90,8 +90,8 @@ class MeasuredTransfer:
     C responses measure on the load, `base`: where the reference measures; `drive` (6,): direction in which the base
     moves as a rigid body, [x y z rx ry rz] about the sensor origin. `mass_matrix` (6, 6): load and parts about the
     sensor origin, without what moves inside the sensor. `line_correlation` (D,) as in `TransferFunction`.
-    `clock`, `u_clock`: name and relative standard uncertainty of the clock, and so of all frequencies. `placement_errors`:
-    what is uncertain of places and directions of the transducers.
+    `clock`, `u_clock`: name and relative standard uncertainty of the clock, and so of all frequencies.
+    `placement_errors`: what is uncertain of places and directions of the transducers.
     """
 
     name: str
@@ -165,6 +165,15 @@ class ParameterEstimate:
     value: float
     u: float
     unit: str
+
+
+@dataclass(frozen=True)
+class NamedUnknown:
+    """A named error as the recordings see it: `estimate` in its standard deviations, of which `remaining` is left."""
+
+    name: str
+    estimate: float
+    remaining: float
 
 
 # The noise of measured lines: whitened, correlated between lines, as stated from scatter and as residuals show it.

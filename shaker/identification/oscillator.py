@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -10,72 +9,8 @@ import numpy as np
 
 from shaker.arrays import ComplexArray, FloatArray, check_shape
 from shaker.frf.result import TransferFunction
-
-# How large the noise of every line is: as stated from its scatter, and as its residual says.
-
-
-_FEWEST_DOF, _MOST_DOF = 3.0, 1e9  # of a stated covariance, as used
-
-
-@dataclass(frozen=True)
-class CurveResidual:
-    """Residuals of one curve: `length` (K,) = T² = rᵀS⁻¹r over the covariance S stated of p real numbers, `dof` (K,).
-
-    `size` is p; `dof` are the degrees of freedom ν behind S, infinite where S is known.
-    """
-
-    length: FloatArray
-    dof: FloatArray
-    size: int
-
-    def __post_init__(self) -> None:
-        check_shape("length", self.length, (None,))
-        check_shape("dof", self.dof, self.length.shape)
-
-
-@dataclass(frozen=True)
-class SeenNoise:
-    """Factors on the stated covariances: `lines` (K,) per curve, used as weights; `common` λ ≥ 1 to all of them.
-
-    `chi_squared` of the residuals over the covariances as stated, `dof` what it would be by noise alone, were these
-    exact, `expected` its mean over `dof` as they are; `chance`: relative standard deviation of χ²/dof by noise alone.
-    """
-
-    lines: tuple[FloatArray, ...]
-    common: float
-    chi_squared: float
-    dof: float
-    expected: float
-    chance: float
-
-
-def seen_noise(curves: Sequence[CurveResidual], unknowns: float) -> SeenNoise:
-    """Return the noise that residuals of a fit with a number of `unknowns` show.
-
-    T² and the covariance S of ν degrees of freedom both say how noisy a line is, so that it weighs (ν + p)/(ν + T²), as
-    in Student's likelihood (Lange, Little and Taylor, J. Am. Stat. Assoc. 84, 1989). With n = ν + p, νS + rrᵀ ~ χ²ₙ:
-    the weights come out too large by n/(n - 2) in the mean, and such an estimate has n/(n - 2) times the variance of
-    one with S known; both factors are in `lines`. λ = χ²/dof over its expectation ν/(ν - 2), at least 1.
-    """
-    freedoms = [np.clip(curve.dof, _FEWEST_DOF, _MOST_DOF) for curve in curves]
-    pairs = list(zip(curves, freedoms, strict=True))
-    real = sum(curve.size * len(curve.length) for curve in curves)
-    chi_squared = float(sum(curve.length.sum() for curve in curves))
-    spread = sum(curve.size * np.sum(_widened(v, curve.size)) for curve, v in pairs) / real
-    expected = float(sum(curve.size * np.sum(v / (v - 2.0)) for curve, v in pairs) / real)
-    dof = max(1.0, real - unknowns)
-    common = max(1.0, chi_squared / dof / expected)
-    factors = tuple((common * v + curve.length) * (v + curve.size) / (v + curve.size - 2.0) ** 2 for curve, v in pairs)
-    return SeenNoise(factors, common, chi_squared, dof, expected, float(np.sqrt(2.0 * spread / dof)))
-
-
-def _widened(freedom: FloatArray, size: int) -> FloatArray:
-    """Return how much more T² of `size` real numbers varies, relatively, than χ² does, as the F distribution says."""
-    return np.asarray((freedom + size - 2.0) / np.maximum(freedom - 4.0, 1.0))
-
-
-# One resonance fitted to a measured transfer function.
-
+from shaker.identification.measured import CurveResidual, SeenNoise, between_lines, seen_noise, whitening_of
+from shaker.mechanics import laplace
 
 Kind = Literal["transmissibility", "receptance", "mobility", "accelerance"]
 
@@ -118,7 +53,7 @@ class Resonance:
         """Return H(s) (K,) at s = a + jω."""
         vector = [self.frequency_hz, self.damping_ratio, self.gain.real, self.gain.imag, self.delay_s]
         vector += [part for term in self.residual for part in (term.real, term.imag)]
-        return _evaluate(self.kind, _names(True, True), _laplace(frequency_hz, added_decay_per_s), np.array(vector))[0]
+        return _evaluate(self.kind, _names(True, True), laplace(frequency_hz, added_decay_per_s), np.array(vector))[0]
 
     def u(self, parameter: str) -> float:
         """Return the standard uncertainty of a fitted parameter."""
@@ -173,8 +108,8 @@ def fit_resonance(
         raise ValueError(f"frequency_hz: expected more than {len(names) // 2} lines, found {len(frequency)}")
     behind = np.full(len(frequency), np.inf) if covariance_dof is None else np.asarray(covariance_dof, np.float64)
     check_shape("covariance_dof", behind, frequency.shape)
-    s = _laplace(frequency, added_decay_per_s)
-    vector, jacobian, noise = _weighed(kind, names, s, value, _whitening(covariance), behind)
+    s = laplace(frequency, added_decay_per_s)
+    vector, jacobian, noise = _weighed(kind, names, s, value, whitening_of(covariance), behind)
     covariance = _parameter_covariance(frequency, jacobian, line_correlation)
     fitted = dict(zip(names, vector.tolist(), strict=True))
     low, high = (complex(fitted.get(f"{n}_re", 0.0), fitted.get(f"{n}_im", 0.0)) for n in ("mass_line", "constant"))
@@ -225,11 +160,6 @@ def _names(delay: bool, residual_terms: bool) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _laplace(frequency_hz: FloatArray, added_decay_per_s: float) -> ComplexArray:
-    """Return s = a + jω."""
-    return np.asarray(added_decay_per_s + 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64))
-
-
 def _evaluate(
     kind: Kind, names: tuple[str, ...], s: ComplexArray, vector: FloatArray
 ) -> tuple[ComplexArray, ComplexArray]:
@@ -257,15 +187,6 @@ def _evaluate(
         columns[f"{name}_re"], columns[f"{name}_im"] = columns[name], 1j * columns[name]
     columns["delay_s"] = -s * value
     return np.asarray(value), np.stack([columns[name] for name in names], axis=1)
-
-
-def _whitening(covariance: FloatArray) -> FloatArray:
-    """Return the matrices (K, 2, 2) that turn errors of the given covariance into independent ones of variance one."""
-    try:
-        lower = np.linalg.cholesky(covariance)
-    except np.linalg.LinAlgError as error:
-        raise ValueError("covariance: expected positive definite matrices (K, 2, 2), found others") from error
-    return np.asarray(np.linalg.inv(lower))
 
 
 def _real(whitening: FloatArray, columns: ComplexArray) -> FloatArray:
@@ -370,17 +291,8 @@ def _parameter_covariance(
     """Return (JᵀJ)⁻¹ of whitened derivatives (K, 2, P), or the sandwich (JᵀJ)⁻¹ JᵀRJ (JᵀJ)⁻¹ of correlated lines."""
     flat = jacobian.reshape(-1, jacobian.shape[-1])
     scale = np.linalg.norm(flat, axis=0)
-    flat = flat / scale
-    root = np.linalg.inv(np.linalg.qr(flat, mode="r"))
+    root = np.linalg.inv(np.linalg.qr(flat / scale, mode="r"))
     inverse = root @ root.T
-    if line_correlation is not None and len(line_correlation) > 1:
-        place = np.round((frequency_hz - frequency_hz.min()) / np.min(np.diff(np.sort(frequency_hz)))).astype(np.int64)
-        grid = np.zeros((place.max() + len(line_correlation), flat.shape[1]), dtype=np.complex128)
-        grid[place] = (jacobian[:, 0] + 1j * jacobian[:, 1]) / scale
-        length = place.max() + 1
-        spread = (grid[:length].conj().T @ grid[:length]).real
-        for apart, correlation in enumerate(line_correlation[1:], start=1):
-            pair = correlation * grid[apart : apart + length].conj().T @ grid[:length]
-            spread += (pair + pair.conj().T).real
-        inverse = inverse @ spread @ inverse
+    columns = (jacobian[:, 0] + 1j * jacobian[:, 1]) / scale
+    inverse = inverse + inverse @ between_lines(frequency_hz, columns, line_correlation) @ inverse
     return np.asarray(0.5 * (inverse + inverse.T) / np.multiply.outer(scale, scale))

@@ -1,4 +1,4 @@
-"""The least-squares problem of an identification: what transducers see, and where it starts."""
+"""The least-squares problem of an identification: what transducers read, its unknowns in one vector, its starts."""
 
 from __future__ import annotations
 
@@ -8,26 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from shaker.identification.measured import AT_THE_BASE, MeasuredTransfer, SightError
-from shaker.identification.model import (
-    Mechanics,
-    Parameter,
-    Response,
-    Structure,
-    measured_poles,
-    respond,
-    significant_poles,
-)
+from shaker.identification.measured import AT_THE_BASE, MeasuredTransfer, PlacementError, whitening_of
+from shaker.identification.structures import Parameter, Structure, measured_poles, significant_poles
+from shaker.mechanics import Mechanics, Response, respond
 
-# Uncertain places and directions of transducers: how they change what is read of a motion, and the ratios.
-
-
+DELAY_UNIT_S = 1e-6
+"""Unit in which free delays are unknown."""
 _NOTHING = 1e-12  # share of a change below which it is rounding
 
 
 @dataclass(frozen=True)
-class Sights:
-    """What one standard deviation of S unknowns of a recording changes of the readings of its C responses.
+class Displacements:
+    """Transducers elsewhere than stated: what one standard deviation of S unknowns changes of the C readings.
 
     `places` (S,) among all unknowns; `rows` (S, C, n) of p and `offset` (S, C) of the base's motion, `reference` (S,)
     what the reference reads of the latter.
@@ -50,46 +42,36 @@ class Sights:
             reference_offset=mechanics.reference_offset + float(off @ self.reference),
         )
 
-    def derivatives(self, found: Response) -> ComplexArray:
+    def derivatives(self, response: Response) -> ComplexArray:
         """Return the derivatives (K, C, S) of ratios: a row that changes by r reads r·X/(d·X_base) more."""
-        above = np.einsum("kn,scn->kcs", found.motion, self.rows) + self.offset.T
-        return np.asarray((above - found.value[:, :, None] * self.reference) / found.below[:, None, None])
+        above = np.einsum("kn,scn->kcs", response.motion, self.rows) + self.offset.T
+        return np.asarray((above - response.value[:, :, None] * self.reference) / response.below[:, None, None])
 
 
-def acting(record: MeasuredTransfer, body: FloatArray) -> tuple[SightError, ...]:
-    """Return the errors of sights that change a reading of a load that moves along `body` (6, n) beside its base."""
+def acting(record: MeasuredTransfer, body: FloatArray) -> tuple[PlacementError, ...]:
+    """Return the placement errors that change a reading of a load that moves along `body` (6, n) beside its base."""
     seen = np.column_stack([record.drive / np.linalg.norm(record.drive), body])
     return tuple(
         error
-        for error in record.sight_errors
+        for error in record.placement_errors
         if np.abs(error.change @ (seen[:, :1] if error.place == AT_THE_BASE else seen)).max()
         > _NOTHING * np.abs(error.change).max()
     )
 
 
-def sights(record: MeasuredTransfer, body: FloatArray, names: Mapping[str, int]) -> Sights:
-    """Return the errors of a recording that act, with the places of their `names` among the unknowns."""
+def displacements(record: MeasuredTransfer, body: FloatArray, names: Mapping[str, int]) -> Displacements:
+    """Return the placement errors of a recording that act, with the places of their `names` among the unknowns."""
     errors = acting(record, body)
-    count, shape = len(errors), (len(errors), len(record.tops))
-    found = Sights(
+    changes = np.reshape([error.change for error in errors], (len(errors), 6))
+    place = np.array([error.place for error in errors], dtype=np.int64)
+    own = (place[:, None] == np.arange(len(record.tops))).astype(np.float64)
+    along = changes @ record.drive
+    return Displacements(
         places=np.array([names[f"error: {error.name}"] for error in errors], dtype=np.int64),
-        rows=np.zeros((*shape, body.shape[1])),
-        offset=np.zeros(shape),
-        reference=np.zeros(count),
+        rows=own[:, :, None] * (changes @ body)[:, None],
+        offset=own * along[:, None],
+        reference=along * (place == AT_THE_BASE),
     )
-    for number, error in enumerate(errors):
-        if error.place == AT_THE_BASE:
-            found.reference[number] = error.change @ record.drive
-        else:
-            found.rows[number, error.place] = error.change @ body
-            found.offset[number, error.place] = error.change @ record.drive
-    return found
-
-
-# The unknowns of an identification in one vector, and the whitened residuals of every recording with derivatives.
-
-
-DELAY_UNIT_S = 1e-6  # in which free delays are unknown
 
 
 @dataclass(frozen=True)
@@ -97,7 +79,7 @@ class Curve:
     """One recording ready to be compared: which unknowns act on it and how.
 
     `terms` (P+E,): places of the weights of `mechanics` among the unknowns; `factors` (F,) those of what multiplies the
-    ratios by exp(z · `relative` (K, C, F)); `sights`: what transducers elsewhere than stated change; `clock`: place of
+    ratios by exp(z · `relative` (K, C, F)); `displacements`: of transducers elsewhere than stated; `clock`: place of
     the clock's error, -1 without. `whitening` (K, 2C, 2C).
     """
 
@@ -106,7 +88,7 @@ class Curve:
     terms: IntArray
     factors: IntArray
     relative: ComplexArray
-    sights: Sights
+    displacements: Displacements
     clock: int
     whitening: FloatArray
 
@@ -118,19 +100,19 @@ class Curve:
     def places(self) -> IntArray:
         """Places of the columns of `modelled` among the unknowns."""
         clock = [self.clock] if self.clock >= 0 else []
-        return np.concatenate([self.terms, self.factors, self.sights.places, np.array(clock, dtype=np.int64)])
+        return np.concatenate([self.terms, self.factors, self.displacements.places, np.array(clock, dtype=np.int64)])
 
     def modelled(self, vector: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         """Return the ratios (K, C) that unknowns lead to, and their derivatives (K, C, L) by those at `places`."""
         u_clock = self.record.u_clock if self.clock >= 0 else 0.0
         s = self.record.s * (1.0 + u_clock * vector[self.clock])
-        found = respond(self.sights.moved(self.mechanics, vector), self.weights(vector), s)
+        response = respond(self.displacements.moved(self.mechanics, vector), self.weights(vector), s)
         factor = np.exp(self.relative @ vector[self.factors])
-        value = found.value * factor
-        seen = self.sights.derivatives(found) * factor[:, :, None]
-        columns = [found.by_term * factor[:, :, None], value[:, :, None] * self.relative, seen]
+        value = response.value * factor
+        moved = self.displacements.derivatives(response) * factor[:, :, None]
+        columns = [response.by_term * factor[:, :, None], value[:, :, None] * self.relative, moved]
         if self.clock >= 0:
-            columns.append((u_clock * found.by_log_s * factor)[:, :, None])
+            columns.append((u_clock * response.by_log_s * factor)[:, :, None])
         return value, np.concatenate(columns, axis=2)
 
     def whitened(self, deviation: ComplexArray) -> FloatArray:
@@ -161,6 +143,18 @@ class Problem:
             for curve, factor in zip(self.curves, factors, strict=True)
         ]
         return replace(self, curves=tuple(curves))
+
+
+def whole_inertia(problem: Problem, vector: FloatArray) -> FloatArray:
+    """Return the smallest inertia (P,) that each parameter is a part of at a vector, NaN of those of no inertia."""
+    whole = np.full(len(problem.kind), np.nan)
+    for curve in problem.curves:
+        mass = curve.mechanics.at(curve.weights(vector))[0][0].diagonal()
+        for place, matrices in zip(curve.terms, curve.mechanics.matrices[1:], strict=True):
+            share = matrices[0].diagonal()
+            if place < len(whole) and np.any(share > 0.0):
+                whole[place] = np.fmin(whole[place], np.min(mass[share > 0.0] / share[share > 0.0]))
+    return whole
 
 
 def build(
@@ -228,23 +222,22 @@ def _check(
 
 def _parameters(
     records: Sequence[MeasuredTransfer], structure: Structure, each_recording: Collection[str]
-) -> tuple[tuple[Parameter, ...], list[int], list[IntArray]]:
-    """Return the parameters fitted, the structure's they stand for, and the places (P,) that each recording uses."""
+) -> tuple[tuple[Parameter, ...], list[int], IntArray]:
+    """Return the parameters fitted, the structure's they stand for, and the places (R, P) that each recording uses."""
     fitted: list[Parameter] = []
     kinds: list[int] = []
     places = np.zeros((len(records), len(structure.parameters)), dtype=np.int64)
     for kind, parameter in enumerate(structure.parameters):
-        if parameter.name not in each_recording:
-            places[:, kind] = len(fitted)
-            fitted.append(parameter)
-            kinds.append(kind)
-            continue
-        for row, record in enumerate(records):
-            places[row, kind] = len(fitted)
-            label = f"{parameter.label}, {record.name}"
-            fitted.append(Parameter(f"{parameter.name}: {record.name}", label, parameter.unit))
-            kinds.append(kind)
-    return tuple(fitted), kinds, list(places)
+        own = [parameter]
+        if parameter.name in each_recording:
+            own = [
+                replace(parameter, name=f"{parameter.name}: {record.name}", label=f"{parameter.label}, {record.name}")
+                for record in records
+            ]
+        places[:, kind] = len(fitted) + (np.arange(len(records)) if len(own) > 1 else 0)
+        fitted += own
+        kinds += [kind] * len(own)
+    return tuple(fitted), kinds, places
 
 
 def factor_name(kind: str, record: MeasuredTransfer, channel: str) -> str:
@@ -254,16 +247,16 @@ def factor_name(kind: str, record: MeasuredTransfer, channel: str) -> str:
 
 def _free(record: MeasuredTransfer, gain: Collection[str], delay: Collection[str]) -> dict[str, ComplexArray]:
     """Return what one unit of every free factor changes of the logarithm of a recording's ratios (K, C)."""
-    found: dict[str, ComplexArray] = {}
+    free: dict[str, ComplexArray] = {}
     for c, channel in enumerate(record.ratio.channels):
         column = np.zeros(record.ratio.value.shape, dtype=np.complex128)
         column[:, c] = 1.0
         if channel in gain:
-            found[factor_name("ln gain", record, channel)] = column
-            found[factor_name("gain phase", record, channel)] = 1j * column
+            free[factor_name("ln gain", record, channel)] = column
+            free[factor_name("gain phase", record, channel)] = 1j * column
         if channel in delay:
-            found[factor_name("delay", record, channel)] = -DELAY_UNIT_S * record.s[:, None] * column
-    return found
+            free[factor_name("delay", record, channel)] = -DELAY_UNIT_S * record.s[:, None] * column
+    return free
 
 
 def _curve(
@@ -274,10 +267,6 @@ def _curve(
     names: Mapping[str, int],
 ) -> Curve:
     """Return a recording with the places of its unknowns."""
-    try:
-        lower = np.linalg.cholesky(record.ratio.covariance)
-    except np.linalg.LinAlgError as error:
-        raise ValueError(f"records: expected positive definite covariances in {record.name}, found others") from error
     relative = [*free.values(), *(error.relative for error in record.errors)]
     inertia = [names[f"error: {error.name}"] for error in record.inertia_errors]
     factors = [*(names[name] for name in free), *(names[f"error: {error.name}"] for error in record.errors)]
@@ -287,14 +276,13 @@ def _curve(
         terms=np.concatenate([parameters, np.array(inertia, dtype=np.int64)]),
         factors=np.array(factors, dtype=np.int64),
         relative=np.stack(relative, axis=2) if relative else np.zeros((*record.ratio.value.shape, 0), np.complex128),
-        sights=sights(record, structure.body, names),
+        displacements=displacements(record, structure.body, names),
         clock=names[f"error: {record.clock}"] if record.u_clock > 0.0 else -1,
-        whitening=np.linalg.inv(lower),
+        whitening=whitening_of(record.ratio.covariance, f"records: covariance of {record.name}"),
     )
 
 
 # Where a fit starts: parameters whose modes are those of the measured poles, and the gains that follow.
-
 
 _ROUNDS = 12
 _POLE_PRECISION = 3e-3  # relative, of the frequency of a measured pole
@@ -318,60 +306,58 @@ class _Terms:
 def starting_vectors(problem: Problem, starts: FloatArray) -> list[FloatArray]:
     """Return vectors of unknowns to start from, made from a structure's `starts` (S, P)."""
     measured = [_believed(curve) for curve in problem.curves]
-    found: list[FloatArray] = []
+    stated = (problem.precision > 0.0) | problem.fixed
+    count = len(problem.kind)
+    vectors: list[FloatArray] = []
     for start in starts:
         vector = problem.expected.copy()
-        stated = (problem.precision > 0.0) | problem.fixed
-        count = len(problem.kind)
         vector[:count] = np.where(stated[:count], vector[:count], start[problem.kind])
         terms = _terms(problem, vector)
         vector = _damped(problem, terms, _matched(problem, terms, vector, measured, stated), measured, stated)
-        if not any(np.allclose(vector, other, rtol=_ALIKE, atol=0.0) for other in found):
-            found.append(vector)
-    return [_gained(problem, vector) for vector in found]
+        if not any(np.allclose(vector, other, rtol=_ALIKE, atol=0.0) for other in vectors):
+            vectors.append(vector)
+    return [_gained(problem, vector) for vector in vectors]
 
 
 def _believed(curve: Curve) -> ComplexArray:
     """Return the measured poles of a recording that lie in its band, ring and stand out."""
-    count = curve.mechanics.forcing.shape[1]
-    poles = measured_poles(curve.record, count)
-    size = np.abs(poles)
-    inside = (size > 0.7 * np.abs(curve.record.s).min()) & (size < 1.3 * np.abs(curve.record.s).max())
-    return significant_poles(curve.record, poles[inside & (-poles.real < _LARGEST_DAMPING_RATIO * size)])
+    poles = measured_poles(curve.record, curve.mechanics.forcing.shape[1])
+    size, s = np.abs(poles), np.abs(curve.record.s)
+    inside = (size > 0.7 * s.min()) & (size < 1.3 * s.max()) & (-poles.real < _LARGEST_DAMPING_RATIO * size)
+    return significant_poles(curve.record, poles[inside])
 
 
 def _terms(problem: Problem, vector: FloatArray) -> _Terms:
     """Return what the parameters are, from the matrices that they act on."""
-    count = len(problem.kind)
-    acts, whole = np.zeros((3, count), dtype=np.bool_), np.ones(count)
+    acts = np.zeros((3, len(problem.kind)), dtype=np.bool_)
     for curve in problem.curves:
-        mechanics, (mass, _, _) = curve.mechanics, curve.mechanics.at(curve.weights(vector))[0]
-        for term, place in enumerate(curve.terms, start=1):
-            if place < count:
-                acts[:, place] |= np.any(mechanics.matrices[term] != 0.0, axis=(1, 2))
-                share = mechanics.matrices[term, 0].diagonal()
-                if np.any(share > 0.0):
-                    whole[place] = float(np.min(mass.diagonal()[share > 0.0] / share[share > 0.0]))
-    return _Terms(acts[2], acts[0] & ~acts[2], acts[1] & ~acts[0] & ~acts[2], whole)
+        for place, matrices in zip(curve.terms, curve.mechanics.matrices[1:], strict=True):
+            if place < len(problem.kind):
+                acts[:, place] |= np.any(matrices != 0.0, axis=(1, 2))
+    whole = whole_inertia(problem, vector)
+    return _Terms(acts[2], acts[0] & ~acts[2], acts[1] & ~acts[0] & ~acts[2], np.where(np.isnan(whole), 1.0, whole))
 
 
 def _matched(
     problem: Problem, terms: _Terms, start: FloatArray, measured: Sequence[ComplexArray], stated: BoolArray
 ) -> FloatArray:
     """Return unknowns whose undamped modes have the frequencies of the measured poles, near where they start."""
-    count = len(problem.kind)
-    moved = np.flatnonzero((terms.stiffness | terms.inertia) & ~stated[:count])
+    moved = np.flatnonzero((terms.stiffness | terms.inertia) & ~stated[: len(problem.kind)])
     logarithmic = terms.stiffness[moved]
     unit = np.where(logarithmic, _STIFFNESS_RANGE, _INERTIA_RANGE * terms.whole[moved])
     x, vector = np.zeros(len(moved)), start
     for _ in range(_ROUNDS):
         rows, right = [], []
         for curve, poles in zip(problem.curves, measured, strict=True):
-            frequency, by_unknown = _undamped(curve, vector)
-            for pole, mode in _pairs(poles, frequency):
-                change = by_unknown[mode, moved] * np.where(logarithmic, vector[moved], 1.0) * unit
-                rows.append(change / _POLE_PRECISION)
-                right.append(np.log(np.abs(pole) / frequency[mode]) / _POLE_PRECISION)
+            omega, shape = _undamped_modes(curve, vector)
+            matrices = curve.mechanics.matrices[1:]
+            change = np.einsum("im,qij,jm->mq", shape, matrices[:, 2], shape)
+            change -= omega[:, None] ** 2 * np.einsum("im,qij,jm->mq", shape, matrices[:, 0], shape)
+            by_unknown = _by_unknown(curve, change / (2.0 * omega[:, None] ** 2), len(vector))
+            for pole, mode in _pairs(poles, omega):
+                slope = by_unknown[mode, moved] * np.where(logarithmic, vector[moved], 1.0) * unit
+                rows.append(slope / _POLE_PRECISION)
+                right.append(np.log(np.abs(pole) / omega[mode]) / _POLE_PRECISION)
         rows.extend(np.eye(len(moved)))
         right.extend(-x)
         step = np.linalg.lstsq(np.array(rows), np.array(right), rcond=None)[0]
@@ -384,63 +370,50 @@ def _matched(
     return vector
 
 
-def _undamped(curve: Curve, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the undamped ω (n,) in 1/s, ascending, and the derivatives (n, N) of ln ω by all unknowns."""
-    omega, shape = _modes(curve.mechanics, curve.weights(vector))
-    matrices = curve.mechanics.matrices[1:]
-    change = np.einsum("im,qij,jm->mq", shape, matrices[:, 2], shape)
-    change -= omega[:, None] ** 2 * np.einsum("im,qij,jm->mq", shape, matrices[:, 0], shape)
-    return omega, _by_unknown(curve, change / (2.0 * omega[:, None] ** 2), len(vector))
-
-
-def _by_unknown(curve: Curve, by_term: FloatArray, count: int) -> FloatArray:
-    """Return derivatives (n, N) by all unknowns of those (n, P+E) by the terms of a recording."""
-    found = np.zeros((len(by_term), count))
-    for column, place in enumerate(curve.terms):
-        found[:, place] += by_term[:, column]
-    return found
-
-
-def _modes(mechanics: Mechanics, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return ω (n,) and shapes (n, n), columns of unit modal mass, without damping; masses are kept above zero."""
-    (mass, _, stiffness), _ = mechanics.at(weights)
+def _undamped_modes(curve: Curve, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return ω (n,) in 1/s, ascending, and shapes (n, n), columns of unit modal mass; masses are kept above zero."""
+    (mass, _, stiffness), _ = curve.mechanics.at(curve.weights(vector))
     values, vectors = np.linalg.eigh(mass)
     root = vectors / np.sqrt(np.maximum(values, 1e-3 * values.max()))
     square, turned = np.linalg.eigh(root.T @ stiffness @ root)
     return np.sqrt(np.maximum(square, 1e-12 * square.max())), root @ turned
 
 
-def _pairs(poles: ComplexArray, frequency: FloatArray) -> list[tuple[complex, int]]:
-    """Return measured poles with the number of the mode each one is."""
-    if len(poles) == len(frequency):
-        return list(zip(poles.tolist(), range(len(frequency)), strict=True))
-    nearest = [int(np.argmin(np.abs(np.log(np.abs(pole) / frequency)))) for pole in poles]
-    return list(zip(poles.tolist(), nearest, strict=True))
+def _by_unknown(curve: Curve, by_term: FloatArray, count: int) -> FloatArray:
+    """Return derivatives (n, N) by all unknowns of those (n, P+E) by the terms of a recording."""
+    wide = np.zeros((len(by_term), count))
+    np.add.at(wide.T, curve.terms, by_term.T)
+    return wide
+
+
+def _pairs(poles: ComplexArray, omega: FloatArray) -> list[tuple[complex, int]]:
+    """Return measured poles with the number of the mode each one is: in order, or of the nearest where some lack."""
+    if len(poles) == len(omega):
+        return list(zip(poles.tolist(), range(len(omega)), strict=True))
+    return [(complex(pole), int(np.argmin(np.abs(np.log(np.abs(pole) / omega))))) for pole in poles]
 
 
 def _damped(
     problem: Problem, terms: _Terms, vector: FloatArray, measured: Sequence[ComplexArray], stated: BoolArray
 ) -> FloatArray:
     """Return unknowns with dampings that give the measured poles their decay, none below a small one."""
-    count = len(problem.kind)
-    moved = np.flatnonzero(terms.damping & ~stated[:count])
+    moved = np.flatnonzero(terms.damping & ~stated[: len(problem.kind)])
     if len(moved) == 0:
         return vector
     rows, right, least = [], [], np.full(len(vector), np.inf)
     for curve, poles in zip(problem.curves, measured, strict=True):
-        omega, shape = _modes(curve.mechanics, curve.weights(vector))
+        omega, shape = _undamped_modes(curve, vector)
         by_term = np.einsum("im,qij,jm->mq", shape, curve.mechanics.matrices[1:, 1], shape)
         share = _by_unknown(curve, by_term, len(vector))
         for place in moved[share[:, moved].max(axis=0) > 0.0]:
             mode = int(np.argmax(share[:, place]))
-            floor = 2.0 * _LEAST_DAMPING_RATIO * omega[mode] / share[mode, place]
-            least[place] = min(least[place], floor)
+            least[place] = min(least[place], 2.0 * _LEAST_DAMPING_RATIO * omega[mode] / share[mode, place])
         for pole, mode in _pairs(poles, omega):
             rows.append(share[mode, moved] / abs(pole))
             right.append(-2.0 * pole.real / abs(pole))
-    found = np.linalg.lstsq(np.array(rows), np.array(right), rcond=None)[0] if rows else np.zeros(len(moved))
+    damping = np.linalg.lstsq(np.array(rows), np.array(right), rcond=None)[0] if rows else np.zeros(len(moved))
     damped = vector.copy()
-    damped[moved] = np.maximum(found, np.where(np.isfinite(least[moved]), least[moved], 0.0))
+    damped[moved] = np.maximum(damping, np.where(np.isfinite(least[moved]), least[moved], 0.0))
     return damped
 
 

@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from identification_factory import ALONG_Z, FloatArray, oscillator, recording, rigid_mass
 
-from shaker.identification.fit import identify
-from shaker.identification.measured import InertiaError, MeasuredTransfer, RelativeError, Sight
-from shaker.identification.model import Identification, Mechanics, poles, respond
+from shaker.identification.fit import Identification, identify
+from shaker.identification.measured import InertiaError, MeasuredTransfer, Placement, RelativeError
 from shaker.identification.oscillator import fit_resonance
-from shaker.mechanics import Suspension
+from shaker.identification.structures import Suspension
+from shaker.mechanics import Mechanics, poles, respond
 
 K, B, MI = 4.753e8, 900.0, 1.28
 LOADS = (4.236, 8.798)
@@ -372,7 +372,7 @@ def test_what_cannot_be_fitted_is_refused_with_a_reason() -> None:
         record.mass_matrix,
         ALONG_Z,
         noise=1e-3,
-        base=Sight(np.zeros(3), np.array([1.0, 0.0, 0.0])),
+        base=Placement(np.zeros(3), np.array([1.0, 0.0, 0.0])),
     )
     with pytest.raises(ValueError, match="reference that sees the drive"):
         identify([across], VERTICAL)
@@ -381,7 +381,7 @@ def test_what_cannot_be_fitted_is_refused_with_a_reason() -> None:
     with pytest.raises(ValueError, match="more real values than unknowns"):
         identify([few], VERTICAL)
     flat = recording("flat", record.ratio.frequency_hz, record.ratio.value, record.mass_matrix, ALONG_Z, noise=0.0)
-    with pytest.raises(ValueError, match="positive definite covariances in flat"):
+    with pytest.raises(ValueError, match="covariance of flat: expected positive definite"):
         identify([flat], VERTICAL)
     with pytest.raises(ValueError, match="name: expected one of"):
         identify([record], VERTICAL).value("damping_x")

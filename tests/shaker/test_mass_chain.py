@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import linalg, signal
 
-from shaker.identification.fit import identify
+from shaker.identification.fit import Identification, identify
 from shaker.identification.measured import InertiaError, MeasuredTransfer, Placement
-from shaker.identification.model import Identification
-from shaker.mechanics import ChainStructure, MassChain, Stage, shared_spring
+from shaker.identification.structures import ChainStructure, Stage
+from shaker.mechanics import MassChain, shared_spring
 from shaker.sine.phasor import Phasors
 
 FloatArray = NDArray[np.float64]

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from identification_factory import ALONG_X, ALONG_Z, FloatArray, X, oscillator, recording, rigid_mass, state_space
 
-from shaker.identification.fit import identify
-from shaker.identification.measured import AT_THE_BASE, MeasuredTransfer, Sight, SightError
-from shaker.identification.model import Identification, respond
-from shaker.identification.problem import acting, sights
-from shaker.mechanics import ChainStructure, Suspension
+from shaker.identification.fit import Identification, identify
+from shaker.identification.measured import AT_THE_BASE, MeasuredTransfer, Placement, PlacementError
+from shaker.identification.problem import acting, displacements
+from shaker.identification.structures import ChainStructure, Suspension
+from shaker.mechanics import respond
 
 K_X, K_RY, B_X, B_RY, M_I, J_I = 7.0e8, 1.07e6, 2500.0, 4.0, 0.9, 1.5e-3
 TRUTH = {"stiffness_x": K_X, "stiffness_ry": K_RY, "internal_mass": M_I}
@@ -22,10 +22,10 @@ PLACES = np.array([[0.05, 0.0, 0.06], [0.05, 0.0, -0.03]])
 U_PLACE, U_TILT = 1e-3, 2e-3
 PITCHING = Suspension((0, 4))
 FREE = [0, 4]
-BASE = Sight(np.array([-0.12, 0.0, 0.0]), X)
+BASE = Placement(np.array([-0.12, 0.0, 0.0]), X)
 
 
-def errors_of(name: str, place: int, point: FloatArray) -> list[SightError]:
+def errors_of(name: str, place: int, point: FloatArray) -> list[PlacementError]:
     """Three coordinates and two tilts of a transducer that looks along x, rows written out."""
     x, y, z = point
     rows = {
@@ -34,7 +34,7 @@ def errors_of(name: str, place: int, point: FloatArray) -> list[SightError]:
         "towards y": U_TILT * np.array([0.0, 1.0, 0.0, -z, 0.0, x]),
         "towards z": U_TILT * np.array([0.0, 0.0, 1.0, y, -x, 0.0]),
     }
-    return [SightError(f"{name} {what}", place, row) for what, row in rows.items()]
+    return [PlacementError(f"{name} {what}", place, row) for what, row in rows.items()]
 
 
 def pitching(
@@ -70,11 +70,11 @@ def pitching(
         ALONG_X,
         noise=noise,
         rng=rng,
-        tops=tuple(Sight(point, X) for point in PLACES),
+        tops=tuple(Placement(point, X) for point in PLACES),
         base=BASE,
     )
     known = [error for c, point in enumerate(PLACES) for error in errors_of(f"top {c + 1}", c, point)]
-    return replace(record, sight_errors=(*known, *errors_of("base", AT_THE_BASE, BASE.point_m)))
+    return replace(record, placement_errors=(*known, *errors_of("base", AT_THE_BASE, BASE.point_m)))
 
 
 def fitted(records: Sequence[MeasuredTransfer]) -> Identification:
@@ -95,12 +95,12 @@ def test_a_row_that_changes_changes_the_ratio_as_its_derivative_says() -> None:
     record = replace(
         pitching(np.zeros((2, 4))),
         drive=drive,
-        sight_errors=tuple(SightError(f"{c}", place, change[c]) for c, place in enumerate((0, 1, AT_THE_BASE))),
+        placement_errors=tuple(PlacementError(f"{c}", place, change[c]) for c, place in enumerate((0, 1, AT_THE_BASE))),
     )
     for structure in (PITCHING, ChainStructure(4)):
         count = len(structure.parameters)
         weights = np.array([1.0, K_X, 1.3 * K_X, B_X, B_RY, M_I, J_I])[: 1 + count]
-        found = sights(record, structure.body, {f"error: {c}": c for c in range(3)})
+        found = displacements(record, structure.body, {f"error: {c}": c for c in range(3)})
         mechanics = structure.mechanics(record)
         slope = found.derivatives(respond(mechanics, weights, s))
         for unknown in range(3):
@@ -118,14 +118,14 @@ def test_only_what_changes_a_reading_becomes_an_unknown() -> None:
     record = pitching(np.zeros((2, 4)))
     expected = [f"top {c} {what}" for c in (1, 2) for what in ("z", "towards z")]
     assert [error.name for error in acting(record, PITCHING.body)] == expected
-    turning = replace(record, drive=np.eye(6)[4], base=Sight(np.array([0.0, 0.0, 0.1]), X))
+    turning = replace(record, drive=np.eye(6)[4], base=Placement(np.array([0.0, 0.0, 0.1]), X))
     names = [error.name for error in acting(turning, Suspension((4,)).body)]
     assert names == [*expected, "base z", "base towards z"]
 
 
 def test_one_translation_does_not_see_where_it_is_measured() -> None:
     frequency = np.linspace(1000.0, 1800.0, 200)
-    place = Sight(np.array([0.03, -0.02, 0.1]), np.array([0.0, 0.0, 1.0]))
+    place = Placement(np.array([0.03, -0.02, 0.1]), np.array([0.0, 0.0, 1.0]))
     bare = recording(
         "a",
         frequency,
@@ -138,7 +138,7 @@ def test_one_translation_does_not_see_where_it_is_measured() -> None:
         base=place,
     )
     changes = [U_PLACE * np.array([0.0, 0.0, 0.0, 1.0, 1.0, 0.0]), U_TILT * np.array([1.0, 0.0, 0.0, 0.0, 0.1, 0.02])]
-    unsure = replace(bare, sight_errors=tuple(SightError(f"{c}", 0, row) for c, row in enumerate(changes)))
+    unsure = replace(bare, placement_errors=tuple(PlacementError(f"{c}", 0, row) for c, row in enumerate(changes)))
     first, second = (identify([r], Suspension((2,)), known={"internal_mass": (0.0, 0.0)}) for r in (bare, unsure))
     assert second.unknowns == ()
     assert first.estimates == second.estimates
@@ -152,7 +152,7 @@ def test_a_transducer_elsewhere_is_found_and_one_in_all_recordings() -> None:
     names = [unknown.name for unknown in found.unknowns]
     assert len(names) == len(set(names)) == 4
     assert {"top 1 z", "top 2 towards z"} <= set(found.budget)
-    taken_as_stated = fitted([replace(record, sight_errors=()) for record in records])
+    taken_as_stated = fitted([replace(record, placement_errors=()) for record in records])
     for name, true in TRUTH.items():
         assert abs(found.value(name) - true) < 3.5 * found.u(name)
         assert abs(taken_as_stated.value(name) - true) > 3.5 * found.u(name)
@@ -162,8 +162,8 @@ def test_a_transducer_elsewhere_is_found_and_one_in_all_recordings() -> None:
 
 
 def test_a_place_among_no_response_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"sight_errors: expected a place of -1 to 1, found 2"):
-        replace(pitching(np.zeros((2, 4))), sight_errors=(SightError("a", 2, np.ones(6)),))
+    with pytest.raises(ValueError, match=r"placement_errors: expected a place of -1 to 1, found 2"):
+        replace(pitching(np.zeros((2, 4))), placement_errors=(PlacementError("a", 2, np.ones(6)),))
 
 
 @pytest.mark.slow
@@ -176,7 +176,7 @@ def test_intervals_hold_the_truth_with_transducers_elsewhere() -> None:
         records = [pitching(draws, load, rng=rng) for load in LOADS]
         deviation[trial] = away(fitted(records))
         if trial < few:
-            trusting[trial] = away(fitted([replace(record, sight_errors=()) for record in records]))
+            trusting[trial] = away(fitted([replace(record, placement_errors=()) for record in records]))
     # 250 trials of 95 %: 0.95 ± 0.0138, three parameters.
     inside = np.mean(np.abs(deviation) < 1.96, axis=0)
     assert np.all(np.abs(inside - 0.95) < 0.038), inside

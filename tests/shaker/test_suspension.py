@@ -23,15 +23,15 @@ from identification_factory import (
 )
 from scipy.spatial.transform import Rotation
 
-from shaker.identification.fit import identify
-from shaker.identification.measured import InertiaError, MeasuredTransfer, Sight
-from shaker.identification.model import Identification, measured_poles, respond
-from shaker.mechanics import Suspension
+from shaker.identification.fit import Identification, identify
+from shaker.identification.measured import InertiaError, MeasuredTransfer, Placement
+from shaker.identification.structures import Suspension, measured_poles
+from shaker.mechanics import respond
 
 K_X, B_X, K_RY, B_RY, M_I, J_I = 7.0e8, 600.0, 1.1e6, 1.2, 0.9, 1.5e-3
 PITCHING = Suspension((0, 4))
-TOPS = (Sight(0.03 * Z, X), Sight(-0.02 * Z, X))
-BASE = Sight(-0.05 * Z, X)
+TOPS = (Placement(0.03 * Z, X), Placement(-0.02 * Z, X))
+BASE = Placement(-0.05 * Z, X)
 FREE = [0, 4]
 
 
@@ -152,11 +152,11 @@ def test_three_axes_at_once_are_three_oscillators() -> None:
     frequency = np.arange(900.0, 2600.0, 3.125)
     s = 2j * np.pi * frequency
     drive = np.concatenate([np.full(3, 1.0 / np.sqrt(3.0)), np.zeros(3)])
-    tops = tuple(Sight(np.zeros(3), axis) for axis in np.eye(3))
+    tops = tuple(Placement(np.zeros(3), axis) for axis in np.eye(3))
     recordings = []
     for load in (4.236, 6.0):
         value = np.stack([oscillator(s, load + M_I, *pair) for pair in zip(k, b, strict=True)], axis=1) / np.sqrt(3.0)
-        base = Sight(np.zeros(3), drive[:3])
+        base = Placement(np.zeros(3), drive[:3])
         recordings.append(
             recording(f"{load}", frequency, value, rigid_mass(load), drive, noise=1e-3, rng=rng, tops=tops, base=base)
         )
@@ -170,7 +170,7 @@ def test_rotation_is_inertia_against_a_torsion_spring() -> None:
     rng = np.random.default_rng(8)
     k, b, internal = 2.0e6, 2.5, 4e-3
     turning = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
-    tangential = Sight(np.array([0.1, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
+    tangential = Placement(np.array([0.1, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
     recordings = []
     for inertia in (0.03, 0.07):
         f0 = np.sqrt(k / (inertia + internal)) / (2.0 * np.pi)
@@ -202,7 +202,7 @@ def test_a_base_that_shifts_turns_a_load_that_can_only_turn() -> None:
         rigid_mass(mass, height, inertia),
         ALONG_X,
         noise=1e-6,
-        tops=[Sight(0.03 * Z, X)],
+        tops=[Placement(0.03 * Z, X)],
         base=BASE,
     )
     mechanics = Suspension((4,)).mechanics(record)
@@ -220,7 +220,7 @@ def test_turning_load_drive_and_transducers_about_z_changes_nothing_of_a_round_s
     sensor = Suspension((0, 1, 3, 4))
     weights = np.array([1.0, K_X, K_X, K_RY, K_RY, B_X, B_X, B_RY, B_RY, M_I, J_I, J_I, 0.0])
     first = pitching((4.236, 0.035, 0.012), frequency_hz=np.arange(300.0, 3000.0, 100.0))
-    tops = [Sight(turn @ sight.point_m, turn @ sight.direction) for sight in TOPS]
+    tops = [Placement(turn @ sight.point_m, turn @ sight.direction) for sight in TOPS]
     turned = recording(
         "turned",
         first.ratio.frequency_hz,
@@ -229,7 +229,7 @@ def test_turning_load_drive_and_transducers_about_z_changes_nothing_of_a_round_s
         both @ first.drive,
         noise=3e-3,
         tops=tops,
-        base=Sight(turn @ BASE.point_m, turn @ BASE.direction),
+        base=Placement(turn @ BASE.point_m, turn @ BASE.direction),
         inertia_errors=[InertiaError("mass", both @ first.inertia_errors[0].change @ both.T)],
     )
     values = [respond(sensor.mechanics(record), weights, record.s) for record in (first, turned)]

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from fusion.base import ARGUMENT, ComputeError, InputError
 from fusion.campaign.repeats import between_recordings
-from fusion.estimation.least_squares import real_design
-from fusion.estimation.uncertainty import Uncertainty
-from fusion.recording.rig import Sensor
+from fusion.estimation.uncertainty import Uncertainty, real_design
+from fusion.recording.manifest import Sensor
 from fusion.report.csv_files import sensitivity_unit
 from fusion.report.h5 import read_uncertainty
 from fusion.report.provenance import RESULT_FILE
@@ -29,13 +28,12 @@ from fusion.sensor.identify.measured import (
     rigid_load,
 )
 from shaker.arrays import ComplexArray, FloatArray, Notice, Severity
-from shaker.identification.fit import identify
-from shaker.identification.measured import MeasuredSensitivity, MeasuredTransfer, RelativeError, Placement
-from shaker.identification.model import Identification, Structure
+from shaker.identification.fit import Identification, identify
+from shaker.identification.measured import MeasuredSensitivity, MeasuredTransfer, Placement, RelativeError
 from shaker.identification.sensitivity import NO_CHAIN, SpringPrior
 from shaker.identification.sensor import SensitivityComparison, SensorModel, fit_sensitivity, sensor_model
+from shaker.identification.structures import ChainStructure, Structure, Suspension
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
-from shaker.mechanics import ChainStructure, Suspension
 from shaker.sine.phasor import Phasors
 
 # One joint fit per driven component: which model, which internal mass, and why.

@@ -10,7 +10,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from fusion.base import InputError
-from fusion.estimation.measurement_model import across, placement_name
+from fusion.instruments.channel import across, placement_name
 from fusion.phasors.stereo_phasors import load_body
 from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.recording.manifest import ChannelEntry
@@ -20,7 +20,14 @@ from fusion.sensor.transfer.evaluate import KINDS, evaluate_transfer
 from fusion.sensor.transfer.records import FoundResonance, ReferenceResult, TransferSettings
 from shaker.arrays import FloatArray, Notice
 from shaker.frf.result import TransferFunction
-from shaker.identification.measured import AT_THE_BASE, InertiaError, MeasuredTransfer, RelativeError, Placement, PlacementError
+from shaker.identification.measured import (
+    AT_THE_BASE,
+    InertiaError,
+    MeasuredTransfer,
+    Placement,
+    PlacementError,
+    RelativeError,
+)
 from shaker.labels import LOAD_UNITS
 
 # What a user may choose of an identification.
