@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from fusion.estimation.consistency import Acceleration, CommonEstimate, Consistency
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty
+from fusion.instruments.output import Outputs
 from fusion.phasors.results import ChannelResult, ClockResult, StereoResult
 from fusion.sensitivity.analyse import Evaluation
-from fusion.sensitivity.load import LoadResult, Outputs
+from fusion.sensitivity.load import LoadResult
 from fusion.sensitivity.ratio import Sensitivity
 from photogram.epipolar import EpipolarCheck
 from photogram.motion import RigidMotion

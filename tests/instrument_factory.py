@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fusion.estimation.measurement_model import ChainUncertainty, Observation, Reading, observe_channels, observe_stereo
+from fusion.estimation.measurement_model import Observation, observe_stereo
+from fusion.instruments import observe_channels
+from fusion.instruments.channel import ChainUncertainty, Reading
 from shaker.sine.phasor import Phasors
 
 FREQUENCY = np.array([106.25, 212.5])
@@ -25,38 +27,56 @@ GRAVITY = np.array([0.0, 0.0, -9.8125])
 CAMERA = {"scale_uncertainty": 2e-4, "pose_uncertainty": (1e-4,) * 3 + (5e-4,) * 3, "delay_uncertainty": 1e-6}
 LASER = {
     "scale_uncertainty": 2.5e-4, "delay_uncertainty": 5e-7, "individual_uncertainty": 1e-4,
-    "point_uncertainty": (1e-3,) * 3, "direction_uncertainty": 5e-3, "common": "laser",
+    "point_uncertainty": (1e-3,) * 3, "direction_uncertainty": 5e-3,
 }  # fmt: skip
 TRIAXIAL = {
     "scale_uncertainty": 2e-3, "individual_uncertainty": 1e-3, "direction_uncertainty": 5e-4,
     "transverse_sensitivity": 1e-3, "point_uncertainty": (1e-3,) * 3, "common": "triaxial",
 }  # fmt: skip
 BEAM = LASER | {"direction_uncertainty": 5e-4, "common": "side"}
-BARE = {"scale_uncertainty": 2.5e-4, "common": "laser"}
+BARE = {"scale_uncertainty": 2.5e-4}
 
 
-def phasors(value: np.ndarray, sigma: np.ndarray, dof: float = 200.0) -> Phasors:
+def phasors(value: np.ndarray, sigma: np.ndarray | float, dof: float = 200.0) -> Phasors:
+    """Phasors (K, C) at the first K lines, with noise `sigma` of real and imaginary parts."""
     lines, count = value.shape
     covariance = np.tile(np.broadcast_to(sigma, value.shape), (1, 2))[:, :, None] ** 2 * np.eye(2 * count)
     names = tuple(f"c{i}" for i in range(count))
     return Phasors(FREQUENCY[:lines], value.astype(complex), covariance, names, ("SI",) * count, np.full(lines, dof))
 
 
+def channel_entry(**changes: Any) -> Any:
+    """A laser along z through the origin as the manifest has it, without any error."""
+    return SimpleNamespace(
+        **{
+            "name": "v", "quantity": "velocity", "body": "load", "point": (0.0, 0.0, 0.0),
+            "direction": (0.0, 0.0, 1.0), "point_uncertainty": (0.0,) * 3, "direction_uncertainty": 0.0,
+            "scale_uncertainty": 0.0, "individual_uncertainty": 0.0, "transverse_sensitivity": 0.0,
+            "delay_uncertainty": 0.0, "common": None, "channel": None,
+        }
+        | changes
+    )  # fmt: skip
+
+
+def stereo_entry(**changes: Any) -> Any:
+    """A camera pair as the manifest has it, without any error."""
+    exact = {"body": "load", "scale_uncertainty": 0.0, "pose_uncertainty": (0.0,) * 6, "delay_uncertainty": 0.0}
+    return SimpleNamespace(**(exact | changes))
+
+
 def channels(rows: Sequence[tuple[str, Any, Any]], noise: np.ndarray, quantity: str, **stated: Any) -> Observation:
-    """Channels (name, point, direction) without any error; `noise` (K,) of each."""
-    base = {
-        "quantity": quantity, "body": "load", "point_uncertainty": (0.0,) * 3, "direction_uncertainty": 0.0,
-        "scale_uncertainty": 0.0, "individual_uncertainty": 0.0, "transverse_sensitivity": 0.0,
-        "delay_uncertainty": 0.0, "channel": None,
-    } | stated  # fmt: skip
+    """Channels (name, point, direction) that read zero; `noise` (K,) of each."""
     blank = phasors(np.zeros((len(noise), 1)), noise[:, None])
-    entries: list[Any] = [SimpleNamespace(**base, name=n, point=p, direction=d) for n, p, d in rows]
+    entries = [channel_entry(quantity=quantity, name=n, point=p, direction=d, **stated) for n, p, d in rows]
     return observe_channels([Reading(entry, blank, ChainUncertainty()) for entry in entries], GRAVITY)[0]
 
 
-def lasers(count: int, noise: float = 1e-5, truth: np.ndarray = TRUTH, **stated: Any) -> Observation:
-    rows = [(f"p{i}", point, (0.0, 0.0, 1.0)) for i, point in enumerate(CIRCLE[:count])]
-    return channels(rows, noise * np.abs(truth[:, 2]) / OMEGA, "velocity", **(stated or LASER))
+def lasers(points: Any = 8, noise: float = 1e-5, truth: np.ndarray = TRUTH, **stated: Any) -> Observation:
+    """Lasers along z at points, or at some of a circle, without errors; `noise` over the driven velocity of a line."""
+    places = CIRCLE[:points] if isinstance(points, int) else points
+    rows = [(f"p{i}", point, (0.0, 0.0, 1.0)) for i, point in enumerate(places)]
+    size = np.abs(truth[:, 2]) / OMEGA[: len(truth)]
+    return exact(channels(rows, noise * size, "velocity", **{"common": "laser"} | (stated or LASER)), truth)
 
 
 def beam() -> Observation:
@@ -68,9 +88,15 @@ def triaxial() -> Observation:
     return channels(rows, np.full(2, 2e-5 * 189.0), "acceleration", **TRIAXIAL)
 
 
-def camera(**stated: Any) -> Observation:
-    entry: Any = SimpleNamespace(**({"body": "load"} | CAMERA | stated))
-    return observe_stereo("top", entry, phasors(np.zeros((2, 6)), 1e-9 * np.array([1, 1, 3, 30, 30, 10.0])))
+def camera(noise_m: float = 1e-9, **stated: Any) -> Observation:
+    """A camera pair without errors; `noise_m` along its x."""
+    sigma = noise_m * np.array([1, 1, 3, 30, 30, 10.0])
+    return exact(observe_stereo("top", stereo_entry(**(stated or CAMERA)), phasors(np.zeros((2, 6)), sigma)))
+
+
+def exact(observation: Observation, truth: np.ndarray = TRUTH) -> Observation:
+    """What an instrument reads of a motion without any error."""
+    return with_values(observation, np.einsum("kmj,kj->km", observation.design, truth))
 
 
 def measured(

@@ -13,8 +13,8 @@ import h5py
 import pytest
 
 from fusion.base import ComputeError, InputError, Settings
+from fusion.campaign import cluster as under_test
 from fusion.campaign.cluster import Outcome
-from fusion.campaign.run import cluster as under_test
 from fusion.campaign.run import exit_status, run_path
 from fusion.campaign.workers import Answer, call
 from fusion.cli import main
@@ -55,7 +55,7 @@ def _recordings(path: Path) -> list[str]:
         return list(dict.fromkeys(row["recording"] for row in csv.DictReader(stream)))
 
 
-def test_one_folder_each_and_merged_tables_at_the_top(campaign: Path, evaluated: list[str], capsys: Capture) -> None:
+def test_one_folder_each_and_merged_tables_at_the_top(campaign, evaluated, capsys):
     assert main(["run", str(campaign)]) == EXIT_DONE
     top = campaign / "results"
     assert evaluated == NAMES
@@ -69,7 +69,7 @@ def test_one_folder_each_and_merged_tables_at_the_top(campaign: Path, evaluated:
     assert capsys.readouterr().out.count("report (written)") == 2
 
 
-def test_results_of_another_place(campaign: Path, evaluated: list[str], tmp_path: Path) -> None:
+def test_results_of_another_place(campaign, evaluated, tmp_path):
     before = _state(campaign)
     outcomes = run_path(campaign, tmp_path / "elsewhere", Settings())
     assert [outcome.folder for outcome in outcomes] == [tmp_path / "elsewhere" / name for name in NAMES]
@@ -78,9 +78,7 @@ def test_results_of_another_place(campaign: Path, evaluated: list[str], tmp_path
 
 
 @pytest.mark.parametrize("named", ["folder", "file", "here"])
-def test_a_single_recording_writes_into_its_own_folder(
-    named: str, campaign: Path, evaluated: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_single_recording_writes_into_its_own_folder(named, campaign, evaluated, monkeypatch):
     folder = campaign / NAMES[0]
     monkeypatch.chdir(folder)
     path = {"folder": folder, "file": folder / "recording.toml", "here": Path(".")}[named]
@@ -90,7 +88,7 @@ def test_a_single_recording_writes_into_its_own_folder(
     assert evaluated == [NAMES[0]]
 
 
-def test_a_campaign_of_one_recording_is_a_campaign(make_campaign: Campaign, evaluated: list[str]) -> None:
+def test_a_campaign_of_one_recording_is_a_campaign(make_campaign, evaluated):
     top = make_campaign().parent
     (outcome,) = run_path(top, None, Settings())
     assert outcome.folder == top / "results" / NAMES[0]
@@ -103,17 +101,11 @@ def test_a_campaign_of_one_recording_is_a_campaign(make_campaign: Campaign, eval
 )
 @pytest.mark.parametrize("failing", NAMES)
 def test_a_recording_that_fails_does_not_stop_the_other(
-    failing: str,
-    error: InputError | ComputeError,
-    status: int,
-    campaign: Path,
-    evaluated: list[str],
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: Capture,
-) -> None:
+    failing, error, status, campaign, evaluated, monkeypatch, capsys
+):
     good = under_test.evaluate_recording
 
-    def evaluate(manifest, *others):  # type: ignore[no-untyped-def]
+    def evaluate(manifest, *others):
         if manifest.folder.name == failing:
             raise error
         return good(manifest, *others)
@@ -129,16 +121,14 @@ def test_a_recording_that_fails_does_not_stop_the_other(
     assert told.out.count("report (written)") == 1
 
 
-def test_a_broken_manifest_does_not_stop_the_other(campaign: Path, evaluated: list[str], capsys: Capture) -> None:
+def test_a_broken_manifest_does_not_stop_the_other(campaign, evaluated, capsys):
     _change(campaign / NAMES[0] / "recording.toml", "scale =", "scal =")
     assert main(["run", str(campaign)]) == EXIT_INPUT
     assert evaluated == [NAMES[1]]
     assert f"shakercal: {campaign / NAMES[0] / 'recording.toml'}: daq.vibrometer" in capsys.readouterr().err
 
 
-def test_when_all_fail_there_is_no_results_folder(
-    campaign: Path, evaluated: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_when_all_fail_there_is_no_results_folder(campaign, evaluated, monkeypatch):
     def fail(*_: object) -> None:
         raise ComputeError("no motion")
 
@@ -150,7 +140,7 @@ def test_when_all_fail_there_is_no_results_folder(
     assert not evaluated
 
 
-def test_wrong_input_weighs_more_than_what_could_not_be_computed() -> None:
+def test_wrong_input_weighs_more_than_what_could_not_be_computed():
     def outcome(error: InputError | ComputeError | None) -> Outcome:
         return Outcome(Path("a"), Path("b"), error=error)
 
@@ -160,9 +150,7 @@ def test_wrong_input_weighs_more_than_what_could_not_be_computed() -> None:
     assert exit_status([outcome(failed), outcome(wrong)]) == 2
 
 
-def test_the_second_run_computes_nothing_and_changes_no_byte(
-    campaign: Path, evaluated: list[str], capsys: Capture
-) -> None:
+def test_the_second_run_computes_nothing_and_changes_no_byte(campaign, evaluated, capsys):
     assert main(["run", str(campaign)]) == EXIT_DONE
     first = _state(campaign / "results")
     assert main(["run", str(campaign)]) == EXIT_DONE
@@ -173,12 +161,10 @@ def test_the_second_run_computes_nothing_and_changes_no_byte(
     assert capsys.readouterr().out.count("report (unchanged since the last run)") == 2
 
 
-def test_an_interrupted_campaign_goes_on_where_it_stopped(
-    campaign: Path, evaluated: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_campaign_goes_on_where_it_stopped(campaign, evaluated, monkeypatch):
     good = under_test.evaluate_recording
 
-    def evaluate(manifest, *others):  # type: ignore[no-untyped-def]
+    def evaluate(manifest, *others):
         if manifest.folder.name == NAMES[1]:
             raise KeyboardInterrupt
         return good(manifest, *others)
@@ -192,9 +178,7 @@ def test_an_interrupted_campaign_goes_on_where_it_stopped(
     assert {path.name for path in (campaign / "results").iterdir()} == {*NAMES, *JOINT}
 
 
-def test_results_of_changed_input_are_refused_and_force_replaces_them(
-    campaign: Path, evaluated: list[str], capsys: Capture
-) -> None:
+def test_results_of_changed_input_are_refused_and_force_replaces_them(campaign, evaluated, capsys):
     assert main(["run", str(campaign)]) == EXIT_DONE
     with h5py.File(campaign / NAMES[1] / "vibrometer.h5", "w") as file:
         file["velocity"] = [1.0]
@@ -211,13 +195,13 @@ def test_results_of_changed_input_are_refused_and_force_replaces_them(
     assert _recordings(campaign / "results" / "load.csv") == ["Fz 106.25 Hz", "Fz 375.90 Hz"]
 
 
-def test_other_settings_compute_again(campaign: Path, evaluated: list[str]) -> None:
+def test_other_settings_compute_again(campaign, evaluated):
     assert main(["run", str(campaign)]) == EXIT_DONE
     assert main(["run", str(campaign), "--subset-radius", "12"]) == EXIT_DONE
     assert evaluated == [*NAMES, *NAMES]
 
 
-def test_damaged_results_are_computed_again(campaign: Path, evaluated: list[str]) -> None:
+def test_damaged_results_are_computed_again(campaign, evaluated):
     assert main(["run", str(campaign)]) == EXIT_DONE
     (campaign / "results" / NAMES[0] / "report.html").unlink()
     assert main(["run", str(campaign)]) == EXIT_DONE
@@ -226,9 +210,7 @@ def test_damaged_results_are_computed_again(campaign: Path, evaluated: list[str]
 
 
 @pytest.mark.parametrize("name", ["thesis.txt", "sensitivity.csv", "Fz-0800.00/notes.txt"])
-def test_merged_tables_never_go_among_other_files(
-    name: str, campaign: Path, evaluated: list[str], tmp_path: Path, capsys: Capture
-) -> None:
+def test_merged_tables_never_go_among_other_files(name, campaign, evaluated, tmp_path, capsys):
     top = tmp_path / "mine"
     (top / name).parent.mkdir(parents=True)
     (top / name).write_text("mine")
@@ -241,7 +223,7 @@ def test_merged_tables_never_go_among_other_files(
         assert (top / name).read_text() == "mine"
 
 
-def test_results_of_a_recording_that_is_gone_do_not_disturb(campaign: Path, evaluated: list[str]) -> None:
+def test_results_of_a_recording_that_is_gone_do_not_disturb(campaign, evaluated):
     assert main(["run", str(campaign)]) == EXIT_DONE
     shutil.rmtree(campaign / NAMES[0])
     (campaign / "results" / ".DS_Store").write_text("of the system")
@@ -251,9 +233,7 @@ def test_results_of_a_recording_that_is_gone_do_not_disturb(campaign: Path, eval
 
 
 @pytest.mark.parametrize("kept", [False, True])
-def test_new_results_take_the_place_of_old_ones_as_a_whole(
-    kept: bool, campaign: Path, evaluated: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_new_results_take_the_place_of_old_ones_as_a_whole(kept, campaign, evaluated, monkeypatch):
     assert main(["run", str(campaign)]) == EXIT_DONE
     before = _state(campaign / "results" / NAMES[0])
     replaced = os.replace
@@ -305,9 +285,7 @@ class Inline:
         return future
 
 
-def test_outcomes_are_in_the_order_of_the_recordings_whoever_was_first(
-    campaign: Path, evaluated: list[str], monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
+def test_outcomes_are_in_the_order_of_the_recordings_whoever_was_first(campaign, evaluated, monkeypatch, capsys):
     monkeypatch.setattr("fusion.campaign.run.Workers", Inline)
     assert main(["run", str(campaign), "--workers", "2"]) == EXIT_DONE
     told = capsys.readouterr()
@@ -331,18 +309,11 @@ def test_outcomes_are_in_the_order_of_the_recordings_whoever_was_first(
 )
 @pytest.mark.parametrize("workers", ["1", "2"])
 def test_any_failure_of_a_recording_is_its_own(
-    workers: str,
-    error: Exception,
-    status: int,
-    sentence: str,
-    campaign: Path,
-    evaluated: list[str],
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: Capture,
-) -> None:
+    workers, error, status, sentence, campaign, evaluated, monkeypatch, capsys
+):
     good = under_test.evaluate_recording
 
-    def evaluate(manifest, *others):  # type: ignore[no-untyped-def]
+    def evaluate(manifest, *others):
         if manifest.folder.name == NAMES[0]:
             raise error
         return good(manifest, *others)
@@ -357,9 +328,7 @@ def test_any_failure_of_a_recording_is_its_own(
     assert evaluated == [NAMES[1]]
 
 
-def test_the_failure_of_a_single_recording_is_told_once(
-    campaign: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
+def test_the_failure_of_a_single_recording_is_told_once(campaign, monkeypatch, capsys):
     def fail(*_: object) -> None:
         raise ComputeError("no motion")
 

@@ -36,12 +36,12 @@ def _usage(arguments: list[str], capsys: Capture) -> tuple[int, str, str]:
     return int(str(left.value.code)), told.out, told.err
 
 
-def test_version(capsys: Capture) -> None:
+def test_version(capsys):
     assert _usage(["--version"], capsys) == (0, f"shakercal {version('shakercal')}\n", "")
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"], ["--version"], ["run"]])
-def test_help_and_version_import_nothing_heavy(arguments: list[str]) -> None:
+def test_help_and_version_import_nothing_heavy(arguments):
     """Their time is that of the interpreter, which is what keeps them far below a second."""
     program = (
         "import sys\n"
@@ -69,15 +69,13 @@ def test_help_and_version_import_nothing_heavy(arguments: list[str]) -> None:
         ["simulate", "a", "--preset", "nitsche"],
     ],
 )
-def test_wrong_usage_is_status_2(arguments: list[str], capsys: Capture) -> None:
+def test_wrong_usage_is_status_2(arguments, capsys):
     status, out, err = _usage(arguments, capsys)
     assert (status, out) == (EXIT_INPUT, "")
     assert err.startswith("usage: shakercal")
 
 
-def test_run_prints_the_sensitivity_and_where_the_report_lies(
-    make_campaign: Campaign, evaluated: list[str], capsys: Capture
-) -> None:
+def test_run_prints_the_sensitivity_and_where_the_report_lies(make_campaign, evaluated, capsys):
     folder = make_campaign()
     assert main(["run", str(folder)]) == EXIT_DONE
     told = capsys.readouterr()
@@ -90,9 +88,7 @@ def test_run_prints_the_sensitivity_and_where_the_report_lies(
 @pytest.mark.parametrize(
     ("flags", "warned", "informed"), [(["-q"], True, False), ([], True, False), (["-v"], True, True)]
 )
-def test_quiet_and_verbose(
-    flags: list[str], warned: bool, informed: bool, make_campaign: Campaign, capsys: Capture
-) -> None:
+def test_quiet_and_verbose(flags, warned, informed, make_campaign, capsys):
     assert main(["run", str(make_campaign()), *flags]) == EXIT_DONE
     told = capsys.readouterr().err
     assert ("shakercal: 318.75 Hz is left out" in told) is warned
@@ -100,7 +96,7 @@ def test_quiet_and_verbose(
 
 
 @pytest.mark.usefixtures("evaluated")
-def test_nothing_to_compute_is_said_unless_quiet(make_campaign: Campaign, capsys: Capture) -> None:
+def test_nothing_to_compute_is_said_unless_quiet(make_campaign, capsys):
     folder = make_campaign()
     told = []
     for flags in ([], [], ["-q"]):
@@ -111,9 +107,7 @@ def test_nothing_to_compute_is_said_unless_quiet(make_campaign: Campaign, capsys
     assert told[2].err == ""
 
 
-def test_libraries_are_heard_with_v_only(
-    make_campaign: Campaign, evaluated: list[str], monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
+def test_libraries_are_heard_with_v_only(make_campaign, evaluated, monkeypatch, capsys):
     monkeypatch.setattr(logging, "_warnings_showwarning", None)  # else an earlier test's capture counts as this one
 
     def warn(*_: Any) -> None:
@@ -153,14 +147,8 @@ def _raise(error: BaseException) -> Callable[..., None]:
     ],
 )
 def test_failures_are_one_sentence_and_leave_nothing(
-    place: str,
-    error: BaseException,
-    status: int,
-    sentence: str,
-    make_campaign: Campaign,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: Capture,
-) -> None:
+    place, error, status, sentence, make_campaign, monkeypatch, capsys
+):
     folder = make_campaign()
     before = sorted(folder.parent.rglob("*"))
     monkeypatch.setattr(place, _raise(error))
@@ -173,9 +161,7 @@ def test_failures_are_one_sentence_and_leave_nothing(
     assert sorted(folder.parent.rglob("*")) == before
 
 
-def test_an_interruption_that_compiled_code_hands_on(
-    make_campaign: Campaign, evaluated: list[str], monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
+def test_an_interruption_that_compiled_code_hands_on(make_campaign, evaluated, monkeypatch, capsys):
     def fail(*_: object) -> None:
         raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
 
@@ -185,16 +171,14 @@ def test_an_interruption_that_compiled_code_hands_on(
     assert not evaluated
 
 
-def test_where_an_internal_error_was_is_told_with_v(
-    make_campaign: Campaign, evaluated: list[str], monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
+def test_where_an_internal_error_was_is_told_with_v(make_campaign, evaluated, monkeypatch, capsys):
     monkeypatch.setattr("fusion.campaign.cluster.evaluate_recording", _raise(RuntimeError("a")))
     assert main(["run", str(make_campaign()), "-v"]) == EXIT_FAILED
     assert "Traceback" in capsys.readouterr().err
     assert not evaluated
 
 
-def test_check_tells_what_can_be_observed(demo_recording: Path, capsys: Capture) -> None:
+def test_check_tells_what_can_be_observed(demo_recording, capsys):
     assert main(["check", str(demo_recording / "Fz-0080")]) == EXIT_DONE
     told = capsys.readouterr()
     assert "can observe" in told.out
@@ -203,7 +187,7 @@ def test_check_tells_what_can_be_observed(demo_recording: Path, capsys: Capture)
     assert told.err == ""
 
 
-def test_check_tells_what_is_wrong(make_campaign: Campaign, capsys: Capture) -> None:
+def test_check_tells_what_is_wrong(make_campaign, capsys):
     folder = make_campaign()
     before = sorted(folder.parent.rglob("*"))
     assert main(["check", str(folder)]) == EXIT_INPUT
@@ -213,7 +197,7 @@ def test_check_tells_what_is_wrong(make_campaign: Campaign, capsys: Capture) -> 
     assert sorted(folder.parent.rglob("*")) == before
 
 
-def test_check_of_a_campaign_goes_on_after_a_recording_that_is_wrong(make_campaign: Campaign, capsys: Capture) -> None:
+def test_check_of_a_campaign_goes_on_after_a_recording_that_is_wrong(make_campaign, capsys):
     folder = make_campaign()
     (folder.parent / "Aa").mkdir()
     (folder.parent / "Aa" / "recording.toml").write_text("format = 3\n")
@@ -231,9 +215,7 @@ class _Terminal(io.StringIO):
 @pytest.mark.parametrize(
     ("stream", "enabled", "drawn"), [(_Terminal, True, True), (_Terminal, False, False), (io.StringIO, True, False)]
 )
-def test_progress_on_a_terminal_only(
-    stream: type[io.StringIO], enabled: bool, drawn: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_progress_on_a_terminal_only(stream, enabled, drawn, monkeypatch):
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.delenv("NO_COLOR", raising=False)
     screen = stream()
@@ -282,7 +264,7 @@ def _refused(arguments: list[str], folder: Path, capsys: Capture) -> str:
     return told.err
 
 
-def test_simulate_refuses_what_is_there(simulated: Path, capsys: Capture) -> None:
+def test_simulate_refuses_what_is_there(simulated, capsys):
     told = _refused([str(simulated)], simulated.parent, capsys)
     assert told.startswith(f"shakercal: {simulated}: expected a new folder (--force")
 
@@ -322,20 +304,20 @@ def _broken_manifest(folder: Path) -> None:
     "add",
     [_results, _campaign_results, _own_file, _own_folder, _own_recording, _no_simulation, _broken_manifest],
 )
-def test_force_never_deletes_what_a_user_made(add: Callable[[Path], None], simulated: Path, capsys: Capture) -> None:
+def test_force_never_deletes_what_a_user_made(add, simulated, capsys):
     add(simulated)
     told = _refused([str(simulated), "--force"], simulated.parent, capsys)
     assert told.startswith(f"shakercal: {simulated}: expected a new folder, or an earlier simulation as it was written")
 
 
-def test_force_does_not_replace_a_file(tmp_path: Path, capsys: Capture) -> None:
+def test_force_does_not_replace_a_file(tmp_path, capsys):
     (tmp_path / "sim").write_text("mine")
     assert "found a file" in _refused([str(tmp_path / "sim"), "--force"], tmp_path, capsys)
     assert "sim/below" in _refused([str(tmp_path / "sim" / "below")], tmp_path, capsys)
 
 
 @pytest.mark.usefixtures("tiny")
-def test_force_replaces_an_earlier_simulation(simulated: Path, capsys: Capture) -> None:
+def test_force_replaces_an_earlier_simulation(simulated, capsys):
     before = _bytes(simulated)
     assert main(["simulate", str(simulated), "--force", "--seed", "2"]) == EXIT_DONE
     told = capsys.readouterr()
@@ -349,9 +331,7 @@ def test_force_replaces_an_earlier_simulation(simulated: Path, capsys: Capture) 
 
 @pytest.mark.usefixtures("tiny")
 @pytest.mark.parametrize(("error", "status"), [(KeyboardInterrupt(), EXIT_INTERRUPTED), (OSError(28, "full"), 1)])
-def test_a_simulation_that_stops_leaves_nothing(
-    error: BaseException, status: int, simulated: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
+def test_a_simulation_that_stops_leaves_nothing(error, status, simulated, monkeypatch, capsys):
     def write(out: Path, *_: object) -> None:
         (out / "rig.toml").write_text("half")
         raise error

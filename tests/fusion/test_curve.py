@@ -52,7 +52,7 @@ def sweep(seed: int = 1, lines: int = 12) -> tuple[list[Drive], AnyArray]:
     return found, truth
 
 
-def test_ratios_make_one_curve_per_driven_component() -> None:
+def test_ratios_make_one_curve_per_driven_component():
     drives, truth = sweep()
     rng = np.random.default_rng(3)
     setup = replace(drive_setup(rng, "x", "x", (0.0, 0.0, 0.05)), frequency_hz=drives[0].frequency_hz)
@@ -69,14 +69,14 @@ def test_ratios_make_one_curve_per_driven_component() -> None:
     assert along_z.kind == "ratio"
 
 
-def test_of_several_lever_arms_the_purest_is_on_the_curve() -> None:
+def test_of_several_lever_arms_the_purest_is_on_the_curve():
     rng = np.random.default_rng(5)
     setups = [drive_setup(rng, name, "z", (x, 0.0, 0.08)) for name, x in (("arm", 0.15), ("axis", 0.0), ("far", -0.2))]
     (curve,) = ratio_curves(simulate_drives(setups, true_matrix(rng), DriveErrors(rng)), CAPACITY.tolist())
     assert curve.recordings == (("axis",),)
 
 
-def test_an_output_that_a_frequency_lacks_is_no_number_there() -> None:
+def test_an_output_that_a_frequency_lacks_is_no_number_there():
     drives, _ = sweep(lines=6)
     partial = [
         replace(
@@ -105,7 +105,7 @@ def test_an_output_that_a_frequency_lacks_is_no_number_there() -> None:
     assert np.isnan(few.uncertainty.covariance[0, 0, 0])
 
 
-def test_matrices_make_a_curve_that_shares_its_unknowns() -> None:
+def test_matrices_make_a_curve_that_shares_its_unknowns():
     rng = np.random.default_rng(7)
     truth, errors = true_matrix(rng), DriveErrors(rng)
     setups = eight_setups(rng)
@@ -126,22 +126,20 @@ def test_matrices_make_a_curve_that_shares_its_unknowns() -> None:
         matrix_curve([fits[0], replace(fits[1], channels=LOAD_COMPONENTS[::-1])])
 
 
-def test_relative_to_static() -> None:
+def test_relative_to_static():
     drives, _ = sweep()
     (curve,) = ratio_curves(drives, CAPACITY.tolist())
     found = relative_curve(curve, np.diag(MAIN), 1e-3)
-    assert found is not None
     assert found.elements == ((2, 2),)
     np.testing.assert_allclose(found.value[:, 0], curve.value[:, 2] / MAIN[2])
     parts = {part.label: part.covariance for part in found.uncertainty.grouped()}
     np.testing.assert_allclose(np.sqrt(parts["static sensitivity"][:, 0, 0]), 1e-3 * found.value[:, 0].real, rtol=1e-6)
     exact = relative_curve(curve, np.diag(MAIN))
-    assert exact is not None
     assert len(exact.uncertainty.influences) == len(curve.uncertainty.influences)
     assert relative_curve(curve, np.zeros((6, 6))) is None
 
 
-def test_interpolation_keeps_what_all_points_share() -> None:
+def test_interpolation_keeps_what_all_points_share():
     drives, truth = sweep()
     (curve,) = ratio_curves(drives, CAPACITY.tolist())
     found = interpolate(curve, np.linspace(60.0, 950.0, 9))
@@ -159,7 +157,7 @@ def test_interpolation_keeps_what_all_points_share() -> None:
         interpolate(curve, np.array([2000.0]))
 
 
-def test_weights_reproduce_a_parabola_and_points_without_noise() -> None:
+def test_weights_reproduce_a_parabola_and_points_without_noise():
     rng = np.random.default_rng(0)
     frequency = np.sort(rng.uniform(50.0, 1000.0, 14))
     value = response(frequency) + 1e-4 * rng.standard_normal(14)
@@ -177,14 +175,14 @@ def test_weights_reproduce_a_parabola_and_points_without_noise() -> None:
     assert np.all(exact.variance < 1e-10)
 
 
-def test_too_few_points_are_refused() -> None:
+def test_too_few_points_are_refused():
     few = np.arange(1.0, LEAST_POINTS)
     with pytest.raises(ValueError, match=f"at least {LEAST_POINTS} points, found {LEAST_POINTS - 1}"):
         interpolation_weights(few, few, few, few)
 
 
 @pytest.mark.slow
-def test_interpolated_values_are_covered() -> None:
+def test_interpolated_values_are_covered():
     from scipy.stats import t
 
     rng, inside, ratio = np.random.default_rng(1), [], []
@@ -203,7 +201,7 @@ def test_interpolated_values_are_covered() -> None:
     assert np.median(ratio) < 10.0
 
 
-def test_a_curve_says_what_is_wrong_with_its_shape() -> None:
+def test_a_curve_says_what_is_wrong_with_its_shape():
     (curve,) = ratio_curves(sweep(lines=2)[0], CAPACITY.tolist())
     with pytest.raises(ValueError, match="expected 2 lists"):
         replace(curve, recordings=())

@@ -104,7 +104,7 @@ def evaluate(folder: Path, frequencies: str, daq: str) -> Evaluation:
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # pyuff leaves files open
 @pytest.mark.parametrize("suffix", list(FORMATS))
-def test_phasors_are_equal_in_every_format(tmp_path: Path, suffix: str) -> None:
+def test_phasors_are_equal_in_every_format(tmp_path, suffix):
     write, names, needs_rate = FORMATS[suffix]
     time_s = np.arange(SAMPLES) / RATE_HZ
     rng = np.random.default_rng(0)
@@ -123,7 +123,7 @@ def test_phasors_are_equal_in_every_format(tmp_path: Path, suffix: str) -> None:
     assert {a.body for a in evaluation.accelerations} == {"load", "base"}
 
 
-def test_a_decimated_labview_record_of_a_real_shaker(data_dir: Path, tmp_path: Path) -> None:
+def test_a_decimated_labview_record_of_a_real_shaker(data_dir, tmp_path):
     source = data_dir / "shaker_three_tone" / "data_set_1_downsampled_by_16.lvm"
     (tmp_path / "shaker.lvm").write_bytes(source.read_bytes())
     force = '[[daq.channel]]\nname = "Force"\nquantity = "force"\nscale = 4.4482216\n'
@@ -139,7 +139,7 @@ def test_a_decimated_labview_record_of_a_real_shaker(data_dir: Path, tmp_path: P
     assert acceleration.unit == ("m/s^2",)
 
 
-def test_an_undersampled_record_of_a_real_shaker(data_dir: Path, tmp_path: Path) -> None:
+def test_an_undersampled_record_of_a_real_shaker(data_dir, tmp_path):
     """At 200 samples per second the 150 Hz tone is taken at its alias, 50 Hz; 100 Hz is the Nyquist frequency."""
     source = data_dir / "shaker_three_tone" / "data_set_1_downsampled_by_256.lvm"
     (tmp_path / "shaker.lvm").write_bytes(source.read_bytes())
@@ -154,7 +154,7 @@ def test_an_undersampled_record_of_a_real_shaker(data_dir: Path, tmp_path: Path)
     assert any("100" in notice.text for notice in evaluation.notices)
 
 
-def test_a_channel_too_slow_for_every_line_is_named(tmp_path: Path) -> None:
+def test_a_channel_too_slow_for_every_line_is_named(tmp_path):
     wave = np.sin(2 * np.pi * FREQUENCY_HZ * np.arange(SAMPLES) / RATE_HZ)
     wave = wave + 1e-3 * np.random.default_rng(0).normal(size=SAMPLES)
     with h5py.File(tmp_path / "daq.h5", "w") as file:

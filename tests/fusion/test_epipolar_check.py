@@ -32,9 +32,8 @@ def evaluation(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
 
 
 @pytest.mark.parametrize("with_covariance", [True, False])
-def test_the_figure_says_what_the_calibration_explains(evaluation: Evaluation, with_covariance: bool) -> None:
+def test_the_figure_says_what_the_calibration_explains(evaluation, with_covariance):
     check = evaluation.stereo[0].epipolar
-    assert check is not None
     if not with_covariance:
         check = replace(check, pattern_covariance=None)
     picture = draw_epipolar(check, evaluation.stereo[0].time_s, "top")
@@ -42,14 +41,13 @@ def test_the_figure_says_what_the_calibration_explains(evaluation: Evaluation, w
     assert picture.svg == draw_epipolar(check, evaluation.stereo[0].time_s, "top").svg
 
 
-def test_the_figure_of_a_recording_without_points(evaluation: Evaluation) -> None:
+def test_the_figure_of_a_recording_without_points(evaluation):
     check = evaluation.stereo[0].epipolar
-    assert check is not None
     nothing = replace(check, course_px=np.full_like(check.course_px, np.nan), residual_px=check.residual_px * np.nan)
     assert draw_epipolar(nothing, evaluation.stereo[0].time_s, "top").svg
 
 
-def test_result_file_holds_the_check(evaluation: Evaluation, tmp_path: Path) -> None:
+def test_result_file_holds_the_check(evaluation, tmp_path):
     write_h5(tmp_path / "result.h5", evaluation, ())
     with h5py.File(tmp_path / "result.h5") as file:
         group = file[f"stereo/{evaluation.stereo[0].name}/epipolar"]
@@ -67,9 +65,7 @@ def _measured(campaign: Path) -> StereoMotion:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("turn_mrad", [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, -0.5)])
-def test_a_calibration_of_cameras_that_stood_otherwise_is_told(
-    demo_recording: Path, tmp_path: Path, turn_mrad: tuple[float, float, float]
-) -> None:
+def test_a_calibration_of_cameras_that_stood_otherwise_is_told(demo_recording, tmp_path, turn_mrad):
     campaign = tmp_path / "demo"
     shutil.copytree(demo_recording, campaign)
     path = campaign / "calibration" / f"{PAIR}.json"

@@ -1,84 +1,146 @@
-"""Fusion against dense generalised least squares, refits, Monte Carlo coverage and the traps of common errors."""
+"""Instruments as rows of a linear model, and their fusion: bodies really moved, dense generalised least squares."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from instrument_factory import (
+    FREQUENCY,
+    GRAVITY,
+    OMEGA,
+    TRUTH,
+    camera,
+    channel_entry,
+    lasers,
+    measured,
+    phasors,
+    stereo_entry,
+    with_values,
+)
+from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from fusion.estimation.fuse import fuse, fuse_sources
 from fusion.estimation.least_squares import build_system, solve
-from fusion.estimation.measurement_model import ChainUncertainty, Observation, Reading, observe_channels, observe_stereo
-from shaker.sine.phasor import Phasors
-
-FREQUENCY = np.array([106.25, 212.5])
-TRUTH = np.array(
-    [[0.5, -0.3j, 189.0, 4.0j, -3.0, 1.0], [0.01, 0.02, 0.9 - 0.2j, 0.1, 0.05j, 0.02]], dtype=np.complex128
-)
-CIRCLE = [(0.04 * np.cos(a), 0.04 * np.sin(a), 0.03) for a in 2 * np.pi * np.arange(8) / 8]
+from fusion.estimation.measurement_model import observe_stereo
+from fusion.instruments import observe_channels
+from fusion.instruments.channel import ChainUncertainty, Reading
 
 
-def phasors(value: np.ndarray, sigma: np.ndarray | float, unit: str) -> Phasors:
-    lines, count = value.shape
-    sd = np.broadcast_to(sigma, (lines, count))
-    covariance = np.tile(sd, (1, 2))[:, :, None] ** 2 * np.eye(2 * count)
-    names = tuple(f"c{i}" for i in range(count))
-    return Phasors(FREQUENCY[:lines], value.astype(complex), covariance, names, (unit,) * count, np.full(lines, 200.0))
+def reading(chain: ChainUncertainty | None = None, **changes: Any) -> Reading:
+    return Reading(channel_entry(**changes), phasors(np.ones((2, 1)), 1e-6), chain or ChainUncertainty())
 
 
-def channel(**changes: Any) -> Any:
-    base = {
-        "name": "v", "quantity": "velocity", "body": "load", "point": (0.0, 0.0, 0.0), "point_uncertainty": (0.0,) * 3,
-        "direction": (0.0, 0.0, 1.0), "direction_uncertainty": 0.0, "scale_uncertainty": 0.0, "common": "laser",
-        "individual_uncertainty": 0.0, "transverse_sensitivity": 0.0, "delay_uncertainty": 0.0, "channel": None,
-    }  # fmt: skip
-    return SimpleNamespace(**(base | changes))
+def first_harmonic(series: np.ndarray, omega: float, times: np.ndarray) -> complex:
+    return complex(2 / len(times) * np.exp(-1j * omega * times) @ series)
 
 
-def with_values(observation: Observation, value: np.ndarray) -> Observation:
-    return replace(observation, phasors=replace(observation.phasors, value=value))
+@pytest.mark.parametrize("quantity", ["displacement", "velocity", "acceleration", "angular_velocity"])
+def test_rows_read_a_really_tilting_body(quantity):
+    point, direction = np.array([0.03, -0.02, 0.05]), np.array([1.0, 2.0, -2.0]) / 3
+    shift, turn = np.array([1.0, 2.0, -1.0]) * 1e-6, np.array([3.0, -1.0, 2.0]) * 1e-5
+    omega, step = OMEGA[0], 5e-6
+    times = np.arange(64) / 64 / FREQUENCY[0]
+
+    def pose(t: np.ndarray) -> tuple[np.ndarray, Rotation]:
+        rotation = Rotation.from_rotvec(turn * np.sin(omega * t)[:, None])
+        return shift * np.cos(omega * t)[:, None] + rotation.apply(point), rotation
+
+    (back, _), (here, rotation), (ahead, _) = pose(times - step), pose(times), pose(times + step)
+    body_reading = rotation.inv().apply((ahead - 2 * here + back) / step**2 - GRAVITY)
+    series = {
+        "displacement": (here - point) @ direction,
+        "velocity": (ahead - back) / (2 * step) @ direction,
+        "acceleration": body_reading @ direction,
+        "angular_velocity": turn @ direction * omega * np.cos(omega * times),
+    }[quantity]
+    item = reading(quantity=quantity, point=tuple(point), direction=tuple(direction))
+    (observation,) = observe_channels([item], GRAVITY)
+    motion = -(omega**2) * np.concatenate([shift, -1j * turn])
+    expected = first_harmonic(series, omega, times)
+    assert observation.design[0, 0] @ motion == pytest.approx(expected, rel=1e-5)
 
 
-def lasers(points: Sequence[tuple[float, ...]], sigma: float, truth: np.ndarray = TRUTH, **stated: Any) -> Observation:
-    """Lasers in z without any error; `sigma` is relative to the driven velocity of each line."""
-    lines = len(truth)
-    size = np.abs(truth[:, 2:3]) / (2 * np.pi * FREQUENCY[:lines, None])
-    blank = phasors(np.zeros((lines, 1)), sigma * size, "m/s")
-    items = [Reading(channel(name=f"p{i}", point=p, **stated), blank, ChainUncertainty()) for i, p in enumerate(points)]
+def test_stereo_rows_are_displacements():
+    observation = observe_stereo("top", stereo_entry(), phasors(np.ones((2, 6)), 1e-6))
+    motion = np.arange(1.0, 7.0) + 1j
+    np.testing.assert_allclose(observation.design @ motion, -motion / OMEGA[:, None] ** 2, rtol=1e-14)
+    assert not observation.stated
+    assert observation.common == ()
+
+
+def test_stereo_pose_errors_are_those_of_a_wrong_frame():
+    # Rotation vector and translation of the same motion, referred to another origin and turned axes.
+    u = 1e-4
+    observation = observe_stereo("top", stereo_entry(pose_uncertainty=(u,) * 6), phasors(np.ones((2, 6)), 1e-6))
+    shift, turn = np.array([1.0, -2.0, 3.0]) * 1e-7, np.array([2.0, 1.0, -1.0]) * 1e-7
+    motion = -(OMEGA[:, None] ** 2) * np.concatenate([shift, turn])
+    matrix = Rotation.from_rotvec(turn).as_matrix()
+    for place, error in enumerate(observation.common):
+        change = error.effect(motion.astype(complex))[0]
+        axis = np.eye(3)[place // 2]
+        if "position" in error.name:
+            expected = np.concatenate([matrix @ (u * axis) + shift - u * axis - shift, np.zeros(3)])
+        else:
+            wrong = Rotation.from_rotvec(u * axis)
+            expected = np.concatenate([wrong.apply(shift) - shift, wrong.apply(turn) - turn])
+        np.testing.assert_allclose(change, expected, atol=2e-15, err_msg=error.name)
+
+
+def test_channels_of_one_instrument_share_scale_and_delay():
+    common = {"common": "laser", "scale_uncertainty": 1e-3, "delay_uncertainty": 1e-6, "individual_uncertainty": 1e-4}
+    items = [reading(name="a", **common), reading(name="b", point=(0.05, 0.0, 0.0), **common)]
     (observation,) = observe_channels(items)
-    return with_values(observation, np.einsum("kmj,kj->km", observation.design, truth))
+    names = [error.name for error in observation.common]
+    assert names == ["laser: scale", "laser: delay", "laser: individual scale a", "laser: individual scale b"]
+    motion = np.array([[0, 0, 1, 0, 2, 0]] * 2, dtype=complex)
+    true = np.einsum("kmj,kj->km", observation.design, motion)
+    np.testing.assert_allclose(observation.common[0].effect(motion), 1e-3 * true)
+    late = np.exp(-1j * OMEGA[:, None] * 1e-6) * true - true
+    np.testing.assert_allclose(observation.common[1].effect(motion), late, rtol=1e-3)
+    assert np.all(observation.common[2].effect(motion)[:, 1] == 0.0)
 
 
-def camera(sigma_m: float = 1e-9, truth: np.ndarray = TRUTH, **stated: Any) -> Observation:
-    base = {"body": "load", "scale_uncertainty": 0.0, "pose_uncertainty": (0.0,) * 6, "delay_uncertainty": 0.0}
-    omega2 = (2 * np.pi * FREQUENCY[: len(truth), None]) ** 2
-    sd = sigma_m * np.array([1, 1, 3, 30, 30, 10.0])
-    return observe_stereo("top", SimpleNamespace(**(base | stated)), phasors(-truth / omega2, sd, "m"))
+def test_placement_errors_are_those_of_a_channel_really_misplaced():
+    item = reading(
+        quantity="acceleration", point=(0.03, 0.0, 0.04), point_uncertainty=(1e-4, 2e-4, 3e-4),
+        direction=(0.0, 3.0, 4.0), direction_uncertainty=1e-4,
+    )  # fmt: skip
+    (observation,) = observe_channels([item], GRAVITY)
+    motion = np.array([[1, -2, 3, 40, 50, -60]] * 2, dtype=complex)
+    base = np.einsum("kmj,kj->km", observation.design, motion)
+    for error in observation.common:
+        axis = error.name.split()[-1]
+        changed = channel_entry(**vars(item.entry))
+        if "point" in error.name:
+            place = "xyz".index(axis)
+            changed.point = tuple(np.array(changed.point) + np.eye(3)[place] * changed.point_uncertainty[place])
+        else:
+            across = np.linalg.svd(np.array([[0.0, 0.6, 0.8]]))[2][1 + int(axis)]
+            changed.direction = tuple(np.array([0.0, 0.6, 0.8]) + 1e-4 * across)
+        (moved,) = observe_channels([Reading(changed, item.phasors, item.chain)], GRAVITY)
+        expected = np.einsum("kmj,kj->km", moved.design, motion) - base
+        np.testing.assert_allclose(error.effect(motion), expected, atol=2e-6, err_msg=error.name)
 
 
-def noisy(observation: Observation, rng: np.random.Generator, common: bool = True) -> Observation:
-    """Draw the common errors of an observation, bilinear in the truth, and its noise."""
-    value = observation.phasors.value.copy()
-    for error in observation.common if common else ():
-        value += rng.normal() * error.effect(TRUTH[: len(value)])
-    sd = np.sqrt(observation.phasors.covariance.diagonal(axis1=1, axis2=2))[:, : value.shape[1]]
-    return with_values(observation, value + sd * (rng.normal(size=value.shape) + 1j * rng.normal(size=value.shape)))
+def test_clock_tie_alone_does_not_count_as_a_stated_uncertainty():
+    chain = ChainUncertainty(clock="bridge", u_clock_s=1e-6)
+    (observation,) = observe_channels([reading(chain)], clock_uncertainty=1e-6)
+    assert [error.name for error in observation.common] == ["clock bridge: time", "clock rate"]
+    assert not observation.stated
 
 
-CAMERA = {"scale_uncertainty": 2e-4, "pose_uncertainty": (1e-4,) * 3 + (5e-4,) * 3, "delay_uncertainty": 1e-6}
-LASER = {
-    "scale_uncertainty": 2.5e-4, "delay_uncertainty": 5e-7, "individual_uncertainty": 1e-4,
-    "point_uncertainty": (1e-3,) * 3, "direction_uncertainty": 5e-3,
-}  # fmt: skip
+def test_groups_split_by_body_and_skip_other_quantities():
+    items = [reading(common="laser"), reading(name="b", common="laser", body="base"), reading(quantity="force")]
+    found = observe_channels(items)
+    assert [(o.name, o.body) for o in found] == [("laser", "load"), ("laser", "base")]
 
 
-def test_without_errors_the_truth_comes_back() -> None:
-    result = fuse([camera(**CAMERA), lasers(CIRCLE, 1e-6, **LASER)])
+def test_without_errors_the_truth_comes_back():
+    result = fuse([camera(), lasers(8, 1e-6)])
     np.testing.assert_allclose(result.phasors.value, TRUTH, rtol=1e-9, atol=1e-9)
     assert result.chi2 < 1e-9
     assert result.observed.all()
@@ -87,9 +149,9 @@ def test_without_errors_the_truth_comes_back() -> None:
     assert result.dof == 2 * (2 * 14 - 12)
 
 
-def test_equals_generalised_least_squares_with_the_common_errors_in_the_covariance() -> None:
+def test_equals_generalised_least_squares_with_the_common_errors_in_the_covariance():
     rng = np.random.default_rng(1)
-    system = build_system([noisy(camera(**CAMERA), rng), noisy(lasers(CIRCLE, 1e-4, **LASER), rng)])
+    system = build_system(measured([camera(), lasers(8, 1e-4)], rng))
     solution = solve(system)
     spread = system.noise + solution.effects @ solution.effects.T
     weight = np.linalg.inv(spread)
@@ -103,10 +165,10 @@ def test_equals_generalised_least_squares_with_the_common_errors_in_the_covarian
     np.testing.assert_allclose(solution.gain @ spread @ solution.gain.T, expected, rtol=1e-5, atol=1e-12)
 
 
-def test_leave_one_out_equals_a_fit_without_the_instrument() -> None:
+def test_leave_one_out_equals_a_fit_without_the_instrument():
     rng = np.random.default_rng(2)
     stated = {"individual_uncertainty": 1e-3, "scale_uncertainty": 1e-3}
-    every = noisy(lasers(CIRCLE, 1e-3, TRUTH[:1], **stated), rng)
+    (every,) = measured([lasers(8, 1e-3, TRUTH[:1], **stated)], rng, TRUTH[:1])
     result = fuse([every])
     less = replace(
         every,
@@ -130,14 +192,14 @@ def test_leave_one_out_equals_a_fit_without_the_instrument() -> None:
     assert result.consistency[0].normalised_deviation == pytest.approx(expected, rel=1e-3)
 
 
-def test_peelles_puzzle_is_no_trap() -> None:
+def test_peelles_puzzle_is_no_trap():
     # Eight lasers, noise 2e-7, common scale 2.5e-4, scatter 1e-3 that nobody stated: a covariance built from the
     # readings gives a mean tens of per cent low.
     rng = np.random.default_rng(3)
     truth = np.array([[0, 0, 189.0, 0, 0, 0]], dtype=complex)
     errors = []
     for _ in range(20):
-        clean = lasers(CIRCLE, 2e-7, truth, scale_uncertainty=2.5e-4)
+        clean = lasers(8, 2e-7, truth, scale_uncertainty=2.5e-4)
         scatter = 1e-3 * rng.normal(size=8)
         result = fuse([with_values(clean, clean.phasors.value * (1 + scatter))])
         value = result.phasors.value[0, 2] / 189.0
@@ -148,9 +210,9 @@ def test_peelles_puzzle_is_no_trap() -> None:
 
 
 @pytest.mark.parametrize("laser", [0, 5])
-def test_one_laser_three_per_cent_off_is_named_and_covered(laser: int) -> None:
+def test_one_laser_three_per_cent_off_is_named_and_covered(laser):
     rng = np.random.default_rng(4)
-    array = noisy(lasers(CIRCLE, 1e-5, **LASER), rng)
+    array = measured([lasers(8, 1e-5)], rng)[0]
     gain = np.where(np.arange(8) == laser, 1.03, 1.0)
     result = fuse([with_values(array, array.phasors.value * gain)])
     worst = max(result.consistency, key=lambda test: test.normalised_deviation)
@@ -166,12 +228,12 @@ def test_one_laser_three_per_cent_off_is_named_and_covered(laser: int) -> None:
     assert any(entry.label == "laser: unexplained scatter" for entry in result.contributions)
 
 
-def test_an_artefact_at_a_harmonic_leaves_the_fundamental_alone() -> None:
+def test_an_artefact_at_a_harmonic_leaves_the_fundamental_alone():
     rng = np.random.default_rng(8)
-    false = noisy(camera(**CAMERA), rng)
+    false = measured([camera()], rng)[0]
     value = false.phasors.value.copy()
     value[1, 2] *= 30.0
-    seen = [with_values(false, value), noisy(lasers(CIRCLE, 1e-5, **LASER), rng)]
+    seen = [with_values(false, value), measured([lasers(8, 1e-5)], rng)[0]]
     result = fuse(seen)
     error = np.abs(result.phasors.value[:, 2] - TRUTH[:, 2])
     u = np.hypot(result.phasors.u_re, result.phasors.u_im)[:, 2]
@@ -184,7 +246,7 @@ def test_an_artefact_at_a_harmonic_leaves_the_fundamental_alone() -> None:
     assert "laser as a whole lies" in warning.text
 
 
-def test_errors_of_one_instrument_are_known_from_all_lines() -> None:
+def test_errors_of_one_instrument_are_known_from_all_lines():
     # A laser's delay of 2.5 standard uncertainties shows against an exact camera at both lines and is taken off.
     exact = camera(1e-13, scale_uncertainty=1e-9)
     late = lasers([(0.0, 0.0, 0.04)], 5e-6, delay_uncertainty=5e-7)
@@ -196,12 +258,12 @@ def test_errors_of_one_instrument_are_known_from_all_lines() -> None:
     assert delay.remaining < 0.1
 
 
-def test_regions_cover_and_tests_pass_as_often_as_they_claim() -> None:
+def test_regions_cover_and_tests_pass_as_often_as_they_claim():
     rng = np.random.default_rng(5)
     inside, failed, trials = np.zeros(6), 0, 300
-    clean = [camera(**CAMERA), lasers(CIRCLE[:3], 1e-5, **LASER)]
+    clean = [camera(), lasers(3, 1e-5)]
     for _ in range(trials):
-        result = fuse([noisy(observation, rng) for observation in clean])
+        result = fuse(measured(clean, rng))
         failed += any(notice.severity == "warning" for notice in result.notices)
         error = result.phasors.value[0] - TRUTH[0]
         for component in range(6):
@@ -214,21 +276,21 @@ def test_regions_cover_and_tests_pass_as_often_as_they_claim() -> None:
     assert failed <= 12
 
 
-def test_transverse_motion_that_nobody_sees_is_in_the_uncertainty() -> None:
+def test_transverse_motion_that_nobody_sees_is_in_the_uncertainty():
     # Eight lasers in z that point up to 5 mrad aside, on a body that also moves 0.3 % sideways.
     rng = np.random.default_rng(9)
-    clean = lasers(CIRCLE, 1e-6, **LASER)
+    clean = lasers(8, 1e-6)
     for _ in range(40):
-        result = fuse([noisy(clean, rng)])
+        result = fuse(measured([clean], rng))
         assert not any(notice.severity == "warning" for notice in result.notices)
     hidden = next(entry for entry in result.contributions if entry.label == "unobserved motion")
     # 2 % of z in x and in y, each half real and half imaginary, times 5 mrad, over eight lasers.
     assert np.sqrt(hidden.covariance[0, 2, 2]) == pytest.approx(0.02 * 189.0 * 5e-3 / np.sqrt(8), rel=0.05)
 
 
-def test_fused_is_no_worse_than_the_best_instrument() -> None:
+def test_fused_is_no_worse_than_the_best_instrument():
     rng = np.random.default_rng(6)
-    sources = fuse_sources([noisy(camera(**CAMERA), rng), noisy(lasers(CIRCLE, 1e-5, **LASER), rng)], "load")
+    sources = fuse_sources(measured([camera(), lasers(8, 1e-5)], rng), "load")
     assert [found.source for found in sources] == ["fused", "photogrammetry", "vibrometer"]
     fused, optical, laser = (found.phasors.u_re[0, 2] for found in sources)
     assert fused <= min(optical, laser) * (1 + 1e-6)
@@ -246,31 +308,31 @@ def test_fused_is_no_worse_than_the_best_instrument() -> None:
         ([(0.03, 0.0, 0.0), (-0.03, 0.0, 0.0), (0.0, 0.03, 0.0)], "z rx ry"),
     ],
 )
-def test_only_what_the_geometry_determines_is_given(points: list[tuple[float, ...]], observed: str) -> None:
+def test_only_what_the_geometry_determines_is_given(points, observed):
     result = fuse([lasers(points, 1e-5, scale_uncertainty=1e-3)])
     names = [name for name, seen in zip(result.phasors.channels, result.observed[0], strict=True) if seen]
     assert " ".join(names) == observed
     np.testing.assert_allclose(result.phasors.value[0, result.observed[0]], TRUTH[0, result.observed[0]], rtol=1e-9)
 
 
-def test_lines_that_a_camera_cannot_use_are_left_to_the_others() -> None:
-    dropped = camera(**CAMERA)
+def test_lines_that_a_camera_cannot_use_are_left_to_the_others():
+    dropped = camera()
     value = dropped.phasors.value.copy()
     value[1] = np.nan
     covariance = dropped.phasors.covariance.copy()
     covariance[1] = np.nan
     dropped = replace(dropped, phasors=replace(dropped.phasors, value=value, covariance=covariance))
-    result = fuse([dropped, lasers(CIRCLE, 1e-6, **LASER)])
+    result = fuse([dropped, lasers(8, 1e-6)])
     assert result.observed.tolist() == [[True] * 6, [False, False, True, True, True, False]]
     assert np.isfinite(result.phasors.covariance[0]).all()
     nothing = fuse([dropped])
     assert not nothing.observed[1].any()
 
 
-def test_an_instrument_without_stated_uncertainty_is_compared_not_fused() -> None:
-    silent = lasers([(0.0, 0.0, 0.04)], 1e-7)
+def test_an_instrument_without_stated_uncertainty_is_compared_not_fused():
+    silent = lasers([(0.0, 0.0, 0.04)], 1e-7, common="laser")
     biased = with_values(silent, silent.phasors.value * 1.01)
-    result = fuse([camera(**CAMERA), biased])
+    result = fuse([camera(), biased])
     assert result.instruments == ("stereo top",)
     np.testing.assert_allclose(result.phasors.value, TRUTH, rtol=1e-9, atol=1e-9)
     test = next(test for test in result.consistency if not test.used)
@@ -280,20 +342,20 @@ def test_an_instrument_without_stated_uncertainty_is_compared_not_fused() -> Non
     assert any("noise only" in notice.text for notice in alone.notices)
 
 
-def test_channels_whose_noise_is_one_and_the_same_are_no_obstacle() -> None:
-    array = lasers(CIRCLE, 1e-5, **LASER)
+def test_channels_whose_noise_is_one_and_the_same_are_no_obstacle():
+    array = lasers(8, 1e-5)
     size = array.phasors.covariance[:, :1, :1]
     one = np.kron(np.eye(2), np.ones((8, 8)))
     result = fuse([replace(array, phasors=replace(array.phasors, covariance=size * one))])
     np.testing.assert_allclose(result.phasors.value[0, 2], TRUTH[0, 2], rtol=1e-9)
 
 
-def test_effects_of_another_shape_are_refused() -> None:
-    entry = SimpleNamespace(body="load", scale_uncertainty=None, pose_uncertainty=(0.0,) * 6, delay_uncertainty=0.0)
+def test_effects_of_another_shape_are_refused():
+    entry = stereo_entry(scale_uncertainty=None)
     with pytest.raises(ValueError, match=r"offset of stereo top: calibration 0: expected an array of shape \(2, 6\)"):
         observe_stereo("top", entry, camera().phasors, {"calibration": np.zeros((3, 1, 6), complex)})
 
 
-def test_no_instrument_of_the_body_is_refused() -> None:
+def test_no_instrument_of_the_body_is_refused():
     with pytest.raises(ValueError, match="body base"):
-        fuse([camera(**CAMERA)], "base")
+        fuse([camera()], "base")

@@ -1,23 +1,45 @@
-"""Which model `shakercal identify` takes and why, what its options do, and campaigns that it refuses."""
+"""Which model `shakercal identify` takes and why, a base that is turned, where channels measure, and refusals."""
 
 from __future__ import annotations
 
+import csv
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from identify_factory import DAMPING, QUICK, SMALL, STIFFNESS, write_campaign, write_sines
+from numpy.typing import NDArray
 
 from fusion.cli import main
+from fusion.instruments import observe_channels
+from fusion.instruments.channel import ChainUncertainty, Reading
+from fusion.recording.manifest import ChannelEntry
+from fusion.sensor.identify.evaluate import evaluate_campaign
 from fusion.sensor.identify.fit import JointFit, joint_fits, mechanics, modelled
-from fusion.sensor.identify.measured import IdentifySettings, Prepared, prepare, read_campaign
+from fusion.sensor.identify.measured import IdentifySettings, Prepared, placement_errors, prepare, read_campaign, sight
+from fusion.sensor.identify.run import read_model
 from fusion.simulate import chirp as pitching
-from shaker.identification.measured import MeasuredTransfer, RelativeError, Sight
+from fusion.simulate.channels import to_toml
+from fusion.simulate.chirp import (
+    Chirp,
+    chirp_channels,
+    chirp_samples,
+    chirp_tables,
+    rig_file,
+    rig_tables,
+    write_chirp_files,
+)
+from fusion.simulate.preset import PartSpec
+from fusion.simulate.world import Draws
+from shaker.identification.measured import AT_THE_BASE, MeasuredTransfer, Placement, PlacementError, RelativeError
 from shaker.mechanics import MassChain
+from shaker.sine.phasor import Phasors
 
-_facing_x = Sight(np.zeros(3), np.array([1.0, 0.0, 0.0]))
+_facing_x = Placement(np.zeros(3), np.array([1.0, 0.0, 0.0]))
 
 
 @pytest.fixture(scope="module")
@@ -41,11 +63,11 @@ def prepared(campaign: Path) -> list[Prepared]:
 
 
 def _fit(prepared: list[Prepared], **choices: object) -> JointFit:
-    (found,) = joint_fits(prepared, IdentifySettings(**choices))  # type: ignore[arg-type]
+    (found,) = joint_fits(prepared, IdentifySettings(**choices))
     return found
 
 
-def test_one_damping_for_each_recording(prepared: list[Prepared]) -> None:
+def test_one_damping_for_each_recording(prepared):
     fit = _fit(prepared, damping="each")
     found = fit.identification
     names = [f"damping_z: {item.measured.name}" for item in prepared]
@@ -57,7 +79,7 @@ def test_one_damping_for_each_recording(prepared: list[Prepared]) -> None:
     assert covariance[1, 1] > np.var(values, ddof=1)
 
 
-def test_one_load_takes_the_internal_mass_as_stated(prepared: list[Prepared]) -> None:
+def test_one_load_takes_the_internal_mass_as_stated(prepared):
     fit = _fit(prepared[:1])
     assert not fit.mass_is_free
     found = fit.identification["internal_mass"]
@@ -67,7 +89,7 @@ def test_one_load_takes_the_internal_mass_as_stated(prepared: list[Prepared]) ->
     assert fit.identification.value("stiffness_z") == pytest.approx(STIFFNESS, rel=2e-3)
 
 
-def test_a_mount_that_gives_is_fitted_with_the_sensor(prepared: list[Prepared]) -> None:
+def test_a_mount_that_gives_is_fitted_with_the_sensor(prepared):
     moved = [_on_adapter(item, seed) for seed, item in enumerate(prepared)]
     fit = _fit(moved, model="adapter")
     found, sensor = fit.identification, fit.identification["stiffness_z"]
@@ -89,7 +111,7 @@ def _on_adapter(item: Prepared, seed: int) -> Prepared:
     return replace(item, measured=replace(item.measured, ratio=replace(ratio, value=noisy)))
 
 
-def test_an_internal_mass_below_zero_leaves_a_model_without_one(prepared: list[Prepared]) -> None:
+def test_an_internal_mass_below_zero_leaves_a_model_without_one(prepared):
     fit = _fit([_stiffer(item, 0.985) for item in prepared[:1]] + [_stiffer(prepared[1], 1.0)])
     assert fit.identification.value("internal_mass") < 0.0
     assert any("below zero" in notice.text for notice in fit.identification.notices)
@@ -106,21 +128,21 @@ def _stiffer(item: Prepared, factor: float) -> Prepared:
     return replace(item, measured=replace(item.measured, ratio=replace(ratio, value=value)))
 
 
-def test_what_is_stated_and_not_used_is_said(spoiled: Path) -> None:
+def test_what_is_stated_and_not_used_is_said(spoiled):
     _change(spoiled / RIG, "[load]", "[load]\nelastic_frequency = 3000.0")
     (manifest,) = read_campaign(spoiled / "chirp-9kg").transfers
     _, notices = prepare(manifest, "chirp", None)
     assert [notice.where for notice in notices if "its joint is stated" in notice.text] == ["chirp"]
 
 
-def test_two_axes_have_a_result_each(prepared: list[Prepared]) -> None:
+def test_two_axes_have_a_result_each(prepared):
     along_x = replace(prepared[0].measured, name="x", drive=np.eye(6)[0], base=_facing_x, tops=(_facing_x,))
     fits = joint_fits([*prepared, replace(prepared[0], measured=along_x)], IdentifySettings(internal_mass="stated"))
     assert [(fit.axis, len(fit.prepared)) for fit in fits] == [("x", 1), ("z", 2)]
     assert "stiffness_x" in fits[0].identification.names
 
 
-def test_a_second_peak_calls_for_pitching(tmp_path: Path) -> None:
+def test_a_second_peak_calls_for_pitching(tmp_path):
     stand = replace(pitching.PITCHING_STAND, chirp=replace(QUICK, period_s=0.32))
     folder = write_campaign(tmp_path / "campaign", stand)
     found = [prepare(manifest, manifest.name, None)[0] for manifest in read_campaign(folder).transfers]
@@ -175,39 +197,37 @@ CASES = [
 
 
 @pytest.mark.parametrize(("file", "old", "new", "key", "words"), CASES)
-def test_a_wrong_file_is_one_sentence(
-    spoiled: Path, capsys: pytest.CaptureFixture[str], file: str, old: str, new: str, key: str, words: str
-) -> None:
+def test_a_wrong_file_is_one_sentence(spoiled, capsys, file, old, new, key, words):
     _change(spoiled / file, old, new)
     told = _refused(spoiled, capsys)
     assert f"{spoiled / file}: {key}: " in told
     assert words in told
 
 
-def test_a_rig_without_a_load_is_one_sentence(spoiled: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_rig_without_a_load_is_one_sentence(spoiled, capsys):
     _without_table(spoiled / RIG, "load")
     told = _refused(spoiled, capsys)
     assert f"{spoiled / RIG}: load: expected [load] with the mass" in told
 
 
-def test_one_load_without_a_sensor_is_one_sentence(spoiled: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_load_without_a_sensor_is_one_sentence(spoiled, capsys):
     _without_table(spoiled / "rig-4kg.toml", "sensor")
     told = _refused(spoiled / "chirp-4kg", capsys)
     assert "rig-4kg.toml: sensor: expected [sensor] with internal_mass" in told
 
 
-def test_equal_loads_do_not_free_the_internal_mass(campaign: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_equal_loads_do_not_free_the_internal_mass(campaign, capsys):
     told = _refused(campaign / "chirp-4kg", capsys, "--internal-mass", "free")
     assert "rig-4kg.toml: load.mass: expected load masses that differ" in told
     assert "found 4.236" in told
 
 
-def test_a_campaign_of_sines_has_no_transfer_functions(campaign: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_campaign_of_sines_has_no_transfer_functions(campaign, capsys):
     told = _refused(campaign / "sine-0200", capsys)
     assert "excitation.kind: expected a recording of the kind chirp, multisine, noise or impact" in told
 
 
-def test_results_of_other_files_are_refused(spoiled: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_results_of_other_files_are_refused(spoiled, capsys):
     import h5py
 
     from fusion.report.provenance import Provenance, write_provenance
@@ -227,9 +247,7 @@ def test_results_of_other_files_are_refused(spoiled: Path, capsys: pytest.Captur
         (("--model", "pitching"), "a drive along x or y for --model pitching"),
     ],
 )
-def test_a_wrong_choice_is_one_sentence(
-    campaign: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], words: str
-) -> None:
+def test_a_wrong_choice_is_one_sentence(campaign, capsys, options, words):
     assert words in _refused(campaign, capsys, *options)
 
 
@@ -237,6 +255,192 @@ def test_a_wrong_choice_is_one_sentence(
     "choices",
     [{"model": "rope"}, {"band_hz": (3.0, 2.0)}, {"load_masses_kg": (0.0,)}, {"permitted": 1.0}],
 )
-def test_settings_that_mean_nothing_are_refused(choices: dict[str, object]) -> None:
+def test_settings_that_mean_nothing_are_refused(choices):
     with pytest.raises(ValueError, match=f"^{next(iter(choices))}: expected"):
-        IdentifySettings(**choices)  # type: ignore[arg-type]
+        IdentifySettings(**choices)
+
+
+K_RY, B_RY, J_I, U_INTERNAL = 1.07e6, 4.0, 1.5e-3, 1e-4  # N·m/rad, N·m·s/rad, kg·m²
+LOADS = {"small": (5.0, 0.0, 0.0182), "large": (5.0, 0.0, 0.0412)}  # kg, height of the centre of mass in m, kg·m²
+HIGH = {"small": (4.236, 0.012, 0.0182), "large": (6.962, -0.012, 0.0118)}
+K_X, B_X, M_I = 7.0e8, 2500.0, 0.9
+U_J, U_PLACE, BASE_M, TOP_M = 2e-5, 5e-4, 0.15, 0.09
+Load = tuple[float, float, float]
+TURNING = Chirp(sample_rate_hz=12800.0, period_s=0.64, periods=4, band_hz=(500.0, 1700.0))
+ABOUT_Y = [0.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+
+
+def _turned(load: Load, off: float) -> Callable[[NDArray[np.float64]], NDArray[np.complex128]]:
+    """Acceleration at the lever of the load over that at the lever of the base, by Cramer's rule.
+
+    (m + m_i) ẍ + m h θ̈ = -(k_x + b_x s) x and m h ẍ + J θ̈ = -(k_ry + b_ry s)(θ - θ_base).
+    """
+    mass, height, inertia = load
+
+    def ratio(frequency_hz: NDArray[np.float64]) -> NDArray[np.complex128]:
+        s = 2j * np.pi * frequency_hz
+        spring, coupling = K_RY + B_RY * s, mass * height * s * s
+        shift = (mass + M_I) * s * s + K_X + B_X * s
+        turn = (inertia + J_I + mass * height**2) * s * s + spring
+        divisor = shift * turn - coupling**2
+        theta, x = spring * shift / divisor, -spring * coupling / divisor
+        return np.asarray((x + (TOP_M + off) * theta) / BASE_M)
+
+    return ratio
+
+
+def _write(folder: Path, *, rate: bool, loads: dict[str, Load] = LOADS, chirp: Chirp = TURNING, seed: int = 3) -> Path:
+    """A rig and a chirp for each load; drawn: chains, moments of inertia, the place of the load's accelerometer.
+
+    With `rate` the channels are stated to be gyroscopes, whose rate a transfer function turns into an acceleration.
+    """
+    draws, rng = Draws(seed, True), np.random.default_rng(seed)
+    off = 0.0 if rate else U_PLACE * float(rng.standard_normal())
+    internal = PartSpec("internal", 0.9, 0.002, (0.0, 0.0, 0.0), 0.0, (J_I, J_I, J_I), U_INTERNAL)
+    folder.mkdir()
+    for name, (mass, height, inertia) in loads.items():
+        part = PartSpec(f"load {name}", mass, 3e-4, (0.0, 0.0, height), 0.0, (inertia,) * 3, U_J)
+        (folder / rig_file(name)).write_text(
+            to_toml(rig_tables(replace(pitching.PITCHING_STAND, internal=internal), part, draws))
+        )
+        true = (mass, height, inertia + U_J * float(rng.standard_normal()))
+        samples = chirp_samples(chirp, draws, {"top": _turned(true, off)}, f"{name}.")
+        channels = chirp_channels(chirp, (0.0, 0.0, BASE_M), {"top": (0.0, 0.0, TOP_M)}, (1.0, 0.0, 0.0))
+        entries = [_gyroscope(channel) if rate else _placed(channel) for channel in channels]
+        tables = chirp_tables(chirp, f"turned, {name}", f"../{rig_file(name)}", entries)
+        tables["excitation"]["direction"] = ABOUT_Y
+        write_chirp_files(folder / f"chirp-{name}", chirp, samples, tables, {})
+    return folder
+
+
+def _placed(channel: dict[str, Any]) -> dict[str, Any]:
+    """An accelerometer; the place of that on the load is uncertain."""
+    return channel | ({"point_uncertainty": U_PLACE} if channel["name"] == "top" else {})
+
+
+def _gyroscope(channel: dict[str, Any]) -> dict[str, Any]:
+    """A gyroscope about y in place of an accelerometer, whose lever is in its scale."""
+    lever = BASE_M if channel["name"] == "base" else TOP_M
+    stated = channel | {"quantity": "angular_velocity", "direction": [0.0, 1.0, 0.0], "scale": 100.0 / lever}
+    del stated["point"]
+    return stated
+
+
+@pytest.mark.parametrize("rate", [False, True])
+def test_a_turned_base_gives_torsional_stiffness_and_damping(tmp_path, rate):
+    folder = _write(tmp_path / "campaign", rate=rate)
+    (component,) = evaluate_campaign(read_campaign(folder), IdentifySettings()).components
+    found = component.fit.identification
+    assert (component.name, component.fit.model, component.fit.mass_is_free) == ("ry", "translation", True)
+    assert found.names == ("stiffness_ry", "damping_ry", "internal_inertia_ry")
+    assert [estimate.unit for estimate in found.estimates] == ["N·m/rad", "N·m·s/rad", "kg·m²"]
+    for name, true in zip(found.names, (K_RY, B_RY, J_I), strict=True):
+        assert abs(found.value(name) - true) < 3.5 * found.u(name)
+    assert found.u("stiffness_ry") < 2e-3 * K_RY
+    assert found.u("damping_ry") < 0.02 * B_RY
+    names = [unknown.name for unknown in found.unknowns]
+    placed = [name for name in names if "point top" in name]
+    assert placed == ([] if rate else ["top: point top at (0, 0, 0.09) z [1]"])
+    (alone,) = joint_fits(component.fit.prepared[:1], IdentifySettings())
+    assert not alone.mass_is_free
+    assert alone.identification["internal_inertia_ry"].value == pytest.approx(J_I, abs=1e-6)
+    assert alone.identification.u("internal_inertia_ry") == pytest.approx(U_INTERNAL, rel=1e-2)
+    assert abs(alone.identification.value("stiffness_ry") - K_RY) < 3.5 * alone.identification.u("stiffness_ry")
+
+
+def test_files_and_page_have_the_units_of_a_rotation(tmp_path):
+    folder = _write(tmp_path / "campaign", rate=False)
+    assert main(["identify", str(folder), "-o", str(tmp_path / "out"), "-q"]) == 0
+    with (tmp_path / "out" / "parameters.csv").open(encoding="utf-8", newline="") as stream:
+        units = {row["name"]: row["unit"] for row in csv.DictReader(stream)}
+    assert (units["stiffness_ry"], units["damping_ry"]) == ("N.m/rad", "N.m.s/rad")
+    assert (units["internal_inertia_ry"], units["lag_ry"]) == ("kg.m^2", "s")
+    sensor = read_model(tmp_path / "out")["My"].sensor
+    assert sensor.stiffness == pytest.approx(K_RY, rel=5e-3)
+    assert sensor.unit == "(V/V)/(N.m)"
+    page = (tmp_path / "out" / "identify.html").read_text(encoding="utf-8")
+    assert "load / kg·m²" in page
+
+
+def test_a_load_that_also_shifts_is_two_modes(tmp_path):
+    chirp = replace(TURNING, period_s=0.32, band_hz=(600.0, 2400.0))
+    folder = _write(tmp_path / "campaign", rate=False, loads=HIGH, chirp=chirp)
+    (component,) = evaluate_campaign(read_campaign(folder), IdentifySettings()).components
+    found = component.fit.identification
+    assert (component.name, component.fit.model, component.bands) == ("ry", "pitching", ())
+    truth = {"stiffness_ry": K_RY, "stiffness_x": K_X, "damping_ry": B_RY, "damping_x": B_X, "internal_mass": M_I}
+    for name, true in {**truth, "internal_inertia_ry": J_I}.items():
+        assert abs(found.value(name) - true) < 3.5 * found.u(name)
+    assert found.u("stiffness_ry") < 0.01 * K_RY
+
+
+UNSURE: dict[str, Any] = {
+    "point_uncertainty": [1e-3, 2e-3, 3e-3],
+    "direction_uncertainty": 5e-3,
+    "transverse_sensitivity": 0.02,
+}
+
+
+def _entry(name: str, body: str, **keys: Any) -> ChannelEntry:
+    """A channel that looks somewhere between the axes."""
+    stated = {"name": name, "quantity": "acceleration", "body": body, "point": [0.1, -0.02, 0.05]}
+    return ChannelEntry.model_validate({**stated, "direction": [0.6, 0.0, 0.8], **UNSURE, **keys})
+
+
+def _by_name(errors: tuple[PlacementError, ...]) -> dict[str, PlacementError]:
+    found = {error.name: error for error in errors}
+    assert len(found) == len(errors)
+    return found
+
+
+def test_rows_change_as_the_place_and_the_direction_do():
+    entry = _entry("top", "load")
+    seen = sight(entry)
+    found = _by_name(placement_errors(_entry("base", "base"), [entry], "1"))
+    for axis, u in enumerate(UNSURE["point_uncertainty"]):
+        moved = Placement(seen.point_m + u * np.eye(3)[axis], seen.direction)
+        change = found[f"top: point top at (0.1, -0.02, 0.05) {'xyz'[axis]} [1]"].change
+        np.testing.assert_allclose(change, moved.row - seen.row, atol=1e-15)
+    tilts = [error.change for name, error in found.items() if name.startswith("top: direction")]
+    assert [float(np.linalg.norm(tilt[:3])) for tilt in tilts] == pytest.approx([5e-3] * 2)
+    for tilt in tilts:
+        turned = (seen.direction + tilt[:3]) / np.linalg.norm(seen.direction + tilt[:3])
+        np.testing.assert_allclose(tilt, Placement(seen.point_m, turned).row - seen.row, atol=3e-5)
+    leaks = [error.change for name, error in found.items() if name.startswith("top: transverse")]
+    assert [float(np.linalg.norm(leak[:3])) for leak in leaks] == pytest.approx([0.02 / np.sqrt(2.0)] * 2)
+
+
+def test_unknowns_have_the_names_and_signs_of_a_run():
+    entry = _entry("top", "load", common="crystal")
+    frequency = np.array([1000.0])
+    phasors = Phasors(frequency, np.ones((1, 1), complex), np.eye(2)[None], ("top",), ("m/s2",), np.full(1, np.inf))
+    (observed,) = observe_channels([Reading(entry, phasors, ChainUncertainty())])
+    placed = {f"{error.name} [B]": error.slope[0, 0] for error in observed.common if error.scope == "mounting"}
+    found = {
+        name: error.change for name, error in _by_name(placement_errors(entry, [], "B")).items() if np.any(error.change)
+    }
+    assert set(found) == set(placed)
+    for name, change in found.items():
+        np.testing.assert_allclose(change, placed[name].real, atol=1e-15)
+
+
+def test_another_mounting_is_another_unknown_and_what_is_exact_is_none():
+    base, top = _entry("base", "base"), _entry("top", "load")
+    first, again, anew = (placement_errors(base, [top], mounting) for mounting in ("1", "1", "2"))
+    assert [error.name for error in first] == [error.name for error in again]
+    assert not {error.name for error in first} & {error.name for error in anew}
+    assert {error.place for error in first} == {AT_THE_BASE, 0}
+    exact = {"point_uncertainty": 0.0, "direction_uncertainty": 0.0, "transverse_sensitivity": 0.0}
+    assert placement_errors(_entry("base", "base", **exact), [_entry("top", "load", **exact)], "1") == ()
+
+
+def test_a_gyroscope_reads_how_the_body_turns_wherever_it_is():
+    keys = {"name": "gyro", "quantity": "angular_velocity", "body": "load", "direction": [0.0, 1.0, 0.0]}
+    entry = ChannelEntry.model_validate({**keys, "direction_uncertainty": 5e-3})
+    assert sight(entry).row.tolist() == [0.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+    errors = placement_errors(entry, [], "1")
+    assert [error.name for error in errors] == [f"gyro: direction gyro along (0, 1, 0) {axis} [1]" for axis in (0, 1)]
+    for error in errors:
+        assert not np.any(error.change[:3])
+        assert float(np.linalg.norm(error.change[3:])) == pytest.approx(5e-3)
+        assert error.change[4] == pytest.approx(0.0, abs=1e-15)

@@ -1,31 +1,50 @@
-"""Valid manifests: what a recording folder becomes."""
+"""Manifests: what a recording folder becomes, and what the document of the format says of it."""
 
 from __future__ import annotations
 
+import json
+import re
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from pydantic import BaseModel
 
 from fusion.base import InputError
 from fusion.recording.load import find_recordings, load_manifest
-from fusion.recording.manifest import ChannelEntry
-from fusion.recording.rig import Load, Stereo
+from fusion.recording.manifest import (
+    Administration,
+    ChannelEntry,
+    Daq,
+    Environment,
+    Excitation,
+    Images,
+    Load,
+    Part,
+    PointFiles,
+    RecordingFile,
+    Rig,
+    Sensor,
+    Stereo,
+    Take,
+)
+from photogram.calibration.file import read_calibration
 
 Campaign = Callable[..., Path]
 FINITE = st.floats(-1e6, 1e6, allow_nan=False)
 SMALL = st.floats(0, 1e3, allow_nan=False)
 
 
-def test_the_example_of_the_format_loads_with_its_values(make_campaign: Campaign) -> None:
+def test_the_example_of_the_format_loads_with_its_values(make_campaign):
     folder = make_campaign()
     manifest = load_manifest(folder)
     assert manifest.name == "Fz 106.25 Hz"
     assert manifest.excitation.frequencies == (106.25,)
-    assert manifest.rig.load is not None
     assert manifest.rig.load.mass == 6.9605
     assert manifest.rig.load.centre_of_mass_uncertainty == (1e-4, 1e-4, 1e-4)
     assert [daq.name for daq in manifest.daq] == ["vibrometer", "bridge"]
@@ -35,12 +54,12 @@ def test_the_example_of_the_format_loads_with_its_values(make_campaign: Campaign
     assert manifest.root == folder.parent.resolve()
 
 
-def test_a_recording_is_its_folder_or_its_file(make_campaign: Campaign) -> None:
+def test_a_recording_is_its_folder_or_its_file(make_campaign):
     folder = make_campaign()
     assert load_manifest(folder) == load_manifest(folder / "recording.toml")
 
 
-def test_frames_take_the_exposure_of_their_pair_unless_they_override_it(make_campaign: Campaign) -> None:
+def test_frames_take_the_exposure_of_their_pair_unless_they_override_it(make_campaign):
     plain = load_manifest(make_campaign()).images[0]
     assert (plain.exposure, plain.delay, plain.delay_uncertainty, plain.bit_depth) == (40e-6, 0.0, 1e-6, 12)
     line = 'right = "top-right/*.tif"'
@@ -49,7 +68,7 @@ def test_frames_take_the_exposure_of_their_pair_unless_they_override_it(make_cam
     assert (own.exposure, own.delay, own.delay_uncertainty, own.bit_depth) == (10e-6, 5e-6, 1e-6, 10)
 
 
-def test_an_exposure_may_be_the_width_of_the_pulses(make_campaign: Campaign) -> None:
+def test_an_exposure_may_be_the_width_of_the_pulses(make_campaign):
     pulses = load_manifest(make_campaign(replace=(("rig.toml", "exposure = 40e-6", 'exposure = "pulse"'),)))
     assert (pulses.rig.stereo["top"].exposure, pulses.images[0].exposure) == ("pulse", "pulse")
     line = 'right = "top-right/*.tif"'
@@ -57,12 +76,12 @@ def test_an_exposure_may_be_the_width_of_the_pulses(make_campaign: Campaign) -> 
     assert (own.rig.stereo["top"].exposure, own.images[0].exposure) == (40e-6, "pulse")
 
 
-def test_files_are_ordered_by_the_value_of_their_numbers(make_campaign: Campaign) -> None:
+def test_files_are_ordered_by_the_value_of_their_numbers(make_campaign):
     manifest = load_manifest(make_campaign())
     assert [file.name for file in manifest.points[0].files] == ["result_B1.txt", "result_B2.txt", "result_B10.txt"]
 
 
-def test_every_input_file_is_listed_once(make_campaign: Campaign) -> None:
+def test_every_input_file_is_listed_once(make_campaign):
     folder = make_campaign()
     files = load_manifest(folder).files
     present = {path.resolve() for path in folder.parent.rglob("*") if path.is_file()}
@@ -70,7 +89,7 @@ def test_every_input_file_is_listed_once(make_campaign: Campaign) -> None:
     assert len(files) == len(present)
 
 
-def test_globs_do_not_recurse_and_match_case(make_campaign: Campaign) -> None:
+def test_globs_do_not_recurse_and_match_case(make_campaign):
     folder = make_campaign()
     for name in ("top-left/deeper/0009.tif", "top-left/0003.TIF", "top-left/.0004.tif"):
         (folder / name).parent.mkdir(exist_ok=True)
@@ -78,13 +97,13 @@ def test_globs_do_not_recurse_and_match_case(make_campaign: Campaign) -> None:
     assert len(load_manifest(folder).images[0].left) == 3
 
 
-def test_a_folder_whose_name_looks_like_a_pattern_is_taken_by_its_name(make_campaign: Campaign) -> None:
+def test_a_folder_whose_name_looks_like_a_pattern_is_taken_by_its_name(make_campaign):
     folder = make_campaign(replace=(("recording.toml", '"vibrometer.h5"', '"run[1].h5"'),))
     (folder / "run[1].h5").write_bytes(b"")
     assert load_manifest(folder).daq[0].file.name == "run[1].h5"
 
 
-def test_mraw_belongs_to_the_input_files(make_campaign: Campaign) -> None:
+def test_mraw_belongs_to_the_input_files(make_campaign):
     changes = (("recording.toml", "top-left/*.tif", "left.cih"), ("recording.toml", "top-right/*.tif", "right.cih"))
     folder = make_campaign(replace=changes)
     for name in ("left.cih", "left.mraw", "right.cih", "right.mraw"):
@@ -94,13 +113,13 @@ def test_mraw_belongs_to_the_input_files(make_campaign: Campaign) -> None:
     assert {"left.mraw", "right.mraw"} <= {file.name for file in manifest.files}
 
 
-def test_paths_outside_are_followed_on_request(make_campaign: Campaign, tmp_path: Path) -> None:
+def test_paths_outside_are_followed_on_request(make_campaign, tmp_path):
     folder = make_campaign(replace=(("recording.toml", '"vibrometer.h5"', '"../../elsewhere.h5"'),))
     (tmp_path / "elsewhere.h5").write_bytes(b"")
     assert load_manifest(folder, allow_outside=True).daq[0].file == (tmp_path / "elsewhere.h5").resolve()
 
 
-def test_a_campaign_lists_its_recordings_in_natural_order(tmp_path: Path) -> None:
+def test_a_campaign_lists_its_recordings_in_natural_order(tmp_path):
     for name in ("Fz-100", "Fz-20", "notes"):
         (tmp_path / name).mkdir()
         if name != "notes":
@@ -113,12 +132,12 @@ def test_a_campaign_lists_its_recordings_in_natural_order(tmp_path: Path) -> Non
         find_recordings(tmp_path / "absent")
 
 
-def test_directions_become_unit_vectors() -> None:
+def test_directions_become_unit_vectors():
     entry = ChannelEntry(name="a", quantity="acceleration", body="load", point=(0, 0, 0), direction=(0, 3.0, 4.0))
     np.testing.assert_allclose(entry.direction or (), (0, 0.6, 0.8), rtol=1e-15)
 
 
-def test_conventional_mass_is_converted_by_the_definition_of_oiml_d28() -> None:
+def test_conventional_mass_is_converted_by_the_definition_of_oiml_d28():
     """A conventional mass balances the weight of 8000 kg/m^3 in air of 1.2 kg/m^3."""
     load = Load(
         mass=2.0, mass_kind="conventional", density=2700.0, centre_of_mass=(0, 0, 0), inertia=np.zeros((3, 3)).tolist()
@@ -136,14 +155,7 @@ def test_conventional_mass_is_converted_by_the_definition_of_oiml_d28() -> None:
     scale=FINITE.filter(bool),
     mass=st.floats(1e-6, 1e6),
 )
-def test_numbers_come_back_bit_for_bit(
-    make_campaign: Campaign,
-    translation: tuple[float, ...],
-    spread: tuple[float, ...],
-    exposure: float,
-    scale: float,
-    mass: float,
-) -> None:
+def test_numbers_come_back_bit_for_bit(make_campaign, translation, spread, exposure, scale, mass):
     changes = (
         ("rig.toml", "translation = [0.0, 0.0, 0.30]", f"translation = {list(translation)}"),
         ("rig.toml", "pose_uncertainty = [1e-4, 1e-4, 1e-4, 5e-4, 5e-4, 5e-4]", f"pose_uncertainty = {list(spread)}"),
@@ -153,14 +165,85 @@ def test_numbers_come_back_bit_for_bit(
     )
     manifest = load_manifest(make_campaign(replace=changes))
     pair = manifest.rig.stereo["top"]
-    assert manifest.rig.load is not None
     assert (pair.translation, pair.pose_uncertainty) == (translation, spread)
     assert (manifest.images[0].exposure, manifest.daq[0].channel[0].scale) == (exposure, scale)
     assert manifest.rig.load.mass == mass
 
 
-def test_models_are_frozen(make_campaign: Campaign) -> None:
+def test_models_are_frozen(make_campaign):
     pair = load_manifest(make_campaign()).rig.stereo["top"]
     assert isinstance(pair, Stereo)
     with pytest.raises(ValueError, match="frozen"):
         pair.delay = 1.0
+
+
+DOC = (Path(__file__).resolve().parents[2] / "docs" / "recording-format.md").read_text(encoding="utf-8")
+MODELS: dict[str, type[BaseModel]] = {
+    "Top level of rig.toml": Rig,
+    "`[sensor]`": Sensor,
+    "`[load]`": Load,
+    "`[[part]]`, in rig.toml or recording.toml": Part,
+    "`[environment]`": Environment,
+    "`[stereo.NAME]`": Stereo,
+    "`[administration]`": Administration,
+    "Top level of recording.toml": RecordingFile,
+    "`[excitation]`": Excitation,
+    "`[[daq]]`": Daq,
+    "`[[daq.channel]]`": ChannelEntry,
+    "`[[images]]`": Images,
+    "`[[points]]`": PointFiles,
+    "`[[take]]`": Take,
+}
+
+
+def _tables() -> dict[str, dict[str, str]]:
+    """Title -> key -> second column of every table of the section on keys."""
+    section = DOC[DOC.index("## Every key") : DOC.index("## What a run leaves")]
+    parts = re.split(r"^### (.*)$", section, flags=re.MULTILINE)[1:]
+    rows = re.compile(r"^\| `(\w+)` \| (.*?) \|", re.MULTILINE)
+    return {title: dict(rows.findall(text)) for title, text in zip(parts[::2], parts[1::2], strict=True)}
+
+
+def _told(model: type[BaseModel], key: str) -> str:
+    """What the document's second column has to say about a key of a model."""
+    field = model.model_fields[key]
+    if key in getattr(model, "INHERITED", ()):
+        return "as the pair"
+    if field.is_required():
+        return "required"
+    default: Any = field.get_default(call_default_factory=True)
+    if default is None:
+        return "optional"
+    if isinstance(default, str | bool | int | float):
+        return f"`{json.dumps(default)}`" if isinstance(default, str | bool) else f"{default:g}"
+    assert not np.any(default)
+    if len(default) == 0:
+        return "none"
+    return "0" if "uncertainty" in key and key != "pose_uncertainty" else "zeros"
+
+
+def test_every_block_has_a_table():
+    assert list(_tables()) == list(MODELS)
+
+
+@pytest.mark.parametrize("title", list(MODELS))
+def test_the_table_of_a_block_is_its_model(title):
+    model = MODELS[title]
+    assert _tables()[title] == {key: _told(model, key) for key in model.model_fields}
+
+
+def test_every_toml_example_is_toml_that_loads(make_campaign):
+    examples = re.findall(r"^```toml\n(.*?)^```", DOC, re.DOTALL | re.MULTILINE)
+    rig, recording, chain = (tomllib.loads(text) for text in examples)
+    assert len(chain["element"]) == 3  # tests/fusion/test_response.py reads it
+    manifest = load_manifest(make_campaign())
+    given = {key: value for key, value in rig["stereo"]["top"].items() if key != "calibration"}
+    loaded = manifest.rig.stereo["top"].model_dump(mode="json", include=set(given))
+    assert loaded == given
+    assert [daq["name"] for daq in recording["daq"]] == [daq.name for daq in manifest.daq]
+
+
+def test_the_calibration_example_is_a_calibration(make_campaign):
+    calibration = load_manifest(make_campaign()).rig.stereo["top"].calibration
+    rig = read_calibration(calibration)
+    np.testing.assert_array_equal(rig.right_from_left.translation_m, [-0.15, 0, 0])

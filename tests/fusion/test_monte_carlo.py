@@ -4,41 +4,35 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 import pytest
 from evaluation_factory import make_evaluation
+from fusion.sensitivity.draws import Estimator, channel_rows, draw_instrument
 from scipy.stats import norm
 from simulated_phasors import CASES, case_setup, lines_at, simulate_phasors
 
 from fusion.base import Settings
 from fusion.cli import main
 from fusion.estimation.least_squares import build_system, solve
-from fusion.estimation.measurement_model import ChainUncertainty, Reading, StereoReading, observe_channels
+from fusion.estimation.measurement_model import Deviates
 from fusion.estimation.uncertainty import region_factor
-from fusion.recording.manifest import ChannelEntry
-from fusion.recording.rig import Stereo
+from fusion.instruments import observe_channels
+from fusion.instruments.channel import ChainUncertainty, Reading
+from fusion.instruments.stereo import StereoReading
+from fusion.recording.manifest import ChannelEntry, Stereo
 from fusion.report.h5 import write_h5
 from fusion.report.more_tables import monte_carlo_tables
-from fusion.sensitivity.analyse import (
-    Analysis,
-    FirstOrder,
-    Inputs,
-    MonteCarlo,
-    Propagated,
-    analyse,
-    shortest_interval,
-    summarise,
-    tolerance,
-)
-from fusion.sensitivity.body import Body, make_joint, make_part
-from fusion.sensitivity.draws import Deviates, Estimator, channel_rows, draw_instrument, draw_load_matrices, pair_up
-from fusion.sensitivity.monte_carlo import Known, propagate
+from fusion.sensitivity.analyse import Analysis, Inputs, analyse
+from fusion.sensitivity.body import Body, draw_load_matrices, make_joint, make_part
+from fusion.sensitivity.distributions import FirstOrder, MonteCarlo, Propagated, shortest_interval, summarise, tolerance
+from fusion.sensitivity.monte_carlo import propagate
 from fusion.simulate.world import Draws
+from photogram.calibration.start import pair_up
 from shaker.sine.phasor import Phasors
+from shaker.static_rotation.harmonics import Known
 
 LINES = lines_at([100.0], [1])
 OMEGA = 2.0 * np.pi * LINES.frequency_hz
@@ -76,14 +70,14 @@ def simulated(case: int) -> tuple[Known, Analysis, MonteCarlo]:
     return known, *run(known)
 
 
-def test_shortest_interval_of_a_skew_distribution_starts_at_its_mode() -> None:
+def test_shortest_interval_of_a_skew_distribution_starts_at_its_mode():
     # Exponential: the density falls from 0, so the shortest 95 % interval is [0, -ln 0.05].
     low, high = shortest_interval(np.random.default_rng(1).exponential(size=(200_000, 1)))
     assert low[0] == pytest.approx(0.0, abs=1e-3)
     assert high[0] == pytest.approx(-np.log(0.05), rel=0.01)
 
 
-def test_tolerances_of_the_guide() -> None:
+def test_tolerances_of_the_guide():
     # JCGM 101, 7.9.2: u = 0.35 mg to two digits 35e-5 g, delta = 0.5e-5 g; u = 2 K to one digit, delta = 0.5 K.
     np.testing.assert_allclose(tolerance(np.array([0.00035]), 2), 0.5e-5)
     np.testing.assert_allclose(tolerance(np.array([2.0]), 1), 0.5)
@@ -98,7 +92,7 @@ def normal_draws(value: complex, spread: np.ndarray, count: int = 100_000) -> Pr
     return summarise(first, draws)
 
 
-def test_normal_draws_far_from_zero_confirm_first_order_propagation() -> None:
+def test_normal_draws_far_from_zero_confirm_first_order_propagation():
     found = normal_draws(3000.0 - 4000.0j, np.array([[1.0, 0.3], [0.3, 0.5]]))
     assert found.first_holds[0, 0] == pytest.approx(0.95, abs=0.003)
     assert found.factor[0, 0] == pytest.approx(region_factor(np.inf), rel=0.01)
@@ -112,7 +106,7 @@ def test_normal_draws_far_from_zero_confirm_first_order_propagation() -> None:
     assert found.refuted(100_000, 0, 0) == ()
 
 
-def test_of_a_value_near_zero_only_the_region_is_judged() -> None:
+def test_of_a_value_near_zero_only_the_region_is_judged():
     found = normal_draws(0.5 + 0.0j, np.eye(2))
     assert found.weak[0, 0]
     # Rice distribution: the mean magnitude of X = 0.5 + noise is 1.33, not 0.5.
@@ -121,13 +115,13 @@ def test_of_a_value_near_zero_only_the_region_is_judged() -> None:
     assert found.refuted(100_000, 0, 0) == ()
 
 
-def test_a_magnitude_across_a_long_ellipse_is_refuted() -> None:
+def test_a_magnitude_across_a_long_ellipse_is_refuted():
     # 8 u across, 0.01 u along: second order adds u_across²/2|X| to the magnitude, many times u_along.
     found = normal_draws(8.0 + 0.0j, np.diag([1e-4, 1.0]))
     assert found.refuted(100_000, 0, 0) == found.too_small(100_000, 0, 0) == ("magnitude",)
 
 
-def test_few_degrees_of_freedom_give_students_distribution() -> None:
+def test_few_degrees_of_freedom_give_students_distribution():
     entry = channel("acceleration", (0.0, 0.0, 1.0), scale_uncertainty=1e-9)
     found, drawn = run(known_of((reading(entry, 100.0, 0.01, 6.0),)), 20_000)
     (result,) = drawn.results
@@ -137,7 +131,7 @@ def test_few_degrees_of_freedom_give_students_distribution() -> None:
     assert found.accelerations[0].uncertainty.dof()[0, 2] == pytest.approx(6.0, rel=1e-3)
 
 
-def test_a_transverse_sensitivity_of_unknown_direction_is_arc_sine_distributed() -> None:
+def test_a_transverse_sensitivity_of_unknown_direction_is_arc_sine_distributed():
     # The z channel leaks 5 % of a sideways motion from an angle of which nothing is known: error = 0.05·a_x·cos(angle).
     tiny = {"scale_uncertainty": 1e-9}
     entries = [channel("acceleration", tuple(axis), **tiny) for axis in np.eye(3)[:2].tolist()]
@@ -160,7 +154,7 @@ def test_a_transverse_sensitivity_of_unknown_direction_is_arc_sine_distributed()
     assert any(n.severity == "info" and "magnitude of the acceleration" in n.text for n in drawn.notices)
 
 
-def test_a_frame_turned_by_finite_angles_shortens_what_it_shows() -> None:
+def test_a_frame_turned_by_finite_angles_shortens_what_it_shows():
     # Rotations of 0.1 rad about x and y: mean of cos is 1 - u² to second order, first order knows nothing of it.
     pair = Stereo.model_validate(
         {
@@ -182,7 +176,7 @@ def test_a_frame_turned_by_finite_angles_shortens_what_it_shows() -> None:
 
 
 @pytest.mark.parametrize("case", [0, 2])
-def test_first_order_propagation_holds_for_a_whole_recording(case: int) -> None:
+def test_first_order_propagation_holds_for_a_whole_recording(case):
     _, _, drawn = simulated(case)
     assert [result.name for result in drawn.results] == ["acceleration of the load", "load", "sensitivity"]
     for result in drawn.results:
@@ -192,10 +186,9 @@ def test_first_order_propagation_holds_for_a_whole_recording(case: int) -> None:
         assert np.all(np.abs(result.mean - result.value) < 0.1 * total[1])
 
 
-def test_draws_are_what_fusing_them_anew_gives() -> None:
+def test_draws_are_what_fusing_them_anew_gives():
     known, found, _ = simulated(2)
     fused = found.accelerations[0]
-    assert known.inputs.gravity_mps2 is not None
     gravity = np.array(known.inputs.gravity_mps2)
     instruments = pair_up(known.inputs.observations, known.pairs, known.readings, gravity)
     system = build_system(known.inputs.observations)
@@ -215,7 +208,7 @@ def test_draws_are_what_fusing_them_anew_gives() -> None:
         assert np.all(np.abs(value - estimates[number]) < np.array([[0.1], [0.2]]) * u)
 
 
-def test_an_error_that_outputs_and_load_share_cancels() -> None:
+def test_an_error_that_outputs_and_load_share_cancels():
     own, shared = (simulated(case)[2].results for case in (0, 3))
     place = element(own[2], "Fz per Fz")
     assert shared[1].phase.u[0, 2] == pytest.approx(own[1].phase.u[0, 2], rel=0.7)
@@ -224,7 +217,7 @@ def test_an_error_that_outputs_and_load_share_cancels() -> None:
     assert first[0, place] < 0.06
 
 
-def test_the_same_seed_gives_the_same_numbers_and_another_others() -> None:
+def test_the_same_seed_gives_the_same_numbers_and_another_others():
     known, found, drawn = simulated(0)
     again, other = propagate(known, found, DRAWS, 1), propagate(known, found, DRAWS, 2)
     for first, second, third in zip(drawn.results, again.results, other.results, strict=True):
@@ -232,14 +225,14 @@ def test_the_same_seed_gives_the_same_numbers_and_another_others() -> None:
         assert not np.any(first.mean == third.mean)
 
 
-def test_equal_names_are_the_same_unknown_whatever_else_is_drawn() -> None:
+def test_equal_names_are_the_same_unknown_whatever_else_is_drawn():
     first, second = Deviates(5, 0, 10), Deviates(5, 0, 10)
     second.normal("something else")
     np.testing.assert_array_equal(first.normal("laser: scale"), second.normal("laser: scale"))
     assert not np.any(first.normal("laser: scale") == Deviates(5, 1, 10).normal("laser: scale"))
 
 
-def test_rows_without_errors_are_those_of_the_fusion() -> None:
+def test_rows_without_errors_are_those_of_the_fusion():
     known, _, _ = simulated(0)
     for seen in known.inputs.observations[1:]:
         entries = [r.entry for r in known.readings if r.entry.name in seen.members]
@@ -250,7 +243,7 @@ def test_rows_without_errors_are_those_of_the_fusion() -> None:
             np.testing.assert_allclose(rows[0], seen.design[:, place], rtol=1e-12, atol=1e-15)
 
 
-def test_load_matrices_are_those_of_bodies_with_the_drawn_numbers() -> None:
+def test_load_matrices_are_those_of_bodies_with_the_drawn_numbers():
     frequency, gravity = np.array([80.0, 300.0]), np.array([0.1, -0.2, -9.8])
     inertia = np.array([[0.02, 1e-3, 0.0], [1e-3, 0.03, 2e-3], [0.0, 2e-3, 0.01]])
     u = (0.1, np.array([1e-2, 2e-2, 3e-2]), np.full((3, 3), 1e-3))
@@ -274,7 +267,7 @@ def test_load_matrices_are_those_of_bodies_with_the_drawn_numbers() -> None:
         np.testing.assert_allclose(drawn[number], expected, rtol=1e-10, atol=1e-10)
 
 
-def test_report_and_result_file_hold_the_run(tmp_path: Path) -> None:
+def test_report_and_result_file_hold_the_run(tmp_path):
     _, _, drawn = simulated(0)
     evaluation = replace(make_evaluation(tmp_path), monte_carlo=drawn)
     tables = monte_carlo_tables(evaluation)
@@ -289,7 +282,7 @@ def test_report_and_result_file_hold_the_run(tmp_path: Path) -> None:
     np.testing.assert_array_equal(stored, drawn.results[2].magnitude.low)
 
 
-def test_settings_know_the_run_only_where_there_is_one() -> None:
+def test_settings_know_the_run_only_where_there_is_one():
     assert "seed" not in Settings().as_dict()
     assert (
         Settings(monte_carlo=5000, seed=3).as_dict() | {"monte_carlo": 5000, "seed": 3}
@@ -299,7 +292,7 @@ def test_settings_know_the_run_only_where_there_is_one() -> None:
         Settings(monte_carlo=10)
 
 
-def test_too_few_draws_are_refused_by_the_command(capsys: pytest.CaptureFixture[str]) -> None:
+def test_too_few_draws_are_refused_by_the_command(capsys):
     with pytest.raises(SystemExit) as stopped:
         main(["run", "nowhere", "--monte-carlo", "10"])
     assert stopped.value.code == 2

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fusion.base import InputError, Settings
-from fusion.estimation.consistency import Acceleration
+from fusion.estimation.fuse import Acceleration
 from fusion.recording.load import load_manifest
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.evaluate import evaluate_recording
@@ -171,7 +171,7 @@ def deviation(found: Acceleration, displacement: np.ndarray) -> np.ndarray:
     return np.column_stack([error.real / found.phasors.u_re[line], error.imag / found.phasors.u_im[line]])
 
 
-def test_points_and_an_accelerometer(campaign: Campaign) -> None:
+def test_points_and_an_accelerometer(campaign):
     campaign.add_points()
     campaign.add_sensor("base_z", "acceleration", ("base", BASE), [0.01, 0.02, 0.0])
     evaluation = campaign.evaluate()
@@ -185,7 +185,7 @@ def test_points_and_an_accelerometer(campaign: Campaign) -> None:
     assert evaluation.load is None
 
 
-def test_points_and_a_trigger_only(campaign: Campaign) -> None:
+def test_points_and_a_trigger_only(campaign):
     campaign.add_points()
     evaluation = campaign.evaluate()
     assert not evaluation.channels
@@ -198,7 +198,7 @@ def test_points_and_a_trigger_only(campaign: Campaign) -> None:
     assert "frequency of 106.25 Hz" in {contribution.label for contribution in fused.contributions}
 
 
-def test_lasers_and_outputs_only(campaign: Campaign) -> None:
+def test_lasers_and_outputs_only(campaign):
     for name, point in (("a", [0.03, 0.0, 0.04]), ("b", [-0.02, 0.03, 0.04]), ("c", [-0.02, -0.03, 0.04])):
         campaign.add_sensor(name, "velocity", ("load", LOAD), point)
     campaign.add_output()
@@ -207,7 +207,6 @@ def test_lasers_and_outputs_only(campaign: Campaign) -> None:
     assert fused.observed[0].tolist() == [False, False, True, True, True, False]
     assert np.nanmax(np.abs(deviation(fused, LOAD)[fused.observed[0]])) < 4
     sensitivity = evaluation.sensitivity
-    assert sensitivity is not None
     assert not evaluation.stereo
     error = sensitivity.value[0, 0, 2] - SENSITIVITY
     u = np.sqrt(np.diagonal(sensitivity.covariance[0, 0, 2]))
@@ -216,7 +215,7 @@ def test_lasers_and_outputs_only(campaign: Campaign) -> None:
     assert u[0] < 2e-3 * abs(SENSITIVITY)
 
 
-def test_tables_that_do_not_fit_are_named(campaign: Campaign) -> None:
+def test_tables_that_do_not_fit_are_named(campaign):
     campaign.add_points()
     last = campaign.folder / "DIC_results" / "result_B63.txt"
     last.write_text("1 2 3 3 3 0 0 0 0 0\n")

@@ -9,7 +9,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "nitsche2018.md"
 
 
-def test_every_part_of_the_page_is_filled_and_every_picture_there() -> None:
+def test_every_part_of_the_page_is_filled_and_every_picture_there():
     text = PAGE.read_text(encoding="utf-8")
     for name in ("table 1", "agreement", "figure 14"):
         (content,) = re.findall(f"<!-- {name} -->(.*?)<!-- end of {name} -->", text, re.DOTALL)

@@ -11,7 +11,7 @@ import pytest
 
 from fusion.base import InputError, Settings
 from fusion.cli import main
-from fusion.estimation.measurement_model import PulseExposure
+from fusion.instruments.stereo import PulseExposure
 from fusion.phasors.timing import Exposure, exposure_middles, exposure_of, tie_daqs
 from fusion.recording.check import check
 from fusion.recording.files import read_daqs
@@ -128,7 +128,7 @@ def _base(evaluation: Evaluation) -> np.ndarray:
 
 @pytest.mark.parametrize("filtered", [False, True])
 @pytest.mark.parametrize("width_s", [WIDTH_S, 413e-6])
-def test_the_exposure_is_the_width_recorded(tmp_path: Path, filtered: bool, width_s: float) -> None:
+def test_the_exposure_is_the_width_recorded(tmp_path, filtered, width_s):
     run = _write(tmp_path, Shot(width_s=width_s, filtered=filtered), '"pulse"')
     manifest = load_manifest(run)
     base = tie_daqs(manifest, read_daqs(manifest))
@@ -141,13 +141,13 @@ def test_the_exposure_is_the_width_recorded(tmp_path: Path, filtered: bool, widt
     assert np.max(np.abs(middle_s - true_s)) < 4.0 * u
 
 
-def test_a_stated_exposure_is_exact(tmp_path: Path) -> None:
+def test_a_stated_exposure_is_exact(tmp_path):
     manifest = load_manifest(_write(tmp_path, Shot(), '"pulse"', "exposure = 1e-3"))
     base = tie_daqs(manifest, read_daqs(manifest))
     assert exposure_of(manifest, base, manifest.points[0]) == Exposure(1e-3, 0.0)
 
 
-def test_a_run_is_that_with_the_width_stated(tmp_path: Path) -> None:
+def test_a_run_is_that_with_the_width_stated(tmp_path):
     measured = _evaluated(_write(tmp_path, Shot(), '"pulse"'))
     stated = _evaluated(_write(tmp_path, Shot(), repr(WIDTH_S)))
     (pair,) = measured.stereo
@@ -163,7 +163,7 @@ def test_a_run_is_that_with_the_width_stated(tmp_path: Path) -> None:
     assert not any("pulse width" in c.label for a in stated.accelerations for c in a.contributions)
 
 
-def test_the_effect_of_a_width_is_that_of_evaluating_with_another(tmp_path: Path) -> None:
+def test_the_effect_of_a_width_is_that_of_evaluating_with_another(tmp_path):
     u_s = 2e-6
     run = _write(tmp_path, Shot(), repr(WIDTH_S - u_s / 2))
     before = _base(_evaluated(run))
@@ -174,21 +174,19 @@ def test_the_effect_of_a_width_is_that_of_evaluating_with_another(tmp_path: Path
     np.testing.assert_allclose(ratio, np.repeat(expected, 6), rtol=2e-3)
 
 
-def test_every_run_tells_the_width(tmp_path: Path) -> None:
+def test_every_run_tells_the_width(tmp_path):
     evaluation = _evaluated(_write(tmp_path, Shot(), "40e-6"))
     (clock,) = evaluation.clocks
     assert clock.pulse_width_s == pytest.approx(WIDTH_S, abs=2e-6)
     table = clocks_table(evaluation)
-    assert table is not None
     (cell,) = next(row[1:] for row in table.rows if row[0] == "pulse width / µs")
     assert str(cell).startswith("2313.")
     pairs = stereo_table(evaluation.stereo)
-    assert pairs is not None
     assert ("exposure / µs", "40") in pairs.rows
     assert not any("pulse" in notice.text for notice in evaluation.notices)
 
 
-def test_check_tells_what_the_exposure_will_be(tmp_path: Path) -> None:
+def test_check_tells_what_the_exposure_will_be(tmp_path):
     told = str(check(load_manifest(_write(tmp_path, Shot(), '"pulse"'))))
     assert "exposure of base: width of the pulses of camera_trigger in daq, (2313." in told
     assert "exposure of" not in str(check(load_manifest(_write(tmp_path, Shot(), "1e-3"))))
@@ -201,9 +199,7 @@ def test_check_tells_what_the_exposure_will_be(tmp_path: Path) -> None:
         (Shot(frames=3, end_s=1e-3), "expected at least 3 edges"),
     ],
 )
-def test_pulses_that_cannot_be_measured_are_refused(
-    tmp_path: Path, shot: Shot, reason: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_pulses_that_cannot_be_measured_are_refused(tmp_path, shot, reason, capsys):
     run = _write(tmp_path, shot, '"pulse"')
     assert main(["run", str(run)]) == 2
     told = capsys.readouterr().err

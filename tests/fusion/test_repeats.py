@@ -39,7 +39,7 @@ def recorded(value: complex, recording: str, mounting: str = "1", **changes: Any
     )
 
 
-def test_variance_components_are_those_of_an_unbalanced_analysis_of_variance() -> None:
+def test_variance_components_are_those_of_an_unbalanced_analysis_of_variance():
     # The textbook formulae, with real numbers by hand: groups of three, two and one.
     groups = {"a": [1.002, 1.004, 1.003], "b": [0.998, 0.997], "c": [1.001]}
     drives = [recorded(v, f"{m}{n}", m) for m, values in groups.items() for n, v in enumerate(values)]
@@ -64,7 +64,7 @@ def test_variance_components_are_those_of_an_unbalanced_analysis_of_variance() -
     assert parts[WITHIN].dof == pytest.approx([3.0])
 
 
-def test_what_all_recordings_share_does_not_average_away() -> None:
+def test_what_all_recordings_share_does_not_average_away():
     rng = np.random.default_rng(2)
     drives = [recorded(1.0 + 1e-6 * rng.standard_normal(), f"{n}", f"{n % 5}") for n in range(25)]
     (found,) = find_repeats(drives)
@@ -75,7 +75,7 @@ def test_what_all_recordings_share_does_not_average_away() -> None:
     assert found.weight.sum() == pytest.approx(1.0)
 
 
-def test_stated_errors_of_a_recording_are_not_counted_again_as_scatter() -> None:
+def test_stated_errors_of_a_recording_are_not_counted_again_as_scatter():
     # Trigger times of 1e-3 rad scatter the phases as stated: nothing is left for a further component on average.
     rng, left = np.random.default_rng(4), []
     for _ in range(100):
@@ -92,7 +92,7 @@ def test_stated_errors_of_a_recording_are_not_counted_again_as_scatter() -> None
     assert np.mean(np.array(left) == 0.0) > 0.4
 
 
-def test_one_recording_has_no_components_and_one_mounting_says_so() -> None:
+def test_one_recording_has_no_components_and_one_mounting_says_so():
     (single,) = find_repeats([recorded(1.0, "a")])
     assert np.isnan(single.within).all()
     assert np.isnan(single.between).all()
@@ -103,7 +103,7 @@ def test_one_recording_has_no_components_and_one_mounting_says_so() -> None:
     assert "are of one mounting" in same.notices[0].text
 
 
-def test_what_counts_as_a_repeat() -> None:
+def test_what_counts_as_a_repeat():
     first = recorded(1.0, "a")
     louder = recorded(1.0, "b", load=1.5 * LOAD)
     eccentric = recorded(1.0, "c", load=LOAD + 30.0 * np.eye(6)[4])
@@ -118,7 +118,7 @@ def test_what_counts_as_a_repeat() -> None:
     assert merged == [{"a", "b", "e"}]
 
 
-def test_an_output_that_one_recording_lacks_has_no_mean() -> None:
+def test_an_output_that_one_recording_lacks_has_no_mean():
     partial = recorded(1.0, "b")
     partial = replace(partial, outputs=np.array([partial.outputs[0], complex(np.nan, np.nan)]))
     (found,) = find_repeats([recorded(1.0, "a"), partial])
@@ -127,7 +127,7 @@ def test_an_output_that_one_recording_lacks_has_no_mean() -> None:
         find_repeats([replace(partial, outputs=np.full(2, complex(np.nan, np.nan)))])
 
 
-def test_a_dead_output_has_a_mean_of_zero_and_no_slope() -> None:
+def test_a_dead_output_has_a_mean_of_zero_and_no_slope():
     drives = [recorded(1.0 + 1e-3 * n, f"{n}", load=n * LOAD) for n in (1, 2, 3)]
     dead = [replace(drive, outputs=drive.outputs * [1.0, 0.0]) for drive in drives]
     (found,) = find_repeats(dead, amplitudes_apart=False)
@@ -137,7 +137,7 @@ def test_a_dead_output_has_a_mean_of_zero_and_no_slope() -> None:
     assert series.channels == ("U0",)
 
 
-def test_outputs_and_load_on_one_clock_forget_its_time() -> None:
+def test_outputs_and_load_on_one_clock_forget_its_time():
     late = ("clock bridge: time", "recording")
     of_load = uncertainty(NOISE, [(*late, -1e-2j * LOAD)])
     of_outputs = uncertainty([1e-9], [(*late, np.array([-1e-2j]))])
@@ -147,7 +147,7 @@ def test_outputs_and_load_on_one_clock_forget_its_time() -> None:
 
 
 @pytest.mark.slow
-def test_the_mean_over_mountings_is_covered() -> None:
+def test_the_mean_over_mountings_is_covered():
     rng, inside = np.random.default_rng(6), []
     truth = true_matrix(rng, 0.0)
     base = drive_setup(rng, "", "z", (0.0, 0.0, 0.08))
@@ -166,7 +166,7 @@ def test_the_mean_over_mountings_is_covered() -> None:
     assert 0.89 < np.mean(inside) <= 1.0
 
 
-def test_linearity_finds_the_slope_and_forgets_the_scale() -> None:
+def test_linearity_finds_the_slope_and_forgets_the_scale():
     drives = [recorded(1.0 + 2e-3 * a, f"{a}", load=a * LOAD, scale=1e-2) for a in (0.5, 1.0, 1.5, 2.0)]
     (found,) = find_linearity(drives)
     mean = 1.0 + 2e-3 * 1.25
@@ -177,7 +177,7 @@ def test_linearity_finds_the_slope_and_forgets_the_scale() -> None:
     assert find_linearity(drives[:1]) == ()
 
 
-def test_scatter_of_a_series_enlarges_the_uncertainty_of_its_slope() -> None:
+def test_scatter_of_a_series_enlarges_the_uncertainty_of_its_slope():
     rng, inside = np.random.default_rng(8), []
     for _ in range(80):
         values = 1.0 + 1e-3 * (rng.standard_normal(6) + 1j * rng.standard_normal(6))
@@ -188,7 +188,7 @@ def test_scatter_of_a_series_enlarges_the_uncertainty_of_its_slope() -> None:
     assert 0.9 < np.mean(inside) <= 1.0
 
 
-def test_names_between_recordings() -> None:
+def test_names_between_recordings():
     effect = np.ones(1)
     parts = [("laser: scale", "rig", effect), ("point x", "mounting", effect), ("trigger: time", "recording", effect)]
     names = [i.name for i in between_recordings(uncertainty([1.0], parts), "Fz 100", "B").influences]
@@ -197,7 +197,7 @@ def test_names_between_recordings() -> None:
     assert [i.name for i in again.influences] == names
 
 
-def test_lines_joined_keep_what_they_share() -> None:
+def test_lines_joined_keep_what_they_share():
     parts = [
         between_recordings(uncertainty([0.1 * n], [("scale", "rig", [1.0]), ("time", "recording", [2.0])]), str(n), "1")
         for n in (1, 2)
@@ -210,6 +210,6 @@ def test_lines_joined_keep_what_they_share() -> None:
     np.testing.assert_allclose(joined.covariance, np.concatenate([part.covariance for part in parts]))
 
 
-def test_groups_of_one_frequency() -> None:
+def test_groups_of_one_frequency():
     drives = [replace(recorded(1.0, f"{f}"), frequency_hz=f) for f in (200.0, 100.0, 100.9, 101.5)]
     assert [[d.frequency_hz for d in g] for g in group_by_frequency(drives)] == [[100.0, 100.9], [101.5], [200.0]]

@@ -1,23 +1,38 @@
-"""The report: one well-formed page that needs nothing else and says what the numbers say."""
+"""The page of a recording: well formed, needs nothing else, and says and shows what the numbers say."""
 
 from __future__ import annotations
 
 import dataclasses
 import html
 import re
-from pathlib import Path
+from dataclasses import replace
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from evaluation_factory import Choice, make_evaluation
+from evaluation_factory import FREQUENCY_HZ, Choice, make_evaluation
 from markupsafe import Markup
 from page_outline import outline
 
+from fusion.phasors.results import DeflectionShape, deflection_shape
 from fusion.report.more_tables import budget_tables, other_loads_table
+from fusion.report.motion_figures import (
+    beat_curve,
+    camera_rate_hz,
+    draw_deflection,
+    folded_curve,
+    main_frequency,
+    residual_spectrum,
+)
 from fusion.report.numbers import degrees_of_freedom, fixed, measured, short, times_ten
-from fusion.report.recording import render_report
+from fusion.report.recording import draw_all, render_report
+from fusion.report.signal_figures import draw_trigger
+from fusion.report.style import padded, power_text, thin_out
 from fusion.report.tables import headlines, source_tables
 from fusion.sensitivity.analyse import Evaluation
+from photogram.camera import Points
+from photogram.geometry import rotation_from_vector
+from photogram.motion import Deformation, deformation, fit_motion
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +45,7 @@ def page(evaluation: Evaluation) -> str:
     return render_report(evaluation)
 
 
-def test_page_is_well_formed_and_self_contained(page: str) -> None:
+def test_page_is_well_formed_and_self_contained(page):
     found = outline(page)
     assert page.startswith("<!doctype html>")
     assert len(found.ids) == len(set(found.ids))
@@ -43,7 +58,7 @@ def test_page_is_well_formed_and_self_contained(page: str) -> None:
     assert len(page.encode()) < 6_000_000
 
 
-def test_page_shows_results_warnings_and_origin(page: str) -> None:
+def test_page_shows_results_warnings_and_origin(page):
     text = "".join(outline(page).text)
     assert "(1.9720 ± 0.0019) × 10−7 (V/V)/N" in text
     assert "(−0.03370 ± 0.00099) rad" in text
@@ -55,25 +70,24 @@ def test_page_shows_results_warnings_and_origin(page: str) -> None:
     assert "4.20 ± 0.20" in text  # clock rate in 1e-6
 
 
-def test_texts_are_escaped(evaluation: Evaluation) -> None:
+def test_texts_are_escaped(evaluation):
     manifest = evaluation.manifest
-    manifest.rig.name = "<script>alert(1)</script> & co"  # type: ignore[misc]
+    manifest.rig.name = "<script>alert(1)</script> & co"
     page = render_report(dataclasses.replace(evaluation, stereo=(), channels=(), clocks=()))
     outline(page)
     assert html.escape("<script>alert(1)</script> & co") in page
 
 
-def test_recording_without_anything_to_determine_still_has_a_page(evaluation: Evaluation) -> None:
+def test_recording_without_anything_to_determine_still_has_a_page(evaluation):
     bare = dataclasses.replace(
         evaluation, stereo=(), channels=(), clocks=(), accelerations=(), load=None, sensitivity=None, notices=()
     )
     assert "neither an acceleration nor a sensitivity" in "".join(outline(render_report(bare)).text)
 
 
-def test_undetermined_values_do_not_break_the_page(tmp_path: Path) -> None:
+def test_undetermined_values_do_not_break_the_page(tmp_path):
     evaluation = make_evaluation(tmp_path, Choice(frames=24))
     sensitivity = evaluation.sensitivity
-    assert sensitivity is not None
     lost = sensitivity.value.copy()
     lost[0] = np.nan
     changed = dataclasses.replace(sensitivity, value=lost)
@@ -81,20 +95,20 @@ def test_undetermined_values_do_not_break_the_page(tmp_path: Path) -> None:
     assert "nan" not in "".join(outline(page).text).lower().replace("resonan", "")
 
 
-def test_headlines_name_the_deviation_from_the_static_sensitivity(evaluation: Evaluation) -> None:
+def test_headlines_name_the_deviation_from_the_static_sensitivity(evaluation):
     first = headlines(evaluation)[0]
     assert first.label == "Sensitivity Fz per Fz, 106.2503 Hz"
     assert "from static: (−1.40 ± 0.22) %" in first.remark  # 1.972/2 - 1, and 1.96 of 4.9e-4 and 1e-3
 
 
-def test_sources_stand_side_by_side(evaluation: Evaluation) -> None:
+def test_sources_stand_side_by_side(evaluation):
     load, base = source_tables(evaluation)
     assert load.head == ("", "unit", "fused", "photogrammetry", "vibrometer", "accelerometer")
     assert base.head == ("", "unit", "fused")
     assert load.rows[3][4] == "–"
 
 
-def test_budget_is_sorted_and_its_shares_make_a_whole(evaluation: Evaluation) -> None:
+def test_budget_is_sorted_and_its_shares_make_a_whole(evaluation):
     table, load, motion = budget_tables(evaluation)
     assert table.rows[0][0] == "internal mass"
     assert table.rows[0][2:5] == (Markup("2 × 10<sup>−3</sup> kg"), "−0.13", "−0.13")
@@ -107,9 +121,8 @@ def test_budget_is_sorted_and_its_shares_make_a_whole(evaluation: Evaluation) ->
     assert "acceleration z of the load" in motion.caption
 
 
-def test_what_other_loads_explain(evaluation: Evaluation) -> None:
+def test_what_other_loads_explain(evaluation):
     table = other_loads_table(evaluation)
-    assert table is not None
     shares = {row[0]: row[1:] for row in table.rows}
     assert shares["Fz"][0] == "0"  # the static sensitivity of the factory is diagonal
     # Fx: 5.1e-7 V/V/N times 0.33 m/s² times 7.7 kg over an output of 3e-7 V/V: several times the whole output.
@@ -117,7 +130,7 @@ def test_what_other_loads_explain(evaluation: Evaluation) -> None:
     assert other_loads_table(dataclasses.replace(evaluation, load=None)) is None
 
 
-def test_weak_components_are_judged_by_their_region(evaluation: Evaluation) -> None:
+def test_weak_components_are_judged_by_their_region(evaluation):
     load = source_tables(evaluation)[0]
     weak = load.rows[5][2]  # rz: 0.06 - 0.02j rad/s² ± 0.4
     assert "not distinguishable from 0" in weak
@@ -127,7 +140,7 @@ def test_weak_components_are_judged_by_their_region(evaluation: Evaluation) -> N
     assert "k = 1.97" in strong
 
 
-def test_numbers_as_html() -> None:
+def test_numbers_as_html():
     assert short(9.97e-5) == Markup("1 × 10<sup>−4</sup>")
     assert short(-502.0) == Markup("−500")
     assert (degrees_of_freedom(999.6), degrees_of_freedom(1e5), degrees_of_freedom(np.inf)) == ("1000", "> 1000", "∞")
@@ -136,3 +149,186 @@ def test_numbers_as_html() -> None:
     assert measured(2.5, 0.0, "m/s^2") == Markup("2.5 m/s²")
     assert fixed(2.1e-10, 6.1e-11, -7) == Markup("0.00210 ± 0.00061")
     assert times_ten(0, "N.m") == Markup("N·m")
+
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+def test_every_figure_is_well_formed_and_asks_for_nothing_outside(evaluation):
+    pictures = [picture for group in draw_all(evaluation).values() for picture in group]
+    assert len({picture.name for picture in pictures}) == len(pictures) >= 13
+    for picture in pictures:
+        root = ElementTree.fromstring(picture.svg)
+        assert root.tag == f"{SVG}svg"
+        assert not list(root.iter(f"{SVG}text")), "text must be drawn as paths"
+        for image in root.iter(f"{SVG}image"):
+            assert image.attrib["{http://www.w3.org/1999/xlink}href"].startswith("data:image/png;base64,")
+        assert picture.title
+        assert picture.caption.endswith(".")
+
+
+def test_a_figure_is_the_same_each_time(evaluation):
+    clocks = evaluation.clocks
+    assert draw_trigger(clocks).svg == draw_trigger(clocks).svg
+
+
+def test_beat_curve_passes_through_the_fit_at_every_frame(evaluation):
+    stereo = evaluation.stereo[0]
+    assert np.allclose(beat_curve(stereo, stereo.time_s), stereo.fit.model(stereo.time_s), rtol=0, atol=1e-11)
+
+
+def test_beat_curve_is_slow(evaluation):
+    stereo = evaluation.stereo[0]
+    fine = np.linspace(stereo.time_s[0], stereo.time_s[-1], 4000)
+    z = beat_curve(stereo, fine)[:, 2]
+    crossings = np.count_nonzero(np.diff(np.sign(z)))
+    assert crossings == 4  # 106.25 Hz - 2 × 52.874 Hz = 0.502 Hz: two periods in 3.97 s
+
+
+def test_folded_curve_is_the_model_without_its_offset(evaluation):
+    stereo = evaluation.stereo[0]
+    frequency = main_frequency(stereo)
+    assert frequency == FREQUENCY_HZ[0]
+    phase = np.mod(stereo.time_s * frequency, 1.0)
+    model = stereo.fit.model(stereo.time_s) - stereo.fit.offset
+    # The factory's harmonics are 0.6 mHz off the multiples, 2e-5 periods per second.
+    assert np.allclose(folded_curve(stereo, frequency, phase)[:, 2], model[:, 2], rtol=0, atol=5e-9)
+
+
+def test_camera_rate_counts_missing_frames(tmp_path):
+    evaluation = make_evaluation(tmp_path, Choice(frames=100))
+    assert camera_rate_hz(evaluation.stereo[0]) == pytest.approx(52.874)
+
+
+def test_residual_spectrum_shows_the_amplitude_of_what_was_not_fitted(evaluation):
+    stereo = evaluation.stereo[0]
+    rate = camera_rate_hz(stereo)
+    bins = 40 * rate / len(stereo.time_s)
+    stereo.residual[:, 0] += 2e-6 * np.cos(2.0 * np.pi * bins * (stereo.time_s - stereo.time_s[0]))
+    frequency, amplitude = residual_spectrum(stereo)
+    peak = int(np.argmax(amplitude[:, 0]))
+    assert frequency[peak] == pytest.approx(bins)
+    assert amplitude[peak, 0] == pytest.approx(2e-6, rel=0.05)
+
+
+def test_thinning_keeps_peaks():
+    x = np.arange(1.0, 1001.0)
+    y = np.ones(1000)
+    y[512] = 9.0
+    few_x, few_y = thin_out(x, y, np.geomspace(1.0, 1001.0, 50))
+    assert len(few_x) < 60
+    assert few_y.max() == 9.0
+    assert few_x[np.argmax(few_y)] == 513.0
+    assert np.all(np.diff(few_x) > 0.0)
+
+
+def test_small_helpers():
+    assert padded(0.0, 10.0, 0.1) == (-1.0, 11.0)
+    assert padded(2.0, 2.0)[0] < 2.0 < padded(2.0, 2.0)[1]
+    assert power_text(-7) == "10⁻⁷"
+
+
+def test_recording_without_cameras_and_sensor_has_the_figures_it_can_have(tmp_path):
+    pictures = draw_all(make_evaluation(tmp_path, Choice(sensor=False, images=False)))
+    assert not pictures["sensitivity"]
+    assert not pictures["motion"]
+    assert not pictures["budget"]
+    assert pictures["channels"]
+
+
+RIGID = np.array([1e-7, 2e-7j, 2e-5, 0, 0, 0], dtype=complex)
+
+
+def shape_of(bend_m: float, seed: int = 0, axis: int = 2) -> DeflectionShape:
+    """A plate normal to `axis`, bent, with noise."""
+    rng = np.random.default_rng(seed)
+    first, second = np.meshgrid(np.linspace(-0.05, 0.05, 24), np.linspace(-0.03, 0.03, 14))
+    reference = np.zeros((first.size, 3))
+    across = [i for i in range(3) if i != axis]
+    reference[:, across[0]], reference[:, across[1]] = first.ravel(), second.ravel()
+    value = np.zeros((2, first.size, 3), dtype=complex)
+    value[1, :, axis] = bend_m * 1j * (first.ravel() / 0.05) ** 2
+    u = np.full(value.shape, 3e-8)
+    value += u * (rng.normal(size=value.shape) + 1j * rng.normal(size=value.shape))
+    return DeflectionShape(np.array([50.0, 106.25]), reference, value, u)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_bent_plate_is_drawn_from_any_side(axis):
+    picture = draw_deflection(shape_of(1e-6, axis=axis), 1, RIGID, "top", "load")
+    assert ElementTree.fromstring(picture.svg).tag.endswith("svg")
+    assert picture.name == "deflection-top"
+    assert "106.2500 Hz" in picture.caption
+    assert f"amplitude along {'xyz'[axis]}, out of the plane" in picture.caption
+    assert "translation along z" in picture.caption
+    assert picture.svg == draw_deflection(shape_of(1e-6, axis=axis), 1, RIGID, "top", "load").svg
+
+
+def test_noise_alone_is_above_its_level_at_one_point_in_twenty():
+    counts = []
+    for seed in range(6):
+        picture = draw_deflection(shape_of(0.0, seed), 0, RIGID, "top", "load")
+        counts.append(int(picture.caption.split("; ")[1].split(" of ")[0]))
+    assert np.mean(counts) / 336 == pytest.approx(0.05, abs=0.015)
+
+
+def test_points_without_a_phasor_are_left_out():
+    shape = shape_of(1e-6)
+    value = shape.value.copy()
+    value[:, :100] = np.nan
+    picture = draw_deflection(replace(shape, value=value), 1, RIGID, "top", "load")
+    assert " of 236 points" in picture.caption
+    value[:, 2:] = np.nan
+    assert draw_deflection(replace(shape, value=value), 1, RIGID, "top", "load") is None
+
+
+RATE_HZ, LINES_HZ, EXPOSURE_S = 52.874, np.array([106.25, 212.5]), 100e-6
+SIGMA_M = np.array([0.2, 0.2, 0.4]) * 1e-6
+BEND = 0.5e-6 * np.exp(0.7j)
+
+
+def bending_body(seed: int, bend: complex) -> tuple[np.ndarray, np.ndarray, Deformation]:
+    """Times, true saddle (N,), and the residuals of a plate that moves, rocks and bends at 106.25 Hz."""
+    rng = np.random.default_rng(seed)
+    time = 0.3 + np.arange(96) / RATE_HZ
+    x, y = np.meshgrid(np.linspace(-0.05, 0.05, 11), np.linspace(-0.05, 0.05, 11))
+    rest = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+    saddle = (rest[:, 0] ** 2 - rest[:, 1] ** 2) / 0.05**2
+    turn = np.exp(2j * np.pi * LINES_HZ[0] * time)
+    pose = (np.multiply.outer(turn, np.array([1e-6, 2e-6j, 2e-5, 1e-5, 2e-5j, 1e-6]))).real
+    gain = np.sinc(LINES_HZ[0] * EXPOSURE_S)
+    bent = rest + np.multiply.outer((gain * bend * turn).real, saddle)[..., None] * np.array([0, 0, 1.0])
+    moved = bent @ np.swapaxes(rotation_from_vector(pose[:, 3:]), 1, 2) + pose[:, None, :3]
+    moved += SIGMA_M * rng.normal(size=moved.shape)
+    covariance = np.broadcast_to(np.diag(SIGMA_M**2), (*moved.shape, 3))
+    points = Points(moved, covariance, np.zeros(moved.shape[:2]))
+    return time, saddle, deformation(points, fit_motion(points, None, np.zeros(3)))
+
+
+@pytest.mark.parametrize("bend", [0.0, BEND])
+def test_the_shape_comes_back_within_its_uncertainty(bend):
+    """Errors of real and imaginary parts over the stated uncertainty, of all points, directions and 4 series."""
+    ratios = []
+    for seed in range(4):
+        time, saddle, residual = bending_body(seed, bend)
+        shape = deflection_shape(time, LINES_HZ, residual, EXPOSURE_S)
+        truth = np.zeros_like(shape.value)
+        truth[0, :, 2] = bend * saddle
+        error = (shape.value - truth) / shape.u
+        ratios.append(np.stack([error.real, error.imag]))
+    assert np.mean(np.square(ratios)) == pytest.approx(1.0, abs=0.06)
+    if bend:
+        fitted = np.sum(shape.value[0, :, 2] * saddle) / np.sum(saddle**2)
+        u = shape.u[0, :, 2].mean() / np.sqrt(np.sum(saddle**2))
+        assert abs(fitted - bend) < 3.5 * u < 0.1 * abs(bend)
+
+
+def test_missing_frames_cost_nothing_but_their_share():
+    time, _, residual = bending_body(1, BEND)
+    residual.residual_m[::3, 5] = np.nan
+    residual.residual_m[:90, 6] = np.nan
+    shape = deflection_shape(time, LINES_HZ, residual, EXPOSURE_S)
+    assert np.isnan(shape.value[:, 6]).all()
+    assert np.isnan(shape.u[:, 6]).all()
+    assert shape.u[0, 5].mean() == pytest.approx(shape.u[0, 7].mean() * np.sqrt(96 / 64), rel=0.25)
+    assert np.isfinite(np.delete(shape.value, 6, axis=1)).all()

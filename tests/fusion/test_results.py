@@ -1,20 +1,25 @@
-"""The result files: columns, full precision, what has no row, whole or not at all, resumed, merged."""
+"""The result files: columns, full precision, whole or not at all, resumed, merged, read back to the last bit."""
 
 from __future__ import annotations
 
 import csv
 import dataclasses
+import hashlib
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 import pytest
-from evaluation_factory import ACCELERATION, Choice, make_evaluation
+from evaluation_factory import ACCELERATION, STATIC, Choice, make_evaluation
 
 from fusion.base import InputError
+from fusion.campaign.repeats import drives_of
+from fusion.estimation.uncertainty import Influence, Uncertainty
+from fusion.report import recording as results
 from fusion.report.csv_files import merge_tables
-from fusion.report.provenance import is_current
-from fusion.report.recording import recording as results
+from fusion.report.h5 import read_drives, read_recorded
+from fusion.report.provenance import check_folder, hash_files, is_current, read_provenance, sha256, versions
 from fusion.report.recording import write_results
 from fusion.sensitivity.analyse import Evaluation
 
@@ -54,7 +59,7 @@ def rows(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(stream))
 
 
-def test_exactly_the_files_of_the_format(folder: Path) -> None:
+def test_exactly_the_files_of_the_format(folder):
     names = {path.name for path in folder.iterdir()}
     wanted = {"sensitivity.csv", "acceleration.csv", "load.csv", "motion-top.csv", "motion-base.csv"}
     assert names == wanted | {"result.h5", "report.html"}
@@ -70,7 +75,7 @@ def test_exactly_the_files_of_the_format(folder: Path) -> None:
         ("motion-top.csv", MOTION),
     ],
 )
-def test_columns_and_cells(folder: Path, name: str, header: str) -> None:
+def test_columns_and_cells(folder, name, header):
     text = (folder / name).read_text(encoding="utf-8")
     assert text.splitlines()[0] == header
     assert "\r" not in text
@@ -79,7 +84,7 @@ def test_columns_and_cells(folder: Path, name: str, header: str) -> None:
         assert row.get("unit", "").isascii()
 
 
-def test_phasors_are_read_back_to_the_last_bit(folder: Path, evaluation: Evaluation) -> None:
+def test_phasors_are_read_back_to_the_last_bit(folder, evaluation):
     fused = evaluation.accelerations[0].phasors
     found = [row for row in rows(folder / "acceleration.csv") if (row["body"], row["source"]) == ("load", "fused")]
     value = np.array([float(row["re"]) + 1j * float(row["im"]) for row in found]).reshape(3, 6)
@@ -94,7 +99,7 @@ def test_phasors_are_read_back_to_the_last_bit(folder: Path, evaluation: Evaluat
     assert float(first["dof"]) == pytest.approx(204.0)
 
 
-def test_only_what_a_source_determines_has_rows(folder: Path) -> None:
+def test_only_what_a_source_determines_has_rows(folder):
     found = rows(folder / "acceleration.csv")
     laser = [row for row in found if row["source"] == "vibrometer"]
     assert {row["component"] for row in laser} == {"z"}
@@ -104,7 +109,7 @@ def test_only_what_a_source_determines_has_rows(folder: Path) -> None:
     }
 
 
-def test_sensitivity_rows(folder: Path) -> None:
+def test_sensitivity_rows(folder):
     found = rows(folder / "sensitivity.csv")
     assert {row["unit"] for row in found} == {"(V/V)/N"}
     assert [row["kind"] for row in found] == ["ratio"] * 6 + ["harmonic"] * 12
@@ -113,7 +118,7 @@ def test_sensitivity_rows(folder: Path) -> None:
     assert all(-np.pi < float(row["phase_rad"]) <= np.pi for row in found)
 
 
-def test_failed_frame_keeps_its_row(folder: Path) -> None:
+def test_failed_frame_keeps_its_row(folder):
     found = rows(folder / "motion-top.csv")
     failed = found[57]
     assert len(found) == 62
@@ -124,7 +129,7 @@ def test_failed_frame_keeps_its_row(folder: Path) -> None:
     assert found[1]["points"] == "437"
 
 
-def test_result_file_holds_everything(folder: Path, evaluation: Evaluation) -> None:
+def test_result_file_holds_everything(folder, evaluation):
     with h5py.File(folder / "result.h5") as file:
         fused = file["accelerations/load-fused"]
         assert np.array_equal(fused["phasors/value"][()], evaluation.accelerations[0].phasors.value)
@@ -144,9 +149,7 @@ def test_result_file_holds_everything(folder: Path, evaluation: Evaluation) -> N
         assert file["provenance/versions"].attrs["numpy"] == "2.0"
 
 
-def test_results_answer_for_the_same_input_only(
-    folder: Path, evaluation: Evaluation, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_results_answer_for_the_same_input_only(folder, evaluation, monkeypatch):
     hashes, settings = evaluation.input_hashes, evaluation.settings
     assert is_current(folder, hashes, settings)
     assert not is_current(folder, {**hashes, "rig.toml": "00" * 32}, settings)
@@ -157,14 +160,14 @@ def test_results_answer_for_the_same_input_only(
 
 
 @pytest.mark.usefixtures("quick")
-def test_incomplete_folder_is_not_current(evaluation: Evaluation, tmp_path: Path) -> None:
+def test_incomplete_folder_is_not_current(evaluation, tmp_path):
     write_results(evaluation, tmp_path / "results")
     (tmp_path / "results" / "load.csv").unlink()
     assert not is_current(tmp_path / "results", evaluation.input_hashes, evaluation.settings)
 
 
 @pytest.mark.usefixtures("quick")
-def test_other_peoples_files_are_refused_and_survive_force(evaluation: Evaluation, tmp_path: Path) -> None:
+def test_other_peoples_files_are_refused_and_survive_force(evaluation, tmp_path):
     (tmp_path / "notes.txt").write_text("mine", encoding="utf-8")
     with pytest.raises(InputError):
         write_results(evaluation, tmp_path)
@@ -175,7 +178,7 @@ def test_other_peoples_files_are_refused_and_survive_force(evaluation: Evaluatio
 
 
 @pytest.mark.usefixtures("quick")
-def test_results_of_other_input_are_refused_and_replaced_by_force(evaluation: Evaluation, tmp_path: Path) -> None:
+def test_results_of_other_input_are_refused_and_replaced_by_force(evaluation, tmp_path):
     out = tmp_path / "results"
     write_results(evaluation, out)
     (out / "motion-mine.csv").write_text("not a result of the program", encoding="utf-8")
@@ -189,9 +192,7 @@ def test_results_of_other_input_are_refused_and_replaced_by_force(evaluation: Ev
 
 
 @pytest.mark.parametrize("existing", [False, True])
-def test_a_failure_leaves_everything_as_it_was(
-    evaluation: Evaluation, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, existing: bool
-) -> None:
+def test_a_failure_leaves_everything_as_it_was(evaluation, tmp_path, monkeypatch, existing):
     out = tmp_path / "results"
     monkeypatch.setattr(results, "render_report", lambda _: "<!doctype html>\n")
     if existing:
@@ -209,7 +210,7 @@ def test_a_failure_leaves_everything_as_it_was(
 
 
 @pytest.mark.usefixtures("quick")
-def test_rewriting_gives_the_same_tables(evaluation: Evaluation, tmp_path: Path) -> None:
+def test_rewriting_gives_the_same_tables(evaluation, tmp_path):
     written = write_results(evaluation, tmp_path / "results")
     before = {path.name: path.read_bytes() for path in written if path.suffix == ".csv"}
     write_results(evaluation, tmp_path / "results")
@@ -217,7 +218,7 @@ def test_rewriting_gives_the_same_tables(evaluation: Evaluation, tmp_path: Path)
 
 
 @pytest.mark.usefixtures("quick")
-def test_recording_without_sensor_and_cameras(tmp_path: Path) -> None:
+def test_recording_without_sensor_and_cameras(tmp_path):
     bare = make_evaluation(tmp_path, Choice(sensor=False, images=False))
     written = write_results(bare, tmp_path / "results")
     assert (tmp_path / "results" / "sensitivity.csv").read_text(encoding="utf-8") == SENSITIVITY + "\n"
@@ -231,7 +232,7 @@ def test_recording_without_sensor_and_cameras(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("quick")
-def test_campaign_tables_are_the_recordings_rows_in_order(tmp_path: Path) -> None:
+def test_campaign_tables_are_the_recordings_rows_in_order(tmp_path):
     folders = []
     for name in ("Fz, first", 'Fz "second"'):
         folders.append(tmp_path / str(len(folders)))
@@ -245,12 +246,139 @@ def test_campaign_tables_are_the_recordings_rows_in_order(tmp_path: Path) -> Non
     assert rows(tmp_path / "load.csv")[-1]["recording"] == 'Fz "second"'
 
 
-def test_campaign_refuses_a_table_of_another_format(tmp_path: Path) -> None:
+def test_campaign_refuses_a_table_of_another_format(tmp_path):
     (tmp_path / "load.csv").write_text("a,b\n1,2\n", encoding="utf-8")
     with pytest.raises(ValueError, match=r"load\.csv: expected the columns"):
         merge_tables([tmp_path])
 
 
-def test_true_acceleration_lies_within_its_uncertainty(folder: Path) -> None:
+def test_true_acceleration_lies_within_its_uncertainty(folder):
     driven = next(row for row in rows(folder / "acceleration.csv") if row["component"] == "z")
     assert abs(float(driven["amplitude"]) - abs(ACCELERATION[0, 2])) < 4.0 * float(driven["u_amplitude"])
+
+
+@pytest.fixture
+def write(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
+    """Return a function that writes an evaluation without figures and returns the folder."""
+    monkeypatch.setattr(results, "render_report", lambda _: "<!doctype html>\n")
+
+    def written(evaluation: Evaluation) -> Path:
+        write_results(evaluation, tmp_path / "out")
+        return tmp_path / "out"
+
+    return written
+
+
+def identical(first: Any, second: Any) -> bool:
+    """Whether two trees of data classes hold the same types, texts and bits."""
+    if isinstance(first, np.ndarray):
+        return first.dtype == second.dtype and first.shape == second.shape and first.tobytes() == second.tobytes()
+    if dataclasses.is_dataclass(first):
+        names = [field.name for field in dataclasses.fields(first)]
+        return type(first) is type(second) and all(identical(getattr(first, n), getattr(second, n)) for n in names)
+    if isinstance(first, tuple):
+        return len(first) == len(second) and all(map(identical, first, second))
+    return type(first) is type(second) and first == second
+
+
+def with_clock(item: Any, seed: int) -> Any:
+    """Load or outputs with two unknowns, one of which both have."""
+    lines, size = item.uncertainty.random[0].covariance.shape[:2]
+    effect = np.random.default_rng(seed).standard_normal((2, lines, size))
+    shared = Influence("clock bridge: time", "clock", 1e-7, "s", effect[0], "recording")
+    own = Influence(f"scale {seed}", "scale", 2.5e-4, "1", effect[1], "rig")
+    return dataclasses.replace(item, uncertainty=Uncertainty(item.uncertainty.random, (shared, own)))
+
+
+def test_drives_are_read_back_to_the_last_bit(write, tmp_path):
+    plain = make_evaluation(tmp_path, Choice(frames=24, images=False, mounting="second"))
+    evaluation = dataclasses.replace(plain, load=with_clock(plain.load, 1), outputs=with_clock(plain.outputs, 2))
+    drives = drives_of(evaluation)
+    assert [drive.mounting for drive in drives] == ["second"]
+    assert [influence.name for influence in drives[0].outputs_uncertainty.influences] == [
+        "clock bridge: time",
+        "scale 2",
+    ]
+    assert identical(drives, read_drives(write(evaluation)))
+
+
+def test_sensor_excitation_and_notices_are_read_back(write, tmp_path):
+    evaluation = make_evaluation(tmp_path, Choice(frames=24, images=False))
+    found = read_recorded(write(evaluation))
+    assert (found.folder, found.name, found.mounting, found.kind) == ("out", "Fz 106.25 Hz", "1", "sine")
+    assert (found.direction, found.frequencies) == ((0.0, 0.0, 1.0), (106.25,))
+    assert np.array_equal(np.asarray(found.sensor.static), STATIC)
+    assert (found.sensor.serial, found.sensor.unit, found.sensor.u_static) == ("0815", "V/V", 1e-3)
+    assert [notice.severity for notice in found.notices] == [notice.severity for notice in evaluation.notices]
+    assert found.origin.input_hashes == evaluation.input_hashes
+
+
+def test_a_recording_without_sensor_has_no_drives(write, tmp_path):
+    found = read_recorded(write(make_evaluation(tmp_path, Choice(sensor=False, images=False))))
+    assert found.sensor is None
+    assert found.drives == ()
+
+
+def test_a_recording_without_notices(write, tmp_path):
+    bare = dataclasses.replace(make_evaluation(tmp_path, Choice(images=False)), notices=())
+    assert read_recorded(write(bare)).notices == ()
+
+
+def test_results_of_another_format_are_refused(write, tmp_path):
+    folder = write(make_evaluation(tmp_path, Choice(sensor=False, images=False)))
+    with h5py.File(folder / "result.h5", "r+") as file:
+        file.attrs["format"] = 1
+    with pytest.raises(InputError, match="--force evaluates the recording anew"):
+        read_recorded(folder)
+    with pytest.raises(InputError, match="no results"):
+        read_recorded(tmp_path)
+
+
+def test_hash_is_that_of_the_whole_file(tmp_path):
+    content = bytes(range(256)) * 9000
+    path = tmp_path / "big.bin"
+    path.write_bytes(content)
+    assert len(content) > 2 << 20
+    assert sha256(path) == hashlib.sha256(content).hexdigest()
+
+
+def test_published_hash_of_abc(tmp_path):
+    path = tmp_path / "abc"
+    path.write_bytes(b"abc")
+    assert sha256(path) == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"  # FIPS 180-4 example
+
+
+def test_files_are_named_from_the_root_and_sorted(tmp_path):
+    root = tmp_path / "campaign"
+    (root / "b").mkdir(parents=True)
+    paths = [root / "rig.toml", root / "b" / "x.tif", tmp_path / "elsewhere.h5"]
+    for path in paths:
+        path.write_bytes(path.name.encode())
+    hashes = hash_files([*paths, paths[0]], root)
+    assert list(hashes) == sorted(["rig.toml", "b/x.tif", paths[2].resolve().as_posix()])
+
+
+def test_versions_name_the_program_and_only_what_was_imported():
+    found = versions()
+    assert {"shakercal", "python", "platform", "numpy", "h5py"} <= set(found)
+    assert "pyarrow" not in found
+
+
+def test_folder_rules(tmp_path):
+    check_folder(tmp_path / "absent", {}, force=False)
+    check_folder(tmp_path, {}, force=False)
+    (tmp_path / "thesis.txt").write_text("mine")
+    with pytest.raises(InputError, match="--force"):
+        check_folder(tmp_path, {}, force=False)
+    check_folder(tmp_path, {}, force=True)
+    with pytest.raises(InputError, match="a folder"):
+        check_folder(tmp_path / "thesis.txt", {}, force=True)
+
+
+def test_a_foreign_or_broken_result_file_is_no_provenance(tmp_path):
+    path = tmp_path / "result.h5"
+    path.write_bytes(b"not HDF5")
+    assert read_provenance(tmp_path) is None
+    with h5py.File(path, "w") as file:
+        file["data"] = 1.0
+    assert read_provenance(tmp_path) is None

@@ -1,4 +1,4 @@
-"""`shakercal rotate` end to end: simulated tests against their truth, published amplitudes, files."""
+"""`shakercal rotate`: simulated tests against their truth, published amplitudes, files, and wrong input."""
 
 from __future__ import annotations
 
@@ -16,8 +16,10 @@ import pytest
 from fusion.base import InputError
 from fusion.cli import main
 from fusion.recording.load import load_manifest
+from fusion.sensor.rotate.evaluate import evaluate_rotation
 from fusion.sensor.rotate.readings import JOINT, RotationEvaluation
-from fusion.sensor.rotate.run import evaluate_rotation, run_rotate
+from fusion.sensor.rotate.report import run_rotate
+from fusion.simulate import simulate_rotation
 from fusion.simulate.statics import BARE, LOADED, write_rotation
 
 ANGLES = np.arange(0.0, 360.0, 22.5)
@@ -103,7 +105,7 @@ def _paper(folder: Path) -> Path:
     return folder
 
 
-def test_simulated_masses_come_back_within_u(simulated: Path) -> None:
+def test_simulated_masses_come_back_within_u(simulated):
     evaluation = _evaluated(simulated)
     truth = json.loads((simulated / LOADED / "truth.json").read_text())
     true = {("internal_mass", part): truth["internal_mass_kg"] for part in (JOINT, "Fx", "Fy")}
@@ -113,17 +115,15 @@ def test_simulated_masses_come_back_within_u(simulated: Path) -> None:
         true["load_centre_of_mass", axis] = truth["load_centre_m"][i]
     for key, value in true.items():
         found = evaluation.find(*key)
-        assert found is not None
         assert abs(found.value - value) < 1.5 * found.expanded, key
     joint = evaluation.find("load_mass")
-    assert joint is not None
     assert joint.u / joint.value == pytest.approx(5e-4 / np.sqrt(2.0), rel=0.05)
     assert max(joint.budget, key=lambda name: joint.budget[name]) == "calibration matrix"
     assert joint.u == pytest.approx(np.linalg.norm(list(joint.budget.values())))
     assert set(joint.budget) >= {"local gravity", "air density", f"noise of {BARE}", f"noise of {LOADED}"}
 
 
-def test_published_amplitudes_give_the_published_table(tmp_path: Path) -> None:
+def test_published_amplitudes_give_the_published_table(tmp_path):
     evaluation = _evaluated(_paper(tmp_path))
     value = {(q.name, q.component): q.value for q in evaluation.quantities}
     assert [round(value["weight", part], 3) for part in ("Fx", "Fy")] == [75.877, 75.736]
@@ -138,7 +138,7 @@ def test_published_amplitudes_give_the_published_table(tmp_path: Path) -> None:
     assert evaluation.find("internal_centre_of_mass", "x") is None
 
 
-def test_buoyancy_adds_the_air_that_is_displaced(tmp_path: Path) -> None:
+def test_buoyancy_adds_the_air_that_is_displaced(tmp_path):
     folder = _paper(tmp_path)
     before = _evaluated(folder)
     _change(folder / "rig.toml", "density = 1e9", "density = 2700.0")
@@ -146,12 +146,10 @@ def test_buoyancy_adds_the_air_that_is_displaced(tmp_path: Path) -> None:
     after = _evaluated(folder)
     for name, share in (("load_mass", 1.2 / 2700.0), ("internal_mass", 0.6 * (1.0 / 8000.0 + 1.0 / 2700.0))):
         vacuum, air = before.find(name), after.find(name)
-        assert vacuum is not None
-        assert air is not None
         assert air.value / vacuum.value == pytest.approx(1.0 / (1.0 - share), rel=1e-6)
 
 
-def test_a_head_that_was_set_anew_does_not_matter(tmp_path: Path) -> None:
+def test_a_head_that_was_set_anew_does_not_matter(tmp_path):
     folder = _paper(tmp_path)
     before = _evaluated(folder).find("load_mass")
     text = (folder / LOADED / "readings.csv").read_text()
@@ -160,26 +158,22 @@ def test_a_head_that_was_set_anew_does_not_matter(tmp_path: Path) -> None:
     (folder / LOADED / "readings.csv").write_text("\n".join([head, *moved]))
     after = _evaluated(folder)
     found = after.find("load_mass")
-    assert before is not None
-    assert found is not None
     assert found.value == pytest.approx(before.value, rel=1e-7)
     assert "lies -33.0° from its stated direction" in _notices(after)
 
 
-def test_one_recording_tells_what_it_can(simulated: Path) -> None:
+def test_one_recording_tells_what_it_can(simulated):
     bare, loaded = _evaluated(simulated, BARE), _evaluated(simulated, LOADED)
     assert bare.find("internal_mass") is not None
     assert bare.find("load_mass") is None
     assert "internal mass only" in _notices(bare)
     assert "what the weighed load leaves" in _notices(loaded)
     difference, alone = loaded.find("internal_mass"), bare.find("internal_mass")
-    assert difference is not None
-    assert alone is not None
     assert difference.u > 5.0 * alone.u  # the calibration's scale acts on the whole weight
     assert abs(difference.value - alone.value) < 2.0 * difference.expanded
 
 
-def test_a_part_on_one_recording_is_taken_off_there(campaign: Path) -> None:
+def test_a_part_on_one_recording_is_taken_off_there(campaign):
     before = _evaluated(campaign).find("internal_mass")
     part = (
         '\n[[part]]\nname = "plate"\nbody = "load"\nmass = 0.1\ndensity = 7900.0\ncentre_of_mass = [0.0, 0.0, 0.02]\n'
@@ -188,56 +182,47 @@ def test_a_part_on_one_recording_is_taken_off_there(campaign: Path) -> None:
     path.write_text(path.read_text() + part)
     evaluation = _evaluated(campaign)
     after = evaluation.find("internal_mass")
-    assert before is not None
-    assert after is not None
     assert before.value - after.value == pytest.approx(0.1, rel=1e-3)
     load = evaluation.find("load_mass")
-    assert load is not None
     assert load.value == pytest.approx(6.96 + 0.1, abs=0.01)
 
 
-def test_repeats_are_averaged(campaign: Path) -> None:
+def test_repeats_are_averaged(campaign):
     shutil.copytree(campaign / BARE, campaign / "without-again")
     evaluation = _evaluated(campaign, BARE, "without-again", LOADED)
     once = _evaluated(campaign)
     again, first = evaluation.find("internal_mass"), once.find("internal_mass")
-    assert again is not None
-    assert first is not None
     assert again.value == pytest.approx(first.value, rel=1e-4)
     assert again.budget[f"noise of {BARE}"] < 0.6 * first.budget[f"noise of {BARE}"]
     assert again.budget["calibration matrix"] == pytest.approx(first.budget["calibration matrix"], rel=0.01)
 
 
-def test_reversed_sense_of_the_sensor_is_told_and_does_no_harm(campaign: Path) -> None:
+def test_reversed_sense_of_the_sensor_is_told_and_does_no_harm(campaign):
     before = _evaluated(campaign)
     _change(campaign / "rig.toml", 'sense = "on_sensor"', 'sense = "on_load"')
     after = _evaluated(campaign)
     assert "sense of the sensor or zero_gravity may be the wrong way round" in _notices(after)
     for name, component in (("load_mass", JOINT), ("load_centre_of_mass", "z")):
         one, other = before.find(name, component), after.find(name, component)
-        assert one is not None
-        assert other is not None
         assert other.value == pytest.approx(one.value, rel=1e-6)
 
 
-def test_a_load_that_weighs_something_else_is_told(campaign: Path) -> None:
+def test_a_load_that_weighs_something_else_is_told(campaign):
     _change(campaign / "rig.toml", "mass = 6.9605", "mass = 6.9405")
     assert "the load mass by joint and the weighed mass differ by" in _notices(_evaluated(campaign))
 
 
-def test_scale_replaces_the_unit_of_a_column(campaign: Path) -> None:
+def test_scale_replaces_the_unit_of_a_column(campaign):
     before = _evaluated(campaign).find("load_mass")
     for name in (BARE, LOADED):
         table = campaign / name / "readings.csv"
         table.write_text(table.read_text().replace(" [mV/V]", ""))
         _change(campaign / name / "recording.toml", "with_load", "scale = 1e-3\nwith_load")
     after = _evaluated(campaign).find("load_mass")
-    assert before is not None
-    assert after is not None
     assert after.value == before.value
 
 
-def test_files_of_a_run(campaign: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_files_of_a_run(campaign, capsys):
     assert main(["rotate", str(campaign)]) == 0
     told = capsys.readouterr().out
     assert re.search(r"^internal mass: joint \(0\.76\d* ± 0\.000\d+\) kg", told, re.MULTILINE)
@@ -263,14 +248,14 @@ def test_files_of_a_run(campaign: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert page.count("<figure") == 5
 
 
-def test_the_example_of_the_documentation_is_the_simulated_recording(simulated: Path) -> None:
+def test_the_example_of_the_documentation_is_the_simulated_recording(simulated):
     text = (Path(__file__).resolve().parents[2] / "docs" / "rotation.md").read_text(encoding="utf-8")
     (example,) = re.findall(r"^```toml\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
     written = tomllib.loads((simulated / LOADED / "recording.toml").read_text(encoding="utf-8"))
     assert tomllib.loads(example)["excitation"] == written["excitation"]
 
 
-def test_other_commands_name_this_one(campaign: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_other_commands_name_this_one(campaign, capsys):
     assert main(["check", str(campaign / BARE)]) == 0
     told = capsys.readouterr().out
     assert "excitation: rotation without load" in told
@@ -282,7 +267,7 @@ def test_other_commands_name_this_one(campaign: Path, capsys: pytest.CaptureFixt
 
 
 @pytest.mark.usefixtures("no_page")
-def test_results_of_the_same_input_are_replaced_and_others_refused(campaign: Path) -> None:
+def test_results_of_the_same_input_are_replaced_and_others_refused(campaign):
     run_rotate([campaign], None)
     first = (campaign / "rotate" / "rotation.csv").read_bytes()
     run_rotate([campaign], None)
@@ -295,7 +280,7 @@ def test_results_of_the_same_input_are_replaced_and_others_refused(campaign: Pat
 
 
 @pytest.mark.usefixtures("no_page")
-def test_where_results_stand(campaign: Path, tmp_path: Path) -> None:
+def test_where_results_stand(campaign, tmp_path):
     run_rotate([campaign / BARE], None)
     assert (campaign / BARE / "rotate" / "rotation.csv").is_file()
     run_rotate([campaign / LOADED, campaign / BARE], None)
@@ -305,7 +290,7 @@ def test_where_results_stand(campaign: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("no_page")
-def test_other_kinds_of_a_campaign_are_left_out(campaign: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_other_kinds_of_a_campaign_are_left_out(campaign, caplog):
     (campaign / "chirp").mkdir()
     text = 'format = 1\nname = "x"\nrig = "../rig.toml"\n[excitation]\nkind = "noise"\ndirection = [0, 0, 1]\n'
     daq = '[[daq]]\nname = "d"\nfile = "d.h5"\n[[daq.channel]]\nname = "a"\nquantity = "voltage"\n'
@@ -315,3 +300,123 @@ def test_other_kinds_of_a_campaign_are_left_out(campaign: Path, caplog: pytest.L
         run_rotate([campaign], None)
     assert "left out, since their kind is not rotation: chirp" in caplog.text
     assert (campaign / "rotate" / "rotation.csv").is_file()
+
+
+RIG, RECORDING, TABLE = "rig.toml", f"{BARE}/recording.toml", f"{BARE}/readings.csv"
+CASES = [
+    (RIG, "latitude = 52.296\n", "", "environment.gravity", "local gravity, or latitude and height"),
+    (RIG, "height = 79.0\n", "", "environment.height", "the height above the sea"),
+    (RIG, "latitude = 52.296", "latitude = 152.0", "environment.latitude", "at most 90"),
+    (RIG, "height = 79.0", "height = 79.0\nhumidity = 45.0", "environment.humidity", "at most 1"),
+    (RIG, "height = 79.0", "height = 79.0\npressure = 1013.25", "environment.pressure", "at least 30000"),
+    (RECORDING, 'angle_unit = "deg"', 'angle_unit = "rad"', "excitation.angle_unit", "the unit of the column angle"),
+    (RECORDING, "axis = [0.0, 0.0, 1.0]", "axis = [0.0, 0.0, -1.0]", "excitation.axis", "reverse the axis"),
+    (RECORDING, "axis = [0.0, 0.0, 1.0]", "axis = [0.0, 1.0, 0.0]", "excitation.axis", "one across gravity"),
+    (RECORDING, "with_load = false\n", "", "excitation.with_load", "required for kind"),
+    (RECORDING, "with_load = false", "with_load = false\nscale = 0", "excitation.scale", "a number other than 0"),
+    (RECORDING, 'file = "readings.csv"', 'file = "no.csv"', "excitation.file", "an existing file"),
+    (TABLE, "angle [deg]", "theta", "angle", "a column of this name"),
+    (TABLE, "Fx [mV/V]", "Fx [kN]", "Fx", 'expected "V/V"'),
+    (TABLE, "Fx [mV/V]", "Fx [N]", "Fy", "N or N.m as of Fx"),
+    (
+        TABLE,
+        "Fx [mV/V],Fy [mV/V],Fz [mV/V],Mx [mV/V],My [mV/V],Mz [mV/V]",
+        "a,b,c,d,e,f",
+        None,
+        "columns of the sensor",
+    ),
+    (TABLE, "\n22.5,", "\n22.5,nan,0,0,0,0,0\n22.5,", "Fx", "a number in every row"),
+    (TABLE, "\n22.5,", "\ntwenty,", None, "expected numbers"),
+]
+
+
+@pytest.fixture(scope="module")
+def spoilt_campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A simulated rotation test, mended after every case."""
+    folder = tmp_path_factory.mktemp("input") / "spoilt_campaign"
+    simulate_rotation(folder, 2)
+    return folder
+
+
+@pytest.mark.parametrize(("file", "old", "new", "key", "expected"), CASES)
+def test_a_mistake_is_one_sentence(spoilt_campaign, file, old, new, key, expected, capsys):
+    path = spoilt_campaign / file
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new), encoding="utf-8")
+    try:
+        status = main(["rotate", "-q", str(spoilt_campaign)])
+    finally:
+        path.write_text(text, encoding="utf-8")
+    told = capsys.readouterr().err
+    assert status == 2
+    assert len(told.strip().splitlines()) == 1
+    assert Path(file).name in told
+    assert expected in told
+    assert key is None or re.search(rf"{re.escape(key)}: ", told)
+    assert not (spoilt_campaign / "rotate").exists()
+
+
+def test_other_recordings_are_refused(spoilt_campaign, tmp_path, capsys):
+    simulate_rotation(tmp_path / "other", 2)
+    assert main(["rotate", str(spoilt_campaign / BARE), str(tmp_path / "other" / LOADED)]) == 2
+    assert "the rig of without-load" in capsys.readouterr().err
+    (tmp_path / "rig.toml").write_text('format = 1\nname = "no sensor"\n')
+    text = (spoilt_campaign / RECORDING).read_text().replace("../rig.toml", "rig.toml")
+    (tmp_path / "recording.toml").write_text(text)
+    (tmp_path / "readings.csv").write_bytes((spoilt_campaign / TABLE).read_bytes())
+    assert main(["rotate", str(tmp_path / "recording.toml")]) == 2
+    assert "environment.gravity" in capsys.readouterr().err
+    (tmp_path / "rig.toml").write_text('format = 1\nname = "no sensor"\n[environment]\ngravity = [0, 0, -9.81]\n')
+    assert main(["rotate", str(tmp_path / "recording.toml")]) == 2
+    assert "rig.toml: sensor: expected the [sensor]" in capsys.readouterr().err
+
+
+def test_outputs_without_a_matrix_are_refused(spoilt_campaign, capsys):
+    path = spoilt_campaign / RIG
+    text = path.read_text(encoding="utf-8")
+    lines = [line for line in text.splitlines() if not line.startswith("static_sensitivity ")]
+    path.write_text("\n".join(lines), encoding="utf-8")
+    try:
+        assert main(["rotate", str(spoilt_campaign)]) == 2
+    finally:
+        path.write_text(text, encoding="utf-8")
+    assert (
+        "sensor.static_sensitivity: expected the sensitivities that turn outputs into loads" in capsys.readouterr().err
+    )
+
+
+def test_recordings_with_other_channels_are_refused(spoilt_campaign, capsys):
+    path = spoilt_campaign / TABLE
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace("Mz [mV/V]", "remark"), encoding="utf-8")
+    try:
+        assert main(["rotate", str(spoilt_campaign)]) == 2
+    finally:
+        path.write_text(text, encoding="utf-8")
+    assert "the channels of without-load" in capsys.readouterr().err
+
+
+def test_a_channel_that_stands_still_or_is_missing_is_left_out(spoilt_campaign, monkeypatch, capsys):
+    monkeypatch.setattr("fusion.sensor.rotate.run.render_rotation_page", lambda _: "")
+    before = {name: (spoilt_campaign / name / "readings.csv").read_text() for name in (BARE, LOADED)}
+    try:
+        for name, text in before.items():
+            lines = text.replace("Fz [mV/V]", "remark").splitlines()
+            rows = [re.sub(r",[^,]*$", ",0", row) if i else row for i, row in enumerate(lines)]
+            (spoilt_campaign / name / "readings.csv").write_text("\n".join(rows))
+        assert main(["rotate", str(spoilt_campaign), "-o", str(spoilt_campaign / "still")]) == 0
+    finally:
+        for name, text in before.items():
+            (spoilt_campaign / name / "readings.csv").write_text(text)
+    told = capsys.readouterr().err
+    assert "Mz: every reading is the same, left out" in told
+    assert "without-load: readings.csv has no column of Fz" in told
+
+
+def test_the_same_seed_gives_the_same_test(tmp_path):
+    for name in ("one", "two"):
+        assert main(["simulate", str(tmp_path / name), "--preset", "rotation", "--seed", "5"]) == 0
+    for path in (tmp_path / "one").rglob("*.*"):
+        assert path.read_bytes() == (tmp_path / "two" / path.relative_to(tmp_path / "one")).read_bytes()
+    assert main(["simulate", str(tmp_path / "one"), "--preset", "rotation", "--force"]) == 0

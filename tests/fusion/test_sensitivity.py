@@ -1,21 +1,23 @@
-"""Load and ratio against a simulated experiment: closed forms, perturbed inputs, Monte Carlo coverage."""
+"""Load and ratio against closed forms, perturbed inputs, Monte Carlo, and the GUM Tree Calculator."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
 
+import GTC
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from fusion.estimation.consistency import Acceleration
-from fusion.estimation.measurement_model import ChainUncertainty, Reading
-from fusion.estimation.uncertainty import Contribution, Uncertainty
+from fusion.estimation.fuse import Acceleration
+from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty
+from fusion.instruments.channel import ChainUncertainty, Reading
+from fusion.instruments.output import Outputs, output_phasors
 from fusion.sensitivity.body import Body, make_part
-from fusion.sensitivity.load import load_phasors, output_phasors
-from fusion.sensitivity.ratio import Sensitivity, driven_component, sensitivity_ratio
+from fusion.sensitivity.load import LoadResult, load_phasors
+from fusion.sensitivity.ratio import Sensitivity, driven_component, other_loads, sensitivity_ratio
 from shaker.sine.phasor import Phasors
 
 FREQUENCY = np.array([106.25, 212.5])
@@ -62,7 +64,7 @@ def ratio(outputs: list[Reading], source: Acceleration, body: Body = BODY) -> Se
     )
 
 
-def test_force_of_a_centred_mass_is_mass_times_acceleration() -> None:
+def test_force_of_a_centred_mass_is_mass_times_acceleration():
     body = Body((make_part("load", 7.0, np.zeros(3), np.diag([1.0, 2.0, 3.0])),))
     load = load_phasors(acceleration(), body)
     np.testing.assert_allclose(load.phasors.value[:, :3], 7.0 * MOTION[:, :3])
@@ -72,7 +74,7 @@ def test_force_of_a_centred_mass_is_mass_times_acceleration() -> None:
     np.testing.assert_allclose(reverse.phasors.value, -load.phasors.value)
 
 
-def test_gravity_tilt_pulls_a_tilted_mass_sideways() -> None:
+def test_gravity_tilt_pulls_a_tilted_mass_sideways():
     # The weight of a body tilted by theta, in its own axes: F = m theta × g beyond the weight at rest.
     body = Body((make_part("load", 7.0, np.zeros(3), np.zeros((3, 3))),))
     motion = np.zeros((2, 6), complex)
@@ -82,7 +84,7 @@ def test_gravity_tilt_pulls_a_tilted_mass_sideways() -> None:
     np.testing.assert_allclose(load.phasors.value[:, 0], 7.0 * tilt * GRAVITY[2])
 
 
-def test_parameter_contributions_are_the_change_of_the_load() -> None:
+def test_parameter_contributions_are_the_change_of_the_load():
     source = acceleration(sigma=0.0)
     load = load_phasors(source, BODY, GRAVITY)
     labels = {entry.label: entry for entry in load.contributions}
@@ -96,7 +98,7 @@ def test_parameter_contributions_are_the_change_of_the_load() -> None:
     np.testing.assert_allclose(total, load.phasors.covariance)
 
 
-def test_unobserved_motion_is_bounded_or_refused() -> None:
+def test_unobserved_motion_is_bounded_or_refused():
     only_z = np.array([False, False, True, False, False, False])
     centred = Body((make_part("load", 7.0, [0.0, 0.0, 0.05], np.diag([0.036, 0.036, 0.031]), (0.0, 1e-4, 0.0)),))
     load = load_phasors(acceleration(observed=only_z), centred)
@@ -114,7 +116,7 @@ def test_unobserved_motion_is_bounded_or_refused() -> None:
     assert "no sensitivity" in result.notices[0].text
 
 
-def test_unobserved_motion_is_one_cause_of_all_load_components() -> None:
+def test_unobserved_motion_is_one_cause_of_all_load_components():
     only_z = np.array([False, False, True, False, False, False])
     body = Body((make_part("load", 7.0, [0.0, 0.0, 0.05], np.diag([0.036, 0.036, 0.031])),))
     load = load_phasors(acceleration(observed=only_z), body)
@@ -130,7 +132,7 @@ def test_unobserved_motion_is_one_cause_of_all_load_components() -> None:
     assert np.all(np.isfinite(load.uncertainty.covariance))
 
 
-def test_a_line_that_nobody_read_has_no_load() -> None:
+def test_a_line_that_nobody_read_has_no_load():
     seen = np.array([[True] * 6, [False] * 6])
     load = load_phasors(acceleration(observed=seen), BODY, GRAVITY)
     assert load.observed.all(axis=1).tolist() == [True, False]
@@ -141,7 +143,7 @@ def test_a_line_that_nobody_read_has_no_load() -> None:
     assert np.isfinite(result.value[:, 0, 2]).tolist() == [True, False]
 
 
-def test_channels_of_one_amplifier_share_its_errors() -> None:
+def test_channels_of_one_amplifier_share_its_errors():
     value = np.array([1e-5, 2e-6])
     own = {"scale_uncertainty": 1e-3, "individual_uncertainty": 2e-4}
     pair = output_phasors(
@@ -158,7 +160,7 @@ def test_channels_of_one_amplifier_share_its_errors() -> None:
         output_phasors([])
 
 
-def test_ratio_returns_the_sensitivity() -> None:
+def test_ratio_returns_the_sensitivity():
     load = load_phasors(acceleration(), BODY, GRAVITY)
     force = load.phasors.value[:, 2]
     result = ratio([output(OUTPUT * force), output(0.0 * force, "Fx")], acceleration())
@@ -172,7 +174,7 @@ def test_ratio_returns_the_sensitivity() -> None:
     assert u == pytest.approx(1e-9 / abs(force[0]), rel=1e-9)
 
 
-def test_budget_adds_up_and_knows_magnitude_from_phase() -> None:
+def test_budget_adds_up_and_knows_magnitude_from_phase():
     force = load_phasors(acceleration(), BODY, GRAVITY).phasors.value[:, 2]
     result = ratio([output(OUTPUT * force, scale_uncertainty=1e-4, delay_uncertainty=1e-6)], acceleration())
     entries = {entry.label: entry for entry in result.budget}
@@ -186,7 +188,7 @@ def test_budget_adds_up_and_knows_magnitude_from_phase() -> None:
     np.testing.assert_allclose(variance * abs(OUTPUT) ** 2, trace, rtol=1e-9)
 
 
-def test_regions_cover_the_truth() -> None:
+def test_regions_cover_the_truth():
     rng = np.random.default_rng(7)
     trials, inside = 400, 0
     truth = load_phasors(acceleration(), BODY, GRAVITY).phasors.value[:, 2]
@@ -210,15 +212,162 @@ def test_regions_cover_the_truth() -> None:
     assert abs(inside - 0.95 * trials) < 18
 
 
-def test_driven_component() -> None:
+def test_driven_component():
     assert driven_component((0.0, -1.0, 0.2)) == 1
     assert driven_component((0.0, 0.0, 1.0, 0.5, 0.0, 0.0), (2e3, 2e3, 4e3, 100, 100, 100)) == 3
     with pytest.raises(ValueError, match="direction"):
         driven_component((0.0, 0.0, 0.0))
 
 
-def test_other_loads_are_stated() -> None:
+def test_other_loads_are_stated():
     force = load_phasors(acceleration(), BODY, GRAVITY).phasors.value[:, 2]
     result = ratio([output(OUTPUT * force)], acceleration())
     assert "beside Fz = 100 %" in result.notices[0].text
     assert "Mx" in result.notices[0].text
+
+
+GTC_HZ = np.array([212.5])
+GTC_MOTION = np.array([[0.4 - 0.1j, 0.2j, 40.0 * np.exp(0.7j), 0.0, 0.0, 0.0]])
+MASSES = (("load", 6.9605, 1e-3), ("internal mass", 0.769, 2e-3))
+GTC_OUTPUT = np.array([[6.2e-5 * np.exp(0.66j), 2.0e-7 - 1e-7j]])
+NOISE = {
+    "motion": (np.array([[3.0, 1.1], [1.1, 1.5]]) * 1e-4, 7.0),
+    "output": (np.array([[9.0, -2.0], [-2.0, 7.0]]) * 1e-18, 11.0),
+}
+SCALE, DELAY, CLOCK = 8e-4, 2e-6, 1.5e-6
+STATIC = np.array([[2e-7, 5e-9, 2.0e-7, 0.0, 0.0, 0.0], [5.1e-7, 0.0, 0.0, 0.0, 0.0, 0.0]])
+
+
+@dataclass(frozen=True)
+class Case:
+    """The same measurement as this program sees it and as uncertain numbers of GTC."""
+
+    load: LoadResult
+    outputs: Outputs
+    ratio: Sensitivity
+    gtc_load: dict[int, Any]
+    gtc_outputs: list[Any]
+    gtc_unknowns: dict[str, Any]
+
+
+@pytest.fixture(scope="module")
+def case() -> Case:
+    turn = -2j * np.pi * GTC_HZ[0]
+    load = load_phasors(_acceleration(turn), Body(tuple(make_part(*_part(*mass)) for mass in MASSES)))
+    outputs = output_phasors([_reading(0, "Fz"), _reading(1, "Fx")])
+    ratio = sensitivity_ratio(outputs, load, (0.0, 0.0, 1.0), [1], "V/V")
+    unknowns = {name: GTC.ureal(0.0, u, label=name) for name, u in (("scale", SCALE), ("delay", DELAY))}
+    unknowns |= {"time": GTC.ureal(0.0, CLOCK)}
+    unknowns |= {name: GTC.ureal(mass, u) for name, mass, u in MASSES}
+    (spread, dof), (noise, output_dof) = NOISE["motion"], NOISE["output"]
+    gtc_load, gtc_outputs = {}, []
+    for place in (0, 2):
+        motion = GTC.ucomplex(complex(GTC_MOTION[0, place]), tuple(spread.ravel()), dof)
+        # Accelerometer and sensor hang on one amplifier and one clock.
+        errors = 1.0 + unknowns["scale"] + turn * unknowns["delay"] + turn * unknowns["time"]
+        gtc_load[place] = motion * errors * (unknowns["load"] + unknowns["internal mass"])
+    for value in GTC_OUTPUT[0]:
+        signal = GTC.ucomplex(complex(value), tuple(noise.ravel()), output_dof)
+        gtc_outputs.append(signal * (1.0 + unknowns["scale"] + turn * unknowns["time"]))
+    return Case(load, outputs, ratio, gtc_load, gtc_outputs, unknowns)
+
+
+def _part(name: str, mass: float, u: float) -> tuple[Any, ...]:
+    return name, mass, np.zeros(3), np.zeros((3, 3)), (u, 0.0, 0.0)
+
+
+def _acceleration(turn: complex) -> Acceleration:
+    spread, dof = NOISE["motion"]
+    covariance = np.zeros((1, 12, 12))
+    for place in range(6):
+        pair = np.array([place, place + 6])
+        covariance[0, pair[:, None], pair] = spread
+    names = (("amplifier: scale", "1", SCALE, SCALE), ("accelerometer: delay", "s", DELAY, turn * DELAY))
+    names += (("clock bridge: time", "s", CLOCK, turn * CLOCK),)
+    influences = tuple(
+        Influence(name, name, u, unit, np.concatenate([(GTC_MOTION * slope).real, (GTC_MOTION * slope).imag], axis=1))
+        for name, unit, u, slope in names
+    )
+    total = Uncertainty((Contribution("accelerometer: noise", "A", covariance, np.array([dof])),), influences)
+    units = ("m/s^2",) * 3 + ("rad/s^2",) * 3
+    found = Phasors(GTC_HZ, GTC_MOTION, total.covariance, ("x", "y", "z", "rx", "ry", "rz"), units, np.array([dof]))
+    seen = np.ones((1, 6), dtype=bool)
+    return Acceleration("load", "fused", found, seen, ("accelerometer",), total, (), 0.0, 0, (), ())
+
+
+def _reading(place: int, name: str) -> Reading:
+    noise, dof = NOISE["output"]
+    value = GTC_OUTPUT[:, place, None]
+    entry = SimpleNamespace(
+        name=name, channel=name, quantity="output", common="amplifier", scale_uncertainty=SCALE, delay_uncertainty=0.0,
+        individual_uncertainty=0.0,
+    )  # fmt: skip
+    found = Phasors(GTC_HZ, value, noise[None], (name,), ("V/V",), np.array([dof]))
+    return Reading(entry, found, ChainUncertainty(clock="bridge", u_clock_s=CLOCK))
+
+
+def _agrees(value: complex, covariance: np.ndarray, dof: float, expected: Any) -> None:
+    assert value == pytest.approx(complex(GTC.value(expected)), rel=1e-12)
+    np.testing.assert_allclose(covariance.ravel(), GTC.variance(expected), rtol=1e-9)
+    assert dof == pytest.approx(GTC.dof(expected), rel=1e-9)
+
+
+@pytest.mark.parametrize("channel", [0, 1])
+def test_ratio_of_outputs_and_load_that_share_unknowns(case, channel):
+    expected = case.gtc_outputs[channel] / case.gtc_load[2]
+    found = case.ratio
+    _agrees(found.value[0, channel, 2], found.covariance[0, channel, 2], found.dof[0, channel, 2], expected)
+    assert 5.0 < found.dof[0, channel, 2] < 1e4
+
+
+def test_load_and_outputs_alone(case):
+    dof, pair = case.load.uncertainty.dof(), np.array([2, 8])
+    _agrees(case.load.value[0, 2], case.load.uncertainty.covariance[0][np.ix_(pair, pair)], dof[0, 2], case.gtc_load[2])
+    pair = np.array([0, 2])
+    covariance, dof = case.outputs.uncertainty.covariance[0], case.outputs.uncertainty.dof()
+    _agrees(case.outputs.phasors.value[0, 0], covariance[np.ix_(pair, pair)], dof[0, 0], case.gtc_outputs[0])
+
+
+def test_elements_of_one_recording_are_correlated(case):
+    first, second = (signal / case.gtc_load[2] for signal in case.gtc_outputs)
+    expected = np.reshape(GTC.get_covariance(first, second), (2, 2))
+    found = case.ratio.uncertainty.covariance[0]
+    np.testing.assert_allclose(found[np.ix_([0, 2], [1, 3])], expected, rtol=1e-9)
+
+
+def test_share_of_other_loads(case):
+    shares = other_loads(case.outputs, case.load, STATIC, 2, 3e-3)
+    static = GTC.ureal(STATIC[1, 0], 3e-3 * STATIC[1, 0])
+    element, expected = shares.element(0, 1), static * case.gtc_load[0] / case.gtc_outputs[1]
+    mixed = element.r * element.u_re * element.u_im
+    covariance = np.array([[element.u_re**2, mixed], [mixed, element.u_im**2]])
+    _agrees(complex(element.re, element.im), covariance, element.dof, expected)
+    # The other channel answers to Fx and, a little, to Fy.
+    force = (STATIC[0, 0] * case.load.value[0, 0] + STATIC[0, 1] * case.load.value[0, 1]) / GTC_OUTPUT[0, 0]
+    assert shares.value[0, 0] == pytest.approx(force, rel=1e-12)
+    (notice,) = shares.notices(0, 0, "output Fz at 212.5 Hz")
+    assert f"({100.0 * force.real:.2f} ± " in notice.text
+    assert not other_loads(case.outputs, case.load, np.diag([0.0, 0.0, 2e-7, 0, 0, 0])[[2, 2]], 2).notices(0, 0, "")
+
+
+def test_budget_is_that_of_gtc(case):
+    expected = case.gtc_outputs[0] / case.gtc_load[2]
+    entries = {entry.label: entry for entry in case.ratio.budget}
+    names = {
+        "load: mass": "load", "internal mass: mass": "internal mass", "accelerometer: delay": "delay",
+        "amplifier: scale": "scale", "clock bridge: time": "time",
+    }  # fmt: skip
+    assert set(entries) == {*names, "accelerometer: noise", "output noise"}
+    for label, name in names.items():
+        unknown, entry = case.gtc_unknowns[name], entries[label]
+        parts = (GTC.magnitude(expected), entry.u_relative), (GTC.phase(expected), entry.u_phase_rad)
+        for part, (number, u) in enumerate(parts):
+            size = 1.0 if part else GTC.value(number)
+            slope = GTC.rp.u_component(number, unknown) / GTC.uncertainty(unknown) / size
+            assert entry.coefficient[part, 0, 0] == pytest.approx(slope, rel=1e-9, abs=1e-12)
+            assert u[0, 0] == pytest.approx(abs(slope) * entry.u, rel=1e-9, abs=1e-15)
+        assert entry.u == pytest.approx(GTC.uncertainty(unknown))
+    # What both share cancels: one clock and one amplifier tell nothing about their quotient.
+    assert entries["clock bridge: time"].u_phase_rad[0, 0] == pytest.approx(0.0, abs=1e-15)
+    assert entries["amplifier: scale"].u_relative[0, 0] == pytest.approx(0.0, abs=1e-15)
+    assert entries["accelerometer: noise"].dof[0] == NOISE["motion"][1]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-from pathlib import Path
 
 import pytest
 from evaluation_factory import make_evaluation
@@ -22,13 +21,12 @@ def rows(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, str]]:
     )
 
 
-def test_a_row_reads_back_as_the_element_it_was_made_of(rows: list[dict[str, str]], tmp_path: Path) -> None:
+def test_a_row_reads_back_as_the_element_it_was_made_of(rows, tmp_path):
     found = make_evaluation(tmp_path).sensitivity
-    assert found is not None
     assert row_element(rows[2]) == sensitivity_element(found, 0, 2, 2)
 
 
-def test_printed_values(rows: list[dict[str, str]]) -> None:
+def test_printed_values(rows):
     few = rows[2] | {"dof": "4.0"}
     weak = rows[0] | {"re": "1e-11", "im": "0.0", "u_re": "2e-11", "u_im": "1e-11", "r": "0.0", "dof": "inf"}
     console = Console(width=160, file=io.StringIO(), record=True)

@@ -1,23 +1,36 @@
-"""Processes of this machine: answers and failures come back, dead ones are replaced, none is left behind."""
+"""Processes of this machine and of a cluster: the digits of one process, whoever is killed, and none left behind."""
 
 from __future__ import annotations
 
 import logging
 import os
+import pickle
+import re
+import shutil
+import signal
 import subprocess
 import sys
-import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 import worker_tasks as tasks
+from dask_cluster import PATIENCE_S, Cluster, environment, wait_until
 
-from fusion.base import ComputeError, InputError, remove_abandoned, temporary_beside
-from fusion.campaign.workers import Workers, call, one_blas_thread
-
-PATIENCE_S = 120.0
-ROOT = Path(__file__).resolve().parents[2]
+from fusion.base import ComputeError, InputError, Settings, remove_abandoned, temporary_beside
+from fusion.campaign import run as leading
+from fusion.campaign import run as under_test
+from fusion.campaign.cluster import Outcome, connected
+from fusion.campaign.run import run_path
+from fusion.campaign.workers import Answer, Workers, call, one_blas_thread
+from fusion.cli import main
+from fusion.commands.options import EXIT_INPUT, EXIT_INTERRUPTED
+from fusion.simulate import simulate_campaign
 
 
 @pytest.fixture(scope="module")
@@ -38,29 +51,22 @@ def _is_running(process: int) -> bool:
     return True
 
 
-def _wait_until(condition: object) -> None:
-    end = time.monotonic() + PATIENCE_S
-    while not condition():  # type: ignore[operator]
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.02)
-
-
-def test_answers_go_to_those_who_asked(two: Workers) -> None:
+def test_answers_go_to_those_who_asked(two):
     answers = [two.submit(-number, tasks.product, number, 2.0) for number in range(8)]
     assert [answer.result(PATIENCE_S).opened() for answer in answers] == [2.0 * number for number in range(8)]
 
 
-def test_an_answer_can_be_what_the_next_task_needs(two: Workers) -> None:
+def test_an_answer_can_be_what_the_next_task_needs(two):
     first = two.submit(0, tasks.product, 2.0, 3.0)
     first.result(PATIENCE_S)
     assert two.submit(0, tasks.product, first, 7.0).result(PATIENCE_S).opened() == 42.0
 
 
-def test_every_library_has_one_thread(two: Workers) -> None:
+def test_every_library_has_one_thread(two):
     assert set(two.submit(0, tasks.threads).result(PATIENCE_S).opened().values()) == {1}
 
 
-def test_one_thread_of_linear_algebra_gives_the_same_digits_everywhere(two: Workers) -> None:
+def test_one_thread_of_linear_algebra_gives_the_same_digits_everywhere(two):
     with one_blas_thread():
         here = tasks.sum_of_products()
     assert two.submit(0, tasks.sum_of_products).result(PATIENCE_S).opened() == here
@@ -74,9 +80,7 @@ def test_one_thread_of_linear_algebra_gives_the_same_digits_everywhere(two: Work
         ("unpicklable", RuntimeError, "ValueError: <function"),
     ],
 )
-def test_failures_and_remarks_come_back(
-    kind: str, error: type[Exception], sentence: str, two: Workers, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_failures_and_remarks_come_back(kind, error, sentence, two, capsys):
     answer = two.submit(0, tasks.refuse, kind).result(PATIENCE_S)
     log = logging.getLogger("shakercal")
     with pytest.MonkeyPatch.context() as patch:
@@ -91,13 +95,13 @@ def test_failures_and_remarks_come_back(
         assert "in refuse" in raised.value.__notes__[0]
 
 
-def test_the_task_of_a_worker_that_was_killed_is_done_by_another(two: Workers, tmp_path: Path) -> None:
+def test_the_task_of_a_worker_that_was_killed_is_done_by_another(two, tmp_path):
     answer, other = two.submit(0, tasks.die_until, tmp_path / "tries", 2), two.submit(1, tasks.product, 2.0, 3.0)
     assert answer.result(PATIENCE_S).opened() == 3
     assert other.result(PATIENCE_S).opened() == 6.0
 
 
-def test_a_task_that_kills_every_worker_fails_alone(two: Workers, tmp_path: Path) -> None:
+def test_a_task_that_kills_every_worker_fails_alone(two, tmp_path):
     answer = two.submit(0, tasks.die_until, tmp_path / "tries", 99).result(PATIENCE_S)
     with pytest.raises(
         ComputeError, match=r"3 worker processes ended while they computed it; does the memory suffice\?"
@@ -107,19 +111,19 @@ def test_a_task_that_kills_every_worker_fails_alone(two: Workers, tmp_path: Path
     assert two.submit(0, tasks.product, 2.0, 3.0).result(PATIENCE_S).opened() == 6.0
 
 
-def test_the_end_leaves_no_process_and_nothing_half_written(tmp_path: Path) -> None:
+def test_the_end_leaves_no_process_and_nothing_half_written(tmp_path):
     begun = tmp_path / "begun"
     with Workers(1) as workers:
         waiting = workers.submit(0, tasks.wait_for_ever, begun)
         never = workers.submit(1, tasks.product, 1.0, 1.0)
-        _wait_until(lambda: begun.exists() and begun.read_text())
+        wait_until(lambda: begun.exists() and begun.read_text())
     assert waiting.cancelled()
     assert never.cancelled()
     assert not _is_running(int(begun.read_text()))
     assert [path.name for path in tmp_path.iterdir()] == ["begun"]
 
 
-def test_workers_end_when_the_process_that_leads_them_is_killed(tmp_path: Path) -> None:
+def test_workers_end_when_the_process_that_leads_them_is_killed(tmp_path):
     begun = tmp_path / "begun"
     code = (
         "import sys, pathlib, worker_tasks\nfrom fusion.campaign.workers import Workers\n"
@@ -129,15 +133,14 @@ def test_workers_end_when_the_process_that_leads_them_is_killed(tmp_path: Path) 
     )
     script = tmp_path / "lead.py"
     script.write_text(code)
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
-    leader = subprocess.Popen([sys.executable, script, begun], env=environment)
-    _wait_until(lambda: begun.exists() and begun.read_text())
+    leader = subprocess.Popen([sys.executable, script, begun], env=environment())
+    wait_until(lambda: begun.exists() and begun.read_text())
     leader.kill()
     leader.wait()
-    _wait_until(lambda: not _is_running(int(begun.read_text())))
+    wait_until(lambda: not _is_running(int(begun.read_text())))
 
 
-def test_a_call_here_is_answered_likewise() -> None:
+def test_a_call_here_is_answered_likewise():
     level = logging.getLogger("shakercal").level
     answer = call(tasks.refuse, "input")
     assert isinstance(answer.error, InputError)
@@ -145,7 +148,7 @@ def test_a_call_here_is_answered_likewise() -> None:
     assert logging.getLogger("shakercal").level == level
 
 
-def test_only_what_a_process_left_that_is_gone_is_removed(tmp_path: Path) -> None:
+def test_only_what_a_process_left_that_is_gone_is_removed(tmp_path):
     own = temporary_beside(tmp_path / "Fz-0100")
     gone = subprocess.Popen([sys.executable, "-c", ""])
     gone.wait()
@@ -160,3 +163,275 @@ def test_only_what_a_process_left_that_is_gone_is_removed(tmp_path: Path) -> Non
     left = {path.name for path in tmp_path.iterdir()}
     assert left == {own.name, other_host, ".DS_Store", ".hidden-123"}
     assert remove_abandoned(tmp_path / "none") == []
+
+
+NAME = "Fz-0080"
+
+
+class Inline:
+    """A crew that is this process, and tells what it was asked."""
+
+    size = 2
+
+    def __init__(self) -> None:
+        self.asked: list[Callable[..., Any]] = []
+
+    def __enter__(self) -> Inline:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        return
+
+    def submit(self, rank: int, function: Callable[..., Any], *arguments: Any) -> Future[Answer]:
+        self.asked.append(function)
+        future: Future[Answer] = Future()
+        future.set_result(call(function, *(held.result() if isinstance(held, Future) else held for held in arguments)))
+        return future
+
+
+def _run_one(recording: Path, out: Path, **where: Any) -> dict[str, bytes]:
+    """Every table of a recording; its report is without figures, which take most of the time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            "fusion.report.recording.render_report", lambda evaluation: f"<!doctype html>{evaluation.manifest.name}"
+        )
+        outcomes = run_path(recording, out, Settings(), **where)
+    assert [outcome.folder for outcome in outcomes] == [out]
+    return {path.name: path.read_bytes() for path in sorted(out.glob("*.csv"))}
+
+
+@pytest.fixture(scope="module")
+def serial_demo(demo_recording: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """The tables of the serial_demo run."""
+    tables = _run_one(demo_recording / NAME, tmp_path_factory.mktemp("serial_demo") / "out")
+    assert len(tables) >= 5
+    return tables
+
+
+def test_two_processes_share_the_frames_of_one_recording(demo_recording, serial_demo, tmp_path, monkeypatch):
+    asked: list[str] = []
+
+    class Heard(Workers):
+        def submit(self, rank: int, function: Callable[..., Any], *arguments: Any) -> Future[Answer]:
+            asked.append(function.__name__)
+            return super().submit(rank, function, *arguments)
+
+    told: list[tuple[str, int, int]] = []
+    monkeypatch.setattr(leading, "Workers", Heard)
+    tables = _run_one(demo_recording / NAME, tmp_path / "two", workers=2, progress=lambda *what: told.append(what))
+    assert asked[:4] == ["_prepared", "_prepared", "_followed", "_followed"]
+    assert ("track base", 48, 48) in told
+    assert tables == serial_demo
+
+
+def test_a_cluster_shares_the_frames_of_one_recording(demo_recording, serial_demo, tmp_path):
+    cluster = Cluster(tmp_path)
+    try:
+        assert _run_one(demo_recording / NAME, tmp_path / "dask", scheduler=cluster.address) == serial_demo
+    finally:
+        cluster.end()
+
+
+def test_arrays_of_an_answer_travel_in_it():
+    """Apart from it they would begin at any byte of a message."""
+    apart: list[pickle.PickleBuffer] = []
+    packed = pickle.dumps(Answer(np.arange(1e5), None, ()), protocol=5, buffer_callback=apart.append)
+    assert not apart
+    array = pickle.loads(packed, buffers=apart).opened()
+    assert array.flags.aligned
+    assert np.array_equal(array, np.arange(1e5))
+
+
+def test_an_image_that_another_process_refuses_is_told_as_here(demo_recording, tmp_path, monkeypatch):
+    shutil.copytree(demo_recording, tmp_path / "demo")
+    broken = sorted((tmp_path / "demo" / NAME / "top-right").iterdir())[5]
+    image = cv2.imread(str(broken), cv2.IMREAD_UNCHANGED)
+    cv2.imwrite(str(broken), np.full_like(image, 1023))
+    sentences = []
+    crew = Inline()
+    monkeypatch.setattr(leading, "Workers", lambda _: crew)
+    for workers in (1, 2):
+        with pytest.raises(InputError) as raised:
+            run_path(tmp_path / "demo" / NAME, None, Settings(), workers=workers)
+        sentences.append(str(raised.value))
+    assert broken.name in sentences[0]
+    assert sentences[0] == sentences[1]
+    assert len(crew.asked) > 0
+
+
+@pytest.mark.parametrize(("recordings", "shared"), [(1, True), (2, False)])
+def test_few_recordings_share_their_frames_and_many_the_workers(recordings, shared, tmp_path, monkeypatch):
+    for number in range(recordings):
+        (tmp_path / "campaign" / f"{number}").mkdir(parents=True)
+        (tmp_path / "campaign" / f"{number}" / "recording.toml").write_text("")
+    crew = Inline()
+    monkeypatch.setattr(leading, "Workers", lambda _: crew)
+    outcomes = run_path(tmp_path / "campaign", None, Settings(), workers=2)
+    assert all(isinstance(outcome.error, InputError) for outcome in outcomes)
+    assert len(crew.asked) == (0 if shared else recordings)
+
+
+RECORDINGS = 3
+RUN = """
+import signal, sys, worker_tasks
+from unittest.mock import patch
+from fusion.cli import main
+if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job starts with the signal ignored
+    with patch("fusion.campaign.run.run_job", getattr(worker_tasks, sys.argv.pop(1))), \\
+         patch("fusion.campaign.joint_report.render_campaign", lambda evaluation: evaluation.name):
+        sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    """A cluster for all tests of this module."""
+    cluster = Cluster(tmp_path_factory.mktemp("cluster"))
+    yield cluster
+    cluster.end()
+
+
+@pytest.fixture(scope="module")
+def sweep(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A few recordings of another program's points."""
+    folder = tmp_path_factory.mktemp("sweep") / "campaign"
+    simulate_campaign(folder, "sweep", 3, recordings=RECORDINGS)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def serial(sweep: Path) -> dict[str, bytes]:
+    """Every table that the serial run writes."""
+    outcomes = _run(sweep, sweep.with_name("serial"))
+    assert all(outcome.error is None for outcome in outcomes)
+    tables = _tables(sweep.with_name("serial"))
+    assert len(tables) > 5 * RECORDINGS
+    return tables
+
+
+def _run(campaign: Path, out: Path, job: Any = tasks.whole_job, **where: Any) -> tuple[Outcome, ...]:
+    """Run a campaign without its figures."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(under_test, "run_job", (lambda job, _: tasks.whole_job(job)) if not where else job)
+        patch.setattr("fusion.campaign.joint_report.render_campaign", lambda evaluation: evaluation.name)
+        return run_path(campaign, out, Settings(), **where)
+
+
+def _tables(folder: Path) -> dict[str, bytes]:
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in sorted(folder.rglob("*.csv"))}
+
+
+def _hidden(folder: Path) -> list[str]:
+    return [path.name for path in folder.rglob(".*")]
+
+
+@pytest.mark.slow
+def test_two_processes_give_the_tables_of_one(sweep, serial):
+    outcomes = _run(sweep, sweep.with_name("two"), workers=2)
+    assert [outcome.folder.name for outcome in outcomes] == sorted(path.parent.name for path in sweep.glob("*/*.toml"))
+    assert _tables(sweep.with_name("two")) == serial
+
+
+@pytest.mark.slow
+def test_a_cluster_gives_the_same_tables_and_a_killed_worker_loses_nothing(sweep, serial, tmp_path_factory):
+    cluster = Cluster(tmp_path_factory.mktemp("killed"))
+    killed: list[int] = []
+
+    def kill_the_first(stage: str, done: int, total: int) -> None:
+        if done == 0:
+            wait_until(lambda: len(list(sweep.parent.glob("begun-*"))) > 0)
+            killed.append(int(next(sweep.parent.glob("begun-*")).read_text()))
+            os.kill(killed[0], signal.SIGKILL)
+
+    try:
+        _run(sweep, sweep.with_name("dask"), tasks.slow_job, scheduler=cluster.address, progress=kill_the_first)
+        assert killed[0] in [worker.pid for worker in cluster.workers]
+        assert _tables(sweep.with_name("dask")) == serial
+        assert _hidden(sweep.with_name("dask")) == []
+    finally:
+        cluster.end()
+
+
+@pytest.mark.slow
+def test_a_run_that_was_killed_goes_on_to_the_same_tables(sweep, serial, tmp_path):
+    script, out = tmp_path / "run.py", tmp_path / "out"
+    script.write_text(RUN)
+    command = [sys.executable, script, "slow_job", "run", sweep, "-o", out, "--workers", "2"]
+    with subprocess.Popen(command, env=environment(), stdout=subprocess.DEVNULL) as run:
+        wait_until(lambda: len(list(out.glob("Fz*/result.h5"))) > 0)
+        run.kill()
+    done = {path.parent.name: path.stat().st_mtime_ns for path in out.glob("Fz*/result.h5")}
+    assert not (out / "sensitivity.csv").exists()
+    assert subprocess.run(command, env=environment(), stdout=subprocess.DEVNULL, check=False).returncode == 0
+    assert _tables(out) == serial
+    assert _hidden(out) == []
+    assert all((out / name / "result.h5").stat().st_mtime_ns == when for name, when in done.items())
+
+
+def test_an_interruption_ends_all_workers_and_leaves_nothing_half_written(tmp_path):
+    script, out = tmp_path / "run.py", tmp_path / "out"
+    script.write_text(RUN)
+    for name in ("a", "b", "c"):
+        (tmp_path / "campaign" / name).mkdir(parents=True)
+        (tmp_path / "campaign" / name / "recording.toml").write_text("")
+    command = [sys.executable, script, "endless_job", "run", tmp_path / "campaign", "-o", out, "--workers", "2"]
+    with subprocess.Popen(command, env=environment(), stderr=subprocess.PIPE, start_new_session=True) as run:
+        wait_until(lambda: len([path for path in out.glob("begun-*") if path.read_text()]) == 2)
+        os.killpg(run.pid, signal.SIGINT)  # as a terminal does
+        assert run.wait(PATIENCE_S) == EXIT_INTERRUPTED
+        assert run.stderr.read() == b"shakercal: interrupted; nothing half-written was left behind\n"
+    assert not any(Path(f"/proc/{path.read_text()}").exists() for path in out.glob("begun-*"))
+    assert _hidden(out) == []
+
+
+def test_tasks_of_a_cluster_come_back_like_those_of_processes(cluster, tmp_path):
+    with connected(cluster.address) as crew:
+        first = crew.submit(0, tasks.product, 2.0, 3.0)
+        assert first.result().opened() == 6.0
+        assert crew.submit(0, tasks.product, first, 7.0).result().opened() == 42.0
+        assert set(crew.submit(0, tasks.threads).result().opened().values()) == {1}
+        answer = crew.submit(0, tasks.refuse, "input").result()
+        assert [record.getMessage() for record in answer.told] == ["a remark about input"]
+        with pytest.raises(InputError, match=r"a\.h5: Fz"):
+            answer.opened()
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense", "foo://a:1", ""])
+def test_an_address_where_nothing_answers_is_refused(address, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("fusion.campaign.cluster.ANSWER_S", 0.5)
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "recording.toml").write_text("")
+    assert main(["run", str(tmp_path), "--scheduler", address]) == EXIT_INPUT
+    told = capsys.readouterr().err
+    assert told == (
+        "shakercal: --scheduler: expected the address of a Dask scheduler that answers, such as tcp://10.0.0.1:8786, "
+        f"found {address or 'nothing'}, where none does\n"
+    )
+
+
+def test_without_the_extra_the_command_says_what_to_install(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    (tmp_path / "recording.toml").write_text("")
+    assert main(["run", str(tmp_path), "--scheduler", "tcp://127.0.0.1:9"]) == EXIT_INPUT
+    told = capsys.readouterr().err
+    assert told.startswith('shakercal: --scheduler: expected the packages that pip install "shakercal[cluster]" brings')
+    assert told.count("\n") == 1
+
+
+def test_workers_of_another_version_are_refused(cluster, monkeypatch):
+    monkeypatch.setattr("fusion.campaign.cluster.PROGRAM", "numpy")
+    found = re.escape(version("shakercal"))
+    with pytest.raises(InputError, match=f"expected workers with numpy .*, found numpy {found} at tcp:"):
+        with connected(cluster.address):
+            pass
+
+
+def test_a_scheduler_that_goes_is_told(tmp_path):
+    cluster = Cluster(tmp_path)
+    with connected(cluster.address) as crew:
+        waiting = crew.submit(0, tasks.wait_for_ever, tmp_path / "begun")
+        wait_until((tmp_path / "begun").exists)
+        cluster.end()
+        with pytest.raises(ComputeError, match="the Dask scheduler is gone"):
+            waiting.result()

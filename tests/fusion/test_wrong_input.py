@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 import tifffile
 
+from fusion.base import ComputeError, InputError
 from fusion.cli import main
 from fusion.commands.options import EXIT_INPUT
 from fusion.phasors import stereo_motion
@@ -368,9 +370,7 @@ def _refused(arguments: list[str], folder: Path, capsys: pytest.CaptureFixture[s
 
 @pytest.mark.usefixtures("no_tracking")
 @pytest.mark.parametrize(("break_it", "file", "parts"), [pytest.param(*case[1:], id=case[0]) for case in CASES])
-def test_one_sentence_names_file_and_key(
-    break_it: Break, file: str, parts: tuple[str, ...], campaign: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_one_sentence_names_file_and_key(break_it, file, parts, campaign, capsys):
     break_it(campaign)
     arguments = ["run", str(campaign / NAME), "-o", str(campaign.parent / "out")]
     told = _refused(arguments, campaign.parent, capsys)
@@ -388,13 +388,7 @@ def test_one_sentence_names_file_and_key(
         (_pixels(f"{NAME}/top-right/0002.tif", lambda image: image * 16), "expected grey values up to 1023"),
     ],
 )
-def test_images_that_are_wrong_later_in_the_series(
-    change: Break,
-    sentence: str,
-    campaign: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_images_that_are_wrong_later_in_the_series(change, sentence, campaign, capsys, monkeypatch):
     """Pixels are seen when the tracker reads them, hence a tracker that does nothing else."""
 
     def read_all(images: tuple[Any, Any], *_: object) -> None:
@@ -408,18 +402,18 @@ def test_images_that_are_wrong_later_in_the_series(
     assert told.startswith(f"shakercal: {campaign / RECORDING}: images.top: top-right/0002.tif: {sentence}")
 
 
-def test_no_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_recording(tmp_path, capsys):
     told = _refused(["run", str(tmp_path / "absent")], tmp_path, capsys)
     assert told.startswith(f"shakercal: {tmp_path / 'absent'}: expected a recording folder")
 
 
-def test_folder_without_a_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_folder_without_a_recording(tmp_path, capsys):
     told = _refused(["run", str(tmp_path)], tmp_path, capsys)
     assert told.startswith(f"shakercal: {tmp_path}: expected recording.toml in this folder")
 
 
 @pytest.mark.usefixtures("no_tracking")
-def test_results_never_go_among_other_files(campaign: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_results_never_go_among_other_files(campaign, capsys):
     out = campaign.parent / "out"
     out.mkdir()
     (out / "thesis.txt").write_text("mine")
@@ -429,8 +423,56 @@ def test_results_never_go_among_other_files(campaign: Path, capsys: pytest.Captu
 
 @pytest.mark.usefixtures("no_tracking")
 @pytest.mark.parametrize("place", ["thesis.txt", "thesis.txt/results"])
-def test_results_need_a_folder(place: str, campaign: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_results_need_a_folder(place, campaign, capsys):
     (campaign.parent / "thesis.txt").write_text("mine")
     told = _refused(["run", str(campaign / NAME), "-o", str(campaign.parent / place)], campaign.parent, capsys)
     assert told.startswith(f"shakercal: {campaign.parent / place}: expected a")
     assert "found a file" in told
+
+
+SAMPLE = InputError(Path("rig.toml"), "stereo.top.rotation", found="2", expected="a rotation")
+
+
+def test_the_sentence_names_file_key_expectation_and_finding():
+    assert str(SAMPLE) == "rig.toml: stereo.top.rotation: expected a rotation, found 2"
+
+
+def test_without_key_the_file_is_meant():
+    assert (
+        str(InputError("a.tif", "", found="3 bytes", expected="an image")) == "a.tif: expected an image, found 3 bytes"
+    )
+
+
+@pytest.mark.parametrize(("more", "told"), [(1, "(1 more problem in"), (2, "(2 more problems in")])
+def test_further_problems_are_counted(more, told):
+    assert told in str(InputError("a", "b", "c", "d", more=more))
+
+
+def test_lines_of_a_reader_become_one_sentence():
+    assert str(InputError("a", "b", found="x\n  y", expected="z")) == "a: b: expected z, found x y"
+
+
+@pytest.mark.parametrize("error", [SAMPLE, ComputeError("no line found")])
+def test_errors_can_be_sent_between_processes(error):
+    back = pickle.loads(pickle.dumps(error))
+    assert type(back) is type(error)
+    assert str(back) == str(error)
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (ValueError("{folder}/top/0003.tif: truncated"), "{file}: images.top: top/0003.tif: truncated"),
+        (ValueError("{file}: rotation: expected a, found b"), "{file}: images.top: rotation: expected a, found b"),
+        (ValueError("nominal_hz: expected a, found b"), "{file}: images.top: expected a, found b"),
+        (ValueError("a.tif: expected a, found b"), "{file}: images.top: a.tif: expected a, found b"),
+        (PermissionError(13, "Permission denied", "{folder}/a.h5"), "{file}: images.top: a.h5: Permission denied"),
+        (OSError("closed"), "{file}: images.top: closed"),
+    ],
+)
+def test_what_a_reader_says_is_told_once(error, told, tmp_path):
+    names = {"folder": str(tmp_path), "file": str(tmp_path / "recording.toml")}
+    filled = type(error)(*(part.format(**names) if isinstance(part, str) else part for part in error.args))
+    if isinstance(error, OSError) and error.filename is not None:
+        filled = PermissionError(13, "Permission denied", error.filename.format(**names))
+    assert str(InputError.told_by(filled, Path(names["file"]), "images.top")) == told.format(**names)

@@ -1,15 +1,16 @@
-"""A drive that grows while it is recorded: notices, table and result file say by how much."""
+"""A small recording without images: a drive that folds onto zero or grows while it is recorded."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
-from drive_factory import CLEAR_HZ, DRIVEN_HZ, evaluate, recording
+from drive_factory import AMPLITUDE_M, CLEAR_HZ, DRIVEN_HZ, FOLDING_HZ, evaluate, recording
 
+from fusion.base import ComputeError
+from fusion.cli import main
 from fusion.phasors.channels import drift_notices, drifts
 from fusion.report.h5 import write_h5
 from fusion.report.more_tables import drift_table
@@ -24,7 +25,7 @@ def grown(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
     return evaluate(recording(tmp_path_factory.mktemp("grown"), CLEAR_HZ, laser=True, growth=GROWTH))
 
 
-def test_the_change_over_each_record_is_found(grown: Evaluation) -> None:
+def test_the_change_over_each_record_is_found(grown):
     laser, pair = drifts(grown.channels, grown.stereo, grown.lines, grown.clocks)
     assert (laser.name, pair.name) == ("laser", "stereo pair base")
     assert laser.frequency_hz == pytest.approx(DRIVEN_HZ, rel=1e-6)
@@ -37,19 +38,18 @@ def test_the_change_over_each_record_is_found(grown: Evaluation) -> None:
     assert pair.whole
 
 
-def test_the_user_is_told(grown: Evaluation) -> None:
+def test_the_user_is_told(grown):
     told = [notice for notice in grown.notices if "changes over the record" in notice.text]
     assert len(told) == 1
     assert told[0].severity == "warning"
     assert "the amplitude at 106.25 Hz changes over the record: +0.55 % in laser" in told[0].text
     table = drift_table(grown)
-    assert table is not None
     assert [row[0] for row in table.rows] == ["laser", "stereo pair base"]
     assert "0.552" in table.rows[0][4]
     assert table.rows[0][6] == "below 0.0001"
 
 
-def test_the_blocks_stand_in_the_result_file(grown: Evaluation, tmp_path: Path) -> None:
+def test_the_blocks_stand_in_the_result_file(grown, tmp_path):
     write_h5(tmp_path / "result.h5", grown, ())
     with h5py.File(tmp_path / "result.h5") as file:
         group = file["channels/daq-laser/stationarity"]
@@ -58,14 +58,14 @@ def test_the_blocks_stand_in_the_result_file(grown: Evaluation, tmp_path: Path) 
         assert file["stereo/base/stationarity/u_amplitude_per_s"].shape == (len(grown.lines.frequency_hz), 6)
 
 
-def test_a_steady_drive_gives_no_notice(tmp_path: Path) -> None:
+def test_a_steady_drive_gives_no_notice(tmp_path):
     steady = evaluate(recording(tmp_path, CLEAR_HZ, laser=True))
     found = drifts(steady.channels, steady.stereo, steady.lines, steady.clocks)
     assert len(found) == 2
     assert drift_notices(found) == ()
 
 
-def test_the_rate_of_a_tied_clock_is_part_of_a_phase(grown: Evaluation) -> None:
+def test_the_rate_of_a_tied_clock_is_part_of_a_phase(grown):
     (clock,) = grown.clocks
     tie = ClockTie(0.0, 1.0, np.diag([1e-14, 25e-12]), 0, "numbers", 64, 0.7, ())
     alone = drifts(grown.channels, (), grown.lines, grown.clocks)[0]
@@ -73,3 +73,45 @@ def test_the_rate_of_a_tied_clock_is_part_of_a_phase(grown: Evaluation) -> None:
     # 5 ppm over 147 periods.
     assert tied.u_phase_rad == pytest.approx(np.hypot(alone.u_phase_rad, 5e-6 * 2 * np.pi * 147), rel=1e-3)
     assert tied.u_amplitude == alone.u_amplitude
+
+
+def test_a_vibrometer_goes_on_where_the_cameras_lose_the_line(tmp_path):
+    evaluation = evaluate(recording(tmp_path, FOLDING_HZ, laser=True))
+    assert evaluation.stereo == ()
+    texts = [notice.text for notice in evaluation.notices]
+    assert any("106.25 Hz is dropped" in text and "onto zero" in text for text in texts)
+    assert any("a camera rate of" in text for text in texts)  # that cures it
+    assert "stereo pair base is left out: its camera rate tells no line of the recording apart" in texts
+    (fused,) = [a for a in evaluation.accelerations if a.source == "fused"]
+    expected = AMPLITUDE_M * (2.0 * np.pi * DRIVEN_HZ) ** 2
+    assert abs(abs(fused.phasors.value[0, 2]) / expected - 1.0) < 1e-3
+
+
+def test_a_harmonic_that_folds_onto_zero_is_left_to_the_laser(tmp_path):
+    evaluation = evaluate(recording(tmp_path, 0.75 * DRIVEN_HZ, laser=True, harmonics="[3]", overtone=0.2))
+    assert evaluation.stereo[0].usable.tolist() == [True, False]
+    dropped = [notice.text for notice in evaluation.notices if "dropped" in notice.text]
+    assert len(dropped) == 1
+    assert "318.75 Hz is dropped" in dropped[0]
+    (fused,) = [a for a in evaluation.accelerations if a.source == "fused"]
+    omega = 2.0 * np.pi * DRIVEN_HZ
+    expected = -AMPLITUDE_M * np.array([1.0, 0.2 * 9.0]) * omega**2
+    np.testing.assert_allclose(fused.phasors.value[:, 2], expected, rtol=2e-3)
+    assert fused.chi2 < 20.0
+
+
+def test_cameras_alone_fail_in_one_sentence(tmp_path, capsys):
+    place = recording(tmp_path, FOLDING_HZ, laser=False)
+    with pytest.raises(ComputeError, match=r"no instrument sees the motion .* at 106\.25 Hz .*a camera rate of"):
+        evaluate(place)
+    assert main(["run", str(place), "--quiet"]) == 1
+    told = capsys.readouterr().err.strip()
+    assert told.count("\n") == 0
+    assert "folds to" in told
+    assert "Traceback" not in told
+
+
+def test_a_clear_rate_needs_no_notice(tmp_path):
+    evaluation = evaluate(recording(tmp_path, CLEAR_HZ, laser=True))
+    assert len(evaluation.stereo) == 1
+    assert not [notice for notice in evaluation.notices if "dropped" in notice.text]

@@ -1,27 +1,40 @@
-"""Parallel vibrometer points: rigid motion by hand, numpy's own statistics, drawn errors, shared clocks."""
+"""Parallel vibrometer points: rigid motion by hand, numpy's own statistics, drawn errors; tables, figure and file."""
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from page_outline import outline
 
 from fusion.estimation.fuse import fuse
-from fusion.estimation.measurement_model import ChainUncertainty, Observation, Reading, observe_channels
+from fusion.estimation.measurement_model import Observation
+from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty
+from fusion.instruments import observe_channels
+from fusion.instruments.channel import ChainUncertainty, Reading
+from fusion.instruments.output import Outputs, output_phasors
+from fusion.instruments.vibrometer import PointRatios, PointSpread, axis_name, point_spreads
+from fusion.report.h5 import write_h5
+from fusion.report.more_tables import point_tables
+from fusion.report.recording import render_report
+from fusion.report.signal_figures import draw_points, point_pictures
+from fusion.report.style import Picture
+from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.body import Body, make_part
-from fusion.sensitivity.load import Outputs, load_phasors, output_phasors
-from fusion.sensitivity.multipoint_vibrometer import PointRatios, PointSpread, point_spreads, with_ratios
-from fusion.sensitivity.ratio import Sensitivity, sensitivity_ratio
+from fusion.sensitivity.load import load_phasors
+from fusion.sensitivity.ratio import Sensitivity, sensitivity_ratio, with_ratios
 from shaker.sine.phasor import Phasors
 
 ComplexArray = NDArray[np.complex128]
-FREQUENCY = np.array([375.9, 751.8])
-OMEGA = 2 * np.pi * FREQUENCY
+LINES_HZ = np.array([375.9, 751.8])
+OMEGA = 2 * np.pi * LINES_HZ
 TRUTH = np.array([[0, 0, 60.0, 9j, -14.0, 0], [0, 0, 0.3 - 0.1j, 0.05, 0.02j, 0]], dtype=np.complex128)
 ANGLE = np.deg2rad([0, 90, 180, 270, 45, 135, 225, 315])
 RADIUS = np.repeat([0.022, 0.048], 4)
@@ -41,9 +54,9 @@ def _entry(**changes: Any) -> Any:
 
 
 def _reading(value: ComplexArray, sigma: float, unit: str, chain: ChainUncertainty, **entry: Any) -> Reading:
-    covariance = np.repeat(sigma**2 * np.eye(2)[None], len(FREQUENCY), axis=0)
+    covariance = np.repeat(sigma**2 * np.eye(2)[None], len(LINES_HZ), axis=0)
     name = str(entry["name"])
-    found = Phasors(FREQUENCY, value[:, None], covariance, (name,), (unit,), np.full(len(FREQUENCY), 200.0))
+    found = Phasors(LINES_HZ, value[:, None], covariance, (name,), (unit,), np.full(len(LINES_HZ), 200.0))
     return Reading(_entry(**entry), found, chain)
 
 
@@ -69,7 +82,7 @@ def _shifted(observation: Observation, error: ComplexArray) -> Observation:
     return replace(observation, phasors=replace(observation.phasors, value=observation.phasors.value + error))
 
 
-def test_a_rigid_motion_is_a_plane() -> None:
+def test_a_rigid_motion_is_a_plane():
     spread = spread_of(lasers())
     expected = np.array([TRUTH[:, 2] + TRUTH[:, 3] * y - TRUTH[:, 4] * x for x, y, _ in POINTS]).T
     np.testing.assert_allclose(spread.value, expected, rtol=1e-12)
@@ -82,7 +95,7 @@ def test_a_rigid_motion_is_a_plane() -> None:
     np.testing.assert_allclose(spread.amplitude_spread[0], np.std(np.abs(expected[0]), ddof=1) / 60.0, rtol=1e-12)
 
 
-def test_one_point_apart_is_what_the_plane_leaves() -> None:
+def test_one_point_apart_is_what_the_plane_leaves():
     """The plane through seven equal points and one 3 % higher, by numpy's least squares."""
     error = np.zeros((2, 8), dtype=np.complex128)
     observation = lasers()
@@ -96,7 +109,7 @@ def test_one_point_apart_is_what_the_plane_leaves() -> None:
     assert spread.left_relative[0] > 10 * spread.left_expected[0]
 
 
-def test_points_may_look_the_other_way_and_along_any_axis() -> None:
+def test_points_may_look_the_other_way_and_along_any_axis():
     entries = [(0.05, 0.03, 0.0), (0.05, -0.03, 0.02), (0.05, 0.0, -0.04)]
     chain = ChainUncertainty(clock="daq")
     sign = (1.0, -1.0, 1.0)
@@ -113,19 +126,19 @@ def test_points_may_look_the_other_way_and_along_any_axis() -> None:
 
 
 @pytest.mark.parametrize("points", [POINTS[:2], [(x, 0.0, 0.0) for x in (-0.04, 0.0, 0.02, 0.04)]])
-def test_fewer_than_three_points_or_a_line_of_them_are_no_plane(points: list[tuple[float, ...]]) -> None:
+def test_fewer_than_three_points_or_a_line_of_them_are_no_plane(points):
     observation = lasers(points)
     assert point_spreads([observation], [fuse([observation])]) == ()
 
 
-def test_a_common_scale_is_in_the_mean_and_not_in_what_the_plane_leaves() -> None:
+def test_a_common_scale_is_in_the_mean_and_not_in_what_the_plane_leaves():
     spread = spread_of(lasers(sigma=1e-12, scale_uncertainty=2.5e-4))
     u_mean = np.sqrt(np.trace(spread.plane_uncertainty.at([0]).covariance, axis1=1, axis2=2))
     np.testing.assert_allclose(u_mean, 2.5e-4 * np.abs(TRUTH[:, 2]), rtol=1e-4)
     assert (spread.left_expected < 1e-6).all()
 
 
-def test_drawn_errors_are_covered() -> None:
+def test_drawn_errors_are_covered():
     """800 draws of scale, placement and noise: normalised errors of mean and rocking have unit variance."""
     rng = np.random.default_rng(4)
     observation = lasers(sigma=2e-6, **STATED)
@@ -160,11 +173,10 @@ def _with_ratios(observation: Observation, u_clock_s: float = 0.0) -> tuple[Poin
     found = sensitivity_ratio(outputs, load, (0.0, 0.0, 1.0), (1, 2), "V/V")
     (spread,) = point_spreads([observation], [acceleration])
     ratios = with_ratios(spread, outputs, found, BODY, "on_load").ratios
-    assert ratios is not None
     return ratios, found
 
 
-def test_ratios_of_the_points_are_output_over_mass_times_acceleration() -> None:
+def test_ratios_of_the_points_are_output_over_mass_times_acceleration():
     ratios, found = _with_ratios(lasers())
     expected = (
         SENSITIVITY
@@ -179,13 +191,13 @@ def test_ratios_of_the_points_are_output_over_mass_times_acceleration() -> None:
     assert (ratios.channel, ratios.component) == ("Fz", "Fz")
 
 
-def test_mass_and_scale_are_in_every_ratio() -> None:
+def test_mass_and_scale_are_in_every_ratio():
     ratios, _ = _with_ratios(lasers(sigma=1e-12, scale_uncertainty=2.5e-4))
     u = np.sqrt(np.trace(ratios.uncertainty.at([3]).covariance, axis1=1, axis2=2))
     np.testing.assert_allclose(u / np.abs(ratios.value[:, 3]), np.hypot(2.5e-4, 1e-3 / 6.9605), rtol=1e-4)
 
 
-def test_a_clock_of_both_sides_cancels() -> None:
+def test_a_clock_of_both_sides_cancels():
     """A microsecond of one clock turns output and acceleration alike; of the points alone it turns the ratio."""
     both, _ = _with_ratios(lasers(sigma=1e-12, u_clock_s=1e-6), 1e-6)
     alone, _ = _with_ratios(lasers(sigma=1e-12, u_clock_s=1e-6), 0.0)
@@ -195,7 +207,7 @@ def test_a_clock_of_both_sides_cancels() -> None:
     np.testing.assert_allclose(turned[1], np.hypot(mass, OMEGA * 1e-6 * np.abs(both.value[:, 0])), rtol=1e-3)
 
 
-def test_points_across_the_driven_force_have_no_ratios() -> None:
+def test_points_across_the_driven_force_have_no_ratios():
     observation = lasers()
     acceleration = fuse([observation])
     outputs = _outputs(0.0)
@@ -203,3 +215,96 @@ def test_points_across_the_driven_force_have_no_ratios() -> None:
     other = sensitivity_ratio(outputs, load, (1.0, 0.0, 0.0), (1, 2), "V/V")
     (spread,) = point_spreads([observation], [acceleration])
     assert with_ratios(spread, outputs, other, BODY, "on_load").ratios is None
+
+
+FREQUENCY = np.array([106.2503, 212.5006, 425.0012])
+PLACE = np.array([[0.03, 0.0], [0.0, 0.03], [-0.03, 0.0], [0.0, -0.03]])
+
+
+def _uncertainty(lines: int, count: int, u: float) -> Uncertainty:
+    noise = Contribution("noise", "A", np.tile(u**2 * np.eye(2 * count), (lines, 1, 1)), np.full(lines, 60.0))
+    scale = Influence("laser: scale", "laser: scale", 2.5e-4, "1", np.full((lines, 2 * count), 1e-3), "rig")
+    return Uncertainty((noise,), (scale,))
+
+
+def make_spread(lines: int = 3) -> PointSpread:
+    """Four points on a circle that rocks about y: amplitudes differ along x by ±1 %, the third is 0.2 % too low."""
+    mean = np.array([100.0, 1.0, 0.5])[:lines] + 0j
+    factor = np.array([1.01, 1.0, 0.99 - 0.002, 1.0])
+    value = mean[:, None] * factor
+    columns = np.stack([np.ones(4), PLACE[:, 1], -PLACE[:, 0]], axis=1)
+    plane = value @ np.linalg.pinv(columns).T
+    residual = value - plane @ columns.T
+    ratios = PointRatios(
+        "Fz", "Fz", "V/V", 2e-7 / factor * np.ones((lines, 1)) * np.exp(-0.1j), _uncertainty(lines, 4, 1e-11),
+        np.full(lines, 2e-7 * np.exp(-0.1j)),
+    )  # fmt: skip
+    return PointSpread(
+        "laser", "load", FREQUENCY[:lines], ("p1", "p2", "p3", "p4"), np.array([0.0, 0.0, 1.0]),
+        np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), PLACE, value, _uncertainty(lines, 4, 0.01), plane,
+        _uncertainty(lines, 3, 0.005), residual, _uncertainty(lines, 4, 0.01), ratios,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def evaluation(ready_evaluation: Evaluation) -> Evaluation:
+    return replace(ready_evaluation, points=(make_spread(),))
+
+
+def test_tables_hold_the_numbers(evaluation):
+    points, spread, ratios = point_tables(evaluation)
+    assert points.caption.startswith("4 points of laser along z on the load at 106.2503 Hz")
+    assert points.rows[0][:3] == ("p1", "30.0", "0.0")
+    assert points.rows[0][5] == "+1.051"  # 1.01 over the mean of 0.9995
+    assert points.rows[2][5] == "\N{MINUS SIGN}1.151"
+    values = np.array([1.01, 1.0, 0.988, 1.0])
+    assert spread.rows[0][3] == f"{100 * np.std(values, ddof=1) / values.mean():.3g}"
+    rocking = 1e6 * 100.0 * (1.01 - 0.988) / 0.06 / (2 * np.pi * 106.2503) ** 2
+    assert spread.rows[0][6].startswith(f"{rocking:.3f}")
+    assert ratios.rows[0][2] == f"{100 * np.std(1 / values, ddof=1) / np.mean(1 / values):.3g}"
+    assert ratios.rows[0][5] == f"+{100 * (np.mean(1 / values) - 1):.3f}"
+
+
+def test_the_page_shows_points_where_there_are_some(evaluation, monkeypatch):
+    def only_points(shown: Evaluation) -> dict[str, list[Picture]]:
+        return defaultdict(list, points=point_pictures(shown))
+
+    monkeypatch.setattr("fusion.report.recording.draw_all", only_points)
+    page = outline(render_report(evaluation))
+    assert "points" in page.ids
+    assert "figure-points-0" in page.ids
+    without = outline(render_report(replace(evaluation, points=())))
+    assert "points" not in without.ids
+
+
+def test_the_figure_is_the_same_every_time(evaluation):
+    (picture,) = point_pictures(evaluation)
+    assert picture.svg == draw_points(evaluation.points[0], 0, 0).svg
+    assert "425" not in picture.caption
+
+
+def test_result_file_holds_the_spread(evaluation, tmp_path):
+    write_h5(tmp_path / "result.h5", evaluation, [])
+    with h5py.File(tmp_path / "result.h5") as file:
+        (group,) = file["points"].values()
+        np.testing.assert_array_equal(group["plane"], evaluation.points[0].plane)
+        np.testing.assert_array_equal(group["ratios/value"], evaluation.points[0].ratios.value)
+
+
+def test_directions_have_names():
+    assert axis_name(np.array([0.0, 0.0, 1.0])) == "z"
+    assert axis_name(np.array([0.0, -1.0, 0.0])) == "\N{MINUS SIGN}y"
+    assert axis_name(np.array([0.6, 0.8, 0.0])) == "(0.6, 0.8, 0)"
+
+
+def test_three_points_leave_nothing_to_tell(evaluation):
+    four = make_spread()
+    kept = (0, 1, 2)
+    three = replace(
+        four, channels=four.channels[:3], place_m=PLACE[:3], value=four.value[:, :3],
+        uncertainty=four.uncertainty.at(kept), residual=0 * four.residual[:, :3],
+        residual_uncertainty=four.residual_uncertainty.at(kept), ratios=None,
+    )  # fmt: skip
+    points, spread = point_tables(replace(evaluation, points=(three,)))
+    assert {row[7] for row in points.rows} == {"–"}
+    assert {row[7:] for row in spread.rows} == {("–", "–")}

@@ -1,4 +1,4 @@
-"""Takes: points measured one after another come out as if they had been measured at once."""
+"""Points measured one after another come out as if they had been measured at once; a scan is such a recording."""
 
 from __future__ import annotations
 
@@ -9,8 +9,12 @@ import pytest
 from take_factory import (
     FREQUENCY_HZ,
     HEAD,
+    LASER,
     LOAD,
+    OUTPUT,
     POINTS,
+    RATE_HZ,
+    REFERENCE,
     RIG,
     SENSITIVITY,
     Shot,
@@ -23,6 +27,7 @@ from take_factory import (
 from fusion.base import Settings
 from fusion.cli import main
 from fusion.commands.options import EXIT_DONE, EXIT_INPUT
+from fusion.recording.files import read_set_ups
 from fusion.recording.load import load_manifest
 from fusion.report.csv_files import result_tables
 from fusion.sensitivity.analyse import Evaluation
@@ -53,7 +58,7 @@ def eight(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
     return _evaluate(write_takes(tmp_path_factory.mktemp("eight"), _shots(rng), rng, top=True))
 
 
-def test_eight_points_one_after_another_give_the_motion(eight: Evaluation) -> None:
+def test_eight_points_one_after_another_give_the_motion(eight):
     """The phase of every take and its level are those of the first; what is stated of the drift covers what is left."""
     load = next(a for a in eight.accelerations if a.body == "load" and a.source == "fused")
     assert load.observed[0].tolist() == [False, False, True, True, True, False]
@@ -66,7 +71,7 @@ def test_eight_points_one_after_another_give_the_motion(eight: Evaluation) -> No
     assert {f"take {number}: velocity_1" for number in range(1, 9)} <= {test.instrument for test in load.consistency}
 
 
-def test_the_drift_between_takes_is_part_of_the_uncertainty(eight: Evaluation) -> None:
+def test_the_drift_between_takes_is_part_of_the_uncertainty(eight):
     load = next(a for a in eight.accelerations if a.body == "load" and a.source == "fused")
     size = abs(LOAD[2])
     budget = {part.label: np.sqrt(part.covariance[0, 2, 2]) / size for part in load.uncertainty.grouped()}
@@ -86,10 +91,8 @@ def test_the_drift_between_takes_is_part_of_the_uncertainty(eight: Evaluation) -
     assert {notice.where for notice in told} == {t.name for t in eight.takes if abs(t.drift[0]) > 1e-3}
 
 
-def test_output_of_all_takes_is_one_and_gives_the_sensitivity(eight: Evaluation) -> None:
+def test_output_of_all_takes_is_one_and_gives_the_sensitivity(eight):
     found = eight.sensitivity
-    assert found is not None
-    assert eight.outputs is not None
     assert eight.outputs.phasors.channels == ("Fz",)
     value, covariance = found.value[0, 0, 2], found.covariance[0, 0, 2]
     error = np.array([(value - SENSITIVITY).real, (value - SENSITIVITY).imag])
@@ -97,7 +100,7 @@ def test_output_of_all_takes_is_one_and_gives_the_sensitivity(eight: Evaluation)
     assert value == pytest.approx(SENSITIVITY, rel=3e-4)
 
 
-def test_harmonics_are_referred_by_the_reference_at_their_own_line(eight: Evaluation) -> None:
+def test_harmonics_are_referred_by_the_reference_at_their_own_line(eight):
     load = next(a for a in eight.accelerations if a.body == "load" and a.source == "fused")
     assert eight.lines.multiple.tolist() == [1, 2, 3]
     for line, (multiple, share) in enumerate(HARMONICS.items(), 1):
@@ -106,7 +109,7 @@ def test_harmonics_are_referred_by_the_reference_at_their_own_line(eight: Evalua
         assert abs(error) < 2e-3 * share * abs(LOAD[2]), multiple
 
 
-def test_everything_says_which_take_it_is_of(eight: Evaluation) -> None:
+def test_everything_says_which_take_it_is_of(eight):
     assert [clock.daq for clock in eight.clocks] == [f"take {number}: daq" for number in range(1, 9)]
     names = [channel.name for channel in eight.channels]
     assert names[:3] == ["take 1: drive", "take 1: Fz", "take 1: velocity_1"]
@@ -117,7 +120,7 @@ def test_everything_says_which_take_it_is_of(eight: Evaluation) -> None:
     assert set(result_tables(eight)) == {"sensitivity.csv", "acceleration.csv", "load.csv"}
 
 
-def test_takes_cut_from_one_recording_give_what_the_recording_gives(tmp_path: Path) -> None:
+def test_takes_cut_from_one_recording_give_what_the_recording_gives(tmp_path):
     """The same samples, once as one take of eight lasers and once as eight takes of one."""
     rng = np.random.default_rng(8)
     values = signals(Shot(POINTS), rng)
@@ -141,12 +144,10 @@ def test_takes_cut_from_one_recording_give_what_the_recording_gives(tmp_path: Pa
         # Reference noise, which cancels here, may add to what is stated; nothing else does.
         u, stated = np.sqrt(one.phasors.covariance[0, 2, 2]), np.sqrt(eight.phasors.covariance[0, 2, 2])
         assert u * (1.0 - 1e-6) <= stated < u * 1.02
-    assert whole.sensitivity is not None
-    assert takes.sensitivity is not None
     np.testing.assert_allclose(takes.sensitivity.value[0, 0, 2], whole.sensitivity.value[0, 0, 2], rtol=3e-6)
 
 
-def test_a_channel_in_every_take_is_one_reading_and_its_scatter_counts(tmp_path: Path) -> None:
+def test_a_channel_in_every_take_is_one_reading_and_its_scatter_counts(tmp_path):
     """An output whose gain jumps from take to take says so, and its uncertainty grows with it."""
     rng = np.random.default_rng(11)
     shots = [Shot([point]) for point in POINTS[:5]]
@@ -156,15 +157,13 @@ def test_a_channel_in_every_take_is_one_reading_and_its_scatter_counts(tmp_path:
         values = signals(shot, rng)
         write_shot(folder / f"{number}.h5", values | {"Fz": gain * values["Fz"]})
     found = _evaluate(folder)
-    assert found.outputs is not None
     u = np.sqrt(found.outputs.uncertainty.random[0].covariance[0, 0, 0]) / abs(found.outputs.phasors.value[0, 0])
     assert u * np.sqrt(2.0) == pytest.approx(np.std(gains, ddof=1) / np.sqrt(5.0), rel=0.05)
-    assert found.outputs.uncertainty.random[0].dof is not None
     assert found.outputs.uncertainty.random[0].dof[0] == pytest.approx(4.0, rel=0.01)
     assert any(notice.where == "Fz" and "differs from take to take by" in notice.text for notice in found.notices)
 
 
-def test_a_large_drift_and_another_frequency_are_warnings(tmp_path: Path) -> None:
+def test_a_large_drift_and_another_frequency_are_warnings(tmp_path):
     rng = np.random.default_rng(3)
     shots = [Shot(POINTS[:1]), Shot(POINTS[1:2], 1.05), Shot(POINTS[2:3], frequency_hz=FREQUENCY_HZ * 1.0005)]
     found = _evaluate(write_takes(tmp_path, shots, rng, harmonics="[1]"))
@@ -209,9 +208,7 @@ def _missing_channel(folder: Path) -> None:
         (_missing_channel, "take[2].daq.daq.file: 2.h5"),
     ],
 )
-def test_wrong_takes_are_one_sentence(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], damage: object, sentence: str
-) -> None:
+def test_wrong_takes_are_one_sentence(tmp_path, capsys, damage, sentence):
     rng = np.random.default_rng(2)
     folder = write_takes(tmp_path, [Shot(POINTS[:1]), Shot(POINTS[1:2])], rng)
     assert callable(damage)
@@ -223,7 +220,7 @@ def test_wrong_takes_are_one_sentence(
     assert not (folder / "results").exists()
 
 
-def test_check_shows_takes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_shows_takes(tmp_path, capsys):
     folder = write_takes(tmp_path, [Shot(POINTS[:1]), Shot(POINTS[1:2])], np.random.default_rng(2))
     assert main(["check", str(folder)]) == EXIT_DONE
     told = capsys.readouterr().out
@@ -232,7 +229,7 @@ def test_check_shows_takes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert "load: laser: z" in told or "load: laser: no component by itself" in told
 
 
-def test_reference_at_a_weak_harmonic_leaves_that_line_to_the_other_takes(tmp_path: Path) -> None:
+def test_reference_at_a_weak_harmonic_leaves_that_line_to_the_other_takes(tmp_path):
     """Where the reference does not stand out, a take says nothing at that line instead of noise."""
     rng = np.random.default_rng(4)
     strong, weak = Shot(POINTS[:1], harmonics={2: 1e-3}), Shot(POINTS[1:2], harmonics={2: 0.0})
@@ -242,7 +239,7 @@ def test_reference_at_a_weak_harmonic_leaves_that_line_to_the_other_takes(tmp_pa
     assert np.isfinite(referred["take 2: velocity_1"]).tolist() == [True, False]
 
 
-def test_lines_are_those_of_the_first_take(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_lines_are_those_of_the_first_take(tmp_path, capsys):
     shots = [Shot(POINTS[:1], harmonics=HARMONICS), Shot(POINTS[1:2])]
     folder = write_takes(tmp_path, shots, np.random.default_rng(2))
     assert main(["lines", str(folder)]) == EXIT_DONE
@@ -251,7 +248,7 @@ def test_lines_are_those_of_the_first_take(tmp_path: Path, capsys: pytest.Captur
     assert "harmonic 3" in told
 
 
-def test_a_harmonic_that_folds_in_one_take_is_left_out_of_all(tmp_path: Path) -> None:
+def test_a_harmonic_that_folds_in_one_take_is_left_out_of_all(tmp_path):
     """Sampled at four times the line, its third harmonic cannot be told from it."""
     slow = Shot(POINTS[1:2], rate_hz=4.0 * FREQUENCY_HZ, samples=1200)
     found = _evaluate(write_takes(tmp_path, [Shot(POINTS[:1], harmonics=HARMONICS), slow], np.random.default_rng(2)))
@@ -259,7 +256,7 @@ def test_a_harmonic_that_folds_in_one_take_is_left_out_of_all(tmp_path: Path) ->
     assert any("harmonic 3 of 106.25 Hz is left out: take 2 cannot tell it" in notice.text for notice in found.notices)
 
 
-def test_an_output_can_be_the_reference_and_its_noise_then_cancels_in_the_ratio(tmp_path: Path) -> None:
+def test_an_output_can_be_the_reference_and_its_noise_then_cancels_in_the_ratio(tmp_path):
     rng = np.random.default_rng(9)
     folder = write_takes(tmp_path, [Shot([point]) for point in POINTS], rng, harmonics="[1]")
     text = (folder / "recording.toml").read_text()
@@ -269,7 +266,6 @@ def test_an_output_can_be_the_reference_and_its_noise_then_cancels_in_the_ratio(
     (folder / "recording.toml").write_text(text)
     found = _evaluate(folder)
     ratio = found.sensitivity
-    assert ratio is not None
     assert ratio.value[0, 0, 2] == pytest.approx(SENSITIVITY, rel=1e-5)
     load = next(a for a in found.accelerations if a.body == "load" and a.source == "fused")
     noise = {part.label: part.covariance[0] for part in load.uncertainty.grouped()}["reference noise"]
@@ -284,3 +280,115 @@ def test_an_output_can_be_the_reference_and_its_noise_then_cancels_in_the_ratio(
     share = np.linalg.norm(gain) / np.linalg.norm([1.0 - gain[0], *gain[1:]])
     along = np.sqrt((noise[2, 2] + noise[8, 8]) / 2.0) / abs(LOAD[2])
     assert entry.u_relative[0, 0] == pytest.approx(along * share, rel=0.15)
+
+
+ORIGIN = (0.0, 0.0, 0.05)  # of the file's coordinates in the sensor frame
+DAQ = '[[daq]]\nname = "scan"\nfile = "Scan_time.asc"\n'
+SCANNED = POINTS[:4]
+BLOCKS = ("velocity_1", "drive", "Fz")
+
+
+def _scan(folder: Path, rng: np.random.Generator, points: int = 4) -> Path:
+    """Write a scan in the layout of the published description: points from line 19, acquisition, blocks."""
+    takes = []
+    for number, point in enumerate(SCANNED[:points]):
+        level = complex((1.0 + 2e-3 * number) * np.exp(1j * number))
+        takes.append(signals(Shot([point], level, samples=3000), rng))
+    lines = ["Scanning vibrometer"] * 18
+    lines += [" ".join(f"{x:.12f}" for x in np.subtract(point, ORIGIN)) for point in SCANNED[:points]]
+    lines += ["", f"3000 {1.0 / RATE_HZ:.9g}"]
+    for name in BLOCKS:
+        lines.append(f"block {name}")
+        lines += [" ".join(f"{x:.9e}" for x in row) for row in np.column_stack([take[name] for take in takes])]
+    recording = folder / "takes"
+    recording.mkdir()
+    (folder / "rig.toml").write_text(RIG)
+    (recording / "Scan_time.asc").write_text("\n".join(lines) + "\n")
+    return recording
+
+
+def _text(folder: Path, *channels: str) -> Path:
+    (folder / "recording.toml").write_text(HEAD.format(harmonics="[1]") + DAQ + "".join(channels))
+    return folder
+
+
+def _short(folder: Path) -> Path:
+    """Channels by their block: recorded at every point."""
+    laser = LASER.format(at="", name="1", point=list(ORIGIN))
+    return _text(folder, laser, REFERENCE.format(at="", name="2", mark="true"), OUTPUT.format(at="", name="3"))
+
+
+def _long(folder: Path) -> Path:
+    """Every channel by block and point, lasers with their own place."""
+    channels = []
+    for number, point in enumerate(SCANNED, 1):
+        channels.append(LASER.format(at="", name=f"1/{number}", point=list(point)))
+        channels.append(REFERENCE.format(at="", name=f"2/{number}", mark="true"))
+        channels.append(OUTPUT.format(at="", name=f"3/{number}"))
+    return _text(folder, *channels)
+
+
+def _blocks(folder: Path) -> Path:
+    """The same as blocks of takes."""
+    text = HEAD.format(harmonics="[1]")
+    for number, point in enumerate(SCANNED, 1):
+        text += "[[take]]\n" + DAQ.replace("[[daq]]", "[[take.daq]]")
+        text += LASER.format(at="take.", name=f"1/{number}", point=list(point))
+        text += REFERENCE.format(at="take.", name=f"2/{number}", mark="true")
+        text += OUTPUT.format(at="take.", name=f"3/{number}")
+    (folder / "recording.toml").write_text(text)
+    return folder
+
+
+def test_every_point_of_a_scan_is_a_take(tmp_path):
+    folder = _scan(tmp_path, np.random.default_rng(6))
+    found = [_evaluate(describe(folder)) for describe in (_short, _long, _blocks)]
+    values = [f.accelerations[0].phasors.value[0] for f in found]
+    assert [len(f.takes) for f in found] == [4, 4, 4]
+    for value in values[1:]:
+        np.testing.assert_allclose(value, values[0], rtol=1e-9)
+    np.testing.assert_allclose(values[0][2:5], LOAD[2:5], atol=1e-4 * abs(LOAD[2]))
+    assert [f"{take.drift[0]:.4f}" for take in found[0].takes] == ["0.0000", "0.0020", "0.0040", "0.0060"]
+
+
+def test_points_are_placed_where_the_file_says(tmp_path):
+    takes = read_set_ups(load_manifest(_short(_scan(tmp_path, np.random.default_rng(6)))))
+    placed = [take.records[0].entry.channel[0].point for take in takes]
+    np.testing.assert_allclose(np.array(placed, dtype=np.float64), SCANNED, atol=1e-9)
+    assert {take.records[0].entry.channel[1].point for take in takes} == {(0.0, 0.0, -0.1)}  # the reference stays
+
+
+def test_a_scan_of_one_point_needs_no_reference(tmp_path):
+    folder = _scan(tmp_path, np.random.default_rng(6), points=1)
+    laser = LASER.format(at="", name="1", point=list(SCANNED[0]))
+    found = _evaluate(_text(folder, laser))
+    assert found.takes == ()
+
+
+@pytest.mark.parametrize(
+    ("channels", "sentence"),
+    [
+        ([LASER.format(at="", name="1", point=list(ORIGIN))], "daq: expected one channel with reference = true"),
+        ([LASER.format(at="", name="1/9", point=list(ORIGIN))], "Scan_time.asc: 1/9: expected block/point of 3 blocks"),
+        ([LASER.format(at="", name="7", point=list(ORIGIN))], "Scan_time.asc: 7: expected block/point of 3 blocks and"),
+        (
+            [LASER.format(at="", name=name, point=list(ORIGIN)) for name in ("1", "1/2")],
+            "daq.scan.channel.1/2: expected each data set once, found 1 beside it",
+        ),
+    ],
+)
+def test_wrong_scans_are_one_sentence(tmp_path, capsys, channels, sentence):
+    folder = _text(_scan(tmp_path, np.random.default_rng(6)), *channels)
+    assert main(["run", str(folder)]) == EXIT_INPUT
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1
+    assert sentence in told
+
+
+def test_check_counts_the_points_of_a_scan(tmp_path, capsys):
+    folder = _short(_scan(tmp_path, np.random.default_rng(6)))
+    assert main(["check", str(folder)]) == EXIT_DONE
+    told = capsys.readouterr().out
+    assert "3000 samples at 4000 Hz, a scan of 4 points, each a take" in told
+    assert "takes: 4, tied by 2" in told
+    assert "load: laser: z rx ry" in told

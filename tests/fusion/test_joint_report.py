@@ -16,9 +16,9 @@ from evaluation_factory import Choice, make_evaluation
 from page_outline import outline
 
 from fusion.base import InputError
+from fusion.campaign import joint_report as joint_write
 from fusion.campaign.joint import CampaignEvaluation, curve_points, evaluate_campaign
 from fusion.campaign.joint_report import (
-    CROSSTALK_COLUMNS,
     CURVE_COLUMNS,
     campaign_h5,
     campaign_origin,
@@ -28,10 +28,10 @@ from fusion.campaign.joint_report import (
     repeats_table,
     write_campaign,
 )
-from fusion.campaign.run import joint_report as joint_write
+from fusion.report import recording as results
 from fusion.report.h5 import Recorded, read_uncertainty
 from fusion.report.recording import CAMPAIGN_FILES, check_campaign_folder, write_results
-from fusion.report.recording import recording as results
+from fusion.sensor.decouple.report import CROSSTALK_COLUMNS
 
 RESULTS_DOC = Path(__file__).resolve().parents[2] / "docs" / "results.md"
 FAILED = {"Fz-0999": "recording.toml: daq.laser.scale: expected a number, found <nothing>"}
@@ -61,7 +61,7 @@ def within(row: dict[str, str], true: complex, times: float = 5.0) -> bool:
     return abs(error.real) < times * float(row["u_re"]) and abs(error.imag) < times * float(row["u_im"])
 
 
-def test_one_curve_over_frequency(swept: CampaignEvaluation) -> None:
+def test_one_curve_over_frequency(swept):
     rows = table(campaign_tables(swept, [])["curve.csv"])
     assert list(rows[0]) == CURVE_COLUMNS
     assert [float(row["frequency_hz"]) for row in rows[::6]] == pytest.approx(SWEEP_HZ, rel=1e-6)
@@ -77,7 +77,7 @@ def test_one_curve_over_frequency(swept: CampaignEvaluation) -> None:
         assert float(row["U_magnitude"]) == pytest.approx(float(row["k"]) * float(row["u_magnitude"]), rel=1e-12)
 
 
-def test_relative_to_static_where_that_is_stated(swept: CampaignEvaluation) -> None:
+def test_relative_to_static_where_that_is_stated(swept):
     rows = table(campaign_tables(swept, [])["curve.csv"])
     main = [row for row in rows if row["channel"] == "Fz"]
     for row in main:
@@ -87,7 +87,7 @@ def test_relative_to_static_where_that_is_stated(swept: CampaignEvaluation) -> N
     assert {row["relative"] for row in rows if row["channel"] != "Fz"} == {"nan"}
 
 
-def test_what_is_shared_does_not_average_away(swept: CampaignEvaluation) -> None:
+def test_what_is_shared_does_not_average_away(swept):
     main = next(row for row in table(campaign_tables(swept, [])["curve.csv"]) if row["channel"] == "Fz")
     shared = np.sqrt(2.5e-4**2 + 1.4e-4**2 + 2e-4**2)
     share = float(main["u_magnitude"]) / float(main["magnitude"])
@@ -95,7 +95,7 @@ def test_what_is_shared_does_not_average_away(swept: CampaignEvaluation) -> None
     assert share < np.hypot(shared, 3e-4) * 2.0
 
 
-def test_elements_of_the_matrix_stand_among_the_sensitivities(matrix: CampaignEvaluation) -> None:
+def test_elements_of_the_matrix_stand_among_the_sensitivities(matrix):
     rows = table(campaign_tables(matrix, [])["sensitivity.csv"])
     assert {(row["kind"], row["recording"]) for row in rows} == {("matrix", "eight recordings")}
     assert len(rows) == 36 * len(MATRIX_HZ)
@@ -105,7 +105,7 @@ def test_elements_of_the_matrix_stand_among_the_sensitivities(matrix: CampaignEv
     assert {row["unit"] for row in rows if row["component"] == "Mx"} == {"(V/V)/(N.m)"}
 
 
-def test_cross_talk_at_rated_loads(matrix: CampaignEvaluation) -> None:
+def test_cross_talk_at_rated_loads(matrix):
     rows = table(campaign_tables(matrix, [])["crosstalk.csv"])
     assert list(rows[0]) == CROSSTALK_COLUMNS
     assert len(rows) == 30 * len(MATRIX_HZ)
@@ -118,7 +118,7 @@ def test_cross_talk_at_rated_loads(matrix: CampaignEvaluation) -> None:
             assert row["holds_zero"] == "no"
 
 
-def test_uncertainties_are_kept_with_their_names(matrix: CampaignEvaluation) -> None:
+def test_uncertainties_are_kept_with_their_names(matrix):
     with h5py.File(io.BytesIO(campaign_h5(matrix, ["a.csv"]))) as file:
         assert file.attrs["campaign"] == "eight recordings"
         assert file["provenance/files"].asstr()[()].tolist() == ["a.csv"]
@@ -134,15 +134,13 @@ def test_uncertainties_are_kept_with_their_names(matrix: CampaignEvaluation) -> 
     assert kinds[-1] == "matrix"
 
 
-def test_equal_input_gives_equal_bytes(swept: CampaignEvaluation) -> None:
+def test_equal_input_gives_equal_bytes(swept):
     again = evaluate_campaign("sweep along z", sweep(), FAILED)
     assert campaign_tables(swept, []) == campaign_tables(again, [])
     assert campaign_h5(swept, []) == campaign_h5(again, [])
 
 
-def test_the_example_of_the_page_combines_two_elements(
-    swept: CampaignEvaluation, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_example_of_the_page_combines_two_elements(swept, tmp_path, monkeypatch):
     (tmp_path / "results").mkdir()
     (tmp_path / "results" / "campaign.h5").write_bytes(campaign_h5(swept, []))
     code = next(
@@ -165,13 +163,13 @@ def test_the_example_of_the_page_combines_two_elements(
     assert line[0, 0, 5, 0] / np.sqrt(line[0, 0, 0, 0] * line[5, 0, 5, 0]) > 0.5
 
 
-def test_without_six_loads_there_is_no_matrix(swept: CampaignEvaluation) -> None:
+def test_without_six_loads_there_is_no_matrix(swept):
     assert swept.matrices == ()
     assert table(campaign_tables(swept, [])["crosstalk.csv"]) == []
     assert "too few independent loads" in swept.refused[0].text
 
 
-def test_page_of_a_sweep(swept: CampaignEvaluation) -> None:
+def test_page_of_a_sweep(swept):
     page = render_campaign(swept)
     found = outline(page)
     assert "No matrix at" in "".join(found.text)
@@ -187,7 +185,7 @@ def test_page_of_a_sweep(swept: CampaignEvaluation) -> None:
     assert "http" not in re.sub(r'xmlns[^"\']*["\'][^"\']*["\']|DOCTYPE|data:image[^"]*', "", page)
 
 
-def test_page_of_a_matrix(matrix: CampaignEvaluation) -> None:
+def test_page_of_a_matrix(matrix):
     found = outline(render_campaign(replace(matrix, curves=matrix.curves[-2:], relative=matrix.relative[-2:])))
     assert {"figure-crosstalk", "figure-excitation", "figure-curve-Mz-Mz"} <= set(found.ids)
     text = "".join(found.text)
@@ -213,14 +211,12 @@ def weaker(entry: Recorded, share: float) -> Recorded:
     return replace(entry, name=f"{entry.name}, weak", folder=f"{entry.folder}-weak", drives=drives)
 
 
-def test_a_series_of_amplitudes_tells_linearity() -> None:
+def test_a_series_of_amplitudes_tells_linearity():
     strong = sweep()[:4]
     found = evaluate_campaign("series", (*strong, *(weaker(entry, 0.5) for entry in strong)), {})
     assert [len(repeated.recordings) for repeated in found.repeats] == [4, 4]
     assert [point.recordings for point in curve_points(found)] == [8] * 6
     series, repeats = linearity_table(found), repeats_table(found)
-    assert series is not None
-    assert repeats is not None
     assert re.fullmatch(r"2(29|30)\S* to 4(59|60)\S* N", series.rows[0][2])
     assert (series.rows[0][1], series.rows[0][3]) == ("Fz", "8")
     assert series.rows[0][-1] == "linear within U"
@@ -230,7 +226,7 @@ def test_a_series_of_amplitudes_tells_linearity() -> None:
         assert file["repeats/001/mountings"].asstr()[()].tolist().count("2") == 2
 
 
-def test_inputs_of_all_recordings_are_known_by_name() -> None:
+def test_inputs_of_all_recordings_are_known_by_name():
     first, second = sweep()[:2]
     hashes = {"rig.toml": "cd" * 32, **first.origin.input_hashes}
     other = replace(second.origin, input_hashes={"rig.toml": "ef" * 32})
@@ -240,21 +236,21 @@ def test_inputs_of_all_recordings_are_known_by_name() -> None:
     assert origin.input_hashes == {**hashes, f"{second.folder}: rig.toml": "ef" * 32}
 
 
-def test_recordings_of_one_name_are_told_apart() -> None:
+def test_recordings_of_one_name_are_told_apart():
     first, second = (replace(entry, name="the same") for entry in sweep()[:2])
     found = evaluate_campaign("twice", (first, second), {})
     assert [entry.name for entry in found.recorded] == [f"the same [{entry.folder}]" for entry in (first, second)]
     assert [drive.recording for drive in found.drives] == [entry.name for entry in found.recorded]
 
 
-def test_several_sensors_have_nothing_to_say_together() -> None:
+def test_several_sensors_have_nothing_to_say_together():
     first, second = sweep()[:2]
     found = evaluate_campaign("two", (first, replace(second, sensor=replace(SENSOR, serial="4711"))), {})
     assert found.curves == ()
     assert "tested several sensors" in found.notices[0].text
 
 
-def test_recordings_that_have_no_output_in_common_keep_their_own_results() -> None:
+def test_recordings_that_have_no_output_in_common_keep_their_own_results():
     first, second = sweep()[:2]
     only = tuple(replace(d, channels=tuple(f"{name}'" for name in d.channels)) for d in second.drives)
     found = evaluate_campaign("apart", (first, replace(second, drives=only)), {})
@@ -262,14 +258,14 @@ def test_recordings_that_have_no_output_in_common_keep_their_own_results() -> No
     assert "no curves of ratios: drives: expected an output" in found.notices[0].text
 
 
-def test_no_sensor_leaves_a_page_without_sensitivity() -> None:
+def test_no_sensor_leaves_a_page_without_sensitivity():
     bare = replace(sweep()[0], sensor=None, drives=())
     found = evaluate_campaign("bare", (bare,), {})
     assert found.curves == ()
     assert "no load or no output" in "".join(outline(render_campaign(found)).text)
 
 
-def test_files_are_written_from_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_are_written_from_files(tmp_path, monkeypatch):
     monkeypatch.setattr(results, "render_report", lambda _: "<!doctype html>\n")
     monkeypatch.setattr(joint_write, "render_campaign", lambda evaluation: f"<!doctype html>{evaluation.name}\n")
     top, folders = tmp_path / "results", []

@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 
 from fusion.base import InputError
 from fusion.recording.load import load_manifest, validate
-from fusion.recording.manifest import RecordingFile
-from fusion.recording.rig import Rig
+from fusion.recording.manifest import RecordingFile, Rig
 from fusion.recording.values import Context, PathScope
 
 Campaign = Callable[..., Path]
@@ -117,16 +116,14 @@ def _assert_one_sentence(error: InputError, file: str, key: str, expected: str, 
 
 
 @pytest.mark.parametrize(("file", "old", "new", "key", "expected", "found"), CASES)
-def test_a_mistake_is_one_sentence(
-    make_campaign: Campaign, file: str, old: str, new: str, key: str, expected: str, found: str
-) -> None:
+def test_a_mistake_is_one_sentence(make_campaign, file, old, new, key, expected, found):
     folder = make_campaign(replace=((file, old, new),))
     with pytest.raises(InputError) as caught:
         load_manifest(folder)
     _assert_one_sentence(caught.value, file, key, expected, found)
 
 
-def test_the_sentence_reads_as_promised(make_campaign: Campaign) -> None:
+def test_the_sentence_reads_as_promised(make_campaign):
     folder = make_campaign(replace=((RIG, "mass = 6.9605", "mass = 0.0"), (RIG, "mass = 0.412", "mass = -1")))
     with pytest.raises(InputError) as caught:
         load_manifest(folder)
@@ -134,7 +131,7 @@ def test_the_sentence_reads_as_promised(make_campaign: Campaign) -> None:
     assert str(caught.value) == f"{rig}: load.mass: expected a number above 0, found 0.0 (1 more problem in this file)"
 
 
-def test_a_covariance_makes_the_scale_uncertainty_optional(make_campaign: Campaign) -> None:
+def test_a_covariance_makes_the_scale_uncertainty_optional(make_campaign):
     folder = make_campaign(replace=((RIG, "scale_uncertainty = 2e-4 ", "#"),))
     calibration = folder.parent / "calibration" / "top.json"
     calibration.write_text('{"covariance": {"parameters": [], "matrix": []}}', encoding="utf-8")
@@ -145,7 +142,7 @@ def test_a_covariance_makes_the_scale_uncertainty_optional(make_campaign: Campai
 
 
 @pytest.mark.skipif(os.name == "nt", reason="links need a privilege on Windows")
-def test_a_link_that_leaves_the_campaign_is_refused(make_campaign: Campaign, tmp_path: Path) -> None:
+def test_a_link_that_leaves_the_campaign_is_refused(make_campaign, tmp_path):
     folder = make_campaign()
     (tmp_path / "elsewhere.h5").write_bytes(b"")
     (folder / "vibrometer.h5").unlink()
@@ -155,7 +152,7 @@ def test_a_link_that_leaves_the_campaign_is_refused(make_campaign: Campaign, tmp
     assert load_manifest(folder, allow_outside=True)
 
 
-def test_a_rig_beside_the_recording_is_refused(make_campaign: Campaign) -> None:
+def test_a_rig_beside_the_recording_is_refused(make_campaign):
     folder = make_campaign(replace=((RECORDING, '"../rig.toml"', '"../other/rig.toml"'),))
     (folder.parent / "other").mkdir()
     (folder.parent / "rig.toml").rename(folder.parent / "other" / "rig.toml")
@@ -166,7 +163,7 @@ def test_a_rig_beside_the_recording_is_refused(make_campaign: Campaign) -> None:
 @pytest.mark.parametrize(
     "content", [b"\xff\xfe", b"a = " + b"9" * 5000, b"a = " + b"[" * 5000, b"a = 1\na = 2\n", b"[[part]]\n[part]\n"]
 )
-def test_what_is_not_toml_is_one_sentence(make_campaign: Campaign, content: bytes) -> None:
+def test_what_is_not_toml_is_one_sentence(make_campaign, content):
     folder = make_campaign()
     (folder / RECORDING).write_bytes(content)
     with pytest.raises(InputError) as caught:
@@ -174,20 +171,20 @@ def test_what_is_not_toml_is_one_sentence(make_campaign: Campaign, content: byte
     assert caught.value.file.name == RECORDING
 
 
-def test_a_recording_without_its_file_is_one_sentence(tmp_path: Path) -> None:
+def test_a_recording_without_its_file_is_one_sentence(tmp_path):
     with pytest.raises(InputError, match=r"recording\.toml: expected an existing file"):
         load_manifest(tmp_path)
 
 
 @pytest.mark.parametrize("section", ["sensor", "load", "stereo", "environment", "part"])
-def test_a_section_of_the_wrong_kind_is_one_sentence(make_campaign: Campaign, section: str) -> None:
+def test_a_section_of_the_wrong_kind_is_one_sentence(make_campaign, section):
     folder = make_campaign(rig=f'format = 1\nname = "x"\n{section} = 3\n')
     with pytest.raises(InputError) as caught:
         load_manifest(folder)
     _assert_one_sentence(caught.value, RIG, section, "", "3")
 
 
-def test_an_output_needs_a_sensor(make_campaign: Campaign, format_examples: dict[str, str]) -> None:
+def test_an_output_needs_a_sensor(make_campaign, format_examples):
     text = format_examples["rig"]
     without = text[: text.index("[sensor]")] + text[text.index("[load]") :]
     recording = format_examples["recording"].split("[[points]]")[0]
@@ -222,7 +219,7 @@ frequencies = [100.0]
 """
 
 
-def test_takes_share_one_reference(make_campaign: Campaign) -> None:
+def test_takes_share_one_reference(make_campaign):
     assert len(load_manifest(make_campaign(recording=HEAD + TAKE + TAKE)).take) == 2
     with pytest.raises(InputError, match=r"take\[2\]\.daq: expected one channel with reference = true"):
         load_manifest(make_campaign(recording=HEAD + TAKE + TAKE.replace("reference = true", "")))
@@ -246,7 +243,7 @@ KINDS = {
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
-def test_every_kind_of_excitation_has_its_keys(make_campaign: Campaign, kind: str) -> None:
+def test_every_kind_of_excitation_has_its_keys(make_campaign, kind):
     head = HEAD[: HEAD.index("kind")] + f'kind = "{kind}"\n{KINDS[kind]}\n'
     assert load_manifest(make_campaign(recording=head + TAKE)).excitation.kind == kind
     key = KINDS[kind].split(" ", maxsplit=1)[0]
@@ -255,7 +252,7 @@ def test_every_kind_of_excitation_has_its_keys(make_campaign: Campaign, kind: st
         load_manifest(make_campaign(recording=lacking + TAKE))
 
 
-def test_channels_that_the_excitation_names_are_recorded(make_campaign: Campaign) -> None:
+def test_channels_that_the_excitation_names_are_recorded(make_campaign):
     head = HEAD[: HEAD.index("kind")] + 'kind = "chirp"\n' + KINDS["chirp"].replace("'drive'", "'x'")
     with pytest.raises(InputError, match=r"excitation\.reference: expected the name of a recorded channel"):
         load_manifest(make_campaign(recording=head + TAKE))
@@ -277,9 +274,7 @@ def _places(value: Any, here: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
 
 @settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data(), junk=JUNK)
-def test_any_value_anywhere_is_accepted_or_an_input_error(
-    make_campaign: Campaign, data: st.DataObject, junk: Any
-) -> None:
+def test_any_value_anywhere_is_accepted_or_an_input_error(make_campaign, data, junk):
     folder = make_campaign()
     rig = load_manifest(folder).rig
     file, model = data.draw(st.sampled_from([(folder.parent / RIG, Rig), (folder / RECORDING, RecordingFile)]))

@@ -1,4 +1,4 @@
-"""`shakercal compensate`: from models or numbers to filters, C code and filtered recordings."""
+"""`shakercal compensate`: from models or numbers to filters, C code and filtered recordings; models in files."""
 
 from __future__ import annotations
 
@@ -8,10 +8,14 @@ import re
 import shutil
 import subprocess
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
 
 import h5py
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from fusion.base import InputError
 from fusion.cli import main
@@ -19,7 +23,7 @@ from fusion.sensor.compensate.evaluate import CompensateEvaluation, evaluate_com
 from fusion.sensor.compensate.run import header_text, json_text, read_filters
 from fusion.sensor.compensate.source import Wish, read_sources
 from fusion.sensor.load.evaluate import model_text
-from fusion.sensor.models_file import ModelEntry, ModelsFile, models_text
+from fusion.sensor.models_file import MODELS_FILE, ModelEntry, ModelsFile, models_text, read_models
 from shaker.compensation.filter import CompensationFilter
 from shaker.lti.modal import ModalModel
 from shaker.release.load_model import LoadModel
@@ -96,7 +100,7 @@ def _write_recording(folder: Path, load_mass: float = 0.048) -> np.ndarray:
     return clean
 
 
-def test_the_published_case_from_numbers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_published_case_from_numbers(tmp_path, capsys):
     out = tmp_path / "out"
     arguments = ["--sensor-frequency", "500", "--sensor-damping", "0.004", "--frequency", "1000", "--damping", "0.5"]
     assert main(["compensate", *arguments, "-o", str(out)]) == 0
@@ -117,7 +121,7 @@ def test_the_published_case_from_numbers(tmp_path: Path, capsys: pytest.CaptureF
 
 
 @pytest.mark.usefixtures("no_page")
-def test_models_of_a_step_campaign(tmp_path: Path) -> None:
+def test_models_of_a_step_campaign(tmp_path):
     """One filter per channel, by the model of its own component, in the units of that model."""
     out = tmp_path / "out"
     models = _write_models(tmp_path / "step")
@@ -138,7 +142,7 @@ def test_models_of_a_step_campaign(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("no_page")
-def test_a_filter_for_every_load_of_one_target(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_filter_for_every_load_of_one_target(tmp_path, capsys):
     out, loads = tmp_path / "out", _write_loads(tmp_path / "load", known=True)
     wish = ["--frequency", "1000", "--damping", "0.5", "--modes", "2", "--load-mass", "0", "0.198"]
     assert main(["compensate", str(loads), *wish, "-o", str(out)]) == 0
@@ -151,7 +155,7 @@ def test_a_filter_for_every_load_of_one_target(tmp_path: Path, capsys: pytest.Ca
     assert np.all(np.diff(ringing) > 0)
 
 
-def test_force_feedback_with_and_without_knowing_the_load(tmp_path: Path) -> None:
+def test_force_feedback_with_and_without_knowing_the_load(tmp_path):
     out, loads = tmp_path / "out", _write_loads(tmp_path / "load")
     wish = ["--frequency", "1000", "--modes", "2", "--load-mass", "0.198", "--sample-rate", "20000", "--ball", "1000"]
     assert main(["compensate", str(loads), *wish, "-o", str(out)]) == 0
@@ -168,14 +172,14 @@ def _evaluated(loads: Path, wish: Wish) -> CompensateEvaluation:
     return evaluate_compensation(read_sources([loads]), wish, None, {})
 
 
-def test_one_mode_of_two_is_told(tmp_path: Path) -> None:
+def test_one_mode_of_two_is_told(tmp_path):
     found = _evaluated(_write_loads(tmp_path / "load"), Wish(frequency_hz=1000.0, load_masses=(0.198,)))
     told = [notice.text for notice in found.notices if notice.severity == "warning"]
     assert any("--modes compensates it too" in text for text in told)
 
 
 @pytest.mark.usefixtures("no_page")
-def test_a_recording_is_filtered_for_the_load_of_its_rig(tmp_path: Path) -> None:
+def test_a_recording_is_filtered_for_the_load_of_its_rig(tmp_path):
     """The record of a sensor that rings comes out as the step of the target, within its uncertainty."""
     folder = tmp_path / "load"
     folder.mkdir()
@@ -205,7 +209,7 @@ def _second_order(time: np.ndarray, fn: float, zeta: float) -> np.ndarray:
     return np.where(time > 0, 1 - np.exp(-zeta * omega * t) * swing, 0.0)
 
 
-def test_noise_by_third_differences_is_that_of_the_samples() -> None:
+def test_noise_by_third_differences_is_that_of_the_samples():
     rng = np.random.default_rng(2)
     slow = np.sin(2 * np.pi * 50.0 * np.arange(20_000) / RATE)
     assert white_noise(slow + rng.normal(scale=0.01, size=20_000)) == pytest.approx(0.01, rel=0.03)
@@ -230,7 +234,7 @@ int main(void)
 """
 
 
-def test_the_c_header_gives_the_same_bits(tmp_path: Path) -> None:
+def test_the_c_header_gives_the_same_bits(tmp_path):
     """Compiled and run beside the program's own filter, with a switch of the load on the way."""
     compiler = shutil.which("cc")
     if compiler is None:
@@ -280,14 +284,14 @@ NUMBERS = ["--sensor-frequency", "500", "--sensor-damping", "0.004"]
         (["nowhere", "--frequency", "900"], "nowhere"),
     ],
 )
-def test_bad_input_is_one_sentence(arguments: list[str], told: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_input_is_one_sentence(arguments, told, capsys):
     assert main(["compensate", *arguments]) == 2
     error = capsys.readouterr().err.strip()
     assert told in error
     assert error.count("\n") == 0
 
 
-def test_bad_files_are_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_files_are_one_sentence(tmp_path, capsys):
     empty, broken = tmp_path / "empty", tmp_path / "broken.json"
     empty.mkdir()
     broken.write_text('{"models": 3}', encoding="utf-8")
@@ -311,10 +315,100 @@ def test_bad_files_are_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixtur
         read_filters(broken)
 
 
-def test_other_results_are_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_other_results_are_not_overwritten(tmp_path, capsys):
     out = tmp_path / "out"
     out.mkdir()
     (out / "mine.txt").write_text("mine", encoding="utf-8")
     assert main(["compensate", *NUMBERS, "--frequency", "900", "-o", str(out)]) == 2
     assert "out" in capsys.readouterr().err
     assert [path.name for path in out.iterdir()] == ["mine.txt"]
+
+
+SIZES = st.tuples(st.integers(1, 3), st.integers(0, 2))
+
+
+def random_model(modes: int, reals: int, rng: np.random.Generator) -> ModalModel:
+    """A stable model with a full covariance."""
+    half = rng.standard_normal((4 * modes + 2 * reals,) * 2)
+    return ModalModel(
+        frequency_hz=100.0 * np.cumsum(1.0 + rng.random(modes)),
+        damping_ratio=rng.uniform(1e-4, 0.9, modes),
+        residue=rng.standard_normal(modes) + 1j * rng.standard_normal(modes),
+        real_hz=1e3 * np.cumsum(1.0 + rng.random(reals)),
+        real_residue=rng.standard_normal(reals),
+        covariance=half @ half.T,
+    )
+
+
+def entry(model: ModalModel, channel: str = "Fz", component: str = "Fz") -> ModelEntry:
+    """One entry of a file."""
+    return ModelEntry(channel, component, "V/V", "pencil", model, 1e5, 3.3e-7, "a, b", 2.0)
+
+
+@settings(max_examples=40, deadline=None)
+@given(SIZES, st.integers(0, 2**32 - 1))
+def test_a_model_comes_back_to_the_last_bit(sizes, seed):
+    model = random_model(*sizes, np.random.default_rng(seed))
+    file = ModelsFile("campaign µ", "sensor", "7", (entry(model), entry(model, "Fx")))
+    with TemporaryDirectory() as folder:
+        (Path(folder) / MODELS_FILE).write_text(models_text(file), encoding="utf-8")
+        back = read_models(Path(folder))
+    assert (back.name, back.sensor, back.serial) == ("campaign µ", "sensor", "7")
+    found = back["Fz", "Fz"]
+    assert np.array_equal(found.model.vector, model.vector)
+    assert np.array_equal(found.model.covariance, np.asarray(model.covariance))
+    assert (found.unit, found.method, found.sample_rate_hz, found.noise) == ("V/V", "pencil", 1e5, 3.3e-7)
+    assert (found.recording, found.dof) == ("a, b", 2.0)
+
+
+def test_a_file_knows_its_models():
+    model = random_model(1, 0, np.random.default_rng(1))
+    file = ModelsFile("c", "", "", (entry(model), entry(model, "Fx")))
+    assert ("Fx", "Fz") in file
+    assert ("Fx", "Fx") not in file
+    assert [one.channel for one in file.driven] == ["Fz"]
+    with pytest.raises(ValueError, match="expected one of Fz for Fz, Fx for Fz, found Mx for Mx"):
+        file["Mx", "Mx"]
+
+
+def test_poles_zeros_and_gain_for_other_programs_are_those_of_the_model():
+    model = random_model(2, 1, np.random.default_rng(3))
+    item = json.loads(models_text(ModelsFile("c", "", "", (entry(model),))))["models"][0]
+    zeros, poles = (np.array([complex(*root) for root in item[name]]) for name in ("zeros", "poles"))
+    s = 2j * np.pi * np.array([0.0, 37.0, 210.0, 900.0])
+    by_roots = item["gain"] * np.prod(s[:, None] - zeros, axis=1) / np.prod(s[:, None] - poles, axis=1)
+    assert by_roots == pytest.approx(model.response(s.imag / (2 * np.pi)), rel=1e-8)
+    assert item["static_gain"] == model.static_gain
+
+
+def without(*keys: Any) -> dict[str, Any]:
+    """A good file with something taken out."""
+    model = random_model(1, 1, np.random.default_rng(2))
+    content: dict[str, Any] = json.loads(models_text(ModelsFile("c", "", "", (entry(model),))))
+    place: Any = content
+    for key in keys[:-1]:
+        place = place[key]
+    del place[keys[-1]]
+    return content
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        (without("models"), "no key 'models'"),
+        (without("models", 0, "modes", 0, "damping_ratio"), "no key 'damping_ratio'"),
+        ({**without("name"), "format": 2, "name": "c"}, "expected format 1"),
+        (without("models", 0, "covariance", 0), r"covariance: expected an array of shape \(6, 6\)"),
+    ],
+)
+def test_what_cannot_be_read_is_named(tmp_path, content, told):
+    path = tmp_path / MODELS_FILE
+    path.write_text(json.dumps(content), encoding="utf-8")
+    with pytest.raises(InputError, match=told) as caught:
+        read_models(path)
+    assert caught.value.file == path
+
+
+def test_no_file_is_named(tmp_path):
+    with pytest.raises(InputError, match=r"models\.json: expected a file that can be read"):
+        read_models(tmp_path)

@@ -50,7 +50,7 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_parameters_meet_the_truth(campaign: Path) -> None:
+def test_parameters_meet_the_truth(campaign):
     truth = json.loads((campaign / "truth.json").read_text(encoding="utf-8"))
     found = {row["name"]: row for row in rows(campaign / "load" / "parameters.csv")}
     for name, bar in zip(PARAMETERS, (1e-3, 1e-2, 1e-3, 2e-2), strict=True):
@@ -64,7 +64,7 @@ def test_parameters_meet_the_truth(campaign: Path) -> None:
     assert float(found["sensitivity"]["value"]) == pytest.approx(truth["sensitivity"], rel=2e-3)
 
 
-def test_resonances_over_the_load(campaign: Path) -> None:
+def test_resonances_over_the_load(campaign):
     found = rows(campaign / "load" / "load.csv")
     recorded = [row for row in found if row["kind"] == "recorded"]
     assert [row["recording"] for row in recorded] == [f"step-{grams:03d}g" for grams in (0, 8, 48, 98, 198)]
@@ -81,13 +81,13 @@ def test_resonances_over_the_load(campaign: Path) -> None:
     assert predicted == [0.13, 0.3]
 
 
-def test_limits(campaign: Path) -> None:
+def test_limits(campaign):
     found = {row["name"].partition(":")[0]: row for row in rows(campaign / "load" / "parameters.csv")}
     assert float(found["formula_limit"]["value"]) == pytest.approx(0.0817, abs=2e-4)
     assert float(found["frequency_limit"]["value"]) == pytest.approx(0.0924, abs=2e-4)
 
 
-def test_models_come_back_to_the_last_bit(campaign: Path) -> None:
+def test_models_come_back_to_the_last_bit(campaign):
     (model,) = read_load_models(campaign / "load")
     with h5py.File(campaign / "load" / "load.h5") as file:
         group = file["components/Fy/solution_1/model"]
@@ -101,7 +101,7 @@ def test_models_come_back_to_the_last_bit(campaign: Path) -> None:
     assert json.loads(written)["models"] == json.loads((campaign / "load" / MODEL_FILE).read_text())["models"]
 
 
-def test_page_is_complete(campaign: Path) -> None:
+def test_page_is_complete(campaign):
     text = (campaign / "load" / "load.html").read_text(encoding="utf-8")
     assert "http" not in re.sub(r"xmlns[^\"']*[\"'][^\"']*[\"']|DOCTYPE|data:image[^\"]*", "", text)
     for word in ("Three masses", "Load limits", "±10 %", "Masses as unknowns", "extrapolated", "N/m"):
@@ -115,7 +115,7 @@ def no_page(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("no_page")
-def test_one_load_gives_two_solutions(campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_load_gives_two_solutions(campaign, tmp_path, capsys):
     assert main(["load", str(campaign / "step-048g"), "-o", str(tmp_path / "out")]) == 0
     told = capsys.readouterr()
     assert "cannot tell 2 solutions apart" in told.err
@@ -127,7 +127,7 @@ def test_one_load_gives_two_solutions(campaign: Path, tmp_path: Path, capsys: py
     assert second.coupling_stiffness == pytest.approx(3.933e5, rel=2e-3)
 
 
-def test_existing_results_are_kept(campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_existing_results_are_kept(campaign, tmp_path, capsys):
     (tmp_path / "notes.txt").write_text("mine", encoding="utf-8")
     assert main(["load", str(campaign), "-o", str(tmp_path), "-q"]) == 2
     assert "expected an empty folder for the results" in capsys.readouterr().err
@@ -140,7 +140,7 @@ def write_table(path: Path, text: str) -> Path:
 
 
 @pytest.mark.usefixtures("no_page")
-def test_published_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_published_table(tmp_path, capsys):
     lines = "\n".join(f"{mass};{hertz}" for mass, hertz in reversed(PUBLISHED))
     table = write_table(tmp_path / "published.csv", f"# Fig. 4\nload_mass_kg;frequency_hz\n{lines}\n")
     assert main(["load", "--frequencies", str(table), "--moving-mass", "0.24"]) == 0
@@ -154,7 +154,7 @@ def test_published_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
         assert row["damping_first"] == ""
 
 
-def test_second_resonances_and_uncertainties_of_a_table(tmp_path: Path) -> None:
+def test_second_resonances_and_uncertainties_of_a_table(tmp_path):
     head = "load_mass_kg,frequency_hz,u_frequency_hz,second_hz,u_load_mass_kg"
     table = write_table(tmp_path / "one.csv", f"{head}\n0.048,446.43,0.05,1116.45,1e-5\n0,499.08,,,\n")
     series = read_table(table, 0.24, 1e-4)
@@ -175,7 +175,7 @@ def test_second_resonances_and_uncertainties_of_a_table(tmp_path: Path) -> None:
         ("", "load_mass_kg: expected this column"),
     ],
 )
-def test_wrong_tables(tmp_path: Path, text: str, sentence: str) -> None:
+def test_wrong_tables(tmp_path, text, sentence):
     with pytest.raises(InputError) as refused:
         read_table(write_table(tmp_path / "table.csv", text), 0.24, 0.0)
     assert sentence in str(refused.value)
@@ -190,7 +190,7 @@ def test_wrong_tables(tmp_path: Path, text: str, sentence: str) -> None:
         (["load", "folder", "--permitted", "120"], "expected less than 100 %"),
     ],
 )
-def test_wrong_arguments(arguments: list[str], sentence: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_arguments(arguments, sentence, capsys):
     with pytest.raises(SystemExit) as ended:
         main(arguments)
     assert ended.value.code == 2
@@ -211,20 +211,20 @@ def change(path: Path, old: str, new: str) -> None:
     path.write_text(text.replace(old, new), encoding="utf-8")
 
 
-def test_rigs_must_agree_on_the_sensor(short: Path) -> None:
+def test_rigs_must_agree_on_the_sensor(short):
     change(short / "rig-048g.toml", "internal_mass = 0.24", "internal_mass = 0.25")
     manifests = [load_manifest(short / name) for name in ("step-000g", "step-048g")]
     with pytest.raises(InputError, match=r"sensor.internal_mass: expected 0.24 as in rig-000g.toml, found 0.25"):
         read_series(manifests)
 
 
-def test_a_sensor_without_moving_mass_is_refused(short: Path) -> None:
+def test_a_sensor_without_moving_mass_is_refused(short):
     change(short / "rig-000g.toml", "internal_mass = 0.24", "internal_mass = 0.0")
     with pytest.raises(InputError, match="only ratios of masses show in a resonance"):
         read_series([load_manifest(short / "step-000g")])
 
 
-def test_components_without_moving_inertia_are_left_out(short: Path) -> None:
+def test_components_without_moving_inertia_are_left_out(short):
     change(short / "rig-000g.toml", 'channels = ["Fy"]', 'channels = ["bridge"]')
     change(short / "step-000g" / "recording.toml", 'component = "Fy"', 'component = "Mz"')
     change(short / "step-000g" / "recording.toml", 'channel = "Fy"', 'channel = "bridge"')
@@ -233,14 +233,14 @@ def test_components_without_moving_inertia_are_left_out(short: Path) -> None:
     assert any(notice.where == "Mz" and "internal_inertia is 0" in notice.text for notice in notices)
 
 
-def test_parts_belong_to_a_load(short: Path) -> None:
+def test_parts_belong_to_a_load(short):
     with (short / "rig-000g.toml").open("a", encoding="utf-8") as file:
         file.write('\n[[part]]\nname = "cover"\nbody = "load"\nmass = 0.1\ncentre_of_mass = [0.0, 0.0, 0.0]\n')
     with pytest.raises(InputError, match=r"load: expected the \[load\] that the part cover belongs to"):
         read_series([load_manifest(short / "step-000g")])
 
 
-def test_moments_have_inertias_in_place_of_masses(short: Path) -> None:
+def test_moments_have_inertias_in_place_of_masses(short):
     for grams, inertia in ((0, 0.0), (48, 0.048)):
         rig, recording = short / f"rig-{grams:03d}g.toml", short / f"step-{grams:03d}g"
         change(recording / "recording.toml", 'component = "Fy"', 'component = "Mx"')
@@ -266,7 +266,7 @@ def test_moments_have_inertias_in_place_of_masses(short: Path) -> None:
     assert {row[8] for row in parameter_rows(evaluation)} >= {"N.m/rad", "N.m.s/rad", "kg.m^2", "V/(N.m)"}
 
 
-def test_simulated_output_is_that_of_the_equations_of_motion() -> None:
+def test_simulated_output_is_that_of_the_equations_of_motion():
     rig = SeriesRig()
     model, load = true_model(rig, Draws(1, False)), 0.048
     k, c, kl, cl, m = rig.stiffness, rig.damping, rig.coupling_stiffness, rig.coupling_damping, rig.moving_mass_kg
@@ -290,7 +290,7 @@ def test_simulated_output_is_that_of_the_equations_of_motion() -> None:
         ("[]", "expected models as shakercal load writes them"),
     ],
 )
-def test_wrong_model_files(tmp_path: Path, content: str, sentence: str) -> None:
+def test_wrong_model_files(tmp_path, content, sentence):
     file = tmp_path / MODEL_FILE
     file.write_text(content, encoding="utf-8")
     with pytest.raises(InputError) as refused:
@@ -298,7 +298,7 @@ def test_wrong_model_files(tmp_path: Path, content: str, sentence: str) -> None:
     assert sentence in str(refused.value)
 
 
-def test_a_model_without_uncertainty_comes_back(tmp_path: Path) -> None:
+def test_a_model_without_uncertainty_comes_back(tmp_path):
     model = LoadModel("F", "", "", 0.24, 2.36e6, 0.0)
     (tmp_path / MODEL_FILE).write_text(model_text([model], "table", "", ""), encoding="utf-8")
     assert read_load_models(tmp_path) == (model,)

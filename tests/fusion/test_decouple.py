@@ -10,7 +10,7 @@ import pytest
 
 from fusion.base import InputError
 from fusion.cli import main
-from fusion.report.csv_files import read_rows
+from fusion.report.table import read_rows
 from fusion.sensor.decouple.evaluate import read_filter
 from fusion.simulate.releases import StepRig, sensor_model, write_steps
 from fusion.simulate.world import Draws
@@ -41,7 +41,7 @@ def results(campaign: Path) -> Path:
     return campaign / "decouple"
 
 
-def test_all_files_are_written(results: Path) -> None:
+def test_all_files_are_written(results):
     names = {path.name for path in results.iterdir()}
     assert names == {"decoupling.json", "model.csv", "crosstalk.csv", "decouple.h5", "decouple.html"}
     page = (results / "decouple.html").read_text(encoding="utf-8")
@@ -51,7 +51,7 @@ def test_all_files_are_written(results: Path) -> None:
         assert file["model/covariance"].shape[0] == file["model/covariance"].shape[1]
 
 
-def test_modes_are_the_simulated_ones(results: Path) -> None:
+def test_modes_are_the_simulated_ones(results):
     rows = [row for row in read_rows(results / "model.csv") if row["quantity"] == "frequency_hz"]
     found = sorted((float(row["value"]), float(row["u"])) for row in rows)
     for frequency in RIG.frequency_hz:
@@ -59,7 +59,7 @@ def test_modes_are_the_simulated_ones(results: Path) -> None:
         assert abs(value - frequency) < 4.0 * u + 1e-3 * frequency
 
 
-def test_filter_decouples_the_simulated_sensor(results: Path) -> None:
+def test_filter_decouples_the_simulated_sensor(results):
     decoupler = read_filter(results / "decoupling.json")
     model, capacity = sensor_model(RIG, Draws(4, True)), np.array(RIG.capacity)
     frequency_hz = np.array([1.0, 20.0, 90.0, 170.0, 181.0])
@@ -72,7 +72,7 @@ def test_filter_decouples_the_simulated_sensor(results: Path) -> None:
     assert left[3:, off].max() < 0.2 * before[3:, off].max()
 
 
-def test_crosstalk_table_holds_every_stage(results: Path) -> None:
+def test_crosstalk_table_holds_every_stage(results):
     rows = [row for row in read_rows(results / "crosstalk.csv") if row["quantity"] == "step_peak"]
     assert len(rows) == 3 * 36
     assert {row["stage"] for row in rows} == {"raw", "static", "filtered"}
@@ -84,7 +84,7 @@ def test_crosstalk_table_holds_every_stage(results: Path) -> None:
     assert worst("static") <= worst("raw") * 1.5
 
 
-def test_filter_file_reads_back_to_the_last_bit(results: Path, tmp_path: Path) -> None:
+def test_filter_file_reads_back_to_the_last_bit(results, tmp_path):
     content = json.loads((results / "decoupling.json").read_text(encoding="utf-8"))
     decoupler = read_filter(results / "decoupling.json")
     assert content["delay_samples"] == decoupler.delay
@@ -98,7 +98,7 @@ def test_filter_file_reads_back_to_the_last_bit(results: Path, tmp_path: Path) -
         read_filter(broken)
 
 
-def test_missing_load_is_refused_by_name(campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_missing_load_is_refused_by_name(campaign, tmp_path, capsys):
     part = tmp_path / "part"
     shutil.copytree(campaign, part, ignore=shutil.ignore_patterns("decouple", "My-*"))
     assert main(["decouple", str(part)]) == 2
@@ -106,7 +106,7 @@ def test_missing_load_is_refused_by_name(campaign: Path, tmp_path: Path, capsys:
     assert not (part / "decouple").exists()
 
 
-def test_wanted_damping_of_no_oscillator_is_refused(campaign: Path) -> None:
+def test_wanted_damping_of_no_oscillator_is_refused(campaign):
     with pytest.raises(SystemExit) as stopped:
         main(["decouple", str(campaign), "--damping", "1.5"])
     assert stopped.value.code == 2

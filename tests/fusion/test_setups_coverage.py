@@ -1,0 +1,288 @@
+"""Set-ups one after another: regions with every error drawn; cameras whose clocks are tied anew."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+from take_factory import (
+    BASE_Z,
+    BRIDGE_V,
+    FREQUENCY_HZ,
+    HEAD,
+    LOAD,
+    MASS_KG,
+    OUTPUT,
+    POINTS,
+    RATE_HZ,
+    REFERENCE,
+    RIG,
+    SENSITIVITY,
+    at_point,
+    write_shot,
+)
+
+from fusion.base import Settings
+from fusion.instruments import observe_channels
+from fusion.instruments.channel import ChainUncertainty, Reading
+from fusion.phasors.setup import OpenTake, Referral, referrals
+from fusion.phasors.setups import pool_readings
+from fusion.recording.load import load_manifest, validate
+from fusion.recording.manifest import ChannelEntry, Rig
+from fusion.report.csv_files import result_tables
+from fusion.sensitivity.analyse import Analysis, Evaluation, Inputs, analyse
+from fusion.sensitivity.body import Body, make_part
+from fusion.sensitivity.evaluate import evaluate_recording
+from photogram.geometry import rotation_from_vector
+from shaker.lines.frequencies import Lines
+from shaker.sine.phasor import Phasors
+
+OMEGA = 2.0 * np.pi * FREQUENCY_HZ
+NOISE = 2e-5  # relative, of real and imaginary part
+SCALE_U, OUTPUT_U, TIE_U_S = 2.5e-4, 1e-4, 4e-7
+DRIFT = 0.005
+LINES = Lines(np.array([FREQUENCY_HZ]), np.zeros(1), np.array([106.25]), np.array([1]), ("",), ())
+
+
+def _entry(**given: object) -> ChannelEntry:
+    return ChannelEntry.model_validate({"scale_uncertainty": SCALE_U, **given})
+
+
+DRIVE = _entry(
+    name="drive", quantity="acceleration", body="base", point=[0, 0, -0.1], direction=[0, 0, 1], reference=True
+)
+BRIDGE = ChannelEntry.model_validate(
+    {"name": "Fz", "quantity": "output", "channel": "Fz", "scale": BRIDGE_V, "scale_uncertainty": OUTPUT_U}
+)
+LASERS = [
+    _entry(name="velocity", quantity="velocity", body="load", point=list(p), direction=[0, 0, 1], common="laser")
+    for p in POINTS
+]
+
+
+def _reading(entry: ChannelEntry, value: complex, rng: np.random.Generator, clock: str, u_clock_s: float) -> Reading:
+    """A channel's phasor with noise and what its noise is stated to be."""
+    spread = NOISE * abs(value)
+    noisy = value + spread * complex(*rng.normal(size=2))
+    phasors = Phasors(
+        LINES.frequency_hz,
+        np.array([[noisy]]),
+        (spread**2 * np.eye(2))[None],
+        (entry.name,),
+        ("1",),
+        np.array([1e4]),
+    )
+    return Reading(entry, phasors, ChainUncertainty(clock=clock, u_clock_s=u_clock_s))
+
+
+def _takes(rng: np.random.Generator, drift: float) -> list[OpenTake]:
+    """Eight takes of one laser point each; the output has a clock of its own, tied anew in every take."""
+    laser, drive = 1.0 + SCALE_U * rng.normal(size=2)
+    bridge = 1.0 + OUTPUT_U * rng.normal()
+    takes = []
+    for number, entry in enumerate(LASERS, 1):
+        grown = drift * rng.normal() if number > 1 else 0.0
+        level = (1.0 + grown) * np.exp(2j * np.pi * rng.random()) if number > 1 else 1.0
+        other = 1.0 + abs(grown) * complex(*rng.uniform(-1.0, 1.0, size=2))  # what else changed with the level
+        late = np.exp(-1j * OMEGA * TIE_U_S * rng.normal())
+        motion = at_point(entry.point or ()) / (1j * OMEGA)
+        force = SENSITIVITY * MASS_KG * LOAD[2]
+        readings = (
+            _reading(DRIVE, level * drive * BASE_Z, rng, "vibrometer", 0.0),
+            _reading(entry, level * other * laser * motion, rng, "vibrometer", 0.0),
+            _reading(BRIDGE, level * other * bridge * force * late, rng, "bridge", TIE_U_S),
+        )
+        nowhere: object = SimpleNamespace(path=Path("recording.toml"))
+        takes.append(OpenTake(f"take {number}", "", nowhere, nowhere, (), (), LINES, (), readings))
+    return takes
+
+
+def _referred(take: OpenTake, referral: Referral) -> list[Reading]:
+    own = [referral.reference(r) if r.entry.reference else referral.reading(r) for r in take.readings]
+    return own if referral.first else own[1:]
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Rig:
+    import tomllib
+
+    return validate(Rig, tomllib.loads(RIG), tmp_path_factory.mktemp("rig") / "rig.toml")
+
+
+def _analyse(rng: np.random.Generator, rig: Rig, drift: float) -> Analysis:
+    takes = _takes(rng, drift)
+    tied = referrals(takes)
+    readings, _ = pool_readings([(r.name, _referred(take, r)) for take, r in zip(takes, tied, strict=True)])
+    body = Body((make_part("load", MASS_KG, (0, 0, 0), np.zeros((3, 3)), (0, 0, 0)),))
+    outputs = tuple(reading for reading in readings if reading.entry.quantity == "output")
+    assert len(outputs) == 1
+    return analyse(Inputs(LINES, observe_channels(readings), outputs, body, None, rig.sensor, (0.0, 0.0, 1.0)))
+
+
+def _inside(error: complex, covariance: np.ndarray) -> bool:
+    vector = np.array([error.real, error.imag])
+    return float(vector @ np.linalg.solve(covariance, vector)) < 5.991
+
+
+def _count(rig: Rig, trials: int, drift: float) -> list[int]:
+    """How often the 95 % regions of both bodies' acceleration along z and of the sensitivity hold the truth."""
+    rng, hits = np.random.default_rng(21), np.zeros(3, dtype=np.int64)
+    for _ in range(trials):
+        found = _analyse(rng, rig, drift)
+        ratio = found.sensitivity
+        for place, (body, truth) in enumerate((("load", LOAD[2]), ("base", BASE_Z))):
+            motion = next(a.phasors for a in found.accelerations if a.body == body)
+            z = motion.covariance[0][np.ix_([2, 8], [2, 8])]
+            hits[place] += _inside(complex(motion.value[0, 2] - truth), z)
+        hits[2] += _inside(complex(ratio.value[0, 0, 2] - SENSITIVITY), ratio.covariance[0, 0, 2])
+    return [int(count) for count in hits]
+
+
+def test_regions_hold_the_truth(rig):
+    trials = 30
+    for hits in _count(rig, trials, DRIFT):
+        assert binom.cdf(hits, trials, 0.95) > 1e-3  # as often as a perfect estimator's, or more
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("drift", [0.0, DRIFT])
+def test_regions_hold_the_truth_as_often_as_stated(rig, drift):
+    trials = 150
+    for hits in _count(rig, trials, drift):
+        assert binom.cdf(hits, trials, 0.95) > 1e-3
+        assert hits < trials  # no larger than needed
+
+
+def test_noise_of_the_reference_is_one_error_of_all_takes(rig):
+    """With an exact laser, what the mean of eight points knows is limited by the first take's reference."""
+    rng = np.random.default_rng(2)
+    found = _analyse(rng, rig, 0.0).accelerations[0].uncertainty
+    budget = {part.label: np.sqrt(part.covariance[0, 2, 2]) / abs(LOAD[2]) for part in found.grouped()}
+    # Seven of eight points carry the first reference's noise and their own, the eighth neither.
+    assert NOISE * 0.3 < budget["reference noise"] < NOISE * 1.05
+    names = {influence.name for influence in found.influences if influence.label == "reference noise"}
+    assert len(names) == 16
+    assert {influence.scope for influence in found.influences if influence.label == "reference noise"} == {"recording"}
+
+
+BASE = np.array([0.1, -0.2j, 98.0 * np.exp(0.72j), 1.0, 0.5j, 0.0])
+SAMPLES, BRIDGE_RATE_HZ = 8000, 9600.0
+FRAME_RATE_HZ, FRAMES, FIRST_EDGE_S, EXPOSURE_S = 49.7, 80, 0.0213, 40e-6
+PAIR = """
+[stereo.{name}]
+body = "{body}"
+rotation = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+translation = [0.0, 0.0, 0.0]
+scale_uncertainty = 2e-4
+exposure = 40e-6
+"""
+TRIGGER = '[[take.daq.channel]]\nname = "camera"\nquantity = "trigger"\n'
+POINTS = """[[take.points]]
+stereo = "{name}"
+files = "{number}.csv"
+columns = ["frame", "id", "x", "y", "z"]
+trigger = "camera"
+"""
+
+
+@dataclass(frozen=True)
+class Look:
+    """One take: which pair looked at which motion (m/s^2, rad/s^2), and its complex level against the first take."""
+
+    pair: str
+    motion: np.ndarray
+    level: complex
+
+
+LOOKS = (Look("top", LOAD, 1.0), Look("base", BASE, 1.003 * np.exp(1.9j)), Look("top", LOAD, 0.998 * np.exp(-2.4j)))
+
+
+def _sine(phasor: complex, time_s: np.ndarray) -> np.ndarray:
+    return np.asarray((phasor * np.exp(1j * OMEGA * time_s)).real)
+
+
+def _trigger(time_s: np.ndarray) -> np.ndarray:
+    period = (time_s - FIRST_EDGE_S) * FRAME_RATE_HZ
+    number = np.floor(period)
+    return np.asarray(5.0 * ((number >= 0) & (number < FRAMES) & (period - number < 0.25)))
+
+
+def _write_points(path: Path, look: Look, rng: np.random.Generator) -> None:
+    """Points of a plate, in m, as they stand in the middle of each exposure."""
+    middle_s = FIRST_EDGE_S + np.arange(FRAMES) / FRAME_RATE_HZ + EXPOSURE_S / 2.0
+    displacement = np.sinc(FREQUENCY_HZ * EXPOSURE_S) * look.level * look.motion / -(OMEGA**2)
+    pose = np.array([_sine(complex(part), middle_s) for part in displacement]).T
+    x, y = np.meshgrid(np.linspace(-0.05, 0.05, 6), np.linspace(-0.04, 0.04, 5))
+    rest = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+    moved = np.einsum("fij,nj->fni", rotation_from_vector(pose[:, 3:]), rest) + pose[:, None, :3]
+    moved += 2e-7 * rng.normal(size=moved.shape)
+    frames, points = np.indices(moved.shape[:2])
+    table = np.column_stack([frames.ravel(), points.ravel(), moved.reshape(-1, 3)])
+    np.savetxt(path, table, fmt=["%d", "%d", "%.10f", "%.10f", "%.10f"], delimiter=",")
+
+
+def _write(folder: Path) -> Path:
+    """Three takes: two blocks each, the second sampled by a clock that started at another time."""
+    rng = np.random.default_rng(17)
+    recording = folder / "takes"
+    recording.mkdir()
+    pairs = PAIR.format(name="top", body="load") + PAIR.format(name="base", body="base")
+    (folder / "rig.toml").write_text(RIG + pairs)
+    text = HEAD.format(harmonics="[1]")
+    for number, look in enumerate(LOOKS, 1):
+        time_s = np.arange(SAMPLES) / RATE_HZ
+        drive = _sine(look.level * BASE[2] / 98.1, time_s) + 1e-5 * rng.normal(size=SAMPLES)
+        write_shot(recording / f"{number}.h5", {"camera": _trigger(time_s), "drive": drive}, RATE_HZ)
+        bridge_s = np.arange(int(SAMPLES / RATE_HZ * BRIDGE_RATE_HZ) - 300) / BRIDGE_RATE_HZ + 0.0031 * number
+        force = _sine(look.level * SENSITIVITY * MASS_KG * LOAD[2] / 1e-3, bridge_s)
+        force += 1e-8 * rng.normal(size=len(bridge_s))
+        write_shot(recording / f"{number}b.h5", {"camera": _trigger(bridge_s), "Fz": force}, BRIDGE_RATE_HZ)
+        _write_points(recording / f"{number}.csv", look, rng)
+        text += f'[[take]]\n[[take.daq]]\nname = "daq"\nfile = "{number}.h5"\n{TRIGGER}'
+        text += REFERENCE.format(at="take.", name="drive", mark="true")
+        text += f'[[take.daq]]\nname = "bridge"\nfile = "{number}b.h5"\n{TRIGGER}'
+        text += OUTPUT.format(at="take.", name="Fz") + POINTS.format(name=look.pair, number=number)
+    (recording / "recording.toml").write_text(text)
+    return recording
+
+
+@pytest.fixture(scope="module")
+def looked(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
+    return evaluate_recording(load_manifest(_write(tmp_path_factory.mktemp("looked"))), Settings(), {})
+
+
+def test_load_and_base_are_on_one_time_base(looked):
+    for body, truth in (("load", LOAD), ("base", BASE)):
+        found = next(a for a in looked.accelerations if a.body == body and a.source == "fused")
+        error = found.phasors.value[0] - truth
+        u = np.sqrt(found.phasors.covariance[0].diagonal())
+        assert np.all(np.abs(np.concatenate([error.real, error.imag])) < 4.0 * u)
+        assert abs(found.phasors.value[0, 2] / truth[2]) == pytest.approx(1.0, abs=3e-4)
+        assert np.hypot(u[2], u[8]) / abs(truth[2]) < 6e-3  # edges of a trigger between samples 250 µs apart
+
+
+def test_what_takes_share_is_one_unknown_and_what_they_do_not_is_not(looked):
+    load = next(a for a in looked.accelerations if a.body == "load" and a.source == "fused")
+    names = [influence.name for influence in load.uncertainty.influences]
+    assert names.count("stereo top: scale") == 1
+    assert {"take 1: camera: time", "take 3: camera: time"} <= set(names)
+    clocks = {i.name for i in looked.outputs.uncertainty.influences if i.name.startswith("clock ")}
+    assert clocks == {f"clock take {number}: bridge: time" for number in (1, 2, 3)}
+
+
+def test_sensitivity_from_cameras_in_takes(looked):
+    found = looked.sensitivity
+    error = found.value[0, 0, 2] - SENSITIVITY
+    vector = np.array([error.real, error.imag])
+    assert vector @ np.linalg.solve(found.covariance[0, 0, 2], vector) < 14.0
+    assert abs(error / SENSITIVITY) < 5e-4
+
+
+def test_a_pair_that_saw_two_takes_has_two_motions(looked):
+    assert [pair.name for pair in looked.stereo] == ["top", "base", "top-take3"]
+    assert {"motion-top.csv", "motion-base.csv", "motion-top-take3.csv"} <= set(result_tables(looked))
+    assert [clock.daq for clock in looked.clocks[:2]] == ["take 1: daq", "take 1: bridge"]

@@ -1,0 +1,347 @@
+"""Uncertainties: magnitude and phase, coverage, rounding, budgets and their files, against the GUM and Monte Carlo."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy import stats
+
+from fusion.estimation.uncertainty import (
+    UNIFORM_PHASE_U,
+    Contribution,
+    Influence,
+    Rounded,
+    Uncertainty,
+    coverage_factor,
+    element_covariance,
+    polar,
+    prefix,
+    region,
+    region_factor,
+    rounded,
+    typeset,
+)
+from fusion.report.h5 import read_uncertainty, write_uncertainty
+from fusion.sensitivity.load import budget
+
+COVARIANCE = np.array([[4e-4, 1.5e-4], [1.5e-4, 2.5e-4]])
+finite = st.floats(-1e3, 1e3)
+
+
+def test_uncertainties_of_magnitude_and_phase_agree_with_monte_carlo():
+    value = 1.3 * np.exp(2.2j)
+    draws = np.random.default_rng(3).multivariate_normal([value.real, value.imag], COVARIANCE, 200_000)
+    sample = draws[:, 0] + 1j * draws[:, 1]
+    result = polar(complex(value), COVARIANCE)
+    # 200 000 draws fix a standard deviation to 0.16 %; the expansion itself is good to (u/|X|)² ≈ 2e-4.
+    assert result.u_magnitude == pytest.approx(np.abs(sample).std(), rel=0.01)
+    assert result.u_phase_rad == pytest.approx(np.angle(sample / value).std(), rel=0.01)
+    assert result.r == pytest.approx(1.5 / np.sqrt(10.0))
+
+
+def test_phase_of_an_unknown_number_is_uniform_on_the_circle():
+    uniform = np.random.default_rng(1).uniform(-np.pi, np.pi, 400_000)
+    result = polar(1e-9 + 0j, COVARIANCE)
+    assert result.u_phase_rad == UNIFORM_PHASE_U == pytest.approx(uniform.std(), rel=0.005)
+    assert polar(0j, COVARIANCE).u_phase_rad == UNIFORM_PHASE_U
+    assert polar(0j, COVARIANCE).u_magnitude == pytest.approx(np.sqrt(3.25e-4))
+
+
+@pytest.mark.parametrize("value", [complex(-1.0, 0.0), complex(-1.0, -0.0)])
+def test_phase_lies_in_the_half_open_interval(value):
+    assert polar(value, COVARIANCE).phase_rad == np.pi
+
+
+@given(finite, finite, st.floats(-3.1, 3.1))
+def test_turning_a_number_turns_the_phase_and_keeps_the_uncertainties(re, im, angle):
+    value = complex(re, im)
+    if abs(value) < 1e-3:
+        return
+    c, s = np.cos(angle), np.sin(angle)
+    rotation = np.array([[c, -s], [s, c]])
+    before = polar(value, COVARIANCE)
+    after = polar(value * np.exp(1j * angle), rotation @ COVARIANCE @ rotation.T)
+    assert after.magnitude == pytest.approx(before.magnitude)
+    assert after.u_magnitude == pytest.approx(before.u_magnitude)
+    assert after.u_phase_rad == pytest.approx(before.u_phase_rad)
+    assert np.exp(1j * (after.phase_rad - before.phase_rad)) == pytest.approx(np.exp(1j * angle))
+
+
+def test_unknown_uncertainty_stays_unknown():
+    result = polar(1.0 + 1.0j, np.full((2, 2), np.nan))
+    assert result.magnitude == pytest.approx(np.sqrt(2.0))
+    assert np.isnan([result.u_magnitude, result.u_phase_rad, result.u_re]).all()
+
+
+def test_element_of_a_stacked_covariance():
+    stacked = np.arange(36.0).reshape(6, 6)
+    assert element_covariance(stacked, 1).tolist() == [[7.0, 10.0], [25.0, 28.0]]
+
+
+@pytest.mark.parametrize(
+    ("value", "expanded", "text"),
+    [
+        (189.32174, 0.3449, Rounded("189.32", "0.34", 0)),
+        (1.9719871e-7, 2.04e-10, Rounded("1.9720", "0.0020", -7)),
+        (-0.03372, 0.00101, Rounded("−0.0337", "0.0010", 0)),
+        (0.5, 0.0996, Rounded("0.50", "0.10", 0)),
+        (0.00001, 0.3, Rounded("0.00", "0.30", 0)),
+        (-0.001, 0.3, Rounded("0.00", "0.30", 0)),
+        (1234.0, 470.0, Rounded("1230", "470", 0)),
+        (2.5, 0.0, Rounded("2.5", "–", 0)),
+        (float("nan"), 1.0, Rounded("–", "–", 0)),
+        (0.0, 0.0, Rounded("0", "–", 0)),
+    ],
+)
+def test_rounding_to_the_second_digit_of_the_uncertainty(value, expanded, text):
+    assert rounded(value, expanded) == text
+
+
+def test_rounding_with_a_given_power_of_ten():
+    assert rounded(2.1e-10, 6.1e-11, -7) == Rounded("0.00210", "0.00061", -7)
+
+
+@given(st.floats(1e-12, 1e12), st.floats(1e-5, 0.5))
+def test_rounded_value_lies_within_half_a_unit_of_the_last_place(value, share):
+    text = rounded(value, share * value)
+    back = float(text.value) * 10.0**text.exponent
+    assert abs(back - value) <= 0.051 * share * value
+
+
+def test_prefix_and_units():
+    assert prefix(np.array([3e-4, np.nan])) == (1e-6, "µ")
+    assert prefix(np.array([6e-4])) == (1e-3, "m")
+    assert prefix(np.array([])) == (1.0, "")
+    assert prefix(np.array([0.0])) == (1e-9, "n")
+    assert typeset("rad/s^2") == "rad/s²"
+    assert typeset("(V/V)/(N.m)") == "(V/V)/(N·m)"
+
+
+@pytest.mark.parametrize(
+    ("dof", "factor"),
+    [(1, 12.71), (2, 4.30), (3, 3.18), (4, 2.78), (8, 2.31), (20, 2.09), (50, 2.01), (100, 1.984), (np.inf, 1.960)],
+)
+def test_factors_of_the_table_of_the_gum(dof, factor):
+    # JCGM 100:2008, table G.2, column 95 %.
+    assert coverage_factor(dof) == pytest.approx(factor, abs=0.006)
+
+
+@given(st.floats(1.2, 1e4))
+def test_region_factor_is_hotellings(dof):
+    expected = np.sqrt(2.0 * dof / (dof - 1.0) * stats.f.ppf(0.95, 2, dof - 1.0))
+    assert region_factor(dof) == pytest.approx(expected, rel=1e-6)
+
+
+def test_region_factor_at_the_ends():
+    assert region_factor(np.inf) == pytest.approx(np.sqrt(stats.chi2.ppf(0.95, 2)), rel=1e-12)
+    assert region_factor(1e9) == pytest.approx(region_factor(np.inf), rel=1e-8)
+    assert region_factor(1.0) == np.inf
+    assert region_factor(0.5) == np.inf
+    assert coverage_factor(0.0) == np.inf
+
+
+@pytest.mark.parametrize("count", [4, 8, 30])
+def test_region_of_a_mean_of_complex_readings_holds_the_truth(count):
+    # The case of Willink & Hall: mean of n complex readings, ν = n - 1. 20 000 means fix 95 % to 0.15 %.
+    rng = np.random.default_rng(count)
+    truth, trials = 0.4 - 0.2j, 20_000
+    root = np.array([[1.0, 0.0], [0.7, 0.4]])
+    readings = np.array([truth.real, truth.imag]) + rng.standard_normal((trials, count, 2)) @ root.T
+    means = readings.mean(axis=1)
+    spreads = np.einsum("tni,tnj->tij", readings - means[:, None], readings - means[:, None]) / (count - 1) / count
+    error = means - np.array([truth.real, truth.imag])
+    distance = np.einsum("ti,tij,tj->t", error, np.linalg.inv(spreads), error)
+    assert np.mean(distance <= region_factor(count - 1) ** 2) == pytest.approx(0.95, abs=0.005)
+
+
+def test_axes_of_a_region():
+    turn = np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]])
+    found = region(5.0 + 1.0j, turn @ np.diag([4.0, 0.25]) @ turn.T)
+    k = region_factor(np.inf)
+    assert found.half_axes == pytest.approx((2.0 * k, 0.5 * k))
+    assert found.angle_rad == pytest.approx(0.3)
+    assert region(5.0 + 1.0j, turn @ np.diag([4.0, 0.25]) @ turn.T, 5.0).half_axes[0] == pytest.approx(
+        2.0 * region_factor(5.0)
+    )
+    assert region(1.0j, np.diag([1.0, 9.0])).angle_rad == pytest.approx(np.pi / 2.0)
+
+
+@given(st.floats(-np.pi, np.pi), st.floats(0.5, 1.5))
+def test_a_region_holds_zero_as_its_ellipse_does(angle, share):
+    covariance = np.array([[4e-4, 1.5e-4], [1.5e-4, 2.5e-4]])
+    edge = np.linalg.cholesky(covariance) @ [np.cos(angle), np.sin(angle)] * region_factor(40.0)
+    assert abs(share - 1.0) < 1e-6 or region(share * complex(*edge), covariance, 40.0).holds_zero == (share < 1.0)
+
+
+def test_values_without_uncertainty_or_without_region():
+    assert not region(1e-300 + 0j, np.zeros((2, 2))).holds_zero
+    assert region(0j, np.zeros((2, 2))).holds_zero
+    assert region(1.0 + 1.0j, np.full((2, 2), np.nan)).holds_zero
+    assert region(1e9 + 0j, np.eye(2), 1.0).holds_zero
+    flat = region(1.0 + 0j, np.diag([0.0, 1.0]))
+    assert not flat.holds_zero
+    assert flat.half_axes[1] == 0.0
+
+
+share = st.floats(-1.0, 1.0)
+VALUES = np.array([[2.0 * np.exp(0.4j), -0.3 + 0.1j], [1.0j, 5.0 + 0.0j]])
+
+
+def influence(name: str, label: str, u: float, effect: np.ndarray) -> Influence:
+    return Influence(name, label, u, "kg", np.concatenate([effect.real, effect.imag], axis=1))
+
+
+def noise(seed: int) -> Contribution:
+    root = np.random.default_rng(seed).standard_normal((2, 4, 4)) * 1e-3
+    return Contribution("noise", "A", root @ root.swapaxes(1, 2), np.array([5.0, 9.0]))
+
+
+@given(st.lists(st.tuples(share, share), min_size=1, max_size=5), st.integers(0, 1000))
+def test_contributions_make_the_variance_of_magnitude_and_phase(parts, seed):
+    names = [influence(f"{i}", f"label {i % 2}", 0.1, VALUES * complex(*part) * 1e-3) for i, part in enumerate(parts)]
+    total = Uncertainty((noise(seed),), tuple(names))
+    entries = budget(total, VALUES)
+    for line, place in np.ndindex(VALUES.shape):
+        covariance = total.covariance[line][np.ix_([place, place + 2], [place, place + 2])]
+        value = VALUES[line, place]
+        along = np.array([value.real, value.imag]) / abs(value)
+        across = np.array([-value.imag, value.real]) / abs(value)
+        magnitude = sum(entry.u_relative[line, place] ** 2 for entry in entries)
+        phase = sum(entry.u_phase_rad[line, place] ** 2 for entry in entries)
+        assert magnitude == pytest.approx(along @ covariance @ along / abs(value) ** 2, rel=1e-9)
+        assert phase == pytest.approx(across @ covariance @ across / abs(value) ** 2, rel=1e-9)
+
+
+def test_a_coefficient_is_the_change_per_unit_with_its_sign():
+    mass = influence("load: mass", "load: mass", 0.02, VALUES * (-0.02 / 7.0))
+    late = influence("clock: time", "clock: time", 0.02, VALUES * (-0.02j * 50.0))
+    _, first, second = budget(Uncertainty((noise(1),), (mass, late)), VALUES)
+    np.testing.assert_allclose(first.coefficient[0], -1.0 / 7.0)
+    np.testing.assert_allclose(first.coefficient[1], 0.0, atol=1e-15)
+    np.testing.assert_allclose(second.coefficient[1], -50.0)
+    assert (first.count, first.u, first.unit) == (1, 0.02, "kg")
+    assert np.isinf(first.dof).all()
+
+
+def test_unknowns_of_one_label_stand_together():
+    axes = [
+        influence(f"centre {axis}", "centre of mass", 1e-3, VALUES * slope)
+        for axis, slope in zip("xyz", (3e-4, 4e-4, 0), strict=True)
+    ]
+    other = influence("other", "scales", 1e-3, VALUES * 1e-4), influence("another", "scales", 2e-3, VALUES * 1e-4)
+    scatter, centre, scales = budget(Uncertainty((noise(2),), (*axes, *other)), VALUES)
+    np.testing.assert_allclose(centre.coefficient[0], 0.5)
+    assert (centre.count, scales.count, scatter.count) == (3, 2, 0)
+    assert np.isnan(scales.u)
+    assert np.isnan(scales.coefficient).all()
+    assert np.isnan(scatter.coefficient).all()
+    assert scatter.dof.tolist() == [5.0, 9.0]
+
+
+def test_what_two_results_share_is_added_before_it_is_squared():
+    one = Uncertainty((noise(3),), (influence("clock", "clock", 1e-6, 1e-3j * VALUES),))
+    other = Uncertainty((noise(4),), (influence("clock", "clock", 1e-6, -1e-3j * VALUES),))
+    entry = budget(one.plus(other), VALUES)[1]
+    np.testing.assert_allclose(entry.u_phase_rad, 0.0, atol=1e-18)
+
+
+def test_values_that_are_not_known_have_no_budget():
+    value = VALUES.copy()
+    value[0, 1], value[1, 0] = np.nan, 0.0
+    for entry in budget(Uncertainty((noise(5),), (influence("a", "a", 1.0, VALUES),)), value):
+        assert np.isnan(entry.u_relative[0, 1])
+        assert np.isnan(entry.u_relative[1, 0])
+        assert np.isfinite(entry.u_relative[1, 1])
+
+
+NAME = st.text(st.characters(codec="utf-8", exclude_characters="\0", exclude_categories=["Cs"]), min_size=1, max_size=8)
+NUMBER = st.floats(allow_subnormal=True, width=64)
+
+
+def stored(uncertainty: Uncertainty) -> Uncertainty:
+    """Return an uncertainty as it comes back from a file that exists in memory only."""
+    with h5py.File("any.h5", "w", driver="core", backing_store=False) as file:
+        write_uncertainty(file.create_group("uncertainty"), uncertainty)
+        return read_uncertainty(file["uncertainty"])
+
+
+def same_bits(first: np.ndarray[Any, Any] | None, second: np.ndarray[Any, Any] | None) -> bool:
+    """Whether two arrays are equal byte by byte, not-a-numbers and signs of zero included."""
+    if first is None or second is None:
+        return first is second
+    return first.shape == second.shape and first.tobytes() == second.tobytes()
+
+
+def assert_same(first: Uncertainty, second: Uncertainty) -> None:
+    """Compare two uncertainties bit by bit."""
+    assert len(first.random) == len(second.random)
+    for one, other in zip(first.random, second.random, strict=True):
+        assert (one.label, one.type) == (other.label, other.type)
+        assert same_bits(one.covariance, other.covariance)
+        assert same_bits(one.dof, other.dof)
+    assert len(first.influences) == len(second.influences)
+    for a, b in zip(first.influences, second.influences, strict=True):
+        assert (a.name, a.label, a.u, a.unit, a.scope, a.type) == (b.name, b.label, b.u, b.unit, b.scope, b.type)
+        assert same_bits(a.effect, b.effect)
+
+
+@st.composite
+def uncertainties(draw: st.DrawFn) -> Uncertainty:
+    """Uncertainties of any size, with equal labels, empty lists of influences, infinities and not-a-numbers."""
+    lines, size = draw(st.integers(1, 3)), 2 * draw(st.integers(1, 3))
+    covariance = arrays(np.float64, (lines, size, size), elements=NUMBER)
+    freedom = st.none() | arrays(np.float64, lines, elements=NUMBER)
+    kind = st.sampled_from(["A", "B"])
+    random = draw(st.lists(st.builds(Contribution, NAME, kind, covariance, freedom), min_size=1, max_size=4))
+    effect = arrays(np.float64, (lines, size), elements=NUMBER)
+    scope = st.sampled_from(["recording", "mounting", "rig"])
+    influence = st.builds(Influence, NAME, NAME, st.floats(0.0, 1.0), NAME, effect, scope, kind)
+    influences = draw(st.lists(influence, max_size=4, unique_by=lambda i: i.name))
+    return Uncertainty(tuple(random), tuple(influences))
+
+
+@settings(max_examples=30, deadline=None)
+@given(uncertainties())
+@pytest.mark.filterwarnings("ignore:overflow encountered", "ignore:invalid value encountered")
+def test_what_is_read_is_what_was_written(uncertainty):
+    assert_same(uncertainty, stored(uncertainty))
+
+
+def test_contributions_keep_their_order_and_names_with_slashes():
+    labels = ("z", "a", "stereo top/left: noise", "stereo top_left: noise", "a")
+    whole = Uncertainty(tuple(Contribution(label, "A", np.eye(2)[None] * k) for k, label in enumerate(labels)))
+    back = stored(whole)
+    assert [part.label for part in back.random] == list(labels)
+    assert_same(whole, back)
+
+
+def test_the_covariance_of_everything_stands_beside(tmp_path):
+    rng = np.random.default_rng(1)
+    noise = Contribution("noise", "A", np.tile(np.eye(4), (2, 1, 1)), np.array([7.0, np.inf]))
+    clock = Influence("clock", "time", 1e-6, "s", rng.standard_normal((2, 4)), "recording")
+    whole = Uncertainty((noise,), (clock,))
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        write_uncertainty(file.create_group("u"), whole)
+    with h5py.File(tmp_path / "a.h5") as file:
+        assert np.array_equal(file["u/covariance"][()], whole.covariance)
+        effect = file["u/effect"][()]
+        assert np.allclose(
+            file["u/random/noise/covariance"][()] + np.einsum("eki,ekj->kij", effect, effect), whole.covariance
+        )
+        assert file["u/scope"].asstr()[()].tolist() == ["recording"]
+
+
+@pytest.mark.parametrize(("field", "found"), [("scope", "planet"), ("type", "C")])
+def test_a_text_that_means_nothing_is_refused(field, found):
+    influence = Influence("a", "a", 1.0, "m", np.zeros((1, 2)))
+    with h5py.File("any.h5", "w", driver="core", backing_store=False) as file:
+        write_uncertainty(file.create_group("u"), Uncertainty((Contribution("n", "A", np.eye(2)[None]),), (influence,)))
+        file["u"][field][0] = found
+        with pytest.raises(ValueError, match=f"{field}: expected one of"):
+            read_uncertainty(file["u"])
