@@ -23,16 +23,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.calibration.adjust import parameters_of
-from photogram.calibration.model import Calibration, see
+from photogram.calibration.bundle import see
+from photogram.calibration.result import Calibration
 from photogram.calibration.session import calibrate_pair
 from photogram.camera import Camera
 from photogram.geometry import RigidTransform, vector_from_rotation
 from photogram.images import read_picture
 from photogram.synthetic.board import Board, random_poses, random_rig, render_board
 from photogram.synthetic.scene import ImageSensor
-from photogram.targets.dots import find_target
-from photogram.targets.view import Target, TargetNotFound, TargetView
+from photogram.targets.view import Target, TargetNotFound, TargetView, find_target
 
 FloatArray = NDArray[np.float64]
 ROOT = Path(__file__).resolve().parent.parent
@@ -99,7 +98,7 @@ def simulated(board: Board, seed: int) -> Outcome:
         pairs.append((sides[0], sides[1]))
     calibration = calibrate_pair(pairs, board.target)
     found = calibration.rig
-    error = parameters_of(found) - parameters_of(rig)
+    error = found.values - rig.values
     error[18:21] = vector_from_rotation(found.right_from_left.rotation @ rig.right_from_left.rotation.T)
     assert found.covariance is not None
     return Outcome(error / np.sqrt(np.diagonal(found.covariance)), np.concatenate(errors), tuple(failed), calibration)

@@ -37,8 +37,7 @@ from photogram.camera import triangulate
 from photogram.epipolar import check_epipolar
 from photogram.geometry import RigidTransform
 from photogram.motion import deformation, fit_motion
-from photogram.subsets.follow import Tracks
-from photogram.subsets.track import StereoTracks
+from photogram.subsets.track import StereoTracks, Tracks
 from shaker.io.channel import RawChannel
 from shaker.lines.aliasing import exposure_gain
 

@@ -23,9 +23,8 @@ from photogram.camera import triangulate
 from photogram.geometry import fit_rigid
 from photogram.images import open_sequence
 from photogram.motion import fit_motion
-from photogram.subsets.follow import TrackSettings
 from photogram.subsets.reference import TrackStatus
-from photogram.subsets.track import match_stereo, track_sequence, track_stereo
+from photogram.subsets.track import TrackSettings, match_stereo, track_sequence, track_stereo
 from shaker.identification.correction import correct_record, usable_band
 from shaker.identification.oscillator import Resonance, fit_resonance
 from shaker.identification.sensitivity import NO_CHAIN, Chain

@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 from speckle_plane import Motion, Plane, gradients, render, speckled_plane
 from tracking_programs import NOT_INSTALLED, PROGRAMS, Grid
 
-from photogram.subsets.grid import subset_mean
+from photogram.subsets.texture import subset_mean
 
 FloatArray = NDArray[np.float64]
 SIZE_PX, FRAMES, MARGIN_PX = 1024, 21, 24.0

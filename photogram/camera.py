@@ -16,8 +16,8 @@ from typing import ClassVar
 import numpy as np
 
 from photogram.arrays import FloatArray, IntArray, check_shape
-from photogram.geometry import RigidTransform, rotation_from_vector, skew
-from photogram.kernels import invert, njit
+from photogram.geometry import RigidTransform, invert, rotation_from_vector, skew
+from photogram.kernels import njit
 
 # Kernels of the pinhole camera with radial and tangential distortion, one point at a time, compiled.
 
@@ -176,6 +176,13 @@ class StereoRig:
         if self.covariance is not None:
             check_shape("covariance", self.covariance, (len(RIG_PARAMETERS), len(RIG_PARAMETERS)))
             _check_covariance(self.covariance)
+
+    @property
+    def values(self) -> FloatArray:
+        """The values (24,) of `RIG_PARAMETERS`, zero for those of the rotation."""
+        return np.concatenate(
+            [self.left.parameters, self.right.parameters, np.zeros(3), self.right_from_left.translation_m]
+        )
 
     def perturbed(self, delta: FloatArray) -> StereoRig:
         """Return the rig with its parameters changed by delta (24,), in the order of `RIG_PARAMETERS`."""

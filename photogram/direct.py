@@ -11,9 +11,9 @@ from numba import prange
 from photogram.arrays import BoolArray, FloatArray, IntArray, check_shape
 from photogram.bspline import Spline, box_inside, evaluate, mean_noise_gain, sample_line, slope_noise_gain
 from photogram.geometry import RigidTransform, rotation_vector_rate
+from photogram.images import NoiseModel, fit_noise_model
 from photogram.kernels import njit
 from photogram.motion import Patches, PlacedCamera, body_patches, patch_rates, patch_warps
-from photogram.subsets.grid import NoiseModel, fit_noise_model
 from photogram.subsets.reference import RUN_SUMS, run_sums
 
 # All pixels of a textured area in square cells: what each cell of a reference image tells about affine warps.

@@ -9,8 +9,7 @@ import numpy as np
 from photogram.arrays import BoolArray, FloatArray, Notice, check_shape
 from photogram.camera import StereoRig, triangulate
 from photogram.geometry import RigidTransform, rotation_from_vector, skew
-from photogram.subsets.follow import Tracks
-from photogram.subsets.track import StereoTracks
+from photogram.subsets.track import StereoTracks, Tracks
 
 FEWEST_POINTS = 8
 FEWEST_FRAMES = 4

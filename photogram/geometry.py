@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from photogram.arrays import BoolArray, FloatArray, check_shape
+from photogram.kernels import njit
 
 _ORTHONORMAL = 1e-6  # largest departure of RᵀR from the identity that is taken for a rotation
 _COLLINEAR = 1e-6  # smallest ratio of width to length of a point set that fixes a rotation
@@ -174,3 +175,19 @@ def fit_rigid(source_m: FloatArray, target_m: FloatArray, weight: FloatArray | N
         raise ValueError("source_m: expected points that are not all on one line, found a set of rank below 2")
     rotation = nearest_rotation(scatter)
     return RigidTransform(rotation, target_mean - rotation @ source_mean)
+
+
+@njit()
+def invert(matrix: FloatArray, inverse: FloatArray) -> bool:
+    """Invert a symmetric positive definite (3, 3) by its cofactors; return whether it is one."""
+    for i in range(3):
+        for j in range(3):
+            a, b, c, d = (i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3
+            inverse[j, i] = matrix[a, c] * matrix[b, d] - matrix[a, d] * matrix[b, c]
+    determinant = matrix[0, 0] * inverse[0, 0] + matrix[0, 1] * inverse[1, 0] + matrix[0, 2] * inverse[2, 0]
+    if not determinant > 0.0:
+        return False
+    for i in range(3):
+        for j in range(3):
+            inverse[i, j] /= determinant
+    return True

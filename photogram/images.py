@@ -8,13 +8,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Literal, cast
+from typing import Any, Literal, cast
 from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import check_shape
+from photogram.arrays import FloatArray, check_shape
 
 # Photron high-speed video: the header .cih (text) or .cihx (XML) beside the raw frames in .mraw.
 
@@ -361,3 +361,110 @@ def _read_png(path: Path) -> GreyImage:
     if image is None:
         raise ValueError(f"{path}: not a readable PNG file (its pixels cannot be decoded)")
     return cast(GreyImage, np.asarray(image))
+
+
+# Image noise as a function of brightness: what the sensor reads with, and what the light itself brings.
+
+QUANTISATION = 1.0 / 12.0  # variance of rounding to whole grey values
+CUT = 9.0  # squared residuals beyond three standard deviations count as outliers
+MEDIAN_CHI2 = 0.4549364231195724  # of χ² with one degree of freedom
+BINS = 32
+FEWEST_IN_BIN = 50
+NARROW = 0.1  # brightness range, relative to the brightest, below which shot noise cannot be told from read noise
+ROUNDS = 30
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """Noise variance of a pixel of grey value g: read_variance_grey2 + variance_per_grey·g, at least 1/12 (rounding).
+
+    The photon transfer curve (Janesick 2007, Photon Transfer, SPIE, ch. 5; EMVA 1288 release 4.0, eq. 10): the first
+    term is the noise of the dark sensor, quantisation included, the second is shot noise, 1/(electrons per grey value).
+    """
+
+    read_variance_grey2: float
+    variance_per_grey: float
+
+    def __post_init__(self) -> None:
+        for name in ("read_variance_grey2", "variance_per_grey"):
+            if not 0.0 <= getattr(self, name) < np.inf:
+                raise ValueError(f"{name}: expected a finite variance of 0 or more, found {getattr(self, name)}")
+
+    def variance(self, grey: FloatArray | float) -> FloatArray:
+        """Return the noise variance in grey² of pixels of any shape with grey values `grey`."""
+        shot = self.variance_per_grey * np.maximum(grey, 0.0)
+        return np.asarray(np.maximum(self.read_variance_grey2 + shot, QUANTISATION), dtype=np.float64)
+
+
+def fit_noise_model(grey: FloatArray, residual_grey2: FloatArray) -> NoiseModel:
+    """Noise model from pixels' brightness (M,) and squared residuals (M,), each χ² with one degree of freedom.
+
+    Up to 32 bins of equal count along brightness. In a bin the variance s² is the mean of the residuals below 9·s²,
+    enlarged by F₁(9)/F₃(9) = 1.027 (Fₙ: distribution of χ² with n degrees of freedom, since ∫₀ᵗ x·f₁ = F₃(t)): skewness
+    costs nothing, outliers little. The line through the bins has no negative coefficient and relative weights, taken
+    from the line itself, since bins that happen to be low would else pull it down. A brightness range of less than
+    10 % of the brightest bin gives a constant. NaN pixels are left out.
+    """
+    check_shape("grey", grey, (None,))
+    check_shape("residual_grey2", residual_grey2, (len(grey),))
+    known = np.isfinite(grey) & np.isfinite(residual_grey2)
+    if known.sum() < FEWEST_IN_BIN:
+        raise ValueError(f"grey: expected at least {FEWEST_IN_BIN} finite pixels, found {known.sum()}")
+    brightness, variance, count = _binned(grey[known], residual_grey2[known])
+    if np.ptp(brightness) < NARROW * np.abs(brightness).max():
+        return NoiseModel(max(float(np.average(variance, weights=count)), QUANTISATION), 0.0)
+    return _line(np.maximum(brightness, 0.0), variance, count)
+
+
+def noise_model_of_pair(first: NDArray[Any], second: NDArray[Any], full_scale: int) -> NoiseModel:
+    """Noise model from two images (H,W) of the same scene at rest; pixels that are saturated or black are left out.
+
+    Half the squared difference at the mean grey value (EMVA 1288 release 4.0, eq. 19), after the second image is scaled
+    to the mean of the first, so that a flickering lamp does not count as noise; movement does.
+    """
+    check_shape("first", first, (None, None))
+    check_shape("second", second, first.shape)
+    inside = (np.minimum(first, second) > 0) & (np.maximum(first, second) < full_scale)
+    if not inside.any():
+        raise ValueError(f"first, second: expected grey values between 0 and {full_scale}, found none")
+    left, right = first[inside].astype(np.float64), second[inside].astype(np.float64)
+    right *= left.mean() / right.mean()
+    return fit_noise_model(0.5 * (left + right), 0.5 * (left - right) ** 2)
+
+
+def _binned(grey: FloatArray, squares: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Mean brightness, robust variance and count of bins of equal count."""
+    order = np.argsort(grey, kind="stable")
+    bins = max(1, min(BINS, len(grey) // FEWEST_IN_BIN))
+    parts = np.array_split(order, bins)
+    brightness = np.array([grey[part].mean() for part in parts])
+    variance = np.array([_robust_variance(squares[part]) for part in parts])
+    return brightness, variance, np.array([float(len(part)) for part in parts])
+
+
+def _robust_variance(squares: FloatArray) -> float:
+    """Mean of squares of normal deviates, those beyond three standard deviations left out and made up for."""
+    from scipy.special import gammainc
+
+    enlarged = float(gammainc(0.5, CUT / 2.0) / gammainc(1.5, CUT / 2.0))
+    variance = float(np.median(squares)) / MEDIAN_CHI2
+    for _ in range(ROUNDS):
+        kept = squares[squares <= CUT * variance]
+        before, variance = variance, enlarged * float(kept.mean())
+        if abs(variance - before) <= 1e-6 * before:
+            break
+    return variance
+
+
+def _line(brightness: FloatArray, variance: FloatArray, count: FloatArray) -> NoiseModel:
+    """Line with coefficients of 0 or more through the bins' variances, weighted by the line's own values."""
+    from scipy.optimize import nnls
+
+    expected = np.full_like(variance, variance.mean())
+    columns = np.column_stack([np.ones_like(brightness), brightness])
+    solution = np.zeros(2)
+    for _ in range(4):
+        weight = np.sqrt(count) / np.maximum(expected, QUANTISATION)
+        solution, _ = nnls(columns * weight[:, None], variance * weight)
+        expected = columns @ solution
+    return NoiseModel(float(solution[0]), float(solution[1]))

@@ -38,8 +38,6 @@ from llvmlite import ir
 from numba.core import cgutils
 from numba.core.caching import IndexDataCacheFile
 
-from photogram.arrays import FloatArray
-
 UNUSED_S = 30 * 86400.0
 
 
@@ -219,22 +217,3 @@ def _spread(builder: Any, scalar: Any, kind: Any) -> Any:
     """A vector that holds the scalar eight times."""
     single = builder.insert_element(ir.Constant(kind, ir.Undefined), scalar, ir.Constant(_WORD, 0))
     return builder.shuffle_vector(single, single, ir.Constant(ir.VectorType(_WORD, LANES), [0] * LANES))
-
-
-# The inverse of a small covariance matrix, compiled.
-
-
-@njit()
-def invert(matrix: FloatArray, inverse: FloatArray) -> bool:
-    """Invert a symmetric positive definite (3, 3) by its cofactors; return whether it is one."""
-    for i in range(3):
-        for j in range(3):
-            a, b, c, d = (i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3
-            inverse[j, i] = matrix[a, c] * matrix[b, d] - matrix[a, d] * matrix[b, c]
-    determinant = matrix[0, 0] * inverse[0, 0] + matrix[0, 1] * inverse[1, 0] + matrix[0, 2] * inverse[2, 0]
-    if not determinant > 0.0:
-        return False
-    for i in range(3):
-        for j in range(3):
-            inverse[i, j] /= determinant
-    return True

@@ -12,21 +12,22 @@ from photogram.bspline import Spline, spline_of_image
 from photogram.camera import Points, StereoRig, triangulate
 from photogram.direct import BodyView, DirectFit, fit_direct, image_noise, rest_covariance, view_body
 from photogram.geometry import RigidTransform
-from photogram.images import ImageSequence
+from photogram.images import ImageSequence, NoiseModel
 from photogram.motion import PlacedCamera, RigidMotion, fit_motion, overlap_correlation
-from photogram.subsets.follow import TrackSettings, identity, tracks_of
-from photogram.subsets.grid import NoiseModel
 from photogram.subsets.icgn import Registration
-from photogram.subsets.quality import SubsetQuality, assess
 from photogram.subsets.reference import Reference
+from photogram.subsets.texture import SubsetQuality, assess
 from photogram.subsets.track import (
     FollowedFrame,
     StereoGrid,
     StereoTracks,
+    TrackSettings,
     follow_sequence,
+    identity,
     lay_stereo_grid,
     prepare_sequence,
     stereo_tracks,
+    tracks_of,
 )
 
 Progress = Callable[[int], None]

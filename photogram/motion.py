@@ -12,13 +12,14 @@ from photogram.camera import Camera, Points
 from photogram.geometry import (
     RigidTransform,
     fixes_rotation,
+    invert,
     nearest_rotation,
     rotation_from_vector,
     rotation_vector_rate,
     skew,
     vector_from_rotation,
 )
-from photogram.kernels import invert, njit
+from photogram.kernels import njit
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array, sparray

@@ -7,9 +7,9 @@ from functools import cache
 
 import numpy as np
 
-from photogram.alignment.evidence import KnownAxis, KnownDirection, across, calibration_steps
+from photogram.alignment.evidence import KnownAxis, KnownDirection, across
+from photogram.alignment.seen import calibration_steps, fit_axis, linear_motion
 from photogram.alignment.solve import Alignment
-from photogram.alignment.system import fit_axis, linear_motion
 from photogram.arrays import ComplexArray, FloatArray
 from photogram.camera import Camera, StereoRig, triangulate
 from photogram.geometry import RigidTransform, nearest_rotation, rotation_from_vector, vector_from_rotation

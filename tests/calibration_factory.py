@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from photogram.arrays import BoolArray, FloatArray, Notice
-from photogram.calibration.model import CalibratedPicture, CalibratedView, Calibration, Determined, Dropped, Parameter
+from photogram.calibration.result import CalibratedPicture, CalibratedView, Calibration, Determined, Dropped, Parameter
 from photogram.camera import RIG_PARAMETERS, Camera, StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.targets.view import Target

@@ -40,17 +40,14 @@ from photogram.alignment.evidence import (
     KnownPoints,
     KnownPoses,
     StatedFrame,
-    calibration_steps,
     displacement_jacobian,
-    seen_points,
-    seen_target,
 )
+from photogram.alignment.seen import calibration_steps, seen_points, seen_target
 from photogram.calibration.file import read_calibration
 from photogram.camera import StereoRig
 from photogram.geometry import RigidTransform
 from photogram.images import read_picture
-from photogram.targets.dots import find_target
-from photogram.targets.view import Target, TargetView
+from photogram.targets.view import Target, TargetView, find_target
 from shaker.arrays import FloatArray
 
 # alignment.toml as checked, typed values: the contract is the table in `docs/cameras.md`.

@@ -19,15 +19,15 @@ from fusion.cameras.report import render_camera_report
 from fusion.estimation.uncertainty import rounded
 from fusion.recording.values import natural_key
 from fusion.report.provenance import Provenance, hash_files, versions
+from photogram.calibration.bundle import ShapeKind
 from photogram.calibration.file import write_calibration
 from photogram.calibration.foreign import LengthUnit
 from photogram.calibration.foreign_formats import import_calibration
-from photogram.calibration.model import Calibration, Dropped, ShapeKind
+from photogram.calibration.result import Calibration, Dropped
 from photogram.calibration.session import calibrate_pair
 from photogram.calibration.start import FEWEST_VIEWS, Pair
 from photogram.images import read_picture
-from photogram.targets.dots import find_target
-from photogram.targets.view import Target, TargetNotFound, TargetView
+from photogram.targets.view import Target, TargetNotFound, TargetView, find_target
 
 # The command `shakercal cameras`: pictures of a target → calibration file and page.
 

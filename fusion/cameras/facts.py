@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from photogram.calibration.model import COVERAGE_CELLS, CalibratedPicture, CalibratedView, Calibration
+from photogram.calibration.result import COVERAGE_CELLS, CalibratedPicture, CalibratedView, Calibration
 from photogram.camera import Camera, StereoRig, triangulate
 from photogram.geometry import fit_rigid, skew
 from shaker.arrays import FloatArray, IntArray

@@ -45,7 +45,7 @@ from fusion.report.style import (
     new_figure,
     panel_label,
 )
-from photogram.calibration.model import Calibration
+from photogram.calibration.result import Calibration
 from photogram.camera import RIG_PARAMETERS
 from shaker.arrays import FloatArray, IntArray
 

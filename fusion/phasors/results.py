@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from fusion.base import AnyNotice
 from photogram.epipolar import EpipolarCheck
-from photogram.images import GreyImage
+from photogram.images import GreyImage, NoiseModel
 from photogram.motion import Deformation, RigidMotion
-from photogram.subsets.grid import NoiseModel
 from shaker.arrays import ComplexArray, FloatArray, check_shape
 from shaker.lines.aliasing import exposure_gain, sine_columns
 from shaker.sine.fit import Stationarity

@@ -8,138 +8,29 @@ from typing import Literal
 
 import numpy as np
 
-from photogram.arrays import BoolArray, FloatArray, Notice
-from photogram.calibration.adjust import Adjusted, Bundle, Picture, Prior, adjust, parameters_of, whitened_squares
-from photogram.calibration.model import (
+from photogram.arrays import BoolArray, FloatArray
+from photogram.calibration.bundle import (
+    Adjusted,
+    Bundle,
+    Picture,
+    ShapeKind,
+    adjust,
+    whitened_squares,
+)
+from photogram.calibration.result import (
     CalibratedPicture,
     CalibratedView,
     Calibration,
-    Determined,
     Dropped,
-    Parameter,
-    ShapeKind,
     covered_share,
-    spread_of_turns,
+    refuse_open_focal_lengths,
+    rig_parameters,
+    session_notices,
 )
 from photogram.calibration.start import Pair, lens_prior, picture_of, start_bundle
-from photogram.camera import RIG_PARAMETERS, StereoRig
 from photogram.targets.view import Target, TargetView
 
-# What a calibration session was good for: which parameters it determines, what it covers, what to add.
-
-
 """Columns and rows of the cells of a picture by which its coverage is told."""
-_OPEN = 0.5  # share of the prior's standard deviation above which the views told nothing
-_DISTINCT = 2.0  # standard uncertainties beyond which a distortion is not zero
-_MANY_VIEWS = 8
-_LITTLE_TURN_RAD = np.radians(5.0)
-_ENOUGH_COVER = 0.6
-_FOCAL_U = 0.005  # relative standard uncertainty of a focal length above which the user is told
-_FOCAL_LIMIT = 0.05  # and above which the calibration is refused
-_ADDED_PX = 0.15  # noise beyond the pictures' own, per coordinate, above which the user is told
-_UNITS = {"f": "px", "c": "px", "k": "1", "p": "1"}
-
-
-def rig_parameters(rig: StereoRig, prior: Prior) -> tuple[Parameter, ...]:
-    """Return the 24 parameters of a rig with covariance, and what the views say about each."""
-    covariance = np.zeros((24, 24)) if rig.covariance is None else rig.covariance
-    found = []
-    for number, (name, value) in enumerate(zip(RIG_PARAMETERS, parameters_of(rig), strict=True)):
-        u, kind = float(np.sqrt(covariance[number, number])), name.split(".")[1][0]
-        lens = not name.startswith(("rotation", "translation"))
-        unit = _UNITS[kind] if lens else ("rad" if name.startswith("rotation") else "m")
-        state: Determined = "determined"
-        if u > _OPEN * prior.sigma[number]:
-            state = "open"
-        elif lens and kind in "kp" and abs(value) < _DISTINCT * u:
-            state = "indistinct"
-        found.append(Parameter(name, float(value), u, unit, state))
-    return tuple(found)
-
-
-def refuse_open_focal_lengths(parameters: Sequence[Parameter]) -> None:
-    """Raise `ValueError` when the views leave a focal length open."""
-    for item in parameters:
-        if item.name.endswith((".fx", ".fy")) and not item.u < _FOCAL_LIMIT * item.value:
-            raise ValueError(
-                f"the views leave {item.name} open: {item.value:.0f} px, standard uncertainty {item.u:.0f} px; "
-                "add views turned by 20° and more about both axes of the picture, and at other distances"
-            )
-
-
-def session_notices(calibration: Calibration) -> tuple[Notice, ...]:
-    """Return what the user should know of a calibration, and what to add to the session."""
-    found = _view_notices(calibration) + _parameter_notices(calibration) + _residual_notices(calibration)
-    if calibration.scale_u == 0:
-        text = "the uncertainty of the target's spacing is not stated, so that of all lengths lacks its share"
-        found.append(Notice("warning", text, "scale"))
-    return tuple(found)
-
-
-def _view_notices(calibration: Calibration) -> list[Notice]:
-    """Return what is missing in number, turn and place of the views."""
-    found = []
-    pairs = sum(view.left is not None and view.right is not None for view in calibration.views)
-    if pairs < _MANY_VIEWS:
-        found.append(
-            Notice("warning", f"only {pairs} pairs; {_MANY_VIEWS} to 20 make a calibration that can be judged", "views")
-        )
-    spread, axes = spread_of_turns([view.left_from_target for view in calibration.views])
-    if spread[0] < _LITTLE_TURN_RAD:
-        axis = "vertical" if abs(axes[0, 0]) > abs(axes[1, 0]) else "horizontal"
-        text = f"the target is hardly turned about the picture's {axis} axis ({np.degrees(spread[0]):.1f}° rms)"
-        found.append(Notice("warning", f"{text}; add views turned by 20° and more about it", "views"))
-    for side, share in zip(("left", "right"), calibration.covered, strict=True):
-        if share < _ENOUGH_COVER:
-            text = (
-                f"the points cover {100 * share:.0f} % of the {side} picture; add views with the target near its edges"
-            )
-            found.append(Notice("warning", f"{text}, or measure within the part that is covered", side))
-    return found
-
-
-def _parameter_notices(calibration: Calibration) -> list[Notice]:
-    """Return what the views say about the parameters."""
-    found = []
-    for item in calibration.parameters:
-        if item.name.endswith((".fx", ".fy")) and item.u > _FOCAL_U * item.value:
-            text = f"{item.name} is known to {100 * item.u / item.value:.1f} % only (k = 1)"
-            found.append(Notice("warning", f"{text}; more turned views at other distances improve it", item.name))
-    states = {
-        "open": "not determined by these views (taken from an ordinary lens)",
-        "indistinct": "not distinguishable from zero",
-    }
-    for state, text in states.items():
-        names = [item.name for item in calibration.parameters if item.state == state]
-        if names:
-            found.append(Notice("info", f"{', '.join(names)}: {text}", "distortion"))
-    return found
-
-
-def _residual_notices(calibration: Calibration) -> list[Notice]:
-    """Return how far the residuals exceed what the pictures' noise explains, and what the target's shape has to do."""
-    flat = np.column_stack([calibration.shape_index * calibration.target.spacing_m, np.zeros(len(calibration.shape_m))])
-    off = calibration.shape_m - flat
-    if off.any():
-        x, y, z = 1e6 * np.sqrt((off**2).mean(axis=0))
-        text = f"the target's points lie {x:.0f}, {y:.0f} µm rms off their lattice and {z:.0f} µm across it"
-        return [
-            Notice("info", f"{text}; this was estimated together with the cameras", "target"),
-            *_noise_notices(calibration),
-        ]
-    return _noise_notices(calibration)
-
-
-def _noise_notices(calibration: Calibration) -> list[Notice]:
-    """Return how far the residuals exceed what the pictures' noise explains."""
-    worst = max(calibration.added_px)
-    if worst < _ADDED_PX:
-        return []
-    text = f"the points are {worst:.2f} px (per coordinate) off beyond the pictures' noise: rough print, a bent target"
-    return [Notice("warning", f"{text} or a lens that the model does not describe; see the residual maps", "residuals")]
-
-
-# From target views to a calibrated stereo pair.
 
 
 _ROUNDS = 12
@@ -350,7 +241,7 @@ def _result(fit: _Fit, dropped: tuple[Dropped, ...], target: Target, scale_u: fl
         sides = {p.side: found for p, found in zip(session.pictures, pictures, strict=True) if p.view == number}
         views.append(CalibratedView(pose, fit.adjusted.pose_covariance[number] * factor, sides.get(0), sides.get(1)))
     by_side = [[found for p, found in zip(session.pictures, pictures, strict=True) if p.side == s] for s in (0, 1)]
-    parameters = rig_parameters(rig, lens_prior(bundle.rig))
+    parameters = rig_parameters(rig, lens_prior(bundle.rig).sigma)
     refuse_open_focal_lengths(parameters)
     calibration = Calibration(
         rig=rig,

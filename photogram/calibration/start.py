@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from photogram.arrays import FloatArray, IntArray
-from photogram.calibration.adjust import Bundle, Picture, Prior, moved_pose
-from photogram.calibration.model import Dropped, ShapeKind, make_shape, refuse_similar_views
+from photogram.calibration.bundle import Bundle, Picture, Prior, ShapeKind, make_shape, moved_pose
+from photogram.calibration.result import Dropped, refuse_similar_views
 from photogram.camera import Camera, StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector, vector_from_rotation
 from photogram.targets.view import Target, TargetView

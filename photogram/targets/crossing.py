@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photogram.arrays import FloatArray, IntArray, check_shape
+from photogram.images import QUANTISATION, NoiseModel
 from photogram.kernels import njit
-from photogram.subsets.grid import QUANTISATION, NoiseModel
 
 # The kernel that fits the crossing of two edges to the grey values around a corner.
 

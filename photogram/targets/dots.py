@@ -1,17 +1,15 @@
-"""Grids of dots, with and without ring markers; any target by its name."""
+"""Grids of round dots, with and without ring markers: their places in the lattice, the centres of their ellipses."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from photogram.arrays import BoolArray, FloatArray, IntArray, check_shape
-from photogram.images import GreyImage
 from photogram.targets.ellipse import Blobs, Ellipses, find_blobs, fit_ellipses
-from photogram.targets.lattice import Lattice, find_lattice, local_fit
 from photogram.targets.view import (
     Target,
     TargetNotFound,
@@ -21,187 +19,6 @@ from photogram.targets.view import (
     outline,
     picture_fault,
 )
-
-# ArUco markers of a ChArUco board: which are seen where, from which dictionary, in which of the two patterns.
-
-
-# Families of predefined dictionaries; the smaller dictionaries of a family are the beginning of the largest.
-_FAMILIES = (
-    ("DICT_4X4_50", "DICT_4X4_100", "DICT_4X4_250", "DICT_4X4_1000"),
-    ("DICT_5X5_50", "DICT_5X5_100", "DICT_5X5_250", "DICT_5X5_1000"),
-    ("DICT_6X6_50", "DICT_6X6_100", "DICT_6X6_250", "DICT_6X6_1000"),
-    ("DICT_7X7_50", "DICT_7X7_100", "DICT_7X7_250", "DICT_7X7_1000"),
-    ("DICT_ARUCO_ORIGINAL",),
-    ("DICT_ARUCO_MIP_36h12",),
-    ("DICT_APRILTAG_36h11",),
-    ("DICT_APRILTAG_36h10",),
-    ("DICT_APRILTAG_25h9",),
-    ("DICT_APRILTAG_16h5",),
-)
-_TOLERANCE = 0.3  # squares between a marker's centre and where the board's other markers put it
-_ALIGNED = 0.9  # least cosine between a marker's upper edge and the board's first direction
-_FEWEST = 4
-
-
-@dataclass(frozen=True, eq=False)
-class Markers:
-    """Markers seen: number (N,), centre_px (N, 2), upper_px (N, 2): the way along a marker's upper edge, to its right.
-
-    The centre is where the diagonals cross, which is also the centre of the white square, however large the marker is.
-    """
-
-    number: IntArray
-    centre_px: FloatArray
-    upper_px: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
-class Board:
-    """Markers of a board: `place` (N, 2), the squares' centres in the lattice of inner corners, at centre_px (N, 2).
-
-    lattice_from_px (3, 3): the homography that most of the `seen` markers agree with.
-    """
-
-    place: FloatArray
-    centre_px: FloatArray
-    lattice_from_px: FloatArray
-    legacy: bool
-    seen: int
-
-
-def markers_on(size: tuple[int, int], legacy: bool) -> int:
-    """Return how many markers a board of `size` squares (columns, rows) has."""
-    return len(_places(size, legacy))
-
-
-def _places(size: tuple[int, int], legacy: bool) -> FloatArray:
-    """Return the centres (M, 2) of the white squares in the order of the markers.
-
-    The first inner corner is the origin. The upper left square is black, in the `legacy` pattern (OpenCV before 4.6)
-    white where the number of rows is even.
-    """
-    columns, rows = size
-    odd = 1 if legacy and rows % 2 == 0 else 0
-    row, column = np.divmod(np.arange(rows * columns), columns)
-    white = (row + column) % 2 != odd
-    return np.column_stack([column[white], row[white]]) - 0.5
-
-
-def find_markers(grey: NDArray[np.uint8], dictionary: str, first: int | None = None) -> Markers:
-    """Return the markers of a predefined dictionary, or of its `first` ones, in a picture (H, W) of 8 bits.
-
-    Numbers that occur twice are left out.
-    """
-    import cv2
-
-    known = _dictionary(dictionary)
-    if first is not None:
-        known = cv2.aruco.Dictionary(known.bytesList[:first], known.markerSize, known.maxCorrectionBits)
-    corners, numbers, _ = cv2.aruco.ArucoDetector(known).detectMarkers(grey)
-    if numbers is None or len(corners) == 0:
-        return Markers(np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty((0, 2)))
-    number = np.asarray(numbers, dtype=np.int64).ravel()
-    square = np.asarray(corners, dtype=np.float64).reshape(-1, 4, 2)
-    value, count = np.unique(number, return_counts=True)
-    once = np.isin(number, value[count == 1])
-    number, square = number[once], square[once]
-    upper = square[:, 1] - square[:, 0] + square[:, 2] - square[:, 3]
-    return Markers(number, _crossing(square), upper)
-
-
-def _dictionary(name: str) -> Any:
-    """Return OpenCV's predefined dictionary of this name."""
-    import cv2
-
-    code = getattr(cv2.aruco, name, None) if name.startswith("DICT_") else None
-    if code is None:
-        raise ValueError(f"dictionary: expected a name as DICT_4X4_50 of OpenCV's dictionaries, found {name!r}")
-    return cv2.aruco.getPredefinedDictionary(code)
-
-
-def _crossing(square: FloatArray) -> FloatArray:
-    """Return where the diagonals (N, 2) of quadrilaterals (N, 4, 2) cross."""
-    one, two = square[:, 2] - square[:, 0], square[:, 3] - square[:, 1]
-    between = square[:, 1] - square[:, 0]
-    share = (between[:, 0] * two[:, 1] - between[:, 1] * two[:, 0]) / (one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0])
-    return np.asarray(square[:, 0] + share[:, None] * one)
-
-
-def find_board(markers: Markers, size: tuple[int, int], shape: tuple[int, ...]) -> Board | None:
-    """Return the board that most markers agree with, of the new or the legacy pattern, None where fewer than 4 do.
-
-    Where the board has an odd number of columns the patterns differ by one column for all markers but those at the
-    sides: among equals the one counts by which fewer markers ought to be seen in the picture of `shape` (H, W) that
-    are not, and the new one if a part of the board is seen that belongs to both.
-    """
-    boards = [_board(markers, size, legacy) for legacy in ((False, True) if size[1] % 2 == 0 else (False,))]
-    found = [board for board in boards if board is not None]
-    return max(found, key=lambda board: (len(board.place), -_expected_in(board, size, shape)), default=None)
-
-
-def _expected_in(board: Board, size: tuple[int, int], shape: tuple[int, ...]) -> int:
-    """Return how many of a board's markers lie in the picture as a whole."""
-    places = _places(size, board.legacy)
-    square = places[:, None, :] + np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
-    corners = apply(np.asarray(np.linalg.inv(board.lattice_from_px)), square.reshape(-1, 2)).reshape(-1, 4, 2)
-    return int(((corners > 0) & (corners < [shape[1] - 1, shape[0] - 1])).all(axis=(1, 2)).sum())
-
-
-def _board(markers: Markers, size: tuple[int, int], legacy: bool) -> Board | None:
-    """Return the board of one pattern: its markers' centres fit a homography, and their edges its directions."""
-    import cv2
-
-    places = _places(size, legacy)
-    known = markers.number < len(places)
-    if known.sum() < _FEWEST:
-        return None
-    place, centre, upper = places[markers.number[known]], markers.centre_px[known], markers.upper_px[known]
-    found, _ = cv2.findHomography(centre, place, cv2.RANSAC, _TOLERANCE)
-    if found is None:
-        return None
-    homography = np.asarray(found, dtype=np.float64)
-    good = _agree(homography, place, centre, upper)
-    if good.sum() < _FEWEST:
-        return None
-    return Board(place[good], centre[good], homography, legacy, len(markers.number))
-
-
-def _agree(homography: FloatArray, place: FloatArray, centre: FloatArray, upper: FloatArray) -> BoolArray:
-    """Return which markers (N,) lie where the homography puts them, turned as it has it."""
-    at, beside = apply(homography, centre), apply(homography, centre + 0.25 * upper)
-    way = beside - at
-    aligned = way[:, 0] > _ALIGNED * np.linalg.norm(way, axis=1)
-    return np.asarray((np.linalg.norm(at - place, axis=1) < _TOLERANCE) & aligned)
-
-
-def apply(homography: FloatArray, points: FloatArray) -> FloatArray:
-    """Return points (N, 2) mapped by a homography (3, 3)."""
-    mapped = points @ homography[:, :2].T + homography[:, 2]
-    return np.asarray(mapped[:, :2] / mapped[:, 2:])
-
-
-def find_dictionary(grey: NDArray[np.uint8], size: tuple[int, int]) -> str | None:
-    """Return the predefined dictionary with which most markers fit a board of `size` squares, None where none do.
-
-    Of a family of dictionaries that begin alike the smallest with enough markers; the families are tried in the order
-    of their use until one explains half of the board.
-    """
-    wanted = markers_on(size, False)
-    best, most = None, 0
-    for family in _FAMILIES:
-        name = next((name for name in family if len(_dictionary(name).bytesList) >= wanted), None)
-        if name is None:
-            continue
-        board = find_board(find_markers(grey, name, wanted + 1), size, grey.shape)
-        if board is not None and len(board.place) > most:
-            best, most = name, len(board.place)
-        if 2 * most >= wanted:
-            break
-    return best
-
-
-# Grids of round dots in a picture: their places in the lattice and the centres of the ellipses that are seen.
-
 
 LEAST_DOTS = 12
 WINDOWS = (1 / 6, 1 / 20, 2 / 5)
@@ -273,7 +90,7 @@ def _attempt(image: NDArray[Any], blobs: Blobs, target: Target, name: str, full_
     spacing_px = float(np.median(_spacing(grid.jacobian)))
     check_exposure(image, outline(grid.ellipses.centre_px), full_scale)
     check_blur(float(np.median(grid.ellipses.blur_px)), spacing_px)
-    places = _dots_places(grid, target, image.shape)
+    places = _places(grid, target, image.shape)
     if isinstance(places, str):
         return _Failure(dots, places)
     return _view(grid, places, name, image.shape)
@@ -313,7 +130,7 @@ def _select(ellipses: Ellipses, kept: BoolArray) -> Ellipses:
     return Ellipses(**{name: value[kept] for name, value in vars(ellipses).items()})
 
 
-def _dots_places(grid: _Grid, target: Target, shape: tuple[int, ...]) -> IntArray | str:
+def _places(grid: _Grid, target: Target, shape: tuple[int, ...]) -> IntArray | str:
     """Places (N, 2) in the target's lattice, or why there are none."""
     rings = int(grid.ring.sum())
     if target.kind == "dots" and rings == 3:
@@ -407,21 +224,190 @@ def _view(grid: _Grid, places: IntArray, name: str, shape: tuple[int, ...]) -> T
     )
 
 
-# One door to all targets.
+# Patches that lie on a lattice, seen in perspective and through a lens.
+
+AREA_SPAN = 4.0
+NEIGHBOURS = 12
+SEED_TOLERANCE = 0.3
+LEAST_SEED_MATCHES = 3
+MOST_GROUPS = 4
+SEEDS = 4
+TOLERANCE = 0.2
+AREA_RATIO = (0.4, 2.5)
+RINGS_ABOUT_A_CELL = (2, 3)
+LEAST_POINTS = 9
+FEW_POINTS, LEAST_PAIRS = 16, 1.0
+AROUND = np.array([[1, 0], [0, 1], [-1, 0], [0, -1], [1, 1], [-1, 1], [-1, -1], [1, -1]])
 
 
-def find_target(image: GreyImage, target: Target, name: str, full_scale: int) -> TargetView:
-    """Return the points of `target` in a picture (H, W) called `name`; `full_scale` is its largest grey value.
+@dataclass(frozen=True, eq=False)
+class Lattice:
+    """Places on a square lattice, up to where it begins and how it is turned or mirrored.
 
-    Raises `TargetNotFound` with what is wrong with the picture.
+    `member` (N,): numbers of the patches; `index` (N, 2): their places, each once.
     """
-    if target.kind == "chessboard":
-        from photogram.targets.chessboard import find_chessboard
 
-        return find_chessboard(image, target, name, full_scale)
-    if target.kind == "charuco":
-        from photogram.targets.chessboard import find_charuco
+    member: IntArray
+    index: IntArray
 
-        return find_charuco(image, target, name, full_scale)
+    def __post_init__(self) -> None:
+        """Refuse shapes that do not belong together."""
+        check_shape("member", self.member, (None,))
+        check_shape("index", self.index, (len(self.member), 2))
 
-    return find_dots(image, target, name, full_scale)
+
+def find_lattice(centre_px: FloatArray, shape_px2: FloatArray) -> Lattice:
+    """Return the largest square lattice among patches at `centre_px` (N, 2) of `shape_px2` (N, 2, 2).
+
+    Where perspective turns circles into ellipses, it turns the lattice likewise: measured in the ellipse of a dot, its
+    four nearest neighbours lie at equal distances and right angles, at any tilt. From such a start the lattice grows,
+    place by place, by affine extrapolation of the places around. Patches of different size from their neighbours do
+    not belong to it, nor those that lie more than a fifth of the spacing off.
+    """
+    check_shape("centre_px", centre_px, (None, 2))
+    check_shape("shape_px2", shape_px2, (len(centre_px), 2, 2))
+    best = Lattice(np.zeros(0, dtype=np.int64), np.zeros((0, 2), dtype=np.int64))
+    area = np.sqrt(np.linalg.det(shape_px2))
+    for group in _groups_of_like_size(area):
+        tried: set[int] = set()
+        for seed in _seeds(centre_px[group], shape_px2[group]):
+            if int(group[seed[0]]) in tried:
+                continue
+            grown = _Growth(centre_px, area, group[seed]).run()
+            tried.update(grown.member.tolist())
+            if len(grown.member) > len(best.member):
+                best = grown
+        if 2 * len(best.member) > len(group):
+            break
+    return best
+
+
+def local_fit(index: IntArray, position_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return how far points (N, 2) lie off a smooth map of their places, in spacings (N,), and its Jacobians (N, 2, 2).
+
+    The map of each point is fitted to the places within two steps, itself left out: a polynomial of second order
+    where there are ten of them, else an affine one; NaN where there are fewer than three or all in a line.
+    """
+    off = np.full(len(index), np.nan)
+    jacobian = np.full((len(index), 2, 2), np.nan)
+    for n, place in enumerate(index):
+        step = index - place
+        near = np.abs(step).max(axis=1) <= RINGS_ABOUT_A_CELL[0]
+        near[n] = False
+        found = _extrapolate(step[near], position_px[near], order=2 if near.sum() >= 10 else 1)
+        if found is not None:
+            jacobian[n] = found[1]
+            off[n] = np.linalg.norm(np.linalg.solve(found[1], position_px[n] - found[0]))
+    return off, jacobian
+
+
+def _groups_of_like_size(area: FloatArray) -> list[IntArray]:
+    """Patches whose areas are within a factor four, by octaves: those that cover most of the picture first."""
+    if not len(area):
+        return []
+    octaves = np.arange(np.floor(np.log2(area.min())) - 1, np.ceil(np.log2(area.max())) + 1)
+    groups = [np.flatnonzero((area >= 2.0**k) & (area < AREA_SPAN * 2.0**k)) for k in octaves]
+    large = [group for group in groups if len(group) >= LEAST_POINTS]
+    return sorted(large, key=lambda group: -area[group].sum())[:MOST_GROUPS]
+
+
+def _seeds(centre: FloatArray, shape: FloatArray) -> IntArray:
+    """Triples (S, 3) of a patch and its neighbours along both axes, the most regular surroundings first."""
+    from scipy.spatial import cKDTree
+
+    count = min(NEIGHBOURS, len(centre) - 1)
+    near = cKDTree(centre).query(centre, k=count + 1)[1][:, 1:]
+    step = centre[near] - centre[:, None]
+    to_circle = np.linalg.inv(np.linalg.cholesky(shape))
+    step = np.einsum("nij,nkj->nki", to_circle, step)
+    first = step[np.arange(len(step)), np.linalg.norm(step, axis=2).argmin(axis=1)]
+    length = np.linalg.norm(first, axis=1)
+    across = np.column_stack([-first[:, 1], first[:, 0]])
+    expected = np.einsum("ka,nai->nki", AROUND.astype(float), np.stack([first, across], axis=1))
+    apart = np.linalg.norm(expected[:, :, None] - step[:, None], axis=3)
+    nearest = apart.argmin(axis=2)
+    miss: FloatArray = np.minimum(apart.min(axis=2) / length[:, None], SEED_TOLERANCE)
+    hit = np.less(miss, SEED_TOLERANCE)
+    score = hit.sum(axis=1) - miss.mean(axis=1)
+    corner = hit[:, :4] & np.roll(hit[:, :4], -1, axis=1)
+    order = np.argsort(-score)
+    usable = np.asarray(corner.any(axis=1))
+    order = order[usable[order] & (hit.sum(axis=1)[order] >= LEAST_SEED_MATCHES)][:SEEDS]
+    first_axis = corner.argmax(axis=1)[order]
+    along, beside = (near[order, nearest[order, (first_axis + turn) % 4]] for turn in (0, 1))
+    return np.column_stack([order, along, beside])
+
+
+@dataclass(eq=False)
+class _Growth:
+    """A lattice on the way: the patch at each place, from a start of three patches."""
+
+    centre: FloatArray
+    area: FloatArray
+    start: IntArray
+    at: dict[tuple[int, int], int] = field(default_factory=dict)
+
+    def run(self) -> Lattice:
+        """Grow until no place next to the lattice, nor one place further, holds a patch."""
+        from scipy.spatial import cKDTree
+
+        self.at = dict(zip([(0, 0), (1, 0), (0, 1)], self.start.tolist(), strict=True))
+        self.tree = cKDTree(self.centre)
+        fresh = list(self.at)
+        while fresh and self._is_dense():
+            fresh = self._extend(fresh, 1)
+            if not fresh:
+                fresh = self._extend(list(self.at), 2)
+        member = np.array(list(self.at.values()), dtype=np.int64)
+        return Lattice(member, np.array(list(self.at), dtype=np.int64))
+
+    def _is_dense(self) -> bool:
+        """Whether most places beside filled ones are filled too, which chance finds among random patches are not."""
+        pairs = sum((i + 1, j) in self.at for i, j in self.at) + sum((i, j + 1) in self.at for i, j in self.at)
+        return len(self.at) < FEW_POINTS or pairs > LEAST_PAIRS * len(self.at)
+
+    def _extend(self, places: list[tuple[int, int]], reach: int) -> list[tuple[int, int]]:
+        """Look at the empty places within `reach` steps of places; return those that were filled."""
+        steps = [(i, j) for i in range(-reach, reach + 1) for j in range(-reach, reach + 1)]
+        empty = dict.fromkeys(
+            (i + di, j + dj) for i, j in places for di, dj in steps if (i + di, j + dj) not in self.at
+        )
+        index, member = np.array(list(self.at)), np.array(list(self.at.values()))
+        wanted: dict[int, tuple[tuple[int, int], float]] = {}
+        for place in empty:
+            found = self._look(np.array(place), index, member)
+            if found is not None and (found[0] not in wanted or found[1] < wanted[found[0]][1]):
+                wanted[found[0]] = (place, found[1])
+        taken = set(self.at.values())
+        filled = {place: patch for patch, (place, _) in wanted.items() if patch not in taken}
+        self.at.update(filled)
+        return list(filled)
+
+    def _look(self, place: IntArray, index: IntArray, member: IntArray) -> tuple[int, float] | None:
+        """Return the patch at a place and how far off it lies, in spacings; None where there is none."""
+        step = index - place
+        distance = np.abs(step).max(axis=1)
+        for rings in RINGS_ABOUT_A_CELL:
+            near = distance <= rings
+            expected = _extrapolate(step[near], self.centre[member[near]], order=1)
+            if expected is not None:
+                break
+        else:
+            return None
+        position, jacobian = expected
+        patch = int(self.tree.query(position)[1])
+        off = float(np.linalg.norm(np.linalg.solve(jacobian, self.centre[patch] - position)))
+        like = self.area[patch] / np.median(self.area[member[near]])
+        return (patch, off) if off < TOLERANCE and AREA_RATIO[0] < like < AREA_RATIO[1] else None
+
+
+def _extrapolate(step: IntArray, position: FloatArray, order: int) -> tuple[FloatArray, FloatArray] | None:
+    """Return where the place 0 lies and the Jacobian there, from places at `step` (N, 2); None if all in a line."""
+    i, j = step.T.astype(np.float64)
+    columns = [np.ones(len(step)), i, j]
+    if order == 2:
+        columns += [i * i, i * j, j * j]
+    solution, _, rank, _ = np.linalg.lstsq(np.column_stack(columns), position, rcond=None)
+    if rank < len(columns) or abs(np.linalg.det(solution[1:3])) < 1e-6:
+        return None
+    return solution[0], solution[1:3].T

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photogram.arrays import BoolArray, FloatArray, IntArray, check_shape
-from photogram.subsets.grid import NoiseModel, fit_noise_model
+from photogram.images import GreyImage, NoiseModel, fit_noise_model
 
 # A calibration target, and what one picture shows of it.
 
@@ -178,3 +178,21 @@ def outline(position_px: FloatArray) -> FloatArray:
     import cv2
 
     return np.asarray(cv2.convexHull(position_px.astype(np.float32)), dtype=np.float64).reshape(-1, 2)
+
+
+def find_target(image: GreyImage, target: Target, name: str, full_scale: int) -> TargetView:
+    """Return the points of `target` in a picture (H, W) called `name`; `full_scale` is its largest grey value.
+
+    Raises `TargetNotFound` with what is wrong with the picture.
+    """
+    if target.kind == "chessboard":
+        from photogram.targets.chessboard import find_chessboard
+
+        return find_chessboard(image, target, name, full_scale)
+    if target.kind == "charuco":
+        from photogram.targets.charuco import find_charuco
+
+        return find_charuco(image, target, name, full_scale)
+    from photogram.targets.dots import find_dots
+
+    return find_dots(image, target, name, full_scale)

@@ -17,7 +17,7 @@ from fusion.cameras.align import _axis
 from fusion.cameras.align_manifest import AxisBlock, Pair
 from fusion.cli import main
 from fusion.simulate.channels import to_toml
-from photogram.alignment.evidence import calibration_steps
+from photogram.alignment.seen import calibration_steps
 from photogram.alignment.solve import align
 from photogram.camera import triangulate
 from photogram.geometry import rotation_from_vector, vector_from_rotation

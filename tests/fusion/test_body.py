@@ -18,7 +18,7 @@ from fusion.sensitivity.body import Body, Part, make_joint, make_part
 from fusion.sensitivity.load import LoadResult, load_phasors
 from fusion.simulate.preset import PRESETS, face_of, nominal_rig
 from fusion.simulate.world import Draws
-from photogram.subsets.grid import textured_area
+from photogram.subsets.texture import textured_area
 from photogram.synthetic.scene import render, view_of
 from shaker.sine.phasor import Phasors
 

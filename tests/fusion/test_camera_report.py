@@ -25,7 +25,7 @@ from fusion.cameras.report import (
 )
 from fusion.report.provenance import Provenance
 from photogram.arrays import Notice
-from photogram.calibration.model import Calibration, Dropped
+from photogram.calibration.result import Calibration, Dropped
 from photogram.camera import RIG_PARAMETERS
 
 PROVENANCE = Provenance({"left-01.tif": "ab" * 32}, {"target": "dots"}, {"shakercal": "0.1.0"}, ("top.json",))

@@ -10,17 +10,8 @@ from alignment_factory import BODY_M, TARGET, World, displaced, make_world, off,
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from photogram.alignment.evidence import (
-    Evidence,
-    KnownFace,
-    KnownPoints,
-    KnownPoses,
-    StatedFrame,
-    across,
-    calibration_steps,
-    seen_points,
-    seen_target,
-)
+from photogram.alignment.evidence import Evidence, KnownFace, KnownPoints, KnownPoses, StatedFrame, across
+from photogram.alignment.seen import calibration_steps, seen_points, seen_target
 from photogram.alignment.solve import OpenPose, align
 from photogram.calibration.start import target_pose as find_pose
 from photogram.geometry import RigidTransform, rotation_from_vector, vector_from_rotation

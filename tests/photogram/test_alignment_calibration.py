@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from alignment_factory import TARGET, World, displaced, make_world, target_pose
 
-from photogram.alignment.evidence import KnownPoses, by_parameters, calibration_steps, seen_target
+from photogram.alignment.evidence import KnownPoses
+from photogram.alignment.seen import by_parameters, calibration_steps, seen_target
 from photogram.alignment.solve import Alignment, align
 from photogram.camera import StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector, vector_from_rotation

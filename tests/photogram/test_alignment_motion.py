@@ -11,8 +11,8 @@ from alignment_factory import NOISE, World, displaced, make_world, shaken, turne
 from scipy.optimize import least_squares
 
 from photogram.alignment.evidence import Evidence, KnownPoses, across, displacement_jacobian
+from photogram.alignment.seen import fit_axis, linear_motion
 from photogram.alignment.solve import OpenPose, align
-from photogram.alignment.system import fit_axis, linear_motion
 from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.motion import RigidMotion
 

@@ -14,9 +14,8 @@ from photogram.camera import Camera, StereoRig
 from photogram.geometry import RigidTransform
 from photogram.images import ImageSequence
 from photogram.measure import BodyMotion, body_motion, follow_block, measure_body, prepare_body
-from photogram.subsets.follow import TrackSettings
 from photogram.subsets.reference import TrackStatus
-from photogram.subsets.track import follow_sequence, prepare_sequence
+from photogram.subsets.track import TrackSettings, follow_sequence, prepare_sequence
 from photogram.synthetic.scene import Face, ImageSensor, render, speckle_texture, view_of
 
 PIXEL_M, FOCAL, BLOCK = 2e-4, 1500.0, 3

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from photogram.calibration.model import Calibration, ellipse_centres, make_shape, see
+from photogram.calibration.bundle import ellipse_centres, make_shape, see
+from photogram.calibration.result import Calibration
 from photogram.calibration.session import calibrate_pair
 from photogram.calibration.start import target_pose
 from photogram.camera import Camera, StereoRig

@@ -11,8 +11,8 @@ from photogram.bspline import evaluate, spline_of_image
 from photogram.camera import Camera
 from photogram.direct import LEAST_FILLED, compare_cells, lay_cells, pixel_residuals, prepare_cells
 from photogram.geometry import RigidTransform
+from photogram.images import NoiseModel
 from photogram.motion import PlacedCamera, body_patches, patch_rates, patch_warps
-from photogram.subsets.grid import NoiseModel
 
 NOISE = NoiseModel(4.0, 0.01)
 

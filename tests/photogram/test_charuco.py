@@ -9,7 +9,7 @@ import pytest
 from board_pictures import SENSOR, camera_of, charuco, errors, picture, pose_of
 from scipy.ndimage import gaussian_filter
 
-from photogram.targets.chessboard import find_charuco
+from photogram.targets.charuco import find_charuco
 from photogram.targets.view import Target, TargetNotFound
 
 CAMERA = camera_of()

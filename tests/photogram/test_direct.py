@@ -11,8 +11,9 @@ from photogram.bspline import Spline, spline_of_image
 from photogram.camera import Camera
 from photogram.direct import BodyView, fit_direct, image_noise, rest_covariance, view_body
 from photogram.geometry import RigidTransform
+from photogram.images import NoiseModel
 from photogram.motion import PlacedCamera
-from photogram.subsets.grid import NoiseModel, textured_area
+from photogram.subsets.texture import textured_area
 from photogram.synthetic.scene import Face, ImageSensor, motion_bound, render, speckle_texture, view_of
 
 PIXEL_M, FOCAL = 2e-4, 1500.0

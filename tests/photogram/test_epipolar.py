@@ -13,8 +13,7 @@ from photogram.calibration.file import read_calibration
 from photogram.camera import RIG_PARAMETERS, Camera, StereoRig
 from photogram.epipolar import MOVED_PX, EpipolarCheck, check_epipolar, epipolar_residual
 from photogram.geometry import RigidTransform, rotation_from_vector
-from photogram.subsets.follow import Tracks
-from photogram.subsets.track import StereoTracks
+from photogram.subsets.track import StereoTracks, Tracks
 
 SIZE = np.array([1280, 1024])
 NOISE_PX = 0.01

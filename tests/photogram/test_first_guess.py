@@ -8,9 +8,8 @@ import pytest
 from photogram.camera import Camera, StereoRig
 from photogram.geometry import RigidTransform
 from photogram.images import ImageSequence
-from photogram.subsets.follow import TrackSettings
 from photogram.subsets.reference import TrackStatus
-from photogram.subsets.track import match_stereo, track_sequence
+from photogram.subsets.track import TrackSettings, match_stereo, track_sequence
 from photogram.synthetic.scene import Face, render, speckle_texture, view_of
 
 SIZE = (400, 320)

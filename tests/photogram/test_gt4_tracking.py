@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from photogram.images import open_sequence
-from photogram.subsets.follow import TrackSettings
 from photogram.subsets.reference import TrackStatus
-from photogram.subsets.track import match_stereo
+from photogram.subsets.track import TrackSettings, match_stereo
 
 COUNT = 300
 

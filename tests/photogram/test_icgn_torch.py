@@ -15,20 +15,19 @@ from scipy.ndimage import spline_filter
 from photogram.bspline import PADDING_PX, spline_of_image
 from photogram.subsets import icgn_torch as engine
 from photogram.subsets import track as device_module
-from photogram.subsets.follow import TrackSettings, follow, identity, predict_warp
 from photogram.subsets.icgn import Registration, register
-from photogram.subsets.icgn_stream import follow_frames
+from photogram.subsets.icgn_stream import follow_frames, forecast_warps
 from photogram.subsets.icgn_torch import (
     TorchSplines,
     basis_polynomials,
-    forecast_warps,
     prefilter,
     register_frames,
     spline_frames,
     torch_reference,
 )
 from photogram.subsets.reference import Reference, TrackStatus, prepare_reference
-from photogram.subsets.track import resolve_device
+from photogram.subsets.search import predict_warp
+from photogram.subsets.track import TrackSettings, follow, identity, resolve_device
 
 SIZE = (150, 108)
 CENTRES = np.array([(x, y) for y in range(20, 90, 22) for x in range(20, 132, 22)], dtype=float) + 0.3

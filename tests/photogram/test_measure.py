@@ -12,7 +12,7 @@ from photogram.geometry import RigidTransform
 from photogram.images import ImageSequence
 from photogram.measure import BodyMotion, measure_body
 from photogram.motion import deformation
-from photogram.subsets.follow import TrackSettings
+from photogram.subsets.track import TrackSettings
 from photogram.synthetic.scene import Face, ImageSensor, render, speckle_texture, view_of
 
 PIXEL_M, FOCAL = 2e-4, 1500.0

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from photogram.images import ImageSequence
-from photogram.subsets.follow import TrackSettings
 from photogram.subsets.reference import TrackStatus
-from photogram.subsets.track import track_sequence, track_stereo
+from photogram.subsets.track import TrackSettings, track_sequence, track_stereo
 
 WANDERING = ((0, 0), (1, 0), (2, 1), (1, 2), (0, 1))
 MOST_HELD = 4  # per camera: the first frame, the present one, and what a reader is about to hand out

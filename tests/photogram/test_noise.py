@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from photogram.subsets.grid import NoiseModel, fit_noise_model, noise_model_of_pair
+from photogram.images import NoiseModel, fit_noise_model, noise_model_of_pair
 from photogram.synthetic.scene import ImageSensor
 
 SENSOR = ImageSensor(bit_depth=12, electrons_per_grey=8.0, read_noise_grey=6.0)

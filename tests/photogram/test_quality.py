@@ -8,10 +8,10 @@ import pytest
 from photogram.bspline import spline_of_image
 from photogram.camera import Camera
 from photogram.geometry import RigidTransform
-from photogram.subsets.grid import NoiseModel, lay_grid
+from photogram.images import NoiseModel
 from photogram.subsets.icgn import register
-from photogram.subsets.quality import aliasing_bias, aliasing_notice, assess, default_radius_px
 from photogram.subsets.reference import TrackStatus, prepare_reference
+from photogram.subsets.texture import aliasing_bias, aliasing_notice, assess, default_radius_px, lay_grid
 from photogram.synthetic.scene import Face, ImageSensor, render, speckle_texture, view_of
 
 FOCAL_PX, PIXEL_M = 1500.0, 0.2e-3

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from photogram.bspline import spline_of_image
-from photogram.subsets.follow import TrackSettings
 from photogram.subsets.icgn import noise_of_residual, position_covariance, register
 from photogram.subsets.reference import PARAMETERS, TrackStatus, prepare_reference, shape_values, subset_offsets
+from photogram.subsets.track import TrackSettings
 
 SIZE, MIDDLE, RADIUS = (110, 100), np.array([55.0, 50.0]), 15
 LIMITS = (30, 1e-5, 0.75)

@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from photogram.images import open_sequence
-from photogram.subsets.follow import TrackSettings
 from photogram.subsets.reference import TrackStatus
-from photogram.subsets.track import track_stereo
+from photogram.subsets.track import TrackSettings, track_stereo
 
 
 def test_nothing_moves_by_more_than_its_noise(data_dir: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from photogram.subsets.grid import (
+from photogram.subsets.texture import (
     fine_texture_share,
     lay_grid,
     speckle_size,

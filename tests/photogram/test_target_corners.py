@@ -7,7 +7,7 @@ import pytest
 from board_pictures import SENSOR, camera_of, chessboard, picture, pose_of, truth_px
 
 from photogram.arrays import FloatArray
-from photogram.subsets.grid import NoiseModel
+from photogram.images import NoiseModel
 from photogram.synthetic.board import render_board
 from photogram.targets.chessboard import lattice_bend
 from photogram.targets.crossing import NO_CROSSING, OUTSIDE, SATURATED, refine_corners

@@ -11,9 +11,16 @@ import pytest
 from photogram.camera import Camera, StereoRig
 from photogram.geometry import RigidTransform
 from photogram.images import ImageSequence
-from photogram.subsets.follow import TrackSettings, predict_warp
 from photogram.subsets.reference import TrackStatus
-from photogram.subsets.track import follow_sequence, match_stereo, prepare_sequence, track_sequence, track_stereo
+from photogram.subsets.search import predict_warp
+from photogram.subsets.track import (
+    TrackSettings,
+    follow_sequence,
+    match_stereo,
+    prepare_sequence,
+    track_sequence,
+    track_stereo,
+)
 
 SIZE = (320, 256)
 FOCAL, DISTANCE_M, PIXEL_M = 1500.0, 0.5, 0.5 / 1500.0

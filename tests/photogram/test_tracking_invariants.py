@@ -13,9 +13,8 @@ from photogram.camera import Camera, StereoRig, triangulate
 from photogram.geometry import RigidTransform
 from photogram.images import ImageSequence
 from photogram.motion import RigidMotion, fit_motion
-from photogram.subsets.follow import Tracks, TrackSettings
 from photogram.subsets.reference import TrackStatus
-from photogram.subsets.track import track_sequence, track_stereo
+from photogram.subsets.track import Tracks, TrackSettings, track_sequence, track_stereo
 from photogram.synthetic.scene import Face, ImageSensor, render, speckle_texture, view_of
 
 FULL_SCALE = 65535

@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from photogram.images import open_sequence
-from photogram.subsets.follow import TrackSettings
 from photogram.subsets.reference import TrackStatus
-from photogram.subsets.track import track_sequence
+from photogram.subsets.track import TrackSettings, track_sequence
 
 FIRST_X_PX, SPACING_PX, EDGES_Y_PX = 20.0, 40.0, 20.0
 INNER_POINTS = range(1, 7)

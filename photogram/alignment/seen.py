@@ -1,132 +1,88 @@
-"""The equations of an alignment, and the motion of turned sensors."""
+"""What a calibrated pair sees of points, targets and motions, with the effects of its calibration's errors."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from photogram.alignment.evidence import Evidence, Residuals, across
-from photogram.arrays import BoolArray, ComplexArray, FloatArray, IntArray, check_shape
+from photogram.alignment.evidence import across
+from photogram.alignment.solve import sum_of_squares
+from photogram.arrays import ComplexArray, FloatArray, check_shape
+from photogram.calibration.bundle import see
+from photogram.calibration.start import target_pose
+from photogram.camera import StereoRig, principal_components, triangulate
 from photogram.geometry import RigidTransform, rotation_from_vector, rotation_vector_rate, skew
 from photogram.motion import RigidMotion
-
-# The whitened linear system of all evidence about a trial pose.
-
-
-_RANK = 1e-10  # singular values below this share of the largest count as zero
+from photogram.targets.view import Target, TargetView
 
 
-@dataclass(frozen=True, eq=False)
-class System:
-    """Rows (M, 6 + Q) and residuals (M,) in units of their standard deviations.
+def calibration_steps(rig: StereoRig, scale_u: float = 0.0) -> FloatArray:
+    """Return the steps (P, 24) of the rig's parameters, one standard uncertainty each, that stand for its errors.
 
-    Unknown are the displacement of the pose and Q common errors, whose priors are the last Q rows. `piece` (M,): number
-    of each row's piece among `names`, −1 for priors of common errors. `columns`: first column and number of each common
-    error's unknowns. `information` (6, 6): what the evidence says about the components that it may determine,
-    common errors and all.
+    The principal components of its covariance, and the baseline's length by `scale_u`, relative, where that is stated
+    apart from it.
     """
-
-    rows: FloatArray
-    residual: FloatArray
-    piece: IntArray
-    names: tuple[str, ...]
-    columns: dict[str, tuple[int, int]]
-    information: FloatArray
-
-    def covariance(self, known: str = "") -> FloatArray:
-        """Return the covariance (6, 6) of the pose, on condition that the common errors of one name are known."""
-        first, count = self.columns.get(known, (0, 0))
-        rows = np.delete(self.rows, np.s_[first : first + count], axis=1)
-        covariance = np.linalg.inv(rows.T @ rows)[:6, :6]
-        return np.asarray((covariance + covariance.T) / 2)
-
-    def response(self, known: str) -> FloatArray:
-        """Return how the pose (6, Q) answers one standard uncertainty of each common error of a name."""
-        first, count = self.columns.get(known, (0, 0))
-        chosen = self.rows[:, first : first + count]
-        others = np.delete(self.rows, np.s_[first : first + count], axis=1)
-        return np.asarray(-np.linalg.solve(others.T @ others, others.T @ chosen)[:6])
+    steps = [] if rig.covariance is None else [*principal_components(rig.covariance)]
+    if scale_u > 0.0:
+        steps.append(np.concatenate([np.zeros(21), scale_u * rig.right_from_left.translation_m]))
+    return np.array(steps).reshape(-1, 24)
 
 
-def assemble(evidence: Sequence[Evidence], pose: RigidTransform) -> System:
-    """Return the system of all evidence at a trial pose."""
-    parts = [item.residuals(pose) for item in evidence]
-    columns = _columns(parts)
-    total = sum(count for _, count in columns.values())
-    names = tuple(dict.fromkeys(name for part in parts for name in part.piece))
-    blocks = [_rows(part, columns, total) for part in parts]
-    piece = [np.repeat([names.index(name) for name in part.piece], part.residual.shape[1]) for part in parts]
-    prior = np.eye(6 + total)[6:]
-    rows = np.concatenate([*(rows for rows, _, _ in blocks), prior])
-    claimed = np.concatenate([*(rows * _mask(mask, total) for rows, _, mask in blocks), prior])
-    return System(
-        rows,
-        np.concatenate([*(residual for _, residual, _ in blocks), np.zeros(total)]),
-        np.concatenate([*piece, np.full(total, -1)]).astype(np.int64),
-        names,
-        columns,
-        _about_pose(claimed.T @ claimed),
-    )
+def by_parameters(change: FloatArray, steps: FloatArray) -> FloatArray:
+    """Return the derivatives (6, 24) by the rig's parameters of what changes by `change` (6, P) with `steps` (P, 24).
+
+    The smallest ones, in units of the parameters' standard uncertainties, that give these changes.
+    """
+    sigma = np.sqrt((steps**2).sum(axis=0))
+    scale = np.where(sigma > 0.0, sigma, 1.0)
+    return np.asarray((np.linalg.pinv(steps / scale) @ change.T).T / scale)
 
 
-def sum_of_squares(rows: FloatArray, residual: FloatArray) -> tuple[float, int]:
-    """Return the least sum of squares of residual + rows·x and its degrees of freedom."""
-    if not len(rows):
-        return 0.0, 0
-    scale = np.linalg.norm(rows, axis=0)
-    u, singular, _ = np.linalg.svd(rows / np.where(scale > 0.0, scale, 1.0), full_matrices=False)
-    fitted = u[:, singular > _RANK * singular[0]]
-    left = residual - fitted @ (fitted.T @ residual)
-    return float(left @ left), len(rows) - fitted.shape[1]
+def seen_points(
+    rig: StereoRig, steps: FloatArray, left_px: FloatArray, right_px: FloatArray, u_px: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return points (N, 3) in the left camera's frame, covariance (N, 3, 3) of the pixels' noise, effects (P, N, 3).
+
+    `left_px`, `right_px` (N, 2) with standard uncertainty `u_px` in each coordinate; `steps` of `calibration_steps`.
+    """
+    noise = u_px**2 * np.eye(2)
+    found = triangulate(rig, left_px[None], right_px[None], noise, noise)
+    nominal = found.position_m[0]
+    effects = np.empty((len(steps), *nominal.shape))
+    for place, step in enumerate(steps):
+        effects[place] = triangulate(rig.perturbed(step), left_px[None], right_px[None]).position_m[0] - nominal
+    return nominal, found.covariance_m2[0], effects
 
 
-def _columns(parts: Sequence[Residuals]) -> dict[str, tuple[int, int]]:
-    """Return first column and number of the unknowns of every common error."""
-    columns: dict[str, tuple[int, int]] = {}
-    place = 6
-    for part in parts:
-        for name, changes in part.common.items():
-            if not len(changes):
-                continue
-            if columns.setdefault(name, (place, len(changes)))[1] != len(changes):
-                raise ValueError(f"{name}: expected {columns[name][1]} common errors as before, found {len(changes)}")
-            place = max(place, sum(columns[name]))
-    return columns
+def seen_target(
+    rig: StereoRig, steps: FloatArray, target: Target, left: TargetView | None, right: TargetView | None
+) -> tuple[RigidTransform, FloatArray, FloatArray]:
+    """Return the pose `left_from_target`, covariance (6, 6) of the pictures' noise, and effects (P, 6).
+
+    Covariance and effects are those of translation (m) and left-multiplied rotation (rad); at least one picture. With
+    J and G the derivatives of the pixels by pose and rig and W their weights, a step s of the rig changes the most
+    likely pose by −(Jᵀ·W·J)⁻¹·Jᵀ·W·G·s.
+    """
+    pose, covariance = target_pose(rig, target, left, right)
+    change = np.zeros((6, 24))
+    for side, view in enumerate((left, right)):
+        if view is not None:
+            change -= covariance @ _pulled_by_rig(rig, target, pose, view, side)
+    return pose, covariance, steps @ change.T
 
 
-def _rows(part: Residuals, columns: dict[str, tuple[int, int]], total: int) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return one evidence's whitened rows (m, 6 + Q) and residuals (m,), and which components it may determine."""
-    groups, size = part.residual.shape
-    full = np.zeros((groups, size, 6 + total))
-    full[..., :6] = part.jacobian
-    for name, changes in part.common.items():
-        if len(changes):
-            first, count = columns[name]
-            full[..., first : first + count] += np.moveaxis(changes, 0, -1)
-    try:
-        root = np.linalg.cholesky(part.covariance)
-    except np.linalg.LinAlgError as error:
-        raise ValueError(f"{part.piece[0]}: expected a positive definite covariance") from error
-    white = np.linalg.solve(root, np.concatenate([full, part.residual[..., None]], axis=-1))
-    white = white.reshape(groups * size, 7 + total)
-    return white[:, :-1], white[:, -1], part.determines
+def _pulled_by_rig(rig: StereoRig, target: Target, pose: RigidTransform, view: TargetView, side: int) -> FloatArray:
+    """Return Jᵀ·W·G (6, 24) of one picture."""
+    points = target.spacing_m * np.column_stack([view.index, np.zeros(len(view.index))])
+    camera = rig.right if side else rig.left
+    relative = rig.right_from_left if side else RigidTransform.identity()
+    seen = see(camera, relative, pose, points, view.radius * target.spacing_m)
+    weight = np.linalg.inv(view.covariance_px2)
+    return np.asarray(np.einsum("nki,nkl,nlj->ij", seen.by_pose, weight, seen.by_rig(side)))
 
 
-def _mask(determines: BoolArray, total: int) -> FloatArray:
-    """Return factors (6 + Q,) that leave what an evidence may determine."""
-    return np.concatenate([determines, np.ones(total)]).astype(np.float64)
-
-
-def _about_pose(normal: FloatArray) -> FloatArray:
-    """Return the information (6, 6) about the pose when the common errors are unknown: the Schur complement."""
-    pose, mixed, common = normal[:6, :6], normal[:6, 6:], normal[6:, 6:]
-    return np.asarray(pose - mixed @ np.linalg.solve(common, mixed.T))
-
-
-# What a measured motion says: the direction in which a body moves, and the axis about which it turns.
-
+# The direction in which a body moves, and the axis about which it turns.
 
 _STEPS = 30
 _CONVERGED = 1e-12

@@ -1,0 +1,245 @@
+"""A calibrated stereo pair, how it came about, and what its user should know."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from photogram.arrays import BoolArray, FloatArray, IntArray, Notice
+from photogram.camera import RIG_PARAMETERS, StereoRig
+from photogram.geometry import RigidTransform
+from photogram.targets.view import Target
+
+Determined = Literal["determined", "indistinct", "open"]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of the rig: value, standard uncertainty (k = 1) and unit ("px", "1", "rad", "m").
+
+    `state`: "determined"; "indistinct", well known but not distinguishable from zero (distortion only); "open", known
+    no better than before the session: the views say nothing about it and its value is the assumption's.
+    """
+
+    name: str
+    value: float
+    u: float
+    unit: str
+    state: Determined
+
+
+@dataclass(frozen=True, eq=False)
+class CalibratedPicture:
+    """One picture in the fit: points (N,), of which `used` went into it.
+
+    `index` (N, 2) lattice indices, `position_px` (N, 2) as found, `residual_px` (N, 2) found − modelled,
+    `normalised` (N,) length of the residual over its standard uncertainty.
+    """
+
+    name: str
+    index: IntArray
+    position_px: FloatArray
+    residual_px: FloatArray
+    normalised: FloatArray
+    used: BoolArray
+
+    @property
+    def rms_px(self) -> float:
+        """Rms length of the used points' residuals (OpenCV's definition of the reprojection error)."""
+        squares = (self.residual_px[self.used] ** 2).sum(axis=1)
+        return float(squares.mean() ** 0.5) if self.used.any() else float("nan")
+
+
+@dataclass(frozen=True, eq=False)
+class CalibratedView:
+    """One position of the target: `left_from_target` with covariance (6, 6), and the picture of either camera.
+
+    The pose's covariance holds translation (m) and left-multiplied rotation (rad), in the order x y z rx ry rz.
+    """
+
+    left_from_target: RigidTransform
+    covariance: FloatArray
+    left: CalibratedPicture | None
+    right: CalibratedPicture | None
+
+
+@dataclass(frozen=True)
+class Dropped:
+    """A picture, or points of one, that did not go into the fit, and why; `points` 0 stands for the whole picture."""
+
+    name: str
+    points: int
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """A calibrated stereo pair and how it came about.
+
+    `rms_px`: rms length of all residuals, OpenCV's definition of the reprojection error, `rms_sides_px` (left, right)
+    apart. `added_px` (left, right): noise per coordinate that comes on top of the points' own; `sigma_factor`:
+    √(reduced χ²) of `dof` degrees of freedom with both, a factor of the covariance.
+    `shape_m` (P, 3): estimated positions of the target's points (`shape_index` (P, 2)), the flat lattice where it was
+    held flat. `scale_u`: relative standard uncertainty of the target's spacing, contained in the rig's covariance.
+    `covered`: (left, right), share of each picture's area within the points' cells.
+    """
+
+    rig: StereoRig
+    target: Target
+    views: tuple[CalibratedView, ...]
+    parameters: tuple[Parameter, ...]
+    rms_px: float
+    rms_sides_px: tuple[float, float]
+    added_px: tuple[float, float]
+    sigma_factor: float
+    dof: float
+    shape_index: IntArray
+    shape_m: FloatArray
+    scale_u: float
+    covered: tuple[float, float]
+    dropped: tuple[Dropped, ...]
+    notices: tuple[Notice, ...]
+
+
+COVERAGE_CELLS = (8, 6)  # columns and rows of the cells by which coverage is told
+_NO_TURN_RAD = np.radians(2.0)
+
+
+def covered_share(pictures: Sequence[CalibratedPicture], size_px: IntArray) -> float:
+    """Return the share of the picture's cells, 8 x 6, in which some point of some picture lies."""
+    points = np.concatenate([picture.position_px[picture.used] for picture in pictures])
+    cells = np.floor((points + 0.5) / size_px * COVERAGE_CELLS).astype(np.int64)
+    inside = np.clip(cells, 0, np.array(COVERAGE_CELLS) - 1)
+    return len(np.unique(inside, axis=0)) / (COVERAGE_CELLS[0] * COVERAGE_CELLS[1])
+
+
+def spread_of_turns(poses: Sequence[RigidTransform]) -> tuple[FloatArray, FloatArray]:
+    """Return how far the target's normal spreads (2,), in rad, and along which directions (columns) of the picture."""
+    normal = np.array([pose.rotation[:, 2] * np.sign(pose.rotation[2, 2]) for pose in poses])
+    variance, axes = np.linalg.eigh(np.cov(normal[:, :2].T, bias=True))
+    return np.sqrt(np.maximum(variance, 0.0)), axes
+
+
+def refuse_similar_views(poses: Sequence[RigidTransform]) -> None:
+    """Raise `ValueError` when all views show the target under nearly one angle, which leaves the cameras open."""
+    spread, _ = spread_of_turns(poses)
+    if spread.max() < _NO_TURN_RAD:
+        raise ValueError(
+            f"all {len(poses)} views show the target under nearly one angle ({np.degrees(spread.max()):.1f}° rms), "
+            "which does not determine the cameras; add views turned by 20° and more about both axes of the picture"
+        )
+
+
+# Which parameters a session determines, what it covers, what to add.
+
+_OPEN = 0.5  # share of the prior's standard deviation above which the views told nothing
+_DISTINCT = 2.0  # standard uncertainties beyond which a distortion is not zero
+_MANY_VIEWS = 8
+_LITTLE_TURN_RAD = np.radians(5.0)
+_ENOUGH_COVER = 0.6
+_FOCAL_U = 0.005  # relative standard uncertainty of a focal length above which the user is told
+_FOCAL_LIMIT = 0.05  # and above which the calibration is refused
+_ADDED_PX = 0.15  # noise beyond the pictures' own, per coordinate, above which the user is told
+_UNITS = {"f": "px", "c": "px", "k": "1", "p": "1"}
+
+
+def rig_parameters(rig: StereoRig, prior_sigma: FloatArray) -> tuple[Parameter, ...]:
+    """Return the 24 parameters of a rig with covariance, and what the views say about each beside the prior."""
+    covariance = np.zeros((24, 24)) if rig.covariance is None else rig.covariance
+    found = []
+    for number, (name, value) in enumerate(zip(RIG_PARAMETERS, rig.values, strict=True)):
+        u, kind = float(np.sqrt(covariance[number, number])), name.split(".")[1][0]
+        lens = not name.startswith(("rotation", "translation"))
+        unit = _UNITS[kind] if lens else ("rad" if name.startswith("rotation") else "m")
+        state: Determined = "determined"
+        if u > _OPEN * prior_sigma[number]:
+            state = "open"
+        elif lens and kind in "kp" and abs(value) < _DISTINCT * u:
+            state = "indistinct"
+        found.append(Parameter(name, float(value), u, unit, state))
+    return tuple(found)
+
+
+def refuse_open_focal_lengths(parameters: Sequence[Parameter]) -> None:
+    """Raise `ValueError` when the views leave a focal length open."""
+    for item in parameters:
+        if item.name.endswith((".fx", ".fy")) and not item.u < _FOCAL_LIMIT * item.value:
+            raise ValueError(
+                f"the views leave {item.name} open: {item.value:.0f} px, standard uncertainty {item.u:.0f} px; "
+                "add views turned by 20° and more about both axes of the picture, and at other distances"
+            )
+
+
+def session_notices(calibration: Calibration) -> tuple[Notice, ...]:
+    """Return what the user should know of a calibration, and what to add to the session."""
+    found = _view_notices(calibration) + _parameter_notices(calibration) + _residual_notices(calibration)
+    if calibration.scale_u == 0:
+        text = "the uncertainty of the target's spacing is not stated, so that of all lengths lacks its share"
+        found.append(Notice("warning", text, "scale"))
+    return tuple(found)
+
+
+def _view_notices(calibration: Calibration) -> list[Notice]:
+    """Return what is missing in number, turn and place of the views."""
+    found = []
+    pairs = sum(view.left is not None and view.right is not None for view in calibration.views)
+    if pairs < _MANY_VIEWS:
+        found.append(
+            Notice("warning", f"only {pairs} pairs; {_MANY_VIEWS} to 20 make a calibration that can be judged", "views")
+        )
+    spread, axes = spread_of_turns([view.left_from_target for view in calibration.views])
+    if spread[0] < _LITTLE_TURN_RAD:
+        axis = "vertical" if abs(axes[0, 0]) > abs(axes[1, 0]) else "horizontal"
+        text = f"the target is hardly turned about the picture's {axis} axis ({np.degrees(spread[0]):.1f}° rms)"
+        found.append(Notice("warning", f"{text}; add views turned by 20° and more about it", "views"))
+    for side, share in zip(("left", "right"), calibration.covered, strict=True):
+        if share < _ENOUGH_COVER:
+            text = (
+                f"the points cover {100 * share:.0f} % of the {side} picture; add views with the target near its edges"
+            )
+            found.append(Notice("warning", f"{text}, or measure within the part that is covered", side))
+    return found
+
+
+def _parameter_notices(calibration: Calibration) -> list[Notice]:
+    """Return what the views say about the parameters."""
+    found = []
+    for item in calibration.parameters:
+        if item.name.endswith((".fx", ".fy")) and item.u > _FOCAL_U * item.value:
+            text = f"{item.name} is known to {100 * item.u / item.value:.1f} % only (k = 1)"
+            found.append(Notice("warning", f"{text}; more turned views at other distances improve it", item.name))
+    states = {
+        "open": "not determined by these views (taken from an ordinary lens)",
+        "indistinct": "not distinguishable from zero",
+    }
+    for state, text in states.items():
+        names = [item.name for item in calibration.parameters if item.state == state]
+        if names:
+            found.append(Notice("info", f"{', '.join(names)}: {text}", "distortion"))
+    return found
+
+
+def _residual_notices(calibration: Calibration) -> list[Notice]:
+    """Return how far the residuals exceed what the pictures' noise explains, and what the target's shape has to do."""
+    flat = np.column_stack([calibration.shape_index * calibration.target.spacing_m, np.zeros(len(calibration.shape_m))])
+    off = calibration.shape_m - flat
+    if off.any():
+        x, y, z = 1e6 * np.sqrt((off**2).mean(axis=0))
+        text = f"the target's points lie {x:.0f}, {y:.0f} µm rms off their lattice and {z:.0f} µm across it"
+        return [
+            Notice("info", f"{text}; this was estimated together with the cameras", "target"),
+            *_noise_notices(calibration),
+        ]
+    return _noise_notices(calibration)
+
+
+def _noise_notices(calibration: Calibration) -> list[Notice]:
+    """Return how far the residuals exceed what the pictures' noise explains."""
+    worst = max(calibration.added_px)
+    if worst < _ADDED_PX:
+        return []
+    text = f"the points are {worst:.2f} px (per coordinate) off beyond the pictures' noise: rough print, a bent target"
+    return [Notice("warning", f"{text} or a lens that the model does not describe; see the residual maps", "residuals")]

@@ -1,0 +1,305 @@
+"""ChArUco boards, whole or in part: the markers name the squares, the inner corners are measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photogram.arrays import BoolArray, FloatArray, IntArray
+from photogram.targets.chessboard import _SEARCHED_PX, corner_view, eight_bit, reduced
+from photogram.targets.view import (
+    Target,
+    TargetNotFound,
+    TargetView,
+    picture_fault,
+)
+
+_NEAR = 1.3  # squares between a corner and the nearest marker that was seen
+_FIT_SHARE = 0.7  # of the markers seen that have to be in their places
+
+
+def find_charuco(image: NDArray[Any], target: Target, name: str, full_scale: float) -> TargetView:
+    """Return the inner corners of a ChArUco board in a picture (H, W) that shows at least a part of it.
+
+    `target.size` counts squares; index (i, j), i = 0 … columns − 2, j = 0 … rows − 2, counts inner corners from the
+    one nearest to the board's upper left square, the first index along the rows of markers. The target's origin is
+    that corner, one square inside the printed pattern's. The pattern, new or legacy (OpenCV before 4.6), and a
+    dictionary that is not named are found from the picture; the size of the markers in their squares plays no part.
+    Raises `TargetNotFound` with what is wrong with the picture.
+    """
+    if target.size is None:
+        raise ValueError("target: expected the number of squares, found no size")
+    grey = eight_bit(image)
+    dictionary = target.dictionary or _dictionary(grey, target.size)
+    board = None if dictionary is None else _search(grey, target.size, dictionary)
+    if board is None or dictionary is None:
+        raise TargetNotFound(_reason(image, grey, target, dictionary, full_scale))
+    _refuse_another(board, target.size)
+    index, start, axes = _expected(board, target.size)
+    return corner_view(image, index, start, axes, name, full_scale, markers=True)
+
+
+def _dictionary(grey: NDArray[np.uint8], size: tuple[int, int]) -> str | None:
+    """Return the dictionary that fits the board in the picture, None for none."""
+    small, factor = reduced(grey, _SEARCHED_PX)
+    found = find_dictionary(small, size)
+    return found if found is not None or factor == 1 else find_dictionary(grey, size)
+
+
+def _search(grey: NDArray[np.uint8], size: tuple[int, int], dictionary: str) -> Board | None:
+    """Return the board seen, in a smaller picture or, if some markers are missing there, in the picture itself."""
+    small, factor = reduced(grey, _SEARCHED_PX)
+    board = _enlarged(find_board(find_markers(small, dictionary), size, small.shape), factor)
+    if factor == 1 or (board is not None and len(board.place) == markers_on(size, board.legacy)):
+        return board
+    whole = find_board(find_markers(grey, dictionary), size, grey.shape)
+    both = [found for found in (whole, board) if found is not None]
+    return max(both, key=lambda found: len(found.place), default=None)
+
+
+def _enlarged(board: Board | None, factor: int) -> Board | None:
+    """Return a board found in a picture smaller by `factor` in the pixels of the picture itself."""
+    if board is None:
+        return None
+    small_from_px = np.array([[1, 0, 0.5 - factor / 2], [0, 1, 0.5 - factor / 2], [0, 0, factor]]) / factor
+    centre = (board.centre_px + 0.5) * factor - 0.5
+    return Board(board.place, centre, board.lattice_from_px @ small_from_px, board.legacy, board.seen)
+
+
+def _refuse_another(board: Board, size: tuple[int, int]) -> None:
+    """Raise `TargetNotFound` where many markers are not in the places of this board, or all are seen in a mirror."""
+    wanted = f"{size[0]} x {size[1]} squares"
+    if len(board.place) < _FIT_SHARE * board.seen:
+        fitting = f"{len(board.place)} of {board.seen} markers"
+        raise TargetNotFound(f"another target: only {fitting} are where a ChArUco board of {wanted} has them")
+
+
+def _expected(board: Board, size: tuple[int, int]) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Return index (N, 2), position (N, 2) and squares' sides (N, 2, 2) in px of the corners near the markers seen.
+
+    The homography of the markers' centres and, where there are enough of them, a polynomial in the lattice for what
+    the lens adds to it.
+    """
+    i, j = np.meshgrid(np.arange(size[0] - 1), np.arange(size[1] - 1), indexing="ij")
+    index = np.column_stack([i.ravel(), j.ravel()])
+    corner = index.astype(np.float64)
+    px_from_lattice = np.asarray(np.linalg.inv(board.lattice_from_px), dtype=np.float64)
+    bent = board.centre_px - apply(px_from_lattice, board.place)
+    count = len(board.place)
+    terms = 10 if count >= 20 else 6 if count >= 12 else 3 if count >= 6 else 0
+    solution = np.linalg.lstsq(_powers(board.place)[:, :terms], bent, rcond=None)[0]
+
+    def expected(place: FloatArray) -> FloatArray:
+        return np.asarray(apply(px_from_lattice, place) + _powers(place)[:, :terms] @ solution)
+
+    half = 0.5 * np.eye(2)
+    sides = [expected(corner + half[k]) - expected(corner - half[k]) for k in range(2)]
+    distance = np.linalg.norm(index[:, None] - board.place[None], axis=2).min(axis=1)
+    near = distance < _NEAR
+    return index[near], expected(corner)[near], np.stack(sides, axis=1)[near]
+
+
+def _powers(place: FloatArray) -> FloatArray:
+    """Return the powers (N, 10) of lattice points up to the third degree."""
+    x, y = place.T / 10.0
+    one = np.ones_like(x)
+    return np.stack([one, x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3], axis=1)
+
+
+def _reason(
+    image: NDArray[Any], grey: NDArray[np.uint8], target: Target, dictionary: str | None, full_scale: float
+) -> str:
+    """Return what is wrong with a picture in which the board was not found."""
+    fault = picture_fault(image, full_scale)
+    if fault is not None:
+        return fault
+    size = target.size or (0, 0)
+    flipped = np.ascontiguousarray(grey[:, ::-1])
+    mirrored = dictionary or _dictionary(flipped, size)
+    if mirrored is not None and _search(flipped, size, mirrored) is not None:
+        return "mirrored: the markers can be read in the picture's mirror image"
+    seen = 0 if dictionary is None else len(find_markers(grey, dictionary).number)
+    wanted = f"a ChArUco board of {size[0]} x {size[1]} squares"
+    if seen == 0:
+        return f"no markers of {wanted}" + (f" in {target.dictionary}" if target.dictionary else "")
+    return f"another target, or too little of it: {seen} markers are seen, not in the places of {wanted}"
+
+
+# Markers: which are seen where, from which dictionary, in which of the two patterns.
+
+# Families of predefined dictionaries; the smaller dictionaries of a family are the beginning of the largest.
+_FAMILIES = (
+    ("DICT_4X4_50", "DICT_4X4_100", "DICT_4X4_250", "DICT_4X4_1000"),
+    ("DICT_5X5_50", "DICT_5X5_100", "DICT_5X5_250", "DICT_5X5_1000"),
+    ("DICT_6X6_50", "DICT_6X6_100", "DICT_6X6_250", "DICT_6X6_1000"),
+    ("DICT_7X7_50", "DICT_7X7_100", "DICT_7X7_250", "DICT_7X7_1000"),
+    ("DICT_ARUCO_ORIGINAL",),
+    ("DICT_ARUCO_MIP_36h12",),
+    ("DICT_APRILTAG_36h11",),
+    ("DICT_APRILTAG_36h10",),
+    ("DICT_APRILTAG_25h9",),
+    ("DICT_APRILTAG_16h5",),
+)
+_TOLERANCE = 0.3  # squares between a marker's centre and where the board's other markers put it
+_ALIGNED = 0.9  # least cosine between a marker's upper edge and the board's first direction
+_FEWEST = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Markers:
+    """Markers seen: number (N,), centre_px (N, 2), upper_px (N, 2): the way along a marker's upper edge, to its right.
+
+    The centre is where the diagonals cross, which is also the centre of the white square, however large the marker is.
+    """
+
+    number: IntArray
+    centre_px: FloatArray
+    upper_px: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Board:
+    """Markers of a board: `place` (N, 2), the squares' centres in the lattice of inner corners, at centre_px (N, 2).
+
+    lattice_from_px (3, 3): the homography that most of the `seen` markers agree with.
+    """
+
+    place: FloatArray
+    centre_px: FloatArray
+    lattice_from_px: FloatArray
+    legacy: bool
+    seen: int
+
+
+def markers_on(size: tuple[int, int], legacy: bool) -> int:
+    """Return how many markers a board of `size` squares (columns, rows) has."""
+    return len(_places(size, legacy))
+
+
+def _places(size: tuple[int, int], legacy: bool) -> FloatArray:
+    """Return the centres (M, 2) of the white squares in the order of the markers.
+
+    The first inner corner is the origin. The upper left square is black, in the `legacy` pattern (OpenCV before 4.6)
+    white where the number of rows is even.
+    """
+    columns, rows = size
+    odd = 1 if legacy and rows % 2 == 0 else 0
+    row, column = np.divmod(np.arange(rows * columns), columns)
+    white = (row + column) % 2 != odd
+    return np.column_stack([column[white], row[white]]) - 0.5
+
+
+def find_markers(grey: NDArray[np.uint8], dictionary: str, first: int | None = None) -> Markers:
+    """Return the markers of a predefined dictionary, or of its `first` ones, in a picture (H, W) of 8 bits.
+
+    Numbers that occur twice are left out.
+    """
+    import cv2
+
+    known = _predefined(dictionary)
+    if first is not None:
+        known = cv2.aruco.Dictionary(known.bytesList[:first], known.markerSize, known.maxCorrectionBits)
+    corners, numbers, _ = cv2.aruco.ArucoDetector(known).detectMarkers(grey)
+    if numbers is None or len(corners) == 0:
+        return Markers(np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty((0, 2)))
+    number = np.asarray(numbers, dtype=np.int64).ravel()
+    square = np.asarray(corners, dtype=np.float64).reshape(-1, 4, 2)
+    value, count = np.unique(number, return_counts=True)
+    once = np.isin(number, value[count == 1])
+    number, square = number[once], square[once]
+    upper = square[:, 1] - square[:, 0] + square[:, 2] - square[:, 3]
+    return Markers(number, _crossing(square), upper)
+
+
+def _predefined(name: str) -> Any:
+    """Return OpenCV's predefined dictionary of this name."""
+    import cv2
+
+    code = getattr(cv2.aruco, name, None) if name.startswith("DICT_") else None
+    if code is None:
+        raise ValueError(f"dictionary: expected a name as DICT_4X4_50 of OpenCV's dictionaries, found {name!r}")
+    return cv2.aruco.getPredefinedDictionary(code)
+
+
+def _crossing(square: FloatArray) -> FloatArray:
+    """Return where the diagonals (N, 2) of quadrilaterals (N, 4, 2) cross."""
+    one, two = square[:, 2] - square[:, 0], square[:, 3] - square[:, 1]
+    between = square[:, 1] - square[:, 0]
+    share = (between[:, 0] * two[:, 1] - between[:, 1] * two[:, 0]) / (one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0])
+    return np.asarray(square[:, 0] + share[:, None] * one)
+
+
+def find_board(markers: Markers, size: tuple[int, int], shape: tuple[int, ...]) -> Board | None:
+    """Return the board that most markers agree with, of the new or the legacy pattern, None where fewer than 4 do.
+
+    Where the board has an odd number of columns the patterns differ by one column for all markers but those at the
+    sides: among equals the one counts by which fewer markers ought to be seen in the picture of `shape` (H, W) that
+    are not, and the new one if a part of the board is seen that belongs to both.
+    """
+    boards = [_board(markers, size, legacy) for legacy in ((False, True) if size[1] % 2 == 0 else (False,))]
+    found = [board for board in boards if board is not None]
+    return max(found, key=lambda board: (len(board.place), -_expected_in(board, size, shape)), default=None)
+
+
+def _expected_in(board: Board, size: tuple[int, int], shape: tuple[int, ...]) -> int:
+    """Return how many of a board's markers lie in the picture as a whole."""
+    places = _places(size, board.legacy)
+    square = places[:, None, :] + np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
+    corners = apply(np.asarray(np.linalg.inv(board.lattice_from_px)), square.reshape(-1, 2)).reshape(-1, 4, 2)
+    return int(((corners > 0) & (corners < [shape[1] - 1, shape[0] - 1])).all(axis=(1, 2)).sum())
+
+
+def _board(markers: Markers, size: tuple[int, int], legacy: bool) -> Board | None:
+    """Return the board of one pattern: its markers' centres fit a homography, and their edges its directions."""
+    import cv2
+
+    places = _places(size, legacy)
+    known = markers.number < len(places)
+    if known.sum() < _FEWEST:
+        return None
+    place, centre, upper = places[markers.number[known]], markers.centre_px[known], markers.upper_px[known]
+    found, _ = cv2.findHomography(centre, place, cv2.RANSAC, _TOLERANCE)
+    if found is None:
+        return None
+    homography = np.asarray(found, dtype=np.float64)
+    good = _agree(homography, place, centre, upper)
+    if good.sum() < _FEWEST:
+        return None
+    return Board(place[good], centre[good], homography, legacy, len(markers.number))
+
+
+def _agree(homography: FloatArray, place: FloatArray, centre: FloatArray, upper: FloatArray) -> BoolArray:
+    """Return which markers (N,) lie where the homography puts them, turned as it has it."""
+    at, beside = apply(homography, centre), apply(homography, centre + 0.25 * upper)
+    way = beside - at
+    aligned = way[:, 0] > _ALIGNED * np.linalg.norm(way, axis=1)
+    return np.asarray((np.linalg.norm(at - place, axis=1) < _TOLERANCE) & aligned)
+
+
+def apply(homography: FloatArray, points: FloatArray) -> FloatArray:
+    """Return points (N, 2) mapped by a homography (3, 3)."""
+    mapped = points @ homography[:, :2].T + homography[:, 2]
+    return np.asarray(mapped[:, :2] / mapped[:, 2:])
+
+
+def find_dictionary(grey: NDArray[np.uint8], size: tuple[int, int]) -> str | None:
+    """Return the predefined dictionary with which most markers fit a board of `size` squares, None where none do.
+
+    Of a family of dictionaries that begin alike the smallest with enough markers; the families are tried in the order
+    of their use until one explains half of the board.
+    """
+    wanted = markers_on(size, False)
+    best, most = None, 0
+    for family in _FAMILIES:
+        name = next((name for name in family if len(_predefined(name).bytesList) >= wanted), None)
+        if name is None:
+            continue
+        board = find_board(find_markers(grey, name, wanted + 1), size, grey.shape)
+        if board is not None and len(board.place) > most:
+            best, most = name, len(board.place)
+        if 2 * most >= wanted:
+            break
+    return best
