@@ -19,7 +19,7 @@ from shaker.mechanics import shared_spring
 from shaker.release.load_fit import SeriesMasses, fit_resonances
 from shaker.release.load_model import LoadModel, first_mode_hz, formula_limit, load_curve
 from shaker.release.load_modes import Resonances
-from shaker.release.onset import pole_responses
+from shaker.release.response import pole_responses
 
 FloatArray = NDArray[np.float64]
 AFTER_S = 2e-3

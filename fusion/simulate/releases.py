@@ -1,30 +1,44 @@
-"""Simulated releases: step responses, several loads."""
+"""Calibrations by releases: what hangs on a sensor lets go, and its outputs ring.
+
+`steps`: a six-component sensor, three kinds of rope. `loads`: a force sensor that a thin line releases, with five
+masses on its pillar.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass as plain_dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic.dataclasses import dataclass
 
-from fusion.simulate.channels import to_toml
+from fusion.simulate.preset import CHECKED, read_preset
 from fusion.simulate.world import Draws
+from fusion.simulate.write import (
+    RIG_FILE,
+    TRUTH_FILE,
+    Record,
+    complex_table,
+    to_toml,
+    write_recording,
+    write_texts,
+)
 from shaker.arrays import FloatArray
 from shaker.labels import LOAD_COMPONENTS
 from shaker.lti.modal import ModalModel
 from shaker.release.load_model import LoadModel
 from shaker.release.onset import pole_responses
 
-# The simulated calibration by releases: a six-component sensor, a rope that parts, six outputs that ring.
+DAQ_FILE = "outputs.h5"
+CHANNEL = "Fy"
+"""Output and load component of the force sensor."""
+Model = tuple[tuple[ModalModel, ...], ...]
+"""Response of every output (row) to every load component (column)."""
 
 
-TRUTH_FILE, DAQ_FILE = "truth.json", "outputs.h5"
-
-
-@dataclass(frozen=True)
+@plain_dataclass(frozen=True)
 class Rope:
     """What lets go: how long the load takes to vanish along a straight line, in s, and its relative scatter."""
 
@@ -40,7 +54,7 @@ COTTON, LINE, PLASTIC = (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=CHECKED)
 class StepRig:
     """Truth and nominal values of sensor, amplifier and recorder.
 
@@ -50,26 +64,26 @@ class StepRig:
     the output's change. Recorder: `range_v` on `bits`, `gain` V per V/V, times in s.
     """
 
-    frequency_hz: tuple[float, ...] = (1700.0, 1735.0, 2000.0, 3500.0, 3570.0, 5000.0)
-    damping_ratio: float = 0.015
-    chain_hz: float = 6000.0
-    capacity: tuple[float, ...] = (200.0, 200.0, 400.0, 10.0, 10.0, 10.0)
-    sensitivity: tuple[float, ...] = (5e-6, 5e-6, 2.5e-6, 1e-4, 1e-4, 1e-4)
-    mixing: float = 0.02
-    load_share: float = 0.3
-    u_sensitivity: float = 1e-3
-    noise: float = 0.01
-    offset_v: float = 0.05
-    gain: float = 1e4
-    range_v: float = 10.0
-    bits: int = 16
-    sample_rate_hz: float = 100e3
-    before_s: float = 10e-3
-    after_s: float = 50e-3
-    start_scatter_s: float = 0.2e-3
+    frequency_hz: tuple[float, ...]
+    damping_ratio: float
+    chain_hz: float
+    capacity: tuple[float, ...]
+    sensitivity: tuple[float, ...]
+    mixing: float
+    load_share: float
+    u_sensitivity: float
+    noise: float
+    offset_v: float
+    gain: float
+    range_v: float
+    bits: int
+    sample_rate_hz: float
+    before_s: float
+    after_s: float
+    start_scatter_s: float
 
 
-@dataclass(frozen=True)
+@plain_dataclass(frozen=True)
 class Release:
     """One recording: the component that is loaded, what lets go, and the number of the repeat."""
 
@@ -91,17 +105,49 @@ def releases() -> tuple[Release, ...]:
 
 
 def write_steps(folder: Path, seed: int, rig: StepRig | None = None) -> tuple[Path, ...]:
-    """Write `rig.toml`, `truth.json` and all recordings into an empty folder and return the recordings' folders."""
-    rig = rig or StepRig()
+    """Write `rig.toml`, `truth.json` and all recordings into an empty folder and return the recordings' folders.
+
+    The static sensitivities of the rig are off by what is stated as their uncertainty.
+    """
+    rig = rig or read_preset(StepRig, "steps")
     draws = Draws(seed, True)
     model = sensor_model(rig, draws)
-    _write_texts(folder, {"rig.toml": to_toml(_rig_tables(rig, model, draws))})
-    found = [_write_release(folder / release.name, rig, model, release, draws) for release in releases()]
-    _write_texts(folder, {TRUTH_FILE: json.dumps(_truth(rig, model, draws))})
-    return tuple(found)
+    static = np.array([[one.static_gain for one in row] for row in model])
+    error = draws.normal("sensor.static_sensitivity", rig.u_sensitivity, static.size).reshape(static.shape)
+    tables = {
+        "format": 1,
+        "name": "rope and weight on a six-component sensor, simulated",
+        "sensor": {
+            "name": "six-component wrist sensor",
+            "channels": list(LOAD_COMPONENTS),
+            "unit": "V/V",
+            "sense": "on_sensor",
+            "capacity": list(rig.capacity),
+            "static_sensitivity": [[float(f"{v:.7e}") for v in row] for row in static * (1.0 + error)],
+            "static_sensitivity_uncertainty": rig.u_sensitivity,
+            "internal_mass": 0.049,
+        },
+    }
+    truth = {
+        "format": 1,
+        "preset": "steps",
+        "seed": draws.seed,
+        "channels": list(LOAD_COMPONENTS),
+        "components": list(LOAD_COMPONENTS),
+        "frequency_hz": list(rig.frequency_hz),
+        "damping_ratio": [rig.damping_ratio] * len(rig.frequency_hz),
+        "residue": complex_table(np.array([[one.residue for one in row] for row in model])),
+        "real_hz": [rig.chain_hz],
+        "real_residue": [[one.real_residue.tolist() for one in row] for row in model],
+        "static_gain": static.tolist(),
+        "drawn": draws.values,
+    }
+    recordings = tuple(_write_release(folder / release.name, rig, model, release, draws) for release in releases())
+    write_texts(folder, {RIG_FILE: to_toml(tables), TRUTH_FILE: json.dumps(truth)})
+    return recordings
 
 
-def sensor_model(rig: StepRig, draws: Draws) -> tuple[tuple[ModalModel, ...], ...]:
+def sensor_model(rig: StepRig, draws: Draws) -> Model:
     """Return the response of every output (row) to every load component (column), in V/V per N or N·m.
 
     H = C·diag[ω²/(s² + 2ζωs + ω²)]·B·2πf_c/(s + 2πf_c): loads drive the modes by B, outputs show them by C, both close
@@ -119,31 +165,16 @@ def sensor_model(rig: StepRig, draws: Draws) -> tuple[tuple[ModalModel, ...], ..
     pole = omega * (-damping + 1j * np.sqrt(1 - damping**2))
     swing = omega**2 * corner / ((pole - pole.conj()) * (pole + corner))
     lag = omega**2 * corner / (corner**2 - 2 * damping * omega * corner + omega**2)
-    return tuple(
-        tuple(
-            ModalModel(
-                frequency,
-                damping,
-                np.asarray(show[i] * drive[:, c] * swing),
-                np.array([rig.chain_hz]),
-                np.array([np.sum(show[i] * drive[:, c] * lag)]),
-            )
-            for c in range(modes)
-        )
-        for i in range(modes)
-    )
+
+    def response(output: int, load: int) -> ModalModel:
+        share = show[output] * drive[:, load]
+        real = np.array([rig.chain_hz]), np.array([np.sum(share * lag)])
+        return ModalModel(frequency, damping, np.asarray(share * swing), *real)
+
+    return tuple(tuple(response(i, c) for c in range(modes)) for i in range(modes))
 
 
-def change(model: ModalModel, time_s: FloatArray, onset_s: float, release_s: float) -> FloatArray:
-    """Return the output (N,) while a unit load is put on from `onset_s` along a straight line of `release_s`."""
-    response = pole_responses(model.poles, time_s, onset_s, release_s)
-    upper, real = np.split(response, [len(model.frequency_hz)], axis=1)
-    return np.asarray(2.0 * np.real(upper @ model.residue) + np.real(real) @ model.real_residue)
-
-
-def _write_release(
-    folder: Path, rig: StepRig, model: tuple[tuple[ModalModel, ...], ...], release: Release, draws: Draws
-) -> Path:
+def _write_release(folder: Path, rig: StepRig, model: Model, release: Release, draws: Draws) -> Path:
     """Write one recording: what hung on the rope vanishes, and every output goes from its loaded to its zero level."""
     place = LOAD_COMPONENTS.index(release.component)
     load = rig.load_share * rig.capacity[place]
@@ -154,12 +185,11 @@ def _write_release(
     time_s = np.arange(count) / rig.sample_rate_hz
     offset = rig.offset_v * draws.stream(f"{release.name}.offset").standard_normal(len(model))
     column = [row[place] for row in model]
-    clean = np.stack([load * (one.static_gain - change(one, time_s, onset_s, release_s)) for one in column])
+    clean = np.stack([load * (one.static_gain - _change(one, time_s, onset_s, release_s)) for one in column])
     steps = np.array(rig.sensitivity) * np.array(rig.capacity) * rig.load_share
     noise = rig.noise * steps[:, None] * draws.stream(f"{release.name}.noise").standard_normal(clean.shape)
-    volts = _digitised(rig, rig.gain * (clean + noise) + offset[:, None])
-    write_outputs(folder, dict(zip(LOAD_COMPONENTS, volts, strict=True)), rig.sample_rate_hz)
-    baseline = [load * one.static_gain + float(zero) / rig.gain for one, zero in zip(column, offset, strict=True)]
+    volts = _digitised(rig.gain * (clean + noise) + offset[:, None], rig.range_v, rig.bits)
+    static = [one.static_gain for one in column]
     truth = {
         "format": 1,
         "preset": "steps",
@@ -169,107 +199,54 @@ def _write_release(
         "release": release.rope.name,
         "release_s": release_s,
         "shape": "ramp",
-        "baseline": baseline,
+        "baseline": [load * gain + float(zero) / rig.gain for gain, zero in zip(static, offset, strict=True)],
         "steady": (offset / rig.gain).tolist(),
-        "static_gain": [one.static_gain for one in column],
+        "static_gain": static,
         "noise": (rig.noise * steps).tolist(),
     }
-    tables = _recording_tables(rig, release, -load)
-    _write_texts(folder, {"recording.toml": to_toml(tables), TRUTH_FILE: json.dumps(truth)})
-    return folder
-
-
-def write_outputs(folder: Path, volts: Mapping[str, FloatArray], sample_rate_hz: float) -> None:
-    """Write the samples (N,) of every channel, in V, into the DAQ file of a recording's new folder."""
-    import h5py
-
-    folder.mkdir(parents=True)
-    with h5py.File(folder / DAQ_FILE, "w") as file:
-        for name, values in volts.items():
-            data = file.create_dataset(name, data=values.astype(np.float32), compression="gzip", shuffle=True)
-            data.attrs["sample_rate"] = sample_rate_hz
-            data.attrs["unit"] = "V"
-
-
-def _digitised(rig: StepRig, volts: FloatArray) -> FloatArray:
-    """Return what the converter shows: whole steps within its range."""
-    step = 2.0 * rig.range_v / 2**rig.bits
-    return np.asarray(np.clip(np.rint(volts / step), -(2 ** (rig.bits - 1)), 2 ** (rig.bits - 1) - 1) * step)
-
-
-def _rig_tables(rig: StepRig, model: tuple[tuple[ModalModel, ...], ...], draws: Draws) -> dict[str, Any]:
-    """Return rig.toml as nested dictionaries: the static sensitivities off by what is stated as their uncertainty."""
-    static = np.array([[one.static_gain for one in row] for row in model])
-    error = draws.normal("sensor.static_sensitivity", rig.u_sensitivity, static.size).reshape(static.shape)
-    return {
-        "format": 1,
-        "name": "rope and weight on a six-component sensor, simulated",
-        "sensor": {
-            "name": "six-component wrist sensor",
-            "channels": list(LOAD_COMPONENTS),
-            "unit": "V/V",
-            "sense": "on_sensor",
-            "capacity": list(rig.capacity),
-            "static_sensitivity": [[float(f"{v:.7e}") for v in row] for row in static * (1.0 + error)],
-            "static_sensitivity_uncertainty": rig.u_sensitivity,
-            "internal_mass": 0.049,
-        },
-    }
-
-
-def _recording_tables(rig: StepRig, release: Release, amplitude: float) -> dict[str, Any]:
-    """Return recording.toml as nested dictionaries."""
     channels = [
         {"name": name, "quantity": "output", "channel": name, "scale": 1.0 / rig.gain} for name in LOAD_COMPONENTS
     ]
+    title = f"{release.component} released by {release.rope.name}, {release.repeat}, simulated"
+    manifest = _step_tables(title, RIG_FILE, (release.component, -load, release.rope.name), channels)
+    return write_recording(folder, manifest, truth, {DAQ_FILE: _record(volts, channels, rig.sample_rate_hz)})
+
+
+def _change(model: ModalModel, time_s: FloatArray, onset_s: float, release_s: float) -> FloatArray:
+    """Return the output (N,) while a unit load is put on from `onset_s` along a straight line of `release_s`."""
+    response = pole_responses(model.poles, time_s, onset_s, release_s)
+    upper, real = np.split(response, [len(model.frequency_hz)], axis=1)
+    return np.asarray(2.0 * np.real(upper @ model.residue) + np.real(real) @ model.real_residue)
+
+
+def _digitised(volts: FloatArray, range_v: float, bits: int) -> FloatArray:
+    """Return what the converter shows: whole steps within its range."""
+    step = 2.0 * range_v / 2**bits
+    return np.asarray(np.clip(np.rint(volts / step), -(2 ** (bits - 1)), 2 ** (bits - 1) - 1) * step)
+
+
+def _record(volts: FloatArray, channels: list[dict[str, Any]], sample_rate_hz: float) -> Record:
+    """Return the samples (C, N) of the channels as they are stored, in V."""
+    names = [str(channel["name"]) for channel in channels]
+    samples = {name: values.astype(np.float32) for name, values in zip(names, volts, strict=True)}
+    return Record(sample_rate_hz, samples, dict.fromkeys(names, "V"))
+
+
+def _step_tables(
+    name: str, rig: str, released: tuple[str, float, str], channels: list[dict[str, Any]]
+) -> dict[str, Any]:
+    """Return recording.toml as nested dictionaries; `released`: component, change of the load, what lets go."""
+    component, amplitude, rope = released
     return {
         "format": 1,
-        "name": f"{release.component} released by {release.rope.name}, {release.repeat}, simulated",
-        "rig": "../rig.toml",
-        "excitation": {
-            "kind": "step",
-            "component": release.component,
-            "step_amplitude": amplitude,
-            "release": release.rope.name,
-        },
+        "name": name,
+        "rig": f"../{rig}",
+        "excitation": {"kind": "step", "component": component, "step_amplitude": amplitude, "release": rope},
         "daq": [{"name": "daq", "file": DAQ_FILE, "clock_uncertainty": 1e-6, "channel": channels}],
     }
 
 
-def _truth(rig: StepRig, model: tuple[tuple[ModalModel, ...], ...], draws: Draws) -> dict[str, Any]:
-    """Return truth.json of the campaign: poles, residues of every output (row) and load component (column)."""
-    residue = np.array([[one.residue for one in row] for row in model])
-    return {
-        "format": 1,
-        "preset": "steps",
-        "seed": draws.seed,
-        "channels": list(LOAD_COMPONENTS),
-        "components": list(LOAD_COMPONENTS),
-        "frequency_hz": list(rig.frequency_hz),
-        "damping_ratio": [rig.damping_ratio] * len(rig.frequency_hz),
-        "residue": {"re": residue.real.tolist(), "im": residue.imag.tolist()},
-        "real_hz": [rig.chain_hz],
-        "real_residue": [[one.real_residue.tolist() for one in row] for row in model],
-        "static_gain": [[one.static_gain for one in row] for row in model],
-        "drawn": draws.values,
-    }
-
-
-def _write_texts(folder: Path, texts: Mapping[str, str]) -> None:
-    """Write text files into a folder."""
-    for name, text in texts.items():
-        (folder / name).write_text(text, encoding="utf-8", newline="\n")
-
-
-# The simulated load series: a force sensor that a thin line releases, with five masses on its pillar.
-
-
-CHANNEL, COMPONENT, ROPE = "Fy", "Fy", "fishing line"
-PLACE = 1
-"""Place of the component among Fx … Mz."""
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=CHECKED)
 class SeriesRig:
     """Truth and nominal values: masses in kg, N/m, N·s/m; output in V, recorded as it is; times in s.
 
@@ -277,25 +254,25 @@ class SeriesRig:
     straight line of `release_s`.
     """
 
-    loads_g: tuple[int, ...] = (0, 8, 48, 98, 198)
-    moving_mass_kg: float = 0.240
-    u_moving_mass_kg: float = 5e-5
-    u_load_mass_kg: float = 5e-6
-    stiffness: float = 2.36e6
-    damping: float = 6.0
-    coupling_stiffness: float = 1.89e6
-    coupling_damping: float = 4.0
-    sensitivity: float = 0.4
-    force_n: float = 10.0
-    noise: float = 0.01
-    offset_v: float = 0.1
-    range_v: float = 10.0
-    bits: int = 16
-    release_s: float = 0.4e-3
-    before_s: float = 20e-3
-    start_scatter_s: float = 1e-3
-    duration_s: float = 0.5
-    sample_rate_hz: float = 100e3
+    loads_g: tuple[int, ...]
+    moving_mass_kg: float
+    u_moving_mass_kg: float
+    u_load_mass_kg: float
+    stiffness: float
+    damping: float
+    coupling_stiffness: float
+    coupling_damping: float
+    sensitivity: float
+    force_n: float
+    noise: float
+    offset_v: float
+    range_v: float
+    bits: int
+    release_s: float
+    before_s: float
+    start_scatter_s: float
+    duration_s: float
+    sample_rate_hz: float
 
 
 def write_loads(folder: Path, seed: int, rig: SeriesRig | None = None) -> tuple[Path, ...]:
@@ -303,25 +280,41 @@ def write_loads(folder: Path, seed: int, rig: SeriesRig | None = None) -> tuple[
 
     The masses differ from the stated ones by errors of the stated uncertainties, the moving mass by one for all.
     """
-    rig = rig or SeriesRig()
+    rig = rig or read_preset(SeriesRig, "loads")
     draws = Draws(seed, True)
     model = true_model(rig, draws)
-    found = []
+    recordings, masses = [], {}
     for grams in rig.loads_g:
         load = grams * 1e-3
         if grams:
             load += float(draws.normal(f"load {grams} g.mass", rig.u_load_mass_kg))
-        _write_texts(folder, {_rig_file(grams): to_toml(_loads_rig_tables(rig, grams))})
-        found.append(_loads_write_release(folder, rig, model, grams, load, draws))
-    masses = [grams * 1e-3 + draws.values.get(f"load {grams} g.mass", [0.0])[0] for grams in rig.loads_g]
-    _write_texts(folder, {TRUTH_FILE: json.dumps(_loads_truth(rig, model, masses, draws))})
-    return tuple(found)
+        masses[recording_name(grams)] = load
+        write_texts(folder, {f"rig-{grams:03d}g.toml": to_toml(_series_rig(rig, grams))})
+        recordings.append(_write_series_release(folder, rig, model, grams, load, draws))
+    truth = {
+        "format": 1,
+        "preset": "loads",
+        "seed": draws.seed,
+        "component": CHANNEL,
+        "channel": CHANNEL,
+        "moving_mass_kg": model.moving_mass,
+        "load_mass_kg": masses,
+        "stiffness": rig.stiffness,
+        "damping": rig.damping,
+        "coupling_stiffness": rig.coupling_stiffness,
+        "coupling_damping": rig.coupling_damping,
+        "sensitivity": rig.sensitivity,
+        "release_s": rig.release_s,
+        "drawn": draws.values,
+    }
+    write_texts(folder, {TRUTH_FILE: json.dumps(truth)})
+    return tuple(recordings)
 
 
 def true_model(rig: SeriesRig, draws: Draws) -> LoadModel:
     """Return the sensor as it is, its moving mass drawn."""
     return LoadModel(
-        component=COMPONENT,
+        component=CHANNEL,
         channel=CHANNEL,
         unit="V",
         moving_mass=rig.moving_mass_kg + float(draws.normal("moving.mass", rig.u_moving_mass_kg)),
@@ -348,12 +341,9 @@ def recording_name(grams: int) -> str:
     return f"step-{grams:03d}g"
 
 
-def _rig_file(grams: int) -> str:
-    """Name of the rig with a load."""
-    return f"rig-{grams:03d}g.toml"
-
-
-def _loads_write_release(folder: Path, rig: SeriesRig, model: LoadModel, grams: int, load: float, draws: Draws) -> Path:
+def _write_series_release(
+    folder: Path, rig: SeriesRig, model: LoadModel, grams: int, load: float, draws: Draws
+) -> Path:
     """Write one recording: the force vanishes, the output falls from its loaded level to zero and rings."""
     name = recording_name(grams)
     onset_s = rig.before_s + float(draws.stream(f"{name}.release").uniform(0.0, rig.start_scatter_s))
@@ -361,9 +351,7 @@ def _loads_write_release(folder: Path, rig: SeriesRig, model: LoadModel, grams: 
     offset = rig.offset_v * float(draws.stream(f"{name}.offset").standard_normal())
     clean = rig.force_n * (rig.sensitivity - load_change(model, load, time_s, onset_s, rig.release_s))
     noise = rig.noise * rig.force_n * rig.sensitivity * draws.stream(f"{name}.noise").standard_normal(len(clean))
-    step = 2.0 * rig.range_v / 2**rig.bits
-    volts = np.clip(np.rint((clean + noise + offset) / step) * step, -rig.range_v, rig.range_v - step)
-    write_outputs(folder / name, {CHANNEL: np.asarray(volts)}, rig.sample_rate_hz)
+    volts = _digitised(clean + noise + offset, rig.range_v, rig.bits)
     poles = model.poles(load)
     upper = poles[poles.imag > 0]
     truth = {
@@ -378,14 +366,15 @@ def _loads_write_release(folder: Path, rig: SeriesRig, model: LoadModel, grams: 
         "frequency_hz": (np.sort(np.abs(upper)) / (2.0 * np.pi)).tolist(),
         "damping_ratio": (-upper.real / np.abs(upper))[np.argsort(np.abs(upper))].tolist(),
     }
-    tables = _loads_recording_tables(rig, grams)
-    _write_texts(folder / name, {"recording.toml": to_toml(tables), TRUTH_FILE: json.dumps(truth)})
-    return folder / name
+    channels = [{"name": CHANNEL, "quantity": "output", "channel": CHANNEL}]
+    title = f"release of {CHANNEL} with a load of {grams} g, simulated"
+    manifest = _step_tables(title, f"rig-{grams:03d}g.toml", (CHANNEL, -rig.force_n, LINE.name), channels)
+    records = {DAQ_FILE: _record(volts[None], channels, rig.sample_rate_hz)}
+    return write_recording(folder / name, manifest, truth, records)
 
 
-def _loads_rig_tables(rig: SeriesRig, grams: int) -> dict[str, Any]:
+def _series_rig(rig: SeriesRig, grams: int) -> dict[str, Any]:
     """Return the rig with a load as nested dictionaries."""
-    row = [rig.sensitivity if place == PLACE else 0.0 for place in range(6)]
     tables: dict[str, Any] = {
         "format": 1,
         "name": f"force sensor of a haptic device, load mass {grams} g, simulated",
@@ -394,7 +383,7 @@ def _loads_rig_tables(rig: SeriesRig, grams: int) -> dict[str, Any]:
             "channels": [CHANNEL],
             "unit": "V",
             "sense": "on_sensor",
-            "static_sensitivity": [row],
+            "static_sensitivity": [[rig.sensitivity if name == CHANNEL else 0.0 for name in LOAD_COMPONENTS]],
             "internal_mass": rig.moving_mass_kg,
             "internal_mass_uncertainty": rig.u_moving_mass_kg,
         },
@@ -407,46 +396,3 @@ def _loads_rig_tables(rig: SeriesRig, grams: int) -> dict[str, Any]:
             "inertia": [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]],
         }
     return tables
-
-
-def _loads_recording_tables(rig: SeriesRig, grams: int) -> dict[str, Any]:
-    """Return recording.toml as nested dictionaries."""
-    return {
-        "format": 1,
-        "name": f"release of {COMPONENT} with a load of {grams} g, simulated",
-        "rig": f"../{_rig_file(grams)}",
-        "excitation": {
-            "kind": "step",
-            "component": COMPONENT,
-            "step_amplitude": -rig.force_n,
-            "release": ROPE,
-        },
-        "daq": [
-            {
-                "name": "daq",
-                "file": "outputs.h5",
-                "clock_uncertainty": 1e-6,
-                "channel": [{"name": CHANNEL, "quantity": "output", "channel": CHANNEL}],
-            }
-        ],
-    }
-
-
-def _loads_truth(rig: SeriesRig, model: LoadModel, masses: list[float], draws: Draws) -> dict[str, Any]:
-    """Return truth.json of the campaign."""
-    return {
-        "format": 1,
-        "preset": "loads",
-        "seed": draws.seed,
-        "component": COMPONENT,
-        "channel": CHANNEL,
-        "moving_mass_kg": model.moving_mass,
-        "load_mass_kg": dict(zip(map(recording_name, rig.loads_g), masses, strict=True)),
-        "stiffness": rig.stiffness,
-        "damping": rig.damping,
-        "coupling_stiffness": rig.coupling_stiffness,
-        "coupling_damping": rig.coupling_damping,
-        "sensitivity": rig.sensitivity,
-        "release_s": rig.release_s,
-        "drawn": draws.values,
-    }

@@ -14,10 +14,10 @@ from shaker.arrays import FloatArray, Notice
 from shaker.lti.indices import remarks as system_remarks
 from shaker.lti.system import LinearSystem
 from shaker.release.order import Found, Search, known_about, more_terms, remarks, searched
-from shaker.release.output_error import Problem, modal_model, solve, spread, squares
-from shaker.release.problem import Load, Structure, every_sample, in_blocks
+from shaker.release.output_error import Problem, Structure, modal_model, solve, spread, squares
 from shaker.release.reading import read_release
 from shaker.release.record import Reading, StepRecord
+from shaker.release.response import Load, every_sample, in_blocks
 from shaker.release.sim import Method, StepFit, accounted, constructed, fit_sim, modal_form, simulated
 
 # A solution as what an identification returns.

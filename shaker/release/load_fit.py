@@ -8,8 +8,9 @@ from functools import cached_property
 import numpy as np
 
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape
+from shaker.fitting import Residuals, levenberg_marquardt
 from shaker.release.load_model import upper_poles
-from shaker.release.load_modes import FreeDecay, Resonances, coloured, minimum, projected
+from shaker.release.load_modes import SEARCH, FreeDecay, Resonances, coloured, projected
 
 # The masses of a series of loads as named unknowns.
 
@@ -287,7 +288,12 @@ def refined(
 ) -> tuple[FloatArray, float]:
     """Return the unknowns (X,) at the minimum next to a start, and chi-squared there."""
     sigma = problem.sigma(scatter)
-    return minimum(lambda x: problem.residual(x, sigma), x, tolerance)
+
+    def at(x: FloatArray) -> Residuals:
+        return Residuals(x, *problem.residual(x, sigma))
+
+    end = levenberg_marquardt(at, at(x), replace(SEARCH, foretold_share=tolerance)).point
+    return end.parameters, end.loss
 
 
 def _minima(problem: Problem, scatter: tuple[float, float]) -> list[tuple[FloatArray, float]]:
@@ -450,13 +456,16 @@ def fit_decays(decays: tuple[FreeDecay, ...], noise: FloatArray, problem: Proble
         prior[:, count:] = np.eye(len(x) - count)
         return [*found, (x[count:], prior)]
 
-    def stacked(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def at(x: FloatArray) -> Residuals | None:
         if not problem.is_sound(x):
-            return np.full(1, np.inf), np.zeros((1, len(x)))
+            return None
         parts = rows(x)
-        return np.concatenate([part for part, _ in parts]), np.vstack([slope for _, slope in parts])
+        return Residuals(x, np.concatenate([part for part, _ in parts]), np.vstack([slope for _, slope in parts]))
 
-    x, _ = minimum(stacked, first)
+    begin = at(first)
+    if begin is None:
+        raise ValueError("start: expected unknowns that a sensor may have, found others")
+    x = levenberg_marquardt(at, begin, SEARCH).point.parameters
     parts = rows(x)
     inner = np.linalg.inv(sum((slope.T @ slope for _, slope in parts), np.zeros((len(x), len(x)))))
     middle = sum((coloured(slope, residual) for residual, slope in parts[:-1]), parts[-1][1].T @ parts[-1][1])

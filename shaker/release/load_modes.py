@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, check_shape
+from shaker.arrays import ComplexArray, FloatArray, IntArray, check_shape
+from shaker.fitting import Block, Rules, Separable, levenberg_marquardt
 from shaker.release.record import Reading, StepRecord
 
 # What is measured of every load: resonances and dampings, read from records or stated.
@@ -69,6 +69,8 @@ PASSBAND = 0.42
 TAPS = 20
 """Length of the decimating filter in samples of the decimated record."""
 FEWEST = 64
+SEARCH = Rules(first=1e-4, shrink=0.2, least=1e-15, largest=1e12)
+"""How a search for poles, stiffnesses and dampings is damped; it ends where a step promises 10⁻¹⁰ of the loss."""
 
 
 @dataclass(frozen=True)
@@ -121,15 +123,24 @@ def projected(decay: FreeDecay, poles: ComplexArray) -> tuple[FloatArray, FloatA
     y = b + Σ Re{a_m exp(p_m t)} with b and a_m by linear least squares (variable projection, Golub & Pereyra 1973, the
     derivatives in Kaufman's form).
     """
+    point = free_modes(decay, poles)
+    return point.residuals[0][:, 0], -point.solved[0].beside(point.slopes[0][1])[:, :, 0]
+
+
+def free_modes(decay: FreeDecay, poles: ComplexArray) -> Separable:
+    """Return modes (M,) with free amplitudes and a level as a point of a fit, parameters [Re p, Im p] of each mode."""
     t = decay.time_s - decay.time_s[0]
     waves = np.exp(t[:, None] * poles)
+
+    def changes(own: FloatArray) -> tuple[IntArray, FloatArray]:
+        amplitude = own[1:, 0].reshape(2, -1)
+        swing = t[:, None] * waves * (amplitude[0] + 1j * amplitude[1])
+        change = np.stack([swing.real, -swing.imag], axis=2).reshape(len(t), -1, 1)
+        return np.arange(change.shape[1]), change
+
     design = np.hstack([np.ones((len(t), 1)), waves.real, -waves.imag])
-    basis, triangle = np.linalg.qr(design)
-    along = basis.T @ decay.value
-    amplitude = np.linalg.solve(triangle, along)[1:].reshape(2, -1)
-    swing = t[:, None] * waves * (amplitude[0] + 1j * amplitude[1])
-    slope = -np.stack([swing.real, -swing.imag], axis=2).reshape(len(t), -1)
-    return decay.value - basis @ along, slope - basis @ (basis.T @ slope)
+    parameters = np.stack([poles.real, poles.imag], axis=1).ravel()
+    return Separable(parameters, (Block(design, decay.value[:, None], changes),))
 
 
 def coloured(slope: FloatArray, residual: FloatArray) -> FloatArray:
@@ -156,64 +167,6 @@ def _highest(value: FloatArray, rate_hz: float) -> float:
     size = np.abs(np.fft.rfft((value - np.mean(value)) * window))
     size[:3] = 0.0
     return float(np.argmax(size)) * rate_hz / len(value)
-
-
-# Levenberg's and Marquardt's method for residuals that come with their derivatives.
-
-
-Residual = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
-FIRST, GROW, SHRINK = 1e-4, 10.0, 0.2
-LARGEST = 1e12
-ROUNDS = 100
-NOTHING = 1e-18
-"""Share of the sum at the start below which no step is worth its while."""
-
-
-def minimum(function: Residual, start: FloatArray, tolerance: float = 1e-10) -> tuple[FloatArray, float]:
-    """Return x (X,) with the smallest Σ r² next to a start, and that sum.
-
-    `function` returns r (N,) and dr/dx (N, X); where r is not finite a step is refused. Ends when a step would lower
-    the sum by less than `tolerance` of it or moves nothing (Marquardt 1963; each unknown damped by its curvature).
-    """
-    x = np.asarray(start, dtype=np.float64)
-    residual, slope = function(x)
-    cost = float(residual @ residual)
-    if not np.isfinite(cost):
-        raise ValueError("start: expected unknowns for which all residuals are finite, found others")
-    first, damping = cost, FIRST
-    size, triangle, along = _reduced(residual, slope)
-    for _ in range(ROUNDS):
-        step = _step(triangle, along, damping)
-        foretold = float(along @ along - np.sum((along + triangle @ step) ** 2))
-        step = step / size
-        if foretold <= max(tolerance * cost, NOTHING * first) or np.all(np.abs(step) <= 1e-14 * np.abs(x)):
-            break
-        trial, trial_slope = function(x + step)
-        lower = float(trial @ trial)
-        if np.isfinite(lower) and lower < cost:
-            x, cost = x + step, lower
-            size, triangle, along = _reduced(trial, trial_slope)
-            damping = max(damping * SHRINK, 1e-15)
-        else:
-            damping *= GROW
-            if damping > LARGEST:
-                break
-    return x, cost
-
-
-def _reduced(residual: FloatArray, slope: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Size of every column (X,), the scaled problem as a triangle (X, X), and the residual along it (X,)."""
-    size = np.sqrt(np.sum(slope**2, axis=0))
-    size[size == 0.0] = 1.0
-    basis, triangle = np.linalg.qr(slope / size)
-    return size, triangle, basis.T @ residual
-
-
-def _step(triangle: FloatArray, along: FloatArray, damping: float) -> FloatArray:
-    """The damped step, by least squares, not by the normal equations."""
-    count = triangle.shape[1]
-    rows = np.vstack([triangle, np.sqrt(damping) * np.eye(count)])
-    return np.asarray(np.linalg.lstsq(rows, -np.concatenate([along, np.zeros(count)]), rcond=None)[0])
 
 
 # The modes that one record shows after its release, by itself.
@@ -328,19 +281,18 @@ def _decay_rate(value: FloatArray, omega: float, rate_hz: float) -> float:
 
 def _fitted(decay: FreeDecay, starts: list[complex], known: ComplexArray) -> RecordModes:
     """The best of the fits that begin at known poles and a further one."""
-    best: tuple[FloatArray, float] | None = None
-    tried = [np.append(known, start) for start in starts]
-    tried.sort(key=lambda poles: float(np.sum(projected(decay, poles)[0] ** 2)))
-    for poles in tried[:NEAREST]:
-        x = np.stack([poles.real, poles.imag], axis=1).ravel()
-        found = minimum(lambda x: projected(decay, x[::2] + 1j * x[1::2]), x)
-        if best is None or found[1] < best[1]:
-            best = found
-    if best is None:
+    tried = [free_modes(decay, np.append(known, start)) for start in starts]
+    if not tried:
         raise ValueError(f"decay: expected an oscillation after the release of {decay.name}, found none")
-    poles = np.asarray(best[0][::2] + 1j * best[0][1::2])
+    tried.sort(key=lambda point: point.loss)
+    ends = [
+        levenberg_marquardt(lambda x: free_modes(decay, x[::2] + 1j * x[1::2]), point, SEARCH).point
+        for point in tried[:NEAREST]
+    ]
+    best = min(ends, key=lambda point: point.loss)
+    poles = np.asarray(best.parameters[::2] + 1j * best.parameters[1::2])
     residual, slope = projected(decay, poles)
     inner = np.linalg.inv(slope.T @ slope)
-    free = len(residual) - 1 - 2 * len(best[0])
+    free = len(residual) - 1 - 2 * len(best.parameters)
     covariance = inner @ coloured(slope, residual) @ inner * len(residual) / free
     return RecordModes(decay.name, poles, covariance, float(np.sqrt(residual @ residual / free)))

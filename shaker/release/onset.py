@@ -6,108 +6,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shaker.arrays import BoolArray, ComplexArray, FloatArray
-from shaker.release.record import Location, Shape, ringing_poles
-
-# What a pole answers to a release that takes its time.
-
-
-def pole_responses(poles: ComplexArray, time_s: FloatArray, onset_s: float, release_s: float) -> ComplexArray:
-    """Return responses (N, P) of 1/(s - p), poles (P,) in rad/s, to a load that grows from 0 to 1, at `time_s` (N,).
-
-    The load is clip((t - onset)/T, 0, 1) with T = `release_s` ≥ 0, a step for T = 0. With τ = t - onset: before the end
-    of the ramp [(exp(pτ) - 1)/p - τ]/(pT); after it [exp(p(τ - T))·(exp(pT) - 1)/(pT) - 1]/p; zero before the onset.
-    """
-    p = np.asarray(poles, dtype=np.complex128)
-    if release_s < 0:
-        raise ValueError(f"release_s: expected 0 or more, found {release_s}")
-    tau = np.asarray(time_s, dtype=np.float64)[:, None] - onset_s
-    during = (tau > 0) & (tau < release_s)
-    after = (tau > 0) & ~during
-    found = np.zeros((len(tau), len(p)), dtype=np.complex128)
-    late, early = tau[after[:, 0]], tau[during[:, 0]]
-    spread = np.expm1(p * release_s) / (p * release_s) if release_s > 0 else np.ones_like(p)
-    found[after[:, 0]] = (np.exp(p * (late - release_s)) * spread - 1.0) / p
-    if early.size:
-        found[during[:, 0]] = (np.expm1(p * early) / p - early) / (p * release_s)
-    return found
-
-
-# Shapes of a release: how the load goes, and what poles answer.
-
-
-def load_share(shape: Shape, time_s: FloatArray, onset_s: float, release_s: float) -> FloatArray:
-    """Return the share (N,) of the load's change at `time_s` (N,): 0 before `onset_s`, 1 from its end on.
-
-    In between, with x = (t - onset)/T: x of a "ramp", (1 - cos πx)/2 of a "smooth" release.
-    """
-    tau = np.asarray(time_s, dtype=np.float64) - onset_s
-    if release_s <= 0.0 or shape == "step":
-        return np.asarray((tau > 0).astype(np.float64))
-    x = np.clip(tau / release_s, 0.0, 1.0)
-    return np.asarray(x if shape == "ramp" else 0.5 * (1.0 - np.cos(np.pi * x)))
-
-
-def load_rate(shape: Shape, time_s: FloatArray, onset_s: float, release_s: float) -> FloatArray:
-    """Return the derivative (N,) of `load_share` in 1/s, 0 of a step."""
-    tau = np.asarray(time_s, dtype=np.float64) - onset_s
-    if release_s <= 0.0 or shape == "step":
-        return np.zeros(len(tau))
-    during = (tau > 0) & (tau < release_s)
-    rate = 1.0 if shape == "ramp" else 0.5 * np.pi * np.sin(np.pi * tau / release_s)
-    return np.asarray(np.where(during, rate, 0.0) / release_s)
-
-
-def shape_responses(
-    shape: Shape, poles: ComplexArray, time_s: FloatArray, onset_s: float, release_s: float
-) -> ComplexArray:
-    """Return responses (N, P) of 1/(s - p), poles (P,) in rad/s, at `time_s` (N,), to a load of a shape.
-
-    "step" and "ramp" as in `pole_responses`. "smooth": with ω = π/T and τ = t - onset, until the end
-    [(exp(pτ) - 1)/p - (p(exp(pτ) - cos ωτ) + ω sin ωτ)/(p² + ω²)]/2; then the free motion from there under full load.
-    """
-    if shape == "measured":
-        raise ValueError('shape: expected "step", "ramp" or "smooth", found "measured"')
-    if shape != "smooth" or release_s <= 0.0:
-        return pole_responses(poles, time_s, onset_s, 0.0 if shape == "step" else release_s)
-    p = np.asarray(poles, dtype=np.complex128)
-    tau = np.asarray(time_s, dtype=np.float64)[:, None] - onset_s
-    omega = np.pi / release_s
-    found = np.zeros((len(tau), len(p)), dtype=np.complex128)
-    during = (tau[:, 0] > 0) & (tau[:, 0] < release_s)
-    after = tau[:, 0] >= release_s
-    early, late = tau[during], tau[after] - release_s
-    swing = p * (np.exp(p * early) - np.cos(omega * early)) + omega * np.sin(omega * early)
-    found[during] = 0.5 * (np.expm1(p * early) / p - swing / (p**2 + omega**2))
-    end = 0.5 * (np.expm1(p * release_s) / p - p * (np.exp(p * release_s) + 1.0) / (p**2 + omega**2))
-    found[after] = end * np.exp(p * late) + np.expm1(p * late) / p
-    return found
-
-
-def force_responses(poles: ComplexArray, force: FloatArray, sample_rate_hz: float) -> ComplexArray:
-    """Return responses (N, P) of 1/(s - p), poles (P,) in rad/s, from rest, to a measured load (N,).
-
-    Between samples the load is a straight line, for which the recursion is exact:
-    x[n+1] = z·x[n] + (u[n]·(z - 1 - w) + u[n+1]·w)/p with z = exp(pΔ) and w = (z - 1)/(pΔ) - 1.
-    """
-    from scipy.signal import lfilter
-
-    p = np.asarray(poles, dtype=np.complex128)
-    u = np.asarray(force, dtype=np.float64)
-    step = 1.0 / sample_rate_hz
-    found = np.zeros((len(u), len(p)), dtype=np.complex128)
-    for place, pole in enumerate(p):
-        grown = np.expm1(pole * step)
-        new = grown / (pole * step) - 1.0
-        drive = (u[:-1] * (grown - new) + u[1:] * new) / pole
-        found[1:, place] = lfilter([1.0], [1.0, -np.exp(pole * step)], drive)
-    return found
-
+from shaker.arrays import ComplexArray, FloatArray, IntArray
+from shaker.fitting import Block, Rules, Separable, levenberg_marquardt
+from shaker.release.poles import ringing_poles
+from shaker.release.record import Location, Shape
+from shaker.release.response import load_rate, load_share, pole_responses
 
 # The beginning of a response: onset and length of the release, by the modes that answer it.
 
 
-_ITERATIONS = 30
 _GROWTH = 30.0  # largest exponent by which a trial mode may grow over the window
 _DIFFERENCE = 1e-5
 _AHEAD = 2  # rows ahead of the samples
@@ -208,7 +115,7 @@ class Beginning:
 
     def columns(self, time_s: FloatArray) -> FloatArray:
         """Return what `linear` multiplies (N, 2 + M)."""
-        responses = shape_responses(self.shape, self.poles, time_s, self.onset_s, self.release_s)
+        responses = pole_responses(self.poles, time_s, self.onset_s, self.release_s, self.shape)
         if self.lag_s > 0:
             follows = responses[:, -1].real / self.lag_s
         else:
@@ -222,7 +129,7 @@ class Beginning:
 
     def speed(self, time_s: FloatArray) -> FloatArray:
         """Return dy/dt (N,): of a response R of 1/(s - p) it is pR + load."""
-        responses = shape_responses(self.shape, self.poles, time_s, self.onset_s, self.release_s)
+        responses = pole_responses(self.poles, time_s, self.onset_s, self.release_s, self.shape)
         load = load_share(self.shape, time_s, self.onset_s, self.release_s)
         rates = responses * self.poles + load[:, None]
         if self.lag_s > 0:
@@ -238,55 +145,82 @@ class Beginning:
         return float(self.rows * np.log(max(self.squares, 1e-300) / self.rows) + count * np.log(self.rows))
 
 
-def fit_beginning(window: Window, start: Beginning) -> Beginning:
-    """Return the least-squares fit of everything in `start`, linear parts first (variable projection, Kaufman 1975).
-
-    Levenberg-Marquardt on times and modes; the covariance is that of the joint problem with the variance of the
-    residual.
-    """
-    best, residual, columns = solved(window, start)
-    damping = 1e-3
-    for _ in range(_ITERATIONS):
-        basis, _ = np.linalg.qr(columns)
-        slopes = slopes_of(window, best, columns)
-        slopes = slopes - basis @ (basis.T @ slopes)
-        slopes[:, _held(best, slopes.T @ residual)] = 0.0
-        scale = np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
-        normal, target = (slopes / scale).T @ (slopes / scale), (slopes / scale).T @ residual
-        gained = 0.0
-        while damping < 1e6:
-            step = np.linalg.solve(normal + damping * np.eye(len(target)), target) / scale
-            trial = moved_by(window, best, step)
-            tried = None if trial is None else solved(window, trial)
-            if tried is not None and tried[0].squares < best.squares:
-                gained = 1.0 - tried[0].squares / best.squares
-                best, residual, columns = tried
-                damping = max(damping / 10.0, 1e-9)
-                break
-            damping *= 10.0
-        if gained < 1e-3 / best.rows:
-            break
-    return replace(best, covariance=_covariance(window, best, columns))
-
-
-def solved(window: Window, start: Beginning) -> tuple[Beginning, FloatArray, FloatArray]:
-    """Return the fit with its linear parts solved, the residual (N + 2,), and the columns (N + 2, L).
+@dataclass(frozen=True)
+class Trial:
+    """A beginning with its linear parts solved, as a point of the search: times and modes are its parameters.
 
     Ahead of the samples stand the mean of the rest and the smallness of h.
     """
+
+    fit: Beginning
+    projected: Separable
+
+    @property
+    def parameters(self) -> FloatArray:
+        """Times and modes (K,)."""
+        return self.projected.parameters
+
+    @property
+    def loss(self) -> float:
+        """Sum of squares."""
+        return self.fit.squares
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom."""
+        return self.projected.freedom
+
+    @property
+    def normal(self) -> tuple[FloatArray, FloatArray]:
+        """Normal equations; a parameter at a bound that the way downhill would leave is held."""
+        normal, downhill = (part.copy() for part in self.projected.normal)
+        fit, held = self.fit, np.zeros(len(downhill), dtype=np.bool_)
+        held[1] = fit.release_s <= 0.0 and downhill[1] < 0.0
+        longest = fit.lag_s >= (1.0 - 1e-9) * longest_lag_s(fit)
+        held[2] = (fit.lag_s <= 0.0 and downhill[2] < 0.0) or (longest and downhill[2] > 0.0)
+        normal[held], normal[:, held], downhill[held] = 0.0, 0.0, 0.0
+        return normal, downhill
+
+
+def fit_beginning(window: Window, start: Beginning) -> Beginning:
+    """Return the least-squares fit of everything in `start`, linear parts projected out.
+
+    The covariance is that of the joint problem with the variance of the residual.
+    """
+    rows = len(window.samples) + _AHEAD
+    rules = Rules(foretold_share=0.0, gained_share=1e-3 / rows, steps=30, largest=1e5)
+
+    def at(parameters: FloatArray) -> Trial | None:
+        there = moved(window, start, parameters)
+        return None if there is None else solved(window, there)
+
+    best = levenberg_marquardt(at, solved(window, start), rules).point
+    fit, columns = best.fit, best.projected.blocks[0].design
+    jacobian = np.concatenate([best.projected.slopes[0][1][:, :, 0], columns], axis=1)
+    scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
+    inverse = np.linalg.pinv((jacobian / scale).T @ (jacobian / scale), rcond=1e-13, hermitian=True)
+    variance = fit.squares / max(fit.rows - jacobian.shape[1], 1)
+    return replace(fit, covariance=np.asarray(variance * inverse / np.outer(scale, scale)))
+
+
+def solved(window: Window, start: Beginning) -> Trial:
+    """Return a beginning with its linear parts solved."""
     weight = np.sqrt(window.before)
     ahead = np.zeros((_AHEAD, 2 + len(start.frequency_hz)))
     ahead[0, 0], ahead[1, -1] = weight, window.small
     columns = np.concatenate([ahead, start.columns(window.time_s)])
     target = np.concatenate([[weight * window.rest, 0.0], window.samples])
-    normal = columns.T @ columns
-    size = np.sqrt(np.maximum(np.diagonal(normal), 1e-300))
-    linear = np.linalg.lstsq(normal / np.outer(size, size), columns.T @ target / size, rcond=1e-12)[0] / size
-    residual = target - columns @ linear
-    return replace(start, linear=linear, squares=float(residual @ residual), rows=len(target)), residual, columns
+    count = 3 + 2 * len(start.frequency_hz)
+
+    def changes(own: FloatArray) -> tuple[IntArray, FloatArray]:
+        return np.arange(count), _slopes(window, replace(start, linear=own[:, 0]), columns)[:, :, None]
+
+    point = Separable(start.vector[:count], (Block(columns, target[:, None], changes),))
+    linear = point.coefficients[0][:, 0]
+    return Trial(replace(start, linear=linear, squares=point.loss, rows=len(target)), point)
 
 
-def slopes_of(window: Window, fit: Beginning, columns: FloatArray) -> FloatArray:
+def _slopes(window: Window, fit: Beginning, columns: FloatArray) -> FloatArray:
     """Return the derivatives (N + 2, K) of y by centre, squared length and lag, frequencies and damping ratios."""
     time = window.time_s
     found = np.zeros((len(time) + _AHEAD, len(fit.vector) - len(fit.linear)))
@@ -296,25 +230,16 @@ def slopes_of(window: Window, fit: Beginning, columns: FloatArray) -> FloatArray
     least = [0.0, *[(_SHORT * window.step_s) ** 2] * 2, *[0.0] * len(fit.frequency_hz), *[1e-9] * len(fit.frequency_hz)]
     for place in range(1, found.shape[1]):
         span = max(_DIFFERENCE * abs(vector[place]), least[place])
-        moved = vector.copy()
-        moved[place] += span
-        found[_AHEAD:, place] = (fit.with_vector(moved).at(time) - here) / span
+        shifted = vector.copy()
+        shifted[place] += span
+        found[_AHEAD:, place] = (fit.with_vector(shifted).at(time) - here) / span
     return found
 
 
-def _held(fit: Beginning, downhill: FloatArray) -> BoolArray:
-    """Tell which parameters (K,) stand at a bound that the way downhill would leave."""
-    held = np.zeros(len(downhill), dtype=np.bool_)
-    held[1] = fit.release_s <= 0.0 and downhill[1] < 0.0
-    longest = fit.lag_s >= (1.0 - 1e-9) * longest_lag_s(fit)
-    held[2] = (fit.lag_s <= 0.0 and downhill[2] < 0.0) or (longest and downhill[2] > 0.0)
-    return held
-
-
-def moved_by(window: Window, fit: Beginning, step: FloatArray) -> Beginning | None:
-    """Return the fit with its times and modes moved up to their bounds, None outside what can be."""
+def moved(window: Window, fit: Beginning, parameters: FloatArray) -> Beginning | None:
+    """Return the fit with other times and modes, moved up to their bounds, None outside what can be."""
     vector = fit.vector
-    vector[: len(step)] += step
+    vector[: len(parameters)] = parameters
     vector[2] = min(vector[2], longest_lag_s(fit) ** 2)
     found = fit.with_vector(vector)
     inside = window.time_s[0] <= found.onset_s <= window.time_s[-1] and found.release_s < window.longest_s
@@ -326,15 +251,6 @@ def moved_by(window: Window, fit: Beginning, step: FloatArray) -> Beginning | No
 def longest_lag_s(fit: Beginning) -> float:
     """Return the lag whose corner frequency is that of the lowest mode: what records it rings slower than no mode."""
     return float(1.0 / (2 * np.pi * np.min(fit.frequency_hz)))
-
-
-def _covariance(window: Window, fit: Beginning, columns: FloatArray) -> FloatArray:
-    """Return the covariance of all parameters with the variance of the residual."""
-    jacobian = np.concatenate([slopes_of(window, fit, columns), columns], axis=1)
-    scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
-    inverse = np.linalg.pinv((jacobian / scale).T @ (jacobian / scale), rcond=1e-13, hermitian=True)
-    variance = fit.squares / max(fit.rows - jacobian.shape[1], 1)
-    return np.asarray(variance * inverse / np.outer(scale, scale))
 
 
 # The fit of a beginning from start values that the record itself gives.
@@ -430,4 +346,4 @@ def _start(window: Window, place: Location, poles: ComplexArray, sample_rate_hz:
         for length in _LENGTHS * plain_s
         for early in early_s
     ]
-    return min((solved(thin, trial)[0] for trial in trials), key=lambda trial: trial.squares)
+    return min((solved(thin, trial).fit for trial in trials), key=lambda trial: trial.squares)

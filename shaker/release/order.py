@@ -11,20 +11,10 @@ import numpy as np
 
 from shaker.arrays import ComplexArray, FloatArray, Notice, Severity
 from shaker.lti.modal import ModalModel
-from shaker.release.output_error import Problem, Solution, Spread, design, gain_by, solve, squares
-from shaker.release.problem import (
-    Load,
-    Samples,
-    Structure,
-    block_length,
-    in_blocks,
-    instruments,
-    peaks_hz,
-    pencil,
-    thinned,
-    upper_poles,
-)
+from shaker.release.output_error import Problem, Solution, Spread, Structure, design, gain_by, solve, squares
+from shaker.release.poles import instruments, peaks_hz, pencil, thinned, upper_poles
 from shaker.release.record import Reading, StepRecord
+from shaker.release.response import Load, Samples, block_length, in_blocks
 
 # The modes that ring after a release: how many, and where the fit with the release starts from.
 

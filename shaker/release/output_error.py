@@ -6,16 +6,90 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray
+from shaker.arrays import ComplexArray, FloatArray, IntArray
+from shaker.fitting import Block, Prior, Rules, Separable, eliminate, levenberg_marquardt
 from shaker.lti.modal import ModalModel
-from shaker.release.problem import Answers, Load, Samples, Structure, answers, responses
+from shaker.release.response import Answers, Load, Samples, answers, responses
+
+# How many poles and zeros a model has, and what its parameters make of them.
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Poles of `modes` oscillating modes and `reals` real ones, and `terms` of the numerator, 1 … 2M + Q.
+
+    H(s) = Σ_k z_k (s/ω0)^k·Π ω0/(s - p), k below `terms`: 2M + Q terms are residues without a condition, fewer make
+    the response start smoother: its first 2M + Q - terms derivatives are continuous at a step.
+    A vector is [ln ω (M), ζ (M), ln a (Q)], poles ω(-ζ ± j√(1 - ζ²)) and -a in rad/s. `scale` ω0 in rad/s, fixed.
+    """
+
+    modes: int
+    reals: int
+    terms: int
+    scale: float
+
+    @property
+    def order(self) -> int:
+        """Number of poles."""
+        return 2 * self.modes + self.reals
+
+    @property
+    def smoothest(self) -> int:
+        """Number of numerator terms of a chain of masses whose displacement is read, behind low-pass filters: 2M - 1.
+
+        The displacement of a mass answers a force like 1/s² at first, and every low-pass filter adds 1/s.
+        """
+        return max(1, 2 * self.modes - 1)
+
+    def with_terms(self, terms: int) -> Structure:
+        """Return the same poles with another number of numerator terms."""
+        return replace(self, terms=terms)
+
+    def poles(self, vector: FloatArray) -> ComplexArray:
+        """Return the upper poles of the modes and the real ones (M + Q,) in rad/s."""
+        m = self.modes
+        log_omega, zeta, log_real = vector[:m], vector[m : 2 * m], vector[2 * m : self.order]
+        upper = np.exp(log_omega) * (-zeta + 1j * np.sqrt(1.0 - zeta**2))
+        return np.concatenate([upper, -np.exp(log_real) + 0j])
+
+    def vector(self, poles: ComplexArray) -> FloatArray:
+        """Return the parameters (2M + Q,) of poles (M + Q,), upper ones first."""
+        upper, real = poles[: self.modes], poles[self.modes :].real
+        return np.concatenate([np.log(np.abs(upper)), -upper.real / np.abs(upper), np.log(np.abs(real))])
+
+    def pole_slopes(self, vector: FloatArray) -> ComplexArray:
+        """Return derivatives (M + Q, 2M + Q) of the poles to the parameters."""
+        poles, zeta = self.poles(vector), vector[self.modes : 2 * self.modes]
+        slopes = np.zeros((len(poles), self.order), dtype=np.complex128)
+        mode, real = np.arange(self.modes), np.arange(self.modes, len(poles))
+        slopes[mode, mode] = poles[: self.modes]
+        slopes[mode, mode + self.modes] = np.abs(poles[: self.modes]) * (-1.0 - 1j * zeta / np.sqrt(1.0 - zeta**2))
+        slopes[real, real + self.modes] = poles[self.modes :]
+        return slopes
+
+    def shares(self, vector: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        """Return residues (M + Q, terms) of every numerator term, and their derivatives (M + Q, terms, 2M + Q).
+
+        Residue of term k at p_i: ω0^n (p_i/ω0)^k/Π_{j≠i}(p_i - p_j) over all n poles.
+        """
+        poles, slopes = self.poles(vector), self.pole_slopes(vector)
+        every = np.concatenate([poles, poles[: self.modes].conj()])
+        moves = np.concatenate([slopes, slopes[: self.modes].conj()])
+        size = len(poles)
+        gaps = poles[:, None] - every
+        gaps[np.arange(size), np.arange(size)] = self.scale
+        power = np.arange(self.terms)
+        values = self.scale * np.prod(self.scale / gaps, axis=1)[:, None] * (poles[:, None] / self.scale) ** power
+        spread = slopes[:, None, :] - moves[None, :, :]
+        rate = power[:, None] * (slopes / poles[:, None])[:, None, :] - (spread / gaps[:, :, None]).sum(axis=1)[:, None]
+        return values, values[:, :, None] * rate
+
 
 # Output-error least squares: linear parameters projected out, the others by Levenberg-Marquardt.
 
 
-_STEPS = 60  # Levenberg-Marquardt steps, more than any solvable case was seen to take
-_ENOUGH = 1e-4  # predicted fall of the sum of squares, over the variance, below which a step changes nothing
-_STUCK = 1e9  # damping at which no step is left that helps
+_STEPS = 60  # more than any solvable case was seen to take
+_ENOUGH = 1e-4  # foretold fall of the sum of squares, over the variance, below which a step changes nothing
 _STEEPEST = 0.995  # largest |ζ| of an oscillating mode
 
 
@@ -130,25 +204,29 @@ def squares(problem: Problem, vector: FloatArray) -> FloatArray:
 
 
 def solve(problem: Problem, start: FloatArray) -> Solution:
-    """Return the fit from a start vector (K,), by variable projection with Kaufman's derivative."""
-    now, damping = _at(problem, start), 1e-3
-    path = [now.solution.square]
-    for _ in range(_STEPS):
-        jacobian, rest = _projected(now)
-        normal, gradient = jacobian.T @ jacobian, jacobian.T @ rest
-        trial = now
-        while trial is now:
-            step = _step(normal, gradient, damping)
-            if float(step @ (2.0 * gradient - normal @ step)) < _ENOUGH * now.solution.variance or damping > _STUCK:
-                return replace(now.solution, path=tuple(path))
-            further = _at(problem, now.solution.vector + step)
-            if _cost(further.solution, now.solution.variance) < _cost(now.solution, now.solution.variance):
-                trial = further
-            else:
-                damping *= 10.0
-        damping, now = max(1e-8, damping * 0.03), trial
-        path.append(now.solution.square)
-    return replace(now.solution, path=tuple(path))
+    """Return the fit from a start vector (K,), baseline and numerator projected out."""
+    weight = problem.samples.weight[:, None]
+    data = problem.samples.value[:, None] * weight
+
+    def at(vector: FloatArray) -> Separable | None:
+        """Return the best baseline and numerator for given poles and release, None where these are impossible."""
+        if not _possible(problem, vector):
+            return None
+        with np.errstate(over="ignore", invalid="ignore"):
+            matrix, answered = columns(problem, vector, problem.samples)
+
+        def changes(own: FloatArray) -> tuple[IntArray, FloatArray]:
+            change = slopes(problem, vector, own[:, 0], answered) * weight
+            return np.arange(change.shape[1]), change[:, :, None]
+
+        return Separable(vector, (Block(matrix * weight, data, changes),))
+
+    first = at(start)
+    if first is None:
+        raise ValueError(f"start: expected modes that oscillate and a release in the record, found {start.tolist()}")
+    rules = Rules(foretold_share=_ENOUGH / first.freedom, steps=_STEPS, shrink=0.03, least=1e-8)
+    end = levenberg_marquardt(at, first, rules, prior=Prior(problem.known, problem.u_known))
+    return Solution(problem, end.point.parameters, end.point.coefficients[0][:, 0], end.point.loss, end.losses)
 
 
 def gain_by(found: Solution, problem: Problem, vectors: list[FloatArray]) -> tuple[float, FloatArray]:
@@ -164,49 +242,11 @@ def gain_by(found: Solution, problem: Problem, vectors: list[FloatArray]) -> tup
     best, chosen = 0.0, vectors[0]
     for vector in vectors:
         whole = np.concatenate([own, design(problem, vector, found.problem.samples)], axis=1) * weight
-        left = value - whole @ _linear(whole, value)
+        left = eliminate(whole, value[:, None]).residual[:, 0]
         gain = found.size * float(np.log(found.square / (left @ left)))
         if gain > best:
             best, chosen = gain, vector
     return best, chosen
-
-
-@dataclass(frozen=True)
-class _Trial:
-    """A solution with its unweighted design (B, 1 + terms) and the poles' answers."""
-
-    solution: Solution
-    design: FloatArray
-    found: Answers
-
-
-def _cost(solution: Solution, variance: float) -> float:
-    """Return the sum of squares with the pull of what was known beforehand."""
-    pull = (solution.vector - solution.problem.known) / solution.problem.u_known
-    return solution.square + float(pull @ pull) * variance
-
-
-def _step(normal: FloatArray, gradient: FloatArray, damping: float) -> FloatArray:
-    """Return the damped step; the damping follows the parameters' own scales."""
-    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    scaled = normal / scale / scale[:, None] + damping * np.eye(len(scale))
-    return np.asarray(np.linalg.lstsq(scaled, gradient / scale, rcond=None)[0] / scale)
-
-
-def _at(problem: Problem, vector: FloatArray) -> _Trial:
-    """Return the best baseline and numerator for given poles and release; what is impossible costs infinitely much."""
-    blank = np.zeros((0, 0), dtype=np.complex128)
-    nowhere = Solution(problem, vector, np.zeros(1 + problem.structure.terms), np.inf)
-    if not _possible(problem, vector):
-        return _Trial(nowhere, np.zeros((0, 0)), Answers(blank, blank, blank, blank))
-    weight = problem.samples.weight
-    with np.errstate(over="ignore", invalid="ignore"):
-        matrix, found = columns(problem, vector, problem.samples)
-    if not np.all(np.isfinite(matrix)):
-        return _Trial(nowhere, matrix, found)
-    linear = _linear(matrix * weight[:, None], problem.samples.value * weight)
-    rest = (problem.samples.value - matrix @ linear) * weight
-    return _Trial(Solution(problem, vector, linear, float(rest @ rest)), matrix, found)
 
 
 def _possible(problem: Problem, vector: FloatArray) -> bool:
@@ -216,30 +256,6 @@ def _possible(problem: Problem, vector: FloatArray) -> bool:
     longest = np.log(time_s[-1] - time_s[0])
     steep = np.any(np.abs(vector[modes : 2 * modes]) > _STEEPEST)
     return not (steep or np.any(np.abs(vector[:order]) > 50.0) or (problem.load.lasting and vector[-1] > longest))
-
-
-def _linear(matrix: FloatArray, value: FloatArray) -> FloatArray:
-    """Return the coefficients of the columns by least squares, columns scaled."""
-    scale = np.sqrt(np.einsum("bk,bk->k", matrix, matrix))
-    scale[scale == 0] = 1.0
-    q, r = np.linalg.qr(matrix / scale)
-    diagonal = np.abs(np.diag(r))
-    if diagonal.min() < 1e-12 * diagonal.max():
-        return np.asarray(np.linalg.lstsq(matrix / scale, value, rcond=1e-12)[0] / scale)
-    return np.asarray(np.linalg.solve(r, q.T @ value) / scale)
-
-
-def _projected(now: _Trial) -> tuple[FloatArray, FloatArray]:
-    """Return Kaufman's derivative and residual, weighted, with the rows of what was known beforehand."""
-    solution, problem = now.solution, now.solution.problem
-    weight = problem.samples.weight[:, None]
-    jacobian = slopes(problem, solution.vector, solution.linear, now.found) * weight
-    q, _ = np.linalg.qr(now.design * weight)
-    jacobian = jacobian - q @ (q.T @ jacobian)
-    rest = (problem.samples.value - now.design @ solution.linear) * weight[:, 0]
-    firm = np.sqrt(solution.variance) / problem.u_known
-    pull = (problem.known - solution.vector) * firm
-    return np.concatenate([jacobian, np.diag(firm)]), np.concatenate([rest, pull])
 
 
 def _twice(structure: Structure) -> FloatArray:

@@ -8,17 +8,9 @@ from typing import Literal
 import numpy as np
 
 from shaker.arrays import BoolArray, FloatArray
-from shaker.release.onset import (
-    Beginning,
-    Window,
-    find_beginning,
-    load_share,
-    longest_lag_s,
-    moved_by,
-    slopes_of,
-    solved,
-)
+from shaker.release.onset import Beginning, Window, find_beginning, longest_lag_s, moved, solved
 from shaker.release.record import Location, Shape, StepRecord, correlation_factor, locate
+from shaker.release.response import load_share
 
 # The rise time of a response from its fitted beginning.
 
@@ -172,28 +164,24 @@ def _node(window: Window, near: Beginning, lag_s: float, variance: float) -> tup
     """
     square = near.release_s**2 + (near.lag_s**2 - lag_s**2) / _SPREAD[near.shape]
     start = replace(near, lag_s=lag_s, release_s=float(np.sqrt(max(square, 0.0))))
-    here, residual, columns = solved(window, start)
-    basis, _ = np.linalg.qr(columns)
-    slopes = np.delete(slopes_of(window, here, columns), 2, axis=1)
-    slopes = slopes - basis @ (basis.T @ slopes)
-    scale = np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
-    inverse = np.linalg.pinv((slopes / scale).T @ (slopes / scale), rcond=1e-12, hermitian=True) / np.outer(
-        scale, scale
-    )
-    downhill = slopes.T @ residual
-    step = inverse @ downhill
-    whole = np.insert(step, 2, 0.0)
-    there = moved_by(window, here, whole)
+    trial = solved(window, start)
+    here, (normal, downhill) = trial.fit, trial.projected.normal
+    others = np.arange(len(downhill)) != 2
+    scale = np.sqrt(np.maximum(np.diag(normal)[others], 1e-300))
+    inverse = np.linalg.pinv(normal[np.ix_(others, others)] / np.outer(scale, scale), rcond=1e-12, hermitian=True)
+    inverse = inverse / np.outer(scale, scale)
+    step = inverse @ downhill[others]
+    parameters = trial.parameters + np.insert(step, 2, 0.0)
+    there = moved(window, here, parameters)
     if there is None:
         return None
-    moved = here.vector[: len(whole)] + whole
     covariance = variance * inverse
     by_square = float(covariance[0, 1] / covariance[1, 1])
     node = _Node(
-        squares=here.squares - float(downhill @ step),
-        length2=float(moved[1]),
+        squares=here.squares - float(downhill[others] @ step),
+        length2=float(parameters[1]),
         variance=float(covariance[1, 1]),
-        centre_s=float(moved[0]),
+        centre_s=float(parameters[0]),
         by_square=by_square,
         own=max(float(covariance[0, 0] - by_square * covariance[0, 1]), 0.0),
     )

@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from shaker.decoupling.fit import fit_steps
-from shaker.release.onset import pole_responses
+from shaker.release.response import pole_responses
 from shaker.release.record import StepRecord
 
 LOADS = ("Fx", "Fy")

@@ -6,61 +6,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.signal import lsim
 from step_fit_factory import sensor
 
-from shaker.arrays import FloatArray
-from shaker.release.onset import pole_responses
-from shaker.release.output_error import Problem, columns, slopes
-from shaker.release.problem import Load, Structure, answers, every_sample, in_blocks, instruments, peaks_hz, pencil
+from shaker.release.output_error import Problem, Structure, columns, slopes
+from shaker.release.poles import instruments, peaks_hz, pencil
+from shaker.release.response import Load, every_sample, in_blocks
 
 POLES = np.array([2 * np.pi * 1700 * (-0.015 + 1j), 2 * np.pi * 2900 * (-0.03 + 1j), -3e4])
 TIME = np.arange(1500) / 1e5
 FORCE = np.cumsum(np.random.default_rng(0).standard_normal(1500))
 LOADS = (Load("step", 5.0), Load("ramp", 5.0), Load("smooth", 5.0), Load("measured", 5.0, FORCE, 0.0))
-
-
-def response_of(pole: complex, load: FloatArray, step_s: float) -> np.ndarray:
-    """Return the answer of 1/(s - p) by scipy: real and imaginary part as states of a real system."""
-    a = np.array([[pole.real, -pole.imag], [pole.imag, pole.real]])
-    _, output, _ = lsim((a, [[1.0], [0.0]], np.eye(2), np.zeros((2, 1))), load, np.arange(len(load)) * step_s)
-    return output[:, 0] + 1j * output[:, 1]
-
-
-@pytest.mark.parametrize("length", [3e-5, 4.3e-4])
-def test_answers_to_a_ramp_are_those_of_the_formula(length: float) -> None:
-    found = answers(Load("ramp", 2.0), POLES, every_sample(0 * TIME, TIME, 1e-5), 0.004, length)
-    np.testing.assert_allclose(found.value, 2.0 * pole_responses(POLES, TIME, 0.004 - length / 2, length), atol=1e-15)
-
-
-def test_answers_to_half_a_cosine_are_those_of_an_integration() -> None:
-    fine = np.arange(60001) / 1e7
-    share = np.clip((fine - 0.002) / 8e-4, 0, 1)
-    load = 0.5 * (1 - np.cos(np.pi * share))
-    times = every_sample(0 * fine[::100], fine[::100], 1e-5)
-    found = answers(Load("smooth", 1.0), POLES[[0, 2]], times, 0.0024, 8e-4).value
-    for place, pole in enumerate(POLES[[0, 2]]):
-        np.testing.assert_allclose(found[:, place], response_of(pole, load, 1e-7)[::100], atol=1e-10)
-
-
-def test_answers_to_a_measured_force_are_those_of_an_integration() -> None:
-    found = answers(LOADS[3], POLES, every_sample(0 * TIME, TIME, 1e-5), 0.0, 0.0).value
-    for place, pole in enumerate(POLES):
-        from_rest = response_of(pole, FORCE, 1e-5)
-        np.testing.assert_allclose(found[:, place], from_rest, atol=1e-9 * np.abs(from_rest).max())
-
-
-@pytest.mark.parametrize("load", LOADS, ids=lambda load: load.shape)
-def test_blocks_are_means_of_samples(load: Load) -> None:
-    whole = every_sample(0 * TIME, TIME, 1e-5)
-    blocks = in_blocks(whole, 0.0035, 0.006, 7)
-    single = answers(load, POLES, whole, 0.004, 4e-4).value
-    starts = np.concatenate([[0], np.cumsum(blocks.length)[:-1]])
-    means = np.add.reduceat(single, starts, axis=0) / blocks.length[:, None]
-    assert blocks.length.sum() == len(TIME)
-    assert blocks.length.max() > 7
-    found = answers(load, POLES, blocks, 0.004, 4e-4).value
-    np.testing.assert_allclose(found, means, atol=1e-12 * np.abs(means).max())
 
 
 @pytest.mark.parametrize("load", LOADS, ids=lambda load: load.shape)

@@ -1,0 +1,187 @@
+"""Where fits of poles start: matrix pencils of what rings after a release, and the lines of its spectrum.
+
+Every window of L samples of Σ a·exp(p t) lies in the span of the vectors exp(p n/f), n = 0 … L - 1, whatever a is. The
+leading singular vectors of the windows span it, and a shift by one sample turns it by exp(p/f) (Hua and Sarkar, IEEE
+Trans. ASSP 38 (1990) 814; Roy and Kailath, ESPRIT, 1989).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from shaker.arrays import ComplexArray, FloatArray
+
+PER_PERIOD = 8  # samples that are left of the period of the fastest mode
+_LONGEST = 240  # of them that a start is taken from
+
+
+def shift_poles(space: FloatArray, step_s: float) -> ComplexArray:
+    """Return the poles in rad/s by which a shift of `step_s` turns a space (L, P), those at zero left out."""
+    turns = np.linalg.eigvals(np.linalg.lstsq(space[:-1], space[1:], rcond=None)[0]).astype(np.complex128)
+    return np.asarray(np.log(turns[np.abs(turns) > 1e-6]) / step_s)
+
+
+def pencil(values: FloatArray, step_s: float, order: int) -> ComplexArray:
+    """Return poles (≤ order,) in rad/s of a sum of exponentials (N,)."""
+    hankel = np.lib.stride_tricks.sliding_window_view(values, len(values) // 2)
+    return shift_poles(np.linalg.svd(hankel, full_matrices=False)[2][:order].T, step_s)
+
+
+def instruments(values: FloatArray, step_s: float, order: int) -> ComplexArray:
+    """Return poles (≤ order,) in rad/s of an autoregression, older samples as instruments.
+
+    White noise of the output biases y(k) = Σ a_i y(k - i) fitted by least squares; samples older than all of these
+    share no noise with them, and as many older ones as three times the order make the equations.
+    """
+    more = 3 * order
+    windows = np.lib.stride_tricks.sliding_window_view(values, more + order + 1)
+    older, recent, last = windows[:, :more], windows[:, more:-1], windows[:, -1]
+    terms = np.linalg.lstsq(older.T @ recent, older.T @ last, rcond=None)[0]
+    turns = np.roots(np.concatenate([[1.0], -terms[::-1]])).astype(np.complex128)
+    return np.asarray(np.log(turns[np.abs(turns) > 1e-6]) / step_s)
+
+
+# One output that rings: as many modes as stand out of its noise.
+
+
+_LINE = 6.0  # noise levels that a line of the spectrum must stand above
+_SMALL = 3e-3  # share of the highest line below which others are left out
+_MODES = 3
+
+
+def ringing_poles(samples: FloatArray, sample_rate_hz: float, noise: float) -> ComplexArray:
+    """Return the upper poles (M,) in rad/s of a free decay (N,) about zero, the strongest first, none where none rings.
+
+    Matrix pencil of block means; the number of modes follows from the singular values above the noise.
+    """
+    highest_hz = _highest_line(samples, sample_rate_hz, noise)
+    if highest_hz is None:
+        return np.zeros(0, dtype=np.complex128)
+    means, step_s = thinned(samples, 1.0 / sample_rate_hz, highest_hz)
+    rough = noise / np.sqrt(step_s * sample_rate_hz)
+    hankel = np.lib.stride_tricks.sliding_window_view(means, len(means) // 3 + 1)
+    _, size, right = np.linalg.svd(hankel, full_matrices=False)
+    # the largest singular value of a white Hankel matrix, about σ(√rows + √columns), is passed by a margin
+    threshold = 1.5 * rough * (np.sqrt(hankel.shape[0]) + np.sqrt(hankel.shape[1]))
+    kept = int(np.clip(np.count_nonzero(size > max(threshold, 1e-9 * size[0])), 2, 2 * _MODES))
+    poles = shift_poles(right[: kept + kept % 2].T, step_s)
+    powers = np.exp(np.outer(np.arange(len(means)) * step_s, poles))
+    weights = np.linalg.lstsq(powers, means.astype(np.complex128), rcond=None)[0]
+    upper = (poles.imag > 0) & (np.abs(poles.imag) < 0.9 * np.pi / step_s)
+    upper &= np.abs(poles.real) < 0.7 * np.abs(poles)
+    return np.asarray(poles[upper][np.argsort(-np.abs(weights[upper]), kind="stable")])
+
+
+def _highest_line(samples: FloatArray, sample_rate_hz: float, noise: float) -> float | None:
+    """Return the highest frequency at which the spectrum has a line above noise and above a share of the strongest."""
+    count = len(samples)
+    window = np.cos(0.5 * np.pi * np.arange(count) / count) ** 2
+    size = np.abs(np.fft.rfft(samples * window))
+    floor = max(_LINE * noise * float(np.sqrt(np.sum(window**2))), _SMALL * float(size[2:].max(initial=0.0)))
+    inner = size[2:-1]
+    lines = np.flatnonzero((inner > size[1:-2]) & (inner >= size[3:]) & (inner > floor)) + 2
+    return float(lines[-1] * sample_rate_hz / count) if lines.size else None
+
+
+# One output, modes one by one: those of the highest peaks.
+
+
+_STRETCHES = 16  # stretches of the spectrum that tell their own noise
+_FLOOR = 25.0  # power of a peak over the median of the spectrum, that noise alone passes once in 10^7 lines
+
+
+def peaks_hz(decay: FloatArray, step_s: float, count: int, local: bool = False) -> FloatArray:
+    """Return frequencies (≤ count,) in Hz of the highest peaks, above the noise, in the spectrum of a decay (N,).
+
+    The level of its end is taken off, and a window that falls from 1 to 0 keeps the strong beginning. The noise is the
+    median of the spectrum, or where `local` that of the lines about, for noise that is not the same everywhere.
+    """
+    phase = 0.5 * np.pi * np.arange(len(decay)) / len(decay)
+    level = float(np.average(decay, weights=np.sin(phase) ** 4 + 1e-300))
+    power = np.abs(np.fft.rfft((decay - level) * np.cos(phase) ** 2, 2 * len(decay))) ** 2
+    frequency = np.fft.rfftfreq(2 * len(decay), step_s)
+    top = np.flatnonzero((power[1:-1] > power[:-2]) & (power[1:-1] >= power[2:])) + 1
+    floor = np.median(power)
+    if local:
+        size = max(1, len(power) // _STRETCHES)
+        stretches = power[: len(power) // size * size].reshape(-1, size)
+        middle = (np.arange(len(stretches)) + 0.5) * size
+        floor = np.interp(np.arange(len(power)), middle, np.median(stretches, axis=1))[top]
+    lines = top[(power[top] > _FLOOR * floor) & (frequency[top] > 3.0 / (len(decay) * step_s))]
+    kept: list[int] = []
+    for line in lines[np.argsort(power[lines])[::-1]]:
+        if all(abs(line - other) > 4 for other in kept):
+            kept.append(int(line))
+    return np.asarray(frequency[kept[:count]])
+
+
+def thinned(decay: FloatArray, step_s: float, highest_hz: float) -> tuple[FloatArray, float]:
+    """Return means of blocks of a decay and their distance in s: eight in the period of the fastest mode."""
+    length = max(1, int(1.0 / (step_s * PER_PERIOD * highest_hz)))
+    size = min(len(decay) // length, _LONGEST)
+    return decay[: size * length].reshape(size, length).mean(axis=1), length * step_s
+
+
+def upper_poles(offered: ComplexArray, modes: int, near_hz: FloatArray) -> ComplexArray:
+    """Return as many upper poles (M,) as asked: those next to the peaks of the spectrum, then lightly damped ones.
+
+    A peak without a pole within 15 % of it starts at ζ = 0.02.
+    """
+    left = [complex(pole) for pole in offered if pole.imag > 0 and abs(pole.real) < 0.5 * abs(pole)]
+    kept = []
+    for omega in 2 * np.pi * near_hz[:modes]:
+        nearest = min(left, key=lambda pole: abs(abs(pole) - omega), default=0j)
+        fits = abs(abs(nearest) - omega) < 0.15 * omega
+        kept.append(nearest if fits else complex(omega * (-0.02 + 1j)))
+        left = [pole for pole in left if pole != kept[-1]]
+    left.sort(key=lambda pole: -pole.real / abs(pole))
+    kept += left[: modes - len(kept)]
+    kept += [kept[-1] * 1.1 ** (k + 1) for k in range(modes - len(kept))]
+    settled = [complex(-max(abs(pole.real), 1e-3 * abs(pole)), pole.imag) for pole in kept]
+    return np.asarray(sorted(settled, key=abs), dtype=np.complex128)
+
+
+# Many outputs of many records that share their poles.
+
+
+_WINDOW = 128
+_STANDS_OUT = 30.0  # noise alone reaches this density, over its mean, once in exp(30) lines
+_ABOVE_NOISE = 1.5
+_MOST = 40
+_QUICKEST = 0.4
+
+
+def highest_frequency(parts: Sequence[FloatArray], rate_hz: float) -> float:
+    """Return the highest frequency in Hz at which a record (C, N) of unit noise swings clearly above its noise."""
+    highest = 0.0
+    for part in parts:
+        window = np.hanning(part.shape[1])
+        lines = np.fft.rfft((part - part.mean(axis=1, keepdims=True)) * window, axis=1)
+        density = np.abs(lines) ** 2 / np.sum(window**2)
+        floor = np.maximum(1.0, np.median(density[:, density.shape[1] // 2 :], axis=1, keepdims=True) / np.log(2.0))
+        clear = np.flatnonzero(np.any(density > _STANDS_OUT * floor, axis=0))
+        highest = max(highest, float(clear[-1] if clear.size else 1) * rate_hz / part.shape[1])
+    return highest
+
+
+def shared_poles(parts: Sequence[FloatArray], rate_hz: float) -> ComplexArray:
+    """Return the upper poles in rad/s of decaying records (C, N) of equal white noise that share a sampling rate.
+
+    The eigenvectors of the sum of the windows' products that stand above the noise span their space.
+    """
+    length = min(_WINDOW, min(part.shape[1] for part in parts) // 2)
+    gram, windows = np.zeros((length, length)), 0
+    for part in parts:
+        for row in part:
+            table = np.lib.stride_tricks.sliding_window_view(row, length)
+            gram += table.T @ table
+            windows += len(table)
+    value, vector = np.linalg.eigh(gram / windows)
+    noise = float(np.median(value[: length // 2]))
+    count = int(np.clip(np.count_nonzero(value > _ABOVE_NOISE * noise), 3, min(_MOST, length // 2)))
+    poles = shift_poles(vector[:, -count:], 1.0 / rate_hz)
+    ratio = -poles.real / np.abs(poles)
+    kept = (poles.imag > 2e-3 * rate_hz) & (poles.imag < 0.9 * np.pi * rate_hz)
+    return np.asarray(poles[kept & (ratio > 0.0) & (ratio < _QUICKEST)])

@@ -1,0 +1,334 @@
+"""What poles answer to a release: how the load goes, the samples that see it, responses with their derivatives.
+
+The load goes from 0 to `amplitude` from the onset on, in the length T: at once ("step"), along a straight line
+("ramp"), along half a cosine ("smooth"), or as a force channel shows it ("measured"). With τ from the onset and σ from
+the end of the release, a pole answers (F·exp(pσ) - 1)/p after it, F = (exp(x) - 1)/x of a ramp and
+½π²(1 + exp(x))/(x² + π²) of half a cosine, x = pT; the mean of samples in a block multiplies exp(pσ) by a number.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from shaker.arrays import ComplexArray, FloatArray, IntArray, check_shape
+from shaker.release.record import Shape
+
+_SMALL = 1e-2  # |x| below which factors are taken from their series
+_RESTS = 40  # blocks of what comes before the release
+BLOCKS_PER_PERIOD = 12  # blocks in a period of the fastest mode: its mean over one loses 1 % of it, sinc(1/12)
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Means of neighbouring samples: block b is the mean `value` (B, …) of `length` (B,) samples.
+
+    They are `step_s` apart and the first of them is taken at `time_s` (B,). Noise of white samples stays white, with
+    1/√length of its standard deviation, and what a pole answers stays an exponential, so nothing is filtered away
+    and no filter has to be modelled.
+    """
+
+    time_s: FloatArray
+    length: IntArray
+    value: FloatArray
+    step_s: float
+
+    def __post_init__(self) -> None:
+        check_shape("time_s", self.time_s, (None,))
+        check_shape("length", self.length, self.time_s.shape)
+        check_shape("value", self.value, (*self.time_s.shape, *self.value.shape[1:]))
+
+    @cached_property
+    def lengths(self) -> tuple[IntArray, IntArray]:
+        """Lengths (L,) that occur, and which of them every block has (B,)."""
+        sizes, place = np.unique(self.length, return_inverse=True)
+        return sizes, place
+
+    @cached_property
+    def weight(self) -> FloatArray:
+        """Reciprocal standard deviation (B,) of a mean over that of a sample: √length."""
+        return np.sqrt(self.length.astype(np.float64))
+
+    def between(self, from_s: float, to_s: float) -> Samples:
+        """Return the blocks that begin in a stretch of time."""
+        kept = (self.time_s >= from_s) & (self.time_s <= to_s)
+        return Samples(self.time_s[kept], self.length[kept], self.value[kept], self.step_s)
+
+
+def every_sample(value: FloatArray, time_s: FloatArray, step_s: float) -> Samples:
+    """Return samples (N, …) at times (N,) as blocks of one."""
+    return Samples(time_s, np.ones(len(time_s), dtype=np.int64), value, step_s)
+
+
+def in_blocks(whole: Samples, fine_from_s: float, fine_to_s: float, length: int) -> Samples:
+    """Return samples one by one between two times, as means of `length` after them, as means of many before them."""
+
+    def edges(start: int, stop: int, size: int) -> IntArray:
+        """Return where blocks of a size begin; what is left over is the first one."""
+        if stop <= start:
+            return np.zeros(0, dtype=np.int64)
+        places = np.arange(stop - size, start, -size, dtype=np.int64)[::-1]
+        return np.concatenate([np.array([start], dtype=np.int64), places[places > start]])
+
+    first, last = (int(place) for place in np.searchsorted(whole.time_s, [fine_from_s, fine_to_s]))
+    parts = (edges(0, first, max(1, first // _RESTS)), np.arange(first, last), edges(last, len(whole.value), length))
+    begins = np.concatenate([*parts, [len(whole.value)]]).astype(np.int64)
+    lengths = np.diff(begins)
+    means = np.add.reduceat(whole.value, begins[:-1]) / lengths
+    return Samples(whole.time_s[begins[:-1]], lengths, means, whole.step_s)
+
+
+def block_length(sample_rate_hz: float, highest_hz: float) -> int:
+    """Return how many samples a block after the release takes, twelve blocks in the period of the fastest mode."""
+    return max(1, int(sample_rate_hz / (BLOCKS_PER_PERIOD * highest_hz)))
+
+
+def averaged(samples: FloatArray, size: int) -> FloatArray:
+    """Return means (…, A) over blocks of `size` samples (…, N); samples that fill no block are left out."""
+    count = samples.shape[-1] // size
+    return np.asarray(samples[..., : count * size].reshape(*samples.shape[:-1], count, size).mean(axis=-1))
+
+
+@dataclass(frozen=True)
+class Load:
+    """How a load goes: by `amplitude` in a `shape`, or as the samples `force` (N,) from `start_s`, for "measured",
+    linear between its samples and less its level of rest."""
+
+    shape: Shape
+    amplitude: float
+    force: FloatArray | None = None
+    start_s: float = 0.0
+
+    @property
+    def timed(self) -> bool:
+        """Whether the onset is unknown."""
+        return self.shape != "measured"
+
+    @property
+    def lasting(self) -> bool:
+        """Whether the release takes a time that is unknown."""
+        return self.shape in ("ramp", "smooth")
+
+
+def load_share(shape: Shape, time_s: FloatArray, onset_s: float, release_s: float) -> FloatArray:
+    """Return the share (N,) of the load's change at `time_s` (N,): 0 before `onset_s`, 1 from its end on.
+
+    In between, with x = (t - onset)/T: x of a "ramp", (1 - cos πx)/2 of a "smooth" release.
+    """
+    tau = np.asarray(time_s, dtype=np.float64) - onset_s
+    if release_s <= 0.0 or shape == "step":
+        return np.asarray((tau > 0).astype(np.float64))
+    x = np.clip(tau / release_s, 0.0, 1.0)
+    return np.asarray(x if shape == "ramp" else 0.5 * (1.0 - np.cos(np.pi * x)))
+
+
+def load_rate(shape: Shape, time_s: FloatArray, onset_s: float, release_s: float) -> FloatArray:
+    """Return the derivative (N,) of `load_share` in 1/s, 0 of a step."""
+    tau = np.asarray(time_s, dtype=np.float64) - onset_s
+    if release_s <= 0.0 or shape == "step":
+        return np.zeros(len(tau))
+    during = (tau > 0) & (tau < release_s)
+    rate = 1.0 if shape == "ramp" else 0.5 * np.pi * np.sin(np.pi * tau / release_s)
+    return np.asarray(np.where(during, rate, 0.0) / release_s)
+
+
+def pole_responses(
+    poles: ComplexArray, time_s: FloatArray, onset_s: float, release_s: float, shape: Shape = "ramp"
+) -> ComplexArray:
+    """Return responses (N, P) of 1/(s - p), poles (P,) in rad/s, at `time_s` (N,), to a load from 0 to 1.
+
+    The load goes in a shape, by itself along a line, from `onset_s` on in `release_s` ≥ 0, as a step where that is 0.
+    """
+    if release_s < 0:
+        raise ValueError(f"release_s: expected 0 or more, found {release_s}")
+    if shape == "measured":
+        raise ValueError('shape: expected "step", "ramp" or "smooth", found "measured"')
+    p, length = np.asarray(poles, dtype=np.complex128), 0.0 if shape == "step" else release_s
+    tau = np.asarray(time_s, dtype=np.float64)[:, None] - onset_s
+    value = np.zeros((len(tau), len(p)), dtype=np.complex128)
+    after, during = (tau[:, 0] > 0) & (tau[:, 0] >= length), (tau[:, 0] > 0) & (tau[:, 0] < length)
+    factor = release_factor(shape, p * length)[0] if length > 0 else 1.0
+    value[after] = (factor * np.exp(p * (tau[after] - length)) - 1.0) / p
+    if np.any(during):
+        value[during] = (_along_line if shape == "ramp" else _along_cosine)(p, tau[during], length)[1]
+    return value
+
+
+@dataclass(frozen=True)
+class Answers:
+    """Responses (B, P) of 1/(s - p) in blocks, and their derivatives: to the poles, the onset, the release's length.
+
+    The last moves the onset too, by half as much to the other side: the middle of the release stays.
+    """
+
+    value: ComplexArray
+    by_pole: ComplexArray
+    by_onset: ComplexArray
+    by_length: ComplexArray
+
+    @classmethod
+    def blank(cls, rows: int, poles: int) -> Answers:
+        """Return answers that are zero."""
+        return cls(*(np.zeros((rows, poles), dtype=np.complex128) for _ in range(4)))
+
+    @property
+    def parts(self) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
+        """All four."""
+        return self.value, self.by_pole, self.by_onset, self.by_length
+
+
+def answers(load: Load, poles: ComplexArray, samples: Samples, middle_s: float, length_s: float) -> Answers:
+    """Return what poles (P,) in rad/s answer to a load whose release of `length_s` has its middle at `middle_s`."""
+    if load.shape == "measured":
+        return _to_force(load, poles, samples)
+    length = length_s if load.lasting else 0.0
+    tau = samples.time_s - (middle_s - 0.5 * length)
+    whole = Answers.blank(len(tau), len(poles))
+    after = (tau > 0) & (tau >= length)
+    mean, mean_slope = (part[samples.lengths[1][after]] for part in _block_factors(poles * samples.step_s, samples))
+    late = _after(load.shape, poles, tau[after] - length, length, mean, mean_slope * samples.step_s)
+    for rows, part in zip(whole.parts, late.parts, strict=True):
+        rows[after] = part
+    touched = ~after & (tau + (samples.length - 1) * samples.step_s > 0)
+    if np.any(touched):
+        size = samples.length[touched]
+        ends = np.cumsum(size)
+        inside = np.arange(ends[-1]) - np.repeat(ends - size, size)
+        single = _at_times(load.shape, poles, np.repeat(tau[touched], size) + inside * samples.step_s, length)
+        for rows, part in zip(whole.parts, single.parts, strict=True):
+            rows[touched] = np.add.reduceat(part, ends - size) / size[:, None]
+    return Answers(*(load.amplitude * part for part in whole.parts))
+
+
+def responses(load: Load, poles: ComplexArray, samples: Samples, middle_s: float, length_s: float) -> ComplexArray:
+    """Return the responses (B, P) of `answers` alone, for half the work."""
+    length = length_s if load.lasting else 0.0
+    tau = samples.time_s - (middle_s - 0.5 * length)
+    last = tau + (samples.length - 1) * samples.step_s
+    if load.shape == "measured" or np.any((last > 0) & (tau < length)):
+        return answers(load, poles, samples, middle_s, length_s).value
+    factor = release_factor(load.shape, poles * length)[0] if length > 0 else 1.0
+    mean = _block_factors(poles * samples.step_s, samples)[0][samples.lengths[1]]
+    value = (mean * factor * np.exp(poles * np.maximum(tau - length, 0.0)[:, None]) - 1.0) * (load.amplitude / poles)
+    return np.asarray(np.where(tau[:, None] > 0, value, 0.0))
+
+
+def release_factor(shape: Shape, x: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """Return F = ∫ du/dt·exp(p(T - t)) dt over the release, x = pT, and its derivative to x; 1 and ½ for x = 0."""
+    if shape == "smooth":
+        below, grown = x**2 + np.pi**2, np.exp(x)
+        value = 0.5 * np.pi**2 * (1.0 + grown) / below
+        return value, 0.5 * np.pi**2 * grown / below - 2.0 * x * value / below
+    small = np.abs(x) < _SMALL
+    safe = np.where(small, 1.0, x)
+    value = np.where(small, 1 + x / 2 + x**2 / 6 + x**3 / 24 + x**4 / 120, np.expm1(safe) / safe)
+    series = 0.5 + x / 3 + x**2 / 8 + x**3 / 30 + x**4 / 144
+    return value, np.where(small, series, (np.exp(safe) - value) / safe)
+
+
+def _after(
+    shape: Shape, p: ComplexArray, sigma: FloatArray, length: float, mean: ComplexArray, mean_slope: ComplexArray
+) -> Answers:
+    """Return what blocks show whose first sample is `sigma` (B,) after the end of the release.
+
+    `mean`, `mean_slope` (B, P): of exp(pt) over the block's samples, and its derivative to p.
+    """
+    late, ones = sigma[:, None], np.ones_like(p)
+    factor, slope = release_factor(shape, p * length) if length > 0 else (ones, 0.5 * ones)
+    swing = np.exp(p * late)
+    decay = mean * factor * swing
+    value = (decay - 1.0) / p
+    change = mean_slope * factor + mean * (late * factor + length * slope)
+    return Answers(value, (change * swing - value) / p, -decay, mean * (slope - 0.5 * factor) * swing)
+
+
+def _at_times(shape: Shape, p: ComplexArray, tau: FloatArray, length: float) -> Answers:
+    """Return what single samples show, `tau` (B,) after the onset; zero before it."""
+    whole = Answers.blank(len(tau), len(p))
+    after, during = (tau > 0) & (tau >= length), (tau > 0) & (tau < length)
+    one = np.ones((1, len(p)), dtype=np.complex128)
+    for rows, part in zip(whole.parts, _after(shape, p, tau[after] - length, length, one, 0 * one).parts, strict=True):
+        rows[after] = part
+    if np.any(during):
+        early = tau[during][:, None]
+        share, value, by_pole = (_along_line if shape == "ramp" else _along_cosine)(p, early, length)
+        by_onset = -(p * value + share)
+        # the answer is T·f(τ/T, pT), so that the derivative to the length follows from those to time and to the pole
+        by_length = (value + early * by_onset + p * by_pole) / length - 0.5 * by_onset
+        for rows, part in zip(whole.parts, (value, by_pole, by_onset, by_length), strict=True):
+            rows[during] = part
+    return whole
+
+
+def _along_line(p: ComplexArray, tau: FloatArray, length: float) -> tuple[FloatArray, ComplexArray, ComplexArray]:
+    """Return a ramp's load, its response [(exp(pτ) - 1)/p - τ]/(pT) and the derivative to the pole."""
+    rise = np.expm1(p * tau) / p
+    value = (rise - tau) / (p * length)
+    slope = (tau * np.exp(p * tau) - rise) / p
+    return tau / length, value, slope / (p * length) - value / p
+
+
+def _along_cosine(p: ComplexArray, tau: FloatArray, length: float) -> tuple[FloatArray, ComplexArray, ComplexArray]:
+    """Return the load of half a cosine, its response and the derivative to the pole; with ω = π/T the response is
+    [(exp(pτ) - 1)/p - (p(exp(pτ) - cos ωτ) + ω sin ωτ)/(p² + ω²)]/2."""
+    omega = np.pi / length
+    swing, cosine, sine = np.exp(p * tau), np.cos(omega * tau), np.sin(omega * tau)
+    below, top = p**2 + omega**2, p * (swing - cosine) + omega * sine
+    value = 0.5 * (np.expm1(p * tau) / p - top / below)
+    slope = tau * swing / p - np.expm1(p * tau) / p**2 - (swing - cosine + p * tau * swing) / below
+    return 0.5 * (1.0 - cosine), value, 0.5 * (slope + 2 * p * top / below**2)
+
+
+def _block_factors(x: ComplexArray, samples: Samples) -> tuple[ComplexArray, ComplexArray]:
+    """Return means (L, P) of exp(kx), k = 0 … length - 1, for x = p·step and all lengths, and derivatives to x."""
+    sizes = samples.lengths[0]
+    values, slopes = np.ones((len(sizes), len(x)), complex), np.zeros((len(sizes), len(x)), complex)
+    for place in np.flatnonzero(sizes > 1):
+        k = np.arange(int(sizes[place]))[:, None]
+        powers = np.exp(k * x)
+        values[place], slopes[place] = powers.mean(axis=0), (k * powers).mean(axis=0)
+    return values, slopes
+
+
+def _to_force(load: Load, poles: ComplexArray, samples: Samples) -> Answers:
+    """Return what poles answer to a measured force, exact where it is linear between samples."""
+    from scipy.signal import lfilter
+
+    assert load.force is not None
+    force, step = load.force, samples.step_s
+    first = np.round((samples.time_s - load.start_s) / step).astype(int)
+    value, slope = np.zeros((2, len(force), len(poles)), dtype=np.complex128)
+    for place, p in enumerate(poles):
+        fall, now, next_ = _hold(p, step)
+        value[:, place] = lfilter([next_[0], now[0]], [1.0, -fall], force)
+        moved = lfilter([0.0, step * fall], [1.0, -fall], value[:, place])
+        slope[:, place] = moved + lfilter([next_[1], now[1]], [1.0, -fall], force)
+    start = -force[0] * np.array([_hold(p, step)[2] for p in poles])
+    decay = np.exp(np.arange(len(force))[:, None] * step * poles)
+    value += start[:, 0] * decay
+    slope += (start[:, 1] + start[:, 0] * np.arange(len(force))[:, None] * step) * decay
+    if np.any(samples.length > 1):
+        none = np.zeros((1, len(poles)), dtype=np.complex128)
+        sums = (np.concatenate([none, np.cumsum(part, axis=0)]) for part in (value, slope))
+        value, slope = ((part[first + samples.length] - part[first]) / samples.length[:, None] for part in sums)
+    else:
+        value, slope = value[first], slope[first]
+    blank = np.zeros_like(value)
+    return Answers(value, slope, blank, blank)
+
+
+def _hold(p: complex, step: float) -> tuple[complex, FloatArray, FloatArray]:
+    """Return exp(pΔ) and the weights, with derivatives to p, of a sample and of the next for a straight line."""
+    x = p * step
+    if abs(x) < _SMALL:
+        now = 0.5 + x / 3 + x**2 / 8 + x**3 / 30 + x**4 / 144
+        next_ = 0.5 + x / 6 + x**2 / 24 + x**3 / 120 + x**4 / 720
+        slopes = 1 / 3 + x / 4 + x**2 / 10 + x**3 / 36, 1 / 6 + x / 12 + x**2 / 40 + x**3 / 180
+        return np.exp(x), step * np.array([now, slopes[0] * step]), step * np.array([next_, slopes[1] * step])
+    fall = np.exp(x)
+    now = (fall * (x - 1) + 1) / x**2
+    next_ = (fall - 1 - x) / x**2
+    slopes = fall / x - 2 * now / x, (fall - 1) / x**2 - 2 * next_ / x
+    return fall, step * np.array([now, slopes[0] * step]), step * np.array([next_, slopes[1] * step])
