@@ -19,6 +19,7 @@ from shaker.arrays import FloatArray, IntArray
 
 _NOTHING = 1e-18  # share of the first loss below which no step is worth its while: rounding alone is left
 _STILL = 1e-14  # relative change of every parameter below which nothing moves
+_MOST_BENT = 0.75  # length of the bend of a step in that of the step
 _RANK = 1e-12  # diagonal of a triangle, over its largest element, below which columns depend on one another
 
 
@@ -102,12 +103,15 @@ def levenberg_marquardt(
     rules: Rules,
     smallest: FloatArray | None = None,
     prior: Prior | None = None,
+    curvature: Callable[[P, FloatArray], FloatArray | None] | None = None,
 ) -> Minimum[P]:
     """Return the least squares next to a start (Marquardt, J. SIAM 11 (1963) 431).
 
     `evaluate` gives the point of parameters (P,), of others near by where these are beyond a bound, or None where there
     is none. Every parameter is damped by its own curvature, at least by that of `smallest` (P,), the change of it that
-    matters, so that one which the data do not tell stays where it is.
+    matters, so that one which the data do not tell stays where it is. `curvature`: of a point and a step -Jᵀr'' (P,),
+    r'' the residual's second derivative along the step, or None where there is none; after a refusal steps are then
+    bent to follow a curved valley (geodesic acceleration: Transtrum and Sethna, arXiv:1201.5885).
     """
     if not np.isfinite(start.loss):
         raise ValueError("start: expected parameters for which all residuals are finite, found others")
@@ -129,7 +133,12 @@ def levenberg_marquardt(
                 return Minimum(here, tuple(losses), True)
             if tried == rules.tries or damping > rules.largest:
                 return Minimum(here, tuple(losses), tried == rules.tries)
-            there = evaluate(here.parameters + step)
+            taken: FloatArray | None = step
+            if tried and curvature is not None and (along := curvature(here, step)) is not None:
+                bend = 0.5 * _damped(scaled, along / scale, damping) / scale
+                short = np.linalg.norm(bend * scale) <= _MOST_BENT * np.linalg.norm(step * scale)
+                taken = step + bend if short else None
+            there = None if taken is None else evaluate(here.parameters + taken)
             if there is not None and _falls(here, there, variance, prior):
                 break
             damping *= rules.grow
