@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from shaker.arrays import ComplexArray, FloatArray, Notice, check_shape
+from shaker.fitting import Rules, levenberg_marquardt
 from shaker.identification.measured import (
     CurveResidual,
     MeasuredTransfer,
@@ -123,41 +124,42 @@ class Identification:
         return correlation + np.diag(1.0 - correlation.diagonal())
 
 
-# Levenberg-Marquardt over all recordings, and the covariance of what it finds.
+# Least squares over all recordings, and the covariance of what it finds.
 
-_STEPS = 100
-_SMALL_STEP = 1e-3  # length of a step in standard uncertainties at which a fit has converged
-_FIRST_DAMPING, _LEAST_DAMPING, _LARGEST_DAMPING = 1e-6, 1e-12, 1e8
-_FREE_DAMPING = 1e-5  # below it a small step is small because little is left to gain
+_RULES = Rules(foretold=1e-8, foretold_share=0.0, steps=200, first=1e-6, shrink=0.03, least=1e-12, largest=1e8)
+"""A fit has converged where the next step would be a ten-thousandth of the standard uncertainties."""
 _SHARE = 0.1  # of a step, over which the curvature of the residuals is seen
-_MOST_BENT = 0.75  # length of the bend in that of the step
 _OPEN = 1e-10  # singular value, columns of unit length, below which a direction is open
 
 
 @dataclass(frozen=True)
 class State:
-    """Unknowns (N,) with the whitened residuals (K, 2C) and derivatives (K, 2C, L) of every curve by its own unknowns.
+    """Unknowns `parameters` (N,) with the whitened residuals (K, 2C) and derivatives (K, 2C, L) of every curve.
 
-    `normal` (N, N) = Σ JᵀJ and `gradient` (N,) = Σ Jᵀr of the lines, `chi_squared` of the lines, `prior` that of what
-    was known beforehand.
+    Derivatives are by the curve's own unknowns. `loss`: χ² of lines and of what was known beforehand together;
+    `normal`: its half second derivatives (N, N) and what goes downhill (N,), zero for unknowns that are fixed.
     """
 
-    vector: FloatArray
+    parameters: FloatArray
     residuals: tuple[FloatArray, ...]
     jacobians: tuple[FloatArray, ...]
-    normal: FloatArray
-    gradient: FloatArray
-    chi_squared: float
-    prior: float
+    normal: tuple[FloatArray, FloatArray]
+    loss: float
 
     @property
-    def cost(self) -> float:
-        """What is minimised: χ² of lines and priors together."""
-        return self.chi_squared + self.prior
+    def freedom(self) -> int:
+        """Number of real readings less that of unknowns, at least 1."""
+        return max(1, sum(residual.size for residual in self.residuals) - len(self.parameters))
 
 
-def evaluate(problem: Problem, vector: FloatArray) -> State:
-    """Return residuals and derivatives at a vector of unknowns."""
+def evaluate(problem: Problem, vector: FloatArray) -> State | None:
+    """Return residuals and derivatives at a vector of unknowns, None where a mass or a stiffness is not positive."""
+    for curve in problem.curves:
+        (mass, _, stiffness), _ = curve.mechanics.at(curve.weights(vector))
+        if min(mass[0, 0], stiffness[0, 0]) <= 0.0:
+            return None
+        if len(mass) > 1 and min(np.linalg.eigvalsh(mass)[0], np.linalg.eigvalsh(stiffness)[0]) <= 0.0:
+            return None
     whitened = []
     for curve in problem.curves:
         value, by_place = curve.modelled(vector)
@@ -166,108 +168,52 @@ def evaluate(problem: Problem, vector: FloatArray) -> State:
     return _state(problem, vector, whitened)
 
 
-def rescaled(problem: Problem, state: State, factors: Sequence[FloatArray]) -> State:
-    """Return a state with residuals and derivatives times `factors` (K,) per recording."""
-    whitened = [
-        np.concatenate([residual[:, :, None], jacobian], axis=2) * factor[:, None, None]
-        for residual, jacobian, factor in zip(state.residuals, state.jacobians, factors, strict=True)
-    ]
-    return _state(problem, state.vector, whitened)
-
-
 def _state(problem: Problem, vector: FloatArray, whitened: Sequence[FloatArray]) -> State:
     """Return the state of residuals and derivatives (K, 2C, 1+L) of every curve."""
-    count = len(vector)
-    normal, gradient, chi_squared = np.zeros((count, count)), np.zeros(count), 0.0
+    off = problem.expected - vector
+    normal, downhill = np.diag(problem.precision), problem.precision * off
+    loss = float(problem.precision @ off**2)
     for curve, both in zip(problem.curves, whitened, strict=True):
         flat = both.reshape(-1, both.shape[2])
         product = flat.T @ flat
-        places = curve.places
-        np.add.at(normal, (places[:, None], places), product[1:, 1:])
-        np.add.at(gradient, places, product[1:, 0])
-        chi_squared += float(product[0, 0])
+        np.add.at(normal, (curve.places[:, None], curve.places), product[1:, 1:])
+        np.add.at(downhill, curve.places, product[1:, 0])
+        loss += float(product[0, 0])
     normal[problem.fixed] = 0.0
     normal[:, problem.fixed] = 0.0
-    gradient[problem.fixed] = 0.0
-    return State(
-        vector=vector,
-        residuals=tuple(both[:, :, 0] for both in whitened),
-        jacobians=tuple(both[:, :, 1:] for both in whitened),
-        normal=normal,
-        gradient=gradient,
-        chi_squared=chi_squared,
-        prior=float(np.sum(problem.precision * (problem.expected - vector) ** 2)),
-    )
+    downhill[problem.fixed] = 0.0
+    residuals, jacobians = tuple(both[:, :, 0] for both in whitened), tuple(both[:, :, 1:] for both in whitened)
+    return State(vector, residuals, jacobians, (normal, downhill), loss if np.isfinite(loss) else np.inf)
 
 
 def solve(problem: Problem, state: State) -> State:
-    """Return the unknowns of least χ² of lines and priors, from a state on, damped after Marquardt (J. SIAM 11, 1963).
+    """Return the unknowns of least χ² of lines and priors, from a state on; what many steps reach where more lack."""
 
-    After a step that was refused the next ones are bent, so that they follow a curved valley (`_bent`). What is reached
-    after many steps is returned also where more would be needed.
-    """
-    damping = _FIRST_DAMPING
-    for _ in range(_STEPS):
-        normal = state.normal + np.diag(problem.precision)
-        gradient = state.gradient + problem.precision * (problem.expected - state.vector)
-        scale = np.sqrt(np.maximum(normal.diagonal(), np.finfo(np.float64).tiny))
-        unit = normal / np.multiply.outer(scale, scale)
-        refused = False
-        while True:
-            damped = unit + damping * np.eye(len(scale))
-            step = np.linalg.solve(damped, gradient / scale) / scale
-            if damping < _FREE_DAMPING and step @ normal @ step < _SMALL_STEP**2:
-                return state
-            taken = _bent(problem, state, step, damped, scale) if refused else step
-            new = _tried(problem, state.vector + taken) if taken is not None else None
-            if new is not None and new.cost <= state.cost * (1.0 + 1e-12):
-                break
-            damping, refused = 10.0 * damping, True
-            if damping > _LARGEST_DAMPING:
-                return state
-        state, damping = new, max(_LEAST_DAMPING, 0.03 * damping)
-    return state
+    def at(vector: FloatArray) -> State | None:
+        return evaluate(problem, vector)
 
-
-def _bent(problem: Problem, state: State, step: FloatArray, damped: FloatArray, scale: FloatArray) -> FloatArray | None:
-    """Return a step with its geodesic acceleration (Transtrum and Sethna, arXiv:1201.5885), None where that rules it.
-
-    The residuals' second derivative along the step is that of a difference over a tenth of it.
-    """
-    ahead = _tried(problem, state.vector + _SHARE * step)
-    if ahead is None:
-        return None
-    curvature = np.zeros(len(step))
-    for curve, here, jacobian, there in zip(
-        problem.curves, state.residuals, state.jacobians, ahead.residuals, strict=True
-    ):
-        second = (there - here + _SHARE * (jacobian @ step[curve.places])) * (2.0 / _SHARE**2)
-        np.add.at(curvature, curve.places, np.tensordot(second, jacobian, 2))
-    curvature[problem.fixed] = 0.0
-    bend = 0.5 * np.linalg.solve(damped, curvature / scale) / scale
-    if np.linalg.norm(bend * scale) > _MOST_BENT * np.linalg.norm(step * scale):
-        return None
-    return np.asarray(step + bend)
-
-
-def _tried(problem: Problem, vector: FloatArray) -> State | None:
-    """Return the state at a vector, None where a mass or a stiffness would not be positive."""
-    for curve in problem.curves:
-        (mass, _, stiffness), _ = curve.mechanics.at(curve.weights(vector))
-        if min(mass[0, 0], stiffness[0, 0]) <= 0.0:
+    def curvature(here: State, step: FloatArray) -> FloatArray | None:
+        """The residuals' second derivative along a step is that of a difference over a tenth of it."""
+        ahead = at(here.parameters + _SHARE * step)
+        if ahead is None:
             return None
-        if len(mass) > 1 and min(np.linalg.eigvalsh(mass)[0], np.linalg.eigvalsh(stiffness)[0]) <= 0.0:
-            return None
-    state = evaluate(problem, vector)
-    return state if np.isfinite(state.chi_squared) else None
+        downhill = np.zeros(len(step))
+        parts = zip(problem.curves, here.residuals, here.jacobians, ahead.residuals, strict=True)
+        for curve, now, jacobian, there in parts:
+            second = (there - now + _SHARE * (jacobian @ step[curve.places])) * (2.0 / _SHARE**2)
+            np.add.at(downhill, curve.places, np.tensordot(second, jacobian, 2))
+        downhill[problem.fixed] = 0.0
+        return downhill
+
+    return levenberg_marquardt(at, state, _RULES, curvature=curvature).point
 
 
 def effective(problem: Problem, state: State) -> float:
     """Return the number of unknowns that the lines determine: the trace of (JᵀJ + P)⁻¹ JᵀJ."""
-    whole = state.normal + np.diag(problem.precision)
+    whole = state.normal[0]
     scale = np.sqrt(np.maximum(whole.diagonal(), np.finfo(np.float64).tiny))
     pair = np.multiply.outer(scale, scale)
-    return float(np.trace(np.linalg.lstsq(whole / pair, state.normal / pair, rcond=1e-12)[0]))
+    return float(np.trace(np.linalg.lstsq(whole / pair, (whole - np.diag(problem.precision)) / pair, rcond=1e-12)[0]))
 
 
 @dataclass(frozen=True)
@@ -308,7 +254,7 @@ def spread(problem: Problem, state: State) -> Spread:
 
     In a basis in which A = 1, so that what the stated masses and scales leave open does not lose its digits.
     """
-    count, free = len(state.vector), ~problem.fixed
+    count, free = len(state.parameters), ~problem.fixed
     wide = []
     for curve, jacobian in zip(problem.curves, state.jacobians, strict=True):
         by_all = np.zeros((*jacobian.shape[:2], count))
@@ -329,8 +275,7 @@ def spread(problem: Problem, state: State) -> Spread:
         record = curve.record
         middle += between_lines(record.ratio.frequency_hz, real + 1j * imaginary, record.line_correlation)
     prior = basis @ basis.T * np.sqrt(problem.precision)
-    uphill = state.gradient + problem.precision * (problem.expected - state.vector)
-    unsettled = float(np.linalg.norm(uphill @ basis))
+    unsettled = float(np.linalg.norm(state.normal[1] @ basis))
     return Spread(basis @ middle @ basis.T, directions[~determined], 1.0 / size, prior, unsettled)
 
 
@@ -371,7 +316,7 @@ def _notices(
             "the parameters, or fit fewer components"
         )
         notices.append(Notice("warning", text, "identification"))
-    whole = np.nan_to_num(whole_inertia(problem, state.vector))
+    whole = np.nan_to_num(whole_inertia(problem, state.parameters))
     for place, estimate in enumerate(estimates):
         if problem.fixed[place]:
             continue
@@ -385,7 +330,7 @@ def _notices(
         else:
             notices += _negative(estimate)
     for place in range(len(estimates), len(problem.names)):
-        off, remaining = float(state.vector[place]), float(found.covariance[place, place])
+        off, remaining = float(state.parameters[place]), float(found.covariance[place, place])
         if problem.precision[place] > 0.0 and off**2 > _PULL**2 * max(1e-6, 1.0 - remaining):
             name = problem.names[place].removeprefix("error: ")
             text = f"the fit needs {name} to be off by {abs(off):.2g} times its standard uncertainty"
@@ -457,11 +402,12 @@ def identify(
         raise ValueError(f"records: expected more real values than unknowns, found {lines} for {len(problem.names)}")
     tried: list[State] = []
     vectors = starting_vectors(problem, structure.starts(records))
-    for start in sorted((evaluate(problem, vector) for vector in vectors), key=lambda state: state.cost):
+    starts = [state for vector in vectors if (state := evaluate(problem, vector)) is not None]
+    for start in sorted(starts, key=lambda state: state.loss):
         tried.append(solve(problem, start))
-        if tried[-1].cost < _EXPLAINED * lines:
+        if tried[-1].loss < _EXPLAINED * lines:
             break
-    weighted, state, noise = _weighed(problem, min(tried, key=lambda state: state.cost))
+    weighted, state, noise = _weighed(problem, min(tried, key=lambda state: state.loss))
     return _result(weighted, state, spread(weighted, state), noise)
 
 
@@ -478,12 +424,13 @@ def _weighed(problem: Problem, state: State) -> tuple[Problem, State, SeenNoise]
     factors: tuple[FloatArray, ...] = tuple(np.ones(len(curve.whitening)) for curve in problem.curves)
     noise, weighted = seen(problem, state), problem
     for _ in range(_NOISE_ROUNDS):
-        scale = [np.sqrt(old / new) for old, new in zip(factors, noise.lines, strict=True)]
-        factors, before = noise.lines, state.vector
+        factors, before = noise.lines, state.parameters
         weighted = problem.weighed(factors)
-        state = solve(weighted, rescaled(weighted, state, scale))
+        start = evaluate(weighted, before)
+        assert start is not None
+        state = solve(weighted, start)
         noise = seen(weighted, state)
-        if np.array_equal(before, state.vector):
+        if np.array_equal(before, state.parameters):
             break
     return weighted, state, noise
 
@@ -492,15 +439,15 @@ def _result(problem: Problem, state: State, found: Spread, noise: SeenNoise) -> 
     """Return what a solution says."""
     count, unit = len(problem.kind), np.eye(len(problem.names))
     estimates = tuple(
-        ParameterEstimate(p.name, p.label, float(state.vector[place]), found.u(unit[place]), p.unit)
+        ParameterEstimate(p.name, p.label, float(state.parameters[place]), found.u(unit[place]), p.unit)
         for place, p in enumerate(problem.parameters)
     )
-    model = tuple(curve.modelled(state.vector)[0] for curve in problem.curves)
+    model = tuple(curve.modelled(state.parameters)[0] for curve in problem.curves)
     unknowns, causes = [], {}
     for place, name in enumerate(problem.names):
         cause = name.removeprefix("error: ")
         if place >= count and name.startswith("error: "):
-            unknowns.append(NamedUnknown(cause, float(state.vector[place]), found.u(unit[place])))
+            unknowns.append(NamedUnknown(cause, float(state.parameters[place]), found.u(unit[place])))
         if problem.precision[place] > 0.0:
             causes[cause if place >= count else f"{name} as stated"] = found.prior[:count, place]
     known = np.sum([np.zeros(count), *(change**2 for change in causes.values())], axis=0)
@@ -530,8 +477,8 @@ def _lags(problem: Problem, state: State, found: Spread) -> tuple[ParameterEstim
         shared = places.get(spring, places.get(spring.partition(":")[0]))
         if not name.startswith("damping_") or shared is None:
             continue
-        ending, b, k = name.removeprefix("damping_"), state.vector[place], state.vector[shared]
-        gradient = np.zeros(len(state.vector))
+        ending, b, k = name.removeprefix("damping_"), state.parameters[place], state.parameters[shared]
+        gradient = np.zeros(len(state.parameters))
         gradient[place], gradient[shared] = 1.0 / k, -b / k**2
         derived.append(ParameterEstimate(f"lag_{ending}", f"b/k, {ending}", float(b / k), found.u(gradient), "s"))
     return tuple(derived)
@@ -541,9 +488,9 @@ def _modes(problem: Problem, state: State, found: Spread) -> tuple[ModeEstimate,
     """Return the modes of every recording, from the poles of its fitted mechanics."""
     modes = []
     for curve in problem.curves:
-        roots, by_term = poles(curve.mechanics, curve.weights(state.vector))
+        roots, by_term = poles(curve.mechanics, curve.weights(state.parameters))
         for number, (root, change) in enumerate(zip(roots, by_term, strict=True)):
-            by_unknown = np.zeros(len(state.vector), dtype=np.complex128)
+            by_unknown = np.zeros(len(state.parameters), dtype=np.complex128)
             np.add.at(by_unknown, curve.terms, change)
             size = abs(root)
             by_size = (by_unknown * root.conj()).real / size
@@ -562,7 +509,7 @@ def _factors(problem: Problem, state: State, found: Spread) -> tuple[FreeFactor,
 
     def of(name: str) -> tuple[float, float]:
         place = places.get(name)
-        return (0.0, 0.0) if place is None else (float(state.vector[place]), found.u(unit[place]))
+        return (0.0, 0.0) if place is None else (float(state.parameters[place]), found.u(unit[place]))
 
     factors = []
     for record in (curve.record for curve in problem.curves):

@@ -7,7 +7,8 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, check_shape
+from shaker.arrays import ComplexArray, FloatArray, IntArray, check_shape
+from shaker.fitting import Block, Rules, Separable, eliminate, levenberg_marquardt
 from shaker.frf.result import TransferFunction
 from shaker.identification.measured import CurveResidual, SeenNoise, between_lines, seen_noise, whitening_of
 from shaker.mechanics import laplace
@@ -16,9 +17,8 @@ Kind = Literal["transmissibility", "receptance", "mobility", "accelerance"]
 
 _ORDER: dict[str, int] = {"transmissibility": 0, "receptance": 0, "mobility": 1, "accelerance": 2}
 _START_ROUNDS = 10
-_STEPS = 60
-_SMALL_STEP = 1e-5  # change of the whitened model at which a fit has converged
-_LARGEST_DAMPING = 1e6  # of a Levenberg-Marquardt step
+_RULES = Rules(foretold=1e-13, foretold_share=0.0, steps=60, tries=13, first=1e-6)
+"""A fit has converged where the whitened model would change by 3e-7, or where no damping up to 1e6 helps."""
 _NOISE_ROUNDS = 5
 _EVEN = 0.01  # relative spread over the lines of what their covariances change by, at which weights have settled
 
@@ -194,13 +194,6 @@ def _real(whitening: FloatArray, columns: ComplexArray) -> FloatArray:
     return np.asarray(whitening @ np.stack([columns.real, columns.imag], axis=1))
 
 
-def _least_squares(columns: FloatArray, right: FloatArray) -> FloatArray:
-    """Solve columns (K, 2, P) · x = right (K, 2) with columns scaled to unit length."""
-    flat = columns.reshape(-1, columns.shape[-1])
-    scale = np.maximum(np.linalg.norm(flat, axis=0), np.finfo(np.float64).tiny)
-    return np.asarray(np.linalg.lstsq(flat / scale, right.reshape(-1), rcond=None)[0] / scale)
-
-
 def _start(
     kind: Kind, names: tuple[str, ...], s: ComplexArray, value: ComplexArray, whitening: FloatArray
 ) -> FloatArray:
@@ -216,8 +209,8 @@ def _start(
     for _ in range(_START_ROUNDS):
         columns = np.stack([response, response * q, *numerator], axis=1) * (weight / divisor)[:, None]
         right = -response * q * q * weight / divisor
-        both = np.stack([columns.real, columns.imag], axis=1)
-        pole = _least_squares(both, np.stack([right.real, right.imag], axis=1))[:2]
+        both = eliminate(np.concatenate([columns.real, columns.imag]), np.append(right.real, right.imag)[:, None])
+        pole = both.coefficients[:2, 0]
         divisor = np.maximum(np.abs(q * q + pole[1] * q + pole[0]), 1e-9)
     if not (pole[0] > 0.0 and pole[1] > 0.0):
         pole = np.array([np.abs(q[np.argmax(np.abs(response))]) ** 2, 0.02])
@@ -245,44 +238,36 @@ def _weighed(
 def _adjusted(
     kind: Kind, names: tuple[str, ...], s: ComplexArray, value: ComplexArray, whitening: FloatArray, start: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the parameters of least squares, the whitened residuals (K, 2) and derivatives (K, 2, P) there.
+    """Return the parameters of least squares, the whitened residuals (K, 2) and derivatives (K, 2, P) there."""
+    linear = np.array([name.endswith(("_re", "_im")) for name in names])
+    measured = _real(whitening, value[:, None]).reshape(-1, 1)
 
-    Gain and residual terms are linear and follow every step of the others (variable projection).
-    """
-    linear = [i for i, name in enumerate(names) if name.endswith(("_re", "_im"))]
-    measured = _real(whitening, value[:, None])[:, :, 0]
+    def point(parameters: FloatArray) -> Separable | None:
+        """Gain and residual terms are linear and follow frequency, damping and delay."""
+        if min(parameters[:2]) <= 0.0:
+            return None
+        vector = np.zeros(len(names))
+        vector[~linear] = parameters
+        design = _real(whitening, _evaluate(kind, names, s, vector)[1][:, linear]).reshape(len(measured), -1)
 
-    def at(tried: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, float]:
-        vector = tried.copy()
-        columns = _real(whitening, _evaluate(kind, names, s, vector)[1][:, linear])
-        vector[linear] = _least_squares(columns, measured)
-        model, derivative = _evaluate(kind, names, s, vector)
-        residual = measured - _real(whitening, model[:, None])[:, :, 0]
-        return vector, residual, _real(whitening, derivative), float(np.sum(residual**2))
+        def changes(coefficients: FloatArray) -> tuple[IntArray, FloatArray]:
+            vector[linear] = coefficients[:, 0]
+            slopes = _real(whitening, _evaluate(kind, names, s, vector)[1][:, ~linear])
+            return np.arange(len(parameters)), slopes.reshape(len(measured), -1, 1)
 
-    damping = 1e-6
-    vector, residual, jacobian, chi_squared = at(start)
-    for _ in range(_STEPS):
-        flat = jacobian.reshape(-1, len(names))
-        scale = np.linalg.norm(flat, axis=0)
-        damped = np.vstack([flat / scale, np.sqrt(damping) * np.eye(len(names))])
-        right = np.append(residual.reshape(-1), np.zeros(len(names)))
-        step = np.linalg.lstsq(damped, right, rcond=None)[0] / scale
-        tried = vector + step
-        if tried[0] > 0.0 and tried[1] > 0.0:
-            new = at(tried)
-            if new[-1] <= chi_squared * (1.0 + 1e-12):
-                vector, residual, jacobian, chi_squared = new
-                damping *= 0.1
-                if np.sum((flat @ step) ** 2) < _SMALL_STEP**2:
-                    return vector, residual, jacobian
-                continue
-        damping = max(10.0 * damping, 1e-6)
-        if damping > _LARGEST_DAMPING:
-            return vector, residual, jacobian
-    raise ValueError(
-        "value: expected a transfer function with a resonance inside its band, found none that a fit meets"
-    )
+        return Separable(parameters, [Block(design, measured, changes)])
+
+    first = point(start[~linear])
+    assert first is not None
+    search = levenberg_marquardt(point, first, _RULES)
+    if not search.converged:
+        raise ValueError(
+            "value: expected a transfer function with a resonance inside its band, found none that a fit meets"
+        )
+    vector = start.copy()
+    vector[~linear], vector[linear] = search.point.parameters, search.point.coefficients[0][:, 0]
+    model, derivative = _evaluate(kind, names, s, vector)
+    return vector, _real(whitening, (value - model)[:, None])[:, :, 0], _real(whitening, derivative)
 
 
 def _parameter_covariance(

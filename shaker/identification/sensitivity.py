@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from shaker.arrays import ComplexArray, FloatArray, check_shape
-from shaker.identification.measured import MeasuredSensitivity, NamedUnknown, ParameterEstimate, whitening_of
+from shaker.identification.measured import MeasuredSensitivity, NamedUnknown, ParameterEstimate
 
 # The sensor's spring and damper: what stiffness and damping do to the sensitivity and to its phase.
 
