@@ -25,6 +25,12 @@ class ChainResponse:
     `value` (K,) complex; `errors` (E, K): the complex relative deviation of `value` (real part: of the magnitude,
     imaginary part: of the phase in rad) that one standard deviation of each of E independent causes makes, at all
     lines at once; `causes` (E names).
+
+    >>> import numpy as np
+    >>> from shaker import ChainResponse
+    >>> amplifier = ChainResponse(np.array([0.99 - 0.1j]), np.array([[1e-3 + 2e-3j]]), ("calibration",))
+    >>> amplifier.u_magnitude, amplifier.u_phase_rad
+    (array([0.001]), array([0.002]))
     """
 
     value: ComplexArray

@@ -139,6 +139,16 @@ def transfer_impact(
     `added_decay_per_s`; None takes the smallest that hides what the slowest mode still does at the end in its noise,
     often zero. The covariance is the scatter over the hits, pooled over neighbouring lines; that of a single hit
     is the noise before it, taken as white. `pretrigger_s` is what the window shows before a hit, None 5 % of it.
+
+    >>> import numpy as np
+    >>> from scipy.signal import lfilter
+    >>> from shaker import TransferRecord, transfer_impact
+    >>> force = np.zeros(4000)
+    >>> force[500:503] = force[2500:2503] = [30.0, 60.0, 30.0]  # two blows
+    >>> motion = lfilter([0.02], [1.0, -1.8, 0.97], force)
+    >>> record = TransferRecord(force, motion[:, None], 1000.0, "force", "N", ("z",), ("m",))
+    >>> transfer_impact(record, duration_s=1.0)
+    TransferFunction(H1 over force: Phasors(468 lines from 1 to 468 Hz: z [m/N]))
     """
     rate = record.sample_rate_hz
     length = round(duration_s * rate)

@@ -344,6 +344,15 @@ def transfer_periodic(
     then divided. The period is refined on the reference, so that an excitation clock beside the DAQ's leaks nothing.
     The covariance follows from the scatter of Y_m - H·X_m over the periods (M ≥ 2), pooled over up to 17
     neighbouring lines; `dof` is 2(M-1) times the lines pooled.
+
+    >>> import numpy as np
+    >>> from scipy.signal import lfilter
+    >>> from shaker import TransferRecord, transfer_periodic
+    >>> force = np.tile(np.random.default_rng(0).normal(size=500), 8)
+    >>> motion = lfilter([0.02], [1.0, -1.8, 0.97], force)
+    >>> record = TransferRecord(force, motion[:, None], 1000.0, "force", "N", ("z",), ("m",))
+    >>> transfer_periodic(record, period_s=0.5, settle_periods=1)
+    TransferFunction(periodic over force: Phasors(225 lines from 2 to 450 Hz: z [m/N]))
     """
     rate = record.sample_rate_hz
     if settle_periods < 0 or not period_s * rate >= 16.0:

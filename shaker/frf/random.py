@@ -324,6 +324,15 @@ def transfer_random(
     responses (Bendat and Piersol, Random Data, 4th ed., eqs. 9.89 and 9.90, without the approximation for large n);
     added is the square of the bias: of segments its leading term, H''/6 per line squared (the average of H over |W|²,
     whose second moment is 1/3 for Hann), of polynomials what a lower order makes of H.
+
+    >>> import numpy as np
+    >>> from scipy.signal import lfilter
+    >>> from shaker import TransferRecord, transfer_random
+    >>> force = np.random.default_rng(0).normal(size=40_000)
+    >>> motion = lfilter([0.02], [1.0, -1.8, 0.97], force)
+    >>> record = TransferRecord(force, motion[:, None], 1000.0, "force", "N", ("z",), ("m",))
+    >>> transfer_random(record, resolution_hz=1.0)
+    TransferFunction(local over force: Phasors(497 lines from 3 to 499 Hz: z [m/N]))
     """
     length = _length(record, resolution_hz)
     chosen = _lines(record.sample_rate_hz, length, band_hz)

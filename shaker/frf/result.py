@@ -24,6 +24,15 @@ class TransferRecord:
 
     `reference` (S,), `responses` (S, C), both at `start + i / sample_rate_hz`; `reference_name` and `reference_unit`,
     `channels` and `unit` (C names of the responses and their units).
+
+    >>> import numpy as np
+    >>> from scipy.signal import lfilter
+    >>> from shaker import TransferRecord
+    >>> force = np.random.default_rng(0).normal(size=4000)
+    >>> motion = lfilter([0.02], [1.0, -1.8, 0.97], force)
+    >>> record = TransferRecord(force, motion[:, None], 1000.0, "force", "N", ("z",), ("m",))
+    >>> record
+    TransferRecord(4000 samples at 1000 Hz: z [m] over force [N])
     """
 
     reference: FloatArray
@@ -47,6 +56,11 @@ class TransferRecord:
         gaps = [name for name, samples in named.items() if not np.isfinite(samples).all()]
         if gaps:
             raise ValueError(f"responses: expected samples without gaps, found NaN in {', '.join(gaps)}")
+
+    def __repr__(self) -> str:
+        names = ", ".join(f"{c} [{u}]" for c, u in zip(self.channels, self.unit, strict=True))
+        what = f"{names} over {self.reference_name} [{self.reference_unit}]"
+        return f"TransferRecord({len(self.reference)} samples at {self.sample_rate_hz:g} Hz: {what})"
 
     @property
     def ratio_unit(self) -> tuple[str, ...]:
@@ -79,6 +93,9 @@ class TransferFunction:
         check_shape("coherence", self.coherence, (lines, channels))
         check_shape("averages", self.averages, (lines,))
         check_shape("line_correlation", self.line_correlation, (None,))
+
+    def __repr__(self) -> str:
+        return f"TransferFunction({self.estimator} over {self.reference}: {self.ratio})"
 
     @property
     def coherence_bias(self) -> FloatArray:

@@ -21,6 +21,11 @@ class RawChannel:
 
     `samples` (S,), taken at `start_s + i / sample_rate_hz`; `start_s` is the file's start time (s, 0 where the file
     states none), `unit` the file's own words (empty where it has none).
+
+    >>> import numpy as np
+    >>> from shaker import RawChannel
+    >>> RawChannel(np.zeros(500), 1000.0, unit="V")
+    RawChannel(500 samples at 1000 Hz from 0 s, unit V)
     """
 
     samples: FloatArray
@@ -32,6 +37,10 @@ class RawChannel:
         check_shape("samples", self.samples, (None,))
         if not self.sample_rate_hz > 0.0:
             raise ValueError(f"sample_rate_hz: expected a positive number, found {self.sample_rate_hz}")
+
+    def __repr__(self) -> str:
+        unit = f"unit {self.unit}" if self.unit else "no unit stated"
+        return f"RawChannel({len(self.samples)} samples at {self.sample_rate_hz:g} Hz from {self.start_s:g} s, {unit})"
 
 
 # What all file readers share: choosing channels by name, and errors of one sentence that name the file.

@@ -32,13 +32,23 @@ SUFFIXES = tuple(_READERS)
 
 
 def read_channels(
-    path: Path, names: Sequence[str] | None = None, sample_rate_hz: float | None = None
+    path: str | Path, names: Sequence[str] | None = None, sample_rate_hz: float | None = None
 ) -> dict[str, RawChannel]:
     """Read the named channels (None: all) of a file, by its suffix.
 
     `sample_rate_hz` serves files that state no rate of their own. NaN is handed on. Anything wrong raises `OSError`
     or `ValueError` with one sentence that begins with the file's path.
+
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> from shaker import read_channels
+    >>> with TemporaryDirectory() as folder:
+    ...     file = Path(folder, "daq.csv")
+    ...     _ = file.write_text("time,Fz\\ns,N\\n0.0,1.5\\n0.1,2.5\\n0.2,3.5\\n")
+    ...     read_channels(file)
+    {'Fz': RawChannel(3 samples at 10 Hz from 0 s, unit N)}
     """
+    path = Path(path)
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
         raise ValueError(f"{path}: expected a file of type {' '.join(SUFFIXES)}, found {path.suffix or 'no suffix'}")

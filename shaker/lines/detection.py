@@ -363,6 +363,9 @@ class Survey:
         if len(self.origin) != lines[0]:
             raise ValueError(f"origin: expected {lines[0]} origins, one per line, found {len(self.origin)}")
 
+    def __repr__(self) -> str:
+        return f"Survey({len(self.frequency_hz)} lines in {self.amplitude.shape[1]} channels)"
+
     @property
     def why(self) -> tuple[str, ...]:
         """For each line, what it is and how far it stands out."""
@@ -431,6 +434,14 @@ def survey_lines(
     channels, for noise whose spectrum is smooth over some 16 bins. Places where lines are expected (harmonics and
     halves of the fundamentals, mains) need less height; for this the record is looked at twice. Without nominal
     frequencies the fundamentals are those that explain the most.
+
+    >>> import numpy as np
+    >>> from shaker import survey_lines
+    >>> time_s, noise = np.arange(4000) / 1000.0, np.random.default_rng(0).normal(size=4000)
+    >>> driven = 10.0 * np.sin(2 * np.pi * 80.0 * time_s) + np.sin(2 * np.pi * 160.0 * time_s)
+    >>> lines = survey_lines(driven + noise, rate_hz=1000.0)
+    >>> [origin.kind for origin in lines.origin]
+    ['fundamental', 'harmonic']
     """
     data = values[:, None] if values.ndim == 1 else values
     check_shape("values", data, (None, None))

@@ -80,6 +80,10 @@ class Sampling:
     `frames` per point, `exposure_s` of each; `harmonics` fitted with every fundamental (1: it alone); `corner_hz` at
     which 1/f noise is as strong as white noise; `tolerance`, the relative accuracy to which excitation and camera
     rate are known beforehand.
+
+    >>> from shaker import Sampling
+    >>> Sampling(frames=500, exposure_s=2e-3).harmonics
+    5
     """
 
     frames: int
@@ -156,7 +160,12 @@ class RatePlan:
 
 
 def lines_of(fundamentals_hz: Sequence[float], harmonics: int) -> Lines:
-    """Return the lines that fundamentals excited at the same time bring: multiples 1 to `harmonics` of each, once."""
+    """Return the lines that fundamentals excited at the same time bring: multiples 1 to `harmonics` of each, once.
+
+    >>> from shaker import lines_of
+    >>> lines_of([80.0, 160.0], harmonics=3).frequency_hz
+    array([ 80., 160., 320., 240., 480.])
+    """
     fundamentals = np.asarray(fundamentals_hz, dtype=np.float64)
     check_shape("fundamentals_hz", fundamentals, (None,))
     if not (len(fundamentals) and np.all(np.isfinite(fundamentals)) and np.all(fundamentals > 0.0)):
@@ -172,7 +181,13 @@ def lines_of(fundamentals_hz: Sequence[float], harmonics: int) -> Lines:
 
 
 def plan_at(lines: Lines, rate_hz: float, sampling: Sampling) -> RatePlan:
-    """Return what `rate_hz` makes of the lines: aliases, neighbours, loss by exposure, uncertainty."""
+    """Return what `rate_hz` makes of the lines: aliases, neighbours, loss by exposure, uncertainty.
+
+    >>> from shaker import Sampling, lines_of, plan_at
+    >>> plan = plan_at(lines_of([80.0], harmonics=2), rate_hz=21.3, sampling=Sampling(frames=500))
+    >>> print(plan.alias_hz, f"{plan.distance_bins:.0f} bins apart")
+    [ 5.2 10.4] 12 bins apart
+    """
     frequency = lines.frequency_hz
     covariance, condition = amplitude_covariance(frequency, rate_hz, sampling.frames, sampling.corner_hz)
     gain = exposure_gain(frequency, sampling.exposure_s)

@@ -75,6 +75,16 @@ def fit_sines(
     that are known better than each channel keep their own.
 
     Uniform records above 10⁵ samples pass through block by block; neither columns nor residual are ever held.
+
+    >>> import numpy as np
+    >>> from shaker import fit_sines
+    >>> time_s = np.arange(400) / 21.3  # a camera far below the Nyquist rate
+    >>> position = 2e-6 * np.cos(2 * np.pi * 80.0 * time_s + 0.5) + 1e-9 * np.sin(time_s**2)
+    >>> fit = fit_sines(time_s, position[:, None], np.array([80.0]), ["z"], ["m"])
+    >>> fit.phasors
+    Phasors(1 line from 80 to 80 Hz: z [m])
+    >>> print(f"{abs(fit.phasors.value[0, 0]):.2e} m, {np.angle(fit.phasors.value[0, 0]):.2f} rad")
+    2.00e-06 m, 0.50 rad
     """
     _check_arguments(time_s, values, frequency_hz, channels, unit)
     present = _present(values)

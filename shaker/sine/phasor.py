@@ -18,6 +18,12 @@ class Phasors:
 
     `frequency_hz` (K,), `value` (K, C) complex, `covariance` (K, 2C, 2C) of [all Re, all Im], `channels` and `unit`
     (C names), `dof` (K,) degrees of freedom behind the covariance.
+
+    >>> import numpy as np
+    >>> from shaker import Phasors
+    >>> position = Phasors(np.array([80.0]), np.array([[1e-6 + 0j]]), np.zeros((1, 2, 2)), ("z",), ("m",), np.ones(1))
+    >>> position.differentiated(2, ["m/s^2"])
+    Phasors(1 line from 80 to 80 Hz: z [m/s^2])
     """
 
     frequency_hz: FloatArray
@@ -35,6 +41,11 @@ class Phasors:
         check_shape("dof", self.dof, (lines,))
         if len(self.unit) != channels:
             raise ValueError(f"unit: expected {channels} units, one per channel, found {len(self.unit)}")
+
+    def __repr__(self) -> str:
+        lines, names = self.frequency_hz, [f"{c} [{u}]" for c, u in zip(self.channels, self.unit, strict=True)]
+        span = f" from {lines.min():.6g} to {lines.max():.6g} Hz" if len(lines) else ""
+        return f"Phasors({len(lines)} line{'s' * (len(lines) != 1)}{span}: {', '.join(names)})"
 
     @property
     def u_re(self) -> FloatArray:

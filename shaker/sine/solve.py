@@ -242,6 +242,9 @@ class SineFit:
         check_shape("offset_covariance", self.offset_covariance, (channels, channels))
         check_shape("spikes", self.spikes, (None,))
 
+    def __repr__(self) -> str:
+        return f"SineFit({self.phasors}, condition {self.condition:.3g}, {len(self.spikes)} spikes)"
+
     def model(self, time_s: FloatArray) -> FloatArray:
         """Return the fitted curve (T, C) at times (T,): offset + drift + Σ Re{X exp((jω - δ)t)}."""
         curve = np.empty((len(time_s), len(self.offset)))

@@ -43,6 +43,9 @@ class Edges:
         check_shape("upper_s", self.upper_s, self.lower_s.shape)
         check_shape("estimate_s", self.estimate_s, self.lower_s.shape)
 
+    def __repr__(self) -> str:
+        return f"Edges({len(self.lower_s)} in {self.record_s:g} s, {self.kind}, at threshold {self.threshold:g})"
+
 
 def find_edges(
     samples: FloatArray,
@@ -57,6 +60,12 @@ def find_edges(
     noise from counting twice. Where most edges have a sample on the rise, the crossing is that of the signal
     reconstructed by a Kaiser-windowed sinc: exact for a band-limited input, and a start for `shaker.timebase.trigger`
     where the rise is another.
+
+    >>> import numpy as np
+    >>> from shaker import find_edges
+    >>> pulses = (np.arange(2000) % 200 >= 190).astype(float)
+    >>> find_edges(pulses, sample_rate_hz=10e3)
+    Edges(10 in 0.2 s, sampled, at threshold 0.5)
     """
     check_shape("samples", samples, (None,))
     if not np.all(np.isfinite(samples)):

@@ -349,6 +349,17 @@ def tie_clocks(
     `shift` is the number of the base edge that is the other record's edge 0. Where it is not given, it is found
     (`decide_shift`), with `start_difference_s` (how much later the other record started) among the evidence; where
     nothing decides it, `ValueError`. The line is that of `clock_line`.
+
+    >>> import numpy as np
+    >>> from shaker import find_edges, fit_trigger, tie_clocks
+    >>> def trigger(start_s, rate_hz):
+    ...     time_s = start_s + np.arange(int(2.0 * rate_hz)) / rate_hz
+    ...     burst = (time_s > 0.1) & (time_s < 1.9)
+    ...     pulses = burst & (time_s % (1.0 / 21.3) < 2e-3)
+    ...     return fit_trigger(find_edges(pulses.astype(float), rate_hz))
+    >>> tie = tie_clocks(trigger(0.0, 51.2e3), trigger(0.025, 10e3))
+    >>> print(f"{tie.pairs} edges tell that the other record began {tie.offset_s:.3f} s later")
+    38 edges tell that the other record began 0.025 s later
     """
     if abs(other.period_s / base.period_s - 1.0) > _SAME_PERIOD:
         raise ValueError(

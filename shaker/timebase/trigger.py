@@ -223,6 +223,10 @@ class TriggerFit:
             check_shape(name, getattr(self, name), self.number.shape)
         check_shape("covariance", self.covariance, (2, 2))
 
+    def __repr__(self) -> str:
+        lost = f", {len(self.missing)} of them missing" if self.missing else ""
+        return f"TriggerFit({self.edges} edges{lost}, from {self.start_s:.9g} s every {self.period_s:.9g} s)"
+
     @property
     def edges(self) -> int:
         """Number of edges from the first to the last, missing ones counted."""
@@ -267,6 +271,14 @@ def fit_trigger(edges: Edges) -> TriggerFit:
     which tends to the centre of the polygon of all intervals as the jitter vanishes (error ~ 1/edges) and to least
     squares as it grows (error ~ 1/√edges). Where the rise is resolved, least squares on the reconstructed crossings
     knows more; of the two the one with the smaller uncertainty counts. At least three edges are needed.
+
+    >>> import numpy as np
+    >>> from shaker import find_edges, fit_trigger
+    >>> time_s = np.arange(20_000) / 10e3
+    >>> camera = ((time_s - 0.0123) % (1.0 / 21.3) < 2e-3).astype(float)
+    >>> fit = fit_trigger(find_edges(camera, 10e3))
+    >>> print(f"{fit.edges} edges, {1.0 / fit.period_s:.2f} Hz")
+    43 edges, 21.30 Hz
     """
     found = number_edges(edges)
     n = found.number[found.kept] - found.number[found.kept][0]
