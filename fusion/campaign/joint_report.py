@@ -6,7 +6,7 @@ import io
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import quote
 
 import h5py
@@ -17,6 +17,7 @@ from fusion.base import write_whole
 from fusion.campaign.curve import Linearity
 from fusion.campaign.joint import (
     CampaignEvaluation,
+    CurvePoint,
     curve_pictures,
     curve_points,
     curve_tables,
@@ -29,84 +30,82 @@ from fusion.campaign.joint import (
 from fusion.campaign.matrix import CrossTalk, MatrixFit
 from fusion.campaign.matrix_solve import LEAST_SINGULAR
 from fusion.campaign.repeats import Repeats
-from fusion.estimation.uncertainty import DASH, element_covariance, polar, typeset
+from fusion.estimation.uncertainty import DASH, Polar, element_covariance, polar, typeset
 from fusion.report.campaign_figures import CrosstalkMap, ExcitationDrawing, draw_crosstalk, draw_excitation
-from fusion.report.csv_files import (
-    SENSITIVITY_COLUMNS,
-    SENSITIVITY_FILE,
-    Row,
-    csv_text,
-    element_rows,
-    merge_tables,
-    polar_cells,
-)
-from fusion.report.h5 import FORMAT, Recorded, read_recorded, write_fields, write_value
+from fusion.report.csv_files import SENSITIVITY, SENSITIVITY_FILE, merge_tables, polar_columns, sensitivity_elements
+from fusion.report.folder import origin_frame, render_page
+from fusion.report.h5 import write_fields, write_value
 from fusion.report.numbers import fixed, number, small
 from fusion.report.provenance import Provenance, write_provenance
+from fusion.report.recorded import FORMAT, Recorded, read_recorded
 from fusion.report.recording import CAMPAIGN_FILE, CROSSTALK_FILE, CURVE_FILE, REPORT_FILE
 from fusion.report.style import Picture
-from fusion.report.tables import Table, origin_frame, render_page
+from fusion.report.table import Column, Table, csv_text, word
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS
 
-# The joint tables of a campaign: matrices among the sensitivities, curves over frequency, cross-talk.
+
+class CrossTalkElement(NamedTuple):
+    """One element of the cross-talk, with the larger half axis of its 95 % region and whether that holds zero."""
+
+    frequency_hz: float
+    channel: str
+    component: str
+    value: Polar
+    half_axis: float
+    holds_zero: bool
 
 
-CURVE_COLUMNS = [
-    *SENSITIVITY_COLUMNS[:13],
-    "k",
-    "U_magnitude",
-    "U_phase_rad",
-    "relative",
-    "u_relative",
-    "U_relative",
-    "unit",
-    "recordings",
-    "mountings",
-    "kind",
+CURVE: list[Column[CurvePoint]] = [
+    Column("frequency_hz", lambda point: point.frequency_hz),
+    word("channel", lambda point: point.channel),
+    word("component", lambda point: point.component),
+    *polar_columns("magnitude", lambda point: point.element),
+    Column("k", lambda point: point.element.k),
+    Column("U_magnitude", lambda point: point.element.expanded_magnitude),
+    Column("U_phase_rad", lambda point: point.element.expanded_phase_rad),
+    Column("relative", lambda point: np.nan if point.relative is None else point.relative.magnitude),
+    Column("u_relative", lambda point: np.nan if point.relative is None else point.relative.u_magnitude),
+    Column("U_relative", lambda point: np.nan if point.relative is None else point.relative.expanded_magnitude),
+    word("unit", lambda point: point.unit),
+    Column("recordings", lambda point: point.recordings),
+    Column("mountings", lambda point: point.mountings),
+    word("kind", lambda point: point.kind),
 ]
-CROSSTALK_COLUMNS = [*SENSITIVITY_COLUMNS[:13], "U_region", "holds_zero"]
+CROSSTALK: list[Column[CrossTalkElement]] = [
+    Column("frequency_hz", lambda element: element.frequency_hz),
+    word("channel", lambda element: element.channel),
+    word("component", lambda element: element.component),
+    *polar_columns("magnitude", lambda element: element.value),
+    Column("U_region", lambda element: element.half_axis),
+    word("holds_zero", lambda element: "yes" if element.holds_zero else "no"),
+]
 
 
 def campaign_tables(evaluation: CampaignEvaluation, folders: Sequence[Path]) -> dict[str, str]:
-    """Return the text of every joint table, by file name; `folders`: of the recordings, in the order of the rows."""
-    tables = merge_tables(folders)
-    matrices = csv_text(SENSITIVITY_COLUMNS, matrix_rows(evaluation)).partition("\n")[2]
-    tables[SENSITIVITY_FILE] += matrices
-    tables[CURVE_FILE] = csv_text(CURVE_COLUMNS, curve_rows(evaluation))
-    rows = (row for found in evaluation.cross_talks for row in crosstalk_rows(found))
-    tables[CROSSTALK_FILE] = csv_text(CROSSTALK_COLUMNS, rows)
+    """Return the text of every joint table, by file name; `folders`: of the recordings, in the order of the rows.
+
+    The matrices stand among the sensitivities, with the campaign in place of a recording.
+    """
+    tables, sensor = merge_tables(folders), evaluation.sensor
+    units = [] if sensor is None else [sensor.unit] * len(evaluation.matrices)
+    for fit, unit in zip(evaluation.matrices, units, strict=False):
+        elements = sensitivity_elements(fit.sensitivity(unit), evaluation.name)
+        tables[SENSITIVITY_FILE] += csv_text(SENSITIVITY, elements).partition("\n")[2]
+    tables[CURVE_FILE] = csv_text(CURVE, curve_points(evaluation))
+    cross_talk = (element for found in evaluation.cross_talks for element in _beside_the_main(found))
+    tables[CROSSTALK_FILE] = csv_text(CROSSTALK, cross_talk)
     return tables
 
 
-def matrix_rows(evaluation: CampaignEvaluation) -> Iterator[Row]:
-    """One row per frequency and element of the matrices, the campaign in place of a recording."""
-    if evaluation.sensor is not None:
-        for fit in evaluation.matrices:
-            yield from element_rows(fit.sensitivity(evaluation.sensor.unit), evaluation.name)
-
-
-def curve_rows(evaluation: CampaignEvaluation) -> Iterator[Row]:
-    """One row per frequency and element of the curves; what is not relative to a static sensitivity is `nan` there."""
-    for point in curve_points(evaluation):
-        element, relative = point.element, point.relative
-        head: Row = [point.frequency_hz, point.channel, point.component, *polar_cells(element)]
-        expanded: Row = [element.k, element.expanded_magnitude, element.expanded_phase_rad]
-        ratio: Row = [np.nan] * 3
-        if relative is not None:
-            ratio = [relative.magnitude, relative.u_magnitude, relative.expanded_magnitude]
-        yield [*head, *expanded, *ratio, point.unit, point.recordings, point.mountings, point.kind]
-
-
-def crosstalk_rows(found: CrossTalk) -> Iterator[Row]:
-    """One row per element beside the main ones."""
+def _beside_the_main(found: CrossTalk) -> Iterator[CrossTalkElement]:
+    """Yield every element beside the main ones."""
     covariance, dof, count = found.uncertainty.covariance[0], found.uncertainty.dof()[0], found.value.size
     for place, (c, j) in enumerate(np.ndindex(found.value.shape)):
         if found.main[c] != j:
             both = [place, place + count]
-            element = polar(complex(found.value[c, j]), covariance[np.ix_(both, both)], float(dof[place]))
-            head: Row = [found.frequency_hz, found.channels[c], found.components[j]]
-            zero = "yes" if found.holds_zero[c, j] else "no"
-            yield [*head, *polar_cells(element), float(found.half_axis[c, j]), zero]
+            value = polar(complex(found.value[c, j]), covariance[np.ix_(both, both)], float(dof[place]))
+            size, zero = float(found.half_axis[c, j]), bool(found.holds_zero[c, j])
+            yield CrossTalkElement(found.frequency_hz, found.channels[c], found.components[j], value, size, zero)
 
 
 # campaign.h5: what the recordings of a campaign say together, every covariance and every correlation written out.

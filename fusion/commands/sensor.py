@@ -30,7 +30,7 @@ def add_rotate(commands: Commands, common: argparse.ArgumentParser) -> None:
 
 
 def _act_rotate(options: argparse.Namespace) -> int:
-    from fusion.sensor.rotate.run import run_rotate
+    from fusion.sensor.rotate.report import run_rotate
 
     run_rotate(options.recordings, options.output, force=options.force, allow_outside=options.allow_outside)
     return EXIT_DONE

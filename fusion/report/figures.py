@@ -11,7 +11,7 @@ from matplotlib.patches import Ellipse
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from fusion.estimation.consistency import Acceleration
+from fusion.estimation.fuse import Acceleration
 from fusion.estimation.uncertainty import Polar, element_covariance, polar, prefix, typeset
 from fusion.report.csv_files import sensitivity_element, sensitivity_unit
 from fusion.report.numbers import (

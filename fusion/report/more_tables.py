@@ -7,10 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from markupsafe import Markup
 
-from fusion.estimation.consistency import REMAINING, Acceleration, CommonEstimate, untested
+from fusion.estimation.consistency import CommonEstimate
+from fusion.estimation.fuse import REMAINING, Acceleration, untested
 from fusion.estimation.uncertainty import DASH, Polar, Uncertainty, element_covariance, polar, prefix, rounded, typeset
-from fusion.phasors.channels import Drift, drifts
-from fusion.phasors.results import ClockResult
+from fusion.instruments.vibrometer import FEWEST_POINTS, PointRatios, PointSpread, axis_name
+from fusion.phasors.setup import LineStationarity, line_stationarity
+from fusion.phasors.timing import ClockResult
 from fusion.report.csv_files import sensitivity_unit
 from fusion.report.numbers import (
     acceleration,
@@ -31,10 +33,11 @@ from fusion.report.numbers import (
     static_sensitivity,
     times_ten,
 )
-from fusion.report.tables import PREFIXED, Table, chi_square_table, consistency_table
-from fusion.sensitivity.analyse import Evaluation, Propagated, RealSpread
+from fusion.report.table import Table
+from fusion.report.tables import PREFIXED, chi_square_table, consistency_table
+from fusion.sensitivity.analyse import Evaluation
+from fusion.sensitivity.distributions import Propagated, RealSpread
 from fusion.sensitivity.load import BudgetEntry, budget
-from fusion.sensitivity.multipoint_vibrometer import FEWEST_POINTS, PointRatios, PointSpread, axis_name
 from fusion.sensitivity.ratio import OtherLoads, other_loads
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
@@ -481,7 +484,7 @@ def channels_table(evaluation: Evaluation) -> Table | None:
 
 def drift_table(evaluation: Evaluation) -> Table | None:
     """Return the changes of the driven lines over the record, one row per instrument; None without any."""
-    found = drifts(evaluation.channels, evaluation.stereo, evaluation.lines, evaluation.clocks)
+    found = line_stationarity(evaluation.channels, evaluation.stereo, evaluation.lines, evaluation.clocks)
     if not found:
         return None
     head = ("instrument", "line / Hz", "blocks", "periods in each", "amplitude / %", "phase / mrad", "chance of noise")
@@ -508,7 +511,7 @@ def clocks_table(evaluation: Evaluation) -> Table | None:
     return Table("Camera trigger and clocks, U (k = 2)", head, "l" + "r" * len(columns), rows)
 
 
-def _drift_cells(drift: Drift) -> tuple[str, ...]:
+def _drift_cells(drift: LineStationarity) -> tuple[str, ...]:
     """One instrument at one line."""
     return (
         drift.name,

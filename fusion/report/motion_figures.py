@@ -15,7 +15,7 @@ from matplotlib.colors import Colormap, LinearSegmentedColormap
 from numpy.typing import NDArray
 
 from fusion.estimation.uncertainty import prefix
-from fusion.phasors.results import DeflectionShape, StereoResult
+from fusion.phasors.stereo_phasors import DeflectionShape, StereoResult
 from fusion.report.signal_figures import draw_epipolar
 from fusion.report.style import (
     BLACK,

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from markupsafe import Markup
 
-from fusion.estimation.consistency import Acceleration
+from fusion.estimation.fuse import Acceleration
 from fusion.estimation.uncertainty import DASH, Polar, Region, region_factor, rounded, typeset
+from fusion.recording.manifest import Rig
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.ratio import driven_component as driven_load
 from shaker.arrays import ComplexArray
@@ -121,11 +122,32 @@ def microseconds(value_s: float | None, u_s: float | None) -> str:
     return DASH if value_s is None or u_s is None else measured(1e6 * value_s, 2e6 * u_s)
 
 
+def plain(value: float, expanded: float, unit: str = "") -> str:
+    """Value with U and unit for the terminal, without a power of ten: `(2.0012 ± 0.0013) V/N`."""
+    text, tail = rounded(value, expanded, 0), f" {typeset(unit)}" if unit else ""
+    if text.expanded == DASH:
+        return f"{text.value}{tail}"
+    return f"({text.value} ± {text.expanded}){tail}" if unit else f"{text.value} ± {text.expanded}"
+
+
+def signed(value: float, form: str = ".2f") -> str:
+    """A number with a typographic minus sign, a dash for what is unknown; no sign before zero."""
+    text = format(value + 0.0, form) if np.isfinite(value) else DASH
+    return text.removeprefix("-") if not text.strip("-0.") else text.replace("-", "\N{MINUS SIGN}")
+
+
+def capital(text: str) -> str:
+    """Text with a capital letter at its beginning."""
+    return text[:1].upper() + text[1:]
+
+
+def subject_of(rig: Rig) -> list[tuple[str, str]]:
+    """Rig and sensor, as every page names them."""
+    sensor = [] if rig.sensor is None else [("Sensor", f"{rig.sensor.name} {rig.sensor.serial}".strip())]
+    return [("Rig", rig.name), *sensor]
+
+
 # What a reader wants first: the driven component, the output that belongs to it, and the strongest line.
-
-
-COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
-LOAD_COMPONENTS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
 
 def driven_component(evaluation: Evaluation) -> int:

@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-import logging
-import os
 import re
-import shutil
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any
 
-import h5py
 import numpy as np
 
-from fusion.base import InputError, temporary_beside
-from fusion.recording.load import Manifest
+from fusion.base import InputError
 from fusion.report import tables
 from fusion.report.csv_files import MERGED_FILES, result_tables
 from fusion.report.figures import acceleration_pictures, draw_budget, sensitivity_pictures
-from fusion.report.h5 import write_h5
+from fusion.report.folder import origin_frame, render_page, write_folder
 from fusion.report.more_tables import (
     budget_tables,
     channels_table,
@@ -34,12 +28,12 @@ from fusion.report.more_tables import (
 )
 from fusion.report.motion_figures import motion_pictures, subset_pictures
 from fusion.report.numbers import driven_channel, driven_component, driven_element, main_line, measured
-from fusion.report.provenance import RESULT_FILE, Provenance, check_folder, read_provenance, write_provenance
+from fusion.report.provenance import RESULT_FILE, check_folder, read_provenance
+from fusion.report.recorded import write_h5
 from fusion.report.signal_figures import channel_pictures, point_pictures, trigger_pictures
 from fusion.report.style import Picture
-from fusion.report.tables import origin_frame, render_page, takes_table
+from fusion.report.tables import takes_table
 from fusion.sensitivity.analyse import Evaluation
-from shaker.arrays import Notice
 from shaker.labels import LOAD_COMPONENTS
 
 # Which figures the report of one recording holds.
@@ -148,35 +142,6 @@ def write_results(evaluation: Evaluation, folder: Path, *, force: bool = False) 
     return write_folder(folder, evaluation.input_hashes, fill, force=force, marker=RESULT_FILE, own=OWN_FILE)
 
 
-def write_folder(
-    folder: Path,
-    hashes: Mapping[str, str],
-    fill: Callable[[Path], Sequence[str]],
-    *,
-    force: bool,
-    marker: str,
-    own: re.Pattern[str],
-) -> list[Path]:
-    """Write a folder of results of the inputs `hashes` and return the paths of its files.
-
-    `fill` makes all files in a temporary folder beside `folder` and names them; then they are moved, so a failure
-    leaves `folder` as it was. A folder that holds anything but results of the same inputs (its file `marker` says so)
-    is refused unless `force`; even then only files of the program's `own` names are replaced, and nothing else is
-    touched.
-    """
-    folder = folder.resolve()
-    check_folder(folder, hashes, force=force, marker=marker)
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    temporary = temporary_beside(folder)
-    temporary.mkdir()
-    try:
-        names = fill(temporary)
-        _move(temporary, folder, names, marker, own)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-    return [folder / name for name in names]
-
-
 def check_campaign_folder(top: Path, recordings: Sequence[str], *, force: bool) -> None:
     """Refuse a place for a campaign's results that holds something else, or joint files without their recordings.
 
@@ -203,122 +168,4 @@ def _fill(folder: Path, evaluation: Evaluation) -> list[str]:
     return names
 
 
-def _move(temporary: Path, folder: Path, names: Sequence[str], marker: str, own: re.Pattern[str]) -> None:
-    """Put the finished files in place: the folder as a whole, else, where it holds files of others, file by file."""
-    if not folder.exists():
-        os.replace(temporary, folder)
-        return
-    before = read_provenance(folder, marker)
-    written = before.files if before is not None else ()
-    if {entry.name for entry in folder.iterdir()} <= {marker, *written} and _swapped(temporary, folder):
-        return
-    (folder / marker).unlink(missing_ok=True)
-    for name in written:
-        if name not in names and own.fullmatch(name):
-            (folder / name).unlink(missing_ok=True)
-    for name in names:
-        os.replace(temporary / name, folder / name)
-
-
-def _swapped(temporary: Path, folder: Path) -> bool:
-    """Put one folder in the place of another, so that whoever is killed meanwhile leaves no half of either.
-
-    False where the system does not give the place free, such as a mounted folder.
-    """
-    old = temporary_beside(folder.with_name(f"{folder.name}.old"))
-    try:
-        os.replace(folder, old)
-    except OSError:
-        return False
-    try:
-        os.replace(temporary, folder)
-    except OSError:
-        os.replace(old, folder)
-        raise
-    shutil.rmtree(old, ignore_errors=True)
-    return True
-
-
 # What every command does with a finished evaluation: tell its notices, put its origin on a page, write a folder.
-
-
-class Evaluated(Protocol):
-    """An evaluation with its notices and its origin: settings, versions of what computed it, hashes of its inputs."""
-
-    @property
-    def notices(self) -> tuple[Notice, ...]:
-        """What the user should know."""
-
-    @property
-    def settings(self) -> dict[str, str | float | int]:
-        """What was chosen."""
-
-    @property
-    def versions(self) -> dict[str, str]:
-        """The program and the libraries that computed it."""
-
-    @property
-    def input_hashes(self) -> dict[str, str]:
-        """Hashes of all input files."""
-
-    @property
-    def duration_s(self) -> float:
-        """How long it took."""
-
-
-E = TypeVar("E", bound=Evaluated)
-
-
-@dataclass(frozen=True)
-class ResultFolder(Generic[E]):
-    """The files of one kind of evaluation.
-
-    `h5_file`: the HDF5 file, which says that the folder is complete and is filled by `fill`; `texts` gives the other
-    files by name, texts or pictures; `own`: names that are the program's.
-    """
-
-    h5_file: str
-    own: re.Pattern[str]
-    texts: Callable[[E], Mapping[str, str | bytes]]
-    fill: Callable[[h5py.File, E], None]
-
-    def write(self, evaluation: E, folder: Path, *, force: bool = False) -> list[Path]:
-        """Write every file and return their paths; other folders are refused unless `force`."""
-        make = partial(self._make, evaluation=evaluation)
-        return write_folder(folder, evaluation.input_hashes, make, force=force, marker=self.h5_file, own=self.own)
-
-    def _make(self, folder: Path, evaluation: E) -> list[str]:
-        """Make all files in a folder, the HDF5 file last."""
-        texts = self.texts(evaluation)
-        for name, text in texts.items():
-            (folder / name).write_bytes(text if isinstance(text, bytes) else text.encode("utf-8"))
-        names = [*texts, self.h5_file]
-        with h5py.File(folder / self.h5_file, "w", track_order=True) as file:
-            write_provenance(file, _origin(evaluation, names))
-            self.fill(file, evaluation)
-        return names
-
-
-def default_folder(paths: Sequence[Path], manifests: Sequence[Manifest], name: str) -> Path:
-    """Where results of recordings that are evaluated together stand: folder `name` of the campaign or of the only
-    recording at `paths`, or, of several paths, beside the first recording's rig."""
-    if len(paths) > 1:
-        return manifests[0].root / name
-    return (manifests[0].folder if paths[0].is_file() else paths[0]) / name
-
-
-def page_frame(evaluation: Evaluated) -> dict[str, Any]:
-    """What every page shows of an evaluation: notices, origin, inputs, program, time of computation."""
-    return {**origin_frame(_origin(evaluation, ()), evaluation.notices), "duration_s": evaluation.duration_s}
-
-
-def log_notices(evaluation: Evaluated, log: logging.Logger) -> None:
-    """Log every notice with its place."""
-    for notice in evaluation.notices:
-        level = logging.WARNING if notice.severity == "warning" else logging.INFO
-        log.log(level, "%s: %s", notice.where, notice.text)
-
-
-def _origin(evaluation: Evaluated, names: list[str] | tuple[str, ...]) -> Provenance:
-    """Settings, versions and inputs of an evaluation, with the files that hold it."""
-    return Provenance(evaluation.input_hashes, evaluation.settings, evaluation.versions, tuple(names))

@@ -8,7 +8,9 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from fusion.estimation.uncertainty import coverage_factor, prefix, typeset
-from fusion.phasors.results import ChannelResult, ClockResult
+from fusion.instruments.vibrometer import PointSpread, axis_name
+from fusion.phasors.channels import ChannelResult
+from fusion.phasors.timing import ClockResult
 from fusion.report.numbers import main_line
 from fusion.report.style import (
     BLACK,
@@ -29,7 +31,6 @@ from fusion.report.style import (
     thin_out,
 )
 from fusion.sensitivity.analyse import Evaluation
-from fusion.sensitivity.multipoint_vibrometer import PointSpread, axis_name
 from photogram.epipolar import COVERAGE, EpipolarCheck
 from shaker.arrays import FloatArray
 
@@ -56,7 +57,7 @@ def trigger_pictures(evaluation: Evaluation) -> list[Picture]:
 
 def draw_channels(channels: Sequence[ChannelResult], evaluation: Evaluation) -> Picture:
     """An excerpt of every channel with its fit and the exposures, and its amplitude spectrum with the lines found."""
-    exposures = evaluation.stereo[0].time_s if evaluation.stereo and not evaluation.takes else np.empty(0)
+    exposures = evaluation.stereo[0].time_s if evaluation.stereo and not evaluation.set_ups else np.empty(0)
     lines = evaluation.lines.frequency_hz
     with drawing("channels"):
         figure = new_figure(0.7 + 1.2 * len(channels))

@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
-from urllib.parse import quote
+from collections.abc import Sequence
 
 import numpy as np
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from fusion.base import AnyNotice, warnings_first
-from fusion.estimation.consistency import Acceleration
+from fusion.estimation.fuse import Acceleration
 from fusion.estimation.uncertainty import DASH, Polar, element_covariance, polar, prefix, typeset
-from fusion.phasors.results import StereoResult
+from fusion.phasors.stereo_phasors import StereoResult
 from fusion.report.csv_files import sensitivity_element, sensitivity_unit
 from fusion.report.numbers import (
     WEAK,
@@ -37,7 +30,7 @@ from fusion.report.numbers import (
     static_value,
     times_ten,
 )
-from fusion.report.provenance import PROGRAM, Provenance
+from fusion.report.table import Headline, Table
 from fusion.sensitivity.analyse import Evaluation
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
 from shaker.sine.phasor import Phasors
@@ -47,25 +40,6 @@ from shaker.sine.phasor import Phasors
 
 PREFIXED = ("m", "m/s", "m/s^2", "rad/s", "N")
 """Units that take an SI prefix."""
-
-
-@dataclass(frozen=True)
-class Table:
-    """A table: caption, column heads, rows of cells, and per column `l` or `r` for its alignment."""
-
-    caption: str
-    head: tuple[str, ...]
-    align: str
-    rows: tuple[tuple[str, ...], ...]
-
-
-@dataclass(frozen=True)
-class Headline:
-    """One of the main results: what it is, its value with U, a remark."""
-
-    label: str
-    value: str
-    remark: str
 
 
 def headlines(evaluation: Evaluation) -> list[Headline]:
@@ -217,22 +191,6 @@ def _noise(stereo: StereoResult, name: str, power: float) -> str:
     return ", ".join(number(value**power) for value in values) if values and min(values) > 0.0 else DASH
 
 
-def provenance_tables(origin: Evaluation | Provenance) -> list[Table]:
-    """Versions and settings."""
-    versions = tuple((name, version) for name, version in origin.versions.items())
-    settings = tuple((name, str(value)) for name, value in origin.settings.items())
-    return [
-        Table("Versions", ("program or library", "version"), "ll", versions),
-        Table("Settings", ("name", "value"), "ll", settings),
-    ]
-
-
-def inputs_table(origin: Evaluation | Provenance) -> Table:
-    """Every input file with its hash."""
-    rows = tuple((name, Markup("<code>{}</code>").format(digest)) for name, digest in origin.input_hashes.items())
-    return Table("Input files", ("file", "SHA-256"), "ll", rows)
-
-
 def _sensitivity_headlines(evaluation: Evaluation, line: int, component: int) -> list[Headline]:
     """Magnitude with its deviation from the static value, and phase."""
     found = evaluation.sensitivity
@@ -297,41 +255,12 @@ def _failed(stereo: StereoResult) -> int:
 # A template and its context become one self-contained HTML page.
 
 
-def render_page(template: str, context: Mapping[str, Any]) -> str:
-    """HTML text of a template of this package; style and figures are inside, nothing is fetched from elsewhere."""
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).with_name("templates")),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["data_uri"] = data_uri
-    return environment.get_template(template).render(context) + "\n"
-
-
-def origin_frame(origin: Evaluation | Provenance, notices: Iterable[AnyNotice]) -> dict[str, Any]:
-    """What every page shows beside its subject: notices, settings and versions, input files, the program."""
-    return {
-        "notices": warnings_first(notices),
-        "origin": provenance_tables(origin),
-        "inputs": inputs_table(origin),
-        "program": f"{PROGRAM} {origin.versions.get(PROGRAM, '')}".strip(),
-    }
-
-
-def data_uri(svg: str) -> Markup:
-    """SVG text as the source of an image element; percent encoding is shorter than base64 for text."""
-    flat = re.sub(r"\s*\n\s*", " ", svg[svg.index("<svg") :]).replace('"', "'")
-    return Markup("data:image/svg+xml,{}").format(Markup(quote(flat, safe=" ='/:;,.()+-_!*@?&$[]{}|~")))
-
-
 # The report's table of takes: how far the reference channel tied them, and what drifted between them.
 
 
 def takes_table(evaluation: Evaluation) -> Table | None:
     """Return frequency, amplitude and phase of the reference at the driven lines of every take; None without takes."""
-    takes = evaluation.takes
+    takes = evaluation.set_ups
     if not takes:
         return None
     rows = []

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import re
 import shutil
@@ -12,20 +11,25 @@ import h5py
 import numpy as np
 import pytest
 from identify_factory import DAMPING, LAG_S, SENSITIVITY, SINES_HZ, SMALL, STIFFNESS, write_campaign, write_sines
-from page_outline import outline
+from page_outline import self_contained
+from support import DOCS, rows, without_pages
 
 from fusion.base import InputError, Settings
 from fusion.campaign.run import run_path
 from fusion.cli import main
+from fusion.recording.excitation import kinds_of
+from fusion.recording.load import find_recordings, for_kinds
 from fusion.sensor.identify.evaluate import ComponentResult, IdentifyEvaluation, evaluate_campaign
 from fusion.sensor.identify.measured import Campaign, IdentifySettings, read_campaign
-from fusion.sensor.identify.run import read_model, write_identification
+from fusion.sensor.identify.run import IDENTIFY, read_model
+from fusion.sensor.transfer.evaluate import KINDS as TRANSFER_KINDS
+from fusion.simulate.chirp import write_masses
 from fusion.simulate.world import Draws, true_part
 from shaker.identification.correction import correct_phasors
 from shaker.identification.sensor import Load
 from shaker.sine.phasor import Phasors
 
-GUIDE = (Path(__file__).resolve().parents[2] / "docs" / "identify.md").read_text(encoding="utf-8")
+GUIDE = (DOCS / "identify.md").read_text(encoding="utf-8")
 SETTINGS = IdentifySettings(load_masses_kg=(2.0, 20.0))
 
 
@@ -35,8 +39,7 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = write_campaign(tmp_path_factory.mktemp("identify") / "campaign")
     write_sines(folder)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fusion.report.recording.render_report", lambda _: "")
-        patch.setattr("fusion.campaign.joint_report.render_campaign", lambda _: "")
+        without_pages(patch)
         outcomes = run_path(folder, None, Settings())
     assert [outcome.error for outcome in outcomes] == [None] * len(SINES_HZ)
     return folder
@@ -61,7 +64,7 @@ def component(evaluation: IdentifyEvaluation) -> ComponentResult:
 @pytest.fixture(scope="module")
 def results(evaluation: IdentifyEvaluation, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("results") / "identify"
-    write_identification(evaluation, folder)
+    IDENTIFY.write(evaluation, folder)
     return folder
 
 
@@ -153,17 +156,13 @@ def test_usable_bands_are_those_of_the_masses_wanted(component):
 def test_the_files_hold_what_was_found(results, component):
     names = {"parameters.csv", "readings.csv", "model.json", "identify.h5", "identify.html"}
     assert {entry.name for entry in results.iterdir()} == names
-    with (results / "parameters.csv").open(encoding="utf-8", newline="") as stream:
-        rows = {row["name"]: row for row in csv.DictReader(stream)}
-    estimate = component.fit.identification["stiffness_z"]
-    row = rows["stiffness_z"]
+    named = {row["name"]: row for row in rows(results / "parameters.csv")}
+    estimate, row = component.fit.identification["stiffness_z"], named["stiffness_z"]
     assert (row["component"], row["unit"], row["method"]) == ("z", "N/m", "joint fit, translation")
     assert float(row["value"]) == pytest.approx(estimate.value, rel=1e-12)
     assert float(row["U"]) == pytest.approx(float(row["k"]) * estimate.u, rel=1e-9)
-    assert rows["lag_s"]["method"].startswith("sensitivity over frequency")
-    with (results / "readings.csv").open(encoding="utf-8", newline="") as stream:
-        readings = list(csv.DictReader(stream))
-    assert len(readings) == len(component.readings) == 28
+    assert named["lag_s"]["method"].startswith("sensitivity over frequency")
+    assert len(rows(results / "readings.csv")) == len(component.readings) == 28
     with h5py.File(results / "identify.h5") as file:
         found = file["z/identification"]
         assert found["covariance"].shape == found["correlation"].shape == (3, 3)
@@ -176,13 +175,10 @@ def test_the_files_hold_what_was_found(results, component):
 
 def test_the_page_is_whole_and_fetches_nothing(results):
     page = (results / "identify.html").read_text(encoding="utf-8")
+    self_contained(page)
     assert page.count("<figure") == 5
     for words in ("Nyquist circles", "half-amplitude width", "Correlation", "they contradict each other", "Budget"):
         assert words in page
-    found = outline(page)
-    assert not found.open
-    assert all(address.startswith(("#", "data:image/svg+xml")) for address in found.addresses)
-    assert {address[1:] for address in found.addresses if address.startswith("#")} <= set(found.ids)
 
 
 def test_the_model_is_read_back_to_the_last_bit(results, component):
@@ -235,8 +231,8 @@ def test_the_guide_shows_the_keys_of_the_model(results):
     assert list(shown) == list(found)
     (one,), (other,) = shown["components"], found["components"]
     assert list(one) == list(other)
-    assert [parameter["name"] for parameter in one["parameters"]] == [p["name"] for p in other["parameters"]]
-    assert [parameter["unit"] for parameter in one["parameters"]] == [p["unit"] for p in other["parameters"]]
+    for key in ("name", "unit"):
+        assert [parameter[key] for parameter in one["parameters"]] == [p[key] for p in other["parameters"]]
     assert list(one["usable_bands"][0]) == list(other["usable_bands"][0])
 
 
@@ -262,17 +258,50 @@ def test_a_model_with_an_unknown_chain_is_refused(results, tmp_path):
         read_model(tmp_path / "model.json")
 
 
+@pytest.mark.usefixtures("no_pages")
 def test_the_command_prints_and_keeps_to_the_rules_of_folders(campaign, evaluation, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("fusion.sensor.identify.run.evaluate_campaign", lambda *_: evaluation)
-    monkeypatch.setattr("fusion.sensor.identify.run.render_identify_page", lambda _: "")
-    out = tmp_path / "out"
-    assert main(["identify", str(campaign), "-o", str(out)]) == 0
+    run, out = ["identify", str(campaign), "-o", str(tmp_path / "out")], tmp_path / "out"
+    assert main(run) == 0
     told = capsys.readouterr()
     assert "stiffness k, z: (4.500" in told.out
     assert "lag of the chain: " in told.out
     assert "they contradict each other" in told.err
-    assert main(["identify", str(campaign), "-o", str(out), "--damping", "each"]) == 0
+    assert main([*run, "--damping", "each"]) == 0
     (out / "identify.h5").unlink()
-    assert main(["identify", str(campaign), "-o", str(out), "-q"]) == 2
+    assert main([*run, "-q"]) == 2
     assert "expected an empty folder for the results" in capsys.readouterr().err
-    assert main(["identify", str(campaign), "-o", str(out), "-q", "--force"]) == 0
+    assert main([*run, "-q", "--force"]) == 0
+
+
+def test_every_command_takes_the_kinds_it_evaluates_out_of_a_mixed_campaign(campaign, tmp_path):
+    found = find_recordings(campaign)
+    assert [path.parent.name for path in for_kinds(found, TRANSFER_KINDS)] == ["chirp-4kg", "chirp-9kg"]
+    assert [path.parent.name for path in for_kinds(found, kinds_of("run"))] == [f"sine-{f:04.0f}" for f in SINES_HZ]
+    assert for_kinds(found, ["step"]) == found
+    broken = tmp_path / "recording.toml"
+    broken.write_text("format =", encoding="utf-8")
+    assert broken in for_kinds([*found, broken], TRANSFER_KINDS)
+
+
+@pytest.mark.slow
+def test_a_simulated_campaign_is_identified_by_the_commands_that_a_laboratory_types(tmp_path, capsys):
+    folder = tmp_path / "try"
+    folder.mkdir()
+    write_masses(folder, 7, stand=SMALL, steps=(1, 5, 11, 15, 19))
+    assert main(["run", str(folder), "-q"]) == 0
+    assert main(["identify", str(folder)]) == 0
+    assert "internal mass m_i" in capsys.readouterr().out
+    named = {row["name"]: row for row in rows(folder / "identify" / "parameters.csv")}
+    truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    true = {"stiffness_z": truth["stiffness"]["z"], "damping_z": truth["damping"]["z"], "lag_s": LAG_S}
+    true["internal_mass"] = truth["internal_mass_kg"]
+    bars = {"stiffness_z": 5e-4, "damping_z": 0.02, "internal_mass": 3e-3, "lag_s": 0.02}
+    for name, value in true.items():
+        found, u = float(named[name]["value"]), float(named[name]["u"])
+        assert abs(found - value) < min(3.3 * u, bars[name] * value), name
+        assert u < 0.5 * bars[name] * value, name
+    readings = {row["method"]: row for row in rows(folder / "identify" / "readings.csv") if "4.236" in row["recording"]}
+    assert float(readings["half_power"]["damping"]) == pytest.approx(900.0, rel=0.02)
+    assert float(readings["half_amplitude"]["damping"]) == pytest.approx(900.0 * 3**0.5, rel=0.02)
+    assert (folder / "identify" / "identify.html").stat().st_size > 10_000

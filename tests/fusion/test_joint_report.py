@@ -19,7 +19,8 @@ from fusion.base import InputError
 from fusion.campaign import joint_report as joint_write
 from fusion.campaign.joint import CampaignEvaluation, curve_points, evaluate_campaign
 from fusion.campaign.joint_report import (
-    CURVE_COLUMNS,
+    CROSSTALK,
+    CURVE,
     campaign_h5,
     campaign_origin,
     campaign_tables,
@@ -29,9 +30,9 @@ from fusion.campaign.joint_report import (
     write_campaign,
 )
 from fusion.report import recording as results
-from fusion.report.h5 import Recorded, read_uncertainty
+from fusion.report.h5 import read_uncertainty
+from fusion.report.recorded import Recorded
 from fusion.report.recording import CAMPAIGN_FILES, check_campaign_folder, write_results
-from fusion.sensor.decouple.report import CROSSTALK_COLUMNS
 
 RESULTS_DOC = Path(__file__).resolve().parents[2] / "docs" / "results.md"
 FAILED = {"Fz-0999": "recording.toml: daq.laser.scale: expected a number, found <nothing>"}
@@ -63,7 +64,7 @@ def within(row: dict[str, str], true: complex, times: float = 5.0) -> bool:
 
 def test_one_curve_over_frequency(swept):
     rows = table(campaign_tables(swept, [])["curve.csv"])
-    assert list(rows[0]) == CURVE_COLUMNS
+    assert list(rows[0]) == [column.name for column in CURVE]
     assert [float(row["frequency_hz"]) for row in rows[::6]] == pytest.approx(SWEEP_HZ, rel=1e-6)
     assert {(row["component"], row["kind"], row["recordings"], row["mountings"]) for row in rows} == {
         ("Fz", "ratio", "4", "2")
@@ -107,7 +108,7 @@ def test_elements_of_the_matrix_stand_among_the_sensitivities(matrix):
 
 def test_cross_talk_at_rated_loads(matrix):
     rows = table(campaign_tables(matrix, [])["crosstalk.csv"])
-    assert list(rows[0]) == CROSSTALK_COLUMNS
+    assert list(rows[0]) == [column.name for column in CROSSTALK]
     assert len(rows) == 30 * len(MATRIX_HZ)
     for row in rows:
         i, j = LOADS.index(row["channel"]), LOADS.index(row["component"])

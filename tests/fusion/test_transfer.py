@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import re
 import shutil
@@ -12,17 +11,24 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from page_outline import self_contained
+from support import DOCS, edit, rows
 
 from fusion.base import InputError
 from fusion.cli import main
 from fusion.recording.load import load_manifest
 from fusion.sensor.transfer.evaluate import evaluate_transfer, find_resonances
 from fusion.sensor.transfer.records import ReferenceResult, TransferSettings
-from fusion.sensor.transfer.report import run_transfer, write_transfer
-from fusion.simulate.chirp import ChirpRig, transmissibility, write_chirp
+from fusion.sensor.transfer.report import TRANSFER
+from fusion.simulate.chirp import Chirp, Oscillator, write_chirp
+from fusion.simulate.preset import read_preset
 
-RIG = ChirpRig(sample_rate_hz=10240.0, period_s=0.5, periods=5, band_hz=(300.0, 2800.0))
-SLOW = ChirpRig(frequency_hz=400.0, damping_ratio=0.01)
+RIG = read_preset(
+    Oscillator,
+    "chirp",
+    chirp=read_preset(Chirp, "chirp.chirp", sample_rate_hz=10240.0, period_s=0.5, periods=5, band_hz=(300.0, 2800.0)),
+)
+SLOW = read_preset(Oscillator, "chirp", frequency_hz=400.0, damping_ratio=0.01)
 
 
 @pytest.fixture(scope="module")
@@ -36,12 +42,6 @@ def recording(simulated: Path, tmp_path: Path) -> Path:
     """A copy of the recording that a test may spoil."""
     shutil.copytree(simulated.parent, tmp_path / "campaign")
     return tmp_path / "campaign" / simulated.name
-
-
-@pytest.fixture
-def no_page(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave the page empty where its figures are not what is tested."""
-    monkeypatch.setattr("fusion.sensor.transfer.report.render_transfer_page", lambda _: "")
 
 
 def _evaluated(folder: Path, **choices: object) -> ReferenceResult:
@@ -75,13 +75,8 @@ def test_the_curve_is_the_truth_within_its_covariance(simulated):
     # The covariance of a line is itself an estimate of some 40 degrees of freedom, hence the wider limits.
     assert 0.85 * freedom < chi2 < 1.2 * freedom
     assert np.all(np.abs(unknown) < 3.5)
-    assert {error.name for error in result.errors} == {
-        "base: scale",
-        "base: delay",
-        "top: scale",
-        "top: delay",
-        "top: frequency of amplifier",
-    }
+    names = {"base: scale", "base: delay", "top: scale", "top: delay", "top: frequency of amplifier"}
+    assert {error.name for error in result.errors} == names
 
 
 def test_the_resonance_is_found(simulated):
@@ -99,8 +94,8 @@ def test_every_peak_of_a_curve_is_a_resonance_of_its_own(simulated, tmp_path):
     (result,) = evaluation.references
     frequency = result.transfer.ratio.frequency_hz
     true = ((700.0, 0.004), (1450.0, 0.01), (2500.0, 0.006))
-    rigs = [ChirpRig(frequency_hz=f, damping_ratio=z) for f, z in true]
-    value = np.sum([transmissibility(rig, frequency) for rig in rigs], axis=0)[:, None]
+    rigs = [read_preset(Oscillator, "chirp", frequency_hz=f, damping_ratio=z) for f, z in true]
+    value = np.sum([rig.transmissibility(frequency) for rig in rigs], axis=0)[:, None]
     noise = np.random.default_rng(5).standard_normal((2, len(frequency))) * 1e-3
     ratio = replace(
         result.transfer.ratio,
@@ -113,7 +108,7 @@ def test_every_peak_of_a_curve_is_a_resonance_of_its_own(simulated, tmp_path):
         assert abs(one.fit.frequency_hz - f) < 5.0 * one.u_frequency_hz
         assert abs(one.fit.damping_ratio - z) < 5.0 * one.u_damping_ratio
     assert not notices
-    write_transfer(replace(evaluation, references=(replace(result, resonances=found),)), tmp_path / "out")
+    TRANSFER.write(replace(evaluation, references=(replace(result, resonances=found),)), tmp_path / "out")
     with h5py.File(tmp_path / "out" / "transfer.h5") as file:
         assert len(file["references/base/resonances"]) == 3
 
@@ -124,12 +119,8 @@ def test_the_uncertainty_of_a_resonance_covers(tmp_path):
     deviations = []
     for seed in range(60):
         (found,) = _evaluated(write_chirp(tmp_path / f"{seed}", seed, RIG)).resonances
-        deviations.append(
-            [
-                (found.fit.frequency_hz - RIG.frequency_hz) / found.u_frequency_hz,
-                (found.fit.damping_ratio - RIG.damping_ratio) / found.u_damping_ratio,
-            ]
-        )
+        error = found.fit.frequency_hz - RIG.frequency_hz, found.fit.damping_ratio - RIG.damping_ratio
+        deviations.append(np.divide(error, (found.u_frequency_hz, found.u_damping_ratio)))
     spread = np.sqrt(np.mean(np.square(deviations), axis=0))
     assert np.all((spread > 0.75) & (spread < 1.28))  # 99.5 % limits of the rms of 60 normal deviates
 
@@ -146,42 +137,51 @@ def test_files_of_a_run(recording, capsys):
     assert "resonance of top / base: 1477.3" in told
     folder = recording / "transfer"
     assert sorted(path.name for path in folder.iterdir()) == ["transfer.csv", "transfer.h5", "transfer.html"]
-    with (folder / "transfer.csv").open(newline="") as stream:
-        rows = list(csv.DictReader(stream))
+    found = rows(folder / "transfer.csv")
     with h5py.File(folder / "transfer.h5") as file:
         group = file["references/base"]
         value = group["transfer/ratio/value"][:, 0]
         covariance = group["transfer/ratio/covariance"][()]
         assert list(file["provenance/files"].asstr()) == ["transfer.csv", "transfer.html", "transfer.h5"]
         assert len(file["provenance/input_file"]) == 4
-    assert len(rows) == len(value) == 1251
-    np.testing.assert_array_equal([complex(float(row["re"]), float(row["im"])) for row in rows], value)
-    np.testing.assert_allclose([float(row["u_re"]) ** 2 for row in rows], covariance[:, 0, 0], rtol=1e-12)
-    assert {(row["response"], row["reference"], row["estimator"], row["unit"]) for row in rows} == {
-        ("top", "base", "periodic", "1")
-    }
+    assert len(found) == len(value) == 1251
+    np.testing.assert_array_equal([complex(float(row["re"]), float(row["im"])) for row in found], value)
+    np.testing.assert_allclose([float(row["u_re"]) ** 2 for row in found], covariance[:, 0, 0], rtol=1e-12)
+    head = {(row["response"], row["reference"], row["estimator"], row["unit"]) for row in found}
+    assert head == {("top", "base", "periodic", "1")}
     page = (folder / "transfer.html").read_text(encoding="utf-8")
-    assert "http" not in re.sub(r'xmlns[^"\']*["\'][^"\']*["\']|DOCTYPE|data:image[^"]*', "", page)
+    self_contained(page)
     assert "Budget of the resonance of top / base" in page
 
 
-@pytest.mark.usefixtures("no_page")
-def test_results_of_the_same_input_are_replaced_and_others_refused(recording):
-    run_transfer(recording, None, TransferSettings())
-    first = (recording / "transfer" / "transfer.csv").read_bytes()
-    run_transfer(recording, None, TransferSettings())
-    assert (recording / "transfer" / "transfer.csv").read_bytes() == first
+@pytest.mark.usefixtures("no_pages")
+def test_results_of_the_same_input_are_replaced_and_others_refused(recording, refused):
+    table, run = recording / "transfer" / "transfer.csv", ["transfer", str(recording), "-q"]
+    (recording / "transfer").mkdir()
+    (recording / "transfer" / "notes.txt").write_text("mine")
+    assert "other files" in refused(*run)
+    assert main([*run, "--force"]) == 0
+    assert (recording / "transfer" / "notes.txt").read_text() == "mine"
+    (recording / "transfer" / "notes.txt").unlink()
+    first = table.read_bytes()
+    assert main(run) == 0
+    assert table.read_bytes() == first
     (recording / "amplifier.toml").write_text("[[element]]\nfilter = 'bessel'\norder = 2\ncorner = 3e4\n")
-    with pytest.raises(InputError, match="results of other input files"):
-        run_transfer(recording, None, TransferSettings())
-    run_transfer(recording, None, TransferSettings(), force=True)
-    assert (recording / "transfer" / "transfer.csv").read_bytes() != first
+    assert "results of other input files" in refused(*run)
+    assert main([*run, "--force"]) == 0
+    assert table.read_bytes() != first
+
+
+@pytest.mark.usefixtures("no_pages")
+def test_every_recording_of_a_campaign_gets_a_folder(recording, tmp_path):
+    shutil.copytree(recording, recording.parent / "again")
+    assert main(["transfer", str(recording.parent), "-o", str(tmp_path / "out")]) == 0
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["again", "chirp"]
 
 
 def test_a_quantity_turns_response_and_reference(recording):
-    _change(
-        recording / "recording.toml", 'name = "top"\nquantity = "acceleration"', 'name = "top"\nquantity = "velocity"'
-    )
+    top = 'name = "top"\nquantity = "{}"'
+    edit(recording / "recording.toml", top.format("acceleration"), top.format("velocity"))
     mixed = _evaluated(recording)
     assert mixed.transfer.ratio.unit == ("(m/s)/(m/s^2)",)
     same = _evaluated(recording, quantity="displacement")
@@ -191,8 +191,7 @@ def test_a_quantity_turns_response_and_reference(recording):
 
 
 def test_what_channels_share_cancels(recording):
-    text = (recording / "recording.toml").read_text()
-    (recording / "recording.toml").write_text(text.replace("scale = 100.0", 'scale = 100.0\ncommon = "amplifier"'))
+    edit(recording / "recording.toml", "scale = 100.0", 'scale = 100.0\ncommon = "amplifier"')
     names = {error.name for error in _evaluated(recording).errors}
     assert names == {"amplifier: frequency of amplifier"}
 
@@ -204,7 +203,7 @@ def test_blows_on_a_mass_give_its_receptance(tmp_path):
     for hit in range(7):
         start = round((0.3 + 1.1 * hit + 0.01 * rng.random()) * rate)
         force[start : start + len(pulse)] += 100.0 * (1.0 + 0.2 * rng.random()) * pulse
-    rig = ChirpRig(frequency_hz=640.0, damping_ratio=0.01)
+    rig = read_preset(Oscillator, "chirp", frequency_hz=640.0, damping_ratio=0.01)
     frequency = np.fft.rfftfreq(2 * len(force), 1.0 / rate)
     p = 1j * frequency / rig.frequency_hz
     accelerance = -(frequency**2) / rig.frequency_hz**2 / (1.0 + 2.0 * rig.damping_ratio * p + p * p) / mass
@@ -263,7 +262,7 @@ def _two_clocks(folder: Path, rates: tuple[float, float]) -> Path:
     period, length_s, start = 0.25, 3.0, (0.0, 0.0371)
     frequency = np.arange(25, 201) / period
     drive = np.exp(1j * rng.uniform(0.0, 2.0 * np.pi, len(frequency)))
-    h = transmissibility(SLOW, frequency)
+    h = SLOW.transmissibility(frequency)
     pulses = 0.2 + np.arange(120) / 53.0
     blocks = ""
     for number, (name, value, rate) in enumerate((("base", drive, rates[0]), ("top", drive * h, rates[1]))):
@@ -295,7 +294,7 @@ def test_channels_of_two_clocks_are_read_on_one(tmp_path, rates):
     assert any("different clocks" in notice.text for notice in evaluation.notices)
     frequency = result.transfer.ratio.frequency_hz
     assert len(frequency) == 176
-    true = transmissibility(SLOW, frequency)
+    true = SLOW.transmissibility(frequency)
     chi2, unknown = _joint_chi2(result, true)
     assert chi2 < 1.2 * 2 * len(frequency)  # less, where the clocks' rates are known less well than the samples
     assert np.all(np.abs(unknown) < 3.5)
@@ -315,13 +314,6 @@ def test_blocks_without_a_common_trigger_are_refused(tmp_path):
         _evaluated(folder)
 
 
-def _change(path: Path, old: str, new: str) -> None:
-    """Replace a text that must be there."""
-    text = path.read_text(encoding="utf-8")
-    assert old in text
-    path.write_text(text.replace(old, new), encoding="utf-8")
-
-
 CASES = [
     ("recording.toml", 'kind = "chirp"', 'kind = "noise"', "excitation.period", "no such key"),
     ("recording.toml", 'reference = ["base"]\n', "", "excitation.reference", "the name of the channel over which"),
@@ -332,22 +324,14 @@ CASES = [
     ("recording.toml", "settle_periods = 1", "settle_periods = 4", "excitation.period", "2 whole periods"),
     ("recording.toml", "band = [300.0, 2800.0]", "band = [6000.0, 8000.0]", "excitation.band", "band"),
     ("amplifier.toml", "order = 4", "order = 0", "element.amplifier.order", "at least 1"),
-    (
-        "amplifier.toml",
-        "corner = 20000.0",
-        "corner = 20000.0\npoles = [[-1.0, 2.0]]",
-        "element.amplifier.poles",
-        "no such",
-    ),
+    ("amplifier.toml", "corner", "poles = [[-1.0, 2.0]]\ncorner", "element.amplifier.poles", "no such"),
 ]
 
 
 @pytest.mark.parametrize(("file", "old", "new", "key", "words"), CASES)
-def test_a_wrong_recording_is_one_sentence(recording, capsys, file, old, new, key, words):
-    _change(recording / file, old, new)
-    assert main(["transfer", str(recording), "-q"]) == 2
-    told = capsys.readouterr().err
-    assert len(told.strip().splitlines()) == 1, told
+def test_a_wrong_recording_is_one_sentence(recording, refused, file, old, new, key, words):
+    edit(recording / file, old, new)
+    told = refused("transfer", recording, "-q")
     assert f"{recording / file}: {key}: " in told
     assert words in told
     assert not (recording / "transfer").exists()
@@ -356,58 +340,27 @@ def test_a_wrong_recording_is_one_sentence(recording, capsys, file, old, new, ke
 def test_a_response_that_ends_below_the_band(recording):
     table = "frequency_hz,magnitude,phase_rad,u_magnitude,u_phase_rad\n10,1,0,0,0\n1000,1,0,0,0\n"
     (recording / "table.csv").write_text(table)
-    _change(recording / "recording.toml", "amplifier.toml", "table.csv")
+    edit(recording / "recording.toml", "amplifier.toml", "table.csv")
     with pytest.raises(InputError, match=r"table.csv: frequency_hz: expected a range that contains 100\d"):
         _evaluated(recording)
 
 
-def test_a_line_spacing_that_the_record_does_not_allow(recording, capsys):
-    assert main(["transfer", str(recording), "--estimator", "H1", "--resolution", "0.1", "-q"]) == 2
-    assert "--resolution: expected two segments or more" in capsys.readouterr().err
+def test_a_line_spacing_that_the_record_does_not_allow(recording, refused):
+    told = refused("transfer", recording, "--estimator", "H1", "--resolution", "0.1", "-q")
+    assert "--resolution: expected two segments or more" in told
 
 
 def test_the_example_of_the_guide_is_a_recording(recording):
-    guide = (Path(__file__).resolve().parents[2] / "docs" / "transfer.md").read_text(encoding="utf-8")
+    guide = (DOCS / "transfer.md").read_text(encoding="utf-8")
     (example,) = re.findall(r"^```toml\n(.*?)^```", guide, re.DOTALL | re.MULTILINE)
     (recording / "recording.toml").write_text(example.replace("period = 1.0", "period = 0.5"), encoding="utf-8")
     assert len(_evaluated(recording).resonances) == 1
 
 
-def test_sines_and_chirps_are_told_where_to_go(recording, capsys):
-    assert main(["run", str(recording), "-q"]) == 2
-    assert "shakercal transfer takes this one" in capsys.readouterr().err
+def test_sines_and_chirps_are_told_where_to_go(recording, refused):
+    assert "shakercal transfer takes this one" in refused("run", recording, "-q")
     text = (recording / "recording.toml").read_text()
     head, tail = text.index("[excitation]"), text.index("[[daq]]")
     sine = '[excitation]\nkind = "sine"\ndirection = [0, 0, 1]\nfrequencies = [100.0]\n\n'
     (recording / "recording.toml").write_text(text[:head] + sine + text[tail:])
-    assert main(["transfer", str(recording), "-q"]) == 2
-    assert "shakercal run takes this one" in capsys.readouterr().err
-
-
-@pytest.mark.usefixtures("no_page")
-def test_a_folder_with_other_files_is_refused(recording):
-    (recording / "transfer").mkdir()
-    (recording / "transfer" / "notes.txt").write_text("mine")
-    with pytest.raises(InputError, match="other files"):
-        run_transfer(recording, None, TransferSettings())
-    run_transfer(recording, None, TransferSettings(), force=True)
-    assert (recording / "transfer" / "notes.txt").read_text() == "mine"
-
-
-@pytest.mark.usefixtures("no_page")
-def test_every_recording_of_a_campaign_gets_a_folder(recording, tmp_path):
-    shutil.copytree(recording, recording.parent / "again")
-    run_transfer(recording.parent, tmp_path / "out", TransferSettings())
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["again", "chirp"]
-
-
-def test_the_command_simulates_and_overwrites_its_own(tmp_path, capsys):
-    out = tmp_path / "sim"
-    assert main(["simulate", str(out), "--preset", "chirp"]) == 0
-    assert main(["simulate", str(out), "--preset", "chirp", "--force", "--seed", "2"]) == 0
-    assert main(["check", str(out)]) == 0
-    assert "excitation: chirp" in capsys.readouterr().out
-    truth = json.loads((out / "chirp" / "truth.json").read_text())
-    value = transmissibility(ChirpRig(), np.array(truth["frequency_hz"]))
-    np.testing.assert_allclose(truth["transfer"]["re"], value.real)
-    assert truth["drawn"]["amplifier.corner"] != [0.0]
+    assert "shakercal run evaluates sines" in refused("transfer", recording, "-q")

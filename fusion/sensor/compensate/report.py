@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from markupsafe import Markup
 
 from fusion.estimation.uncertainty import DASH, rounded
-from fusion.report.csv_files import Row
 from fusion.report.numbers import measured, number
-from fusion.report.recording import page_frame
 from fusion.report.style import Picture
-from fusion.report.tables import Headline, Table, render_page
+from fusion.report.table import Headline, Table
 from fusion.sensor.compensate.evaluate import (
     HAND_DAMPING,
     HAND_STIFFNESS,
@@ -42,10 +40,6 @@ from shaker.compensation.effects import gain_band
 from shaker.compensation.filter import band_ratio, best_damping
 from shaker.lti.responses import LABELS, unit_of
 
-# The numbers of a compensation as rows and tables: compensation.csv, the page's tables, what the command prints.
-
-
-COLUMNS = ["channel", "component", "load_mass_kg", "name", "value", "u", "unit"]
 EXPANDED = 2.0
 GRAM, MILLI, PERCENT = 1e3, 1e3, 100.0
 SHOWN = (
@@ -66,13 +60,24 @@ PRINTED = {"band_10_hz": "±10 % band", "overshoot": "overshoot", "settling_2_s"
 ERRORS = (0.01, 0.02, 0.05, 0.1, 0.2)
 
 
-def quantity_rows(evaluation: CompensateEvaluation) -> Iterator[Row]:
+class NumberRow(NamedTuple):
+    """One number of one filter in compensate.csv; what does not apply is empty."""
+
+    channel: str
+    component: str
+    load_mass_kg: float | None
+    name: str
+    value: float | None
+    u: float | None
+    unit: str
+
+
+def quantity_rows(evaluation: CompensateEvaluation) -> Iterator[NumberRow]:
     """One row per number."""
     for result in evaluation.subjects:
-        for found in result.filters:
-            head: Row = [result.subject.channel, result.subject.component, _or_empty(found.load_mass)]
-            for name, value, u, unit in _numbers(result, found):
-                yield [*head, name, _or_empty(value), _or_empty(u), unit]
+        for made in result.filters:
+            for number_ in _numbers(result, made):
+                yield NumberRow(result.subject.channel, result.subject.component, made.load_mass, *number_)
 
 
 def over(top: str, bottom: str) -> str:
@@ -81,11 +86,6 @@ def over(top: str, bottom: str) -> str:
         return "1"
     parts = [f"({unit})" if "/" in unit or "." in unit else unit for unit in (top, bottom)]
     return "/".join(parts)
-
-
-def _or_empty(value: float | None) -> float | str:
-    """A number, nothing for what there is none of."""
-    return "" if value is None else value
 
 
 def _numbers(result: SubjectResult, found: LoadFilter) -> Iterator[tuple[str, float | None, float | None, str]]:
@@ -272,19 +272,10 @@ def plain(figures: Figures, name: str) -> str:
     return f"{body}{power} {unit}".strip()
 
 
-# compensate.html: one self-contained page with curves, figures and costs of every filter.
-
-
-PAGE_FILE = "compensate.html"
 POINTS = 900
 STEP_POINTS = 3000
 STEP_PERIODS = 20.0
 DRAWN = 20_000
-
-
-def render_compensate_page(evaluation: CompensateEvaluation) -> str:
-    """HTML text of the page; style and figures are inside, nothing is fetched from elsewhere."""
-    return render_page("compensate.html", _context(evaluation))
 
 
 def frequencies(found: LoadFilter) -> FloatArray:
@@ -295,11 +286,10 @@ def frequencies(found: LoadFilter) -> FloatArray:
     return np.unique(np.concatenate([even, *(f * (1.0 + np.linspace(-0.05, 0.05, 101)) for f in known)]))
 
 
-def _context(evaluation: CompensateEvaluation) -> dict[str, Any]:
+def page_context(evaluation: CompensateEvaluation) -> dict[str, Any]:
     """Everything the template shows."""
     filters = [(result, found) for result in evaluation.subjects for found in result.filters]
     return {
-        "name": evaluation.name,
         "subject": _subject(evaluation),
         "headlines": headlines(evaluation),
         "filters": filter_table(evaluation),
@@ -317,7 +307,6 @@ def _context(evaluation: CompensateEvaluation) -> dict[str, Any]:
         "haptics": haptics_table(evaluation),
         "haptics_pictures": _haptics(evaluation),
         "loop": _loop(evaluation),
-        **page_frame(evaluation),
     }
 
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-import logging
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -14,26 +14,17 @@ import h5py
 import numpy as np
 
 from fusion.base import InputError
-from fusion.report.csv_files import Row, csv_text
+from fusion.report.folder import Command
 from fusion.report.h5 import write_value
-from fusion.report.provenance import check_folder, hash_files
-from fusion.report.recording import ResultFolder, log_notices
+from fusion.report.provenance import hash_files
+from fusion.report.table import Column, columns_of, csv_text
 from fusion.sensor.compensate.evaluate import (
     CompensateEvaluation,
-    OutputRecord,
     evaluate_compensation,
     read_outputs,
     with_load,
 )
-from fusion.sensor.compensate.report import (
-    COLUMNS,
-    PAGE_FILE,
-    frequencies,
-    label,
-    printed,
-    quantity_rows,
-    render_compensate_page,
-)
+from fusion.sensor.compensate.report import NumberRow, frequencies, label, page_context, printed, quantity_rows
 from fusion.sensor.compensate.source import (
     COMMAND,
     CompensatedRecording,
@@ -46,9 +37,6 @@ from fusion.sensor.compensate.source import (
 )
 from shaker.compensation.effects import gain_band
 from shaker.compensation.filter import Sections, SensorDynamics, single_mode
-
-# Filters for other programs: compensation.json in full precision, and a C header with the same steps.
-
 
 FORMAT = 1
 JSON_FILE, HEADER_FILE = "compensation.json", "compensation.h"
@@ -270,42 +258,11 @@ static inline double shakercal_step(shakercal_filter *filter, double value)
 """
 
 
-# The folder of a compensation: filters as JSON and C, table, HDF5 file and page, whole or not at all.
-
-
-TABLE_FILE, H5_FILE, SIGNAL_FILE = "compensate.csv", "compensate.h5", "compensated.csv"
-OWN_FILE = re.compile(r"compensate\.(csv|h5|html)|compensation\.(json|h)|compensated\.csv")
 EXPANDED = 2.0
-
-
-def write_compensation(evaluation: CompensateEvaluation, folder: Path, *, force: bool = False) -> list[Path]:
-    """Write every result file and return their paths; other folders are refused unless `force`."""
-    return ResultFolder(H5_FILE, OWN_FILE, _texts, _fill).write(evaluation, folder, force=force)
-
-
-def _texts(evaluation: CompensateEvaluation) -> dict[str, str]:
-    """Filters, table, page, and the filtered recording."""
-    texts = {
-        JSON_FILE: json_text(evaluation),
-        HEADER_FILE: header_text(evaluation),
-        TABLE_FILE: csv_text(COLUMNS, quantity_rows(evaluation)),
-        PAGE_FILE: render_compensate_page(evaluation),
-    }
-    if evaluation.applied is not None:
-        columns = [name for one in evaluation.applied.channels for name in (one.channel, f"U_{one.channel}")]
-        texts[SIGNAL_FILE] = csv_text(["time_s", *columns], _signal_rows(evaluation.applied))
-    return texts
-
-
-def _signal_rows(applied: CompensatedRecording) -> Iterator[Row]:
-    """One row per sample: time, then value and U (k = 2) of every channel."""
-    columns = [applied.time_s, *(part for one in applied.channels for part in (one.value, EXPANDED * one.u))]
-    yield from np.stack(columns, axis=1).tolist()
 
 
 def _fill(file: h5py.File, evaluation: CompensateEvaluation) -> None:
     """Fill the HDF5 file."""
-    file.attrs["format"] = FORMAT
     file.attrs["name"] = evaluation.name
     filters = file.create_group("filters", track_order=True)
     for result in evaluation.subjects:
@@ -352,43 +309,6 @@ def _write_signals(group: h5py.Group, applied: CompensatedRecording) -> None:
         write_value(own, "u", one.u)
 
 
-# The command `shakercal compensate`: models → filters, result folder.
-
-
-log = logging.getLogger("shakercal")
-DEFAULT_FOLDER = "compensate"
-
-
-def run_compensate(
-    models: Sequence[Path],
-    sensor: tuple[float | None, float | None],
-    wish: Wish,
-    output: Path | None,
-    *,
-    recording: Path | None = None,
-    force: bool = False,
-    allow_outside: bool = False,
-) -> None:
-    """Make the filters of some models or of a stated `sensor` (Hz, damping ratio), write them and print the summary.
-
-    Results stand in folder `compensate` beside the first model, or in the working folder, or in `output`.
-    """
-    sources = _sources(models, sensor)
-    record = None if recording is None else read_outputs(recording, allow_outside=allow_outside)
-    beside = sources.files[0].parent if sources.files else Path.cwd()
-    _check_loads(sources, wish)
-    folder = beside / DEFAULT_FOLDER if output is None else output
-    hashes = hash_files([*sources.files, *_files(record)], beside)
-    check_folder(folder, hashes, force=force, marker=H5_FILE)
-    evaluation = evaluate_compensation(sources, with_load(wish, sources, record), record, hashes)
-    log_notices(evaluation, log)
-    write_compensation(evaluation, folder, force=force)
-    print(evaluation.name)
-    for line in printed(evaluation):
-        print(line)
-    print(f"report: {folder / PAGE_FILE}")
-
-
 def _sources(models: Sequence[Path], sensor: tuple[float | None, float | None]) -> Sources:
     """Models from files, or the stated sensor; one of the two."""
     frequency, damping = sensor
@@ -418,6 +338,48 @@ def _single(frequency: float, damping: float) -> SensorDynamics:
     return single_mode(frequency, damping)
 
 
-def _files(record: OutputRecord | None) -> tuple[Path, ...]:
-    """The files of a recording."""
-    return () if record is None else tuple(record.manifest.files)
+def _texts(evaluation: CompensateEvaluation) -> dict[str, str | bytes]:
+    """Filters, numbers, and the filtered recording with U (k = 2) of every sample."""
+    texts: dict[str, str | bytes] = {
+        JSON_FILE: json_text(evaluation),
+        HEADER_FILE: header_text(evaluation),
+        "compensate.csv": csv_text(columns_of(NumberRow), quantity_rows(evaluation)),
+    }
+    applied = evaluation.applied
+    if applied is not None:
+        names = ["time_s", *(name for one in applied.channels for name in (one.channel, f"U_{one.channel}"))]
+        samples = [applied.time_s, *(part for one in applied.channels for part in (one.value, EXPANDED * one.u))]
+        columns: list[Column[list[float]]] = [Column(name, itemgetter(place)) for place, name in enumerate(names)]
+        texts["compensated.csv"] = csv_text(columns, np.stack(samples, axis=1).tolist())
+    return texts
+
+
+FILES = (JSON_FILE, HEADER_FILE, "compensate.csv", "compensated.csv")
+COMPENSATE = Command("compensate", "compensate", FILES, _texts, _fill, page_context, printed)
+
+
+def run_compensate(
+    models: Sequence[Path],
+    sensor: tuple[float | None, float | None],
+    wish: Wish,
+    output: Path | None,
+    *,
+    recording: Path | None = None,
+    force: bool = False,
+    allow_outside: bool = False,
+) -> None:
+    """Make the filters of some models or of a stated `sensor` (Hz, damping ratio), write them and print the summary.
+
+    Results stand in folder `compensate` beside the first model, or in the working folder, or in `output`.
+    """
+    sources = _sources(models, sensor)
+    record = None if recording is None else read_outputs(recording, allow_outside=allow_outside)
+    beside = sources.files[0].parent if sources.files else Path.cwd()
+    _check_loads(sources, wish)
+
+    def evaluate(hashes: dict[str, str]) -> CompensateEvaluation:
+        return evaluate_compensation(sources, with_load(wish, sources, record), record, hashes)
+
+    files = [*sources.files, *(() if record is None else record.manifest.files)]
+    folder = beside / COMPENSATE.name if output is None else output
+    COMPENSATE.run(hash_files(files, beside), folder, evaluate, force=force)

@@ -1,12 +1,11 @@
-"""Result folder and page of decoupled outputs."""
+"""What a decoupling leaves: filter, tables, HDF5 file, page, and the lines of the terminal."""
 
 from __future__ import annotations
 
-import logging
-import re
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
@@ -14,13 +13,13 @@ from markupsafe import Markup
 
 from fusion.campaign.workers import one_blas_thread
 from fusion.estimation.uncertainty import DASH, rounded, typeset
-from fusion.report.csv_files import csv_text, sensitivity_unit
+from fusion.recording.load import load_for_command
+from fusion.report.csv_files import sensitivity_unit
+from fusion.report.folder import Command
 from fusion.report.h5 import write_fields, write_value
 from fusion.report.numbers import common_exponent, fixed, measured, number, small, times_ten
-from fusion.report.provenance import check_folder, hash_files
-from fusion.report.recording import ResultFolder, log_notices, page_frame
 from fusion.report.style import Picture
-from fusion.report.tables import Headline, Table, render_page
+from fusion.report.table import Headline, Table, columns_of, csv_text
 from fusion.sensor.decouple.evaluate import (
     DecoupleEvaluation,
     DecoupleSettings,
@@ -29,24 +28,45 @@ from fusion.sensor.decouple.evaluate import (
     filter_text,
 )
 from fusion.sensor.decouple.figures import CrosstalkCurves, StepCurves, draw_crosstalk, draw_step
-from fusion.sensor.step.run import step_manifests
 from shaker.arrays import FloatArray
 from shaker.decoupling.filter import Crosstalk, raw_reading, static_inverse, step_readings, step_times
 from shaker.labels import load_unit
 
-# Tables of a decoupling: what the files, the page and the terminal say.
-
-
-MODEL_COLUMNS = ("quantity", "number", "channel", "component", "value", "u", "U", "k", "unit")
-CROSSTALK_COLUMNS = (
-    *("stage", "quantity", "frequency_hz", "reading", "load"),
-    *("magnitude", "phase_rad", "U", "k", "unit", "rated", "U_rated"),
-)
 STAGE_NAMES = {"raw": "each output alone", "static": "static matrix", "filtered": "filter"}
-Row = list[str | float | int]
 
 
-def model_rows(evaluation: DecoupleEvaluation) -> Iterator[Row]:
+class ModelRow(NamedTuple):
+    """One number of model.csv; what does not apply is empty."""
+
+    quantity: str
+    number: int | str
+    channel: str
+    component: str
+    value: float
+    u: float | str
+    U: float | str
+    k: float | str
+    unit: str
+
+
+class CrosstalkRow(NamedTuple):
+    """One reading of one load in crosstalk.csv, in a step or at a frequency; `rated`: in rated loads."""
+
+    stage: str
+    quantity: str
+    frequency_hz: float | str
+    reading: str
+    load: str
+    magnitude: float
+    phase_rad: float | str
+    U: float
+    k: float
+    unit: str
+    rated: float
+    U_rated: float
+
+
+def model_rows(evaluation: DecoupleEvaluation) -> Iterator[ModelRow]:
     """Rows of model.csv: poles, ranks, static gains, residues."""
     model, u = evaluation.fit.model, evaluation.fit.model.u
     poles = (
@@ -56,10 +76,10 @@ def model_rows(evaluation: DecoupleEvaluation) -> Iterator[Row]:
     )
     for name, values, spreads, unit in poles:
         for i, (value, spread) in enumerate(zip(values, spreads, strict=True)):
-            yield [name, i + 1, "", "", float(value), float(spread), K * float(spread), K, unit]
+            yield ModelRow(name, i + 1, "", "", float(value), float(spread), K * float(spread), K, unit)
     for i, rank in enumerate(evaluation.fit.ranks):
         kind, place = ("rank", i) if i < len(model.frequency_hz) else ("real_rank", i - len(model.frequency_hz))
-        yield [kind, place + 1, "", "", rank.rank, "", "", "", "1"]
+        yield ModelRow(kind, place + 1, "", "", rank.rank, "", "", "", "1")
     static, spread_static = model.static_gain, static_u(evaluation)
     residues = (
         ("residue_re", model.residue.real, u.residue.real),
@@ -70,10 +90,12 @@ def model_rows(evaluation: DecoupleEvaluation) -> Iterator[Row]:
         unit = sensitivity_unit(model.unit, component)
         for c, channel in enumerate(model.channels):
             spread = float(spread_static[c, d])
-            yield ["static_gain", "", channel, component, float(static[c, d]), spread, K * spread, K, unit]
+            yield ModelRow("static_gain", "", channel, component, float(static[c, d]), spread, K * spread, K, unit)
             for name, table, spreads in residues:
                 for i, (value, own) in enumerate(zip(table[:, c, d], spreads[:, c, d], strict=True)):
-                    yield [name, i + 1, channel, component, float(value), float(own), K * float(own), K, f"{unit}/s"]
+                    yield ModelRow(
+                        name, i + 1, channel, component, float(value), float(own), K * float(own), K, f"{unit}/s"
+                    )
 
 
 def static_u(evaluation: DecoupleEvaluation) -> FloatArray:
@@ -86,21 +108,19 @@ def static_u(evaluation: DecoupleEvaluation) -> FloatArray:
     return found
 
 
-def crosstalk_rows(evaluation: DecoupleEvaluation) -> Iterator[Row]:
+def crosstalk_rows(evaluation: DecoupleEvaluation) -> Iterator[CrosstalkRow]:
     """Rows of crosstalk.csv: every reading of every load at every stage, in a step and over frequency."""
     for stage in evaluation.stages:
-        for i, reading in enumerate(stage.components):
-            for j, load in enumerate(stage.components):
-                unit = f"{load_unit(reading)}/{'N' if load_unit(load) == 'N' else '(N.m)'}"
-                ratio = evaluation.scale[j] / evaluation.scale[i] if evaluation.comparable(i, j) else np.nan
-                names: Row = [reading, load]
-                peak, spread = float(stage.peak[i, j]), K * float(stage.u_peak[i, j])
-                tail: Row = [spread, K, unit, float(ratio * peak), float(ratio * spread)]
-                yield [stage.stage, "step_peak", "", *names, peak, "", *tail]
-                for k, frequency in enumerate(stage.frequency_hz):
-                    value, spread = complex(stage.value[k, i, j]), K * float(stage.u[k, i, j])
-                    tail = [spread, K, unit, float(ratio * abs(value)), float(ratio * spread)]
-                    yield [stage.stage, "response", float(frequency), *names, abs(value), float(np.angle(value)), *tail]
+        for (i, reading), (j, load) in product(enumerate(stage.components), repeat=2):
+            unit = f"{load_unit(reading)}/{'N' if load_unit(load) == 'N' else '(N.m)'}"
+            ratio = float(evaluation.scale[j] / evaluation.scale[i]) if evaluation.comparable(i, j) else np.nan
+            places = ("step_peak", "", stage.peak[i, j], stage.u_peak[i, j])
+            over = zip(stage.frequency_hz.tolist(), stage.value[:, i, j], stage.u[:, i, j], strict=True)
+            for quantity, frequency, value, u in (places, *(("response", *entry) for entry in over)):
+                peak, U = quantity == "step_peak", K * float(u)
+                size, phase = (float(value), "") if peak else (float(abs(value)), float(np.angle(value)))
+                tail = (size, phase, U, K, unit, ratio * size, ratio * U)
+                yield CrosstalkRow(stage.stage, quantity, frequency, reading, load, *tail)
 
 
 def largest(evaluation: DecoupleEvaluation, stage: Crosstalk) -> tuple[float, float, str]:
@@ -261,22 +281,12 @@ def printed(evaluation: DecoupleEvaluation) -> Iterator[str]:
     )
 
 
-# decouple.html: one self-contained page with modes, cross-talk before and after, filter and origin.
-
-
-PAGE_FILE = "decouple.html"
 SHOWN_S = 5e-3
-
-
-def render_decouple_page(evaluation: DecoupleEvaluation) -> str:
-    """HTML text of the page; style and figures are inside, nothing is fetched from elsewhere."""
-    return render_page("decouple.html", _context(evaluation))
 
 
 def _context(evaluation: DecoupleEvaluation) -> dict[str, Any]:
     """Everything the template shows."""
     return {
-        "name": evaluation.name,
         "subject": _subject(evaluation),
         "headlines": headlines(evaluation),
         "crosstalk": [_crosstalk(evaluation)],
@@ -288,7 +298,6 @@ def _context(evaluation: DecoupleEvaluation) -> dict[str, Any]:
         "releases": releases_table(evaluation),
         "trials": trials_table(evaluation),
         "deviation": f"{100 * float(evaluation.deviation[_within(evaluation)].max()):.2g}",
-        **page_frame(evaluation),
     }
 
 
@@ -352,33 +361,11 @@ def _step(evaluation: DecoupleEvaluation) -> Picture:
     return draw_step(StepCurves(model.components[load], model.components, time_s, labels, values))
 
 
-# The folder of a decoupling's results: filter, tables, HDF5 file and page, whole or not at all.
-
-
-FORMAT = 1
-FILTER_FILE, MODEL_FILE, CROSSTALK_FILE, H5_FILE = "decoupling.json", "model.csv", "crosstalk.csv", "decouple.h5"
-OWN_FILE = re.compile(r"decoupling\.json|(model|crosstalk)\.csv|decouple\.(h5|html)")
 MODEL_FIELDS = ("channels", "components", "unit", "frequency_hz", "damping_ratio", "residue", "real_hz", "real_residue")
-
-
-def write_decoupling(evaluation: DecoupleEvaluation, folder: Path, *, force: bool = False) -> list[Path]:
-    """Write every result file and return their paths; other folders are refused unless `force`."""
-    return ResultFolder(H5_FILE, OWN_FILE, _texts, _fill).write(evaluation, folder, force=force)
-
-
-def _texts(evaluation: DecoupleEvaluation) -> dict[str, str]:
-    """Filter, tables and page."""
-    return {
-        FILTER_FILE: filter_text(evaluation.decoupler, evaluation.fit.model),
-        MODEL_FILE: csv_text(MODEL_COLUMNS, model_rows(evaluation)),
-        CROSSTALK_FILE: csv_text(CROSSTALK_COLUMNS, crosstalk_rows(evaluation)),
-        PAGE_FILE: render_decouple_page(evaluation),
-    }
 
 
 def _fill(file: h5py.File, evaluation: DecoupleEvaluation) -> None:
     """Fill the HDF5 file."""
-    file.attrs["format"] = FORMAT
     file.attrs["name"] = evaluation.name
     file.attrs["model"] = "H(s) = sum R/(s-p) + conj + sum R_q/(s-p_q); poles in rad/s; k = 1"
     fit = evaluation.fit
@@ -399,11 +386,17 @@ def _fill(file: h5py.File, evaluation: DecoupleEvaluation) -> None:
         write_fields(stages.create_group(stage.stage, track_order=True), stage)
 
 
-# The command `shakercal decouple`: recordings of releases → model, filter, result folder.
+def _texts(evaluation: DecoupleEvaluation) -> dict[str, str | bytes]:
+    """Filter and tables."""
+    return {
+        "decoupling.json": filter_text(evaluation.decoupler, evaluation.fit.model),
+        "model.csv": csv_text(columns_of(ModelRow), model_rows(evaluation)),
+        "crosstalk.csv": csv_text(columns_of(CrosstalkRow), crosstalk_rows(evaluation)),
+    }
 
 
-log = logging.getLogger("shakercal")
-DEFAULT_FOLDER = "decouple"
+FILES = ("decoupling.json", "model.csv", "crosstalk.csv")
+DECOUPLE = Command("decouple", "decouple", FILES, _texts, _fill, _context, printed)
 
 
 def run_decouple(
@@ -414,15 +407,11 @@ def run_decouple(
     Results stand in the campaign's folder `decouple` or in `output`. A place that cannot take them is refused before
     anything is computed.
     """
-    manifests = step_manifests(path, allow_outside=allow_outside)
-    folder = (path if path.is_dir() else path.parent) / DEFAULT_FOLDER if output is None else output
-    hashes = hash_files([file for manifest in manifests for file in manifest.files], manifests[0].root)
-    check_folder(folder, hashes, force=force, marker=H5_FILE)
-    with one_blas_thread():
-        evaluation = evaluate_decoupling(manifests[0].rig.name, manifests, settings, hashes)
-    log_notices(evaluation, log)
-    write_decoupling(evaluation, folder, force=force)
-    print(evaluation.name)
-    for line in printed(evaluation):
-        print(line)
-    print(f"report: {folder / PAGE_FILE}")
+    manifests = load_for_command([path], DECOUPLE.name, allow_outside=allow_outside)
+
+    def evaluate(hashes: dict[str, str]) -> DecoupleEvaluation:
+        with one_blas_thread():
+            return evaluate_decoupling(manifests[0].rig.name, manifests, settings, hashes)
+
+    own = (path if path.is_dir() else path.parent) / DECOUPLE.name
+    DECOUPLE.run_recordings([path], manifests, own if output is None else output, evaluate, force=force)

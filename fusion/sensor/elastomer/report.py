@@ -1,28 +1,27 @@
-"""Result folder and page of an elastic element."""
+"""What the models of an elastic element leave: tables, pictures of shapes, HDF5 file, page, lines of the terminal."""
 
 from __future__ import annotations
 
-import logging
-import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
 
 from fusion.base import ProgressCallback, no_progress
 from fusion.estimation.uncertainty import DASH, rounded
-from fusion.report.csv_files import Row, csv_text
+from fusion.report.folder import Command
 from fusion.report.h5 import write_fields, write_value
-from fusion.report.numbers import measured
-from fusion.report.provenance import check_folder, hash_files
-from fusion.report.recording import ResultFolder, log_notices, page_frame
+from fusion.report.numbers import measured, signed
+from fusion.report.provenance import hash_files
 from fusion.report.style import Picture
-from fusion.report.tables import Headline, Table, render_page
+from fusion.report.table import Column, Headline, Table, columns_of, csv_text, on_page, table, word
 from fusion.sensor.elastomer.definition import read_definition
 from fusion.sensor.elastomer.evaluate import (
-    Column,
+    Column as ComparedColumn,
+)
+from fusion.sensor.elastomer.evaluate import (
     ElementEvaluation,
     Fact,
     evaluate_element,
@@ -30,17 +29,11 @@ from fusion.sensor.elastomer.evaluate import (
     solid_shapes,
 )
 from fusion.sensor.elastomer.figures import Compared, HandCurve, draw_compared, draw_hand, draw_shapes
+from shaker.arrays import FloatArray
+from shaker.elastomer.element import PlatformFit
 from shaker.elastomer.frame import NAMES
 from shaker.elastomer.solid import converged
 
-# The numbers of an elastic element as rows and tables: csv files, the page's tables, and what the command prints.
-
-
-MODES = ["model", "refinement", "unknowns", "mode", "frequency_hz", *(f"participation_{name}" for name in NAMES)]
-STIFFNESS = ["model", "component", "stiffness", "unit"]
-COMPARISON = ["column", "kind", "mode", "frequency_hz", "u_hz"]
-STATICS = ["name", "printed", "right", "unit", "remark"]
-PLATFORM = ["half_size_m", "mass_kg", "height_m", "gyration_x_m", "gyration_z_m", "largest_misfit"]
 SPREAD = "spread"
 """Column of comparison.csv: (max - min)/max of a mode over all columns, as a ratio."""
 DIMENSION_LABELS = {
@@ -58,58 +51,120 @@ DIMENSION_LABELS = {
 MILLI = 1e3
 
 
-def mode_rows(evaluation: ElementEvaluation) -> Iterator[Row]:
+class ModeRow(NamedTuple):
+    """One mode of a model in modes.csv; participation of the solid's modes is not computed."""
+
+    model: str
+    refinement: int
+    unknowns: int
+    mode: str
+    frequency_hz: float
+    participation: FloatArray
+
+
+def _participation(place: int) -> Column[ModeRow]:
+    """Share of one rigid motion in a mode."""
+    return Column(f"participation_{NAMES[place]}", lambda row: float(row.participation[place]))
+
+
+MODES: list[Column[ModeRow]] = [*columns_of(ModeRow)[:-1], *map(_participation, range(len(NAMES)))]
+
+
+class StiffnessRow(NamedTuple):
+    """Load per displacement of the platform in its own direction, by one model."""
+
+    model: str
+    component: str
+    stiffness: float
+    unit: str
+
+
+class ComparisonRow(NamedTuple):
+    """One mode by one model or measurement, or its spread over all of them: (max - min)/max, a ratio."""
+
+    column: str
+    kind: str
+    mode: str
+    frequency_hz: float
+    u_hz: float
+
+
+STATICS: list[Column[Fact]] = [
+    word("name", lambda fact: fact.name),
+    on_page("quantity", lambda fact: fact.label, "l"),
+    Column(
+        "printed",
+        lambda fact: np.nan if fact.printed is None else fact.printed,
+        "formula as printed",
+        lambda fact: _number(fact.printed, fact),
+    ),
+    Column(
+        "right",
+        lambda fact: np.nan if fact.right is None else fact.right,
+        "right",
+        lambda fact: _number(fact.right, fact),
+    ),
+    Column("unit", lambda fact: fact.unit, "unit", lambda fact: fact.unit.replace("1", DASH), "l"),
+    word("remark", lambda fact: fact.remark, "remark"),
+]
+PLATFORM: list[Column[PlatformFit]] = [
+    Column("half_size_m", lambda fit: fit.half_size_m, "half-size / mm", lambda fit: f"{MILLI * fit.half_size_m:g}"),
+    Column("mass_kg", lambda fit: fit.platform.mass_kg, "mass / g", lambda fit: f"{MILLI * fit.platform.mass_kg:.2f}"),
+    Column(
+        "height_m",
+        lambda fit: fit.platform.height_m,
+        "height / mm",
+        lambda fit: f"{MILLI * fit.platform.height_m:.2f}",
+    ),
+    Column(
+        "gyration_x_m",
+        lambda fit: float(fit.platform.gyration_m[0]),
+        "gyration x, y / mm",
+        lambda fit: f"{MILLI * fit.platform.gyration_m[0]:.2f}",
+    ),
+    Column(
+        "gyration_z_m",
+        lambda fit: float(fit.platform.gyration_m[2]),
+        "gyration z / mm",
+        lambda fit: f"{MILLI * fit.platform.gyration_m[2]:.2f}",
+    ),
+    Column(
+        "largest_misfit",
+        lambda fit: fit.misfit,
+        "misfit / %",
+        lambda fit: "< 0.01" if fit.misfit < 1e-4 else f"{100.0 * fit.misfit:.2g}",
+    ),
+]
+
+
+def mode_rows(evaluation: ElementEvaluation) -> Iterator[ModeRow]:
     """One row per mode of the frame, then of the solid on every mesh, and with a platform that does not bend."""
-    frame = evaluation.frame
+    modes, study = evaluation.frame.modes, evaluation.solid
     for place, name in enumerate(NAMES):
-        share = frame.modes.participation[place].tolist()
-        frequency = float(frame.modes.frequency_hz[place])
-        yield ["frame", 0, len(frame.modes.shape), name, frequency, *share]
-    if evaluation.solid is None:
-        return
-    study = evaluation.solid
-    models = [("solid", *pair) for pair in zip(study.refinements, study.meshes, strict=True)]
-    for label, refinement, model in [*models, ("solid, rigid platform", study.refinements[-2], study.rigid)]:
-        for place, name in enumerate(NAMES):
-            frequency = float(model.frequency_hz[place])
-            yield [label, refinement, model.unknowns, name, frequency, *([np.nan] * 6)]
+        frequency = float(modes.frequency_hz[place])
+        yield ModeRow("frame", 0, len(modes.shape), name, frequency, modes.participation[place])
+    if study is not None:
+        models = [("solid", *pair) for pair in zip(study.refinements, study.meshes, strict=True)]
+        for label, refinement, model in [*models, ("solid, rigid platform", study.refinements[-2], study.rigid)]:
+            for name, frequency in zip(NAMES, model.frequency_hz.tolist(), strict=True):
+                yield ModeRow(label, refinement, model.unknowns, name, frequency, np.full(len(NAMES), np.nan))
 
 
-def stiffness_rows(evaluation: ElementEvaluation) -> Iterator[Row]:
-    """One row per model and direction: load per displacement of the platform in its own direction."""
-    found = {"frame": evaluation.frame.stiffness}
-    if evaluation.solid is not None:
-        found["solid"] = evaluation.solid.finest.stiffness
-        found["solid, rigid platform"] = evaluation.solid.rigid.stiffness
-    for label, stiffness in found.items():
-        for place, name in enumerate(NAMES):
-            yield [label, f"k{name}", float(stiffness[place]), "N/m" if place < 3 else "N.m/rad"]
+def stiffnesses(evaluation: ElementEvaluation) -> dict[str, FloatArray]:
+    """Stiffness (6,) of every model."""
+    solid = evaluation.solid
+    models = {} if solid is None else {"solid": solid.finest, "solid, rigid platform": solid.rigid}
+    return {"frame": evaluation.frame.stiffness, **{name: model.stiffness for name, model in models.items()}}
 
 
-def comparison_rows(evaluation: ElementEvaluation) -> Iterator[Row]:
+def comparison_rows(evaluation: ElementEvaluation) -> Iterator[ComparisonRow]:
     """One row per column and mode, then the spread of every mode."""
     for column in evaluation.columns:
-        for place, name in enumerate(NAMES):
-            if np.isfinite(column.frequency_hz[place]):
-                yield [column.name, column.kind, name, float(column.frequency_hz[place]), float(column.u_hz[place])]
+        for name, frequency, u in zip(NAMES, column.frequency_hz.tolist(), column.u_hz.tolist(), strict=True):
+            if np.isfinite(frequency):
+                yield ComparisonRow(column.name, column.kind, name, frequency, u)
     for name, spread in zip(NAMES, evaluation.spread, strict=True):
-        yield [SPREAD, "(max - min)/max", name, float(spread), np.nan]
-
-
-def statics_rows(evaluation: ElementEvaluation) -> Iterator[Row]:
-    """One row per number of the beam formulas."""
-    for fact in evaluation.facts:
-        printed = np.nan if fact.printed is None else fact.printed
-        yield [fact.name, printed, np.nan if fact.right is None else fact.right, fact.unit, fact.remark]
-
-
-def platform_rows(evaluation: ElementEvaluation) -> Iterator[Row]:
-    """One row per half-size for which platform data were fitted."""
-    for fit in evaluation.fits:
-        part = fit.platform
-        gyration = part.gyration_m
-        numbers: Row = [part.mass_kg, part.height_m, float(gyration[0]), float(gyration[2]), fit.misfit]
-        yield [fit.half_size_m, *numbers]
+        yield ComparisonRow(SPREAD, "(max - min)/max", name, float(spread), np.nan)
 
 
 def headlines(evaluation: ElementEvaluation) -> list[Headline]:
@@ -135,24 +190,12 @@ def comparison_table(evaluation: ElementEvaluation) -> Table:
     return Table(caption, ("model", *NAMES), "lrrrrrr", tuple(rows))
 
 
-def statics_table(evaluation: ElementEvaluation) -> Table:
-    """The beam formulas."""
-    rows = [
-        (fact.label, _number(fact.printed, fact), _number(fact.right, fact), fact.unit.replace("1", "–"), fact.remark)
-        for fact in evaluation.facts
-    ]
-    head = ("quantity", "formula as printed", "right", "unit", "remark")
-    return Table("Beam formulas", head, "lrrll", tuple(rows))
-
-
 def stiffness_table(evaluation: ElementEvaluation) -> Table:
     """Static stiffness of the platform by model."""
-    by_model: dict[str, list[str]] = {}
-    for row in stiffness_rows(evaluation):
-        by_model.setdefault(str(row[0]), []).append(_plain(float(row[2])))
+    rows = tuple((label, *map(_plain, values.tolist())) for label, values in stiffnesses(evaluation).items())
     head = ("model", *(f"{name} / (N/m)" for name in NAMES[:3]), *(f"{name} / (N·m/rad)" for name in NAMES[3:]))
     caption = "Static stiffness: load per displacement in its own direction, the others free"
-    return Table(caption, head, "lrrrrrr", tuple((label, *cells) for label, cells in by_model.items()))
+    return Table(caption, head, "lrrrrrr", rows)
 
 
 def participation_table(evaluation: ElementEvaluation) -> Table:
@@ -188,24 +231,11 @@ def convergence_table(evaluation: ElementEvaluation) -> Table | None:
 def sensitivity_table(evaluation: ElementEvaluation) -> Table:
     """Percent of frequency per percent of a dimension."""
     rows = [
-        (DIMENSION_LABELS[name], *(_signed(value) for value in values))
+        (DIMENSION_LABELS[name], *(signed(value) for value in values))
         for name, values in evaluation.sensitivity.items()
     ]
     caption = "What tolerances do: change of the frame's frequencies in % per % of"
     return Table(caption, ("dimension", *NAMES), "lrrrrrr", tuple(rows))
-
-
-def platform_table(evaluation: ElementEvaluation) -> Table | None:
-    """Platform data that give the wanted frequencies."""
-    rows = []
-    for half_size, mass, height, across, along, misfit in platform_rows(evaluation):
-        lengths = (f"{MILLI * float(value):.2f}" for value in (height, across, along))
-        share = 100.0 * float(misfit)
-        told = "< 0.01" if share < 0.01 else f"{share:.2g}"
-        rows.append((f"{MILLI * float(half_size):g}", f"{MILLI * float(mass):.2f}", *lengths, told))
-    head = ("half-size / mm", "mass / g", "height / mm", "gyration x, y / mm", "gyration z / mm", "misfit / %")
-    caption = "Platforms that have the wanted frequencies: any of them, so none is validated"
-    return Table(caption, head, "rrrrrr", tuple(rows)) if rows else None
 
 
 def mounted_table(evaluation: ElementEvaluation) -> Table | None:
@@ -242,13 +272,13 @@ def printed(evaluation: ElementEvaluation) -> Iterator[str]:
         yield f"fitted platform, half-size {MILLI * fit.half_size_m:g} mm: {told}"
 
 
-def _cell(column: Column, place: int) -> str:
+def _cell(column: ComparedColumn, place: int) -> str:
     """One frequency, with U where it is measured."""
     value, expanded = _texts(column, place)
     return f"{value} ± {expanded}" if expanded else value
 
 
-def _texts(column: Column, place: int) -> tuple[str, str]:
+def _texts(column: ComparedColumn, place: int) -> tuple[str, str]:
     """One frequency and its U, which is empty of what is not measured."""
     value, u = float(column.frequency_hz[place]), float(column.u_hz[place])
     if not np.isfinite(value):
@@ -276,52 +306,24 @@ def _percent(value: float) -> str:
     return DASH if not np.isfinite(value) else f"{100.0 * value:.2f}".replace("-", "\N{MINUS SIGN}")
 
 
-def _signed(value: float) -> str:
-    """A number with two decimals."""
-    return f"{value + 0.0:.2f}".replace("-0.00", "0.00").replace("-", "\N{MINUS SIGN}")
-
-
-# elastomer.html: one self-contained page with comparison, stiffness, shapes and origin of an element's models.
-
-
-PAGE_FILE = "elastomer.html"
-SHAPE_FILES = ("shapes-frame.png", "shapes-solid.png")
-
-
-def shape_pictures(evaluation: ElementEvaluation) -> dict[str, tuple[Picture, bytes]]:
-    """Return the pictures of the shapes by the name of their file."""
-    found = {}
-    shapes = frame_shapes(evaluation.definition, evaluation.frame)
-    found[SHAPE_FILES[0]] = draw_shapes("elastomer-shapes-frame", "Mode shapes of the frame", shapes)
-    if evaluation.solid is not None:
-        outside = solid_shapes(evaluation.solid.meshes[0], evaluation.solid.finest)
-        found[SHAPE_FILES[1]] = draw_shapes("elastomer-shapes-solid", "Mode shapes of the solid", outside)
-    return found
-
-
-def render_element_page(evaluation: ElementEvaluation, shapes: list[Picture]) -> str:
-    """HTML text of the page; style and figures are inside, nothing is fetched from elsewhere."""
-    return render_page("elastomer.html", _context(evaluation, shapes))
-
-
-def _context(evaluation: ElementEvaluation, shapes: list[Picture]) -> dict[str, Any]:
+def _context(evaluation: ElementEvaluation) -> dict[str, Any]:
     """Everything the template shows."""
     return {
-        "name": evaluation.name,
         "subject": _subject(evaluation),
         "headlines": headlines(evaluation),
         "comparison": comparison_table(evaluation),
         "compared": [draw_compared(_compared(evaluation))],
-        "shapes": shapes,
+        "shapes": [picture for picture, _ in shape_pictures(evaluation).values()],
         "participation": participation_table(evaluation),
         "stiffness": stiffness_table(evaluation),
-        "statics": statics_table(evaluation),
+        "statics": table("Beam formulas", STATICS, evaluation.facts),
         "convergence": convergence_table(evaluation),
         "sensitivity": sensitivity_table(evaluation),
-        "platform": platform_table(evaluation),
+        "platform": table(
+            "Platforms that have the wanted frequencies: any of them, so none is validated", PLATFORM, evaluation.fits
+        ),
         "mounted": mounted_table(evaluation),
         "hand": _hand(evaluation),
-        **page_frame(evaluation),
     }
 
 
@@ -372,40 +374,19 @@ def _hand(evaluation: ElementEvaluation) -> list[Picture]:
     return [draw_hand(curve)]
 
 
-# The folder of an element's models: tables, pictures, HDF5 file and page, whole or not at all.
-
-
-FORMAT = 1
-H5_FILE = "elastomer.h5"
-OWN_FILE = re.compile(
-    r"(modes|stiffness|comparison|statics|platform)\.csv|shapes-(frame|solid)\.png|elastomer\.(h5|html)"
-)
-
-
-def write_element(evaluation: ElementEvaluation, folder: Path, *, force: bool = False) -> list[Path]:
-    """Write every result file and return their paths; other folders are refused unless `force`."""
-    return ResultFolder(H5_FILE, OWN_FILE, _results_texts, _fill).write(evaluation, folder, force=force)
-
-
-def _results_texts(evaluation: ElementEvaluation) -> dict[str, str | bytes]:
-    """Tables, pictures and page."""
-    shapes = shape_pictures(evaluation)
-    found: dict[str, str | bytes] = {
-        "comparison.csv": csv_text(COMPARISON, comparison_rows(evaluation)),
-        "modes.csv": csv_text(MODES, mode_rows(evaluation)),
-        "stiffness.csv": csv_text(STIFFNESS, stiffness_rows(evaluation)),
-        "statics.csv": csv_text(STATICS, statics_rows(evaluation)),
+def shape_pictures(evaluation: ElementEvaluation) -> dict[str, tuple[Picture, bytes]]:
+    """Return the pictures of the shapes by the name of their file."""
+    shapes = {"frame": frame_shapes(evaluation.definition, evaluation.frame)}
+    if evaluation.solid is not None:
+        shapes["solid"] = solid_shapes(evaluation.solid.meshes[0], evaluation.solid.finest)
+    return {
+        f"shapes-{model}.png": draw_shapes(f"elastomer-shapes-{model}", f"Mode shapes of the {model}", drawn)
+        for model, drawn in shapes.items()
     }
-    if evaluation.fits:
-        found["platform.csv"] = csv_text(PLATFORM, platform_rows(evaluation))
-    found.update({name: png for name, (_, png) in shapes.items()})
-    found[PAGE_FILE] = render_element_page(evaluation, [picture for picture, _ in shapes.values()])
-    return found
 
 
 def _fill(file: h5py.File, evaluation: ElementEvaluation) -> None:
     """Fill the HDF5 file."""
-    file.attrs["format"] = FORMAT
     file.attrs["name"] = evaluation.name
     file.attrs["shapes"] = "unknowns ux uy uz rx ry rz of the platform's point in the plane of the beams, then of nodes"
     definition = evaluation.definition
@@ -439,11 +420,33 @@ def _write_frame(group: h5py.Group, evaluation: ElementEvaluation) -> None:
     write_value(group, "node_motion", model.frame.reduction @ model.modes.shape)
 
 
-# The command `shakercal elastomer`: GEOMETRY.toml → models, result folder.
+def _files(evaluation: ElementEvaluation) -> dict[str, str | bytes]:
+    """Tables and pictures."""
+    stiffness = (
+        StiffnessRow(label, f"k{name}", value, "N/m" if name.startswith("T") else "N.m/rad")
+        for label, values in stiffnesses(evaluation).items()
+        for name, value in zip(NAMES, values.tolist(), strict=True)
+    )
+    tables = {
+        "comparison.csv": csv_text(columns_of(ComparisonRow), comparison_rows(evaluation)),
+        "modes.csv": csv_text(MODES, mode_rows(evaluation)),
+        "stiffness.csv": csv_text(columns_of(StiffnessRow), stiffness),
+        "statics.csv": csv_text(STATICS, evaluation.facts),
+    }
+    platforms = {"platform.csv": csv_text(PLATFORM, evaluation.fits)} if evaluation.fits else {}
+    return {**tables, **platforms, **{name: png for name, (_, png) in shape_pictures(evaluation).items()}}
 
 
-log = logging.getLogger("shakercal")
-DEFAULT_FOLDER, FILE_NAME = "elastomer", "elastomer.toml"
+TABLES = ("modes.csv", "stiffness.csv", "comparison.csv", "statics.csv", "platform.csv")
+ELASTOMER = Command(
+    "elastomer",
+    "elastomer",
+    (*TABLES, "shapes-frame.png", "shapes-solid.png"),
+    _files,
+    _fill,
+    _context,
+    printed,
+)
 
 
 def run_elastomer(
@@ -458,15 +461,11 @@ def run_elastomer(
 
     Results stand in the folder `elastomer` beside the file, or in `output`.
     """
-    file = path / FILE_NAME if path.is_dir() else path
+    file = path / "elastomer.toml" if path.is_dir() else path
     definition = read_definition(file)
-    folder = file.parent / DEFAULT_FOLDER if output is None else output
-    hashes = hash_files(definition.files, file.parent)
-    check_folder(folder, hashes, force=force, marker=H5_FILE)
-    evaluation = evaluate_element(definition, hashes, solid=solid, progress=progress)
-    log_notices(evaluation, log)
-    write_element(evaluation, folder, force=force)
-    print(evaluation.name)
-    for line in printed(evaluation):
-        print(line)
-    print(f"report: {folder / PAGE_FILE}")
+
+    def evaluate(hashes: dict[str, str]) -> ElementEvaluation:
+        return evaluate_element(definition, hashes, solid=solid, progress=progress)
+
+    folder = file.parent / ELASTOMER.name if output is None else output
+    ELASTOMER.run(hash_files(definition.files, file.parent), folder, evaluate, force=force)

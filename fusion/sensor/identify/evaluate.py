@@ -13,10 +13,10 @@ from fusion.base import ARGUMENT
 from fusion.campaign.repeats import Drive, drive_ratio, over_lines
 from fusion.estimation.uncertainty import Uncertainty
 from fusion.recording.load import Manifest
-from fusion.recording.rig import Sensor
+from fusion.recording.manifest import Sensor
 from fusion.report.csv_files import sensitivity_unit
-from fusion.report.h5 import Recorded, SensorFacts, read_recorded
 from fusion.report.provenance import versions
+from fusion.report.recorded import Recorded, SensorFacts, read_recorded
 from fusion.sensitivity.ratio import driven_component
 from fusion.sensor.identify.fit import (
     JointFit,

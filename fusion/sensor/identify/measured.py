@@ -10,12 +10,12 @@ from typing import Literal, get_args
 import numpy as np
 
 from fusion.base import InputError
-from fusion.instruments.channel import across, placement_name
-from fusion.phasors.stereo_phasors import load_body
+from fusion.instruments import TRANSDUCERS
+from fusion.instruments.channel import geometry_errors, placed_at, unit_direction
 from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.recording.manifest import ChannelEntry
 from fusion.report.provenance import RESULT_FILE, hash_files, read_provenance
-from fusion.sensitivity.body import Body
+from fusion.sensitivity.body import Body, load_body
 from fusion.sensor.transfer.evaluate import KINDS, evaluate_transfer
 from fusion.sensor.transfer.records import FoundResonance, ReferenceResult, TransferSettings
 from shaker.arrays import FloatArray, Notice
@@ -85,9 +85,8 @@ class IdentifySettings:
 
 def sight(entry: ChannelEntry) -> Placement:
     """Return where and along what a channel measures, of an angular velocity about what."""
-    turning = entry.quantity == "angular_velocity"
-    point = np.zeros(3) if turning else np.asarray(entry.point, dtype=np.float64)
-    return Placement(point, np.asarray(entry.direction, dtype=np.float64), turning)
+    turning = TRANSDUCERS[entry.quantity].turning
+    return Placement(np.zeros(3) if turning else placed_at(entry), unit_direction(entry), turning)
 
 
 def placement_errors(base: ChannelEntry, tops: Sequence[ChannelEntry], mounting: str) -> tuple[PlacementError, ...]:
@@ -98,26 +97,10 @@ def placement_errors(base: ChannelEntry, tops: Sequence[ChannelEntry], mounting:
     """
     placed = [(base, AT_THE_BASE), *((entry, place) for place, entry in enumerate(tops))]
     return tuple(
-        PlacementError(f"{name} [{mounting}]", place, change)
+        PlacementError(f"{error.name} [{mounting}]", place, error.change)
         for entry, place in placed
-        for name, change in _changes(entry)
-        if np.any(change != 0.0)
+        for error in geometry_errors(TRANSDUCERS[entry.quantity], entry)
     )
-
-
-def _changes(entry: ChannelEntry) -> Iterator[tuple[str, FloatArray]]:
-    """Yield name and change (6,) of a channel's row: three coordinates, two tilts, two leaks of what lies across."""
-    seen = sight(entry)
-    for axis, unit, u in zip("xyz", np.eye(3), np.broadcast_to(entry.point_uncertainty, 3), strict=True):
-        lever = np.cross(unit, seen.direction) * (0.0 if seen.turning else u)
-        yield placement_name(entry, "point", axis), np.concatenate([np.zeros(3), lever])
-    leaks = (
-        ("direction", entry.direction_uncertainty),
-        ("transverse sensitivity", entry.transverse_sensitivity / np.sqrt(2.0)),
-    )
-    for number, tangent in enumerate(across(seen.direction)):
-        for kind, u in leaks:
-            yield placement_name(entry, kind, str(number)), u * replace(seen, direction=tangent).row
 
 
 # The recordings of a campaign sorted by what they say of the sensor.
@@ -220,8 +203,6 @@ def _check_one_sensor(manifests: list[Manifest]) -> None:
 
 SETTINGS = TransferSettings(quantity="acceleration")
 """Every motion as an acceleration, so that a ratio has no unit."""
-TRANSLATIONS = ("displacement", "velocity", "acceleration")
-TURNING = "angular_velocity"
 _ALONG = 1e-3  # share of the drive that the reference must see
 
 
@@ -322,7 +303,7 @@ def rigid_load(manifest: Manifest) -> Body:
     """Return load and parts without what moves inside the sensor; `InputError` without a load."""
     sensor = manifest.rig.sensor
     bare = None if sensor is None else sensor.model_copy(update={"internal_mass": 0.0})
-    body = load_body(replace(manifest, rig=manifest.rig.model_copy(update={"sensor": bare})))
+    body = load_body(manifest.rig.model_copy(update={"sensor": bare}), manifest.part)
     if body is None:
         expected = "[load] with the mass, centre of mass and inertia of what is mounted on the sensor"
         raise InputError(manifest.rig_path, "load", found="nothing", expected=expected)
@@ -372,7 +353,8 @@ def _on_load(entry: ChannelEntry, drive: FloatArray) -> bool:
 
 def _shows_motion(entry: ChannelEntry, drive: FloatArray) -> bool:
     """Whether a channel measures a translation, or the turning of a rig that is turned."""
-    return entry.quantity in TRANSLATIONS or (entry.quantity == TURNING and bool(np.any(drive[3:] != 0.0)))
+    seen = TRANSDUCERS.get(entry.quantity)
+    return seen is not None and (not seen.turning or bool(np.any(drive[3:] != 0.0)))
 
 
 def _wanted(drive: FloatArray) -> str:

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from markupsafe import Markup
 
 from fusion.estimation.uncertainty import DASH, coverage_factor, rounded, typeset
-from fusion.report.csv_files import Row
 from fusion.report.numbers import measured, small, times_ten
-from fusion.report.recording import page_frame
 from fusion.report.style import Picture
-from fusion.report.tables import Headline, Table, render_page
+from fusion.report.table import Headline, Table
 from fusion.sensor.identify.evaluate import LABELS, ComponentResult, IdentifyEvaluation, Reading, of_curve
 from fusion.sensor.identify.figures import curve_pictures, sensitivity_pictures
 from shaker.identification.correction import UsableBand
@@ -22,25 +20,20 @@ from shaker.identification.measured import ParameterEstimate
 from shaker.identification.sensor import CHAIN_WORDS
 from shaker.labels import LOAD_COMPONENTS
 
-# An identification as rows of files: parameters.csv and readings.csv.
+K = coverage_factor(np.inf)
 
 
-PARAMETER_COLUMNS = ["component", "name", "value", "u", "k", "U", "unit", "method"]
-READING_COLUMNS = [
-    "component",
-    "recording",
-    "response",
-    "method",
-    "frequency_hz",
-    "u_frequency_hz",
-    "width_hz",
-    "u_width_hz",
-    "damping_ratio",
-    "u_damping_ratio",
-    "stiffness",
-    "damping",
-    "note",
-]
+class NumberRow(NamedTuple):
+    """One number of parameters.csv, and the method that found it."""
+
+    component: str
+    name: str
+    value: float
+    u: float
+    k: float
+    U: float
+    unit: str
+    method: str
 
 
 def numbers(component: ComponentResult) -> Iterator[tuple[ParameterEstimate, str]]:
@@ -62,20 +55,12 @@ def numbers(component: ComponentResult) -> Iterator[tuple[ParameterEstimate, str
         yield ParameterEstimate(name, label, band.upper_hz, band.u_upper_hz, "Hz"), "sensor model"
 
 
-def parameter_rows(evaluation: IdentifyEvaluation) -> Iterator[Row]:
+def parameter_rows(evaluation: IdentifyEvaluation) -> Iterator[NumberRow]:
     """One row per number."""
-    k = coverage_factor(np.inf)
     for component in evaluation.components:
         for estimate, method in numbers(component):
-            values: Row = [estimate.value, estimate.u, k, k * estimate.u]
-            yield [component.name, estimate.name, *values, plain(estimate.unit), method]
-
-
-def reading_rows(evaluation: IdentifyEvaluation) -> Iterator[Row]:
-    """One row per method and curve; what a method does not tell is `nan`."""
-    for component in evaluation.components:
-        for reading in component.readings:
-            yield [component.name, *(getattr(reading, column) for column in READING_COLUMNS[1:])]
+            values = (estimate.value, estimate.u, K, K * estimate.u, plain(estimate.unit))
+            yield NumberRow(component.name, estimate.name, *values, method)
 
 
 def plain(unit: str) -> str:
@@ -96,10 +81,6 @@ def _modes(component: ComponentResult) -> Iterator[ParameterEstimate]:
         yield ParameterEstimate(*ratio, mode.damping_ratio, mode.u_damping_ratio, "1")
 
 
-# An identification as tables: those of the page, and what the command prints.
-
-
-K = coverage_factor(np.inf)
 LIMITS = {"rise": "resonance", "drop": "fall of the output", "phase": "phase", "nothing": "nothing"}
 _LARGEST_CAUSES = 12
 
@@ -328,12 +309,6 @@ def _share(share: float) -> str:
     return f"{100.0 * share:.2g}" if share >= 1e-7 else "< 10⁻⁵"
 
 
-# identify.html: one self-contained page with curves, parameters, readings, sensitivity and origin.
-
-
-PAGE_FILE = "identify.html"
-
-
 @dataclass(frozen=True)
 class ComponentSection:
     """What the page shows of one component."""
@@ -352,19 +327,12 @@ class ComponentSection:
     budget: Table
 
 
-def render_identify_page(evaluation: IdentifyEvaluation) -> str:
-    """HTML text of the page; style and figures are inside, nothing is fetched from elsewhere."""
-    return render_page("identify.html", _context(evaluation))
-
-
-def _context(evaluation: IdentifyEvaluation) -> dict[str, Any]:
+def page_context(evaluation: IdentifyEvaluation) -> dict[str, Any]:
     """Everything the template shows."""
     return {
-        "name": evaluation.name,
         "subject": _subject(evaluation),
         "headlines": headlines(evaluation),
         "components": [_section(component) for component in evaluation.components],
-        **page_frame(evaluation),
     }
 
 

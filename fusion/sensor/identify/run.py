@@ -3,39 +3,24 @@
 from __future__ import annotations
 
 import json
-import logging
-import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast, get_args
+from typing import Any, NamedTuple, cast, get_args
 
 import h5py
 import numpy as np
 
 from fusion.base import InputError
 from fusion.campaign.workers import one_blas_thread
-from fusion.report.csv_files import csv_text
+from fusion.report.folder import Command
 from fusion.report.h5 import write_fields, write_value
-from fusion.report.provenance import check_folder
-from fusion.report.recording import ResultFolder, log_notices
-from fusion.sensor.identify.evaluate import ComponentResult, IdentifyEvaluation, evaluate_campaign
+from fusion.report.table import Column, columns_of, csv_text, word
+from fusion.sensor.identify.evaluate import ComponentResult, IdentifyEvaluation, Reading, evaluate_campaign
 from fusion.sensor.identify.measured import IdentifySettings, read_campaign
-from fusion.sensor.identify.report import (
-    PAGE_FILE,
-    PARAMETER_COLUMNS,
-    READING_COLUMNS,
-    parameter_rows,
-    plain,
-    printed,
-    reading_rows,
-    render_identify_page,
-)
+from fusion.sensor.identify.report import NumberRow, page_context, parameter_rows, plain, printed
 from shaker.identification.sensitivity import CHAIN_PARAMETERS, Chain, ChainKind
 from shaker.identification.sensor import SENSOR_PARAMETERS, SensorModel
 from shaker.labels import LOAD_COMPONENTS
-
-# model.json: what a correction of the sensor's output needs, written and read back to the last bit.
-
 
 FORMAT = 1
 MODEL_FILE = "model.json"
@@ -175,10 +160,6 @@ def _read_component(item: dict[str, Any]) -> ComponentModel:
     )
 
 
-# The folder of an identification: tables, model, HDF5 file and page, whole or not at all.
-
-
-PARAMETERS_FILE, READINGS_FILE, H5_FILE = "parameters.csv", "readings.csv", "identify.h5"
 IDENTIFICATION_FIELDS = (
     "estimates",
     "covariance",
@@ -191,27 +172,10 @@ IDENTIFICATION_FIELDS = (
     "dof",
     "budget",
 )
-OWN_FILE = re.compile(r"(parameters|readings)\.csv|model\.json|identify\.(h5|html)")
-
-
-def write_identification(evaluation: IdentifyEvaluation, folder: Path, *, force: bool = False) -> list[Path]:
-    """Write every result file and return their paths; other folders are refused unless `force`."""
-    return ResultFolder(H5_FILE, OWN_FILE, _texts, _fill).write(evaluation, folder, force=force)
-
-
-def _texts(evaluation: IdentifyEvaluation) -> dict[str, str]:
-    """Tables, model and page."""
-    return {
-        PARAMETERS_FILE: csv_text(PARAMETER_COLUMNS, parameter_rows(evaluation)),
-        READINGS_FILE: csv_text(READING_COLUMNS, reading_rows(evaluation)),
-        MODEL_FILE: model_text(evaluation),
-        PAGE_FILE: render_identify_page(evaluation),
-    }
 
 
 def _fill(file: h5py.File, evaluation: IdentifyEvaluation) -> None:
     """Fill the HDF5 file."""
-    file.attrs["format"] = FORMAT
     file.attrs["campaign"] = evaluation.name
     file.attrs["phasors"] = "x(t) = Re{X exp(+j omega t)}; covariances of [all Re, all Im]; k = 1"
     write_value(file, "notices", evaluation.notices)
@@ -237,11 +201,39 @@ def _write_component(group: h5py.Group, component: ComponentResult) -> None:
         write_value(group, "sensor_model" if name == "model" else name, getattr(component, name))
 
 
-# The command `shakercal identify`: a campaign → the sensor's stiffness, damping, masses and chain, result folder.
+class ReadingRow(NamedTuple):
+    """One reading of a resonance in a component."""
+
+    component: str
+    reading: Reading
 
 
-log = logging.getLogger("shakercal")
-DEFAULT_FOLDER = "identify"
+def _of_reading(name: str) -> Column[ReadingRow]:
+    """Column of a reading."""
+    return Column(name, lambda row: getattr(row.reading, name))
+
+
+READINGS: list[Column[ReadingRow]] = [
+    word("component", lambda row: row.component),
+    *map(_of_reading, ("recording", "response", "method", "frequency_hz", "u_frequency_hz", "width_hz", "u_width_hz")),
+    *map(_of_reading, ("damping_ratio", "u_damping_ratio", "stiffness", "damping", "note")),
+]
+
+
+def _texts(evaluation: IdentifyEvaluation) -> dict[str, str | bytes]:
+    """Tables and model."""
+    readings = (
+        ReadingRow(component.name, entry) for component in evaluation.components for entry in component.readings
+    )
+    return {
+        "parameters.csv": csv_text(columns_of(NumberRow), parameter_rows(evaluation)),
+        "readings.csv": csv_text(READINGS, readings),
+        MODEL_FILE: model_text(evaluation),
+    }
+
+
+FILES = ("parameters.csv", "readings.csv", MODEL_FILE)
+IDENTIFY = Command("identify", "identify", FILES, _texts, _fill, page_context, printed)
 
 
 def run_identify(
@@ -252,13 +244,10 @@ def run_identify(
     A place that cannot take the results is refused before anything is computed.
     """
     campaign = read_campaign(path, allow_outside=allow_outside)
-    folder = campaign.folder / DEFAULT_FOLDER if output is None else output
-    check_folder(folder, campaign.input_hashes, force=force, marker=H5_FILE)
-    with one_blas_thread():
-        evaluation = evaluate_campaign(campaign, settings)
-    log_notices(evaluation, log)
-    write_identification(evaluation, folder, force=force)
-    print(evaluation.name)
-    for line in printed(evaluation):
-        print(line)
-    print(f"report: {folder / PAGE_FILE}")
+
+    def evaluate(hashes: dict[str, str]) -> IdentifyEvaluation:
+        with one_blas_thread():
+            return evaluate_campaign(campaign, settings)
+
+    folder = campaign.folder / IDENTIFY.name if output is None else output
+    IDENTIFY.run(campaign.input_hashes, folder, evaluate, force=force)

@@ -3,145 +3,155 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from fusion.estimation.uncertainty import DASH, rounded, typeset
-from fusion.report.csv_files import Row
 from fusion.report.numbers import factor, measured
-from fusion.report.recording import page_frame
 from fusion.report.style import Picture
-from fusion.report.tables import Headline, Table, render_page
+from fusion.report.table import Column, Headline, Table, known, word
 from fusion.sensor.load.evaluate import ComponentLoads, LoadEvaluation, NamedLimit, Solution, parameter_units
 from fusion.sensor.load.figures import DecaySpectrum, MeasuredLoads, ModelCurve, draw_characteristics, draw_spectra
+from shaker.arrays import FloatArray
 from shaker.release.load_model import PARAMETERS, LoadCurve
 from shaker.release.load_modes import projected
 
-# load.csv and parameters.csv: characteristics over the load, and the numbers behind them.
-
-
 RECORDED, PREDICTED, DRAWN = "recorded", "predicted", "curve"
-LOAD_COLUMNS = [
-    "component",
-    "channel",
-    "solution",
-    "kind",
-    "recording",
-    "load_mass",
-    "u_load_mass",
-    "mass_unit",
-    "first_hz",
-    "u_first_hz",
-    "U_first_hz",
-    "second_hz",
-    "u_second_hz",
-    "U_second_hz",
-    "k",
-    "damping_first",
-    "u_damping_first",
-    "damping_second",
-    "u_damping_second",
-    "measured_first_hz",
-    "u_measured_first_hz",
-    "measured_second_hz",
-    "u_measured_second_hz",
-    "measured_damping_first",
-    "u_measured_damping_first",
-    "formula_hz",
-    "band_5_hz",
-    "band_10_hz",
+
+
+class LoadRow(NamedTuple):
+    """One load of a component by one solution: recorded, asked for, or on the grid that is drawn."""
+
+    component: ComponentLoads
+    solution: Solution
+    kind: str
+    recording: str
+    curve: LoadCurve
+    place: int
+    u_mass: float
+    bands: FloatArray
+
+    @property
+    def is_recorded(self) -> bool:
+        """Return whether this load was measured."""
+        return self.kind == RECORDED
+
+    @property
+    def is_damped(self) -> bool:
+        """Return whether the model tells damping."""
+        ratio = self.curve.damping_ratio
+        return bool(np.any(ratio[np.isfinite(ratio)] > 1e-9))
+
+
+def _of_curve(name: str, of: str, mode: int, *, expanded: bool = False) -> Column[LoadRow]:
+    """Column of the model's curve, empty where it tells nothing."""
+
+    def value(row: LoadRow) -> float | None:
+        if "damping" in of and not row.is_damped:
+            return None
+        return known(getattr(row.curve, of)[row.place, mode] * (row.component.k if expanded else 1.0))
+
+    return Column(name, value)
+
+
+def _of_measured(name: str, of: str, mode: int) -> Column[LoadRow]:
+    """Column of what a record or a table shows of one load."""
+
+    def value(row: LoadRow) -> float | None:
+        return known(getattr(row.component.series.measured, of)[row.place, mode]) if row.is_recorded else None
+
+    return Column(name, value)
+
+
+LOADS: list[Column[LoadRow]] = [
+    word("component", lambda row: row.component.name),
+    word("channel", lambda row: row.solution.model.channel),
+    Column("solution", lambda row: row.solution.model.solution),
+    word("kind", lambda row: row.kind),
+    word("recording", lambda row: row.recording),
+    Column("load_mass", lambda row: float(row.curve.load_mass[row.place])),
+    Column("u_load_mass", lambda row: row.u_mass),
+    word("mass_unit", lambda row: "kg.m^2" if row.component.name.startswith("M") else "kg"),
+    _of_curve("first_hz", "frequency_hz", 0),
+    _of_curve("u_first_hz", "u_frequency_hz", 0),
+    _of_curve("U_first_hz", "u_frequency_hz", 0, expanded=True),
+    _of_curve("second_hz", "frequency_hz", 1),
+    _of_curve("u_second_hz", "u_frequency_hz", 1),
+    _of_curve("U_second_hz", "u_frequency_hz", 1, expanded=True),
+    Column("k", lambda row: row.component.k if row.component.covers else None),
+    _of_curve("damping_first", "damping_ratio", 0),
+    _of_curve("u_damping_first", "u_damping_ratio", 0),
+    _of_curve("damping_second", "damping_ratio", 1),
+    _of_curve("u_damping_second", "u_damping_ratio", 1),
+    _of_measured("measured_first_hz", "frequency_hz", 0),
+    _of_measured("u_measured_first_hz", "u_frequency_hz", 0),
+    _of_measured("measured_second_hz", "frequency_hz", 1),
+    _of_measured("u_measured_second_hz", "u_frequency_hz", 1),
+    _of_measured("measured_damping_first", "damping_ratio", 0),
+    _of_measured("u_measured_damping_first", "u_damping_ratio", 0),
+    Column("formula_hz", lambda row: known(row.component.formula_hz[row.place]) if row.is_recorded else None),
+    Column("band_5_hz", lambda row: known(row.bands[0])),
+    Column("band_10_hz", lambda row: known(row.bands[1])),
 ]
-PARAMETER_COLUMNS = ["component", "channel", "solution", "name", "value", "u", "U", "k", "unit", "u_given_masses"]
 
 
-def load_rows(evaluation: LoadEvaluation) -> Iterator[Row]:
-    """One row per load: those recorded, those asked for, and a grid; what is not known is left empty."""
+class ParameterRow(NamedTuple):
+    """One number of a model in parameters.csv; `u_given_masses`: without what the masses add."""
+
+    component: str
+    channel: str
+    solution: int
+    name: str
+    value: float | None
+    u: float | None = None
+    U: float | None = None
+    k: float | None = None
+    unit: str = "1"
+    u_given_masses: float | None = None
+
+
+def load_rows(evaluation: LoadEvaluation) -> Iterator[LoadRow]:
+    """One row per load: those recorded, those asked for, and a grid."""
     for component in evaluation.components:
+        names, u_mass = component.series.names, component.series.masses.u_load
         for solution in component.solutions:
-            for place, name in enumerate(component.series.names):
-                head = _head(component, solution, RECORDED, name)
-                u_mass = float(component.series.masses.u_load[place])
-                tail = [*_measured(component, place), component.formula_hz[place], *solution.bands[place]]
-                yield _row(head, solution.recorded, place, u_mass, component, tail)
-            for place in range(len(solution.predicted.load_mass)):
-                head = _head(component, solution, PREDICTED, "")
-                tail = [*_unmeasured(), *solution.predicted_bands[place]]
-                yield _row(head, solution.predicted, place, 0.0, component, tail)
+            for place, name in enumerate(names):
+                curve, u, bands = solution.recorded, float(u_mass[place]), solution.bands[place]
+                yield LoadRow(component, solution, RECORDED, name, curve, place, u, bands)
+            for place, bands in enumerate(solution.predicted_bands):
+                yield LoadRow(component, solution, PREDICTED, "", solution.predicted, place, 0.0, bands)
             for place in range(len(solution.drawn.load_mass)):
-                head = _head(component, solution, DRAWN, "")
-                yield _row(head, solution.drawn, place, 0.0, component, [*_unmeasured(), np.nan, np.nan])
+                yield LoadRow(component, solution, DRAWN, "", solution.drawn, place, 0.0, np.full(2, np.nan))
 
 
-def parameter_rows(evaluation: LoadEvaluation) -> Iterator[Row]:
+def parameter_rows(evaluation: LoadEvaluation) -> Iterator[ParameterRow]:
     """One row per number of a model, per permitted load, and per named mass error, in its standard uncertainties."""
     for component in evaluation.components:
         k, units = component.k, parameter_units(component.name)
         for solution in component.solutions:
             model = solution.model
-            head: Row = [component.name, model.channel, model.solution]
+            head = (component.name, model.channel, model.solution)
             size, total = len(model.vector), model.total_covariance
             u = np.full(size + 1, np.nan) if total is None else np.sqrt(np.diag(total))
             own = np.full(size, np.nan) if model.covariance is None else np.sqrt(np.diag(model.covariance))
             names = [*PARAMETERS[:size], "moving_mass"]
             values = [*model.vector, model.moving_mass]
             for name, value, spread, given in zip(names, values, u, [*own, 0.0], strict=True):
-                if "damping" in name and not model.damping:
-                    continue
-                yield [*head, name, value, *_none(spread, k * spread), k, units[name], *_none(given)]
-            u_gain = model.u_sensitivity
-            unit = f"{model.unit}/{'(N.m)' if component.name.startswith('M') else 'N'}"
+                if "damping" not in name or model.damping:
+                    yield ParameterRow(
+                        *head, name, value, known(spread), known(k * spread), k, units[name], known(given)
+                    )
             if model.unit:
-                yield [*head, "sensitivity", model.sensitivity, *_none(u_gain, k * u_gain), k, unit, ""]
+                unit = f"{model.unit}/{'(N.m)' if component.name.startswith('M') else 'N'}"
+                spread = model.u_sensitivity
+                yield ParameterRow(*head, "sensitivity", model.sensitivity, known(spread), known(k * spread), k, unit)
             for limit in solution.limits:
-                spread = limit.u
-                cells = _none(limit.load_mass, spread, k * spread)
-                yield [*head, f"{limit.name}: {limit.label}", *cells, k, units["moving_mass"], ""]
+                name, unit = f"{limit.name}: {limit.label}", units["moving_mass"]
+                yield ParameterRow(*head, name, known(limit.load_mass), known(limit.u), known(k * limit.u), k, unit)
         fit = component.identification.chosen[0]
         for name, value in zip(component.series.masses.names, fit.deviates, strict=True):
-            yield [component.name, component.series.output.channel, 1, f"error of {name}", value, "", "", "", "1", ""]
-
-
-def _head(component: ComponentLoads, solution: Solution, kind: str, recording: str) -> Row:
-    """What a row belongs to."""
-    model = solution.model
-    return [component.name, model.channel, model.solution, kind, recording]
-
-
-def _row(head: Row, curve: LoadCurve, place: int, u_mass: float, component: ComponentLoads, tail: Row) -> Row:
-    """One row of load.csv."""
-    mass = "kg.m^2" if component.name.startswith("M") else "kg"
-    cells = [*head, float(curve.load_mass[place]), u_mass, mass]
-    for mode in range(2):
-        u = curve.u_frequency_hz[place, mode]
-        cells += _none(curve.frequency_hz[place, mode], u, component.k * u)
-    cells.append(component.k if component.covers else "")
-    damped = bool(np.any(curve.damping_ratio[np.isfinite(curve.damping_ratio)] > 1e-9))
-    for mode in range(2):
-        pair = (curve.damping_ratio[place, mode], curve.u_damping_ratio[place, mode])
-        cells += _none(*pair) if damped else ["", ""]
-    return [*cells, *_none(*tail)]
-
-
-def _measured(component: ComponentLoads, place: int) -> Row:
-    """What a record or a table shows of one load."""
-    seen = component.series.measured
-    first, second = seen.frequency_hz[place]
-    u_first, u_second = seen.u_frequency_hz[place]
-    return [first, u_first, second, u_second, seen.damping_ratio[place, 0], seen.u_damping_ratio[place, 0]]
-
-
-def _unmeasured() -> Row:
-    """Empty cells in place of what was measured, and of the formula."""
-    return [np.nan] * 7
-
-
-def _none(*values: float | str | None) -> Row:
-    """Numbers, nothing where there is none."""
-    return ["" if value is None or not np.isfinite(float(value)) else float(value) for value in values]
-
-
-# The tables of load.html, and what the command prints.
+            yield ParameterRow(component.name, component.series.output.channel, 1, f"error of {name}", value)
 
 
 LABELS = {
@@ -382,25 +392,14 @@ def _capital(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-# load.html: one self-contained page with models, resonances over the load, limits and origin.
-
-
-PAGE_FILE = "load.html"
 PERCENT = 100.0
 
 
-def render_load_page(evaluation: LoadEvaluation) -> str:
-    """HTML text of the page; style and figures are inside, nothing is fetched from elsewhere."""
-    return render_page("load.html", _context(evaluation))
-
-
-def _context(evaluation: LoadEvaluation) -> dict[str, Any]:
+def page_context(evaluation: LoadEvaluation) -> dict[str, Any]:
     """Everything the template shows."""
     return {
-        "name": evaluation.name,
         "subject": _subject(evaluation),
         "components": [_component(component, evaluation) for component in evaluation.components],
-        **page_frame(evaluation),
     }
 
 

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import logging
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
 import h5py
 
-from fusion.report.csv_files import csv_text
+from fusion.recording.load import load_for_command
+from fusion.report.folder import Command
 from fusion.report.h5 import write_fields, write_value
-from fusion.report.provenance import check_folder, hash_files
-from fusion.report.recording import ResultFolder, default_folder, log_notices
+from fusion.report.provenance import hash_files
+from fusion.report.table import columns_of, csv_text
 from fusion.sensor.load.evaluate import (
     MODEL_FILE,
     ComponentLoads,
@@ -23,44 +22,11 @@ from fusion.sensor.load.evaluate import (
     read_series,
     read_table,
 )
-from fusion.sensor.load.report import (
-    LOAD_COLUMNS,
-    PAGE_FILE,
-    PARAMETER_COLUMNS,
-    load_rows,
-    parameter_rows,
-    printed,
-    render_load_page,
-)
-from fusion.sensor.step.run import step_manifests
-
-# The folder of load characteristics: tables, load.json, HDF5 file and page, whole or not at all.
-
-
-FORMAT = 1
-TABLE_FILE, PARAMETER_FILE, H5_FILE = "load.csv", "parameters.csv", "load.h5"
-OWN_FILE = re.compile(r"load\.(csv|json|h5|html)|parameters\.csv")
-
-
-def write_loads(evaluation: LoadEvaluation, folder: Path, *, force: bool = False) -> list[Path]:
-    """Write every result file and return their paths; other folders are refused unless `force`."""
-    return ResultFolder(H5_FILE, OWN_FILE, _texts, _fill).write(evaluation, folder, force=force)
-
-
-def _texts(evaluation: LoadEvaluation) -> dict[str, str]:
-    """Tables, models and page."""
-    program = evaluation.versions.get("shakercal", "")
-    return {
-        TABLE_FILE: csv_text(LOAD_COLUMNS, load_rows(evaluation)),
-        PARAMETER_FILE: csv_text(PARAMETER_COLUMNS, parameter_rows(evaluation)),
-        MODEL_FILE: model_text(evaluation.models, evaluation.name, evaluation.sensor, program),
-        PAGE_FILE: render_load_page(evaluation),
-    }
+from fusion.sensor.load.report import LOADS, ParameterRow, load_rows, page_context, parameter_rows, printed
 
 
 def _fill(file: h5py.File, evaluation: LoadEvaluation) -> None:
     """Fill the HDF5 file."""
-    file.attrs["format"] = FORMAT
     file.attrs["name"] = evaluation.name
     components = file.create_group("components", track_order=True)
     for component in evaluation.components:
@@ -92,11 +58,17 @@ def _write_component(group: h5py.Group, component: ComponentLoads) -> None:
         write_fields(decays.create_group(decay.name), decay)
 
 
-# The command `shakercal load`: recordings with several loads, or a table of resonances → load characteristics.
+def _texts(evaluation: LoadEvaluation) -> dict[str, str | bytes]:
+    """Tables and models."""
+    program = evaluation.versions.get("shakercal", "")
+    return {
+        "load.csv": csv_text(LOADS, load_rows(evaluation)),
+        "parameters.csv": csv_text(columns_of(ParameterRow), parameter_rows(evaluation)),
+        MODEL_FILE: model_text(evaluation.models, evaluation.name, evaluation.sensor, program),
+    }
 
 
-log = logging.getLogger("shakercal")
-DEFAULT_FOLDER = "load"
+LOAD = Command("load", "load", ("load.csv", "parameters.csv", MODEL_FILE), _texts, _fill, page_context, printed)
 
 
 def run_loads(
@@ -112,15 +84,15 @@ def run_loads(
     Results stand in folder `load` of the campaign or of the only recording, or, of several paths, beside the first
     recording's rig; or in `output`.
     """
-    found = [manifest for path in paths for manifest in step_manifests(path, allow_outside=allow_outside)]
-    manifests = list({manifest.path.resolve(): manifest for manifest in found}.values())
-    folder = default_folder(paths, manifests, DEFAULT_FOLDER) if output is None else output
-    hashes = hash_files([file for manifest in manifests for file in manifest.files], manifests[0].root)
-    check_folder(folder, hashes, force=force, marker=H5_FILE)
-    series, notices = read_series(manifests)
-    name = manifests[0].name if len(manifests) == 1 else f"loads of {folder.absolute().parent.name}"
-    evaluation = evaluate_loads(name, series, notices, settings, hashes, manifests[0])
-    _finish(evaluation, folder, force=force)
+    manifests = load_for_command(paths, LOAD.name, allow_outside=allow_outside)
+
+    def evaluate(hashes: dict[str, str]) -> LoadEvaluation:
+        series, notices = read_series(manifests)
+        campaign = paths[0] if len(paths) == 1 else manifests[0].root
+        name = manifests[0].name if len(manifests) == 1 else f"loads of {campaign.absolute().name}"
+        return evaluate_loads(name, series, notices, settings, hashes, manifests[0])
+
+    LOAD.run_recordings(paths, manifests, output, evaluate, force=force)
 
 
 def run_table(table: Path, output: Path | None, settings: LoadSettings, *, force: bool = False) -> None:
@@ -131,18 +103,9 @@ def run_table(table: Path, output: Path | None, settings: LoadSettings, *, force
     if settings.moving_mass is None:
         raise ValueError("settings: expected the moving mass that the table's resonances belong to, found none")
     series = read_table(table, *settings.moving_mass)
-    folder = table.parent / DEFAULT_FOLDER if output is None else output
-    hashes = hash_files([table], table.absolute().parent)
-    check_folder(folder, hashes, force=force, marker=H5_FILE)
-    evaluation = evaluate_loads(table.stem, (series,), (), settings, hashes)
-    _finish(evaluation, folder, force=force)
+    folder = table.parent / LOAD.name if output is None else output
 
+    def evaluate(hashes: dict[str, str]) -> LoadEvaluation:
+        return evaluate_loads(table.stem, (series,), (), settings, hashes)
 
-def _finish(evaluation: LoadEvaluation, folder: Path, *, force: bool) -> None:
-    """Tell, write, print."""
-    log_notices(evaluation, log)
-    write_loads(evaluation, folder, force=force)
-    print(evaluation.name)
-    for line in printed(evaluation):
-        print(line)
-    print(f"report: {folder / PAGE_FILE}")
+    LOAD.run(hash_files([table], table.absolute().parent), folder, evaluate, force=force)

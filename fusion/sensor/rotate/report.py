@@ -1,31 +1,44 @@
-"""The page of a rotation test."""
+"""What a rotation test leaves: rotation.csv, rotation.h5, the page, and the lines of the terminal."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 
 from fusion.campaign.repeats import BETWEEN, WITHIN
-from fusion.estimation.uncertainty import DASH, rounded, typeset
-from fusion.report.csv_files import Row
-from fusion.report.numbers import degrees_of_freedom, factor, measured, short, small
-from fusion.report.recording import page_frame
+from fusion.estimation.uncertainty import DASH, typeset
+from fusion.recording.load import load_for_command
+from fusion.report.folder import Command
+from fusion.report.h5 import write_fields, write_value
+from fusion.report.numbers import capital, degrees_of_freedom, factor, measured, plain, short, signed, small, subject_of
 from fusion.report.style import Picture
-from fusion.report.tables import Headline, Table, render_page
+from fusion.report.table import Column, Headline, Table, csv_text, on_page, table, word
+from fusion.sensor.rotate.evaluate import evaluate_rotation
 from fusion.sensor.rotate.figures import Deviations, TurnedReadings, draw_deviations, draw_readings
 from fusion.sensor.rotate.masses import UNTOLD
 from fusion.sensor.rotate.readings import JOINT, Quantity, RotationEvaluation, RotationRecording
 from shaker.arrays import FloatArray
-from shaker.labels import AXES, LOAD_COMPONENTS, LOAD_UNITS
+from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS
 from shaker.static_rotation.harmonics import turning_sense
 from shaker.static_rotation.masses import FORCES
 
-# The numbers of a rotation test as rows and tables: rotation.csv, the page's tables, and what the command prints.
-
-
-COLUMNS = ["name", "component", "value", "u", "U", "k", "unit", "dof", "recording"]
+NONE, ALL = "-", "all"
+"""Component of what has none, recording of what rests on all."""
+QUANTITIES: list[Column[Quantity]] = [
+    word("name", lambda q: q.name),
+    word("component", lambda q: q.component or NONE),
+    Column("value", lambda q: q.value),
+    Column("u", lambda q: q.u),
+    Column("U", lambda q: q.expanded),
+    Column("k", lambda q: q.k),
+    word("unit", lambda q: q.unit),
+    Column("dof", lambda q: q.dof),
+    word("recording", lambda q: q.recording or ALL),
+]
 MILLIMETRE, MILLIRADIAN, GRAM, MILLI = 1e3, 1e3, 1e3, 1e3
 HEADLINES = ("internal_mass", "load_mass", "load_mass_relative_deviation")
 MASSES = ("internal_mass", "load_mass", "weighed_mass")
@@ -42,20 +55,10 @@ STANDING = ("zero_angle", "axis_tilt")
 NORMALISED = "load_mass_normalised_deviation"
 SCALED = {"kg": (GRAM, "g"), "m": (MILLIMETRE, "mm"), "rad": (MILLIRADIAN, "mrad")}
 """Units in which differences and places are told."""
-NONE, ALL = "-", "all"
-"""Component of what has none, recording of what rests on all."""
 SMALLEST_UNTOLD = 0.01
 """Share in an uncertainty from which what no channel tells is listed."""
 CLEAR = 2.0
 """Amplitude over its standard uncertainty from which a harmonic is given a value of its own."""
-
-
-def quantity_rows(evaluation: RotationEvaluation) -> Iterator[Row]:
-    """One row per number; then offset, harmonics and further terms of every channel, whose u is that of the noise."""
-    terms = [q for recording in evaluation.recordings for q in _terms(recording)]
-    for q in (*evaluation.quantities, *terms):
-        numbers: Row = [q.value, q.u, q.expanded, q.k]
-        yield [q.name, q.component or NONE, *numbers, q.unit, q.dof, q.recording or ALL]
 
 
 def headlines(evaluation: RotationEvaluation) -> list[Headline]:
@@ -63,39 +66,54 @@ def headlines(evaluation: RotationEvaluation) -> list[Headline]:
     told = []
     for q in _named(evaluation, HEADLINES):
         if q.component == JOINT:
-            told.append(Headline(_capital(q.label), _value(q), f"U: k = {factor(q.k)}; {_remark(evaluation, q)}"))
+            remark = f"U = {small(100.0 * q.expanded / abs(q.value))} %"
+            if q.unit == "%":
+                normalised = evaluation.find(NORMALISED, q.component)
+                remark = "" if normalised is None else f"{abs(normalised.value):.2f} times its U"
+            value = measured(q.value, q.expanded, q.unit)
+            told.append(Headline(capital(q.label), value, f"U: k = {factor(q.k)}; {remark}"))
     return told
 
 
-def masses_table(evaluation: RotationEvaluation) -> Table | None:
-    """Internal mass and load mass, by all forces and by each alone."""
-    rows = [(_capital(q.label), q.component, _value(q), *_tail(q)) for q in _named(evaluation, MASSES)]
-    head = ("quantity", "by", "mass", "U relative / %", "k", "dof")
-    return Table("Masses with U", head, "llrrrr", tuple(rows)) if rows else None
+MASS_COLUMNS: list[Column[Quantity]] = [
+    on_page("quantity", lambda q: capital(q.label), "l"),
+    on_page("by", lambda q: q.component, "l"),
+    on_page("mass", lambda q: measured(q.value, q.expanded, q.unit)),
+    on_page("U relative / %", lambda q: small(100.0 * q.expanded / abs(q.value))),
+    on_page("k", lambda q: factor(q.k)),
+    on_page("dof", lambda q: degrees_of_freedom(q.dof)),
+]
 
 
 def differences_table(evaluation: RotationEvaluation) -> Table | None:
     """How far axes are apart and the load is from what was weighed."""
-    rows = []
-    for q in _named(evaluation, DIFFERENCES):
+
+    def over_its_u(q: Quantity) -> str:
         normalised = evaluation.find(NORMALISED, q.component) if q.name == "load_mass_deviation" else None
-        over = _signed(normalised.value) if normalised is not None else DASH
-        rows.append((_capital(q.label), q.component, _value(q, small_unit=True), factor(q.k), over))
-    head = ("difference", "by", "value", "k", "over its U")
-    return Table("Differences with U", head, "llrrr", tuple(rows)) if rows else None
+        return DASH if normalised is None else signed(normalised.value)
+
+    columns: list[Column[Quantity]] = [
+        on_page("difference", lambda q: capital(q.label), "l"),
+        on_page("by", lambda q: q.component, "l"),
+        on_page("value", lambda q: _in_small_unit(q, with_unit=True)),
+        on_page("k", lambda q: factor(q.k)),
+        on_page("over its U", over_its_u),
+    ]
+    return table("Differences with U", columns, _named(evaluation, DIFFERENCES))
 
 
 def centres_table(evaluation: RotationEvaluation) -> Table | None:
     """Centres of mass in sensor axes, in mm."""
-    rows = []
-    for name in CENTRES:
-        found = {q.component: q for q in _named(evaluation, (name,))}
-        if found:
-            label = _capital(next(iter(found.values())).label)
-            cells = [_scaled_value(found[axis]) if axis in found else DASH for axis in AXES]
-            rows.append((f"{label} / mm", *cells))
-    head = ("place", *AXES)
-    return Table("Centres of mass, sensor axes, with U", head, "lrrr", tuple(rows)) if rows else None
+    rows = [{q.component: q for q in _named(evaluation, (name,))} for name in CENTRES]
+
+    def coordinate(axis: str) -> Column[dict[str, Quantity]]:
+        return on_page(axis, lambda places: _in_small_unit(places[axis]) if axis in places else DASH)
+
+    place: Column[dict[str, Quantity]] = on_page(
+        "place", lambda places: f"{capital(next(iter(places.values())).label)} / mm", "l"
+    )
+    caption = "Centres of mass, sensor axes, with U"
+    return table(caption, [place, *map(coordinate, ("x", "y", "z"))], filter(None, rows))
 
 
 def recordings_table(evaluation: RotationEvaluation) -> Table:
@@ -129,7 +147,7 @@ def repeats_tables(evaluation: RotationEvaluation) -> list[Table]:
             weight, off = (evaluation.find(key, JOINT, name) for key in ("weight", "weight_deviation"))
             if weight is not None and off is not None:
                 deviation = measured(MILLI * off.value, MILLI * off.expanded)
-                over = _signed(off.value / off.expanded) if off.u > 0.0 else DASH
+                over = signed(off.value / off.expanded) if off.u > 0.0 else DASH
                 rows.append((again.state, mounting, name, measured(weight.value, weight.expanded), deviation, over))
         within, between = ((again.within, again.within_dof), (again.between, again.between_dof))
         cells = [cell for s, dof in (within, between) for cell in (small(MILLI * s) if dof else DASH, f"{dof}")]
@@ -154,7 +172,7 @@ def axis_table(evaluation: RotationEvaluation) -> Table | None:
     for recording in evaluation.recordings:
         for q in evaluation.quantities:
             if q.recording == recording.name and q.name in STANDING:
-                rows.append((recording.name, _capital(q.label), q.component, _scaled_value(q), factor(q.k)))
+                rows.append((recording.name, capital(q.label), q.component, _in_small_unit(q), factor(q.k)))
     head = ("recording", "quantity", "component", "value / mrad", "k")
     return Table("The head as estimated, with U", head, "lllrr", tuple(rows)) if rows else None
 
@@ -190,17 +208,17 @@ def printed(evaluation: RotationEvaluation) -> Iterator[str]:
         names = dict.fromkeys(_term_name(name) for name in fit.terms[3:])
         more = f", also {', '.join(names)}" if names else ""
         weights = [q for q in evaluation.quantities if q.name == "weight" and q.recording == recording.name]
-        told = ", ".join(f"{q.component} {_plain(q)}" for q in weights)
+        told = ", ".join(f"{q.component} {_printed(q)}" for q in weights)
         read = f"{len(fit.angle_rad)} readings, offset and first harmonic{more}"
         yield f"{recording.name} ({recording.state}): {read}; weight {told}"
     told_by_label: dict[str, list[str]] = {}
     for q in _named(evaluation, (*MASSES, *DIFFERENCES, *CENTRES)):
-        told_by_label.setdefault(q.label, []).append(f"{q.component} {_plain(q)}")
+        told_by_label.setdefault(q.label, []).append(f"{q.component} {_printed(q)}")
     for label, parts in told_by_label.items():
         yield f"{label}: {', '.join(parts)}"
     normalised = _named(evaluation, (NORMALISED,))
     if normalised:
-        told = ", ".join(f"{q.component} {_signed(q.value)}" for q in normalised)
+        told = ", ".join(f"{q.component} {signed(q.value)}" for q in normalised)
         yield f"normalised deviation of the load mass: {told} (agreement: within ±1)"
 
 
@@ -210,7 +228,7 @@ def _harmonics_table(recording: RotationRecording, places: Sequence[int]) -> Tab
     terms = [q for q in _terms(recording) if q.component in components]
     rows = []
     for name, label in dict.fromkeys((q.name, q.label) for q in terms):
-        rows.append((_capital(label), *(_term(q) for q in terms if q.name == name)))
+        rows.append((capital(label), *(_term(q) for q in terms if q.name == name)))
     calibration = recording.inverse[places]
     scatter = np.sqrt(np.diag(calibration @ fit.noise @ calibration.T))
     rows.append(("Scatter s of a reading", *(short(float(s)) for s in scatter)))
@@ -255,56 +273,24 @@ def _term_name(name: str) -> str:
     return f"harmonic {rest}" if kind in ("cos", "sin") else name
 
 
+def _in_small_unit(q: Quantity, *, with_unit: bool = False) -> str:
+    """Value with U in g, mm or mrad."""
+    scale, unit = SCALED.get(q.unit, (1.0, q.unit))
+    return measured(scale * q.value, scale * q.expanded, unit if with_unit else "")
+
+
+def _printed(q: Quantity) -> str:
+    """Value with U and unit for the terminal; places, angles and differences in the smaller unit."""
+    whole = q.unit == "kg" and "difference" not in q.name and "deviation" not in q.name
+    scale, unit = (1.0, q.unit) if whole else SCALED.get(q.unit, (1.0, q.unit))
+    return plain(scale * q.value, scale * q.expanded, unit)
+
+
 def _term(q: Quantity) -> str:
     """A term with U; of an amplitude that may be zero its bound only."""
     if q.label.startswith("harmonic") and q.value < CLEAR * q.u:
         return f"< {short(q.expanded)}"
     return measured(q.value, q.expanded)
-
-
-def _value(q: Quantity, *, small_unit: bool = False) -> str:
-    """Value with U and unit; differences in g."""
-    scale, unit = SCALED.get(q.unit, (1.0, q.unit)) if small_unit else (1.0, q.unit)
-    return measured(scale * q.value, scale * q.expanded, unit)
-
-
-def _scaled_value(q: Quantity) -> str:
-    """Value with U in mm or mrad, the unit standing elsewhere."""
-    scale, _ = SCALED[q.unit]
-    return measured(scale * q.value, scale * q.expanded)
-
-
-def _plain(q: Quantity) -> str:
-    """Value with U and unit for the terminal; places, angles and differences in the smaller unit."""
-    small_unit = q.unit != "kg" or "difference" in q.name or "deviation" in q.name
-    scale, unit = SCALED.get(q.unit, (1.0, q.unit)) if small_unit else (1.0, q.unit)
-    text = rounded(scale * q.value, scale * q.expanded, 0)
-    if text.expanded == DASH:
-        return f"{text.value} {typeset(unit)}"
-    return f"({text.value} ± {text.expanded}) {typeset(unit)}"
-
-
-def _tail(q: Quantity) -> tuple[str, str, str]:
-    """Relative U, coverage factor, degrees of freedom."""
-    return small(100.0 * q.expanded / abs(q.value)), factor(q.k), degrees_of_freedom(q.dof)
-
-
-def _remark(evaluation: RotationEvaluation, q: Quantity) -> str:
-    """What stands below a headline."""
-    if q.unit == "%":
-        normalised = evaluation.find(NORMALISED, q.component)
-        return "" if normalised is None else f"{abs(normalised.value):.2f} times its U"
-    return f"U = {small(100.0 * q.expanded / abs(q.value))} %"
-
-
-def _signed(value: float) -> str:
-    """A normalised deviation with two decimals."""
-    return f"{value:.2f}".replace("-", "\N{MINUS SIGN}")
-
-
-def _capital(text: str) -> str:
-    """Text with a capital letter at its beginning."""
-    return text[:1].upper() + text[1:]
 
 
 def _budget(caption: str, found: Sequence[Quantity]) -> Table:
@@ -316,51 +302,29 @@ def _budget(caption: str, found: Sequence[Quantity]) -> Table:
     scale = SCALED[found[0].unit][0]
     rows = [(name, *(small(scale * q.budget[name]) if name in q.budget else DASH for q in found)) for name in names]
     rows.append(("combined, k = 1", *(small(scale * q.u) for q in found)))
-    heads = [f"{_capital(q.label)} {q.component}" for q in found]
+    heads = [f"{capital(q.label)} {q.component}" for q in found]
     return Table(caption, ("contribution", *heads), "l" + "r" * len(found), tuple(rows))
 
 
-# rotation.html: one self-contained page with readings, masses, budgets and origin of a rotation test.
-
-
-PAGE_FILE = "rotation.html"
-
-
-def render_rotation_page(evaluation: RotationEvaluation) -> str:
-    """HTML text of the page; style and figures are inside, nothing is fetched from elsewhere."""
-    return render_page("rotate.html", _context(evaluation))
-
-
 def _context(evaluation: RotationEvaluation) -> dict[str, Any]:
-    """Everything the template shows."""
+    """What the page shows."""
+    recordings = evaluation.recordings
+    told = [f"{recording.name} ({recording.manifest.name})" for recording in recordings]
     return {
-        "name": evaluation.name,
-        "subject": _subject(evaluation),
+        "subject": [*subject_of(recordings[0].manifest.rig), ("Recordings", ", ".join(told))],
         "headlines": headlines(evaluation),
-        "masses": masses_table(evaluation),
+        "masses": table("Masses with U", MASS_COLUMNS, _named(evaluation, MASSES)),
         "differences": differences_table(evaluation),
         "centres": centres_table(evaluation),
         "deviations": _deviations(evaluation),
         "recordings": recordings_table(evaluation),
         "repeats": repeats_tables(evaluation),
-        "readings": [picture for recording in evaluation.recordings for picture in _pictures(recording)],
-        "harmonics": [table for recording in evaluation.recordings for table in harmonics_tables(recording)],
+        "readings": [picture for recording in recordings for picture in _pictures(recording)],
+        "harmonics": [shown for recording in recordings for shown in harmonics_tables(recording)],
         "axis": axis_table(evaluation),
         "budgets": budget_tables(evaluation),
         "surroundings": surroundings_table(evaluation),
-        **page_frame(evaluation),
     }
-
-
-def _subject(evaluation: RotationEvaluation) -> list[tuple[str, str]]:
-    """What was turned: sensor, rig, recordings."""
-    rig = evaluation.recordings[0].manifest.rig
-    facts = [("Rig", rig.name)]
-    if rig.sensor is not None:
-        facts.append(("Sensor", f"{rig.sensor.name} {rig.sensor.serial}".strip()))
-    told = [f"{recording.name} ({recording.manifest.name})" for recording in evaluation.recordings]
-    facts.append(("Recordings", ", ".join(told)))
-    return facts
 
 
 def _pictures(recording: RotationRecording) -> list[Picture]:
@@ -402,3 +366,81 @@ def _deviations(evaluation: RotationEvaluation) -> list[Picture]:
     own = 100.0 * weighed.expanded / weighed.value
     names = tuple(q.component for q in found)
     return [draw_deviations(Deviations(names, [q.value for q in found], [q.expanded for q in found], own))]
+
+
+def _fill(file: h5py.File, evaluation: RotationEvaluation) -> None:
+    """Fill the HDF5 file."""
+    file.attrs["name"] = evaluation.name
+    file.attrs["harmonics"] = "reading = design . coefficient; A exp(+j angle), A = cos - j sin; k = 1"
+    for key in ("gravity", "air"):
+        known = getattr(evaluation, key)
+        write_value(file.create_group(key), "value", known.value)
+        write_value(file[key], "u", known.u)
+        write_value(file[key], "source", known.source)
+    _write_recordings(file.create_group("recordings", track_order=True), evaluation)
+    _write_weights(file.create_group("weights", track_order=True), evaluation)
+    _write_repeats(file, evaluation)
+    _write_quantities(file.create_group("quantities", track_order=True), evaluation)
+
+
+def _write_recordings(group: h5py.Group, evaluation: RotationEvaluation) -> None:
+    """Readings, loads and the fit of every recording."""
+    for recording in evaluation.recordings:
+        own = group.create_group(recording.name, track_order=True)
+        own.attrs["with_load"] = recording.with_load
+        write_value(own, "unit", recording.unit)
+        write_value(own, "load", recording.load)
+        write_fields(own, recording.fit)
+
+
+def _write_weights(group: h5py.Group, evaluation: RotationEvaluation) -> None:
+    """Value and covariance of the fit of weights, and each cause of error with its effect."""
+    weights = evaluation.weights
+    for name in ("names", "value", "covariance", "load"):
+        write_value(group, name, getattr(weights, name))
+    for name in ("chi_squared", "dof", "departure"):
+        group.attrs[name] = getattr(weights, name)
+    sources = group.create_group("sources", track_order=True)
+    for source in weights.sources:
+        own = sources.create_group(source.name)
+        own.attrs["type"], own.attrs["dof"] = source.kind, source.dof
+        own["effect"] = source.effect
+
+
+def _write_repeats(file: h5py.File, evaluation: RotationEvaluation) -> None:
+    """What states that were recorded repeatedly scatter by."""
+    for again in evaluation.repeats:
+        write_fields(file.require_group("repeats").create_group(again.state), again)
+
+
+def _write_quantities(group: h5py.Group, evaluation: RotationEvaluation) -> None:
+    """Every number with its budget."""
+    for quantity in evaluation.quantities:
+        name = " ".join(filter(None, (quantity.name, quantity.component, quantity.recording)))
+        own = group.create_group(name)
+        for key in ("value", "u", "dof", "unit"):
+            own.attrs[key] = getattr(quantity, key)
+        own.create_group("budget").attrs.update(quantity.budget)
+
+
+def _texts(evaluation: RotationEvaluation) -> dict[str, str | bytes]:
+    """Every number; then offset, harmonics and further terms of every channel, whose u is that of the noise."""
+    terms = [q for recording in evaluation.recordings for q in _terms(recording)]
+    return {"rotation.csv": csv_text(QUANTITIES, [*evaluation.quantities, *terms])}
+
+
+ROTATE = Command("rotate", "rotation", ("rotation.csv",), _texts, _fill, _context, printed)
+
+
+def run_rotate(paths: Sequence[Path], output: Path | None, *, force: bool = False, allow_outside: bool = False) -> None:
+    """Evaluate the rotation recordings at some paths together, write the results and print the summary.
+
+    Of a campaign folder those of kind rotation are taken. Results stand in its folder `rotate`, or in that of the only
+    recording, or, of several paths, beside rig.toml; or in `output`.
+    """
+    manifests = load_for_command(paths, ROTATE.name, allow_outside=allow_outside)
+    manifests.sort(key=lambda manifest: bool(manifest.excitation.with_load))
+    name = manifests[0].name if len(manifests) == 1 else manifests[0].rig.name
+    ROTATE.run_recordings(
+        paths, manifests, output, lambda hashes: evaluate_rotation(name, manifests, hashes), force=force
+    )

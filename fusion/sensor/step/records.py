@@ -103,13 +103,7 @@ def read_step(manifest: Manifest) -> StepInput:
 
 def check_kind(manifest: Manifest) -> None:
     """Refuse recordings that are no step responses, and several takes in one recording."""
-    kind = manifest.excitation.kind
-    if kind != KIND:
-        expected = f"{KIND}, the kind that shakercal step evaluates"
-        raise InputError(manifest.path, "excitation.kind", found=kind, expected=expected)
-    if manifest.take:
-        expected = "one release per recording, in a folder of its own"
-        raise InputError(manifest.path, "take", found=f"{len(manifest.take)} takes", expected=expected)
+    manifest.check_command("step")
 
 
 def _outputs(manifest: Manifest) -> list[tuple[str, ChannelEntry]]:

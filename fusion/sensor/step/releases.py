@@ -12,8 +12,7 @@ import numpy as np
 from fusion.base import InputError
 from fusion.estimation.uncertainty import coverage_factor
 from fusion.recording.load import Manifest
-from fusion.recording.manifest import ChannelEntry
-from fusion.recording.rig import Sensor
+from fusion.recording.manifest import ChannelEntry, Sensor
 from fusion.sensor.models_file import ModelEntry
 from fusion.sensor.step.records import Figure, Pooled, StepInput, StepSettings, effective_dof, read_step
 from shaker.arrays import FloatArray, Notice

@@ -2,201 +2,173 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from markupsafe import Markup
 
 from fusion.estimation.uncertainty import DASH, coverage_factor, rounded, typeset
-from fusion.report.csv_files import Row
 from fusion.report.numbers import degrees_of_freedom, factor, measured, number, short
-from fusion.report.tables import Headline, Table
+from fusion.report.table import Column, Headline, Table, word
 from fusion.sensor.step.records import Figure
 from fusion.sensor.step.releases import LABELS, ComponentResult, MethodRow, Release, StaticGain, StepEvaluation
 from shaker.release.reading import Spread
 from shaker.release.record import Reading, SpectrumPeak
+from shaker.release.sim import StepFit
 
-# The rows of releases.csv, models.csv, indices.csv and methods.csv, in SI and with full precision.
+
+def residual_rms(fit: StepFit) -> float:
+    """Root mean square of what a fit leaves, in output units."""
+    return float(np.sqrt(np.mean(fit.residual**2)))
 
 
-RELEASE_COLUMNS = [
-    "recording",
-    "component",
-    "release",
-    "mounting",
-    "channel",
-    "driven",
-    "used",
-    "step_amplitude",
-    "onset_s",
-    "u_onset_s",
-    "sign",
-    "baseline",
-    "u_baseline",
-    "steady",
-    "u_steady",
-    "unit",
-    "rise_s",
-    "u_rise_s",
-    "shape",
-    "release_s",
-    "u_release_s",
-    "static_gain",
-    "u_static_gain",
-    "noise",
-    "peak_1_hz",
-    "u_peak_1_hz",
-    "peak_2_hz",
-    "u_peak_2_hz",
-    "peak_2_share",
-    "fit_onset_s",
-    "fit_u_onset_s",
-    "fit_release_s",
-    "fit_u_release_s",
-    "fit_frequency_hz",
-    "fit_damping_ratio",
-    "fit_residual",
-    "fit_variance_accounted",
+def _lowest_mode(fit: StepFit) -> tuple[float, float]:
+    """Natural frequency and damping ratio of the lowest mode of a model."""
+    if fit.model is None or not len(fit.model.frequency_hz):
+        return np.nan, np.nan
+    place = int(np.argmin(fit.model.frequency_hz))
+    return float(fit.model.frequency_hz[place]), float(fit.model.damping_ratio[place])
+
+
+class Output(NamedTuple):
+    """What one output of one release of a component shows; what rests on a model stands with the driven output."""
+
+    component: ComponentResult
+    release: Release
+    reading: Reading
+
+    @property
+    def driven(self) -> bool:
+        """Return whether the load was to act on this output."""
+        return self.reading.channel == self.release.driven
+
+    @property
+    def fit(self) -> StepFit | None:
+        """Return the model of the driven output."""
+        return self.release.fit if self.driven else None
+
+    def peak(self, place: int, name: str) -> float:
+        """Return a number of a peak of the spectrum, NaN where there is none."""
+        return float(getattr(self.reading.peaks[place], name)) if len(self.reading.peaks) > place else np.nan
+
+
+def _of_reading(name: str) -> Column[Output]:
+    """Column of what was read."""
+    return Column(name, lambda output: getattr(output.reading, name))
+
+
+def _of_peak(name: str, place: int, of_peak: str) -> Column[Output]:
+    """Column of a peak of the spectrum."""
+    return Column(name, lambda output: output.peak(place, of_peak))
+
+
+def _of_fit(name: str, value: Callable[[StepFit], float]) -> Column[Output]:
+    """Column of the model, empty without one."""
+    return Column(name, lambda output: None if output.fit is None else value(output.fit))
+
+
+RELEASES: list[Column[Output]] = [
+    word("recording", lambda output: output.release.name),
+    word("component", lambda output: output.component.component),
+    word("release", lambda output: output.release.input.record.release),
+    word("mounting", lambda output: output.release.input.manifest.mounting),
+    word("channel", lambda output: output.reading.channel),
+    word("driven", lambda output: "yes" if output.driven else "no"),
+    word("used", lambda output: "yes" if output.driven and output.release.name in output.component.used else "no"),
+    Column("step_amplitude", lambda output: output.release.input.record.amplitude),
+    *map(_of_reading, ("onset_s", "u_onset_s", "sign", "baseline", "u_baseline", "steady", "u_steady", "unit")),
+    *map(_of_reading, ("rise_s", "u_rise_s", "shape", "release_s", "u_release_s", "static_gain", "u_static_gain")),
+    _of_reading("noise"),
+    _of_peak("peak_1_hz", 0, "frequency_hz"),
+    _of_peak("u_peak_1_hz", 0, "u_frequency_hz"),
+    _of_peak("peak_2_hz", 1, "frequency_hz"),
+    _of_peak("u_peak_2_hz", 1, "u_frequency_hz"),
+    _of_peak("peak_2_share", 1, "share"),
+    _of_fit("fit_onset_s", lambda fit: fit.onset_s),
+    _of_fit("fit_u_onset_s", lambda fit: fit.u_onset_s),
+    _of_fit("fit_release_s", lambda fit: fit.release_s),
+    _of_fit("fit_u_release_s", lambda fit: fit.u_release_s),
+    _of_fit("fit_frequency_hz", lambda fit: _lowest_mode(fit)[0]),
+    _of_fit("fit_damping_ratio", lambda fit: _lowest_mode(fit)[1]),
+    _of_fit("fit_residual", residual_rms),
+    _of_fit("fit_variance_accounted", lambda fit: fit.variance_accounted),
 ]
-NUMBER_COLUMNS = ["component", "channel", "name", "value", "u", "U", "k", "unit", "dof", "recordings"]
-METHOD_COLUMNS = [
-    "component",
-    "channel",
-    "recording",
-    "method",
-    "sample_rate_hz",
-    "order",
-    "stable",
-    "natural_hz",
-    "damping_ratio",
-    "static_gain",
-    "unit",
-    "band_5_hz",
-    "band_10_hz",
-    "overshoot",
-    "settling_2_s",
-    "residual",
-    "variance_accounted",
-    "duration_s",
+
+
+class NumberRow(NamedTuple):
+    """One parameter or index of a component's model, or a static gain as it was read, over its recordings."""
+
+    component: str
+    channel: str
+    name: str
+    value: float
+    u: float
+    U: float
+    k: float
+    unit: str
+    dof: float
+    recordings: str
+
+
+class ByMethod(NamedTuple):
+    """What one method made of one release of a component."""
+
+    component: ComponentResult
+    row: MethodRow
+
+
+def _of_method(name: str) -> Column[ByMethod]:
+    """Column of an index of a method's system, `nan` where it has none."""
+
+    def value(by: ByMethod) -> float:
+        found = None if by.row.indices is None else by.row.indices.figures()[name]
+        return np.nan if found is None else float(found)
+
+    return Column(name, value)
+
+
+BY_METHOD: list[Column[ByMethod]] = [
+    word("component", lambda by: by.component.component),
+    word("channel", lambda by: by.component.channel),
+    word("recording", lambda by: by.row.recording),
+    word("method", lambda by: by.row.fit.method),
+    Column("sample_rate_hz", lambda by: by.row.fit.sample_rate_hz),
+    Column("order", lambda by: by.row.fit.order),
+    word("stable", lambda by: "yes" if by.row.fit.system.stable else "no"),
+    *map(_of_method, ("natural_hz", "damping_ratio", "static_gain")),
+    word("unit", lambda by: by.component.unit),
+    *map(_of_method, ("band_5_hz", "band_10_hz", "overshoot", "settling_2_s")),
+    Column("residual", lambda by: residual_rms(by.row.fit)),
+    Column("variance_accounted", lambda by: by.row.fit.variance_accounted),
+    Column("duration_s", lambda by: by.row.fit.duration_s),
 ]
-NO_PEAK = (float("nan"), float("nan"))
 
 
-def release_rows(evaluation: StepEvaluation) -> Iterator[Row]:
-    """One row per recording and output, the driven output first; what rests on a model stands with that one."""
+def outputs(evaluation: StepEvaluation) -> Iterator[Output]:
+    """Every output of every recording, the driven output first."""
     for component in evaluation.components:
         for release in component.releases:
             for reading in release.readings:
-                yield _release_row(component, release, reading)
+                yield Output(component, release, reading)
 
 
-def model_rows(evaluation: StepEvaluation) -> Iterator[Row]:
-    """One row per parameter of every model."""
-    for component in evaluation.components:
-        yield from _number_rows(component, component.parameters)
-
-
-def index_rows(evaluation: StepEvaluation) -> Iterator[Row]:
-    """One row per index of every model; then the static gain of every output as it was read, over all releases."""
-    for component in evaluation.components:
-        yield from _number_rows(component, component.figures)
-        names = ", ".join(release.name for release in component.releases)
-        for gain in component.gains:
-            numbers: Row = [gain.value, gain.u, gain.expanded, gain.k]
-            unit = component.unit
-            yield [component.component, gain.channel, "read_static_gain", *numbers, unit, gain.dof, names]
-
-
-def method_rows(evaluation: StepEvaluation) -> Iterator[Row]:
-    """One row per method and release."""
-    for component in evaluation.components:
-        for row in component.methods:
-            yield _method_row(component, row)
-
-
-def residual_rms(row: MethodRow) -> float:
-    """Root mean square of what a fit leaves, in output units."""
-    return float(np.sqrt(np.mean(row.fit.residual**2)))
-
-
-def _release_row(component: ComponentResult, release: Release, reading: Reading) -> Row:
-    """What one output of one release shows."""
-    driven = reading.channel == release.driven
-    record, fit = release.input.record, release.fit if driven else None
-    first, second = [
-        (reading.peaks[n].frequency_hz, reading.peaks[n].u_frequency_hz) if len(reading.peaks) > n else NO_PEAK
-        for n in (0, 1)
-    ]
-    share = reading.peaks[1].share if len(reading.peaks) > 1 else float("nan")
-    of_load: Row = ["", "", "", "", "", "", "", ""]
-    if fit is not None:
-        mode = _first_mode(release)
-        rest = float(np.sqrt(np.mean(fit.residual**2)))
-        times = [fit.onset_s, fit.u_onset_s, fit.release_s, fit.u_release_s]
-        of_load = [*times, *mode, rest, fit.variance_accounted]
-    return [
-        release.name,
-        component.component,
-        record.release,
-        release.input.manifest.mounting,
-        reading.channel,
-        "yes" if driven else "no",
-        "yes" if driven and release.name in component.used else "no",
-        record.amplitude,
-        reading.onset_s,
-        reading.u_onset_s,
-        reading.sign,
-        reading.baseline,
-        reading.u_baseline,
-        reading.steady,
-        reading.u_steady,
-        reading.unit,
-        reading.rise_s,
-        reading.u_rise_s,
-        reading.shape,
-        reading.release_s,
-        reading.u_release_s,
-        reading.static_gain,
-        reading.u_static_gain,
-        reading.noise,
-        *first,
-        *second,
-        share,
-        *of_load,
-    ]
-
-
-def _first_mode(release: Release) -> tuple[float, float]:
-    """Natural frequency and damping ratio of the lowest mode of a release's model."""
-    model = None if release.fit is None else release.fit.model
-    if model is None or not len(model.frequency_hz):
-        return float("nan"), float("nan")
-    place = int(np.argmin(model.frequency_hz))
-    return float(model.frequency_hz[place]), float(model.damping_ratio[place])
-
-
-def _number_rows(component: ComponentResult, figures: Sequence[Figure]) -> Iterator[Row]:
+def number_rows(component: ComponentResult, figures: Sequence[Figure]) -> Iterator[NumberRow]:
     """One row per number of a component's model."""
     names = ", ".join(component.used)
     for figure in figures:
-        numbers: Row = [figure.value, figure.u, figure.expanded, figure.k]
-        yield [component.component, component.channel, figure.name, *numbers, figure.unit, figure.dof, names]
+        numbers = (figure.value, figure.u, figure.expanded, figure.k, figure.unit, figure.dof)
+        yield NumberRow(component.component, component.channel, figure.name, *numbers, names)
 
 
-def _method_row(component: ComponentResult, row: MethodRow) -> Row:
-    """What one method made of one release."""
-    fit, found = row.fit, None if row.indices is None else row.indices.figures()
-    names = ("natural_hz", "damping_ratio", "static_gain")
-    after = ("band_5_hz", "band_10_hz", "overshoot", "settling_2_s")
-    values = {name: np.nan if found is None else found[name] for name in (*names, *after)}
-    known = {name: float(np.nan) if value is None else float(value) for name, value in values.items()}
-    stable = "yes" if fit.system.stable else "no"
-    head: Row = [component.component, component.channel, row.recording, fit.method, fit.sample_rate_hz, fit.order]
-    main: Row = [stable, *(known[name] for name in names), component.unit, *(known[name] for name in after)]
-    return [*head, *main, residual_rms(row), fit.variance_accounted, fit.duration_s]
-
-
-# The tables of step.html, its headlines, and what the command prints.
+def index_rows(evaluation: StepEvaluation) -> Iterator[NumberRow]:
+    """One row per index of every model; then the static gain of every output as it was read, over all releases."""
+    for component in evaluation.components:
+        yield from number_rows(component, component.figures)
+        names = ", ".join(release.name for release in component.releases)
+        for gain in component.gains:
+            numbers = (gain.value, gain.u, gain.expanded, gain.k, component.unit, gain.dof)
+            yield NumberRow(component.component, gain.channel, "read_static_gain", *numbers, names)
 
 
 K2 = 2.0
@@ -346,7 +318,7 @@ def methods_table(component: ComponentResult) -> Table | None:
                 _index(row, "band_5_hz", "{:.1f}"),
                 "yes" if fit.system.stable else "no",
                 f"{PERCENT * fit.variance_accounted:.3f}".replace("-", "\N{MINUS SIGN}"),
-                short(residual_rms(row)),
+                short(residual_rms(row.fit)),
                 number(fit.duration_s),
             )
         )

@@ -1,9 +1,7 @@
-"""Result folder and page of step responses."""
+"""What step responses leave: tables, models, HDF5 file, page; the command."""
 
 from __future__ import annotations
 
-import logging
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,13 +11,11 @@ import h5py
 import numpy as np
 
 from fusion.campaign.workers import one_blas_thread
-from fusion.recording.load import Manifest, find_recordings, for_kinds, load_manifest
-from fusion.report.csv_files import csv_text
+from fusion.recording.load import load_for_command
+from fusion.report.folder import Command
 from fusion.report.h5 import write_fields, write_value
-from fusion.report.provenance import check_folder, hash_files
-from fusion.report.recording import ResultFolder, default_folder, log_notices, page_frame
 from fusion.report.style import Picture
-from fusion.report.tables import Table, render_page
+from fusion.report.table import Table, columns_of, csv_text
 from fusion.sensor.models_file import MODELS_FILE, ModelsFile, models_text
 from fusion.sensor.step import report as tables
 from fusion.sensor.step.evaluate import evaluate_steps, measured_response
@@ -33,24 +29,12 @@ from fusion.sensor.step.plots import (
     draw_ropes,
     draw_step,
 )
-from fusion.sensor.step.records import KIND, Pooled, StepSettings, check_kind
+from fusion.sensor.step.records import Pooled, StepSettings
 from fusion.sensor.step.releases import LABELS, ComponentResult, MethodRow, Release, StepEvaluation
-from fusion.sensor.step.report import (
-    METHOD_COLUMNS,
-    NUMBER_COLUMNS,
-    RELEASE_COLUMNS,
-    index_rows,
-    method_rows,
-    model_rows,
-    printed,
-    release_rows,
-)
+from fusion.sensor.step.report import BY_METHOD, RELEASES, ByMethod, NumberRow, index_rows, number_rows, outputs
 from shaker.arrays import FloatArray
 from shaker.lti.modal import ModalModel
 from shaker.release.sim import StepFit
-
-# The figures of step.html, from the evaluation.
-
 
 POINTS = 500
 HIGHEST = 6.0
@@ -168,12 +152,6 @@ def _convergence(rows: Sequence[MethodRow]) -> Iterator[Convergence]:
             yield Convergence(LABELS[method], "generation", fit.convergence, None)
 
 
-# step.html: one self-contained page with releases, models, indices, methods and origin.
-
-
-PAGE_FILE = "step.html"
-
-
 @dataclass(frozen=True)
 class ComponentSection:
     """What the page shows of one load component."""
@@ -190,22 +168,15 @@ class ComponentSection:
     pictures: list[Picture]
 
 
-def render_step_page(evaluation: StepEvaluation) -> str:
-    """HTML text of the page; style and figures are inside, nothing is fetched from elsewhere."""
-    return render_page("step.html", _context(evaluation))
-
-
 def _context(evaluation: StepEvaluation) -> dict[str, Any]:
     """Everything the template shows."""
     compared = evaluation.settings["method"] == "all"
     return {
-        "name": evaluation.name,
         "subject": _subject(evaluation),
         "headlines": tables.headlines(evaluation),
         "summary": tables.summary_table(evaluation),
         "components": [_section(component, compared) for component in evaluation.components],
         "compared": compared,
-        **page_frame(evaluation),
     }
 
 
@@ -232,17 +203,9 @@ def _subject(evaluation: StepEvaluation) -> list[tuple[str, str]]:
         facts.append(("Sensor", f"{sensor.name} {sensor.serial}".strip()))
     count = sum(len(component.releases) for component in evaluation.components)
     names = ", ".join(component.component for component in evaluation.components)
-    facts.append(("Recordings", f"{count} of {names}"))
-    return facts
+    return [*facts, ("Recordings", f"{count} of {names}")]
 
 
-# The folder of evaluated step responses: tables, models, HDF5 file and page, whole or not at all.
-
-
-FORMAT = 1
-RELEASES_FILE, PARAMETERS_FILE, INDICES_FILE, METHODS_FILE = "releases.csv", "models.csv", "indices.csv", "methods.csv"
-H5_FILE = "step.h5"
-OWN_FILE = re.compile(r"(releases|models|indices|methods)\.csv|models\.json|step\.(h5|html)")
 FIT_FIELDS = (
     "method",
     "model",
@@ -262,11 +225,6 @@ FIT_FIELDS = (
 )
 
 
-def write_steps(evaluation: StepEvaluation, folder: Path, *, force: bool = False) -> list[Path]:
-    """Write every result file and return their paths; other folders are refused unless `force`."""
-    return ResultFolder(H5_FILE, OWN_FILE, _texts, _fill).write(evaluation, folder, force=force)
-
-
 def models_of(evaluation: StepEvaluation) -> ModelsFile:
     """Return what models.json holds."""
     sensor = evaluation.sensor
@@ -275,21 +233,8 @@ def models_of(evaluation: StepEvaluation) -> ModelsFile:
     return ModelsFile(evaluation.name, *named, entries)
 
 
-def _texts(evaluation: StepEvaluation) -> dict[str, str]:
-    """Tables, models and page."""
-    return {
-        RELEASES_FILE: csv_text(RELEASE_COLUMNS, release_rows(evaluation)),
-        PARAMETERS_FILE: csv_text(NUMBER_COLUMNS, model_rows(evaluation)),
-        INDICES_FILE: csv_text(NUMBER_COLUMNS, index_rows(evaluation)),
-        METHODS_FILE: csv_text(METHOD_COLUMNS, method_rows(evaluation)),
-        MODELS_FILE: models_text(models_of(evaluation)),
-        PAGE_FILE: render_step_page(evaluation),
-    }
-
-
 def _fill(file: h5py.File, evaluation: StepEvaluation) -> None:
     """Fill the HDF5 file."""
-    file.attrs["format"] = FORMAT
     file.attrs["name"] = evaluation.name
     file.attrs["models"] = "H(s) = sum r/(s - p) + conj. + sum r/(s - p), p in rad/s, output over load; k = 1"
     write_value(file, "notices", evaluation.notices)
@@ -331,11 +276,22 @@ def _write_fit(group: h5py.Group, fit: StepFit) -> None:
         write_value(group, name, getattr(fit.system, name))
 
 
-# The command `shakercal step`: recordings of releases → models, result folder.
+def _texts(evaluation: StepEvaluation) -> dict[str, str | bytes]:
+    """Tables and models."""
+    components, numbers = evaluation.components, columns_of(NumberRow)
+    parameters = (row for component in components for row in number_rows(component, component.parameters))
+    by_method = (ByMethod(component, row) for component in components for row in component.methods)
+    return {
+        "releases.csv": csv_text(RELEASES, outputs(evaluation)),
+        "models.csv": csv_text(numbers, parameters),
+        "indices.csv": csv_text(numbers, index_rows(evaluation)),
+        "methods.csv": csv_text(BY_METHOD, by_method),
+        MODELS_FILE: models_text(models_of(evaluation)),
+    }
 
 
-log = logging.getLogger("shakercal")
-DEFAULT_FOLDER = "step"
+FILES = ("releases.csv", "models.csv", "indices.csv", "methods.csv", MODELS_FILE)
+STEP = Command("step", "step", FILES, _texts, _fill, _context, tables.printed)
 
 
 def run_step(
@@ -352,30 +308,11 @@ def run_step(
     recording, or, of several paths, beside rig.toml; or in `output`. A place that cannot take them is refused before
     anything is computed.
     """
-    found = [manifest for path in paths for manifest in step_manifests(path, allow_outside=allow_outside)]
-    manifests = list({manifest.path.resolve(): manifest for manifest in found}.values())
-    folder = default_folder(paths, manifests, DEFAULT_FOLDER) if output is None else output
-    hashes = hash_files([file for manifest in manifests for file in manifest.files], manifests[0].root)
-    check_folder(folder, hashes, force=force, marker=H5_FILE)
+    manifests = load_for_command(paths, STEP.name, allow_outside=allow_outside)
     name = manifests[0].name if len(manifests) == 1 else manifests[0].rig.name
-    with one_blas_thread():
-        evaluation = evaluate_steps(name, manifests, settings, hashes)
-    log_notices(evaluation, log)
-    write_steps(evaluation, folder, force=force)
-    print(evaluation.name)
-    for line in printed(evaluation):
-        print(line)
-    print(f"report: {folder / PAGE_FILE}")
 
+    def evaluate(hashes: dict[str, str]) -> StepEvaluation:
+        with one_blas_thread():
+            return evaluate_steps(name, manifests, settings, hashes)
 
-def step_manifests(path: Path, *, allow_outside: bool = False) -> list[Manifest]:
-    """Return the step recordings at a path; of a campaign's others the user is told. Raises `InputError`."""
-    found = find_recordings(path)
-    recordings = for_kinds(found, (KIND,))
-    manifests = [load_manifest(recording, allow_outside=allow_outside) for recording in recordings]
-    for manifest in manifests:
-        check_kind(manifest)
-    others = [recording.parent.name for recording in found if recording not in recordings]
-    if others:
-        log.info("%s: left out, since their kind is not %s: %s", path, KIND, ", ".join(others))
-    return manifests
+    STEP.run_recordings(paths, manifests, output, evaluate, force=force)

@@ -9,6 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fusion.base import ARGUMENT, InputError
+from fusion.instruments import TRANSDUCERS
+from fusion.recording.excitation import kinds_of
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry
 from fusion.report.provenance import versions
@@ -283,7 +285,7 @@ def _fit(curve: _Curve, lines: slice, value: ComplexArray, *, residual_terms: bo
 # From a recording of a chirp, a multisine, noise or impacts to its transfer functions.
 
 
-KINDS = ("chirp", "multisine", "noise", "impact")
+KINDS = kinds_of("transfer")
 _FORCED_KIND: dict[int, Kind] = {0: "receptance", 1: "mobility", 2: "accelerance"}
 
 
@@ -314,16 +316,7 @@ def evaluate_transfer(
 
 def check_kind(manifest: Manifest) -> None:
     """Refuse recordings that this command does not evaluate."""
-    excitation = manifest.excitation
-    if excitation.kind not in KINDS:
-        others = {"sine": "run", "rotation": "rotate", "step": "step"}
-        command = others.get(excitation.kind)
-        hint = "" if command is None else f"; shakercal {command} evaluates {excitation.kind}s"
-        expected = f"{', '.join(KINDS[:-1])} or {KINDS[-1]}, the kinds that shakercal transfer evaluates{hint}"
-        raise InputError(manifest.path, "excitation.kind", found=excitation.kind, expected=expected)
-    if manifest.take:
-        expected = "no [[take]] blocks, since shakercal transfer evaluates what was recorded at once"
-        raise InputError(manifest.path, "take", found=f"{len(manifest.take)}", expected=expected)
+    manifest.check_command("transfer")
 
 
 def _evaluated(
@@ -372,7 +365,7 @@ def _converted(
 
 def _as_wanted(entry: ChannelEntry, unit: str, quantity: Quantity | None) -> tuple[int, str]:
     """Return how many times a channel is to be differentiated, and the unit it then has; 0 for what is no motion."""
-    if quantity is None or entry.quantity not in ChannelEntry.MOTION:
+    if quantity is None or entry.quantity not in TRANSDUCERS:
         return 0, unit
     family, have = motion_order(unit)
     want = QUANTITIES.index(quantity)
@@ -381,7 +374,7 @@ def _as_wanted(entry: ChannelEntry, unit: str, quantity: Quantity | None) -> tup
 
 def _kind(reference: ChannelEntry, response: ChannelEntry, quantity: Quantity | None) -> Kind:
     """Return which form one oscillator takes: a base that moves, or a force on the mass."""
-    if reference.quantity in ChannelEntry.MOTION:
+    if reference.quantity in TRANSDUCERS:
         return "transmissibility"
     if response.quantity not in QUANTITIES:
         return "receptance"

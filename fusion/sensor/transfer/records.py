@@ -10,7 +10,7 @@ import numpy as np
 
 from fusion.base import InputError
 from fusion.phasors.channels import channel_unit
-from fusion.phasors.results import ClockResult
+from fusion.phasors.timing import ClockResult
 from fusion.phasors.timing import TimeBase, tie_daqs
 from fusion.recording.files import DaqRecord, read_daqs, read_response
 from fusion.recording.load import Manifest
@@ -111,6 +111,11 @@ class TransferEvaluation:
     versions: dict[str, str]
     input_hashes: dict[str, str]
     duration_s: float
+
+    @property
+    def name(self) -> str:
+        """Return the name of the recording."""
+        return self.manifest.name
 
 
 # Errors that act on all lines of a transfer function at once: scale, delay, chain response, clock.

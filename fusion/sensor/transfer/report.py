@@ -1,64 +1,62 @@
-"""Result folder and page of transfer functions."""
+"""What transfer functions leave: transfer.csv, transfer.h5, the page, and the lines of the terminal."""
 
 from __future__ import annotations
 
-import logging
-import re
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
 
-from fusion.estimation.uncertainty import element_covariance, polar, rounded, typeset
-from fusion.recording.load import Manifest, find_recordings, for_kinds, load_manifest
-from fusion.report.csv_files import Row, csv_text
+from fusion.estimation.uncertainty import Polar, element_covariance, polar, rounded, typeset
+from fusion.recording.load import load_for_command
+from fusion.report.csv_files import polar_columns
+from fusion.report.folder import Command
 from fusion.report.h5 import write_fields
 from fusion.report.numbers import measured, small
-from fusion.report.provenance import check_folder, hash_files
-from fusion.report.recording import ResultFolder, log_notices, page_frame
-from fusion.report.tables import Headline, Table, render_page
-from fusion.sensor.transfer.evaluate import KINDS, check_kind, evaluate_transfer
+from fusion.report.table import Column, Headline, Table, csv_text, word
+from fusion.sensor.transfer.evaluate import evaluate_transfer
 from fusion.sensor.transfer.figures import TransferCurve, draw_transfer, uncertainty
 from fusion.sensor.transfer.records import FoundResonance, ReferenceResult, TransferEvaluation, TransferSettings
 from shaker.arrays import FloatArray
 
-# Transfer functions as rows and tables: transfer.csv, the page's tables, and what the command prints.
+
+class Line(NamedTuple):
+    """One line of a curve in transfer.csv."""
+
+    frequency_hz: float
+    response: str
+    reference: str
+    estimator: str
+    value: Polar
+    coherence: float
+    dof: float
+    unit: str
 
 
-COLUMNS = [
-    "frequency_hz",
-    "response",
-    "reference",
-    "estimator",
-    "magnitude",
-    "phase_rad",
-    "u_magnitude",
-    "u_phase_rad",
-    "re",
-    "im",
-    "u_re",
-    "u_im",
-    "r",
-    "coherence",
-    "dof",
-    "unit",
+LINES: list[Column[Line]] = [
+    Column("frequency_hz", lambda line: line.frequency_hz),
+    word("response", lambda line: line.response),
+    word("reference", lambda line: line.reference),
+    word("estimator", lambda line: line.estimator),
+    *polar_columns("magnitude", lambda line: line.value)[:-1],
+    Column("coherence", lambda line: line.coherence),
+    Column("dof", lambda line: line.dof),
+    word("unit", lambda line: line.unit),
 ]
 
 
-def transfer_rows(evaluation: TransferEvaluation) -> Iterator[Row]:
-    """One row per reference, response and line."""
+def transfer_lines(evaluation: TransferEvaluation) -> Iterator[Line]:
+    """Every line of every reference and response."""
     for result in evaluation.references:
-        ratio = result.transfer.ratio
+        ratio, coherence = result.transfer.ratio, result.transfer.coherence
         for c, name in enumerate(ratio.channels):
-            for k, frequency in enumerate(ratio.frequency_hz):
-                item = polar(complex(ratio.value[k, c]), element_covariance(ratio.covariance[k], c))
-                numbers: Row = [item.magnitude, item.phase_rad, item.u_magnitude, item.u_phase_rad]
-                parts: Row = [item.re, item.im, item.u_re, item.u_im, item.r]
-                head: Row = [float(frequency), name, result.name, result.transfer.estimator]
-                tail: Row = [float(result.transfer.coherence[k, c]), float(ratio.dof[k]), ratio.unit[c]]
-                yield [*head, *numbers, *parts, *tail]
+            for k, frequency in enumerate(ratio.frequency_hz.tolist()):
+                value = polar(complex(ratio.value[k, c]), element_covariance(ratio.covariance[k], c))
+                head, tail = (name, result.name, result.transfer.estimator), (float(ratio.dof[k]), ratio.unit[c])
+                yield Line(frequency, *head, value, float(coherence[k, c]), *tail)
 
 
 def curves_table(evaluation: TransferEvaluation) -> Table:
@@ -194,21 +192,9 @@ def _budget_table(found: FoundResonance) -> Table:
     return Table(caption, ("contribution", "u(f₀) / 10⁻⁶ f₀", "u(ζ) / % of ζ"), "lrr", tuple(rows))
 
 
-# transfer.html: one self-contained page with curves, resonances and origin of one recording.
-
-
-PAGE_FILE = "transfer.html"
-
-
-def render_transfer_page(evaluation: TransferEvaluation) -> str:
-    """HTML text of the page; style and figures are inside, nothing is fetched from elsewhere."""
-    return render_page("transfer.html", _context(evaluation))
-
-
 def _context(evaluation: TransferEvaluation) -> dict[str, Any]:
     """Everything the template shows."""
     return {
-        "name": evaluation.manifest.name,
         "subject": _subject(evaluation),
         "headlines": headlines(evaluation),
         "pictures": [draw_transfer(curve) for result in evaluation.references for curve in _curves(result)],
@@ -216,7 +202,6 @@ def _context(evaluation: TransferEvaluation) -> dict[str, Any]:
         "resonances": resonances_table(evaluation),
         "budgets": budget_tables(evaluation),
         "channels": _channels(evaluation),
-        **page_frame(evaluation),
     }
 
 
@@ -284,41 +269,20 @@ def _channels(evaluation: TransferEvaluation) -> Table:
     return Table("Channels and their chains as stated", head, "lllrrrl", rows)
 
 
-# The folder of a transfer recording's results: table, HDF5 file and page, whole or not at all.
-
-
-FORMAT = 1
-TABLE_FILE, H5_FILE = "transfer.csv", "transfer.h5"
-OWN_FILE = re.compile(r"transfer\.(csv|h5|html)")
-
-
-def write_transfer(evaluation: TransferEvaluation, folder: Path, *, force: bool = False) -> list[Path]:
-    """Write every result file of one recording and return their paths; other folders are refused unless `force`."""
-    return ResultFolder(H5_FILE, OWN_FILE, _texts, _fill).write(evaluation, folder, force=force)
-
-
-def _texts(evaluation: TransferEvaluation) -> dict[str, str]:
-    """Table and page."""
-    return {
-        TABLE_FILE: csv_text(COLUMNS, transfer_rows(evaluation)),
-        PAGE_FILE: render_transfer_page(evaluation),
-    }
-
-
 def _fill(file: h5py.File, evaluation: TransferEvaluation) -> None:
     """Fill the HDF5 file."""
-    file.attrs["format"] = FORMAT
     file.attrs["recording"] = evaluation.manifest.name
     file.attrs["rig"] = evaluation.manifest.rig.name
     file.attrs["phasors"] = "x(t) = Re{X exp(+j omega t)}; covariances of [all Re, all Im]; k = 1"
     write_fields(file, evaluation)
 
 
-# The command `shakercal transfer`: recordings → curves, resonances, result folders.
+def _texts(evaluation: TransferEvaluation) -> dict[str, str | bytes]:
+    """Every line of every curve."""
+    return {"transfer.csv": csv_text(LINES, transfer_lines(evaluation))}
 
 
-log = logging.getLogger("shakercal")
-DEFAULT_FOLDER = "transfer"
+TRANSFER = Command("transfer", "transfer", ("transfer.csv",), _texts, _fill, _context, printed)
 
 
 def run_transfer(
@@ -329,25 +293,10 @@ def run_transfer(
     Results stand in the recording's own folder `transfer`, or in `output` (of a campaign: in a folder each). Of a
     campaign, recordings of other kinds are left out.
     """
-    recordings = for_kinds(find_recordings(path), KINDS)
-    manifests = [load_manifest(recording, allow_outside=allow_outside) for recording in recordings]
+    manifests = load_for_command([path], TRANSFER.name, allow_outside=allow_outside)
     for manifest in manifests:
-        check_kind(manifest)
-    for manifest in manifests:
-        folder = manifest.folder / DEFAULT_FOLDER if output is None else output
+        folder = manifest.folder / TRANSFER.name if output is None else output
         if output is not None and len(manifests) > 1:
             folder = output / manifest.folder.name
-        _run_one(manifest, folder, settings, force)
-
-
-def _run_one(manifest: Manifest, folder: Path, settings: TransferSettings, force: bool) -> None:
-    """Evaluate one recording; a place that cannot take the results is refused before anything is computed."""
-    hashes = hash_files(manifest.files, manifest.root)
-    check_folder(folder, hashes, force=force, marker=H5_FILE)
-    evaluation = evaluate_transfer(manifest, settings, hashes)
-    log_notices(evaluation, log)
-    write_transfer(evaluation, folder, force=force)
-    print(f"{manifest.name}")
-    for line in printed(evaluation):
-        print(line)
-    print(f"report: {folder / PAGE_FILE}")
+        evaluate = partial(evaluate_transfer, manifest, settings)
+        TRANSFER.run_recordings([path], [manifest], folder, evaluate, force=force)

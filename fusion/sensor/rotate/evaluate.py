@@ -1,23 +1,16 @@
-"""A rotation test: recordings to masses, and the result folder."""
+"""A rotation test: recordings of a sensor on an indexing head to masses."""
 
 from __future__ import annotations
 
-import logging
-import re
 import time
 from collections.abc import Sequence
-from pathlib import Path
 
-import h5py
 import numpy as np
 
 from fusion.base import InputError
 from fusion.estimation.uncertainty import rounded
-from fusion.recording.load import Manifest, find_recordings, for_kinds, load_manifest
-from fusion.report.csv_files import csv_text
-from fusion.report.h5 import write_fields, write_value
-from fusion.report.provenance import check_folder, hash_files, versions
-from fusion.report.recording import ResultFolder, default_folder, log_notices
+from fusion.recording.load import Manifest
+from fusion.report.provenance import versions
 from fusion.sensor.rotate.masses import Campaign, quantities, repeats
 from fusion.sensor.rotate.readings import (
     Quantity,
@@ -31,15 +24,10 @@ from fusion.sensor.rotate.readings import (
     table_path,
     turned,
 )
-from fusion.sensor.rotate.report import COLUMNS, PAGE_FILE, printed, quantity_rows, render_rotation_page
 from shaker.arrays import Notice
 from shaker.static_rotation.harmonics import Known
 from shaker.static_rotation.masses import ROWS, SensorOutputs, Turned, WeightFit, fit_weights
 
-# From recordings of a sensor on an indexing head to masses.
-
-
-KIND = "rotation"
 TURNED_AWAY_RAD, TILTED_RAD = np.radians(10.0), np.radians(1.0)
 """Zero angle and tilt of the axis above which the user is told."""
 
@@ -77,18 +65,10 @@ def evaluate_rotation(name: str, manifests: Sequence[Manifest], input_hashes: di
     )
 
 
-def check_kind(manifest: Manifest) -> None:
-    """Refuse recordings that this command does not evaluate."""
-    kind = manifest.excitation.kind
-    if kind != KIND:
-        expected = f"{KIND}, the kind that shakercal rotate evaluates"
-        raise InputError(manifest.path, "excitation.kind", found=kind, expected=expected)
-
-
 def _check_together(manifests: Sequence[Manifest]) -> None:
     """Recordings that are compared share a rig."""
     for manifest in manifests:
-        check_kind(manifest)
+        manifest.check_command("rotate")
         if manifest.rig_path.resolve() != manifests[0].rig_path.resolve():
             expected = f"{manifests[0].rig_path}, the rig of {manifests[0].folder.name}"
             raise InputError(manifest.path, "rig", found=str(manifest.rig_path), expected=expected)
@@ -203,122 +183,3 @@ def _of_result(found: Sequence[Quantity]) -> list[Notice]:
             )
             told.append(Notice("warning", text, "load"))
     return told
-
-
-# The folder of a rotation test's results: table, HDF5 file and page, whole or not at all.
-
-
-FORMAT = 1
-TABLE_FILE, H5_FILE = "rotation.csv", "rotation.h5"
-OWN_FILE = re.compile(r"rotation\.(csv|h5|html)")
-
-
-def write_rotation(evaluation: RotationEvaluation, folder: Path, *, force: bool = False) -> list[Path]:
-    """Write every result file and return their paths; other folders are refused unless `force`."""
-    return ResultFolder(H5_FILE, OWN_FILE, _texts, _fill).write(evaluation, folder, force=force)
-
-
-def _texts(evaluation: RotationEvaluation) -> dict[str, str]:
-    """Table and page."""
-    return {
-        TABLE_FILE: csv_text(COLUMNS, quantity_rows(evaluation)),
-        PAGE_FILE: render_rotation_page(evaluation),
-    }
-
-
-def _fill(file: h5py.File, evaluation: RotationEvaluation) -> None:
-    """Fill the HDF5 file."""
-    file.attrs["format"] = FORMAT
-    file.attrs["name"] = evaluation.name
-    file.attrs["harmonics"] = "reading = design . coefficient; A exp(+j angle), A = cos - j sin; k = 1"
-    for key in ("gravity", "air"):
-        known = getattr(evaluation, key)
-        write_value(file.create_group(key), "value", known.value)
-        write_value(file[key], "u", known.u)
-        write_value(file[key], "source", known.source)
-    _write_recordings(file.create_group("recordings", track_order=True), evaluation)
-    _write_weights(file.create_group("weights", track_order=True), evaluation)
-    _write_repeats(file, evaluation)
-    _write_quantities(file.create_group("quantities", track_order=True), evaluation)
-
-
-def _write_recordings(group: h5py.Group, evaluation: RotationEvaluation) -> None:
-    """Readings, loads and the fit of every recording."""
-    for recording in evaluation.recordings:
-        own = group.create_group(recording.name, track_order=True)
-        own.attrs["with_load"] = recording.with_load
-        write_value(own, "unit", recording.unit)
-        write_value(own, "load", recording.load)
-        write_fields(own, recording.fit)
-
-
-def _write_weights(group: h5py.Group, evaluation: RotationEvaluation) -> None:
-    """Value and covariance of the fit of weights, and each cause of error with its effect."""
-    weights = evaluation.weights
-    for name in ("names", "value", "covariance", "load"):
-        write_value(group, name, getattr(weights, name))
-    for name in ("chi_squared", "dof", "departure"):
-        group.attrs[name] = getattr(weights, name)
-    sources = group.create_group("sources", track_order=True)
-    for source in weights.sources:
-        own = sources.create_group(source.name)
-        own.attrs["type"], own.attrs["dof"] = source.kind, source.dof
-        own["effect"] = source.effect
-
-
-def _write_repeats(file: h5py.File, evaluation: RotationEvaluation) -> None:
-    """What states that were recorded repeatedly scatter by."""
-    for again in evaluation.repeats:
-        write_fields(file.require_group("repeats").create_group(again.state), again)
-
-
-def _write_quantities(group: h5py.Group, evaluation: RotationEvaluation) -> None:
-    """Every number with its budget."""
-    for quantity in evaluation.quantities:
-        name = " ".join(filter(None, (quantity.name, quantity.component, quantity.recording)))
-        own = group.create_group(name)
-        for key in ("value", "u", "dof", "unit"):
-            own.attrs[key] = getattr(quantity, key)
-        own.create_group("budget").attrs.update(quantity.budget)
-
-
-# The command `shakercal rotate`: recordings → masses, result folder.
-
-
-log = logging.getLogger("shakercal")
-DEFAULT_FOLDER = "rotate"
-
-
-def run_rotate(paths: Sequence[Path], output: Path | None, *, force: bool = False, allow_outside: bool = False) -> None:
-    """Evaluate the rotation recordings at some paths together, write the results and print the summary.
-
-    Of a campaign folder those of kind rotation are taken. Results stand in its folder `rotate`, or in that of the only
-    recording, or, of several paths, beside rig.toml; or in `output`.
-    """
-    manifests = [manifest for path in paths for manifest in _manifests(path, allow_outside)]
-    distinct = {manifest.path.resolve(): manifest for manifest in manifests}.values()
-    manifests = sorted(distinct, key=lambda manifest: bool(manifest.excitation.with_load))
-    folder = default_folder(paths, manifests, DEFAULT_FOLDER) if output is None else output
-    hashes = hash_files([file for manifest in manifests for file in manifest.files], manifests[0].root)
-    check_folder(folder, hashes, force=force, marker=H5_FILE)
-    name = manifests[0].name if len(manifests) == 1 else manifests[0].rig.name
-    evaluation = evaluate_rotation(name, manifests, hashes)
-    log_notices(evaluation, log)
-    write_rotation(evaluation, folder, force=force)
-    print(evaluation.name)
-    for line in printed(evaluation):
-        print(line)
-    print(f"report: {folder / PAGE_FILE}")
-
-
-def _manifests(path: Path, allow_outside: bool) -> list[Manifest]:
-    """The rotation recordings at a path; of a campaign's others the user is told."""
-    found = find_recordings(path)
-    recordings = for_kinds(found, (KIND,))
-    manifests = [load_manifest(recording, allow_outside=allow_outside) for recording in recordings]
-    for manifest in manifests:
-        check_kind(manifest)
-    others = [recording.parent.name for recording in found if recording not in recordings]
-    if others:
-        log.info("%s: left out, since their kind is not %s: %s", path, KIND, ", ".join(others))
-    return manifests

@@ -1,0 +1,286 @@
+"""Result folders: page and files of a finished evaluation, written whole or not at all; what every command does."""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+import shutil
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, Protocol, TypeVar
+from urllib.parse import quote
+
+import h5py
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+
+from fusion.base import AnyNotice, temporary_beside, warnings_first
+from fusion.recording.load import Manifest
+from fusion.report.provenance import (
+    PROGRAM,
+    Provenance,
+    check_folder,
+    hash_files,
+    read_provenance,
+    write_provenance,
+)
+from fusion.report.table import Table
+from shaker.arrays import Notice
+
+FORMAT = 1
+"""Of the HDF5 files of commands."""
+
+log = logging.getLogger("shakercal")
+
+
+# Pages
+
+
+def render_page(template: str, context: Mapping[str, Any]) -> str:
+    """HTML text of a template of this package; style and figures are inside, nothing is fetched from elsewhere."""
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).with_name("templates")),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["data_uri"] = data_uri
+    return environment.get_template(template).render(context) + "\n"
+
+
+def origin_frame(origin: Origin, notices: Iterable[AnyNotice]) -> dict[str, Any]:
+    """What every page shows beside its subject: notices, settings and versions, input files, the program."""
+    return {
+        "notices": warnings_first(notices),
+        "origin": provenance_tables(origin),
+        "inputs": inputs_table(origin),
+        "program": f"{PROGRAM} {origin.versions.get(PROGRAM, '')}".strip(),
+    }
+
+
+def provenance_tables(origin: Origin) -> list[Table]:
+    """Versions and settings."""
+    versions = tuple((name, version) for name, version in origin.versions.items())
+    settings = tuple((name, str(value)) for name, value in origin.settings.items())
+    return [
+        Table("Versions", ("program or library", "version"), "ll", versions),
+        Table("Settings", ("name", "value"), "ll", settings),
+    ]
+
+
+def inputs_table(origin: Origin) -> Table:
+    """Every input file with its hash."""
+    rows = tuple((name, Markup("<code>{}</code>").format(digest)) for name, digest in origin.input_hashes.items())
+    return Table("Input files", ("file", "SHA-256"), "ll", rows)
+
+
+def data_uri(svg: str) -> Markup:
+    """SVG text as the source of an image element; percent encoding is shorter than base64 for text."""
+    flat = re.sub(r"\s*\n\s*", " ", svg[svg.index("<svg") :]).replace('"', "'")
+    return Markup("data:image/svg+xml,{}").format(Markup(quote(flat, safe=" ='/:;,.()+-_!*@?&$[]{}|~")))
+
+
+# Commands
+
+
+class Origin(Protocol):
+    """Where a result comes from."""
+
+    @property
+    def settings(self) -> dict[str, str | float | int]:
+        """What was chosen."""
+
+    @property
+    def versions(self) -> dict[str, str]:
+        """The program and the libraries that computed it."""
+
+    @property
+    def input_hashes(self) -> dict[str, str]:
+        """Hashes of all input files."""
+
+
+class Evaluated(Origin, Protocol):
+    """An evaluation as every command leaves it: with its name, its notices and its origin."""
+
+    @property
+    def name(self) -> str:
+        """What was evaluated."""
+
+    @property
+    def notices(self) -> tuple[Notice, ...]:
+        """What the user should know."""
+
+    @property
+    def duration_s(self) -> float:
+        """How long it took."""
+
+
+E = TypeVar("E", bound=Evaluated)
+
+
+@dataclass(frozen=True)
+class Command(Generic[E]):
+    """What a command leaves of an evaluation: a folder of files with a page, and lines on the terminal.
+
+    `name`: of the command and of the folder. `stem`: of page and HDF5 file, which are STEM.html and STEM.h5; the page's
+    template is NAME.html. `texts`: the other files by name, texts or pictures; `files`: all names that they may have.
+    `fill` puts the evaluation into the HDF5 file. `context`: what the template shows beside name, notices and origin;
+    `lines`: of the terminal.
+    """
+
+    name: str
+    stem: str
+    files: tuple[str, ...]
+    texts: Callable[[E], Mapping[str, str | bytes]]
+    fill: Callable[[h5py.File, E], None]
+    context: Callable[[E], Mapping[str, Any]]
+    lines: Callable[[E], Iterable[str]]
+
+    @property
+    def h5_file(self) -> str:
+        """Return the name of the HDF5 file, which says that the folder is complete."""
+        return f"{self.stem}.h5"
+
+    @property
+    def page_file(self) -> str:
+        """Return the name of the page."""
+        return f"{self.stem}.html"
+
+    def run(
+        self,
+        hashes: dict[str, str],
+        folder: Path,
+        evaluate: Callable[[dict[str, str]], E],
+        *,
+        force: bool,
+    ) -> E:
+        """Evaluate inputs of some hashes, write results to `folder`, tell notices and results, return the evaluation.
+
+        A place that cannot take the results is refused before anything is computed.
+        """
+        check_folder(folder, hashes, force=force, marker=self.h5_file)
+        evaluation = evaluate(hashes)
+        for notice in evaluation.notices:
+            level = logging.WARNING if notice.severity == "warning" else logging.INFO
+            log.log(level, "%s: %s", notice.where, notice.text)
+        self.write(evaluation, folder, force=force)
+        for line in (evaluation.name, *self.lines(evaluation), f"report: {folder / self.page_file}"):
+            print(line)
+        return evaluation
+
+    def run_recordings(
+        self,
+        paths: Sequence[Path],
+        manifests: Sequence[Manifest],
+        output: Path | None,
+        evaluate: Callable[[dict[str, str]], E],
+        *,
+        force: bool,
+    ) -> E:
+        """Evaluate the recordings at some paths together as `run` does.
+
+        Results stand in `output`, or in a folder of the command's name: of the campaign or of the only recording, or,
+        of several paths, beside the first recording's rig.
+        """
+        first = manifests[0]
+        own = first.root if len(paths) > 1 else first.folder if paths[0].is_file() else paths[0]
+        hashes = hash_files([file for manifest in manifests for file in manifest.files], first.root)
+        return self.run(hashes, own / self.name if output is None else output, evaluate, force=force)
+
+    def write(self, evaluation: E, folder: Path, *, force: bool = False) -> list[Path]:
+        """Write every file and return their paths; other folders are refused unless `force`."""
+        own = re.compile("|".join(re.escape(name) for name in (*self.files, self.page_file, self.h5_file)))
+
+        def make(temporary: Path) -> list[str]:
+            texts = {**self.texts(evaluation), self.page_file: self.page(evaluation)}
+            for name, text in texts.items():
+                (temporary / name).write_bytes(text if isinstance(text, bytes) else text.encode("utf-8"))
+            names = [*texts, self.h5_file]
+            with h5py.File(temporary / self.h5_file, "w", track_order=True) as file:
+                write_provenance(file, _origin(evaluation, names))
+                file.attrs["format"] = FORMAT
+                self.fill(file, evaluation)
+            return names
+
+        return write_folder(folder, evaluation.input_hashes, make, force=force, marker=self.h5_file, own=own)
+
+    def page(self, evaluation: E) -> str:
+        """Return the HTML text of the page; style and figures are inside, nothing is fetched from elsewhere."""
+        frame = {**origin_frame(evaluation, evaluation.notices), "duration_s": evaluation.duration_s}
+        return render_page(f"{self.name}.html", {"name": evaluation.name, **self.context(evaluation), **frame})
+
+
+def _origin(evaluation: Evaluated, names: list[str] | tuple[str, ...]) -> Provenance:
+    """Settings, versions and inputs of an evaluation, with the files that hold it."""
+    return Provenance(evaluation.input_hashes, evaluation.settings, evaluation.versions, tuple(names))
+
+
+# Folders
+
+
+def write_folder(
+    folder: Path,
+    hashes: Mapping[str, str],
+    fill: Callable[[Path], Sequence[str]],
+    *,
+    force: bool,
+    marker: str,
+    own: re.Pattern[str],
+) -> list[Path]:
+    """Write a folder of results of the inputs `hashes` and return the paths of its files.
+
+    `fill` makes all files in a temporary folder beside `folder` and names them; then they are moved, so a failure
+    leaves `folder` as it was. A folder that holds anything but results of the same inputs (its file `marker` says so)
+    is refused unless `force`; even then only files of the program's `own` names are replaced, and nothing else is
+    touched.
+    """
+    folder = folder.resolve()
+    check_folder(folder, hashes, force=force, marker=marker)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    temporary = temporary_beside(folder)
+    temporary.mkdir()
+    try:
+        names = fill(temporary)
+        _move(temporary, folder, names, marker, own)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+    return [folder / name for name in names]
+
+
+def _move(temporary: Path, folder: Path, names: Sequence[str], marker: str, own: re.Pattern[str]) -> None:
+    """Put the finished files in place: the folder as a whole, else, where it holds files of others, file by file."""
+    if not folder.exists():
+        os.replace(temporary, folder)
+        return
+    before = read_provenance(folder, marker)
+    written = before.files if before is not None else ()
+    if {entry.name for entry in folder.iterdir()} <= {marker, *written} and _swapped(temporary, folder):
+        return
+    (folder / marker).unlink(missing_ok=True)
+    for name in written:
+        if name not in names and own.fullmatch(name):
+            (folder / name).unlink(missing_ok=True)
+    for name in names:
+        os.replace(temporary / name, folder / name)
+
+
+def _swapped(temporary: Path, folder: Path) -> bool:
+    """Put one folder in the place of another, so that whoever is killed meanwhile leaves no half of either.
+
+    False where the system does not give the place free, such as a mounted folder.
+    """
+    old = temporary_beside(folder.with_name(f"{folder.name}.old"))
+    try:
+        os.replace(folder, old)
+    except OSError:
+        return False
+    try:
+        os.replace(temporary, folder)
+    except OSError:
+        os.replace(old, folder)
+        raise
+    shutil.rmtree(old, ignore_errors=True)
+    return True

@@ -1,0 +1,65 @@
+"""What tests of commands share: files that are changed, tables that are read, a refusal in one sentence."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Protocol
+
+import pytest
+
+from fusion.cli import main
+
+DOCS = Path(__file__).resolve().parent.parent / "docs"
+
+
+def edit(path: Path, old: str, new: str) -> None:
+    """Replace a text that must be there."""
+    text = path.read_text(encoding="utf-8")
+    assert old in text, f"{old!r} is not in {path}"
+    path.write_text(text.replace(old, new), encoding="utf-8")
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    """The rows of a CSV file."""
+    with path.open(encoding="utf-8", newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def state(folder: Path) -> dict[str, bytes]:
+    """Every file of a folder, whether or not it was written anew."""
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+class Refused(Protocol):
+    """Run a command that refuses its input, and return the one sentence that it says on stderr."""
+
+    def __call__(self, *arguments: object, status: int = 2) -> str: ...
+
+
+def refusals(capsys: pytest.CaptureFixture[str]) -> Refused:
+    """Return a function that runs a command and holds it to what every refusal owes."""
+
+    def run(*arguments: object, status: int = 2) -> str:
+        capsys.readouterr()
+        assert main([str(argument) for argument in arguments]) == status
+        told = capsys.readouterr()
+        assert told.out == ""
+        assert told.err.startswith("shakercal: ")
+        assert told.err.count("\n") == 1, told.err
+        return told.err.strip()
+
+    return run
+
+
+PAGES = (
+    "fusion.report.recording.render_report",
+    "fusion.campaign.joint_report.render_campaign",
+    "fusion.report.folder.Command.page",
+)
+
+
+def without_pages(patch: pytest.MonkeyPatch) -> None:
+    """Leave every page empty: its figures take most of the time where something else is tested."""
+    for place in PAGES:
+        patch.setattr(place, lambda *_: "<!doctype html>\n")
