@@ -248,7 +248,7 @@ class Pending(Protocol):
         """Have a function called as soon as there is an answer or none will be."""
 
 
-class Crew(Protocol):
+class Executor(Protocol):
     """Processes that compute tasks, one each at a time."""
 
     @property

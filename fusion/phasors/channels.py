@@ -1,22 +1,21 @@
-"""Phasors of every channel, and how steady they are."""
+"""Phasors of every channel: the lines of a recording, the sine approximation, delay and response taken off."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion.base import AnyNotice, InputError
-from fusion.phasors.results import ChannelResult, ClockResult, StereoResult
+from fusion.instruments import TRANSDUCERS
+from fusion.instruments.channel import ChainUncertainty, Reading
 from fusion.phasors.timing import TimeBase
 from fusion.recording.files import DaqRecord, read_response
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry
 from shaker.arrays import FloatArray, Notice
-from shaker.labels import QUANTITY_UNITS
 from shaker.lines.aliasing import alias_frequency
 from shaker.lines.detection import relative_strength, survey_lines
 from shaker.lines.frequencies import Lines, find_lines
@@ -25,127 +24,52 @@ from shaker.sine.fit import Stationarity, fit_sines, stationarity
 from shaker.sine.phasor import Phasors
 from shaker.sine.solve import SineFit
 
-# How far amplitude and phase of the driven lines changed while each instrument was recording.
-
-
-SURE = 4.0  # standard uncertainties; noise reaches it once in 16 000 cases
-MATTERS = 1e-3  # of the amplitude, or rad, over the record: a mean over another stretch differs by up to half of it
-NAMED = 4
-
-
-@dataclass(frozen=True)
-class Drift:
-    """Change of one line in one channel over its record: `amplitude`, relative to itself, and `phase_rad`.
-
-    `chance` is how often noise alone moves the blocks that far from their mean.
-    """
-
-    name: str
-    frequency_hz: float
-    blocks: int
-    periods: float
-    whole: bool
-    amplitude: float
-    u_amplitude: float
-    phase_rad: float
-    u_phase_rad: float
-    chance: float
-
-
-def drifts(
-    channels: Sequence[ChannelResult], stereo: Sequence[StereoResult], lines: Lines, clocks: Sequence[ClockResult]
-) -> tuple[Drift, ...]:
-    """Return the changes of the driven lines in every channel and in the strongest component of every stereo pair.
-
-    The rate of a clock that is tied to the first one is known no better than its edges tell, and so is a phase's drift.
-    """
-    u_rate = {clock.daq: float(np.sqrt(clock.tie.covariance[1, 1])) for clock in clocks if clock.tie is not None}
-    driven = lines.frequency_hz[lines.multiple == 1]
-    found: list[Drift] = []
-    for channel in channels:
-        if channel.stationarity is not None:
-            found += _of_lines(channel.name, channel.stationarity, driven, u_rate.get(channel.daq, 0.0))
-    for pair in stereo:
-        if pair.stationarity is not None:
-            found += _of_lines(f"stereo pair {pair.name}", pair.stationarity, driven, 0.0)
-    return tuple(found)
-
-
-def drift_notices(found: Sequence[Drift]) -> tuple[AnyNotice, ...]:
-    """Return a notice for each line whose amplitude, and one for each whose phase, surely changed by what matters."""
-    notices: list[AnyNotice] = []
-    for frequency in dict.fromkeys(drift.frequency_hz for drift in found):
-        here = [drift for drift in found if drift.frequency_hz == frequency]
-        where = f"{frequency:.6g} Hz"
-        grown = [d for d in here if abs(d.amplitude) > max(MATTERS, SURE * d.u_amplitude)]
-        turned = [d for d in here if abs(d.phase_rad) > max(MATTERS, SURE * d.u_phase_rad)]
-        by = _listed([f"{100.0 * d.amplitude:+.2g} % in {d.name}" for d in grown])
-        angle = _listed([f"{1e3 * d.phase_rad:+.2g} mrad in {d.name}" for d in turned])
-        end = "results are means over each instrument's own record"
-        if grown:
-            notices.append(Notice("warning", f"the amplitude at {where} changes over the record: {by}; {end}", where))
-        if turned:
-            notices.append(Notice("warning", f"the phase at {where} drifts over the record: {angle}; {end}", where))
-    return tuple(notices)
-
-
-def _listed(texts: Sequence[str]) -> str:
-    """Join some texts and say how many more there are."""
-    more = f" and {len(texts) - NAMED} more" if len(texts) > NAMED else ""
-    return ", ".join(texts[:NAMED]) + more
-
-
-def _of_lines(name: str, steady: Stationarity, driven: Sequence[float], u_rate: float) -> Iterator[Drift]:
-    """Return the changes of the driven lines, each in the channel that shows it best."""
-    length = steady.length_s
-    for frequency in driven:
-        for line in np.flatnonzero(steady.frequency_hz == frequency):
-            mean = np.abs(steady.value[:, line].mean(axis=0))
-            clear = mean / np.maximum(steady.u_amplitude_per_s[line], np.finfo(np.float64).tiny)
-            c = int(np.argmax(clear))
-            if mean[c] > 0.0:
-                part = length / mean[c]
-                u_phase = np.hypot(steady.u_phase_rad_per_s[line, c], 2.0 * np.pi * frequency * u_rate)
-                yield Drift(
-                    name,
-                    float(frequency),
-                    len(steady.time_s),
-                    steady.periods,
-                    steady.whole,
-                    float(steady.amplitude_per_s[line, c] * part),
-                    float(steady.u_amplitude_per_s[line, c] * part),
-                    float(steady.phase_rad_per_s[line, c] * length),
-                    float(u_phase * length),
-                    float(steady.p_value[line, c]),
-                )
-
-
-# The DAQ channels of a recording turned into phasors in SI, delay and chain response taken off.
-
-
+OTHER_UNITS = {"force": "N", "voltage": "V"}
 EXCERPT_PERIODS = 4
 DRIVEN = 0.05
 """Of the strongest line: what a line of a multisine without stated frequencies must reach."""
 APART_PERIODS = 2.0
 """Periods of the beat with every wanted line that a record must hold for another line to be fitted beside them."""
 # The order in which quantities are preferred for finding the lines: those that show high frequencies best.
-LINE_QUANTITIES = ("acceleration", "velocity", "angular_velocity", "displacement", "output", "force", "voltage")
+LINE_QUANTITIES = (*sorted(TRANSDUCERS, key=lambda name: -TRANSDUCERS[name].order), "output", "force", "voltage")
+
+
+@dataclass(frozen=True)
+class ChannelResult:
+    """One DAQ channel: phasors in SI at the recording's lines, and what the figures need.
+
+    `excerpt_s`, `excerpt`, `excerpt_fit` (S,): a short stretch with its fit. `spectrum_hz`, `spectrum` (B,):
+    amplitude spectrum of the signal; `residual_rms`: of what the lines leave, in the channel's SI unit.
+    `stationarity`: phasors over blocks of whole periods, delay and response not corrected. `notices`: what its fit
+    wants the user to know.
+    """
+
+    name: str
+    daq: str
+    quantity: str
+    body: str
+    unit: str
+    sample_rate_hz: float
+    samples: int
+    phasors: Phasors
+    residual_rms: float
+    excerpt_s: FloatArray
+    excerpt: FloatArray
+    excerpt_fit: FloatArray
+    spectrum_hz: FloatArray
+    spectrum: FloatArray
+    stationarity: Stationarity | None = None
+    notices: tuple[AnyNotice, ...] = ()
 
 
 def channel_unit(manifest: Manifest, channel: ChannelEntry) -> str:
     """Return the unit of a channel after its scale."""
     if channel.quantity == "output":
         return manifest.rig.sensor.unit if manifest.rig.sensor else "1"
-    return QUANTITY_UNITS[channel.quantity]
+    return TRANSDUCERS[channel.quantity].unit if channel.quantity in TRANSDUCERS else OTHER_UNITS[channel.quantity]
 
 
-def nominal_lines(manifest: Manifest) -> tuple[Sequence[float], Literal["auto"] | Sequence[int]]:
-    """Return the nominal fundamentals in Hz and the harmonics asked for, as the manifest states them."""
-    excitation = manifest.excitation
-    if excitation.frequencies is None:
-        expected = "the frequencies of the lines, since no channel shows them"
-        raise InputError(manifest.path, "excitation.frequencies", found="none", expected=expected)
-    return excitation.frequencies, excitation.harmonics
+# The lines, in the fastest channels.
 
 
 @dataclass(frozen=True)
@@ -159,11 +83,19 @@ class LineRecord:
 
 
 def line_record(base: TimeBase) -> LineRecord | None:
-    """Return the fastest channel and all that were sampled with it; None where there are only triggers."""
-    best = _line_channel(base)
-    if best is None:
+    """Return the fastest channel and all that were sampled with it; None where there are only triggers.
+
+    Of equally fast ones it is the first by quantity and place.
+    """
+    candidates = [
+        (-record.raw[channel.name].sample_rate_hz, LINE_QUANTITIES.index(channel.quantity), place, record, channel)
+        for place, record in enumerate(base.records)
+        for channel in record.entry.channel
+        if channel.quantity in LINE_QUANTITIES
+    ]
+    if not candidates:
         return None
-    record, channel = best
+    *_, record, channel = min(candidates, key=lambda item: item[:3])
     time_s = base.to_base_s(record.entry.name, record.time_s(channel.name))
     together = next(group for group in _same_times(record) if channel in group)
     values = np.stack([record.values(member) for member in together], axis=1)
@@ -219,37 +151,31 @@ def _driven_lines(
     return nominal_hz, Notice("info", f"no frequencies are stated; found in the band: {listed} Hz", "excitation.band")
 
 
-def _line_channel(base: TimeBase) -> tuple[DaqRecord, ChannelEntry] | None:
-    """Return the channel with the highest rate, of equally fast ones the first by quantity and place."""
-    candidates = [
-        (-record.raw[channel.name].sample_rate_hz, LINE_QUANTITIES.index(channel.quantity), place, record, channel)
-        for place, record in enumerate(base.records)
-        for channel in record.entry.channel
-        if channel.quantity in LINE_QUANTITIES
-    ]
-    if not candidates:
-        return None
-    *_, record, channel = min(candidates, key=lambda item: item[:3])
-    return record, channel
+# The sine approximation, channel by channel.
 
 
 def channel_results(manifest: Manifest, base: TimeBase, lines: Lines) -> tuple[ChannelResult, ...]:
-    """Fit the lines to every channel of every block and return the phasors with what the figures show."""
+    """Fit the lines to every channel of every block and return the phasors with what the figures show.
+
+    Lines above the Nyquist frequency are left out, since recorders filter them away, but not in the fastest channels,
+    where the lines were found.
+    """
+    channels = [(record, channel) for record in base.records for channel in record.entry.channel]
+    fastest_hz = max(
+        (record.raw[channel.name].sample_rate_hz for record, channel in channels if channel.quantity != "trigger"),
+        default=0.0,
+    )
     results: list[ChannelResult] = []
     for record in base.records:
         for group in _same_times(record):
-            results += _fit_group(manifest, base, record, group, lines)
+            rate_hz = record.raw[group[0].name].sample_rate_hz
+            seen = (lines.frequency_hz < rate_hz / 2.0) | (rate_hz >= fastest_hz)
+            if not seen.any():
+                above = f"a sampling rate above {2.0 * lines.frequency_hz.min():g} Hz"
+                expected = f"{above}, or no such channel in recording.toml"
+                raise InputError(record.entry.file, group[0].name, found=f"{rate_hz:g} Hz", expected=expected)
+            results += _fit_group(manifest, base, record, group, lines, seen)
     return tuple(results)
-
-
-def _fastest_rate_hz(base: TimeBase) -> float:
-    """Return the highest sampling rate of the channels that are no triggers."""
-    return max(
-        record.raw[channel.name].sample_rate_hz
-        for record in base.records
-        for channel in record.entry.channel
-        if channel.quantity != "trigger"
-    )
 
 
 def _same_times(record: DaqRecord) -> list[list[ChannelEntry]]:
@@ -263,70 +189,53 @@ def _same_times(record: DaqRecord) -> list[list[ChannelEntry]]:
 
 
 def _fit_group(
-    manifest: Manifest, base: TimeBase, record: DaqRecord, group: Sequence[ChannelEntry], lines: Lines
+    manifest: Manifest,
+    base: TimeBase,
+    record: DaqRecord,
+    group: Sequence[ChannelEntry],
+    lines: Lines,
+    seen: NDArray[np.bool_],
 ) -> list[ChannelResult]:
-    """Fit all channels of one group and split the result by channel.
+    """Fit the lines seen (K,) to all channels of one group and split the result by channel.
 
-    Lines above the Nyquist frequency are left out, since recorders filter them away, but not in the fastest channels,
-    where the lines were found.
+    Other lines are fitted beside the wanted ones where they are below Nyquist, and so far off that they can.
     """
     time_s = base.to_base_s(record.entry.name, record.time_s(group[0].name))
     rate_hz = record.raw[group[0].name].sample_rate_hz
-    seen = (lines.frequency_hz < rate_hz / 2.0) | (rate_hz >= _fastest_rate_hz(base))
-    if not seen.any():
-        expected = f"a sampling rate above {2.0 * lines.frequency_hz.min():g} Hz, or no such channel in recording.toml"
-        raise InputError(record.entry.file, group[0].name, found=f"{rate_hz:g} Hz", expected=expected)
     values = np.stack([record.values(channel) for channel in group], axis=1)
     names = [channel.name for channel in group]
     units = [channel_unit(manifest, channel) for channel in group]
-    wanted = lines.frequency_hz[seen]
-    frequency_hz = np.concatenate([wanted, _nuisances(lines, time_s, rate_hz)])
+    apart = np.abs(np.subtract.outer(lines.nuisance_hz, alias_frequency(lines.frequency_hz, rate_hz)))
+    clear = np.all(apart * float(time_s[-1] - time_s[0]) >= APART_PERIODS, axis=1)
+    beside = lines.nuisance_hz[clear & (lines.nuisance_hz < rate_hz / 2.0)]
+    frequency_hz = np.concatenate([lines.frequency_hz[seen], beside])
     try:
         fit = fit_sines(time_s, values, frequency_hz, names, units, robust=True)
     except ValueError as error:
         raise InputError.told_by(error, record.entry.file, names[0]) from error
-    spread = spread_lines(_first_lines(fit.phasors, len(wanted)), seen, lines.frequency_hz)
-    steady = stationarity(time_s, _without(values, fit.spikes), frequency_hz, names)
+    wanted = spread_lines(fit.phasors.at_lines(np.arange(np.count_nonzero(seen))), seen, lines.frequency_hz)
+    whole = values
+    if len(fit.spikes):
+        values = values.copy()
+        values[fit.spikes] = np.nan
+    steady = stationarity(time_s, values, frequency_hz, names)
     found = [
-        _result(record, channel, time_s, values[:, c], fit, spread.select([channel.name]))
+        _result(record, channel, time_s, whole[:, c], fit, wanted.select([channel.name]))
         for c, channel in enumerate(group)
     ]
     return found if steady is None else [replace(one, stationarity=steady.select(one.name)) for one in found]
 
 
-def _without(values: FloatArray, spikes: NDArray[np.int64]) -> FloatArray:
-    """Return values (S, C) with NaN in the rows of spikes."""
-    if not len(spikes):
-        return values
-    left = values.copy()
-    left[spikes] = np.nan
-    return left
-
-
-def _nuisances(lines: Lines, time_s: FloatArray, rate_hz: float) -> FloatArray:
-    """Return the other lines (N,) to be fitted beside the wanted ones: below Nyquist, and so far off that they can."""
-    apart = np.abs(np.subtract.outer(lines.nuisance_hz, alias_frequency(lines.frequency_hz, rate_hz)))
-    clear = np.all(apart * float(time_s[-1] - time_s[0]) >= APART_PERIODS, axis=1)
-    return np.asarray(lines.nuisance_hz[clear & (lines.nuisance_hz < rate_hz / 2.0)])
-
-
-def _first_lines(phasors: Phasors, count: int) -> Phasors:
-    """Return the phasors of the first lines only."""
-    part = slice(0, count)
-    return Phasors(
-        phasors.frequency_hz[part],
-        phasors.value[part],
-        phasors.covariance[part],
-        phasors.channels,
-        phasors.unit,
-        phasors.dof[part],
-    )
-
-
 def _result(
     record: DaqRecord, channel: ChannelEntry, time_s: FloatArray, values: FloatArray, fit: SineFit, phasors: Phasors
 ) -> ChannelResult:
-    """Correct one channel's phasors for delay and response, and keep what its figures need."""
+    """Correct one channel's phasors for delay and response, and keep what its figures need.
+
+    The factor from a channel's phasor to the true one is exp(+jω·delay) / response(f).
+    """
+    correction = np.exp(2j * np.pi * phasors.frequency_hz * channel.delay)
+    if channel.response is not None:
+        correction = correction / read_response(channel.response, phasors.frequency_hz).value
     place = fit.phasors.channels.index(channel.name)
     rate_hz, block = record.raw[channel.name].sample_rate_hz, record.entry.name
     shown = slice(0, min(len(values), int(EXCERPT_PERIODS * rate_hz / fit.phasors.frequency_hz[0]) + 2))
@@ -339,7 +248,7 @@ def _result(
         unit=phasors.unit[0],
         sample_rate_hz=rate_hz,
         samples=len(values),
-        phasors=phasors.scaled(_correction(channel, phasors.frequency_hz)[:, None]),
+        phasors=phasors.scaled(correction[:, None]),
         residual_rms=float(fit.residual_rms[place]),
         excerpt_s=time_s[shown],
         excerpt=values[shown],
@@ -350,14 +259,6 @@ def _result(
     )
 
 
-def _correction(channel: ChannelEntry, frequency_hz: FloatArray) -> NDArray[np.complex128]:
-    """Return exp(+jω·delay) / response(f), the factor from a channel's phasor to the true one."""
-    factor = np.exp(2j * np.pi * frequency_hz * channel.delay)
-    if channel.response is None:
-        return np.asarray(factor)
-    return np.asarray(factor / read_response(channel.response, frequency_hz).value)
-
-
 def spread_lines(phasors: Phasors, mask: NDArray[np.bool_], frequency_hz: FloatArray) -> Phasors:
     """Return phasors at all lines `frequency_hz` (K,) from those at the lines of `mask` (K,), NaN at the others."""
     lines, channels = len(mask), len(phasors.channels)
@@ -366,3 +267,18 @@ def spread_lines(phasors: Phasors, mask: NDArray[np.bool_], frequency_hz: FloatA
     dof = np.zeros(lines)
     value[mask], covariance[mask], dof[mask] = phasors.value, phasors.covariance, phasors.dof
     return Phasors(frequency_hz, value, covariance, phasors.channels, phasors.unit, dof)
+
+
+def channel_readings(base: TimeBase, channels: Sequence[ChannelResult]) -> tuple[Reading, ...]:
+    """Return every channel with its manifest entry and the uncertainty of its response and of its clock's tie."""
+    entries = {(r.entry.name, c.name): c for r in base.records for c in r.entry.channel}
+    found = []
+    for channel in channels:
+        entry, tie = entries[channel.daq, channel.name], base.ties[channel.daq]
+        middle_s = np.asarray(channel.samples / channel.sample_rate_hz / 2)
+        chain = ChainUncertainty(clock=channel.daq, u_clock_s=0.0 if tie is None else float(tie.u_to_base_s(middle_s)))
+        if entry.response is not None:
+            response = read_response(entry.response, channel.phasors.frequency_hz)
+            chain = replace(chain, u_magnitude=response.u_magnitude, u_phase_rad=response.u_phase_rad)
+        found.append(Reading(entry, channel.phasors, chain))
+    return tuple(found)

@@ -1,16 +1,27 @@
-"""One sequential set-up, and what ties it to the first."""
+"""One sequential set-up: what was recorded at once, from its files to the phasors of every instrument.
+
+A recording in sequential set-ups (`[[take]]` blocks, the points of a scan) finds its lines in all of them together. How
+steady the driven lines were while each instrument was recording is told here too.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fusion.base import AnyNotice, Crew, InputError, ProgressCallback, Settings
-from fusion.estimation.measurement_model import PERIODIC, PulseExposure, Reading, RelativeError, StereoReading, added_up
-from fusion.phasors.channels import APART_PERIODS, channel_results, find_channel_lines, line_record
-from fusion.phasors.results import ChannelResult, TakeResult
+from fusion.base import AnyNotice, Executor, InputError, ProgressCallback, Settings
+from fusion.instruments.channel import Reading
+from fusion.instruments.stereo import StereoReading
+from fusion.phasors.channels import (
+    APART_PERIODS,
+    ChannelResult,
+    channel_readings,
+    channel_results,
+    find_channel_lines,
+    line_record,
+)
 from fusion.phasors.stereo_motion import (
     OpenImages,
     StereoMotion,
@@ -19,27 +30,27 @@ from fusion.phasors.stereo_motion import (
     motion_lines,
     open_images,
 )
-from fusion.phasors.stereo_phasors import StereoPhasors, channel_readings, pairs_phasors, stereo_readings
-from fusion.phasors.timing import TimeBase, tie_daqs
-from fusion.recording.files import TakeRecords, read_takes, told_in
+from fusion.phasors.stereo_phasors import StereoPhasors, StereoResult, pairs_phasors, stereo_readings
+from fusion.phasors.timing import ClockResult, TimeBase, tie_daqs
+from fusion.recording.files import read_set_ups, told_in
 from fusion.recording.load import Manifest
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice
+from shaker.arrays import Notice
 from shaker.lines.aliasing import alias_frequency
 from shaker.lines.frequencies import Lines
-from shaker.sine.phasor import Phasors, real_stacked_diagonal
-
-# One take: what was recorded at once, from its files to the phasors of every instrument.
-
+from shaker.sine.fit import Stationarity
 
 Key = tuple[float, int]
-"""What makes lines of two takes the same: their nominal fundamental and their multiple of it."""
+"""What makes lines of two set-ups the same: their nominal fundamental and their multiple of it."""
+SURE = 4.0  # standard uncertainties; noise reaches it once in 16 000 cases
+MATTERS = 1e-3  # of the amplitude, or rad, over the record: a mean over another stretch differs by up to half of it
+NAMED = 4
 
 
 @dataclass(frozen=True)
-class OpenTake:
+class OpenSetUp:
     """What was recorded at once, read and checked; its images are opened and not yet followed.
 
-    `name`: "take 2", empty where a recording has one take only; `where`: its place in recording.toml. `lines`: on its
+    `name`: "take 2", empty where a recording has one set-up only; `where`: its place in recording.toml. `lines`: on its
     own first block's clock, None where all its channels are triggers.
     """
 
@@ -55,120 +66,133 @@ class OpenTake:
 
 
 @dataclass(frozen=True)
-class MeasuredTake:
-    """A take with the phasors of all its instruments at its `lines`, counted on its own first block's clock.
+class SetUp:
+    """A set-up with the phasors of all its instruments at its `lines`, counted on its own first block's clock.
 
-    `folded`: what was said of the lines that camera rates cannot tell apart.
+    `aliased`: what was said of the lines that camera rates cannot tell apart.
     """
 
-    opened: OpenTake
+    opened: OpenSetUp
     lines: Lines
     stereo: tuple[StereoPhasors, ...]
     pairs: tuple[StereoReading, ...]
-    folded: tuple[AnyNotice, ...]
+    aliased: tuple[AnyNotice, ...]
 
     @property
     def notices(self) -> tuple[AnyNotice, ...]:
-        """Return what clocks, lines, channels and stereo pairs of the take want the user to know."""
-        found = [*_clock_notices(self.opened.base), *self.lines.notices, *self.folded]
+        """Return what clocks, lines, channels and stereo pairs of the set-up want the user to know."""
+        base = self.opened.base
+        clocks = [(daq, notice) for (daq, _), fit in base.triggers.items() for notice in fit.notices]
+        clocks += [(daq, notice) for daq, tie in base.ties.items() if tie is not None for notice in tie.notices]
+        found: list[AnyNotice] = [Notice(n.severity, f"{daq}: {n.text}", daq) for daq, n in clocks]
+        found += [*self.lines.notices, *self.aliased]
         found += [notice for channel in self.opened.channels for notice in channel.notices]
         found += [notice for item in self.stereo for notice in item.notices]
         return tuple(found)
 
 
-def open_takes(manifest: Manifest) -> tuple[OpenTake, ...]:
-    """Read everything that was recorded, take by take, and fit the lines to the channels; no image is followed yet."""
-    parts = read_takes(manifest)
-    names = [f"take {number}" if len(parts) > 1 else "" for number in range(1, len(parts) + 1)]
-    takes = [_opened(name, part) for name, part in zip(names, parts, strict=True)]
-    return tuple(_with_channels(take, lines) for take, lines in zip(takes, _lines(takes), strict=True))
+def open_set_ups(manifest: Manifest) -> tuple[OpenSetUp, ...]:
+    """Read everything that was recorded, set-up by set-up, and fit the lines to the channels; no image is followed yet.
+
+    Clocks are tied, images opened, points read.
+    """
+    parts = read_set_ups(manifest)
+    opened = []
+    for number, recorded in enumerate(parts, 1):
+        name, part = f"take {number}" if len(parts) > 1 else "", recorded.manifest
+        with told_in(part.path, recorded.where, name):
+            base = tie_daqs(part, recorded.records)
+            images = tuple(open_images(part, base, entry) for entry in part.images)
+            points = tuple(measure_points(part, base, entry) for entry in part.points)
+        opened.append(OpenSetUp(name, recorded.where, part, base, images, points))
+    found = []
+    for one, lines in zip(opened, _lines(opened), strict=True):
+        if lines is None:
+            found.append(one)
+            continue
+        with told_in(one.manifest.path, one.where, one.name):
+            channels = channel_results(one.manifest, one.base, lines)
+            readings = channel_readings(one.base, channels)
+        found.append(replace(one, lines=lines, channels=channels, readings=readings))
+    return tuple(found)
 
 
-def measure_take(
-    take: OpenTake, settings: Settings, progress: ProgressCallback, crew: Crew | None = None
-) -> MeasuredTake:
-    """Follow the images of a take, or have a crew do it, and fit the lines to the motion of every stereo pair."""
-    with told_in(take.manifest.path, take.where, take.name):
-        motions = (*measure_pairs(take.manifest, take.images, settings, progress, crew), *take.points)
-        lines = motion_lines(take.manifest, take.base, motions) if take.lines is None else take.lines
-        stereo, folded = pairs_phasors(motions, lines)
-    pairs = stereo_readings(take.manifest, take.base, take.readings, stereo, lines)
-    return MeasuredTake(take, lines, stereo, pairs, folded)
+def measure_set_up(
+    opened: OpenSetUp, settings: Settings, progress: ProgressCallback, executor: Executor | None = None
+) -> SetUp:
+    """Follow the images of a set-up, here or by an executor, and fit the lines to the motion of every stereo pair."""
+    manifest, base = opened.manifest, opened.base
+    with told_in(manifest.path, opened.where, opened.name):
+        motions = (*measure_pairs(manifest, opened.images, settings, progress, executor), *opened.points)
+        lines = motion_lines(manifest, base, motions) if opened.lines is None else opened.lines
+        stereo, aliased = pairs_phasors(motions, lines)
+    return SetUp(opened, lines, stereo, stereo_readings(base, opened.readings, stereo, lines), aliased)
 
 
-def _opened(name: str, part: TakeRecords) -> OpenTake:
-    """Tie the clocks of a take, open its images and read its points."""
-    manifest = part.manifest
-    with told_in(manifest.path, part.where, name):
-        base = tie_daqs(manifest, part.records)
-        images = tuple(open_images(manifest, base, entry) for entry in manifest.images)
-        points = tuple(measure_points(manifest, base, entry) for entry in manifest.points)
-    return OpenTake(name, part.where, manifest, base, images, points)
+# The lines of all set-ups.
 
 
-def _with_channels(take: OpenTake, lines: Lines | None) -> OpenTake:
-    """Fit the lines to all channels of a take."""
-    if lines is None:
-        return take
-    with told_in(take.manifest.path, take.where, take.name):
-        channels = channel_results(take.manifest, take.base, lines)
-        return replace(take, lines=lines, channels=channels, readings=channel_readings(take.base, channels))
+def _lines(set_ups: Sequence[OpenSetUp]) -> list[Lines | None]:
+    """Find the lines of every set-up, each on its own clock: the same in all of them, and in the same order.
 
-
-def _lines(takes: Sequence[OpenTake]) -> list[Lines | None]:
-    """Find the lines of every take, each on its own clock: the same in all of them, and in the same order."""
-    first = find_channel_lines(takes[0].manifest, takes[0].base)
-    if len(takes) == 1 or first is None:
-        return [first for _ in takes]
+    A harmonic that one set-up cannot tell from another line is left out of all.
+    """
+    first = find_channel_lines(set_ups[0].manifest, set_ups[0].base)
+    if len(set_ups) == 1 or first is None:
+        return [first for _ in set_ups]
     nominal = tuple(np.unique(first.nominal_hz).tolist())
-    found = [first]
-    for take in takes[1:]:
-        excitation = take.manifest.excitation.model_copy(update={"frequencies": nominal})
-        with told_in(take.manifest.path, take.where, take.name):
-            lines = find_channel_lines(replace(take.manifest, excitation=excitation), take.base)
-        found.append(_same_fundamentals(take, lines, nominal))
+    found = [first, *(_own_lines(opened, nominal) for opened in set_ups[1:])]
     known = {key: f for lines in reversed(found) for key, f in zip(_keys(lines), lines.frequency_hz, strict=True)}
     keys = sorted(known, key=lambda key: float(known[key]))
-    folded = {key: take.name for take, lines in zip(takes, found, strict=True) for key in _folded(take, lines, keys)}
-    found[0] = replace(found[0], notices=(*found[0].notices, *(_left_out(*item) for item in folded.items())))
-    return [_extended(lines, [key for key in keys if key not in folded]) for lines in found]
+    hidden: dict[Key, str] = {}
+    for opened, lines in zip(set_ups, found, strict=True):
+        hidden |= dict.fromkeys(_indistinct(opened, lines, keys), opened.name)
+    left_out = [
+        Notice(
+            "warning",
+            f"harmonic {multiple} of {nominal_hz:g} Hz is left out: {name} cannot tell it from another line",
+            f"{nominal_hz * multiple:g} Hz",
+        )
+        for (nominal_hz, multiple), name in hidden.items()
+    ]
+    found[0] = replace(found[0], notices=(*found[0].notices, *left_out))
+    return [_extended(lines, [key for key in keys if key not in hidden]) for lines in found]
 
 
-def _left_out(key: Key, take: str) -> Notice:
-    """Say that a harmonic of one take is no line of the recording."""
-    text = f"harmonic {key[1]} of {key[0]:g} Hz is left out: {take} cannot tell it from another line"
-    return Notice("warning", text, f"{key[0] * key[1]:g} Hz")
-
-
-def _same_fundamentals(take: OpenTake, lines: Lines | None, nominal: Sequence[float]) -> Lines:
-    """Refuse a take whose channels cannot tell all fundamentals of the first take."""
-    there = [] if lines is None else np.unique(lines.nominal_hz).tolist()
-    missing = [frequency for frequency in nominal if frequency not in there]
+def _own_lines(opened: OpenSetUp, nominal: tuple[float, ...]) -> Lines:
+    """Find the lines of a further set-up; refuse one whose channels cannot tell all fundamentals of the first."""
+    manifest = opened.manifest
+    excitation = manifest.excitation.model_copy(update={"frequencies": nominal})
+    with told_in(manifest.path, opened.where, opened.name):
+        lines = find_channel_lines(replace(manifest, excitation=excitation), opened.base)
+    missing = [frequency for frequency in nominal if lines is None or frequency not in lines.nominal_hz]
     if lines is None or missing:
         listed = " and ".join(f"{frequency:g} Hz" for frequency in missing)
-        found, expected = f"no such line in {take.name}", f"channels that tell {listed} as those of the first take do"
-        raise InputError(take.manifest.path, f"{take.where}daq", found, expected)
+        found, expected = f"no such line in {opened.name}", f"channels that tell {listed} as those of the first take do"
+        raise InputError(manifest.path, f"{opened.where}daq", found, expected)
     return lines
 
 
 def _keys(lines: Lines) -> list[Key]:
-    """Return what identifies each line over all takes."""
+    """Return what identifies each line over all set-ups."""
     return list(zip(lines.nominal_hz.tolist(), lines.multiple.tolist(), strict=True))
 
 
-def _folded(take: OpenTake, lines: Lines, keys: Sequence[Key]) -> Iterator[Key]:
-    """Yield the lines of other takes that the fastest channel of this one cannot tell from another or from zero."""
-    record = line_record(take.base)
+def _indistinct(opened: OpenSetUp, lines: Lines, keys: Sequence[Key]) -> list[Key]:
+    """Return the lines of other set-ups that the fastest channel of this one cannot tell from another or from zero."""
+    record = line_record(opened.base)
     added = set(keys) - set(_keys(lines))
     if record is None or not added:
-        return
+        return []
     length_s = float(record.time_s[-1] - record.time_s[0])
     rate_hz = (len(record.time_s) - 1) / length_s
     places = alias_frequency(_extended(lines, keys).frequency_hz, rate_hz)
+    found = []
     for k, key in enumerate(keys):
         others = np.concatenate([np.delete(places, k), [0.0, rate_hz / 2.0]])
         if key in added and np.min(np.abs(others - places[k])) * length_s < APART_PERIODS:
-            yield key
+            found.append(key)
+    return found
 
 
 def _extended(lines: Lines, keys: Sequence[Key]) -> Lines:
@@ -193,212 +217,94 @@ def _extended(lines: Lines, keys: Sequence[Key]) -> Lines:
     )
 
 
-def _clock_notices(base: TimeBase) -> list[AnyNotice]:
-    """Return the remarks of triggers and clock ties, naming their block."""
-    found = [(daq, notice) for (daq, _), fit in base.triggers.items() for notice in fit.notices]
-    found += [(daq, notice) for daq, tie in base.ties.items() if tie is not None for notice in tie.notices]
-    return [Notice(notice.severity, f"{daq}: {notice.text}", daq) for daq, notice in found]
-
-
-# What ties takes to each other: phasors of take i times R_1/R_i of the reference, and what that leaves open.
-
-
-LEAST_SNR = 6.0
-"""Of its own standard uncertainty: what the reference must reach at a line; 1/R_i is biased by u²/R², 3 % there."""
-TOLD_DRIFT, LARGE_DRIFT = 1e-3, 2e-2
-SAME_FREQUENCY = 1e-4  # relative: what clocks and generators differ by from take to take
-KEPT_NOISE = 1e-6  # of a covariance that an unknown has taken over: enough to stay positive definite
+# How far amplitude and phase of the driven lines changed while each instrument was recording.
 
 
 @dataclass(frozen=True)
-class Referral:
-    """How one take is referred to the first: its phasors times `factor` (K,), NaN at lines without a reference.
+class LineStationarity:
+    """Change of one line in one channel over its record: `amplitude`, relative to itself, and `phase_rad`.
 
-    `first`: this is the take that all are referred to. `frequency_hz` (K,): lines of the first take, at which results
-    are given. `noise`: the reference's noise in this take as relative errors (K, 1) of its phasor, at lines where it
-    stands out; `errors`: those that all referred phasors of the take share.
+    `chance` is how often noise alone moves the blocks that far from their mean.
     """
 
     name: str
-    first: bool
-    frequency_hz: FloatArray
-    factor: ComplexArray
-    noise: tuple[RelativeError, ...]
-    errors: tuple[RelativeError, ...]
-    result: TakeResult
-
-    def phasors(self, phasors: Phasors) -> Phasors:
-        """Return phasors of the take as those of the first."""
-        return replace(phasors.scaled(self.factor[:, None]), frequency_hz=self.frequency_hz)
-
-    def reading(self, reading: Reading) -> Reading:
-        """Return a channel of the take as one of the first, its clock's errors among its own."""
-        chain = replace(reading.chain, clock=f"{self.name}: {reading.chain.clock}", u_clock_s=0.0)
-        further = added_up([*_clock_error(self.name, reading), *self.errors])
-        return Reading(reading.entry, self.phasors(reading.phasors), chain, further)
-
-    def reference(self, reading: Reading) -> Reading:
-        """Return the reference channel of the first take, its noise being that which all other takes share."""
-        known = np.zeros(len(self.frequency_hz), dtype=np.bool_)
-        for error in self.noise:
-            known |= error.relative[:, 0] != 0.0
-        phasors = reading.phasors
-        kept = np.where(known, KEPT_NOISE, 1.0)[:, None, None]
-        own = self.reading(replace(reading, phasors=replace(phasors, covariance=phasors.covariance * kept)))
-        return replace(own, further=added_up([*own.further, *self.noise]))
-
-    def stereo(self, pair: StereoReading) -> StereoReading:
-        """Return a stereo pair of the take as one of the first; what its frames have in common is the take's own."""
-        effects: Mapping[str, ComplexArray] = {
-            f"{what}, {self.name}" if what == PERIODIC else what: change * self.factor[:, None]
-            for what, change in pair.effects.items()
-        }
-        pulse = pair.pulse
-        return replace(
-            pair,
-            phasors=self.phasors(pair.phasors),
-            effects=effects,
-            trigger=(f"{self.name}: {pair.trigger[0]}", pair.trigger[1]),
-            pulse=None if pulse is None else PulseExposure(f"{self.name}: {pulse.trigger}", pulse.width_s, pulse.u_s),
-            further=self.errors,
-        )
+    frequency_hz: float
+    blocks: int
+    periods: float
+    whole: bool
+    amplitude: float
+    u_amplitude: float
+    phase_rad: float
+    u_phase_rad: float
+    chance: float
 
 
-def referrals(takes: Sequence[OpenTake]) -> tuple[Referral, ...]:
-    """Tie takes to the first one by the channel with `reference = true` in all of them.
+def line_stationarity(
+    channels: Sequence[ChannelResult], stereo: Sequence[StereoResult], lines: Lines, clocks: Sequence[ClockResult]
+) -> tuple[LineStationarity, ...]:
+    """Return the changes of the driven lines in every channel and in the strongest component of every stereo pair.
 
-    With R_i the reference's phasors, delay and response taken off, the factor is R_1/R_i. Its scale, delay and response
-    cancel; its noise in take i is one complex unknown per line for all phasors of that take, its noise in the first
-    take one for all other takes and for itself. A drift of its amplitude between the takes is made good, but what else
-    changed with it is not known: d = ||R_i/R_1| - 1|, less its noise and with twice the relative change of the
-    frequency, acts on magnitude and phase of all phasors of take i at that line (type B, rectangular of half-width d).
+    The rate of a clock that is tied to the first one is known no better than its edges tell, and so is a phase's drift.
     """
-    references = [_reference(take) for take in takes]
-    return tuple(_referral(takes, references, place) for place in range(len(takes)))
-
-
-def drift_notices(found: Sequence[Referral], driven: BoolArray) -> tuple[Notice, ...]:
-    """Say how far the reference's amplitude, and the frequency, at the `driven` lines (K,) changed between takes."""
-    notices = []
-    for referral in found:
-        result = referral.result
-        changed = np.abs(result.frequency_hz / referral.frequency_hz - 1.0)
-        for k in np.flatnonzero(driven & np.isfinite(result.drift)):
-            at = f"{referral.frequency_hz[k]:.6g} Hz"
-            if abs(result.drift[k]) > TOLD_DRIFT:
-                text = (
-                    f"the reference {result.reference} reads {100.0 * result.drift[k]:+.2g} % at {at} against the "
-                    "first take; the level is made good, the drift is part of the uncertainty"
-                )
-                large = abs(result.drift[k]) > LARGE_DRIFT
-                notices.append(Notice("warning" if large else "info", f"{referral.name}: {text}", referral.name))
-            if changed[k] > SAME_FREQUENCY:
-                text = f"driven at {result.frequency_hz[k]:.7g} Hz, in the first take at {at}"
-                notices.append(Notice("warning", f"{referral.name}: {text}", referral.name))
-    return tuple(notices)
-
-
-def _reference(take: OpenTake) -> Reading:
-    """Return the channel that ties a take to the others."""
-    marked = [reading for reading in take.readings if reading.entry.reference]
-    if len(marked) != 1:
-        expected = "one channel with reference = true, the same in every take"
-        raise InputError(take.manifest.path, f"{take.where}daq", found=f"{len(marked) or 'none'}", expected=expected)
-    return marked[0]
-
-
-def _referral(takes: Sequence[OpenTake], references: Sequence[Reading], place: int) -> Referral:
-    """Tie one take to the first."""
-    take, first, own = takes[place], references[0], references[place]
-    stands_out = _standing_out(own) & _standing_out(first)
-    _check_driven(take, own, stands_out)
-    base_hz = first.phasors.frequency_hz
-    here, there = own.phasors.value[:, 0], first.phasors.value[:, 0]
-    factor = np.full(len(base_hz), complex(np.nan, np.nan))
-    np.divide(there, here, out=factor, where=stands_out)
-    u_drift = np.hypot(_u_relative(own), _u_relative(first)) if place else np.zeros(len(base_hz))
-    drift = 1.0 / np.abs(factor) - 1.0
-    noise = _noise(take.name, own, base_hz, _standing_out(own))
-    errors: tuple[RelativeError, ...] = ()
-    if place:
-        known = np.sqrt(np.maximum(drift**2 - u_drift**2, 0.0))
-        half_width = known + 2.0 * np.abs(own.phasors.frequency_hz / base_hz - 1.0)
-        inherited = [*_noise(takes[0].name, first, base_hz, stands_out), *_clock_error(takes[0].name, first)]
-        lost = [*noise, *_clock_error(take.name, own)]
-        taken_off = [replace(error, relative=-error.relative) for error in lost]
-        errors = added_up([*inherited, *taken_off, *_drift(take.name, base_hz, np.where(stands_out, half_width, 0.0))])
-    result = TakeResult(
-        name=take.name,
-        reference=own.entry.name,
-        frequency_hz=own.phasors.frequency_hz,
-        value=here,
-        factor=factor,
-        drift=drift,
-        u_drift=u_drift,
-    )
-    used = factor if place else np.ones(len(base_hz), dtype=np.complex128)
-    return Referral(take.name, place == 0, base_hz, used, noise, errors, result)
-
-
-def _u_relative(reading: Reading) -> FloatArray:
-    """Standard uncertainty (K,) of real and imaginary part over the amplitude, mean of both."""
-    phasors = reading.phasors
-    u = np.sqrt((phasors.u_re[:, 0] ** 2 + phasors.u_im[:, 0] ** 2) / 2.0)
-    size = np.abs(phasors.value[:, 0])
-    return np.asarray(np.divide(u, size, out=np.full(len(u), np.inf), where=size > 0.0))
-
-
-def _standing_out(reading: Reading) -> BoolArray:
-    """Lines (K,) at which a reference is far above its noise."""
-    return np.asarray(np.nan_to_num(_u_relative(reading), nan=np.inf) * LEAST_SNR < 1.0)
-
-
-def _check_driven(take: OpenTake, reference: Reading, stands_out: BoolArray) -> None:
-    """Refuse a reference that does not show a driven line."""
-    driven = np.ones(0, dtype=np.bool_) if take.lines is None else take.lines.multiple == 1
-    lost = np.flatnonzero(driven & ~stands_out)
-    if len(lost):
-        clock = next(daq for daq in take.manifest.daq if reference.entry in daq.channel)
-        key = f"{take.where}daq.{clock.name}.channel.{reference.entry.name}.reference"
-        amplitude, u = np.abs(reference.phasors.value[lost[0], 0]), reference.phasors.u_re[lost[0], 0]
-        frequency = f"{reference.phasors.frequency_hz[lost[0]]:.6g} Hz"
-        found = f"an amplitude of {amplitude:.2g} with a standard uncertainty of {u:.2g} in {take.name}"
-        expected = f"a channel that shows the driven line at {frequency} in every take"
-        raise InputError(take.manifest.path, key, found=found, expected=expected)
-
-
-def _noise(name: str, reading: Reading, frequency_hz: FloatArray, lines: BoolArray) -> tuple[RelativeError, ...]:
-    """Relative errors (K, 1) of a reference's phasor from its noise: two real unknowns at each of the lines chosen."""
-    found = []
-    phasors = reading.phasors
-    for k in np.flatnonzero(lines):
-        (turn,) = real_stacked_diagonal(1.0 / phasors.value[k : k + 1])
-        variances, vectors = np.linalg.eigh(turn @ phasors.covariance[k] @ turn.T)
-        for part, (variance, vector) in enumerate(zip(variances.tolist(), vectors.T, strict=True)):
-            relative = np.zeros((len(frequency_hz), 1), dtype=np.complex128)
-            relative[k, 0] = np.sqrt(max(variance, 0.0)) * complex(*vector)
-            unknown = f"reference noise of {name} at {frequency_hz[k]:.9g} Hz, part {part + 1}"
-            found.append(RelativeError(unknown, "reference noise", 1.0, "1", "recording", relative, "A"))
+    u_rate = {clock.daq: float(np.sqrt(clock.tie.covariance[1, 1])) for clock in clocks if clock.tie is not None}
+    driven = lines.frequency_hz[lines.multiple == 1]
+    found: list[LineStationarity] = []
+    for channel in channels:
+        if channel.stationarity is not None:
+            found += _of_lines(channel.name, channel.stationarity, driven, u_rate.get(channel.daq, 0.0))
+    for pair in stereo:
+        if pair.stationarity is not None:
+            found += _of_lines(f"stereo pair {pair.name}", pair.stationarity, driven, 0.0)
     return tuple(found)
 
 
-def _clock_error(name: str, reading: Reading) -> tuple[RelativeError, ...]:
-    """Relative error (K, 1) of a channel from the tie of its clock to the first one of its take."""
-    chain = reading.chain
-    if chain.u_clock_s == 0.0:
-        return ()
-    relative = np.asarray(-2j * np.pi * reading.phasors.frequency_hz[:, None] * chain.u_clock_s)
-    label = f"clock {chain.clock}: time"
-    return (RelativeError(f"clock {name}: {chain.clock}: time", label, chain.u_clock_s, "s", "recording", relative),)
+def stationarity_notices(found: Sequence[LineStationarity]) -> tuple[AnyNotice, ...]:
+    """Return a notice for each line whose amplitude, and one for each whose phase, surely changed by what matters."""
+    notices: list[AnyNotice] = []
+    for frequency in dict.fromkeys(line.frequency_hz for line in found):
+        here = [line for line in found if line.frequency_hz == frequency]
+        where = f"{frequency:.6g} Hz"
+        grown = [d for d in here if abs(d.amplitude) > max(MATTERS, SURE * d.u_amplitude)]
+        turned = [d for d in here if abs(d.phase_rad) > max(MATTERS, SURE * d.u_phase_rad)]
+        by = _first_few([f"{100.0 * d.amplitude:+.2g} % in {d.name}" for d in grown])
+        angle = _first_few([f"{1e3 * d.phase_rad:+.2g} mrad in {d.name}" for d in turned])
+        end = "results are means over each instrument's own record"
+        if grown:
+            notices.append(Notice("warning", f"the amplitude at {where} changes over the record: {by}; {end}", where))
+        if turned:
+            notices.append(Notice("warning", f"the phase at {where} drifts over the record: {angle}; {end}", where))
+    return tuple(notices)
 
 
-def _drift(name: str, frequency_hz: FloatArray, half_width: FloatArray) -> Iterator[RelativeError]:
-    """Relative errors (K, 1) of magnitude and phase of all phasors of a take whose reference drifted this far."""
-    label = "drift between takes"
-    for k in np.flatnonzero(half_width > 0.0):
-        u = float(half_width[k]) / np.sqrt(3.0)
-        for part, unit, turn in (("magnitude", "1", 1.0 + 0.0j), ("phase", "rad", 1.0j)):
-            relative = np.zeros((len(frequency_hz), 1), dtype=np.complex128)
-            relative[k, 0] = u * turn
-            unknown = f"{label}: {part} of {name} at {frequency_hz[k]:.9g} Hz"
-            yield RelativeError(unknown, label, u, unit, "recording", relative)
+def _first_few(texts: Sequence[str]) -> str:
+    """Join some texts and say how many more there are."""
+    more = f" and {len(texts) - NAMED} more" if len(texts) > NAMED else ""
+    return ", ".join(texts[:NAMED]) + more
+
+
+def _of_lines(name: str, steady: Stationarity, driven: Sequence[float], u_rate: float) -> list[LineStationarity]:
+    """Return the changes of the driven lines, each in the channel that shows it best."""
+    length, found = steady.length_s, []
+    for frequency in driven:
+        for line in np.flatnonzero(steady.frequency_hz == frequency):
+            mean = np.abs(steady.value[:, line].mean(axis=0))
+            clear = mean / np.maximum(steady.u_amplitude_per_s[line], np.finfo(np.float64).tiny)
+            c = int(np.argmax(clear))
+            if mean[c] > 0.0:
+                part = length / mean[c]
+                u_phase = np.hypot(steady.u_phase_rad_per_s[line, c], 2.0 * np.pi * frequency * u_rate)
+                found.append(
+                    LineStationarity(
+                        name,
+                        float(frequency),
+                        len(steady.time_s),
+                        steady.periods,
+                        steady.whole,
+                        float(steady.amplitude_per_s[line, c] * part),
+                        float(steady.u_amplitude_per_s[line, c] * part),
+                        float(steady.phase_rad_per_s[line, c] * length),
+                        float(u_phase * length),
+                        float(steady.p_value[line, c]),
+                    )
+                )
+    return found

@@ -1,4 +1,8 @@
-"""All sequential set-ups of a recording as if recorded at once."""
+"""All sequential set-ups of a recording as if recorded at once.
+
+Everything is referred to the first set-up by a reference channel that all of them have, R_1/R_i times the phasors of
+set-up i; a channel that several of them recorded becomes one reading, what they scatter by being noise.
+"""
 
 from __future__ import annotations
 
@@ -8,63 +12,278 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.base import AnyNotice
+from fusion.base import AnyNotice, InputError
 from fusion.estimation.consistency import fails
-from fusion.estimation.measurement_model import Reading, StereoReading, added_up
-from fusion.phasors.channels import drift_notices as steadiness_notices
-from fusion.phasors.channels import drifts
-from fusion.phasors.results import ChannelResult, ClockResult, StereoResult, TakeResult
-from fusion.phasors.setup import MeasuredTake, Referral, drift_notices
+from fusion.estimation.measurement_model import Observation
+from fusion.instruments import observe_channels
+from fusion.instruments.channel import Reading, RelativeError, added_up
+from fusion.instruments.stereo import PERIODIC, PulseExposure, StereoReading
+from fusion.phasors.channels import ChannelResult
+from fusion.phasors.setup import OpenSetUp, SetUp, line_stationarity, stationarity_notices
+from fusion.phasors.stereo_phasors import StereoResult
+from fusion.phasors.timing import ClockResult
 from fusion.recording.manifest import ChannelEntry
-from shaker.arrays import ComplexArray, FloatArray, Notice
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, check_shape
 from shaker.lines.frequencies import Lines
 from shaker.sine.fit import Stationarity
-from shaker.sine.phasor import Phasors
+from shaker.sine.phasor import Phasors, real_stacked_diagonal
 
-# A channel that several takes recorded: one reading from all of them, what they scatter by being noise.
-
-
+LEAST_SNR = 6.0
+"""Of its own standard uncertainty: what the reference must reach at a line; 1/R_i is biased by u²/R², 3 % there."""
+NOTED_DRIFT, LARGE_DRIFT = 1e-3, 2e-2
+SAME_FREQUENCY = 1e-4  # relative: what clocks and generators differ by from set-up to set-up
+KEPT_NOISE = 1e-6  # of a covariance that an unknown has taken over: enough to stay positive definite
 LEAST_SPREAD = 1e-9  # of the reading: below it, rounding looks like scatter
 
 
-def pool_readings(takes: Sequence[tuple[str, Sequence[Reading]]]) -> tuple[tuple[Reading, ...], tuple[Notice, ...]]:
-    """Return every channel of several takes (name and readings, referred to the first) once.
-
-    The same channel at the same place, and the same output of the sensor, is pooled. Channels of one name that measured
-    at different places remain rows of one instrument, each named by its take.
-    """
-    groups: dict[Hashable, list[tuple[str, Reading]]] = {}
-    for name, readings in takes:
-        for reading in readings:
-            groups.setdefault(_identity(reading.entry), []).append((name, reading))
-    names = [group[0][1].entry.name for group in groups.values()]
-    found, notices = [], []
-    for group in groups.values():
-        (take, first), alone = group[0], names.count(group[0][1].entry.name) == 1
-        pooled = _Pool.of([reading for _, reading in group])
-        found.append(pooled.reading(first.entry if alone else _named(first.entry, take)))
-        notices += pooled.notices(first.entry.name)
-    return tuple(found), tuple(notices)
-
-
-def _identity(entry: ChannelEntry) -> Hashable:
-    """What makes channels of two takes the same: the sensor's output, or name and place of an instrument."""
-    if entry.quantity == "output":
-        return entry.channel
-    return entry.name, entry.quantity, entry.body, entry.point, entry.direction, entry.common
-
-
-def _named(entry: ChannelEntry, take: str) -> ChannelEntry:
-    """Return a channel by the name of its take; the instrument keeps its name."""
-    return entry.model_copy(update={"name": f"{take}: {entry.name}", "common": entry.common or entry.name})
+# What ties a set-up to the first one, and what that leaves open.
 
 
 @dataclass(frozen=True)
-class _Pool:
-    """Readings of one channel in T takes with their weights (T, K) and what they scatter by.
+class SetUpResult:
+    """What ties one set-up to the first: its reference channel, and the exact lines on its own clock.
 
-    `spread` (K,): standard deviation of one take's complex value beyond noise and drift; `failed` (K,): the scatter is
-    beyond the 99 % quantile of what noise and drift make.
+    `frequency_hz` (K,) in the order of the evaluation's lines; `value` (K,) phasors R_i of the reference, counted on
+    the set-up's own clock; `factor` (K,): R_1/R_i, by which all phasors of the set-up were multiplied, NaN where the
+    reference does not stand out; `drift` (K,): |R_i/R_1| - 1 and its standard uncertainty from noise.
+    """
+
+    name: str
+    reference: str
+    frequency_hz: FloatArray
+    value: ComplexArray
+    factor: ComplexArray
+    drift: FloatArray
+    u_drift: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in ("value", "factor", "drift", "u_drift"):
+            check_shape(name, getattr(self, name), self.frequency_hz.shape)
+
+
+@dataclass(frozen=True)
+class ReferenceTie:
+    """How one set-up is tied to the first: its phasors times `factor` (K,), NaN at lines without a reference.
+
+    `first`: this is the set-up that all are referred to. `frequency_hz` (K,): its lines, at which results are given.
+    `noise`: the reference's noise in this set-up as relative errors (K, 1) of its phasor, at lines where it stands out;
+    `errors`: those that all referred phasors of the set-up share.
+    """
+
+    name: str
+    first: bool
+    frequency_hz: FloatArray
+    factor: ComplexArray
+    noise: tuple[RelativeError, ...]
+    errors: tuple[RelativeError, ...]
+    result: SetUpResult
+
+    def phasors(self, phasors: Phasors) -> Phasors:
+        """Return phasors of the set-up as those of the first."""
+        return replace(phasors.scaled(self.factor[:, None]), frequency_hz=self.frequency_hz)
+
+    def reading(self, reading: Reading) -> Reading:
+        """Return a channel of the set-up as one of the first, its clock's errors among its own."""
+        chain = replace(reading.chain, clock=f"{self.name}: {reading.chain.clock}", u_clock_s=0.0)
+        further = added_up([*_clock_error(self.name, reading), *self.errors])
+        return Reading(reading.entry, self.phasors(reading.phasors), chain, further)
+
+    def reference(self, reading: Reading) -> Reading:
+        """Return the reference channel of the first set-up, its noise being that which all others share."""
+        known = np.zeros(len(self.frequency_hz), dtype=np.bool_)
+        for error in self.noise:
+            known |= error.relative[:, 0] != 0.0
+        phasors = reading.phasors
+        kept = np.where(known, KEPT_NOISE, 1.0)[:, None, None]
+        own = self.reading(replace(reading, phasors=replace(phasors, covariance=phasors.covariance * kept)))
+        return replace(own, further=added_up([*own.further, *self.noise]))
+
+    def stereo(self, pair: StereoReading) -> StereoReading:
+        """Return a stereo pair of the set-up as one of the first; what its frames have in common stays its own."""
+        effects = {
+            f"{what}, {self.name}" if what == PERIODIC else what: change * self.factor[:, None]
+            for what, change in pair.effects.items()
+        }
+        pulse = pair.pulse
+        return replace(
+            pair,
+            phasors=self.phasors(pair.phasors),
+            effects=effects,
+            trigger=(f"{self.name}: {pair.trigger[0]}", pair.trigger[1]),
+            pulse=None if pulse is None else PulseExposure(f"{self.name}: {pulse.trigger}", pulse.width_s, pulse.u_s),
+            further=self.errors,
+        )
+
+
+def reference_ties(set_ups: Sequence[OpenSetUp]) -> tuple[ReferenceTie, ...]:
+    """Tie set-ups to the first one by the channel with `reference = true` in all of them.
+
+    With R_i the reference's phasors, delay and response taken off, the factor is R_1/R_i. Its scale, delay and response
+    cancel; its noise in set-up i is one complex unknown per line for all phasors of that set-up, its noise in the first
+    one for all others and for itself. A drift of its amplitude between set-ups is made good, but what else changed with
+    it is not known: d = ||R_i/R_1| - 1|, less its noise and with twice the relative change of the frequency, acts on
+    magnitude and phase of all phasors of set-up i at that line (type B, rectangular of half-width d).
+    """
+    references = []
+    for opened in set_ups:
+        marked = [reading for reading in opened.readings if reading.entry.reference]
+        if len(marked) != 1:
+            expected = "one channel with reference = true, the same in every take"
+            found = f"{len(marked) or 'none'}"
+            raise InputError(opened.manifest.path, f"{opened.where}daq", found=found, expected=expected)
+        references += marked
+    return tuple(_tie(set_ups, references, place) for place in range(len(set_ups)))
+
+
+def _tie(set_ups: Sequence[OpenSetUp], references: Sequence[Reading], place: int) -> ReferenceTie:
+    """Tie one set-up to the first."""
+    opened, first, own = set_ups[place], references[0], references[place]
+    stands_out = _standing_out(own) & _standing_out(first)
+    _check_driven(opened, own, stands_out)
+    base_hz = first.phasors.frequency_hz
+    here, there = own.phasors.value[:, 0], first.phasors.value[:, 0]
+    factor = np.full(len(base_hz), complex(np.nan, np.nan))
+    np.divide(there, here, out=factor, where=stands_out)
+    u_drift = np.hypot(_u_relative(own), _u_relative(first)) if place else np.zeros(len(base_hz))
+    drift = 1.0 / np.abs(factor) - 1.0
+    noise = _noise(opened.name, own, base_hz, _standing_out(own))
+    errors: tuple[RelativeError, ...] = ()
+    if place:
+        known = np.sqrt(np.maximum(drift**2 - u_drift**2, 0.0))
+        half_width = known + 2.0 * np.abs(own.phasors.frequency_hz / base_hz - 1.0)
+        first_name = set_ups[0].name
+        inherited = [*_noise(first_name, first, base_hz, stands_out), *_clock_error(first_name, first)]
+        lost = [*noise, *_clock_error(opened.name, own)]
+        taken_off = [replace(error, relative=-error.relative) for error in lost]
+        drifted = _drift(opened.name, base_hz, np.where(stands_out, half_width, 0.0))
+        errors = added_up([*inherited, *taken_off, *drifted])
+    own_hz = own.phasors.frequency_hz
+    result = SetUpResult(opened.name, own.entry.name, own_hz, here, factor, drift, u_drift)
+    used = factor if place else np.ones(len(base_hz), dtype=np.complex128)
+    return ReferenceTie(opened.name, place == 0, base_hz, used, noise, errors, result)
+
+
+def _u_relative(reading: Reading) -> FloatArray:
+    """Standard uncertainty (K,) of real and imaginary part over the amplitude, mean of both."""
+    phasors = reading.phasors
+    u = np.sqrt((phasors.u_re[:, 0] ** 2 + phasors.u_im[:, 0] ** 2) / 2.0)
+    size = np.abs(phasors.value[:, 0])
+    return np.asarray(np.divide(u, size, out=np.full(len(u), np.inf), where=size > 0.0))
+
+
+def _standing_out(reading: Reading) -> BoolArray:
+    """Lines (K,) at which a reference is far above its noise."""
+    return np.asarray(np.nan_to_num(_u_relative(reading), nan=np.inf) * LEAST_SNR < 1.0)
+
+
+def _check_driven(opened: OpenSetUp, reference: Reading, stands_out: BoolArray) -> None:
+    """Refuse a reference that does not show a driven line."""
+    driven = np.ones(0, dtype=np.bool_) if opened.lines is None else opened.lines.multiple == 1
+    lost = np.flatnonzero(driven & ~stands_out)
+    if len(lost):
+        clock = next(daq for daq in opened.manifest.daq if reference.entry in daq.channel)
+        key = f"{opened.where}daq.{clock.name}.channel.{reference.entry.name}.reference"
+        amplitude, u = np.abs(reference.phasors.value[lost[0], 0]), reference.phasors.u_re[lost[0], 0]
+        frequency = f"{reference.phasors.frequency_hz[lost[0]]:.6g} Hz"
+        found = f"an amplitude of {amplitude:.2g} with a standard uncertainty of {u:.2g} in {opened.name}"
+        expected = f"a channel that shows the driven line at {frequency} in every take"
+        raise InputError(opened.manifest.path, key, found=found, expected=expected)
+
+
+def _noise(name: str, reading: Reading, frequency_hz: FloatArray, lines: BoolArray) -> tuple[RelativeError, ...]:
+    """Relative errors (K, 1) of a reference's phasor from its noise: two real unknowns at each of the lines chosen."""
+    found = []
+    phasors = reading.phasors
+    for k in np.flatnonzero(lines):
+        (turn,) = real_stacked_diagonal(1.0 / phasors.value[k : k + 1])
+        variances, vectors = np.linalg.eigh(turn @ phasors.covariance[k] @ turn.T)
+        for part, (variance, vector) in enumerate(zip(variances.tolist(), vectors.T, strict=True)):
+            relative = np.zeros((len(frequency_hz), 1), dtype=np.complex128)
+            relative[k, 0] = np.sqrt(max(variance, 0.0)) * complex(*vector)
+            unknown = f"reference noise of {name} at {frequency_hz[k]:.9g} Hz, part {part + 1}"
+            found.append(RelativeError(unknown, "reference noise", 1.0, "1", "recording", relative, "A"))
+    return tuple(found)
+
+
+def _clock_error(name: str, reading: Reading) -> tuple[RelativeError, ...]:
+    """Relative error (K, 1) of a channel from the tie of its clock to the first one of its set-up."""
+    chain = reading.chain
+    if chain.u_clock_s == 0.0:
+        return ()
+    relative = np.asarray(-2j * np.pi * reading.phasors.frequency_hz[:, None] * chain.u_clock_s)
+    label = f"clock {chain.clock}: time"
+    return (RelativeError(f"clock {name}: {chain.clock}: time", label, chain.u_clock_s, "s", "recording", relative),)
+
+
+def _drift(name: str, frequency_hz: FloatArray, half_width: FloatArray) -> list[RelativeError]:
+    """Relative errors (K, 1) of magnitude and phase of all phasors of a set-up whose reference drifted this far."""
+    label, found = "drift between takes", []
+    for k in np.flatnonzero(half_width > 0.0):
+        u = float(half_width[k]) / np.sqrt(3.0)
+        for part, unit, turn in (("magnitude", "1", 1.0 + 0.0j), ("phase", "rad", 1.0j)):
+            relative = np.zeros((len(frequency_hz), 1), dtype=np.complex128)
+            relative[k, 0] = u * turn
+            unknown = f"{label}: {part} of {name} at {frequency_hz[k]:.9g} Hz"
+            found.append(RelativeError(unknown, label, u, unit, "recording", relative))
+    return found
+
+
+def drift_notices(ties: Sequence[ReferenceTie], driven: BoolArray) -> tuple[Notice, ...]:
+    """Say how far the reference's amplitude, and the frequency, at the `driven` lines (K,) changed between set-ups."""
+    notices = []
+    for tie in ties:
+        result = tie.result
+        changed = np.abs(result.frequency_hz / tie.frequency_hz - 1.0)
+        for k in np.flatnonzero(driven & np.isfinite(result.drift)):
+            at = f"{tie.frequency_hz[k]:.6g} Hz"
+            if abs(result.drift[k]) > NOTED_DRIFT:
+                text = (
+                    f"the reference {result.reference} reads {100.0 * result.drift[k]:+.2g} % at {at} against the "
+                    "first take; the level is made good, the drift is part of the uncertainty"
+                )
+                large = abs(result.drift[k]) > LARGE_DRIFT
+                notices.append(Notice("warning" if large else "info", f"{tie.name}: {text}", tie.name))
+            if changed[k] > SAME_FREQUENCY:
+                text = f"driven at {result.frequency_hz[k]:.7g} Hz, in the first take at {at}"
+                notices.append(Notice("warning", f"{tie.name}: {text}", tie.name))
+    return tuple(notices)
+
+
+# A channel that several set-ups recorded: one reading from all of them.
+
+
+def merge_readings(
+    set_ups: Sequence[tuple[str, Sequence[Reading]]],
+) -> tuple[tuple[Reading, ...], tuple[Notice, ...]]:
+    """Return every channel of several set-ups (name and readings, referred to the first) once.
+
+    The same channel at the same place, and the same output of the sensor, becomes one reading. Channels of one name
+    that measured at different places remain rows of one instrument, each named by its set-up.
+    """
+    groups: dict[Hashable, list[tuple[str, Reading]]] = {}
+    for name, readings in set_ups:
+        for reading in readings:
+            entry = reading.entry
+            where = (entry.name, entry.quantity, entry.body, entry.point, entry.direction, entry.common)
+            groups.setdefault(entry.channel if entry.quantity == "output" else where, []).append((name, reading))
+    names = [group[0][1].entry.name for group in groups.values()]
+    found, notices = [], []
+    for group in groups.values():
+        set_up, entry = group[0][0], group[0][1].entry
+        if names.count(entry.name) > 1:  # the channel by its set-up, the instrument by its name
+            entry = entry.model_copy(update={"name": f"{set_up}: {entry.name}", "common": entry.common or entry.name})
+        merged = _Merged.of([reading for _, reading in group])
+        found.append(merged.reading(entry))
+        notices += merged.notices(group[0][1].entry.name)
+    return tuple(found), tuple(notices)
+
+
+@dataclass(frozen=True)
+class _Merged:
+    """Readings of one channel in T set-ups with their weights (T, K) and what they scatter by.
+
+    `spread` (K,): standard deviation of one set-up's complex value beyond noise and drift; `failed` (K,): the scatter
+    is beyond the 99 % quantile of what noise and drift make.
     """
 
     readings: tuple[Reading, ...]
@@ -73,24 +292,24 @@ class _Pool:
     failed: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, readings: Sequence[Reading]) -> _Pool:
-        """Weigh readings by their whole covariance over the takes.
+    def of(cls, readings: Sequence[Reading]) -> _Merged:
+        """Weigh readings by their whole covariance over the set-ups.
 
         A complex value has one variance, the sum of those of its parts. Where chi-square is above its degrees of
-        freedom, all takes get the variance that makes it equal to them (Paule & Mandel 1982, J. Res. NBS 87, 377).
+        freedom, all set-ups get the variance that makes it equal to them (Paule & Mandel 1982, J. Res. NBS 87, 377).
         """
         lines = len(readings[0].phasors.frequency_hz)
         weight, spread = np.zeros((len(readings), lines)), np.zeros(lines)
         failed = np.zeros(lines, dtype=np.bool_)
         value = np.stack([reading.phasors.value[:, 0] for reading in readings])
-        covariance = _between_takes(readings, value)
+        covariance = _between_set_ups(readings, value)
         for k in range(lines):
-            takes = np.flatnonzero(np.isfinite(value[:, k]))
-            if len(takes) == 1:
-                weight[takes, k] = 1.0
-            elif len(takes):
-                own = covariance[k][np.ix_(takes, takes)]
-                weight[takes, k], spread[k], failed[k] = _weighted(value[takes, k], own)
+            known = np.flatnonzero(np.isfinite(value[:, k]))
+            if len(known) == 1:
+                weight[known, k] = 1.0
+            elif len(known):
+                own = covariance[k][np.ix_(known, known)]
+                weight[known, k], spread[k], failed[k] = _weighted(value[known, k], own)
         return cls(tuple(readings), weight, spread, failed)
 
     def reading(self, entry: ChannelEntry) -> Reading:
@@ -106,7 +325,7 @@ class _Pool:
         return Reading(entry, self._phasors(entry), first.chain, added_up(further))
 
     def notices(self, name: str) -> list[Notice]:
-        """Say where the takes differ by more than noise and drift make."""
+        """Say where the set-ups differ by more than noise and drift make."""
         found = []
         for k in np.flatnonzero(self.failed):
             share = self.spread[k] / np.nanmax([abs(reading.phasors.value[k, 0]) for reading in self.readings])
@@ -140,8 +359,8 @@ class _Pool:
         )
 
 
-def _between_takes(readings: Sequence[Reading], value: ComplexArray) -> FloatArray:
-    """Return (K, T, T): covariances of the complex values, from noise and from what takes have in common.
+def _between_set_ups(readings: Sequence[Reading], value: ComplexArray) -> FloatArray:
+    """Return (K, T, T): covariances of the complex values, from noise and from what set-ups have in common.
 
     Relative errors count at the median amplitude, never at the reading itself.
     """
@@ -152,9 +371,9 @@ def _between_takes(readings: Sequence[Reading], value: ComplexArray) -> FloatArr
     names = dict.fromkeys(error.name for reading in readings for error in reading.further)
     place = {name: number for number, name in enumerate(names)}
     relative = np.zeros((len(names), len(readings), len(size)), dtype=np.complex128)
-    for take, reading in enumerate(readings):
+    for t, reading in enumerate(readings):
         for error in reading.further:
-            relative[place[error.name], take] = error.relative[:, 0]
+            relative[place[error.name], t] = error.relative[:, 0]
     shared = np.einsum("ntk,nsk->kts", relative, relative.conj()).real
     return np.asarray(covariance + shared * size[:, None, None] ** 2)
 
@@ -187,14 +406,15 @@ def _weights(covariance: FloatArray) -> FloatArray:
     return np.asarray(solved / solved.sum())
 
 
-# All takes of a recording as if they had been recorded at once: everything referred to the first one.
+# The recording as a whole.
 
 
 @dataclass(frozen=True)
 class Joined:
-    """What a recording consists of, on the clock and at the lines of its first take.
+    """What a recording consists of, on the clock and at the lines of its first set-up.
 
-    `readings`, `pairs`: every channel and stereo pair with its errors; `takes`: empty where there is one only.
+    `readings`, `pairs`: every channel and stereo pair with its errors; `clock_uncertainty`: relative, of that clock;
+    `set_ups`: empty where there is one only.
     """
 
     lines: Lines
@@ -203,102 +423,77 @@ class Joined:
     stereo: tuple[StereoResult, ...]
     readings: tuple[Reading, ...]
     pairs: tuple[StereoReading, ...]
-    takes: tuple[TakeResult, ...]
-    folded: tuple[AnyNotice, ...]
+    clock_uncertainty: float
+    set_ups: tuple[SetUpResult, ...]
+    aliased: tuple[AnyNotice, ...]
     notices: tuple[AnyNotice, ...]
 
+    def observed(self, gravity_mps2: tuple[float, float, float] | None) -> tuple[Observation, ...]:
+        """Return stereo pairs and channels as rows of the linear model."""
+        channels = observe_channels(self.readings, gravity_mps2, self.clock_uncertainty)
+        return (*(pair.observed() for pair in self.pairs), *channels)
 
-def join_takes(takes: Sequence[MeasuredTake], tied: Sequence[Referral]) -> Joined:
-    """Refer all takes to the first and name what they hold by its take; `tied` is empty for a recording of one take."""
-    if not tied:
-        return _alone(takes[0])
-    lines = takes[0].lines
-    both = list(zip(takes, tied, strict=True))
-    pairs = [referral.stereo(pair) for take, referral in both for pair in take.pairs]
-    readings, pooled = pool_readings([(referral.name, _referred(take, referral)) for take, referral in both])
-    clocks = [_takes_named(c, take.opened.name) for take in takes for c in take.opened.base.results()]
-    channels = [_channel(c, take, referral) for take, referral in both for c in take.opened.channels]
-    stereo = _stereo(takes)
-    notices = [_told(notice, take.opened.name) for take in takes for notice in take.notices]
-    notices += [*drift_notices(tied, lines.multiple == 1), *pooled]
+
+def join_set_ups(set_ups: Sequence[SetUp]) -> Joined:
+    """Refer all set-ups to the first and name what they hold by their set-up; one alone remains as it is."""
+    first = set_ups[0]
+    opened, lines, clock = first.opened, first.lines, first.opened.base.records[0].entry.clock_uncertainty
+    if len(set_ups) == 1:
+        clocks, stereo = opened.base.results(), tuple(item.result for item in first.stereo)
+        steady = stationarity_notices(line_stationarity(opened.channels, stereo, lines, clocks))
+        notices = (*first.notices, *steady)
+        found = (clocks, opened.channels, stereo, opened.readings, first.pairs)
+        return Joined(lines, *found, clock, (), first.aliased, notices)
+    ties = reference_ties([item.opened for item in set_ups])
+    pairs: list[StereoReading] = []
+    clocks_named: list[ClockResult] = []
+    channels: list[ChannelResult] = []
+    by_name: dict[str, StereoResult] = {}
+    referred = []
+    told: list[AnyNotice] = []
+    for item, tie in zip(set_ups, ties, strict=True):
+        name = tie.name
+        pairs += [tie.stereo(pair) for pair in item.pairs]
+        # The reference is that of the first set-up and counts once.
+        own = [r for r in item.opened.readings if tie.first or not r.entry.reference]
+        referred.append((name, [tie.reference(r) if r.entry.reference else tie.reading(r) for r in own]))
+        clocks_named += [replace(c, daq=f"{name}: {c.daq}") for c in item.opened.base.results()]
+        channels += [_channel(c, item, tie) for c in item.opened.channels]
+        for result in (pair.result for pair in item.stereo):  # one that saw several set-ups is named by the later ones
+            key = f"{result.name}-{name.replace(' ', '')}" if result.name in by_name else result.name
+            steady_pair = _at_lines(result.stationarity, item.lines, lines.frequency_hz)
+            by_name[key] = replace(result, name=key, stationarity=steady_pair)
+        told += [replace(notice, text=f"{name}: {notice.text}") for notice in item.notices]
+    readings, scattered = merge_readings(referred)
+    results = tuple(by_name.values())
+    steady = stationarity_notices(line_stationarity(channels, results, lines, clocks_named))
     return Joined(
         lines=lines,
-        clocks=tuple(clocks),
+        clocks=tuple(clocks_named),
         channels=tuple(channels),
-        stereo=stereo,
+        stereo=results,
         readings=readings,
         pairs=tuple(pairs),
-        takes=tuple(referral.result for referral in tied),
-        folded=tuple(notice for take in takes for notice in take.folded),
-        notices=(*notices, *steadiness_notices(drifts(channels, stereo, lines, clocks))),
+        clock_uncertainty=clock,
+        set_ups=tuple(tie.result for tie in ties),
+        aliased=tuple(notice for item in set_ups for notice in item.aliased),
+        notices=(*told, *drift_notices(ties, lines.multiple == 1), *scattered, *steady),
     )
 
 
-def _alone(take: MeasuredTake) -> Joined:
-    """Return what was recorded at once, as it is."""
-    opened, stereo, clocks = take.opened, tuple(item.result for item in take.stereo), take.opened.base.results()
-    steadiness = steadiness_notices(drifts(opened.channels, stereo, take.lines, clocks))
-    return Joined(
-        lines=take.lines,
-        clocks=clocks,
-        channels=opened.channels,
-        stereo=stereo,
-        readings=opened.readings,
-        pairs=take.pairs,
-        takes=(),
-        folded=take.folded,
-        notices=(*take.notices, *steadiness),
-    )
-
-
-def _referred(take: MeasuredTake, referral: Referral) -> list[Reading]:
-    """Return the channels of a take as those of the first; the reference is that of the first take and counts once."""
-    found = []
-    for reading in take.opened.readings:
-        if not reading.entry.reference:
-            found.append(referral.reading(reading))
-        elif referral.first:
-            found.append(referral.reference(reading))
-    return found
-
-
-def _takes_named(clock: ClockResult, name: str) -> ClockResult:
-    """Return a clock by the name of its take."""
-    return replace(clock, daq=f"{name}: {clock.daq}")
-
-
-def _told(notice: AnyNotice, name: str) -> AnyNotice:
-    """Return a notice that says of which take it is."""
-    return replace(notice, text=f"{name}: {notice.text}")
-
-
-def _channel(channel: ChannelResult, take: MeasuredTake, referral: Referral) -> ChannelResult:
-    """Return a channel by the name of its take, its phasors referred to the first; what the figures show stays."""
-    name = take.opened.name
+def _channel(channel: ChannelResult, set_up: SetUp, tie: ReferenceTie) -> ChannelResult:
+    """Return a channel by the name of its set-up, its phasors referred to the first; what the figures show stays."""
     return replace(
         channel,
-        name=f"{name}: {channel.name}",
-        daq=f"{name}: {channel.daq}",
-        phasors=referral.phasors(channel.phasors),
-        stationarity=_at_lines(channel.stationarity, take.lines, referral.frequency_hz),
+        name=f"{tie.name}: {channel.name}",
+        daq=f"{tie.name}: {channel.daq}",
+        phasors=tie.phasors(channel.phasors),
+        stationarity=_at_lines(channel.stationarity, set_up.lines, tie.frequency_hz),
     )
-
-
-def _stereo(takes: Sequence[MeasuredTake]) -> tuple[StereoResult, ...]:
-    """Return the stereo pairs; one that saw more than one take is named by the later ones."""
-    found: dict[str, StereoResult] = {}
-    for take in takes:
-        for item in take.stereo:
-            name = item.result.name
-            if name in found:
-                name = f"{name}-{take.opened.name.replace(' ', '')}"
-            steady = _at_lines(item.result.stationarity, take.lines, takes[0].lines.frequency_hz)
-            found[name] = replace(item.result, name=name, stationarity=steady)
-    return tuple(found.values())
 
 
 def _at_lines(steady: Stationarity | None, own: Lines, frequency_hz: FloatArray) -> Stationarity | None:
-    """Return what a take says of its own lines as said of those at `frequency_hz` (K,)."""
+    """Return what a set-up says of its own lines as said of those at `frequency_hz` (K,)."""
     if steady is None:
         return None
     first = dict(zip(own.frequency_hz.tolist(), frequency_hz.tolist(), strict=True))

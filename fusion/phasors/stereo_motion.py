@@ -1,4 +1,7 @@
-"""Motion of the bodies from image pairs or points."""
+"""From the image pairs, or points, of a stereo pair to the rigid motion of the body that it sees.
+
+Images are followed here one pair after another, or by an executor's processes, pair by pair and block by block.
+"""
 
 from __future__ import annotations
 
@@ -10,17 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from fusion.base import AnyNotice, ComputeError, Crew, InputError, Pending, ProgressCallback, Settings
-from fusion.phasors.channels import nominal_lines
+from fusion.base import AnyNotice, ComputeError, Executor, InputError, Pending, ProgressCallback, Settings
 from fusion.phasors.timing import Exposure, TimeBase, exposure_middles, exposure_of
 from fusion.recording.load import Manifest
-from fusion.recording.manifest import Images, PointFiles
-from fusion.recording.rig import Stereo
+from fusion.recording.manifest import Images, PointFiles, Stereo
 from photogram.calibration.file import read_calibration
-from photogram.camera import Points, StereoRig
+from photogram.camera import StereoRig
 from photogram.epipolar import EpipolarCheck, check_epipolar
 from photogram.geometry import RigidTransform
-from photogram.images import GreyImage, ImageSequence, open_sequence, saturated_fraction
+from photogram.images import GreyImage, ImageSequence, NoiseModel, open_sequence, saturated_fraction
 from photogram.measure import (
     BodyMotion,
     BodyScene,
@@ -32,25 +33,15 @@ from photogram.measure import (
 )
 from photogram.motion import Deformation, RigidMotion, deformation, fit_motion, points_with_estimated_noise
 from photogram.point_tables import read_point_tables
-from photogram.subsets.follow import TrackSettings
-from photogram.subsets.grid import NoiseModel
-from photogram.subsets.quality import SubsetQuality, suggested_radius_px
-from photogram.subsets.track import StereoTracks, resolve_device
+from photogram.subsets.texture import SubsetQuality, suggested_radius_px
+from photogram.subsets.track import StereoTracks, TrackSettings, resolve_device
 from shaker.arrays import FloatArray
 from shaker.lines.aliasing import usable_lines
 from shaker.lines.frequencies import Lines, find_lines
 
-# From the image pairs (or points) of one stereo pair to the motion of its body and to displacement phasors.
-
-
 BodyInputs = tuple[tuple[ImageSequence, ImageSequence], StereoRig, RigidTransform, TrackSettings]
 
-COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
-DISPLACEMENT_UNITS = ("m", "m", "m", "rad", "rad", "rad")
 MAX_SATURATED = 0.02  # fraction of pixels at full scale above which a camera is refused
-MIN_SUBSETS = 6
-PERIODIC_SHARE = 0.4  # standard uncertainty of a line over the amplitude of an error periodic in the pixel
-BIAS_STEP_PX = 0.01
 NO_MOTION = "no frame has enough points for a rigid motion"
 
 
@@ -106,17 +97,75 @@ def sensor_from_camera(stereo: Stereo) -> RigidTransform:
 
 
 def open_images(manifest: Manifest, base: TimeBase, entry: Images) -> OpenImages:
-    """Open the images of one stereo pair and check all that can be checked before the work begins."""
-    stereo = manifest.rig.stereo[entry.stereo]
-    left, right = _open(manifest, entry, "left"), _open(manifest, entry, "right")
+    """Open the images of one stereo pair and check all that can be checked before the work begins.
+
+    A saturated image is refused when it is read; the first ones are read here.
+    """
+    stereo, key = manifest.rig.stereo[entry.stereo], f"images.{entry.stereo}"
+    sequences = []
+    for side, paths in (("left", entry.left), ("right", entry.right)):
+        with _refused(manifest, f"{key}.{side}"):
+            sequence = open_sequence(paths, entry.bit_depth)
+            sequences.append(replace(sequence, reader=partial(_read_unsaturated, sequence)))
+    left, right = sequences
     if len(left) != len(right):
-        key = f"images.{entry.stereo}.right"
-        raise InputError(manifest.path, key, found=f"{len(right)} images", expected=f"{len(left)} as on the left")
+        found, expected = f"{len(right)} images", f"{len(left)} as on the left"
+        raise InputError(manifest.path, f"{key}.right", found=found, expected=expected)
     time_s = exposure_middles(manifest, base, entry, len(left))
-    rig = _calibration(stereo, left, right)
-    stereo = _without_calibration_share(stereo, rig)
-    first = _read_first(manifest, entry, left, right)
-    return OpenImages(entry, stereo, left, right, exposure_of(manifest, base, entry), time_s, rig, first)
+    rig = _read_rig(stereo, sequences)
+    first = []
+    for side, sequence in (("left", left), ("right", right)):
+        with _refused(manifest, f"{key}.{side}"):
+            first.append(sequence.read(0))
+    pair = _without_calibration_share(stereo, rig)
+    return OpenImages(entry, pair, left, right, exposure_of(manifest, base, entry), time_s, rig, first[0])
+
+
+def measure_pairs(
+    manifest: Manifest,
+    images: Sequence[OpenImages],
+    settings: Settings,
+    progress: ProgressCallback,
+    executor: Executor | None = None,
+) -> tuple[StereoMotion, ...]:
+    """Track the images of stereo pairs and fit the rigid motion of the body that each sees.
+
+    An executor opens the images itself, by the same paths, and its motions are those found without one to the last bit.
+    """
+    if executor is None:
+        return tuple(measure_images(manifest, item, settings, progress) for item in images)
+    device, motions, begun = settings.device, [], []
+    prepared = [executor.submit(0, _prepare, body_inputs(item, settings), device) for item in images]
+    for item, pending in zip(images, prepared, strict=True):
+        scene: BodyScene = _answer(manifest, item, pending)
+        blocks = [executor.submit(1, _follow, pending, frames, device) for frames in scene.blocks]
+        begun.append((item, scene, blocks))
+    for item, scene, blocks in begun:
+        stage, total = f"track {item.entry.stereo}", 2 * len(item.left)
+        followed = []
+        for frames, pending in zip(scene.blocks, blocks, strict=True):
+            progress(stage, 2 * frames.start, total)
+            followed.append(_answer(manifest, item, pending))
+        progress(stage, total, total)
+        with _refused(manifest, f"images.{item.entry.stereo}"):
+            body = body_motion(scene, followed)
+        motions.append(seen_motion(item, body))
+    return tuple(motions)
+
+
+def _answer(manifest: Manifest, images: OpenImages, pending: Pending) -> Any:
+    """What a task about some images found; what it refused is told as wrong input."""
+    answer = pending.result()
+    with _refused(manifest, f"images.{images.entry.stereo}"):
+        return answer.opened()
+
+
+def _prepare(inputs: BodyInputs, device: str) -> BodyScene:  # a task, hence a function of this module
+    return prepare_body(*inputs, resolve_device(device))
+
+
+def _follow(scene: BodyScene, frames: range, device: str) -> FollowedBlock:  # a task, as above
+    return follow_block(scene, frames, resolve_device(device))
 
 
 def measure_images(
@@ -124,7 +173,7 @@ def measure_images(
 ) -> StereoMotion:
     """Track the image pairs of one stereo pair and fit the rigid motion of the body it sees."""
     stage, total = f"track {images.entry.stereo}", 2 * len(images.left)
-    with told_of_images(manifest, images):
+    with _refused(manifest, f"images.{images.entry.stereo}"):
         body = measure_body(
             *body_inputs(images, settings), lambda done: progress(stage, done, total), resolve_device(settings.device)
         )
@@ -133,20 +182,18 @@ def measure_images(
 
 def body_inputs(images: OpenImages, settings: Settings) -> BodyInputs:
     """Return what `photogram.measure` has to know of a stereo pair: its images, rig, pose, and how to track."""
-    radius = settings.subset_radius_px
-    if radius is None:
-        radius = suggested_radius_px(images.first)
+    radius = settings.subset_radius_px or suggested_radius_px(images.first)
     options = TrackSettings(radius_px=radius, degree=settings.spline_degree)
     return (images.left, images.right), images.rig, sensor_from_camera(images.stereo), options
 
 
 @contextmanager
-def told_of_images(manifest: Manifest, images: OpenImages) -> Iterator[None]:
-    """Tell what is refused meanwhile as wrong input of a stereo pair's images."""
+def _refused(manifest: Manifest, key: str) -> Iterator[None]:
+    """Tell what is refused meanwhile as wrong input of a key of recording.toml."""
     try:
         yield
     except (OSError, ValueError) as error:
-        raise InputError.told_by(error, manifest.path, f"images.{images.entry.stereo}") from error
+        raise InputError.told_by(error, manifest.path, key) from error
 
 
 def seen_motion(images: OpenImages, body: BodyMotion) -> StereoMotion:
@@ -169,39 +216,25 @@ def seen_motion(images: OpenImages, body: BodyMotion) -> StereoMotion:
 
 
 def measure_points(manifest: Manifest, base: TimeBase, entry: PointFiles) -> StereoMotion:
-    """Fit the rigid motion to the points of another program."""
-    stereo = manifest.rig.stereo[entry.stereo]
-    key = f"points.{entry.stereo}.files"
-    try:
+    """Fit the rigid motion about the sensor origin to the points of another program."""
+    stereo, name = manifest.rig.stereo[entry.stereo], entry.stereo
+    with _refused(manifest, f"points.{name}.files"):
         table = read_point_tables(entry.files, entry.columns, entry.valid_status, entry.scale)
-    except (OSError, ValueError) as error:
-        raise InputError.told_by(error, manifest.path, key) from error
     time_s = exposure_middles(manifest, base, entry, len(table.frames))
-    try:
+    with _refused(manifest, f"points.{name}.files"):
         points = points_with_estimated_noise(table.position_m, table.reference_m)
-    except ValueError as error:
-        raise InputError.told_by(error, manifest.path, key) from error
     placed = sensor_from_camera(stereo)
     reference = None if table.reference_m is None else placed.apply(table.reference_m)
     points = points.transformed(placed)
-    motion = _fit(entry.stereo, points, reference)
+    try:
+        motion = fit_motion(points, reference, np.zeros(3))
+    except ValueError as error:
+        raise ComputeError(f"stereo pair {name}: no rigid motion can be fitted ({error})") from error
+    if not np.isfinite(motion.pose).all(axis=1).any():
+        raise ComputeError(f"stereo pair {name}: {NO_MOTION}; look at its points")
     beside = deformation(points, motion, reference)
     exposure = exposure_of(manifest, base, entry)
     return StereoMotion(entry, stereo, exposure, time_s, motion, beside, float("nan"), None, ())
-
-
-def _open(manifest: Manifest, entry: Images, side: str) -> ImageSequence:
-    """Open one camera's images."""
-    paths = entry.left if side == "left" else entry.right
-    try:
-        return _unsaturated(open_sequence(paths, entry.bit_depth))
-    except (OSError, ValueError) as error:
-        raise InputError.told_by(error, manifest.path, f"images.{entry.stereo}.{side}") from error
-
-
-def _unsaturated(sequence: ImageSequence) -> ImageSequence:
-    """Return the same images, of which a saturated one is refused when it is read."""
-    return replace(sequence, reader=partial(_read_unsaturated, sequence))
 
 
 def _read_unsaturated(sequence: ImageSequence, index: int) -> GreyImage:
@@ -214,18 +247,7 @@ def _read_unsaturated(sequence: ImageSequence, index: int) -> GreyImage:
     return image
 
 
-def _read_first(manifest: Manifest, entry: Images, left: ImageSequence, right: ImageSequence) -> GreyImage:
-    """Return the first left image after a look at the first right one."""
-    images = []
-    for side, sequence in (("left", left), ("right", right)):
-        try:
-            images.append(sequence.read(0))
-        except (OSError, ValueError) as error:
-            raise InputError.told_by(error, manifest.path, f"images.{entry.stereo}.{side}") from error
-    return images[0]
-
-
-def _calibration(stereo: Stereo, left: ImageSequence, right: ImageSequence) -> StereoRig:
+def _read_rig(stereo: Stereo, sequences: Sequence[ImageSequence]) -> StereoRig:
     """Read a stereo pair's calibration and refuse one made for images of another size."""
     path = stereo.calibration
     if path is None:
@@ -235,7 +257,7 @@ def _calibration(stereo: Stereo, left: ImageSequence, right: ImageSequence) -> S
     except (OSError, ValueError) as error:
         raise InputError.told_by(error, path) from error
     size = [int(length) for length in rig.left.size_px]
-    for images in (left, right):
+    for images in sequences:
         if size != list(images.size_px):
             expected = f"{list(images.size_px)}, the size of {images.names[0]}"
             raise InputError(path, "image_size", found=f"{size}", expected=expected)
@@ -255,17 +277,6 @@ def _without_calibration_share(stereo: Stereo, rig: StereoRig) -> Stereo:
     return stereo.model_copy(update={"pose_uncertainty": tuple(left.tolist())})
 
 
-def _fit(name: str, points: Points, reference_m: FloatArray | None) -> RigidMotion:
-    """Fit the rigid motion about the sensor origin; a series without any frame is an error."""
-    try:
-        motion = fit_motion(points, reference_m, np.zeros(3))
-    except ValueError as error:
-        raise ComputeError(f"stereo pair {name}: no rigid motion can be fitted ({error})") from error
-    if not np.isfinite(motion.pose).all(axis=1).any():
-        raise ComputeError(f"stereo pair {name}: {NO_MOTION}; look at its points")
-    return motion
-
-
 def motion_lines(manifest: Manifest, base: TimeBase, motions: Sequence[StereoMotion]) -> Lines:
     """Find the lines in the motion itself, for recordings without any channel that shows the excitation.
 
@@ -273,10 +284,13 @@ def motion_lines(manifest: Manifest, base: TimeBase, motions: Sequence[StereoMot
     """
     if not motions:
         raise ComputeError("no channel or camera of this recording shows the excitation; add one to recording.toml")
-    nominal_hz, harmonics = nominal_lines(manifest)
-    first = _first_that_tells(motions, nominal_hz)
+    excitation = manifest.excitation
+    if excitation.frequencies is None:
+        expected = "the frequencies of the lines, since no channel shows them"
+        raise InputError(manifest.path, "excitation.frequencies", found="none", expected=expected)
+    first = _first_that_tells(motions, excitation.frequencies)
     try:
-        lines = find_lines(first.time_s, first.motion.pose, nominal_hz, harmonics)
+        lines = find_lines(first.time_s, first.motion.pose, excitation.frequencies, excitation.harmonics)
     except ValueError as error:
         told = ValueError(f"{error} (motion seen by stereo pair {first.entry.stereo})")
         raise InputError.told_by(told, manifest.path, "excitation.frequencies") from error
@@ -294,60 +308,3 @@ def _first_that_tells(motions: Sequence[StereoMotion], nominal_hz: Sequence[floa
         reasons += [f"stereo pair {motion.entry.stereo}: {notice.text}" for notice in notices]
     listed = " and ".join(f"{frequency:g} Hz" for frequency in nominal_hz)
     raise ComputeError(f"no instrument sees the motion of the driven line at {listed} ({'; '.join(reasons)})")
-
-
-# All stereo pairs of a take: followed here one after another, or by a crew, pair by pair and block by block.
-
-
-def measure_pairs(
-    manifest: Manifest,
-    images: Sequence[OpenImages],
-    settings: Settings,
-    progress: ProgressCallback,
-    crew: Crew | None = None,
-) -> tuple[StereoMotion, ...]:
-    """Track the images of stereo pairs and fit the rigid motion of the body that each sees.
-
-    A crew opens the images itself, by the same paths, and its motions are those found without one to the last bit.
-    """
-    if crew is None:
-        return tuple(measure_images(manifest, item, settings, progress) for item in images)
-    prepared = [crew.submit(0, _prepared, body_inputs(item, settings), settings.device) for item in images]
-    begun = []
-    for item, pending in zip(images, prepared, strict=True):
-        scene: BodyScene = _opened(manifest, item, pending)
-        blocks = [crew.submit(1, _followed, pending, frames, settings.device) for frames in scene.blocks]
-        begun.append((item, scene, blocks))
-    return tuple(_joined(manifest, *pair, progress) for pair in begun)
-
-
-def _joined(
-    manifest: Manifest, images: OpenImages, scene: BodyScene, pending: Sequence[Pending], progress: ProgressCallback
-) -> StereoMotion:
-    """The motion of one pair from the answers about its blocks."""
-    stage, total = f"track {images.entry.stereo}", 2 * len(images.left)
-    blocks = []
-    for frames, answer in zip(scene.blocks, pending, strict=True):
-        progress(stage, 2 * frames.start, total)
-        blocks.append(_opened(manifest, images, answer))
-    progress(stage, total, total)
-    with told_of_images(manifest, images):
-        body = body_motion(scene, blocks)
-    return seen_motion(images, body)
-
-
-def _opened(manifest: Manifest, images: OpenImages, pending: Pending) -> Any:
-    """What a task about some images found; what it refused is told as wrong input."""
-    answer = pending.result()
-    with told_of_images(manifest, images):
-        return answer.opened()
-
-
-def _prepared(inputs: BodyInputs, device: str) -> BodyScene:
-    """A task: what following a body needs."""
-    return prepare_body(*inputs, resolve_device(device))
-
-
-def _followed(scene: BodyScene, frames: range, device: str) -> FollowedBlock:
-    """A task: one block of frames."""
-    return follow_block(scene, frames, resolve_device(device))

@@ -1,56 +1,84 @@
-"""Phasors of the motion with their common errors, and phasors as rows of the linear model."""
+"""From the motion of a stereo pair's body to displacement phasors, with what is common to all its frames."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion.base import AnyNotice, ComputeError
-from fusion.estimation.measurement_model import (
-    CALIBRATION,
-    PERIODIC,
-    ChainUncertainty,
-    LineTurns,
-    Observation,
-    PulseExposure,
-    Reading,
-    StereoReading,
-    observe_channels,
-)
+from fusion.estimation.measurement_model import Observation
+from fusion.instruments.channel import Reading
+from fusion.instruments.stereo import CALIBRATION, PERIODIC, LineTurns, PulseExposure, StereoReading
 from fusion.phasors.channels import spread_lines
-from fusion.phasors.results import ChannelResult, StereoResult, deflection_shape
 from fusion.phasors.stereo_motion import ImageView, StereoMotion, sensor_from_camera
 from fusion.phasors.timing import TimeBase
-from fusion.recording.files import read_response
-from fusion.recording.load import Manifest
-from fusion.recording.manifest import ChannelEntry, Images, PointFiles
-from fusion.recording.rig import Load, Part, Stereo
-from fusion.sensitivity.body import Body, make_joint, make_part
-from fusion.sensitivity.body import Part as RigidPart
+from fusion.recording.manifest import Images, PointFiles, Stereo
 from photogram.camera import StereoRig, principal_components, triangulate
+from photogram.epipolar import EpipolarCheck
 from photogram.geometry import RigidTransform
-from photogram.motion import RigidMotion, fit_motion, relative_to
+from photogram.images import GreyImage, NoiseModel
+from photogram.motion import Deformation, RigidMotion, fit_motion, relative_to
 from photogram.subsets.reference import TrackStatus
 from photogram.subsets.track import StereoTracks
 from shaker.arrays import ComplexArray, FloatArray, Notice
 from shaker.labels import MOTION_COMPONENTS, component_units
-from shaker.lines.aliasing import exposure_gain, usable_lines
+from shaker.lines.aliasing import exposure_gain, sine_columns, usable_lines
 from shaker.lines.frequencies import Lines
-from shaker.sine.fit import fit_sines, stationarity
-from shaker.sine.normal_equations import sine_amplitudes
+from shaker.sine.fit import Stationarity, fit_sines, stationarity
+from shaker.sine.normal_equations import sine_amplitudes, solve_sines
 from shaker.sine.phasor import Phasors
 from shaker.sine.solve import SineFit
-
-# From the motion of a stereo pair's body to displacement phasors, and what is common to all its frames.
-
 
 MIN_SUBSETS = 6
 PERIODIC_SHARE = 0.4  # standard uncertainty of a line over the amplitude of an error periodic in the pixel
 BIAS_STEP_PX = 0.01
 NO_LINE = "its camera rate tells no line of the recording apart"
+
+
+@dataclass(frozen=True)
+class StereoResult:
+    """Motion seen by one stereo pair, in the sensor frame.
+
+    `time_s` (F,): exposure middles on the first DAQ's clock. `motion`: from the first frame's pose.
+    `motion_from_mean`: re-referred to the mean pose, the series that `fit` (six components, m and rad) describes and
+    of which it leaves `residual` (F, 6).
+    `reference_image` (H, W) and `subsets_px` (N, 2): first left image and the subsets tracked in it, None for points
+    of another program. `usable` (K,): which lines of the recording this camera rate can tell apart. `deflection`: what
+    the points do beside the rigid motion at the usable lines. `noise`: of the left and the right camera. `sigma_px`
+    (2,): median standard deviation of a subset's coordinate, as predicted from the first images and as found.
+    `epipolar`: whether the cameras are what was calibrated, frame by frame; its notices are among the evaluation's.
+    `stationarity`: the six components over blocks of whole beats, exposure loss not corrected. `u_exposure_s`: 0 where
+    the exposure is stated.
+    """
+
+    name: str
+    body: str
+    time_s: FloatArray
+    exposure_s: float
+    motion: RigidMotion
+    motion_from_mean: RigidMotion
+    fit: SineFit
+    residual: FloatArray = field(init=False)
+    usable: NDArray[np.bool_]
+    reprojection_px: float
+    reference_image: GreyImage | None = None
+    subsets_px: FloatArray | None = None
+    speckle_px: float | None = None
+    noise_grey: float | None = None
+    median_zncc: float | None = None
+    deflection: DeflectionShape | None = None
+    noise: tuple[NoiseModel, ...] = ()
+    sigma_px: FloatArray | None = None
+    epipolar: EpipolarCheck | None = None
+    stationarity: Stationarity | None = None
+    u_exposure_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        residual = self.fit.residual_of(self.time_s, self.motion_from_mean.pose)
+        object.__setattr__(self, "residual", residual)
 
 
 @dataclass(frozen=True)
@@ -78,30 +106,30 @@ def pairs_phasors(
 
     The notices name what was left out, line by line and pair by pair.
     """
-    kept: list[StereoMotion] = []
+    found: list[StereoPhasors] = []
     notices: list[AnyNotice] = []
     for measured in motions:
         name = measured.entry.stereo
-        usable, folded = _usable(measured, lines)
-        notices += [Notice(notice.severity, f"stereo pair {name}: {notice.text}", name) for notice in folded]
+        usable, aliased = _usable(measured, lines)
+        notices += [Notice(notice.severity, f"stereo pair {name}: {notice.text}", name) for notice in aliased]
         if usable.any():
-            kept.append(measured)
+            found.append(stereo_phasors(measured, lines))
         else:
             notices.append(Notice("warning", f"stereo pair {name} is left out: {NO_LINE}", name))
-    return tuple(stereo_phasors(measured, lines) for measured in kept), tuple(notices)
+    return tuple(found), tuple(notices)
 
 
 def _usable(measured: StereoMotion, lines: Lines) -> tuple[NDArray[np.bool_], tuple[Notice, ...]]:
     """Return which lines (K,) the frames tell apart, and a notice for each that is dropped."""
     order = np.lexsort((lines.frequency_hz, lines.multiple))  # fundamentals have precedence over harmonics
     usable = np.zeros(len(order), dtype=np.bool_)
-    usable[order], folded = usable_lines(measured.time_s, lines.frequency_hz[order])
-    return usable, folded
+    usable[order], aliased = usable_lines(measured.time_s, lines.frequency_hz[order])
+    return usable, aliased
 
 
 def stereo_phasors(measured: StereoMotion, lines: Lines) -> StereoPhasors:
     """Fit those lines to a body's motion about its mean pose that its frames tell apart."""
-    name = measured.entry.stereo
+    name, view = measured.entry.stereo, measured.view
     usable, _ = _usable(measured, lines)
     if not usable.any():
         raise ComputeError(f"stereo pair {name}: {NO_LINE}")
@@ -110,23 +138,62 @@ def stereo_phasors(measured: StereoMotion, lines: Lines) -> StereoPhasors:
     gain = exposure_gain(lines.frequency_hz, measured.exposure.length_s)
     displacement = spread_lines(fit.phasors, usable, lines.frequency_hz).scaled((1.0 / gain)[:, None])
     effects = {}
-    if measured.view is not None:
-        found_effects = {
-            CALIBRATION: _calibration_effects(measured, measured.view, frequency_hz),
-            PERIODIC: _periodic_effects(measured, measured.view, len(frequency_hz)),
-        }
-        for what, changes in found_effects.items():
-            effects[what] = np.full((len(changes), len(usable), 6), np.nan, dtype=np.complex128)
-            effects[what][:, usable] = changes / gain[usable][:, None]
-    found = [(f"{name}, {notice.where}", notice) for notice in measured.notices]
-    found += [(name, notice) for notice in fit.notices if notice.severity == "warning"]
-    notices = tuple(Notice(notice.severity, f"stereo pair {where}: {notice.text}", name) for where, notice in found)
-    shape = deflection_shape(measured.time_s, frequency_hz, measured.deformation, measured.exposure.length_s)
+    for what, changes in _common_effects(measured, frequency_hz).items():
+        effects[what] = np.full((len(changes), len(usable), 6), np.nan, dtype=np.complex128)
+        effects[what][:, usable] = changes / gain[usable][:, None]
+    told = [(f"{name}, {notice.where}", notice) for notice in measured.notices]
+    told += [(name, notice) for notice in fit.notices if notice.severity == "warning"]
+    notices = tuple(Notice(notice.severity, f"stereo pair {where}: {notice.text}", name) for where, notice in told)
     pose = from_mean.pose.copy()
     pose[fit.spikes] = np.nan
-    steady = stationarity(measured.time_s, pose, frequency_hz, MOTION_COMPONENTS)
-    result = replace(_result(measured, from_mean, fit, usable), deflection=shape, stationarity=steady)
+    result = StereoResult(
+        name=name,
+        body=measured.stereo.body,
+        time_s=measured.time_s,
+        exposure_s=measured.exposure.length_s,
+        u_exposure_s=measured.exposure.u_length_s,
+        motion=measured.motion,
+        motion_from_mean=from_mean,
+        fit=fit,
+        usable=usable,
+        reprojection_px=measured.reprojection_px,
+        deflection=deflection_shape(measured.time_s, frequency_hz, measured.deformation, measured.exposure.length_s),
+        stationarity=stationarity(measured.time_s, pose, frequency_hz, MOTION_COMPONENTS),
+    )
+    result = result if view is None else _with_view(result, view)
     return StereoPhasors(measured.entry, measured.stereo, result, displacement, effects, notices)
+
+
+def _with_view(result: StereoResult, view: ImageView) -> StereoResult:
+    """Add what only images tell: the first one, the subsets, their noise and what it promised of their scatter."""
+    sigma_px = None
+    if view.quality is not None:
+        variance = [
+            np.diagonal(side.covariance_px2, axis1=2, axis2=3) for side in (view.tracks.left, view.tracks.right)
+        ]
+        predicted = [side.predicted_sigma_px for side in view.quality]
+        sigma_px = np.array([np.nanmedian(predicted), np.sqrt(np.nanmedian(variance))])
+    return replace(
+        result,
+        reference_image=view.reference_image,
+        subsets_px=view.tracks.left.position_px[0],
+        speckle_px=float(np.min(view.tracks.speckle_px)),
+        noise_grey=float(np.mean(view.tracks.noise_grey)),
+        median_zncc=float(np.nanmedian(view.tracks.left.zncc)),
+        noise=view.noise or (),
+        sigma_px=sigma_px,
+        epipolar=replace(view.epipolar, notices=()),
+    )
+
+
+def _common_effects(measured: StereoMotion, frequency_hz: FloatArray) -> dict[str, ComplexArray]:
+    """Return by name what errors common to all frames do to the phasors (P, K, 6), exposure loss not corrected."""
+    if measured.view is None:
+        return {}
+    return {
+        CALIBRATION: _calibration_effects(measured, measured.view, frequency_hz),
+        PERIODIC: _periodic_effects(measured, measured.view, len(frequency_hz)),
+    }
 
 
 def _fit_about_mean(name: str, measured: StereoMotion, frequency_hz: FloatArray) -> tuple[RigidMotion, SineFit]:
@@ -211,69 +278,15 @@ def _phasor_motion(rig: StereoRig, pose: RigidTransform, frames: tuple[FloatArra
     return np.asarray(found[0::2] + 1j * found[1::2])
 
 
-def _sigmas(view: ImageView) -> FloatArray | None:
-    """Return predicted and found standard deviation (2,) of a subset's coordinate: median of both cameras."""
-    if view.quality is None:
-        return None
-    predicted = [side.predicted_sigma_px for side in view.quality]
-    variance = [np.diagonal(side.covariance_px2, axis1=2, axis2=3) for side in (view.tracks.left, view.tracks.right)]
-    return np.array([np.nanmedian(predicted), np.sqrt(np.nanmedian(variance))])
-
-
-def _result(measured: StereoMotion, from_mean: RigidMotion, fit: SineFit, usable: NDArray[np.bool_]) -> StereoResult:
-    """Collect what the result files and the report show of a stereo pair."""
-    view = measured.view
-    return StereoResult(
-        name=measured.entry.stereo,
-        body=measured.stereo.body,
-        time_s=measured.time_s,
-        exposure_s=measured.exposure.length_s,
-        u_exposure_s=measured.exposure.u_length_s,
-        motion=measured.motion,
-        motion_from_mean=from_mean,
-        fit=fit,
-        usable=usable,
-        reprojection_px=measured.reprojection_px,
-        reference_image=None if view is None else view.reference_image,
-        subsets_px=None if view is None else view.tracks.left.position_px[0],
-        speckle_px=None if view is None else float(np.min(view.tracks.speckle_px)),
-        noise_grey=None if view is None else float(np.mean(view.tracks.noise_grey)),
-        sigma_px=None if view is None else _sigmas(view),
-        noise=() if view is None or view.noise is None else view.noise,
-        median_zncc=None if view is None else float(np.nanmedian(view.tracks.left.zncc)),
-        epipolar=None if view is None else replace(view.epipolar, notices=()),
-    )
-
-
-# From evaluated channels and the rig's entries to what the fusion takes: readings, observations, the body.
-
-
-def channel_readings(base: TimeBase, channels: Sequence[ChannelResult]) -> tuple[Reading, ...]:
-    """Return every channel with its manifest entry and the uncertainty of its chain and clock."""
-    entries = {(r.entry.name, c.name): c for r in base.records for c in r.entry.channel}
-    return tuple(_reading(base, channel, entries[channel.daq, channel.name]) for channel in channels)
-
-
-def _reading(base: TimeBase, channel: ChannelResult, entry: ChannelEntry) -> Reading:
-    """Return one channel with the uncertainty of its response table and of its clock's tie to the first one."""
-    tie = base.ties[channel.daq]
-    u_clock_s = 0.0 if tie is None else float(tie.u_to_base_s(np.asarray(channel.samples / channel.sample_rate_hz / 2)))
-    if entry.response is None:
-        return Reading(entry, channel.phasors, ChainUncertainty(clock=channel.daq, u_clock_s=u_clock_s))
-    response = read_response(entry.response, channel.phasors.frequency_hz)
-    chain = ChainUncertainty(response.u_magnitude, response.u_phase_rad, channel.daq, u_clock_s)
-    return Reading(entry, channel.phasors, chain)
-
-
 def stereo_readings(
-    manifest: Manifest, base: TimeBase, readings: Sequence[Reading], stereo: Sequence[StereoPhasors], lines: Lines
+    base: TimeBase, readings: Sequence[Reading], stereo: Sequence[StereoPhasors], lines: Lines
 ) -> tuple[StereoReading, ...]:
     """Return every stereo pair with its phasors and all that is known of their errors.
 
     Without any reading of a channel the lines were found in the motion itself, and what it leaves open of their
     frequencies turns the phasors by as much as its noise does; a channel knows them far better than that.
     """
-    clock = manifest.daq[0].clock_uncertainty if manifest.daq else 0.0
+    clock = base.records[0].entry.clock_uncertainty
     seen = []
     for item in stereo:
         pair = item.pair.model_copy(update={"delay_uncertainty": item.entry.delay_uncertainty})
@@ -286,22 +299,6 @@ def stereo_readings(
     return tuple(seen)
 
 
-def observations(
-    manifest: Manifest, base: TimeBase, readings: Sequence[Reading], stereo: Sequence[StereoPhasors], lines: Lines
-) -> tuple[Observation, ...]:
-    """Return every instrument of what was recorded at once as rows of the linear model."""
-    return all_rows(manifest, readings, stereo_readings(manifest, base, readings, stereo, lines))
-
-
-def all_rows(
-    manifest: Manifest, readings: Sequence[Reading], pairs: Sequence[StereoReading]
-) -> tuple[Observation, ...]:
-    """Return channels and stereo pairs as rows of the linear model, the first block's clock being their time base."""
-    first = manifest.daq or manifest.take[0].daq
-    channels = observe_channels(readings, gravity(manifest), first[0].clock_uncertainty)
-    return (*(pair.observed() for pair in pairs), *channels)
-
-
 def unseen_fundamentals(
     seen: Sequence[Observation], lines: Lines, folded: Sequence[AnyNotice]
 ) -> tuple[AnyNotice, ...]:
@@ -310,7 +307,11 @@ def unseen_fundamentals(
     `folded`: what was said of the lines that camera rates cannot tell apart.
     """
     driven = lines.frequency_hz[lines.multiple == 1]
-    lost = [f for f in driven if not any(_sees(observation, float(f)) for observation in seen)]
+    lost = []
+    for f in driven:
+        values = [o.phasors.value[o.phasors.frequency_hz == f] for o in seen]
+        if not any(np.isfinite(value).any() for value in values):
+            lost.append(f)
     if len(driven) and len(lost) == len(driven) and (seen or folded):
         listed = " and ".join(f"{f:.6g} Hz" for f in lost)
         reasons = dict.fromkeys(notice.text for notice in folded if any(f"{f:.6g} Hz" in notice.text for f in lost))
@@ -321,45 +322,53 @@ def unseen_fundamentals(
     )
 
 
-def _sees(observation: Observation, frequency_hz: float) -> bool:
-    """Tell whether an instrument has a reading at a line."""
-    line = observation.phasors.frequency_hz == frequency_hz
-    return bool(np.isfinite(observation.phasors.value[line]).any())
+# Operating deflection shape: phasors of what a body does beside its rigid motion, point by point.
 
 
-def gravity(manifest: Manifest) -> tuple[float, float, float] | None:
-    """Return the acceleration of gravity (m/s^2, sensor frame), None where the rig does not state it."""
-    environment = manifest.rig.environment
-    return None if environment is None else environment.gravity
+LEAST_FREEDOM = 4  # frames beyond the unknowns of the fit that make a scatter
 
 
-def load_body(manifest: Manifest) -> Body | None:
-    """Return all that moves above the elastic element: load, parts and internal mass; None without a `[load]`.
+@dataclass(frozen=True, eq=False)
+class DeflectionShape:
+    """Complex deflection of N points of a body at K lines, in m, peak values, in the body's axes.
 
-    The sensor's own mass lies below the load's joint, where there is one.
+    `frequency_hz` (K,); `reference_m` (N, 3); `value` (K, N, 3) of x(t) = Re{X exp(jωt)}, exposure loss corrected;
+    `u` (K, N, 3): standard uncertainty of the real and of the imaginary part. A point seen too rarely is NaN.
     """
-    load, sensor, environment = manifest.rig.load, manifest.rig.sensor, manifest.rig.environment
-    if load is None:
-        return None
-    air = 0.0 if environment is None else environment.air_density or 0.0
-    parts = [_part("load", load, air)]
-    parts += [_part(part.name, part, air, part.below_joint) for part in manifest.part if part.body == "load"]
-    if sensor is not None and sensor.internal_mass > 0.0:
-        u = (
-            sensor.internal_mass_uncertainty,
-            sensor.internal_centre_of_mass_uncertainty,
-            sensor.internal_inertia_uncertainty,
-        )
-        centre, inertia = sensor.internal_centre_of_mass, sensor.internal_inertia
-        parts.append(make_part("internal mass", sensor.internal_mass, centre, inertia, u, below_joint=True))
-    if load.elastic_frequency is None:
-        return Body(tuple(parts))
-    joint = make_joint(load.elastic_frequency, load.elastic_frequency_uncertainty, load.elastic_damping)
-    return Body(tuple(parts), joint)
+
+    frequency_hz: FloatArray
+    reference_m: FloatArray
+    value: ComplexArray
+    u: FloatArray
 
 
-def _part(name: str, entry: Load | Part, air_density: float, below_joint: bool = False) -> RigidPart:
-    """Return one table of the rig as a rigid part with its true mass, in air of a density in kg/m^3 (0: not stated)."""
-    u = (entry.mass_uncertainty, entry.centre_of_mass_uncertainty, entry.inertia_uncertainty)
-    share = 0.0 if entry.density is None else air_density / entry.density
-    return make_part(name, entry.true_mass, entry.centre_of_mass, entry.inertia, u, share, below_joint)
+def deflection_shape(
+    time_s: FloatArray, frequency_hz: FloatArray, deformation: Deformation, exposure_s: float
+) -> DeflectionShape:
+    """Return the phasors of a deformation of F frames at times (F,) and lines (K,), by sine approximation.
+
+    Least squares with all lines and an offset, as `fit_sines` does for the rigid motion, on the frames in which the
+    point is seen; u² = s²·(2/S)·(XᵀX)⁻¹ with the variance s² of the point's own residual, mean of both parts.
+    """
+    shape = (len(frequency_hz), *deformation.reference_m.shape)
+    value, u = np.full(shape, np.nan, dtype=np.complex128), np.full(shape, np.nan)
+    seen = np.isfinite(deformation.residual_m).all(axis=2)
+    patterns, member = np.unique(seen, axis=1, return_inverse=True)
+    for index, pattern in enumerate(patterns.T):
+        if pattern.sum() < 2 * len(frequency_hz) + 1 + LEAST_FREEDOM:
+            continue
+        points = np.flatnonzero(member.ravel() == index)
+        data = deformation.residual_m[np.ix_(pattern, points)].reshape(pattern.sum(), -1)
+        try:
+            solution = solve_sines(sine_columns(time_s[pattern], frequency_hz), data)
+        except ValueError:  # these frames cannot tell the lines apart
+            continue
+        samples, last = len(data), 2 * len(frequency_hz)
+        cosine, sine = solution.coefficients[0:last:2], solution.coefficients[1:last:2]
+        variance = np.sum(solution.residual**2, axis=0) / (samples - last - 1)
+        spread = np.diagonal(solution.inverse)[:last].reshape(-1, 2).mean(axis=1)
+        amplitude = np.sqrt(2.0 / samples) * (cosine - 1j * sine)
+        value[:, points] = amplitude.reshape(len(frequency_hz), -1, 3)
+        u[:, points] = np.sqrt(2.0 / samples * np.multiply.outer(spread, variance)).reshape(len(frequency_hz), -1, 3)
+    gain = exposure_gain(frequency_hz, exposure_s)[:, None, None]
+    return DeflectionShape(frequency_hz, deformation.reference_m, np.asarray(value / gain), u / gain)

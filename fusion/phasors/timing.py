@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
-from fusion.base import ARGUMENT, InputError
-from fusion.phasors.results import ClockResult
-from fusion.recording.files import DaqRecord
+from fusion.base import InputError
+from fusion.recording.files import DaqRecord, no_pulse_width
 from fusion.recording.load import Manifest
-from fusion.recording.manifest import ChannelEntry, Frames, Images, PointFiles
+from fusion.recording.manifest import ChannelEntry, Images, PointFiles
 from fusion.recording.values import PULSE
 from shaker.arrays import FloatArray
 from shaker.timebase.edges import find_edges
 from shaker.timebase.tie import ClockTie, edge_instants, tie_clocks
-from shaker.timebase.trigger import PulseWidth, TriggerFit, fit_trigger, pulse_width
+from shaker.timebase.trigger import PulseWidth, TriggerFit, fit_trigger
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,21 @@ class Exposure:
 
     length_s: float
     u_length_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class ClockResult:
+    """One DAQ block: its file, the trigger found in it and its tie to the first block's clock (None for the first).
+
+    `pulse_width_s`, `u_pulse_width_s`: of the trigger's pulses, None where their ends cannot be told.
+    """
+
+    daq: str
+    file: Path
+    trigger: TriggerFit | None
+    tie: ClockTie | None
+    pulse_width_s: float | None = None
+    u_pulse_width_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -45,102 +61,84 @@ class TimeBase:
         tie = self.ties[daq]
         return time_s if tie is None else tie.to_base_s(time_s)
 
+    def _fit(self, trigger: str) -> TriggerFit:
+        return next(fit for (_, name), fit in self.triggers.items() if name == trigger)
+
     def u_trigger_s(self, trigger: str) -> float:
         """Return the standard uncertainty of a trigger's fitted instants in the middle of the burst."""
-        fit = next(fit for (_, name), fit in self.triggers.items() if name == trigger)
+        fit = self._fit(trigger)
         return float(fit.u_time_s(np.asarray(fit.edges // 2)))
 
     def u_trigger_rate(self, trigger: str) -> float:
         """Return the relative standard uncertainty of a trigger's fitted period."""
-        fit = next(fit for (_, name), fit in self.triggers.items() if name == trigger)
+        fit = self._fit(trigger)
         return float(np.sqrt(fit.covariance[1, 1])) / fit.period_s
+
+    def shared_triggers(self, first: str, second: str) -> list[str]:
+        """Return the triggers that two blocks record; the first of them ties their clocks."""
+        return [name for daq, name in self.triggers if daq == first and (second, name) in self.triggers]
 
     @cached_property
     def pulses(self) -> dict[tuple[str, str], PulseWidth]:
         """Width of the pulses per block and trigger channel, where both flanks can be told."""
         found = {}
         for daq, name in self.triggers:
-            try:
-                found[daq, name] = self.pulse_width(daq, name)
-            except ValueError:
-                continue
+            with suppress(ValueError):
+                found[daq, name] = self.record(daq).pulse_width(name)
         return found
 
-    def pulse_width(self, daq: str, trigger: str) -> PulseWidth:
-        """Measure the width of a trigger's pulses in a block; a `ValueError` says why it cannot be."""
-        record = next(record for record in self.records if record.entry.name == daq)
-        return channel_pulse_width(record, trigger)
+    def record(self, daq: str) -> DaqRecord:
+        """Return a block by its name."""
+        return next(record for record in self.records if record.entry.name == daq)
 
     def results(self) -> tuple[ClockResult, ...]:
         """Return one entry per block for the result tree."""
         found = []
         for record in self.records:
             name = record.entry.name
-            own = [key for key in self.triggers if key[0] == name]
-            pulse = self.pulses.get(own[0]) if own else None
+            key = next((key for key in self.triggers if key[0] == name), ("", ""))
+            pulse = self.pulses.get(key)
             width = (None, None) if pulse is None else (pulse.width_s, pulse.u_width_s)
-            trigger = self.triggers[own[0]] if own else None
-            found.append(ClockResult(name, record.entry.file, trigger, self.ties[name], *width))
+            found.append(ClockResult(name, record.entry.file, self.triggers.get(key), self.ties[name], *width))
         return tuple(found)
 
 
 def tie_daqs(manifest: Manifest, records: Sequence[DaqRecord]) -> TimeBase:
-    """Find the trigger edges of all blocks and tie every block's clock to the first one's."""
-    triggers: dict[tuple[str, str], TriggerFit] = {}
-    for record in records:
-        for channel in record.entry.channel:
-            if channel.quantity == "trigger":
-                triggers[record.entry.name, channel.name] = _fit_trigger(record, channel)
-    ties: dict[str, ClockTie | None] = {}
-    for number, record in enumerate(records):
-        ties[record.entry.name] = _tie(manifest, records[0], record, triggers) if number else None
-    return TimeBase(tuple(records), triggers, ties)
-
-
-def channel_pulse_width(record: DaqRecord, trigger: str) -> PulseWidth:
-    """Measure the width of the pulses of a trigger channel; a `ValueError` says why it cannot be."""
-    channel = next(channel for channel in record.entry.channel if channel.name == trigger)
-    rate_hz = record.raw[trigger].sample_rate_hz
-    return pulse_width(record.values(channel), rate_hz, channel.threshold, channel.edge)
+    """Find the trigger edges of all blocks and tie every block's clock to the first one's by a trigger they share."""
+    base, *others = records
+    first = base.entry.name
+    triggers = {
+        (record.entry.name, channel.name): _fit_trigger(record, channel)
+        for record in records
+        for channel in record.entry.channel
+        if channel.quantity == "trigger"
+    }
+    ties: dict[str, ClockTie | None] = {first: None}
+    time_base = TimeBase(tuple(records), triggers, ties)
+    for other in others:
+        name = other.entry.name
+        key = f"daq.{name}.channel"
+        shared = time_base.shared_triggers(first, name)
+        if not shared:
+            wanted = f"a trigger channel of the same name as in block {first}, which ties the two clocks"
+            raise InputError(manifest.path, key, found="none", expected=wanted)
+        later_s = other.start_s - base.start_s if base.start_s and other.start_s else None
+        pair = triggers[first, shared[0]], triggers[name, shared[0]]
+        try:
+            ties[name] = tie_clocks(*pair, other.entry.first_edge, start_difference_s=later_s)
+        except ValueError as error:
+            raise InputError.told_by(error, manifest.path, f"{key}.{shared[0]}") from error
+    return time_base
 
 
 def _fit_trigger(record: DaqRecord, channel: ChannelEntry) -> TriggerFit:
     """Fit the periodic model to a trigger channel's edges, in seconds from the block's earliest sample."""
-    raw = record.raw[channel.name]
+    rate_hz = record.raw[channel.name].sample_rate_hz
     try:
-        edges = find_edges(record.values(channel), raw.sample_rate_hz, channel.threshold, channel.edge)
-        fit = fit_trigger(edges)
+        fit = fit_trigger(find_edges(record.values(channel), rate_hz, channel.threshold, channel.edge))
     except ValueError as error:
         raise InputError.told_by(error, record.entry.file, channel.name) from error
-    lag = record.lag_s(channel.name) - channel.delay
-    return fit.later_by(lag)
-
-
-def _tie(
-    manifest: Manifest, base: DaqRecord, other: DaqRecord, triggers: dict[tuple[str, str], TriggerFit]
-) -> ClockTie:
-    """Tie a block to the first one by the trigger they share."""
-    key = f"daq.{other.entry.name}.channel"
-    shared = _shared_triggers(triggers, base.entry.name, other.entry.name)
-    if not shared:
-        wanted = f"a trigger channel of the same name as in block {base.entry.name}, which ties the two clocks"
-        raise InputError(manifest.path, key, found="none", expected=wanted)
-    first, second = triggers[base.entry.name, shared[0]], triggers[other.entry.name, shared[0]]
-    later_s = _start_difference_s(base, other)
-    try:
-        return tie_clocks(first, second, other.entry.first_edge, start_difference_s=later_s)
-    except ValueError as error:
-        raise InputError.told_by(error, manifest.path, f"{key}.{shared[0]}") from error
-
-
-def _shared_triggers(triggers: dict[tuple[str, str], TriggerFit], first: str, second: str) -> list[str]:
-    """Return the triggers that two blocks record; the first of them ties their clocks."""
-    return [name for daq, name in triggers if daq == first and (second, name) in triggers]
-
-
-def _start_difference_s(base: DaqRecord, other: DaqRecord) -> float | None:
-    """Return how much later the other record started, None where one of the two states no start time."""
-    return other.start_s - base.start_s if base.start_s and other.start_s else None
+    return fit.later_by(record.lag_s(channel.name) - channel.delay)
 
 
 def exposure_of(manifest: Manifest, base: TimeBase, entry: Images | PointFiles) -> Exposure:
@@ -149,53 +147,36 @@ def exposure_of(manifest: Manifest, base: TimeBase, entry: Images | PointFiles) 
         return Exposure(entry.exposure)
     daq, _ = _trigger_of(manifest, base, entry)
     try:
-        pulse = base.pulses.get((daq, entry.trigger)) or base.pulse_width(daq, entry.trigger)
+        pulse = base.pulses.get((daq, entry.trigger)) or base.record(daq).pulse_width(entry.trigger)
     except ValueError as error:
         raise no_pulse_width(manifest, daq, entry, error) from error
     return Exposure(pulse.width_s, pulse.u_width_s)
 
 
-def no_pulse_width(manifest: Manifest, daq: str, entry: Frames, error: ValueError) -> InputError:
-    """Say at the key that asked for it why the width of a trigger's pulses cannot be measured."""
-    file, key = manifest.path, f"{'images' if isinstance(entry, Images) else 'points'}.{entry.stereo}.exposure"
-    if manifest.rig.stereo[entry.stereo].exposure == PULSE:
-        file, key = manifest.rig_path, f"stereo.{entry.stereo}.exposure"
-    reason = ARGUMENT.sub("", str(error), count=1)
-    found = f'"{PULSE}", but the width of the pulses of {entry.trigger} in {daq} cannot be told ({reason})'
-    return InputError(file, key, found=found, expected="the exposure in s")
-
-
 def exposure_middles(manifest: Manifest, base: TimeBase, entry: Images | PointFiles, frames: int) -> FloatArray:
     """Return the middle of each frame's exposure (F,) on the first block's clock: edge + delay + exposure / 2.
 
-    The edge is the periodic model's where the trigger has no jitter, and follows what was seen of it where it has.
+    The edge is the periodic model's where the trigger has no jitter, and follows what was seen of it where it has: also
+    what other blocks saw of it, where these edges tie them to the trigger's block.
     """
     daq, trigger = _trigger_of(manifest, base, entry)
-    key = f"{'images' if isinstance(entry, Images) else 'points'}.{entry.stereo}.first_edge"
+    key = f"{'images' if isinstance(entry, Images) else 'points'}.{entry.stereo}"
     if entry.first_edge is None and trigger.edges > frames:
         wanted = f"the number of the edge that belongs to the first of {frames} frames"
         found = f"none, and {trigger.edges} edges in {entry.trigger}"
-        raise InputError(manifest.path, key, found=found, expected=wanted)
+        raise InputError(manifest.path, f"{key}.first_edge", found=found, expected=wanted)
     first = entry.first_edge or 0
     if first + frames > trigger.edges:
         wanted = f"at least {first + frames} edges in {entry.trigger} for {frames} frames"
-        raise InputError(
-            manifest.path, key.removesuffix("first_edge") + "trigger", found=str(trigger.edges), expected=wanted
-        )
-    edges = edge_instants(trigger, first + np.arange(frames), _seen_elsewhere(base, daq, entry.trigger))
+        raise InputError(manifest.path, f"{key}.trigger", found=str(trigger.edges), expected=wanted)
+    elsewhere = []
+    if daq == base.records[0].entry.name:
+        for other, tie in base.ties.items():
+            if tie is not None and base.shared_triggers(daq, other)[:1] == [entry.trigger]:
+                elsewhere.append((base.triggers[other, entry.trigger], tie))
+    edges = edge_instants(trigger, first + np.arange(frames), elsewhere)
     exposure = exposure_of(manifest, base, entry)
     return np.asarray(base.to_base_s(daq, edges.time_s) + entry.delay + exposure.length_s / 2.0)
-
-
-def _seen_elsewhere(base: TimeBase, daq: str, trigger: str) -> list[tuple[TriggerFit, ClockTie]]:
-    """Return what other blocks saw of the edges of a block's trigger, where these edges tie them to it."""
-    if daq != base.records[0].entry.name:
-        return []
-    found = []
-    for other, tie in base.ties.items():
-        if tie is not None and _shared_triggers(base.triggers, daq, other)[:1] == [trigger]:
-            found.append((base.triggers[other, trigger], tie))
-    return found
 
 
 def _trigger_of(manifest: Manifest, base: TimeBase, entry: Images | PointFiles) -> tuple[str, TriggerFit]:

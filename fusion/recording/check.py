@@ -11,12 +11,20 @@ from numpy.typing import NDArray
 
 from fusion.base import InputError
 from fusion.estimation.uncertainty import rounded
-from fusion.phasors.timing import channel_pulse_width, no_pulse_width
-from fusion.recording.files import ScannedPoint, check_response, read_takes, scanned_points, split_scan, take_blocks
+from fusion.instruments import TRANSDUCERS
+from fusion.instruments.channel import placed_at, unit_direction
+from fusion.instruments.stereo import GEOMETRY
+from fusion.recording.excitation import KINDS, Recorded
+from fusion.recording.files import (
+    check_response,
+    no_pulse_width,
+    read_set_ups,
+    scanned_points,
+    split_scan,
+)
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry, Daq, Frames, Images, PointFiles
 from fusion.recording.values import PULSE
-from shaker.io.channel import RawChannel
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
 
 BODIES = ("load", "base")
@@ -38,6 +46,9 @@ class Observability:
         """Names of the components determined."""
         return tuple(name for name, seen in zip(MOTION_COMPONENTS, observable(self.rows), strict=True) if seen)
 
+    def __str__(self) -> str:
+        return f"{self.body}: {self.instrument}: {' '.join(self.components) or 'no component by itself'}"
+
 
 @dataclass(frozen=True)
 class CheckReport:
@@ -50,23 +61,17 @@ class CheckReport:
     remarks: tuple[str, ...]
     problems: tuple[str, ...]
 
-    @property
-    def lines(self) -> tuple[str, ...]:
-        """The report as lines of text."""
-        seen = [f"{item.body}: {item.instrument}: {_listed(item.components)}" for item in self.observed]
+    def __str__(self) -> str:
         sections = (
             ("contains", self.contents),
-            ("can observe", seen or ["no motion"]),
+            ("can observe", [str(item) for item in self.observed] or ["no motion"]),
             ("remarks", self.remarks),
             ("wrong", self.problems),
         )
-        told = [
-            line for title, items in sections if items for line in (f"  {title}", *(f"    {item}" for item in items))
-        ]
-        return (f"{self.name} ({self.path})", *told)
-
-    def __str__(self) -> str:
-        return "\n".join(self.lines)
+        lines = [f"{self.name} ({self.path})"]
+        for title, items in sections:
+            lines += [f"  {title}", *(f"    {item}" for item in items)] if items else []
+        return "\n".join(lines)
 
 
 def observable(rows: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -83,33 +88,37 @@ def observable(rows: NDArray[np.float64]) -> NDArray[np.bool_]:
     return np.asarray(np.sum(basis**2, axis=0) > 1 - 1e-6)
 
 
-def geometric_row(entry: ChannelEntry) -> NDArray[np.float64]:
-    """Row (6,) of a single-axis instrument: [d, r×d], or [0, d] of one that senses rotation."""
-    direction = np.array(entry.direction, dtype=float)
-    if entry.quantity == "angular_velocity":
-        return np.concatenate([np.zeros(3), direction])
-    return np.concatenate([direction, np.cross(np.array(entry.point, dtype=float), direction)])
-
-
 def check(manifest: Manifest) -> CheckReport:
-    """Look at what a manifest names, without tracking or fitting anything."""
-    if manifest.excitation.file is not None:
-        return _check_table(manifest, manifest.excitation.file)
+    """Look at what a manifest names, without tracking or fitting anything.
+
+    >>> from fusion import load_manifest
+    >>> print(check(load_manifest("sample_images/demo/axial-106Hz")))  # doctest: +ELLIPSIS
+    axial excitation, 106 Hz (...
+      contains
+        excitation: sine at 106.25 Hz
+    ...
+    """
+    kind, excitation = KINDS[manifest.excitation.kind], manifest.excitation
+    remarks = [kind.remark] if kind.remark else []
+    if kind.tabled and excitation.file is not None:
+        contents, problems = _table(manifest, excitation.file)
+        return CheckReport(manifest.name, manifest.path, tuple(contents), (), tuple(remarks), tuple(problems))
     takes = _takes(manifest)
     contents, problems = _contents(manifest, takes)
     observed = _observed(manifest, takes)
-    return CheckReport(
-        name=manifest.name,
-        path=manifest.path,
-        contents=tuple(contents),
-        observed=tuple(observed),
-        remarks=tuple(_remarks(manifest, takes, observed)),
-        problems=tuple(problems),
-    )
+    # Every channel once by its name.
+    entries = list({entry.name: entry for take in takes for daq in take.daq for entry in daq.channel}.values())
+    if kind.remarks is None:
+        remarks += _motion_remarks(manifest, takes, entries, observed)
+    else:
+        outputs = tuple(entry.channel for entry in entries if entry.quantity == "output")
+        forces = tuple(entry.name for entry in entries if entry.quantity == "force")
+        remarks += kind.remarks(excitation, Recorded(outputs, forces, len(takes)))
+    return CheckReport(manifest.name, manifest.path, tuple(contents), tuple(observed), tuple(remarks), tuple(problems))
 
 
-def _check_table(manifest: Manifest, path: Path) -> CheckReport:
-    """Look at the table of a rotation test."""
+def _table(manifest: Manifest, path: Path) -> tuple[list[str], list[str]]:
+    """Look at the table of a recording whose readings stand in one: contents, and what is wrong."""
     from shaker.io.text import table_units
 
     told, problems = f"table {path.name}, {_size([path])}", []
@@ -118,17 +127,17 @@ def _check_table(manifest: Manifest, path: Path) -> CheckReport:
         told += ": " + ", ".join(f"{name} [{unit}]" if unit else name for name, unit in units.items())
     except (OSError, ValueError) as error:
         problems.append(str(error))
-    contents = [f"excitation: rotation {'with' if manifest.excitation.with_load else 'without'} load", told]
+    excitation = manifest.excitation
+    contents = [f"excitation: {excitation.kind} {'with' if excitation.with_load else 'without'} load", told]
     if manifest.rig.load is not None:
         contents.append(f"load mass: {manifest.rig.load.true_mass:g} kg")
-    remarks = ("shakercal rotate evaluates this recording, by gravity alone",)
-    return CheckReport(manifest.name, manifest.path, tuple(contents), (), remarks, tuple(problems))
+    return contents, problems
 
 
 def _takes(manifest: Manifest) -> list[Manifest]:
     """What was recorded at once: the top level, every take, every point of a scan that can be read."""
     found: list[Manifest] = []
-    for _, block in take_blocks(manifest):
+    for _, block in manifest.set_ups:
         try:
             found += [part for part, _ in split_scan(block)]
         except InputError:
@@ -141,30 +150,30 @@ def _contents(manifest: Manifest, takes: Sequence[Manifest]) -> tuple[list[str],
     excitation = manifest.excitation
     lines = ", ".join(f"{line:g} Hz" for line in excitation.frequencies or ())
     contents, problems = [f"excitation: {excitation.kind}" + (f" at {lines}" if lines else "")], []
+    marked = [{entry.name for daq in take.daq for entry in daq.channel if entry.reference} for take in takes]
+    reference = ", ".join(sorted(set.intersection(*marked))) or NO_REFERENCE
     if len(takes) > 1:
-        contents.append(f"takes: {len(takes)}, tied by {_reference(takes)}")
-    blocks = take_blocks(manifest)
-    for where, block in blocks:
+        contents.append(f"takes: {len(takes)}, tied by {reference}")
+    for where, block in manifest.set_ups:
         told = [_read_daq(block, daq) for daq in block.daq]
         told += [_read_images(images) for images in block.images]
         told += [_describe_points(points) for points in block.points]
-        told += [_measure_exposure(block, frames) for frames in _pulse_exposed(block)]
-        problems += _unreadable_responses(block)
-        prefix = f"{where.rstrip('.')} " if len(blocks) > 1 and where else ""
+        told += [_exposure(block, frames) for frames in (*block.images, *block.points) if frames.exposure == PULSE]
+        responses = dict.fromkeys(entry.response for daq in block.daq for entry in daq.channel if entry.response)
+        for path in responses:
+            try:
+                check_response(path)
+            except InputError as error:
+                problems.append(str(error))
+        prefix = f"{where.rstrip('.')} " if where and len(manifest.set_ups) > 1 else ""
         contents += [prefix + line for line, _ in told]
         problems += [prefix + problem for _, wrong in told for problem in wrong]
-    if len(takes) > 1 and _reference(takes) == NO_REFERENCE:
+    if len(takes) > 1 and reference == NO_REFERENCE:
         problems.append("takes: no channel with reference = true that is the same in every take")
     mounted = [f"{part.name} {part.true_mass:g} kg on the {part.body}" for part in manifest.part]
     if manifest.rig.load is not None:
         contents.append(f"load mass: {manifest.rig.load.true_mass:g} kg" + "".join(f", {part}" for part in mounted))
     return contents, problems
-
-
-def _reference(takes: Sequence[Manifest]) -> str:
-    """Name of the channel that ties takes to each other."""
-    named = [{entry.name for daq in take.daq for entry in daq.channel if entry.reference} for take in takes]
-    return ", ".join(sorted(set.intersection(*named))) or NO_REFERENCE
 
 
 def _read_daq(block: Manifest, daq: Daq) -> tuple[str, list[str]]:
@@ -176,7 +185,11 @@ def _read_daq(block: Manifest, daq: Daq) -> tuple[str, list[str]]:
     told = f"daq {daq.name}: {daq.file.name}, {_size([daq.file])}: {listed}"
     try:
         points = scanned_points(block, daq)
-        channels = read_channels(daq.file, names, daq.sample_rate) if points is None else _of_all(points)
+        channels = (
+            read_channels(daq.file, names, daq.sample_rate)
+            if points is None
+            else {f"{name}/{point.number}": channel for point in points for name, channel in point.raw.items()}
+        )
     except (OSError, ValueError, KeyError, InputError) as error:
         return told, [f"daq {daq.name}: {' '.join(str(error).split())}"]
     first = next(iter(channels.values()))
@@ -184,22 +197,6 @@ def _read_daq(block: Manifest, daq: Daq) -> tuple[str, list[str]]:
     told += f"; {first.samples.size} samples at {first.sample_rate_hz:g} Hz"
     told += "" if points is None else f", a scan of {len(points)} points, each a take"
     return told, [f"daq {daq.name}: channel {name} holds values that are no finite numbers" for name in holes]
-
-
-def _of_all(points: Sequence[ScannedPoint]) -> dict[str, RawChannel]:
-    """Channels of all points of a scan by block and point."""
-    return {f"{name}/{point.number}": channel for point in points for name, channel in point.raw.items()}
-
-
-def _unreadable_responses(block: Manifest) -> list[str]:
-    """What is wrong with the response files that channels name."""
-    wrong = []
-    for path in dict.fromkeys(entry.response for daq in block.daq for entry in daq.channel if entry.response):
-        try:
-            check_response(path)
-        except InputError as error:
-            wrong.append(str(error))
-    return wrong
 
 
 def _read_images(images: Images) -> tuple[str, list[str]]:
@@ -227,18 +224,13 @@ def _describe_points(points: PointFiles) -> tuple[str, list[str]]:
     return told, [f"points {points.stereo}: {empty[0]} is empty ({len(empty)} such files)"] if empty else []
 
 
-def _pulse_exposed(block: Manifest) -> list[Frames]:
-    """Images and points whose exposure is the width of the trigger's pulses."""
-    return [frames for frames in (*block.images, *block.points) if frames.exposure == PULSE]
-
-
-def _measure_exposure(block: Manifest, frames: Frames) -> tuple[str, list[str]]:
+def _exposure(block: Manifest, frames: Frames) -> tuple[str, list[str]]:
     """How wide the pulses are that the first DAQ block has of the trigger."""
     daq = next(daq for daq in block.daq if frames.trigger in [entry.name for entry in daq.channel])
     told = f"exposure of {frames.stereo}: width of the pulses of {frames.trigger} in {daq.name}"
     try:
-        record = read_takes(replace(block, daq=(daq,), images=(), points=()))[0].records[0]
-        pulse = channel_pulse_width(record, frames.trigger)
+        record = read_set_ups(replace(block, daq=(daq,), images=(), points=()))[0].records[0]
+        pulse = record.pulse_width(frames.trigger)
     except InputError as error:
         return told, [str(error)]
     except ValueError as error:
@@ -258,9 +250,22 @@ def _size(paths: Sequence[Path]) -> str:
 
 
 def _observed(manifest: Manifest, takes: Sequence[Manifest]) -> list[Observability]:
-    """Rows of every instrument, then of all instruments of a body together."""
+    """Rows of every instrument, then of all instruments of a body together.
+
+    A stereo pair determines all six components of the body it sees. Single-axis channels of one `common` name, or else
+    of one DAQ file, are one instrument.
+    """
     frames = {entry.stereo: entry for take in takes for entry in (*take.images, *take.points)}
-    single = [*(_stereo(manifest, entry) for entry in frames.values()), *_instruments(takes)]
+    single = [
+        Observability(manifest.rig.stereo[name].body, f"stereo {name}", GEOMETRY) for name in dict.fromkeys(frames)
+    ]
+    groups: dict[tuple[str, str], list[NDArray[np.float64]]] = {}
+    for daq in (daq for take in takes for daq in take.daq):
+        for entry in daq.channel:
+            if entry.quantity in TRANSDUCERS and entry.body is not None:
+                rows = groups.setdefault((entry.body, entry.common or f"{daq.name}.{entry.name}"), [])
+                rows.append(TRANSDUCERS[entry.quantity].geometry(placed_at(entry), unit_direction(entry)))
+    single += [Observability(body, name, np.stack(rows)) for (body, name), rows in groups.items()]
     found = []
     for body in BODIES:
         own = [item for item in single if item.body == body]
@@ -270,110 +275,39 @@ def _observed(manifest: Manifest, takes: Sequence[Manifest]) -> list[Observabili
     return found
 
 
-def _stereo(manifest: Manifest, frames: Frames) -> Observability:
-    """A stereo pair determines all six components of the body it sees."""
-    return Observability(manifest.rig.stereo[frames.stereo].body, f"stereo {frames.stereo}", np.eye(6))
-
-
-def _instruments(takes: Sequence[Manifest]) -> list[Observability]:
-    """Single-axis channels, those of one `common` name or else of one DAQ file taken together."""
-    groups: dict[tuple[str, str], list[NDArray[np.float64]]] = {}
-    for take in takes:
-        for daq in take.daq:
-            for entry in daq.channel:
-                if entry.quantity in ChannelEntry.MOTION and entry.body is not None:
-                    rows = groups.setdefault((entry.body, entry.common or f"{daq.name}.{entry.name}"), [])
-                    rows.append(geometric_row(entry))
-    return [Observability(body, name, np.stack(rows)) for (body, name), rows in groups.items()]
-
-
-def _remarks(manifest: Manifest, takes: Sequence[Manifest], observed: list[Observability]) -> list[str]:
-    """What the results will lack, and why."""
-    if manifest.excitation.kind == "step":
-        return _step_remarks(manifest, takes)
+def _motion_remarks(
+    manifest: Manifest, takes: Sequence[Manifest], entries: Sequence[ChannelEntry], observed: Sequence[Observability]
+) -> list[str]:
+    """What the results from the motion of the bodies will lack, and why."""
     rig, told = manifest.rig, []
-    together = {body: _all_rows(observed, body) for body in BODIES}
-    told += [
-        f"{body}: nobody observes {_listed(_unseen(rows))}"
-        for body, rows in together.items()
-        if 0 < len(_unseen(rows)) < 6
-    ]
-    told += [f"{name} has no instrument" for name, rows in together.items() if len(rows) == 0]
-    told += [
-        f"load: nobody observes the driven component {name}" for name in _driven_but_unseen(manifest, together["load"])
-    ]
+    rows = {body: np.vstack([np.zeros((0, 6)), *(o.rows for o in observed if o.body == body)]) for body in BODIES}
+    for body in BODIES:
+        unseen = [name for name, seen in zip(MOTION_COMPONENTS, observable(rows[body]), strict=True) if not seen]
+        if 0 < len(unseen) < 6:
+            told.append(f"{body}: nobody observes {' '.join(unseen)}")
+    told += [f"{body} has no instrument" for body in BODIES if len(rows[body]) == 0]
+    driven = np.zeros(6)
+    given = manifest.excitation.direction or ()
+    driven[: len(given)] = given
+    hidden = np.flatnonzero(driven * ~observable(rows["load"])) if len(rows["load"]) else ()
+    told += [f"load: nobody observes the driven component {LOAD_COMPONENTS[i]}" for i in hidden]
     if rig.load is None:
         told.append("rig.toml has no [load]: no load and no sensitivity")
     if rig.sensor is None:
         told.append("rig.toml has no [sensor]: no sensitivity")
-    elif not any(entry.quantity == "output" for entry in _entries(takes)):
+    elif not any(entry.quantity == "output" for entry in entries):
         told.append("no channel is an output of the sensor: no sensitivity")
     if rig.environment is None or rig.environment.gravity is None:
         told.append("rig.toml states no gravity: tilt is not corrected")
     told += [
         f"channel {entry.name} states no uncertainty of its scale: compared with the others, not fused"
-        for entry in _entries(takes)
-        if entry.quantity in ChannelEntry.MOTION and not (entry.scale_uncertainty or entry.individual_uncertainty)
+        for entry in entries
+        if entry.quantity in TRANSDUCERS and not (entry.scale_uncertainty or entry.individual_uncertainty)
     ]
-    told += [
-        f"daq {name} shares no trigger channel with another block: its clock cannot be tied" for name in _loose(takes)
-    ]
-    return told
-
-
-def _step_remarks(manifest: Manifest, takes: Sequence[Manifest]) -> list[str]:
-    """What the models of a step response will lack."""
-    excitation, entries = manifest.excitation, _entries(takes)
-    outputs = [entry.channel for entry in entries if entry.quantity == "output"]
-    told = ["shakercal step evaluates this recording"]
-    if not outputs:
-        told.append("no channel is an output of the sensor: no model")
-    elif excitation.component not in outputs:
-        told.append(f"no channel is the output {excitation.component}, which is driven: cross-talk only")
-    if excitation.force is not None and excitation.force not in [e.name for e in entries if e.quantity == "force"]:
-        told.append(f"no force channel is named {excitation.force}")
-    if len(takes) > 1:
-        told.append("several takes: shakercal step expects one release per recording")
-    return told
-
-
-def _entries(takes: Sequence[Manifest]) -> list[ChannelEntry]:
-    """Every channel of a recording, once by its name."""
-    return list({entry.name: entry for take in takes for daq in take.daq for entry in daq.channel}.values())
-
-
-def _all_rows(observed: list[Observability], body: str) -> NDArray[np.float64]:
-    """Rows of all instruments of a body."""
-    rows = [item.rows for item in observed if item.body == body]
-    return np.concatenate(rows) if rows else np.zeros((0, 6))
-
-
-def _unseen(rows: NDArray[np.float64]) -> tuple[str, ...]:
-    """Components that rows do not determine."""
-    return tuple(name for name, seen in zip(MOTION_COMPONENTS, observable(rows), strict=True) if not seen)
-
-
-def _driven_but_unseen(manifest: Manifest, rows: NDArray[np.float64]) -> list[str]:
-    """Load components that the excitation drives although the motion behind them is not observed."""
-    direction = np.zeros(6)
-    given = manifest.excitation.direction or ()
-    direction[: len(given)] = given
-    seen = observable(rows)
-    return [LOAD_COMPONENTS[i] for i in np.flatnonzero(direction) if len(rows) and not seen[i]]
-
-
-def _loose(takes: Sequence[Manifest]) -> list[str]:
-    """DAQ blocks recorded with others whose triggers none of them shares."""
-    loose = []
-    for block in takes:
-        triggers = {d.name: {e.name for e in d.channel if e.quantity == "trigger"} for d in block.daq}
+    for take in takes:
+        triggers = {daq.name: {e.name for e in daq.channel if e.quantity == "trigger"} for daq in take.daq}
         for name, own in triggers.items():
             others = set[str]().union(*(theirs for other, theirs in triggers.items() if other != name))
             if len(triggers) > 1 and not own & others:
-                loose.append(name)
-    return loose
-
-
-def _listed(names: Sequence[str]) -> str:
-    """Names in a row, or none."""
-    return " ".join(names) if names else "no component by itself"
+                told.append(f"daq {name} shares no trigger channel with another block: its clock cannot be tied")
+    return told

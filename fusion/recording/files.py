@@ -1,9 +1,8 @@
-"""Files of a recording: DAQ records, scan points, response files."""
+"""What was recorded, read from its files: DAQ records, the points of a scan, the responses of measuring chains."""
 
 from __future__ import annotations
 
 import csv
-import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -14,10 +13,21 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
-from fusion.base import ComputeError, InputError
+from fusion.base import ARGUMENT, ComputeError, InputError
+from fusion.instruments import TRANSDUCERS
 from fusion.recording.load import Manifest, read_toml, validate
-from fusion.recording.manifest import ChannelEntry, Daq, Frames
-from fusion.recording.values import Block, NotNegative, Number, Positive, Text, array_of_tables, refusal, rows_of
+from fusion.recording.manifest import ChannelEntry, Daq, Frames, Images
+from fusion.recording.values import (
+    PULSE,
+    Block,
+    NotNegative,
+    Number,
+    Positive,
+    Text,
+    array_of_tables,
+    refusal,
+    rows_of,
+)
 from shaker.arrays import FloatArray
 from shaker.frf.chain import (
     ChainResponse,
@@ -33,12 +43,13 @@ from shaker.frf.chain import (
 from shaker.io.channel import RawChannel
 from shaker.io.read import read_channels
 from shaker.io.text import Scan, read_scan_asc
+from shaker.timebase.trigger import PulseWidth, pulse_width
 
 # A scanning vibrometer's text in a recording: every scan point is a take of its own.
 
 
 SUFFIX = ".asc"
-SCANNING = ("velocity", "displacement")
+SCANNING = tuple(name for name, transducer in TRANSDUCERS.items() if transducer.kind == "vibrometer")
 AnyFrames = TypeVar("AnyFrames", bound=Frames)
 
 
@@ -118,27 +129,28 @@ def _of_point(frames: Sequence[AnyFrames], point: ScannedPoint, first: bool) -> 
 
 
 def _point(daq: Daq, scan: Scan, place: int) -> ScannedPoint:
-    """Return what a block holds at a scan point, by its place."""
-    entries = tuple(
-        _entry(entry, daq, scan.point_m[place])
-        for entry in daq.channel
-        if daq.data_set(entry)[1] in ("", str(place + 1))
-    )
+    """Return what a block holds at a scan point, by its place, its channels named by their block alone."""
+    entries = []
+    for entry in daq.channel:
+        block, point = daq.data_set(entry)
+        if point not in ("", str(place + 1)):
+            continue
+        changes: dict[str, object] = {"name": block}
+        looked_at_points = (
+            not point
+            and not entry.reference
+            and entry.quantity in TRANSDUCERS
+            and TRANSDUCERS[entry.quantity].kind == "vibrometer"
+        )
+        if entry.point is not None and looked_at_points:
+            changes["point"] = tuple((np.asarray(entry.point, dtype=np.float64) + scan.point_m[place]).tolist())
+        entries.append(entry.model_copy(update=changes))
     samples = scan.take(place)
     raw = {entry.name: samples[entry.name] for entry in entries}
-    return ScannedPoint(str(place + 1), daq.model_copy(update={"channel": entries}), raw)
+    return ScannedPoint(str(place + 1), daq.model_copy(update={"channel": tuple(entries)}), raw)
 
 
-def _entry(entry: ChannelEntry, daq: Daq, point_m: FloatArray) -> ChannelEntry:
-    """Return a channel as it was at a scan point, named by its block."""
-    block, point = daq.data_set(entry)
-    if point or entry.point is None or entry.reference or entry.quantity not in SCANNING:
-        return entry.model_copy(update={"name": block})
-    place = np.asarray(entry.point, dtype=np.float64) + point_m
-    return entry.model_copy(update={"name": block, "point": tuple(place.tolist())})
-
-
-# The DAQ blocks of a recording as read from their files, take by take, checked for what a user can get wrong.
+# DAQ blocks as read from their files, one set-up after another, checked for what a user can get wrong.
 
 
 @dataclass(frozen=True)
@@ -162,9 +174,15 @@ class DaqRecord:
         """Return the samples (S,) of a channel times its scale: SI of its quantity."""
         return np.asarray(self.raw[channel.name].samples * channel.scale)
 
+    def pulse_width(self, trigger: str) -> PulseWidth:
+        """Measure the width of the pulses of a trigger channel; a `ValueError` says why it cannot be."""
+        channel = next(channel for channel in self.entry.channel if channel.name == trigger)
+        rate_hz = self.raw[trigger].sample_rate_hz
+        return pulse_width(self.values(channel), rate_hz, channel.threshold, channel.edge)
+
 
 @dataclass(frozen=True)
-class TakeRecords:
+class SetUpRecords:
     """What was recorded at once: its share of the manifest, its DAQ blocks, and its place in recording.toml."""
 
     manifest: Manifest
@@ -177,23 +195,20 @@ def read_daqs(manifest: Manifest) -> tuple[DaqRecord, ...]:
     return tuple(_read_daq(manifest, daq) for daq in manifest.daq)
 
 
-def read_takes(manifest: Manifest) -> tuple[TakeRecords, ...]:
-    """Read a recording take by take: its top level, then every `[[take]]`, a scan of several points point by point."""
-    return tuple(found for where, part in take_blocks(manifest) for found in _read_block(where, part))
-
-
-def take_blocks(manifest: Manifest) -> list[tuple[str, Manifest]]:
-    """Return the top level of a recording, where it holds anything, and every `[[take]]`, each with its key prefix."""
-    blocks = [("", replace(manifest, take=()))] if manifest.daq or not manifest.take else []
-    for number, take in enumerate(manifest.take, 1):
-        part = replace(manifest, daq=take.daq, images=take.images, points=take.points, take=())
-        blocks.append((f"take[{number}].", part))
-    return blocks
+def read_set_ups(manifest: Manifest) -> tuple[SetUpRecords, ...]:
+    """Read a recording set-up by set-up: its top level, then every `[[take]]`, of a scan point by point."""
+    found = []
+    for where, block in manifest.set_ups:
+        with told_in(manifest.path, where):
+            for part, point in split_scan(block):
+                records = tuple(_read_daq(part, daq, point) for daq in part.daq)
+                found.append(SetUpRecords(part, records, where))
+    return tuple(found)
 
 
 @contextmanager
 def told_in(path: Path, where: str, name: str = "") -> Iterator[None]:
-    """Say in which take of the recording `path` something went wrong: its place there, its name elsewhere."""
+    """Say in which set-up of the recording `path` something went wrong: its place there, its name elsewhere."""
     try:
         yield
     except InputError as error:
@@ -204,23 +219,12 @@ def told_in(path: Path, where: str, name: str = "") -> Iterator[None]:
         raise ComputeError(f"{name}: {error}" if name else str(error)) from error
 
 
-def _read_block(where: str, part: Manifest) -> list[TakeRecords]:
-    """Read a block of a manifest: one take, or one for each point of its scan."""
-    found = []
-    with told_in(part.path, where):
-        for manifest, point in split_scan(part):
-            scanned = None if point is None else DaqRecord(point.daq, point.raw, 0.0)
-            records = tuple(_read_daq(manifest, daq, scanned) for daq in manifest.daq)
-            found.append(TakeRecords(manifest, records, where))
-    return found
-
-
-def _read_daq(manifest: Manifest, daq: Daq, scanned: DaqRecord | None = None) -> DaqRecord:
+def _read_daq(manifest: Manifest, daq: Daq, point: ScannedPoint | None = None) -> DaqRecord:
     """Read and check a block; the point of a scan has been read and is checked only."""
-    if scanned is not None and scanned.entry is daq:
+    if point is not None and point.daq is daq:
         for entry in daq.channel:
-            _check_samples(daq, entry, scanned.raw[entry.name])
-        return scanned
+            _check_samples(daq, entry, point.raw[entry.name])
+        return DaqRecord(daq, point.raw, 0.0)
     names = [channel.name for channel in daq.channel]
     try:
         raw = read_channels(daq.file, names, daq.sample_rate)
@@ -229,6 +233,16 @@ def _read_daq(manifest: Manifest, daq: Daq, scanned: DaqRecord | None = None) ->
     for entry in daq.channel:
         _check_samples(daq, entry, raw[entry.name])
     return DaqRecord(daq, raw, min(channel.start_s for channel in raw.values()))
+
+
+def no_pulse_width(manifest: Manifest, daq: str, entry: Frames, error: ValueError) -> InputError:
+    """Say at the key that asked for it why the width of a trigger's pulses cannot be measured."""
+    file, key = manifest.path, f"{'images' if isinstance(entry, Images) else 'points'}.{entry.stereo}.exposure"
+    if manifest.rig.stereo[entry.stereo].exposure == PULSE:
+        file, key = manifest.rig_path, f"stereo.{entry.stereo}.exposure"
+    reason = ARGUMENT.sub("", str(error), count=1)
+    found = f'"{PULSE}", but the width of the pulses of {entry.trigger} in {daq} cannot be told ({reason})'
+    return InputError(file, key, found=found, expected="the exposure in s")
 
 
 def _check_samples(daq: Daq, entry: ChannelEntry, channel: RawChannel) -> None:
@@ -251,17 +265,16 @@ COLUMNS = ("frequency_hz", "magnitude", "phase_rad", "u_magnitude", "u_phase_rad
 ELEMENTS = ".toml"
 
 
-def _roots(value: object) -> tuple[tuple[float, ...], ...]:
-    """Check a list of [real, imaginary] pairs."""
-    return rows_of(len(value) if isinstance(value, list | tuple) else 0, 2)(value)
+Roots = Annotated[
+    tuple[tuple[float, float], ...],
+    BeforeValidator(lambda value: rows_of(len(value) if isinstance(value, list | tuple) else 0, 2)(value)),
+]
+"""A list of [real, imaginary] pairs."""
 
 
 def _complex(roots: tuple[tuple[float, float], ...]) -> NDArray[np.complex128]:
     """Return pairs of real and imaginary part as complex numbers."""
     return np.array([complex(*root) for root in roots], dtype=np.complex128)
-
-
-Roots = Annotated[tuple[tuple[float, float], ...], BeforeValidator(_roots)]
 
 
 class Element(Block):
@@ -367,38 +380,30 @@ def read_chain(path: Path) -> Chain:
 
 def read_table(path: Path) -> ResponseTable:
     """Read a response table; raises `InputError` for a missing column and a cell that is no number."""
-    columns = _read_columns(path)
-    if len(columns["frequency_hz"]) == 0 or np.any(np.diff(columns["frequency_hz"]) <= 0.0):
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.DictReader(file)
+            names, rows = tuple(reader.fieldnames or ()), list(reader)
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(path, "", found=str(error), expected="a table in UTF-8 text") from error
+    missing = [name for name in COLUMNS if name not in names]
+    if missing:
+        found = f"columns {', '.join(str(name) for name in names) or 'none'}"
+        raise InputError(path, missing[0], found=found, expected="this column")
+    columns = {name: np.full(len(rows), np.nan) for name in COLUMNS}
+    for name, values in columns.items():
+        for line, row in enumerate(rows):
+            with suppress(TypeError, ValueError):
+                values[line] = float(row[name])
+            if not np.isfinite(values[line]):
+                found = f'"{row[name] or ""}" in line {line + 2}'
+                raise InputError(path, name, found=found, expected="one finite number per row")
+    frequency_hz, magnitude = columns["frequency_hz"], columns["magnitude"]
+    if len(rows) == 0 or np.any(np.diff(frequency_hz) <= 0.0):
         raise InputError(path, "frequency_hz", found="values that do not ascend", expected="ascending frequencies")
-    if np.any(columns["magnitude"] <= 0.0):
-        raise InputError(path, "magnitude", found=f"{columns['magnitude'].min():g}", expected="positive values")
+    if np.any(magnitude <= 0.0):
+        raise InputError(path, "magnitude", found=f"{magnitude.min():g}", expected="positive values")
     for name in ("u_magnitude", "u_phase_rad"):
         if np.any(columns[name] < 0.0):
             raise InputError(path, name, found=f"{columns[name].min():g}", expected="no negative values")
     return ResponseTable(**columns)
-
-
-def _read_columns(path: Path) -> dict[str, FloatArray]:
-    """Return the columns of a response table as arrays."""
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.DictReader(file)
-            found, rows = tuple(reader.fieldnames or ()), list(reader)
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(path, "", found=str(error), expected="a table in UTF-8 text") from error
-    missing = [name for name in COLUMNS if name not in found]
-    if missing:
-        columns = ", ".join(str(name) for name in found) or "none"
-        raise InputError(path, missing[0], found=f"columns {columns}", expected="this column")
-    return {
-        name: np.array([_number(path, name, row[name], line) for line, row in enumerate(rows, 2)]) for name in COLUMNS
-    }
-
-
-def _number(path: Path, name: str, cell: str | None, line: int) -> float:
-    """Return a cell as the finite number it has to be."""
-    with suppress(TypeError, ValueError):
-        value = float(cell)  # type: ignore[arg-type]
-        if math.isfinite(value):
-            return value
-    raise InputError(path, name, found=f'"{cell or ""}" in line {line}', expected="one finite number per row")

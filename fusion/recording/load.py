@@ -1,12 +1,16 @@
-"""Manifests read from disk and checked against each other."""
+"""Manifests read from disk and checked against each other.
+
+TOML text becomes checked models; every mistake becomes one `InputError` that names file and key.
+"""
 
 from __future__ import annotations
 
 import json
+import logging
 import re
 import tomllib
-from collections.abc import Collection, Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeVar, get_args
@@ -15,182 +19,22 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from fusion.base import InputError
-from fusion.recording.manifest import ChannelEntry, Daq, Excitation, Frames, Images, PointFiles, RecordingFile, Take
-from fusion.recording.rig import Part, Rig, Stereo
+from fusion.recording.excitation import KINDS, Excitation, check_kind, kinds_of, listed
+from fusion.recording.manifest import (
+    ChannelEntry,
+    Daq,
+    Frames,
+    Images,
+    Part,
+    PointFiles,
+    RecordingFile,
+    Rig,
+    Stereo,
+    Take,
+)
 from fusion.recording.values import Block, Context, PathScope, describe, natural_key, repeated_name
 
-# Checks that no single table can make: what a recording names must exist in it and in its rig.
-
-
-Measured = RecordingFile | Take
-Located = tuple[str, Daq, ChannelEntry]
-
-
-def check_rig_and_recording(rig: Rig, rig_path: Path, record: RecordingFile, path: Path) -> None:
-    """Raise `InputError` for the first reference between rig and recording that leads nowhere."""
-    _check_something_measured(record, path)
-    _check_stereo(rig, rig_path, record)
-    for prefix, block in measured_blocks(record):
-        _check_triggers(block, prefix, path)
-        _check_outputs(block, prefix, path, rig, rig_path)
-    _check_common(record, path)
-    _check_reference(record, path)
-    _check_excitation(record, path)
-    _check_parts(rig, record, path)
-
-
-def quoted(name: str) -> str:
-    """A name as part of a key path, in quotes unless TOML takes it bare."""
-    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else f'"{name}"'
-
-
-def measured_blocks(record: RecordingFile) -> Iterator[tuple[str, Measured]]:
-    """Yield what was recorded at once, with its key prefix: the top level, then every take."""
-    if record.daq or record.images or record.points:
-        yield "", record
-    for number, take in enumerate(record.take, 1):
-        yield f"take[{number}].", take
-
-
-def located_channels(block: Measured, prefix: str) -> Iterator[Located]:
-    """Yield every channel of a block with its key path."""
-    for daq in block.daq:
-        for entry in daq.channel:
-            yield f"{prefix}daq.{quoted(daq.name)}.channel.{quoted(entry.name)}", daq, entry
-
-
-def _check_something_measured(record: RecordingFile, path: Path) -> None:
-    """A recording needs a clock, but for one whose readings stand in the table that its excitation names."""
-    if not record.daq and not record.take and record.excitation.file is None:
-        raise InputError(path, "daq", "none", "at least one [[daq]] or [[take]] block")
-
-
-def _check_stereo(rig: Rig, rig_path: Path, record: RecordingFile) -> None:
-    """Images need a calibration; a scale needs an uncertainty, stated or from the calibration."""
-    pictured = [images.stereo for _, block in measured_blocks(record) for images in block.images]
-    tabled = [points.stereo for _, block in measured_blocks(record) for points in block.points]
-    for name in dict.fromkeys(pictured + tabled):
-        pair = rig.stereo[name]
-        if name in pictured and pair.calibration is None:
-            expected = f"the calibration that the images of {name} need"
-            raise InputError(rig_path, f"stereo.{quoted(name)}.calibration", "no calibration", expected)
-        if pair.scale_uncertainty is None and (name in tabled or not has_covariance(pair)):
-            expected = "the relative standard uncertainty of all lengths, required without a calibration's covariance"
-            raise InputError(rig_path, f"stereo.{quoted(name)}.scale_uncertainty", "nothing", expected)
-
-
-def has_covariance(pair: Stereo) -> bool:
-    """Whether the calibration of a stereo pair states a covariance; its other content is the calibration reader's."""
-    if pair.calibration is None:
-        return False
-    try:
-        content: Any = json.loads(pair.calibration.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(pair.calibration, "", error.strerror or str(error), "a file that can be read") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(pair.calibration, "", str(error), "JSON") from error
-    return isinstance(content, dict) and content.get("covariance") is not None
-
-
-def _check_triggers(block: Measured, prefix: str, path: Path) -> None:
-    """Frames belong to the edges of a trigger channel recorded with them, and to one set of frames per pair."""
-    triggers = {entry.name for _, _, entry in located_channels(block, prefix) if entry.quantity == "trigger"}
-    kinds: tuple[tuple[str, tuple[Frames, ...]], ...] = (("images", block.images), ("points", block.points))
-    for kind, entries in kinds:
-        for frames in entries:
-            if frames.trigger not in triggers:
-                found = f'"{frames.trigger}"; trigger channels are {", ".join(sorted(triggers)) or "none"}'
-                expected = 'the name of a channel with quantity = "trigger"'
-                raise InputError(path, f"{prefix}{kind}.{quoted(frames.stereo)}.trigger", found, expected)
-    twice = repeated_name([frames.stereo for _, entries in kinds for frames in entries])
-    if twice is not None:
-        found = f'two blocks for "{twice}"'
-        raise InputError(
-            path, f"{prefix}images.{quoted(twice)}.stereo", found, "one images or points block per stereo pair"
-        )
-
-
-def _check_outputs(block: Measured, prefix: str, path: Path, rig: Rig, rig_path: Path) -> None:
-    """Outputs belong to the sensor under test, each of its channels once at a time."""
-    seen: list[tuple[str, str]] = []
-    for key, daq, entry in located_channels(block, prefix):
-        if entry.channel is None:
-            continue
-        if rig.sensor is None:
-            raise InputError(rig_path, "sensor", "nothing", f"the [sensor] whose output {entry.name} is recorded")
-        if entry.channel not in rig.sensor.channels:
-            expected = "one of the sensor's channels " + ", ".join(rig.sensor.channels)
-            raise InputError(path, f"{key}.channel", f'"{entry.channel}"', expected)
-        output = entry.channel, daq.data_set(entry)[1]
-        if output in seen:
-            found = f'"{entry.channel}" twice'
-            raise InputError(path, f"{key}.channel", found, "each output of the sensor once")
-        seen.append(output)
-
-
-def _check_common(record: RecordingFile, path: Path) -> None:
-    """Channels of one instrument share a relative error, hence measure one quantity."""
-    first: dict[str, ChannelEntry] = {}
-    for prefix, block in measured_blocks(record):
-        for key, _, entry in located_channels(block, prefix):
-            if entry.common is None:
-                continue
-            model = first.setdefault(entry.common, entry)
-            if entry.quantity != model.quantity:
-                expected = f'"{model.quantity}" as in channel {model.name}, which has common = "{entry.common}" too'
-                raise InputError(path, f"{key}.quantity", f'"{entry.quantity}"', expected)
-
-
-def _check_reference(record: RecordingFile, path: Path) -> None:
-    """Takes need one reference channel, the same in each of them."""
-    marked = [
-        [
-            (key, daq.name, daq.data_set(entry)[0])
-            for key, daq, entry in located_channels(block, prefix)
-            if entry.reference
-        ]
-        for prefix, block in measured_blocks(record)
-    ]
-    for keys in marked:
-        if len({(daq, name) for _, daq, name in keys}) > 1:
-            found = f"{len(keys)} of them"
-            raise InputError(path, f"{keys[1][0]}.reference", found, "one channel with reference = true")
-    if not record.take:
-        return
-    for (prefix, _), keys in zip(measured_blocks(record), marked, strict=True):
-        names = {(daq, name) for _, daq, name in keys}
-        same = marked[0] and names == {(marked[0][0][1], marked[0][0][2])}
-        if not same:
-            found = "none" if not keys else f"{keys[0][1]}.{keys[0][2]}"
-            expected = "one channel with reference = true, the same in every take"
-            raise InputError(path, f"{prefix}daq", found, expected)
-
-
-def _check_excitation(record: RecordingFile, path: Path) -> None:
-    """Channels that the excitation names must be recorded."""
-    names = {entry.name for prefix, block in measured_blocks(record) for _, _, entry in located_channels(block, prefix)}
-    excitation = record.excitation
-    force = (excitation.force,) if excitation.force is not None else ()
-    named = (("response", excitation.response), ("reference", excitation.reference), ("force", force))
-    for key, channels in named:
-        for channel in channels:
-            if channel not in names:
-                found = f'"{channel}"; channels are {", ".join(sorted(names))}'
-                raise InputError(path, f"excitation.{key}", found, "the name of a recorded channel")
-
-
-def _check_parts(rig: Rig, record: RecordingFile, path: Path) -> None:
-    """A part stands in the rig or in the recording, once."""
-    twice = repeated_name([part.name for part in rig.part + record.part])
-    if twice is not None:
-        raise InputError(
-            path, f"part.{quoted(twice)}.name", f'"{twice}" twice', "parts of different names in rig and recording"
-        )
-
-
-# TOML text → checked models; every mistake becomes one InputError that names file and key.
-
-
+log = logging.getLogger("shakercal")
 RECORDING_NAME = "recording.toml"
 LARGEST_TOML = 4_000_000  # bytes; no manifest is anywhere near
 AnyBlock = TypeVar("AnyBlock", bound=Block)
@@ -220,9 +64,30 @@ class Manifest:
     part: tuple[Part, ...]
     files: tuple[Path, ...]
 
+    def __repr__(self) -> str:
+        return f"Manifest({self.name!r}, {self.excitation.kind}, {str(self.path)!r})"
 
-def find_recordings(path: Path) -> list[Path]:
-    """List the recording.toml files a command is to work on: the one of a recording, or those of a campaign folder."""
+    @property
+    def set_ups(self) -> list[tuple[str, Manifest]]:
+        """What was recorded at once, with its key prefix: the top level, where it holds anything, and every take."""
+        blocks = [("", replace(self, take=()))] if self.daq or not self.take else []
+        for number, take in enumerate(self.take, 1):
+            part = replace(self, daq=take.daq, images=take.images, points=take.points, take=())
+            blocks.append((f"take[{number}].", part))
+        return blocks
+
+    def check_command(self, command: str) -> None:
+        """Raise `InputError` where `shakercal COMMAND` evaluates no such recording."""
+        check_kind(command, self.path, self.excitation, len(self.take))
+
+
+def find_recordings(path: str | Path) -> list[Path]:
+    """List the recording.toml files a command is to work on: the one of a recording, or those of a campaign folder.
+
+    >>> [recording.parent.name for recording in find_recordings("sample_images/demo")]
+    ['axial-106Hz']
+    """
+    path = Path(path)
     if path.is_file():
         return [path]
     if not path.is_dir():
@@ -241,18 +106,48 @@ def find_recordings(path: Path) -> list[Path]:
     return found
 
 
-def for_kinds(recordings: list[Path], kinds: Collection[str]) -> list[Path]:
-    """Return the recordings of a campaign whose excitation a command evaluates; what cannot be read is not left out.
+def for_kinds(recordings: Sequence[Path], kinds: Collection[str]) -> list[Path]:
+    """Return the recordings of a campaign that have one of some kinds of excitation, or that cannot be read.
 
     Where none is left, all are returned, so that the command says of each what it expects.
     """
-    kept = [recording for recording in recordings if _kind(recording) in (None, *kinds)]
-    return kept or recordings
+    kept = []
+    for recording in recordings:
+        try:
+            excitation = read_toml(recording).get("excitation")
+        except InputError:
+            excitation = None
+        kind = excitation.get("kind") if isinstance(excitation, dict) else None
+        if not isinstance(kind, str) or kind in kinds:
+            kept.append(recording)
+    return kept or list(recordings)
 
 
-def load_manifest(recording: Path, allow_outside: bool = False) -> Manifest:
-    """Read and check recording.toml (or the folder it stands in) and the rig.toml it names."""
-    path = recording if recording.is_file() else recording / RECORDING_NAME
+def load_for_command(paths: Sequence[str | Path], command: str, *, allow_outside: bool = False) -> list[Manifest]:
+    """Load the recordings at paths that a command evaluates, each once; of a campaign's others the user is told."""
+    kinds = kinds_of(command)
+    manifests: dict[Path, Manifest] = {}
+    for path in paths:
+        recordings = find_recordings(path)
+        chosen = for_kinds(recordings, kinds)
+        for recording in chosen:
+            manifest = load_manifest(recording, allow_outside=allow_outside)
+            manifest.check_command(command)
+            manifests.setdefault(manifest.path.resolve(), manifest)
+        others = [recording.parent.name for recording in recordings if recording not in chosen]
+        if others:
+            log.info("%s: left out, since their kind is not %s: %s", path, listed(kinds), ", ".join(others))
+    return list(manifests.values())
+
+
+def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifest:
+    """Read and check recording.toml (or the folder it stands in) and the rig.toml it names.
+
+    >>> load_manifest("sample_images/demo/axial-106Hz").excitation.frequencies
+    (106.25,)
+    """
+    path = Path(recording)
+    path = path if path.is_file() else path / RECORDING_NAME
     text = read_toml(path)
     rig_path = _rig_path(path, text)
     root, folder = rig_path.parent.resolve(), path.parent.resolve()
@@ -261,7 +156,7 @@ def load_manifest(recording: Path, allow_outside: bool = False) -> Manifest:
         raise InputError(path, "rig", f'"{text["rig"]}"', expected)
     rig = validate(Rig, read_toml(rig_path), rig_path, Context(PathScope(root, root, allow_outside), {}))
     record = validate(RecordingFile, text, path, Context(PathScope(folder, root, allow_outside), rig.stereo))
-    check_rig_and_recording(rig, rig_path, record, path)
+    _check_together(rig, rig_path, record, path)
     return Manifest(
         path=path,
         folder=folder,
@@ -296,16 +191,6 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(path, "", str(error), "TOML") from error
 
 
-def _kind(recording: Path) -> str | None:
-    """The kind of excitation that a recording.toml names, None where it names none."""
-    try:
-        excitation = read_toml(recording).get("excitation")
-    except InputError:
-        return None
-    kind = excitation.get("kind") if isinstance(excitation, dict) else None
-    return kind if isinstance(kind, str) else None
-
-
 def validate(model: type[AnyBlock], text: dict[str, Any], path: Path, context: Context | None = None) -> AnyBlock:
     """Check TOML values against a model; the first problem becomes an `InputError`."""
     try:
@@ -332,23 +217,149 @@ def _rig_path(path: Path, text: dict[str, Any]) -> Path:
 def _input_files(path: Path, rig_path: Path, rig: Rig, record: RecordingFile) -> tuple[Path, ...]:
     """Every file that bears on the result, once each."""
     groups: list[Iterable[Path]] = [(path.resolve(), rig_path.resolve()), rig.files]
-    measured: tuple[RecordingFile | Take, ...] = (record, *record.take)
-    for block in measured:
+    blocks: tuple[RecordingFile | Take, ...] = (record, *record.take)
+    for block in blocks:
         groups += [[daq.file, *(entry.response for entry in daq.channel if entry.response)] for daq in block.daq]
         groups += [[*images.left, *images.right] for images in block.images]
         groups += [points.files for points in block.points]
     if record.excitation.file is not None:
         groups.append((record.excitation.file,))
-    listed = [file for group in groups for file in group]
-    return tuple(dict.fromkeys(beside for file in listed for beside in _with_companion(file)))
+    files: dict[Path, None] = {}
+    for file in (file for group in groups for file in group):
+        files[file] = None
+        if file.suffix.lower() in (".cih", ".cihx"):  # the frames of such a header stand beside it
+            frames = [file.with_suffix(suffix) for suffix in (".mraw", ".MRAW")]
+            files |= dict.fromkeys([frame for frame in frames if frame.is_file()][:1])
+    return tuple(files)
 
 
-def _with_companion(file: Path) -> tuple[Path, ...]:
-    """A .cih or .cihx header together with the .mraw that holds its frames."""
-    if file.suffix.lower() not in (".cih", ".cihx"):
-        return (file,)
-    frames = [file.with_suffix(suffix) for suffix in (".mraw", ".MRAW")]
-    return (file, *[frame for frame in frames if frame.is_file()][:1])
+# What no single table can check: what a recording names must exist in it and in its rig.
+
+
+def _check_together(rig: Rig, rig_path: Path, record: RecordingFile, path: Path) -> None:
+    """Raise `InputError` for the first reference between rig and recording that leads nowhere."""
+    if not record.daq and not record.take and not KINDS[record.excitation.kind].tabled:
+        raise InputError(path, "daq", "none", "at least one [[daq]] or [[take]] block")
+    top = [("", record)] if record.daq or record.images or record.points else []
+    blocks: list[tuple[str, RecordingFile | Take]] = [*top]
+    blocks += [(f"take[{number}].", take) for number, take in enumerate(record.take, 1)]
+    channels = [_located_channels(prefix, block) for prefix, block in blocks]
+    _check_stereo(rig, rig_path, blocks)
+    for (prefix, block), located in zip(blocks, channels, strict=True):
+        _check_triggers(block, {entry.name for _, _, entry in located if entry.quantity == "trigger"}, prefix, path)
+        _check_outputs(located, path, rig, rig_path)
+    first: dict[str, ChannelEntry] = {}  # channels of one instrument share a relative error, hence measure one quantity
+    for key, _, entry in (item for located in channels for item in located if item[2].common is not None):
+        model = first.setdefault(str(entry.common), entry)
+        if entry.quantity != model.quantity:
+            expected = f'"{model.quantity}" as in channel {model.name}, which has common = "{entry.common}" too'
+            raise InputError(path, f"{key}.quantity", f'"{entry.quantity}"', expected)
+    _check_reference([prefix for prefix, _ in blocks], channels, several=bool(record.take), path=path)
+    names = {entry.name for located in channels for _, _, entry in located}
+    for key, named in record.excitation.channels:
+        for channel in named:
+            if channel not in names:
+                found = f'"{channel}"; channels are {", ".join(sorted(names))}'
+                raise InputError(path, f"excitation.{key}", found, "the name of a recorded channel")
+    twice = repeated_name([part.name for part in rig.part + record.part])
+    if twice is not None:
+        expected = "parts of different names in rig and recording"
+        raise InputError(path, f"part.{_quoted(twice)}.name", f'"{twice}" twice', expected)
+
+
+def _quoted(name: str) -> str:
+    """A name as part of a key path, in quotes unless TOML takes it bare."""
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else f'"{name}"'
+
+
+def _located_channels(prefix: str, block: RecordingFile | Take) -> list[tuple[str, Daq, ChannelEntry]]:
+    """Return every channel of a block with its key path."""
+    return [
+        (f"{prefix}daq.{_quoted(daq.name)}.channel.{_quoted(entry.name)}", daq, entry)
+        for daq in block.daq
+        for entry in daq.channel
+    ]
+
+
+def _check_stereo(rig: Rig, rig_path: Path, blocks: Iterable[tuple[str, RecordingFile | Take]]) -> None:
+    """Images need a calibration; a scale needs an uncertainty, stated or from the calibration."""
+    pictured = [images.stereo for _, block in blocks for images in block.images]
+    tabled = [points.stereo for _, block in blocks for points in block.points]
+    for name in dict.fromkeys(pictured + tabled):
+        pair = rig.stereo[name]
+        if name in pictured and pair.calibration is None:
+            expected = f"the calibration that the images of {name} need"
+            raise InputError(rig_path, f"stereo.{_quoted(name)}.calibration", "no calibration", expected)
+        if pair.scale_uncertainty is None and (name in tabled or not _has_covariance(pair)):
+            expected = "the relative standard uncertainty of all lengths, required without a calibration's covariance"
+            raise InputError(rig_path, f"stereo.{_quoted(name)}.scale_uncertainty", "nothing", expected)
+
+
+def _has_covariance(pair: Stereo) -> bool:
+    """Whether the calibration of a stereo pair states a covariance; its other content is the calibration reader's."""
+    if pair.calibration is None:
+        return False
+    try:
+        content: Any = json.loads(pair.calibration.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(pair.calibration, "", error.strerror or str(error), "a file that can be read") from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(pair.calibration, "", str(error), "JSON") from error
+    return isinstance(content, dict) and content.get("covariance") is not None
+
+
+def _check_triggers(block: RecordingFile | Take, triggers: set[str], prefix: str, path: Path) -> None:
+    """Frames belong to the edges of a trigger channel recorded with them, and to one set of frames per pair."""
+    kinds: tuple[tuple[str, tuple[Frames, ...]], ...] = (("images", block.images), ("points", block.points))
+    for kind, frames in ((kind, frames) for kind, entries in kinds for frames in entries):
+        if frames.trigger not in triggers:
+            found = f'"{frames.trigger}"; trigger channels are {", ".join(sorted(triggers)) or "none"}'
+            expected = 'the name of a channel with quantity = "trigger"'
+            raise InputError(path, f"{prefix}{kind}.{_quoted(frames.stereo)}.trigger", found, expected)
+    twice = repeated_name([frames.stereo for _, entries in kinds for frames in entries])
+    if twice is not None:
+        key, expected = f"{prefix}images.{_quoted(twice)}.stereo", "one images or points block per stereo pair"
+        raise InputError(path, key, f'two blocks for "{twice}"', expected)
+
+
+def _check_outputs(located: list[tuple[str, Daq, ChannelEntry]], path: Path, rig: Rig, rig_path: Path) -> None:
+    """Outputs belong to the sensor under test, each of its channels once at a time."""
+    seen: list[tuple[str, str]] = []
+    for key, daq, entry in located:
+        if entry.channel is None:
+            continue
+        if rig.sensor is None:
+            raise InputError(rig_path, "sensor", "nothing", f"the [sensor] whose output {entry.name} is recorded")
+        if entry.channel not in rig.sensor.channels:
+            expected = "one of the sensor's channels " + ", ".join(rig.sensor.channels)
+            raise InputError(path, f"{key}.channel", f'"{entry.channel}"', expected)
+        output = entry.channel, daq.data_set(entry)[1]
+        if output in seen:
+            raise InputError(path, f"{key}.channel", f'"{entry.channel}" twice', "each output of the sensor once")
+        seen.append(output)
+
+
+def _check_reference(
+    prefixes: list[str], channels: list[list[tuple[str, Daq, ChannelEntry]]], *, several: bool, path: Path
+) -> None:
+    """Takes need one reference channel, the same in each of them."""
+    marked = [
+        [(key, daq.name, daq.data_set(entry)[0]) for key, daq, entry in located if entry.reference]
+        for located in channels
+    ]
+    for keys in marked:
+        if len({(daq, name) for _, daq, name in keys}) > 1:
+            expected = "one channel with reference = true"
+            raise InputError(path, f"{keys[1][0]}.reference", f"{len(keys)} of them", expected)
+    for prefix, keys in zip(prefixes, marked, strict=True) if several else ():
+        same = marked[0] and {(daq, name) for _, daq, name in keys} == {marked[0][0][1:]}
+        if not same:
+            found = "none" if not keys else f"{keys[0][1]}.{keys[0][2]}"
+            expected = "one channel with reference = true, the same in every take"
+            raise InputError(path, f"{prefix}daq", found, expected)
+
+
+# The sentence about what a model refuses.
 
 
 def _input_error(model: type[Block], text: dict[str, Any], path: Path, error: ValidationError) -> InputError:
@@ -367,21 +378,16 @@ def key_path(text: dict[str, Any], place: list[int | str]) -> str:
     told = ""
     value: Any = text
     for step in place:
-        child = value[step] if _has(value, step) else None
+        inside = isinstance(value, list | tuple) if isinstance(step, int) else isinstance(value, dict)
+        known = inside and (step < len(value) if isinstance(step, int) else step in value)
+        child = value[step] if known else None
         name = step if isinstance(step, str) else _block_name(value, child)
         if isinstance(step, int) and not name:
             told += f"[{step + 1}]"
         else:
-            told += f".{quoted(name)}" if told else quoted(name)
+            told += f".{_quoted(name)}" if told else _quoted(name)
         value = child
     return told
-
-
-def _has(value: Any, step: int | str) -> bool:
-    """Whether the TOML values go on below `step`."""
-    if isinstance(step, int):
-        return isinstance(value, list | tuple) and step < len(value)
-    return isinstance(value, dict) and step in value
 
 
 def _block_name(siblings: Any, block: Any) -> str:
@@ -420,20 +426,15 @@ def _phrases(model: type[Block], problem: ErrorDetails) -> tuple[str, str]:
     return expected.format(**context) if expected else problem["msg"], describe(problem["input"])
 
 
-def _known_keys(model: type[Block], place: tuple[int | str, ...]) -> str:
-    """Which key was probably meant, else all keys of the table."""
-    known = _fields_at(model, place[:-1])
-    close = get_close_matches(str(place[-1]), known, n=1)
-    return f'a known key, probably "{close[0]}"' if close else "one of the keys " + ", ".join(known)
-
-
-def _fields_at(model: type[BaseModel], place: tuple[int | str, ...]) -> list[str]:
-    """Keys of the table at a place below a model."""
-    for step in place:
+def _known_keys(model: type[BaseModel], place: tuple[int | str, ...]) -> str:
+    """Which key of the table at a place below a model was probably meant, else all its keys."""
+    for step in place[:-1]:
         field = model.model_fields.get(step) if isinstance(step, str) else None
         below = next(_models_in(field.annotation), None) if field is not None else None
         model = below or model
-    return list(model.model_fields)
+    known = list(model.model_fields)
+    close = get_close_matches(str(place[-1]), known, n=1)
+    return f'a known key, probably "{close[0]}"' if close else "one of the keys " + ", ".join(known)
 
 
 def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:

@@ -1,95 +1,259 @@
-"""The models of recording.toml: one excitation, the DAQ files with their channels, the images or points."""
+"""The models of rig.toml and recording.toml: what stands in them, key by key.
+
+rig.toml: the sensor under test, what is mounted, the stereo pairs, the surroundings. recording.toml: one excitation,
+the DAQ files with their channels, the images or points.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
+import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, model_validator
 
-from fusion.recording.rig import Part
+from fusion.instruments import TRANSDUCERS
+from fusion.recording.excitation import Excitation
 from fusion.recording.values import (
     ZERO3,
+    ZERO6,
+    ZERO33,
     Block,
     BodyName,
-    Component,
     Context,
     Direction,
     ExistingFile,
     ExistingFiles,
     Exposure,
     FreeVector,
+    Inertia,
+    InertiaSpread,
     NotNegative,
     Number,
+    PoseSpread,
     Positive,
+    Rotation,
     Spread3,
     Text,
-    Texts,
+    Vector3,
+    Vector6,
     array_of_tables,
     describe,
     refusal,
+    refuse_foreign,
+    refuse_missing,
+    refuse_repeated,
     repeated_name,
-    unit_vector,
+    rows_of,
+    spread,
+    texts,
     vector,
 )
 
-Kind = Literal["sine", "multisine", "chirp", "noise", "impact", "step", "rotation"]
-Quantity = Literal[
-    "displacement", "velocity", "acceleration", "angular_velocity", "force", "output", "voltage", "trigger"
-]
+if TYPE_CHECKING:
+    Quantity = str
+else:
+    Quantity = Literal[(*TRANSDUCERS, "force", "output", "voltage", "trigger")]
 DAQ_SUFFIXES = (".h5", ".hdf5", ".tdms", ".uff", ".unv", ".mat", ".csv", ".wav", ".lvm", ".asc")
 MINIMUM_FRAMES = 3
 COORDINATES = ("x", "y", "z")
 REFERENCE_COORDINATES = ("x0", "y0", "z0")
 COLUMNS = ("frame", "status", *REFERENCE_COORDINATES, *COORDINATES, "_")
+CONVENTIONAL_AIR_DENSITY = 1.2  # kg/m^3, OIML D 28
+CONVENTIONAL_WEIGHT_DENSITY = 8000.0  # kg/m^3, OIML D 28
+GRAVITY_ON_EARTH = (9.7, 9.9)  # m/s^2
 
 
-def _driven(value: object) -> tuple[float, ...]:
-    """A direction of 3 numbers, made a unit vector, or 6 load components, left as they are."""
-    if not isinstance(value, list | tuple) or len(value) not in (3, 6):
-        found = f"{len(value)} elements" if isinstance(value, list | tuple) else describe(value)
-        raise refusal("3 numbers, or 6 where a moment is driven", found)
-    if len(value) == 3:
-        return unit_vector(value)
-    components = vector(6)(value)
-    if not any(components):
-        raise refusal("a direction", "the zero vector")
-    return components
+# rig.toml
 
 
-def _frequencies(value: object) -> tuple[float, ...]:
-    """Nominal frequencies in Hz: at least one, positive, different."""
-    if not isinstance(value, list | tuple) or not value:
-        raise refusal("a list of frequencies in Hz", describe(value))
-    lines = vector(len(value))(value)
-    if min(lines) <= 0:
-        raise refusal("frequencies above 0", f"{min(lines):g}")
-    if len(set(lines)) < len(lines):
-        raise refusal("different frequencies", "one of them twice")
-    return lines
+def _rated_loads(value: object) -> tuple[float, ...]:
+    """Six rated loads, all positive."""
+    loads = vector(6)(value)
+    if min(loads) <= 0:
+        raise refusal("6 numbers above 0", f"{min(loads):g}")
+    return loads
 
 
-def _harmonics(value: object) -> Any:
-    """The word auto, or a list of multiples of the nominal frequencies."""
-    expected = '"auto" or a list of different multiples such as [2, 3]'
-    if value == "auto":
-        return value
+def _gravity(value: object) -> tuple[float, ...]:
+    """The acceleration of free fall as it is on Earth."""
+    elements = vector(3)(value)
+    low, high = GRAVITY_ON_EARTH
+    length = float(np.linalg.norm(elements))
+    if not low <= length <= high:
+        raise refusal(f"an acceleration of {low} to {high} m/s^2 (or no such key)", f"{length:g} m/s^2")
+    return elements
+
+
+def _outputs(value: object) -> tuple[str, ...]:
+    """Names of the outputs of the sensor: one to six different texts."""
+    names = texts(value)
+    if not 1 <= len(names) <= 6:
+        raise refusal("one to six different names", f"{len(names)}")
+    return names
+
+
+def _sensitivity_rows(value: object) -> tuple[tuple[float, ...], ...]:
+    """Rows of six numbers; their number is checked against the channels."""
     if not isinstance(value, list | tuple):
-        raise refusal(expected, describe(value))
-    for item in value:
-        if not isinstance(item, int) or isinstance(item, bool) or item < 1:
-            raise refusal(expected, describe(item))
-    if len(set(value)) < len(value):
-        raise refusal(expected, "one of them twice")
-    return tuple(value)
+        raise refusal("one row of 6 numbers per channel", describe(value))
+    return tuple(vector(6)(row) for row in value)
 
 
-def _band(value: object) -> tuple[float, ...]:
-    """Lower and upper frequency in Hz."""
-    low, high = vector(2)(value)
-    if not 0 <= low < high:
-        raise refusal("two frequencies in Hz, the lower first", f"[{low:g}, {high:g}]")
-    return low, high
+def _elastic_frequency(value: object) -> tuple[float, ...]:
+    """Resonances of the six components, all positive; one number holds for all."""
+    frequencies = spread(6)(value)
+    if min(frequencies) <= 0:
+        raise refusal("a number or 6 numbers, all above 0", f"{min(frequencies):g}")
+    return frequencies
+
+
+class Sensor(Block):
+    """The sensor under test: its outputs, their sense, and the mass that moves above its elastic element."""
+
+    name: Text
+    serial: str = ""
+    channels: Annotated[tuple[str, ...], BeforeValidator(_outputs)]
+    unit: Text
+    sense: Literal["on_load", "on_sensor"]
+    capacity: Annotated[Vector6 | None, BeforeValidator(_rated_loads)] = None
+    static_sensitivity: Annotated[tuple[Vector6, ...] | None, BeforeValidator(_sensitivity_rows)] = None
+    static_sensitivity_uncertainty: NotNegative = 0.0
+    internal_mass: NotNegative
+    internal_mass_uncertainty: NotNegative = 0.0
+    internal_centre_of_mass: FreeVector = ZERO3
+    internal_centre_of_mass_uncertainty: Spread3 = ZERO3
+    internal_inertia: Inertia = ZERO33
+    internal_inertia_uncertainty: InertiaSpread = ZERO33
+
+    @model_validator(mode="after")
+    def _one_row_per_channel(self) -> Self:
+        rows = self.static_sensitivity
+        if rows is not None and len(rows) != len(self.channels):
+            raise refusal(f"{len(self.channels)} rows, one per channel", f"{len(rows)} rows", key="static_sensitivity")
+        return self
+
+
+class Mounted(Block):
+    """A rigid thing with mass: what the load and every further part have in common.
+
+    `inertia` (3, 3): about the centre of mass, products −∫xy dm.
+    """
+
+    mass: Positive
+    mass_uncertainty: NotNegative = 0.0
+    mass_kind: Literal["true", "conventional"] = "true"
+    density: Positive | None = None
+    centre_of_mass: FreeVector
+    centre_of_mass_uncertainty: Spread3 = ZERO3
+    inertia_uncertainty: InertiaSpread = ZERO33
+
+    @model_validator(mode="after")
+    def _conventional_mass_has_density(self) -> Self:
+        if self.mass_kind == "conventional" and self.density is None:
+            raise refusal('the density in kg/m^3 that mass_kind = "conventional" needs', "nothing", key="density")
+        if self.density is not None and self.density <= CONVENTIONAL_AIR_DENSITY:
+            raise refusal("a density above that of air", f"{self.density:g}", key="density")
+        return self
+
+    @property
+    def true_mass(self) -> float:
+        """True mass, kg: m_c·(1 − 1.2/8000)/(1 − 1.2/ρ) of a conventional mass (OIML D 28, 5.4)."""
+        if self.mass_kind == "true" or self.density is None:
+            return self.mass
+        reference = 1 - CONVENTIONAL_AIR_DENSITY / CONVENTIONAL_WEIGHT_DENSITY
+        return self.mass * reference / (1 - CONVENTIONAL_AIR_DENSITY / self.density)
+
+
+class Load(Mounted):
+    """Everything mounted above the sensor, without the sensor's own part.
+
+    `elastic_frequency`: at which the load resonates on its joint with the lower side held, Hz, component by component;
+    without an uncertainty it is only named: nothing is corrected, and the whole effect is uncertain.
+    """
+
+    inertia: Inertia
+    elastic_frequency: Annotated[Vector6 | None, BeforeValidator(_elastic_frequency)] = None
+    elastic_frequency_uncertainty: Annotated[Vector6, BeforeValidator(spread(6))] = ZERO6
+    elastic_damping: NotNegative = 0.0
+
+
+class Part(Mounted):
+    """A further part of the load or of the base; without inertia it is a point mass."""
+
+    name: Text
+    body: BodyName
+    inertia: Inertia = ZERO33
+    below_joint: bool = False
+
+
+class Environment(Block):
+    """The surroundings: gravity m/s^2 in sensor axes, the place, the air.
+
+    `latitude` °, `height` m above the sea; `temperature` °C, `air_density` kg/m^3, `pressure` Pa, relative `humidity`.
+    """
+
+    gravity: Annotated[Vector3 | None, BeforeValidator(_gravity)] = None
+    gravity_uncertainty: Spread3 = ZERO3
+    temperature: Number | None = None
+    air_density: Positive | None = None
+    latitude: Annotated[float | None, Field(ge=-90, le=90, allow_inf_nan=False)] = None
+    height: Annotated[float | None, Field(ge=-500, le=9000, allow_inf_nan=False)] = None
+    pressure: Annotated[float | None, Field(ge=3e4, le=1.2e5, allow_inf_nan=False)] = None
+    humidity: Annotated[float | None, Field(ge=0, le=1, allow_inf_nan=False)] = None
+
+
+class Stereo(Block):
+    """A stereo pair: x_sensor = rotation · x_left_camera + translation at rest, and when its frames are exposed."""
+
+    body: BodyName
+    calibration: ExistingFile | None = None
+    rotation: Rotation
+    translation: FreeVector
+    pose_uncertainty: PoseSpread = ZERO6
+    pose_by_calibration: Annotated[tuple[tuple[float, ...], ...] | None, BeforeValidator(rows_of(6, 24))] = None
+    scale_uncertainty: NotNegative | None = None
+    bit_depth: Annotated[int, Field(ge=1, le=16)] | None = None
+    exposure: Exposure
+    delay: Number = 0.0
+    delay_uncertainty: NotNegative = 0.0
+
+
+class Administration(Block):
+    """What a calibration certificate needs beside the results."""
+
+    laboratory: Text | None = None
+
+
+class Rig(Block):
+    """rig.toml: what does not change from run to run."""
+
+    format: Literal[1]
+    name: Text
+    sensor: Sensor | None = None
+    load: Load | None = None
+    part: Annotated[tuple[Part, ...], BeforeValidator(array_of_tables)] = ()
+    environment: Environment | None = None
+    stereo: dict[str, Stereo] = Field(default_factory=dict)
+    administration: Administration | None = None
+
+    @model_validator(mode="after")
+    def _parts_have_different_names(self) -> Self:
+        refuse_repeated([part.name for part in self.part], "parts", "part")
+        return self
+
+    @property
+    def gravity(self) -> Vector3 | None:
+        """Acceleration of gravity (m/s^2, sensor frame), None where the rig does not state it."""
+        return None if self.environment is None else self.environment.gravity
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Files that rig.toml names."""
+        return tuple(pair.calibration for pair in self.stereo.values() if pair.calibration is not None)
+
+
+# recording.toml
 
 
 def _columns(value: object) -> tuple[str, ...]:
@@ -114,79 +278,6 @@ def _daq_suffix(value: Path) -> Path:
     if value.suffix.lower() not in DAQ_SUFFIXES:
         raise refusal("a file that ends in one of " + " ".join(DAQ_SUFFIXES), f"{value.name}")
     return value
-
-
-class Excitation(Block):
-    """What drove the rig: kind, direction in sensor axes, and what the kind needs."""
-
-    kind: Kind
-    direction: Annotated[tuple[float, ...] | None, BeforeValidator(_driven)] = None
-    frequencies: Annotated[tuple[float, ...] | None, BeforeValidator(_frequencies)] = None
-    harmonics: Annotated[Literal["auto"] | tuple[int, ...], BeforeValidator(_harmonics)] = "auto"
-    band: Annotated[tuple[float, float] | None, BeforeValidator(_band)] = None
-    period: Positive | None = None
-    settle_periods: Annotated[int, Field(ge=0)] = 0
-    response: Annotated[Texts, Field(min_length=1)] = ()
-    reference: Annotated[Texts, Field(min_length=1)] = ()
-    component: Component | None = None
-    step_amplitude: Number | None = None
-    step_uncertainty: NotNegative = 0.0
-    onset: Number | None = None
-    force: Text | None = None
-    release: Text | None = None
-    file: ExistingFile | None = None
-    angle_unit: Literal["rad", "deg"] | None = None
-    axis: Direction | None = None
-    zero_gravity: Direction | None = None
-    with_load: bool | None = None
-    angle_uncertainty: NotNegative = 0.0
-    scale: Number = 1.0
-
-    REQUIRED: ClassVar[dict[str, tuple[str, ...]]] = {
-        "sine": ("direction", "frequencies"),
-        "multisine": ("direction",),
-        "chirp": ("direction", "band"),
-        "noise": ("direction",),
-        "impact": ("direction",),
-        "step": ("component", "step_amplitude"),
-        "rotation": ("file", "angle_unit", "axis", "zero_gravity", "with_load"),
-    }
-    ALLOWED: ClassVar[dict[str, tuple[str, ...]]] = {
-        "sine": ("harmonics",),
-        "multisine": ("frequencies", "harmonics", "band", "period", "settle_periods", "response", "reference"),
-        "chirp": ("period", "settle_periods", "response", "reference"),
-        "noise": ("band", "response", "reference"),
-        "impact": ("band", "response", "reference"),
-        "step": ("direction", "step_uncertainty", "onset", "force", "release"),
-        "rotation": ("angle_uncertainty", "scale"),
-    }
-
-    @model_validator(mode="after")
-    def _keys_of_the_kind(self) -> Self:
-        required = self.REQUIRED[self.kind]
-        _refuse_missing(self, required, f'kind = "{self.kind}"')
-        _refuse_foreign(self, {"kind", *required, *self.ALLOWED[self.kind]}, f'kind = "{self.kind}"')
-        if self.kind == "multisine" and self.frequencies is None and (self.band is None or self.period is None):
-            raise refusal('frequencies, or band and period, for kind = "multisine"', "neither", key="frequencies")
-        if self.scale == 0.0:
-            raise refusal("a number other than 0", "0", key="scale")
-        if self.step_amplitude == 0.0:
-            raise refusal("a step other than 0", "0", key="step_amplitude")
-        return self
-
-
-def _refuse_missing(block: Block, required: tuple[str, ...], why: str) -> None:
-    """Refuse a table that lacks a key its kind needs."""
-    for key in required:
-        if getattr(block, key) is None:
-            raise refusal(f"this key, required for {why}", "nothing", key=key)
-
-
-def _refuse_foreign(block: Block, known: set[str], why: str) -> None:
-    """Refuse a key that means nothing for the kind of a table."""
-    for key in type(block).model_fields:
-        if key in block.model_fields_set and key not in known:
-            raise refusal(f"no such key for {why}", describe(getattr(block, key)), key=key)
 
 
 class ChannelEntry(Block):
@@ -218,27 +309,22 @@ class ChannelEntry(Block):
         "body", "point", "point_uncertainty", "direction", "direction_uncertainty", "transverse_sensitivity",
     )  # fmt: skip
     TRIGGER: ClassVar[tuple[str, ...]] = ("threshold", "edge")
-    MOTION: ClassVar[tuple[str, ...]] = ("displacement", "velocity", "acceleration", "angular_velocity")
 
     @model_validator(mode="after")
     def _keys_of_the_quantity(self) -> Self:
         why = f'quantity = "{self.quantity}"'
-        if self.quantity in self.MOTION:
-            turning = self.quantity == "angular_velocity"
-            _refuse_missing(self, ("body", "direction") if turning else ("body", "point", "direction"), why)
+        if self.quantity in TRANSDUCERS:
+            turning = TRANSDUCERS[self.quantity].turning
+            refuse_missing(self, ("body", "direction") if turning else ("body", "point", "direction"), why)
         if self.quantity == "output":
-            _refuse_missing(self, ("channel",), why)
-        _refuse_foreign(self, self._known(), why)
+            refuse_missing(self, ("channel",), why)
+        known = {*self.ANY, *self.TRIGGER}
+        if self.quantity != "trigger":
+            known = {*self.ANY, *self.VALUE, *{"output": ("channel",), "voltage": ()}.get(self.quantity, self.PLACE)}
+        refuse_foreign(self, known, why)
         if self.scale == 0.0:
             raise refusal("a number other than 0", "0", key="scale")
         return self
-
-    def _known(self) -> set[str]:
-        """Keys that mean something for the quantity."""
-        if self.quantity == "trigger":
-            return {*self.ANY, *self.TRIGGER}
-        own = {"output": ("channel",), "voltage": ()}.get(self.quantity, self.PLACE)
-        return {*self.ANY, *self.VALUE, *own}
 
 
 class Daq(Block):
@@ -258,9 +344,7 @@ class Daq(Block):
 
     @model_validator(mode="after")
     def _channels_have_different_names(self) -> Self:
-        twice = repeated_name([entry.name for entry in self.channel])
-        if twice is not None:
-            raise refusal("channels of different names", f'"{twice}" twice', key="channel")
+        refuse_repeated([entry.name for entry in self.channel], "channels", "channel")
         if self.file.suffix.lower() == ".mat" and self.sample_rate is None:
             raise refusal("the sample rate in Hz, which a .mat file does not hold", "nothing", key="sample_rate")
         return self
@@ -335,13 +419,6 @@ class PointFiles(Frames):
         return self
 
 
-def _daq_names_differ(blocks: tuple[Daq, ...]) -> None:
-    """Refuse two daq blocks of one name."""
-    twice = repeated_name([block.name for block in blocks])
-    if twice is not None:
-        raise refusal("daq blocks of different names", f'"{twice}" twice', key="daq")
-
-
 class Take(Block):
     """What was recorded at once, where a recording holds several measurements one after another."""
 
@@ -351,7 +428,7 @@ class Take(Block):
 
     @model_validator(mode="after")
     def _names_differ(self) -> Self:
-        _daq_names_differ(self.daq)
+        refuse_repeated([block.name for block in self.daq], "daq blocks", "daq")
         return self
 
 
@@ -371,5 +448,5 @@ class RecordingFile(Block):
 
     @model_validator(mode="after")
     def _names_differ(self) -> Self:
-        _daq_names_differ(self.daq)
+        refuse_repeated([block.name for block in self.daq], "daq blocks", "daq")
         return self

@@ -1,16 +1,14 @@
-"""Types of the values in manifests, and where files may lie.
+"""What the values of a manifest may be, and where the files that it names may lie.
 
-What the values of a manifest may be; each refusal says what was expected and what was found.
-
-The models take TOML values without any conversion but two: an integer is a number, and one number may stand for all
-elements of an uncertainty.
+Each refusal says what was expected and what was found. TOML values are taken without any conversion but two: an integer
+is a number, and one number may stand for all elements of an uncertainty.
 """
 
 from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from datetime import date, time
 from fnmatch import fnmatchcase
@@ -22,22 +20,13 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationIn
 from pydantic_core import PydanticCustomError
 
 if TYPE_CHECKING:
-    from fusion.recording.rig import Stereo
+    from fusion.recording.manifest import Stereo
 
 
 # Paths that stand in a manifest: resolved against its folder, kept inside the campaign, globs ordered naturally.
 
 
 MAGIC = re.compile(r"[*?\[]")
-
-
-class PathError(ValueError):
-    """A path that cannot be used; `expected` and `found` are phrases for the message."""
-
-    def __init__(self, expected: str, found: str) -> None:
-        super().__init__(expected, found)
-        self.expected = expected
-        self.found = found
 
 
 def natural_key(name: str) -> tuple[tuple[tuple[int, int | str], ...], str]:
@@ -58,7 +47,7 @@ class PathScope:
         """Resolve the path of one existing file."""
         path = self._inside(self._join(text), text)
         if not path.is_file():
-            raise PathError("an existing file", f"a folder at {path}" if path.is_dir() else f"no file {path}")
+            raise refusal("an existing file", f"a folder at {path}" if path.is_dir() else f"no file {path}")
         return path
 
     def files(self, text: str) -> tuple[Path, ...]:
@@ -69,50 +58,53 @@ class PathScope:
         if not MAGIC.search(text):
             return (self.file(text),)
         if "**" in text:
-            raise PathError("a pattern that stays in one folder", f"'{text}' with '**'")
+            raise refusal("a pattern that stays in one folder", f"'{text}' with '**'")
         matches = [path for path in self._expand(text) if path.is_file()]
         if not matches:
-            raise PathError("at least one file", f"nothing that matches {plain}")
+            raise refusal("at least one file", f"nothing that matches {plain}")
         return tuple(self._inside(path, text) for path in matches)
 
     def _join(self, text: str) -> Path:
         """Check the syntax of a path and put it behind the manifest's folder."""
         if not text.strip() or "\0" in text:
-            raise PathError("a path", "an empty text" if not text.strip() else "a text with a NUL character")
+            raise refusal("a path", "an empty text" if not text.strip() else "a text with a NUL character")
         if "\\" in text:
-            raise PathError("a path with '/' between its parts", f"'{text}'")
+            raise refusal("a path with '/' between its parts", f"'{text}'")
         absolute = PurePosixPath(text).is_absolute() or PureWindowsPath(text).drive != ""
         if absolute and not self.allow_outside:
-            raise PathError("a path relative to this file", f"'{text}'")
+            raise refusal("a path relative to this file", f"'{text}'")
         return self.folder / text
 
     def _inside(self, path: Path, text: str) -> Path:
         """Follow links and refuse what lies outside the campaign's folder."""
         resolved = path.resolve()
         if not self.allow_outside and not resolved.is_relative_to(self.root):
-            raise PathError(
+            raise refusal(
                 f"a path inside the folder of rig.toml {self.root} (--allow-outside permits others)",
                 f"'{text}', which leads to {resolved}",
             )
         return resolved
 
     def _expand(self, text: str) -> list[Path]:
-        """Match a glob part by part, case-sensitively, each folder's entries in natural order."""
-        found = [Path(PurePosixPath(text).anchor or self.folder)]
-        for part in PurePosixPath(text).relative_to(PurePosixPath(text).anchor).parts:
-            found = [match for folder in found for match in _matches(folder, part)]
+        """Match a glob part by part, case-sensitively, each folder's entries in natural order.
+
+        A pattern matches hidden entries only where it names the dot.
+        """
+        anchor = PurePosixPath(text).anchor
+        found = [Path(anchor or self.folder)]
+        for pattern in PurePosixPath(text).relative_to(anchor).parts:
+            if not MAGIC.search(pattern):
+                found = [folder / pattern for folder in found if (folder / pattern).exists()]
+                continue
+            entries = [
+                entry
+                for folder in found
+                if folder.is_dir()
+                for entry in sorted(folder.iterdir(), key=lambda path: natural_key(path.name))
+            ]
+            named = [entry for entry in entries if fnmatchcase(entry.name, pattern)]
+            found = [entry for entry in named if pattern.startswith(".") or not entry.name.startswith(".")]
         return found
-
-
-def _matches(folder: Path, pattern: str) -> list[Path]:
-    """Entries of `folder` that match one part of a glob; hidden ones only where the pattern names the dot."""
-    if not MAGIC.search(pattern):
-        return [folder / pattern] if (folder / pattern).exists() else []
-    if not folder.is_dir():
-        return []
-    names = [entry.name for entry in folder.iterdir() if fnmatchcase(entry.name, pattern)]
-    visible = [name for name in names if pattern.startswith(".") or not name.startswith(".")]
-    return [folder / name for name in sorted(visible, key=natural_key)]
 
 
 # What the values of a manifest may be; each refusal says what was expected and what was found.
@@ -201,6 +193,9 @@ def rows_of(rows: int, columns: int) -> Callable[[Any], tuple[tuple[float, ...],
     return checked
 
 
+_matrix3 = rows_of(3, 3)
+
+
 def unit_vector(value: Any) -> tuple[float, ...]:
     """Normalise a direction of 3 numbers; the zero vector has none."""
     elements = _numbers(value, 3, "3 numbers that give a direction")
@@ -240,17 +235,9 @@ def exposure(value: Any) -> float | str:
     return float(value)
 
 
-def matrix3(value: Any) -> tuple[tuple[float, ...], ...]:
-    """Check three rows of three numbers."""
-    expected = "3 rows of 3 numbers"
-    if not isinstance(value, list | tuple) or len(value) != 3:
-        raise refusal(expected, describe(value))
-    return tuple(_numbers(row, 3, expected) for row in value)
-
-
 def rotation(value: Any) -> tuple[tuple[float, ...], ...]:
     """Check a rotation matrix: orthonormal to 1e-6, determinant +1."""
-    rows = matrix3(value)
+    rows = _matrix3(value)
     array = np.array(rows)
     error = float(np.abs(array @ array.T - np.eye(3)).max())
     if error > ORTHONORMAL_TOLERANCE:
@@ -265,7 +252,7 @@ def inertia(value: Any) -> tuple[tuple[float, ...], ...]:
 
     All zeros is a point mass. The slack of the sum allows for tables rounded to two or three digits.
     """
-    rows = matrix3(value)
+    rows = _matrix3(value)
     array = np.array(rows)
     largest = float(np.abs(array).max())
     row, column = np.unravel_index(int(np.abs(array - array.T).argmax()), (3, 3))
@@ -283,7 +270,7 @@ def inertia(value: Any) -> tuple[tuple[float, ...], ...]:
 
 def inertia_spread(value: Any) -> tuple[tuple[float, ...], ...]:
     """Standard uncertainties of an inertia's elements: one number for all, or a symmetric matrix."""
-    rows = ((float(value),) * 3,) * 3 if _is_number(value) else matrix3(value)
+    rows = ((float(value),) * 3,) * 3 if _is_number(value) else _matrix3(value)
     array = np.array(rows)
     if array.min() < 0 or not np.allclose(array, array.T):
         raise refusal("one number or a symmetric matrix of 3 rows of 3 numbers, none negative", "another matrix")
@@ -294,7 +281,7 @@ def texts(value: Any) -> tuple[str, ...]:
     """Check a list of different, non-empty texts."""
     if not isinstance(value, list | tuple) or not all(isinstance(item, str) and item for item in value):
         raise refusal("a list of texts", describe(value))
-    repeated = next((item for i, item in enumerate(value) if item in value[:i]), None)
+    repeated = repeated_name(value)
     if repeated is not None:
         raise refusal("different names", f'"{repeated}" twice')
     return tuple(value)
@@ -307,47 +294,54 @@ def array_of_tables(value: Any) -> Any:
     return tuple(value)
 
 
-def _scope(info: ValidationInfo) -> PathScope:
-    """Where the paths of the manifest under validation start."""
+def _resolved(value: Any, info: ValidationInfo, expected: str, resolve: Callable[[PathScope, str], Any]) -> Any:
+    """Resolve a path by the folders of the manifest under validation."""
+    if not isinstance(value, str):
+        raise refusal(expected, describe(value))
     if not isinstance(info.context, Context):
         raise refusal("a resolved path", "a text outside any manifest")
-    return info.context.scope
-
-
-def existing_file(value: Any, info: ValidationInfo) -> Path:
-    """Resolve the path of one existing file."""
-    if isinstance(value, Path):
-        return value
-    if not isinstance(value, str):
-        raise refusal("a path", describe(value))
     try:
-        return _scope(info).file(value)
-    except (PathError, OSError) as error:
-        raise path_refusal(error) from error
+        return resolve(info.context.scope, value)
+    except OSError as error:
+        raise refusal("a path that can be read", f"{error.strerror or error} ({error.filename})") from error
 
 
-def existing_files(value: Any, info: ValidationInfo) -> tuple[Path, ...]:
+def existing_file(value: Any, info: ValidationInfo) -> Any:
+    """Resolve the path of one existing file."""
+    return value if isinstance(value, Path) else _resolved(value, info, "a path", PathScope.file)
+
+
+def existing_files(value: Any, info: ValidationInfo) -> Any:
     """Resolve one path or glob to its existing files in natural order."""
     if isinstance(value, tuple) and all(isinstance(item, Path) for item in value):
         return value
-    if not isinstance(value, str):
-        raise refusal("a path or a pattern such as folder/*.tif", describe(value))
-    try:
-        return _scope(info).files(value)
-    except (PathError, OSError) as error:
-        raise path_refusal(error) from error
-
-
-def path_refusal(error: PathError | OSError) -> PydanticCustomError:
-    """Turn what the file system or the path rules say into a refusal."""
-    if isinstance(error, PathError):
-        return refusal(error.expected, error.found)
-    return refusal("a path that can be read", f"{error.strerror or error} ({error.filename})")
+    return _resolved(value, info, "a path or a pattern such as folder/*.tif", PathScope.files)
 
 
 def repeated_name(names: Sequence[str]) -> str | None:
     """First name that stands twice, or None."""
     return next((name for i, name in enumerate(names) if name in names[:i]), None)
+
+
+def refuse_missing(block: Block, required: Sequence[str], why: str) -> None:
+    """Refuse a table that lacks a key its kind needs."""
+    for key in required:
+        if getattr(block, key) is None:
+            raise refusal(f"this key, required for {why}", "nothing", key=key)
+
+
+def refuse_foreign(block: Block, known: Collection[str], why: str) -> None:
+    """Refuse a key that means nothing for the kind of a table."""
+    for key in type(block).model_fields:
+        if key in block.model_fields_set and key not in known:
+            raise refusal(f"no such key for {why}", describe(getattr(block, key)), key=key)
+
+
+def refuse_repeated(names: Sequence[str], what: str, key: str) -> None:
+    """Refuse blocks of which two have one name."""
+    twice = repeated_name(names)
+    if twice is not None:
+        raise refusal(f"{what} of different names", f'"{twice}" twice', key=key)
 
 
 Number = Annotated[float, Field(allow_inf_nan=False)]

@@ -3,49 +3,52 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 
-from fusion.base import Crew, InputError, ProgressCallback, Settings, no_progress
-from fusion.phasors.setup import measure_take, open_takes, referrals
-from fusion.phasors.setups import join_takes
-from fusion.phasors.stereo_phasors import all_rows, unseen_fundamentals
+from fusion.base import Executor, ProgressCallback, Settings, no_progress
+from fusion.instruments.vibrometer import point_spreads
+from fusion.phasors.setup import measure_set_up, open_set_ups
+from fusion.phasors.setups import join_set_ups
+from fusion.phasors.stereo_phasors import unseen_fundamentals
 from fusion.recording.load import Manifest
 from fusion.report.provenance import versions
-from fusion.sensitivity.analyse import Analysis, Evaluation, Inputs, analyse
-from fusion.sensitivity.monte_carlo import Known, propagate
-from fusion.sensitivity.multipoint_vibrometer import PointSpread, point_spreads, with_ratios
-
-EVALUATED_KINDS = ("sine", "multisine")
+from fusion.sensitivity.analyse import Evaluation, Inputs, analyse
+from fusion.sensitivity.monte_carlo import propagate
+from fusion.sensitivity.ratio import with_ratios
 
 
 def evaluate_recording(
     manifest: Manifest,
-    settings: Settings,
-    input_hashes: dict[str, str],
+    settings: Settings | None = None,
+    input_hashes: Mapping[str, str] | None = None,
     progress: ProgressCallback = no_progress,
-    crew: Crew | None = None,
+    executor: Executor | None = None,
 ) -> Evaluation:
     """Evaluate one sinusoidal recording: files → phasors → acceleration of load and base → load → sensitivity.
 
-    What was recorded in several takes is referred to the first before the instruments are fused. A `crew` follows the
-    images, to the same digits.
+    What was recorded in sequential set-ups is referred to the first before the instruments are fused. An `executor`
+    follows the images, to the same digits. `settings`: by default `Settings()`. `input_hashes` (file → SHA-256) are
+    carried into the result. Raises `InputError` for what the user can mend in the files, `ComputeError` for what these
+    files do not allow.
 
-    `input_hashes` (file → SHA-256) are carried into the result. Raises `InputError` for what the user can mend in the
-    files, `ComputeError` for what these files do not allow.
+    >>> from fusion import evaluate_recording, load_manifest
+    >>> evaluation = evaluate_recording(load_manifest("sample_images/demo/axial-106Hz"))  # doctest: +SKIP
+    >>> evaluation.sensitivity.value[0, 0, 2]  # Fz output per Fz load at the first line  # doctest: +SKIP
     """
-    started = time.monotonic()
-    _check_kind(manifest)
-    takes = open_takes(manifest)
-    tied = referrals(takes) if len(takes) > 1 else ()
-    joined = join_takes([measure_take(take, settings, progress, crew) for take in takes], tied)
-    seen = all_rows(manifest, joined.readings, joined.pairs)
-    unseen = unseen_fundamentals(seen, joined.lines, joined.folded)
-    inputs = Inputs.of(manifest, joined.lines, seen, joined.readings)
+    started, settings = time.monotonic(), settings or Settings()
+    manifest.check_command("run")
+    set_ups = [measure_set_up(opened, settings, progress, executor) for opened in open_set_ups(manifest)]
+    joined = join_set_ups(set_ups)
+    observations = joined.observed(manifest.rig.gravity)
+    unseen = unseen_fundamentals(observations, joined.lines, joined.aliased)
+    inputs = Inputs.of(manifest, joined.lines, observations, joined.readings)
     found = analyse(inputs)
-    drawn = None
-    if settings.monte_carlo:
-        known = Known(inputs, joined.pairs, joined.readings)
-        drawn = propagate(known, found, settings.monte_carlo, settings.seed, progress)
-    told = [*joined.notices, *unseen, *found.notices, *(drawn.notices if drawn else ())]
+    drawn = propagate(inputs, found, settings.monte_carlo, settings.seed, progress) if settings.monte_carlo else None
+    points = point_spreads(observations, found.accelerations)
+    sensor, body, outputs, sensitivity = inputs.sensor, inputs.body, found.outputs, found.sensitivity
+    if sensor is not None and body is not None and outputs is not None and sensitivity is not None:
+        points = tuple(with_ratios(spread, outputs, sensitivity, body, sensor.sense) for spread in points)
+    notices = [*joined.notices, *unseen, *found.notices, *(drawn.notices if drawn else ())]
     return Evaluation(
         manifest=manifest,
         lines=joined.lines,
@@ -54,34 +57,14 @@ def evaluate_recording(
         stereo=joined.stereo,
         accelerations=found.accelerations,
         load=found.load,
-        outputs=found.outputs,
-        sensitivity=found.sensitivity,
-        notices=tuple(dict.fromkeys(told)),
+        outputs=outputs,
+        sensitivity=sensitivity,
+        notices=tuple(dict.fromkeys(notices)),
         settings=settings.as_dict(),
         versions=versions(),
-        input_hashes=input_hashes,
+        input_hashes=dict(input_hashes or {}),
         duration_s=time.monotonic() - started,
-        takes=joined.takes,
-        points=_points(inputs, found),
+        set_ups=joined.set_ups,
+        points=points,
         monte_carlo=drawn,
     )
-
-
-def _points(inputs: Inputs, found: Analysis) -> tuple[PointSpread, ...]:
-    """Return the spread of parallel vibrometer points, with the ratio of every point where their force was driven."""
-    spreads = point_spreads(inputs.observations, found.accelerations)
-    sensor, body, outputs, sensitivity = inputs.sensor, inputs.body, found.outputs, found.sensitivity
-    if sensor is None or body is None or outputs is None or sensitivity is None:
-        return spreads
-    return tuple(with_ratios(spread, outputs, sensitivity, body, sensor.sense) for spread in spreads)
-
-
-def _check_kind(manifest: Manifest) -> None:
-    """Refuse recordings that this command does not evaluate."""
-    kind = manifest.excitation.kind
-    if kind not in EVALUATED_KINDS:
-        commands = {"rotation": "rotate", "step": "step", **dict.fromkeys(("chirp", "noise", "impact"), "transfer")}
-        command = commands.get(kind)
-        other = "" if command is None else f" (shakercal {command} takes this one)"
-        expected = f"{' or '.join(EVALUATED_KINDS)}, the kinds that shakercal run evaluates{other}"
-        raise InputError(manifest.path, "excitation.kind", found=kind, expected=expected)

@@ -1,0 +1,229 @@
+"""The kinds of excitation: what each of them needs in `[excitation]`, who evaluates it, what `check` says of it.
+
+A further kind is one entry of `KINDS` (and its keys in `Excitation`): the manifest, `check`, the commands and campaigns
+of mixed kinds ask here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from fusion.base import InputError
+from fusion.recording.values import (
+    Block,
+    Component,
+    Direction,
+    ExistingFile,
+    NotNegative,
+    Number,
+    Positive,
+    Text,
+    Texts,
+    describe,
+    refusal,
+    refuse_foreign,
+    refuse_missing,
+    unit_vector,
+    vector,
+)
+
+Kind = Literal["sine", "multisine", "chirp", "noise", "impact", "step", "rotation"]
+
+
+def _driven(value: object) -> tuple[float, ...]:
+    """A direction of 3 numbers, made a unit vector, or 6 load components, left as they are."""
+    if not isinstance(value, list | tuple) or len(value) not in (3, 6):
+        found = f"{len(value)} elements" if isinstance(value, list | tuple) else describe(value)
+        raise refusal("3 numbers, or 6 where a moment is driven", found)
+    components = unit_vector(value) if len(value) == 3 else vector(6)(value)
+    if not any(components):
+        raise refusal("a direction", "the zero vector")
+    return components
+
+
+def _frequencies(value: object) -> tuple[float, ...]:
+    """Nominal frequencies in Hz: at least one, positive, different."""
+    if not isinstance(value, list | tuple) or not value:
+        raise refusal("a list of frequencies in Hz", describe(value))
+    lines = vector(len(value))(value)
+    if min(lines) <= 0:
+        raise refusal("frequencies above 0", f"{min(lines):g}")
+    if len(set(lines)) < len(lines):
+        raise refusal("different frequencies", "one of them twice")
+    return lines
+
+
+def _harmonics(value: object) -> Any:
+    """The word auto, or a list of multiples of the nominal frequencies."""
+    expected = '"auto" or a list of different multiples such as [2, 3]'
+    if value == "auto":
+        return value
+    if not isinstance(value, list | tuple):
+        raise refusal(expected, describe(value))
+    for item in value:
+        if not isinstance(item, int) or isinstance(item, bool) or item < 1:
+            raise refusal(expected, describe(item))
+    if len(set(value)) < len(value):
+        raise refusal(expected, "one of them twice")
+    return tuple(value)
+
+
+def _band(value: object) -> tuple[float, ...]:
+    """Lower and upper frequency in Hz."""
+    low, high = vector(2)(value)
+    if not 0 <= low < high:
+        raise refusal("two frequencies in Hz, the lower first", f"[{low:g}, {high:g}]")
+    return low, high
+
+
+class Excitation(Block):
+    """What drove the rig: kind, direction in sensor axes, and what the kind needs."""
+
+    kind: Kind
+    direction: Annotated[tuple[float, ...] | None, BeforeValidator(_driven)] = None
+    frequencies: Annotated[tuple[float, ...] | None, BeforeValidator(_frequencies)] = None
+    harmonics: Annotated[Literal["auto"] | tuple[int, ...], BeforeValidator(_harmonics)] = "auto"
+    band: Annotated[tuple[float, float] | None, BeforeValidator(_band)] = None
+    period: Positive | None = None
+    settle_periods: Annotated[int, Field(ge=0)] = 0
+    response: Annotated[Texts, Field(min_length=1)] = ()
+    reference: Annotated[Texts, Field(min_length=1)] = ()
+    component: Component | None = None
+    step_amplitude: Number | None = None
+    step_uncertainty: NotNegative = 0.0
+    onset: Number | None = None
+    force: Text | None = None
+    release: Text | None = None
+    file: ExistingFile | None = None
+    angle_unit: Literal["rad", "deg"] | None = None
+    axis: Direction | None = None
+    zero_gravity: Direction | None = None
+    with_load: bool | None = None
+    angle_uncertainty: NotNegative = 0.0
+    scale: Number = 1.0
+
+    @model_validator(mode="after")
+    def _keys_of_the_kind(self) -> Self:
+        kind, why = KINDS[self.kind], f'kind = "{self.kind}"'
+        refuse_missing(self, kind.required, why)
+        refuse_foreign(self, {"kind", *kind.required, *kind.allowed}, why)
+        if self.kind == "multisine" and self.frequencies is None and (self.band is None or self.period is None):
+            raise refusal('frequencies, or band and period, for kind = "multisine"', "neither", key="frequencies")
+        for key, what in (("scale", "a number"), ("step_amplitude", "a step")):
+            if getattr(self, key) == 0.0:
+                raise refusal(f"{what} other than 0", "0", key=key)
+        return self
+
+    @property
+    def channels(self) -> tuple[tuple[str, tuple[str, ...]], ...]:
+        """Keys that name recorded channels, with these names."""
+        force = () if self.force is None else (self.force,)
+        return ("response", self.response), ("reference", self.reference), ("force", force)
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What of a recording's channels `check` tells an excitation: outputs of the sensor, force channels, take count."""
+
+    outputs: tuple[str | None, ...]
+    forces: tuple[str, ...]
+    takes: int
+
+
+def _released(excitation: Excitation, recorded: Recorded) -> list[str]:
+    """What the models of a step response will lack."""
+    told = []
+    if not recorded.outputs:
+        told.append("no channel is an output of the sensor: no model")
+    elif excitation.component not in recorded.outputs:
+        told.append(f"no channel is the output {excitation.component}, which is driven: cross-talk only")
+    if excitation.force is not None and excitation.force not in recorded.forces:
+        told.append(f"no force channel is named {excitation.force}")
+    if recorded.takes > 1:
+        told.append("several takes: shakercal step expects one release per recording")
+    return told
+
+
+@dataclass(frozen=True)
+class ExcitationKind:
+    """What the program knows of one kind of excitation.
+
+    `commands`: that evaluate it, first the one to which a user is sent. `required`, `allowed`: keys of `[excitation]`.
+    `remark`: what `check` says first. `remarks`: what `check` says of the result where it is not the motion of bodies;
+    None where it is, and what instruments observe of it counts. `tabled`: the readings stand in the table that the key
+    `file` names, in the place of cameras, triggers and DAQ files.
+    """
+
+    commands: tuple[str, ...]
+    required: tuple[str, ...]
+    allowed: tuple[str, ...] = ()
+    remark: str = ""
+    remarks: Callable[[Excitation, Recorded], list[str]] | None = None
+    tabled: bool = False
+
+
+KINDS = {
+    "sine": ExcitationKind(commands=("run",), required=("direction", "frequencies"), allowed=("harmonics",)),
+    "chirp": ExcitationKind(
+        commands=("transfer",),
+        required=("direction", "band"),
+        allowed=("period", "settle_periods", "response", "reference"),
+    ),
+    "multisine": ExcitationKind(
+        commands=("run", "transfer"),
+        required=("direction",),
+        allowed=("frequencies", "harmonics", "band", "period", "settle_periods", "response", "reference"),
+    ),
+    "noise": ExcitationKind(commands=("transfer",), required=("direction",), allowed=("band", "response", "reference")),
+    "impact": ExcitationKind(
+        commands=("transfer",), required=("direction",), allowed=("band", "response", "reference")
+    ),
+    "step": ExcitationKind(
+        commands=("step", "load", "decouple"),
+        required=("component", "step_amplitude"),
+        allowed=("direction", "step_uncertainty", "onset", "force", "release"),
+        remark="shakercal step evaluates this recording",
+        remarks=_released,
+    ),
+    "rotation": ExcitationKind(
+        commands=("rotate",),
+        required=("file", "angle_unit", "axis", "zero_gravity", "with_load"),
+        allowed=("angle_uncertainty", "scale"),
+        remark="shakercal rotate evaluates this recording, by gravity alone",
+        tabled=True,
+    ),
+}
+"""In the order in which sentences list them."""
+
+ONE_SET_UP = {
+    **dict.fromkeys(("step", "load", "decouple"), "one release per recording, in a folder of its own"),
+    "transfer": "no [[take]] blocks, since shakercal transfer evaluates what was recorded at once",
+}
+"""What commands expect that evaluate no recording of several takes."""
+
+
+def kinds_of(command: str) -> tuple[str, ...]:
+    """Return the kinds of excitation that a command evaluates."""
+    return tuple(name for name, kind in KINDS.items() if command in kind.commands)
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return names as a sentence has alternatives: `sine or multisine`."""
+    return " or ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+
+
+def check_kind(command: str, path: Path, excitation: Excitation, takes: int) -> None:
+    """Refuse a recording (its recording.toml, its excitation, its number of takes) that a command does not evaluate."""
+    kinds = kinds_of(command)
+    if excitation.kind not in kinds:
+        which = "kind" if len(kinds) == 1 else "kinds"
+        other = f"(shakercal {KINDS[excitation.kind].commands[0]} takes this one)"
+        expected = f"{listed(kinds)}, the {which} that shakercal {command} evaluates {other}"
+        raise InputError(path, "excitation.kind", found=excitation.kind, expected=expected)
+    if takes and command in ONE_SET_UP:
+        raise InputError(path, "take", found=f"{takes} takes", expected=ONE_SET_UP[command])
