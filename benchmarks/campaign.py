@@ -19,7 +19,7 @@ from pathlib import Path
 
 from fusion.base import Settings
 from fusion.campaign.run import run_path
-from fusion.simulate import simulate_campaign
+from fusion.simulate import simulate
 
 WORKERS = 2
 
@@ -66,7 +66,7 @@ def tables(folder: Path) -> dict[str, bytes]:
 def main(recordings: int, folder: Path) -> None:
     """Print one row for each way."""
     campaign = folder / "campaign"
-    simulate_campaign(campaign, "sweep", 1, recordings=recordings)
+    simulate(campaign, "sweep", 1, recordings=recordings)
     print("| computed by | s | of the serial run | tables equal to the serial run's |")
     print("|---|---|---|---|")
     serial = timed(campaign, folder / "serial")

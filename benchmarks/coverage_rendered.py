@@ -15,12 +15,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.base import Settings, no_progress
+from fusion.base import Settings
 from fusion.recording.load import load_manifest
 from fusion.sensitivity.evaluate import evaluate_recording
-from fusion.simulate.preset import NITSCHE2018
+from fusion.simulate.preset import Preset, read_preset
+from fusion.simulate.sines import rendered_run, write_run
 from fusion.simulate.world import Draws, make_world
-from fusion.simulate.write import write_campaign
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -50,13 +50,13 @@ class Normalised:
 
 def evaluate_seed(seed: int, folder: Path) -> Normalised:
     """Render one recording into an empty folder, evaluate it and compare with its truth."""
-    top = NITSCHE2018.stereo[0]
-    daqs = [replace(daq, duration_s=1.5) for daq in NITSCHE2018.daqs]
-    preset = replace(NITSCHE2018, multiples=(1,), acceleration=NITSCHE2018.acceleration[:1], stereo=(top,))
+    whole = read_preset(Preset, "nitsche2018")
+    daqs = [replace(daq, duration_s=1.5) for daq in whole.daqs]
+    preset = replace(whole, multiples=(1,), acceleration=whole.acceleration[:1], stereo=whole.stereo[:1])
     preset = replace(preset, first_frame_s=0.4, daqs=tuple(daqs)).shrunk(48, 0.5)
     draws = Draws(seed, True)
     world = make_world(preset, draws, TRIGGER_JITTER_S)
-    recording = write_campaign(folder, world, draws, (True, True), False, no_progress)
+    recording = write_run(folder, rendered_run(preset), world, draws)
     found = evaluate_recording(load_manifest(recording), Settings(), {})
     line = int(np.argmin(found.lines.multiple))
     fused = next(a for a in found.accelerations if (a.body, a.source) == ("load", "fused"))

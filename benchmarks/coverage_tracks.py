@@ -22,16 +22,19 @@ from coverage_statistics import HEAD, Counts
 from numpy.typing import NDArray
 
 from fusion.base import ComputeError
-from fusion.phasors.channels import channel_results, find_channel_lines
+from fusion.instruments import observe_channels
+from fusion.phasors.channels import channel_readings, channel_results, find_channel_lines
 from fusion.phasors.stereo_motion import ImageView, StereoMotion, sensor_from_camera
-from fusion.phasors.stereo_phasors import channel_readings, observations, pairs_phasors
+from fusion.phasors.stereo_phasors import pairs_phasors, stereo_readings
 from fusion.phasors.timing import Exposure, TimeBase, exposure_middles, tie_daqs
 from fusion.recording.files import DaqRecord
 from fusion.recording.load import Manifest, load_manifest
 from fusion.sensitivity.analyse import Analysis, Inputs, analyse
-from fusion.simulate.channels import record, recording_tables, rig_tables, to_toml
-from fusion.simulate.preset import NITSCHE2018, ChannelSpec, Preset
+from fusion.simulate.channels import record, recording_tables, rig_tables
+from fusion.simulate.preset import ChannelSpec, Preset, read_preset
+from fusion.simulate.sines import rendered_run
 from fusion.simulate.world import Draws, TrueStereo, World, make_world
+from fusion.simulate.write import to_toml
 from photogram.calibration.file import read_calibration, write_calibration
 from photogram.camera import triangulate
 from photogram.epipolar import check_epipolar
@@ -48,6 +51,7 @@ FRAMES = 211
 SIDE = 8
 RATES_HZ = (25600.0, 20000.0)
 TRIGGER_JITTER_S = 30e-9
+NITSCHE2018 = read_preset(Preset, "nitsche2018")
 
 
 @dataclass(frozen=True)
@@ -127,7 +131,7 @@ def write_manifest(folder: Path, case: Case, world: World) -> Manifest:
                 (recording / f"{stereo.setup.name}-{side}" / f"{frame:04d}.tif").touch()
     for daq in preset.daqs:
         (recording / daq.file).touch()
-    tables = recording_tables(preset)
+    tables = recording_tables(rendered_run(preset))
     tables["excitation"] |= {"direction": list(case.direction), "harmonics": [1]}
     (folder / "rig.toml").write_text(to_toml(rig_tables(world)), encoding="utf-8")
     (recording / "recording.toml").write_text(to_toml(tables), encoding="utf-8")
@@ -202,7 +206,10 @@ def evaluate_trial(manifest: Manifest, world: World, draws: Draws) -> Analysis:
         raise ComputeError("no channel shows the lines")
     readings = channel_readings(base, channel_results(manifest, base, lines))
     stereo, _ = pairs_phasors([stereo_motion(manifest, base, world, draws)], lines)
-    return analyse(Inputs.of(manifest, lines, observations(manifest, base, readings, stereo, lines), readings))
+    pairs = stereo_readings(base, readings, stereo, lines)
+    channels = observe_channels(readings, manifest.rig.gravity, manifest.daq[0].clock_uncertainty)
+    observations = [*(pair.observed() for pair in pairs), *channels]
+    return analyse(Inputs.of(manifest, lines, observations, readings))
 
 
 def run_case(case: Case, seeds: range) -> Counts:

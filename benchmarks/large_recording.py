@@ -26,7 +26,7 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-from fusion.simulate.preset import PRESETS, StereoSetup, face_of, nominal_rig
+from fusion.simulate.preset import Preset, StereoSetup, face_of, nominal_rig, read_preset
 from photogram.camera import StereoRig
 from photogram.geometry import RigidTransform
 from photogram.images import ImageSequence, open_sequence
@@ -76,7 +76,7 @@ def main() -> None:
 
 def setups() -> Iterator[StereoSetup]:
     """Yield the two pairs: those of the published set-up with twice the resolution, on a round face of 810 px."""
-    for setup in PRESETS["nitsche2018"].stereo:
+    for setup in read_preset(Preset, "nitsche2018").stereo:
         half = (RADIUS_M, RADIUS_M)
         yield replace(setup, size_px=SIZE_PX, pixel_m=PIXEL_M, focal_px=FOCAL_PX, half_size=half, round=True)
 

@@ -28,12 +28,12 @@ from fusion.base import Settings
 from fusion.campaign.curve import ratio_curves
 from fusion.campaign.repeats import Drive, drives_of
 from fusion.estimation.uncertainty import Polar, element_covariance, polar, rounded
-from fusion.phasors.results import StereoResult
+from fusion.instruments.vibrometer import PointRatios
+from fusion.phasors.stereo_phasors import StereoResult
 from fusion.recording.load import load_manifest
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.evaluate import evaluate_recording
-from fusion.sensitivity.multipoint_vibrometer import PointRatios
-from fusion.simulate import simulate, simulate_campaign
+from fusion.simulate import simulate
 from shaker.sine.fit import fit_sines
 from shaker.sine.phasor import derivative_factor
 
@@ -188,7 +188,7 @@ def residual(pair: StereoResult, lines: tuple[int, ...]) -> float:
 def evaluated_sweep(folder: Path, seed: int) -> tuple[list[SweepPoint], float]:
     """Simulate the sweep unless it is there and evaluate it: one point per frequency, and the static sensitivity."""
     if not folder.exists():
-        simulate_campaign(folder, "sweep", seed)
+        simulate(folder, "sweep", seed)
     drives: list[Drive] = []
     ratios: dict[float, tuple[PointRatios, complex]] = {}
     static = 0.0

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 
-from fusion.simulate.channels import to_toml
-from fusion.simulate.chirp import STAND, Chirp, Suspension, rig_file, write_chirps
+from fusion.simulate.chirp import Chirp, Suspension, rig_file, write_chirps
+from fusion.simulate.preset import read_preset
 from fusion.simulate.world import Draws, true_part
+from fusion.simulate.write import to_toml
 
-QUICK = Chirp(sample_rate_hz=12800.0, period_s=0.64, periods=4, band_hz=(800.0, 2400.0))
-SMALL = replace(STAND, chirp=QUICK)
-STIFFNESS, DAMPING, LAG_S, SENSITIVITY = STAND.stiffness[0], STAND.damping[0], 50e-6, 2e-7
+QUICK = read_preset(Chirp, "chirp.chirp", sample_rate_hz=12800.0, period_s=0.64, periods=4, band_hz=(800.0, 2400.0))
+SMALL = read_preset(Suspension, "masses", chirp=QUICK)
+STIFFNESS, DAMPING, LAG_S, SENSITIVITY = SMALL.stiffness[0], SMALL.damping[0], 50e-6, 2e-7
 SINES_HZ = (200.0, 400.0, 600.0, 800.0, 1000.0)
 SINE_LOAD = "9kg"
 _RATE_HZ, _LENGTH_S, _DRIVE_MPS2, _NOISE = 12800.0, 0.5, 20.0, 2e-3

@@ -7,7 +7,7 @@ import logging
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fusion.base import DEFAULT_SEED, FEWEST_DRAWS, MOST_DRAWS, ProgressCallback
+from fusion.base import DEFAULT_SEED, FEWEST_DRAWS, MOST_DRAWS
 from fusion.commands.options import (
     EXIT_DONE,
     EXIT_INPUT,
@@ -162,24 +162,13 @@ def _limits(options: argparse.Namespace) -> tuple[float, float]:
 
 def add_simulate(commands: Commands, common: argparse.ArgumentParser) -> None:
     """Add the command's parser."""
+    from fusion.simulate import PRESETS
+
     parser = commands.add_parser("simulate", parents=[common], help="write a simulated recording with its truth")
     parser.add_argument("out", type=Path, metavar="OUT", help="campaign folder to create")
     parser.add_argument(
         "--preset",
-        choices=(
-            "demo",
-            "nitsche2018",
-            "sweep",
-            "matrix",
-            "targets",
-            "chirp",
-            "masses",
-            "pitching",
-            "rotation",
-            "steps",
-            "loads",
-            "elastomer",
-        ),
+        choices=PRESETS,
         default="demo",
         help="which rig (default: demo); sweep, matrix: campaigns for a curve over frequency and for the 6x6; "
         "targets: a camera calibration; chirp: a recording for shakercal transfer; masses, pitching: campaigns of two "
@@ -193,44 +182,17 @@ def add_simulate(commands: Commands, common: argparse.ArgumentParser) -> None:
 
 def _act_simulate(options: argparse.Namespace) -> int:
     from fusion.base import InputError, progress_bar
+    from fusion.simulate import simulate
 
     if options.out.exists() and not options.force:
         expected = "a new folder (--force replaces an earlier simulation)"
         raise InputError(options.out, "", found="a file or folder of this name", expected=expected)
     with progress_bar(enabled=not options.quiet) as progress:
-        told = _write(options.out, options.preset, options.seed, progress)
-    print(told)
+        written = simulate(options.out, options.preset, options.seed, progress)
+    count = len(list(options.out.glob("*/recording.toml")))
+    kind = "recording" if count == 1 else "campaign" if count else "element" if written.is_file() else "pictures"
+    print(f"simulated {kind}: {written}" + (f", {count} recordings" if kind == "campaign" else ""))
     return EXIT_DONE
-
-
-def _write(out: Path, preset: str, seed: int, progress: ProgressCallback) -> str:
-    """Write what a preset is, and return the sentence about it."""
-    from fusion.simulate import (
-        simulate,
-        simulate_campaign,
-        simulate_chirp,
-        simulate_element,
-        simulate_load_series,
-        simulate_loads,
-        simulate_rotation,
-        simulate_steps,
-        simulate_targets,
-    )
-
-    if preset == "targets":
-        return f"simulated pictures of a target: {simulate_targets(out, seed, progress)}"
-    if preset in ("sweep", "matrix"):
-        folders = simulate_campaign(out, preset, seed, progress)
-        return f"simulated campaign: {out}, {len(folders)} recording{'s' * (len(folders) > 1)}"
-    if preset in ("masses", "pitching"):
-        return f"simulated campaign: {simulate_loads(out, preset, seed, progress)}"
-    counted = {"rotation": simulate_rotation, "steps": simulate_steps, "loads": simulate_load_series}
-    if preset in counted:
-        return f"simulated campaign: {out}, {len(counted[preset](out, seed))} recordings"
-    if preset == "elastomer":
-        return f"simulated element: {simulate_element(out, seed)}"
-    folder = simulate_chirp(out, seed) if preset == "chirp" else simulate(out, preset, seed, progress)
-    return f"simulated recording: {folder}"
 
 
 # `shakercal check`: say what a recording holds.

@@ -1,69 +1,44 @@
-"""Simulated channels, and manifests as text."""
+"""Recordings of sines: what each recorder's file holds, on its own clock, and what manifests and truth say."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.simulate.preset import ChannelSpec, DaqSpec, PartSpec, Preset, StereoSetup, left_camera
+from fusion.simulate.preset import ChannelSpec, DaqSpec, PartSpec, Preset, StereoSetup, camera_pose
 from fusion.simulate.world import Draws, TrueStereo, World, acceleration_at, harmonic, velocity_at
+from fusion.simulate.write import COLUMNS, POINTS_SCALE, RIG_FILE, Record, complex_table
 from photogram.geometry import RigidTransform
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import LOAD_COMPONENTS
 
-# Write nested dictionaries as TOML text.
-
-
-def to_toml(table: Mapping[str, Any], path: str = "") -> str:
-    """Return TOML text: plain keys first, then sub-tables, then arrays of tables (lists of dictionaries)."""
-    lines = [f"{key} = {_value(value)}" for key, value in table.items() if not _is_table(value)]
-    for key, value in table.items():
-        name = f"{path}.{key}" if path else key
-        if isinstance(value, Mapping):
-            header = "" if all(isinstance(v, Mapping) for v in value.values()) else f"\n[{name}]\n"
-            lines.append(header + to_toml(value, name).rstrip("\n"))
-        elif _is_table(value):
-            lines += [f"\n[[{name}]]\n" + to_toml(item, name).rstrip("\n") for item in value]
-    return "\n".join(lines) + "\n"
-
-
-def _is_table(value: Any) -> bool:
-    """Say whether a value needs a header of its own."""
-    return isinstance(value, Mapping) or (isinstance(value, list) and bool(value) and isinstance(value[0], Mapping))
-
-
-def _value(value: Any) -> str:
-    """Return a plain value in TOML's syntax."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
-    if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(_value(item) for item in value) + "]"
-    return repr(value)
-
-
-# DAQ records: what each channel's file holds, on its recorder's own clock.
-
-
-_PULSE_S = 2e-3
-_HIGH_V = 5.0
 RESPONSE_HZ = np.array([0.0, 20.0, 50.0, *np.arange(100.0, 3001.0, 100.0)])
 _RESPONSE_U = (1e-4, 1e-4)  # relative magnitude, phase in rad
+_PULSE_S = 2e-3
+_HIGH_V = 5.0
 
 
-@dataclass(frozen=True, eq=False)
-class Record:
-    """A recorder's file: its nominal rate and one array of samples per channel."""
+@dataclass(frozen=True)
+class Run:
+    """One recording: its `preset` (with the whole load), and what the first lines of its manifest say.
 
-    sample_rate_hz: float
-    samples: dict[str, NDArray[np.float32]]
-    units: dict[str, str]
+    `rig_file`: the rig that it stands on; `mounting`: empty where it is not stated. `direction`: 3 or 6 numbers;
+    `driven`: the place of the component that is driven. `parts`: those of the load that this recording's own manifest
+    states.
+    """
+
+    name: str
+    preset: Preset
+    nominal_hz: tuple[float, ...]
+    rig_file: str = RIG_FILE
+    mounting: str = ""
+    kind: str = "sine"
+    direction: tuple[float, ...] = (0.0, 0.0, 1.0)
+    driven: int = 2
+    parts: tuple[PartSpec, ...] = ()
 
 
 def clock(daq: DaqSpec, draws: Draws) -> tuple[float, float]:
@@ -79,22 +54,18 @@ def record(world: World, daq: DaqSpec, draws: Draws, noise: bool) -> Record:
     samples, units = {}, {}
     for spec in daq.channels:
         if spec.quantity == "trigger":
-            values = _trigger(world, time)
+            last = np.searchsorted(world.trigger_s, time, side="right") - 1
+            since = time - world.trigger_s[np.maximum(last, 0)]
+            values = np.where((last >= 0) & (since < _PULSE_S), _HIGH_V, 0.0)
         else:
             phasors = recorded_phasors(world, daq, spec, draws)
             values = harmonic(time, world.preset.frequencies_hz, phasors[:, None])[:, 0]
         if noise:
             values = values + spec.noise * draws.stream(f"{daq.name}.{spec.name}.noise").standard_normal(len(time))
-        samples[spec.name] = (np.rint(values / spec.lsb) * spec.lsb).astype(np.float32)
+        step = spec.range / 2**spec.bits
+        samples[spec.name] = (np.rint(values / step) * step).astype(np.float32)
         units[spec.name] = spec.unit
-    return Record(daq.sample_rate_hz, samples, units)
-
-
-def _trigger(world: World, time_s: FloatArray) -> FloatArray:
-    """Return rectangular pulses of 2 ms that rise at the trigger instants."""
-    last = np.searchsorted(world.trigger_s, time_s, side="right") - 1
-    since = time_s - world.trigger_s[np.maximum(last, 0)]
-    return np.where((last >= 0) & (since < _PULSE_S), _HIGH_V, 0.0)
+    return Record(daq.sample_rate_hz, samples, units, gzip=6)
 
 
 def recorded_phasors(world: World, daq: DaqSpec, spec: ChannelSpec, draws: Draws) -> ComplexArray:
@@ -113,6 +84,7 @@ def _true_phasors(world: World, spec: ChannelSpec, draws: Draws) -> ComplexArray
     """Return the phasors (K,) of the quantity in SI, at the point and along the axis where the channel really sits."""
     if spec.quantity == "output":
         return np.asarray(world.outputs[:, LOAD_COMPONENTS.index(spec.name)])
+    # Written anew, not by `fusion.instruments`: what the program makes of these recordings is tested against them.
     motion = world.motion[spec.body]
     point = np.array(spec.point) + draws.normal(f"{spec.name}.point", spec.stated.get("point_uncertainty", 0.0), 3)
     nominal = np.array(spec.direction)
@@ -151,11 +123,8 @@ def response_table() -> str:
     return "\n".join(lines).replace("np.float64(", "").replace(")", "") + "\n"
 
 
-# The manifests and the truth file of a simulated campaign.
-
-
-def rig_tables(world: World) -> dict[str, Any]:
-    """Return rig.toml as nested dictionaries."""
+def rig_tables(world: World, own: tuple[PartSpec, ...] = ()) -> dict[str, Any]:
+    """Return rig.toml as nested dictionaries, without the parts that a recording's `own` manifest states."""
     preset = world.preset
     tables: dict[str, Any] = {
         "format": 1,
@@ -163,12 +132,11 @@ def rig_tables(world: World) -> dict[str, Any]:
         "sensor": sensor_keys(preset, world.static_stated),
         "load": part_keys(preset.load),
     }
-    if preset.parts:
-        tables["part"] = [part_table(part) for part in preset.parts]
-    tables["environment"] = {"gravity": preset.gravity_mps2.tolist(), "temperature": 23.0, "air_density": 1.19}
-    pairs = {stereo.setup.name: _stereo(stereo, preset) for stereo in world.stereo}
-    tables["stereo"] = pairs | {setup.name: _points_pair(setup, preset) for setup in preset.points}
-    return tables
+    parts = [_part_table(part) for part in preset.parts if part not in own]
+    if parts:
+        tables["part"] = parts
+    tables["environment"] = environment_keys(preset)
+    return tables | {"stereo": {setup.name: _stereo_keys(setup, preset) for setup in preset.stereo}}
 
 
 def sensor_keys(preset: Preset, static: NDArray[np.float64]) -> dict[str, Any]:
@@ -186,9 +154,9 @@ def sensor_keys(preset: Preset, static: NDArray[np.float64]) -> dict[str, Any]:
     }
 
 
-def part_table(spec: PartSpec) -> dict[str, Any]:
-    """Return the block of a further part of the load."""
-    return {"name": spec.name, "body": "load", **part_keys(spec)}
+def environment_keys(preset: Preset) -> dict[str, Any]:
+    """Return the block of what surrounds a rig."""
+    return {"gravity": preset.gravity_mps2.tolist(), "temperature": 23.0, "air_density": 1.19}
 
 
 def part_keys(spec: PartSpec) -> dict[str, Any]:
@@ -203,59 +171,67 @@ def part_keys(spec: PartSpec) -> dict[str, Any]:
     }
 
 
-def _stereo(stereo: TrueStereo, preset: Preset) -> dict[str, Any]:
-    """Return the block of one stereo pair."""
-    setup = stereo.setup
-    file, placed = f"calibration/{setup.name}.json", _placed(setup, stereo.sensor_from_left)
-    return {"body": setup.body, "calibration": file, **placed, "bit_depth": setup.bit_depth, **_exposed(setup, preset)}
+def _part_table(spec: PartSpec) -> dict[str, Any]:
+    """Return the block of a further part of the load."""
+    return {"name": spec.name, "body": "load", **part_keys(spec)}
 
 
-def _points_pair(setup: StereoSetup, preset: Preset) -> dict[str, Any]:
-    """Return the block of a stereo pair whose points another program computed."""
-    return {"body": setup.body, **_placed(setup, left_camera(setup)), **_exposed(setup, preset)}
-
-
-def _placed(setup: StereoSetup, sensor_from_left: RigidTransform) -> dict[str, Any]:
-    """Return the keys of where a stereo pair stands and what that is worth."""
+def _stereo_keys(setup: StereoSetup, preset: Preset) -> dict[str, Any]:
+    """Return the block of a stereo pair, or of one whose points another program computed."""
+    placed, images = camera_pose(setup), not preset.as_points
     return {
-        "rotation": sensor_from_left.rotation.tolist(),
-        "translation": sensor_from_left.translation_m.tolist(),
+        "body": setup.body,
+        **({"calibration": calibration_file(setup)} if images else {}),
+        "rotation": placed.rotation.tolist(),
+        "translation": placed.translation_m.tolist(),
         "pose_uncertainty": list(setup.pose_uncertainty),
         "scale_uncertainty": setup.scale_uncertainty,
+        **({"bit_depth": setup.bit_depth} if images else {}),
+        "exposure": preset.exposure_s,
+        "delay": 0.0,
+        "delay_uncertainty": setup.delay_uncertainty,
     }
 
 
-def _exposed(setup: StereoSetup, preset: Preset) -> dict[str, Any]:
-    """Return the keys of when a stereo pair exposes."""
-    return {"exposure": preset.exposure_s, "delay": 0.0, "delay_uncertainty": setup.delay_uncertainty}
+def calibration_file(setup: StereoSetup) -> str:
+    """Return the place of a pair's calibration in its campaign."""
+    return f"calibration/{setup.name}.json"
 
 
-def recording_tables(preset: Preset) -> dict[str, Any]:
+def points_file(setup: StereoSetup) -> str:
+    """Return the name of the table of a stereo pair's points."""
+    return f"points-{setup.name}.csv"
+
+
+def recording_tables(run: Run) -> dict[str, Any]:
     """Return recording.toml as nested dictionaries."""
-    return {
-        "format": 1,
-        "name": f"Fz {round(preset.fundamental_hz, 2)} Hz, simulated",
-        "rig": "../rig.toml",
-        "excitation": {
-            "kind": "sine",
-            "direction": [0.0, 0.0, 1.0],
-            "frequencies": [round(preset.fundamental_hz, 2)],
-            "harmonics": "auto",
-        },
-        "daq": [daq_table(daq) for daq in preset.daqs],
-        "images": [
-            {
-                "stereo": setup.name,
-                "left": f"{setup.name}-left/*.tif",
-                "right": f"{setup.name}-right/*.tif",
-                "trigger": "camera_trigger",
-            }
-            for setup in preset.stereo
-        ],
+    preset = run.preset
+    tables: dict[str, Any] = {"format": 1, "name": run.name, "rig": f"../{run.rig_file}"}
+    if run.mounting:
+        tables["mounting"] = run.mounting
+    tables["excitation"] = {
+        "kind": run.kind,
+        "direction": list(run.direction),
+        "frequencies": list(run.nominal_hz),
+        "harmonics": "auto" if run.kind == "sine" else [],
     }
+    if run.parts:
+        tables["part"] = [_part_table(part) for part in run.parts]
+    tables["daq"] = [_daq_table(daq) for daq in preset.daqs]
+    if preset.as_points:
+        columns = {"columns": list(COLUMNS), "scale": POINTS_SCALE}
+        tables["points"] = [{"stereo": setup.name, "files": points_file(setup), **columns} for setup in preset.stereo]
+    elif preset.stereo:
+        tables["images"] = [
+            {"stereo": setup.name, **{side: f"{setup.name}-{side}/*.tif" for side in ("left", "right")}}
+            for setup in preset.stereo
+        ]
+    for block in (*tables.get("points", ()), *tables.get("images", ())):
+        block["trigger"] = "camera_trigger"
+    return tables
 
 
-def daq_table(daq: DaqSpec) -> dict[str, Any]:
+def _daq_table(daq: DaqSpec) -> dict[str, Any]:
     """Return the block of one recorder."""
     channels = [_channel(spec, daq.response) for spec in daq.channels]
     return {"name": daq.name, "file": daq.file, "clock_uncertainty": daq.clock_uncertainty, "channel": channels}
@@ -278,46 +254,42 @@ def _channel(spec: ChannelSpec, response: str) -> dict[str, Any]:
     return keys | spec.stated
 
 
-def truth_tables(world: World, draws: Draws, seed: int) -> dict[str, Any]:
-    """Return truth.json: phasors, sensitivity, motion of every frame, clocks, and every error drawn."""
+def truth_tables(run: Run, world: World, draws: Draws) -> dict[str, Any]:
+    """Return truth.json: phasors, sensitivity, ratio of the driven component, clocks, and every error drawn.
+
+    Where there are images also the motion of every frame and the middles of the exposures on the first clock.
+    """
     preset = world.preset
-    driven = world.load_wrench[:, 2]
-    ratio = world.outputs / driven[:, None]
-    middle = world.trigger_s + preset.exposure_s / 2
-    motion = {stereo.setup.name: true_motion(world, stereo).tolist() for stereo in world.stereo}
+    images: dict[str, Any] = {}
+    if world.stereo:
+        middle = world.trigger_s + preset.exposure_s / 2
+        images["motion"] = {stereo.setup.name: _true_motion(world, stereo).tolist() for stereo in world.stereo}
+        images["exposure_middle_s"] = (middle / clock(preset.daqs[0], draws)[1]).tolist()
+    tie = {}  # t_first = offset_s + rate · t_second of the two recorders' clocks
+    if len(preset.daqs) > 1:
+        (start, rate), (other_start, other_rate) = (clock(daq, draws) for daq in preset.daqs)
+        tie = {"offset_s": (other_start - start) / rate, "rate": other_rate / rate}
     return {
         "format": 1,
         "preset": preset.name,
-        "seed": seed,
+        "seed": draws.seed,
+        **({"mounting": run.mounting} if run.mounting else {}),
         "frequencies": preset.frequencies_hz.tolist(),
-        "acceleration": {body: complex_table(motion_.acceleration) for body, motion_ in world.motion.items()},
+        "acceleration": {body: complex_table(motion.acceleration) for body, motion in world.motion.items()},
         "load": complex_table(world.load_wrench),
         "outputs": complex_table(world.outputs),
         "sensitivity": complex_table(world.sensitivity),
-        "ratio": complex_table(ratio),
-        "motion": motion,
-        "exposure_middle_s": (middle / clock(preset.daqs[0], draws)[1]).tolist(),
-        "clock": clock_tie(preset, draws),
+        **({} if images else {"driven": run.driven}),
+        "ratio": complex_table(world.outputs / world.load_wrench[:, run.driven, None]),
+        **images,
+        "clock": tie,
         "drawn": draws.values,
     }
 
 
-def true_motion(world: World, stereo: TrueStereo) -> NDArray[np.float64]:
+def _true_motion(world: World, stereo: TrueStereo) -> NDArray[np.float64]:
     """Return the motions T_k·T_0⁻¹ (F, 6) of the body seen, at the true middles of the exposures."""
     middle = world.trigger_s + stereo.delay_s + world.preset.exposure_s / 2
     poses = [RigidTransform.from_pose(pose) for pose in world.motion[stereo.setup.body].pose(middle)]
     start = poses[0].inverse()
     return np.stack([(pose @ start).pose for pose in poses])
-
-
-def clock_tie(preset: Preset, draws: Draws) -> dict[str, float]:
-    """Return t_first = offset_s + rate · t_second of the two recorders' clocks, nothing where there is only one."""
-    if len(preset.daqs) == 1:
-        return {}
-    (start, rate), (other_start, other_rate) = (clock(daq, draws) for daq in preset.daqs)
-    return {"offset_s": (other_start - start) / rate, "rate": other_rate / rate}
-
-
-def complex_table(value: NDArray[np.complex128]) -> dict[str, Any]:
-    """Return real and imaginary part as nested lists."""
-    return {"re": value.real.tolist(), "im": value.imag.tolist()}

@@ -29,7 +29,7 @@ from shaker.arrays import FloatArray
 from shaker.labels import LOAD_COMPONENTS
 from shaker.lti.modal import ModalModel
 from shaker.release.load_model import LoadModel
-from shaker.release.onset import pole_responses
+from shaker.release.response import pole_responses
 
 DAQ_FILE = "outputs.h5"
 CHANNEL = "Fy"

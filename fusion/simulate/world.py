@@ -1,44 +1,58 @@
-"""The simulated rig in motion, and the errors drawn for it."""
+"""What really happens in a simulation: errors drawn by name, motion of load and base, load, the sensor's answer.
+
+Newton and Euler of each rigid part: F = m·(a + α × c) + m·θ × g, M = c × F + I·α, θ = −α/ω².
+"""
 
 from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.simulate.preset import PRESETS, PartSpec, Preset, StereoSetup, face_of, left_camera, nominal_rig
+from fusion.simulate.preset import PartSpec, Preset, StereoSetup, camera_pose, face_of, nominal_rig, read_preset
 from photogram.camera import StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.synthetic.scene import motion_bound, view_of
 from shaker.arrays import ComplexArray, FloatArray
 
-# The errors of one simulated campaign, drawn from what its manifests state.
-
-
 MOUNTED = ("point", "direction", "transverse", "centre_of_mass")
 """Last parts of the names of errors that are made anew whenever something is mounted."""
 RECORDED = ("noise", "trigger jitter", "points")
 """Last parts of the names of what no two recordings share."""
+STATIC_UNCERTAINTY = 1e-3
+"""Relative change of a sensor since its static calibration, one standard deviation."""
+GRID = (8, 5)  # points on a face, as another correlation program writes them
+_INSIDE = 0.68  # of the half size: the grid's corners stay on a round face
+_NOISE_M = (0.7e-6, 0.7e-6, 1.8e-6)  # of these points: x, y and along the view of the left camera
 
 
 @dataclass(frozen=True)
 class Draws:
     """Normal deviates by name: each name has its own stream of `seed`, so that none depends on what else is drawn.
 
-    `systematic` False gives zeros. `values` remembers every error drawn, for the truth file.
+    `systematic` False gives zeros. `values` remembers every error drawn, for the truth file. The errors of a rig are
+    those of all recordings of a campaign; where `mounting` is given, what was mounted (`MOUNTED`) differs from mounting
+    to mounting, but for the sensor's own parts, which are never taken off; where `recording` is given, noise
+    (`RECORDED`) differs from recording to recording.
     """
 
     seed: int
     systematic: bool
     values: dict[str, list[float]] = field(default_factory=dict)
+    mounting: str | None = None
+    recording: str | None = None
 
     def stream(self, name: str) -> np.random.Generator:
-        """Return the generator of a name."""
-        return np.random.default_rng([self.seed, zlib.crc32(name.encode())])
+        """Return the generator of a name, within its mounting or its recording."""
+        last = name.rpartition(".")[2]
+        scope = self.recording if last in RECORDED else None
+        if last in MOUNTED and not name.startswith("internal."):
+            scope = self.mounting
+        whole = name if scope is None else f"{name} [{scope}]"
+        return np.random.default_rng([self.seed, zlib.crc32(whole.encode())])
 
     def normal(self, name: str, uncertainty: float | FloatArray, count: int | None = None) -> FloatArray:
         """Return errors (count,) or scalar-shaped () of the given standard uncertainty, and remember them."""
@@ -55,29 +69,6 @@ class Draws:
         value = scale * (lower @ self.stream(name).standard_normal(len(scale))) * (1.0 if self.systematic else 0.0)
         self.values[name] = [float(v) for v in value]
         return np.asarray(value)
-
-
-@dataclass(frozen=True)
-class CampaignDraws(Draws):
-    """The errors of one recording of a campaign: those of the rig are its other recordings' too.
-
-    Where something was mounted (`MOUNTED`) differs from `mounting` to mounting, noise (`RECORDED`) from `recording` to
-    recording. The sensor's own parts are never taken off.
-    """
-
-    mounting: str = ""
-    recording: str = ""
-
-    def stream(self, name: str) -> np.random.Generator:
-        """Return the generator of a name, within its mounting or its recording."""
-        last = name.rpartition(".")[2]
-        if last in RECORDED:
-            return super().stream(f"{name} [{self.recording}]")
-        own = name.startswith("internal.")
-        return super().stream(f"{name} [{self.mounting}]" if last in MOUNTED and not own else name)
-
-
-# What really happens: motion of load and base, the load on the sensor, the sensor's answer.
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,13 +163,6 @@ def acceleration_at(motion: Motion, point: FloatArray, direction: FloatArray, gr
     return np.asarray((a + np.cross(alpha, point)) @ direction - tilted @ gravity)
 
 
-# The true campaign behind the manifests: nominal set-up plus drawn errors, its motion, load and outputs.
-
-
-STATIC_UNCERTAINTY = 1e-3
-"""Relative change of a sensor since its static calibration, one standard deviation."""
-
-
 @dataclass(frozen=True, eq=False)
 class TrueStereo:
     """A stereo pair as stated (`nominal`, `sensor_from_left`) and as it is (`rig`, `left_from_sensor`, delay)."""
@@ -224,7 +208,7 @@ def make_world(preset: Preset, draws: Draws, jitter_s: float) -> World:
     outputs = np.einsum("kcj,kj->kc", matrix, force)
     edges = preset.first_frame_s + np.arange(preset.frames) / preset.camera_rate_hz
     edges = edges + jitter_s * draws.stream("trigger jitter").standard_normal(preset.frames)
-    stereo = tuple(true_stereo(setup, draws) for setup in preset.stereo)
+    stereo = () if preset.as_points else tuple(true_stereo(setup, draws) for setup in preset.stereo)
     motion = {"load": load, "base": base}
     return World(preset, gravity, motion, force, matrix, stated, outputs, edges, stereo)
 
@@ -279,9 +263,6 @@ def true_pose(setup: StereoSetup, stated: RigidTransform, scale: float, draws: D
     return RigidTransform(turn @ stated.rotation, turn @ (stated.translation_m * scale) + error[:3])
 
 
-# What the images of a simulated recording allow at best.
-
-
 def frame_bounds(preset: str, seed: int) -> dict[str, NDArray[np.float64]]:
     """Return per stereo pair the Cramér-Rao bound of one frame's motion: standard deviations (6,) in m and rad.
 
@@ -289,22 +270,12 @@ def frame_bounds(preset: str, seed: int) -> dict[str, NDArray[np.float64]]:
     """
     draws = Draws(seed, True)
     bounds = {}
-    for stereo in make_world(PRESETS[preset], draws, 0.0).stereo:
+    for stereo in make_world(read_preset(Preset, preset), draws, 0.0).stereo:
         face = face_of(stereo.setup, False, draws.stream(f"{stereo.setup.name}.speckle"))
         right_from_sensor = stereo.rig.right_from_left @ stereo.left_from_sensor
         views = [view_of(stereo.rig.left, stereo.left_from_sensor), view_of(stereo.rig.right, right_from_sensor)]
         bounds[stereo.setup.name] = np.sqrt(np.diagonal(motion_bound(views, face, stereo.setup.sensor)))
     return bounds
-
-
-# Points on the faces that stereo pairs see, as another correlation program writes them.
-
-
-COLUMNS = ("frame", "id", "x", "y", "z")
-FILE_SCALE = 1e-3  # millimetres in the file
-GRID = (8, 5)
-_INSIDE = 0.68  # of the half size: the grid's corners stay on a round face
-_NOISE_M = (0.7e-6, 0.7e-6, 1.8e-6)  # x, y and along the view of the left camera
 
 
 def face_points(setup: StereoSetup) -> FloatArray:
@@ -315,22 +286,15 @@ def face_points(setup: StereoSetup) -> FloatArray:
     return np.asarray(np.array(setup.face_centre) + grid.reshape(-1, 3))
 
 
-@dataclass(frozen=True, eq=False)
-class PointSeries:
-    """Points of one stereo pair: position_m (F, N, 3) in the frame of its left camera, with the errors of the pair."""
+def point_series(world: World, setup: StereoSetup, draws: Draws, noise: bool) -> FloatArray:
+    """Return the points of a pair in the frame of its left camera (F, N, 3), with the errors of the pair.
 
-    setup: StereoSetup
-    position_m: FloatArray
-
-
-def point_series(world: World, setup: StereoSetup, draws: Draws, noise: bool) -> PointSeries:
-    """Return the points of a pair through all frames: moved, blurred by the exposure, in its own scale and pose.
-
-    A point of the program is the true one in the camera's frame over the scale 1 + e. An exposure of length T shows
-    the mean over T: a line at f is smaller by sin(πfT)/(πfT).
+    They are moved, blurred by the exposure, in the pair's own scale and pose. A point of the program is the true one in
+    the camera's frame over the scale 1 + e. An exposure of length T shows the mean over T: a line at f is smaller by
+    sin(πfT)/(πfT).
     """
     scale = 1 + float(draws.normal(f"{setup.name}.scale", setup.scale_uncertainty))
-    left_from_sensor = true_pose(setup, left_camera(setup), scale, draws).inverse()
+    left_from_sensor = true_pose(setup, camera_pose(setup), scale, draws).inverse()
     delay = float(draws.normal(f"{setup.name}.delay", setup.delay_uncertainty))
     exposure = world.preset.exposure_s
     motion = world.motion[setup.body]
@@ -341,13 +305,4 @@ def point_series(world: World, setup: StereoSetup, draws: Draws, noise: bool) ->
     if noise:
         deviate = draws.stream(f"{setup.name}.points").standard_normal(position.shape)
         position = position + deviate * np.array(_NOISE_M)
-    return PointSeries(setup, position)
-
-
-def write_points(path: Path, series: PointSeries) -> None:
-    """Write a table with one row per frame and point: `COLUMNS`, lengths in millimetres with six decimals."""
-    frames, count = series.position_m.shape[:2]
-    place = np.stack(np.meshgrid(np.arange(frames), np.arange(count), indexing="ij"), axis=-1)
-    rows = np.concatenate([place, series.position_m / FILE_SCALE], axis=2).reshape(-1, len(COLUMNS))
-    text = "\n".join(f"{frame:.0f},{point:.0f},{x:.6f},{y:.6f},{z:.6f}" for frame, point, x, y, z in rows.tolist())
-    path.write_text(f"{','.join(COLUMNS)}\n{text}\n", encoding="utf-8", newline="\n")
+    return position

@@ -12,11 +12,10 @@ from scipy.spatial.transform import Rotation
 from fusion.base import InputError
 from fusion.estimation.fuse import Acceleration
 from fusion.estimation.uncertainty import Contribution, Uncertainty
-from fusion.phasors.stereo_phasors import load_body
 from fusion.recording.load import load_manifest
-from fusion.sensitivity.body import Body, Part, make_joint, make_part
+from fusion.sensitivity.body import Body, Part, load_body, make_joint, make_part
 from fusion.sensitivity.load import LoadResult, load_phasors
-from fusion.simulate.preset import PRESETS, face_of, nominal_rig
+from fusion.simulate.preset import Preset, face_of, nominal_rig, read_preset
 from fusion.simulate.world import Draws
 from photogram.subsets.texture import textured_area
 from photogram.synthetic.scene import render, view_of
@@ -223,13 +222,15 @@ def test_manifest_states_joint_air_and_parts_below(make_campaign):
             ("rig.toml", "mass = 0.412", "below_joint = true\nmass = 0.412"),
         )
     )  # fmt: skip
-    body = load_body(load_manifest(folder / "recording.toml"))
+    manifest = load_manifest(folder / "recording.toml")
+    body = load_body(manifest.rig, manifest.part)
     assert [part.below_joint for part in body.parts] == [False, True, True]
     assert body.parts[0].mass_kg == pytest.approx(6.9605 * (1.0 - 1.2 / 8000.0) / (1.0 - 1.2 / 2700.0), rel=1e-12)
     assert [part.air_share for part in body.parts] == pytest.approx([1.19 / 2700.0, 0.0, 0.0])
     assert body.joint.u_frequency_hz.tolist() == [0, 0, 100, 0, 0, 0]
     assert body.joint.damping == 0.01
-    assert load_body(load_manifest(make_campaign() / "recording.toml")).joint is None
+    manifest = load_manifest(make_campaign() / "recording.toml")
+    assert load_body(manifest.rig, manifest.part).joint is None
 
 
 @pytest.mark.parametrize("value", ["0.0", "[1.0, 2.0, 3.0]", "[1, 2, 3, 4, 5, -6]"])
@@ -245,7 +246,7 @@ BORDER_PX = 5  # beside the image's border nothing is tracked: the body would mo
 @pytest.mark.parametrize(("preset", "pair"), [("nitsche2018", 0), ("nitsche2018", 1), ("demo", 0), ("demo", 1)])
 def test_the_body_is_covered_and_its_rim_left_out(preset, pair):
     """At least 98 % of what lies more than 2 px inside the rim, and nothing outside of that."""
-    setup = PRESETS[preset].stereo[pair]
+    setup = read_preset(Preset, preset).stereo[pair]
     rig, sensor_from_left = nominal_rig(setup)
     view = view_of(rig.left, sensor_from_left.inverse())
     face = face_of(setup, False, Draws(1, True).stream("speckle"))

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support import Refused, state
 
 from fusion import simulate as simulation
 from fusion.base import ComputeError, progress_bar
@@ -24,11 +25,9 @@ from fusion.cli import main
 from fusion.commands.options import EXIT_DONE, EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED
 
 HEAVY = ("torch", "kornia", "cv2", "numba", "matplotlib", "scipy", "skimage", "h5py", "rich", "pydantic", "numpy")
-Campaign = Callable[..., Path]
-Capture = pytest.CaptureFixture[str]
 
 
-def _usage(arguments: list[str], capsys: Capture) -> tuple[int, str, str]:
+def _usage(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
     """Run what argparse itself answers."""
     with pytest.raises(SystemExit) as left:
         main(arguments)
@@ -89,22 +88,16 @@ def test_run_prints_the_sensitivity_and_where_the_report_lies(make_campaign, eva
     ("flags", "warned", "informed"), [(["-q"], True, False), ([], True, False), (["-v"], True, True)]
 )
 def test_quiet_and_verbose(flags, warned, informed, make_campaign, capsys):
-    assert main(["run", str(make_campaign()), *flags]) == EXIT_DONE
+    folder = make_campaign()
+    assert main(["run", str(folder), *flags]) == EXIT_DONE
     told = capsys.readouterr().err
     assert ("shakercal: 318.75 Hz is left out" in told) is warned
     assert ("edge 90 of 211 is missing" in told) is informed
-
-
-@pytest.mark.usefixtures("evaluated")
-def test_nothing_to_compute_is_said_unless_quiet(make_campaign, capsys):
-    folder = make_campaign()
-    told = []
-    for flags in ([], [], ["-q"]):
-        assert main(["run", str(folder), *flags]) == EXIT_DONE
-        told.append(capsys.readouterr())
-    assert told[1].err == f"shakercal: {folder / 'results'}: results of the same input are there, nothing to compute\n"
-    assert "report (unchanged since the last run)" in told[1].out
-    assert told[2].err == ""
+    assert main(["run", str(folder), *flags]) == EXIT_DONE
+    again = capsys.readouterr()
+    nothing = f"shakercal: {folder / 'results'}: results of the same input are there, nothing to compute\n"
+    assert again.err == ("" if "-q" in flags else nothing)
+    assert "report (unchanged since the last run)" in again.out
 
 
 def test_libraries_are_heard_with_v_only(make_campaign, evaluated, monkeypatch, capsys):
@@ -128,9 +121,9 @@ def test_libraries_are_heard_with_v_only(make_campaign, evaluated, monkeypatch, 
     assert not evaluated
 
 
-def _raise(error: BaseException) -> Callable[..., None]:
+def _raise(error: BaseException, cause: BaseException | None = None) -> Callable[..., None]:
     def fail(*_: object, **__: object) -> None:
-        raise error
+        raise error from cause
 
     return fail
 
@@ -161,21 +154,15 @@ def test_failures_are_one_sentence_and_leave_nothing(
     assert sorted(folder.parent.rglob("*")) == before
 
 
-def test_an_interruption_that_compiled_code_hands_on(make_campaign, evaluated, monkeypatch, capsys):
-    def fail(*_: object) -> None:
-        raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
-
-    monkeypatch.setattr("fusion.campaign.cluster.evaluate_recording", fail)
-    assert main(["run", str(make_campaign())]) == EXIT_INTERRUPTED
-    assert capsys.readouterr().err == "shakercal: interrupted; nothing half-written was left behind\n"
-    assert not evaluated
-
-
-def test_where_an_internal_error_was_is_told_with_v(make_campaign, evaluated, monkeypatch, capsys):
-    monkeypatch.setattr("fusion.campaign.cluster.evaluate_recording", _raise(RuntimeError("a")))
-    assert main(["run", str(make_campaign()), "-v"]) == EXIT_FAILED
+@pytest.mark.usefixtures("evaluated")
+def test_failures_of_compiled_code_and_internal_errors(make_campaign, monkeypatch, refused, capsys):
+    folder, place = make_campaign(), "fusion.campaign.cluster.evaluate_recording"
+    monkeypatch.setattr(place, _raise(SystemError("returned a result with an exception set"), KeyboardInterrupt()))
+    told = refused("run", folder, status=EXIT_INTERRUPTED)
+    assert told == "shakercal: interrupted; nothing half-written was left behind"
+    monkeypatch.setattr(place, _raise(RuntimeError("a")))
+    assert main(["run", str(folder), "-v"]) == EXIT_FAILED
     assert "Traceback" in capsys.readouterr().err
-    assert not evaluated
 
 
 def test_check_tells_what_can_be_observed(demo_recording, capsys):
@@ -250,80 +237,83 @@ def simulated(made: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(made, tmp_path / "sim", copy_function=os.link))
 
 
-def _bytes(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+def _refused(arguments: list[object], folder: Path, refused: Refused) -> str:
+    before = state(folder)
+    told = refused("simulate", *arguments)
+    assert state(folder) == before
+    return told
 
 
-def _refused(arguments: list[str], folder: Path, capsys: Capture) -> str:
-    before = _bytes(folder)
-    assert main(["simulate", *arguments]) == EXIT_INPUT
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert told.err.count("\n") == 1
-    assert _bytes(folder) == before
-    return told.err
-
-
-def test_simulate_refuses_what_is_there(simulated, capsys):
-    told = _refused([str(simulated)], simulated.parent, capsys)
+def test_simulate_refuses_what_is_there(simulated, refused):
+    told = _refused([simulated], simulated.parent, refused)
     assert told.startswith(f"shakercal: {simulated}: expected a new folder (--force")
 
 
-def _results(folder: Path) -> None:
-    (folder / "Fz-0080" / "results").mkdir()
-    (folder / "Fz-0080" / "results" / "result.h5").write_bytes(b"work of a day")
+def _add(name: str) -> Callable[[Path], object]:
+    """Let the simulation hold work of a day, or an empty folder."""
 
+    def add(folder: Path) -> None:
+        path = folder / name
+        (path if path.suffix == "" else path.parent).mkdir(parents=True, exist_ok=True)
+        if path.suffix:
+            path.write_text("work of a day")
 
-def _campaign_results(folder: Path) -> None:
-    (folder / "results" / "Fz-0080").mkdir(parents=True)
-    (folder / "results" / "sensitivity.csv").write_text("work of a day")
-
-
-def _own_file(folder: Path) -> None:
-    (folder / "Fz-0080" / "notes.txt").write_text("work of a day")
-
-
-def _own_folder(folder: Path) -> None:
-    (folder / "Fz-0080" / "empty").mkdir()
+    return add
 
 
 def _own_recording(folder: Path) -> None:
     shutil.copytree(folder / "Fz-0080", folder / "Fz-0100", ignore=shutil.ignore_patterns("truth.json"))
 
 
-def _no_simulation(folder: Path) -> None:
-    (folder / "Fz-0080" / "truth.json").unlink()
+def _replace(name: str, text: str | None) -> Callable[[Path], object]:
+    def change(folder: Path) -> None:
+        (folder / name).unlink()
+        if text is not None:
+            (folder / name).write_text(text)
 
-
-def _broken_manifest(folder: Path) -> None:
-    (folder / "rig.toml").unlink()
-    (folder / "rig.toml").write_text("not mine any more")
+    return change
 
 
 @pytest.mark.parametrize(
-    "add",
-    [_results, _campaign_results, _own_file, _own_folder, _own_recording, _no_simulation, _broken_manifest],
-)
-def test_force_never_deletes_what_a_user_made(add, simulated, capsys):
-    add(simulated)
-    told = _refused([str(simulated), "--force"], simulated.parent, capsys)
+    "change",
+    [
+        _add("Fz-0080/results/result.h5"), _add("results/sensitivity.csv"), _add("Fz-0080/notes.txt"),
+        _add("Fz-0080/empty"), _own_recording, _replace("Fz-0080/truth.json", None), _replace("rig.toml", "not mine"),
+    ],
+)  # fmt: skip
+def test_force_never_deletes_what_a_user_made(change, simulated, refused):
+    change(simulated)
+    told = _refused([simulated, "--force"], simulated.parent, refused)
     assert told.startswith(f"shakercal: {simulated}: expected a new folder, or an earlier simulation as it was written")
 
 
-def test_force_does_not_replace_a_file(tmp_path, capsys):
+def test_force_does_not_replace_a_file(tmp_path, refused):
     (tmp_path / "sim").write_text("mine")
-    assert "found a file" in _refused([str(tmp_path / "sim"), "--force"], tmp_path, capsys)
-    assert "sim/below" in _refused([str(tmp_path / "sim" / "below")], tmp_path, capsys)
+    assert "found a file" in _refused([tmp_path / "sim", "--force"], tmp_path, refused)
+    assert "sim/below" in _refused([tmp_path / "sim" / "below"], tmp_path, refused)
+
+
+@pytest.mark.parametrize("preset", ["rotation", "elastomer", "chirp"])
+def test_the_same_seed_gives_the_same_files_and_another_others(preset, tmp_path):
+    run = ["simulate", str(tmp_path / "one"), "--preset", preset, "-q"]
+    assert main(run) == EXIT_DONE
+    first = state(tmp_path / "one")
+    assert main([*run, "--force"]) == EXIT_DONE
+    assert state(tmp_path / "one") == first
+    assert main([*run, "--force", "--seed", "2"]) == EXIT_DONE
+    assert state(tmp_path / "one") != first
+    if preset == "chirp":
+        assert main(["check", str(tmp_path / "one")]) == EXIT_DONE
 
 
 @pytest.mark.usefixtures("tiny")
 def test_force_replaces_an_earlier_simulation(simulated, capsys):
-    before = _bytes(simulated)
+    before = state(simulated)
     assert main(["simulate", str(simulated), "--force", "--seed", "2"]) == EXIT_DONE
     told = capsys.readouterr()
     assert told.out == f"simulated recording: {simulated / 'Fz-0080'}\n"
     assert told.err == ""
-    after = _bytes(simulated)
+    after = state(simulated)
     assert list(after) == list(before)
     assert json.loads(after["Fz-0080/truth.json"]) != json.loads(before["Fz-0080/truth.json"])
     assert [path.name for path in simulated.parent.iterdir()] == ["sim"]
@@ -336,10 +326,10 @@ def test_a_simulation_that_stops_leaves_nothing(error, status, simulated, monkey
         (out / "rig.toml").write_text("half")
         raise error
 
-    monkeypatch.setattr("fusion.simulate.write.write_campaign", write)
-    before = _bytes(simulated.parent)
+    monkeypatch.setattr("fusion.simulate.sines.write_runs", write)
+    before = state(simulated.parent)
     for arguments in ([str(simulated.parent / "new")], [str(simulated), "--force"]):
         assert main(["simulate", *arguments]) == status
         assert capsys.readouterr().err.count("\n") == 1
-    assert _bytes(simulated.parent) == before
+    assert state(simulated.parent) == before
     assert [path.name for path in simulated.parent.iterdir()] == ["sim"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import shutil
 import tomllib
@@ -15,21 +14,22 @@ import coverage_tracks
 import cv2
 import numpy as np
 import pytest
+from contracts import coverage_contract
 from scipy.stats import binom
 from simulated_phasors import CASES, case_setup, simulate_phasors
+from support import far, rows
 
 from fusion.base import Settings
 from fusion.cli import main
 from fusion.commands.options import EXIT_DONE
-from fusion.estimation.uncertainty import region_factor
 from fusion.recording.load import find_recordings, load_manifest
 from fusion.report.recording import write_results
 from fusion.sensitivity.analyse import Evaluation, analyse
 from fusion.sensitivity.evaluate import evaluate_recording
 from fusion.simulate import simulate
-from fusion.simulate.channels import to_toml
-from fusion.simulate.preset import PRESETS
+from fusion.simulate.preset import Preset, read_preset
 from fusion.simulate.world import Draws, TrueStereo, frame_bounds, make_world
+from fusion.simulate.write import to_toml
 from photogram.geometry import RigidTransform
 from photogram.synthetic.board import Board, random_poses, render_board
 from photogram.targets.view import Target
@@ -58,9 +58,8 @@ def _normalised(evaluation: Evaluation, truth: dict[str, Any], source: str) -> n
 
 
 @pytest.fixture(scope="module")
-def demo(demo_recording: Path) -> tuple[Evaluation, dict[str, Any]]:
-    (recording,) = find_recordings(demo_recording)
-    return evaluate_recording(load_manifest(recording), Settings(), {}), _truth(recording)
+def demo(demo_recording: Path, demo_evaluation: Evaluation) -> tuple[Evaluation, dict[str, Any]]:
+    return demo_evaluation, _truth(find_recordings(demo_recording)[0])
 
 
 def test_demo_acceleration_is_covered_by_its_uncertainty(demo):
@@ -109,11 +108,10 @@ def test_result_files_of_the_demo_hold_the_evaluation(demo, tmp_path):
     names = {path.name for path in write_results(evaluation, tmp_path / "results")}
     tables = {"sensitivity.csv", "acceleration.csv", "load.csv", "motion-top.csv", "motion-base.csv"}
     assert names == tables | {"result.h5", "report.html"}
-    with (tmp_path / "results" / "sensitivity.csv").open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    assert len(rows) == 18
-    assert {row["unit"] for row in rows} == {"(V/V)/N"}
-    first = next(row for row in rows if row["channel"] == "Fz")
+    found = rows(tmp_path / "results" / "sensitivity.csv")
+    assert len(found) == 18
+    assert {row["unit"] for row in found} == {"(V/V)/N"}
+    first = next(row for row in found if row["channel"] == "Fz")
     assert complex(float(first["re"]), float(first["im"])) == evaluation.sensitivity.value[0, 2, DRIVEN]
 
 
@@ -241,7 +239,7 @@ def test_a_run_with_cameras_calibrated_and_placed_by_the_program(demo_recording,
     """The simulator's own calibration and pose are replaced; what was measured is covered by what is stated."""
     campaign = tmp_path / "campaign"
     shutil.copytree(demo_recording, campaign)
-    world, rng = make_world(PRESETS["demo"], Draws(DEMO_SEED, True), 0.0), np.random.default_rng(8)
+    world, rng = make_world(read_preset(Preset, "demo"), Draws(DEMO_SEED, True), 0.0), np.random.default_rng(8)
     rig = tomllib.loads((campaign / "rig.toml").read_text(encoding="utf-8"))
     for stereo in world.stereo:
         block = _calibrated_block(tmp_path, stereo, rng)
@@ -252,16 +250,7 @@ def test_a_run_with_cameras_calibrated_and_placed_by_the_program(demo_recording,
     (campaign / "rig.toml").write_text(to_toml(rig), encoding="utf-8")
     (recording,) = find_recordings(campaign)
     evaluation = evaluate_recording(load_manifest(recording), Settings(), {})
-    truth = json.loads((recording.parent / "truth.json").read_text(encoding="utf-8"))["acceleration"]
-    found = []
-    for acceleration in evaluation.accelerations:
-        if acceleration.source == "photogrammetry":
-            exact = np.asarray(truth[acceleration.body]["re"]) + 1j * np.asarray(truth[acceleration.body]["im"])
-            error = acceleration.phasors.value - exact
-            u = np.sqrt(acceleration.phasors.covariance.diagonal(axis1=1, axis2=2))
-            found.append(np.concatenate([error.real, error.imag], axis=1) / u)
-    normalised = np.concatenate(found)
-    normalised = normalised[np.isfinite(normalised)]
+    normalised = _normalised(evaluation, _truth(recording), "photogrammetry")
     assert len(normalised) >= 18
     assert np.abs(normalised).max() < 4.5
     assert 0.4 < np.sqrt(np.mean(normalised**2)) < 1.5
@@ -283,11 +272,6 @@ def _transverse_u(evaluation: Evaluation) -> np.ndarray:
 PHASOR_TRIALS = 60
 
 
-def inside(error: complex, covariance: np.ndarray, dof: float) -> bool:
-    stacked = np.array([error.real, error.imag])
-    return bool(stacked @ np.linalg.solve(covariance, stacked) <= region_factor(dof) ** 2)
-
-
 def test_readings_without_errors_give_the_truth_back():
     # The exact readings and the rows of the linear model have no code in common.
     setup = case_setup(CASES[2])
@@ -299,7 +283,7 @@ def test_readings_without_errors_give_the_truth_back():
         channels=tuple(replace(channel, noise=1e-5 * channel.noise) for channel in setup.channels),
     )
     known, truth = simulate_phasors(setup, Draws(1, False))
-    found = analyse(known.inputs)
+    found = analyse(known)
     fused = found.accelerations[0].phasors.value
     np.testing.assert_allclose(fused, truth.acceleration, atol=1e-5 * np.abs(truth.acceleration).max())
     np.testing.assert_allclose(found.load.value, truth.load, atol=1e-5 * np.abs(truth.load).max())
@@ -309,24 +293,23 @@ def test_readings_without_errors_give_the_truth_back():
 @pytest.mark.parametrize("place", range(len(CASES)), ids=[case.name for case in CASES])
 def test_regions_hold_the_truth_as_often_as_they_claim(place):
     case, setup = CASES[place], case_setup(CASES[place])
-    driven, counts, errors = case.driven, np.zeros(3), []
-    for seed in range(1, PHASOR_TRIALS + 1):
-        known, truth = simulate_phasors(setup, Draws(seed, True))
+    driven, errors = case.driven, []
+    pair = np.ix_([driven, driven + 6], [driven, driven + 6])
+
+    def estimate(trial: int) -> tuple[list[float], np.ndarray]:
+        known, truth = simulate_phasors(setup, Draws(trial + 1, True))
         found = analyse(known.inputs)
         fused, load, ratio = found.accelerations[0], found.load, found.sensitivity
-        pair = np.ix_([driven, driven + 6], [driven, driven + 6])
-        results = (
-            (fused.phasors.value[0, driven] - truth.acceleration[0, driven], fused.uncertainty.covariance[0][pair],
-             fused.uncertainty.dof()[0, driven]),
-            (load.value[0, driven] - truth.load[0, driven], load.uncertainty.covariance[0][pair],
-             load.uncertainty.dof()[0, driven]),
-            (ratio.value[0, driven, driven] - truth.outputs[0, driven] / truth.load[0, driven],
-             ratio.covariance[0, driven, driven], ratio.dof[0, driven, driven]),
-        )  # fmt: skip
-        counts += [inside(complex(error), covariance, float(dof)) for error, covariance, dof in results]
-        errors.append(results[0][0] / truth.acceleration[0, driven])
-    # A program that covers 95 % passes all fifteen counts 99 times in 100.
-    low, high = (binom.ppf(p, PHASOR_TRIALS, 0.95) for p in (0.0005, 0.9995))
-    assert np.all((counts >= low) & (counts <= high)), counts
-    spread = np.std(np.real(errors)) / np.sqrt(PHASOR_TRIALS)
-    assert abs(np.mean(np.real(errors))) < 4.0 * spread + 3e-5
+        errors.append((fused.phasors.value[0, driven] / truth.acceleration[0, driven] - 1.0).real)
+        off = [
+            far(value[0, driven] - true[0, driven], whole.covariance[0][pair], whole.dof()[0, driven])
+            for value, true, whole in (
+                (fused.phasors.value, truth.acceleration, fused.uncertainty), (load.value, truth.load, load.uncertainty),
+            )
+        ]  # fmt: skip
+        true = truth.outputs[0, driven] / truth.load[0, driven]
+        of_ratio = ratio.covariance[0, driven, driven], ratio.dof[0, driven, driven]
+        return [*off, far(ratio.value[0, driven, driven] - true, *of_ratio)], np.ones(3)
+
+    coverage_contract(estimate, np.zeros(3), PHASOR_TRIALS)
+    assert abs(np.mean(errors)) < 4.0 * np.std(errors) / np.sqrt(PHASOR_TRIALS) + 3e-5

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -10,8 +9,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from support import rows
 
 from fusion.campaign.repeats import BETWEEN, WITHIN, nested
+from fusion.cli import main
 from fusion.estimation.uncertainty import coverage_factor
 from fusion.recording.load import load_manifest
 from fusion.sensor.rotate.evaluate import evaluate_rotation
@@ -20,7 +21,6 @@ from fusion.sensor.rotate.readings import (
     JOINT,
     Carried,
     Component,
-    Quantity,
     RotationEvaluation,
     air_density,
     components,
@@ -29,14 +29,17 @@ from fusion.sensor.rotate.readings import (
     turned,
     unknown_volume,
 )
-from fusion.sensor.rotate.report import budget_tables, repeats_tables, run_rotate
+from fusion.sensor.rotate.report import budget_tables, repeats_tables
+from fusion.simulate.preset import read_preset
 from fusion.simulate.statics import BARE, LOADED, RotationRig, true_outputs, write_rotation
 from fusion.simulate.world import Draws
 from shaker.static_rotation.harmonics import fit_angles, turning_sense
 from shaker.static_rotation.masses import ROWS, fit_weights
 
 TRIALS = 500
-SCATTERING = RotationRig(u_sensitivity=1e-4, u_angle_rad=2e-5, u_load_mass_kg=1e-5, hysteresis=0.0)
+SCATTERING = read_preset(
+    RotationRig, "rotation", u_sensitivity=1e-4, u_angle_rad=2e-5, u_load_mass_kg=1e-5, hysteresis=0.0
+)
 ONE = np.ones((1, 1))
 
 
@@ -71,12 +74,8 @@ def test_noise_and_scatter_together_have_u_and_freedom_of_the_mean_square():
     assert found.in_mean[0] + noise**2 / 3.0 == pytest.approx(square / 3.0)
     assert found.wide[0] + noise**2 / 3.0 == pytest.approx(2.0 * square / 3.0)  # s² (1 + 2/ν) of two
     assert _effective(found, noise**2 / 3.0) == pytest.approx(2.0)
-
-
-def test_scatter_that_noise_explains_adds_nothing():
-    found = dict(components(_carried(np.array([1.0, 1.1, 0.9]), 0.2, ("1",) * 3), ONE))
-    assert found[WITHIN].in_mean[0] == 0.0
-    assert found[WITHIN].wide[0] == 0.0
+    explained = dict(components(_carried(np.array([1.0, 1.1, 0.9]), 0.2, ("1",) * 3), ONE))[WITHIN]
+    assert (explained.in_mean[0], explained.wide[0]) == (0.0, 0.0)
 
 
 def test_unbalanced_mountings_come_apart_in_the_mean_over_many():
@@ -147,13 +146,13 @@ def test_repeats_enter_the_budget_of_what_rests_on_them(repeated):
     assert again.mountings == ("1", "2", "3", "3")
     assert (again.within_dof, again.between_dof) == (1, 2)
     off = [evaluation.find("weight_deviation", JOINT, name) for name in again.recordings]
-    values = [q.value for q in off if q is not None]
+    values = [q.value for q in off]
     assert sum(values) == pytest.approx(0.0, abs=1e-9)
     weights = [evaluation.find("weight", JOINT, name) for name in again.recordings]
-    plain = np.array([q.value for q in weights if q is not None])
+    plain = np.array([q.value for q in weights])
     np.testing.assert_allclose(values, plain - plain.mean(), atol=1e-12)
-    assert all(q is not None and q.u < 0.01 for q in off)  # the calibration, 0.027 N of each, cancels
-    assert all(q is not None and not any(BETWEEN in name for name in q.budget) for q in weights)
+    assert all(q.u < 0.01 for q in off)  # the calibration, 0.027 N of each, cancels
+    assert not any(BETWEEN in name for q in weights for name in q.budget)
 
 
 def test_one_mounting_is_told_and_single_recordings_are_not(repeated):
@@ -166,13 +165,12 @@ def test_one_mounting_is_told_and_single_recordings_are_not(repeated):
     assert all(not name.startswith((WITHIN, BETWEEN)) for q in single.quantities for name in q.budget)
 
 
-def test_files_of_repeats(repeated, tmp_path, monkeypatch):
+@pytest.mark.usefixtures("no_pages")
+def test_files_of_repeats(repeated, tmp_path):
     folder, names = repeated
-    monkeypatch.setattr("fusion.sensor.rotate.run.render_rotation_page", lambda _: "")
-    run_rotate([folder], tmp_path / "results")
-    with (tmp_path / "results" / "rotation.csv").open(newline="") as stream:
-        rows = [row for row in csv.DictReader(stream) if row["name"] == "weight_deviation"]
-    assert {row["recording"] for row in rows} == {LOADED, "again", "anew", "anew-again"}
+    assert main(["rotate", str(folder), "-o", str(tmp_path / "results")]) == 0
+    found = [row for row in rows(tmp_path / "results" / "rotation.csv") if row["name"] == "weight_deviation"]
+    assert {row["recording"] for row in found} == {LOADED, "again", "anew", "anew-again"}
     with h5py.File(tmp_path / "results" / "rotation.h5") as file:
         assert list(file["repeats"]) == ["with load"]
         assert file["repeats/with load/mountings"].asstr()[:].tolist() == ["2", "3", "3", "1"]
@@ -241,8 +239,10 @@ def test_intervals_of_masses_hold_the_truth(sizes, within, between, tmp_path):
 
 
 ROTATION_TRIALS = 1000
-BY_CALIBRATION = RotationRig(u_angle_rad=3e-4)
-BY_NOISE = RotationRig(u_sensitivity=2e-5, u_angle_rad=1e-5, u_load_mass_kg=1e-6, hysteresis=0.0)
+BY_CALIBRATION = read_preset(RotationRig, "rotation", u_angle_rad=3e-4)
+BY_NOISE = read_preset(
+    RotationRig, "rotation", u_sensitivity=2e-5, u_angle_rad=1e-5, u_load_mass_kg=1e-6, hysteresis=0.0
+)
 JUDGED = {
     *(("internal_mass", name) for name in ("joint", "Fx", "Fy")),
     *(("load_mass", name) for name in ("joint", "Fx", "Fy")),
@@ -289,13 +289,8 @@ def test_intervals_hold_the_truth(rig, tmp_path):
             (q.name, q.component): q for q in quantities(Campaign(tuple(recordings), records, weights, gravity, air))
         }
         for key, true in _truth(rig, draws.values).items():
-            held[key] += _holds(found[key], true)
+            held[key] += abs(found[key].value - true) <= found[key].expanded
     shares = {key: count / ROTATION_TRIALS for key, count in held.items()}
     # A perfect interval misses by three standard deviations of 1000 trials, 2 %, once in 400; pooled ones agree better.
     assert all(0.93 <= share <= 0.97 for share in shares.values()), shares
     assert 0.94 <= np.mean(list(shares.values())) <= 0.96, shares
-
-
-def _holds(quantity: Quantity, true: float) -> bool:
-    """Whether the interval holds the truth."""
-    return abs(quantity.value - true) <= quantity.expanded

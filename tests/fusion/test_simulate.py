@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import tomllib
 from pathlib import Path
@@ -11,12 +10,13 @@ import h5py
 import numpy as np
 import pytest
 import tifffile
+from support import state
 
 from fusion.base import InputError
+from fusion.cli import main
 from fusion.recording.load import load_manifest
-from fusion.simulate import simulate
-from fusion.simulate.channels import to_toml
-from fusion.simulate.preset import PRESETS
+from fusion.simulate import PRESETS, simulate
+from fusion.simulate.preset import PartSpec, Preset, read_preset
 from fusion.simulate.world import (
     Draws,
     Motion,
@@ -28,6 +28,7 @@ from fusion.simulate.world import (
     velocity_at,
     wrench,
 )
+from fusion.simulate.write import to_toml
 from photogram.geometry import rotation_from_vector
 
 GRAVITY = np.array([0.0, 0.0, -9.8125])
@@ -99,11 +100,11 @@ def test_base_moves_below_an_undamped_mount_by_one_minus_the_squared_ratio() -> 
 
 
 def test_without_errors_everything_is_as_stated() -> None:
-    world = make_world(PRESETS["demo"], Draws(1, False), 0.0)
-    assert all(not any(values) for values in Draws(1, False).values.values())
+    draws = Draws(1, False)
+    world = make_world(read_preset(Preset, "demo"), draws, 0.0)
+    assert not any(any(values) for values in draws.values.values())
     stereo = world.stereo[0]
-    both = stereo.left_from_sensor @ stereo.sensor_from_left
-    np.testing.assert_allclose(both.pose, 0, atol=1e-15)
+    np.testing.assert_allclose((stereo.left_from_sensor @ stereo.sensor_from_left).pose, 0, atol=1e-15)
     np.testing.assert_array_equal(stereo.rig.left.parameters, stereo.nominal.left.parameters)
     np.testing.assert_allclose(np.diff(world.trigger_s), 1 / 38.345, rtol=1e-12)
 
@@ -118,18 +119,33 @@ def test_errors_are_drawn_with_the_stated_spread() -> None:
 
 
 def test_published_numbers_of_the_large_preset() -> None:
-    preset = PRESETS["nitsche2018"]
+    preset = read_preset(Preset, "nitsche2018")
     amplitude = np.abs(np.array(preset.acceleration))[:, 2]
-    assert amplitude[0] == pytest.approx(189.3217)
-    assert amplitude[3] == pytest.approx(0.9596)
+    assert amplitude[[0, 3]] == pytest.approx([189.3217, 0.9596])
     assert (preset.load.mass, preset.internal.mass) == (6.9605, 0.769)
     assert (preset.frames, preset.camera_rate_hz, preset.daqs[0].sample_rate_hz) == (211, 52.874, 51200.0)
     assert amplitude[0] / (2 * np.pi * preset.fundamental_hz) ** 2 == pytest.approx(0.4248e-3, rel=1e-3)
 
 
+def test_a_preset_takes_what_it_does_not_say_from_what_it_is_like() -> None:
+    whole, sweep = read_preset(Preset, "nitsche2018"), read_preset(Preset, "sweep", lag_s=1e-3)
+    assert (sweep.name, sweep.lag_s, sweep.serial, sweep.stereo) == ("sweep", 1e-3, whole.serial, whole.stereo)
+    assert (sweep.load.centre_of_mass, sweep.load.mass) == ((0.0, 0.0, 0.0), whole.load.mass)
+    laser = sweep.daqs[0].channels[7]
+    assert (laser.quantity, laser.point, laser.stated["scale_uncertainty"]) == (
+        "velocity",
+        (0.03394, -0.03394, 0.0973),
+        5e-4,
+    )
+    with pytest.raises(ValueError, match="weight"):
+        read_preset(PartSpec, "demo.load", weight=9.81)
+    with pytest.raises(ValueError, match="mass"):
+        read_preset(PartSpec, "demo.load", mass="heavy")
+
+
 @pytest.mark.parametrize("name", ["demo", "nitsche2018"])
-def test_camera_rate_folds_every_line_apart(name: str) -> None:
-    preset = PRESETS[name]
+def test_camera_rate_aliases_every_line_apart(name: str) -> None:
+    preset = read_preset(Preset, name)
     time = np.arange(preset.frames) / preset.camera_rate_hz
     angle = 2 * np.pi * time[:, None] * preset.frequencies_hz
     design = np.column_stack([np.ones_like(time), np.cos(angle), np.sin(angle)])
@@ -156,19 +172,46 @@ def test_recording_is_complete_and_its_manifest_valid(small: Path) -> None:
     assert "top.calibration" in truth["drawn"]
 
 
-def test_same_seed_gives_the_same_bytes(small: Path, tmp_path: Path) -> None:
-    again = simulate(tmp_path / "again", "demo", 3, frames=4, image_scale=0.3)
-    other = simulate(tmp_path / "other", "demo", 4, frames=4, image_scale=0.3)
-    digests = [
-        {
-            str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
-            for path in sorted(folder.rglob("*"))
-            if path.suffix in {".tif", ".json", ".toml", ".h5"}
-        }
-        for folder in (small, again, other)
-    ]
-    assert digests[0] == digests[1]
-    assert digests[0]["top-left/0000.tif"] != digests[2]["top-left/0000.tif"]
+@pytest.mark.parametrize("preset", ["demo", "matrix", "chirp", "rotation", "steps", "loads", "elastomer"])
+def test_the_same_seed_gives_the_same_bytes(preset: str, tmp_path: Path) -> None:
+    switches = {"demo": {"frames": 3, "image_scale": 0.3}, "matrix": {"recordings": 1}}.get(preset, {})
+    for name, seed in (("one", 3), ("same", 3), ("other", 4)):
+        simulate(tmp_path / name, preset, seed, **switches)
+    one, same, other = (state(tmp_path / name) for name in ("one", "same", "other"))
+    assert one == same
+    assert one.keys() == other.keys()
+    changed = {name.rpartition("/")[2] for name in one if one[name] != other[name]}
+    assert "truth.json" in changed
+    assert changed & {"0000.tif", "channels.h5", "accelerometers.h5", "readings.csv", "outputs.h5", "models.json"}
+
+
+@pytest.mark.parametrize("preset", ["loads", "elastomer"])
+def test_the_command_replaces_an_earlier_simulation_and_nothing_else(
+    preset: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "it"
+    assert main(["simulate", str(out), "--preset", preset]) == 0
+    assert str(out) in capsys.readouterr().out
+    assert main(["simulate", str(out), "--preset", preset]) == 2
+    assert main(["simulate", str(out), "--preset", preset, "--force", "--seed", "2"]) == 0
+    (out / "thesis.txt").write_text("mine")
+    with pytest.raises(InputError, match=r"expected a new folder.*found thesis.txt in it"):
+        simulate(out, preset, 1)
+    assert (out / "thesis.txt").read_text() == "mine"
+
+
+def test_a_wrong_call_names_what_was_expected(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=f"preset: expected one of {', '.join(PRESETS)}, found 'nitsche'"):
+        simulate(tmp_path / "x", "nitsche", 1)
+    for switches, said in (
+        ({"frames": 2}, "frames: expected at least 3"),
+        ({"image_scale": 2}, "image_scale: expected"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            simulate(tmp_path / "x", "demo", 1, **switches)
+    with pytest.raises(ValueError, match="frames: expected nothing to switch in steps"):
+        simulate(tmp_path / "x", "steps", 1, frames=4)
+    assert not any(tmp_path.iterdir())
 
 
 def test_noise_free_channels_are_the_truth(tmp_path: Path) -> None:
@@ -197,15 +240,6 @@ def test_noise_free_channels_are_the_truth(tmp_path: Path) -> None:
     rising = np.flatnonzero((trigger[1:] > 2.5) & (trigger[:-1] < 2.5)) + 1
     edges = np.array(truth["exposure_middle_s"]) - 30e-6
     assert ((time[rising] >= edges) & (time[rising] - edges < 1 / rate)).all()
-
-
-def test_a_folder_of_other_things_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "thesis.txt").write_text("mine")
-    with pytest.raises(InputError, match=r"expected a new folder.*found thesis.txt in it"):
-        simulate(tmp_path, "demo", 1, frames=3, image_scale=0.3)
-    assert (tmp_path / "thesis.txt").read_text() == "mine"
-    with pytest.raises(ValueError, match="preset: expected one of"):
-        simulate(tmp_path / "x", "nitsche", 1)
 
 
 def test_toml_text_is_read_back() -> None:

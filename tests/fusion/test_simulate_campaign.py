@@ -11,13 +11,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fusion.base import InputError
-from fusion.cli import main
 from fusion.recording.load import load_manifest
-from fusion.simulate import simulate_campaign
-from fusion.simulate.sines import ROCKING_HZ, laser_points, wrench_direction
-from fusion.simulate.world import CampaignDraws, face_points, make_world, point_series
-from fusion.simulate.write import CAMPAIGNS
+from fusion.simulate import simulate
+from fusion.simulate.sines import ROCKING_HZ, runs, wrench_direction
+from fusion.simulate.world import Draws, face_points, make_world, point_series
 from photogram.geometry import rotation_from_vector
 from photogram.point_tables import read_point_tables
 
@@ -25,7 +22,8 @@ from photogram.point_tables import read_point_tables
 @pytest.fixture(scope="module")
 def sweep(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ...]:
     """The first frequency of the sweep: two mountings, two recordings of each."""
-    return simulate_campaign(tmp_path_factory.mktemp("sweep") / "campaign", "sweep", 5, recordings=4)
+    folder = simulate(tmp_path_factory.mktemp("sweep") / "campaign", "sweep", 5, recordings=4)
+    return tuple(sorted(folder.glob("Fz-*")))
 
 
 def _truth(folder: Path) -> dict[str, Any]:
@@ -38,15 +36,14 @@ def _complex(entry: dict[str, Any]) -> NDArray[np.complex128]:
 
 
 def test_sweep_is_the_published_plan() -> None:
-    runs = CAMPAIGNS["sweep"]()
-    assert len(runs) == 48
-    frequencies = sorted({run.nominal_hz[0] for run in runs})
-    assert len(frequencies) == 12
-    assert (frequencies[0], frequencies[-1]) == (53.7, 1020.3)
+    plan = runs("sweep")
+    frequencies = sorted({run.nominal_hz[0] for run in plan})
+    assert (len(plan), len(frequencies), frequencies[0], frequencies[-1]) == (48, 12, 53.7, 1020.3)
     assert ROCKING_HZ in [pytest.approx(f) for f in frequencies]
-    assert {(run.mounting, run.nominal_hz) for run in runs} == {(m, (f,)) for m in "12" for f in frequencies}
-    assert len(laser_points()) == 8
-    assert len({run.preset.recording for run in runs}) == 48
+    assert {(run.mounting, run.nominal_hz) for run in plan} == {(m, (f,)) for m in "12" for f in frequencies}
+    assert len({run.preset.recording for run in plan}) == 48
+    lasers = [spec.point for spec in plan[0].preset.daqs[0].channels if spec.quantity == "velocity"]
+    assert np.hypot(*np.array(lasers)[:, :2].T) == pytest.approx([0.022] * 4 + [0.048] * 4, abs=1e-5)
 
 
 def test_manifests_are_valid_and_name_every_file(sweep: tuple[Path, ...]) -> None:
@@ -82,10 +79,10 @@ def test_recordings_of_one_frequency_are_repeats(sweep: tuple[Path, ...]) -> Non
 
 def test_the_lag_is_the_published_one() -> None:
     """Phase and magnitude of a first-order lag of 50 µs: −0.25 rad at 805.5 Hz, 95.3 % at 1000 Hz."""
-    last = {run.nominal_hz[0]: run for run in CAMPAIGNS["sweep"]()}
+    last = {run.nominal_hz[0]: run for run in runs("sweep")}
     curve = {}
     for frequency in (53.7, 805.5, 1020.3):
-        world = make_world(last[frequency].preset, CampaignDraws(1, False), 0.0)
+        world = make_world(last[frequency].preset, Draws(1, False), 0.0)
         curve[frequency] = world.sensitivity[0, 2, 2]
     assert np.angle(curve[805.5]) == pytest.approx(-0.25, abs=0.01)
     assert abs(curve[1020.3]) / abs(curve[53.7]) == pytest.approx(0.953, abs=2e-3)
@@ -93,24 +90,19 @@ def test_the_lag_is_the_published_one() -> None:
 
 def test_points_follow_the_body_in_the_frame_of_the_left_camera() -> None:
     """Every point is moved by hand: x' = R x + t, then into the stated frame, blurred by sinc(fT)."""
-    run = CAMPAIGNS["sweep"]()[0]
-    draws = CampaignDraws(3, False, mounting="1", recording="a")
+    run, draws = runs("sweep")[0], Draws(3, False)
     world = make_world(run.preset, draws, 0.0)
-    setup = run.preset.points[0]
-    series = point_series(world, setup, draws, False)
-    rest = face_points(setup)
-    manifest_pose = run.preset.points[0]
+    setup = run.preset.stereo[0]
+    series, rest = point_series(world, setup, draws, False), face_points(setup)
     frequency, exposure = world.motion["load"].frequency_hz, run.preset.exposure_s
     time = world.trigger_s[7] + exposure / 2
     lines = world.motion["load"].displacement * np.sinc(frequency * exposure)[:, None]
     pose = sum((line * np.exp(2j * np.pi * f * time)).real for line, f in zip(lines, frequency, strict=True))
     moved = rest @ rotation_from_vector(pose[3:]).T + pose[:3]
-    between = np.linalg.norm(moved[:, None] - moved[None], axis=-1)
-    seen = series.position_m[7]
-    np.testing.assert_allclose(np.linalg.norm(seen[:, None] - seen[None], axis=-1), between, atol=1e-12)
-    distance = manifest_pose.focal_px * manifest_pose.pixel_m
-    np.testing.assert_allclose(np.linalg.norm(series.position_m, axis=-1), distance, rtol=0.15)
-    assert series.position_m.shape == (48, 40, 3)
+    between, seen = (np.linalg.norm(p[:, None] - p[None], axis=-1) for p in (moved, series[7]))
+    np.testing.assert_allclose(seen, between, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(series, axis=-1), setup.focal_px * setup.pixel_m, rtol=0.15)
+    assert series.shape == (48, 40, 3)
 
 
 def test_point_tables_are_read_back(sweep: tuple[Path, ...]) -> None:
@@ -122,7 +114,7 @@ def test_point_tables_are_read_back(sweep: tuple[Path, ...]) -> None:
 
 def test_a_mass_on_an_arm_loads_the_moment_by_hand() -> None:
     """2.047 kg at 0.2 m along x on a total of 11.0605 kg: Fz = 11.0605 N, My = −0.4094 N·m per m/s²."""
-    run = CAMPAIGNS["matrix"]()[1]
+    run = runs("matrix")[1]
     assert run.direction == (0.0, 0.0, 11.0605, 0.0, -0.4094, 0.0)
     assert run.driven == 4
     assert wrench_direction(run.parts, (0.0, 1.0, 0.0))[5] == pytest.approx(2.047 * 0.2, abs=1e-4)
@@ -131,8 +123,8 @@ def test_a_mass_on_an_arm_loads_the_moment_by_hand() -> None:
 def test_the_matrix_campaign_excites_six_components_independently() -> None:
     """Rank of the loads in shares of their capacities, line by line: the smallest singular value is far from zero."""
     loads = []
-    for run in CAMPAIGNS["matrix"]():
-        world = make_world(run.preset, CampaignDraws(1, False, mounting=run.mounting), 0.0)
+    for run in runs("matrix"):
+        world = make_world(run.preset, Draws(1, False, mounting=run.mounting), 0.0)
         loads.append(world.load_wrench / np.array(run.preset.capacity))
     values = np.linalg.svd(np.stack(loads, axis=1), compute_uv=False)
     assert values.shape == (3, 6)
@@ -140,41 +132,14 @@ def test_the_matrix_campaign_excites_six_components_independently() -> None:
 
 
 def test_matrix_rigs_differ_in_gravity_only(tmp_path: Path) -> None:
-    folders = simulate_campaign(tmp_path / "matrix", "matrix", 2)
+    folders = sorted(simulate(tmp_path / "matrix", "matrix", 2).glob("*/"))
     manifests = [load_manifest(folder) for folder in folders]
     downs = [manifest.rig.environment.gravity for manifest in manifests if manifest.rig.environment is not None]
     assert downs[0] == (0.0, 0.0, -9.8125)
     assert downs[4] == (-9.8125, 0.0, 0.0)
     assert downs[6] == (0.0, -9.8125, 0.0)
     assert len({manifest.mounting for manifest in manifests}) == 8
-    assert (
-        len({json.dumps(manifest.rig.model_dump(include={"sensor", "load"}, mode="json")) for manifest in manifests})
-        == 1
-    )
+    assert len({manifest.rig.model_dump_json(include={"sensor", "load"}) for manifest in manifests}) == 1
     drawn = [_truth(folder)["drawn"] for folder in folders]
     assert drawn[1]["moment mass.mass"] == drawn[7]["moment mass.mass"]
     assert drawn[1]["moment mass.centre_of_mass"] != drawn[7]["moment mass.centre_of_mass"]
-
-
-def test_the_same_seed_gives_the_same_files_and_another_folder_is_refused(tmp_path: Path) -> None:
-    digests = []
-    for name in ("one", "two"):
-        (folder,) = simulate_campaign(tmp_path / name, "matrix", 4, recordings=1)
-        digests.append([hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(folder.iterdir())])
-    assert digests[0] == digests[1]
-    simulate_campaign(tmp_path / "one", "sweep", 4, recordings=1)  # an earlier simulation is replaced
-    (tmp_path / "one" / "thesis.txt").write_text("mine")
-    with pytest.raises(InputError, match=r"found thesis.txt in it"):
-        simulate_campaign(tmp_path / "one", "sweep", 4, recordings=1)
-    with pytest.raises(ValueError, match="preset: expected one of sweep, matrix"):
-        simulate_campaign(tmp_path / "x", "demo", 1)
-
-
-def test_the_command_writes_a_campaign_and_counts_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    every = CAMPAIGNS["matrix"]()
-    monkeypatch.setitem(CAMPAIGNS, "matrix", lambda: every[:1])
-    assert main(["simulate", str(tmp_path / "m"), "--preset", "matrix", "--quiet"]) == 0
-    assert capsys.readouterr().out == f"simulated campaign: {tmp_path / 'm'}, 1 recording\n"
-    assert load_manifest(tmp_path / "m" / "1-z").excitation.kind == "multisine"

@@ -11,25 +11,15 @@ import h5py
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from support import state
 
-from fusion.base import InputError
-from fusion.cli import main
 from fusion.recording.load import load_manifest
-from fusion.simulate import chirp as masses
-from fusion.simulate import chirp as pitching
-from fusion.simulate import simulate_loads
-from fusion.simulate.chirp import Chirp, Suspension, mass_matrix, write_chirps
-from fusion.simulate.world import CampaignDraws, Draws, TruePart, make_world, true_part
+from fusion.simulate.chirp import Chirp, Suspension, mass_matrix, sine_run, write_chirps, write_masses, write_pitching
+from fusion.simulate.preset import read_preset
+from fusion.simulate.world import Draws, TruePart, make_world, true_part
 
-QUICK = Chirp(sample_rate_hz=12800.0, period_s=0.32, periods=3, band_hz=(900.0, 2200.0))
-
-
-@pytest.fixture
-def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Campaigns with short chirps and one sine."""
-    for module in (masses, pitching):
-        monkeypatch.setattr(module, "STAND", replace(module.STAND, chirp=QUICK))
-    monkeypatch.setattr(masses, "STEPS", (19,))
+AXIAL, PITCHING = read_preset(Suspension, "masses"), read_preset(Suspension, "pitching")
+QUICK = read_preset(Chirp, "chirp.chirp", sample_rate_hz=12800.0, period_s=0.32, periods=3, band_hz=(900.0, 2200.0))
 
 
 def _truth(folder: Path) -> dict[str, Any]:
@@ -47,40 +37,39 @@ def _parts(stand: Suspension, name: str) -> tuple[TruePart, TruePart]:
 
 
 def test_axial_motion_is_that_of_one_oscillator() -> None:
-    load, internal = _parts(masses.STAND, "4kg")
-    mass, (k,), (b,) = load.mass_kg + internal.mass_kg, masses.STAND.stiffness, masses.STAND.damping
+    load, internal = _parts(AXIAL, "4kg")
+    mass, (k,), (b,) = load.mass_kg + internal.mass_kg, AXIAL.stiffness, AXIAL.damping
     frequency = np.array([1.0, 300.0, 1509.0, 3000.0])
     s = 2j * np.pi * frequency
-    found = masses.STAND.transfer(load, internal, (0.03, 0.0, 0.1), frequency)
+    found = AXIAL.transfer(load, internal, (0.03, 0.0, 0.1), frequency)
     np.testing.assert_allclose(found, (k + b * s) / (mass * s * s + b * s + k), rtol=1e-12)
-    resonance = masses.STAND.resonances_hz(load, internal)
+    resonance = AXIAL.resonances_hz(load, internal)
     assert resonance == pytest.approx([np.sqrt(k / mass) / (2 * np.pi)], rel=1e-12)
 
 
 @pytest.mark.parametrize("name", ["4kg", "7kg"])
 def test_pitching_motion_is_that_of_two_coupled_equations_in_state_space(name: str) -> None:
-    stand = pitching.PITCHING_STAND
-    load, internal = _parts(stand, name)
+    load, internal = _parts(PITCHING, name)
     m, c, inertia = load.mass_kg, load.centre_of_mass_m[2], load.inertia_kgm2[1, 1]
     # About the origin, x to the right, turn about y: the centre of mass at height c moves by x + c·turn; what its
     # other coordinate adds to the moment of inertia is m·x_c².
     own = inertia + m * (c * c + load.centre_of_mass_m[0] ** 2)
     matrix = np.array([[m + internal.mass_kg, m * c], [m * c, own]])
-    k, b = np.diag(stand.stiffness), np.diag(stand.damping)
+    k, b = np.diag(PITCHING.stiffness), np.diag(PITCHING.damping)
     # z = q - (x_base, 0): M z'' + b z' + k z = -M (x_base'', 0), reading = x_base'' + z_x'' + height·turn''.
     inverse = np.linalg.inv(matrix)
     a = np.block([[np.zeros((2, 2)), np.eye(2)], [-inverse @ k, -inverse @ b]])
     push = np.array([0.0, 0.0, -1.0, 0.0])
     frequency = np.array([500.0, 1180.0, 1480.0, 1560.0, 2100.0])
-    for point in stand.tops.values():
+    for point in PITCHING.tops.values():
         row = np.array([1.0, point[2]])
         output = np.hstack([-row @ inverse @ k, -row @ inverse @ b])
         expected = [output @ np.linalg.solve(2j * np.pi * f * np.eye(4) - a, push) for f in frequency]
-        np.testing.assert_allclose(stand.transfer(load, internal, point, frequency), expected, rtol=1e-9)
+        np.testing.assert_allclose(PITCHING.transfer(load, internal, point, frequency), expected, rtol=1e-9)
 
 
 def test_mass_matrix_holds_newton_and_euler() -> None:
-    load, _ = _parts(pitching.PITCHING_STAND, "4kg")
+    load, _ = _parts(PITCHING, "4kg")
     rng = np.random.default_rng(4)
     a, alpha = rng.standard_normal((2, 3))
     force = load.mass_kg * (a + np.cross(alpha, load.centre_of_mass_m))
@@ -90,23 +79,18 @@ def test_mass_matrix_holds_newton_and_euler() -> None:
 
 def test_resonances_overlap_for_one_pitching_load_and_stand_apart_for_the_other() -> None:
     apart = {}
-    for name in pitching.PITCHING_LOADS:
-        load, internal = _parts(pitching.PITCHING_STAND, name)
+    for name in PITCHING.loads:
+        load, internal = _parts(PITCHING, name)
         inertia = (mass_matrix(load) + mass_matrix(internal))[np.ix_((0, 4), (0, 4))]
-        widths = np.linalg.eigvals(np.linalg.solve(inertia, np.diag(pitching.PITCHING_STAND.damping))).real / (
-            2 * np.pi
-        )
-        apart[name] = np.diff(pitching.PITCHING_STAND.resonances_hz(load, internal))[0] / widths.mean()
+        widths = np.linalg.eigvals(np.linalg.solve(inertia, np.diag(PITCHING.damping))).real / (2 * np.pi)
+        apart[name] = np.diff(PITCHING.resonances_hz(load, internal))[0] / widths.mean()
     assert apart["7kg"] < 1.5
     assert apart["4kg"] > 10.0
 
 
-def test_the_campaign_has_one_sensor_two_loads_and_its_truth(
-    small: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder = tmp_path / "try"
-    assert main(["simulate", str(folder), "--preset", "masses", "--seed", "3"]) == 0
-    assert f"simulated campaign: {folder}" in capsys.readouterr().out
+def test_the_campaign_has_one_sensor_two_loads_and_its_truth(tmp_path: Path) -> None:
+    folder = tmp_path
+    write_masses(folder, 3, stand=replace(AXIAL, chirp=QUICK), steps=(19,))
     manifests = {path.parent.name: load_manifest(path.parent) for path in folder.glob("*/recording.toml")}
     assert sorted(manifests) == ["Fz-1020.3", "chirp-4kg", "chirp-9kg"]
     assert len({manifest.rig.sensor.model_dump_json() for manifest in manifests.values() if manifest.rig.sensor}) == 1
@@ -123,7 +107,7 @@ def test_the_campaign_has_one_sensor_two_loads_and_its_truth(
 
 def test_the_recorded_chirp_holds_the_transfer_function(tmp_path: Path) -> None:
     quiet = replace(QUICK, noise=0.0, periods=6)
-    write_chirps(tmp_path, replace(masses.STAND, chirp=quiet), Draws(1, False))
+    write_chirps(tmp_path, replace(AXIAL, chirp=quiet), Draws(1, False))
     truth = _truth(tmp_path / "chirp-9kg")
     with h5py.File(tmp_path / "chirp-9kg" / "accelerometers.h5") as file:
         last = {name: np.fft.rfft(file[name][-4096:].astype(np.float64)) for name in ("base", "top_1")}
@@ -136,15 +120,15 @@ def test_the_recorded_chirp_holds_the_transfer_function(tmp_path: Path) -> None:
 
 
 def test_sines_move_on_the_same_spring_and_fall_as_published() -> None:
-    draws = CampaignDraws(2, True, mounting="1")
-    load = true_part(masses.LOADS["9kg"], draws)
-    internal = true_part(masses.STAND.internal, draws)
+    draws = Draws(2, True, mounting="1", recording="")
+    load = true_part(AXIAL.loads["9kg"], draws)
+    internal = true_part(AXIAL.internal, draws)
     for step in (15, 19):
-        run = masses.sine_run(step, draws)
+        run = sine_run(AXIAL, step, draws)
         world = make_world(run.preset, draws, 0.0)
         lines = run.preset.frequencies_hz
         over_base = world.motion["load"].acceleration[:, 2] / world.motion["base"].acceleration[:, 2]
-        expected = masses.STAND.transfer(load, internal, (0.0, 0.0, 0.1), lines)
+        expected = AXIAL.transfer(load, internal, (0.0, 0.0, 0.1), lines)
         np.testing.assert_allclose(over_base, expected, rtol=1e-9)
         falling = world.outputs[0, 2] / world.load_wrench[0, 2]
         published = {805.5: (0.9694, -0.25), 1020.3: (0.953, -0.32)}[round(run.nominal_hz[0], 1)]
@@ -153,12 +137,11 @@ def test_sines_move_on_the_same_spring_and_fall_as_published() -> None:
         assert np.angle(shape) == pytest.approx(published[1], abs=9e-3)
 
 
-def test_the_same_seed_gives_the_same_files_and_others_are_refused(small: None, tmp_path: Path) -> None:
-    one, other = (simulate_loads(tmp_path / name, "pitching", 5) for name in ("a", "b"))
-    files = [path.relative_to(one) for path in one.rglob("*.toml")] + [Path("truth.json")]
-    assert len(files) == 7
-    assert all((one / file).read_bytes() == (other / file).read_bytes() for file in files)
-    assert _truth(simulate_loads(one, "pitching", 6)) != _truth(other)
-    (one / "notes.txt").write_text("mine", encoding="utf-8")
-    with pytest.raises(InputError, match=r"notes\.txt"):
-        simulate_loads(one, "pitching", 5)
+def test_the_same_seed_gives_the_same_files(tmp_path: Path) -> None:
+    for name, seed in (("a", 5), ("b", 5), ("c", 6)):
+        (tmp_path / name).mkdir()
+        write_pitching(tmp_path / name, seed, replace(PITCHING, chirp=QUICK))
+    one, same, other = (state(tmp_path / name) for name in "abc")
+    assert len(one) == 11
+    assert one == same
+    assert one["truth.json"] != other["truth.json"]

@@ -10,24 +10,22 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from fusion.base import InputError
-from fusion.cli import main
 from fusion.recording.load import load_manifest
 from fusion.sensor.step.records import read_step_record
-from fusion.simulate import simulate_steps
-from fusion.simulate.releases import DAQ_FILE, StepRig, releases
+from fusion.simulate.preset import read_preset
+from fusion.simulate.releases import DAQ_FILE, StepRig, releases, write_steps
 from shaker.labels import LOAD_COMPONENTS
 from shaker.release.reading import compare_releases, read_release
 
 SEED = 3
-RIG = StepRig()
+RIG = read_preset(StepRig, "steps")
 
 
 @pytest.fixture(scope="module")
 def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A simulated campaign."""
-    folder = tmp_path_factory.mktemp("steps") / "campaign"
-    simulate_steps(folder, SEED)
+    folder = tmp_path_factory.mktemp("steps")
+    write_steps(folder, SEED)
     return folder
 
 
@@ -121,27 +119,3 @@ def test_readings_of_the_campaign_hold_the_truth_and_rank_the_ropes(campaign: Pa
     ranked = compare_releases(readings)
     assert [kind.release for kind in ranked] == ["fishing line", "plastic rope", "cotton rope"]
     assert all(kind.faster > 0.99 for kind in ranked[:-1])
-
-
-def test_the_same_seed_gives_the_same_samples(campaign: Path, tmp_path: Path) -> None:
-    simulate_steps(tmp_path / "again", SEED)
-    simulate_steps(tmp_path / "other", SEED + 1)
-    name = "Mz-fishing-line-1"
-    first, again, other = (
-        read_step_record(load_manifest(folder / name)).samples
-        for folder in (campaign, tmp_path / "again", tmp_path / "other")
-    )
-    assert np.array_equal(first, again)
-    assert not np.array_equal(first, other)
-    assert (campaign / "truth.json").read_bytes() == (tmp_path / "again" / "truth.json").read_bytes()
-
-
-def test_the_command_writes_and_replaces_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "steps"
-    assert main(["simulate", str(out), "--preset", "steps"]) == 0
-    assert f"{out}, {len(releases())} recordings" in capsys.readouterr().out
-    assert main(["simulate", str(out), "--preset", "steps"]) == 2
-    assert main(["simulate", str(out), "--preset", "steps", "--force", "--seed", "2"]) == 0
-    (out / "notes.txt").write_text("mine", encoding="utf-8")
-    with pytest.raises(InputError, match=r"notes\.txt"):
-        simulate_steps(out, 1)

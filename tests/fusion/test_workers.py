@@ -10,8 +10,7 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future
+from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -20,17 +19,18 @@ import cv2
 import numpy as np
 import pytest
 import worker_tasks as tasks
-from dask_cluster import PATIENCE_S, Cluster, environment, wait_until
+from crews import PATIENCE_S, Cluster, Inline, environment, wait_until
+from support import without_pages
 
 from fusion.base import ComputeError, InputError, Settings, remove_abandoned, temporary_beside
 from fusion.campaign import run as leading
-from fusion.campaign import run as under_test
 from fusion.campaign.cluster import Outcome, connected
 from fusion.campaign.run import run_path
 from fusion.campaign.workers import Answer, Workers, call, one_blas_thread
-from fusion.cli import main
-from fusion.commands.options import EXIT_INPUT, EXIT_INTERRUPTED
-from fusion.simulate import simulate_campaign
+from fusion.commands.options import EXIT_INTERRUPTED
+from fusion.report.csv_files import result_tables
+from fusion.sensitivity.analyse import Evaluation
+from fusion.simulate import simulate
 
 
 @pytest.fixture(scope="module")
@@ -54,15 +54,8 @@ def _is_running(process: int) -> bool:
 def test_answers_go_to_those_who_asked(two):
     answers = [two.submit(-number, tasks.product, number, 2.0) for number in range(8)]
     assert [answer.result(PATIENCE_S).opened() for answer in answers] == [2.0 * number for number in range(8)]
-
-
-def test_an_answer_can_be_what_the_next_task_needs(two):
-    first = two.submit(0, tasks.product, 2.0, 3.0)
-    first.result(PATIENCE_S)
-    assert two.submit(0, tasks.product, first, 7.0).result(PATIENCE_S).opened() == 42.0
-
-
-def test_every_library_has_one_thread(two):
+    # An answer can be what the next task needs.
+    assert two.submit(0, tasks.product, answers[3], 7.0).result(PATIENCE_S).opened() == 42.0
     assert set(two.submit(0, tasks.threads).result(PATIENCE_S).opened().values()) == {1}
 
 
@@ -168,68 +161,49 @@ def test_only_what_a_process_left_that_is_gone_is_removed(tmp_path):
 NAME = "Fz-0080"
 
 
-class Inline:
-    """A crew that is this process, and tells what it was asked."""
-
-    size = 2
-
-    def __init__(self) -> None:
-        self.asked: list[Callable[..., Any]] = []
-
-    def __enter__(self) -> Inline:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        return
-
-    def submit(self, rank: int, function: Callable[..., Any], *arguments: Any) -> Future[Answer]:
-        self.asked.append(function)
-        future: Future[Answer] = Future()
-        future.set_result(call(function, *(held.result() if isinstance(held, Future) else held for held in arguments)))
-        return future
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    """A cluster for all tests of this module that leave it alive."""
+    cluster = Cluster(tmp_path_factory.mktemp("cluster"))
+    yield cluster
+    cluster.end()
 
 
-def _run_one(recording: Path, out: Path, **where: Any) -> dict[str, bytes]:
-    """Every table of a recording; its report is without figures, which take most of the time."""
+def _tables(folder: Path) -> dict[str, bytes]:
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in sorted(folder.rglob("*.csv"))}
+
+
+def _demo_tables(demo_recording: Path, out: Path, **where: Any) -> dict[str, bytes]:
+    """Every table of the demo's recording."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(
-            "fusion.report.recording.render_report", lambda evaluation: f"<!doctype html>{evaluation.manifest.name}"
-        )
-        outcomes = run_path(recording, out, Settings(), **where)
-    assert [outcome.folder for outcome in outcomes] == [out]
-    return {path.name: path.read_bytes() for path in sorted(out.glob("*.csv"))}
+        without_pages(patch)
+        run_path(demo_recording / NAME, out, Settings(), **where)
+    return _tables(out)
 
 
 @pytest.fixture(scope="module")
-def serial_demo(demo_recording: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
-    """The tables of the serial_demo run."""
-    tables = _run_one(demo_recording / NAME, tmp_path_factory.mktemp("serial_demo") / "out")
+def serial_demo(demo_evaluation: Evaluation) -> dict[str, bytes]:
+    """The tables of the serial run."""
+    tables = {name: text.encode() for name, text in result_tables(demo_evaluation).items()}
     assert len(tables) >= 5
     return tables
 
 
-def test_two_processes_share_the_frames_of_one_recording(demo_recording, serial_demo, tmp_path, monkeypatch):
-    asked: list[str] = []
-
-    class Heard(Workers):
-        def submit(self, rank: int, function: Callable[..., Any], *arguments: Any) -> Future[Answer]:
-            asked.append(function.__name__)
-            return super().submit(rank, function, *arguments)
-
-    told: list[tuple[str, int, int]] = []
-    monkeypatch.setattr(leading, "Workers", Heard)
-    tables = _run_one(demo_recording / NAME, tmp_path / "two", workers=2, progress=lambda *what: told.append(what))
-    assert asked[:4] == ["_prepared", "_prepared", "_followed", "_followed"]
+def test_shared_frames_give_the_tables_of_the_serial_run(demo_recording, serial_demo, tmp_path, monkeypatch):
+    """Stereo pairs and blocks of frames go to the crew, here this process."""
+    crew, told = Inline(), []
+    monkeypatch.setattr(leading, "Workers", lambda _: crew)
+    tables = _demo_tables(demo_recording, tmp_path, workers=2, progress=lambda *what: told.append(what))
+    assert [asked.__name__ for asked in crew.asked[:4]] == ["_prepared", "_prepared", "_followed", "_followed"]
     assert ("track base", 48, 48) in told
     assert tables == serial_demo
 
 
-def test_a_cluster_shares_the_frames_of_one_recording(demo_recording, serial_demo, tmp_path):
-    cluster = Cluster(tmp_path)
-    try:
-        assert _run_one(demo_recording / NAME, tmp_path / "dask", scheduler=cluster.address) == serial_demo
-    finally:
-        cluster.end()
+@pytest.mark.slow
+@pytest.mark.parametrize("who", ["two processes", "a cluster"])
+def test_others_share_the_frames_of_one_recording(who, demo_recording, serial_demo, cluster, tmp_path):
+    where = {"workers": 2} if who == "two processes" else {"scheduler": cluster.address}
+    assert _demo_tables(demo_recording, tmp_path, **where) == serial_demo
 
 
 def test_arrays_of_an_answer_travel_in_it():
@@ -285,18 +259,10 @@ if __name__ == "__main__":
 
 
 @pytest.fixture(scope="module")
-def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
-    """A cluster for all tests of this module."""
-    cluster = Cluster(tmp_path_factory.mktemp("cluster"))
-    yield cluster
-    cluster.end()
-
-
-@pytest.fixture(scope="module")
 def sweep(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A few recordings of another program's points."""
     folder = tmp_path_factory.mktemp("sweep") / "campaign"
-    simulate_campaign(folder, "sweep", 3, recordings=RECORDINGS)
+    simulate(folder, "sweep", 3, recordings=RECORDINGS)
     return folder
 
 
@@ -313,13 +279,9 @@ def serial(sweep: Path) -> dict[str, bytes]:
 def _run(campaign: Path, out: Path, job: Any = tasks.whole_job, **where: Any) -> tuple[Outcome, ...]:
     """Run a campaign without its figures."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(under_test, "run_job", (lambda job, _: tasks.whole_job(job)) if not where else job)
-        patch.setattr("fusion.campaign.joint_report.render_campaign", lambda evaluation: evaluation.name)
+        without_pages(patch)
+        patch.setattr(leading, "run_job", (lambda job, _: tasks.whole_job(job)) if not where else job)
         return run_path(campaign, out, Settings(), **where)
-
-
-def _tables(folder: Path) -> dict[str, bytes]:
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in sorted(folder.rglob("*.csv"))}
 
 
 def _hidden(folder: Path) -> list[str]:
@@ -398,31 +360,26 @@ def test_tasks_of_a_cluster_come_back_like_those_of_processes(cluster, tmp_path)
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense", "foo://a:1", ""])
-def test_an_address_where_nothing_answers_is_refused(address, tmp_path, monkeypatch, capsys):
+def test_an_address_where_nothing_answers_is_refused(address, tmp_path, monkeypatch, refused):
     monkeypatch.setattr("fusion.campaign.cluster.ANSWER_S", 0.5)
-    (tmp_path / "a").mkdir()
-    (tmp_path / "a" / "recording.toml").write_text("")
-    assert main(["run", str(tmp_path), "--scheduler", address]) == EXIT_INPUT
-    told = capsys.readouterr().err
-    assert told == (
+    (tmp_path / "recording.toml").write_text("")
+    assert refused("run", tmp_path, "--scheduler", address) == (
         "shakercal: --scheduler: expected the address of a Dask scheduler that answers, such as tcp://10.0.0.1:8786, "
-        f"found {address or 'nothing'}, where none does\n"
+        f"found {address or 'nothing'}, where none does"
     )
 
 
-def test_without_the_extra_the_command_says_what_to_install(tmp_path, monkeypatch, capsys):
+def test_without_the_extra_the_command_says_what_to_install(tmp_path, monkeypatch, refused):
     monkeypatch.setitem(sys.modules, "distributed", None)
     (tmp_path / "recording.toml").write_text("")
-    assert main(["run", str(tmp_path), "--scheduler", "tcp://127.0.0.1:9"]) == EXIT_INPUT
-    told = capsys.readouterr().err
+    told = refused("run", tmp_path, "--scheduler", "tcp://127.0.0.1:9")
     assert told.startswith('shakercal: --scheduler: expected the packages that pip install "shakercal[cluster]" brings')
-    assert told.count("\n") == 1
 
 
 def test_workers_of_another_version_are_refused(cluster, monkeypatch):
     monkeypatch.setattr("fusion.campaign.cluster.PROGRAM", "numpy")
     found = re.escape(version("shakercal"))
-    with pytest.raises(InputError, match=f"expected workers with numpy .*, found numpy {found} at tcp:"):
+    with pytest.raises(InputError, match=f"expected workers with numpy .*, found numpy {found} at tcp:"):  # noqa: SIM117
         with connected(cluster.address):
             pass
 
