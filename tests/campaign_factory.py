@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fusion.campaign.repeats import Drive
 from fusion.estimation.uncertainty import Contribution, Influence, Scope, Uncertainty
-from fusion.report.h5 import Recorded, SensorFacts
+from fusion.report.recorded import Recorded, SensorFacts
 from fusion.report.provenance import Provenance
 from shaker.arrays import Notice
 

@@ -11,10 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.estimation.consistency import Acceleration, CommonEstimate, Consistency
+from fusion.estimation.consistency import CommonEstimate, Consistency
+from fusion.estimation.fuse import Acceleration
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty
 from fusion.instruments.output import Outputs
-from fusion.phasors.results import ChannelResult, ClockResult, StereoResult
+from fusion.phasors.channels import ChannelResult
+from fusion.phasors.stereo_phasors import StereoResult
+from fusion.phasors.timing import ClockResult
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.load import LoadResult
 from fusion.sensitivity.ratio import Sensitivity

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fusion.estimation.measurement_model import Observation, observe_stereo
+from fusion.estimation.measurement_model import Observation
 from fusion.instruments import observe_channels
 from fusion.instruments.channel import ChainUncertainty, Reading
+from fusion.instruments.stereo import StereoReading
 from shaker.sine.phasor import Phasors
 
 FREQUENCY = np.array([106.25, 212.5])
@@ -91,7 +92,7 @@ def triaxial() -> Observation:
 def camera(noise_m: float = 1e-9, **stated: Any) -> Observation:
     """A camera pair without errors; `noise_m` along its x."""
     sigma = noise_m * np.array([1, 1, 3, 30, 30, 10.0])
-    return exact(observe_stereo("top", stereo_entry(**(stated or CAMERA)), phasors(np.zeros((2, 6)), sigma)))
+    return exact(StereoReading("top", stereo_entry(**(stated or CAMERA)), phasors(np.zeros((2, 6)), sigma)).observed())
 
 
 def exact(observation: Observation, truth: np.ndarray = TRUTH) -> Observation:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from html.parser import HTMLParser
 
 VOID = {"meta", "img", "br", "link", "hr", "input"}
@@ -40,3 +41,16 @@ def outline(page: str) -> Outline:
     parser.close()
     assert parser.open == []
     return parser
+
+
+def self_contained(page: str) -> Outline:
+    """Return the outline of a page that asks for nothing outside: its figures are in it, its anchors exist."""
+    found = outline(page)
+    assert page.startswith("<!doctype html>")
+    assert len(found.ids) == len(set(found.ids))
+    anchors = {address[1:] for address in found.addresses if address.startswith("#")}
+    assert anchors <= set(found.ids)
+    others = [address for address in found.addresses if not address.startswith("#")]
+    assert all(address.startswith("data:image/svg+xml") for address in others)
+    assert not re.search(r"url\((?!%23)|@import", page)
+    return found

@@ -6,9 +6,11 @@ import csv
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
 import pytest
 
 from fusion.cli import main
+from fusion.estimation.uncertainty import region_factor
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 
@@ -63,3 +65,9 @@ def without_pages(patch: pytest.MonkeyPatch) -> None:
     """Leave every page empty: its figures take most of the time where something else is tested."""
     for place in PAGES:
         patch.setattr(place, lambda *_: "<!doctype html>\n")
+
+
+def far(error: complex, covariance: np.ndarray, dof: float = np.inf) -> float:
+    """How far out a complex error is, over the edge of the 95 % region of its covariance (2, 2): inside below 1."""
+    parts = np.array([error.real, error.imag])
+    return float(np.sqrt(parts @ np.linalg.solve(covariance, parts)) / region_factor(float(dof)))

@@ -10,11 +10,15 @@ from typing import Any
 
 import pytest
 from evaluation_factory import Choice, make_evaluation
+from recordings import once
+from support import Refused, refusals, without_pages
 
 from fusion.base import Settings
-from fusion.recording.load import Manifest
+from fusion.campaign.workers import one_blas_thread
+from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.report.provenance import versions
 from fusion.sensitivity.analyse import Evaluation
+from fusion.sensitivity.evaluate import evaluate_recording
 
 FORMAT_DOC = Path(__file__).resolve().parents[2] / "docs" / "recording-format.md"
 FILES = (
@@ -82,6 +86,17 @@ def ready_evaluation(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
     return make_evaluation(tmp_path_factory.mktemp("ready"), Choice(frames=24, images=False))
 
 
+@pytest.fixture(scope="session")
+def demo_evaluation(demo_recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
+    """The demo recording evaluated as a run does, once per test run."""
+
+    def evaluate(_: Path) -> Evaluation:
+        with one_blas_thread():
+            return evaluate_recording(load_manifest(find_recordings(demo_recording)[0]), Settings(), {})
+
+    return once(tmp_path_factory, "demo", evaluate)
+
+
 @pytest.fixture
 def evaluated(monkeypatch: pytest.MonkeyPatch, ready_evaluation: Evaluation) -> list[str]:
     """Put the ready evaluation in place of tracking and fusion, and no figures into the report.
@@ -101,10 +116,16 @@ def evaluated(monkeypatch: pytest.MonkeyPatch, ready_evaluation: Evaluation) -> 
         )
 
     monkeypatch.setattr("fusion.campaign.cluster.evaluate_recording", evaluate)
-    monkeypatch.setattr(
-        "fusion.report.recording.render_report", lambda evaluation: f"<!doctype html>{evaluation.manifest.name}"
-    )
-    monkeypatch.setattr(
-        "fusion.campaign.joint_report.render_campaign", lambda evaluation: f"<!doctype html>{evaluation.name}"
-    )
+    without_pages(monkeypatch)
     return done
+
+
+@pytest.fixture
+def no_pages(monkeypatch: pytest.MonkeyPatch) -> None:
+    without_pages(monkeypatch)
+
+
+@pytest.fixture
+def refused(capsys: pytest.CaptureFixture[str]) -> Refused:
+    """Run a command that refuses its input, and return the one sentence that it says."""
+    return refusals(capsys)

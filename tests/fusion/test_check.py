@@ -15,12 +15,18 @@ from hypothesis import strategies as st
 from scipy import signal
 
 from fusion.base import InputError
-from fusion.recording.check import check, geometric_row, observable
+from fusion.instruments import TRANSDUCERS
+from fusion.instruments.channel import placed_at, unit_direction
+from fusion.recording.check import check, observable
 from fusion.recording.files import Element, read_chain, read_response
 from fusion.recording.load import load_manifest
 from fusion.recording.manifest import ChannelEntry
 
 Campaign = Callable[..., Path]
+
+
+def geometric_row(entry: ChannelEntry) -> np.ndarray:
+    return TRANSDUCERS[entry.quantity].geometry(placed_at(entry), unit_direction(entry))
 
 
 def _rows(*instruments: tuple[tuple[float, ...], tuple[float, ...]]) -> np.ndarray:

@@ -1,21 +1,109 @@
-"""A small recording without images: a drive that folds onto zero or grows while it is recorded."""
+"""A small recording of points and a laser: a drive that grows, and a camera rate that folds it onto zero."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
-from drive_factory import AMPLITUDE_M, CLEAR_HZ, DRIVEN_HZ, FOLDING_HZ, evaluate, recording
 
-from fusion.base import ComputeError
+from fusion.base import ComputeError, Settings
 from fusion.cli import main
-from fusion.phasors.channels import drift_notices, drifts
-from fusion.report.h5 import write_h5
+from fusion.phasors.setup import line_stationarity, stationarity_notices
+from fusion.recording.load import load_manifest
 from fusion.report.more_tables import drift_table
+from fusion.report.recorded import write_h5
 from fusion.sensitivity.analyse import Evaluation
+from fusion.sensitivity.evaluate import evaluate_recording
 from shaker.timebase.tie import ClockTie
+
+DRIVEN_HZ, DAQ_HZ, SAMPLES, FRAMES = 106.25, 10_000.0, 14_000, 64
+FOLDING_HZ, CLEAR_HZ = 53.125, 49.7
+AMPLITUDE_M = 2.4e-4
+
+RIG = """
+format = 1
+name = "points and a laser"
+[stereo.base]
+body = "base"
+rotation = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+translation = [0.0, 0.0, 0.0]
+scale_uncertainty = 2e-4
+exposure = 40e-6
+"""
+RECORDING = """
+format = 1
+name = "folded"
+rig = "../rig.toml"
+[excitation]
+kind = "sine"
+direction = [0.0, 0.0, 1.0]
+frequencies = [106.25]
+harmonics = {harmonics}
+[[daq]]
+name = "daq"
+file = "daq.h5"
+[[daq.channel]]
+name = "camera_trigger"
+quantity = "trigger"
+[[points]]
+stereo = "base"
+files = "points/frame_*.txt"
+columns = ["x0", "y0", "z0", "x", "y", "z"]
+trigger = "camera_trigger"
+"""
+LASER = """
+[[daq.channel]]
+name = "laser"
+quantity = "velocity"
+body = "base"
+point = [0.0, 0.0, 0.0]
+direction = [0.0, 0.0, 1.0]
+scale = 1.0
+scale_uncertainty = 5e-4
+"""
+
+
+def recording(
+    folder: Path, frame_hz: float, *, laser: bool, harmonics: str = "[]", overtone: float = 0.0, growth: float = 0.0
+) -> Path:
+    """Write a recording of a base that moves along z, and return its folder.
+
+    `overtone`: third harmonic over the driven line; `growth`: relative change of the amplitude per second.
+    """
+    rng = np.random.default_rng(1)
+    place = folder / "campaign" / "drive"
+    (place / "points").mkdir(parents=True)
+    (place.parent / "rig.toml").write_text(RIG, encoding="utf-8")
+    text = RECORDING.format(harmonics=harmonics)
+    head, tail = text.split("[[points]]")
+    (place / "recording.toml").write_text(head + (LASER if laser else "") + "[[points]]" + tail, encoding="utf-8")
+    first_s = 0.0213
+    middle_s = first_s + np.arange(FRAMES) / frame_hz + 20e-6
+    x, y = np.meshgrid(np.linspace(-0.05, 0.05, 5), np.linspace(-0.04, 0.04, 4))
+    rest = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+    angle = 2.0 * np.pi * DRIVEN_HZ * middle_s
+    height = AMPLITUDE_M * (1.0 + growth * middle_s) * (np.cos(angle) + overtone * np.cos(3.0 * angle))
+    for frame, z in enumerate(height):
+        seen = rest + [0.0, 0.0, z] + 1e-6 * rng.normal(size=rest.shape)
+        np.savetxt(place / "points" / f"frame_{frame:03d}.txt", np.column_stack([rest, seen]), fmt="%.9f")
+    time_s = np.arange(SAMPLES) / DAQ_HZ
+    turns = (time_s - first_s) * frame_hz
+    with h5py.File(place / "daq.h5", "w") as file:
+        file.attrs["sample_rate"] = DAQ_HZ
+        file["camera_trigger"] = 5.0 * ((turns >= 0) & (turns < FRAMES) & (np.mod(turns, 1.0) < 0.25))
+        if laser:
+            omega = 2.0 * np.pi * DRIVEN_HZ
+            velocity = -omega * AMPLITUDE_M * (np.sin(omega * time_s) + 3 * overtone * np.sin(3 * omega * time_s))
+            file["laser"] = velocity * (1.0 + growth * time_s) + 1e-5 * rng.normal(size=SAMPLES)
+    return place
+
+
+def evaluate(folder: Path) -> Evaluation:
+    return evaluate_recording(load_manifest(folder), Settings(), {})
+
 
 GROWTH = 4e-3  # per second
 
@@ -26,7 +114,7 @@ def grown(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
 
 
 def test_the_change_over_each_record_is_found(grown):
-    laser, pair = drifts(grown.channels, grown.stereo, grown.lines, grown.clocks)
+    laser, pair = line_stationarity(grown.channels, grown.stereo, grown.lines, grown.clocks)
     assert (laser.name, pair.name) == ("laser", "stereo pair base")
     assert laser.frequency_hz == pytest.approx(DRIVEN_HZ, rel=1e-6)
     assert laser.amplitude == pytest.approx(GROWTH * 1.4 * 147 / 148.75, rel=0.005)  # 147 whole periods of 1.4 s
@@ -60,16 +148,16 @@ def test_the_blocks_stand_in_the_result_file(grown, tmp_path):
 
 def test_a_steady_drive_gives_no_notice(tmp_path):
     steady = evaluate(recording(tmp_path, CLEAR_HZ, laser=True))
-    found = drifts(steady.channels, steady.stereo, steady.lines, steady.clocks)
+    found = line_stationarity(steady.channels, steady.stereo, steady.lines, steady.clocks)
     assert len(found) == 2
-    assert drift_notices(found) == ()
+    assert stationarity_notices(found) == ()
 
 
 def test_the_rate_of_a_tied_clock_is_part_of_a_phase(grown):
     (clock,) = grown.clocks
     tie = ClockTie(0.0, 1.0, np.diag([1e-14, 25e-12]), 0, "numbers", 64, 0.7, ())
-    alone = drifts(grown.channels, (), grown.lines, grown.clocks)[0]
-    tied = drifts(grown.channels, (), grown.lines, (replace(clock, tie=tie),))[0]
+    alone = line_stationarity(grown.channels, (), grown.lines, grown.clocks)[0]
+    tied = line_stationarity(grown.channels, (), grown.lines, (replace(clock, tie=tie),))[0]
     # 5 ppm over 147 periods.
     assert tied.u_phase_rad == pytest.approx(np.hypot(alone.u_phase_rad, 5e-6 * 2 * np.pi * 147), rel=1e-3)
     assert tied.u_amplitude == alone.u_amplitude

@@ -16,7 +16,7 @@ from fusion.phasors.stereo_motion import StereoMotion, measure_images, open_imag
 from fusion.phasors.timing import tie_daqs
 from fusion.recording.files import read_daqs
 from fusion.recording.load import find_recordings, load_manifest
-from fusion.report.h5 import write_h5
+from fusion.report.recorded import write_h5
 from fusion.report.signal_figures import draw_epipolar
 from fusion.sensitivity.analyse import Evaluation
 from photogram.calibration.file import read_calibration, write_calibration

@@ -304,9 +304,10 @@ def test_regions_hold_the_truth_as_often_as_they_claim(place):
         off = [
             far(value[0, driven] - true[0, driven], whole.covariance[0][pair], whole.dof()[0, driven])
             for value, true, whole in (
-                (fused.phasors.value, truth.acceleration, fused.uncertainty), (load.value, truth.load, load.uncertainty),
+                (fused.phasors.value, truth.acceleration, fused.uncertainty),
+                (load.value, truth.load, load.uncertainty),
             )
-        ]  # fmt: skip
+        ]
         true = truth.outputs[0, driven] / truth.load[0, driven]
         of_ratio = ratio.covariance[0, driven, driven], ratio.dof[0, driven, driven]
         return [*off, far(ratio.value[0, driven, driven] - true, *of_ratio)], np.ones(3)

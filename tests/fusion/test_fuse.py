@@ -25,9 +25,9 @@ from scipy.stats import chi2
 
 from fusion.estimation.fuse import fuse, fuse_sources
 from fusion.estimation.least_squares import build_system, solve
-from fusion.estimation.measurement_model import observe_stereo
 from fusion.instruments import observe_channels
 from fusion.instruments.channel import ChainUncertainty, Reading
+from fusion.instruments.stereo import StereoReading
 
 
 def reading(chain: ChainUncertainty | None = None, **changes: Any) -> Reading:
@@ -65,7 +65,7 @@ def test_rows_read_a_really_tilting_body(quantity):
 
 
 def test_stereo_rows_are_displacements():
-    observation = observe_stereo("top", stereo_entry(), phasors(np.ones((2, 6)), 1e-6))
+    observation = StereoReading("top", stereo_entry(), phasors(np.ones((2, 6)), 1e-6)).observed()
     motion = np.arange(1.0, 7.0) + 1j
     np.testing.assert_allclose(observation.design @ motion, -motion / OMEGA[:, None] ** 2, rtol=1e-14)
     assert not observation.stated
@@ -75,7 +75,9 @@ def test_stereo_rows_are_displacements():
 def test_stereo_pose_errors_are_those_of_a_wrong_frame():
     # Rotation vector and translation of the same motion, referred to another origin and turned axes.
     u = 1e-4
-    observation = observe_stereo("top", stereo_entry(pose_uncertainty=(u,) * 6), phasors(np.ones((2, 6)), 1e-6))
+    observation = StereoReading(
+        "top", stereo_entry(pose_uncertainty=(u,) * 6), phasors(np.ones((2, 6)), 1e-6)
+    ).observed()
     shift, turn = np.array([1.0, -2.0, 3.0]) * 1e-7, np.array([2.0, 1.0, -1.0]) * 1e-7
     motion = -(OMEGA[:, None] ** 2) * np.concatenate([shift, turn])
     matrix = Rotation.from_rotvec(turn).as_matrix()
@@ -353,7 +355,7 @@ def test_channels_whose_noise_is_one_and_the_same_are_no_obstacle():
 def test_effects_of_another_shape_are_refused():
     entry = stereo_entry(scale_uncertainty=None)
     with pytest.raises(ValueError, match=r"offset of stereo top: calibration 0: expected an array of shape \(2, 6\)"):
-        observe_stereo("top", entry, camera().phasors, {"calibration": np.zeros((3, 1, 6), complex)})
+        StereoReading("top", entry, camera().phasors, {"calibration": np.zeros((3, 1, 6), complex)}).observed()
 
 
 def test_no_instrument_of_the_body_is_refused():

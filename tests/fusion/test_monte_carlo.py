@@ -10,7 +10,6 @@ import h5py
 import numpy as np
 import pytest
 from evaluation_factory import make_evaluation
-from fusion.sensitivity.draws import Estimator, channel_rows, draw_instrument
 from scipy.stats import norm
 from simulated_phasors import CASES, case_setup, lines_at, simulate_phasors
 
@@ -23,16 +22,14 @@ from fusion.instruments import observe_channels
 from fusion.instruments.channel import ChainUncertainty, Reading
 from fusion.instruments.stereo import StereoReading
 from fusion.recording.manifest import ChannelEntry, Stereo
-from fusion.report.h5 import write_h5
 from fusion.report.more_tables import monte_carlo_tables
+from fusion.report.recorded import write_h5
 from fusion.sensitivity.analyse import Analysis, Inputs, analyse
 from fusion.sensitivity.body import Body, draw_load_matrices, make_joint, make_part
 from fusion.sensitivity.distributions import FirstOrder, MonteCarlo, Propagated, shortest_interval, summarise, tolerance
-from fusion.sensitivity.monte_carlo import propagate
+from fusion.sensitivity.monte_carlo import Estimator, propagate
 from fusion.simulate.world import Draws
-from photogram.calibration.start import pair_up
 from shaker.sine.phasor import Phasors
-from shaker.static_rotation.harmonics import Known
 
 LINES = lines_at([100.0], [1])
 OMEGA = 2.0 * np.pi * LINES.frequency_hz
@@ -50,14 +47,14 @@ def reading(entry: ChannelEntry, value: complex, u: float, dof: float = 1e6) -> 
     return Reading(entry, phasors, ChainUncertainty())
 
 
-def known_of(readings: tuple[Reading, ...] = (), pairs: tuple[StereoReading, ...] = ()) -> Known:
+def inputs_of(readings: tuple[Reading, ...] = (), pairs: tuple[StereoReading, ...] = ()) -> Inputs:
     seen = (*(pair.observed() for pair in pairs), *observe_channels(readings))
-    return Known(Inputs(LINES, seen, (), None, None, None, None), pairs, readings)
+    return Inputs(LINES, seen, (), None, None, None, None)
 
 
-def run(known: Known, draws: int = DRAWS, seed: int = 1) -> tuple[Analysis, MonteCarlo]:
-    found = analyse(known.inputs)
-    return found, propagate(known, found, draws, seed)
+def run(inputs: Inputs, draws: int = DRAWS, seed: int = 1) -> tuple[Analysis, MonteCarlo]:
+    found = analyse(inputs)
+    return found, propagate(inputs, found, draws, seed)
 
 
 def element(result: Propagated, name: str) -> int:
@@ -65,7 +62,7 @@ def element(result: Propagated, name: str) -> int:
 
 
 @cache
-def simulated(case: int) -> tuple[Known, Analysis, MonteCarlo]:
+def simulated(case: int) -> tuple[Inputs, Analysis, MonteCarlo]:
     known, _ = simulate_phasors(case_setup(CASES[case]), Draws(3, True))
     return known, *run(known)
 
@@ -123,7 +120,7 @@ def test_a_magnitude_across_a_long_ellipse_is_refuted():
 
 def test_few_degrees_of_freedom_give_students_distribution():
     entry = channel("acceleration", (0.0, 0.0, 1.0), scale_uncertainty=1e-9)
-    found, drawn = run(known_of((reading(entry, 100.0, 0.01, 6.0),)), 20_000)
+    found, drawn = run(inputs_of((reading(entry, 100.0, 0.01, 6.0),)), 20_000)
     (result,) = drawn.results
     spread = np.sqrt(result.covariance[0, 0].diagonal())
     np.testing.assert_allclose(spread, 0.01 * np.sqrt(6.0 / 4.0), rtol=0.05)
@@ -137,7 +134,7 @@ def test_a_transverse_sensitivity_of_unknown_direction_is_arc_sine_distributed()
     entries = [channel("acceleration", tuple(axis), **tiny) for axis in np.eye(3)[:2].tolist()]
     entries.append(channel("acceleration", (0.0, 0.0, 1.0), **tiny, transverse_sensitivity=0.05))
     values = (20.0, 0.0, 100.0)
-    known = known_of(tuple(reading(e, v, 1e-6) for e, v in zip(entries, values, strict=True)))
+    known = inputs_of(tuple(reading(e, v, 1e-6) for e, v in zip(entries, values, strict=True)))
     found, drawn = run(known, 20_000)
     (result,) = drawn.results
     z = element(result, "z")
@@ -166,7 +163,7 @@ def test_a_frame_turned_by_finite_angles_shortens_what_it_shows():
     covariance = 1e-20 * np.eye(12)[None]
     names, units = ("x", "y", "z", "rx", "ry", "rz"), ("m", "m", "m", "rad", "rad", "rad")
     phasors = Phasors(LINES.frequency_hz, -motion / OMEGA[:, None] ** 2, covariance, names, units, np.array([1e6]))
-    _, drawn = run(known_of(pairs=(StereoReading("top", pair, phasors),)), 20_000)
+    _, drawn = run(inputs_of(pairs=(StereoReading("top", pair, phasors),)), 20_000)
     (result,) = drawn.results
     z = element(result, "z")
     # The mean of cos φ + (1 - cos φ)·n_z² over isotropic rotation vectors φ·n is 1 - u² to fourth order.
@@ -189,18 +186,19 @@ def test_first_order_propagation_holds_for_a_whole_recording(case):
 def test_draws_are_what_fusing_them_anew_gives():
     known, found, _ = simulated(2)
     fused = found.accelerations[0]
-    gravity = np.array(known.inputs.gravity_mps2)
-    instruments = pair_up(known.inputs.observations, known.pairs, known.readings, gravity)
-    system = build_system(known.inputs.observations)
-    estimator = Estimator.of(known.inputs.observations, system.expand, solve(system))
-    drawn = [draw_instrument(one, fused.phasors.value, Deviates(11, 0, 5)) for one in instruments]
+    system = build_system(known.observations)
+    estimator = Estimator.of(known.observations, system.expand, solve(system))
+    drawn = [
+        seen.draw(fused.phasors.value, Deviates(11, 0, 5), f"noise of instrument {place}")
+        for place, seen in enumerate(known.observations)
+    ]
     none = np.zeros((5, *fused.observed.shape), dtype=complex)
     estimates = estimator.acceleration(drawn, fused.phasors.value, none)
     u = np.sqrt(fused.phasors.u_re**2 + fused.phasors.u_im**2)
     for number in range(5):
         again = [
             replace(seen, phasors=replace(seen.phasors, value=one.readings[number]), design=one.design[number])
-            for seen, one in zip(known.inputs.observations, drawn, strict=True)
+            for seen, one in zip(known.observations, drawn, strict=True)
         ]
         value = solve(build_system(again)).acceleration
         assert np.all(np.abs(value - fused.phasors.value).max(axis=0) > 0.0)
@@ -234,13 +232,11 @@ def test_equal_names_are_the_same_unknown_whatever_else_is_drawn():
 
 def test_rows_without_errors_are_those_of_the_fusion():
     known, _, _ = simulated(0)
-    for seen in known.inputs.observations[1:]:
-        entries = [r.entry for r in known.readings if r.entry.name in seen.members]
-        for place, entry in enumerate(entries):
-            point, along = (np.array([getattr(entry, key)]) for key in ("point", "direction"))
-            gravity = np.array(known.inputs.gravity_mps2)
-            rows = channel_rows(entry, point, along, seen.phasors.frequency_hz, gravity)
-            np.testing.assert_allclose(rows[0], seen.design[:, place], rtol=1e-12, atol=1e-15)
+    exact = {"point_uncertainty": (0.0,) * 3, "direction_uncertainty": 0.0, "transverse_sensitivity": 0.0}
+    for seen in known.observations[1:]:
+        entries = tuple(entry.model_copy(update=exact) for entry in seen.geometry.entries)
+        rows = replace(seen.geometry, entries=entries).rows(seen.design, Deviates(1, 0, 2))
+        np.testing.assert_allclose(rows[1], seen.design, rtol=1e-12, atol=1e-15)
 
 
 def test_load_matrices_are_those_of_bodies_with_the_drawn_numbers():

@@ -18,8 +18,8 @@ from fusion.campaign.repeats import drives_of
 from fusion.estimation.uncertainty import Influence, Uncertainty
 from fusion.report import recording as results
 from fusion.report.csv_files import merge_tables
-from fusion.report.h5 import read_drives, read_recorded
 from fusion.report.provenance import check_folder, hash_files, is_current, read_provenance, sha256, versions
+from fusion.report.recorded import read_drives, read_recorded
 from fusion.report.recording import write_results
 from fusion.sensitivity.analyse import Evaluation
 

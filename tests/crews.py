@@ -1,4 +1,4 @@
-"""A Dask cluster for tests, each of its processes started as a laboratory does."""
+"""Those who compute in tests: a Dask cluster, each of its processes started as a laboratory does, and this process."""
 
 from __future__ import annotations
 
@@ -8,9 +8,13 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from concurrent.futures import Future
 from pathlib import Path
+from typing import Any
 
 from distributed import Client
+
+from fusion.campaign.workers import Answer, call
 
 PATIENCE_S = 300.0
 ROOT = Path(__file__).resolve().parents[1]
@@ -58,3 +62,31 @@ def wait_until(condition: Callable[[], bool]) -> None:
     while not condition():
         assert time.monotonic() < end, "waited in vain"
         time.sleep(0.05)
+
+
+class Inline:
+    """A crew that is this process, and tells what it was asked.
+
+    `waits`: until it has as many tasks as its size, and then answers the last first.
+    """
+
+    def __init__(self, size: int = 2, *, waits: bool = False) -> None:
+        self.size, self.batch = size, size if waits else 1
+        self.asked: list[Callable[..., Any]] = []
+        self.waiting: list[tuple[Future[Answer], Callable[..., Any], tuple[Any, ...]]] = []
+
+    def __enter__(self) -> Inline:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        assert not self.waiting
+
+    def submit(self, rank: int, function: Callable[..., Any], *arguments: Any) -> Future[Answer]:
+        future: Future[Answer] = Future()
+        self.asked.append(function)
+        self.waiting.append((future, function, arguments))
+        if len(self.waiting) == self.batch:
+            while self.waiting:
+                late, work, given = self.waiting.pop()
+                late.set_result(call(work, *(held.result() if isinstance(held, Future) else held for held in given)))
+        return future

@@ -1,0 +1,42 @@
+"""Recordings that several tests evaluate: once per test run, whichever process needs them first."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+import pytest
+
+PATIENCE_S = 600.0
+T = TypeVar("T")
+
+
+def once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], T]) -> T:
+    """Return what `make` returns, which is pickled beside the folder that it was given, for all processes of a run.
+
+    The first process that asks makes it, under a lock; what it leaves appears whole or not at all.
+    """
+    base = factory.getbasetemp()
+    shared = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "once"
+    shared.mkdir(exist_ok=True)
+    file, lock = shared / f"{name}.pickle", shared / f"{name}.lock"
+    end = time.monotonic() + PATIENCE_S
+    while not file.exists():
+        try:
+            os.close(os.open(lock, os.O_CREAT | os.O_EXCL))
+        except FileExistsError:
+            assert time.monotonic() < end, f"{name}: the process that makes it does not end"
+            time.sleep(0.05)
+            continue
+        try:
+            if not file.exists():
+                partial = file.with_suffix(".partial")
+                partial.write_bytes(pickle.dumps(make(shared / name)))
+                os.replace(partial, file)
+        finally:
+            lock.unlink()
+    return pickle.loads(file.read_bytes())
