@@ -34,7 +34,7 @@ def run_case(case: Case, seeds: range) -> Counts:
     counts, setup = Counts(), case_setup(case)
     for seed in seeds:
         known, truth = simulate_phasors(setup, Draws(seed, True))
-        counts.add(case.driven, analyse(known.inputs), truth.acceleration[0], truth.load[0], truth.outputs[0])
+        counts.add(case.driven, analyse(known), truth.acceleration[0], truth.load[0], truth.outputs[0])
     return counts
 
 

@@ -7,12 +7,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fusion.estimation.measurement_model import ChainUncertainty, Observation, Reading, StereoReading, observe_channels
-from fusion.recording.manifest import ChannelEntry
-from fusion.recording.rig import Sensor, Stereo
+from fusion.estimation.measurement_model import Observation
+from fusion.instruments import TRANSDUCERS, observe_channels
+from fusion.instruments.channel import ChainUncertainty, Reading
+from fusion.instruments.stereo import StereoReading
+from fusion.recording.manifest import ChannelEntry, Sensor, Stereo
 from fusion.sensitivity.analyse import Inputs
 from fusion.sensitivity.body import Body, Part, make_part
-from fusion.sensitivity.monte_carlo import Known
 from fusion.simulate.world import Draws, Motion, TruePart, acceleration_at, velocity_at, wrench
 from photogram.geometry import rotation_from_vector
 from shaker.arrays import ComplexArray, FloatArray
@@ -21,15 +22,6 @@ from shaker.lines.frequencies import Lines
 from shaker.sine.phasor import Phasors
 
 # Recordings at the level of phasors: exact readings of drawn instruments, and what the program is told of them.
-
-
-UNITS = {
-    "displacement": "m",
-    "velocity": "m/s",
-    "acceleration": "m/s^2",
-    "angular_velocity": "rad/s",
-    "output": "V/V",
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +76,7 @@ class PhasorTruth:
     outputs: ComplexArray
 
 
-def simulate_phasors(setup: PhasorSetup, draws: Draws) -> tuple[Known, PhasorTruth]:
+def simulate_phasors(setup: PhasorSetup, draws: Draws) -> tuple[Inputs, PhasorTruth]:
     """Draw every error of a set-up, and return what the program gets beside the truth."""
     rate = 1.0 + float(draws.normal("clock rate", setup.clock_uncertainty))
     motion = Motion(setup.lines.frequency_hz * rate, setup.acceleration)
@@ -111,7 +103,7 @@ def simulate_phasors(setup: PhasorSetup, draws: Draws) -> tuple[Known, PhasorTru
         sensor=setup.sensor,
         direction=setup.direction,
     )
-    return Known(inputs, tuple(pairs), tuple(readings)), PhasorTruth(motion.acceleration, load, signals)
+    return inputs, PhasorTruth(motion.acceleration, load, signals)
 
 
 def _true_part(part: Part, draws: Draws) -> TruePart:
@@ -165,7 +157,7 @@ def _reading(channel: Channel, frequency_hz: FloatArray, signal: ComplexArray, d
     if chain.u_phase_rad is not None:
         value = value * np.exp(1j * chain.u_phase_rad * float(draws.normal(f"{name}: response phase", 1.0)))
     covariance = channel.noise[:, None, None] ** 2 * np.eye(2)
-    unit = UNITS[entry.quantity]
+    unit = TRANSDUCERS[entry.quantity].unit if entry.quantity in TRANSDUCERS else "V/V"
     blank = Phasors(frequency_hz, value[:, None], covariance, (entry.name,), (unit,), np.full(len(value), channel.dof))
     return Reading(entry, _with_noise(blank, entry.name, draws), chain)
 

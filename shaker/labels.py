@@ -10,15 +10,6 @@ LOAD_UNITS = ("N", "N", "N", "N.m", "N.m", "N.m")
 MOTION_UNITS = (("m", "m/s", "m/s^2"), ("rad", "rad/s", "rad/s^2"))
 """Units of displacement, velocity and acceleration: of a translation, of a rotation."""
 
-QUANTITY_UNITS = {
-    "displacement": "m",
-    "velocity": "m/s",
-    "acceleration": "m/s^2",
-    "angular_velocity": "rad/s",
-    "force": "N",
-    "voltage": "V",
-}
-
 
 def component_units(order: int) -> tuple[str, ...]:
     """Return the six units of `MOTION_COMPONENTS`, differentiated `order` times (0 to 2)."""

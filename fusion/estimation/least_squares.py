@@ -9,6 +9,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from fusion.estimation.measurement_model import CommonError, Observation
+from fusion.estimation.uncertainty import real_design, real_stack
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 
 # The linear system behind the fusion: readings of all lines as real rows, and what their common errors do to them.
@@ -21,16 +22,6 @@ RESOLUTION_TOLERANCE = 1e-6
 UNOBSERVED_MOTION = 0.02
 """Standard uncertainty of a component nobody observes, relative to the observed motion (rotations: over 0.1 m)."""
 SCALE = np.array([1.0, 1.0, 1.0, 1.0 / BODY_SIZE_M, 1.0 / BODY_SIZE_M, 1.0 / BODY_SIZE_M])
-
-
-def real_design(matrix: ComplexArray) -> FloatArray:
-    """Return the real (2M, 2J) form of a complex (M, J) matrix that acts on [Re, Im]."""
-    return np.block([[matrix.real, -matrix.imag], [matrix.imag, matrix.real]])
-
-
-def real_stack(values: ComplexArray) -> FloatArray:
-    """Return [Re, Im] along the last axis."""
-    return np.concatenate([values.real, values.imag], axis=-1)
 
 
 def row_space(observations: Sequence[Observation], line: int) -> ComplexArray:

@@ -217,6 +217,22 @@ class Uncertainty:
         return np.asarray(np.divide(total, weighted, out=empty, where=weighted > 0.0))
 
 
+def real_design(matrix: ComplexArray) -> FloatArray:
+    """Return the real (2M, 2J) form of a complex (M, J) matrix that acts on [all Re, all Im]."""
+    return np.block([[matrix.real, -matrix.imag], [matrix.imag, matrix.real]])
+
+
+def real_stack(values: ComplexArray) -> FloatArray:
+    """Return [all Re, all Im] along the last axis."""
+    return np.concatenate([values.real, values.imag], axis=-1)
+
+
+def as_complex(values: FloatArray) -> ComplexArray:
+    """Return the complex values of [all Re, all Im] along the last axis."""
+    half = values.shape[-1] // 2
+    return np.asarray(values[..., :half] + 1j * values[..., half:])
+
+
 def _scatter(covariance: FloatArray) -> FloatArray:
     """Sum (K, C) of the variances of the elements of a sample covariance of (Re, Im), per degree of freedom."""
     diagonal = covariance.diagonal(axis1=1, axis2=2)

@@ -16,6 +16,7 @@ TEST_LEVEL = 0.99
 RANK_TOLERANCE = 1e-6
 VISIBLE = 1e-4
 ITERATIONS = 100
+DIGITS = 1e-15
 NOTHING = np.zeros(0)
 SMALL_READING = 0.1
 """A reading below this share of the motion has no direction in the complex plane of its own."""
@@ -68,7 +69,11 @@ class Contrasts:
 
     def _spread(self, components: FloatArray) -> FloatArray:
         """Covariance with some components, (C,) or none."""
-        return self.spread + np.tensordot(components, self.patterns, 1) if len(components) else self.spread
+        if not len(components):
+            return self.spread
+        total = self.spread + np.tensordot(components, self.patterns, 1)
+        # Beside a component a million times as large nothing of what is stated may be left in the digits.
+        return np.asarray(total + DIGITS * np.max(np.diag(total)) * np.eye(len(total)))
 
     def normal_equations(self, components: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return F (C, C) and right side (C,) whose solution are the next components.

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fusion.estimation.measurement_model import Deviates
 from fusion.estimation.uncertainty import Scope
 from photogram.geometry import skew
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import MOTION_COMPONENTS
+
+if TYPE_CHECKING:
+    from fusion.recording.manifest import Load, Rig
+    from fusion.recording.manifest import Part as PartTable
 
 # The elastic joint between a load and what is mounted below it: how the lower side follows the upper one.
 
@@ -304,3 +310,98 @@ def _centre_change(part: Part, axis: int) -> InertialTerms:
     matrix[3:, :3] = part.mass_kg * change
     matrix[3:, 3:] = -part.mass_kg * (lever @ change + change @ lever)
     return InertialTerms(matrix, 0.0, part.mass_kg * (1.0 - part.air_share) * shift)
+
+
+# Bodies whose masses, centres and moments of inertia are what a Monte Carlo run draws.
+
+
+def draw_load_matrices(
+    body: Body,
+    frequency_hz: FloatArray,
+    gravity_mps2: FloatArray | None,
+    u_gravity_mps2: FloatArray | None,
+    deviates: Deviates,
+) -> ComplexArray:
+    """Return N load matrices (N, K, 6, 6): mass, centre of mass and inertia of every part drawn, and whatever else.
+
+    The parts' own numbers enter exactly; gravity, the joint and the air by their first-order changes.
+    """
+    own = {f"{part.name}: {what}" for part in body.parts for what in ("mass", "centre of mass", "inertia")}
+    total = np.zeros((deviates.count, len(frequency_hz), 6, 6), dtype=np.complex128)
+    for part in body.parts:
+        # Mass times (1, c, products of c), and the six entries of the inertia.
+        mass = part.mass_kg + part.u_mass_kg * deviates.normal(f"{part.name}: mass")
+        centre = part.centre_of_mass_m + part.u_centre_of_mass_m * deviates.normal(f"{part.name}: centre of mass", 3)
+        products = [centre[:, i] * centre[:, j] for i, j in INERTIA_ENTRIES]
+        entries = tuple(np.array(INERTIA_ENTRIES).T)
+        inertia = part.inertia_kgm2[entries] + part.u_inertia_kgm2[entries] * deviates.normal(
+            f"{part.name}: inertia", 6
+        )
+        moments = mass[:, None] * np.column_stack([np.ones(deviates.count), centre, *products])
+        terms = _polynomial(replace(body, parts=(part,)), frequency_hz, gravity_mps2)
+        total += np.tensordot(np.column_stack([moments, inertia]), terms, 1)
+    for change in body.matrix_changes(frequency_hz, gravity_mps2, u_gravity_mps2):
+        if change.label not in own:
+            total += deviates.normal(change.name)[:, None, None, None] * change.change
+    return total
+
+
+def _polynomial(alone: Body, frequency_hz: FloatArray, gravity_mps2: FloatArray | None) -> ComplexArray:
+    """Coefficients (16, K, 6, 6) of mass · (1, c, products of c) and inertia in the load matrix of a body of one part.
+
+    The matrix is linear in mass and inertia and of second order in the centre of mass: its values at 0, ±e_i and
+    e_i + e_j tell all of it.
+    """
+    (part,) = alone.parts
+
+    def at(mass: float, centre: FloatArray, inertia: FloatArray) -> ComplexArray:
+        one = replace(part, mass_kg=mass, centre_of_mass_m=centre, inertia_kgm2=inertia)
+        return replace(alone, parts=(one,)).load_matrix(frequency_hz, gravity_mps2)
+
+    none, unit = np.zeros((3, 3)), np.eye(3)
+    still = at(1.0, np.zeros(3), none)
+    ahead, behind = ([at(1.0, sign * e, none) for e in unit] for sign in (1.0, -1.0))
+    slope = [(a - b) / 2.0 for a, b in zip(ahead, behind, strict=True)]
+    square = [(a + b) / 2.0 - still for a, b in zip(ahead, behind, strict=True)]
+    mixed, turning = [], []
+    for i, j in INERTIA_ENTRIES:
+        entry = np.zeros((3, 3))
+        entry[i, j] = entry[j, i] = 1.0
+        turning.append(at(0.0, np.zeros(3), entry))
+        if i != j:
+            mixed.append(at(1.0, unit[i] + unit[j], none) - still - slope[i] - slope[j] - square[i] - square[j])
+    return np.stack([still, *slope, *square, *mixed, *turning])
+
+
+# The body from the tables of rig.toml and recording.toml.
+
+
+def load_body(rig: Rig, parts: Sequence[PartTable]) -> Body | None:
+    """Return all that moves above the elastic element: load, parts and internal mass; None without a `[load]`.
+
+    Masses are true ones, in air of the density that the rig states. The sensor's own mass lies below the load's joint,
+    where there is one.
+    """
+    load, sensor, environment = rig.load, rig.sensor, rig.environment
+    if load is None:
+        return None
+    air_density = 0.0 if environment is None else environment.air_density or 0.0
+    tables: list[tuple[str, Load | PartTable, bool]] = [("load", load, False)]
+    tables += [(part.name, part, part.below_joint) for part in parts if part.body == "load"]
+    rigid = []
+    for name, table, below in tables:
+        u = (table.mass_uncertainty, table.centre_of_mass_uncertainty, table.inertia_uncertainty)
+        share = 0.0 if table.density is None else air_density / table.density
+        rigid.append(make_part(name, table.true_mass, table.centre_of_mass, table.inertia, u, share, below))
+    if sensor is not None and sensor.internal_mass > 0.0:
+        u = (
+            sensor.internal_mass_uncertainty,
+            sensor.internal_centre_of_mass_uncertainty,
+            sensor.internal_inertia_uncertainty,
+        )
+        centre, inertia = sensor.internal_centre_of_mass, sensor.internal_inertia
+        rigid.append(make_part("internal mass", sensor.internal_mass, centre, inertia, u, below_joint=True))
+    if load.elastic_frequency is None:
+        return Body(tuple(rigid))
+    joint = make_joint(load.elastic_frequency, load.elastic_frequency_uncertainty, load.elastic_damping)
+    return Body(tuple(rigid), joint)

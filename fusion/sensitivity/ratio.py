@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
@@ -11,9 +11,20 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fusion.base import AnyNotice
-from fusion.estimation.least_squares import real_design, real_stack
-from fusion.estimation.uncertainty import Influence, Polar, Uncertainty, element_covariance, polar, rounded
-from fusion.sensitivity.load import BudgetEntry, LoadResult, Outputs, budget
+from fusion.estimation.uncertainty import (
+    Influence,
+    Polar,
+    Uncertainty,
+    element_covariance,
+    polar,
+    real_design,
+    real_stack,
+    rounded,
+)
+from fusion.instruments.output import Outputs
+from fusion.instruments.vibrometer import PARALLEL, PointRatios, PointSpread
+from fusion.sensitivity.body import Body
+from fusion.sensitivity.load import BudgetEntry, LoadResult, budget
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, check_shape
 from shaker.labels import LOAD_COMPONENTS
 
@@ -223,3 +234,48 @@ def _static_influence(
     change[:, channel] = u_static * part
     name = f"static sensitivity {channels[channel]} per {LOAD_COMPONENTS[component]}"
     return Influence(name, "static sensitivity", u_static, "1", real_stack(change), "rig")
+
+
+# The ratio point by point, where several vibrometer points look along the force that was driven.
+
+
+def with_ratios(
+    spread: PointSpread, outputs: Outputs, sensitivity: Sensitivity, body: Body, sense: Literal["on_load", "on_sensor"]
+) -> PointSpread:
+    """Return the spread with S_i = U/(m a_i) of the output that answers most to the force along the points.
+
+    m is the mass that moves above the elastic element. dS = S (dU/U - da/a - dm/m), in which an unknown of both sides
+    (a clock) is one change. Where the excitation drives another component than that force there is nothing to add.
+    """
+    axis = int(np.argmax(np.abs(spread.direction)))
+    along = abs(spread.direction[axis]) > 1.0 - PARALLEL
+    elements = np.abs(sensitivity.value[:, :, axis])
+    if spread.body != "load" or not along or not np.isfinite(elements).any():
+        return spread
+    channel = int(np.argmax(np.nanmax(elements, axis=0)))
+    sign = 1.0 if sense == "on_load" else -1.0
+    mass = sign * body.load_matrix(spread.frequency_hz, None)[:, axis, axis]
+    driven = mass[:, None] * spread.value
+    value = outputs.phasors.value[:, channel, None] / driven
+    from_output = outputs.uncertainty.at([channel]).transformed(real_design((1.0 / driven)[:, :, None]))
+    known = from_output.plus(spread.uncertainty.scaled(-value / spread.value))
+    masses = _mass_influences(body, spread.frequency_hz, axis, -sign * value / mass[:, None])
+    ratios = PointRatios(
+        channel=sensitivity.channels[channel],
+        component=sensitivity.components[axis],
+        unit=sensitivity.unit,
+        value=value,
+        uncertainty=Uncertainty(known.random, (*known.influences, *masses)),
+        fused=sensitivity.value[:, channel, axis],
+    )
+    return replace(spread, ratios=ratios)
+
+
+def _mass_influences(body: Body, frequency_hz: FloatArray, axis: int, slope: ComplexArray) -> tuple[Influence, ...]:
+    """What the uncertain masses do to values (K, N) that change by `slope` (K, N) per kilogram."""
+    changes = [(c, c.change[:, axis, axis]) for c in body.matrix_changes(frequency_hz, None)]
+    return tuple(
+        Influence(c.name, c.label, c.u, c.unit, real_stack(slope * mass[:, None]), c.scope)
+        for c, mass in changes
+        if np.any(mass)
+    )

@@ -1,21 +1,28 @@
-"""Parallel vibrometer points on one body: how far they differ, what rocking explains of it, each one's sensitivity."""
+"""Vibrometers: channels that read displacement or velocity along a laser beam; several points on one body.
+
+Parallel points on one body: how far they differ, what rocking explains of it.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fusion.estimation.consistency import Acceleration
-from fusion.estimation.least_squares import real_design, real_stack
 from fusion.estimation.measurement_model import Observation
-from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty
-from fusion.sensitivity.body import Body
-from fusion.sensitivity.load import Outputs
-from fusion.sensitivity.ratio import Sensitivity
+from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, real_design, real_stack
+from fusion.instruments.channel import Transducer
 from shaker.arrays import ComplexArray, FloatArray, check_shape
+
+if TYPE_CHECKING:
+    from fusion.estimation.fuse import Acceleration
+
+DISPLACEMENT = Transducer("displacement", "m", "vibrometer", order=-2)
+VELOCITY = Transducer("velocity", "m/s", "vibrometer", order=-1)
+
+# Parallel points on one body: their mean and the best rigid plane through them.
 
 PARALLEL = 1e-3
 """Largest angle in rad between directions that count as one."""
@@ -145,11 +152,18 @@ def point_spreads(
     Common errors of the points (scale, delay, placement) act as they do on the fused motion of their body.
     """
     fused = {a.body: np.nan_to_num(a.phasors.value) for a in accelerations if a.source == "fused"}
-    found = []
+    groups: list[list[_Point]] = []
     for body in dict.fromkeys(o.body for o in observations if o.kind == "vibrometer"):
         seen = [o for o in observations if o.kind == "vibrometer" and o.body == body]
-        found += [_spread(group) for group in _parallel(seen, fused[body]) if _is_a_plane(group)]
-    return tuple(found)
+        first = len(groups)
+        for point in [point for observation in seen for point in _points(observation, fused[body])]:
+            own = next((g for g in groups[first:] if np.linalg.norm(g[0].direction - point.direction) < PARALLEL), None)
+            if own is None:
+                groups.append([point])
+            else:
+                own.append(point)
+    spreads = [_spread(group) for group in groups if len(group) >= FEWEST_POINTS]
+    return tuple(spread for spread in spreads if spread is not None)
 
 
 @dataclass(frozen=True)
@@ -166,84 +180,54 @@ class _Point:
 
 
 def _points(observation: Observation, acceleration: ComplexArray) -> list[_Point]:
-    """The channels of a vibrometer, brought to acceleration, all directions in the half space of their largest axis."""
-    found = []
+    """Return the channels of a vibrometer as accelerations, directions in the half space of their largest axis."""
+    points = []
     for column, name in enumerate(observation.members):
         row = observation.design[:, column]
         size = np.linalg.norm(row[:, :3], axis=1)
-        largest = row[np.arange(len(row)), np.full(len(row), np.argmax(np.abs(row[0, :3])))]
+        largest = row[:, np.argmax(np.abs(row[0, :3]))]
         factor = size * largest / np.abs(largest)
         unit = np.asarray((row[0] / factor[0]).real) + 0.0
-        found.append(_Point(name, observation, column, unit[:3], unit[3:], factor, acceleration))
-    return found
+        points.append(_Point(name, observation, column, unit[:3], unit[3:], factor, acceleration))
+    return points
 
 
-def _parallel(observations: Sequence[Observation], acceleration: ComplexArray) -> list[list[_Point]]:
-    """Points grouped by their direction."""
-    groups: list[list[_Point]] = []
-    for point in [point for observation in observations for point in _points(observation, acceleration)]:
-        own = next((g for g in groups if np.linalg.norm(g[0].direction - point.direction) < PARALLEL), None)
-        if own is None:
-            groups.append([point])
-        else:
-            own.append(point)
-    return groups
+def _spread(points: Sequence[_Point]) -> PointSpread | None:
+    """Return mean, plane and what it leaves of parallel points; None where all are in one line.
 
-
-def _plane_columns(place_m: FloatArray) -> FloatArray:
-    """Columns (N, 3) of mean and two rotations: a point at (p, q) moves by mean + α₀·(q − q̄) − α₁·(p − p̄)."""
-    centred = place_m - place_m.mean(axis=0)
-    return np.stack([np.ones(len(place_m)), centred[:, 1], -centred[:, 0]], axis=1)
-
-
-def _places(points: Sequence[_Point]) -> tuple[FloatArray, FloatArray]:
-    """Two axes (2, 3) across the common direction and the lever arms (N, 2) along them."""
+    A point at (p, q) moves by mean + α₀·(q − q̄) − α₁·(p − p̄).
+    """
     direction = points[0].direction
     nearest = np.eye(3)[(int(np.argmax(np.abs(direction))) + 1) % 3]
     first = nearest - direction * (nearest @ direction)
     first = first / np.linalg.norm(first)
     axes = np.stack([first, np.cross(direction, first)])
-    levers = np.stack([point.lever_m for point in points])
-    return axes, np.cross(direction, levers) @ axes.T
-
-
-def _is_a_plane(points: Sequence[_Point]) -> bool:
-    """Whether there are enough points, and not all in one line."""
-    if len(points) < FEWEST_POINTS:
-        return False
-    values = np.linalg.svd(_plane_columns(_places(points)[1])[:, 1:], compute_uv=False)
-    return bool(values[-1] > RANK_TOLERANCE * values[0])
-
-
-def _spread(points: Sequence[_Point]) -> PointSpread:
-    """Mean, plane and what it leaves of parallel points."""
-    axes, place = _places(points)
+    place = np.cross(direction, np.stack([point.lever_m for point in points])) @ axes.T
+    centred = place - place.mean(axis=0)
+    columns = np.stack([np.ones(len(place)), centred[:, 1], -centred[:, 0]], axis=1)
+    singular = np.linalg.svd(columns[:, 1:], compute_uv=False)
+    if singular[-1] <= RANK_TOLERANCE * singular[0]:
+        return None
     value = np.stack([p.observation.phasors.value[:, p.column] / p.factor for p in points], axis=1)
     uncertainty = _uncertainty(points)
-    columns = _plane_columns(place)
     solve: FloatArray = np.linalg.pinv(columns).astype(np.float64)
     leave = np.eye(len(points)) - columns @ solve
-    first = points[0].observation
+    plane_u, residual_u = (uncertainty.transformed(real_design(m.astype(np.complex128))[None]) for m in (solve, leave))
     return PointSpread(
         instrument=", ".join(dict.fromkeys(point.observation.name for point in points)),
-        body=first.body,
-        frequency_hz=first.phasors.frequency_hz,
+        body=points[0].observation.body,
+        frequency_hz=points[0].observation.phasors.frequency_hz,
         channels=tuple(point.name for point in points),
-        direction=points[0].direction,
+        direction=direction,
         axes=axes,
         place_m=place,
         value=value,
         uncertainty=uncertainty,
         plane=value @ solve.T,
-        plane_uncertainty=uncertainty.transformed(_every_line(solve, len(value))),
+        plane_uncertainty=plane_u,
         residual=value @ leave.T,
-        residual_uncertainty=uncertainty.transformed(_every_line(leave, len(value))),
+        residual_uncertainty=residual_u,
     )
-
-
-def _every_line(matrix: FloatArray, lines: int) -> FloatArray:
-    """Real-stacked form (K, 2D, 2N) of one real matrix (D, N) at all lines."""
-    return np.broadcast_to(np.kron(np.eye(2), matrix), (lines, 2 * len(matrix), 2 * matrix.shape[1]))
 
 
 def _uncertainty(points: Sequence[_Point]) -> Uncertainty:
@@ -269,45 +253,3 @@ def _uncertainty(points: Sequence[_Point]) -> Uncertainty:
                     error.name, error.label, error.u, error.unit, total, error.scope, error.type
                 )
     return Uncertainty((Contribution("noise", "A", covariance, dof),), tuple(effects.values()))
-
-
-def with_ratios(
-    spread: PointSpread, outputs: Outputs, sensitivity: Sensitivity, body: Body, sense: Literal["on_load", "on_sensor"]
-) -> PointSpread:
-    """Return the spread with S_i = U/(m a_i) of the output that answers most to the force along the points.
-
-    m is the mass that moves above the elastic element. dS = S (dU/U - da/a - dm/m), in which an unknown of both sides
-    (a clock) is one change. Where the excitation drives another component than that force there is nothing to add.
-    """
-    axis = int(np.argmax(np.abs(spread.direction)))
-    along = abs(spread.direction[axis]) > 1.0 - PARALLEL
-    elements = np.abs(sensitivity.value[:, :, axis])
-    if spread.body != "load" or not along or not np.isfinite(elements).any():
-        return spread
-    channel = int(np.argmax(np.nanmax(elements, axis=0)))
-    sign = 1.0 if sense == "on_load" else -1.0
-    mass = sign * body.load_matrix(spread.frequency_hz, None)[:, axis, axis]
-    driven = mass[:, None] * spread.value
-    value = outputs.phasors.value[:, channel, None] / driven
-    from_output = outputs.uncertainty.at([channel]).transformed(real_design((1.0 / driven)[:, :, None]))
-    known = from_output.plus(spread.uncertainty.scaled(-value / spread.value))
-    masses = _mass_influences(body, spread.frequency_hz, axis, -sign * value / mass[:, None])
-    ratios = PointRatios(
-        channel=sensitivity.channels[channel],
-        component=sensitivity.components[axis],
-        unit=sensitivity.unit,
-        value=value,
-        uncertainty=Uncertainty(known.random, (*known.influences, *masses)),
-        fused=sensitivity.value[:, channel, axis],
-    )
-    return replace(spread, ratios=ratios)
-
-
-def _mass_influences(body: Body, frequency_hz: FloatArray, axis: int, slope: ComplexArray) -> tuple[Influence, ...]:
-    """What the uncertain masses do to values (K, N) that change by `slope` (K, N) per kilogram."""
-    changes = [(c, c.change[:, axis, axis]) for c in body.matrix_changes(frequency_hz, None)]
-    return tuple(
-        Influence(c.name, c.label, c.u, c.unit, real_stack(slope * mass[:, None]), c.scope)
-        for c, mass in changes
-        if np.any(mass)
-    )

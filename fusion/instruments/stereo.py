@@ -1,0 +1,174 @@
+"""Stereo pairs: the displacement of a body in all six components, -A/ω², and what is uncertain of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fusion.estimation.measurement_model import CommonError, Deviates, Observation
+from fusion.estimation.uncertainty import Scope
+from fusion.instruments.channel import RelativeError, clock_rate
+from photogram.geometry import rotation_from_vector, skew
+from shaker.arrays import ComplexArray, FloatArray
+from shaker.sine.phasor import Phasors, derivative_factor
+
+if TYPE_CHECKING:
+    from fusion.recording.manifest import Stereo
+
+CALIBRATION = "calibration"
+PERIODIC = "error periodic in the pixel"
+GEOMETRY = np.eye(6)
+"""What a pair can observe, as rows (6, 6) on the motion of the sensor origin: every component by itself."""
+
+
+@dataclass(frozen=True)
+class LineTurns:
+    """How errors of the estimated line frequencies turn the phasors of a record whose middle is at `middle_s`.
+
+    A fit at f + u leaves the phase in the middle of the record as it is, so the phasor, which counts from time zero,
+    turns by exp(-j2π u middle_s). `nominal_hz`, `u_hz` (K,): fundamental and standard uncertainty of each line; the
+    lines of one fundamental err together, and so do all stereo pairs.
+    """
+
+    nominal_hz: FloatArray
+    u_hz: FloatArray
+    middle_s: float
+
+    def turns(self) -> dict[str, ComplexArray]:
+        """Return by the name of the unknown the relative change (K,) for one standard uncertainty."""
+        turn = -2j * np.pi * self.u_hz * self.middle_s
+        fundamentals = np.unique(self.nominal_hz).tolist()
+        return {f"frequency of {f:.6g} Hz": np.where(self.nominal_hz == f, turn, 0.0) for f in fundamentals}
+
+
+@dataclass(frozen=True)
+class PulseExposure:
+    """An exposure as long as the pulses of a trigger: its name, `width_s` as measured, and `u_s`, 0 where stated."""
+
+    trigger: str
+    width_s: float
+    u_s: float
+
+    def change(self, frequency_hz: FloatArray) -> ComplexArray:
+        """Return the relative change (K,) of phasors for one standard uncertainty of the width T.
+
+        Frames whose exposures seem longer by u seem later by u/2, and their loss sin(x)/x, x = πfT, which was taken
+        off, seems greater: u·[(1 - x·cot x)/T - jπf].
+        """
+        x = np.pi * frequency_hz * self.width_s
+        return np.asarray(self.u_s * ((1.0 - x / np.tan(x)) / self.width_s - 1j * np.pi * frequency_hz))
+
+
+@dataclass(frozen=True)
+class StereoReading:
+    """One stereo pair: `pair` as rig.toml has it, displacement phasors (K, 6) in m and rad about the sensor origin.
+
+    `effects`: by name, changes (P, K, 6) of the phasors for one standard uncertainty of further unknowns, such as the
+    principal components of the calibration's covariance (CALIBRATION, which counts as stated). `clock_uncertainty`:
+    relative, of the time base; `trigger`: name of the camera trigger and standard uncertainty (s) of its fitted
+    instants, one error for all pairs that follow it. `turns`: where the line frequencies are known from this motion
+    only. `pulse`: what the exposure was measured from, one error for all pairs that expose as long as that trigger's
+    pulses. `further`: relative errors (K, 1) of all six phasors beside those.
+    """
+
+    name: str
+    pair: Stereo
+    phasors: Phasors
+    effects: Mapping[str, ComplexArray] = field(default_factory=dict)
+    clock_uncertainty: float = 0.0
+    trigger: tuple[str, float] = ("", 0.0)
+    turns: LineTurns | None = None
+    pulse: PulseExposure | None = None
+    further: tuple[RelativeError, ...] = ()
+
+    def observed(self) -> Observation:
+        """Return the rows of the pair: displacement phasors = -A/ω², and their common errors by name.
+
+        These are scale and pose of its frame, delay of the exposure, the further `effects`, and what holds for one
+        recording: instants of the trigger, width of its pulses, frequencies of the lines, the clock.
+        """
+        title, frequency = self._title, self.phasors.frequency_hz
+        factor = derivative_factor(frequency, -2)
+        design = factor[:, None, None] * GEOMETRY
+        none = np.zeros_like(self.phasors.value)
+        common = [
+            CommonError(name, label, u, unit, "rig", factor[:, None, None] * (u * change), none)
+            for name, label, u, unit, change in self._frame_errors()
+            if u > 0.0
+        ]
+        common += [e.of_rows(design) for e in self._late(f"{title}: delay", self.pair.delay_uncertainty, "rig")]
+        stated = bool(common) or len(self.effects.get(CALIBRATION, ())) > 0
+        for what, changes in self.effects.items():
+            label = f"{title}: {what}"
+            scope: Scope = "recording" if what.startswith(PERIODIC) else "rig"
+            for place, effect in enumerate(np.asarray(changes)):
+                common.append(CommonError(f"{label} {place}", label, 1.0, "1", scope, np.zeros_like(design), effect))
+        relative = self._late(f"{self.trigger[0]}: time", self.trigger[1], "recording")
+        if self.pulse is not None and self.pulse.u_s > 0.0:
+            unknown, change = f"{self.pulse.trigger}: pulse width", self.pulse.change(frequency)
+            relative.append(RelativeError(unknown, unknown, self.pulse.u_s, "s", "recording", change[:, None]))
+        for unknown, turned in ({} if self.turns is None else self.turns.turns()).items():
+            relative.append(RelativeError(unknown, unknown, 1.0, "1", "recording", turned[:, None]))
+        common += [error.of_rows(design) for error in relative]
+        common += clock_rate(design, np.full(6, 2.0), self.clock_uncertainty)
+        common += [error.of_rows(design) for error in self.further]
+        members = (title,) * 6
+        return Observation(
+            self.name, "photogrammetry", self.pair.body, self.phasors, design, tuple(common), members, stated, self
+        )
+
+    @property
+    def _title(self) -> str:
+        """Return the pair's name in budgets."""
+        return f"stereo {self.name}"
+
+    def _frame_errors(self) -> Iterator[tuple[str, str, float, str, FloatArray]]:
+        """Yield name, label, standard uncertainty, unit and change (6, 6) of the vectors by errors of the pair's frame.
+
+        Scale of all lengths (translations); position p of the sensor origin (translation changes by theta × p) and
+        rotation φ of the axes (vectors change by φ × v).
+        """
+        scale = f"{self._title}: scale"
+        yield scale, scale, self.pair.scale_uncertainty or 0.0, "1", np.diag([1.0, 1, 1, 0, 0, 0])
+        for axis, letter in enumerate("xyz"):
+            spin, shift = skew(np.eye(3)[axis]), np.zeros((6, 6), np.float64)
+            shift[:3, 3:] = -spin
+            position, rotation = (f"{self._title}: pose {kind}" for kind in ("position", "rotation"))
+            yield f"{position} {letter}", position, self.pair.pose_uncertainty[axis], "m", shift
+            turn: FloatArray = np.kron(np.eye(2), spin).astype(np.float64)
+            yield f"{rotation} {letter}", rotation, self.pair.pose_uncertainty[3 + axis], "rad", turn
+
+    def _late(self, name: str, u_s: float, scope: Scope) -> list[RelativeError]:
+        """Return a time error: readings late by one standard uncertainty turn by exp(-jω u) ≈ 1 - jω u."""
+        late: ComplexArray = np.asarray(-2j * np.pi * self.phasors.frequency_hz * u_s)[:, None]
+        return [RelativeError(name, name, u_s, "s", scope, late)] if u_s > 0.0 else []
+
+    # The pose of the frame, for the Monte Carlo run.
+
+    @property
+    def unknowns(self) -> frozenset[str]:
+        """Return the names of the unknowns of the pose, which `moved` draws."""
+        return frozenset(name for kind in ("position", "rotation") for name in self._pose_names(kind))
+
+    def _pose_names(self, kind: str) -> list[str]:
+        """Return the names of the unknowns of the pose, by axis."""
+        return [f"{self._title}: pose {kind} {axis}" for axis in "xyz"]
+
+    def rows(self, design: ComplexArray, deviates: Deviates) -> ComplexArray:
+        """Return the rows as they are, once per draw: a frame elsewhere gives other vectors, not other rows."""
+        return np.broadcast_to(design, (deviates.count, *design.shape))
+
+    def moved(self, readings: ComplexArray, deviates: Deviates) -> ComplexArray:
+        """Return displacement phasors (N, K, 6) in frames elsewhere: t' = R (t + theta × p), theta' = R theta."""
+        u = np.asarray(self.pair.pose_uncertainty, dtype=np.float64)
+        position, rotation = (
+            np.stack([deviates.normal(name) for name in self._pose_names(kind)], axis=1)
+            for kind in ("position", "rotation")
+        )
+        turn = rotation_from_vector(u[3:] * rotation)
+        shift, spin = readings[..., :3], readings[..., 3:]
+        moved = shift + np.cross(spin, (u[:3] * position)[:, None])
+        return np.concatenate([np.einsum("nij,nkj->nki", turn, part) for part in (moved, spin)], axis=-1)

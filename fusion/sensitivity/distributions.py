@@ -1,0 +1,271 @@
+"""What draws of complex quantities say, and whether first-order propagation of uncertainty says the same."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fusion.base import AnyNotice
+from fusion.estimation.uncertainty import COVERAGE, coverage_factor, region_factor
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, check_shape
+
+DIGITS = 2
+"""Significant digits of the standard uncertainty in which both ways can agree at best (JCGM 101, 7.9.2)."""
+BATCHES = 10
+"""Parts of the draws whose scatter says how well their number determines a result (JCGM 101, 7.9.4)."""
+SIGNIFICANT = 3.0
+"""Standard uncertainties of the draws' own that a difference must exceed to count against first-order propagation."""
+REGION_TOLERANCE = 0.01
+"""What the share of draws in the first-order 95 % region may differ from 95 %."""
+WEAK = 5.0
+"""Magnitude over the largest standard uncertainty of the complex value below which only its region is judged: magnitude
+and phase of smaller values are no linear functions of it within their spread."""
+
+
+@dataclass(frozen=True)
+class RealSpread:
+    """Magnitude or phase of Q quantities at L lines: what the draws say, and what first-order propagation says.
+
+    All (L, Q): `mean`, `u` (standard deviation) of the draws; `low`, `high`: their shortest 95 % interval (JCGM 101,
+    7.7), `u_end` the standard uncertainty of its ends because of the number of draws; `first_u`, `first_low`,
+    `first_high`: first-order u, and estimate ± k·u.
+    """
+
+    mean: FloatArray
+    u: FloatArray
+    low: FloatArray
+    high: FloatArray
+    u_end: FloatArray
+    first_u: FloatArray
+    first_low: FloatArray
+    first_high: FloatArray
+
+    @property
+    def d_low(self) -> FloatArray:
+        """Return how far the lower ends are apart, (L, Q) (JCGM 101, 8.1.3)."""
+        return np.asarray(np.abs(self.first_low - self.low))
+
+    @property
+    def d_high(self) -> FloatArray:
+        """Return how far the upper ends are apart, (L, Q) (JCGM 101, 8.1.3)."""
+        return np.asarray(np.abs(self.first_high - self.high))
+
+    @property
+    def digits(self) -> IntArray:
+        """Return in how many significant digits (L, Q) of u the ends agree: 2, 1 or 0 (JCGM 101, 8.1.3)."""
+        apart = np.maximum(self.d_low, self.d_high)
+        return np.asarray(np.sum([apart <= tolerance(self.first_u, n) for n in range(1, DIGITS + 1)], axis=0))
+
+    @property
+    def refuted(self) -> BoolArray:
+        """Return (L, Q) whether the ends differ in the first digit of u, by more than the number of draws explains."""
+        return self._beyond(np.maximum(self.d_low, self.d_high))
+
+    @property
+    def too_narrow(self) -> BoolArray:
+        """Return (L, Q) whether the draws' interval reaches beyond the first-order one by as much."""
+        return self._beyond(np.maximum(self.first_low - self.low, self.high - self.first_high))
+
+    def _beyond(self, distance: FloatArray) -> BoolArray:
+        """Whether a distance (L, Q) of ends counts."""
+        return np.asarray(distance > tolerance(self.first_u, 1) + SIGNIFICANT * self.u_end)
+
+
+@dataclass(frozen=True)
+class Propagated:
+    """Q complex quantities at L driven lines, as N draws of everything uncertain spread them.
+
+    `elements`, `unit` (Q names). `value` (L, Q): the result of the evaluation; `first_covariance` (L, Q, 2, 2) of its
+    (Re, Im) by first-order propagation with `dof` (L, Q), `first_factor` (L, Q) of its 95 % ellipse. `mean` (L, Q),
+    `covariance` (L, Q, 2, 2) of the draws, `factor` (L, Q): the ellipse (z - mean)ᵀ·covariance⁻¹·(z - mean) ≤ factor²
+    holds 95 % of them (JCGM 102, 7.7.2). `first_holds` (L, Q): share of the draws inside the first-order ellipse.
+    `magnitude`, `phase` (rad, within π of the value's phase): real quantities of the same draws. NaN where a line does
+    not determine a quantity.
+    """
+
+    name: str
+    frequency_hz: FloatArray
+    elements: tuple[str, ...]
+    unit: tuple[str, ...]
+    value: ComplexArray
+    first_covariance: FloatArray
+    first_factor: FloatArray
+    dof: FloatArray
+    mean: ComplexArray
+    covariance: FloatArray
+    factor: FloatArray
+    first_holds: FloatArray
+    magnitude: RealSpread
+    phase: RealSpread
+
+    def __post_init__(self) -> None:
+        shape = (len(self.frequency_hz), len(self.elements))
+        for key in ("value", "first_factor", "dof", "mean", "factor", "first_holds"):
+            check_shape(key, getattr(self, key), shape)
+        for key in ("first_covariance", "covariance"):
+            check_shape(key, getattr(self, key), (*shape, 2, 2))
+        if len(self.unit) != shape[1]:
+            raise ValueError(f"unit: expected {shape[1]} units, one per element, found {len(self.unit)}")
+
+    @property
+    def weak(self) -> BoolArray:
+        """Return (L, Q) which values are so small beside their ellipse that magnitude and phase say little."""
+        known = np.isfinite(self.first_covariance).all(axis=(-1, -2))
+        longest = np.full(self.value.shape, np.nan)
+        longest[known] = np.sqrt(np.linalg.eigvalsh(self.first_covariance[known])[:, -1])
+        return np.asarray(np.abs(self.value) < WEAK * longest)
+
+    def refuted(self, draws: int, line: int, element: int) -> tuple[str, ...]:
+        """Return what of one quantity first-order propagation gets wrong: "region", "magnitude", "phase"."""
+        return self._wrong(draws, line, element, two_sided=True)
+
+    def too_small(self, draws: int, line: int, element: int) -> tuple[str, ...]:
+        """Return those of them whose first-order U does not cover what it should."""
+        return self._wrong(draws, line, element, two_sided=False)
+
+    def _wrong(self, draws: int, line: int, element: int, *, two_sided: bool) -> tuple[str, ...]:
+        """Return what differs, or, one-sided, what is too small."""
+        chance = SIGNIFICANT * np.sqrt(COVERAGE * (1.0 - COVERAGE) / draws)
+        missing = COVERAGE - float(self.first_holds[line, element])
+        found = ["region"] if (abs(missing) if two_sided else missing) > REGION_TOLERANCE + chance else []
+        if not self.weak[line, element]:
+            for what, spread in (("magnitude", self.magnitude), ("phase", self.phase)):
+                wrong = spread.refuted if two_sided else spread.too_narrow
+                found += [what] if wrong[line, element] else []
+        return tuple(found)
+
+
+@dataclass(frozen=True)
+class MonteCarlo:
+    """Propagation of distributions through everything that follows tracks and channels (JCGM 101 and 102).
+
+    `draws`, `seed`: the same pair gives the same numbers; `results`: acceleration of each body, load, sensitivity.
+    """
+
+    draws: int
+    seed: int
+    results: tuple[Propagated, ...]
+    notices: tuple[AnyNotice, ...]
+
+
+@dataclass(frozen=True)
+class FirstOrder:
+    """The result that draws are compared with: Q quantities at L lines, as in `Propagated`."""
+
+    name: str
+    frequency_hz: FloatArray
+    elements: tuple[str, ...]
+    unit: tuple[str, ...]
+    value: ComplexArray
+    covariance: FloatArray
+    dof: FloatArray
+
+
+def summarise(first: FirstOrder, draws: ComplexArray) -> Propagated:
+    """Return what N draws (N, L, Q) of quantities say beside their first-order propagation."""
+    mean = draws.mean(axis=0)
+    covariance = _covariance(draws - mean)
+    factor = np.sqrt(np.quantile(_distance(draws - mean, covariance), COVERAGE, axis=0))
+    first_factor = _each(region_factor, first.dof)
+    inside = _distance(draws - first.value, first.covariance) <= first_factor**2
+    known = np.isfinite(mean) & np.isfinite(first.value)
+    size = np.abs(first.value)
+    turned = np.angle(draws * np.conj(first.value)) + np.angle(first.value)
+    along, across = _polar_u(first.value, first.covariance)
+    k = _each(coverage_factor, first.dof)
+    return Propagated(
+        name=first.name,
+        frequency_hz=first.frequency_hz,
+        elements=first.elements,
+        unit=first.unit,
+        value=first.value,
+        first_covariance=first.covariance,
+        first_factor=first_factor,
+        dof=first.dof,
+        mean=mean,
+        covariance=covariance,
+        factor=factor,
+        first_holds=np.where(known, inside.mean(axis=0), np.nan),
+        magnitude=_spread(np.abs(draws), size, along, k),
+        phase=_spread(np.where(np.isfinite(draws), turned, np.nan), np.angle(first.value), across, k),
+    )
+
+
+def _each(factor: Callable[[float], float], dof: FloatArray) -> FloatArray:
+    """Return a coverage factor for each number of degrees of freedom, NaN where there is none."""
+    found = [np.nan if np.isnan(value) else factor(value) for value in dof.ravel().tolist()]
+    return np.array(found, dtype=np.float64).reshape(dof.shape)
+
+
+def _covariance(centred: ComplexArray) -> FloatArray:
+    """Covariance (L, Q, 2, 2) of (Re, Im) of centred draws (N, L, Q)."""
+    parts = np.stack([centred.real, centred.imag], axis=-1)
+    return np.asarray(np.einsum("nlqi,nlqj->lqij", parts, parts) / (len(centred) - 1))
+
+
+def _distance(difference: ComplexArray, covariance: FloatArray) -> FloatArray:
+    """Squared Mahalanobis distance (N, L, Q); of a covariance without an inverse that along what it has."""
+    inverse = np.full(covariance.shape, np.nan)
+    known = np.isfinite(covariance).all(axis=(-1, -2))
+    inverse[known] = np.linalg.pinv(covariance[known], hermitian=True)
+    re, im = difference.real, difference.imag
+    return np.asarray(inverse[..., 0, 0] * re**2 + 2.0 * inverse[..., 0, 1] * re * im + inverse[..., 1, 1] * im**2)
+
+
+def _polar_u(value: ComplexArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """First-order standard uncertainties (L, Q) of magnitude and phase (JCGM 102, 9.4)."""
+    size = np.abs(value)
+    unit = np.divide(value, size, out=np.full(value.shape, complex(np.nan, np.nan)), where=size > 0.0)
+    along = np.stack([unit.real, unit.imag], axis=-1)
+    across = np.stack([-unit.imag, unit.real], axis=-1)
+    u_along, u_across = (np.sqrt(np.einsum("lqi,lqij,lqj->lq", e, covariance, e)) for e in (along, across))
+    return u_along, u_across / size
+
+
+def _spread(draws: FloatArray, estimate: FloatArray, u: FloatArray, k: FloatArray) -> RealSpread:
+    """Statistics of real draws (N, L, Q) beside an estimate with first-order u and coverage factor k."""
+    low, high = shortest_interval(draws)
+    parts = [np.stack(shortest_interval(part)) for part in np.array_split(draws, BATCHES)]
+    # The place of a shortest interval converges with the cube root of the number of draws (Andrews et al. 1972).
+    u_end = np.std(parts, axis=0, ddof=1).max(axis=0) / np.cbrt(BATCHES)
+    return RealSpread(
+        mean=draws.mean(axis=0),
+        u=draws.std(axis=0, ddof=1),
+        low=low,
+        high=high,
+        u_end=u_end,
+        first_u=u,
+        first_low=estimate - k * u,
+        first_high=estimate + k * u,
+    )
+
+
+def shortest_interval(draws: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the ends of the shortest interval that holds 95 % of draws (N, ...) (JCGM 101, 7.7.4 and 5.3.4)."""
+    ordered = np.sort(draws, axis=0)
+    inside = int(COVERAGE * len(ordered) + 0.5)
+    first = np.argmin(np.nan_to_num(ordered[inside:] - ordered[:-inside]), axis=0)[None]
+    low = np.take_along_axis(ordered, first, axis=0)[0]
+    return low, np.take_along_axis(ordered, first + inside, axis=0)[0]
+
+
+def tolerance(u: FloatArray, digits: int) -> FloatArray:
+    """Return half a unit in the last of `digits` significant digits of standard uncertainties (JCGM 101, 7.9.2)."""
+    usable = np.isfinite(u) & (u > 0.0)
+    power = np.floor(np.log10(np.where(usable, u, 1.0))) - (digits - 1)
+    return np.where(usable, 0.5 * 10.0**power, np.nan)
+
+
+def judged(results: Sequence[Propagated], draws: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the quantities whose first-order U is too small, and those where it is merely larger than need be."""
+    small: list[str] = []
+    large: list[str] = []
+    for result in results:
+        for line, element in np.ndindex(result.value.shape):
+            where = f"{result.elements[element]}, {result.frequency_hz[line]:.6g} Hz"
+            short = result.too_small(draws, line, element)
+            for what in result.refuted(draws, line, element):
+                (small if what in short else large).append(f"{what} of the {result.name} ({where})")
+    return tuple(small), tuple(large)
