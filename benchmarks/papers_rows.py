@@ -8,23 +8,19 @@ from typing import NamedTuple
 import numpy as np
 import published_paper as paper
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
-
-from shaker.identification.readings import (
-    PeakReadings,
-    damping_from_width,
-    peak_readings,
-    stiffness,
-    width_from_damping,
-)
-from shaker.identification.sensitivity import (
-    Chain,
+from published_formulas import (
     damping_from_phase,
     damping_from_sensitivity,
+    damping_from_width,
     relative_sensitivity,
     sensitivity_phase_rad,
+    width_from_damping,
 )
-from shaker.mechanics import MassChain, shared_spring
+from scipy.optimize import least_squares
+
+from shaker.identification.readings import PeakReadings, peak_readings
+from shaker.identification.sensitivity import Chain
+from shaker.mechanics import MassChain, required_stiffness, shared_spring
 from shaker.sine.phasor import derivative_factor
 from shaker.static_rotation.harmonics import fit_angles
 from shaker.static_rotation.masses import mass_of_weight
@@ -162,7 +158,7 @@ def both_loads(resonance_hz: tuple[float, float]) -> tuple[float, float, float, 
 def resonance() -> list[Row]:
     """Section 5.2: spring and damping coefficient of Fz."""
     masses = np.array(paper.LOADS_KG) + paper.INTERNAL_KG
-    k = np.array([stiffness(f, m) for f, m in zip(paper.RESONANCE_HZ, masses, strict=True)])
+    k = np.array([required_stiffness(f, m) for f, m in zip(paper.RESONANCE_HZ, masses, strict=True)])
     quality = np.sqrt(k * masses) / paper.DAMPING_KG_PER_S
     width = [width_from_damping(b, m) for b, m in zip(paper.DAMPING_KG_PER_S, masses, strict=True)]
     read = [oscillator(f, 0.5 / q) for f, q in zip(paper.RESONANCE_HZ, quality, strict=True)]
@@ -218,7 +214,7 @@ def resonance() -> list[Row]:
 
 def table_2() -> list[Row]:
     """Table 2 and figure 13: excitation in x and y."""
-    k = np.array([[stiffness(f, m + paper.INTERNAL_KG) for f in hertz] for m, hertz, _, _ in paper.TABLE_2])
+    k = np.array([[required_stiffness(f, m + paper.INTERNAL_KG) for f in hertz] for m, hertz, _, _ in paper.TABLE_2])
     width = [[width_from_damping(b, m + paper.INTERNAL_KG) for b in damping] for m, _, _, damping in paper.TABLE_2]
     rows = []
     for row, (load, hertz, stated, damping) in enumerate(paper.TABLE_2):
@@ -292,7 +288,7 @@ def chain_misfit() -> float:
 
 def sensitivity() -> list[Row]:
     """Section 5.3: sensitivity and phase over frequency."""
-    k = [stiffness(f, m + paper.INTERNAL_KG) for f, m in zip(paper.RESONANCE_HZ, paper.LOADS_KG, strict=True)]
+    k = [required_stiffness(f, m + paper.INTERNAL_KG) for f, m in zip(paper.RESONANCE_HZ, paper.LOADS_KG, strict=True)]
     at_1000, at_800 = np.array([1000.0]), np.array([800.0])
     springs = list(zip(k, paper.DAMPING_KG_PER_S, strict=True))
     size = np.array([100 * relative_sensitivity(at_1000, *spring)[0] for spring in springs])

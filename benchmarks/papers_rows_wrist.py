@@ -8,21 +8,16 @@ import numpy as np
 import published_wrist as paper
 from numpy.typing import NDArray
 from papers_rows import EXPLAINED, HOLDS, NOT, OPEN, ROUNDED, WRONG, Row
+from published_formulas import rounding_range, supported_deflection
 from scipy.optimize import brentq
 
 from fusion.sensor.elastomer.evaluate import Column, spread
 from shaker.compensation.filter import band_ratio, single_mode
-from shaker.elastomer.element import platform_family
-from shaker.elastomer.frame import MountedChain
-from shaker.elastomer.geometry import (
-    PublishedStatics,
-    beam_stiffness,
-    guided_stiffness,
-    oscillator_hz,
-    required_stiffness,
-)
-from shaker.lti.indices import indices, rounding_range
+from shaker.elastomer.frame import platform_family
+from shaker.elastomer.geometry import PublishedStatics, beam_stiffness, guided_stiffness
+from shaker.lti.indices import indices
 from shaker.lti.responses import Indices, Mode
+from shaker.mechanics import MassChain, oscillator_hz, required_stiffness
 from shaker.release.fit import fit_step
 from shaker.release.record import StepRecord
 from shaker.release.sim import fit_sim
@@ -46,7 +41,7 @@ def statics() -> list[Row]:
     """Section 3.1: the stiffness of the element."""
     beams, formula = paper.BEAMS, PublishedStatics(paper.BEAMS)
     four = PublishedStatics(replace(beams, beam_width_m=4e-3)).force_ratio
-    middle, end = formula.deflection(0.5 * beams.span_m), formula.deflection(beams.span_m)
+    middle, end = (supported_deflection(formula, share * beams.span_m) for share in (0.5, 1.0))
     material = beams.material
     return [
         Row(
@@ -99,8 +94,9 @@ def frequencies() -> list[Row]:
     """Sections 3.2 and 4 and Table 6: natural frequencies."""
     k, mass = paper.SPRING_N_PER_M, paper.MASS_KG
     found, wanted = oscillator_hz(k, mass), required_stiffness(1642.0, mass)
-    chain = MountedChain(np.array([1.0, 2.0, 3.0]), np.full(3, 1e6), np.array([10.0, 20.0, 40.0]))
-    damping = chain.matrices()[1]
+    stages = ("pedestal", "sensor", "hand")
+    chain = MassChain(stages, np.array([3.0, 2.0, 1.0]), np.full(3, 1e6), np.array([40.0, 20.0, 10.0]))
+    damping = chain.matrices[1][::-1, ::-1]
     simple, finite = paper.MODELS["simplified dynamics"], paper.MODELS["finite elements"]
     apart = [100 * value for value in differences()]
     below = [100 * (a / b - 1) for a, b in zip(simple, finite, strict=True)]

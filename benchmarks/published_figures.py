@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 from published_paper import DAMPING_KG_PER_S, INTERNAL_KG, LAG_S, LOADS_KG, RESONANCE_HZ
 
-from fusion.phasors.results import StereoResult
+from fusion.phasors.stereo_phasors import StereoResult
 from fusion.report.style import (
     BLACK,
     BLUE,
@@ -27,7 +27,7 @@ from fusion.report.style import (
     new_figure,
 )
 from fusion.sensitivity.analyse import Evaluation
-from shaker.identification.readings import stiffness
+from shaker.mechanics import required_stiffness
 from shaker.sine.phasor import Phasors
 
 FloatArray = NDArray[np.float64]
@@ -179,7 +179,7 @@ def draw_sweep(points: Sequence[SweepPoint], static: float) -> bytes:
     """Fig. 14: sensitivity and phase over frequency, mean and standard deviation of eight points; fused with U."""
     frequency = np.array([p.frequency_hz for p in points])
     fine = np.linspace(0.0, 1.05 * frequency.max(), 300)
-    damping = DAMPING_KG_PER_S[0] / stiffness(RESONANCE_HZ[0], LOADS_KG[0] + INTERNAL_KG)
+    damping = DAMPING_KG_PER_S[0] / required_stiffness(RESONANCE_HZ[0], LOADS_KG[0] + INTERNAL_KG)
     with drawing("fig14"):
         figure = new_figure(5.2)
         upper, lower = figure.subplots(2, 1, sharex=True)

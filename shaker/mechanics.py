@@ -94,7 +94,7 @@ def respond(mechanics: Mechanics, weights: FloatArray, s: ComplexArray) -> Respo
     s1 = s[:, None]
     s2 = s1 * s1
     dynamic = s2[:, :, None] * mass + s1[:, :, None] * damping + stiffness
-    inverse = 1.0 / dynamic if len(mass) == 1 else np.linalg.inv(dynamic)
+    inverse: ComplexArray = np.asarray(1.0 / dynamic if len(mass) == 1 else np.linalg.inv(dynamic), np.complex128)
     motion = -s2 * (inverse @ forcing)
     below = mechanics.reference_offset + motion @ mechanics.reference
     value = (mechanics.offset + motion @ mechanics.rows.T) / below[:, None]

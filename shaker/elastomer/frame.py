@@ -1,183 +1,16 @@
-"""The cross-beam element as a chain of oscillators and as a frame of Timoshenko beams."""
+"""The cross-beam element as a frame of Timoshenko beams with a rigid platform: its modes and what changes them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, IntArray, check_shape
-from shaker.elastomer.geometry import Material, Section, beam_matrices, lumped
-from shaker.mechanics import MassChain
-
-# Natural frequencies and shapes, named after the motion of the moving parts that carries most of their mass.
-
-
-NAMES = ("Tx", "Ty", "Tz", "Rx", "Ry", "Rz")
-"""Translations along and rotations about the axes."""
-EQUAL = 1e-4
-"""Relative distance below which frequencies count as one, of a symmetric element's pairs."""
-
-
-@dataclass(frozen=True)
-class Modes:
-    """The six modes that are named, in the order of `NAMES`.
-
-    `frequency_hz` (6,). `participation` (6, 6): share of each rigid motion's mass that moves in each mode, modes down,
-    `NAMES` across: (φᵀMr)²/(rᵀMr) with φᵀMφ = 1, translations r of all moving parts and turns about their common
-    centre. `shape` (D, 6): the unknowns of every mode. `others_hz`: modes in between that are none of the six.
-    """
-
-    frequency_hz: FloatArray
-    participation: FloatArray
-    shape: FloatArray
-    others_hz: FloatArray
-
-    def __post_init__(self) -> None:
-        check_shape("frequency_hz", self.frequency_hz, (6,))
-        check_shape("participation", self.participation, (6, 6))
-        check_shape("shape", self.shape, (None, 6))
-        check_shape("others_hz", self.others_hz, (None,))
-
-
-def dense_modes(stiffness: FloatArray, mass: FloatArray, count: int = 12) -> tuple[FloatArray, FloatArray]:
-    """Return the lowest frequencies in Hz (K,) and shapes (D, K) with φᵀMφ = 1 of K φ = ω² M φ."""
-    from scipy.linalg import eigh
-
-    last = min(count, len(stiffness)) - 1
-    squared, shape = eigh(stiffness, mass, subset_by_index=[0, last])
-    return np.sqrt(np.maximum(squared, 0.0)) / (2.0 * np.pi), shape
-
-
-def named_modes(
-    frequency_hz: FloatArray, shape: FloatArray, weigh: Callable[[FloatArray], FloatArray], rigid: FloatArray
-) -> Modes:
-    """Return modes (K,), (D, K) with the name each deserves: as a whole the assignment of the most mass.
-
-    `weigh`: multiplies by the mass matrix. `rigid` (D, 6): translations, and turns about the centre of mass. Modes of
-    one frequency, of which any mixture is one, are mixed so that each follows one axis. The sign is such that the
-    motion a mode is named after is positive.
-    """
-    weighed = weigh(rigid)
-    total = np.einsum("ij,ij->j", rigid, weighed)
-    factor = shape.T @ weighed / np.sqrt(total)
-    for group in _groups(frequency_hz):
-        turn = _along_axes(factor[group])
-        shape = shape.copy()
-        shape[:, group] = shape[:, group] @ turn
-        factor[group] = turn.T @ factor[group]
-    chosen = assigned(factor)
-    sign = np.where(factor[chosen, np.arange(6)] < 0.0, -1.0, 1.0)
-    between = np.setdiff1d(np.arange(chosen.max() + 1), chosen)
-    return Modes(frequency_hz[chosen], factor[chosen] ** 2, shape[:, chosen] * sign, frequency_hz[between])
-
-
-def assigned(factor: FloatArray) -> IntArray:
-    """Return which mode deserves each name (N,), given how modes take part (K, N): the most mass as a whole."""
-    from scipy.optimize import linear_sum_assignment
-
-    return np.asarray(linear_sum_assignment(-(np.asarray(factor) ** 2).T)[1])
-
-
-def centre_of_mass(weigh: Callable[[FloatArray], FloatArray], about_origin: FloatArray) -> FloatArray:
-    """Return the common centre (3,) of what moves, from its rigid motions (D, 6) about the origin."""
-    matrix = about_origin.T @ weigh(about_origin)
-    mass, turned = matrix[2, 2], matrix[:3, 3:]
-    return np.array([-turned[2, 1] / mass, turned[2, 0] / mass, turned[0, 1] / matrix[0, 0]])
-
-
-def _groups(frequency_hz: FloatArray) -> list[list[int]]:
-    """Neighbouring modes of one frequency, two or more."""
-    groups = [[0]]
-    for k in range(1, len(frequency_hz)):
-        if frequency_hz[k] - frequency_hz[k - 1] <= EQUAL * frequency_hz[k]:
-            groups[-1].append(k)
-        else:
-            groups.append([k])
-    return [group for group in groups if len(group) > 1]
-
-
-def _along_axes(factor: FloatArray) -> FloatArray:
-    """Rotation (G, G) of modes of one frequency after which each takes part (G, 6) in one axis as far as it can."""
-    from scipy.linalg import polar, qr
-
-    axes = np.sort(qr(factor, pivoting=True, mode="r")[1][: len(factor)])
-    return np.asarray(polar(factor[:, axes])[0])
-
-
-# The mounted sensor as oscillators in a row: hand on sensor on pedestal.
-
-
-STAGES = ("pedestal", "sensor", "hand")
-
-
-@dataclass(frozen=True)
-class MountedChain:
-    """Hand, elastic element and pedestal along one direction, each (3,) in this order of the publication.
-
-    `mass_kg` m_h, m_t, m_k (kg·m² about an axis), `stiffness` k_h, k_t, k_k of the spring that joins each to the next,
-    the pedestal's to the ground, `damping` likewise. A hand of no mass, with the mass zero, is left out.
-    """
-
-    mass_kg: FloatArray
-    stiffness: FloatArray
-    damping: FloatArray
-
-    def __post_init__(self) -> None:
-        for name in ("mass_kg", "stiffness", "damping"):
-            value = np.asarray(getattr(self, name), dtype=np.float64)
-            if value.shape != (3,) or np.any(value < 0.0):
-                raise ValueError(f"{name}: expected 3 numbers, none negative, found {value.tolist()}")
-            object.__setattr__(self, name, value)
-        if np.any(self.mass_kg[1:] == 0.0) or np.any(self.stiffness == 0.0):
-            raise ValueError("mass_kg, stiffness: expected above 0 for sensor, pedestal and every spring, found 0")
-
-    def matrices(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return M, C, K (3, 3) of M ü + C u̇ + K u = 0, u = (u_h, u_t, u_k), equation 14 put right.
-
-        C has -c_h, not -c_k, in row 1, and -c_t, not 0, in row 2, column 3: K's pattern, without which it is not
-        symmetric and a rigid motion of all three would be damped between them.
-        """
-        return np.diag(self.mass_kg), _chained(self.damping), _chained(self.stiffness)
-
-    def impedance(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return Z(ω) = -ω²M + jωC + K (N, 3, 3), equation 16 put right as `matrices`."""
-        mass, damping, stiffness = self.matrices()
-        omega = 2.0 * np.pi * np.asarray(frequency_hz, dtype=np.float64)[:, None, None]
-        return np.asarray(-(omega**2) * mass + 1j * omega * damping + stiffness)
-
-    def modes(self) -> tuple[FloatArray, FloatArray]:
-        """Return f₀ = |s|/2π in Hz and ζ (N,) of the roots s of det Z = 0, ascending.
-
-        These, not the eigenvalues of Z at some frequency, are the natural frequencies; damped f_d = f₀√(1 - ζ²).
-        """
-        return self._chain().modes()
-
-    def _chain(self) -> MassChain:
-        """The same from the ground upwards, without a hand that has no mass."""
-        count = 3 if self.mass_kg[0] > 0.0 else 2
-        mass, stiffness, damping = (x[::-1][:count] for x in (self.mass_kg, self.stiffness, self.damping))
-        return MassChain(STAGES[:count], mass, stiffness, damping)
-
-
-def mounted_hz(stiffness: float, sensor_kg: float, hand_kg: FloatArray) -> FloatArray:
-    """Return the mounted resonance in Hz (N,) over the mass of a rigidly joined hand (N,), equation 17.
-
-    f = √(k/(m_h + m_t))/2π.
-    """
-    total = np.asarray(hand_kg, dtype=np.float64) + sensor_kg
-    if stiffness <= 0.0 or np.any(total <= 0.0):
-        raise ValueError("stiffness, sensor_kg: expected above 0 with every hand, found 0 or less")
-    return np.asarray(np.sqrt(stiffness / total) / (2.0 * np.pi))
-
-
-def _chained(value: FloatArray) -> FloatArray:
-    """Tridiagonal matrix (3, 3) of elements between neighbours (3,), the last one to the ground."""
-    h, t, k = value
-    return np.array([[h, -h, 0.0], [-h, h + t, -t], [0.0, -t, t + k]])
-
+from shaker.arrays import FloatArray, IntArray, Notice, check_shape
+from shaker.elastomer.geometry import CrossBeams, Material, Section, beam_matrices, lumped
 
 # Rigid bodies of the element: the platform and what stands on it, as mass, height and inertia.
 
@@ -291,35 +124,24 @@ class Frame:
         stiffness, mass = np.zeros((size, size)), np.zeros((size, size))
         for ends, section in zip(self.beam, self.section, strict=True):
             places = (6 * ends[:, None] + np.arange(6)).ravel()
-            elastic, inert = self._turned(ends, section)
-            stiffness[np.ix_(places, places)] += elastic
-            mass[np.ix_(places, places)] += inert
+            along = self.node_m[ends[1]] - self.node_m[ends[0]]
+            length = float(np.linalg.norm(along))
+            elastic, inert = beam_matrices(self.material, section, length, self.shear_factor)
+            inert = inert if self.consistent else lumped(inert)
+            x, z = along / length, np.array([0.0, 0.0, 1.0])
+            turn = np.kron(np.eye(4), np.stack([x, np.cross(z, x), z]))
+            stiffness[np.ix_(places, places)] += turn.T @ elastic @ turn
+            mass[np.ix_(places, places)] += turn.T @ inert @ turn
         reduced = (self.reduction.T @ whole @ self.reduction for whole in (stiffness, mass))
         elastic, inert = (0.5 * (matrix + matrix.T) for matrix in reduced)
         return elastic, inert
 
     def rigid_motions(self, about_m: FloatArray) -> FloatArray:
         """Return the unknowns (F, 6) of unit translations and of unit turns about a point (3,), clamps let go."""
-        return self._about_origin @ rigid_motion(-np.asarray(about_m))
-
-    @cached_property
-    def _about_origin(self) -> FloatArray:
-        """The rigid motions (F, 6) about the origin; those about a point are the same after a shift of it."""
-        whole = np.concatenate([rigid_motion(node) for node in self.node_m])
-        moved = self.reduction.T @ whole
+        about_origin = self.reduction.T @ np.concatenate([rigid_motion(node) for node in self.node_m])
         if len(self.rigid):
-            moved[:6] = np.eye(6)
-        return np.asarray(moved)
-
-    def _turned(self, ends: IntArray, section: Section) -> tuple[FloatArray, FloatArray]:
-        """Stiffness and mass (12, 12) of one beam in global axes."""
-        along = self.node_m[ends[1]] - self.node_m[ends[0]]
-        length = float(np.linalg.norm(along))
-        elastic, inert = beam_matrices(self.material, section, length, self.shear_factor)
-        inert = inert if self.consistent else lumped(inert)
-        x, z = along / length, np.array([0.0, 0.0, 1.0])
-        turn = np.kron(np.eye(4), np.stack([x, np.cross(z, x), z]))
-        return turn.T @ elastic @ turn, turn.T @ inert @ turn
+            about_origin[:6] = np.eye(6)
+        return np.asarray(about_origin @ rigid_motion(-np.asarray(about_m)))
 
 
 def rigid_motion(offset_m: FloatArray) -> FloatArray:
@@ -328,3 +150,291 @@ def rigid_motion(offset_m: FloatArray) -> FloatArray:
     matrix = np.eye(6)
     matrix[:3, 3:] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
     return matrix
+
+
+# Natural frequencies and shapes, named after the motion of the moving parts that carries most of their mass.
+
+NAMES = ("Tx", "Ty", "Tz", "Rx", "Ry", "Rz")
+"""Translations along and rotations about the axes."""
+EQUAL = 1e-4
+"""Relative distance below which frequencies count as one, of a symmetric element's pairs."""
+
+
+@dataclass(frozen=True)
+class Modes:
+    """The six modes that are named, in the order of `NAMES`.
+
+    `frequency_hz` (6,). `participation` (6, 6): share of each rigid motion's mass that moves in each mode, modes down,
+    `NAMES` across: (φᵀMr)²/(rᵀMr) with φᵀMφ = 1, translations r of all moving parts and turns about their common
+    centre. `shape` (D, 6): the unknowns of every mode. `others_hz`: modes in between that are none of the six.
+    """
+
+    frequency_hz: FloatArray
+    participation: FloatArray
+    shape: FloatArray
+    others_hz: FloatArray
+
+    def __post_init__(self) -> None:
+        check_shape("frequency_hz", self.frequency_hz, (6,))
+        check_shape("participation", self.participation, (6, 6))
+        check_shape("shape", self.shape, (None, 6))
+        check_shape("others_hz", self.others_hz, (None,))
+
+
+def dense_modes(stiffness: FloatArray, mass: FloatArray, count: int = 12) -> tuple[FloatArray, FloatArray]:
+    """Return the lowest frequencies in Hz (K,) and shapes (D, K) with φᵀMφ = 1 of K φ = ω² M φ."""
+    from scipy.linalg import eigh
+
+    last = min(count, len(stiffness)) - 1
+    squared, shape = eigh(stiffness, mass, subset_by_index=[0, last])
+    return np.sqrt(np.maximum(squared, 0.0)) / (2.0 * np.pi), shape
+
+
+def named_modes(
+    frequency_hz: FloatArray, shape: FloatArray, weigh: Callable[[FloatArray], FloatArray], rigid: FloatArray
+) -> Modes:
+    """Return modes (K,), (D, K) with the name each deserves: as a whole the assignment of the most mass.
+
+    `weigh`: multiplies by the mass matrix. `rigid` (D, 6): translations, and turns about the centre of mass. Modes of
+    one frequency, of which any mixture is one, are mixed so that each follows one axis. The sign is such that the
+    motion a mode is named after is positive.
+    """
+    from scipy.linalg import polar, qr
+
+    weighed = weigh(rigid)
+    total = np.einsum("ij,ij->j", rigid, weighed)
+    factor = shape.T @ weighed / np.sqrt(total)
+    shape = shape.copy()
+    apart = np.diff(frequency_hz) > EQUAL * frequency_hz[1:]
+    for group in np.split(np.arange(len(frequency_hz)), 1 + np.flatnonzero(apart)):
+        if len(group) > 1:  # turned so that each takes part in one axis as far as it can
+            axes = np.sort(qr(factor[group], pivoting=True, mode="r")[1][: len(group)])
+            turn = polar(factor[group][:, axes])[0]
+            shape[:, group] = shape[:, group] @ turn
+            factor[group] = turn.T @ factor[group]
+    chosen = assigned(factor)
+    sign = np.where(factor[chosen, np.arange(6)] < 0.0, -1.0, 1.0)
+    between = np.setdiff1d(np.arange(chosen.max() + 1), chosen)
+    return Modes(frequency_hz[chosen], factor[chosen] ** 2, shape[:, chosen] * sign, frequency_hz[between])
+
+
+def assigned(factor: FloatArray) -> IntArray:
+    """Return which mode deserves each name (N,), given how modes take part (K, N): the most mass as a whole."""
+    from scipy.optimize import linear_sum_assignment
+
+    return np.asarray(linear_sum_assignment(-(np.asarray(factor) ** 2).T)[1])
+
+
+# The element as a frame: frequencies, shapes, stiffness, and what each dimension does to them.
+
+SAME_M = 1e-9
+"""Nodes nearer than this are one."""
+
+
+def cross_frame(beams: CrossBeams, half_size_m: float, pieces: int = 6, consistent: bool = True) -> Frame:
+    """Return the frame: arms from the faces of a platform of edge 2p to the axes of the compliant beams.
+
+    The platform lies within the span: arms are l/2 - p long and begin at its faces, which move with it. `pieces`: into
+    which every arm and every half of a compliant beam is divided.
+    """
+    beams.arm_m(half_size_m)
+    outer, half = 0.5 * beams.span_m, 0.5 * beams.compliant_length_m
+    nodes: list[FloatArray] = []
+
+    def numbered(places: list[FloatArray]) -> list[int]:
+        """Numbers of nodes at some places, which are added where no node is yet."""
+        numbers = []
+        for place in places:
+            near = [i for i, node in enumerate(nodes) if np.linalg.norm(node - place) < SAME_M]
+            if not near:
+                nodes.append(place)
+            numbers.append(near[0] if near else len(nodes) - 1)
+        return numbers
+
+    pairs: list[tuple[int, int]] = []
+    sections, rigid, clamped = [], [], []
+    for quarter in range(4):
+        x = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]][quarter] + [0.0])
+        y = np.array([-x[1], x[0], 0.0])
+        arm = numbered([x * r for r in np.linspace(half_size_m, outer, pieces + 1)])
+        bar = numbered([x * outer + y * s for s in np.linspace(-half, half, 2 * pieces + 1)])
+        for line, section in ((arm, beams.beam), (bar, beams.compliant)):
+            pairs += pairwise(line)
+            sections += [section] * (len(line) - 1)
+        rigid.append(arm[0])
+        clamped += [bar[0], bar[-1]]
+    return Frame(
+        node_m=np.array(nodes),
+        beam=np.array(pairs),
+        section=tuple(sections),
+        material=beams.material,
+        shear_factor=beams.shear_factor,
+        rigid=np.unique(rigid),
+        clamped=np.array(clamped),
+        consistent=consistent,
+    )
+
+
+def platform_stiffness(frame: Frame) -> FloatArray:
+    """Return 1/C_ii (6,): load per displacement in its own direction, nothing else being held.
+
+    Forces in N/m, moments in N·m/rad, at the origin, which is in the plane of the beams' axes.
+    """
+    stiffness, _ = frame.matrices
+    loads = np.eye(len(stiffness))[:, :6]
+    return np.asarray(1.0 / np.diag(np.linalg.solve(stiffness, loads)[:6]))
+
+
+DIMENSIONS = (
+    "span_m",
+    "beam_width_m",
+    "beam_height_m",
+    "compliant_thickness_m",
+    "compliant_length_m",
+    "compliant_height_m",
+)
+STEP = 1e-3
+"""Relative step of the derivatives."""
+
+
+@dataclass(frozen=True)
+class FrameModel:
+    """A solved frame: `frame`, `modes`, `stiffness` (6,) in N/m and N·m/rad as of `platform_stiffness`."""
+
+    frame: Frame
+    modes: Modes
+    stiffness: FloatArray
+
+    def node_motion(self, mode: int) -> FloatArray:
+        """Return displacement and turn (N, 6) of every node in a mode."""
+        return np.asarray((self.frame.reduction @ self.modes.shape[:, mode]).reshape(-1, 6))
+
+    def platform_motion(self, mode: int) -> FloatArray:
+        """Return displacement and turn (6,) of the platform's point in the plane of the beams."""
+        return self.modes.shape[:6, mode]
+
+
+def solve_frame(
+    beams: CrossBeams, half_size_m: float, platform: RigidPart, pieces: int = 6, consistent: bool = True
+) -> FrameModel:
+    """Return frequencies, shapes and stiffness of an element with a rigid platform of edge 2p (see `cross_frame`)."""
+    frame = cross_frame(beams, half_size_m, pieces, consistent)
+    return FrameModel(frame, frame_modes(frame, platform), platform_stiffness(frame))
+
+
+def frame_modes(frame: Frame, platform: RigidPart, count: int = 12) -> Modes:
+    """Return the named modes, of the `count` lowest, of a frame whose body is a platform."""
+    stiffness, mass = frame.matrices
+    mass = mass.copy()
+    mass[:6, :6] += platform.mass_matrix
+
+    def weigh(motion: FloatArray) -> FloatArray:
+        return np.asarray(mass @ motion)
+
+    about_origin = frame.rigid_motions(np.zeros(3))
+    whole = about_origin.T @ weigh(about_origin)
+    centre = np.array([-whole[2, 4] / whole[2, 2], whole[2, 3] / whole[2, 2], whole[0, 4] / whole[0, 0]])
+    return named_modes(*dense_modes(stiffness, mass, count), weigh, frame.rigid_motions(centre))
+
+
+def sensitivities(beams: CrossBeams, half_size_m: float, platform: RigidPart) -> dict[str, FloatArray]:
+    """Return d ln f/d ln x (6,) of the six modes by dimension: percent of frequency per percent of x.
+
+    By the dimensions of the beams, the platform's half-size, mass, height and gyration (moments at fixed mass), one at
+    a time; central differences. Young's modulus has 0.5 and is left out.
+    """
+
+    def element(name: str, factor: float) -> tuple[CrossBeams, float, RigidPart]:
+        """The element with one quantity larger; moments of inertia grow with the mass."""
+        if name in DIMENSIONS:
+            return replace(beams, **{name: getattr(beams, name) * factor}), half_size_m, platform
+        if name == "half_size_m":
+            return beams, half_size_m * factor, platform
+        names = (name, "inertia_kgm2") if name == "mass_kg" else (name,)
+        return beams, half_size_m, replace(platform, **{own: getattr(platform, own) * factor for own in names})
+
+    def slope(name: str) -> FloatArray:
+        ends = 1.0 + STEP, 1.0 - STEP
+        up, down = (solve_frame(*element(name, factor), pieces=2).modes.frequency_hz for factor in ends)
+        return np.asarray(np.log(up / down) / np.log(ends[0] / ends[1]))
+
+    return {name: slope(name) for name in (*DIMENSIONS, "half_size_m", "mass_kg", "height_m", "inertia_kgm2")}
+
+
+# Platform data that give measured frequencies: a family of solutions, which validates nothing.
+
+NEEDED = (("Tx", "Ty"), ("Tz",), ("Rx", "Ry"), ("Rz",))
+"""Of each group one frequency at least: they fix mass, height and two moments of inertia."""
+EXACT = 1e-4
+"""Relative misfit below which frequencies count as met."""
+PIECES = 3
+
+
+@dataclass(frozen=True)
+class PlatformFit:
+    """The rigid `platform` of a `half_size_m` that gives some frequencies; `frequency_hz` (6,) of `NAMES`.
+
+    `misfit`: largest relative departure from a wanted frequency, pairs by their mean. The height's sign is not told by
+    frequencies: it is given as positive.
+    """
+
+    half_size_m: float
+    platform: RigidPart
+    frequency_hz: FloatArray
+    misfit: float
+    notices: tuple[Notice, ...]
+
+
+def fit_platform(beams: CrossBeams, half_size_m: float, wanted_hz: Mapping[str, float]) -> PlatformFit:
+    """Return mass, height and moments of inertia with which the frame has some frequencies in Hz, by name.
+
+    Four unknowns for four distinct frequencies at every half-size: that they are met says nothing for the model, which
+    a notice tells. Jx = Jy. Where no platform meets them, the one nearest in relative least squares.
+    """
+    from scipy.optimize import least_squares
+
+    unknown = [name for name in wanted_hz if name not in NAMES]
+    if unknown or any(not any(name in wanted_hz for name in group) for group in NEEDED):
+        expected = "one of Tx, Ty, one of Rx, Ry, and Tz, Rz"
+        raise ValueError(f"wanted_hz: expected {expected}, found {', '.join(wanted_hz) or 'none'}")
+    frame = cross_frame(beams, half_size_m, PIECES)
+    targets = np.array([np.mean([wanted_hz[name] for name in group if name in wanted_hz]) for group in NEEDED])
+
+    def platform(logarithms: FloatArray) -> RigidPart:
+        """The platform of logarithms of mass, height, and two radii of gyration."""
+        mass, height, across, along = np.exp(logarithms)
+        return RigidPart(float(mass), float(height), mass * np.array([across, across, along]) ** 2)
+
+    def misfit(logarithms: FloatArray) -> FloatArray:
+        hertz = frame_modes(frame, platform(logarithms), 8).frequency_hz
+        return np.asarray(np.log(hertz[[NAMES.index(group[0]) for group in NEEDED]] / targets))
+
+    start = _start(platform_stiffness(frame), targets)
+    fit = least_squares(misfit, start, x_scale=0.1, xtol=1e-10, ftol=1e-14, gtol=1e-12)
+    fitted, worst = platform(fit.x), float(np.max(np.abs(np.expm1(fit.fun))))
+    where = f"platform of half-size {1e3 * half_size_m:g} mm"
+    text = (
+        "mass, height and moments of inertia are fitted to the frequencies: other half-sizes meet them too, with other "
+        "data, so that agreement does not validate the model; only platform data from a drawing or a balance can"
+    )
+    notices = [Notice("warning", text, where)]
+    if worst > EXACT:
+        notices.append(Notice("warning", f"no platform meets all frequencies; {100.0 * worst:.2g} % are left", where))
+    return PlatformFit(half_size_m, fitted, frame_modes(frame, fitted, 8).frequency_hz, worst, tuple(notices))
+
+
+def platform_family(
+    beams: CrossBeams, half_sizes_m: Sequence[float], wanted_hz: Mapping[str, float]
+) -> tuple[PlatformFit, ...]:
+    """Return the fit at every half-size: the family between whose members the frequencies do not choose."""
+    return tuple(fit_platform(beams, half_size, wanted_hz) for half_size in half_sizes_m)
+
+
+def _start(stiffness: FloatArray, targets: FloatArray) -> FloatArray:
+    """Where to begin: a mass for Tz, a height that lowers Tx to where it is, gyrations for Rx and Rz."""
+    omega = (2.0 * np.pi * targets) ** 2
+    mass = stiffness[2] / omega[1]
+    turning = stiffness[3] / omega[2] / mass
+    height = np.clip((stiffness[0] / (omega[0] * mass) - 1.0) * stiffness[3] / stiffness[0], 1e-6, turning)
+    gyrations = np.sqrt([max(turning - height, 0.3 * turning), stiffness[5] / omega[3] / mass])
+    return np.asarray(np.log(np.concatenate([[mass, np.sqrt(height)], gyrations])))

@@ -1,4 +1,4 @@
-"""The cross-beam element: geometry, beams, statics."""
+"""The cross-beam element: material and dimensions, its beams as matrices, its stiffness by beam formulas."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from shaker.arrays import FloatArray
-
-# What a cross-beam elastic element is made of: material, beams, compliant beams.
 
 
 @dataclass(frozen=True)
@@ -193,11 +191,11 @@ def _rotation(phi: float, length: float) -> FloatArray:
 
 @dataclass(frozen=True)
 class PublishedStatics:
-    """Equations 4 to 17 of J. Sensors 2018, 6216979, as printed, on a geometry.
+    """Equations 5 to 11 of J. Sensors 2018, 6216979, as printed, on a geometry; to be shown beside what is right.
 
-    They are here to recompute what was published. They depart from mechanics in: the shear modulus (twice too large),
-    compliant beams as cantilevers of half their length (eq. 6; symmetry keeps the slope at mid-span zero, which makes
-    them four times as stiff), the shear of those (eq. 6; four times too large), and in the platform, which is a point.
+    They depart from mechanics in: the shear modulus (twice too large), compliant beams as cantilevers of half their
+    length (eq. 6; symmetry keeps the slope at mid-span zero, which makes them four times as stiff), the shear of those
+    (eq. 6; four times too large), and in the platform, which is a point.
     """
 
     beams: CrossBeams
@@ -211,24 +209,10 @@ class PublishedStatics:
     @property
     def beam_compliance(self) -> float:
         """ω(l/2)/F_e = l³/48EI + l/4KGA in m/N, equation 5."""
-        length, bending, shear = self.beams.span_m, self._bending, self._shear
+        length, section = self.beams.span_m, self.beams.beam
+        bending = self.beams.material.youngs_modulus_pa * section.bending_in_plane_m4
+        shear = self.beams.shear_factor * self.shear_modulus_pa * section.area_m2
         return length**3 / (48.0 * bending) + length / (4.0 * shear)
-
-    def deflection(self, place_m: float) -> float:
-        """Return ω(x)/F_e in m/N of a beam on two supports with its load at mid-span, equation 4."""
-        length = self.beams.span_m
-        if not 0.0 <= place_m <= length:
-            raise ValueError(f"place_m: expected from 0 to {length}, found {place_m}")
-        x = min(place_m, length - place_m)
-        return (length**2 * x / 16.0 - x**3 / 12.0) / self._bending + x / (2.0 * self._shear)
-
-    @property
-    def compliant_compliance(self) -> float:
-        """ΔX_c/F_c = l_c³/24EI_c + 2l_c/KGA_c in m/N, equation 6: a cantilever of length l_c/2."""
-        beams, section = self.beams, self.beams.compliant
-        bending = beams.material.youngs_modulus_pa * section.bending_in_plane_m4
-        shear = beams.shear_factor * self.shear_modulus_pa * section.area_m2
-        return beams.compliant_length_m**3 / (24.0 * bending) + 2.0 * beams.compliant_length_m / shear
 
     @property
     def force_ratio(self) -> float:
@@ -245,16 +229,6 @@ class PublishedStatics:
     def stiffness(self, beam_share: float = 0.4) -> float:
         """Return k = 1/(2F_Q/F·ω/F_e) in N/m, equation 11; with F_Q = 0.4F it is 1/(l³/60EI + l/5KGA)."""
         return 1.0 / (2.0 * beam_share * self.beam_compliance)
-
-    @property
-    def _bending(self) -> float:
-        """E·I of the cross beam in its plane, equation 7."""
-        return self.beams.material.youngs_modulus_pa * self.beams.beam.bending_in_plane_m4
-
-    @property
-    def _shear(self) -> float:
-        """K·G·A of the cross beam with the printed G."""
-        return self.beams.shear_factor * self.shear_modulus_pa * self.beams.beam.area_m2
 
 
 @dataclass(frozen=True)
@@ -296,18 +270,6 @@ def beam_stiffness(beams: CrossBeams, half_size_m: float) -> BeamStiffness:
     twisted = 2.0 * material.shear_modulus_pa * compliant.torsion_m4 / half
     upward = _on_support(_end(beams, arm, beam.bending_across_m4, beam.area_m2), raised[0, 0], twisted)
     return BeamStiffness(float(2.0 * sideways + 2.0 * along), float(4.0 * upward))
-
-
-def oscillator_hz(stiffness: float, mass_kg: float) -> float:
-    """Return f = √(k/m)/2π in Hz, equation 17 as a frequency."""
-    if stiffness <= 0.0 or mass_kg <= 0.0:
-        raise ValueError(f"stiffness, mass_kg: expected both above 0, found {stiffness} and {mass_kg}")
-    return float(np.sqrt(stiffness / mass_kg) / (2.0 * np.pi))
-
-
-def required_stiffness(frequency_hz: float, mass_kg: float) -> float:
-    """Return the stiffness k = m(2πf)² in N/m that a frequency asks for."""
-    return float(mass_kg * (2.0 * np.pi * frequency_hz) ** 2)
 
 
 def _end(beams: CrossBeams, length: float, bending_m4: float, area_m2: float) -> FloatArray:

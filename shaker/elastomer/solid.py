@@ -113,11 +113,6 @@ class _Quarter:
 
         return Basis(self.mesh, ElementHex2(), intorder=4)
 
-    @property
-    def place_m(self) -> FloatArray:
-        """Places (N, 3) of the nodes; node n has the unknowns 3n, 3n + 1, 3n + 2."""
-        return np.asarray(self.basis.doflocs.T)
-
     @cached_property
     def matrices(self) -> tuple[Any, Any, Any]:
         """Stiffness, mass, and the platform's geometry (mass at unit density)."""
@@ -151,10 +146,12 @@ class _Quarter:
 
         stiffness, mass, geometry = self.matrices
         free = self._free(kind)
-        rigid = self._rigid(NAMED[kind])
+        places = [NAMES.index(name) for name in NAMED[kind]]
+        rigid = np.concatenate([rigid_motion(place)[:3] for place in self.basis.doflocs.T])[:, places]
         weighed = geometry @ rigid
         mean = (weighed @ np.linalg.inv(rigid.T @ weighed))[free]
-        extra = self._attached(NAMED[kind]) / 4.0
+        part = self.block.attached
+        extra = np.zeros((len(places),) * 2) if part is None else part.mass_matrix[np.ix_(places, places)] / 4.0
         inert = mass[free][:, free]
         solver = splu(stiffness[free][:, free], permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
         size = len(free)
@@ -192,7 +189,7 @@ class _Quarter:
         """Unknowns that neither clamp nor symmetry holds."""
         beams, near = self.beams, 1e-9
         inner, half = 0.5 * (beams.span_m - beams.compliant_thickness_m), 0.5 * beams.compliant_length_m
-        x, y, _ = place = self.place_m.T
+        x, y, _ = place = np.asarray(self.basis.doflocs)  # node n has the unknowns 3n, 3n + 1, 3n + 2
         clamped = (np.abs(y - half) < near) & (x > inner - near) | (np.abs(x - half) < near) & (y > inner - near)
         held = np.repeat(clamped[:, None], 3, axis=1)
         for axis, reversed_sign in enumerate(PARITIES[kind]):
@@ -200,17 +197,6 @@ class _Quarter:
             normal = np.arange(3) == axis
             held |= plane[:, None] & (~normal if reversed_sign else normal)
         return np.flatnonzero(~held.ravel())
-
-    def _rigid(self, names: tuple[str, ...]) -> FloatArray:
-        """Rigid motions (N, k) by name, turns about the origin."""
-        motions = np.concatenate([rigid_motion(place)[:3] for place in self.place_m])
-        return np.asarray(motions[:, [NAMES.index(name) for name in names]])
-
-    def _attached(self, names: tuple[str, ...]) -> FloatArray:
-        """Mass matrix (k, k) of the attached parts over the rigid motions."""
-        places = [NAMES.index(name) for name in names]
-        part = self.block.attached
-        return np.zeros((len(places),) * 2) if part is None else part.mass_matrix[np.ix_(places, places)]
 
 
 def _elastic(basis: Any, first: float, second: float) -> FloatArray:

@@ -258,7 +258,8 @@ def spread(problem: Problem, state: State) -> Spread:
     wide = []
     for curve, jacobian in zip(problem.curves, state.jacobians, strict=True):
         by_all = np.zeros((*jacobian.shape[:2], count))
-        np.add.at(by_all, (slice(None), slice(None), curve.places), jacobian)
+        for column, place in enumerate(curve.places):
+            by_all[:, :, place] += jacobian[:, :, column]
         by_all[:, :, problem.fixed] = 0.0
         wide.append(by_all)
     stacked = np.concatenate([*(rows.reshape(-1, count) for rows in wide), np.diag(np.sqrt(problem.precision))])

@@ -116,10 +116,10 @@ class MeasuredTransfer:
         check_shape("mass_matrix", self.mass_matrix, (6, 6))
         for error in self.errors:
             check_shape(f"errors: {error.name}", error.relative, shape)
-        for error in self.placement_errors:
-            if not AT_THE_BASE <= error.place < shape[1]:
+        for moved in self.placement_errors:
+            if not AT_THE_BASE <= moved.place < shape[1]:
                 raise ValueError(
-                    f"placement_errors: expected a place of {AT_THE_BASE} to {shape[1] - 1}, found {error.place}"
+                    f"placement_errors: expected a place of {AT_THE_BASE} to {shape[1] - 1}, found {moved.place}"
                 )
 
     @property

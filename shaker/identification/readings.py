@@ -459,24 +459,6 @@ def peak_readings(
     )
 
 
-def stiffness(frequency_hz: float, mass: float) -> float:
-    """Return k = (2πf₀)²m, N/m of kg or N·m/rad of kg·m² (Nitsche et al. 2018, equation 9)."""
-    return float((2.0 * np.pi * frequency_hz) ** 2 * mass)
-
-
-def damping_from_width(width_hz: float, mass: float, width: Width = "half_power") -> float:
-    """Return b = √(km)·Δf/f₀ = 2πmΔf, kg/s (Nitsche et al. 2018, equation 10, which holds for the half-power width).
-
-    The width at half the amplitude is √3 times as large and is divided by it.
-    """
-    return float(2.0 * np.pi * mass * width_hz / np.sqrt(LEVELS[width] - 1.0))
-
-
-def width_from_damping(damping: float, mass: float, width: Width = "half_power") -> float:
-    """Return the width Δf in Hz that a damping b shows: b/(2πm), times √3 at half the amplitude."""
-    return float(damping * np.sqrt(LEVELS[width] - 1.0) / (2.0 * np.pi * mass))
-
-
 def transmissibility_levels(damping_ratio: float, level: float = 2.0) -> tuple[float, float, float]:
     """Return r = f/f₀ of the maximum of |(1 + 2jζr)/(1 - r² + 2jζr)|, and below and above it where 1/|H|² is `level`
     times as large, zero where that is nowhere: r² solves y² - (2 - 4ζ² + 4ζ²c)y + 1 - c = 0, c = level/|H|²max.

@@ -12,37 +12,32 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from shaker.elastomer.element import (
-    cross_frame,
-    fit_platform,
-    platform_family,
-    platform_stiffness,
-    sensitivities,
-    solve_frame,
-)
 from shaker.elastomer.frame import (
     NAMES,
     Frame,
     RigidPart,
     block,
+    cross_frame,
     dense_modes,
+    fit_platform,
     joined,
     named_modes,
     pillar,
+    platform_family,
+    platform_stiffness,
     rigid_motion,
+    sensitivities,
+    solve_frame,
 )
 from shaker.elastomer.geometry import (
     CrossBeams,
     Material,
-    PublishedStatics,
     Section,
     beam_matrices,
     beam_stiffness,
-    guided_stiffness,
     lumped,
-    oscillator_hz,
-    required_stiffness,
 )
+from shaker.mechanics import oscillator_hz
 
 FloatArray = NDArray[np.float64]
 ALUMINIUM = Material(72e9, 0.3, 2820.0)
@@ -96,38 +91,6 @@ def _load(frame: Frame, node: int, load: FloatArray) -> FloatArray:
     stiffness, _ = frame.matrices
     column = frame.reduction[6 * node : 6 * node + 6]
     return np.asarray(column @ np.linalg.solve(stiffness, column.T @ load))
-
-
-def test_published_formulas_give_what_they_give() -> None:
-    printed = PublishedStatics(ELEMENT)
-    assert printed.stiffness() == pytest.approx(2.848e5, rel=1e-3)  # the paper prints 1.824e5
-    assert printed.force_ratio == pytest.approx(6.859, rel=1e-4)  # the paper prints 8
-    assert printed.beam_share == pytest.approx(0.387, rel=1e-3)
-    assert oscillator_hz(1.824e5, 0.049) == pytest.approx(307.0, abs=0.5)  # the paper prints 1642
-    assert required_stiffness(1642.0, 0.049) == pytest.approx(5.216e6, rel=1e-3)
-    assert printed.shear_modulus_pa == pytest.approx(55.4e9, rel=1e-3)
-    assert ALUMINIUM.shear_modulus_pa == pytest.approx(27.7e9, rel=1e-3)
-    assert guided_stiffness(ELEMENT) == pytest.approx(4.95e5, rel=0.01)
-
-
-def test_a_force_ratio_of_eight_needs_a_beam_of_four_millimetres() -> None:
-    thicker = replace(ELEMENT, beam_width_m=0.004)
-    printed = PublishedStatics(thicker)
-    assert printed.force_ratio == pytest.approx(8.0, rel=1e-12)
-    assert printed.beam_share == pytest.approx(0.4, rel=1e-12)
-
-
-def test_equation_four_is_a_beam_on_two_supports() -> None:
-    printed, length = PublishedStatics(ELEMENT), ELEMENT.span_m
-    x = np.linspace(0.0, length, 201)
-    deflection = np.array([printed.deflection(float(place)) for place in x])
-    assert deflection[0] == 0.0
-    assert deflection[-1] == pytest.approx(0.0, abs=1e-18)
-    bending = 72e9 * ELEMENT.beam.bending_in_plane_m4
-    shear = SHEAR * printed.shear_modulus_pa * ELEMENT.beam.area_m2
-    assert deflection[100] == pytest.approx(length**3 / 48 / bending + length / 4 / shear, rel=1e-12)
-    curvature = np.diff(deflection, 2) / (x[1] - x[0]) ** 2  # M/EI = x/2EI up to mid-span
-    assert curvature[:98] == pytest.approx(-x[1:99] / 2 / bending, rel=1e-4)
 
 
 @pytest.mark.parametrize("pieces", [1, 3])

@@ -8,8 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from shaker.elastomer.element import solve_frame
-from shaker.elastomer.frame import RigidPart, block
+from shaker.elastomer.frame import RigidPart, block, solve_frame
 from shaker.elastomer.geometry import CrossBeams, Material, beam_stiffness
 from shaker.elastomer.solid import SolidBlock, SolidModel, converged, solve_solid
 

@@ -12,7 +12,7 @@ from scipy import linalg, signal
 from shaker.identification.fit import Identification, identify
 from shaker.identification.measured import InertiaError, MeasuredTransfer, Placement
 from shaker.identification.structures import ChainStructure, Stage
-from shaker.mechanics import MassChain, shared_spring
+from shaker.mechanics import MassChain, oscillator_hz, required_stiffness, shared_spring
 from shaker.sine.phasor import Phasors
 
 FloatArray = NDArray[np.float64]
@@ -242,6 +242,24 @@ def test_stages_without_a_mass_of_their_own_and_the_names_of_all() -> None:
     assert {p.unit for p in turning.parameters} == {"N·m/rad", "N·m·s/rad", "kg·m²"}
 
 
+def test_dampers_act_between_neighbours_and_a_hand_lowers_the_resonance() -> None:
+    """Pedestal, sensor and hand: a common motion of all three is damped by the damper to the ground alone."""
+    stages = ("pedestal", "sensor", "hand")
+    damping = MassChain(stages, np.ones(3), np.ones(3), np.array([5.0, 3.0, 2.0])).matrices[1]
+    np.testing.assert_allclose(damping, [[8.0, -3.0, 0.0], [-3.0, 5.0, -2.0], [0.0, -2.0, 2.0]])
+    np.testing.assert_allclose(damping @ np.ones(3), [5.0, 0.0, 0.0])
+    for hand in (0.02, 0.1, 0.5):
+        held = MassChain(stages, np.array([50.0, 0.05, hand]), np.array([1e12, 1.3e6, 1e10]), np.zeros(3))
+        assert held.modes()[0][0] == pytest.approx(oscillator_hz(1.3e6, 0.05 + hand), rel=1e-3)
+
+
+def test_an_oscillator_has_the_frequency_of_its_spring_and_mass() -> None:
+    assert oscillator_hz(1.824e5, 0.049) == pytest.approx(307.07, abs=0.01)
+    assert required_stiffness(oscillator_hz(3.0, 0.7), 0.7) == pytest.approx(3.0)
+    with pytest.raises(ValueError, match="stiffness, mass: expected both above 0"):
+        oscillator_hz(1.0, 0.0)
+
+
 @pytest.mark.parametrize("stages", [(), ("a", "a"), ("base",)])
 def test_stages_need_names_of_their_own(stages: tuple[str, ...]) -> None:
     with pytest.raises(ValueError, match="stages: expected different names"):
@@ -251,5 +269,9 @@ def test_stages_need_names_of_their_own(stages: tuple[str, ...]) -> None:
 def test_a_stage_that_is_not_there_and_a_wrong_axis_are_named() -> None:
     with pytest.raises(ValueError, match="stage: expected one of base, adapter, sensor, load, found top"):
         TRIPLE.transfer(FREQUENCY, "top")
+    with pytest.raises(ValueError, match="damping: expected none negative"):
+        MassChain(("a",), np.ones(1), np.ones(1), -np.ones(1))
+    with pytest.raises(ValueError, match="stiffness: expected an array of shape"):
+        MassChain(("a",), np.ones(1), np.ones(2), np.ones(1))
     with pytest.raises(ValueError, match="component: expected one of 0 to 5, found 6"):
         ChainStructure(6)

@@ -11,16 +11,18 @@ import papers
 import papers_rows
 import pytest
 from numpy.typing import NDArray
-
-from shaker.identification.readings import damping_from_width, peak_readings, stiffness, width_from_damping
-from shaker.identification.sensitivity import (
-    Chain,
+from published_formulas import (
     damping_from_phase,
     damping_from_sensitivity,
+    damping_from_width,
     relative_sensitivity,
     sensitivity_phase_rad,
+    width_from_damping,
 )
-from shaker.mechanics import shared_spring
+
+from shaker.identification.readings import peak_readings
+from shaker.identification.sensitivity import Chain
+from shaker.mechanics import required_stiffness, shared_spring
 from shaker.sine.phasor import derivative_factor
 from shaker.static_rotation.harmonics import fit_angles
 from shaker.static_rotation.masses import mass_of_weight
@@ -60,7 +62,7 @@ def load_mass(column: int, gravity: float = G) -> float:
 
 def spring(frequency_hz: float, load: float) -> float:
     """Eq. 9 with the internal mass, in 1e8 N/m."""
-    return stiffness(frequency_hz, load + M_I) / 1e8
+    return required_stiffness(frequency_hz, load + M_I) / 1e8
 
 
 def spread(one: float, other: float) -> float:
@@ -79,7 +81,7 @@ def shared(first: float, second: float) -> tuple[float, float]:
     return k / 1e8, mass
 
 
-K1, K2 = stiffness(1477.35, M1 + M_I), stiffness(1092.97, M2 + M_I)
+K1, K2 = required_stiffness(1477.35, M1 + M_I), required_stiffness(1092.97, M2 + M_I)
 
 PRINTED = [
     Number("eq 6, a1, m/s²", lambda: acceleration(106.2495, 0.4277e-3), -190.6131, 5e-5),
@@ -190,7 +192,7 @@ def test_equation_10_on_a_curve(k: float, b: float, mass: float) -> None:
     found = peak_readings(frequency, value, covariance)
     for reading in (found.half_power, found.circle):
         assert damping_from_width(reading.width_hz, mass) == pytest.approx(b, rel=1e-3)
-        assert stiffness(reading.frequency_hz, mass) == pytest.approx(k, rel=1e-6)
+        assert required_stiffness(reading.frequency_hz, mass) == pytest.approx(k, rel=1e-6)
     as_worded = damping_from_width(found.half_amplitude.width_hz, mass)
     assert as_worded == pytest.approx(np.sqrt(3.0) * b, rel=1e-3)
 

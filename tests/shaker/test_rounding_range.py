@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
-from shaker.lti.indices import rounding_range
+from published_formulas import rounding_range
 
 RATE = 1e5
 

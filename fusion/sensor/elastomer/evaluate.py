@@ -15,19 +15,20 @@ from fusion.sensor.elastomer.definition import Definition
 from fusion.sensor.elastomer.figures import Shape
 from fusion.sensor.models_file import read_models
 from shaker.arrays import FloatArray, Notice
-from shaker.elastomer.element import FrameModel, PlatformFit, platform_family, sensitivities, solve_frame
-from shaker.elastomer.frame import NAMES, MountedChain, mounted_hz, rigid_motion
-from shaker.elastomer.geometry import (
-    PublishedStatics,
-    Section,
-    beam_stiffness,
-    guided_stiffness,
-    oscillator_hz,
-    required_stiffness,
+from shaker.elastomer.frame import (
+    NAMES,
+    FrameModel,
+    PlatformFit,
+    platform_family,
+    rigid_motion,
+    sensitivities,
+    solve_frame,
 )
+from shaker.elastomer.geometry import PublishedStatics, Section, beam_stiffness, guided_stiffness
 from shaker.elastomer.solid import SolidModel, converged, solve_solid
 from shaker.labels import LOAD_COMPONENTS
 from shaker.lti.modal import ModalModel
+from shaker.mechanics import MassChain, oscillator_hz, required_stiffness
 
 # What is computed of an elastic element.
 
@@ -229,15 +230,18 @@ def mounted_chain(definition: Definition, frame: FrameModel) -> Mounted | None:
     place = NAMES.index(told.direction)
     stiffness = float(frame.stiffness[place])
     mass = stiffness / (2.0 * np.pi * float(frame.modes.frequency_hz[place])) ** 2
-    chain = MountedChain(
-        mass_kg=np.array([told.hand_mass, mass, told.pedestal_mass]),
-        stiffness=np.array([told.hand_stiffness, stiffness, told.pedestal_stiffness]),
-        damping=np.array([told.hand_damping, told.sensor_damping, told.pedestal_damping]),
-    )
+    stages = {
+        "pedestal": (told.pedestal_mass, told.pedestal_stiffness, told.pedestal_damping),
+        "sensor": (mass, stiffness, told.sensor_damping),
+    }
+    if told.hand_mass > 0.0:
+        stages["hand"] = (told.hand_mass, told.hand_stiffness, told.hand_damping)
+    chain = MassChain(tuple(stages), *np.array(list(stages.values())).T)
     frequency, damping = chain.modes()
     top = told.hand_mass or mass
     hands = np.linspace(0.0, 2.0 * top, 81)
-    return Mounted(told.direction, stiffness, mass, frequency, damping, hands, mounted_hz(stiffness, mass, hands))
+    rigid = np.array([oscillator_hz(stiffness, mass + hand) for hand in hands])
+    return Mounted(told.direction, stiffness, mass, frequency, damping, hands, rigid)
 
 
 # Mode shapes as faces in space, for the pictures: beams and platform of the frame, the outside of the solid.

@@ -32,9 +32,10 @@ from fusion.sensor.identify.measured import Campaign, EvaluatedSines, IdentifySe
 from shaker.arrays import Notice
 from shaker.identification.correction import UsableBand, usable_band
 from shaker.identification.measured import MeasuredSensitivity, ParameterEstimate, RelativeError
-from shaker.identification.readings import PeakReading, peak_readings, stiffness
+from shaker.identification.readings import PeakReading, peak_readings
 from shaker.identification.sensor import Load, SensorModel
 from shaker.labels import LOAD_COMPONENTS
+from shaker.mechanics import required_stiffness
 
 # From the results of sine recordings to the sensitivity over frequency.
 
@@ -236,7 +237,7 @@ def _joint(fit: JointFit, item: Prepared, response: str, moved: float) -> Iterat
 
 def _reading(item: Prepared, response: str, reading: PeakReading, moved: float) -> Reading:
     """A reading as a row: equations 9 and 10 of Nitsche et al. 2018 with the mass that moves."""
-    k = stiffness(reading.frequency_hz, moved)
+    k = required_stiffness(reading.frequency_hz, moved)
     return Reading(
         recording=item.measured.name,
         response=response,
