@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -13,9 +13,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 
-from shaker.arrays import FloatArray
+from shaker.arrays import ComplexArray, FloatArray
 
 WIDTH_IN = 8.4
 RASTER_DPI = 200
@@ -129,6 +129,38 @@ def as_file(figure: Figure, kind: str) -> bytes:
     return stream.getvalue()
 
 
+@dataclass(frozen=True)
+class Sheet:
+    """A figure in the making: its name, and its panels from the upper left on, row by row."""
+
+    name: str
+    figure: Figure
+    panels: tuple[Axes, ...]
+
+    def picture(self, title: str, caption: str, **layout: Any) -> Picture:
+        """Lay the panels out (`lay_out`, below a row of panel labels) and turn the figure into SVG text."""
+        lay_out(self.figure, self.panels, **{"top": 0.24, "left": 0.78, "label": 0.58, **layout})
+        return finish(self.figure, self.name, title, caption)
+
+
+@contextmanager
+def sheet(
+    name: str,
+    height_in: float,
+    rows: int = 1,
+    columns: int = 1,
+    *,
+    heights: Sequence[float] | None = None,
+    **shared: Any,
+) -> Iterator[Sheet]:
+    """Give a figure of the page's width with panels that share their horizontal axis down a column."""
+    with drawing(name):
+        figure = new_figure(height_in)
+        ratios = {"height_ratios": list(heights or [1.0] * rows)}
+        options = {"sharex": "col", **shared, "squeeze": False, "gridspec_kw": ratios}
+        yield Sheet(name, figure, tuple(figure.subplots(rows, columns, **options).ravel()))
+
+
 def thin_out(x: FloatArray, y: FloatArray, edges: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Largest `y` of each interval between `edges`, with its own `x`: peaks survive, the file stays small."""
     order = np.searchsorted(edges, x, side="right")
@@ -155,6 +187,57 @@ def decades(axis: Axis) -> None:
         FuncFormatter(lambda value, _: power_text(round(float(np.log10(value)))) if value > 0 else "")
     )
     axis.set_minor_locator(NullLocator())
+
+
+def plain_logarithm(axis: Axis, subs: Sequence[float] = (1.0, 2.0, 5.0)) -> None:
+    """Ticks of a logarithmic axis at powers of ten times `subs`, as plain numbers."""
+    axis.set_major_locator(LogLocator(10.0, subs=subs, numticks=8))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def frequency_axis(axes: Axes, frequency_hz: FloatArray, wide_band: float = 8.0) -> None:
+    """Frequency over the whole of `frequency_hz`, logarithmic where its ends are further apart than `wide_band`."""
+    axes.set_xlim(float(frequency_hz[0]), float(frequency_hz[-1]))
+    if frequency_hz[-1] > wide_band * frequency_hz[0]:
+        axes.set_xscale("log")
+        plain_logarithm(axes.xaxis)
+    axes.set_xlabel("frequency / Hz")
+
+
+def draw_response(
+    upper: Axes,
+    lower: Axes,
+    frequency_hz: FloatArray,
+    value: ComplexArray,
+    u: tuple[FloatArray, FloatArray] | None = None,
+    *,
+    unwrapped: bool = False,
+    **style: Any,
+) -> None:
+    """Draw magnitude (logarithmic) and phase in degrees of a curve over frequency, with bands of U (k = 2).
+
+    `u`: relative standard uncertainty of the magnitude and that of the phase in rad, (K,) each. A phase that is not
+    `unwrapped` lies within ±180° and has no strokes across that.
+    """
+    look = {"linewidth": 0.9, "zorder": 2.0, **style}
+    size, phase = np.abs(value), np.degrees(np.angle(value))
+    if unwrapped:
+        phase = np.degrees(np.unwrap(np.angle(value)))
+    else:
+        phase = np.where(np.abs(np.diff(phase, prepend=phase[:1])) > 180.0, np.nan, phase)
+        lower.set_ylim(-190.0, 190.0)
+        lower.set_yticks([-180, -90, 0, 90, 180])
+    upper.plot(frequency_hz, size, **look)
+    lower.plot(frequency_hz, phase, **{**look, "label": None})
+    if u is not None:
+        band: dict[str, Any] = {"color": look.get("color"), "alpha": 0.25, "linewidth": 0, "zorder": 1}
+        low, high = size * np.maximum(1.0 - 2.0 * u[0], 1e-3), size * (1.0 + 2.0 * u[0])
+        upper.fill_between(frequency_hz, low, high, **band)
+        turn = 2.0 * np.degrees(np.minimum(u[1], np.pi / 4.0))
+        lower.fill_between(frequency_hz, phase - turn, phase + turn, **band)
+    upper.set_yscale("log")
+    lower.set_ylabel("phase / °")
 
 
 def panel_label(axes: Axes, text: str) -> None:

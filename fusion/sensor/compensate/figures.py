@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullFormatter
+from matplotlib.ticker import MultipleLocator
 
 from fusion.estimation.uncertainty import prefix, typeset
 from fusion.report.style import (
@@ -21,241 +20,190 @@ from fusion.report.style import (
     RED,
     SKY,
     Picture,
-    drawing,
-    finish,
-    lay_out,
-    new_figure,
+    draw_response,
     panel_label,
+    plain_logarithm,
+    sheet,
 )
-from shaker.arrays import ComplexArray, FloatArray
+from fusion.sensor.compensate.evaluate import CompensateEvaluation
+from fusion.sensor.compensate.source import CompensatedChannel, CompensatedRecording, LoadFilter, SubjectResult
+from shaker.arrays import FloatArray
+from shaker.compensation.effects import gain_band
 
 COLOURS = (BLUE, GREEN, ORANGE, PURPLE, SKY)
 DASHED = (0, (4, 2))
 MILLI, PERCENT = 1e3, 1e2
+POINTS = 900
+STEP_POINTS, STEP_PERIODS = 3000, 20.0
+DRAWN = 20_000
+"""Samples of a recording that are drawn at the most."""
 
 
-@dataclass(frozen=True)
-class BodeCurves:
-    """Sensor and compensated sensor over their static gains (K,), sampled filter behind the sensor; bands in Hz.
-
-    `u_gain` (K,) relative, None where it is not known; `error`: the permitted one.
-    """
-
-    title: str
-    frequency_hz: FloatArray
-    before: ComplexArray
-    after: ComplexArray
-    sampled: ComplexArray
-    u_gain: FloatArray | None
-    error: float
-    bands_hz: tuple[float | None, float | None]
+def label(result: SubjectResult, made: LoadFilter) -> str:
+    """Channel and load of a filter."""
+    mass = "" if made.load_mass is None else f", load {result.subject.load_text(made.load_mass)}"
+    return f"{result.subject.name}{mass}"
 
 
-@dataclass(frozen=True)
-class StepCurves:
-    """Step responses over their final values (N,) at `time_s` (N,)."""
-
-    title: str
-    time_s: FloatArray
-    before: FloatArray
-    after: FloatArray
+def frequencies(made: LoadFilter) -> FloatArray:
+    """Frequencies (K,) in Hz of the curves of a filter: two decades below its modes to half the sampling rate."""
+    known = [*made.compensation.sensor.frequency_hz, *made.compensation.sensor.real_hz]
+    low, high = min(known) / 50.0, 0.5 * made.sections.sample_rate_hz
+    even = np.geomspace(low, min(high, 40.0 * made.compensation.target.frequency_hz), POINTS)
+    return np.unique(np.concatenate([even, *(f * (1.0 + np.linspace(-0.05, 0.05, 101)) for f in known)]))
 
 
-@dataclass(frozen=True)
-class NoiseCurve:
-    """|G_c| over its static gain (K,) of one filter, and the noise gain of white noise."""
-
-    name: str
-    frequency_hz: FloatArray
-    gain: FloatArray
-    white: float
-
-
-@dataclass(frozen=True)
-class MismatchCurve:
-    """Residual ringing (K,) over what is off (K,): a load in g or a frequency in %, for one filter."""
-
-    name: str
-    off: FloatArray
-    ringing: FloatArray
-
-
-@dataclass(frozen=True)
-class FilteredChannel:
-    """A channel before and after, less its first value, with u (N,), at `time_s`."""
-
-    channel: str
-    unit: str
-    time_s: FloatArray
-    raw: FloatArray
-    value: FloatArray
-    u: FloatArray
-
-
-@dataclass(frozen=True)
-class PushedBall:
-    """Forces (N,) in N at `time_s` while a hand pushes a virtual ball; NaN from where the loop ran away."""
-
-    name: str
-    time_s: FloatArray
-    applied: FloatArray
-    fed_back: FloatArray
-
-
-def draw_bode(name: str, curves: BodeCurves) -> Picture:
-    """Gain and phase before and after, the band of the permitted error, and the sampled filter."""
-    with drawing(name):
-        figure = new_figure(4.4)
-        upper, lower = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [1.8, 1.0]})
-        for values, colour, text in ((curves.before, GREY, "sensor"), (curves.after, BLUE, "compensated")):
-            upper.loglog(curves.frequency_hz, np.abs(values), color=colour, label=text, zorder=2)
-            lower.semilogx(curves.frequency_hz, _degrees(values), color=colour, zorder=2)
-        upper.loglog(
-            curves.frequency_hz, np.abs(curves.sampled), color=RED, linestyle=DASHED, label="for samples", zorder=3
-        )
-        lower.semilogx(curves.frequency_hz, _degrees(curves.sampled), color=RED, linestyle=DASHED, zorder=3)
-        if curves.u_gain is not None:
-            half = 2.0 * curves.u_gain
-            low, high = np.abs(curves.after) * np.exp(-half), np.abs(curves.after) * np.exp(half)
-            upper.fill_between(curves.frequency_hz, low, high, color=BLUE, alpha=0.25, linewidth=0, label="U (k = 2)")
-        upper.axhspan(1.0 - curves.error, 1.0 + curves.error, color=LIGHT, zorder=0)
-        for edge, colour in zip(curves.bands_hz, (GREY, BLUE), strict=True):
-            if edge is not None and np.isfinite(edge):
-                upper.axvline(edge, color=colour, linewidth=0.7, linestyle=DASHED, zorder=1)
-        _log_ticks(upper)
-        upper.set_ylim(*_limits(curves))
+def draw_bode(name: str, result: SubjectResult, made: LoadFilter, permitted_error: float) -> Picture:
+    """Gain and phase over the static gain before and after, the band of the permitted error, and the sampled filter."""
+    design, hertz, title = made.compensation, frequencies(made), label(result, made)
+    sensor = design.sensor.system.response(hertz) / design.sensor.static_gain
+    after = sensor * design.system.response(hertz) / design.gain
+    sampled = sensor * made.sections.response(hertz) / made.sections.gain
+    with sheet(name, 4.4, 2, heights=(1.8, 1.0)) as drawn:
+        upper, lower = drawn.panels
+        look: dict[str, Any] = {"unwrapped": True, "linewidth": 1.1}
+        draw_response(upper, lower, hertz, sensor, color=GREY, label="sensor", **look)
+        draw_response(upper, lower, hertz, after, color=BLUE, label="compensated", **look)
+        draw_response(upper, lower, hertz, sampled, color=RED, linestyle=DASHED, label="for samples", zorder=3, **look)
+        if design.sensor.covariance is not None:
+            half = 2.0 * gain_band(design, hertz).u_gain
+            low, high = np.abs(after) * np.exp(-half), np.abs(after) * np.exp(half)
+            upper.fill_between(hertz, low, high, color=BLUE, alpha=0.25, linewidth=0, label="U (k = 2)")
+        upper.axhspan(1.0 - permitted_error, 1.0 + permitted_error, color=LIGHT, zorder=0)
+        for indices, colour in ((made.before.indices, GREY), (made.after.indices, BLUE)):
+            if indices.band_10_hz is not None and np.isfinite(indices.band_10_hz):
+                upper.axvline(indices.band_10_hz, color=colour, linewidth=0.7, linestyle=DASHED, zorder=1)
+        upper.set_xscale("log")
+        plain_logarithm(upper.yaxis, (1.0,))
+        upper.set_ylim(0.03, max(3.0, 1.5 * float(np.max(np.abs([sensor, after])))))
         upper.set_ylabel("gain / static gain")
-        lower.set_ylabel("phase / °")
         lower.set_xlabel("frequency / Hz")
-        lowest = min(float(np.min(_degrees(values))) for values in (curves.before, curves.after))
-        lower.set_ylim(lowest - 30.0, 30.0)
+        lower.set_ylim(float(np.degrees(np.min(np.unwrap(np.angle([sensor, after]))))) - 30.0, 30.0)
         lower.yaxis.set_major_locator(MultipleLocator(90.0))
         upper.legend(loc="lower left")
-        panel_label(upper, curves.title)
-        lay_out(figure, (upper, lower), top=0.24, gap=(0.5, 0.18), left=0.78, label=0.58)
+        panel_label(upper, title)
         caption = (
-            f"Grey: ±{PERCENT * curves.error:g} % of the static gain; dashed uprights: where sensor and compensated "
+            f"Grey: ±{PERCENT * permitted_error:g} % of the static gain; dashed uprights: where sensor and compensated "
             "sensor leave ±10 %. Red: the filter for samples behind the sensor."
         )
-        return finish(figure, name, f"{curves.title}: gain and phase before and after", caption)
+        return drawn.picture(f"{title}: gain and phase before and after", caption, gap=(0.5, 0.18))
 
 
-def draw_steps(name: str, curves: StepCurves) -> Picture:
-    """The response to a step before and after."""
-    with drawing(name):
-        figure = new_figure(2.9)
-        axes = figure.subplots(1, 1)
+def draw_step(name: str, result: SubjectResult, made: LoadFilter) -> Picture:
+    """The response to a step over its final value before and after."""
+    design, title = made.compensation, label(result, made)
+    time = np.linspace(0.0, STEP_PERIODS / design.target.frequency_hz, STEP_POINTS)
+    before = design.sensor.system.step(time) / design.sensor.static_gain
+    after = design.compensated.step(time) / design.compensated.static_gain
+    with sheet(name, 2.9) as drawn:
+        (axes,) = drawn.panels
         axes.axhspan(0.98, 1.02, color=LIGHT, zorder=0)
-        axes.plot(MILLI * curves.time_s, curves.before, color=GREY, linewidth=0.9, label="sensor")
-        axes.plot(MILLI * curves.time_s, curves.after, color=BLUE, label="compensated")
+        axes.plot(MILLI * time, before, color=GREY, linewidth=0.9, label="sensor")
+        axes.plot(MILLI * time, after, color=BLUE, label="compensated")
         axes.set_xlabel("time after the step / ms")
         axes.set_ylabel("output / final value")
-        axes.set_xlim(0.0, MILLI * float(curves.time_s[-1]))
+        axes.set_xlim(0.0, MILLI * float(time[-1]))
         axes.legend(loc="upper right")
-        panel_label(axes, curves.title)
-        lay_out(figure, (axes,), top=0.24, left=0.78, label=0.58)
-        return finish(figure, name, f"{curves.title}: a step before and after", "Grey: ±2 % of the final value.")
+        panel_label(axes, title)
+        return drawn.picture(f"{title}: a step before and after", "Grey: ±2 % of the final value.")
 
 
-def draw_noise(name: str, curves: Sequence[NoiseCurve]) -> Picture:
+def draw_noise(evaluation: CompensateEvaluation) -> Picture:
     """What every filter makes of noise over frequency."""
-    with drawing(name):
-        figure = new_figure(2.8)
-        axes = figure.subplots(1, 1)
-        for place, curve in enumerate(curves):
-            text = f"{curve.name} (white noise × {curve.white:.3g})"
-            axes.loglog(curve.frequency_hz, curve.gain, color=COLOURS[place % len(COLOURS)], label=text)
-        _log_ticks(axes)
-        axes.set_xlabel("frequency / Hz")
-        axes.set_ylabel("gain of the filter")
+    made = [(result, one) for result in evaluation.subjects for one in result.filters]
+    with sheet("noise", 2.8) as drawn:
+        (axes,) = drawn.panels
+        for place, (result, one) in enumerate(made):
+            hertz, white = frequencies(one), one.noise_gain / abs(one.sections.gain)
+            gain = np.abs(one.sections.response(hertz) / one.sections.gain)
+            text = f"{label(result, one)} (white noise × {white:.3g})"
+            axes.loglog(hertz, gain, color=COLOURS[place % len(COLOURS)], label=text)
+        plain_logarithm(axes.yaxis, (1.0,))
+        _label(axes, "frequency / Hz", "gain of the filter", "noise")
         axes.legend(loc="upper left")
-        panel_label(axes, "noise")
-        lay_out(figure, (axes,), top=0.24, left=0.78, label=0.58)
         caption = "Gain of the filters over their static gain: the density of the noise is raised by this factor."
-        return finish(figure, name, "What the filters do to noise", caption)
+        return drawn.picture("What the filters do to noise", caption)
 
 
-def draw_mismatch(name: str, curves: Sequence[MismatchCurve], axis: str, own: str) -> Picture:
-    """Residual ringing of every filter over what is off."""
-    with drawing(name):
-        figure = new_figure(2.8)
-        axes = figure.subplots(1, 1)
-        for place, curve in enumerate(curves):
+def draw_mismatch(name: str, result: SubjectResult) -> Picture | None:
+    """Residual ringing of every filter over the load, or over an error of the frequency; None without either."""
+    first, subject = result.filters[0], result.subject
+    if len(first.off_load) > 1:
+        scale, unit = (MILLI, "g") if subject.load_unit == "N" else (1.0, "(kg·m²)")
+        axis, own = f"load / {unit}", "filter for {}"
+        curves = [
+            (own.format(subject.load_text(one.load_mass or 0.0)), scale * one.off_load, one.load_ringing)
+            for one in result.filters
+        ]
+    elif len(first.off_frequency):
+        axis = "frequency of the sensor off by / %"
+        curves = [(label(result, one), PERCENT * one.off_frequency, one.off_ringing) for one in result.filters]
+    else:
+        return None
+    with sheet(name, 2.8) as drawn:
+        (axes,) = drawn.panels
+        for place, (text, off, ringing) in enumerate(curves):
             colour = COLOURS[place % len(COLOURS)]
-            axes.plot(curve.off, PERCENT * curve.ringing, "o-", color=colour, markersize=3.5, label=curve.name)
-        axes.set_xlabel(axis)
-        axes.set_ylabel("ringing / % of the step")
+            axes.plot(off, PERCENT * ringing, "o-", color=colour, markersize=3.5, label=text)
+        _label(axes, axis, "ringing / % of the step", "another sensor than the filter is for")
         axes.set_ylim(bottom=0.0)
         axes.legend(loc="best")
-        panel_label(axes, "another sensor than the filter is for")
-        lay_out(figure, (axes,), top=0.24, left=0.78, label=0.58)
-        return finish(figure, name, "Residual ringing", own)
+        after = f"Largest deviation from the final value from {MILLI * first.after_s:.3g} ms after a step on."
+        return drawn.picture("Residual ringing", after)
 
 
-def draw_haptics(name: str, runs: Sequence[PushedBall], gain: float) -> Picture:
-    """Applied and fed-back force of two ways to treat the signal at the same force gain."""
-    with drawing(name):
-        figure = new_figure(2.8)
-        panels = figure.subplots(1, len(runs), sharey=True)
-        top = 1.4 * float(np.nanmax(runs[-1].fed_back))
-        for axes, run in zip(panels, runs, strict=True):
-            axes.plot(run.time_s, run.applied, color=GREY, linewidth=1.4, label="applied by the hand")
-            axes.plot(
-                run.time_s, run.fed_back, color=BLUE, linewidth=0.9, linestyle=DASHED, label="fed back by the ball"
-            )
+def draw_force_feedback(evaluation: CompensateEvaluation) -> Picture | None:
+    """Applied and fed-back force with the filter for no load and with the own one, at the same force gain."""
+    check = evaluation.haptics
+    if check is None:
+        return None
+    cases = check.cases[1:3]
+    with sheet("haptics", 2.8, 1, len(cases), sharey=True) as drawn:
+        top = 1.4 * float(np.nanmax(cases[-1].run.fed_back))
+        for axes, case in zip(drawn.panels, cases, strict=True):
+            time, fed_back = case.run.time_s, case.run.fed_back
+            axes.plot(time, case.run.applied, color=GREY, linewidth=1.4, label="applied by the hand")
+            axes.plot(time, fed_back, color=BLUE, linewidth=0.9, linestyle=DASHED, label="fed back by the ball")
             axes.set_xlabel("time / s")
             axes.set_ylim(-0.3 * top, top)
-            panel_label(axes, f"{run.name}, K = {gain:.3g}")
-        panels[0].set_ylabel("force / N")
-        panels[-1].legend(loc="upper right")
-        lay_out(figure, panels, top=0.24, gap=(0.4, 0.2), left=0.78, label=0.58)
+            panel_label(axes, f"{case.name}, K = {check.gain:.3g}")
+        drawn.panels[0].set_ylabel("force / N")
+        drawn.panels[-1].legend(loc="upper right")
         caption = "Curves end where the loop has run away."
-        return finish(figure, name, "Applied and fed-back force", caption)
+        return drawn.picture("Applied and fed-back force", caption, gap=(0.4, 0.2))
 
 
-def draw_channel(name: str, channel: FilteredChannel) -> Picture:
-    """A channel of the recording before and after, and its uncertainty."""
-    with drawing(name):
-        figure = new_figure(3.8)
-        upper, lower = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [2.0, 1.0]})
-        scale, letter = prefix(channel.value)
-        small, small_letter = prefix(channel.u)
-        upper.plot(channel.time_s, channel.raw / scale, color=GREY, linewidth=0.7, label="output", zorder=2)
-        upper.plot(channel.time_s, channel.value / scale, color=BLUE, linewidth=0.8, label="compensated", zorder=3)
-        lower.plot(channel.time_s, 2.0 * channel.u / small, color=BLACK, linewidth=0.7)
-        lower.set_ylim(0.0, 2.2 * float(np.max(channel.u)) / small or 1.0)
+def draw_channel(recording: CompensatedRecording, channel: CompensatedChannel) -> Picture:
+    """A channel of the recording before and after, less its first value, and its uncertainty."""
+    keep = slice(None, None, max(1, -(-len(channel.value) // DRAWN)))
+    time, u = recording.time_s[keep], channel.u[keep]
+    raw, value = (channel.raw - channel.raw[0])[keep], (channel.value - channel.value[0])[keep]
+    with sheet(f"recording-{channel.channel}", 3.8, 2, heights=(2.0, 1.0)) as drawn:
+        upper, lower = drawn.panels
+        (scale, letter), (small, small_letter) = prefix(value), prefix(u)
+        upper.plot(time, raw / scale, color=GREY, linewidth=0.7, label="output", zorder=2)
+        upper.plot(time, value / scale, color=BLUE, linewidth=0.8, label="compensated", zorder=3)
+        lower.plot(time, 2.0 * u / small, color=BLACK, linewidth=0.7)
+        lower.set_ylim(0.0, 2.2 * float(np.max(u)) / small or 1.0)
         upper.set_ylabel(f"change / {_unit(letter, channel.unit)}")
-        lower.set_ylabel(f"U / {_unit(small_letter, channel.unit)}")
-        lower.set_xlabel("time / s")
+        _label(lower, "time / s", f"U / {_unit(small_letter, channel.unit)}", "")
         upper.legend(loc="upper right")
         panel_label(upper, channel.channel)
-        for axes in (upper, lower):
+        for axes in drawn.panels:
             axes.set_rasterization_zorder(4)
-        lay_out(figure, (upper, lower), top=0.24, gap=(0.5, 0.18), left=0.78, label=0.58)
         caption = "Both less their first value, the output times the static gain of the filter. "
         caption += "Below: U (k = 2) of every sample, from model and noise."
-        return finish(figure, name, f"{channel.channel}: recording before and after", caption)
+        return drawn.picture(f"{channel.channel}: recording before and after", caption, gap=(0.5, 0.18))
+
+
+def _label(axes: Axes, across: str, up: str, text: str) -> None:
+    """Labels of both axes and of the panel."""
+    axes.set_xlabel(across)
+    axes.set_ylabel(up)
+    panel_label(axes, text)
 
 
 def _unit(letter: str, unit: str) -> str:
     """A unit with its prefix, in parentheses where it is made of several."""
     nice = typeset(unit)
     return f"({letter}{nice})" if letter == "" and ("/" in nice or "·" in nice) else f"{letter}{nice}"
-
-
-def _degrees(values: ComplexArray) -> FloatArray:
-    """Unwrapped phase in degrees."""
-    return np.asarray(np.degrees(np.unwrap(np.angle(values))))
-
-
-def _limits(curves: BodeCurves) -> tuple[float, float]:
-    """Limits of the gain that hold both peaks and one decade and a half below 1."""
-    top = float(np.max(np.abs(np.concatenate([curves.before, curves.after]))))
-    return 0.03, max(3.0, 1.5 * top)
-
-
-def _log_ticks(axes: Axes) -> None:
-    """Plain numbers on a logarithmic gain."""
-    axes.yaxis.set_major_locator(LogLocator(10.0, numticks=8))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.yaxis.set_minor_formatter(NullFormatter())

@@ -10,7 +10,6 @@ from markupsafe import Markup
 
 from fusion.estimation.uncertainty import DASH, rounded
 from fusion.report.numbers import measured, number
-from fusion.report.style import Picture
 from fusion.report.table import Headline, Table
 from fusion.sensor.compensate.evaluate import (
     HAND_DAMPING,
@@ -21,22 +20,15 @@ from fusion.sensor.compensate.evaluate import (
     CompensateEvaluation,
 )
 from fusion.sensor.compensate.figures import (
-    BodeCurves,
-    FilteredChannel,
-    MismatchCurve,
-    NoiseCurve,
-    PushedBall,
-    StepCurves,
     draw_bode,
     draw_channel,
-    draw_haptics,
+    draw_force_feedback,
     draw_mismatch,
     draw_noise,
-    draw_steps,
+    draw_step,
+    label,
 )
-from fusion.sensor.compensate.source import CompensatedChannel, Figures, LoadFilter, SubjectResult
-from shaker.arrays import FloatArray
-from shaker.compensation.effects import gain_band
+from fusion.sensor.compensate.source import Figures, LoadFilter, SubjectResult
 from shaker.compensation.filter import band_ratio, best_damping
 from shaker.lti.responses import LABELS, unit_of
 
@@ -110,12 +102,6 @@ def _numbers(result: SubjectResult, found: LoadFilter) -> Iterator[tuple[str, fl
         yield f"ringing_frequency_{off:+g}", float(ringing), None, "1"
     for load, ringing in zip(found.off_load, found.load_ringing, strict=True):
         yield f"ringing_load_{load:.12g}_kg", float(ringing), None, "1"
-
-
-def label(result: SubjectResult, found: LoadFilter) -> str:
-    """Channel and load."""
-    mass = "" if found.load_mass is None else f", load {result.subject.load_text(found.load_mass)}"
-    return f"{result.subject.name}{mass}"
 
 
 def headlines(evaluation: CompensateEvaluation) -> list[Headline]:
@@ -272,40 +258,26 @@ def plain(figures: Figures, name: str) -> str:
     return f"{body}{power} {unit}".strip()
 
 
-POINTS = 900
-STEP_POINTS = 3000
-STEP_PERIODS = 20.0
-DRAWN = 20_000
-
-
-def frequencies(found: LoadFilter) -> FloatArray:
-    """Frequencies (K,) in Hz of the curves of a filter: two decades below its modes to half the sampling rate."""
-    known = [*found.compensation.sensor.frequency_hz, *found.compensation.sensor.real_hz]
-    low, high = min(known) / 50.0, 0.5 * found.sections.sample_rate_hz
-    even = np.geomspace(low, min(high, 40.0 * found.compensation.target.frequency_hz), POINTS)
-    return np.unique(np.concatenate([even, *(f * (1.0 + np.linspace(-0.05, 0.05, 101)) for f in known)]))
-
-
 def page_context(evaluation: CompensateEvaluation) -> dict[str, Any]:
     """Everything the template shows."""
-    filters = [(result, found) for result in evaluation.subjects for found in result.filters]
+    filters = [(result, made) for result in evaluation.subjects for made in result.filters]
+    error, applied = evaluation.wish.permitted_error, evaluation.applied
+    mismatches = [draw_mismatch(f"mismatch-{n}", result) for n, result in enumerate(evaluation.subjects)]
     return {
         "subject": _subject(evaluation),
         "headlines": headlines(evaluation),
         "filters": filter_table(evaluation),
         "damping": damping_table(evaluation),
         "parts": [
-            (label(result, found), [_bode(result, found, evaluation, n), _step(result, found, n)], table)
-            for n, ((result, found), table) in enumerate(zip(filters, index_tables(evaluation), strict=True))
+            (label(*made), [draw_bode(f"bode-{n}", *made, error), draw_step(f"step-{n}", *made)], table)
+            for n, (made, table) in enumerate(zip(filters, index_tables(evaluation), strict=True))
         ],
-        "noise": [_noise(evaluation)],
-        "mismatch": [picture for n, result in enumerate(evaluation.subjects) for picture in _mismatch(result, n)],
+        "noise": [draw_noise(evaluation)],
+        "mismatch": [picture for picture in mismatches if picture is not None],
         "mismatches": mismatch_tables(evaluation),
-        "applied": []
-        if evaluation.applied is None
-        else [_channel(evaluation, one) for one in evaluation.applied.channels],
+        "applied": [] if applied is None else [draw_channel(applied, one) for one in applied.channels],
         "haptics": haptics_table(evaluation),
-        "haptics_pictures": _haptics(evaluation),
+        "haptics_pictures": [picture for picture in [draw_force_feedback(evaluation)] if picture is not None],
         "loop": _loop(evaluation),
     }
 
@@ -326,77 +298,6 @@ def _subject(evaluation: CompensateEvaluation) -> list[tuple[str, str]]:
     return facts
 
 
-def _bode(result: SubjectResult, found: LoadFilter, evaluation: CompensateEvaluation, number: int) -> Picture:
-    """Gain and phase before and after."""
-    design, hertz = found.compensation, frequencies(found)
-    sensor = design.sensor.system.response(hertz) / design.sensor.static_gain
-    known = design.sensor.covariance is not None
-    curves = BodeCurves(
-        title=label(result, found),
-        frequency_hz=hertz,
-        before=sensor,
-        after=sensor * design.system.response(hertz) / design.gain,
-        sampled=sensor * found.sections.response(hertz) / found.sections.gain,
-        u_gain=gain_band(design, hertz).u_gain if known else None,
-        error=evaluation.wish.permitted_error,
-        bands_hz=(found.before.indices.band_10_hz, found.after.indices.band_10_hz),
-    )
-    return draw_bode(f"bode-{number}", curves)
-
-
-def _step(result: SubjectResult, found: LoadFilter, number: int) -> Picture:
-    """A step before and after."""
-    design = found.compensation
-    time = np.linspace(0.0, STEP_PERIODS / design.target.frequency_hz, STEP_POINTS)
-    before = design.sensor.system.step(time) / design.sensor.static_gain
-    after = design.compensated.step(time) / design.compensated.static_gain
-    return draw_steps(f"step-{number}", StepCurves(label(result, found), time, before, after))
-
-
-def _noise(evaluation: CompensateEvaluation) -> Picture:
-    """What the filters do to noise."""
-    curves = []
-    for result in evaluation.subjects:
-        for found in result.filters:
-            hertz = frequencies(found)
-            gain = np.abs(found.sections.response(hertz) / found.sections.gain)
-            white = found.noise_gain / abs(found.sections.gain)
-            curves.append(NoiseCurve(label(result, found), hertz, gain, white))
-    return draw_noise("noise", curves)
-
-
-def _mismatch(result: SubjectResult, number: int) -> list[Picture]:
-    """Residual ringing over the load, or over an error of the frequency."""
-    first = result.filters[0]
-    after = f"Largest deviation from the final value from {1e3 * first.after_s:.3g} ms after a step on."
-    subject = result.subject
-    scale, unit = (1e3, "g") if subject.load_unit == "N" else (1.0, "(kg·m²)")
-    if len(first.off_load) > 1:
-        curves = [
-            MismatchCurve(
-                f"filter for {subject.load_text(one.load_mass or 0.0)}", scale * one.off_load, one.load_ringing
-            )
-            for one in result.filters
-        ]
-        return [draw_mismatch(f"mismatch-{number}", curves, f"load / {unit}", after)]
-    if not len(first.off_frequency):
-        return []
-    curves = [MismatchCurve(label(result, one), 100 * one.off_frequency, one.off_ringing) for one in result.filters]
-    return [draw_mismatch(f"mismatch-{number}", curves, "frequency of the sensor off by / %", after)]
-
-
-def _haptics(evaluation: CompensateEvaluation) -> list[Picture]:
-    """Applied and fed-back force with the filter for no load and with the own one."""
-    found = evaluation.haptics
-    if found is None:
-        return []
-    runs = [
-        PushedBall(case.name, case.run.time_s, case.run.applied, case.run.fed_back)
-        for case in (found.cases[1], found.cases[2])
-    ]
-    return [draw_haptics("haptics", runs, found.gain)]
-
-
 def _loop(evaluation: CompensateEvaluation) -> str:
     """The loop of the check in words."""
     found = evaluation.haptics
@@ -408,16 +309,3 @@ def _loop(evaluation: CompensateEvaluation) -> str:
         "pushes back with the force of the ball and K times its difference to what the sensor tells, one sample late. "
         "Tracking error: rms of applied less fed-back force over rms of the latter while the ball is touched."
     )
-
-
-def _channel(evaluation: CompensateEvaluation, channel: CompensatedChannel) -> Picture:
-    """One filtered channel, thinned out."""
-    applied = evaluation.applied
-    assert applied is not None
-    every = max(1, -(-len(channel.value) // DRAWN))
-    keep = slice(None, None, every)
-    raw, value = channel.raw - channel.raw[0], channel.value - channel.value[0]
-    shown = FilteredChannel(
-        channel.channel, channel.unit, applied.time_s[keep], raw[keep], value[keep], channel.u[keep]
-    )
-    return draw_channel(f"recording-{channel.channel}", shown)

@@ -24,7 +24,8 @@ from fusion.sensor.compensate.evaluate import (
     read_outputs,
     with_load,
 )
-from fusion.sensor.compensate.report import NumberRow, frequencies, label, page_context, printed, quantity_rows
+from fusion.sensor.compensate.figures import frequencies, label
+from fusion.sensor.compensate.report import NumberRow, page_context, printed, quantity_rows
 from fusion.sensor.compensate.source import (
     COMMAND,
     CompensatedRecording,
