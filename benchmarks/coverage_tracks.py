@@ -22,7 +22,7 @@ from coverage_statistics import HEAD, Counts
 from numpy.typing import NDArray
 
 from fusion.base import ComputeError
-from fusion.instruments import observe_channels
+from fusion.instruments.channel import observe_channels
 from fusion.phasors.channels import channel_readings, channel_results, find_channel_lines
 from fusion.phasors.stereo_motion import ImageView, StereoMotion, sensor_from_camera
 from fusion.phasors.stereo_phasors import pairs_phasors, stereo_readings

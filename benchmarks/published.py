@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 from published_figures import SweepPoint
 from scipy.optimize import least_squares
 
-from fusion.base import Settings
+from fusion.base import Settings, rounded
 from fusion.campaign.curve import ratio_curves
 from fusion.campaign.repeats import Drive, drives_of
-from fusion.estimation.uncertainty import Polar, element_covariance, polar, rounded
+from fusion.estimation.uncertainty import Polar, element_covariance, polar
 from fusion.instruments.vibrometer import PointRatios
 from fusion.phasors.stereo_phasors import StereoResult
 from fusion.recording.load import load_manifest

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from fusion.estimation.measurement_model import Observation
-from fusion.instruments import TRANSDUCERS, observe_channels
-from fusion.instruments.channel import ChainUncertainty, Reading
+from fusion.instruments import TRANSDUCERS
+from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels
 from fusion.instruments.stereo import StereoReading
 from fusion.recording.manifest import ChannelEntry, Sensor, Stereo
 from fusion.sensitivity.analyse import Inputs

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import shutil
@@ -12,7 +13,10 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 from photogram.arrays import Notice as ImageNotice
 from shaker.arrays import Notice
@@ -284,3 +288,54 @@ def progress_bar(enabled: bool) -> Iterator[ProgressCallback]:
             bars.update(tasks[stage], completed=done, total=total)
 
         yield update
+
+
+# How numbers and units are printed: to two digits of their uncertainty, with powers of ten or SI prefixes.
+
+
+LARGEST_PLAIN = 1e5
+SMALLEST_PLAIN = 1e-2
+DASH = "–"
+PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
+
+
+class Rounded(NamedTuple):
+    """A value and its expanded uncertainty as decimal texts, both times ten to the power `exponent`."""
+
+    value: str
+    expanded: str
+    exponent: int
+
+
+def rounded(value: float, expanded: float, exponent: int | None = None) -> Rounded:
+    """Return a value rounded to the second significant digit of its expanded uncertainty (GUM 7.2.6).
+
+    `exponent`: power of ten to take off, by default none for sizes from 0.01 to 100 000 and else that of the larger of
+    the two. Without a usable uncertainty the value has five significant digits and the uncertainty is a dash.
+    """
+    if not math.isfinite(value):
+        return Rounded(DASH, DASH, 0)
+    usable = math.isfinite(expanded) and expanded > 0.0
+    size = max(abs(value), expanded if usable else 0.0)
+    plain = size == 0.0 or SMALLEST_PLAIN <= size < LARGEST_PLAIN
+    power = exponent if exponent is not None else 0 if plain else math.floor(math.log10(size))
+    texts = [f"{value * 10.0**-power:.5g}", DASH]
+    if usable:
+        # A negative number of decimal places rounds to tens or hundreds.
+        decimals = 1 - int(f"{expanded * 10.0**-power:.1e}".partition("e")[2])
+        texts = [f"{round(x * 10.0**-power, decimals):.{max(decimals, 0)}f}" for x in (value, expanded)]
+    signed = texts[0].lstrip("-") if not texts[0].strip("-0.") else texts[0].replace("-", "\N{MINUS SIGN}")
+    return Rounded(signed, texts[1], power)
+
+
+def prefix(values: ArrayLike, *, coarse: bool = False) -> tuple[float, str]:
+    """Return factor and SI prefix that bring the largest size of values to a readable one (`coarse`: at least 1)."""
+    sizes = np.abs(values)
+    largest = np.max(sizes[np.isfinite(sizes)], initial=0.0) if np.any(np.isfinite(sizes)) else 1.0
+    threshold = 1.0 if coarse else 0.5
+    return next((pair for pair in PREFIXES if largest >= threshold * pair[0]), PREFIXES[-1])
+
+
+def typeset(unit: str) -> str:
+    """Return an ASCII unit of the result files as it is printed: `m/s^2` becomes `m/s²`."""
+    return unit.replace("^2", "²").replace("N.m", "N·m")

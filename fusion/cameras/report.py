@@ -12,6 +12,7 @@ from matplotlib.collections import PatchCollection
 from matplotlib.patches import Rectangle
 from matplotlib.patheffects import withStroke
 
+from fusion.base import DASH, rounded
 from fusion.cameras.facts import (
     LENGTH_SHARE,
     ROTATION,
@@ -43,7 +44,7 @@ from fusion.cameras.figures import (
     picture_panels,
     view_colours,
 )
-from fusion.estimation.uncertainty import DASH, rounded
+from fusion.report.folder import origin_frame, render_page
 from fusion.report.numbers import measured, small, times_ten
 from fusion.report.provenance import Provenance
 from fusion.report.style import (
@@ -60,8 +61,8 @@ from fusion.report.style import (
     padded,
     panel_label,
 )
-from fusion.report.tables import Headline, Table, origin_frame, render_page
-from photogram.calibration.model import CalibratedPicture, CalibratedView, Calibration, Parameter
+from fusion.report.table import Headline, Table
+from photogram.calibration.result import CalibratedPicture, CalibratedView, Calibration, Parameter
 from photogram.camera import RIG_PARAMETERS
 from photogram.geometry import vector_from_rotation
 from shaker.arrays import FloatArray

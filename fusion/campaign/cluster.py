@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 from urllib.parse import urlsplit
 
-from fusion.base import ComputeError, Crew, InputError, ProgressCallback, Settings, no_progress, remove_abandoned
+from fusion.base import ComputeError, Executor, InputError, ProgressCallback, Settings, no_progress, remove_abandoned
 from fusion.campaign.workers import Answer, call, one_blas_thread, with_one_thread
 from fusion.recording.load import load_manifest
 from fusion.report.provenance import PROGRAM, check_folder, hash_files, is_current
@@ -62,7 +62,7 @@ class Outcome:
         return self.recording.absolute().parent.name
 
 
-def run_job(job: Job, progress: ProgressCallback = no_progress, crew: Crew | None = None) -> Outcome:
+def run_job(job: Job, progress: ProgressCallback = no_progress, crew: Executor | None = None) -> Outcome:
     """Evaluate one recording unless its results are there, and write them; a crew follows its images."""
     manifest = load_manifest(job.recording, allow_outside=job.allow_outside)
     hashes = hash_files(manifest.files, manifest.root)

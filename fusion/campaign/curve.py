@@ -24,8 +24,7 @@ from fusion.campaign.repeats import (
     relative_uncertainty,
     stack_values,
 )
-from fusion.estimation.least_squares import real_design
-from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, region
+from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, real_design, region
 from fusion.sensitivity.ratio import driven_component
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape
 from shaker.labels import LOAD_COMPONENTS

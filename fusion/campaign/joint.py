@@ -31,10 +31,10 @@ from fusion.report.campaign_figures import (
     draw_campaign_outputs,
 )
 from fusion.report.csv_files import sensitivity_unit
-from fusion.report.h5 import Recorded, SensorFacts
 from fusion.report.numbers import common_exponent, fixed, measured, polar_cells, small, times_ten
+from fusion.report.recorded import Recorded, SensorFacts
 from fusion.report.style import Picture
-from fusion.report.tables import Headline, Table
+from fusion.report.table import Headline, Table
 from shaker.arrays import ComplexArray, Notice, Severity
 from shaker.labels import LOAD_COMPONENTS
 

@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import write_whole
+from fusion.base import DASH, typeset, write_whole
 from fusion.campaign.curve import Linearity
 from fusion.campaign.joint import (
     CampaignEvaluation,
@@ -30,7 +30,7 @@ from fusion.campaign.joint import (
 from fusion.campaign.matrix import CrossTalk, MatrixFit
 from fusion.campaign.matrix_solve import LEAST_SINGULAR
 from fusion.campaign.repeats import Repeats
-from fusion.estimation.uncertainty import DASH, Polar, element_covariance, polar, typeset
+from fusion.estimation.uncertainty import Polar, element_covariance, polar
 from fusion.report.campaign_figures import CrosstalkMap, ExcitationDrawing, draw_crosstalk, draw_excitation
 from fusion.report.csv_files import SENSITIVITY, SENSITIVITY_FILE, merge_tables, polar_columns, sensitivity_elements
 from fusion.report.folder import origin_frame, render_page

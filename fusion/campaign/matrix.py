@@ -20,8 +20,7 @@ from fusion.campaign.matrix_solve import (
 )
 from fusion.campaign.repeats import FREQUENCY_TOLERANCE, LOADS, Drive
 from fusion.estimation.consistency import fails
-from fusion.estimation.least_squares import real_design
-from fusion.estimation.uncertainty import Contribution, Uncertainty, merge_contributions, region
+from fusion.estimation.uncertainty import Contribution, Uncertainty, merge_contributions, real_design, region
 from fusion.sensitivity.ratio import Sensitivity
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, check_shape
 from shaker.labels import LOAD_COMPONENTS

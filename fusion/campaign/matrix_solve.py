@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from fusion.campaign.repeats import LOADS, Drive
-from fusion.estimation.least_squares import real_design
-from fusion.estimation.uncertainty import Influence, Uncertainty
+from fusion.estimation.uncertainty import Influence, Uncertainty, real_design
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from shaker.labels import LOAD_COMPONENTS
 

@@ -8,15 +8,16 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from fusion.estimation.least_squares import BODY_SIZE_M, real_design
-from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty
+from fusion.estimation.least_squares import BODY_SIZE_M
+from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, real_design
 from fusion.sensitivity.ratio import driven_component
 from shaker.arrays import ComplexArray, FloatArray, IntArray, Notice, check_shape
 from shaker.sine.phasor import real_stacked_diagonal
 
 if TYPE_CHECKING:
+    from fusion.instruments.output import Outputs
     from fusion.sensitivity.analyse import Evaluation
-    from fusion.sensitivity.load import LoadResult, Outputs
+    from fusion.sensitivity.load import LoadResult
 
 
 # One driven line of one recording as several recordings are compared: load, outputs, and which unknowns they share.

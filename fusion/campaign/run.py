@@ -12,7 +12,7 @@ from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING
 
 from fusion.base import (
-    Crew,
+    Executor,
     InputError,
     Pending,
     ProgressCallback,
@@ -20,17 +20,19 @@ from fusion.base import (
     is_interruption,
     no_progress,
     remove_abandoned,
+    rounded,
     stdout_console,
     told,
 )
 from fusion.campaign.cluster import Job, Outcome, connected, run_job
 from fusion.campaign.joint_report import write_campaign
 from fusion.campaign.workers import Workers, one_blas_thread
-from fusion.estimation.uncertainty import Polar, region_factor, rounded
+from fusion.estimation.uncertainty import Polar, region_factor
+from fusion.recording.excitation import kinds_of
 from fusion.recording.load import RECORDING_NAME, find_recordings, for_kinds
-from fusion.report.csv_files import SENSITIVITY_FILE, read_rows, row_element
+from fusion.report.csv_files import SENSITIVITY_FILE, row_element
 from fusion.report.recording import REPORT_FILE, check_campaign_folder
-from fusion.sensitivity.evaluate import EVALUATED_KINDS
+from fusion.report.table import read_rows
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -139,7 +141,7 @@ def run_path(
     recordings = find_recordings(path)
     alone = not is_campaign(path)
     if not alone:
-        recordings = for_kinds(recordings, EVALUATED_KINDS)
+        recordings = for_kinds(recordings, kinds_of("run"))
     top = (recordings[0].parent if alone else path) / "results" if output is None else output
     folders = [top] if alone else [top / recording.parent.name for recording in recordings]
     jobs = [
@@ -182,21 +184,21 @@ def _clean_end(folder: Path) -> Iterator[None]:
         remove_abandoned(folder)
 
 
-def _crew(workers: int, scheduler: str | None) -> AbstractContextManager[Crew | None]:
+def _crew(workers: int, scheduler: str | None) -> AbstractContextManager[Executor | None]:
     """Return those who compute; None is this process."""
     if scheduler is not None:
         return connected(scheduler)
     return Workers(workers) if workers > 1 else nullcontext()
 
 
-def _run_one(job: Job, crew: Crew | None, progress: ProgressCallback) -> Outcome:
+def _run_one(job: Job, crew: Executor | None, progress: ProgressCallback) -> Outcome:
     """Run a recording here; a crew follows its images, by paths that hold for a process of any working folder."""
     if crew is None:
         return run_job(job, progress)
     return replace(run_job(job.placed(), progress, crew), recording=job.recording, folder=job.folder)
 
 
-def _run_here(jobs: Sequence[Job], crew: Crew | None, progress: ProgressCallback) -> tuple[Outcome, ...]:
+def _run_here(jobs: Sequence[Job], crew: Executor | None, progress: ProgressCallback) -> tuple[Outcome, ...]:
     """Run one recording after another; what fails is kept in its outcome."""
     outcomes = []
     for done, job in enumerate(jobs):
@@ -205,7 +207,7 @@ def _run_here(jobs: Sequence[Job], crew: Crew | None, progress: ProgressCallback
     return tuple(outcomes)
 
 
-def _run_elsewhere(jobs: Sequence[Job], crew: Crew, progress: ProgressCallback) -> tuple[Outcome, ...]:
+def _run_elsewhere(jobs: Sequence[Job], crew: Executor, progress: ProgressCallback) -> tuple[Outcome, ...]:
     """Have all recordings computed by others; the outcomes are in the recordings' order, whoever was first."""
     heard: SimpleQueue[tuple[int, Pending]] = SimpleQueue()
     all_pending = [crew.submit(rank, run_job, job.placed()) for rank, job in enumerate(jobs)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
@@ -272,15 +272,10 @@ def _sum(group: Sequence[Contribution]) -> Contribution:
     return replace(group[0], covariance=covariance, dof=dof)
 
 
-# Complex numbers as magnitude and phase with uncertainty, and how numbers and units are printed.
+# Complex numbers as magnitude and phase with uncertainty.
 
 
 UNIFORM_PHASE_U = float(np.pi / np.sqrt(3.0))
-LARGEST_PLAIN = 1e5
-SMALLEST_PLAIN = 1e-2
-DASH = "–"
-PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
-PLAIN_TO_TYPESET = (("^2", "²"), ("N.m", "N·m"))
 
 
 @dataclass(frozen=True)
@@ -360,70 +355,3 @@ def _first_order(re: float, im: float, magnitude: float, covariance: FloatArray)
     across = np.array([-im, re]) / magnitude
     variance, turned = float(along @ covariance @ along), float(across @ covariance @ across)
     return float(np.sqrt(max(variance, 0.0))), min(float(np.sqrt(max(turned, 0.0))) / magnitude, UNIFORM_PHASE_U)
-
-
-class Rounded(NamedTuple):
-    """A value and its expanded uncertainty as decimal texts, both times ten to the power `exponent`."""
-
-    value: str
-    expanded: str
-    exponent: int
-
-
-def rounded(value: float, expanded: float, exponent: int | None = None) -> Rounded:
-    """Value rounded to the second significant digit of its expanded uncertainty (GUM 7.2.6).
-
-    `exponent`: power of ten to take off, by default none for sizes from 0.01 to 100 000 and else that of the larger of
-    the two. Without a usable uncertainty the value has five significant digits and the uncertainty is a dash.
-    """
-    if not np.isfinite(value):
-        return Rounded(DASH, DASH, 0)
-    usable = bool(np.isfinite(expanded)) and expanded > 0.0
-    power = _power(max(abs(value), expanded if usable else 0.0)) if exponent is None else exponent
-    scale = 10.0**-power
-    if not usable:
-        return Rounded(_signed(f"{value * scale:.5g}"), DASH, power)
-    decimals = _decimals(expanded * scale)
-    return Rounded(_signed(_places(value * scale, decimals)), _places(expanded * scale, decimals), power)
-
-
-def _places(value: float, decimals: int) -> str:
-    """Decimal text; a negative number of places rounds to tens or hundreds."""
-    return f"{round(value, decimals):.{max(decimals, 0)}f}"
-
-
-def _decimals(expanded: float) -> int:
-    """Decimal places that show two significant digits."""
-    return 1 - int(f"{expanded:.1e}".partition("e")[2])
-
-
-def _power(size: float) -> int:
-    """Power of ten that leaves one digit before the point, none where the number is readable as it is."""
-    if size == 0.0 or SMALLEST_PLAIN <= size < LARGEST_PLAIN:
-        return 0
-    return int(np.floor(np.log10(size)))
-
-
-def _signed(text: str) -> str:
-    """Typographic minus sign; no sign before zero."""
-    if text.startswith("-") and not text.strip("-0."):
-        return text[1:]
-    return text.replace("-", "\N{MINUS SIGN}")
-
-
-def prefix(values: FloatArray, *, coarse: bool = False) -> tuple[float, str]:
-    """Factor and SI prefix that bring the largest magnitude of `values` to a readable size (`coarse`: at least 1)."""
-    finite = np.abs(values[np.isfinite(values)])
-    largest = float(finite.max()) if finite.size else 1.0
-    threshold = 1.0 if coarse else 0.5
-    for factor, letter in PREFIXES:
-        if largest >= threshold * factor:
-            return factor, letter
-    return PREFIXES[-1]
-
-
-def typeset(unit: str) -> str:
-    """ASCII unit of the result files as it is printed: `m/s^2` becomes `m/s²`."""
-    for plain, nice in PLAIN_TO_TYPESET:
-        unit = unit.replace(plain, nice)
-    return unit

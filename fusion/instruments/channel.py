@@ -1,29 +1,26 @@
-"""Channels: one component of a body's motion, or one output, read through an electrical chain.
-
-What the kinds of channels share: the errors of the chain by name, the place and direction of a transducer as rows
-[d, r × d] · (jω)^n, their uncertain numbers by name, and how these are drawn.
-"""
+"""Channels as they are read through their measuring chains: errors of the chain by name, rows of the linear model."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from fusion.estimation.measurement_model import CommonError, Deviates, Kind, Observation
+from fusion.estimation.measurement_model import CommonError, Observation
 from fusion.estimation.uncertainty import Kind as ErrorType
 from fusion.estimation.uncertainty import Scope
-from photogram.geometry import rotation_from_vector
+from fusion.instruments import TRANSDUCERS
+from fusion.instruments.transducer import ChannelGeometry, chain_name, geometry_errors, placed_at, unit_direction
 from shaker.arrays import ComplexArray, FloatArray
-from shaker.sine.phasor import Phasors, derivative_factor, stack_phasors
+from shaker.sine.phasor import Phasors, stack_phasors
 
 if TYPE_CHECKING:
     from fusion.recording.manifest import ChannelEntry
 
 CLOCK_RATE = "clock rate"
-TRANSVERSE = "transverse sensitivity"
 
 # A channel with its chain: phasors, what the manifest states of them, and the relative errors that follow.
 
@@ -73,11 +70,6 @@ class Reading:
     phasors: Phasors
     chain: ChainUncertainty
     further: tuple[RelativeError, ...] = ()
-
-
-def chain_name(entry: ChannelEntry) -> str:
-    """Return the name of the instrument that a channel belongs to: its `common`, or its own name."""
-    return entry.common or entry.name
 
 
 def chain_errors(readings: Sequence[Reading]) -> tuple[RelativeError, ...]:
@@ -132,151 +124,30 @@ def clock_rate(design: ComplexArray, orders: FloatArray, clock_uncertainty: floa
     return [rate] if np.any(rate.slope != 0.0) else []
 
 
-# A transducer: what kind of motion it reads, where and along which direction.
+# The channels of one instrument as rows of the linear model.
 
 
-@dataclass(frozen=True)
-class Transducer:
-    """A kind of channel that reads one component of a body's motion; `quantity` is its name in the manifest.
+def observe_channels(
+    readings: Sequence[Reading], gravity_mps2: ArrayLike | None = None, clock_uncertainty: float = 0.0
+) -> tuple[Observation, ...]:
+    """Return the rows of all motion channels, one observation per instrument and body.
 
-    It reads (jω)^`order` times an acceleration, in `unit`, along its direction, or, `turning`, about it; one that
-    `weighs` reads d·(a - g) in body axes. `kind`: of instrument, among which a source of the fusion is chosen.
+    Row of a channel at r with direction d: [d, r × d] · {1, 1/(jω), -1/ω²} for acceleration, velocity, displacement;
+    an accelerometer reads d·(a - g) in body axes, so that its rotation part gains (d × g)/ω² when `gravity_mps2` (3,)
+    is given; a gyroscope reads d·alpha/(jω). `clock_uncertainty`: relative, of the time base.
     """
-
-    quantity: str
-    unit: str
-    kind: Kind
-    order: int
-    turning: bool = False
-    weighs: bool = False
-
-    def geometry(self, point: FloatArray, direction: FloatArray) -> FloatArray:
-        """Return [d, r × d] (..., 6) for places r and directions d (..., 3), of a turning one [0, d].
-
-        It tells what the channel can observe, whatever the frequency.
-        """
-        none = np.zeros_like(direction)
-        parts = (none, direction) if self.turning else (direction, np.cross(point, direction))
-        return np.concatenate(parts, axis=-1)
-
-    def rows(self, geometry: FloatArray, frequency_hz: FloatArray, gravity_mps2: FloatArray | None) -> ComplexArray:
-        """Return rows (..., K, 6) of the model from geometries, or changes of them, (..., 6).
-
-        What weighs tilts with the body, which adds (d × g)/ω² to its rotations.
-        """
-        rows = np.repeat(geometry[..., None, :], len(frequency_hz), axis=-2)
-        if self.weighs and gravity_mps2 is not None:
-            tilt = np.cross(geometry[..., :3], gravity_mps2)
-            rows[..., 3:] += tilt[..., None, :] / (2.0 * np.pi * frequency_hz[:, None]) ** 2
-        return np.asarray(derivative_factor(frequency_hz, self.order)[:, None] * rows)
+    groups: dict[tuple[str, str, str], list[Reading]] = {}
+    for reading in readings:
+        entry = reading.entry
+        if entry.quantity in TRANSDUCERS:
+            groups.setdefault((chain_name(entry), str(entry.body), entry.quantity), []).append(reading)
+    gravity = None if gravity_mps2 is None else np.asarray(gravity_mps2, dtype=np.float64)
+    return tuple(_observe(group, gravity, clock_uncertainty) for group in groups.values())
 
 
-def unit_direction(entry: ChannelEntry) -> FloatArray:
-    """Return the direction of a channel, normalised."""
-    direction = np.asarray(entry.direction, dtype=np.float64)
-    return np.asarray(direction / np.linalg.norm(direction))
-
-
-def placed_at(entry: ChannelEntry) -> FloatArray:
-    """Return the point of a channel; the origin where it has none, for what turns is the same everywhere."""
-    return np.zeros(3) if entry.point is None else np.asarray(entry.point, dtype=np.float64)
-
-
-def across(direction: FloatArray) -> FloatArray:
-    """Return two unit vectors (2, 3) at right angles to a direction and to each other."""
-    return np.asarray(np.linalg.svd(direction[None])[2][1:])
-
-
-def placement_name(entry: ChannelEntry, kind: str, axis: str) -> str:
-    """Return the name of an unknown of a channel's placement: with the stated place, and its direction where that errs.
-
-    `kind`: "point" (axis x, y, z), "direction" or "transverse sensitivity" (axis 0, 1 of `across`).
-    """
-    at = "" if entry.point is None else f" at ({', '.join(f'{x:.9g}' for x in entry.point)})"
-    along = "" if kind == "point" else f" along ({', '.join(f'{x:.9g}' for x in entry.direction or ())})"
-    return f"{chain_name(entry)}: {kind} {entry.name}{at}{along} {axis}"
-
-
-@dataclass(frozen=True)
-class GeometryError:
-    """One uncertain number of where or along what a channel measures: `change` (6,) of its geometry by one `u`."""
-
-    name: str
-    label: str
-    u: float
-    unit: str
-    change: FloatArray
-
-
-def geometry_errors(transducer: Transducer, entry: ChannelEntry) -> tuple[GeometryError, ...]:
-    """Return what is uncertain of a channel's place and direction, by names that hold in every recording.
-
-    A point has three coordinates; a direction errs by two small rotations; a transverse sensitivity t of unknown
-    direction is two components of t/√2 across the axis.
-    """
-    point, direction, chain = placed_at(entry), unit_direction(entry), chain_name(entry)
-    found = []
-    if not transducer.turning:
-        for axis, unit, u in zip("xyz", np.eye(3), np.broadcast_to(entry.point_uncertainty, 3).tolist(), strict=True):
-            lever = np.concatenate([np.zeros(3), np.cross(unit, direction) * u])
-            found.append(GeometryError(placement_name(entry, "point", axis), f"{chain}: point", u, "m", lever))
-    leaks = (
-        ("direction", "rad", entry.direction_uncertainty),
-        (TRANSVERSE, "1", entry.transverse_sensitivity / np.sqrt(2.0)),
-    )
-    for number, tangent in enumerate(across(direction)):
-        for kind, of_kind, u in leaks:
-            name = placement_name(entry, kind, str(number))
-            turned = u * transducer.geometry(point, tangent)
-            found.append(GeometryError(name, f"{chain}: {kind}", float(u), of_kind, turned))
-    return tuple(error for error in found if np.any(error.change != 0.0))
-
-
-@dataclass(frozen=True)
-class ChannelGeometry:
-    """Places and directions of the channels of one instrument, for the Monte Carlo run."""
-
-    transducer: Transducer
-    entries: tuple[ChannelEntry, ...]
-    frequency_hz: FloatArray
-    gravity_mps2: FloatArray | None
-
-    @property
-    def unknowns(self) -> frozenset[str]:
-        """Return the names of the unknowns that `rows` draws."""
-        return frozenset(error.name for entry in self.entries for error in geometry_errors(self.transducer, entry))
-
-    def moved(self, readings: ComplexArray, deviates: Deviates) -> ComplexArray:
-        """Return the readings as they are: another place is another row."""
-        return readings
-
-    def rows(self, design: ComplexArray, deviates: Deviates) -> ComplexArray:
-        """Return the rows (N, K, M, 6) at points moved and along axes turned by finite angles, with a leak across them.
-
-        The size of a transverse sensitivity is known and its direction is not, so its angle is uniform.
-        """
-        drawn = []
-        for entry in self.entries:
-            u = np.broadcast_to(np.asarray(entry.point_uncertainty, dtype=np.float64), (3,))
-            shift = np.stack([deviates.normal(placement_name(entry, "point", axis)) for axis in "xyz"], axis=1)
-            stated = unit_direction(entry)
-            sides = across(stated)
-            tilt = np.stack([deviates.normal(placement_name(entry, "direction", axis)) for axis in "01"], axis=1)
-            spin = np.cross(stated, entry.direction_uncertainty * tilt @ sides)
-            turned = np.einsum("nij,j->ni", rotation_from_vector(spin), stated)
-            angle = deviates.angle(placement_name(entry, TRANSVERSE, "0"))
-            leak = np.stack([np.cos(angle), np.sin(angle)], axis=1) @ sides
-            geometry = self.transducer.geometry(
-                placed_at(entry) + u * shift, np.asarray(turned + entry.transverse_sensitivity * leak)
-            )
-            drawn.append(self.transducer.rows(geometry, self.frequency_hz, self.gravity_mps2))
-        return np.stack(drawn, axis=2)
-
-
-def observe_group(
-    transducer: Transducer, readings: Sequence[Reading], gravity_mps2: FloatArray | None, clock_uncertainty: float
-) -> Observation:
+def _observe(readings: Sequence[Reading], gravity_mps2: FloatArray | None, clock_uncertainty: float) -> Observation:
     """Return rows and common errors of the channels of one instrument on one body."""
+    transducer = TRANSDUCERS[readings[0].entry.quantity]
     phasors = stack_phasors([reading.phasors for reading in readings])
     entries, frequency = tuple(reading.entry for reading in readings), phasors.frequency_hz
     geometry = np.stack([transducer.geometry(placed_at(entry), unit_direction(entry)) for entry in entries])
@@ -301,16 +172,3 @@ def observe_group(
         stated=stated,
         geometry=ChannelGeometry(transducer, entries, frequency, gravity_mps2),
     )
-
-
-def by_instrument(
-    readings: Sequence[Reading], transducers: Mapping[str, Transducer]
-) -> list[tuple[Transducer, list[Reading]]]:
-    """Return the channels that read a motion, those of one instrument on one body together."""
-    groups: dict[tuple[str, str, str], list[Reading]] = {}
-    for reading in readings:
-        entry = reading.entry
-        if entry.quantity in transducers:
-            key = (chain_name(entry), str(entry.body), entry.quantity)
-            groups.setdefault(key, []).append(reading)
-    return [(transducers[group[0].entry.quantity], group) for group in groups.values()]

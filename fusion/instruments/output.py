@@ -9,7 +9,8 @@ import numpy as np
 
 from fusion.estimation.measurement_model import Deviates
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, as_complex, real_stack
-from fusion.instruments.channel import Reading, RelativeError, chain_errors, chain_name
+from fusion.instruments.channel import Reading, RelativeError, chain_errors
+from fusion.instruments.transducer import chain_name
 from shaker.arrays import ComplexArray
 from shaker.sine.phasor import Phasors, stack_phasors
 

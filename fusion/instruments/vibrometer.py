@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fusion.estimation.measurement_model import Observation
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, real_design, real_stack
-from fusion.instruments.channel import Transducer
+from fusion.instruments.transducer import Transducer
 from shaker.arrays import ComplexArray, FloatArray, check_shape
 
 if TYPE_CHECKING:
     from fusion.estimation.fuse import Acceleration
+    from fusion.estimation.measurement_model import Observation
 
 DISPLACEMENT = Transducer("displacement", "m", "vibrometer", order=-2)
 VELOCITY = Transducer("velocity", "m/s", "vibrometer", order=-1)

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from fusion.base import AnyNotice, InputError
 from fusion.estimation.consistency import fails
 from fusion.estimation.measurement_model import Observation
-from fusion.instruments import observe_channels
-from fusion.instruments.channel import Reading, RelativeError, added_up
+from fusion.instruments.channel import Reading, RelativeError, added_up, observe_channels
 from fusion.instruments.stereo import PERIODIC, PulseExposure, StereoReading
 from fusion.phasors.channels import ChannelResult
 from fusion.phasors.setup import OpenSetUp, SetUp, line_stationarity, stationarity_notices

@@ -10,11 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from fusion.base import AnyNotice, InputError, stdout_console
-from fusion.estimation.uncertainty import rounded
+from fusion.base import AnyNotice, InputError, rounded, stdout_console
 from fusion.phasors.channels import channel_unit, line_record, lines_in
 from fusion.phasors.timing import TimeBase, tie_daqs
-from fusion.recording.files import read_takes, take_blocks, told_in
+from fusion.recording.files import read_set_ups, told_in
 from fusion.recording.load import Manifest
 from shaker.arrays import FloatArray
 from shaker.io.channel import RawChannel
@@ -93,9 +92,9 @@ def lines_of_recording(manifest: Manifest) -> LineList:
 
     Of a recording in takes these are those of the first one.
     """
-    where, block = take_blocks(manifest)[0]
+    where, block = manifest.set_ups[0]
     with told_in(block.path, where):
-        first = read_takes(block)[0]
+        first = read_set_ups(block)[0]
         manifest, base = first.manifest, tie_daqs(first.manifest, first.records)
     chosen = line_record(base)
     if chosen is None:

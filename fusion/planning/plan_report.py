@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fusion.base import stdout_console
-from fusion.estimation.uncertainty import DASH, prefix
+from fusion.base import DASH, prefix, stdout_console
 from fusion.planning.plan import Plan, Point, Size
 from shaker.arrays import FloatArray
 from shaker.lines.aliasing import CLEAR_BINS

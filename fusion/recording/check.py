@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.base import InputError
-from fusion.estimation.uncertainty import rounded
+from fusion.base import InputError, rounded
 from fusion.instruments import TRANSDUCERS
-from fusion.instruments.channel import placed_at, unit_direction
 from fusion.instruments.stereo import GEOMETRY
+from fusion.instruments.transducer import placed_at, unit_direction
 from fusion.recording.excitation import KINDS, Recorded
 from fusion.recording.files import (
     check_response,

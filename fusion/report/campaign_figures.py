@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from fusion.estimation.uncertainty import typeset
+from fusion.base import typeset
 from fusion.report.style import (
     BLACK,
     BLUE,

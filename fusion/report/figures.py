@@ -11,8 +11,9 @@ from matplotlib.patches import Ellipse
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from fusion.base import prefix, typeset
 from fusion.estimation.fuse import Acceleration
-from fusion.estimation.uncertainty import Polar, element_covariance, polar, prefix, typeset
+from fusion.estimation.uncertainty import Polar, element_covariance, polar
 from fusion.report.csv_files import sensitivity_element, sensitivity_unit
 from fusion.report.numbers import (
     acceleration,

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from markupsafe import Markup
 
+from fusion.base import DASH, prefix, rounded, typeset
 from fusion.estimation.consistency import CommonEstimate
 from fusion.estimation.fuse import REMAINING, Acceleration, untested
-from fusion.estimation.uncertainty import DASH, Polar, Uncertainty, element_covariance, polar, prefix, rounded, typeset
+from fusion.estimation.uncertainty import Polar, Uncertainty, element_covariance, polar
 from fusion.instruments.vibrometer import FEWEST_POINTS, PointRatios, PointSpread, axis_name
 from fusion.phasors.setup import LineStationarity, line_stationarity
 from fusion.phasors.timing import ClockResult

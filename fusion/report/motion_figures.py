@@ -14,7 +14,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import Colormap, LinearSegmentedColormap
 from numpy.typing import NDArray
 
-from fusion.estimation.uncertainty import prefix
+from fusion.base import prefix
 from fusion.phasors.stereo_phasors import DeflectionShape, StereoResult
 from fusion.report.signal_figures import draw_epipolar
 from fusion.report.style import (

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from markupsafe import Markup
 
+from fusion.base import DASH, rounded, typeset
 from fusion.estimation.fuse import Acceleration
-from fusion.estimation.uncertainty import DASH, Polar, Region, region_factor, rounded, typeset
+from fusion.estimation.uncertainty import Polar, Region, region_factor
 from fusion.recording.manifest import Rig
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.ratio import driven_component as driven_load

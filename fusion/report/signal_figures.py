@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 
-from fusion.estimation.uncertainty import coverage_factor, prefix, typeset
+from fusion.base import prefix, typeset
+from fusion.estimation.uncertainty import coverage_factor
 from fusion.instruments.vibrometer import PointSpread, axis_name
 from fusion.phasors.channels import ChannelResult
 from fusion.phasors.timing import ClockResult

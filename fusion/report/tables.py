@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from markupsafe import Markup
 
+from fusion.base import DASH, prefix, typeset
 from fusion.estimation.fuse import Acceleration
-from fusion.estimation.uncertainty import DASH, Polar, element_covariance, polar, prefix, typeset
+from fusion.estimation.uncertainty import Polar, element_covariance, polar
 from fusion.phasors.stereo_phasors import StereoResult
 from fusion.report.csv_files import sensitivity_element, sensitivity_unit
 from fusion.report.numbers import (

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fusion.base import AnyNotice
+from fusion.base import AnyNotice, rounded
 from fusion.estimation.uncertainty import (
     Influence,
     Polar,
@@ -19,7 +19,6 @@ from fusion.estimation.uncertainty import (
     polar,
     real_design,
     real_stack,
-    rounded,
 )
 from fusion.instruments.output import Outputs
 from fusion.instruments.vibrometer import PARALLEL, PointRatios, PointSpread

@@ -28,8 +28,8 @@ from fusion.cameras.align_manifest import (
     read_alignment,
 )
 from fusion.cli import main
-from fusion.recording.rig import Stereo
-from fusion.simulate.channels import to_toml
+from fusion.recording.manifest import Stereo
+from fusion.simulate.write import to_toml
 from photogram.calibration.file import write_calibration
 from photogram.geometry import RigidTransform, vector_from_rotation
 

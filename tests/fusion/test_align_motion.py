@@ -16,7 +16,7 @@ from alignment_factory import BODY_M, World, displaced, make_world
 from fusion.cameras.align import _axis
 from fusion.cameras.align_manifest import AxisBlock, Pair
 from fusion.cli import main
-from fusion.simulate.channels import to_toml
+from fusion.simulate.write import to_toml
 from photogram.alignment.seen import calibration_steps
 from photogram.alignment.solve import align
 from photogram.camera import triangulate

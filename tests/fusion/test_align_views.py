@@ -10,7 +10,7 @@ import pytest
 from alignment_factory import TARGET, World, make_world, target_pose
 
 from fusion.cli import main
-from fusion.simulate.channels import to_toml
+from fusion.simulate.write import to_toml
 from photogram.calibration.file import write_calibration
 from photogram.geometry import RigidTransform, vector_from_rotation
 from photogram.synthetic.board import Board, render_board

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from calibration_factory import SIZE_PX, SPACING_M, Session, make_calibration
 
-from fusion.cameras.calibrate import facts
-from photogram.calibration.model import CalibratedPicture, CalibratedView, Calibration
+from fusion.cameras import facts
+from photogram.calibration.result import CalibratedPicture, CalibratedView, Calibration
 from photogram.camera import StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector
 

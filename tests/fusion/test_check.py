@@ -16,7 +16,7 @@ from scipy import signal
 
 from fusion.base import InputError
 from fusion.instruments import TRANSDUCERS
-from fusion.instruments.channel import placed_at, unit_direction
+from fusion.instruments.transducer import placed_at, unit_direction
 from fusion.recording.check import check, observable
 from fusion.recording.files import Element, read_chain, read_response
 from fusion.recording.load import load_manifest

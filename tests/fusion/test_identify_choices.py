@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from support import edit, rows
 
 from fusion.cli import main
-from fusion.instruments import observe_channels
-from fusion.instruments.channel import ChainUncertainty, Reading
+from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels
 from fusion.recording.manifest import ChannelEntry
 from fusion.report.provenance import Provenance, write_provenance
 from fusion.sensor.identify.evaluate import evaluate_campaign

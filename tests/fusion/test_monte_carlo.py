@@ -18,8 +18,7 @@ from fusion.cli import main
 from fusion.estimation.least_squares import build_system, solve
 from fusion.estimation.measurement_model import Deviates
 from fusion.estimation.uncertainty import region_factor
-from fusion.instruments import observe_channels
-from fusion.instruments.channel import ChainUncertainty, Reading
+from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels
 from fusion.instruments.stereo import StereoReading
 from fusion.recording.manifest import ChannelEntry, Stereo
 from fusion.report.more_tables import monte_carlo_tables

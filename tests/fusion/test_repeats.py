@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from plain_drives import plain_drive, uncertainty
 from simulated_drives import CAPACITY, DriveErrors, drive_setup, simulate_drives, true_matrix
+from support import far
 
 from fusion.campaign.curve import find_linearity
 from fusion.campaign.repeats import (
@@ -21,7 +22,6 @@ from fusion.campaign.repeats import (
     group_by_frequency,
     over_lines,
 )
-from fusion.estimation.uncertainty import region_factor
 
 AnyArray = NDArray[Any]
 LOAD = np.array([3.0, 1.0, 1000.0, 0.5, 0.1, 0.2])
@@ -161,8 +161,7 @@ def test_the_mean_over_mountings_is_covered():
         (found,) = find_repeats(simulate_drives(setups, truth, DriveErrors(rng)), CAPACITY.tolist())
         error = found.value[2] - truth[2, 2]
         covariance, dof = found.uncertainty.covariance[0][np.ix_([2, 8], [2, 8])], found.uncertainty.dof()[0, 2]
-        pair = np.array([error.real, error.imag])
-        inside.append(pair @ np.linalg.solve(covariance, pair) <= region_factor(float(dof)) ** 2)
+        inside.append(far(error, covariance, dof) <= 1.0)
     assert 0.89 < np.mean(inside) <= 1.0
 
 

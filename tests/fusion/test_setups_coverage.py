@@ -28,8 +28,7 @@ from take_factory import (
 )
 
 from fusion.base import Settings
-from fusion.instruments import observe_channels
-from fusion.instruments.channel import ChainUncertainty, Reading
+from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels
 from fusion.phasors.setup import OpenSetUp
 from fusion.phasors.setups import ReferenceTie, merge_readings, reference_ties
 from fusion.recording.load import load_manifest, validate

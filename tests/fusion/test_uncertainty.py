@@ -12,20 +12,17 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy import stats
 
+from fusion.base import Rounded, prefix, rounded, typeset
 from fusion.estimation.uncertainty import (
     UNIFORM_PHASE_U,
     Contribution,
     Influence,
-    Rounded,
     Uncertainty,
     coverage_factor,
     element_covariance,
     polar,
-    prefix,
     region,
     region_factor,
-    rounded,
-    typeset,
 )
 from fusion.report.h5 import read_uncertainty, write_uncertainty
 from fusion.sensitivity.load import budget

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from decoupling_factory import DAMPING, FREQUENCY_HZ, LAG_HZ, LOADS, true_residues, true_response
 
-from shaker.decoupling.fit import ResponseFit, Responses, fit_responses
+from shaker.decoupling.responses import ResponseFit, Responses, fit_responses
 
 LINES_HZ = np.linspace(20.0, 900.0, 220)
 

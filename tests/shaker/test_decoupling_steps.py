@@ -18,8 +18,7 @@ from decoupling_factory import (
 )
 
 from shaker.decoupling.filter import Recorded, Target, crosstalks, design_decoupling, static_inverse
-from shaker.decoupling.fit import fit_steps
-from shaker.decoupling.result import MultiFit
+from shaker.decoupling.fit import MultiFit, fit_steps
 
 RELATIVE = SIZE / SIZE[:, None]
 TARGET = Target(np.full(3, 300.0), np.full(3, 0.6))

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MultipleLocator
 
-from fusion.estimation.uncertainty import prefix, typeset
+from fusion.base import prefix, typeset
 from fusion.report.style import (
     BLACK,
     BLUE,

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from markupsafe import Markup
 
-from fusion.estimation.uncertainty import DASH, rounded
+from fusion.base import DASH, rounded
 from fusion.report.numbers import measured, number
 from fusion.report.table import Headline, Table
 from fusion.sensor.compensate.evaluate import (

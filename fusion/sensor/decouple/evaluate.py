@@ -28,8 +28,8 @@ from shaker.decoupling.filter import (
 )
 from shaker.decoupling.fit import fit_steps
 from shaker.decoupling.model import MultiModel
-from shaker.decoupling.order import missing_loads
-from shaker.decoupling.result import MultiFit
+from shaker.decoupling.model import missing_loads
+from shaker.decoupling.fit import MultiFit
 from shaker.labels import LOAD_COMPONENTS
 
 # What an evaluated decoupling consists of, and what a user may choose about it.

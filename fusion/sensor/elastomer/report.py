@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 import h5py
 import numpy as np
 
-from fusion.base import ProgressCallback, no_progress
-from fusion.estimation.uncertainty import DASH, rounded
+from fusion.base import DASH, ProgressCallback, no_progress, rounded
 from fusion.report.folder import Command
 from fusion.report.h5 import write_fields, write_value
 from fusion.report.numbers import measured, signed
@@ -30,8 +29,7 @@ from fusion.sensor.elastomer.evaluate import (
 )
 from fusion.sensor.elastomer.figures import Compared, HandCurve, draw_compared, draw_hand, draw_shapes
 from shaker.arrays import FloatArray
-from shaker.elastomer.element import PlatformFit
-from shaker.elastomer.frame import NAMES
+from shaker.elastomer.frame import NAMES, PlatformFit
 from shaker.elastomer.solid import converged
 
 SPREAD = "spread"

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
-from fusion.estimation.uncertainty import typeset
+from fusion.base import typeset
 from fusion.report.style import (
     BLACK,
     BLUE,

@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from markupsafe import Markup
 
-from fusion.estimation.uncertainty import DASH, coverage_factor, rounded, typeset
+from fusion.base import DASH, rounded, typeset
+from fusion.estimation.uncertainty import coverage_factor
 from fusion.report.numbers import measured, small, times_ten
 from fusion.report.style import Picture
 from fusion.report.table import Headline, Table

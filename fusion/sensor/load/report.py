@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fusion.estimation.uncertainty import DASH, rounded, typeset
+from fusion.base import DASH, rounded, typeset
 from fusion.report.numbers import factor, measured
 from fusion.report.style import Picture
 from fusion.report.table import Column, Headline, Table, known, word

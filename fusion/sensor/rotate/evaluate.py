@@ -7,8 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fusion.base import InputError
-from fusion.estimation.uncertainty import rounded
+from fusion.base import InputError, rounded
 from fusion.recording.load import Manifest
 from fusion.report.provenance import versions
 from fusion.sensor.rotate.masses import Campaign, quantities, repeats

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 
-from fusion.estimation.uncertainty import prefix, typeset
+from fusion.base import prefix, typeset
 from fusion.report.style import (
     BLACK,
     BLUE,

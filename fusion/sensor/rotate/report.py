@@ -9,8 +9,8 @@ from typing import Any
 import h5py
 import numpy as np
 
+from fusion.base import DASH, typeset
 from fusion.campaign.repeats import BETWEEN, WITHIN
-from fusion.estimation.uncertainty import DASH, typeset
 from fusion.recording.load import load_for_command
 from fusion.report.folder import Command
 from fusion.report.h5 import write_fields, write_value

@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from markupsafe import Markup
 
-from fusion.estimation.uncertainty import DASH, coverage_factor, rounded, typeset
+from fusion.base import DASH, rounded, typeset
+from fusion.estimation.uncertainty import coverage_factor
 from fusion.report.numbers import degrees_of_freedom, factor, measured, number, short
 from fusion.report.table import Column, Headline, Table, word
 from fusion.sensor.step.records import Figure

@@ -10,8 +10,7 @@ import numpy as np
 
 from fusion.base import InputError
 from fusion.phasors.channels import channel_unit
-from fusion.phasors.timing import ClockResult
-from fusion.phasors.timing import TimeBase, tie_daqs
+from fusion.phasors.timing import ClockResult, TimeBase, tie_daqs
 from fusion.recording.files import DaqRecord, read_daqs, read_response
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry
