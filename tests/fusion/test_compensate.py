@@ -26,7 +26,7 @@ from fusion.sensor.compensate.source import Wish, read_sources
 from fusion.sensor.load.evaluate import model_text
 from fusion.sensor.models_file import MODELS_FILE, ModelEntry, ModelsFile, models_text, read_models
 from shaker.compensation.filter import CompensationFilter
-from shaker.lti.modal import ModalModel
+from shaker.lti.system import ModalModel
 from shaker.release.load_model import LoadModel
 
 RATE = 50e3

@@ -34,7 +34,7 @@ from fusion.sensor.elastomer.evaluate import (
 from fusion.simulate.statics import write_element
 from fusion.simulate.write import to_toml
 from shaker.elastomer.frame import NAMES
-from shaker.lti.modal import ModalModel
+from shaker.lti.system import ModalModel
 
 
 @pytest.fixture(scope="module")

@@ -5,20 +5,19 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import h5py
 import numpy as np
 import pytest
+from instrument_factory import channel_entry
 from numpy.typing import NDArray
 from page_outline import outline
 
 from fusion.estimation.fuse import fuse
 from fusion.estimation.measurement_model import Observation
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty
-from fusion.instruments import observe_channels
-from fusion.instruments.channel import ChainUncertainty, Reading
+from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels
 from fusion.instruments.output import Outputs, output_phasors
 from fusion.instruments.vibrometer import PointRatios, PointSpread, axis_name, point_spreads
 from fusion.report.more_tables import point_tables
@@ -44,20 +43,11 @@ BODY = Body((make_part("load", 6.9605, [0, 0, 0], np.diag([0.01] * 3), (1e-3, 0.
 SENSITIVITY = 2e-7 * np.exp(-0.1j)
 
 
-def _entry(**changes: Any) -> Any:
-    base = {
-        "name": "v", "quantity": "velocity", "body": "load", "point": (0.0, 0.0, 0.0), "point_uncertainty": (0.0,) * 3,
-        "direction": (0.0, 0.0, 1.0), "direction_uncertainty": 0.0, "scale_uncertainty": 0.0, "common": "laser",
-        "individual_uncertainty": 0.0, "transverse_sensitivity": 0.0, "delay_uncertainty": 0.0, "channel": None,
-    }  # fmt: skip
-    return SimpleNamespace(**(base | changes))
-
-
 def _reading(value: ComplexArray, sigma: float, unit: str, chain: ChainUncertainty, **entry: Any) -> Reading:
     covariance = np.repeat(sigma**2 * np.eye(2)[None], len(LINES_HZ), axis=0)
     name = str(entry["name"])
     found = Phasors(LINES_HZ, value[:, None], covariance, (name,), (unit,), np.full(len(LINES_HZ), 200.0))
-    return Reading(_entry(**entry), found, chain)
+    return Reading(channel_entry(**{"common": "laser"} | entry), found, chain)
 
 
 def lasers(
@@ -178,11 +168,8 @@ def _with_ratios(observation: Observation, u_clock_s: float = 0.0) -> tuple[Poin
 
 def test_ratios_of_the_points_are_output_over_mass_times_acceleration():
     ratios, found = _with_ratios(lasers())
-    expected = (
-        SENSITIVITY
-        * TRUTH[:, 2:3]
-        / np.array([TRUTH[:, 2] + TRUTH[:, 3] * y - TRUTH[:, 4] * x for x, y, _ in POINTS]).T
-    )
+    points = np.array([TRUTH[:, 2] + TRUTH[:, 3] * y - TRUTH[:, 4] * x for x, y, _ in POINTS]).T
+    expected = SENSITIVITY * TRUTH[:, 2:3] / points
     np.testing.assert_allclose(ratios.value, expected, rtol=1e-10)
     np.testing.assert_allclose(ratios.mean_magnitude, np.mean(np.abs(expected), axis=1), rtol=1e-12)
     np.testing.assert_allclose(ratios.magnitude_spread, np.std(np.abs(expected), axis=1, ddof=1), rtol=1e-12)

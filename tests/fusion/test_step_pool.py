@@ -19,7 +19,7 @@ from fusion.sensor.step.records import (
     weighted_mean,
 )
 from fusion.sensor.step.releases import mean_with_scatter
-from shaker.lti.modal import ModalModel
+from shaker.lti.system import ModalModel
 
 FloatArray = NDArray[np.float64]
 VECTOR = np.array([1700.0, 3000.0, 0.015, 0.02, 1.0, 2.0, -8000.0, -300.0, 6000.0, 7.0])
