@@ -1,9 +1,8 @@
 """Where the cameras stand in the sensor frame, from stills and recordings, as a block of rig.toml.
 
-Recordings of a body that moves along a known direction, or turns about a known axis → evidence.
-
-The recordings are evaluated here, not read from the results of a run: those contain the uncertainty of the pose that is
-sought, and no longer the calibration's share by its principal components, which all evidence has in common.
+The recordings, of a body that moves along a known direction or turns about a known axis, are evaluated here, not read
+from the results of a run: those contain the uncertainty of the pose that is sought, and no longer the calibration's
+share by its principal components, which all evidence has in common.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ from fusion.cameras.align_manifest import (
     read_pair,
     still_evidence,
 )
-from fusion.estimation.measurement_model import CALIBRATION
+from fusion.instruments.stereo import CALIBRATION
 from fusion.phasors.channels import find_channel_lines
 from fusion.phasors.stereo_motion import (
     StereoMotion,
@@ -51,9 +50,9 @@ from fusion.phasors.timing import TimeBase, tie_daqs
 from fusion.recording.files import read_daqs
 from fusion.recording.load import Manifest, load_manifest
 from fusion.report.provenance import sha256
-from photogram.alignment.evidence import Evidence, KnownAxis, KnownDirection, by_parameters, calibration_steps
+from photogram.alignment.evidence import Evidence, KnownAxis, KnownDirection
+from photogram.alignment.seen import by_parameters, calibration_steps, fit_axis, linear_motion
 from photogram.alignment.solve import Alignment, align
-from photogram.alignment.system import fit_axis, linear_motion
 from photogram.arrays import Notice
 from photogram.camera import StereoRig, triangulate
 from photogram.geometry import RigidTransform
@@ -61,22 +60,56 @@ from photogram.motion import RigidMotion, fit_motion
 from photogram.subsets.reference import TrackStatus
 from shaker.arrays import FloatArray
 
-# Recordings of a body that moves along a known direction, or turns about a known axis → evidence.
-
+log = logging.getLogger("shakercal")
 
 EFFECT_FRAMES = 12  # frames and subsets that show what the calibration does to an axis
 EFFECT_SUBSETS = 200
 FEWEST_SUBSETS = 6
 UNSTEADY = 4.0  # reduced chi-square of the frames against a fixed axis from which the user is told
+COVERAGE = 2.0
+EVIDENCE = (
+    ("point", "point", "points"),
+    ("face", "face", "faces"),
+    ("target_view", "target view", "target views"),
+    ("common_view", "common view", "common views"),
+    ("motion", "direction of motion", "directions of motion"),
+    ("axis", "rotation axis", "rotation axes"),
+)
 
 
-@dataclass(frozen=True, eq=False)
-class Moving:
-    """What the recordings say, the pose that the first of them states, and remarks."""
+def align_file(
+    path: Path,
+    output: Path | None,
+    settings: Settings,
+    *,
+    force: bool = False,
+    allow_outside: bool = False,
+    progress: ProgressCallback = no_progress,
+) -> str:
+    """Return the block of rig.toml that alignment.toml leads to, and write it to `output` where one is given.
 
-    evidence: tuple[Evidence, ...]
-    stated: RigidTransform | None
-    notices: tuple[AnyNotice, ...]
+    The pose of the left camera comes from all evidence that alignment.toml names. Remarks go to the log.
+    """
+    if output is not None:
+        check_new_file(output, force=force)
+    file = read_alignment(path, allow_outside)
+    pair = None if file.calibration is None else read_pair(path, file.calibration, file.scale_uncertainty)
+    evidence = [] if pair is None else still_evidence(path, file, pair)
+    moving, stated, notices = _moving_evidence(path, file, pair, settings, progress, allow_outside)
+    evidence += moving
+    if file.pose is not None:
+        evidence.append(known_pose(file.pose))
+    shown = file.pose is not None or file.target_view or file.common_view  # by which the search knows where to start
+    try:
+        alignment = align(evidence, None if shown else stated)
+    except ValueError as error:
+        raise ComputeError(f"{path}: {error}".replace("start: ", "").replace("evidence: ", "")) from error
+    for notice in (*notices, *alignment.notices):
+        log.log(logging.WARNING if notice.severity == "warning" else logging.INFO, "%s", notice.text)
+    text = pose_text(file, alignment, pair)
+    if output is not None:
+        write_whole(output, text)
+    return text
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,16 +126,16 @@ class _Recorded:
         return sensor_from_camera(self.measured.stereo)
 
 
-def moving_evidence(
+def _moving_evidence(
     path: Path,
     file: AlignmentFile,
     pair: Pair | None,
     settings: Settings,
     progress: ProgressCallback,
     allow_outside: bool,
-) -> Moving:
-    """Evaluate all recordings that alignment.toml names."""
-    found: list[Evidence] = []
+) -> tuple[list[Evidence], RigidTransform | None, list[AnyNotice]]:
+    """Evaluate all recordings that alignment.toml names; return also the pose that the first states, and remarks."""
+    evidence: list[Evidence] = []
     notices: list[AnyNotice] = []
     stated = None
     steps = 0 if pair is None else len(pair.steps)
@@ -113,12 +146,12 @@ def moving_evidence(
         manifests = [load_manifest(recording, allow_outside=allow_outside) for recording in block.recordings]
         recorded = [_record(path, key, file, manifest, settings, progress) for manifest in manifests]
         stated = recorded[0].sensor_from_camera if stated is None else stated
-        evidence, remarks = (
+        known, remarks = (
             _direction(path, block, recorded, steps) if isinstance(block, Motion) else _axis(block, recorded, pair)
         )
-        found.append(evidence)
+        evidence.append(known)
         notices += remarks
-    return Moving(tuple(found), stated, tuple(notices))
+    return evidence, stated, notices
 
 
 def _record(
@@ -277,83 +310,43 @@ def _axis_effects(item: _Recorded, pair: Pair | None, line: FloatArray) -> Float
     return np.array([turned(pair.rig.perturbed(step)) - nominal for step in pair.steps]).reshape(-1, 6)
 
 
-# The pose that was found, as a block of rig.toml.
-
-
-COVERAGE = 2.0
-EVIDENCE = (
-    ("point", "point", "points"),
-    ("face", "face", "faces"),
-    ("target_view", "target view", "target views"),
-    ("common_view", "common view", "common views"),
-    ("motion", "direction of motion", "directions of motion"),
-    ("axis", "rotation axis", "rotation axes"),
-)
-
-
-def pose_text(file: AlignmentFile, found: Alignment, pair: Pair | None) -> str:
+def pose_text(file: AlignmentFile, alignment: Alignment, pair: Pair | None) -> str:
     """Return the block in the syntax of rig.toml, with comments on its uncertainty and its origin.
 
     How the pose answers the pair's calibration is written beside `pose_uncertainty`, which contains it, so that a run,
-    in which the same calibration's errors act again, can count them once.
+    in which the same calibration's errors act again, can count them once. The calibration counts as it is stated, also
+    where this evidence would know it better, since a run does the same.
     """
     relative = file.other is not None and file.other.rotation is None
     frame = f"the left camera of {file.other.stereo}" if relative and file.other else "the sensor frame"
-    share = None if relative or pair is None else _calibration_share(found, pair)
-    u = found.u if share is None else share.u
-    held = COVERAGE * np.sqrt(np.diagonal(found.held_covariance))
+    u, answers = alignment.u, np.zeros((0, 0))
+    if pair is not None and pair.rig.covariance is not None and not relative:
+        covered = len(calibration_steps(pair.rig))
+        answers = by_parameters(alignment.by_calibration[:, :covered], pair.steps[:covered])
+        u = np.sqrt(np.diagonal(alignment.held_covariance) + (alignment.by_calibration**2).sum(axis=1))
+    held = COVERAGE * np.sqrt(np.diagonal(alignment.held_covariance))
+    blocks = [(len(getattr(file, key)), one, many) for key, one, many in EVIDENCE]
+    origin = [f"{count} {one if count == 1 else many}" for count, one, many in blocks if count]
+    origin += ["the pose known before"] if file.pose is not None else []
+    said = " and ".join([", ".join(origin[:-1]), origin[-1]] if len(origin) > 1 else origin)
     comments = [
-        f"Pose of the left camera of {file.stereo} in {frame}, from {_origin(file)}.",
+        f"Pose of the left camera of {file.stereo} in {frame}, from {said}.",
         f"U (k = 2): position {_numbers(1e3 * COVERAGE * u[:3])} mm, rotation "
         f"{_numbers(1e3 * COVERAGE * u[3:])} mrad (x, y, z).",
         f"Without the calibration's share: {_numbers(1e3 * held[:3])} mm and {_numbers(1e3 * held[3:])} mrad.",
-        f"chi2 = {found.chi2:.3g} with {found.dof} degrees of freedom.",
+        f"chi2 = {alignment.chi2:.3g} with {alignment.dof} degrees of freedom.",
     ]
-    if found.enlargement > 1.0:
-        comments.append(f"The evidence does not fit together: U is enlarged by {found.enlargement:.3g}.")
-    pose = found.sensor_from_camera
-    rows = ",\n  ".join(_list(row) for row in pose.rotation)
+    if alignment.enlargement > 1.0:
+        comments.append(f"The evidence does not fit together: U is enlarged by {alignment.enlargement:.3g}.")
+    pose = alignment.sensor_from_camera
     name = file.stereo if file.stereo.replace("_", "").replace("-", "").isalnum() else json.dumps(file.stereo)
-    header = f"[relative.{name}]" if relative else f"[stereo.{name}]"
-    lines = [*(f"# {comment}" for comment in comments), header, f"rotation = [\n  {rows}]"]
-    lines.append(f"translation = {_list(pose.translation_m)}")
-    lines.append(f"pose_uncertainty = {_list(u)}")
-    if share is not None:
-        rows = ",\n  ".join(_list(row) for row in share.by_parameters)
-        lines.append(f"pose_by_calibration = [\n  {rows}]")
+    lines = [f"# {comment}" for comment in comments]
+    lines.append(f"[relative.{name}]" if relative else f"[stereo.{name}]")
+    lines.append(f"rotation = {_rows(pose.rotation)}")
+    lines += [f"translation = {_row(pose.translation_m)}", f"pose_uncertainty = {_row(u)}"]
+    if answers.size:
+        lines.append(f"pose_by_calibration = {_rows(answers)}")
     return "\n".join(lines) + "\n"
-
-
-@dataclass(frozen=True, eq=False)
-class _Share:
-    """How a pose answers the calibration's parameters (6, 24), and its standard uncertainties (6,), all told."""
-
-    by_parameters: FloatArray
-    u: FloatArray
-
-
-def _calibration_share(found: Alignment, pair: Pair) -> _Share | None:
-    """Return the calibration's share, None without a covariance.
-
-    The calibration counts as it is stated, also where this evidence would know it better, since a run does the same.
-    """
-    covered = 0 if pair.rig.covariance is None else len(calibration_steps(pair.rig))
-    if not covered:
-        return None
-    u = np.sqrt(np.diagonal(found.held_covariance) + (found.by_calibration**2).sum(axis=1))
-    return _Share(by_parameters(found.by_calibration[:, :covered], pair.steps[:covered]), u)
-
-
-def _origin(file: AlignmentFile) -> str:
-    """Say what evidence the pose comes from."""
-    parts = []
-    for key, one, many in EVIDENCE:
-        count = len(getattr(file, key))
-        if count:
-            parts.append(f"{count} {one if count == 1 else many}")
-    if file.pose is not None:
-        parts.append("the pose known before")
-    return " and ".join([", ".join(parts[:-1]), parts[-1]] if len(parts) > 1 else parts)
 
 
 def _numbers(values: FloatArray) -> str:
@@ -361,63 +354,11 @@ def _numbers(values: FloatArray) -> str:
     return " ".join(f"{value:.2g}" for value in values)
 
 
-def _list(values: FloatArray) -> str:
+def _row(values: FloatArray) -> str:
     """A row of TOML with all digits."""
     return f"[{', '.join(repr(float(value)) for value in values)}]"
 
 
-# The command `shakercal align`: where a stereo pair's left camera stands in the sensor frame.
-
-
-log = logging.getLogger("shakercal")
-
-
-def align_file(
-    path: Path,
-    output: Path | None,
-    settings: Settings,
-    *,
-    force: bool = False,
-    allow_outside: bool = False,
-    progress: ProgressCallback = no_progress,
-) -> str:
-    """Return the block of rig.toml that alignment.toml leads to, and write it to `output` where one is given."""
-    if output is not None:
-        check_new_file(output, force=force)
-    file = read_alignment(path, allow_outside)
-    found, pair = align_cameras(path, file, settings, allow_outside=allow_outside, progress=progress)
-    text = pose_text(file, found, pair)
-    if output is not None:
-        write_whole(output, text)
-    return text
-
-
-def align_cameras(
-    path: Path,
-    file: AlignmentFile,
-    settings: Settings,
-    *,
-    allow_outside: bool = False,
-    progress: ProgressCallback = no_progress,
-) -> tuple[Alignment, Pair | None]:
-    """Return the pose of the left camera from all evidence that alignment.toml names, and the pair with its errors.
-
-    Remarks go to the log.
-    """
-    pair = None if file.calibration is None else read_pair(path, file.calibration, file.scale_uncertainty)
-    evidence = [] if pair is None else still_evidence(path, file, pair)
-    moving = moving_evidence(path, file, pair, settings, progress, allow_outside)
-    evidence += moving.evidence
-    start = None
-    if file.pose is not None:
-        known = (np.array(file.pose.rotation), np.array(file.pose.translation), np.array(file.pose.pose_uncertainty))
-        evidence.append(known_pose(*known))
-    elif not (file.target_view or file.common_view):
-        start = moving.stated
-    try:
-        found = align(evidence, start)
-    except ValueError as error:
-        raise ComputeError(f"{path}: {error}".replace("start: ", "").replace("evidence: ", "")) from error
-    for notice in (*moving.notices, *found.notices):
-        log.log(logging.WARNING if notice.severity == "warning" else logging.INFO, "%s", notice.text)
-    return found, pair
+def _rows(values: FloatArray) -> str:
+    """A matrix in TOML, a row in every line."""
+    return "[\n  " + ",\n  ".join(_row(row) for row in values) + "]"

@@ -1,10 +1,11 @@
-"""Alignment files and the stills they name."""
+"""alignment.toml as checked, typed values (the contract: the table in `docs/cameras.md`), its stills as evidence."""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -50,8 +51,6 @@ from photogram.images import read_picture
 from photogram.targets.view import Target, TargetView, find_target
 from shaker.arrays import FloatArray
 
-# alignment.toml as checked, typed values: the contract is the table in `docs/cameras.md`.
-
 
 def _size(value: Any) -> tuple[int, int]:
     """Check columns and rows of a target."""
@@ -61,6 +60,8 @@ def _size(value: Any) -> tuple[int, int]:
     return value[0], value[1]
 
 
+PIXEL_COLUMNS = ("left_x", "left_y", "right_x", "right_y")
+FEWEST_FACE_POINTS = 3
 Pixel = Annotated[tuple[float, float], BeforeValidator(vector(2))]
 Blocks = BeforeValidator(array_of_tables)
 
@@ -236,13 +237,6 @@ def read_alignment(path: Path, allow_outside: bool = False) -> AlignmentFile:
     return validate(AlignmentFile, read_toml(path), path, Context(PathScope(folder, folder, allow_outside), {}))
 
 
-# Points, faces and pictures of the target → evidence.
-
-
-PIXEL_COLUMNS = ("left_x", "left_y", "right_x", "right_y")
-FEWEST_FACE_POINTS = 3
-
-
 @dataclass(frozen=True, eq=False)
 class Pair:
     """A calibrated stereo pair and the steps (P, 24) that stand for its calibration's errors."""
@@ -269,22 +263,28 @@ def still_evidence(path: Path, file: AlignmentFile, pair: Pair) -> list[Evidence
     found: list[Evidence] = [_points(path, file.point, pair, datum)] if file.point else []
     found += [_face(path, face, pair, datum) for face in file.face]
     if file.target is not None:
-        target = _target(path, file.target)
+        stated = file.target
+        try:
+            target = Target(stated.kind, stated.spacing, stated.size, stated.dictionary)
+        except ValueError as error:
+            raise InputError.told_by(error, path, "target") from error
         found += [_views(path, view, target, pair, datum) for view in file.target_view]
         if file.other is not None and file.common_view:
             found.append(_common(path, file.common_view, file.other, target, pair))
     return found
 
 
-def known_pose(rotation: FloatArray, translation: FloatArray, u: FloatArray) -> Evidence:
-    """Return what was known of the pose before, u (6,) being those of sensor origin and rotation about it."""
-    pose = RigidTransform(rotation, translation)
+def known_pose(known: KnownPose) -> Evidence:
+    """Return what was known of the pose before, the uncertainties those of sensor origin and rotation about it."""
+    translation, u = np.array(known.translation), np.array(known.pose_uncertainty)
     moved = np.eye(6)
     moved[:3] = displacement_jacobian(translation)
     covariance = moved @ np.diag(u**2) @ moved.T
-    zero = np.zeros((1, 6, 6))
+    pose = RigidTransform(np.array(known.rotation), translation)
     own = (RigidTransform.identity(),)
-    return KnownPoses(("the pose known before",), own, zero, (pose,), covariance[None], np.zeros((0, 1, 6)))
+    return KnownPoses(
+        ("the pose known before",), own, np.zeros((1, 6, 6)), (pose,), covariance[None], np.zeros((0, 1, 6))
+    )
 
 
 def _points(path: Path, points: Sequence[Point], pair: Pair, datum: StatedFrame) -> KnownPoints:
@@ -348,46 +348,39 @@ def _pixel_table(file: Path) -> FloatArray:
     return np.array(rows).reshape(-1, len(PIXEL_COLUMNS))
 
 
-def _target(path: Path, block: TargetBlock) -> Target:
-    """Return the target of the views."""
+Seen = tuple[RigidTransform, FloatArray, FloatArray]
+"""Where a pair sees the target, with covariance and effects of the calibration."""
+
+
+def _seen(path: Path, key: str, pictures: Mapping[str, Path | None], target: Target, pair: Pair) -> Seen:
+    """Return where a pair sees the target in its left and right picture, by the names that these have in the block."""
+    size = [int(n) for n in pair.rig.left.size_px]
+    views: list[TargetView | None] = []
+    for side, picture in pictures.items():
+        if picture is None:
+            views.append(None)
+            continue
+        try:
+            image, full_scale = read_picture(picture)
+            view = find_target(image, target, picture.name, full_scale)
+        except (OSError, ValueError) as error:
+            raise InputError.told_by(error, path, f"{key}.{side}") from error
+        if list(view.size_px) != size:
+            shown = f"{picture.name} of {view.size_px[0]} x {view.size_px[1]} pixels"
+            raise InputError(path, f"{key}.{side}", shown, f"{size[0]} x {size[1]} as the calibration")
+        views.append(view)
     try:
-        return Target(block.kind, block.spacing, block.size, block.dictionary)
-    except ValueError as error:
-        raise InputError.told_by(error, path, "target") from error
-
-
-def _view(path: Path, key: str, picture: Path, target: Target, rig: StereoRig) -> TargetView:
-    """Return what one picture shows of the target."""
-    try:
-        image, full_scale = read_picture(picture)
-        view = find_target(image, target, picture.name, full_scale)
-    except (OSError, ValueError) as error:
-        raise InputError.told_by(error, path, key) from error
-    if list(view.size_px) != list(rig.left.size_px):
-        found = f"{picture.name} of {view.size_px[0]} x {view.size_px[1]} pixels"
-        raise InputError(path, key, found, f"{rig.left.size_px[0]} x {rig.left.size_px[1]} as the calibration")
-    return view
-
-
-def _seen(
-    path: Path, key: str, left: TargetView | None, right: TargetView | None, target: Target, pair: Pair
-) -> tuple[RigidTransform, FloatArray, FloatArray]:
-    """Return where a pair sees the target, with covariance and effects."""
-    try:
-        return seen_target(pair.rig, pair.steps, target, left, right)
+        return seen_target(pair.rig, pair.steps, target, *views)
     except (ValueError, np.linalg.LinAlgError) as error:
         raise InputError.told_by(error, path, key) from error
 
 
 def _views(path: Path, block: TargetViewBlock, target: Target, pair: Pair, datum: StatedFrame) -> KnownPoses:
     """Return the pictures of the target at one known pose, whose error they share."""
-    key, count = f"target_view.{block.name}", max(len(block.left), len(block.right))
-    sides: list[list[TargetView | None]] = []
-    for side, pictures in (("left", block.left), ("right", block.right)):
-        views: list[TargetView | None] = [_view(path, f"{key}.{side}", p, target, pair.rig) for p in pictures]
-        sides.append(views or [None] * count)
-    seen = [_seen(path, key, left, right, target, pair) for left, right in zip(*sides, strict=True)]
-    name, u = f"target view {block.name}", np.array(block.pose_uncertainty)
+    both = zip_longest(block.left, block.right)
+    key = f"target_view.{block.name}"
+    seen = [_seen(path, key, {"left": left, "right": right}, target, pair) for left, right in both]
+    count, name, u = len(seen), f"target view {block.name}", np.array(block.pose_uncertainty)
     kept = np.flatnonzero(u)
     return KnownPoses(
         (name,) * count,
@@ -408,16 +401,13 @@ def _common(path: Path, views: Sequence[CommonView], other: OtherPair, target: T
     if other.rotation is not None and other.translation is not None:
         placed = RigidTransform(np.array(other.rotation), np.array(other.translation))
     turn = np.kron(np.eye(2), placed.rotation)
-    own: list[tuple[RigidTransform, FloatArray, FloatArray]] = []
-    known: list[tuple[RigidTransform, FloatArray, FloatArray]] = []
+    own: list[Seen] = []
+    known: list[Seen] = []
     for view in views:
         key = f"common_view.{view.name}"
-        for seer, sides, found in (
-            (pair, (("left", view.left), ("right", view.right)), own),
-            (second, (("other_left", view.other_left), ("other_right", view.other_right)), known),
-        ):
-            left, right = (_view(path, f"{key}.{side}", picture, target, seer.rig) for side, picture in sides)
-            found.append(_seen(path, key, left, right, target, seer))
+        own.append(_seen(path, key, {"left": view.left, "right": view.right}, target, pair))
+        others = {"other_left": view.other_left, "other_right": view.other_right}
+        known.append(_seen(path, key, others, target, second))
     return KnownPoses(
         tuple(f"common view {view.name}" for view in views),
         tuple(pose for pose, _, _ in own),

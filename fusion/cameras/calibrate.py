@@ -1,4 +1,7 @@
-"""Stereo pairs from pictures of a target, or from calibrations of other programs."""
+"""Stereo pairs from pictures of a target (`shakercal cameras`) or from calibrations of other programs.
+
+`shakercal import-calibration` turns those into a calibration file of this one.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +11,15 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from fusion.base import InputError, ProgressCallback, check_new_file, no_progress, write_whole
+from fusion.base import InputError, ProgressCallback, check_new_file, no_progress, rounded, write_whole
 from fusion.cameras.facts import axes_angle_rad, baseline_m
 from fusion.cameras.report import render_camera_report
-from fusion.estimation.uncertainty import rounded
 from fusion.recording.values import natural_key
 from fusion.report.provenance import Provenance, hash_files, versions
 from photogram.calibration.bundle import ShapeKind
@@ -29,9 +32,7 @@ from photogram.calibration.start import FEWEST_VIEWS, Pair
 from photogram.images import read_picture
 from photogram.targets.view import Target, TargetNotFound, TargetView, find_target
 
-# The command `shakercal cameras`: pictures of a target → calibration file and page.
-
-
+log = logging.getLogger("shakercal")
 PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".pgm")
 MAGIC = "*?["
 
@@ -54,19 +55,20 @@ def calibrate_cameras(
     `InputError` where what remains does not allow a calibration.
     """
     pictures = [*left, *right]
-    found = _find(pictures, settings.target, progress)
-    failed = [
-        Dropped(str(path), 0, str(view))
-        for path, view in zip(pictures, found, strict=True)
-        if isinstance(view, TargetNotFound)
-    ]
-    views = [None if isinstance(view, TargetNotFound) else view for view in found]
+    views: list[TargetView | None] = []
+    failed: list[Dropped] = []
+    with ThreadPoolExecutor(max_workers=min(8, os.cpu_count() or 1)) as workers:
+        for path, view in zip(pictures, workers.map(partial(_find, settings.target), pictures), strict=True):
+            views.append(view if isinstance(view, TargetView) else None)
+            failed += [Dropped(str(path), 0, str(view))] if isinstance(view, TargetNotFound) else []
+            progress("find target", len(views), len(pictures))
     pairs: list[Pair] = list(zip(views[: len(left)], views[len(left) :], strict=True))
-    for side, paths, seen in (("left", left, views[: len(left)]), ("right", right, views[len(left) :])):
+    for side, paths, seen in zip(("left", "right"), (left, right), zip(*pairs, strict=True), strict=True):
         usable = sum(view is not None for view in seen)
         if usable < FEWEST_VIEWS:
-            found_text = f"{usable} usable of {len(paths)} {side} pictures ({_reasons(failed)})"
-            raise InputError(_folder(paths), "", found=found_text, expected=f"at least {FEWEST_VIEWS} of each camera")
+            reasons = "; ".join(f"{Path(item.name).name}: {item.reason}" for item in failed) or "no picture failed"
+            found = f"{usable} usable of {len(paths)} {side} pictures ({reasons})"
+            raise InputError(_folder(paths), "", found=found, expected=f"at least {FEWEST_VIEWS} of each camera")
     progress("adjust", 0, 1)
     try:
         calibration = calibrate_pair(pairs, settings.target, settings.shape, settings.scale_u)
@@ -81,8 +83,11 @@ def write_cameras(
 ) -> Path:
     """Write the calibration file and, beside it, its page; return the page's path."""
     page = output.with_suffix(".html")
-    told = {name: str(value) for name, value in asdict(settings.target).items() if value is not None}
-    used: dict[str, str | float | int] = {**told, "shape": str(settings.shape), "scale_uncertainty": settings.scale_u}
+    used: dict[str, str | float | int] = {
+        **{name: str(value) for name, value in asdict(settings.target).items() if value is not None},
+        "shape": str(settings.shape),
+        "scale_uncertainty": settings.scale_u,
+    }
     hashes = hash_files(pictures, _folder(pictures))
     provenance = Provenance(hashes, used, versions(), (output.name, page.name))
     text = render_camera_report(calibration, output.stem, provenance, duration_s)
@@ -133,42 +138,24 @@ def run_cameras(
 ) -> None:
     """Calibrate from the pictures that the arguments name, write calibration and page, print the summary."""
     started = time.monotonic()
-    _check_output(output, force)
+    if output.suffix != ".json":
+        raise InputError(output, "", found=output.suffix or "no suffix", expected="a name that ends in .json")
+    for path in (output, output.with_suffix(".html")):
+        check_new_file(path, force=force)
     left, right = split_pictures(arguments)
     calibration = calibrate_cameras(left, right, settings, progress)
     page = write_cameras(output, calibration, [*left, *right], settings, time.monotonic() - started)
     print_calibration(calibration, output, page)
 
 
-def _check_output(output: Path, force: bool) -> None:
-    """Refuse a place for calibration and page that is taken, or that is none."""
-    if output.suffix != ".json":
-        raise InputError(output, "", found=output.suffix or "no suffix", expected="a name that ends in .json")
-    for path in (output, output.with_suffix(".html")):
-        check_new_file(path, force=force)
-
-
-def _find(pictures: Sequence[Path], target: Target, progress: ProgressCallback) -> list[TargetView | TargetNotFound]:
-    """Return what every picture shows, two or more at a time."""
-    found: list[TargetView | TargetNotFound] = []
-    with ThreadPoolExecutor(max_workers=min(8, os.cpu_count() or 1)) as workers:
-        for view in workers.map(lambda path: _find_one(path, target), pictures):
-            found.append(view)
-            progress("find target", len(found), len(pictures))
-    return found
-
-
-def _find_one(path: Path, target: Target) -> TargetView | TargetNotFound:
+def _find(target: Target, path: Path) -> TargetView | TargetNotFound:
     """Return the target in one picture, or why there is none."""
     try:
         image, full_scale = read_picture(path)
-    except (OSError, ValueError) as error:
-        raise InputError.told_by(error, path) from error
-    try:
         return find_target(image, target, str(path), full_scale)
     except TargetNotFound as error:
         return error
-    except ValueError as error:
+    except (OSError, ValueError) as error:
         raise InputError.told_by(error, path) from error
 
 
@@ -191,21 +178,10 @@ def _folder(pictures: Sequence[Path]) -> Path:
     return Path(os.path.commonpath([path.absolute().parent for path in pictures]))
 
 
-def _reasons(failed: Sequence[Dropped]) -> str:
-    """Return why pictures failed, one after another."""
-    return "; ".join(f"{Path(item.name).name}: {item.reason}" for item in failed) or "no picture failed"
-
-
 def _with_u(value: float, u: float) -> str:
     """Return value ± U (k = 2), rounded to U."""
     text = rounded(value, 2 * u, 0)
     return f"{text.value} ± {text.expanded}"
-
-
-# The command `shakercal import-calibration`: another program's calibration → a calibration file of this one.
-
-
-log = logging.getLogger("shakercal")
 
 
 def convert_calibration(
