@@ -1,4 +1,4 @@
-"""Common poles of several outputs, from step responses and from frequency responses."""
+"""A model of all outputs over all loads from records of releases of every load: the fit and what it shows."""
 
 from __future__ import annotations
 
@@ -7,232 +7,30 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, IntArray, Notice, check_shape
-from shaker.decoupling.model import Block, MultiModel, Slope, Solution, covariances, minimise, pole_slopes
-from shaker.decoupling.order import (
+from shaker.arrays import ComplexArray, FloatArray, Notice
+from shaker.decoupling.model import MultiModel, check_separable, in_order
+from shaker.decoupling.order import Trial, by_record, chosen, lagged, needed, otherwise, shaped
+from shaker.decoupling.problem import (
     Fitted,
-    check_separable,
-    chosen,
-    fit_poles,
-    fitted_poles,
-    in_order,
-    needed,
-    otherwise,
-    response_basis,
-    shaped,
-)
-from shaker.decoupling.result import MultiFit, misfits, multi_fit
-from shaker.decoupling.steps import (
     Poles,
     Release,
-    SampleBlocks,
     Sampled,
     StepProblem,
-    averaged,
-    highest_frequency,
+    covariances,
+    fit_poles,
+    left_open,
     prepared,
-    shared_poles,
 )
+from shaker.release.poles import highest_frequency, shared_poles
 from shaker.release.reading import read_release
-from shaker.release.record import Reading, StepRecord
-
-# A model of all outputs over all loads from frequency responses, such as those of chirps and sines.
-
-
-_UNEXPLAINED = 1.5
-_WORSE = 2
-
-
-@dataclass(frozen=True)
-class Responses:
-    """Measured H (K, C, D) of outputs `channels` (C,) in `unit` over loads `components` (D,) at `frequency_hz` (K,).
-
-    `covariance` (K, C, D, 2, 2) of Re and Im of every element. Elements of one line count as independent.
-    """
-
-    channels: tuple[str, ...]
-    components: tuple[str, ...]
-    unit: str
-    frequency_hz: FloatArray
-    value: ComplexArray
-    covariance: FloatArray
-
-    def __post_init__(self) -> None:
-        shape = (len(self.frequency_hz), len(self.channels), len(self.components))
-        check_shape("value", self.value, shape)
-        check_shape("covariance", self.covariance, (*shape, 2, 2))
-
-
-@dataclass(frozen=True)
-class ResponseTrial:
-    """One number of modes that was tried: poles, sum of squares χ², χ² + ln(N)·(number of parameters)."""
-
-    modes: int
-    reals: int
-    chi_squared: float
-    criterion: float
-
-
-@dataclass(frozen=True)
-class ResponseFit:
-    """A model fitted to frequency responses: `chi_squared` with `dof` degrees of freedom, what was tried, notices."""
-
-    model: MultiModel
-    chi_squared: float
-    dof: int
-    trials: tuple[ResponseTrial, ...]
-    notices: tuple[Notice, ...]
-
-
-def fit_responses(measured: Responses, most_modes: int = 12) -> ResponseFit:
-    """Return the model with common poles of all elements, weighted by their covariance, with covariance.
-
-    Vector fitting gives the poles of 1 … `most_modes` pairs, of which some may turn out real; the number is taken with
-    the least χ² + ln(N)·P, of P parameters. Levenberg and Marquardt's steps lead to the weighted least squares, with
-    the residues projected out, and poles that are not needed then are left out. Where χ² exceeds its degrees of freedom
-    the covariance grows with it. Loads that the outputs do not tell apart are refused with their names.
-    """
-    if most_modes < 1:
-        raise ValueError(f"most_modes: expected at least 1, found {most_modes}")
-    whitener = np.linalg.inv(np.linalg.cholesky(measured.covariance))
-    trials: list[ResponseTrial] = []
-    starts: list[Poles] = []
-    for modes in range(1, most_modes + 1):
-        starts.append(_start(measured, whitener, modes))
-        trials.append(_trial(measured, whitener, starts[-1]))
-        best = int(np.argmin([trial.criterion for trial in trials]))
-        if len(trials) - 1 - best == _WORSE:
-            break
-    poles, solution = _fitted(measured, whitener, starts[best])
-    while poles.modes + len(poles.real_hz) > 1:
-        fewer = [poles.without(place) for place in range(poles.modes + len(poles.real_hz)) if _may_go(poles, place)]
-        found = [_trial(measured, whitener, one).criterion for one in fewer]
-        if not fewer or min(found) >= _trial(measured, whitener, poles).criterion:
-            break
-        poles, solution = _fitted(measured, whitener, fewer[int(np.argmin(found))])
-        trials.append(_trial(measured, whitener, poles))
-    return _result(measured, poles, solution, tuple(trials))
-
-
-def _may_go(poles: Poles, place: int) -> bool:
-    """Whether something that swings is left without a pole."""
-    return place >= poles.modes or poles.modes > 1
-
-
-def _start(measured: Responses, whitener: FloatArray, modes: int) -> Poles:
-    """Poles by vector fitting with the mean weight of Re and Im."""
-    elements = list(np.ndindex(measured.value.shape[1:]))
-    weights = [np.sqrt(np.einsum("kij,kij->k", whitener[:, c, d], whitener[:, c, d]) / 2) for c, d in elements]
-    return fitted_poles(measured.frequency_hz, [measured.value[:, c, d] for c, d in elements], weights, modes)
-
-
-def _fitted(measured: Responses, whitener: FloatArray, start: Poles) -> tuple[Poles, Solution]:
-    """Weighted least squares poles from a start."""
-
-    def blocks_at(vector: FloatArray) -> list[Block] | None:
-        poles = start.with_vector(vector)
-        return _blocks(measured, whitener, poles) if poles.allowed else None
-
-    scale = np.concatenate(
-        [1e-2 * start.frequency_hz, np.full(start.modes, 1e-2), np.maximum(0.3 * start.real_hz, 1e-3)]
-    )
-    solution = minimise(blocks_at, start.vector, scale, 60)
-    return start.with_vector(solution.parameters), solution
-
-
-def _blocks(measured: Responses, whitener: FloatArray, poles: Poles) -> list[Block]:
-    """One block of rows per element, load after load."""
-    basis, slopes = response_basis(poles, measured.frequency_hz), _slopes(poles, measured.frequency_hz)
-    found, rows = [], slice(0, 2 * len(measured.frequency_hz))
-    for d in range(len(measured.components)):
-        for c in range(len(measured.channels)):
-            own = whitener[:, c, d]
-            moved = tuple(Slope(place, rows, columns, _whitened(own, value)) for place, columns, value in slopes)
-            found.append(Block(_whitened(own, basis), _whitened(own, measured.value[:, c, d][:, None]), moved))
-    return found
-
-
-def _whitened(whitener: FloatArray, values: ComplexArray) -> FloatArray:
-    """Real rows (2K, B) of unit variance of complex columns (K, B)."""
-    pairs = np.stack([values.real, values.imag], axis=1)
-    return np.asarray((whitener @ pairs).reshape(-1, values.shape[1]))
-
-
-def _slopes(poles: Poles, frequency_hz: FloatArray) -> list[tuple[int, IntArray, ComplexArray]]:
-    """Parameter, columns and change (K, b) of the basis with every parameter of the poles."""
-    s = 2j * np.pi * frequency_hz[:, None]
-    m, found = poles.modes, []
-    upper, real = np.split(poles.values, [m])
-    for k, slope in enumerate(pole_slopes(poles.frequency_hz, poles.damping_ratio)):
-        above, below = slope / (s - upper) ** 2, slope.conj() / (s - upper.conj()) ** 2
-        for i in range(m):
-            value = np.stack([above[:, i] + below[:, i], 1j * (above[:, i] - below[:, i])], axis=1)
-            found.append((k * m + i, np.array([i, m + i]), value))
-    for q in range(len(real)):
-        found.append((2 * m + q, np.array([2 * m + q]), -2 * np.pi / (s - real[q]) ** 2))
-    return found
-
-
-def _trial(measured: Responses, whitener: FloatArray, poles: Poles) -> ResponseTrial:
-    """The entry of some poles, held as they are."""
-    parameters = poles.count * (1 + len(measured.channels) * len(measured.components))
-    basis, loss = response_basis(poles, measured.frequency_hz), 0.0
-    for c, d in np.ndindex(measured.value.shape[1:]):
-        rows = _whitened(whitener[:, c, d], basis)
-        data = _whitened(whitener[:, c, d], measured.value[:, c, d][:, None])[:, 0]
-        loss += float(np.sum((data - rows @ np.linalg.lstsq(rows, data, rcond=None)[0]) ** 2))
-    criterion = loss + float(np.log(2 * measured.value.size)) * parameters
-    return ResponseTrial(poles.modes, len(poles.real_hz), loss, criterion)
-
-
-def _result(measured: Responses, poles: Poles, solution: Solution, trials: tuple[ResponseTrial, ...]) -> ResponseFit:
-    """The model with covariance."""
-    shape = (poles.count, len(measured.components), len(measured.channels))
-    table = np.stack([own[:, 0] for own in solution.projected.coefficients], axis=1).reshape(shape).transpose(0, 2, 1)
-    re, im, real = np.split(table, [poles.modes, 2 * poles.modes])
-    model = MultiModel(
-        channels=measured.channels,
-        components=measured.components,
-        unit=measured.unit,
-        frequency_hz=poles.frequency_hz,
-        damping_ratio=poles.damping_ratio,
-        residue=re + 1j * im,
-        real_hz=poles.real_hz,
-        real_residue=real,
-    )
-    check_separable(model.static_gain, model.channels, model.components)
-    chi_squared, dof = solution.projected.loss, 2 * measured.value.size - len(model.vector)
-    excess = max(1.0, chi_squared / max(dof, 1))
-    spread, follows = covariances(solution, [np.full(1, excess)] * len(solution.blocks))
-    n = model.shared
-    rows, own = np.zeros((len(model.vector), n)), np.zeros((len(model.vector),) * 2)
-    rows[:n] = np.eye(n)
-    for i, follow in enumerate(follows):
-        here = slice(n * (1 + i), n * (2 + i))
-        rows[here] = follow[0][:, :n]
-        own[here, here] = follow[0][:, n:] @ follow[0][:, n:].T
-    notices = []
-    if excess > _UNEXPLAINED:
-        text = (
-            f"the model leaves {np.sqrt(excess):.1f} times what the covariance of the responses explains, which is in U"
-        )
-        notices.append(Notice("warning", text, "responses"))
-    if not model.stable:
-        notices.append(Notice("warning", "the model has a pole that grows", "model"))
-    model = replace(model, covariance=rows @ spread @ rows.T + own)
-    return ResponseFit(model, chi_squared, dof, trials, tuple(notices))
-
-
-# A model of all outputs over all loads from records of releases of every load.
-
+from shaker.release.record import Reading, Shape, StepRecord
+from shaker.release.response import averaged
 
 _PER_PERIOD = 6.0
 _LEAST_BLOCKS = 1200
-_DETECTED = 2.0
 _APART = 2.0
 _NEAR = 0.5
-_BEFORE, _AFTER = 0.3, 2.0
-"""Time constants of the slowest mode that the number of poles is looked for in, before and after a release."""
+_BEFORE, _AFTER = 0.3, 2.0  # time constants of the slowest mode that the number of poles is looked for in
 
 
 def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most_reals: int = 2) -> MultiFit:
@@ -246,13 +44,24 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
     readings = [_clearest(record) for record in records]
     noise = _noise(records, readings)
     problem, releases, start = _posed(records, readings, noise, components)
-    start = needed(problem, start, releases, most_modes)
-    near = _around(problem, releases, 1.0 / float(np.min(-start.values.real)))
-    found, trials = chosen(near, start, releases, most_modes, most_reals)
+    start, releases = lagged(problem, needed(problem, start, releases, most_modes), releases)
+    lasts_s = 1.0 / float(np.min(-start.values.real))
+    cut = [
+        record.cut(
+            release.middle_s - release.duration_s - _BEFORE * lasts_s,
+            release.middle_s + release.duration_s + _AFTER * lasts_s,
+        )
+        for record, release in zip(problem.records, releases, strict=True)
+    ]
+    near = replace(problem, records=tuple(cut))
+    found, trials = chosen(near, (start, releases), most_modes, most_reals)
     found = otherwise(near, found)
-    found = _settled(problem, shaped(problem, fit_poles(problem, found.poles, found.releases, calm=_NEAR)))
+    found = shaped(problem, fit_poles(problem, found.poles, found.releases, calm=_NEAR))
     again = noise * misfits(found, len(noise))
-    problem = replace(problem, records=tuple(_reweighted(record, noise / again) for record in problem.records))
+    weighted = [
+        replace(one, samples=replace(one.samples, value=one.samples.value * noise / again)) for one in problem.records
+    ]
+    problem = replace(problem, records=tuple(weighted))
     found = fit_poles(problem, found.poles, found.releases)
     return multi_fit(records, problem, found, again, tuple(trials))
 
@@ -264,10 +73,10 @@ def _checked(records: Sequence[StepRecord]) -> tuple[str, ...]:
     first = records[0]
     for record in records:
         for name in ("channels", "unit", "sample_rate_hz"):
-            if getattr(record, name) != getattr(first, name):
-                found, expected = getattr(record, name), getattr(first, name)
+            own, expected = getattr(record, name), getattr(first, name)
+            if own != expected:
                 raise ValueError(
-                    f"records: expected {name} {expected} as in {first.name}, found {found} in {record.name}"
+                    f"records: expected {name} {expected} as in {first.name}, found {own} in {record.name}"
                 )
     return in_order(record.component for record in records)
 
@@ -304,8 +113,7 @@ def _posed(
             record.name,
             record.component,
             record.amplitude,
-            prepared(record.samples, noise, size),
-            SampleBlocks(record.start_s, rate, record.samples.shape[1] // size, size),
+            prepared(record.samples, record.start_s, rate, noise, size),
         )
         for record in records
     )
@@ -317,7 +125,6 @@ def _posed(
         Release(
             reading.onset_s + reading.release_s / 2.0,
             max(reading.release_s, 1.0 / rate),
-            True,
             "smooth" if reading.shape == "smooth" else "ramp",
         )
         for reading in readings
@@ -335,23 +142,6 @@ def _offered(decays: Sequence[FloatArray], loads: Sequence[str], rate_hz: float)
     return found
 
 
-def _around(problem: StepProblem, releases: Sequence[Release], lasts_s: float) -> StepProblem:
-    """The same with records cut to what surrounds the release, by a time constant in s, for the search of poles."""
-    cut = []
-    for record, release in zip(problem.records, releases, strict=True):
-        blocks = record.blocks
-        first, last = (
-            int((release.middle_s + sign * release.duration_s + by - blocks.start_s) * blocks.rate_hz / blocks.size)
-            for sign, by in ((-1.0, -_BEFORE * lasts_s), (1.0, _AFTER * lasts_s))
-        )
-        first, last = max(0, first), min(blocks.count, last)
-        data = record.data[first:last]
-        start_s = blocks.start_s + first * blocks.size / blocks.rate_hz
-        moved = replace(blocks, start_s=start_s, count=last - first)
-        cut.append(replace(record, data=data - data.mean(axis=0), blocks=moved))
-    return replace(problem, records=tuple(cut))
-
-
 def _decay(record: StepRecord, reading: Reading) -> FloatArray:
     """Samples (C, N) after the release, less their last level."""
     end = reading.onset_s + 1.5 * reading.release_s + 2.0 / record.sample_rate_hz
@@ -359,23 +149,255 @@ def _decay(record: StepRecord, reading: Reading) -> FloatArray:
     return np.asarray(rest - rest[:, -max(8, rest.shape[1] // 5) :].mean(axis=1, keepdims=True))
 
 
-def _settled(problem: StepProblem, found: Fitted) -> Fitted:
-    """Take a release whose duration is not told from none for a step, and fit again."""
-    _, u_duration = _release_u(found)
-    releases = tuple(
-        replace(release, duration_s=0.0, free=False) if release.duration_s < _DETECTED * u else release
-        for release, u in zip(found.releases, u_duration, strict=True)
+# What was found, in the units of the records.
+
+
+_COLOURED = 2.0
+_SCATTERED = 3.0
+
+
+@dataclass(frozen=True)
+class ReleaseFit:
+    """One release: when (middle) and how long the load changed, in s with standard uncertainties, and how it went.
+
+    `gain`: size of the outputs over that of the model of all releases of its load, with `u_gain` of the noise; `misfit`
+    (C,): standard deviation of the residual of each output over its noise.
+    """
+
+    record: str
+    component: str
+    release: str
+    middle_s: float
+    u_middle_s: float
+    duration_s: float
+    u_duration_s: float
+    shape: Shape
+    gain: float
+    u_gain: float
+    misfit: FloatArray
+
+
+@dataclass(frozen=True)
+class ModeRank:
+    """Singular values of a mode's residues over their noise, and how many stand out of it.
+
+    One is a mode with one shape, which moves outputs and takes up loads in fixed shares; more are modes that coincide.
+    """
+
+    singular: FloatArray
+    rank: int
+
+
+@dataclass(frozen=True)
+class MultiFit:
+    """A model of C outputs over D loads with what it was found from.
+
+    `noise` (C,): standard deviation of one sample of every output at `sample_rate_hz`; `amplitude` (D,): the largest
+    change of each load in its records, `u_amplitude` (D,): relative, of its scale, with the scatter between releases in
+    it; `variance_accounted` (D,): 1 - |residual|²/|data|² of each load's records over all outputs in units of their
+    noise; `trials`: numbers of poles that were tried; `losses`: of the last search;
+    `ranks`: of the residues of every mode, then of every real pole.
+    """
+
+    model: MultiModel
+    noise: FloatArray
+    sample_rate_hz: float
+    amplitude: FloatArray
+    u_amplitude: FloatArray
+    releases: tuple[ReleaseFit, ...]
+    variance_accounted: FloatArray
+    trials: tuple[Trial, ...]
+    losses: tuple[float, ...]
+    ranks: tuple[ModeRank, ...]
+    notices: tuple[Notice, ...] = ()
+
+
+def multi_fit(
+    records: Sequence[StepRecord],
+    problem: StepProblem,
+    found: Fitted,
+    noise: FloatArray,
+    trials: tuple[Trial, ...],
+) -> MultiFit:
+    """Return the result of a fit in the units of the records; `noise` (C,) of a sample weighted the outputs."""
+    point, poles = found.solution.point, found.poles
+    spread, follows = covariances(point, [misfits(found, len(noise)) ** 2] * len(point.blocks), left_open(found))
+    scaled = noise / np.sqrt(problem.records[0].samples.length[0])
+    releases = _releases(problem, records, found, spread)
+    shares = np.array([_scale_share(name, records, releases) for name in problem.components])
+    whole = [poles.smooth @ own for own in point.coefficients]
+    follows = [
+        [_whole(poles, follow, own[:, c]) for c, follow in enumerate(outputs)]
+        for outputs, own in zip(follows, point.coefficients, strict=True)
+    ]
+    model = _model(records[0], problem.components, poles, whole, scaled)
+    covariance, alone = _covariance(model, spread, follows, scaled)
+    covariance += _of_scale(model, shares)
+    check_separable(model.static_gain, model.channels, model.components)
+    data = [float(np.vdot(block.data, block.data)) for block in point.blocks]
+    left = [float(np.vdot(rest, rest)) for rest in point.residuals]
+    amplitude = [max(abs(r.amplitude) for r in records if r.component == name) for name in problem.components]
+    return MultiFit(
+        model=replace(model, covariance=covariance),
+        noise=noise * misfits(found, len(noise)),
+        sample_rate_hz=records[0].sample_rate_hz,
+        amplitude=np.array(amplitude),
+        u_amplitude=shares,
+        releases=releases,
+        variance_accounted=1.0 - np.array(left) / np.array(data),
+        trials=trials,
+        losses=found.solution.losses,
+        ranks=mode_ranks(model, alone),
+        notices=_notices(model, releases, found),
     )
-    return fit_poles(problem, found.poles, releases, calm=_NEAR)
 
 
-def _release_u(found: Fitted) -> tuple[FloatArray, FloatArray]:
-    """Standard uncertainties of middle and duration of the releases for noise of unit size, none for what is fixed."""
-    spread, _ = covariances(found.solution, [np.ones(block.data.shape[1]) for block in found.solution.blocks])
-    table = np.sqrt(np.diag(spread))[found.poles.count :].reshape(-1, 2)
-    return table[:, 0], table[:, 1]
+def misfits(found: Fitted, outputs: int) -> FloatArray:
+    """Return the standard deviation of the residual of each output over its weight, all records together."""
+    rests = np.concatenate(found.solution.point.residuals)
+    free = sum(block.design.shape[1] for block in found.solution.point.blocks)
+    free += (found.poles.count + 2 * len(found.releases)) / outputs
+    return np.asarray(np.sqrt(np.sum(rests**2, axis=0) / (len(rests) - free)))
 
 
-def _reweighted(record: Sampled, factor: FloatArray) -> Sampled:
-    """A record with other noise."""
-    return replace(record, data=record.data * factor)
+def _whole(poles: Poles, follow: FloatArray, own: FloatArray) -> FloatArray:
+    """How all coefficients follow the parameters (2M + Q, P + B) from how those `own` (B,) that start smoothly do."""
+    found = poles.smooth @ follow
+    found[:, : poles.count] += (poles.smooth_slopes @ own).T
+    return np.asarray(found)
+
+
+def _model(
+    record: StepRecord,
+    components: tuple[str, ...],
+    poles: Poles,
+    coefficients: Sequence[FloatArray],
+    scaled: FloatArray,
+) -> MultiModel:
+    """The model of poles and coefficients (2M + Q, C) in units of the noise, load after load."""
+    table = np.stack(coefficients, axis=2) * scaled[:, None]
+    re, im, real = np.split(table, [poles.modes, 2 * poles.modes])
+    return MultiModel(
+        channels=record.channels,
+        components=components,
+        unit=record.unit,
+        frequency_hz=poles.frequency_hz,
+        damping_ratio=poles.damping_ratio,
+        residue=re + 1j * im,
+        real_hz=poles.real_hz,
+        real_residue=real,
+    )
+
+
+def _covariance(
+    model: MultiModel, spread: FloatArray, follows: Sequence[Sequence[FloatArray]], scaled: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Covariance of the model's vector from that of poles and releases and how the coefficients follow them.
+
+    Beside it the standard uncertainties by the noise of each element alone, 0 for the poles.
+    """
+    count, n = len(model.vector), model.shared
+    rows, own = np.zeros((count, len(spread))), np.zeros((count, count))
+    rows[:n, :n] = np.diag(np.concatenate([np.ones(2 * len(model.frequency_hz)), model.real_hz]))
+    place = n
+    for outputs in follows:
+        for follow, size in zip(outputs, scaled, strict=True):
+            here = slice(place, place + n)
+            rows[here] = size * follow[:, : len(spread)]
+            own[here, here] = size**2 * follow[:, len(spread) :] @ follow[:, len(spread) :].T
+            place += n
+    return np.asarray(rows @ spread @ rows.T + own), np.asarray(np.sqrt(np.diag(own)))
+
+
+def _of_scale(model: MultiModel, shares: FloatArray) -> FloatArray:
+    """Covariance by the relative uncertainty (D,) of each load's scale, which all residues of its column share."""
+    vector, found = model.vector, np.zeros((len(model.vector),) * 2)
+    size = model.shared * len(model.channels)
+    for d, share in enumerate(shares):
+        here = slice(model.shared + d * size, model.shared + (d + 1) * size)
+        found[here, here] = share**2 * np.outer(vector[here], vector[here])
+    return found
+
+
+def _releases(
+    problem: StepProblem, records: Sequence[StepRecord], found: Fitted, spread: FloatArray
+) -> tuple[ReleaseFit, ...]:
+    """What every record shows of its release, in the order of the records."""
+    times = np.sqrt(np.diag(spread))[found.poles.count :].reshape(-1, 2)
+    results: dict[int, ReleaseFit] = {}
+    for i, rest in by_record(problem, found):
+        data, release = problem.records[i].samples.value, found.releases[i]
+        fitted = data - rest
+        power = float(np.vdot(fitted, fitted))
+        results[i] = ReleaseFit(
+            record=problem.records[i].name,
+            component=problem.records[i].component,
+            release=records[i].release,
+            middle_s=release.middle_s,
+            u_middle_s=float(times[i, 0]),
+            duration_s=release.duration_s,
+            u_duration_s=release.duration_s * float(times[i, 1]),
+            shape=release.shape,
+            gain=float(np.vdot(data, fitted)) / power,
+            u_gain=1.0 / float(np.sqrt(power)),
+            misfit=np.asarray(np.std(rest, axis=0)),
+        )
+    return tuple(results[i] for i in range(len(problem.records)))
+
+
+def _scale_share(component: str, records: Sequence[StepRecord], releases: Sequence[ReleaseFit]) -> float:
+    """Relative standard uncertainty of a load's scale: as stated, and what its releases scatter by beyond the noise."""
+    stated = max(record.u_amplitude for record in records if record.component == component)
+    own = [release for release in releases if release.component == component]
+    if len(own) < 2:
+        return stated
+    beyond = float(np.var([release.gain for release in own], ddof=1) - np.mean([r.u_gain**2 for r in own]))
+    return float(np.hypot(stated, np.sqrt(max(0.0, beyond) / len(own))))
+
+
+def _notices(model: MultiModel, releases: Sequence[ReleaseFit], found: Fitted) -> tuple[Notice, ...]:
+    """What the user should know of the fit."""
+    told = []
+    if not found.solution.converged:
+        told.append(Notice("warning", "the fit did not come to rest: its poles may be off", "model"))
+    if not model.stable:
+        told.append(Notice("warning", "the model has a pole that grows", "model"))
+    for component in model.components:
+        own = [release for release in releases if release.component == component]
+        if len(own) < 2:
+            text = f"one release of {component}: what another would change is not in U"
+            told.append(Notice("info", text, component))
+            continue
+        spread, chance = np.std([r.gain for r in own], ddof=1), np.sqrt(np.mean([r.u_gain**2 for r in own]))
+        if spread > _SCATTERED * chance:
+            text = f"sizes of the {len(own)} releases scatter by {100 * spread:.2g} %, which is in U"
+            told.append(Notice("info", text, component))
+    for release in releases:
+        worst = int(np.argmax(release.misfit))
+        if release.misfit[worst] > _COLOURED:
+            text = (
+                f"the model leaves {release.misfit[worst]:.1f} times the noise of {model.channels[worst]}: "
+                f"the load may go otherwise than along a line or half a cosine"
+            )
+            told.append(Notice("warning", text, release.record))
+    return tuple(told)
+
+
+def mode_ranks(model: MultiModel, u: FloatArray) -> tuple[ModeRank, ...]:
+    """Return the ranks of the residues of every mode, then of every real pole; `u` (P,) of the model's vector.
+
+    Of residues over standard uncertainties that are chance the largest singular value is about √C + √D, for complex
+    ones √2 times that; one that stands out is twice that size.
+    """
+    spread = model.parts(u)
+    pairs: list[tuple[ComplexArray | FloatArray, FloatArray]] = [
+        (value, np.hypot(part.real, part.imag)) for value, part in zip(model.residue, spread.residue, strict=True)
+    ]
+    pairs += list(zip(model.real_residue, spread.real_residue, strict=True))
+    limit = 2.0 * (np.sqrt(len(model.channels)) + np.sqrt(len(model.components)))
+    found = []
+    for value, part in pairs:
+        whole, rows, columns = (np.sqrt(np.mean(part**2, axis=axis)) for axis in (None, 1, 0))
+        singular = np.linalg.svd(value * whole / np.outer(rows, columns), compute_uv=False)
+        found.append(ModeRank(singular, max(1, int(np.count_nonzero(singular > limit)))))
+    return tuple(found)

@@ -18,6 +18,8 @@ from shaker.release.record import Shape
 
 _SMALL = 1e-2  # |x| below which factors are taken from their series
 _RESTS = 40  # blocks of what comes before the release
+MOMENTS: dict[Shape, float] = {"step": 0.0, "ramp": 1.0 / 12.0, "smooth": 0.25 - 2.0 / np.pi**2}
+"""Second moment of a release about its middle over its squared length: what 1/a² of a lag adds to."""
 BLOCKS_PER_PERIOD = 12  # blocks in a period of the fastest mode: its mean over one loses 1 % of it, sinc(1/12)
 
 

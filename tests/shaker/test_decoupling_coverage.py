@@ -5,8 +5,8 @@ import pytest
 from numpy.typing import NDArray
 
 from shaker.decoupling.fit import fit_steps
-from shaker.release.response import pole_responses
 from shaker.release.record import StepRecord
+from shaker.release.response import pole_responses
 
 LOADS = ("Fx", "Fy")
 FREQUENCY_HZ, DAMPING, LAG_HZ, RATE_HZ = np.array([850.0, 1010.0]), np.array([0.02, 0.025]), 2500.0, 50e3

@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 from scipy.signal import StateSpace, cont2discrete, dlsim
 
 from shaker.decoupling.filter import DecouplingFilter, Recorded, Target, design_decoupling
-from shaker.decoupling.model import MultiModel, sampled_modes
-from shaker.decoupling.model import check_separable, in_order, missing_loads
+from shaker.decoupling.model import MultiModel, check_separable, in_order, missing_loads, sampled_modes
 
 RATE_HZ = 10e3
 TARGET = Target(np.array([300.0, 250.0]), np.array([0.6, 0.7]))

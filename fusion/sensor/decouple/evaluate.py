@@ -26,10 +26,8 @@ from shaker.decoupling.filter import (
     design_decoupling,
     static_inverse,
 )
-from shaker.decoupling.fit import fit_steps
-from shaker.decoupling.model import MultiModel
-from shaker.decoupling.model import missing_loads
-from shaker.decoupling.fit import MultiFit
+from shaker.decoupling.fit import MultiFit, fit_steps
+from shaker.decoupling.model import MultiModel, missing_loads
 from shaker.labels import LOAD_COMPONENTS
 
 # What an evaluated decoupling consists of, and what a user may choose about it.

@@ -1,0 +1,244 @@
+"""A model of all outputs over all loads from frequency responses, such as those of chirps and sines."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from shaker.arrays import ComplexArray, FloatArray, IntArray, Notice, check_shape
+from shaker.decoupling.model import MultiModel, check_separable
+from shaker.decoupling.problem import Poles, covariances, rules
+from shaker.fitting import Block, Separable, levenberg_marquardt
+
+_UNEXPLAINED = 1.5
+_WORSE = 2  # numbers of modes tried beyond the best
+
+
+@dataclass(frozen=True)
+class Responses:
+    """Measured H (K, C, D) of outputs `channels` (C,) in `unit` over loads `components` (D,) at `frequency_hz` (K,).
+
+    `covariance` (K, C, D, 2, 2) of Re and Im of every element. Elements of one line count as independent.
+    """
+
+    channels: tuple[str, ...]
+    components: tuple[str, ...]
+    unit: str
+    frequency_hz: FloatArray
+    value: ComplexArray
+    covariance: FloatArray
+
+    def __post_init__(self) -> None:
+        shape = (len(self.frequency_hz), len(self.channels), len(self.components))
+        check_shape("value", self.value, shape)
+        check_shape("covariance", self.covariance, (*shape, 2, 2))
+
+
+@dataclass(frozen=True)
+class ResponseTrial:
+    """One number of modes that was tried: poles, sum of squares χ², χ² + ln(N)·(number of parameters)."""
+
+    modes: int
+    reals: int
+    chi_squared: float
+    criterion: float
+
+
+@dataclass(frozen=True)
+class ResponseFit:
+    """A model fitted to frequency responses: `chi_squared` with `dof` degrees of freedom, what was tried, notices."""
+
+    model: MultiModel
+    chi_squared: float
+    dof: int
+    trials: tuple[ResponseTrial, ...]
+    notices: tuple[Notice, ...]
+
+
+def fit_responses(measured: Responses, most_modes: int = 12) -> ResponseFit:
+    """Return the model with common poles of all elements, weighted by their covariance, with covariance.
+
+    Vector fitting gives the poles of 1 … `most_modes` pairs, of which some may turn out real; the number is taken with
+    the least χ² + ln(N)·P, of P parameters. Levenberg and Marquardt's steps lead to the weighted least squares, with
+    the residues projected out, and poles that are not needed then are left out. Where χ² exceeds its degrees of freedom
+    the covariance grows with it. Loads that the outputs do not tell apart are refused with their names.
+    """
+    if most_modes < 1:
+        raise ValueError(f"most_modes: expected at least 1, found {most_modes}")
+    whitener = np.linalg.inv(np.linalg.cholesky(measured.covariance))
+    trials: list[ResponseTrial] = []
+    starts: list[Poles] = []
+    for modes in range(1, most_modes + 1):
+        starts.append(_start(measured, whitener, modes))
+        trials.append(_trial(measured, whitener, starts[-1]))
+        best = int(np.argmin([trial.criterion for trial in trials]))
+        if len(trials) - 1 - best == _WORSE:
+            break
+    poles, solution = _fitted(measured, whitener, starts[best])
+    while poles.modes + len(poles.real_hz) > 1:
+        first = 0 if poles.modes > 1 else 1  # something that swings stays
+        fewer = [poles.without(place) for place in range(first, poles.modes + len(poles.real_hz))]
+        found = [_trial(measured, whitener, one).criterion for one in fewer]
+        if not fewer or min(found) >= _trial(measured, whitener, poles).criterion:
+            break
+        poles, solution = _fitted(measured, whitener, fewer[int(np.argmin(found))])
+        trials.append(_trial(measured, whitener, poles))
+    return _result(measured, poles, solution, tuple(trials))
+
+
+def _start(measured: Responses, whitener: FloatArray, modes: int) -> Poles:
+    """Poles by vector fitting with the mean weight of Re and Im."""
+    elements = list(np.ndindex(measured.value.shape[1:]))
+    weights = [np.sqrt(np.einsum("kij,kij->k", whitener[:, c, d], whitener[:, c, d]) / 2) for c, d in elements]
+    return fitted_poles(measured.frequency_hz, [measured.value[:, c, d] for c, d in elements], weights, modes)
+
+
+def _fitted(measured: Responses, whitener: FloatArray, start: Poles) -> tuple[Poles, Separable]:
+    """Weighted least squares poles from a start."""
+
+    def at(vector: FloatArray) -> Separable | None:
+        poles = start.with_vector(vector)
+        return Separable(vector, tuple(_blocks(measured, whitener, poles))) if poles.allowed else None
+
+    first = at(start.vector)
+    if first is None:
+        raise ValueError(f"start: expected poles that swing and decay, found {start.vector.tolist()}")
+    point = levenberg_marquardt(at, first, rules(60, 1e-2), start.scale).point
+    return start.with_vector(point.parameters), point
+
+
+def _blocks(measured: Responses, whitener: FloatArray, poles: Poles) -> Iterator[Block]:
+    """One block of rows per element, load after load."""
+    s, basis = 2j * np.pi * measured.frequency_hz[:, None], response_basis(poles, measured.frequency_hz)
+    which, slope = poles.slopes
+    m, count = poles.modes, poles.count
+    above, below = slope / (s - poles.values[which]) ** 2, slope.conj() / (s - poles.values[which].conj()) ** 2
+    below[:, 2 * m :] = 0.0
+    for d, c in np.ndindex(measured.value.shape[:0:-1]):
+        weight = whitener[:, c, d]
+
+        def changes(own: FloatArray, weight: FloatArray = weight) -> tuple[IntArray, FloatArray]:
+            residue = np.concatenate([own[:m, 0] + 1j * own[m : 2 * m, 0], own[2 * m :, 0]])[which]
+            return np.arange(count), _whitened(weight, above * residue + below * residue.conj())[:, :, None]
+
+        yield Block(_whitened(weight, basis), _whitened(weight, measured.value[:, c, d][:, None]), changes)
+
+
+def _whitened(whitener: FloatArray, values: ComplexArray) -> FloatArray:
+    """Real rows (2K, B) of unit variance of complex columns (K, B)."""
+    pairs = np.stack([values.real, values.imag], axis=1)
+    return np.asarray((whitener @ pairs).reshape(-1, values.shape[1]))
+
+
+def _trial(measured: Responses, whitener: FloatArray, poles: Poles) -> ResponseTrial:
+    """The entry of some poles, held as they are."""
+    parameters = poles.count * (1 + len(measured.channels) * len(measured.components))
+    basis, loss = response_basis(poles, measured.frequency_hz), 0.0
+    for c, d in np.ndindex(measured.value.shape[1:]):
+        rows = _whitened(whitener[:, c, d], basis)
+        data = _whitened(whitener[:, c, d], measured.value[:, c, d][:, None])[:, 0]
+        loss += float(np.sum((data - rows @ np.linalg.lstsq(rows, data, rcond=None)[0]) ** 2))
+    criterion = loss + float(np.log(2 * measured.value.size)) * parameters
+    return ResponseTrial(poles.modes, len(poles.real_hz), loss, criterion)
+
+
+def _result(measured: Responses, poles: Poles, solution: Separable, trials: tuple[ResponseTrial, ...]) -> ResponseFit:
+    """The model with covariance."""
+    shape = (poles.count, len(measured.components), len(measured.channels))
+    table = np.stack([own[:, 0] for own in solution.coefficients], axis=1).reshape(shape).transpose(0, 2, 1)
+    re, im, real = np.split(table, [poles.modes, 2 * poles.modes])
+    model = MultiModel(
+        channels=measured.channels,
+        components=measured.components,
+        unit=measured.unit,
+        frequency_hz=poles.frequency_hz,
+        damping_ratio=poles.damping_ratio,
+        residue=re + 1j * im,
+        real_hz=poles.real_hz,
+        real_residue=real,
+    )
+    check_separable(model.static_gain, model.channels, model.components)
+    chi_squared, dof = solution.loss, 2 * measured.value.size - len(model.vector)
+    excess = max(1.0, chi_squared / max(dof, 1))
+    known = np.zeros(len(solution.parameters))
+    spread, follows = covariances(solution, [np.full(1, excess)] * len(solution.blocks), known)
+    n = model.shared
+    rows, own = np.zeros((len(model.vector), n)), np.zeros((len(model.vector),) * 2)
+    rows[:n] = np.diag(np.concatenate([np.ones(2 * poles.modes), poles.real_hz]))
+    for i, follow in enumerate(follows):
+        here = slice(n * (1 + i), n * (2 + i))
+        rows[here] = follow[0][:, :n]
+        own[here, here] = follow[0][:, n:] @ follow[0][:, n:].T
+    notices = []
+    if excess > _UNEXPLAINED:
+        text = (
+            f"the model leaves {np.sqrt(excess):.1f} times what the covariance of the responses explains, which is in U"
+        )
+        notices.append(Notice("warning", text, "responses"))
+    if not model.stable:
+        notices.append(Notice("warning", "the model has a pole that grows", "model"))
+    model = replace(model, covariance=rows @ spread @ rows.T + own)
+    return ResponseFit(model, chi_squared, dof, trials, tuple(notices))
+
+
+# Common poles of many frequency responses by vector fitting, as a start for least squares.
+
+
+_ROUNDS = 12
+_START_DAMPING = 0.01
+
+
+def response_basis(poles: Poles, frequency_hz: FloatArray) -> ComplexArray:
+    """Return what Re and Im of the residues and the real residues multiply, (K, 2M + Q), at frequencies (K,) in Hz."""
+    s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[:, None]
+    upper, real = np.split(poles.values, [poles.modes])
+    above, below = 1 / (s - upper), 1 / (s - upper.conj())
+    return np.concatenate([above + below, 1j * (above - below), 1 / (s - real)], axis=1)
+
+
+def fitted_poles(
+    frequency_hz: FloatArray, responses: Sequence[ComplexArray], weights: Sequence[FloatArray], modes: int
+) -> Poles:
+    """Return poles that responses (K,) with weights (K,) share, `modes` pairs to start with.
+
+    h·σ = Σ r/(s - a), σ = 1 + Σ d/(s - a) is linear in r and d, and the zeros of σ are better poles than a; repeated
+    (Gustavsen and Semlyen, IEEE Trans. Power Delivery 14 (1999) 1052), with r eliminated response by response
+    (Deschrijver and others, IEEE Microw. Wirel. Compon. Lett. 18 (2008) 383). Poles that would grow are reflected.
+    """
+    low, high = float(np.min(frequency_hz[frequency_hz > 0])), float(np.max(frequency_hz))
+    inside = np.linspace(low, high, modes + 2)[1:-1]
+    poles = Poles(inside, np.full(modes, _START_DAMPING), np.zeros(0))
+    for _ in range(_ROUNDS):
+        unit = 1.0 / np.linalg.norm(response_basis(poles, frequency_hz), axis=0)
+        basis = response_basis(poles, frequency_hz) * unit
+        rows, right = [], []
+        for response, weight in zip(responses, weights, strict=True):
+            both = np.concatenate([basis, -response[:, None] * basis, response[:, None]], axis=1) * weight[:, None]
+            _, triangle = np.linalg.qr(np.concatenate([both.real, both.imag]))
+            kept = triangle[poles.count : 2 * poles.count]
+            rows.append(kept[:, poles.count : -1])
+            right.append(kept[:, -1])
+        own = np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=None)[0] * unit
+        poles = _zeros(poles, own)
+    return poles
+
+
+def _zeros(poles: Poles, own: FloatArray) -> Poles:
+    """Zeros of 1 + Σ d/(s - a) in the left half plane: eigenvalues of diag(a) - 1·d in real form."""
+    m, q = poles.modes, len(poles.real_hz)
+    upper, real = np.split(poles.values, [m])
+    size = 2 * m + q
+    table, ones = np.zeros((size, size)), np.zeros(size)
+    for i, pole in enumerate(upper):
+        table[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = [[pole.real, pole.imag], [-pole.imag, pole.real]]
+        ones[2 * i] = 2.0
+    table[2 * m :, 2 * m :] = np.diag(real.real)
+    ones[2 * m :] = 1.0
+    row = np.concatenate([np.stack([own[:m], own[m : 2 * m]], axis=1).ravel(), own[2 * m :]])
+    found = np.linalg.eigvals(table - np.outer(ones, row))
+    pairs = found[found.imag > 1e-9 * np.abs(found)]
+    alone = np.abs(found[np.abs(found.imag) <= 1e-9 * np.abs(found)].real)
+    damping = np.clip(np.abs(pairs.real) / np.abs(pairs), 1e-5, 0.69)
+    return Poles(np.abs(pairs) / (2 * np.pi), damping, np.maximum(alone, 1e-3) / (2 * np.pi))
