@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 
 from shaker.identification.fit import Identification, identify
 from shaker.identification.measured import InertiaError, MeasuredSensitivity, MeasuredTransfer, Placement, RelativeError
-from shaker.identification.sensitivity import SpringPrior
-from shaker.identification.sensor import SensitivityComparison, fit_sensitivity
+from shaker.identification.sensitivity import SensitivityComparison, SpringPrior, fit_sensitivity
 from shaker.identification.structures import Suspension
 from shaker.sine.phasor import Phasors
 

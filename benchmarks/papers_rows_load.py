@@ -12,8 +12,7 @@ from scipy.optimize import brentq
 
 from shaker.compensation.effects import residual_ringing
 from shaker.compensation.filter import Compensation, Target, best_damping, loaded_dynamics, single_mode
-from shaker.lti.indices import indices
-from shaker.lti.responses import Indices
+from shaker.lti.indices import Indices, indices
 from shaker.lti.system import LinearSystem
 from shaker.mechanics import shared_spring
 from shaker.release.load_fit import SeriesMasses, fit_resonances

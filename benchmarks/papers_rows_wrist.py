@@ -15,8 +15,7 @@ from fusion.sensor.elastomer.evaluate import Column, spread
 from shaker.compensation.filter import band_ratio, single_mode
 from shaker.elastomer.frame import platform_family
 from shaker.elastomer.geometry import PublishedStatics, beam_stiffness, guided_stiffness
-from shaker.lti.indices import indices
-from shaker.lti.responses import Indices, Mode
+from shaker.lti.indices import Indices, Mode, indices
 from shaker.mechanics import MassChain, oscillator_hz, required_stiffness
 from shaker.release.fit import fit_step
 from shaker.release.record import StepRecord

@@ -25,10 +25,8 @@ from photogram.images import open_sequence
 from photogram.motion import fit_motion
 from photogram.subsets.reference import TrackStatus
 from photogram.subsets.track import TrackSettings, match_stereo, track_sequence, track_stereo
-from shaker.identification.correction import correct_record, usable_band
 from shaker.identification.oscillator import Resonance, fit_resonance
-from shaker.identification.sensitivity import NO_CHAIN, Chain
-from shaker.identification.sensor import Load, SensorModel
+from shaker.identification.sensor import NO_CHAIN, Chain, Load, SensorModel, correct_record, usable_band
 from shaker.io.read import read_channels
 from shaker.lines.frequencies import find_lines
 from shaker.sine.fit import fit_sines

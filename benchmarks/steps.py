@@ -22,8 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from shaker.lti.modal import ModalModel
-from shaker.lti.system import LinearSystem
+from shaker.lti.system import LinearSystem, ModalModel
 from shaker.release.fit import METHODS, compare, fit_step
 from shaker.release.reading import read_release
 from shaker.release.record import StepRecord

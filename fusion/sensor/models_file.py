@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from fusion.base import InputError
-from shaker.lti.modal import ModalModel
+from shaker.lti.system import ModalModel
 
 FORMAT = 1
 MODELS_FILE = "models.json"

@@ -27,7 +27,7 @@ from fusion.simulate.write import (
 )
 from shaker.arrays import FloatArray
 from shaker.labels import LOAD_COMPONENTS
-from shaker.lti.modal import ModalModel
+from shaker.lti.system import ModalModel
 from shaker.release.load_model import LoadModel
 from shaker.release.response import pole_responses
 

@@ -28,7 +28,7 @@ from shaker.arrays import FloatArray
 from shaker.elastomer.frame import NAMES, block, solve_frame
 from shaker.elastomer.geometry import CrossBeams, Material
 from shaker.labels import LOAD_COMPONENTS
-from shaker.lti.modal import ModalModel
+from shaker.lti.system import ModalModel
 from shaker.static_rotation.harmonics import air_density_at, gravity_at
 
 TABLE_FILE = "readings.csv"

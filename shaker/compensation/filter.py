@@ -9,8 +9,7 @@ import numpy as np
 
 from shaker.arrays import ComplexArray, FloatArray, IntArray, check_shape
 from shaker.lti.indices import step_shares
-from shaker.lti.modal import ModalModel
-from shaker.lti.system import LinearSystem
+from shaker.lti.system import LinearSystem, ModalModel
 from shaker.release.load_model import LoadModel
 
 # What a compensation filter takes out of a sensor: modes, real poles and static gain, with covariance.

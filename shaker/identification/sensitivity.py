@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, check_shape
-from shaker.identification.measured import MeasuredSensitivity, NamedUnknown, ParameterEstimate
+from shaker.arrays import ComplexArray, FloatArray, Notice, check_shape
+from shaker.identification.measured import MeasuredSensitivity, NamedUnknown, ParameterEstimate, whitening_of
+from shaker.identification.sensor import CHAIN_PARAMETERS, Chain, ChainKind, SensorModel
+from shaker.mechanics import laplace
 
 
 @dataclass(frozen=True)
@@ -52,116 +54,9 @@ class SpringPrior:
         return float(np.sqrt(self.time_slope @ self.covariance @ self.time_slope))
 
 
-# Shapes that a measuring chain can give the sensitivity: delay, lag, low-pass of second order.
-
-
-ChainKind = Literal["none", "delay", "lag", "butterworth", "second_order", "delay_lag"]
-
-CHAIN_PARAMETERS: dict[ChainKind, tuple[str, ...]] = {
-    "none": (),
-    "delay": ("delay_s",),
-    "lag": ("lag_s",),
-    "butterworth": ("lag_s",),
-    "second_order": ("lag_s", "square_s2"),
-    "delay_lag": ("delay_s", "lag_s"),
-}
-"""Names of the parameters of each shape, in their order."""
-
-
-@dataclass(frozen=True)
-class Chain:
-    """exp(−sD) / (1 + a₁s + a₂s²), s = jω, with the terms that `kind` has.
-
-    `parameters` (P,) in the order of `CHAIN_PARAMETERS`: D `delay_s`, a₁ `lag_s`, a₂ `square_s2`. A low-pass of
-    second order has a₁ = 2ζ/ω_c and a₂ = 1/ω_c²; a Butterworth filter a₂ = a₁²/2.
-    """
-
-    kind: ChainKind
-    parameters: FloatArray
-
-    def __post_init__(self) -> None:
-        check_shape("parameters", self.parameters, (len(self.names),))
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the parameters."""
-        return CHAIN_PARAMETERS[self.kind]
-
-    @property
-    def delay_s(self) -> float:
-        """Pure delay D."""
-        return self._value("delay_s")
-
-    @property
-    def lag_s(self) -> float:
-        """a₁ = 2ζ/ω_c: the delay of the low-pass at low frequencies."""
-        return self._value("lag_s")
-
-    @property
-    def square_s2(self) -> float:
-        """a₂ = 1/ω_c²."""
-        return 0.5 * self.lag_s**2 if self.kind == "butterworth" else self._value("square_s2")
-
-    def response(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return the response (K,) at frequencies in Hz."""
-        s = laplace(frequency_hz)
-        return np.asarray(np.exp(-s * self.delay_s) / self._divisor(s))
-
-    def log_slopes(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return the derivatives (K, P) of the logarithm of the response by the parameters."""
-        s = laplace(frequency_hz)
-        divisor = self._divisor(s)
-        by_lag = -s * (1.0 + s * self.lag_s) if self.kind == "butterworth" else -s
-        columns = {"delay_s": -s, "lag_s": by_lag / divisor, "square_s2": -s * s / divisor}
-        slopes = np.empty((len(s), len(self.names)), dtype=np.complex128)
-        for place, name in enumerate(self.names):
-            slopes[:, place] = columns[name]
-        return slopes
-
-    def log_frequency_slope(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return the derivative (K,) of the logarithm of the response by the frequency, in 1/Hz."""
-        s = laplace(frequency_hz)
-        by_s = -self.delay_s - (self.lag_s + 2.0 * self.square_s2 * s) / self._divisor(s)
-        return np.asarray(2j * np.pi * by_s)
-
-    def corner(self, covariance: FloatArray) -> tuple[tuple[float, float], tuple[float, float]] | None:
-        """Return (f_c, u) in Hz and (ζ, u) of a low-pass from the covariance (P, P) of its parameters.
-
-        f_c = 1/(2π√a₂), ζ = a₁/(2√a₂); None where the chain has no low-pass of second order (a₂ ≤ 0).
-        """
-        if self.kind not in {"butterworth", "second_order"} or not self.square_s2 > 0.0:
-            return None
-        root = float(np.sqrt(self.square_s2))
-        frequency, damping = 1.0 / (2.0 * np.pi * root), 0.5 * self.lag_s / root
-        if self.kind == "butterworth":
-            slopes = np.array([[-frequency / self.lag_s], [0.0]])
-        else:
-            slopes = np.array([[0.0, -0.5 * frequency], [0.5 * self.square_s2 / root, -0.5 * damping]]) / self.square_s2
-        u = np.sqrt(np.maximum((slopes @ covariance @ slopes.T).diagonal(), 0.0)).tolist()
-        return (frequency, u[0]), (damping, u[1])
-
-    def _value(self, name: str) -> float:
-        """Return a parameter, 0 where the shape has none of this name."""
-        return float(self.parameters[self.names.index(name)]) if name in self.names else 0.0
-
-    def _divisor(self, s: ComplexArray) -> ComplexArray:
-        """Return 1 + a₁s + a₂s²."""
-        return np.asarray(1.0 + self.lag_s * s + self.square_s2 * s * s)
-
-
-def laplace(frequency_hz: FloatArray) -> ComplexArray:
-    """Return s = jω (K,) of frequencies in Hz."""
-    return np.asarray(2j * np.pi * np.asarray(frequency_hz, dtype=np.float64), dtype=np.complex128)
-
-
-NO_CHAIN = Chain("none", np.empty(0))
-"""A chain that passes everything as it is."""
-
-
 # The sensor's damper and one shape of the chain fitted to a measured sensitivity.
 
-
-LABELS = {"spring_time_s": "b/k of the sensor", "delay_s": "delay of the chain", "lag_s": "lag of the chain"}
+_LABELS = {"spring_time_s": "b/k of the sensor", "delay_s": "delay of the chain", "lag_s": "lag of the chain"}
 _TOLERANCE, _EVALUATIONS = 1e-10, 200
 _SMALLEST_TURN = 0.01  # rad at the highest line with which a lag starts, lest it be the same as a delay
 
@@ -215,7 +110,7 @@ class SensitivityFit:
             ParameterEstimate("sensitivity", "static sensitivity", self.sensitivity, self.u("sensitivity"), self.unit)
         ]
         for name in self.parameters[1:]:
-            label, unit = LABELS.get(name, "square term of the chain"), "s²" if name == "square_s2" else "s"
+            label, unit = _LABELS.get(name, "square term of the chain"), "s²" if name == "square_s2" else "s"
             found.append(ParameterEstimate(name, label, values[name], self.u(name), unit))
         count = len(self.chain.names)
         corner = self.chain.corner(self.covariance[-count:, -count:]) if count else None
@@ -256,7 +151,9 @@ def fit_chain(
     chi_squared, dof = float(2.0 * solution.cost), len(solution.fun) - len(solution.x)
     jacobian = problem.jacobian(solution.x)
     jacobian[: 2 * lines] /= np.sqrt(max(1.0, chi_squared / dof))
-    covariance = _inverse_normal(jacobian)
+    size = np.linalg.norm(jacobian, axis=0)
+    root = np.linalg.inv(np.linalg.qr(jacobian / size, mode="r"))
+    covariance = np.asarray(root @ root.T / np.multiply.outer(size, size))
     count = len(problem.names)
     remaining = np.sqrt(covariance.diagonal()[count:])
     scale, tau, chain = problem.split(solution.x)
@@ -330,7 +227,14 @@ class _Problem:
 
         1/|chain|² = 1 + (a₁² - 2a₂)ω² + a₂²ω⁴, so that its slope over ω² tells a lag from a delay.
         """
-        sign, delay = _sign_and_delay(self.frequency_hz, self.value)
+        angular = 2.0 * np.pi * self.frequency_hz
+        left = []
+        for sign in (1.0, -1.0):  # sign and delay that together leave the smallest phases
+            phase = np.unwrap(np.angle(sign * self.value))
+            for delay in (0.0, -float(angular @ phase / (angular @ angular))):
+                turned = np.angle(sign * self.value * np.exp(1j * angular * delay))
+                left.append((float(np.sum(np.abs(turned))), sign, delay))
+        _, sign, delay = min(left, key=lambda one: one[0])
         smallest = _SMALLEST_TURN / float(np.abs(self._s).max())
         slope, static = np.polyfit(np.abs(self._s) ** 2, np.abs(self.value) ** -2.0, 1)
         static = static if static > 0.0 else float(np.median(np.abs(self.value) ** -2.0))
@@ -362,15 +266,11 @@ def _problem(measured: MeasuredSensitivity, kind: ChainKind, spring: SpringPrior
     held = spring is not None and not spring_free and spring.u_time_s > 0.0
     if held and spring is not None:
         known.append((1, spring.time_s, spring.u_time_s))
-    try:
-        whitening = np.linalg.inv(np.linalg.cholesky(measured.covariance))
-    except np.linalg.LinAlgError as error:
-        raise ValueError("covariance: expected positive definite matrices (K, 2, 2), found others") from error
     lines = len(measured.frequency_hz)
     return _Problem(
         frequency_hz=np.asarray(measured.frequency_hz, dtype=np.float64),
         value=measured.value,
-        whitening=np.asarray(whitening),
+        whitening=whitening_of(measured.covariance),
         relative=np.concatenate([np.empty((lines, 0)), *(error.relative for error in measured.errors)], axis=1),
         kind=kind,
         names=("sensitivity", *(("spring_time_s",) if held or spring_free else ()), *CHAIN_PARAMETERS[kind]),
@@ -379,20 +279,277 @@ def _problem(measured: MeasuredSensitivity, kind: ChainKind, spring: SpringPrior
     )
 
 
-def _sign_and_delay(frequency_hz: FloatArray, value: ComplexArray) -> tuple[float, float]:
-    """Return the sign of S₀ and the delay that together leave the smallest phases."""
-    angular = 2.0 * np.pi * frequency_hz
-    best = (np.inf, 1.0, 0.0)
-    for sign in (1.0, -1.0):
-        phase = np.unwrap(np.angle(sign * value))
-        for delay in (0.0, -float(angular @ phase / (angular @ angular))):
-            left = float(np.sum(np.abs(np.angle(sign * value * np.exp(1j * angular * delay)))))
-            best = min(best, (left, sign, delay))
-    return best[1], best[2]
+def sensor_model(fit: SensitivityFit, mechanics: FloatArray, covariance: FloatArray) -> SensorModel:
+    """Join a sensitivity with `mechanics` (3,) [k, b, m_i] of an identification and their `covariance` (3, 3).
+
+    The fit must have had the same k and b as its `SpringPrior`. What it added to the knowledge of τ = b/k moves k, b
+    and m_i along C·g, g = ∂τ/∂[k, b, m_i], C their covariance.
+    """
+    check_shape("mechanics", mechanics, (3,))
+    check_shape("covariance", covariance, (3, 3))
+    k, b = float(mechanics[0]), float(mechanics[1])
+    slope = np.array([-b / k**2, 1.0 / k, 0.0])
+    variance = float(slope @ covariance @ slope)
+    known = "spring_time_s" in fit.parameters
+    if known != (variance > 0.0) or (not known and fit.spring_time_s != b / k):
+        raise ValueError("fit: expected one that holds b/k by these k and b, found another")
+    others = [place for place, name in enumerate(fit.parameters) if name != "spring_time_s"]
+    joined = np.zeros((3 + len(others), 3 + len(others)))
+    joined[:3, :3] = covariance
+    joined[3:, 3:] = fit.covariance[np.ix_(others, others)]
+    moved = np.asarray(mechanics, dtype=np.float64)
+    if known:
+        gain = covariance @ slope / variance
+        moved = moved + gain * (fit.spring_time_s - b / k)
+        joined[:3, :3] -= np.multiply.outer(gain, gain) * (variance - fit.covariance[1, 1])
+        joined[:3, 3:] = np.multiply.outer(gain, fit.covariance[1, others])
+        joined[3:, :3] = joined[:3, 3:].T
+    order = [3, 0, 1, 2, *range(4, len(joined))]
+    return SensorModel(
+        fit.sensitivity,
+        float(moved[0]),
+        float(moved[1]),
+        float(moved[2]),
+        fit.chain,
+        joined[np.ix_(order, order)],
+        fit.unit,
+    )
 
 
-def _inverse_normal(jacobian: FloatArray) -> FloatArray:
-    """Return (JᵀJ)⁻¹ by QR of scaled columns."""
-    scale = np.linalg.norm(jacobian, axis=0)
-    root = np.linalg.inv(np.linalg.qr(jacobian / scale, mode="r"))
-    return np.asarray(root @ root.T / np.multiply.outer(scale, scale))
+# What makes the sensitivity change with frequency: the sensor's damper, or the measuring chain behind it.
+
+Verdict = Literal["supported", "more than needed", "refuted"]
+
+SIGNIFICANCE = 0.01
+"""Probability below which a test refutes."""
+SMALLEST_WEIGHT = 0.05
+"""Akaike weight, relative to the best, below which an explanation is refuted by a better one."""
+FARTHEST_ERROR = 3.0
+"""Standard uncertainties of a common error beyond which the fit stretches it."""
+CHAIN_WORDS: dict[ChainKind, str] = {
+    "none": "the sensor's damper alone",
+    "delay": "a delay",
+    "lag": "a first-order lag",
+    "butterworth": "a Butterworth low-pass",
+    "second_order": "a low-pass of second order",
+    "delay_lag": "a delay with a first-order lag",
+}
+"""What each explanation says of the chain, where the resonance tells the sensor's own damping."""
+WORDS_WITHOUT_RESONANCE = CHAIN_WORDS | {"none": "a constant sensitivity"}
+"""What each says where nothing does: its lag is that of the chain and of the sensor's damper together."""
+_PART_OF: dict[ChainKind, tuple[ChainKind, ...]] = {
+    "none": (),
+    "delay": ("none",),
+    "lag": ("none",),
+    "butterworth": ("none",),
+    "second_order": ("none", "lag", "butterworth"),
+    "delay_lag": ("none", "delay", "lag"),
+}
+
+
+@dataclass(frozen=True)
+class DampingTest:
+    """b/k that the sensitivity would need with no chain against that of the resonance's width, with u in s.
+
+    `deviation`: √Δχ² with the sign of their difference, Δχ² what χ² grows by when b/k is held by the resonance (over
+    χ²/dof where that exceeds one): for small differences the difference over its standard uncertainty, but right as
+    well where the magnitude hangs on (b/k)². `probability` of a deviation as large by chance.
+    """
+
+    needed_s: float
+    u_needed_s: float
+    resonance_s: float
+    u_resonance_s: float
+    deviation: float
+    probability: float
+    text: str
+
+    @property
+    def contradicts(self) -> bool:
+        """Whether the two cannot both be right."""
+        return self.probability < SIGNIFICANCE
+
+
+@dataclass(frozen=True)
+class SensitivityComparison:
+    """Explanations of one sensitivity: `fits` (E), Akaike `weight` (E,), sum 1, and `verdict` (E).
+
+    `spring`: what the resonance says of k and b, None where nothing does; `damping`: whether S(f) with no chain agrees
+    with it, None without it. `text`: in one sentence, which explanations the data support and which they refute.
+    """
+
+    fits: tuple[SensitivityFit, ...]
+    weight: FloatArray
+    verdict: tuple[Verdict, ...]
+    spring: SpringPrior | None
+    damping: DampingTest | None
+    text: str
+    notices: tuple[Notice, ...]
+
+    def __post_init__(self) -> None:
+        check_shape("weight", self.weight, (len(self.fits),))
+
+    @property
+    def best(self) -> SensitivityFit:
+        """The explanation to use: the supported one of the largest weight; with none supported, of all."""
+        supported = [i for i, verdict in enumerate(self.verdict) if verdict == "supported"] or range(len(self.fits))
+        return self.fits[max(supported, key=lambda i: float(self.weight[i]))]
+
+    def __getitem__(self, kind: ChainKind) -> SensitivityFit:
+        """Return the fit of one kind of chain."""
+        return next(fit for fit in self.fits if fit.chain.kind == kind)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """What each explanation says, in words."""
+        words = WORDS_WITHOUT_RESONANCE if self.spring is None else CHAIN_WORDS
+        return tuple(words[fit.chain.kind] for fit in self.fits)
+
+
+def fit_sensitivity(measured: MeasuredSensitivity, spring: SpringPrior | None = None) -> SensitivityComparison:
+    """Fit every explanation of a sensitivity over frequency, compare them, and test the damping against the resonance.
+
+    With `spring` every explanation has the sensor's own lag 1/(1 + jωb/k), b/k held within its uncertainty. Without it
+    nothing tells that lag from one of the chain, they being the same curve: the fits then have one lag for both.
+    Weights: AICc = χ²/ĉ + 2p + 2p(p + 1)/(n - p - 1) of p free parameters and n real readings, ĉ = χ²/dof of the
+    explanation that fits best, where that exceeds one (Burnham and Anderson, Model selection, 2002, 2.5). Refuted is
+    what leaves a χ² too large (`SIGNIFICANCE`), needs a filter that is not stable, or has too small a weight and no
+    part that is supported; more than needed is an explanation of which a part is supported as well.
+    """
+    fits = tuple(fit_chain(measured, kind, spring) for kind in CHAIN_PARAMETERS)
+    weight = _weights(fits, 2 * len(measured.value) + (measured.static is not None))
+    verdict = _verdicts(fits, weight)
+    damping = None if spring is None else _damping_test(measured, fits[0], spring)
+    text = _sentence(fits, verdict, spring is None)
+    compared = SensitivityComparison(fits, weight, verdict, spring, damping, text, ())
+    return replace(compared, notices=_notices(compared.best, measured.channel))
+
+
+def _weights(fits: tuple[SensitivityFit, ...], readings: int) -> FloatArray:
+    """Return the Akaike weights of the fits."""
+    enlarged = max(1.0, min(fit.chi_squared / fit.dof for fit in fits))
+    free = np.array([1.0 + len(fit.chain.names) for fit in fits])
+    chi_squared = np.array([fit.chi_squared for fit in fits])
+    criterion = chi_squared / enlarged + 2.0 * free + 2.0 * free * (free + 1.0) / (readings - free - 1.0)
+    weight = np.exp(-0.5 * (criterion - criterion.min()))
+    return np.asarray(weight / weight.sum())
+
+
+def _verdicts(fits: tuple[SensitivityFit, ...], weight: FloatArray) -> tuple[Verdict, ...]:
+    """Return what the data say of each explanation."""
+    acceptable, supported = set(), set()
+    for fit, share in zip(fits, weight / weight.max(), strict=True):
+        kind, chain = fit.chain.kind, fit.chain
+        if fit.probability < SIGNIFICANCE:
+            continue
+        acceptable.add(kind)
+        terms = {"lag_s": chain.lag_s, "square_s2": chain.square_s2}
+        # A filter's poles may lie on the left: a₁ and a₂ are not below 0 beyond twice their uncertainty.
+        stable = all(terms[name] >= -2.0 * fit.u(name) for name in chain.names if name in terms)
+        if share >= SMALLEST_WEIGHT and stable:
+            supported.add(kind)
+    verdicts: list[Verdict] = []
+    for kind in (fit.chain.kind for fit in fits):
+        if kind in acceptable and supported.intersection(_PART_OF[kind]):
+            verdicts.append("more than needed")
+        else:
+            verdicts.append("supported" if kind in supported else "refuted")
+    return tuple(verdicts)
+
+
+def _damping_test(measured: MeasuredSensitivity, held: SensitivityFit, spring: SpringPrior) -> DampingTest:
+    """Compare b/k fitted to S(f) with no chain with that of the resonance, by which the other fit is held."""
+    from scipy import special
+
+    needed = fit_chain(measured, "none", None, spring_free=True)
+    growth = max(0.0, held.chi_squared - needed.chi_squared) / max(1.0, needed.chi_squared / needed.dof)
+    deviation = float(np.copysign(np.sqrt(growth), needed.spring_time_s - spring.time_s))
+    probability = float(special.erfc(abs(deviation) / np.sqrt(2.0)))
+    from_curve = _microseconds(needed.spring_time_s, needed.u("spring_time_s"))
+    from_width = _microseconds(spring.time_s, spring.u_time_s)
+    says = "they contradict each other" if probability < SIGNIFICANCE else "they agree"
+    text = (
+        f"With no chain the sensitivity needs b/k = {from_curve}, the width of the resonance gives {from_width}: {says}"
+    )
+    text += f" (normalised deviation {deviation:.1f})"
+    if needed.probability < SIGNIFICANCE:
+        text += f", and even so the curve does not fit (χ²/dof = {needed.chi_squared / needed.dof:.1f})"
+    return DampingTest(
+        needed_s=needed.spring_time_s,
+        u_needed_s=needed.u("spring_time_s"),
+        resonance_s=spring.time_s,
+        u_resonance_s=spring.u_time_s,
+        deviation=deviation,
+        probability=probability,
+        text=f"{text}.",
+    )
+
+
+def _sentence(fits: tuple[SensitivityFit, ...], verdict: tuple[Verdict, ...], alone: bool) -> str:
+    """Say in one sentence which explanations the data support and which they refute."""
+    words = WORDS_WITHOUT_RESONANCE if alone else CHAIN_WORDS
+    named: dict[Verdict, list[str]] = {"supported": [], "more than needed": [], "refuted": []}
+    for fit, own in zip(fits, verdict, strict=True):
+        named[own].append(_explained(fit, alone) if own == "supported" else words[fit.chain.kind])
+    if not named["supported"]:
+        best = min(fits, key=lambda fit: fit.chi_squared / fit.dof)
+        text = f"The data support none of these explanations: even {_explained(best, alone)} leaves χ²/dof = "
+        return f"{text}{best.chi_squared / best.dof:.1f}; a cause is missing, or uncertainties are stated too small."
+
+    def listed(own: Verdict, last: str) -> str:
+        *first, end = named[own]
+        return f"{', '.join(first)} {last} {end}" if first else end
+
+    parts = [f"The data support {listed('supported', 'or')}"]
+    parts += [f"do not need {listed('more than needed', 'or')}"] if named["more than needed"] else []
+    parts += [f"refute {listed('refuted', 'and')}"] if named["refuted"] else []
+    return "; they ".join(parts) + "."
+
+
+def _explained(fit: SensitivityFit, alone: bool) -> str:
+    """Return an explanation with its numbers."""
+    chain = fit.chain
+    numbers = {name: _microseconds(getattr(chain, name), fit.u(name)) for name in ("delay_s", "lag_s")}
+    for estimate in fit.estimates:
+        numbers.setdefault(estimate.name, _with_u(estimate.value, estimate.u, estimate.unit))
+    corner = f" with f_c = {numbers['corner_hz']}" if "corner_hz" in numbers else f" delaying by {numbers['lag_s']}"
+    damping = f" and ζ = {numbers['damping_ratio']}" if "damping_ratio" in numbers else ""
+    where = " in the chain or the sensor's damper" if alone and "lag_s" in chain.names else " in the chain"
+    text: dict[ChainKind, str] = {
+        "none": (WORDS_WITHOUT_RESONANCE if alone else CHAIN_WORDS)["none"],
+        "delay": f"a delay of {numbers['delay_s']} in the chain",
+        "lag": f"a first-order lag of {numbers['lag_s']}{where}",
+        "butterworth": f"a Butterworth low-pass{corner} in the chain",
+        "second_order": f"a low-pass of second order{corner}{damping}{where}",
+        "delay_lag": f"a delay of {numbers['delay_s']} with a first-order lag of {numbers['lag_s']}{where}",
+    }
+    return text[chain.kind]
+
+
+def _notices(fit: SensitivityFit, channel: str) -> tuple[Notice, ...]:
+    """Say of the explanation to use what a reader should doubt."""
+    notices = []
+    if fit.chain.delay_s < -2.0 * fit.u("delay_s"):
+        lead = _microseconds(-fit.chain.delay_s, fit.u("delay_s"))
+        notices.append(Notice("warning", f"the output leads by {lead}: no chain does, the reference is late", channel))
+    if not fit.converged:
+        notices.append(Notice("warning", "the fit of the chain did not settle: the readings leave it open", channel))
+    for error in fit.unknowns:
+        if abs(error.estimate) > FARTHEST_ERROR:
+            text = f"{error.name} is found {error.estimate:.1f} of its standard uncertainties away: stated too small"
+            notices.append(Notice("warning", text, channel))
+    return tuple(notices)
+
+
+def _microseconds(value_s: float, u_s: float) -> str:
+    """Return a time with its expanded uncertainty, k = 2, in µs."""
+    return _with_u(1e6 * value_s, 1e6 * u_s, "µs")
+
+
+def _with_u(value: float, u: float, unit: str) -> str:
+    """Return a number with its expanded uncertainty, k = 2, to two digits of the latter."""
+    if not u > 0.0:
+        return f"{value:.4g} {unit}"
+    digits = max(0, 1 - int(np.floor(np.log10(2.0 * u))))
+    text = f"{value:.{digits}f} ± {2.0 * u:.{digits}f}"
+    return text if unit == "1" else f"({text}) {unit}"

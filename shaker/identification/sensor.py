@@ -1,268 +1,118 @@
-"""The sensor as a model: output over force with a load."""
+"""The sensor as a model: output over force with a load, its usable band, and phasors and records corrected by it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from shaker.arrays import ComplexArray, FloatArray, Notice, check_shape
-from shaker.frf.chain import ChainResponse
-from shaker.identification.measured import MeasuredSensitivity
-from shaker.identification.sensitivity import (
-    CHAIN_PARAMETERS,
-    Chain,
-    ChainKind,
-    SensitivityFit,
-    SpringPrior,
-    fit_chain,
-    laplace,
-)
+from shaker.frf.chain import ChainResponse, common_covariance, split_ratio
+from shaker.mechanics import laplace
+from shaker.sine.phasor import Phasors
 
-# What makes the sensitivity change with frequency: the sensor's damper, or the measuring chain behind it.
+# Shapes that a measuring chain can give the sensitivity: delay, lag, low-pass of second order.
 
+ChainKind = Literal["none", "delay", "lag", "butterworth", "second_order", "delay_lag"]
 
-Verdict = Literal["supported", "more than needed", "refuted"]
-
-SIGNIFICANCE = 0.01
-"""Probability below which a test refutes."""
-SMALLEST_WEIGHT = 0.05
-"""Akaike weight, relative to the best, below which an explanation is refuted by a better one."""
-FARTHEST_ERROR = 3.0
-"""Standard uncertainties of a common error beyond which the fit stretches it."""
-CHAIN_WORDS: dict[ChainKind, str] = {
-    "none": "the sensor's damper alone",
-    "delay": "a delay",
-    "lag": "a first-order lag",
-    "butterworth": "a Butterworth low-pass",
-    "second_order": "a low-pass of second order",
-    "delay_lag": "a delay with a first-order lag",
-}
-"""What each explanation says of the chain, where the resonance tells the sensor's own damping."""
-WORDS_WITHOUT_RESONANCE = CHAIN_WORDS | {"none": "a constant sensitivity"}
-"""What each says where nothing does: its lag is that of the chain and of the sensor's damper together."""
-_PART_OF: dict[ChainKind, tuple[ChainKind, ...]] = {
+CHAIN_PARAMETERS: dict[ChainKind, tuple[str, ...]] = {
     "none": (),
-    "delay": ("none",),
-    "lag": ("none",),
-    "butterworth": ("none",),
-    "second_order": ("none", "lag", "butterworth"),
-    "delay_lag": ("none", "delay", "lag"),
+    "delay": ("delay_s",),
+    "lag": ("lag_s",),
+    "butterworth": ("lag_s",),
+    "second_order": ("lag_s", "square_s2"),
+    "delay_lag": ("delay_s", "lag_s"),
 }
+"""Names of the parameters of each shape, in their order."""
 
 
 @dataclass(frozen=True)
-class DampingTest:
-    """b/k that the sensitivity would need with no chain against that of the resonance's width, with u in s.
+class Chain:
+    """exp(−sD) / (1 + a₁s + a₂s²), s = jω, with the terms that `kind` has.
 
-    `deviation`: √Δχ² with the sign of their difference, Δχ² what χ² grows by when b/k is held by the resonance (over
-    χ²/dof where that exceeds one): for small differences the difference over its standard uncertainty, but right as
-    well where the magnitude hangs on (b/k)². `probability` of a deviation as large by chance.
+    `parameters` (P,) in the order of `CHAIN_PARAMETERS`: D `delay_s`, a₁ `lag_s`, a₂ `square_s2`. A low-pass of
+    second order has a₁ = 2ζ/ω_c and a₂ = 1/ω_c²; a Butterworth filter a₂ = a₁²/2.
     """
 
-    needed_s: float
-    u_needed_s: float
-    resonance_s: float
-    u_resonance_s: float
-    deviation: float
-    probability: float
-    text: str
-
-    @property
-    def contradicts(self) -> bool:
-        """Whether the two cannot both be right."""
-        return self.probability < SIGNIFICANCE
-
-
-@dataclass(frozen=True)
-class SensitivityComparison:
-    """Explanations of one sensitivity: `fits` (E), Akaike `weight` (E,), sum 1, and `verdict` (E).
-
-    `spring`: what the resonance says of k and b, None where nothing does; `damping`: whether S(f) with no chain agrees
-    with it, None without it. `text`: in one sentence, which explanations the data support and which they refute.
-    """
-
-    fits: tuple[SensitivityFit, ...]
-    weight: FloatArray
-    verdict: tuple[Verdict, ...]
-    spring: SpringPrior | None
-    damping: DampingTest | None
-    text: str
-    notices: tuple[Notice, ...]
+    kind: ChainKind
+    parameters: FloatArray
 
     def __post_init__(self) -> None:
-        check_shape("weight", self.weight, (len(self.fits),))
+        check_shape("parameters", self.parameters, (len(self.names),))
 
     @property
-    def best(self) -> SensitivityFit:
-        """The explanation to use: the supported one of the largest weight; with none supported, of all."""
-        supported = [i for i, verdict in enumerate(self.verdict) if verdict == "supported"] or range(len(self.fits))
-        return self.fits[max(supported, key=lambda i: float(self.weight[i]))]
-
-    def __getitem__(self, kind: ChainKind) -> SensitivityFit:
-        """Return the fit of one kind of chain."""
-        return next(fit for fit in self.fits if fit.chain.kind == kind)
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return CHAIN_PARAMETERS[self.kind]
 
     @property
-    def labels(self) -> tuple[str, ...]:
-        """What each explanation says, in words."""
-        words = WORDS_WITHOUT_RESONANCE if self.spring is None else CHAIN_WORDS
-        return tuple(words[fit.chain.kind] for fit in self.fits)
+    def delay_s(self) -> float:
+        """Pure delay D."""
+        return self._value("delay_s")
 
+    @property
+    def lag_s(self) -> float:
+        """a₁ = 2ζ/ω_c: the delay of the low-pass at low frequencies."""
+        return self._value("lag_s")
 
-def fit_sensitivity(measured: MeasuredSensitivity, spring: SpringPrior | None = None) -> SensitivityComparison:
-    """Fit every explanation of a sensitivity over frequency, compare them, and test the damping against the resonance.
+    @property
+    def square_s2(self) -> float:
+        """a₂ = 1/ω_c²."""
+        return 0.5 * self.lag_s**2 if self.kind == "butterworth" else self._value("square_s2")
 
-    With `spring` every explanation has the sensor's own lag 1/(1 + jωb/k), b/k held within its uncertainty. Without it
-    nothing tells that lag from one of the chain, they being the same curve: the fits then have one lag for both.
-    Weights: AICc = χ²/ĉ + 2p + 2p(p + 1)/(n - p - 1) of p free parameters and n real readings, ĉ = χ²/dof of the
-    explanation that fits best, where that exceeds one (Burnham and Anderson, Model selection, 2002, 2.5). Refuted is
-    what leaves a χ² too large (`SIGNIFICANCE`), needs a filter that is not stable, or has too small a weight and no
-    part that is supported; more than needed is an explanation of which a part is supported as well.
-    """
-    fits = tuple(fit_chain(measured, kind, spring) for kind in CHAIN_PARAMETERS)
-    weight = _weights(fits, 2 * len(measured.value) + (measured.static is not None))
-    verdict = _verdicts(fits, weight)
-    damping = None if spring is None else _damping_test(measured, fits[0], spring)
-    text = _sentence(fits, verdict, spring is None)
-    compared = SensitivityComparison(fits, weight, verdict, spring, damping, text, ())
-    return replace(compared, notices=_notices(compared.best, measured.channel))
+    def response(self, frequency_hz: FloatArray) -> ComplexArray:
+        """Return the response (K,) at frequencies in Hz."""
+        s = laplace(frequency_hz)
+        return np.asarray(np.exp(-s * self.delay_s) / self._divisor(s))
 
+    def log_slopes(self, frequency_hz: FloatArray) -> ComplexArray:
+        """Return the derivatives (K, P) of the logarithm of the response by the parameters."""
+        s = laplace(frequency_hz)
+        divisor = self._divisor(s)
+        by_lag = -s * (1.0 + s * self.lag_s) if self.kind == "butterworth" else -s
+        columns = {"delay_s": -s, "lag_s": by_lag / divisor, "square_s2": -s * s / divisor}
+        slopes = np.empty((len(s), len(self.names)), dtype=np.complex128)
+        for place, name in enumerate(self.names):
+            slopes[:, place] = columns[name]
+        return slopes
 
-def _weights(fits: tuple[SensitivityFit, ...], readings: int) -> FloatArray:
-    """Return the Akaike weights of the fits."""
-    enlarged = max(1.0, min(fit.chi_squared / fit.dof for fit in fits))
-    free = np.array([1.0 + len(fit.chain.names) for fit in fits])
-    chi_squared = np.array([fit.chi_squared for fit in fits])
-    criterion = chi_squared / enlarged + 2.0 * free + 2.0 * free * (free + 1.0) / (readings - free - 1.0)
-    weight = np.exp(-0.5 * (criterion - criterion.min()))
-    return np.asarray(weight / weight.sum())
+    def log_frequency_slope(self, frequency_hz: FloatArray) -> ComplexArray:
+        """Return the derivative (K,) of the logarithm of the response by the frequency, in 1/Hz."""
+        s = laplace(frequency_hz)
+        by_s = -self.delay_s - (self.lag_s + 2.0 * self.square_s2 * s) / self._divisor(s)
+        return np.asarray(2j * np.pi * by_s)
 
+    def corner(self, covariance: FloatArray) -> tuple[tuple[float, float], tuple[float, float]] | None:
+        """Return (f_c, u) in Hz and (ζ, u) of a low-pass from the covariance (P, P) of its parameters.
 
-def _verdicts(fits: tuple[SensitivityFit, ...], weight: FloatArray) -> tuple[Verdict, ...]:
-    """Return what the data say of each explanation."""
-    acceptable = {fit.chain.kind for fit in fits if fit.probability >= SIGNIFICANCE}
-    likely = {
-        fit.chain.kind for fit, share in zip(fits, weight / weight.max(), strict=True) if share >= SMALLEST_WEIGHT
-    }
-    supported = acceptable & likely & {fit.chain.kind for fit in fits if _stable(fit)}
-    found: list[Verdict] = []
-    for kind in (fit.chain.kind for fit in fits):
-        if kind in acceptable and supported.intersection(_PART_OF[kind]):
-            found.append("more than needed")
+        f_c = 1/(2π√a₂), ζ = a₁/(2√a₂); None where the chain has no low-pass of second order (a₂ ≤ 0).
+        """
+        if self.kind not in {"butterworth", "second_order"} or not self.square_s2 > 0.0:
+            return None
+        root = float(np.sqrt(self.square_s2))
+        frequency, damping = 1.0 / (2.0 * np.pi * root), 0.5 * self.lag_s / root
+        if self.kind == "butterworth":
+            slopes = np.array([[-frequency / self.lag_s], [0.0]])
         else:
-            found.append("supported" if kind in supported else "refuted")
-    return tuple(found)
+            slopes = np.array([[0.0, -0.5 * frequency], [0.5 * self.square_s2 / root, -0.5 * damping]]) / self.square_s2
+        u = np.sqrt(np.maximum((slopes @ covariance @ slopes.T).diagonal(), 0.0)).tolist()
+        return (frequency, u[0]), (damping, u[1])
+
+    def _value(self, name: str) -> float:
+        """Return a parameter, 0 where the shape has none of this name."""
+        return float(self.parameters[self.names.index(name)]) if name in self.names else 0.0
+
+    def _divisor(self, s: ComplexArray) -> ComplexArray:
+        """Return 1 + a₁s + a₂s²."""
+        return np.asarray(1.0 + self.lag_s * s + self.square_s2 * s * s)
 
 
-def _stable(fit: SensitivityFit) -> bool:
-    """Whether a chain's poles may lie on the left: a₁ and a₂ are not below 0 beyond twice their uncertainty."""
-    values = {"lag_s": fit.chain.lag_s, "square_s2": fit.chain.square_s2}
-    return all(values[name] >= -2.0 * fit.u(name) for name in fit.chain.names if name in values)
-
-
-def _damping_test(measured: MeasuredSensitivity, held: SensitivityFit, spring: SpringPrior) -> DampingTest:
-    """Compare b/k fitted to S(f) with no chain with that of the resonance, by which the other fit is held."""
-    from scipy import special
-
-    needed = fit_chain(measured, "none", None, spring_free=True)
-    growth = max(0.0, held.chi_squared - needed.chi_squared) / max(1.0, needed.chi_squared / needed.dof)
-    deviation = float(np.copysign(np.sqrt(growth), needed.spring_time_s - spring.time_s))
-    probability = float(special.erfc(abs(deviation) / np.sqrt(2.0)))
-    from_curve = _microseconds(needed.spring_time_s, needed.u("spring_time_s"))
-    from_width = _microseconds(spring.time_s, spring.u_time_s)
-    says = "they contradict each other" if probability < SIGNIFICANCE else "they agree"
-    text = (
-        f"With no chain the sensitivity needs b/k = {from_curve}, the width of the resonance gives {from_width}: {says}"
-    )
-    text += f" (normalised deviation {deviation:.1f})"
-    if needed.probability < SIGNIFICANCE:
-        text += f", and even so the curve does not fit (χ²/dof = {needed.chi_squared / needed.dof:.1f})"
-    return DampingTest(
-        needed_s=needed.spring_time_s,
-        u_needed_s=needed.u("spring_time_s"),
-        resonance_s=spring.time_s,
-        u_resonance_s=spring.u_time_s,
-        deviation=deviation,
-        probability=probability,
-        text=f"{text}.",
-    )
-
-
-def _sentence(fits: tuple[SensitivityFit, ...], verdict: tuple[Verdict, ...], alone: bool) -> str:
-    """Say in one sentence which explanations the data support and which they refute."""
-    words = WORDS_WITHOUT_RESONANCE if alone else CHAIN_WORDS
-    told: dict[Verdict, list[str]] = {"supported": [], "more than needed": [], "refuted": []}
-    for fit, found in zip(fits, verdict, strict=True):
-        told[found].append(_told(fit, alone) if found == "supported" else words[fit.chain.kind])
-    if not told["supported"]:
-        best = min(fits, key=lambda fit: fit.chi_squared / fit.dof)
-        text = f"The data support none of these explanations: even {_told(best, alone)} leaves χ²/dof = "
-        return f"{text}{best.chi_squared / best.dof:.1f}; a cause is missing, or uncertainties are stated too small."
-    parts = [f"The data support {_listed(told['supported'], 'or')}"]
-    parts += [f"do not need {_listed(told['more than needed'], 'or')}"] if told["more than needed"] else []
-    parts += [f"refute {_listed(told['refuted'], 'and')}"] if told["refuted"] else []
-    return "; they ".join(parts) + "."
-
-
-def _told(fit: SensitivityFit, alone: bool) -> str:
-    """Return an explanation with its numbers."""
-    kind, chain = fit.chain.kind, fit.chain
-    times = {"delay_s": chain.delay_s, "lag_s": chain.lag_s}
-    told = {name: _microseconds(time, fit.u(name)) for name, time in times.items()}
-    for estimate in fit.estimates:
-        told.setdefault(estimate.name, _with_u(estimate.value, estimate.u, estimate.unit))
-    corner = f" with f_c = {told['corner_hz']}" if "corner_hz" in told else f" delaying by {told['lag_s']}"
-    damping = f" and ζ = {told['damping_ratio']}" if "damping_ratio" in told else ""
-    where = " in the chain or the sensor's damper" if alone and "lag_s" in chain.names else " in the chain"
-    text: dict[ChainKind, str] = {
-        "none": (WORDS_WITHOUT_RESONANCE if alone else CHAIN_WORDS)["none"],
-        "delay": f"a delay of {told['delay_s']} in the chain",
-        "lag": f"a first-order lag of {told['lag_s']}{where}",
-        "butterworth": f"a Butterworth low-pass{corner} in the chain",
-        "second_order": f"a low-pass of second order{corner}{damping}{where}",
-        "delay_lag": f"a delay of {told['delay_s']} with a first-order lag of {told['lag_s']}{where}",
-    }
-    return text[kind]
-
-
-def _listed(words: list[str], last: str) -> str:
-    """Return words as a list in prose."""
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}"
-
-
-def _notices(fit: SensitivityFit, channel: str) -> tuple[Notice, ...]:
-    """Say of the explanation to use what a reader should doubt."""
-    found = []
-    if fit.chain.delay_s < -2.0 * fit.u("delay_s"):
-        lead = _microseconds(-fit.chain.delay_s, fit.u("delay_s"))
-        found.append(Notice("warning", f"the output leads by {lead}: no chain does, the reference is late", channel))
-    if not fit.converged:
-        found.append(Notice("warning", "the fit of the chain did not settle: the readings leave it open", channel))
-    for error in fit.unknowns:
-        if abs(error.estimate) > FARTHEST_ERROR:
-            text = f"{error.name} is found {error.estimate:.1f} of its standard uncertainties away: stated too small"
-            found.append(Notice("warning", text, channel))
-    return tuple(found)
-
-
-def _microseconds(value_s: float, u_s: float) -> str:
-    """Return a time with its expanded uncertainty, k = 2, in µs."""
-    return _with_u(1e6 * value_s, 1e6 * u_s, "µs")
-
-
-def _with_u(value: float, u: float, unit: str) -> str:
-    """Return a number with its expanded uncertainty, k = 2, to two digits of the latter."""
-    if not u > 0.0:
-        return f"{value:.4g} {unit}"
-    digits = max(0, 1 - int(np.floor(np.log10(2.0 * u))))
-    text = f"{value:.{digits}f} ± {2.0 * u:.{digits}f}"
-    return text if unit == "1" else f"({text}) {unit}"
+NO_CHAIN = Chain("none", np.empty(0))
+"""A chain that passes everything as it is."""
 
 
 # The sensor as a whole: what it puts out for the force on its load.
-
 
 Drive = Literal["base", "force"]
 
@@ -374,38 +224,192 @@ class SensorModel:
         return np.asarray(1.0 + (self.damping + s * mass) * s / self.stiffness)
 
 
-def sensor_model(fit: SensitivityFit, mechanics: FloatArray, covariance: FloatArray) -> SensorModel:
-    """Join a sensitivity with `mechanics` (3,) [k, b, m_i] of an identification and their `covariance` (3, 3).
+# Up to which frequency the static sensitivity is enough.
 
-    The fit must have had the same k and b as its `SpringPrior`. What it added to the knowledge of τ = b/k moves k, b
-    and m_i along C·g, g = ∂τ/∂[k, b, m_i], C their covariance.
+
+Limit = Literal["rise", "drop", "phase", "nothing"]
+
+_LIMITS: tuple[Limit, Limit, Limit] = ("rise", "drop", "phase")
+_POINTS_PER_DECADE = 200
+
+
+@dataclass(frozen=True)
+class UsableBand:
+    """Frequencies from 0 to `upper_hz` at which the output stays within what is permitted of its static value.
+
+    `permitted`: relative deviation of the magnitude; `permitted_phase_rad`: of the phase, None where any is permitted;
+    `limit`: what ends the band. `upper_hz` is infinite where nothing does.
     """
-    check_shape("mechanics", mechanics, (3,))
-    check_shape("covariance", covariance, (3, 3))
-    k, b = float(mechanics[0]), float(mechanics[1])
-    slope = np.array([-b / k**2, 1.0 / k, 0.0])
-    variance = float(slope @ covariance @ slope)
-    known = "spring_time_s" in fit.parameters
-    if known != (variance > 0.0) or (not known and fit.spring_time_s != b / k):
-        raise ValueError("fit: expected one that holds b/k by these k and b, found another")
-    others = [place for place, name in enumerate(fit.parameters) if name != "spring_time_s"]
-    joined = np.zeros((3 + len(others), 3 + len(others)))
-    joined[:3, :3] = covariance
-    joined[3:, 3:] = fit.covariance[np.ix_(others, others)]
-    moved = np.asarray(mechanics, dtype=np.float64)
-    if known:
-        gain = covariance @ slope / variance
-        moved = moved + gain * (fit.spring_time_s - b / k)
-        joined[:3, :3] -= np.multiply.outer(gain, gain) * (variance - fit.covariance[1, 1])
-        joined[:3, 3:] = np.multiply.outer(gain, fit.covariance[1, others])
-        joined[3:, :3] = joined[:3, 3:].T
-    order = [3, 0, 1, 2, *range(4, len(joined))]
-    return SensorModel(
-        fit.sensitivity,
-        float(moved[0]),
-        float(moved[1]),
-        float(moved[2]),
-        fit.chain,
-        joined[np.ix_(order, order)],
-        fit.unit,
-    )
+
+    upper_hz: float
+    u_upper_hz: float
+    permitted: float
+    permitted_phase_rad: float | None
+    limit: Limit
+
+
+def usable_band(
+    model: SensorModel, load: Load, permitted: float, permitted_phase_rad: float | None = None
+) -> UsableBand:
+    """Return the band in which `output_factor` keeps within ± `permitted` of its value at f → 0, with its uncertainty.
+
+    The factor (1 + m_i/m) of a moving base is the same at all frequencies and no deviation here. Light damping and no
+    chain give f = f₀√(p/(1 + p)) for a force on the load: 0.2182 f₀ at 5 %, 0.3015 f₀ at 10 %. The edge moves with the
+    parameters by -(∂Λ/∂θ)/(∂Λ/∂f), Λ the logarithm of the magnitude, or the phase.
+    """
+    if not 0.0 < permitted < 1.0:
+        raise ValueError(f"permitted: expected a share between 0 and 1, found {permitted:g}")
+    if permitted_phase_rad is not None and not 0.0 < permitted_phase_rad < np.pi:
+        raise ValueError(f"permitted_phase_rad: expected more than 0 and less than π, found {permitted_phase_rad:g}")
+    from scipy import optimize
+
+    def excess(frequency_hz: FloatArray) -> FloatArray:
+        ratio = model.output_factor(frequency_hz, load) / model.output_factor(np.zeros(1), load)
+        size = np.abs(ratio)
+        turned = np.abs(np.angle(ratio)) - (np.inf if permitted_phase_rad is None else permitted_phase_rad)
+        return np.stack([size - 1.0 - permitted, 1.0 - permitted - size, turned])
+
+    # From far below to far above all time constants, dense enough to meet the first edge.
+    chain = model.chain
+    times = [model.damping / model.stiffness, chain.delay_s, chain.lag_s, abs(chain.square_s2) ** 0.5]
+    times += [1.0 / (2.0 * np.pi * model.resonance_hz(load))] if load.drive == "force" else []
+    scales = [1.0 / (2.0 * np.pi * abs(time)) for time in times if time != 0.0] or [1.0]
+    low, high = 1e-3 * min(scales), 1e2 * max(scales)
+    grid = np.geomspace(low, high, int(_POINTS_PER_DECADE * np.log10(high / low)) + 1)
+    outside = excess(grid) > 0.0
+    if not outside.any():
+        return UsableBand(np.inf, 0.0, permitted, permitted_phase_rad, "nothing")
+    last = int(np.argmax(outside.any(axis=0)))
+    first = float(grid[last - 1]) if last else 0.0
+    edges = []
+    for i in np.flatnonzero(outside[:, last]).tolist():
+        edge = optimize.brentq(lambda f, i=i: excess(np.array([f]))[i, 0], first, grid[last], xtol=1e-9 * grid[last])
+        edges.append((float(edge), i))
+    upper, which = min(edges)
+    at, turn = np.array([upper]), -1j if _LIMITS[which] == "phase" else 1.0
+    slopes = model.log_slopes(at, load) - model.log_slopes(np.zeros(1), load)
+    moved = np.linalg.norm((turn * slopes @ model.covariance_root(load)).real)
+    u = float(moved / abs(float((turn * model.log_frequency_slope(at, load)).real[0])))
+    return UsableBand(upper, u, permitted, permitted_phase_rad, _LIMITS[which])
+
+
+# Force on the load from the sensor's output: the model's response taken off, with the uncertainty of the model.
+
+
+TRANSITION = 0.25
+"""Share of the band above its limit in which the taper falls to nothing."""
+ATTENUATION_DB = 100.0
+"""Attenuation of the taper beyond, and so its ripple below: 1e-5."""
+
+
+@dataclass(frozen=True)
+class CorrectedPhasors:
+    """Phasors of the force (random covariance only) and `errors` (E, K, 1): what the model's parameters may add.
+
+    `errors` are relative deviations common to all lines and channels, of E independent causes.
+    """
+
+    phasors: Phasors
+    errors: ComplexArray
+
+    def __post_init__(self) -> None:
+        check_shape("errors", self.errors, (None, len(self.phasors.frequency_hz), 1))
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance (K, 2C, 2C) of both together."""
+        return np.asarray(self.phasors.covariance + common_covariance(self.phasors.value, self.errors))
+
+
+@dataclass(frozen=True)
+class CorrectedRecord:
+    """Force on the load (N,) at the instants of the output's samples, up to `band_hz`.
+
+    `u` (N,) standard uncertainty from noise and model; `errors` (E, N) force that one standard deviation of each of E
+    independent causes of the model makes. Within `settling` samples of either end the result depends on what was
+    before and after the record. `beyond`: rms of what the output held above the band, as force by the static factor.
+    """
+
+    force: FloatArray
+    u: FloatArray
+    errors: FloatArray
+    unit: str
+    sample_rate_hz: float
+    band_hz: float
+    settling: int
+    beyond: float
+    notices: tuple[Notice, ...]
+
+    def __post_init__(self) -> None:
+        check_shape("u", self.u, self.force.shape)
+        check_shape("errors", self.errors, (None, len(self.force)))
+
+
+def correct_phasors(phasors: Phasors, model: SensorModel, load: Load) -> CorrectedPhasors:
+    """Return the force on the load from phasors (K, C) of the output, all channels by the same model: X / factor."""
+    output, force = split_ratio(model.unit)
+    other = [unit for unit in phasors.unit if unit != output]
+    if other:
+        raise ValueError(f"phasors: expected the output in {output}, found {', '.join(other)}")
+    response = model.response(phasors.frequency_hz, load)
+    corrected = phasors.scaled(1.0 / response.value[:, None], [force] * len(phasors.unit))
+    return CorrectedPhasors(corrected, response.errors[:, :, None])
+
+
+def correct_record(
+    output: FloatArray, sample_rate_hz: float, model: SensorModel, load: Load, band_hz: float, *, u_noise: float = 0.0
+) -> CorrectedRecord:
+    """Return the force on the load from a uniformly sampled record (N,) of the output.
+
+    The spectrum is divided by `output_factor` and multiplied by a taper of zero phase: 1 up to `band_hz`, 0 from
+    (1 + `TRANSITION`)·`band_hz`, the response of a symmetric Kaiser-window filter of 2h + 1 taps. The record is
+    continued by its odd reflection over h samples (and the chain's delay) at both ends, so that no end sees the other.
+    `u_noise`: standard deviation of white noise of one sample. The model's covariance is carried by derivatives.
+    """
+    check_shape("output", output, (None,))
+    from scipy import fft
+
+    taps = _taper(sample_rate_hz, band_hz)
+    settling = len(taps) // 2 + int(np.ceil(abs(model.chain.delay_s) * sample_rate_hz))
+    if len(output) <= settling:
+        raise ValueError(
+            f"output: expected more than {settling} samples for a band of {band_hz:g} Hz at {sample_rate_hz:g} Hz, "
+            f"found {len(output)}"
+        )
+    size = fft.next_fast_len(len(output) + 2 * settling, real=True)
+    frequency = np.arange(size // 2 + 1) * (sample_rate_hz / size)
+    taper = np.fft.rfft(np.roll(np.pad(taps, (0, size - len(taps))), -(len(taps) // 2))).real
+    before = 2.0 * output[0] - output[settling:0:-1]
+    after = 2.0 * output[-1] - output[-2 : -settling - 2 : -1]
+    spectrum = np.fft.rfft(np.concatenate([before, output, after]), size)
+    inverse = taper / model.output_factor(frequency, load)
+
+    def back(values: ComplexArray) -> FloatArray:
+        return np.asarray(np.fft.irfft(values, size, axis=-1)[..., settling : settling + len(output)])
+
+    causes = (model.log_slopes(frequency, load) @ model.covariance_root(load)).T
+    errors = back(-causes * inverse * spectrum)
+    noise = u_noise * float(np.sqrt(np.mean(np.fft.irfft(inverse, size) ** 2) * size))
+    u = np.sqrt(noise**2 + np.sum(errors**2, axis=0))
+    static = float(model.output_factor(np.zeros(1), load)[0].real)
+    beyond = float(np.std(output - back(taper * spectrum)) / abs(static))
+    force = back(inverse * spectrum)
+    least = max(float(np.sqrt(np.mean(u**2))), 10.0 ** (-ATTENUATION_DB / 20.0) * float(np.abs(force).max()))
+    unit, notices = split_ratio(model.unit)[1], []
+    if beyond > least:  # more than uncertainty and ripple
+        text = f"the output holds {beyond:.3g} {unit} rms above {band_hz:g} Hz, which is removed, not corrected"
+        notices.append(Notice("warning", text, "band"))
+    return CorrectedRecord(force, u, errors, unit, sample_rate_hz, band_hz, settling, beyond, tuple(notices))
+
+
+def _taper(sample_rate_hz: float, band_hz: float) -> FloatArray:
+    """Return the taps (2h + 1,) of the taper."""
+    highest = 0.5 * sample_rate_hz / (1.0 + TRANSITION)
+    if not 0.0 < band_hz <= highest:
+        raise ValueError(f"band_hz: expected up to {highest:g} Hz for {sample_rate_hz:g} Hz, found {band_hz:g}")
+    from scipy import signal
+
+    width = TRANSITION * band_hz
+    count, beta = signal.kaiserord(ATTENUATION_DB, 2.0 * width / sample_rate_hz)
+    middle = min(band_hz + 0.5 * width, 0.499999 * sample_rate_hz)
+    return np.asarray(signal.firwin(count | 1, middle, window=("kaiser", beta), fs=sample_rate_hz))

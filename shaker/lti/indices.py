@@ -1,6 +1,4 @@
-"""Indices of any system with uncertainty; false poles.
-
-Standard uncertainties of the indices of an identified model.
+"""The indices of any system: what describes how a sensor follows a load that changes, with uncertainty.
 
 A figure is where a smooth function of frequency or time passes a level or turns. Its change with the parameters is that
 of the function at the fixed place, over the function's slope there; so no place is searched for again. Where the gain
@@ -15,13 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from shaker.arrays import FloatArray, Notice
-from shaker.lti.modal import ModalModel
 from shaker.lti.responses import (
-    LABELS,
-    Indices,
-    Mode,
     Transient,
-    UncertainIndices,
     band_end,
     gain_curve,
     half_power,
@@ -32,66 +25,108 @@ from shaker.lti.responses import (
     settling_points,
     transient,
 )
-from shaker.lti.system import LinearSystem
+from shaker.lti.system import LinearSystem, ModalModel
 
-# What makes a model's poles doubtful.
+UNITS = {"hz": "Hz", "s": "s"}
+LABELS = {
+    "static_gain": "static gain",
+    "natural_hz": "natural frequency of the dominant mode",
+    "damped_hz": "damped frequency of the dominant mode",
+    "damping_ratio": "damping ratio of the dominant mode",
+    "peak_hz": "frequency of the highest gain",
+    "peak_gain": "highest gain over the static gain",
+    "quadrature_hz": "frequency at 90° of phase",
+    "half_power_hz": "−3 dB",
+    "band_5_hz": "±5 % of the static gain up to",
+    "band_10_hz": "±10 % of the static gain up to",
+    "band_5_nominal_hz": "±5 % of the nominal gain up to",
+    "band_10_nominal_hz": "±10 % of the nominal gain up to",
+    "overshoot": "overshoot",
+    "rise_s": "rise time, 10 to 90 %",
+    "settling_5_s": "settling time, ±5 %",
+    "settling_2_s": "settling time, ±2 %",
+}
+"""The figures of `Indices` in the order of a table, with the words for them."""
 
 
-FAR = 0.5
-"""Share of the sampling rate from which on a pole says nothing of the sensor."""
-NEAR = 1e-2
-"""Distance of a zero from a pole, over that of the pole from rest, below which the two nearly cancel."""
+@dataclass(frozen=True)
+class Mode:
+    """An oscillating mode: pole in rad/s, f_n = |p|/2π, f_d = Im p/2π, ζ = -Re p/|p|.
 
-
-def remarks(system: LinearSystem, sample_rate_hz: float | None = None) -> tuple[Notice, ...]:
-    """Return remarks on stability, poles without a meaning, and zeros that nearly cancel poles.
-
-    `sample_rate_hz`: that of the samples a continuous model was found from; a sampled model has its own.
+    `step_share`: amplitude of its oscillation after a step over the static gain, None where poles coincide.
     """
-    rate = system.sample_rate_hz or sample_rate_hz
-    found = [] if system.stable else [_unstable(system)]
-    for pole in system.poles[system.poles.imag >= 0]:
-        if system.sample_rate_hz is not None and pole.imag == 0 and pole.real < 0:
-            text = f"turns its sign with every sample, z = {pole.real:.4g}: no motion of a sensor, a product of noise"
-            found.append(Notice("warning", f"The pole {text} or of too high an order.", _name(system, pole)))
-            continue
-        if system.sample_rate_hz is not None and pole == 0:  # a delay of one sample
-            continue
-        size = abs(pole if system.sample_rate_hz is None else np.log(pole) * system.sample_rate_hz) / (2 * np.pi)
-        if rate is not None and size > FAR * rate:
-            text = f"The pole at {size:.4g} Hz lies beyond half the sampling rate of {rate:.6g} Hz: the samples do not"
-            found.append(Notice("warning", f"{text} show it.", _name(system, pole)))
-        distance = np.abs(system.zeros - pole)
-        if np.any(distance < NEAR * abs(pole - system.rest)):
-            text = f"A zero lies {100 * distance.min() / abs(pole - system.rest):.2g} % from it: the two nearly cancel,"
-            found.append(Notice("info", f"{text} and the order may be too high.", _name(system, pole)))
-    return tuple(found)
+
+    pole: complex
+    natural_hz: float
+    damped_hz: float
+    damping_ratio: float
+    step_share: float | None
 
 
-def _unstable(system: LinearSystem) -> Notice:
-    """Return the warning of poles that grow."""
-    grows = system.poles.real >= 0 if system.sample_rate_hz is None else np.abs(system.poles) >= 1
-    return Notice("warning", f"{int(grows.sum())} of {len(grows)} poles do not decay.", "stability")
+@dataclass(frozen=True)
+class Indices:
+    """Figures of one system; None where the system has no such figure.
+
+    `modes` by natural frequency and `dominant`, the one that oscillates most after a step; `natural_hz`, `damped_hz`
+    and `damping_ratio` are its. `peak_gain` is over the static gain. Bands end where |H| first leaves ±5 or ±10 % of
+    |H(0)|, or of the nominal gain; infinite where it never does (at half the rate for samples); `half_power_hz`: where
+    it first falls below |H(0)|/√2; `quadrature_hz`: where the phase first is 90° from that at rest. `overshoot`: the
+    highest value after a step beyond the final one over the final one; `rise_s` from its first 10 % to its first 90 %;
+    `settling_2_s`, `settling_5_s`: from where on the response stays within 2 or 5 % of the final value.
+    """
+
+    static_gain: float
+    stable: bool
+    modes: tuple[Mode, ...]
+    dominant: Mode | None
+    real_poles_hz: tuple[float, ...]
+    peak_hz: float | None
+    peak_gain: float | None
+    quadrature_hz: float | None
+    half_power_hz: float | None
+    band_5_hz: float | None
+    band_10_hz: float | None
+    band_5_nominal_hz: float | None
+    band_10_nominal_hz: float | None
+    overshoot: float | None
+    rise_s: float | None
+    settling_2_s: float | None
+    settling_5_s: float | None
+    notices: tuple[Notice, ...] = ()
+
+    @property
+    def natural_hz(self) -> float | None:
+        """f_n of the dominant mode."""
+        return None if self.dominant is None else self.dominant.natural_hz
+
+    @property
+    def damped_hz(self) -> float | None:
+        """f_d of the dominant mode."""
+        return None if self.dominant is None else self.dominant.damped_hz
+
+    @property
+    def damping_ratio(self) -> float | None:
+        """ζ of the dominant mode."""
+        return None if self.dominant is None else self.dominant.damping_ratio
+
+    def figures(self) -> dict[str, float | None]:
+        """Return every figure by its name, in the order of `LABELS`."""
+        return {name: getattr(self, name) for name in LABELS}
 
 
-def _name(system: LinearSystem, pole: complex) -> str:
-    """Return words for a pole."""
-    unit = " rad/s" if system.sample_rate_hz is None else ""
-    value = f"{pole.real:.5g}" if pole.imag == 0 else f"{pole.real:.5g} ± {pole.imag:.5g}j"
-    return f"pole {value}{unit}"
-
-
-# The indices of a system.
+def unit_of(name: str) -> str:
+    """Return the unit of a figure: Hz, s, or none."""
+    return UNITS.get(name.rsplit("_", 1)[-1], "")
 
 
 def indices(system: LinearSystem, nominal_gain: float = 1.0, sample_rate_hz: float | None = None) -> Indices:
     """Return all figures of a system, continuous or sampled; `nominal_gain` is what its gain should be.
 
     A sampled system's poles are ln(z)·fs, its gain that on the unit circle, its times those of samples.
-    `sample_rate_hz`: that of the samples a continuous system was identified from, for remarks on its poles.
+    `sample_rate_hz`: that of the samples a continuous system was identified from, for notices of its poles.
     """
     curve = gain_curve(system)
-    static, found = system.static_gain, modes(system)
+    static, oscillating = system.static_gain, modes(system)
     top, passing = peak(curve), transient(system)
     usable = bool(np.isfinite(static)) and static != 0
     bands = [band_end(curve, static, part) if usable else None for part in (0.05, 0.10)]
@@ -100,8 +135,8 @@ def indices(system: LinearSystem, nominal_gain: float = 1.0, sample_rate_hz: flo
     return Indices(
         static,
         system.stable,
-        found,
-        max(found, key=lambda mode: mode.step_share or 0.0, default=None),
+        oscillating,
+        max(oscillating, key=lambda mode: mode.step_share or 0.0, default=None),
         tuple(sorted(float(-p.real / (2 * np.pi)) for p in poles if p.imag == 0)),
         None if top is None else top[0],
         None if top is None or not usable or not np.isfinite(top[1]) else top[1] / abs(static),
@@ -115,22 +150,24 @@ def indices(system: LinearSystem, nominal_gain: float = 1.0, sample_rate_hz: flo
         passing.rise_s,
         passing.settling_2_s,
         passing.settling_5_s,
-        remarks(system, sample_rate_hz),
+        pole_notices(system, sample_rate_hz),
     )
 
 
 def modes(system: LinearSystem) -> tuple[Mode, ...]:
     """Return the oscillating modes by natural frequency."""
     shares = step_shares(system)
-    rate, found = system.sample_rate_hz, []
+    rate, oscillating = system.sample_rate_hz, []
     for pole, share in zip(system.poles, shares, strict=True):
         if pole.imag <= 0:
             continue
         s = pole if rate is None else np.log(pole) * rate
         size = float(abs(s))
         known = float(share) if np.isfinite(share) else None
-        found.append(Mode(complex(s), size / (2 * np.pi), float(s.imag) / (2 * np.pi), float(-s.real / size), known))
-    return tuple(sorted(found, key=lambda mode: mode.natural_hz))
+        oscillating.append(
+            Mode(complex(s), size / (2 * np.pi), float(s.imag) / (2 * np.pi), float(-s.real / size), known)
+        )
+    return tuple(sorted(oscillating, key=lambda mode: mode.natural_hz))
 
 
 def step_shares(system: LinearSystem) -> FloatArray:
@@ -141,112 +178,105 @@ def step_shares(system: LinearSystem) -> FloatArray:
         return np.asarray(np.abs(pairs * system.residues() / below / system.static_gain))
 
 
-# Standard uncertainties of the indices of an identified model.
+# What makes a model's poles doubtful.
 
+FAR = 0.5
+"""Share of the sampling rate from which on a pole says nothing of the sensor."""
+NEAR = 1e-2
+"""Distance of a zero from a pole, over that of the pole from rest, below which the two nearly cancel."""
+
+
+def pole_notices(system: LinearSystem, sample_rate_hz: float | None = None) -> tuple[Notice, ...]:
+    """Return notices on stability, poles without a meaning, and zeros that nearly cancel poles.
+
+    `sample_rate_hz`: that of the samples a continuous model was found from; a sampled model has its own.
+    """
+    own_rate = system.sample_rate_hz
+    rate, notices = own_rate or sample_rate_hz, []
+    if not system.stable:
+        grows = system.poles.real >= 0 if own_rate is None else np.abs(system.poles) >= 1
+        notices.append(Notice("warning", f"{int(grows.sum())} of {len(grows)} poles do not decay.", "stability"))
+    for pole in system.poles[system.poles.imag >= 0]:
+        value = f"{pole.real:.5g}" if pole.imag == 0 else f"{pole.real:.5g} ± {pole.imag:.5g}j"
+        where = f"pole {value}{' rad/s' if own_rate is None else ''}"
+        if own_rate is not None and pole.imag == 0 and pole.real < 0:
+            text = f"turns its sign with every sample, z = {pole.real:.4g}: no motion of a sensor, a product of noise"
+            notices.append(Notice("warning", f"The pole {text} or of too high an order.", where))
+            continue
+        if own_rate is not None and pole == 0:  # a delay of one sample
+            continue
+        size = abs(pole if own_rate is None else np.log(pole) * own_rate) / (2 * np.pi)
+        if rate is not None and size > FAR * rate:
+            text = f"The pole at {size:.4g} Hz lies beyond half the sampling rate of {rate:.6g} Hz: the samples do not"
+            notices.append(Notice("warning", f"{text} show it.", where))
+        distance = np.abs(system.zeros - pole)
+        if np.any(distance < NEAR * abs(pole - system.rest)):
+            text = f"A zero lies {100 * distance.min() / abs(pole - system.rest):.2g} % from it: the two nearly cancel,"
+            notices.append(Notice("info", f"{text} and the order may be too high.", where))
+    return tuple(notices)
+
+
+# Standard uncertainties of the indices of an identified model.
 
 Figure = Callable[[ModalModel], float]
 SETTLING = {"settling_5_s": 0.05, "settling_2_s": 0.02}
-EDGES = ("half_power_hz", "band_5_hz", "band_10_hz")
-NOMINAL_EDGES = ("band_5_nominal_hz", "band_10_nominal_hz")
-
-
-@dataclass(frozen=True)
-class _Smooth:
-    """A smooth function of the model, and what a figure changes by per change of it."""
-
-    function: Figure
-    factor: float = 1.0
-
-
-def indices_with_u(
-    model: ModalModel, nominal_gain: float = 1.0, sample_rate_hz: float | None = None
-) -> UncertainIndices:
-    """Return the figures of an identified model with standard uncertainties from its covariance.
-
-    Arguments as of `indices`.
-    """
-    found = indices(model.system, nominal_gain, sample_rate_hz)
-    names, function = moving_figures(model, found)
-    _, covariance = model.propagate(function)
-    u: dict[str, float | None] = dict.fromkeys(LABELS)
-    u |= dict(zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=True))
-    for name, tolerance in SETTLING.items():
-        spread = settling_u(model, tolerance)
-        u[name] = spread if np.isfinite(spread) else None
-    return UncertainIndices(found, u)
+OVER_STATIC = ("half_power_hz", "band_5_hz", "band_10_hz")
+OVER_NOMINAL = ("band_5_nominal_hz", "band_10_nominal_hz")
 
 
 def moving_figures(model: ModalModel, found: Indices) -> tuple[tuple[str, ...], Callable[[ModalModel], FloatArray]]:
     """Return names (Q,) and a function of models whose Q values change as the figures of `found` do close to `model`.
 
-    For `ModalModel.jacobian`, which needs changes only; figures that there are not, and settling times, are left out.
+    For `ModalModel.propagate` and `.jacobian`, which need changes only; figures that there are not are left out, and
+    settling times, for which see `settling_u`.
     """
-    parts = _of_modes(model, found) | _over_frequency(model.system, found) | _over_time(model, transient(model.system))
-    return tuple(parts), lambda at: np.array([part.factor * part.function(at) for part in parts.values()])
-
-
-def _of_modes(model: ModalModel, found: Indices) -> dict[str, _Smooth]:
-    """Return the static gain and the figures of the dominant mode."""
-    parts = {"static_gain": _Smooth(lambda at: at.static_gain)}
+    parts: dict[str, tuple[Figure, float]] = {"static_gain": (lambda at: at.static_gain, 1.0)}
     if found.dominant is not None:
         mode = int(np.argmin(np.abs(model.poles[: len(model.frequency_hz)] - found.dominant.pole)))
-        parts["natural_hz"] = _Smooth(lambda at: float(at.frequency_hz[mode]))
-        parts["damped_hz"] = _Smooth(lambda at: float(at.poles[mode].imag / (2 * np.pi)))
-        parts["damping_ratio"] = _Smooth(lambda at: float(at.damping_ratio[mode]))
-    return parts
+        parts["natural_hz"] = lambda at: float(at.frequency_hz[mode]), 1.0
+        parts["damped_hz"] = lambda at: float(at.poles[mode].imag / (2 * np.pi)), 1.0
+        parts["damping_ratio"] = lambda at: float(at.damping_ratio[mode]), 1.0
+    parts |= _over_frequency(model.system, found) | _over_time(model, transient(model.system))
+    return tuple(parts), lambda at: np.array([factor * figure(at) for figure, factor in parts.values()])
 
 
-def _over_frequency(system: LinearSystem, found: Indices) -> dict[str, _Smooth]:
-    """Return what stands for peak, bands, -3 dB and 90° at their frequencies."""
-    parts = {}
+def _over_frequency(system: LinearSystem, found: Indices) -> dict[str, tuple[Figure, float]]:
+    """Return what stands for peak, bands, -3 dB and 90° at their frequencies, and what these change by with it."""
+
+    def level_at(hertz: float, over_static: bool) -> Figure:
+        """ln|H|, over the static gain or not."""
+        place = np.array([hertz])
+        return lambda at: float(np.log(np.abs(at.response(place)[0]) / (abs(at.static_gain) if over_static else 1.0)))
+
+    parts: dict[str, tuple[Figure, float]] = {}
     if found.peak_hz is not None and found.peak_gain is not None:
-        step = 1e-6 * found.peak_hz
+        top, step = np.array([found.peak_hz]), 1e-6 * found.peak_hz
         bend = np.diff(log_slope(system, found.peak_hz + np.array([-step, step])))[0] / (2 * step)
-        parts["peak_hz"] = _Smooth(_slope_at(found.peak_hz), -1.0 / float(bend))
-        parts["peak_gain"] = _Smooth(_level_at(found.peak_hz, True), found.peak_gain)
-    for name in (*EDGES, *NOMINAL_EDGES):
+        parts["peak_hz"] = lambda at: float(log_slope(at.system, top)[0]), -1.0 / float(bend)
+        parts["peak_gain"] = level_at(found.peak_hz, True), found.peak_gain
+    for name in (*OVER_STATIC, *OVER_NOMINAL):
         hertz = getattr(found, name)
         if hertz is not None and np.isfinite(hertz):
             slope = 2 * np.pi * float(log_slope(system, np.array([hertz]))[0])
-            parts[name] = _Smooth(_level_at(hertz, name in EDGES), -1.0 / slope)
+            parts[name] = level_at(hertz, name in OVER_STATIC), -1.0 / slope
     if found.quadrature_hz is not None:
-        near = found.quadrature_hz * (1 + np.array([-1e-6, 1e-6]))
+        near, quarter = found.quadrature_hz * (1 + np.array([-1e-6, 1e-6])), np.array([found.quadrature_hz])
         slope = np.diff((system.response(near) / system.static_gain).real)[0] / np.diff(near)[0]
-        parts["quadrature_hz"] = _Smooth(_share_at(found.quadrature_hz), -1.0 / float(slope))
+        parts["quadrature_hz"] = lambda at: float(at.response(quarter)[0].real / at.static_gain), -1.0 / float(slope)
     return parts
 
 
-def _level_at(hertz: float, over_static: bool) -> Figure:
-    """Return ln|H| at a frequency, over the static gain or not."""
-    place = np.array([hertz])
-    return lambda at: float(
-        np.log(np.abs(at.response(place)[0])) - (np.log(abs(at.static_gain)) if over_static else 0.0)
-    )
-
-
-def _share_at(hertz: float) -> Figure:
-    """Return the part of H in phase with H(0), over it, at a frequency."""
-    place = np.array([hertz])
-    return lambda at: float(at.response(place)[0].real / at.static_gain)
-
-
-def _slope_at(hertz: float) -> Figure:
-    """Return d ln|H|/dω at a frequency."""
-    place = np.array([hertz])
-    return lambda at: float(log_slope(at.system, place)[0])
-
-
-def _over_time(model: ModalModel, found: Transient) -> dict[str, _Smooth]:
-    """Return what stands for overshoot and rise time."""
-    parts = {}
+def _over_time(model: ModalModel, found: Transient) -> dict[str, tuple[Figure, float]]:
+    """Return what stands for overshoot and rise time, and what these change by with it."""
+    parts: dict[str, tuple[Figure, float]] = {}
     if found.highest_s is not None:
         highest = np.array([found.highest_s])
-        parts["overshoot"] = _Smooth(lambda at: float(at.step(highest)[0] / at.static_gain))
+        parts["overshoot"] = lambda at: float(at.step(highest)[0] / at.static_gain), 1.0
     if found.passing_s is not None:
         passing = np.array(found.passing_s)
         slope = model.impulse(passing) / model.static_gain
         if np.all(slope > 0):
-            parts["rise_s"] = _Smooth(lambda at: float(-np.diff(at.step(passing) / at.static_gain / slope)[0]))
+            parts["rise_s"] = lambda at: float(-np.diff(at.step(passing) / at.static_gain / slope)[0]), 1.0
     return parts
 
 

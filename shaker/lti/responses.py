@@ -1,4 +1,4 @@
-"""What a system does in time and over frequency: resonance, bands, overshoot, rise, settling."""
+"""What a system does over frequency and in time: peak, bands, overshoot, rise, settling; found to the last digits."""
 
 from __future__ import annotations
 
@@ -9,114 +9,8 @@ from itertools import count, pairwise
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, IntArray, Notice
+from shaker.arrays import ComplexArray, FloatArray, IntArray
 from shaker.lti.system import LinearSystem
-
-# The figures that describe how a sensor follows a load that changes.
-
-
-UNITS = {"hz": "Hz", "s": "s"}
-LABELS = {
-    "static_gain": "static gain",
-    "natural_hz": "natural frequency of the dominant mode",
-    "damped_hz": "damped frequency of the dominant mode",
-    "damping_ratio": "damping ratio of the dominant mode",
-    "peak_hz": "frequency of the highest gain",
-    "peak_gain": "highest gain over the static gain",
-    "quadrature_hz": "frequency at 90° of phase",
-    "half_power_hz": "−3 dB",
-    "band_5_hz": "±5 % of the static gain up to",
-    "band_10_hz": "±10 % of the static gain up to",
-    "band_5_nominal_hz": "±5 % of the nominal gain up to",
-    "band_10_nominal_hz": "±10 % of the nominal gain up to",
-    "overshoot": "overshoot",
-    "rise_s": "rise time, 10 to 90 %",
-    "settling_5_s": "settling time, ±5 %",
-    "settling_2_s": "settling time, ±2 %",
-}
-"""The figures of `Indices` in the order of a table, with the words for them."""
-
-
-@dataclass(frozen=True)
-class Mode:
-    """An oscillating mode: pole in rad/s, f_n = |p|/2π, f_d = Im p/2π, ζ = -Re p/|p|.
-
-    `step_share`: amplitude of its oscillation after a step over the static gain, None where poles coincide.
-    """
-
-    pole: complex
-    natural_hz: float
-    damped_hz: float
-    damping_ratio: float
-    step_share: float | None
-
-
-@dataclass(frozen=True)
-class Indices:
-    """Figures of one system; None where the system has no such figure.
-
-    `modes` by natural frequency and `dominant`, the one that oscillates most after a step; `natural_hz`, `damped_hz`
-    and `damping_ratio` are its. `peak_gain` is over the static gain. Bands end where |H| first leaves ±5 or ±10 % of
-    |H(0)|, or of the nominal gain; infinite where it never does (at half the rate for samples); `half_power_hz`: where
-    it first falls below |H(0)|/√2; `quadrature_hz`: where the phase first is 90° from that at rest. `overshoot`: the
-    highest value after a step beyond the final one over the final one; `rise_s` from its first 10 % to its first 90 %;
-    `settling_2_s`, `settling_5_s`: from where on the response stays within 2 or 5 % of the final value.
-    """
-
-    static_gain: float
-    stable: bool
-    modes: tuple[Mode, ...]
-    dominant: Mode | None
-    real_poles_hz: tuple[float, ...]
-    peak_hz: float | None
-    peak_gain: float | None
-    quadrature_hz: float | None
-    half_power_hz: float | None
-    band_5_hz: float | None
-    band_10_hz: float | None
-    band_5_nominal_hz: float | None
-    band_10_nominal_hz: float | None
-    overshoot: float | None
-    rise_s: float | None
-    settling_2_s: float | None
-    settling_5_s: float | None
-    notices: tuple[Notice, ...] = ()
-
-    @property
-    def natural_hz(self) -> float | None:
-        """f_n of the dominant mode."""
-        return None if self.dominant is None else self.dominant.natural_hz
-
-    @property
-    def damped_hz(self) -> float | None:
-        """f_d of the dominant mode."""
-        return None if self.dominant is None else self.dominant.damped_hz
-
-    @property
-    def damping_ratio(self) -> float | None:
-        """ζ of the dominant mode."""
-        return None if self.dominant is None else self.dominant.damping_ratio
-
-    def figures(self) -> dict[str, float | None]:
-        """Return every figure by its name, in the order of `LABELS`."""
-        return {name: getattr(self, name) for name in LABELS}
-
-
-@dataclass(frozen=True)
-class UncertainIndices:
-    """Figures of a model with standard uncertainties by name; None where a figure has none."""
-
-    indices: Indices
-    u: dict[str, float | None]
-
-
-def unit_of(name: str) -> str:
-    """Return the unit of a figure: Hz, s, or none."""
-    return UNITS.get(name.rsplit("_", 1)[-1], "")
-
-
-# Roots of a function between pairs of points, all at once.
-
 
 STEPS = 120
 TINY = 2.0 * float(np.finfo(np.float64).eps)
@@ -152,18 +46,13 @@ def roots_between(function: Callable[[FloatArray], FloatArray], low: FloatArray,
             least = TINY * np.abs(best) / np.abs(other - point)
             if np.all((least > 0.5) | (value == 0) | (at_other == 0)):
                 break
-            ahead = np.clip(_interpolated((point, other, third), (value, at_other, at_third)), least, 1.0 - least)
+            where, level = (point - other) / (third - other), (value - at_other) / (at_third - at_other)
+            safe = (level**2 < where) & ((1.0 - level) ** 2 < 1.0 - where)
+            place = value / (at_other - value) * at_third / (at_other - at_third)
+            far = (third - point) / (other - point)
+            place += far * value / (at_third - value) * at_other / (at_third - at_other)
+            ahead = np.clip(np.where(safe, place, 0.5), least, 1.0 - least)
     return np.where(value == 0, point, np.where(at_other == 0, other, best))
-
-
-def _interpolated(place: tuple[FloatArray, ...], value: tuple[FloatArray, ...]) -> FloatArray:
-    """Return how far the root lies from the first towards the second of three points (R,), 0.5 where that is unsafe."""
-    (a, b, c), (at_a, at_b, at_c) = place, value
-    where, level = (a - b) / (c - b), (at_a - at_b) / (at_c - at_b)
-    safe = (level**2 < where) & ((1.0 - level) ** 2 < 1.0 - where)
-    found = at_a / (at_b - at_a) * at_c / (at_b - at_c)
-    found += (c - a) / (b - a) * at_a / (at_c - at_a) * at_b / (at_c - at_b)
-    return np.where(safe, found, 0.5)
 
 
 # Where the gain of a system peaks, falls and leaves a band, over frequency.
@@ -178,13 +67,12 @@ class GainCurve:
     """|H| over frequency: `edges_hz` (E,), rising from 0, with `gain` (E,), between which |H| only rises or only falls.
 
     The last edge is half the sampling rate, or, of a continuous system, far above every pole and zero, where |H| has
-    come to its last slope; `gain_beyond`: what it tends to from there on.
+    come to its last slope.
     """
 
     system: LinearSystem
     edges_hz: FloatArray
     gain: FloatArray
-    gain_beyond: float
 
     def crossings(self, *levels: float) -> list[float]:
         """Return every frequency in Hz at which |H| passes one of the levels, rising."""
@@ -194,24 +82,21 @@ class GainCurve:
         def above(hertz: FloatArray) -> FloatArray:
             return np.asarray(np.abs(self.system.response(hertz)) / level - 1.0)
 
-        found = roots_between(above, self.edges_hz[places], self.edges_hz[places + 1])
-        return [float(f) for f in np.sort(found)]
+        roots = roots_between(above, self.edges_hz[places], self.edges_hz[places + 1])
+        return [float(root) for root in np.sort(roots)]
 
     def inside(self, low: float, high: float) -> list[tuple[float, float]]:
         """Return the ranges of frequency in Hz in which low ≤ |H| ≤ high, rising; the last may be endless."""
         ends = [0.0, *self.crossings(low, high), float(self.edges_hz[-1])]
         middle = np.abs(self.system.response(np.array([0.5 * (begin + end) for begin, end in pairwise(ends)])))
-        found: list[tuple[float, float]] = []
+        ranges: list[tuple[float, float]] = []
         for (begin, end), gain in zip(pairwise(ends), middle, strict=True):
-            if not low <= gain <= high:
-                continue
-            if found and found[-1][1] == begin:
-                found[-1] = (found[-1][0], end)
-            else:
-                found.append((begin, end))
-        if found and self.system.sample_rate_hz is None and found[-1][1] == ends[-1]:
-            found[-1] = (found[-1][0], np.inf)
-        return found
+            if low <= gain <= high:
+                joined = bool(ranges) and ranges[-1][1] == begin
+                ranges.append((ranges.pop()[0] if joined else begin, end))
+        if ranges and self.system.sample_rate_hz is None and ranges[-1][1] == ends[-1]:
+            ranges[-1] = (ranges[-1][0], np.inf)
+        return ranges
 
 
 def gain_curve(system: LinearSystem) -> GainCurve:
@@ -224,14 +109,7 @@ def gain_curve(system: LinearSystem) -> GainCurve:
     places = sign_changes(log_slope(system, grid))
     turns = roots_between(lambda hertz: log_slope(system, hertz), grid[places], grid[places + 1])
     edges = np.concatenate([[0.0], turns, grid[-1:]])
-    return GainCurve(system, edges, np.abs(system.response(edges)), _beyond(system))
-
-
-def _beyond(system: LinearSystem) -> float:
-    """Return the gain at the highest frequency: at half the rate, or at infinity."""
-    if system.sample_rate_hz is not None:
-        return float(np.abs(system.at(np.array([-1.0 + 0j]))[0]))
-    return abs(system.gain) if len(system.zeros) == len(system.poles) else 0.0
+    return GainCurve(system, edges, np.abs(system.response(edges)))
 
 
 def places_rad(system: LinearSystem) -> tuple[ComplexArray, ComplexArray]:
@@ -273,8 +151,8 @@ def log_slope(system: LinearSystem, hertz: FloatArray) -> FloatArray:
     away = x[:, None] - np.concatenate([system.zeros, system.poles])
     sense = np.repeat([1.0, -1.0], [len(system.zeros), len(system.poles)])
     hit = away == 0
-    found = (change * np.sum(sense / np.where(hit, 1.0, away), axis=1)).real
-    return np.asarray(np.where(np.any(hit, axis=1), 0.0, found))
+    slope = (change * np.sum(sense / np.where(hit, 1.0, away), axis=1)).real
+    return np.asarray(np.where(np.any(hit, axis=1), 0.0, slope))
 
 
 def band_end(curve: GainCurve, reference: float, tolerance: float) -> float | None:
@@ -288,8 +166,7 @@ def half_power(curve: GainCurve) -> float | None:
     """Return the frequency in Hz at which |H| first falls below |H(0)|/√2, None if nowhere."""
     if curve.gain[0] == 0:
         return None
-    found = curve.crossings(float(curve.gain[0]) / np.sqrt(2.0))
-    return found[0] if found else None
+    return next(iter(curve.crossings(float(curve.gain[0]) / np.sqrt(2.0))), None)
 
 
 def peak(curve: GainCurve) -> tuple[float, float] | None:
@@ -310,8 +187,8 @@ def quadrature(system: LinearSystem) -> float | None:
         return np.asarray(system.response(hertz).real / gain)
 
     first = sign_changes(along(grid))[:1]
-    found = roots_between(along, grid[first], grid[first + 1])
-    return float(found[0]) if len(found) else None
+    root = roots_between(along, grid[first], grid[first + 1])
+    return float(root[0]) if len(root) else None
 
 
 # Overshoot, rise and settling of the response to a step.
@@ -456,8 +333,8 @@ class _Response:
         if (begin, end) not in self.pieces:
             time = np.linspace(begin, end, BLOCK + 1)
             places = sign_changes(self.slope(time))
-            found = np.concatenate([[begin], roots_between(self.slope, time[places], time[places + 1]), [end]])
-            self.pieces[begin, end] = found, self.ratio(found)
+            turns = np.concatenate([[begin], roots_between(self.slope, time[places], time[places + 1]), [end]])
+            self.pieces[begin, end] = turns, self.ratio(turns)
         return self.pieces[begin, end]
 
     def overshoot(self) -> tuple[float, float | None]:

@@ -1,15 +1,14 @@
-"""Linear systems by zeros, poles and gain, continuous or sampled, and the conversions between them."""
+"""Linear systems, continuous or sampled: zeros, poles and gain, their conversions; sums of modes with covariance."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from shaker.arrays import ComplexArray, FloatArray, check_shape
-
-# Between zeros, poles and gain and a sum of residues over poles.
 
 
 def residues(zeros: ComplexArray, poles: ComplexArray, gain: float) -> ComplexArray:
@@ -283,34 +282,26 @@ class LinearSystem:
 
     def _driven(self, time_s: FloatArray, step: bool) -> FloatArray:
         """Return a response by poles where they are apart, by the matrix exponential where they coincide."""
-        time = np.asarray(time_s, dtype=np.float64)
-        late = time >= 0
-        found = np.zeros(len(time))
-        t = time[late]
-        if not len(t):
-            return found
-        if self.sample_rate_hz is not None:
-            found[late] = self._samples(t * self.sample_rate_hz, step)
-            return found
-        if np.all(self.poles != 0):
-            terms, sound = self.step_terms()
-            if sound and step:
-                found[late] = self.direct + np.real(np.expm1(t[:, None] * self.poles) @ terms)
-            elif sound:
-                found[late] = np.real(np.exp(t[:, None] * self.poles) @ (terms * self.poles))
-            if sound:
-                return found
-        found[late] = self._by_matrix(t, step)
-        return found
-
-    def _samples(self, place: FloatArray, step: bool) -> FloatArray:
-        """Return the response at places (N,) in samples, the last sample before each."""
         from scipy.signal import sosfilt
 
-        index = np.floor(place + 1e-6).astype(np.int64)
-        drive = np.ones(int(index.max()) + 1)
-        drive[1:] = 1.0 if step else 0.0
-        return np.asarray(sosfilt(self.sections(), drive)[index])
+        time = np.asarray(time_s, dtype=np.float64)
+        late = time >= 0
+        response, t = np.zeros(len(time)), time[late]
+        if not len(t):
+            return response
+        terms, apart = (self.poles, False) if self.sample_rate_hz or np.any(self.poles == 0) else self.step_terms()
+        if self.sample_rate_hz is not None:
+            index = np.floor(t * self.sample_rate_hz + 1e-6).astype(np.int64)
+            drive = np.ones(int(index.max()) + 1)
+            drive[1:] = 1.0 if step else 0.0
+            response[late] = sosfilt(self.sections(), drive)[index]
+        elif not apart:
+            response[late] = self._by_matrix(t, step)
+        elif step:
+            response[late] = self.direct + np.real(np.expm1(t[:, None] * self.poles) @ terms)
+        else:
+            response[late] = np.real(np.exp(t[:, None] * self.poles) @ (terms * self.poles))
+        return response
 
     def _by_matrix(self, time_s: FloatArray, step: bool) -> FloatArray:
         """Return a continuous response at times (N,) from a chain of first-order systems."""
@@ -405,3 +396,147 @@ def paired(roots: ComplexArray, name: str) -> ComplexArray:
         raise ValueError(f"{name}: expected conjugate pairs, found {left[0].conjugate()} without its conjugate")
     above = above[np.argsort(np.abs(above), kind="stable")]
     return np.concatenate([np.stack([above, above.conj()], axis=1).ravel(), np.sort(real) + 0j])
+
+
+# A system as a sum of modes: what is fitted to a record, with its covariance.
+
+
+@dataclass(frozen=True)
+class ModalModel:
+    """H(s) = Σ_m [r_m/(s - p_m) + r̄_m/(s - p̄_m)] + Σ_q r_q/(s - p_q), output over load.
+
+    Oscillating modes m: p = -ζω + jω√(1 - ζ²), ω = 2π·`frequency_hz` (M,), `damping_ratio` ζ (M,), complex `residue`
+    (M,); real poles q: p = -2π·`real_hz` (Q,), `real_residue` (Q,). Residues in output unit per load unit and second.
+    `covariance` (P, P), P = 4M + 2Q, of `vector` = [frequency_hz, damping_ratio, Re residue, Im residue, real_hz,
+    real_residue], None where it is not known. ζ < 1; a negative ζ or `real_hz` is an unstable model, kept as found.
+    """
+
+    frequency_hz: FloatArray
+    damping_ratio: FloatArray
+    residue: ComplexArray
+    real_hz: FloatArray
+    real_residue: FloatArray
+    covariance: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        modes, reals = len(self.frequency_hz), len(self.real_hz)
+        for name, count in (("frequency_hz", modes), ("damping_ratio", modes), ("residue", modes)):
+            check_shape(name, getattr(self, name), (count,))
+        check_shape("real_hz", self.real_hz, (reals,))
+        check_shape("real_residue", self.real_residue, (reals,))
+        if self.covariance is not None:
+            check_shape("covariance", self.covariance, (4 * modes + 2 * reals,) * 2)
+        if np.any(np.abs(self.damping_ratio) >= 1.0):
+            raise ValueError(
+                f"damping_ratio: expected below 1, found {self.damping_ratio.tolist()}; use two real poles"
+            )
+
+    @property
+    def vector(self) -> FloatArray:
+        """All parameters (P,) in the order of `covariance`."""
+        parts = (self.frequency_hz, self.damping_ratio, self.residue.real, self.residue.imag, self.real_hz)
+        return np.concatenate([*parts, self.real_residue])
+
+    def with_vector(self, vector: FloatArray) -> ModalModel:
+        """Return the model of another vector (P,), with the same covariance."""
+        modes, reals = len(self.frequency_hz), len(self.real_hz)
+        f, z, re, im, hz, r = np.split(np.asarray(vector), np.cumsum([modes] * 4 + [reals]))
+        return replace(self, frequency_hz=f, damping_ratio=z, residue=re + 1j * im, real_hz=hz, real_residue=r)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters: frequency_hz_1, … with the number of the mode or of the real pole."""
+        modes = ("frequency_hz", "damping_ratio", "residue_re", "residue_im")
+        of_modes = [f"{name}_{m + 1}" for name in modes for m in range(len(self.frequency_hz))]
+        of_reals = [f"{name}_{q + 1}" for name in ("real_hz", "real_residue") for q in range(len(self.real_hz))]
+        return (*of_modes, *of_reals)
+
+    @property
+    def poles(self) -> ComplexArray:
+        """Poles in rad/s: the upper ones of the modes (M,), then the real ones (Q,)."""
+        omega, zeta = 2 * np.pi * self.frequency_hz, self.damping_ratio
+        upper = omega * (-zeta + 1j * np.sqrt(1 - zeta**2))
+        return np.concatenate([upper, -2 * np.pi * self.real_hz + 0j])
+
+    def response(self, frequency_hz: FloatArray) -> ComplexArray:
+        """Return H (K,) at frequencies (K,) in Hz."""
+        s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[:, None]
+        upper, real = np.split(self.poles, [len(self.frequency_hz)])
+        both = self.residue / (s - upper) + self.residue.conj() / (s - upper.conj())
+        return np.asarray(both.sum(axis=1) + (self.real_residue / (s - real)).sum(axis=1))
+
+    @property
+    def static_gain(self) -> float:
+        """H(0), the static sensitivity of the model."""
+        return float(self.response(np.zeros(1))[0].real)
+
+    def step(self, time_s: FloatArray) -> FloatArray:
+        """Return the response (N,) to a unit step at t = 0: Σ r/p·(exp(pt) - 1), zero before."""
+        t = np.maximum(np.asarray(time_s, dtype=np.float64), 0.0)[:, None]
+        upper, real = np.split(self.poles, [len(self.frequency_hz)])
+        swing = 2.0 * np.real(self.residue / upper * np.expm1(upper * t)).sum(axis=1)
+        return np.asarray(swing + (self.real_residue / real.real * np.expm1(real.real * t)).sum(axis=1))
+
+    def impulse(self, time_s: FloatArray) -> FloatArray:
+        """Return the response (N,) to a unit impulse at t = 0: Σ r·exp(pt), zero before."""
+        time = np.asarray(time_s, dtype=np.float64)
+        t = np.maximum(time, 0.0)[:, None]
+        upper, real = np.split(self.poles, [len(self.frequency_hz)])
+        swing = 2.0 * np.real(self.residue * np.exp(upper * t)).sum(axis=1)
+        return np.asarray((swing + (self.real_residue * np.exp(real.real * t)).sum(axis=1)) * (time >= 0))
+
+    @property
+    def system(self) -> LinearSystem:
+        """The same as zeros, poles and gain."""
+        upper, real = np.split(self.poles, [len(self.frequency_hz)])
+        poles = np.concatenate([upper, upper.conj(), real])
+        residues = np.concatenate([self.residue, self.residue.conj(), self.real_residue + 0j])
+        return LinearSystem.from_residues(poles, residues)
+
+    @staticmethod
+    def from_system(system: LinearSystem) -> ModalModel:
+        """Return a continuous system of different poles, with fewer zeros than poles, as a sum of modes."""
+        if system.sample_rate_hz is not None:
+            raise ValueError(f"system: expected a continuous one, found samples at {system.sample_rate_hz} Hz")
+        if len(system.zeros) >= len(system.poles):
+            raise ValueError(f"zeros: expected fewer than poles, {len(system.poles)}, found {len(system.zeros)}")
+        residues = system.residues()
+        if not np.all(np.isfinite(residues)):
+            raise ValueError(f"poles: expected different ones, found {system.poles.tolist()}")
+        upper, real = system.poles.imag > 0, system.poles.imag == 0
+        size = np.abs(system.poles[upper])
+        damping = -system.poles[upper].real / size
+        hertz = -system.poles[real].real / (2 * np.pi)
+        return ModalModel(size / (2 * np.pi), damping, residues[upper], hertz, residues[real].real)
+
+    def jacobian(
+        self, function: Callable[[ModalModel], FloatArray], step: float = 1e-2
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return a function's values (Q,) and their derivatives (Q, P), by central differences over each parameter.
+
+        `step`: by how many of its standard uncertainties a parameter is moved to either side, real poles by 5 % at
+        most; one without uncertainty is not moved.
+        """
+        moves = step * np.sqrt(np.diag(self._known_covariance()))
+        reals = slice(4 * len(self.frequency_hz), 4 * len(self.frequency_hz) + len(self.real_hz))
+        moves[reals] = np.minimum(moves[reals], 0.05 * np.abs(self.real_hz))
+        value = np.asarray(function(self))
+        slope = np.zeros((len(value), len(moves)))
+        for place in np.flatnonzero(moves):
+            up, down = (self.vector + sign * moves[place] * np.eye(len(moves))[place] for sign in (1.0, -1.0))
+            change = np.asarray(function(self.with_vector(up))) - np.asarray(function(self.with_vector(down)))
+            slope[:, place] = change / (2 * moves[place])
+        return value, slope
+
+    def propagate(
+        self, function: Callable[[ModalModel], FloatArray], step: float = 1e-2
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return a function's values (Q,) and their covariance (Q, Q) by its `jacobian`."""
+        value, slope = self.jacobian(function, step)
+        return value, np.asarray(slope @ self._known_covariance() @ slope.T)
+
+    def _known_covariance(self) -> FloatArray:
+        """The covariance, which must be there."""
+        if self.covariance is None:
+            raise ValueError("covariance: expected that of the parameters, found none")
+        return self.covariance

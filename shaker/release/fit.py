@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from shaker.arrays import FloatArray, Notice
-from shaker.lti.indices import remarks as system_remarks
+from shaker.lti.indices import pole_notices as system_remarks
 from shaker.lti.system import LinearSystem
 from shaker.release.order import Found, Search, known_about, more_terms, remarks, searched
 from shaker.release.output_error import Problem, Structure, modal_model, solve, spread, squares

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from shaker.arrays import ComplexArray, FloatArray, Notice, Severity
-from shaker.lti.modal import ModalModel
+from shaker.lti.system import ModalModel
 from shaker.release.output_error import Problem, Solution, Spread, Structure, design, gain_by, solve, squares
 from shaker.release.poles import instruments, peaks_hz, pencil, thinned, upper_poles
 from shaker.release.record import Reading, StepRecord

@@ -8,7 +8,7 @@ import numpy as np
 
 from shaker.arrays import ComplexArray, FloatArray, IntArray
 from shaker.fitting import Block, Prior, Rules, Separable, eliminate, levenberg_marquardt
-from shaker.lti.modal import ModalModel
+from shaker.lti.system import ModalModel
 from shaker.release.response import Answers, Load, Samples, answers, responses
 
 # How many poles and zeros a model has, and what its parameters make of them.

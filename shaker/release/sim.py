@@ -9,9 +9,8 @@ from typing import Literal
 import numpy as np
 
 from shaker.arrays import FloatArray, Notice, check_shape
-from shaker.lti.indices import remarks
-from shaker.lti.modal import ModalModel
-from shaker.lti.system import LinearSystem
+from shaker.lti.indices import pole_notices
+from shaker.lti.system import LinearSystem, ModalModel
 from shaker.release.reading import read_release
 from shaker.release.record import Reading, Shape, StepRecord
 
@@ -163,7 +162,7 @@ def fit_sim(
     sampled = orders.system(chosen, direct)
     system, notices = _continuous(sampled, conversion)
     fitted = simulated(sampled, load)
-    notices += remarks(system, rate)
+    notices += pole_notices(system, rate)
     if not np.all(np.isfinite(fitted)):
         where = f"{record.name}, {channel}"
         notices += (Notice("warning", "the model's output grows without bound: shown is the output's mean", where),)

@@ -25,8 +25,7 @@ from fusion.sensor.identify.run import IDENTIFY, read_model
 from fusion.sensor.transfer.evaluate import KINDS as TRANSFER_KINDS
 from fusion.simulate.chirp import write_masses
 from fusion.simulate.world import Draws, true_part
-from shaker.identification.correction import correct_phasors
-from shaker.identification.sensor import Load
+from shaker.identification.sensor import Load, correct_phasors
 from shaker.sine.phasor import Phasors
 
 GUIDE = (DOCS / "identify.md").read_text(encoding="utf-8")

@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 from real_data import SHOCK, SHOCK_RATE_HZ, Shock, as_sensor, read_shock
 
-from shaker.identification.correction import correct_record, usable_band
-from shaker.identification.sensitivity import NO_CHAIN
-from shaker.identification.sensor import Load, SensorModel
+from shaker.identification.sensor import NO_CHAIN, Load, SensorModel, correct_record, usable_band
 
 SEISMIC = Load(1.0, "force")
 

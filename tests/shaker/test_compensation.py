@@ -28,7 +28,7 @@ from shaker.compensation.filter import (
     single_mode,
 )
 from shaker.lti.indices import indices
-from shaker.lti.modal import ModalModel
+from shaker.lti.system import ModalModel
 from shaker.release.load_model import LoadModel
 
 PUBLISHED = Compensation(single_mode(500.0, 0.004), Target(1000.0, 0.5))

@@ -13,9 +13,17 @@ from numpy.typing import NDArray
 from scipy import signal
 from sensitivity_factory import DAMPING, FREQUENCY, LAG, STATIC, STIFFNESS, lag, measured, resonance
 
-from shaker.identification.correction import correct_phasors, correct_record, usable_band
-from shaker.identification.sensitivity import NO_CHAIN, Chain, fit_chain
-from shaker.identification.sensor import Drive, Load, SensorModel, sensor_model
+from shaker.identification.sensitivity import fit_chain, sensor_model
+from shaker.identification.sensor import (
+    NO_CHAIN,
+    Chain,
+    Drive,
+    Load,
+    SensorModel,
+    correct_phasors,
+    correct_record,
+    usable_band,
+)
 from shaker.sine.phasor import Phasors
 
 FloatArray = NDArray[np.float64]

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import signal
 
-from shaker.lti.modal import ModalModel
-from shaker.lti.system import LinearSystem
+from shaker.lti.system import LinearSystem, ModalModel
 
 FloatArray = NDArray[np.float64]
 RATE = 1e5

@@ -13,8 +13,7 @@ import pytest
 
 from shaker.compensation.effects import residual_ringing
 from shaker.compensation.filter import Compensation, Target, loaded_dynamics, single_mode
-from shaker.lti.indices import indices
-from shaker.lti.responses import Indices
+from shaker.lti.indices import Indices, indices
 from shaker.lti.system import LinearSystem
 from shaker.release.load_model import LoadModel, first_mode_hz, formula_limit, load_curve
 

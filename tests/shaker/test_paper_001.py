@@ -17,8 +17,7 @@ from fusion.sensor.elastomer.evaluate import Column, spread
 from shaker.compensation.filter import band_ratio
 from shaker.elastomer.frame import fit_platform
 from shaker.elastomer.geometry import PublishedStatics, beam_stiffness, guided_stiffness
-from shaker.lti.indices import indices
-from shaker.lti.responses import Indices, Mode
+from shaker.lti.indices import Indices, Mode, indices
 from shaker.lti.system import LinearSystem
 from shaker.mechanics import oscillator_hz, required_stiffness
 from shaker.release.fit import fit_step

@@ -21,7 +21,7 @@ from published_formulas import (
 )
 
 from shaker.identification.readings import peak_readings
-from shaker.identification.sensitivity import Chain
+from shaker.identification.sensor import Chain
 from shaker.mechanics import required_stiffness, shared_spring
 from shaker.sine.phasor import derivative_factor
 from shaker.static_rotation.harmonics import fit_angles

@@ -25,8 +25,8 @@ from sensitivity_factory import (
 )
 
 from shaker.identification.measured import MeasuredSensitivity, RelativeError
-from shaker.identification.sensitivity import CHAIN_PARAMETERS, Chain, ChainKind, SensitivityFit, SpringPrior, fit_chain
-from shaker.identification.sensor import fit_sensitivity
+from shaker.identification.sensitivity import SensitivityFit, SpringPrior, fit_chain, fit_sensitivity
+from shaker.identification.sensor import CHAIN_PARAMETERS, Chain, ChainKind
 
 ComplexArray = NDArray[np.complex128]
 TIME = DAMPING / STIFFNESS

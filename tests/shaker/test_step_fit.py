@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 from step_fit_factory import AMPLITUDE, RATE_HZ, SENSOR, answered, record_of, released, ring_rms, rough, sensor
 
 from shaker.arrays import FloatArray
-from shaker.lti.modal import ModalModel
+from shaker.lti.system import ModalModel
 from shaker.release.fit import fit_step
 from shaker.release.sim import StepFit
 

@@ -46,8 +46,7 @@ from shaker.compensation.filter import (
     sampled,
 )
 from shaker.compensation.force_feedback import FeedbackRun, HapticLoop, largest_stable_gain, push, simulate_feedback
-from shaker.lti.indices import indices
-from shaker.lti.responses import LABELS, Indices
+from shaker.lti.indices import LABELS, Indices, indices
 from shaker.lti.system import LinearSystem
 from shaker.release.load_model import LoadModel
 

@@ -30,7 +30,7 @@ from fusion.sensor.compensate.figures import (
 )
 from fusion.sensor.compensate.source import Figures, LoadFilter, SubjectResult
 from shaker.compensation.filter import band_ratio, best_damping
-from shaker.lti.responses import LABELS, unit_of
+from shaker.lti.indices import LABELS, unit_of
 
 EXPANDED = 2.0
 GRAM, MILLI, PERCENT = 1e3, 1e3, 100.0

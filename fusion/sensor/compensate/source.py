@@ -24,8 +24,8 @@ from shaker.compensation.filter import (
     modal_dynamics,
 )
 from shaker.labels import load_unit
-from shaker.lti.modal import ModalModel
-from shaker.lti.responses import Indices
+from shaker.lti.indices import Indices
+from shaker.lti.system import ModalModel
 from shaker.release.load_model import LoadModel
 
 # What the user wants of a compensation.

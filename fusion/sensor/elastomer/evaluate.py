@@ -27,7 +27,7 @@ from shaker.elastomer.frame import (
 from shaker.elastomer.geometry import PublishedStatics, Section, beam_stiffness, guided_stiffness
 from shaker.elastomer.solid import SolidModel, converged, solve_solid
 from shaker.labels import LOAD_COMPONENTS
-from shaker.lti.modal import ModalModel
+from shaker.lti.system import ModalModel
 from shaker.mechanics import MassChain, oscillator_hz, required_stiffness
 
 # What is computed of an elastic element.

@@ -36,8 +36,7 @@ from fusion.sensor.identify.fit import SensitivityResult
 from fusion.sensor.transfer.figures import uncertainty
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.frf.chain import common_covariance
-from shaker.identification.sensitivity import NO_CHAIN
-from shaker.identification.sensor import Load
+from shaker.identification.sensor import NO_CHAIN, Load
 
 # Figures of an identification: curves with model and residual, and the circles of the resonances.
 

@@ -30,8 +30,8 @@ from fusion.sensor.identify.measured import (
 from shaker.arrays import ComplexArray, FloatArray, Notice, Severity
 from shaker.identification.fit import Identification, identify
 from shaker.identification.measured import MeasuredSensitivity, MeasuredTransfer, Placement, RelativeError
-from shaker.identification.sensitivity import NO_CHAIN, SpringPrior
-from shaker.identification.sensor import SensitivityComparison, SensorModel, fit_sensitivity, sensor_model
+from shaker.identification.sensitivity import SensitivityComparison, SpringPrior, fit_sensitivity, sensor_model
+from shaker.identification.sensor import NO_CHAIN, SensorModel
 from shaker.identification.structures import ChainStructure, Structure, Suspension
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
 from shaker.sine.phasor import Phasors

@@ -16,9 +16,9 @@ from fusion.report.style import Picture
 from fusion.report.table import Headline, Table
 from fusion.sensor.identify.evaluate import LABELS, ComponentResult, IdentifyEvaluation, Reading, of_curve
 from fusion.sensor.identify.figures import curve_pictures, sensitivity_pictures
-from shaker.identification.correction import UsableBand
 from shaker.identification.measured import ParameterEstimate
-from shaker.identification.sensor import CHAIN_WORDS
+from shaker.identification.sensitivity import CHAIN_WORDS
+from shaker.identification.sensor import UsableBand
 from shaker.labels import LOAD_COMPONENTS
 
 K = coverage_factor(np.inf)

@@ -18,8 +18,7 @@ from fusion.report.table import Column, columns_of, csv_text, word
 from fusion.sensor.identify.evaluate import ComponentResult, IdentifyEvaluation, Reading, evaluate_campaign
 from fusion.sensor.identify.measured import IdentifySettings, read_campaign
 from fusion.sensor.identify.report import NumberRow, page_context, parameter_rows, plain, printed
-from shaker.identification.sensitivity import CHAIN_PARAMETERS, Chain, ChainKind
-from shaker.identification.sensor import SENSOR_PARAMETERS, SensorModel
+from shaker.identification.sensor import CHAIN_PARAMETERS, SENSOR_PARAMETERS, Chain, ChainKind, SensorModel
 from shaker.labels import LOAD_COMPONENTS
 
 FORMAT = 1

@@ -16,9 +16,8 @@ from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry
 from fusion.sensor.transfer.records import Aligned, align
 from shaker.arrays import ComplexArray, FloatArray, Notice
-from shaker.lti.indices import SETTLING, indices, moving_figures, settling_u
-from shaker.lti.modal import ModalModel
-from shaker.lti.responses import LABELS, Indices, unit_of
+from shaker.lti.indices import LABELS, SETTLING, Indices, indices, moving_figures, settling_u, unit_of
+from shaker.lti.system import ModalModel
 from shaker.release.record import StepRecord
 from shaker.timebase.edges import kernel_reach, resampled
 

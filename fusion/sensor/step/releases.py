@@ -17,8 +17,7 @@ from fusion.sensor.models_file import ModelEntry
 from fusion.sensor.step.records import Figure, Pooled, StepInput, StepSettings, effective_dof, read_step
 from shaker.arrays import FloatArray, Notice
 from shaker.labels import LOAD_COMPONENTS
-from shaker.lti.indices import indices
-from shaker.lti.responses import Indices
+from shaker.lti.indices import Indices, indices
 from shaker.release.fit import METHODS, compare, fit_step
 from shaker.release.reading import ReleaseKind, compare_releases, read_releases
 from shaker.release.record import Reading, StepRecord
