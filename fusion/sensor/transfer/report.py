@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 import h5py
 import numpy as np
 
-from fusion.estimation.uncertainty import Polar, element_covariance, polar, rounded, typeset
+from fusion.base import rounded, typeset
+from fusion.estimation.uncertainty import Polar, element_covariance, polar
 from fusion.recording.load import load_for_command
 from fusion.report.csv_files import polar_columns
 from fusion.report.folder import Command
@@ -18,9 +19,8 @@ from fusion.report.h5 import write_fields
 from fusion.report.numbers import measured, small
 from fusion.report.table import Column, Headline, Table, csv_text, word
 from fusion.sensor.transfer.evaluate import evaluate_transfer
-from fusion.sensor.transfer.figures import TransferCurve, draw_transfer, uncertainty
+from fusion.sensor.transfer.figures import draw_transfer, uncertainty
 from fusion.sensor.transfer.records import FoundResonance, ReferenceResult, TransferEvaluation, TransferSettings
-from shaker.arrays import FloatArray
 
 
 class Line(NamedTuple):
@@ -197,41 +197,16 @@ def _context(evaluation: TransferEvaluation) -> dict[str, Any]:
     return {
         "subject": _subject(evaluation),
         "headlines": headlines(evaluation),
-        "pictures": [draw_transfer(curve) for result in evaluation.references for curve in _curves(result)],
+        "pictures": [
+            draw_transfer(result, channel)
+            for result in evaluation.references
+            for channel in range(len(result.transfer.ratio.channels))
+        ],
         "curves": curves_table(evaluation),
         "resonances": resonances_table(evaluation),
         "budgets": budget_tables(evaluation),
         "channels": _channels(evaluation),
     }
-
-
-def _curves(result: ReferenceResult) -> list[TransferCurve]:
-    """The responses of one reference as the figures take them."""
-    transfer, curves = result.transfer, []
-    for c, name in enumerate(transfer.ratio.channels):
-        noise = _noise(result, c)
-        fits = tuple((found.fit, found.band_hz) for found in result.resonances if found.response == name)
-        one = transfer.ratio.select([name])
-        curves.append(
-            TransferCurve(
-                response=name,
-                reference=result.name,
-                unit=one.unit[0],
-                frequency_hz=one.frequency_hz,
-                value=one.value[:, 0],
-                covariance=one.covariance,
-                random_covariance=noise,
-                coherence=transfer.coherence[:, c],
-                resonances=fits,
-            )
-        )
-    return curves
-
-
-def _noise(result: ReferenceResult, channel: int) -> FloatArray:
-    """Noise covariance (K, 2, 2) of one response."""
-    both = [channel, channel + len(result.transfer.ratio.channels)]
-    return np.asarray(result.random_covariance[:, both][:, :, both])
 
 
 def _subject(evaluation: TransferEvaluation) -> list[tuple[str, str]]:
