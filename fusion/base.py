@@ -13,22 +13,16 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
-
-import numpy as np
-from numpy.typing import ArrayLike
-
-from photogram.arrays import Notice as ImageNotice
-from shaker.arrays import Notice
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
     from rich.console import Console
 
+    from photogram.arrays import Notice as ImageNotice
+    from shaker.arrays import Notice
 
-# The remarks of all three packages, seen as one kind.
-
-
-AnyNotice = Notice | ImageNotice
+AnyNotice: TypeAlias = "Notice | ImageNotice"
 
 
 def warnings_first(notices: Iterable[AnyNotice]) -> list[AnyNotice]:
@@ -133,9 +127,7 @@ def remove_abandoned(folder: Path) -> list[Path]:
 
     A process of another machine cannot be asked: what it left counts as abandoned after a day without any change.
     """
-    if not folder.is_dir():
-        return []
-    removed = [entry for entry in folder.iterdir() if _abandoned(entry)]
+    removed = [entry for entry in folder.iterdir() if _abandoned(entry)] if folder.is_dir() else []
     for entry in removed:
         if entry.is_dir() and not entry.is_symlink():
             shutil.rmtree(entry, ignore_errors=True)
@@ -149,23 +141,15 @@ def _abandoned(entry: Path) -> bool:
     named = TEMPORARY.fullmatch(entry.name)
     if named is None:
         return False
-    if named["host"] == socket.gethostname() and sys.platform != "win32":
-        return not _is_running(int(named["process"]))
     try:
-        return time.time() - entry.stat().st_mtime > FORGOTTEN_S
-    except FileNotFoundError:  # finished in between
-        return False
-
-
-def _is_running(process: int) -> bool:
-    """Whether a process of this machine exists."""
-    try:
-        os.kill(process, 0)
+        if named["host"] != socket.gethostname() or sys.platform == "win32":
+            return time.time() - entry.stat().st_mtime > FORGOTTEN_S
+        os.kill(int(named["process"]), 0)  # asks whether it exists
     except ProcessLookupError:
-        return False
-    except PermissionError:  # of another user
         return True
-    return True
+    except (PermissionError, FileNotFoundError):  # of another user; finished in between
+        return False
+    return False
 
 
 # Where tables and sentences for the user go: a terminal of its own width, a pipe of 120 columns.
@@ -330,6 +314,8 @@ def rounded(value: float, expanded: float, exponent: int | None = None) -> Round
 
 def prefix(values: ArrayLike, *, coarse: bool = False) -> tuple[float, str]:
     """Return factor and SI prefix that bring the largest size of values to a readable one (`coarse`: at least 1)."""
+    import numpy as np  # here, for the command line lists its commands without it
+
     sizes = np.abs(values)
     largest = np.max(sizes[np.isfinite(sizes)], initial=0.0) if np.any(np.isfinite(sizes)) else 1.0
     threshold = 1.0 if coarse else 0.5

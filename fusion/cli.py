@@ -7,46 +7,53 @@ import logging
 import sys
 from collections.abc import Sequence
 
-from fusion.commands.cameras import add_align, add_cameras, add_import_calibration
-from fusion.commands.measure import add_check, add_lines, add_plan, add_run, add_simulate, add_transfer
-from fusion.commands.options import EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED
-from fusion.commands.sensor import (
-    add_compensate,
-    add_decouple,
-    add_elastomer,
-    add_identify,
-    add_load,
-    add_rotate,
-    add_step,
-)
+from fusion.commands import measure, sensor
+from fusion.commands.options import EXIT_DONE, EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED, Parser
 
 log = logging.getLogger("shakercal")
+
+
 COMMANDS = (
-    add_run,
-    add_check,
-    add_cameras,
-    add_import_calibration,
-    add_align,
-    add_simulate,
-    add_plan,
-    add_lines,
-    add_transfer,
-    add_rotate,
-    add_identify,
-    add_step,
-    add_load,
-    add_compensate,
-    add_decouple,
-    add_elastomer,
+    measure.run,
+    measure.check,
+    measure.cameras,
+    measure.import_calibration,
+    measure.align,
+    measure.simulate,
+    measure.plan,
+    measure.lines,
+    measure.transfer,
+    sensor.rotate,
+    sensor.identify,
+    sensor.step,
+    sensor.load,
+    sensor.compensate,
+    sensor.decouple,
+    sensor.elastomer,
 )
 """In the order in which the help lists them."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit status (0 done, 1 not computable, 2 bad input, 130 interrupted)."""
+    """Run the command line and return its exit status (0 done, 1 not computable, 2 bad input, 130 interrupted).
+
+    Every failure becomes one sentence on stderr.
+    """
     options = _parser().parse_args(arguments)
     _set_up_log(options)
-    return _guarded(options)
+    try:
+        return options.act(options) or EXIT_DONE
+    except (Exception, KeyboardInterrupt) as error:
+        from fusion.base import ComputeError, InputError, is_interruption, told
+
+        if is_interruption(error) or not isinstance(error, Exception):
+            log.error("interrupted; nothing half-written was left behind")
+            return EXIT_INTERRUPTED
+        failure = told(error)
+        log.error("%s", " ".join(str(failure).split()))
+        if not isinstance(error, InputError | ComputeError):
+            log.debug("traceback", exc_info=True)
+        return EXIT_INPUT if isinstance(failure, InputError) else EXIT_FAILED
 
 
 class _ToStderr(logging.Handler):
@@ -66,42 +73,21 @@ def _set_up_log(options: argparse.Namespace) -> None:
     logging.captureWarnings(True)
 
 
-def _guarded(options: argparse.Namespace) -> int:
-    """Run the chosen sub-command; every failure becomes one sentence on stderr and an exit status."""
-    try:
-        return int(options.action(options))
-    except (Exception, KeyboardInterrupt) as error:
-        status, sentence, expected = _verdict(error)
-        log.error("%s", " ".join(sentence.split()))
-        if not expected:
-            log.debug("traceback", exc_info=True)
-        return status
-
-
-def _verdict(error: BaseException) -> tuple[int, str, bool]:
-    """Exit status and sentence for a failure, and whether it is one that the program expects."""
-    from fusion.base import ComputeError, InputError, is_interruption, told
-
-    if is_interruption(error) or not isinstance(error, Exception):
-        return EXIT_INTERRUPTED, "interrupted; nothing half-written was left behind", True
-    if isinstance(error, InputError):
-        return EXIT_INPUT, str(error), True
-    return EXIT_FAILED, str(told(error)), isinstance(error, ComputeError)
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+def _parser() -> Parser:
+    parser = Parser(
         prog="shakercal",
         description="From a shaker recording to the dynamic sensitivity of a multi-component force and moment sensor.",
     )
     parser.add_argument("--version", action=_Version)
-    common = argparse.ArgumentParser(add_help=False)
+    common = Parser(add_help=False)
     loudness = common.add_mutually_exclusive_group()
     loudness.add_argument("-v", "--verbose", action="store_true", help="tell more on stderr")
     loudness.add_argument("-q", "--quiet", action="store_true", help="warnings and errors only, no progress bar")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    for add in COMMANDS:
-        add(commands, common)
+    for command in COMMANDS:
+        own = commands.add_parser(command.name, parents=[common], help=command.help)
+        command.options(own)
+        own.set_defaults(act=command.act)
     return parser
 
 

@@ -1,4 +1,7 @@
-"""The commands from a camera rate to the sensitivity: plan, simulate, check, lines, run, transfer."""
+"""The commands from a camera to the sensitivity: plan, simulate, cameras, align, check, lines, run, transfer.
+
+Of each command: its options, then what it does, which alone imports heavy modules. Its docstring is its help.
+"""
 
 from __future__ import annotations
 
@@ -11,91 +14,61 @@ from fusion.base import DEFAULT_SEED, FEWEST_DRAWS, MOST_DRAWS
 from fusion.commands.options import (
     EXIT_DONE,
     EXIT_INPUT,
-    Commands,
-    add_allow_outside,
-    add_recording,
-    add_results,
+    Parser,
+    band,
+    command,
     count,
-    device,
+    count_or_none,
     draws,
-    figure,
     not_negative,
     positive,
     radius,
-    seed,
+    size,
 )
 
 if TYPE_CHECKING:
     from fusion.recording.load import Manifest
 
-
-# `shakercal plan`: which camera rates suit the frequencies of a calibration.
-
-
+log = logging.getLogger("shakercal")
 DECIMALS = 6  # of frequencies within a range, in Hz
 
 
-def add_plan(commands: Commands, common: argparse.ArgumentParser) -> None:
-    """Add the command's parser."""
-    parser = commands.add_parser(
-        "plan", parents=[common], help="find camera rates at which excitation and harmonics fold to separate places"
+def _plan_options(parser: Parser) -> None:
+    text = (
+        "excitations in Hz: numbers and ranges FIRST:LAST:COUNT (equal steps) or FIRST:LAST:COUNT:log (equal "
+        "ratios), with commas between them"
     )
-    parser.add_argument(
-        "--frequencies",
-        type=frequencies,
-        required=True,
-        metavar="LIST",
-        help="excitations in Hz: numbers and ranges FIRST:LAST:COUNT (equal steps) or FIRST:LAST:COUNT:log (equal "
-        "ratios), with commas between them",
-    )
+    parser.value("--frequencies", frequencies, "LIST", text, required=True)
     parser.add_argument("--frames", type=count, required=True, help="frames per point")
     rate = parser.add_mutually_exclusive_group(required=True)
     rate.add_argument("--max-rate", type=positive, metavar="HZ", help="fastest camera rate to look for")
     rate.add_argument("--rate", type=positive, metavar="HZ", help="explain what this camera rate does instead")
-    parser.add_argument(
-        "--min-rate", type=positive, metavar="HZ", help="slowest camera rate (default: half the fastest)"
-    )
-    parser.add_argument(
-        "--rate-step", type=positive, default=1e-3, metavar="HZ", help="steps of rates (default: 0.001)"
-    )
-    parser.add_argument("--exposure", type=not_negative, default=0.0, metavar="S", help="exposure time (default: 0)")
-    parser.add_argument("--harmonics", type=count, default=5, metavar="N", help="fitted, 1: fundamental (default: 5)")
-    parser.add_argument("--together", action="store_true", help="all excitations at the same time")
-    parser.add_argument(
-        "--corner", type=not_negative, default=5.0, metavar="HZ", help="1/f noise is white noise there (default: 5)"
-    )
-    parser.add_argument(
-        "--tolerance",
-        type=not_negative,
-        default=1e-4,
-        metavar="SHARE",
-        help="relative accuracy of excitation and camera rate (default: 0.0001)",
-    )
-    parser.add_argument("--noise", type=positive, metavar="M", help="noise of the displacement per frame")
-    size = parser.add_mutually_exclusive_group()
-    size.add_argument("--amplitude", type=positive, metavar="M", help="displacement amplitude of the excitation")
-    size.add_argument("--acceleration", type=positive, metavar="M/S2", help="its acceleration amplitude instead")
-    parser.add_argument(
-        "--settle", type=not_negative, default=0.0, metavar="S", help="time before each point (default: 0)"
-    )
-    parser.add_argument(
-        "--figure", type=figure, metavar="FILE", help="draw condition over camera rate (.png, .svg, .pdf)"
-    )
-    parser.add_argument("--csv", type=Path, metavar="FILE", help="write the plan as a table")
-    parser.add_argument("--force", action="store_true", help="overwrite files that are there")
-    parser.set_defaults(action=_act_plan)
+    parser.value("--min-rate", positive, "HZ", "slowest camera rate (default: half the fastest)")
+    parser.value("--rate-step", positive, "HZ", "steps of rates (default: 0.001)", default=1e-3)
+    parser.value("--exposure", not_negative, "S", "exposure time (default: 0)", default=0.0)
+    parser.value("--harmonics", count, "N", "fitted, 1: fundamental (default: 5)", default=5)
+    parser.switch("--together", "all excitations at the same time")
+    parser.value("--corner", not_negative, "HZ", "1/f noise is white noise there (default: 5)", default=5.0)
+    text = "relative accuracy of excitation and camera rate (default: 0.0001)"
+    parser.value("--tolerance", not_negative, "SHARE", text, default=1e-4)
+    parser.value("--noise", positive, "M", "noise of the displacement per frame")
+    level = parser.add_mutually_exclusive_group()
+    level.add_argument("--amplitude", type=positive, metavar="M", help="displacement amplitude of the excitation")
+    level.add_argument("--acceleration", type=positive, metavar="M/S2", help="its acceleration amplitude instead")
+    parser.value("--settle", not_negative, "S", "time before each point (default: 0)", default=0.0)
+    parser.figure_and_table("draw condition over camera rate", "write the plan as a table")
 
 
 def frequencies(text: str) -> tuple[float, ...]:
     """Return the frequencies of a text such as 53.7,106.25 or 53.7:1020.3:12, in the order given."""
-    found = [value for item in text.split(",") for value in _item(item.strip())]
+    found = [value for item in text.split(",") for value in _range(item.strip())]
     repeated = next((value for i, value in enumerate(found) if value in found[:i]), None)
     if repeated is not None:
         raise argparse.ArgumentTypeError(f"expected every frequency once, found {repeated:g} Hz twice")
     return tuple(found)
 
 
-def _item(text: str) -> list[float]:
+def _range(text: str) -> list[float]:
     """Return the frequencies of one number or range."""
     wrong = argparse.ArgumentTypeError(
         f"expected frequencies such as 106.25 or 53.7:1020.3:12, found {text or 'nothing'}"
@@ -107,7 +80,7 @@ def _item(text: str) -> list[float]:
     try:
         first, last = positive(parts[0]), positive(parts[1] if len(parts) > 1 else parts[0])
         number = int(parts[2]) if len(parts) > 1 else 1
-    except ValueError:
+    except (ValueError, argparse.ArgumentTypeError):
         raise wrong from None
     if number < 1 or (number == 1) != (first == last):
         raise argparse.ArgumentTypeError(f"expected a count of at least 2 between two frequencies, found {text}")
@@ -117,70 +90,58 @@ def _item(text: str) -> list[float]:
     return [round(first + (last - first) * share, DECIMALS) for share in shares]
 
 
-def _act_plan(options: argparse.Namespace) -> int:
-    from fusion.base import check_new_file, write_whole
+@command(_plan_options)
+def plan(options: argparse.Namespace) -> None:
+    """Find camera rates at which excitation and harmonics fold to separate places."""
+    from fusion.base import InputError, check_new_file, write_whole
     from fusion.planning.plan import Request, Size, make_plan, plan_csv
     from fusion.planning.plan_report import print_plan
     from shaker.lines.rate_planner import Sampling
 
     for path in filter(None, (options.figure, options.csv)):
         check_new_file(path, force=options.force)
+    if options.rate is not None and options.min_rate is not None:
+        raise InputError("--min-rate", "", found="--rate", expected="--max-rate beside it")
+    limits_hz = options.min_rate or (options.max_rate or 0.0) / 2.0, options.max_rate
     request = Request(
         frequency_hz=options.frequencies,
         sampling=Sampling(options.frames, options.exposure, options.harmonics, options.corner, options.tolerance),
         together=options.together,
         rate_hz=options.rate,
-        limits_hz=_limits(options),
+        # a fifth either way of a rate that is explained
+        limits_hz=limits_hz if options.rate is None else (0.8 * options.rate, 1.2 * options.rate),
         rate_step_hz=options.rate_step,
         settle_s=options.settle,
         size=Size(options.noise, options.amplitude, options.acceleration),
     )
-    plan = make_plan(request)
+    made = make_plan(request)
     if options.csv:
-        write_whole(options.csv, plan_csv(plan))
+        write_whole(options.csv, plan_csv(made))
     if options.figure:
         from fusion.planning.figures import draw_plan
 
-        write_whole(options.figure, draw_plan(plan, options.figure.suffix.lower().removeprefix(".")))
-    print_plan(plan)
-    return EXIT_DONE
+        write_whole(options.figure, draw_plan(made, options.figure.suffix.lower().removeprefix(".")))
+    print_plan(made)
 
 
-def _limits(options: argparse.Namespace) -> tuple[float, float]:
-    """Return the range of rates to look at; a fifth either way where one is explained."""
-    if options.rate is None:
-        return options.min_rate or options.max_rate / 2.0, options.max_rate
-    if options.min_rate is not None:
-        from fusion.base import InputError
-
-        raise InputError("--min-rate", "", found="--rate", expected="--max-rate beside it")
-    return 0.8 * options.rate, 1.2 * options.rate
-
-
-# `shakercal simulate`: recordings with known truth.
-
-
-def add_simulate(commands: Commands, common: argparse.ArgumentParser) -> None:
-    """Add the command's parser."""
+def _simulate_options(parser: Parser) -> None:
     from fusion.simulate import PRESETS
 
-    parser = commands.add_parser("simulate", parents=[common], help="write a simulated recording with its truth")
-    parser.add_argument("out", type=Path, metavar="OUT", help="campaign folder to create")
-    parser.add_argument(
-        "--preset",
-        choices=PRESETS,
-        default="demo",
-        help="which rig (default: demo); sweep, matrix: campaigns for a curve over frequency and for the 6x6; "
-        "targets: a camera calibration; chirp: a recording for shakercal transfer; masses, pitching: campaigns of two "
-        "loads for shakercal identify; rotation: a campaign for shakercal rotate; steps: one for shakercal step; "
-        "loads: one for shakercal load; elastomer: a geometry for shakercal elastomer",
+    parser.value("out", Path, "OUT", "campaign folder to create")
+    text = (
+        "which rig (default: demo); sweep, matrix: campaigns for a curve over frequency and for the 6x6; targets: a "
+        "camera calibration; chirp: a recording for shakercal transfer; masses, pitching: campaigns of two loads for "
+        "shakercal identify; rotation: a campaign for shakercal rotate; steps: one for shakercal step; loads: one for "
+        "shakercal load; elastomer: a geometry for shakercal elastomer"
     )
-    parser.add_argument("--seed", type=seed, default=1, help="seed of every random draw (default: 1)")
-    parser.add_argument("--force", action="store_true", help="overwrite a simulation that is there")
-    parser.set_defaults(action=_act_simulate)
+    parser.choice("--preset", PRESETS, text)
+    parser.add_argument("--seed", type=count_or_none, default=1, help="seed of every random draw (default: 1)")
+    parser.switch("--force", "overwrite a simulation that is there")
 
 
-def _act_simulate(options: argparse.Namespace) -> int:
+@command(_simulate_options)
+def simulate(options: argparse.Namespace) -> None:
+    """Write a simulated recording with its truth."""
     from fusion.base import InputError, progress_bar
     from fusion.simulate import simulate
 
@@ -189,26 +150,98 @@ def _act_simulate(options: argparse.Namespace) -> int:
         raise InputError(options.out, "", found="a file or folder of this name", expected=expected)
     with progress_bar(enabled=not options.quiet) as progress:
         written = simulate(options.out, options.preset, options.seed, progress)
-    count = len(list(options.out.glob("*/recording.toml")))
-    kind = "recording" if count == 1 else "campaign" if count else "element" if written.is_file() else "pictures"
-    print(f"simulated {kind}: {written}" + (f", {count} recordings" if kind == "campaign" else ""))
-    return EXIT_DONE
+    number = len(list(options.out.glob("*/recording.toml")))
+    kind = "recording" if number == 1 else "campaign" if number else "element" if written.is_file() else "pictures"
+    print(f"simulated {kind}: {written}" + (f", {number} recordings" if kind == "campaign" else ""))
 
 
-# `shakercal check`: say what a recording holds.
+def _cameras_options(parser: Parser) -> None:
+    text = "left pictures, then the right ones in the same order; or two folders"
+    parser.add_argument("pictures", nargs="+", metavar="PICTURES", help=text)
+    kinds = ("chessboard", "charuco", "dots", "asymmetric-dots")
+    parser.add_argument("--target", required=True, choices=kinds, help="dots: with three ring markers, or give --size")
+    parser.value("--spacing", positive, "M", "side of a square, or centre to centre of dots, in m", required=True)
+    parser.value("--size", size, "9x6", "inner corners (chessboard), squares (charuco) or dots: columns x rows")
+    parser.value("--dictionary", str, "NAME", "ArUco dictionary such as DICT_4X4_50 (default: found)")
+    text = "relative standard uncertainty of the spacing, part of the covariance (default: 0, with a warning)"
+    parser.value("--scale-uncertainty", not_negative, "U", text, default=0.0)
+    text = "target taken as flat, bowed, or with every point's offset estimated (default: auto, flat where it fits)"
+    parser.choice("--shape", ("auto", "flat", "bowed", "free"), text)
+    parser.add_argument(
+        "-o", "--output", required=True, type=Path, metavar="CALIBRATION", help="file NAME.json to write"
+    )
+    parser.switch("--force", "replace a calibration that is there")
 
 
-log = logging.getLogger("shakercal")
+@command(_cameras_options)
+def cameras(options: argparse.Namespace) -> None:
+    """Calibrate a stereo pair from target pictures."""
+    from fusion.base import InputError, progress_bar
+    from fusion.cameras.calibrate import CameraSettings, run_cameras
+    from photogram.targets.view import Target
+
+    try:
+        target = Target(options.target, options.spacing, options.size, options.dictionary)
+    except ValueError as error:
+        raise InputError("shakercal cameras", "--" + str(error).partition(":")[0], str(error), "") from error
+    settings = CameraSettings(target, options.shape, options.scale_uncertainty)
+    with progress_bar(enabled=not options.quiet) as progress:
+        run_cameras(options.pictures, settings, options.output, options.force, progress)
 
 
-def add_check(commands: Commands, common: argparse.ArgumentParser) -> None:
-    """Add the command's parser."""
-    parser = commands.add_parser("check", parents=[common], help="say what a recording holds; compute nothing")
-    add_recording(parser)
-    parser.set_defaults(action=_act_check)
+def _import_calibration_options(parser: Parser) -> None:
+    parser.value("calibration", Path, "FILE", "the other program's file")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="JSON", help="calibration file to write")
+    parser.value("--extrinsics", Path, "FILE", "second file, where OpenCV's R and T are apart")
+    parser.value("--image-size", size, "2448x2048", "width x height, if the file has none")
+    text = "of the file's lengths, where it does not say it"
+    parser.add_argument("--length-unit", choices=("m", "mm"), help=text)
+    parser.switch("--force", "overwrite a calibration file that is there")
 
 
-def _act_check(options: argparse.Namespace) -> int:
+@command(_import_calibration_options)
+def import_calibration(options: argparse.Namespace) -> None:
+    """Take over a calibration of OpenCV, DICe, VIC-3D, MATLAB or Bouguet's toolbox."""
+    from fusion.cameras.calibrate import convert_calibration
+
+    source = options.calibration, options.extrinsics
+    kind = convert_calibration(source, options.output, options.image_size, options.length_unit, options.force)
+    print(f"calibration of {kind} written: {options.output}")
+
+
+def _align_options(parser: Parser) -> None:
+    parser.value("alignment", Path, "ALIGNMENT.toml", "file that names the evidence")
+    parser.add_argument("-o", "--output", type=Path, metavar="POSE.toml", help="file for the block of rig.toml")
+    parser.switch("--force", "overwrite the output that is there")
+    parser.allow_outside("ALIGNMENT.toml")
+    parser.device("where subsets are tracked")
+
+
+@command(_align_options)
+def align(options: argparse.Namespace) -> None:
+    """Find where a stereo pair's camera stands in the sensor frame."""
+    from fusion.base import Settings, progress_bar
+    from fusion.cameras.align import align_file
+
+    with progress_bar(enabled=not options.quiet) as progress:
+        text = align_file(
+            options.alignment,
+            options.output,
+            Settings(device=options.device),
+            force=options.force,
+            allow_outside=options.allow_outside,
+            progress=progress,
+        )
+    print(text, end="")
+
+
+def _check_options(parser: Parser) -> None:
+    parser.recording()
+
+
+@command(_check_options)
+def check(options: argparse.Namespace) -> int:
+    """Say what a recording holds; compute nothing."""
     from fusion.base import InputError
     from fusion.recording.check import check
     from fusion.recording.load import find_recordings, load_manifest
@@ -226,42 +259,20 @@ def _act_check(options: argparse.Namespace) -> int:
     return status
 
 
-# `shakercal lines`: which lines a file or a recording holds, and why.
+def _lines_options(parser: Parser) -> None:
+    text = "DAQ file, a recording (its folder or recording.toml), or a campaign of several"
+    parser.value("source", Path, "SOURCE", text)
+    text = "channel of the file, may be repeated (default: all)"
+    parser.add_argument("--channel", action="append", metavar="NAME", help=text)
+    parser.value("--sample-rate", positive, "HZ", "of a file that states none")
+    parser.value("--band", band, "LOW:HIGH", "list lines of the file between these, in Hz")
+    parser.figure_and_table("draw spectrum and floor", "write the list as a table")
+    parser.allow_outside()
 
 
-def add_lines(commands: Commands, common: argparse.ArgumentParser) -> None:
-    """Add the command's parser."""
-    parser = commands.add_parser("lines", parents=[common], help="list every line of a file or recording, and why")
-    parser.add_argument(
-        "source",
-        type=Path,
-        metavar="SOURCE",
-        help="DAQ file, a recording (its folder or recording.toml), or a campaign of several",
-    )
-    parser.add_argument(
-        "--channel", action="append", metavar="NAME", help="channel of the file, may be repeated (default: all)"
-    )
-    parser.add_argument("--sample-rate", type=positive, metavar="HZ", help="of a file that states none")
-    parser.add_argument("--band", type=band, metavar="LOW:HIGH", help="list lines of the file between these, in Hz")
-    parser.add_argument("--figure", type=figure, metavar="FILE", help="draw spectrum and floor (.png, .svg, .pdf)")
-    parser.add_argument("--csv", type=Path, metavar="FILE", help="write the list as a table")
-    parser.add_argument("--force", action="store_true", help="overwrite files that are there")
-    add_allow_outside(parser)
-    parser.set_defaults(action=_act_lines)
-
-
-def band(text: str) -> tuple[float, float]:
-    """Return the two frequencies of a text such as 10:2000."""
-    low, colon, high = text.partition(":")
-    if not colon:
-        raise argparse.ArgumentTypeError(f"expected two frequencies such as 10:2000, found {text}")
-    found = not_negative(low), positive(high)
-    if found[0] >= found[1]:
-        raise argparse.ArgumentTypeError(f"expected the lower frequency first, found {text}")
-    return found
-
-
-def _act_lines(options: argparse.Namespace) -> int:
+@command(_lines_options)
+def lines(options: argparse.Namespace) -> None:
+    """List every line of a file or recording, and why."""
     from fusion.base import check_new_file, write_whole
     from fusion.planning.lines import lines_csv, lines_of_file, lines_of_recording, print_lines
 
@@ -278,7 +289,6 @@ def _act_lines(options: argparse.Namespace) -> int:
 
         write_whole(options.figure, draw_lines(lists, options.figure.suffix.lower().removeprefix(".")))
     print_lines(lists)
-    return EXIT_DONE
 
 
 def _manifests(options: argparse.Namespace) -> list[Manifest]:
@@ -290,66 +300,40 @@ def _manifests(options: argparse.Namespace) -> list[Manifest]:
         if getattr(options, name) is not None:
             option = f"--{name.replace('_', '-')}"
             raise InputError(options.source, "", found=option, expected="no such option, recording.toml states it")
-    found = find_recordings(options.source)
-    if len(found) > 1 and (options.csv or options.figure):
-        expected = "one recording for --csv and --figure"
-        raise InputError(options.source, "", found=f"{len(found)} recordings", expected=expected)
-    return [load_manifest(recording, allow_outside=options.allow_outside) for recording in found]
+    recordings = find_recordings(options.source)
+    if len(recordings) > 1 and (options.csv or options.figure):
+        found, expected = f"{len(recordings)} recordings", "one recording for --csv and --figure"
+        raise InputError(options.source, "", found=found, expected=expected)
+    return [load_manifest(recording, allow_outside=options.allow_outside) for recording in recordings]
 
 
-# `shakercal run`: evaluate recordings.
-
-
-def add_run(commands: Commands, common: argparse.ArgumentParser) -> None:
-    """Add the command's parser."""
-    parser = commands.add_parser("run", parents=[common], help="evaluate one recording or a campaign of several")
-    add_recording(parser)
-    parser.add_argument(
-        "-o", "--output", type=Path, metavar="RESULTS", help="folder of the results (default: RECORDING/results)"
+def _run_options(parser: Parser) -> None:
+    parser.recording()
+    text = "folder of the results (default: RECORDING/results)"
+    parser.add_argument("-o", "--output", type=Path, metavar="RESULTS", help=text)
+    parser.switch("--force", "compute again and overwrite result files that are there")
+    text = "half-width of the subsets (default: from the speckle size in the images, 10 px for speckle of 4 to 5 px)"
+    parser.value("--subset-radius", radius, "PX", text)
+    parser.device("where subsets are tracked (default: auto, a GPU where torch finds one)")
+    text = (
+        "check the uncertainties with N draws of everything uncertain "
+        f"({FEWEST_DRAWS} to {MOST_DRAWS}; 100000 are good for two digits of U; default: none)"
     )
-    parser.add_argument("--force", action="store_true", help="compute again and overwrite result files that are there")
-    parser.add_argument(
-        "--subset-radius",
-        type=radius,
-        metavar="PX",
-        help="half-width of the subsets (default: from the speckle size in the images, 10 px for speckle of 4 to 5 px)",
-    )
-    parser.add_argument(
-        "--device",
-        type=device,
-        default="auto",
-        metavar="{auto,cpu,cuda}",
-        help="where subsets are tracked (default: auto, a GPU where torch finds one)",
-    )
-    parser.add_argument(
-        "--monte-carlo",
-        type=draws,
-        default=0,
-        metavar="N",
-        help="check the uncertainties with N draws of everything uncertain "
-        f"({FEWEST_DRAWS} to {MOST_DRAWS}; 100000 are good for two digits of U; default: none)",
-    )
-    parser.add_argument(
-        "--seed", type=seed, default=DEFAULT_SEED, metavar="S", help=f"of these draws (default: {DEFAULT_SEED})"
-    )
+    parser.value("--monte-carlo", draws, "N", text, default=0)
+    parser.value("--seed", count_or_none, "S", f"of these draws (default: {DEFAULT_SEED})", default=DEFAULT_SEED)
     where = parser.add_mutually_exclusive_group()
-    where.add_argument(
-        "--workers",
-        type=count,
-        default=1,
-        metavar="N",
-        help="processes that share the work on this machine (default: 1); results are the same to the last digit",
+    text = "processes that share the work on this machine (default: 1); results are the same to the last digit"
+    where.add_argument("--workers", type=count, default=1, metavar="N", help=text)
+    text = (
+        "have the work done by the Dask cluster whose scheduler is at ADDRESS, such as tcp://10.0.0.1:8786: its "
+        'workers see the same files by the same paths (needs pip install "shakercal[cluster]")'
     )
-    where.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="have the work done by the Dask cluster whose scheduler is at ADDRESS, such as tcp://10.0.0.1:8786: its "
-        'workers see the same files by the same paths (needs pip install "shakercal[cluster]")',
-    )
-    parser.set_defaults(action=_act_run)
+    where.add_argument("--scheduler", metavar="ADDRESS", help=text)
 
 
-def _act_run(options: argparse.Namespace) -> int:
+@command(_run_options)
+def run(options: argparse.Namespace) -> int:
+    """Evaluate one recording or a campaign of several."""
     from fusion.base import Settings, progress_bar
     from fusion.campaign.run import exit_status, is_campaign, print_campaign, print_outcomes, run_path
 
@@ -374,41 +358,25 @@ def _act_run(options: argparse.Namespace) -> int:
     return exit_status(outcomes)
 
 
-# `shakercal transfer`: transfer functions of chirps, multisines, noise and blows.
+def _transfer_options(parser: Parser) -> None:
+    parser.recording()
+    text = (
+        "default: auto, the ratio of means over periods where a period is stated, of noise local polynomials, of "
+        "blows what the coherence advises"
+    )
+    parser.choice("--estimator", ("auto", "periodic", "local", "H1", "H2", "Hv"), text)
+    text = "line spacing where no period is stated (default: 16 segments side by side; of blows: 1 Hz)"
+    parser.value("--resolution", positive, "HZ", text)
+    text = "turn every motion into this quantity (default: as it was measured)"
+    parser.add_argument("--quantity", choices=("displacement", "velocity", "acceleration"), help=text)
+    parser.results("RECORDING/transfer")
 
 
-def add_transfer(commands: Commands, common: argparse.ArgumentParser) -> None:
-    """Add the command's parser."""
-    parser = commands.add_parser(
-        "transfer", parents=[common], help="transfer functions and resonances from a chirp, multisine, noise or blows"
-    )
-    add_recording(parser)
-    parser.add_argument(
-        "--estimator",
-        choices=("auto", "periodic", "local", "H1", "H2", "Hv"),
-        default="auto",
-        help="default: auto, the ratio of means over periods where a period is stated, of noise local polynomials, of "
-        "blows what the coherence advises",
-    )
-    parser.add_argument(
-        "--resolution",
-        type=positive,
-        metavar="HZ",
-        help="line spacing where no period is stated (default: 16 segments side by side; of blows: 1 Hz)",
-    )
-    parser.add_argument(
-        "--quantity",
-        choices=("displacement", "velocity", "acceleration"),
-        help="turn every motion into this quantity (default: as it was measured)",
-    )
-    add_results(parser, "RECORDING/transfer")
-    parser.set_defaults(action=_act_transfer)
-
-
-def _act_transfer(options: argparse.Namespace) -> int:
+@command(_transfer_options)
+def transfer(options: argparse.Namespace) -> None:
+    """Transfer functions and resonances from a chirp, multisine, noise or blows."""
     from fusion.sensor.transfer.records import TransferSettings
     from fusion.sensor.transfer.report import run_transfer
 
     settings = TransferSettings(options.estimator, options.resolution, options.quantity)
     run_transfer(options.recording, options.output, settings, force=options.force, allow_outside=options.allow_outside)
-    return EXIT_DONE

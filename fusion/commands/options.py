@@ -1,66 +1,117 @@
-"""Command-line arguments, and their types, that several sub-commands share."""
+"""What the commands share: the parser, the types of its arguments, exit statuses. Nothing heavy is imported here."""
 
 from __future__ import annotations
 
 import argparse
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeVar
 
 from fusion.base import FEWEST_DRAWS, MOST_DRAWS
 
-Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
-
 FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
 EXIT_DONE, EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED = 0, 1, 2, 130
+Value = TypeVar("Value", int, float)
 
 
-def add_recording(parser: argparse.ArgumentParser) -> None:
-    """Add the recording or campaign a command works on."""
-    parser.add_argument("recording", type=Path, metavar="RECORDING", help="folder of a recording or of a campaign")
-    add_allow_outside(parser)
+class Parser(argparse.ArgumentParser):
+    """A parser with short words for what most commands have."""
+
+    def value(self, flag: str, kind: Callable[[str], Any], metavar: Any, text: str, **more: Any) -> None:
+        """Add an option or argument with a value, its type `kind`."""
+        self.add_argument(flag, type=kind, metavar=metavar, help=text, **more)
+
+    def choice(self, flag: str, choices: Sequence[str], text: str) -> None:
+        """Add a choice, by default the first."""
+        self.add_argument(flag, choices=choices, default=choices[0], help=text)
+
+    def switch(self, flag: str, text: str) -> None:
+        """Add an option without a value."""
+        self.add_argument(flag, action="store_true", help=text)
+
+    def recording(self) -> None:
+        """Add the recording or campaign a command works on."""
+        self.value("recording", Path, "RECORDING", "folder of a recording or of a campaign")
+        self.allow_outside()
+
+    def recordings(self) -> None:
+        """Add the recordings that a command evaluates together."""
+        text = "folder of a campaign, or of recordings of one rig"
+        self.value("recordings", Path, "RECORDING", text, nargs="+")
+        self.allow_outside()
+
+    def allow_outside(self, file: str = "rig.toml") -> None:
+        """Add the leave to read files anywhere."""
+        self.switch("--allow-outside", f"accept files outside the folder of {file}")
+
+    def results(self, default: str) -> None:
+        """Add where a command writes its results, and the leave to overwrite; `default`: where without the option."""
+        self.add_argument("-o", "--output", type=Path, metavar="RESULTS", help=f"result folder (default: {default})")
+        self.switch("--force", "overwrite result files that are there")
+
+    def figure_and_table(self, figure_text: str, table_text: str) -> None:
+        """Add files that a command writes beside its lines."""
+        self.value("--figure", figure, "FILE", f"{figure_text} (.png, .svg, .pdf)")
+        self.value("--csv", Path, "FILE", table_text)
+        self.switch("--force", "overwrite files that are there")
+
+    def device(self, text: str) -> None:
+        """Add the processor that tracks."""
+        self.value("--device", device, "{auto,cpu,cuda}", text, default="auto")
 
 
-def add_recordings(parser: argparse.ArgumentParser) -> None:
-    """Add the recordings that a command evaluates together."""
-    text = "folder of a campaign, or of recordings of one rig"
-    parser.add_argument("recordings", type=Path, nargs="+", metavar="RECORDING", help=text)
-    add_allow_outside(parser)
+@dataclass(frozen=True)
+class Command:
+    """A sub-command: what the help says of it, what adds its options, and what it does (None: it is done)."""
+
+    name: str
+    help: str
+    options: Callable[[Parser], None]
+    act: Callable[[argparse.Namespace], int | None]
 
 
-def add_allow_outside(parser: argparse.ArgumentParser) -> None:
-    """Add the leave to read files anywhere."""
-    parser.add_argument("--allow-outside", action="store_true", help="accept files outside the folder of rig.toml")
+def command(options: Callable[[Parser], None]) -> Callable[[Callable[[argparse.Namespace], int | None]], Command]:
+    """Make a command of a function, by its name and docstring; `options` adds what it takes."""
+
+    def made(act: Callable[[argparse.Namespace], int | None]) -> Command:
+        text = str(act.__doc__)
+        return Command(act.__name__.replace("_", "-"), text[0].lower() + text[1:].rstrip("."), options, act)
+
+    return made
 
 
-def add_results(parser: argparse.ArgumentParser, default: str) -> None:
-    """Add where a command writes its results, and the leave to overwrite; `default`: where without the option."""
-    text = f"result folder (default: {default})"
-    parser.add_argument("-o", "--output", type=Path, metavar="RESULTS", help=text)
-    parser.add_argument("--force", action="store_true", help="overwrite result files that are there")
+def _number(convert: Callable[[str], Value], accepts: Callable[[Value], bool], expected: str) -> Callable[[str], Value]:
+    """Return the type of an argument: a number that is accepted, else a refusal that says what was expected."""
+
+    def check(text: str) -> Value:
+        try:
+            value = convert(text)
+            if accepts(value):
+                return value
+        except ValueError:
+            pass
+        raise argparse.ArgumentTypeError(f"expected {expected}, found {text}")
+
+    return check
 
 
-def positive(text: str) -> float:
-    """Return a number above 0."""
-    value = float(text)
-    if not 0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"expected a number above 0, found {text}")
-    return value
+positive = _number(float, lambda value: 0 < value < math.inf, "a number above 0")
+not_negative = _number(float, lambda value: 0 <= value < math.inf, "a number of at least 0")
+between_0_and_1 = _number(float, lambda value: 0 < value < 1, "a number between 0 and 1")
+count = _number(int, lambda value: value >= 1, "a whole number of at least 1")
+count_or_none = _number(int, lambda value: value >= 0, "a whole number of at least 0")
+radius = _number(int, lambda value: 4 <= value <= 100, "4 to 100 pixels")
+draws = _number(int, lambda value: FEWEST_DRAWS <= value <= MOST_DRAWS, f"{FEWEST_DRAWS} to {MOST_DRAWS} draws")
 
 
-def not_negative(text: str) -> float:
-    """Return a number of at least 0."""
-    value = float(text)
-    if not 0 <= value < float("inf"):
-        raise argparse.ArgumentTypeError(f"expected a number of at least 0, found {text}")
-    return value
-
-
-def count(text: str) -> int:
-    """Return a whole number of at least 1."""
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"expected a whole number of at least 1, found {value}")
-    return value
+def percent(text: str) -> float:
+    """Return a percentage above 0 and below 100 as a share."""
+    value = positive(text)
+    if value >= 100.0:
+        raise argparse.ArgumentTypeError(f"expected less than 100 %, found {text}")
+    return value / 100.0
 
 
 def size(text: str) -> tuple[int, int]:
@@ -71,20 +122,23 @@ def size(text: str) -> tuple[int, int]:
     return int(columns), int(rows)
 
 
+def band(text: str) -> tuple[float, float]:
+    """Return the two frequencies of a text such as 10:2000."""
+    low, colon, high = text.partition(":")
+    if not colon:
+        raise argparse.ArgumentTypeError(f"expected two frequencies such as 10:2000, found {text}")
+    limits = not_negative(low), positive(high)
+    if limits[0] >= limits[1]:
+        raise argparse.ArgumentTypeError(f"expected the lower frequency first, found {text}")
+    return limits
+
+
 def figure(text: str) -> Path:
     """Return the path of a figure of a known format."""
     path = Path(text)
     if path.suffix.lower() not in FIGURE_SUFFIXES:
         raise argparse.ArgumentTypeError(f"expected a name that ends in {', '.join(FIGURE_SUFFIXES)}, found {text}")
     return path
-
-
-def radius(text: str) -> int:
-    """Return the half-width of a subset in pixels."""
-    value = int(text)
-    if not 4 <= value <= 100:
-        raise argparse.ArgumentTypeError(f"expected 4 to 100 pixels, found {value}")
-    return value
 
 
 def device(choice: str) -> str:
@@ -95,19 +149,3 @@ def device(choice: str) -> str:
         return resolve_device(choice)
     except ValueError as error:
         raise argparse.ArgumentTypeError(str(error).removeprefix("device: ")) from error
-
-
-def seed(text: str) -> int:
-    """Return the seed of a random generator."""
-    value = int(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError(f"expected a whole number of at least 0, found {value}")
-    return value
-
-
-def draws(text: str) -> int:
-    """Return a number of Monte Carlo draws."""
-    value = int(text)
-    if not FEWEST_DRAWS <= value <= MOST_DRAWS:
-        raise argparse.ArgumentTypeError(f"expected {FEWEST_DRAWS} to {MOST_DRAWS} draws, found {value}")
-    return value

@@ -135,10 +135,10 @@ def measure_pairs(
     if executor is None:
         return tuple(measure_images(manifest, item, settings, progress) for item in images)
     device, motions, begun = settings.device, [], []
-    prepared = [executor.submit(0, _prepare, body_inputs(item, settings), device) for item in images]
+    prepared = [executor.submit(0, _prepared, body_inputs(item, settings), device) for item in images]
     for item, pending in zip(images, prepared, strict=True):
         scene: BodyScene = _answer(manifest, item, pending)
-        blocks = [executor.submit(1, _follow, pending, frames, device) for frames in scene.blocks]
+        blocks = [executor.submit(1, _followed, pending, frames, device) for frames in scene.blocks]
         begun.append((item, scene, blocks))
     for item, scene, blocks in begun:
         stage, total = f"track {item.entry.stereo}", 2 * len(item.left)
@@ -160,11 +160,11 @@ def _answer(manifest: Manifest, images: OpenImages, pending: Pending) -> Any:
         return answer.opened()
 
 
-def _prepare(inputs: BodyInputs, device: str) -> BodyScene:  # a task, hence a function of this module
+def _prepared(inputs: BodyInputs, device: str) -> BodyScene:  # a task, hence a function of this module
     return prepare_body(*inputs, resolve_device(device))
 
 
-def _follow(scene: BodyScene, frames: range, device: str) -> FollowedBlock:  # a task, as above
+def _followed(scene: BodyScene, frames: range, device: str) -> FollowedBlock:  # a task, as above
     return follow_block(scene, frames, resolve_device(device))
 
 
