@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from itertools import cycle
 from pathlib import Path
 
 import cv2
@@ -16,7 +17,7 @@ from photogram.calibration.file import read_calibration
 from photogram.geometry import RigidTransform, vector_from_rotation
 from photogram.synthetic.board import random_poses, random_rig, render_board
 
-SIZE = np.array([560, 448])
+SIZE = np.array([480, 384])
 TARGET = ["--target", "charuco", "--size", "11x8", "--spacing", "9e-3"]
 VIEWS = 7
 Capture = pytest.CaptureFixture[str]
@@ -53,10 +54,6 @@ def _run(folder: Path, *extra: str) -> int:
     )
 
 
-def _spoil(path: Path, change: Callable[[np.ndarray], np.ndarray]) -> None:
-    cv2.imwrite(str(path), change(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)))
-
-
 def test_the_true_pair_comes_back(session: tuple[Path, object], pictures: Path, capsys: Capture) -> None:
     assert _run(pictures, "--scale-uncertainty", "1e-4", "-q") == EXIT_DONE
     told = capsys.readouterr().out
@@ -75,7 +72,7 @@ def test_the_true_pair_comes_back(session: tuple[Path, object], pictures: Path, 
 
 
 @pytest.mark.slow
-def test_pictures_in_the_order_of_their_numbers_and_by_pattern(pictures: Path, capsys: Capture) -> None:
+def test_pictures_in_the_order_of_their_numbers_and_by_pattern(pictures: Path) -> None:
     """8.png … 14.png: natural order; one picture given by name on either side is none too many."""
     arguments = [str(pictures / "left" / "*.png"), str(pictures / "right" / "*.png")]
     assert main(["cameras", *arguments, *TARGET, "-o", str(pictures / "a.json"), "-q"]) == EXIT_DONE
@@ -85,38 +82,42 @@ def test_pictures_in_the_order_of_their_numbers_and_by_pattern(pictures: Path, c
     assert np.allclose(first.translation_m, second.translation_m, rtol=1e-5)
 
 
+SPOILT: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "blurred": lambda image: cv2.GaussianBlur(image, (0, 0), 9.0),
+    "overexposed": lambda image: np.clip(3.0 * image, 0, 255).astype(np.uint8),
+    "mirrored": lambda image: image[:, ::-1].copy(),
+    "underexposed": lambda image: np.full_like(image, 90),
+}
+
+
+def _spoil(folder: Path, numbers: Iterable[int]) -> dict[int, str]:
+    """Spoil left pictures, each in another way, and return the reasons by number."""
+    reasons = dict(zip(numbers, cycle(SPOILT), strict=False))
+    for number, reason in reasons.items():
+        path = str(folder / "left" / f"{number}.png")
+        cv2.imwrite(path, SPOILT[reason](cv2.imread(path, cv2.IMREAD_GRAYSCALE)))
+    return reasons
+
+
+@pytest.mark.slow
 def test_spoilt_pictures_are_named_with_the_reason_and_left_out(pictures: Path, capsys: Capture) -> None:
-    _spoil(pictures / "left" / "8.png", lambda image: cv2.GaussianBlur(image, (0, 0), 9.0))
-    _spoil(pictures / "left" / "9.png", lambda image: np.clip(3.0 * image, 0, 255).astype(np.uint8))
-    _spoil(pictures / "right" / "10.png", lambda image: image[:, ::-1].copy())
+    reasons = _spoil(pictures, range(8, 12))
     assert _run(pictures, "-q") == EXIT_DONE
     told = capsys.readouterr().out
-    for name, reason in (("8.png", "blurred"), ("9.png", "overexposed"), ("10.png", "mirrored")):
-        (line,) = (line for line in told.splitlines() if name in line)
+    for number, reason in reasons.items():
+        (line,) = (line for line in told.splitlines() if f"{number}.png" in line)
         assert reason in line
 
 
-@pytest.mark.parametrize(
-    ("change", "reason"),
-    [
-        (lambda image: cv2.GaussianBlur(image, (0, 0), 9.0), "blurred"),
-        (lambda image: np.clip(3.0 * image, 0, 255).astype(np.uint8), "overexposed"),
-        (lambda image: image[::-1].copy(), "mirrored"),
-        (lambda image: np.full_like(image, 90), "underexposed"),
-    ],
-)
-def test_no_calibration_from_spoilt_pictures(
-    pictures: Path, capsys: Capture, change: Callable[[np.ndarray], np.ndarray], reason: str
-) -> None:
-    for path in (pictures / "left").iterdir():
-        _spoil(path, change)
+def test_no_calibration_from_spoilt_pictures(pictures: Path, capsys: Capture) -> None:
+    reasons = _spoil(pictures, range(8, 8 + VIEWS))
     assert _run(pictures, "-q") == EXIT_INPUT
     told = capsys.readouterr().err
-    assert reason in told
-    assert "8.png" in told
+    assert f"0 usable of {VIEWS} left pictures" in told
+    for number, reason in reasons.items():
+        assert f"{number}.png: {reason}" in told
     assert len(told.splitlines()) == 1
-    assert not (pictures / "top.json").exists()
-    assert not (pictures / "top.html").exists()
+    assert not list(pictures.glob("top.*"))
 
 
 @pytest.mark.slow
