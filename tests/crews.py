@@ -14,7 +14,7 @@ from typing import Any
 
 from distributed import Client
 
-from fusion.campaign.workers import Answer, call
+from fusion.campaign.executor import Answer, call
 
 PATIENCE_S = 300.0
 ROOT = Path(__file__).resolve().parents[1]

@@ -13,12 +13,12 @@ from unittest.mock import patch
 from fusion.base import InputError
 
 if TYPE_CHECKING:
-    from fusion.campaign.cluster import Job, Outcome
+    from fusion.campaign.run import Job, Outcome
 
 
 def whole_job(job: Job) -> Outcome:
     """Everything that a run does with a recording but its figures, which take most of the time."""
-    from fusion.campaign.cluster import run_job
+    from fusion.campaign.run import run_job
 
     with patch(
         "fusion.report.recording.render_report", lambda evaluation: f"<!doctype html>{evaluation.manifest.name}"

@@ -14,7 +14,7 @@ from recordings import once
 from support import Refused, refusals, without_pages
 
 from fusion.base import Settings
-from fusion.campaign.workers import one_blas_thread
+from fusion.campaign.executor import one_blas_thread
 from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.report.provenance import versions
 from fusion.sensitivity.analyse import Evaluation
@@ -115,7 +115,7 @@ def evaluated(monkeypatch: pytest.MonkeyPatch, ready_evaluation: Evaluation) -> 
             input_hashes=hashes,
         )
 
-    monkeypatch.setattr("fusion.campaign.cluster.evaluate_recording", evaluate)
+    monkeypatch.setattr("fusion.campaign.run.evaluate_recording", evaluate)
     without_pages(monkeypatch)
     return done
 

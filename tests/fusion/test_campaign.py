@@ -16,9 +16,8 @@ from rich.console import Console
 from support import edit, rows, state
 
 from fusion.base import ComputeError, InputError, Settings
-from fusion.campaign import cluster as under_test
-from fusion.campaign.cluster import Outcome
-from fusion.campaign.run import exit_status, run_path, sensitivity_table
+from fusion.campaign import run as under_test
+from fusion.campaign.run import Outcome, exit_status, run_path, sensitivity_table
 from fusion.cli import main
 from fusion.commands.options import EXIT_DONE, EXIT_FAILED, EXIT_INPUT
 from fusion.estimation.uncertainty import coverage_factor

@@ -13,6 +13,7 @@ import tifffile
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
+from support import DOCS
 
 from fusion.base import InputError
 from fusion.instruments import TRANSDUCERS
@@ -37,17 +38,17 @@ def _rows(*instruments: tuple[tuple[float, ...], tuple[float, ...]]) -> np.ndarr
     return np.array([geometric_row(entry) for entry in entries])
 
 
-def test_one_axis_through_the_origin_sees_one_component():
-    assert observable(_rows(((0, 0, 0.5), (0, 0, 1)))).tolist() == [False, False, True, False, False, False]
-
-
-def test_one_axis_beside_the_origin_sees_none_alone():
-    assert not observable(_rows(((0.03, 0, 0.04), (0, 0, 1)))).any()
-
-
-def test_three_parallel_axes_see_one_translation_and_two_tilts():
-    rows = _rows(((0.03, 0, 0), (0, 0, 1)), ((-0.03, 0, 0), (0, 0, 1)), ((0, 0.03, 0), (0, 0, 1)))
-    assert observable(rows).tolist() == [False, False, True, True, True, False]
+@pytest.mark.parametrize(
+    ("instruments", "seen"),
+    [
+        ([((0, 0, 0.5), (0, 0, 1))], "z"),
+        ([((0.03, 0, 0.04), (0, 0, 1))], ""),
+        ([((0.03, 0, 0), (0, 0, 1)), ((-0.03, 0, 0), (0, 0, 1)), ((0, 0.03, 0), (0, 0, 1))], "z rx ry"),
+    ],
+)
+def test_what_axes_see_by_themselves(instruments, seen):
+    found = observable(_rows(*instruments))
+    assert [name for name, own in zip(("x", "y", "z", "rx", "ry", "rz"), found, strict=True) if own] == seen.split()
 
 
 def test_gyroscopes_see_rotation():
@@ -86,31 +87,32 @@ def recording(make_campaign: Campaign) -> Path:
 
 
 def test_a_recording_is_described(recording):
-    report = check(load_manifest(recording))
-    text = str(report)
-    assert "3 frames of 64 x 48 px, grey values up to 4095" in text
-    assert "1000 samples at 51200 Hz" in text
-    assert "load: stereo top: x y z rx ry rz" in text
-    assert "load: laser: no component by itself" in text
-    assert "base: stereo base: x y z rx ry rz" in text
-    assert "load mass: 6.9605 kg, adapter plate 0.412 kg on the load" in text
+    text = str(check(load_manifest(recording)))
+    for words in (
+        "3 frames of 64 x 48 px, grey values up to 4095",
+        "1000 samples at 51200 Hz",
+        "load: stereo top: x y z rx ry rz",
+        "load: laser: no component by itself",
+        "base: stereo base: x y z rx ry rz",
+        "load mass: 6.9605 kg, adapter plate 0.412 kg on the load",
+    ):
+        assert words in text
 
 
 def test_what_cannot_be_read_is_wrong(recording):
     (recording / "top-left" / "0001.tif").write_bytes(b"II*\0")
-    problems = check(load_manifest(recording)).problems
-    assert any("0001.tif" in problem for problem in problems)
-    assert any("bridge.tdms" in problem for problem in problems)
-    assert any("result_B1.txt is empty" in problem for problem in problems)
-
-
-def test_values_that_are_no_numbers_are_wrong(recording):
+    (recording / "bridge-response.csv").write_text("frequency_hz,magnitude\n1,1\n", encoding="utf-8")
     with h5py.File(recording / "vibrometer.h5", "a") as file:
         file["velocity"][3] = np.nan
-    assert (
-        "daq vibrometer: channel velocity holds values that are no finite numbers"
-        in check(load_manifest(recording)).problems
-    )
+    problems = "\n".join(check(load_manifest(recording)).problems)
+    for words in (
+        "0001.tif",
+        "bridge.tdms",
+        "result_B1.txt is empty",
+        "bridge-response.csv: phase_rad: expected this column",
+        "daq vibrometer: channel velocity holds values that are no finite numbers",
+    ):
+        assert words in problems
 
 
 LASER_ONLY = """
@@ -156,13 +158,7 @@ def test_what_will_be_missing_is_remarked(make_campaign):
 
 
 FREQUENCY = np.array([100.0, 1000.0, 4000.0])
-DOC = (Path(__file__).resolve().parents[2] / "docs" / "recording-format.md").read_text(encoding="utf-8")
-
-
-def _chain(folder: Path, *elements: str) -> Path:
-    path = folder / "chain.toml"
-    path.write_text("".join(f"[[element]]\n{element}\n" for element in elements), encoding="utf-8")
-    return path
+DOC = (DOCS / "recording-format.md").read_text(encoding="utf-8")
 
 
 def test_the_example_of_the_format_is_a_chain(tmp_path):
@@ -208,23 +204,18 @@ def test_the_format_lists_every_key_of_an_element():
         ("gain_uncertainty = -1", "element[1].gain_uncertainty", "at least 0"),
         ("zeros = [[0, 0]]\ngain_at = 0.0", "element", "other than a zero or a pole"),
         ("gain = ", "", "TOML"),
+        (None, "element", "expected this key"),
     ],
 )
 def test_a_wrong_element_is_one_sentence_with_its_key(tmp_path, element, key, words):
-    path = _chain(tmp_path, element)
+    path = tmp_path / "chain.toml"
+    path.write_text("format = 1\n" if element is None else f"[[element]]\n{element}\n", encoding="utf-8")
     with pytest.raises(InputError) as caught:
         read_response(path, FREQUENCY)
     assert caught.value.file == path
     assert caught.value.key == key
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_a_chain_without_elements_is_refused(tmp_path):
-    path = tmp_path / "chain.toml"
-    path.write_text("format = 1\n", encoding="utf-8")
-    with pytest.raises(InputError, match="element: expected this key"):
-        read_chain(path)
 
 
 @pytest.mark.parametrize("column", ["u_magnitude", "u_phase_rad"])
@@ -235,10 +226,3 @@ def test_negative_uncertainties_are_refused(tmp_path, column):
     path.write_text(f"{names}\n{row}\n", encoding="utf-8")
     with pytest.raises(InputError, match=f"{column}: expected no negative values, found -1"):
         read_response(path, np.array([1.0]))
-
-
-def test_check_says_which_response_cannot_be_read(make_campaign):
-    folder = make_campaign()
-    (folder / "bridge-response.csv").write_text("frequency_hz,magnitude\n1,1\n", encoding="utf-8")
-    problems = check(load_manifest(folder)).problems
-    assert any("bridge-response.csv: phase_rad: expected this column" in problem for problem in problems)

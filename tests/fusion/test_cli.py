@@ -110,7 +110,7 @@ def test_libraries_are_heard_with_v_only(make_campaign, evaluated, monkeypatch, 
             warnings.warn("a warning of a library", stacklevel=2)
         raise ComputeError("no line found")
 
-    monkeypatch.setattr("fusion.campaign.cluster.evaluate_recording", warn)
+    monkeypatch.setattr("fusion.campaign.run.evaluate_recording", warn)
     folder = make_campaign()
     assert main(["run", str(folder)]) == EXIT_FAILED
     assert capsys.readouterr().err == "shakercal: no line found\n"
@@ -129,7 +129,7 @@ def _raise(error: BaseException, cause: BaseException | None = None) -> Callable
 
 
 @pytest.mark.usefixtures("evaluated")
-@pytest.mark.parametrize("place", ["fusion.campaign.cluster.evaluate_recording", "fusion.report.recording.write_h5"])
+@pytest.mark.parametrize("place", ["fusion.campaign.run.evaluate_recording", "fusion.report.recording.write_h5"])
 @pytest.mark.parametrize(
     ("error", "status", "sentence"),
     [
@@ -156,7 +156,7 @@ def test_failures_are_one_sentence_and_leave_nothing(
 
 @pytest.mark.usefixtures("evaluated")
 def test_failures_of_compiled_code_and_internal_errors(make_campaign, monkeypatch, refused, capsys):
-    folder, place = make_campaign(), "fusion.campaign.cluster.evaluate_recording"
+    folder, place = make_campaign(), "fusion.campaign.run.evaluate_recording"
     monkeypatch.setattr(place, _raise(SystemError("returned a result with an exception set"), KeyboardInterrupt()))
     told = refused("run", folder, status=EXIT_INTERRUPTED)
     assert told == "shakercal: interrupted; nothing half-written was left behind"

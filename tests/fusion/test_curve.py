@@ -21,7 +21,6 @@ from simulated_drives import (
 from fusion.campaign.curve import (
     INTERPOLATION,
     LEAST_POINTS,
-    Curve,
     interpolate,
     interpolation_weights,
     matrix_curve,
@@ -67,6 +66,8 @@ def test_ratios_make_one_curve_per_driven_component():
     # Other components of the motion, one per cent of it, come in by the cross-talk of two per cent.
     assert np.all(np.abs(along_z.value[:, 2].real - true) < 4.0 * u + 2e-3 * np.abs(true))
     assert along_z.kind == "ratio"
+    with pytest.raises(ValueError, match="expected 12 lists"):
+        replace(along_z, recordings=())
 
 
 def test_of_several_lever_arms_the_purest_is_on_the_curve():
@@ -199,10 +200,3 @@ def test_interpolated_values_are_covered():
         ratio.append(np.median(u) / noise)
     assert 0.9 < np.mean(inside) < 0.99
     assert np.median(ratio) < 10.0
-
-
-def test_a_curve_says_what_is_wrong_with_its_shape():
-    (curve,) = ratio_curves(sweep(lines=2)[0], CAPACITY.tolist())
-    with pytest.raises(ValueError, match="expected 2 lists"):
-        replace(curve, recordings=())
-    assert isinstance(curve, Curve)

@@ -123,34 +123,42 @@ def test_phasors_are_equal_in_every_format(tmp_path, suffix):
     assert {a.body for a in evaluation.accelerations} == {"load", "base"}
 
 
-def test_a_decimated_labview_record_of_a_real_shaker(data_dir, tmp_path):
-    source = data_dir / "shaker_three_tone" / "data_set_1_downsampled_by_16.lvm"
-    (tmp_path / "shaker.lvm").write_bytes(source.read_bytes())
-    force = '[[daq.channel]]\nname = "Force"\nquantity = "force"\nscale = 4.4482216\n'
-    drive = '[[daq.channel]]\nname = "Voltage"\nquantity = "voltage"\n'
-    block = 'file = "shaker.lvm"\n' + CHANNEL.format(name="Acceleratio", body="load", scale=GRAVITY) + force + drive
-    evaluation = evaluate(tmp_path, "[100.0, 120.0, 150.0]", block)
-    acceleration, exerted, voltage = (channel.phasors for channel in evaluation.channels)
-    tones = np.flatnonzero(evaluation.lines.multiple == 1)
+@pytest.fixture
+def shaker(data_dir: Path, tmp_path: Path) -> Callable[[int], Evaluation]:
+    """Return a function that evaluates a real shaker's record of three tones, downsampled by a factor."""
+
+    def evaluated(factor: int) -> Evaluation:
+        source = data_dir / "shaker_three_tone" / f"data_set_1_downsampled_by_{factor}.lvm"
+        (tmp_path / "shaker.lvm").write_bytes(source.read_bytes())
+        force = '[[daq.channel]]\nname = "Force"\nquantity = "force"\nscale = 4.4482216\n'
+        drive = '[[daq.channel]]\nname = "Voltage"\nquantity = "voltage"\n' if factor == 16 else ""
+        top = CHANNEL.format(name="Acceleratio", body="load", scale=GRAVITY)
+        return evaluate(tmp_path, "[100.0, 120.0, 150.0]", 'file = "shaker.lvm"\n' + top + force + drive)
+
+    return evaluated
+
+
+def per_pound(evaluation: Evaluation, line: int) -> float:
+    """Acceleration in g over force in lb at a line."""
+    acceleration, force = (channel.phasors.value[line, 0] for channel in evaluation.channels[:2])
+    return float(abs(acceleration / force) * 4.4482216 / GRAVITY)
+
+
+def test_a_decimated_labview_record_of_a_real_shaker(shaker):
+    evaluation = shaker(16)
+    voltage, tones = evaluation.channels[2].phasors, np.flatnonzero(evaluation.lines.multiple == 1)
     np.testing.assert_allclose(voltage.frequency_hz[tones], [99.9999, 119.9999, 149.9999], atol=5e-5)
     np.testing.assert_allclose(np.abs(voltage.value[tones, 0]), 0.4994, atol=5e-5)
-    ratio = np.abs(acceleration.value[tones[2], 0] / exerted.value[tones[2], 0]) * 4.4482216 / GRAVITY
-    assert ratio == pytest.approx(0.0920, abs=5e-4)  # g/lb
-    assert acceleration.unit == ("m/s^2",)
+    assert per_pound(evaluation, tones[2]) == pytest.approx(0.0920, abs=5e-4)
+    assert evaluation.channels[0].phasors.unit == ("m/s^2",)
 
 
-def test_an_undersampled_record_of_a_real_shaker(data_dir, tmp_path):
+def test_an_undersampled_record_of_a_real_shaker(shaker):
     """At 200 samples per second the 150 Hz tone is taken at its alias, 50 Hz; 100 Hz is the Nyquist frequency."""
-    source = data_dir / "shaker_three_tone" / "data_set_1_downsampled_by_256.lvm"
-    (tmp_path / "shaker.lvm").write_bytes(source.read_bytes())
-    force = '[[daq.channel]]\nname = "Force"\nquantity = "force"\nscale = 4.4482216\n'
-    block = 'file = "shaker.lvm"\n' + CHANNEL.format(name="Acceleratio", body="load", scale=GRAVITY) + force
-    evaluation = evaluate(tmp_path, "[100.0, 120.0, 150.0]", block)
-    acceleration, exerted = (channel.phasors for channel in evaluation.channels)
-    fundamental = np.flatnonzero(evaluation.lines.multiple == 1)
-    np.testing.assert_allclose(evaluation.lines.frequency_hz[fundamental], [119.9999, 149.9999], atol=1e-3)
-    ratio = np.abs(acceleration.value[fundamental[1], 0] / exerted.value[fundamental[1], 0]) * 4.4482216 / GRAVITY
-    assert ratio == pytest.approx(0.0920, rel=0.05)  # g/lb, as sampled 16 times faster
+    evaluation = shaker(256)
+    tones = np.flatnonzero(evaluation.lines.multiple == 1)
+    np.testing.assert_allclose(evaluation.lines.frequency_hz[tones], [119.9999, 149.9999], atol=1e-3)
+    assert per_pound(evaluation, tones[1]) == pytest.approx(0.0920, rel=0.05)  # as sampled 16 times faster
     assert any("100" in notice.text for notice in evaluation.notices)
 
 

@@ -277,18 +277,12 @@ def test_report_and_result_file_hold_the_run(tmp_path):
     np.testing.assert_array_equal(stored, drawn.results[2].magnitude.low)
 
 
-def test_settings_know_the_run_only_where_there_is_one():
+def test_settings_know_the_run_only_where_there_is_one(capsys):
     assert "seed" not in Settings().as_dict()
-    assert (
-        Settings(monte_carlo=5000, seed=3).as_dict() | {"monte_carlo": 5000, "seed": 3}
-        == Settings(monte_carlo=5000, seed=3).as_dict()
-    )
+    told = Settings(monte_carlo=5000, seed=3).as_dict()
+    assert (told["monte_carlo"], told["seed"]) == (5000, 3)
     with pytest.raises(ValueError, match="monte_carlo: expected 1000 to 1000000, found 10"):
         Settings(monte_carlo=10)
-
-
-def test_too_few_draws_are_refused_by_the_command(capsys):
-    with pytest.raises(SystemExit) as stopped:
+    with pytest.raises(SystemExit, match="2"):
         main(["run", "nowhere", "--monte-carlo", "10"])
-    assert stopped.value.code == 2
     assert "expected 1000 to 1000000 draws, found 10" in capsys.readouterr().err

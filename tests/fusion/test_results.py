@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import hashlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 import pytest
-from evaluation_factory import ACCELERATION, STATIC, Choice, make_evaluation
+from evaluation_factory import ACCELERATION, LOADS, STATIC, Choice, make_evaluation
+from support import rows, state, without_pages
 
 from fusion.base import InputError
 from fusion.campaign.repeats import drives_of
@@ -43,20 +44,9 @@ def evaluation(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
 def folder(evaluation: Evaluation, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("out") / "results"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(results, "render_report", lambda _: "<!doctype html>\n")
+        without_pages(patch)
         write_results(evaluation, out)
     return out
-
-
-@pytest.fixture
-def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave the figures out where only the handling of files is tested."""
-    monkeypatch.setattr(results, "render_report", lambda _: "<!doctype html>\n")
-
-
-def rows(path: Path) -> list[dict[str, str]]:
-    with path.open(encoding="utf-8", newline="") as stream:
-        return list(csv.DictReader(stream))
 
 
 def test_exactly_the_files_of_the_format(folder):
@@ -100,17 +90,12 @@ def test_phasors_are_read_back_to_the_last_bit(folder, evaluation):
 
 
 def test_only_what_a_source_determines_has_rows(folder):
-    found = rows(folder / "acceleration.csv")
-    laser = [row for row in found if row["source"] == "vibrometer"]
-    assert {row["component"] for row in laser} == {"z"}
-    assert len(laser) == 3
-    assert {(row["channel"], row["component"]) for row in rows(folder / "sensitivity.csv")} == {
-        (channel, "Fz") for channel in ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
-    }
-
-
-def test_sensitivity_rows(folder):
+    laser = [row for row in rows(folder / "acceleration.csv") if row["source"] == "vibrometer"]
+    assert [row["component"] for row in laser] == ["z"] * 3
+    driven = next(row for row in rows(folder / "acceleration.csv") if row["component"] == "z")
+    assert abs(float(driven["amplitude"]) - abs(ACCELERATION[0, 2])) < 4.0 * float(driven["u_amplitude"])
     found = rows(folder / "sensitivity.csv")
+    assert [(row["channel"], row["component"]) for row in found] == [(name, "Fz") for name in LOADS] * 3
     assert {row["unit"] for row in found} == {"(V/V)/N"}
     assert [row["kind"] for row in found] == ["ratio"] * 6 + ["harmonic"] * 12
     assert found[-1]["dof"] == "inf"
@@ -159,14 +144,7 @@ def test_results_answer_for_the_same_input_only(folder, evaluation, monkeypatch)
     assert not is_current(folder, hashes, settings)
 
 
-@pytest.mark.usefixtures("quick")
-def test_incomplete_folder_is_not_current(evaluation, tmp_path):
-    write_results(evaluation, tmp_path / "results")
-    (tmp_path / "results" / "load.csv").unlink()
-    assert not is_current(tmp_path / "results", evaluation.input_hashes, evaluation.settings)
-
-
-@pytest.mark.usefixtures("quick")
+@pytest.mark.usefixtures("no_pages")
 def test_other_peoples_files_are_refused_and_survive_force(evaluation, tmp_path):
     (tmp_path / "notes.txt").write_text("mine", encoding="utf-8")
     with pytest.raises(InputError):
@@ -177,10 +155,12 @@ def test_other_peoples_files_are_refused_and_survive_force(evaluation, tmp_path)
     assert (tmp_path / "notes.txt").read_text(encoding="utf-8") == "mine"
 
 
-@pytest.mark.usefixtures("quick")
-def test_results_of_other_input_are_refused_and_replaced_by_force(evaluation, tmp_path):
+@pytest.mark.usefixtures("no_pages")
+def test_results_are_replaced_by_those_of_the_same_input_or_by_force(evaluation, tmp_path):
     out = tmp_path / "results"
+    first = {path.name: path.read_bytes() for path in write_results(evaluation, out) if path.suffix == ".csv"}
     write_results(evaluation, out)
+    assert {name: (out / name).read_bytes() for name in first} == first
     (out / "motion-mine.csv").write_text("not a result of the program", encoding="utf-8")
     other = dataclasses.replace(evaluation, stereo=(), input_hashes={"rig.toml": "11" * 32})
     with pytest.raises(InputError, match="other input"):
@@ -189,15 +169,17 @@ def test_results_of_other_input_are_refused_and_replaced_by_force(evaluation, tm
     assert not (out / "motion-top.csv").exists()
     assert (out / "motion-mine.csv").exists()
     assert is_current(out, other.input_hashes, other.settings)
+    (out / "load.csv").unlink()
+    assert not is_current(out, other.input_hashes, other.settings)
 
 
+@pytest.mark.usefixtures("no_pages")
 @pytest.mark.parametrize("existing", [False, True])
 def test_a_failure_leaves_everything_as_it_was(evaluation, tmp_path, monkeypatch, existing):
     out = tmp_path / "results"
-    monkeypatch.setattr(results, "render_report", lambda _: "<!doctype html>\n")
     if existing:
         write_results(evaluation, out)
-    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    before = state(tmp_path)
 
     def fail(_: Evaluation) -> str:
         raise RuntimeError("out of paper")
@@ -205,33 +187,20 @@ def test_a_failure_leaves_everything_as_it_was(evaluation, tmp_path, monkeypatch
     monkeypatch.setattr(results, "render_report", fail)
     with pytest.raises(RuntimeError, match="out of paper"):
         write_results(evaluation, out)
-    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+    assert state(tmp_path) == before
     assert out.exists() == existing
 
 
-@pytest.mark.usefixtures("quick")
-def test_rewriting_gives_the_same_tables(evaluation, tmp_path):
-    written = write_results(evaluation, tmp_path / "results")
-    before = {path.name: path.read_bytes() for path in written if path.suffix == ".csv"}
-    write_results(evaluation, tmp_path / "results")
-    assert {name: (tmp_path / "results" / name).read_bytes() for name in before} == before
-
-
-@pytest.mark.usefixtures("quick")
+@pytest.mark.usefixtures("no_pages")
 def test_recording_without_sensor_and_cameras(tmp_path):
     bare = make_evaluation(tmp_path, Choice(sensor=False, images=False))
     written = write_results(bare, tmp_path / "results")
     assert (tmp_path / "results" / "sensitivity.csv").read_text(encoding="utf-8") == SENSITIVITY + "\n"
-    assert {path.name for path in written} == {
-        "sensitivity.csv",
-        "acceleration.csv",
-        "load.csv",
-        "report.html",
-        "result.h5",
-    }
+    names = {"sensitivity.csv", "acceleration.csv", "load.csv", "report.html", "result.h5"}
+    assert {path.name for path in written} == names
 
 
-@pytest.mark.usefixtures("quick")
+@pytest.mark.usefixtures("no_pages")
 def test_campaign_tables_are_the_recordings_rows_in_order(tmp_path):
     folders = []
     for name in ("Fz, first", 'Fz "second"'):
@@ -252,15 +221,9 @@ def test_campaign_refuses_a_table_of_another_format(tmp_path):
         merge_tables([tmp_path])
 
 
-def test_true_acceleration_lies_within_its_uncertainty(folder):
-    driven = next(row for row in rows(folder / "acceleration.csv") if row["component"] == "z")
-    assert abs(float(driven["amplitude"]) - abs(ACCELERATION[0, 2])) < 4.0 * float(driven["u_amplitude"])
-
-
 @pytest.fixture
-def write(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
+def write(no_pages: None, tmp_path: Path) -> Callable[[Evaluation], Path]:
     """Return a function that writes an evaluation without figures and returns the folder."""
-    monkeypatch.setattr(results, "render_report", lambda _: "<!doctype html>\n")
 
     def written(evaluation: Evaluation) -> Path:
         write_results(evaluation, tmp_path / "out")
@@ -295,10 +258,8 @@ def test_drives_are_read_back_to_the_last_bit(write, tmp_path):
     evaluation = dataclasses.replace(plain, load=with_clock(plain.load, 1), outputs=with_clock(plain.outputs, 2))
     drives = drives_of(evaluation)
     assert [drive.mounting for drive in drives] == ["second"]
-    assert [influence.name for influence in drives[0].outputs_uncertainty.influences] == [
-        "clock bridge: time",
-        "scale 2",
-    ]
+    names = [influence.name for influence in drives[0].outputs_uncertainty.influences]
+    assert names == ["clock bridge: time", "scale 2"]
     assert identical(drives, read_drives(write(evaluation)))
 
 
@@ -313,14 +274,10 @@ def test_sensor_excitation_and_notices_are_read_back(write, tmp_path):
     assert found.origin.input_hashes == evaluation.input_hashes
 
 
-def test_a_recording_without_sensor_has_no_drives(write, tmp_path):
+def test_a_recording_without_sensor_or_notices(write, tmp_path):
     found = read_recorded(write(make_evaluation(tmp_path, Choice(sensor=False, images=False))))
-    assert found.sensor is None
-    assert found.drives == ()
-
-
-def test_a_recording_without_notices(write, tmp_path):
-    bare = dataclasses.replace(make_evaluation(tmp_path, Choice(images=False)), notices=())
+    assert (found.sensor, found.drives) == (None, ())
+    bare = dataclasses.replace(make_evaluation(tmp_path, Choice(sensor=False, images=False)), notices=())
     assert read_recorded(write(bare)).notices == ()
 
 
@@ -336,16 +293,13 @@ def test_results_of_another_format_are_refused(write, tmp_path):
 
 def test_hash_is_that_of_the_whole_file(tmp_path):
     content = bytes(range(256)) * 9000
-    path = tmp_path / "big.bin"
-    path.write_bytes(content)
     assert len(content) > 2 << 20
-    assert sha256(path) == hashlib.sha256(content).hexdigest()
-
-
-def test_published_hash_of_abc(tmp_path):
-    path = tmp_path / "abc"
-    path.write_bytes(b"abc")
-    assert sha256(path) == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"  # FIPS 180-4 example
+    for data, digest in (
+        (content, hashlib.sha256(content).hexdigest()),
+        (b"abc", "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"),  # FIPS 180-4 example
+    ):
+        (tmp_path / "file").write_bytes(data)
+        assert sha256(tmp_path / "file") == digest
 
 
 def test_files_are_named_from_the_root_and_sorted(tmp_path):

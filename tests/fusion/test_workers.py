@@ -24,9 +24,8 @@ from support import without_pages
 
 from fusion.base import ComputeError, InputError, Settings, remove_abandoned, temporary_beside
 from fusion.campaign import run as leading
-from fusion.campaign.cluster import Outcome, connected
-from fusion.campaign.run import run_path
-from fusion.campaign.workers import Answer, Workers, call, one_blas_thread
+from fusion.campaign.executor import Answer, Workers, call, connected, one_blas_thread
+from fusion.campaign.run import Outcome, run_path
 from fusion.commands.options import EXIT_INTERRUPTED
 from fusion.report.csv_files import result_tables
 from fusion.sensitivity.analyse import Evaluation
@@ -119,7 +118,7 @@ def test_the_end_leaves_no_process_and_nothing_half_written(tmp_path):
 def test_workers_end_when_the_process_that_leads_them_is_killed(tmp_path):
     begun = tmp_path / "begun"
     code = (
-        "import sys, pathlib, worker_tasks\nfrom fusion.campaign.workers import Workers\n"
+        "import sys, pathlib, worker_tasks\nfrom fusion.campaign.executor import Workers\n"
         "if __name__ == '__main__':\n"
         "    with Workers(1) as workers:\n"
         "        workers.submit(0, worker_tasks.wait_for_ever, pathlib.Path(sys.argv[1])).result()\n"
@@ -361,7 +360,7 @@ def test_tasks_of_a_cluster_come_back_like_those_of_processes(cluster, tmp_path)
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense", "foo://a:1", ""])
 def test_an_address_where_nothing_answers_is_refused(address, tmp_path, monkeypatch, refused):
-    monkeypatch.setattr("fusion.campaign.cluster.ANSWER_S", 0.5)
+    monkeypatch.setattr("fusion.campaign.executor.ANSWER_S", 0.5)
     (tmp_path / "recording.toml").write_text("")
     assert refused("run", tmp_path, "--scheduler", address) == (
         "shakercal: --scheduler: expected the address of a Dask scheduler that answers, such as tcp://10.0.0.1:8786, "
@@ -377,7 +376,7 @@ def test_without_the_extra_the_command_says_what_to_install(tmp_path, monkeypatc
 
 
 def test_workers_of_another_version_are_refused(cluster, monkeypatch):
-    monkeypatch.setattr("fusion.campaign.cluster.PROGRAM", "numpy")
+    monkeypatch.setattr("fusion.campaign.executor.PROGRAM", "numpy")
     found = re.escape(version("shakercal"))
     with pytest.raises(InputError, match=f"expected workers with numpy .*, found numpy {found} at tcp:"):  # noqa: SIM117
         with connected(cluster.address):

@@ -152,12 +152,14 @@ def test_a_link_that_leaves_the_campaign_is_refused(make_campaign, tmp_path):
     assert load_manifest(folder, allow_outside=True)
 
 
-def test_a_rig_beside_the_recording_is_refused(make_campaign):
+def test_a_rig_beside_the_recording_is_refused(make_campaign, tmp_path):
     folder = make_campaign(replace=((RECORDING, '"../rig.toml"', '"../other/rig.toml"'),))
     (folder.parent / "other").mkdir()
     (folder.parent / "rig.toml").rename(folder.parent / "other" / "rig.toml")
     with pytest.raises(InputError, match=r"rig: expected a rig\.toml in a folder above the recording"):
         load_manifest(folder)
+    with pytest.raises(InputError, match=r"recording\.toml: expected an existing file"):
+        load_manifest(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -169,11 +171,6 @@ def test_what_is_not_toml_is_one_sentence(make_campaign, content):
     with pytest.raises(InputError) as caught:
         load_manifest(folder)
     assert caught.value.file.name == RECORDING
-
-
-def test_a_recording_without_its_file_is_one_sentence(tmp_path):
-    with pytest.raises(InputError, match=r"recording\.toml: expected an existing file"):
-        load_manifest(tmp_path)
 
 
 @pytest.mark.parametrize("section", ["sensor", "load", "stereo", "environment", "part"])
@@ -221,14 +218,16 @@ frequencies = [100.0]
 
 def test_takes_share_one_reference(make_campaign):
     assert len(load_manifest(make_campaign(recording=HEAD + TAKE + TAKE)).take) == 2
-    with pytest.raises(InputError, match=r"take\[2\]\.daq: expected one channel with reference = true"):
-        load_manifest(make_campaign(recording=HEAD + TAKE + TAKE.replace("reference = true", "")))
-    with pytest.raises(InputError, match=r"take\[1\]\.daq\.scan\.channel\.drive\.reference: expected one channel"):
-        load_manifest(
-            make_campaign(recording=HEAD + TAKE.replace('velocity"\n    b', 'velocity"\n    reference=true\n    b'))
-        )
-    with pytest.raises(InputError, match="daq: expected at least one"):
-        load_manifest(make_campaign(recording=HEAD))
+    for takes, told in (
+        (TAKE + TAKE.replace("reference = true", ""), r"take\[2\]\.daq: expected one channel with reference = true"),
+        (
+            TAKE.replace('velocity"\n    b', 'velocity"\n    reference=true\n    b'),
+            r"take\[1\]\.daq\.scan\.channel\.drive\.reference: expected one channel",
+        ),
+        ("", "daq: expected at least one"),
+    ):
+        with pytest.raises(InputError, match=told):
+            load_manifest(make_campaign(recording=HEAD + takes))
 
 
 KINDS = {
