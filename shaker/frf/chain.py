@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Literal
 
 import numpy as np
 
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape
 from shaker.labels import MOTION_UNITS
-from shaker.sine.phasor import Phasors, derivative_factor
+from shaker.sine.phasor import derivative_factor
 
 FilterKind = Literal["butterworth", "bessel", "resonance"]
 PassBand = Literal["lowpass", "highpass"]
@@ -93,7 +94,9 @@ class PoleModel:
             roots = getattr(self, name)
             check_shape(name, roots, (None,))
             if not _conjugate(roots):
-                raise ValueError(f"{name}: expected each complex root with its conjugate, found {_told(roots)}")
+                alone = max(roots, key=lambda root: float(np.abs(roots - root.conjugate()).min()))
+                found = f"{alone.real:g} {alone.imag:+g}j alone"
+                raise ValueError(f"{name}: expected each complex root with its conjugate, found {found}")
         if np.any(self.poles.real > 0.0):
             raise ValueError(f"poles: expected real parts of at most 0, found {self.poles.real.max():g}")
         if self.gain == 0.0:
@@ -114,9 +117,13 @@ def table_response(table: ResponseTable, frequency_hz: FloatArray) -> ChainRespo
     if outside:
         raise ValueError(f"frequency_hz: expected {low:g} to {high:g} Hz, the range of the table, found {outside[0]:g}")
     phase = np.unwrap(table.phase_rad)
-    delay = _mean_delay(table.frequency_hz, phase)
-    logarithm = np.log(table.magnitude) + 1j * (phase + 2.0 * np.pi * table.frequency_hz * delay)
-    knots, wanted = _abscissa(table.frequency_hz, logarithm, np.asarray(frequency_hz, dtype=np.float64))
+    knots, wanted = table.frequency_hz, np.asarray(frequency_hz, dtype=np.float64)
+    centred = knots - knots.mean()
+    spread = float(centred @ centred)
+    delay = -float(centred @ phase) / (2.0 * np.pi * spread) if spread > 0.0 else 0.0
+    logarithm = np.log(table.magnitude) + 1j * (phase + 2.0 * np.pi * knots * delay)
+    if knots[0] > 0.0 and len(knots) >= 4 and _missed(np.log(knots), logarithm) < _missed(knots, logarithm):
+        knots, wanted = np.log(knots), np.log(wanted)
     fine = _spline(knots, logarithm, wanted)
     changes = np.stack([_spline(knots[kept], logarithm[kept], wanted) - fine for kept in _halves(len(knots))])
     change = np.take_along_axis(changes, np.argmax(np.abs(changes), axis=0)[None], axis=0)[0]
@@ -141,10 +148,10 @@ def pole_response(
     moves every pole of its filter by 1 %); `u_delay_s`. With s = jω, ∂ln H/∂ln p = p/(s − p), ∂ln H/∂ln z = −z/(s − z)
     and ∂ln H/∂τ = −s; where the gain is stated at a frequency, its magnitude there does not move.
     """
-    s = _laplace(frequency_hz)
+    s = derivative_factor(frequency_hz, 1)
     gain, held = model.gain, 0.0
     if model.gain_hz is not None:
-        at = _laplace(np.array([model.gain_hz]))
+        at = derivative_factor(np.array([model.gain_hz]), 1)
         gain = model.gain / _finite(abs(_product(at, model)), [model.gain_hz])[0]
         held = float(_frequency_slope(at, model)[0].real)
     shape = _finite(_product(s, model), frequency_hz)
@@ -166,17 +173,23 @@ def filter_poles(
         raise ValueError(f"order: expected 1 to 12, found {order}")
     if not corner_hz > 0.0:
         raise ValueError(f"corner_hz: expected a frequency above 0 Hz, found {corner_hz:g}")
-    if kind == "resonance":
-        return _resonance(order, corner_hz, band, damping)
-    from scipy import signal
-
-    short = "low" if band == "lowpass" else "high"
     corner = 2.0 * np.pi * corner_hz
-    if kind == "butterworth":
-        zeros, poles, gain = signal.butter(order, corner, short, analog=True, output="zpk")
+    if kind == "resonance":  # one pair of poles, or two real ones where damped above 1
+        if order != 2:
+            raise ValueError(f"order: expected 2 for a resonance, found {order}")
+        if not damping > 0.0:
+            raise ValueError(f"damping: expected a ratio above 0, found {damping:g}")
+        turn = np.sqrt(complex(damping**2 - 1.0))
+        poles, gain = corner * np.array([-damping + turn, -damping - turn]), 1.0
+        zeros = np.zeros(2 if band == "highpass" else 0)
     else:
-        zeros, poles, gain = signal.bessel(order, corner, short, analog=True, output="zpk", norm="mag")
-    return _passing(np.asarray(zeros, dtype=np.complex128), np.asarray(poles, dtype=np.complex128), float(gain), band)
+        from scipy import signal
+
+        design = signal.butter if kind == "butterworth" else partial(signal.bessel, norm="mag")
+        zeros, poles, gain = design(order, corner, band, analog=True, output="zpk")
+    # Held in the pass band: at 0 Hz, or (k = 1) at the highest frequencies.
+    held = (1.0, 0.0) if band == "lowpass" else (float(gain), None)
+    return PoleModel(np.asarray(zeros, dtype=np.complex128), np.asarray(poles, dtype=np.complex128), *held)
 
 
 def product(responses: Sequence[ChainResponse]) -> ChainResponse:
@@ -184,15 +197,6 @@ def product(responses: Sequence[ChainResponse]) -> ChainResponse:
     value = np.prod([response.value for response in responses], axis=0)
     errors = np.concatenate([response.errors for response in responses])
     return ChainResponse(value, errors, tuple(cause for response in responses for cause in response.causes))
-
-
-def de_embedded(phasors: Phasors, response: ChainResponse) -> Phasors:
-    """Return phasors (K, C) that all went through one chain as they were before it: X / H, random covariance only.
-
-    The errors of the response are common to all lines and channels: `common_covariance` says what they add.
-    """
-    check_shape("response.value", response.value, phasors.frequency_hz.shape)
-    return phasors.scaled(1.0 / response.value[:, None])
 
 
 def common_covariance(value: ComplexArray, errors: ComplexArray) -> FloatArray:
@@ -203,24 +207,6 @@ def common_covariance(value: ComplexArray, errors: ComplexArray) -> FloatArray:
     deviation = value * errors
     stacked = np.concatenate([deviation.real, deviation.imag], axis=-1)
     return np.asarray(np.einsum("eki,ekj->kij", stacked, stacked))
-
-
-def converted(phasors: Phasors, to: str) -> Phasors:
-    """Return phasors of motion, or transfer functions of motion per something else, as another time derivative.
-
-    `to`: `displacement`, `velocity` or `acceleration`. The unit of a channel says what it is: `m/s` or `rad/s`, in a
-    ratio `(m/s)/N` what stands before the last division. X_a = jω·X_v = (jω)²·X_d.
-    """
-    if to not in QUANTITIES:
-        raise ValueError(f"to: expected one of {', '.join(QUANTITIES)}, found {to}")
-    order = QUANTITIES.index(to)
-    factors, units = [], []
-    for unit in phasors.unit:
-        above, below = split_ratio(unit)
-        family, have = motion_order(above)
-        factors.append(derivative_factor(phasors.frequency_hz, order - have))
-        units.append(ratio_unit(MOTION_UNITS[family][order], below) if below else MOTION_UNITS[family][order])
-    return phasors.scaled(np.stack(factors, axis=1), units)
 
 
 def motion_order(unit: str) -> tuple[int, int]:
@@ -256,29 +242,6 @@ def split_ratio(unit: str) -> tuple[str, str]:
 def _unwrapped(unit: str) -> str:
     """Return a unit without the brackets around it."""
     return unit[1:-1] if unit.startswith("(") and unit.endswith(")") else unit
-
-
-def _resonance(order: int, corner_hz: float, band: PassBand, damping: float) -> PoleModel:
-    """Return one pair of poles (or two real ones where damped above 1)."""
-    if order != 2:
-        raise ValueError(f"order: expected 2 for a resonance, found {order}")
-    if not damping > 0.0:
-        raise ValueError(f"damping: expected a ratio above 0, found {damping:g}")
-    corner = 2.0 * np.pi * corner_hz
-    turn = np.sqrt(complex(damping**2 - 1.0))
-    poles = corner * np.array([-damping + turn, -damping - turn], dtype=np.complex128)
-    zeros = np.zeros(2 if band == "highpass" else 0, dtype=np.complex128)
-    return _passing(zeros, poles, corner**2 if band == "lowpass" else 1.0, band)
-
-
-def _passing(zeros: ComplexArray, poles: ComplexArray, gain: float, band: PassBand) -> PoleModel:
-    """Return a filter whose gain is held in its pass band: at 0 Hz, or (k = 1) at the highest frequencies."""
-    return PoleModel(zeros, poles, 1.0, 0.0) if band == "lowpass" else PoleModel(zeros, poles, gain)
-
-
-def _laplace(frequency_hz: FloatArray) -> ComplexArray:
-    """Return s = jω of frequencies in Hz."""
-    return np.asarray(2j * np.pi * np.asarray(frequency_hz, dtype=np.float64), dtype=np.complex128)
 
 
 def _product(s: ComplexArray, model: PoleModel) -> ComplexArray:
@@ -325,28 +288,7 @@ def _conjugate(roots: ComplexArray) -> bool:
     return True
 
 
-def _told(roots: ComplexArray) -> str:
-    """Return the first root without a conjugate."""
-    alone = max(roots, key=lambda root: float(np.abs(roots - root.conjugate()).min()))
-    return f"{alone.real:g} {alone.imag:+g}j alone"
-
-
-def _mean_delay(frequency_hz: FloatArray, phase_rad: FloatArray) -> float:
-    """Return the delay τ of the straight line −2πτ·f + const nearest to an unwrapped phase; 0 for one point."""
-    centred = frequency_hz - frequency_hz.mean()
-    spread = float(centred @ centred)
-    return -float(centred @ phase_rad) / (2.0 * np.pi * spread) if spread > 0.0 else 0.0
-
-
-def _abscissa(knots: FloatArray, values: ComplexArray, wanted: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return knots and wanted frequencies, or their logarithms where these predict left-out values (N,) better."""
-    if knots[0] <= 0.0 or len(knots) < 4:
-        return knots, wanted
-    plain, logarithmic = (_prediction_error(x, values) for x in (knots, np.log(knots)))
-    return (knots, wanted) if plain <= logarithmic else (np.log(knots), np.log(wanted))
-
-
-def _prediction_error(knots: FloatArray, values: ComplexArray) -> float:
+def _missed(knots: FloatArray, values: ComplexArray) -> float:
     """Return the sum of squared errors with which either half of the knots predicts the other."""
     missed = [_spline(knots[kept], values[kept], knots[~kept]) - values[~kept] for kept in _halves(len(knots))]
     return float(np.sum(np.abs(np.concatenate(missed)) ** 2))

@@ -40,7 +40,10 @@ def find_hits(record: TransferRecord, length: int) -> list[Hit]:
     A hit does not count where the record ends before its window does, where a second pulse stands in the window (which
     is no hit of its own), and where any channel is overloaded in it.
     """
-    force, noise = _pulses_up(record.reference)
+    force = record.reference - float(np.median(record.reference))
+    noise = float(np.median(np.abs(force)) / 0.6745)
+    if force.max() < -force.min():
+        force = -force
     largest = float(force.max(initial=0.0))
     if not largest > 2.0 * _NOISE * noise:
         raise ValueError(f"reference: expected a force with hits, found only noise in {record.reference_name}")
@@ -50,42 +53,27 @@ def find_hits(record: TransferRecord, length: int) -> list[Hit]:
     for low, high in above:
         if hits and low < hits[-1].first + length:
             continue
-        hits.append(_judged(force, noise, overloaded, _foot(force, noise, low, high), length))
+        hits.append(_hit(force, noise, overloaded, (low, high), length))
     return hits
 
 
-def _pulses_up(reference: FloatArray) -> tuple[FloatArray, float]:
-    """Return the force without its rest level, pulses upwards, and the standard deviation of its noise at rest."""
-    rest = float(np.median(reference))
-    deviation = reference - rest
-    noise = float(np.median(np.abs(deviation)) / 0.6745)
-    return (deviation if deviation.max() >= -deviation.min() else -deviation), noise
-
-
-def _foot(force: FloatArray, noise: float, low: int, high: int) -> tuple[int, int, int]:
-    """Return first, last and peak sample of the pulse around samples low … high."""
-    peak = low + int(np.argmax(force[low : high + 1]))
+def _hit(force: FloatArray, noise: float, overloaded: BoolArray, around: tuple[int, int], length: int) -> Hit:
+    """Return the pulse around samples low … high, with the reason why it does not count."""
+    peak = around[0] + int(np.argmax(force[around[0] : around[1] + 1]))
     foot = max(_FOOT * float(force[peak]), _NOISE * noise)
-    before = np.flatnonzero(force[: peak + 1] < foot)
-    after = np.flatnonzero(force[peak:] < foot)
+    before, after = np.flatnonzero(force[: peak + 1] < foot), np.flatnonzero(force[peak:] < foot)
     first = int(before[-1]) + 1 if len(before) else 0
     last = peak + int(after[0]) - 1 if len(after) else len(force) - 1
-    return first, last, peak
-
-
-def _judged(force: FloatArray, noise: float, overloaded: BoolArray, pulse: tuple[int, int, int], length: int) -> Hit:
-    """Return a hit with the reason why it does not count."""
-    first, last, peak = pulse
-    end = first + length
-    rest = force[last + 1 + (last - first + 1) // 2 : end]
-    again = np.flatnonzero(rest > max(_AGAIN * float(force[peak]), _NOISE * noise))
+    end, calm = first + length, 1 + (last - first + 1) // 2
+    again = np.flatnonzero(force[last + calm : end] > max(_AGAIN * float(force[peak]), _NOISE * noise))
+    refused = ""
     if end > len(force):
-        return Hit(first, last, peak, "the record ends before its window does")
-    if overloaded[first:end].any():
-        return Hit(first, last, peak, "a channel is overloaded")
-    if len(again):
-        return Hit(first, last, peak, f"a second pulse follows {again[0] + 1 + (last - first + 1) // 2} samples later")
-    return Hit(first, last, peak)
+        refused = "the record ends before its window does"
+    elif overloaded[first:end].any():
+        refused = "a channel is overloaded"
+    elif len(again):
+        refused = f"a second pulse follows {again[0] + calm} samples later"
+    return Hit(first, last, peak, refused)
 
 
 def _runs(mask: BoolArray) -> list[tuple[int, int]]:
@@ -166,10 +154,19 @@ def transfer_impact(
     lines = _transformed(blows, decay, band_hz or (0.0, 0.5 * rate))
     averages = np.full(len(lines.frequency_hz), float(len(taken)))
     spectra = Spectra(np.mean(lines.value[:, :, :, None] * lines.value.conj()[:, :, None, :], axis=0), averages)
-    choice = _choice(spectra, estimator, record.reference_name)
+    few = len(taken) < _ENOUGH  # too few to tell where the noise is
+    choice = Choice("H1", 1.0, f"fewer than {_ENOUGH} hits, and the window keeps noise off the force")
+    if estimator != "auto" or not few:
+        choice = choose_estimator(spectra, estimator, 1.0 if few else None, record.reference_name)
     found = transfer_of(spectra, choice)
-    correlation = _line_correlation(blows, decay, len(lines.frequency_hz))
-    covariance, dof = _covariance(lines, found.ratio, (correlation, _force_correlation(blows, decay)))
+    # How the errors of lines 0, 1, 2 … apart correlate under the exponential window, and the force's under its own.
+    square = np.exp(-2.0 * decay * blows.time_s)
+    under_window = np.fft.fft(np.roll(square, -int(np.searchsorted(blows.time_s, 0.0))))
+    under_force = np.fft.fft(np.mean(blows.force_window**2, axis=0) * square)
+    correlation = np.ones(1, dtype=np.complex128)
+    if decay > 0.0:
+        correlation = np.asarray(under_window[: min(_REACH, len(lines.frequency_hz))] / under_window[0])
+    covariance, dof = _covariance(lines, found.ratio, (correlation, np.asarray(under_force / under_force[0])))
     return TransferFunction(
         ratio=Phasors(lines.frequency_hz, found.ratio, covariance, record.channels, record.ratio_unit, dof),
         coherence=found.coherence,
@@ -287,35 +284,6 @@ def _transformed(blows: _Blows, decay: float, band_hz: tuple[float, float]) -> _
     return _Lines(np.asarray(frequency[inside], dtype=np.float64), value[:, inside], noise, blows.noise_dof)
 
 
-def _choice(spectra: Spectra, wanted: Literal["auto", "H1", "H2", "Hv"], reference_name: str) -> Choice:
-    """Return the estimator to take; few hits do not tell where the noise is."""
-    few = bool(spectra.averages[0] < _ENOUGH)
-    if wanted == "auto" and few:
-        return Choice("H1", 1.0, f"fewer than {_ENOUGH} hits, and the window keeps noise off the force")
-    return choose_estimator(spectra, wanted, 1.0 if few else None, reference_name)
-
-
-def _line_correlation(blows: _Blows, decay: float, lines: int) -> ComplexArray:
-    """Return the correlation (D,) of the errors of lines 0, 1, 2 … apart under the exponential window."""
-    if decay == 0.0:
-        return np.ones(1, dtype=np.complex128)
-    square = np.exp(-2.0 * decay * blows.time_s)
-    found = np.fft.fft(np.roll(square, -int(np.searchsorted(blows.time_s, 0.0))))
-    return np.asarray(found[: min(_REACH, lines)] / found[0])
-
-
-def _force_correlation(blows: _Blows, decay: float) -> ComplexArray:
-    """Return the correlation (D,) of the force's noise at lines 0, 1, 2 … apart, under the force window."""
-    square = np.mean(blows.force_window**2, axis=0) * np.exp(-2.0 * decay * blows.time_s)
-    found = np.fft.fft(square)
-    return np.asarray(found / found[0])
-
-
-def _worth(number: FloatArray, correlation: ComplexArray) -> FloatArray:
-    """Return as how many independent lines `number` (K,) neighbours count whose errors correlate (D,)."""
-    return np.asarray(np.maximum(1.0, number / (1.0 + 2.0 * np.sum(np.abs(correlation[1:17]) ** 2))))
-
-
 def _covariance(
     lines: _Lines, ratio: ComplexArray, correlations: tuple[ComplexArray, ComplexArray]
 ) -> tuple[FloatArray, FloatArray]:
@@ -330,7 +298,8 @@ def _covariance(
         error = lines.value[:, :, 1:] - ratio * lines.value[:, :, :1]
         scatter = np.einsum("nkc,nkd->kcd", error, error.conj()) / (count - 1)
         pooled, number = pooled_scatter(scatter, ratio, 2.0 * (count - 1))
-        flat, through = (_worth(number, correlation) for correlation in correlations)
+        # As how many independent lines neighbours count whose errors correlate.
+        flat, through = (np.maximum(1.0, number / (1.0 + 2.0 * np.sum(np.abs(c[1:17]) ** 2))) for c in correlations)
         share = np.max(share_of_reference(scatter, ratio), axis=1)
         worth = 1.0 / ((1.0 - share) ** 2 / flat + share**2 / np.minimum(flat, through))
         return circular_covariance(pooled / force), 2.0 * (count - 1) * worth

@@ -220,23 +220,18 @@ def period_notices(
     rate = record.sample_rate_hz
     frequency = np.asarray(lines.harmonic * (rate / period.samples), dtype=np.float64)
     value = lines.value[:, excited]
-    found = [_choice(record, period, int(np.count_nonzero(excited)))]
+    text = (
+        f"periodic excitation, {period.count} periods of {period.samples / rate:.9g} s "
+        f"(u {period.u_samples / period.samples:.1e}), {value.shape[1]} lines: ratio of the means over periods, leaks "
+        "nothing, not biased by noise on either channel"
+    )
+    found = [Notice("info", text, record.reference_name)]
     found += _reference_drift(value[:, :, 0], record.reference_name)
     for c, name in enumerate(record.channels):
         error = value[:, :, 1 + c] - ratio[:, c] * value[:, :, 0]
         found += _unsettled(error, value[:, :, 1 + c], frequency[excited], name)
         found += _distortions(lines, excited, ratio[:, c], 1 + c, name)
     return tuple(found)
-
-
-def _choice(record: TransferRecord, period: Period, lines: int) -> Notice:
-    """Say which estimator was taken and why."""
-    seconds = period.samples / record.sample_rate_hz
-    text = (
-        f"periodic excitation, {period.count} periods of {seconds:.9g} s (u {period.u_samples / period.samples:.1e}), "
-        f"{lines} lines: ratio of the means over periods, leaks nothing, not biased by noise on either channel"
-    )
-    return Notice("info", text, record.reference_name)
 
 
 def _reference_drift(reference: ComplexArray, name: str) -> list[Notice]:
@@ -374,36 +369,22 @@ def transfer_periodic(
         raise ValueError(
             f"record: expected a reference that excites lines, found only noise in {record.reference_name}"
         )
-    estimate = _estimate(lines.value[:, excited])
     frequency = np.asarray(lines.harmonic * (rate / period.samples), dtype=np.float64)
-    notices = period_notices(record, period, lines, excited, estimate.ratio)
-    kept = int(np.count_nonzero(excited))
+    ratio, coherence = _ratio(lines.value[:, excited], frequency[excited], record)
     return TransferFunction(
-        ratio=Phasors(
-            frequency[excited], estimate.ratio, estimate.covariance, record.channels, record.ratio_unit, estimate.dof
-        ),
-        coherence=estimate.coherence,
+        ratio=ratio,
+        coherence=coherence,
         estimator="periodic",
         reference=record.reference_name,
-        averages=np.full(kept, float(period.count)),
+        averages=np.full(len(coherence), float(period.count)),
         line_spacing_hz=rate / period.samples,
         line_correlation=np.ones(1, dtype=np.complex128),
-        notices=notices,
+        notices=period_notices(record, period, lines, excited, ratio.value),
     )
 
 
-@dataclass(frozen=True)
-class _Estimate:
-    """Ratio (K, C), covariance (K, 2C, 2C), dof (K,), coherence over periods (K, C)."""
-
-    ratio: ComplexArray
-    covariance: FloatArray
-    dof: FloatArray
-    coherence: FloatArray
-
-
-def _estimate(value: ComplexArray) -> _Estimate:
-    """Return the ratio of the means over periods of phasors (M, K, 1 + C), reference first."""
+def _ratio(value: ComplexArray, frequency_hz: FloatArray, record: TransferRecord) -> tuple[Phasors, FloatArray]:
+    """Return the ratio of the means over periods of phasors (M, K, 1 + C), reference first, and their coherence."""
     count = len(value)
     reference, responses = value[:, :, 0], value[:, :, 1:]
     mean = reference.mean(axis=0)
@@ -415,4 +396,6 @@ def _estimate(value: ComplexArray) -> _Estimate:
     cross = np.abs(np.sum(responses * reference.conj()[:, :, None], axis=0)) ** 2
     power = np.sum(np.abs(reference) ** 2, axis=0)[:, None] * np.sum(np.abs(responses) ** 2, axis=0)
     coherence = np.divide(cross, power, out=np.ones_like(power), where=power > 0.0)
-    return _Estimate(ratio, covariance, 2.0 * (count - 1) * lines, np.minimum(coherence, 1.0))
+    dof = 2.0 * (count - 1) * lines
+    phasors = Phasors(frequency_hz, ratio, covariance, record.channels, record.ratio_unit, dof)
+    return phasors, np.minimum(coherence, 1.0)

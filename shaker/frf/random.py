@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Notice, check_shape
+from shaker.arrays import ComplexArray, FloatArray, IntArray, Notice, check_shape
 from shaker.frf.result import TransferFunction, TransferRecord, circular_covariance, resolution_notices
 from shaker.lines.spectrum import window_samples
 from shaker.sine.phasor import Phasors
@@ -89,7 +89,10 @@ def transfer_of(spectra: Spectra, choice: Choice) -> Estimate:
         if choice.estimator != "H1":
             loss = 1.0 / np.sqrt(np.maximum(coherence, 1.0 / averages[:, None]))
             noise = noise * loss[:, :, None] * loss[:, None, :]
-        covariance = circular_covariance(_positive(noise))
+        hermitian = 0.5 * (noise + noise.conj().swapaxes(1, 2))
+        diagonal = np.arange(noise.shape[1])  # rounding may have made it negative
+        hermitian[:, diagonal, diagonal] = np.maximum(hermitian[:, diagonal, diagonal].real, np.finfo(np.float64).tiny)
+        covariance = circular_covariance(hermitian)
     else:
         covariance = np.full((len(ratio), 2 * ratio.shape[1], 2 * ratio.shape[1]), np.nan)
     return Estimate(ratio, covariance, coherence)
@@ -108,14 +111,6 @@ def _ratio(spectra: Spectra, choice: Choice) -> ComplexArray:
     return np.asarray((difference + root) / (2.0 * cross.conj()))
 
 
-def _positive(noise: ComplexArray) -> ComplexArray:
-    """Return Hermitian matrices with a diagonal that rounding has not made negative."""
-    hermitian = 0.5 * (noise + noise.conj().swapaxes(1, 2))
-    diagonal = np.arange(noise.shape[1])
-    hermitian[:, diagonal, diagonal] = np.maximum(hermitian[:, diagonal, diagonal].real, np.finfo(np.float64).tiny)
-    return np.asarray(hermitian)
-
-
 def choose_estimator(
     spectra: Spectra,
     wanted: Literal["auto", "H1", "H2", "Hv"],
@@ -130,7 +125,9 @@ def choose_estimator(
     if noise_ratio is not None and not noise_ratio > 0.0:
         raise ValueError(f"noise_ratio: expected a positive number, found {noise_ratio}")
     on_reference, on_response, bias_h1, bias_h2 = _noise_shares(spectra)
-    found = noise_ratio if noise_ratio is not None else _quotient(on_response, on_reference)
+    found = noise_ratio
+    if found is None and on_reference > 0.0 and on_response > 0.0:
+        found = on_response / on_reference
     if wanted != "auto":
         if wanted == "Hv" and found is None:
             raise ValueError(
@@ -145,11 +142,6 @@ def choose_estimator(
     return Choice("Hv", found or 1.0, why)
 
 
-def _quotient(on_response: float, on_reference: float) -> float | None:
-    """Return the ratio of the noise powers where both are known."""
-    return on_response / on_reference if on_reference > 0.0 and on_response > 0.0 else None
-
-
 def _noise_shares(spectra: Spectra) -> tuple[float, float, float, float]:
     """Return noise powers on reference and responses, and the bias of H1 and H2 over its uncertainty (95th centile)."""
     from scipy.optimize import nnls
@@ -161,7 +153,9 @@ def _noise_shares(spectra: Spectra) -> tuple[float, float, float, float]:
     scale = 1.0 / np.maximum(missing, np.maximum(np.median(missing), 1e-12))
     fits, shares = [], []
     for c in range(coherence.shape[1]):
-        told = _telling(coherence[:, c])
+        told = coherence[:, c] > _TELLING  # lines whose signal is above the noise: beside a band, noise is all there is
+        if not told.any():
+            told[:] = True
         x, y, averages = spectra.reference[told], spectra.responses[told, c], spectra.averages[told]
         columns = np.stack([1.0 / x, 1.0 / y], axis=1) * scale[told, c, None]
         unit = np.linalg.norm(columns, axis=0)
@@ -172,12 +166,6 @@ def _noise_shares(spectra: Spectra) -> tuple[float, float, float, float]:
     noise = np.median(fits, axis=0)
     bias_h1, bias_h2 = np.max(shares, axis=0)
     return float(noise[0]), float(noise[1]), float(bias_h1), float(bias_h2)
-
-
-def _telling(coherence: FloatArray) -> BoolArray:
-    """Tell the lines (K,) whose signal is above the noise, all where none is: beside a band, noise is all there is."""
-    above = coherence > _TELLING
-    return np.asarray(above if above.any() else np.ones_like(above))
 
 
 # Transfer functions by local polynomials: the spectrum of a whole record, without segments and window.
@@ -195,29 +183,21 @@ _TOGETHER = 200_000  # bins of all windows that are solved at once
 
 
 @dataclass(frozen=True)
-class LocalSpectra:
-    """Spectra at K lines freed from leakage, `dof` real degrees of freedom of the noise, correlation of lines (D,).
+class LineSpectra:
+    """Spectra at K lines, `dof` real degrees of freedom of their noise, correlation of the errors of lines (D,).
 
-    `bias` (K, C): by how much a lower order gives another transfer function, zero where noise may have done it.
+    `bias` (K, C): by how much the transfer function may be off, None where its curvature tells; `text`: how they were
+    made.
     """
 
     spectra: Spectra
-    bias: ComplexArray
+    bias: ComplexArray | None
     dof: float
     line_correlation: ComplexArray
-    bins: int
-
-    def text(self) -> str:
-        """Say what was fitted."""
-        return f"local polynomials of order {_ORDER} over {self.bins} bins of the whole record"
+    text: str
 
 
-def enough_bins(samples: int, length: int) -> bool:
-    """Tell whether a record of `samples` has bins enough for lines a `length`-th of the sample rate apart."""
-    return samples >= LEAST_SEGMENTS * length
-
-
-def local_spectra(record: TransferRecord, length: int, frequency_hz: FloatArray) -> LocalSpectra:
+def local_spectra(record: TransferRecord, length: int, frequency_hz: FloatArray) -> LineSpectra:
     """Return spectra [reference, responses] at lines (K,), Hz, a `length`-th of the sample rate apart.
 
     Over a window of five lines of the record's own DFT, r bins from the line,
@@ -228,9 +208,14 @@ def local_spectra(record: TransferRecord, length: int, frequency_hz: FloatArray)
     worth n + 1 averages, n = (X*QX)/S_xx, Q the projection on what the other unknowns do not explain: then
     var g₀ = S_ee/(n S_xx), and noise on the reference lowers g₀ as it lowers H1, so that H2 and Hv can be had from
     these spectra as from averaged ones. Errors of two lines correlate as far as their windows overlap. A resonance
-    that is too narrow for these polynomials is still more so for those of order 4: the difference bounds the bias.
+    that is too narrow for these polynomials is still more so for those of order 4: the difference, where noise alone
+    does not make it, bounds the bias.
     """
     samples = len(record.reference)
+    if samples < LEAST_SEGMENTS * length:
+        least = record.sample_rate_hz / samples * LEAST_SEGMENTS
+        expected = f"expected lines at least {least:.3g} Hz apart for local polynomials"
+        raise ValueError(f"resolution_hz: {expected}, found {record.sample_rate_hz / length:.6g} Hz")
     together = np.column_stack([record.reference, record.responses])
     transform = np.fft.rfft(together - together.mean(axis=0), axis=0)
     bins = round(_WINDOW * samples / length)
@@ -239,8 +224,14 @@ def local_spectra(record: TransferRecord, length: int, frequency_hz: FloatArray)
     count = max(1, _TOGETHER // bins)
     parts = [_solved(transform, place[k : k + count], first[k : k + count], bins) for k in range(0, len(place), count)]
     power, averages, bias = (np.concatenate(part) for part in zip(*parts, strict=True))
-    correlation = _kernel_correlation(bins, samples / length)
-    return LocalSpectra(Spectra(power, averages), bias, 2.0 * (bins - _UNKNOWNS), correlation, bins)
+    # Of polynomial fits at the middle of windows that lie samples/length bins apart.
+    centred = (np.arange(bins) - 0.5 * (bins - 1)) / (0.5 * bins)
+    kernel = np.linalg.pinv(centred[:, None] ** np.arange(_ORDER + 1))[0]
+    apart = np.round(np.arange(0.0, bins, samples / length)).astype(np.int64)
+    correlation = np.array([kernel[: bins - d] @ kernel[d:] / (kernel @ kernel) for d in apart if d < bins])
+    text = f"local polynomials of order {_ORDER} over {bins} bins of the whole record"
+    dof = 2.0 * (bins - _UNKNOWNS)
+    return LineSpectra(Spectra(power, averages), bias, dof, correlation.astype(np.complex128), text)
 
 
 @dataclass(frozen=True)
@@ -286,15 +277,6 @@ def _fitted(powers: FloatArray, reference: ComplexArray, responses: ComplexArray
     return _Fit(triangle[:, last, last + 1 :] / pivot[:, None], np.abs(pivot) ** 2, noise)
 
 
-def _kernel_correlation(bins: int, step: float) -> ComplexArray:
-    """Return the correlation (D,) of polynomial fits at the middle of windows that lie `step` bins apart."""
-    centred = (np.arange(bins) - 0.5 * (bins - 1)) / (0.5 * bins)
-    kernel = np.linalg.pinv(centred[:, None] ** np.arange(_ORDER + 1))[0]
-    apart = np.round(np.arange(0.0, bins, step)).astype(np.int64)
-    apart = apart[apart < bins]
-    return np.array([kernel[: bins - d] @ kernel[d:] / (kernel @ kernel) for d in apart], dtype=np.complex128)
-
-
 # Transfer functions from noise: local polynomials, or averaged spectra of overlapping segments; H1, H2, Hv.
 
 
@@ -334,21 +316,24 @@ def transfer_random(
     >>> transfer_random(record, resolution_hz=1.0)
     TransferFunction(local over force: Phasors(497 lines from 3 to 499 Hz: z [m/N]))
     """
-    length = _length(record, resolution_hz)
-    chosen = _lines(record.sample_rate_hz, length, band_hz)
-    local = estimator == "local" or (estimator == "auto" and enough_bins(len(record.reference), length))
-    source = _local(record, length, chosen) if local else _segments(record, length, chosen)
+    length, chosen = _lines(record, resolution_hz, band_hz)
+    enough = len(record.reference) >= LEAST_SEGMENTS * length
+    local = estimator == "local" or (estimator == "auto" and enough)
+    source = (local_spectra if local else averaged_spectra)(record, length, chosen)
     wanted = "auto" if estimator == "local" else estimator
     choice = choose_estimator(source.spectra, wanted, noise_ratio, record.reference_name)
     found = transfer_of(source.spectra, choice)
-    bias = _leakage(found.ratio) if source.bias is None else source.bias
+    bias = source.bias
+    if bias is None:  # H''/6 of a Hann window, zero at both ends
+        bias = np.zeros_like(found.ratio)
+        bias[1:-1] = (found.ratio[2:] - 2.0 * found.ratio[1:-1] + found.ratio[:-2]) / 6.0
     covariance = found.covariance + circular_covariance(bias[:, :, None] * bias.conj()[:, None, :])
     notices = [choice.notice(record.reference_name, source.text)]
-    cause = "a polynomial over five lines" if local else "leakage"
+    cause, dof = "a polynomial over five lines" if local else "leakage", np.full(len(chosen), source.dof)
     for c, name in enumerate(record.channels):
         notices += resolution_notices(chosen, found.ratio[:, c], np.sqrt(found.covariance[:, c, c]), name, cause)
     return TransferFunction(
-        ratio=Phasors(chosen, found.ratio, covariance, record.channels, record.ratio_unit, source.dof),
+        ratio=Phasors(chosen, found.ratio, covariance, record.channels, record.ratio_unit, dof),
         coherence=found.coherence,
         estimator="local" if local else choice.estimator,
         reference=record.reference_name,
@@ -359,19 +344,8 @@ def transfer_random(
     )
 
 
-@dataclass(frozen=True)
-class _Source:
-    """Spectra at K lines, bias (K, C) if known, `dof` (K,) of noise, correlation of lines (D,), how they were made."""
-
-    spectra: Spectra
-    bias: ComplexArray | None
-    dof: FloatArray
-    line_correlation: ComplexArray
-    text: str
-
-
-def _length(record: TransferRecord, resolution_hz: float) -> int:
-    """Return the samples of 1/resolution."""
+def _lines(record: TransferRecord, resolution_hz: float, band_hz: tuple[float, float] | None) -> tuple[int, FloatArray]:
+    """Return the samples of 1/resolution, and the lines (K,), Hz, inside a band."""
     rate = record.sample_rate_hz
     if not 0.0 < resolution_hz < rate / 16.0:
         raise ValueError(f"resolution_hz: expected a value in (0, {rate / 16.0:.6g}), found {resolution_hz}")
@@ -381,93 +355,43 @@ def _length(record: TransferRecord, resolution_hz: float) -> int:
             f"resolution_hz: expected two segments or more in the record, so at least "
             f"{2.0 * rate / len(record.reference):.3g} Hz, found {resolution_hz} Hz"
         )
-    return length
-
-
-def _lines(rate: float, length: int, band_hz: tuple[float, float] | None) -> FloatArray:
-    """Return the lines (K,), Hz, inside a band."""
     frequency = np.fft.rfftfreq(length, 1.0 / rate)
     low, high = band_hz or (0.0, 0.5 * rate)
     inside = (frequency >= low) & (frequency <= high)
     inside[:_FIRST_BIN] = inside[-1] = False
     if not inside.any():
         raise ValueError(f"band_hz: expected a band with lines of {rate / length:.6g} Hz, found {low} to {high} Hz")
-    return np.asarray(frequency[inside], dtype=np.float64)
+    return length, np.asarray(frequency[inside], dtype=np.float64)
 
 
-def _local(record: TransferRecord, length: int, frequency_hz: FloatArray) -> _Source:
-    """Return spectra by local polynomials."""
-    samples = len(record.reference)
-    if not enough_bins(samples, length):
-        least = record.sample_rate_hz / samples * LEAST_SEGMENTS
-        expected = f"expected lines at least {least:.3g} Hz apart for local polynomials"
-        raise ValueError(f"resolution_hz: {expected}, found {record.sample_rate_hz / length:.6g} Hz")
-    found = local_spectra(record, length, frequency_hz)
-    return _Source(
-        found.spectra, found.bias, np.full(len(frequency_hz), found.dof), found.line_correlation, found.text()
-    )
+def averaged_spectra(record: TransferRecord, length: int, frequency_hz: FloatArray) -> LineSpectra:
+    """Return spectra [reference, responses] at neighbouring lines (K,), Hz, averaged over segments of `length` samples.
 
-
-def _segments(record: TransferRecord, length: int, frequency_hz: FloatArray) -> _Source:
-    """Return averaged spectra of segments."""
-    overlap = _Overlap.of(len(record.reference), length)
-    first = round(float(frequency_hz[0]) * length / record.sample_rate_hz)
-    spectra = _averaged(record, overlap, slice(first, first + len(frequency_hz)))
-    dof = np.full(len(frequency_hz), 2.0 * (overlap.independent - 1.0))
-    return _Source(spectra, None, dof, overlap.line_correlation, overlap.text())
-
-
-def _leakage(ratio: ComplexArray) -> ComplexArray:
-    """Return the bias H''/6 (K, C) that a Hann window gives H (K, C), zero at both ends."""
-    bias = np.zeros_like(ratio)
-    bias[1:-1] = (ratio[2:] - 2.0 * ratio[1:-1] + ratio[:-2]) / 6.0
-    return bias
-
-
-@dataclass(frozen=True)
-class _Overlap:
-    """Segments of a record: how they overlap, and what that means for their average.
-
-    `independent`: equivalent number of independent segments; `line_correlation` (D,) of the errors of an averaged
-    cross spectrum at neighbouring lines.
+    Noise in two segments that begin d samples apart correlates as Σ w(n)·w(n+d)·exp(-jωn), which tells as how many
+    independent ones they count, and how errors of neighbouring lines correlate.
     """
-
-    window: FloatArray
-    starts: tuple[int, ...]
-    independent: float
-    line_correlation: ComplexArray
-
-    @classmethod
-    def of(cls, samples: int, length: int) -> _Overlap:
-        """Lay segments over a record; noise in two of them d apart correlates as Σ w(n)·w(n+d)·exp(-jωn)."""
-        window = window_samples("hann", length)
-        hop = max(1, length // _HOP)
-        starts = tuple(range(0, samples - length + 1, hop))
-        count = len(starts)
-        total = np.zeros(_REACH)
-        for apart in range(min(count, -(-length // hop))):
-            overlap = np.zeros(length)
-            overlap[: length - apart * hop] = window[apart * hop :] * window[: length - apart * hop]
-            share = (count - apart) / count * (1.0 if apart == 0 else 2.0)
-            total = total + share * np.abs(np.fft.rfft(overlap)[:_REACH] / np.sum(window**2)) ** 2
-        correlation = np.asarray(total / total[0], dtype=np.complex128)
-        return cls(window, starts, count / float(total[0]), correlation[np.abs(correlation) > _CORRELATED])
-
-    def text(self) -> str:
-        """Say what was averaged."""
-        return f"{len(self.starts)} Hann segments with 67 % overlap, worth {self.independent:.3g} independent ones"
-
-
-def _averaged(record: TransferRecord, overlap: _Overlap, inside: slice) -> Spectra:
-    """Return the averaged auto and cross spectra at the lines inside the band."""
-    length = len(overlap.window)
+    window, hop = window_samples("hann", length), max(1, length // _HOP)
+    starts = range(0, len(record.reference) - length + 1, hop)
+    count = len(starts)
+    total = np.zeros(_REACH)
+    for apart in range(min(count, -(-length // hop))):
+        overlap = np.zeros(length)
+        overlap[: length - apart * hop] = window[apart * hop :] * window[: length - apart * hop]
+        share = (count - apart) / count * (1.0 if apart == 0 else 2.0)
+        total = total + share * np.abs(np.fft.rfft(overlap)[:_REACH] / np.sum(window**2)) ** 2
+    independent, correlation = count / float(total[0]), np.asarray(total / total[0], dtype=np.complex128)
     together = np.column_stack([record.reference, record.responses])
     together = together - together.mean(axis=0)
-    lines, channels = inside.stop - inside.start, together.shape[1]
-    total = np.zeros((lines, channels, channels), dtype=np.complex128)
-    for start in overlap.starts:
-        part = together[start : start + length]
-        value = np.fft.rfft(overlap.window[:, None] * part, axis=0)[inside]
-        total += value[:, :, None] * value.conj()[:, None, :]
-    total /= len(overlap.starts)
-    return Spectra(total, np.full(lines, overlap.independent))
+    first = round(float(frequency_hz[0]) * length / record.sample_rate_hz)
+    power = np.zeros((len(frequency_hz), together.shape[1], together.shape[1]), dtype=np.complex128)
+    for start in starts:
+        transform = np.fft.rfft(window[:, None] * together[start : start + length], axis=0)
+        value = transform[first : first + len(frequency_hz)]
+        power += value[:, :, None] * value.conj()[:, None, :]
+    return LineSpectra(
+        Spectra(np.asarray(power / count), np.full(len(frequency_hz), independent)),
+        None,
+        2.0 * (independent - 1.0),
+        correlation[np.abs(correlation) > _CORRELATED],
+        f"{count} Hann segments with 67 % overlap, worth {independent:.3g} independent ones",
+    )

@@ -10,9 +10,7 @@ from shaker.io.channel import RawChannel, reading
 from shaker.io.labview import read_labview
 from shaker.io.tdms import read_tdms
 from shaker.io.text import read_scan_channels, read_table
-from shaker.io.universal import (
-    read_universal,
-)
+from shaker.io.universal import read_universal
 
 _Reader = Callable[[Path, Sequence[str] | None, float | None], dict[str, RawChannel]]
 

@@ -265,7 +265,9 @@ def _head(path: Path, stream: BinaryIO) -> _Head:
     stated = _STATED.fullmatch(text)
     if stated:
         start, line, text = _next_line(stream, line)
-    delimiter = stated[1] if stated else _delimiter(text)
+    plain = re.sub(r'"[^"]*"', "", text)
+    best = max(_DELIMITERS, key=plain.count)  # which gives most cells outside quotes, else white space
+    delimiter = stated[1] if stated else best if best in plain else ""
     comma = delimiter != ","
     names = _cells(text, delimiter)
     header_line = line
@@ -278,7 +280,8 @@ def _head(path: Path, stream: BinaryIO) -> _Head:
         raise ValueError(f"{path}: line {header_line}: expected a header with one name per column, found {names}")
     units = [_split_unit(name)[1] for name in names]
     cells = _cells(second, delimiter)
-    if _are_units(cells, comma):
+    texts = [cell for cell in cells if cell and not _is_number(cell, comma)]
+    if texts and not any(_is_number(cell, comma) for cell in cells if cell != "1"):
         stripped = [cell.strip("[]()").strip() for cell in cells] + [""] * len(names)
         units = [row or own for row, own in zip(stripped, units, strict=False)]
         start, line = stream.tell(), line + 1
@@ -295,13 +298,6 @@ def _next_line(stream: BinaryIO, line: int) -> tuple[int, int, str]:
             return start, line, text
 
 
-def _delimiter(header: str) -> str:
-    """Return the delimiter that gives most cells outside quotes, empty for white space."""
-    plain = re.sub(r'"[^"]*"', "", header)
-    best = max(_DELIMITERS, key=plain.count)
-    return best if best in plain else ""
-
-
 def _cells(line: str, delimiter: str) -> list[str]:
     """Split a line into cells without quotes and blanks."""
     if not delimiter:
@@ -313,13 +309,6 @@ def _split_unit(name: str) -> tuple[str, str]:
     """Return a column's name without its unit, and the unit: `Fz [N]` or `Fz (N)`."""
     match = _NAME_AND_UNIT.fullmatch(name)
     return (match[1], (match[2] or match[3] or "").strip()) if match else (name, "")
-
-
-def _are_units(cells: Sequence[str], comma: bool) -> bool:
-    """Tell whether a row holds units: texts, and no number but the unit 1."""
-    return any(cell and not _is_number(cell, comma) for cell in cells) and not any(
-        _is_number(cell, comma) for cell in cells if cell != "1"
-    )
 
 
 def _is_number(cell: str, comma: bool) -> bool:
@@ -360,13 +349,7 @@ class Scan:
 
 def read_scan_asc(path: Path) -> Scan:
     """Read a scanning vibrometer's text; every scan point is a take of its own."""
-    with reading(path):
-        return _scan(path)
-
-
-def _scan(path: Path) -> Scan:
-    """Read points, acquisition and data blocks."""
-    with path.open("rb") as stream:
+    with reading(path), path.open("rb") as stream:
         for _ in range(_FIRST_POINT - 1):
             stream.readline()
         points = []
@@ -377,16 +360,16 @@ def _scan(path: Path) -> Scan:
         samples, interval = _acquisition(path, stream, line)
         start, stop = stream.tell(), stream.seek(0, 2)
         values, widths = _data(stream, start, stop)
-    count = len(points)
-    block = count * samples
-    if not len(values) or len(values) % block:
-        raise ValueError(
-            f"{path}: expected whole blocks of {count} points with {samples} samples ({block} numbers), "
-            f"found {len(values)} numbers"
-        )
-    by_rows = count > 1 and widths == {count}
-    shaped = values.reshape(-1, samples, count).swapaxes(1, 2) if by_rows else values.reshape(-1, count, samples)
-    return Scan(np.array(points), np.ascontiguousarray(shaped), 1.0 / interval)
+        count = len(points)
+        block = count * samples
+        if not len(values) or len(values) % block:
+            raise ValueError(
+                f"{path}: expected whole blocks of {count} points with {samples} samples ({block} numbers), "
+                f"found {len(values)} numbers"
+            )
+        by_rows = count > 1 and widths == {count}
+        shaped = values.reshape(-1, samples, count).swapaxes(1, 2) if by_rows else values.reshape(-1, count, samples)
+        return Scan(np.array(points), np.ascontiguousarray(shaped), 1.0 / interval)
 
 
 def read_scan_channels(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:

@@ -1,6 +1,4 @@
-"""Universal files: data sets 55, 58 and 58b.
-
-Data sets of universal files, and the functions of data set 58 in them (SDRC/UC-SDRL, "Universal file formats").
+"""Universal files: data sets 55, 58 and 58b (SDRC/UC-SDRL, "Universal file formats").
 
 The binary form 58b (UC-SDRL, "The binary 58 universal file format") holds the same eleven text records and then the
 numbers of record 12 one after another without field widths or line ends, as many bytes as its first line says. Byte
@@ -22,7 +20,7 @@ from shaker.arrays import ComplexArray, FloatArray, IntArray, check_shape
 from shaker.io.channel import BLOCK, RawChannel, checked_rate, chosen, numbers, rate_of_times, reading
 from shaker.io.text import plain_rows
 
-# Data sets of universal files, and the functions of data set 58 in them (SDRC/UC-SDRL, "Universal file formats").
+# Data sets, and the functions of data set 58 in them.
 
 
 _MARK = b"-1"
@@ -102,19 +100,14 @@ def data_sets(path: Path, stream: BinaryIO) -> Iterator[DataSet]:
         if int(kind) == 58 and more[:1].lower() == b"b":
             lines, stop = _HEADER, _skip_binary(path, stream, more, line + 1)
         else:
-            lines, stop = _skip_text(path, stream, line + 1)
+            lines, stop = 0, stream.tell()
+            while (text := stream.readline()).strip() != _MARK:
+                if not text:
+                    end = "the end mark -1 of the last data set, found the end"
+                    raise ValueError(f"{path}: line {line + 1 + lines}: expected {end}")
+                stop, lines = stop + len(text), lines + 1
         line += lines + 2
         yield DataSet(int(kind), more, place + 1, start, stop)
-
-
-def _skip_text(path: Path, stream: BinaryIO, line: int) -> tuple[int, int]:
-    """Move behind the end mark of a text data set; return its number of lines and its end."""
-    stop, lines = stream.tell(), 0
-    while text := stream.readline():
-        if text.strip() == _MARK:
-            return lines, stop
-        stop, lines = stop + len(text), lines + 1
-    raise ValueError(f"{path}: line {line + lines}: expected the end mark -1 of the last data set, found the end")
 
 
 def _skip_binary(path: Path, stream: BinaryIO, more: bytes, line: int) -> int:
@@ -207,9 +200,13 @@ def _text(path: Path, stream: BinaryIO, data: DataSet, head: FunctionHeader) -> 
     start = stream.tell()
     if columns * head.count > data.stop - start:
         raise ValueError(f"{path}: line {data.line}: expected {columns * head.count} numbers, found far fewer")
+    # Field widths of a line of numbers: cases 1 to 8 of record 12.
+    widths: tuple[int, ...] = (13, 20, 20) if head.is_complex else (13, 20, 13, 20)
+    if head.even or not head.is_double:
+        widths = (20,) * 4 if head.is_double else (13,) * 6
     numbers, filled = np.empty(columns * head.count), 0
     while (left := data.stop - stream.tell()) > 0:
-        block = fixed_width(stream.readlines(min(BLOCK, max(left - 1, 1))), _widths(head))
+        block = fixed_width(stream.readlines(min(BLOCK, max(left - 1, 1))), widths)
         if block is None or filled + len(block) > len(numbers):
             filled = -1
             break
@@ -223,15 +220,6 @@ def _text(path: Path, stream: BinaryIO, data: DataSet, head: FunctionHeader) -> 
             raise ValueError(f"{path}: line {data.line}: expected {len(numbers)} numbers, found {found}")
         numbers = free
     return np.ascontiguousarray(numbers.reshape(-1, columns).T)
-
-
-def _widths(head: FunctionHeader) -> tuple[int, ...]:
-    """Return the field widths of a line of numbers: cases 1 to 8 of record 12."""
-    if not head.is_double:
-        return (13,) * 6
-    if head.even:
-        return (20,) * 4
-    return (13, 20, 20) if head.is_complex else (13, 20, 13, 20)
 
 
 def fixed_width(lines: Sequence[bytes], widths: Sequence[int]) -> FloatArray | None:
@@ -470,10 +458,18 @@ def read_universal_functions(path: Path) -> tuple[UniversalFunction, ...]:
     with reading(path):
         headers = _headers(path)
         with path.open("rb") as stream:
-            return tuple(
-                _function(name, head, *function_values(path, stream, data, head))
-                for name, (data, head) in _named(headers).items()
-            )
+            functions = []
+            for name, (data, head) in _named(headers).items():
+                abscissa, value = function_values(path, stream, data, head)
+                kind = _KINDS[head.kind] if 0 <= head.kind < len(_KINDS) else f"function type {head.kind}"
+                unit = head.ordinate.unit
+                if head.denominator.unit:
+                    unit = f"({unit})/({head.denominator.unit})"
+                points = head.response_point, head.reference_point
+                functions.append(
+                    UniversalFunction(name, kind, abscissa, value, head.abscissa.unit, unit, *points, head.titles)
+                )
+            return tuple(functions)
 
 
 def _headers(path: Path) -> list[tuple[DataSet, FunctionHeader]]:
@@ -489,19 +485,6 @@ def _headers(path: Path) -> list[tuple[DataSet, FunctionHeader]]:
                 records = [stream.readline() for _ in range(11)]
                 headers.append((data, function_header(path, records, data.line)))
     return headers
-
-
-def _function(
-    name: str, head: FunctionHeader, abscissa: FloatArray, value: NDArray[np.float64] | NDArray[np.complex128]
-) -> UniversalFunction:
-    """Put a function together."""
-    unit = head.ordinate.unit
-    if head.denominator.unit:
-        unit = f"({unit})/({head.denominator.unit})"
-    kind = _KINDS[head.kind] if 0 <= head.kind < len(_KINDS) else f"function type {head.kind}"
-    return UniversalFunction(
-        name, kind, abscissa, value, head.abscissa.unit, unit, head.response_point, head.reference_point, head.titles
-    )
 
 
 def _named(headers: list[tuple[DataSet, FunctionHeader]]) -> dict[str, tuple[DataSet, FunctionHeader]]:

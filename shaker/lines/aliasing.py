@@ -258,14 +258,9 @@ def _dropped(grid: SamplingGrid | None, frequency: float, kept: FloatArray, want
         f"{where} is dropped: sampled at {rate:.6g} Hz it folds to {alias:.4g} Hz, {close}, "
         f"and {grid.length / rate:.4g} s of record resolve {resolution:.3g} Hz"
     )
-    return Notice("warning", text + _cure(grid, wanted, np.append(kept, frequency)), where)
-
-
-def _cure(grid: SamplingGrid, *choices: FloatArray) -> str:
-    """Name the nearest rate that separates the first of several sets of lines that any nearby rate separates."""
-    for lines in choices:
-        rate = nearest_clear_rate(lines, grid.rate_hz, grid.length)
-        if rate is not None:
-            what = "all lines" if lines is choices[0] else "it"
-            return f"; a camera rate of {rate:.3f} Hz ({rate - grid.rate_hz:+.3f} Hz) would separate {what}"
-    return ""
+    for lines, what in ((wanted, "all lines"), (np.append(kept, frequency), "it")):
+        cure = nearest_clear_rate(lines, rate, grid.length)
+        if cure is not None:
+            text += f"; a camera rate of {cure:.3f} Hz ({cure - rate:+.3f} Hz) would separate {what}"
+            break
+    return Notice("warning", text, where)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -73,9 +73,7 @@ class _State:
     """Names found so far, and the fundamentals they rest on."""
 
     lines: LineList
-    fundamentals: list[float] = field(default_factory=list)
-    u_fundamental: list[float] = field(default_factory=list)
-    strength: list[float] = field(default_factory=list)
+    fundamentals: list[tuple[float, float, float]] = field(default_factory=list)  # in Hz, uncertainty, strength
     origins: dict[int, Origin] = field(default_factory=dict)
     mains: dict[float, tuple[float, float]] = field(default_factory=dict)  # by nominal: as found, with uncertainty
 
@@ -96,11 +94,9 @@ class _State:
         i = int(np.argmin(np.abs(self.lines.frequency_hz - wanted)))
         return i if self.fits(i, wanted, u_wanted) else None
 
-    def add_fundamental(self, frequency: float, u: float, strength: float) -> None:
-        """Keep another fundamental."""
-        self.fundamentals.append(frequency)
-        self.u_fundamental.append(u)
-        self.strength.append(strength)
+    def pairs(self) -> list[tuple[float, float, float]]:
+        """Return the fundamentals with uncertainty and strength, strongest first."""
+        return sorted(self.fundamentals, key=lambda fundamental: -fundamental[2])
 
     def perhaps(self, i: int, places: float) -> str:
         """Return a word of doubt where so many predicted places hit a line by chance."""
@@ -152,9 +148,9 @@ def _accept(state: _State, frequency: float, index: int | None = None) -> None:
         folded = float(alias_frequency(frequency, state.lines.rate_hz))
         index = state.find(folded, 0.0) if len(state.lines.frequency_hz) else None
     if index is None:
-        state.add_fundamental(frequency, 0.0, 1.0)
+        state.fundamentals.append((frequency, 0.0, 1.0))
     else:
-        state.add_fundamental(frequency, float(state.lines.u_hz[index]), float(state.lines.strength[index]))
+        state.fundamentals.append((frequency, float(state.lines.u_hz[index]), float(state.lines.strength[index])))
         seen = state.lines.frequency_hz[index]
         above = f" {frequency:.6g} Hz, read at {seen:.6g} Hz" if frequency > state.lines.rate_hz / 2.0 else ""
         mains = next((m for m in MAINS_HZ if abs(frequency - m) <= _MAINS_TOLERANCE * m), None)
@@ -190,22 +186,15 @@ def _explain(state: _State, i: int) -> Origin | None:
     )
     folded = _folded(state, i)
     if found is None:
-        return folded or _folded_combination(state, i)
+        return folded or _combination(state, i, _SIMPLE_ORDERS, folded=True)
     other = f" (or {folded.text})" if folded is not None and folded.multiple <= _LOW_MULTIPLE else ""
     return replace(found, text=found.text + other)
-
-
-def _pairs(state: _State) -> Iterator[tuple[float, float, float]]:
-    """Yield the fundamentals with uncertainty and strength, strongest first."""
-    order = np.argsort(-np.array(state.strength), kind="stable")
-    for q in order.tolist():
-        yield state.fundamentals[q], state.u_fundamental[q], state.strength[q]
 
 
 def _harmonic(state: _State, i: int) -> Origin | None:
     """Explain a line as a multiple of a fundamental, the lowest there is."""
     found: Origin | None = None
-    for f, u, strength in _pairs(state):
+    for f, u, strength in state.pairs():
         m = round(float(state.lines.frequency_hz[i]) / f)
         fits = 2 <= m <= MAX_MULTIPLE and m * f < state.lines.rate_hz / 2.0 and state.fits(i, m * f, m * u)
         if fits and (found is None or m < found.multiple):
@@ -237,7 +226,7 @@ def _mains(state: _State, i: int, multiples: range) -> Origin | None:
 def _sub_harmonic(state: _State, i: int) -> Origin | None:
     """Explain a line as a half or a third of a fundamental, or, where that is there, as a multiple of it."""
     frequency = float(state.lines.frequency_hz[i])
-    for f, u, strength in _pairs(state):
+    for f, u, strength in state.pairs():
         for part in _DIVISORS:
             k = round(part * frequency / f)
             if k % part == 0 or k >= 2 * part + 2 or state.lines.strength[i] > _SMALLER * strength:
@@ -247,49 +236,30 @@ def _sub_harmonic(state: _State, i: int) -> Origin | None:
     return None
 
 
-def _combined(state: _State, i: int, orders: range) -> Iterator[tuple[int, int, float, float, float, float]]:
-    """Yield (m, ±n, f1, f2, frequency, u) of the combinations of two fundamentals above line i, simplest first."""
-    known = [(f, u) for f, u, strength in _pairs(state) if _SMALLER * strength > state.lines.strength[i]]
+def _combination(state: _State, i: int, orders: range, folded: bool = False) -> Origin | None:
+    """Explain a line as the simplest combination of two stronger fundamentals, below the Nyquist frequency or folded."""
+    known = [(f, u) for f, u, strength in state.pairs() if _SMALLER * strength > state.lines.strength[i]]
+    chance = state.perhaps(i, len(state.fundamentals) * (len(state.fundamentals) - 1) * orders[-1])
     for order in orders:
         for (f1, u1), (f2, u2) in combinations(known, 2):
-            for m in range(1, order):
-                for sign in (1, -1):
-                    n = sign * (order - m)
-                    wanted = m * f1 + n * f2
-                    yield (m, n, f1, f2, abs(wanted), float(np.hypot(m * u1, n * u2)))
-
-
-def _combination_text(m: int, n: int, f1: float, f2: float) -> str:
-    """Say a combination, its positive part first."""
-    if n < 0 and m * f1 + n * f2 < 0.0:
-        (m, f1), (n, f2) = (-n, f2), (-m, f1)
-    first, second = (f"{abs(k)}·{f:.6g}" if abs(k) > 1 else f"{f:.6g}" for k, f in ((m, f1), (n, f2)))
-    return f"combination {first} {'+' if n > 0 else '-'} {second} Hz"
-
-
-def _combination(state: _State, i: int, orders: range) -> Origin | None:
-    """Explain a line as a combination of two fundamentals."""
-    places = len(state.fundamentals) * (len(state.fundamentals) - 1) * orders[-1]
-    for m, n, f1, f2, wanted, u in _combined(state, i, orders):
-        if 0.0 < wanted < state.lines.rate_hz / 2.0 and state.fits(i, wanted, u):
-            return Origin("combination", state.perhaps(i, places) + _combination_text(m, n, f1, f2))
-    return None
-
-
-def _folded_combination(state: _State, i: int) -> Origin | None:
-    """Explain a line as a combination of two fundamentals above the Nyquist frequency."""
-    places = len(state.fundamentals) * (len(state.fundamentals) - 1) * _SIMPLE_ORDERS[-1]
-    for m, n, f1, f2, wanted, u in _combined(state, i, _SIMPLE_ORDERS):
-        if wanted >= state.lines.rate_hz / 2.0 and state.fits(i, wanted, u):
-            text = f"{_combination_text(m, n, f1, f2)}, folded from {wanted:.6g} Hz"
-            return Origin("folded combination", state.perhaps(i, places) + text)
+            for m, n in ((m, sign * (order - m)) for m in range(1, order) for sign in (1, -1)):
+                wanted = abs(m * f1 + n * f2)
+                beyond = wanted >= state.lines.rate_hz / 2.0
+                if wanted > 0.0 and beyond == folded and state.fits(i, wanted, float(np.hypot(m * u1, n * u2))):
+                    # Its positive part is told first.
+                    told = [(m, f1), (n, f2)] if n > 0 or m * f1 + n * f2 >= 0.0 else [(-n, f2), (-m, f1)]
+                    first, second = (f"{abs(k)}·{f:.6g}" if abs(k) > 1 else f"{f:.6g}" for k, f in told)
+                    text = f"{chance}combination {first} {'+' if n > 0 else '-'} {second} Hz"
+                    if folded:
+                        return Origin("folded combination", f"{text}, folded from {wanted:.6g} Hz")
+                    return Origin("combination", text)
     return None
 
 
 def _folded(state: _State, i: int) -> Origin | None:
     """Explain a line as a harmonic above the Nyquist frequency that no filter kept out."""
     for m in range(2, MAX_MULTIPLE + 1):
-        for f, u, strength in _pairs(state):
+        for f, u, strength in state.pairs():
             beyond = m * f >= state.lines.rate_hz / 2.0 and state.lines.strength[i] < _SMALLER * strength
             if beyond and state.fits(i, m * f, m * u):
                 doubt = state.perhaps(i, m * len(state.fundamentals))
@@ -329,6 +299,7 @@ _CAPTURE = 5e-3  # relative: how far a fundamental may lie from its nominal freq
 _FEWEST = 32  # samples
 _MOST_COMBINED = 6  # fundamentals whose sums and differences are expected
 _FLOOR_POINTS = 400
+_PER_LINE = ("frequency_hz", "u_frequency_hz", "amplitude", "u_amplitude", "snr")
 _HANN_NOISE = 3.0  # noise power in a Hann bin over the variance of a fitted quadrature: 6 σ²/N over 2 σ²/N
 
 
@@ -376,22 +347,8 @@ class Survey:
 
     def select(self, chosen: BoolArray) -> Survey:
         """Return the lines of a mask (L,) only."""
-        index = np.flatnonzero(chosen)
-        return Survey(
-            self.frequency_hz[index],
-            self.u_frequency_hz[index],
-            self.amplitude[index],
-            self.u_amplitude[index],
-            self.snr[index],
-            tuple(self.origin[int(i)] for i in index),
-            self.floor_hz,
-            self.floor,
-            self.notices,
-        )
-
-    def named(self, origin: tuple[Origin, ...]) -> Survey:
-        """Return the same lines under other names."""
-        return replace(self, origin=origin)
+        kept: dict[str, Any] = {name: getattr(self, name)[chosen] for name in _PER_LINE}
+        return replace(self, origin=tuple(self.origin[i] for i in np.flatnonzero(chosen)), **kept)
 
     def joined(
         self, frequency_hz: FloatArray, u_frequency_hz: FloatArray, amplitude: FloatArray, u_amplitude: FloatArray
@@ -400,15 +357,11 @@ class Survey:
         power = np.max(amplitude**2 / np.maximum(_HANN_NOISE * u_amplitude**2, np.finfo(np.float64).tiny), axis=1)
         order = np.argsort(np.concatenate([self.frequency_hz, frequency_hz]), kind="stable")
         origin = (*self.origin, *(Origin("unexplained", "unexplained"),) * len(frequency_hz))
-        return replace(
-            self,
-            frequency_hz=np.concatenate([self.frequency_hz, frequency_hz])[order],
-            u_frequency_hz=np.concatenate([self.u_frequency_hz, u_frequency_hz])[order],
-            amplitude=np.concatenate([self.amplitude, amplitude])[order],
-            u_amplitude=np.concatenate([self.u_amplitude, u_amplitude])[order],
-            snr=np.concatenate([self.snr, power])[order],
-            origin=tuple(origin[int(i)] for i in order),
-        )
+        added = (frequency_hz, u_frequency_hz, amplitude, u_amplitude, power)
+        both: dict[str, Any] = {
+            k: np.concatenate([getattr(self, k), more])[order] for k, more in zip(_PER_LINE, added, strict=True)
+        }
+        return replace(self, origin=tuple(origin[i] for i in order), **both)
 
 
 def no_lines() -> Survey:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -214,21 +214,15 @@ class _Record:
             fit.phasors.frequency_hz,
             _SMALLEST * amplitude.max(axis=0),
         )
-        found = _with_nuisances(found, fitted)
+        if len(lines) < len(amplitude):  # the nuisances that were fitted are put back
+            u = np.sqrt((fit.phasors.u_re**2 + fit.phasors.u_im**2) / 2.0)[len(lines) :]
+            place, u_place = fit.phasors.frequency_hz[len(lines) :], fit.u_frequency_hz[len(lines) :]
+            found = found.joined(place, u_place, amplitude[len(lines) :], u)
         frequency = np.concatenate([self.alias(lines), found.frequency_hz])
         u = np.concatenate([fit.u_frequency_hz[: len(lines)], found.u_frequency_hz])
         strength = relative_strength(np.concatenate([amplitude[: len(lines)], found.amplitude]))
         every = LineList(frequency, u, strength, self.grid.rate_hz, self.resolution_hz)
-        return found.named(name_lines(every, fitted.chosen.fundamental)[len(lines) :])
-
-
-def _with_nuisances(found: Survey, fitted: _Fitted) -> Survey:
-    """Return the survey of a residual with the nuisances that were fitted put back."""
-    first, phasors = len(fitted.chosen.lines), fitted.fit.phasors
-    if first == len(phasors.frequency_hz):
-        return found
-    amplitude, u = np.abs(phasors.value[first:]), np.sqrt((phasors.u_re**2 + phasors.u_im**2) / 2.0)[first:]
-    return found.joined(phasors.frequency_hz[first:], fitted.fit.u_frequency_hz[first:], amplitude, u)
+        return replace(found, origin=name_lines(every, fitted.chosen.fundamental)[len(lines) :])
 
 
 def _extended(record: _Record, fitted: _Fitted, others: Survey, auto: bool) -> _Chosen:
@@ -327,6 +321,11 @@ def _as_lines(fitted: _Fitted, others: Survey, nominal: FloatArray, notices: tup
             else f"harmonic {m} of {nominal[q]:.6g} Hz {reason}: {share:.2g} of the fundamental, "
             f"{height[k]:.3g} times its noise"
         )
+    told = [f"{others.frequency_hz[i]:.6g} Hz ({others.why[i]})" for i in np.argsort(-others.snr, kind="stable")]
+    if told:
+        more = f" and {len(told) - _STRANGERS} more" if len(told) > _STRANGERS else ""
+        text = f"no results for other lines of the record: {'; '.join(told[:_STRANGERS])}{more}"
+        notices += (Notice("info", text, "lines"),)
     order = np.argsort(lines)
     index = np.array([q for q, _ in place])
     order_of = np.array([m for _, m in place])
@@ -336,18 +335,7 @@ def _as_lines(fitted: _Fitted, others: Survey, nominal: FloatArray, notices: tup
         nominal_hz=nominal[index][order],
         multiple=order_of[order],
         why=tuple(why[i] for i in order),
-        notices=notices + _strangers(others),
+        notices=notices,
         others=others,
         nuisance_hz=chosen.nuisance,
     )
-
-
-def _strangers(others: Survey) -> tuple[Notice, ...]:
-    """Tell about the lines that stand out most and are in no fit."""
-    told = []
-    for i in np.argsort(-others.snr, kind="stable")[:_STRANGERS].tolist():
-        told.append(f"{others.frequency_hz[i]:.6g} Hz ({others.why[i]})")
-    if not told:
-        return ()
-    more = f" and {len(others.snr) - len(told)} more" if len(others.snr) > len(told) else ""
-    return (Notice("info", f"no results for other lines of the record: {'; '.join(told)}{more}", "lines"),)

@@ -13,6 +13,7 @@ from shaker.lines.aliasing import (
     Fold,
     alias_frequency,
     condition_number,
+    differences_hz,
     exposure_gain,
     folded_harmonics,
     sine_columns,
@@ -45,7 +46,14 @@ def amplitude_covariance(
     if not np.isfinite(condition):
         return np.full((lines, 2, 2), np.inf), condition
     inverse = np.linalg.inv(gram)
-    covariance = inverse if corner_hz == 0.0 else inverse + _coloured(inverse @ columns.T, rate_hz, corner_hz)
+    covariance = inverse
+    if corner_hz != 0.0:
+        length = _REFINEMENT * frames
+        response = np.fft.rfft(inverse @ columns.T, n=length, axis=1)[:, 1:]  # at zero the offset takes all
+        weight = np.full(response.shape[1], 2.0 / length)
+        weight[-1] = 1.0 / length  # the length is even: the Nyquist frequency counts once
+        density = corner_hz / (rate_hz / length * np.arange(1, response.shape[1] + 1))
+        covariance = inverse + ((response * (weight * density)) @ response.conj().T).real
     pairs = np.arange(2 * lines).reshape(lines, 2)
     return np.asarray(2.0 / frames * covariance[pairs[:, :, None], pairs[:, None, :]]), condition
 
@@ -53,16 +61,6 @@ def amplitude_covariance(
 def rms_uncertainty(covariance: FloatArray) -> FloatArray:
     """Return √(trace/2) of covariances (K, 2, 2): the standard uncertainty of an amplitude, over all phases (K,)."""
     return np.asarray(np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2.0))
-
-
-def _coloured(rows: FloatArray, rate_hz: float, corner_hz: float) -> FloatArray:
-    """Return the covariance (P, P) that 1/f noise leaves in the coefficients rows (P, S) · samples."""
-    length = _REFINEMENT * rows.shape[1]
-    response = np.fft.rfft(rows, n=length, axis=1)[:, 1:]  # at zero the offset takes all
-    density = corner_hz / (rate_hz / length * np.arange(1, response.shape[1] + 1))
-    weight = np.full(response.shape[1], 2.0 / length)
-    weight[-1] = 1.0 / length  # the length is even: the Nyquist frequency counts once
-    return np.asarray(((response * (weight * density)) @ response.conj().T).real)
 
 
 # One point of a plan: the lines of an excitation, and what one camera rate makes of them.
@@ -192,6 +190,11 @@ def plan_at(lines: Lines, rate_hz: float, sampling: Sampling) -> RatePlan:
     covariance, condition = amplitude_covariance(frequency, rate_hz, sampling.frames, sampling.corner_hz)
     gain = exposure_gain(frequency, sampling.exposure_s)
     distance, neighbour = _neighbours(frequency, rate_hz)
+    folds: dict[float, Fold] = {}  # harmonics, not fitted themselves, that come within a bin of a fitted line
+    for line in frequency:
+        for fold in folded_harmonics(line, lines.fundamentals_hz.tolist(), rate_hz, rate_hz / sampling.frames, WATCHED):
+            if np.all(np.abs(frequency - fold.frequency_hz) > _SAME * fold.frequency_hz):
+                folds[fold.frequency_hz] = fold
     return RatePlan(
         lines=lines,
         rate_hz=rate_hz,
@@ -202,7 +205,7 @@ def plan_at(lines: Lines, rate_hz: float, sampling: Sampling) -> RatePlan:
         distance_hz=distance,
         neighbour_hz=neighbour,
         condition=condition,
-        folds=_unfitted_folds(lines, rate_hz, rate_hz / sampling.frames),
+        folds=tuple(folds[f] for f in sorted(folds)),
     )
 
 
@@ -216,16 +219,6 @@ def _neighbours(frequency: FloatArray, rate_hz: float) -> tuple[FloatArray, Floa
     names = np.append(frequency, [0.0, np.inf])
     nearest = np.argmin(distance, axis=1)
     return distance[np.arange(len(alias)), nearest], names[nearest]
-
-
-def _unfitted_folds(lines: Lines, rate_hz: float, resolution_hz: float) -> tuple[Fold, ...]:
-    """Return harmonics up to the 20th, not fitted themselves, that come within a bin of a fitted line."""
-    found: dict[float, Fold] = {}
-    for frequency in lines.frequency_hz:
-        for fold in folded_harmonics(frequency, lines.fundamentals_hz.tolist(), rate_hz, resolution_hz, WATCHED):
-            if np.all(np.abs(lines.frequency_hz - fold.frequency_hz) > _SAME * fold.frequency_hz):
-                found[fold.frequency_hz] = fold
-    return tuple(found[f] for f in sorted(found))
 
 
 # Which camera rates are good for a point, and which few serve all of them.
@@ -301,10 +294,18 @@ def candidate_rates(
 
 def scan_rates(lines: Lines, rate_hz: FloatArray, sampling: Sampling) -> Scan:
     """Look at every rate (R,) for the lines of one point, by their aliases alone."""
-    margin = _margin_bins(*_differences(lines), rate_hz, sampling)
+    # The tolerance moves two lines together or apart: those of one fundamental as far as their difference.
+    first, second = np.triu_indices(len(lines.frequency_hz), k=1)
+    one = lines.fundamental_hz[first] == lines.fundamental_hz[second]
+    apart = differences_hz(lines.frequency_hz)
+    slack = apart.copy()
+    slack[len(apart) - len(one) :] = np.where(one, apart[len(apart) - len(one) :], apart[-2 * len(one) :][: len(one)])
+    margin = _margin_bins(apart, slack, rate_hz, sampling)
     unmixed = margin >= CLEAR_BINS  # the other rates are not good whatever else folds there
-    watched = _watched_differences(lines, sampling.harmonics)
-    unmixed[unmixed] = _margin_bins(*watched, rate_hz[unmixed], sampling) >= _UNMIXED_BINS
+    watched = np.outer(np.arange(sampling.harmonics + 1, WATCHED + 1), lines.fundamentals_hz).ravel()
+    mixed = np.abs(np.concatenate([np.add.outer(watched, sign * lines.frequency_hz).ravel() for sign in (1, -1)]))
+    mixed = mixed[mixed > 1e-6 * lines.frequency_hz.max()]
+    unmixed[unmixed] = _margin_bins(mixed, np.zeros_like(mixed), rate_hz[unmixed], sampling) >= _UNMIXED_BINS
     penalty = np.zeros(len(rate_hz))
     preferred = np.zeros(len(rate_hz), dtype=np.int64)
     for frequency, multiple in zip(lines.frequency_hz, lines.multiple, strict=True):
@@ -385,35 +386,12 @@ def _best_of(allowed: BoolArray, penalty: FloatArray, margin: FloatArray) -> int
     return int(np.argmax(np.where(near, margin, -np.inf)))
 
 
-def _differences(lines: Lines) -> tuple[FloatArray, FloatArray]:
-    """Return the distances of the exponentials of the lines, and by how much they change per unit of tolerance."""
-    first, second = np.triu_indices(len(lines.frequency_hz), k=1)
-    f, g = lines.frequency_hz[first], lines.frequency_hz[second]
-    one = lines.fundamental_hz[first] == lines.fundamental_hz[second]
-    own = np.concatenate([lines.frequency_hz, 2.0 * lines.frequency_hz])
-    return _once(
-        np.concatenate([own, f + g, np.abs(f - g)]), np.concatenate([own, f + g, np.where(one, np.abs(f - g), f + g)])
-    )
-
-
-def _watched_differences(lines: Lines, harmonics: int) -> tuple[FloatArray, FloatArray]:
-    """Return the same between the lines and the harmonics that are not fitted."""
-    watched = np.outer(np.arange(harmonics + 1, WATCHED + 1), lines.fundamentals_hz).ravel()
-    difference = np.abs(np.concatenate([np.add.outer(watched, sign * lines.frequency_hz).ravel() for sign in (1, -1)]))
-    return _once(difference[difference > 1e-6 * lines.frequency_hz.max()], None)
-
-
-def _once(difference: FloatArray, slack: FloatArray | None) -> tuple[FloatArray, FloatArray]:
-    """Return each pair of difference and slack (none: zero) once: harmonics of one fundamental repeat them."""
-    both = np.column_stack([difference, np.zeros_like(difference) if slack is None else slack])
-    unique: FloatArray = np.unique(np.round(both, 9), axis=0)
-    return unique[:, 0], unique[:, 1]
-
-
 def _margin_bins(difference: FloatArray, slack: FloatArray, rate_hz: FloatArray, sampling: Sampling) -> FloatArray:
     """Return the smallest distance of any two exponentials at each rate, less the tolerance's share, in bins."""
     smallest = np.full(len(rate_hz), 0.5)
-    for distance, change in zip(difference, slack * sampling.tolerance, strict=True):
+    # Each pair once: harmonics of one fundamental repeat them.
+    for distance, loose in np.unique(np.round(np.column_stack([difference, slack]), 9), axis=0):
+        change = loose * sampling.tolerance
         turns = distance / rate_hz
         np.minimum(smallest, np.abs(turns - np.round(turns)) - change / rate_hz, out=smallest)
     return np.asarray(smallest * sampling.frames)

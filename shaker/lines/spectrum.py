@@ -215,20 +215,14 @@ def noise_level(power: FloatArray) -> tuple[FloatArray, float]:
         if blocks == 1 and counts:
             break
         edges = FIRST_BIN + np.round(np.linspace(0.0, usable, blocks + 1)).astype(np.int64)
-        medians = _medians(flat, edges)
+        shortest = int(np.min(np.diff(edges)))
+        medians = np.median(np.lib.stride_tricks.sliding_window_view(flat, shortest)[edges[:-1]], axis=1)
         centres = (edges[:-1] + edges[1:] - 1) / 2.0
         log_level = np.log(np.maximum(medians / np.log(2.0), np.finfo(np.float64).tiny))
         levels.append(np.asarray(np.exp(np.interp(np.arange(len(power)), centres, log_level))))
         counts.append(usable / blocks)
     level = levels[0] if len(levels) == 1 else np.maximum(levels[0], levels[1])
     return np.asarray(level * trend), max(counts) / BINS_PER_INDEPENDENT
-
-
-def _medians(flat: FloatArray, edges: np.typing.NDArray[np.int64]) -> FloatArray:
-    """Return the median of each block."""
-    size = int(np.min(np.diff(edges)))
-    rows = np.lib.stride_tricks.sliding_window_view(flat, size)[edges[:-1]]
-    return np.asarray(np.median(rows, axis=1))
 
 
 def _low_trend(power: FloatArray) -> FloatArray:

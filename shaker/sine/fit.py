@@ -8,16 +8,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Notice, check_shape
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, check_shape
 from shaker.lines.aliasing import MAX_CONDITION, alias_frequency, sampling_grid, separation_bins, sine_columns
 from shaker.sine.noise import LineNoise, line_noise
 from shaker.sine.normal_equations import (
     Columns,
     Samples,
-    SineSolution,
-    Timeline,
     Times,
-    Tones,
     UniformTimes,
     as_complex,
     check_samples,
@@ -38,8 +35,6 @@ from shaker.sine.solve import (
     noise_at_lines,
     phasors_at_zero,
     remainder,
-    spike_limit,
-    spike_notice,
 )
 
 # Sine approximation: complex amplitudes, frequencies and decay rates of lines in samples at arbitrary times.
@@ -95,16 +90,19 @@ def fit_sines(
     if present is not None:
         missing = len(time_s) - int(np.count_nonzero(present))
         notices = (Notice("info", f"{missing} of {len(time_s)} samples are missing", where),)
-    check_samples(samples.count, _parameters(frequency_hz, model))
+    parameters = 2 * len(frequency_hz) + (2 if model.drift else 1) + int(model.exponents(frequency_hz).shape[1])
+    check_samples(samples.count, parameters)
     if not robust:
         return _fitted(time_s, samples, frequency_hz, model, names, notices)
-    spikes = find_spikes(samples, frequency_hz, model)
+    spikes, limit = find_spikes(samples, frequency_hz, model)
     if spikes.any():
-        limit = spike_limit(samples, len(frequency_hz), model)
-        first_s = float(_written_out(time_s)[np.argmax(spikes)])
-        notices += (spike_notice(spikes, samples, limit, first_s, where),)
+        text = (
+            f"{np.count_nonzero(spikes)} of {samples.count} samples stand out of the noise by more than {limit:.2g} "
+            f"standard deviations and are left out, the first at {_written_out(time_s)[np.argmax(spikes)]:.6g} s"
+        )
+        notices += (Notice("warning", text, where),)
         samples = samples.without(spikes)
-    check_samples(samples.count, _parameters(frequency_hz, model))
+    check_samples(samples.count, parameters)
     return replace(_fitted(time_s, samples, frequency_hz, model, names, notices), spikes=np.flatnonzero(spikes))
 
 
@@ -126,8 +124,10 @@ def _fitted(
     change = found.linear_change()[2 * lines]
     spread = found.system.spread()[:, :, 2 * lines, 2 * lines]
     middle = samples.timeline.middle_s
+    turns = np.array([samples.timeline.middle_turns(float(f)) for f in found.tones.frequency_hz])
+    to_zero = np.asarray(np.exp(found.tones.decay_per_s * middle - 2j * np.pi * turns))
     return SineFit(
-        phasors=phasors_at_zero(found, covariance, _to_zero(found.tones, samples.timeline), middle, dof[:lines], names),
+        phasors=phasors_at_zero(found, covariance, to_zero, middle, dof[:lines], names),
         offset=found.coefficients[2 * lines],
         offset_covariance=spread * found.noise_between(lines, lines) + change @ covariance @ change.T,
         drift_per_s=found.coefficients[2 * lines + 1] if model.drift else np.zeros(len(names[0])),
@@ -173,17 +173,6 @@ def _final(
     if step is not None:
         found = replace(found, coefficients=total + found.linear_change() @ step.change)
     return found, np.minimum(noise.dof, free), np.sqrt(power.diagonal() / samples.count)
-
-
-def _to_zero(tones: Tones, times: Timeline) -> ComplexArray:
-    """Return exp(-s·t) (K,), which takes phasors from the middle t of the record to time zero."""
-    turns = np.array([times.middle_turns(float(f)) for f in tones.frequency_hz])
-    return np.asarray(np.exp(tones.decay_per_s * times.middle_s - 2j * np.pi * turns))
-
-
-def _parameters(frequency_hz: FloatArray, model: SineModel) -> int:
-    """Return the number of parameters of one channel."""
-    return 2 * len(frequency_hz) + (2 if model.drift else 1) + int(model.exponents(frequency_hz).shape[1])
 
 
 def _present(values: FloatArray) -> BoolArray | None:
@@ -304,12 +293,16 @@ def stationarity(
     present = np.isfinite(values).all(axis=1)
     time, data = (time_s, values) if present.all() else (time_s[present], values[present])
     block_s, periods, whole = _block_length(time, frequency_hz)
-    blocks = _blocks(time, block_s)
-    found = [_solved(time[rows], data[rows], frequency_hz) for rows in blocks]
-    solved = [solution for solution in found if solution is not None]
+    interval = float(time[-1] - time[0]) / (len(time) - 1)
+    length = float(time[-1] - time[0]) + interval
+    count = int(np.floor(length / block_s * (1.0 + 1e-9)))
+    start = float(time[0]) - interval / 2.0 + (length - count * block_s) / 2.0  # the blocks lie in the record's middle
+    blocks = [slice(low, high) for low, high in pairwise(np.searchsorted(time, start + block_s * np.arange(count + 1)))]
+    found = [_block_phasors(time[rows], data[rows], frequency_hz) for rows in blocks]
+    solved = [block for block in found if block is not None]
     if len(solved) < len(blocks):
         return None
-    value, spread = _phasors(solved, [rows.stop - rows.start for rows in blocks], len(frequency_hz))
+    value, spread = (np.stack(part) for part in zip(*solved, strict=True))
     variance, dof = _noise(time, data, frequency_hz)
     u = np.sqrt(spread[:, :, None] * variance[None])
     middle = np.array([time[rows].mean() for rows in blocks])
@@ -337,35 +330,25 @@ def _block_length(time: FloatArray, frequency_hz: FloatArray) -> tuple[float, fl
     return min(periods / seen_hz, length / count), float(periods), True
 
 
-def _blocks(time: FloatArray, block_s: float) -> list[slice]:
-    """Return the rows of each block, the blocks in the middle of the record."""
-    interval = float(time[-1] - time[0]) / (len(time) - 1)
-    length = float(time[-1] - time[0]) + interval
-    count = int(np.floor(length / block_s * (1.0 + 1e-9)))
-    start = float(time[0]) - interval / 2.0 + (length - count * block_s) / 2.0
-    edges: IntArray = np.searchsorted(time, start + block_s * np.arange(count + 1))
-    return [slice(int(low), int(high)) for low, high in pairwise(edges)]
+def _block_phasors(
+    time: FloatArray, data: FloatArray, frequency_hz: FloatArray
+) -> tuple[ComplexArray, FloatArray] | None:
+    """Return one block's phasors (K, C) and the variance (K,) of their parts for noise of variance 1.
 
-
-def _solved(time: FloatArray, data: FloatArray, frequency_hz: FloatArray) -> SineSolution | None:
-    """Fit all lines to one block, None where it cannot tell them apart."""
-    columns = sine_columns(time, frequency_hz)
+    None where the block cannot tell the lines apart.
+    """
+    columns, lines = sine_columns(time, frequency_hz), len(frequency_hz)
     if len(columns) <= columns.shape[1]:
         return None
     try:
         solution = solve_sines(columns, data)
     except ValueError:
         return None
-    return solution if solution.condition <= MAX_CONDITION else None
-
-
-def _phasors(solved: Sequence[SineSolution], samples: Sequence[int], lines: int) -> tuple[ComplexArray, FloatArray]:
-    """Return the phasors (B, K, C) and the variance (B, K) of their parts for noise of variance 1."""
-    scale = np.sqrt(2.0 / np.array(samples, dtype=np.float64))
-    parts = np.array([solution.coefficients[: 2 * lines] for solution in solved])
-    value = scale[:, None, None] * (parts[:, 0::2] - 1j * parts[:, 1::2])
-    inverse = np.array([np.diag(solution.inverse)[: 2 * lines] for solution in solved])
-    return value, scale[:, None] ** 2 * (inverse[:, 0::2] + inverse[:, 1::2]) / 2.0
+    if solution.condition > MAX_CONDITION:
+        return None
+    parts, spread = solution.coefficients[: 2 * lines], np.diag(solution.inverse)[: 2 * lines]
+    scale = np.sqrt(2.0 / len(time))
+    return scale * (parts[0::2] - 1j * parts[1::2]), scale**2 * (spread[0::2] + spread[1::2]) / 2.0
 
 
 def _noise(time: FloatArray, data: FloatArray, frequency_hz: FloatArray) -> tuple[FloatArray, FloatArray]:

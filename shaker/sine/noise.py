@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, check_shape
+from shaker.arrays import ComplexArray, FloatArray, IntArray, check_shape
 
 # Sines that stand out beside lines, and straight-line changes of the lines, taken off before noise is read.
 
@@ -151,6 +152,9 @@ _CLEARANCE = 0.75  # bins beside a line that its own fit has emptied
 # With a corner below four bins a steep one differs from white noise in the first ordinates only, which tell too little.
 _CORNERS = {1.0: 2.0 ** np.arange(0, 10), 2.0: 2.0 ** np.arange(2, 10), 3.0: 2.0 ** np.arange(2, 10)}
 _WHITE_WEIGHT = 0.25  # prior weight of white noise; the exponents share the rest
+_PRIOR = np.concatenate(
+    [[_WHITE_WEIGHT], *(np.full(len(c), (1.0 - _WHITE_WEIGHT) / len(_CORNERS) / len(c)) for c in _CORNERS.values())]
+)
 _BLOCK_BINS = 4  # ordinates nearest to a line, which say what blocks of the record scatter by
 _BLOCK_LIMIT = 3.27  # their mean over the level: exceeded by pure noise once in 1000 lines
 _NEWTON_STEPS = 30
@@ -219,7 +223,12 @@ def noise_of_ordinates(
         distance = np.abs(bins - line_bin[:, None])
         # Beside the line a sine may be the line's own unrest; farther off it is another's.
         near = np.where((distance < TONE_CLEARANCE + 0.5)[:, :, None], found.steady, found.rest)
-        variance, dof = _not_below_blocks(np.abs(near) ** 2, level, distance, variance, dof)
+        nearest = np.argsort(distance, axis=1, kind="stable")[:, :_BLOCK_BINS, None]
+        power = np.take_along_axis(np.abs(near) ** 2, nearest, axis=1)
+        relative, scatter = np.mean(power / np.take_along_axis(level, nearest, axis=1), axis=1), np.mean(power, axis=1)
+        unrest = (relative > _BLOCK_LIMIT) & (scatter > variance)
+        variance = np.where(unrest, scatter, variance)
+        dof = np.where(unrest, np.minimum(dof, 2.0 * _BLOCK_BINS), dof)
     return _with_one_dof(variance + found.leaked, dof)
 
 
@@ -230,12 +239,20 @@ def neighbour_bins(length: int, line_bin: FloatArray) -> IntArray | None:
     too few.
     """
     # Bin 0 is the offset's and the Nyquist bin of an even length has one quadrature only.
-    bins = np.arange(1, (length + 1) // 2)
-    candidates = bins[_free_bins(bins.astype(np.float64), line_bin)]
+    free = np.ones((length + 1) // 2, dtype=np.bool_)
+    free[0] = False
+    for j in line_bin[line_bin > OFFSET_BIN]:
+        free[math.ceil(j - _CLEARANCE) : math.ceil(j + _CLEARANCE)] = False
+    candidates = np.flatnonzero(free)
     if len(candidates) < _MIN_NEIGHBOURS:
         return None
     count = min(_NEIGHBOURS, len(candidates))
-    return np.stack([np.sort(candidates[_nearest(candidates, j, count)]) for j in line_bin])
+    nearest = []
+    for j in line_bin:
+        low = max(0, min(int(np.searchsorted(candidates, j)) - count, len(candidates) - 2 * count))
+        window = candidates[low : low + 2 * count]
+        nearest.append(np.sort(window[np.argsort(np.abs(window - j), kind="stable")[:count]]))
+    return np.stack(nearest)
 
 
 def level_at_lines(power: FloatArray, bins: FloatArray, line_bin: FloatArray) -> LineNoise:
@@ -261,7 +278,9 @@ def _levels_at_lines(
     """Return variance and degrees of freedom (K, C) at the lines, and the level (K, M, C) at the bins."""
     # What the fit of the lines has taken away is put back; numbers of any size become moderate ones.
     top = np.maximum(power.max(axis=1, keepdims=True), _NOTHING)
-    relative = np.maximum(power / top, 1e-30) / (1.0 - _loss(bins, line_bin))[:, :, None]
+    distance = bins[None, :, :] - line_bin[line_bin > OFFSET_BIN][:, None, None]
+    lost = np.minimum(np.sum(np.sinc(distance) ** 2, axis=0), 0.8)
+    relative = np.maximum(power / top, 1e-30) / (1.0 - lost)[:, :, None]
     levels = _fit_levels(relative, _shapes(bins))
     at_line = _shapes(np.maximum(line_bin, OFFSET_BIN)[:, None])[:, :, 0]
     variance, dof = _mixture(levels, at_line)
@@ -274,24 +293,6 @@ def _with_one_dof(variance: FloatArray, dof: FloatArray) -> LineNoise:
     return LineNoise(variance * _limit(dof) / _limit(common)[:, None], common)
 
 
-def _free_bins(bins: FloatArray, line_bin: FloatArray) -> BoolArray:
-    """Tell which bins no fitted line has emptied; the offset empties bin 0 only."""
-    free = np.ones(len(bins), dtype=np.bool_)
-    for j in line_bin[line_bin > OFFSET_BIN]:
-        low, high = np.searchsorted(bins, [j - _CLEARANCE, j + _CLEARANCE])
-        free[low:high] = False
-    return free
-
-
-def _nearest(candidates: IntArray, j: float, count: int) -> IntArray:
-    """Return the indices of the `count` candidates nearest to bin j."""
-    place = int(np.searchsorted(candidates, j))
-    low = max(0, min(place - count, len(candidates) - 2 * count))
-    window = np.arange(low, min(len(candidates), low + 2 * count))
-    order = np.argsort(np.abs(candidates[window] - j), kind="stable")
-    return np.asarray(window[order[:count]], dtype=np.int64)
-
-
 def _shapes(bins: FloatArray) -> FloatArray:
     """Return the shapes (K, N, M) at bins (K, M), white noise first."""
     place = bins[:, None, :]
@@ -299,25 +300,13 @@ def _shapes(bins: FloatArray) -> FloatArray:
     return np.concatenate([np.ones_like(place), *coloured], axis=1)
 
 
-def _prior() -> FloatArray:
-    """Return the prior weights (N,) of the shapes."""
-    share = (1.0 - _WHITE_WEIGHT) / len(_CORNERS)
-    return np.concatenate([[_WHITE_WEIGHT], *(np.full(len(c), share / len(c)) for c in _CORNERS.values())])
-
-
 def _fit_levels(power: FloatArray, shape: FloatArray) -> _Levels:
     """Return weight and scale of each shape given ordinates (K, M, C)."""
     count = power.shape[1]
     total = (1.0 / shape) @ power
-    log_weight = np.log(_prior())[:, None] - np.log(shape).sum(axis=2, keepdims=True) - count * np.log(total)
+    log_weight = np.log(_PRIOR)[:, None] - np.log(shape).sum(axis=2, keepdims=True) - count * np.log(total)
     weight = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
     return _Levels(shape, weight / weight.sum(axis=1, keepdims=True), total / count, count)
-
-
-def _loss(bins: FloatArray, line_bin: FloatArray) -> FloatArray:
-    """Return the share of the noise at bins (K, M) that the fit of the lines has taken away."""
-    distance = bins[None, :, :] - line_bin[line_bin > OFFSET_BIN][:, None, None]
-    return np.asarray(np.minimum(np.sum(np.sinc(distance) ** 2, axis=0), 0.8))
 
 
 def _mixture(levels: _Levels, at_line: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -361,14 +350,3 @@ def _inverse_trigamma(value: FloatArray) -> FloatArray:
     for _ in range(6):
         x = np.maximum(x + (_trigamma(x) - value) / (1.0 / x**2 + 1.0 / x**3 + 1.0 / (2.0 * x**4)), 1.0)
     return x
-
-
-def _not_below_blocks(
-    power: FloatArray, level: FloatArray, distance: FloatArray, variance: FloatArray, dof: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Raise variance (K, C) to the scatter between blocks, of ordinates nearest to the line, where that is larger."""
-    nearest = np.argsort(distance, axis=1, kind="stable")[:, :_BLOCK_BINS, None]
-    relative = np.mean(np.take_along_axis(power / level, nearest, axis=1), axis=1)
-    scatter = np.mean(np.take_along_axis(power, nearest, axis=1), axis=1)
-    unrest = (relative > _BLOCK_LIMIT) & (scatter > variance)
-    return np.where(unrest, scatter, variance), np.where(unrest, np.minimum(dof, 2.0 * _BLOCK_BINS), dof)

@@ -273,16 +273,13 @@ class Samples:
                 values = self.values[rows].reshape(last - first, length, channels).transpose(1, 0, 2)
                 yield Chunk(first, last, channels, values.reshape(length, -1), None)
             else:
-                yield from (self._alone(b) for b in range(first, last))
-
-    def _alone(self, block: int) -> Chunk:
-        """Return one block, its values zero where left out."""
-        rows, channels = self.timeline.rows(block), self.values.shape[1]
-        root = None if self.root is None else self.root[rows].reshape(rows.stop - rows.start, -1)
-        if root is None or np.all(root == 1.0):
-            return Chunk(block, block + 1, channels, self.values[rows], None)
-        gone = (root == 0.0).any(axis=1)
-        return Chunk(block, block + 1, channels, np.where(gone[:, None], 0.0, self.values[rows]), root)
+                for block in range(first, last):
+                    rows = times.rows(block)
+                    values, root = self.values[rows], None
+                    if self.root is not None and not np.all(self.root[rows] == 1.0):
+                        root = self.root[rows].reshape(len(values), -1)
+                        values = np.where((root == 0.0).any(axis=1)[:, None], 0.0, values)
+                    yield Chunk(block, block + 1, channels, values, root)
 
 
 @dataclass(frozen=True)
@@ -418,20 +415,15 @@ def normal_equations(samples: Samples, columns: Columns) -> Normal:
             alike[chunk.first : chunk.last] = True
         else:
             turn = turned[chunk.first]
-            gram += turn.T @ _weighted_gram(basis, chunk.root) @ turn
+            root = np.ones((1, 1)) if chunk.root is None else chunk.root
+            kinds = root.shape[1]
+            weighted = (root[:, :, None] * basis[:, None, :]).reshape(len(basis), kinds * size)
+            own = (weighted.T @ weighted).reshape(kinds, size, kinds, size).transpose(0, 2, 1, 3)
+            gram += turn.T @ own @ turn
     chosen = turned[alike]
     gram += np.sum(chosen.swapaxes(1, 2) @ common_gram @ chosen, axis=0)
     right = np.sum(turned.swapaxes(1, 2) @ local_right, axis=0)
     return Normal(gram, np.asarray(right), power)
-
-
-def _weighted_gram(basis: FloatArray, root: FloatArray | None) -> FloatArray:
-    """Return the Gram matrices (D, D, P, P) of a block's columns, weighted for each channel."""
-    if root is None:
-        return np.asarray((basis.T @ basis)[None, None])
-    size, kinds = basis.shape[1], root.shape[1]
-    weighted = (root[:, :, None] * basis[:, None, :]).reshape(len(basis), kinds * size)
-    return np.asarray((weighted.T @ weighted).reshape(kinds, size, kinds, size).transpose(0, 2, 1, 3))
 
 
 def residuals(

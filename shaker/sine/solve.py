@@ -168,12 +168,6 @@ def moved(tones: Tones, exponents: ComplexArray, change: FloatArray) -> Tones:
     return Tones(tones.frequency_hz + exponent.imag / (2.0 * np.pi), tones.decay_per_s - exponent.real)
 
 
-def _turn(exponent_change: ComplexArray, value: ComplexArray) -> float:
-    """Return the rate at which a change of the exponents (K,) turns the lines (K, C), in rad/s, rms by their power."""
-    power = np.sum(np.abs(value) ** 2, axis=1)
-    return float(np.sqrt(power @ np.abs(exponent_change) ** 2 / np.sum(power))) if power.any() else 0.0
-
-
 def estimate(samples: Samples, frequency_hz: FloatArray, model: SineModel) -> tuple[Columns, System, FloatArray]:
     """Return columns, normal equations and linear parameters (P, C), frequencies and decays within 1/1000 of their u.
 
@@ -194,7 +188,10 @@ def estimate(samples: Samples, frequency_hz: FloatArray, model: SineModel) -> tu
         variance = np.maximum(left, _ROUNDING * normal.power) / samples.timeline.samples
         value = as_complex(coefficients, len(frequency_hz))
         step = frequency_step(system, normal.right, value, exponents, variance)
-        turn = half_s * _turn(exponents @ step.change, value)
+        # How far the step turns the ends of the record, in rad, rms by the power of the lines.
+        power = np.sum(np.abs(value) ** 2, axis=1)
+        rate = np.sqrt(power @ np.abs(exponents @ step.change) ** 2 / np.sum(power)) if power.any() else 0.0
+        turn = half_s * float(rate)
         if turn <= _STANDS or np.all(np.abs(step.change) <= _CONVERGED * np.sqrt(step.inverse.diagonal())):
             return columns, system, coefficients
         shorter = min(1.0, _FARTHEST / turn) if turn > 0.0 else 1.0
@@ -441,19 +438,24 @@ _SCATTER = 1.16  # relative standard deviation of a median absolute deviation, t
 _SAMPLE = 1 << 16  # residuals from which the scale of a long record is read
 _NORMAL_MEDIAN = 0.6744897501960817  # of |x| for a standard normal x
 _ROUNDS = 20
-_robust_ROUNDING = 1e-12  # of the largest coefficient: no residual is judged more finely
+_FINEST = 1e-12  # of the largest coefficient: no residual is judged more finely
 _MOST = 0.25  # of the samples: more are no spikes
 
 
-def find_spikes(samples: Samples, frequency_hz: FloatArray, model: SineModel) -> BoolArray:
-    """Return the rows (S,) whose residual stands out of the noise in any channel.
+def find_spikes(samples: Samples, frequency_hz: FloatArray, model: SineModel) -> tuple[BoolArray, float]:
+    """Return the rows (S,) whose residual stands out of the noise in any channel, and by how many deviations at least.
 
-    Fit, take away what stands out by more than `spike_limit` standard deviations, fit again, until it is the same set;
-    every row is judged anew each time. The deviation is that of the median absolute residual, which half of the rows
-    may spoil (Hampel, J. Am. Stat. Assoc. 69 (1974) 383). Where more than a quarter stands out, this is no Gaussian
-    noise with spikes, and nothing is left out.
+    So many that Gaussian noise does so in 1 of 100 records, and two standard deviations of the scale more, so that
+    short records lose no more. Fit, take away what stands out, fit again, until it is the same set; every row is judged
+    anew each time. The deviation is that of the median absolute residual, which half of the rows may spoil (Hampel, J.
+    Am. Stat. Assoc. 69 (1974) 383). Where more than a quarter stands out, this is no Gaussian noise with spikes, and
+    nothing is left out.
     """
-    limit = spike_limit(samples, len(frequency_hz), model)
+    from scipy.special import ndtri
+
+    count, parameters = samples.count, 2 * len(frequency_hz) + (2 if model.drift else 1)
+    limit = -float(ndtri(_FALSE_ALARM / (2.0 * count * samples.values.shape[1])))
+    limit *= (1.0 + 2.0 * _SCATTER / float(np.sqrt(count))) * float(np.sqrt(count / (count - parameters)))
     spikes = np.zeros(samples.timeline.samples, dtype=np.bool_)
     for _ in range(_ROUNDS):
         columns, _, coefficients = estimate(samples.without(spikes) if spikes.any() else samples, frequency_hz, model)
@@ -463,33 +465,11 @@ def find_spikes(samples: Samples, frequency_hz: FloatArray, model: SineModel) ->
             rows = slice(samples.timeline.edges[chunk.first], samples.timeline.edges[chunk.last])
             found[rows] = (np.abs(chunk.in_order(residual)) > limit * scale).any(axis=1)
         if np.count_nonzero(found) > _MOST * samples.count:
-            return np.zeros_like(spikes)
+            return np.zeros_like(spikes), limit
         if np.array_equal(found, spikes):
             break
         spikes = found
-    return spikes
-
-
-def spike_limit(samples: Samples, lines: int, model: SineModel) -> float:
-    """Return how many standard deviations a sample must stand out: Gaussian noise does so in 1 of 100 records.
-
-    Wider by two standard deviations of the scale itself, so that short records lose no more.
-    """
-    from scipy.special import ndtri
-
-    count = samples.count
-    tail = -float(ndtri(_FALSE_ALARM / (2.0 * count * samples.values.shape[1])))
-    parameters = 2 * lines + (2 if model.drift else 1)
-    return tail * (1.0 + 2.0 * _SCATTER / float(np.sqrt(count))) * float(np.sqrt(count / (count - parameters)))
-
-
-def spike_notice(spikes: BoolArray, samples: Samples, limit: float, first_s: float, where: str) -> Notice:
-    """Tell how many samples were left out."""
-    text = (
-        f"{np.count_nonzero(spikes)} of {samples.count} samples stand out of the noise by more than {limit:.2g} "
-        f"standard deviations and are left out, the first at {first_s:.6g} s"
-    )
-    return Notice("warning", text, where)
+    return spikes, limit
 
 
 def _scale(samples: Samples, columns: Columns, coefficients: FloatArray) -> FloatArray:
@@ -501,4 +481,4 @@ def _scale(samples: Samples, columns: Columns, coefficients: FloatArray) -> Floa
         part = chunk.in_order(residual)[rows]
         chosen.append(part.copy() if chunk.root is None else part[(chunk.root[rows] > 0.0).all(axis=1)])
     scale = np.median(np.abs(np.concatenate(chosen)), axis=0) / _NORMAL_MEDIAN
-    return np.asarray(np.maximum(scale, _robust_ROUNDING * np.max(np.abs(coefficients), axis=0)))
+    return np.asarray(np.maximum(scale, _FINEST * np.max(np.abs(coefficients), axis=0)))

@@ -74,9 +74,12 @@ def find_edges(
         raise ValueError(f'edge: expected "rising" or "falling", found "{edge}"')
     sign = 1.0 if edge == "rising" else -1.0
     signal = sign * samples
-    low, high = _levels(signal)
-    level = (low + high) / 2.0 if threshold is None else sign * threshold
+    low, high = (float(q) for q in np.quantile(signal, [0.05, 0.95]))
     lowest, highest = float(signal.min()), float(signal.max())
+    noise = float(np.median(np.abs(np.diff(signal)))) / 0.954 if len(signal) > 1 else 0.0
+    if not high - low > max(8.0 * noise, 0.05 * (highest - lowest)):
+        low, high = lowest, highest
+    level = (low + high) / 2.0 if threshold is None else sign * threshold
     if not low < level < high and abs(level - (lowest + highest) / 2.0) < 0.4 * (highest - lowest):
         low, high = lowest, highest  # a quantile lies on the rise
     if not low < level < high:
@@ -91,16 +94,6 @@ def find_edges(
         crossing, noise = _reconstructed(signal, after, level)
         return Edges(upper - step, upper, step * crossing, "resolved", step * noise, step * len(samples), sign * level)
     return Edges(upper - step, upper, upper - step / 2.0, "sampled", 0.0, step * len(samples), sign * level)
-
-
-def _levels(signal: FloatArray) -> tuple[float, float]:
-    """Return the low and the high level of a trigger signal."""
-    low, high = np.quantile(signal, [0.05, 0.95])
-    lowest, highest = float(signal.min()), float(signal.max())
-    noise = float(np.median(np.abs(np.diff(signal)))) / 0.954 if len(signal) > 1 else 0.0
-    if high - low > max(8.0 * noise, 0.05 * (highest - lowest)):
-        return float(low), float(high)
-    return lowest, highest
 
 
 def _crossings(signal: FloatArray, level: float, hysteresis: float) -> IntArray:

@@ -48,7 +48,9 @@ def decide_shift(base: TriggerFit, other: TriggerFit, start_difference_s: float 
     """
     low, high = _bounds(base, other)
     if low == high:
-        return Shift(low, _burst_evidence(base, other))
+        start, end = base.idle_before and other.idle_before, base.idle_after and other.idle_after
+        seen = "burst start and end" if start and end else "burst start" if start else "burst end" if end else ""
+        return Shift(low, seen or "burst length")
     between = (low, high) if low < high else (high, low)
     for shift, name in (
         (_by_gaps(base, other, *between), "gaps"),
@@ -91,15 +93,6 @@ def _bounds(base: TriggerFit, other: TriggerFit) -> tuple[int, int]:
     return low, high
 
 
-def _burst_evidence(base: TriggerFit, other: TriggerFit) -> str:
-    """Name what leaves a single shift."""
-    start = base.idle_before and other.idle_before
-    end = base.idle_after and other.idle_after
-    if start and end:
-        return "burst start and end"
-    return "burst start" if start else "burst end" if end else "burst length"
-
-
 def _by_gaps(base: TriggerFit, other: TriggerFit, low: int, high: int) -> int | None:
     """Return the one shift in the range at which the missing edges of both records coincide, else None."""
     matching = []
@@ -111,15 +104,12 @@ def _by_gaps(base: TriggerFit, other: TriggerFit, low: int, high: int) -> int | 
         if not both or both < _GAP_MATCH * len(here | there) or 2 * overlap < other.edges:
             continue
         everything = both >= _GAP_MATCH * max(len(base.missing), len(other.missing))
-        if everything or (high - low + 1) * _by_chance(both, overlap, len(here), len(there)) < _GAP_CHANCE:
+        # Probability that at least so many of two independent sets of missing edges coincide.
+        n, m = len(here), len(there)
+        ways = sum(comb(n, k) * comb(overlap - n, m - k) for k in range(both, min(n, m) + 1))
+        if everything or (high - low + 1) * (ways / comb(overlap, m)) < _GAP_CHANCE:
             matching.append(shift)
     return matching[0] if len(matching) == 1 else None
-
-
-def _by_chance(both: int, edges: int, here: int, there: int) -> float:
-    """Return the probability that at least `both` of two independent sets of missing edges coincide."""
-    ways = sum(comb(here, k) * comb(edges - here, there - k) for k in range(both, min(here, there) + 1))
-    return ways / comb(edges, there)
 
 
 def _by_jitter(base: TriggerFit, other: TriggerFit, low: int, high: int) -> int | None:
@@ -172,12 +162,12 @@ class ClockLine:
     def __post_init__(self) -> None:
         check_shape("covariance", self.covariance, (2, 2))
 
-    def at(self, time_s: FloatArray) -> FloatArray:
+    def to_base_s(self, time_s: FloatArray) -> FloatArray:
         """Return times of the other clock on the base clock."""
         return np.asarray(self.offset_s + self.rate * np.asarray(time_s, dtype=np.float64))
 
-    def u_at(self, time_s: FloatArray) -> FloatArray:
-        """Return the standard uncertainty of `at`."""
+    def u_to_base_s(self, time_s: FloatArray) -> FloatArray:
+        """Return the standard uncertainty of `to_base_s`."""
         t, c = np.asarray(time_s, dtype=np.float64), self.covariance
         return np.asarray(np.sqrt(c[0, 0] + 2.0 * t * c[0, 1] + t**2 * c[1, 1]))
 
@@ -201,10 +191,9 @@ def clock_line(base: TriggerFit, other: TriggerFit, shift: int) -> ClockLine:
     if len(here) < _LEAST_PAIRS:
         return single
     if base.kind == other.kind:
-        fit_pairs = _from_crossings if base.kind == "resolved" else _from_middles
-        paired = fit_pairs(base, other, here, there)
+        paired = _from_pairs(base, other, here, there)
         middle = np.asarray(np.mean(other.edge_s[there]))
-        line = paired if paired.u_at(middle) < single.u_at(middle) else single
+        line = paired if paired.u_to_base_s(middle) < single.u_to_base_s(middle) else single
         if base.kind == "sampled":
             line = _from_intervals(base, other, shift, line, line is paired)
         elif line is single:
@@ -231,14 +220,11 @@ def _from_models(base: TriggerFit, other: TriggerFit, shift: int) -> ClockLine:
     return ClockLine(offset, rate, jacobian @ joint @ jacobian.T)
 
 
-def _from_middles(base: TriggerFit, other: TriggerFit, here: IntArray, there: IntArray) -> ClockLine:
-    """Fit a line to the middles of paired intervals."""
-    place, unscale = _scaled(other.edge_s[there])
-    return unscale(straight_line(place, base.edge_s[here], 0.3 * base.resolution_s))
-
-
-def _from_crossings(base: TriggerFit, other: TriggerFit, here: IntArray, there: IntArray) -> ClockLine:
-    """Fit a line to paired resolved crossings, free of the trigger's jitter."""
+def _from_pairs(base: TriggerFit, other: TriggerFit, here: IntArray, there: IntArray) -> ClockLine:
+    """Fit a line to paired edges, free of the trigger's jitter: to middles of intervals, or to resolved crossings."""
+    if base.kind == "sampled":
+        place, unscale = _scaled(other.edge_s[there])
+        return unscale(straight_line(place, base.edge_s[here], 0.3 * base.resolution_s))
     place, unscale = _scaled(other.crossing_s[there])
     y, x = base.crossing_s[here], other.crossing_s[there]
     phases = [(y - base.lower_s[here]) / base.sample_s, (x - other.lower_s[there]) / other.sample_s]
@@ -267,7 +253,7 @@ def _from_intervals(base: TriggerFit, other: TriggerFit, shift: int, start: Cloc
     for row, (fit, number) in enumerate(((base, base.number), (other, other.number + shift))):
         at = np.searchsorted(numbers, number)
         lower[row, at], upper[row, at] = fit.lower_s, fit.upper_s
-    lower[1], upper[1] = start.at(lower[1]), start.at(upper[1])
+    lower[1], upper[1] = start.to_base_s(lower[1]), start.to_base_s(upper[1])
     to_middle = np.array([[1.0, centre], [0.0, half]])
     line = to_middle @ np.array([base.start_s, base.period_s])
     own = to_middle @ base.covariance @ to_middle.T
@@ -312,33 +298,22 @@ _SAME_PERIOD = 0.01  # relative: clocks differ by less, two triggers by more
 
 
 @dataclass(frozen=True)
-class ClockTie:
+class ClockTie(ClockLine):
     """One clock read on another: t_base = offset_s + rate·t_other, both in seconds from their record's first sample.
 
     `covariance` (2, 2) of (offset_s, rate); `shift` is the base edge that the other record's edge 0 belongs to,
     `decided_by` what says so; `pairs` edges were seen by both, `middle_s` is the middle of these on the other clock.
     """
 
-    offset_s: float
-    rate: float
-    covariance: FloatArray
     shift: int
     decided_by: str
     pairs: int
     middle_s: float
     notices: tuple[Notice, ...]
 
-    def __post_init__(self) -> None:
-        check_shape("covariance", self.covariance, (2, 2))
-
-    def to_base_s(self, time_s: FloatArray) -> FloatArray:
-        """Return times of the other clock on the base clock."""
-        return np.asarray(self.offset_s + self.rate * np.asarray(time_s, dtype=np.float64))
-
-    def u_to_base_s(self, time_s: FloatArray) -> FloatArray:
-        """Return the standard uncertainty of `to_base_s`."""
-        t, c = np.asarray(time_s, dtype=np.float64), self.covariance
-        return np.asarray(np.sqrt(c[0, 0] + 2.0 * t * c[0, 1] + t**2 * c[1, 1]))
+    def __repr__(self) -> str:
+        line = f"t = {self.offset_s:.9g} s + {self.rate:.12g}·t_other"
+        return f"ClockTie({line}, {self.pairs} edges, decided by {self.decided_by})"
 
 
 def tie_clocks(
@@ -366,6 +341,14 @@ def tie_clocks(
             f"other: expected the trigger period of the base clock, {base.period_s:.6g} s, found {other.period_s:.6g} s"
         )
     decided = decide_shift(base, other, start_difference_s) if shift is None else Shift(shift, "first_edge")
+    by_start = by_start_times(base, other, start_difference_s)
+    notices: tuple[Notice, ...] = ()
+    if by_start is not None and by_start != decided.edges:
+        text = (
+            f"the start times put edge 0 at edge {by_start} of the first clock, {decided.decided_by} at "
+            f"{decided.edges}, which counts; first_edge states it where that is wrong"
+        )
+        notices = (Notice("info", text, "clock"),)
     pairs, _, there = np.intersect1d(base.number, other.number + decided.edges, return_indices=True)
     # Always from the coarser to the finer record, so that exchanged roles give the same tie.
     if _fineness(other) < _fineness(base):
@@ -380,24 +363,13 @@ def tie_clocks(
         decided_by=decided.decided_by,
         pairs=len(pairs),
         middle_s=float(np.mean(other.edge_s[there] if len(pairs) else other.edge_s)),
-        notices=_notices(decided, by_start_times(base, other, start_difference_s)),
+        notices=notices,
     )
 
 
 def _fineness(fit: TriggerFit) -> tuple[float, int, float]:
     """Return a key that orders records: the one with the finer edges first."""
     return fit.resolution_s, fit.edges, fit.start_s
-
-
-def _notices(decided: Shift, by_start: int | None) -> tuple[Notice, ...]:
-    """Tell where start times contradict what decided the shift."""
-    if by_start is None or by_start == decided.edges:
-        return ()
-    text = (
-        f"the start times put edge 0 at edge {by_start} of the first clock, {decided.decided_by} at {decided.edges}, "
-        "which counts; first_edge states it where that is wrong"
-    )
-    return (Notice("info", text, "clock"),)
 
 
 # Instants of single trigger edges from all records that saw them: the periodic model and each edge's own deviation.

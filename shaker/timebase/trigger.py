@@ -287,12 +287,16 @@ def fit_trigger(edges: Edges) -> TriggerFit:
     place = (n - half) / half
     sample = float(np.median(upper - lower))
     kind: EdgeKind = "sampled"
-    line, resolution = _from_intervals(place, lower, upper), sample
+    # Rounding to samples scatters by 0.29 of one, except where period and sampling are commensurate.
+    rough = straight_line(place, (lower + upper) / 2.0, 0.3 * sample)
+    line, resolution = line_posterior(place, lower[None], upper[None], rough, LEAST_JITTER * sample), sample
     edge, correction = (lower + upper) / 2.0, np.zeros(len(n))
     if edges.kind == "resolved":
-        resolved, learnt = _from_crossings(place, estimate, (estimate - lower) / sample, edges.u_reading_s)
-        if resolved.covariance[0, 0] < line.covariance[0, 0]:
-            line, kind, edge, correction = resolved, "resolved", estimate - learnt, learnt
+        rise = fit_resolved(estimate, place, [(estimate - lower) / sample])
+        if rise.covariance[0, 0] < line.covariance[0, 0]:
+            jitter = float(np.sqrt(max(rise.scatter_s**2 - edges.u_reading_s**2, 0.0)))
+            line, kind = Posterior(rise.mean, rise.covariance, jitter), "resolved"
+            edge, correction = estimate - rise.correction_s, rise.correction_s
             resolution = np.sqrt(12.0) * edges.u_reading_s
     locked = _locked_gap(n, line.mean[1] / half / sample, line.jitter_s / sample)
     open_s = sample * (locked if kind == "sampled" else _LOCKED_RISE if locked else _RINGING)
@@ -334,23 +338,6 @@ def straight_line(place: FloatArray, time: FloatArray, least_scatter: float) -> 
     return Posterior(mean, inverse * max(scatter, least_scatter) ** 2, scatter)
 
 
-def _from_intervals(place: FloatArray, lower: FloatArray, upper: FloatArray) -> Posterior:
-    """Return (middle, half span) and jitter from intervals that hold the edges."""
-    width = float(np.median(upper - lower))
-    # Rounding to samples scatters by 0.29 of one, except where period and sampling are commensurate.
-    start = straight_line(place, (lower + upper) / 2.0, 0.3 * width)
-    return line_posterior(place, lower[None], upper[None], start, LEAST_JITTER * width)
-
-
-def _from_crossings(
-    place: FloatArray, time: FloatArray, phase: FloatArray, u_reading: float
-) -> tuple[Posterior, FloatArray]:
-    """Return (middle, half span) and jitter from resolved crossings, and the correction of each of them (E,)."""
-    fit = fit_resolved(time, place, [phase])
-    jitter = float(np.sqrt(max(fit.scatter_s**2 - u_reading**2, 0.0)))
-    return Posterior(fit.mean, fit.covariance, jitter), fit.correction_s
-
-
 def _locked_gap(number: IntArray, period: float, jitter: float) -> float:
     """Return the largest gap between the edges' places between samples if they take few, else 0; all in samples."""
     phase = np.sort(number * period % 1.0)
@@ -387,9 +374,7 @@ def _notices(fit: TriggerFit) -> tuple[Notice, ...]:
 _LEAST = 1.5  # samples: pulses shorter than one fall between the samples, and those seen seem one long
 _LEAST_RISES = 5.0  # of the rise: shorter pulses do not settle at their level
 _NEAR = 16  # samples beside a flank on which its rise is looked for
-_pulses_RINGING = (
-    0.2  # standard uncertainty in samples² over the width: crossings of one flank on the ringing of the other
-)
+_FLANKS = 0.2  # u in samples² over the width: crossings of one flank on the ringing of the other
 
 
 @dataclass(frozen=True)
@@ -419,7 +404,8 @@ def pulse_width(
     being sin(πx)/(π²x) at x samples from it, which the uncertainty of short pulses allows for.
     """
     ends: Literal["rising", "falling"] = "falling" if edge == "rising" else "rising"
-    low, high = _levels(samples, find_edges(samples, sample_rate_hz, threshold, edge).threshold)
+    above = samples >= find_edges(samples, sample_rate_hz, threshold, edge).threshold
+    low, high = float(np.median(samples[~above])), float(np.median(samples[above]))
     level = (low + high) / 2.0 if threshold is None else threshold
     begin = fit_trigger(find_edges(samples, sample_rate_hz, level, edge))
     end = fit_trigger(find_edges(samples, sample_rate_hz, level, ends))
@@ -432,8 +418,11 @@ def pulse_width(
     # The first end after this beginning.
     partner = np.asarray(np.ceil((begin.time_s(middle) - end.start_s) / end.period_s), dtype=np.int64)
     width = float(end.time_s(partner) - begin.time_s(middle))
-    flanks = sample_rate_hz * np.concatenate([begin.edge_s, end.edge_s])
-    least = max(_LEAST, _LEAST_RISES * _rise((samples - low) / (high - low), flanks))
+    # The rise: how many samples per flank lie between 10 % and 90 % of the height.
+    flanks = np.rint(sample_rate_hz * np.concatenate([begin.edge_s, end.edge_s])).astype(np.int64)
+    beside = np.unique(np.clip(flanks[:, None] + np.arange(-_NEAR, _NEAR + 1), 0, len(samples) - 1))
+    rising = np.count_nonzero(np.abs((samples[beside] - low) / (high - low) - 0.5) < 0.4)
+    least = max(_LEAST, _LEAST_RISES * float(rising / len(flanks)))
     if width * sample_rate_hz < least:
         raise ValueError(
             f"samples: expected pulses of at least {least:.2g} samples, {1e6 * least / sample_rate_hz:.3g} us, found "
@@ -441,19 +430,6 @@ def pulse_width(
         )
     u = float(np.hypot(begin.u_time_s(middle), end.u_time_s(partner)))
     if "resolved" in (begin.kind, end.kind):
-        u = float(np.hypot(u, _pulses_RINGING / (width * sample_rate_hz**2)))
+        u = float(np.hypot(u, _FLANKS / (width * sample_rate_hz**2)))
     notices = tuple(dict.fromkeys(begin.notices + end.notices))
     return PulseWidth(width, u, min(len(begin.number), len(end.number)), begin, end, notices)
-
-
-def _levels(samples: FloatArray, between: float) -> tuple[float, float]:
-    """Return the medians of the samples below and above a level between them."""
-    above = samples >= between
-    return float(np.median(samples[~above])), float(np.median(samples[above]))
-
-
-def _rise(height: FloatArray, flanks: FloatArray) -> float:
-    """Return how many samples per flank, these at places (E,), lie between 10 % and 90 % of the height (S,)."""
-    near = np.rint(flanks).astype(np.int64)[:, None] + np.arange(-_NEAR, _NEAR + 1)
-    beside = height[np.unique(np.clip(near, 0, len(height) - 1))]
-    return float(np.count_nonzero(np.abs(beside - 0.5) < 0.4) / len(flanks))

@@ -6,8 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy import signal
 
 from shaker.frf.chain import (
@@ -16,8 +14,6 @@ from shaker.frf.chain import (
     PoleModel,
     ResponseTable,
     common_covariance,
-    converted,
-    de_embedded,
     filter_poles,
     pole_response,
     product,
@@ -137,17 +133,6 @@ def test_elements_multiply_and_their_errors_add_in_squares() -> None:
     assert len(both.causes) == 6
 
 
-@settings(max_examples=30, deadline=None)
-@given(seed=st.integers(0, 10_000))
-def test_what_a_chain_does_is_taken_off(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    phasors = _phasors(rng.standard_normal((5, 2)) + 1j * rng.standard_normal((5, 2)))
-    response = pole_response(phasors.frequency_hz, replace(LOWPASS, delay_s=1e-4), u_gain=1e-3)
-    back = de_embedded(phasors.scaled(response.value[:, None]), response)
-    np.testing.assert_allclose(back.value, phasors.value)
-    np.testing.assert_allclose(back.covariance, phasors.covariance, atol=1e-16)
-
-
 def test_common_errors_add_a_covariance_that_cancels_in_what_is_shared() -> None:
     value = np.array([[1.0 + 1.0j, 2.0 - 1.0j]])
     errors = np.array([[[0.01, 0.01]], [[0.02j, 0.02j]]])
@@ -156,17 +141,6 @@ def test_common_errors_add_a_covariance_that_cancels_in_what_is_shared() -> None
     drawn = value * (1.0 + draws @ errors[:, 0, :])
     stacked = np.concatenate([drawn.real, drawn.imag], axis=1)
     np.testing.assert_allclose(common_covariance(value, errors)[0], np.cov(stacked.T), atol=2e-5)
-
-
-def test_motion_is_converted_by_its_unit() -> None:
-    phasors = _phasors(np.ones((3, 2), complex), ("m/s", "(rad/s^2)/N"))
-    found = converted(phasors, "displacement")
-    omega = 2.0 * np.pi * phasors.frequency_hz
-    assert found.unit == ("m", "rad/N")
-    np.testing.assert_allclose(found.value[:, 0], 1.0 / (1j * omega))
-    np.testing.assert_allclose(found.value[:, 1], -1.0 / omega**2)
-    back = converted(converted(found, "acceleration"), "displacement")
-    np.testing.assert_allclose(back.value, found.value)
 
 
 def test_units_of_ratios() -> None:
@@ -188,8 +162,6 @@ def test_units_of_ratios() -> None:
         (lambda: filter_poles("resonance", 3, 1.0), "order: expected 2"),
         (lambda: filter_poles("butterworth", 2, 0.0), "corner_hz: expected a frequency above 0"),
         (lambda: pole_response(np.zeros(1), HIGHPASS), "frequency_hz: expected frequencies other than a zero"),
-        (lambda: converted(_phasors(np.ones((1, 2), complex)), "acceleration"), "unit: expected one of m, "),
-        (lambda: converted(_phasors(np.ones((1, 2), complex)), "jerk"), "to: expected one of displacement"),
         (lambda: table_response(_table(OCTAVES, OCTAVES + 0j), np.array([5e3, 6e3])), "found 6000"),
         (lambda: _table(OCTAVES[::-1], OCTAVES + 0j), "ascending"),
         (lambda: _table(OCTAVES, 0j * OCTAVES), "magnitude: expected positive values"),
