@@ -316,8 +316,8 @@ def left_open(found: Fitted) -> FloatArray:
         moment = MOMENTS[release.shape] * release.duration_s**2
         slope = np.zeros(len(vector))
         slope[lags], slope[own] = -2.0 * squares, 2.0 * moment
-        whole = float(np.sum(squares)) + moment
-        whole += 2.0 * float(np.sqrt(max(slope @ spread @ slope, 0.0)))
+        u_whole = np.sqrt(np.maximum(slope @ spread @ slope, 0.0))
+        whole = float(np.sum(squares) + moment + 2.0 * u_whole)
         bound([own], moment, whole)
         largest = min(largest, whole)
     bound(lags, squares, largest)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from shaker.arrays import ComplexArray, FloatArray, check_shape
 from shaker.lti.responses import band_end, gain_curve
 from shaker.lti.system import LinearSystem
+from shaker.mechanics import Mechanics, chain_terms, poles
 
 # The sensor and its load as masses in a row on a rigid base.
 
@@ -122,48 +124,25 @@ def upper_poles(numbers: FloatArray, moving_mass: float, load_mass: float) -> tu
     """Return the upper poles (M,) in rad/s, the lowest first, and their derivatives (M, P + 2).
 
     `numbers` (P,): stiffness, damping, and those of the coupling unless the load is rigid. Derivatives by the numbers,
-    the moving mass and the load mass: dp/dθ = -(∂B/∂θ)/(∂B/∂s) with the polynomial B of `LoadModel`. A load of no mass
-    has no second mode. Overdamped modes have no upper pole and are missing.
+    the moving mass and the load mass. A load of no mass has no second mode. Overdamped modes have no upper pole and
+    are missing.
     """
     if len(numbers) == 2 or load_mass == 0.0:
-        below, rates = _rigid(numbers, moving_mass, load_mass)
+        weights, terms, places = [moving_mass + load_mass, *numbers[:2]], [1, 2, 0, 0], [0, 1, -2, -1]
     else:
-        below, rates = _elastic(numbers, moving_mass, load_mass)
-    order = len(below) - 1
-    companion = np.eye(order, k=-1)
-    companion[0] = -below[1:] / below[0]
-    roots = np.linalg.eigvals(companion)
-    poles = roots[roots.imag > 0.0]
-    poles = poles[np.argsort(np.abs(poles))]
-    powers = poles[:, None] ** np.arange(order, -1, -1)
-    slope = powers[:, 1:] @ (below[:-1] * np.arange(order, 0, -1))
-    return np.asarray(poles, dtype=np.complex128), np.asarray(-(powers @ rates.T) / slope[:, None], dtype=np.complex128)
+        k, c, kl, cl = numbers
+        weights, terms, places = [moving_mass, load_mass, k, kl, c, cl], [2, 4, 3, 5, 0, 1], [0, 1, 2, 3, -2, -1]
+    roots, slopes = poles(_chain(len(weights) // 3), np.array([1.0, *weights]))
+    kept = roots.imag > 0.0
+    rates = np.zeros((np.count_nonzero(kept), len(numbers) + 2), dtype=np.complex128)
+    rates[:, places] = slopes[kept][:, terms]
+    return roots[kept], rates
 
 
-def _rigid(numbers: FloatArray, m: float, ml: float) -> tuple[FloatArray, FloatArray]:
-    """B = (m_E + m_L) s² + c s + k and its derivatives by all numbers and both masses."""
-    below = np.array([m + ml, numbers[1], numbers[0]])
-    rates = np.zeros((len(numbers) + 2, 3))
-    rates[0, 2], rates[1, 1] = 1.0, 1.0
-    rates[-2:, 0] = 1.0
-    return below, rates
-
-
-def _elastic(numbers: FloatArray, m: float, ml: float) -> tuple[FloatArray, FloatArray]:
-    """B of the three-mass model and its derivatives by k, c, k_L, c_L, m_E, m_L."""
-    k, c, kl, cl = numbers
-    below = np.array([ml * m, ml * (c + cl) + m * cl, ml * (k + kl) + c * cl + m * kl, k * cl + c * kl, k * kl])
-    rates = np.array(
-        [
-            [0.0, 0.0, ml, cl, kl],
-            [0.0, ml, cl, kl, 0.0],
-            [0.0, 0.0, ml + m, c, k],
-            [0.0, ml + m, c, k, 0.0],
-            [ml, cl, kl, 0.0, 0.0],
-            [m, c + cl, k + kl, 0.0, 0.0],
-        ]
-    )
-    return below, rates
+@cache
+def _chain(count: int) -> Mechanics:
+    """Return one mass or two in a row on a base at rest, made once: a fit asks for thousands of poles."""
+    return Mechanics(*chain_terms(count), np.zeros((1, count)), np.ones(1), np.zeros(count), 1.0)
 
 
 # The second set of parameters that one load mass cannot tell from the first.
