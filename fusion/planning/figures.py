@@ -1,4 +1,4 @@
-"""Figures of camera rates and of lines."""
+"""Figures of `shakercal plan` (condition and uncertainty over the camera rate) and `shakercal lines` (spectrum)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from fusion.planning.lines import Entry, LineList
+from fusion.planning.lines import LineList
 from fusion.planning.plan import Plan
 from fusion.report.style import (
     BLACK,
@@ -29,16 +29,17 @@ from fusion.report.style import (
 )
 from shaker.arrays import FloatArray
 from shaker.lines.aliasing import MAX_CONDITION
-from shaker.lines.rate_planner import Scan, condition_over_rate, scan_rates
+from shaker.lines.rate_planner import condition_over_rate, scan_rates
 from shaker.lines.spectrum import FIRST_BIN
-
-# Figure of a plan: condition of the fit and uncertainty over the camera rate, and the rates chosen.
-
 
 COLUMNS = 420  # of a panel; each shows the largest condition of the rates in it
 RATES_PER_COLUMN = 6
 TOP = 100.0  # where the axis ends
 PREFERRED_COLOUR = "#e3f3ec"
+POINTS = 1600  # of a spectrum
+DETAILS = re.compile(r" of |[,(]|(?<=combination) ")
+"""Where the details of what a line is begin."""
+LABELLED = 12  # lines of a panel that are named, the highest
 
 
 def draw_plan(plan: Plan, kind: str) -> bytes:
@@ -48,10 +49,8 @@ def draw_plan(plan: Plan, kind: str) -> bytes:
     with drawing("plan"):
         figure = new_figure(1.0 + (2.0 if single else 0.62 * len(plan.points)))
         panels = figure.subplots(len(plan.points), 1, squeeze=False, sharex=True, sharey=True)[:, 0]
-        for index, (axes, point) in enumerate(zip(panels, plan.points, strict=True)):
-            scan = scan_rates(point.lines, rates, plan.request.sampling)
-            _draw_curves(axes, scan, condition_over_rate(point.lines, rates, plan.request.sampling.frames))
-            _draw_choices(axes, plan, index)
+        for index, axes in enumerate(panels):
+            _draw_point(axes, plan, index, rates)
         panels[-1].set_xlabel("camera rate / Hz")
         panels[-1].set_xlim(rates[0], rates[-1])
         panels[-1].set_ylim(1.0, TOP)
@@ -61,9 +60,14 @@ def draw_plan(plan: Plan, kind: str) -> bytes:
         return as_file(figure, kind)
 
 
-def _draw_curves(axes: Axes, scan: Scan, condition: FloatArray) -> None:
-    """Condition (largest of each column) and uncertainty, above where the fundamental is best seen."""
-    rates = scan.rate_hz
+def _draw_point(axes: Axes, plan: Plan, index: int, rates: FloatArray) -> None:
+    """Condition (largest of each column) and uncertainty of one point, above where the fundamental is best seen.
+
+    Marks: the rates of this point, and those that serve several.
+    """
+    point, sampling = plan.points[index], plan.request.sampling
+    scan = scan_rates(point.lines, rates, sampling)
+    condition = condition_over_rate(point.lines, rates, sampling.frames)
     best = scan.preferred == max(1, int(scan.preferred.max()))
     axes.fill_between(rates, 1.0, TOP, where=best.tolist(), color=PREFERRED_COLOUR, linewidth=0, step="mid")
     axes.set_yscale("log")
@@ -72,11 +76,6 @@ def _draw_curves(axes: Axes, scan: Scan, condition: FloatArray) -> None:
     axes.fill_between(centre, 1.0, columns.max(axis=1), color=BLUE, linewidth=0.5, step="mid")
     axes.plot(centre, np.median(scan.penalty.reshape(COLUMNS, -1), axis=1), color=ORANGE, linewidth=0.9)
     axes.axhline(MAX_CONDITION, color=GREY, linewidth=0.7, linestyle=(0, (4, 2)))
-
-
-def _draw_choices(axes: Axes, plan: Plan, index: int) -> None:
-    """Mark the rates of this point, and those that serve several."""
-    point = plan.points[index]
     for choice in point.choices:
         axes.plot(choice.rate_hz, TOP, marker="v", color=RED, markersize=5.5, clip_on=False, zorder=5)
     for shared in plan.shared if len(plan.points) > 1 else ():
@@ -98,15 +97,6 @@ def _legend(figure: Figure, plan: Plan) -> None:
     if plan.shared and len(plan.points) > 1:
         marks.append(Line2D([], [], color=RED, label="as few as possible"))
     figure.legend(handles=marks, loc="upper right", ncols=3, fontsize=7.0, borderaxespad=0.1)
-
-
-# Figure of the lines of a record: its spectrum, the noise floor, and what each line is.
-
-
-POINTS = 1600
-DETAILS = re.compile(r" of |[,(]|(?<=combination) ")
-"""Where the details of what a line is begin."""
-LABELLED = 12  # lines of a panel that are named, the highest
 
 
 def draw_lines(lists: Sequence[LineList], kind: str) -> bytes:
@@ -131,40 +121,26 @@ def _draw_channel(axes: Axes, item: LineList, c: int) -> None:
         above = item.floor_hz >= frequency[0]
         axes.plot(item.floor_hz[above], item.floor[above, c], color=BLACK, linewidth=0.9)
     shown = [entry for entry in item.entries if np.isfinite(entry.amplitude[c])]
-    for entry in shown:
-        place = _place(entry, item.rate_hz)
-        axes.plot(place, entry.amplitude[c], marker="v", color=_colour(entry), markersize=4.0, linestyle="")
-    for entry in sorted(shown, key=lambda entry: -float(entry.amplitude[c]))[:LABELLED]:
-        axes.annotate(
-            _short(entry),
-            (_place(entry, item.rate_hz), float(entry.amplitude[c])),
-            xytext=(0, 5),
-            textcoords="offset points",
-            fontsize=5.5,
-            rotation=90,
-            ha="center",
-            color=_colour(entry),
-        )
+    for rank, entry in enumerate(sorted(shown, key=lambda entry: -float(entry.amplitude[c]))):
+        place = float(abs(entry.frequency_hz - item.rate_hz * round(entry.frequency_hz / item.rate_hz)))  # as sampled
+        colour = ORANGE if entry.what.startswith("unexplained") else GREY
+        if entry.use == "fitted" or (not entry.use and entry.what.startswith("fundamental")):
+            colour = RED
+        axes.plot(place, entry.amplitude[c], marker="v", color=colour, markersize=4.0, linestyle="")
+        if rank < LABELLED:
+            axes.annotate(
+                f"{entry.frequency_hz:.5g} {DETAILS.split(entry.what)[0].strip()}",
+                (place, float(entry.amplitude[c])),
+                xytext=(0, 5),
+                textcoords="offset points",
+                fontsize=5.5,
+                rotation=90,
+                ha="center",
+                color=colour,
+            )
     floor = item.floor[:, c] if len(item.floor_hz) else amplitude[amplitude > 0.0]
     axes.set_ylim(0.2 * float(np.min(floor)), 1e4 * float(amplitude.max()))
     decades(axes.yaxis)
     unit = f" / {item.units[c]}" if item.units[c] else ""
     axes.set_ylabel(f"amplitude{unit}")
     panel_label(axes, f"{item.channels[c]}: spectrum, noise floor (black) and lines")
-
-
-def _place(entry: Entry, rate_hz: float) -> float:
-    """Return where the spectrum shows a line."""
-    return float(abs(entry.frequency_hz - rate_hz * round(entry.frequency_hz / rate_hz)))
-
-
-def _colour(entry: Entry) -> str:
-    """Tell lines that are fitted or fundamental, explained and unexplained apart."""
-    if entry.use == "fitted" or (not entry.use and entry.what.startswith("fundamental")):
-        return RED
-    return ORANGE if entry.what.startswith("unexplained") else GREY
-
-
-def _short(entry: Entry) -> str:
-    """Return a line's frequency and what it is, without the details."""
-    return f"{entry.frequency_hz:.5g} {DETAILS.split(entry.what)[0].strip()}"

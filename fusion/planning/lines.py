@@ -1,4 +1,4 @@
-"""Every line of a file or recording."""
+"""`shakercal lines`: every line of a file or recording, how far it stands out, what it is, and who sees it."""
 
 from __future__ import annotations
 
@@ -24,10 +24,11 @@ from shaker.lines.frequencies import Lines
 from shaker.lines.spectrum import amplitude_spectrum
 from shaker.sine.fit import fit_sines
 
-# `shakercal lines`: every line of a file or of a recording, how far it stands out, what it is, and who sees it.
-
-
 COLUMNS = ("channel", "frequency_hz", "u_frequency_hz", "amplitude", "u_amplitude", "unit", "floor_db", "what", "use")
+COVERAGE = 2.0
+WHY_WIDTH = 18
+LISTED = "lines"
+"""Where notices are about that only say what the table shows."""
 _SAME_U, _SAME_HZ = 6.0, 1e-6  # how far a line moves when it is fitted beside others
 _HANN_NOISE = 3.0  # noise power in a bin of the figure's spectrum over the variance of a fitted quadrature
 
@@ -105,8 +106,10 @@ def lines_of_recording(manifest: Manifest) -> LineList:
     cameras = _cameras(manifest, base)
     rate_hz = chosen.record.raw[names[0]].sample_rate_hz
     entries = [*_fitted(chosen.time_s, chosen.values, lines, rate_hz), *_others(lines.others, lines.nuisance_hz)]
-    entries = [_seen_by(entry, [rate for _, rate in cameras]) for entry in entries]
-    entries.sort(key=lambda entry: entry.frequency_hz)
+    entries = [
+        replace(entry, places=tuple(float(alias_frequency(entry.frequency_hz, rate)) for _, rate in cameras))
+        for entry in sorted(entries, key=lambda entry: entry.frequency_hz)
+    ]
     empty = _as_list(chosen.record.entry.file, names, units, rate_hz, chosen.values, lines.others)
     return replace(empty, entries=tuple(entries), cameras=cameras, notices=lines.notices)
 
@@ -217,20 +220,6 @@ def _cameras(manifest: Manifest, base: TimeBase) -> tuple[tuple[str, float], ...
     return tuple((", ".join(names), rates[trigger]) for trigger, names in pairs.items())
 
 
-def _seen_by(entry: Entry, rates: Sequence[float]) -> Entry:
-    """Return a line with the places at which cameras see it."""
-    return replace(entry, places=tuple(float(alias_frequency(entry.frequency_hz, rate)) for rate in rates))
-
-
-# What `shakercal lines` prints: every line with its size, its height over the noise, what it is and why.
-
-
-COVERAGE = 2.0
-WHY_WIDTH = 18
-LISTED = "lines"
-"""Where notices are about that only say what the table shows."""
-
-
 def print_lines(lists: Sequence[LineList]) -> None:
     """Print the lines to stdout, a table for each group of channels."""
     from rich import box
@@ -238,7 +227,10 @@ def print_lines(lists: Sequence[LineList]) -> None:
 
     console = stdout_console()
     for item in lists:
-        console.print(_heading(item), soft_wrap=True)
+        names, duration = ", ".join(item.channels), item.samples / item.rate_hz
+        seen = "".join(f"; {pairs}: lines as seen at {rate:.6g} Hz" for pairs, rate in item.cameras)
+        size = f"{item.samples} samples at {item.rate_hz:.9g} Hz, {duration:.4g} s"
+        console.print(f"{item.source.name}: {names}; {size}{seen}", soft_wrap=True)
         if not item.entries:
             console.print("  no line stands out of the noise")
             continue
@@ -261,14 +253,6 @@ def print_lines(lists: Sequence[LineList]) -> None:
         "noise in a bin of the Hann spectrum",
         soft_wrap=True,
     )
-
-
-def _heading(item: LineList) -> str:
-    """Say what the table is of."""
-    duration = item.samples / item.rate_hz
-    names = ", ".join(item.channels)
-    seen = "".join(f"; {pairs}: lines as seen at {rate:.6g} Hz" for pairs, rate in item.cameras)
-    return f"{item.source.name}: {names}; {item.samples} samples at {item.rate_hz:.9g} Hz, {duration:.4g} s{seen}"
 
 
 def _cells(item: LineList, entry: Entry) -> list[str]:

@@ -51,15 +51,11 @@ class Size:
     amplitude_m: float | None = None
     acceleration_mps2: float | None = None
 
-    def fundamental_m(self, frequency_hz: float) -> float | None:
-        """Amplitude of a fundamental, None where it is not told."""
-        if self.acceleration_mps2 is not None:
-            return float(self.acceleration_mps2 / (2.0 * np.pi * frequency_hz) ** 2)
-        return self.amplitude_m
-
     def relative(self, frequency_hz: float, u_amplitude: float) -> float | None:
-        """Relative standard uncertainty of a fundamental's amplitude, which is that of its phase in rad."""
-        amplitude = self.fundamental_m(frequency_hz)
+        """Relative standard uncertainty of a fundamental's amplitude (that of its phase in rad), None if unstated."""
+        amplitude = self.amplitude_m
+        if self.acceleration_mps2 is not None:
+            amplitude = float(self.acceleration_mps2 / (2.0 * np.pi * frequency_hz) ** 2)
         return None if amplitude is None or self.noise_m is None else u_amplitude * self.noise_m / amplitude
 
 
@@ -117,7 +113,11 @@ def make_plan(request: Request) -> Plan:
     groups = [request.frequency_hz] if request.together else [(f,) for f in request.frequency_hz]
     points = [lines_of(group, sampling.harmonics) for group in groups]
     _check(request, points)
-    rates = _rates(request, points)
+    try:
+        rates = candidate_rates(points, sampling, request.limits_hz, request.rate_step_hz)
+    except ValueError as error:
+        expected = f"a step with a multiple between {request.limits_hz[0]:g} and {request.limits_hz[1]:g} Hz"
+        raise InputError("--rate-step", "", found=f"{request.rate_step_hz:g} Hz", expected=expected) from error
     if request.rate_hz is not None:
         return Plan(request, tuple(_explained(lines, request.rate_hz, rates, sampling) for lines in points), ())
     scans = [scan_rates(lines, rates, sampling) for lines in points]
@@ -145,17 +145,6 @@ def plan_csv(plan: Plan) -> str:
         for index, at_rate in zip(shared.points, shared.plans, strict=True):
             writer.writerows(_rows(plan.request.size, index + 1, "shared", at_rate))
     return stream.getvalue()
-
-
-def _rates(request: Request, points: Sequence[Lines]) -> FloatArray:
-    """Return the rates to look at."""
-    try:
-        return candidate_rates(points, request.sampling, request.limits_hz, request.rate_step_hz)
-    except ValueError as error:
-        found = f"{request.rate_step_hz:g} Hz"
-        low, high = request.limits_hz
-        expected = f"a step with a multiple between {low:g} and {high:g} Hz"
-        raise InputError("--rate-step", "", found=found, expected=expected) from error
 
 
 def _explained(lines: Lines, rate_hz: float, rates: FloatArray, sampling: Sampling) -> Point:

@@ -30,8 +30,17 @@ def print_plan(plan: Plan) -> None:
             _print_explained(console, plan.request.size, point)
     else:
         _print_choices(console, plan)
-    for line in _legend(plan.request.size):
-        _say(console, line)
+    size = plan.request.size
+    unit = " in units of the noise of one frame" if size.noise_m is None else ""
+    _say(
+        console,
+        f"u: standard uncertainty (k = 1) of an amplitude{unit}, of the fundamental and of the worst line; "
+        "over the amplitude it is that of the phase in rad",
+    )
+    if not _sized(size):
+        _say(console, "(--noise with --amplitude or --acceleration gives numbers)")
+    apart = "apart: smallest distance of two lines as the camera sees them, in bins of rate/frames"
+    _say(console, f"{apart} ({CLEAR_BINS:g} needed); loss: of amplitude, by exposure (a run corrects it)")
 
 
 def _say(console: Console, text: str) -> None:
@@ -53,19 +62,6 @@ def _setting(plan: Plan) -> str:
         f"Excitation {frequencies} Hz{together}, {fitted}; {sampling.frames} frames, exposure "
         f"{sampling.exposure_s * 1e6:g} µs{rates}; 1/f noise exceeds white noise below {sampling.corner_hz:g} Hz"
     )
-
-
-def _legend(size: Size) -> list[str]:
-    """Return what the columns mean."""
-    unit = " in units of the noise of one frame" if size.noise_m is None else ""
-    text = [
-        f"u: standard uncertainty (k = 1) of an amplitude{unit}, of the fundamental and of the worst line; "
-        "over the amplitude it is that of the phase in rad"
-    ]
-    if not _sized(size):
-        text.append("(--noise with --amplitude or --acceleration gives numbers)")
-    apart = "apart: smallest distance of two lines as the camera sees them, in bins of rate/frames"
-    return [*text, f"{apart} ({CLEAR_BINS:g} needed); loss: of amplitude, by exposure (a run corrects it)"]
 
 
 def _print_choices(console: Console, plan: Plan) -> None:
@@ -162,8 +158,15 @@ def _print_explained(console: Console, size: Size, point: Point) -> None:
     """Print what the given rate does to one point, line by line."""
     (plan,) = point.choices
     for frequency, alias in zip(plan.lines.frequency_hz, plan.alias_hz, strict=True):
-        if frequency in plan.lines.fundamentals_hz:
-            _say(console, _beat(float(frequency), float(alias), plan))
+        if frequency in plan.lines.fundamentals_hz:  # so many turns between two frames and a bit: so slow a beat
+            turns = round(frequency / plan.rate_hz)
+            sign = "+" if frequency >= turns * plan.rate_hz else "-"
+            seen = "as it is" if turns == 0 else f"as a beat of {alias:.3f} Hz"
+            _say(
+                console,
+                f"{frequency:.9g} Hz = {turns} × {plan.rate_hz:.9g} Hz {sign} {alias:.3f} Hz: seen {seen}, "
+                f"{alias * plan.duration_s:.2f} periods in {plan.duration_s:.2f} s",
+            )
     console.print(_lines_table(size, plan))
     for remark in _remarks(plan):
         _say(console, remark)
@@ -172,15 +175,6 @@ def _print_explained(console: Console, size: Size, point: Point) -> None:
         share = float(np.max(point.nearby.u_amplitude)) / float(np.max(plan.u_amplitude))
         gain = f", worst u {share:.2g} times the present one" if share > 0.0 else ""
         _say(console, f"Nearest good rate: {rate:.3f} Hz ({rate - plan.rate_hz:+.3f} Hz){gain}")
-
-
-def _beat(frequency: float, alias: float, plan: RatePlan) -> str:
-    """Say how the camera sees a line: so many turns between two frames and a bit, hence so slow a beat."""
-    turns = round(frequency / plan.rate_hz)
-    sign = "+" if frequency >= turns * plan.rate_hz else "-"
-    text = f"{frequency:.9g} Hz = {turns} × {plan.rate_hz:.9g} Hz {sign} {alias:.3f} Hz"
-    seen = "as it is" if turns == 0 else f"as a beat of {alias:.3f} Hz"
-    return f"{text}: seen {seen}, {alias * plan.duration_s:.2f} periods in {plan.duration_s:.2f} s"
 
 
 def _remarks(plan: RatePlan) -> list[str]:
@@ -221,25 +215,20 @@ def _lines_table(size: Size, plan: RatePlan) -> Table:
     for name in (*seen, f"u{unit}", *relative):
         table.add_column(name, justify="right")
     for k, frequency in enumerate(plan.lines.frequency_hz):
+        neighbour = float(plan.neighbour_hz[k])
+        nearest = "zero" if neighbour == 0.0 else f"{neighbour:.9g} Hz" if np.isfinite(neighbour) else "Nyquist"
         table.add_row(
             f"{frequency:.9g}",
             str(plan.lines.multiple[k]),
             f"{plan.alias_hz[k]:.3f}",
             f"{plan.alias_hz[k] / plan.rate_hz:.3f}",
             f"{plan.distance_hz[k] / plan.resolution_hz:.2f}",
-            _neighbour(float(plan.neighbour_hz[k])),
+            nearest,
             f"{100.0 * (1.0 - plan.gain[k]):.3f}",
             _figures(noise * plan.u_amplitude[k]),
             *_relative_cells(size, plan, k),
         )
     return table
-
-
-def _neighbour(frequency_hz: float) -> str:
-    """Return the name of what a line comes nearest to."""
-    if frequency_hz == 0.0:
-        return "zero"
-    return f"{frequency_hz:.9g} Hz" if np.isfinite(frequency_hz) else "Nyquist"
 
 
 def _excitation(point: Point) -> str:
