@@ -18,6 +18,7 @@ from published_formulas import (
 )
 from scipy.optimize import least_squares
 
+from shaker.identification.measured import MeasuredCurve
 from shaker.identification.readings import PeakReadings, peak_readings
 from shaker.identification.sensor import Chain
 from shaker.mechanics import MassChain, required_stiffness, shared_spring
@@ -142,7 +143,7 @@ def oscillator(f0: float, zeta: float, shift: float = 0.0, noise: float = 1e-5) 
     r = frequency / f0
     value = (1 + 2j * zeta * r) / (1 - r**2 + 2j * zeta * r)
     covariance = (noise * np.abs(value).max()) ** 2 * np.eye(2) * np.ones((len(r), 1, 1))
-    return peak_readings(frequency, value, covariance)
+    return peak_readings(MeasuredCurve(frequency, value, covariance))
 
 
 def both_loads(resonance_hz: tuple[float, float]) -> tuple[float, float, float, float]:

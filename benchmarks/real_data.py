@@ -25,6 +25,7 @@ from photogram.images import open_sequence
 from photogram.motion import fit_motion
 from photogram.subsets.reference import TrackStatus
 from photogram.subsets.track import TrackSettings, match_stereo, track_sequence, track_stereo
+from shaker.identification.measured import MeasuredCurve
 from shaker.identification.oscillator import Resonance, fit_resonance
 from shaker.identification.sensor import NO_CHAIN, Chain, Load, SensorModel, correct_record, usable_band
 from shaker.io.read import read_channels
@@ -218,7 +219,7 @@ class Shock:
         """Fit a resonance to the table, 0.05 % per kHz of scatter in magnitude and phase."""
         size = 5e-4 * self.frequency_hz / 1e3 * np.abs(self.value)
         covariance = (size**2)[:, None, None] * np.eye(2)
-        return fit_resonance(self.frequency_hz, self.value, covariance, "receptance", delay=delay)
+        return fit_resonance(MeasuredCurve(self.frequency_hz, self.value, covariance), "receptance", delay=delay)
 
     def error(self, model: Callable[[FloatArray], NDArray[np.complex128]]) -> FloatArray:
         """Predict the output of the shock and return by how much it is wrong, as a share of the output's peak."""

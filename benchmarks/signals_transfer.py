@@ -28,7 +28,8 @@ from shaker.frf.impact import transfer_impact
 from shaker.frf.periodic import transfer_periodic
 from shaker.frf.random import transfer_random
 from shaker.frf.result import TransferFunction, TransferRecord
-from shaker.identification.oscillator import Kind, Resonance, fit_resonance, fit_transfer_resonance
+from shaker.identification.measured import MeasuredCurve
+from shaker.identification.oscillator import Kind, Resonance, fit_resonance
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -120,7 +121,7 @@ def bound_of(kind: Kind, frequency: NDArray[Any], truth: ComplexArray, variance:
     """Return the Cramér-Rao bound of f0 and damping from lines inside the fitted band; gain and phase are unknown."""
     inside = (frequency >= FIT_HZ[0]) & (frequency <= FIT_HZ[1])
     covariance = variance[inside, None, None] * np.eye(2)
-    fit = fit_resonance(frequency[inside], truth[inside], covariance, kind)
+    fit = fit_resonance(MeasuredCurve(frequency[inside], truth[inside], covariance), kind)
     return np.array([fit.u("frequency_hz"), fit.u("damping_ratio")])
 
 
@@ -207,7 +208,7 @@ def peer_results(kind: Kind, peer: Peer) -> FloatArray:
     stated = np.abs(ratio) ** 2 * missing / (2.0 * peer.averages * np.clip(coherence, 1e-15, 1.0))
     found = []
     for variance in (np.full(len(ratio), np.mean(np.abs(ratio) ** 2)), stated):
-        fit = fit_resonance(frequency, ratio, variance[:, None, None] * np.eye(2), kind)
+        fit = fit_resonance(MeasuredCurve(frequency, ratio, variance[:, None, None] * np.eye(2)), kind)
         # The textbook correction for a window on the response alone.
         found.append([fit.frequency_hz, fit.damping_ratio - peer.decay_per_s / (2.0 * np.pi * fit.frequency_hz)])
     magnitude = np.abs(ratio)
@@ -242,7 +243,7 @@ def run(case: Case, seed: int) -> Trial:
 
     record = case.make(np.random.default_rng(seed))
     found = case.estimate(record)
-    fit: Resonance = fit_transfer_resonance(found, "top", case.kind, FIT_HZ)
+    fit: Resonance = fit_resonance(MeasuredCurve.of(found, "top", FIT_HZ), case.kind)
     part = found.between(FIT_HZ).ratio
     error = part.value[:, 0] - response(case.kind, part.frequency_hz, found.added_decay_per_s)
     both = np.stack([error.real, error.imag], axis=1)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, check_shape
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape
+from shaker.frf.result import TransferFunction
 from shaker.sine.phasor import Phasors
 
 AT_THE_BASE = -1
@@ -174,6 +175,80 @@ class NamedUnknown:
     name: str
     estimate: float
     remaining: float
+
+
+@dataclass(frozen=True)
+class MeasuredCurve:
+    """H `value` (K,) at ascending `frequency_hz` (K,), `covariance` (K, 2, 2) of [Re, Im], the noise of each line.
+
+    `line_correlation` (D,): correlation of the errors of lines 0, 1, 2 … apart, as in `TransferFunction`;
+    `added_decay_per_s`: the a of an exponential window, s = a + jω. `dof` (K,): degrees of freedom behind the
+    covariance where it was estimated, None where it is known.
+    """
+
+    frequency_hz: FloatArray
+    value: ComplexArray
+    covariance: FloatArray
+    line_correlation: ComplexArray | None = None
+    added_decay_per_s: float = 0.0
+    dof: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        check_shape("frequency_hz", self.frequency_hz, (None,))
+        check_shape("value", self.value, self.frequency_hz.shape)
+        check_shape("covariance", self.covariance, (*self.frequency_hz.shape, 2, 2))
+        if self.dof is not None:
+            check_shape("dof", self.dof, self.frequency_hz.shape)
+        if not (self.frequency_hz[0] > 0.0 and np.all(np.diff(self.frequency_hz) > 0.0)):
+            raise ValueError("frequency_hz: expected ascending positive frequencies, found others")
+        if not (np.all(np.isfinite(self.value)) and np.all(np.abs(self.value) > 0.0)):
+            raise ValueError("value: expected finite numbers other than zero, found others")
+        c = self.covariance
+        if not (np.all(c[:, 0, 0] > 0.0) and np.all(c[:, 0, 0] * c[:, 1, 1] > c[:, 0, 1] * c[:, 1, 0])):
+            raise ValueError("covariance: expected positive definite matrices (K, 2, 2), found others")
+
+    @staticmethod
+    def of(transfer: TransferFunction, channel: str, band_hz: tuple[float, float]) -> MeasuredCurve:
+        """Return one response of a transfer function between two frequencies."""
+        part = transfer.between(band_hz)
+        ratio = part.ratio.select([channel])
+        return MeasuredCurve(
+            ratio.frequency_hz,
+            ratio.value[:, 0],
+            ratio.covariance,
+            part.line_correlation,
+            part.added_decay_per_s,
+            ratio.dof,
+        )
+
+    def at_lines(self, lines: BoolArray) -> MeasuredCurve:
+        """Return the lines chosen by a mask (K,)."""
+        return replace(
+            self,
+            frequency_hz=self.frequency_hz[lines],
+            value=self.value[lines],
+            covariance=self.covariance[lines],
+            dof=None if self.dof is None else self.dof[lines],
+        )
+
+    @property
+    def spacing_hz(self) -> float:
+        """Return the distance of neighbouring lines."""
+        return float(np.min(np.diff(self.frequency_hz)))
+
+    def variance_along(self, direction: ComplexArray) -> FloatArray:
+        """Return the variance (K,) of Re{conj(d)·δH} for a direction d (K,) in the complex plane."""
+        re, im, c = direction.real, direction.imag, self.covariance
+        return np.asarray(re * re * c[:, 0, 0] + 2.0 * re * im * c[:, 0, 1] + im * im * c[:, 1, 1])
+
+    def propagated(self, gradient: ComplexArray) -> FloatArray:
+        """Return the covariance (P, P) of numbers y with δy = Σₖ Re{conj(g)·δH}, `gradient` g (P, K)."""
+        first = np.sqrt(self.covariance[:, 0, 0])
+        second = self.covariance[:, 0, 1] / first
+        rest = np.sqrt(self.covariance[:, 1, 1] - second**2)
+        white = gradient.real * first + gradient.imag * (second + 1j * rest)
+        spread = (white.conj() @ white.T).real
+        return np.asarray(spread + between_lines(self.frequency_hz, white.T, self.line_correlation))
 
 
 # The noise of measured lines: whitened, correlated between lines, as stated from scatter and as residuals show it.

@@ -9,8 +9,14 @@ import numpy as np
 
 from shaker.arrays import ComplexArray, FloatArray, IntArray, check_shape
 from shaker.fitting import Block, Rules, Separable, eliminate, levenberg_marquardt
-from shaker.frf.result import TransferFunction
-from shaker.identification.measured import CurveResidual, SeenNoise, between_lines, seen_noise, whitening_of
+from shaker.identification.measured import (
+    CurveResidual,
+    MeasuredCurve,
+    SeenNoise,
+    between_lines,
+    seen_noise,
+    whitening_of,
+)
 from shaker.mechanics import laplace
 
 Kind = Literal["transmissibility", "receptance", "mobility", "accelerance"]
@@ -76,41 +82,20 @@ class Resonance:
         return self.frequency_hz * float(low), self.frequency_hz * float(high)
 
 
-def fit_resonance(
-    frequency_hz: FloatArray,
-    value: ComplexArray,
-    covariance: FloatArray,
-    kind: Kind,
-    *,
-    delay: bool = False,
-    residual_terms: bool = False,
-    added_decay_per_s: float = 0.0,
-    line_correlation: ComplexArray | None = None,
-    covariance_dof: FloatArray | None = None,
-) -> Resonance:
-    """Fit one resonance to H `value` (K,) at `frequency_hz` (K,) with `covariance` (K, 2, 2) of [Re, Im].
+def fit_resonance(curve: MeasuredCurve, kind: Kind, *, delay: bool = False, residual_terms: bool = False) -> Resonance:
+    """Fit one resonance to a measured curve (K lines).
 
     With p = s/ω₀, s = a + jω and D = 1 + 2ζp + p²: transmissibility G·(1 + 2ζp)/D (base excitation), receptance G/D,
     mobility G·s/D, accelerance G·s²/D, so that G = 1/k of an oscillator driven by a force; `residual_terms` adds
-    R₋/s² + R₊ to 1/D's place, `delay` a factor exp(-sτ). `added_decay_per_s` is the a of an exponential window.
-    Start: linear rational fit (Levy 1959) with the weights of Sanathanan and Koerner (IEEE Trans. Autom. Control 8,
-    1963). Then Levenberg-Marquardt on the residuals whitened by their covariance. `line_correlation` (D,), that of the
-    errors of lines 0, 1, 2 … apart (see `TransferFunction`), enters the covariance of the result. `covariance_dof`
-    (K,): degrees of freedom behind `covariance` where it was estimated, so that lines weigh by it and by their
-    residuals together (see `seen_noise`).
+    R₋/s² + R₊ to 1/D's place, `delay` a factor exp(-sτ). Start: linear rational fit (Levy 1959) with the weights of
+    Sanathanan and Koerner (IEEE Trans. Autom. Control 8, 1963). Then least squares of the residuals whitened by their
+    covariance; where that has few degrees of freedom, lines weigh by it and by their residuals together (see
+    `seen_noise`). Correlation between lines enters the covariance of the result.
     """
-    frequency, value = np.asarray(frequency_hz, dtype=np.float64), np.asarray(value, dtype=np.complex128)
-    check_shape("frequency_hz", frequency, (None,))
-    check_shape("value", value, frequency.shape)
-    check_shape("covariance", covariance, (*frequency.shape, 2, 2))
     names = _names(delay, residual_terms)
-    if 2 * len(frequency) <= len(names):
-        raise ValueError(f"frequency_hz: expected more than {len(names) // 2} lines, found {len(frequency)}")
-    behind = np.full(len(frequency), np.inf) if covariance_dof is None else np.asarray(covariance_dof, np.float64)
-    check_shape("covariance_dof", behind, frequency.shape)
-    s = laplace(frequency, added_decay_per_s)
-    vector, jacobian, noise = _weighed(kind, names, s, value, whitening_of(covariance), behind)
-    covariance = _parameter_covariance(frequency, jacobian, line_correlation)
+    if 2 * len(curve.frequency_hz) <= len(names):
+        raise ValueError(f"frequency_hz: expected more than {len(names) // 2} lines, found {len(curve.frequency_hz)}")
+    vector, jacobian, noise = _weighed(curve, kind, names)
     fitted = dict(zip(names, vector.tolist(), strict=True))
     low, high = (complex(fitted.get(f"{n}_re", 0.0), fitted.get(f"{n}_im", 0.0)) for n in ("mass_line", "constant"))
     return Resonance(
@@ -121,34 +106,9 @@ def fit_resonance(
         delay_s=fitted.get("delay_s", 0.0),
         residual=np.array([low, high]),
         parameters=names,
-        covariance=covariance,
+        covariance=_parameter_covariance(curve, jacobian),
         chi_squared=noise.chi_squared / noise.expected,
         dof=noise.dof,
-    )
-
-
-def fit_transfer_resonance(
-    transfer: TransferFunction,
-    channel: str,
-    kind: Kind,
-    band_hz: tuple[float, float],
-    *,
-    delay: bool = False,
-    residual_terms: bool = False,
-) -> Resonance:
-    """Fit one resonance to one response of a transfer function between two frequencies, as `fit_resonance` does."""
-    part = transfer.between(band_hz)
-    ratio = part.ratio.select([channel])
-    return fit_resonance(
-        ratio.frequency_hz,
-        ratio.value[:, 0],
-        ratio.covariance,
-        kind,
-        delay=delay,
-        residual_terms=residual_terms,
-        added_decay_per_s=part.added_decay_per_s,
-        line_correlation=part.line_correlation,
-        covariance_dof=ratio.dof,
     )
 
 
@@ -219,14 +179,14 @@ def _start(
     return vector
 
 
-def _weighed(
-    kind: Kind, names: tuple[str, ...], s: ComplexArray, value: ComplexArray, whitening: FloatArray, dof: FloatArray
-) -> tuple[FloatArray, FloatArray, SeenNoise]:
+def _weighed(curve: MeasuredCurve, kind: Kind, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray, SeenNoise]:
     """Return the parameters, the derivatives (K, 2, P) whitened by the noise seen in the lines, and that noise."""
-    vector, factor = _start(kind, names, s, value, whitening), np.ones(len(s))
+    s, whitening = laplace(curve.frequency_hz, curve.added_decay_per_s), whitening_of(curve.covariance)
+    dof = np.full(len(s), np.inf) if curve.dof is None else curve.dof
+    vector, factor = _start(kind, names, s, curve.value, whitening), np.ones(len(s))
     for _ in range(1 + _NOISE_ROUNDS):
         weighed = whitening / np.sqrt(factor)[:, None, None]
-        vector, residual, jacobian = _adjusted(kind, names, s, value, weighed, vector)
+        vector, residual, jacobian = _adjusted(kind, names, s, curve.value, weighed, vector)
         length = np.sum(residual**2, axis=1) * factor
         noise = seen_noise([CurveResidual(length, dof, residual.shape[1])], float(len(names)))
         before, factor = factor, noise.lines[0]
@@ -270,14 +230,12 @@ def _adjusted(
     return vector, _real(whitening, (value - model)[:, None])[:, :, 0], _real(whitening, derivative)
 
 
-def _parameter_covariance(
-    frequency_hz: FloatArray, jacobian: FloatArray, line_correlation: ComplexArray | None
-) -> FloatArray:
+def _parameter_covariance(curve: MeasuredCurve, jacobian: FloatArray) -> FloatArray:
     """Return (JᵀJ)⁻¹ of whitened derivatives (K, 2, P), or the sandwich (JᵀJ)⁻¹ JᵀRJ (JᵀJ)⁻¹ of correlated lines."""
     flat = jacobian.reshape(-1, jacobian.shape[-1])
     scale = np.linalg.norm(flat, axis=0)
     root = np.linalg.inv(np.linalg.qr(flat / scale, mode="r"))
     inverse = root @ root.T
     columns = (jacobian[:, 0] + 1j * jacobian[:, 1]) / scale
-    inverse = inverse + inverse @ between_lines(frequency_hz, columns, line_correlation) @ inverse
+    inverse = inverse + inverse @ between_lines(curve.frequency_hz, columns, curve.line_correlation) @ inverse
     return np.asarray(0.5 * (inverse + inverse.T) / np.multiply.outer(scale, scale))

@@ -7,66 +7,10 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape
-
-# A measured complex curve with its noise, and what that noise does to any number read from the curve.
-
-
-@dataclass(frozen=True)
-class NoisyCurve:
-    """H `value` (K,) at ascending `frequency_hz` (K,), `covariance` (K, 2, 2) of [Re, Im], the noise of each line.
-
-    `line_correlation` (D,): correlation of the errors of lines 0, 1, 2 … apart, as in `TransferFunction`.
-    """
-
-    frequency_hz: FloatArray
-    value: ComplexArray
-    covariance: FloatArray
-    line_correlation: ComplexArray | None = None
-
-    def __post_init__(self) -> None:
-        check_shape("frequency_hz", self.frequency_hz, (None,))
-        check_shape("value", self.value, self.frequency_hz.shape)
-        check_shape("covariance", self.covariance, (*self.frequency_hz.shape, 2, 2))
-        if not (self.frequency_hz[0] > 0.0 and np.all(np.diff(self.frequency_hz) > 0.0)):
-            raise ValueError("frequency_hz: expected ascending positive frequencies, found others")
-        if not (np.all(np.isfinite(self.value)) and np.all(np.abs(self.value) > 0.0)):
-            raise ValueError("value: expected finite numbers other than zero, found others")
-        c = self.covariance
-        if not (np.all(c[:, 0, 0] > 0.0) and np.all(c[:, 0, 0] * c[:, 1, 1] > c[:, 0, 1] * c[:, 1, 0])):
-            raise ValueError("covariance: expected positive definite matrices (K, 2, 2), found others")
-
-    @property
-    def spacing_hz(self) -> float:
-        """Return the distance of neighbouring lines."""
-        return float(np.min(np.diff(self.frequency_hz)))
-
-    def variance_along(self, direction: ComplexArray) -> FloatArray:
-        """Return the variance (K,) of Re{conj(d)·δH} for a direction d (K,) in the complex plane."""
-        re, im, c = direction.real, direction.imag, self.covariance
-        return np.asarray(re * re * c[:, 0, 0] + 2.0 * re * im * c[:, 0, 1] + im * im * c[:, 1, 1])
-
-    def propagated(self, gradient: ComplexArray) -> FloatArray:
-        """Return the covariance (P, P) of numbers y with δy = Σₖ Re{conj(g)·δH}, `gradient` g (P, K)."""
-        first = np.sqrt(self.covariance[:, 0, 0])
-        second = self.covariance[:, 0, 1] / first
-        rest = np.sqrt(self.covariance[:, 1, 1] - second**2)
-        white = gradient.real * first + gradient.imag * (second + 1j * rest)
-        if self.line_correlation is None or len(self.line_correlation) < 2:
-            return np.asarray((white.conj() @ white.T).real)
-        place = np.round((self.frequency_hz - self.frequency_hz[0]) / self.spacing_hz).astype(np.int64)
-        length = place[-1] + 1
-        grid = np.zeros((length + len(self.line_correlation), len(gradient)), dtype=np.complex128)
-        grid[place] = white.T
-        spread = (grid.conj().T @ grid).real
-        for apart, correlation in enumerate(self.line_correlation[1:], start=1):
-            pair = correlation * grid[apart : apart + length].conj().T @ grid[:length]
-            spread += (pair + pair.conj().T).real
-        return np.asarray(spread)
-
+from shaker.arrays import BoolArray, ComplexArray, FloatArray
+from shaker.identification.measured import MeasuredCurve
 
 # The circle that a resonance draws in the complex plane, and the frequency and damping that its angles tell.
-
 
 _CIRCLE_STEPS = 20
 _ANGLE_STEPS = 30
@@ -88,7 +32,7 @@ class CircleFit:
     radius: float
 
 
-def fit_circle(curve: NoisyCurve, frequency_hz: float, damping_ratio: float) -> CircleFit | None:
+def fit_circle(curve: MeasuredCurve, frequency_hz: float, damping_ratio: float) -> CircleFit | None:
     """Return f₀ and ζ of a base-excited oscillator from the angles of its circle, None where no circle is found.
 
     G·(1 + 2jζr)/(1 - r² + 2jζr) times jr/(1 + 2jζr), r = f/f₀, is G/(2ζ + j(r - 1/r)): a circle, whose angle about its
@@ -107,9 +51,11 @@ def fit_circle(curve: NoisyCurve, frequency_hz: float, damping_ratio: float) -> 
     return fit
 
 
-def _fit_once(curve: NoisyCurve, f0: float, zeta: float) -> CircleFit | None:
-    """Return the circle of the lines above half amplitude of a resonance known from before."""
-    part = _around(curve, f0, np.sqrt(3.0) * zeta * f0)
+def _fit_once(curve: MeasuredCurve, f0: float, zeta: float) -> CircleFit | None:
+    """Return the circle of the lines above half amplitude, five at least, of a resonance known from before."""
+    distance = np.abs(curve.frequency_hz - f0)
+    nearest = float(np.sort(distance)[min(_FEWEST_LINES, len(distance)) - 1])
+    part = curve.at_lines(distance <= max(np.sqrt(3.0) * zeta * f0, nearest))
     r = part.frequency_hz / f0
     factor = 1j * r / (1.0 + 2j * zeta * r)
     points = part.value * factor
@@ -117,17 +63,14 @@ def _fit_once(curve: NoisyCurve, f0: float, zeta: float) -> CircleFit | None:
     angles = _angles(points, part, factor, circle[0], (f0, zeta)) if circle is not None else None
     if circle is None or angles is None:
         return None
-    gradient = _gradient(points, circle, angles[1]) * factor.conj()
-    centre = complex(circle[0][0], circle[0][1])
-    return CircleFit(*angles[0], part.propagated(gradient), centre, float(circle[0][2]))
-
-
-def _around(curve: NoisyCurve, frequency_hz: float, reach_hz: float) -> NoisyCurve:
-    """Return the lines nearer to a frequency than `reach_hz`, the nearest five at least."""
-    distance = np.abs(curve.frequency_hz - frequency_hz)
-    reach = max(reach_hz, float(np.sort(distance)[min(_FEWEST_LINES, len(distance)) - 1]))
-    keep = distance <= reach
-    return NoisyCurve(curve.frequency_hz[keep], curve.value[keep], curve.covariance[keep], curve.line_correlation)
+    # f₀ and ζ change with every point by its own angle and by the centre that all points set.
+    (x, y, radius), by_point = circle
+    (f0, zeta), by_angle = angles
+    out = points - complex(x, y)
+    tangent, normal = 1j * out / np.abs(out) ** 2, out / np.abs(out)
+    by_centre = np.stack([by_angle @ tangent.real, by_angle @ tangent.imag], axis=1)
+    gradient = (by_angle * tangent - (by_centre @ by_point[:2]) * normal) * factor.conj()
+    return CircleFit(f0, zeta, part.propagated(gradient), complex(x, y), float(radius))
 
 
 def _taubin(points: ComplexArray) -> FloatArray:
@@ -144,7 +87,9 @@ def _taubin(points: ComplexArray) -> FloatArray:
     return np.array([centre.real, centre.imag, np.sqrt(abs(shift) ** 2 + square.mean())])
 
 
-def _geometric(points: ComplexArray, curve: NoisyCurve, factor: ComplexArray) -> tuple[FloatArray, FloatArray] | None:
+def _geometric(
+    points: ComplexArray, curve: MeasuredCurve, factor: ComplexArray
+) -> tuple[FloatArray, FloatArray] | None:
     """Return the circle (3,) of least weighted distances, and its change (3, K) with the distance of each point."""
     with np.errstate(all="ignore"):
         circle = _taubin(points)
@@ -164,7 +109,7 @@ def _geometric(points: ComplexArray, curve: NoisyCurve, factor: ComplexArray) ->
 
 
 def _angles(
-    points: ComplexArray, curve: NoisyCurve, factor: ComplexArray, circle: FloatArray, start: tuple[float, float]
+    points: ComplexArray, curve: MeasuredCurve, factor: ComplexArray, circle: FloatArray, start: tuple[float, float]
 ) -> tuple[tuple[float, float], FloatArray] | None:
     """Return f₀ and ζ of the angles about the centre, and their change (2, K) with the angle of each point."""
     frequency = curve.frequency_hz
@@ -197,16 +142,7 @@ def _angle_model(frequency_hz: FloatArray, f0: float, zeta: float) -> tuple[Floa
     return np.asarray(2.0 * np.arctan(tangent)), np.stack(columns, axis=1)
 
 
-def _gradient(points: ComplexArray, circle: tuple[FloatArray, FloatArray], by_angle: FloatArray) -> ComplexArray:
-    """Return the change (2, K) of f₀ and ζ with every point, by its own angle and by the centre that all points set."""
-    out = points - complex(circle[0][0], circle[0][1])
-    tangent, normal = 1j * out / np.abs(out) ** 2, out / np.abs(out)
-    by_centre = np.stack([by_angle @ tangent.real, by_angle @ tangent.imag], axis=1)
-    return np.asarray(by_angle * tangent - (by_centre @ circle[1][:2]) * normal)
-
-
 # Where |H| of one resonance is largest and where it has fallen to a given share of that, between the lines.
-
 
 Width = Literal["half_power", "half_amplitude"]
 LEVELS: dict[Width, float] = {"half_power": 2.0, "half_amplitude": 4.0}  # of 1/|H|², relative to the maximum
@@ -237,13 +173,13 @@ class _Parabola:
         return frequency, np.asarray(u_by_line * self.scale / (2.0 * frequency))
 
 
-def _nowhere(curve: NoisyCurve) -> Place:
+def _nowhere(curve: MeasuredCurve) -> Place:
     """Return the place that was not found."""
     nothing = np.full(len(curve.frequency_hz), np.nan)
     return Place(np.nan, np.nan, nothing, nothing)
 
 
-def read_shape(curve: NoisyCurve) -> tuple[Place, dict[Width, tuple[Place, Place]]]:
+def read_shape(curve: MeasuredCurve) -> tuple[Place, dict[Width, tuple[Place, Place]]]:
     """Return the maximum and the crossings below and above it for both widths.
 
     1/|H|² of one base-excited oscillator is a parabola over f², but for a factor 1 + 4ζ²f²/f₀². The maximum is the
@@ -268,9 +204,17 @@ def read_shape(curve: NoisyCurve) -> tuple[Place, dict[Width, tuple[Place, Place
     return top, crossings
 
 
-def _first_look(curve: NoisyCurve) -> tuple[float, float, float]:
-    """Return the line of the maximum and where the lines next to it first fall below 1/√2 of it, mirrored if absent."""
-    power = _smoothed_power(curve)
+def _first_look(curve: MeasuredCurve) -> tuple[float, float, float]:
+    """Return the line of the maximum and where the lines next to it first fall below 1/√2 of it, mirrored if absent.
+
+    |H|² is averaged over as many lines as make 3 % of its noise at the maximum, a twentieth at most.
+    """
+    magnitude = np.abs(curve.value)
+    peak = int(np.argmax(magnitude))
+    noise = 2.0 * np.sqrt(np.trace(curve.covariance[peak]) / 2.0) / magnitude[peak]
+    window = np.ones(int(np.clip(np.ceil((noise / 0.03) ** 2), 1, max(1, len(magnitude) // 20))))
+    counted = np.convolve(np.ones(len(magnitude)), window, mode="same")
+    power = np.convolve(magnitude**2, window, mode="same") / counted
     peak = int(np.argmax(power))
     at = float(curve.frequency_hz[peak])
     below = np.flatnonzero(power < 0.5 * power[peak])
@@ -281,18 +225,7 @@ def _first_look(curve: NoisyCurve) -> tuple[float, float, float]:
     return at, at - nearest, at + nearest
 
 
-def _smoothed_power(curve: NoisyCurve) -> FloatArray:
-    """Return |H|² (K,) averaged over as many lines as make 3 % of its noise at the maximum, a twentieth at most."""
-    magnitude = np.abs(curve.value)
-    peak = int(np.argmax(magnitude))
-    noise = 2.0 * np.sqrt(np.trace(curve.covariance[peak]) / 2.0) / magnitude[peak]
-    length = int(np.clip(np.ceil((noise / 0.03) ** 2), 1, max(1, len(magnitude) // 20)))
-    window = np.ones(length)
-    total = np.convolve(magnitude**2, window, mode="same")
-    return np.asarray(total / np.convolve(np.ones(len(magnitude)), window, mode="same"))
-
-
-def _parabola(curve: NoisyCurve, frequency_hz: float, reach_hz: float, fewest: int) -> _Parabola:
+def _parabola(curve: MeasuredCurve, frequency_hz: float, reach_hz: float, fewest: int) -> _Parabola:
     """Fit 1/|H|² by a weighted parabola over f² to the lines within reach of a frequency, the nearest at least.
 
     Noise of variances σᵣ², σₜ² along and across H makes 1/|H|² too large by (3σᵣ² - σₜ²)/|H|⁴ on average.
@@ -317,7 +250,7 @@ def _parabola(curve: NoisyCurve, frequency_hz: float, reach_hz: float, fewest: i
     return _Parabola(centre, scale, coefficients, by_line)
 
 
-def _top(curve: NoisyCurve, frequency_hz: float, reach_hz: float) -> Place:
+def _top(curve: MeasuredCurve, frequency_hz: float, reach_hz: float) -> Place:
     """Return the vertex of the parabola of the lines around a maximum."""
     parabola = _parabola(curve, frequency_hz, reach_hz, 3)
     c0, c1, c2 = parabola.coefficients
@@ -330,7 +263,7 @@ def _top(curve: NoisyCurve, frequency_hz: float, reach_hz: float) -> Place:
     return Place(frequency, float(inverse), by_line, np.array([1.0, u, u * u]) @ parabola.by_line)
 
 
-def _crossing(curve: NoisyCurve, top: Place, level: float, frequency_hz: float, reach_hz: float) -> Place:
+def _crossing(curve: MeasuredCurve, top: Place, level: float, frequency_hz: float, reach_hz: float) -> Place:
     """Return where the parabola of the lines around a flank has `level` times the 1/|H|² of the maximum."""
     if not curve.frequency_hz[0] <= frequency_hz <= curve.frequency_hz[-1]:
         return _nowhere(curve)
@@ -350,14 +283,14 @@ def _crossing(curve: NoisyCurve, top: Place, level: float, frequency_hz: float, 
     return Place(frequency, target, by_line, level * top.inverse_by_line)
 
 
-def uncertainties(curve: NoisyCurve, *by_inverse: FloatArray) -> FloatArray:
+def uncertainties(curve: MeasuredCurve, *by_inverse: FloatArray) -> FloatArray:
     """Return standard uncertainties (P,) of numbers with these gradients (K,) by 1/|H|² of every line."""
     square = np.abs(curve.value) ** 2
     gradient = np.stack(by_inverse) * (-2.0 * curve.value / square**2)
     return np.asarray(np.sqrt(np.diag(curve.propagated(gradient))))
 
 
-def wandering_hz2(curve: NoisyCurve, top: Place, width_hz: float) -> float:
+def wandering_hz2(curve: MeasuredCurve, top: Place, width_hz: float) -> float:
     """Return the variance of the line of the largest |H| that comes from noise: which line wins, all equally spaced.
 
     The lines above half power are independent and normal about |H| of the oscillator; each wins with the probability
@@ -378,9 +311,9 @@ def wandering_hz2(curve: NoisyCurve, top: Place, width_hz: float) -> float:
     return float(chance @ (frequency - chance @ frequency) ** 2)
 
 
-# Readings of one resonance from a transfer function, without a model fit: maximum, widths, Nyquist circle.
+# The readings together.
 
-
+_NOT_BELOW = "|H| does not fall to {} of its maximum on both sides inside the band"
 _RESOLVED_LINES = 4.0  # in the half-power width, below which a width read from the lines is not to be trusted
 
 
@@ -430,30 +363,31 @@ class PeakReadings:
         return self.maximum_bin, self.maximum, self.half_power, self.half_amplitude, self.circle
 
 
-def peak_readings(
-    frequency_hz: FloatArray,
-    value: ComplexArray,
-    covariance: FloatArray,
-    *,
-    line_correlation: ComplexArray | None = None,
-) -> PeakReadings:
+def peak_readings(curve: MeasuredCurve) -> PeakReadings:
     """Read the highest resonance of H = motion of a mass over that of its base.
 
-    `value` (K,) at ascending `frequency_hz` (K,), `covariance` (K, 2, 2) of [Re, Im], `line_correlation` (D,) as in
-    `TransferFunction`. All but `maximum_bin` are free of bias by the line spacing.
+    All but `maximum_bin` are free of bias by the line spacing.
     """
-    curve = NoisyCurve(frequency_hz, np.asarray(value, dtype=np.complex128), covariance, line_correlation)
     if len(curve.frequency_hz) < _FEWEST_LINES:
         raise ValueError(f"frequency_hz: expected at least {_FEWEST_LINES} lines, found {len(curve.frequency_hz)}")
     top, crossings = read_shape(curve)
     low, high = crossings["half_power"]
-    lines = (high.frequency_hz - low.frequency_hz) / curve.spacing_hz
-    half_power = _half_power(curve, top, low, high, _width_note(lines))
+    width = high.frequency_hz - low.frequency_hz
+    lines, note = width / curve.spacing_hz, ""
+    if lines < _RESOLVED_LINES:
+        few = f"{lines:.1f} lines in the half-power width, fewer than {_RESOLVED_LINES:.0f}"
+        note = f"{few}: between them the curve is taken to be that of one oscillator"
+    # The line of the maximum is uncertain by half a spacing and by which line noise lets win.
+    line_hz = float(curve.frequency_hz[np.argmax(np.abs(curve.value))])
+    wandering = wandering_hz2(curve, top, width) if np.isfinite(width) else np.nan
+    u_line = float(np.sqrt(curve.spacing_hz**2 / 12.0 + wandering))
+    between = "" if np.isfinite(top.frequency_hz) else "no maximum between the lines of this band"
+    half_power = _half_power(curve, top, low, high, note)
     return PeakReadings(
-        maximum_bin=_bin(curve, top, high.frequency_hz - low.frequency_hz),
-        maximum=_maximum(curve, top),
+        maximum_bin=_without_width("maximum_bin", line_hz, u_line, ""),
+        maximum=_without_width("maximum", top.frequency_hz, float(uncertainties(curve, top.by_line)[0]), between),
         half_power=half_power,
-        half_amplitude=_half_amplitude(curve, top, *crossings["half_amplitude"], _width_note(lines)),
+        half_amplitude=_half_amplitude(curve, top, *crossings["half_amplitude"], note),
         circle=_circle(curve, half_power),
         lines_in_width=float(lines),
     )
@@ -471,38 +405,16 @@ def transmissibility_levels(damping_ratio: float, level: float = 2.0) -> tuple[f
     return float(np.sqrt(highest)), float(np.sqrt(max(0.0, middle - root))), float(np.sqrt(middle + root))
 
 
-def _width_note(lines: float) -> str:
-    """Return the note on a width that the line spacing does not resolve."""
-    if not np.isfinite(lines) or lines >= _RESOLVED_LINES:
-        return ""
-    few = f"{lines:.1f} lines in the half-power width, fewer than {_RESOLVED_LINES:.0f}"
-    return f"{few}: between them the curve is taken to be that of one oscillator"
-
-
-def _bin(curve: NoisyCurve, top: Place, width_hz: float) -> PeakReading:
-    """Return the line of the maximum, uncertain by half a spacing and by which line noise lets win."""
-    frequency = float(curve.frequency_hz[np.argmax(np.abs(curve.value))])
-    noise = wandering_hz2(curve, top, width_hz) if np.isfinite(width_hz) else np.nan
-    return _without_width("maximum_bin", frequency, float(np.sqrt(curve.spacing_hz**2 / 12.0 + noise)), "")
-
-
-def _maximum(curve: NoisyCurve, top: Place) -> PeakReading:
-    """Return the vertex between the lines."""
-    note = "" if np.isfinite(top.frequency_hz) else "no maximum between the lines of this band"
-    u = float(uncertainties(curve, top.by_line)[0])
-    return _without_width("maximum", top.frequency_hz, u, note)
-
-
 def _without_width(method: str, frequency_hz: float, u_hz: float, note: str) -> PeakReading:
     """Return a reading of the frequency alone."""
-    return PeakReading(method, frequency_hz, u_hz, np.nan, np.nan, np.nan, np.nan, note)
+    return PeakReading(method, frequency_hz, u_hz, *(np.nan,) * 4, note)
 
 
-def _half_power(curve: NoisyCurve, top: Place, low: Place, high: Place, note: str) -> PeakReading:
+def _half_power(curve: MeasuredCurve, top: Place, low: Place, high: Place, note: str) -> PeakReading:
     """Return the f₀ and ζ of which the oscillator has its maximum and its half-power points where they were read."""
     width = high.frequency_hz - low.frequency_hz
     if not np.isfinite(width):
-        return _unread("half_power")
+        return PeakReading("half_power", *(np.nan,) * 6, _NOT_BELOW.format("1/√2"))
     zeta = 0.5 * width / top.frequency_hz
     for _ in range(20):
         highest, below, above = transmissibility_levels(zeta)
@@ -512,33 +424,24 @@ def _half_power(curve: NoisyCurve, top: Place, low: Place, high: Place, note: st
     by_width = high.by_line - low.by_line
     by_f0 = 0.5 * f0 * (low.by_line / low.frequency_hz + high.by_line / high.frequency_hz)
     by_zeta = zeta * (by_width / width - top.by_line / top.frequency_hz)
-    u = uncertainties(curve, by_f0, by_width, by_zeta)
-    return PeakReading("half_power", f0, float(u[0]), width, float(u[1]), float(zeta), float(u[2]), note)
+    u_f0, u_width, u_zeta = uncertainties(curve, by_f0, by_width, by_zeta).tolist()
+    return PeakReading("half_power", f0, u_f0, width, u_width, float(zeta), u_zeta, note)
 
 
-def _half_amplitude(curve: NoisyCurve, top: Place, low: Place, high: Place, note: str) -> PeakReading:
+def _half_amplitude(curve: MeasuredCurve, top: Place, low: Place, high: Place, note: str) -> PeakReading:
     """Return equation 10 with the width at half the maximum, without the √3 that this width is wider."""
     width = high.frequency_hz - low.frequency_hz
     if not np.isfinite(width):
-        return _unread("half_amplitude")
+        return PeakReading("half_amplitude", *(np.nan,) * 6, _NOT_BELOW.format("1/2"))
     by_width = high.by_line - low.by_line
     zeta = 0.5 * width / top.frequency_hz
     by_zeta = zeta * (by_width / width - top.by_line / top.frequency_hz)
-    u = uncertainties(curve, top.by_line, by_width, by_zeta)
-    told = "damping overstated by √3" + (f"; {note}" if note else "")
-    return PeakReading(
-        "half_amplitude", top.frequency_hz, float(u[0]), width, float(u[1]), float(zeta), float(u[2]), told
-    )
+    u_f0, u_width, u_zeta = uncertainties(curve, top.by_line, by_width, by_zeta).tolist()
+    note = "damping overstated by √3" + (f"; {note}" if note else "")
+    return PeakReading("half_amplitude", top.frequency_hz, u_f0, width, u_width, float(zeta), u_zeta, note)
 
 
-def _unread(method: str) -> PeakReading:
-    """Return the reading of a peak that does not fall far enough inside the band."""
-    level = "1/√2" if method == "half_power" else "1/2"
-    nothing = (np.nan,) * 6
-    return PeakReading(method, *nothing, f"|H| does not fall to {level} of its maximum on both sides inside the band")
-
-
-def _circle(curve: NoisyCurve, start: PeakReading) -> PeakReading:
+def _circle(curve: MeasuredCurve, start: PeakReading) -> PeakReading:
     """Return f₀ and ζ of the angles of the Nyquist circle, started where the half-power reading stands."""
     fit = fit_circle(curve, start.frequency_hz, start.damping_ratio) if np.isfinite(start.damping_ratio) else None
     if fit is None:

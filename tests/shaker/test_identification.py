@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from identification_factory import ALONG_Z, FloatArray, oscillator, recording, rigid_mass
 
 from shaker.identification.fit import Identification, identify
-from shaker.identification.measured import InertiaError, MeasuredTransfer, Placement, RelativeError
+from shaker.identification.measured import InertiaError, MeasuredCurve, MeasuredTransfer, Placement, RelativeError
 from shaker.identification.oscillator import fit_resonance
 from shaker.identification.structures import Suspension
 from shaker.mechanics import Mechanics, poles, respond
@@ -123,7 +123,7 @@ def test_one_recording_agrees_with_the_fit_of_one_resonance() -> None:
     bare = recording("bare", record.ratio.frequency_hz, record.ratio.value, record.mass_matrix, ALONG_Z, noise=0.05)
     found = identify([bare], VERTICAL, known={"internal_mass": (MI, 0.0)}, gain=["top 1"])
     fit = fit_resonance(
-        record.ratio.frequency_hz, record.ratio.value[:, 0], record.ratio.covariance, "transmissibility"
+        MeasuredCurve(record.ratio.frequency_hz, record.ratio.value[:, 0], record.ratio.covariance), "transmissibility"
     )
     (mode,), (factor,) = found.modes, found.factors
     assert mode.frequency_hz == pytest.approx(fit.frequency_hz, abs=5e-3 * fit.u("frequency_hz"))

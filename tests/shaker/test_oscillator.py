@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from shaker.identification.measured import MeasuredCurve
 from shaker.identification.oscillator import Kind, Resonance, fit_resonance
 
 FloatArray = NDArray[np.float64]
@@ -48,7 +49,7 @@ def test_parameters_come_back_from_a_curve_without_noise(
 ) -> None:
     gain = complex(magnitude * np.exp(1j * phase))
     value = curve(kind, f0, zeta, gain, decay + 2j * np.pi * FREQUENCY)
-    fit = fit_resonance(FREQUENCY, value, even(value, 1e-6), kind, added_decay_per_s=decay)
+    fit = fit_resonance(MeasuredCurve(FREQUENCY, value, even(value, 1e-6), added_decay_per_s=decay), kind)
     assert fit.frequency_hz == pytest.approx(f0, rel=1e-8)
     assert fit.damping_ratio == pytest.approx(zeta, rel=1e-6)
     assert fit.gain == pytest.approx(gain, rel=1e-6)
@@ -59,7 +60,9 @@ def test_parameters_come_back_from_a_curve_without_noise(
 def test_delay_and_the_rest_of_the_structure_come_back() -> None:
     s = 2j * np.pi * FREQUENCY
     value = (curve("accelerance", 1477.35, 0.0076, 1e-8, s) + s**2 * (0.04 / s**2 + 3e-9)) * np.exp(-s * 2e-5)
-    fit = fit_resonance(FREQUENCY, value, even(value, 1e-6), "accelerance", delay=True, residual_terms=True)
+    fit = fit_resonance(
+        MeasuredCurve(FREQUENCY, value, even(value, 1e-6)), "accelerance", delay=True, residual_terms=True
+    )
     assert fit.frequency_hz == pytest.approx(1477.35, rel=1e-7)
     assert fit.damping_ratio == pytest.approx(0.0076, rel=1e-5)
     np.testing.assert_allclose(fit.model(FREQUENCY), value, rtol=1e-6)
@@ -95,7 +98,7 @@ def test_errors_are_those_of_the_bound_and_intervals_hold() -> None:
     rng = np.random.default_rng(11)
     lengths, chi = [], []
     for _ in range(200):
-        fit = fit_resonance(FREQUENCY, value + noise(covariance, rng), covariance, "transmissibility")
+        fit = fit_resonance(MeasuredCurve(FREQUENCY, value + noise(covariance, rng), covariance), "transmissibility")
         error = np.array([fit.frequency_hz, fit.damping_ratio, fit.gain.real, fit.gain.imag]) - truth
         lengths.append(error @ np.linalg.solve(bound, error))
         chi.append(fit.chi_squared)
@@ -118,7 +121,9 @@ def test_correlated_lines_widen_the_uncertainty_as_they_widen_the_scatter() -> N
     error, u = [], 0.0
     for _ in range(150):
         draw = root @ (rng.standard_normal(len(value)) + 1j * rng.standard_normal(len(value)))
-        fit = fit_resonance(FREQUENCY, value + size * draw, covariance, "receptance", line_correlation=kernel + 0j)
+        fit = fit_resonance(
+            MeasuredCurve(FREQUENCY, value + size * draw, covariance, line_correlation=kernel + 0j), "receptance"
+        )
         error.append(fit.frequency_hz - 1477.35)
         u = fit.u("frequency_hz")
     assert np.std(error) == pytest.approx(u, rel=0.2)
@@ -127,8 +132,8 @@ def test_correlated_lines_widen_the_uncertainty_as_they_widen_the_scatter() -> N
 def test_a_misfit_enlarges_the_uncertainty() -> None:
     value = curve("receptance", 1477.35, 0.0076, 1.0, 2j * np.pi * FREQUENCY)
     two = value + curve("receptance", 1560.0, 0.01, 0.1, 2j * np.pi * FREQUENCY)
-    good = fit_resonance(FREQUENCY, value, even(value, 1e-4), "receptance")
-    bad = fit_resonance(FREQUENCY, two, even(value, 1e-4), "receptance")
+    good = fit_resonance(MeasuredCurve(FREQUENCY, value, even(value, 1e-4)), "receptance")
+    bad = fit_resonance(MeasuredCurve(FREQUENCY, two, even(value, 1e-4)), "receptance")
     assert bad.chi_squared > 100.0 * bad.dof
     assert bad.u("frequency_hz") > 10.0 * good.u("frequency_hz")
 
@@ -136,11 +141,11 @@ def test_a_misfit_enlarges_the_uncertainty() -> None:
 def test_what_cannot_be_fitted_is_refused_with_a_reason() -> None:
     value = curve("receptance", 1477.35, 0.0076, 1.0, 2j * np.pi * FREQUENCY)
     with pytest.raises(ValueError, match="more than 2 lines"):
-        fit_resonance(FREQUENCY[:2], value[:2], even(value[:2], 1e-3), "receptance")
+        fit_resonance(MeasuredCurve(FREQUENCY[:2], value[:2], even(value[:2], 1e-3)), "receptance")
     with pytest.raises(ValueError, match="covariance: expected positive definite"):
-        fit_resonance(FREQUENCY, value, 0.0 * even(value, 1e-3), "receptance")
+        fit_resonance(MeasuredCurve(FREQUENCY, value, 0.0 * even(value, 1e-3)), "receptance")
     with pytest.raises(ValueError, match="covariance"):
-        fit_resonance(FREQUENCY, value, np.zeros((3, 2, 2)), "receptance")
+        fit_resonance(MeasuredCurve(FREQUENCY, value, np.zeros((3, 2, 2))), "receptance")
 
 
 @pytest.mark.slow
@@ -156,7 +161,7 @@ def test_intervals_hold_also_where_covariances_come_from_few_periods(periods: in
         value = curve("transmissibility", 1477.35, zeta, 1.0, 2j * np.pi * frequency)
         true = (0.02 * (0.3 * np.abs(value).max() + np.abs(value)))[:, None, None] ** 2 * np.eye(2)
         seen = true * (rng.chisquare(dof) / dof)[:, None, None]
-        fit = fit_resonance(frequency, value + noise(true, rng), seen, "transmissibility", covariance_dof=dof)
+        fit = fit_resonance(MeasuredCurve(frequency, value + noise(true, rng), seen, dof=dof), "transmissibility")
         held.append(abs(fit.frequency_hz - 1477.35) < 2.0 * fit.u("frequency_hz"))
         held.append(abs(fit.damping_ratio - zeta) < 2.0 * fit.u("damping_ratio"))
         chi.append(fit.chi_squared / fit.dof)
@@ -169,10 +174,10 @@ def test_degrees_of_freedom_of_many_periods_change_nothing() -> None:
     value = curve("receptance", 1477.35, 0.0076, 1.0, 2j * np.pi * FREQUENCY)
     covariance = even(value, 1e-2)
     value = value + noise(covariance, np.random.default_rng(2))
-    exact = fit_resonance(FREQUENCY, value, covariance, "receptance")
-    many = fit_resonance(FREQUENCY, value, covariance, "receptance", covariance_dof=np.full(len(value), 1e6))
+    exact = fit_resonance(MeasuredCurve(FREQUENCY, value, covariance), "receptance")
+    many = fit_resonance(MeasuredCurve(FREQUENCY, value, covariance, dof=np.full(len(value), 1e6)), "receptance")
     assert many.frequency_hz == pytest.approx(exact.frequency_hz, abs=1e-3 * exact.u("frequency_hz"))
     assert many.chi_squared == pytest.approx(exact.chi_squared, rel=1e-4)
     np.testing.assert_allclose(many.covariance, exact.covariance, rtol=1e-3, atol=1e-3 * exact.covariance.max())
-    with pytest.raises(ValueError, match="covariance_dof"):
-        fit_resonance(FREQUENCY, value, covariance, "receptance", covariance_dof=np.ones(3))
+    with pytest.raises(ValueError, match="dof"):
+        fit_resonance(MeasuredCurve(FREQUENCY, value, covariance, dof=np.ones(3)), "receptance")

@@ -20,6 +20,7 @@ from published_formulas import (
     width_from_damping,
 )
 
+from shaker.identification.measured import MeasuredCurve
 from shaker.identification.readings import peak_readings
 from shaker.identification.sensor import Chain
 from shaker.mechanics import required_stiffness, shared_spring
@@ -189,7 +190,7 @@ def test_equation_10_on_a_curve(k: float, b: float, mass: float) -> None:
     s = 2j * np.pi * frequency
     value = np.asarray((k + b * s) / (mass * s**2 + b * s + k), dtype=np.complex128)
     covariance = (1e-4 * np.abs(value).max()) ** 2 * np.eye(2) * np.ones((len(s), 1, 1))
-    found = peak_readings(frequency, value, covariance)
+    found = peak_readings(MeasuredCurve(frequency, value, covariance))
     for reading in (found.half_power, found.circle):
         assert damping_from_width(reading.width_hz, mass) == pytest.approx(b, rel=1e-3)
         assert required_stiffness(reading.frequency_hz, mass) == pytest.approx(k, rel=1e-6)

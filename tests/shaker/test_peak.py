@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from published_formulas import damping_from_width, width_from_damping
 from scipy.optimize import brentq, minimize_scalar
 
+from shaker.identification.measured import MeasuredCurve
 from shaker.identification.oscillator import fit_resonance
 from shaker.identification.readings import (
-    NoisyCurve,
     PeakReadings,
     Width,
     fit_circle,
@@ -84,7 +84,7 @@ def test_without_noise_only_the_bin_maximum_depends_on_the_lines(
     zeta = 0.5 / quality
     frequency = lines(F0, zeta, spacing, shift)
     value = transmissibility(frequency, F0, zeta) * magnitude * np.exp(1j * phase)
-    found = peak_readings(frequency, value, flat(value, 1e-6))
+    found = peak_readings(MeasuredCurve(frequency, value, flat(value, 1e-6)))
     top, low, high = transmissibility_levels(zeta)
     assert found.circle.frequency_hz == pytest.approx(F0, rel=1e-9)
     assert found.circle.damping_ratio == pytest.approx(zeta, rel=1e-7)
@@ -118,7 +118,9 @@ def test_the_parabola_of_the_reciprocal_has_no_bias_where_that_of_the_logarithm_
         value = transmissibility(frequency, F0, zeta)
         true = transmissibility_levels(zeta)[0] * F0
         by_logarithm.append(log_parabola(frequency, value) - true)
-        by_reciprocal.append(peak_readings(frequency, value, flat(value, 1e-3)).maximum.frequency_hz - true)
+        by_reciprocal.append(
+            peak_readings(MeasuredCurve(frequency, value, flat(value, 1e-3))).maximum.frequency_hz - true
+        )
     assert np.abs(by_logarithm).max() == pytest.approx(bias_hz, rel=0.05)
     assert np.abs(by_reciprocal).max() < 1e-7 * F0
 
@@ -139,7 +141,7 @@ def test_readings_scatter_as_their_uncertainties_say(quality: float, noise: floa
     scores = []
     for _ in range(trials):
         drawn = clean + u * (rng.standard_normal(len(clean)) + 1j * rng.standard_normal(len(clean)))
-        found = peak_readings(frequency, drawn, covariance)
+        found = peak_readings(MeasuredCurve(frequency, drawn, covariance))
         scores.append(
             [
                 part
@@ -169,7 +171,7 @@ def test_the_line_of_the_maximum_wanders_as_much_as_it_says() -> None:
     readings = []
     for _ in range(trials):
         drawn = clean + u * (rng.standard_normal(len(clean)) + 1j * rng.standard_normal(len(clean)))
-        readings.append(peak_readings(frequency, drawn, covariance).maximum_bin)
+        readings.append(peak_readings(MeasuredCurve(frequency, drawn, covariance)).maximum_bin)
     error = np.array([reading.frequency_hz for reading in readings]) - transmissibility_levels(zeta)[0] * F0
     stated = np.sqrt(np.mean([reading.u_frequency_hz**2 for reading in readings]))
     assert stated > 3.0 * SPACING / np.sqrt(12.0)
@@ -178,7 +180,7 @@ def test_the_line_of_the_maximum_wanders_as_much_as_it_says() -> None:
 
 def test_in_little_noise_the_line_of_the_maximum_is_uncertain_by_half_a_spacing() -> None:
     value = transmissibility(frequency := lines(F0, 1e-3, SPACING), F0, 1e-3)
-    found = peak_readings(frequency, value, flat(value, 1e-6))
+    found = peak_readings(MeasuredCurve(frequency, value, flat(value, 1e-6)))
     assert found.maximum_bin.u_frequency_hz == pytest.approx(SPACING / np.sqrt(12.0), rel=1e-6)
     assert np.isnan(found.maximum_bin.damping_ratio)
 
@@ -197,9 +199,9 @@ def test_correlated_lines_are_less_certain() -> None:
         white = rng.standard_normal((2, len(clean) + 2)) / np.sqrt(1.5)
         smeared = white[:, 1:-1] - 0.5 * (white[:, :-2] + white[:, 2:])
         drawn = clean + u * (smeared[0] + 1j * smeared[1])
-        told.append(peak_readings(frequency, drawn, covariance, line_correlation=correlation).circle)
+        told.append(peak_readings(MeasuredCurve(frequency, drawn, covariance, line_correlation=correlation)).circle)
         found.append(told[-1].damping_ratio / zeta - 1.0)
-    plain = peak_readings(frequency, drawn, covariance).circle.u_damping_ratio
+    plain = peak_readings(MeasuredCurve(frequency, drawn, covariance)).circle.u_damping_ratio
     stated = np.sqrt(np.mean([reading.u_damping_ratio**2 for reading in told])) / zeta
     assert np.std(found) == pytest.approx(stated, rel=0.2)
     assert abs(plain / zeta / stated - 1.0) > 0.3
@@ -210,12 +212,12 @@ def test_the_circle_loses_little_to_a_fit_of_the_curve_and_other_modes_do_not_tu
     frequency = lines(F0, zeta, SPACING)
     clean = transmissibility(frequency, F0, zeta) * GAIN
     covariance = flat(clean, 1e-3)
-    alone = peak_readings(frequency, clean, covariance)
-    fit = fit_resonance(frequency, clean, covariance, "transmissibility")
+    alone = peak_readings(MeasuredCurve(frequency, clean, covariance))
+    fit = fit_resonance(MeasuredCurve(frequency, clean, covariance), "transmissibility")
     assert alone.circle.u_frequency_hz < 2.5 * fit.u("frequency_hz")
     assert alone.circle.u_damping_ratio < 2.5 * fit.u("damping_ratio")
     added = 3.0 * np.exp(1j) / (1j * frequency / F0)  # nearly a constant in the plane of the circle
-    moved = peak_readings(frequency, clean + added, covariance)
+    moved = peak_readings(MeasuredCurve(frequency, clean + added, covariance))
     assert moved.circle.frequency_hz == pytest.approx(F0, rel=2e-7)
     assert moved.circle.damping_ratio == pytest.approx(zeta, rel=3e-5)
     assert abs(moved.half_power.damping_ratio / zeta - 1.0) > 1e-3
@@ -225,7 +227,7 @@ def test_the_circle_itself() -> None:
     """Diameter |G|/(2ζ), through the origin."""
     zeta = 0.5 / 66.0
     value = transmissibility(frequency := lines(F0, zeta, SPACING), F0, zeta) * GAIN
-    fit = fit_circle(NoisyCurve(frequency, value, flat(value, 1e-3)), F0 * 1.0005, 1.1 * zeta)
+    fit = fit_circle(MeasuredCurve(frequency, value, flat(value, 1e-3)), F0 * 1.0005, 1.1 * zeta)
     assert fit is not None
     assert fit.radius == pytest.approx(0.5 * 1.02 / (2.0 * zeta), rel=1e-9)
     assert abs(fit.centre) == pytest.approx(fit.radius, rel=1e-9)
@@ -237,7 +239,7 @@ def test_what_the_lines_do_not_resolve_is_noted() -> None:
         zeta = 0.5 / quality
         frequency = lines(F0, zeta, SPACING)
         value = transmissibility(frequency, F0, zeta)
-        return peak_readings(frequency, value, flat(value, 1e-3))
+        return peak_readings(MeasuredCurve(frequency, value, flat(value, 1e-3)))
 
     narrow, wide = at(800.0), at(66.0)
     assert narrow.half_power.note.startswith("2.4 lines in the half-power width, fewer than 4")
@@ -250,7 +252,7 @@ def test_a_band_that_ends_in_the_peak_leaves_widths_unread() -> None:
     zeta = 0.5 / 66.0
     frequency = np.arange(F0 - 6.0, F0 + 6.0, SPACING)
     value = transmissibility(frequency, F0, zeta)
-    found = peak_readings(frequency, value, flat(value, 1e-4))
+    found = peak_readings(MeasuredCurve(frequency, value, flat(value, 1e-4)))
     assert found.maximum.frequency_hz == pytest.approx(transmissibility_levels(zeta)[0] * F0, rel=1e-6)
     assert np.isnan(found.half_power.damping_ratio)
     assert "does not fall to 1/√2" in found.half_power.note
@@ -260,7 +262,7 @@ def test_a_band_that_ends_in_the_peak_leaves_widths_unread() -> None:
 def test_of_two_peaks_the_higher_is_read() -> None:
     frequency = np.arange(900.0, 1700.0, SPACING)
     value = transmissibility(frequency, F0, 0.004) + 0.3 * transmissibility(frequency, 1092.97, 0.004)
-    found = peak_readings(frequency, value, flat(value, 1e-3))
+    found = peak_readings(MeasuredCurve(frequency, value, flat(value, 1e-3)))
     for name in METHODS[1:]:
         assert getattr(found, name).frequency_hz == pytest.approx(F0, abs=0.3)
     assert [reading.method for reading in found.all] == list(METHODS)
@@ -281,7 +283,7 @@ def test_wrong_calls_are_named(change: dict[str, FloatArray], message: str) -> N
     value = np.asarray(change.get("value", np.arange(len(frequency)) + 1.0), dtype=np.complex128)
     covariance = change.get("covariance", flat(np.ones(len(frequency), dtype=np.complex128), 0.1))
     with pytest.raises(ValueError, match=message):
-        peak_readings(frequency, value, covariance)
+        peak_readings(MeasuredCurve(frequency, value, covariance))
 
 
 @pytest.mark.parametrize("width", ["half_power", "half_amplitude"])

@@ -13,7 +13,8 @@ from scipy.stats import f as fisher
 
 from shaker.frf.impact import transfer_impact
 from shaker.frf.result import TransferFunction, TransferRecord
-from shaker.identification.oscillator import fit_transfer_resonance
+from shaker.identification.measured import MeasuredCurve
+from shaker.identification.oscillator import fit_resonance
 from shaker.io.read import read_channels
 
 RATE = 25600.0
@@ -42,7 +43,7 @@ def test_an_exponential_window_moves_the_transfer_function_to_another_s_and_no_m
     found = transfer_impact(blows(2), window_s, pretrigger_s=0.002, added_decay_per_s=decay, band_hz=BAND)
     assert np.max(np.abs(error(found))) < 2e-4 * np.max(np.abs(found.ratio.value))
     # Without the window taken off, damping would read a/ω₀ too high.
-    fit = fit_transfer_resonance(found, "top", "accelerance", BAND)
+    fit = fit_resonance(MeasuredCurve.of(found, "top", BAND), "accelerance")
     assert fit.frequency_hz == pytest.approx(F0_HZ, rel=1e-5)
     assert fit.damping_ratio == pytest.approx(ZETA, rel=1e-3)
 
@@ -140,7 +141,7 @@ def test_the_modes_of_a_real_beam(data_dir: Path) -> None:
         (650.0, 740.0, 695.6, 0.3),
         (1800.0, 2000.0, 1897.9, 0.3),
     ):
-        fit = fit_transfer_resonance(found, "acceleration", "accelerance", (low, high), residual_terms=True)
+        fit = fit_resonance(MeasuredCurve.of(found, "acceleration", (low, high)), "accelerance", residual_terms=True)
         assert fit.frequency_hz == pytest.approx(known, abs=within)
     assert found.added_decay_per_s > 0.0
 

@@ -15,7 +15,8 @@ from scipy.stats import f as fisher
 
 from shaker.frf.random import transfer_random
 from shaker.frf.result import Estimator, TransferFunction
-from shaker.identification.oscillator import fit_transfer_resonance
+from shaker.identification.measured import MeasuredCurve
+from shaker.identification.oscillator import fit_resonance
 
 RATE = 6400.0
 SAMPLES = 20 * 6400
@@ -62,7 +63,7 @@ def test_local_polynomials_have_a_resonance_within_its_uncertainty() -> None:
     quotient = []
     for seed in range(12):
         data = record(*random_pair(SAMPLES, RATE, 60 + seed), RATE, 0.1, seed)
-        fit = fit_transfer_resonance(transfer_random(data, 4.0, band_hz=BAND), "top", "transmissibility", BAND)
+        fit = fit_resonance(MeasuredCurve.of(transfer_random(data, 4.0, band_hz=BAND), "top", BAND), "transmissibility")
         quotient.append((fit.frequency_hz - F0_HZ) / fit.u("frequency_hz"))
         quotient.append((fit.damping_ratio - ZETA) / fit.u("damping_ratio"))
     assert float(np.mean(np.square(quotient))) < chi2.ppf(0.999, 24) / 24.0

@@ -30,7 +30,7 @@ from fusion.sensor.identify.fit import (
 )
 from fusion.sensor.identify.measured import Campaign, EvaluatedSines, IdentifySettings, Prepared, load_along, prepare
 from shaker.arrays import Notice
-from shaker.identification.measured import MeasuredSensitivity, ParameterEstimate, RelativeError
+from shaker.identification.measured import MeasuredCurve, MeasuredSensitivity, ParameterEstimate, RelativeError
 from shaker.identification.readings import PeakReading, peak_readings
 from shaker.identification.sensor import Load, SensorModel, UsableBand, usable_band
 from shaker.labels import LOAD_COMPONENTS
@@ -212,7 +212,9 @@ def _readings(item: Prepared, response: str) -> Iterator[PeakReading]:
     measured = item.measured
     ratio = measured.ratio.select([response])
     correlation = measured.line_correlation
-    yield from peak_readings(ratio.frequency_hz, ratio.value[:, 0], ratio.covariance, line_correlation=correlation).all
+    yield from peak_readings(
+        MeasuredCurve(ratio.frequency_hz, ratio.value[:, 0], ratio.covariance, line_correlation=correlation)
+    ).all
     own = [found for found in item.resonances if found.response == response]
     if own:
         highest = max(own, key=lambda found: abs(found.fit.model(np.array([found.fit.frequency_hz]))[0]))

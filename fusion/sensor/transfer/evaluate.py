@@ -34,6 +34,7 @@ from shaker.frf.impact import transfer_impact
 from shaker.frf.periodic import transfer_periodic
 from shaker.frf.random import transfer_random
 from shaker.frf.result import TransferFunction, TransferRecord
+from shaker.identification.measured import MeasuredCurve
 from shaker.identification.oscillator import Kind, Resonance, fit_resonance
 from shaker.labels import MOTION_UNITS
 
@@ -271,14 +272,16 @@ def _with_budget(curve: _Curve, lines: slice, mode: _Mode, u_clock: float) -> Fo
 def _fit(curve: _Curve, lines: slice, value: ComplexArray, *, residual_terms: bool) -> Resonance:
     """Fit one oscillator to values at some lines of a curve."""
     return fit_resonance(
-        curve.transfer.ratio.frequency_hz[lines],
-        value,
-        curve.covariance[lines],
+        MeasuredCurve(
+            curve.transfer.ratio.frequency_hz[lines],
+            value,
+            curve.covariance[lines],
+            line_correlation=curve.transfer.line_correlation,
+            added_decay_per_s=curve.transfer.added_decay_per_s,
+            dof=curve.transfer.ratio.dof[lines],
+        ),
         curve.kind,
         residual_terms=residual_terms,
-        added_decay_per_s=curve.transfer.added_decay_per_s,
-        line_correlation=curve.transfer.line_correlation,
-        covariance_dof=curve.transfer.ratio.dof[lines],
     )
 
 
