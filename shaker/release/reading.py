@@ -1,24 +1,385 @@
-"""The reading of a release, and the comparison of release devices."""
+"""The reading of a release: when, how long, from which level to which, what rings; and how release devices compare."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import FloatArray, Notice
+from shaker.arrays import BoolArray, FloatArray, IntArray, Notice, Severity
+from shaker.fitting import Block, Rules, Separable, levenberg_marquardt
+from shaker.release.onset import Beginning, Window, find_beginning, longest_lag_s, moved, solved
 from shaker.release.record import (
     Level,
     Location,
     Reading,
+    Shape,
     StepRecord,
     clipped,
+    correlation_factor,
+    locate,
     rest_level,
     ringing_level,
     spectrum_peaks,
 )
-from shaker.release.timing import STRONG, Timing, places_of, read_force, timing_of
+from shaker.release.response import MOMENTS, load_rate, load_share
+
+# The rise time of a response from its fitted beginning.
+
+
+_FROM, _TO = 0.1, 0.9
+_GRID = 800
+_PERIODS = 1.5
+
+
+def rise_time(fit: Beginning) -> tuple[float, float] | None:
+    """Return how long the fitted curve takes from 10 % to 90 % of its change, first crossings, and its uncertainty.
+
+    None where the curve does not get there. A crossing t of the level b + share·Σg moves by -(∂(y - level)/∂θ)/(dy/dt)
+    with the parameters θ of the fit.
+    """
+    if fit.covariance is None:
+        raise ValueError("fit: expected one with its covariance, found none")
+    crossings = [_crossing_s(fit, share) for share in (_FROM, _TO)]
+    if crossings[0] is None or crossings[1] is None:
+        return None
+    times = np.array(crossings)
+    vector, u = fit.vector, np.sqrt(np.maximum(np.diagonal(fit.covariance), 0.0))
+    here = _above(fit, times)
+    slopes = np.zeros((2, len(u)))
+    for place in np.flatnonzero(u):
+        moved = vector.copy()
+        moved[place] += 1e-2 * u[place]
+        slopes[:, place] = (_above(fit.with_vector(moved), times) - here) / (1e-2 * u[place])
+    by = -slopes / fit.speed(times)[:, None]
+    gradient = by[1] - by[0]
+    return float(times[1] - times[0]), float(np.sqrt(max(gradient @ fit.covariance @ gradient, 0.0)))
+
+
+def _crossing_s(fit: Beginning, share: float) -> float | None:
+    """Return when the fitted curve first passes a share of its change, None where it does not soon."""
+    span = fit.release_s + 4.0 * fit.lag_s + _PERIODS / float(np.min(fit.frequency_hz))
+    time = fit.onset_s + np.linspace(0.0, span, _GRID)
+    change = fit.steady - fit.linear[0]
+    relative = (fit.at(time) - fit.linear[0]) / change
+    above = np.flatnonzero(relative >= share)
+    if not above.size or above[0] == 0:
+        return None
+    after = int(above[0])
+    low, high = relative[after - 1], relative[after]
+    return float(time[after - 1] + (share - low) / (high - low) * (time[after] - time[after - 1]))
+
+
+def _above(fit: Beginning, time_s: FloatArray) -> FloatArray:
+    """Return the curve above the levels of 10 % and 90 % (2,) at two times (2,)."""
+    shares = np.array([_FROM, _TO])
+    return np.asarray(fit.at(time_s) - fit.linear[0] - shares * (fit.steady - fit.linear[0]))
+
+
+# Onset and length of a release with what noise, and an unknown lag behind the sensor, leave open of them.
+
+
+_NODES = 13  # lags at which everything else is fitted anew
+_FEWEST = 5
+_TIMES = 121
+_FAR, _NEAR = 10.0, 6.0  # standard deviations that the lags, and the lengths at each of them, reach
+_COVERAGE = 1.96
+_LIKELY = (1.92, 3.0)  # logarithm of the likelihood below its largest: 95 % of one and of two parameters
+_DAMPER = 2.0 / np.sqrt(3.0)  # of ζ/ω: rectangular distribution of half width 2ζ/ω
+
+
+@dataclass(frozen=True)
+class ReleaseTimes:
+    """Onset, length and lag in s with standard uncertainties."""
+
+    onset_s: float
+    u_onset_s: float
+    release_s: float
+    u_release_s: float
+    lag_s: float
+    u_lag_s: float
+
+
+@dataclass(frozen=True)
+class _Node:
+    """What a given lag leaves: squares of the residual at the best length, its square and `centre_s` there.
+
+    `by_square`: change of the centre with the squared length; variances of the latter and of the centre beside it.
+    """
+
+    squares: float
+    length2: float
+    variance: float
+    centre_s: float
+    by_square: float
+    own: float
+
+
+def release_times(window: Window, fit: Beginning, correlation: float) -> ReleaseTimes | None:
+    """Return means and standard deviations of onset, length T and lag τ of a fit to a window.
+
+    At each lag everything else is fitted, the likelihood being normal in T²; priors are flat in T ≥ 0 and in τ from 0
+    to the lag whose corner is the lowest mode's frequency. Onset = centre - T/2 - τ. `correlation`: by how much that of
+    the residual enlarges variances. Added to the onset: an output that holds the force of the sensor's damper too,
+    (2ζs/ω + 1), comes earlier by 2ζ/ω. None where the lags cannot be told apart at all.
+    """
+    from scipy.interpolate import CubicSpline
+
+    variance = fit.squares / max(fit.rows - len(fit.vector), 1) * correlation
+    lags, nodes = _nodes(window, fit, variance)
+    if len(nodes) < _FEWEST:
+        return None
+    lag = np.linspace(lags[0], lags[-1], _TIMES)
+    table = [[n.squares, n.length2, n.variance, n.centre_s, n.by_square, n.own] for n in nodes]
+    squares, length2, spread, centre, by_square, own = np.asarray(CubicSpline(lags, np.array(table))(lag)).T
+    spread, own = np.maximum(spread, 1e-300), np.maximum(own, 0.0)
+    u_square = np.sqrt(spread)
+    low = np.sqrt(np.maximum(length2 - _NEAR * u_square, 0.0))
+    high = np.sqrt(np.maximum(length2 + _NEAR * u_square, 1e-3 * u_square))
+    length = np.linspace(low, high, _TIMES, axis=1)
+    away = length**2 - length2[:, None]
+    log_weight = -0.5 * ((squares - squares.min()) / variance)[:, None] - 0.5 * away**2 / spread[:, None]
+    weight = np.exp(log_weight - log_weight.max()) * (length[:, -1] - length[:, 0])[:, None]
+    weight /= weight.sum()
+    onset = centre[:, None] + by_square[:, None] * away - 0.5 * length - lag[:, None]
+    edges = np.concatenate([log_weight[0], log_weight[-1], log_weight[length == 0.0]])
+    bounded = bool(np.any(edges > log_weight.max() - _LIKELY[0]))
+    likely = log_weight > log_weight.max() - _LIKELY[int(bounded)]
+    damper = _DAMPER * float(np.max(np.abs(fit.damping_ratio) / (2 * np.pi * fit.frequency_hz)))
+    onset_s, u_onset_s = _moments(weight, onset, likely)
+    release_s, u_release_s = _moments(weight, length, likely)
+    lag_s, u_lag_s = _moments(weight, np.broadcast_to(lag[:, None], weight.shape), likely)
+    u_onset_s = float(np.sqrt(u_onset_s**2 + np.sum(weight * own[:, None]) + damper**2))
+    return ReleaseTimes(onset_s, u_onset_s, release_s, u_release_s, lag_s, u_lag_s)
+
+
+def _nodes(window: Window, fit: Beginning, variance: float) -> tuple[FloatArray, list[_Node]]:
+    """Return lags (L,) around that of the fit, and what each of them leaves, each started from its neighbour."""
+    if fit.covariance is None:
+        raise ValueError("fit: expected one with its covariance, found none")
+    u_square = float(np.sqrt(fit.covariance[2, 2] / max(fit.squares / max(fit.rows - len(fit.vector), 1), 1e-300)))
+    reach = _FAR * u_square * float(np.sqrt(variance))
+    low = float(np.sqrt(max(fit.lag_s**2 - reach, 0.0)))
+    high = min(float(np.sqrt(fit.lag_s**2 + reach)), longest_lag_s(fit))
+    lags = np.linspace(min(low, 0.99 * high), high, _NODES)
+    middle = int(np.argmin(np.abs(lags - fit.lag_s)))
+    nodes: dict[int, _Node] = {}
+    for way in (range(middle, _NODES), range(middle - 1, -1, -1)):
+        here = fit
+        for place in way:
+            found = _node(window, here, float(lags[place]), variance)
+            if found is None:
+                break
+            nodes[place], here = found
+    places = sorted(nodes)
+    return lags[places], [nodes[place] for place in places]
+
+
+def _node(window: Window, near: Beginning, lag_s: float, variance: float) -> tuple[_Node, Beginning] | None:
+    """Return what a lag leaves, by one step of Gauss and Newton from a fit near by, and the fit there.
+
+    None where the step leads out of what can be.
+    """
+    square = near.release_s**2 + (near.lag_s**2 - lag_s**2) / MOMENTS[near.shape]
+    start = replace(near, lag_s=lag_s, release_s=float(np.sqrt(max(square, 0.0))))
+    trial = solved(window, start)
+    here, (normal, downhill) = trial.fit, trial.projected.normal
+    others = np.arange(len(downhill)) != 2
+    scale = np.sqrt(np.maximum(np.diag(normal)[others], 1e-300))
+    inverse = np.linalg.pinv(normal[np.ix_(others, others)] / np.outer(scale, scale), rcond=1e-12, hermitian=True)
+    inverse = inverse / np.outer(scale, scale)
+    step = inverse @ downhill[others]
+    parameters = trial.parameters + np.insert(step, 2, 0.0)
+    there = moved(window, here, parameters)
+    if there is None:
+        return None
+    covariance = variance * inverse
+    by_square = float(covariance[0, 1] / covariance[1, 1])
+    node = _Node(
+        squares=here.squares - float(downhill[others] @ step),
+        length2=float(parameters[1]),
+        variance=float(covariance[1, 1]),
+        centre_s=float(parameters[0]),
+        by_square=by_square,
+        own=max(float(covariance[0, 0] - by_square * covariance[0, 1]), 0.0),
+    )
+    return node, there
+
+
+def _moments(weight: FloatArray, value: FloatArray, likely: BoolArray) -> tuple[float, float]:
+    """Return mean and standard deviation of values under weights that sum to 1.
+
+    The standard deviation is at least what makes the 95 % interval hold every likely value: zero, where a time may be
+    zero.
+    """
+    mean = float(np.sum(weight * value))
+    away = float(np.max(np.abs(value[likely] - mean)))
+    return mean, max(float(np.sqrt(np.sum(weight * (value - mean) ** 2))), away / _COVERAGE)
+
+
+# The release as a force channel measured it.
+
+
+_LENGTHS = 3.0  # of the release on either side that the fit takes
+
+
+@dataclass(frozen=True)
+class ForceReading:
+    """Onset and length in s of the load's change, and the change in N or N·m, with standard uncertainties.
+
+    `shape`: the better of a straight ramp and half a cosine.
+    """
+
+    onset_s: float
+    u_onset_s: float
+    release_s: float
+    u_release_s: float
+    change: float
+    u_change: float
+    shape: Literal["ramp", "smooth"]
+
+
+def read_force(force: FloatArray, sample_rate_hz: float, start_s: float) -> ForceReading:
+    """Return what a force channel (N,), its first sample at `start_s`, shows of a release.
+
+    Least squares of level, change, middle and length of `load_share` around the release.
+    """
+    place = locate(force)
+    length = max((place.high - place.low) / 0.8, 2.0)
+    low = max(0, int(place.low - _LENGTHS * length - 8))
+    high = min(len(force), int(place.high + _LENGTHS * length + 8))
+    number, data = np.arange(low, high, dtype=np.float64), force[low:high, None]
+
+    def at(times: FloatArray, shape: Literal["ramp", "smooth"]) -> Separable | None:
+        middle, long = (float(value) for value in times)
+        if not (low <= middle <= high and 0.1 <= long <= 2.0 * (high - low)):
+            return None
+        share = load_share(shape, number, middle - 0.5 * long, long)
+        rate = load_rate(shape, number, middle - 0.5 * long, long)
+        slopes = np.stack([-rate, -rate * (number - middle) / long], axis=1)
+        design = np.stack([np.ones(len(number)), share], axis=1)
+
+        def changes(own: FloatArray) -> tuple[IntArray, FloatArray]:
+            return np.arange(2), (own[1, 0] * slopes)[:, :, None]
+
+        return Separable(times, (Block(design, data, changes),))
+
+    def fitted(shape: Literal["ramp", "smooth"]) -> tuple[ForceReading, float]:
+        begin = at(np.array([0.5 * (place.low + place.high), length]), shape)
+        assert begin is not None
+        point = levenberg_marquardt(lambda times: at(times, shape), begin, Rules()).point
+        part, (_, change) = point.solved[0], point.slopes[0]
+        jacobian = np.concatenate([point.blocks[0].design, change[:, :, 0]], axis=1)
+        variance = point.loss / max(len(number) - 4, 1) * correlation_factor(part.residual[:, 0])
+        covariance = variance * np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
+        half, u = np.array([0.0, 0.0, 1.0, -0.5]), np.sqrt(np.diagonal(covariance))
+        middle, long = point.parameters
+        reading = ForceReading(
+            onset_s=start_s + float(middle - 0.5 * long) / sample_rate_hz,
+            u_onset_s=float(np.sqrt(half @ covariance @ half)) / sample_rate_hz,
+            release_s=float(long) / sample_rate_hz,
+            u_release_s=float(u[3]) / sample_rate_hz,
+            change=float(part.coefficients[1, 0]),
+            u_change=float(u[1]),
+            shape=shape,
+        )
+        return reading, point.loss
+
+    return min((fitted("ramp"), fitted("smooth")), key=lambda reading: reading[1])[0]
+
+
+# When the channels of a record were released, and what they ring with.
+
+
+STRONG = 5.0
+"""Change of level, over the noise of a sample, from which a channel shows the release by itself."""
+_ROUGH = 2.0  # of the longest ramp that the output may follow: what lag, ringing and noise make of times without a fit
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Times in s of a release as channel `of` shows it; `fit` is None where none describes it.
+
+    `misfit`: standard deviation of the fit's residual over the noise at rest.
+    """
+
+    of: str
+    onset_s: float
+    u_onset_s: float
+    release_s: float
+    u_release_s: float
+    lag_s: float
+    rise_s: float
+    u_rise_s: float
+    shape: Shape
+    fit: Beginning | None
+    misfit: float
+
+
+def places_of(record: StepRecord) -> list[Location]:
+    """Return where every channel's release is, roughly; a record without one is refused."""
+    near = None if record.onset_s is None else round((record.onset_s - record.start_s) * record.sample_rate_hz)
+    places = [locate(samples, near) for samples in record.samples]
+    strength = max(place.strength for place in places)
+    if strength < STRONG:
+        raise ValueError(
+            f"record: expected an output that changes by {STRONG:g} standard deviations of its noise or more, found "
+            f"{strength:.2g} at most in {record.name}"
+        )
+    return places
+
+
+def timing_of(record: StepRecord, channel: int, place: Location) -> Timing:
+    """Return when a channel was released; where the force was measured along, it tells begin and length."""
+    samples = record.samples[channel]
+    window, fit = find_beginning(samples, record.sample_rate_hz, record.start_s, place)
+    timing = _by_fit(record, channel, place, window, fit)
+    if record.force is None:
+        return timing
+    force = read_force(record.force, record.sample_rate_hz, record.start_s)
+    return replace(
+        timing,
+        onset_s=force.onset_s,
+        u_onset_s=force.u_onset_s,
+        release_s=force.release_s,
+        u_release_s=force.u_release_s,
+        shape="measured",
+    )
+
+
+def _by_fit(record: StepRecord, channel: int, place: Location, window: Window, fit: Beginning) -> Timing:
+    """Return the times of a fitted beginning, its covariance enlarged by the residual's correlation."""
+    late = window.time_s > fit.onset_s
+    residual = (window.samples - fit.at(window.time_s))[late]
+    correlation = correlation_factor(residual)
+    assert fit.covariance is not None
+    fit = replace(fit, covariance=fit.covariance * correlation)
+    crossing, times = rise_time(fit), release_times(window, fit, correlation)
+    if crossing is None or times is None:
+        # a straight line through 10 % and 90 %
+        step_s = 1.0 / record.sample_rate_hz
+        rise_s = max(place.high - place.low, 1.0) * step_s
+        u = float(np.hypot(_ROUGH * place.longest * step_s, step_s))
+        onset_s = record.start_s + place.low * step_s - rise_s / 8.0
+        return Timing(record.channels[channel], onset_s, u, rise_s / 0.8, u, 0.0, rise_s, u, "ramp", None, 1.0)
+    rise_s, u_rise_s = crossing
+    block = window.step_s * record.sample_rate_hz
+    return Timing(
+        of=record.channels[channel],
+        onset_s=times.onset_s,
+        u_onset_s=times.u_onset_s,
+        release_s=times.release_s,
+        u_release_s=times.u_release_s,
+        lag_s=times.lag_s,
+        rise_s=rise_s,
+        u_rise_s=u_rise_s,
+        shape="step" if times.release_s < 2.0 * times.u_release_s else fit.shape,
+        fit=fit,
+        misfit=float(np.sqrt(block * np.mean(residual**2))) / max(place.noise, 1e-300),
+    )
+
 
 # Reading of a release: when, how long, from which level to which, and what rings then.
 
@@ -61,9 +422,20 @@ def _strongest(places: list[Location]) -> int:
 
 def _reading(record: StepRecord, channel: int, place: Location, timing: Timing) -> Reading:
     """Return the reading of a channel at known times."""
-    samples, rate = record.samples[channel], record.sample_rate_hz
-    _, after = _limits(record, timing)
-    baseline, steady = _levels(record, channel, place, timing)
+    samples, rate, count = record.samples[channel], record.sample_rate_hz, record.samples.shape[1]
+    rests_to = (timing.onset_s - 2.0 * timing.u_onset_s - record.start_s) * rate
+    end_s = timing.onset_s + timing.release_s + 2.0 * timing.u_release_s + _SETTLED * timing.lag_s
+    rings_from = (end_s - record.start_s) * rate + 1.0
+    if rests_to < _LEAST or rings_from > count - _LEAST:
+        raise ValueError(
+            f"record: expected {_LEAST} samples or more before the onset and after the release, found the onset at "
+            f"sample {rests_to:.0f} and the end of the release at {rings_from:.0f} of {count} in {record.name}"
+        )
+    poles, after = np.zeros(0, dtype=np.complex128), int(np.ceil(rings_from))
+    if timing.fit is not None:
+        poles = np.asarray(timing.fit.poles[: len(timing.fit.frequency_hz)] / rate)
+    baseline = rest_level(samples[: int(rests_to)], place.resolution)
+    steady = ringing_level(samples[after:], poles, place.resolution)
     change = steady.value - baseline.value
     gain = change / record.amplitude
     u_gain = np.hypot(np.hypot(baseline.u, steady.u) / record.amplitude, gain * record.u_amplitude)
@@ -94,50 +466,18 @@ def _reading(record: StepRecord, channel: int, place: Location, timing: Timing) 
     return replace(reading, notices=_remarks(record, reading, timing, (baseline, steady)))
 
 
-def _limits(record: StepRecord, timing: Timing) -> tuple[int, int]:
-    """Return the samples up to which the output rests and from which it rings freely."""
-    rate, count = record.sample_rate_hz, record.samples.shape[1]
-    before = (timing.onset_s - 2.0 * timing.u_onset_s - record.start_s) * rate
-    end_s = timing.onset_s + timing.release_s + 2.0 * timing.u_release_s + _SETTLED * timing.lag_s
-    after = (end_s - record.start_s) * rate + 1.0
-    if before < _LEAST or after > count - _LEAST:
-        raise ValueError(
-            f"record: expected {_LEAST} samples or more before the onset and after the release, found the onset at "
-            f"sample {before:.0f} and the end of the release at {after:.0f} of {count} in {record.name}"
-        )
-    return int(before), int(np.ceil(after))
-
-
-def _levels(record: StepRecord, channel: int, place: Location, timing: Timing) -> tuple[Level, Level]:
-    """Return the levels before and after the release."""
-    before, after = _limits(record, timing)
-    samples = record.samples[channel]
-    poles = np.zeros(0, dtype=np.complex128)
-    if timing.fit is not None:
-        poles = np.asarray(timing.fit.poles[: len(timing.fit.frequency_hz)] / record.sample_rate_hz)
-    return (
-        rest_level(samples[:before], place.resolution),
-        ringing_level(samples[after:], poles, place.resolution),
-    )
-
-
 def _remarks(record: StepRecord, reading: Reading, timing: Timing, levels: tuple[Level, Level]) -> tuple[Notice, ...]:
     """Return what the user should know of a reading."""
-    told = []
+    told: list[tuple[Severity, str]] = []
     strength = abs(reading.steady - reading.baseline) / reading.noise
     if reading.clipped:
         told.append(("warning", "the output stands at its limit: the record is cut, its peaks and poles are wrong"))
     if timing.of != reading.channel:
-        told.append(
-            ("info", f"changes by {strength:.2g} standard deviations of its noise: read at the times of {timing.of}")
-        )
+        text = f"changes by {strength:.2g} standard deviations of its noise: read at the times of {timing.of}"
+        told.append(("info", text))
     elif timing.fit is None:
-        told.append(
-            (
-                "warning",
-                "modes behind a lag do not describe the release: onset and length by a straight line from 10 % to 90 %",
-            )
-        )
+        text = "modes behind a lag do not describe the release: onset and length by a straight line from 10 % to 90 %"
+        told.append(("warning", text))
     elif timing.misfit > _MISFIT:
         text = (
             f"modes that start together behind one lag leave {timing.misfit:.3g} times the noise at rest around the "
@@ -149,21 +489,12 @@ def _remarks(record: StepRecord, reading: Reading, timing: Timing, levels: tuple
             share = level.drift / (reading.steady - reading.baseline)
             told.append(("warning", f"the level {name} drifts by {share:.2g} of the change over its samples"))
     if record.force is not None:
-        told += _of_force(record)
-    return tuple(Notice("warning" if kind == "warning" else "info", text, reading.channel) for kind, text in told)
-
-
-def _of_force(record: StepRecord) -> list[tuple[str, str]]:
-    """Return what the measured force says against the stated amplitude."""
-    assert record.force is not None
-    force = read_force(record.force, record.sample_rate_hz, record.start_s)
-    u = float(np.hypot(force.u_change, record.u_amplitude * record.amplitude))
-    if abs(force.change - record.amplitude) < max(3.0 * u, 0.01 * abs(record.amplitude)):
-        return []
-    text = (
-        f"the force changes by {force.change:.5g}, stated are {record.amplitude:.5g}: the gain is over the stated one"
-    )
-    return [("warning", text)]
+        force = read_force(record.force, record.sample_rate_hz, record.start_s)
+        u = float(np.hypot(force.u_change, record.u_amplitude * record.amplitude))
+        if abs(force.change - record.amplitude) >= max(3.0 * u, 0.01 * abs(record.amplitude)):
+            text = f"the force changes by {force.change:.5g}, stated are {record.amplitude:.5g}"
+            told.append(("warning", f"{text}: the gain is over the stated one"))
+    return tuple(Notice(severity, text, reading.channel) for severity, text in told)
 
 
 # Comparison of what lets go: which release is fastest, and which repeats best.
