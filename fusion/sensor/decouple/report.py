@@ -12,7 +12,7 @@ import numpy as np
 from markupsafe import Markup
 
 from fusion.base import DASH, rounded, typeset
-from fusion.campaign.workers import one_blas_thread
+from fusion.campaign.executor import one_blas_thread
 from fusion.recording.load import load_for_command
 from fusion.report.csv_files import sensitivity_unit
 from fusion.report.folder import Command

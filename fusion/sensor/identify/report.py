@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,8 +10,7 @@ from markupsafe import Markup
 
 from fusion.base import DASH, rounded, typeset
 from fusion.estimation.uncertainty import coverage_factor
-from fusion.report.numbers import measured, small, times_ten
-from fusion.report.style import Picture
+from fusion.report.numbers import capital, measured, small, times_ten
 from fusion.report.table import Headline, Table
 from fusion.sensor.identify.evaluate import LABELS, ComponentResult, IdentifyEvaluation, Reading, of_curve
 from fusion.sensor.identify.figures import curve_pictures, sensitivity_pictures
@@ -199,7 +197,7 @@ def headlines(evaluation: IdentifyEvaluation) -> list[Headline]:
         for estimate in _main(component):
             share = _percent(K * estimate.u / abs(estimate.value)) if estimate.value else DASH
             cell = measured(estimate.value, K * estimate.u, typeset(estimate.unit))
-            found.append(Headline(_label(_upper(estimate.label)), cell, f"U (k = {K:.2f}) = {share} %"))
+            found.append(Headline(_label(capital(estimate.label)), cell, f"U (k = {K:.2f}) = {share} %"))
         found += _chain_headline(component)
     return found
 
@@ -285,7 +283,7 @@ def _chain_headline(component: ComponentResult) -> list[Headline]:
     shown: Sequence[ParameterEstimate] = [e for e in best.estimates if e.name in ("delay_s", "lag_s")]
     where = f"of {LOAD_COMPONENTS[component.fit.component]}"
     return [
-        Headline(_upper(f"{estimate.label} {where}"), measured(*_scaled(estimate)), "from S(f), with U")
+        Headline(capital(f"{estimate.label} {where}"), measured(*_scaled(estimate)), "from S(f), with U")
         for estimate in shown
     ]
 
@@ -293,11 +291,6 @@ def _chain_headline(component: ComponentResult) -> list[Headline]:
 def _percent(share: float) -> str:
     """A relative uncertainty in per cent."""
     return small(100.0 * share) if np.isfinite(share) else DASH
-
-
-def _upper(text: str) -> str:
-    """A text with a capital first letter."""
-    return text[:1].upper() + text[1:]
 
 
 def _label(text: str) -> Markup:
@@ -310,22 +303,12 @@ def _share(share: float) -> str:
     return f"{100.0 * share:.2g}" if share >= 1e-7 else "< 10⁻⁵"
 
 
-@dataclass(frozen=True)
-class ComponentSection:
-    """What the page shows of one component."""
-
-    name: str
-    reason: str
-    parameters: Table
-    correlation: Table
-    recordings: Table
-    curves: list[Picture]
-    readings: list[Table]
-    sentences: list[str]
-    explanations: Table | None
-    sensitivity: list[Picture]
-    bands: Table | None
-    budget: Table
+def sentences(component: ComponentResult) -> list[str]:
+    """Which explanation the data support, and whether the damping contradicts the resonance."""
+    if component.sensitivity is None:
+        return ["No sensitivity over frequency was evaluated: whether the chain has a lag remains open."]
+    comparison = component.sensitivity.comparison
+    return [comparison.text, *([] if comparison.damping is None else [comparison.damping.text])]
 
 
 def page_context(evaluation: IdentifyEvaluation) -> dict[str, Any]:
@@ -333,34 +316,24 @@ def page_context(evaluation: IdentifyEvaluation) -> dict[str, Any]:
     return {
         "subject": _subject(evaluation),
         "headlines": headlines(evaluation),
-        "components": [_section(component) for component in evaluation.components],
+        "components": [
+            {
+                "name": component.name,
+                "reason": f"{component.fit.model}: {component.fit.reason}",
+                "parameters": parameters_table(component),
+                "correlation": correlation_table(component),
+                "recordings": recordings_table(component),
+                "curves": curve_pictures(component),
+                "readings": readings_tables(component),
+                "sentences": sentences(component),
+                "explanations": explanations_table(component),
+                "sensitivity": sensitivity_pictures(component),
+                "bands": bands_table(component),
+                "budget": budget_table(component),
+            }
+            for component in evaluation.components
+        ],
     }
-
-
-def _section(component: ComponentResult) -> ComponentSection:
-    """Everything of one component."""
-    return ComponentSection(
-        name=component.name,
-        reason=f"{component.fit.model}: {component.fit.reason}",
-        parameters=parameters_table(component),
-        correlation=correlation_table(component),
-        recordings=recordings_table(component),
-        curves=curve_pictures(component),
-        readings=readings_tables(component),
-        sentences=_sentences(component),
-        explanations=explanations_table(component),
-        sensitivity=sensitivity_pictures(component),
-        bands=bands_table(component),
-        budget=budget_table(component),
-    )
-
-
-def _sentences(component: ComponentResult) -> list[str]:
-    """Which explanation the data support, and whether the damping contradicts the resonance."""
-    if component.sensitivity is None:
-        return ["No sensitivity over frequency was evaluated: whether the chain has a lag remains open."]
-    comparison = component.sensitivity.comparison
-    return [comparison.text, *([] if comparison.damping is None else [comparison.damping.text])]
 
 
 def _subject(evaluation: IdentifyEvaluation) -> list[tuple[str, str]]:

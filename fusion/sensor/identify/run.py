@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 
 from fusion.base import InputError
-from fusion.campaign.workers import one_blas_thread
+from fusion.campaign.executor import one_blas_thread
 from fusion.report.folder import Command
 from fusion.report.h5 import write_fields, write_value
 from fusion.report.table import Column, columns_of, csv_text, word

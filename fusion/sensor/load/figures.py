@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,137 +18,107 @@ from fusion.report.style import (
     SKY,
     Picture,
     decades,
-    drawing,
-    finish,
-    lay_out,
-    new_figure,
     panel_label,
+    sheet,
 )
+from fusion.sensor.load.evaluate import ComponentLoads, Solution
 from shaker.arrays import FloatArray
+from shaker.release.load_modes import projected
 
 COLOURS = (BLUE, RED, GREEN, PURPLE, ORANGE, SKY)
+GRAM, PERCENT = 1e3, 100.0
 
 
-@dataclass(frozen=True)
-class ModelCurve:
-    """First and second resonance (G, 2) and damping ratio of the first (G,) in % of one solution over loads (G,) in g.
-
-    `expanded` (G, 2), `expanded_damping` (G,): U for 95 %, NaN where there is none.
-    """
-
-    label: str
-    load: FloatArray
-    frequency_hz: FloatArray
-    expanded: FloatArray
-    damping: FloatArray
-    expanded_damping: FloatArray
+def small_unit(component: ComponentLoads) -> str:
+    """Unit of loads as they are shown."""
+    return "g·m²" if component.name.startswith("M") else "g"
 
 
-@dataclass(frozen=True)
-class MeasuredLoads:
-    """What was measured at loads (R,) in g: resonances (R, 2) with U, damping ratio of the first mode (R,) in % with U.
-
-    `deviation` (R, D) of the models named in `compared` (D,) from the first resonance, in %; `unit` of the loads.
-    """
-
-    load: FloatArray
-    frequency_hz: FloatArray
-    expanded: FloatArray
-    damping: FloatArray
-    expanded_damping: FloatArray
-    compared: tuple[str, ...]
-    deviation: FloatArray
-    permitted: float
-    unit: str
-
-
-@dataclass(frozen=True)
-class DecaySpectrum:
-    """Amplitude spectrum of one record after the release, over its largest value, and that of what the model leaves."""
-
-    label: str
-    frequency_hz: FloatArray
-    amplitude: FloatArray
-    residual: FloatArray
-    modes_hz: FloatArray
-
-
-def draw_characteristics(name: str, curves: Sequence[ModelCurve], seen: MeasuredLoads, formula: FloatArray) -> Picture:
-    """Resonances over the load with bands, deviations of the models, second mode and damping.
-
-    `formula` (G,): two-mass formula by the lightest load, over the loads of the first curve.
-    """
-    damped = bool(np.any(np.isfinite(seen.damping)))
-    with drawing(name):
-        figure = new_figure(5.2)
-        panels = figure.subplots(2, 2, sharex="col", gridspec_kw={"height_ratios": [1.5, 1.0]})
-        first, second, off, damping = panels[0, 0], panels[0, 1], panels[1, 0], panels[1, 1]
-        first.plot(curves[0].load, formula, color=GREY, linestyle=(0, (5, 3)), label="two masses, by the lightest load")
-        for place, curve in enumerate(curves):
-            _band(first, curve.load, curve.frequency_hz[:, 0], curve.expanded[:, 0], COLOURS[place], curve.label)
-            _band(second, curve.load, curve.frequency_hz[:, 1], curve.expanded[:, 1], COLOURS[place], curve.label)
-            _band(
-                damping,
-                curve.load,
-                curve.damping if damped else np.full_like(curve.load, np.nan),
-                curve.expanded_damping,
-                COLOURS[place],
-                curve.label,
-            )
+def draw_characteristics(component: ComponentLoads, permitted: float) -> Picture:
+    """Both resonances over the load with 95 % bands, deviations of the models from the first, and its damping."""
+    seen, masses, k = component.series.measured, component.series.masses, component.k
+    load, solutions = GRAM * masses.load, component.solutions
+    is_damped = bool(np.any(np.isfinite(seen.damping_ratio[:, 0])))
+    grid, lightest = solutions[0].drawn.load_mass, int(np.argmin(masses.load))
+    formula = seen.frequency_hz[lightest, 0] * np.sqrt((masses.moving + masses.load[lightest]) / (masses.moving + grid))
+    with sheet(f"load-{component.name}", 5.2, 2, 2, heights=(1.5, 1.0)) as drawn:
+        first, second, off, damping = drawn.panels
+        first.plot(GRAM * grid, formula, color=GREY, linestyle=(0, (5, 3)), label="two masses, by the lightest load")
+        for solution, colour in zip(solutions, COLOURS, strict=False):
+            curve, label = solution.drawn, _label(solution)
+            over, expanded = GRAM * curve.load_mass, k * curve.u_frequency_hz
+            _band(first, over, curve.frequency_hz[:, 0], expanded[:, 0], colour, label)
+            _band(second, over, curve.frequency_hz[:, 1], expanded[:, 1], colour, label)
+            ratio = curve.damping_ratio[:, 0] if is_damped else np.full_like(over, np.nan)
+            _band(damping, over, PERCENT * ratio, PERCENT * k * curve.u_damping_ratio[:, 0], colour, label)
+        points: dict[str, Any] = {"fmt": "o", "color": BLACK, "zorder": 4}
         for axes, mode in ((first, 0), (second, 1)):
-            axes.errorbar(
-                seen.load,
-                seen.frequency_hz[:, mode],
-                seen.expanded[:, mode],
-                fmt="o",
-                color=BLACK,
-                zorder=4,
-                label="measured",
-            )
-        damping.errorbar(seen.load, seen.damping, seen.expanded_damping, fmt="o", color=BLACK, zorder=4)
-        if not damped:
+            value, expanded = seen.frequency_hz[:, mode], k * seen.u_frequency_hz[:, mode]
+            axes.errorbar(load, value, expanded, label="measured", **points)
+        ratio, expanded = PERCENT * seen.damping_ratio[:, 0], PERCENT * k * seen.u_damping_ratio[:, 0]
+        damping.errorbar(load, ratio, expanded, **points)
+        if not is_damped:
             _empty(damping, "resonances tell no damping")
-        _deviations(off, seen)
+        _draw_deviations(off, component, permitted)
         first.set_ylabel("first resonance / Hz")
         second.set_ylabel("second resonance / Hz")
         damping.set_ylabel("damping ratio, first / %")
         for axes in (off, damping):
-            axes.set_xlabel(f"load / {seen.unit}")
-            axes.set_xlim(0.0, float(curves[0].load[-1]))
-        _second_axis(second, curves, seen)
+            axes.set_xlabel(f"load / {small_unit(component)}")
+            axes.set_xlim(0.0, GRAM * float(grid[-1]))
+        # second resonances rise without end as the load vanishes: the axis ends above the largest load's region
+        every = np.concatenate([seen.frequency_hz[:, 1], *(one.drawn.frequency_hz[:, 1] for one in solutions)])
+        if np.isfinite(every).any():
+            top = 1.15 * float(np.max(seen.frequency_hz[:, 1], initial=0.0, where=np.isfinite(seen.frequency_hz[:, 1])))
+            second.set_ylim(0.0, max(3.0 * float(np.nanmin(every)), top))
+        else:
+            _empty(second, "a rigid load has no second mode")
         first.legend(loc="best")
         off.legend(loc="best")
-        lay_out(figure, panels.ravel(), top=0.12, gap=(0.75, 0.16), left=0.72, label=0.52)
         caption = (
             "Lines: models with 95 % bands; points: measured, with U. Below left: models less measured, the permitted "
-            f"{100.0 * seen.permitted:g} % grey."
+            f"{PERCENT * permitted:g} % grey."
         )
-        return finish(figure, name, "Resonances and damping over the load", caption)
+        title = "Resonances and damping over the load"
+        return drawn.picture(title, caption, top=0.12, gap=(0.75, 0.16), left=0.72, label=0.52)
 
 
-def draw_spectra(name: str, spectra: Sequence[DecaySpectrum]) -> Picture:
-    """Spectrum of every record after its release, with what the model leaves."""
-    with drawing(name):
-        figure = new_figure(0.6 + 1.15 * len(spectra))
-        panels = figure.subplots(len(spectra), 1, sharex=True, squeeze=False).ravel()
-        top = 1.15 * max(float(np.nanmax(s.modes_hz)) for s in spectra)
-        for place, (axes, spectrum) in enumerate(zip(panels, spectra, strict=True)):
-            shown = (spectrum.frequency_hz > 0.0) & (spectrum.frequency_hz <= top)
-            colour = COLOURS[place % len(COLOURS)]
-            axes.semilogy(spectrum.frequency_hz[shown], spectrum.amplitude[shown], color=colour, linewidth=1.1)
-            axes.semilogy(spectrum.frequency_hz[shown], spectrum.residual[shown], color=GREY, linewidth=0.5)
-            for mode in spectrum.modes_hz[np.isfinite(spectrum.modes_hz)]:
+def draw_spectra(component: ComponentLoads) -> Picture | None:
+    """Spectrum of every record after its release over its largest line, with what the model leaves; None of a table."""
+    decays, model = component.series.decays, component.solutions[0].model
+    modes_hz = component.solutions[0].recorded.frequency_hz
+    if not decays:
+        return None
+    top = 1.15 * max(float(np.nanmax(modes)) for modes in modes_hz[: len(decays)])
+    with sheet(f"spectra-{component.name}", 0.6 + 1.15 * len(decays), len(decays)) as drawn:
+        for place, (axes, decay) in enumerate(zip(drawn.panels, decays, strict=True)):
+            load = float(component.series.masses.load[place])
+            poles = model.poles(load)
+            residual, _ = projected(decay, poles[poles.imag > 0.0])
+            window, frequency = np.hanning(len(decay.value)), np.fft.rfftfreq(len(decay.value), 1.0 / decay.rate_hz)
+            both = [np.abs(np.fft.rfft(window * part)) for part in (decay.value - np.mean(decay.value), residual)]
+            shown, largest = (frequency > 0.0) & (frequency <= top), float(both[0].max())
+            for values, colour, width in zip(both, (COLOURS[place % len(COLOURS)], GREY), (1.1, 0.5), strict=True):
+                axes.semilogy(frequency[shown], values[shown] / largest, color=colour, linewidth=width)
+            for mode in modes_hz[place][np.isfinite(modes_hz[place])]:
                 axes.axvline(float(mode), color=GREY, linewidth=0.7, linestyle=(0, (2, 2)), zorder=1)
             decades(axes.yaxis)
-            panel_label(axes, spectrum.label)
-        panels[-1].set_xlabel("frequency / Hz")
-        panels[-1].set_xlim(0.0, top)
-        lay_out(figure, panels, top=0.26, gap=(0.5, 0.28))
+            panel_label(axes, f"{decay.name}, load {GRAM * load:.5g} {small_unit(component)}")
+        drawn.panels[-1].set_xlabel("frequency / Hz")
+        drawn.panels[-1].set_xlim(0.0, top)
         caption = (
             "Amplitude of the output after the release over its largest line; grey: what the model leaves, whose free "
             "amplitudes and level are fitted to each record; dashed: modes of the model."
         )
-        return finish(figure, name, "Spectra of the free oscillations", caption)
+        layout: dict[str, Any] = {"top": 0.26, "gap": (0.5, 0.28), "left": 0.72, "label": 0.52}
+        return drawn.picture("Spectra of the free oscillations", caption, **layout)
+
+
+def _label(solution: Solution) -> str:
+    """A solution in words."""
+    model = solution.model
+    label = "two masses" if model.is_rigid else "three masses"
+    return f"{label}, solution {model.solution}" if model.solutions > 1 else label
 
 
 def _band(axes: Axes, load: FloatArray, value: FloatArray, expanded: FloatArray, colour: str, label: str) -> None:
@@ -159,16 +128,19 @@ def _band(axes: Axes, load: FloatArray, value: FloatArray, expanded: FloatArray,
         axes.fill_between(load, value - expanded, value + expanded, color=colour, alpha=0.25, linewidth=0, zorder=2)
 
 
-def _deviations(axes: Axes, seen: MeasuredLoads) -> None:
+def _draw_deviations(axes: Axes, component: ComponentLoads, permitted: float) -> None:
     """Models less measured in %."""
-    share = 100.0 * seen.permitted
-    axes.axhspan(-share, share, color=GREY, alpha=0.15, linewidth=0, zorder=1)
+    first, load = component.series.measured.frequency_hz[:, 0], GRAM * component.series.masses.load
+    compared = [
+        ("two masses, by the lightest load", component.formula_hz),
+        ("two masses, all loads", component.identification.rigid.frequency_hz[:, 0]),
+    ]
+    if not component.solutions[0].model.is_rigid:
+        compared.append(("three masses", component.solutions[0].recorded.frequency_hz[:, 0]))
+    axes.axhspan(-PERCENT * permitted, PERCENT * permitted, color=GREY, alpha=0.15, linewidth=0, zorder=1)
     axes.axhline(0.0, color=GREY, linewidth=0.8, zorder=1.5)
-    for place, label in enumerate(seen.compared):
-        colour = (GREY, ORANGE, BLUE)[place % 3]
-        axes.plot(
-            seen.load, seen.deviation[:, place], marker="os^"[place % 3], color=colour, linewidth=0.8, label=label
-        )
+    for (label, values), colour, marker in zip(compared, (GREY, ORANGE, BLUE), "os^", strict=False):
+        axes.plot(load, PERCENT * (values / first - 1.0), marker=marker, color=colour, linewidth=0.8, label=label)
     axes.set_ylabel("model less measured / %")
 
 
@@ -176,15 +148,3 @@ def _empty(axes: Axes, text: str) -> None:
     """A panel that has nothing to show says why."""
     axes.text(0.5, 0.5, text, ha="center", transform=axes.transAxes, color=GREY)
     axes.set_yticks([])
-
-
-def _second_axis(axes: Axes, curves: Sequence[ModelCurve], seen: MeasuredLoads) -> None:
-    """Second resonances rise without end as the load vanishes: the axis ends above the largest load's region."""
-    every = np.concatenate([seen.frequency_hz[:, 1], *(curve.frequency_hz[:, 1] for curve in curves)])
-    known = every[np.isfinite(every)]
-    if not known.size:
-        _empty(axes, "a rigid load has no second mode")
-        return
-    measured = seen.frequency_hz[:, 1][np.isfinite(seen.frequency_hz[:, 1])]
-    top = max(3.0 * float(np.min(known)), 1.15 * float(np.max(measured, initial=0.0)))
-    axes.set_ylim(0.0, top)

@@ -8,14 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fusion.base import DASH, rounded, typeset
-from fusion.report.numbers import factor, measured
-from fusion.report.style import Picture
+from fusion.report.numbers import capital, factor, measured
 from fusion.report.table import Column, Headline, Table, known, word
 from fusion.sensor.load.evaluate import ComponentLoads, LoadEvaluation, NamedLimit, Solution, parameter_units
-from fusion.sensor.load.figures import DecaySpectrum, MeasuredLoads, ModelCurve, draw_characteristics, draw_spectra
+from fusion.sensor.load.figures import GRAM, draw_characteristics, draw_spectra, small_unit
 from shaker.arrays import FloatArray
 from shaker.release.load_model import PARAMETERS, LoadCurve
-from shaker.release.load_modes import projected
 
 RECORDED, PREDICTED, DRAWN = "recorded", "predicted", "curve"
 
@@ -161,7 +159,6 @@ LABELS = {
     "coupling_damping": "damping of the coupling c_L",
     "moving_mass": "moving mass m_E",
 }
-GRAM = 1e3
 
 
 def headlines(component: ComponentLoads) -> list[Headline]:
@@ -173,7 +170,7 @@ def headlines(component: ComponentLoads) -> list[Headline]:
             unit = parameter_units(component.name)[name]
             remark = f"U: k = {factor(component.k)}" if component.covers else "without U"
             remark += _which(solution)
-            found.append(Headline(_capital(LABELS[name]), measured(value, component.k * u, unit_text(unit)), remark))
+            found.append(Headline(capital(LABELS[name]), measured(value, component.k * u, unit_text(unit)), remark))
     bare = solution.drawn
     value, u = float(bare.frequency_hz[0, 0]), float(bare.u_frequency_hz[0, 0])
     found.append(Headline("Resonance without load", measured(value, component.k * u, "Hz"), "by the model"))
@@ -195,7 +192,7 @@ def parameters_table(component: ComponentLoads) -> Table:
             alone = measured(value, component.k * given[name]) if given.get(name) else DASH
             relative = f"{100.0 * component.k * u / value:.2g}" if u > 0.0 and value else DASH
             told = measured(value, component.k * u)
-            rows.append((f"{model.solution}", _capital(LABELS[name]), told, unit_text(units[name]), relative, alone))
+            rows.append((f"{model.solution}", capital(LABELS[name]), told, unit_text(units[name]), relative, alone))
     head = ("solution", "quantity", "value", "unit", "U relative / %", "for the stated masses")
     caption = f"Parameters with U = k·u, k = {factor(component.k)} (95 %)"
     return _without_first(component, Table(caption, head, "llrlrr", tuple(rows)))
@@ -263,7 +260,7 @@ def limits_table(component: ComponentLoads) -> Table:
     for solution in component.solutions:
         for limit in solution.limits:
             told = _mass(component, limit) if np.isfinite(limit.load_mass) else "no limit, or never met"
-            rows.append((f"{solution.model.solution}", _capital(limit.label), told))
+            rows.append((f"{solution.model.solution}", capital(limit.label), told))
     head = ("solution", "requirement", "largest load")
     return _without_first(component, Table("Load limits with U", head, "llr", tuple(rows)))
 
@@ -359,11 +356,6 @@ def unit_text(unit: str) -> str:
     return typeset(unit).replace(".", "·")
 
 
-def small_unit(component: ComponentLoads) -> str:
-    """Unit in which loads are told."""
-    return "g·m²" if component.name.startswith("M") else "g"
-
-
 def _plain(component: ComponentLoads, name: str, value: float, u: float) -> str:
     """A number with U for the terminal."""
     unit = unit_text(parameter_units(component.name)[name])
@@ -385,14 +377,6 @@ def _percent(share: float) -> str:
     percent = 100.0 * share
     text = f"{percent:+.2f}" if abs(percent) >= 1.0 else f"{percent:+.3f}" if abs(percent) >= 5e-4 else "0.000"
     return text.replace("-", "\N{MINUS SIGN}")
-
-
-def _capital(text: str) -> str:
-    """Text with a capital letter at its beginning."""
-    return text[:1].upper() + text[1:]
-
-
-PERCENT = 100.0
 
 
 def page_context(evaluation: LoadEvaluation) -> dict[str, Any]:
@@ -425,73 +409,7 @@ def _component(component: ComponentLoads, evaluation: LoadEvaluation) -> dict[st
         "bands": [bands_table(component, solution) for solution in component.solutions],
         "limits": limits_table(component),
         "masses": masses_table(component),
-        "characteristics": [_characteristics(component, evaluation.chosen.permitted)],
-        "spectra": _spectra(component),
+        "characteristics": [draw_characteristics(component, evaluation.chosen.permitted)],
+        "spectra": [picture for picture in [draw_spectra(component)] if picture is not None],
         "from_records": component.identification.from_records,
     }
-
-
-def _characteristics(component: ComponentLoads, permitted: float) -> Picture:
-    """Resonances and damping over the load."""
-    curves = [_curve(component, solution) for solution in component.solutions]
-    seen, load = component.series.measured, GRAM * component.series.masses.load
-    first = seen.frequency_hz[:, 0]
-    model = component.solutions[0].recorded.frequency_hz[:, 0]
-    rigid = component.identification.rigid.frequency_hz[:, 0]
-    compared = ["two masses, by the lightest load", "two masses, all loads"]
-    columns = [component.formula_hz, rigid]
-    if not component.solutions[0].model.is_rigid:
-        compared.append("three masses")
-        columns.append(model)
-    measured = MeasuredLoads(
-        load=load,
-        frequency_hz=seen.frequency_hz,
-        expanded=component.k * seen.u_frequency_hz,
-        damping=PERCENT * seen.damping_ratio[:, 0],
-        expanded_damping=PERCENT * component.k * seen.u_damping_ratio[:, 0],
-        compared=tuple(compared),
-        deviation=np.stack([PERCENT * (column / first - 1.0) for column in columns], axis=1),
-        permitted=permitted,
-        unit=small_unit(component),
-    )
-    grid = component.solutions[0].drawn.load_mass
-    masses = component.series.masses
-    lightest = int(np.argmin(masses.load))
-    scale = np.sqrt((masses.moving + masses.load[lightest]) / (masses.moving + grid))
-    return draw_characteristics(f"load-{component.name}", curves, measured, first[lightest] * scale)
-
-
-def _curve(component: ComponentLoads, solution: Solution) -> ModelCurve:
-    """A solution as it is drawn."""
-    drawn, model = solution.drawn, solution.model
-    label = "two masses" if model.is_rigid else "three masses"
-    return ModelCurve(
-        label=f"{label}, solution {model.solution}" if model.solutions > 1 else label,
-        load=GRAM * drawn.load_mass,
-        frequency_hz=drawn.frequency_hz,
-        expanded=component.k * drawn.u_frequency_hz,
-        damping=PERCENT * drawn.damping_ratio[:, 0],
-        expanded_damping=PERCENT * component.k * drawn.u_damping_ratio[:, 0],
-    )
-
-
-def _spectra(component: ComponentLoads) -> list[Picture]:
-    """Spectra of the records, none of a table."""
-    model, found = component.solutions[0].model, []
-    for place, decay in enumerate(component.series.decays):
-        poles = model.poles(float(component.series.masses.load[place]))
-        residual, _ = projected(decay, poles[poles.imag > 0.0])
-        window = np.hanning(len(decay.value))
-        both = [np.abs(np.fft.rfft(window * part)) for part in (decay.value - np.mean(decay.value), residual)]
-        largest = float(both[0].max())
-        load = GRAM * component.series.masses.load[place]
-        found.append(
-            DecaySpectrum(
-                label=f"{decay.name}, load {load:.5g} {small_unit(component)}",
-                frequency_hz=np.asarray(np.fft.rfftfreq(len(decay.value), 1.0 / decay.rate_hz)),
-                amplitude=both[0] / largest,
-                residual=both[1] / largest,
-                modes_hz=component.solutions[0].recorded.frequency_hz[place],
-            )
-        )
-    return [draw_spectra(f"spectra-{component.name}", found)] if found else []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -80,7 +81,9 @@ def draw_release(name: str, release: Release) -> Picture:
             time, dense = MILLI * fit.time_s[shown], np.count_nonzero(shown) > RASTER_ABOVE
             changing = (MILLI * fit.onset_s, MILLI * (fit.onset_s + fit.release_s))
             upper.axvspan(*changing, color=GREY, alpha=0.2, linewidth=0)
-            look = {"linewidth": 0.8} if dense else {"marker": ".", "markersize": 3.5, "linestyle": "none"}
+            look: dict[str, Any] = (
+                {"linewidth": 0.8} if dense else {"marker": ".", "markersize": 3.5, "linestyle": "none"}
+            )
             upper.plot(time, measured[shown] / 10.0**power, color=BLUE, label="record", zorder=2, **look)
             fitted = fit.fitted[shown] / 10.0**power
             upper.plot(time, fitted, color=RED, linewidth=0.9, linestyle=DASHED, label="fit", zorder=2.5)
@@ -165,9 +168,9 @@ def draw_model(name: str, component: ComponentResult, pooled: Pooled) -> Picture
                 upper.axvline(
                     end.value, color=colour, linewidth=1.0, zorder=1.5, label=f"{label} up to {end.value:.4g} Hz"
                 )
-        dots = {"color": BLUE, "markersize": 2.0, "zorder": 2}
+        dots: dict[str, Any] = {"color": BLUE, "markersize": 2.0, "zorder": 2}
         upper.plot(measured_hz, np.abs(measured), ".", label="releases", **dots)
-        look = {"color": RED, "linewidth": 1.0, "zorder": 2.5, "label": "model"}
+        look: dict[str, Any] = {"color": RED, "linewidth": 1.0, "zorder": 2.5, "label": "model"}
         draw_response(upper, middle, frequency, value, (u, np.zeros(len(u))), unwrapped=True, **look)
         upper.axhline(1.0, color=LIGHT, linewidth=0.8, zorder=1)
         upper.set_ylim(0.4 * min(1.0, float(np.abs(value).min())), 2.0 * float(np.abs(value).max()))

@@ -8,7 +8,7 @@ from typing import Any
 
 import h5py
 
-from fusion.campaign.workers import one_blas_thread
+from fusion.campaign.executor import one_blas_thread
 from fusion.recording.load import load_for_command
 from fusion.report.folder import Command
 from fusion.report.h5 import write_fields, write_value
