@@ -194,20 +194,19 @@ def pictures(calibration: Calibration, side: Side) -> list[CalibratedPicture | N
 
 def used_points(calibration: Calibration, side: Side) -> tuple[FloatArray, FloatArray, IntArray]:
     """Positions (M, 2) and residuals (M, 2) in px of all points of one camera in the fit, and their views (M,)."""
-    found = [(place, picture) for place, picture in enumerate(pictures(calibration, side)) if picture is not None]
+    taken = [(view, picture) for view, picture in enumerate(pictures(calibration, side)) if picture is not None]
     empty = np.empty((0, 2))
     return (
-        np.concatenate([empty, *(picture.position_px[picture.used] for _, picture in found)]),
-        np.concatenate([empty, *(picture.residual_px[picture.used] for _, picture in found)]),
-        np.concatenate([np.empty(0, int), *(np.full(picture.used.sum(), place) for place, picture in found)]),
+        np.concatenate([empty, *(picture.position_px[picture.used] for _, picture in taken)]),
+        np.concatenate([empty, *(picture.residual_px[picture.used] for _, picture in taken)]),
+        np.concatenate([np.empty(0, int), *(np.full(picture.used.sum(), view) for view, picture in taken)]),
     )
 
 
 def residual_map(position_px: FloatArray, residual_px: FloatArray, side_px: float) -> ResidualMap:
     """Means of residuals (M, 2) at positions (M, 2) in square cells of a side."""
-    cells, member = _groups(np.floor((position_px + 0.5) / side_px))
-    mean, count, scatter = _one_way(residual_px, member)
-    return ResidualMap(side_px, (cells + 0.5) * side_px - 0.5, mean, count, *scatter)
+    cells, mean, count, within, between = _one_way(residual_px, np.floor((position_px + 0.5) / side_px))
+    return ResidualMap(side_px, (cells + 0.5) * side_px - 0.5, mean, count, within, between)
 
 
 def cell_px(calibration: Calibration, side: Side) -> float:
@@ -220,10 +219,9 @@ def residual_parts(calibration: Calibration, side: Side) -> ResidualParts:
     position, residual, view = used_points(calibration, side)
     index = np.concatenate([p.index[p.used] for p in pictures(calibration, side) if p is not None])
     on_target = _onto_target(calibration, side, index, residual, view)
-    _, _, (_, place) = _one_way(residual, _groups(np.floor((position + 0.5) / cell_px(calibration, side)))[1])
-    _, _, (_, print_m) = _one_way(on_target, _groups(index)[1])
-    around = _groups(np.column_stack([view, index // NEIGHBOURS]))[1]
-    _, _, (alone, smooth) = _one_way(residual, around)
+    *_, place = _one_way(residual, np.floor((position + 0.5) / cell_px(calibration, side)))
+    *_, print_m = _one_way(on_target, index)
+    *_, alone, smooth = _one_way(residual, np.column_stack([view, index // NEIGHBOURS]))
     whole = _root((residual**2).sum(axis=1).mean())
     scale = whole / _root((on_target**2).sum(axis=1).mean())
     return ResidualParts(whole, place, print_m * scale, print_m, smooth, alone)
@@ -280,22 +278,19 @@ def _onto_target(
     return found
 
 
-def _groups(key: FloatArray | IntArray) -> tuple[FloatArray, IntArray]:
-    """The different rows (K, C) of a key (M, C), and which of them each row is (M,)."""
-    rows, member = np.unique(np.asarray(key, dtype=np.float64), axis=0, return_inverse=True)
-    return rows, np.asarray(member.reshape(-1), dtype=np.int64)
+def _one_way(vector: FloatArray, key: FloatArray | IntArray) -> tuple[FloatArray, FloatArray, IntArray, float, float]:
+    """Keys (K, C), means (K, 2) and sizes (K,) of groups of vectors (M, 2) of equal key (M, C), and two rms lengths.
 
-
-def _one_way(vector: FloatArray, member: IntArray) -> tuple[FloatArray, IntArray, tuple[float, float]]:
-    """Means (K, 2) and sizes (K,) of groups of vectors (M, 2), and the rms lengths within and between the groups.
-
-    Analysis of variance with random effects: the mean square between groups minus that which chance gives it.
+    Those within and between the groups. Analysis of variance with random effects: the mean square between groups minus
+    that which chance gives it.
     """
+    keys, member = np.unique(np.asarray(key, dtype=np.float64), axis=0, return_inverse=True)
+    member = member.reshape(-1)
     count = np.bincount(member)
     mean = np.stack([np.bincount(member, weights=vector[:, axis]) for axis in (0, 1)], axis=1) / count[:, None]
     within = float(np.sum((vector - mean[member]) ** 2)) / max(len(vector) - len(count), 1)
     between = float(count @ (mean**2).sum(axis=1)) / len(vector)
-    return mean, count, (_root(within), _root(between - within * len(count) / len(vector)))
+    return keys, mean, count, _root(within), _root(between - within * len(count) / len(vector))
 
 
 def _propagated(function: Callable[[FloatArray], FloatArray], covariance: FloatArray) -> FloatArray:

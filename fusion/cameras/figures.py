@@ -1,4 +1,4 @@
-"""Figures of a calibration: lens and residuals."""
+"""Figures of a calibration: what it found (lens, correlations, target) and what it leaves (residuals)."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import BoundaryNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
+from scipy.spatial import ConvexHull, QhullError
 
 from fusion.cameras.facts import (
     SIDES,
     Distortion,
     Side,
-    TargetShape,
     cell_px,
     correlation,
     covariance_of,
@@ -49,9 +49,6 @@ from photogram.calibration.result import Calibration
 from photogram.camera import RIG_PARAMETERS
 from shaker.arrays import FloatArray, IntArray
 
-# Panels that show a camera's picture area: frame, arrows with their key, colour bar, colours of the views.
-
-
 MARGIN_IN, BETWEEN_IN, TOP_IN, AXIS_IN = (0.62, 0.12), 0.55, 0.28, 0.42
 """Left and right margin, gap between panels, room for a label above and for an axis below."""
 FLATTEST_IN, TALLEST_IN = 1.2, 4.5
@@ -59,6 +56,20 @@ KEY_IN, BAR_IN = 0.2, 0.55
 """Room below the axis for the key of arrows, and for a colour bar."""
 ARROW_WIDTH = 0.0035  # of a panel's width; thinner where there are many
 KEPT = 0.98  # quantile of the arrows' lengths that sets their scale
+ELLIPSE_QUANTILE = 2.448
+"""Half axes, in standard uncertainties, of the ellipse that holds two coordinates with 95 %: √χ²(0.95; 2)."""
+LEVELS = 8
+GROUPS = (9, 18, 21)
+"""Numbers of parameters after which another group begins: left camera, right camera, rotation, translation."""
+STRONG = 0.9  # coefficient from which on it is written into the figure
+MEAN_QUANTILE = 1.731
+"""Length of a mean of noise, in units of its rms length, that one in twenty exceeds: √(−ln 0.05)."""
+LONGEST_SHARE = 0.04  # of the picture's width, of the longest arrow
+SIDE_COLOUR = {"left": BLUE, "right": ORANGE}
+INK = {"left": "white", "right": BLACK}
+MOST_NAMES = 8  # dropped pictures that are named in the figure
+LONGEST_NAME = 16
+BINS = 40
 
 
 def picture_panels(count: int, size_px: IntArray, below_in: float = 0.0) -> tuple[Figure, list[Axes]]:
@@ -69,20 +80,15 @@ def picture_panels(count: int, size_px: IntArray, below_in: float = 0.0) -> tupl
     figure = new_figure(height + TOP_IN + bottom)
     panels = list(figure.subplots(1, count, squeeze=False)[0])
     for axes in panels:
-        frame_picture(axes, size_px)
+        axes.set_xlim(-0.5, size_px[0] - 0.5)
+        axes.set_ylim(size_px[1] - 0.5, -0.5)  # y down
+        axes.set_aspect("equal")
+        axes.set_xlabel("x / px")
+        bordered(axes)
     panels[0].set_ylabel("y / px")
     left, right = MARGIN_IN
     lay_out(figure, panels, left=left, right=right, bottom=bottom, top=TOP_IN, gap=(BETWEEN_IN, 0.1), label=0.48)
     return figure, panels
-
-
-def frame_picture(axes: Axes, size_px: IntArray) -> None:
-    """The whole picture area, y down, with its border."""
-    axes.set_xlim(-0.5, size_px[0] - 0.5)
-    axes.set_ylim(size_px[1] - 0.5, -0.5)
-    axes.set_aspect("equal")
-    axes.set_xlabel("x / px")
-    bordered(axes)
 
 
 def bordered(axes: Axes) -> None:
@@ -143,31 +149,31 @@ def two_digits(value: float) -> str:
     return f"{value:.{places}f}".replace("-", "−")
 
 
-# Figures of what a calibration found: distortion and principal point, correlations, shape of the target.
-
-
-ELLIPSE_QUANTILE = 2.448
-"""Half axes, in standard uncertainties, of the ellipse that holds two coordinates with 95 %: √χ²(0.95; 2)."""
-LEVELS = 8
-GROUPS = (9, 18, 21)
-"""Numbers of parameters after which another group begins: left camera, right camera, rotation, translation."""
-STRONG = 0.9  # coefficient from which on it is written into the figure
-
-
 def draw_distortion(calibration: Calibration, side: Side) -> Picture:
     """Displacement by the lens with its uncertainty over the picture, and the principal point."""
     camera = calibration.rig.left if side == "left" else calibration.rig.right
     field = distortion(calibration, side)
-    hull = _hull(used_points(calibration, side)[0])
+    seen = used_points(calibration, side)[0]
+    try:
+        corners = ConvexHull(seen).vertices
+        seen = seen[[*corners, corners[0]]]
+    except (QhullError, ValueError):
+        pass  # points that span no area are their own outline
     with drawing(f"distortion-{side}"):
         figure, panels = picture_panels(3, camera.size_px, BAR_IN)
         length = np.linalg.norm(field.displacement_px, axis=-1)
         _draw_contours(panels[0], field, length, "displacement / px", log=False)
-        _draw_displacement(panels[0], field)
+        some = (slice(2, None, 4), slice(2, None, 4))  # directions on a coarse grid
+        place, vector = field.pixel[some].reshape(-1, 2), field.displacement_px[some].reshape(-1, 2)
+        known = np.isfinite(vector).all(axis=1)
+        longest = float(np.hypot(*vector[known].T).max(initial=0.0)) or 1.0
+        reach = 3.5 * float(field.pixel[0, 1, 0] - field.pixel[0, 0, 0])
+        scale: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": longest / reach, "headwidth": 3.5}
+        panels[0].quiver(*place[known].T, *vector[known].T, color="white", width=0.006, **scale)
         panels[0].plot(*camera.parameters[2:4], "+", color="white", markersize=7.0)
         _draw_contours(panels[1], field, field.u_px, "standard uncertainty / px", log=True)
         for axes in panels[:2]:
-            axes.plot(*hull.T, color=RED, linewidth=1.0, linestyle="--")
+            axes.plot(*seen.T, color=RED, linewidth=1.0, linestyle="--")
         panel_label(panels[0], f"displacement by distortion, up to {two_digits(np.nanmax(length))} px")
         panel_label(panels[1], f"its u, up to {two_digits(np.nanmax(field.u_px))} px")
         _draw_principal_point(panels[2], calibration, side)
@@ -219,14 +225,17 @@ def draw_shape(calibration: Calibration) -> Picture | None:
     with drawing("shape"):
         extent = 1e3 * np.ptp(shape.lattice_m, axis=0) + 4e3 * calibration.target.spacing_m
         figure, panels = picture_panels(2, extent, BAR_IN)
-        squares = _squares(shape, calibration.target.spacing_m)
+        spacing_mm = 1e3 * calibration.target.spacing_m
+        corner = 0.47 * spacing_mm * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+        squares = PolyCollection(list(1e3 * shape.lattice_m[:, None, :] + corner), linewidth=0.0, cmap="viridis")
+        squares.set_array(1e6 * shape.height_m)
+        squares.set_rasterized(len(shape.height_m) > RASTER_ABOVE)
         panels[0].add_collection(squares)
         colour_bar(panels[0], squares, "height / µm")
         panel_label(
             panels[0],
             f"height, from {two_digits(1e6 * shape.height_m.min())} to {two_digits(1e6 * shape.height_m.max())} µm",
         )
-        spacing_mm = 1e3 * calibration.target.spacing_m
         arrows(panels[1], 1e3 * shape.lattice_m, 1e6 * shape.inside_m, 1.5 * spacing_mm, BLUE, "µm")
         inside = np.hypot(*shape.inside_m.T)
         panel_label(panels[1], f"in the plane, rms {two_digits(1e6 * float(np.sqrt(np.mean(inside**2))))} µm")
@@ -264,25 +273,6 @@ def _one_two_five(low: float, high: float) -> FloatArray:
     return every[np.searchsorted(every, low, "right") - 1 : np.searchsorted(every, max(float(high), 2.0 * low)) + 1]
 
 
-def _draw_displacement(axes: Axes, field: Distortion) -> None:
-    """Directions of the displacement as arrows on a coarse grid."""
-    some = (slice(2, None, 4), slice(2, None, 4))
-    place, vector = field.pixel[some].reshape(-1, 2), field.displacement_px[some].reshape(-1, 2)
-    known = np.isfinite(vector).all(axis=1)
-    longest = float(np.hypot(*vector[known].T).max(initial=0.0)) or 1.0
-    reach = 3.5 * float(field.pixel[0, 1, 0] - field.pixel[0, 0, 0])
-    axes.quiver(
-        *place[known].T,
-        *vector[known].T,
-        color="white",
-        angles="xy",
-        scale_units="xy",
-        scale=longest / reach,
-        width=0.006,
-        headwidth=3.5,
-    )
-
-
 def _draw_principal_point(axes: Axes, calibration: Calibration, side: Side) -> None:
     """Principal point with its ellipse and the middle of the picture, enlarged."""
     point, covariance = principal_point(calibration.rig, side)
@@ -303,40 +293,6 @@ def _draw_principal_point(axes: Axes, calibration: Calibration, side: Side) -> N
     axes.grid(visible=True)
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.22), borderaxespad=0.0)
     panel_label(axes, "principal point, enlarged")
-
-
-def _hull(points: FloatArray) -> FloatArray:
-    """Closed convex outline (K, 2) of points, themselves where they span no area."""
-    from scipy.spatial import ConvexHull, QhullError
-
-    try:
-        corners = ConvexHull(points).vertices
-    except (QhullError, ValueError):
-        return points
-    return np.asarray(points[[*corners, corners[0]]])
-
-
-def _squares(shape: TargetShape, spacing_m: float) -> PolyCollection:
-    """Squares about the target's points, coloured by their height in µm."""
-    corner = 0.47e3 * spacing_m * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    squares = PolyCollection(list(1e3 * shape.lattice_m[:, None, :] + corner), linewidth=0.0)
-    squares.set_array(1e6 * shape.height_m)
-    squares.set_cmap("viridis")
-    squares.set_rasterized(len(shape.height_m) > RASTER_ABOVE)
-    return squares
-
-
-# Figures of what a calibration leaves: residuals over the picture, their distribution, picture by picture.
-
-
-MEAN_QUANTILE = 1.731
-"""Length of a mean of noise, in units of its rms length, that one in twenty exceeds: √(−ln 0.05)."""
-LONGEST_SHARE = 0.04  # of the picture's width, of the longest arrow
-SIDE_COLOUR = {"left": BLUE, "right": ORANGE}
-INK = {"left": "white", "right": BLACK}
-MOST_NAMES = 8  # dropped pictures that are named in the figure
-LONGEST_NAME = 16
-BINS = 40
 
 
 def draw_residuals(calibration: Calibration, side: Side) -> Picture:

@@ -1,9 +1,8 @@
-"""The page of a calibration."""
+"""The page of a calibration: its tables, every number rounded to its U (k = 2), and from where the target was seen."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
 
 import numpy as np
 from markupsafe import Markup
@@ -62,13 +61,10 @@ from fusion.report.style import (
     panel_label,
 )
 from fusion.report.table import Headline, Table
-from photogram.calibration.result import CalibratedPicture, CalibratedView, Calibration, Parameter
+from photogram.calibration.result import CalibratedView, Calibration, Parameter
 from photogram.camera import RIG_PARAMETERS
 from photogram.geometry import vector_from_rotation
 from shaker.arrays import FloatArray
-
-# The tables of the page of a camera calibration: every number rounded to its expanded uncertainty, k = 2.
-
 
 STATES = {
     "determined": "determined",
@@ -94,6 +90,12 @@ KINDS = {
     "dots": "dots",
     "asymmetric-dots": "dots in staggered rows",
 }
+CIRCLES_DEG = 15.0  # between the circles of the tilts
+LEAST_TURN_DEG, LEAST_DISTANCE_SHARE = 40.0, 0.2
+"""Least spans of the axes of turn and, of its median, of distance: views that are alike shall look so."""
+NUMBER_PT = np.array([9.0, 7.0])  # room that the number of a view takes
+POINTS_DRAWN = 8000.0  # from this number on points are drawn at their smallest
+HALO = [withStroke(linewidth=1.8, foreground="white")]
 STRONGEST = 8  # correlations listed
 DISPLAY = {"m": (1e3, "mm"), "1": (1.0, "")}
 """Factor and name of the units that are printed otherwise."""
@@ -215,8 +217,8 @@ def views_table(calibration: Calibration) -> Table:
             (
                 str(place + 1),
                 _pair(*(picture.name if picture is not None else DASH for picture in both)),
-                _pair(*(_points(picture) for picture in both)),
-                _pair(*(_rms(picture) for picture in both)),
+                _pair(*(f"{int(p.used.sum())} of {len(p.used)}" if p is not None else DASH for p in both)),
+                _pair(*(f"{p.rms_px:.3f}" if p is not None and p.used.any() else DASH for p in both)),
                 f"{tilt[place]:.1f}",
                 _signed(f"{turn[place]:.1f}"),
                 measured(1e3 * distance.value, 2e3 * distance.u),
@@ -287,16 +289,6 @@ def _parameter_row(item: Parameter, plain: float) -> tuple[str, ...]:
     return item.name, meaning, text.value, standard, text.expanded, shown, state
 
 
-def _points(picture: CalibratedPicture | None) -> str:
-    """Points in the fit of those found."""
-    return f"{int(picture.used.sum())} of {len(picture.used)}" if picture is not None else DASH
-
-
-def _rms(picture: CalibratedPicture | None) -> str:
-    """Rms length of one picture's residuals."""
-    return f"{picture.rms_px:.3f}" if picture is not None and picture.used.any() else DASH
-
-
 def _pair(left: str, right: str) -> Markup:
     """A cell with the entry of the left camera above that of the right."""
     return Markup("{}<br>{}").format(left, right)
@@ -305,17 +297,6 @@ def _pair(left: str, right: str) -> Markup:
 def _signed(text: str) -> str:
     """Number with a typographic minus."""
     return text.replace("-", "\N{MINUS SIGN}")
-
-
-# Figures of a camera calibration: which figures there are, and from where the target was seen.
-
-
-CIRCLES_DEG = 15.0  # between the circles of the tilts
-LEAST_TURN_DEG, LEAST_DISTANCE_SHARE = 40.0, 0.2
-"""Least spans of the axes of turn and, of its median, of distance: views that are alike shall look so."""
-NUMBER_PT = np.array([9.0, 7.0])  # room that the number of a view takes
-POINTS_DRAWN = 8000.0  # from this number on points are drawn at their smallest
-HALO = [withStroke(linewidth=1.8, foreground="white")]
 
 
 def draw_cameras(calibration: Calibration) -> dict[str, list[Picture]]:
@@ -479,20 +460,12 @@ def _at_least(values: FloatArray, span: float) -> tuple[float, float]:
     return low - room, high + room
 
 
-# The page of a camera calibration: what was found, how well, and from which views.
-
-
 def render_camera_report(calibration: Calibration, name: str, provenance: Provenance, duration_s: float) -> str:
     """HTML text of one self-contained page about the calibrated stereo pair `name`.
 
     `provenance`: hashes of the pictures, settings, versions and the names of the files written beside the page.
     """
-    return render_page("cameras.html", _context(calibration, name, provenance, duration_s))
-
-
-def _context(calibration: Calibration, name: str, provenance: Provenance, duration_s: float) -> dict[str, Any]:
-    """Everything the template shows."""
-    return {
+    context = {
         "name": name,
         "subject": subject(calibration),
         "verdict": verdict(calibration),
@@ -509,3 +482,4 @@ def _context(calibration: Calibration, name: str, provenance: Provenance, durati
         "duration_s": duration_s,
         "files": provenance.files,
     }
+    return render_page("cameras.html", context)
