@@ -27,7 +27,6 @@ from shaker.lti.system import LinearSystem
 
 # The target that keeps a whole sensor within a permitted error up to a wanted frequency.
 
-
 KEPT_SHARE = 0.1
 """Share of the permitted error that is left to the uncertainty of the model."""
 HIGHEST_FACTOR = 32.0
@@ -54,12 +53,24 @@ def target_for_bandwidth(
         raise ValueError(f"bandwidth_hz: expected a positive number, found {bandwidth_hz}")
     if not len(sensor.frequency_hz):
         raise ValueError("frequency_hz: expected a mode to compensate for a bandwidth, found real poles only")
-    start = best_damping((1.0 - KEPT_SHARE) * permitted_error)
-
+    allowed = (1.0 - KEPT_SHARE) * permitted_error
+    start, gain = best_damping(allowed), _gains(sensor, np.linspace(0.0, bandwidth_hz, POINTS))
     wanted = Target(bandwidth_hz, start, real_hz, low_pass_hz)
 
     def lowest(damping: float) -> float:
-        return _lowest_frequency(sensor, bandwidth_hz, permitted_error, replace(wanted, damping_ratio=float(damping)))
+        """Lowest natural frequency with which the band is kept, infinite where none does."""
+
+        def kept(frequency: float) -> bool:
+            target = replace(wanted, frequency_hz=frequency, damping_ratio=float(damping))
+            return bool(np.max(np.abs(gain(target) - 1.0)) <= allowed)
+
+        low, high = bandwidth_hz / HIGHEST_FACTOR, bandwidth_hz * HIGHEST_FACTOR
+        if not kept(high):
+            return float("inf")
+        while high / low > 1.0 + RESOLUTION:
+            middle = float(np.sqrt(low * high))
+            low, high = (low, middle) if kept(middle) else (middle, high)
+        return high
 
     dampings = start + np.linspace(-0.25, 0.4, 27)
     tried = np.array([lowest(damping) for damping in dampings])
@@ -70,8 +81,8 @@ def target_for_bandwidth(
             "or raise the low-pass"
         )
     near = dampings[int(np.argmin(tried))]
-    found = minimize_scalar(lowest, bounds=(near - 0.025, near + 0.025), method="bounded", options={"xatol": 1e-7})
-    damping = float(found.x) if found.fun <= np.min(tried) else float(near)
+    best = minimize_scalar(lowest, bounds=(near - 0.025, near + 0.025), method="bounded", options={"xatol": 1e-7})
+    damping = float(best.x) if best.fun <= np.min(tried) else float(near)
     return replace(wanted, frequency_hz=lowest(damping), damping_ratio=damping)
 
 
@@ -86,12 +97,12 @@ def target_for_frequency(
 
     A tenth of δ is left to the uncertainty of the model. For one mode that is `best_damping` of what is left.
     """
-    start = best_damping((1.0 - KEPT_SHARE) * permitted_error)
+    allowed = (1.0 - KEPT_SHARE) * permitted_error
+    start = best_damping(allowed)
     wanted = Target(frequency_hz, start, real_hz, low_pass_hz)
     if not len(sensor.frequency_hz):
         return wanted
     gain = _gains(sensor, np.linspace(0.0, REACH * frequency_hz, FINE))
-    allowed = (1.0 - KEPT_SHARE) * permitted_error
 
     def reached(damping: float) -> int:
         outside = np.abs(gain(replace(wanted, damping_ratio=damping)) - 1.0) > allowed
@@ -102,38 +113,20 @@ def target_for_frequency(
     return replace(wanted, damping_ratio=float(dampings[best]))
 
 
-def _lowest_frequency(sensor: SensorDynamics, bandwidth_hz: float, permitted_error: float, wanted: Target) -> float:
-    """Lowest natural frequency with which the band is kept, infinite where none does."""
-    gain = _gains(sensor, np.linspace(0.0, bandwidth_hz, POINTS))
-    allowed = (1.0 - KEPT_SHARE) * permitted_error
-
-    def kept(frequency: float) -> bool:
-        return bool(np.max(np.abs(gain(replace(wanted, frequency_hz=frequency)) - 1.0)) <= allowed)
-
-    low, high = bandwidth_hz / HIGHEST_FACTOR, bandwidth_hz * HIGHEST_FACTOR
-    if not kept(high):
-        return float("inf")
-    while high / low > 1.0 + RESOLUTION:
-        middle = float(np.sqrt(low * high))
-        low, high = (low, middle) if kept(middle) else (middle, high)
-    return high
-
-
 def _gains(sensor: SensorDynamics, frequency_hz: FloatArray) -> Callable[[Target], FloatArray]:
     """The gain over the static one (K,) of the compensated sensor at frequencies (K,), as a function of the target."""
     s: ComplexArray = np.asarray(2j * np.pi * frequency_hz, dtype=np.complex128)
-    rest = np.abs(sensor.system.at(s) / sensor.static_gain * _denominator(s, cancelled_poles(sensor)))
+
+    def denominator(poles: list[ComplexArray]) -> ComplexArray:
+        """Π(1 - s/p) (K,) over all poles p."""
+        return np.asarray(np.prod(1.0 - s[:, None] / np.concatenate(poles), axis=1))
+
+    rest = np.abs(sensor.system.at(s) / sensor.static_gain * denominator(cancelled_poles(sensor)))
 
     def gain(target: Target) -> FloatArray:
-        poles = [*target_poles(sensor, target), *low_pass_poles(target)]
-        return np.asarray(rest / np.abs(_denominator(s, poles)))
+        return np.asarray(rest / np.abs(denominator([*target_poles(sensor, target), *low_pass_poles(target)])))
 
     return gain
-
-
-def _denominator(s: ComplexArray, poles: list[ComplexArray]) -> ComplexArray:
-    """Π(1 - s/p) (K,) over all poles p."""
-    return np.asarray(np.prod(1.0 - s[:, None] / np.concatenate(poles), axis=1))
 
 
 # What a compensation filter makes of the sensor's noise.
@@ -189,14 +182,8 @@ def state_space(sections: Sections) -> tuple[FloatArray, FloatArray, FloatArray,
 
 # What is left where a filter meets another sensor than it was made for: another load, or a model that is off.
 
-
 PERIODS = 6
 PER_PERIOD = 256
-
-
-def met(compensation: Compensation, sensor: LinearSystem) -> LinearSystem:
-    """Return the filter behind another sensor, all poles and zeros kept."""
-    return sensor.times(compensation.system)
 
 
 def moved(sensor: SensorDynamics, vector: FloatArray) -> LinearSystem:
@@ -207,8 +194,8 @@ def moved(sensor: SensorDynamics, vector: FloatArray) -> LinearSystem:
     left = list(sensor.system.poles)
     for pole in np.concatenate(cancelled_poles(sensor)):
         left.pop(int(np.argmin(np.abs(np.array(left) - pole))))
-    found = LinearSystem(sensor.system.zeros, np.array([*left, *poles, *(-2 * np.pi * real)]), 1.0)
-    return replace(found, gain=float(gain[0]) / found.static_gain)
+    unscaled = LinearSystem(sensor.system.zeros, np.array([*left, *poles, *(-2 * np.pi * real)]), 1.0)
+    return replace(unscaled, gain=float(gain[0]) / unscaled.static_gain)
 
 
 def with_frequency(sensor: SensorDynamics, factor: float) -> LinearSystem:
@@ -226,7 +213,7 @@ def residual_ringing(compensation: Compensation, sensor: LinearSystem, after_s: 
     """
     if not after_s >= 0:
         raise ValueError(f"after_s: expected 0 or more, found {after_s}")
-    whole = met(compensation, sensor)
+    whole = sensor.times(compensation.system)
     swinging = np.abs(whole.poles.imag[whole.poles.imag > 0])
     if not len(swinging):
         return float(np.abs(whole.step(np.array([after_s]))[0] / whole.static_gain - 1.0))
@@ -234,15 +221,6 @@ def residual_ringing(compensation: Compensation, sensor: LinearSystem, after_s: 
     count = int(min(1 << 15, PERIODS * PER_PERIOD * np.max(swinging) / np.min(swinging)))
     time = after_s + np.linspace(0.0, span, count)
     return float(np.max(np.abs(whole.step(time) / whole.static_gain - 1.0)))
-
-
-def ringing_amplitude(compensation: Compensation, sensor: LinearSystem) -> FloatArray:
-    """Return the amplitude after a step of every oscillating pole of the sensor (M,), over the final value."""
-    whole = met(compensation, sensor)
-    upper = sensor.poles[sensor.poles.imag > 0]
-    places = [int(np.argmin(np.abs(whole.poles - pole))) for pole in upper]
-    terms, _ = whole.step_terms()
-    return np.asarray(2.0 * np.abs(terms[places]) / abs(whole.static_gain))
 
 
 # How well a compensated signal is known: by frequency and sample by sample.
@@ -313,8 +291,7 @@ class CompensationWithUncertainty:
         covariance = compensation.sensor.covariance
         size = len(compensation.sensor.vector)
         self._covariance = np.zeros((size, size)) if covariance is None else covariance
-        known = np.any(self._covariance != 0.0, axis=0)
-        self._known = np.flatnonzero(known)
+        self._known = np.flatnonzero(np.any(self._covariance != 0.0, axis=0))
         self._filter = CompensationFilter(sections, channels, level)
         every = parameter_sections(compensation, sample_rate_hz, method)
         self._slopes = [CompensationFilter(every[place], channels, level) for place in self._known]

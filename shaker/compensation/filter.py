@@ -14,7 +14,6 @@ from shaker.release.load_model import LoadModel
 
 # What a compensation filter takes out of a sensor: modes, real poles and static gain, with covariance.
 
-
 RELATIVE_STEP = 1e-5
 """Of the load mass, to either side, for the derivative by it."""
 
@@ -137,12 +136,11 @@ def dominant(system: LinearSystem, count: int) -> IntArray:
 
 def _read(system: LinearSystem, chosen: IntArray) -> FloatArray:
     """Frequencies, damping ratios of chosen modes, and the static gain."""
-    upper: ComplexArray = system.poles[system.poles.imag > 0][chosen]
+    upper = system.poles[system.poles.imag > 0][chosen]
     return np.concatenate([np.abs(upper) / (2 * np.pi), -upper.real / np.abs(upper), [system.static_gain]])
 
 
 # The dynamics a compensated sensor shall have, stated or found for a wanted bandwidth.
-
 
 MODE_SPACING = 2.0
 """How far apart, over the target's frequency, further modes are put at least."""
@@ -200,17 +198,17 @@ def cancelled_poles(sensor: SensorDynamics) -> list[ComplexArray]:
 
 def target_poles(sensor: SensorDynamics, target: Target) -> list[ComplexArray]:
     """Return the poles in rad/s that take their place, section by section."""
-    found = []
+    poles = []
     if len(sensor.frequency_hz):
         least = target.frequency_hz * MODE_SPACING * np.arange(1, len(sensor.frequency_hz))
         frequencies = [target.frequency_hz, *np.maximum(sensor.frequency_hz[1:], least)]
-        found = [mode_poles(float(f), target.damping_ratio) for f in frequencies]
+        poles = [mode_poles(float(f), target.damping_ratio) for f in frequencies]
     if len(sensor.real_hz):
         if target.real_hz is None:
             raise ValueError("real_hz: expected where the slowest real pole shall lie, found none")
         factor = target.real_hz / np.min(sensor.real_hz)
-        found += [np.array([-2 * np.pi * factor * f + 0j]) for f in sensor.real_hz]
-    return found
+        poles += [np.array([-2 * np.pi * factor * f + 0j]) for f in sensor.real_hz]
+    return poles
 
 
 def low_pass_poles(target: Target) -> list[ComplexArray]:
@@ -269,22 +267,14 @@ class Compensation:
             left.pop(int(np.argmin(np.abs(np.array(left) - zero))))
         return LinearSystem(self.sensor.system.zeros, np.concatenate([left, poles]), gain)
 
-    @property
-    def least_white_gain(self) -> float:
-        """|G_c| far above all poles: what the filter does to the noise there; 0 with a low-pass."""
-        return abs(self.system.direct)
-
     def sensitivities(self, frequency_hz: FloatArray) -> ComplexArray:
         """Return ∂ ln G_c/∂θ (K, P) of the parameters θ of `sensor.vector` at frequencies (K,) in Hz.
 
         A mode's factor N = 1 + 2ζs/ω + s²/ω², a real pole's N = 1 + s/a; the static gain counts if calibrated.
         """
         s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[:, None]
-        omega, zeta, a = (
-            2 * np.pi * self.sensor.frequency_hz,
-            self.sensor.damping_ratio,
-            2 * np.pi * self.sensor.real_hz,
-        )
+        omega, a = 2 * np.pi * self.sensor.frequency_hz, 2 * np.pi * self.sensor.real_hz
+        zeta = self.sensor.damping_ratio
         mode = 1.0 + 2.0 * zeta * s / omega + (s / omega) ** 2
         by_frequency = -2 * np.pi * (2.0 * zeta * s / omega**2 + 2.0 * s**2 / omega**3) / mode
         by_real = -2 * np.pi * s / a**2 / (1.0 + s / a)
@@ -293,7 +283,6 @@ class Compensation:
 
 
 # The compensation filter for samples: second-order sections, each of static gain 1, and what sampling costs.
-
 
 Discretisation = Literal["matched", "tustin"]
 HIGHEST_SHARE = 0.45
@@ -324,14 +313,9 @@ class Sections:
         Polynomials are taken in w = 1 - z⁻¹, which is small where the sampling is fast and differences would cancel.
         """
         w = -np.expm1(-2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[:, None] / self.sample_rate_hz)
-        b, a = (_in_differences(part) for part in (self.sos[:, :3], self.sos[:, 3:]))
-        tops = b[:, 0] + w * (b[:, 1] + w * b[:, 2])
-        return np.asarray(self.gain * np.prod(tops / (a[:, 0] + w * (a[:, 1] + w * a[:, 2])), axis=1))
-
-    @property
-    def delay_free(self) -> float:
-        """What the filter makes of a jump of 1 from one sample to the next, at once."""
-        return float(self.gain * np.prod(self.sos[:, 0]))
+        c0, c1, c2 = self.sos.reshape(-1, 2, 3).transpose(2, 1, 0)  # numerator and denominator of every section
+        top, bottom = (c0 + c1 + c2)[:, None] + w * ((-c1 - 2.0 * c2)[:, None] + w * c2[:, None])
+        return np.asarray(self.gain * np.prod(top / bottom, axis=1))
 
 
 def sampled(compensation: Compensation, sample_rate_hz: float, method: Discretisation = "matched") -> Sections:
@@ -346,8 +330,8 @@ def sampled(compensation: Compensation, sample_rate_hz: float, method: Discretis
     fastest = max(float(np.max(np.abs(np.concatenate(factor)))) for factor in compensation.factors) / (2 * np.pi)
     if not fastest <= HIGHEST_SHARE * sample_rate_hz:
         least = fastest / HIGHEST_SHARE
-        raise ValueError(f"sample_rate_hz: expected at least {least:.6g} for a filter to {fastest:.6g} Hz, "
-                         f"found {sample_rate_hz:g}")  # fmt: skip
+        expected = f"at least {least:.6g} for a filter to {fastest:.6g} Hz"
+        raise ValueError(f"sample_rate_hz: expected {expected}, found {sample_rate_hz:g}")
     rows = [section_row(zeros, poles, sample_rate_hz, method) for zeros, poles in compensation.factors]
     return Sections(np.stack(rows), compensation.gain, float(sample_rate_hz))
 
@@ -395,50 +379,34 @@ def parameter_sections(
 
     The poles do not depend on the sensor, so that ∂y/∂θ is y's filter with ∂b/∂θ in place of b, by central differences.
     """
-    base = sampled(compensation, sample_rate_hz, method)
-    sensor = compensation.sensor
+    base, sensor = sampled(compensation, sample_rate_hz, method), compensation.sensor
     modes, reals = len(sensor.frequency_hz), len(sensor.real_hz)
-    owner = [*range(modes), *range(modes), *(modes + np.arange(reals))]
-    first, found = len(base.sos) - modes - reals, []
-    for parameter, section in enumerate(owner):
+    first, targets = len(base.sos) - modes - reals, target_poles(sensor, compensation.target)
+
+    def numerator(parameter: int, section: int, by: float) -> FloatArray:
+        """That of a section with the sensor's value moved and the target left where it is."""
+        value = sensor.vector.copy()
+        value[parameter] += by
+        if section < modes:
+            zeros = mode_poles(value[section], value[modes + section])
+        else:
+            zeros = np.array([-2 * np.pi * value[modes + section] + 0j])
+        return section_row(zeros, targets[section], sample_rate_hz, method)[:3]
+
+    slopes = []
+    for parameter, section in enumerate([*range(modes), *range(modes), *(modes + np.arange(reals))]):
         size = DISCRETE_RELATIVE_STEP * (1.0 if modes <= parameter < 2 * modes else sensor.vector[parameter])
-        up, down = (
-            _moved_row(compensation, parameter, section, sign * size, sample_rate_hz, method) for sign in (1, -1)
-        )
         sos = base.sos.copy()
-        sos[first + section, :3] = (up - down)[:3] / (2.0 * size)
-        found.append(Sections(sos, base.gain, base.sample_rate_hz))
-    slope = -base.gain / sensor.static_gain if compensation.calibrated else 0.0
-    return (*found, Sections(base.sos, slope, base.sample_rate_hz))
-
-
-def _moved_row(
-    compensation: Compensation, parameter: int, section: int, by: float, rate_hz: float, method: Discretisation
-) -> FloatArray:
-    """The section of a parameter with the sensor's value moved and the target left where it is."""
-    sensor = compensation.sensor
-    value = sensor.vector.copy()
-    value[parameter] += by
-    modes = len(sensor.frequency_hz)
-    if section < modes:
-        omega, zeta = 2 * np.pi * value[section], value[modes + section]
-        root = 1j * omega * np.sqrt(1.0 - zeta**2)
-        zeros = np.array([-zeta * omega + root, -zeta * omega - root])
-    else:
-        zeros = np.array([-2 * np.pi * value[modes + section] + 0j])
-    first = len(compensation.factors) - modes - len(sensor.real_hz)
-    return section_row(zeros, compensation.factors[first + section][1], rate_hz, method)
+        change = numerator(parameter, section, size) - numerator(parameter, section, -size)
+        sos[first + section, :3] = change / (2.0 * size)
+        slopes.append(Sections(sos, base.gain, base.sample_rate_hz))
+    by_gain = -base.gain / sensor.static_gain if compensation.calibrated else 0.0
+    return (*slopes, Sections(base.sos, by_gain, base.sample_rate_hz))
 
 
 def discretisation_error(compensation: Compensation, sections: Sections, frequency_hz: FloatArray) -> ComplexArray:
     """Return G_d/G_c - 1 (K,), the sampled filter against the continuous one, at frequencies (K,) in Hz."""
     return np.asarray(sections.response(frequency_hz) / compensation.system.response(frequency_hz) - 1.0)
-
-
-def _in_differences(coefficients: FloatArray) -> FloatArray:
-    """Coefficients (S, 3) of 1, w, w² from those of 1, z⁻¹, z⁻², z⁻¹ = 1 - w."""
-    c0, c1, c2 = coefficients.T
-    return np.stack([c0 + c1 + c2, -c1 - 2.0 * c2, c2], axis=1)
 
 
 # Compensation filters over the load that a sensor carries.
@@ -466,9 +434,8 @@ class Schedule:
 
         Where a load has fewer modes the last sections let everything pass.
         """
-        return filled(
-            sampled(self.at(load_mass), sample_rate_hz, method), self.modes + (self.target.low_pass_hz is not None)
-        )
+        count = self.modes + (self.target.low_pass_hz is not None)
+        return filled(sampled(self.at(load_mass), sample_rate_hz, method), count)
 
 
 # A compensation filter that runs along with the data, block by block.

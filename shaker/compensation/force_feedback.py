@@ -101,11 +101,19 @@ def simulate_feedback(
     speed = np.gradient(hand_m) * loop.sample_rate_hz
     inputs = np.stack([hand_m, speed, np.full(len(hand_m), wall_m), added], axis=1)
     regimes = [_matrices(loop, sensor, sections, contact) for contact in (False, True)]
-    found = _run(regimes, inputs, RUNAWAY * loop.hand_stiffness * float(np.max(np.abs(hand_m)) + 1e-12))
-    applied, told, fed_back = found.T
+    limit = RUNAWAY * loop.hand_stiffness * float(np.max(np.abs(hand_m)) + 1e-12)
+    forces, state = np.full((len(inputs), 3), np.nan), np.zeros(len(regimes[0].a))
+    for place, given in enumerate(inputs):
+        now = regimes[int(state[0] > given[2])]
+        forces[place] = now.read @ state + now.feed @ given
+        if not abs(forces[place, 0]) < limit:
+            forces[place:] = np.nan
+            break
+        state = now.a @ state + now.b @ given
+    applied, told, fed_back = forces.T
     touched = fed_back != 0.0
     error, size = np.abs(applied - fed_back)[touched], np.abs(fed_back[touched])
-    finished = bool(np.all(np.isfinite(found))) and touched.any()
+    finished = bool(np.all(np.isfinite(forces))) and touched.any()
     return FeedbackRun(
         np.arange(len(hand_m)) / loop.sample_rate_hz,
         applied,
@@ -142,26 +150,13 @@ def largest_stable_gain(loop: HapticLoop, sensor: LinearSystem, sections: Sectio
     return low
 
 
-def _run(regimes: list[_Matrices], inputs: FloatArray, limit: float) -> FloatArray:
-    """Applied, told and fed-back force (N, 3), NaN from where the first of them exceeds a limit."""
-    found = np.full((len(inputs), 3), np.nan)
-    state = np.zeros(len(regimes[0].a))
-    for place, given in enumerate(inputs):
-        now = regimes[int(state[0] > given[2])]
-        found[place] = now.read @ state + now.feed @ given
-        if not abs(found[place, 0]) < limit:
-            found[place:] = np.nan
-            break
-        state = now.a @ state + now.b @ given
-    return found
-
-
 def _matrices(loop: HapticLoop, sensor: LinearSystem, sections: Sections | None, contact: bool) -> _Matrices:
     """The loop as one sampled system; z = [x, v, sensor, F_a of the sample before, filter]."""
     plant, drive, output = _plant(loop, sensor)
     size = len(plant)
-    filtered = (np.zeros((0, 0)), np.zeros(0), np.zeros(0), 1.0) if sections is None else state_space(_unit(sections))
-    af, bf, cf, df = filtered
+    af, bf, cf, df = np.zeros((0, 0)), np.zeros(0), np.zeros(0), 1.0
+    if sections is not None:
+        af, bf, cf, df = state_space(replace(sections, gain=1.0))
     total = size + 1 + len(bf)
     tells = np.concatenate([output, [0.0], np.zeros(len(bf))])
     told, told_feed = df * tells, np.array([0.0, 0.0, 0.0, df])
@@ -217,8 +212,3 @@ def _modal(sensor: LinearSystem) -> tuple[FloatArray, FloatArray, FloatArray]:
         output[place : place + 2] = [2.0 * residue.real, -2.0 * residue.imag]
         place += 2
     return own, into, output
-
-
-def _unit(sections: Sections) -> Sections:
-    """The sections with the static gain 1."""
-    return replace(sections, gain=1.0)

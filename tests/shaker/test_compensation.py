@@ -9,7 +9,6 @@ from scipy import optimize, signal
 from shaker.compensation.effects import (
     KEPT_SHARE,
     residual_ringing,
-    ringing_amplitude,
     target_for_bandwidth,
     target_for_frequency,
     white_noise_gain,
@@ -71,7 +70,6 @@ def test_the_published_factor_is_the_ratio_of_the_denominators_at_rest() -> None
 def test_the_filter_is_proper_and_has_the_static_gain_one() -> None:
     assert len(PUBLISHED.system.zeros) == len(PUBLISHED.system.poles) == 2
     assert PUBLISHED.system.static_gain == pytest.approx(1.0, rel=1e-14)
-    assert PUBLISHED.least_white_gain == pytest.approx(4.0, rel=1e-12)
 
 
 def test_calibrated_filter_turns_the_output_into_the_load() -> None:
@@ -140,7 +138,6 @@ def test_a_low_pass_takes_the_noise_away_and_nothing_else() -> None:
     found = sampled(quiet, 200e3)
     assert len(found.sos) == 3
     assert np.max(np.abs(discretisation_error(quiet, found, band))) < 0.01
-    assert quiet.least_white_gain == 0.0
     assert white_noise_gain(found) < 0.4 * white_noise_gain(sampled(plain, 200e3))
     wide = target_for_frequency(single_mode(500.0, 0.004), 1000.0, 0.1, None, 1500.0)
     reached = indices(Compensation(single_mode(500.0, 0.004), wide).compensated).band_10_hz or 0.0
@@ -178,9 +175,6 @@ def test_ringing_of_a_filter_for_no_load(load: float, share: float) -> None:
     time = np.linspace(0.0, 0.02, 40_001)
     response = signal.step((top, below), T=time)[1] / (top[-1] / below[-1])
     assert found == pytest.approx(np.max(np.abs(response[time >= 2e-3] - 1)), rel=2e-4)
-    amplitude = ringing_amplitude(filtered, TWO_MASSES.system(load))[0]
-    decay = TWO_MASSES.poles(load)[0].real
-    assert amplitude * np.exp(2e-3 * decay) == pytest.approx(found, rel=0.02)
 
 
 def test_a_filter_for_the_load_leaves_only_the_decay_of_the_target() -> None:
