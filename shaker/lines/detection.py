@@ -237,7 +237,7 @@ def _sub_harmonic(state: _State, i: int) -> Origin | None:
 
 
 def _combination(state: _State, i: int, orders: range, folded: bool = False) -> Origin | None:
-    """Explain a line as the simplest combination of two stronger fundamentals, below the Nyquist frequency or folded."""
+    """Explain a line as the simplest combination of two stronger fundamentals, in band or folded."""
     known = [(f, u) for f, u, strength in state.pairs() if _SMALLER * strength > state.lines.strength[i]]
     chance = state.perhaps(i, len(state.fundamentals) * (len(state.fundamentals) - 1) * orders[-1])
     for order in orders:

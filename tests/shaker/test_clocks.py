@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from shaker.timebase.edges import Edges, find_edges
 from shaker.timebase.tie import ClockTie, decide_shift, edge_instants, tie_clocks
-from shaker.timebase.trigger import Posterior, TriggerFit, fit_trigger, line_posterior, pulse_width
+from shaker.timebase.trigger import Posterior, fit_trigger, line_posterior, pulse_width
 
 PERIOD_S = 1.0 / 52.874
 EDGES = 80
@@ -150,25 +150,12 @@ def test_locked_sampling_is_covered_and_told() -> None:
         assert any("same places between two samples" in notice.text for notice in fit.notices)
 
 
-def test_doubled_and_stray_edges_are_told_apart() -> None:
-    first, _ = _instants(np.random.default_rng(25))
-    instants = np.sort(np.concatenate([first, first[[3, 50]] + 1e-3, first[[20]] + 0.5 * PERIOD_S]))
-    fit = fit_trigger(_latched(instants, RATE_HZ))
-    assert (fit.doubled, fit.spurious) == (2, 1)
-    assert fit.notices[0].text == "2 doubled edges were dropped"
-
-
-def _cut(instants: np.ndarray, rate: float, keep: slice, length_s: float) -> TriggerFit:
-    """Fit of some of the edges, counted from a record's first sample."""
-    return fit_trigger(_latched(instants[keep], rate, length_s))
-
-
 def test_jitter_decides_what_nothing_else_does() -> None:
     rng = np.random.default_rng(26)
     first, _ = _instants(rng, jitter_s=30e-6)
-    base = _cut(first - first[0] + 0.5 * PERIOD_S, RATE_HZ, slice(0, 70), 69.6 * PERIOD_S)
+    base = fit_trigger(_latched((first - first[0] + 0.5 * PERIOD_S)[:70], RATE_HZ, 69.6 * PERIOD_S))
     later = first - first[9] + 0.4 * PERIOD_S
-    other = _cut(later, OTHER_HZ, slice(9, 79), 69.7 * PERIOD_S)
+    other = fit_trigger(_latched(later[9:79], OTHER_HZ, 69.7 * PERIOD_S))
     assert not any((base.idle_before, base.idle_after, other.idle_before, other.idle_after))
     assert decide_shift(base, other).edges == 9
     assert decide_shift(base, other).decided_by == "jitter"

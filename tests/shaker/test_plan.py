@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -105,27 +107,21 @@ def test_more_coloured_noise_is_never_better(corner: float, more: float, rate: f
     assert np.all(rms_uncertainty(greater) >= rms_uncertainty(less) * (1.0 - 1e-12))
 
 
-def test_lines_that_meet_are_infinitely_uncertain() -> None:
+def test_lines_that_meet_are_infinitely_uncertain_and_exposure_costs_what_it_takes() -> None:
     plan = plan_at(lines_of([100.0], 1), 50.0, Sampling(211))
     assert np.isinf(plan.u_amplitude).all()
     assert np.isinf(plan.condition)
     assert plan.neighbour_hz[0] == 0.0
-
-
-def test_exposure_enlarges_the_uncertainty_by_what_it_takes() -> None:
     lines = lines_of([1020.3], 1)
     sharp, smeared = (plan_at(lines, 79.427, Sampling(211, exposure, 1)) for exposure in (0.0, 400e-6))
     assert smeared.u_amplitude[0] / sharp.u_amplitude[0] == pytest.approx(1.0 / np.sinc(1020.3 * 400e-6))
 
 
-def test_harmonics_that_are_lines_of_another_fundamental_count_once() -> None:
+def test_harmonics_count_once_and_unfitted_ones_that_fold_are_named() -> None:
     lines = lines_of([50.0, 100.0], 3)
     assert lines.frequency_hz.tolist() == [50.0, 100.0, 200.0, 150.0, 300.0]
     assert lines.fundamentals_hz.tolist() == [50.0, 100.0]
     assert lines_of([53.7], 3).frequency_hz == pytest.approx([53.7, 107.4, 161.1])
-
-
-def test_unfitted_harmonics_that_fold_onto_a_line_are_named() -> None:
     # 4·120 and 6·120 Hz come back at 80 Hz, like 120 Hz itself.
     plan = plan_at(lines_of([120.0], 3), 200.0, Sampling(400))
     assert {fold.frequency_hz for fold in plan.folds} >= {480.0, 720.0}
@@ -215,23 +211,20 @@ def test_one_rate_serves_all_twelve_frequencies_of_a_sweep() -> None:
 
 
 @pytest.mark.parametrize(
-    ("limits", "step", "told"),
-    [((50.0, 40.0), 1e-3, "limits_hz"), ((40.0, 50.0), 0.0, "step_hz"), ((40.1, 40.4), 0.5, "limits_hz: .* multiple")],
+    ("call", "message"),
+    [
+        (lambda: candidate_rates([lines_of([106.25], 5)], PUBLISHED, (50.0, 40.0), 1e-3), "limits_hz"),
+        (lambda: candidate_rates([lines_of([106.25], 5)], PUBLISHED, (40.0, 50.0), 0.0), "step_hz"),
+        (lambda: candidate_rates([lines_of([106.25], 5)], PUBLISHED, (40.1, 40.4), 0.5), "limits_hz: .* multiple"),
+        (lambda: Sampling(3), "frames, harmonics: expected at least 4 frames"),
+        (lambda: Sampling(211, -1.0), "exposure_s: expected a number of at least 0, found -1"),
+        (lambda: lines_of([106.25, -1.0], 5), "fundamentals_hz: expected frequencies above 0"),
+        (lambda: amplitude_covariance(106.25 * np.arange(1, 6), CAMERA_HZ, 11), "frames: expected more than 11"),
+    ],
 )
-def test_rates_that_do_not_exist_are_refused(limits: tuple[float, float], step: float, told: str) -> None:
-    with pytest.raises(ValueError, match=told):
-        candidate_rates([lines_of([106.25], 5)], PUBLISHED, limits, step)
-
-
-def test_arguments_are_checked() -> None:
-    with pytest.raises(ValueError, match="frames, harmonics: expected at least 4 frames"):
-        Sampling(3)
-    with pytest.raises(ValueError, match="exposure_s: expected a number of at least 0, found -1"):
-        Sampling(211, -1.0)
-    with pytest.raises(ValueError, match="fundamentals_hz: expected frequencies above 0"):
-        lines_of([106.25, -1.0], 5)
-    with pytest.raises(ValueError, match="frames: expected more than 11"):
-        amplitude_covariance(106.25 * np.arange(1, 6), CAMERA_HZ, 11)
+def test_wrong_calls_are_refused_by_name(call: Callable[[], object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        call()
 
 
 def _scatter(rate: float, trials: int, seed: int) -> float:
@@ -253,13 +246,12 @@ def _scatter(rate: float, trials: int, seed: int) -> float:
     return float(np.std(np.concatenate(found)) / plan.u_amplitude[0])
 
 
-@pytest.mark.parametrize("rate", [CAMERA_HZ, 57.565])
-def test_simulated_scatter_is_what_was_planned(rate: float) -> None:
-    # 800 trials leave 2.5 %: three times that is within the 10 % asked for.
-    assert _scatter(rate, 800, seed=1) == pytest.approx(1.0, abs=0.075)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("rate", [CAMERA_HZ, 57.565, 43.901])
-def test_simulated_scatter_is_what_was_planned_in_many_trials(rate: float) -> None:
-    assert _scatter(rate, 5_000, seed=2) == pytest.approx(1.0, abs=0.03)
+@pytest.mark.parametrize(
+    ("rate", "trials", "close"),
+    [
+        (CAMERA_HZ, 800, 0.075),  # 800 trials leave 2.5 %
+        *(pytest.param(rate, 5_000, 0.03, marks=pytest.mark.slow) for rate in (CAMERA_HZ, 57.565, 43.901)),
+    ],
+)
+def test_simulated_scatter_is_what_was_planned(rate: float, trials: int, close: float) -> None:
+    assert _scatter(rate, trials, seed=1 if trials == 800 else 2) == pytest.approx(1.0, abs=close)

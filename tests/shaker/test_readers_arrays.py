@@ -63,8 +63,10 @@ def test_hdf5_records_and_a_time_beside(tmp_path: Path) -> None:
 @pytest.mark.parametrize("key", ["sample_rate", "sampling_rate", "sampling_frequency", "fs"])
 def test_hdf5_spellings_of_the_rate(tmp_path: Path, key: str) -> None:
     with h5py.File(tmp_path / "a.h5", "w") as file:
-        file["a"] = np.arange(7, dtype=">f4")
+        file["a"], file["b"] = np.arange(7, dtype=">f4"), np.arange(7)
         file.attrs[key] = np.float32(512.0)
+        file["b"].attrs[key] = 256.0  # a dataset's own counts before the file's
+    assert read_channels(tmp_path / "a.h5")["b"].sample_rate_hz == 256.0
     channel = read_channels(tmp_path / "a.h5", ["a"], 9.0)["a"]
     assert (channel.sample_rate_hz, channel.samples.dtype) == (512.0, np.float64)
 
@@ -118,6 +120,8 @@ def _mat_5(path: Path) -> None:
             "list": cells,
             "many": many,
             "nothing": np.zeros((0, 0)),
+            "square": np.eye(3),
+            "words": "x",
         },
         do_compression=True,
     )
@@ -190,3 +194,12 @@ def test_wav_of_24_bits_and_floats(tmp_path: Path, form: dict[str, bool]) -> Non
         floats = RNG.normal(size=(5, 2)).astype(kind)
         channel = _channel_two(tmp_path, _wave(3, floats.itemsize * 8, floats.tobytes(), 2, **form))
         np.testing.assert_array_equal(channel.samples, floats[:, 1])
+
+
+@pytest.mark.parametrize("kind", [np.int16, np.int32, np.float32])
+def test_wav_numbers_come_as_they_are(tmp_path: Path, kind: type) -> None:
+    stereo = np.stack([np.arange(50), -np.arange(50)], axis=1).astype(kind)
+    scipy.io.wavfile.write(tmp_path / "a.wav", 48_000, stereo)
+    found = read_channels(tmp_path / "a.wav")
+    assert sorted(found) == ["1", "2"]
+    np.testing.assert_array_equal(found["2"].samples, -np.arange(50.0))

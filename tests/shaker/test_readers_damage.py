@@ -105,8 +105,25 @@ def test_cut_off_files_are_refused(tmp_path: Path, kind: str) -> None:
         one_sentence(path, caught.value)
 
 
+@pytest.mark.parametrize("suffix", [".h5", ".tdms", ".uff", ".mat", ".csv", ".wav", ".lvm", ".asc"])
+@pytest.mark.parametrize("content", [b"", b"\x00\x01\x02garbage" * 40])
+def test_files_of_nothing_and_of_garbage_are_refused(tmp_path: Path, suffix: str, content: bytes) -> None:
+    path = tmp_path / f"a{suffix}"
+    path.write_bytes(content)
+    with pytest.raises((OSError, ValueError)) as caught:
+        read_channels(path, ["Fz"], sample_rate_hz=100.0)
+    one_sentence(path, caught.value)
+
+
+def test_missing_and_unknown_files(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"none\.h5: expected a file, found none"):
+        read_channels(tmp_path / "none.h5")
+    with pytest.raises(ValueError, match=r"a\.xls: expected a file of type .*, found \.xls"):
+        read_channels(tmp_path / "a.xls")
+
+
 @pytest.mark.parametrize("kind", KINDS)
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     changes=st.lists(
         st.tuples(st.floats(0.0, 1.0, exclude_max=True), st.binary(min_size=1, max_size=4)), min_size=1, max_size=4

@@ -10,7 +10,7 @@ import pytest
 import tdms_factory as tdms
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from nptdms import TdmsFile
+from nptdms import ChannelObject, TdmsFile, TdmsWriter
 
 from shaker.io import tdms as reader
 from shaker.io.channel import RawChannel
@@ -190,6 +190,19 @@ def test_complex_numbers_are_passed_over_and_unknown_scales_refused(tmp_path: Pa
     scale = {"NI_Number_Of_Scales": 1, "NI_Scale[0]_Scale_Type": "Magic"}
     with pytest.raises(ValueError, match=r'a\.tdms: channel "daq/b": expected a known scale, found \'Magic\''):
         read(tmp_path, tdms.segment([tdms.entry(B, tdms.plain("f8", 1), {**RATE, **scale})], bytes(8)))
+
+
+def test_files_of_another_writer(tmp_path: Path) -> None:
+    properties = {"wf_increment": 1.0 / 1024.0, "wf_start_offset": 0.25, "unit_string": "mV/V"}
+    channels = (("bridge", "Fz", 1.5), ("bridge", "clock", 1.0), ("other", "clock", 2.0))
+    with TdmsWriter(str(tmp_path / "a.tdms")) as writer:
+        writer.write_segment([ChannelObject(g, n, np.arange(64) * k, properties=properties) for g, n, k in channels])
+    found = read_channels(tmp_path / "a.tdms", ["Fz", "other/clock"])
+    np.testing.assert_array_equal(found["Fz"].samples, np.arange(64) * 1.5)
+    np.testing.assert_array_equal(found["other/clock"].samples, np.arange(64) * 2.0)
+    assert (found["Fz"].sample_rate_hz, found["Fz"].start_s, found["Fz"].unit) == (1024.0, 0.25, "mV/V")
+    with pytest.raises(ValueError, match='expected a channel "clock", found'):
+        read_channels(tmp_path / "a.tdms", ["clock"])
 
 
 @settings(max_examples=30, deadline=None)

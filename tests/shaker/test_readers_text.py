@@ -1,4 +1,4 @@
-"""CSV and LVM: what laboratories' programs write, and the two ways of reading it against each other."""
+"""CSV, LVM and scans: what laboratories' programs write, and the two ways of reading it against each other."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from shaker.io import text
 from shaker.io.channel import RawChannel
 from shaker.io.read import read_channels
+from shaker.io.text import read_scan_asc
 
 
 def read(folder: Path, content: str | bytes, suffix: str = ".csv", rate: float | None = None) -> dict[str, RawChannel]:
@@ -64,9 +65,9 @@ def test_csv_columns_of_text_do_not_matter_to_others(tmp_path: Path) -> None:
 
 
 def test_csv_latin_1_and_the_unit_1(tmp_path: Path) -> None:
-    found = read(tmp_path, "time;Drehung;Dehnung\ns;°;1\n0;1;2\n1;3;4\n".encode("latin-1"))
+    found = read(tmp_path, "time;Drehung;Dehnung\ns;°;1\n0;1;2\n1;nan;4\n".encode("latin-1"))
     assert [channel.unit for channel in found.values()] == ["°", "1"]
-    np.testing.assert_array_equal(found["Dehnung"].samples, [2.0, 4.0])
+    np.testing.assert_array_equal(found["Drehung"].samples, [1.0, np.nan])
 
 
 @pytest.mark.parametrize(
@@ -81,6 +82,9 @@ def test_csv_latin_1_and_the_unit_1(tmp_path: Path) -> None:
         ("time;Fz\n0,0;1.234,5\n0,1;2\n", "line 2: expected numbers"),
         ("time,Fz\ns,N\n", "expected rows of numbers, found none"),
         ("", "expected a header and rows of numbers"),
+        ("time,Fz\n0,1\n1,2\n5,3\n", "expected times in uniform steps"),
+        ("1,2\n3,4\n", "line 1: expected a header"),
+        ("Fz\n1\n2\n", "expected a sampling rate"),
     ],
 )
 @pytest.mark.parametrize("block", [6, 1 << 20])
@@ -171,3 +175,71 @@ def test_lvm_in_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, block: i
     line = wrong.count("\n")
     with pytest.raises(ValueError, match=rf"a\.lvm: line {line}: expected numbers, found 'x'"):
         read(tmp_path, wrong, ".lvm")
+
+
+STAMPED = (
+    "Channels\t1\nSamples\t{n}\nDate\t2020/08/06\nTime\t16:58:{second}\nY_Unit_Label\tVolts\nX0\t0\nDelta_X\t{step}\n"
+)
+
+
+def segments(second: str, point: str = ".") -> str:
+    """Four samples from second 10.25 on, three from another second on."""
+    parts = [STAMPED.format(n=n, second=s, step=f"0{point}5") for n, s in ((4, "10.25"), (3, second))]
+    rows = ["X_Value\tU\tComment\n" + "".join(f"\t{k}{point}25\t\n" for k in own) for own in (range(4), range(4, 7))]
+    return lvm(rows[0] + "\n", parts[0], point=point) + parts[1] + END + rows[1]
+
+
+@pytest.mark.parametrize("point", [".", ","])
+def test_lvm_segments_are_joined_and_gaps_refused(tmp_path: Path, point: str) -> None:
+    channel = read(tmp_path, segments("12.25", point), ".lvm")["U"]
+    np.testing.assert_array_equal(channel.samples, np.arange(7) + 0.25)
+    assert (channel.sample_rate_hz, channel.unit) == (2.0, "Volts")
+    with pytest.raises(
+        ValueError, match=r"a\.lvm: line \d+: expected a segment that goes on at 2\.0+ s, found one from 5\.0"
+    ):
+        read(tmp_path, segments("15.25", point), ".lvm")
+
+
+def test_lvm_column_of_a_decimated_file_rules_its_header(tmp_path: Path) -> None:
+    channels = STAMPED.format(n=100, second="10", step="0.001")
+    body = "X_Value\tU\n" + "".join(f"{0.016 * i:.3f}\t{i}\n" for i in range(7))
+    assert read(tmp_path, lvm(body, channels, "One"), ".lvm")["U"].sample_rate_hz == pytest.approx(62.5, rel=1e-12)
+    with pytest.raises(ValueError, match="expected 100 samples as the header says, found 2"):
+        read(tmp_path, lvm("X_Value\tU\n\t1\n\t2\n", channels), ".lvm")
+
+
+def _write_asc(path: Path, points: np.ndarray, blocks: np.ndarray, interval: float, by_rows: bool) -> None:
+    """Write the layout that content.txt describes: points from line 19 on, acquisition, blocks with titles."""
+    lines = [f"text {i}" for i in range(18)] + [" ".join(f"{v:.6f}" for v in p) for p in points]
+    lines += ["", "acquisition", f"{blocks.shape[2]} {interval:.9g}"]
+    for block in blocks:
+        lines += ["", "Data block"]
+        lines += [" ".join(f"{v:.9g}" for v in row) for row in (block.T if by_rows else block.reshape(-1, 1))]
+    path.write_text("\n".join(lines) + "\n")
+
+
+@pytest.mark.parametrize("by_rows", [True, False])
+@pytest.mark.parametrize("count", [1, 8])
+def test_scanning_vibrometer_text(tmp_path: Path, by_rows: bool, count: int) -> None:
+    rng = np.random.default_rng(0)
+    points, blocks = rng.normal(size=(count, 3)), rng.normal(size=(3, count, 50))
+    path = tmp_path / "Scan_time.asc"
+    _write_asc(path, points, blocks, 1.0 / 51_200.0, by_rows)
+    scan = read_scan_asc(path)
+    np.testing.assert_allclose(scan.point_m, points, atol=1e-6)
+    np.testing.assert_allclose(scan.samples, blocks, rtol=1e-8)
+    assert scan.sample_rate_hz == pytest.approx(51_200.0)
+    take = scan.take(count - 1)
+    assert list(take) == ["1", "2", "3"]
+    np.testing.assert_array_equal(take["2"].samples, scan.samples[1, count - 1])
+    np.testing.assert_array_equal(read_channels(path, [f"3/{count}"])[f"3/{count}"].samples, scan.samples[2, -1])
+
+
+def test_scan_with_a_torn_block_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "torn.asc"
+    _write_asc(path, np.ones((2, 3)), np.ones((3, 2, 50)), 1e-3, True)
+    path.write_text("\n".join(path.read_text().splitlines()[:-3]))
+    with pytest.raises(
+        ValueError, match=r"torn\.asc: expected whole blocks of 2 points with 50 samples \(100 numbers\)"
+    ):
+        read_channels(path)

@@ -86,17 +86,9 @@ def test_time_shift_scale_and_channel_order(shift: float, scale: float, order: l
     both = np.concatenate([order, np.array(order) + 3])
     expected = plain.phasors.scaled(turn).covariance[:, both[:, None], both] * scale**2
     np.testing.assert_allclose(moved.phasors.covariance, expected, rtol=1e-5, atol=1e-6 * expected.max())
-
-
-def test_order_of_samples_does_not_matter_for_the_values() -> None:
-    rng = np.random.default_rng(8)
-    time, values = np.arange(200) / CAMERA_HZ, rng.normal(size=(200, 2))
-    mixed = rng.permutation(200)
-    frequency = np.array([106.25])
+    mixed = rng.permutation(150)
     np.testing.assert_allclose(
-        _fit(time[mixed], values[mixed], frequency).phasors.value,
-        _fit(time, values, frequency).phasors.value,
-        atol=1e-12,
+        _fit(time[mixed], values[mixed], frequency).phasors.value, plain.phasors.value, atol=1e-12
     )
 
 
@@ -161,24 +153,6 @@ def test_stated_covariance_crosses_channels() -> None:
     v = np.array(values)
     measured = np.cov(np.concatenate([v.real, v.imag], axis=1).T)
     np.testing.assert_allclose(np.mean(stated, axis=0), measured, atol=0.15 * measured.max())
-
-
-def test_slow_noise_widens_the_regions_of_a_slow_beat() -> None:
-    rng = np.random.default_rng(11)
-    samples, corner = 211, 5.0
-    frequency = 106.25 * np.arange(1, 5)
-    time = np.arange(samples) / CAMERA_HZ
-    bins = np.fft.rfftfreq(8 * samples, 1.0 / CAMERA_HZ)
-    shape = np.sqrt(1.0 + corner / np.maximum(bins, bins[1]))
-    hits = 0
-    for _ in range(400):
-        noise = np.fft.irfft(np.fft.rfft(rng.normal(size=8 * samples)) * shape)[:samples]
-        phasors = _fit(time, noise[:, None], frequency).phasors
-        d = np.array([phasors.value[0, 0].real, phasors.value[0, 0].imag])
-        q = d @ np.linalg.solve(phasors.covariance[0], d) / 2.0
-        hits += q < f_distribution.ppf(0.95, 2, phasors.dof[0])
-    # A white-noise formula covers 59 % here.
-    assert hits / 400 > 0.87
 
 
 def test_twelve_channels_of_a_long_record() -> None:

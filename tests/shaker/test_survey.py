@@ -1,4 +1,4 @@
-"""Lines of a record found and named, against records whose lines are known."""
+"""Spectra, and lines found and named in them, against formulas, SciPy and records whose lines are known."""
 
 from __future__ import annotations
 
@@ -6,12 +6,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.signal
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shaker.io.read import read_channels
 from shaker.lines.detection import survey_lines
-from shaker.lines.spectrum import centred_spectrum, chance_height, find_peaks, fit_line, noise_level
+from shaker.lines.spectrum import (
+    amplitude_spectrum,
+    centred_spectrum,
+    chance_height,
+    find_peaks,
+    fit_line,
+    noise_level,
+    window_samples,
+)
 
 NOTHING = np.empty(0)
 RATE = 6400.0
@@ -242,3 +251,31 @@ def test_modes_of_a_beam_that_was_struck(data_dir: Path) -> None:
         found = survey_lines(values[:, 0], rate).frequency_hz
         for mode, tolerance in ((18.0, 0.5), (695.6, 0.5), (1897.9, 0.5)):
             assert np.min(np.abs(found - mode)) < tolerance
+
+
+@pytest.mark.parametrize("window", ["rectangular", "hann", "flattop"])
+def test_sine_on_a_bin_shows_its_peak_amplitude(window: str) -> None:
+    t = np.arange(4096) / 4096.0
+    spectrum = amplitude_spectrum(3.0 * np.sin(2 * np.pi * 400.0 * t) + 7.0, 4096.0, window)  # type: ignore[arg-type]
+    assert spectrum.frequency_hz[np.argmax(spectrum.amplitude)] == 400.0
+    assert spectrum.amplitude.max() == pytest.approx(3.0, rel=1e-9)
+    assert spectrum.amplitude[0] == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("window", ["hann", "flattop"])
+def test_windows_are_the_known_ones(window: str) -> None:
+    known = scipy.signal.get_window(window, 64, fftbins=True)
+    got = window_samples(window, 64)  # type: ignore[arg-type]
+    np.testing.assert_allclose(got / got[32], known / known[32], atol=1e-8)
+
+
+def test_flat_top_keeps_the_amplitude_between_bins() -> None:
+    t = np.arange(4096) / 4096.0
+    spectrum = amplitude_spectrum(np.sin(2 * np.pi * 400.5 * t), 4096.0, "flattop")
+    assert spectrum.amplitude.max() == pytest.approx(1.0, rel=2e-3)
+
+
+def test_channels_are_independent() -> None:
+    data = np.random.default_rng(0).normal(size=(300, 2))
+    both = amplitude_spectrum(data, 100.0)
+    np.testing.assert_allclose(both.amplitude[:, 1], amplitude_spectrum(data[:, 1], 100.0).amplitude)

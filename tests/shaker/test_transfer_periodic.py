@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from oscillator_factory import F0_HZ, chirp, deviations, periodic, record, transmissibility
 from scipy.stats import f as fisher
 
-from shaker.frf.chain import ratio_unit
 from shaker.frf.periodic import transfer_periodic
 from shaker.frf.result import TransferFunction, TransferRecord, pooled_scatter
 
@@ -190,9 +189,3 @@ def test_what_cannot_be_estimated_is_refused_with_a_reason() -> None:
         replace(CHIRP, responses=np.where(np.arange(len(CHIRP.reference))[:, None] == 7, np.nan, CHIRP.responses))
     with pytest.raises(ValueError, match="names that differ"):
         replace(CHIRP, channels=("base",))
-
-
-def test_units_of_a_ratio() -> None:
-    assert ratio_unit("m/s^2", "m/s^2") == "1"
-    assert ratio_unit("m/s^2", "N") == "(m/s^2)/N"
-    assert ratio_unit("V", "m/s^2") == "V/(m/s^2)"
