@@ -69,7 +69,7 @@ def make_evaluation(folder: Path, choice: Choice | None = None, seed: int = 0) -
     stereo = tuple(_stereo(name, body, choice, rng) for name, body in (("top", "load"), ("base", "base")))
     return Evaluation(
         manifest=_manifest(folder, choice),
-        lines=_lines(),
+        lines=LINES,
         clocks=_clocks(folder, rng),
         channels=_channels(rng),
         stereo=stereo if choice.images else (),
@@ -77,7 +77,7 @@ def make_evaluation(folder: Path, choice: Choice | None = None, seed: int = 0) -
         load=_load(accelerations[0].phasors) if choice.sensor else None,
         outputs=_outputs() if choice.sensor else None,
         sensitivity=_sensitivity() if choice.sensor else None,
-        notices=_notices(),
+        notices=NOTICES,
         settings={"subset_radius_px": 10, "spline_degree": 5},
         versions={"shakercal": version("shakercal"), "python": "3.11", "numpy": "2.0"},
         input_hashes={"rig.toml": "ab" * 32, "Fz/recording.toml": "cd" * 32, "Fz/top-left/0000.tif": "ef" * 32},
@@ -87,13 +87,14 @@ def make_evaluation(folder: Path, choice: Choice | None = None, seed: int = 0) -
 
 def make_accelerations(rng: np.random.Generator) -> tuple[Acceleration, ...]:
     """Return the load's acceleration from three sources and fused, the base's from photogrammetry."""
-    found = [_acceleration("load", "fused", RELATIVE_U, 1.0, range(6), rng)]
-    found.append(_acceleration("load", "photogrammetry", 8e-4, 1.6, range(6), rng))
-    found.append(_acceleration("load", "vibrometer", 1.0e-3, 1.0, [2], rng))
-    found.append(_acceleration("load", "accelerometer", 4e-3, 3.0, [0, 1, 2], rng))
-    found.append(_acceleration("base", "fused", 9e-4, 1.6, range(6), rng))
-    found.append(_acceleration("base", "photogrammetry", 9e-4, 1.6, range(6), rng))
-    return tuple(found)
+    return (
+        _acceleration("load", "fused", RELATIVE_U, 1.0, range(6), rng),
+        _acceleration("load", "photogrammetry", 8e-4, 1.6, range(6), rng),
+        _acceleration("load", "vibrometer", 1.0e-3, 1.0, [2], rng),
+        _acceleration("load", "accelerometer", 4e-3, 3.0, [0, 1, 2], rng),
+        _acceleration("base", "fused", 9e-4, 1.6, range(6), rng),
+        _acceleration("base", "photogrammetry", 9e-4, 1.6, range(6), rng),
+    )
 
 
 def phasors(value: NDArray[Any], u: NDArray[Any], channels: tuple[str, ...], unit: tuple[str, ...]) -> Phasors:
@@ -122,19 +123,11 @@ def _acceleration(
     )
     consistency = (Consistency("stereo top", 1.12, 6), Consistency("laser", 0.94, 1, True, 1.0006 * np.exp(0.4e-3j)))
     fused = source == "fused" and body == "load"
+    told = (CommonEstimate("laser: scale", "laser: scale", 2.5e-4, "1", 0.4, 0.9),) if fused else ()
     return Acceleration(
-        body=body,
-        source=source,
-        phasors=values,
-        observed=mask,
-        instruments=("stereo top", "laser") if fused else (source,),
-        uncertainty=Uncertainty(parts),
-        consistency=consistency if fused else (),
-        chi2=14.2 if fused else 0.0,
-        dof=12 if fused else 0,
-        unknowns=(CommonEstimate("laser: scale", "laser: scale", 2.5e-4, "1", 0.4, 0.9),) if fused else (),
-        notices=(),
-    )
+        body, source, values, mask, ("stereo top", "laser") if fused else (source,), Uncertainty(parts),
+        consistency if fused else (), 14.2 if fused else 0.0, 12 if fused else 0, told, (),
+    )  # fmt: skip
 
 
 def _load(acceleration: Phasors) -> LoadResult:
@@ -311,22 +304,18 @@ def _trigger(start_s: float, resolution_s: float, rng: np.random.Generator) -> T
     )
 
 
-def _lines() -> Lines:
-    return Lines(
-        frequency_hz=FREQUENCY_HZ,
-        u_frequency_hz=np.array([1e-5, 4e-4, 3e-4]),
-        nominal_hz=np.full(3, 106.25),
-        multiple=np.array([1, 2, 4]),
-        why=("nominal frequency, refined", "stands 32 dB out of the noise", "stands 40 dB out of the noise"),
-        notices=(),
-    )
-
-
-def _notices() -> tuple[Notice, ...]:
-    return (
-        Notice("info", "edge 90 of 211 is missing; its frame keeps its place", "camera_trigger"),
-        Notice("warning", "318.75 Hz is left out: <u> above its limit & more", "top"),
-    )
+LINES = Lines(
+    frequency_hz=FREQUENCY_HZ,
+    u_frequency_hz=np.array([1e-5, 4e-4, 3e-4]),
+    nominal_hz=np.full(3, 106.25),
+    multiple=np.array([1, 2, 4]),
+    why=("nominal frequency, refined", "stands 32 dB out of the noise", "stands 40 dB out of the noise"),
+    notices=(),
+)
+NOTICES = (
+    Notice("info", "edge 90 of 211 is missing; its frame keeps its place", "camera_trigger"),
+    Notice("warning", "318.75 Hz is left out: <u> above its limit & more", "top"),
+)
 
 
 def _manifest(folder: Path, choice: Choice) -> Any:

@@ -19,9 +19,12 @@ from scipy.stats import binom
 from simulated_phasors import CASES, case_setup, simulate_phasors
 from support import far, rows
 
-from fusion.base import Settings
+from fusion.base import Settings, no_progress
 from fusion.cli import main
 from fusion.commands.options import EXIT_DONE
+from fusion.phasors.stereo_motion import StereoMotion, measure_images, open_images
+from fusion.phasors.timing import tie_daqs
+from fusion.recording.files import read_daqs
 from fusion.recording.load import find_recordings, load_manifest
 from fusion.report.recording import write_results
 from fusion.sensitivity.analyse import Evaluation, analyse
@@ -30,7 +33,8 @@ from fusion.simulate import simulate
 from fusion.simulate.preset import Preset, read_preset
 from fusion.simulate.world import Draws, TrueStereo, frame_bounds, make_world
 from fusion.simulate.write import to_toml
-from photogram.geometry import RigidTransform
+from photogram.calibration.file import read_calibration, write_calibration
+from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.synthetic.board import Board, random_poses, render_board
 from photogram.targets.view import Target
 
@@ -314,3 +318,34 @@ def test_regions_hold_the_truth_as_often_as_they_claim(place):
 
     coverage_contract(estimate, np.zeros(3), PHASOR_TRIALS)
     assert abs(np.mean(errors)) < 4.0 * np.std(errors) / np.sqrt(PHASOR_TRIALS) + 3e-5
+
+
+def _base_motion(campaign: Path) -> StereoMotion:
+    """The motion seen by the base's pair of the campaign's first recording."""
+    manifest = load_manifest(find_recordings(campaign)[0])
+    base = tie_daqs(manifest, read_daqs(manifest))
+    (entry,) = (entry for entry in manifest.images if entry.stereo == "base")
+    return measure_images(manifest, open_images(manifest, base, entry), Settings(), no_progress)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("turn_mrad", [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, -0.5)])
+def test_a_calibration_of_cameras_that_stood_otherwise_is_told(demo_recording, tmp_path, turn_mrad):
+    campaign = tmp_path / "demo"
+    shutil.copytree(demo_recording, campaign)
+    path = campaign / "calibration" / "base.json"
+    rig = read_calibration(path)
+    turn = RigidTransform(rotation_from_vector(1e-3 * np.array(turn_mrad)), np.zeros(3))
+    write_calibration(path, replace(rig, right_from_left=turn @ rig.right_from_left))
+    measured = _base_motion(campaign)
+    told = [notice for notice in measured.notices if notice.where == "epipolar residual"]
+    if not any(turn_mrad):
+        assert told == []
+        return
+    (notice,) = told
+    assert notice.severity == "warning"
+    about_x, about_z = (
+        float(notice.text.split(f" mrad about its {name}")[0].rpartition(" ")[2]) for name in ("x axis", "optical axis")
+    )
+    assert about_x == pytest.approx(-turn_mrad[0], abs=0.05)  # the file's camera is turned, the real one turns back
+    assert about_z == pytest.approx(-turn_mrad[2], abs=0.05)

@@ -25,7 +25,7 @@ from fusion.report.motion_figures import (
 )
 from fusion.report.numbers import degrees_of_freedom, fixed, measured, short, times_ten
 from fusion.report.recording import draw_all, render_report
-from fusion.report.signal_figures import draw_trigger
+from fusion.report.signal_figures import draw_epipolar, draw_trigger
 from fusion.report.style import Picture, padded, power_text, thin_out
 from fusion.report.tables import headlines, source_tables
 from fusion.sensitivity.analyse import Evaluation
@@ -324,3 +324,14 @@ def test_missing_frames_cost_nothing_but_their_share():
     assert np.isnan(shape.u[:, 6]).all()
     assert shape.u[0, 5].mean() == pytest.approx(shape.u[0, 7].mean() * np.sqrt(96 / 64), rel=0.25)
     assert np.isfinite(np.delete(shape.value, 6, axis=1)).all()
+
+
+@pytest.mark.parametrize("with_covariance", [True, False])
+def test_the_epipolar_check_says_what_the_calibration_explains(evaluation, with_covariance):
+    stereo = evaluation.stereo[0]
+    check = stereo.epipolar if with_covariance else replace(stereo.epipolar, pattern_covariance=None)
+    picture = draw_epipolar(check, stereo.time_s, "top")
+    assert ("what calibration and matching explain" in picture.caption) == with_covariance
+    assert picture.svg == draw_epipolar(check, stereo.time_s, "top").svg
+    nothing = replace(check, course_px=np.full_like(check.course_px, np.nan), residual_px=check.residual_px * np.nan)
+    assert draw_epipolar(nothing, stereo.time_s, "top").svg

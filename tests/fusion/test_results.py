@@ -125,6 +125,8 @@ def test_result_file_holds_everything(folder, evaluation):
         assert {entry.attrs["type"] for entry in file["sensitivity/budget"].values()} == {"A", "B"}
         assert file["stereo/top/motion/covariance"].shape == (62, 6, 6)
         assert file["stereo/base/residual"].shape == (62, 6)
+        assert file["stereo/top/epipolar/course_px"].shape == (62, 3)
+        assert file["stereo/top/epipolar/pattern_covariance"].shape == (3, 3)
         assert file["clocks/bridge/tie"].attrs["rate"] == 1.0 + 4.2e-6
         assert file["lines/why"].asstr()[0] == "nominal frequency, refined"
         assert file["channels/vibrometer-velocity"].attrs["unit"] == "m/s"
