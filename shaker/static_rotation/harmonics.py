@@ -11,7 +11,6 @@ from shaker.arrays import ComplexArray, FloatArray, check_shape
 
 # What a weighing needs of its surroundings: gravity from latitude and height, density of the air.
 
-
 GRS80_EQUATOR_MPS2 = 9.7803267715
 GRS80_POLE_MPS2 = 9.8321863685
 GRS80_SEMI_MAJOR_M = 6_378_137.0
@@ -115,22 +114,20 @@ def air_density_at(
         Known(HUMIDITY, U_HUMIDITY, "") if humidity is None else Known(humidity, U_MEASURED_HUMIDITY, "humidity"),
     ]
     centre = np.array([part.value for part in parts])
-    steps = np.diag([part.u for part in parts])
+
+    def density(conditions: FloatArray) -> float:
+        """At pressure, temperature and a humidity kept within its limits."""
+        return moist_air_density(conditions[0], conditions[1], float(np.clip(conditions[2], 0.0, 1.0)))
+
     value = moist_air_density(*centre)
-    half = [_density(centre + step) - _density(centre - step) for step in steps]
+    half = [density(centre + step) - density(centre - step) for step in np.diag([part.u for part in parts])]
     u = float(np.hypot(np.linalg.norm(half) / 2.0, U_FORMULA * value))
     stated = [part.source for part in parts if part.source]
     stated += ["height"] if height_m is not None and pressure_pa is None else []
     return Known(value, u, f"CIPM-2007 from {', '.join(stated) or 'the usual conditions of a laboratory'}")
 
 
-def _density(conditions: FloatArray) -> float:
-    """Density at pressure, temperature and a humidity kept within its limits."""
-    return moist_air_density(conditions[0], conditions[1], float(np.clip(conditions[2], 0.0, 1.0)))
-
-
 # Readings over the angle of an indexing head as harmonics: all channels in one solve, only what the data show.
-
 
 CHANCE = 1e-3
 """Probability with which a term that is not there may enter a fit."""
@@ -203,28 +200,21 @@ class AngleFit:
         turn = np.array([[1.0, -1.0], [-1.0, 1.0]])
         return np.asarray(np.kron(turn * self.inverse[np.ix_(places, places)], self.noise))
 
-    def u_coefficient(self) -> FloatArray:
-        """Return the standard uncertainties (P, C) of the coefficients, of noise alone."""
-        return np.asarray(np.sqrt(np.outer(np.diag(self.inverse), np.diag(self.noise))))
-
     def curve(self, angle_rad: FloatArray) -> FloatArray:
         """Return offset and harmonics at angles (M,) as (M, C), without drift and sense."""
-        columns = np.zeros((len(angle_rad), len(self.terms)))
-        for place, name in enumerate(self.terms):
-            columns[:, place] = _periodic(name, angle_rad)
-        return np.asarray(columns @ self.coefficient)
+        return np.asarray(np.stack([_periodic(name, angle_rad) for name in self.terms], axis=1) @ self.coefficient)
 
     def reversal(self) -> Reversal:
         """Return the differences between readings of both senses of turning at angles that were met in both."""
         sense, turned = turning_sense(self.angle_rad), np.mod(self.angle_rad, 2.0 * np.pi)
-        found, differences = [], []
+        met, differences = [], []
         for angle in _distinct(turned):
             here = np.abs(np.angle(np.exp(1j * (turned - angle)))) < SAME_ANGLE_RAD
             forward, back = here & (sense > 0.0), here & (sense < 0.0)
             if forward.any() and back.any():
-                found.append(angle)
+                met.append(angle)
                 differences.append(self.reading[forward].mean(axis=0) - self.reading[back].mean(axis=0))
-        return Reversal(np.array(found), np.reshape(differences, (len(found), len(self.channels))))
+        return Reversal(np.array(met), np.reshape(differences, (len(met), len(self.channels))))
 
     def _places(self, order: int) -> list[int]:
         """Columns of a harmonic."""
@@ -252,13 +242,20 @@ def fit_angles(channels: tuple[str, ...], angle_rad: FloatArray, reading: FloatA
     if len(angle) <= design.shape[1] or np.linalg.cond(design) > LARGEST_CONDITION:
         spread = f"{len(angle)} readings at {len(_distinct(np.mod(angle, 2.0 * np.pi)))} angles"
         raise ValueError(f"angle_rad: expected at least four angles spread over most of a turn, found {spread}")
-    floor = _resolution(values) ** 2 / 12.0 + (ROUNDING * np.abs(values).max(axis=0)) ** 2
+    digit = np.array([_last_digit(column) for column in values.T])
+    floor = digit**2 / 12.0 + (ROUNDING * np.abs(values).max(axis=0)) ** 2
     names = [name for name, _ in terms]
     while (entering := _clearest(design, blocks, values, floor)) is not None:
         block = blocks.pop(entering)
         names += [name for name, _ in block]
         design = np.column_stack([design, *(column for _, column in block)])
-    return _fitted(channels, angle, values, tuple(names), design, floor)
+    inverse: FloatArray = np.asarray(np.linalg.inv(design.T @ design), np.float64)
+    coefficient = inverse @ design.T @ values
+    residual = values - design @ coefficient
+    dof = len(design) - len(names)
+    noise = residual.T @ residual / dof
+    noise += np.diag(np.maximum(0.0, floor - np.diag(noise)))
+    return AngleFit(channels, angle, values, tuple(names), design, coefficient, inverse, noise, float(dof))
 
 
 def turning_sense(angle_rad: FloatArray) -> FloatArray:
@@ -308,11 +305,6 @@ def _distinct(turned: FloatArray) -> FloatArray:
     return np.asarray(kept[:-1] if wraps else kept)
 
 
-def _resolution(values: FloatArray) -> FloatArray:
-    """Last digit of every channel's readings (C,), 0 where they have none."""
-    return np.array([_last_digit(column) for column in values.T])
-
-
 def _last_digit(column: FloatArray) -> float:
     """Largest of 1, 2, 5 times a power of ten of which all readings are multiples, 0 where there is none."""
     largest = float(np.abs(column).max())
@@ -348,21 +340,3 @@ def _clearest(design: FloatArray, blocks: list[list[Term]], values: FloatArray, 
         if chance < least:
             best, least = place, chance
     return best
-
-
-def _fitted(
-    channels: tuple[str, ...],
-    angle: FloatArray,
-    values: FloatArray,
-    terms: tuple[str, ...],
-    design: FloatArray,
-    floor: FloatArray,
-) -> AngleFit:
-    """Least squares of all channels with the terms chosen."""
-    inverse: FloatArray = np.asarray(np.linalg.inv(design.T @ design), np.float64)
-    coefficient = inverse @ design.T @ values
-    residual = values - design @ coefficient
-    dof = len(design) - len(terms)
-    noise = residual.T @ residual / dof
-    noise += np.diag(np.maximum(0.0, floor - np.diag(noise)))
-    return AngleFit(channels, angle, values, terms, design, coefficient, inverse, noise, float(dof))

@@ -11,9 +11,6 @@ import numpy as np
 
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, check_shape
 
-# A sensor that is turned about a horizontal axis: how its outputs answer, what they read, what a weight does.
-
-
 ArrayOf = TypeVar("ArrayOf", FloatArray, ComplexArray)
 FORCES = 3
 OWN = 7
@@ -138,7 +135,6 @@ def turning_phasor(record: Turned, tilt: FloatArray) -> ComplexArray:
 
 
 # Weights, first moments and masses from the first harmonic of a sensor that is turned about a horizontal axis.
-
 
 Number = TypeVar("Number", float, FloatArray)
 ROWS = OWN + FORCES
@@ -373,16 +369,14 @@ def _converged(problem: _Problem) -> _Converged:
 
 def _result(fit: _Converged) -> WeightFit:
     """Values, sources and the test of a fit."""
-    problem, vector = fit.problem, fit.vector
-    inverse, told = problem.outputs.inverse, problem.outputs.determined
-    loads = np.array([np.where(told, inverse @ record.amplitude, np.nan) for record in problem.records])
-    value = np.empty(ROWS * len(problem.records))
-    for r in range(len(problem.records)):
-        value[ROWS * r : ROWS * r + OWN] = vector[OWN * r : OWN * (r + 1)]
-        value[ROWS * r + OWN : ROWS * (r + 1)] = np.real(loads[r][:FORCES] * _projection(problem, r, vector))
-    names, every = tuple(record.name for record in problem.records), fit.tests[0]
-    sources = tuple(_sources(fit))
-    return WeightFit(names, value, sources, loads, every.chi_squared, every.dof, problem.departure)
+    problem, vector, names = fit.problem, fit.vector, tuple(record.name for record in fit.problem.records)
+    loads, value = np.full((len(names), 6), np.nan, dtype=np.complex128), np.empty((len(names), ROWS))
+    for r, record in enumerate(problem.records):
+        loads[r] = np.where(problem.outputs.determined, problem.outputs.inverse @ record.amplitude, np.nan)
+        value[r, :OWN] = vector[OWN * r : OWN * (r + 1)]
+        value[r, OWN:] = np.real(loads[r, :FORCES] * _projection(problem, r, vector))
+    every = fit.tests[0]
+    return WeightFit(names, value.ravel(), tuple(_sources(fit)), loads, every.chi_squared, every.dof, problem.departure)
 
 
 def _projection(problem: _Problem, r: int, vector: FloatArray) -> ComplexArray:
@@ -414,8 +408,14 @@ def _sources(fit: _Converged) -> Iterator[Source]:
         freedom = min(test.dof for test in fit.tests if test.dof > 0.5)
         yield Source("channels that disagree", "A", freedom, np.hstack(departing))
     shared = -_spread(inverse * prior, count)
-    for r in range(count):
-        shared[ROWS * r + OWN : ROWS * (r + 1), own:] = _alone(problem, r, vector)
+    row, column = elements.T
+    for r, record in enumerate(problem.records):  # of the weights by each force component alone
+        load, _ = weight_load(record, vector[OWN * r : OWN * (r + 1)], problem.outputs.sense)
+        by_element = problem.outputs.inverse[:FORCES, row] * problem.outputs.u[row, column] * load[column]
+        by_head = -0.5j * problem.u_angle_rad * np.conj(load[:FORCES, None]) * np.array([1.0, -1j])
+        every = np.hstack([by_element, by_head]) if problem.u_angle_rad > 0.0 else by_element
+        alone = np.real(every * _projection(problem, r, vector)[:, None])
+        shared[ROWS * r + OWN : ROWS * (r + 1), own:] = alone
     ends = own + len(elements)
     weak = [OWN * r + place for r in range(count) for place in (1, 2, 3, 5, 6)]
     if len(elements):
@@ -423,17 +423,6 @@ def _sources(fit: _Converged) -> Iterator[Source]:
     if problem.u_angle_rad > 0.0:
         yield Source("angle of the head", "B", np.inf, shared[:, ends:])
     yield Source("what no channel tells", "B", np.inf, shared[:, weak] / np.sqrt(prior[weak]))
-
-
-def _alone(problem: _Problem, r: int, vector: FloatArray) -> FloatArray:
-    """Effect (3, shared) of the shared unknowns on the weights by each force component alone."""
-    load, _ = weight_load(problem.records[r], vector[OWN * r : OWN * (r + 1)], problem.outputs.sense)
-    factor, inverse = _projection(problem, r, vector), problem.outputs.inverse[:FORCES]
-    rows, columns = problem.elements.T
-    by_element = inverse[:, rows] * problem.outputs.u[rows, columns] * load[columns]
-    turned = -0.5j * problem.u_angle_rad * np.conj(load[:FORCES, None]) * np.array([1.0, -1j])
-    every = np.hstack([by_element, turned]) if problem.u_angle_rad > 0.0 else by_element
-    return np.asarray(np.real(every * factor[:, None]))
 
 
 def _spread(effect: FloatArray, recordings: int) -> FloatArray:
