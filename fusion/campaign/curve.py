@@ -20,11 +20,19 @@ from fusion.campaign.repeats import (
     drive_ratio,
     mean_ratio,
     over_lines,
+    over_plain,
     plain_mean,
-    relative_uncertainty,
     stack_values,
 )
-from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, real_design, region
+from fusion.estimation.uncertainty import (
+    Contribution,
+    Influence,
+    Uncertainty,
+    as_complex,
+    real_design,
+    real_stack,
+    region,
+)
 from fusion.sensitivity.ratio import driven_component
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape
 from shaker.labels import LOAD_COMPONENTS
@@ -83,9 +91,7 @@ def linearity(drives: Sequence[Drive], component: int) -> Linearity:
     ]
     found = [drive_ratio(drive, component, channels) for drive in drives]
     plain = plain_mean([value for value, _ in found])
-    readings, stated = stack_values(
-        [(value / plain, relative_uncertainty(uncertainty, plain)) for value, uncertainty in found]
-    )
+    readings, stated = stack_values(over_plain(found, plain))
     amplitude = np.array([abs(drive.load[component]) for drive in drives])
     width = float(np.ptp(amplitude))
     dof = 2 * (len(drives) - 2)
@@ -175,26 +181,24 @@ def interpolation_weights(
     size = largest if largest > 0.0 else 1.0
     data = value[:, None] / size
     noise = variance / size**2 + _JITTER**2
-    trend, trend_wanted = _parabola(frequency_hz, high), _parabola(wanted_hz, high)
+    # Columns 1, f, f² of a trend.
+    trend, trend_wanted = (
+        np.stack([(f / high) ** power for power in range(3)], axis=1) for f in (frequency_hz, wanted_hz)
+    )
     place, wanted = np.log(frequency_hz), np.log(wanted_hz)
     distance = np.abs(place[:, None] - place)
     contrasts = np.linalg.qr(trend, mode="complete")[0][:, trend.shape[1] :]
     best = _restricted_maximum(distance, contrasts, data, noise)
     covariance = _matern(distance, best)
     across = _matern(np.abs(wanted[:, None] - place), best)
-    readings = covariance + np.diag(noise + _rounding(best))
+    readings = covariance + np.diag(noise + _DIGITS * np.exp(2.0 * best[0]))
     projector = contrasts @ np.linalg.solve(contrasts.T @ readings @ contrasts, contrasts.T)
     plain = trend_wanted @ np.linalg.pinv(trend)
     weight = plain + (across - plain @ readings) @ projector
     between = np.exp(2.0 * best[0]) - 2.0 * np.sum(weight * across, axis=1)
     between = np.maximum(between + np.einsum("qk,kl,ql->q", weight, covariance, weight), 0.0)
-    factor = _left_out(projector, data)
-    return Weights(weight, factor * between * size**2, float(contrasts.shape[1]))
-
-
-def _parabola(frequency_hz: FloatArray, high: float) -> FloatArray:
-    """Columns 1, f, f² of a trend."""
-    return np.stack([(frequency_hz / high) ** power for power in range(3)], axis=1)
+    left_out = np.mean((projector @ data) ** 2 / np.diag(projector)[:, None])
+    return Weights(weight, max(1.0, float(left_out)) * between * size**2, float(contrasts.shape[1]))
 
 
 def _matern(distance: FloatArray, log_parameters: FloatArray) -> FloatArray:
@@ -202,11 +206,6 @@ def _matern(distance: FloatArray, log_parameters: FloatArray) -> FloatArray:
     size, length = np.exp(log_parameters)
     ratio = np.sqrt(5.0) * distance / length
     return np.asarray(size**2 * (1.0 + ratio + ratio**2 / 3.0) * np.exp(-ratio))
-
-
-def _rounding(log_parameters: FloatArray) -> float:
-    """Variance of what rounding leaves of a covariance."""
-    return _DIGITS * float(np.exp(2.0 * log_parameters[0]))
 
 
 def _restricted_maximum(distance: FloatArray, contrasts: FloatArray, data: FloatArray, noise: FloatArray) -> FloatArray:
@@ -218,27 +217,17 @@ def _restricted_maximum(distance: FloatArray, contrasts: FloatArray, data: Float
     left = contrasts.T @ data
 
     def cost(parameters: FloatArray) -> float:
+        """Minus twice the log-likelihood of what contrasts free of the trend leave, up to a constant."""
         inside = np.clip(parameters, bounds[:, 0], bounds[:, 1])
-        readings = _matern(distance, inside) + np.diag(noise + _rounding(inside))
-        return _negative_likelihood(contrasts.T @ readings @ contrasts, left) + float(
-            np.sum((parameters - inside) ** 2)
-        )
+        readings = _matern(distance, inside) + np.diag(noise + _DIGITS * np.exp(2.0 * inside[0]))
+        root = np.linalg.cholesky(contrasts.T @ readings @ contrasts)
+        fit = 2.0 * np.sum(np.log(np.diag(root))) + np.sum(np.linalg.solve(root, left) ** 2)
+        return float(fit) + float(np.sum((parameters - inside) ** 2))
 
     grid = [np.log([size, length * span]) for size in _SIZES for length in _LENGTHS]
     start = min(grid, key=cost)
-    found = minimize(cost, start, method="Nelder-Mead", options={"xatol": 1e-2, "fatol": 1e-3, "maxiter": 100})
-    return np.asarray(np.clip(found.x, bounds[:, 0], bounds[:, 1]))
-
-
-def _negative_likelihood(covariance: FloatArray, left: FloatArray) -> float:
-    """Minus twice the log-likelihood of what contrasts free of the trend leave, up to a constant."""
-    root = np.linalg.cholesky(covariance)
-    return float(2.0 * np.sum(np.log(np.diag(root))) + np.sum(np.linalg.solve(root, left) ** 2))
-
-
-def _left_out(projector: FloatArray, data: FloatArray) -> float:
-    """Mean normalised square of what points left out differ by from their prediction, at least 1."""
-    return max(1.0, float(np.mean((projector @ data) ** 2 / np.diag(projector)[:, None])))
+    best = minimize(cost, start, method="Nelder-Mead", options={"xatol": 1e-2, "fatol": 1e-3, "maxiter": 100})
+    return np.asarray(np.clip(best.x, bounds[:, 0], bounds[:, 1]))
 
 
 # One curve over frequency for every element of the sensitivity: values with U, relative to static, interpolated.
@@ -283,11 +272,18 @@ def ratio_curves(drives: Iterable[Drive], capacity: Sequence[float] | None = Non
     Recordings of one excitation count as repeats whatever their amplitude. Of several excitations that drive the same
     component at one frequency (other lever arms) the one with the least of other components is on the curve.
     """
-    found: dict[int, list[tuple[float, tuple[Drive, ...]]]] = {}
+    groups: dict[int, list[tuple[float, tuple[Drive, ...]]]] = {}
     for group in alike(drives, capacity, amplitudes_apart=False):
         component = driven_component(group[0].direction, capacity)
-        found.setdefault(component, []).append((_impurity(group, component), group))
-    return tuple(_ratio_curve(component, _purest(found[component])) for component in sorted(found))
+        # Largest other component of the load over the driven one, moments over 0.1 m.
+        size = np.abs(group[0].load) * LEVERS
+        impurity = float(np.max(np.delete(size, component)) / size[component])
+        chosen = groups.setdefault(component, [])
+        if not chosen or np.log(group[0].frequency_hz / chosen[-1][1][0].frequency_hz) > SAME_FREQUENCY:
+            chosen.append((impurity, group))
+        elif impurity < chosen[-1][0]:
+            chosen[-1] = impurity, group
+    return tuple(_ratio_curve(j, [group for _, group in groups[j]]) for j in sorted(groups))
 
 
 def matrix_curve(fits: Sequence[MatrixFit]) -> Curve:
@@ -327,7 +323,13 @@ def relative_curve(curve: Curve, static: ArrayLike, u_static: float = 0.0) -> Cu
     factor = 1.0 / np.array([table[element] for element in chosen.elements])
     value = chosen.value * factor
     scaled = chosen.uncertainty.scaled(np.broadcast_to(factor + 0.0j, value.shape))
-    references = tuple(_reference(chosen, e, value, u_static) for e in range(len(places)) if u_static > 0.0)
+    references = []
+    for e in range(len(places)) if u_static > 0.0 else ():
+        # S/S₀ is too small where S₀ is too large.
+        change = np.zeros(value.shape, np.complex128)
+        change[:, e] = -u_static * np.nan_to_num(value[:, e])
+        name = f"static sensitivity {chosen.name(e)}"
+        references.append(Influence(name, "static sensitivity", u_static, "1", real_stack(change), "rig"))
     return replace(chosen, value=value, uncertainty=Uncertainty(scaled.random, (*scaled.influences, *references)))
 
 
@@ -340,8 +342,12 @@ def interpolate(curve: Curve, frequency_hz: FloatArray) -> Curve:
     """
     wanted = np.asarray(frequency_hz, dtype=np.float64)
     lines, count = curve.value.shape
-    data = np.concatenate([curve.value.real, curve.value.imag], axis=1)
-    noise = _point_variance(curve)
+    data = real_stack(curve.value)
+    # Variance that is a point's own: noise, and unknowns that act on one frequency only.
+    noise = np.sum([part.covariance.diagonal(axis1=1, axis2=2) for part in curve.uncertainty.random], axis=0)
+    for influence in curve.uncertainty.influences:
+        if np.count_nonzero(np.any(influence.effect != 0.0, axis=1)) == 1:
+            noise = noise + influence.effect**2
     weight, between = np.zeros((len(wanted), lines, 2 * count)), np.zeros((len(wanted), 2 * count))
     dof = np.inf
     for part in range(2 * count):
@@ -353,26 +359,9 @@ def interpolate(curve: Curve, frequency_hz: FloatArray) -> Curve:
         weight[:, usable, part], between[:, part], dof = found.weight, found.variance, min(dof, found.dof)
     sums = np.einsum("qki,ki->qi", weight, np.nan_to_num(data))
     uncertainty = _interpolated(curve, weight, between, dof)
-    value = np.asarray(sums[:, :count] + 1j * sums[:, count:])
-    return replace(curve, frequency_hz=wanted, value=value, uncertainty=uncertainty, recordings=((),) * len(wanted))
-
-
-def _impurity(group: Sequence[Drive], component: int) -> float:
-    """Largest other component of the load over the driven one, moments over 0.1 m."""
-    size = np.abs(group[0].load) * LEVERS
-    return float(np.max(np.delete(size, component)) / size[component])
-
-
-def _purest(groups: Sequence[tuple[float, tuple[Drive, ...]]]) -> list[tuple[Drive, ...]]:
-    """One group per frequency: the one with the least of other components."""
-    chosen: list[tuple[float, tuple[Drive, ...]]] = []
-    for impurity, group in groups:
-        same = chosen and np.log(group[0].frequency_hz / chosen[-1][1][0].frequency_hz) <= SAME_FREQUENCY
-        if not same:
-            chosen.append((impurity, group))
-        elif impurity < chosen[-1][0]:
-            chosen[-1] = impurity, group
-    return [group for _, group in chosen]
+    return replace(
+        curve, frequency_hz=wanted, value=as_complex(sums), uncertainty=uncertainty, recordings=((),) * len(wanted)
+    )
 
 
 def _ratio_curve(component: int, groups: Sequence[tuple[Drive, ...]]) -> Curve:
@@ -405,23 +394,6 @@ def _all_channels(mean: Repeats, channels: Sequence[str]) -> tuple[ComplexArray,
     first = found.random[0]
     hidden = np.where(absent[:, None] | absent, np.nan, first.covariance)
     return value, replace(found, random=(replace(first, covariance=hidden), *found.random[1:]))
-
-
-def _reference(curve: Curve, element: int, value: ComplexArray, u_static: float) -> Influence:
-    """The unknown of one element's static sensitivity: S/S₀ is too small where S₀ is too large."""
-    change = np.zeros(value.shape, np.complex128)
-    change[:, element] = -u_static * np.nan_to_num(value[:, element])
-    effect = np.concatenate([change.real, change.imag], axis=1)
-    return Influence(f"static sensitivity {curve.name(element)}", "static sensitivity", u_static, "1", effect, "rig")
-
-
-def _point_variance(curve: Curve) -> FloatArray:
-    """Variance (K, 2E) that is a point's own: noise, and unknowns that act on one frequency only."""
-    own = np.sum([part.covariance.diagonal(axis1=1, axis2=2) for part in curve.uncertainty.random], axis=0)
-    for influence in curve.uncertainty.influences:
-        if np.count_nonzero(np.any(influence.effect != 0.0, axis=1)) == 1:
-            own = own + influence.effect**2
-    return np.asarray(own)
 
 
 def _interpolated(curve: Curve, weight: FloatArray, between: FloatArray, dof: float) -> Uncertainty:

@@ -20,7 +20,14 @@ from fusion.campaign.matrix_solve import (
 )
 from fusion.campaign.repeats import FREQUENCY_TOLERANCE, LOADS, Drive
 from fusion.estimation.consistency import fails
-from fusion.estimation.uncertainty import Contribution, Uncertainty, merge_contributions, real_design, region
+from fusion.estimation.uncertainty import (
+    Contribution,
+    Uncertainty,
+    element_covariance,
+    merge_contributions,
+    real_design,
+    region,
+)
 from fusion.sensitivity.ratio import Sensitivity
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, check_shape
 from shaker.labels import LOAD_COMPONENTS
@@ -108,7 +115,11 @@ def fit_matrix(
     within one mounting and direction it counts as one error, since mounting anew is its usual cause. `channels`: order
     of the outputs, by default that of the drives; one that is not recorded in enough drives has no row.
     """
-    _check_frequencies(drives, tolerance)
+    if not drives:
+        raise ValueError("drives: expected at least one, found none")
+    low, high = (limit(drive.frequency_hz for drive in drives) for limit in (min, max))
+    if high > low * (1.0 + tolerance):
+        raise ValueError(f"drives: expected one frequency within {tolerance:.2%}, found {low:g} Hz to {high:g} Hz")
     wanted = tuple(dict.fromkeys(name for drive in drives for name in drive.channels) if channels is None else channels)
     stack = stack_drives(drives, wanted)
     found = excitation(stack)
@@ -116,7 +127,11 @@ def fit_matrix(
     kept = [c for c in range(len(wanted)) if excitation(stack, np.flatnonzero(stack.usable[:, c])).determines]
     if not kept:
         raise ValueError("drives: expected an output recorded under six independent loads, found none")
-    notices = _left_out([name for c, name in enumerate(wanted) if c not in kept])
+    notices = []
+    if len(kept) < len(wanted):
+        left_out = ", ".join(name for c, name in enumerate(wanted) if c not in kept)
+        text = f"{left_out}: no row of the matrix, the recordings that have it excite too few independent loads"
+        notices.append(Notice("warning", text, "matrix"))
     stack = stack_drives(drives, [wanted[c] for c in kept])
     solution, first, tau = _solve(stack)
     agreement = _agreement(stack, first)
@@ -131,26 +146,20 @@ def fit_matrix(
         dof=first.dof,
         discrepancy=tau,
         agreement=agreement,
-        notices=notices,
+        notices=(),
     )
-    return replace(fit, notices=(*notices, *_consistency_notices(fit)))
-
-
-def _check_frequencies(drives: Sequence[Drive], tolerance: float) -> None:
-    """Refuse drives of different frequencies."""
-    if not drives:
-        raise ValueError("drives: expected at least one, found none")
-    low, high = (limit(drive.frequency_hz for drive in drives) for limit in (min, max))
-    if high > low * (1.0 + tolerance):
-        raise ValueError(f"drives: expected one frequency within {tolerance:.2%}, found {low:g} Hz to {high:g} Hz")
-
-
-def _left_out(channels: Sequence[str]) -> tuple[Notice, ...]:
-    """Say which outputs have no row."""
-    if not channels:
-        return ()
-    text = f"{', '.join(channels)}: no row of the matrix, the recordings that have it excite too few independent loads"
-    return (Notice("warning", text, "matrix"),)
+    worst = fit.worst
+    if fit.dof == 0 or worst is None:
+        text = f"{len(agreement)} recordings at {fit.frequency_hz:.6g} Hz just determine the matrix: none tests it"
+        notices.append(Notice("info", text, "matrix"))
+    elif tau > 0.0:
+        text = (
+            f"recordings at {fit.frequency_hz:.6g} Hz disagree beyond their uncertainties (chi-square {fit.chi2:.3g} "
+            f"on {fit.dof}), most of all {worst.recording} ({worst.normalised_deviation:.3g} times what is expected): "
+            f"U covers a further {tau:.2g} of every output"
+        )
+        notices.append(Notice("warning", text, "matrix"))
+    return replace(fit, notices=tuple(notices))
 
 
 def _agreement(stack: Stack, solution: Solution) -> tuple[Agreement, ...]:
@@ -244,22 +253,6 @@ def _disagreement(stack: Stack, solution: Solution, spread: FloatArray) -> Contr
     return Contribution(DISAGREEMENT, "A", total[None], dof)
 
 
-def _consistency_notices(fit: MatrixFit) -> tuple[Notice, ...]:
-    """Say whether the recordings agree, and which does not."""
-    worst = fit.worst
-    if fit.dof == 0 or worst is None:
-        text = f"{len(fit.agreement)} recordings at {fit.frequency_hz:.6g} Hz just determine the matrix: none tests it"
-        return (Notice("info", text, "matrix"),)
-    if fit.discrepancy == 0.0:
-        return ()
-    text = (
-        f"recordings at {fit.frequency_hz:.6g} Hz disagree beyond their uncertainties (chi-square {fit.chi2:.3g} on "
-        f"{fit.dof}), most of all {worst.recording} ({worst.normalised_deviation:.3g} times what is expected): "
-        f"U covers a further {fit.discrepancy:.2g} of every output"
-    )
-    return (Notice("warning", text, "matrix"),)
-
-
 # Cross-talk: what the outputs of a sensor say of loads that are not theirs, at rated loads.
 
 
@@ -311,16 +304,11 @@ def cross_talk(fit: MatrixFit, capacity: Sequence[float]) -> CrossTalk:
             jacobian[i * LOADS + j, i * LOADS + j] = ratio[i, j] / own[i]
             jacobian[i * LOADS + j, i * LOADS + main[i]] = -value[i, j] / own[i]
     uncertainty = fit.uncertainty.transformed(real_design(jacobian)[None])
-    half_axis, holds_zero = _regions(value, uncertainty)
-    return CrossTalk(fit.frequency_hz, fit.channels, LOAD_COMPONENTS, main, value, uncertainty, half_axis, holds_zero)
-
-
-def _regions(value: ComplexArray, uncertainty: Uncertainty) -> tuple[FloatArray, BoolArray]:
-    """Larger half axis of the 95 % region of every value (C, 6), and whether it holds zero."""
     covariance, dof = uncertainty.covariance[0], uncertainty.dof()[0]
-    half_axis, holds_zero = np.zeros(value.size), np.zeros(value.size, dtype=np.bool_)
-    for place, element in enumerate(value.ravel()):
-        both = [place, place + value.size]
-        found = region(complex(element), covariance[np.ix_(both, both)], float(dof[place]))
-        half_axis[place], holds_zero[place] = found.half_axes[0], found.holds_zero
-    return half_axis.reshape(value.shape), holds_zero.reshape(value.shape)
+    regions = [
+        region(complex(element), element_covariance(covariance, place), float(dof[place]))
+        for place, element in enumerate(value.ravel())
+    ]
+    half_axis = np.array([found.half_axes[0] for found in regions]).reshape(value.shape)
+    holds_zero = np.array([found.holds_zero for found in regions]).reshape(value.shape)
+    return CrossTalk(fit.frequency_hz, fit.channels, LOAD_COMPONENTS, main, value, uncertainty, half_axis, holds_zero)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from fusion.campaign.repeats import LOADS, Drive
-from fusion.estimation.uncertainty import Influence, Uncertainty, real_design
+from fusion.estimation.uncertainty import Influence, Uncertainty, as_complex, real_design, real_stack
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from shaker.labels import LOAD_COMPONENTS
 
@@ -57,7 +57,7 @@ class Stack:
 
     def load_covariance(self) -> FloatArray:
         """Return the whole covariance (R, 12, 12) of every drive's load, common errors included."""
-        effect = np.concatenate([self.load_effect.real, self.load_effect.imag], axis=2)
+        effect = real_stack(self.load_effect)
         own = np.concatenate([noise.covariance for noise in self.load_noise])
         return np.asarray(own + np.einsum("eri,erj->rij", effect, effect))
 
@@ -71,27 +71,30 @@ def stack_drives(drives: Sequence[Drive], channels: Sequence[str]) -> Stack:
         raise ValueError("drives: expected at least one, found none")
     wanted = tuple(channels)
     load = np.stack([drive.load for drive in drives])
-    output = np.stack([_in_order(drive, wanted) for drive in drives])
+    empty = complex(np.nan, np.nan)
+    rows = [[d.outputs[d.channels.index(c)] if c in d.channels else empty for c in wanted] for d in drives]
+    output = np.array(rows, dtype=np.complex128)
     load_size, output_size = _size(load), _size(output)
-    parts = [drive.shared() for drive in drives]
+    output = output / output_size
     sized = [
         (
             of_load.scaled(np.asarray((1.0 / load_size)[None], dtype=np.complex128)),
             _outputs_in_order(of_outputs, drive, wanted, output_size),
         )
-        for drive, (of_load, of_outputs) in zip(drives, parts, strict=True)
+        for drive, (of_load, of_outputs) in ((drive, drive.shared()) for drive in drives)
     ]
     known = {influence.name: influence for both in sized for part in both for influence in part.influences}
     load_effect = np.zeros((len(known), len(drives), LOADS), np.complex128)
     output_effect = np.zeros((len(known), len(drives), len(wanted)), np.complex128)
     place = {name: number for number, name in enumerate(known)}
-    output = output / output_size
     for row, (of_load, of_outputs) in enumerate(sized):
         for influence in of_load.influences:
-            load_effect[place[influence.name], row] = _as_complex(influence.effect[0])
+            load_effect[place[influence.name], row] = as_complex(influence.effect[0])
+        # Relative to the output, zero where there is none.
+        usable = np.isfinite(output[row]) & (output[row] != 0.0)
         for influence in of_outputs.influences:
-            change = _as_complex(influence.effect[0])
-            output_effect[place[influence.name], row] = _quotient(change, output[row])
+            change, relative = as_complex(influence.effect[0]), np.zeros(len(wanted), np.complex128)
+            output_effect[place[influence.name], row] = np.divide(change, output[row], out=relative, where=usable)
     stack = Stack(
         drives=tuple(drives),
         channels=wanted,
@@ -114,12 +117,6 @@ def _size(values: ComplexArray) -> FloatArray:
     return np.where(largest > 0.0, largest, 1.0)
 
 
-def _in_order(drive: Drive, channels: tuple[str, ...]) -> ComplexArray:
-    """Outputs of a drive by the names wanted, NaN where it has none."""
-    empty = complex(np.nan, np.nan)
-    return np.array([drive.outputs[drive.channels.index(c)] if c in drive.channels else empty for c in channels])
-
-
 def _outputs_in_order(
     uncertainty: Uncertainty, drive: Drive, channels: tuple[str, ...], size: FloatArray
 ) -> Uncertainty:
@@ -130,23 +127,7 @@ def _outputs_in_order(
         if channel in drive.channels and np.isfinite(drive.outputs[drive.channels.index(channel)]):
             column = drive.channels.index(channel)
             matrix[row, column] = matrix[row + want, column + have] = 1.0 / size[row]
-    known = Uncertainty(
-        tuple(replace(part, covariance=np.nan_to_num(part.covariance)) for part in uncertainty.random),
-        tuple(replace(influence, effect=np.nan_to_num(influence.effect)) for influence in uncertainty.influences),
-    )
-    return known.transformed(matrix[None])
-
-
-def _as_complex(stacked: FloatArray) -> ComplexArray:
-    """Complex values of [Re, Im]."""
-    half = len(stacked) // 2
-    return np.asarray(stacked[:half] + 1j * stacked[half:])
-
-
-def _quotient(numerator: ComplexArray, denominator: ComplexArray) -> ComplexArray:
-    """Complex quotient, zero where there is no denominator."""
-    usable = np.isfinite(denominator) & (denominator != 0.0)
-    return np.divide(numerator, denominator, out=np.zeros_like(numerator), where=usable)
+    return uncertainty.where_known().transformed(matrix[None])
 
 
 def _with_slopes(stack: Stack) -> Stack:
@@ -155,25 +136,23 @@ def _with_slopes(stack: Stack) -> Stack:
     An output at f is that at the mean f₀ times 1 + s·ln(f/f₀); s has the standard uncertainty `SLOPE` in real and in
     imaginary part, so that lines apart cost what they must, and lines of one frequency nothing.
     """
-    frequency = np.array([drive.frequency_hz for drive in stack.drives])
-    away = np.log(frequency / stack.frequency_hz)
+    away = np.log(np.array([drive.frequency_hz for drive in stack.drives]) / stack.frequency_hz)
     if np.ptp(away) <= SAME_LINE:
         return stack
-    unknowns, effects = list(stack.unknowns), [stack.output_effect]
+    unknowns, effects = [], []
     for place, channel in enumerate(stack.channels):
         for part, turn in (("in phase", 1.0), ("out of phase", 1.0j)):
-            effect = np.zeros((1, *stack.output.shape), np.complex128)
-            effect[0, :, place] = SLOPE * turn * away
+            effect = np.zeros(stack.output.shape, np.complex128)
+            effect[:, place] = SLOPE * turn * away
             effects.append(effect)
             name = f"change of {channel} with frequency at {stack.frequency_hz:.6g} Hz, {part}"
             unknowns.append(Influence(name, LINES_APART, SLOPE, "", np.zeros((1, 2)), "rig"))
-    more = len(unknowns) - len(stack.unknowns)
-    none = np.zeros((more, *stack.load.shape), np.complex128)
+    none = np.zeros((len(unknowns), *stack.load.shape), np.complex128)
     return replace(
         stack,
-        unknowns=tuple(unknowns),
+        unknowns=(*stack.unknowns, *unknowns),
         load_effect=np.concatenate([stack.load_effect, none]),
-        output_effect=np.concatenate(effects),
+        output_effect=np.concatenate([stack.output_effect, effects]),
     )
 
 
@@ -242,7 +221,10 @@ def excitation(stack: Stack, drives: Sequence[int] | NDArray[np.int64] | None = 
     chosen = np.arange(len(stack.load)) if drives is None else np.asarray(drives, dtype=np.int64)
     load = stack.load[chosen]
     signal = load.conj().T @ load
-    noise = np.sum(_complex_covariance(stack.load_covariance()[chosen]).conj(), axis=0)
+    # E[n nᴴ] of complex errors from their covariances of [Re, Im].
+    both = np.sum(stack.load_covariance()[chosen], axis=0)
+    re, im, mixed = both[:LOADS, :LOADS], both[LOADS:, LOADS:], both[LOADS:, :LOADS]
+    noise = (re + im + 1j * (mixed - mixed.T)).conj()
     # Components in units of what is there of them, load or uncertainty, so that none is large or small by itself.
     size = np.sqrt(np.diag(signal).real + np.diag(noise).real)
     size = np.where(size > 0.0, size, 1.0)
@@ -260,18 +242,14 @@ def require_six(found: Excitation, drives: int) -> None:
     """Raise `MissingExcitationError` unless the drives excite six independent loads, saying what to add."""
     if found.determines:
         return
-    told = ", nor ".join(_told(group) for group in found.missing)
-    wanted = "; ".join(_remedy(group) for group in found.missing)
-    text = f"drives: expected loads in six independent directions, found {drives} that do not excite {told}"
-    raise MissingExcitationError(f"{text}; add {wanted}", found.missing)
-
-
-def _complex_covariance(covariance: FloatArray) -> ComplexArray:
-    """E[n nᴴ] (R, 6, 6) of complex errors from their covariance (R, 12, 12) of [Re, Im]."""
-    half = covariance.shape[1] // 2
-    re, im = covariance[:, :half, :half], covariance[:, half:, half:]
-    cross = covariance[:, half:, :half] - covariance[:, :half, half:]
-    return np.asarray(re + im + 1j * cross)
+    told, wanted = [], []
+    for group in found.missing:
+        listed = f"{', '.join(group[:-1])} and {group[-1]}"
+        alone = len(group) == 1
+        told.append(group[0] if alone else f"{listed} other than together")
+        wanted.append(HOW[group[-1]] + ("" if alone else f", so that {listed} are in another proportion"))
+    text = f"expected loads in six independent directions, found {drives} that do not excite {', nor '.join(told)}"
+    raise MissingExcitationError(f"drives: {text}; add {'; '.join(wanted)}", found.missing)
 
 
 def _missing(projector: ComplexArray) -> tuple[tuple[str, ...], ...]:
@@ -282,29 +260,12 @@ def _missing(projector: ComplexArray) -> tuple[tuple[str, ...], ...]:
     for j in members:
         joined = [g for g in groups if any(abs(projector[j, i]) > TOGETHER * np.sqrt(size[i] * size[j]) for i in g)]
         groups = [g for g in groups if g not in joined] + [sorted([j, *(i for g in joined for i in g)])]
-    found: list[tuple[str, ...]] = []
+    missing: list[tuple[str, ...]] = []
     for group in groups:
         names = tuple(LOAD_COMPONENTS[j] for j in group)
         whole = round(float(np.sum(size[group]))) >= len(group)
-        found += [(name,) for name in names] if whole else [names]
-    return tuple(sorted(found, key=lambda group: (len(group), LOAD_COMPONENTS.index(group[0]))))
-
-
-def _told(group: tuple[str, ...]) -> str:
-    """A missing excitation in words."""
-    return group[0] if len(group) == 1 else f"{_listed(group)} other than together"
-
-
-def _remedy(group: tuple[str, ...]) -> str:
-    """What would add a missing excitation."""
-    if len(group) == 1:
-        return HOW[group[0]]
-    return f"{HOW[group[-1]]}, so that {_listed(group)} are in another proportion"
-
-
-def _listed(names: tuple[str, ...]) -> str:
-    """Names in a sentence."""
-    return f"{', '.join(names[:-1])} and {names[-1]}"
+        missing += [(name,) for name in names] if whole else [names]
+    return tuple(sorted(missing, key=lambda group: (len(group), LOAD_COMPONENTS.index(group[0]))))
 
 
 # Maximum likelihood of a matrix from loads and outputs that both err, with unknowns they share.
@@ -380,11 +341,11 @@ def solve(stack: Stack, discrepancy: FloatArray | None = None) -> Solution:
     of the real and the imaginary part of the outputs.
     """
     extra = np.zeros(stack.output.shape) if discrepancy is None else discrepancy
-    solution = _from(stack, _start(stack), extra)
+    solution = _step(stack, _start(stack), extra)
     for _ in range(ITERATIONS):
         if solution.step <= CONVERGED:
             return solution
-        solution = _from(stack, _Point(solution.matrix, solution.load, solution.errors), extra)
+        solution = _step(stack, _Point(solution.matrix, solution.load, solution.errors), extra)
     raise ValueError(f"drives: expected loads that determine a matrix, found none after {ITERATIONS} iterations")
 
 
@@ -395,20 +356,14 @@ def judge(stack: Stack, solution: Solution | None = None) -> Solution:
     linear, and what it says of a single reading is meaningless; one step does not.
     """
     point = _start(stack) if solution is None else _Point(solution.matrix, solution.load, solution.errors)
-    return _from(stack, point, np.zeros(stack.output.shape))
-
-
-def _from(stack: Stack, point: _Point, discrepancy: FloatArray) -> Solution:
-    """One step from a point."""
-    return _step(stack, point, _linearise(stack, point), discrepancy)
+    return _step(stack, point, np.zeros(stack.output.shape))
 
 
 def _start(stack: Stack) -> _Point:
     """Matrix by least squares as if the loads were exact."""
-    usable = stack.usable
     rows = [
-        np.linalg.lstsq(stack.load[usable[:, c]], stack.output[usable[:, c], c], rcond=None)[0]
-        for c in range(len(stack.channels))
+        np.linalg.lstsq(stack.load[usable], stack.output[usable, c], rcond=None)[0]
+        for c, usable in enumerate(stack.usable.T)
     ]
     return _Point(np.array(rows), stack.load, np.zeros(len(stack.unknowns)))
 
@@ -434,31 +389,38 @@ def _linearise(stack: Stack, point: _Point) -> _Linear:
         residual = stack.output[r] - factor[r] * plain[r] - through @ (stack.load[r] - point.load[r])
         residual = residual + output_effect @ point.errors
         effects = output_effect - through @ load_effect
-        parts.append((_tall(residual[:, None])[:, 0], *map(real_design, (design, through)), _tall(effects)))
-        parts[-1] += (_tall(load_effect), real_design(step))
+        tall = [np.concatenate([part.real, part.imag]) for part in (residual, effects, load_effect)]
+        parts.append((tall[0], real_design(design), real_design(through), tall[1], tall[2], real_design(step)))
     return _Linear(*(np.stack(column) for column in zip(*parts, strict=True)))
 
 
-def _tall(matrix: ComplexArray) -> FloatArray:
-    """[Re; Im] of the columns of a matrix that acts on real numbers."""
-    return np.concatenate([matrix.real, matrix.imag])
-
-
-def _step(stack: Stack, point: _Point, linear: _Linear, discrepancy: FloatArray) -> Solution:
+def _step(stack: Stack, point: _Point, discrepancy: FloatArray) -> Solution:
     """One Gauss-Newton step: generalised least squares for the matrix, then loads and errors from what is left."""
+    linear = _linearise(stack, point)
     drives, channels = stack.output.shape
     mask = np.tile(stack.usable, (1, 2))
     residual, design, effects = linear.residual[mask], linear.design[mask], linear.effects[mask]
     noise = _noise(stack, linear, discrepancy, mask)
-    noise = _floored(noise, effects, np.concatenate([stack.output.real, stack.output.imag], axis=1)[mask])
+    # Raised where it is far below the common errors, or below the digits of the readings.
+    readings = real_stack(stack.output)[mask]
+    floor = (NOISE_FLOOR * np.linalg.norm(effects, axis=1)) ** 2 + (DIGITS * np.max(np.abs(readings))) ** 2
+    noise = noise + np.diag(np.maximum(floor - np.diag(noise), 0.0))
     gain, projector, spread = _least_squares(noise, design, effects)
     step = gain @ residual
     left = projector @ residual
     errors = effects.T @ left
-    load = _loads(stack, point, linear, (left, mask), errors)
-    change = step[: channels * LOADS] + 1j * step[channels * LOADS :]
+    change = as_complex(step).reshape(channels, LOADS)
+    full = np.zeros(mask.shape)
+    full[mask] = left
+    load = np.empty_like(point.load)
+    for r, reading in enumerate(stack.load):
+        # What is left of a drive's outputs is shared with the noise of its load. Readings at the point,
+        # l(L, e) = L + E(L)·e, leave l - l(L, e) - E·(e_new - e) - noise to the step of L.
+        own = -stack.load_noise[r].covariance[0] @ linear.through[r].T @ full[r]
+        apart = real_stack(reading - point.load[r]) - linear.load_effect[r] @ errors - own
+        load[r] = point.load[r] + as_complex(linear.load_step[r] @ apart)
     return Solution(
-        matrix=point.matrix + change.reshape(channels, LOADS),
+        matrix=point.matrix + change,
         load=load,
         errors=errors,
         drive=np.repeat(np.arange(drives), 2 * channels).reshape(mask.shape)[mask],
@@ -511,26 +473,3 @@ def _noise(stack: Stack, linear: _Linear, discrepancy: FloatArray, mask: NDArray
         start = end - np.count_nonzero(mask[r])
         total[start:end, start:end] = own[np.ix_(mask[r], mask[r])]
     return total
-
-
-def _floored(noise: FloatArray, effects: FloatArray, readings: FloatArray) -> FloatArray:
-    """Noise raised where it is far below the common errors, or below the digits of the readings."""
-    floor = (NOISE_FLOOR * np.linalg.norm(effects, axis=1)) ** 2 + (DIGITS * np.max(np.abs(readings))) ** 2
-    return np.asarray(noise + np.diag(np.maximum(floor - np.diag(noise), 0.0)))
-
-
-def _loads(
-    stack: Stack, point: _Point, linear: _Linear, rest: tuple[FloatArray, NDArray[np.bool_]], errors: FloatArray
-) -> ComplexArray:
-    """Loads (R, 6) at the errors found: what is left of a drive's outputs is shared with the noise of its load."""
-    left, mask = rest
-    full = np.zeros(mask.shape)
-    full[mask] = left
-    loads = np.empty_like(point.load)
-    for r, reading in enumerate(stack.load):
-        noise = -stack.load_noise[r].covariance[0] @ linear.through[r].T @ full[r]
-        # Readings at the point, l(L, e) = L + E(L)·e, leave l - l(L, e) - E·(e_new - e) - noise to the step of L.
-        apart = _tall((reading - point.load[r])[:, None])[:, 0] - linear.load_effect[r] @ errors - noise
-        step = linear.load_step[r] @ apart
-        loads[r] = point.load[r] + step[:LOADS] + 1j * step[LOADS:]
-    return loads

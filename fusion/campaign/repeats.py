@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from fusion.estimation.least_squares import BODY_SIZE_M
-from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, real_design
+from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, real_design, real_stack, total_variance
 from fusion.sensitivity.ratio import driven_component
 from shaker.arrays import ComplexArray, FloatArray, IntArray, Notice, check_shape
 from shaker.sine.phasor import real_stacked_diagonal
@@ -116,15 +117,9 @@ def between_recordings(uncertainty: Uncertainty, recording: str, mounting: str) 
     An unknown of the rig keeps its name; one of the mounting is the same in recordings of equal `mounting` only, one of
     the recording in this recording only. The names are final: all scopes become "rig".
     """
-    return replace(
-        uncertainty, influences=tuple(_between(influence, recording, mounting) for influence in uncertainty.influences)
-    )
-
-
-def _between(influence: Influence, recording: str, mounting: str) -> Influence:
-    """One unknown under its name among all recordings."""
-    suffix = {"rig": "", "mounting": f" [{mounting}]", "recording": f" [{recording}]"}[influence.scope]
-    return replace(influence, name=f"{influence.name}{suffix}", scope="rig")
+    suffix = {"rig": "", "mounting": f" [{mounting}]", "recording": f" [{recording}]"}
+    influences = [replace(i, name=f"{i.name}{suffix[i.scope]}", scope="rig") for i in uncertainty.influences]
+    return replace(uncertainty, influences=tuple(influences))
 
 
 def at_line(uncertainty: Uncertainty, line: int) -> Uncertainty:
@@ -285,13 +280,26 @@ def mean_ratio(drives: Sequence[Drive], component: int) -> Repeats:
         raise ValueError("drives: expected an output that all recordings of one excitation have, found none")
     found = [drive_ratio(drive, component, usable) for drive in drives]
     plain = plain_mean([value for value, _ in found])
-    scaled = [(value / plain, relative_uncertainty(uncertainty, plain)) for value, uncertainty in found]
+    scaled = over_plain(found, plain)
     mountings = [drive.mounting for drive in drives]
     scatter = _components(scaled, mountings)
     weight = _weights(scaled, mountings, scatter)
     value = np.einsum("n,nc->c", weight, np.array([value for value, _ in found]))
-    uncertainty = _weighted_sum([uncertainty for _, uncertainty in found], weight)
+    weighted = [u.scaled(np.full((1, len(usable)), w, np.complex128)) for w, (_, u) in zip(weight, found, strict=True)]
+    uncertainty = reduce(Uncertainty.plus, weighted)
     extra = _contributions(scatter, weight, mountings, plain)
+    # Relative standard deviations of the whole complex value: root of the sum of both parts' variances.
+    within, between = (
+        np.sqrt(total_variance(matrix[None])[0]) if dof else np.full(len(usable), np.nan)
+        for matrix, dof in ((scatter.within, scatter.within_dof), (scatter.between, scatter.between_dof))
+    )
+    notices = []
+    if len(drives) > 1 and not scatter.between_dof:
+        text = (
+            f"{len(drives)} recordings at {drives[0].frequency_hz:.6g} Hz are of one mounting: what mounting anew "
+            f"changes is not in U beyond what is stated of positions and directions"
+        )
+        notices.append(Notice("info", text, "repeats"))
     return Repeats(
         frequency_hz=float(np.mean([drive.frequency_hz for drive in drives])),
         direction=drives[0].direction,
@@ -303,11 +311,11 @@ def mean_ratio(drives: Sequence[Drive], component: int) -> Repeats:
         recordings=tuple(drive.recording for drive in drives),
         mountings=tuple(mountings),
         weight=weight,
-        within=_deviation(scatter.within, scatter.within_dof),
-        between=_deviation(scatter.between, scatter.between_dof),
+        within=within,
+        between=between,
         within_dof=scatter.within_dof,
         between_dof=scatter.between_dof,
-        notices=_notices(drives, scatter),
+        notices=tuple(notices),
     )
 
 
@@ -362,14 +370,17 @@ def plain_mean(values: Sequence[ComplexArray]) -> ComplexArray:
     return np.asarray(np.where(mean == 0.0, 1.0, mean))
 
 
-def relative_uncertainty(uncertainty: Uncertainty, value: ComplexArray) -> Uncertainty:
-    """Uncertainty of values divided by constants (C,)."""
-    return uncertainty.scaled(np.asarray(1.0 / value[None], dtype=np.complex128))
+def over_plain(
+    values: Sequence[tuple[ComplexArray, Uncertainty]], plain: ComplexArray
+) -> list[tuple[ComplexArray, Uncertainty]]:
+    """Return values and their uncertainties divided by constants (C,)."""
+    factor = np.asarray(1.0 / plain[None], dtype=np.complex128)
+    return [(value / plain, uncertainty.scaled(factor)) for value, uncertainty in values]
 
 
 def stack_values(values: Sequence[tuple[ComplexArray, Uncertainty]]) -> tuple[FloatArray, FloatArray]:
     """Real readings (N, 2C) and their joint covariance (N, 2C, N, 2C), what is shared included."""
-    readings = np.array([np.concatenate([value.real, value.imag]) for value, _ in values])
+    readings = np.array([real_stack(value) for value, _ in values])
     count, size = readings.shape
     covariance = np.zeros((count, size, count, size))
     names = {influence.name: None for _, uncertainty in values for influence in uncertainty.influences}
@@ -386,25 +397,23 @@ def _components(values: Sequence[tuple[ComplexArray, Uncertainty]], mountings: S
     """Variance components of a recording and of a mounting by the analysis of variance."""
     readings, stated = stack_values(values)
     size, forms = readings.shape[1], nested(mountings)
+
+    def mean_square(form: FloatArray, dof: int) -> FloatArray:
+        """Mean square of a quadratic form (N, N), less what stated uncertainties make of it."""
+        observed = np.einsum("ni,nm,mj->ij", readings, form, readings)
+        return np.asarray((observed - np.einsum("nm,nimj->ij", form, stated)) / dof)
+
+    def positive(matrix: FloatArray) -> FloatArray:
+        """Nearest covariance of a symmetric matrix: negative variances are none."""
+        values, vectors = np.linalg.eigh((matrix + matrix.T) / 2.0)
+        return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
+
     within = between = np.zeros((size, size))
     if forms.within_dof:
-        within = _positive(_mean_square(readings, stated, forms.within, forms.within_dof))
+        within = positive(mean_square(forms.within, forms.within_dof))
     if forms.between_dof:
-        square = _mean_square(readings, stated, forms.between, forms.between_dof)
-        between = _positive((square - within) / forms.each)
+        between = positive((mean_square(forms.between, forms.between_dof) - within) / forms.each)
     return _Scatter(within, between, forms.within_dof, forms.between_dof)
-
-
-def _mean_square(readings: FloatArray, stated: FloatArray, form: FloatArray, dof: int) -> FloatArray:
-    """Mean square (2C, 2C) of a quadratic form (N, N), less what stated uncertainties make of it."""
-    observed = np.einsum("ni,nm,mj->ij", readings, form, readings)
-    return np.asarray((observed - np.einsum("nm,nimj->ij", form, stated)) / dof)
-
-
-def _positive(matrix: FloatArray) -> FloatArray:
-    """Nearest covariance of a symmetric matrix: negative variances are none."""
-    values, vectors = np.linalg.eigh((matrix + matrix.T) / 2.0)
-    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
 
 def _weights(
@@ -413,9 +422,14 @@ def _weights(
     """Weights (N,) of recordings in the mean: recordings of a mounting by the inverse of their own variance, mountings
     by that of what their recordings and mounting anew leave, both in the best known channel.
     """
-    own = np.array([_own_variance(uncertainty) for _, uncertainty in values])
+    # What no other recording shares: noise, and unknowns of the recording.
+    alone = [
+        Uncertainty(uncertainty.random, tuple(i for i in uncertainty.influences if i.scope == "recording"))
+        for _, uncertainty in values
+    ]
+    own = np.array([total_variance(uncertainty.covariance)[0] for uncertainty in alone])
     best = int(np.argmin(np.sum(own, axis=0)))
-    within, between = (_total(part)[best] for part in (scatter.within, scatter.between))
+    within, between = (total_variance(part[None])[0, best] for part in (scatter.within, scatter.between))
     variance = own[:, best] + within
     if not np.all(variance > 0.0):
         return np.full(len(values), 1.0 / len(values))
@@ -425,30 +439,6 @@ def _weights(
         precision = 1.0 / variance[rows]
         weight[rows] = precision / np.sum(precision) / (between + 1.0 / np.sum(precision))
     return np.asarray(weight / np.sum(weight))
-
-
-def _own_variance(uncertainty: Uncertainty) -> FloatArray:
-    """Variance (C,) of Re and Im together from what no other recording shares: noise, and unknowns of the recording."""
-    own = np.sum([part.covariance[0] for part in uncertainty.random], axis=0)
-    for influence in uncertainty.influences:
-        if influence.scope == "recording":
-            own = own + np.outer(influence.effect[0], influence.effect[0])
-    return _total(own)
-
-
-def _total(matrix: FloatArray) -> FloatArray:
-    """Sum (C,) of the variances of real and imaginary parts."""
-    variance = np.diag(matrix)
-    return np.asarray(variance[: len(variance) // 2] + variance[len(variance) // 2 :])
-
-
-def _weighted_sum(parts: Sequence[Uncertainty], weight: FloatArray) -> Uncertainty:
-    """Uncertainty of a sum of values (C,) with constant weights (N,)."""
-    size = parts[0].random[0].covariance.shape[1] // 2
-    total = parts[0].scaled(np.full((1, size), weight[0], dtype=np.complex128))
-    for part, share in zip(parts[1:], weight[1:], strict=True):
-        total = total.plus(part.scaled(np.full((1, size), share, dtype=np.complex128)))
-    return total
 
 
 def _contributions(
@@ -466,20 +456,3 @@ def _contributions(
         for label, matrix, factor, dof in parts
         if dof and np.any(matrix)
     ]
-
-
-def _deviation(matrix: FloatArray, dof: int) -> FloatArray:
-    """Relative standard deviation (C,) of the whole complex value: root of the sum of both parts' variances."""
-    variance = _total(matrix)
-    return np.asarray(np.sqrt(variance) if dof else np.full_like(variance, np.nan))
-
-
-def _notices(drives: Sequence[Drive], scatter: _Scatter) -> tuple[Notice, ...]:
-    """Say where repeats tell nothing of mounting anew."""
-    if len(drives) < 2 or scatter.between_dof:
-        return ()
-    text = (
-        f"{len(drives)} recordings at {drives[0].frequency_hz:.6g} Hz are of one mounting: what mounting anew changes "
-        f"is not in U beyond what is stated of positions and directions"
-    )
-    return (Notice("info", text, "repeats"),)

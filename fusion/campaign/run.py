@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext, suppress
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING
 
 from fusion.base import (
+    ComputeError,
     Executor,
     InputError,
     Pending,
@@ -24,22 +25,220 @@ from fusion.base import (
     stdout_console,
     told,
 )
-from fusion.campaign.cluster import Job, Outcome, connected, run_job
+from fusion.campaign.executor import Workers, connected, one_blas_thread
 from fusion.campaign.joint_report import write_campaign
-from fusion.campaign.workers import Workers, one_blas_thread
 from fusion.estimation.uncertainty import Polar, region_factor
 from fusion.recording.excitation import kinds_of
-from fusion.recording.load import RECORDING_NAME, find_recordings, for_kinds
+from fusion.recording.load import RECORDING_NAME, find_recordings, for_kinds, load_manifest
 from fusion.report.csv_files import SENSITIVITY_FILE, row_element
-from fusion.report.recording import REPORT_FILE, check_campaign_folder
+from fusion.report.provenance import check_folder, hash_files, is_current
+from fusion.report.recording import REPORT_FILE, check_campaign_folder, write_results
 from fusion.report.table import read_rows
+from fusion.sensitivity.evaluate import evaluate_recording
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
+RECORDINGS = "recordings"
+LISTEN_S = 0.5  # between looks for an interruption
+SHARED_FRAMES = 2  # workers per recording from which on they share its frames instead of the recordings
+log = logging.getLogger("shakercal")
 
-# What the command prints when it is done: the sensitivity and where the report lies.
+# One recording: evaluate and write, unless its results are there.
+
+
+@dataclass(frozen=True)
+class Job:
+    """A recording.toml to evaluate, the folder of its results, and the user's choices."""
+
+    recording: Path
+    folder: Path
+    settings: Settings
+    force: bool = False
+    allow_outside: bool = False
+
+    def placed(self) -> Job:
+        """Return the job with paths that hold for a process of any working folder."""
+        return replace(self, recording=self.recording.absolute(), folder=self.folder.absolute())
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one recording: its results folder, or the reason why there is none.
+
+    `resumed`: the results of the same inputs, settings and program version were there already.
+    """
+
+    recording: Path
+    folder: Path
+    resumed: bool = False
+    error: InputError | ComputeError | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of the recording's folder."""
+        return self.recording.absolute().parent.name
+
+
+def run_job(job: Job, progress: ProgressCallback = no_progress, executor: Executor | None = None) -> Outcome:
+    """Evaluate one recording unless its results are there, and write them; an executor follows its images."""
+    manifest = load_manifest(job.recording, allow_outside=job.allow_outside)
+    hashes = hash_files(manifest.files, manifest.root)
+    if not job.force and is_current(job.folder, hashes, job.settings.as_dict()):
+        log.info("%s: results of the same input are there, nothing to compute", job.folder)
+        return Outcome(job.recording, job.folder, resumed=True)
+    check_folder(job.folder, hashes, force=job.force)
+    remove_abandoned(job.folder.resolve().parent)
+    with one_blas_thread():
+        evaluation = evaluate_recording(manifest, job.settings, hashes, progress, executor)
+        for notice in evaluation.notices:
+            log.log(logging.WARNING if notice.severity == "warning" else logging.DEBUG, "%s", notice.text)
+        write_results(evaluation, job.folder, force=job.force)
+    return Outcome(job.recording, job.folder)
+
+
+# One recording or a folder of several: evaluate here, by several processes or on a cluster; resume, merge.
+
+
+def run_path(
+    path: str | Path,
+    output: str | Path | None,
+    settings: Settings,
+    *,
+    force: bool = False,
+    allow_outside: bool = False,
+    workers: int = 1,
+    scheduler: str | None = None,
+    progress: ProgressCallback = no_progress,
+) -> tuple[Outcome, ...]:
+    """Evaluate a recording, or every recording of a campaign folder, and write the result files.
+
+    A recording writes to `output` (default RECORDING/results). A campaign writes one folder per recording below
+    `output` (default CAMPAIGN/results) and what they tell together at its top; recordings of kinds that are not
+    evaluated here, such as chirps, are left out, and one that fails does not stop the others. A single recording's
+    failure is raised. More than one of `workers` are processes of this machine, `scheduler` is the address of a Dask
+    cluster's: recordings are shared among them, or, where there are too few recordings for that, stereo pairs and
+    blocks of frames. Where it is computed changes no digit of a result.
+
+    >>> from fusion import Settings, run_path
+    >>> outcomes = run_path("sample_images/demo", "results", Settings())  # doctest: +SKIP
+    """
+    path = Path(path)
+    recordings = find_recordings(path)
+    alone = not is_campaign(path)
+    if not alone:
+        recordings = for_kinds(recordings, kinds_of("run"))
+    top = (recordings[0].parent if alone else path) / "results" if output is None else Path(output)
+    folders = [top] if alone else [top / recording.parent.name for recording in recordings]
+    jobs = [
+        Job(recording, folder, settings, force, allow_outside)
+        for recording, folder in zip(recordings, folders, strict=True)
+    ]
+    if not alone:
+        check_campaign_folder(top, [folder.name for folder in folders], force=force)
+    # What processes left unfinished that have ended is removed from the folder above the results, before and after.
+    above = top.parent if alone else top
+    remove_abandoned(above)
+    try:
+        with _executor(workers, scheduler) as executor:
+            if alone:
+                return (_run_one(jobs[0], executor, progress),)
+            if executor is None or SHARED_FRAMES * len(jobs) <= executor.size:
+                outcomes = _run_here(jobs, executor, progress)
+            else:
+                outcomes = _run_elsewhere(jobs, executor, progress)
+    finally:
+        remove_abandoned(above)
+    finished = [outcome.folder for outcome in outcomes if outcome.error is None]
+    failed = {outcome.name: str(outcome.error) for outcome in outcomes if outcome.error is not None}
+    if finished:
+        with one_blas_thread():
+            write_campaign(top, path.resolve().name, finished, failed)
+    return outcomes
+
+
+def is_campaign(path: Path) -> bool:
+    """Whether a path is a folder of recordings instead of one of them."""
+    return path.is_dir() and not (path / RECORDING_NAME).is_file()
+
+
+def exit_status(outcomes: Sequence[Outcome]) -> int:
+    """Return 0 when all recordings are done, 2 when the input of one is wrong, 1 when one could not be computed."""
+    errors = [outcome.error for outcome in outcomes if outcome.error is not None]
+    if any(isinstance(error, InputError) for error in errors):
+        return 2
+    return 1 if errors else 0
+
+
+def _executor(workers: int, scheduler: str | None) -> AbstractContextManager[Executor | None]:
+    """Return those who compute; None is this process."""
+    if scheduler is not None:
+        return connected(scheduler)
+    return Workers(workers) if workers > 1 else nullcontext()
+
+
+def _run_one(job: Job, executor: Executor | None, progress: ProgressCallback) -> Outcome:
+    """Run a recording here; an executor follows its images, by paths that hold for a process of any working folder."""
+    if executor is None:
+        return run_job(job, progress)
+    return replace(run_job(job.placed(), progress, executor), recording=job.recording, folder=job.folder)
+
+
+def _run_here(jobs: Sequence[Job], executor: Executor | None, progress: ProgressCallback) -> tuple[Outcome, ...]:
+    """Run one recording after another; what fails is kept in its outcome."""
+    outcomes = []
+    for done, job in enumerate(jobs):
+        progress(RECORDINGS, done, len(jobs))
+        outcomes.append(_outcome(job, partial(_run_one, job, executor, progress)))
+    return tuple(outcomes)
+
+
+def _run_elsewhere(jobs: Sequence[Job], executor: Executor, progress: ProgressCallback) -> tuple[Outcome, ...]:
+    """Have all recordings computed by others; the outcomes are in the recordings' order, whoever was first."""
+    answered: SimpleQueue[int] = SimpleQueue()
+    pending: list[Pending] = [executor.submit(rank, run_job, job.placed()) for rank, job in enumerate(jobs)]
+    for rank, answer in enumerate(pending):
+        answer.add_done_callback(partial(_tell, answered, rank))
+    outcomes: dict[int, Outcome] = {}
+    while len(outcomes) < len(jobs):
+        progress(RECORDINGS, len(outcomes), len(jobs))
+        # A wait without an end cannot be interrupted on every system.
+        done: int | None = None
+        while done is None:
+            with suppress(Empty):
+                done = answered.get(timeout=LISTEN_S)
+        outcomes[done] = _outcome(jobs[done], partial(_received, jobs[done], pending[done]))
+    return tuple(outcomes[rank] for rank in range(len(jobs)))
+
+
+def _tell(answered: SimpleQueue[int], rank: int, _: object) -> None:
+    """Say that the answer of a recording is there."""
+    answered.put(rank)
+
+
+def _received(job: Job, pending: Pending) -> Outcome:
+    """Return the outcome that a task brings, in the paths that the user knows, after what it logged."""
+    answer = pending.result()
+    answer.log(job.recording.absolute().parent.name)
+    outcome: Outcome = answer.opened()
+    return replace(outcome, recording=job.recording, folder=job.folder)
+
+
+def _outcome(job: Job, work: Callable[[], Outcome]) -> Outcome:
+    """Do the work for a recording of a campaign; its failure is kept in the outcome."""
+    try:
+        return work()
+    except Exception as error:
+        if is_interruption(error):
+            raise
+        failure = told(error)
+        log.error("%s", failure)
+        log.debug("traceback", exc_info=error)
+        return Outcome(job.recording, job.folder, error=failure)
+
+
+# What the command prints when it is done: what became of the recordings, the sensitivity, where the report lies.
 
 
 def print_outcomes(outcomes: Sequence[Outcome]) -> None:
@@ -91,10 +290,16 @@ def sensitivity_table(rows: Sequence[dict[str, str]]) -> Table:
 
 
 def _cells(element: Polar) -> tuple[str, str, str]:
-    """Magnitude and phase with U, and k."""
+    """Magnitude and phase with U, and k; both with the power of ten that value and U share."""
+
+    def with_u(value: float, expanded: float) -> str:
+        text = rounded(value, expanded)
+        pair = f"{text.value} ± {text.expanded}"
+        return f"({pair})e{text.exponent:d}" if text.exponent else pair
+
     if not element.region.holds_zero:
-        magnitude = _with_u(element.magnitude, element.expanded_magnitude)
-        return magnitude, _with_u(element.phase_rad, element.expanded_phase_rad), f"{element.k:.2f}"
+        magnitude = with_u(element.magnitude, element.expanded_magnitude)
+        return magnitude, with_u(element.phase_rad, element.expanded_phase_rad), f"{element.k:.2f}"
     large, small = element.region.half_axes
     first = rounded(large, large)
     second = rounded(small, large, first.exponent)
@@ -102,175 +307,15 @@ def _cells(element: Polar) -> tuple[str, str, str]:
     return pair, "not distinguishable from 0", f"{region_factor(element.dof):.2f}"
 
 
-def _with_u(value: float, expanded: float) -> str:
-    """Return value ± U with the power of ten they share."""
-    text = rounded(value, expanded)
-    pair = f"{text.value} ± {text.expanded}"
-    return f"({pair})e{text.exponent:d}" if text.exponent else pair
-
-
-# One recording or a folder of several: evaluate here, by several processes or on a cluster; resume, merge.
-
-
-RECORDINGS = "recordings"
-LISTEN_S = 0.5  # between looks for an interruption
-SHARED_FRAMES = 2  # workers per recording from which on they share its frames instead of the recordings
-log = logging.getLogger("shakercal")
-
-
-def run_path(
-    path: Path,
-    output: Path | None,
-    settings: Settings,
-    *,
-    force: bool = False,
-    allow_outside: bool = False,
-    workers: int = 1,
-    scheduler: str | None = None,
-    progress: ProgressCallback = no_progress,
-) -> tuple[Outcome, ...]:
-    """Evaluate a recording, or every recording of a campaign folder, and write the result files.
-
-    A recording writes to `output` (default RECORDING/results). A campaign writes one folder per recording below
-    `output` (default CAMPAIGN/results) and what they tell together at its top; recordings of kinds that are not
-    evaluated here, such as chirps, are left out, and one that fails does not stop the others. A single recording's
-    failure is raised. More than one of `workers` are processes of this machine, `scheduler` is the address of a Dask
-    cluster's: recordings are shared among them, or, where there are too few recordings for that, stereo pairs and
-    blocks of frames. Where it is computed changes no digit of a result.
-    """
-    recordings = find_recordings(path)
-    alone = not is_campaign(path)
-    if not alone:
-        recordings = for_kinds(recordings, kinds_of("run"))
-    top = (recordings[0].parent if alone else path) / "results" if output is None else output
-    folders = [top] if alone else [top / recording.parent.name for recording in recordings]
-    jobs = [
-        Job(recording, folder, settings, force, allow_outside)
-        for recording, folder in zip(recordings, folders, strict=True)
-    ]
-    if not alone:
-        check_campaign_folder(top, [folder.name for folder in folders], force=force)
-    with _clean_end(top.parent if alone else top), _crew(workers, scheduler) as crew:
-        if alone:
-            return (_run_one(jobs[0], crew, progress),)
-        if crew is None or SHARED_FRAMES * len(jobs) <= crew.size:
-            outcomes = _run_here(jobs, crew, progress)
-        else:
-            outcomes = _run_elsewhere(jobs, crew, progress)
-    _write_campaign(top, path.resolve().name, outcomes)
-    return outcomes
-
-
-def is_campaign(path: Path) -> bool:
-    """Whether a path is a folder of recordings instead of one of them."""
-    return path.is_dir() and not (path / RECORDING_NAME).is_file()
-
-
-def exit_status(outcomes: Sequence[Outcome]) -> int:
-    """Return 0 when all recordings are done, 2 when the input of one is wrong, 1 when one could not be computed."""
-    errors = [outcome.error for outcome in outcomes if outcome.error is not None]
-    if any(isinstance(error, InputError) for error in errors):
-        return 2
-    return 1 if errors else 0
-
-
-@contextmanager
-def _clean_end(folder: Path) -> Iterator[None]:
-    """Remove from the folder above the results what processes left unfinished that have ended: before and after."""
-    remove_abandoned(folder)
-    try:
-        yield
-    finally:
-        remove_abandoned(folder)
-
-
-def _crew(workers: int, scheduler: str | None) -> AbstractContextManager[Executor | None]:
-    """Return those who compute; None is this process."""
-    if scheduler is not None:
-        return connected(scheduler)
-    return Workers(workers) if workers > 1 else nullcontext()
-
-
-def _run_one(job: Job, crew: Executor | None, progress: ProgressCallback) -> Outcome:
-    """Run a recording here; a crew follows its images, by paths that hold for a process of any working folder."""
-    if crew is None:
-        return run_job(job, progress)
-    return replace(run_job(job.placed(), progress, crew), recording=job.recording, folder=job.folder)
-
-
-def _run_here(jobs: Sequence[Job], crew: Executor | None, progress: ProgressCallback) -> tuple[Outcome, ...]:
-    """Run one recording after another; what fails is kept in its outcome."""
-    outcomes = []
-    for done, job in enumerate(jobs):
-        progress(RECORDINGS, done, len(jobs))
-        outcomes.append(_outcome(job, partial(_run_one, job, crew, progress)))
-    return tuple(outcomes)
-
-
-def _run_elsewhere(jobs: Sequence[Job], crew: Executor, progress: ProgressCallback) -> tuple[Outcome, ...]:
-    """Have all recordings computed by others; the outcomes are in the recordings' order, whoever was first."""
-    heard: SimpleQueue[tuple[int, Pending]] = SimpleQueue()
-    all_pending = [crew.submit(rank, run_job, job.placed()) for rank, job in enumerate(jobs)]
-    for rank, pending in enumerate(all_pending):
-        pending.add_done_callback(partial(_tell, heard, rank))
-    outcomes: dict[int, Outcome] = {}
-    while len(outcomes) < len(jobs):
-        progress(RECORDINGS, len(outcomes), len(jobs))
-        rank, pending = _next(heard)
-        outcomes[rank] = _outcome(jobs[rank], partial(_received, jobs[rank], pending))
-    return tuple(outcomes[rank] for rank in range(len(jobs)))
-
-
-def _tell(heard: SimpleQueue[tuple[int, Pending]], rank: int, pending: Pending) -> None:
-    """Say that the answer of a recording is there."""
-    heard.put((rank, pending))
-
-
-def _next(heard: SimpleQueue[tuple[int, Pending]]) -> tuple[int, Pending]:
-    """Wait for the next answer, open to interruptions on every system."""
-    while True:
-        with suppress(Empty):
-            return heard.get(timeout=LISTEN_S)
-
-
-def _received(job: Job, pending: Pending) -> Outcome:
-    """Return the outcome that a task brings, in the paths that the user knows, after what it logged."""
-    answer = pending.result()
-    answer.log(job.recording.absolute().parent.name)
-    outcome: Outcome = answer.opened()
-    return replace(outcome, recording=job.recording, folder=job.folder)
-
-
-def _outcome(job: Job, work: Callable[[], Outcome]) -> Outcome:
-    """Do the work for a recording of a campaign; its failure is kept in the outcome."""
-    try:
-        return work()
-    except Exception as error:
-        if is_interruption(error):
-            raise
-        failure = told(error)
-        log.error("%s", failure)
-        log.debug("traceback", exc_info=error)
-        return Outcome(job.recording, job.folder, error=failure)
-
-
-def _write_campaign(top: Path, name: str, outcomes: Sequence[Outcome]) -> None:
-    """Write what the recordings tell together, unless all of them failed."""
-    finished = [outcome.folder for outcome in outcomes if outcome.error is None]
-    failed = {outcome.name: str(outcome.error) for outcome in outcomes if outcome.error is not None}
-    if finished:
-        with one_blas_thread():
-            write_campaign(top, name, finished, failed)
-
-
-# What the command prints when a campaign is done: what became of its recordings, and where the report lies.
-
-
 def print_campaign(outcomes: Sequence[Outcome]) -> None:
     """Print one line per recording, each failure with its reason, how many there are of each, and the joint report."""
     console = stdout_console()
     for outcome in outcomes:
-        console.print(f"{outcome.name}: {_told(outcome)}", soft_wrap=True)
+        what = "unchanged since the last run" if outcome.resumed else "written"
+        report = f"report ({what}): {outcome.folder / REPORT_FILE}"
+        console.print(
+            f"{outcome.name}: {report if outcome.error is None else f'failed, {outcome.error}'}", soft_wrap=True
+        )
     console.print(tally(outcomes))
     done = [outcome for outcome in outcomes if outcome.error is None]
     if done:
@@ -286,12 +331,3 @@ def tally(outcomes: Sequence[Outcome]) -> str:
     parts = [(len(outcomes) - failed - resumed, "evaluated"), (resumed, "unchanged since the last run")]
     told = ", ".join(f"{count} {what}" for count, what in (*parts, (failed, "failed")) if count)
     return f"{len(outcomes)} recording{'' if len(outcomes) == 1 else 's'}: {told}"
-
-
-def _told(outcome: Outcome) -> str:
-    """Return what became of one recording."""
-    if outcome.error is not None:
-        return f"failed, {outcome.error}"
-    return (
-        f"report ({'unchanged since the last run' if outcome.resumed else 'written'}): {outcome.folder / REPORT_FILE}"
-    )

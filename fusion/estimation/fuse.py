@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from fusion.base import AnyNotice
+from fusion.base import AnyNotice, brief
 from fusion.estimation.consistency import (
     NOTABLE_DEVIATION,
     CommonEstimate,
@@ -70,6 +70,8 @@ class Acceleration:
     unknowns: tuple[CommonEstimate, ...]
     notices: tuple[AnyNotice, ...]
     scatter: tuple[Scatter, ...] = ()
+
+    __repr__ = brief
 
     @property
     def contributions(self) -> tuple[Contribution, ...]:

@@ -199,6 +199,11 @@ class Uncertainty:
         random = tuple(replace(part, covariance=part.covariance[:, both[:, None], both]) for part in self.random)
         return Uncertainty(random, tuple(i.acting(i.effect[:, both]) for i in self.influences))
 
+    def where_known(self) -> Uncertainty:
+        """Return the uncertainty with nothing in place of what is not known (NaN)."""
+        random = tuple(replace(part, covariance=np.nan_to_num(part.covariance)) for part in self.random)
+        return Uncertainty(random, tuple(i.acting(np.nan_to_num(i.effect)) for i in self.influences))
+
     def dof(self) -> FloatArray:
         """Return the effective degrees of freedom (K, C) of every value.
 

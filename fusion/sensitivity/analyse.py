@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fusion.base import AnyNotice, ComputeError
+from fusion.base import AnyNotice, ComputeError, brief
 from fusion.estimation.fuse import Acceleration, fuse_sources
 from fusion.estimation.measurement_model import Observation
 from fusion.instruments.channel import Reading
@@ -84,6 +84,8 @@ class Analysis:
     outputs: Outputs | None
     sensitivity: Sensitivity | None
 
+    __repr__ = brief
+
     @property
     def notices(self) -> tuple[AnyNotice, ...]:
         """Return what fusion, load and sensitivity want the user to know."""
@@ -138,7 +140,7 @@ class Evaluation:
 
     `accelerations`: one entry per body and source (`fused` first). `load`: wrench phasors at the sensor origin, N and
     N.m, with the manifest's sense. `outputs`: of the sensor. `points`: vibrometer points that look along one
-    direction. `monte_carlo`: where it was asked for. `set_ups`: how they were tied, none where all was recorded at once.
+    direction. `monte_carlo`: where it was asked for. `set_ups`: what ties them, none for one alone.
     `settings`, `versions`, `input_hashes` (file -> SHA-256) say what was run on what.
     """
 
@@ -159,3 +161,5 @@ class Evaluation:
     set_ups: tuple[SetUpResult, ...] = ()
     points: tuple[PointSpread, ...] = ()
     monte_carlo: MonteCarlo | None = None
+
+    __repr__ = brief

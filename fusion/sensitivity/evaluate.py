@@ -32,8 +32,8 @@ def evaluate_recording(
     files do not allow.
 
     >>> from fusion import evaluate_recording, load_manifest
-    >>> evaluation = evaluate_recording(load_manifest("sample_images/demo/axial-106Hz"))  # doctest: +SKIP
-    >>> evaluation.sensitivity.value[0, 0, 2]  # Fz output per Fz load at the first line  # doctest: +SKIP
+    >>> evaluation = evaluate_recording(load_manifest("sample_images/demo/Fz-0080"))  # doctest: +SKIP
+    >>> evaluation.sensitivity.value[:, 2, 2]  # Fz output per Fz load, line by line  # doctest: +SKIP
     """
     started, settings = time.monotonic(), settings or Settings()
     manifest.check_command("run")

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fusion.base import AnyNotice
+from fusion.base import AnyNotice, brief
 from fusion.estimation.fuse import Acceleration
 from fusion.estimation.least_squares import BODY_SIZE_M, UNOBSERVED_MOTION, hidden_motion
 from fusion.estimation.uncertainty import (
@@ -47,6 +47,8 @@ class LoadResult:
     uncertainty: Uncertainty
     observed: BoolArray
     notices: tuple[AnyNotice, ...]
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         lines = len(self.frequency_hz)

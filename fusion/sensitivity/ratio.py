@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fusion.base import AnyNotice, rounded
+from fusion.base import AnyNotice, brief, rounded
 from fusion.estimation.uncertainty import (
     Influence,
     Polar,
@@ -52,6 +52,8 @@ class Sensitivity:
     kind: tuple[Kind, ...]
     notices: tuple[AnyNotice, ...]
     budget: tuple[BudgetEntry, ...] = field(init=False)
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         lines, count = len(self.frequency_hz), len(self.elements)

@@ -1,6 +1,4 @@
-"""Processes that share the work on this machine, and are replaced when they die.
-
-How many threads the libraries of one task use.
+"""Who computes the tasks of a run, one at a time each: processes of this machine, or the workers of a Dask cluster.
 
 Linear algebra adds in an order that depends on its threads, so that with another number of them the last digits of a
 result change. Everything a run computes is therefore done with one of them, wherever it is computed.
@@ -8,11 +6,13 @@ result change. Everything a run computes is therefore done with one of them, whe
 
 from __future__ import annotations
 
+import importlib.metadata
 import logging
 import multiprocessing
 import os
 import pickle
 import signal
+import socket
 import sys
 import threading
 import traceback
@@ -22,9 +22,17 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
 from queue import PriorityQueue
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
+from urllib.parse import urlsplit
 
-from fusion.base import ComputeError
+from fusion.base import ComputeError, InputError
+from fusion.report.provenance import PROGRAM
+
+if TYPE_CHECKING:
+    from distributed import Client
+    from distributed import Future as ClusterFuture
+
+log = logging.getLogger("shakercal")
 
 # How many threads the libraries of one task use.
 
@@ -46,13 +54,6 @@ def one_blas_thread() -> Iterator[None]:
 
 def with_one_thread(function: Callable[..., Any], *arguments: Any) -> Any:
     """Call a function while every library computes with one thread."""
-    with one_thread():
-        return function(*arguments)
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Let every library compute with one thread."""
     import cv2
     import numba
     from threadpoolctl import threadpool_limits
@@ -65,7 +66,7 @@ def one_thread() -> Iterator[None]:
     cv2.setNumThreads(1)
     try:
         with one_blas_thread(), threadpool_limits(1):
-            yield
+            return function(*arguments)
     finally:
         numba.set_num_threads(threads[0])
         cv2.setNumThreads(threads[1])
@@ -74,7 +75,6 @@ def one_thread() -> Iterator[None]:
 # A task that another process computes: what it returns, raises and logs comes back as one answer.
 
 
-log = logging.getLogger("shakercal")
 _ALONE = threading.Lock()  # threads of one process share the logger and what the libraries are limited to
 
 
@@ -106,53 +106,42 @@ class Answer:
                 log.log(record.levelno, "%s: %s", name, record.getMessage())
 
 
-def call(function: Callable[..., Any], *arguments: Any) -> Answer:
-    """Call a function, one at a time in a process; answers among its arguments are opened.
-
-    An exception carries the place it came from as its note.
-    """
-    with _ALONE, _kept_log() as told:
-        try:
-            return Answer(function(*(_opened(argument) for argument in arguments)), None, tuple(told))
-        except Exception as error:
-            error.add_note(traceback.format_exc())
-            return Answer(None, error, tuple(told))
-
-
 def _arrived(packed: bytes) -> Answer:
-    """The answer that has travelled."""
+    """Return the answer that has travelled."""
     return Answer(*pickle.loads(packed))
 
 
-def _opened(argument: Any) -> Any:
-    """The value of an answer; anything else as it is."""
-    return argument.opened() if isinstance(argument, Answer) else argument
+def call(function: Callable[..., Any], *arguments: Any) -> Answer:
+    """Call a function, one at a time in a process; answers among its arguments are opened.
 
-
-@contextmanager
-def _kept_log() -> Iterator[list[logging.LogRecord]]:
-    """Collect what the program logs instead of telling it here."""
-    kept: list[logging.LogRecord] = []
-    before = log.handlers, log.propagate, log.level
-    log.handlers, log.propagate = [_Keeper(kept)], False
-    log.setLevel(logging.DEBUG)
-    try:
-        yield kept
-    finally:
-        log.handlers, log.propagate = before[:2]
-        log.setLevel(before[2])
+    What it logs is kept instead of told here. An exception carries the place it came from as its note.
+    """
+    keeper = _Keeper()
+    with _ALONE:
+        before = log.handlers, log.propagate, log.level
+        log.handlers, log.propagate = [keeper], False
+        log.setLevel(logging.DEBUG)
+        try:
+            opened = [argument.opened() if isinstance(argument, Answer) else argument for argument in arguments]
+            return Answer(function(*opened), None, tuple(keeper.kept))
+        except Exception as error:
+            error.add_note(traceback.format_exc())
+            return Answer(None, error, tuple(keeper.kept))
+        finally:
+            log.handlers, log.propagate = before[:2]
+            log.setLevel(before[2])
 
 
 class _Keeper(logging.Handler):
     """Keeps records as plain text, which can go to another process."""
 
-    def __init__(self, kept: list[logging.LogRecord]) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self._kept = kept
+        self.kept: list[logging.LogRecord] = []
 
     def emit(self, record: logging.LogRecord) -> None:
         plain = logging.makeLogRecord({**vars(record), "msg": record.getMessage(), "args": None, "exc_info": None})
-        self._kept.append(plain)
+        self.kept.append(plain)
 
 
 # Processes of this machine that compute tasks, one at a time each, and are replaced when they die.
@@ -231,7 +220,9 @@ class Workers:
         for _ in range(ATTEMPTS):
             if self._stop.poll():
                 break
-            worker = worker or self._new_worker()
+            if worker is None:
+                with self._starting:
+                    worker = _Worker()
             answer = worker.ask((task.function, task.arguments), self._stop)
             if answer is not None:
                 task.future.set_result(answer)
@@ -247,11 +238,6 @@ class Workers:
             task.future.set_result(Answer(None, ComputeError(text), ()))
         return worker
 
-    def _new_worker(self) -> _Worker:
-        """Start a process; the environment it is given is that of this one meanwhile."""
-        with self._starting, _environment(ONE_THREAD):
-            return _Worker()
-
 
 class _Worker:
     """One process and the connection to it."""
@@ -260,7 +246,17 @@ class _Worker:
         context = multiprocessing.get_context("spawn")
         self._connection, other = context.Pipe()
         self._process = context.Process(target=_serve, args=(other,), daemon=True)
-        self._process.start()
+        # The environment it is given is that of this process meanwhile.
+        before = {name: os.environ.get(name) for name in ONE_THREAD}
+        os.environ.update(ONE_THREAD)
+        try:
+            self._process.start()
+        finally:
+            for name, value in before.items():
+                if value is None:
+                    os.environ.pop(name, None)
+                else:
+                    os.environ[name] = value
         other.close()
 
     def ask(self, task: tuple[Callable[..., Any], tuple[Any, ...]], stop: Connection) -> Answer | None:
@@ -299,22 +295,19 @@ def _serve(connection: Connection) -> None:
         except EOFError:
             signal.signal(signal.SIGTERM, signal.SIG_IGN)  # what is left is clean-up
             return
-        connection.send_bytes(_packed(call(function, *arguments)))
+        answer = call(function, *arguments)
+        try:
+            packed = pickle.dumps(answer)
+        except Exception as error:  # one that cannot travel is told in its own words
+            what = error if answer.error is None else answer.error
+            packed = pickle.dumps(Answer(None, RuntimeError(f"{type(what).__name__}: {what}"), answer.told))
+        connection.send_bytes(packed)
 
 
 def _leave(*_: object) -> None:
     """End through all clean-up, which nobody interrupts."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     sys.exit(1)
-
-
-def _packed(answer: Answer) -> bytes:
-    """Return an answer as bytes; an error that cannot travel is told in its own words."""
-    try:
-        return pickle.dumps(answer)
-    except Exception as error:
-        what = error if answer.error is None else answer.error
-        return pickle.dumps(Answer(None, RuntimeError(f"{type(what).__name__}: {what}"), answer.told))
 
 
 def _end_with_parent() -> None:
@@ -325,16 +318,90 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
+# Workers of a Dask cluster (`pip install "shakercal[cluster]"`).
+
+
+ANSWER_S = 10.0
+"""How long a scheduler may take to answer."""
+SCHEDULER_PORT = 8786
+"""Where Dask's schedulers listen unless told otherwise."""
+OPTION = "--scheduler"
+
+
+class Cluster:
+    """The workers that a Dask scheduler has; they see the same files as this process, by the same paths."""
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+
+    @property
+    def size(self) -> int:
+        """How many workers there are at present."""
+        return len(self._client.nthreads())
+
+    def submit(self, rank: int, function: Callable[..., Any], *arguments: Any) -> ClusterAnswer:
+        """Have a module's function called by a worker; of the tasks that wait, the lowest rank comes first.
+
+        Answers among the arguments are there: the function receives what they hold, from wherever that is. A worker
+        that dies is nobody's loss: Dask computes again, elsewhere, what it had.
+        """
+        held = [argument.future if isinstance(argument, ClusterAnswer) else argument for argument in arguments]
+        return ClusterAnswer(self._client.submit(call, with_one_thread, function, *held, priority=-rank, pure=False))
+
+
+class ClusterAnswer:
+    """The answer of a task, which lies where it was computed until its `result` is asked for."""
+
+    def __init__(self, future: ClusterFuture[Answer]) -> None:
+        self.future = future
+
+    def add_done_callback(self, told: Callable[[ClusterAnswer], object]) -> None:
+        """Have a function called as soon as there is an answer or none will be."""
+        self.future.add_done_callback(lambda _: told(self))
+
+    def result(self) -> Answer:
+        """Fetch the answer; `ComputeError` where the cluster has none."""
+        from distributed import CancelledError
+        from distributed.scheduler import KilledWorker
+
+        try:
+            return cast(Answer, self.future.result())
+        except KilledWorker as error:
+            text = "several workers of the cluster ended while they computed it; does their memory suffice?"
+            raise ComputeError(text) from error
+        except (CancelledError, OSError) as error:
+            raise ComputeError("the Dask scheduler is gone; start the run again where there is one") from error
+
+
 @contextmanager
-def _environment(values: dict[str, str]) -> Iterator[None]:
-    """Set environment variables for the processes that are started meanwhile."""
-    before = {name: os.environ.get(name) for name in values}
-    os.environ.update(values)
+def connected(address: str) -> Iterator[Cluster]:
+    """Yield the cluster whose scheduler answers at an address such as tcp://10.0.0.1:8786; leave it as it is."""
     try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
+        from distributed import Client
+    except ImportError as error:
+        expected = 'the packages that pip install "shakercal[cluster]" brings'
+        raise InputError(OPTION, "", found=f"none ({error})", expected=expected) from error
+    try:
+        # Where nobody listens this is told: a client that waits in vain does not end in silence.
+        parts = urlsplit(address if "://" in address else f"tcp://{address}")
+        if not parts.hostname:
+            raise ValueError("no address")
+        socket.create_connection((parts.hostname, parts.port or SCHEDULER_PORT), timeout=ANSWER_S).close()
+        client = Client(address, timeout=ANSWER_S, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        expected = "the address of a Dask scheduler that answers, such as tcp://10.0.0.1:8786"
+        raise InputError(OPTION, "", found=f"{address or 'nothing'}, where none does", expected=expected) from error
+    with client:
+        # Workers that would compute something else are refused; those that are still to come are not asked.
+        own, versions = _version(), client.run(_version, on_error="return")
+        log.info("%s has %d worker%s", client.scheduler.address, len(versions), "" if len(versions) == 1 else "s")
+        for worker, version in versions.items():
+            if version != own:
+                what = f"{PROGRAM} {version}" if isinstance(version, str) else f"none ({version})"
+                raise InputError(OPTION, "", found=f"{what} at {worker}", expected=f"workers with {PROGRAM} {own}")
+        yield Cluster(client)
+
+
+def _version() -> str:
+    """Return this program's version."""
+    return importlib.metadata.version(PROGRAM)
