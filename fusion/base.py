@@ -11,7 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 
@@ -44,6 +44,10 @@ class InputError(Exception):
     `file`: the file in which the mistake is to be corrected. `key`: TOML key path, column or channel; empty where
     the file as a whole is meant. `found`, `expected`: short phrases without a full stop; where `expected` is empty,
     `found` is a sentence of its own. `more`: number of further problems of the same file that are not told.
+
+    >>> from fusion import InputError
+    >>> print(InputError("rig.toml", "load.mass", found="0", expected="a number above 0"))
+    rig.toml: load.mass: expected a number above 0, found 0
     """
 
     def __init__(self, file: Path | str, key: str, found: str, expected: str, more: int = 0) -> None:
@@ -72,7 +76,14 @@ class InputError(Exception):
 
 
 class ComputeError(Exception):
-    """Something could not be computed although the input could be read; the text says what to do."""
+    """Something could not be computed although the input could be read; the text says what to do.
+
+    >>> from fusion import ComputeError
+    >>> raise ComputeError("only 3 subsets are followed through all frames; look at the images")
+    Traceback (most recent call last):
+        ...
+    fusion.base.ComputeError: only 3 subsets are followed through all frames; look at the images
+    """
 
 
 def is_interruption(error: BaseException) -> bool:
@@ -188,6 +199,10 @@ class Settings:
     the images, 3, 5 or 7 (7 keeps the interpolation bias below the noise of a whole recording). `device`: where subsets
     are tracked, "auto", "cpu" or "cuda"; the positions agree to 1e-6 px, so that it does not count in `as_dict`.
     `monte_carlo`: draws that check the first-order uncertainties, 0 for none, from the streams of `seed`.
+
+    >>> from fusion import Settings
+    >>> Settings(monte_carlo=1000, seed=1).as_dict()
+    {'subset_radius_px': 'from speckle', 'spline_degree': 7, 'monte_carlo': 1000, 'seed': 1}
     """
 
     subset_radius_px: int | None = None
@@ -280,6 +295,8 @@ def progress_bar(enabled: bool) -> Iterator[ProgressCallback]:
 LARGEST_PLAIN = 1e5
 SMALLEST_PLAIN = 1e-2
 DASH = "–"
+LONGEST_SHOWN = 60
+"""Characters of a value that a result shows when it is printed in Python."""
 PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 
 
@@ -325,3 +342,26 @@ def prefix(values: ArrayLike, *, coarse: bool = False) -> tuple[float, str]:
 def typeset(unit: str) -> str:
     """Return an ASCII unit of the result files as it is printed: `m/s^2` becomes `m/s²`."""
     return unit.replace("^2", "²").replace("N.m", "N·m")
+
+
+# How results that hold many numbers print.
+
+
+def brief(result: Any) -> str:
+    """Return a data class as one line: arrays by their shape, collections by their length.
+
+    >>> from fusion import Settings
+    >>> brief(Settings(seed=1))
+    "Settings(subset_radius_px=None, spline_degree=7, device='auto', monte_carlo=0, seed=1)"
+    """
+    shown = []
+    for field in fields(result):
+        value = getattr(result, field.name)
+        if hasattr(value, "shape"):
+            text = f"array {value.shape}"
+        elif isinstance(value, tuple | dict) and len(repr(value)) > LONGEST_SHOWN:
+            text = f"{len(value)} of {type(value).__name__}"
+        else:
+            text = repr(value) if len(repr(value)) <= LONGEST_SHOWN else type(value).__name__
+        shown.append(f"{field.name}={text}")
+    return f"{type(result).__name__}({', '.join(shown)})"

@@ -222,12 +222,13 @@ def align(options: argparse.Namespace) -> None:
     """Find where a stereo pair's camera stands in the sensor frame."""
     from fusion.base import Settings, progress_bar
     from fusion.cameras.align import align_file
+    from photogram.subsets.track import resolve_device
 
     with progress_bar(enabled=not options.quiet) as progress:
         text = align_file(
             options.alignment,
             options.output,
-            Settings(device=options.device),
+            Settings(device=resolve_device(options.device)),
             force=options.force,
             allow_outside=options.allow_outside,
             progress=progress,
@@ -336,10 +337,11 @@ def run(options: argparse.Namespace) -> int:
     """Evaluate one recording or a campaign of several."""
     from fusion.base import Settings, progress_bar
     from fusion.campaign.run import exit_status, is_campaign, print_campaign, print_outcomes, run_path
+    from photogram.subsets.track import resolve_device
 
     settings = Settings(
         subset_radius_px=options.subset_radius,
-        device=options.device,
+        device=resolve_device(options.device),
         monte_carlo=options.monte_carlo,
         seed=options.seed,
     )

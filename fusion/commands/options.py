@@ -142,7 +142,9 @@ def figure(text: str) -> Path:
 
 
 def device(choice: str) -> str:
-    """Return the processor chosen, checked to be there."""
+    """Return the processor chosen, checked to be there; "auto" is left for when there is something to track."""
+    if choice == "auto":
+        return choice
     from photogram.subsets.track import resolve_device
 
     try:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.base import AnyNotice, InputError
+from fusion.base import AnyNotice, InputError, brief
 from fusion.instruments import TRANSDUCERS
 from fusion.instruments.channel import ChainUncertainty, Reading
 from fusion.phasors.timing import TimeBase
@@ -60,6 +60,8 @@ class ChannelResult:
     spectrum: FloatArray
     stationarity: Stationarity | None = None
     notices: tuple[AnyNotice, ...] = ()
+
+    __repr__ = brief
 
 
 def channel_unit(manifest: Manifest, channel: ChannelEntry) -> str:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.base import AnyNotice, ComputeError
+from fusion.base import AnyNotice, ComputeError, brief
 from fusion.estimation.measurement_model import Observation
 from fusion.instruments.channel import Reading
 from fusion.instruments.stereo import CALIBRATION, PERIODIC, LineTurns, PulseExposure, StereoReading
@@ -75,6 +75,8 @@ class StereoResult:
     epipolar: EpipolarCheck | None = None
     stationarity: Stationarity | None = None
     u_exposure_s: float = 0.0
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         residual = self.fit.residual_of(self.time_s, self.motion_from_mean.pose)
@@ -340,6 +342,8 @@ class DeflectionShape:
     reference_m: FloatArray
     value: ComplexArray
     u: FloatArray
+
+    __repr__ = brief
 
 
 def deflection_shape(

@@ -61,7 +61,13 @@ class Size:
 
 @dataclass(frozen=True)
 class Request:
-    """What to plan: excitations, together or one after the other, at `rate_hz` or within `limits_hz`."""
+    """What to plan: excitations, together or one after the other, at `rate_hz` or within `limits_hz`.
+
+    >>> from fusion import Request
+    >>> from shaker import Sampling
+    >>> Request((106.25,), Sampling(frames=211), rate_hz=77.5).together
+    False
+    """
 
     frequency_hz: tuple[float, ...]
     sampling: Sampling
@@ -108,7 +114,14 @@ class Plan:
 
 
 def make_plan(request: Request) -> Plan:
-    """Look for the rates of every point, or see what the given rate makes of it."""
+    """Look for the rates of every point, or see what the given rate makes of it.
+
+    >>> from fusion import Request, make_plan
+    >>> from shaker import Sampling
+    >>> plan = make_plan(Request((106.25,), Sampling(frames=211), limits_hz=(70.0, 80.0), rate_step_hz=0.1))
+    >>> 70.0 <= plan.points[0].choices[0].rate_hz <= 80.0
+    True
+    """
     sampling = request.sampling
     groups = [request.frequency_hz] if request.together else [(f,) for f in request.frequency_hz]
     points = [lines_of(group, sampling.harmonics) for group in groups]

@@ -51,7 +51,13 @@ class Observability:
 
 @dataclass(frozen=True)
 class CheckReport:
-    """What `shakercal check` tells: contents, what each instrument observes, remarks, and what is wrong."""
+    """What `shakercal check` tells: contents, what each instrument observes, remarks, and what is wrong.
+
+    >>> from fusion import CheckReport, check, load_manifest
+    >>> report = check(load_manifest("sample_images/demo/Fz-0080"))
+    >>> isinstance(report, CheckReport), report.problems
+    (True, ())
+    """
 
     name: str
     path: Path
@@ -90,11 +96,11 @@ def observable(rows: NDArray[np.float64]) -> NDArray[np.bool_]:
 def check(manifest: Manifest) -> CheckReport:
     """Look at what a manifest names, without tracking or fitting anything.
 
-    >>> from fusion import load_manifest
-    >>> print(check(load_manifest("sample_images/demo/axial-106Hz")))  # doctest: +ELLIPSIS
-    axial excitation, 106 Hz (...
+    >>> from fusion import check, load_manifest
+    >>> print(check(load_manifest("sample_images/demo/Fz-0080")))  # doctest: +ELLIPSIS
+    Fz 80.0 Hz, simulated (...)
       contains
-        excitation: sine at 106.25 Hz
+        excitation: sine at 80 Hz
     ...
     """
     kind, excitation = KINDS[manifest.excitation.kind], manifest.excitation

@@ -47,6 +47,11 @@ class Manifest:
     `path`: recording.toml; `folder`: where it stands; `root`: the folder of rig.toml. `mounting`: recordings with
     another text were mounted anew. `part`: those of rig and recording together. `files`: every input file, both
     manifests first.
+
+    >>> from fusion import Manifest, load_manifest
+    >>> manifest = load_manifest("sample_images/demo/Fz-0080")
+    >>> isinstance(manifest, Manifest), manifest.excitation.kind, manifest.rig.sensor.channels
+    (True, 'sine', ('Fx', 'Fy', 'Fz', 'Mx', 'My', 'Mz'))
     """
 
     path: Path
@@ -84,8 +89,9 @@ class Manifest:
 def find_recordings(path: str | Path) -> list[Path]:
     """List the recording.toml files a command is to work on: the one of a recording, or those of a campaign folder.
 
+    >>> from fusion import find_recordings
     >>> [recording.parent.name for recording in find_recordings("sample_images/demo")]
-    ['axial-106Hz']
+    ['Fz-0080']
     """
     path = Path(path)
     if path.is_file():
@@ -124,7 +130,12 @@ def for_kinds(recordings: Sequence[Path], kinds: Collection[str]) -> list[Path]:
 
 
 def load_for_command(paths: Sequence[str | Path], command: str, *, allow_outside: bool = False) -> list[Manifest]:
-    """Load the recordings at paths that a command evaluates, each once; of a campaign's others the user is told."""
+    """Load the recordings at paths that a command evaluates, each once; of a campaign's others the user is told.
+
+    >>> from fusion import load_for_command
+    >>> [manifest.name for manifest in load_for_command(["sample_images/demo"], "run")]
+    ['Fz 80.0 Hz, simulated']
+    """
     kinds = kinds_of(command)
     manifests: dict[Path, Manifest] = {}
     for path in paths:
@@ -143,8 +154,9 @@ def load_for_command(paths: Sequence[str | Path], command: str, *, allow_outside
 def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifest:
     """Read and check recording.toml (or the folder it stands in) and the rig.toml it names.
 
-    >>> load_manifest("sample_images/demo/axial-106Hz").excitation.frequencies
-    (106.25,)
+    >>> from fusion import load_manifest
+    >>> load_manifest("sample_images/demo/Fz-0080").excitation.frequencies
+    (80.0,)
     """
     path = Path(recording)
     path = path if path.is_file() else path / RECORDING_NAME

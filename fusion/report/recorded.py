@@ -102,7 +102,11 @@ def read_drives(folder: Path) -> tuple[Drive, ...]:
 
 
 def read_recorded(folder: Path) -> Recorded:
-    """Return what a campaign needs of the recording whose results lie in `folder`."""
+    """Return what a campaign needs of the recording whose results lie in `folder`.
+
+    >>> from fusion import read_recorded
+    >>> recorded = read_recorded("sample_images/demo/Fz-0080/results")  # doctest: +SKIP
+    """
     origin = read_provenance(folder)
     if origin is None:
         raise InputError(folder / RESULT_FILE, "", found="no results", expected="the results of a recording")

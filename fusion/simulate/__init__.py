@@ -17,16 +17,26 @@ RECORDINGS = ("demo", "nitsche2018", "sweep", "matrix")
 PRESETS = (*RECORDINGS, "targets", "chirp", "masses", "pitching", "rotation", "steps", "loads", "elastomer")
 
 
-def simulate(out: Path, preset: str, seed: int, progress: ProgressCallback = no_progress, **switches: Any) -> Path:
+def simulate(
+    out: str | Path, preset: str, seed: int, progress: ProgressCallback = no_progress, **switches: Any
+) -> Path:
     """Write what a preset is into folder `out`; return the recording where it is one, else folder or file to evaluate.
 
     `switches` are the fields of `SimulationOptions`. The same seed gives the same files. A folder that holds anything
     but an earlier simulation is refused with an `InputError`; it appears whole or not at all.
+
+    >>> import tempfile
+    >>> from fusion import find_recordings, simulate_preset
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     campaign = simulate_preset(f"{folder}/turned", "rotation", seed=1)
+    ...     len(find_recordings(campaign))
+    2
     """
     if preset not in PRESETS:
         raise ValueError(f"preset: expected one of {', '.join(PRESETS)}, found {preset!r}")
     if switches and preset not in RECORDINGS:
         raise ValueError(f"{next(iter(switches))}: expected nothing to switch in {preset}, found a value")
+    out = Path(out)
     with _whole(out) as folder:
         _write(folder, preset, seed, progress, switches)
     if preset == "elastomer":

@@ -40,7 +40,12 @@ K = 2.0
 @dataclass(frozen=True)
 class DecoupleSettings:
     """Choices that change results: wanted frequency in Hz (None: half that of the lowest mode) and damping ratio of the
-    loads behind the filter; `seed` of what is drawn."""
+    loads behind the filter; `seed` of what is drawn.
+
+    >>> from fusion import DecoupleSettings
+    >>> DecoupleSettings(frequency_hz=400.0).damping_ratio
+    0.6
+    """
 
     frequency_hz: float | None = None
     damping_ratio: float = 0.6
@@ -112,6 +117,10 @@ def evaluate_decoupling(
     """Return model, filter and cross-talk of one sensor: records of releases → fit → filter → before and after.
 
     Raises `InputError` for what the user can mend in the files, such as a load that no recording releases.
+
+    >>> from fusion import DecoupleSettings, evaluate_decoupling, load_for_command
+    >>> releases = load_for_command(["steps"], "step")  # doctest: +SKIP
+    >>> evaluation = evaluate_decoupling("steps", releases, DecoupleSettings(), {})  # doctest: +SKIP
     """
     started = time.monotonic()
     inputs = _read(manifests)

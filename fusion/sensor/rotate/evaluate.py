@@ -35,6 +35,14 @@ def evaluate_rotation(name: str, manifests: Sequence[Manifest], input_hashes: di
     """Return what recordings of one sensor on the head weigh: tables → harmonics → weights → masses.
 
     Raises `InputError` for what the user can mend in the files.
+
+    >>> import tempfile
+    >>> from fusion import evaluate_rotation, load_for_command, simulate_preset
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     manifests = load_for_command([simulate_preset(f"{folder}/turned", "rotation", seed=1)], "rotate")
+    ...     evaluation = evaluate_rotation("turned", manifests, {})
+    >>> evaluation.name, len(evaluation.recordings)
+    ('turned', 2)
     """
     started = time.monotonic()
     _check_together(manifests)

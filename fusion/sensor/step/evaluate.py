@@ -142,6 +142,10 @@ def evaluate_steps(
     """Return what recordings of one sensor's releases tell: records → readings → models → indices.
 
     Raises `InputError` for what the user can mend in the files, `ComputeError` where no model is found at all.
+
+    >>> from fusion import StepSettings, evaluate_steps, load_for_command
+    >>> releases = load_for_command(["steps"], "step")  # doctest: +SKIP
+    >>> evaluation = evaluate_steps("steps", releases, StepSettings(), {})  # doctest: +SKIP
     """
     started = time.monotonic()
     _check_together(manifests)

@@ -34,6 +34,10 @@ class StepSettings:
 
     `modes`, `real_poles`: the structure of the models, chosen by rule where None; `release`: how the load goes, chosen
     by rule for "auto".
+
+    >>> from fusion import StepSettings
+    >>> StepSettings(method="arx", modes=2).modes
+    2
     """
 
     method: MethodChoice = "pencil"

@@ -298,6 +298,9 @@ def evaluate_transfer(
     """Return the transfer functions of one recording: files → estimate → delay, response and quantity → resonances.
 
     Raises `InputError` for what the user can mend in the files.
+
+    >>> from fusion import TransferSettings, evaluate_transfer, load_manifest
+    >>> evaluation = evaluate_transfer(load_manifest("chirp/chirp"), TransferSettings(), {})  # doctest: +SKIP
     """
     started = time.monotonic()
     check_kind(manifest)

@@ -32,6 +32,10 @@ class TransferSettings:
     """Choices that change results: the estimator, the line spacing of averaged spectra (Hz), the motion's quantity.
 
     None leaves the line spacing to the record's length, and every motion in the quantity in which it was measured.
+
+    >>> from fusion import TransferSettings
+    >>> TransferSettings(estimator="H1", resolution_hz=0.5).estimator
+    'H1'
     """
 
     estimator: EstimatorChoice = "auto"
