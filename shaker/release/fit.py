@@ -10,15 +10,14 @@ from typing import Any, Literal
 
 import numpy as np
 
-from shaker.arrays import FloatArray, Notice
-from shaker.lti.indices import pole_notices as system_remarks
+from shaker.arrays import FloatArray
 from shaker.lti.system import LinearSystem
 from shaker.release.order import Found, Search, known_about, more_terms, remarks, searched
 from shaker.release.output_error import Problem, Structure, modal_model, solve, spread, squares
 from shaker.release.reading import read_release
 from shaker.release.record import Reading, StepRecord
 from shaker.release.response import Load, every_sample, in_blocks
-from shaker.release.sim import Method, StepFit, accounted, constructed, fit_sim, modal_form, simulated
+from shaker.release.sim import Method, StepFit, constructed, difference_fit, fit_sim
 
 # A solution as what an identification returns.
 
@@ -143,11 +142,22 @@ def fit_evolution(
     if order not in (2, 3):
         raise ValueError(f"order: expected 2 or 3 for modes, found {order}")
     problem = _problem(record, found, order - 2)
+    samples = problem.samples
+    slow, fast, edge = (
+        float(np.log(2 * np.pi * hz))
+        for hz in (
+            2.0 / (samples.time_s[-1] - samples.time_s[0]),
+            0.1 / (samples.step_s * samples.length.max()),
+            0.4 / samples.step_s,
+        )
+    )
+    # ln ω from two periods in the record to a tenth of the blocks' rate, ζ, ln a up to 0.4 of the samples' rate
+    bounds = [(slow, fast), _DAMPING, *[(slow, edge)] * problem.structure.reals]
 
     def loss(part: FloatArray) -> float:
         return float(squares(problem, np.append(part, found.onset_s))[-1])
 
-    best, path = _evolved(loss, _bounds(problem), rng, _FEWER)
+    best, path = _evolved(loss, bounds, rng, _FEWER)
     hz = float(np.exp(best[0])) / (2 * np.pi)
     start = np.append(best, found.onset_s)
     plain = replace(problem, structure=replace(problem.structure, terms=1, scale=2 * np.pi * hz))
@@ -167,26 +177,11 @@ def _problem(record: StepRecord, reading: Reading, reals: int) -> Problem:
     return Problem(structure, Load("step", record.amplitude), samples, blank, blank, reading.onset_s)
 
 
-def _bounds(problem: Problem) -> list[tuple[float, float]]:
-    """Return bounds of ln ω, ζ and ln a: from two periods in the record to a tenth of the blocks' rate, 0.4 of the
-    samples' for a real pole."""
-    samples = problem.samples
-    slow, fast, edge = (
-        float(np.log(2 * np.pi * hz))
-        for hz in (
-            2.0 / (samples.time_s[-1] - samples.time_s[0]),
-            0.1 / (samples.step_s * samples.length.max()),
-            0.4 / samples.step_s,
-        )
-    )
-    return [(slow, fast), _DAMPING, *[(slow, edge)] * problem.structure.reals]
-
-
 def _published(record: StepRecord, reading: Reading, rng: np.random.Generator, order: int, began: float) -> StepFit:
     """Return the model found as published, in coefficients of the difference equation."""
     from scipy.signal import lfilter
 
-    load, output, time_s = constructed(record, reading, 1)
+    load, output, _ = signals = constructed(record, reading, 1)
 
     def loss(part: FloatArray) -> float:
         with np.errstate(over="ignore", invalid="ignore"):
@@ -199,35 +194,8 @@ def _published(record: StepRecord, reading: Reading, rng: np.random.Generator, o
     sampled = LinearSystem.from_coefficients(
         np.append(0.0, best[-2::-2]), np.append(1.0, best[::-2]), record.sample_rate_hz
     )
-    notices: tuple[Notice, ...] = ()
-    try:
-        system = sampled.continuous("zoh")
-    except ValueError as error:
-        system = sampled
-        notices = (Notice("warning", f"no continuous model: {error}", f"{record.name}, {reading.channel}"),)
-    fitted = simulated(sampled, load)
-    return StepFit(
-        method="evolution_coefficients",
-        channel=reading.channel,
-        component=record.component,
-        unit=record.unit,
-        model=modal_form(system),
-        system=system,
-        time_s=time_s,
-        fitted=fitted + reading.baseline,
-        residual=output - fitted,
-        sample_rate_hz=record.sample_rate_hz,
-        decimation=1,
-        order=order,
-        variance_accounted=accounted(output, fitted),
-        convergence=np.array(path),
-        duration_s=time.perf_counter() - began,
-        onset_s=reading.onset_s,
-        u_onset_s=reading.u_onset_s,
-        release_s=0.0,
-        u_release_s=0.0,
-        notices=notices + system_remarks(system, record.sample_rate_hz),
-    )
+    fit = difference_fit(record, reading, sampled, "zoh", signals, np.array(path))
+    return replace(fit, order=order, duration_s=time.perf_counter() - began)
 
 
 def _evolved(

@@ -34,7 +34,8 @@ def decay_modes(
     0.5, and it lowers B·ln(sum of squares) by more than 12 for each of its four parameters. The colour: density of the
     residual's blocks over that of white noise of the same variance.
     """
-    decay = _after(whole, reading)
+    start = reading.onset_s + reading.release_s + reading.u_onset_s
+    decay = whole.between(min(start, float(whole.time_s[len(whole.time_s) * 3 // 4])), np.inf)
     near = peaks_hz(decay.value, decay.step_s, count or 1)
     if not near.size:
         raise ValueError(f"{reading.record}, {reading.channel}: no oscillation above the noise after the release")
@@ -50,13 +51,6 @@ def decay_modes(
     poles = found.problem.structure.poles(found.vector)
     colour = found.variance / max(1e-300, float(np.var(_left(decay, found))))
     return poles[np.argsort(np.abs(poles))], max(1.0, colour)
-
-
-def _after(whole: Samples, reading: Reading) -> Samples:
-    """Return what follows the release."""
-    start = reading.onset_s + reading.release_s + reading.u_onset_s
-    last = whole.time_s[len(whole.time_s) * 3 // 4]
-    return whole.between(min(start, float(last)), np.inf)
 
 
 def _rung(decay: Samples, modes: ComplexArray) -> Solution:
@@ -81,18 +75,14 @@ def _with_another(decay: Samples, found: Solution) -> Solution | None:
     modes = modes[np.argsort(np.abs(modes))]
     trial = _rung(decay, modes)
     zeta = trial.vector[len(modes) : 2 * len(modes)]
-    gain = trial.size * float(np.log(_square(decay, found) / _square(decay, trial)))
+    squares = [float(rest @ rest) for rest in (_left(decay, found), _left(decay, trial))]
+    gain = trial.size * float(np.log(squares[0] / squares[1]))
     return trial if gain > 4 * CLEAR and np.all((zeta > 0) & (zeta < _STEEP)) else None
 
 
 def _left(decay: Samples, found: Solution) -> FloatArray:
     """Return the residual (N,) at every sample."""
     return np.asarray(decay.value - design(found.problem, found.vector, decay) @ found.linear)
-
-
-def _square(decay: Samples, found: Solution) -> float:
-    rest = _left(decay, found)
-    return float(rest @ rest)
 
 
 # When and how a load goes, how fast the real poles are, how smooth the start is: the best of a grid, modes known.
@@ -133,37 +123,27 @@ def known_about(problem: Problem, vector: FloatArray, highest_hz: float) -> tupl
 def _grid(
     structure: Structure, load: Load, near: Samples, modes: ComplexArray, reading: Reading, rise: float
 ) -> list[FloatArray]:
-    """Return the vectors that are tried."""
+    """Return the vectors that are tried; sets of real poles rise within a set."""
     lowest = float(np.abs(modes).min()) / (2 * np.pi)
-    half, found = _half_way(near, reading), []
+    change = reading.steady - reading.baseline
+    passed = np.flatnonzero((near.value - reading.baseline) * change >= 0.5 * change**2)
+    later = passed[near.time_s[passed] >= reading.onset_s]
+    half = float(near.time_s[later[0]]) if later.size else reading.onset_s
     lengths = np.array(LENGTHS) * rise if load.lasting else np.zeros(1)
     if load.lasting and reading.release_s > 0:
         lengths = np.array([reading.release_s])
-    for reals in _real_poles(structure.reals, lowest, 0.4 / near.step_s):
-        head = structure.vector(np.concatenate([modes, reals]))
-        lag = float(np.sum(-1.0 / reals.real))
+    corners, vectors = [min(share * lowest, 0.4 / near.step_s) for share in _REAL], []
+    for pick in product(corners, repeat=structure.reals):
+        if list(pick) != sorted(pick):
+            continue
+        reals = -2 * np.pi * np.array(pick) * (1.0 + 0.2 * np.arange(structure.reals))
+        head, lag = structure.vector(np.concatenate([modes, reals + 0j])), float(np.sum(-1.0 / reals))
         for length in lengths:
             tail = [np.log(length)] if load.lasting else []
             middles = [half - lag - share / lowest for share in _LAG] + [reading.onset_s + 0.5 * length]
             for middle in middles if load.timed else [0.0]:
-                found.append(np.concatenate([head, [middle] if load.timed else [], tail]))
-    return found
-
-
-def _real_poles(count: int, lowest: float, fastest: float) -> list[ComplexArray]:
-    """Return the sets (Q,) of real poles that are tried, in rad/s, rising within a set."""
-    values = [min(share * lowest, fastest) for share in _REAL]
-    sets = [pick for pick in product(values, repeat=count) if list(pick) == sorted(pick)]
-    spread = 1.0 + 0.2 * np.arange(count)
-    return [-2 * np.pi * np.array(pick) * spread + 0j for pick in sets]
-
-
-def _half_way(near: Samples, reading: Reading) -> float:
-    """Return when the output is first half-way to its new level."""
-    change = reading.steady - reading.baseline
-    passed = np.flatnonzero((near.value - reading.baseline) * change >= 0.5 * change**2)
-    later = passed[near.time_s[passed] >= reading.onset_s]
-    return float(near.time_s[later[0]]) if later.size else reading.onset_s
+                vectors.append(np.concatenate([head, [middle] if load.timed else [], tail]))
+    return vectors
 
 
 # How many poles a record tells, how its load went, and how smoothly its response starts.
@@ -207,7 +187,12 @@ def searched(search: Search) -> Found:
     than 12, a numerator term or another shape of the release where by more than 8, B the number of blocks; coloured
     noise, which lowers it without any reason, asks for as much more as its density is higher.
     """
-    modes, colour = decay_modes(_ringing(search), search.reading, search.method, search.modes)
+    ringing, force = search.whole, search.loads[0].force
+    if force is not None:  # what simply follows a measured load is taken off, so that what rings is left
+        follows = np.stack([np.ones(len(force)), force], axis=1)
+        left = ringing.value - follows @ np.linalg.lstsq(follows, ringing.value, rcond=None)[0]
+        ringing = replace(ringing, value=left)
+    modes, colour = decay_modes(ringing, search.reading, search.method, search.modes)
     search = replace(search, colour=colour)
     found, rival = _over_loads(search, modes, 1 if search.reals is None else search.reals)
     path = list(found.path)
@@ -216,29 +201,18 @@ def searched(search: Search) -> Found:
     return Found(found, tuple(path), rival)
 
 
-def _ringing(search: Search) -> Samples:
-    """Return the samples without what simply follows a measured load, so that what rings is left."""
-    load = search.loads[0].force
-    if load is None:
-        return search.whole
-    follows = np.stack([np.ones(len(load)), load], axis=1)
-    value = search.whole.value
-    return replace(search.whole, value=value - follows @ np.linalg.lstsq(follows, value, rcond=None)[0])
+def better(plain: Solution, rich: Solution) -> bool:
+    """Return whether a richer fit is worth its parameters.
 
-
-def charge(plain: Solution, rich: Solution) -> float:
-    """Return by how much B·ln(sum of squares) has to fall: 8 for a term or another release, 12 for a real pole."""
+    B·ln(sum of squares) has to fall by 8 for a numerator term or another release, by 12 for a real pole.
+    """
     terms = rich.problem.structure.terms - plain.problem.structure.terms
     other = rich.problem.load.shape != plain.problem.load.shape
     poles = rich.problem.structure.order - plain.problem.structure.order
-    return rich.problem.colour * (TERM * (terms + other) + CLEAR * poles)
-
-
-def better(plain: Solution, rich: Solution) -> bool:
-    """Return whether a richer fit is worth its parameters."""
+    charge = rich.problem.colour * (TERM * (terms + other) + CLEAR * poles)
     samples = plain.problem.samples
     least = _ROUNDING**2 * float(np.sum((samples.weight * samples.value) ** 2))
-    return plain.size * float(np.log((plain.square + least) / (rich.square + least))) > charge(plain, rich)
+    return plain.size * float(np.log((plain.square + least) / (rich.square + least))) > charge
 
 
 def _over_loads(search: Search, modes: ComplexArray, reals: int) -> tuple[Solution, Solution | None]:

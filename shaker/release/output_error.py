@@ -207,10 +207,13 @@ def solve(problem: Problem, start: FloatArray) -> Solution:
     """Return the fit from a start vector (K,), baseline and numerator projected out."""
     weight = problem.samples.weight[:, None]
     data = problem.samples.value[:, None] * weight
+    modes, order = problem.structure.modes, problem.structure.order
+    longest = np.log(problem.samples.time_s[-1] - problem.samples.time_s[0])
 
     def at(vector: FloatArray) -> Separable | None:
         """Return the best baseline and numerator for given poles and release, None where these are impossible."""
-        if not _possible(problem, vector):
+        steep = np.any(np.abs(vector[modes : 2 * modes]) > _STEEPEST)
+        if steep or np.any(np.abs(vector[:order]) > 50.0) or (problem.load.lasting and vector[-1] > longest):
             return None
         with np.errstate(over="ignore", invalid="ignore"):
             matrix, answered = columns(problem, vector, problem.samples)
@@ -247,15 +250,6 @@ def gain_by(found: Solution, problem: Problem, vectors: list[FloatArray]) -> tup
         if gain > best:
             best, chosen = gain, vector
     return best, chosen
-
-
-def _possible(problem: Problem, vector: FloatArray) -> bool:
-    """Return whether modes oscillate, poles are numbers and the release is no longer than the record."""
-    modes, order = problem.structure.modes, problem.structure.order
-    time_s = problem.samples.time_s
-    longest = np.log(time_s[-1] - time_s[0])
-    steep = np.any(np.abs(vector[modes : 2 * modes]) > _STEEPEST)
-    return not (steep or np.any(np.abs(vector[:order]) > 50.0) or (problem.load.lasting and vector[-1] > longest))
 
 
 def _twice(structure: Structure) -> FloatArray:
@@ -308,7 +302,8 @@ def spread(solution: Solution, whole: Samples) -> Spread:
     normal = scaled.T @ scaled + known * variance
     inverse = np.linalg.pinv(normal, rcond=1e-14, hermitian=True)
     gain = inverse @ scaled.T
-    white = _passes_as_white(residual)
+    correlation = np.fft.irfft(np.abs(np.fft.rfft(residual, 2 * len(residual))) ** 2)[: _TESTED + 1]
+    white = not np.any(residual) or bool(len(residual) * np.sum((correlation[1:] / correlation[0]) ** 2) < _WHITE)
     middle = inverse * variance
     excess = 1.0
     if not white:
@@ -317,8 +312,16 @@ def spread(solution: Solution, whole: Samples) -> Spread:
         middle = coloured + inverse @ (known * variance**2) @ inverse
     middle = middle + _converter(whole, residual, gain, fitted)
     covariance = middle / np.outer(scale, scale)
-    onset, length = _release(solution, covariance)
-    return Spread(_mapped(solution, covariance), onset, length, fitted, residual, white, excess)
+    u_onset_s = u_release_s = 0.0
+    if problem.load.timed:
+        order, rows = problem.structure.order, np.zeros((2, len(covariance)))
+        rows[0, order] = 1.0
+        if problem.load.lasting:
+            length = problem.release(solution.vector)[1]
+            rows[:, order + 1] = -0.5 * length, length
+        u_onset_s, u_release_s = (float(u) for u in np.sqrt(np.diag(rows @ covariance @ rows.T)))
+    slope = _model_slopes(problem.structure, solution.vector, solution.linear, problem.count)
+    return Spread(slope @ covariance @ slope.T, u_onset_s, u_release_s, fitted, residual, white, excess)
 
 
 def modal_model(solution: Solution, covariance: FloatArray, u_amplitude: float) -> ModalModel:
@@ -347,11 +350,15 @@ def _known(solution: Solution, scale: FloatArray, normal: FloatArray, variance: 
     is that each of the squares 1/a² and T²/12 is positive and at most their sum, which the record tells well even where
     it cannot tell them apart.
     """
-    problem, order = solution.problem, solution.problem.structure.order
-    added = np.zeros(len(scale))
+    problem, structure = solution.problem, solution.problem.structure
+    added, squares = np.zeros(len(scale)), np.zeros(len(scale))
     if problem.load.timed:
-        added[order] = 1.0 / (problem.u_known[order] * scale[order]) ** 2
-    squares = _squares(solution) / scale
+        added[structure.order] = 1.0 / (problem.u_known[structure.order] * scale[structure.order]) ** 2
+    real = slice(2 * structure.modes, structure.order)
+    squares[real] = -2.0 * np.exp(-2.0 * solution.vector[real])
+    if problem.load.lasting:
+        squares[structure.order + problem.load.timed] = problem.release(solution.vector)[1] ** 2 / 6.0
+    squares = squares / scale
     parts = np.flatnonzero(squares)
     if len(parts) > 1:
         free = variance * np.asarray(np.linalg.pinv(normal + np.diag(added * variance), rcond=1e-14, hermitian=True))
@@ -359,27 +366,6 @@ def _known(solution: Solution, scale: FloatArray, normal: FloatArray, variance: 
         largest = 0.5 * float(np.sum(np.abs(squares * scale))) + 2.0 * spread_s2
         added[parts] += 3.0 * (squares[parts] / largest) ** 2
     return np.diag(added)
-
-
-def _squares(solution: Solution) -> FloatArray:
-    """Return derivatives (K + 1 + terms,) of Σ 1/a² + T²/12 in s², real poles -a and length T, to the parameters."""
-    problem, structure = solution.problem, solution.problem.structure
-    found = np.zeros(problem.count + len(solution.linear))
-    real = slice(2 * structure.modes, structure.order)
-    found[real] = -2.0 * np.exp(-2.0 * solution.vector[real])
-    if problem.load.lasting:
-        found[structure.order + problem.load.timed] = problem.release(solution.vector)[1] ** 2 / 6.0
-    return found
-
-
-def _passes_as_white(residual: FloatArray) -> bool:
-    """Return whether the correlation of a residual (N,) at forty lags is that of white noise."""
-    if not np.any(residual):
-        return True
-    count = len(residual)
-    power = np.abs(np.fft.rfft(residual, 2 * count)) ** 2
-    correlation = np.fft.irfft(power)[: _TESTED + 1]
-    return bool(count * np.sum((correlation[1:] / correlation[0]) ** 2) < _WHITE)
 
 
 def _correlated(residual: FloatArray, columns_: FloatArray) -> FloatArray:
@@ -407,28 +393,6 @@ def _converter(whole: Samples, residual: FloatArray, gain: FloatArray, fitted: F
     late = (fitted - fitted[0]) * (fitted[-1] - fitted[0]) > 0.5 * (fitted[-1] - fitted[0]) ** 2
     levels = np.stack([gain @ late.astype(float), gain @ (~late).astype(float)], axis=1)
     return np.asarray(error**2 * levels @ levels.T)
-
-
-def _release(solution: Solution, covariance: FloatArray) -> tuple[float, float]:
-    """Return standard uncertainties of the onset and of the release's length in s."""
-    problem = solution.problem
-    order = problem.structure.order
-    if not problem.load.timed:
-        return 0.0, 0.0
-    row = np.zeros((2, len(covariance)))
-    row[0, order] = 1.0
-    if problem.load.lasting:
-        length = problem.release(solution.vector)[1]
-        row[:, order + 1] = -0.5 * length, length
-    u = np.sqrt(np.diag(row @ covariance @ row.T))
-    return float(u[0]), float(u[1])
-
-
-def _mapped(solution: Solution, covariance: FloatArray) -> FloatArray:
-    """Return the covariance (P, P) of the modal model's vector from that of the fit's parameters."""
-    problem, structure = solution.problem, solution.problem.structure
-    jacobian = _model_slopes(structure, solution.vector, solution.linear, problem.count)
-    return np.asarray(jacobian @ covariance @ jacobian.T)
 
 
 def _model_slopes(structure: Structure, vector: FloatArray, linear: FloatArray, count: int) -> FloatArray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -153,38 +153,64 @@ def fit_sim(
     sampling: at 100 kHz and 40 dB a mode of ζ = 0.015 comes out with a multiple of its damping.
     """
     began = time.perf_counter()
-    found = reading or read_release(record, channel)
-    load, output, time_s = constructed(record, found, decimation)
-    rate = record.sample_rate_hz / decimation
-    orders = every_order(load, output, rate, most)
+    reading = reading or read_release(record, channel)
+    load, output, _ = signals = constructed(record, reading, decimation)
+    orders = every_order(load, output, record.sample_rate_hz / decimation, most)
     direct = conversion == "tustin"
     chosen = order or orders.bend(direct)
-    sampled = orders.system(chosen, direct)
-    system, notices = _continuous(sampled, conversion)
-    fitted = simulated(sampled, load)
+    fit = difference_fit(record, reading, orders.system(chosen, direct), conversion, signals, orders.loss(direct))
+    return replace(fit, method="sim" if direct else "sim_zoh", order=chosen, duration_s=time.perf_counter() - began)
+
+
+def difference_fit(
+    record: StepRecord,
+    reading: Reading,
+    sampled: LinearSystem,
+    conversion: Literal["tustin", "zoh"],
+    signals: tuple[FloatArray, FloatArray, FloatArray],
+    convergence: FloatArray,
+) -> StepFit:
+    """Return what a difference equation makes of load, output and times, as `constructed`, with its continuous system.
+
+    Where a pole has no continuous counterpart the sampled system stays, with a notice.
+    """
+    from scipy.signal import sosfilt
+
+    (load, output, time_s), where = signals, f"{record.name}, {reading.channel}"
+    decimation = record.samples.shape[1] // len(time_s)
+    rate = record.sample_rate_hz / decimation
+    system = sampled
+    notices: tuple[Notice, ...] = ()
+    try:
+        system = sampled.continuous(conversion)
+    except ValueError as error:
+        notices = (Notice("warning", f"no continuous model: {error}", where),)
     notices += pole_notices(system, rate)
+    with np.errstate(over="ignore", invalid="ignore"):
+        fitted = np.asarray(sosfilt(sampled.sections(), load))
     if not np.all(np.isfinite(fitted)):
-        where = f"{record.name}, {channel}"
         notices += (Notice("warning", "the model's output grows without bound: shown is the output's mean", where),)
         fitted = np.full_like(output, output.mean())
+    with np.errstate(over="ignore"):
+        accounted = 1.0 - float(np.sum((output - fitted) ** 2) / np.sum((output - output.mean()) ** 2))
     return StepFit(
-        method="sim" if direct else "sim_zoh",
-        channel=channel,
+        method="evolution_coefficients",
+        channel=reading.channel,
         component=record.component,
         unit=record.unit,
         model=modal_form(system),
         system=system,
         time_s=time_s,
-        fitted=fitted + found.baseline,
+        fitted=fitted + reading.baseline,
         residual=output - fitted,
         sample_rate_hz=rate,
         decimation=decimation,
-        order=chosen,
-        variance_accounted=accounted(output, fitted),
-        convergence=orders.loss(direct),
-        duration_s=time.perf_counter() - began,
-        onset_s=found.onset_s,
-        u_onset_s=found.u_onset_s,
+        order=len(sampled.poles),
+        variance_accounted=accounted,
+        convergence=convergence,
+        duration_s=0.0,
+        onset_s=reading.onset_s,
+        u_onset_s=reading.u_onset_s,
         release_s=0.0,
         u_release_s=0.0,
         notices=notices,
@@ -201,20 +227,6 @@ def constructed(record: StepRecord, reading: Reading, decimation: int) -> tuple[
     parts = (part[: size * decimation].reshape(size, decimation).mean(axis=1) for part in (load, value, record.time_s))
     first, second, third = parts
     return first, second, third
-
-
-def simulated(system: LinearSystem, load: FloatArray) -> FloatArray:
-    """Return what a sampled system answers to a load (N,)."""
-    from scipy.signal import sosfilt
-
-    with np.errstate(over="ignore", invalid="ignore"):
-        return np.asarray(sosfilt(system.sections(), load))
-
-
-def accounted(output: FloatArray, fitted: FloatArray) -> float:
-    """Return 1 - |residual|²/|output - mean|²."""
-    with np.errstate(over="ignore"):
-        return 1.0 - float(np.sum((output - fitted) ** 2) / np.sum((output - output.mean()) ** 2))
 
 
 def modal_form(system: LinearSystem) -> ModalModel | None:
@@ -234,11 +246,3 @@ def modal_form(system: LinearSystem) -> ModalModel | None:
         -system.poles[real].real / (2 * np.pi),
         residues[real].real,
     )
-
-
-def _continuous(sampled: LinearSystem, conversion: Literal["tustin", "zoh"]) -> tuple[LinearSystem, tuple[Notice, ...]]:
-    """Return the continuous system, or the sampled one with a notice where a pole has no continuous counterpart."""
-    try:
-        return sampled.continuous(conversion), ()
-    except ValueError as error:
-        return sampled, (Notice("warning", f"no continuous model: {error}", "difference equation"),)
