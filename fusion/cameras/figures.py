@@ -256,21 +256,19 @@ def draw_shape(calibration: Calibration) -> Picture | None:
 def _draw_contours(axes: Axes, field: Distortion, values: FloatArray, label: str, *, log: bool) -> None:
     """Filled contours over the picture with their colour bar, at equal steps or at 1, 2, 5, 10."""
     known = np.ma.masked_invalid(values)
-    levels = _one_two_five(known.min(), known.max()) if log else MaxNLocator(LEVELS).tick_values(0.0, known.max())
+    levels = np.asarray(MaxNLocator(LEVELS).tick_values(0.0, known.max()))
+    if log:  # from below the lowest to above the highest, at most the last two decades
+        low = max(float(known.min()), 1e-2 * float(known.max()), 1e-12)
+        high = max(float(known.max()), 2.0 * low)
+        decade = np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1)
+        every = np.multiply.outer(10.0**decade, [1.0, 2.0, 5.0]).ravel()
+        levels = every[np.searchsorted(every, low, "right") - 1 : np.searchsorted(every, high) + 1]
     place = field.pixel[0, :, 0], field.pixel[:, 0, 1], np.maximum(known, levels[0])
     scale = BoundaryNorm(levels, 256)
     shown = axes.contourf(*place, levels=levels, cmap="viridis", norm=scale)
     axes.contour(*place, levels=levels[1:], colors="white", linewidths=0.4)
     bar = colour_bar(axes, shown, label)
     bar.set_xticks(levels[:: 1 + len(levels) // 8], [f"{level:g}" for level in levels[:: 1 + len(levels) // 8]])
-
-
-def _one_two_five(low: float, high: float) -> FloatArray:
-    """Round levels from below `low` to above `high`, at most the last two decades."""
-    low = max(float(low), 1e-2 * float(high), 1e-12)
-    decade = np.arange(np.floor(np.log10(low)), np.ceil(np.log10(max(float(high), 2.0 * low))) + 1)
-    every = np.multiply.outer(10.0**decade, [1.0, 2.0, 5.0]).ravel()
-    return every[np.searchsorted(every, low, "right") - 1 : np.searchsorted(every, max(float(high), 2.0 * low)) + 1]
 
 
 def _draw_principal_point(axes: Axes, calibration: Calibration, side: Side) -> None:

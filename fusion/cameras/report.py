@@ -61,7 +61,7 @@ from fusion.report.style import (
     panel_label,
 )
 from fusion.report.table import Headline, Table
-from photogram.calibration.result import CalibratedView, Calibration, Parameter
+from photogram.calibration.result import Calibration, Parameter
 from photogram.camera import RIG_PARAMETERS
 from photogram.geometry import vector_from_rotation
 from shaker.arrays import FloatArray
@@ -407,8 +407,13 @@ def _draw_scene(axes: Axes, calibration: Calibration, colours: FloatArray) -> No
     across = centre * [1.0, 1.0, 0.0]
     across = across / np.linalg.norm(across) if np.linalg.norm(across) > 0 else np.array([1.0, 0.0, 0.0])
     plane = 1e3 * np.stack([across, [0.0, 0.0, 1.0]])
+    (x0, y0, z0), (x1, y1, z1) = calibration.shape_m.min(axis=0), calibration.shape_m.max(axis=0)
+    middle = 0.5 * (z0 + z1)
+    outline = np.array([[x, y, middle] for x, y in ((x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0))])
     for view, colour in zip(calibration.views, colours, strict=True):
-        axes.plot(*(plane @ _ends(calibration, view).T), color=colour, linewidth=1.0, solid_capstyle="round")
+        axes.plot(
+            *(plane @ view.left_from_target.apply(outline).T), color=colour, linewidth=1.0, solid_capstyle="round"
+        )
     reach = 1.15 * float(np.linalg.norm(target_middles_m(calibration), axis=1).max())
     for name, place, direction in (("left", np.zeros(3), np.array([0.0, 0.0, 1.0])), ("right", centre, axis)):
         ends = plane @ np.stack([place, place + reach * direction]).T
@@ -419,13 +424,6 @@ def _draw_scene(axes: Axes, calibration: Calibration, colours: FloatArray) -> No
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel("along the baseline / mm")
     axes.set_ylabel("along the left axis / mm")
-
-
-def _ends(calibration: Calibration, view: CalibratedView) -> FloatArray:
-    """Corners (5, 3) of the target in one view, the first again at the end, in the left camera's frame."""
-    low, high = calibration.shape_m.min(axis=0), calibration.shape_m.max(axis=0)
-    corners = np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]], [low[0], low[1]]])
-    return view.left_from_target.apply(np.column_stack([corners, np.full(5, 0.5 * (low[2] + high[2]))]))
 
 
 def _mark(axes: Axes, place: FloatArray, colours: FloatArray) -> None:

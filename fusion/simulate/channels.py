@@ -217,7 +217,15 @@ def recording_tables(run: Run) -> dict[str, Any]:
     }
     if run.parts:
         tables["part"] = [_part_table(part) for part in run.parts]
-    tables["daq"] = [_daq_table(daq) for daq in preset.daqs]
+    tables["daq"] = [
+        {
+            "name": daq.name,
+            "file": daq.file,
+            "clock_uncertainty": daq.clock_uncertainty,
+            "channel": [_channel(spec, daq.response) for spec in daq.channels],
+        }
+        for daq in preset.daqs
+    ]
     if preset.as_points:
         columns = {"columns": list(COLUMNS), "scale": POINTS_SCALE}
         tables["points"] = [{"stereo": setup.name, "files": points_file(setup), **columns} for setup in preset.stereo]
@@ -229,12 +237,6 @@ def recording_tables(run: Run) -> dict[str, Any]:
     for block in (*tables.get("points", ()), *tables.get("images", ())):
         block["trigger"] = "camera_trigger"
     return tables
-
-
-def _daq_table(daq: DaqSpec) -> dict[str, Any]:
-    """Return the block of one recorder."""
-    channels = [_channel(spec, daq.response) for spec in daq.channels]
-    return {"name": daq.name, "file": daq.file, "clock_uncertainty": daq.clock_uncertainty, "channel": channels}
 
 
 def _channel(spec: ChannelSpec, response: str) -> dict[str, Any]:

@@ -185,7 +185,10 @@ def _write_release(folder: Path, rig: StepRig, model: Model, release: Release, d
     time_s = np.arange(count) / rig.sample_rate_hz
     offset = rig.offset_v * draws.stream(f"{release.name}.offset").standard_normal(len(model))
     column = [row[place] for row in model]
-    clean = np.stack([load * (one.static_gain - _change(one, time_s, onset_s, release_s)) for one in column])
+    response = pole_responses(column[0].poles, time_s, onset_s, release_s)  # the poles of all outputs are the same
+    upper, real = np.split(response, [len(rig.frequency_hz)], axis=1)
+    answers = (2.0 * np.real(upper @ one.residue) + np.real(real) @ one.real_residue for one in column)
+    clean = np.stack([load * (one.static_gain - answer) for one, answer in zip(column, answers, strict=True)])
     steps = np.array(rig.sensitivity) * np.array(rig.capacity) * rig.load_share
     noise = rig.noise * steps[:, None] * draws.stream(f"{release.name}.noise").standard_normal(clean.shape)
     volts = _digitised(rig.gain * (clean + noise) + offset[:, None], rig.range_v, rig.bits)
@@ -210,13 +213,6 @@ def _write_release(folder: Path, rig: StepRig, model: Model, release: Release, d
     title = f"{release.component} released by {release.rope.name}, {release.repeat}, simulated"
     manifest = _step_tables(title, RIG_FILE, (release.component, -load, release.rope.name), channels)
     return write_recording(folder, manifest, truth, {DAQ_FILE: _record(volts, channels, rig.sample_rate_hz)})
-
-
-def _change(model: ModalModel, time_s: FloatArray, onset_s: float, release_s: float) -> FloatArray:
-    """Return the output (N,) while a unit load is put on from `onset_s` along a straight line of `release_s`."""
-    response = pole_responses(model.poles, time_s, onset_s, release_s)
-    upper, real = np.split(response, [len(model.frequency_hz)], axis=1)
-    return np.asarray(2.0 * np.real(upper @ model.residue) + np.real(real) @ model.real_residue)
 
 
 def _digitised(volts: FloatArray, range_v: float, bits: int) -> FloatArray:
