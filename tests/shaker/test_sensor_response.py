@@ -266,6 +266,16 @@ def test_readings_of_any_kind_get_an_answer(seed: int, noise: float, delay: floa
     assert found.best.converged or found.notices
 
 
+def test_uncertainty_of_the_spring_s_time_is_that_of_draws() -> None:
+    spring = SpringPrior(4.3125e8, 8.6e5, 699.18, 14.0, 0.6)
+    draws = np.random.default_rng(1).multivariate_normal([spring.k, spring.b], spring.covariance, 100000)
+    assert np.std(draws[:, 1] / draws[:, 0]) == pytest.approx(spring.u_time_s, rel=0.014)
+    with pytest.raises(ValueError, match="r_kb"):
+        replace(spring, r_kb=1.5)
+    with pytest.raises(ValueError, match="k, u_k, u_b"):
+        replace(spring, k=-1.0)
+
+
 def test_wrong_calls_are_refused() -> None:
     good = measured(lag(FREQUENCY))
     with pytest.raises(ValueError, match="frequency_hz: expected at least 4 lines, found 3"):
