@@ -10,7 +10,6 @@ from time import process_time
 import numpy as np
 
 from fusion.base import InputError
-from fusion.phasors.channels import channel_unit
 from fusion.recording.files import read_daqs
 from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.report.provenance import versions
@@ -157,7 +156,7 @@ def read_outputs(path: Path, *, allow_outside: bool = False) -> OutputRecord:
         raise InputError(manifest.path, "daq.channel", found="none", expected='a channel with quantity = "output"')
     found = align(manifest, read_daqs(manifest), wanted, "daq")
     names = tuple(entry.channel or entry.name for _, entry in wanted)
-    unit = channel_unit(manifest, wanted[0][1])
+    unit = manifest.rig.unit_of(wanted[0][1])
     return OutputRecord(manifest, names, unit, np.stack(found.values), found.rate_hz, found.start_s, found.notices)
 
 

@@ -18,7 +18,6 @@ from fusion.report.csv_files import sensitivity_unit
 from fusion.report.folder import Command
 from fusion.report.h5 import write_fields, write_value
 from fusion.report.numbers import common_exponent, fixed, measured, number, small, times_ten
-from fusion.report.style import Picture
 from fusion.report.table import Headline, Table, columns_of, csv_text
 from fusion.sensor.decouple.evaluate import (
     DecoupleEvaluation,
@@ -27,12 +26,10 @@ from fusion.sensor.decouple.evaluate import (
     evaluate_decoupling,
     filter_text,
 )
-from fusion.sensor.decouple.figures import CrosstalkCurves, StepCurves, draw_crosstalk, draw_step
+from fusion.sensor.decouple.figures import STAGE_NAMES, draw_crosstalk, draw_step
 from shaker.arrays import FloatArray
-from shaker.decoupling.filter import Crosstalk, raw_reading, static_inverse, step_readings, step_times
+from shaker.decoupling.filter import Crosstalk
 from shaker.labels import load_unit
-
-STAGE_NAMES = {"raw": "each output alone", "static": "static matrix", "filtered": "filter"}
 
 
 class ModelRow(NamedTuple):
@@ -281,17 +278,14 @@ def printed(evaluation: DecoupleEvaluation) -> Iterator[str]:
     )
 
 
-SHOWN_S = 5e-3
-
-
 def _context(evaluation: DecoupleEvaluation) -> dict[str, Any]:
     """Everything the template shows."""
     return {
         "subject": _subject(evaluation),
         "headlines": headlines(evaluation),
-        "crosstalk": [_crosstalk(evaluation)],
+        "crosstalk": [draw_crosstalk(evaluation)],
         "peaks": peak_tables(evaluation),
-        "steps": [_step(evaluation)],
+        "steps": [draw_step(evaluation)],
         "modes": modes_table(evaluation),
         "static": static_table(evaluation),
         "noise": noise_table(evaluation),
@@ -319,46 +313,6 @@ def _subject(evaluation: DecoupleEvaluation) -> list[tuple[str, str]]:
     facts.append(("Releases", ", ".join(counts)))
     facts.append(("Outputs", f"{', '.join(model.channels)} at {evaluation.fit.sample_rate_hz:g} Hz"))
     return facts
-
-
-def _crosstalk(evaluation: DecoupleEvaluation) -> Picture:
-    """The largest cross-talk of every load over frequency."""
-    curves, ratio = [], 100 * evaluation.scale / evaluation.scale[:, None]
-    names = evaluation.fit.model.components
-    for j, load in enumerate(names):
-        others = [i for i in range(len(names)) if i != j and evaluation.comparable(i, j)]
-        if not others:
-            continue
-        values, expanded = [], []
-        for stage in evaluation.stages:
-            size = np.abs(stage.value[:, others, j]) * ratio[others, j]
-            worst = np.argmax(size, axis=1)[:, None]
-            spread = K * stage.u[:, others, j] * ratio[others, j]
-            values.append(np.take_along_axis(size, worst, axis=1)[:, 0])
-            expanded.append(np.take_along_axis(spread, worst, axis=1)[:, 0])
-        stages = tuple(stage.stage for stage in evaluation.stages)
-        labels = tuple(STAGE_NAMES[stage] for stage in stages)
-        curves.append(CrosstalkCurves(load, evaluation.frequency_hz, stages, labels, tuple(values), tuple(expanded)))
-    return draw_crosstalk(curves, evaluation.fit.model.frequency_hz, float(evaluation.decoupler.target_hz[0]))
-
-
-def _step(evaluation: DecoupleEvaluation) -> Picture:
-    """The readings while the load steps that shows most with the static matrix alone."""
-    model, ratio = evaluation.fit.model, evaluation.scale / evaluation.scale[:, None]
-    static = next(stage for stage in evaluation.stages if stage.stage == "static")
-    size = np.where(np.eye(len(model.components), dtype=np.bool_), 0.0, static.peak * ratio)
-    for i, j in np.ndindex(size.shape):
-        size[i, j] *= evaluation.comparable(i, j)
-    load = int(np.argmax(size.max(axis=0)))
-    time_s = step_times(model, evaluation.decoupler)
-    time_s = time_s[time_s <= SHOWN_S]
-    matrices = (("raw", raw_reading(model)), ("static", static_inverse(model, evaluation.fit.noise)))
-    readers = [(stage, reader) for stage, reader in matrices if reader is not None]
-    shown = [(stage, step_readings(model, reader, time_s)[:, :, load]) for stage, reader in readers]
-    shown.append(("filtered", step_readings(model, evaluation.decoupler, time_s)[:, :, load]))
-    labels = tuple(STAGE_NAMES[stage] for stage, _ in shown)
-    values = tuple(value * ratio[:, load] for _, value in shown)
-    return draw_step(StepCurves(model.components[load], model.components, time_s, labels, values))
 
 
 MODEL_FIELDS = ("channels", "components", "unit", "frequency_hz", "damping_ratio", "residue", "real_hz", "real_residue")

@@ -10,7 +10,6 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
-from fusion.recording.load import read_toml, validate
 from fusion.recording.values import (
     Block,
     Context,
@@ -22,8 +21,10 @@ from fusion.recording.values import (
     Text,
     array_of_tables,
     describe,
+    read_toml,
     refusal,
     repeated_name,
+    validate,
     vector,
 )
 from shaker.elastomer.frame import NAMES, RigidPart, block, joined

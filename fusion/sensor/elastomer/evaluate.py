@@ -12,7 +12,6 @@ import numpy as np
 from fusion.base import InputError, ProgressCallback, no_progress
 from fusion.report.provenance import versions
 from fusion.sensor.elastomer.definition import Definition
-from fusion.sensor.elastomer.figures import Shape
 from fusion.sensor.models_file import read_models
 from shaker.arrays import FloatArray, Notice
 from shaker.elastomer.frame import (
@@ -260,6 +259,16 @@ REVERSED = {
     "Rz": (True, True),
 }
 """Modes whose motion is mirrored with reversed sign in the planes x = 0 and y = 0."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """One mode: `rest_m`, `motion` (P, 4, 3) of the corners of all faces, motion in arbitrary units."""
+
+    name: str
+    frequency_hz: float
+    rest_m: FloatArray
+    motion: FloatArray
 
 
 def frame_shapes(definition: Definition, model: FrameModel) -> list[Shape]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,53 +22,18 @@ from fusion.report.style import (
     as_file,
     drawing,
     finish,
-    lay_out,
     new_figure,
     panel_label,
+    sheet,
 )
-from shaker.arrays import FloatArray
+from fusion.sensor.elastomer.evaluate import ElementEvaluation, Shape
+from shaker.elastomer.frame import NAMES
 
 ENLARGED = 0.08
 """Largest displacement drawn, over the size of the element."""
 VIEW = {"elev": 26.0, "azim": -58.0}
 COLOURS = (BLACK, BLUE, RED, GREEN, ORANGE, PURPLE, SKY, GREY)
 MARKERS = ("o", "s", "D", "^", "v", "P", "X", "*")
-
-
-@dataclass(frozen=True)
-class Shape:
-    """One mode: `rest_m`, `motion` (P, 4, 3) of the corners of all faces, motion in arbitrary units."""
-
-    name: str
-    frequency_hz: float
-    rest_m: FloatArray
-    motion: FloatArray
-
-
-@dataclass(frozen=True)
-class Compared:
-    """Natural frequencies (C, M) in Hz of columns by mode with expanded uncertainties; NaN: none."""
-
-    columns: tuple[str, ...]
-    modes: tuple[str, ...]
-    frequency_hz: FloatArray
-    expanded_hz: FloatArray
-    reference: int
-
-
-@dataclass(frozen=True)
-class HandCurve:
-    """Resonance in Hz (N,) over the mass of a hand (N,) joined without a spring; modes (K,) of the chain with springs.
-
-    `unit`: of the mass, kg or kg·m².
-    """
-
-    direction: str
-    unit: str
-    mass: FloatArray
-    frequency_hz: FloatArray
-    chain_mass: float
-    chain_hz: FloatArray
 
 
 def draw_shapes(name: str, title: str, shapes: Sequence[Shape]) -> tuple[Picture, bytes]:
@@ -86,51 +50,49 @@ def draw_shapes(name: str, title: str, shapes: Sequence[Shape]) -> tuple[Picture
         return finish(figure, name, title, caption), as_file(figure, "png")
 
 
-def draw_compared(compared: Compared) -> Picture:
-    """Every column's frequencies as departure from those of one of them."""
-    name = "elastomer-comparison"
-    with drawing(name):
-        figure = new_figure(3.0)
-        axes = figure.subplots(1, 1)
-        places, reference = np.arange(len(compared.modes)), compared.frequency_hz[compared.reference]
-        width = 0.7 / max(1, len(compared.columns))
-        for c, column in enumerate(compared.columns):
-            shift = (c - 0.5 * (len(compared.columns) - 1)) * width
-            departure = 100.0 * (compared.frequency_hz[c] / reference - 1.0)
-            expanded = np.nan_to_num(100.0 * compared.expanded_hz[c] / reference)
+def draw_compared(evaluation: ElementEvaluation) -> Picture:
+    """Every column's frequencies as departure from those of the frame."""
+    columns = evaluation.columns
+    frame = next(column for column in columns if column.kind == "frame")
+    places, width = np.arange(len(NAMES)), 0.7 / len(columns)
+    with sheet("elastomer-comparison", 3.0) as drawn:
+        (axes,) = drawn.panels
+        for c, column in enumerate(columns):
+            departure = 100.0 * (column.frequency_hz / frame.frequency_hz - 1.0)
+            expanded = np.nan_to_num(200.0 * column.u_hz / frame.frequency_hz)
             look: dict[str, Any] = {"fmt": MARKERS[c % len(MARKERS)], "color": COLOURS[c % len(COLOURS)]}
-            told = np.isfinite(departure)
-            if told.any():
-                axes.errorbar(places[told] + shift, departure[told], expanded[told], label=column, **look)
+            known, shift = np.isfinite(departure), (c - 0.5 * (len(columns) - 1)) * width
+            if known.any():
+                axes.errorbar(places[known] + shift, departure[known], expanded[known], label=column.name, **look)
         axes.axhline(0.0, color=GREY, linewidth=0.8, zorder=1)
-        axes.set_xticks(places, compared.modes)
+        axes.set_xticks(places, NAMES)
         axes.set_xlim(-0.5, len(places) - 0.5)
-        axes.set_ylabel(f"less {compared.columns[compared.reference]} / %")
+        axes.set_ylabel(f"less {frame.name} / %")
         panel_label(axes, "natural frequencies")
         axes.legend(loc="lower right", ncols=4, bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
-        lay_out(figure, (axes,), top=0.5, bottom=0.3, left=0.78, label=0.58)
         caption = "Departure of every column from the frame. Bars: expanded uncertainty U (k = 2) where there is one."
-        return finish(figure, name, "Models against one another", caption)
+        return drawn.picture("Models against one another", caption, top=0.5, bottom=0.3)
 
 
-def draw_hand(curve: HandCurve) -> Picture:
-    """The mounted resonance over the hand's mass, and the modes of the chain."""
-    name = "elastomer-mounted"
-    with drawing(name):
-        figure = new_figure(2.8)
-        axes = figure.subplots(1, 1)
-        scale, unit = (1e3, "g") if curve.unit == "kg" else (1e6, "kg·mm²")
-        axes.plot(scale * curve.mass, curve.frequency_hz, color=BLUE, label="hand joined without a spring (eq. 17)")
-        places = np.full(len(curve.chain_hz), scale * curve.chain_mass)
-        axes.plot(places, curve.chain_hz, "o", color=RED, label="hand, sensor and pedestal on springs")
-        axes.set_ylim(0.0, 1.1 * max(float(curve.chain_hz.max()), float(curve.frequency_hz.max())))
+def draw_hand(evaluation: ElementEvaluation) -> Picture | None:
+    """The resonance over the mass of a hand joined without a spring, and the modes of the chain with springs."""
+    mounted, stated = evaluation.mounted, evaluation.definition.file.mounting
+    if mounted is None or stated is None:
+        return None
+    scale, unit = (1e3, "g") if mounted.direction.startswith("T") else (1e6, "kg·mm²")
+    with sheet("elastomer-mounted", 2.8) as drawn:
+        (axes,) = drawn.panels
+        label = "hand joined without a spring (eq. 17)"
+        axes.plot(scale * mounted.hand_mass, mounted.mounted_hz, color=BLUE, label=label)
+        places = np.full(len(mounted.frequency_hz), scale * stated.hand_mass)
+        axes.plot(places, mounted.frequency_hz, "o", color=RED, label="hand, sensor and pedestal on springs")
+        axes.set_ylim(0.0, 1.1 * max(float(mounted.frequency_hz.max()), float(mounted.mounted_hz.max())))
         axes.set_xlabel(f"{'mass' if unit == 'g' else 'moment of inertia'} of the hand / {unit}")
         axes.set_ylabel("natural frequency / Hz")
-        panel_label(axes, f"mounted sensor, {curve.direction}")
+        panel_label(axes, f"mounted sensor, {mounted.direction}")
         axes.legend(loc="lower right", ncols=2, bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
-        lay_out(figure, (axes,), top=0.3, left=0.78, label=0.58)
         caption = "What a hand or gripper leaves of the element's own frequency."
-        return finish(figure, name, f"Resonance of the mounted sensor, {curve.direction}", caption)
+        return drawn.picture(f"Resonance of the mounted sensor, {mounted.direction}", caption, top=0.3)
 
 
 def _panel(figure: Figure, place: int, shape: Shape) -> None:

@@ -27,7 +27,7 @@ from fusion.sensor.elastomer.evaluate import (
     frame_shapes,
     solid_shapes,
 )
-from fusion.sensor.elastomer.figures import Compared, HandCurve, draw_compared, draw_hand, draw_shapes
+from fusion.sensor.elastomer.figures import draw_compared, draw_hand, draw_shapes
 from shaker.arrays import FloatArray
 from shaker.elastomer.frame import NAMES, PlatformFit
 from shaker.elastomer.solid import converged
@@ -310,7 +310,7 @@ def _context(evaluation: ElementEvaluation) -> dict[str, Any]:
         "subject": _subject(evaluation),
         "headlines": headlines(evaluation),
         "comparison": comparison_table(evaluation),
-        "compared": [draw_compared(_compared(evaluation))],
+        "compared": [draw_compared(evaluation)],
         "shapes": [picture for picture, _ in shape_pictures(evaluation).values()],
         "participation": participation_table(evaluation),
         "stiffness": stiffness_table(evaluation),
@@ -321,7 +321,7 @@ def _context(evaluation: ElementEvaluation) -> dict[str, Any]:
             "Platforms that have the wanted frequencies: any of them, so none is validated", PLATFORM, evaluation.fits
         ),
         "mounted": mounted_table(evaluation),
-        "hand": _hand(evaluation),
+        "hand": [picture for picture in [draw_hand(evaluation)] if picture is not None],
     }
 
 
@@ -346,30 +346,6 @@ def _subject(evaluation: ElementEvaluation) -> list[tuple[str, str]]:
         ("Compliant beams", compliant),
         ("Platform and parts", rigid),
     ]
-
-
-def _compared(evaluation: ElementEvaluation) -> Compared:
-    """The columns as the figure takes them."""
-    columns = evaluation.columns
-    return Compared(
-        columns=tuple(column.name for column in columns),
-        modes=NAMES,
-        frequency_hz=np.stack([column.frequency_hz for column in columns]),
-        expanded_hz=np.stack([2.0 * column.u_hz for column in columns]),
-        reference=next(i for i, column in enumerate(columns) if column.kind == "frame"),
-    )
-
-
-def _hand(evaluation: ElementEvaluation) -> list[Picture]:
-    """The mounted resonance over the hand's mass."""
-    mounted, told = evaluation.mounted, evaluation.definition.file.mounting
-    if mounted is None or told is None:
-        return []
-    unit = "kg" if mounted.direction.startswith("T") else "kg·m²"
-    curve = HandCurve(
-        mounted.direction, unit, mounted.hand_mass, mounted.mounted_hz, told.hand_mass, mounted.frequency_hz
-    )
-    return [draw_hand(curve)]
 
 
 def shape_pictures(evaluation: ElementEvaluation) -> dict[str, tuple[Picture, bytes]]:

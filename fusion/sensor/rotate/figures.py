@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -17,109 +16,17 @@ from fusion.report.style import (
     LIGHT,
     RED,
     Picture,
-    drawing,
-    finish,
-    lay_out,
-    new_figure,
     panel_label,
+    sheet,
 )
+from fusion.sensor.rotate.readings import RotationEvaluation, RotationRecording
 from shaker.arrays import FloatArray
+from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS
+from shaker.static_rotation.harmonics import turning_sense
 
 COLOURS = (BLUE, RED, GREEN)
 MARKERS = ("o", "s", "^")
 FULL_TURN_DEG = 360.0
-
-
-@dataclass(frozen=True)
-class TurnedReadings:
-    """Components of one recording: reading and residual (N, C) at angles (N,) come to in a sense (N,), and the fit."""
-
-    recording: str
-    kind: str
-    unit: str
-    components: tuple[str, ...]
-    angle_rad: FloatArray
-    sense: FloatArray
-    reading: FloatArray
-    residual: FloatArray
-    curve: Callable[[FloatArray], FloatArray]
-
-
-@dataclass(frozen=True)
-class Deviations:
-    """Load mass by some components less the weighed mass in %, with U; `weighed`: U of the weighed mass in %."""
-
-    names: tuple[str, ...]
-    value: Sequence[float]
-    expanded: Sequence[float]
-    weighed: float
-
-
-def draw_readings(turned: TurnedReadings) -> Picture:
-    """Readings over the angle with the harmonics fitted, and what these leave."""
-    name = f"rotation-{turned.recording}-{turned.kind}"
-    with drawing(name):
-        figure = new_figure(4.6)
-        upper, lower = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [2.0, 1.0]})
-        angle = np.radians(np.linspace(0.0, FULL_TURN_DEG, 361))
-        fitted = turned.curve(angle)
-        scale, letter = prefix(turned.residual, coarse=False)
-        for c, component in enumerate(turned.components):
-            upper.plot(np.degrees(angle), fitted[:, c], color=COLOURS[c], linewidth=0.9, zorder=2)
-            _points(upper, turned, c, turned.reading[:, c], component)
-            _points(lower, turned, c, turned.residual[:, c] / scale, "")
-        lower.axhline(0.0, color=LIGHT, linewidth=0.8, zorder=1)
-        unit = typeset(turned.unit)
-        upper.set_ylabel(f"load / {unit}" if "·" not in unit else f"load / ({unit})")
-        lower.set_ylabel(f"residual / {letter}{unit}" if "·" not in unit else f"residual / ({letter}{unit})")
-        panel_label(upper, f"{turned.recording}: {turned.kind}, readings and fit")
-        panel_label(lower, "readings less fit")
-        upper.legend(loc="lower right", ncols=3, bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
-        _angle_axis(lower)
-        lay_out(figure, (upper, lower), top=0.3, gap=(0.5, 0.3), left=0.78, label=0.58)
-        both = np.ptp(turned.sense) > 0.0
-        caption = "Curves: offset and harmonics fitted to all channels in one solve."
-        caption += " Filled: come to with the angle growing; open: with the angle falling." if both else ""
-        return finish(figure, name, f"{turned.recording}, {turned.kind} over the angle of the head", caption)
-
-
-def draw_deviations(deviations: Deviations) -> Picture:
-    """Load mass by each axis and by all against the weighed mass."""
-    name = "rotation-deviations"
-    with drawing(name):
-        figure = new_figure(2.5)
-        axes = figure.subplots(1, 1)
-        places = np.arange(len(deviations.names))
-        axes.axhspan(-deviations.weighed, deviations.weighed, color=GREY, alpha=0.3, linewidth=0, zorder=1)
-        axes.axhline(0.0, color=GREY, linewidth=0.8, zorder=1.5)
-        axes.errorbar(places, deviations.value, deviations.expanded, fmt="o", color=BLACK, zorder=2)
-        axes.set_xticks(places, deviations.names)
-        axes.set_xlim(-0.6, len(places) - 0.4)
-        axes.set_ylabel("deviation / %")
-        panel_label(axes, "load mass less weighed mass, with U")
-        lay_out(figure, (axes,), top=0.3, left=0.78, label=0.58)
-        caption = "Bars: expanded uncertainty U of the difference. Grey: U of the weighed mass."
-        return finish(figure, name, "Load mass against the weighed mass", caption)
-
-
-def _points(axes: Axes, turned: TurnedReadings, component: int, values: FloatArray, label: str) -> None:
-    """Readings of one component, filled where the angle grew and open where it fell."""
-    degrees = _within_turn(turned.angle_rad)
-    for sense, filled in ((1.0, True), (-1.0, False)):
-        here = turned.sense >= 0.0 if filled else turned.sense < 0.0
-        if here.any():
-            axes.plot(
-                degrees[here],
-                values[here],
-                linestyle="none",
-                marker=MARKERS[component],
-                color=COLOURS[component],
-                markerfacecolor=COLOURS[component] if filled else "white",
-                markersize=4.0,
-                markeredgewidth=0.9,
-                label=label if sense > 0.0 or not np.any(turned.sense >= 0.0) else None,
-                zorder=3,
-            )
 
 
 def _within_turn(angle_rad: FloatArray) -> FloatArray:
@@ -129,8 +36,76 @@ def _within_turn(angle_rad: FloatArray) -> FloatArray:
     return np.asarray(np.where(inside, degrees, np.mod(degrees, FULL_TURN_DEG)))
 
 
-def _angle_axis(axes: Axes) -> None:
-    """A turn in steps of 45 degrees."""
-    axes.set_xlim(-8.0, FULL_TURN_DEG + 8.0)
-    axes.set_xticks(np.arange(0.0, FULL_TURN_DEG + 1.0, 45.0))
-    axes.set_xlabel("angle of the head / °")
+def draw_readings(recording: RotationRecording, places: Sequence[int], kind: str) -> Picture:
+    """Readings of some load components over the angle with the harmonics fitted, and what these leave."""
+    fit, calibration, title = recording.fit, recording.inverse[places], f"{recording.name}: {kind}, readings and fit"
+    sense, angle = turning_sense(fit.angle_rad), np.radians(np.linspace(0.0, FULL_TURN_DEG, 361))
+    residual, fitted, unit = (
+        fit.residual @ calibration.T,
+        fit.curve(angle) @ calibration.T,
+        typeset(LOAD_UNITS[places[0]]),
+    )
+    with sheet(f"rotation-{recording.name}-{kind}", 4.6, 2, heights=(2.0, 1.0)) as drawn:
+        upper, lower = drawn.panels
+        scale, letter = prefix(residual, coarse=False)
+        for c, place in enumerate(places):
+            upper.plot(np.degrees(angle), fitted[:, c], color=COLOURS[c], linewidth=0.9, zorder=2)
+            _draw_points(upper, fit.angle_rad, sense, recording.load[:, place], c, LOAD_COMPONENTS[place])
+            _draw_points(lower, fit.angle_rad, sense, residual[:, c] / scale, c, "")
+        lower.axhline(0.0, color=LIGHT, linewidth=0.8, zorder=1)
+        upper.set_ylabel(f"load / {unit}" if "·" not in unit else f"load / ({unit})")
+        lower.set_ylabel(f"residual / {letter}{unit}" if "·" not in unit else f"residual / ({letter}{unit})")
+        panel_label(upper, title)
+        panel_label(lower, "readings less fit")
+        upper.legend(loc="lower right", ncols=3, bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
+        lower.set_xlim(-8.0, FULL_TURN_DEG + 8.0)
+        lower.set_xticks(np.arange(0.0, FULL_TURN_DEG + 1.0, 45.0))
+        lower.set_xlabel("angle of the head / °")
+        caption = "Curves: offset and harmonics fitted to all channels in one solve."
+        if np.ptp(sense) > 0.0:
+            caption += " Filled: come to with the angle growing; open: with the angle falling."
+        title = f"{recording.name}, {kind} over the angle of the head"
+        return drawn.picture(title, caption, top=0.3, gap=(0.5, 0.3))
+
+
+def draw_deviations(evaluation: RotationEvaluation) -> Picture | None:
+    """Load mass by each axis and by all less the weighed mass in %, with U; None without both."""
+    deviations = [q for q in evaluation.quantities if q.name == "load_mass_relative_deviation"]
+    weighed = evaluation.find("weighed_mass", "stated")
+    if not deviations or weighed is None:
+        return None
+    own = 100.0 * weighed.expanded / weighed.value
+    with sheet("rotation-deviations", 2.5) as drawn:
+        (axes,) = drawn.panels
+        places = np.arange(len(deviations))
+        axes.axhspan(-own, own, color=GREY, alpha=0.3, linewidth=0, zorder=1)
+        axes.axhline(0.0, color=GREY, linewidth=0.8, zorder=1.5)
+        expanded = [q.expanded for q in deviations]
+        axes.errorbar(places, [q.value for q in deviations], expanded, fmt="o", color=BLACK, zorder=2)
+        axes.set_xticks(places, [q.component for q in deviations])
+        axes.set_xlim(-0.6, len(places) - 0.4)
+        axes.set_ylabel("deviation / %")
+        panel_label(axes, "load mass less weighed mass, with U")
+        caption = "Bars: expanded uncertainty U of the difference. Grey: U of the weighed mass."
+        return drawn.picture("Load mass against the weighed mass", caption, top=0.3)
+
+
+def _draw_points(
+    axes: Axes, angle_rad: FloatArray, sense: FloatArray, values: FloatArray, place: int, label: str
+) -> None:
+    """Readings (N,) of one component, filled where the angle grew and open where it fell."""
+    degrees, rose = _within_turn(angle_rad), sense >= 0.0
+    for here, filled in ((rose, True), (~rose, False)):
+        if here.any():
+            axes.plot(
+                degrees[here],
+                values[here],
+                linestyle="none",
+                marker=MARKERS[place],
+                color=COLOURS[place],
+                markerfacecolor=COLOURS[place] if filled else "white",
+                markersize=4.0,
+                markeredgewidth=0.9,
+                label=label if filled or not rose.any() else None,
+                zorder=3,
+            )

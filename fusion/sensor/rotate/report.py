@@ -15,15 +15,12 @@ from fusion.recording.load import load_for_command
 from fusion.report.folder import Command
 from fusion.report.h5 import write_fields, write_value
 from fusion.report.numbers import capital, degrees_of_freedom, factor, measured, plain, short, signed, small, subject_of
-from fusion.report.style import Picture
 from fusion.report.table import Column, Headline, Table, csv_text, on_page, table, word
 from fusion.sensor.rotate.evaluate import evaluate_rotation
-from fusion.sensor.rotate.figures import Deviations, TurnedReadings, draw_deviations, draw_readings
+from fusion.sensor.rotate.figures import draw_deviations, draw_readings
 from fusion.sensor.rotate.masses import UNTOLD
 from fusion.sensor.rotate.readings import JOINT, Quantity, RotationEvaluation, RotationRecording
-from shaker.arrays import FloatArray
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS
-from shaker.static_rotation.harmonics import turning_sense
 from shaker.static_rotation.masses import FORCES
 
 NONE, ALL = "-", "all"
@@ -316,56 +313,20 @@ def _context(evaluation: RotationEvaluation) -> dict[str, Any]:
         "masses": table("Masses with U", MASS_COLUMNS, _named(evaluation, MASSES)),
         "differences": differences_table(evaluation),
         "centres": centres_table(evaluation),
-        "deviations": _deviations(evaluation),
+        "deviations": [picture for picture in [draw_deviations(evaluation)] if picture is not None],
         "recordings": recordings_table(evaluation),
         "repeats": repeats_tables(evaluation),
-        "readings": [picture for recording in recordings for picture in _pictures(recording)],
+        "readings": [
+            draw_readings(recording, places, kind)
+            for recording in recordings
+            for kind, low in (("forces", 0), ("moments", FORCES))
+            if (places := [place for place in recording.told if low <= place < low + FORCES])
+        ],
         "harmonics": [shown for recording in recordings for shown in harmonics_tables(recording)],
         "axis": axis_table(evaluation),
         "budgets": budget_tables(evaluation),
         "surroundings": surroundings_table(evaluation),
     }
-
-
-def _pictures(recording: RotationRecording) -> list[Picture]:
-    """Forces and moments of a recording over the angle."""
-    fit, found = recording.fit, []
-    inverse = recording.inverse
-    for kind, unit, wanted in (("forces", LOAD_UNITS[0], slice(0, 3)), ("moments", LOAD_UNITS[3], slice(3, 6))):
-        places = [i for i in recording.told if i in range(6)[wanted]]
-        if not places:
-            continue
-
-        def curve(angle_rad: FloatArray, places: list[int] = places) -> FloatArray:
-            return fit.curve(angle_rad) @ inverse[places].T
-
-        found.append(
-            draw_readings(
-                TurnedReadings(
-                    recording=recording.name,
-                    kind=kind,
-                    unit=unit,
-                    components=tuple(LOAD_COMPONENTS[i] for i in places),
-                    angle_rad=fit.angle_rad,
-                    sense=turning_sense(fit.angle_rad),
-                    reading=recording.load[:, places],
-                    residual=fit.residual @ inverse[places].T,
-                    curve=curve,
-                )
-            )
-        )
-    return found
-
-
-def _deviations(evaluation: RotationEvaluation) -> list[Picture]:
-    """Load mass by each axis and by all against the weighed mass."""
-    found = [q for q in evaluation.quantities if q.name == "load_mass_relative_deviation"]
-    weighed = evaluation.find("weighed_mass", "stated")
-    if not found or weighed is None:
-        return []
-    own = 100.0 * weighed.expanded / weighed.value
-    names = tuple(q.component for q in found)
-    return [draw_deviations(Deviations(names, [q.value for q in found], [q.expanded for q in found], own))]
 
 
 def _fill(file: h5py.File, evaluation: RotationEvaluation) -> None:

@@ -10,7 +10,6 @@ import numpy as np
 
 from fusion.base import InputError
 from fusion.estimation.uncertainty import coverage_factor
-from fusion.phasors.channels import channel_unit
 from fusion.recording.files import read_daqs
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry
@@ -89,7 +88,7 @@ def read_step(manifest: Manifest) -> StepInput:
     record = StepRecord(
         name=manifest.folder.name,
         channels=tuple(entry.channel or entry.name for _, entry in outputs),
-        unit=channel_unit(manifest, outputs[0][1]),
+        unit=manifest.rig.unit_of(outputs[0][1]),
         samples=np.stack(found.values[: len(outputs)]),
         sample_rate_hz=found.rate_hz,
         component=excitation.component,

@@ -9,11 +9,11 @@ from typing import Literal, get_args
 import numpy as np
 
 from fusion.base import InputError
-from fusion.phasors.channels import channel_unit
 from fusion.phasors.timing import ClockResult, TimeBase, tie_daqs
-from fusion.recording.files import DaqRecord, read_daqs, read_response
+from fusion.recording.files import DaqRecord, read_daqs
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry
+from fusion.recording.response import read_response
 from shaker.arrays import ComplexArray, FloatArray, Notice
 from shaker.frf.chain import ChainResponse
 from shaker.frf.result import TransferFunction, TransferRecord
@@ -265,7 +265,7 @@ def _together(
 ) -> Together:
     """Return channels, the reference first, as they were sampled together or else on a common grid."""
     found = align(manifest, records, [places[name][0] for name in names], "excitation.response")
-    units = [channel_unit(manifest, channel.entry) for channel in found.channels]
+    units = [manifest.rig.unit_of(channel.entry) for channel in found.channels]
     samples = TransferRecord(
         reference=found.values[0],
         responses=np.stack(found.values[1:], axis=1),
