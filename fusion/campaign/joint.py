@@ -75,52 +75,67 @@ class CampaignEvaluation:
 
 
 def evaluate_campaign(name: str, recorded: Sequence[Recorded], failed: Mapping[str, str]) -> CampaignEvaluation:
-    """Evaluate the recordings of a campaign together, in the order given."""
-    known = distinct_names(recorded)
-    sensor, several = _one_sensor(known)
+    """Evaluate the recordings of a campaign together, in the order given.
+
+    A name that occurs twice gets the folder's beside it, since unknowns of single recordings are known by the
+    recording's name. Recordings of several sensors have nothing to say together.
+    """
+    names = [entry.name for entry in recorded]
+    known = tuple(entry if names.count(entry.name) == 1 else _with_folder(entry) for entry in recorded)
+    sensors = {(entry.sensor.name, entry.sensor.serial): entry.sensor for entry in known if entry.sensor is not None}
+    sensor = next(iter(sensors.values())) if len(sensors) == 1 else None
+    notices = []
+    if len(sensors) > 1:
+        tested = ", ".join(f"{name} {serial}".strip() for name, serial in sensors)
+        text = f"the recordings tested several sensors ({tested}): no joint sensitivity; a campaign has one sensor"
+        notices.append(Notice("warning", text, "campaign"))
+    if failed:
+        text = f"{len(failed)} of the recordings could not be evaluated and are in no result: {', '.join(failed)}"
+        notices.append(Notice("warning", text, "campaign"))
     drives = [drive for entry in known for drive in entry.drives] if sensor is not None else []
     capacity = None if sensor is None or sensor.capacity is None else sensor.capacity.tolist()
-    matrices, refused = fit_matrices(drives, () if sensor is None else sensor.channels)
-    ratios, no_ratios = _attempt("curves of ratios", lambda: ratio_curves(drives, capacity))
-    alike, no_repeats = _attempt("means of repeats", lambda: find_repeats(drives, capacity))
-    series, no_series = _attempt("linearity", lambda: find_linearity(drives, capacity))
-    curves = (*ratios, *matrix_curves(matrices))
-    repeats = tuple(found for found in alike if len(found.recordings) > 1)
-    failures = [notice for notice in refused if notice.severity == "warning"]
-    failures += [*no_ratios, *no_repeats, *no_series]
-    found = [notice for fit in matrices for notice in fit.notices]
-    found += [notice for repeated in repeats for notice in repeated.notices]
+    matrices, refused = _fit_matrices(drives, () if sensor is None else sensor.channels)
+    notices += [notice for notice in refused if notice.severity == "warning"]
+    ratios = _attempt("curves of ratios", lambda: ratio_curves(drives, capacity), notices)
+    alike = _attempt("means of repeats", lambda: find_repeats(drives, capacity), notices)
+    series = _attempt("linearity", lambda: find_linearity(drives, capacity), notices)
+    # The matrices of all frequencies are one curve for each set of outputs that they have.
+    sets = dict.fromkeys(fit.channels for fit in matrices)
+    curves = (*ratios, *(matrix_curve([fit for fit in matrices if fit.channels == own]) for own in sets))
+    repeats = tuple(mean for mean in alike if len(mean.recordings) > 1)
+    notices += [notice for result in (*matrices, *repeats) for notice in result.notices]
     return CampaignEvaluation(
         name=name,
         recorded=known,
         failed=dict(failed),
         sensor=sensor,
         curves=curves,
-        relative=tuple(None if sensor is None else over_static(curve, sensor) for curve in curves),
+        relative=tuple(None if sensor is None else _over_static(curve, sensor) for curve in curves),
         repeats=repeats,
         linearity=series,
         matrices=matrices,
         cross_talks=() if capacity is None else tuple(cross_talk(fit, capacity) for fit in matrices),
         refused=refused,
-        notices=(*several, *_failures(failed), *failures, *found),
+        notices=tuple(notices),
     )
 
 
-def _attempt(what: str, make: Callable[[], tuple[Joint, ...]]) -> tuple[tuple[Joint, ...], tuple[Notice, ...]]:
-    """Return joint results, or why there are none: recordings that do not fit together keep their own results."""
+def _with_folder(entry: Recorded) -> Recorded:
+    """Return a recording whose name tells its folder, too."""
+    name = f"{entry.name} [{entry.folder}]"
+    return replace(entry, name=name, drives=tuple(replace(drive, recording=name) for drive in entry.drives))
+
+
+def _attempt(what: str, make: Callable[[], tuple[Joint, ...]], notices: list[Notice]) -> tuple[Joint, ...]:
+    """Return joint results, or say why there are none: recordings that do not fit together keep their own results."""
     try:
-        return make(), ()
+        return make()
     except ValueError as error:
-        return (), (Notice("warning", f"no {what}: {error}", "campaign"),)
+        notices.append(Notice("warning", f"no {what}: {error}", "campaign"))
+        return ()
 
 
-def matrix_curves(fits: Sequence[MatrixFit]) -> tuple[Curve, ...]:
-    """Return the matrices of all frequencies as one curve for each set of outputs that they have."""
-    sets = dict.fromkeys(fit.channels for fit in fits)
-    return tuple(matrix_curve([fit for fit in fits if fit.channels == channels]) for channels in sets)
-
-
-def over_static(curve: Curve, sensor: SensorFacts) -> Curve | None:
+def _over_static(curve: Curve, sensor: SensorFacts) -> Curve | None:
     """Return a curve over the static sensitivity, None where that is not stated."""
     if sensor.static is None:
         return None
@@ -148,71 +163,29 @@ def main_channel(evaluation: CampaignEvaluation, channels: Sequence[str], compon
     return int(np.argmax(size))
 
 
-def distinct_names(recorded: Sequence[Recorded]) -> tuple[Recorded, ...]:
-    """Return the recordings with names that tell them apart: a name that occurs twice gets the folder's beside it.
+def _fit_matrices(drives: Sequence[Drive], channels: Sequence[str]) -> tuple[tuple[MatrixFit, ...], tuple[Notice, ...]]:
+    """Return the matrix of every frequency that determines one, and why the others do not.
 
-    Unknowns of single recordings are known by the recording's name.
+    Ratios need no matrix, so that missing excitations are worth a remark; a fit that fails is a surprise.
     """
-    names = [entry.name for entry in recorded]
-    return tuple(
-        entry if names.count(entry.name) == 1 else _renamed(entry, f"{entry.name} [{entry.folder}]")
-        for entry in recorded
-    )
-
-
-def fit_matrices(drives: Sequence[Drive], channels: Sequence[str]) -> tuple[tuple[MatrixFit, ...], tuple[Notice, ...]]:
-    """Return the matrix of every frequency that determines one, and why the others do not."""
     fits: list[MatrixFit] = []
     refused: dict[tuple[Severity, str], list[float]] = {}
     recorded = [name for name in channels if any(name in drive.channels for drive in drives)]
     for group in group_by_frequency(drives):
         try:
             fits.append(fit_matrix(group, recorded))
+        except MissingExcitationError as error:
+            reason = "the recordings excite too few independent loads; " + str(error).partition("; ")[2]
+            refused.setdefault(("info", reason), []).append(group[0].frequency_hz)
         except ValueError as error:
-            refused.setdefault(_reason(error), []).append(group[0].frequency_hz)
-    notices = tuple(_refusal(*reason, places) for reason, places in refused.items())
-    return tuple(fits), notices
-
-
-def _reason(error: ValueError) -> tuple[Severity, str]:
-    """Why there is no matrix, and how severe that is: ratios need no matrix, a fit that fails is a surprise."""
-    if isinstance(error, MissingExcitationError):
-        return "info", "the recordings excite too few independent loads; " + str(error).partition("; ")[2]
-    return "warning", str(error)
-
-
-def _refusal(severity: Severity, reason: str, frequency_hz: Sequence[float]) -> Notice:
-    """One sentence for all frequencies without a matrix for the same reason."""
-    first, last = min(frequency_hz), max(frequency_hz)
-    where = (
-        f"{first:.6g} Hz"
-        if len(frequency_hz) == 1
-        else f"{len(frequency_hz)} frequencies, {first:.6g} to {last:.6g} Hz"
-    )
-    return Notice(severity, f"no matrix at {where}: {reason}", "matrix")
-
-
-def _failures(failed: Mapping[str, str]) -> tuple[Notice, ...]:
-    """Name the recordings that could not be evaluated."""
-    if not failed:
-        return ()
-    text = f"{len(failed)} of the recordings could not be evaluated and are in no result: {', '.join(failed)}"
-    return (Notice("warning", text, "campaign"),)
-
-
-def _renamed(entry: Recorded, name: str) -> Recorded:
-    """A recording under another name."""
-    return replace(entry, name=name, drives=tuple(replace(drive, recording=name) for drive in entry.drives))
-
-
-def _one_sensor(recorded: Sequence[Recorded]) -> tuple[SensorFacts | None, tuple[Notice, ...]]:
-    """The sensor of all recordings; none where they tested several, which have nothing to say together."""
-    sensors = {(entry.sensor.name, entry.sensor.serial): entry.sensor for entry in recorded if entry.sensor is not None}
-    if len(sensors) > 1:
-        names = ", ".join(f"{name} {serial}".strip() for name, serial in sensors)
-        text = f"the recordings tested several sensors ({names}): no joint sensitivity; a campaign has one sensor"
-        return None, (Notice("warning", text, "campaign"),)
-    return next(iter(sensors.values()), None), ()
+            refused.setdefault(("warning", str(error)), []).append(group[0].frequency_hz)
+    notices = []
+    for (severity, reason), places in refused.items():
+        where = f"{places[0]:.6g} Hz"
+        if len(places) > 1:
+            where = f"{len(places)} frequencies, {min(places):.6g} to {max(places):.6g} Hz"
+        notices.append(Notice(severity, f"no matrix at {where}: {reason}", "matrix"))
+    return tuple(fits), tuple(notices)
 
 
 # The curves of a campaign as points: magnitude and phase of every element at every frequency, and of recordings.
@@ -243,25 +216,26 @@ def curve_points(evaluation: CampaignEvaluation) -> tuple[CurvePoint, ...]:
     unit = "" if evaluation.sensor is None else evaluation.sensor.unit
     points = []
     for curve, relative in zip(evaluation.curves, evaluation.relative, strict=True):
-        values = curve_elements(curve)
-        ratios = {} if relative is None else _by_element(relative)
-        for k, row in enumerate(values):
+        ratios = [] if relative is None else zip(*curve_elements(relative), strict=True)
+        over_static = {} if relative is None else dict(zip(relative.elements, ratios, strict=True))
+        for k, row in enumerate(curve_elements(curve)):
             mountings = len({mounting[name] for name in curve.recordings[k]})
             for (c, j), element in zip(curve.elements, row, strict=True):
-                if element is not None:
-                    points.append(
-                        CurvePoint(
-                            frequency_hz=float(curve.frequency_hz[k]),
-                            channel=curve.channels[c],
-                            component=LOAD_COMPONENTS[j],
-                            unit=sensitivity_unit(unit, LOAD_COMPONENTS[j]),
-                            element=element,
-                            relative=ratios[c, j][k] if (c, j) in ratios else None,
-                            recordings=len(curve.recordings[k]),
-                            mountings=mountings,
-                            kind=curve.kind,
-                        )
+                if element is None:
+                    continue
+                points.append(
+                    CurvePoint(
+                        frequency_hz=float(curve.frequency_hz[k]),
+                        channel=curve.channels[c],
+                        component=LOAD_COMPONENTS[j],
+                        unit=sensitivity_unit(unit, LOAD_COMPONENTS[j]),
+                        element=element,
+                        relative=over_static[c, j][k] if (c, j) in over_static else None,
+                        recordings=len(curve.recordings[k]),
+                        mountings=mountings,
+                        kind=curve.kind,
                     )
+                )
     return tuple(points)
 
 
@@ -300,11 +274,6 @@ def elements(value: ComplexArray, uncertainty: Uncertainty) -> list[list[Polar |
     ]
 
 
-def _by_element(curve: Curve) -> dict[tuple[int, int], Sequence[Polar | None]]:
-    """Elements of a curve over frequency, by channel and component."""
-    return dict(zip(curve.elements, zip(*curve_elements(curve), strict=True), strict=True))
-
-
 # The curves of a campaign on its page: headlines, table, figures.
 
 
@@ -330,39 +299,49 @@ def headlines(evaluation: CampaignEvaluation, mains: dict[str, list[CurvePoint]]
     """The results to remember: every main sensitivity at its lowest frequency, its course, the largest cross-talk."""
     found = []
     for points in mains.values():
-        best = _longest(points)
-        found.append(_sensitivity_headline(best[0]))
-        if len(mains) <= FULL_HEADLINES and len(best) > 1:
-            found += _course_headlines(best)
+        # Points of one kind, elements of matrices unless there are more ratios; ascending in frequency.
+        matrix, ratio = ([point for point in points if point.kind == kind] for kind in ("matrix", "ratio"))
+        best = sorted(ratio if len(ratio) > len(matrix) else matrix, key=lambda point: point.frequency_hz)
+        first, last = best[0], best[-1]
+        expanded = [100.0 * point.element.expanded_magnitude / point.element.magnitude for point in best]
+        remark = f"U = {small(expanded[0])} % (k = {first.element.k:.2f}), {first.kind}"
+        if first.relative is not None:
+            remark += f"; from static: {_deviation(first.relative)}"
+        label = f"Sensitivity {first.channel} per {first.component}, {first.frequency_hz:.4f} Hz"
+        size = measured(first.element.magnitude, first.element.expanded_magnitude, first.unit)
+        found.append(Headline(label, size, remark))
+        if len(mains) > FULL_HEADLINES or len(best) < 2:
+            continue
+        if last.relative is not None:
+            label = f"Deviation from static at {last.frequency_hz:.4f} Hz"
+            remark = f"U of the curve's magnitudes: {small(min(expanded))} % to {small(max(expanded))} %"
+            found.append(Headline(label, _deviation(last.relative), remark))
+        turn = measured(last.element.phase_rad, last.element.expanded_phase_rad, "rad")
+        remark = f"{last.channel} to {last.component}, {last.kind}"
+        found.append(Headline(f"Phase at {last.frequency_hz:.4f} Hz", turn, remark))
     return [*found, *_scatter_headline(evaluation), *_crosstalk_headline(evaluation)]
 
 
 def curve_tables(mains: dict[str, list[CurvePoint]]) -> list[Table]:
-    """One table per main element over frequency, ratios first."""
-    return [_curve_table(points) for points in mains.values()]
-
-
-def _curve_table(points: Sequence[CurvePoint]) -> Table:
-    """One main element over frequency, its unit in the head."""
-    exponent = common_exponent(np.array([complex(point.element.re, point.element.im) for point in points]))
-    rows: list[tuple[str, ...]] = []
-    for point in sorted(points, key=lambda point: (point.kind != "ratio", point.frequency_hz)):
-        size, turn, k = polar_cells(point.element, exponent)
-        cells = (point.kind, f"{point.recordings} ({point.mountings})")
-        rows.append((f"{point.frequency_hz:.4f}", size, turn, _from_static(point), k, *cells))
-    first = points[0]
-    unit = times_ten(exponent, first.unit)
-    head = (
-        "frequency / Hz",
-        Markup("magnitude / {}").format(unit),
-        "phase / rad",
-        "from static / %",
-        "k",
-        "kind",
-        "recordings (mountings)",
-    )
-    caption = f"Output {first.channel} per load {first.component} with U = k·u (95 %)"
-    return Table(caption, head, "rrrrrlr", tuple(rows))
+    """One table per main element over frequency, ratios first, its unit in the head."""
+    tables = []
+    for points in mains.values():
+        first = points[0]
+        exponent = common_exponent(np.array([complex(point.element.re, point.element.im) for point in points]))
+        rows: list[tuple[str, ...]] = []
+        for point in sorted(points, key=lambda point: (point.kind != "ratio", point.frequency_hz)):
+            size, turn, k = polar_cells(point.element, exponent)
+            static = point.relative
+            deviation = (
+                "–" if static is None else fixed(100.0 * (static.magnitude - 1.0), 100.0 * static.expanded_magnitude, 0)
+            )
+            cells = (point.kind, f"{point.recordings} ({point.mountings})")
+            rows.append((f"{point.frequency_hz:.4f}", size, turn, deviation, k, *cells))
+        magnitude = Markup("magnitude / {}").format(times_ten(exponent, first.unit))
+        head = ("frequency / Hz", magnitude, "phase / rad", "from static / %", "k", "kind", "recordings (mountings)")
+        caption = f"Output {first.channel} per load {first.component} with U = k·u (95 %)"
+        tables.append(Table(caption, head, "rrrrrlr", tuple(rows)))
+    return tables
 
 
 def curve_pictures(evaluation: CampaignEvaluation, mains: dict[str, list[CurvePoint]]) -> list[Picture]:
@@ -374,37 +353,6 @@ def output_pictures(evaluation: CampaignEvaluation) -> list[Picture]:
     """All outputs under each load that was driven, relative to the output that belongs to it."""
     ratios = [curve for curve in evaluation.curves if curve.kind == "ratio" and len(curve.channels) > 1]
     return [draw_campaign_outputs(_outputs_drawing(evaluation, curve)) for curve in ratios]
-
-
-def _longest(points: Sequence[CurvePoint]) -> list[CurvePoint]:
-    """Points of one kind: elements of matrices unless there are more ratios; ascending in frequency."""
-    matrix = [point for point in points if point.kind == "matrix"]
-    ratio = [point for point in points if point.kind == "ratio"]
-    return sorted(ratio if len(ratio) > len(matrix) else matrix, key=lambda point: point.frequency_hz)
-
-
-def _sensitivity_headline(point: CurvePoint) -> Headline:
-    """One value with its deviation from static."""
-    element = point.element
-    share = small(100.0 * element.expanded_magnitude / element.magnitude)
-    remark = f"U = {share} % (k = {element.k:.2f}), {point.kind}"
-    if point.relative is not None:
-        remark += f"; from static: {_deviation(point.relative)}"
-    label = f"Sensitivity {point.channel} per {point.component}, {point.frequency_hz:.4f} Hz"
-    return Headline(label, measured(element.magnitude, element.expanded_magnitude, point.unit), remark)
-
-
-def _course_headlines(points: Sequence[CurvePoint]) -> list[Headline]:
-    """What the curve comes to at its upper end."""
-    last = points[-1]
-    turn = measured(last.element.phase_rad, last.element.expanded_phase_rad, "rad")
-    found = [Headline(f"Phase at {last.frequency_hz:.4f} Hz", turn, f"{last.channel} to {last.component}, {last.kind}")]
-    if last.relative is not None:
-        label = f"Deviation from static at {last.frequency_hz:.4f} Hz"
-        expanded = [100.0 * p.element.expanded_magnitude / p.element.magnitude for p in points]
-        remark = f"U of the curve's magnitudes: {small(min(expanded))} % to {small(max(expanded))} %"
-        found.insert(0, Headline(label, _deviation(last.relative), remark))
-    return found
 
 
 def _scatter_headline(evaluation: CampaignEvaluation) -> list[Headline]:
@@ -441,13 +389,6 @@ def _crosstalk_headline(evaluation: CampaignEvaluation) -> list[Headline]:
 def _deviation(relative: Polar) -> str:
     """Deviation of a magnitude from static in per cent."""
     return measured(100.0 * (relative.magnitude - 1.0), 100.0 * relative.expanded_magnitude, "%").striptags()
-
-
-def _from_static(point: CurvePoint) -> str:
-    """Deviation from static as a cell of the table."""
-    if point.relative is None:
-        return "–"
-    return fixed(100.0 * (point.relative.magnitude - 1.0), 100.0 * point.relative.expanded_magnitude, 0)
 
 
 def _curve_drawing(evaluation: CampaignEvaluation, points: Sequence[CurvePoint]) -> CurveDrawing:

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import block_diag, solve_triangular
 
 from fusion.estimation.measurement_model import CommonError, Observation
-from fusion.estimation.uncertainty import real_design, real_stack
+from fusion.estimation.uncertainty import as_complex, real_design, real_stack
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 
 # The linear system behind the fusion: readings of all lines as real rows, and what their common errors do to them.
@@ -104,15 +104,14 @@ class System:
         estimate A (K, 6), are given the standard uncertainty `hidden_motion`.
         """
         square = hidden_motion(acceleration, self.observed)[self.line] ** 2
-        found = np.zeros(len(self.readings))
+        variances = np.zeros(len(self.readings))
         for part in self.errors:
-            found[part.block] = np.sum(part.square * square[part.block], axis=1)
-        return found
+            variances[part.block] = np.sum(part.square * square[part.block], axis=1)
+        return variances
 
     def acceleration(self, unknowns: FloatArray) -> ComplexArray:
         """Return A (K, 6) from the reduced unknowns (P,); what no reading determines is zero."""
-        stacked = (self.expand @ unknowns).reshape(-1, 12)
-        return np.asarray(stacked[:, :6] + 1j * stacked[:, 6:])
+        return as_complex((self.expand @ unknowns).reshape(-1, 12))
 
 
 def hidden_motion(acceleration: ComplexArray, observed: BoolArray) -> FloatArray:
@@ -158,11 +157,6 @@ class Places:
         return np.where(same, covariance[self.line[:, None], both[:, None], both], 0.0)
 
 
-def real_rows(observation: Observation, values: ComplexArray) -> FloatArray:
-    """Return (K, M) values as real rows in the system's order: line by line, usable channels, Re then Im."""
-    return Places.of(observation).rows(values)
-
-
 def build_system(observations: Sequence[Observation]) -> System:
     """Collect the usable readings of observations that share their lines into one system."""
     lines = len(observations[0].phasors.frequency_hz)
@@ -172,77 +166,51 @@ def build_system(observations: Sequence[Observation]) -> System:
     for k, basis in enumerate(bases):
         expand[12 * k : 12 * k + 12, starts[k] : starts[k + 1]] = real_design(SCALE[:, None] * basis)
     names = tuple(dict.fromkeys(name for o in observations for name in o.members))
+    common: dict[str, CommonError] = {}
+    for error in (error for observation in observations for error in observation.common):
+        common.setdefault(error.name, error)
+    columns = {name: column for column, name in enumerate(common)}
     places = [Places.of(observation) for observation in observations]
-    ends = np.cumsum([len(place.line) for place in places])
-    readings = np.concatenate([p.rows(o.phasors.value) for p, o in zip(places, observations, strict=True)])
+    both = list(zip(observations, places, strict=True))
     line = np.concatenate([place.line for place in places])
     where = np.repeat(np.arange(len(places)), [len(place.line) for place in places])
-    motion = np.concatenate([p.design(o.design) for p, o in zip(places, observations, strict=True)])
-    common: dict[str, CommonError] = {}
-    for observation in observations:
-        for error in observation.common:
-            common.setdefault(error.name, error)
-    columns = {name: column for column, name in enumerate(common)}
+    imaginary = np.concatenate([place.imaginary for place in places])
+    readings = np.concatenate([place.rows(o.phasors.value) for o, place in both])
+    motion = np.concatenate([place.design(o.design) for o, place in both])
+    largest = np.zeros(len(places) * lines)
+    np.maximum.at(largest, where * lines + line, np.abs(readings))
+    errors = []
+    for number, (o, place) in enumerate(both):
+        if o.common:
+            slopes, rows = np.stack([error.slope for error in o.common]), np.flatnonzero(where == number)
+            square = np.sum(np.abs(slopes) ** 2, axis=0) / 2.0
+            errors.append(
+                RowErrors(
+                    block=slice(rows[0], rows[-1] + 1) if len(rows) else slice(0, 0),
+                    columns=np.array([columns[error.name] for error in o.common]),
+                    slope=place.design(slopes).swapaxes(0, 1),
+                    offset=place.rows(np.stack([error.offset for error in o.common])).T,
+                    square=square[place.line, place.channel],
+                )
+            )
     return System(
         observations=tuple(observations),
         readings=readings,
         design=np.einsum("nj,njp->np", motion, expand.reshape(lines, 12, -1)[line]),
-        noise=_block_diagonal([p.covariance(o.phasors.covariance) for p, o in zip(places, observations, strict=True)]),
-        size=_reading_size(readings, where * lines + line),
+        noise=block_diag(*(place.covariance(o.phasors.covariance) for o, place in both)),
+        size=np.where(largest > 0.0, largest, 1.0)[where * lines + line],
         line=line,
         observation=where,
         channel=np.concatenate([place.channel for place in places]),
-        member=np.concatenate(
-            [
-                np.array([names.index(m) for m in o.members])[p.channel]
-                for p, o in zip(places, observations, strict=True)
-            ]
-        ),
-        pairs=_pairs(np.concatenate([place.imaginary for place in places])),
+        member=np.concatenate([np.array([names.index(m) for m in o.members])[place.channel] for o, place in both]),
+        # In each line of an observation real and imaginary parts come in the same order.
+        pairs=np.stack([np.flatnonzero(~imaginary), np.flatnonzero(imaginary)], axis=1),
         member_names=names,
         expand=expand,
         observed=np.array([observed_components(basis) for basis in bases]),
         common=tuple(common.values()),
-        errors=tuple(
-            _row_errors(o, p, slice(end - len(p.line), end), columns)
-            for o, p, end in zip(observations, places, ends.tolist(), strict=True)
-            if o.common
-        ),
+        errors=tuple(errors),
     )
-
-
-def _row_errors(observation: Observation, places: Places, block: slice, columns: dict[str, int]) -> RowErrors:
-    """Effects of the common errors of one observation on its rows."""
-    slopes = np.stack([error.slope for error in observation.common])
-    square = np.sum(np.abs(slopes) ** 2, axis=0) / 2.0
-    return RowErrors(
-        block=block,
-        columns=np.array([columns[error.name] for error in observation.common]),
-        slope=places.design(slopes).swapaxes(0, 1),
-        offset=places.rows(np.stack([error.offset for error in observation.common])).T,
-        square=square[places.line, places.channel],
-    )
-
-
-def _pairs(imaginary: BoolArray) -> IntArray:
-    """Rows of real and imaginary part of every reading: in each line of an observation they come in the same order."""
-    return np.stack([np.flatnonzero(~imaginary), np.flatnonzero(imaginary)], axis=1)
-
-
-def _reading_size(readings: FloatArray, group: IntArray) -> FloatArray:
-    """Largest reading of each row's group (an instrument at a line), one where all are zero."""
-    largest = np.zeros(int(group.max(initial=-1)) + 1)
-    np.maximum.at(largest, group, np.abs(readings))
-    return np.where(largest > 0.0, largest, 1.0)[group]
-
-
-def _block_diagonal(blocks: Sequence[FloatArray]) -> FloatArray:
-    """Square blocks along the diagonal of one matrix."""
-    ends = np.cumsum([len(block) for block in blocks])
-    matrix = np.zeros((ends[-1], ends[-1]))
-    for block, end in zip(blocks, ends, strict=True):
-        matrix[end - len(block) : end, end - len(block) : end] = block
-    return matrix
 
 
 # Whitened least squares: accelerations and common errors estimated together, with all that follows from it.
@@ -283,21 +251,17 @@ def solve(system: System, extra: FloatArray | None = None, iterations: int = 8) 
     `extra` (N, N): covariance of the readings beside what is stated.
     """
     noise = system.noise if extra is None else system.noise + extra
-    acceleration = system.acceleration(_starting_point(system, noise))
+    # To start with no common errors, every reading weighted by its noise and a hundredth of its size.
+    weight = 1.0 / np.sqrt(np.diag(noise) + (1e-2 * system.size) ** 2)
+    start = np.linalg.lstsq(system.design * weight[:, None], system.readings * weight, rcond=None)[0]
+    acceleration = system.acceleration(np.asarray(start))
     for _ in range(iterations):
         step = _augmented(system, noise, acceleration)
-        found = step.acceleration(system)
-        change = np.max(np.abs(found - acceleration), initial=0.0)
-        acceleration = found
+        before, acceleration = acceleration, step.acceleration(system)
+        change = np.max(np.abs(acceleration - before), initial=0.0)
         if change <= CONVERGED * np.max(np.abs(acceleration), initial=0.0):
             break
     return _solution(system, _augmented(system, noise, acceleration))
-
-
-def _starting_point(system: System, noise: FloatArray) -> FloatArray:
-    """Unknowns without common errors, every reading weighted by its noise and a hundredth of its size."""
-    weight = 1.0 / np.sqrt(np.diag(noise) + (1e-2 * system.size) ** 2)
-    return np.asarray(np.linalg.lstsq(system.design * weight[:, None], system.readings * weight, rcond=None)[0])
 
 
 @dataclass(frozen=True)

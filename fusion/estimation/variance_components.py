@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.estimation.least_squares import BODY_SIZE_M, SCALE, Places, Solution, System
 from fusion.estimation.measurement_model import Observation
@@ -123,28 +122,28 @@ def _not_negative(matrix: FloatArray, right: FloatArray) -> FloatArray:
     square, target = matrix / np.outer(scale, scale), right / scale
     found = np.zeros(len(right))
     free = np.zeros(len(right), dtype=np.bool_)
+
+    def minimum() -> FloatArray:
+        """Minimum over the free components alone, the others zero."""
+        best = np.zeros(len(target))
+        best[free] = np.linalg.lstsq(square[np.ix_(free, free)], target[free], rcond=1e-10)[0]
+        return best
+
     for _ in range(ITERATIONS):
         slope = np.where(free, -np.inf, target - square @ found)
         if np.max(slope) <= 1e-10 * np.max(np.abs(target)):
             break
         free[np.argmax(slope)] = True
-        best = _free_minimum(square, target, free)
+        best = minimum()
         while np.any(best[free] <= 0.0):
             blocking = np.flatnonzero(free & (best <= 0.0))
             steps = found[blocking] / np.maximum(found[blocking] - best[blocking], 1e-300)
             found = found + np.min(steps) * (best - found)
             free[blocking[steps <= np.min(steps)]] = False
             found = np.where(free, found, 0.0)
-            best = _free_minimum(square, target, free)
+            best = minimum()
         found = best
     return np.asarray(found / scale)
-
-
-def _free_minimum(square: FloatArray, target: FloatArray, free: NDArray[np.bool_]) -> FloatArray:
-    """Minimum over the free components alone, the others zero."""
-    found = np.zeros(len(target))
-    found[free] = np.linalg.lstsq(square[np.ix_(free, free)], target[free], rcond=1e-10)[0]
-    return found
 
 
 def estimate_scatter(system: System, solution: Solution) -> tuple[Scatter, ...]:
@@ -155,30 +154,21 @@ def estimate_scatter(system: System, solution: Solution) -> tuple[Scatter, ...]:
     estimated from all; else every line has its own.
     """
     sizes = row_sizes(system, solution.acceleration)
-    lines = range(len(system.observed))
-    tests = [[_of_instrument(system, solution, place, k, sizes) for k in lines] for place in _places(system)]
+    lines, places = range(len(system.observed)), range(len(system.observations))
+    rows = [[np.flatnonzero((system.observation == place) & (system.line == k)) for k in lines] for place in places]
+    tests = [[_contrasts(system, solution, own, sizes, None) for own in rows[place]] for place in places]
     count = sum(group is not None for groups in tests for group in groups)
-    found = []
-    for place, groups in zip(_places(system), tests, strict=True):
+    scatters = []
+    for place, groups in zip(places, tests, strict=True):
         if any(group is not None and _improbable(group, count) for group in groups):
             patterns = _own_patterns(system, solution.acceleration, sizes)
-            whole = {k: _of_instrument(system, solution, place, k, sizes, patterns) for k in lines}
+            whole = {
+                k: _contrasts(system, solution, own, sizes, patterns[:, own[:, None], own])
+                for k, own in enumerate(rows[place])
+            }
             usable = {k: group for k, group in whole.items() if group is not None}
-            found.append(_scatter(system.observations[place], usable, len(lines)))
-    return tuple(found)
-
-
-def _places(system: System) -> range:
-    """Places of the observations."""
-    return range(len(system.observations))
-
-
-def _of_instrument(
-    system: System, solution: Solution, place: int, line: int, sizes: FloatArray, patterns: FloatArray | None = None
-) -> Contrasts | None:
-    """Contrasts among the readings of one instrument at one line."""
-    rows = np.flatnonzero((system.observation == place) & (system.line == line))
-    return _contrasts(system, solution, rows, sizes, None if patterns is None else patterns[:, rows[:, None], rows])
+            scatters.append(_scatter(system.observations[place], usable, len(lines)))
+    return tuple(scatters)
 
 
 def _scatter(observation: Observation, groups: dict[int, Contrasts], lines: int) -> Scatter:
@@ -287,30 +277,17 @@ def _contrasts(
         return None
     effects = solution.effects[rows]
     spread = (solution.noise[np.ix_(rows, rows)] + effects @ effects.T) / np.outer(size, size)
-    turned = np.zeros((0, 0, 0)) if patterns is None else _visible(across.T @ patterns @ across, patterns)
+    turned = np.zeros((0, 0, 0))
+    if patterns is not None:
+        # Where next to nothing of a component is left nobody can know it.
+        turned = across.T @ patterns @ across
+        left = np.trace(turned, axis1=1, axis2=2) > VISIBLE * np.trace(patterns, axis1=1, axis2=2)
+        turned = np.where(left[:, None, None], turned, 0.0)
     return Contrasts(across.T @ (system.readings[rows] / size), across.T @ spread @ across, turned)
-
-
-def _visible(turned: FloatArray, patterns: FloatArray) -> FloatArray:
-    """Patterns (C, n, n) of contrasts, zero where next to nothing of a component is left: nobody can know it."""
-    left = np.trace(turned, axis1=1, axis2=2) > VISIBLE * np.trace(patterns, axis1=1, axis2=2)
-    return np.where(left[:, None, None], turned, 0.0)
 
 
 def _own_patterns(system: System, acceleration: ComplexArray, sizes: FloatArray) -> FloatArray:
     """Return (2, N, N) for independent errors of all readings, relative to the row sizes: in phase, at right angles."""
-    directions = _directions(system, acceleration, sizes)
-    pairs = system.pairs
-    found = np.zeros((2, len(sizes), len(sizes)))
-    for number, turn in enumerate((1.0, 1.0j)):
-        along = directions * turn
-        parts = np.stack([along.real, along.imag], axis=1)
-        found[number, pairs[:, :, None], pairs[:, None, :]] = parts[:, :, None] * parts[:, None, :]
-    return found
-
-
-def _directions(system: System, acceleration: ComplexArray, sizes: FloatArray) -> ComplexArray:
-    """Direction (N/2,) of every reading in the complex plane: its prediction's, or the motion's where that is small."""
     predicted, coefficient = [], []
     for observation in system.observations:
         places = Places.of(observation)
@@ -319,9 +296,15 @@ def _directions(system: System, acceleration: ComplexArray, sizes: FloatArray) -
         predicted.append(np.einsum("nj,nj->n", rows, acceleration[line]))
         largest = rows[np.arange(len(rows)), np.argmax(np.abs(rows), axis=1)]
         coefficient.append(largest / np.abs(largest) * _motion_phase(acceleration)[line])
+    # The direction of a reading is its prediction's, or the motion's where that is small.
     value, other = np.concatenate(predicted), np.concatenate(coefficient)
     own = np.abs(value) > SMALL_READING * sizes[system.pairs[:, 0]]
-    return np.where(own, value / np.where(own, np.abs(value), 1.0), other)
+    directions = np.where(own, value / np.where(own, np.abs(value), 1.0), other)
+    patterns = np.zeros((2, len(sizes), len(sizes)))
+    for number, turn in enumerate((1.0, 1.0j)):
+        parts = np.stack([(directions * turn).real, (directions * turn).imag], axis=1)
+        patterns[number, system.pairs[:, :, None], system.pairs[:, None, :]] = parts[:, :, None] * parts[:, None, :]
+    return patterns
 
 
 def _motion_phase(acceleration: ComplexArray) -> ComplexArray:
