@@ -28,7 +28,7 @@ from photogram.subsets.track import TrackSettings, match_stereo, track_sequence,
 from shaker.identification.measured import MeasuredCurve
 from shaker.identification.oscillator import Resonance, fit_resonance
 from shaker.identification.sensor import NO_CHAIN, Chain, Load, SensorModel, correct_record, usable_band
-from shaker.io.read import read_channels
+from shaker.io import read_channels
 from shaker.lines.frequencies import find_lines
 from shaker.sine.fit import fit_sines
 

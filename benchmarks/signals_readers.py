@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from shaker.io.read import read_channels
+from shaker.io import read_channels
 
 FloatArray = NDArray[np.float64]
 CHANNELS = 16

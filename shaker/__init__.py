@@ -13,12 +13,13 @@ if TYPE_CHECKING:
     from shaker.frf.periodic import transfer_periodic
     from shaker.frf.random import transfer_random
     from shaker.frf.result import TransferRecord
+    from shaker.io import read_channels
     from shaker.io.channel import RawChannel
-    from shaker.io.read import read_channels
     from shaker.lines.detection import survey_lines
     from shaker.lines.rate_planner import Sampling, lines_of, plan_at
     from shaker.sine.fit import fit_sines
     from shaker.sine.phasor import Phasors
+    from shaker.sine.solve import SineModel
     from shaker.timebase.edges import find_edges
     from shaker.timebase.tie import tie_clocks
     from shaker.timebase.trigger import fit_trigger
@@ -28,13 +29,14 @@ _MODULES = {
     "Phasors": "shaker.sine.phasor",
     "RawChannel": "shaker.io.channel",
     "Sampling": "shaker.lines.rate_planner",
+    "SineModel": "shaker.sine.solve",
     "TransferRecord": "shaker.frf.result",
     "find_edges": "shaker.timebase.edges",
     "fit_sines": "shaker.sine.fit",
     "fit_trigger": "shaker.timebase.trigger",
     "lines_of": "shaker.lines.rate_planner",
     "plan_at": "shaker.lines.rate_planner",
-    "read_channels": "shaker.io.read",
+    "read_channels": "shaker.io",
     "survey_lines": "shaker.lines.detection",
     "tie_clocks": "shaker.timebase.tie",
     "transfer_impact": "shaker.frf.impact",
@@ -48,6 +50,7 @@ __all__ = [
     "Phasors",
     "RawChannel",
     "Sampling",
+    "SineModel",
     "TransferRecord",
     "__version__",
     "find_edges",

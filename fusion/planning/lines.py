@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from fusion.base import AnyNotice, InputError, rounded, stdout_console
-from fusion.phasors.channels import channel_unit, line_record, lines_in
+from fusion.phasors.channels import line_record, lines_in
 from fusion.phasors.timing import TimeBase, tie_daqs
 from fusion.recording.files import read_set_ups, told_in
 from fusion.recording.load import Manifest
 from shaker.arrays import FloatArray
+from shaker.io import read_channels
 from shaker.io.channel import RawChannel
-from shaker.io.read import read_channels
 from shaker.lines.aliasing import alias_frequency
 from shaker.lines.detection import Survey, decibel, survey_lines
 from shaker.lines.frequencies import Lines
@@ -102,7 +102,7 @@ def lines_of_recording(manifest: Manifest) -> LineList:
         raise InputError(manifest.path, "daq", found="triggers only", expected="a channel that shows the excitation")
     lines = lines_in(manifest, chosen)
     names = [channel.name for channel in chosen.channels]
-    units = [channel_unit(manifest, channel) for channel in chosen.channels]
+    units = [manifest.rig.unit_of(channel) for channel in chosen.channels]
     cameras = _cameras(manifest, base)
     rate_hz = chosen.record.raw[names[0]].sample_rate_hz
     entries = [*_fitted(chosen.time_s, chosen.values, lines, rate_hz), *_others(lines.others, lines.nuisance_hz)]

@@ -13,16 +13,16 @@ from fusion.base import InputError, rounded
 from fusion.instruments import TRANSDUCERS
 from fusion.instruments.stereo import GEOMETRY
 from fusion.instruments.transducer import placed_at, unit_direction
+from fusion.phasors.timing import no_pulse_width
 from fusion.recording.excitation import KINDS, Recorded
 from fusion.recording.files import (
-    check_response,
-    no_pulse_width,
     read_set_ups,
     scanned_points,
     split_scan,
 )
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry, Daq, Frames, Images, PointFiles
+from fusion.recording.response import check_response
 from fusion.recording.values import PULSE
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
 
@@ -183,7 +183,7 @@ def _contents(manifest: Manifest, takes: Sequence[Manifest]) -> tuple[list[str],
 
 def _read_daq(block: Manifest, daq: Daq) -> tuple[str, list[str]]:
     """Channels of a DAQ file, with samples and rate as the file has them."""
-    from shaker.io.read import read_channels
+    from shaker.io import read_channels
 
     names = [entry.name for entry in daq.channel]
     listed = ", ".join(f"{entry.name} ({entry.quantity})" for entry in daq.channel)

@@ -213,22 +213,19 @@ def _cut(record: TransferRecord, hits: list[Hit], length: int, before: int) -> _
     together = np.column_stack([record.reference, record.responses])
     windows = np.stack([together[hit.first - before : hit.first - before + length] for hit in hits])
     rest = windows[:, :before] - windows[:, :before].mean(axis=1, keepdims=True) if before else windows[:, :0]
-    half = length // 2
-    offset = np.einsum("l,nlc->nc", window_samples("hann", half) / half, windows[:, -half:])
+    later = length // 2
+    offset = np.einsum("l,nlc->nc", window_samples("hann", later) / later, windows[:, -later:])
     offset[:, 0] = windows[:, :before, 0].mean(axis=1) if before else np.median(record.reference)
     windows = windows - offset[:, None, :]
     rest = rest.reshape(-1, together.shape[1])
     dof = len(hits) * (before - 1.0) if before >= _REST else 0.0
     noise = rest.T @ rest / dof if dof else np.zeros((together.shape[1],) * 2)
-    force_window = np.stack([_force_window(length, before, hit.last - hit.first + 1) for hit in hits])
+    # One over the pulse and half its length on either side, with cosine flanks.
+    pulse = np.array([[hit.last - hit.first + 1] for hit in hits])
+    half, place = np.maximum(2, pulse // 2), np.arange(length)
+    outside = np.maximum(before - half - place, place - (before + pulse - 1 + half))
+    force_window = 0.5 + 0.5 * np.cos(np.pi * np.clip(outside / half, 0.0, 1.0))
     return _Blows((np.arange(length) - before) / record.sample_rate_hz, windows, force_window, noise, dof)
-
-
-def _force_window(length: int, before: int, pulse: int) -> FloatArray:
-    """Return a window (N,) that is one over the pulse and half its length on either side, with cosine flanks."""
-    half = max(2, pulse // 2)
-    outside = np.maximum(before - half - np.arange(length), np.arange(length) - (before + pulse - 1 + half))
-    return np.asarray(0.5 + 0.5 * np.cos(np.pi * np.clip(outside / half, 0.0, 1.0)))
 
 
 def _needed_decay(blows: _Blows) -> float:

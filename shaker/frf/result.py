@@ -143,11 +143,14 @@ def excited_lines(reference: ComplexArray) -> BoolArray:
     A line is excited that stands ten times above its own standard uncertainty and, where only some lines are excited
     (multisine with unexcited lines that show distortions), above a tenth of the largest line nearby.
     """
-    from scipy.ndimage import maximum_filter1d
+    from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
     lines = reference.shape[1]
     magnitude = np.abs(reference.mean(axis=0))
-    signal = magnitude > _SIGNAL * _u_mean(reference)
+    # The standard uncertainty of the mean over periods, of both quadratures together, from lines nearby.
+    scatter = np.sum(np.abs(reference - reference.mean(axis=0)) ** 2, axis=0) / (len(reference) - 1)
+    smooth = uniform_filter1d(scatter, size=min(2 * _NEARBY + 1, lines), mode="nearest")
+    signal = magnitude > _SIGNAL * np.sqrt(np.maximum(smooth, scatter) / len(reference))
     nearby = maximum_filter1d(magnitude, size=min(2 * _NEARBY + 1, lines), mode="nearest")
     strong = signal & (magnitude > _STRONG * nearby) & (magnitude > _WEAKEST * magnitude.max(initial=0.0))
     if not strong.any():
@@ -157,16 +160,6 @@ def excited_lines(reference: ComplexArray) -> BoolArray:
     inside[place[0] : place[-1] + 1] = True
     dense = np.count_nonzero(strong) > _DENSE * np.count_nonzero(inside)
     return np.asarray(inside & signal if dense else strong)
-
-
-def _u_mean(reference: ComplexArray) -> FloatArray:
-    """Return the standard uncertainty of the mean over periods, of both quadratures together, from lines nearby."""
-    from scipy.ndimage import uniform_filter1d
-
-    count, lines = reference.shape
-    scatter = np.sum(np.abs(reference - reference.mean(axis=0)) ** 2, axis=0) / (count - 1)
-    smooth = uniform_filter1d(scatter, size=min(2 * _NEARBY + 1, lines), mode="nearest")
-    return np.asarray(np.sqrt(np.maximum(smooth, scatter) / count))
 
 
 # Whether the lines of a transfer function resolve its resonances.
@@ -238,17 +231,13 @@ def pooled_scatter(scatter: ComplexArray, ratio: ComplexArray, dof: float) -> tu
         total[first:last] += counted[first + offset : last + offset]
         number[first:last] += ~alone[first + offset : last + offset]
     mean = np.asarray(total / np.maximum(number, 1.0)[:, None, None], dtype=np.complex128)
-    own = even if dof >= 2.0 * level.shape[1] else _enlarged(mean, even)
+    own = even
+    if dof < 2.0 * level.shape[1]:  # the neighbours' noise times what the line's own exceeds it by where most so
+        around = np.einsum("kcc->kc", mean).real
+        factor = np.max(level / shape**2 / np.maximum(around, np.finfo(np.float64).tiny), axis=1)
+        own = np.where(np.any(around > 0.0, axis=1)[:, None, None], mean * factor[:, None, None], even)
     mean = np.where(alone[:, None, None], own, mean)
     return np.asarray(mean * product), np.where(alone, 1.0, number)
-
-
-def _enlarged(mean: ComplexArray, even: ComplexArray) -> ComplexArray:
-    """Return the neighbours' noise (K, C, C) times what the line's own exceeds it by in the channel where most so."""
-    around, level = (np.einsum("kcc->kc", part).real for part in (mean, even))
-    tiny = np.finfo(np.float64).tiny
-    factor = np.max(level / np.maximum(around, tiny), axis=1)
-    return np.asarray(np.where(np.any(around > 0.0, axis=1)[:, None, None], mean * factor[:, None, None], even))
 
 
 def share_of_reference(scatter: ComplexArray, ratio: ComplexArray) -> FloatArray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,12 +24,48 @@ from shaker.io.channel import (
     read_datasets,
 )
 
-# HDF5: one dataset per channel with attributes `sample_rate`, optional `start_time`, `unit`.
+# What channels in HDF5 and MATLAB files have beside them: rate, start, unit, a vector of times.
 
 
 _RATES = ("sample_rate", "sampling_rate", "sampling_frequency", "fs")
-_STARTS = ("start_time",)
-_UNITS = ("unit", "units")
+_MATLAB_RATES = ("sample_rate", "fs", "Fs")
+_STARTS, _UNITS = ("start_time",), ("unit", "units")
+_TIMES = ("time", "Time", "t")
+
+
+@dataclass(frozen=True)
+class _Beside:
+    """What a channel has beside it, by its name: rate and start (None where there is none), unit, vector of times."""
+
+    rate: Callable[[str], float | None]
+    start: Callable[[str], float | None]
+    unit: Callable[[str], str]
+    times: Callable[[str], str | None]
+
+
+def _put_together(
+    path: Path,
+    datasets: Mapping[str, Any],
+    columns: Mapping[str, Column],
+    wanted: Sequence[str],
+    beside: _Beside,
+    sample_rate_hz: float | None,
+) -> dict[str, RawChannel]:
+    """Return the channels wanted: by the rate beside them, else by a vector of times, else by the rate given."""
+    rates = {name: beside.rate(name) for name in wanted}
+    times = {name: time for name in wanted if rates[name] is None and (time := beside.times(name))}
+    values = read_datasets(datasets, {name: columns[name] for name in {*wanted, *times.values()}})
+    result = {}
+    for name in wanted:
+        rate, start, where = rates[name], beside.start(name) or 0.0, f'channel "{name}"'
+        if name in times:
+            rate, start = rate_of_times(path, values[times[name]], f'{where}: times in "{times[name]}"')
+        rate = checked_rate(path, sample_rate_hz if rate is None else rate, where)
+        result[name] = RawChannel(values[name], rate, start, beside.unit(name))
+    return result
+
+
+# HDF5: one dataset per channel with attributes `sample_rate`, optional `start_time`, `unit`.
 
 
 def read_hdf5(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
@@ -53,21 +89,24 @@ def read_hdf5(path: Path, names: Sequence[str] | None, sample_rate_hz: float | N
         file.visititems(collect)
         present = columns if names is not None else [name for name in columns if not is_time(name.rsplit("/", 1)[-1])]
         wanted = chosen(path, names, present)
-        rates = {name: _attribute(file, columns[name].dataset, _RATES) for name in wanted}
-        times = {name: _time_beside(file, name, columns) for name in wanted if rates[name] is None}
-        needed = {*wanted, *(time for time in times.values() if time)}
-        values = read_datasets(file, {name: columns[name] for name in needed})
-        result = {}
-        for name in wanted:
-            index, dataset, where = columns[name].index, columns[name].dataset, f'channel "{name}"'
-            rate = _number(path, where, rates[name], index)
-            start = _number(path, where, _attribute(file, dataset, _STARTS), index) or 0.0
-            time = times.get(name)
-            if time is not None:
-                rate, start = rate_of_times(path, values[time], f'{where}: dataset "{time}"')
-            rate = checked_rate(path, sample_rate_hz if rate is None else rate, where)
-            result[name] = RawChannel(values[name], rate, start, _text(_attribute(file, dataset, _UNITS), index))
-    return result
+
+        def number(name: str, keys: Sequence[str]) -> float | None:
+            value, column = _attribute(file, columns[name].dataset, keys), columns[name]
+            return _number(path, f'channel "{name}"', value, column.index)
+
+        def unit(name: str) -> str:
+            value, index = _attribute(file, columns[name].dataset, _UNITS), columns[name].index
+            values = np.asarray([] if value is None else value, dtype=object).reshape(-1)
+            own = values[index if index is not None and index < len(values) else 0] if len(values) else ""
+            return own.decode("utf-8", "replace") if isinstance(own, bytes) else str(own)
+
+        beside = _Beside(
+            lambda name: number(name, _RATES),
+            lambda name: number(name, _STARTS),
+            unit,
+            lambda name: _time_beside(file, name, columns),
+        )
+        return _put_together(path, file, columns, wanted, beside, sample_rate_hz)
 
 
 def _attribute(file: Any, name: str, keys: Sequence[str]) -> Any:
@@ -105,21 +144,10 @@ def _number(path: Path, where: str, value: Any, index: int | None) -> float | No
         raise ValueError(f"{path}: {where}: expected numbers in sample_rate and start_time, found {value!r}") from error
 
 
-def _text(value: Any, index: int | None) -> str:
-    """Return an attribute's text, of several that of a table's column; empty where there is none."""
-    if value is None:
-        return ""
-    values = np.asarray(value, dtype=object).reshape(-1)
-    own = values[index if index is not None and index < len(values) else 0] if len(values) else ""
-    return own.decode("utf-8", "replace") if isinstance(own, bytes) else str(own)
-
-
 # MATLAB files, versions 4 to 7.2 and 7.3 (HDF5 inside): one vector, table column or field of a struct per channel.
 
 
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
-_matlab_RATES, _matlab_STARTS, _matlab_UNITS = ("sample_rate", "fs", "Fs"), ("start_time",), ("unit", "units")
-_TIMES = ("time", "Time", "t")
 
 
 @dataclass(frozen=True)
@@ -139,7 +167,10 @@ def read_matlab(path: Path, names: Sequence[str] | None, sample_rate_hz: float |
     Texts `unit` (or `units`) and the scalar `start_time` are looked for in the same places. Cell arrays, arrays of
     structs and objects (among them `timeseries`) are refused by name.
     """
-    if not _is_hdf5(path):
+    with path.open("rb") as stream:
+        head = stream.read(520)
+    # Version 7.3 is HDF5 behind a user block of 512 bytes (or none).
+    if _HDF5_SIGNATURE not in (head[:8], head[512:]):
         return _channels(path, _classic(path, names), names, sample_rate_hz)
     import h5py
 
@@ -159,21 +190,22 @@ def _channels(
     for name in names or ():
         if name not in columns and name in variables.others:
             raise ValueError(f'{path}: channel "{name}": expected a vector of numbers, found {variables.others[name]}')
-    wanted = chosen(path, names, columns if names is not None else [n for n in columns if not _is_clock(n)])
-    rates = {name: _scalar(arrays, name, _matlab_RATES) for name in wanted}
-    times = {name: _matlab_time_beside(arrays, name, columns) for name in wanted if rates[name] is None}
-    needed = {*wanted, *(time for time in times.values() if time)}
-    values = read_datasets(arrays, {name: columns[name] for name in needed})
-    result = {}
-    for name in wanted:
-        rate, start, where = rates[name], _scalar(arrays, name, _matlab_STARTS) or 0.0, f'channel "{name}"'
-        time = times.get(name)
-        if time is not None:
-            rate, start = rate_of_times(path, values[time], f'{where}: variable "{time}"')
-        rate = checked_rate(path, sample_rate_hz if rate is None else rate, where)
-        unit = next((variables.texts[key] for key in _beside(name, _matlab_UNITS) if key in variables.texts), "")
-        result[name] = RawChannel(values[name], rate, start, unit)
-    return result
+    clocks = [name for name in columns if name.rpartition(".")[2] in _TIMES]
+    wanted = chosen(path, names, columns if names is not None else [n for n in columns if n not in clocks])
+
+    def times(name: str) -> str | None:
+        length = length_of(arrays[columns[name].dataset], columns[name])
+        near = (other for other in _beside(name, _TIMES) if other in columns and other != name)
+        return next((n for n in near if length_of(arrays[columns[n].dataset], columns[n]) == length), None)
+
+    texts = variables.texts
+    beside = _Beside(
+        lambda name: _scalar(arrays, name, _MATLAB_RATES),
+        lambda name: _scalar(arrays, name, _STARTS),
+        lambda name: next((texts[key] for key in _beside(name, _UNITS) if key in texts), ""),
+        times,
+    )
+    return _put_together(path, arrays, columns, wanted, beside, sample_rate_hz)
 
 
 def _beside(name: str, keys: Sequence[str]) -> Iterator[str]:
@@ -184,33 +216,12 @@ def _beside(name: str, keys: Sequence[str]) -> Iterator[str]:
         yield from (f"{struct}.{key}" if struct else key for key in keys)
 
 
-def _is_clock(name: str) -> bool:
-    """Tell whether a variable holds times."""
-    return name.rpartition(".")[2] in _TIMES
-
-
 def _scalar(arrays: Mapping[str, Any], name: str, keys: Sequence[str]) -> float | None:
     """Return the number that stands beside a channel under one of the keys, None where there is none."""
     for key in _beside(name, keys):
         if key in arrays and arrays[key].size == 1:
             return float(np.asarray(arrays[key][()]).reshape(()))
     return None
-
-
-def _matlab_time_beside(arrays: Mapping[str, Any], name: str, columns: Mapping[str, Column]) -> str | None:
-    """Return the vector of times beside a channel that has its length."""
-    length = length_of(arrays[columns[name].dataset], columns[name])
-    for other in _beside(name, _TIMES):
-        if other in columns and other != name and length_of(arrays[other], columns[other]) == length:
-            return other
-    return None
-
-
-def _is_hdf5(path: Path) -> bool:
-    """Tell whether the file is version 7.3: HDF5 behind a user block of 512 bytes (or none)."""
-    with path.open("rb") as file:
-        head = file.read(520)
-    return head[:8] == _HDF5_SIGNATURE or head[512:520] == _HDF5_SIGNATURE
 
 
 def _sorted(leaves: Iterator[tuple[str, Any]]) -> _Variables:
@@ -254,7 +265,7 @@ def _classic(path: Path, names: Sequence[str] | None) -> _Variables:
     if names is not None:
         roots = {re.split("[./]", name)[0] for name in names}
         if roots <= {name for name, *_ in whosmat(str(path))}:
-            roots |= {*_matlab_RATES, *_matlab_STARTS, *_matlab_UNITS, *_TIMES}
+            roots |= {*_MATLAB_RATES, *_STARTS, *_UNITS, *_TIMES}
         else:
             roots = None  # a name is wrong: all of them stand in the message
     content = loadmat(str(path), variable_names=roots)

@@ -168,34 +168,24 @@ def length_of(dataset: Any, column: Column) -> int:
 
 def read_datasets(datasets: Mapping[str, Any], wanted: Mapping[str, Column]) -> dict[str, FloatArray]:
     """Return the samples (S,) of channels by name; each dataset is read once, in blocks of whole chunks."""
-    result: dict[str, FloatArray] = {}
+    results: dict[str, FloatArray] = {}
     for name in dict.fromkeys(column.dataset for column in wanted.values()):
         own = {key: column for key, column in wanted.items() if column.dataset == name}
-        result |= dict(zip(own, _read(datasets[name], list(own.values())), strict=True))
-    return result
-
-
-def _read(dataset: Any, columns: Sequence[Column]) -> list[FloatArray]:
-    """Return the samples of the columns of one dataset."""
-    axis = columns[0].axis
-    length = dataset.shape[axis]
-    results = [np.empty(length) for _ in columns]
-    chunks = getattr(dataset, "chunks", None)
-    chunk = chunks[axis] if chunks else 1
-    item = dataset.dtype.itemsize * dataset.size // length
-    rows = max(chunk, BLOCK // item // chunk * chunk)
-    for first in range(0, length, rows):
-        part = slice(first, min(first + rows, length))
-        block = np.asarray(dataset[part] if axis == 0 else dataset[:, part])
-        for result, column in zip(results, columns, strict=True):
-            result[part] = _taken(block, column)
+        dataset, axis = datasets[name], next(iter(own.values())).axis
+        length = dataset.shape[axis]
+        results |= {key: np.empty(length) for key in own}
+        chunks = getattr(dataset, "chunks", None)
+        chunk = chunks[axis] if chunks else 1
+        item = dataset.dtype.itemsize * dataset.size // length
+        rows = max(chunk, BLOCK // item // chunk * chunk)
+        for first in range(0, length, rows):
+            part = slice(first, min(first + rows, length))
+            block = np.asarray(dataset[part] if axis == 0 else dataset[:, part])
+            for key, column in own.items():
+                if column.field is not None:
+                    results[key][part] = block[column.field]
+                elif column.index is None:
+                    results[key][part] = block
+                else:
+                    results[key][part] = block[:, column.index] if axis == 0 else block[column.index]
     return results
-
-
-def _taken(block: np.ndarray[Any, Any], column: Column) -> np.ndarray[Any, Any]:
-    """Return a channel's part of a block."""
-    if column.field is not None:
-        return block[column.field]
-    if column.index is None:
-        return block
-    return block[:, column.index] if column.axis == 0 else block[column.index]

@@ -320,7 +320,12 @@ def _mixture(levels: _Levels, at_line: FloatArray) -> tuple[FloatArray, FloatArr
     logs = np.log(total)
     mean = np.sum(levels.weight * logs, axis=1, keepdims=True)
     spread = np.sum(levels.weight * (logs - mean) ** 2, axis=1) + _trigamma(np.asarray(float(count)))
-    dof = 2.0 * _inverse_trigamma(spread)
+    half = 1.0 / spread + 0.5  # ψ'(dof/2) = spread, dof at least 2
+    for _ in range(6):
+        half = np.maximum(
+            half + (_trigamma(half) - spread) / (1.0 / half**2 + 1.0 / half**3 + 1.0 / (2.0 * half**4)), 1.0
+        )
+    dof = 2.0 * half
     log_radius = np.log(3.0 / count) + mean[:, 0]
     for _ in range(_NEWTON_STEPS):
         ratio = np.exp(log_radius)[:, None] / total
@@ -342,11 +347,3 @@ def _limit(dof: FloatArray) -> FloatArray:
 def _trigamma(x: FloatArray) -> FloatArray:
     """Return ψ'(x) for x ≥ 1 within 2 % (Abramowitz and Stegun, 6.4.12)."""
     return np.asarray(1.0 / x + 1.0 / (2.0 * x**2) + 1.0 / (6.0 * x**3))
-
-
-def _inverse_trigamma(value: FloatArray) -> FloatArray:
-    """Return x with ψ'(x) = value, at least 1."""
-    x = 1.0 / value + 0.5
-    for _ in range(6):
-        x = np.maximum(x + (_trigamma(x) - value) / (1.0 / x**2 + 1.0 / x**3 + 1.0 / (2.0 * x**4)), 1.0)
-    return x

@@ -42,6 +42,10 @@ class SineModel:
     `drift`: a linear drift. `free`: a label per line; the frequencies of lines with the same label share one relative
     change, as harmonics do and everything made by one generator; -1 for a known frequency, None for all known.
     `decay`: lines decay as exp(-δt), all at one rate or each at its own.
+
+    >>> from shaker import SineModel
+    >>> SineModel(drift=True, free=(0, 0))  # a fundamental and its harmonic at an unknown frequency
+    SineModel(drift=True, free=(0, 0), decay='none')
     """
 
     drift: bool = False

@@ -90,7 +90,9 @@ def find_edges(
     after = _crossings(signal, level, _HYSTERESIS * min(level - low, high - level))
     step = 1.0 / sample_rate_hz
     upper = np.asarray(step * after, dtype=np.float64)
-    if len(after) and _on_rise(signal, after, level):
+    rest, pulse = np.median(signal[signal < level]), np.median(signal[signal >= level])
+    off = np.maximum(signal[after - 1] - rest, pulse - signal[after]) / (pulse - rest)
+    if len(after) and np.median(off) > _ON_RISE:  # samples on the rise: it is resolved, and band-limited
         crossing, noise = _reconstructed(signal, after, level)
         return Edges(upper - step, upper, step * crossing, "resolved", step * noise, step * len(samples), sign * level)
     return Edges(upper - step, upper, upper - step / 2.0, "sampled", 0.0, step * len(samples), sign * level)
@@ -109,14 +111,6 @@ def _crossings(signal: FloatArray, level: float, hysteresis: float) -> IntArray:
     last_low = low[np.append(target[1:] != target[:-1], True)] if len(low) else low
     crossing = np.flatnonzero((signal[:-1] < level) & (signal[1:] >= level)) + 1
     return np.asarray(crossing[np.searchsorted(crossing, last_low, side="right")], dtype=np.int64)
-
-
-def _on_rise(signal: FloatArray, after: IntArray, level: float) -> bool:
-    """Tell whether samples beside the crossings lie between the levels: a resolved, band-limited rise."""
-    low, high = float(np.median(signal[signal < level])), float(np.median(signal[signal >= level]))
-    before_off = (signal[after - 1] - low) / (high - low)
-    after_off = (high - signal[after]) / (high - low)
-    return bool(np.median(np.maximum(before_off, after_off)) > _ON_RISE)
 
 
 def _reconstructed(signal: FloatArray, after: IntArray, level: float) -> tuple[FloatArray, float]:
@@ -175,7 +169,12 @@ def number_edges(edges: Edges) -> Numbering:
     start = period * np.angle(np.mean(np.exp(2j * np.pi * time / period))) / (2.0 * np.pi)
     # The first line is drawn aside by doubled edges; one through the edges that agree with each other is not.
     for _ in range(3):
-        number, kept = _assigned((time - start) / period)
+        place = (time - start) / period
+        number = np.round(place).astype(np.int64)
+        distance = np.abs(place - number)
+        kept = distance <= _CAPTURE
+        order = np.lexsort((distance, number))  # of several edges with one number the nearest to its place stays
+        kept[order[1:][np.diff(number[order]) == 0]] = False
         kept = _without_outliers(number, edges, kept)
         own = int(np.count_nonzero(kept))
         if own < 3 or 2 * own < len(time):
@@ -186,16 +185,6 @@ def number_edges(edges: Edges) -> Numbering:
     near = np.abs((time - start) / period - number) <= _CAPTURE
     doubled = int(np.count_nonzero(~kept & near & np.isin(number, number[kept])))
     return Numbering(number, kept, doubled, int(np.count_nonzero(~kept)) - doubled)
-
-
-def _assigned(place: FloatArray) -> tuple[IntArray, BoolArray]:
-    """Round places to numbers; of several edges with one number the nearest to its place stays."""
-    number = np.round(place).astype(np.int64)
-    distance = np.abs(place - number)
-    kept = distance <= _CAPTURE
-    order = np.lexsort((distance, number))
-    kept[order[1:][np.diff(number[order]) == 0]] = False
-    return number, kept
 
 
 def _period(time: FloatArray, width: FloatArray) -> float:
@@ -266,7 +255,10 @@ def resampled(samples: FloatArray, position: FloatArray, share: float = 1.0) -> 
         raise ValueError(
             f"position: expected {reach - 1} to {len(samples) - reach} samples, found {low:.1f} to {high:.1f}"
         )
-    table = _kernel(reach, share)
+    # Weights of the samples around a time, by its place between two samples.
+    away = np.arange(1 - reach, reach + 1) - np.linspace(0.0, 1.0, _PHASES + 1)[:, None]
+    table = np.sinc(share * away) * np.i0(_BETA * np.sqrt(np.maximum(0.0, 1.0 - (away / reach) ** 2)))
+    table /= table.sum(axis=1, keepdims=True)
     offsets = np.arange(1 - reach, reach + 1)
     found = np.empty(len(position))
     for start in range(0, len(position), _BLOCK):
@@ -278,10 +270,3 @@ def resampled(samples: FloatArray, position: FloatArray, share: float = 1.0) -> 
         lower, upper = (np.einsum("ts,ts->t", table[place + step], near) for step in (0, 1))
         found[start : start + _BLOCK] = lower + between * (upper - lower)
     return found
-
-
-def _kernel(reach: int, share: float) -> FloatArray:
-    """Return the weights (phases + 1, 2·reach) of the samples around a time, by its place between two samples."""
-    away = np.arange(1 - reach, reach + 1) - np.linspace(0.0, 1.0, _PHASES + 1)[:, None]
-    weight = np.sinc(share * away) * np.i0(_BETA * np.sqrt(np.maximum(0.0, 1.0 - (away / reach) ** 2)))
-    return np.asarray(weight / weight.sum(axis=1, keepdims=True))

@@ -298,7 +298,11 @@ def fit_trigger(edges: Edges) -> TriggerFit:
             line, kind = Posterior(rise.mean, rise.covariance, jitter), "resolved"
             edge, correction = estimate - rise.correction_s, rise.correction_s
             resolution = np.sqrt(12.0) * edges.u_reading_s
-    locked = _locked_gap(n, line.mean[1] / half / sample, line.jitter_s / sample)
+    # The largest gap between the edges' places between two samples: wide where they take few of them.
+    phase = np.sort(n * (line.mean[1] / half / sample) % 1.0)
+    locked = float(np.max(np.append(np.diff(phase), phase[0] + 1.0 - phase[-1])))
+    if locked <= max(_LOCKED, 10.0 / len(n)) or line.jitter_s / sample >= _LOCKED:
+        locked = 0.0
     open_s = sample * (locked if kind == "sampled" else _LOCKED_RISE if locked else _RINGING)
     line = replace(line, covariance=line.covariance + np.diag([open_s**2 / 12.0, 0.0]))
     # From (middle, half span) to (start, period).
@@ -336,13 +340,6 @@ def straight_line(place: FloatArray, time: FloatArray, least_scatter: float) -> 
     residual = time - columns @ mean
     scatter = float(np.sqrt(residual @ residual / max(len(time) - 2, 1)))
     return Posterior(mean, inverse * max(scatter, least_scatter) ** 2, scatter)
-
-
-def _locked_gap(number: IntArray, period: float, jitter: float) -> float:
-    """Return the largest gap between the edges' places between samples if they take few, else 0; all in samples."""
-    phase = np.sort(number * period % 1.0)
-    gap = float(np.max(np.append(np.diff(phase), phase[0] + 1.0 - phase[-1])))
-    return gap if gap > max(_LOCKED, 10.0 / len(number)) and jitter < _LOCKED else 0.0
 
 
 def _notices(fit: TriggerFit) -> tuple[Notice, ...]:

@@ -12,8 +12,8 @@ import pytest
 import scipy.io
 
 from shaker.io import channel as datasets
+from shaker.io import read_channels
 from shaker.io.channel import RawChannel
-from shaker.io.read import read_channels
 
 RNG = np.random.default_rng(0)
 TABLE = RNG.integers(-3000, 3000, (400, 3)).astype(np.int16)

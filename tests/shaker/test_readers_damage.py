@@ -15,7 +15,7 @@ import universal_factory as uff
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from shaker.io.read import read_channels
+from shaker.io import read_channels
 from shaker.io.universal import read_universal_functions, read_universal_shapes
 
 X = np.arange(120) / 100.0

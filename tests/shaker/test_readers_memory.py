@@ -11,8 +11,8 @@ import pytest
 import tdms_factory as tdms
 import universal_factory as uff
 
+from shaker.io import read_channels
 from shaker.io.channel import BLOCK
-from shaker.io.read import read_channels
 
 CHANNELS, SAMPLES = 8, 500_000
 COUNTS = (np.arange(SAMPLES) % 30_011).astype("<i2")

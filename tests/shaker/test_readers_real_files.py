@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from nptdms import TdmsFile
 
+from shaker.io import read_channels
 from shaker.io.channel import RawChannel
-from shaker.io.read import read_channels
 from shaker.io.universal import read_universal_functions, read_universal_shapes
 
 

@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from nptdms import ChannelObject, TdmsFile, TdmsWriter
 
+from shaker.io import read_channels
 from shaker.io import tdms as reader
 from shaker.io.channel import RawChannel
-from shaker.io.read import read_channels
 
 A, B = "/'daq'/'a'", "/'daq'/'b'"
 RATE = {"wf_increment": 1.0 / 1024.0}

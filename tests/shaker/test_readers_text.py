@@ -9,9 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shaker.io import text
+from shaker.io import read_channels, text
 from shaker.io.channel import RawChannel
-from shaker.io.read import read_channels
 from shaker.io.text import read_scan_asc
 
 

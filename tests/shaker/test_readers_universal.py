@@ -10,8 +10,8 @@ import pytest
 import pyuff
 import universal_factory as uff
 
+from shaker.io import read_channels
 from shaker.io import universal as sets
-from shaker.io.read import read_channels
 from shaker.io.universal import read_universal_functions, read_universal_shapes
 
 RNG = np.random.default_rng(0)

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from shaker.io import read_channels
 from shaker.io.channel import RawChannel
-from shaker.io.read import read_channels
 from shaker.lines.aliasing import folded_harmonics
 from shaker.lines.frequencies import find_lines
 from shaker.sine.fit import fit_sines

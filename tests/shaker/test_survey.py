@@ -10,7 +10,7 @@ import scipy.signal
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shaker.io.read import read_channels
+from shaker.io import read_channels
 from shaker.lines.detection import survey_lines
 from shaker.lines.spectrum import (
     amplitude_spectrum,

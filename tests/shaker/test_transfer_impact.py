@@ -15,7 +15,7 @@ from shaker.frf.impact import transfer_impact
 from shaker.frf.result import TransferFunction, TransferRecord
 from shaker.identification.measured import MeasuredCurve
 from shaker.identification.oscillator import fit_resonance
-from shaker.io.read import read_channels
+from shaker.io import read_channels
 
 RATE = 25600.0
 BAND = (500.0, 2500.0)
