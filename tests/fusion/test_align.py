@@ -5,15 +5,22 @@ from __future__ import annotations
 import csv
 import json
 import re
+import shutil
 import tomllib
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
-from alignment_factory import BODY_M, World, displaced, make_world
+from alignment_factory import BODY_M, TARGET, World, displaced, make_world, target_pose
 from pydantic import BaseModel
+from support import DOCS, Refused, refusals
 
+from fusion.cameras.align import _axis
 from fusion.cameras.align_manifest import (
     AlignmentFile,
     AxisBlock,
@@ -22,6 +29,7 @@ from fusion.cameras.align_manifest import (
     KnownPose,
     Motion,
     OtherPair,
+    Pair,
     Point,
     TargetBlock,
     TargetViewBlock,
@@ -30,11 +38,17 @@ from fusion.cameras.align_manifest import (
 from fusion.cli import main
 from fusion.recording.manifest import Stereo
 from fusion.simulate.write import to_toml
+from photogram.alignment.seen import calibration_steps
+from photogram.alignment.solve import align
 from photogram.calibration.file import write_calibration
-from photogram.geometry import RigidTransform, vector_from_rotation
+from photogram.camera import triangulate
+from photogram.geometry import RigidTransform, rotation_from_vector, vector_from_rotation
+from photogram.motion import fit_motion
+from photogram.subsets.reference import TrackStatus
+from photogram.synthetic.board import Board, render_board
+from photogram.targets.view import TargetView
 
-ROOT = Path(__file__).resolve().parents[2]
-DOC = (ROOT / "docs" / "cameras.md").read_text(encoding="utf-8")
+DOC = (DOCS / "cameras.md").read_text(encoding="utf-8")
 SECTION = DOC[DOC.index("## The camera frame in the sensor frame") :].split("\n## ")[0]
 MODELS: dict[str, type[BaseModel]] = {
     "Top level": AlignmentFile,
@@ -48,6 +62,10 @@ MODELS: dict[str, type[BaseModel]] = {
     "`[[motion]]`": Motion,
     "`[[axis]]`": AxisBlock,
 }
+WRONG_RAD = np.array([3.2e-3, -3.0e-3, 2.4e-3])
+U_BEFORE = [1e-3, 1e-3, 1e-3, 5e-3, 5e-3, 5e-3]
+TABLE = {"kind": TARGET.kind, "spacing": TARGET.spacing_m, "size": list(TARGET.size or ())}
+Aligned = Callable[..., dict[str, Any]]
 
 
 def fiducials(world: World, count: int = 8) -> list[dict[str, Any]]:
@@ -77,36 +95,47 @@ def write(folder: Path, world: World, **blocks: Any) -> Path:
     return path
 
 
-def found_in(text: str) -> tuple[RigidTransform, np.ndarray]:
-    """Pose and its uncertainties in the printed block."""
-    (block,) = tomllib.loads(text)["stereo"].values()
-    return RigidTransform(np.array(block["rotation"]), np.array(block["translation"])), np.array(
-        block["pose_uncertainty"]
-    )
+@pytest.fixture
+def aligned(capsys: pytest.CaptureFixture[str]) -> Aligned:
+    """Return a function that runs the command and returns the block that it prints, and the text as `text`."""
+
+    def run(path: Path, *options: str) -> dict[str, Any]:
+        assert main(["align", str(path), "-q", *options]) == 0
+        text = capsys.readouterr().out
+        ((_, pairs),) = tomllib.loads(text).items()
+        ((_, block),) = pairs.items()
+        return {**block, "text": text}
+
+    return run
 
 
-def departure(found: RigidTransform, true: RigidTransform) -> np.ndarray:
-    """Displacement (6,) from a pose to the true one."""
+@pytest.fixture
+def refused(capsys: pytest.CaptureFixture[str]) -> Refused:
+    return refusals(capsys)
+
+
+def normalised(block: dict[str, Any], true: RigidTransform) -> np.ndarray:
+    """Displacement (6,) from the printed pose to the true one over its standard uncertainties."""
+    found = RigidTransform(np.array(block["rotation"]), np.array(block["translation"]))
     turn = true.rotation @ found.rotation.T
-    return np.concatenate([true.translation_m - turn @ found.translation_m, vector_from_rotation(turn)])
+    error = np.concatenate([true.translation_m - turn @ found.translation_m, vector_from_rotation(turn)])
+    return np.asarray(error / np.array(block["pose_uncertainty"]))
 
 
-def test_fiducials_give_a_block_of_the_rig(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_fiducials_give_a_block_of_the_rig(tmp_path: Path, aligned: Aligned) -> None:
     world = make_world(1)
-    path = write(tmp_path, world, point=fiducials(world))
-    assert main(["align", str(path), "-o", str(tmp_path / "pose.toml"), "-q"]) == 0
-    text = capsys.readouterr().out
+    block = aligned(write(tmp_path, world, point=fiducials(world)), "-o", str(tmp_path / "pose.toml"))
+    text = block.pop("text")
     assert (tmp_path / "pose.toml").read_text(encoding="utf-8") == text
+    assert "[stereo.top]" in text
     assert "from 8 points" in text
     assert "U (k = 2)" in text
-    pose, u = found_in(text)
-    assert (np.abs(departure(pose, world.sensor_from_camera)) < 4.5 * u).all()
-    assert u[3:].max() < 2e-4
-    block = {**tomllib.loads(text)["stereo"]["top"], "body": "load", "exposure": 1e-5}
-    Stereo.model_validate(block)
+    assert np.abs(normalised(block, world.sensor_from_camera)).max() < 4.5
+    assert max(block["pose_uncertainty"][3:]) < 2e-4
+    Stereo.model_validate({**block, "body": "load", "exposure": 1e-5})
 
 
-def test_faces_come_from_tables_of_pixels(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_faces_come_from_tables_of_pixels(tmp_path: Path, aligned: Aligned) -> None:
     world = make_world(2)
     towards = -world.sensor_from_camera.rotation[:, 2]
     blocks = []
@@ -124,51 +153,43 @@ def test_faces_come_from_tables_of_pixels(tmp_path: Path, capsys: pytest.Capture
             writer.writerows(pixels.tolist())
         block = {"name": f"{number}", "point": centre.tolist(), "normal": normal.tolist(), "pixel_uncertainty": 0.02}
         blocks.append({**block, "pixels": f"face-{number}.csv"})
-    assert main(["align", str(write(tmp_path, world, face=blocks)), "-q"]) == 0
-    pose, u = found_in(capsys.readouterr().out)
-    assert (np.abs(departure(pose, world.sensor_from_camera)) < 4.5 * u).all()
+    block = aligned(write(tmp_path, world, face=blocks))
+    assert np.abs(normalised(block, world.sensor_from_camera)).max() < 4.5
 
 
-def test_a_datum_adds_to_the_uncertainty(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    world = make_world(3)
+def test_a_datum_adds_to_the_uncertainty(tmp_path: Path, aligned: Aligned) -> None:
+    world, datum = make_world(3), np.array([1e-4, 0.0, 0.0, 0.0, 0.0, 1e-3])
     points = fiducials(world)
-    spread = []
-    for datum in ([0.0] * 6, [1e-4, 0.0, 0.0, 0.0, 0.0, 1e-3]):
-        assert main(["align", str(write(tmp_path, world, point=points, datum_uncertainty=datum)), "-q"]) == 0
-        spread.append(found_in(capsys.readouterr().out)[1])
-    np.testing.assert_allclose(
-        spread[1] ** 2 - spread[0] ** 2, np.array([1e-4, 0, 0, 0, 0, 1e-3]) ** 2, rtol=2e-2, atol=3e-11
+    without, within = (
+        np.array(aligned(write(tmp_path, world, point=points, datum_uncertainty=u))["pose_uncertainty"])
+        for u in ([0.0] * 6, datum.tolist())
     )
+    np.testing.assert_allclose(within**2 - without**2, datum**2, rtol=2e-2, atol=3e-11)
 
 
-def test_what_is_open_is_told_in_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_open_is_told_in_one_sentence(tmp_path: Path, refused: Refused) -> None:
     world = make_world(4)
     points = fiducials(world, 2)
     pose = displaced(world.sensor_from_camera, np.full(6, 1e-3))
-    assert main(["align", str(write(tmp_path, world, point=points))]) == 1
-    assert "expected a first pose" in capsys.readouterr().err
+    assert "expected a first pose" in refused("align", write(tmp_path, world, point=points), status=1)
     known = {"rotation": pose.rotation.tolist(), "translation": pose.translation_m.tolist()}
     path = write(tmp_path, world, point=points, pose={**known, "pose_uncertainty": [0.2] * 6})
     output = tmp_path / "pose.toml"
-    assert main(["align", str(path), "-o", str(output)]) == 1
-    told = capsys.readouterr().err
+    told = refused("align", path, "-o", output, status=1)
     assert "rotation about" in told
     assert "open: add" in told
-    assert told.count("\n") == 1
     assert not output.exists()
 
 
-def test_an_output_that_is_there_is_refused_without_force(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    world = make_world(5)
+def test_an_output_that_is_there_is_refused_without_force(tmp_path: Path, aligned: Aligned, refused: Refused) -> None:
+    world, output = make_world(5), tmp_path / "pose.toml"
     path = write(tmp_path, world, point=fiducials(world))
-    output = tmp_path / "pose.toml"
     output.write_text("mine", encoding="utf-8")
-    assert main(["align", str(path), "-o", str(output), "-q"]) == 2
+    assert "--force" in refused("align", path, "-o", output, "-q")
     assert output.read_text(encoding="utf-8") == "mine"
-    assert "--force" in capsys.readouterr().err
-    assert main(["align", str(path), "-o", str(output), "-q", "--force"]) == 0
-    assert "[stereo.top]" in output.read_text(encoding="utf-8")
-    assert main(["align", str(path), "-o", str(tmp_path / "none" / "pose.toml"), "-q"]) == 2
+    text = aligned(path, "-o", str(output), "--force")["text"]
+    assert output.read_text(encoding="utf-8") == text
+    refused("align", path, "-o", tmp_path / "none" / "pose.toml", "-q")
 
 
 WRONG = {
@@ -195,25 +216,17 @@ WRONG = {
         },
         "expected the columns left_x, left_y, right_x, right_y",
     ),
+    "names": ({"point": "twice"}, 'point: expected different names, found "P0" twice'),
 }
 
 
 @pytest.mark.parametrize("name", list(WRONG))
-def test_wrong_input_is_told_in_one_sentence(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_input_is_told_in_one_sentence(name: str, tmp_path: Path, refused: Refused) -> None:
     blocks, expected = WRONG[name]
     world = make_world(6)
-    path = write(tmp_path, world, **{"point": fiducials(world, 3), **blocks})
-    assert main(["align", str(path)]) == 2
-    told = capsys.readouterr().err
-    assert expected in told
-    assert told.count("\n") == 1
-
-
-def test_a_point_twice_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    world = make_world(7)
     points = fiducials(world, 3)
-    assert main(["align", str(write(tmp_path, world, point=[*points, points[0]]))]) == 2
-    assert 'point: expected different names, found "P0" twice' in capsys.readouterr().err
+    given = {"point": [*points, points[0]]} if name == "names" else {"point": points, **blocks}
+    assert expected in refused("align", write(tmp_path, world, **given))
 
 
 def _told(model: type[BaseModel], key: str) -> str:
@@ -257,3 +270,164 @@ def test_every_example_of_the_document_loads(number: int, tmp_path: Path) -> Non
     given = tomllib.loads(examples[number])
     loaded = read_alignment(path).model_dump(mode="json", exclude_unset=True)
     assert loaded.keys() == given.keys()
+
+
+class Pictures:
+    """Pictures of a target in a folder: rendered ones, or empty files for which a detector answers what is seen."""
+
+    def __init__(self, folder: Path, patch: pytest.MonkeyPatch, rendered: bool) -> None:
+        self.folder, self.rendered, self.views = folder, rendered, dict[str, TargetView]()
+        if not rendered:
+            patch.setattr("fusion.cameras.align_manifest.read_picture", lambda path: (path.read_text(), 1.0))
+            patch.setattr("fusion.cameras.align_manifest.find_target", lambda name, *_: self.views[name])
+
+    def take(self, name: str, world: World, left_from_target: RigidTransform) -> dict[str, str]:
+        """Let both cameras take the target, and return the names of their pictures."""
+        names = {side: f"{name}-{side}.png" for side in ("left", "right")}
+        views = world.view(world.sensor_from_camera @ left_from_target, 0.02)
+        right = world.true.right_from_left @ left_from_target
+        cameras = ((world.true.left, left_from_target), (world.true.right, right))
+        for file, view, (camera, pose) in zip(names.values(), views, cameras, strict=True):
+            self.views[file] = view
+            (self.folder / file).write_text(file)
+            if self.rendered:
+                grey = render_board(camera, pose, Board(TARGET)) + 0.004 * world.rng.normal(size=camera.size_px[::-1])
+                cv2.imwrite(str(self.folder / file), np.clip(255 * grey, 0, 255).round().astype(np.uint8))
+        return names
+
+
+@pytest.fixture(params=[False, pytest.param(True, marks=pytest.mark.slow)], ids=["detected", "rendered"])
+def pictures(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pictures:
+    return Pictures(tmp_path, monkeypatch, request.param)
+
+
+def test_a_target_at_a_known_pose(pictures: Pictures, aligned: Aligned) -> None:
+    world, folder = make_world(1), pictures.folder
+    seen = target_pose(world.rng, 0.15)
+    placed = world.sensor_from_camera @ seen
+    view: dict[str, Any] = {"name": "plate", **pictures.take("plate", world, seen)}
+    view |= {"rotation": placed.rotation.tolist(), "translation": placed.translation_m.tolist()}
+    view["pose_uncertainty"] = [1e-6] * 3 + [1e-5] * 3
+    block = aligned(write(folder, world, target=TABLE, target_view=[view]))
+    assert "from 1 target view." in block["text"]
+    assert np.abs(normalised(block, world.sensor_from_camera)).max() < 4.5
+
+
+def test_common_views_give_the_relative_pose(pictures: Pictures, aligned: Aligned) -> None:
+    (own, other), folder = (make_world(2), make_world(3)), pictures.folder
+    write_calibration(folder / "other.json", other.rig)
+    held, seen_by_other = target_pose(own.rng, 0.15), target_pose(other.rng, 0.15)
+    true = seen_by_other @ held.inverse()  # the other camera's frame from this one's
+    view = {"name": "a", **pictures.take("ours", own, held)}
+    view |= {f"other_{side}": name for side, name in pictures.take("theirs", other, seen_by_other).items()}
+    pair = {"stereo": "side", "calibration": "other.json"}
+    block = aligned(write(folder, own, target=TABLE, other=pair, common_view=[view]))
+    assert "[relative.top]" in block["text"]
+    assert "in the left camera of side" in block["text"]
+    assert np.abs(normalised(block, true)).max() < 4.5
+
+
+def test_a_picture_that_is_none_is_named(tmp_path: Path, refused: Refused) -> None:
+    (tmp_path / "a.png").write_text("no picture")
+    view = {"name": "plate", "left": "a.png", "rotation": np.eye(3).tolist(), "translation": [0.0, 0.0, 0.0]}
+    told = refused("align", write(tmp_path, make_world(1), target=TABLE, target_view=[view]), "-q")
+    assert "target_view.plate.left: " in told
+
+
+def true_direction(truth: dict[str, dict[str, dict[str, list[list[float]]]]]) -> np.ndarray:
+    """Major axis of the load's translation at the fundamental."""
+    load = truth["acceleration"]["load"]
+    phasor = (np.array(load["re"]) + 1j * np.array(load["im"]))[0, :3]
+    axis = (phasor * np.exp(-0.5j * np.angle((phasor**2).sum()))).real
+    return np.asarray(axis / np.linalg.norm(axis))
+
+
+@pytest.mark.slow
+def test_one_direction_puts_two_angles_right(
+    demo_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    campaign = tmp_path / "demo"
+    shutil.copytree(demo_recording, campaign)
+    rig = tomllib.loads((campaign / "rig.toml").read_text(encoding="utf-8"))
+    truth = json.loads((campaign / "Fz-0080" / "truth.json").read_text(encoding="utf-8"))
+    stated = rig["stereo"]["top"]
+    turn = rotation_from_vector(np.array(truth["drawn"]["top.pose"][3:]))
+    true = turn @ np.array(stated["rotation"])
+    wrong = rotation_from_vector(WRONG_RAD) @ true
+    stated["rotation"] = wrong.tolist()
+    (campaign / "rig.toml").write_text(to_toml(rig), encoding="utf-8")
+    known = {"rotation": wrong.tolist(), "translation": stated["translation"], "pose_uncertainty": U_BEFORE}
+    direction = true_direction(truth)
+    motion = {
+        "name": "along z",
+        "recordings": "Fz-*/recording.toml",
+        "direction": direction.tolist(),
+        "direction_uncertainty": 1e-5,
+    }
+    head = {"format": 1, "stereo": "top", "calibration": "calibration/top.json", "scale_uncertainty": 2e-4}
+    path = campaign / "alignment.toml"
+    path.write_text(to_toml({**head, "motion": [motion]}), encoding="utf-8")
+    assert main(["align", str(path), "-q"]) == 1
+    assert "rotation about z and position along x, y and z are open" in capsys.readouterr().err
+    path.write_text(to_toml({**head, "pose": known, "motion": [motion]}), encoding="utf-8")
+    assert main(["align", str(path), "-q"]) == 0
+    printed = capsys.readouterr()
+    assert "moves on an ellipse" in printed.err
+    block = tomllib.loads(printed.out)["stereo"]["top"]
+    error = vector_from_rotation(true @ np.array(block["rotation"]).T)
+    u = np.array(block["pose_uncertainty"])[3:]
+    assert (np.abs(error) < 4.5 * u).all()
+    assert np.abs(error[:2]).max() < 1e-3 < np.abs(WRONG_RAD[:2]).min()
+    assert u[:2].max() < 8e-4
+    assert u[2] == pytest.approx(5e-3, rel=0.05)
+
+
+def seen_turning(world: World, point_m: np.ndarray, direction: np.ndarray) -> SimpleNamespace:
+    """A recording of a body that turns about an axis, as far as the evidence of an axis looks at it."""
+    rng, provisional = world.rng, displaced(world.sensor_from_camera, np.full(6, 2e-3))
+    body = BODY_M + rng.uniform(-0.04, 0.04, (40, 3)) * np.array([1.0, 1.0, 0.3])
+    turns = rotation_from_vector(np.concatenate([[0.0], rng.uniform(-0.05, 0.05, 29)])[:, None] * direction)
+    to_camera = world.sensor_from_camera.inverse()
+    moved = (body - point_m) @ np.swapaxes(turns, 1, 2) + point_m
+    left, right = (px + 0.01 * rng.normal(size=px.shape) for px in world.true.project(to_camera.apply(moved)))
+    noise = 0.01**2 * np.eye(2)
+    points = triangulate(world.rig, left, right, noise, noise).transformed(provisional)
+    status = np.full(left.shape[:2], TrackStatus.OK)
+    sides = [SimpleNamespace(status=status, position_px=px) for px in (left, right)]
+    tracks = SimpleNamespace(left=sides[0], right=sides[1])
+    measured = SimpleNamespace(motion=fit_motion(points, None, np.zeros(3)), view=SimpleNamespace(tracks=tracks))
+    manifest = SimpleNamespace(name="turned", path="turned/recording.toml")
+    return SimpleNamespace(manifest=manifest, measured=measured, sensor_from_camera=provisional)
+
+
+def test_two_axes_place_the_camera() -> None:
+    normalised = []
+    for seed in range(2):
+        world = make_world(seed)
+        pair = Pair(world.rig, calibration_steps(world.rig))
+        evidence = []
+        for name, direction in zip("xy", np.eye(3), strict=False):
+            place = np.array([0.0, 0.01, 0.02])
+            block = AxisBlock(
+                name=name, recordings=(), point=tuple(place), direction=tuple(direction), direction_uncertainty=2e-5
+            )
+            found, notices = _axis(block, [seen_turning(world, place, direction)], pair)
+            assert notices == []
+            evidence.append(found)
+        start = displaced(world.sensor_from_camera, np.full(6, 2e-3))
+        result = align(evidence, start)
+        normalised.append(world.error(result)[0] / result.u)
+        assert result.u.max() < 2e-4
+    assert np.abs(normalised).max() < 4.5
+
+
+def test_an_unsteady_axis_is_told() -> None:
+    world = make_world(1)
+    seen = seen_turning(world, np.zeros(3), np.eye(3)[0])
+    motion = seen.measured.motion
+    seen.measured.motion = replace(motion, pose=motion.pose + 1e-4 * world.rng.normal(size=motion.pose.shape))
+    block = AxisBlock(
+        name="x", recordings=(), point=(0.0, 0.0, 0.0), direction=(1.0, 0.0, 0.0), direction_uncertainty=2e-5
+    )
+    _, (notice,) = _axis(block, [seen], None)
+    assert "turns about no fixed axis" in notice.text

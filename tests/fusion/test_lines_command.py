@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import replace
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
+from support import refusals, rows
 
 from fusion.cli import main
 from fusion.phasors.channels import channel_results, find_channel_lines
@@ -18,7 +18,7 @@ from fusion.recording.load import load_manifest
 from fusion.report.more_tables import lines_table
 from fusion.report.recorded import write_h5
 from fusion.sensitivity.analyse import Evaluation
-from shaker.lines.frequencies import find_lines
+from shaker.lines.frequencies import Lines, find_lines
 
 RATE = 12_800.0
 RIG = 'format = 1\nname = "test"\n'
@@ -66,8 +66,12 @@ def _recording(folder: Path, excitation: str, tones: dict[float, float]) -> Path
     return folder / "run"
 
 
-def _rows(table: Path) -> list[dict[str, str]]:
-    return list(csv.DictReader(table.read_text(encoding="utf-8").splitlines()))
+def _fundamentals(run: Path) -> Lines:
+    """The lines of a recording's channels."""
+    manifest = load_manifest(run)
+    lines = find_channel_lines(manifest, tie_daqs(manifest, read_daqs(manifest)))
+    assert lines is not None
+    return lines
 
 
 def test_a_file_is_listed_with_reasons(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -78,10 +82,10 @@ def test_a_file_is_listed_with_reasons(tmp_path: Path, capsys: pytest.CaptureFix
     assert "signals.h5: a; 25600 samples at 12800 Hz, 2 s" in told
     for text in ("fundamental", "harmonic 3 of 106.25 Hz, 0.02 of it", "mains hum (50 Hz)"):
         assert text in told
-    rows = _rows(table)
-    assert [float(row["frequency_hz"]) for row in rows] == pytest.approx([50.02, 106.25, 318.75], abs=5e-3)
-    assert [float(row["amplitude"]) for row in rows] == pytest.approx([0.05, 1.0, 0.02], rel=0.02)
-    assert {row["unit"] for row in rows} == {"m/s^2"}
+    listed = rows(table)
+    assert [float(row["frequency_hz"]) for row in listed] == pytest.approx([50.02, 106.25, 318.75], abs=5e-3)
+    assert [float(row["amplitude"]) for row in listed] == pytest.approx([0.05, 1.0, 0.02], rel=0.02)
+    assert {row["unit"] for row in listed} == {"m/s^2"}
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
@@ -98,19 +102,16 @@ def test_a_band_keeps_its_lines(tmp_path: Path, capsys: pytest.CaptureFixture[st
 def test_wrong_input_is_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = _signals(tmp_path / "signals.h5", {106.25: 1.0})
     (tmp_path / "there.csv").write_text("")
+    refused = refusals(capsys)
     for arguments, sentence in (
-        ([str(tmp_path / "none.h5")], "expected a file, found none"),
-        ([str(file), "--channel", "b"], 'found "a"'),
-        ([str(file), "--csv", str(tmp_path / "there.csv")], "--force replaces it"),
-        ([str(tmp_path)], "recording.toml"),
+        ([tmp_path / "none.h5"], "expected a file, found none"),
+        ([file, "--channel", "b"], 'found "a"'),
+        ([file, "--csv", tmp_path / "there.csv"], "--force replaces it"),
+        ([tmp_path], "recording.toml"),
     ):
-        assert main(["lines", *arguments]) == 2
-        told = capsys.readouterr().err
-        assert sentence in told
-        assert told.count("\n") == 1
+        assert sentence in refused("lines", *arguments)
     run = _recording(tmp_path, "frequencies = [106.25]", {106.25: 1.0})
-    assert main(["lines", str(run), "--band", "1:2"]) == 2
-    assert "recording.toml states it" in capsys.readouterr().err
+    assert "recording.toml states it" in refused("lines", run, "--band", "1:2")
     for wrong in ("5", "7:3", "a:b"):
         with pytest.raises(SystemExit, match="2"):
             main(["lines", str(file), "--band", wrong])
@@ -121,11 +122,11 @@ def test_a_recording_says_what_is_fitted(tmp_path: Path, capsys: pytest.CaptureF
     run = _recording(tmp_path, "frequencies = [53.7]", tones)
     table = tmp_path / "lines.csv"
     assert main(["lines", str(run), "--csv", str(table)]) == 0
-    rows = {round(float(row["frequency_hz"]), 1): row for row in _rows(table)}
-    uses = {frequency: row["use"] for frequency, row in rows.items()}
+    listed = {round(float(row["frequency_hz"]), 1): row for row in rows(table)}
+    uses = {frequency: row["use"] for frequency, row in listed.items()}
     assert uses == {53.7: "fitted", 107.4: "fitted", 50.0: "fitted beside", 777.7: "not fitted"}
-    assert float(rows[53.7]["amplitude"]) == pytest.approx(1.0, abs=2e-3)
-    assert rows[107.4]["what"] == "harmonic 2 of 53.7 Hz, 0.0099 of it"
+    assert float(listed[53.7]["amplitude"]) == pytest.approx(1.0, abs=2e-3)
+    assert listed[107.4]["what"] == "harmonic 2 of 53.7 Hz, 0.0099 of it"
     assert "fitted beside" in capsys.readouterr().out
 
 
@@ -137,8 +138,7 @@ def test_a_campaign_is_listed_recording_by_recording(tmp_path: Path, capsys: pyt
     text = capsys.readouterr().out
     assert "53.7000" in text
     assert "61.1000" in text
-    assert main(["lines", str(tmp_path), "--csv", str(tmp_path / "lines.csv")]) == 2
-    assert "2 recordings" in capsys.readouterr().err
+    assert "2 recordings" in refusals(capsys)("lines", tmp_path, "--csv", tmp_path / "lines.csv")
     assert not (tmp_path / "lines.csv").exists()
 
 
@@ -159,17 +159,14 @@ def test_channels_are_fitted_with_what_leaks_into_their_lines(tmp_path: Path) ->
 def test_a_multisine_may_state_a_band_only(tmp_path: Path, period: str) -> None:
     tones = {100.0: 1.0, 120.0: 0.8, 150.0: 0.9, 50.03: 0.5, 300.0: 0.02, 1000.0: 1.0}
     run = _recording(tmp_path, f"band = [80.0, 400.0]\n{period or 'period = 1.0'}", tones)
-    manifest = load_manifest(run)
-    lines = find_channel_lines(manifest, tie_daqs(manifest, read_daqs(manifest)))
-    assert lines is not None
+    lines = _fundamentals(run)
     assert lines.nominal_hz[lines.multiple == 1].tolist() == pytest.approx([100.0, 120.0, 150.0])
     assert lines.notices[0].text == "no frequencies are stated; found in the band: 100, 120, 150 Hz"
 
 
 def test_a_band_without_lines_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run = _recording(tmp_path, "band = [2000.0, 3000.0]\nperiod = 1.0", {100.0: 1.0})
-    assert main(["lines", str(run)]) == 2
-    assert "expected lines between 2000 and 3000 Hz" in capsys.readouterr().err
+    assert "expected lines between 2000 and 3000 Hz" in refusals(capsys)("lines", run)
 
 
 def test_three_tones_of_a_shaker(data_dir: Path, capsys: pytest.CaptureFixture[str]) -> None:

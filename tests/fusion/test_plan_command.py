@@ -2,38 +2,54 @@
 
 from __future__ import annotations
 
-import csv
+import re
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from support import Refused, refusals, rows
 
 from fusion.cli import main
 from fusion.commands.measure import frequencies
 from fusion.commands.options import EXIT_DONE, EXIT_INPUT
 
-Capture = pytest.CaptureFixture[str]
-TWELVE = ["plan", "--frequencies", "53.7:1020.3:12", "--max-rate", "82", "--exposure", "40e-6", "--frames", "211"]
-PUBLISHED = ["plan", "--frequencies", "106.25", "--rate", "52.874", "--exposure", "40e-6", "--frames", "211"]
+TWELVE = "--frequencies 53.7:1020.3:12 --max-rate 82 --exposure 40e-6 --frames 211"
+PUBLISHED = "--frequencies 106.25 --rate 52.874 --exposure 40e-6 --frames 211"
+Planned = Callable[..., str]
+
+
+@pytest.fixture
+def planned(capsys: pytest.CaptureFixture[str]) -> Planned:
+    """Return a function that runs the command with options as they are typed, and returns what it prints."""
+
+    def run(options: str, *more: object) -> str:
+        assert main(["plan", *options.split(), *map(str, more)]) == EXIT_DONE
+        return capsys.readouterr().out
+
+    return run
+
+
+@pytest.fixture
+def refused(capsys: pytest.CaptureFixture[str]) -> Refused:
+    return refusals(capsys)
 
 
 def _cells(out: str, first: str) -> list[str]:
     """Return the cells of the table row whose first cell is given."""
-    rows = ([cell.strip() for cell in line.strip("│ \n").split("│")] for line in out.splitlines() if "│" in line)
-    return next(row for row in rows if row[0] == first)
+    table = ([cell.strip() for cell in line.strip("│ \n").split("│")] for line in out.splitlines() if "│" in line)
+    return next(row for row in table if row[0] == first)
 
 
-def test_published_case_is_explained(capsys: Capture) -> None:
-    assert main(PUBLISHED) == EXIT_DONE
-    out = capsys.readouterr().out
+def test_published_case_is_explained(planned: Planned) -> None:
+    out = planned(PUBLISHED)
     assert "106.25 Hz = 2 × 52.874 Hz + 0.502 Hz: seen as a beat of 0.502 Hz" in out
     assert _cells(out, "425")[:6] == ["425", "4", "2.008", "0.038", "2.00", "318.75 Hz"]
     assert "106.25 Hz is seen below 0.1 of the rate" in out
     assert "Nearest good rate: 50.574 Hz (-2.300 Hz)" in out
 
 
-def test_twelve_frequencies_with_their_rates_and_one_for_all(capsys: Capture) -> None:
-    assert main(TWELVE) == EXIT_DONE
-    out = capsys.readouterr().out
+def test_twelve_frequencies_with_their_rates_and_one_for_all(planned: Planned) -> None:
+    out = planned(TWELVE)
     for name in ("53.700", "493.064", "1020.300"):
         rate, alias, share = (float(cell) for cell in _cells(out, name)[1:4])
         assert 41.0 <= rate <= 82.0
@@ -41,127 +57,103 @@ def test_twelve_frequencies_with_their_rates_and_one_for_all(capsys: Capture) ->
         assert 0.1 <= share <= 0.4
     assert "All 12, each at its first rate: " in out
     assert "All 12, with one rate (43.901 Hz): 57.7 s" in out
+    assert "with one rate (43.901 Hz): 177.7 s, 10 s before each included" in planned(TWELVE, "--settle", 10)
 
 
-def test_uncertainties_in_units_of_the_motion(capsys: Capture) -> None:
-    assert main([*PUBLISHED, "--noise", "2.3e-6", "--amplitude", "0.43e-3"]) == EXIT_DONE
-    row = _cells(capsys.readouterr().out, "106.25")
+def test_uncertainties_in_units_of_the_motion(planned: Planned) -> None:
+    row = _cells(planned(PUBLISHED, "--noise", "2.3e-6", "--amplitude", "0.43e-3"), "106.25")
     assert float(row[-3]) == pytest.approx(0.3378 * 2300.0, rel=2e-3)  # nm
     assert float(row[-2]) == pytest.approx(100.0 * 0.3378 * 2.3e-6 / 0.43e-3, rel=5e-3)
     assert float(row[-1]) == pytest.approx(10.0 * float(row[-2]), rel=5e-3)
+    row = _cells(planned(PUBLISHED, "--noise", "2.3e-6", "--acceleration", "189.32"), "106.25")
+    assert float(row[-2]) == pytest.approx(0.183, abs=0.001)  # 189.32 m/s² at 106.25 Hz are 0.4248 mm
 
 
-def test_an_acceleration_stands_for_its_displacement(capsys: Capture) -> None:
-    assert main([*PUBLISHED, "--noise", "2.3e-6", "--acceleration", "189.32"]) == EXIT_DONE
-    # 189.32 m/s² at 106.25 Hz are 0.4248 mm.
-    assert float(_cells(capsys.readouterr().out, "106.25")[-2]) == pytest.approx(0.183, abs=0.001)
-
-
-def test_settling_time_counts(capsys: Capture) -> None:
-    assert main([*TWELVE, "--settle", "10"]) == EXIT_DONE
-    assert "with one rate (43.901 Hz): 177.7 s, 10 s before each included" in capsys.readouterr().out
-
-
-def test_lines_at_the_same_time_are_one_point(capsys: Capture) -> None:
-    arguments = ["plan", "--frequencies", "120,175,210", "--max-rate", "82", "--frames", "300", "--harmonics", "2"]
-    assert main([*arguments, "--together"]) == EXIT_DONE
-    out = capsys.readouterr().out
+def test_lines_at_the_same_time_are_one_point(planned: Planned) -> None:
+    out = planned("--frequencies 120,175,210 --max-rate 82 --frames 300 --harmonics 2 --together")
     assert len(_cells(out, "120.000–210.000")) == 10
     assert {_cells(out, line)[0] for line in ("120", "175", "210", "240", "350", "420")}
 
 
-def test_what_cannot_be_separated_is_said(capsys: Capture) -> None:
-    arguments = ["plan", "--frequencies", "100,100.001", "--max-rate", "82", "--frames", "211", "--together"]
-    assert main(arguments) == EXIT_DONE
-    assert "100.000–100.001 Hz: no such rate keeps all lines apart; take more frames" in capsys.readouterr().out
-
-
-def test_an_unfavourable_rate_is_told_why(capsys: Capture) -> None:
-    assert main(["plan", "--frequencies", "120", "--rate", "200", "--frames", "400", "--harmonics", "3"]) == EXIT_DONE
-    out = capsys.readouterr().out
+def test_what_is_unfavourable_is_told(planned: Planned) -> None:
+    out = planned("--frequencies 100,100.001 --max-rate 82 --frames 211 --together")
+    assert "100.000–100.001 Hz: no such rate keeps all lines apart; take more frames" in out
+    out = planned("--frequencies 120 --rate 200 --frames 400 --harmonics 3")
     assert "lines are only 0.00 bins apart" in out or "not fitted, folds to 80.000 Hz" in out
-    assert main(["plan", "--frequencies", "24.9", "--rate", "52", "--frames", "400"]) == EXIT_DONE
-    assert "24.9 Hz is seen above 0.4 of the rate" in capsys.readouterr().out
+    assert "24.9 Hz is seen above 0.4 of the rate" in planned("--frequencies 24.9 --rate 52 --frames 400")
 
 
-def test_table_and_figure(tmp_path: Path) -> None:
+def test_table_and_figure(planned: Planned, tmp_path: Path) -> None:
     table, figure = tmp_path / "plan.csv", tmp_path / "plan.svg"
-    arguments = ["plan", "--frequencies", "53.7,106.25", "--max-rate", "82", "--frames", "211", "--csv", str(table)]
-    assert main([*arguments, "--figure", str(figure)]) == EXIT_DONE
-    with table.open(newline="", encoding="utf-8") as stream:
-        rows = list(csv.DictReader(stream))
-    assert {row["choice"] for row in rows} == {"1", "2", "3", "shared"}
-    first = [row for row in rows if row["point"] == "2" and row["choice"] == "1"]
+    options = "--frequencies 53.7,106.25 --max-rate 82 --frames 211"
+    planned(options, "--csv", table, "--figure", figure)
+    written = rows(table)
+    assert {row["choice"] for row in written} == {"1", "2", "3", "shared"}
+    first = [row for row in written if row["point"] == "2" and row["choice"] == "1"]
     assert [float(row["line_hz"]) for row in first] == [106.25 * m for m in range(1, 6)]
     for row in first:
         rate, line = float(row["rate_hz"]), float(row["line_hz"])
         assert float(row["alias_hz"]) == pytest.approx(abs(line - rate * round(line / rate)), abs=1e-3)
         assert row["u_amplitude_unit"] == "noise per frame"
-    assert figure.read_text(encoding="utf-8").lstrip().startswith("<?xml")
-    assert sorted(tmp_path.iterdir()) == [table, figure]
     before = figure.read_bytes()
-    assert main([*arguments, "--figure", str(figure), "--force"]) == EXIT_DONE
+    assert before.lstrip().startswith(b"<?xml")
+    assert sorted(tmp_path.iterdir()) == [table, figure]
+    planned(options, "--figure", figure, "--force")
     assert figure.read_bytes() == before  # nothing of the day or the run is in it
 
 
 @pytest.mark.parametrize(("suffix", "magic"), [(".png", b"\x89PNG"), (".pdf", b"%PDF")])
-def test_figure_of_one_rate(tmp_path: Path, suffix: str, magic: bytes) -> None:
+def test_figure_of_one_rate(planned: Planned, tmp_path: Path, suffix: str, magic: bytes) -> None:
     path = tmp_path / f"plan{suffix}"
-    assert main([*PUBLISHED, "--figure", str(path)]) == EXIT_DONE
+    planned(PUBLISHED, "--figure", path)
     assert path.read_bytes().startswith(magic)
 
 
-def test_files_that_are_there_are_kept(tmp_path: Path, capsys: Capture) -> None:
+def test_files_that_are_there_are_kept(planned: Planned, refused: Refused, tmp_path: Path) -> None:
     path = tmp_path / "plan.csv"
     path.write_text("mine", encoding="utf-8")
-    assert main([*PUBLISHED, "--csv", str(path)]) == EXIT_INPUT
-    assert "expected a new file (--force replaces it)" in capsys.readouterr().err
+    assert "expected a new file (--force replaces it)" in refused("plan", *PUBLISHED.split(), "--csv", path)
     assert path.read_text(encoding="utf-8") == "mine"
-    assert main([*PUBLISHED, "--csv", str(path), "--force"]) == EXIT_DONE
+    planned(PUBLISHED, "--csv", path, "--force")
     assert path.read_text(encoding="utf-8").startswith("point,choice,rate_hz")
 
 
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["--max-rate", "82", "--min-rate", "90"], "--min-rate: expected no more than --max-rate (82 Hz), found 90 Hz"),
-        (["--max-rate", "82", "--exposure", "0.05"], "--exposure: expected no more than the time between frames"),
-        (["--max-rate", "82", "--frames", "9"], "--frames: expected at least 12 for as many lines, found 9"),
-        (["--max-rate", "82", "--amplitude", "1e-4"], "--amplitude: expected --noise beside it"),
-        (["--max-rate", "82", "--acceleration", "10"], "--acceleration: expected --noise beside it"),
-        (["--max-rate", "82", "--rate-step", "100"], "--rate-step: expected a step with a multiple between 41 and 82"),
-        (["--rate", "52.874", "--min-rate", "40"], "--min-rate: expected --max-rate beside it"),
-        (["--max-rate", "82", "--csv", "/no/such/folder/plan.csv"], "expected a file in an existing folder"),
+        ("--max-rate 82 --min-rate 90", "--min-rate: expected no more than --max-rate (82 Hz), found 90 Hz"),
+        ("--max-rate 82 --exposure 0.05", "--exposure: expected no more than the time between frames"),
+        ("--max-rate 82 --frames 9", "--frames: expected at least 12 for as many lines, found 9"),
+        ("--max-rate 82 --amplitude 1e-4", "--amplitude: expected --noise beside it"),
+        ("--max-rate 82 --acceleration 10", "--acceleration: expected --noise beside it"),
+        ("--max-rate 82 --rate-step 100", "--rate-step: expected a step with a multiple between 41 and 82"),
+        ("--rate 52.874 --min-rate 40", "--min-rate: expected --max-rate beside it"),
+        ("--max-rate 82 --csv /no/such/folder/plan.csv", "expected a file in an existing folder"),
     ],
 )
-def test_wrong_input_is_one_sentence(arguments: list[str], told: str, capsys: Capture) -> None:
-    assert main(["plan", "--frequencies", "106.25", "--frames", "211", *arguments]) == EXIT_INPUT
-    error = capsys.readouterr().err
-    assert told in error
-    assert error.count("\n") == 1
+def test_wrong_input_is_one_sentence(arguments: str, told: str, refused: Refused) -> None:
+    assert told in refused("plan", "--frequencies", "106.25", "--frames", "211", *arguments.split())
 
 
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["--frequencies", "53.7:1020.3"], "argument --frequencies: expected frequencies such as 106.25"),
-        (["--frequencies", "53.7:1020.3:x"], "argument --frequencies: expected frequencies such as"),
-        (["--frequencies", "1:2:3:lin"], "argument --frequencies: expected frequencies such as"),
-        (["--frequencies", "106.25,"], "argument --frequencies: .* found nothing"),
-        (["--frequencies", "-5"], "argument --frequencies: expected"),
-        (["--frequencies", "50:100:1"], "argument --frequencies: expected a count of at least 2"),
-        (["--frequencies", "50,60,50"], "argument --frequencies: expected every frequency once, found 50 Hz twice"),
-        (["--frames", "0"], "argument --frames: expected a whole number of at least 1"),
-        (["--figure", "plan.txt"], r"argument --figure: expected a name that ends in .png, .svg, .pdf"),
-        (["--rate", "50"], "argument --rate: not allowed with argument --max-rate"),
+        ("--frequencies 53.7:1020.3", "argument --frequencies: expected frequencies such as 106.25"),
+        ("--frequencies 53.7:1020.3:x", "argument --frequencies: expected frequencies such as"),
+        ("--frequencies 1:2:3:lin", "argument --frequencies: expected frequencies such as"),
+        ("--frequencies 106.25,", "argument --frequencies: .* found nothing"),
+        ("--frequencies -5", "argument --frequencies: expected"),
+        ("--frequencies 50:100:1", "argument --frequencies: expected a count of at least 2"),
+        ("--frequencies 50,60,50", "argument --frequencies: expected every frequency once, found 50 Hz twice"),
+        ("--frames 0", "argument --frames: expected a whole number of at least 1"),
+        ("--figure plan.txt", r"argument --figure: expected a name that ends in .png, .svg, .pdf"),
+        ("--rate 50", "argument --rate: not allowed with argument --max-rate"),
     ],
 )
-def test_wrong_arguments_are_named(arguments: list[str], told: str, capsys: Capture) -> None:
+def test_wrong_arguments_are_named(arguments: str, told: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as left:
-        main(["plan", "--frequencies", "106.25", "--frames", "211", "--max-rate", "82", *arguments])
+        main(["plan", "--frequencies", "106.25", "--frames", "211", "--max-rate", "82", *arguments.split()])
     assert left.value.code == EXIT_INPUT
-    import re
-
     assert re.search(told, capsys.readouterr().err)
 
 
