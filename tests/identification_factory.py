@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,6 +56,12 @@ def state_space(
     by_velocity = np.concatenate([np.zeros(size), linalg.solve(mass, damping @ base)])
     moved = [linalg.solve(one * np.eye(2 * size) - a, by_displacement + one * by_velocity)[:size] for one in s]
     return np.array(moved)
+
+
+def again(record: MeasuredTransfer, value: ComplexArray | None = None, **words: Any) -> MeasuredTransfer:
+    """The curve of a recording along z, or another value, with other noise and errors."""
+    value = record.ratio.value if value is None else value
+    return recording(record.name, record.ratio.frequency_hz, value, record.mass_matrix, ALONG_Z, **words)
 
 
 def recording(

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from identification_factory import ALONG_Z, FloatArray, oscillator, recording, rigid_mass
+from identification_factory import ALONG_Z, FloatArray, again, oscillator, recording, rigid_mass
 
 from shaker.identification.fit import Identification, identify
 from shaker.identification.measured import InertiaError, MeasuredCurve, MeasuredTransfer, Placement, RelativeError
@@ -120,8 +122,7 @@ def test_resonances_that_no_load_on_a_spring_has_are_named() -> None:
 def test_one_recording_agrees_with_the_fit_of_one_resonance() -> None:
     rng = np.random.default_rng(4)
     record = twin(4.236, noise=0.05, rng=rng)
-    bare = recording("bare", record.ratio.frequency_hz, record.ratio.value, record.mass_matrix, ALONG_Z, noise=0.05)
-    found = identify([bare], VERTICAL, known={"internal_mass": (MI, 0.0)}, gain=["top 1"])
+    found = identify([again(record, noise=0.05)], VERTICAL, known={"internal_mass": (MI, 0.0)}, gain=["top 1"])
     fit = fit_resonance(
         MeasuredCurve(record.ratio.frequency_hz, record.ratio.value[:, 0], record.ratio.covariance), "transmissibility"
     )
@@ -172,21 +173,7 @@ def test_stated_masses_dominate_where_the_noise_is_small() -> None:
 
 
 def test_a_clock_moves_the_stiffness_by_twice_its_error() -> None:
-    recordings = []
-    for load in LOADS:
-        record = twin(load)
-        recordings.append(
-            recording(
-                record.name,
-                record.ratio.frequency_hz,
-                record.ratio.value,
-                record.mass_matrix,
-                ALONG_Z,
-                noise=1e-6,
-                u_clock=1e-4,
-            )
-        )
-    found = identify(recordings, VERTICAL)
+    found = identify([again(twin(load), noise=1e-6, u_clock=1e-4) for load in LOADS], VERTICAL)
     assert found.u("stiffness_z") / K == pytest.approx(2e-4, rel=0.01)
     assert found.u("internal_mass") < 1e-4
     assert [unknown.name for unknown in found.unknowns] == ["clock"]
@@ -196,11 +183,7 @@ def test_gain_and_delay_that_nobody_stated() -> None:
     recordings = []
     for load, gain, delay in zip(LOADS, (3.0 * np.exp(1j), 0.4), (2e-5, -3e-6), strict=True):
         record = twin(load)
-        s = record.s
-        value = record.ratio.value[:, 0] * gain * np.exp(-s * delay)
-        recordings.append(
-            recording(record.name, record.ratio.frequency_hz, value, record.mass_matrix, ALONG_Z, noise=1e-5)
-        )
+        recordings.append(again(record, record.ratio.value[:, 0] * gain * np.exp(-record.s * delay), noise=1e-5))
     found = identify(recordings, VERTICAL, gain=["top 1"], delay=["top 1"])
     assert found.value("stiffness_z") == pytest.approx(K, rel=1e-5)
     assert found.value("damping_z") == pytest.approx(B, rel=1e-4)
@@ -224,22 +207,12 @@ def test_units_scale(mass: float, time: float) -> None:
     rng = np.random.default_rng(6)
     recordings = [twin(load, noise=0.02, rng=rng) for load in LOADS]
     first = identify(recordings, VERTICAL)
-    other = identify(
-        [
-            recording(
-                r.name,
-                r.ratio.frequency_hz / time,
-                r.ratio.value,
-                mass * r.mass_matrix,
-                ALONG_Z,
-                noise=0.02,
-                errors=r.errors,
-                inertia_errors=[InertiaError(e.name, mass * e.change) for e in r.inertia_errors],
-            )
-            for r in recordings
-        ],
-        VERTICAL,
-    )
+    scaled = []
+    for r in recordings:
+        loads = [InertiaError(e.name, mass * e.change) for e in r.inertia_errors]
+        curve = r.ratio.frequency_hz / time, r.ratio.value, mass * r.mass_matrix, ALONG_Z
+        scaled.append(recording(r.name, *curve, noise=0.02, errors=r.errors, inertia_errors=loads))
+    other = identify(scaled, VERTICAL)
     units = np.array([mass / time**2, mass / time, mass])
     for place, name in enumerate(first.names):
         assert other.value(name) == pytest.approx(units[place] * first.value(name), rel=1e-5)
@@ -250,22 +223,8 @@ def test_correlated_lines_widen_the_uncertainty() -> None:
     kernel = np.array([1.0, 4 / 9, 1 / 36]) + 0j
     record = twin(LOADS[0], noise=0.02)
     alone, together = (
-        identify(
-            [
-                recording(
-                    "a",
-                    record.ratio.frequency_hz,
-                    record.ratio.value,
-                    record.mass_matrix,
-                    ALONG_Z,
-                    noise=0.02,
-                    line_correlation=correlation,
-                )
-            ],
-            VERTICAL,
-            known={"internal_mass": (MI, 0.0)},
-        )
-        for correlation in (None, kernel)
+        identify([again(record, noise=0.02, line_correlation=c)], VERTICAL, known={"internal_mass": (MI, 0.0)})
+        for c in (None, kernel)
     )
     widening = np.sqrt(1.0 + 2.0 * (4 / 9 + 1 / 36))  # of a smooth sum over many lines
     assert together.u("stiffness_z") == pytest.approx(widening * alone.u("stiffness_z"), rel=0.02)
@@ -353,36 +312,23 @@ def test_response_and_poles_of_any_mechanics_have_the_derivatives_they_say() -> 
 
 def test_what_cannot_be_fitted_is_refused_with_a_reason() -> None:
     record = twin(4.236)
-    with pytest.raises(ValueError, match="records: expected one recording or more"):
-        identify([], VERTICAL)
-    with pytest.raises(ValueError, match="records: expected different names"):
-        identify([record, record], VERTICAL)
-    with pytest.raises(ValueError, match="known: expected some of stiffness_z"):
-        identify([record], VERTICAL, known={"mass": (1.0, 0.0)})
-    with pytest.raises(ValueError, match="known: expected an uncertainty"):
-        identify([record], VERTICAL, known={"internal_mass": (1.0, -1.0)})
-    with pytest.raises(ValueError, match="expected some of top 1, found side"):
-        identify([record], VERTICAL, gain=["side"])
-    with pytest.raises(ValueError, match="each_recording"):
-        identify([record], VERTICAL, each_recording=["damping_x"])
-    across = recording(
-        "across",
-        record.ratio.frequency_hz,
-        record.ratio.value,
-        record.mass_matrix,
-        ALONG_Z,
-        noise=1e-3,
-        base=Placement(np.zeros(3), np.array([1.0, 0.0, 0.0])),
-    )
-    with pytest.raises(ValueError, match="reference that sees the drive"):
-        identify([across], VERTICAL)
     line = record.ratio.at_lines(np.arange(1))
     few = recording("few", line.frequency_hz, line.value, record.mass_matrix, ALONG_Z, noise=1e-3)
-    with pytest.raises(ValueError, match="more real values than unknowns"):
-        identify([few], VERTICAL)
-    flat = recording("flat", record.ratio.frequency_hz, record.ratio.value, record.mass_matrix, ALONG_Z, noise=0.0)
-    with pytest.raises(ValueError, match="covariance of flat: expected positive definite"):
-        identify([flat], VERTICAL)
+    across = again(record, noise=1e-3, base=Placement(np.zeros(3), np.array([1.0, 0.0, 0.0])))
+    refused: list[tuple[list[MeasuredTransfer], dict[str, Any], str]] = [
+        ([], {}, "records: expected one recording or more"),
+        ([record, record], {}, "records: expected different names"),
+        ([record], {"known": {"mass": (1.0, 0.0)}}, "known: expected some of stiffness_z"),
+        ([record], {"known": {"internal_mass": (1.0, -1.0)}}, "known: expected an uncertainty"),
+        ([record], {"gain": ["side"]}, "expected some of top 1, found side"),
+        ([record], {"each_recording": ["damping_x"]}, "each_recording"),
+        ([across], {}, "reference that sees the drive"),
+        ([few], {}, "more real values than unknowns"),
+        ([again(record, noise=0.0)], {}, "covariance of 4.236 kg: expected positive definite"),
+    ]
+    for records, words, message in refused:
+        with pytest.raises(ValueError, match=message):
+            identify(records, VERTICAL, **words)
     with pytest.raises(ValueError, match="name: expected one of"):
         identify([record], VERTICAL).value("damping_x")
 

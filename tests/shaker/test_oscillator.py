@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -33,6 +35,11 @@ def even(value: ComplexArray, share: float) -> FloatArray:
 def noise(covariance: FloatArray, rng: np.random.Generator) -> ComplexArray:
     draws = np.einsum("kij,kj->ki", np.linalg.cholesky(covariance), rng.standard_normal((len(covariance), 2)))
     return np.asarray(draws[:, 0] + 1j * draws[:, 1])
+
+
+def fitted(value: ComplexArray, covariance: FloatArray, kind: Kind = "receptance", **words: Any) -> Resonance:
+    """A resonance fitted to values at `FREQUENCY`; words of the curve."""
+    return fit_resonance(MeasuredCurve(FREQUENCY, value, covariance, **words), kind)
 
 
 @settings(max_examples=40, deadline=None)
@@ -98,7 +105,7 @@ def test_errors_are_those_of_the_bound_and_intervals_hold() -> None:
     rng = np.random.default_rng(11)
     lengths, chi = [], []
     for _ in range(200):
-        fit = fit_resonance(MeasuredCurve(FREQUENCY, value + noise(covariance, rng), covariance), "transmissibility")
+        fit = fitted(value + noise(covariance, rng), covariance, "transmissibility")
         error = np.array([fit.frequency_hz, fit.damping_ratio, fit.gain.real, fit.gain.imag]) - truth
         lengths.append(error @ np.linalg.solve(bound, error))
         chi.append(fit.chi_squared)
@@ -121,9 +128,7 @@ def test_correlated_lines_widen_the_uncertainty_as_they_widen_the_scatter() -> N
     error, u = [], 0.0
     for _ in range(150):
         draw = root @ (rng.standard_normal(len(value)) + 1j * rng.standard_normal(len(value)))
-        fit = fit_resonance(
-            MeasuredCurve(FREQUENCY, value + size * draw, covariance, line_correlation=kernel + 0j), "receptance"
-        )
+        fit = fitted(value + size * draw, covariance, line_correlation=kernel + 0j)
         error.append(fit.frequency_hz - 1477.35)
         u = fit.u("frequency_hz")
     assert np.std(error) == pytest.approx(u, rel=0.2)
@@ -132,8 +137,8 @@ def test_correlated_lines_widen_the_uncertainty_as_they_widen_the_scatter() -> N
 def test_a_misfit_enlarges_the_uncertainty() -> None:
     value = curve("receptance", 1477.35, 0.0076, 1.0, 2j * np.pi * FREQUENCY)
     two = value + curve("receptance", 1560.0, 0.01, 0.1, 2j * np.pi * FREQUENCY)
-    good = fit_resonance(MeasuredCurve(FREQUENCY, value, even(value, 1e-4)), "receptance")
-    bad = fit_resonance(MeasuredCurve(FREQUENCY, two, even(value, 1e-4)), "receptance")
+    good = fitted(value, even(value, 1e-4))
+    bad = fitted(two, even(value, 1e-4))
     assert bad.chi_squared > 100.0 * bad.dof
     assert bad.u("frequency_hz") > 10.0 * good.u("frequency_hz")
 
@@ -143,7 +148,7 @@ def test_what_cannot_be_fitted_is_refused_with_a_reason() -> None:
     with pytest.raises(ValueError, match="more than 2 lines"):
         fit_resonance(MeasuredCurve(FREQUENCY[:2], value[:2], even(value[:2], 1e-3)), "receptance")
     with pytest.raises(ValueError, match="covariance: expected positive definite"):
-        fit_resonance(MeasuredCurve(FREQUENCY, value, 0.0 * even(value, 1e-3)), "receptance")
+        fitted(value, 0.0 * even(value, 1e-3))
     with pytest.raises(ValueError, match="covariance"):
         fit_resonance(MeasuredCurve(FREQUENCY, value, np.zeros((3, 2, 2))), "receptance")
 
@@ -174,10 +179,10 @@ def test_degrees_of_freedom_of_many_periods_change_nothing() -> None:
     value = curve("receptance", 1477.35, 0.0076, 1.0, 2j * np.pi * FREQUENCY)
     covariance = even(value, 1e-2)
     value = value + noise(covariance, np.random.default_rng(2))
-    exact = fit_resonance(MeasuredCurve(FREQUENCY, value, covariance), "receptance")
+    exact = fitted(value, covariance)
     many = fit_resonance(MeasuredCurve(FREQUENCY, value, covariance, dof=np.full(len(value), 1e6)), "receptance")
     assert many.frequency_hz == pytest.approx(exact.frequency_hz, abs=1e-3 * exact.u("frequency_hz"))
     assert many.chi_squared == pytest.approx(exact.chi_squared, rel=1e-4)
     np.testing.assert_allclose(many.covariance, exact.covariance, rtol=1e-3, atol=1e-3 * exact.covariance.max())
     with pytest.raises(ValueError, match="dof"):
-        fit_resonance(MeasuredCurve(FREQUENCY, value, covariance, dof=np.ones(3)), "receptance")
+        fitted(value, covariance, dof=np.ones(3))
