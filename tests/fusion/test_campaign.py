@@ -252,7 +252,7 @@ def test_new_results_take_the_place_of_old_ones_as_a_whole(kept, campaign, evalu
         replaced(source, target)
 
     with monkeypatch.context() as patch:
-        patch.setattr("fusion.report.recording.os.replace", refused if kept else killed_after_the_first_step)
+        patch.setattr("fusion.report.folder.os.replace", refused if kept else killed_after_the_first_step)
         if kept:
             assert main(["run", str(campaign), "--subset-radius", "12"]) == EXIT_DONE
         else:

@@ -19,9 +19,9 @@ from fusion.base import InputError
 from fusion.instruments import TRANSDUCERS
 from fusion.instruments.transducer import placed_at, unit_direction
 from fusion.recording.check import check, observable
-from fusion.recording.files import Element, read_chain, read_response
 from fusion.recording.load import load_manifest
 from fusion.recording.manifest import ChannelEntry
+from fusion.recording.response import Element, read_chain, read_response
 
 Campaign = Callable[..., Path]
 

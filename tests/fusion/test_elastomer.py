@@ -19,7 +19,7 @@ from support import DOCS, rows
 
 from fusion.base import InputError
 from fusion.cli import main
-from fusion.recording.load import _models_in
+from fusion.recording.values import _models_in
 from fusion.sensor.elastomer.definition import ElementFile, read_definition
 from fusion.sensor.elastomer.evaluate import (
     Column,

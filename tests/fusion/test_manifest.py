@@ -217,7 +217,7 @@ def test_the_table_of_a_block_is_its_model(title):
 def test_every_toml_example_is_toml_that_loads(make_campaign):
     examples = re.findall(r"^```toml\n(.*?)^```", DOC, re.DOTALL | re.MULTILINE)
     rig, recording, chain = (tomllib.loads(text) for text in examples)
-    assert len(chain["element"]) == 3  # tests/fusion/test_response.py reads it
+    assert len(chain["element"]) == 3  # tests/fusion/test_check.py reads it
     manifest = load_manifest(make_campaign())
     given = {key: value for key, value in rig["stereo"]["top"].items() if key != "calibration"}
     loaded = manifest.rig.stereo["top"].model_dump(mode="json", include=set(given))

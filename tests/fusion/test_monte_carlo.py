@@ -114,7 +114,7 @@ def test_of_a_value_near_zero_only_the_region_is_judged():
 def test_a_magnitude_across_a_long_ellipse_is_refuted():
     # 8 u across, 0.01 u along: second order adds u_across²/2|X| to the magnitude, many times u_along.
     found = normal_draws(8.0 + 0.0j, np.diag([1e-4, 1.0]))
-    assert found.refuted(100_000, 0, 0) == found.too_small(100_000, 0, 0) == ("magnitude",)
+    assert found.refuted(100_000, 0, 0) == found.refuted(100_000, 0, 0, too_small=True) == ("magnitude",)
 
 
 def test_few_degrees_of_freedom_give_students_distribution():
@@ -146,7 +146,7 @@ def test_a_transverse_sensitivity_of_unknown_direction_is_arc_sine_distributed()
     # ±1.96 u is wider than all there is, and the larger u makes the first digit of U wrong by 0.39 u.
     assert result.magnitude.first_high[0, z] == pytest.approx(101.386, abs=0.01)
     assert "magnitude" in result.refuted(20_000, 0, z)
-    assert result.too_small(20_000, 0, z) == ()
+    assert result.refuted(20_000, 0, z, too_small=True) == ()
     assert any(n.severity == "info" and "magnitude of the acceleration" in n.text for n in drawn.notices)
 
 

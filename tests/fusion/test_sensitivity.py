@@ -17,7 +17,7 @@ from fusion.instruments.channel import ChainUncertainty, Reading
 from fusion.instruments.output import Outputs, output_phasors
 from fusion.sensitivity.body import Body, make_part
 from fusion.sensitivity.load import LoadResult, load_phasors
-from fusion.sensitivity.ratio import Sensitivity, driven_component, other_loads, sensitivity_ratio
+from fusion.sensitivity.ratio import Sensitivity, driven_component, parasitic_loads, sensitivity_ratio
 from shaker.sine.phasor import Phasors
 
 FREQUENCY = np.array([106.25, 212.5])
@@ -329,7 +329,7 @@ def test_elements_of_one_recording_are_correlated(case):
 
 
 def test_share_of_other_loads(case):
-    shares = other_loads(case.outputs, case.load, STATIC, 2, 3e-3)
+    shares = parasitic_loads(case.outputs, case.load, STATIC, 2, 3e-3)
     static = GTC.ureal(STATIC[1, 0], 3e-3 * STATIC[1, 0])
     element, expected = shares.element(0, 1), static * case.gtc_load[0] / case.gtc_outputs[1]
     mixed = element.r * element.u_re * element.u_im
@@ -340,7 +340,7 @@ def test_share_of_other_loads(case):
     assert shares.value[0, 0] == pytest.approx(force, rel=1e-12)
     (notice,) = shares.notices(0, 0, "output Fz at 212.5 Hz")
     assert f"({100.0 * force.real:.2f} ± " in notice.text
-    assert not other_loads(case.outputs, case.load, np.diag([0.0, 0.0, 2e-7, 0, 0, 0])[[2, 2]], 2).notices(0, 0, "")
+    assert not parasitic_loads(case.outputs, case.load, np.diag([0.0, 0.0, 2e-7, 0, 0, 0])[[2, 2]], 2).notices(0, 0, "")
 
 
 def test_budget_is_that_of_gtc(case):

@@ -31,8 +31,9 @@ from fusion.base import Settings
 from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels
 from fusion.phasors.setup import OpenSetUp
 from fusion.phasors.setups import ReferenceTie, merge_readings, reference_ties
-from fusion.recording.load import load_manifest, validate
+from fusion.recording.load import load_manifest
 from fusion.recording.manifest import ChannelEntry, Rig
+from fusion.recording.values import validate
 from fusion.report.csv_files import result_tables
 from fusion.sensitivity.analyse import Analysis, Evaluation, Inputs, analyse
 from fusion.sensitivity.body import Body, make_part

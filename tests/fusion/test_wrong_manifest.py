@@ -15,9 +15,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from fusion.base import InputError
-from fusion.recording.load import load_manifest, validate
+from fusion.recording.load import load_manifest
 from fusion.recording.manifest import RecordingFile, Rig
-from fusion.recording.values import Context, PathScope
+from fusion.recording.values import Context, PathScope, validate
 
 Campaign = Callable[..., Path]
 RIG, RECORDING = "rig.toml", "recording.toml"
