@@ -13,7 +13,6 @@ import numpy as np
 from pydantic import BeforeValidator, model_validator
 
 from fusion.base import InputError
-from fusion.recording.load import read_toml, validate
 from fusion.recording.values import (
     ZERO3,
     ZERO6,
@@ -31,8 +30,10 @@ from fusion.recording.values import (
     Spread3,
     Text,
     array_of_tables,
+    read_toml,
     refusal,
     repeated_name,
+    validate,
     vector,
 )
 from photogram.alignment.evidence import (

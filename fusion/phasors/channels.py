@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +13,7 @@ from fusion.base import AnyNotice, InputError, brief
 from fusion.instruments import TRANSDUCERS
 from fusion.instruments.channel import ChainUncertainty, Reading
 from fusion.phasors.timing import TimeBase
-from fusion.recording.files import DaqRecord, read_response
-from fusion.recording.load import Manifest
-from fusion.recording.manifest import ChannelEntry
+from fusion.recording.response import read_response
 from shaker.arrays import FloatArray, Notice
 from shaker.lines.aliasing import alias_frequency
 from shaker.lines.detection import relative_strength, survey_lines
@@ -24,7 +23,11 @@ from shaker.sine.fit import Stationarity, fit_sines, stationarity
 from shaker.sine.phasor import Phasors
 from shaker.sine.solve import SineFit
 
-OTHER_UNITS = {"force": "N", "voltage": "V"}
+if TYPE_CHECKING:
+    from fusion.recording.files import DaqRecord
+    from fusion.recording.load import Manifest
+    from fusion.recording.manifest import ChannelEntry
+
 EXCERPT_PERIODS = 4
 DRIVEN = 0.05
 """Of the strongest line: what a line of a multisine without stated frequencies must reach."""
@@ -62,13 +65,6 @@ class ChannelResult:
     notices: tuple[AnyNotice, ...] = ()
 
     __repr__ = brief
-
-
-def channel_unit(manifest: Manifest, channel: ChannelEntry) -> str:
-    """Return the unit of a channel after its scale."""
-    if channel.quantity == "output":
-        return manifest.rig.sensor.unit if manifest.rig.sensor else "1"
-    return TRANSDUCERS[channel.quantity].unit if channel.quantity in TRANSDUCERS else OTHER_UNITS[channel.quantity]
 
 
 # The lines, in the fastest channels.
@@ -206,7 +202,7 @@ def _fit_group(
     rate_hz = record.raw[group[0].name].sample_rate_hz
     values = np.stack([record.values(channel) for channel in group], axis=1)
     names = [channel.name for channel in group]
-    units = [channel_unit(manifest, channel) for channel in group]
+    units = [manifest.rig.unit_of(channel) for channel in group]
     apart = np.abs(np.subtract.outer(lines.nuisance_hz, alias_frequency(lines.frequency_hz, rate_hz)))
     clear = np.all(apart * float(time_s[-1] - time_s[0]) >= APART_PERIODS, axis=1)
     beside = lines.nuisance_hz[clear & (lines.nuisance_hz < rate_hz / 2.0)]

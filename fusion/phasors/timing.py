@@ -7,18 +7,21 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fusion.base import InputError
-from fusion.recording.files import DaqRecord, no_pulse_width
-from fusion.recording.load import Manifest
-from fusion.recording.manifest import ChannelEntry, Images, PointFiles
+from fusion.base import ARGUMENT, InputError
+from fusion.recording.manifest import ChannelEntry, Frames, Images, PointFiles
 from fusion.recording.values import PULSE
 from shaker.arrays import FloatArray
 from shaker.timebase.edges import find_edges
 from shaker.timebase.tie import ClockTie, edge_instants, tie_clocks
 from shaker.timebase.trigger import PulseWidth, TriggerFit, fit_trigger
+
+if TYPE_CHECKING:
+    from fusion.recording.files import DaqRecord
+    from fusion.recording.load import Manifest
 
 
 @dataclass(frozen=True)
@@ -151,6 +154,16 @@ def exposure_of(manifest: Manifest, base: TimeBase, entry: Images | PointFiles) 
     except ValueError as error:
         raise no_pulse_width(manifest, daq, entry, error) from error
     return Exposure(pulse.width_s, pulse.u_width_s)
+
+
+def no_pulse_width(manifest: Manifest, daq: str, entry: Frames, error: ValueError) -> InputError:
+    """Say at the key that asked for it why the width of a trigger's pulses cannot be measured."""
+    file, key = manifest.path, f"{'images' if isinstance(entry, Images) else 'points'}.{entry.stereo}.exposure"
+    if manifest.rig.stereo[entry.stereo].exposure == PULSE:
+        file, key = manifest.rig_path, f"stereo.{entry.stereo}.exposure"
+    reason = ARGUMENT.sub("", str(error), count=1)
+    found = f'"{PULSE}", but the width of the pulses of {entry.trigger} in {daq} cannot be told ({reason})'
+    return InputError(file, key, found=found, expected="the exposure in s")
 
 
 def exposure_middles(manifest: Manifest, base: TimeBase, entry: Images | PointFiles, frames: int) -> FloatArray:

@@ -1,4 +1,4 @@
-"""What was recorded, read from its files: DAQ records, the points of a scan, the responses of measuring chains."""
+"""What was recorded, read from its files: DAQ records, the points of a scan."""
 
 from __future__ import annotations
 
@@ -6,13 +6,12 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from fusion.base import ComputeError, InputError
 from fusion.instruments import TRANSDUCERS
-from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry, Daq, Frames
 from shaker.arrays import FloatArray
 from shaker.io import read_channels
@@ -20,11 +19,13 @@ from shaker.io.channel import RawChannel
 from shaker.io.text import Scan, read_scan_asc
 from shaker.timebase.trigger import PulseWidth, pulse_width
 
+if TYPE_CHECKING:
+    from fusion.recording.load import Manifest
+
 # A scanning vibrometer's text in a recording: every scan point is a take of its own.
 
 
 SUFFIX = ".asc"
-SCANNING = tuple(name for name, transducer in TRANSDUCERS.items() if transducer.kind == "vibrometer")
 AnyFrames = TypeVar("AnyFrames", bound=Frames)
 
 

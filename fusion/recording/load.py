@@ -1,22 +1,16 @@
 """Manifests read from disk and checked against each other.
 
-TOML text becomes checked models; every mistake becomes one `InputError` that names file and key.
+Every mistake becomes one `InputError` that names file and key.
 """
 
 from __future__ import annotations
 
 import json
 import logging
-import re
-import tomllib
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, TypeVar, get_args
-
-from pydantic import BaseModel, ValidationError
-from pydantic_core import ErrorDetails
+from typing import Any
 
 from fusion.base import InputError
 from fusion.recording.excitation import KINDS, Excitation, check_kind, kinds_of, listed
@@ -32,12 +26,19 @@ from fusion.recording.manifest import (
     Stereo,
     Take,
 )
-from fusion.recording.values import Block, Context, PathScope, describe, natural_key, repeated_name
+from fusion.recording.values import (
+    Context,
+    PathScope,
+    describe,
+    natural_key,
+    quoted,
+    read_toml,
+    repeated_name,
+    validate,
+)
 
 log = logging.getLogger("shakercal")
 RECORDING_NAME = "recording.toml"
-LARGEST_TOML = 4_000_000  # bytes; no manifest is anywhere near
-AnyBlock = TypeVar("AnyBlock", bound=Block)
 
 
 @dataclass(frozen=True)
@@ -187,30 +188,6 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
     )
 
 
-def read_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file; syntax errors tell the line."""
-    try:
-        if path.stat().st_size > LARGEST_TOML:
-            raise InputError(path, "", f"{path.stat().st_size} bytes", f"a manifest of at most {LARGEST_TOML} bytes")
-        return tomllib.loads(path.read_bytes().decode("utf-8-sig"))
-    except FileNotFoundError as error:
-        raise InputError(path, "", "no such file", "an existing file") from error
-    except OSError as error:
-        raise InputError(path, "", error.strerror or str(error), "a file that can be read") from error
-    except UnicodeDecodeError as error:
-        raise InputError(path, "", f"byte {error.start} is something else", "UTF-8 text") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(path, "", str(error), "TOML") from error
-
-
-def validate(model: type[AnyBlock], text: dict[str, Any], path: Path, context: Context | None = None) -> AnyBlock:
-    """Check TOML values against a model; the first problem becomes an `InputError`."""
-    try:
-        return model.model_validate(text, context=context)
-    except ValidationError as error:
-        raise _input_error(model, text, path, error) from error
-
-
 def _rig_path(path: Path, text: dict[str, Any]) -> Path:
     """Path of rig.toml as a recording names it."""
     name = text.get("rig")
@@ -276,18 +253,13 @@ def _check_together(rig: Rig, rig_path: Path, record: RecordingFile, path: Path)
     twice = repeated_name([part.name for part in rig.part + record.part])
     if twice is not None:
         expected = "parts of different names in rig and recording"
-        raise InputError(path, f"part.{_quoted(twice)}.name", f'"{twice}" twice', expected)
-
-
-def _quoted(name: str) -> str:
-    """A name as part of a key path, in quotes unless TOML takes it bare."""
-    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else f'"{name}"'
+        raise InputError(path, f"part.{quoted(twice)}.name", f'"{twice}" twice', expected)
 
 
 def _located_channels(prefix: str, block: RecordingFile | Take) -> list[tuple[str, Daq, ChannelEntry]]:
     """Return every channel of a block with its key path."""
     return [
-        (f"{prefix}daq.{_quoted(daq.name)}.channel.{_quoted(entry.name)}", daq, entry)
+        (f"{prefix}daq.{quoted(daq.name)}.channel.{quoted(entry.name)}", daq, entry)
         for daq in block.daq
         for entry in daq.channel
     ]
@@ -301,10 +273,10 @@ def _check_stereo(rig: Rig, rig_path: Path, blocks: Iterable[tuple[str, Recordin
         pair = rig.stereo[name]
         if name in pictured and pair.calibration is None:
             expected = f"the calibration that the images of {name} need"
-            raise InputError(rig_path, f"stereo.{_quoted(name)}.calibration", "no calibration", expected)
+            raise InputError(rig_path, f"stereo.{quoted(name)}.calibration", "no calibration", expected)
         if pair.scale_uncertainty is None and (name in tabled or not _has_covariance(pair)):
             expected = "the relative standard uncertainty of all lengths, required without a calibration's covariance"
-            raise InputError(rig_path, f"stereo.{_quoted(name)}.scale_uncertainty", "nothing", expected)
+            raise InputError(rig_path, f"stereo.{quoted(name)}.scale_uncertainty", "nothing", expected)
 
 
 def _has_covariance(pair: Stereo) -> bool:
@@ -327,10 +299,10 @@ def _check_triggers(block: RecordingFile | Take, triggers: set[str], prefix: str
         if frames.trigger not in triggers:
             found = f'"{frames.trigger}"; trigger channels are {", ".join(sorted(triggers)) or "none"}'
             expected = 'the name of a channel with quantity = "trigger"'
-            raise InputError(path, f"{prefix}{kind}.{_quoted(frames.stereo)}.trigger", found, expected)
+            raise InputError(path, f"{prefix}{kind}.{quoted(frames.stereo)}.trigger", found, expected)
     twice = repeated_name([frames.stereo for _, entries in kinds for frames in entries])
     if twice is not None:
-        key, expected = f"{prefix}images.{_quoted(twice)}.stereo", "one images or points block per stereo pair"
+        key, expected = f"{prefix}images.{quoted(twice)}.stereo", "one images or points block per stereo pair"
         raise InputError(path, key, f'two blocks for "{twice}"', expected)
 
 
@@ -369,89 +341,3 @@ def _check_reference(
             found = "none" if not keys else f"{keys[0][1]}.{keys[0][2]}"
             expected = "one channel with reference = true, the same in every take"
             raise InputError(path, f"{prefix}daq", found, expected)
-
-
-# The sentence about what a model refuses.
-
-
-def _input_error(model: type[Block], text: dict[str, Any], path: Path, error: ValidationError) -> InputError:
-    """The sentence about the first problem; an unknown key comes before the key that is missing in its stead."""
-    problems = error.errors(include_url=False)
-    first = min(problems, key=lambda problem: problem["type"] != "extra_forbidden")
-    place = list(first["loc"])
-    own = first.get("ctx", {}).get("key")
-    key = key_path(text, [*place, own] if own else place)
-    expected, found = _phrases(model, first)
-    return InputError(path, key, found, expected, more=len(problems) - 1)
-
-
-def key_path(text: dict[str, Any], place: list[int | str]) -> str:
-    """Key path for people: blocks of an array by their name, else counted from 1: `daq.bridge.channel.Fz.scale`."""
-    told = ""
-    value: Any = text
-    for step in place:
-        inside = isinstance(value, list | tuple) if isinstance(step, int) else isinstance(value, dict)
-        known = inside and (step < len(value) if isinstance(step, int) else step in value)
-        child = value[step] if known else None
-        name = step if isinstance(step, str) else _block_name(value, child)
-        if isinstance(step, int) and not name:
-            told += f"[{step + 1}]"
-        else:
-            told += f".{_quoted(name)}" if told else _quoted(name)
-        value = child
-    return told
-
-
-def _block_name(siblings: Any, block: Any) -> str:
-    """What identifies a block among its siblings, empty if nothing does."""
-    for key in ("name", "stereo"):
-        names = [item.get(key) for item in siblings if isinstance(item, dict)] if isinstance(block, dict) else []
-        if isinstance(block, dict) and isinstance(block.get(key), str) and names.count(block[key]) == 1:
-            return str(block[key])
-    return ""
-
-
-def _phrases(model: type[Block], problem: ErrorDetails) -> tuple[str, str]:
-    """What was expected and what was found, for any error of pydantic's."""
-    kind, context = problem["type"], problem.get("ctx", {})
-    if kind == "refused":
-        return str(context["expected"]), str(context["found"])
-    if kind == "missing":
-        return "this key, which is required", "nothing"
-    if kind == "extra_forbidden":
-        return _known_keys(model, problem["loc"]), "an unknown key"
-    expected = {
-        "float_type": "a number",
-        "finite_number": "a finite number",
-        "int_type": "a whole number",
-        "bool_type": "true or false",
-        "string_type": "a text",
-        "string_too_short": "a text that is not empty",
-        "too_short": "at least {min_length} element",
-        "greater_than": "a number above {gt:g}",
-        "greater_than_equal": "a number of at least {ge:g}",
-        "less_than_equal": "a number of at most {le:g}",
-        "literal_error": "{expected}",
-        "model_type": "a table",
-        "dict_type": "a table",
-    }.get(kind)
-    return expected.format(**context) if expected else problem["msg"], describe(problem["input"])
-
-
-def _known_keys(model: type[BaseModel], place: tuple[int | str, ...]) -> str:
-    """Which key of the table at a place below a model was probably meant, else all its keys."""
-    for step in place[:-1]:
-        field = model.model_fields.get(step) if isinstance(step, str) else None
-        below = next(_models_in(field.annotation), None) if field is not None else None
-        model = below or model
-    known = list(model.model_fields)
-    close = get_close_matches(str(place[-1]), known, n=1)
-    return f'a known key, probably "{close[0]}"' if close else "one of the keys " + ", ".join(known)
-
-
-def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
-    """The models that an annotation such as tuple[Daq, ...] names."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation
-    for argument in get_args(annotation):
-        yield from _models_in(argument)

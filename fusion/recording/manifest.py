@@ -55,6 +55,7 @@ if TYPE_CHECKING:
 else:
     Quantity = Literal[(*TRANSDUCERS, "force", "output", "voltage", "trigger")]
 DAQ_SUFFIXES = (".h5", ".hdf5", ".tdms", ".uff", ".unv", ".mat", ".csv", ".wav", ".lvm", ".asc")
+OTHER_UNITS = {"force": "N", "voltage": "V"}
 MINIMUM_FRAMES = 3
 COORDINATES = ("x", "y", "z")
 REFERENCE_COORDINATES = ("x0", "y0", "z0")
@@ -241,6 +242,12 @@ class Rig(Block):
     def _parts_have_different_names(self) -> Self:
         refuse_repeated([part.name for part in self.part], "parts", "part")
         return self
+
+    def unit_of(self, channel: ChannelEntry) -> str:
+        """Return the unit of a channel after its scale."""
+        if channel.quantity == "output":
+            return self.sensor.unit if self.sensor else "1"
+        return TRANSDUCERS[channel.quantity].unit if channel.quantity in TRANSDUCERS else OTHER_UNITS[channel.quantity]
 
     @property
     def gravity(self) -> Vector3 | None:

@@ -1,0 +1,185 @@
+"""The frequency response of a measuring chain: a table, or a text of gain, poles and standard filters."""
+
+from __future__ import annotations
+
+import csv
+from contextlib import suppress
+from pathlib import Path
+from typing import Annotated, ClassVar, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BeforeValidator, Field, model_validator
+
+from fusion.base import InputError
+from fusion.recording.values import (
+    Block,
+    NotNegative,
+    Number,
+    Positive,
+    Text,
+    array_of_tables,
+    read_toml,
+    refusal,
+    rows_of,
+    validate,
+)
+from shaker.arrays import FloatArray
+from shaker.frf.chain import (
+    ChainResponse,
+    FilterKind,
+    PassBand,
+    PoleModel,
+    ResponseTable,
+    filter_poles,
+    pole_response,
+    product,
+    table_response,
+)
+
+COLUMNS = ("frequency_hz", "magnitude", "phase_rad", "u_magnitude", "u_phase_rad")
+ELEMENTS = ".toml"
+
+
+Roots = Annotated[
+    tuple[tuple[float, float], ...],
+    BeforeValidator(lambda value: rows_of(len(value) if isinstance(value, list | tuple) else 0, 2)(value)),
+]
+"""A list of [real, imaginary] pairs."""
+
+
+def _complex(roots: tuple[tuple[float, float], ...]) -> NDArray[np.complex128]:
+    """Return pairs of real and imaginary part as complex numbers."""
+    return np.array([complex(*root) for root in roots], dtype=np.complex128)
+
+
+class Element(Block):
+    """One element of a chain: gain and delay of its own, and poles and zeros in rad/s or a standard filter."""
+
+    name: Text = "element"
+    gain: Number = 1.0
+    gain_uncertainty: NotNegative = 0.0
+    gain_at: NotNegative | None = None
+    zeros: Roots = ()
+    poles: Roots = ()
+    filter: FilterKind | None = None
+    band: PassBand = "lowpass"
+    order: Annotated[int, Field(ge=1, le=12)] | None = None
+    corner: Positive | None = None
+    damping: Positive | None = None
+    frequency_uncertainty: NotNegative = 0.0
+    delay: Number = 0.0
+    delay_uncertainty: NotNegative = 0.0
+
+    OF_FILTER: ClassVar[tuple[str, ...]] = ("band", "order", "corner", "damping")
+    OF_POLES: ClassVar[tuple[str, ...]] = ("zeros", "poles", "gain_at")
+
+    @model_validator(mode="after")
+    def _keys_belong_together(self) -> Self:
+        foreign = self.OF_FILTER if self.filter is None else self.OF_POLES
+        if self.filter != "resonance":
+            foreign = (*foreign, "damping")
+        for key in foreign:
+            if key in self.model_fields_set:
+                kind = "an element without filter" if self.filter is None else f'filter = "{self.filter}"'
+                raise refusal(f"no such key for {kind}", "one", key=key)
+        needed = {None: (), "resonance": ("corner", "damping")}.get(self.filter, ("order", "corner"))
+        for key in needed:
+            if getattr(self, key) is None:
+                raise refusal(f'this key, required for filter = "{self.filter}"', "nothing", key=key)
+        if self.filter == "resonance" and self.order not in (None, 2):
+            raise refusal("order 2 of a resonance", f"{self.order}", key="order")
+        try:
+            self.model()
+        except ValueError as error:
+            key, _, text = str(error).partition(": expected ")
+            expected, _, found = text.partition(", found ")
+            raise refusal(expected, found, key=key) from error
+        return self
+
+    def model(self) -> PoleModel:
+        """Return the poles of the element, its gain and its delay."""
+        if self.filter is None:
+            return PoleModel(_complex(self.zeros), _complex(self.poles), self.gain, self.gain_at, self.delay)
+        damping = {} if self.damping is None else {"damping": self.damping}
+        own = filter_poles(self.filter, self.order or 2, self.corner or 0.0, self.band, **damping)
+        return PoleModel(own.zeros, own.poles, self.gain * own.gain, own.gain_hz, self.delay)
+
+    def response(self, frequency_hz: FloatArray) -> ChainResponse:
+        """Return the element's response at frequencies (K,) in Hz, its causes of error named by the element."""
+        found = pole_response(
+            frequency_hz,
+            self.model(),
+            u_gain=self.gain_uncertainty,
+            u_frequency=self.frequency_uncertainty,
+            u_delay_s=self.delay_uncertainty,
+        )
+        return ChainResponse(found.value, found.errors, tuple(f"{cause} of {self.name}" for cause in found.causes))
+
+
+class Chain(Block):
+    """A chain's file: elements one behind the other."""
+
+    format: Literal[1] = 1
+    element: Annotated[tuple[Element, ...], BeforeValidator(array_of_tables), Field(min_length=1)]
+
+
+def read_response(path: Path, frequency_hz: FloatArray) -> ChainResponse:
+    """Return the response that a file states at frequencies (K,) in Hz.
+
+    `.toml`: `[[element]]` blocks, which multiply. Any other file is a table with the columns frequency_hz, magnitude,
+    phase_rad, u_magnitude, u_phase_rad (u_: standard uncertainty in the unit of the column it belongs to). Raises
+    `InputError` naming file and key or column.
+    """
+    if path.suffix.lower() == ELEMENTS:
+        try:
+            return product([element.response(frequency_hz) for element in read_chain(path).element])
+        except ValueError as error:
+            raise InputError.told_by(error, path, "element") from error
+    table = read_table(path)
+    outside = [f for f in frequency_hz if not table.frequency_hz[0] <= f <= table.frequency_hz[-1]]
+    if outside:
+        found = f"{table.frequency_hz[0]:g} to {table.frequency_hz[-1]:g} Hz"
+        raise InputError(path, "frequency_hz", found=found, expected=f"a range that contains {outside[0]:g} Hz")
+    return table_response(table, frequency_hz)
+
+
+def check_response(path: Path) -> None:
+    """Raise `InputError` unless a response file can be read."""
+    _ = read_chain(path) if path.suffix.lower() == ELEMENTS else read_table(path)
+
+
+def read_chain(path: Path) -> Chain:
+    """Read the elements of a chain; raises `InputError`."""
+    return validate(Chain, read_toml(path), path)
+
+
+def read_table(path: Path) -> ResponseTable:
+    """Read a response table; raises `InputError` for a missing column and a cell that is no number."""
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.DictReader(file)
+            names, rows = tuple(reader.fieldnames or ()), list(reader)
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(path, "", found=str(error), expected="a table in UTF-8 text") from error
+    missing = [name for name in COLUMNS if name not in names]
+    if missing:
+        found = f"columns {', '.join(str(name) for name in names) or 'none'}"
+        raise InputError(path, missing[0], found=found, expected="this column")
+    columns = {name: np.full(len(rows), np.nan) for name in COLUMNS}
+    for name, values in columns.items():
+        for line, row in enumerate(rows):
+            with suppress(TypeError, ValueError):
+                values[line] = float(row[name])
+            if not np.isfinite(values[line]):
+                found = f'"{row[name] or ""}" in line {line + 2}'
+                raise InputError(path, name, found=found, expected="one finite number per row")
+    frequency_hz, magnitude = columns["frequency_hz"], columns["magnitude"]
+    if len(rows) == 0 or np.any(np.diff(frequency_hz) <= 0.0):
+        raise InputError(path, "frequency_hz", found="values that do not ascend", expected="ascending frequencies")
+    if np.any(magnitude <= 0.0):
+        raise InputError(path, "magnitude", found=f"{magnitude.min():g}", expected="positive values")
+    for name in ("u_magnitude", "u_phase_rad"):
+        if np.any(columns[name] < 0.0):
+            raise InputError(path, name, found=f"{columns[name].min():g}", expected="no negative values")
+    return ResponseTable(**columns)
