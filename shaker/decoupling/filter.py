@@ -83,7 +83,10 @@ class DecouplingFilter:
                     found[d] += weight * whole[c, delay - k : delay - k + count]
         held = np.empty_like(state.poles)
         for i, pole in enumerate(self.poles):
-            drive = _weighted(self.driven[i], whole[:, :count])
+            drive = np.zeros(count, dtype=np.complex128)
+            for weight, row in zip(self.driven[i], whole[:, :count], strict=True):
+                drive.real += weight.real * row
+                drive.imag += weight.imag * row
             answer, held[i : i + 1] = lfilter([0.0, 1.0], [1.0, -pole], drive, zi=state.poles[i : i + 1])
             real, imag = answer.real.copy(), answer.imag.copy()
             for d, weight in enumerate(self.shown[:, i]):
@@ -123,15 +126,6 @@ class DecouplingFilter:
         shown = np.concatenate([self.shown, self.shown.conj()], axis=1) / 2.0
         among = (driven @ driven.conj().T) / (1.0 - np.outer(poles, poles.conj()))
         return np.asarray(np.sqrt(power + np.real(np.einsum("dn,nm,dm->d", shown, among, shown.conj()))))
-
-
-def _weighted(weights: ComplexArray, rows: FloatArray) -> ComplexArray:
-    """Σ weights·rows in the order of the rows, real and imaginary part apart."""
-    real, imag = np.zeros(rows.shape[1]), np.zeros(rows.shape[1])
-    for weight, row in zip(weights, rows, strict=True):
-        real += weight.real * row
-        imag += weight.imag * row
-    return real + 1j * imag
 
 
 # Design of the filter against cross-talk: the load that explains the outputs best, with wanted dynamics.
@@ -183,10 +177,19 @@ def design_decoupling(
     if not model.stable:
         raise ValueError("model: expected one whose poles all decay, found one that grows")
     check_shape("frequency_hz", target.frequency_hz, (len(model.components),))
-    plant, wanted = _scaled(model, target, recorded)
+    shape, rate = recorded.load / recorded.noise[:, None], recorded.sample_rate_hz
+    plant = sampled_modes(model.poles, [residue * shape for residue in (*model.residue, *model.real_residue)], rate)
+    omega, zeta = 2 * np.pi * target.frequency_hz, target.damping_ratio
+    upper = omega * (-zeta + 1j * np.sqrt(1 - zeta**2))
+    own = [np.outer(unit, unit) * omega[i] ** 2 / (2j * upper[i].imag) for i, unit in enumerate(np.eye(len(omega)))]
+    wanted = sampled_modes(upper, own, rate)  # from the loads over their size, as the plant's outputs over their noise
     gains = _smoother(plant, wanted, _DELAYS if delay is None else delay)
-    lag = _shortest(gains) if delay is None else delay
-    return _assembled(model, target, recorded, gains, lag)
+    error = np.sqrt(np.maximum(gains.left, 0.0))
+    near = np.all(error <= np.maximum(_GAIN_LEFT * error[-1], _SMALL * np.sqrt(gains.size)), axis=1)
+    lag = int(np.flatnonzero(near)[0]) if delay is None else delay
+    raw = _assembled(model, target, recorded, gains, lag)
+    mend = np.linalg.inv(raw.response(np.zeros(1))[0].real @ model.static_gain)
+    return replace(raw, taps=np.asarray(np.einsum("de,lec->ldc", mend, raw.taps)), shown=mend @ raw.shown)
 
 
 @dataclass(frozen=True)
@@ -202,18 +205,6 @@ class _Gains:
     gains: FloatArray
     left: FloatArray
     size: FloatArray
-
-
-def _scaled(model: MultiModel, target: Target, recorded: Recorded) -> tuple[StateSpace, StateSpace]:
-    """Outputs over their noise, and wanted loads, from the loads over their size."""
-    shape = recorded.load / recorded.noise[:, None]
-    poles = model.poles
-    residues = [residue * shape for residue in (*model.residue, *model.real_residue)]
-    omega, zeta = 2 * np.pi * target.frequency_hz, target.damping_ratio
-    upper = omega * (-zeta + 1j * np.sqrt(1 - zeta**2))
-    own = [np.outer(unit, unit) * omega[i] ** 2 / (2j * upper[i].imag) for i, unit in enumerate(np.eye(len(omega)))]
-    rate = recorded.sample_rate_hz
-    return sampled_modes(poles, residues, rate), sampled_modes(upper, own, rate)
 
 
 def _smoother(plant: StateSpace, wanted: StateSpace, delay: int) -> _Gains:
@@ -242,13 +233,6 @@ def _smoother(plant: StateSpace, wanted: StateSpace, delay: int) -> _Gains:
     return _Gains(m, k, c, shown, gains, before - told, size)
 
 
-def _shortest(gains: _Gains) -> int:
-    """The shortest delay whose root mean square error is small, or near that of the longest, for every load."""
-    error = np.sqrt(np.maximum(gains.left, 0.0))
-    near = np.all(error <= np.maximum(_GAIN_LEFT * error[-1], _SMALL * np.sqrt(gains.size)), axis=1)
-    return int(np.flatnonzero(near)[0])
-
-
 def _assembled(model: MultiModel, target: Target, recorded: Recorded, found: _Gains, lag: int) -> DecouplingFilter:
     """The filter as taps and poles: innovations up to the delay are written as outputs and the state before them.
 
@@ -268,7 +252,7 @@ def _assembled(model: MultiModel, target: Target, recorded: Recorded, found: _Ga
     driven, seen = np.linalg.solve(vectors, found.k.astype(np.complex128)), shown @ vectors
     kept = poles.imag > -_REAL * np.abs(poles)
     double = np.where(poles[kept].imag > _REAL * np.abs(poles[kept]), 2.0, 1.0)
-    raw = DecouplingFilter(
+    return DecouplingFilter(
         channels=model.channels,
         components=model.components,
         unit=model.unit,
@@ -280,14 +264,6 @@ def _assembled(model: MultiModel, target: Target, recorded: Recorded, found: _Ga
         target_hz=target.frequency_hz,
         target_damping=target.damping_ratio,
     )
-    return _exact_at_rest(raw, model)
-
-
-def _exact_at_rest(raw: DecouplingFilter, model: MultiModel) -> DecouplingFilter:
-    """The filter times the matrix that makes D(0)·H(0) one."""
-    static = raw.response(np.zeros(1))[0].real @ model.static_gain
-    mend = np.linalg.inv(static)
-    return replace(raw, taps=np.asarray(np.einsum("de,lec->ldc", mend, raw.taps)), shown=mend @ raw.shown)
 
 
 # How much of one load is read as another: before, with the static matrix alone, and behind the filter.
@@ -366,7 +342,7 @@ def crosstalks(
     its covariance to first order, for the peaks by the slope towards `draws` models drawn from it.
     """
     matrices = (("raw", raw_reading(model)), ("static", static_inverse(model, noise)))
-    readers = [(stage, _constant(matrix, len(frequency_hz))) for stage, matrix in matrices if matrix is not None]
+    readers = [(stage, matrix[None].astype(np.complex128)) for stage, matrix in matrices if matrix is not None]
     readers.append(("filtered", decoupler.response(frequency_hz)))
     response = model.response(frequency_hz)
     drawn = _peaks(model, decoupler, dict(matrices), rng, draws)
@@ -398,17 +374,12 @@ def step_times(model: MultiModel, decoupler: DecouplingFilter) -> FloatArray:
     return np.arange(count) / decoupler.sample_rate_hz
 
 
-def _constant(matrix: FloatArray, count: int) -> ComplexArray:
-    """A matrix at every frequency."""
-    return np.asarray(np.broadcast_to(matrix, (count, *matrix.shape)), dtype=np.complex128)
-
-
 def _u(model: MultiModel, reader: ComplexArray, value: ComplexArray, frequency_hz: FloatArray) -> FloatArray:
     """Standard uncertainty of every reading in a direction of the complex plane, the mean of all directions."""
     found = np.zeros(value.shape)
     for j in range(value.shape[2]):
         slope, covariance = model.column_sensitivity(j, frequency_hz)
-        change = np.einsum("kdc,kcp->kdp", reader, slope, optimize=True)
+        change = reader @ slope
         root = np.linalg.cholesky(_safe(covariance))
         parts = change @ root
         found[:, :, j] = np.linalg.norm(parts, axis=2) / np.sqrt(2.0)
@@ -436,10 +407,16 @@ def _peaks(
     in poles far from the fitted ones, of which only the sum of their effects is known.
     """
     time_s = step_times(model, decoupler)
-    near = _near(model, rng, draws)
-    found = {}
+    if model.covariance is None:
+        raise ValueError("model: expected one with covariance, found none")
+    root = np.linalg.cholesky(_safe(model.covariance))
+    vectors = model.vector + _SHORTENED * rng.standard_normal((draws, len(root))) @ root.T
+    near, found = [model.with_vector(vector) for vector in vectors], {}
     kernels = {stage: matrix[None] for stage, matrix in matrices.items() if matrix is not None}
-    kernels["filtered"] = _impulses(decoupler, len(time_s))
+    impulse = np.zeros((len(time_s), len(decoupler.channels)))
+    impulse[0, 0] = 1.0
+    answers = [decoupler.process(np.roll(impulse, c, axis=1), decoupler.rest())[0] for c in range(impulse.shape[1])]
+    kernels["filtered"] = np.stack(answers, axis=2)
     for stage, kernel in kernels.items():
         here = _convolved(kernel, model.step(time_s))
         peak = np.max(np.abs(here), axis=0)
@@ -447,17 +424,6 @@ def _peaks(
         spread = np.mean([(np.max(np.abs(other), axis=0) - peak) ** 2 for other in moved], axis=0)
         found[stage] = (peak, np.asarray(np.sqrt(spread)))
     return found
-
-
-def _impulses(decoupler: DecouplingFilter, count: int) -> FloatArray:
-    """Answers (N, D, C) of the filter to a unit sample of every output."""
-    units = np.eye(len(decoupler.channels))
-    columns = []
-    for unit in units:
-        outputs = np.zeros((count, len(units)))
-        outputs[0] = unit
-        columns.append(decoupler.process(outputs, decoupler.rest())[0])
-    return np.stack(columns, axis=2)
 
 
 def _convolved(kernel: FloatArray, outputs: FloatArray) -> FloatArray:
@@ -469,12 +435,3 @@ def _convolved(kernel: FloatArray, outputs: FloatArray) -> FloatArray:
     size = next_fast_len(2 * len(outputs), real=True)
     product = rfft(kernel, size, axis=0) @ rfft(outputs, size, axis=0)
     return np.asarray(irfft(product, size, axis=0)[: len(outputs)])
-
-
-def _near(model: MultiModel, rng: Generator, draws: int) -> list[MultiModel]:
-    """Models drawn from the covariance, brought near: of poles far away only what they do to first order is known."""
-    if model.covariance is None:
-        raise ValueError("model: expected one with covariance, found none")
-    root = np.linalg.cholesky(_safe(model.covariance))
-    vectors = model.vector + _SHORTENED * rng.standard_normal((draws, len(root))) @ root.T
-    return [model.with_vector(vector) for vector in vectors]

@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from shaker.arrays import ComplexArray, FloatArray, Notice
-from shaker.decoupling.model import MultiModel, check_separable, in_order
+from shaker.decoupling.model import MultiModel, Poles, check_separable, in_order
 from shaker.decoupling.order import Trial, by_record, chosen, lagged, needed, otherwise, shaped
 from shaker.decoupling.problem import (
     Fitted,
-    Poles,
     Release,
     Sampled,
     StepProblem,
@@ -20,6 +19,7 @@ from shaker.decoupling.problem import (
     fit_poles,
     left_open,
     prepared,
+    widened,
 )
 from shaker.release.poles import highest_frequency, shared_poles
 from shaker.release.reading import read_release
@@ -41,7 +41,12 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
     rate. Loads that the outputs do not tell apart are refused with their names.
     """
     components = _checked(records)
-    readings = [_clearest(record) for record in records]
+    readings = []
+    for record in records:  # by the output that changes most over what it scatters by before
+        count = record.samples.shape[1]
+        rest, end = record.samples[:, : max(8, count // 50)], record.samples[:, -max(8, count // 5) :]
+        change = np.abs(end.mean(axis=1) - rest.mean(axis=1)) / np.maximum(rest.std(axis=1), 1e-300)
+        readings.append(read_release(record, record.channels[int(np.argmax(change))]))
     noise = _noise(records, readings)
     problem, releases, start = _posed(records, readings, noise, components)
     start, releases = lagged(problem, needed(problem, start, releases, most_modes), releases)
@@ -81,14 +86,6 @@ def _checked(records: Sequence[StepRecord]) -> tuple[str, ...]:
     return in_order(record.component for record in records)
 
 
-def _clearest(record: StepRecord) -> Reading:
-    """What the output shows of a release that changes most over what it scatters by before."""
-    count = record.samples.shape[1]
-    rest, end = record.samples[:, : max(8, count // 50)], record.samples[:, -max(8, count // 5) :]
-    change = np.abs(end.mean(axis=1) - rest.mean(axis=1)) / np.maximum(rest.std(axis=1), 1e-300)
-    return read_release(record, record.channels[int(np.argmax(change))])
-
-
 def _noise(records: Sequence[StepRecord], readings: Sequence[Reading]) -> FloatArray:
     """Standard deviation of a sample (C,) before the releases; a silent output has that of its digits."""
     sums, count = np.zeros(len(records[0].channels)), 0
@@ -105,7 +102,12 @@ def _posed(
 ) -> tuple[StepProblem, tuple[Release, ...], Poles]:
     """The least squares problem, with releases as read and poles of the decays to start from."""
     rate = records[0].sample_rate_hz
-    decays = [_decay(record, reading) / noise[:, None] for record, reading in zip(records, readings, strict=True)]
+    decays = []
+    for record, reading in zip(records, readings, strict=True):
+        end = reading.onset_s + 1.5 * reading.release_s + 2.0 / rate
+        rest = record.samples[:, int((end - record.start_s) * rate) :]
+        level = rest[:, -max(8, rest.shape[1] // 5) :].mean(axis=1, keepdims=True)
+        decays.append((rest - level) / noise[:, None])
     size = max(1, int(rate / (_PER_PERIOD * highest_frequency(decays, rate))))
     size = min(size, max(1, min(part.shape[1] for part in decays) // _LEAST_BLOCKS))
     sampled = tuple(
@@ -140,13 +142,6 @@ def _offered(decays: Sequence[FloatArray], loads: Sequence[str], rate_hz: float)
             if not np.any(np.abs(found - pole) < _APART * np.maximum(-pole.real, -found.real)):
                 found = np.append(found, pole)
     return found
-
-
-def _decay(record: StepRecord, reading: Reading) -> FloatArray:
-    """Samples (C, N) after the release, less their last level."""
-    end = reading.onset_s + 1.5 * reading.release_s + 2.0 / record.sample_rate_hz
-    rest = record.samples[:, int((end - record.start_s) * record.sample_rate_hz) :]
-    return np.asarray(rest - rest[:, -max(8, rest.shape[1] // 5) :].mean(axis=1, keepdims=True))
 
 
 # What was found, in the units of the records.
@@ -222,17 +217,31 @@ def multi_fit(
     """Return the result of a fit in the units of the records; `noise` (C,) of a sample weighted the outputs."""
     point, poles = found.solution.point, found.poles
     spread, follows = covariances(point, [misfits(found, len(noise)) ** 2] * len(point.blocks), left_open(found))
+    spread = widened(found, spread)
     scaled = noise / np.sqrt(problem.records[0].samples.length[0])
     releases = _releases(problem, records, found, spread)
     shares = np.array([_scale_share(name, records, releases) for name in problem.components])
-    whole = [poles.smooth @ own for own in point.coefficients]
-    follows = [
-        [_whole(poles, follow, own[:, c]) for c, follow in enumerate(outputs)]
-        for outputs, own in zip(follows, point.coefficients, strict=True)
-    ]
-    model = _model(records[0], problem.components, poles, whole, scaled)
+    table = np.stack([poles.smooth @ own for own in point.coefficients], axis=2) * scaled[:, None]
+    re, im, real = np.split(table, [poles.modes, 2 * poles.modes])
+    model = MultiModel(
+        channels=records[0].channels,
+        components=problem.components,
+        unit=records[0].unit,
+        frequency_hz=poles.frequency_hz,
+        damping_ratio=poles.damping_ratio,
+        residue=re + 1j * im,
+        real_hz=poles.real_hz,
+        real_residue=real,
+    )
+    for outputs, own in zip(follows, point.coefficients, strict=True):
+        for c, follow in enumerate(outputs):  # of those that start smoothly, and as the basis of these turns
+            outputs[c] = poles.smooth @ follow
+            outputs[c][:, : poles.count] += (poles.smooth_slopes @ own[:, c]).T
     covariance, alone = _covariance(model, spread, follows, scaled)
-    covariance += _of_scale(model, shares)
+    size = model.shared * len(model.channels)
+    for d, share in enumerate(shares):  # all residues of a load share the uncertainty of its scale
+        here = slice(model.shared + d * size, model.shared + (d + 1) * size)
+        covariance[here, here] += share**2 * np.outer(model.vector[here], model.vector[here])
     check_separable(model.static_gain, model.channels, model.components)
     data = [float(np.vdot(block.data, block.data)) for block in point.blocks]
     left = [float(np.vdot(rest, rest)) for rest in point.residuals]
@@ -260,35 +269,6 @@ def misfits(found: Fitted, outputs: int) -> FloatArray:
     return np.asarray(np.sqrt(np.sum(rests**2, axis=0) / (len(rests) - free)))
 
 
-def _whole(poles: Poles, follow: FloatArray, own: FloatArray) -> FloatArray:
-    """How all coefficients follow the parameters (2M + Q, P + B) from how those `own` (B,) that start smoothly do."""
-    found = poles.smooth @ follow
-    found[:, : poles.count] += (poles.smooth_slopes @ own).T
-    return np.asarray(found)
-
-
-def _model(
-    record: StepRecord,
-    components: tuple[str, ...],
-    poles: Poles,
-    coefficients: Sequence[FloatArray],
-    scaled: FloatArray,
-) -> MultiModel:
-    """The model of poles and coefficients (2M + Q, C) in units of the noise, load after load."""
-    table = np.stack(coefficients, axis=2) * scaled[:, None]
-    re, im, real = np.split(table, [poles.modes, 2 * poles.modes])
-    return MultiModel(
-        channels=record.channels,
-        components=components,
-        unit=record.unit,
-        frequency_hz=poles.frequency_hz,
-        damping_ratio=poles.damping_ratio,
-        residue=re + 1j * im,
-        real_hz=poles.real_hz,
-        real_residue=real,
-    )
-
-
 def _covariance(
     model: MultiModel, spread: FloatArray, follows: Sequence[Sequence[FloatArray]], scaled: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -307,16 +287,6 @@ def _covariance(
             own[here, here] = size**2 * follow[:, len(spread) :] @ follow[:, len(spread) :].T
             place += n
     return np.asarray(rows @ spread @ rows.T + own), np.asarray(np.sqrt(np.diag(own)))
-
-
-def _of_scale(model: MultiModel, shares: FloatArray) -> FloatArray:
-    """Covariance by the relative uncertainty (D,) of each load's scale, which all residues of its column share."""
-    vector, found = model.vector, np.zeros((len(model.vector),) * 2)
-    size = model.shared * len(model.channels)
-    for d, share in enumerate(shares):
-        here = slice(model.shared + d * size, model.shared + (d + 1) * size)
-        found[here, here] = share**2 * np.outer(vector[here], vector[here])
-    return found
 
 
 def _releases(

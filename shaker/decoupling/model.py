@@ -4,12 +4,141 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, check_shape
+from shaker.arrays import ComplexArray, FloatArray, IntArray, check_shape
 from shaker.labels import LOAD_COMPONENTS
 from shaker.lti.system import ModalModel
+
+# Poles that outputs and loads share.
+
+
+@dataclass(frozen=True)
+class Poles:
+    """Common poles: `frequency_hz` and `damping_ratio` (M,) of the modes, `real_hz` (Q,)."""
+
+    frequency_hz: FloatArray
+    damping_ratio: FloatArray
+    real_hz: FloatArray
+
+    @property
+    def modes(self) -> int:
+        """Number of modes."""
+        return len(self.frequency_hz)
+
+    @property
+    def count(self) -> int:
+        """Number of parameters, which is that of the columns of a design too."""
+        return 2 * self.modes + len(self.real_hz)
+
+    @property
+    def vector(self) -> FloatArray:
+        """All parameters: frequencies, damping ratios, logarithms of the real poles."""
+        return np.concatenate([self.frequency_hz, self.damping_ratio, np.log(self.real_hz)])
+
+    def with_vector(self, vector: FloatArray) -> Poles:
+        """Return poles of other parameters."""
+        f, z, log_hz = np.split(vector[: self.count], [self.modes, 2 * self.modes])
+        return Poles(f, z, np.exp(np.clip(log_hz, -50.0, 50.0)))
+
+    @property
+    def scale(self) -> FloatArray:
+        """Size of a change of every parameter that matters."""
+        return np.concatenate([1e-2 * self.frequency_hz, np.full(self.modes, 1e-2), np.full(len(self.real_hz), 0.5)])
+
+    @cached_property
+    def slopes(self) -> tuple[IntArray, ComplexArray]:
+        """Which pole (2M + Q,) every parameter moves, and how fast."""
+        m, omega, zeta = self.modes, 2 * np.pi * self.frequency_hz, self.damping_ratio
+        root = np.sqrt(1 - zeta**2)
+        by_frequency, by_damping = 2 * np.pi * (-zeta + 1j * root), omega * (-1.0 - 1j * zeta / root)
+        places = np.concatenate([np.arange(m), np.arange(m + len(self.real_hz))])
+        return places, np.concatenate([by_frequency, by_damping, self.values[m:]])
+
+    def basis(self, frequency_hz: FloatArray) -> ComplexArray:
+        """Return what Re and Im of the residues and the real residues multiply, (K, 2M + Q), at frequencies (K,)."""
+        s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[:, None]
+        upper, real = np.split(self.values, [self.modes])
+        above, below = 1 / (s - upper), 1 / (s - upper.conj())
+        return np.concatenate([above + below, 1j * (above - below), 1 / (s - real)], axis=1)
+
+    def response_slopes(self, frequency_hz: FloatArray, residues: ComplexArray) -> ComplexArray:
+        """Return derivatives (…, K, 2M + Q) of Σ R/(s - p) with conjugates, residues (…, M + Q), by the parameters."""
+        s, (which, slope) = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[:, None], self.slopes
+        own = (slope * residues[..., which])[..., None, :]
+        mirrored = np.where(which < self.modes, own.conj(), 0.0)
+        return np.asarray(own / (s - self.values[which]) ** 2 + mirrored / (s - self.values[which].conj()) ** 2)
+
+    @property
+    def allowed(self) -> bool:
+        """Whether these are poles of modes that swing and decay, as those of a sensor do."""
+        damped = np.all((self.damping_ratio > 0.0) & (self.damping_ratio < 0.7))
+        return bool(damped and np.all(self.frequency_hz > 0) and np.all(self.real_hz > 0))
+
+    @cached_property
+    def values(self) -> ComplexArray:
+        """Poles in rad/s, those of the modes first."""
+        omega, zeta = 2 * np.pi * self.frequency_hz, self.damping_ratio
+        upper = omega * (-zeta + 1j * np.sqrt(1 - zeta**2))
+        return np.concatenate([upper, -2 * np.pi * self.real_hz + 0j])
+
+    def with_mode(self, pole: complex) -> Poles:
+        """Return these and one more mode."""
+        f, z = (
+            np.append(self.frequency_hz, abs(pole) / (2 * np.pi)),
+            np.append(self.damping_ratio, -pole.real / abs(pole)),
+        )
+        return Poles(f, np.clip(z, 1e-4, 0.9), self.real_hz)
+
+    def with_real(self, hz: float) -> Poles:
+        """Return these and one more real pole."""
+        return replace(self, real_hz=np.append(self.real_hz, hz))
+
+    def without(self, place: int) -> Poles:
+        """Return these without one: a mode, or counted behind them a real pole."""
+        if place < self.modes:
+            return replace(
+                self,
+                frequency_hz=np.delete(self.frequency_hz, place),
+                damping_ratio=np.delete(self.damping_ratio, place),
+            )
+        return replace(self, real_hz=np.delete(self.real_hz, place - self.modes))
+
+    @cached_property
+    def smooth(self) -> FloatArray:
+        """Basis (2M + Q, 2M - 1) of the coefficients of outputs that start smoothly: Σ R·p^k = 0, k = 0 … Q."""
+        return np.asarray(np.linalg.qr(self._moments()[0], mode="complete")[0][:, len(self.real_hz) + 1 :])
+
+    @cached_property
+    def smooth_slopes(self) -> FloatArray:
+        """How that basis turns with every parameter (2M + Q, 2M + Q, 2M - 1): Gᵀ·S = 0, dS = -G·(GᵀG)⁻¹·dGᵀ·S."""
+        moments, slopes = self._moments()
+        held = np.linalg.pinv(moments).T
+        return np.asarray(-held @ (np.transpose(slopes, (0, 2, 1)) @ self.smooth))
+
+    def _moments(self) -> tuple[FloatArray, FloatArray]:
+        """What gives Σ R·p^k (2M + Q, Q + 1) in units of the fastest pole, and its slopes by parameter in front."""
+        m, values = self.modes, self.values
+        unit = float(np.abs(values).max())
+        k = np.arange(len(self.real_hz) + 1)
+        power = (values[:, None] / unit) ** k
+        grows = k * (values[:, None] / unit) ** np.maximum(k - 1, 0) / unit
+        found = np.concatenate([2 * power[:m].real, -2 * power[:m].imag, power[m:].real])
+        slopes = np.zeros((self.count, *found.shape))
+        for i, (place, slope) in enumerate(zip(*self.slopes, strict=True)):
+            change = slope * grows[place]
+            if place < m:
+                slopes[i, place], slopes[i, m + place] = 2 * change.real, -2 * change.imag
+            else:
+                slopes[i, m + place] = change.real
+        return found, slopes
+
+    def columns(self, place: int) -> list[int]:
+        """Return the columns of a design that belong to one pole."""
+        return [place, place + self.modes] if place < self.modes else [place + self.modes]
+
 
 # A system with several outputs and several loads as a sum of modes that all its elements share.
 
@@ -86,8 +215,12 @@ class MultiModel:
     @property
     def poles(self) -> ComplexArray:
         """Poles in rad/s: the upper ones of the modes (M,), then the real ones (Q,)."""
-        omega, zeta = 2 * np.pi * self.frequency_hz, self.damping_ratio
-        return np.concatenate([omega * (-zeta + 1j * np.sqrt(1 - zeta**2)), -2 * np.pi * self.real_hz + 0j])
+        return self.common_poles.values
+
+    @property
+    def common_poles(self) -> Poles:
+        """The poles with their parameters."""
+        return Poles(self.frequency_hz, self.damping_ratio, self.real_hz)
 
     @property
     def stable(self) -> bool:
@@ -146,32 +279,18 @@ class MultiModel:
         """
         if self.covariance is None:
             raise ValueError("covariance: expected that of the parameters, found none")
-        n, outputs = self.shared, len(self.channels)
-        m = len(self.frequency_hz)
-        s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[:, None]
-        upper, real = np.split(self.poles, [m])
-        above, below = 1 / (s - upper), 1 / (s - upper.conj())
-        basis = np.concatenate([above + below, 1j * (above - below), 1 / (s - real)], axis=1)
-        found = np.zeros((len(s), outputs, n * (1 + outputs)), dtype=np.complex128)
-        r, rq = self.residue[:, :, component].T, self.real_residue[:, :, component].T
-        for k, slope in enumerate(pole_slopes(self.frequency_hz, self.damping_ratio)):
-            found[:, :, k * m : (k + 1) * m] = (
-                r * slope * above[:, None] ** 2 + r.conj() * slope.conj() * below[:, None] ** 2
-            )
-        found[:, :, 2 * m : n] = -2 * np.pi * rq * (1 / (s - real))[:, None] ** 2
+        n, outputs, common = self.shared, len(self.channels), self.common_poles
+        found = np.zeros((len(frequency_hz), outputs, n * (1 + outputs)), dtype=np.complex128)
+        residues = np.concatenate([self.residue[:, :, component], self.real_residue[:, :, component]]).T
+        unit = np.concatenate(
+            [np.ones(2 * common.modes), 1.0 / self.real_hz]
+        )  # poles are told in Hz, not in logarithms
+        found[:, :, :n] = common.response_slopes(frequency_hz, residues).transpose(1, 0, 2) * unit
         for c in range(outputs):
-            found[:, c, n * (1 + c) : n * (2 + c)] = basis
+            found[:, c, n * (1 + c) : n * (2 + c)] = common.basis(frequency_hz)
         own = n + n * outputs * component + np.arange(n * outputs)
         places = np.concatenate([np.arange(n), own])
         return found, np.asarray(self.covariance[np.ix_(places, places)])
-
-
-def pole_slopes(frequency_hz: FloatArray, damping_ratio: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-    """Return ∂p/∂frequency_hz (M,) and ∂p/∂ζ (M,) of the upper poles p = ω(-ζ + j√(1 - ζ²))."""
-    root = np.sqrt(1 - damping_ratio**2)
-    by_frequency = 2 * np.pi * (-damping_ratio + 1j * root)
-    by_damping = 2 * np.pi * frequency_hz * (-1.0 - 1j * damping_ratio / root)
-    return np.asarray(by_frequency), np.asarray(by_damping)
 
 
 # A sum of modes at the samples' times, for loads that go straight from sample to sample.

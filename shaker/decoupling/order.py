@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from shaker.arrays import ComplexArray, FloatArray, IntArray
-from shaker.decoupling.problem import Fitted, Poles, Release, StepProblem, decay_start, fit_poles, rules
+from shaker.decoupling.model import Poles
+from shaker.decoupling.problem import Fitted, Release, StepProblem, decay_start, fit_poles, rules
 from shaker.fitting import Block, Prior, Separable, levenberg_marquardt
 from shaker.release.poles import shared_poles
 from shaker.release.record import Shape

@@ -4,126 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
 from shaker.arrays import ComplexArray, FloatArray, IntArray
-from shaker.decoupling.model import pole_slopes
+from shaker.decoupling.model import Poles
 from shaker.fitting import Block, Minimum, Prior, Rules, Separable, levenberg_marquardt
 from shaker.release.record import Shape
 from shaker.release.response import MOMENTS, Answers, Load, Samples, answers, averaged, responses
 
+_REACH = 1.96  # standard uncertainties of 95 %
 _LOOSE = (1.5, 2.0)  # standard deviations of what a start says of logarithms of real poles and of durations
-
-
-@dataclass(frozen=True)
-class Poles:
-    """Common poles: `frequency_hz` and `damping_ratio` (M,) of the modes, `real_hz` (Q,)."""
-
-    frequency_hz: FloatArray
-    damping_ratio: FloatArray
-    real_hz: FloatArray
-
-    @property
-    def modes(self) -> int:
-        """Number of modes."""
-        return len(self.frequency_hz)
-
-    @property
-    def count(self) -> int:
-        """Number of parameters, which is that of the columns of a design too."""
-        return 2 * self.modes + len(self.real_hz)
-
-    @property
-    def vector(self) -> FloatArray:
-        """All parameters: frequencies, damping ratios, logarithms of the real poles."""
-        return np.concatenate([self.frequency_hz, self.damping_ratio, np.log(self.real_hz)])
-
-    def with_vector(self, vector: FloatArray) -> Poles:
-        """Return poles of other parameters."""
-        f, z, log_hz = np.split(vector[: self.count], [self.modes, 2 * self.modes])
-        return Poles(f, z, np.exp(np.clip(log_hz, -50.0, 50.0)))
-
-    @property
-    def scale(self) -> FloatArray:
-        """Size of a change of every parameter that matters."""
-        return np.concatenate([1e-2 * self.frequency_hz, np.full(self.modes, 1e-2), np.full(len(self.real_hz), 0.5)])
-
-    @cached_property
-    def slopes(self) -> tuple[IntArray, ComplexArray]:
-        """Which pole (2M + Q,) every parameter moves, and how fast."""
-        m, q = self.modes, len(self.real_hz)
-        places = np.concatenate([np.arange(m), np.arange(m), m + np.arange(q)])
-        return places, np.concatenate([*pole_slopes(self.frequency_hz, self.damping_ratio), self.values[m:]])
-
-    @property
-    def allowed(self) -> bool:
-        """Whether these are poles of modes that swing and decay, as those of a sensor do."""
-        damped = np.all((self.damping_ratio > 0.0) & (self.damping_ratio < 0.7))
-        return bool(damped and np.all(self.frequency_hz > 0) and np.all(self.real_hz > 0))
-
-    @cached_property
-    def values(self) -> ComplexArray:
-        """Poles in rad/s, those of the modes first."""
-        omega, zeta = 2 * np.pi * self.frequency_hz, self.damping_ratio
-        upper = omega * (-zeta + 1j * np.sqrt(1 - zeta**2))
-        return np.concatenate([upper, -2 * np.pi * self.real_hz + 0j])
-
-    def with_mode(self, pole: complex) -> Poles:
-        """Return these and one more mode."""
-        f, z = (
-            np.append(self.frequency_hz, abs(pole) / (2 * np.pi)),
-            np.append(self.damping_ratio, -pole.real / abs(pole)),
-        )
-        return Poles(f, np.clip(z, 1e-4, 0.9), self.real_hz)
-
-    def with_real(self, hz: float) -> Poles:
-        """Return these and one more real pole."""
-        return replace(self, real_hz=np.append(self.real_hz, hz))
-
-    def without(self, place: int) -> Poles:
-        """Return these without one: a mode, or counted behind them a real pole."""
-        if place < self.modes:
-            return replace(
-                self,
-                frequency_hz=np.delete(self.frequency_hz, place),
-                damping_ratio=np.delete(self.damping_ratio, place),
-            )
-        return replace(self, real_hz=np.delete(self.real_hz, place - self.modes))
-
-    @cached_property
-    def smooth(self) -> FloatArray:
-        """Basis (2M + Q, 2M - 1) of the coefficients of outputs that start smoothly: Σ R·p^k = 0, k = 0 … Q."""
-        return np.asarray(np.linalg.qr(self._moments()[0], mode="complete")[0][:, len(self.real_hz) + 1 :])
-
-    @cached_property
-    def smooth_slopes(self) -> FloatArray:
-        """How that basis turns with every parameter (2M + Q, 2M + Q, 2M - 1): Gᵀ·S = 0, dS = -G·(GᵀG)⁻¹·dGᵀ·S."""
-        moments, slopes = self._moments()
-        held = np.linalg.pinv(moments).T
-        return np.asarray(-held @ (np.transpose(slopes, (0, 2, 1)) @ self.smooth))
-
-    def _moments(self) -> tuple[FloatArray, FloatArray]:
-        """What gives Σ R·p^k (2M + Q, Q + 1) in units of the fastest pole, and its slopes by parameter in front."""
-        m, values = self.modes, self.values
-        unit = float(np.abs(values).max())
-        k = np.arange(len(self.real_hz) + 1)
-        power = (values[:, None] / unit) ** k
-        grows = k * (values[:, None] / unit) ** np.maximum(k - 1, 0) / unit
-        found = np.concatenate([2 * power[:m].real, -2 * power[:m].imag, power[m:].real])
-        slopes = np.zeros((self.count, *found.shape))
-        for i, (place, slope) in enumerate(zip(*self.slopes, strict=True)):
-            change = slope * grows[place]
-            if place < m:
-                slopes[i, place], slopes[i, m + place] = 2 * change.real, -2 * change.imag
-            else:
-                slopes[i, m + place] = change.real
-        return found, slopes
-
-    def columns(self, place: int) -> list[int]:
-        """Return the columns of a design that belong to one pole."""
-        return [place, place + self.modes] if place < self.modes else [place + self.modes]
 
 
 @dataclass(frozen=True)
@@ -322,6 +213,20 @@ def left_open(found: Fitted) -> FloatArray:
         largest = min(largest, whole)
     bound(lags, squares, largest)
     return known
+
+
+def widened(found: Fitted, spread: FloatArray) -> FloatArray:
+    """Return the covariance (P, P) of the parameters, wide enough for the time 1/a of every lag.
+
+    Records tell 1/a², of which the time is no linear function where little is known: along with the lag everything is
+    widened so that 1.96 standard uncertainties reach as far as the root of what 1.96 of the square allow.
+    """
+    for lag in range(2 * found.poles.modes, found.poles.count):
+        u = float(np.sqrt(spread[lag, lag]))
+        far = max(1.0 - np.sqrt(max(1.0 - 2.0 * _REACH * u, 0.0)), np.sqrt(1.0 + 2.0 * _REACH * u) - 1.0)
+        more = max((far / (_REACH * u)) ** 2, 1.0) - 1.0
+        spread = spread + more * np.outer(spread[:, lag], spread[lag]) / u**2
+    return spread
 
 
 def decay_start(samples: Samples, release: Release) -> int:

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from shaker.arrays import ComplexArray, FloatArray, IntArray, Notice, check_shape
-from shaker.decoupling.model import MultiModel, check_separable
-from shaker.decoupling.problem import Poles, covariances, rules
+from shaker.decoupling.model import MultiModel, Poles, check_separable
+from shaker.decoupling.problem import covariances, rules
 from shaker.fitting import Block, Separable, levenberg_marquardt
 
 _UNEXPLAINED = 1.5
@@ -111,17 +111,14 @@ def _fitted(measured: Responses, whitener: FloatArray, start: Poles) -> tuple[Po
 
 def _blocks(measured: Responses, whitener: FloatArray, poles: Poles) -> Iterator[Block]:
     """One block of rows per element, load after load."""
-    s, basis = 2j * np.pi * measured.frequency_hz[:, None], response_basis(poles, measured.frequency_hz)
-    which, slope = poles.slopes
-    m, count = poles.modes, poles.count
-    above, below = slope / (s - poles.values[which]) ** 2, slope.conj() / (s - poles.values[which].conj()) ** 2
-    below[:, 2 * m :] = 0.0
+    basis, m = poles.basis(measured.frequency_hz), poles.modes
     for d, c in np.ndindex(measured.value.shape[:0:-1]):
         weight = whitener[:, c, d]
 
         def changes(own: FloatArray, weight: FloatArray = weight) -> tuple[IntArray, FloatArray]:
-            residue = np.concatenate([own[:m, 0] + 1j * own[m : 2 * m, 0], own[2 * m :, 0]])[which]
-            return np.arange(count), _whitened(weight, above * residue + below * residue.conj())[:, :, None]
+            residues = np.concatenate([own[:m, 0] + 1j * own[m : 2 * m, 0], own[2 * m :, 0]])
+            slopes = poles.response_slopes(measured.frequency_hz, residues)
+            return np.arange(poles.count), _whitened(weight, slopes)[:, :, None]
 
         yield Block(_whitened(weight, basis), _whitened(weight, measured.value[:, c, d][:, None]), changes)
 
@@ -135,7 +132,7 @@ def _whitened(whitener: FloatArray, values: ComplexArray) -> FloatArray:
 def _trial(measured: Responses, whitener: FloatArray, poles: Poles) -> ResponseTrial:
     """The entry of some poles, held as they are."""
     parameters = poles.count * (1 + len(measured.channels) * len(measured.components))
-    basis, loss = response_basis(poles, measured.frequency_hz), 0.0
+    basis, loss = poles.basis(measured.frequency_hz), 0.0
     for c, d in np.ndindex(measured.value.shape[1:]):
         rows = _whitened(whitener[:, c, d], basis)
         data = _whitened(whitener[:, c, d], measured.value[:, c, d][:, None])[:, 0]
@@ -190,14 +187,6 @@ _ROUNDS = 12
 _START_DAMPING = 0.01
 
 
-def response_basis(poles: Poles, frequency_hz: FloatArray) -> ComplexArray:
-    """Return what Re and Im of the residues and the real residues multiply, (K, 2M + Q), at frequencies (K,) in Hz."""
-    s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[:, None]
-    upper, real = np.split(poles.values, [poles.modes])
-    above, below = 1 / (s - upper), 1 / (s - upper.conj())
-    return np.concatenate([above + below, 1j * (above - below), 1 / (s - real)], axis=1)
-
-
 def fitted_poles(
     frequency_hz: FloatArray, responses: Sequence[ComplexArray], weights: Sequence[FloatArray], modes: int
 ) -> Poles:
@@ -211,8 +200,8 @@ def fitted_poles(
     inside = np.linspace(low, high, modes + 2)[1:-1]
     poles = Poles(inside, np.full(modes, _START_DAMPING), np.zeros(0))
     for _ in range(_ROUNDS):
-        unit = 1.0 / np.linalg.norm(response_basis(poles, frequency_hz), axis=0)
-        basis = response_basis(poles, frequency_hz) * unit
+        unit = 1.0 / np.linalg.norm(poles.basis(frequency_hz), axis=0)
+        basis = poles.basis(frequency_hz) * unit
         rows, right = [], []
         for response, weight in zip(responses, weights, strict=True):
             both = np.concatenate([basis, -response[:, None] * basis, response[:, None]], axis=1) * weight[:, None]

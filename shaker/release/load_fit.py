@@ -307,7 +307,9 @@ def _minima(problem: Problem, scatter: tuple[float, float]) -> list[tuple[FloatA
 def _distinct(problem: Problem, found: list[tuple[FloatArray, float]]) -> list[tuple[FloatArray, float]]:
     """Minima that differ and mean something, the best first; the best at any rate."""
     ordered = sorted(found, key=lambda item: item[1])
-    sound = [item for item in ordered if _is_sound(problem.numbers(item[0]))] or ordered[:1]
+    ratios = [1.0 if problem.rigid else float(np.divide(*problem.numbers(x)[2::-2])) for x, _ in ordered]
+    sound = [item for item, ratio in zip(ordered, ratios, strict=True) if 1.0 / FARTHEST < ratio < FARTHEST]
+    sound = sound or ordered[:1]
     kept: list[tuple[FloatArray, float]] = []
     for x, cost in sound:
         numbers = problem.numbers(x)[::2]
@@ -316,24 +318,36 @@ def _distinct(problem: Problem, found: list[tuple[FloatArray, float]]) -> list[t
     return kept
 
 
-def _is_sound(numbers: FloatArray) -> bool:
-    """Whether both stiffnesses mean something."""
-    return len(numbers) == 2 or 1.0 / FARTHEST < numbers[2] / numbers[0] < FARTHEST
-
-
 def _scatter(problem: Problem, x: FloatArray) -> tuple[float, float]:
     """Relative scatter of frequencies and dampings beyond what is stated: where chi-squared equals its freedom."""
-    found = (0.0, 0.0)
-    start = _groups(problem, x)
-    wanted = [_exceeds(d, u, dof) for d, u, dof in zip(start, problem.stated(), problem.dof, strict=True)]
+    from scipy.optimize import brentq
+    from scipy.special import chdtrc
+
+    def exceeds(deviation: FloatArray, u: FloatArray, dof: int) -> bool:
+        """Whether deviations are larger than what is stated explains, or nothing is stated."""
+        unstated = bool(np.any(u == 0.0))
+        return dof > 0 and (unstated or bool(chdtrc(dof, np.sum((deviation / u) ** 2)) < CHANCE))
+
+    def tau(deviation: FloatArray, u: FloatArray, dof: int) -> float:
+        """Solve Σ d²/(u² + τ²) = dof."""
+
+        def beyond(tau: float) -> float:
+            return float(np.sum(deviation**2 / (u**2 + tau**2))) - dof
+
+        high = float(np.sqrt(np.sum(deviation**2) / dof))
+        low = 1e-12 * high
+        return float(brentq(beyond, low, high * (1.0 + 1e-9))) if high > 0.0 and beyond(low) > 0.0 else 0.0
+
+    scatter = (0.0, 0.0)
+    wanted = [exceeds(d, u, dof) for d, u, dof in zip(_groups(problem, x), problem.stated(), problem.dof, strict=True)]
     for _ in range(50 if any(wanted) else 0):
         parts = zip(_groups(problem, x), problem.stated(), problem.dof, wanted, strict=True)
-        f, z = (_tau(d, u, dof) if told else 0.0 for d, u, dof, told in parts)
-        if np.allclose((f, z), found, rtol=1e-6, atol=0.0):
+        f, z = (tau(d, u, dof) if told else 0.0 for d, u, dof, told in parts)
+        if np.allclose((f, z), scatter, rtol=1e-6, atol=0.0):
             break
-        found = (f, z)
-        x = refined(problem, x, found)[0]
-    return found
+        scatter = (f, z)
+        x = refined(problem, x, scatter)[0]
+    return scatter
 
 
 def _groups(problem: Problem, x: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -341,27 +355,6 @@ def _groups(problem: Problem, x: FloatArray) -> tuple[FloatArray, FloatArray]:
     count = len(problem.stated()[0])
     told = problem.residual(x, np.ones(sum(len(u) for u in problem.stated())))[0]
     return told[:count], told[count : count + len(problem.stated()[1])]
-
-
-def _exceeds(deviation: FloatArray, u: FloatArray, dof: int) -> bool:
-    """Whether deviations are larger than what is stated explains, or nothing is stated."""
-    from scipy.special import chdtrc
-
-    if dof < 1:
-        return False
-    return bool(np.any(u == 0.0)) or bool(chdtrc(dof, np.sum((deviation / u) ** 2)) < CHANCE)
-
-
-def _tau(deviation: FloatArray, u: FloatArray, dof: int) -> float:
-    """Solve Σ d²/(u² + τ²) = dof."""
-    from scipy.optimize import brentq
-
-    def beyond(tau: float) -> float:
-        return float(np.sum(deviation**2 / (u**2 + tau**2))) - dof
-
-    high = float(np.sqrt(np.sum(deviation**2) / dof))
-    low = 1e-12 * high
-    return float(brentq(beyond, low, high * (1.0 + 1e-9))) if high > 0.0 and beyond(low) > 0.0 else 0.0
 
 
 def _result(problem: Problem, x: FloatArray, scatter: tuple[float, float], excess: float) -> SeriesFit:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shaker.arrays import FloatArray, Notice
+from shaker.arrays import FloatArray, Notice, Severity
 from shaker.release.load_fit import Problem, SeriesFit, SeriesMasses, belonging, explains, fit_decays, fit_resonances
 from shaker.release.load_model import LoadModel
 from shaker.release.load_modes import FreeDecay, Resonances
@@ -93,13 +93,12 @@ def identify_loads(
     if supported:
         chosen = tuple(sorted(chosen, key=lambda fit: -float(fit.numbers[2])))
     models = tuple(_model(fit, masses, output, n, len(chosen)) for n, fit in enumerate(chosen, 1))
-    notices = (
-        *_of_foreign(seen, foreign, masses, output),
-        *_of_choice(supported, reason, output),
-        *_of_solutions(models, output),
-        *_of_scatter(chosen[0], bool(np.any(measured.u_frequency_hz[:, 0] > 0)), output),
-        *_of_masses(chosen[0], masses, output),
-    )
+    told = _said(masses, output, chosen[0], models, bool(np.any(measured.u_frequency_hz[:, 0] > 0)))
+    if foreign:
+        places = [f"{seen.frequency_hz[r, 1]:.5g} Hz with {_mass(masses.load[r], output.mass_unit)}" for r in foreign]
+        told.insert(0, ("warning", f"modes that no coupling of the load explains are left out: {', '.join(places)}"))
+    told.insert(bool(foreign), ("info", f"{'three' if supported else 'two'} masses: {reason}"))
+    notices = tuple(Notice(severity, text, output.component) for severity, text in told)
     return LoadIdentification(output, measured, masses, rigid, elastic, chosen, from_records, models, reason, notices)
 
 
@@ -186,55 +185,34 @@ def _model(fit: SeriesFit, masses: SeriesMasses, output: Output, number: int, co
     )
 
 
-def _of_foreign(seen: Resonances, places: tuple[int, ...], masses: SeriesMasses, output: Output) -> tuple[Notice, ...]:
-    """Say which modes were seen that are none of the coupling."""
-    told = [f"{seen.frequency_hz[r, 1]:.5g} Hz with {_mass(masses.load[r], output.mass_unit)}" for r in places]
-    text = f"modes that no coupling of the load explains are left out: {', '.join(told)}"
-    return (Notice("warning", text, output.component),) if told else ()
-
-
-def _of_choice(supported: bool, reason: str, output: Output) -> tuple[Notice, ...]:
-    """Say which model was chosen and what speaks against the other."""
-    return (Notice("info", f"{'three' if supported else 'two'} masses: {reason}", output.component),)
-
-
-def _of_solutions(models: tuple[LoadModel, ...], output: Output) -> tuple[Notice, ...]:
-    """Say that a further load mass is needed."""
-    if len(models) < 2:
-        return ()
-    unit = "N·m/rad" if output.component.startswith("M") else "N/m"
-    told = " or ".join(f"k = {m.stiffness:.4g}, k_L = {m.coupling_stiffness:.4g} {unit}" for m in models)
-    bare = " or ".join(f"{abs(m.poles(0.0)[0]) / (2.0 * np.pi):.5g} Hz" for m in models)
-    text = (
-        f"the recorded loads cannot tell {len(models)} solutions apart: {told}; all are given. Another load mass "
-        f"does: without load the resonance would be {bare}"
-    )
-    return (Notice("warning", text, output.component),)
-
-
-def _of_scatter(fit: SeriesFit, stated: bool, output: Output) -> tuple[Notice, ...]:
-    """Say how far the model and the measured modes disagree."""
-    found = []
+def _said(
+    masses: SeriesMasses, output: Output, fit: SeriesFit, models: tuple[LoadModel, ...], stated: bool
+) -> list[tuple[Severity, str]]:
+    """What the user should know: solutions that cannot be told apart, scatter about the model, masses contradicted."""
+    told: list[tuple[Severity, str]] = []
+    if len(models) > 1:
+        unit = "N·m/rad" if output.component.startswith("M") else "N/m"
+        pairs = " or ".join(f"k = {m.stiffness:.4g}, k_L = {m.coupling_stiffness:.4g} {unit}" for m in models)
+        bare = " or ".join(f"{abs(m.poles(0.0)[0]) / (2.0 * np.pi):.5g} Hz" for m in models)
+        text = (
+            f"the recorded loads cannot tell {len(models)} solutions apart: {pairs}; all are given. Another load mass "
+            f"does: without load the resonance would be {bare}"
+        )
+        told.append(("warning", text))
     for tau, what, known in zip(fit.scatter, ("resonances", "damping ratios"), (stated, True), strict=True):
         if tau > 0.0 and known:
             text = (
                 f"{what} scatter about the model by {100.0 * tau:.2g} % more than their uncertainties explain: U holds "
                 "it, and the model is fitted to them, not to the records"
             )
-            found.append(Notice("warning", text, output.component))
+            told.append(("warning", text))
         elif tau > 0.0:
             text = f"no uncertainties of the {what} are stated: U follows from their scatter of {100.0 * tau:.2g} %"
-            found.append(Notice("info", text, output.component))
+            told.append(("info", text))
     if fit.covariance is None:
         text = "neither stated uncertainties nor more resonances than unknowns: no U can be given"
-        found.append(Notice("warning", text, output.component))
-    return tuple(found)
-
-
-def _of_masses(fit: SeriesFit, masses: SeriesMasses, output: Output) -> tuple[Notice, ...]:
-    """Say which masses the resonances contradict."""
-    return tuple(
-        Notice("warning", f"{name}: the resonances ask for {value:+.1f} standard uncertainties", output.component)
-        for name, value in zip(masses.names, fit.deviates, strict=True)
-        if abs(value) > UNLIKELY
-    )
+        told.append(("warning", text))
+    for name, value in zip(masses.names, fit.deviates, strict=True):
+        if abs(value) > UNLIKELY:
+            told.append(("warning", f"{name}: the resonances ask for {value:+.1f} standard uncertainties"))
+    return told
