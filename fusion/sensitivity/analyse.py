@@ -17,7 +17,7 @@ from fusion.instruments.vibrometer import PointSpread
 from fusion.sensitivity.body import Body, load_body
 from fusion.sensitivity.distributions import MonteCarlo
 from fusion.sensitivity.load import LoadResult, load_phasors
-from fusion.sensitivity.ratio import Sensitivity, driven_component, other_loads, sensitivity_ratio
+from fusion.sensitivity.ratio import Sensitivity, driven_component, parasitic_loads, sensitivity_ratio
 from shaker.lines.frequencies import Lines
 
 if TYPE_CHECKING:
@@ -127,7 +127,7 @@ def _parasitic_loads(
     driven = int(np.argmax(np.abs(static[:, component])))
     line = int(np.argmax(np.nan_to_num(np.abs(load.value[:, component]))))
     where = f"output {channels[driven]} at {outputs.phasors.frequency_hz[line]:.6g} Hz"
-    shares = other_loads(outputs, load, static, component, sensor.static_sensitivity_uncertainty)
+    shares = parasitic_loads(outputs, load, static, component, sensor.static_sensitivity_uncertainty)
     return shares.notices(line, driven, where)
 
 

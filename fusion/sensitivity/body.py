@@ -158,21 +158,6 @@ class InertialTerms:
 
 
 @dataclass(frozen=True)
-class BodyParameter:
-    """One uncertain number of a part: its standard uncertainty `u` in `unit`, and the change of the part's terms by it.
-
-    `name` contains what was stated, so that another part or another place is another unknown.
-    """
-
-    name: str
-    label: str
-    u: float
-    unit: str
-    scope: Scope
-    change: InertialTerms
-
-
-@dataclass(frozen=True)
 class MatrixChange:
     """What one standard uncertainty of one unknown does to the load matrix: `change` (K, 6, 6)."""
 
@@ -214,42 +199,34 @@ class Body:
         self, frequency_hz: FloatArray, gravity_mps2: FloatArray | None, u_gravity_mps2: FloatArray | None = None
     ) -> tuple[MatrixChange, ...]:
         """Return what every uncertain number does to the load matrix: of the parts, of gravity and of the joint."""
-        found = []
+        changes = []
         for part in self.parts:
             follow = self.joint.follow(frequency_hz)[:, None, :] if self.joint and self._below(part) else np.ones(1)
-            for p in _parameters(part):
-                change = (p.change.load_matrix(frequency_hz, gravity_mps2) * follow).astype(np.complex128)
-                found.append(MatrixChange(p.name, p.label, p.u, p.unit, p.scope, change))
-        return (*found, *self._joint_changes(frequency_hz, gravity_mps2), *self._tilts(frequency_hz, u_gravity_mps2))
+            for name, label, u, unit, scope, terms in _parameters(part):
+                change = (terms.load_matrix(frequency_hz, gravity_mps2) * follow).astype(np.complex128)
+                changes.append(MatrixChange(name, label, u, unit, scope, change))
+        below = [_terms(part) for part in self.parts if self._below(part)]
+        if self.joint is not None and below:
+            # The joint holds until it is screwed together anew: one unknown per component.
+            lower, by_joint = _sum(below).load_matrix(frequency_hz, gravity_mps2), self.joint.change(frequency_hz)
+            for place, axis in enumerate(MOTION_COMPONENTS):
+                stated, u = float(self.joint.frequency_hz[place]), float(self.joint.u_frequency_hz[place])
+                own = np.zeros(lower.shape, dtype=np.complex128)
+                own[:, :, place] = lower[:, :, place] * by_joint[:, None, place]
+                name, label = f"joint of the load {stated:.9g} Hz: {axis}", "joint of the load"
+                changes.append(MatrixChange(name, label, u or 1.0, "Hz" if u else "1", "mounting", own))
+        # Of the vector of gravity only the tilt of the weight knows.
+        still = self.load_matrix(frequency_hz, None)
+        u_gravity = np.zeros(3) if u_gravity_mps2 is None else u_gravity_mps2
+        for axis, along, u in zip("xyz", np.eye(3), u_gravity.tolist(), strict=True):
+            if u > 0.0:
+                change = self.load_matrix(frequency_hz, along * u) - still
+                changes.append(MatrixChange(f"gravity {axis}", "gravity", u, "m/s^2", "rig", change))
+        return tuple(changes)
 
     def _below(self, part: Part) -> bool:
         """Whether a part lies on the sensor's side of a joint."""
         return self.joint is not None and part.below_joint
-
-    def _joint_changes(self, frequency_hz: FloatArray, gravity_mps2: FloatArray | None) -> Iterator[MatrixChange]:
-        """Changes by the joint, which holds until it is screwed together anew: one unknown per component."""
-        below = [_terms(part) for part in self.parts if self._below(part)]
-        if self.joint is None or not below:
-            return
-        lower, change = _sum(below).load_matrix(frequency_hz, gravity_mps2), self.joint.change(frequency_hz)
-        for place, axis in enumerate(MOTION_COMPONENTS):
-            stated, u = float(self.joint.frequency_hz[place]), float(self.joint.u_frequency_hz[place])
-            own = np.zeros(lower.shape, dtype=np.complex128)
-            own[:, :, place] = lower[:, :, place] * change[:, None, place]
-            name, label = f"joint of the load {stated:.9g} Hz: {axis}", "joint of the load"
-            yield MatrixChange(name, label, u or 1.0, "Hz" if u else "1", "mounting", own)
-
-    def _tilts(self, frequency_hz: FloatArray, u_gravity_mps2: FloatArray | None) -> Iterator[MatrixChange]:
-        """Changes by the vector of gravity, of which only the tilt of the weight knows."""
-        if u_gravity_mps2 is None:
-            return
-        still = self.load_matrix(frequency_hz, None)
-        for axis in range(3):
-            if u_gravity_mps2[axis] > 0.0:
-                gravity = np.eye(3)[axis] * u_gravity_mps2[axis]
-                change = self.load_matrix(frequency_hz, gravity) - still
-                u = float(u_gravity_mps2[axis])
-                yield MatrixChange(f"gravity {MOTION_COMPONENTS[axis]}", "gravity", u, "m/s^2", "rig", change)
 
 
 def _sum(terms: list[InertialTerms]) -> InertialTerms:
@@ -273,43 +250,38 @@ def _terms(part: Part) -> InertialTerms:
     return InertialTerms(matrix, weight, weight * part.centre_of_mass_m)
 
 
-def _parameters(part: Part) -> Iterator[BodyParameter]:
-    """Changes of one part's terms, parameter by parameter."""
+def _parameters(part: Part) -> Iterator[tuple[str, str, float, str, Scope, InertialTerms]]:
+    """Yield every uncertain number of a part: name, label, `u` in its unit, scope, and the change of the terms by it.
+
+    The name contains what was stated, so that another part or another place is another unknown.
+    """
     told = f"{part.name} {part.mass_kg:.9g} kg"
     place = "[{}]".format(", ".join(f"{float(x):.9g}" for x in part.centre_of_mass_m))
+    none = np.zeros((3, 3))
     if part.u_mass_kg > 0.0:
-        change = _terms(make_part(part.name, part.u_mass_kg, part.centre_of_mass_m, np.zeros((3, 3))))
-        yield BodyParameter(f"{told}: mass", f"{part.name}: mass", part.u_mass_kg, "kg", "rig", change)
-    for axis, letter in enumerate("xyz"):
-        u = float(part.u_centre_of_mass_m[axis])
+        change = _terms(make_part(part.name, part.u_mass_kg, part.centre_of_mass_m, none))
+        yield f"{told}: mass", f"{part.name}: mass", part.u_mass_kg, "kg", "rig", change
+    for letter, unit, u in zip("xyz", np.eye(3), part.u_centre_of_mass_m.tolist(), strict=True):
         if u > 0.0:
-            name, label = f"{told}: centre of mass {place} {letter}", f"{part.name}: centre of mass"
-            yield BodyParameter(name, label, u, "m", "mounting", _centre_change(part, axis))
+            lever, shift = skew(part.centre_of_mass_m), skew(unit * u)
+            matrix = np.zeros((6, 6))
+            matrix[:3, 3:] = -part.mass_kg * shift
+            matrix[3:, :3] = part.mass_kg * shift
+            matrix[3:, 3:] = -part.mass_kg * (lever @ shift + shift @ lever)
+            moved = InertialTerms(matrix, 0.0, part.mass_kg * (1.0 - part.air_share) * unit * u)
+            yield f"{told}: centre of mass {place} {letter}", f"{part.name}: centre of mass", u, "m", "mounting", moved
     for row, column in INERTIA_ENTRIES:
         u = float(part.u_inertia_kgm2[row, column])
         if u > 0.0:
             matrix = np.zeros((6, 6))
             matrix[3 + row, 3 + column] = matrix[3 + column, 3 + row] = u
-            stated, letters = float(part.inertia_kgm2[row, column]), "xyz"[row] + "xyz"[column]
-            name, label = f"{told}: inertia {stated:.9g} {letters}", f"{part.name}: inertia"
-            yield BodyParameter(name, label, u, "kg.m^2", "rig", InertialTerms(matrix, 0.0, np.zeros(3)))
+            name = f"{told}: inertia {part.inertia_kgm2[row, column]:.9g} {'xyz'[row]}{'xyz'[column]}"
+            yield name, f"{part.name}: inertia", u, "kg.m^2", "rig", InertialTerms(matrix, 0.0, np.zeros(3))
     if part.air_share > 0.0:
         u = U_AIR_MOVED_ALONG * part.air_share * part.mass_kg
-        air = _terms(make_part(part.name, u, part.centre_of_mass_m, np.zeros((3, 3))))
-        change = InertialTerms(air.mass_matrix, 0.0, np.zeros(3))
-        yield BodyParameter(f"{told}: air moved along", f"{part.name}: air moved along", u, "kg", "rig", change)
-
-
-def _centre_change(part: Part, axis: int) -> InertialTerms:
-    """First-order change when the centre of mass moves by its uncertainty along one axis."""
-    shift = np.zeros(3)
-    shift[axis] = part.u_centre_of_mass_m[axis]
-    lever, change = skew(part.centre_of_mass_m), skew(shift)
-    matrix = np.zeros((6, 6))
-    matrix[:3, 3:] = -part.mass_kg * change
-    matrix[3:, :3] = part.mass_kg * change
-    matrix[3:, 3:] = -part.mass_kg * (lever @ change + change @ lever)
-    return InertialTerms(matrix, 0.0, part.mass_kg * (1.0 - part.air_share) * shift)
+        air = _terms(make_part(part.name, u, part.centre_of_mass_m, none)).mass_matrix
+        terms = InertialTerms(air, 0.0, np.zeros(3))
+        yield f"{told}: air moved along", f"{part.name}: air moved along", u, "kg", "rig", terms
 
 
 # Bodies whose masses, centres and moments of inertia are what a Monte Carlo run draws.

@@ -117,24 +117,19 @@ class Propagated:
         longest[known] = np.sqrt(np.linalg.eigvalsh(self.first_covariance[known])[:, -1])
         return np.asarray(np.abs(self.value) < WEAK * longest)
 
-    def refuted(self, draws: int, line: int, element: int) -> tuple[str, ...]:
-        """Return what of one quantity first-order propagation gets wrong: "region", "magnitude", "phase"."""
-        return self._wrong(draws, line, element, two_sided=True)
+    def refuted(self, draws: int, line: int, element: int, *, too_small: bool = False) -> tuple[str, ...]:
+        """Return what of one quantity first-order propagation gets wrong: "region", "magnitude", "phase".
 
-    def too_small(self, draws: int, line: int, element: int) -> tuple[str, ...]:
-        """Return those of them whose first-order U does not cover what it should."""
-        return self._wrong(draws, line, element, two_sided=False)
-
-    def _wrong(self, draws: int, line: int, element: int, *, two_sided: bool) -> tuple[str, ...]:
-        """Return what differs, or, one-sided, what is too small."""
+        `too_small`: only that whose first-order U does not cover what it should.
+        """
         chance = SIGNIFICANT * np.sqrt(COVERAGE * (1.0 - COVERAGE) / draws)
         missing = COVERAGE - float(self.first_holds[line, element])
-        found = ["region"] if (abs(missing) if two_sided else missing) > REGION_TOLERANCE + chance else []
+        wrong = ["region"] if (missing if too_small else abs(missing)) > REGION_TOLERANCE + chance else []
         if not self.weak[line, element]:
             for what, spread in (("magnitude", self.magnitude), ("phase", self.phase)):
-                wrong = spread.refuted if two_sided else spread.too_narrow
-                found += [what] if wrong[line, element] else []
-        return tuple(found)
+                differs = spread.too_narrow if too_small else spread.refuted
+                wrong += [what] if differs[line, element] else []
+        return tuple(wrong)
 
 
 @dataclass(frozen=True)
@@ -165,16 +160,28 @@ class FirstOrder:
 
 def summarise(first: FirstOrder, draws: ComplexArray) -> Propagated:
     """Return what N draws (N, L, Q) of quantities say beside their first-order propagation."""
+
+    def each(factor: Callable[[float], float]) -> FloatArray:
+        """Coverage factor for each number of degrees of freedom, NaN where there is none."""
+        factors = [np.nan if np.isnan(value) else factor(value) for value in first.dof.ravel().tolist()]
+        return np.array(factors, dtype=np.float64).reshape(first.dof.shape)
+
     mean = draws.mean(axis=0)
-    covariance = _covariance(draws - mean)
+    parts = np.stack([(draws - mean).real, (draws - mean).imag], axis=-1)
+    covariance = np.asarray(np.einsum("nlqi,nlqj->lqij", parts, parts) / (len(draws) - 1))
     factor = np.sqrt(np.quantile(_distance(draws - mean, covariance), COVERAGE, axis=0))
-    first_factor = _each(region_factor, first.dof)
+    first_factor = each(region_factor)
     inside = _distance(draws - first.value, first.covariance) <= first_factor**2
     known = np.isfinite(mean) & np.isfinite(first.value)
     size = np.abs(first.value)
     turned = np.angle(draws * np.conj(first.value)) + np.angle(first.value)
-    along, across = _polar_u(first.value, first.covariance)
-    k = _each(coverage_factor, first.dof)
+    # First-order standard uncertainties of magnitude and phase (JCGM 102, 9.4).
+    unit = np.divide(first.value, size, out=np.full(size.shape, complex(np.nan, np.nan)), where=size > 0.0)
+    along, across = (
+        np.sqrt(np.einsum("lqi,lqij,lqj->lq", e, first.covariance, e))
+        for e in (np.stack([unit.real, unit.imag], axis=-1), np.stack([-unit.imag, unit.real], axis=-1))
+    )
+    k = each(coverage_factor)
     return Propagated(
         name=first.name,
         frequency_hz=first.frequency_hz,
@@ -189,20 +196,8 @@ def summarise(first: FirstOrder, draws: ComplexArray) -> Propagated:
         factor=factor,
         first_holds=np.where(known, inside.mean(axis=0), np.nan),
         magnitude=_spread(np.abs(draws), size, along, k),
-        phase=_spread(np.where(np.isfinite(draws), turned, np.nan), np.angle(first.value), across, k),
+        phase=_spread(np.where(np.isfinite(draws), turned, np.nan), np.angle(first.value), across / size, k),
     )
-
-
-def _each(factor: Callable[[float], float], dof: FloatArray) -> FloatArray:
-    """Return a coverage factor for each number of degrees of freedom, NaN where there is none."""
-    found = [np.nan if np.isnan(value) else factor(value) for value in dof.ravel().tolist()]
-    return np.array(found, dtype=np.float64).reshape(dof.shape)
-
-
-def _covariance(centred: ComplexArray) -> FloatArray:
-    """Covariance (L, Q, 2, 2) of (Re, Im) of centred draws (N, L, Q)."""
-    parts = np.stack([centred.real, centred.imag], axis=-1)
-    return np.asarray(np.einsum("nlqi,nlqj->lqij", parts, parts) / (len(centred) - 1))
 
 
 def _distance(difference: ComplexArray, covariance: FloatArray) -> FloatArray:
@@ -212,16 +207,6 @@ def _distance(difference: ComplexArray, covariance: FloatArray) -> FloatArray:
     inverse[known] = np.linalg.pinv(covariance[known], hermitian=True)
     re, im = difference.real, difference.imag
     return np.asarray(inverse[..., 0, 0] * re**2 + 2.0 * inverse[..., 0, 1] * re * im + inverse[..., 1, 1] * im**2)
-
-
-def _polar_u(value: ComplexArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """First-order standard uncertainties (L, Q) of magnitude and phase (JCGM 102, 9.4)."""
-    size = np.abs(value)
-    unit = np.divide(value, size, out=np.full(value.shape, complex(np.nan, np.nan)), where=size > 0.0)
-    along = np.stack([unit.real, unit.imag], axis=-1)
-    across = np.stack([-unit.imag, unit.real], axis=-1)
-    u_along, u_across = (np.sqrt(np.einsum("lqi,lqij,lqj->lq", e, covariance, e)) for e in (along, across))
-    return u_along, u_across / size
 
 
 def _spread(draws: FloatArray, estimate: FloatArray, u: FloatArray, k: FloatArray) -> RealSpread:
@@ -265,7 +250,7 @@ def judged(results: Sequence[Propagated], draws: int) -> tuple[tuple[str, ...], 
     for result in results:
         for line, element in np.ndindex(result.value.shape):
             where = f"{result.elements[element]}, {result.frequency_hz[line]:.6g} Hz"
-            short = result.too_small(draws, line, element)
+            short = result.refuted(draws, line, element, too_small=True)
             for what in result.refuted(draws, line, element):
                 (small if what in short else large).append(f"{what} of the {result.name} ({where})")
     return tuple(small), tuple(large)

@@ -1,4 +1,4 @@
-"""The sensor's outputs, the wrench on it, and the budget of any result."""
+"""The load on the sensor, and the uncertainty budget of any result."""
 
 from __future__ import annotations
 
@@ -99,7 +99,8 @@ def load_phasors(
     hidden = _hidden_contributions(acceleration, matrix, changes)
     spread = np.sum([np.zeros(value.shape), *(total_variance(part.covariance) for part in hidden.values())], axis=0)
     observed = np.isfinite(value) & (np.sqrt(spread) <= UNOBSERVED_LIMIT * np.abs(value))
-    carried = _where_observed(acceleration.uncertainty).transformed(real_design(matrix))
+    # What is not observed has contributions of its own.
+    carried = acceleration.uncertainty.where_known().transformed(real_design(matrix))
     own = tuple(
         Influence(c.name, c.label, c.u, c.unit, real_stack(np.einsum("kij,kj->ki", c.change, known)), c.scope)
         for c in changes
@@ -108,12 +109,6 @@ def load_phasors(
     rigid = np.einsum("kij,kj->ki", seen * replace(body, joint=None).load_matrix(frequency, gravity), known)
     notices = (*_notices(acceleration, observed, hidden), *_joint_notice(body, frequency, value, rigid))
     return LoadResult(frequency, value, total, observed, notices)
-
-
-def _where_observed(uncertainty: Uncertainty) -> Uncertainty:
-    """Acceleration's uncertainty with nothing in place of what is not observed: that has a contribution of its own."""
-    random = tuple(replace(part, covariance=np.nan_to_num(part.covariance)) for part in uncertainty.random)
-    return Uncertainty(random, tuple(replace(i, effect=np.nan_to_num(i.effect)) for i in uncertainty.influences))
 
 
 def _hidden_contributions(
@@ -206,29 +201,16 @@ def budget(uncertainty: Uncertainty, value: ComplexArray) -> tuple[BudgetEntry, 
     unknowns: dict[str, list[Influence]] = {}
     for influence in relative.influences:
         unknowns.setdefault(influence.label, []).append(influence)
-    infinite = np.full(len(value), np.inf)
-    found = []
+    entries = []
     for part in relative.grouped():
         variance = np.maximum(part.covariance.diagonal(axis1=1, axis2=2), 0.0)
         both = np.sqrt(variance).reshape(len(value), 2, -1).swapaxes(0, 1)
         own = unknowns.get(part.label, [])
-        u, unit = _input(own)
-        dof = infinite if part.dof is None else part.dof
-        coefficient = _coefficient(own, u, both)
-        found.append(BudgetEntry(part.label, part.type, len(own), u, unit, coefficient, both[0], both[1], dof))
-    return tuple(found)
-
-
-def _input(own: Sequence[Influence]) -> tuple[float, str]:
-    """Standard uncertainty and unit that the unknowns of one label have in common, NaN and nothing where none."""
-    known = {(influence.u, influence.unit) for influence in own}
-    return known.pop() if len(known) == 1 else (np.nan, "")
-
-
-def _coefficient(own: Sequence[Influence], u: float, both: FloatArray) -> FloatArray:
-    """Change (2, K, C) of relative magnitude and phase per unit of the unknown, with its sign where there is one."""
-    if not np.isfinite(u) or u == 0.0:
-        return np.full(both.shape, np.nan)
-    if len(own) > 1:
-        return np.asarray(both / u)
-    return np.asarray(own[0].effect.reshape(both.shape[1], 2, -1).swapaxes(0, 1) / u)
+        # What the unknowns of one label have in common; one alone has a sign.
+        stated = {(influence.u, influence.unit) for influence in own}
+        u, unit = stated.pop() if len(stated) == 1 else (np.nan, "")
+        signed = own[0].effect.reshape(len(value), 2, -1).swapaxes(0, 1) if len(own) == 1 else both
+        coefficient = np.asarray(signed / u) if u > 0.0 else np.full(both.shape, np.nan)
+        dof = np.full(len(value), np.inf) if part.dof is None else part.dof
+        entries.append(BudgetEntry(part.label, part.type, len(own), u, unit, coefficient, both[0], both[1], dof))
+    return tuple(entries)

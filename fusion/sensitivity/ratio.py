@@ -121,6 +121,24 @@ def sensitivity_ratio(
     from_outputs = outputs.uncertainty.scaled(np.broadcast_to(quotient(1.0, driven), ratio.shape))
     value = np.full((*ratio.shape, 6), complex(np.nan, np.nan))
     value[:, :, component] = ratio
+    name, notices = LOAD_COMPONENTS[component], []
+    if not np.any(np.isfinite(ratio)):
+        notices.append(Notice("warning", f"{name} could not be determined: no sensitivity", "sensitivity"))
+    else:
+        # What else acted on the sensor at the strongest line; forces and moments compare in shares of rated loads only.
+        rated = np.ones(6) if capacity is None else np.asarray(capacity)
+        given = np.abs(np.where(load.observed, load.value, np.nan)) / rated
+        line = int(np.nanargmax(given[:, component]))
+        share = given[line] / given[line, component]
+        others = [
+            f"{LOAD_COMPONENTS[i]} {share[i]:.2%}"
+            for i in range(6)
+            if i != component and (capacity is not None or i // 3 == component // 3) and np.isfinite(share[i])
+        ]
+        if others:
+            basis = "" if capacity is None else " (in shares of the rated loads)"
+            text = f"beside {name} = 100 % the sensor carried {', '.join(others)}{basis}; the ratio contains their part"
+            notices.append(Notice("info", text, "sensitivity"))
     return Sensitivity(
         frequency_hz=outputs.phasors.frequency_hz,
         value=value,
@@ -130,7 +148,7 @@ def sensitivity_ratio(
         components=LOAD_COMPONENTS,
         unit=unit,
         kind=tuple("ratio" if m == 1 else "harmonic" for m in np.asarray(multiple).tolist()),
-        notices=_notices(load, component, ratio, capacity),
+        notices=tuple(notices),
     )
 
 
@@ -142,36 +160,11 @@ def quotient(numerator: ComplexArray | float, denominator: ComplexArray) -> Comp
     return np.asarray(np.divide(numerator, denominator, out=empty, where=usable))
 
 
-def _notices(
-    load: LoadResult, component: int, ratio: ComplexArray, capacity: Sequence[float] | None
-) -> tuple[Notice, ...]:
-    """Say where the driven component is missing, and what else acted on the sensor."""
-    name, found = LOAD_COMPONENTS[component], []
-    if not np.any(np.isfinite(ratio)):
-        return (Notice("warning", f"{name} could not be determined: no sensitivity", "sensitivity"),)
-    given = np.abs(np.where(load.observed, load.value, np.nan))
-    line = int(np.nanargmax(given[:, component]))
-    rated = np.ones(6) if capacity is None else np.asarray(capacity, dtype=np.float64)
-    comparable = np.arange(6) // 3 == component // 3 if capacity is None else np.ones(6, dtype=np.bool_)
-    share = given[line] / rated
-    share = share / share[component]
-    others = [
-        f"{LOAD_COMPONENTS[i]} {share[i]:.2%}"
-        for i in range(6)
-        if i != component and comparable[i] and np.isfinite(share[i])
-    ]
-    if others:
-        basis = "" if capacity is None else " (in shares of the rated loads)"
-        text = f"beside {name} = 100 % the sensor carried {', '.join(others)}{basis}; the ratio contains their part"
-        found.append(Notice("info", text, "sensitivity"))
-    return tuple(found)
-
-
 # What load components that were not meant to act contribute to the outputs of one recording, by the static matrix.
 
 
 @dataclass(frozen=True)
-class OtherLoads:
+class ParasiticLoads:
     """Share (K, C) of each output that the other load components explain, and its uncertainty.
 
     `value`: complex, relative to the whole output, NaN where the load is not known; nearly equal to what the ratio of
@@ -191,10 +184,8 @@ class OtherLoads:
         if not abs(self.value[line, channel]) > 0.0:
             return ()
         share = self.element(line, channel)
-        more, turn = (
-            rounded(100.0 * share.re, 100.0 * share.k * share.u_re, 0),
-            rounded(1e3 * share.im, 1e3 * share.k * share.u_im, 0),
-        )
+        more = rounded(100.0 * share.re, 100.0 * share.k * share.u_re, 0)
+        turn = rounded(1e3 * share.im, 1e3 * share.k * share.u_im, 0)
         text = (
             f"by the static sensitivity the other load components make ({more.value} ± {more.expanded}) % of {where} "
             f"and turn it by ({turn.value} ± {turn.expanded}) mrad"
@@ -202,9 +193,9 @@ class OtherLoads:
         return (Notice("info", text, "sensitivity"),)
 
 
-def other_loads(
+def parasitic_loads(
     outputs: Outputs, load: LoadResult, static: ArrayLike, component: int, u_static: float = 0.0
-) -> OtherLoads:
+) -> ParasiticLoads:
     """Return z = Σ_{j≠d} S_cj L_j / U_c over the load components j other than the driven one d.
 
     `static` (C, 6): static sensitivity of the channels; `u_static`: relative standard uncertainty of each element by
@@ -219,22 +210,13 @@ def other_loads(
     value = np.sum(parts, axis=2)
     from_load = load.uncertainty.transformed(real_design(slope))
     total = from_load.plus(outputs.uncertainty.scaled(quotient(-value, signal)))
-    own = tuple(
-        _static_influence(parts[:, channel, j], channel, j, outputs.phasors.channels, u_static)
-        for channel, j in np.argwhere(matrix != 0.0).tolist()
-        if u_static > 0.0
-    )
-    return OtherLoads(value, Uncertainty(total.random, (*total.influences, *own)))
-
-
-def _static_influence(
-    part: ComplexArray, channel: int, component: int, channels: Sequence[str], u_static: float
-) -> Influence:
-    """One element of the static sensitivity, which explains `part` (K,) of a channel's output."""
-    change = np.zeros((len(part), len(channels)), dtype=np.complex128)
-    change[:, channel] = u_static * part
-    name = f"static sensitivity {channels[channel]} per {LOAD_COMPONENTS[component]}"
-    return Influence(name, "static sensitivity", u_static, "1", real_stack(change), "rig")
+    own = []
+    for channel, j in np.argwhere(matrix != 0.0).tolist() if u_static > 0.0 else ():
+        change = np.zeros(signal.shape, dtype=np.complex128)
+        change[:, channel] = u_static * parts[:, channel, j]
+        name = f"static sensitivity {outputs.phasors.channels[channel]} per {LOAD_COMPONENTS[j]}"
+        own.append(Influence(name, "static sensitivity", u_static, "1", real_stack(change), "rig"))
+    return ParasiticLoads(value, Uncertainty(total.random, (*total.influences, *own)))
 
 
 # The ratio point by point, where several vibrometer points look along the force that was driven.
@@ -260,7 +242,13 @@ def with_ratios(
     value = outputs.phasors.value[:, channel, None] / driven
     from_output = outputs.uncertainty.at([channel]).transformed(real_design((1.0 / driven)[:, :, None]))
     known = from_output.plus(spread.uncertainty.scaled(-value / spread.value))
-    masses = _mass_influences(body, spread.frequency_hz, axis, -sign * value / mass[:, None])
+    # What one kilogram more changes, times what the uncertain masses may be off by.
+    slope = -sign * value / mass[:, None]
+    masses = [
+        Influence(c.name, c.label, c.u, c.unit, real_stack(slope * c.change[:, axis, axis, None]), c.scope)
+        for c in body.matrix_changes(spread.frequency_hz, None)
+        if np.any(c.change[:, axis, axis])
+    ]
     ratios = PointRatios(
         channel=sensitivity.channels[channel],
         component=sensitivity.components[axis],
@@ -270,13 +258,3 @@ def with_ratios(
         fused=sensitivity.value[:, channel, axis],
     )
     return replace(spread, ratios=ratios)
-
-
-def _mass_influences(body: Body, frequency_hz: FloatArray, axis: int, slope: ComplexArray) -> tuple[Influence, ...]:
-    """What the uncertain masses do to values (K, N) that change by `slope` (K, N) per kilogram."""
-    changes = [(c, c.change[:, axis, axis]) for c in body.matrix_changes(frequency_hz, None)]
-    return tuple(
-        Influence(c.name, c.label, c.u, c.unit, real_stack(slope * mass[:, None]), c.scope)
-        for c, mass in changes
-        if np.any(mass)
-    )
