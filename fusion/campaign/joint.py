@@ -103,7 +103,8 @@ def evaluate_campaign(name: str, recorded: Sequence[Recorded], failed: Mapping[s
     sets = dict.fromkeys(fit.channels for fit in matrices)
     curves = (*ratios, *(matrix_curve([fit for fit in matrices if fit.channels == own]) for own in sets))
     repeats = tuple(mean for mean in alike if len(mean.recordings) > 1)
-    notices += [notice for result in (*matrices, *repeats) for notice in result.notices]
+    notices += [notice for fit in matrices for notice in fit.notices]
+    notices += [notice for mean in repeats for notice in mean.notices]
     return CampaignEvaluation(
         name=name,
         recorded=known,
