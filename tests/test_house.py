@@ -34,7 +34,7 @@ WRITTEN_ORDER = {
     "fusion": """
         notices errors output console settings crew uncertainty coverage polar propagated manifest response
         elastic_joint body chain observe system estimate consistency discrepancy doubt acceleration verdict fuse
-        outputs load budget sensitivity point_spread other_loads deflection evaluation drive repeats linearity
+        outputs load budget sensitivity point_spread parasitic_loads deflection evaluation drive repeats linearity
         matrix interpolation curve drift scans records timing channels stereo_motion stereo_pairs stereo_phasors
         readings take referral pool takes analyse monte_carlo provenance evaluate check highlights results_csv
         results_h5 read_results camera_facts plan lines plots report_numbers report_tables consistency_tables

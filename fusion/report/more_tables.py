@@ -39,7 +39,7 @@ from fusion.report.tables import PREFIXED, chi_square_table, consistency_table
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.distributions import Propagated, RealSpread
 from fusion.sensitivity.load import BudgetEntry, budget
-from fusion.sensitivity.ratio import OtherLoads, other_loads
+from fusion.sensitivity.ratio import ParasiticLoads, parasitic_loads
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
 
@@ -206,7 +206,7 @@ def other_loads_table(evaluation: Evaluation) -> Table | None:
     if found is None or outputs is None or load is None or sensor is None or static is None:
         return None
     line, component = main_line(evaluation), driven_component(evaluation)
-    shares = other_loads(outputs, load, static, component, sensor.static_sensitivity_uncertainty)
+    shares = parasitic_loads(outputs, load, static, component, sensor.static_sensitivity_uncertainty)
     rows = [_share_row(shares, line, c, name) for c, name in enumerate(outputs.phasors.channels)]
     frequency = f"{found.frequency_hz[line]:.4f}"
     head = ("output", "in phase / %", "across / %", "k", "dof")
@@ -214,7 +214,7 @@ def other_loads_table(evaluation: Evaluation) -> Table | None:
     return Table(caption, head, "lrrrr", tuple(rows))
 
 
-def _share_row(shares: OtherLoads, line: int, channel: int, name: str) -> tuple[str, ...]:
+def _share_row(shares: ParasiticLoads, line: int, channel: int, name: str) -> tuple[str, ...]:
     """Share of one output, as parts in phase with it and across."""
     if not np.isfinite(shares.value[line, channel]):
         return name, DASH, DASH, DASH, DASH
@@ -393,7 +393,7 @@ def _row(result: Propagated, draws: int, line: int, element: int) -> tuple[str, 
 
 def _verdict(result: Propagated, draws: int, line: int, element: int) -> str:
     """Whether first-order propagation holds."""
-    small = result.too_small(draws, line, element)
+    small = result.refuted(draws, line, element, too_small=True)
     if small:
         return f"first-order U too small: {', '.join(small)}"
     large = result.refuted(draws, line, element)

@@ -11,11 +11,10 @@ import pytest
 import pyuff
 import scipy.io
 from nptdms import ChannelObject, TdmsWriter
+from support import evaluated
 
-from fusion.base import InputError, Settings
-from fusion.recording.load import load_manifest
+from fusion.base import InputError
 from fusion.sensitivity.analyse import Evaluation
-from fusion.sensitivity.evaluate import evaluate_recording
 
 RATE_HZ, SAMPLES, FREQUENCY_HZ, PHASOR = 4096.0, 4096, 100.01, 0.6 * np.exp(1.1j)
 GRAVITY = 9.80665
@@ -99,7 +98,7 @@ def evaluate(folder: Path, frequencies: str, daq: str) -> Evaluation:
     head = f'format = 1\nname = "r"\nrig = "rig.toml"\n[excitation]\nkind = "multisine"\nfrequencies = {frequencies}\n'
     text = f'{head}direction = [0.0, 0.0, 1.0]\n[[daq]]\nname = "daq"\n{daq}'
     (folder / "recording.toml").write_text(text, encoding="utf-8")
-    return evaluate_recording(load_manifest(folder), Settings(), {})
+    return evaluated(folder)
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # pyuff leaves files open
@@ -127,7 +126,7 @@ def test_phasors_are_equal_in_every_format(tmp_path, suffix):
 def shaker(data_dir: Path, tmp_path: Path) -> Callable[[int], Evaluation]:
     """Return a function that evaluates a real shaker's record of three tones, downsampled by a factor."""
 
-    def evaluated(factor: int) -> Evaluation:
+    def of(factor: int) -> Evaluation:
         source = data_dir / "shaker_three_tone" / f"data_set_1_downsampled_by_{factor}.lvm"
         (tmp_path / "shaker.lvm").write_bytes(source.read_bytes())
         force = '[[daq.channel]]\nname = "Force"\nquantity = "force"\nscale = 4.4482216\n'
@@ -135,7 +134,7 @@ def shaker(data_dir: Path, tmp_path: Path) -> Callable[[int], Evaluation]:
         top = CHANNEL.format(name="Acceleratio", body="load", scale=GRAVITY)
         return evaluate(tmp_path, "[100.0, 120.0, 150.0]", 'file = "shaker.lvm"\n' + top + force + drive)
 
-    return evaluated
+    return of
 
 
 def per_pound(evaluation: Evaluation, line: int) -> float:

@@ -17,7 +17,7 @@ import pytest
 from contracts import coverage_contract
 from scipy.stats import binom
 from simulated_phasors import CASES, case_setup, simulate_phasors
-from support import far, rows
+from support import evaluated, far, rows
 
 from fusion.base import Settings, no_progress
 from fusion.cli import main
@@ -28,7 +28,6 @@ from fusion.recording.files import read_daqs
 from fusion.recording.load import find_recordings, load_manifest
 from fusion.report.recording import write_results
 from fusion.sensitivity.analyse import Evaluation, analyse
-from fusion.sensitivity.evaluate import evaluate_recording
 from fusion.simulate import simulate
 from fusion.simulate.preset import Preset, read_preset
 from fusion.simulate.world import Draws, TrueStereo, frame_bounds, make_world
@@ -123,7 +122,7 @@ def test_result_files_of_the_demo_hold_the_evaluation(demo, tmp_path):
 def test_published_set_up_at_full_size(tmp_path):
     """The bars of the simulated published set-up: 106.25 Hz, 211 frames, four cameras of 640 x 512 px."""
     recording = simulate(tmp_path / "campaign", "nitsche2018", 1) / "recording.toml"
-    evaluation, truth = evaluate_recording(load_manifest(recording), Settings(), {}), _truth(recording)
+    evaluation, truth = evaluated(recording), _truth(recording)
     seen = {a.body: a.phasors for a in evaluation.accelerations if a.source == "photogrammetry"}
     exact = _complex(truth["acceleration"]["load"])[0, DRIVEN]
     ratio = seen["load"].value[0, DRIVEN] / exact
@@ -146,7 +145,7 @@ def test_published_set_up_at_full_size(tmp_path):
 def test_speckle_finer_than_the_pixels_is_told_and_costs_certainty(tmp_path):
     """Sharp dots of 2 px: errors periodic in the pixel, up to thirteen times the noise, are noticed and in U."""
     recording = simulate(tmp_path / "campaign", "demo", 1, aliased=True) / "recording.toml"
-    evaluation, truth = evaluate_recording(load_manifest(recording), Settings(), {}), _truth(recording)
+    evaluation, truth = evaluated(recording), _truth(recording)
     assert sum("finer than the camera resolves" in notice.text for notice in evaluation.notices) == 4
     assert np.sqrt(np.mean(_normalised(evaluation, truth, "photogrammetry") ** 2)) < 1.6
     fused = _normalised(evaluation, truth, "fused")
@@ -253,7 +252,7 @@ def test_a_run_with_cameras_calibrated_and_placed_by_the_program(demo_recording,
         del rig["stereo"][name]["scale_uncertainty"]  # it is in the calibration
     (campaign / "rig.toml").write_text(to_toml(rig), encoding="utf-8")
     (recording,) = find_recordings(campaign)
-    evaluation = evaluate_recording(load_manifest(recording), Settings(), {})
+    evaluation = evaluated(recording)
     normalised = _normalised(evaluation, _truth(recording), "photogrammetry")
     assert len(normalised) >= 18
     assert np.abs(normalised).max() < 4.5
@@ -262,7 +261,7 @@ def test_a_run_with_cameras_calibrated_and_placed_by_the_program(demo_recording,
     for pair in rig["stereo"].values():
         del pair["pose_by_calibration"]
     (campaign / "rig.toml").write_text(to_toml(rig), encoding="utf-8")
-    twice = evaluate_recording(load_manifest(recording), Settings(), {})
+    twice = evaluated(recording)
     once_u, twice_u = _transverse_u(evaluation), _transverse_u(twice)
     assert (once_u < 0.98 * twice_u).all(), "errors of the calibration that the pose answers count once"
 

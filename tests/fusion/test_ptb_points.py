@@ -8,12 +8,11 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from support import evaluated
 
-from fusion.base import InputError, Settings
+from fusion.base import InputError
 from fusion.estimation.fuse import Acceleration
-from fusion.recording.load import load_manifest
 from fusion.sensitivity.analyse import Evaluation
-from fusion.sensitivity.evaluate import evaluate_recording
 from photogram.geometry import rotation_from_vector
 
 FREQUENCY_HZ = 106.2507
@@ -149,7 +148,7 @@ class Campaign:
             for name, samples in self.channels.items():
                 file[name] = samples
         (self.folder / "recording.toml").write_text("".join(self.text), encoding="utf-8")
-        return evaluate_recording(load_manifest(self.folder), Settings(), {})
+        return evaluated(self.folder)
 
 
 @pytest.fixture(params=[0, 1, 2])

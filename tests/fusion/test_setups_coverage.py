@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from contracts import coverage_contract
-from support import far
+from support import evaluated, far
 from take_factory import (
     BASE_Z,
     BRIDGE_V,
@@ -27,17 +27,14 @@ from take_factory import (
     write_shot,
 )
 
-from fusion.base import Settings
 from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels
 from fusion.phasors.setup import OpenSetUp
 from fusion.phasors.setups import ReferenceTie, merge_readings, reference_ties
-from fusion.recording.load import load_manifest
 from fusion.recording.manifest import ChannelEntry, Rig
 from fusion.recording.values import validate
 from fusion.report.csv_files import result_tables
 from fusion.sensitivity.analyse import Analysis, Evaluation, Inputs, analyse
 from fusion.sensitivity.body import Body, make_part
-from fusion.sensitivity.evaluate import evaluate_recording
 from photogram.geometry import rotation_from_vector
 from shaker.lines.frequencies import Lines
 from shaker.sine.phasor import Phasors
@@ -239,7 +236,7 @@ def _write(folder: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def looked(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
-    return evaluate_recording(load_manifest(_write(tmp_path_factory.mktemp("looked"))), Settings(), {})
+    return evaluated(_write(tmp_path_factory.mktemp("looked")))
 
 
 def test_load_and_base_are_on_one_time_base(looked):
