@@ -118,3 +118,39 @@ def recording(
         added_decay_per_s=added_decay_per_s,
         u_clock=u_clock,
     )
+
+
+FREE = [0, 4]
+"""Components of a load that shifts along x and pitches about y."""
+
+
+def pitching(
+    load: tuple[float, float, float],
+    springs: tuple[float, float, float, float],
+    internal: tuple[float, float],
+    frequency_hz: FloatArray,
+    true: Sequence[Placement],
+    *,
+    off_kg: float = 0.0,
+    **words: Any,
+) -> MeasuredTransfer:
+    """Horizontal drive of a load (kg, height of its centre of mass in m, central kg·m²), seen where transducers are.
+
+    `springs`: k_x, k_ry, b_x, b_ry; `internal`: mass and moment of inertia inside the sensor; `off_kg`: by which the
+    load is heavier than stated. Words: those of `recording`.
+    """
+    mass, height, inertia = load
+    whole = rigid_mass(mass + off_kg, height, inertia) + rigid_mass(internal[0], 0.0, internal[1])
+    moved = state_space(
+        2j * np.pi * frequency_hz,
+        whole[np.ix_(FREE, FREE)],
+        np.diag(springs[2:]),
+        np.diag(springs[:2]),
+        np.array([1.0, 0.0]),
+    )
+    seen = []
+    for top in true:
+        (x, _, z), (along, _, up) = top.point_m, top.direction
+        seen.append(along * (moved[:, 0] + z * moved[:, 1]) - up * x * moved[:, 1])
+    stated = rigid_mass(mass, height, inertia)
+    return recording(f"{mass} kg", frequency_hz, np.stack(seen, axis=1), stated, ALONG_X, **words)

@@ -23,7 +23,6 @@ from shaker.elastomer.frame import (
     joined,
     named_modes,
     pillar,
-    platform_family,
     platform_stiffness,
     rigid_motion,
     sensitivities,
@@ -37,7 +36,6 @@ from shaker.elastomer.geometry import (
     beam_stiffness,
     lumped,
 )
-from shaker.mechanics import oscillator_hz
 
 FloatArray = NDArray[np.float64]
 ALUMINIUM = Material(72e9, 0.3, 2820.0)
@@ -105,14 +103,6 @@ def test_statics_of_a_cantilever_is_exact(pieces: int) -> None:
     assert _load(frame, pieces, np.eye(6)[0])[0] == pytest.approx(length / (modulus * THICK.area_m2), rel=1e-9)
     twist = length / (ALUMINIUM.shear_modulus_pa * THICK.torsion_m4)
     assert _load(frame, pieces, np.eye(6)[3])[3] == pytest.approx(twist, rel=1e-9)
-
-
-def test_statics_of_a_clamped_bar_is_exact() -> None:
-    length, frame = 0.1, _bar(0.1, 2, THICK, both=True)
-    bending = 72e9 * THICK.bending_in_plane_m4
-    shear = SHEAR * ALUMINIUM.shear_modulus_pa * THICK.area_m2
-    expected = length**3 / (192 * bending) + length / (4 * shear)
-    assert _load(frame, 1, np.eye(6)[1])[1] == pytest.approx(expected, rel=1e-9)
 
 
 def _sideways_hz(length: float, pieces: int, both: bool) -> FloatArray:
@@ -185,14 +175,6 @@ def test_closed_form_is_the_frame_with_any_dimensions(
     assert (closed.x, closed.x, closed.z) == pytest.approx(tuple(frame[:3]), rel=1e-6)
 
 
-def test_published_geometry_without_platform() -> None:
-    stiffness = platform_stiffness(cross_frame(ELEMENT, 0.0))
-    assert stiffness[0] == pytest.approx(5.34e5, rel=0.01)
-    assert stiffness[2] == pytest.approx(4.51e5, rel=0.01)
-    assert oscillator_hz(stiffness[0], 0.049) == pytest.approx(525.0, rel=0.01)
-    assert oscillator_hz(stiffness[2], 0.049) == pytest.approx(483.0, rel=0.01)
-
-
 @pytest.mark.parametrize(
     ("half_size", "thickness", "expected"),
     [
@@ -228,13 +210,7 @@ def test_platform_data_of_a_given_half_size(
     assert fit.platform.mass_kg == pytest.approx(mass, rel=0.01)
     assert fit.platform.height_m == pytest.approx(height, rel=0.01)
     assert fit.platform.gyration_m == pytest.approx(radii, rel=0.01)
-
-
-def test_every_half_size_meets_the_frequencies_and_a_warning_says_so() -> None:
-    family = platform_family(ELEMENT, (0.006, 0.016), PUBLISHED_HZ)
-    assert max(fit.misfit for fit in family) < 1e-6
-    assert family[1].platform.mass_kg > 3.0 * family[0].platform.mass_kg
-    assert all("does not validate" in fit.notices[0].text for fit in family)
+    assert "does not validate" in fit.notices[0].text
 
 
 def test_frequencies_that_no_platform_has_are_told() -> None:
@@ -273,16 +249,14 @@ def test_no_mode_is_higher_with_more_mass_or_lower_with_more_pieces() -> None:
 
 
 def test_modes_of_one_frequency_are_turned_into_the_axes() -> None:
-    model = solve_frame(ELEMENT, 0.014, RigidPart(0.0097, 0.0127, 0.0097 * np.array([0.0135, 0.0135, 0.0148]) ** 2))
-    rng = np.random.default_rng(5)
-    angle = rng.uniform(0.3, 1.2, 2)
+    platform = RigidPart(0.0097, 0.0127, 0.0097 * np.array([0.0135, 0.0135, 0.0148]) ** 2)
+    model = solve_frame(ELEMENT, 0.014, platform)
     shape = model.modes.shape.copy()
-    for (one, other), turn in zip(((0, 1), (3, 4)), angle, strict=True):
+    for (one, other), turn in (((0, 1), 0.5), ((3, 4), 1.1)):
         c, s = np.cos(turn), np.sin(turn)
         shape[:, [one, other]] = shape[:, [one, other]] @ np.array([[c, -s], [s, c]])
-    _, mass = model.frame.matrices
-    mass = mass.copy()
-    mass[:6, :6] += RigidPart(0.0097, 0.0127, 0.0097 * np.array([0.0135, 0.0135, 0.0148]) ** 2).mass_matrix
+    mass = model.frame.matrices[1].copy()
+    mass[:6, :6] += platform.mass_matrix
     centre = np.array([0.0, 0.0, 0.0127 * 0.0097 / 0.0107])
     again = named_modes(model.modes.frequency_hz, shape, lambda x: mass @ x, model.frame.rigid_motions(centre))
     for mode, name in enumerate(NAMES):

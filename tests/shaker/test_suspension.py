@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +11,7 @@ from hypothesis import strategies as st
 from identification_factory import (
     ALONG_X,
     ALONG_Z,
+    FREE,
     ComplexArray,
     FloatArray,
     X,
@@ -19,8 +19,8 @@ from identification_factory import (
     oscillator,
     recording,
     rigid_mass,
-    state_space,
 )
+from identification_factory import pitching as shifted
 from scipy.spatial.transform import Rotation
 
 from shaker.identification.fit import Identification, identify
@@ -28,51 +28,26 @@ from shaker.identification.measured import InertiaError, MeasuredTransfer, Place
 from shaker.identification.structures import Suspension, measured_poles
 from shaker.mechanics import respond
 
+LINES_HZ = np.arange(300.0, 3000.0, 3.125)
 K_X, B_X, K_RY, B_RY, M_I, J_I = 7.0e8, 600.0, 1.1e6, 1.2, 0.9, 1.5e-3
 PITCHING = Suspension((0, 4))
 TOPS = (Placement(0.03 * Z, X), Placement(-0.02 * Z, X))
 BASE = Placement(-0.05 * Z, X)
-FREE = [0, 4]
 
 
 def pitching(
     load: tuple[float, float, float],
+    springs: tuple[float, float, float, float] = (K_X, K_RY, B_X, B_RY),
+    frequency_hz: FloatArray = LINES_HZ,
     *,
-    k_x: float = K_X,
-    k_ry: float = K_RY,
-    b_x: float = B_X,
-    b_ry: float = B_RY,
-    frequency_hz: FloatArray | None = None,
-    rng: np.random.Generator | None = None,
     noise: float = 3e-3,
+    rng: np.random.Generator | None = None,
     z_load: float = 0.0,
-    **words: Any,
 ) -> MeasuredTransfer:
-    """Horizontal drive of a load (kg, height of its centre of mass in m, central kg·m²), measured at two heights."""
-    mass, height, inertia = load
-    frequency = np.arange(300.0, 3000.0, 3.125) if frequency_hz is None else frequency_hz
-    whole = rigid_mass(mass + 3e-4 * z_load, height, inertia) + rigid_mass(M_I, 0.0, J_I)
-    motion = state_space(
-        2j * np.pi * frequency,
-        whole[np.ix_(FREE, FREE)],
-        np.diag([b_x, b_ry]),
-        np.diag([k_x, k_ry]),
-        np.array([1.0, 0.0]),
-    )
-    value = np.stack([motion[:, 0] + top.point_m[2] * motion[:, 1] for top in TOPS], axis=1)
-    return recording(
-        f"{mass} kg",
-        frequency,
-        value,
-        rigid_mass(mass, height, inertia),
-        ALONG_X,
-        noise=noise,
-        rng=rng,
-        tops=TOPS,
-        base=BASE,
-        inertia_errors=[InertiaError(f"mass of {mass} kg", rigid_mass(3e-4, height))],
-        **words,
-    )
+    """Horizontal drive of a load stated to 0.3 g, measured at two heights."""
+    change = InertiaError(f"mass of {load[0]} kg", rigid_mass(3e-4, load[1]))
+    words = {"noise": noise, "rng": rng, "tops": TOPS, "base": BASE, "inertia_errors": [change]}
+    return shifted(load, springs, (M_I, J_I), frequency_hz, TOPS, off_kg=3e-4 * z_load, **words)
 
 
 def textbook_poles(mass: FloatArray, damping: FloatArray, stiffness: FloatArray) -> ComplexArray:
@@ -107,7 +82,7 @@ def test_the_translational_stiffness_comes_out_of_two_modes(
     loads = ((4.236, height, 0.012), (8.798, height + 0.01, 0.035))
     draws = rng.standard_normal(2)
     recordings = [
-        pitching(load, k_ry=k_ry, b_x=b_x, b_ry=b_ry, rng=rng, z_load=z) for load, z in zip(loads, draws, strict=True)
+        pitching(load, (K_X, k_ry, b_x, b_ry), rng=rng, z_load=z) for load, z in zip(loads, draws, strict=True)
     ]
     found = identify(recordings, PITCHING)
     assert found.value("stiffness_x") == pytest.approx(K_X, rel=2e-3)
@@ -125,7 +100,7 @@ def test_a_rotation_that_the_band_does_not_show_is_named() -> None:
     rng = np.random.default_rng(5)
     frequency = np.arange(900.0, 2200.0, 3.125)
     loads = ((4.236, 0.002, 0.012), (8.798, 0.002, 0.035))
-    recordings = [pitching(load, k_ry=1e10, frequency_hz=frequency, rng=rng, noise=0.02) for load in loads]
+    recordings = [pitching(load, (K_X, 1e10, B_X, B_RY), frequency, rng=rng, noise=0.02) for load in loads]
     found = identify(recordings, PITCHING, known={"internal_inertia_ry": (J_I, 0.0)})
     assert "stiffness_ry" in {notice.where for notice in found.notices}
     assert found.u("stiffness_ry") > found.value("stiffness_ry") / 3.0
@@ -140,7 +115,7 @@ def test_pitching_without_pitching_in_the_model_is_told_apart() -> None:
 
 
 def test_poles_of_overlapping_peaks_are_found_without_a_model() -> None:
-    record = pitching((4.236, 0.01, 0.012), k_ry=3.0e6, rng=np.random.default_rng(1))
+    record = pitching((4.236, 0.01, 0.012), (K_X, 3.0e6, B_X, B_RY), rng=np.random.default_rng(1))
     mechanics = PITCHING.mechanics(record)
     (mass, damping, stiffness), _ = mechanics.at(np.array([1.0, K_X, 3.0e6, B_X, B_RY, M_I, J_I, 0.0]))
     np.testing.assert_allclose(measured_poles(record, 2), textbook_poles(mass, damping, stiffness), rtol=1e-3)

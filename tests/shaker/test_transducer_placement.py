@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from identification_factory import ALONG_X, ALONG_Z, FloatArray, X, oscillator, recording, rigid_mass, state_space
+from identification_factory import ALONG_Z, FloatArray, X, oscillator, recording, rigid_mass
+from identification_factory import pitching as shifted
 
 from shaker.identification.fit import Identification, identify
 from shaker.identification.measured import AT_THE_BASE, MeasuredTransfer, Placement, PlacementError
@@ -21,7 +22,6 @@ LOADS = ((4.236, 0.012, 0.0182), (6.962, -0.012, 0.0118))  # kg, height of the c
 PLACES = np.array([[0.05, 0.0, 0.06], [0.05, 0.0, -0.03]])
 U_PLACE, U_TILT = 1e-3, 2e-3
 PITCHING = Suspension((0, 4))
-FREE = [0, 4]
 BASE = Placement(np.array([-0.12, 0.0, 0.0]), X)
 
 
@@ -45,34 +45,13 @@ def pitching(
     rng: np.random.Generator | None = None,
 ) -> MeasuredTransfer:
     """A load that shifts and pitches, seen by transducers that are off by `draws` (2, 4), in standard deviations."""
-    mass, height, inertia = load
-    frequency = np.arange(500.0, 3000.0, 12.5)
-    stated = rigid_mass(mass, height, inertia)
-    whole = stated + rigid_mass(M_I, 0.0, J_I)
-    motion = state_space(
-        2j * np.pi * frequency,
-        whole[np.ix_(FREE, FREE)],
-        np.diag([B_X, B_RY]),
-        np.diag([K_X, K_RY]),
-        np.array([1.0, 0.0]),
-    )
-    seen = []
+    true = []
     for point, (_, by_z, to_y, to_z) in zip(PLACES, draws, strict=True):
         direction = np.array([1.0, U_TILT * to_y, U_TILT * to_z])
-        direction /= np.linalg.norm(direction)
-        x, _, z = point + np.array([0.0, 0.0, U_PLACE * by_z])
-        seen.append(direction[0] * (motion[:, 0] + z * motion[:, 1]) - direction[2] * x * motion[:, 1])
-    record = recording(
-        f"{mass} kg",
-        frequency,
-        np.stack(seen, axis=1),
-        stated,
-        ALONG_X,
-        noise=noise,
-        rng=rng,
-        tops=tuple(Placement(point, X) for point in PLACES),
-        base=BASE,
-    )
+        true.append(Placement(point + np.array([0.0, 0.0, U_PLACE * by_z]), direction / np.linalg.norm(direction)))
+    springs, internal, frequency = (K_X, K_RY, B_X, B_RY), (M_I, J_I), np.arange(500.0, 3000.0, 12.5)
+    stated = {"tops": tuple(Placement(point, X) for point in PLACES), "base": BASE}
+    record = shifted(load, springs, internal, frequency, true, noise=noise, rng=rng, **stated)
     known = [error for c, point in enumerate(PLACES) for error in errors_of(f"top {c + 1}", c, point)]
     return replace(record, placement_errors=(*known, *errors_of("base", AT_THE_BASE, BASE.point_m)))
 
