@@ -7,14 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fusion.estimation.least_squares import Solution, System
-from fusion.estimation.measurement_model import CommonError, Observation
 from fusion.estimation.uncertainty import real_design, real_stack
 from fusion.estimation.variance_components import LEAST_DOF, Contrasts, Discrepancy, variance_components
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from fusion.estimation.measurement_model import CommonError, Observation
 
 TEST_LEVEL = 0.99
 RANK_TOLERANCE = 1e-11

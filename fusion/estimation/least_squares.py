@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import block_diag, solve_triangular
 
-from fusion.estimation.measurement_model import CommonError, Observation
 from fusion.estimation.uncertainty import as_complex, real_design, real_stack
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from fusion.estimation.measurement_model import CommonError, Observation
 
 # The linear system behind the fusion: readings of all lines as real rows, and what their common errors do to them.
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fusion.base import AnyNotice, brief
-from fusion.estimation.fuse import Acceleration
 from fusion.estimation.least_squares import BODY_SIZE_M, UNOBSERVED_MOTION, hidden_motion
 from fusion.estimation.uncertainty import (
     Contribution,
@@ -25,6 +24,9 @@ from fusion.sensitivity.body import Body, MatrixChange
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, check_shape
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS
 from shaker.sine.phasor import Phasors, real_stacked_diagonal
+
+if TYPE_CHECKING:
+    from fusion.estimation.fuse import Acceleration
 
 # The load at the sensor origin: mass matrix and gravity tilt applied to the acceleration, with its uncertainty.
 
