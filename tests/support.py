@@ -9,8 +9,12 @@ from typing import Protocol
 import numpy as np
 import pytest
 
+from fusion.base import Settings
 from fusion.cli import main
 from fusion.estimation.uncertainty import region_factor
+from fusion.recording.load import load_manifest
+from fusion.sensitivity.analyse import Evaluation
+from fusion.sensitivity.evaluate import evaluate_recording
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 
@@ -20,6 +24,11 @@ def edit(path: Path, old: str, new: str) -> None:
     text = path.read_text(encoding="utf-8")
     assert old in text, f"{old!r} is not in {path}"
     path.write_text(text.replace(old, new), encoding="utf-8")
+
+
+def evaluated(recording: Path) -> Evaluation:
+    """Evaluate a recording as a run does, without files."""
+    return evaluate_recording(load_manifest(recording), Settings(), {})
 
 
 def rows(path: Path) -> list[dict[str, str]]:

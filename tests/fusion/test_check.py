@@ -145,9 +145,9 @@ def test_what_will_be_missing_is_remarked(make_campaign):
     folder = make_campaign(rig='format = 1\nname = "bare"\n', recording=LASER_ONLY)
     remarks = check(load_manifest(folder)).remarks
     for text in (
-        "load: nobody observes x y rx ry rz",
+        "load: no instrument observes x y rx ry rz",
         "base has no instrument",
-        "load: nobody observes the driven component Fy",
+        "load: no instrument observes the driven component Fy",
         "rig.toml has no [load]: no load and no sensitivity",
         "rig.toml has no [sensor]: no sensitivity",
         "rig.toml states no gravity: tilt is not corrected",

@@ -8,15 +8,14 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from support import evaluated
 
-from fusion.base import ComputeError, Settings
+from fusion.base import ComputeError
 from fusion.cli import main
 from fusion.phasors.setup import line_stationarity, stationarity_notices
-from fusion.recording.load import load_manifest
 from fusion.report.more_tables import drift_table
 from fusion.report.recorded import write_h5
 from fusion.sensitivity.analyse import Evaluation
-from fusion.sensitivity.evaluate import evaluate_recording
 from shaker.timebase.tie import ClockTie
 
 DRIVEN_HZ, DAQ_HZ, SAMPLES, FRAMES = 106.25, 10_000.0, 14_000, 64
@@ -101,16 +100,12 @@ def recording(
     return place
 
 
-def evaluate(folder: Path) -> Evaluation:
-    return evaluate_recording(load_manifest(folder), Settings(), {})
-
-
 GROWTH = 4e-3  # per second
 
 
 @pytest.fixture(scope="module")
 def grown(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
-    return evaluate(recording(tmp_path_factory.mktemp("grown"), CLEAR_HZ, laser=True, growth=GROWTH))
+    return evaluated(recording(tmp_path_factory.mktemp("grown"), CLEAR_HZ, laser=True, growth=GROWTH))
 
 
 def test_the_change_over_each_record_is_found(grown):
@@ -147,7 +142,7 @@ def test_the_blocks_stand_in_the_result_file(grown, tmp_path):
 
 
 def test_a_steady_drive_gives_no_notice(tmp_path):
-    steady = evaluate(recording(tmp_path, CLEAR_HZ, laser=True))
+    steady = evaluated(recording(tmp_path, CLEAR_HZ, laser=True))
     found = line_stationarity(steady.channels, steady.stereo, steady.lines, steady.clocks)
     assert len(found) == 2
     assert stationarity_notices(found) == ()
@@ -164,7 +159,7 @@ def test_the_rate_of_a_tied_clock_is_part_of_a_phase(grown):
 
 
 def test_a_vibrometer_goes_on_where_the_cameras_lose_the_line(tmp_path):
-    evaluation = evaluate(recording(tmp_path, FOLDING_HZ, laser=True))
+    evaluation = evaluated(recording(tmp_path, FOLDING_HZ, laser=True))
     assert evaluation.stereo == ()
     texts = [notice.text for notice in evaluation.notices]
     assert any("106.25 Hz is dropped" in text and "onto zero" in text for text in texts)
@@ -176,7 +171,7 @@ def test_a_vibrometer_goes_on_where_the_cameras_lose_the_line(tmp_path):
 
 
 def test_a_harmonic_that_folds_onto_zero_is_left_to_the_laser(tmp_path):
-    evaluation = evaluate(recording(tmp_path, 0.75 * DRIVEN_HZ, laser=True, harmonics="[3]", overtone=0.2))
+    evaluation = evaluated(recording(tmp_path, 0.75 * DRIVEN_HZ, laser=True, harmonics="[3]", overtone=0.2))
     assert evaluation.stereo[0].usable.tolist() == [True, False]
     dropped = [notice.text for notice in evaluation.notices if "dropped" in notice.text]
     assert len(dropped) == 1
@@ -191,7 +186,7 @@ def test_a_harmonic_that_folds_onto_zero_is_left_to_the_laser(tmp_path):
 def test_cameras_alone_fail_in_one_sentence(tmp_path, capsys):
     place = recording(tmp_path, FOLDING_HZ, laser=False)
     with pytest.raises(ComputeError, match=r"no instrument sees the motion .* at 106\.25 Hz .*a camera rate of"):
-        evaluate(place)
+        evaluated(place)
     assert main(["run", str(place), "--quiet"]) == 1
     told = capsys.readouterr().err.strip()
     assert told.count("\n") == 0
@@ -200,6 +195,6 @@ def test_cameras_alone_fail_in_one_sentence(tmp_path, capsys):
 
 
 def test_a_clear_rate_needs_no_notice(tmp_path):
-    evaluation = evaluate(recording(tmp_path, CLEAR_HZ, laser=True))
+    evaluation = evaluated(recording(tmp_path, CLEAR_HZ, laser=True))
     assert len(evaluation.stereo) == 1
     assert not [notice for notice in evaluation.notices if "dropped" in notice.text]

@@ -8,8 +8,9 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from support import evaluated
 
-from fusion.base import InputError, Settings
+from fusion.base import InputError
 from fusion.cli import main
 from fusion.instruments.stereo import PulseExposure
 from fusion.phasors.timing import Exposure, exposure_middles, exposure_of, tie_daqs
@@ -19,7 +20,6 @@ from fusion.recording.load import load_manifest
 from fusion.report.more_tables import clocks_table
 from fusion.report.tables import stereo_table
 from fusion.sensitivity.analyse import Evaluation
-from fusion.sensitivity.evaluate import evaluate_recording
 from photogram.geometry import rotation_from_vector
 
 FREQUENCY_HZ = 106.2507
@@ -117,10 +117,6 @@ def _write(folder: Path, shot: Shot, exposure: str, override: str = "") -> Path:
     return run
 
 
-def _evaluated(run: Path) -> Evaluation:
-    return evaluate_recording(load_manifest(run), Settings(), {})
-
-
 def _base(evaluation: Evaluation) -> np.ndarray:
     found = next(a for a in evaluation.accelerations if (a.body, a.source) == ("base", "photogrammetry"))
     return found.phasors.value[0]
@@ -148,8 +144,8 @@ def test_a_stated_exposure_is_exact(tmp_path):
 
 
 def test_a_run_is_that_with_the_width_stated(tmp_path):
-    measured = _evaluated(_write(tmp_path, Shot(), '"pulse"'))
-    stated = _evaluated(_write(tmp_path, Shot(), repr(WIDTH_S)))
+    measured = evaluated(_write(tmp_path, Shot(), '"pulse"'))
+    stated = evaluated(_write(tmp_path, Shot(), repr(WIDTH_S)))
     (pair,) = measured.stereo
     assert abs(pair.exposure_s - WIDTH_S) < 4.0 * pair.u_exposure_s
     assert (stated.stereo[0].exposure_s, stated.stereo[0].u_exposure_s) == (WIDTH_S, 0.0)
@@ -166,16 +162,16 @@ def test_a_run_is_that_with_the_width_stated(tmp_path):
 def test_the_effect_of_a_width_is_that_of_evaluating_with_another(tmp_path):
     u_s = 2e-6
     run = _write(tmp_path, Shot(), repr(WIDTH_S - u_s / 2))
-    before = _base(_evaluated(run))
+    before = _base(evaluated(run))
     rig = run.parent / "rig.toml"
     rig.write_text(RIG.replace("EXPOSURE", repr(WIDTH_S + u_s / 2)), encoding="utf-8")
-    ratio = _base(_evaluated(run)) / before - 1.0
+    ratio = _base(evaluated(run)) / before - 1.0
     expected = PulseExposure("camera_trigger", WIDTH_S, u_s).change(np.array([FREQUENCY_HZ]))
     np.testing.assert_allclose(ratio, np.repeat(expected, 6), rtol=2e-3)
 
 
 def test_every_run_tells_the_width(tmp_path):
-    evaluation = _evaluated(_write(tmp_path, Shot(), "40e-6"))
+    evaluation = evaluated(_write(tmp_path, Shot(), "40e-6"))
     (clock,) = evaluation.clocks
     assert clock.pulse_width_s == pytest.approx(WIDTH_S, abs=2e-6)
     table = clocks_table(evaluation)

@@ -303,6 +303,7 @@ def test_a_mistake_is_one_sentence(campaign, file, old, new, key, expected, refu
 
 
 def test_other_recordings_are_refused(campaign, tmp_path, refused):
+    (tmp_path / "other").mkdir()
     write_rotation(tmp_path / "other", 2)
     assert "the rig of without-load" in refused("rotate", campaign / BARE, tmp_path / "other" / LOADED)
     edit(campaign / RECORDING, "../rig.toml", "rig.toml")

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support import edit
+from support import edit, evaluated
 from take_factory import (
     FREQUENCY_HZ,
     HEAD,
@@ -27,7 +27,6 @@ from take_factory import (
     write_takes,
 )
 
-from fusion.base import Settings
 from fusion.cli import main
 from fusion.commands.options import EXIT_DONE
 from fusion.estimation.fuse import Acceleration
@@ -35,14 +34,9 @@ from fusion.recording.files import read_set_ups
 from fusion.recording.load import load_manifest
 from fusion.report.csv_files import result_tables
 from fusion.sensitivity.analyse import Evaluation
-from fusion.sensitivity.evaluate import evaluate_recording
 
 SEEN = [2, 3, 4]  # z, rx, ry
 HARMONICS = {2: 0.01, 3: 0.004}
-
-
-def _evaluate(folder: Path) -> Evaluation:
-    return evaluate_recording(load_manifest(folder), Settings(), {})
 
 
 def fused(evaluation: Evaluation, body: str = "load") -> Acceleration:
@@ -63,7 +57,7 @@ def _shots(rng: np.random.Generator, count: int = 8, drift: float = 0.005) -> li
 @pytest.fixture(scope="module")
 def eight(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
     rng = np.random.default_rng(5)
-    return _evaluate(write_takes(tmp_path_factory.mktemp("eight"), _shots(rng), rng, top=True))
+    return evaluated(write_takes(tmp_path_factory.mktemp("eight"), _shots(rng), rng, top=True))
 
 
 def test_eight_points_one_after_another_give_the_motion(eight):
@@ -138,11 +132,11 @@ def test_takes_cut_from_one_recording_give_what_the_recording_gives(tmp_path):
     write_shot(folder / "all.h5", values)
     head = HEAD.format(harmonics="[1]")
     (folder / "recording.toml").write_text(head + block("all.h5", POINTS, at=""))
-    whole = _evaluate(folder)
+    whole = evaluated(folder)
     common, *lasers = block("all.h5", POINTS).split('[[take.daq.channel]]\nname = "velocity_')
     text = "".join(f'{common}[[take.daq.channel]]\nname = "velocity_{laser}' for laser in lasers)
     (folder / "recording.toml").write_text(head + text)
-    takes = _evaluate(folder)
+    takes = evaluated(folder)
     assert len(takes.set_ups) == 8
     assert whole.set_ups == ()
     for one, eight in zip(whole.accelerations, takes.accelerations, strict=True):
@@ -164,7 +158,7 @@ def test_a_channel_in_every_take_is_one_reading_and_its_scatter_counts(tmp_path)
     for number, (shot, gain) in enumerate(zip(shots, gains, strict=True), 1):
         values = signals(shot, rng)
         write_shot(folder / f"{number}.h5", values | {"Fz": gain * values["Fz"]})
-    found = _evaluate(folder)
+    found = evaluated(folder)
     u = np.sqrt(found.outputs.uncertainty.random[0].covariance[0, 0, 0]) / abs(found.outputs.phasors.value[0, 0])
     assert u * np.sqrt(2.0) == pytest.approx(np.std(gains, ddof=1) / np.sqrt(5.0), rel=0.05)
     assert found.outputs.uncertainty.random[0].dof[0] == pytest.approx(4.0, rel=0.01)
@@ -174,7 +168,7 @@ def test_a_channel_in_every_take_is_one_reading_and_its_scatter_counts(tmp_path)
 def test_a_large_drift_and_another_frequency_are_warnings(tmp_path):
     rng = np.random.default_rng(3)
     shots = [Shot(POINTS[:1]), Shot(POINTS[1:2], 1.05), Shot(POINTS[2:3], frequency_hz=FREQUENCY_HZ * 1.0005)]
-    found = _evaluate(write_takes(tmp_path, shots, rng, harmonics="[1]"))
+    found = evaluated(write_takes(tmp_path, shots, rng, harmonics="[1]"))
     told = {notice.where: notice.text for notice in found.notices if notice.severity == "warning"}
     assert "take 2: the reference drive reads +5 %" in told["take 2"]
     assert "take 3: driven at 106.3038 Hz, in the first take at 106.251 Hz" in told["take 3"]
@@ -235,7 +229,7 @@ def test_reference_at_a_weak_harmonic_leaves_that_line_to_the_other_takes(tmp_pa
     """Where the reference does not stand out, a take says nothing at that line instead of noise."""
     rng = np.random.default_rng(4)
     strong, weak = Shot(POINTS[:1], harmonics={2: 1e-3}), Shot(POINTS[1:2], harmonics={2: 0.0})
-    found = _evaluate(write_takes(tmp_path, [strong, weak], rng, harmonics="[2]"))
+    found = evaluated(write_takes(tmp_path, [strong, weak], rng, harmonics="[2]"))
     referred = {channel.name: channel.phasors.value[:, 0] for channel in found.channels}
     assert np.isfinite(referred["take 1: velocity_1"]).all()
     assert np.isfinite(referred["take 2: velocity_1"]).tolist() == [True, False]
@@ -244,7 +238,7 @@ def test_reference_at_a_weak_harmonic_leaves_that_line_to_the_other_takes(tmp_pa
 def test_a_harmonic_that_folds_in_one_take_is_left_out_of_all(tmp_path):
     """Sampled at four times the line, its third harmonic cannot be told from it."""
     slow = Shot(POINTS[1:2], rate_hz=4.0 * FREQUENCY_HZ, samples=1200)
-    found = _evaluate(write_takes(tmp_path, [Shot(POINTS[:1], harmonics=HARMONICS), slow], np.random.default_rng(2)))
+    found = evaluated(write_takes(tmp_path, [Shot(POINTS[:1], harmonics=HARMONICS), slow], np.random.default_rng(2)))
     assert found.lines.multiple.tolist() == [1]
     assert any("harmonic 3 of 106.25 Hz is left out: take 2 cannot tell it" in notice.text for notice in found.notices)
 
@@ -254,7 +248,7 @@ def test_an_output_can_be_the_reference_and_its_noise_then_cancels_in_the_ratio(
     folder = write_takes(tmp_path, [Shot([point]) for point in POINTS], rng, harmonics="[1]")
     edit(folder / "recording.toml", "reference = true", "reference = false")
     edit(folder / "recording.toml", 'channel = "Fz"', 'channel = "Fz"\nreference = true')
-    found = _evaluate(folder)
+    found = evaluated(folder)
     ratio = found.sensitivity
     assert ratio.value[0, 0, 2] == pytest.approx(SENSITIVITY, rel=1e-5)
     load = fused(found)
@@ -332,7 +326,7 @@ def _blocks(folder: Path) -> Path:
 
 def test_every_point_of_a_scan_is_a_take(tmp_path):
     folder = _scan(tmp_path, np.random.default_rng(6))
-    found = [_evaluate(describe(folder)) for describe in (_short, _long, _blocks)]
+    found = [evaluated(describe(folder)) for describe in (_short, _long, _blocks)]
     values = [f.accelerations[0].phasors.value[0] for f in found]
     assert [len(f.set_ups) for f in found] == [4, 4, 4]
     for value in values[1:]:
@@ -351,7 +345,7 @@ def test_points_are_placed_where_the_file_says(tmp_path):
 def test_a_scan_of_one_point_needs_no_reference(tmp_path):
     folder = _scan(tmp_path, np.random.default_rng(6), points=1)
     laser = LASER.format(at="", name="1", point=list(SCANNED[0]))
-    found = _evaluate(_text(folder, laser))
+    found = evaluated(_text(folder, laser))
     assert found.set_ups == ()
 
 

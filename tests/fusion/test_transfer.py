@@ -363,4 +363,4 @@ def test_sines_and_chirps_are_told_where_to_go(recording, refused):
     head, tail = text.index("[excitation]"), text.index("[[daq]]")
     sine = '[excitation]\nkind = "sine"\ndirection = [0, 0, 1]\nfrequencies = [100.0]\n\n'
     (recording / "recording.toml").write_text(text[:head] + sine + text[tail:])
-    assert "shakercal run evaluates sines" in refused("transfer", recording, "-q")
+    assert "shakercal run takes this one" in refused("transfer", recording, "-q")
