@@ -63,23 +63,13 @@ def region(value: complex, covariance: FloatArray, dof: float = np.inf) -> Regio
     if not np.all(np.isfinite(covariance)):
         return Region((np.inf, np.inf), 0.0, holds_zero=True)
     variances, axes = np.linalg.eigh(covariance)
-    small, large = (_half_axis(float(variance), dof) for variance in variances)
-    turned = np.abs(axes.T @ [value.real, value.imag])
-    reached = sum(_share(float(part), half) ** 2 for part, half in zip(turned, (small, large), strict=True))
+    # A direction without uncertainty has no half-axis, whatever the degrees of freedom.
+    small, large = (region_factor(dof) * float(np.sqrt(v)) if v > 0.0 else 0.0 for v in variances.tolist())
+    turned = np.abs(axes.T @ [value.real, value.imag]).tolist()
+    shares = [part / half if half > 0.0 else np.inf for part, half in zip(turned, (small, large), strict=True) if part]
     along = axes[:, 1] * (1.0 if axes[0, 1] > 0.0 or (axes[0, 1] == 0.0 and axes[1, 1] > 0.0) else -1.0)
-    return Region((large, small), float(np.arctan2(along[1], along[0])), holds_zero=reached <= 1.0)
-
-
-def _half_axis(variance: float, dof: float) -> float:
-    """Half axis of a region; a direction without uncertainty has none, whatever the degrees of freedom."""
-    return region_factor(dof) * float(np.sqrt(variance)) if variance > 0.0 else 0.0
-
-
-def _share(part: float, half_axis: float) -> float:
-    """Part of the way to the edge of a region, infinite outside of one without extent."""
-    if part == 0.0:
-        return 0.0
-    return part / half_axis if half_axis > 0.0 else np.inf
+    angle = float(np.arctan2(along[1], along[0]))
+    return Region((large, small), angle, holds_zero=sum(share**2 for share in shares) <= 1.0)
 
 
 # What makes complex values uncertain: noise of its own at every line, and named unknowns that act on many values.
@@ -259,22 +249,19 @@ def merge_contributions(parts: Sequence[Contribution]) -> tuple[Contribution, ..
     groups: dict[str, list[Contribution]] = {}
     for part in parts:
         groups.setdefault(part.label, []).append(part)
-    return tuple(group[0] if len(group) == 1 else _sum(group) for group in groups.values())
-
-
-def _sum(group: Sequence[Contribution]) -> Contribution:
-    """Sum of independent contributions to the same values."""
-    covariance = np.sum([part.covariance for part in group], axis=0)
-    if all(part.dof is None for part in group):
-        return replace(group[0], covariance=covariance)
-    weighted = np.zeros(len(covariance))
-    for part in group:
-        trace = np.nansum(total_variance(part.covariance), axis=1)
-        weighted += trace**2 / (np.inf if part.dof is None else np.maximum(part.dof, 1.0))
-    trace = np.nansum(total_variance(covariance), axis=1)
-    empty = np.full(len(covariance), np.inf)
-    dof = np.divide(trace**2, weighted, out=empty, where=weighted > 0.0)
-    return replace(group[0], covariance=covariance, dof=dof)
+    merged = []
+    for group in groups.values():
+        covariance = group[0].covariance if len(group) == 1 else np.sum([part.covariance for part in group], axis=0)
+        dof = group[0].dof
+        if len(group) > 1 and any(part.dof is not None for part in group):
+            weighted = np.zeros(len(covariance))
+            for part in group:
+                trace = np.nansum(total_variance(part.covariance), axis=1)
+                weighted += trace**2 / (np.inf if part.dof is None else np.maximum(part.dof, 1.0))
+            trace = np.nansum(total_variance(covariance), axis=1)
+            dof = np.divide(trace**2, weighted, out=np.full(len(covariance), np.inf), where=weighted > 0.0)
+        merged.append(replace(group[0], covariance=covariance, dof=dof))
+    return tuple(merged)
 
 
 # Complex numbers as magnitude and phase with uncertainty.
@@ -335,28 +322,20 @@ def polar(value: complex, covariance: FloatArray, dof: float = np.inf) -> Polar:
     magnitude = float(np.hypot(re, im))
     u_re, u_im = (float(u) for u in np.sqrt(np.diag(covariance)))
     r = float(covariance[0, 1]) / (u_re * u_im) if u_re * u_im > 0.0 else 0.0
-    u_magnitude, u_phase = _first_order(re, im, magnitude, covariance)
-    return Polar(magnitude, _phase(re, im), u_magnitude, u_phase, re, im, u_re, u_im, r, dof)
+    if magnitude == 0.0:
+        u_magnitude, u_phase = float(np.sqrt(np.trace(covariance) / 2.0)), UNIFORM_PHASE_U
+    elif np.isnan(covariance).any():
+        u_magnitude = u_phase = float("nan")
+    else:
+        along, across = np.array([re, im]) / magnitude, np.array([-im, re]) / magnitude
+        u_magnitude = float(np.sqrt(max(float(along @ covariance @ along), 0.0)))
+        turned = float(np.sqrt(max(float(across @ covariance @ across), 0.0)))
+        u_phase = min(turned / magnitude, UNIFORM_PHASE_U)
+    # An imaginary part of -0 does not turn pi into -pi.
+    return Polar(magnitude, float(np.arctan2(im + 0.0, re)), u_magnitude, u_phase, re, im, u_re, u_im, r, dof)
 
 
 def element_covariance(covariance: FloatArray, element: int) -> FloatArray:
     """Covariance (2, 2) of (Re, Im) of one element of a real-stacked covariance (2M, 2M)."""
     pair = [element, element + covariance.shape[-1] // 2]
     return covariance[np.ix_(pair, pair)]
-
-
-def _phase(re: float, im: float) -> float:
-    """Phase in (-pi, pi]; an imaginary part of -0 does not turn pi into -pi."""
-    return float(np.arctan2(im + 0.0, re))
-
-
-def _first_order(re: float, im: float, magnitude: float, covariance: FloatArray) -> tuple[float, float]:
-    """Standard uncertainties of magnitude and phase."""
-    if magnitude == 0.0:
-        return float(np.sqrt(np.trace(covariance) / 2.0)), UNIFORM_PHASE_U
-    if np.isnan(covariance).any():
-        return float("nan"), float("nan")
-    along = np.array([re, im]) / magnitude
-    across = np.array([-im, re]) / magnitude
-    variance, turned = float(along @ covariance @ along), float(across @ covariance @ across)
-    return float(np.sqrt(max(variance, 0.0))), min(float(np.sqrt(max(turned, 0.0))) / magnitude, UNIFORM_PHASE_U)
