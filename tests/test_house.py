@@ -1,84 +1,152 @@
-"""The rules of the house: who may import whom, and in which order."""
+"""The rules of the house: who may import whom, how long a chain of imports, a file and a function may be."""
 
 from __future__ import annotations
 
 import ast
+from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
+PACKAGES = ("photogram", "shaker", "fusion")
 FORBIDDEN = {"photogram": {"shaker", "fusion"}, "shaker": {"photogram", "fusion"}, "fusion": set[str]()}
-WRITTEN_ORDER = {
-    "photogram": """
-        _checks _kernel notice _inverse _pinhole rigid camera calibration_file triangulate mraw images point_tables
-        interpolate lanes sampling sums noise subset search reference quality icgn follow predict
-        device icgn_torch track overlap motion deformation surface cells direct measure
-        target calibrate calibration_import alignment epipolar synthetic
-    """,
-    "shaker.signals": """
-        recording files edges numbering posterior rise trigger shift clock_line sync instants pulses
-        resample phasor folding separation spectrum tones noise sine stationarity
-        survey frequencies chain transfer plan
-    """,
-    "shaker.models": """
-        resonance measured weights identification suspension mass_chain sensor
-        partial_fractions conversion linear_system modal indices step step_fit load_series compensation decoupling
-        feedback elastomer
-    """,
-    "shaker.models.resonance": "line_noise oscillator noisy_curve circle peak_shape peak",
-    "shaker.models.weights": "gravity harmonics turning load_mass",
-    "shaker.models.sensor": """
-        spring_damper chain_shape sensitivity_fit sensor_response sensor_model usable_band correction
-    """,
-    "fusion": """
-        notices errors output console settings crew uncertainty coverage polar propagated manifest response
-        elastic_joint body chain observe system estimate consistency discrepancy doubt acceleration verdict fuse
-        outputs load budget sensitivity point_spread parasitic_loads deflection evaluation drive repeats linearity
-        matrix interpolation curve drift scans records timing channels stereo_motion stereo_pairs stereo_phasors
-        readings take referral pool takes analyse monte_carlo provenance evaluate check highlights results_csv
-        results_h5 read_results camera_facts plan lines plots report_numbers report_tables consistency_tables
-        budget_tables point_tables monte_carlo_tables signal_tables take_tables page report results evaluated
-        camera_tables camera_report joint execution campaign campaign_summary models_file simulate progress summary
-        plan_tables line_tables cameras align import_calibration transfer rotate identify step load_series
-        compensate decouple elastomer commands cli
-    """,
+LAYERS = {
+    "photogram": (
+        "arrays",
+        "kernels geometry images point_tables",
+        "camera bspline",
+        "subsets targets",
+        "motion epipolar direct",
+        "measure calibration alignment synthetic",
+    ),
+    "shaker": (
+        "arrays labels fitting",
+        "sine io lti mechanics static_rotation elastomer",
+        "timebase lines frf",
+        "identification release compensation",
+        "decoupling",
+    ),
+    "fusion": (
+        "base",
+        "estimation",
+        "instruments",
+        "recording",
+        "phasors sensitivity",
+        "report",
+        "campaign",
+        "cameras planning sensor",
+        "simulate",
+        "commands",
+        "cli",
+    ),
 }
-ORDER = {package: text.split() for package, text in WRITTEN_ORDER.items()}
+"""Entries of each package by layer: an entry imports from its own layer and from those above it in the list."""
+MOST_ENTRIES = {"photogram": 16, "shaker": 16, "fusion": 14}
+LONGEST_CHAIN, LONGEST_FILE, LONGEST_FUNCTION, MOST_ARGUMENTS = 15, 600, 60, 7
 
 
-def _imports(path: Path) -> list[str]:
-    """Return every module that a file imports, also inside functions."""
-    found = []
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+def _modules() -> dict[str, Path]:
+    """Return every module of the three packages by its dotted name."""
+    named = {}
+    for package in PACKAGES:
+        for path in (ROOT / package).rglob("*.py"):
+            parts = path.relative_to(ROOT).with_suffix("").parts
+            named[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return named
+
+
+MODULES = _modules()
+
+
+@cache
+def _tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def _imported(nodes: Iterator[ast.AST]) -> Iterator[str]:
+    """Yield the names of imported modules."""
+    for node in nodes:
         if isinstance(node, ast.Import):
-            found += [alias.name for alias in node.names]
+            yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module:
-            found.append(node.module)
-    return found
+            yield node.module
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
-@pytest.mark.parametrize("package", sorted(FORBIDDEN))
+@cache
+def _needs(name: str) -> frozenset[str]:
+    """Return the modules that are imported together with a module: those its top level names."""
+    inside = {other for other in _imported(iter(_tree(MODULES[name]).body)) if other in MODULES}
+    return frozenset(inside - {name} - {name.rpartition(".")[0]})
+
+
+@pytest.mark.parametrize("package", PACKAGES)
 def test_packages_keep_apart(package: str) -> None:
     for path in (ROOT / package).rglob("*.py"):
-        tops = {name.split(".")[0] for name in _imports(path)}
+        tops = {name.split(".")[0] for name in _imported(ast.walk(_tree(path)))}
         assert not tops & FORBIDDEN[package], f"{path.relative_to(ROOT)} imports {tops & FORBIDDEN[package]}"
 
 
-def _module(package: str, dotted: str) -> str | None:
-    """Return the first name below `package` in a dotted module name, None for other packages."""
-    prefix = package + "."
-    return dotted[len(prefix) :].split(".", maxsplit=1)[0] if dotted.startswith(prefix) else None
-
-
-@pytest.mark.parametrize("package", sorted(ORDER))
-def test_modules_import_only_backwards(package: str) -> None:
-    order = {name: place for place, name in enumerate(ORDER[package])}
-    folder = ROOT / package.replace(".", "/")
-    for path in folder.rglob("*.py"):
-        name = path.relative_to(folder).parts[0].removesuffix(".py")
-        if name == "__init__":
+@pytest.mark.parametrize("package", PACKAGES)
+def test_imports_run_one_way_by_layer(package: str) -> None:
+    layer = {entry: place for place, entries in enumerate(LAYERS[package]) for entry in entries.split()}
+    for name in MODULES:
+        own = name.split(".")
+        if own[0] != package or len(own) == 1:
             continue
-        assert name in order, f"{path.relative_to(ROOT)} has no place in the written order of {package}"
-        for other in filter(None, (_module(package, dotted) for dotted in _imports(path))):
-            assert other == name or order[other] < order[name], f"{package}.{name} imports {package}.{other}"
+        assert own[1] in layer, f"{name} has no layer"
+        for other in _needs(name):
+            top, _, entry = other.partition(".")
+            entry = entry.split(".")[0]
+            assert top != package or not entry or layer[entry] <= layer[own[1]], f"{name} imports {other}"
+
+
+def test_no_circles_and_no_long_chains() -> None:
+    chains: dict[str, tuple[str, ...]] = {}
+
+    def chain(name: str, above: tuple[str, ...] = ()) -> tuple[str, ...]:
+        assert name not in above, f"a circle of imports: {' -> '.join((*above, name))}"
+        if name not in chains:
+            below = [chain(other, (*above, name)) for other in sorted(_needs(name))]
+            chains[name] = (name, *max(below, key=len, default=()))
+        return chains[name]
+
+    longest = max((chain(name) for name in MODULES), key=len)
+    assert len(longest) <= LONGEST_CHAIN, " -> ".join(longest)
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_few_entries_stand_side_by_side(package: str) -> None:
+    beside = {path.name for path in (ROOT / package).iterdir()} - {"__init__.py", "__pycache__", "py.typed"}
+    assert len(beside) <= MOST_ENTRIES[package], sorted(beside)
+
+
+def _functions() -> Iterator[tuple[str, ast.FunctionDef]]:
+    for name, path in MODULES.items():
+        for node in ast.walk(_tree(path)):
+            if isinstance(node, ast.FunctionDef):
+                yield f"{name}.{node.name}", node
+
+
+def test_files_and_functions_are_as_long_as_one_thought() -> None:
+    files = {name: len(path.read_text(encoding="utf-8").splitlines()) for name, path in MODULES.items()}
+    assert not {name: lines for name, lines in files.items() if lines > LONGEST_FILE}
+    for name, function in _functions():
+        lines = (function.end_lineno or 0) - function.lineno + 1 - len((ast.get_docstring(function) or "").splitlines())
+        assert lines <= LONGEST_FUNCTION, f"{name} has {lines} lines"
+
+
+def test_public_functions_take_few_arguments() -> None:
+    for name, function in _functions():
+        arguments = [*function.args.posonlyargs, *function.args.args, *function.args.kwonlyargs]
+        count = sum(argument.arg not in ("self", "cls") for argument in arguments)
+        compiled = bool(function.decorator_list) and "njit" in ast.dump(function.decorator_list[0])
+        if not function.name.startswith("_") and not compiled:
+            assert count <= MOST_ARGUMENTS, f"{name} takes {count} arguments"
+
+
+def test_importing_a_package_costs_nothing_heavy() -> None:
+    for package in PACKAGES:
+        assert not _needs(package), f"{package}/__init__.py imports {sorted(_needs(package))} before it is asked to"
