@@ -32,26 +32,19 @@ from shaker.release.load_model import LoadModel
 from shaker.release.response import pole_responses
 
 DAQ_FILE = "outputs.h5"
-CHANNEL = "Fy"
-"""Output and load component of the force sensor."""
+CHANNEL, ROPE = "Fy", "fishing line"
+"""Output and load component of the force sensor, and what releases it."""
 Model = tuple[tuple[ModalModel, ...], ...]
 """Response of every output (row) to every load component (column)."""
 
 
-@plain_dataclass(frozen=True)
+@dataclass(frozen=True, config=CHECKED)
 class Rope:
     """What lets go: how long the load takes to vanish along a straight line, in s, and its relative scatter."""
 
     name: str
     release_s: float
     scatter: float
-
-
-COTTON, LINE, PLASTIC = (
-    Rope("cotton rope", 3e-3, 0.15),
-    Rope("fishing line", 0.15e-3, 0.05),
-    Rope("plastic rope", 1.2e-3, 0.1),
-)
 
 
 @dataclass(frozen=True, config=CHECKED)
@@ -61,7 +54,8 @@ class StepRig:
     One mode per component (`frequency_hz`, `damping_ratio`) and the amplifier's real pole `chain_hz`; `capacity` and
     `sensitivity` by component, the latter in V/V per N or N·m; `mixing`: largest share by which a load drives, and an
     output shows, the mode of another component. `load_share`: what hangs on the rope, over the capacity; `noise`: over
-    the output's change. Recorder: `range_v` on `bits`, `gain` V per V/V, times in s.
+    the output's change. Recorder: `range_v` on `bits`, `gain` V per V/V, times in s. The first of the `ropes` releases
+    every component, all of them release Fz.
     """
 
     frequency_hz: tuple[float, ...]
@@ -81,6 +75,7 @@ class StepRig:
     before_s: float
     after_s: float
     start_scatter_s: float
+    ropes: tuple[Rope, ...]
 
 
 @plain_dataclass(frozen=True)
@@ -97,10 +92,10 @@ class Release:
         return f"{self.component}-{self.rope.name.replace(' ', '-')}-{self.repeat}"
 
 
-def releases() -> tuple[Release, ...]:
-    """Return three ropes on Fz with three releases each, and two releases of a fishing line on every other one."""
-    axial = [Release("Fz", rope, repeat) for rope in (COTTON, LINE, PLASTIC) for repeat in (1, 2, 3)]
-    other = [Release(c, LINE, repeat) for c in LOAD_COMPONENTS if c != "Fz" for repeat in (1, 2)]
+def releases(rig: StepRig) -> tuple[Release, ...]:
+    """Return three releases of each rope on Fz, and two releases of the first on every other component."""
+    axial = [Release("Fz", rope, repeat) for rope in rig.ropes for repeat in (1, 2, 3)]
+    other = [Release(c, rig.ropes[0], repeat) for c in LOAD_COMPONENTS if c != "Fz" for repeat in (1, 2)]
     return (*axial, *other)
 
 
@@ -142,7 +137,7 @@ def write_steps(folder: Path, seed: int, rig: StepRig | None = None) -> tuple[Pa
         "static_gain": static.tolist(),
         "drawn": draws.values,
     }
-    recordings = tuple(_write_release(folder / release.name, rig, model, release, draws) for release in releases())
+    recordings = tuple(_write_release(folder / release.name, rig, model, release, draws) for release in releases(rig))
     write_texts(folder, {RIG_FILE: to_toml(tables), TRUTH_FILE: json.dumps(truth)})
     return recordings
 
@@ -364,7 +359,7 @@ def _write_series_release(
     }
     channels = [{"name": CHANNEL, "quantity": "output", "channel": CHANNEL}]
     title = f"release of {CHANNEL} with a load of {grams} g, simulated"
-    manifest = _step_tables(title, f"rig-{grams:03d}g.toml", (CHANNEL, -rig.force_n, LINE.name), channels)
+    manifest = _step_tables(title, f"rig-{grams:03d}g.toml", (CHANNEL, -rig.force_n, ROPE), channels)
     records = {DAQ_FILE: _record(volts[None], channels, rig.sample_rate_hz)}
     return write_recording(folder / name, manifest, truth, records)
 

@@ -50,7 +50,6 @@ _BEATS = (0.27, 0.33)  # cycles that a line may advance from frame to frame beyo
 MULTIPLES = (8, 17, 31)
 _FUNDAMENTAL_HZ = 10.00002  # the generator's 10 Hz
 _SIDE = 0.02  # motion in other components over the driven one (rotations: over 0.1 m)
-_CROSS = PartSpec("beam cross", 1.284, 2e-4, (0.0, 0.0, 0.0), 1e-4, (6.9e-3, 6.9e-3, 0.0136), 2e-5)
 _ARMS = {"+x": (0.2, 0.0, 0.0), "-x": (-0.2, 0.0, 0.0), "+y": (0.0, 0.2, 0.0)}
 SETUPS = (("z", ""), ("z", "+x"), ("z", "-x"), ("z", "+y"), ("x", ""), ("x", "+y"), ("y", ""), ("y", "+x"))
 """Axis along the shaker, and the arm that carries the mass ("": the load alone)."""
@@ -261,10 +260,9 @@ def _matrix_run(number: int, axis: str, arm: str) -> Run:
     amplitude = DRIVE_MPS2 * size * rng.uniform(0.5, 1.0, (len(MULTIPLES), 6))
     amplitude[:, place] = DRIVE_MPS2
     motion = amplitude * np.exp(2j * np.pi * rng.uniform(size=amplitude.shape))
-    parts: tuple[PartSpec, ...] = ()
-    if arm:
-        parts = (_CROSS, PartSpec("moment mass", 2.047, 2e-4, _ARMS[arm], 1e-4, (2.1e-3, 2.1e-3, 1.6e-3), 2e-5))
     rig = read_preset(Preset, "matrix")
+    cross, mass = rig.parts
+    parts = (cross, replace(mass, centre_of_mass=_ARMS[arm])) if arm else ()
     x, y, z = (0.0 - float(v) + 0.0 for v in np.eye(3)[place])
     rig = replace(rig, rig_name=f"{rig.rig_name}, {axis} upwards", down=(x, y, z), parts=parts)
     x, y, z = np.eye(3)[place].tolist()

@@ -36,7 +36,7 @@ def _truth(folder: Path) -> dict:  # type: ignore[type-arg]
 
 def test_every_component_is_released_and_one_by_three_ropes(campaign: Path) -> None:
     found = sorted(path.name for path in campaign.iterdir() if path.is_dir())
-    assert found == sorted(release.name for release in releases())
+    assert found == sorted(release.name for release in releases(RIG))
     excitations = [load_manifest(campaign / name).excitation for name in found]
     assert {e.component for e in excitations} == set(LOAD_COMPONENTS)
     assert {e.release for e in excitations if e.component == "Fz"} == {"cotton rope", "fishing line", "plastic rope"}
@@ -100,7 +100,7 @@ def test_the_converter_has_its_steps_and_noise_is_where_it_is_said(campaign: Pat
 
 def test_readings_of_the_campaign_hold_the_truth_and_rank_the_ropes(campaign: Path) -> None:
     readings, deviations = [], []
-    for release in releases():
+    for release in releases(RIG):
         truth = _truth(campaign / release.name)
         record = read_step_record(load_manifest(campaign / release.name))
         reading = read_release(record, release.component)
