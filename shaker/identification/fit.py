@@ -162,30 +162,26 @@ def evaluate(problem: Problem, vector: FloatArray) -> State | None:
             return None
         if len(mass) > 1 and min(np.linalg.eigvalsh(mass)[0], np.linalg.eigvalsh(stiffness)[0]) <= 0.0:
             return None
-    whitened = []
-    for curve in problem.curves:
-        value, by_place = curve.modelled(vector)
-        deviation = (curve.record.ratio.value - value)[:, :, None]
-        whitened.append(curve.whitened(np.concatenate([deviation, by_place], axis=2)))
-    return _state(problem, vector, whitened)
-
-
-def _state(problem: Problem, vector: FloatArray, whitened: Sequence[FloatArray]) -> State:
-    """Return the state of residuals and derivatives (K, 2C, 1+L) of every curve."""
     off = problem.expected - vector
     normal, downhill = np.diag(problem.precision), problem.precision * off
     loss = float(problem.precision @ off**2)
-    for curve, both in zip(problem.curves, whitened, strict=True):
+    residuals, jacobians = [], []
+    for curve in problem.curves:
+        value, by_place = curve.modelled(vector)
+        deviation = (curve.record.ratio.value - value)[:, :, None]
+        both = curve.whitened(np.concatenate([deviation, by_place], axis=2))
         flat = both.reshape(-1, both.shape[2])
         product = flat.T @ flat
         np.add.at(normal, (curve.places[:, None], curve.places), product[1:, 1:])
         np.add.at(downhill, curve.places, product[1:, 0])
         loss += float(product[0, 0])
+        residuals.append(both[:, :, 0])
+        jacobians.append(both[:, :, 1:])
     normal[problem.fixed] = 0.0
     normal[:, problem.fixed] = 0.0
     downhill[problem.fixed] = 0.0
-    residuals, jacobians = tuple(both[:, :, 0] for both in whitened), tuple(both[:, :, 1:] for both in whitened)
-    return State(vector, residuals, jacobians, (normal, downhill), loss if np.isfinite(loss) else np.inf)
+    loss = loss if np.isfinite(loss) else np.inf
+    return State(vector, tuple(residuals), tuple(jacobians), (normal, downhill), loss)
 
 
 def solve(problem: Problem, state: State) -> State:

@@ -305,7 +305,12 @@ class _Terms:
 
 def starting_vectors(problem: Problem, starts: FloatArray) -> list[FloatArray]:
     """Return vectors of unknowns to start from, made from a structure's `starts` (S, P)."""
-    measured = [_believed(curve) for curve in problem.curves]
+    measured = []
+    for curve in problem.curves:  # poles that lie in the band, ring and stand out
+        poles = measured_poles(curve.record, curve.mechanics.forcing.shape[1])
+        size, s = np.abs(poles), np.abs(curve.record.s)
+        inside = (size > 0.7 * s.min()) & (size < 1.3 * s.max()) & (-poles.real < _LARGEST_DAMPING_RATIO * size)
+        measured.append(significant_poles(curve.record, poles[inside]))
     stated = (problem.precision > 0.0) | problem.fixed
     count = len(problem.kind)
     vectors: list[FloatArray] = []
@@ -317,14 +322,6 @@ def starting_vectors(problem: Problem, starts: FloatArray) -> list[FloatArray]:
         if not any(np.allclose(vector, other, rtol=_ALIKE, atol=0.0) for other in vectors):
             vectors.append(vector)
     return [_gained(problem, vector) for vector in vectors]
-
-
-def _believed(curve: Curve) -> ComplexArray:
-    """Return the measured poles of a recording that lie in its band, ring and stand out."""
-    poles = measured_poles(curve.record, curve.mechanics.forcing.shape[1])
-    size, s = np.abs(poles), np.abs(curve.record.s)
-    inside = (size > 0.7 * s.min()) & (size < 1.3 * s.max()) & (-poles.real < _LARGEST_DAMPING_RATIO * size)
-    return significant_poles(curve.record, poles[inside])
 
 
 def _terms(problem: Problem, vector: FloatArray) -> _Terms:
