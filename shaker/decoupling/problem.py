@@ -243,7 +243,9 @@ def _block(problem: StepProblem, poles: Poles, releases: Sequence[Release], plac
     for i, record in zip(places, records, strict=True):
         load, release = Load(releases[i].shape, record.amplitude), releases[i]
         value = responses(load, poles.values, record.samples, release.middle_s, release.duration_s)
-        designs.append(_level_off(_columns(value, modes)))
+        upper, real = value[:, :modes], value[:, modes:]
+        columns = np.concatenate([2 * upper.real, -2 * upper.imag, real.real], axis=1)
+        designs.append(columns - columns.mean(axis=0))
     design = np.concatenate(designs)
     moved = np.concatenate([np.arange(poles.count), *(poles.count + 2 * i + np.arange(2) for i in places)])
 
@@ -251,7 +253,8 @@ def _block(problem: StepProblem, poles: Poles, releases: Sequence[Release], plac
         """Poles move the responses and turn the basis; middle and duration move those of their own record."""
         found = np.zeros((edges[-1], len(moved), own.shape[1]))
         turned = np.einsum("pbs,sc->bpc", poles.smooth_slopes, own)
-        residues = _residues(smooth @ own, modes)
+        re, im, real = np.split(smooth @ own, [modes, 2 * modes])
+        residues = np.concatenate([2 * (re + 1j * im), real])  # those of modes twice, for their conjugates
         which, slope = poles.slopes
         for k, (i, record) in enumerate(zip(places, records, strict=True)):
             rows, here = slice(edges[k], edges[k + 1]), record.answers(poles.values, releases[i])
@@ -263,19 +266,3 @@ def _block(problem: StepProblem, poles: Poles, releases: Sequence[Release], plac
         return moved, found
 
     return Block(design @ smooth, np.concatenate([record.samples.value for record in records]), changes)
-
-
-def _columns(value: ComplexArray, modes: int) -> FloatArray:
-    """Columns (A, 2M + Q) that Re and Im of the residues and the real residues multiply."""
-    upper, real = value[:, :modes], value[:, modes:]
-    return np.concatenate([2 * upper.real, -2 * upper.imag, real.real], axis=1)
-
-
-def _residues(own: FloatArray, modes: int) -> ComplexArray:
-    """Residues (M + Q, C) of such coefficients (2M + Q, C), those of modes twice for their conjugates."""
-    return np.concatenate([2 * (own[:modes] + 1j * own[modes : 2 * modes]), own[2 * modes :]])
-
-
-def _level_off(value: FloatArray) -> FloatArray:
-    """Take the mean of every column off."""
-    return np.asarray(value - value.mean(axis=0))

@@ -104,8 +104,10 @@ def free_decay(record: StepRecord, channel: str, reading: Reading) -> FreeDecay:
     value = record.samples[record.channels.index(channel)][max(first, 0) :]
     if len(value) < FEWEST:
         raise ValueError(f"record: expected {FEWEST} samples of {record.name} after the release, found {len(value)}")
-    peak = _highest(value - reading.steady, record.sample_rate_hz)
-    decimation = max(1, int(record.sample_rate_hz / (RATE_OVER_FIRST * peak)))
+    rings = value - reading.steady
+    size = np.abs(np.fft.rfft((rings - np.mean(rings)) * np.hanning(len(value))))
+    peak_hz = float(np.argmax(np.where(np.arange(len(size)) < 3, 0.0, size))) * record.sample_rate_hz / len(value)
+    decimation = max(1, int(record.sample_rate_hz / (RATE_OVER_FIRST * peak_hz)))
     time_s = record.start_s + (max(first, 0) + np.arange(len(value))) / record.sample_rate_hz
     if decimation > 1 and len(value) >= (TAPS + FEWEST) * decimation:
         taps = firwin(TAPS * decimation + 1, PASSBAND, window=("kaiser", 6.0), fs=float(decimation))
@@ -159,14 +161,6 @@ def coloured(slope: FloatArray, residual: FloatArray) -> FloatArray:
     if count % 2 == 0:
         weight[-1] = 1.0
     return np.asarray((lines.conj().T * (smooth * weight / count)) @ lines).real
-
-
-def _highest(value: FloatArray, rate_hz: float) -> float:
-    """Frequency in Hz of the highest line of the spectrum, to a line."""
-    window = np.hanning(len(value))
-    size = np.abs(np.fft.rfft((value - np.mean(value)) * window))
-    size[:3] = 0.0
-    return float(np.argmax(size)) * rate_hz / len(value)
 
 
 # The modes that one record shows after its release, by itself.
@@ -234,8 +228,9 @@ def record_modes(decay: FreeDecay) -> RecordModes:
     two = _fitted(decay, starts, one.poles)
     free = len(decay.value) - 9
     gain = (one.noise**2 * (free + 4) - two.noise**2 * free) / 4.0 / two.noise**2
-    seen = fdtrc(4, free, max(gain, 0.0)) < SURE and _usable(two, floor_hz)
-    return two if seen else one
+    f, z = float(two.frequency_hz[1]), float(two.damping_ratio[1])
+    usable = 0.0 < z < HEAVIEST and f > floor_hz and float(two.u[0][1]) < VAGUEST * f
+    return two if usable and fdtrc(4, free, max(gain, 0.0)) < SURE else one
 
 
 def as_resonances(found: list[RecordModes]) -> Resonances:
@@ -248,14 +243,11 @@ def as_resonances(found: list[RecordModes]) -> Resonances:
     return Resonances(tuple(modes.name for modes in found), *table)
 
 
-def _usable(two: RecordModes, floor_hz: float) -> bool:
-    """Whether the second of two modes decays, lies above the first and is known well enough."""
-    f, z = float(two.frequency_hz[1]), float(two.damping_ratio[1])
-    return 0.0 < z < HEAVIEST and f > floor_hz and float(two.u[0][1]) < VAGUEST * f
-
-
 def _starts(decay: FreeDecay, value: FloatArray, above_hz: float) -> list[complex]:
-    """Poles at the highest line of each beginning of a record that stands out of its spectrum."""
+    """Poles at the highest line of each beginning of a record that stands out of its spectrum.
+
+    The decay rate follows from the line's amplitudes in the first and in the second half.
+    """
     found = []
     for part in PARTS:
         count = len(value) // part
@@ -266,17 +258,12 @@ def _starts(decay: FreeDecay, value: FloatArray, above_hz: float) -> list[comple
         size[(hertz <= above_hz) | (hertz < 2.0 * decay.rate_hz / count)] = 0.0
         place = int(np.argmax(size))
         if size[place] > CLEAR * np.median(size[size > 0.0]) or above_hz == 0.0:
-            omega = 2.0 * np.pi * float(hertz[place])
-            found.append(complex(-_decay_rate(value[:count], omega, decay.rate_hz), omega))
+            omega, half = 2.0 * np.pi * float(hertz[place]), count // 2
+            wave = np.hanning(half) * np.exp(-1j * omega * np.arange(half) / decay.rate_hz)
+            early, late = abs(wave @ value[:half]), abs(wave @ value[half : 2 * half])
+            rate = float(max(np.log(early / max(late, 1e-300)), 0.1) * decay.rate_hz / half)
+            found.append(complex(-rate, omega))
     return found
-
-
-def _decay_rate(value: FloatArray, omega: float, rate_hz: float) -> float:
-    """Decay rate in 1/s of one line by its amplitudes in the first and in the second half."""
-    half = len(value) // 2
-    wave = np.hanning(half) * np.exp(-1j * omega * np.arange(half) / rate_hz)
-    early, late = abs(wave @ value[:half]), abs(wave @ value[half : 2 * half])
-    return float(max(np.log(early / max(late, 1e-300)), 0.1) * rate_hz / half)
 
 
 def _fitted(decay: FreeDecay, starts: list[complex], known: ComplexArray) -> RecordModes:

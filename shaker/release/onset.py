@@ -277,9 +277,15 @@ def find_beginning(
     The release is taken as a straight ramp unless the Schwarz criterion asks for a smooth one. Where nothing rings, the
     one mode tried is all there is.
     """
-    after = _after_release(place, len(samples))
+    # a sample that is after the release with all likelihood
+    end = place.first + 1.5 * max(place.high - place.first, 4.0)
+    after = int(min(end, place.first + 0.5 * (len(samples) - place.first)))
     poles = ringing_poles(samples[after:] - place.steady, sample_rate_hz, place.noise)
-    sets = [poles] if len(poles) else _unseen(place, sample_rate_hz)
+    sets = [poles]
+    if not len(poles):  # one well damped mode at several times the rise
+        rise_s = max(place.high - place.low, 2.0) / sample_rate_hz
+        frequency = np.minimum(np.array([0.3, 1.0, 3.0]) / rise_s, 0.2 * sample_rate_hz)
+        sets = [2 * np.pi * f * np.array([-0.5 + 0.75**0.5 * 1j]) for f in frequency]
     fits = []
     for trial in sets:
         window = _window(samples, sample_rate_hz, start_s, place, trial)
@@ -289,19 +295,6 @@ def find_beginning(
     window, ramp = min(fits, key=lambda fit: fit[1].squares / fit[1].rows)
     smooth = fit_beginning(window, replace(ramp, shape="smooth", release_s=_SMOOTHER * ramp.release_s))
     return window, smooth if smooth.penalty < ramp.penalty - _DECIDED else ramp
-
-
-def _unseen(place: Location, sample_rate_hz: float) -> list[ComplexArray]:
-    """Return poles that are tried where nothing rings: one well damped mode at several times the rise."""
-    rise_s = max(place.high - place.low, 2.0) / sample_rate_hz
-    frequency = np.minimum(np.array([0.3, 1.0, 3.0]) / rise_s, 0.2 * sample_rate_hz)
-    return [2 * np.pi * f * np.array([-0.5 + 0.75**0.5 * 1j]) for f in frequency]
-
-
-def _after_release(place: Location, count: int) -> int:
-    """Return a sample that is after the release with all likelihood."""
-    end = place.first + 1.5 * max(place.high - place.first, 4.0)
-    return int(min(end, place.first + 0.5 * (count - place.first)))
 
 
 def _window(samples: FloatArray, sample_rate_hz: float, start_s: float, place: Location, poles: ComplexArray) -> Window:

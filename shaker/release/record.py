@@ -155,11 +155,11 @@ def locate(samples: FloatArray, near: int | None = None) -> Location:
     rest = max(16, int(_FIRST * count)) if near is None else int(_GUARD * near)
     first = near if near is not None else rest
     baseline, steady = float(np.mean(samples[:rest])), float(np.mean(samples[-max(8, int(_LAST * count)) :]))
-    noise = resolution = 0.0
+    noise, steps = 0.0, np.diff(np.unique(samples))
+    resolution = float(steps.min()) if steps.size else 0.0
     for _ in range(3):
         before = samples[:rest]
         baseline = float(np.mean(before))
-        resolution = _resolution(samples)
         noise = max(float(np.std(before)), resolution / np.sqrt(12.0))
         half = _passing(samples, baseline, steady, 0.5, rest)
         quiet = np.flatnonzero(np.abs(samples[: int(half) + 1] - baseline) <= _MOTION * noise)
@@ -185,12 +185,6 @@ def _passing(samples: FloatArray, baseline: float, steady: float, share: float, 
     if place == 0:
         return float(start)
     return start + place - 1 + float((share - relative[place - 1]) / (relative[place] - relative[place - 1]))
-
-
-def _resolution(samples: FloatArray) -> float:
-    """Return the smallest difference between two values that occur, 0 where all are the same."""
-    steps = np.diff(np.unique(samples))
-    return float(steps.min()) if steps.size else 0.0
 
 
 # Levels before and after a release, and whether the record holds all of it.
@@ -270,20 +264,16 @@ def clipped(samples: FloatArray, resolution: float, noise: float) -> bool:
     A run of equal samples at the top of a wave of resolution q falls off by 9q at most within its own length on either
     side; a cut one falls off by more.
     """
-    return any(_cut(sign * samples, resolution, noise) for sign in (1.0, -1.0))
-
-
-def _cut(samples: FloatArray, resolution: float, noise: float) -> bool:
-    """Tell whether the largest value cuts the record."""
-    top = np.concatenate([[False], samples >= samples.max() - 0.25 * resolution, [False]])
-    edges = np.flatnonzero(np.diff(top.astype(np.int8)))
-    for start, end in zip(edges[::2], edges[1::2], strict=True):
-        length = int(end - start)
-        if length < _RUN or start - length < 0 or end + length > len(samples):
-            continue
-        beside = samples.max() - max(samples[start - length], samples[end + length - 1])
-        if beside > _OUTSIDE * resolution + _NOISE * noise:
-            return True
+    for side in (samples, -samples):
+        top = np.concatenate([[False], side >= side.max() - 0.25 * resolution, [False]])
+        edges = np.flatnonzero(np.diff(top.astype(np.int8)))
+        for start, end in zip(edges[::2], edges[1::2], strict=True):
+            length = int(end - start)
+            if length < _RUN or start - length < 0 or end + length > len(side):
+                continue
+            beside = side.max() - max(side[start - length], side[end + length - 1])
+            if beside > _OUTSIDE * resolution + _NOISE * noise:
+                return True
     return False
 
 

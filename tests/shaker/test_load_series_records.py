@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from contracts import coverage_contract
 from scipy.signal import StateSpace, lsim
 
 from shaker.release.load_fit import stated_masses
@@ -170,18 +171,11 @@ def test_a_record_without_ringing_is_refused() -> None:
 
 @pytest.mark.slow
 def test_intervals_hold_the_truth() -> None:
-    """Squared deviations over their variance, each number alone and all together by the whole covariance.
+    def estimate(trial: int) -> tuple[np.ndarray, np.ndarray]:
+        model = identified((0.008, 0.048, 0.198), 40.0, 100 + trial).model
+        assert model.covariance is not None
+        return model.vector, model.covariance
 
-    Their sums are chi-square; the bounds are those that one of 1000 true programs passes on either side: for the whole
-    covariance of 16 trials a factor of 0.73 to 1.28 of the uncertainties.
-    """
-    from scipy.stats import chi2
-
-    trials = 16
-    found = [identified((0.008, 0.048, 0.198), 40.0, seed).model for seed in range(100, 100 + trials)]
-    off = np.array([model.vector - TRUE for model in found])
-    covariances = np.array([model.covariance for model in found], dtype=np.float64)
-    alone = np.sum(off**2 / np.diagonal(covariances, axis1=1, axis2=2), axis=0)
-    together = np.sum(off * np.linalg.solve(covariances, off[..., None])[..., 0])
-    for total, count in ((alone, trials), (together, trials * len(TRUE))):
-        assert np.all((total > chi2.ppf(1e-3, count)) & (total < chi2.ppf(1 - 1e-3, count)))
+    alone = [estimate(trial) for trial in range(16)]
+    coverage_contract(lambda trial: alone[trial], TRUE, 16)
+    coverage_contract(lambda trial: (alone[trial][0], 1.96 * np.sqrt(np.diag(alone[trial][1]))), TRUE, 16)

@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from contracts import coverage_contract
 from scipy.optimize import brentq
 from step_fit_factory import AMPLITUDE, RATE_HZ, SENSOR, answered, record_of, released, ring_rms, rough, sensor
 
@@ -72,9 +73,8 @@ def test_both_starts_reach_the_same_optimum() -> None:
 
 
 def test_intervals_hold_the_truth() -> None:
-    """Trials at 40 dB: of all four figures together 95 % inside, within what 96 draws leave open."""
-    inside = np.abs([scores(fitted(40, seed)) for seed in range(100, 124)]) < 1.96
-    assert np.mean(inside) > 0.86
+    """Errors at 40 dB over their u: resonance, damping, low-pass, static gain."""
+    coverage_contract(lambda seed: (scores(fitted(40, 100 + seed)), np.full(4, 1.96)), np.zeros(4), 16)
 
 
 def band_hz(model: ModalModel) -> float:
@@ -93,16 +93,17 @@ def test_intervals_hold_whatever_the_release_was(length: float, low_pass: tuple[
     modal = ModalModel.from_system(true)
     truth = np.array([1700.0, 0.015, 1.0, band_hz(modal)])
     output = released(true, onset_s=ONSET, length_s=length)
-    noise, inside = ring_rms(released(true, onset_s=ONSET), ONSET) * 10 ** (-level / 20), []
-    for seed in range(12):
-        model = fit_step(record_of(output, noise, 2000 + seed), "Fz").model
+    noise = ring_rms(released(true, onset_s=ONSET), ONSET) * 10 ** (-level / 20)
+
+    def estimate(trial: int) -> tuple[FloatArray, FloatArray]:
+        model = fit_step(record_of(output, noise, 2000 + trial), "Fz").model
         assert model is not None
-        found, covariance = model.propagate(
+        value, covariance = model.propagate(
             lambda m: np.array([m.frequency_hz[0], m.damping_ratio[0], m.static_gain, band_hz(m)])
         )
-        inside.append(np.abs(found - truth) < 1.96 * np.sqrt(np.diag(covariance)))
-    assert np.all(np.mean(inside, axis=0) > 0.66)  # 8 of 12: 95 % intervals fall below once in 10⁴
-    assert np.mean(inside) > 0.86
+        return value, 1.96 * np.sqrt(np.diag(covariance))
+
+    coverage_contract(estimate, truth, 12)
 
 
 def test_coloured_noise_enlarges_the_uncertainty() -> None:
