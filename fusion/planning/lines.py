@@ -181,8 +181,8 @@ def _fitted(time_s: FloatArray, values: FloatArray, lines: Lines, rate_hz: float
     entries = []
     for k, (frequency, u_frequency) in enumerate(zip(lines.frequency_hz, lines.u_frequency_hz, strict=True)):
         height = decibel(float(np.max((amplitude[k] / np.maximum(u[k], np.finfo(np.float64).tiny)) ** 2)) / _HANN_NOISE)
-        folded = f", read at {float(alias_frequency(frequency, rate_hz)):.6g} Hz" if frequency > rate_hz / 2.0 else ""
-        what = f"{_named(lines, k, amplitude)}{folded}"
+        aliased = f", read at {float(alias_frequency(frequency, rate_hz)):.6g} Hz" if frequency > rate_hz / 2.0 else ""
+        what = f"{_named(lines, k, amplitude)}{aliased}"
         entries.append(Entry(float(frequency), float(u_frequency), amplitude[k], u[k], height, what, "fitted"))
     return entries
 

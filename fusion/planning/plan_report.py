@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 
-_SHOWN = 3  # frequencies and folds that are written out; of more there is a count
+_SHOWN = 3  # frequencies and aliased harmonics that are written out; of more there is a count
 
 
 def print_plan(plan: Plan) -> None:
@@ -190,15 +190,15 @@ def _remarks(plan: RatePlan) -> list[str]:
         elif share > PREFERRED[1]:
             found.append(
                 f"{frequency:.9g} Hz is seen above {PREFERRED[1]:g} of the rate: near the Nyquist frequency a small "
-                "change of rate folds its mirror image onto it"
+                "change of rate brings its mirror image onto it"
             )
     if plan.distance_bins < CLEAR_BINS:
         found.append(
             f"lines are only {plan.distance_bins:.2f} bins apart: {CLEAR_BINS:g} are needed to tell them apart"
         )
-    for fold in plan.folds[:_SHOWN]:
-        name = f"harmonic {fold.multiple} of {fold.fundamental_hz:.9g} Hz, not fitted"
-        found.append(f"{name}, folds to {fold.alias_hz:.3f} Hz, within a bin of a line that is")
+    for other in plan.folds[:_SHOWN]:
+        name = f"harmonic {other.multiple} of {other.fundamental_hz:.9g} Hz, not fitted"
+        found.append(f"{name}, is aliased to {other.alias_hz:.3f} Hz, within a bin of a line that is fitted")
     if len(plan.folds) > _SHOWN:
         found.append(f"so do {len(plan.folds) - _SHOWN} more")
     return found

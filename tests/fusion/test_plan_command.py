@@ -79,7 +79,7 @@ def test_what_is_unfavourable_is_told(planned: Planned) -> None:
     out = planned("--frequencies 100,100.001 --max-rate 82 --frames 211 --together")
     assert "100.000–100.001 Hz: no such rate keeps all lines apart; take more frames" in out
     out = planned("--frequencies 120 --rate 200 --frames 400 --harmonics 3")
-    assert "lines are only 0.00 bins apart" in out or "not fitted, folds to 80.000 Hz" in out
+    assert "lines are only 0.00 bins apart" in out or "not fitted, is aliased to 80.000 Hz" in out
     assert "24.9 Hz is seen above 0.4 of the rate" in planned("--frequencies 24.9 --rate 52 --frames 400")
 
 
