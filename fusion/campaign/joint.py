@@ -21,6 +21,7 @@ from fusion.campaign.curve import (
 )
 from fusion.campaign.matrix import CrossTalk, MatrixFit, cross_talk, fit_matrix
 from fusion.campaign.matrix_solve import MissingExcitationError
+from fusion.campaign.recorded import Recorded, SensorFacts
 from fusion.campaign.repeats import Drive, Repeats, drive_ratio, find_repeats, group_by_frequency
 from fusion.estimation.uncertainty import Polar, Uncertainty, element_covariance, polar
 from fusion.report.campaign_figures import (
@@ -32,7 +33,6 @@ from fusion.report.campaign_figures import (
 )
 from fusion.report.csv_files import sensitivity_unit
 from fusion.report.numbers import common_exponent, fixed, measured, polar_cells, small, times_ten
-from fusion.report.recorded import Recorded, SensorFacts
 from fusion.report.style import Picture
 from fusion.report.table import Headline, Table
 from shaker.arrays import ComplexArray, Notice, Severity

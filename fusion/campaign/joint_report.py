@@ -29,6 +29,7 @@ from fusion.campaign.joint import (
 )
 from fusion.campaign.matrix import CrossTalk, MatrixFit
 from fusion.campaign.matrix_solve import LEAST_SINGULAR
+from fusion.campaign.recorded import Recorded, read_recorded
 from fusion.campaign.repeats import Repeats
 from fusion.estimation.uncertainty import Polar, element_covariance, polar
 from fusion.report.campaign_figures import CrosstalkMap, ExcitationDrawing, draw_crosstalk, draw_excitation
@@ -37,8 +38,7 @@ from fusion.report.folder import origin_frame, render_page
 from fusion.report.h5 import write_fields, write_value
 from fusion.report.numbers import fixed, number, small
 from fusion.report.provenance import Provenance, write_provenance
-from fusion.report.recorded import FORMAT, Recorded, read_recorded
-from fusion.report.recording import CAMPAIGN_FILE, CROSSTALK_FILE, CURVE_FILE, REPORT_FILE
+from fusion.report.recording import CAMPAIGN_FILE, CROSSTALK_FILE, CURVE_FILE, FORMAT, REPORT_FILE
 from fusion.report.style import Picture
 from fusion.report.table import Column, Table, csv_text, word
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS

@@ -19,7 +19,7 @@ from fusion.campaign.matrix_solve import (
     stack_drives,
 )
 from fusion.campaign.repeats import FREQUENCY_TOLERANCE, LOADS, Drive
-from fusion.estimation.consistency import fails
+from fusion.estimation.consistency import deleted, fails
 from fusion.estimation.uncertainty import (
     Contribution,
     Uncertainty,
@@ -163,20 +163,16 @@ def fit_matrix(
 
 
 def _agreement(stack: Stack, solution: Solution) -> tuple[Agreement, ...]:
-    """Every drive's outputs against what all others say of them (deletion formula of generalised least squares)."""
+    """Every drive's outputs against what all others say of them."""
     left = solution.projector @ solution.residual
     sizes = np.sqrt(np.diag(solution.noise + solution.effects @ solution.effects.T))
-    found = []
+    judged = []
     for r, drive in enumerate(stack.drives):
         rows = np.flatnonzero(solution.drive == r)
-        scale = sizes[rows]
-        values, vectors = np.linalg.eigh(solution.projector[np.ix_(rows, rows)] * np.outer(scale, scale))
-        kept = values > RANK_TOLERANCE
-        chi2 = float(np.sum((vectors[:, kept].T @ (left[rows] * scale)) ** 2 / values[kept]))
-        count = int(np.count_nonzero(kept))
+        chi2, count, _ = deleted(solution.projector, left, sizes, rows, RANK_TOLERANCE)
         deviation = float(np.sqrt(chi2 / count)) if count else np.nan
-        found.append(Agreement(drive.recording, drive.mounting, drive.frequency_hz, deviation, count))
-    return tuple(found)
+        judged.append(Agreement(drive.recording, drive.mounting, drive.frequency_hz, deviation, count))
+    return tuple(judged)
 
 
 def _solve(stack: Stack) -> tuple[Solution, Solution, float]:

@@ -113,9 +113,8 @@ def leave_one_out(system: System, solution: Solution, contradicted: bool) -> tup
     Where readings are `contradicted`, those are suspect without which all others agree and whose chi-square is beyond
     what is expected by at least half of what any other's is.
 
-    With q = P y the difference is d = P_II^-1 q_I with covariance P_II^-1 (deletion formula of generalised least
-    squares), so that no fit is repeated; chi-square is q_I^T P_II^+ q_I on the rank of P_II, and that of the others is
-    smaller by as much.
+    With q = P y the difference is d = P_II^-1 q_I with covariance P_II^-1, so that no fit is repeated; chi-square is
+    q_I^T P_II^+ q_I on the rank of P_II, and that of the others is smaller by as much.
     """
     groups = [(name, system.member == place) for place, name in enumerate(system.member_names)]
     several = len(system.observations) > 1
@@ -138,22 +137,34 @@ def leave_one_out(system: System, solution: Solution, contradicted: bool) -> tup
     return tuple(judged)
 
 
+def deleted(
+    projector: FloatArray, left: FloatArray, sizes: FloatArray, rows: IntArray, tolerance: float = RANK_TOLERANCE
+) -> tuple[float, int, FloatArray | None]:
+    """Return chi-square and degrees of freedom of readings against the prediction of all others, and the difference.
+
+    Deletion formula of generalised least squares, `left` being projector · readings (N,); `sizes` (N,) make the
+    readings comparable. The difference (n,) is None where the others do not predict all of them.
+    """
+    scale = sizes[rows]
+    values, vectors = np.linalg.eigh(projector[np.ix_(rows, rows)] * np.outer(scale, scale))
+    kept = values > tolerance
+    turned = vectors[:, kept].T @ (scale * left[rows])
+    difference = scale * (vectors @ (turned / values)) if np.all(kept) else None
+    return float(np.sum(turned**2 / values[kept])), int(np.count_nonzero(kept)), difference
+
+
 def _left_out(system: System, solution: Solution, name: str, rows: IntArray) -> tuple[Consistency, float, int]:
     """One group of readings against all others, with chi-square and degrees of freedom of their difference."""
-    sizes = np.sqrt(np.diag(solution.noise))
-    values, vectors = np.linalg.eigh(solution.projector[np.ix_(rows, rows)] * np.outer(sizes[rows], sizes[rows]))
-    kept = values > RANK_TOLERANCE
-    dof = int(np.count_nonzero(kept))
+    left, sizes = solution.projector @ system.readings, np.sqrt(np.diag(solution.noise))
+    chi2, dof, difference = deleted(solution.projector, left, sizes, rows)
     channels = len(set(zip(system.observation[rows].tolist(), system.channel[rows].tolist(), strict=True)))
     if not dof:
         return Consistency(name, np.nan, channels), 0.0, 0
-    turned = vectors[:, kept].T @ (sizes[rows] * (solution.projector[rows] @ system.readings))
-    chi2 = float(np.sum(turned**2 / values[kept]))
     ratio = complex(np.nan, np.nan)
-    if np.all(kept):
+    if difference is not None:
         # Measured over predicted phasor of the reading with the largest prediction.
         predicted = np.zeros(len(system.readings))
-        predicted[rows] = system.readings[rows] - sizes[rows] * (vectors @ (turned / values))
+        predicted[rows] = system.readings[rows] - difference
         pairs = system.pairs[np.isin(system.pairs[:, 0], rows)]
         phasors = predicted[pairs[:, 0]] + 1j * predicted[pairs[:, 1]]
         largest = int(np.argmax(np.abs(phasors)))

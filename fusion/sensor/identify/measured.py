@@ -359,9 +359,8 @@ def _shows_motion(entry: ChannelEntry, drive: FloatArray) -> bool:
 
 def _wanted(drive: FloatArray) -> str:
     """Words for the quantities that show the motion of a rig driven along `drive`."""
-    if np.any(drive[3:] != 0.0):
-        return "displacement, velocity, acceleration or angular velocity"
-    return "displacement, velocity or acceleration"
+    shown = [t.quantity.replace("_", " ") for t in TRANSDUCERS.values() if not t.turning or np.any(drive[3:] != 0.0)]
+    return f"{', '.join(shown[:-1])} or {shown[-1]}"
 
 
 def _clock(manifest: Manifest, entries: Sequence[ChannelEntry]) -> tuple[str, float]:

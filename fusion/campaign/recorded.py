@@ -1,0 +1,155 @@
+"""Results of recordings as a campaign reads them back from their folders."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import h5py
+
+from fusion.base import InputError
+from fusion.campaign.repeats import Drive, line_drives
+from fusion.instruments.output import Outputs
+from fusion.report.h5 import read_uncertainty
+from fusion.report.provenance import RESULT_FILE, Provenance, read_provenance
+from fusion.sensitivity.load import LoadResult
+from shaker.arrays import FloatArray, Notice
+from shaker.sine.phasor import Phasors
+
+
+@dataclass(frozen=True)
+class SensorFacts:
+    """The sensor that was tested: `channels`, their `unit`, rated loads and static sensitivity where they are stated.
+
+    `capacity` (6,) in N and N.m; `static` (all channels, 6) in unit/N and unit/(N.m) with the relative standard
+    uncertainty `u_static`.
+    """
+
+    name: str
+    serial: str
+    channels: tuple[str, ...]
+    unit: str
+    sense: str
+    capacity: FloatArray | None
+    static: FloatArray | None
+    u_static: float
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """One recording's results, read from its folder.
+
+    `kind`, `direction`, `frequencies` of the excitation as they were stated; `drives`: its driven lines with load and
+    outputs, none where there was no load, no output or no stated direction; `notices` of its own report.
+    """
+
+    folder: str
+    name: str
+    mounting: str
+    rig: str
+    kind: str
+    direction: tuple[float, ...]
+    frequencies: tuple[float, ...]
+    sensor: SensorFacts | None
+    drives: tuple[Drive, ...]
+    notices: tuple[Notice, ...]
+    origin: Provenance
+
+
+def read_drives(folder: Path) -> tuple[Drive, ...]:
+    """Return the driven lines of the recording whose results lie in `folder`, to the last bit those of `drives_of`."""
+    return read_recorded(folder).drives
+
+
+def read_recorded(folder: Path) -> Recorded:
+    """Return what a campaign needs of the recording whose results lie in `folder`.
+
+    >>> from fusion import read_recorded
+    >>> recorded = read_recorded("sample_images/demo/Fz-0080/results")  # doctest: +SKIP
+    """
+    origin = read_provenance(folder)
+    if origin is None:
+        raise InputError(folder / RESULT_FILE, "", found="no results", expected="the results of a recording")
+    with h5py.File(folder / RESULT_FILE, "r") as file:
+        if file.attrs["format"] != FORMAT:
+            found, expected = f"format {file.attrs['format']}", f"format {FORMAT}; --force evaluates the recording anew"
+            raise InputError(folder / RESULT_FILE, "", found=found, expected=expected)
+        driven = file["excitation"]
+        return Recorded(
+            folder=folder.name,
+            name=str(file.attrs["recording"]),
+            mounting=str(file.attrs["mounting"]),
+            rig=str(file.attrs["rig"]),
+            kind=str(driven.attrs["kind"]),
+            direction=_numbers(driven, "direction"),
+            frequencies=_numbers(driven, "frequencies"),
+            sensor=_sensor(file["sensor"]) if "sensor" in file else None,
+            drives=_drives(file),
+            notices=_notices(file),
+            origin=origin,
+        )
+
+
+def _drives(file: h5py.File) -> tuple[Drive, ...]:
+    """The driven lines, from load and outputs as they were stored."""
+    direction = _numbers(file["excitation"], "direction")
+    if "load" not in file or "outputs" not in file or not direction:
+        return ()
+    lines = file["lines"]
+    return line_drives(
+        str(file.attrs["recording"]),
+        str(file.attrs["mounting"]),
+        direction,
+        lines["nominal_hz"][()],
+        lines["multiple"][()],
+        _load(file["load"]),
+        _outputs(file["outputs"]),
+    )
+
+
+def _load(group: h5py.Group) -> LoadResult:
+    """The load with its whole uncertainty; its notices stand among those of the recording."""
+    uncertainty = read_uncertainty(group["uncertainty"])
+    return LoadResult(group["frequency_hz"][()], group["value"][()], uncertainty, group["observed"][()], ())
+
+
+def _outputs(group: h5py.Group) -> Outputs:
+    """The outputs with their whole uncertainty."""
+    inner = group["phasors"]
+    phasors = Phasors(
+        frequency_hz=inner["frequency_hz"][()],
+        value=inner["value"][()],
+        covariance=inner["covariance"][()],
+        channels=tuple(inner["channels"].asstr()[()].tolist()),
+        unit=tuple(inner["unit"].asstr()[()].tolist()),
+        dof=inner["dof"][()],
+    )
+    return Outputs(phasors, read_uncertainty(group["uncertainty"]))
+
+
+def _sensor(group: h5py.Group) -> SensorFacts:
+    """What is stored of the sensor."""
+    return SensorFacts(
+        name=str(group.attrs["name"]),
+        serial=str(group.attrs["serial"]),
+        channels=tuple(group["channels"].asstr()[()].tolist()),
+        unit=str(group.attrs["unit"]),
+        sense=str(group.attrs["sense"]),
+        capacity=group["capacity"][()] if "capacity" in group else None,
+        static=group["static_sensitivity"][()] if "static_sensitivity" in group else None,
+        u_static=float(group.attrs["static_sensitivity_uncertainty"]),
+    )
+
+
+def _notices(file: h5py.File) -> tuple[Notice, ...]:
+    """Notices of the recording."""
+    group = file["notices"]
+    if not isinstance(group, h5py.Group):
+        return ()
+    columns = [group[name].asstr()[()].tolist() for name in ("severity", "text", "where")]
+    return tuple(Notice(*row) for row in zip(*columns, strict=True))
+
+
+def _numbers(group: h5py.Group, name: str) -> tuple[float, ...]:
+    """A list of numbers, empty where it is not stored."""
+    return tuple(group[name][()].tolist()) if name in group else ()
