@@ -75,6 +75,15 @@ class InputError(Exception):
         return " ".join(f"{where}{told}{rest}".split())
 
 
+@contextmanager
+def as_input_error(file: Path, key: str = "") -> Iterator[None]:
+    """Tell what a reader or an algorithm refuses meanwhile as wrong input: of a file, at a key of it."""
+    try:
+        yield
+    except (OSError, ValueError) as error:
+        raise InputError.told_by(error, file, key) from error
+
+
 class ComputeError(Exception):
     """Something could not be computed although the input could be read; the text says what to do.
 

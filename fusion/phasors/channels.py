@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.base import AnyNotice, InputError, brief
+from fusion.base import AnyNotice, InputError, as_input_error, brief
 from fusion.instruments import TRANSDUCERS
 from fusion.instruments.channel import ChainUncertainty, Reading
 from fusion.phasors.timing import TimeBase
@@ -207,10 +207,8 @@ def _fit_group(
     clear = np.all(apart * float(time_s[-1] - time_s[0]) >= APART_PERIODS, axis=1)
     beside = lines.nuisance_hz[clear & (lines.nuisance_hz < rate_hz / 2.0)]
     frequency_hz = np.concatenate([lines.frequency_hz[seen], beside])
-    try:
+    with as_input_error(record.entry.file, names[0]):
         fit = fit_sines(time_s, values, frequency_hz, names, units, robust=True)
-    except ValueError as error:
-        raise InputError.told_by(error, record.entry.file, names[0]) from error
     wanted = spread_lines(fit.phasors.at_lines(np.arange(np.count_nonzero(seen))), seen, lines.frequency_hz)
     whole = values
     if len(fit.spikes):

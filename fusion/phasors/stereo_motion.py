@@ -5,15 +5,23 @@ Images are followed here one pair after another, or by an executor's processes, 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from fusion.base import AnyNotice, ComputeError, Executor, InputError, Pending, ProgressCallback, Settings
+from fusion.base import (
+    AnyNotice,
+    ComputeError,
+    Executor,
+    InputError,
+    Pending,
+    ProgressCallback,
+    Settings,
+    as_input_error,
+)
 from fusion.phasors.timing import Exposure, TimeBase, exposure_middles, exposure_of
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import Images, PointFiles, Stereo
@@ -104,7 +112,7 @@ def open_images(manifest: Manifest, base: TimeBase, entry: Images) -> OpenImages
     stereo, key = manifest.rig.stereo[entry.stereo], f"images.{entry.stereo}"
     sequences = []
     for side, paths in (("left", entry.left), ("right", entry.right)):
-        with _refused(manifest, f"{key}.{side}"):
+        with as_input_error(manifest.path, f"{key}.{side}"):
             sequence = open_sequence(paths, entry.bit_depth)
             sequences.append(replace(sequence, reader=partial(_read_unsaturated, sequence)))
     left, right = sequences
@@ -115,7 +123,7 @@ def open_images(manifest: Manifest, base: TimeBase, entry: Images) -> OpenImages
     rig = _read_rig(stereo, sequences)
     first = []
     for side, sequence in (("left", left), ("right", right)):
-        with _refused(manifest, f"{key}.{side}"):
+        with as_input_error(manifest.path, f"{key}.{side}"):
             first.append(sequence.read(0))
     pair = _without_calibration_share(stereo, rig)
     return OpenImages(entry, pair, left, right, exposure_of(manifest, base, entry), time_s, rig, first[0])
@@ -147,7 +155,7 @@ def measure_pairs(
             progress(stage, 2 * frames.start, total)
             followed.append(_answer(manifest, item, pending))
         progress(stage, total, total)
-        with _refused(manifest, f"images.{item.entry.stereo}"):
+        with as_input_error(manifest.path, f"images.{item.entry.stereo}"):
             body = body_motion(scene, followed)
         motions.append(seen_motion(item, body))
     return tuple(motions)
@@ -156,7 +164,7 @@ def measure_pairs(
 def _answer(manifest: Manifest, images: OpenImages, pending: Pending) -> Any:
     """What a task about some images found; what it refused is told as wrong input."""
     answer = pending.result()
-    with _refused(manifest, f"images.{images.entry.stereo}"):
+    with as_input_error(manifest.path, f"images.{images.entry.stereo}"):
         return answer.opened()
 
 
@@ -173,7 +181,7 @@ def measure_images(
 ) -> StereoMotion:
     """Track the image pairs of one stereo pair and fit the rigid motion of the body it sees."""
     stage, total = f"track {images.entry.stereo}", 2 * len(images.left)
-    with _refused(manifest, f"images.{images.entry.stereo}"):
+    with as_input_error(manifest.path, f"images.{images.entry.stereo}"):
         body = measure_body(
             *body_inputs(images, settings), lambda done: progress(stage, done, total), resolve_device(settings.device)
         )
@@ -185,15 +193,6 @@ def body_inputs(images: OpenImages, settings: Settings) -> BodyInputs:
     radius = settings.subset_radius_px or suggested_radius_px(images.first)
     options = TrackSettings(radius_px=radius, degree=settings.spline_degree)
     return (images.left, images.right), images.rig, sensor_from_camera(images.stereo), options
-
-
-@contextmanager
-def _refused(manifest: Manifest, key: str) -> Iterator[None]:
-    """Tell what is refused meanwhile as wrong input of a key of recording.toml."""
-    try:
-        yield
-    except (OSError, ValueError) as error:
-        raise InputError.told_by(error, manifest.path, key) from error
 
 
 def seen_motion(images: OpenImages, body: BodyMotion) -> StereoMotion:
@@ -218,10 +217,10 @@ def seen_motion(images: OpenImages, body: BodyMotion) -> StereoMotion:
 def measure_points(manifest: Manifest, base: TimeBase, entry: PointFiles) -> StereoMotion:
     """Fit the rigid motion about the sensor origin to the points of another program."""
     stereo, name = manifest.rig.stereo[entry.stereo], entry.stereo
-    with _refused(manifest, f"points.{name}.files"):
+    with as_input_error(manifest.path, f"points.{name}.files"):
         table = read_point_tables(entry.files, entry.columns, entry.valid_status, entry.scale)
     time_s = exposure_middles(manifest, base, entry, len(table.frames))
-    with _refused(manifest, f"points.{name}.files"):
+    with as_input_error(manifest.path, f"points.{name}.files"):
         points = points_with_estimated_noise(table.position_m, table.reference_m)
     placed = sensor_from_camera(stereo)
     reference = None if table.reference_m is None else placed.apply(table.reference_m)
@@ -252,10 +251,8 @@ def _read_rig(stereo: Stereo, sequences: Sequence[ImageSequence]) -> StereoRig:
     path = stereo.calibration
     if path is None:
         raise ComputeError("a stereo pair with images has no calibration")
-    try:
+    with as_input_error(path):
         rig = read_calibration(path)
-    except (OSError, ValueError) as error:
-        raise InputError.told_by(error, path) from error
     size = [int(length) for length in rig.left.size_px]
     for images in sequences:
         if size != list(images.size_px):

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fusion.base import ARGUMENT, InputError
-from fusion.recording.manifest import ChannelEntry, Frames, Images, PointFiles
+from fusion.base import ARGUMENT, InputError, as_input_error
+from fusion.recording.manifest import Frames, Images, PointFiles
 from fusion.recording.values import PULSE
 from shaker.arrays import FloatArray
 from shaker.timebase.edges import find_edges
@@ -110,12 +110,13 @@ def tie_daqs(manifest: Manifest, records: Sequence[DaqRecord]) -> TimeBase:
     """Find the trigger edges of all blocks and tie every block's clock to the first one's by a trigger they share."""
     base, *others = records
     first = base.entry.name
-    triggers = {
-        (record.entry.name, channel.name): _fit_trigger(record, channel)
-        for record in records
-        for channel in record.entry.channel
-        if channel.quantity == "trigger"
-    }
+    triggers: dict[tuple[str, str], TriggerFit] = {}
+    for record in records:
+        for channel in (channel for channel in record.entry.channel if channel.quantity == "trigger"):
+            rate_hz = record.raw[channel.name].sample_rate_hz
+            with as_input_error(record.entry.file, channel.name):
+                fit = fit_trigger(find_edges(record.values(channel), rate_hz, channel.threshold, channel.edge))
+            triggers[record.entry.name, channel.name] = fit.later_by(record.lag_s(channel.name) - channel.delay)
     ties: dict[str, ClockTie | None] = {first: None}
     time_base = TimeBase(tuple(records), triggers, ties)
     for other in others:
@@ -127,21 +128,9 @@ def tie_daqs(manifest: Manifest, records: Sequence[DaqRecord]) -> TimeBase:
             raise InputError(manifest.path, key, found="none", expected=wanted)
         later_s = other.start_s - base.start_s if base.start_s and other.start_s else None
         pair = triggers[first, shared[0]], triggers[name, shared[0]]
-        try:
+        with as_input_error(manifest.path, f"{key}.{shared[0]}"):
             ties[name] = tie_clocks(*pair, other.entry.first_edge, start_difference_s=later_s)
-        except ValueError as error:
-            raise InputError.told_by(error, manifest.path, f"{key}.{shared[0]}") from error
     return time_base
-
-
-def _fit_trigger(record: DaqRecord, channel: ChannelEntry) -> TriggerFit:
-    """Fit the periodic model to a trigger channel's edges, in seconds from the block's earliest sample."""
-    rate_hz = record.raw[channel.name].sample_rate_hz
-    try:
-        fit = fit_trigger(find_edges(record.values(channel), rate_hz, channel.threshold, channel.edge))
-    except ValueError as error:
-        raise InputError.told_by(error, record.entry.file, channel.name) from error
-    return fit.later_by(record.lag_s(channel.name) - channel.delay)
 
 
 def exposure_of(manifest: Manifest, base: TimeBase, entry: Images | PointFiles) -> Exposure:

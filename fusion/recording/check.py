@@ -104,7 +104,7 @@ def check(manifest: Manifest) -> CheckReport:
     ...
     """
     kind, excitation = KINDS[manifest.excitation.kind], manifest.excitation
-    remarks = [kind.remark] if kind.remark else []
+    remarks = kind.command_remark
     if kind.tabled and excitation.file is not None:
         contents, problems = _table(manifest, excitation.file)
         return CheckReport(manifest.name, manifest.path, tuple(contents), (), tuple(remarks), tuple(problems))
@@ -289,13 +289,13 @@ def _motion_remarks(
     for body in BODIES:
         unseen = [name for name, seen in zip(MOTION_COMPONENTS, observable(rows[body]), strict=True) if not seen]
         if 0 < len(unseen) < 6:
-            told.append(f"{body}: nobody observes {' '.join(unseen)}")
+            told.append(f"{body}: no instrument observes {' '.join(unseen)}")
     told += [f"{body} has no instrument" for body in BODIES if len(rows[body]) == 0]
     driven = np.zeros(6)
     given = manifest.excitation.direction or ()
     driven[: len(given)] = given
     hidden = np.flatnonzero(driven * ~observable(rows["load"])) if len(rows["load"]) else ()
-    told += [f"load: nobody observes the driven component {LOAD_COMPONENTS[i]}" for i in hidden]
+    told += [f"load: no instrument observes the driven component {LOAD_COMPONENTS[i]}" for i in hidden]
     if rig.load is None:
         told.append("rig.toml has no [load]: no load and no sensitivity")
     if rig.sensor is None:

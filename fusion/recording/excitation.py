@@ -154,17 +154,23 @@ class ExcitationKind:
     """What the program knows of one kind of excitation.
 
     `commands`: that evaluate it, first the one to which a user is sent. `required`, `allowed`: keys of `[excitation]`.
-    `remark`: what `check` says first. `remarks`: what `check` says of the result where it is not the motion of bodies;
-    None where it is, and what instruments observe of it counts. `tabled`: the readings stand in the table that the key
-    `file` names, in the place of cameras, triggers and DAQ files.
+    `remarks`: what `check` says of the result where it is not the motion of bodies; None where it is, and what
+    instruments observe of it counts. `how`: what `check` says beside the command. `tabled`: the readings stand in the
+    table that the key `file` names, in the place of cameras, triggers and DAQ files.
     """
 
     commands: tuple[str, ...]
     required: tuple[str, ...]
     allowed: tuple[str, ...] = ()
-    remark: str = ""
     remarks: Callable[[Excitation, Recorded], list[str]] | None = None
+    how: str = ""
     tabled: bool = False
+
+    @property
+    def command_remark(self) -> list[str]:
+        """Return what `check` says first, of what `shakercal run` does not evaluate."""
+        command = self.commands[0]
+        return [] if command == "run" else [f"shakercal {command} evaluates this recording{self.how}"]
 
 
 KINDS = {
@@ -187,14 +193,13 @@ KINDS = {
         commands=("step", "load", "decouple"),
         required=("component", "step_amplitude"),
         allowed=("direction", "step_uncertainty", "onset", "force", "release"),
-        remark="shakercal step evaluates this recording",
         remarks=_released,
     ),
     "rotation": ExcitationKind(
         commands=("rotate",),
         required=("file", "angle_unit", "axis", "zero_gravity", "with_load"),
         allowed=("angle_uncertainty", "scale"),
-        remark="shakercal rotate evaluates this recording, by gravity alone",
+        how=", by gravity alone",
         tabled=True,
     ),
 }

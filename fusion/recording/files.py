@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from fusion.base import ComputeError, InputError
+from fusion.base import ComputeError, InputError, as_input_error
 from fusion.instruments import TRANSDUCERS
 from fusion.recording.manifest import ChannelEntry, Daq, Frames
 from shaker.arrays import FloatArray
@@ -50,10 +50,8 @@ def scanned_points(manifest: Manifest, daq: Daq) -> tuple[ScannedPoint, ...] | N
     """
     if daq.file.suffix.lower() != SUFFIX:
         return None
-    try:
+    with as_input_error(manifest.path, f"daq.{daq.name}.file"):
         scan = read_scan_asc(daq.file)
-    except (OSError, ValueError) as error:
-        raise InputError.told_by(error, manifest.path, f"daq.{daq.name}.file") from error
     if len(scan.point_m) == 1:
         return None
     present = [str(number + 1) for number in range(len(scan.point_m))]
@@ -202,10 +200,8 @@ def _read_daq(manifest: Manifest, daq: Daq, point: ScannedPoint | None = None) -
             _check_samples(daq, entry, point.raw[entry.name])
         return DaqRecord(daq, point.raw, 0.0)
     names = [channel.name for channel in daq.channel]
-    try:
+    with as_input_error(manifest.path, f"daq.{daq.name}.file"):
         raw = read_channels(daq.file, names, daq.sample_rate)
-    except (OSError, ValueError) as error:
-        raise InputError.told_by(error, manifest.path, f"daq.{daq.name}.file") from error
     for entry in daq.channel:
         _check_samples(daq, entry, raw[entry.name])
     return DaqRecord(daq, raw, min(channel.start_s for channel in raw.values()))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
-from fusion.base import InputError
+from fusion.base import InputError, as_input_error
 from fusion.recording.values import (
     Block,
     NotNegative,
@@ -132,10 +132,8 @@ def read_response(path: Path, frequency_hz: FloatArray) -> ChainResponse:
     `InputError` naming file and key or column.
     """
     if path.suffix.lower() == ELEMENTS:
-        try:
+        with as_input_error(path, "element"):
             return product([element.response(frequency_hz) for element in read_chain(path).element])
-        except ValueError as error:
-            raise InputError.told_by(error, path, "element") from error
     table = read_table(path)
     outside = [f for f in frequency_hz if not table.frequency_hz[0] <= f <= table.frequency_hz[-1]]
     if outside:
