@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy import optimize, signal
+from scipy import signal
 
 from shaker.compensation.effects import (
     KEPT_SHARE,
@@ -252,8 +252,3 @@ def test_wrong_calls_name_the_argument() -> None:
         modal_dynamics(_chain(1700.0, 0.015, 6000.0), modes=2)
     with pytest.raises(ValueError, match="a mode or a real pole"):
         SensorDynamics(np.zeros(0), np.zeros(0), np.zeros(0), 1.0, PUBLISHED.system)
-
-
-def test_widest_band_is_found_by_optimisation_too() -> None:
-    found = optimize.minimize_scalar(lambda z: -band_ratio(z, 0.1), bounds=(0.5, 0.7), method="bounded")
-    assert -found.fun == pytest.approx(band_ratio(best_damping(0.1) + 1e-12, 0.1), rel=1e-3)
