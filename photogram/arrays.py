@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Literal
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Any, ClassVar, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
-
-# Array types and the shape check that every data class of the package uses.
-
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -27,7 +24,44 @@ def check_shape(name: str, array: NDArray[Any], shape: tuple[int | None, ...]) -
         raise ValueError(f"{name}: expected an array of shape {wanted}, found {array.shape}")
 
 
-# What a stage wants the user to know, carried in its result.
+class Arrays:
+    """Base of data classes of arrays: shapes are checked once, when one is made; printing shows sizes, not numbers.
+
+    `class Points(Arrays, shapes="position_m F N 3; reprojection_px F N")`: a letter is any length, the same wherever it
+    stands. A field that is None is not checked; of a tuple its length counts.
+    """
+
+    _shapes: ClassVar[tuple[list[str], ...]] = ()
+
+    def __init_subclass__(cls, shapes: str = "") -> None:
+        cls._shapes = tuple(shape.split() for shape in shapes.split(";") if shape)
+
+    def __post_init__(self) -> None:
+        lengths: dict[str, int] = {}
+        for name, *wanted in self._shapes:
+            array = getattr(self, name)
+            if array is None:
+                continue
+            array = np.empty(len(array)) if isinstance(array, tuple) else array
+            check_shape(name, array, tuple(int(at) if at.isdigit() else lengths.get(at) for at in wanted))
+            for letter, length in zip(wanted, array.shape, strict=True):
+                if lengths.setdefault(letter, length) != length and not letter.isdigit():
+                    raise ValueError(f"{name}: expected an array of shape ({', '.join(wanted)}), found {array.shape}")
+
+    def __repr__(self) -> str:
+        parts = []
+        for part in fields(cast(Any, self)):
+            value = getattr(self, part.name)
+            if isinstance(value, np.ndarray):
+                text = " ".join(f"{number:.6g}" for number in value) if value.shape < (7,) and value.ndim == 1 else ""
+                parts.append(f"{part.name}=[{text}]" if text else f"{part.name} {value.shape}")
+            elif isinstance(value, tuple | list) and not all(isinstance(item, int | float | str) for item in value):
+                parts.append(f"{part.name}: {len(value)}")
+            elif is_dataclass(value) and not isinstance(value, Notice):
+                parts.append(f"{part.name}: {type(value).__name__}")
+            else:
+                parts.append(f"{part.name}={value!r:.60}")
+        return f"{type(self).__name__}({', '.join(parts)})"
 
 
 Severity = Literal["info", "warning"]

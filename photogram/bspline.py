@@ -1,10 +1,9 @@
 """B-spline interpolation of images: coefficients, values and gradients, and values along lines of points.
 
-Spline values along straight lines of points, eight points at a time: the inner loop of every registration.
-
-Neighbouring points of a line read neighbouring coefficients as long as the line does not pass into another row or drift
-by a column. Such runs are computed with vectors of eight points. Compilers do not find this by themselves (they cannot
-know that the grey values written are no coefficients), so the few vector operations are written out here.
+Lines are the inner loop of every registration. Neighbouring points of a line read neighbouring coefficients as long as
+the line does not pass into another row or drift by a column. Such runs are computed with vectors of eight points.
+Compilers do not find this by themselves (they cannot know that the grey values written are no coefficients), so the few
+vector operations are written out here.
 """
 
 from __future__ import annotations
@@ -23,11 +22,8 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from photogram.arrays import FloatArray, check_shape
+from photogram.arrays import Arrays, FloatArray, check_shape
 from photogram.kernels import INDEX, REAL, counted, in_blocks, load, njit, spread, store
-
-# Exact B-spline interpolation of grey images: coefficients, values, gradients.
-
 
 PADDING_PX = 4
 POLES = {
@@ -42,15 +38,15 @@ SMALLEST_TERM = 1e-17
 BLOCK = 16
 
 
-@dataclass(frozen=True)
-class Spline:
+@dataclass(frozen=True, eq=False, repr=False)
+class Spline(Arrays, shapes="coefficients H W"):
     """An image as a B-spline of `degree` 3, 5 or 7: coefficients (H+8,W+8), mirrored by four pixels on every side."""
 
     coefficients: FloatArray
     degree: int
 
     def __post_init__(self) -> None:
-        check_shape("coefficients", self.coefficients, (None, None))
+        super().__post_init__()
         if self.degree not in POLES:
             raise ValueError(f"degree: expected 3, 5 or 7, found {self.degree}")
 
@@ -74,7 +70,11 @@ def spline_of_image(image: NDArray[np.generic], degree: int = 5) -> Spline:
         raise ValueError(f"degree: expected 3, 5 or 7, found {degree}")
     inside = np.ascontiguousarray(image, dtype=np.float64)
     coefficients = _prefilter(inside, np.array(POLES[degree]), PADDING_PX)
-    _mirror(coefficients)
+    # Fill the frame of PADDING_PX around an image with its mirror image
+    for lines in (coefficients, coefficients.T):
+        for k in range(1, PADDING_PX + 1):
+            lines[PADDING_PX - k] = lines[PADDING_PX + k]
+            lines[-1 - PADDING_PX + k] = lines[-1 - PADDING_PX - k]
     return Spline(coefficients, degree)
 
 
@@ -200,14 +200,6 @@ def _filter_lines(lines, pole):  # type: ignore[no-untyped-def]
             lines[k, i] = pole * (lines[k + 1, i] - lines[k, i])
 
 
-def _mirror(framed: FloatArray) -> None:
-    """Fill the frame of PADDING_PX around an image with its mirror image."""
-    for lines in (framed, framed.T):
-        for k in range(1, PADDING_PX + 1):
-            lines[PADDING_PX - k] = lines[PADDING_PX + k]
-            lines[-1 - PADDING_PX + k] = lines[-1 - PADDING_PX - k]
-
-
 @njit(inline="always")
 def weights_cubic(t):  # type: ignore[no-untyped-def]
     """Values of the four cubic B-splines that reach offset t in [0,1) (Thévenaz et al. 2000, eq. 18)."""
@@ -309,7 +301,6 @@ def _evaluate(coefficients, degree, points, values, gradients):  # type: ignore[
 
 # Spline values along straight lines of points, eight points at a time: the inner loop of every registration.
 
-
 SMALLEST_DRIFT = 1e-30
 
 
@@ -335,7 +326,7 @@ def sample_line(c, degree, x, y, step_x, step_y, grey):  # type: ignore[no-untyp
     while start < grey.size:
         at_x, at_y = x + start * step_x, y + start * step_y
         stop = _end_of_run(start, grey.size, at_x - int(at_x), at_y - int(at_y), step_x - 1.0, step_y)
-        _run(c, degree, at_x, at_y, step_x - 1.0, step_y, grey, start, stop)
+        _run(c, degree, (at_x, at_y), (step_x - 1.0, step_y), grey, (start, stop))
         start = stop
 
 
@@ -343,12 +334,13 @@ def sample_line(c, degree, x, y, step_x, step_y, grey):  # type: ignore[no-untyp
 def sample_points(c, degree, x, y, grey):  # type: ignore[no-untyped-def]
     """Fill grey (n,) with spline values of degree 3, 5 or 7 at any points x (n,), y (n,) within the image."""
     for i in range(grey.size):
-        _run(c, degree, x[i], y[i], 0.0, 0.0, grey, i, i + 1)
+        _run(c, degree, (x[i], y[i]), (0.0, 0.0), grey, (i, i + 1))
 
 
 @njit(inline="always")
-def _run(c, degree, x, y, drift_x, drift_y, grey, start, stop):  # type: ignore[no-untyped-def]
+def _run(c, degree, first, drift, grey, span):  # type: ignore[no-untyped-def]
     """Points start … stop of one run, the first of them at (x, y)."""
+    (x, y), (drift_x, drift_y), (start, stop) = first, drift, span
     column, row = int(x), int(y)
     s, t = x - column, y - row
     row, column = row + PADDING_PX - degree // 2, column + PADDING_PX - degree // 2

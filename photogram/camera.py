@@ -1,9 +1,7 @@
 """Cameras and stereo pairs: projection with distortion, its inverse, triangulation by maximum likelihood.
 
-Kernels of the pinhole camera with radial and tangential distortion, one point at a time, compiled.
-
-A camera is the vector [fx fy cx cy k1 k2 p1 p2 k3]; the model is OpenCV's (Brown 1971, Photogrammetric Engineering
-37, 855): with r² = x² + y² and g = 1 + k1·r² + k2·r⁴ + k3·r⁶,
+To the compiled kernels a camera is the vector [fx fy cx cy k1 k2 p1 p2 k3]; the model is OpenCV's (Brown 1971,
+Photogrammetric Engineering 37, 855): with r² = x² + y² and g = 1 + k1·r² + k2·r⁴ + k3·r⁶,
 x_d = x·g + 2·p1·x·y + p2·(r² + 2·x²),  y_d = y·g + p1·(r² + 2·y²) + 2·p2·x·y,  u = fx·x_d + cx,  v = fy·y_d + cy.
 """
 
@@ -15,14 +13,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from photogram.arrays import FloatArray, IntArray, check_shape
+from photogram.arrays import Arrays, FloatArray, IntArray, check_shape
 from photogram.geometry import RigidTransform, invert, rotation_from_vector, skew
 from photogram.kernels import njit
 
-# Kernels of the pinhole camera with radial and tangential distortion, one point at a time, compiled.
-
-
-_STEPS = 60  # damped Newton steps of the inverse; a handful is the rule
+_NEWTON_STEPS = 60  # damped Newton steps of the inverse; a handful is the rule
 _RESIDUAL = 1e-13  # largest residual, in normalised units, of a converged inverse
 
 
@@ -51,7 +46,7 @@ def undistort(u: float, v: float, camera: FloatArray) -> tuple[float, float]:
     x, y = target_x, target_y
     xd, yd, dxx, dxy, dyy = distort(x, y, camera)
     residual = math.hypot(target_x - xd, target_y - yd)
-    for _ in range(_STEPS):
+    for _ in range(_NEWTON_STEPS):
         determinant = dxx * dyy - dxy * dxy
         if not determinant > 0.0:
             return math.nan, math.nan
@@ -97,7 +92,6 @@ def undistort_all(pixels: FloatArray, camera: FloatArray) -> FloatArray:
 
 # The pinhole camera with lens distortion, and the stereo pair.
 
-
 CAMERA_PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 RIG_PARAMETERS = (
     *(f"left.{name}" for name in CAMERA_PARAMETERS),
@@ -106,11 +100,17 @@ RIG_PARAMETERS = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class Camera:
+@dataclass(frozen=True, eq=False, repr=False)
+class Camera(Arrays, shapes="matrix 3 3; distortion 5; size_px 2"):
     """A pinhole camera: matrix (3, 3) in px, distortion (5,) k1 k2 p1 p2 k3, size_px (2,) width and height.
 
     OpenCV's model and pixels: u = fx·x_d + cx with the distorted x_d of x = X/Z; an integer pixel is a pixel centre.
+
+    >>> camera = Camera.from_parameters(np.array([1000.0, 1000, 320, 240, -0.1, 0, 0, 0, 0]), np.array([640, 480]))
+    >>> camera.project(np.array([0.05, 0.0, 0.5])).round(3)
+    array([419.9, 240. ])
+    >>> camera.undistort(np.array([419.9, 240.0])).round(6)
+    array([0.1, 0. ])
     """
 
     matrix: FloatArray
@@ -118,10 +118,7 @@ class Camera:
     size_px: IntArray
 
     def __post_init__(self) -> None:
-        """Refuse wrong shapes and a matrix with entries beside fx, fy, cx, cy."""
-        check_shape("matrix", self.matrix, (3, 3))
-        check_shape("distortion", self.distortion, (5,))
-        check_shape("size_px", self.size_px, (2,))
+        super().__post_init__()
         if not (np.isfinite(self.matrix).all() and np.isfinite(self.distortion).all()):
             raise ValueError("matrix, distortion: expected finite numbers, found NaN or infinity")
         k = self.matrix
@@ -157,11 +154,16 @@ class Camera:
         return np.asarray(undistort_all(flat, self.parameters)).reshape(np.shape(pixels))
 
 
-@dataclass(frozen=True, eq=False)
-class StereoRig:
+@dataclass(frozen=True, eq=False, repr=False)
+class StereoRig(Arrays, shapes="covariance 24 24"):
     """Two cameras and x_right = R·x_left + t, with the covariance (24, 24) of `RIG_PARAMETERS` or None.
 
     The three rotation parameters are a small rotation vector δ (rad) multiplied from the left: exp(δ)·R.
+
+    >>> camera = Camera.from_parameters(np.array([1000.0, 1000, 320, 240, 0, 0, 0, 0, 0]), np.array([640, 480]))
+    >>> rig = StereoRig(camera, camera, RigidTransform(np.eye(3), np.array([-0.1, 0.0, 0.0])))
+    >>> rig.project(np.array([0.0, 0.0, 0.5]))
+    (array([320., 240.]), array([120., 240.]))
     """
 
     left: Camera
@@ -172,10 +174,20 @@ class StereoRig:
     parameters: ClassVar[tuple[str, ...]] = RIG_PARAMETERS
 
     def __post_init__(self) -> None:
-        """Refuse a covariance of another shape or that is none: NaN, not symmetric, a negative variance."""
+        super().__post_init__()
         if self.covariance is not None:
-            check_shape("covariance", self.covariance, (len(RIG_PARAMETERS), len(RIG_PARAMETERS)))
-            _check_covariance(self.covariance)
+            sigma = np.sqrt(np.abs(np.diagonal(self.covariance)))
+            scale = np.outer(sigma, sigma)
+            if not (np.abs(self.covariance - self.covariance.T) <= 1e-9 * scale).all():
+                raise ValueError(
+                    "covariance: expected a symmetric matrix of finite numbers, zero where a variance is zero"
+                )
+            correlation = self.covariance / np.where(scale > 0, scale, 1.0)
+            lowest = float(np.linalg.eigvalsh(correlation)[0])
+            if lowest < -1e-9:
+                raise ValueError(
+                    f"covariance: expected no negative variance in any direction, found {lowest:.1e} (correlation)"
+                )
 
     @property
     def values(self) -> FloatArray:
@@ -224,40 +236,19 @@ def principal_components(covariance: FloatArray) -> FloatArray:
     return np.asarray((vectors[:, kept] * np.sqrt(eigenvalues[kept])).T * sigma)
 
 
-def _check_covariance(covariance: FloatArray) -> None:
-    """Raise `ValueError` unless the matrix is symmetric and its correlations are positive semidefinite."""
-    sigma = np.sqrt(np.abs(np.diagonal(covariance)))
-    scale = np.outer(sigma, sigma)
-    if not (np.abs(covariance - covariance.T) <= 1e-9 * scale).all():
-        raise ValueError("covariance: expected a symmetric matrix of finite numbers, zero where a variance is zero")
-    correlation = covariance / np.where(scale > 0, scale, 1.0)
-    lowest = float(np.linalg.eigvalsh(correlation)[0])
-    if lowest < -1e-9:
-        raise ValueError(
-            f"covariance: expected no negative variance in any direction, found {lowest:.1e} (correlation)"
-        )
-
-
 # Stereo pixels to points in space, by maximum likelihood, with covariance.
 
-
-_triangulate_STEPS = 20  # Gauss-Newton steps allowed; two or three are the rule
+_GAUSS_NEWTON_STEPS = 20  # Gauss-Newton steps allowed; two or three are the rule
 _CONVERGED = 1e-12  # a step this small relative to the depth ends the iteration
 
 
-@dataclass(frozen=True, eq=False)
-class Points:
+@dataclass(frozen=True, eq=False, repr=False)
+class Points(Arrays, shapes="position_m F N 3; covariance_m2 F N 3 3; reprojection_px F N"):
     """Points in space: position_m (F, N, 3), covariance_m2 (F, N, 3, 3), reprojection_px (F, N); NaN = missing."""
 
     position_m: FloatArray
     covariance_m2: FloatArray
     reprojection_px: FloatArray
-
-    def __post_init__(self) -> None:
-        """Refuse shapes that do not belong together."""
-        check_shape("position_m", self.position_m, (None, None, 3))
-        check_shape("covariance_m2", self.covariance_m2, (*self.position_m.shape, 3))
-        check_shape("reprojection_px", self.reprojection_px, self.position_m.shape[:2])
 
     def transformed(self, transform: RigidTransform) -> Points:
         """Return the points in another frame: R·x + t with covariance R·C·Rᵀ."""
@@ -284,6 +275,11 @@ def triangulate(
     Understanding 68, 146, whose optimum it is); covariance (Jᵀ·C⁻¹·J)⁻¹; `reprojection_px` is the rms of the four
     residuals, of which one degree of freedom remains. A point with NaN, without an inverse of the distortion, with
     parallel rays or behind a camera is NaN throughout.
+
+    >>> camera = Camera.from_parameters(np.array([1000.0, 1000, 320, 240, 0, 0, 0, 0, 0]), np.array([640, 480]))
+    >>> rig = StereoRig(camera, camera, RigidTransform(np.eye(3), np.array([-0.1, 0.0, 0.0])))
+    >>> triangulate(rig, np.array([[[320.0, 240.0]]]), np.array([[[120.0, 240.0]]])).position_m.round(6)
+    array([[[0. , 0. , 0.5]]])
     """
     left, right = np.asarray(left_px, dtype=np.float64), np.asarray(right_px, dtype=np.float64)
     check_shape("left_px", left, (None, None, 2))
@@ -321,15 +317,7 @@ def _precision(name: str, covariance: FloatArray | None, shape: tuple[int, ...])
 
 
 @njit()
-def _triangulate_all(
-    left: FloatArray,
-    right: FloatArray,
-    weight_left: FloatArray,
-    weight_right: FloatArray,
-    cameras: FloatArray,
-    rotations: FloatArray,
-    translations: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _triangulate_all(left, right, weight_left, weight_right, cameras, rotations, translations):  # type: ignore[no-untyped-def]
     """Triangulate every point: position (M, 3), covariance (M, 3, 3), rms residual (M,); left camera first."""
     count = left.shape[0]
     position = np.full((count, 3), np.nan)
@@ -338,13 +326,13 @@ def _triangulate_all(
     point, normal, gradient, inverse = np.empty(3), np.empty((3, 3)), np.empty(3), np.empty((3, 3))
     for i in range(count):
         _midpoint(left[i], right[i], cameras, rotations[1], translations[1], point)
-        for _ in range(_triangulate_STEPS):
+        for _ in range(_GAUSS_NEWTON_STEPS):
             normal.fill(0.0)
             gradient.fill(0.0)
             squares = 0.0
             for side, pixel, weight in ((0, left[i], weight_left[i]), (1, right[i], weight_right[i])):
-                rotation, translation = rotations[side], translations[side]
-                squares += _add_camera(point, pixel, weight, cameras[side], rotation, translation, normal, gradient)
+                placed = cameras[side], rotations[side], translations[side]
+                squares += _add_camera(point, pixel, weight, placed, normal, gradient)
             if not invert(normal, inverse):
                 break
             largest = 0.0
@@ -363,14 +351,7 @@ def _triangulate_all(
 
 
 @njit()
-def _midpoint(
-    left: FloatArray,
-    right: FloatArray,
-    cameras: FloatArray,
-    rotation: FloatArray,
-    translation: FloatArray,
-    point: FloatArray,
-) -> None:
+def _midpoint(left, right, cameras, rotation, translation, point):  # type: ignore[no-untyped-def]
     """Set point (3,) to the middle of the shortest line between the rays, in the left frame; NaN if parallel."""
     xl, yl = undistort(left[0], left[1], cameras[0])
     xr, yr = undistort(right[0], right[1], cameras[1])
@@ -397,17 +378,9 @@ def _midpoint(
 
 
 @njit()
-def _add_camera(
-    point: FloatArray,
-    pixel: FloatArray,
-    weight: FloatArray,
-    camera: FloatArray,
-    rotation: FloatArray,
-    translation: FloatArray,
-    normal: FloatArray,
-    gradient: FloatArray,
-) -> float:
+def _add_camera(point, pixel, weight, placed, normal, gradient):  # type: ignore[no-untyped-def]
     """Add one camera's share to JᵀWJ (3, 3) and JᵀWr (3,); return its squared residual, NaN behind the camera."""
+    camera, rotation, translation = placed
     p = np.empty(3)
     for i in range(3):
         p[i] = rotation[i, 0] * point[0] + rotation[i, 1] * point[1] + rotation[i, 2] * point[2] + translation[i]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import prange
 
-from photogram.arrays import BoolArray, FloatArray, IntArray, check_shape
+from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
 from photogram.bspline import Spline, box_inside, evaluate, mean_noise_gain, sample_line, slope_noise_gain
 from photogram.geometry import RigidTransform, rotation_vector_rate
 from photogram.images import NoiseModel, fit_noise_model
@@ -16,15 +16,16 @@ from photogram.kernels import njit
 from photogram.motion import Patches, PlacedCamera, body_patches, patch_rates, patch_warps
 from photogram.subsets.reference import RUN_SUMS, run_sums
 
-# All pixels of a textured area in square cells: what each cell of a reference image tells about affine warps.
-
-
 SMALLEST_GAIN = 0.1  # of the reference's contrast, below which a cell shows nothing
 LEAST_FILLED = 0.1  # of a cell, below which it is left out
 
 
-@dataclass(frozen=True, eq=False)
-class Cells:
+@dataclass(frozen=True, eq=False, repr=False)
+class Cells(
+    Arrays,
+    shapes="centre_px C 2; runs R 4; pixels 4 P; mean C; weight C; energy C; count C; removed C 2 6; hessian C 6 6; "
+    "hessian_noise C 6 6",
+):
     """The pixels of one reference image in C cells of side `side_px`, prepared once for a whole series.
 
     centre_px (C, 2); runs (R, 4): row, first column, length and place in `pixels` of every piece of a row; first
@@ -46,18 +47,6 @@ class Cells:
     removed: FloatArray
     hessian: FloatArray
     hessian_noise: FloatArray
-
-    def __post_init__(self) -> None:
-        cells = len(self.centre_px)
-        check_shape("centre_px", self.centre_px, (None, 2))
-        check_shape("runs", self.runs, (None, 4))
-        check_shape("first", self.first, (cells + 1,))
-        check_shape("pixels", self.pixels, (4, None))
-        for name in ("mean", "weight", "energy", "count"):
-            check_shape(name, getattr(self, name), (cells,))
-        check_shape("removed", self.removed, (cells, 2, 6))
-        for name in ("hessian", "hessian_noise"):
-            check_shape(name, getattr(self, name), (cells, 6, 6))
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +101,9 @@ def prepare_cells(
     to the Hessian in each direction.
     """
     centre, runs, first = layout
-    where = _pixel_places(runs)
+    length = runs[:, 2]
+    along = np.arange(int(length.sum())) - np.repeat(runs[:, 3], length)
+    where = np.column_stack([np.repeat(runs[:, 1], length) + along, np.repeat(runs[:, 0], length)]).astype(np.float64)
     value, gradient = evaluate(spline, where)
     weight = np.where((value < full_scale - 0.5) & np.isfinite(value), 1.0 / noise.variance(value), 0.0)
     pixels = np.stack([weight, value, gradient[:, 0], gradient[:, 1]])
@@ -183,13 +174,6 @@ def _row_pieces(tile: BoolArray) -> list[tuple[int, int, int]]:
     rows, starts = np.nonzero(edges == 1)
     _, stops = np.nonzero(edges == -1)
     return [(int(row), int(start), int(stop - start)) for row, start, stop in zip(rows, starts, stops, strict=True)]
-
-
-def _pixel_places(runs: IntArray) -> FloatArray:
-    """Return the positions (P, 2) of all pixels in the order of the runs."""
-    length = runs[:, 2]
-    along = np.arange(int(length.sum())) - np.repeat(runs[:, 3], length)
-    return np.column_stack([np.repeat(runs[:, 1], length) + along, np.repeat(runs[:, 0], length)]).astype(np.float64)
 
 
 def _interpolated_noise(cells: Cells, warp: FloatArray, degree: int) -> FloatArray:
@@ -290,7 +274,6 @@ def _sample_cells(shape, target, warps, grey):  # type: ignore[no-untyped-def]
 
 # The six components of a body's motion fitted to the grey values of all its pixels in all cameras at once.
 
-
 REACH_CELLS = 4.0  # how far from the nearest known point a cell's surface may lie
 EVALUATIONS = 12
 LEFT_OVER = 0.02  # standard uncertainties that may remain between the motion and the converged one
@@ -303,8 +286,8 @@ SMALLEST_EXCESS = 1e-2
 SMALLEST_MISFIT = 1e-12  # of the expected one: images without noise
 
 
-@dataclass(frozen=True, eq=False)
-class BodyView:
+@dataclass(frozen=True, eq=False, repr=False)
+class BodyView(Arrays, shapes="rates C 6 6; information C 6 6; information_noise C 6 6; translation C 2 2"):
     """A body at rest as one camera sees it: cells of its image, their surface, and how both answer to a motion.
 
     rates (C, 6, 6): change of the affine warps by the six components; information (C, 6, 6): of each cell about them,
@@ -320,15 +303,9 @@ class BodyView:
     information_noise: FloatArray
     translation: FloatArray
 
-    def __post_init__(self) -> None:
-        count = len(self.cells.centre_px)
-        for name in ("rates", "information", "information_noise"):
-            check_shape(name, getattr(self, name), (count, 6, 6))
-        check_shape("translation", self.translation, (count, 2, 2))
 
-
-@dataclass(frozen=True, eq=False)
-class DirectFit:
+@dataclass(frozen=True, eq=False, repr=False)
+class DirectFit(Arrays, shapes="covariance 6 6"):
     """One frame: moved = body's motion from rest, covariance (6, 6) of x y z (m) and the rotation vector (rad).
 
     noise: variance of the grey values over the one that the noise models state; cells: used of all that are seen.
@@ -397,7 +374,11 @@ def fit_direct(views: Sequence[BodyView], targets: Sequence[Spline], start: Rigi
         if sum(int(np.count_nonzero(cells)) for cells in used) < FEWEST_CELLS:
             return None
         information, noise_part, slope = _normal_equations(views, sums, used)
-        scale = _noise_scale(sums, used)
+        pairs = list(zip(sums, used, strict=True))
+        misfit, expected = (
+            sum(float(getattr(here, name)[cells].sum()) for here, cells in pairs) for name in ("misfit", "misfit_noise")
+        )
+        scale = misfit / expected
         eigenvalues = np.linalg.eigvalsh(_scaled(information))
         if not eigenvalues[0] > 1e-12:
             return None
@@ -444,13 +425,6 @@ def _normal_equations(
         noise_part += np.einsum("c,cij->ij", square, view.information_noise[cells])
         slope += np.einsum("c,cij,ci->j", found.gain[cells], view.rates[cells], found.slope[cells])
     return information, noise_part, slope
-
-
-def _noise_scale(sums: Sequence[CellSums], used: Sequence[BoolArray]) -> float:
-    """Return the misfit of the used cells over what the noise models expect."""
-    misfit = sum(float(found.misfit[cells].sum()) for found, cells in zip(sums, used, strict=True))
-    expected = sum(float(found.misfit_noise[cells].sum()) for found, cells in zip(sums, used, strict=True))
-    return misfit / expected
 
 
 def _scaled(matrix: FloatArray) -> FloatArray:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from photogram.arrays import BoolArray, FloatArray, Notice, check_shape
+from photogram.arrays import Arrays, BoolArray, FloatArray, Notice
 from photogram.camera import StereoRig, triangulate
 from photogram.geometry import RigidTransform, rotation_from_vector, skew
 from photogram.subsets.track import StereoTracks, Tracks
@@ -26,8 +26,8 @@ _TURN_EXPLAINS = 0.3  # share of the residuals that a turn may leave and still c
 _WHERE = "epipolar residual"
 
 
-@dataclass(frozen=True, eq=False)
-class EpipolarCheck:
+@dataclass(frozen=True, eq=False, repr=False)
+class EpipolarCheck(Arrays, shapes="course_px F 3; u_course_px F 3; pattern_px 3; position_px N 2; residual_px N"):
     """Epipolar residuals of N points in F frames: how far the right point is off the left one's epipolar line, in px.
 
     `course_px` (F, 3): mean of the residual and its change across the picture along x and y, the latter two as rms over
@@ -44,14 +44,6 @@ class EpipolarCheck:
     position_px: FloatArray
     residual_px: FloatArray
     notices: tuple[Notice, ...]
-
-    def __post_init__(self) -> None:
-        """Refuse shapes that do not belong together."""
-        check_shape("course_px", self.course_px, (None, 3))
-        check_shape("u_course_px", self.u_course_px, self.course_px.shape)
-        check_shape("pattern_px", self.pattern_px, (3,))
-        check_shape("position_px", self.position_px, (None, 2))
-        check_shape("residual_px", self.residual_px, (len(self.position_px),))
 
     @property
     def mean_px(self) -> FloatArray:
@@ -88,6 +80,17 @@ def check_epipolar(tracks: StereoTracks, rig: StereoRig) -> EpipolarCheck:
     for what a body that goes far shows of a calibration that fits one part of the picture better than another.
 
     A turn of a camera about an axis across the plane of sight shifts points along the epipolar lines: neither sees it.
+
+    >>> from scipy.ndimage import gaussian_filter
+    >>> noise = gaussian_filter(np.random.default_rng(1).standard_normal((96, 96)), 2.0, mode="wrap")
+    >>> picture = np.rint(128 + 300 * noise).astype(np.uint8)
+    >>> left = ImageSequence(("l0", "l1"), (96, 96), 255, lambda k: np.roll(picture, k, axis=1))
+    >>> right = ImageSequence(("r0", "r1"), (96, 96), 255, lambda k: np.roll(picture, k - 5, axis=1))
+    >>> camera = Camera.from_parameters(np.array([1000.0, 1000, 48, 48, 0, 0, 0, 0, 0]), np.array([96, 96]))
+    >>> rig = StereoRig(camera, camera, RigidTransform(np.eye(3), np.array([-0.005, 0.0, 0.0])))
+    >>> check = check_epipolar(track_stereo(left, right, rig, TrackSettings(radius_px=7)), rig)
+    >>> float(np.abs(check.mean_px).max()) < 0.01
+    True
     """
     residual, by_left, by_right = epipolar_residual(rig, tracks.left.position_px, tracks.right.position_px)
     variance = _variance(tracks.left, by_left) + _variance(tracks.right, by_right)
@@ -95,7 +98,8 @@ def check_epipolar(tracks: StereoTracks, rig: StereoRig) -> EpipolarCheck:
     position, other = _mean(tracks.left.position_px), _mean(tracks.right.position_px)
     good = _good(mean, position)
     if np.count_nonzero(good) < FEWEST_POINTS:
-        return _nothing(residual.shape, position)
+        course = np.full((residual.shape[0], 3), np.nan)
+        return EpipolarCheck(course, course, np.full(3, np.nan), None, position, np.full(residual.shape[1], np.nan), ())
     basis = _basis(position[good])
     change, u_course = _course(residual[:, good] - mean[good], variance[:, good], basis)
     solver = np.linalg.pinv(basis)
@@ -108,7 +112,11 @@ def check_epipolar(tracks: StereoTracks, rig: StereoRig) -> EpipolarCheck:
         derivative = solver @ _by_parameters(rig, rig.covariance, matches)
         covariance = derivative @ rig.covariance @ derivative.T + matching
     excess = _unexplained(pattern, covariance)
-    travel = _travel(tracks.left.position_px[:, good] - position[good], position[good])
+    # A residual that belongs to places in the picture changes as the body passes over it: by the share of how far the
+    # body goes, rms over the frames, in the extent of its points.
+    path = _mean((tracks.left.position_px[:, good] - position[good]).swapaxes(0, 1))
+    extent = np.sqrt(np.mean(np.sum((position[good] - position[good].mean(axis=0)) ** 2, axis=-1)))
+    travel = float(np.sqrt(np.nanmean(np.sum(path**2, axis=-1))) / extent)
     passing_px = travel * float(np.sqrt(np.mean(mean[good] ** 2)))
     notices = [
         None if excess is None else Notice("warning", excess + _turn_text(rig, matches) + "; calibrate again", _WHERE),
@@ -241,16 +249,6 @@ def _mrad(angle_rad: float) -> str:
     return f"{round(1e3 * angle_rad, 2) + 0.0:.2f}"
 
 
-def _travel(displacement: FloatArray, position: FloatArray) -> float:
-    """Return how far the body goes, rms over the frames, over the extent of its points, both in the left picture.
-
-    A residual that belongs to places in the picture changes by about that share when the body passes over it.
-    """
-    moved = np.sqrt(np.nanmean(np.sum(_mean(displacement.swapaxes(0, 1)) ** 2, axis=-1)))
-    extent = np.sqrt(np.mean(np.sum((position - position.mean(axis=0)) ** 2, axis=-1)))
-    return float(moved / extent)
-
-
 def _course_notice(change: FloatArray, u_noise: FloatArray, bias_px: float) -> Notice | None:
     """A warning where the pattern changes within the recording by more than noise, u, and other errors of a frame."""
     from scipy.stats import chi2
@@ -259,11 +257,25 @@ def _course_notice(change: FloatArray, u_noise: FloatArray, bias_px: float) -> N
     if len(frames) < FEWEST_FRAMES:
         return None
     values, u = change[frames], np.hypot(u_noise[frames], bias_px)
-    weight = 1.0 / (_excess(values, u) * u) ** 2
-    split, step, square = _largest_step(values, weight)
+    # Factor, at least 1, by which neighbouring frames differ more than their noise lets expect
+    difference = np.abs(np.diff(values, axis=0)) / np.sqrt(u[1:] ** 2 + u[:-1] ** 2)
+    weight = 1.0 / (max(1.0, 1.4826 * float(np.median(difference))) * u) ** 2
+    # The first frame after the most significant step, the step (3,), and its square in standard uncertainties. Both
+    # sides have at least two frames
+    sums, totals = np.cumsum(weight * values, axis=0), np.cumsum(weight, axis=0)
+    before, after = totals[1:-2], totals[-1] - totals[1:-2]
+    steps = (sums[-1] - sums[1:-2]) / after - sums[1:-2] / before
+    squares = (steps**2 / (1.0 / before + 1.0 / after)).sum(axis=1)
+    place = int(np.argmax(squares))
+    split, step, square = place + 2, steps[place], float(squares[place])
     if square <= chi2.isf(RARE / len(frames), 3):
         return None
-    (slope, about_line), about_step = _line(values, weight), _about_step(values, weight, split)
+    parts = (slice(None, split), slice(split, None))
+    time = np.broadcast_to(np.linspace(-0.5, 0.5, len(values))[:, None], values.shape)
+    time = time - np.average(time, axis=0, weights=weight)
+    slope = (weight * time * values).sum(axis=0) / (weight * time**2).sum(axis=0)
+    about_line = values - np.average(values, axis=0, weights=weight) - slope * time
+    about_step = np.concatenate([values[p] - np.average(values[p], axis=0, weights=weight[p]) for p in parts])
     drifts = float((weight * about_line**2).sum()) < float((weight * about_step**2).sum())
     change_px = float(np.linalg.norm(slope if drifts else step))
     scatter = float(np.sqrt(np.mean(np.sum((about_line if drifts else about_step) ** 2, axis=1))))
@@ -274,42 +286,3 @@ def _course_notice(change: FloatArray, u_noise: FloatArray, bias_px: float) -> N
     if drifts:
         what, where = "a camera drifts during the recording", "from the first to the last frame"
     return Notice("warning", f"{what}: the epipolar residual changes by {change_px:.3f} px {where}", _WHERE)
-
-
-def _excess(values: FloatArray, u: FloatArray) -> float:
-    """Factor, at least 1, by which neighbouring frames differ more than their noise lets expect."""
-    difference = np.abs(np.diff(values, axis=0)) / np.sqrt(u[1:] ** 2 + u[:-1] ** 2)
-    return max(1.0, 1.4826 * float(np.median(difference)))
-
-
-def _largest_step(values: FloatArray, weight: FloatArray) -> tuple[int, FloatArray, float]:
-    """Return the first frame after the most significant step, the step (3,), and its square in standard uncertainties.
-
-    Both sides have at least two frames.
-    """
-    sums, totals = np.cumsum(weight * values, axis=0), np.cumsum(weight, axis=0)
-    before, after = totals[1:-2], totals[-1] - totals[1:-2]
-    steps = (sums[-1] - sums[1:-2]) / after - sums[1:-2] / before
-    squares = (steps**2 / (1.0 / before + 1.0 / after)).sum(axis=1)
-    place = int(np.argmax(squares))
-    return place + 2, steps[place], float(squares[place])
-
-
-def _about_step(values: FloatArray, weight: FloatArray, split: int) -> FloatArray:
-    """Return what the means before and after an instant leave of the values (F, 3)."""
-    parts = (slice(None, split), slice(split, None))
-    return np.concatenate([values[p] - np.average(values[p], axis=0, weights=weight[p]) for p in parts])
-
-
-def _line(values: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the change (3,) of a straight line over all frames, and what it leaves of the values (F, 3)."""
-    time = np.broadcast_to(np.linspace(-0.5, 0.5, len(values))[:, None], values.shape)
-    centred = time - np.average(time, axis=0, weights=weight)
-    slope = (weight * centred * values).sum(axis=0) / (weight * centred**2).sum(axis=0)
-    return slope, values - np.average(values, axis=0, weights=weight) - slope * centred
-
-
-def _nothing(shape: tuple[int, ...], position: FloatArray) -> EpipolarCheck:
-    """The check of a recording with too few points."""
-    course = np.full((shape[0], 3), np.nan)
-    return EpipolarCheck(course, course, np.full(3, np.nan), None, position, np.full(shape[1], np.nan), ())

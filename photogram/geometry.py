@@ -6,24 +6,29 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from photogram.arrays import BoolArray, FloatArray, check_shape
+from photogram.arrays import Arrays, BoolArray, FloatArray, check_shape
 from photogram.kernels import njit
 
 _ORTHONORMAL = 1e-6  # largest departure of RᵀR from the identity that is taken for a rotation
 _COLLINEAR = 1e-6  # smallest ratio of width to length of a point set that fixes a rotation
 
 
-@dataclass(frozen=True, eq=False)
-class RigidTransform:
-    """The motion x_b = R·x_a + t, named `b_from_a`: rotation (3, 3), translation_m (3,)."""
+@dataclass(frozen=True, eq=False, repr=False)
+class RigidTransform(Arrays, shapes="rotation 3 3; translation_m 3"):
+    """The motion x_b = R·x_a + t, named `b_from_a`: rotation (3, 3), translation_m (3,).
+
+    >>> quarter_turn = RigidTransform.from_pose(np.array([0.1, 0.0, 0.0, 0.0, 0.0, np.pi / 2]))
+    >>> quarter_turn.apply(np.array([0.2, 0.0, 0.0])).round(3)
+    array([0.1, 0.2, 0. ])
+    >>> (quarter_turn @ quarter_turn.inverse()).pose.round(12).any()
+    np.False_
+    """
 
     rotation: FloatArray
     translation_m: FloatArray
 
     def __post_init__(self) -> None:
-        """Refuse wrong shapes and whatever is no rotation."""
-        check_shape("rotation", self.rotation, (3, 3))
-        check_shape("translation_m", self.translation_m, (3,))
+        super().__post_init__()
         departure = float(np.abs(self.rotation.T @ self.rotation - np.eye(3)).max())
         if not departure <= _ORTHONORMAL:
             raise ValueError(f"rotation: expected an orthonormal matrix, found one {departure:.1e} away from it")
@@ -69,6 +74,12 @@ def skew(vector: FloatArray) -> FloatArray:
     return matrix
 
 
+def displacement_jacobian(points_m: FloatArray) -> FloatArray:
+    """Return [I, −[y]×] (..., 3, 6): how points (..., 3) answer a small shift and rotation about the origin."""
+    points = np.asarray(points_m, dtype=np.float64)
+    return np.concatenate([np.broadcast_to(np.eye(3), (*points.shape, 3)), -skew(points)], axis=-1)
+
+
 def rotation_from_vector(vector_rad: FloatArray) -> FloatArray:
     """Return the rotation matrices (..., 3, 3) of rotation vectors (..., 3) in rad.
 
@@ -89,17 +100,7 @@ def vector_from_rotation(rotation: FloatArray) -> FloatArray:
     By way of the unit quaternion taken from its largest component (Shepperd 1978, J. Guidance and Control 1, 223), so
     that angles near 0 and near π keep full precision.
     """
-    quaternion = _quaternion(np.asarray(rotation, dtype=np.float64))
-    real, imaginary = quaternion[..., :1], quaternion[..., 1:]
-    sine = np.linalg.norm(imaginary, axis=-1, keepdims=True)
-    half = np.arctan2(sine, real)
-    ratio = np.where(sine > 0, 2 * half / np.where(sine > 0, sine, 1.0), 2.0)
-    return np.asarray(ratio * imaginary)
-
-
-def _quaternion(rotation: FloatArray) -> FloatArray:
-    """Return the unit quaternions (..., 4), real part first and not negative."""
-    r = rotation
+    r = np.asarray(rotation, dtype=np.float64)
     candidates = np.empty((*r.shape[:-2], 4, 4))
     trace = np.trace(r, axis1=-2, axis2=-1)
     candidates[..., 0, 0] = 1 + trace
@@ -111,7 +112,12 @@ def _quaternion(rotation: FloatArray) -> FloatArray:
     largest = np.argmax(np.diagonal(candidates, axis1=-2, axis2=-1), axis=-1)
     chosen = np.take_along_axis(candidates, largest[..., None, None], axis=-2)[..., 0, :]
     chosen = np.where(chosen[..., :1] < 0, -chosen, chosen)
-    return np.asarray(chosen / np.linalg.norm(chosen, axis=-1, keepdims=True))
+    quaternion = np.asarray(chosen / np.linalg.norm(chosen, axis=-1, keepdims=True))
+    real, imaginary = quaternion[..., :1], quaternion[..., 1:]
+    sine = np.linalg.norm(imaginary, axis=-1, keepdims=True)
+    half = np.arctan2(sine, real)
+    ratio = np.where(sine > 0, 2 * half / np.where(sine > 0, sine, 1.0), 2.0)
+    return np.asarray(ratio * imaginary)
 
 
 def rotation_vector_rate(vector_rad: FloatArray) -> FloatArray:

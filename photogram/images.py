@@ -8,16 +8,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Literal, cast
 from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
 
 from photogram.arrays import FloatArray, check_shape
-
-# Photron high-speed video: the header .cih (text) or .cihx (XML) beside the raw frames in .mraw.
-
 
 XML_KEYS = {
     "Total Frame": "frameInfo/totalFrame",
@@ -66,11 +63,16 @@ def unpack_12_bit(raw: NDArray[np.uint8]) -> NDArray[np.uint16]:
     return np.column_stack(((first << 4) | (middle >> 4), ((middle & 15) << 8) | last)).ravel()
 
 
-def open_mraw(header: Path) -> MrawVideo:
+def open_mraw(header: str | Path) -> MrawVideo:
     """Read the header .cih or .cihx and check that the .mraw beside it holds the frames it announces."""
+    header = Path(header)
     if not header.is_file():
         raise FileNotFoundError(f"{header}: no such file")
-    entries = _xml_entries(header) if header.suffix.lower() == ".cihx" else _text_entries(header)
+    text = header.read_text(encoding="utf-8", errors="replace")
+    entries = _xml_entries(text, header) if header.suffix.lower() == ".cihx" else _text_entries(text)
+    raw = next((path for path in map(header.with_suffix, (".mraw", ".MRAW")) if path.is_file()), None)
+    if raw is None:
+        raise FileNotFoundError(f"{header.with_suffix('.mraw')}: no such file beside {header.name}")
     stored_bits = _integer(entries, "Color Bit", header)
     colour, layout = entries.get("Color Type", "Mono"), entries.get("File Format", "MRaw")
     if colour.lower() != "mono" or layout.lower() != "mraw":
@@ -81,27 +83,28 @@ def open_mraw(header: Path) -> MrawVideo:
     if side not in ("lower", "higher"):
         raise ValueError(f"{header}: EffectiveBit Side: expected Lower or Higher, found {side!r}")
     video = MrawVideo(
-        path=_raw_file(header),
+        path=raw,
         frames=_integer(entries, "Total Frame", header),
         size_px=(_integer(entries, "Image Width", header), _integer(entries, "Image Height", header)),
         stored_bits=stored_bits,
         bits=min(16, _integer(entries, "EffectiveBit Depth", header)) if stored_bits == 16 else stored_bits,
         side="higher" if side == "higher" else "lower",
     )
-    _check_length(video)
+    expected = video.frames * video.size_px[0] * video.size_px[1] * video.stored_bits // 8
+    found = video.path.stat().st_size
+    if found < expected:
+        raise ValueError(f"{video.path}: truncated, expected {expected} bytes for {video.frames} frames, found {found}")
     return video
 
 
-def _text_entries(header: Path) -> dict[str, str]:
+def _text_entries(text: str) -> dict[str, str]:
     """The `key : value` lines of a .cih file."""
-    lines = header.read_text(encoding="utf-8", errors="replace").splitlines()
-    pairs = (line.partition(":") for line in lines if ":" in line)
+    pairs = (line.partition(":") for line in text.splitlines() if ":" in line)
     return {key.strip(): value.strip() for key, _, value in pairs}
 
 
-def _xml_entries(header: Path) -> dict[str, str]:
+def _xml_entries(text: str, header: Path) -> dict[str, str]:
     """The entries of a .cihx file under their .cih names; the XML stands between other lines."""
-    text = header.read_text(encoding="utf-8", errors="replace")
     start, end = text.find("<cih>"), text.rfind("</cih>")
     try:
         root = ElementTree.fromstring(text[start : end + len("</cih>")] if start >= 0 else "")
@@ -119,24 +122,7 @@ def _integer(entries: dict[str, str], key: str, header: Path) -> int:
     return int(text)
 
 
-def _raw_file(header: Path) -> Path:
-    """The .mraw file beside the header."""
-    for suffix in (".mraw", ".MRAW"):
-        if (path := header.with_suffix(suffix)).is_file():
-            return path
-    raise FileNotFoundError(f"{header.with_suffix('.mraw')}: no such file beside {header.name}")
-
-
-def _check_length(video: MrawVideo) -> None:
-    """Refuse a file that is shorter than its header says."""
-    expected = video.frames * video.size_px[0] * video.size_px[1] * video.stored_bits // 8
-    found = video.path.stat().st_size
-    if found < expected:
-        raise ValueError(f"{video.path}: truncated, expected {expected} bytes for {video.frames} frames, found {found}")
-
-
 # Image sequences from disk with their full bit depth: TIFF and PNG files, multi-page TIFF, high-speed video.
-
 
 GreyImage = NDArray[np.uint8 | np.uint16]
 TIFF_SUFFIXES = (".tif", ".tiff")
@@ -151,6 +137,10 @@ class ImageSequence:
     """Grey images of one size that are read one at a time: names (F), size_px (width, height), full_scale grey value.
 
     `reader` returns frame i as it stands in its file; `read` is the checked access to it.
+
+    >>> images = ImageSequence(("dark", "bright"), (640, 480), 255, lambda k: np.full((480, 640), 100 * k, np.uint8))
+    >>> len(images), int(images.read(1).max())
+    (2, 100)
     """
 
     names: tuple[str, ...]
@@ -187,36 +177,65 @@ class _Header:
     pages: int
 
 
-def open_sequence(paths: Sequence[Path], bit_depth: int | None = None) -> ImageSequence:
+def open_sequence(paths: Sequence[str | Path], bit_depth: int | None = None) -> ImageSequence:
     """Open grey images: TIFF or PNG files in the order given, one multi-page TIFF, or one .cih beside its .mraw.
 
     Headers are checked at once (format, colour, size, truncation), pixels when a frame is read. Without `bit_depth`
     the stored type counts: 8 bit → full scale 255, 16 bit → 65535, high-speed video → its header's bit depth.
+
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     header = Path(folder, "run.cih")
+    ...     _ = header.write_text(
+    ...         "Total Frame : 2\\nImage Width : 16\\nImage Height : 8\\nColor Bit : 8\\nEffectiveBit Depth : 8\\n"
+    ...     )
+    ...     _ = header.with_suffix(".mraw").write_bytes(bytes(2 * 16 * 8))
+    ...     len(open_sequence([str(header)]))
+    2
     """
     if not paths:
         raise ValueError("paths: expected at least one image file, found none")
-    if len(paths) == 1 and paths[0].suffix.lower() in VIDEO_SUFFIXES:
-        return _open_video(paths[0], bit_depth)
-    headers = [_read_header(path) for path in paths]
+    files = tuple(Path(path) for path in paths)
+    if len(files) == 1 and files[0].suffix.lower() in VIDEO_SUFFIXES:
+        video = open_mraw(files[0])
+        names = tuple(f"{video.path}[{frame}]" for frame in range(video.frames))
+        return ImageSequence(names, video.size_px, _full_scale(files[0], video.bits, bit_depth), video.read)
+    headers = [_read_header(path) for path in files]
     first = headers[0]
-    full_scale = _full_scale(paths[0], first.bits, bit_depth)
-    for path, header in zip(paths, headers, strict=True):
-        _check_like_first(path, header, first, alone=len(paths) == 1)
+    full_scale = _full_scale(files[0], first.bits, bit_depth)
+    for path, header in zip(files, headers, strict=True):
+        if header.size_px != first.size_px:
+            (width, height), (found_width, found_height) = first.size_px, header.size_px
+            raise ValueError(f"{path}: expected {width} x {height} px, found {found_width} x {found_height}")
+        if header.bits != first.bits:
+            raise ValueError(f"{path}: expected {first.bits} bits per pixel, found {header.bits}")
+        if header.pages > 1 and len(files) > 1:
+            raise ValueError(f"{path}: expected one image per file, found {header.pages} pages")
     if first.pages > 1:
-        names = tuple(f"{paths[0]}[{page}]" for page in range(first.pages))
-        return ImageSequence(names, first.size_px, full_scale, partial(_read_tiff, paths[0], first.bits))
-    names = tuple(str(path) for path in paths)
-    return ImageSequence(names, first.size_px, full_scale, partial(_read_file, tuple(paths), first.bits))
+        names = tuple(f"{files[0]}[{page}]" for page in range(first.pages))
+        return ImageSequence(names, first.size_px, full_scale, partial(_read_tiff, files[0], first.bits))
+    names = tuple(str(path) for path in files)
+    return ImageSequence(names, first.size_px, full_scale, partial(_read_file, files, first.bits))
 
 
-def read_picture(path: Path) -> tuple[GreyImage, int]:
+def read_picture(path: str | Path) -> tuple[GreyImage, int]:
     """Single picture (H,W) of any common format as grey values, and its full scale.
 
     Colours become their luminance. The full scale is that of the fewest bits among 8, 10, 12, 14, 16 that hold the
     brightest pixel, since files of 16 bit do not tell how many the camera has.
+
+    >>> import cv2
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     _ = cv2.imwrite(f"{folder}/grey.png", np.full((8, 16), 700, np.uint16))
+    ...     image, full_scale = read_picture(f"{folder}/grey.png")
+    >>> image.shape, full_scale
+    ((8, 16), 1023)
     """
     import cv2
 
+    path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file")
     data = np.fromfile(path, np.uint8)
@@ -240,30 +259,12 @@ def saturated_fraction(image: GreyImage, full_scale: int, area: NDArray[np.bool_
     return float(np.mean(pixels >= full_scale))
 
 
-def _open_video(header: Path, bit_depth: int | None) -> ImageSequence:
-    """High-speed video as a sequence."""
-    video = open_mraw(header)
-    names = tuple(f"{video.path}[{frame}]" for frame in range(video.frames))
-    return ImageSequence(names, video.size_px, _full_scale(header, video.bits, bit_depth), video.read)
-
-
 def _full_scale(path: Path, stored_bits: int, bit_depth: int | None) -> int:
     """Largest grey value of `bit_depth` bits (default: all stored bits)."""
     depth = stored_bits if bit_depth is None else bit_depth
     if not 1 <= depth <= stored_bits:
         raise ValueError(f"{path}: expected images of bit depth {bit_depth}, found {stored_bits} bits per pixel")
     return int(2**depth - 1)
-
-
-def _check_like_first(path: Path, header: _Header, first: _Header, alone: bool) -> None:
-    """Refuse a file that differs from the first one, or that has pages where one image per file is expected."""
-    if header.size_px != first.size_px:
-        (width, height), (found_width, found_height) = first.size_px, header.size_px
-        raise ValueError(f"{path}: expected {width} x {height} px, found {found_width} x {found_height}")
-    if header.bits != first.bits:
-        raise ValueError(f"{path}: expected {first.bits} bits per pixel, found {header.bits}")
-    if header.pages > 1 and not alone:
-        raise ValueError(f"{path}: expected one image per file, found {header.pages} pages")
 
 
 def _read_header(path: Path) -> _Header:
@@ -410,36 +411,14 @@ def fit_noise_model(grey: FloatArray, residual_grey2: FloatArray) -> NoiseModel:
     known = np.isfinite(grey) & np.isfinite(residual_grey2)
     if known.sum() < FEWEST_IN_BIN:
         raise ValueError(f"grey: expected at least {FEWEST_IN_BIN} finite pixels, found {known.sum()}")
-    brightness, variance, count = _binned(grey[known], residual_grey2[known])
+    order = np.argsort(grey[known], kind="stable")
+    parts = np.array_split(order, max(1, min(BINS, len(order) // FEWEST_IN_BIN)))
+    brightness = np.array([grey[known][part].mean() for part in parts])
+    variance = np.array([_robust_variance(residual_grey2[known][part]) for part in parts])
+    count = np.array([float(len(part)) for part in parts])
     if np.ptp(brightness) < NARROW * np.abs(brightness).max():
         return NoiseModel(max(float(np.average(variance, weights=count)), QUANTISATION), 0.0)
     return _line(np.maximum(brightness, 0.0), variance, count)
-
-
-def noise_model_of_pair(first: NDArray[Any], second: NDArray[Any], full_scale: int) -> NoiseModel:
-    """Noise model from two images (H,W) of the same scene at rest; pixels that are saturated or black are left out.
-
-    Half the squared difference at the mean grey value (EMVA 1288 release 4.0, eq. 19), after the second image is scaled
-    to the mean of the first, so that a flickering lamp does not count as noise; movement does.
-    """
-    check_shape("first", first, (None, None))
-    check_shape("second", second, first.shape)
-    inside = (np.minimum(first, second) > 0) & (np.maximum(first, second) < full_scale)
-    if not inside.any():
-        raise ValueError(f"first, second: expected grey values between 0 and {full_scale}, found none")
-    left, right = first[inside].astype(np.float64), second[inside].astype(np.float64)
-    right *= left.mean() / right.mean()
-    return fit_noise_model(0.5 * (left + right), 0.5 * (left - right) ** 2)
-
-
-def _binned(grey: FloatArray, squares: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Mean brightness, robust variance and count of bins of equal count."""
-    order = np.argsort(grey, kind="stable")
-    bins = max(1, min(BINS, len(grey) // FEWEST_IN_BIN))
-    parts = np.array_split(order, bins)
-    brightness = np.array([grey[part].mean() for part in parts])
-    variance = np.array([_robust_variance(squares[part]) for part in parts])
-    return brightness, variance, np.array([float(len(part)) for part in parts])
 
 
 def _robust_variance(squares: FloatArray) -> float:

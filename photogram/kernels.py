@@ -1,6 +1,4 @@
-"""Compiled kernels: numba with a cache that knows its sources, eight doubles at a time, small inverses.
-
-Compiled functions whose cache on disk knows all the sources that they may have been compiled from.
+"""Compiled kernels: numba with a cache that knows its sources, and vectors of eight doubles in generated code.
 
 Numba keeps a compiled function as long as the function's own file is unchanged. A kernel holds the code and the
 constants of the functions that it calls, though, which are in other files: after a change there it would go on
@@ -10,14 +8,8 @@ package makes all kernels new.
 A kernel computes the same digits in every process. Numba compiles a function with the options of the one that calls it
 where it states none itself, and copies it into the kernels that call it; which of the copies runs hangs on what was
 compiled or loaded before. So all options are stated, and fast-math, by which every copy may round in another way, is
-none of them: `lanes` has the arithmetic that needs it.
-
-Eight doubles at a time in code that is being generated, with arithmetic that leaves a compiler no choice.
-
-With fast-math a compiler may add in another order and fuse products with sums as it sees fit, which is another way for
-every place that a function is compiled into, and for every kind of processor. Which of these copies runs depends on
-what a process has compiled or loaded before, so that two processes would differ in the last digits. Here every
-operation is written out instead: a product that goes into a sum is fused with it, and lanes are added in pairs.
+none of them: `Lanes` has the arithmetic that needs it, written out operation by operation: a product that goes into a
+sum is fused with it, and lanes are added in pairs.
 """
 
 from __future__ import annotations
@@ -93,7 +85,6 @@ def _cache_folder() -> Path | None:
 
 
 # Eight doubles at a time in code that is being generated, with arithmetic that leaves a compiler no choice.
-
 
 LANES = 8
 REAL = ir.DoubleType()

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from photogram.arrays import FloatArray, Notice
+from photogram.arrays import Arrays, FloatArray, Notice
 from photogram.bspline import Spline, spline_of_image
 from photogram.camera import Points, StereoRig, triangulate
 from photogram.direct import BodyView, DirectFit, fit_direct, image_noise, rest_covariance, view_body
@@ -42,8 +42,8 @@ LARGEST_BENDING = 4.0  # rms, in standard deviations of the points; the referenc
 LARGEST_DIFFERENCE = 2.0  # rms, in standard uncertainties of the motion of the points
 
 
-@dataclass(frozen=True, eq=False)
-class BodyMotion:
+@dataclass(frozen=True, eq=False, repr=False)
+class BodyMotion(Arrays):
     """A body seen by a stereo pair: subsets, points in the body's frame, motion, and what the user should know.
 
     motion: fitted to the grey values of all pixels, `motion_of_points` to the points alone. Of the left and the right
@@ -60,16 +60,16 @@ class BodyMotion:
     notices: tuple[Notice, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class FollowedBlock:
+@dataclass(frozen=True, eq=False, repr=False)
+class FollowedBlock(Arrays):
     """Successive frames: where the subsets are in the left and the right camera, and direct fits, None for none."""
 
     found: tuple[tuple[Registration, Registration], ...]
     fits: tuple[DirectFit | None, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class BodyScene:
+@dataclass(frozen=True, eq=False, repr=False)
+class BodyScene(Arrays, shapes="rest_m N 3"):
     """What stays the same through a series, whoever follows which of its frames.
 
     views: the body at rest, whose points are rest_m (N, 3), weighted by the `noise` of the images. lead: the frames
@@ -104,6 +104,19 @@ def measure_body(
     fitted to the grey values (`direct.fit_direct`), weighted by the noise that the first frame so fitted shows. A frame
     in which this fails keeps the motion of its points. `progress` is called with the number of finished images, 1…2F.
     `prepare_body`, `follow_block` for each of the blocks and `body_motion` are the same in parts.
+
+    >>> from scipy.ndimage import gaussian_filter
+    >>> rng = np.random.default_rng(1)
+    >>> picture = np.rint(128 + 300 * gaussian_filter(rng.standard_normal((96, 96)), 2.0, mode="wrap")).astype(np.uint8)
+    >>> def camera_images(shift_px):  # a body that goes one pixel to the right between two noisy frames
+    ...     frames = [np.roll(picture, shift_px + k, axis=1) + rng.integers(0, 3, (96, 96), np.uint8) for k in (0, 1)]
+    ...     return ImageSequence(("before", "after"), (96, 96), 255, lambda k: frames[k])
+    >>> camera = Camera.from_parameters(np.array([1000.0, 1000, 48, 48, 0, 0, 0, 0, 0]), np.array([96, 96]))
+    >>> rig = StereoRig(camera, camera, RigidTransform(np.eye(3), np.array([-0.005, 0.0, 0.0])))
+    >>> images, body_from_left = (camera_images(0), camera_images(-5)), RigidTransform(np.eye(3), -np.eye(3)[2])
+    >>> body = measure_body(images, rig, body_from_left, TrackSettings(radius_px=7))
+    >>> f"{1e3 * body.motion.pose[1, 0]:.1f} mm"
+    '1.0 mm'
     """
     scene = prepare_body(images, rig, body_from_left, settings, device, progress)
     return body_motion(scene, [follow_block(scene, block, device, progress) for block in scene.blocks])
@@ -193,7 +206,10 @@ def _with_noise(scene: BodyScene, first: Splines, device: str, progress: Progres
         ((seen, splines, start),) = _followed(scene, range(number, number + 1), device)
         fit = _fit(scene.views, splines, start)
         if fit is not None:
-            noise = _noise(scene.views, splines, fit)
+            left, right = (
+                image_noise(view, spline, fit.moved) for view, spline in zip(scene.views, splines, strict=True)
+            )
+            noise = left, right
             scene = replace(scene, noise=noise, views=_views(scene, first, scene.rest_m, noise))
             fit = _fit(scene.views, splines, start)
         found.append(seen)
@@ -256,12 +272,6 @@ def _views(scene: BodyScene, splines: Splines, rest_m: FloatArray, noise: Noise)
 def _fit(views: Views, splines: Splines, start: FloatArray) -> DirectFit | None:
     """The direct fit of one frame, None where its points have no motion to start from."""
     return fit_direct(views, splines, RigidTransform.from_pose(start)) if np.isfinite(start).all() else None
-
-
-def _noise(views: Views, splines: Splines, fit: DirectFit) -> Noise:
-    """Noise models of both cameras from what a fit with equal weights leaves over in one frame."""
-    left, right = (image_noise(view, spline, fit.moved) for view, spline in zip(views, splines, strict=True))
-    return left, right
 
 
 def _with_direct(of_points: RigidMotion, fits: list[DirectFit | None], views: Views) -> RigidMotion:

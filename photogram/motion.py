@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from photogram.arrays import BoolArray, FloatArray, IntArray, check_shape
+from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
 from photogram.camera import Camera, Points
 from photogram.geometry import (
     RigidTransform,
+    displacement_jacobian,
     fixes_rotation,
     invert,
     nearest_rotation,
@@ -23,9 +24,6 @@ from photogram.kernels import njit
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array, sparray
-
-
-# Overlapping subsets share pixels, and with them their noise.
 
 
 def overlap_correlation(points_px: FloatArray, radius_px: int) -> csr_array:
@@ -57,7 +55,6 @@ def overlap_correlation(points_px: FloatArray, radius_px: int) -> csr_array:
 
 # Points through time to rigid motion, with covariance.
 
-
 _START_ROUNDS = 8  # rounds of the robust start
 _CHOICE_ROUNDS = 8  # rounds in which points may be rejected and come back
 _ROUNDS = 16  # rounds altogether; two or three are the rule
@@ -70,8 +67,8 @@ _SINGULAR = 1e-13  # smallest eigenvalue of a solvable system, scaled to a unit 
 _CONVERGED = 1e-13  # a step (m, rad) this small ends the iteration
 
 
-@dataclass(frozen=True, eq=False)
-class RigidMotion:
+@dataclass(frozen=True, eq=False, repr=False)
+class RigidMotion(Arrays, shapes="pose F 6; covariance F 6 6; residual_m F; points F; origin_m 3"):
     """Rigid motion of a body through time: x' = R(r)·(x − o) + o + t of frame k against the reference.
 
     pose (F, 6) = [t (m), r (rad, rotation vector)], covariance (F, 6, 6) of it, residual_m (F,) rms per coordinate,
@@ -83,15 +80,6 @@ class RigidMotion:
     residual_m: FloatArray
     points: IntArray
     origin_m: FloatArray
-
-    def __post_init__(self) -> None:
-        """Refuse shapes that do not belong together."""
-        check_shape("pose", self.pose, (None, 6))
-        frames = len(self.pose)
-        check_shape("covariance", self.covariance, (frames, 6, 6))
-        check_shape("residual_m", self.residual_m, (frames,))
-        check_shape("points", self.points, (frames,))
-        check_shape("origin_m", self.origin_m, (3,))
 
 
 def fit_motion(
@@ -119,6 +107,13 @@ def fit_motion(
     Points of overlapping subsets have noise in common: with their `correlation` ρ (N, N) (`overlap_correlation`) and
     C = L·Lᵀ the covariance of two points is ρ·Lₙ·Lₘᵀ, and that of the pose N⁻¹·(Σₙₘ ρₙₘ·Bₙᵀ·Bₘ)·N⁻¹ with B = L⁻¹·J and
     N = Σ Bᵀ·B. Without it the points count as independent.
+
+    >>> from photogram.camera import Points
+    >>> body = np.random.default_rng(1).uniform(-0.01, 0.01, (20, 3))
+    >>> moved = np.stack([body, body + [1e-3, 0, 0]])
+    >>> noise = np.broadcast_to(1e-12 * np.eye(3), (2, 20, 3, 3))
+    >>> fit_motion(Points(moved, noise, np.zeros((2, 20))), None, np.zeros(3)).pose[1].round(9) + 0.0
+    array([0.001, 0.   , 0.   , 0.   , 0.   , 0.   ])
     """
     origin = np.asarray(origin_m, dtype=np.float64)
     check_shape("origin_m", origin, (3,))
@@ -210,14 +205,23 @@ def _fit(
     )
     size = np.where(usable, np.trace(precision, axis1=2, axis2=3) * (target**2).sum(axis=2), 0.0)
     smallest = _ROUNDING**2 * size.max(axis=1, initial=0.0)
+    count = usable.sum(axis=1)
+    correction = (1 + 5 / np.maximum(count - 2, 1)) ** 2
     for number in range(_ROUNDS):
         before = used
         arm = source @ np.swapaxes(rotation, 1, 2)
         error = target - arm - translation[:, None]
         if number < _CHOICE_ROUNDS:
-            used = _choose(np.einsum("fni,fnij,fnj->fn", error, precision, error), smallest, usable)
+            squares = np.einsum("fni,fnij,fnj->fn", error, precision, error)
+            limit = _REJECTED * np.maximum(correction * _median(squares, usable) / _MEDIAN_CHI2, smallest)
+            used = usable & ((count < _FEWEST)[:, None] | (squares <= limit[:, None]))
         normal, gradient = _normal_equations(arm, error, precision, used)
-        fixed &= _solvable(normal)
+        # which normal matrices (F, 6, 6) fix all six components
+        diagonal = np.diagonal(normal, axis1=1, axis2=2)
+        positive = (diagonal > 0).all(axis=1)
+        scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+        lowest = np.linalg.eigvalsh(normal / (scale[:, :, None] * scale[:, None, :]))[:, 0]
+        fixed &= np.asarray(positive & (lowest > _SINGULAR))
         normal = np.where(fixed[:, None, None], normal, np.eye(6))
         step = np.where(fixed[:, None], np.linalg.solve(normal, gradient[..., None])[..., 0], 0.0)
         rotation, translation = rotation_from_vector(step[:, 3:]) @ rotation, translation + step[:, :3]
@@ -229,9 +233,12 @@ def _fit(
     step_covariance = np.linalg.inv(normal)
     if correlation is not None:
         step_covariance = step_covariance @ _correlated_normal(arm, precision, used, correlation) @ step_covariance
+    # the covariance (F, 6, 6) of shift and rotation vector from that of shift and small left rotation
+    rate = np.broadcast_to(np.eye(6), step_covariance.shape).copy()
+    rate[:, 3:, 3:] = rotation_vector_rate(pose[:, 3:])
     return RigidMotion(
         pose=np.where(fixed[:, None], pose, np.nan),
-        covariance=np.where(fixed[:, None, None], _pose_covariance(step_covariance, pose), np.nan),
+        covariance=np.where(fixed[:, None, None], np.asarray(rate @ step_covariance @ np.swapaxes(rate, 1, 2)), np.nan),
         residual_m=np.where(fixed, np.sqrt(squares / (3 * np.maximum(used.sum(axis=1), 1))), np.nan),
         points=used.sum(axis=1).astype(np.int64),
         origin_m=origin,
@@ -246,13 +253,6 @@ def _without_noise_weights(precision: FloatArray, error: FloatArray, usable: Boo
     variance = np.where(bent, _median((error**2).sum(axis=2), usable) / _MEDIAN_CHI2, 1.0)
     same = np.eye(3) / variance[:, None, None, None]
     return np.where(bent[:, None, None, None], same, precision)
-
-
-def _pose_covariance(step_covariance: FloatArray, pose: FloatArray) -> FloatArray:
-    """Return the covariance (F, 6, 6) of shift and rotation vector from that of shift and small left rotation."""
-    rate = np.broadcast_to(np.eye(6), step_covariance.shape).copy()
-    rate[:, 3:, 3:] = rotation_vector_rate(pose[:, 3:])
-    return np.asarray(rate @ step_covariance @ np.swapaxes(rate, 1, 2))
 
 
 def _correlated_normal(arm: FloatArray, precision: FloatArray, used: BoolArray, correlation: sparray) -> FloatArray:
@@ -311,19 +311,8 @@ def _median(values: FloatArray, usable: BoolArray) -> FloatArray:
     return np.asarray(0.5 * (ordered[frame, (count - 1) // 2] + ordered[frame, count // 2]))
 
 
-def _choose(squares: FloatArray, smallest: FloatArray, usable: BoolArray) -> BoolArray:
-    """Return the usable points (F, N) whose squared Mahalanobis distance is no outlier among those of their frame."""
-    count = usable.sum(axis=1)
-    few = count < _FEWEST
-    correction = (1 + 5 / np.maximum(count - 2, 1)) ** 2
-    scale = np.maximum(correction * _median(squares, usable) / _MEDIAN_CHI2, smallest)
-    return np.asarray(usable & (few[:, None] | (squares <= _REJECTED * scale[:, None])))
-
-
 @njit()
-def _normal_equations(
-    arm: FloatArray, error: FloatArray, precision: FloatArray, used: BoolArray
-) -> tuple[FloatArray, FloatArray]:
+def _normal_equations(arm, error, precision, used):  # type: ignore[no-untyped-def]
     """Return Σ Jᵀ·W·J (F, 6, 6) and Σ Jᵀ·W·e (F, 6), J = [I, −[a]×], for a shift and a small left rotation.
 
     Arms a = R·x and errors e are (F, N, 3); Jᵀ·v = [v, a × v].
@@ -351,20 +340,11 @@ def _normal_equations(
     return normal, gradient
 
 
-def _solvable(normal: FloatArray) -> BoolArray:
-    """Return which normal matrices (F, 6, 6) fix all six components."""
-    diagonal = np.diagonal(normal, axis1=1, axis2=2)
-    positive = (diagonal > 0).all(axis=1)
-    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    lowest = np.linalg.eigvalsh(normal / (scale[:, :, None] * scale[:, None, :]))[:, 0]
-    return np.asarray(positive & (lowest > _SINGULAR))
-
-
 # What a body does beside its rigid motion: residual of every point, with covariance.
 
 
-@dataclass(frozen=True, eq=False)
-class Deformation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Deformation(Arrays, shapes="reference_m N 3; residual_m F N 3; covariance_m2 F N 3 3"):
     """Displacement of N points against the rigidly moving body, in its axes in the pose of the reference.
 
     reference_m (N, 3): where the points are at rest; residual_m (F, N, 3): about each point's mean over time;
@@ -374,12 +354,6 @@ class Deformation:
     reference_m: FloatArray
     residual_m: FloatArray
     covariance_m2: FloatArray
-
-    def __post_init__(self) -> None:
-        """Refuse shapes that do not belong together."""
-        check_shape("reference_m", self.reference_m, (None, 3))
-        check_shape("residual_m", self.residual_m, (None, len(self.reference_m), 3))
-        check_shape("covariance_m2", self.covariance_m2, (*self.residual_m.shape, 3))
 
 
 def deformation(points: Points, motion: RigidMotion, reference_m: FloatArray | None = None) -> Deformation:
@@ -422,13 +396,12 @@ def _leverage(arm: FloatArray, motion: RigidMotion) -> FloatArray:
     covariance = step_of_pose @ motion.covariance @ np.swapaxes(step_of_pose, 1, 2)
     leverage = np.empty((*arm.shape, 3))
     for frame, here in enumerate(arm):
-        slope = np.concatenate([np.broadcast_to(np.eye(3), (len(here), 3, 3)), -skew(here)], axis=2)
+        slope = displacement_jacobian(here)
         leverage[frame] = slope @ covariance[frame] @ np.swapaxes(slope, 1, 2)
     return leverage
 
 
 # Where a camera sees the body's surface, and how small patches of it move in the image when the body moves.
-
 
 NEIGHBOURS = 24
 OUTLIER = 4.0  # robust standard deviations from the local plane
@@ -447,8 +420,8 @@ class PlacedCamera:
         return self.camera.project(self.camera_from_body.apply(points_m))
 
 
-@dataclass(frozen=True, eq=False)
-class Patches:
+@dataclass(frozen=True, eq=False, repr=False)
+class Patches(Arrays, shapes="centre_px C 2; points_m C 5 3"):
     """Small plane patches of a body as one camera sees them at rest.
 
     centre_px (C, 2); arm_px: half the length over which derivatives are taken; points_m (C, 5, 3): the surface, in the
@@ -458,10 +431,6 @@ class Patches:
     centre_px: FloatArray
     arm_px: float
     points_m: FloatArray
-
-    def __post_init__(self) -> None:
-        check_shape("centre_px", self.centre_px, (None, 2))
-        check_shape("points_m", self.points_m, (len(self.centre_px), 5, 3))
 
 
 def body_patches(

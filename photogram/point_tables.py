@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from photogram.arrays import BoolArray, FloatArray, check_shape
+from photogram.arrays import Arrays, BoolArray, FloatArray
 
 POSITION = ("x", "y", "z")
 REFERENCE = ("x0", "y0", "z0")
 IGNORED = "_"
 
 
-@dataclass(frozen=True)
-class PointTable:
+@dataclass(frozen=True, eq=False, repr=False)
+class PointTable(Arrays, shapes="frames F; position_m F N 3; reference_m N 3"):
     """Points of F frames: position_m (F,N,3), NaN where invalid; reference_m (N,3) where the files have it; frames (F).
 
     Points are those with the same identity in all frames, or the same row where the tables have no identity.
@@ -25,11 +25,6 @@ class PointTable:
     position_m: FloatArray
     reference_m: FloatArray | None
     frames: tuple[str, ...]
-
-    def __post_init__(self) -> None:
-        check_shape("position_m", self.position_m, (len(self.frames), None, 3))
-        if self.reference_m is not None:
-            check_shape("reference_m", self.reference_m, (self.position_m.shape[1], 3))
 
 
 @dataclass(frozen=True)
@@ -44,22 +39,32 @@ class _Frame:
 
 
 def read_point_tables(
-    files: Sequence[Path], columns: Sequence[str], valid_status: float | None = None, scale: float = 1.0
+    files: Sequence[str | Path], columns: Sequence[str], valid_status: float | None = None, scale: float = 1.0
 ) -> PointTable:
     """Read one table per frame, or one table whose column `frame` numbers the frames; lengths times `scale` are metres.
 
     `columns` names the columns from left to right: x y z (needed), x0 y0 z0 (reference), status (any number; all must
     equal `valid_status`), frame, names that begin with id (identity of a point), "_" (ignored). Separated by blanks,
     commas or semicolons (then with a decimal comma too); lines before the first numeric one are a header.
+
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     _ = Path(folder, "frame.csv").write_text("x;y;z\\n1;2;3\\n4;5;6,5\\n")
+    ...     table = read_point_tables([f"{folder}/frame.csv"], ["x", "y", "z"], scale=1e-3)
+    >>> table.position_m[0, 1]
+    array([0.004 , 0.005 , 0.0065])
     """
     if not files:
         raise ValueError("files: expected at least one table, found none")
     _check_columns(columns)
-    tables = [(path, _read_numbers(path, len(columns))) for path in files]
+    tables = [(path, _read_numbers(Path(path), len(columns))) for path in files]
     if "frame" in columns:
         if len(files) > 1:
             raise ValueError(f"{files[1]}: expected one file when there is a column frame, found {len(files)}")
-        frames = _split_frames(tables[0][1], columns, valid_status)
+        numbers = tables[0][1]
+        number = numbers[:, columns.index("frame")]
+        frames = [_frame_of(f"frame {k:g}", numbers[number == k], columns, valid_status) for k in np.unique(number)]
     else:
         frames = [_frame_of(str(path), numbers, columns, valid_status) for path, numbers in tables]
     return _align(frames, scale)
@@ -127,14 +132,6 @@ def _is_number(field: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _split_frames(numbers: FloatArray, columns: Sequence[str], valid_status: float | None) -> list[_Frame]:
-    """The frames of one table in the order of their numbers."""
-    frame = numbers[:, columns.index("frame")]
-    return [
-        _frame_of(f"frame {number:g}", numbers[frame == number], columns, valid_status) for number in np.unique(frame)
-    ]
 
 
 def _frame_of(name: str, numbers: FloatArray, columns: Sequence[str], valid_status: float | None) -> _Frame:

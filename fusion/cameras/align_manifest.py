@@ -36,18 +36,11 @@ from fusion.recording.values import (
     validate,
     vector,
 )
-from photogram.alignment.evidence import (
-    Evidence,
-    KnownFace,
-    KnownPoints,
-    KnownPoses,
-    StatedFrame,
-    displacement_jacobian,
-)
+from photogram.alignment.evidence import Evidence, KnownFace, KnownPoints, KnownPoses, StatedFrame
 from photogram.alignment.seen import calibration_steps, seen_points, seen_target
 from photogram.calibration.file import read_calibration
 from photogram.camera import StereoRig
-from photogram.geometry import RigidTransform
+from photogram.geometry import RigidTransform, displacement_jacobian
 from photogram.images import read_picture
 from photogram.targets.view import Target, TargetView, find_target
 from shaker.arrays import FloatArray

@@ -1,6 +1,4 @@
-"""What shows where the cameras stand in the sensor frame: points, target poses, motion.
-
-Five kinds of evidence about the pose of the left camera in the sensor frame.
+"""Five kinds of evidence about the pose of the left camera in the sensor frame: points, faces, poses, motions, axes.
 
 Each holds what the cameras saw, in the left camera's frame, and what is known of it in the sensor frame. What was seen
 carries its own noise as covariance, and the calibration's errors as effects: the changes of what was seen for one
@@ -15,18 +13,15 @@ from typing import Protocol
 
 import numpy as np
 
-from photogram.arrays import BoolArray, FloatArray, check_shape
-from photogram.geometry import RigidTransform, rotation_vector_rate, skew, vector_from_rotation
-
-# What a piece of evidence says at a trial pose, in the form that the least squares take.
-
+from photogram.arrays import Arrays, BoolArray, FloatArray, check_shape
+from photogram.geometry import RigidTransform, displacement_jacobian, rotation_vector_rate, skew, vector_from_rotation
 
 CALIBRATION = "calibration"
 """Name of the effects of the pair's own calibration."""
 
 
-@dataclass(frozen=True, eq=False)
-class Residuals:
+@dataclass(frozen=True, eq=False, repr=False)
+class Residuals(Arrays, shapes="piece B; residual B b; jacobian B b 6; covariance B b b; determines 6"):
     """B groups of b residuals, predicted − known, at a trial pose, linear about it.
 
     `residual` (B, b); `jacobian` (B, b, 6): change for a small displacement of the pose multiplied from the left,
@@ -44,19 +39,9 @@ class Residuals:
     determines: BoolArray
 
     def __post_init__(self) -> None:
-        """Refuse shapes that do not belong together."""
-        check_shape("residual", self.residual, (len(self.piece), None))
-        check_shape("jacobian", self.jacobian, (*self.residual.shape, 6))
-        check_shape("covariance", self.covariance, (*self.residual.shape, self.residual.shape[1]))
-        check_shape("determines", self.determines, (6,))
+        super().__post_init__()
         for name, changes in self.common.items():
             check_shape(f"common {name}", changes, (None, *self.residual.shape))
-
-
-def displacement_jacobian(points_m: FloatArray) -> FloatArray:
-    """Return [I, −[y]×] (..., 3, 6): how points (..., 3) answer a small shift and rotation about the origin."""
-    points = np.asarray(points_m, dtype=np.float64)
-    return np.concatenate([np.broadcast_to(np.eye(3), (*points.shape, 3)), -skew(points)], axis=-1)
 
 
 def across(direction: FloatArray) -> FloatArray:
@@ -65,7 +50,6 @@ def across(direction: FloatArray) -> FloatArray:
 
 
 # Five kinds of evidence about the pose of the left camera in the sensor frame.
-
 
 _ALL = np.ones(6, dtype=np.bool_)
 _TURN = np.arange(6) >= 3
@@ -79,8 +63,8 @@ class Evidence(Protocol):
         ...
 
 
-@dataclass(frozen=True, eq=False)
-class StatedFrame:
+@dataclass(frozen=True, eq=False, repr=False)
+class StatedFrame(Arrays, shapes="u 6"):
     """The frame in which something is stated, and how well that frame agrees with the sensor's.
 
     `u` (6,): standard uncertainties of the position of its origin (m) and of the rotation about it (rad), sensor axes.
@@ -89,10 +73,6 @@ class StatedFrame:
 
     name: str
     u: FloatArray
-
-    def __post_init__(self) -> None:
-        """Refuse another number of uncertainties."""
-        check_shape("u", self.u, (6,))
 
     def common(self, jacobian: FloatArray) -> dict[str, FloatArray]:
         """Return the changes (P, B, b) of residuals with this jacobian (B, b, 6)."""
@@ -104,11 +84,21 @@ SENSOR_FRAME = StatedFrame("", np.zeros(6))
 NO_EFFECTS: Mapping[str, FloatArray] = {}
 
 
-@dataclass(frozen=True, eq=False)
-class KnownPoints:
+@dataclass(frozen=True, eq=False, repr=False)
+class KnownPoints(
+    Arrays,
+    shapes="names N; camera_m N 3; sensor_m N 3; camera_covariance_m2 N 3 3; sensor_covariance_m2 N 3 3; calibration "
+    "P N 3",
+):
     """Points seen at `camera_m` (N, 3) whose places `sensor_m` (N, 3) are known, both with covariance (N, 3, 3).
 
     `calibration` (P, N, 3): effects of the calibration on the points seen. Residual R·x + t − X.
+
+    >>> seen = np.array([[0.0, 0, 0.5], [0.1, 0, 0.5], [0, 0.1, 0.5]])
+    >>> known, variance = seen - [0, 0, 0.5], np.broadcast_to(1e-12 * np.eye(3), (3, 3, 3))
+    >>> points = KnownPoints(("a", "b", "c"), seen, variance, known, variance, calibration=np.zeros((0, 3, 3)))
+    >>> points.residuals(RigidTransform(np.eye(3), np.array([0, 0, -0.5]))).residual.any()
+    np.False_
     """
 
     names: tuple[str, ...]
@@ -120,13 +110,7 @@ class KnownPoints:
     frame: StatedFrame = SENSOR_FRAME
 
     def __post_init__(self) -> None:
-        """Refuse shapes that do not belong together and points that were not seen."""
-        count = len(self.names)
-        for name in ("camera_m", "sensor_m"):
-            check_shape(name, getattr(self, name), (count, 3))
-        for name in ("camera_covariance_m2", "sensor_covariance_m2"):
-            check_shape(name, getattr(self, name), (count, 3, 3))
-        check_shape("calibration", self.calibration, (None, count, 3))
+        super().__post_init__()
         lost = [name for name, point in zip(self.names, self.camera_m, strict=True) if not np.isfinite(point).all()]
         if lost:
             raise ValueError(f"camera_m: expected finite points, found none for {lost[0]}")
@@ -145,8 +129,8 @@ class KnownPoints:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class KnownFace:
+@dataclass(frozen=True, eq=False, repr=False)
+class KnownFace(Arrays, shapes="camera_m N 3; camera_covariance_m2 N 3 3; point_m 3; calibration P N 3"):
     """Points seen at `camera_m` (N, 3), with covariance (N, 3, 3), on a flat face of known place.
 
     `point_m` (3,) lies on the face, `normal` (3,) points out of the body; `u_offset_m` along the normal at that point,
@@ -164,13 +148,8 @@ class KnownFace:
     frame: StatedFrame = SENSOR_FRAME
 
     def __post_init__(self) -> None:
-        """Refuse shapes that do not belong together and points that were not seen."""
-        count = len(self.camera_m)
-        check_shape("camera_m", self.camera_m, (count, 3))
-        check_shape("camera_covariance_m2", self.camera_covariance_m2, (count, 3, 3))
-        check_shape("point_m", self.point_m, (3,))
+        super().__post_init__()
         _check_direction("normal", self.normal)
-        check_shape("calibration", self.calibration, (None, count, 3))
         if not np.isfinite(self.camera_m).all():
             raise ValueError("camera_m: expected finite points, found NaN")
 
@@ -196,8 +175,12 @@ class KnownFace:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class KnownPoses:
+@dataclass(frozen=True, eq=False, repr=False)
+class KnownPoses(
+    Arrays,
+    shapes="names V; left_from_body V; sensor_from_body V; camera_covariance V 6 6; sensor_covariance V 6 6; "
+    "calibration P V 6",
+):
     """A body seen V times at `left_from_body`, each with covariance (6, 6), whose pose in the sensor frame is known.
 
     `sensor_from_body` and `sensor_covariance` (V, 6, 6) hold what is known of each time; both covariances are those of
@@ -213,16 +196,6 @@ class KnownPoses:
     calibration: FloatArray
     common: Mapping[str, FloatArray] = field(default_factory=lambda: NO_EFFECTS)
     frame: StatedFrame = SENSOR_FRAME
-
-    def __post_init__(self) -> None:
-        """Refuse shapes that do not belong together."""
-        count = len(self.names)
-        for name in ("left_from_body", "sensor_from_body"):
-            if len(getattr(self, name)) != count:
-                raise ValueError(f"{name}: expected {count} poses, found {len(getattr(self, name))}")
-        check_shape("camera_covariance", self.camera_covariance, (count, 6, 6))
-        check_shape("sensor_covariance", self.sensor_covariance, (count, 6, 6))
-        check_shape("calibration", self.calibration, (None, count, 6))
 
     def residuals(self, sensor_from_camera: RigidTransform) -> Residuals:
         """Return position and rotation of the bodies as seen against the known ones."""
@@ -250,8 +223,8 @@ class KnownPoses:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class KnownDirection:
+@dataclass(frozen=True, eq=False, repr=False)
+class KnownDirection(Arrays, shapes="motion V 6; covariance V 6 6; camera_point_m V 3; calibration P V 6"):
     """V motions of a body of which the material point at the sensor origin moves along a known direction.
 
     `motion` (V, 6): shift (m) of the body's point at `camera_point_m` (V, 3) and rotation (rad), camera axes, small, of
@@ -268,12 +241,7 @@ class KnownDirection:
     u_direction_rad: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse shapes that do not belong together and bodies at rest."""
-        count = len(self.motion)
-        check_shape("motion", self.motion, (count, 6))
-        check_shape("covariance", self.covariance, (count, 6, 6))
-        check_shape("camera_point_m", self.camera_point_m, (count, 3))
-        check_shape("calibration", self.calibration, (None, count, 6))
+        super().__post_init__()
         _check_direction("direction", self.direction)
         if not np.linalg.norm(self.motion[:, :3], axis=1).all():
             raise ValueError("motion: expected a translation, found none")
@@ -304,8 +272,8 @@ class KnownDirection:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class KnownAxis:
+@dataclass(frozen=True, eq=False, repr=False)
+class KnownAxis(Arrays, shapes="camera_axis V 6; covariance V 6 6; calibration P V 6; point_m 3; u_point_m 3"):
     """V times a body was seen to turn about an axis that is known in the sensor frame.
 
     `camera_axis` (V, 6): a point of the axis (m) and its direction (unit vector of either sign) in the left camera's
@@ -324,13 +292,7 @@ class KnownAxis:
     u_direction_rad: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse shapes that do not belong together."""
-        count = len(self.camera_axis)
-        check_shape("camera_axis", self.camera_axis, (count, 6))
-        check_shape("covariance", self.covariance, (count, 6, 6))
-        check_shape("calibration", self.calibration, (None, count, 6))
-        check_shape("point_m", self.point_m, (3,))
-        check_shape("u_point_m", self.u_point_m, (3,))
+        super().__post_init__()
         _check_direction("direction", self.direction)
 
     def residuals(self, sensor_from_camera: RigidTransform) -> Residuals:

@@ -8,7 +8,7 @@ import numpy as np
 
 from photogram.alignment.evidence import across
 from photogram.alignment.solve import sum_of_squares
-from photogram.arrays import ComplexArray, FloatArray, check_shape
+from photogram.arrays import Arrays, ComplexArray, FloatArray
 from photogram.calibration.bundle import see
 from photogram.calibration.start import target_pose
 from photogram.camera import StereoRig, principal_components, triangulate
@@ -68,18 +68,13 @@ def seen_target(
     change = np.zeros((6, 24))
     for side, view in enumerate((left, right)):
         if view is not None:
-            change -= covariance @ _pulled_by_rig(rig, target, pose, view, side)
+            points = target.spacing_m * np.column_stack([view.index, np.zeros(len(view.index))])
+            camera = rig.right if side else rig.left
+            relative = rig.right_from_left if side else RigidTransform.identity()
+            seen = see(camera, relative, pose, points, view.radius * target.spacing_m)
+            weight = np.linalg.inv(view.covariance_px2)
+            change -= covariance @ np.asarray(np.einsum("nki,nkl,nlj->ij", seen.by_pose, weight, seen.by_rig(side)))
     return pose, covariance, steps @ change.T
-
-
-def _pulled_by_rig(rig: StereoRig, target: Target, pose: RigidTransform, view: TargetView, side: int) -> FloatArray:
-    """Return Jᵀ·W·G (6, 24) of one picture."""
-    points = target.spacing_m * np.column_stack([view.index, np.zeros(len(view.index))])
-    camera = rig.right if side else rig.left
-    relative = rig.right_from_left if side else RigidTransform.identity()
-    seen = see(camera, relative, pose, points, view.radius * target.spacing_m)
-    weight = np.linalg.inv(view.covariance_px2)
-    return np.asarray(np.einsum("nki,nkl,nlj->ij", seen.by_pose, weight, seen.by_rig(side)))
 
 
 # The direction in which a body moves, and the axis about which it turns.
@@ -107,8 +102,8 @@ def linear_motion(
     return turned.real, real_part @ covariance @ real_part.T, changes, minor
 
 
-@dataclass(frozen=True, eq=False)
-class Axis:
+@dataclass(frozen=True, eq=False, repr=False)
+class Axis(Arrays, shapes="line 6; covariance 6 6"):
     """A fixed axis about which a body turned: `line` (6,) a point (m) and the direction (unit vector), `covariance`.
 
     The point is the one nearest to the motion's origin. `chi2`, `dof`: of the motion against a rotation about that
@@ -121,11 +116,6 @@ class Axis:
     chi2: float
     dof: int
     turn_rad: float
-
-    def __post_init__(self) -> None:
-        """Refuse shapes that do not belong together."""
-        check_shape("line", self.line, (6,))
-        check_shape("covariance", self.covariance, (6, 6))
 
 
 def fit_axis(motion: RigidMotion) -> Axis:
@@ -150,7 +140,9 @@ def fit_axis(motion: RigidMotion) -> Axis:
     for _ in range(_STEPS):
         rows, residual, tangents = _equations(pose, covariance, reference, line)
         step = np.linalg.lstsq(rows, -residual, rcond=None)[0]
-        line = _stepped(line, tangents @ step[:4])
+        point, direction = np.split(line + tangents @ step[:4], 2)
+        direction = direction / np.linalg.norm(direction)
+        line = np.concatenate([point - (point @ direction) * direction, direction])  # the point nearest to the origin
         if np.abs(step[:4]).max() <= _CONVERGED * max(1.0, float(np.abs(line).max())):
             break
     rows, residual, tangents = _equations(pose, covariance, reference, line)
@@ -172,13 +164,6 @@ def _start(pose: FloatArray) -> FloatArray:
     held = tilt @ (np.eye(3) - rotation_from_vector(pose[:, 3:])) @ tilt.T
     point = np.linalg.lstsq(held.reshape(-1, 2), (pose[:, :3] @ tilt.T).ravel(), rcond=None)[0]
     return np.concatenate([point @ tilt, direction])
-
-
-def _stepped(line: FloatArray, step: FloatArray) -> FloatArray:
-    """Return the axis after a step, its direction a unit vector and its point nearest to the origin."""
-    point, direction = line[:3] + step[:3], line[3:] + step[3:]
-    direction = direction / np.linalg.norm(direction)
-    return np.concatenate([point - (point @ direction) * direction, direction])
 
 
 def _equations(

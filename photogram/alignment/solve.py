@@ -8,10 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from photogram.alignment.evidence import CALIBRATION, Evidence, KnownFace, KnownPoints, KnownPoses, Residuals
-from photogram.arrays import BoolArray, FloatArray, IntArray, Notice, check_shape
+from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, Notice
 from photogram.geometry import RigidTransform, fit_rigid, fixes_rotation, nearest_rotation, rotation_from_vector
-
-# A first pose from the evidence, near enough for Gauss-Newton steps.
 
 
 def starting_pose(evidence: Sequence[Evidence]) -> RigidTransform | None:
@@ -64,7 +62,6 @@ def _plane(points_m: FloatArray) -> tuple[FloatArray, FloatArray] | None:
 
 
 # Which components of a pose the evidence leaves open, told by name.
-
 
 LIMIT = 0.1
 """Standard uncertainty (m, rad) from which a component counts as open: nothing is evaluated with such a pose."""
@@ -126,7 +123,6 @@ def _upright(direction: FloatArray) -> FloatArray:
 
 # All evidence in one weighted least squares: the pose, its covariance, and whether the pieces fit each other.
 
-
 TEST_LEVEL = 0.99
 _STEPS = 50
 _CONVERGED = 1e-10  # a step (m, rad) this small ends the iteration
@@ -149,8 +145,8 @@ class Piece:
         return float(np.sqrt(self.chi2 / self.dof)) if self.dof else float("nan")
 
 
-@dataclass(frozen=True, eq=False)
-class Alignment:
+@dataclass(frozen=True, eq=False, repr=False)
+class Alignment(Arrays, shapes="covariance 6 6; held_covariance 6 6; by_calibration 6 P"):
     """The pose of the left camera in the sensor frame: x_sensor = R·x_camera + t.
 
     `covariance` (6, 6): of the small displacement (shift, rotation about the sensor origin; m and rad, sensor axes)
@@ -170,12 +166,6 @@ class Alignment:
     pieces: tuple[Piece, ...]
     notices: tuple[Notice, ...]
 
-    def __post_init__(self) -> None:
-        """Refuse other shapes."""
-        check_shape("covariance", self.covariance, (6, 6))
-        check_shape("held_covariance", self.held_covariance, (6, 6))
-        check_shape("by_calibration", self.by_calibration, (6, None))
-
     @property
     def u(self) -> FloatArray:
         """Standard uncertainties (6,): position of the sensor origin (m), rotation about it (rad), sensor axes."""
@@ -191,6 +181,12 @@ def align(evidence: Sequence[Evidence], start: RigidTransform | None = None) -> 
     a prior, so that it enters the weights and is counted once (GUM, JCGM 100:2008, F.1.2.3 and H.2).
 
     Components of the pose that the evidence leaves open raise `OpenPose`, which names them.
+
+    >>> seen = np.array([[0.0, 0, 0.5], [0.1, 0, 0.5], [0, 0.1, 0.5]])
+    >>> known, variance = seen - [0, 0, 0.5], np.broadcast_to(1e-12 * np.eye(3), (3, 3, 3))
+    >>> points = KnownPoints(("a", "b", "c"), seen, variance, known, variance, calibration=np.zeros((0, 3, 3)))
+    >>> align([points]).sensor_from_camera.translation_m.round(9) + 0.0
+    array([ 0. ,  0. , -0.5])
     """
     pose = starting_pose(evidence) if start is None else start
     if pose is None:
@@ -199,25 +195,15 @@ def align(evidence: Sequence[Evidence], start: RigidTransform | None = None) -> 
         )
     for _ in range(_STEPS):
         system = assemble(evidence, pose)
-        _refuse_open(system)
+        found = open_components(system.information)
+        if found:
+            raise OpenPose(found)
         step = np.asarray(np.linalg.lstsq(system.rows, -system.residual, rcond=None)[0][:6], dtype=np.float64)
-        pose = _moved(pose, step)
+        turn = rotation_from_vector(step[3:])
+        pose = RigidTransform(nearest_rotation(turn @ pose.rotation), turn @ pose.translation_m + step[:3])
         if np.abs(step).max() <= _CONVERGED:
             return _judged(pose, assemble(evidence, pose))
     raise ValueError("evidence: expected pieces that describe one pose, found that no pose settles; check for mix-ups")
-
-
-def _moved(pose: RigidTransform, step: FloatArray) -> RigidTransform:
-    """Return the pose after a small displacement multiplied from the left."""
-    turn = rotation_from_vector(step[3:])
-    return RigidTransform(nearest_rotation(turn @ pose.rotation), turn @ pose.translation_m + step[:3])
-
-
-def _refuse_open(system: System) -> None:
-    """Raise `OpenPose` where the evidence leaves components of the pose open."""
-    found = open_components(system.information)
-    if found:
-        raise OpenPose(found)
 
 
 def _judged(pose: RigidTransform, system: System) -> Alignment:
@@ -225,7 +211,11 @@ def _judged(pose: RigidTransform, system: System) -> Alignment:
     from scipy.stats import chi2 as chi_square
 
     chi2, dof = sum_of_squares(system.rows, system.residual)
-    pieces = tuple(_piece(system, name, chi2, dof) for name in system.names)
+    pieces = []
+    for number, name in enumerate(system.names):  # the fit without a piece, linear about the pose, against that with it
+        kept = system.piece != number
+        without, freedom = sum_of_squares(system.rows[kept], system.residual[kept])
+        pieces.append(Piece(name, max(chi2 - without, 0.0), dof - freedom))
     fits = dof == 0 or chi2 <= chi_square.ppf(TEST_LEVEL, dof)
     enlargement = 1.0 if fits else float(np.sqrt(chi2 / dof))
     return Alignment(
@@ -236,16 +226,9 @@ def _judged(pose: RigidTransform, system: System) -> Alignment:
         chi2,
         dof,
         enlargement,
-        pieces,
+        tuple(pieces),
         () if fits else (_misfit(pieces, chi2, dof),),
     )
-
-
-def _piece(system: System, name: str, chi2: float, dof: int) -> Piece:
-    """Return how much a piece raises χ²: the fit without it, linear about the pose, against the fit with it."""
-    kept = system.piece != system.names.index(name)
-    without, freedom = sum_of_squares(system.rows[kept], system.residual[kept])
-    return Piece(name, max(chi2 - without, 0.0), dof - freedom)
 
 
 def _misfit(pieces: Sequence[Piece], chi2: float, dof: int) -> Notice:
@@ -262,7 +245,6 @@ def _misfit(pieces: Sequence[Piece], chi2: float, dof: int) -> Notice:
 
 
 # The whitened linear system of all evidence about a trial pose.
-
 
 _RANK = 1e-10  # singular values below this share of the largest count as zero
 
@@ -309,14 +291,18 @@ def assemble(evidence: Sequence[Evidence], pose: RigidTransform) -> System:
     piece = [np.repeat([names.index(name) for name in part.piece], part.residual.shape[1]) for part in parts]
     prior = np.eye(6 + total)[6:]
     rows = np.concatenate([*(rows for rows, _, _ in blocks), prior])
-    claimed = np.concatenate([*(rows * _mask(mask, total) for rows, _, mask in blocks), prior])
+    claimed = np.concatenate(
+        [*(rows * np.concatenate([mask, np.ones(total)]).astype(np.float64) for rows, _, mask in blocks), prior]
+    )
+    normal = claimed.T @ claimed
     return System(
         rows,
         np.concatenate([*(residual for _, residual, _ in blocks), np.zeros(total)]),
         np.concatenate([*piece, np.full(total, -1)]).astype(np.int64),
         names,
         columns,
-        _about_pose(claimed.T @ claimed),
+        # about the pose when the common errors are unknown: the Schur complement
+        normal[:6, :6] - normal[:6, 6:] @ np.linalg.solve(normal[6:, 6:], normal[6:, :6]),
     )
 
 
@@ -361,14 +347,3 @@ def _rows(part: Residuals, columns: dict[str, tuple[int, int]], total: int) -> t
     white = np.linalg.solve(root, np.concatenate([full, part.residual[..., None]], axis=-1))
     white = white.reshape(groups * size, 7 + total)
     return white[:, :-1], white[:, -1], part.determines
-
-
-def _mask(determines: BoolArray, total: int) -> FloatArray:
-    """Return factors (6 + Q,) that leave what an evidence may determine."""
-    return np.concatenate([determines, np.ones(total)]).astype(np.float64)
-
-
-def _about_pose(normal: FloatArray) -> FloatArray:
-    """Return the information (6, 6) about the pose when the common errors are unknown: the Schur complement."""
-    pose, mixed, common = normal[:6, :6], normal[:6, 6:], normal[6:, 6:]
-    return np.asarray(pose - mixed @ np.linalg.solve(common, mixed.T))

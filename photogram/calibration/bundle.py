@@ -8,12 +8,9 @@ from typing import Literal
 
 import numpy as np
 
-from photogram.arrays import FloatArray, IntArray, check_shape
+from photogram.arrays import Arrays, FloatArray, IntArray
 from photogram.camera import RIG_PARAMETERS, Camera, StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector, skew
-
-# Where the points of a target are seen in a picture, and how that answers camera, poses and target.
-
 
 _RIM_POINTS = 12  # points on the rim of a dot at which the lens's distortion is looked at
 
@@ -166,7 +163,6 @@ def _by_camera(camera: Camera, flat: FloatArray, placed: FloatArray) -> FloatArr
 
 # The target's shape: flat, bowed, or every point where it is.
 
-
 ShapeKind = Literal["flat", "bowed", "free"]
 
 _BOW = 0.01  # what is known of a bow beforehand: its height over the target's half diagonal
@@ -174,8 +170,8 @@ _FREE = 0.01  # and of single points: their displacement over the spacing
 _STRETCH = 3.0  # rms displacement by stretch of one axis and by shear, over that of single points
 
 
-@dataclass(frozen=True, eq=False)
-class Shape:
+@dataclass(frozen=True, eq=False, repr=False)
+class Shape(Arrays, shapes="index P 2; value_m S; flat_m P 3; basis P 3 S; prior_m S"):
     """Points of a target, flat_m (P, 3) + basis (P, 3, S)·value_m (S,), with what is known of the values beforehand.
 
     `index` (P, 2): lattice indices. `prior_m` (S,): standard deviations of the values around zero. `group` (S,): values
@@ -190,13 +186,6 @@ class Shape:
     prior_m: FloatArray
     group: IntArray
     from_data: bool
-
-    def __post_init__(self) -> None:
-        """Refuse shapes that do not belong together."""
-        points, values = len(self.index), len(self.value_m)
-        check_shape("flat_m", self.flat_m, (points, 3))
-        check_shape("basis", self.basis, (points, 3, values))
-        check_shape("prior_m", self.prior_m, (values,))
 
     @property
     def points_m(self) -> FloatArray:
@@ -468,13 +457,13 @@ def _normal(bundle: Bundle, pictures: Sequence[Picture], prior: Prior) -> _Norma
     size, views = _RIG + len(shape.value_m), len(bundle.poses)
     common = np.diag(np.concatenate([np.zeros(_RIG), shape.prior_m**-2.0]))
     common[:_RIG, :_RIG] = prior.slope.T @ prior.slope
-    common_side = np.concatenate(
-        [-prior.slope.T @ prior.away(bundle.rig.values), -shape.value_m / shape.prior_m**2]
-    )
+    common_side = np.concatenate([-prior.slope.T @ prior.away(bundle.rig.values), -shape.value_m / shape.prior_m**2])
     pose, coupling, pose_side = np.zeros((views, 6, 6)), np.zeros((views, size, 6)), np.zeros((views, 6))
     for picture in pictures:
         seen, view = bundle.see(picture), picture.view
-        slope = _common_slope(seen, picture, shape).reshape(-1, size)
+        slope = np.concatenate(
+            [seen.by_rig(picture.side), seen.by_point @ shape.basis[picture.point]], axis=-1
+        ).reshape(-1, size)
         pose_slope = seen.by_pose.reshape(-1, 6)
         weighted = (picture.precision @ seen.by_pose).reshape(-1, 6)
         weighted_common = (picture.precision @ slope.reshape(-1, 2, size)).reshape(-1, size)
@@ -485,8 +474,3 @@ def _normal(bundle: Bundle, pictures: Sequence[Picture], prior: Prior) -> _Norma
         coupling[view] += slope.T @ weighted
         pose_side[view] += weighted.T @ residual
     return _Normal(common, pose, coupling, common_side, pose_side)
-
-
-def _common_slope(seen: Seen, picture: Picture, shape: Shape) -> FloatArray:
-    """Return the derivatives (N, 2, 24 + S) of a picture's pixels by rig and shape."""
-    return np.concatenate([seen.by_rig(picture.side), seen.by_point @ shape.basis[picture.point]], axis=-1)

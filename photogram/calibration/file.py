@@ -16,11 +16,19 @@ from photogram.geometry import RigidTransform, nearest_rotation
 _KEYS = ("format", "image_size", "left", "right", "rotation", "translation", "reprojection_rms", "covariance")
 
 
-def read_calibration(path: Path) -> StereoRig:
+def read_calibration(path: str | Path) -> StereoRig:
     """Return the stereo pair of a calibration file; parameters absent from its covariance have variance zero.
 
     Refused with a `ValueError` naming file and key: unknown, missing or repeated keys, wrong shapes, a rotation more
     than 10⁻⁶ from orthonormal or with determinant −1. A rotation within that is replaced by the nearest exact one.
+
+    >>> from tempfile import TemporaryDirectory
+    >>> camera = Camera.from_parameters(np.array([1000.0, 1000, 320, 240, 0, 0, 0, 0, 0]), np.array([640, 480]))
+    >>> rig = StereoRig(camera, camera, RigidTransform(np.eye(3), np.array([-0.1, 0.0, 0.0])))
+    >>> with TemporaryDirectory() as folder:
+    ...     write_calibration(f"{folder}/rig.json", rig)
+    ...     read_calibration(f"{folder}/rig.json").right_from_left.translation_m
+    array([-0.1,  0. ,  0. ])
     """
     path = Path(path)
     try:
@@ -33,8 +41,15 @@ def read_calibration(path: Path) -> StereoRig:
         raise ValueError(f"{path}: {error}") from error
 
 
-def write_calibration(path: Path, rig: StereoRig, reprojection_rms_px: float | None = None) -> None:
-    """Write a stereo pair as a calibration file of format 1, by a temporary name and one replacement."""
+def write_calibration(path: str | Path, rig: StereoRig, reprojection_rms_px: float | None = None) -> None:
+    """Write a stereo pair as a calibration file of format 1, by a temporary name and one replacement.
+
+    >>> from tempfile import TemporaryDirectory
+    >>> camera = Camera.from_parameters(np.array([1000.0, 1000, 320, 240, 0, 0, 0, 0, 0]), np.array([640, 480]))
+    >>> rig = StereoRig(camera, camera, RigidTransform(np.eye(3), np.array([-0.1, 0.0, 0.0])))
+    >>> with TemporaryDirectory() as folder:
+    ...     write_calibration(f"{folder}/rig.json", rig, reprojection_rms_px=0.04)
+    """
     if not np.array_equal(rig.left.size_px, rig.right.size_px):
         raise ValueError(f"rig: expected two images of one size, found {rig.left.size_px} and {rig.right.size_px}")
     covariance = rig.covariance
@@ -78,10 +93,13 @@ def _rig(content: Any) -> StereoRig:
         raise ValueError(f"image_size: expected two whole numbers of pixels, found {content['image_size']}")
     if content["reprojection_rms"] is not None:
         _numbers("reprojection_rms", content["reprojection_rms"], ())
+    rotation = _numbers("rotation", content["rotation"], (3, 3))
+    translation = _numbers("translation", content["translation"], (3,))
+    given = RigidTransform(rotation, translation)
     return StereoRig(
         left=_camera("left", content["left"], size),
         right=_camera("right", content["right"], size),
-        right_from_left=_transform(content),
+        right_from_left=RigidTransform(nearest_rotation(given.rotation), translation),
         covariance=_covariance(content["covariance"]),
     )
 
@@ -129,14 +147,6 @@ def _camera(side: str, found: Any, size: FloatArray) -> Camera:
         return Camera(matrix, distortion, size.astype(np.int64))
     except ValueError as error:
         raise ValueError(f"{side}.{error}") from error
-
-
-def _transform(content: dict[str, Any]) -> RigidTransform:
-    """Return `right_from_left`, its rotation made exact."""
-    rotation = _numbers("rotation", content["rotation"], (3, 3))
-    translation = _numbers("translation", content["translation"], (3,))
-    given = RigidTransform(rotation, translation)
-    return RigidTransform(nearest_rotation(given.rotation), translation)
 
 
 def _covariance(found: Any) -> FloatArray | None:

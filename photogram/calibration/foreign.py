@@ -8,12 +8,9 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from photogram.arrays import FloatArray, IntArray, Notice, check_shape
+from photogram.arrays import Arrays, FloatArray, IntArray, Notice
 from photogram.camera import Camera, StereoRig
 from photogram.geometry import RigidTransform, nearest_rotation
-
-# One camera as another program describes it, and the camera of this program that sees the same.
-
 
 EVEN = (2, 4, 6)
 """Exponents of the radial polynomial 1 + k1·r² + k2·r⁴ + k3·r⁶, which is this program's."""
@@ -23,8 +20,8 @@ _STEPS = 200  # fixed-point steps of the inverse
 _INVERTED_PX = 1e-6
 
 
-@dataclass(frozen=True, eq=False)
-class Lens:
+@dataclass(frozen=True, eq=False, repr=False)
+class Lens(Arrays, shapes="focal_px 2; centre_px 2; radial 3; tangential 2"):
     """A pinhole with skew, radial and tangential distortion: focal_px, centre_px (2,), radial (3,), tangential (2,).
 
     With x = X/Z, y = Y/Z, r² = x² + y² and the factor g = 1 + Σ radial·r^exponents:
@@ -38,12 +35,6 @@ class Lens:
     tangential: FloatArray
     skew_px: float = 0.0
     exponents: tuple[int, int, int] = EVEN
-
-    def __post_init__(self) -> None:
-        check_shape("focal_px", self.focal_px, (2,))
-        check_shape("centre_px", self.centre_px, (2,))
-        check_shape("radial", self.radial, (3,))
-        check_shape("tangential", self.tangential, (2,))
 
     @property
     def is_exact(self) -> bool:
@@ -145,13 +136,13 @@ def _seen(lens: Lens, size_px: IntArray) -> FloatArray:
 
 # From what a file holds to a stereo rig: units, rotations written with few digits, differences of camera models.
 
-
 LengthUnit = Literal["m", "mm"]
 METRES = {"m": 1.0, "mm": 1e-3}
 FEW_DIGITS = 1e-5  # departure from a rotation above which the user is told
 NO_ROTATION = 1e-3  # and above which it is none
 REMARKABLE_PX = 0.05  # difference between the file's camera and this program's that is worth a warning
 UNUSABLE_PX = 0.5  # and that is refused
+SIDES = ("left", "right")
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,25 +172,32 @@ class Found:
 
 def build(found: Found, image_size: tuple[int, int] | None, length_unit: LengthUnit | None) -> ImportedCalibration:
     """Return the stereo rig of what was found in a file."""
-    size = _size(found.sizes_px, image_size)
-    unit = _unit(found, length_unit)
+    size, unit = _size(found.sizes_px, image_size), length_unit or found.unit
+    if unit is None:
+        raise ValueError(f"length_unit: expected m or mm, which a file of {found.format} does not say")
     rotation, notices = _rotation(found.rotation)
-    nearest = [_nearest(side, lens, size) for side, lens in zip(("left", "right"), found.lenses, strict=True)]
+    sides = [
+        (side, lens, _nearest(side, lens, size)) for side, lens in zip(("left", "right"), found.lenses, strict=True)
+    ]
+    (_, _, left), (_, _, right) = sides
     given = RigidTransform(rotation, found.translation * METRES[unit])
-    turns = [RigidTransform.from_pose(np.array([0, 0, 0, 0, 0, side.turn_rad])) for side in nearest]
-    rig = StereoRig(nearest[0].camera, nearest[1].camera, turns[1] @ given @ turns[0].inverse())
-    remarks = [
+    turns = [RigidTransform.from_pose(np.array([0, 0, 0, 0, 0, near.turn_rad])) for near in (left, right)]
+    between = turns[1] @ given @ turns[0].inverse()
+    cosine = np.clip((np.trace(between.rotation) - 1.0) / 2.0, -1.0, 1.0)
+    told = (
+        f"the cameras are {1e3 * np.linalg.norm(between.translation_m):.2f} mm apart and turned by "
+        f"{np.rad2deg(np.arccos(cosine)):.2f} degrees against each other (lengths in the file taken as {unit})"
+    )
+    missing = "no uncertainties came with it: state scale_uncertainty under [stereo.NAME] in rig.toml"
+    remarks = (
         *found.notices,
         *notices,
-        *(_model_notice(*each) for each in zip(("left", "right"), found.lenses, nearest, strict=True)),
-        *_sanity(rig),
-        _baseline(rig, unit),
-        Notice(
-            "info",
-            "no uncertainties came with it: state scale_uncertainty under [stereo.NAME] in rig.toml",
-            "covariance",
-        ),
-    ]
+        *(_model_notice(*each) for each in sides),
+        *(_centre_notice(side, near.camera) for side, _, near in sides),
+        Notice("info", told, "extrinsics"),
+        Notice("info", missing, "covariance"),
+    )
+    rig = StereoRig(left.camera, right.camera, between)
     return ImportedCalibration(rig, found.format, tuple(remark for remark in remarks if remark is not None))
 
 
@@ -261,15 +259,6 @@ def _times(size: tuple[int, int] | None) -> str:
     return "none" if size is None else f"{size[0]}x{size[1]}"
 
 
-def _unit(found: Found, option: LengthUnit | None) -> LengthUnit:
-    """Return the unit of the translation."""
-    if option is not None:
-        return option
-    if found.unit is None:
-        raise ValueError(f"length_unit: expected m or mm, which a file of {found.format} does not say")
-    return found.unit
-
-
 def _rotation(matrix: FloatArray) -> tuple[FloatArray, list[Notice]]:
     """Return the nearest rotation, and a warning where the matrix is one to a few digits only."""
     departure = float(np.abs(matrix.T @ matrix - np.eye(3)).max())
@@ -317,33 +306,19 @@ def _model_notice(side: str, lens: Lens, nearest: Nearest) -> Notice | None:
     return Notice("warning" if nearest.largest_px > REMARKABLE_PX else "info", text, f"{side} camera")
 
 
-def _sanity(rig: StereoRig) -> list[Notice]:
-    """Warnings where the numbers cannot belong to a picture of that size."""
-    notices = []
-    for side, camera in (("left", rig.left), ("right", rig.right)):
-        centre = camera.matrix[:2, 2]
-        if (centre < 0).any() or (centre >= camera.size_px).any():
-            text = (
-                f"its principal point ({centre[0]:.0f}, {centre[1]:.0f}) lies outside a picture of "
-                f"{camera.size_px[0]}x{camera.size_px[1]}: width and height may be exchanged"
-            )
-            notices.append(Notice("warning", text, f"{side} camera"))
-    return notices
-
-
-def _baseline(rig: StereoRig, unit: LengthUnit) -> Notice:
-    """The distance and the angle of the cameras, by which a wrong unit shows at once."""
-    transform = rig.right_from_left
-    cosine = np.clip((np.trace(transform.rotation) - 1.0) / 2.0, -1.0, 1.0)
+def _centre_notice(side: str, camera: Camera) -> Notice | None:
+    """A warning where the principal point cannot belong to a picture of that size."""
+    centre, (width, height) = camera.matrix[:2, 2], camera.size_px
+    if (centre >= 0).all() and (centre < camera.size_px).all():
+        return None
     text = (
-        f"the cameras are {1e3 * np.linalg.norm(transform.translation_m):.2f} mm apart and turned by "
-        f"{np.rad2deg(np.arccos(cosine)):.2f} degrees against each other (lengths in the file taken as {unit})"
+        f"its principal point ({centre[0]:.0f}, {centre[1]:.0f}) lies outside a picture of {width}x{height}: "
+        "width and height may be exchanged"
     )
-    return Notice("info", text, "extrinsics")
+    return Notice("warning", text, f"{side} camera")
 
 
 # VIC-3D: the calibration in a project's XML, on its own or inside a .z3d file.
-
 
 FORMAT = "VIC-3D"
 PROJECT = "project.xml"
@@ -357,7 +332,7 @@ def read_vic3d(root: ElementTree.Element) -> Found:
     `orientation`: α β γ (degrees) tx ty tz (mm) of x_camera = R_z(γ)·R_y(β)·R_x(α)·x_world + t (sdynpy,
     `camera_matrix_from_vic_parameters`; dicengine, `DICe_CameraSystem.cpp`). The distortion is not published; of the
     usual polynomials, 1 + k1·r² + k2·r⁴ + k3·r⁶ leaves the smallest epipolar residuals in a recording of the DIC
-    challenge with its VIC-3D calibration (`tests/photogram/test_calibration_import_peers.py`).
+    challenge with its VIC-3D calibration (`tests/photogram/test_calibration_files.py`).
     """
     cameras = {camera.get("id", ""): camera for camera in root.iter("camera")}
     if set(cameras) != {"0", "1"}:

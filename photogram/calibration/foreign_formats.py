@@ -28,8 +28,6 @@ from photogram.calibration.foreign import (
 )
 from photogram.geometry import rotation_from_vector, skew
 
-# XML with names of any case.
-
 
 def parse_xml(content: bytes) -> ElementTree.Element:
     """Return the root of an XML text, all tags and attributes in lower case."""
@@ -46,8 +44,6 @@ def parse_xml(content: bytes) -> ElementTree.Element:
 
 # OpenCV: FileStorage in YAML, XML or JSON, and plain JSON with the same content in lists.
 
-
-FORMAT = "OpenCV"
 _MATRICES = ("cameramatrix", "cammatrix", "intrinsicmatrix", "intrinsics", "camera", "matrix", "mtx", "cm", "m", "k")
 _DISTORTIONS = ("distcoeffs", "distcoeff", "distortioncoefficients", "distortioncoeffs", "distortion", "dist", "d")
 _SIDES = (("1", "2"), ("left", "right"), ("l", "r"), ("0", "1"))
@@ -74,14 +70,16 @@ def read_opencv(text: str, extrinsics: str | None = None) -> Found:
     matrices, distortions = _pair(values, _MATRICES, "M1 and M2"), _pair(values, _DISTORTIONS, "D1 and D2")
     lenses = [_lens(matrix, distortion) for matrix, distortion in zip(matrices, distortions, strict=True)]
     size = _size(values)
-    rotation_name, rotation = _one(values, _ROTATIONS, "rotation R")
-    translation_name, translation = _one(values, _TRANSLATIONS, "translation T")
+    name, value = _one(values, _ROTATIONS, "rotation R")
+    is_vector = np.size(np.asarray(value, dtype=object)) == 3
+    rotation = rotation_from_vector(numbers(name, value, 3)) if is_vector else numbers(name, value, (3, 3))
+    name, value = _one(values, _TRANSLATIONS, "translation T")
     return Found(
-        FORMAT,
+        "OpenCV",
         (lenses[0], lenses[1]),
         (size, size),
-        _rotation(rotation_name, rotation),
-        numbers(translation_name, translation, 3),
+        rotation,
+        numbers(name, value, 3),
         None,
     )
 
@@ -190,13 +188,6 @@ def _lens(matrix: tuple[str, Any], distortion: tuple[str, Any]) -> Lens:
     return Lens(np.array([k[0, 0], k[1, 1]]), k[:2, 2].copy(), np.array([k1, k2, k3]), np.array([p1, p2]))
 
 
-def _rotation(name: str, value: Any) -> FloatArray:
-    """Return R of a matrix or of a rotation vector."""
-    if np.size(np.asarray(value, dtype=object)) == 3:
-        return rotation_from_vector(numbers(name, value, 3))
-    return numbers(name, value, (3, 3))
-
-
 def _size(values: Values) -> tuple[int, int] | None:
     """Return width and height where the file holds them."""
     for name in _SIZES:
@@ -212,8 +203,6 @@ def _size(values: Values) -> tuple[int, int] | None:
 
 # DICe: camera systems in XML, and the text of 16 intrinsic and 6 or 12 extrinsic numbers before it.
 
-
-DICE_FORMAT = "DICe"
 _SYSTEM_FILE = "dice_xml_camera_system_file"
 _POWERS = {  # of r in the factor by which x and y are multiplied
     "OPENCV_LENS_DISTORTION": EVEN,
@@ -224,7 +213,7 @@ _POWERS = {  # of r in the factor by which x and y are multiplied
 }
 _LINEAR = "K1R1_K2R2_K3R3"
 _NONE = "NO_LENS_DISTORTION"
-_dice_BEYOND = ("K4", "K5", "K6", "S1", "S2", "S3", "S4", "T1", "T2")
+_DICE_BEYOND = ("K4", "K5", "K6", "S1", "S2", "S3", "S4", "T1", "T2")
 _TEXT_ORDER = "cx cy fx fy fs k1 k2 k3 of either camera, alpha beta gamma or R11…R33, tx ty tz, [height width]"
 
 
@@ -248,7 +237,7 @@ def read_dice_xml(root: ElementTree.Element) -> Found:
     if system.get("EXTRINSICS_RELATIVE_CAMERA_TO_CAMERA", "false").lower() != "true":
         rotation, translation = right_from_left((first[2], first[3]), (second[2], second[3]))
     notices = _linear_notice(first[0], second[0])
-    return Found(DICE_FORMAT, (first[0], second[0]), (first[1], second[1]), rotation, translation, "mm", notices)
+    return Found("DICe", (first[0], second[0]), (first[1], second[1]), rotation, translation, "mm", notices)
 
 
 def read_dice_text(text: str) -> Found:
@@ -270,7 +259,11 @@ def read_dice_text(text: str) -> Found:
     lenses = tuple(
         Lens(each[2:4], each[:2], each[5:8], np.zeros(2), skew_px=float(each[4])) for each in (values[:8], values[8:16])
     )
-    return Found(DICE_FORMAT, (lenses[0], lenses[1]), (size, size), rotation, outer[-3:], "mm", _text_notices(values))
+    notices: tuple[Notice, ...] = ()
+    if values[[5, 6, 7, 13, 14, 15]].any():
+        told = "k1 k2 k3 are taken as the factor 1 + k1 r^2 + k2 r^4 + k3 r^6, r = 1 one focal length off the centre"
+        notices = (Notice("info", told, "distortion"),)
+    return Found("DICe", (lenses[0], lenses[1]), (size, size), rotation, outer[-3:], "mm", notices)
 
 
 def _linear_notice(*lenses: Lens) -> tuple[Notice, ...]:
@@ -282,14 +275,6 @@ def _linear_notice(*lenses: Lens) -> tuple[Notice, ...]:
         "its former text, whose numbers are OpenCV's or VIC-3D's: K1R3_K2R5_K3R7 would be right there"
     )
     return (Notice("warning", text, "distortion"),)
-
-
-def _text_notices(values: FloatArray) -> tuple[Notice, ...]:
-    """How the distortion of a text was read, where there is any."""
-    if not values[[5, 6, 7, 13, 14, 15]].any():
-        return ()
-    text = "k1 k2 k3 are taken as the factor 1 + k1 r^2 + k2 r^4 + k3 r^6, r = 1 one focal length off the centre"
-    return (Notice("info", text, "distortion"),)
 
 
 def _parameters(element: ElementTree.Element) -> dict[str, str]:
@@ -307,7 +292,7 @@ def _camera(name: str, element: ElementTree.Element) -> tuple[Lens, tuple[int, i
     for key in ("CX", "CY", "FX", "FY", "IMAGE_HEIGHT_WIDTH"):
         if key not in values:
             raise ValueError(f"{name}.{key}: missing")
-    for key in _dice_BEYOND:
+    for key in _DICE_BEYOND:
         if number(key) != 0:
             raise ValueError(f"{name}.{key}: expected k1 k2 k3 p1 p2 alone, found {key} = {number(key):g}")
     model = values.get("LENS_DISTORTION_MODEL", _NONE).upper()
@@ -325,10 +310,10 @@ def _camera(name: str, element: ElementTree.Element) -> tuple[Lens, tuple[int, i
     )
     height, width = _list(f"{name}.IMAGE_HEIGHT_WIDTH", values["IMAGE_HEIGHT_WIDTH"], 2)
     translation = np.array([number("TX"), number("TY"), number("TZ")])
-    return lens, (int(width), int(height)), _dice_rotation(name, element, values), translation
+    return lens, (int(width), int(height)), _camera_rotation(name, element, values), translation
 
 
-def _dice_rotation(name: str, element: ElementTree.Element, values: dict[str, str]) -> FloatArray:
+def _camera_rotation(name: str, element: ElementTree.Element, values: dict[str, str]) -> FloatArray:
     """Return the rotation of one camera: matrix, angles, or none."""
     for part in element.findall("parameterlist"):
         if part.get("name", "").lower() == "rotation_3x3_matrix":
@@ -345,28 +330,29 @@ def _list(where: str, text: str, count: int) -> FloatArray:
 
 # MATLAB: stereoParameters as JSON, and Bouguet's calibration toolbox as text.
 
-
-MATLAB, BOUGUET = "MATLAB", "Bouguet's toolbox"
 _UNITS: dict[str, LengthUnit] = {"mm": "mm", "millimeters": "mm", "millimetres": "mm", "m": "m", "meters": "m"}
 _ESSENTIAL = 1e-3  # relative departure of an essential matrix from that of R and T above which they contradict
 _ASSIGNMENT = re.compile(r"\b([A-Za-z]\w*)\s*=\s*(?:\[([^\]]*)\]|([-+]?[\d.][\w.+-]*))")
 
 
-def read_matlab(text: str) -> Found:
+def read_matlab(content: dict[str, Any]) -> Found:
     """Return what jsonencode(toStruct(stereoParams)), or jsonencode(stereoParams), wrote.
 
     Pixels count from 1 there, so that 1 is taken off the principal point (MathWorks, `stereoParametersToOpenCV`).
     `K` is the camera matrix and `PoseCamera2` has x₂ = R·x₁ + T; the older `IntrinsicMatrix` and `RotationOfCamera2`
     are the transposed ones, x₂ᵀ = x₁ᵀ·R + T. An `EssentialMatrix` in the file must agree with R and T.
     """
-    content = json.loads(text)
-    cameras = [_object(content, f"CameraParameters{number}") for number in (1, 2)]
-    lenses = [_matlab_lens(f"CameraParameters{number}", camera) for number, camera in enumerate(cameras, start=1)]
-    sizes = [_matlab_size(f"CameraParameters{number}", camera) for number, camera in enumerate(cameras, start=1)]
+    names = ("CameraParameters1", "CameraParameters2")
+    cameras: list[Any] = [content.get(name) for name in names]
+    for name, camera in zip(names, cameras, strict=True):
+        if not isinstance(camera, dict):
+            raise ValueError(f"{name}: expected an object, found {str(camera)[:40]!r}")
+    lenses = [_matlab_lens(name, camera) for name, camera in zip(names, cameras, strict=True)]
+    sizes = [_matlab_size(name, camera) for name, camera in zip(names, cameras, strict=True)]
     rotation, translation = _extrinsics(content)
     _check_essential(content, rotation, translation)
     unit = _UNITS.get(str(content.get("WorldUnits", cameras[0].get("WorldUnits", ""))).lower())
-    return Found(MATLAB, (lenses[0], lenses[1]), (sizes[0], sizes[1]), rotation, translation, unit)
+    return Found("MATLAB", (lenses[0], lenses[1]), (sizes[0], sizes[1]), rotation, translation, unit)
 
 
 def read_bouguet(text: str) -> Found:
@@ -392,15 +378,7 @@ def read_bouguet(text: str) -> Found:
         lenses.append(Lens(focal, centre, kc[[0, 1, 4]], kc[2:4], skew_px=alpha * float(focal[0])))
     rotation = array("R", 9).reshape(3, 3) if "om" not in values else rotation_from_vector(array("om", 3))
     size = (int(array("nx", 1)[0]), int(array("ny", 1)[0])) if {"nx", "ny"} <= set(values) else None
-    return Found(BOUGUET, (lenses[0], lenses[1]), (size, size), rotation, array("T", 3), "mm")
-
-
-def _object(content: Any, name: str) -> dict[str, Any]:
-    """Return an object within the content."""
-    found = content.get(name)
-    if not isinstance(found, dict):
-        raise ValueError(f"{name}: expected an object, found {str(found)[:40]!r}")
-    return found
+    return Found("Bouguet's toolbox", (lenses[0], lenses[1]), (size, size), rotation, array("T", 3), "mm")
 
 
 def _matlab_lens(name: str, camera: dict[str, Any]) -> Lens:
@@ -464,21 +442,37 @@ def _check_essential(content: dict[str, Any], rotation: FloatArray, translation:
 
 
 def import_calibration(
-    path: Path,
+    path: str | Path,
     image_size: tuple[int, int] | None = None,
     length_unit: LengthUnit | None = None,
-    extrinsics: Path | None = None,
+    extrinsics: str | Path | None = None,
 ) -> ImportedCalibration:
     """Return the stereo pair of another program's calibration file; its content, not its name, tells the format.
 
     `image_size` (width, height): for files that do not hold it. `length_unit`: for OpenCV's files, which do not say it,
     and against the unit that a format has by habit. `extrinsics`: the second file of OpenCV's sample program, which
     writes intrinsics and extrinsics apart. `ValueError` names the file and what is wrong in it.
+
+    >>> import json
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> matrix = [[900, 0, 320], [0, 900, 240], [0, 0, 1]]
+    >>> content = {"M1": matrix, "D1": [0] * 5, "M2": matrix, "D2": [0] * 5, "R": np.eye(3).tolist(), "T": [-100, 0, 0]}
+    >>> with TemporaryDirectory() as folder:
+    ...     _ = Path(folder, "stereo.json").write_text(json.dumps(content))
+    ...     imported = import_calibration(f"{folder}/stereo.json", image_size=(640, 480), length_unit="mm")
+    >>> imported.format, imported.rig.right_from_left.translation_m
+    ('OpenCV', array([-0.1,  0. ,  0. ]))
     """
     path = Path(path)
     if image_size is not None and min(image_size) < 1:
         raise ValueError(f"image_size: expected a width and a height of at least 1, found {image_size}")
-    second = None if extrinsics is None else _decoded(extrinsics, Path(extrinsics).read_bytes())
+    second = None
+    if extrinsics is not None:
+        try:
+            second = Path(extrinsics).read_bytes().decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            raise ValueError(f"{extrinsics}: expected a text, found other bytes") from error
     try:
         return build(_found(_content(path), second), image_size, length_unit)
     except ValueError as error:
@@ -496,26 +490,20 @@ def _content(path: Path) -> bytes:
             raise ValueError(f"expected {PROJECT} in this zipped file, found none") from error
 
 
-def _decoded(path: Path, content: bytes) -> str:
-    """Return the text of a file."""
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{path}: expected a text, found other bytes") from error
-
-
 def _found(content: bytes, extrinsics: str | None) -> Found:
     """Return what a file of any known format holds."""
     text = content.decode("utf-8-sig", errors="replace")
     if text.lstrip().startswith("<"):
         return _found_in_xml(content, text, extrinsics)
     if text.lstrip().startswith("{"):
-        return _found_in_json(text, extrinsics)
-    if text.startswith("%YAML"):
-        return read_opencv(text, extrinsics)
-    if "fc_left" in text:
-        return read_bouguet(text)
-    return read_dice_text(text)
+        values = _json(text)
+        if "CameraParameters1" in values:
+            return read_matlab(values)
+        if values.get("format") == 1 and "rotation" in values:
+            raise ValueError("expected another program's calibration, found one of this program, ready for use")
+    elif not text.startswith("%YAML"):
+        return read_bouguet(text) if "fc_left" in text else read_dice_text(text)
+    return read_opencv(text, extrinsics)
 
 
 def _found_in_xml(content: bytes, text: str, extrinsics: str | None) -> Found:
@@ -528,16 +516,3 @@ def _found_in_xml(content: bytes, text: str, extrinsics: str | None) -> Found:
     if next(root.iter("camera"), None) is not None:
         return read_vic3d(root)
     raise ValueError(f"expected XML of OpenCV, DICe or VIC-3D, found one that begins with <{root.tag}>")
-
-
-def _found_in_json(text: str, extrinsics: str | None) -> Found:
-    """Return what a JSON text of MATLAB or OpenCV holds."""
-    try:
-        content = json.loads(text)
-    except ValueError as error:
-        raise ValueError(f"expected a JSON text, found: {error}") from error
-    if "CameraParameters1" in content:
-        return read_matlab(text)
-    if content.get("format") == 1 and "rotation" in content:
-        raise ValueError("expected another program's calibration, found one of this program, ready for use")
-    return read_opencv(text, extrinsics)

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from photogram.arrays import BoolArray, FloatArray, IntArray, Notice
+from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, Notice
 from photogram.camera import RIG_PARAMETERS, StereoRig
 from photogram.geometry import RigidTransform
 from photogram.targets.view import Target
@@ -31,8 +31,8 @@ class Parameter:
     state: Determined
 
 
-@dataclass(frozen=True, eq=False)
-class CalibratedPicture:
+@dataclass(frozen=True, eq=False, repr=False)
+class CalibratedPicture(Arrays, shapes="index N 2; position_px N 2; residual_px N 2; normalised N; used N"):
     """One picture in the fit: points (N,), of which `used` went into it.
 
     `index` (N, 2) lattice indices, `position_px` (N, 2) as found, `residual_px` (N, 2) found − modelled,
@@ -53,8 +53,8 @@ class CalibratedPicture:
         return float(squares.mean() ** 0.5) if self.used.any() else float("nan")
 
 
-@dataclass(frozen=True, eq=False)
-class CalibratedView:
+@dataclass(frozen=True, eq=False, repr=False)
+class CalibratedView(Arrays, shapes="covariance 6 6"):
     """One position of the target: `left_from_target` with covariance (6, 6), and the picture of either camera.
 
     The pose's covariance holds translation (m) and left-multiplied rotation (rad), in the order x y z rx ry rz.
@@ -75,8 +75,8 @@ class Dropped:
     reason: str
 
 
-@dataclass(frozen=True, eq=False)
-class Calibration:
+@dataclass(frozen=True, eq=False, repr=False)
+class Calibration(Arrays, shapes="shape_index P 2; shape_m P 3"):
     """A calibrated stereo pair and how it came about.
 
     `rms_px`: rms length of all residuals, OpenCV's definition of the reprojection error, `rms_sides_px` (left, right)
@@ -175,11 +175,22 @@ def refuse_open_focal_lengths(parameters: Sequence[Parameter]) -> None:
 
 def session_notices(calibration: Calibration) -> tuple[Notice, ...]:
     """Return what the user should know of a calibration, and what to add to the session."""
-    found = _view_notices(calibration) + _parameter_notices(calibration) + _residual_notices(calibration)
+    notices = [*_view_notices(calibration), *_parameter_notices(calibration)]
+    flat = np.column_stack([calibration.shape_index * calibration.target.spacing_m, np.zeros(len(calibration.shape_m))])
+    off = calibration.shape_m - flat
+    if off.any():
+        x, y, z = 1e6 * np.sqrt((off**2).mean(axis=0))
+        text = f"the target's points lie {x:.0f}, {y:.0f} µm rms off their lattice and {z:.0f} µm across it"
+        notices.append(Notice("info", f"{text}; this was estimated together with the cameras", "target"))
+    worst = max(calibration.added_px)
+    if worst >= _ADDED_PX:
+        text = f"the points are {worst:.2f} px (per coordinate) off beyond the pictures' noise: rough print, a bent"
+        text += " target or a lens that the model does not describe; see the residual maps"
+        notices.append(Notice("warning", text, "residuals"))
     if calibration.scale_u == 0:
         text = "the uncertainty of the target's spacing is not stated, so that of all lengths lacks its share"
-        found.append(Notice("warning", text, "scale"))
-    return tuple(found)
+        notices.append(Notice("warning", text, "scale"))
+    return tuple(notices)
 
 
 def _view_notices(calibration: Calibration) -> list[Notice]:
@@ -220,26 +231,3 @@ def _parameter_notices(calibration: Calibration) -> list[Notice]:
         if names:
             found.append(Notice("info", f"{', '.join(names)}: {text}", "distortion"))
     return found
-
-
-def _residual_notices(calibration: Calibration) -> list[Notice]:
-    """Return how far the residuals exceed what the pictures' noise explains, and what the target's shape has to do."""
-    flat = np.column_stack([calibration.shape_index * calibration.target.spacing_m, np.zeros(len(calibration.shape_m))])
-    off = calibration.shape_m - flat
-    if off.any():
-        x, y, z = 1e6 * np.sqrt((off**2).mean(axis=0))
-        text = f"the target's points lie {x:.0f}, {y:.0f} µm rms off their lattice and {z:.0f} µm across it"
-        return [
-            Notice("info", f"{text}; this was estimated together with the cameras", "target"),
-            *_noise_notices(calibration),
-        ]
-    return _noise_notices(calibration)
-
-
-def _noise_notices(calibration: Calibration) -> list[Notice]:
-    """Return how far the residuals exceed what the pictures' noise explains."""
-    worst = max(calibration.added_px)
-    if worst < _ADDED_PX:
-        return []
-    text = f"the points are {worst:.2f} px (per coordinate) off beyond the pictures' noise: rough print, a bent target"
-    return [Notice("warning", f"{text} or a lens that the model does not describe; see the residual maps", "residuals")]

@@ -56,6 +56,22 @@ def calibrate_pair(
     for with the spacing all lengths grow alike. `shape` "auto": flat, unless offsets of the single points, the same in
     all views, explain most of what the pictures' noise does not. Raises `ValueError` when the views do not allow a
     calibration.
+
+    >>> from photogram.synthetic.board import random_poses, random_rig
+    >>> from photogram.targets.view import TargetView
+    >>> rng, board, size = np.random.default_rng(1), Board(Target("chessboard", 9e-3, (8, 6))), np.array([1280, 1024])
+    >>> rig = random_rig(rng, size, field_m=0.12)
+    >>> noise = np.broadcast_to(0.02**2 * np.eye(2), (48, 2, 2))
+    >>> pairs = [
+    ...     tuple(
+    ...         TargetView(f"{k}", board.index.astype(int), px + rng.normal(0, 0.02, px.shape), noise, 0.0, 0.7, size)
+    ...         for px in rig.project(pose.apply(board.points_m))
+    ...     )
+    ...     for k, pose in enumerate(random_poses(rng, rig, board, 8))
+    ... ]
+    >>> calibration = calibrate_pair(pairs, board.target, shape="flat")
+    >>> calibration.rms_px < 0.03
+    True
     """
     if shape != "auto":
         return _result(*_calibrated(pairs, target, shape), target, scale_u)
@@ -75,7 +91,11 @@ def _calibrated(pairs: Sequence[Pair], target: Target, shape: ShapeKind) -> tupl
         fit = _settle(start.bundle, _Session.of(start.bundle, start.pairs, target))
         bad = _bad_pictures(fit)
         dropped += (*start.dropped, *bad)
-        pairs = _without(start.pairs, [item.name for item in bad])
+        names = [item.name for item in bad]
+        kept = [
+            tuple(None if view is not None and view.name in names else view for view in pair) for pair in start.pairs
+        ]
+        pairs = [(left, right) for left, right in kept if left is not None or right is not None]
         if not bad:
             return fit, dropped
 
@@ -116,14 +136,9 @@ class _Session:
         weighted = []
         for view, picture, used in zip(self.views, self.pictures, self.used, strict=True):
             total = view.covariance_px2 + self.added_px[picture.side] ** 2 * np.eye(2)
-            weighted.append(_with_precision(picture, total, used | every))
+            precision = np.asarray(np.linalg.inv(total), dtype=np.float64)
+            weighted.append(replace(picture, precision=precision * (used | every)[:, None, None]))
         return tuple(weighted)
-
-
-def _with_precision(picture: Picture, covariance_px2: FloatArray, used: BoolArray) -> Picture:
-    """Return the picture with the inverse covariances (N, 2, 2) of the points in use, zero for the others."""
-    precision = np.asarray(np.linalg.inv(covariance_px2), dtype=np.float64)
-    return replace(picture, precision=precision * used[:, None, None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +162,9 @@ def _settle(bundle: Bundle, session: _Session) -> _Fit:
     """Adjust, estimate the noise and leave points out until nothing changes any more."""
     for _ in range(_ROUNDS):
         fit = _fit(bundle, session)
-        bundle = _with_shape_prior(fit)
+        bundle = fit.adjusted.bundle
+        variance = np.diagonal(fit.adjusted.covariance)[len(bundle.rig.parameters) :]
+        bundle = replace(bundle, shape=bundle.shape.with_prior_from(variance))
         after = _judged(fit)
         same = all(np.array_equal(a, b) for a, b in zip(after.used, session.used, strict=True))
         change = np.abs(np.subtract(after.added_px, session.added_px)) / np.maximum(session.added_px, 1e-3)
@@ -162,25 +179,14 @@ def _fit(bundle: Bundle, session: _Session) -> _Fit:
     adjusted = adjust(bundle, session.weighted(), lens_prior(bundle.rig))
     found = [whitened_squares(adjusted.bundle, picture) for picture in session.weighted(every=True)]
     residuals, squares = tuple(residual for residual, _ in found), tuple(square for _, square in found)
-    return _Fit(session, adjusted, residuals, squares, _degrees_of_freedom(session, adjusted))
-
-
-def _degrees_of_freedom(session: _Session, adjusted: Adjusted) -> float:
-    """Return the number of coordinates minus that of parameters, a parameter counting as far as the data fix it."""
+    # The number of coordinates minus that of parameters, a parameter counting as far as the data fix it
     prior = lens_prior(adjusted.bundle.rig).sigma
     prior = np.concatenate([prior, adjusted.bundle.shape.prior_m])
     parameters = float(np.sum(1 - np.diagonal(adjusted.covariance) / prior**2)) + 6 * len(adjusted.bundle.poses)
     dof = 2 * sum(int(used.sum()) for used in session.used) - parameters
     if dof < 1:
         raise ValueError("the pictures have fewer points than a calibration has unknowns; add views")
-    return dof
-
-
-def _with_shape_prior(fit: _Fit) -> Bundle:
-    """Return the bundle with the spread of its target's points as it shows in them."""
-    bundle = fit.adjusted.bundle
-    variance = np.diagonal(fit.adjusted.covariance)[len(bundle.rig.parameters) :]
-    return replace(bundle, shape=bundle.shape.with_prior_from(variance))
+    return _Fit(session, adjusted, residuals, squares, dof)
 
 
 def _judged(fit: _Fit) -> _Session:
@@ -218,19 +224,16 @@ def _bad_pictures(fit: _Fit) -> list[Dropped]:
     return bad
 
 
-def _without(pairs: Sequence[Pair], names: Sequence[str]) -> list[Pair]:
-    """Return the pairs without the named pictures."""
-    kept = [tuple(None if view is not None and view.name in names else view for view in pair) for pair in pairs]
-    return [(left, right) for left, right in kept if left is not None or right is not None]
-
-
 def _result(fit: _Fit, dropped: tuple[Dropped, ...], target: Target, scale_u: float) -> Calibration:
     """Collect everything that the calibration tells."""
     bundle, session, factor = fit.adjusted.bundle, fit.session, fit.variance_factor
     covariance = fit.adjusted.covariance[:24, :24] * factor
     baseline = np.concatenate([np.zeros(21), bundle.rig.right_from_left.translation_m])
     rig = replace(bundle.rig, covariance=covariance + scale_u**2 * np.outer(baseline, baseline))
-    pictures = [_picture(fit, n, np.sqrt(factor)) for n in range(len(session.names))]
+    pictures = [
+        CalibratedPicture(view.name, view.index, view.position_px, residual, np.sqrt(squares / factor), used)
+        for view, residual, squares, used in zip(session.views, fit.residuals, fit.squares, session.used, strict=True)
+    ]
     left_out = [
         Dropped(picture.name, int((~picture.used).sum()), "more than five standard deviations off")
         for picture in pictures
@@ -261,13 +264,6 @@ def _result(fit: _Fit, dropped: tuple[Dropped, ...], target: Target, scale_u: fl
         notices=(),
     )
     return replace(calibration, notices=session_notices(calibration))
-
-
-def _picture(fit: _Fit, number: int, factor: float) -> CalibratedPicture:
-    """Return one picture as it stands in the fit."""
-    view, residual = fit.session.views[number], fit.residuals[number]
-    normalised = np.sqrt(fit.squares[number]) / factor
-    return CalibratedPicture(view.name, view.index, view.position_px, residual, normalised, fit.session.used[number])
 
 
 def _rms(pictures: Sequence[CalibratedPicture]) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -11,11 +12,8 @@ from photogram.arrays import FloatArray, IntArray
 from photogram.calibration.bundle import Bundle, Picture, Prior, ShapeKind, make_shape, moved_pose
 from photogram.calibration.result import Dropped, refuse_similar_views
 from photogram.camera import Camera, StereoRig
-from photogram.geometry import RigidTransform, rotation_from_vector, vector_from_rotation
+from photogram.geometry import RigidTransform, vector_from_rotation
 from photogram.targets.view import Target, TargetView
-
-# Which pictures of two cameras show one position of the target, and how the cameras stand to each other.
-
 
 Pair = tuple[TargetView | None, TargetView | None]
 Poses = dict[int, RigidTransform]
@@ -48,14 +46,21 @@ def pair_up(pairs: Sequence[Pair], left_poses: Poses, right_poses: Poses, target
             "no position of the target is seen by both cameras; the two lists of pictures must be in one order"
         )
     depth = float(np.median([np.linalg.norm(left_poses[view].translation_m) for view in common]))
-    relative, limit = _agreed([right_poses[view] @ left_poses[view].inverse() for view in common], depth)
+    found = [right_poses[view] @ left_poses[view].inverse() for view in common]
+    apart = np.array([[_disagreement(a, b, depth) for b in found] for a in found])
+    best = int(np.argmin(np.median(apart, axis=1)))
+    relative, limit = found[best], max(_TOLERATED, _STRANGE * float(np.median(apart[best])))
     numbered, poses, strange = list(pairs), dict(right_poses), []
     for view in common:
         for turn in ((np.eye(2, dtype=np.int64), np.zeros(2)), *_look_alikes(target)):
-            pose = right_poses[view] @ _moves_points(turn, target.spacing_m).inverse()
+            rotation = np.eye(3)
+            rotation[:2, :2] = turn[0]
+            pose = right_poses[view] @ RigidTransform(rotation, np.append(turn[1], 0.0) * target.spacing_m).inverse()
             if _disagreement(pose @ left_poses[view].inverse(), relative, depth) <= limit:
                 left, right = pairs[view]
-                numbered[view], poses[view] = (left, _renumbered(right, turn)), pose
+                if right is not None:
+                    right = replace(right, index=np.rint(right.index @ turn[0].T + turn[1]).astype(np.int64))
+                numbered[view], poses[view] = (left, right), pose
                 break
         else:
             strange.append(view)
@@ -65,13 +70,6 @@ def pair_up(pairs: Sequence[Pair], left_poses: Poses, right_poses: Poses, target
             "give all left pictures first, then all right ones in the same order"
         )
     return Pairing(relative, tuple(numbered), poses, tuple(strange))
-
-
-def _agreed(found: Sequence[RigidTransform], depth_m: float) -> tuple[RigidTransform, float]:
-    """Return the relative pose nearest to all others, and how far off another one may be."""
-    apart = np.array([[_disagreement(a, b, depth_m) for b in found] for a in found])
-    best = int(np.argmin(np.median(apart, axis=1)))
-    return found[best], max(_TOLERATED, _STRANGE * float(np.median(apart[best])))
 
 
 def _disagreement(a: RigidTransform, b: RigidTransform, depth_m: float) -> float:
@@ -96,22 +94,7 @@ def _look_alikes(target: Target) -> list[tuple[IntArray, FloatArray]]:
     return [(turn, (last - turn @ last) / 2) for turn in turns]
 
 
-def _moves_points(turn: tuple[IntArray, FloatArray], spacing_m: float) -> RigidTransform:
-    """Return the turn of indices as one of the target's points."""
-    rotation = np.eye(3)
-    rotation[:2, :2] = turn[0]
-    return RigidTransform(rotation, np.append(turn[1], 0.0) * spacing_m)
-
-
-def _renumbered(view: TargetView | None, turn: tuple[IntArray, FloatArray]) -> TargetView | None:
-    """Return the view with its indices turned."""
-    if view is None:
-        return None
-    return replace(view, index=np.rint(view.index @ turn[0].T + turn[1]).astype(np.int64))
-
-
 # Where a target stands, seen by a calibrated pair.
-
 
 _STEPS = 30
 _CONVERGED = 1e-9  # expected decrease of the sum of squares that ends the iteration
@@ -158,12 +141,14 @@ def _starts(rig: StereoRig, picture: Picture, flat_m: FloatArray) -> list[RigidT
     )
     if not count:
         raise ValueError("left, right: expected points of a target that are not all on one line")
-    from_target = [
-        RigidTransform(rotation_from_vector(np.array(turn, float).ravel()), np.array(shift, float).ravel())
-        for turn, shift in zip(turns, shifts, strict=True)
-    ]
-    to_left = rig.right_from_left.inverse() if picture.side else None
-    return [pose if to_left is None else to_left @ pose for pose in from_target]
+    to_left = rig.right_from_left.inverse() if picture.side else RigidTransform.identity()
+    return [to_left @ pose for pose in _opencv_poses(turns, shifts)]
+
+
+def _opencv_poses(turns: Sequence[Any], shifts: Sequence[Any]) -> list[RigidTransform]:
+    """Return poses from OpenCV's rotation vectors and translations."""
+    poses = [np.concatenate([np.ravel(shift), np.ravel(turn)]) for turn, shift in zip(turns, shifts, strict=True)]
+    return [RigidTransform.from_pose(pose.astype(np.float64)) for pose in poses]
 
 
 def _refined(bundle: Bundle, pictures: list[Picture]) -> tuple[RigidTransform, FloatArray, float]:
@@ -188,7 +173,6 @@ def _refined(bundle: Bundle, pictures: list[Picture]) -> tuple[RigidTransform, F
 
 
 # Where the bundle adjustment starts: each camera alone by OpenCV, the relative pose by agreement of the views.
-
 
 FEWEST_VIEWS = 3
 FEWEST_POINTS = 6
@@ -236,7 +220,9 @@ def start_bundle(pairs: Sequence[Pair], target: Target, shape: ShapeKind) -> Sta
             continue
         kept.append((used[0], used[1]))
         poses.append(sides[0].poses[view] if used[0] is not None else relative.inverse() @ pairing.right_poses[view])
-    _check_count(kept)
+    both = sum(left is not None and right is not None for left, right in kept)
+    if both < FEWEST_VIEWS:
+        raise ValueError(f"{both} positions of the target are seen by both cameras, at least {FEWEST_VIEWS} are needed")
     rig = StereoRig(sides[0].camera, sides[1].camera, relative)
     index = np.unique(np.concatenate([seen.index for pair in kept for seen in pair if seen is not None]), axis=0)
     return Start(Bundle(rig, tuple(poses), make_shape(shape, index, target.spacing_m)), tuple(kept), tuple(dropped))
@@ -283,7 +269,11 @@ def _single(pairs: Sequence[Pair], side: int, target: Target) -> _Single:
     dropped: list[Dropped] = []
     while True:
         if len(views) < FEWEST_VIEWS:
-            raise ValueError(_too_few(side, len(views), dropped))
+            camera_name, reasons = ("left", "right")[side], [f"; {item.name}: {item.reason}" for item in dropped]
+            raise ValueError(
+                f"the {camera_name} camera has {len(views)} usable pictures of the target, at least {FEWEST_VIEWS} are "
+                f"needed{''.join(reasons)}"
+            )
         camera, poses, rms = _opencv(list(views.values()), target)
         limit = max(_STRANGE * float(np.median(rms)), _TOLERATED_PX)
         worst = int(np.argmax(rms))
@@ -292,13 +282,6 @@ def _single(pairs: Sequence[Pair], side: int, target: Target) -> _Single:
         view = list(views)[worst]
         reason = f"its points are {rms[worst]:.1f} px off what the other pictures of this camera say"
         dropped.append(Dropped(views.pop(view).name, 0, reason))
-
-
-def _too_few(side: int, found: int, dropped: Sequence[Dropped]) -> str:
-    """Return the sentence about too few views of a camera."""
-    camera = ("left", "right")[side]
-    text = f"the {camera} camera has {found} usable pictures of the target, at least {FEWEST_VIEWS} are needed"
-    return text + "".join(f"; {item.name}: {item.reason}" for item in dropped)
 
 
 def _opencv(views: Sequence[TargetView], target: Target) -> tuple[Camera, list[RigidTransform], FloatArray]:
@@ -320,15 +303,4 @@ def _opencv(views: Sequence[TargetView], target: Target) -> tuple[Camera, list[R
         raise ValueError(f"the pictures of {views[0].name} and others do not determine a camera") from error
     _, matrix, distortion, turns, shifts, *_, rms = found
     parameters = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *np.ravel(distortion)[:5]])
-    poses = [
-        RigidTransform(rotation_from_vector(np.array(turn, float).ravel()), np.array(shift, float).ravel())
-        for turn, shift in zip(turns, shifts, strict=True)
-    ]
-    return Camera.from_parameters(parameters, size), poses, np.array(rms, float).ravel()
-
-
-def _check_count(pairs: Sequence[Pair]) -> None:
-    """Refuse a session with fewer than three pairs seen by both cameras."""
-    both = sum(left is not None and right is not None for left, right in pairs)
-    if both < FEWEST_VIEWS:
-        raise ValueError(f"{both} positions of the target are seen by both cameras, at least {FEWEST_VIEWS} are needed")
+    return Camera.from_parameters(parameters, size), _opencv_poses(turns, shifts), np.array(rms, float).ravel()

@@ -8,7 +8,7 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
-from photogram.arrays import FloatArray, IntArray, check_shape
+from photogram.arrays import Arrays, FloatArray, IntArray, check_shape
 from photogram.bspline import Spline, box_inside, mean_noise_gain, sample_line, sample_points
 from photogram.kernels import njit
 from photogram.subsets.reference import AFFINE_SUMS, Reference, TrackStatus, affine_sums, curved_sums, subset_offsets
@@ -20,8 +20,8 @@ SMALL_STEP = 0.05 / REMAINING
 LINEAR_PX = 0.3
 
 
-@dataclass(frozen=True)
-class Registration:
+@dataclass(frozen=True, eq=False, repr=False)
+class Registration(Arrays, shapes="warp N p; zncc N; gain N; residual_grey2 N; status N; iterations N"):
     """How N subsets were found in an image.
 
     warp (N,6) = [u, u_x, u_y, v, v_x, v_y]: reference point c + d lies at c + d + (u, v) + [[u_x, u_y], [v_x, v_y]] d;
@@ -37,11 +37,6 @@ class Registration:
     residual_grey2: FloatArray
     status: NDArray[np.int8]
     iterations: IntArray
-
-    def __post_init__(self) -> None:
-        check_shape("warp", self.warp, (None, 12 if self.warp.shape[1:] == (12,) else 6))
-        for name in ("zncc", "gain", "residual_grey2", "status", "iterations"):
-            check_shape(name, getattr(self, name), (len(self.warp),))
 
 
 def register(
@@ -67,9 +62,9 @@ def register(
     warp[:, : start.shape[1]] = start
     scores = np.full((count, 3), np.nan)
     outcome = np.column_stack([reference.status, np.zeros(count)]).astype(np.int64)
+    offsets = np.ascontiguousarray(subset_offsets(reference.radius_px).T)
     _register(
-        (reference.centre_px, reference.radius_px, reference.pixels, reference.mean, reference.energy),
-        np.ascontiguousarray(subset_offsets(reference.radius_px).T),
+        (reference.centre_px, reference.radius_px, reference.pixels, reference.mean, reference.energy, offsets),
         (reference.removed, reference.inverse_hessian),
         (target.coefficients, target.degree),
         (max_iterations, convergence_px, min_zncc),
@@ -111,9 +106,9 @@ def noise_of_residual(reference: Reference, found: Registration, degree: int) ->
 
 
 @njit(parallel=True)
-def _register(subsets, offsets, solved, target, limits, warp, scores, outcome):  # type: ignore[no-untyped-def]
+def _register(subsets, solved, target, limits, warp, scores, outcome):  # type: ignore[no-untyped-def]
     """Every usable subset on its own; outcome (N,2) receives status and iterations."""
-    centres, radius, pixels, means, energies = subsets
+    centres, radius, pixels, means, energies, offsets = subsets
     removed, inverse = solved
     for n in prange(centres.shape[0]):
         if outcome[n, 0] != 0:

@@ -52,7 +52,7 @@ def follow_frames(
 
     Images are read in batches, the next one by a thread meanwhile, so at most two are in memory. A batch is done at
     once as far as its starts can be foretold (`forecast_warps`). Frames of which half is not found start again from
-    the nearest frame found, then single subsets from their neighbours as in `photogram.subsets.follow`; a frame still
+    the nearest frame found, then single subsets from their neighbours as in `photogram.subsets.track`; a frame still
     lost is searched on the CPU.
     """
     if batch_frames < 1:
@@ -65,7 +65,9 @@ def follow_frames(
             start = forecast_warps(history, len(left))
             stack, left = left[: len(start)], left[len(start) :]
             frames = spline_frames(np.stack(stack), settings.degree, device, precision)
-            found = _find(_Batch(reference, prepared, frames, settings), start, history[-1])
+            batch = _Batch(reference, prepared, frames, settings)
+            found = _from_nearest_frames(batch, list(batch.find(start)), history[-1])
+            found = _from_neighbours(batch, found)
             for image, seen in zip(stack, found, strict=True):
                 here = seen
                 if not _is_found(reference.status, seen):
@@ -87,11 +89,6 @@ def _read_ahead(images: Iterable[Image], batch_frames: int) -> Iterator[list[Ima
         while batch := coming.result():
             coming = reader.submit(read)
             yield batch
-
-
-def _find(batch: _Batch, start: FloatArray, before: FloatArray) -> list[Registration]:
-    """The subsets of every frame from `start` (B,N,6), else from the nearest frame found, else from neighbours."""
-    return _from_neighbours(batch, _from_nearest_frames(batch, list(batch.find(start)), before))
 
 
 def _is_found(status: NDArray[np.int8], found: Registration) -> bool:
@@ -152,7 +149,10 @@ def forecast_warps(history: Sequence[FloatArray], most: int) -> FloatArray:
     pixel. In a frame in which it was lost, a subset counts as in the one before.
     """
     found = np.stack(history)
-    series = _filled(found)
+    filled = found.copy()
+    for before, here in pairwise(filled):
+        np.copyto(here, before, where=np.isnan(here))
+    series = filled
     kept = np.isfinite(found if np.isfinite(found).all(axis=(0, 2)).any() else series).all(axis=(0, 2))
     shifts = series[:, kept][..., [0, 3]].reshape(len(series), -1)
     count, tested = min(most, len(series)), len(series) // 4
@@ -166,14 +166,6 @@ def forecast_warps(history: Sequence[FloatArray], most: int) -> FloatArray:
     if stayed < swung:
         return np.repeat(series[-1:], count, axis=0)
     return _continued(series.reshape(len(series), -1), _frequency(shifts), count).reshape(count, *series.shape[1:])
-
-
-def _filled(series: FloatArray) -> FloatArray:
-    """Warps (M,N,6) with those of the frame before in the place of missing ones."""
-    filled = series.copy()
-    for before, here in pairwise(filled):
-        np.copyto(here, before, where=np.isnan(here))
-    return filled
 
 
 def _continued(series: FloatArray, frequency: float, count: int) -> FloatArray:

@@ -19,11 +19,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 
-# Where subsets will be in many frames to come, from a long past.
-
-
 # Images as B-splines on a device: coefficients of a stack of frames, and their values at many points.
-
 
 PRECISIONS = ("float64", "float32")
 BLOCK = 128
@@ -117,7 +113,13 @@ def sample(frames: TorchSplines, corner: Tensor, place_px: Tensor, polynomials: 
     windows = line.as_strided((line.numel() - taps + 1, taps), (1, 1))
     stride = frames.coefficients.shape[2]
     whole = place_px.floor()
-    along, down = _weights((place_px - whole).view(2, -1), polynomials)
+    # Values (2,M,degree+1) of the B-splines that reach the offsets (2,M) in [0,1)
+    fraction = (place_px - whole).view(2, -1)
+    powers = fraction.new_empty((len(polynomials), *fraction.shape))
+    powers[0], powers[1] = 1.0, fraction
+    for k in range(2, len(powers)):
+        torch.mul(powers[k - 1], fraction, out=powers[k])
+    along, down = torch.matmul(powers.permute(1, 2, 0), polynomials)
     column, row = whole.to(corner.dtype)
     rows = stride * torch.arange(taps, dtype=corner.dtype, device=corner.device)
     first = (corner[:, None] + row * stride + column).view(-1, 1) + rows
@@ -133,17 +135,6 @@ def corner_of(frames: TorchSplines, frame: Tensor, pixel: Tensor) -> Tensor:
     first = PADDING_PX - frames.degree // 2
     corner = (frame * height + pixel[:, 1] + first) * width + pixel[:, 0] + first
     return corner.to(torch.int32 if frames.coefficients.numel() < 2**31 else torch.int64)
-
-
-def _weights(fraction: Tensor, polynomials: Tensor) -> Tensor:
-    """Values (2,M,degree+1) of the B-splines that reach the offsets (2,M) in [0,1)."""
-    import torch
-
-    powers = fraction.new_empty((len(polynomials), *fraction.shape))
-    powers[0], powers[1] = 1.0, fraction
-    for k in range(2, len(powers)):
-        torch.mul(powers[k - 1], fraction, out=powers[k])
-    return torch.matmul(powers.permute(1, 2, 0), polynomials)
 
 
 def _filtered(lines: Tensor, degree: int) -> Tensor:
@@ -174,8 +165,7 @@ def _inverse_filter(size: int, degree: int) -> FloatArray:
     return np.pad(inverse, ((PADDING_PX, PADDING_PX), (0, 0)), mode="reflect")
 
 
-# Gauss-Newton registration of all subsets in all frames of a batch at once; the algorithm is `photogram.icgn`'s.
-
+# Gauss-Newton registration of all subsets in all frames of a batch at once, by the algorithm of `subsets.icgn`.
 
 RUNNING = -1
 WORKING_BYTES = {"cpu": 2**26, "cuda": 2**31}
@@ -267,11 +257,6 @@ def register_frames(
     size = NUMBERS_PER_PIXEL * reference.shape.shape[1] * reference.shape.element_size()
     for pairs in torch.nonzero(outcome[:, 0] == RUNNING)[:, 0].split(max(1, budget // size)):
         _register_pairs(reference, frames, limits, pairs, (warp, scores, outcome))
-    return _registrations(warp, scores, outcome, count)
-
-
-def _registrations(warp: Tensor, scores: Tensor, outcome: Tensor, count: int) -> tuple[Registration, ...]:
-    """Results of all pairs as one Registration of `count` subsets per frame."""
     warps, ratings, outcomes = (
         values.cpu().numpy().reshape(-1, count, values.shape[1]) for values in (warp, scores, outcome)
     )

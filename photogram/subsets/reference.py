@@ -14,12 +14,9 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from photogram.arrays import BoolArray, FloatArray, check_shape
+from photogram.arrays import Arrays, BoolArray, FloatArray, check_shape
 from photogram.bspline import Spline, grey_values, noise_gain, sample_squares, slope_noise_gain
 from photogram.kernels import LANES, REALS, Lanes, across, counted, in_blocks, load, njit, spread
-
-# Sums over the pixels of subsets and of rows of cells, eight pixels at a time and always in the same order.
-
 
 _Terms = tuple[Lanes, ...]
 AFFINE_SUMS, CURVED_SUMS, RUN_SUMS = 9, 6, 7
@@ -153,7 +150,6 @@ def _place(builder: Any, table: Any, row: int, column: Any) -> Any:
 
 # Subsets of a reference image, prepared once: grey values, gradients, Hessians, and what the texture determines.
 
-
 SMALLEST_NOISE = 1e-9
 SMALLEST_CONTRAST = 1e-9
 LEAST_RATIO = 4.0
@@ -174,8 +170,12 @@ class TrackStatus(IntEnum):
     NO_START = 6
 
 
-@dataclass(frozen=True)
-class Reference:
+@dataclass(frozen=True, eq=False, repr=False)
+class Reference(
+    Arrays,
+    shapes="centre_px N 2; pixels N 3 P; removed N 2 m; inverse_hessian N m m; position_variance N 2 2; mean N; "
+    "energy N; noise_gain N; status N",
+):
     """Square subsets of P = (2·radius+1)² pixels around centre_px (N,2), prepared once for a whole sequence.
 
     pixels (N,3,P): grey value f̃ without its mean, gradient along x, gradient along y. mean (N,): of the grey values;
@@ -200,17 +200,9 @@ class Reference:
     order: int = 1
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.order not in PARAMETERS:
             raise ValueError(f"order: expected 0, 1 or 2, found {self.order}")
-        check_shape("centre_px", self.centre_px, (None, 2))
-        count, size = len(self.centre_px), (2 * self.radius_px + 1) ** 2
-        check_shape("pixels", self.pixels, (count, 3, size))
-        parameters = PARAMETERS[self.order]
-        check_shape("removed", self.removed, (count, 2, parameters))
-        check_shape("inverse_hessian", self.inverse_hessian, (count, parameters, parameters))
-        check_shape("position_variance", self.position_variance, (count, 2, 2))
-        for name in ("mean", "energy", "noise_gain", "status"):
-            check_shape(name, getattr(self, name), (count,))
 
 
 def prepare_reference(spline: Spline, centre_px: FloatArray, radius_px: int, order: int = 1) -> Reference:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import BoolArray, FloatArray, Notice, check_shape
+from photogram.arrays import Arrays, BoolArray, FloatArray, Notice, check_shape
 from photogram.images import NoiseModel
 from photogram.subsets.reference import Reference, TrackStatus
 
@@ -32,6 +32,8 @@ def textured_area(image: Image) -> BoolArray:
     the outline within the last 9 px; 6 px are taken off it: 2 for the window's reach, 4 for the blurred rim. An image
     whose two classes differ by less than a factor of 3 is textured everywhere.
     """
+    from scipy import ndimage
+
     check_shape("image", image, (None, None))
     coarse = _textured(image, COARSE_WINDOW_PX)
     if coarse is None:
@@ -41,7 +43,15 @@ def textured_area(image: Image) -> BoolArray:
     if fine is not None:
         core = _shrunk(np.pad(body, 1), COARSE_WINDOW_PX)[1:-1, 1:-1]
         body = _opened(core | (body & _closed(fine, FINE_WINDOW_PX)), COARSE_WINDOW_PX)
-    return _large_parts(_shrunk(body, RIM_PX))
+    mask = _shrunk(body, RIM_PX)
+    # connected parts that have at least a fifth of the largest one's pixels
+    labels, count = ndimage.label(mask)
+    if count == 0:
+        return mask
+    sizes = np.bincount(labels.ravel())
+    sizes[0] = 0
+    kept: BoolArray = (sizes >= SMALLEST_SHARE * sizes.max())[labels] & mask
+    return kept
 
 
 def lay_grid(area: BoolArray, radius_px: int, step_px: int) -> FloatArray:
@@ -105,7 +115,12 @@ def speckle_size(image: Image, area: BoolArray) -> float:
     lags, too, the logarithm is taken as linear in the squared lag.
     """
     check_shape("area", area, image.shape)
-    lags = _autocorrelation(image.astype(np.float64), area)
+    grey, inside = image.astype(np.float64), area.astype(np.float64)
+    background, weight = _spread(np.where(area, grey, 0.0)), _spread(inside)
+    texture = np.where(area, grey - background / np.maximum(weight, 1e-9), 0.0)
+    count = min(TILE_PX, min(image.shape) // 2)
+    # mean autocovariance along x and y of the grey values in the area at lags 0, 1, 2 … 31
+    lags = _lagged_products(texture, count) / np.maximum(1.0, np.rint(_lagged_products(inside, count)))
     peak = lags[0]
     if lags[1] > 0.0 and lags[2] > 0.0:
         peak = min(peak, lags[1] * (lags[1] / lags[2]) ** (1.0 / 3.0))
@@ -123,17 +138,13 @@ def speckle_size(image: Image, area: BoolArray) -> float:
 def fine_texture_share(image: Image, area: BoolArray, noise_grey: float) -> float:
     """Share of the texture's power beyond 0.4 cycles per pixel in x or y, noise taken off; 0 where all is resolved.
 
-    Mean periodogram of Hann-windowed tiles of 32 x 32 px in `area`. Texture that still has power next to the Nyquist
+    Mean periodogram of tiles of 32 x 32 px side by side in `area`. Texture that still has power next to the Nyquist
     frequency has some beyond it too, folded back: it moves unlike the body and makes errors periodic in the pixel.
     """
-    window = np.outer(np.hanning(TILE_PX + 1)[:-1], np.hanning(TILE_PX + 1)[:-1])
-    centres = lay_grid(area, TILE_PX // 2, TILE_PX).astype(np.int64)
-    if len(centres) == 0:
+    density = _periodogram(image, area, TILE_PX)
+    if density is None:
         return float("nan")
-    half = TILE_PX // 2
-    tiles = np.stack([image[y - half : y + half, x - half : x + half] for x, y in centres]).astype(np.float64)
-    tiles -= np.mean(tiles * window, axis=(1, 2), keepdims=True) / window.mean()
-    power = np.mean(np.abs(np.fft.fft2(tiles * window)) ** 2, axis=0) - noise_grey**2 * np.sum(window**2)
+    power = density - noise_grey**2
     frequency = np.abs(np.fft.fftfreq(TILE_PX))
     fine = np.maximum.outer(frequency, frequency) > FINE_TEXTURE
     return float(max(0.0, power[fine].sum()) / power.sum()) if power.sum() > 0.0 else float("nan")
@@ -141,26 +152,19 @@ def fine_texture_share(image: Image, area: BoolArray, noise_grey: float) -> floa
 
 def _textured(image: Image, window_px: int) -> BoolArray | None:
     """Pixels of high local contrast; None where contrast does not fall into two classes."""
+    from scipy import ndimage
     from skimage.filters import threshold_otsu
 
-    contrast = np.log(_local_contrast(image.astype(np.float64), window_px) + 1e-3 * (1.0 + float(np.std(image))))
+    grey = image.astype(np.float64)
+    centred = grey - grey.mean()
+    mean, square = (ndimage.uniform_filter(part, window_px, mode="reflect") for part in (centred, centred**2))
+    contrast = np.log(np.sqrt(np.maximum(square - mean**2, 0.0)) + 1e-3 * (1.0 + float(np.std(image))))
     textured: BoolArray = contrast > threshold_otsu(contrast)
     if textured.all() or not textured.any():
         return None
     if contrast[textured].mean() - contrast[~textured].mean() < np.log(CLEAR_SEPARATION):
         return None
     return textured
-
-
-def _local_contrast(image: FloatArray, window_px: int) -> FloatArray:
-    """Standard deviation in a window around every pixel."""
-    from scipy import ndimage
-
-    centred = image - image.mean()
-    mean = ndimage.uniform_filter(centred, window_px, mode="reflect")
-    square = ndimage.uniform_filter(centred**2, window_px, mode="reflect")
-    contrast: FloatArray = np.sqrt(np.maximum(square - mean**2, 0.0))
-    return contrast
 
 
 def _closed(mask: BoolArray, radius_px: int) -> BoolArray:
@@ -195,19 +199,6 @@ def _ball(radius_px: int) -> NDArray[np.uint8]:
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), dtype=np.uint8)
 
 
-def _large_parts(mask: BoolArray) -> BoolArray:
-    """The connected parts that have at least a fifth of the largest one's pixels."""
-    from scipy import ndimage
-
-    labels, count = ndimage.label(mask)
-    if count == 0:
-        return mask
-    sizes = np.bincount(labels.ravel())
-    sizes[0] = 0
-    kept: BoolArray = (sizes >= SMALLEST_SHARE * sizes.max())[labels] & mask
-    return kept
-
-
 def _packed(columns: NDArray[np.int64], step: int) -> list[int]:
     """As many of the possible columns as fit, at least `step` apart, from left to right; runs are centred."""
     chosen: list[int] = []
@@ -220,16 +211,6 @@ def _packed(columns: NDArray[np.int64], step: int) -> list[int]:
         spare = (int(run[-1]) - first) % step
         chosen.extend(range(first + spare // 2, int(run[-1]) + 1, step))
     return chosen
-
-
-def _autocorrelation(image: FloatArray, area: BoolArray) -> FloatArray:
-    """Mean autocovariance along x and y of the grey values in the area at lags 0, 1, 2 … 31."""
-    background, weight = _spread(np.where(area, image, 0.0)), _spread(area.astype(np.float64))
-    texture = np.where(area, image - background / np.maximum(weight, 1e-9), 0.0)
-    count = min(TILE_PX, min(image.shape) // 2)
-    products, pairs = _lagged_products(texture, count), _lagged_products(area.astype(np.float64), count)
-    lags: FloatArray = products / np.maximum(1.0, np.rint(pairs))
-    return lags
 
 
 def _lagged_products(values: FloatArray, count: int) -> FloatArray:
@@ -273,8 +254,8 @@ REASONS = {
 }
 
 
-@dataclass(frozen=True)
-class SubsetQuality:
+@dataclass(frozen=True, eq=False, repr=False)
+class SubsetQuality(Arrays, shapes="predicted_sigma_px N 2; noise_grey N; status N"):
     """Expected standard deviation of x and y of N subsets in one frame, and which of them are of no use.
 
     predicted_sigma_px (N,2), NaN where the subset is unusable; noise_grey (N,): rms noise of the pixels that carry the
@@ -284,11 +265,6 @@ class SubsetQuality:
     predicted_sigma_px: FloatArray
     noise_grey: FloatArray
     status: NDArray[np.int8]
-
-    def __post_init__(self) -> None:
-        check_shape("predicted_sigma_px", self.predicted_sigma_px, (None, 2))
-        for name in ("noise_grey", "status"):
-            check_shape(name, getattr(self, name), (len(self.predicted_sigma_px),))
 
     @property
     def usable(self) -> BoolArray:
@@ -384,7 +360,7 @@ def aliasing_bias(image: Image, area: BoolArray, noise_grey: float, radius_px: i
     two-dimensional spectrum show.
     """
     check_shape("area", area, image.shape)
-    power = _periodogram(image, area)
+    power = _periodogram(image, area, TILE_PX // 2)
     if power is None:
         return AliasingBias(float("nan"), float("nan"))
     fine = np.abs(np.fft.fftfreq(TILE_PX)) > CORNER
@@ -413,11 +389,11 @@ def aliasing_notice(image: Image, area: BoolArray, noise_grey: float, bias: Alia
     return Notice("warning", text, where)
 
 
-def _periodogram(image: Image, area: BoolArray) -> FloatArray | None:
-    """Mean power density (32,32) of Hann-windowed tiles, half overlapping, in grey² (white noise: its variance)."""
+def _periodogram(image: Image, area: BoolArray, step_px: int) -> FloatArray | None:
+    """Mean power density (32,32), in grey² (white noise: its variance), of Hann-windowed tiles `step_px` apart."""
     half = TILE_PX // 2
     window = np.outer(np.hanning(TILE_PX + 1)[:-1], np.hanning(TILE_PX + 1)[:-1])
-    centres = lay_grid(area, half, half).astype(np.int64)
+    centres = lay_grid(area, half, step_px).astype(np.int64)
     if len(centres) == 0:
         return None
     tiles = np.stack([image[y - half : y + half, x - half : x + half] for x, y in centres]).astype(np.float64)
@@ -433,7 +409,9 @@ def _axis_bias(power: FloatArray, noise_power: float, pixels: int, degree: int) 
     frequency = np.arange(TILE_PX // 2 + 1) / TILE_PX
     folded = _folded_share(frequency, along, noise_power)
     image, alias = _spline_response(frequency - 1.0, degree), _spline_response(-frequency, degree)
-    slope = _spline_slope(frequency, degree)
+    # Slope of the spline through cos 2πνn at the pixels, relative to −sin 2πνn: Σ_k 2π(ν+k)·H(ν+k)
+    terms = [2.0 * np.pi * (frequency + k) * _spline_response(frequency + k, degree) for k in range(-8, 9)]
+    slope = np.asarray(np.sum(terms, axis=0))
     along = np.maximum(along, 0.0)
     count = np.where((frequency == 0.0) | (frequency == 0.5), 0.5, 1.0)  # of the bins that share a frequency
     total = np.sum(count * along * slope**2)
@@ -469,9 +447,3 @@ def _spline_response(frequency: FloatArray, degree: int) -> FloatArray:
     power = degree + 1
     period: FloatArray = np.sum([np.sinc(frequency + k) ** power for k in range(-8, 9)], axis=0)
     return np.asarray(np.sinc(frequency) ** power / period)
-
-
-def _spline_slope(frequency: FloatArray, degree: int) -> FloatArray:
-    """Slope of the spline through cos 2πνn at the pixels, relative to −sin 2πνn: Σ_k 2π(ν+k)·H(ν+k)."""
-    terms = [2.0 * np.pi * (frequency + k) * _spline_response(frequency + k, degree) for k in range(-8, 9)]
-    return np.asarray(np.sum(terms, axis=0))

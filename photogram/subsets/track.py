@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import BoolArray, FloatArray, Notice, check_shape
+from photogram.arrays import Arrays, BoolArray, FloatArray, Notice, check_shape
 from photogram.bspline import Spline, spline_of_image
 from photogram.camera import Camera, StereoRig
 from photogram.geometry import skew
@@ -39,9 +39,6 @@ from photogram.subsets.texture import (
     subsets_inside,
     textured_area,
 )
-
-# Which processor the batched tracking runs on.
-
 
 DEVICES = ("auto", "cpu", "cuda")
 
@@ -89,8 +86,8 @@ HISTORY = 6
 LARGEST_LOST_SHARE = 0.1
 
 
-@dataclass(frozen=True)
-class StereoTracks:
+@dataclass(frozen=True, eq=False, repr=False)
+class StereoTracks(Arrays, shapes="speckle_px 2; noise_grey 2; bias_px 2"):
     """One body seen by two cameras: the same N subsets in `left` and `right`, and what the images are like.
 
     speckle_px (2,): speckle size, noise_grey (2,): image noise in grey values, bias_px (2,): amplitude of the error,
@@ -106,10 +103,8 @@ class StereoTracks:
     bias_px: FloatArray
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         check_shape("right.position_px", self.right.position_px, self.left.position_px.shape)
-        check_shape("speckle_px", self.speckle_px, (2,))
-        check_shape("noise_grey", self.noise_grey, (2,))
-        check_shape("bias_px", self.bias_px, (2,))
 
 
 @dataclass(frozen=True)
@@ -121,18 +116,14 @@ class FollowedFrame:
     found: Registration
 
 
-@dataclass(frozen=True)
-class StereoGrid:
+@dataclass(frozen=True, eq=False, repr=False)
+class StereoGrid(Arrays, shapes="left_px N 2; right_px N 2"):
     """Subsets of one body in the first images: left_px (N,2), right_px (N,2), the textured areas (H,W), and remarks."""
 
     left_px: FloatArray
     right_px: FloatArray
     areas: tuple[BoolArray, BoolArray]
     notices: tuple[Notice, ...]
-
-    def __post_init__(self) -> None:
-        check_shape("left_px", self.left_px, (None, 2))
-        check_shape("right_px", self.right_px, self.left_px.shape)
 
 
 def match_stereo(
@@ -282,6 +273,14 @@ def track_stereo(
     """Follow the subsets of `lay_stereo_grid` through both cameras' images.
 
     `progress` is called with the number of finished frames, first of the left, then of the right camera: 1…2F.
+
+    >>> from scipy.ndimage import gaussian_filter
+    >>> noise = gaussian_filter(np.random.default_rng(1).standard_normal((96, 96)), 2.0, mode="wrap")
+    >>> picture = np.rint(128 + 300 * noise).astype(np.uint8)
+    >>> images = ImageSequence(("before", "after"), (96, 96), 255, lambda k: np.roll(picture, 2 * k, axis=1))
+    >>> left = track_stereo(images, images, None, TrackSettings(radius_px=7)).left.position_px
+    >>> np.median(left[1] - left[0], axis=0).round(2)
+    array([2., 0.])
     """
     grid = lay_stereo_grid(left, right, rig, settings)
     left_tracks = track_sequence(left, grid.left_px, settings, progress)
@@ -373,7 +372,6 @@ def _middle(values: FloatArray) -> float:
 
 # Subsets of one image found in another: by prediction, by search, from their neighbours; and the tracks they leave.
 
-
 NEIGHBOUR_ROUNDS = 8
 SEEDS = 12
 
@@ -386,6 +384,9 @@ class TrackSettings:
     that their noise is independent; degree: of the spline, 3 or 5; convergence_px: movement below which a subset stands
     still; min_zncc: correlation below which it is lost; reach_px: how far it is looked for when prediction fails,
     before it is looked for in the whole image; shape_order: of the shape function, 0 (translation), 1 (affine) or 2.
+
+    >>> TrackSettings(radius_px=12).grid_step_px
+    25
     """
 
     radius_px: int = 10
@@ -411,8 +412,8 @@ class TrackSettings:
         return 2 * self.radius_px + 1 if self.step_px is None else self.step_px
 
 
-@dataclass(frozen=True)
-class Tracks:
+@dataclass(frozen=True, eq=False, repr=False)
+class Tracks(Arrays, shapes="position_px F N 2; covariance_px2 F N 2 2; zncc F N; status F N; noise_grey N"):
     """Subset centres through time: position_px (F,N,2), covariance_px2 (F,N,2,2), zncc (F,N), status (F,N).
 
     The covariance is that of the frame's own image noise; the reference frame's noise is one constant offset of the
@@ -425,14 +426,6 @@ class Tracks:
     zncc: FloatArray
     status: NDArray[np.int8]
     noise_grey: FloatArray
-
-    def __post_init__(self) -> None:
-        check_shape("position_px", self.position_px, (None, None, 2))
-        frames, points, _ = self.position_px.shape
-        check_shape("covariance_px2", self.covariance_px2, (frames, points, 2, 2))
-        check_shape("zncc", self.zncc, (frames, points))
-        check_shape("status", self.status, (frames, points))
-        check_shape("noise_grey", self.noise_grey, (points,))
 
 
 def find_from(reference: Reference, target: Spline, start: FloatArray, settings: TrackSettings) -> Registration:

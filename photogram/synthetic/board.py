@@ -1,7 +1,5 @@
 """Rendered pictures of calibration targets with known truth.
 
-Kernels that render a flat pattern pixel by pixel: rays through the lens, the pattern's soft edges, the aperture.
-
 A pattern is softened in its own plane by a Gaussian, in closed form, so that a picture is as point-symmetric about
 each corner and dot as the perspective lets it be; the mean over the pixel's square is taken by 3 x 3 Gauss points.
 """
@@ -18,9 +16,6 @@ from photogram.camera import Camera, StereoRig, distort, undistort
 from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.kernels import njit
 from photogram.targets.view import Target
-
-# Kernels that render a flat pattern pixel by pixel: rays through the lens, the pattern's soft edges, the aperture.
-
 
 _FAR = 4.5  # σ of the softening beyond which an edge has no effect
 _NODE = math.sqrt(0.6)  # Gauss-Legendre points of degree 5 on (−1, 1), weights 5/18, 8/18, 5/18 of the mean
@@ -96,15 +91,7 @@ def _shares(edges: FloatArray, value: float, sigma: float, first: int, last: int
 
 
 @njit(nogil=True, error_model="numpy")
-def render_tiles(
-    camera: FloatArray,
-    homography: FloatArray,
-    edges_x: FloatArray,
-    edges_y: FloatArray,
-    tiles: FloatArray,
-    sigma: float,
-    image: FloatArray,
-) -> None:
+def render_tiles(camera, homography, edges_x, edges_y, tiles, sigma, image):  # type: ignore[no-untyped-def]
     """Fill image (H, W) with a pattern that is constant on the tiles (Y + 1, X + 1) between edges (X,) and (Y,)."""
     rays = np.empty((image.shape[1], 6))
     share_x, share_y = np.empty(edges_x.size + 1), np.empty(edges_y.size + 1)
@@ -172,15 +159,7 @@ def _plain(spots: FloatArray, first: FloatArray, sheet: FloatArray, u: float, v:
 
 
 @njit(nogil=True, error_model="numpy")
-def render_dots(
-    camera: FloatArray,
-    homography: FloatArray,
-    spots: FloatArray,
-    first: FloatArray,
-    sheet: FloatArray,
-    sigma: float,
-    image: FloatArray,
-) -> None:
+def render_dots(camera, homography, spots, first, sheet, sigma, image):  # type: ignore[no-untyped-def]
     """Fill image (H, W, 2) with the shares of black and of sheet in every pixel; lengths in lattice spacings.
 
     spots (rows, columns, 2): radius of the dot and of the hole in it, 0 for none, at lattice points from `first` (2,).
@@ -208,7 +187,6 @@ def render_dots(
 
 # Pictures of calibration targets with known truth.
 
-
 _FINER = 2  # pixels are drawn as so many squares across
 _SOFT_PX = 0.5  # softening of the drawn edges, in these
 
@@ -222,6 +200,9 @@ class Board:
     first row, last row of the dots around ring markers. `legacy`: ChArUco pattern of OpenCV before 4.6;
     `marker_share`: side of a marker. `margin`: of the sheet beyond the outermost squares or dots' centres.
     `bright`, `dark`, `background`: grey levels, fractions of full scale, of the sheet, the print, and around it.
+
+    >>> Board(Target("dots", 5e-3, (7, 5)), radius=0.25).points_m.shape
+    (35, 3)
     """
 
     target: Target
@@ -237,7 +218,6 @@ class Board:
     background: float = 0.25
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be drawn."""
         if self.target.kind == "charuco" and self.target.dictionary is None:
             raise ValueError("target: expected the dictionary of a ChArUco board to draw, found none")
         if self.target.kind == "dots" and (self.target.size is None) != (self.rings is not None):
@@ -290,26 +270,27 @@ def render_board(
     drawn at half the pixel's width with edges softened just enough (0.5 of these pixels) to be sampled, convolved with
     the rest of the Gaussian, and averaged over each pixel's square. Light falls off by `falloff` to the corners of the
     picture and rises by `slant` from its left to its right edge.
+
+    >>> camera = Camera.from_parameters(np.array([400.0, 400, 80, 60, 0, 0, 0, 0, 0]), np.array([160, 120]))
+    >>> pose = RigidTransform(np.eye(3), np.array([-0.02, -0.015, 0.2]))
+    >>> render_board(camera, pose, Board(Target("chessboard", 9e-3, (5, 4)))).shape
+    (120, 160)
     """
     from scipy.ndimage import gaussian_filter
 
     if _FINER * blur_px < _SOFT_PX:
         raise ValueError(f"blur_px: expected a blur of at least {_SOFT_PX / _FINER} px, found {blur_px}")
-    fine = _with_finer_pixels(camera)
+    matrix = camera.matrix * _FINER
+    matrix[:2, 2] += (_FINER - 1) / 2
+    matrix[2, 2] = 1.0
+    fine = Camera(matrix, camera.distortion, camera.size_px * _FINER)
     sharp = _drawn(fine, camera_from_target, board, _SOFT_PX)
     rest = math.sqrt((_FINER * blur_px) ** 2 - _SOFT_PX**2)
     blurred = gaussian_filter(sharp, rest, mode="nearest", truncate=6.0)
     width, height = (int(n) for n in camera.size_px)
     picture = blurred.reshape(height, _FINER, width, _FINER).mean(axis=(1, 3))
-    return np.asarray(picture * _light(width, height, falloff, slant))
-
-
-def _with_finer_pixels(camera: Camera) -> Camera:
-    """Return the camera with each pixel divided into squares."""
-    matrix = camera.matrix * _FINER
-    matrix[:2, 2] += (_FINER - 1) / 2
-    matrix[2, 2] = 1.0
-    return Camera(matrix, camera.distortion, camera.size_px * _FINER)
+    x, y = np.linspace(-1, 1, width), np.linspace(-1, 1, height)[:, None]
+    return np.asarray(picture * np.asarray(1 + slant / 2 * x - falloff * (x**2 + y**2) / 2))
 
 
 def _drawn(camera: Camera, camera_from_target: RigidTransform, board: Board, soft_px: float) -> FloatArray:
@@ -341,12 +322,6 @@ def _magnification(camera: Camera, camera_from_target: RigidTransform, board: Bo
     pixels = camera.project(camera_from_target.apply(around))
     slope = np.stack([pixels[0] - pixels[1], pixels[2] - pixels[3]]) / 2e-3
     return float(np.sqrt(np.abs(np.linalg.det(slope))))
-
-
-def _light(width: int, height: int, falloff: float, slant: float) -> FloatArray:
-    """Return the brightness (H, W): 1 in the middle, less towards the corners, rising from left to right."""
-    x, y = np.linspace(-1, 1, width), np.linspace(-1, 1, height)[:, None]
-    return np.asarray(1 + slant / 2 * x - falloff * (x**2 + y**2) / 2)
 
 
 def _tiles(board: Board) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -412,7 +387,6 @@ def _spots(board: Board) -> tuple[FloatArray, FloatArray]:
 
 # Random stereo pairs, and random poses of a calibration target before them: sessions with known truth.
 
-
 _TRIES = 1500  # random poses tried for each that is wanted
 _STEEPEST_RAD = 0.9  # between the board's normal and the ray to either camera
 
@@ -458,9 +432,10 @@ def random_poses(
     poses: list[RigidTransform] = []
     for _ in range(_TRIES * count):
         turn = rotation_from_vector(np.array([0.0, 0.0, rng.uniform(-0.5, 0.5)]))
-        rotation = facing @ rotation_from_vector(_tilt(rng, max_tilt_rad)) @ turn
+        direction, angle = rng.uniform(0, 2 * np.pi), rng.uniform(0, max_tilt_rad)
+        rotation = facing @ rotation_from_vector(angle * np.array([np.cos(direction), np.sin(direction), 0.0])) @ turn
         shift = rng.uniform(-1, 1, 3) * [lateral, lateral, 0.12 * distance]
-        pose = RigidTransform(rotation, centre + shift - rotation @ _middle(board))
+        pose = RigidTransform(rotation, centre + shift - rotation @ np.asarray(_required(board).mean(axis=0)))
         if _seen(rig, pose, board):
             poses.append(pose)
         if len(poses) == count:
@@ -468,12 +443,6 @@ def random_poses(
     raise ValueError(
         f"board: expected one that fits into both pictures, found {len(poses)} poses in {_TRIES * count} tries"
     )
-
-
-def _tilt(rng: np.random.Generator, max_tilt_rad: float) -> FloatArray:
-    """Return a rotation vector in the board's plane, its length uniform up to the largest tilt."""
-    direction, angle = rng.uniform(0, 2 * np.pi), rng.uniform(0, max_tilt_rad)
-    return angle * np.array([np.cos(direction), np.sin(direction), 0.0])
 
 
 def _working_point(rig: StereoRig, board: Board) -> tuple[FloatArray, FloatArray, float]:
@@ -503,11 +472,6 @@ def _required(board: Board) -> FloatArray:
             [[1.0, 1.0], [-1, 1], [-1, -1], [1, -1]]
         )
     return np.column_stack([corners, np.zeros(4)]) * board.target.spacing_m
-
-
-def _middle(board: Board) -> FloatArray:
-    """Return the middle (3,) of what has to be seen."""
-    return np.asarray(_required(board).mean(axis=0))
 
 
 def _seen(rig: StereoRig, pose: RigidTransform, board: Board) -> bool:

@@ -10,20 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from photogram.arrays import FloatArray, check_shape
+from photogram.arrays import Arrays, FloatArray
 from photogram.camera import RIG_PARAMETERS, Camera, StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.kernels import njit
-
-# Textures of a face: reflectance as a cubic B-spline on a grid much finer than the image.
-
 
 _CELL = 1.15  # spacing of the speckle grid in speckle diameters: dots cover about half of the face
 _SHIFT = 0.35  # largest random shift of a dot in cells
 
 
-@dataclass(frozen=True, eq=False)
-class Texture:
+@dataclass(frozen=True, eq=False, repr=False)
+class Texture(Arrays, shapes="coefficients I J; origin_m 2"):
     """Reflectance over a face: cubic B-spline coefficients (rows, columns) at grid points `step_m` apart.
 
     `coefficients[i, j]` belongs to the face coordinates (u, v) = `origin_m` (2,) + `step_m`·(j, i), in m.
@@ -34,9 +31,7 @@ class Texture:
     step_m: float
 
     def __post_init__(self) -> None:
-        """Refuse wrong shapes, and grids too small for a cubic spline."""
-        check_shape("coefficients", self.coefficients, (None, None))
-        check_shape("origin_m", self.origin_m, (2,))
+        super().__post_init__()
         if min(self.coefficients.shape) < 4:
             raise ValueError(f"coefficients: expected at least 4 x 4, found {self.coefficients.shape}")
 
@@ -62,6 +57,9 @@ def speckle_texture(
 
     Dots of diameter `diameter_m` ± 15 % on a grid 1.15 diameters wide, each shifted at random by up to 0.35 of it:
     about half of the face is dark, without order at long range. Reflectance runs from 0 to 1.
+
+    >>> speckle_texture((0.02, 0.01), diameter_m=1e-3, step_m=1e-4, blur_m=1e-4, rng=np.random.default_rng(1))
+    Texture(coefficients (101, 201), origin_m=[-0.01 -0.005], step_m=0.0001)
     """
     columns, rows = (int(np.ceil(length / step_m)) + 1 for length in size_m)
     cell = _CELL * diameter_m / step_m
@@ -113,13 +111,18 @@ def spline_value(coefficients: NDArray[np.float32], x: float, y: float) -> float
 # What a camera looks at: a flat textured face of a rigid body, and the view of it.
 
 
-@dataclass(frozen=True, eq=False)
-class Face:
+@dataclass(frozen=True, eq=False, repr=False)
+class Face(Arrays, shapes="origin_m 3; axis_u 3; axis_v 3; half_size_m 2"):
     """A flat face of a body at rest: points origin + u·axis_u + v·axis_v in the world (the sensor) frame, in m.
 
     `half_size_m` (2,): half width and half height of the rectangle; of a `round` face the first is its radius.
     `edge_blur_m`: σ of the lens blur at the rim. `bright`, `dark`: grey levels (fractions of full scale) of
     reflectance 1 and 0; `background`: the grey level around the face.
+
+    >>> texture = speckle_texture((0.02, 0.02), 1e-3, 1e-4, 1e-4, np.random.default_rng(1))
+    >>> face = Face(np.zeros(3), np.eye(3)[0], np.eye(3)[1], np.array([0.01, 0.01]), False, texture, edge_blur_m=1e-4)
+    >>> face.plane.shape
+    (3, 3)
     """
 
     origin_m: FloatArray
@@ -134,10 +137,7 @@ class Face:
     background: float = 0.06
 
     def __post_init__(self) -> None:
-        """Refuse wrong shapes and axes that are not orthonormal."""
-        for name in ("origin_m", "axis_u", "axis_v"):
-            check_shape(name, getattr(self, name), (3,))
-        check_shape("half_size_m", self.half_size_m, (2,))
+        super().__post_init__()
         axes = np.stack([self.axis_u, self.axis_v])
         if not np.allclose(axes @ axes.T, np.eye(2), atol=1e-9):
             raise ValueError("axis_u, axis_v: expected two orthogonal unit vectors")
@@ -148,8 +148,8 @@ class Face:
         return np.column_stack([self.axis_u, self.axis_v, self.origin_m])
 
 
-@dataclass(frozen=True, eq=False)
-class View:
+@dataclass(frozen=True, eq=False, repr=False)
+class View(Arrays, shapes="ray H W 2; ray_x H W 2; ray_y H W 2; light H W"):
     """A camera in the world: its rays, made once, and the light that falls off towards its corners.
 
     `ray` (H, W, 2): normalised coordinates x = X/Z, y = Y/Z of the pixel centres; `ray_x`, `ray_y` (H, W, 2): their
@@ -175,7 +175,12 @@ class View:
 
 
 def view_of(camera: Camera, camera_from_world: RigidTransform, falloff: float = 0.12) -> View:
-    """Return the view through `camera`; `falloff` is the loss of light at the image corners."""
+    """Return the view through `camera`; `falloff` is the loss of light at the image corners.
+
+    >>> camera = Camera.from_parameters(np.array([400.0, 400, 31.5, 23.5, 0, 0, 0, 0, 0]), np.array([64, 48]))
+    >>> view_of(camera, RigidTransform.identity()).light.shape
+    (48, 64)
+    """
     width, height = (int(n) for n in camera.size_px)
     x, y = np.meshgrid(np.arange(-1.0, width + 1), np.arange(-1.0, height + 1))
     ray = camera.undistort(np.stack([x, y], axis=-1))
@@ -195,7 +200,12 @@ def view_of(camera: Camera, camera_from_world: RigidTransform, falloff: float = 
 
 @dataclass(frozen=True)
 class ImageSensor:
-    """A camera's sensor: significant bits, electrons per grey level, read noise in grey levels."""
+    """A camera's sensor: significant bits, electrons per grey level, read noise in grey levels.
+
+    >>> sensor = ImageSensor(bit_depth=10)
+    >>> sensor.full_scale, int(sensor.digitise(np.array([[0.5]]), None)[0, 0])
+    (1023, 512)
+    """
 
     bit_depth: int = 12
     electrons_per_grey: float = 8.0
@@ -224,7 +234,6 @@ class ImageSensor:
 
 # Rendering by ray intersection: pixel aperture and exposure are integrated, lens blur is part of the face.
 
-
 _FAR = 4.0  # rim blur in σ beyond which a point is wholly inside or outside
 
 
@@ -234,6 +243,13 @@ def render(view: View, face: Face, poses: FloatArray, weights: FloatArray, nodes
     Every pixel is the mean over its square by `nodes` x `nodes` Gauss-Legendre points, and over the poses by the
     weights (summing to 1). A ray meets the moved face at homography·(x, y, 1); the rim is an error function of the
     distance from it, the face's texture carries the lens blur already.
+
+    >>> texture = speckle_texture((0.02, 0.02), 1e-3, 1e-4, 1e-4, np.random.default_rng(1))
+    >>> face = Face(np.zeros(3), np.eye(3)[0], np.eye(3)[1], np.array([0.01, 0.01]), False, texture, edge_blur_m=1e-4)
+    >>> camera = Camera.from_parameters(np.array([400.0, 400, 31.5, 23.5, 0, 0, 0, 0, 0]), np.array([64, 48]))
+    >>> view = view_of(camera, RigidTransform(np.eye(3), np.array([0, 0, 0.2])))
+    >>> render(view, face, np.zeros((1, 6)), np.ones(1)).shape
+    (48, 64)
     """
     maps = np.stack([view.homography(face, pose) for pose in poses])
     offsets, shares = _gauss_legendre(nodes, 1.0)
@@ -241,20 +257,8 @@ def render(view: View, face: Face, poses: FloatArray, weights: FloatArray, nodes
     tone = np.array([face.dark, face.bright - face.dark, face.background])
     size = np.array([face.half_size_m[0], face.half_size_m[1], float(face.round), face.edge_blur_m])
     grid = np.array([face.texture.origin_m[0], face.texture.origin_m[1], 1.0 / face.texture.step_m])
-    _integrate(
-        view.ray,
-        view.ray_x,
-        view.ray_y,
-        maps,
-        weights,
-        offsets,
-        shares,
-        face.texture.coefficients,
-        grid,
-        size,
-        tone,
-        image,
-    )
+    rays, aperture = (view.ray, view.ray_x, view.ray_y), (offsets, shares)
+    _integrate(rays, (maps, weights), aperture, (face.texture.coefficients, grid), size, tone, image)
     return image * view.light
 
 
@@ -278,21 +282,10 @@ def _gauss_legendre(nodes: int, length: float) -> tuple[FloatArray, FloatArray]:
 
 
 @njit(nogil=True, error_model="numpy")
-def _integrate(
-    ray: FloatArray,
-    ray_x: FloatArray,
-    ray_y: FloatArray,
-    maps: FloatArray,
-    weights: FloatArray,
-    offsets: FloatArray,
-    shares: FloatArray,
-    coefficients: NDArray[np.float32],
-    grid: FloatArray,
-    size: FloatArray,
-    tone: FloatArray,
-    image: FloatArray,
-) -> None:
+def _integrate(rays, motion, aperture, texture, size, tone, image):  # type: ignore[no-untyped-def]
     """Fill the image with the mean over aperture and exposure, in one pass over the pixels."""
+    (ray, ray_x, ray_y), (maps, weights) = rays, motion
+    (offsets, shares), (coefficients, grid) = aperture, texture
     rows, columns = image.shape
     nodes, poses = offsets.size, weights.size
     for i in range(rows):
@@ -329,7 +322,6 @@ def _cover(size: FloatArray, u: float, v: float) -> float:
 
 # The Cramér-Rao bound of the motion in a set of images: how well any program could place the body.
 
-
 _STEP_M = 2e-6  # translation and, at 0.1 m from the origin, rotation of a few hundredths of a pixel
 _STEP_RAD = 2e-5
 
@@ -363,7 +355,6 @@ def _slope(view: View, face: Face, pose: FloatArray, component: int, nodes: int)
 
 # A calibration session that was never held: the covariance that a stereo pair's parameters would have.
 
-
 # Steps of the numeric derivative, and what is known before the session (focal lengths and centres in px, the
 # distortion of a good lens, rotation in rad, translation in m). Without the latter k3 of a narrow field is open.
 _CAMERA_STEP = (0.1, 0.1, 0.1, 0.1, 1e-4, 1e-3, 1e-5, 1e-5, 1e-2)
@@ -383,7 +374,8 @@ def session_covariance(
     information with the target's poses marginalised (Schur complement of each view's 6 x 6 block); the target's own
     scale counts as exact and belongs to `scale_uncertainty`.
     """
-    target = _target(field_m)
+    x, y = np.meshgrid(np.linspace(-0.45, 0.45, 13) * field_m, np.linspace(-0.36, 0.36, 10) * field_m)
+    target = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=-1)
     information = np.diag(1 / _PRIOR**2)
     for _ in range(views):
         pose = np.concatenate(
@@ -397,12 +389,6 @@ def session_covariance(
     scale = np.sqrt(np.diagonal(information))
     covariance = np.linalg.inv(information / np.outer(scale, scale)) / np.outer(scale, scale)
     return np.asarray((covariance + covariance.T) / 2)
-
-
-def _target(field_m: float) -> FloatArray:
-    """Return the points (130, 3) of a flat grid that fills 0.9 of the field."""
-    x, y = np.meshgrid(np.linspace(-0.45, 0.45, 13) * field_m, np.linspace(-0.36, 0.36, 10) * field_m)
-    return np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=-1)
 
 
 def _slopes(

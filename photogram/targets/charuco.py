@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import BoolArray, FloatArray, IntArray
+from photogram.arrays import FloatArray, IntArray
 from photogram.targets.chessboard import _SEARCHED_PX, corner_view, eight_bit, reduced
 from photogram.targets.view import (
     Target,
@@ -37,7 +37,10 @@ def find_charuco(image: NDArray[Any], target: Target, name: str, full_scale: flo
     board = None if dictionary is None else _search(grey, target.size, dictionary)
     if board is None or dictionary is None:
         raise TargetNotFound(_reason(image, grey, target, dictionary, full_scale))
-    _refuse_another(board, target.size)
+    wanted = f"{target.size[0]} x {target.size[1]} squares"
+    if len(board.place) < _FIT_SHARE * board.seen:
+        fitting = f"{len(board.place)} of {board.seen} markers"
+        raise TargetNotFound(f"another target: only {fitting} are where a ChArUco board of {wanted} has them")
     index, start, axes = _expected(board, target.size)
     return corner_view(image, index, start, axes, name, full_scale, markers=True)
 
@@ -67,14 +70,6 @@ def _enlarged(board: Board | None, factor: int) -> Board | None:
     small_from_px = np.array([[1, 0, 0.5 - factor / 2], [0, 1, 0.5 - factor / 2], [0, 0, factor]]) / factor
     centre = (board.centre_px + 0.5) * factor - 0.5
     return Board(board.place, centre, board.lattice_from_px @ small_from_px, board.legacy, board.seen)
-
-
-def _refuse_another(board: Board, size: tuple[int, int]) -> None:
-    """Raise `TargetNotFound` where many markers are not in the places of this board, or all are seen in a mirror."""
-    wanted = f"{size[0]} x {size[1]} squares"
-    if len(board.place) < _FIT_SHARE * board.seen:
-        fitting = f"{len(board.place)} of {board.seen} markers"
-        raise TargetNotFound(f"another target: only {fitting} are where a ChArUco board of {wanted} has them")
 
 
 def _expected(board: Board, size: tuple[int, int]) -> tuple[IntArray, FloatArray, FloatArray]:
@@ -211,7 +206,10 @@ def find_markers(grey: NDArray[np.uint8], dictionary: str, first: int | None = N
     once = np.isin(number, value[count == 1])
     number, square = number[once], square[once]
     upper = square[:, 1] - square[:, 0] + square[:, 2] - square[:, 3]
-    return Markers(number, _crossing(square), upper)
+    one, two = square[:, 2] - square[:, 0], square[:, 3] - square[:, 1]
+    between = square[:, 1] - square[:, 0]
+    share = (between[:, 0] * two[:, 1] - between[:, 1] * two[:, 0]) / (one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0])
+    return Markers(number, np.asarray(square[:, 0] + share[:, None] * one), upper)
 
 
 def _predefined(name: str) -> Any:
@@ -222,14 +220,6 @@ def _predefined(name: str) -> Any:
     if code is None:
         raise ValueError(f"dictionary: expected a name as DICT_4X4_50 of OpenCV's dictionaries, found {name!r}")
     return cv2.aruco.getPredefinedDictionary(code)
-
-
-def _crossing(square: FloatArray) -> FloatArray:
-    """Return where the diagonals (N, 2) of quadrilaterals (N, 4, 2) cross."""
-    one, two = square[:, 2] - square[:, 0], square[:, 3] - square[:, 1]
-    between = square[:, 1] - square[:, 0]
-    share = (between[:, 0] * two[:, 1] - between[:, 1] * two[:, 0]) / (one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0])
-    return np.asarray(square[:, 0] + share[:, None] * one)
 
 
 def find_board(markers: Markers, size: tuple[int, int], shape: tuple[int, ...]) -> Board | None:
@@ -265,18 +255,13 @@ def _board(markers: Markers, size: tuple[int, int], legacy: bool) -> Board | Non
     if found is None:
         return None
     homography = np.asarray(found, dtype=np.float64)
-    good = _agree(homography, place, centre, upper)
-    if good.sum() < _FEWEST:
-        return None
-    return Board(place[good], centre[good], homography, legacy, len(markers.number))
-
-
-def _agree(homography: FloatArray, place: FloatArray, centre: FloatArray, upper: FloatArray) -> BoolArray:
-    """Return which markers (N,) lie where the homography puts them, turned as it has it."""
     at, beside = apply(homography, centre), apply(homography, centre + 0.25 * upper)
     way = beside - at
     aligned = way[:, 0] > _ALIGNED * np.linalg.norm(way, axis=1)
-    return np.asarray((np.linalg.norm(at - place, axis=1) < _TOLERANCE) & aligned)
+    good = np.asarray((np.linalg.norm(at - place, axis=1) < _TOLERANCE) & aligned)
+    if good.sum() < _FEWEST:
+        return None
+    return Board(place[good], centre[good], homography, legacy, len(markers.number))
 
 
 def apply(homography: FloatArray, points: FloatArray) -> FloatArray:

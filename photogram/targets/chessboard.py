@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photogram.arrays import BoolArray, FloatArray, IntArray
-from photogram.targets.crossing import GOOD, REASONS, Corners, refine_corners
+from photogram.targets.crossing import GOOD, REASONS, refine_corners
 from photogram.targets.view import (
     Target,
     TargetNotFound,
@@ -19,9 +19,6 @@ from photogram.targets.view import (
     picture_fault,
     picture_noise,
 )
-
-# From where corners of a lattice of squares are expected to the view of a target: measured, checked, judged.
-
 
 _LEAST_CONTRAST = 0.4  # of a corner, in units of the median over the target
 _ROOM = 0.75  # squares around the outermost corners that belong to the target's area
@@ -46,9 +43,12 @@ def corner_view(
     `markers`: the bright squares hold some, and only a strip along the edges is used, the narrower the softer they are.
     Raises `TargetNotFound` for a bad exposure, a blur, or where fewer than 6 corners, or all on one line, remain.
     """
-    area = outline(np.concatenate([start_px + _ROOM * side for side in _diagonals(axes_px)]))
+    across = [a * axes_px[:, 0] + b * axes_px[:, 1] for a in (-1, 1) for b in (-1, 1)]
+    area = outline(np.concatenate([start_px + _ROOM * diagonal for diagonal in across]))
     check_exposure(image, area, full_scale)
-    noise = picture_noise(_cut(image, area))
+    left, top = np.maximum(np.floor(area.min(axis=0)), 0).astype(int)
+    right, bottom = np.ceil(area.max(axis=0)).astype(int) + 1
+    noise = picture_noise(image[top:bottom, left:right])
     first = refine_corners(image, start_px, axes_px, noise, full_scale, strip=_STRIP if markers else np.inf)
     good = first.status == GOOD
     if good.sum() < _FEWEST:
@@ -60,8 +60,11 @@ def corner_view(
     strip = float(np.clip(_CLEAR - 2 * soft, _NARROWEST, _WIDEST)) if markers else np.inf
     corners = refine_corners(image, start, axes_px, noise, full_scale, bend, strip)
     check_blur(float(np.nanmedian(corners.blur_px)), side)
-    good = _belongs(index, corners)
-    if good.sum() < _FEWEST or _on_a_line(index[good]):
+    contrast = np.where(index.sum(axis=1) % 2 == 0, 1.0, -1.0) * corners.half_contrast
+    good = corners.status == GOOD
+    good = good & (contrast / np.median(contrast[good]) > _LEAST_CONTRAST)
+    on_a_line = np.linalg.matrix_rank(index[good] - index[good].mean(axis=0)) < 2 if good.any() else True
+    if good.sum() < _FEWEST or on_a_line:
         raise TargetNotFound(_few(corners.status, good))
     return TargetView(
         name,
@@ -115,31 +118,6 @@ def _powers(at: IntArray) -> FloatArray:
     return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
 
 
-def _diagonals(axes_px: FloatArray) -> list[FloatArray]:
-    """Return the ways (N, 2) from each corner across the four squares around it."""
-    return [a * axes_px[:, 0] + b * axes_px[:, 1] for a in (-1, 1) for b in (-1, 1)]
-
-
-def _cut(image: NDArray[Any], area: FloatArray) -> NDArray[Any]:
-    """Return the rectangle of the picture around a polygon."""
-    left, top = np.maximum(np.floor(area.min(axis=0)), 0).astype(int)
-    right, bottom = np.ceil(area.max(axis=0)).astype(int) + 1
-    return image[top:bottom, left:right]
-
-
-def _belongs(index: IntArray, corners: Corners) -> BoolArray:
-    """Return which corners were found with the colours and the contrast that they ought to have."""
-    good = corners.status == GOOD
-    contrast = np.where((index.sum(axis=1) % 2 == 0), 1.0, -1.0) * corners.half_contrast
-    usual = float(np.median(contrast[good]))
-    return np.asarray(good & (contrast / usual > _LEAST_CONTRAST))
-
-
-def _on_a_line(index: IntArray) -> bool:
-    """Return whether lattice points (N, 2) lie on one line."""
-    return bool(np.linalg.matrix_rank(index - index.mean(axis=0)) < 2)
-
-
 def _few(status: IntArray, good: BoolArray) -> str:
     """Return why too few corners are left."""
     lost = status[status != GOOD]
@@ -148,7 +126,6 @@ def _few(status: IntArray, good: BoolArray) -> str:
 
 
 # A chessboard in a picture: coarse search by OpenCV, which corner is which, sub-pixel positions.
-
 
 _SEARCHED_PX = 1400  # longest side of the picture in which the board is searched first
 
@@ -245,7 +222,12 @@ def _oriented(grey: NDArray[np.uint8], corners: FloatArray) -> FloatArray:
     turns = range(4) if columns == rows else (0, 2)
     candidates = [np.rot90(corners, turn) for turn in turns]
     black = [lattice for lattice in candidates if _begins_black(grey, lattice)]
-    return max(black or candidates, key=_rightward)
+
+    def rightward(lattice: FloatArray) -> float:
+        along = lattice[-1].mean(axis=0) - lattice[0].mean(axis=0)
+        return float(along[0] / np.linalg.norm(along))
+
+    return max(black or candidates, key=rightward)
 
 
 def _begins_black(grey: NDArray[np.uint8], lattice: FloatArray) -> bool:
@@ -255,12 +237,6 @@ def _begins_black(grey: NDArray[np.uint8], lattice: FloatArray) -> bool:
     brighter = np.nan_to_num(quadrants[..., :2].sum(-1) - quadrants[..., 2:].sum(-1))
     parity = np.add.outer(np.arange(lattice.shape[0]), np.arange(lattice.shape[1])) % 2
     return bool((brighter * np.where(parity == 0, 1, -1)).sum() < 0)
-
-
-def _rightward(lattice: FloatArray) -> float:
-    """Return the cosine between the first lattice direction and the picture's x axis."""
-    along = lattice[-1].mean(axis=0) - lattice[0].mean(axis=0)
-    return float(along[0] / np.linalg.norm(along))
 
 
 def _reason(image: NDArray[Any], grey: NDArray[np.uint8], size: tuple[int, int], full_scale: float) -> str:
@@ -275,7 +251,9 @@ def _reason(image: NDArray[Any], grey: NDArray[np.uint8], size: tuple[int, int],
         return f"no chessboard of {wanted} inner corners"
     rows, columns = lattice.shape[:2]
     seen = f"{max(rows, columns)} x {min(rows, columns)}"
-    if _near_edge(lattice, small.shape[1], small.shape[0]):
+    sides = [np.rot90(lattice, turn) for turn in range(4)]
+    beyond = np.concatenate([side[0] + 1.5 * (side[0] - side[1]) for side in sides])
+    if ((beyond < 0) | (beyond > [small.shape[1] - 1, small.shape[0] - 1])).any():
         return f"runs over the edge of the picture: {seen} of {wanted} inner corners are seen"
     return f"another target, or one partly covered: a chessboard of {seen} inner corners, expected {wanted}"
 
@@ -292,10 +270,3 @@ def _largest(grey: NDArray[np.uint8], size: tuple[int, int]) -> FloatArray | Non
         if found:
             lattices.append(np.asarray(corners, dtype=np.float64).reshape(*np.asarray(meta).shape[:2], 2))
     return max(lattices, key=lambda lattice: lattice.size, default=None)
-
-
-def _near_edge(lattice: FloatArray, width: int, height: int) -> bool:
-    """Return whether the next corner but one beyond a side of the lattice would lie outside the picture."""
-    sides = [np.rot90(lattice, turn) for turn in range(4)]
-    beyond = np.concatenate([side[0] + 1.5 * (side[0] - side[1]) for side in sides])
-    return bool(((beyond < 0) | (beyond > [width - 1, height - 1])).any())

@@ -9,12 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import FloatArray, IntArray, check_shape
+from photogram.arrays import Arrays, FloatArray, IntArray, check_shape
 from photogram.images import QUANTISATION, NoiseModel
 from photogram.kernels import njit
-
-# The kernel that fits the crossing of two edges to the grey values around a corner.
-
 
 PARAMETERS = 10  # centre x, y, angles of both edges' normals, mean, half contrast, relative slope x, y, blur of both
 GOOD, OUTSIDE, SATURATED, NO_CROSSING = 0, 1, 2, 3
@@ -90,15 +87,7 @@ def _model(p: FloatArray, bend: FloatArray, x: float, y: float, slope: FloatArra
 
 
 @njit(error_model="numpy")
-def _normal_equations(
-    image: NDArray[np.float32],
-    pixels: NDArray[np.int32],
-    p: FloatArray,
-    bend: FloatArray,
-    weight: FloatArray,
-    matrix: FloatArray,
-    vector: FloatArray,
-) -> float:
+def _normal_equations(image, pixels, p, bend, weight, matrix, vector):  # type: ignore[no-untyped-def]
     """Fill the weighted normal equations over the pixels (M, 2); return the weighted sum of squared residuals."""
     slope = np.empty(PARAMETERS)
     matrix[:] = 0.0
@@ -116,9 +105,7 @@ def _normal_equations(
 
 
 @njit(error_model="numpy")
-def _weigh(
-    pixels: NDArray[np.int32], taper: FloatArray, p: FloatArray, bend: FloatArray, noise: FloatArray, weight: FloatArray
-) -> None:
+def _weigh(pixels, taper, p, bend, noise, weight):  # type: ignore[no-untyped-def]
     """Fill weights (M,), taper/variance of the noise at the modelled grey values."""
     slope = np.empty(PARAMETERS)
     for k in range(pixels.shape[0]):
@@ -127,14 +114,7 @@ def _weigh(
 
 
 @njit(error_model="numpy")
-def _window(
-    image: NDArray[np.float32],
-    centre: FloatArray,
-    axes: FloatArray,
-    size: FloatArray,
-    pixels: NDArray[np.int32],
-    taper: FloatArray,
-) -> int:
+def _window(image, centre, axes, size, pixels, taper):  # type: ignore[no-untyped-def]
     """Fill the pixels (M, 2) of a corner's window; return their number, −1 if it runs over the picture's edge.
 
     Along the lattice's axes the window reaches `size[0]` of a square to either side. In quadrants of the colour
@@ -163,9 +143,7 @@ def _window(
 
 
 @njit(error_model="numpy")
-def _start(
-    image: NDArray[np.float32], pixels: NDArray[np.int32], centre: FloatArray, axes: FloatArray, p: FloatArray
-) -> None:
+def _start(image, pixels, centre, axes, p):  # type: ignore[no-untyped-def]
     """Fill start values: edges along the axes, grey levels from the means of equal and unequal quadrants."""
     sums, counts = np.zeros(2), np.full(2, 1e-9)
     determinant = axes[0, 0] * axes[1, 1] - axes[0, 1] * axes[1, 0]
@@ -185,14 +163,7 @@ def _start(
 
 
 @njit(error_model="numpy")
-def _fit(
-    image: NDArray[np.float32],
-    pixels: NDArray[np.int32],
-    bend: FloatArray,
-    weight: FloatArray,
-    p: FloatArray,
-    inverse: FloatArray,
-) -> float:
+def _fit(image, pixels, bend, weight, p, inverse):  # type: ignore[no-untyped-def]
     """Improve the parameters by Levenberg's method; return the weighted sum of squares, NaN without convergence.
 
     Fills inverse (2, 10), the centre's rows of the inverse of the normal matrix.
@@ -232,15 +203,7 @@ def _fit(
 
 
 @njit(error_model="numpy")
-def _spread(
-    pixels: NDArray[np.int32],
-    taper: FloatArray,
-    weight: FloatArray,
-    p: FloatArray,
-    bend: FloatArray,
-    inverse: FloatArray,
-    out: FloatArray,
-) -> None:
+def _spread(pixels, taper, weight, p, bend, inverse, out):  # type: ignore[no-untyped-def]
     """Fill the covariance xx, xy, yy of the centre: N⁻¹·Jᵀ·W·V·W·J·N⁻¹ with N = Jᵀ·W·J, V = taper/weight."""
     slope = np.empty(PARAMETERS)
     out[:] = 0.0
@@ -257,22 +220,14 @@ def _spread(
 
 
 @njit(nogil=True, error_model="numpy")
-def fit_crossings(
-    image: NDArray[np.float32],
-    start: FloatArray,
-    axes: FloatArray,
-    bend: FloatArray,
-    window: FloatArray,
-    noise: FloatArray,
-    saturation: float,
-    fitted: FloatArray,
-) -> None:
+def fit_crossings(image, corners, noise, saturation, fitted):  # type: ignore[no-untyped-def]
     """Fill fitted (N, 16) for corners expected at start (N, 2).
 
     fitted: parameters (10), covariance xx xy yy, reduced χ², share of saturated pixels, status.
     axes (N, 2, 2): a square's two sides in px. bend (N, 2): curvature of both edges, 1/px.
     window (N, 3): see `_window`. noise (3,): variance of a black pixel, its rise per grey value, its least value.
     """
+    start, axes, bend, window = corners
     buffer, weight, taper = np.empty((_MOST_PIXELS, 2), dtype=np.int32), np.empty(_MOST_PIXELS), np.empty(_MOST_PIXELS)
     inverse, p, size = np.empty((2, PARAMETERS)), np.empty(PARAMETERS), np.empty(3)
     for n in range(start.shape[0]):
@@ -310,7 +265,6 @@ def fit_crossings(
 
 # Sub-pixel positions of chessboard corners, by least squares to the crossing of two blurred edges.
 
-
 REASONS = {
     GOOD: "found",
     OUTSIDE: "too close to the picture's edge",
@@ -325,8 +279,8 @@ _MOST_SATURATED = 0.02  # share of a window
 _LEAST_SIGNAL = 4.0  # half contrast in standard deviations of the noise
 
 
-@dataclass(frozen=True, eq=False)
-class Corners:
+@dataclass(frozen=True, eq=False, repr=False)
+class Corners(Arrays, shapes="position_px N 2; covariance_px2 N 2 2; blur_px N; half_contrast N; misfit N; status N"):
     """Corners found: position_px (N, 2), covariance_px2 (N, 2, 2), NaN where `status` (N,) is not 0 (see `REASONS`).
 
     `blur_px` (N,): σ of the edges without the pixels' own width. `half_contrast` (N,): half the difference of the
@@ -340,14 +294,6 @@ class Corners:
     half_contrast: FloatArray
     misfit: FloatArray
     status: IntArray
-
-    def __post_init__(self) -> None:
-        """Refuse shapes that do not belong together."""
-        check_shape("position_px", self.position_px, (None, 2))
-        count = len(self.position_px)
-        check_shape("covariance_px2", self.covariance_px2, (count, 2, 2))
-        for name in ("blur_px", "half_contrast", "misfit", "status"):
-            check_shape(name, getattr(self, name), (count,))
 
 
 def refine_corners(
@@ -385,22 +331,7 @@ def refine_corners(
     window[:, 2] = _bright_quadrants(grey, start_px, axes_px) if np.isfinite(strip) else 0.0
     variance = np.array([noise.read_variance_grey2, noise.variance_per_grey, QUANTISATION])
     fitted = np.empty((count, 16))
-    fit_crossings(grey, start_px, axes_px, bend, window, variance, _SATURATED * full_scale, fitted)
-    return _corners(fitted, noise)
-
-
-def _bright_quadrants(grey: NDArray[np.float32], start_px: FloatArray, axes_px: FloatArray) -> FloatArray:
-    """Return +1 (N,) where the quadrants between axes of equal sign are the brighter ones near the corner, else −1."""
-    from scipy.ndimage import map_coordinates
-
-    place = np.array([[1, 1], [-1, -1], [1, -1], [-1, 1]]) * 0.08
-    points = start_px[:, None, :] + place @ axes_px
-    values = map_coordinates(grey, points.reshape(-1, 2).T[::-1], order=1, mode="nearest").reshape(-1, 4)
-    return np.where(values[:, :2].sum(axis=1) > values[:, 2:].sum(axis=1), 1.0, -1.0)
-
-
-def _corners(fitted: FloatArray, noise: NoiseModel) -> Corners:
-    """Return the fits as `Corners`, failed ones as NaN."""
+    fit_crossings(grey, (start_px, axes_px, bend, window), variance, _SATURATED * full_scale, fitted)
     status = fitted[:, 15].astype(np.int64)
     status[(status != OUTSIDE) & (fitted[:, 14] > _MOST_SATURATED)] = SATURATED
     sigma = np.sqrt(noise.variance(fitted[:, 4]))
@@ -416,3 +347,13 @@ def _corners(fitted: FloatArray, noise: NoiseModel) -> Corners:
         np.where(good, fitted[:, 13], np.nan),
         status,
     )
+
+
+def _bright_quadrants(grey: NDArray[np.float32], start_px: FloatArray, axes_px: FloatArray) -> FloatArray:
+    """Return +1 (N,) where the quadrants between axes of equal sign are the brighter ones near the corner, else −1."""
+    from scipy.ndimage import map_coordinates
+
+    place = np.array([[1, 1], [-1, -1], [1, -1], [-1, 1]]) * 0.08
+    points = start_px[:, None, :] + place @ axes_px
+    values = map_coordinates(grey, points.reshape(-1, 2).T[::-1], order=1, mode="nearest").reshape(-1, 4)
+    return np.where(values[:, :2].sum(axis=1) > values[:, 2:].sum(axis=1), 1.0, -1.0)

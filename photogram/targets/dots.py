@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import BoolArray, FloatArray, IntArray, check_shape
+from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
 from photogram.targets.ellipse import Blobs, Ellipses, find_blobs, fit_ellipses
 from photogram.targets.view import (
     Target,
@@ -80,7 +80,9 @@ def _attempt(image: NDArray[Any], blobs: Blobs, target: Target, name: str, full_
     """The view that these patches are, or why they are none."""
     lattice = find_lattice(blobs.centre_px, blobs.shape_px2)
     if len(lattice.member) < LEAST_DOTS:
-        return _too_few(len(lattice.member))
+        seen = len(lattice.member)
+        few = f"no grid of dots: {seen} on a lattice, at least {LEAST_DOTS} are needed"
+        return _Failure(seen, few if seen else "no dots")
     grid = _measure(image, blobs, lattice)
     dots = len(grid.index)
     if dots < LEAST_DOTS:
@@ -94,13 +96,6 @@ def _attempt(image: NDArray[Any], blobs: Blobs, target: Target, name: str, full_
     if isinstance(places, str):
         return _Failure(dots, places)
     return _view(grid, places, name, image.shape)
-
-
-def _too_few(dots: int) -> _Failure:
-    """What to say of a picture with hardly any dots."""
-    return _Failure(
-        dots, f"no grid of dots: {dots} on a lattice, at least {LEAST_DOTS} are needed" if dots else "no dots"
-    )
 
 
 def _measure(image: NDArray[Any], blobs: Blobs, lattice: Lattice) -> _Grid:
@@ -117,17 +112,17 @@ def _measure(image: NDArray[Any], blobs: Blobs, lattice: Lattice) -> _Grid:
     good[good] = off < OFF_LATTICE
     jacobian = jacobian[off < OFF_LATTICE]
     flip = np.array([1, -1 if len(jacobian) and np.median(np.linalg.det(jacobian)) < 0 else 1])
-    return _Grid(index[good] * flip, _select(ellipses, good), ring[good], jacobian * flip)
+    return _Grid(
+        index[good] * flip,
+        Ellipses(**{name: value[good] for name, value in vars(ellipses).items()}),
+        ring[good],
+        jacobian * flip,
+    )
 
 
 def _spacing(jacobian: FloatArray) -> FloatArray:
     """Lattice step (N,) in px: the root of the area of a cell, NaN without a Jacobian."""
     return np.asarray(np.sqrt(np.abs(jacobian[:, 0, 0] * jacobian[:, 1, 1] - jacobian[:, 0, 1] * jacobian[:, 1, 0])))
-
-
-def _select(ellipses: Ellipses, kept: BoolArray) -> Ellipses:
-    """The ellipses that are kept."""
-    return Ellipses(**{name: value[kept] for name, value in vars(ellipses).items()})
 
 
 def _places(grid: _Grid, target: Target, shape: tuple[int, ...]) -> IntArray | str:
@@ -170,9 +165,9 @@ def _places_from_size(grid: _Grid, target: Target, size: tuple[int, int], shape:
     mean = grid.jacobian.mean(axis=0) @ np.linalg.inv(basis)
     turns = [np.asarray(np.linalg.matrix_power(QUARTER_TURN, turn), dtype=np.int64) for turn in range(4)]
     turned = [(axes, _from_corner(grid.index @ basis.T @ axes.T)) for axes in turns]
-    fitting = [(_rightward(mean @ axes.T), places) for axes, places in turned if _same(places, wanted)]
-    if fitting:
-        return max(fitting, key=lambda fit: fit[0])[1]
+    fitting = [(mean @ axes.T, places) for axes, places in turned if _same(places, wanted)]
+    if fitting:  # the one whose first index runs most to the right
+        return max(fitting, key=lambda fit: float(fit[0][0, 0] / np.linalg.norm(fit[0][:, 0])))[1]
     if any(_same(_from_corner(places * np.array([-1, 1])), wanted) for _, places in turned):
         return "mirrored: the rows of the dots are shifted the wrong way"
     edge = "runs over the edge of the picture: " if _leaves(grid, shape) else ""
@@ -180,11 +175,6 @@ def _places_from_size(grid: _Grid, target: Target, size: tuple[int, int], shape:
         return f"{edge}{len(grid.index)} dots on a lattice, expected all {columns} x {rows}"
     extent = np.ptp(grid.index, axis=0) + 1
     return f"another grid: {len(grid.index)} dots within {extent[0]} x {extent[1]} places, expected {columns} x {rows}"
-
-
-def _rightward(jacobian: FloatArray) -> float:
-    """Cosine between the first index's direction and the picture's x."""
-    return float(jacobian[0, 0] / np.linalg.norm(jacobian[:, 0]))
 
 
 def _from_corner(index: IntArray) -> IntArray:
@@ -240,8 +230,8 @@ FEW_POINTS, LEAST_PAIRS = 16, 1.0
 AROUND = np.array([[1, 0], [0, 1], [-1, 0], [0, -1], [1, 1], [-1, 1], [-1, -1], [1, -1]])
 
 
-@dataclass(frozen=True, eq=False)
-class Lattice:
+@dataclass(frozen=True, eq=False, repr=False)
+class Lattice(Arrays, shapes="member N; index N 2"):
     """Places on a square lattice, up to where it begins and how it is turned or mirrored.
 
     `member` (N,): numbers of the patches; `index` (N, 2): their places, each once.
@@ -249,11 +239,6 @@ class Lattice:
 
     member: IntArray
     index: IntArray
-
-    def __post_init__(self) -> None:
-        """Refuse shapes that do not belong together."""
-        check_shape("member", self.member, (None,))
-        check_shape("index", self.index, (len(self.member), 2))
 
 
 def find_lattice(centre_px: FloatArray, shape_px2: FloatArray) -> Lattice:

@@ -9,11 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import BoolArray, FloatArray, check_shape
+from photogram.arrays import Arrays, BoolArray, FloatArray, check_shape
 from photogram.kernels import njit
-
-# Connected patches of a picture that look like round dots, dark on bright and bright on dark.
-
 
 LEAST_AREA_PX = 20
 EDGE_PX = 3
@@ -25,8 +22,8 @@ HOLE = (0.03, 0.6)
 HOLE_OFF_CENTRE = 0.15
 
 
-@dataclass(frozen=True, eq=False)
-class Blobs:
+@dataclass(frozen=True, eq=False, repr=False)
+class Blobs(Arrays, shapes="centre_px N 2; shape_px2 N 2 2; ring N"):
     """N patches: `centre_px` (N, 2), `shape_px2` S (N, 2, 2) of the ellipse xᵀ S⁻¹ x = 1 that has the patch's second
     moments, `ring` (N,): has a round hole in its middle, which counts as filled.
     """  # fmt: skip
@@ -34,12 +31,6 @@ class Blobs:
     centre_px: FloatArray
     shape_px2: FloatArray
     ring: BoolArray
-
-    def __post_init__(self) -> None:
-        """Refuse shapes that do not belong together."""
-        check_shape("centre_px", self.centre_px, (None, 2))
-        check_shape("shape_px2", self.shape_px2, (len(self.centre_px), 2, 2))
-        check_shape("ring", self.ring, (len(self.centre_px),))
 
     @property
     def radius_px(self) -> FloatArray:
@@ -157,7 +148,6 @@ def _fill_holes(patches: _Patches, others: _Patches) -> tuple[FloatArray, FloatA
 
 # The blurred ellipse that a round dot shows: its centre to a few thousandths of a pixel, with covariance.
 
-
 PARAMETERS = 10
 SECTORS = 16
 FIRST_BLUR_PX = 1.5
@@ -169,8 +159,11 @@ BAND_SIGMAS, LEAST_BAND_PX = 3.0, 2.0
 RING_SHARE = 0.25
 
 
-@dataclass(frozen=True, eq=False)
-class Ellipses:
+@dataclass(frozen=True, eq=False, repr=False)
+class Ellipses(
+    Arrays,
+    shapes="centre_px N 2; covariance_px2 N 2 2; shape_px2 N 2 2; blur_px N; contrast N; noise N; roughness_px N",
+):
     """N fitted ellipses (x − c)ᵀ S⁻¹ (x − c) = 1; all NaN where the fit failed.
 
     `centre_px` c (N, 2) and its `covariance_px2` (N, 2, 2); `shape_px2` S (N, 2, 2), of determinant (product of the
@@ -185,15 +178,6 @@ class Ellipses:
     contrast: FloatArray
     noise: FloatArray
     roughness_px: FloatArray
-
-    def __post_init__(self) -> None:
-        """Refuse shapes that do not belong together."""
-        count = len(self.centre_px)
-        check_shape("centre_px", self.centre_px, (count, 2))
-        for name in ("covariance_px2", "shape_px2"):
-            check_shape(name, getattr(self, name), (count, 2, 2))
-        for name in ("blur_px", "contrast", "noise", "roughness_px"):
-            check_shape(name, getattr(self, name), (count,))
 
     @property
     def radius_px(self) -> FloatArray:

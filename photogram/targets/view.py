@@ -8,11 +8,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import BoolArray, FloatArray, IntArray, check_shape
+from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
 from photogram.images import GreyImage, NoiseModel, fit_noise_model
-
-# A calibration target, and what one picture shows of it.
-
 
 TargetKind = Literal["chessboard", "charuco", "dots", "asymmetric-dots"]
 
@@ -26,6 +23,9 @@ class Target:
     `size`: columns and rows; of a chessboard its inner corners, of a ChArUco board its squares, of dots the dots
     (asymmetric: dots in a row, rows). None only for dots with three ring markers, which name their neighbours.
     `dictionary`: name of the ArUco dictionary, None to find it.
+
+    >>> Target("chessboard", spacing_m=9e-3, size=(10, 7)).size
+    (10, 7)
     """
 
     kind: TargetKind
@@ -34,7 +34,6 @@ class Target:
     dictionary: str | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a target without extent."""
         if not self.spacing_m > 0:
             raise ValueError(f"spacing_m: expected a length above 0, found {self.spacing_m}")
         if self.size is None and self.kind != "dots":
@@ -43,8 +42,8 @@ class Target:
             raise ValueError(f"size: expected at least 2 columns and rows, found {self.size[0]} x {self.size[1]}")
 
 
-@dataclass(frozen=True, eq=False)
-class TargetView:
+@dataclass(frozen=True, eq=False, repr=False)
+class TargetView(Arrays, shapes="index N 2; position_px N 2; covariance_px2 N 2 2; size_px 2"):
     """The points of a target in one picture.
 
     `name`: of the picture. `index` (N, 2): column and row of each point in the target's lattice, each pair once, so
@@ -64,11 +63,7 @@ class TargetView:
     size_px: IntArray
 
     def __post_init__(self) -> None:
-        """Refuse shapes that do not belong together and points named twice."""
-        check_shape("index", self.index, (None, 2))
-        check_shape("position_px", self.position_px, (len(self.index), 2))
-        check_shape("covariance_px2", self.covariance_px2, (len(self.index), 2, 2))
-        check_shape("size_px", self.size_px, (2,))
+        super().__post_init__()
         if len(np.unique(self.index, axis=0)) < len(self.index):
             raise ValueError("index: expected each point once, found one twice")
 
@@ -78,7 +73,6 @@ class TargetNotFound(ValueError):
 
 
 # Whether a picture of a target is good enough to measure in: exposure, contrast, blur, and its noise.
-
 
 _SATURATED = 0.995  # of full scale: what counts as saturated
 _MOST_SATURATED = 0.1  # share of the target's pixels that may be saturated
@@ -184,6 +178,13 @@ def find_target(image: GreyImage, target: Target, name: str, full_scale: int) ->
     """Return the points of `target` in a picture (H, W) called `name`; `full_scale` is its largest grey value.
 
     Raises `TargetNotFound` with what is wrong with the picture.
+
+    >>> board = Board(Target("chessboard", 9e-3, (8, 5)))
+    >>> camera = Camera.from_parameters(np.array([800.0, 800, 160, 120, 0, 0, 0, 0, 0]), np.array([320, 240]))
+    >>> pose = RigidTransform(np.eye(3), np.array([-0.035, -0.02, 0.3]))
+    >>> picture = ImageSensor(bit_depth=8).digitise(render_board(camera, pose, board), None)
+    >>> find_target(picture, board.target, "picture 1", 255).position_px[0].round(2)
+    array([66.67, 66.67])
     """
     if target.kind == "chessboard":
         from photogram.targets.chessboard import find_chessboard

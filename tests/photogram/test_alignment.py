@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from alignment_factory import BODY_M, TARGET, World, displaced, make_world, off, target_pose
+from alignment_factory import BODY_M, NOISE, TARGET, World, displaced, make_world, off, shaken, target_pose, turned
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import least_squares
 
 from photogram.alignment.evidence import Evidence, KnownFace, KnownPoints, KnownPoses, StatedFrame, across
-from photogram.alignment.seen import calibration_steps, seen_points, seen_target
-from photogram.alignment.solve import OpenPose, align
+from photogram.alignment.seen import by_parameters, calibration_steps, fit_axis, linear_motion, seen_points, seen_target
+from photogram.alignment.solve import Alignment, OpenPose, align
 from photogram.calibration.start import target_pose as find_pose
-from photogram.geometry import RigidTransform, rotation_from_vector, vector_from_rotation
+from photogram.camera import StereoRig
+from photogram.geometry import RigidTransform, displacement_jacobian, rotation_from_vector, skew, vector_from_rotation
+from photogram.motion import RigidMotion
+from photogram.targets.view import TargetView
 
 U_PX = 0.02
-CASES = 100
 
 
 def points(world: World, count: int = 16, u_m: float = 5e-6, datum: StatedFrame | None = None) -> KnownPoints:
@@ -124,25 +128,6 @@ KINDS: dict[str, Callable[[World], list[Evidence]]] = {
 }
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", list(KINDS))
-def test_a_hundred_rigs_are_covered_by_their_uncertainty(kind: str) -> None:
-    errors, normalised, whitened = [], [], []
-    for seed in range(CASES):
-        world = make_world(seed)
-        found = align(KINDS[kind](world))
-        error, white = world.error(found)
-        errors.append(error)
-        normalised.append(error / found.u)
-        whitened.append(white)
-    assert 0.9 < np.std(whitened) < 1.1
-    assert np.abs(normalised).max() < 4.5
-    turns = np.linalg.norm(np.array(errors)[:, 3:], axis=1)
-    assert np.quantile(turns, 0.5) < 2e-4
-    if kind != "common views":
-        assert np.sqrt(np.mean(np.array(errors)[:, 3:] ** 2)) < 1.3e-4
-
-
 def test_without_errors_the_pose_is_exact() -> None:
     world = make_world(3)
     seen = world.sensor_from_camera.inverse()
@@ -172,22 +157,12 @@ def test_another_sensor_frame_moves_the_pose_and_turns_its_covariance(seed: int,
     world = make_world(5)
     known = points(world)
     other_from_sensor = RigidTransform.from_pose(np.array(moved))
-    moved_points = KnownPoints(
-        known.names,
-        known.camera_m,
-        known.camera_covariance_m2,
-        other_from_sensor.apply(known.sensor_m),
-        known.sensor_covariance_m2,
-        known.calibration,
-    )
-    first, second = align([known]), align([moved_points])
+    first, second = align([known]), align([replace(known, sensor_m=other_from_sensor.apply(known.sensor_m))])
     expected = other_from_sensor @ first.sensor_from_camera
     np.testing.assert_allclose(second.sensor_from_camera.pose, expected.pose, atol=1e-9)
     # A displacement D about the old origin is T·D·T⁻¹ about the new one: the adjoint of the change of frame.
     adjoint = np.kron(np.eye(2), other_from_sensor.rotation)
-    t = other_from_sensor.translation_m
-    cross = np.array([[0, -t[2], t[1]], [t[2], 0, -t[0]], [-t[1], t[0], 0]])
-    adjoint[:3, 3:] = cross @ other_from_sensor.rotation
+    adjoint[:3, 3:] = skew(other_from_sensor.translation_m) @ other_from_sensor.rotation
     expected_covariance = adjoint @ first.covariance @ adjoint.T
     scale = np.sqrt(np.diagonal(expected_covariance))
     np.testing.assert_allclose(
@@ -216,9 +191,6 @@ def test_two_points_leave_the_turn_about_their_line_open() -> None:
 def test_parallel_faces_leave_three_components_open() -> None:
     world = make_world(7)
     first = faces(world)[0]
-    assert isinstance(first, KnownFace)
-    along = rotation_from_vector(np.cross(first.normal, [0.0, 0, 1])) @ first.normal
-    assert np.isfinite(along).all()
     with pytest.raises(OpenPose) as caught:
         align([first], world.sensor_from_camera)
     assert [name.split()[0] for name in caught.value.components] == ["rotation", "position"]
@@ -229,10 +201,7 @@ def test_one_wrong_point_is_named_and_enlarges_the_uncertainty() -> None:
     known = points(world)
     wrong = known.sensor_m.copy()
     wrong[5, 0] += 300e-6
-    spoiled = KnownPoints(
-        known.names, known.camera_m, known.camera_covariance_m2, wrong, known.sensor_covariance_m2, known.calibration
-    )
-    good, bad = align([known]), align([spoiled])
+    good, bad = align([known]), align([replace(known, sensor_m=wrong)])
     assert good.notices == ()
     assert bad.enlargement > 3
     (notice,) = bad.notices
@@ -245,17 +214,7 @@ def test_a_face_stated_at_the_wrong_height_is_named() -> None:
     world = make_world(9)
     known = [points(world), *faces(world)]
     wrong = known[2]
-    assert isinstance(wrong, KnownFace)
-    known[2] = KnownFace(
-        wrong.name,
-        wrong.camera_m,
-        wrong.camera_covariance_m2,
-        wrong.point_m + 2e-4 * wrong.normal,
-        wrong.normal,
-        wrong.calibration,
-        wrong.u_offset_m,
-        wrong.u_normal_rad,
-    )
+    known[2] = replace(wrong, point_m=wrong.point_m + 2e-4 * wrong.normal)
     assert align(known).notices[0].where == "face 1"
 
 
@@ -274,3 +233,259 @@ def test_wrong_calls_say_what_was_expected() -> None:
     camera = np.array([[0.0, 0, 1], [np.nan, 0, 1]])
     with pytest.raises(ValueError, match="expected finite points, found none for b"):
         KnownPoints(("a", "b"), camera, np.zeros((2, 3, 3)), camera, np.zeros((2, 3, 3)), np.zeros((0, 2, 3)))
+
+
+# The camera frame from motion: simulated rigs, directions of excitation and rotation axes.
+
+X, Y, Z = np.eye(3)
+U_DIRECTION = 5e-5
+U_POINT = 1e-5
+
+
+def near(world: World) -> RigidTransform:
+    """A provisional pose, 10 mm and 0.1 rad off."""
+    return displaced(world.sensor_from_camera, world.rng.normal(size=6) * np.repeat([1e-2, 1e-1], 3))
+
+
+def directions(world: World) -> list[Evidence]:
+    """Two directions of excitation."""
+    return [shaken(world, Z, U_DIRECTION, "along z"), shaken(world, X, U_DIRECTION, "along x")]
+
+
+def axes(world: World) -> list[Evidence]:
+    """Two axes."""
+    known = (U_POINT, U_DIRECTION)
+    return [
+        turned(world, np.array([0.0, 0, 0.03]), X, known, 0.06, "about x"),
+        turned(world, np.array([0.01, 0, 0.05]), Y, known, 0.06, "about y"),
+    ]
+
+
+def everything(world: World) -> list[Evidence]:
+    """Two directions of excitation and two axes."""
+    return [*directions(world), *axes(world)]
+
+
+def rough(world: World, u: np.ndarray) -> KnownPoses:
+    """A pose known before, wrong by what it states."""
+    stated = displaced(world.sensor_from_camera, -u * world.rng.normal(size=6))
+    moved = np.eye(6)
+    moved[:3] = displacement_jacobian(stated.translation_m)
+    covariance = (moved @ np.diag(u**2) @ moved.T)[None]
+    own = (RigidTransform.identity(),)
+    return KnownPoses(("before",), own, np.zeros((1, 6, 6)), (stated,), covariance, np.zeros((0, 1, 6)))
+
+
+MOTION_KINDS: dict[str, Callable[[World], list[Evidence]]] = {
+    "all": everything,
+    "axes": axes,
+    "directions, and a position known before": lambda world: [
+        *directions(world),
+        rough(world, np.array([1e-3] * 3 + [5e-3] * 3)),
+    ],
+}
+
+
+def check_rigs(kind: str, cases: int) -> None:
+    """Errors of rigs with every stated error drawn, against their stated uncertainty."""
+    errors, normalised, whitened = [], [], []
+    for seed in range(cases):
+        world = make_world(seed)
+        start = near(world) if kind in MOTION_KINDS else None
+        found = align({**KINDS, **MOTION_KINDS}[kind](world), start)
+        error, white = world.error(found)
+        errors.append(np.linalg.norm(error[3:]))
+        normalised.append(error / found.u)
+        whitened.append(white)
+    spread = 1 / np.sqrt(2 * 6 * cases)
+    assert abs(np.std(whitened) - 1.0) < max(0.1, 4 * spread)
+    assert np.abs(normalised).max() < 4.5
+    assert np.quantile(errors, 0.5) < 2e-4
+
+
+@pytest.mark.parametrize("kind", [*KINDS, *MOTION_KINDS])
+def test_a_few_rigs_are_covered_by_their_uncertainty(kind: str) -> None:
+    check_rigs(kind, 2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", [*KINDS, *MOTION_KINDS])
+def test_a_hundred_rigs_are_covered_by_their_uncertainty(kind: str) -> None:
+    check_rigs(kind, 100)
+
+
+def test_each_motion_leaves_open_what_it_cannot_say() -> None:
+    world = make_world(2)
+    along_z, along_x, about_x, about_y = everything(world)
+    truth = world.sensor_from_camera
+    expected = {
+        "rotation about z|position along x, y and z": [along_z],
+        "position along x, y and z": [along_z, along_x],
+        "rotation about x|position along x": [about_x],
+        "position along x": [along_z, about_x],
+    }
+    for components, evidence in expected.items():
+        with pytest.raises(OpenPose) as caught:
+            align(evidence, truth)
+        assert caught.value.components == tuple(components.split("|"))
+        assert ("a motion in another direction" in str(caught.value)) == ("rotation" in components)
+    assert align([about_x, about_y], truth).u[:3].max() < 1e-4
+
+
+def test_motion_alone_does_not_start_the_search() -> None:
+    with pytest.raises(ValueError, match="start: expected a first pose"):
+        align(everything(make_world(2)))
+
+
+def test_a_direction_that_is_wrong_is_named() -> None:
+    world = make_world(3)
+    evidence = everything(world)
+    elsewhere = shaken(world, rotation_from_vector(np.array([0, 0, 4e-3])) @ X, U_DIRECTION, "along x")
+    evidence[1] = replace(elsewhere, direction=X)
+    found = align(evidence, near(world))
+    assert found.notices[0].where == "along x"
+    assert found.enlargement > 2
+
+
+def test_the_major_axis_of_an_ellipse_is_the_motion() -> None:
+    direction, minor = np.array([0.6, 0.0, 0.8]), np.array([0.8, 0.0, -0.6])
+    phasor = np.concatenate([(2e-4 * direction + 3e-7j * minor) * np.exp(0.7j), np.zeros(3)])
+    covariance = np.kron(np.eye(2), np.diag([1e-16] * 3 + [1e-14] * 3))
+    motion, spread, effects, ellipse = linear_motion(phasor, covariance, np.zeros((2, 6), dtype=np.complex128))
+    np.testing.assert_allclose(np.abs(motion[:3]), 2e-4 * np.abs(direction), atol=1e-12)
+    np.testing.assert_allclose(spread, covariance[:6, :6], atol=1e-22)
+    assert effects.shape == (2, 6)
+    assert ellipse == pytest.approx(1.5e-3)
+
+
+def spun(rng: np.random.Generator, reach_rad: float, frames: int) -> tuple[RigidMotion, np.ndarray, np.ndarray]:
+    """A body turning about a random axis, in noisy frames against a noisy first one; the axis' point and direction."""
+    direction = rng.normal(size=3)
+    direction /= np.linalg.norm(direction)
+    point = 0.1 * rng.normal(size=3) @ (np.eye(3) - np.outer(direction, direction))
+    turns = rotation_from_vector(rng.uniform(-0.8, 1, frames)[:, None] * reach_rad * direction)
+    root = np.linalg.cholesky(NOISE)
+    first = displaced(RigidTransform.identity(), root @ rng.normal(size=6))
+    noisy = [displaced_pose(turn, point, root @ rng.normal(size=6)) @ first for turn in turns]
+    covariance = np.broadcast_to(NOISE, (frames, 6, 6))
+    pose = np.array([frame.pose for frame in noisy])
+    return RigidMotion(pose, covariance, np.zeros(frames), np.full(frames, 9), np.zeros(3)), point, direction
+
+
+def displaced_pose(turn: np.ndarray, point: np.ndarray, step: np.ndarray) -> RigidTransform:
+    """The pose of a frame, with noise of its translation and its rotation."""
+    return RigidTransform(rotation_from_vector(step[3:]) @ turn, point - turn @ point + step[:3])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("reach_rad", [2e-3, 0.08])
+def test_an_axis_is_covered_by_its_covariance(reach_rad: float) -> None:
+    rng = np.random.default_rng(1)
+    whitened, reduced = [], []
+    for _ in range(150):
+        motion, point, direction = spun(rng, reach_rad, 20)
+        axis = fit_axis(motion)
+        true = np.concatenate([point, direction * np.sign(direction @ axis.line[3:])])
+        rows = np.kron(np.eye(2), across(direction))
+        root = np.linalg.cholesky(rows @ axis.covariance @ rows.T)
+        whitened.append(np.linalg.solve(root, rows @ (axis.line - true)))
+        reduced.append(axis.chi2 / axis.dof)
+    assert 0.9 < np.std(whitened) < 1.06
+    assert np.mean(reduced) == pytest.approx(1.0, abs=0.06)
+
+
+def test_an_axis_agrees_with_a_general_optimiser_at_any_angle() -> None:
+    rng = np.random.default_rng(4)
+    motion, point, direction = spun(rng, 2.5, 30)
+    axis = fit_axis(motion)
+    assert abs(axis.line[3:] @ direction) == pytest.approx(1.0, abs=1e-10)
+    turns = rotation_from_vector(motion.pose[:, 3:])
+
+    def misfit(unknown: np.ndarray) -> np.ndarray:
+        return ((turns @ unknown + motion.pose[:, :3] - unknown) @ across(axis.line[3:]).T).ravel()
+
+    free = least_squares(misfit, np.zeros(3)).x
+    np.testing.assert_allclose(across(direction) @ (axis.line[:3] - free), 0, atol=2e-6)
+    np.testing.assert_allclose(across(direction) @ (axis.line[:3] - point), 0, atol=2e-6)
+
+
+def test_a_wobbling_axis_is_less_certain() -> None:
+    rng = np.random.default_rng(5)
+    steady, _, _ = spun(rng, 0.05, 40)
+    wobbling = replace(steady, pose=steady.pose + 3e-6 * rng.normal(size=steady.pose.shape))
+    first, second = fit_axis(steady), fit_axis(wobbling)
+    assert second.chi2 / second.dof > 4
+    assert np.trace(second.covariance) > 4 * np.trace(first.covariance)
+
+
+def test_a_body_at_rest_has_no_axis() -> None:
+    motion, _, _ = spun(np.random.default_rng(6), 1e-9, 20)
+    with pytest.raises(ValueError, match="expected a body that turns"):
+        fit_axis(motion)
+    with pytest.raises(ValueError, match="expected at least 3 frames"):
+        fit_axis(replace(motion, pose=np.full((20, 6), np.nan)))
+
+
+# What a calibration's errors do to a pose: the derivatives by its parameters against errors that are known.
+
+Views = tuple[TargetView, TargetView]
+U_PLACE_M, U_ROTATION_RAD = 1e-6, 1e-5
+
+
+def _aligned(rig: StereoRig, steps: np.ndarray, views: Views, placed: RigidTransform) -> Alignment:
+    """Align by one view of the target at a known pose."""
+    pose, covariance, effects = seen_target(rig, steps, TARGET, *views)
+    known = np.diag([U_PLACE_M] * 3 + [U_ROTATION_RAD] * 3) ** 2
+    evidence = KnownPoses(("view",), (pose,), covariance[None], (placed,), known[None], effects[:, None])
+    return align([evidence])
+
+
+def _seen(world: World, u_px: float) -> tuple[Views, RigidTransform]:
+    """Views of the target at a pose, and that pose as it is stated."""
+    placed = world.sensor_from_camera @ target_pose(world.rng, 0.3)
+    turn = rotation_from_vector(U_ROTATION_RAD * world.rng.normal(size=3))
+    shift = U_PLACE_M * world.rng.normal(size=3)
+    return world.view(placed, u_px), RigidTransform(turn @ placed.rotation, placed.translation_m + shift)
+
+
+def _between(start: RigidTransform, end: RigidTransform) -> np.ndarray:
+    """The displacement (6,) that leads from one pose to another."""
+    turn = end.rotation @ start.rotation.T
+    return np.concatenate([end.translation_m - turn @ start.translation_m, vector_from_rotation(turn)])
+
+
+def test_another_calibration_moves_the_pose_as_its_derivatives_say() -> None:
+    world = make_world(3)
+    steps = calibration_steps(world.rig)
+    views, placed = _seen(world, 0.01)
+    found = _aligned(world.rig, steps, views, placed)
+    change = by_parameters(found.by_calibration, steps)
+    assert np.allclose(change @ steps.T, found.by_calibration, rtol=1e-5, atol=1e-9)
+    for _ in range(5):
+        error = world.rng.normal(size=len(steps)) @ steps
+        moved = _aligned(world.rig.perturbed(error), steps, views, placed).sensor_from_camera
+        expected = displaced(found.sensor_from_camera, change @ error)
+        size = np.abs(_between(found.sensor_from_camera, moved))
+        assert (np.abs(_between(expected, moved)) < 0.02 * size.max()).all()
+
+
+@pytest.mark.slow
+def test_a_pose_moved_with_the_true_calibration_scatters_as_with_an_exact_one() -> None:
+    whitened = []
+    for seed in range(80):
+        world = make_world(seed)
+        steps = calibration_steps(world.rig)
+        found = _aligned(world.rig, steps, *_seen(world, 0.01))
+        turn = vector_from_rotation(world.true.right_from_left.rotation @ world.rig.right_from_left.rotation.T)
+        shift = world.true.right_from_left.translation_m - world.rig.right_from_left.translation_m
+        lens = [
+            getattr(world.true, side).parameters - getattr(world.rig, side).parameters for side in ("left", "right")
+        ]
+        moved = by_parameters(found.by_calibration, steps) @ np.concatenate([*lens, turn, shift])
+        error = _between(displaced(found.sensor_from_camera, moved), world.sensor_from_camera)
+        u = np.sqrt(np.diagonal(found.held_covariance))
+        root = np.linalg.cholesky(found.held_covariance / np.outer(u, u))
+        whitened.append(np.linalg.solve(root, error / u))
+        assert (u < 0.5 * found.u).any()
+    assert 0.9 < np.sqrt(np.mean(np.square(whitened))) < 1.1
+    assert np.abs(whitened).max() < 4.5

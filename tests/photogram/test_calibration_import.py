@@ -14,6 +14,8 @@ from scipy.spatial.transform import Rotation
 from photogram.calibration.file import read_calibration, write_calibration
 from photogram.calibration.foreign import ImportedCalibration
 from photogram.calibration.foreign_formats import import_calibration
+from photogram.camera import StereoRig
+from photogram.geometry import skew
 
 SIZE = (1280, 1024)
 K_LEFT = np.array([[3200.5, 0, 640.25], [0, 3198.75, 511.5], [0, 0, 1.0]])
@@ -154,7 +156,6 @@ def test_matlab_with_two_radial_coefficients_and_a_unit_nobody_knows(tmp_path: P
     content = _matlab(old=False)
     for name in ("CameraParameters1", "CameraParameters2"):
         camera = content[name]
-        assert isinstance(camera, dict)
         camera["RadialDistortion"], camera["WorldUnits"] = camera["RadialDistortion"][:2], "squares"
     path = _file(tmp_path, "stereo.json", json.dumps(content))
     with pytest.raises(ValueError, match="length_unit"):
@@ -274,8 +275,8 @@ def test_dice_polynomial_in_odd_powers_is_fitted_by_even_ones(tmp_path: Path) ->
 
 def _dice_text(fs: tuple[float, float] = (0.0, 0.0), size: bool = True, matrix: bool = False) -> str:
     lines = ["# a comment"]
-    for (k, d), skew in zip(((K_LEFT, D_LEFT), (K_RIGHT, D_RIGHT)), fs, strict=True):
-        values = (k[0, 2], k[1, 2], k[0, 0], k[1, 1], skew, d[0], d[1], d[4])
+    for (k, d), fs_px in zip(((K_LEFT, D_LEFT), (K_RIGHT, D_RIGHT)), fs, strict=True):
+        values = (k[0, 2], k[1, 2], k[0, 0], k[1, 1], fs_px, d[0], d[1], d[4])
         lines += [f"{v:.12g} # {n}" for v, n in zip(values, TEXT_NAMES, strict=True)]
     angles = Rotation.from_matrix(ROTATION).as_euler("xyz", degrees=True)
     outer = [*(ROTATION.ravel() if matrix else angles), *T_MM, *((SIZE[1], SIZE[0]) if size else ())]
@@ -307,12 +308,12 @@ def test_skew_is_taken_up_by_a_turn_as_far_as_it_can(tmp_path: Path, fs: tuple[f
     turned = next((n for n in imported.notices if n.where == "left camera"), None)
     turn = 1e-3 * float(turned.text.split("turned by ")[1].split(" mrad")[0]) if turned else 0.0
     points = POINTS_M @ Rotation.from_euler("z", turn).as_matrix().T  # the left camera's frame took the turn
-    for side, found, seen, skew in zip(("left", "right"), rig.project(points), expected, fs, strict=True):
+    for side, found, seen, fs_px in zip(("left", "right"), rig.project(points), expected, fs, strict=True):
         notices = [notice for notice in imported.notices if notice.where == f"{side} camera"]
-        assert len(notices) == (skew != 0)
+        assert len(notices) == (fs_px != 0)
         remaining = np.linalg.norm(found - seen, axis=1).max()
-        naive = abs(skew) * 512 / 3200
-        if skew:
+        naive = abs(fs_px) * 512 / 3200
+        if fs_px:
             promised = float(notices[0].text.split("up to ")[1].split(" px")[0])
             assert remaining < promised + 5e-3
             assert promised < 0.85 * naive
@@ -416,3 +417,84 @@ def test_exchanged_width_and_height_are_told(tmp_path: Path) -> None:
     assert {n.where for n in imported.notices if n.severity == "warning"} == {"left camera", "right camera"}
     with pytest.raises(ValueError, match="image_size: expected 1280x1024 as in the file, found 1024x1280"):
         import_calibration(_file(tmp_path, "sized.txt", _dice_text()), (1024, 1280))
+
+
+# Calibrations of other programs against what those programs, and the recordings they belong to, say.
+
+GT4_CAMERAS = (
+    (  # VIC-3D's calibration of the recording GT4, as DICe's regression test of it holds it
+        "955.0537385 645.2301624 6636.033383 6636.440175 -0.0005693077075",
+        (-0.0001957515272, 0.8739544595, -26.91426143),
+        "179.933221 9.415993919 -0.05775865407 -58.20738494 0.1641145944 20.16820788",
+    ),
+    (
+        "971.3275619 615.7965508 6609.847619 6609.16693 0.7051020868",
+        (-0.00522596687, 1.077694686, -30.05404073),
+        "-179.9418875 -9.416050875 0.04747312256 59.84373321 0.2184759676 21.04719884",
+    ),
+)
+
+
+def _gt4(folder: Path, sign: float) -> StereoRig:
+    """The rig of GT4 with the distortion coefficients multiplied by a factor."""
+    cameras = "".join(
+        f'<camera id="{index}">{inner} {" ".join(str(sign * k) for k in radial)}'
+        f"<orientation>{outer}</orientation></camera>"
+        for index, (inner, radial, outer) in enumerate(GT4_CAMERAS)
+    )
+    path = folder / "cal.xml"
+    path.write_text(f"<project><calibration>{cameras}</calibration></project>", encoding="utf-8")
+    return import_calibration(path, (1920, 1200)).rig
+
+
+def _epipolar_px(rig: StereoRig, left_px: np.ndarray, right_px: np.ndarray) -> np.ndarray:
+    """Sampson's distance of matches from the epipolar lines of the undistorted pictures, px."""
+    left, right = (
+        np.column_stack([camera.undistort(pixel), np.ones(len(pixel))])
+        for camera, pixel in ((rig.left, left_px), (rig.right, right_px))
+    )
+    essential = skew(rig.right_from_left.translation_m) @ rig.right_from_left.rotation
+    lines, back = left @ essential.T, right @ essential
+    gradient = np.sqrt((lines[:, :2] ** 2).sum(axis=1) + (back[:, :2] ** 2).sum(axis=1))
+    return np.asarray((right * lines).sum(axis=1) / gradient * rig.left.matrix[0, 0])
+
+
+def test_vic3d_calibration_fits_the_matches_of_its_recording(data_dir: Path, tmp_path: Path) -> None:
+    table = np.genfromtxt(
+        data_dir / "gt4_stereo" / "GT4-0273_0_epipolar_sift_r16.csv", delimiter=",", names=True, dtype=np.float64
+    )
+    left = np.column_stack([table["x"], table["y"]])
+    right = np.column_stack([table["r2_x"], table["r2_y"]])
+    residuals = {sign: _epipolar_px(_gt4(tmp_path, sign), left, right) for sign in (1.0, 0.0, -1.0)}
+    spread = {sign: 1.4826 * np.median(np.abs(e - np.median(e))) for sign, e in residuals.items()}
+    assert abs(np.median(residuals[1.0])) < 0.1
+    assert spread[1.0] < 0.02
+    assert spread[1.0] < 0.95 * spread[0.0] < 0.95 * spread[-1.0]
+    median = {sign: abs(np.median(e)) for sign, e in residuals.items()}
+    assert median[1.0] < median[0.0] < median[-1.0]
+
+
+def test_vic3d_project(data_dir: Path) -> None:
+    imported = import_calibration(data_dir / "static_stereo" / "cal.xml")
+    rig = imported.rig
+    assert imported.format == "VIC-3D"
+    assert rig.left.size_px.tolist() == [1280, 800]
+    assert rig.right_from_left.translation_m[0] == pytest.approx(0.1308, abs=1e-4)
+    angle = np.rad2deg(np.arccos((np.trace(rig.right_from_left.rotation) - 1) / 2))
+    assert angle == pytest.approx(2 * 9.015, abs=0.01)
+    assert all(notice.severity == "info" for notice in imported.notices)
+
+
+def test_dice_text_of_a_peer(data_dir: Path) -> None:
+    path = data_dir / "dotgrid_stereo" / "peer_cal.txt"
+    with pytest.raises(ValueError, match="image_size"):
+        import_calibration(path)
+    imported = import_calibration(path, (2448, 2048))
+    rig = imported.rig
+    np.testing.assert_allclose(rig.left.parameters[:4], [12577.41, 12575.82, 1202.508, 1056.028], atol=0.2)
+    assert rig.right.parameters[4] == 0.07
+    translation = [-0.086494, 0.000582, 0.02353]
+    np.testing.assert_allclose(rig.right_from_left.translation_m, translation, atol=2e-5)
+    warned = [notice.text for notice in imported.notices if notice.severity == "warning"]
+    assert len(warned) == 2
+    assert "a skew of -2.85 px" in warned[0]

@@ -2,15 +2,30 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy import ndimage
 
-from photogram.camera import Points
-from photogram.geometry import RigidTransform, fit_rigid
-from photogram.motion import RigidMotion, fit_motion, points_with_estimated_noise, relative_to
+from photogram.bspline import spline_of_image
+from photogram.calibration.file import read_calibration
+from photogram.camera import Points, triangulate
+from photogram.geometry import RigidTransform, fit_rigid, rotation_from_vector
+from photogram.motion import (
+    Deformation,
+    RigidMotion,
+    deformation,
+    fit_motion,
+    overlap_correlation,
+    points_with_estimated_noise,
+    relative_to,
+)
+from photogram.subsets.icgn import register
+from photogram.subsets.reference import prepare_reference
 
 ORIGIN = np.array([0.02, -0.01, 0.35])
 NOISE = np.array([[1.0, 0.2, 0.5], [0.2, 1.5, -0.4], [0.5, -0.4, 9.0]]) * 1e-12  # depth is the weak direction
@@ -283,3 +298,240 @@ def test_a_body_that_bends_is_not_turned_to_where_it_is_known_worst() -> None:
     assert np.max(np.abs(motion.pose[1, 3:])) < 1e-3
     assert np.sqrt(motion.covariance[1, 1, 1]) > 3e-5  # the misfit of a millimetre, not the noise of a micrometre
     np.testing.assert_allclose(motion.residual_m[1], 0.08 * np.std(y) / np.sqrt(3), rtol=0.05)
+
+
+# Residuals beside a rigid motion, against points that move as they are told.
+
+ROOT = np.array([[0.3, 0.0, 0.0], [0.05, 0.25, 0.0], [0.1, -0.2, 0.9]]) * 1e-6
+FRAMES = 60
+
+
+def plate(columns: int = 9, rows: int = 7) -> np.ndarray:
+    x, y = np.meshgrid(np.linspace(-0.05, 0.05, columns), np.linspace(-0.04, 0.04, rows))
+    return np.column_stack([x.ravel(), y.ravel(), np.full(x.size, 0.02)])
+
+
+def moving(rng: np.random.Generator, bent: np.ndarray | float = 0.0, uneven: float = 10.0) -> Points:
+    """Points whose noise grows away from the middle; the reference frame has noise of its own."""
+    rest = plate()
+    pose = np.concatenate([rng.normal(0, 1e-4, (FRAMES, 3)), rng.normal(0, 0.02, (FRAMES, 3))], axis=1)
+    pose[0] = 0.0
+    moved = (rest + bent) @ np.swapaxes(rotation_from_vector(pose[:, 3:]), 1, 2) + pose[:, None, :3]
+    grow = (1.0 + uneven * np.abs(rest[:, 0]))[:, None, None]
+    noise = rng.normal(size=moved.shape)[..., None, :] @ np.swapaxes(grow * ROOT, 1, 2)
+    covariance = np.broadcast_to(grow**2 * (ROOT @ ROOT.T), (*moved.shape, 3))
+    return Points(moved + noise[..., 0, :], covariance, np.zeros(moved.shape[:2]))
+
+
+def about(points: Points) -> tuple[RigidMotion, Deformation]:
+    """Against the first frame, whose noise is that of the reference."""
+    motion = fit_motion(points, None, np.array([0.01, 0.0, -0.03]))
+    return motion, deformation(points, motion)
+
+
+def squares(shape: Deformation) -> np.ndarray:
+    return np.einsum("fni,fnij,fnj->fn", shape.residual_m, np.linalg.inv(shape.covariance_m2), shape.residual_m)
+
+
+def test_a_rigid_body_leaves_noise_of_the_stated_covariance() -> None:
+    """Chi-square of all points, and of each point, over 8 series."""
+    found = np.array([squares(about(moving(np.random.default_rng(seed)))[1]) for seed in range(8)])
+    assert found.mean() / 3 == pytest.approx(1.0, abs=0.02)
+    np.testing.assert_allclose(found.mean(axis=(0, 1)) / 3, 1.0, atol=0.2)
+
+
+def test_without_the_leverage_of_the_fit_few_points_would_look_too_still() -> None:
+    points = moving(np.random.default_rng(9))
+    few = np.array([0, 8, 30, 54, 62])
+    part = Points(points.position_m[:, few], points.covariance_m2[:, few], points.reprojection_px[:, few])
+    shape = about(part)[1]
+    full = np.linalg.inv(part.covariance_m2)
+    assert squares(shape).mean() / 3 == pytest.approx(1.0, abs=0.1)
+    assert np.einsum("fni,fnij,fnj->fn", shape.residual_m, full, shape.residual_m).mean() / 3 < 0.7
+
+
+def test_bending_comes_back_in_the_axes_of_the_body() -> None:
+    """A saddle, orthogonal to all rigid motions, that turns with the body; constant parts are not seen."""
+    rest = plate()
+    saddle = rest[:, 0] ** 2 / np.mean(rest[:, 0] ** 2) - rest[:, 1] ** 2 / np.mean(rest[:, 1] ** 2)
+    swing = np.sin(np.arange(FRAMES))
+    bent = np.zeros((FRAMES, len(rest), 3))
+    bent[..., 2] = 2e-6 * np.multiply.outer(swing, saddle)
+    points = moving(np.random.default_rng(10), bent, 0.0)
+    shape = deformation(points, fit_motion(points, rest, np.zeros(3)), rest)
+    swing -= swing.mean()
+    found = np.einsum("k,kni->ni", swing, shape.residual_m) / np.sum(swing**2)
+    u = np.sqrt(np.diagonal(ROOT @ ROOT.T) / np.sum(swing**2))
+    truth = np.zeros_like(found)
+    truth[:, 2] = 2e-6 * saddle
+    assert np.mean(((found - truth) / u) ** 2) == pytest.approx(1.0, abs=0.25)
+    assert np.abs(truth).max() > 20 * u.max()
+
+
+def test_missing_points_are_missing_and_harm_nobody() -> None:
+    points = moving(np.random.default_rng(11))
+    points.position_m[5, 3] = np.nan
+    points.position_m[:, 7] = np.nan
+    shape = about(points)[1]
+    missing = np.zeros((FRAMES, len(plate())), bool)
+    missing[5, 3], missing[:, 7] = True, True
+    np.testing.assert_array_equal(np.isnan(shape.residual_m).all(axis=2), missing)
+    np.testing.assert_array_equal(np.isnan(shape.covariance_m2).any(axis=(2, 3)), missing)
+    np.testing.assert_allclose(np.nanmean(shape.residual_m[:, [0, 3]], axis=0), 0.0, atol=1e-18)
+
+
+def test_wrong_calls_are_named() -> None:
+    points = moving(np.random.default_rng(12))
+    motion = fit_motion(points, None, np.zeros(3))
+    with pytest.raises(ValueError, match="reference_m: expected an array of shape"):
+        deformation(points, motion, np.zeros((4, 3)))
+    part = Points(points.position_m[1:], points.covariance_m2[1:], points.reprojection_px[1:])
+    with pytest.raises(ValueError, match=r"motion\.pose: expected an array of shape"):
+        deformation(part, motion)
+
+
+# Noise that overlapping subsets share, by registration of noisy images and by Monte Carlo of the rigid fit.
+
+
+def test_correlation_of_registered_subsets_is_their_shared_area(make_texture) -> None:
+    """Subsets 7 px apart, 21 px wide: pairs by displacement, pooled over places and 120 noisy images."""
+    rng, radius, step = np.random.default_rng(1), 10, 7
+    image = 2000 + 500 * make_texture(seed=1, s=1.3, waves=80).image((110, 96))
+    centres = np.array([(x, y) for y in range(14, 83, step) for x in range(14, 97, step)], dtype=float)
+    reference = prepare_reference(spline_of_image(image), centres, radius)
+    found = [
+        register(
+            reference,
+            spline_of_image(image + rng.normal(0, 12, image.shape)),
+            np.zeros((len(centres), 6)),
+            30,
+            1e-5,
+            0.75,
+        )
+        for _ in range(120)
+    ]
+    moved = np.array([here.warp[:, [0, 3]] for here in found])
+    expected = overlap_correlation(centres, radius).toarray()
+    apart = np.abs(centres[:, None] - centres[None])
+    correlation = np.mean([np.corrcoef(moved[:, :, i].T) for i in range(2)], axis=0)
+    for across, down in ((step, 0), (0, step), (step, step), (2 * step, 0), (2 * step, step), (3 * step, 0)):
+        pairs = (apart[..., 0] == across) & (apart[..., 1] == down)
+        assert correlation[pairs].mean() == pytest.approx(expected[pairs].mean(), abs=0.06)
+        assert np.ptp(expected[pairs]) < 1e-12
+
+
+def test_scatter_of_a_rigid_fit_is_stated_with_the_correlation_and_not_without() -> None:
+    """White noise of the pixels averaged over the subsets moves the points; three times overlap in both directions."""
+    rng, radius, step, pixel = np.random.default_rng(2), 10, 7, 1e-4
+    side = 2 * radius + 1
+    rows, columns = np.mgrid[10:100:step, 10:120:step]
+    centres = np.column_stack([columns.ravel(), rows.ravel()]).astype(float)
+    reference = np.column_stack([centres * pixel, 1e-3 * np.sin(centres[:, 0])])
+    root = np.array([[1.0, 0, 0], [0.2, 0.9, 0], [0.3, -0.4, 3.0]]) * 1e-7
+    frames = 300
+    noise = np.empty((frames, len(centres), 3))
+    for k in range(frames):
+        field = [ndimage.uniform_filter(rng.normal(size=(110, 130)), side) * side for _ in range(3)]
+        noise[k] = np.stack([part[rows, columns].ravel() for part in field], axis=1) @ root.T
+    covariance = np.broadcast_to(root @ root.T, (frames, len(centres), 3, 3))
+    points = Points(reference + noise, covariance, np.zeros((frames, len(centres))))
+    origin = reference.mean(axis=0)
+    plain = fit_motion(points, reference, origin)
+    aware = fit_motion(points, reference, origin, overlap_correlation(centres, radius))
+    np.testing.assert_array_equal(plain.pose, aware.pose)
+    scatter = np.std(plain.pose, axis=0)
+    stated = [np.sqrt(np.diagonal(motion.covariance, axis1=1, axis2=2).mean(axis=0)) for motion in (plain, aware)]
+    np.testing.assert_allclose(scatter / stated[1], 1.0, atol=0.1)
+    assert np.all(scatter / stated[0] > 2.4)
+
+
+def test_side_by_side_nothing_is_shared() -> None:
+    centres = np.array([(x, y) for y in range(10, 80, 21) for x in range(10, 90, 21)], dtype=float)
+    np.testing.assert_array_equal(overlap_correlation(centres, 10).toarray(), np.eye(len(centres)))
+
+
+def test_correlation_is_one_of_noise() -> None:
+    """Symmetric, unit diagonal, positive semidefinite, and blind to missing subsets."""
+    centres = np.random.default_rng(3).uniform(20, 90, (60, 2))
+    centres[7] = np.nan
+    matrix = overlap_correlation(centres, 8).toarray()
+    np.testing.assert_array_equal(matrix, matrix.T)
+    np.testing.assert_array_equal(np.diag(matrix), 1.0)
+    assert np.linalg.eigvalsh(matrix).min() > -1e-12
+    assert np.count_nonzero(matrix[7]) == 1
+
+
+def test_independent_points_are_those_of_the_identity() -> None:
+    rng = np.random.default_rng(4)
+    reference = rng.normal(size=(12, 3))
+    covariance = np.broadcast_to(1e-6 * np.diag([1.0, 2.0, 9.0]), (3, 12, 3, 3))
+    position = reference + 1e-3 * rng.normal(size=(3, 12, 3))
+    position[1, 4] = np.nan
+    points = Points(position, covariance, np.zeros((3, 12)))
+    plain = fit_motion(points, reference, np.zeros(3))
+    apart = fit_motion(points, reference, np.zeros(3), overlap_correlation(100.0 * reference[:, :2], 1))
+    np.testing.assert_allclose(apart.covariance, plain.covariance, rtol=1e-9)
+
+
+def test_a_correlation_that_does_not_fit_is_named() -> None:
+    with pytest.raises(ValueError, match="radius_px: expected at least 1, found 0"):
+        overlap_correlation(np.zeros((3, 2)), 0)
+    points = Points(np.eye(3)[None], np.eye(3) * np.ones((1, 3, 1, 1)), np.zeros((1, 3)))
+    with pytest.raises(ValueError, match="correlation: expected a matrix of 3 points"):
+        fit_motion(points, None, np.zeros(3), overlap_correlation(np.zeros((2, 2)), 3))
+
+
+# A speckled body on a translation stage: 15 states of a published stereo DIC experiment.
+
+UM = 1e-6
+
+
+@pytest.fixture(scope="module")
+def stage_m(data_dir: Path) -> np.ndarray:
+    with np.load(data_dir / "duodic_rigid" / "matched_points.npz") as file:
+        return np.asarray(file["stage_translation_m"])
+
+
+@pytest.fixture(scope="module")
+def points(data_dir: Path) -> Points:
+    rig = read_calibration(data_dir / "duodic_rigid" / "calibration.json")
+    with np.load(data_dir / "duodic_rigid" / "matched_points.npz") as file:
+        return triangulate(rig, file["left"], file["right"])
+
+
+@pytest.fixture(scope="module")
+def motion(points: Points) -> RigidMotion:
+    return fit_motion(points, None, np.nanmean(points.position_m[0], axis=0))
+
+
+def test_missing_matches_are_missing_points(points: Points) -> None:
+    assert np.count_nonzero(np.isnan(points.reprojection_px)) == 1
+    assert np.nanmedian(points.reprojection_px) < 0.06
+
+
+def test_translation_agrees_with_the_stage(motion: RigidMotion, stage_m: np.ndarray) -> None:
+    error = np.linalg.norm(motion.pose[:, :3], axis=1) - stage_m
+    assert np.abs(error[1:]).mean() <= 1.8 * UM  # published for these images: 1.3 um; an independent evaluation: 1.69
+    assert np.abs(error).max() < 4 * UM
+
+
+def test_motion_is_one_straight_line(motion: RigidMotion) -> None:
+    shift = motion.pose[:, :3]
+    direction = shift[-1] / np.linalg.norm(shift[-1])
+    across = shift - np.outer(shift @ direction, direction)
+    assert np.linalg.norm(across, axis=1).max() < 10 * UM
+    assert np.degrees(np.linalg.norm(motion.pose[:, 3:], axis=1)).max() * 3600 < 51  # arc seconds, published
+
+
+def test_body_stays_rigid(points: Points) -> None:
+    """Residual of Arun's fit: the stated bar. It grows with the travel: 0.88 um of the last state lie along it."""
+    for position in points.position_m[1:]:
+        known = np.isfinite(position).all(axis=1) & np.isfinite(points.position_m[0]).all(axis=1)
+        first, now = points.position_m[0][known], position[known]
+        residual = now - fit_rigid(first, now).apply(first)
+        assert np.sqrt((residual**2).mean()) <= 1.0 * UM
+
+
+def test_few_points_are_rejected(motion: RigidMotion) -> None:
+    assert motion.points.min() > 0.99 * 3475
+    assert motion.residual_m.max() < 1.4 * UM  # the likely fit weighs depth less and so leaves more of it

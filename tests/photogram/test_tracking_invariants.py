@@ -29,7 +29,7 @@ Images = Sequence[np.ndarray]
 
 
 @pytest.fixture(scope="module")
-def frames(make_texture) -> list[np.ndarray]:  # type: ignore[no-untyped-def]
+def frames(make_texture) -> list[np.ndarray]:
     """A plane that shifts and turns, 12 bit with noise."""
     texture = make_texture(seed=41, s=1.5, waves=60)
     middle, images = np.array(SIZE) / 2, []
@@ -173,7 +173,7 @@ def motion_of(rig: StereoRig, left: Images, right: Images, origin_m: np.ndarray)
     return fit_motion(points, None, origin_m)
 
 
-def test_swapped_cameras_see_the_same_motion(stereo) -> None:  # type: ignore[no-untyped-def]
+def test_swapped_cameras_see_the_same_motion(stereo) -> None:
     """The left camera lays the grid, so other subsets are followed: the same motion within its uncertainty."""
     rig, (left, right) = stereo
     swap = StereoRig(rig.right, rig.left, rig.right_from_left.inverse())

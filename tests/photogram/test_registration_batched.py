@@ -42,18 +42,18 @@ def grey(texture_image: np.ndarray) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def texture(make_texture):  # type: ignore[no-untyped-def]
+def texture(make_texture):
     return make_texture(seed=21, s=1.5)
 
 
-def moved(texture, shift, turn: float = 0.0, stretch: float = 1.0) -> np.ndarray:  # type: ignore[no-untyped-def]
+def moved(texture, shift, turn: float = 0.0, stretch: float = 1.0) -> np.ndarray:
     """Image of the texture moved by `shift`, turned and stretched about the middle."""
     matrix = stretch * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     return grey(texture.image(SIZE, lambda p: (p - MIDDLE - shift) @ np.linalg.inv(matrix).T + MIDDLE))
 
 
 @pytest.fixture(scope="module")
-def noisy_frames(texture) -> NDArray[np.uint16]:  # type: ignore[no-untyped-def]
+def noisy_frames(texture) -> NDArray[np.uint16]:
     """The body at rest, shifted, turned, stretched: 12-bit images with noise."""
     rng = np.random.default_rng(22)
     exact = [
@@ -65,7 +65,7 @@ def noisy_frames(texture) -> NDArray[np.uint16]:  # type: ignore[no-untyped-def]
     return np.rint(np.stack(exact) + rng.normal(0, NOISE, (4, *exact[0].shape))).astype(np.uint16)
 
 
-def both_engines(  # type: ignore[no-untyped-def]
+def both_engines(
     reference: Reference, images, start, degree: int = 5, limits=LIMITS, precision: str = "float64", working_bytes=None
 ) -> list[tuple[Registration, Registration]]:
     """Results of the compiled and of the batched engine, frame by frame."""
@@ -109,7 +109,7 @@ def test_prefilter_takes_every_kind_of_grey_value(kind: str) -> None:
 
 def test_importing_the_package_does_not_import_torch() -> None:
     """Torch takes seconds to import, also for those who track on the CPU."""
-    ask = "import sys, photogram.icgn_torch, photogram.subsets.track; print('torch' in sys.modules)"
+    ask = "import sys, photogram.subsets.icgn_torch, photogram.subsets.track; print('torch' in sys.modules)"
     answer = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True)
     assert answer.stdout.strip() == "False"
 
@@ -125,7 +125,7 @@ def test_polynomials_are_b_splines(degree: int) -> None:
 
 
 @pytest.mark.parametrize(("degree", "order"), [(3, 1), (5, 0), (5, 1), (5, 2)])
-def test_same_results_as_the_compiled_engine(noisy_frames, degree: int, order: int) -> None:  # type: ignore[no-untyped-def]
+def test_same_results_as_the_compiled_engine(noisy_frames, degree: int, order: int) -> None:
     reference = prepare_reference(spline_of_image(noisy_frames[0], degree), CENTRES, 10, order)
     start = np.zeros((4, len(CENTRES), 6))
     start[2, :, 2], start[2, :, 4] = -0.02, 0.02
@@ -134,7 +134,7 @@ def test_same_results_as_the_compiled_engine(noisy_frames, degree: int, order: i
         assert_same(expected, found)
 
 
-def test_curved_starts_give_the_same_results(noisy_frames) -> None:  # type: ignore[no-untyped-def]
+def test_curved_starts_give_the_same_results(noisy_frames) -> None:
     """Starts of order 2 with curvature, of which some reach out of the image by it."""
     reference = prepare_reference(spline_of_image(noisy_frames[0]), CENTRES, 10, order=2)
     start = np.random.default_rng(23).normal(0, 2e-3, (4, len(CENTRES), 12))
@@ -143,7 +143,7 @@ def test_curved_starts_give_the_same_results(noisy_frames) -> None:  # type: ign
         assert_same(expected, found, atol_px=1e-5)
 
 
-def test_float32_holds_1e_5_px(noisy_frames) -> None:  # type: ignore[no-untyped-def]
+def test_float32_holds_1e_5_px(noisy_frames) -> None:
     reference = prepare_reference(spline_of_image(noisy_frames[0]), CENTRES, 10)
     start = np.zeros((4, len(CENTRES), 6))
     for expected, found in both_engines(reference, noisy_frames, start, precision="float32"):
@@ -152,7 +152,7 @@ def test_float32_holds_1e_5_px(noisy_frames) -> None:  # type: ignore[no-untyped
         np.testing.assert_allclose(found.residual_grey2, expected.residual_grey2, rtol=1e-3, atol=0.01)
 
 
-def test_failures_have_the_same_status(texture, noisy_frames) -> None:  # type: ignore[no-untyped-def]
+def test_failures_have_the_same_status(texture, noisy_frames) -> None:
     """Flat and leaving subsets, absent starts, starts that lead astray, too few iterations, too little correlation."""
     first = noisy_frames[0].astype(np.float64)
     first[70:, 100:] = 500.0
@@ -173,7 +173,7 @@ def test_failures_have_the_same_status(texture, noisy_frames) -> None:  # type: 
     assert seen == set(TrackStatus) - {TrackStatus.SATURATED}
 
 
-def test_portions_change_nothing(noisy_frames) -> None:  # type: ignore[no-untyped-def]
+def test_portions_change_nothing(noisy_frames) -> None:
     reference = torch_reference(prepare_reference(spline_of_image(noisy_frames[0]), CENTRES, 10), "cpu")
     frames, start = spline_frames(noisy_frames, 5, "cpu"), np.zeros((4, len(CENTRES), 6))
     whole = register_frames(reference, frames, start, *LIMITS)
@@ -184,7 +184,7 @@ def test_portions_change_nothing(noisy_frames) -> None:  # type: ignore[no-untyp
 
 
 @pytest.mark.parametrize("order", [0, 1, 2])
-def test_every_tensor_is_made_on_the_device(noisy_frames, order: int) -> None:  # type: ignore[no-untyped-def]
+def test_every_tensor_is_made_on_the_device(noisy_frames, order: int) -> None:
     """On torch's device without data, one step of the pairs fails where a tensor of the CPU is mixed in."""
     import torch
 
@@ -203,14 +203,14 @@ def test_every_tensor_is_made_on_the_device(noisy_frames, order: int) -> None:  
         assert tensor.device.type == "meta"
 
 
-def test_starts_stay_as_they_were(noisy_frames) -> None:  # type: ignore[no-untyped-def]
+def test_starts_stay_as_they_were(noisy_frames) -> None:
     reference = torch_reference(prepare_reference(spline_of_image(noisy_frames[0]), CENTRES, 10), "cpu")
     start = np.zeros((4, len(CENTRES), 6))
     register_frames(reference, spline_frames(noisy_frames, 5, "cpu"), start, *LIMITS)
     assert not start.any()
 
 
-def test_analytic_truth_comes_back(texture) -> None:  # type: ignore[no-untyped-def]
+def test_analytic_truth_comes_back(texture) -> None:
     """A sum of plane waves is moved exactly: no interpolation has made these images."""
     turn, shift = 0.02, np.array([0.4, -0.3])
     images = np.stack([moved(texture, shift, turn), moved(texture, 2 * shift)])
@@ -226,14 +226,14 @@ def test_analytic_truth_comes_back(texture) -> None:  # type: ignore[no-untyped-
     np.testing.assert_allclose(np.nanmean(shifted.warp[:, [0, 3]], axis=0), 2 * shift, atol=3e-4)
 
 
-def swinging(texture, count: int, amplitude_px: float) -> tuple[list[np.ndarray], np.ndarray]:  # type: ignore[no-untyped-def]
+def swinging(texture, count: int, amplitude_px: float) -> tuple[list[np.ndarray], np.ndarray]:
     """Noisy frames of a body that swings, beginning at rest in the middle; and its true shifts (count,2)."""
     rng = np.random.default_rng(24)
     shifts = amplitude_px * np.sin(0.9 * np.arange(count))[:, None] * [1.0, -0.5]
     return [image + rng.normal(0, NOISE, image.shape) for image in (moved(texture, s) for s in shifts)], shifts
 
 
-def one_by_one(reference: Reference, images, settings: TrackSettings) -> Iterator[Registration]:  # type: ignore[no-untyped-def]
+def one_by_one(reference: Reference, images, settings: TrackSettings) -> Iterator[Registration]:
     """The frames after the first, followed by the compiled engine."""
     history = [identity(reference).warp]
     for image in images[1:]:
@@ -243,7 +243,7 @@ def one_by_one(reference: Reference, images, settings: TrackSettings) -> Iterato
         yield here
 
 
-def test_series_is_followed_like_by_the_compiled_engine(texture) -> None:  # type: ignore[no-untyped-def]
+def test_series_is_followed_like_by_the_compiled_engine(texture) -> None:
     images, _ = swinging(texture, 12, 0.8)
     settings = TrackSettings()
     reference = prepare_reference(spline_of_image(images[0]), CENTRES, settings.radius_px)
@@ -256,7 +256,7 @@ def test_series_is_followed_like_by_the_compiled_engine(texture) -> None:  # typ
         assert np.sqrt(np.nanmean(apart**2)) < 3e-4
 
 
-def test_large_swing_is_found_wherever_the_compiled_engine_finds_it(texture) -> None:  # type: ignore[no-untyped-def]
+def test_large_swing_is_found_wherever_the_compiled_engine_finds_it(texture) -> None:
     """Nine pixels are out of reach of the first starts: search, then the sine foretold over whole batches."""
     images, shifts = swinging(texture, 24, 9.0)
     settings = TrackSettings()
@@ -269,7 +269,7 @@ def test_large_swing_is_found_wherever_the_compiled_engine_finds_it(texture) -> 
         assert np.sum(here.status == TrackStatus.OK) <= right[0].sum() + 1
 
 
-def test_a_jump_within_a_batch_is_survived(texture) -> None:  # type: ignore[no-untyped-def]
+def test_a_jump_within_a_batch_is_survived(texture) -> None:
     """Rest, then a jump that no prediction foretells: it is searched in each frame of that batch, later foretold."""
     rng, settings = np.random.default_rng(25), TrackSettings()
     rest, jumped = moved(texture, [0, 0]), moved(texture, [6.3, -5.2])
@@ -312,7 +312,7 @@ def test_what_cannot_be_foretold_is_taken_frame_by_frame() -> None:
     assert len(forecast_warps([np.zeros((5, 6))] * 14, 32)) == 14
 
 
-def test_no_more_than_two_batches_are_read_ahead(texture) -> None:  # type: ignore[no-untyped-def]
+def test_no_more_than_two_batches_are_read_ahead(texture) -> None:
     read = []
 
     def images() -> Iterator[np.ndarray]:
@@ -328,7 +328,7 @@ def test_no_more_than_two_batches_are_read_ahead(texture) -> None:  # type: igno
     assert count == 39
 
 
-def test_wrong_calls_are_refused(noisy_frames) -> None:  # type: ignore[no-untyped-def]
+def test_wrong_calls_are_refused(noisy_frames) -> None:
     reference = prepare_reference(spline_of_image(noisy_frames[0]), CENTRES, 10)
     frames = spline_frames(noisy_frames, 5, "cpu")
     assert frames.size_px == SIZE
@@ -361,13 +361,13 @@ def test_wrong_calls_are_refused(noisy_frames) -> None:  # type: ignore[no-untyp
         ("cuda", False, True, "cuda"),
     ],
 )
-def test_device_is_chosen(monkeypatch, choice, driver, torch_finds, expected) -> None:  # type: ignore[no-untyped-def]
+def test_device_is_chosen(monkeypatch, choice, driver, torch_finds, expected) -> None:
     monkeypatch.setattr(device_module, "_has_driver", lambda: driver)
     monkeypatch.setattr(device_module, "_torch_finds_cuda", lambda: torch_finds)
     assert resolve_device(choice) == expected
 
 
-def test_an_absent_gpu_is_an_error_only_when_asked_for(monkeypatch) -> None:  # type: ignore[no-untyped-def]
+def test_an_absent_gpu_is_an_error_only_when_asked_for(monkeypatch) -> None:
     monkeypatch.setattr(device_module, "_torch_finds_cuda", lambda: False)
     with pytest.raises(ValueError, match="device: expected a GPU that torch can use for 'cuda', found none"):
         resolve_device("cuda")
@@ -375,7 +375,7 @@ def test_an_absent_gpu_is_an_error_only_when_asked_for(monkeypatch) -> None:  # 
         resolve_device("gpu")
 
 
-def test_a_machine_without_a_driver_is_not_asked_for_torch(monkeypatch) -> None:  # type: ignore[no-untyped-def]
+def test_a_machine_without_a_driver_is_not_asked_for_torch(monkeypatch) -> None:
     def refuse(name: str) -> None:
         raise OSError(f"{name}: no such library")
 

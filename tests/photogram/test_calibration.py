@@ -85,12 +85,12 @@ def _in_order(calibration: Calibration) -> np.ndarray:
     return np.array([place[tuple(index)] for index in INDEX])
 
 
+@pytest.mark.slow
 def test_parameters_come_back_within_their_covariance() -> None:
     normalised, lengths = [], []
     for seed in range(12):
         rng = np.random.default_rng(seed)
         calibration = calibrate_pair(_views(rng, _poses(rng, 10)), TARGET)
-        assert calibration.rig.covariance is not None
         error = _errors(calibration.rig)
         normalised.append(error / np.sqrt(np.diagonal(calibration.rig.covariance)))
         lengths.append(error @ np.linalg.solve(calibration.rig.covariance, error))
@@ -175,7 +175,6 @@ def test_outlying_points_and_pictures_are_named_and_left_out() -> None:
     assert told["L2"].points == 2
     assert told["R7"].points == 0
     assert set(told) == {"L2", "R7"}
-    assert calibration.rig.covariance is not None
     assert np.abs(_errors(calibration.rig) / np.sqrt(np.diagonal(calibration.rig.covariance))).max() < 4.5
 
 
@@ -250,8 +249,6 @@ def test_scale_uncertainty_lies_along_the_baseline() -> None:
     rng = np.random.default_rng(10)
     pairs = _views(rng, _poses(rng, 8))
     plain, scaled = calibrate_pair(pairs, TARGET), calibrate_pair(pairs, TARGET, scale_u=1e-3)
-    assert plain.rig.covariance is not None
-    assert scaled.rig.covariance is not None
     added = scaled.rig.covariance - plain.rig.covariance
     baseline = scaled.rig.right_from_left.translation_m
     assert np.allclose(added[21:, 21:], 1e-6 * np.outer(baseline, baseline), rtol=1e-6, atol=1e-16)
@@ -265,8 +262,6 @@ def test_views_of_one_camera_alone_still_count() -> None:
     pairs = _views(rng, _poses(rng, 10))
     both = calibrate_pair(pairs[:6], TARGET)
     more = calibrate_pair([*pairs[:6], *((left, None) for left, _ in pairs[6:])], TARGET)
-    assert both.rig.covariance is not None
-    assert more.rig.covariance is not None
     u_both, u_more = (np.sqrt(np.diagonal(c)) for c in (both.rig.covariance, more.rig.covariance))
     assert (u_more[:9] < u_both[:9]).all()
 
@@ -294,7 +289,6 @@ def test_points_off_the_lattice_are_found_where_asked_for() -> None:
     similar = np.column_stack([FLAT[:, :2], np.ones(len(FLAT))])  # place, turn and scale of the whole are a convention
     left_over -= similar @ np.linalg.lstsq(similar, left_over, rcond=None)[0]
     assert left_over.std() < 0.2 * 3e-5
-    assert free.rig.covariance is not None
     assert np.abs(_errors(free.rig) / np.sqrt(np.diagonal(free.rig.covariance))).max() < 4.5
 
 

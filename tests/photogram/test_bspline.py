@@ -1,0 +1,243 @@
+"""B-splines: SciPy's exact prefilter, polynomials, finite differences, Monte Carlo of the noise gains."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from scipy import ndimage
+
+from photogram.bspline import (
+    PADDING_PX,
+    Spline,
+    basis,
+    evaluate,
+    grey_values,
+    noise_gain,
+    sample_line,
+    slope_noise_gain,
+    spline_of_image,
+)
+from photogram.kernels import njit
+from photogram.subsets.reference import AFFINE_SUMS, CURVED_SUMS, RUN_SUMS, affine_sums, curved_sums, run_sums
+
+
+@pytest.mark.parametrize("degree", [3, 5])
+@pytest.mark.parametrize("shape", [(8, 9), (37, 90), (130, 65)])
+def test_coefficients_and_values_are_scipys(degree: int, shape: tuple[int, int]) -> None:
+    rng = np.random.default_rng(3)
+    image = rng.normal(size=shape)
+    spline = spline_of_image(image, degree)
+    inside = spline.coefficients[PADDING_PX:-PADDING_PX, PADDING_PX:-PADDING_PX]
+    np.testing.assert_allclose(inside, ndimage.spline_filter(image, degree, mode="mirror"), atol=1e-11)
+    points = rng.uniform(0, [shape[1] - 1, shape[0] - 1], (500, 2))
+    expected = ndimage.map_coordinates(image, points[:, ::-1].T, order=degree, mode="mirror")
+    np.testing.assert_allclose(evaluate(spline, points)[0], expected, atol=1e-11)
+
+
+@pytest.mark.parametrize("degree", [3, 5, 7])
+def test_the_spline_passes_through_the_pixels(degree: int) -> None:
+    image = np.random.default_rng(4).integers(0, 4096, (20, 24), dtype=np.uint16)
+    rows, columns = np.indices(image.shape)
+    points = np.column_stack([columns.ravel(), rows.ravel()]).astype(float)
+    np.testing.assert_allclose(evaluate(spline_of_image(image, degree), points)[0], image.ravel(), atol=1e-9)
+    np.testing.assert_allclose(grey_values(spline_of_image(image, degree)), image, atol=1e-9)
+
+
+@pytest.mark.parametrize("degree", [3, 5, 7])
+def test_polynomials_of_the_degree_are_exact_far_from_the_border(degree: int) -> None:
+    x = np.arange(121.0) - 60.0
+    image = np.add.outer((x / 10) ** degree, (x / 10) ** (degree - 1))
+    points = np.random.default_rng(5).uniform(57, 63, (200, 2))
+    u, v = (points - 60.0).T / 10
+    values, gradients = evaluate(spline_of_image(image, degree), points)
+    np.testing.assert_allclose(values, v**degree + u ** (degree - 1), atol=1e-9)
+    np.testing.assert_allclose(gradients[:, 0], (degree - 1) * u ** (degree - 2) / 10, atol=1e-8)
+    np.testing.assert_allclose(gradients[:, 1], degree * v ** (degree - 1) / 10, atol=1e-8)
+
+
+def test_speckle_is_interpolated_to_the_known_accuracy(make_texture) -> None:
+    texture = make_texture(seed=6, s=1.5)
+    image = texture.image((64, 64))
+    points = np.random.default_rng(6).uniform(12, 52, (2000, 2))
+    error = {
+        degree: np.std(evaluate(spline_of_image(image, degree), points)[0] - texture(points)) for degree in (3, 5, 7)
+    }
+    assert error[5] < 1e-3
+    assert error[3] > 3 * error[5]
+    assert error[5] > 2 * error[7]
+
+
+def test_points_outside_the_image_are_nan() -> None:
+    spline = spline_of_image(np.ones((10, 12)))
+    values, gradients = evaluate(spline, np.array([[-0.01, 5], [11.01, 5], [5, 9.01], [np.nan, 5], [11, 9]]))
+    assert np.isnan(values).tolist() == [True, True, True, True, False]
+    assert np.isnan(gradients).all(axis=1).tolist() == [True, True, True, True, False]
+
+
+@pytest.mark.parametrize("degree", [3, 5, 7])
+def test_noise_gains_are_those_of_noise(degree: int) -> None:
+    noise = np.random.default_rng(7).normal(size=(400, 400))
+    spline = spline_of_image(noise, degree)
+    places = np.stack(np.meshgrid(np.arange(10.0, 390), np.arange(10.0, 390)), axis=-1).reshape(-1, 2)
+    for shift in (0.0, 0.25, 0.5):
+        values, gradients = evaluate(spline, places + np.array([shift, 0.0]))
+        assert np.var(values) == pytest.approx(float(noise_gain(np.array(shift), degree)), rel=0.02)
+        if shift == 0.0:
+            assert np.var(gradients[:, 0]) == pytest.approx(slope_noise_gain(degree), rel=0.02)
+
+
+def test_wrong_input_is_named() -> None:
+    with pytest.raises(ValueError, match="degree: expected 3, 5 or 7, found 4"):
+        spline_of_image(np.ones((10, 10)), 4)
+    with pytest.raises(ValueError, match="image: expected at least 8 x 8 px"):
+        spline_of_image(np.ones((5, 10)))
+    with pytest.raises(ValueError, match="degree: expected 3, 5 or 7"):
+        Spline(np.ones((16, 16)), 2)
+
+
+# Values along lines of points against the point-by-point evaluation, which goes by another formula for the weights.
+
+IMAGE = np.random.default_rng(51).uniform(0, 4095, (64, 70))
+SPLINES = {degree: spline_of_image(IMAGE, degree) for degree in (3, 5, 7)}
+
+
+def check(degree: int, start: tuple[float, float], step: tuple[float, float], count: int) -> None:
+    points = np.asarray(start) + np.arange(count)[:, None] * np.asarray(step)
+    grey = np.full(count, np.nan)
+    sample_line(SPLINES[degree].coefficients, degree, *start, *step, grey)
+    np.testing.assert_allclose(grey, evaluate(SPLINES[degree], points)[0], rtol=1e-12, atol=1e-12 * 4095)
+
+
+@pytest.mark.parametrize("degree", [3, 5, 7])
+@settings(max_examples=300, deadline=None)
+@given(
+    x=st.floats(0, 69),
+    y=st.floats(0, 63),
+    length=st.floats(0.5, 1.5),
+    angle=st.one_of(st.floats(-0.1, 0.1), st.floats(-np.pi, np.pi)),
+    count=st.integers(1, 44),
+)
+def test_lines_of_any_direction(degree: int, x: float, y: float, length: float, angle: float, count: int) -> None:
+    step = (length * np.cos(angle), length * np.sin(angle))
+    last_x, last_y = x + (count - 1) * step[0], y + (count - 1) * step[1]
+    assume(0 <= last_x <= 69 and 0 <= last_y <= 63)
+    check(degree, (x, y), step, count)
+
+
+@pytest.mark.parametrize("degree", [3, 5, 7])
+@pytest.mark.parametrize(
+    ("start", "step", "count"),
+    [
+        ((0.0, 0.0), (1.0, 0.0), 70),
+        ((0.0, 63.0), (1.0, 0.0), 70),
+        ((69.0, 63.0), (-1.0, 0.0), 70),
+        ((69.0, 0.0), (0.0, 1.0), 64),
+        ((0.0, 62.9999999), (1.0, 1e-9), 70),
+        ((38.0, 63.0), (1.0, 0.0), 32),
+        ((5.3, 7.9999999), (1.0000001, 1e-8), 31),
+        ((0.5, 20.0), (1.0 - 1e-14, -1e-14), 31),
+    ],
+)
+def test_lines_along_pixels_and_edges(
+    degree: int, start: tuple[float, float], step: tuple[float, float], count: int
+) -> None:
+    check(degree, start, step, count)
+
+
+def test_nothing_but_the_line_is_written() -> None:
+    grey = np.full(40, -1.0)
+    sample_line(SPLINES[5].coefficients, 5, 20.3, 30.1, 0.999, 0.2, grey[4:17])
+    assert np.all(grey[:4] == -1.0)
+    assert np.all(grey[17:] == -1.0)
+    assert np.all(grey[4:17] != -1.0)
+
+
+# Sums by eight pixels at a time against numpy, and kernels against what they may be compiled into.
+
+FREE = {"contract", "reassoc", "nsz", "arcp"}
+
+
+@njit()
+def subset(grey, mean, pixels, offsets, affine, curved):
+    """Sums over a subset."""
+    affine_sums(grey, mean, pixels, offsets, affine)
+    curved_sums(grey, mean, pixels, offsets, curved)
+
+
+@njit()
+def run(grey, mean, pixels, start, dx, sums):
+    """Sums over a run."""
+    run_sums(grey, mean, pixels, start, dx, sums)
+
+
+@pytest.mark.parametrize("count", [1, 7, 8, 9, 31, 441])
+def test_sums_of_any_length(count: int) -> None:
+    rng = np.random.default_rng(count)
+    grey, mean, pixels = rng.uniform(0, 4095, count), 2000.0, rng.normal(0, 300, (3, count))
+    (dx, dy), (affine, curved) = rng.integers(-10, 11, (2, count)).astype(float), (np.empty(9), np.empty(6))
+    subset(grey, mean, pixels, np.stack([dx, dy]), affine, curved)
+    g, (f, fx, fy) = grey - mean, pixels
+    expected = [g, g * g, f * g, fx * g, fx * dx * g, fx * dy * g, fy * g, fy * dx * g, fy * dy * g]
+    expected += [slope * bend * g for slope in (fx, fy) for bend in (dx * dx / 2, dx * dy, dy * dy / 2)]
+    assert (len(affine), len(curved)) == (AFFINE_SUMS, CURVED_SUMS)
+    for found, terms in zip([*affine, *curved], expected, strict=True):
+        assert abs(found - terms.sum()) <= 1e-14 * np.abs(terms).sum()
+
+
+@pytest.mark.parametrize("count", [1, 8, 21])
+def test_sums_of_a_run_within_a_row(count: int) -> None:
+    rng = np.random.default_rng(count)
+    grey, mean, pixels, sums = rng.uniform(0, 4095, count), 2000.0, rng.normal(0, 3, (4, 40)), np.empty(RUN_SUMS)
+    run(grey, mean, pixels, 13, -7.5, sums)
+    g, dx, (w, f, fx, fy) = grey - mean, np.arange(count) - 7.5, pixels[:, 13 : 13 + count]
+    expected = [w * g, w * g * g, f * g, fx * g, fx * dx * g, fy * g, fy * dx * g]
+    for found, terms in zip(sums, expected, strict=True):
+        assert abs(found - terms.sum()) <= 1e-14 * np.abs(terms).sum()
+
+
+def test_a_kernel_keeps_its_own_options_whoever_calls_it_first() -> None:
+    """Python rounds every operation by itself; so does a kernel that a function of other options is compiled with."""
+    kernel = njit()(basis.py_func)
+
+    @numba.njit(fastmath=FREE, error_model="numpy")
+    def caller(places, degree, values, slopes):
+        for k in range(len(places)):
+            kernel(places[k], degree, values[k], slopes[k])
+
+    places = np.random.default_rng(8).uniform(0.0, 1.0, 200)
+    found, expected = np.zeros((2, 200, 8)), np.zeros((2, 200, 8))
+    caller(places, 7, *found)
+    for place, *rows in zip(places, *expected, strict=True):
+        basis.py_func(float(place), 7, *rows)
+    assert found.tobytes() == expected.tobytes()
+
+
+def test_lanes_give_the_same_bits_in_any_function() -> None:
+    rng = np.random.default_rng(9)
+    coefficients, lines = rng.uniform(0, 4095, (40, 48)), rng.uniform(8, 12, (50, 2))
+
+    @numba.njit(fastmath=FREE)
+    def free(coefficients, lines, grey):
+        for k in range(len(lines)):
+            sample_line(coefficients, 7, lines[k, 0], lines[k, 1], 1.001, 0.01, grey[k])
+
+    def alone(coefficients, lines, grey):
+        for line, row in zip(lines, grey, strict=True):
+            sample_line(coefficients, 7, line[0], line[1], 1.001, 0.01, row)
+
+    results = []
+    sampled: tuple[Callable[..., None], ...] = (free, alone)
+    for function in sampled:
+        results.append(np.full((50, 21), np.nan))
+        function(coefficients, lines, results[-1])
+    assert results[0].tobytes() == results[1].tobytes()
+
+
+def test_options_by_which_copies_of_a_kernel_differ_are_none() -> None:
+    with pytest.raises(TypeError, match="fastmath"):
+        njit(fastmath=True)
