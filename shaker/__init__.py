@@ -8,35 +8,62 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from shaker.compensation.filter import Compensation, CompensationFilter
+    from shaker.decoupling.filter import design_decoupling
+    from shaker.decoupling.fit import fit_steps
+    from shaker.elastomer.frame import solve_frame
     from shaker.frf.chain import ChainResponse
     from shaker.frf.impact import transfer_impact
     from shaker.frf.periodic import transfer_periodic
     from shaker.frf.random import transfer_random
     from shaker.frf.result import TransferRecord
+    from shaker.identification.oscillator import fit_resonance
     from shaker.io import read_channels
     from shaker.io.channel import RawChannel
     from shaker.lines.detection import survey_lines
     from shaker.lines.rate_planner import Sampling, lines_of, plan_at
+    from shaker.lti.indices import indices
+    from shaker.lti.system import LinearSystem
+    from shaker.mechanics import MassChain
+    from shaker.release.fit import fit_step
+    from shaker.release.load_series import identify_loads
+    from shaker.release.reading import read_release
+    from shaker.release.record import StepRecord
     from shaker.sine.fit import fit_sines
     from shaker.sine.phasor import Phasors
     from shaker.sine.solve import SineModel
+    from shaker.static_rotation.masses import fit_weights
     from shaker.timebase.edges import find_edges
     from shaker.timebase.tie import tie_clocks
     from shaker.timebase.trigger import fit_trigger
 
 _MODULES = {
     "ChainResponse": "shaker.frf.chain",
+    "Compensation": "shaker.compensation.filter",
+    "CompensationFilter": "shaker.compensation.filter",
+    "LinearSystem": "shaker.lti.system",
+    "MassChain": "shaker.mechanics",
     "Phasors": "shaker.sine.phasor",
     "RawChannel": "shaker.io.channel",
     "Sampling": "shaker.lines.rate_planner",
     "SineModel": "shaker.sine.solve",
+    "StepRecord": "shaker.release.record",
     "TransferRecord": "shaker.frf.result",
+    "design_decoupling": "shaker.decoupling.filter",
     "find_edges": "shaker.timebase.edges",
+    "fit_resonance": "shaker.identification.oscillator",
     "fit_sines": "shaker.sine.fit",
+    "fit_step": "shaker.release.fit",
+    "fit_steps": "shaker.decoupling.fit",
     "fit_trigger": "shaker.timebase.trigger",
+    "fit_weights": "shaker.static_rotation.masses",
+    "identify_loads": "shaker.release.load_series",
+    "indices": "shaker.lti.indices",
     "lines_of": "shaker.lines.rate_planner",
     "plan_at": "shaker.lines.rate_planner",
     "read_channels": "shaker.io",
+    "read_release": "shaker.release.reading",
+    "solve_frame": "shaker.elastomer.frame",
     "survey_lines": "shaker.lines.detection",
     "tie_clocks": "shaker.timebase.tie",
     "transfer_impact": "shaker.frf.impact",
@@ -47,18 +74,32 @@ _MODULES = {
 
 __all__ = [
     "ChainResponse",
+    "Compensation",
+    "CompensationFilter",
+    "LinearSystem",
+    "MassChain",
     "Phasors",
     "RawChannel",
     "Sampling",
     "SineModel",
+    "StepRecord",
     "TransferRecord",
     "__version__",
+    "design_decoupling",
     "find_edges",
+    "fit_resonance",
     "fit_sines",
+    "fit_step",
+    "fit_steps",
     "fit_trigger",
+    "fit_weights",
+    "identify_loads",
+    "indices",
     "lines_of",
     "plan_at",
     "read_channels",
+    "read_release",
+    "solve_frame",
     "survey_lines",
     "tie_clocks",
     "transfer_impact",

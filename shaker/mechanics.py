@@ -145,6 +145,13 @@ class MassChain:
 
     `mass` kg, `stiffness` N/m, `damping` N·s/m (N,) along an axis, or kg·m², N·m/rad, N·m·s/rad about it.
     mᵢ ẍᵢ = kᵢ(xᵢ₋₁ - xᵢ) + bᵢ(ẋᵢ₋₁ - ẋᵢ) - kᵢ₊₁(xᵢ - xᵢ₊₁) - bᵢ₊₁(ẋᵢ - ẋᵢ₊₁), x₀ the base.
+
+    >>> import numpy as np
+    >>> from shaker import MassChain
+    >>> load = MassChain(("load",), np.array([7.7]), np.array([4e6]), np.array([50.0]))
+    >>> frequency_hz, damping_ratio = load.modes()
+    >>> print(f"{frequency_hz[0]:.1f} Hz, damping ratio {damping_ratio[0]:.4f}")
+    114.7 Hz, damping ratio 0.0045
     """
 
     stages: tuple[str, ...]

@@ -232,6 +232,12 @@ class Compensation:
     The zeros are the poles of `sensor` that go, the poles those of `target`: at least as many, so that it is proper.
     gain is 1, or 1/H(0) of the sensor where the filter is `calibrated` and turns the output into the load (paper "load
     characteristics", eqs. 15 and 17, for one mode).
+
+    >>> from shaker import Compensation
+    >>> from shaker.compensation.filter import Target, single_mode
+    >>> faster = Compensation(single_mode(300.0, 0.02), Target(1000.0, 0.7))
+    >>> print(f"gain {abs(faster.system.response([1000.0])[0]):.1f} at 1 kHz")
+    gain 7.2 at 1 kHz
     """
 
     sensor: SensorDynamics
@@ -448,6 +454,14 @@ class CompensationFilter:
     number, in the unit of the input; None: at the first sample. `switch` changes the coefficients before the next
     sample: every section keeps its last two inputs and outputs, so that the output goes on from where it was. A
     constant signal does not notice a switch, and a smooth one moves by no more than its own change over one sample.
+
+    >>> import numpy as np
+    >>> from shaker import Compensation, CompensationFilter
+    >>> from shaker.compensation.filter import Target, sampled, single_mode
+    >>> run = CompensationFilter(sampled(Compensation(single_mode(300.0, 0.02), Target(1000.0, 0.7)), 20e3), level=None)
+    >>> first, second = run(np.ones((1, 100))), run(np.ones((1, 100)))
+    >>> print(first[0, -1].round(9), second[0, -1].round(9))  # a constant load stays what it is
+    1.0 1.0
     """
 
     def __init__(self, sections: Sections, channels: int = 1, level: FloatArray | float | None = 0.0) -> None:

@@ -39,6 +39,19 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
     Output-error least squares over the common poles and every record's release, residues by projection; numbers of
     modes and real poles by a rule, at most `most_modes` and `most_reals`. All records hold the same channels at one
     rate. Loads that the outputs do not tell apart are refused with their names.
+
+    >>> import numpy as np
+    >>> from shaker import StepRecord, fit_steps
+    >>> time_s, rng = np.arange(1000) / 10e3 - 0.02, np.random.default_rng(0)
+    >>> ring = [np.exp(-40.0 * time_s) * np.cos(2 * np.pi * f * time_s) for f in (310.0, 400.0)]
+    >>> gain = np.array([[0.2, 0.01], [0.005, 0.15]])  # V/N of both outputs for both loads
+    >>> records = []
+    >>> for k, load in enumerate(("Fx", "Fy")):  # 10 N along x, then along y, are taken off
+    ...     volts = 10.0 * gain[:, k, None] * np.where(time_s < 0.0, 1.0, ring[k]) + 1e-3 * rng.normal(size=(2, 1000))
+    ...     records.append(StepRecord(load, ("Fx", "Fy"), "V", volts, 10e3, load, -10.0))
+    >>> found = fit_steps(records, most_modes=2, most_reals=0)
+    >>> print(np.sort(found.model.frequency_hz).round())
+    [310. 400.]
     """
     components = _checked(records)
     readings = []

@@ -317,7 +317,15 @@ class FrameModel:
 def solve_frame(
     beams: CrossBeams, half_size_m: float, platform: RigidPart, pieces: int = 6, consistent: bool = True
 ) -> FrameModel:
-    """Return frequencies, shapes and stiffness of an element with a rigid platform of edge 2p (see `cross_frame`)."""
+    """Return frequencies, shapes and stiffness of an element with a rigid platform of edge 2p (see `cross_frame`).
+
+    >>> from shaker import solve_frame
+    >>> from shaker.elastomer.frame import block
+    >>> from shaker.elastomer.geometry import CrossBeams, Material
+    >>> cross = CrossBeams(Material(71e9, 0.33, 2810.0), 0.06, 0.006, 0.006, 0.002, 0.02, 0.006)
+    >>> print(solve_frame(cross, 0.012, block(2810.0, 0.012, 0.006)).modes.frequency_hz.round())
+    [ 5830.  5830.  5130. 12575. 12575. 14082.]
+    """
     frame = cross_frame(beams, half_size_m, pieces, consistent)
     return FrameModel(frame, frame_modes(frame, platform), platform_stiffness(frame))
 

@@ -91,6 +91,16 @@ def fit_resonance(curve: MeasuredCurve, kind: Kind, *, delay: bool = False, resi
     Sanathanan and Koerner (IEEE Trans. Autom. Control 8, 1963). Then least squares of the residuals whitened by their
     covariance; where that has few degrees of freedom, lines weigh by it and by their residuals together (see
     `seen_noise`). Correlation between lines enters the covariance of the result.
+
+    >>> import numpy as np
+    >>> from shaker import fit_resonance
+    >>> from shaker.identification.measured import MeasuredCurve
+    >>> hertz = np.arange(250.0, 350.0, 2.0)
+    >>> p = 1j * hertz / 300.0
+    >>> curve = MeasuredCurve(hertz, (1 + 0.04 * p) / (1 + 0.04 * p + p**2), np.tile(1e-6 * np.eye(2), (50, 1, 1)))
+    >>> found = fit_resonance(curve, "transmissibility")
+    >>> print(f"{found.frequency_hz:.1f} Hz, damping ratio {found.damping_ratio:.3f}")
+    300.0 Hz, damping ratio 0.020
     """
     names = _names(delay, residual_terms)
     if 2 * len(curve.frequency_hz) <= len(names):

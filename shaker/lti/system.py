@@ -168,6 +168,13 @@ class LinearSystem:
 
     `zeros` (Z,), `poles` (P,) complex, those that are not real in conjugate pairs; Z ≤ P. Polynomial coefficients are
     made from them where a format asks for it and never kept: rounded ones move the poles of an oversampled system.
+
+    >>> import numpy as np
+    >>> from shaker import LinearSystem
+    >>> omega = 2 * np.pi * 300.0  # one mode at 300 Hz, damped by 5 %
+    >>> sensor = LinearSystem.from_coefficients(np.array([omega**2]), np.array([1.0, 0.1 * omega, omega**2]))
+    >>> print(sensor.poles.round())
+    [-94.+1883.j -94.-1883.j]
     """
 
     zeros: ComplexArray

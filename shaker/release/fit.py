@@ -85,6 +85,16 @@ def fit_step(
     oscillating modes and of real poles, chosen by rule where None; `release`: how the load goes, "measured" with a
     measured force and else chosen by rule where None; `method`: what the start comes from. The covariance holds the
     record's noise, coloured or not, the baseline, the release and the load's amplitude.
+
+    >>> import numpy as np
+    >>> from shaker import StepRecord, fit_step
+    >>> time_s, noise = np.arange(4000) / 10e3 - 0.05, 1e-3 * np.random.default_rng(0).normal(size=4000)
+    >>> ring = np.exp(-40.0 * time_s) * np.cos(2 * np.pi * 310.0 * time_s)
+    >>> volts = np.where(time_s < 0.0, 2.0, 2.0 * ring) + noise  # 20 N are taken off
+    >>> record = StepRecord("line 1", ("Fz",), "V", volts[None], 10e3, "Fz", -20.0)
+    >>> model = fit_step(record, "Fz").model
+    >>> print(f"{model.frequency_hz[0]:.0f} Hz, damping ratio {model.damping_ratio[0]:.2f}")
+    310 Hz, damping ratio 0.02
     """
     began = time.perf_counter()
     found = reading or read_release(record, channel)

@@ -75,6 +75,17 @@ def identify_loads(
     1 in 100); second modes that no coupling explains are left out. Where resonances scatter about the model beyond what
     is stated, and the model leaves more of the records than noise, the fit to the resonances, which knows of that
     scatter, takes the place of the fit to the records. `noise` (R,) of the records, in output units.
+
+    >>> import numpy as np
+    >>> from shaker import identify_loads
+    >>> from shaker.release.load_fit import stated_masses
+    >>> from shaker.release.load_modes import stated_resonances
+    >>> from shaker.release.load_series import Output
+    >>> load = np.array([0.0, 0.5, 1.0, 2.0])  # kg on 0.3 kg that move, on a spring of 4 N/µm
+    >>> seen = stated_resonances(np.sqrt(4e6 / (0.3 + load)) / (2 * np.pi))
+    >>> found = identify_loads(seen, stated_masses(0.3, 0.0, load), Output("Fz", "Fz", "V"))
+    >>> print(f"{found.model.stiffness:.3g} N/m")
+    4e+06 N/m
     """
     seen = measured
     measured, foreign = belonging(measured, masses)

@@ -394,6 +394,16 @@ def read_release(record: StepRecord, channel: str) -> Reading:
     """Return what one channel of a record shows of its release.
 
     A channel whose level hardly changes is read at the times of the one that changes most.
+
+    >>> import numpy as np
+    >>> from shaker import StepRecord, read_release
+    >>> time_s, noise = np.arange(4000) / 10e3 - 0.05, 1e-3 * np.random.default_rng(0).normal(size=4000)
+    >>> ring = np.exp(-40.0 * time_s) * np.cos(2 * np.pi * 310.0 * time_s)
+    >>> volts = np.where(time_s < 0.0, 2.0, 2.0 * ring) + noise  # 20 N are taken off
+    >>> record = StepRecord("line 1", ("Fz",), "V", volts[None], 10e3, "Fz", -20.0)
+    >>> reading = read_release(record, "Fz")
+    >>> print(f"from {reading.baseline:.2f} V to {abs(reading.steady):.2f} V at {1e3 * reading.onset_s:.0f} ms")
+    from 2.00 V to 0.00 V at 50 ms
     """
     if channel not in record.channels:
         raise ValueError(f"channel: expected one of {', '.join(record.channels)}, found {channel!r}")

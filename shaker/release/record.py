@@ -21,6 +21,11 @@ class StepRecord:
     `component` (Fx … Mz) changes by `amplitude`, signed, in N or N·m, with relative standard uncertainty `u_amplitude`.
     `force` (N,): the load measured along, in N or N·m, None where it was not. `onset_s`: when the release begins, where
     it is stated. `release`: what let go, such as "fishing line", or "". `name` is for messages.
+
+    >>> import numpy as np
+    >>> from shaker import StepRecord
+    >>> StepRecord("line 1", ("Fz",), "V", np.zeros((1, 4000)), 10e3, "Fz", -20.0)
+    StepRecord(line 1: Fz changes by -20, 4000 samples at 10000 Hz of Fz [V])
     """
 
     name: str
@@ -44,6 +49,11 @@ class StepRecord:
             raise ValueError(f"sample_rate_hz: expected a positive number, found {self.sample_rate_hz}")
         if self.amplitude == 0 or not np.isfinite(self.amplitude):
             raise ValueError(f"amplitude: expected a number other than 0, found {self.amplitude}")
+
+    def __repr__(self) -> str:
+        channels = ", ".join(f"{name} [{self.unit}]" for name in self.channels)
+        size = f"{self.samples.shape[1]} samples at {self.sample_rate_hz:g} Hz"
+        return f"StepRecord({self.name}: {self.component} changes by {self.amplitude:g}, {size} of {channels})"
 
     @property
     def time_s(self) -> FloatArray:

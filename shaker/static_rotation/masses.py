@@ -210,6 +210,17 @@ def fit_weights(records: Sequence[Turned], outputs: SensorOutputs, u_angle_rad: 
     their own noise. Where an F test gives what all outputs, or those of forces, leave to chance less than once in 1000
     (of few readings: in 100), every first harmonic is taken to be uncertain by one more share of the weight, as large
     as makes χ² its degrees of freedom (Paule & Mandel 1982, J. Res. NBS 87, 377).
+
+    >>> import numpy as np
+    >>> from shaker import fit_weights
+    >>> from shaker.static_rotation.masses import SensorOutputs, Turned
+    >>> axis, down = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, -1.0])
+    >>> turning = down + 1j * np.cross(axis, down)
+    >>> load = np.concatenate([10.0 * turning, np.cross([0.0, 0.0, 0.3], turning)])  # 10 N, 30 mm above the origin
+    >>> record = Turned("bar", load, 1e-8 * np.eye(12), 20.0, axis, down)
+    >>> fit = fit_weights([record], SensorOutputs(np.eye(6), np.zeros((6, 6))))
+    >>> print(np.abs(fit.value[:4]).round(6))  # weight in N, first moment in N·m
+    [10.   0.   0.   0.3]
     """
     from scipy.special import fdtrc
 
