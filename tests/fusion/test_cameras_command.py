@@ -1,4 +1,4 @@
-"""The command `shakercal cameras`: rendered pictures of a known pair in, calibration and page out."""
+"""`shakercal cameras`: rendered pictures of a known pair in, calibration and page out; `import-calibration`."""
 
 from __future__ import annotations
 
@@ -9,15 +9,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from support import Refused, refusals
 
 from fusion.cli import main
-from fusion.commands.options import EXIT_DONE, EXIT_INPUT
+from fusion.commands.options import EXIT_DONE
 from fusion.simulate.statics import BOARD
 from photogram.calibration.file import read_calibration
 from photogram.geometry import RigidTransform, vector_from_rotation
 from photogram.synthetic.board import random_poses, random_rig, render_board
 
 SIZE = np.array([480, 384])
+MATRIX = np.array([[3200.0, 0, 640], [0, 3200, 512], [0, 0, 1]])
 TARGET = ["--target", "charuco", "--size", "11x8", "--spacing", "9e-3"]
 VIEWS = 7
 Capture = pytest.CaptureFixture[str]
@@ -48,14 +50,17 @@ def pictures(session: tuple[Path, object], tmp_path: Path) -> Path:
     return tmp_path
 
 
-def _run(folder: Path, *extra: str) -> int:
-    return main(
-        ["cameras", str(folder / "left"), str(folder / "right"), *TARGET, "-o", str(folder / "top.json"), *extra]
-    )
+@pytest.fixture
+def refused(capsys: Capture) -> Refused:
+    return refusals(capsys)
+
+
+def _command(folder: Path, *extra: str) -> list[str]:
+    return ["cameras", str(folder / "left"), str(folder / "right"), *TARGET, "-o", str(folder / "top.json"), *extra]
 
 
 def test_the_true_pair_comes_back(session: tuple[Path, object], pictures: Path, capsys: Capture) -> None:
-    assert _run(pictures, "--scale-uncertainty", "1e-4", "-q") == EXIT_DONE
+    assert main(_command(pictures, "--scale-uncertainty", "1e-4", "-q")) == EXIT_DONE
     told = capsys.readouterr().out
     found, truth = read_calibration(pictures / "top.json"), session[1]
     turn = vector_from_rotation(found.right_from_left.rotation @ truth.right_from_left.rotation.T)
@@ -102,35 +107,31 @@ def _spoil(folder: Path, numbers: Iterable[int]) -> dict[int, str]:
 @pytest.mark.slow
 def test_spoilt_pictures_are_named_with_the_reason_and_left_out(pictures: Path, capsys: Capture) -> None:
     reasons = _spoil(pictures, range(8, 12))
-    assert _run(pictures, "-q") == EXIT_DONE
+    assert main(_command(pictures, "-q")) == EXIT_DONE
     told = capsys.readouterr().out
     for number, reason in reasons.items():
         (line,) = (line for line in told.splitlines() if f"{number}.png" in line)
         assert reason in line
 
 
-def test_no_calibration_from_spoilt_pictures(pictures: Path, capsys: Capture) -> None:
+def test_no_calibration_from_spoilt_pictures(pictures: Path, refused: Refused) -> None:
     reasons = _spoil(pictures, range(8, 8 + VIEWS))
-    assert _run(pictures, "-q") == EXIT_INPUT
-    told = capsys.readouterr().err
+    told = refused(*_command(pictures, "-q"))
     assert f"0 usable of {VIEWS} left pictures" in told
     for number, reason in reasons.items():
         assert f"{number}.png: {reason}" in told
-    assert len(told.splitlines()) == 1
     assert not list(pictures.glob("top.*"))
 
 
 @pytest.mark.slow
-def test_another_target_is_refused(pictures: Path, capsys: Capture) -> None:
-    arguments = ["cameras", str(pictures / "left"), str(pictures / "right"), "-o", str(pictures / "top.json"), "-q"]
-    assert main([*arguments, "--target", "dots", "--spacing", "9e-3"]) == EXIT_INPUT
-    assert "0 usable of 7 left pictures" in capsys.readouterr().err
+def test_another_target_is_refused(pictures: Path, refused: Refused) -> None:
+    dots = ["--target", "dots", "--spacing", "9e-3", "-o", pictures / "top.json", "-q"]
+    assert "0 usable of 7 left pictures" in refused("cameras", pictures / "left", pictures / "right", *dots)
 
 
-def test_an_earlier_calibration_is_kept(pictures: Path, capsys: Capture) -> None:
+def test_an_earlier_calibration_is_kept(pictures: Path, refused: Refused) -> None:
     (pictures / "top.json").write_text("kept", encoding="utf-8")
-    assert _run(pictures, "-q") == EXIT_INPUT
-    assert "--force" in capsys.readouterr().err
+    assert "--force" in refused(*_command(pictures, "-q"))
     assert (pictures / "top.json").read_text(encoding="utf-8") == "kept"
 
 
@@ -147,13 +148,10 @@ def test_an_earlier_calibration_is_kept(pictures: Path, capsys: Capture) -> None
     ],
 )
 def test_wrong_arguments_get_one_sentence(
-    pictures: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch, arguments: list[str], told: str
+    pictures: Path, refused: Refused, monkeypatch: pytest.MonkeyPatch, arguments: list[str], told: str
 ) -> None:
     monkeypatch.chdir(pictures)
-    assert main(["cameras", *arguments, "-o", "top.json", "-q"]) == EXIT_INPUT
-    sentence = capsys.readouterr().err
-    assert told in sentence
-    assert len(sentence.splitlines()) == 1
+    assert told in refused("cameras", *arguments, "-o", "top.json", "-q")
 
 
 @pytest.mark.slow
@@ -170,3 +168,50 @@ def test_the_real_dot_grid_is_calibrated_from_all_pairs(data_dir: Path, tmp_path
     assert np.linalg.norm(found.right_from_left.translation_m) == pytest.approx(peer_baseline, rel=0.03)
     assert np.degrees(np.arccos(found.right_from_left.rotation[2, 2])) == pytest.approx(27.62, rel=0.03)
     assert np.allclose(found.left.parameters[:2], [12577.41, 12575.82], rtol=0.03)
+
+
+@pytest.fixture
+def opencv_file(tmp_path: Path) -> Path:
+    """A calibration as OpenCV writes it."""
+    path = tmp_path / "stereo.yml"
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    for name, value in (("M1", MATRIX), ("D1", np.zeros((1, 5))), ("M2", MATRIX), ("D2", np.zeros((1, 5)))):
+        storage.write(name, value)
+    storage.write("R", np.eye(3))
+    storage.write("T", np.array([[-150.0], [0.0], [0.0]]))
+    storage.release()
+    return path
+
+
+def test_a_calibration_is_written_and_explained(opencv_file: Path, tmp_path: Path, capsys: Capture) -> None:
+    output = tmp_path / "top.json"
+    command = ["import-calibration", str(opencv_file), "-o", str(output), "--image-size", "1280x1024"]
+    assert main([*command, "--length-unit", "mm"]) == EXIT_DONE
+    told = capsys.readouterr()
+    assert told.out == f"calibration of OpenCV written: {output}\n"
+    assert "150.00 mm apart" in told.err
+    assert "scale_uncertainty" in told.err
+    rig = read_calibration(output)
+    np.testing.assert_allclose(rig.right_from_left.translation_m, [-0.15, 0, 0])
+    assert rig.left.size_px.tolist() == [1280, 1024]
+
+    written = output.read_bytes()
+    assert "expected a new file (--force replaces it)" in refusals(capsys)(*command, "--length-unit", "m")
+    assert output.read_bytes() == written
+    assert main([*command, "--length-unit", "m", "--force"]) == EXIT_DONE
+    assert read_calibration(output).right_from_left.translation_m[0] == -150.0
+
+
+@pytest.mark.parametrize(
+    ("file", "options", "told"),
+    [
+        ("stereo.yml", ["--image-size", "1280x1024"], "stereo.yml: --length-unit: expected m or mm"),
+        ("stereo.yml", ["--length-unit", "mm"], "stereo.yml: --image-size: expected width and height"),
+        ("none.xml", [], "none.xml"),
+    ],
+)
+def test_what_is_missing_is_said_in_one_sentence(
+    opencv_file: Path, tmp_path: Path, refused: Refused, file: str, options: list[str], told: str
+) -> None:
+    assert told in refused("import-calibration", tmp_path / file, "-o", tmp_path / "top.json", *options)
+    assert not (tmp_path / "top.json").exists()
