@@ -31,6 +31,16 @@ MASS, INTERNAL = 4.236, 0.769
 DRIVES: tuple[Drive, ...] = ("base", "force")
 
 
+CHAINS = [
+    NO_CHAIN,
+    Chain("delay", np.array([4e-5])),
+    Chain("lag", np.array([4e-5])),
+    Chain("delay_lag", np.array([3e-5, 4e-5])),
+    Chain("second_order", np.array([4e-5, 2e-9])),
+    Chain("butterworth", np.array([6e-5])),
+]
+
+
 def model(chain: Chain = NO_CHAIN, damping: float = DAMPING, relative: float = 0.0) -> SensorModel:
     """A sensor whose parameters are known to `relative`, independently."""
     values = np.array([STATIC, STIFFNESS, damping, INTERNAL, *chain.parameters])
@@ -51,18 +61,13 @@ def state_space(drive: Drive, time_s: float) -> signal.StateSpace:
     States: deflection, its rate, output. M·ẍ = -k·x - b·ẋ + F, F = -M·a_base for a moving base, output ∝ k·x.
     """
     total = MASS + INTERNAL
-    a = np.array(
-        [
-            [0.0, 1.0, 0.0],
-            [-STIFFNESS / total, -DAMPING / total, 0.0],
-            [STATIC * STIFFNESS / time_s, 0.0, -1.0 / time_s],
-        ]
-    )
+    own = [-STIFFNESS / total, -DAMPING / total, 0.0]
+    a = np.array([[0.0, 1.0, 0.0], own, [STATIC * STIFFNESS / time_s, 0.0, -1.0 / time_s]])
     force = signal.StateSpace(a, [[0.0], [1.0 / total], [0.0]], [[0.0, 0.0, 1.0]], [[0.0]])
     if drive == "force":
         return force
     # The load's absolute acceleration is (-k·x - b·ẋ)/M with either sign of the drive.
-    return signal.StateSpace(a, force.B, [[-STIFFNESS / total, -DAMPING / total, 0.0], [0.0, 0.0, 1.0]], [[0.0], [0.0]])
+    return signal.StateSpace(a, force.B, [own, [0.0, 0.0, 1.0]], [[0.0], [0.0]])
 
 
 @pytest.mark.parametrize("drive", DRIVES)
@@ -81,14 +86,7 @@ def test_output_factor_is_that_of_the_equations_of_motion(drive: Drive) -> None:
     drive=st.sampled_from(DRIVES),
     mass=st.floats(0.1, 20.0),
     damping=st.floats(100.0, 1e5),
-    chain=st.sampled_from(
-        [
-            NO_CHAIN,
-            Chain("delay_lag", np.array([3e-5, 4e-5])),
-            Chain("second_order", np.array([4e-5, 2e-9])),
-            Chain("butterworth", np.array([6e-5])),
-        ]
-    ),
+    chain=st.sampled_from(CHAINS),
 )
 def test_derivatives(drive: Drive, mass: float, damping: float, chain: Chain) -> None:
     one, load, at = model(chain, damping), Load(mass, drive), np.array([20.0, 700.0, 1900.0])

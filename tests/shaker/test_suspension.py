@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -152,11 +153,8 @@ def test_rotation_is_inertia_against_a_torsion_spring() -> None:
         frequency = np.linspace(0.8 * f0, 1.2 * f0, 300)
         value = oscillator(2j * np.pi * frequency, inertia + internal, k, b)
         matrix = rigid_mass(5.0, 0.02, inertia)
-        recordings.append(
-            recording(
-                f"{inertia}", frequency, value, matrix, turning, noise=1e-2, rng=rng, tops=[tangential], base=tangential
-            )
-        )
+        seen = {"tops": [tangential], "base": tangential}
+        recordings.append(recording(f"{inertia}", frequency, value, matrix, turning, noise=1e-2, rng=rng, **seen))
     found = identify(recordings, Suspension((5,)))
     assert found.names == ("stiffness_rz", "damping_rz", "internal_inertia_rz")
     assert [estimate.unit for estimate in found.estimates] == ["N·m/rad", "N·m·s/rad", "kg·m²"]
@@ -170,16 +168,8 @@ def test_a_base_that_shifts_turns_a_load_that_can_only_turn() -> None:
     s = 2j * np.pi * frequency
     whole = inertia + mass * height**2
     turn = -s * s * mass * height / (whole * s * s + b * s + k)
-    record = recording(
-        "a",
-        frequency,
-        1.0 + 0.03 * turn,
-        rigid_mass(mass, height, inertia),
-        ALONG_X,
-        noise=1e-6,
-        tops=[Placement(0.03 * Z, X)],
-        base=BASE,
-    )
+    matrix, seen = rigid_mass(mass, height, inertia), {"tops": [Placement(0.03 * Z, X)], "base": BASE}
+    record = recording("a", frequency, 1.0 + 0.03 * turn, matrix, ALONG_X, noise=1e-6, **seen)
     mechanics = Suspension((4,)).mechanics(record)
     found = respond(mechanics, np.array([1.0, k, b, 0.0]), s)
     np.testing.assert_allclose(found.value[:, 0], record.ratio.value[:, 0], rtol=1e-12)
@@ -196,16 +186,13 @@ def test_turning_load_drive_and_transducers_about_z_changes_nothing_of_a_round_s
     weights = np.array([1.0, K_X, K_X, K_RY, K_RY, B_X, B_X, B_RY, B_RY, M_I, J_I, J_I, 0.0])
     first = pitching((4.236, 0.035, 0.012), frequency_hz=np.arange(300.0, 3000.0, 100.0))
     tops = [Placement(turn @ sight.point_m, turn @ sight.direction) for sight in TOPS]
-    turned = recording(
-        "turned",
-        first.ratio.frequency_hz,
-        first.ratio.value,
-        both @ first.mass_matrix @ both.T,
-        both @ first.drive,
-        noise=3e-3,
-        tops=tops,
+    turned = replace(
+        first,
+        mass_matrix=both @ first.mass_matrix @ both.T,
+        drive=both @ first.drive,
+        tops=tuple(tops),
         base=Placement(turn @ BASE.point_m, turn @ BASE.direction),
-        inertia_errors=[InertiaError("mass", both @ first.inertia_errors[0].change @ both.T)],
+        inertia_errors=(InertiaError("mass", both @ first.inertia_errors[0].change @ both.T),),
     )
     values = [respond(sensor.mechanics(record), weights, record.s) for record in (first, turned)]
     np.testing.assert_allclose(values[1].value, values[0].value, rtol=1e-7)
