@@ -18,17 +18,21 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fusion.base import ComputeError, InputError, Settings
+    from fusion.campaign.recorded import read_recorded
     from fusion.campaign.run import run_path
     from fusion.estimation.fuse import Acceleration
     from fusion.planning.plan import Request, make_plan
     from fusion.recording.check import CheckReport, check
     from fusion.recording.load import Manifest, find_recordings, load_for_command, load_manifest
-    from fusion.report.recorded import read_recorded
     from fusion.sensitivity.analyse import Evaluation
     from fusion.sensitivity.evaluate import evaluate_recording
     from fusion.sensitivity.load import LoadResult
     from fusion.sensitivity.ratio import Sensitivity
+    from fusion.sensor.compensate.evaluate import evaluate_compensation
     from fusion.sensor.decouple.evaluate import DecoupleSettings, evaluate_decoupling
+    from fusion.sensor.elastomer.evaluate import evaluate_element
+    from fusion.sensor.identify.evaluate import evaluate_identification
+    from fusion.sensor.load.evaluate import evaluate_loads
     from fusion.sensor.rotate.evaluate import evaluate_rotation
     from fusion.sensor.step.evaluate import evaluate_steps
     from fusion.sensor.step.records import StepSettings
@@ -51,7 +55,11 @@ _MODULES = {
     "StepSettings": "fusion.sensor.step.records",
     "TransferSettings": "fusion.sensor.transfer.records",
     "check": "fusion.recording.check",
+    "evaluate_compensation": "fusion.sensor.compensate.evaluate",
     "evaluate_decoupling": "fusion.sensor.decouple.evaluate",
+    "evaluate_element": "fusion.sensor.elastomer.evaluate",
+    "evaluate_identification": "fusion.sensor.identify.evaluate",
+    "evaluate_loads": "fusion.sensor.load.evaluate",
     "evaluate_recording": "fusion.sensitivity.evaluate",
     "evaluate_rotation": "fusion.sensor.rotate.evaluate",
     "evaluate_steps": "fusion.sensor.step.evaluate",
@@ -60,7 +68,7 @@ _MODULES = {
     "load_for_command": "fusion.recording.load",
     "load_manifest": "fusion.recording.load",
     "make_plan": "fusion.planning.plan",
-    "read_recorded": "fusion.report.recorded",
+    "read_recorded": "fusion.campaign.recorded",
     "run_path": "fusion.campaign.run",
     "simulate_preset": "fusion.simulate",
 }
@@ -85,7 +93,11 @@ __all__ = [
     "TransferSettings",
     "__version__",
     "check",
+    "evaluate_compensation",
     "evaluate_decoupling",
+    "evaluate_element",
+    "evaluate_identification",
+    "evaluate_loads",
     "evaluate_recording",
     "evaluate_rotation",
     "evaluate_steps",

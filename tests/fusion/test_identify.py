@@ -19,7 +19,7 @@ from fusion.campaign.run import run_path
 from fusion.cli import main
 from fusion.recording.excitation import kinds_of
 from fusion.recording.load import find_recordings, for_kinds
-from fusion.sensor.identify.evaluate import ComponentResult, IdentifyEvaluation, evaluate_campaign
+from fusion.sensor.identify.evaluate import ComponentResult, IdentifyEvaluation, evaluate_identification
 from fusion.sensor.identify.measured import Campaign, IdentifySettings, read_campaign
 from fusion.sensor.identify.run import IDENTIFY, read_model
 from fusion.sensor.transfer.evaluate import KINDS as TRANSFER_KINDS
@@ -51,7 +51,7 @@ def read(campaign: Path) -> Campaign:
 
 @pytest.fixture(scope="module")
 def evaluation(read: Campaign) -> IdentifyEvaluation:
-    return evaluate_campaign(read, SETTINGS)
+    return evaluate_identification(read, SETTINGS)
 
 
 @pytest.fixture(scope="module")
@@ -259,7 +259,7 @@ def test_a_model_with_an_unknown_chain_is_refused(results, tmp_path):
 
 @pytest.mark.usefixtures("no_pages")
 def test_the_command_prints_and_keeps_to_the_rules_of_folders(campaign, evaluation, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("fusion.sensor.identify.run.evaluate_campaign", lambda *_: evaluation)
+    monkeypatch.setattr("fusion.sensor.identify.run.evaluate_identification", lambda *_: evaluation)
     run, out = ["identify", str(campaign), "-o", str(tmp_path / "out")], tmp_path / "out"
     assert main(run) == 0
     told = capsys.readouterr()

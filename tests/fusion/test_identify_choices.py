@@ -19,7 +19,7 @@ from fusion.cli import main
 from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels
 from fusion.recording.manifest import ChannelEntry
 from fusion.report.provenance import Provenance, write_provenance
-from fusion.sensor.identify.evaluate import evaluate_campaign
+from fusion.sensor.identify.evaluate import evaluate_identification
 from fusion.sensor.identify.fit import JointFit, joint_fits, mechanics, modelled
 from fusion.sensor.identify.measured import IdentifySettings, Prepared, placement_errors, prepare, read_campaign, sight
 from fusion.sensor.identify.run import read_model
@@ -300,7 +300,7 @@ def _gyroscope(channel: dict[str, Any]) -> dict[str, Any]:
 @pytest.mark.parametrize("rate", [False, True])
 def test_a_turned_base_gives_torsional_stiffness_and_damping(tmp_path, rate):
     folder = _write(tmp_path / "campaign", rate=rate)
-    (component,) = evaluate_campaign(read_campaign(folder), IdentifySettings()).components
+    (component,) = evaluate_identification(read_campaign(folder), IdentifySettings()).components
     found = component.fit.identification
     assert (component.name, component.fit.model, component.fit.mass_is_free) == ("ry", "translation", True)
     assert found.names == ("stiffness_ry", "damping_ry", "internal_inertia_ry")
@@ -335,7 +335,7 @@ def test_files_and_page_have_the_units_of_a_rotation(tmp_path):
 def test_a_load_that_also_shifts_is_two_modes(tmp_path):
     chirp = replace(TURNING, period_s=0.32, band_hz=(600.0, 2400.0))
     folder = _write(tmp_path / "campaign", rate=False, loads=HIGH, chirp=chirp)
-    (component,) = evaluate_campaign(read_campaign(folder), IdentifySettings()).components
+    (component,) = evaluate_identification(read_campaign(folder), IdentifySettings()).components
     found = component.fit.identification
     assert (component.name, component.fit.model, component.bands) == ("ry", "pitching", ())
     truth = {"stiffness_ry": K_RY, "stiffness_x": K_X, "damping_ry": B_RY, "damping_x": B_X, "internal_mass": M_I}

@@ -367,7 +367,13 @@ BAND_POINTS = 200
 def evaluate_compensation(
     sources: Sources, wish: Wish, record: OutputRecord | None, hashes: Mapping[str, str]
 ) -> CompensateEvaluation:
-    """Design all filters, and run them over a recording if one is given; raises `InputError` for impossible wishes."""
+    """Design all filters, and run them over a recording if one is given; raises `InputError` for impossible wishes.
+
+    >>> from fusion import evaluate_compensation
+    >>> from fusion.sensor.compensate.source import Wish, read_sources  # doctest: +SKIP
+    >>> wish = Wish(frequency_hz=3000.0, damping_ratio=0.6)  # doctest: +SKIP
+    >>> evaluation = evaluate_compensation(read_sources(["steps/step"]), wish, None, {})  # doctest: +SKIP
+    """
     started = process_time()
     rate = None if record is None else record.sample_rate_hz
     subjects = [_subject(subject, wish, rate) for subject in chosen(sources, wish.channels)]

@@ -357,7 +357,13 @@ CONVERGED, FAR = 0.02, 0.10
 def evaluate_element(
     definition: Definition, hashes: dict[str, str], *, solid: bool, progress: ProgressCallback = no_progress
 ) -> ElementEvaluation:
-    """Return everything that GEOMETRY.toml asks for; the solid model only where wanted, since it takes a minute."""
+    """Return everything that GEOMETRY.toml asks for; the solid model only where wanted, since it takes a minute.
+
+    >>> from fusion import evaluate_element
+    >>> from fusion.sensor.elastomer.definition import read_definition
+    >>> definition = read_definition("elastomer.toml")  # doctest: +SKIP
+    >>> evaluation = evaluate_element(definition, {}, solid=False)  # doctest: +SKIP
+    """
     started = time.monotonic()
     file = definition.file
     consistent = file.frame.mass_matrix == "consistent"

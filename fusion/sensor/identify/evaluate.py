@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from fusion.base import ARGUMENT
+from fusion.campaign.recorded import Recorded, SensorFacts, read_recorded
 from fusion.campaign.repeats import Drive, drive_ratio, over_lines
 from fusion.estimation.uncertainty import Uncertainty
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import Sensor
 from fusion.report.csv_files import sensitivity_unit
 from fusion.report.provenance import versions
-from fusion.report.recorded import Recorded, SensorFacts, read_recorded
 from fusion.sensitivity.ratio import driven_component
 from fusion.sensor.identify.fit import (
     JointFit,
@@ -305,10 +305,14 @@ class IdentifyEvaluation:
 # From a campaign to the sensor as a mechanical system: curves → joint fits → readings, sensitivity, usable bands.
 
 
-def evaluate_campaign(campaign: Campaign, settings: IdentifySettings) -> IdentifyEvaluation:
+def evaluate_identification(campaign: Campaign, settings: IdentifySettings) -> IdentifyEvaluation:
     """Return what all recordings of a campaign say of the sensor together.
 
     Raises `InputError` for what the user can mend in the files.
+
+    >>> from fusion import evaluate_identification
+    >>> from fusion.sensor.identify.measured import IdentifySettings, read_campaign
+    >>> evaluation = evaluate_identification(read_campaign("masses"), IdentifySettings())  # doctest: +SKIP
     """
     started = time.monotonic()
     names = _names([*campaign.transfers, *(item.manifest for item in campaign.sines)])

@@ -15,7 +15,7 @@ from fusion.campaign.executor import one_blas_thread
 from fusion.report.folder import Command
 from fusion.report.h5 import write_fields, write_value
 from fusion.report.table import Column, columns_of, csv_text, word
-from fusion.sensor.identify.evaluate import ComponentResult, IdentifyEvaluation, Reading, evaluate_campaign
+from fusion.sensor.identify.evaluate import ComponentResult, IdentifyEvaluation, Reading, evaluate_identification
 from fusion.sensor.identify.measured import IdentifySettings, read_campaign
 from fusion.sensor.identify.report import NumberRow, page_context, parameter_rows, plain, printed
 from shaker.identification.sensor import CHAIN_PARAMETERS, SENSOR_PARAMETERS, Chain, ChainKind, SensorModel
@@ -246,7 +246,7 @@ def run_identify(
 
     def evaluate(hashes: dict[str, str]) -> IdentifyEvaluation:
         with one_blas_thread():
-            return evaluate_campaign(campaign, settings)
+            return evaluate_identification(campaign, settings)
 
     folder = campaign.folder / IDENTIFY.name if output is None else output
     IDENTIFY.run(campaign.input_hashes, folder, evaluate, force=force)

@@ -375,6 +375,11 @@ def evaluate_loads(
     """Return the load characteristics of every series; `manifest`: of a recording, for rig and sensor.
 
     Raises `ComputeError` where no model is found.
+
+    >>> from fusion import evaluate_loads, load_for_command
+    >>> from fusion.sensor.load.evaluate import LoadSettings, read_series
+    >>> series, notices = read_series(load_for_command(["loads"], "load"))  # doctest: +SKIP
+    >>> evaluation = evaluate_loads("loads", series, notices, LoadSettings(), {})  # doctest: +SKIP
     """
     started = time.monotonic()
     components = tuple(_component(own, settings) for own in series)
