@@ -37,8 +37,8 @@ from fusion.report.csv_files import SENSITIVITY, SENSITIVITY_FILE, merge_tables,
 from fusion.report.folder import origin_frame, render_page
 from fusion.report.h5 import write_fields, write_value
 from fusion.report.numbers import fixed, number, small
-from fusion.report.provenance import Provenance, write_provenance
-from fusion.report.recording import CAMPAIGN_FILE, CROSSTALK_FILE, CURVE_FILE, FORMAT, REPORT_FILE
+from fusion.report.provenance import RESULT_FORMAT, Provenance, write_provenance
+from fusion.report.recording import CAMPAIGN_FILE, CROSSTALK_FILE, CURVE_FILE, REPORT_FILE
 from fusion.report.style import Picture
 from fusion.report.table import Column, Table, csv_text, word
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS
@@ -118,7 +118,7 @@ def campaign_h5(evaluation: CampaignEvaluation, files: Sequence[str]) -> bytes:
     """Return the content of campaign.h5; `files` are the names of all joint files. Equal input gives equal bytes."""
     stream = io.BytesIO()
     with h5py.File(stream, "w", track_order=True) as file:
-        file.attrs["format"] = FORMAT
+        file.attrs["format"] = RESULT_FORMAT
         file.attrs["campaign"] = evaluation.name
         file.attrs["phasors"] = "x(t) = Re{X exp(+j omega t)}; covariances of [all Re, all Im]; k = 1"
         write_provenance(file, campaign_origin(evaluation.recorded, files))

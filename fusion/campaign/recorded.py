@@ -11,7 +11,7 @@ from fusion.base import InputError
 from fusion.campaign.repeats import Drive, line_drives
 from fusion.instruments.output import Outputs
 from fusion.report.h5 import read_uncertainty
-from fusion.report.provenance import RESULT_FILE, Provenance, read_provenance
+from fusion.report.provenance import RESULT_FILE, RESULT_FORMAT, Provenance, read_provenance
 from fusion.sensitivity.load import LoadResult
 from shaker.arrays import FloatArray, Notice
 from shaker.sine.phasor import Phasors
@@ -71,8 +71,11 @@ def read_recorded(folder: Path) -> Recorded:
     if origin is None:
         raise InputError(folder / RESULT_FILE, "", found="no results", expected="the results of a recording")
     with h5py.File(folder / RESULT_FILE, "r") as file:
-        if file.attrs["format"] != FORMAT:
-            found, expected = f"format {file.attrs['format']}", f"format {FORMAT}; --force evaluates the recording anew"
+        if file.attrs["format"] != RESULT_FORMAT:
+            found, expected = (
+                f"format {file.attrs['format']}",
+                f"format {RESULT_FORMAT}; --force evaluates the recording anew",
+            )
             raise InputError(folder / RESULT_FILE, "", found=found, expected=expected)
         driven = file["excitation"]
         return Recorded(

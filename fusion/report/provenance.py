@@ -17,7 +17,7 @@ import numpy as np
 
 from fusion.base import InputError
 
-RESULT_FILE = "result.h5"
+RESULT_FILE, RESULT_FORMAT = "result.h5", 2
 BLOCK_BYTES = 1 << 20
 PROGRAM = "shakercal"
 LIBRARIES = {

@@ -8,13 +8,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 
 from fusion.base import InputError
+from fusion.recording.load import Manifest
 from fusion.report import tables
 from fusion.report.csv_files import MERGED_FILES, result_tables
 from fusion.report.figures import acceleration_pictures, draw_budget, sensitivity_pictures
 from fusion.report.folder import origin_frame, render_page, write_folder
+from fusion.report.h5 import write_fields, write_value
 from fusion.report.more_tables import (
     budget_tables,
     channels_table,
@@ -28,8 +31,14 @@ from fusion.report.more_tables import (
 )
 from fusion.report.motion_figures import motion_pictures, subset_pictures
 from fusion.report.numbers import driven_channel, driven_component, driven_element, main_line, measured
-from fusion.report.provenance import RESULT_FILE, check_folder, read_provenance
-from fusion.report.recorded import write_h5
+from fusion.report.provenance import (
+    RESULT_FILE,
+    RESULT_FORMAT,
+    Provenance,
+    check_folder,
+    read_provenance,
+    write_provenance,
+)
 from fusion.report.signal_figures import channel_pictures, point_pictures, trigger_pictures
 from fusion.report.style import Picture
 from fusion.report.tables import takes_table
@@ -169,3 +178,40 @@ def _fill(folder: Path, evaluation: Evaluation) -> list[str]:
 
 
 # What every command does with a finished evaluation: tell its notices, put its origin on a page, write a folder.
+
+
+SENSOR_FIELDS = (
+    "name",
+    "serial",
+    "channels",
+    "unit",
+    "sense",
+    "capacity",
+    "static_sensitivity",
+    "static_sensitivity_uncertainty",
+)
+
+
+def write_h5(path: Path, evaluation: Evaluation, files: Sequence[str]) -> None:
+    """Write the evaluation and its provenance to a new HDF5 file; `files` are the names of all result files."""
+    origin = Provenance(evaluation.input_hashes, evaluation.settings, evaluation.versions, tuple(files))
+    with h5py.File(path, "w", track_order=True) as file:
+        file.attrs["format"] = RESULT_FORMAT
+        file.attrs["recording"] = evaluation.manifest.name
+        file.attrs["rig"] = evaluation.manifest.rig.name
+        file.attrs["phasors"] = "x(t) = Re{X exp(+j omega t)}; covariances of [all Re, all Im]; k = 1"
+        write_provenance(file, origin)
+        _write_subject(file, evaluation.manifest)
+        write_fields(file, evaluation)
+
+
+def _write_subject(file: h5py.File, manifest: Manifest) -> None:
+    """Write what was driven, how it was mounted, and which sensor was tested: what a campaign has to know."""
+    file.attrs["mounting"] = manifest.mounting
+    driven = file.create_group("excitation")
+    for name in ("kind", "direction", "frequencies"):
+        write_value(driven, name, getattr(manifest.excitation, name))
+    if manifest.rig.sensor is not None:
+        sensor = file.create_group("sensor")
+        for name in SENSOR_FIELDS:
+            write_value(sensor, name, getattr(manifest.rig.sensor, name))

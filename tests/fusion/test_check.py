@@ -13,7 +13,7 @@ import tifffile
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
-from support import DOCS
+from support import AT_ORIGIN, DOCS, block, channel, recording_head
 
 from fusion.base import InputError
 from fusion.instruments import TRANSDUCERS
@@ -115,30 +115,12 @@ def test_what_cannot_be_read_is_wrong(recording):
         assert words in problems
 
 
-LASER_ONLY = """
-format = 1
-name = "laser only"
-rig = "../rig.toml"
-[excitation]
-kind = "sine"
-direction = [0.0, 1.0, 0.0]
-frequencies = [100.0]
-[[daq]]
-name = "vibrometer"
-file = "vibrometer.h5"
-  [[daq.channel]]
-  name = "velocity"
-  quantity = "velocity"
-  body = "load"
-  point = [0.0, 0.0, 0.0]
-  direction = [0.0, 0.0, 1.0]
-[[daq]]
-name = "drive"
-file = "bridge.tdms"
-  [[daq.channel]]
-  name = "amplifier"
-  quantity = "voltage"
-"""
+LASER_ONLY = (
+    recording_head("laser only", 100.0, direction=[0.0, 1.0, 0.0]).replace('"daq', '"vibrometer')
+    + channel("velocity", "velocity", body="load", **AT_ORIGIN)
+    + block("[daq]", name="drive", file="bridge.tdms")
+    + channel("amplifier", "voltage")
+)
 
 
 def test_what_will_be_missing_is_remarked(make_campaign):

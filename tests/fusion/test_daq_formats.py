@@ -11,7 +11,7 @@ import pytest
 import pyuff
 import scipy.io
 from nptdms import ChannelObject, TdmsWriter
-from support import evaluated
+from support import AT_ORIGIN, channel, evaluated
 
 from fusion.base import InputError
 from fusion.sensitivity.analyse import Evaluation
@@ -80,16 +80,10 @@ FORMATS: dict[str, tuple[Callable[[Path, Signals], None], tuple[str, str], bool]
     "csv": (_csv, ("a", "b"), False),
     "lvm": (_lvm, ("a", "b"), False),
 }
-CHANNEL = """
-[[daq.channel]]
-name = "{name}"
-quantity = "acceleration"
-body = "{body}"
-point = [0.0, 0.0, 0.0]
-direction = [0.0, 0.0, 1.0]
-scale = {scale}
-scale_uncertainty = 1e-3
-"""
+
+
+def acceleration(name: str, body: str = "load", scale: float = 1.0) -> str:
+    return channel(name, "acceleration", body=body, **AT_ORIGIN, scale=scale, scale_uncertainty=1e-3)
 
 
 def evaluate(folder: Path, frequencies: str, daq: str) -> Evaluation:
@@ -111,7 +105,7 @@ def test_phasors_are_equal_in_every_format(tmp_path, suffix):
     write(tmp_path / f"daq.{suffix}", {"a": wave, "b": -0.5 * wave})
     block = f'file = "daq.{suffix}"\n' + (f"sample_rate = {RATE_HZ}\n" if needs_rate else "")
     for name, body in zip(names, ("load", "base"), strict=True):
-        block += CHANNEL.format(name=name, body=body, scale=10.0)
+        block += acceleration(name, body, 10.0)
     evaluation = evaluate(tmp_path, "[100.0]", block)
     assert [channel.name for channel in evaluation.channels] == list(names)
     first, second = (channel.phasors for channel in evaluation.channels)
@@ -129,9 +123,9 @@ def shaker(data_dir: Path, tmp_path: Path) -> Callable[[int], Evaluation]:
     def of(factor: int) -> Evaluation:
         source = data_dir / "shaker_three_tone" / f"data_set_1_downsampled_by_{factor}.lvm"
         (tmp_path / "shaker.lvm").write_bytes(source.read_bytes())
-        force = '[[daq.channel]]\nname = "Force"\nquantity = "force"\nscale = 4.4482216\n'
-        drive = '[[daq.channel]]\nname = "Voltage"\nquantity = "voltage"\n' if factor == 16 else ""
-        top = CHANNEL.format(name="Acceleratio", body="load", scale=GRAVITY)
+        force = channel("Force", "force", scale=4.4482216)
+        drive = channel("Voltage", "voltage") if factor == 16 else ""
+        top = acceleration("Acceleratio", scale=GRAVITY)
         return evaluate(tmp_path, "[100.0, 120.0, 150.0]", 'file = "shaker.lvm"\n' + top + force + drive)
 
     return of
@@ -168,6 +162,6 @@ def test_a_channel_too_slow_for_every_line_is_named(tmp_path):
         for name, step in (("fast", 1), ("slow", 64)):
             file[name] = wave[::step]
             file[name].attrs["sample_rate"] = RATE_HZ / step
-    block = 'file = "daq.h5"\n' + CHANNEL.format(name="fast", body="load", scale=1.0)
+    block = 'file = "daq.h5"\n' + acceleration("fast")
     with pytest.raises(InputError, match="slow: expected a sampling rate above 200"):
-        evaluate(tmp_path, "[100.0]", block + '[[daq.channel]]\nname = "slow"\nquantity = "voltage"\n')
+        evaluate(tmp_path, "[100.0]", block + channel("slow", "voltage"))

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
-from support import evaluated
+from support import AT_ORIGIN, block, channel, evaluated, recording_head
 
 from fusion.base import ComputeError
 from fusion.cli import main
 from fusion.phasors.setup import line_stationarity, stationarity_notices
 from fusion.report.more_tables import drift_table
-from fusion.report.recorded import write_h5
+from fusion.report.recording import write_h5
 from fusion.sensitivity.analyse import Evaluation
 from shaker.timebase.tie import ClockTie
 
@@ -32,41 +33,19 @@ translation = [0.0, 0.0, 0.0]
 scale_uncertainty = 2e-4
 exposure = 40e-6
 """
-RECORDING = """
-format = 1
-name = "folded"
-rig = "../rig.toml"
-[excitation]
-kind = "sine"
-direction = [0.0, 0.0, 1.0]
-frequencies = [106.25]
-harmonics = {harmonics}
-[[daq]]
-name = "daq"
-file = "daq.h5"
-[[daq.channel]]
-name = "camera_trigger"
-quantity = "trigger"
-[[points]]
-stereo = "base"
-files = "points/frame_*.txt"
-columns = ["x0", "y0", "z0", "x", "y", "z"]
-trigger = "camera_trigger"
-"""
-LASER = """
-[[daq.channel]]
-name = "laser"
-quantity = "velocity"
-body = "base"
-point = [0.0, 0.0, 0.0]
-direction = [0.0, 0.0, 1.0]
-scale = 1.0
-scale_uncertainty = 5e-4
-"""
+LASER = channel("laser", "velocity", body="base", **AT_ORIGIN, scale=1.0, scale_uncertainty=5e-4)
+POINTS = block("[points]", stereo="base", files="points/frame_*.txt", columns=["x0", "y0", "z0", "x", "y", "z"],
+               trigger="camera_trigger")  # fmt: skip
 
 
 def recording(
-    folder: Path, frame_hz: float, *, laser: bool, harmonics: str = "[]", overtone: float = 0.0, growth: float = 0.0
+    folder: Path,
+    frame_hz: float,
+    *,
+    laser: bool,
+    harmonics: Sequence[int] = (),
+    overtone: float = 0.0,
+    growth: float = 0.0,
 ) -> Path:
     """Write a recording of a base that moves along z, and return its folder.
 
@@ -76,9 +55,8 @@ def recording(
     place = folder / "campaign" / "drive"
     (place / "points").mkdir(parents=True)
     (place.parent / "rig.toml").write_text(RIG, encoding="utf-8")
-    text = RECORDING.format(harmonics=harmonics)
-    head, tail = text.split("[[points]]")
-    (place / "recording.toml").write_text(head + (LASER if laser else "") + "[[points]]" + tail, encoding="utf-8")
+    text = recording_head("folded", harmonics=harmonics) + channel("camera_trigger", "trigger")
+    (place / "recording.toml").write_text(text + (LASER if laser else "") + POINTS, encoding="utf-8")
     first_s = 0.0213
     middle_s = first_s + np.arange(FRAMES) / frame_hz + 20e-6
     x, y = np.meshgrid(np.linspace(-0.05, 0.05, 5), np.linspace(-0.04, 0.04, 4))
@@ -171,7 +149,7 @@ def test_a_vibrometer_goes_on_where_the_cameras_lose_the_line(tmp_path):
 
 
 def test_a_harmonic_that_folds_onto_zero_is_left_to_the_laser(tmp_path):
-    evaluation = evaluated(recording(tmp_path, 0.75 * DRIVEN_HZ, laser=True, harmonics="[3]", overtone=0.2))
+    evaluation = evaluated(recording(tmp_path, 0.75 * DRIVEN_HZ, laser=True, harmonics=[3], overtone=0.2))
     assert evaluation.stereo[0].usable.tolist() == [True, False]
     dropped = [notice.text for notice in evaluation.notices if "dropped" in notice.text]
     assert len(dropped) == 1

@@ -29,11 +29,11 @@ from fusion.campaign.joint_report import (
     repeats_table,
     write_campaign,
 )
+from fusion.campaign.recorded import Recorded, SensorFacts
 from fusion.campaign.repeats import Drive
 from fusion.report import recording as results
 from fusion.report.h5 import read_uncertainty
 from fusion.report.provenance import Provenance
-from fusion.report.recorded import Recorded, SensorFacts
 from fusion.report.recording import CAMPAIGN_FILES, check_campaign_folder, write_results
 from shaker.arrays import Notice
 from shaker.labels import LOAD_COMPONENTS as LOADS

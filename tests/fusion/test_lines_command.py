@@ -16,7 +16,7 @@ from fusion.phasors.timing import tie_daqs
 from fusion.recording.files import read_daqs
 from fusion.recording.load import load_manifest
 from fusion.report.more_tables import lines_table
-from fusion.report.recorded import write_h5
+from fusion.report.recording import write_h5
 from fusion.sensitivity.analyse import Evaluation
 from shaker.lines.frequencies import Lines, find_lines
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from support import evaluated
+from support import block, channel, evaluated, recording_head
 
 from fusion.base import InputError
 from fusion.estimation.fuse import Acceleration
@@ -51,40 +51,11 @@ exposure = 40e-6
 delay = 3e-6
 delay_uncertainty = 1e-6
 """
-RECORDING = """
-format = 1
-name = "no images"
-rig = "../rig.toml"
-[excitation]
-kind = "sine"
-direction = [0.0, 0.0, 1.0]
-frequencies = [106.25]
-[[daq]]
-name = "daq"
-file = "daq.h5"
-"""
-POINTS = """
-[[points]]
-stereo = "base"
-files = "DIC_results/result_B*.txt"
-columns = ["id_x", "id_y", "status", "status", "status", "x0", "y0", "z0", "x", "y", "z"]
-valid_status = 3
-scale = 1e-3
-trigger = "camera_trigger"
-"""
-TRIGGER = '[[daq.channel]]\nname = "camera_trigger"\nquantity = "trigger"\n'
-OUTPUT = '[[daq.channel]]\nname = "Fz"\nquantity = "output"\nchannel = "Fz"\nscale = 1e-3\nscale_uncertainty = 1e-4\n'
-SENSOR = """[[daq.channel]]
-name = "{name}"
-quantity = "{quantity}"
-body = "{body}"
-point = {point}
-point_uncertainty = 2e-4
-direction = [0.0, 0.0, 1.0]
-scale = 0.125
-scale_uncertainty = 5e-4
-{common}
-"""
+POINTS = block(
+    "[points]", stereo="base", files="DIC_results/result_B*.txt", valid_status=3, scale=1e-3, trigger="camera_trigger",
+    columns=["id_x", "id_y", "status", "status", "status", "x0", "y0", "z0", "x", "y", "z"],
+)  # fmt: skip
+STATED = {"point_uncertainty": 2e-4, "direction": [0.0, 0.0, 1.0], "scale": 0.125, "scale_uncertainty": 5e-4}
 
 
 @dataclass(frozen=True)
@@ -120,7 +91,7 @@ class Campaign:
         number = np.floor(time_s * FRAME_RATE_HZ)
         high = (number >= 0) & (number < FRAMES) & (time_s * FRAME_RATE_HZ - number < 0.25)
         self.channels["camera_trigger"] = 5.0 * high
-        self.text.extend([TRIGGER, POINTS])
+        self.text.extend([channel("camera_trigger", "trigger"), POINTS])
 
     def add_sensor(self, name: str, quantity: str, motion: tuple[str, np.ndarray], point: list[float]) -> None:
         """Write a laser or an accelerometer along z; several of one quantity are one instrument."""
@@ -128,13 +99,13 @@ class Campaign:
         order = {"velocity": 1, "acceleration": 2}[quantity]
         at_point = displacement[2] + displacement[3] * point[1] - displacement[4] * point[0]
         self._add(name, (1j * OMEGA) ** order * at_point / 0.125 * (1 + 3e-4), 1e-4)
-        common = 'common = "laser"' if quantity == "velocity" else "transverse_sensitivity = 0.01"
-        self.text.insert(1, SENSOR.format(name=name, quantity=quantity, body=body, point=point, common=common))
+        own = {"common": "laser"} if quantity == "velocity" else {"transverse_sensitivity": 0.01}
+        self.text.insert(1, channel(name, quantity, body=body, point=point, **STATED, **own))
 
     def add_output(self) -> None:
         """Write the sensor's output for the force that it exerts on the load."""
         self._add("Fz", 1e3 * SENSITIVITY * MASS_KG * -(OMEGA**2) * LOAD[2], 1e-5)
-        self.text.insert(1, OUTPUT)
+        self.text.insert(1, channel("Fz", "output", channel="Fz", scale=1e-3, scale_uncertainty=1e-4))
 
     def _add(self, name: str, phasor: complex, noise: float) -> None:
         time_s = np.arange(SAMPLES) / RATE_HZ
@@ -156,7 +127,7 @@ def campaign(tmp_path: Path, request: pytest.FixtureRequest) -> Campaign:
     folder = tmp_path / "campaign" / "Fz-0106.25"
     folder.mkdir(parents=True)
     (tmp_path / "campaign" / "rig.toml").write_text(RIG, encoding="utf-8")
-    return Campaign(folder, [RECORDING], {}, np.random.default_rng(request.param))
+    return Campaign(folder, [recording_head("no images")], {}, np.random.default_rng(request.param))
 
 
 def source(evaluation: Evaluation, body: str, name: str) -> Acceleration:

@@ -8,7 +8,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from support import evaluated
+from support import AT_ORIGIN, block, channel, evaluated, recording_head
 
 from fusion.base import InputError
 from fusion.cli import main
@@ -40,34 +40,13 @@ scale_uncertainty = 1e-6
 exposure = EXPOSURE
 delay = 3e-6
 """
-RECORDING = """
-format = 1
-name = "pulses"
-rig = "../rig.toml"
-[excitation]
-kind = "sine"
-direction = [0.0, 0.0, 1.0]
-frequencies = [106.25]
-harmonics = []
-[[daq]]
-name = "daq"
-file = "daq.h5"
-  [[daq.channel]]
-  name = "z"
-  quantity = "acceleration"
-  body = "load"
-  point = [0.0, 0.0, 0.0]
-  direction = [0.0, 0.0, 1.0]
-  [[daq.channel]]
-  name = "camera_trigger"
-  quantity = "trigger"
-[[points]]
-stereo = "base"
-files = "points.csv"
-columns = ["frame", "id_x", "x", "y", "z"]
-trigger = "camera_trigger"
-OVERRIDE
-"""
+RECORDING = (
+    recording_head("pulses", harmonics=[])
+    + channel("z", "acceleration", body="load", **AT_ORIGIN)
+    + channel("camera_trigger", "trigger")
+    + block("[points]", stereo="base", files="points.csv", columns=["frame", "id_x", "x", "y", "z"],
+            trigger="camera_trigger")
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -93,7 +72,7 @@ def _write(folder: Path, shot: Shot, exposure: str, override: str = "") -> Path:
     run = folder / "campaign" / "run"
     run.mkdir(parents=True, exist_ok=True)
     (run.parent / "rig.toml").write_text(RIG.replace("EXPOSURE", exposure), encoding="utf-8")
-    (run / "recording.toml").write_text(RECORDING.replace("OVERRIDE", override), encoding="utf-8")
+    (run / "recording.toml").write_text(RECORDING + override, encoding="utf-8")
     edge_s = FIRST_EDGE_S + np.arange(shot.frames) / FRAME_RATE_HZ
     phase = np.exp(1j * OMEGA * (edge_s + DELAY_S + shot.width_s / 2))[:, None]
     pose = np.sinc(FREQUENCY_HZ * shot.width_s) * (MOTION * phase).real

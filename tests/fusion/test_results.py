@@ -15,12 +15,12 @@ from evaluation_factory import ACCELERATION, LOADS, STATIC, Choice, make_evaluat
 from support import rows, state, without_pages
 
 from fusion.base import InputError
+from fusion.campaign.recorded import read_drives, read_recorded
 from fusion.campaign.repeats import drives_of
 from fusion.estimation.uncertainty import Influence, Uncertainty
 from fusion.report import recording as results
 from fusion.report.csv_files import merge_tables
 from fusion.report.provenance import check_folder, hash_files, is_current, read_provenance, sha256, versions
-from fusion.report.recorded import read_drives, read_recorded
 from fusion.report.recording import write_results
 from fusion.sensitivity.analyse import Evaluation
 
