@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import csv
+import json
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import pytest
@@ -29,6 +30,26 @@ def edit(path: Path, old: str, new: str) -> None:
 def evaluated(recording: Path) -> Evaluation:
     """Evaluate a recording as a run does, without files."""
     return evaluate_recording(load_manifest(recording), Settings(), {})
+
+
+AT_ORIGIN = {"point": [0.0, 0.0, 0.0], "direction": [0.0, 0.0, 1.0]}
+
+
+def block(title: str = "", /, **keys: Any) -> str:
+    """A block `title` of a manifest with its keys; `[title]` is one of a list, such as `[daq]`."""
+    return (f"[{title}]\n" if title else "") + "".join(f"{key} = {json.dumps(keys[key])}\n" for key in keys)
+
+
+def channel(name: str, quantity: str, **keys: Any) -> str:
+    """A channel of the DAQ block above."""
+    return block("[daq.channel]", name=name, quantity=quantity, **keys)
+
+
+def recording_head(name: str, frequency_hz: float = 106.25, **keys: Any) -> str:
+    """The beginning of the manifest of a sine along z, to its DAQ block of the file daq.h5."""
+    sine = {"kind": "sine", "direction": [0.0, 0.0, 1.0], "frequencies": [frequency_hz]}
+    head = block(format=1, name=name, rig="../rig.toml") + block("excitation", **sine | keys)
+    return head + block("[daq]", name="daq", file="daq.h5")
 
 
 def rows(path: Path) -> list[dict[str, str]]:
