@@ -9,13 +9,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fusion.estimation.measurement_model import Deviates
-from fusion.estimation.uncertainty import Scope
+from fusion.base import InputError
 from photogram.geometry import skew
 from shaker.arrays import ComplexArray, FloatArray
+from shaker.identification.measured import InertiaError
 from shaker.labels import MOTION_COMPONENTS
 
 if TYPE_CHECKING:
+    from fusion.estimation.measurement_model import Deviates
+    from fusion.estimation.uncertainty import Scope
+    from fusion.recording.load import Manifest
     from fusion.recording.manifest import Load, Rig
     from fusion.recording.manifest import Part as PartTable
 
@@ -377,3 +380,26 @@ def load_body(rig: Rig, parts: Sequence[PartTable]) -> Body | None:
         return Body(tuple(rigid))
     joint = make_joint(load.elastic_frequency, load.elastic_frequency_uncertainty, load.elastic_damping)
     return Body(tuple(rigid), joint)
+
+
+def rigid_load(manifest: Manifest) -> Body:
+    """Return load and parts without what moves inside the sensor; `InputError` without a load."""
+    sensor = manifest.rig.sensor
+    bare = None if sensor is None else sensor.model_copy(update={"internal_mass": 0.0})
+    body = load_body(manifest.rig.model_copy(update={"sensor": bare}), manifest.part)
+    if body is None:
+        expected = "[load] with the mass, centre of mass and inertia of what is mounted on the sensor"
+        raise InputError(manifest.rig_path, "load", found="nothing", expected=expected)
+    return replace(body, joint=None)
+
+
+def inertia_errors(manifest: Manifest, body: Body) -> tuple[InertiaError, ...]:
+    """Return what every uncertain number of load and parts does to the mass matrix, by names that hold everywhere.
+
+    What holds until something is mounted anew is another unknown in every mounting.
+    """
+    errors = []
+    for change in body.matrix_changes(np.ones(1), None):
+        suffix = "" if change.scope == "rig" else f" [{manifest.mounting}]"
+        errors.append(InertiaError(f"{change.name}{suffix}", change.change[0].real))
+    return tuple(errors)

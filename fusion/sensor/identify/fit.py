@@ -17,15 +17,14 @@ from fusion.recording.manifest import Sensor
 from fusion.report.csv_files import sensitivity_unit
 from fusion.report.h5 import read_uncertainty
 from fusion.report.provenance import RESULT_FILE
+from fusion.sensitivity.body import inertia_errors, rigid_load
 from fusion.sensor.identify.measured import (
     EvaluatedSines,
     IdentifySettings,
     Prepared,
     component_of,
     drive_of,
-    inertia_errors,
     mass_unit,
-    rigid_load,
 )
 from shaker.arrays import ComplexArray, FloatArray, Notice, Severity
 from shaker.identification.fit import Identification, identify

@@ -15,14 +15,13 @@ from fusion.instruments.transducer import geometry_errors, placed_at, unit_direc
 from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.recording.manifest import ChannelEntry
 from fusion.report.provenance import RESULT_FILE, hash_files, read_provenance
-from fusion.sensitivity.body import Body, load_body
+from fusion.sensitivity.body import inertia_errors, rigid_load
 from fusion.sensor.transfer.evaluate import KINDS, evaluate_transfer
 from fusion.sensor.transfer.records import FoundResonance, ReferenceResult, TransferSettings
 from shaker.arrays import FloatArray, Notice
 from shaker.frf.result import TransferFunction
 from shaker.identification.measured import (
     AT_THE_BASE,
-    InertiaError,
     MeasuredTransfer,
     Placement,
     PlacementError,
@@ -297,29 +296,6 @@ def drive_of(manifest: Manifest) -> FloatArray:
 def component_of(drive: FloatArray) -> int:
     """Return which of the six components is driven most."""
     return int(np.argmax(np.abs(drive)))
-
-
-def rigid_load(manifest: Manifest) -> Body:
-    """Return load and parts without what moves inside the sensor; `InputError` without a load."""
-    sensor = manifest.rig.sensor
-    bare = None if sensor is None else sensor.model_copy(update={"internal_mass": 0.0})
-    body = load_body(manifest.rig.model_copy(update={"sensor": bare}), manifest.part)
-    if body is None:
-        expected = "[load] with the mass, centre of mass and inertia of what is mounted on the sensor"
-        raise InputError(manifest.rig_path, "load", found="nothing", expected=expected)
-    return replace(body, joint=None)
-
-
-def inertia_errors(manifest: Manifest, body: Body) -> tuple[InertiaError, ...]:
-    """Return what every uncertain number of load and parts does to the mass matrix, by names that hold everywhere.
-
-    What holds until something is mounted anew is another unknown in every mounting.
-    """
-    found = []
-    for change in body.matrix_changes(np.ones(1), None):
-        suffix = "" if change.scope == "rig" else f" [{manifest.mounting}]"
-        found.append(InertiaError(f"{change.name}{suffix}", change.change[0].real))
-    return tuple(found)
 
 
 def load_along(manifest: Manifest, component: int) -> float:
