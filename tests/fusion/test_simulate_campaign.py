@@ -1,22 +1,36 @@
-"""Simulated campaigns: what recordings share and what they do not, points against the motion, wrenches by hand."""
+"""Simulated campaigns: what recordings share and what they do not, their truth against mechanics by hand."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.signal import lsim
+from support import state
 
 from fusion.recording.load import load_manifest
+from fusion.sensor.step.records import read_step_record
 from fusion.simulate import simulate
+from fusion.simulate.chirp import Chirp, Suspension, mass_matrix, sine_run, write_chirps, write_masses, write_pitching
+from fusion.simulate.preset import read_preset
+from fusion.simulate.releases import DAQ_FILE, StepRig, releases, write_steps
 from fusion.simulate.sines import ROCKING_HZ, runs, wrench_direction
-from fusion.simulate.world import Draws, face_points, make_world, point_series
+from fusion.simulate.world import Draws, TruePart, face_points, make_world, point_series, true_part
 from photogram.geometry import rotation_from_vector
 from photogram.point_tables import read_point_tables
+from shaker.labels import LOAD_COMPONENTS
+from shaker.release.reading import compare_releases, read_release
+
+AXIAL, PITCHING = read_preset(Suspension, "masses"), read_preset(Suspension, "pitching")
+QUICK = read_preset(Chirp, "chirp.chirp", sample_rate_hz=12800.0, period_s=0.32, periods=3, band_hz=(900.0, 2200.0))
+RIG = read_preset(StepRig, "steps")
 
 
 @pytest.fixture(scope="module")
@@ -143,3 +157,214 @@ def test_matrix_rigs_differ_in_gravity_only(tmp_path: Path) -> None:
     drawn = [_truth(folder)["drawn"] for folder in folders]
     assert drawn[1]["moment mass.mass"] == drawn[7]["moment mass.mass"]
     assert drawn[1]["moment mass.centre_of_mass"] != drawn[7]["moment mass.centre_of_mass"]
+
+
+def _parts(stand: Suspension, name: str) -> tuple[TruePart, TruePart]:
+    draws = Draws(1, True)
+    return true_part(stand.loads[name], draws), true_part(stand.internal, draws)
+
+
+def test_axial_motion_is_that_of_one_oscillator() -> None:
+    load, internal = _parts(AXIAL, "4kg")
+    mass, (k,), (b,) = load.mass_kg + internal.mass_kg, AXIAL.stiffness, AXIAL.damping
+    frequency = np.array([1.0, 300.0, 1509.0, 3000.0])
+    s = 2j * np.pi * frequency
+    found = AXIAL.transfer(load, internal, (0.03, 0.0, 0.1), frequency)
+    np.testing.assert_allclose(found, (k + b * s) / (mass * s * s + b * s + k), rtol=1e-12)
+    resonance = AXIAL.resonances_hz(load, internal)
+    assert resonance == pytest.approx([np.sqrt(k / mass) / (2 * np.pi)], rel=1e-12)
+
+
+@pytest.mark.parametrize("name", ["4kg", "7kg"])
+def test_pitching_motion_is_that_of_two_coupled_equations_in_state_space(name: str) -> None:
+    load, internal = _parts(PITCHING, name)
+    m, c, inertia = load.mass_kg, load.centre_of_mass_m[2], load.inertia_kgm2[1, 1]
+    # About the origin, x to the right, turn about y: the centre of mass at height c moves by x + c·turn; what its
+    # other coordinate adds to the moment of inertia is m·x_c².
+    own = inertia + m * (c * c + load.centre_of_mass_m[0] ** 2)
+    matrix = np.array([[m + internal.mass_kg, m * c], [m * c, own]])
+    k, b = np.diag(PITCHING.stiffness), np.diag(PITCHING.damping)
+    # z = q - (x_base, 0): M z'' + b z' + k z = -M (x_base'', 0), reading = x_base'' + z_x'' + height·turn''.
+    inverse = np.linalg.inv(matrix)
+    a = np.block([[np.zeros((2, 2)), np.eye(2)], [-inverse @ k, -inverse @ b]])
+    push = np.array([0.0, 0.0, -1.0, 0.0])
+    frequency = np.array([500.0, 1180.0, 1480.0, 1560.0, 2100.0])
+    for point in PITCHING.tops.values():
+        row = np.array([1.0, point[2]])
+        output = np.hstack([-row @ inverse @ k, -row @ inverse @ b])
+        expected = [output @ np.linalg.solve(2j * np.pi * f * np.eye(4) - a, push) for f in frequency]
+        np.testing.assert_allclose(PITCHING.transfer(load, internal, point, frequency), expected, rtol=1e-9)
+
+
+def test_mass_matrix_holds_newton_and_euler() -> None:
+    load, _ = _parts(PITCHING, "4kg")
+    rng = np.random.default_rng(4)
+    a, alpha = rng.standard_normal((2, 3))
+    force = load.mass_kg * (a + np.cross(alpha, load.centre_of_mass_m))
+    moment = np.cross(load.centre_of_mass_m, force) + load.inertia_kgm2 @ alpha
+    np.testing.assert_allclose(mass_matrix(load) @ [*a, *alpha], [*force, *moment], rtol=1e-12)
+
+
+def test_resonances_overlap_for_one_pitching_load_and_stand_apart_for_the_other() -> None:
+    apart = {}
+    for name in PITCHING.loads:
+        load, internal = _parts(PITCHING, name)
+        inertia = (mass_matrix(load) + mass_matrix(internal))[np.ix_((0, 4), (0, 4))]
+        widths = np.linalg.eigvals(np.linalg.solve(inertia, np.diag(PITCHING.damping))).real / (2 * np.pi)
+        apart[name] = np.diff(PITCHING.resonances_hz(load, internal))[0] / widths.mean()
+    assert apart["7kg"] < 1.5
+    assert apart["4kg"] > 10.0
+
+
+def test_the_campaign_has_one_sensor_two_loads_and_its_truth(tmp_path: Path) -> None:
+    folder = tmp_path
+    write_masses(folder, 3, stand=replace(AXIAL, chirp=QUICK), steps=(19,))
+    manifests = {path.parent.name: load_manifest(path.parent) for path in folder.glob("*/recording.toml")}
+    assert sorted(manifests) == ["Fz-1020.3", "chirp-4kg", "chirp-9kg"]
+    assert len({manifest.rig.sensor.model_dump_json() for manifest in manifests.values() if manifest.rig.sensor}) == 1
+    loads = [manifest.rig.load.mass for manifest in manifests.values() if manifest.rig.load]
+    assert sorted(loads) == [4.236, 8.798, 8.798]
+    truth = _truth(folder)
+    assert truth["load_mass_kg"]["4kg"] == 4.236 + truth["drawn"]["load 4 kg.mass"][0] != 4.236
+    assert truth["internal_mass_kg"] == 0.769 + truth["drawn"]["internal.mass"][0] != 0.769
+    assert truth["stiffness"] == {"z": 4.5e8}
+    assert truth["chain_lag_s"] == 50e-6
+    for own in ("base.scale", "top_1.delay", "daq.clock"):
+        assert _truth(folder / "chirp-4kg")["drawn"][own] == _truth(folder / "chirp-9kg")["drawn"][own]
+
+
+def test_the_recorded_chirp_holds_the_transfer_function(tmp_path: Path) -> None:
+    quiet = replace(QUICK, noise=0.0, periods=6)
+    write_chirps(tmp_path, replace(AXIAL, chirp=quiet), Draws(1, False))
+    truth = _truth(tmp_path / "chirp-9kg")
+    with h5py.File(tmp_path / "chirp-9kg" / "accelerometers.h5") as file:
+        last = {name: np.fft.rfft(file[name][-4096:].astype(np.float64)) for name in ("base", "top_1")}
+    lines = np.rint(np.array(truth["frequency_hz"]) * quiet.period_s).astype(int)
+    ratio = (last["top_1"] / last["base"])[lines]
+    expected = _complex(truth["transfer"]["top_1"])
+    # What is left is the amplifier above, a Butterworth filter of order 4 at 20 kHz: a delay of about 2.613/ω.
+    turned = ratio / expected * np.exp(2.613j * np.array(truth["frequency_hz"]) / 20e3)
+    np.testing.assert_allclose(turned, 1.0, atol=2e-3)
+
+
+def test_sines_move_on_the_same_spring_and_fall_as_published() -> None:
+    draws = Draws(2, True, mounting="1", recording="")
+    load = true_part(AXIAL.loads["9kg"], draws)
+    internal = true_part(AXIAL.internal, draws)
+    for step in (15, 19):
+        run = sine_run(AXIAL, step, draws)
+        world = make_world(run.preset, draws, 0.0)
+        lines = run.preset.frequencies_hz
+        over_base = world.motion["load"].acceleration[:, 2] / world.motion["base"].acceleration[:, 2]
+        expected = AXIAL.transfer(load, internal, (0.0, 0.0, 0.1), lines)
+        np.testing.assert_allclose(over_base, expected, rtol=1e-9)
+        falling = world.outputs[0, 2] / world.load_wrench[0, 2]
+        published = {805.5: (0.9694, -0.25), 1020.3: (0.953, -0.32)}[round(run.nominal_hz[0], 1)]
+        shape = falling / (world.static_stated[2, 2] * (1.0 + draws.values["static_sensitivity"][14]))
+        assert abs(shape) == pytest.approx(published[0], abs=1e-3)
+        assert np.angle(shape) == pytest.approx(published[1], abs=9e-3)
+
+
+def test_the_same_seed_gives_the_same_files(tmp_path: Path) -> None:
+    for name, seed in (("a", 5), ("b", 5), ("c", 6)):
+        (tmp_path / name).mkdir()
+        write_pitching(tmp_path / name, seed, replace(PITCHING, chirp=QUICK))
+    one, same, other = (state(tmp_path / name) for name in "abc")
+    assert len(one) == 11
+    assert one == same
+    assert one["truth.json"] != other["truth.json"]
+
+
+@pytest.fixture(scope="module")
+def steps(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A simulated campaign."""
+    folder = tmp_path_factory.mktemp("steps")
+    write_steps(folder, 3)
+    return folder
+
+
+def test_every_component_is_released_and_one_by_three_ropes(steps: Path) -> None:
+    found = sorted(path.name for path in steps.iterdir() if path.is_dir())
+    assert found == sorted(release.name for release in releases(RIG))
+    excitations = [load_manifest(steps / name).excitation for name in found]
+    assert {e.component for e in excitations} == set(LOAD_COMPONENTS)
+    assert {e.release for e in excitations if e.component == "Fz"} == {"cotton rope", "fishing line", "plastic rope"}
+    assert all(e.kind == "step" and e.step_amplitude and e.step_amplitude < 0 for e in excitations)
+
+
+@pytest.mark.parametrize("name", ["Fz-cotton-rope-1", "My-fishing-line-2"])
+def test_outputs_are_what_the_poles_and_residues_answer(steps: Path, name: str) -> None:
+    """Integrated by scipy: the transfer functions of truth.json under the load that it states, for 20 ms."""
+    whole, truth = _truth(steps), _truth(steps / name)
+    record = read_step_record(load_manifest(steps / name))
+    fine, count = 5, 2000
+    time = np.arange(count * fine) / (record.sample_rate_hz * fine)
+    share = np.clip((time - truth["onset_s"]) / truth["release_s"], 0.0, 1.0)
+    place = LOAD_COMPONENTS.index(truth["component"])
+    noise = np.array(truth["noise"])
+    for channel in (place, (place + 1) % 6):
+        answer = np.zeros(len(time))
+        for m, (f, z) in enumerate(zip(whole["frequency_hz"], whole["damping_ratio"], strict=True)):
+            omega = 2 * np.pi * f
+            pole = omega * complex(-z, np.sqrt(1 - z * z))
+            r = complex(whole["residue"]["re"][channel][place][m], whole["residue"]["im"][channel][place][m])
+            top = [2 * r.real, -2 * (r * pole.conjugate()).real]
+            answer += lsim((top, [1.0, 2 * z * omega, omega**2]), share, time)[1]
+        corner = 2 * np.pi * whole["real_hz"][0]
+        answer += lsim(([whole["real_residue"][channel][place][0]], [1.0, corner]), share, time)[1]
+        clean = truth["baseline"][channel] + truth["amplitude"] * answer[::fine]
+        left = record.samples[channel, :count] - clean
+        assert abs(left.mean()) < 5.0 * noise[channel] / np.sqrt(len(left))
+        assert left.std() == pytest.approx(noise[channel], rel=0.08)
+
+
+def test_every_mode_has_the_relative_degree_of_an_oscillator_behind_a_lag(steps: Path) -> None:
+    """Residues, and residues times poles, sum to 0: the response to a step begins like t³."""
+    whole = _truth(steps)
+    residue = np.array(whole["residue"]["re"]) + 1j * np.array(whole["residue"]["im"])
+    omega, zeta = 2 * np.pi * np.array(whole["frequency_hz"]), np.array(whole["damping_ratio"])
+    pole = omega * (-zeta + 1j * np.sqrt(1 - zeta**2))
+    lag, real = -2 * np.pi * whole["real_hz"][0], np.array(whole["real_residue"])[:, :, 0]
+    for order in (0, 1):
+        total = 2 * np.sum(residue * pole**order, axis=2).real + real * lag**order
+        assert np.all(np.abs(total) < 1e-9 * np.max(np.abs(residue * pole**order), axis=2))
+    static = -2 * np.sum(residue / pole, axis=2).real - real / lag
+    assert static == pytest.approx(np.array(whole["static_gain"]), rel=1e-9)
+    own = np.array(RIG.sensitivity) * np.array(RIG.capacity)
+    ratio = static * np.array(RIG.capacity) / own[:, None]
+    assert np.diagonal(ratio) == pytest.approx(np.ones(6), abs=6 * RIG.mixing**2)
+    assert np.max(np.abs(ratio - np.diag(np.diagonal(ratio)))) < 2.5 * RIG.mixing
+
+
+def test_the_converter_has_its_steps_and_noise_is_where_it_is_said(steps: Path) -> None:
+    with h5py.File(steps / "Fx-fishing-line-1" / DAQ_FILE) as file:
+        volts = np.asarray(file["Fx"], dtype=np.float64)
+    step = 2 * RIG.range_v / 2**RIG.bits
+    assert np.abs(volts / step - np.round(volts / step)).max() < 1e-2
+    assert volts[:900].std() == pytest.approx(RIG.noise * 3.0, rel=0.1)
+    assert np.abs(volts).max() < RIG.range_v
+    steady = _truth(steps / "Fx-fishing-line-1")["steady"][0] * RIG.gain
+    assert volts[-1000:].mean() == pytest.approx(steady, abs=5.0 * RIG.noise * 3.0 / np.sqrt(1000))
+
+
+def test_readings_of_the_campaign_hold_the_truth_and_rank_the_ropes(steps: Path) -> None:
+    readings, deviations = [], []
+    for release in releases(RIG):
+        truth = _truth(steps / release.name)
+        record = read_step_record(load_manifest(steps / release.name))
+        reading = read_release(record, release.component)
+        place = record.channels.index(release.component)
+        deviations += [
+            (reading.onset_s - truth["onset_s"]) / reading.u_onset_s,
+            (reading.release_s - truth["release_s"]) / reading.u_release_s,
+            (reading.static_gain - truth["static_gain"][place]) / reading.u_static_gain,
+        ]
+        assert not reading.notices
+        peak = max(reading.peaks, key=lambda found: found.share)
+        assert peak.frequency_hz == pytest.approx(RIG.frequency_hz[place], rel=0.004)
+        readings += [reading] if release.component == "Fz" else []
+    held = np.abs(deviations) < 2.0
+    assert np.count_nonzero(held) >= 48  # of 57; a perfect program has fewer once in 1000 seeds
+    ranked = compare_releases(readings)
+    assert [kind.release for kind in ranked] == ["fishing line", "plastic rope", "cotton rope"]
+    assert all(kind.faster > 0.99 for kind in ranked[:-1])
