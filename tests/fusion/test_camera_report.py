@@ -1,4 +1,4 @@
-"""The page of a calibration: well-formed, complete in itself, and saying what the numbers say."""
+"""What a calibrated pair means in plain quantities, against Monte Carlo, OpenCV and closed formulas, and its page."""
 
 from __future__ import annotations
 
@@ -6,10 +6,13 @@ import dataclasses
 import html
 import re
 
+import cv2
+import numpy as np
 import pytest
-from calibration_factory import Session, make_calibration
+from calibration_factory import SIZE_PX, SPACING_M, Session, make_calibration
 from page_outline import outline
 
+from fusion.cameras import facts
 from fusion.cameras.figures import draw_pictures
 from fusion.cameras.report import (
     camera_headlines,
@@ -25,15 +28,195 @@ from fusion.cameras.report import (
 )
 from fusion.report.provenance import Provenance
 from photogram.arrays import Notice
-from photogram.calibration.result import Calibration, Dropped
-from photogram.camera import RIG_PARAMETERS
+from photogram.calibration.result import CalibratedPicture, CalibratedView, Calibration, Dropped
+from photogram.camera import RIG_PARAMETERS, StereoRig
+from photogram.geometry import RigidTransform, rotation_from_vector
 
+DRAWS = 4000
 PROVENANCE = Provenance({"left-01.tif": "ab" * 32}, {"target": "dots"}, {"shakercal": "0.1.0"}, ("top.json",))
 
 
 @pytest.fixture(scope="module")
 def calibration() -> Calibration:
     return make_calibration()
+
+
+@pytest.fixture(scope="module")
+def draws(calibration: Calibration) -> list[StereoRig]:
+    """Rigs within the covariance of the calibrated one."""
+    rng = np.random.default_rng(1)
+    covariance = facts.covariance_of(calibration.rig)
+    u = np.sqrt(np.diagonal(covariance))
+    deltas = rng.multivariate_normal(np.zeros(24), covariance / np.outer(u, u), DRAWS) * u
+    return [calibration.rig.perturbed(delta) for delta in deltas]
+
+
+def _scatter(values: object) -> float:
+    return float(np.std(np.asarray(values), ddof=1))
+
+
+def test_baseline_and_angle_scatter_as_stated(calibration: Calibration, draws: list[StereoRig]) -> None:
+    baseline, angle = facts.baseline_m(calibration.rig), facts.axes_angle_rad(calibration.rig)
+    lengths = [np.linalg.norm(rig.right_from_left.translation_m) for rig in draws]
+    angles = [np.arccos(rig.right_from_left.rotation[2, 2]) for rig in draws]
+    assert baseline.value == pytest.approx(np.linalg.norm([0.168, -0.003, 0.036]), abs=4 * baseline.u)
+    assert baseline.u == pytest.approx(_scatter(lengths), rel=0.06)
+    assert angle.value == pytest.approx(np.linalg.norm([0.011, 0.42]), abs=4 * angle.u + 1e-4)
+    assert angle.u == pytest.approx(_scatter(angles), rel=0.06)
+
+
+def test_parallel_axes_have_an_uncertain_angle(calibration: Calibration) -> None:
+    parallel = dataclasses.replace(calibration.rig, right_from_left=RigidTransform(np.eye(3), np.array([-0.1, 0, 0])))
+    found = facts.axes_angle_rad(parallel)
+    assert found.value == 0.0
+    assert found.u >= np.sqrt(np.diagonal(facts.covariance_of(parallel))[18:20]).max()
+
+
+def test_distance_scatters_as_stated(calibration: Calibration) -> None:
+    view, rng = calibration.views[2], np.random.default_rng(2)
+    u = np.sqrt(np.diagonal(view.covariance))
+    deltas = rng.multivariate_normal(np.zeros(6), view.covariance / np.outer(u, u), DRAWS) * u
+    middle = calibration.shape_m.mean(axis=0)
+    places = [
+        rotation_from_vector(delta[3:]) @ view.left_from_target.rotation @ middle
+        + view.left_from_target.translation_m
+        + delta[:3]
+        for delta in deltas
+    ]
+    found = facts.distance_m(calibration, view)
+    assert found.value == pytest.approx(np.linalg.norm(view.left_from_target.apply(middle)))
+    assert found.u == pytest.approx(_scatter(np.linalg.norm(places, axis=1)), rel=0.06)
+
+
+def test_distortion_is_that_of_opencv(calibration: Calibration) -> None:
+    field, camera = facts.distortion(calibration, "right", columns=7), calibration.rig.right
+    ideal = (field.pixel - field.displacement_px).reshape(-1, 2)
+    rays = np.column_stack([(ideal - camera.matrix[:2, 2]) / np.diagonal(camera.matrix)[:2], np.ones(len(ideal))])
+    pixel, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), camera.matrix, camera.distortion)
+    np.testing.assert_allclose(pixel.reshape(field.pixel.shape), field.pixel, atol=1e-6)
+
+
+def test_distortion_scatters_as_stated(calibration: Calibration, draws: list[StereoRig]) -> None:
+    field = facts.distortion(calibration, "left", columns=9)
+    corner = field.pixel[0, 0]
+    moved = []
+    for rig in draws:
+        k = rig.left.matrix
+        moved.append(corner - rig.left.undistort(corner) * [k[0, 0], k[1, 1]] - [k[0, 2], k[1, 2]])
+    scatter = np.sqrt(np.var(moved, axis=0).mean())
+    assert field.u_px[0, 0] == pytest.approx(scatter, rel=0.08)
+    assert np.linalg.norm(np.mean(moved, axis=0) - field.displacement_px[0, 0]) < 6 * scatter / np.sqrt(DRAWS) + 0.01
+
+
+def test_lengths_scale_with_the_baseline(calibration: Calibration) -> None:
+    baseline = np.zeros(24)
+    baseline[21:] = calibration.rig.right_from_left.translation_m
+    rig = dataclasses.replace(calibration.rig, covariance=1e-4**2 * np.outer(baseline, baseline))
+    found = facts.length_u(dataclasses.replace(calibration, rig=rig))
+    np.testing.assert_allclose(found, 1e-4, rtol=1e-6)
+
+
+def test_depth_is_less_certain_than_what_lies_across(calibration: Calibration) -> None:
+    across, down, away = facts.length_u(calibration)
+    assert calibration.scale_u < min(across, down)
+    assert away > 1.5 * across
+
+
+def test_systematic_part_of_residuals_is_told_from_noise() -> None:
+    rng = np.random.default_rng(3)
+    position = rng.uniform(0, 2000, (20000, 2))
+    noise = rng.normal(0.0, 0.2, position.shape)
+    pattern = 0.05 * np.sign(np.sin(2 * np.pi * (position + 0.5) / 400.0))
+    plain, wavy = (facts.residual_map(position, residual, 100.0) for residual in (noise, noise + pattern))
+    assert plain.systematic_px < 0.01
+    assert wavy.systematic_px == pytest.approx(0.05 * np.sqrt(2), rel=0.06)
+    assert wavy.within_px == pytest.approx(0.2 * np.sqrt(2), rel=0.02)
+    assert wavy.count.sum() == len(position)
+    assert (np.abs(position[:, None] - wavy.centre_px).max(axis=2).min(axis=1) <= 50.0).all()
+
+
+def test_errors_of_the_print_are_told_from_those_of_the_lens(calibration: Calibration) -> None:
+    rng = np.random.default_rng(4)
+    shift = dict(zip(map(tuple, calibration.shape_index), rng.normal(0.0, 10e-6, (567, 2)), strict=True))
+
+    def moved(view: CalibratedView, side: int, picture: CalibratedPicture | None) -> CalibratedPicture | None:
+        if picture is None:
+            return None
+        flat = np.zeros((2, len(picture.index), 3))
+        flat[:, :, :2] = SPACING_M * picture.index
+        flat[1, :, :2] += [shift[tuple(index)] for index in picture.index]
+        true, wrong = calibration.rig.project(view.left_from_target.apply(flat))[side]
+        return dataclasses.replace(picture, residual_px=wrong - true + rng.normal(0.0, 0.02, true.shape))
+
+    views = tuple(
+        dataclasses.replace(view, left=moved(view, 0, view.left), right=moved(view, 1, view.right))
+        for view in calibration.views
+    )
+    for side in facts.SIDES:
+        found = facts.residual_parts(dataclasses.replace(calibration, views=views), side)
+        assert found.point_m == pytest.approx(10e-6 * np.sqrt(2), rel=0.06)
+        assert found.whole_px == pytest.approx(np.hypot(found.point_px, 0.02 * np.sqrt(2)), rel=0.02)
+        assert found.place_px < 0.2 * found.point_px
+        assert found.smooth_px < 0.2 * found.point_px
+
+
+def test_residuals_of_a_lens_that_the_model_does_not_follow(calibration: Calibration) -> None:
+    plain = make_calibration(Session(unmodelled_px=0.0))
+    for side in facts.SIDES:
+        wavy, noise = facts.residual_parts(calibration, side), facts.residual_parts(plain, side)
+        assert noise.alone_px == pytest.approx(0.12 * np.sqrt(2), rel=0.03)
+        assert max(noise.place_px, noise.point_px, noise.smooth_px) < 0.02
+        assert 0.06 < wavy.place_px <= wavy.smooth_px < 0.15
+        assert wavy.point_px < 0.02
+
+
+def test_tilt_has_angle_and_direction(calibration: Calibration) -> None:
+    tilts = facts.tilts_rad(calibration)
+    angle = [np.arccos(abs(view.left_from_target.rotation[2, 2])) for view in calibration.views]
+    np.testing.assert_allclose(np.linalg.norm(tilts, axis=1), angle, atol=1e-9)
+    facing = rotation_from_vector(np.array([np.pi, 0.0, 0.0]))
+    right = rotation_from_vector(np.array([0.0, -0.3, 0.0])) @ facing  # the normal −z turns towards +x
+    pose = RigidTransform(right, np.array([0.0, 0.0, 0.4]))
+    one = dataclasses.replace(calibration, views=(dataclasses.replace(calibration.views[0], left_from_target=pose),))
+    np.testing.assert_allclose(facts.tilts_rad(one), [[0.3, 0.0]], atol=1e-12)
+    behind = dataclasses.replace(one.views[0], left_from_target=RigidTransform(right @ facing, pose.translation_m))
+    np.testing.assert_allclose(facts.tilts_rad(dataclasses.replace(one, views=(behind,))), [[0.3, 0.0]], atol=1e-12)
+
+
+@pytest.mark.parametrize("side", facts.SIDES)
+def test_empty_cells_are_what_is_not_covered(calibration: Calibration, side: facts.Side) -> None:
+    position, residual, view = facts.used_points(calibration, side)
+    cells = facts.empty_cells(position, SIZE_PX)
+    area = ((cells[:, 2] - cells[:, 0]) * (cells[:, 3] - cells[:, 1])).sum() / SIZE_PX.prod()
+    assert area == pytest.approx(1 - calibration.covered[facts.SIDES.index(side)])
+    assert len(position) == len(residual) == len(view)
+    rms = np.sqrt((residual**2).sum(axis=1).mean())
+    assert rms == pytest.approx(calibration.rms_sides_px[facts.SIDES.index(side)])
+
+
+def test_shape_is_laid_onto_its_lattice(calibration: Calibration) -> None:
+    shape = facts.target_shape(calibration)
+    assert shape is not None
+    assert np.ptp(shape.height_m) == pytest.approx(60e-6, rel=1e-3)
+    assert abs(shape.height_m.mean()) < 1e-9
+    moved = RigidTransform.from_pose(np.array([1e-3, 2e-3, 3e-3, 0.01, -0.02, 0.03]))
+    again = facts.target_shape(dataclasses.replace(calibration, shape_m=moved.apply(calibration.shape_m)))
+    assert again is not None
+    np.testing.assert_allclose(again.height_m, shape.height_m, atol=1e-12)
+    assert facts.target_shape(make_calibration(Session(views=4, bow_m=0.0))) is None
+
+
+def test_a_pair_without_covariance_is_refused(calibration: Calibration) -> None:
+    with pytest.raises(ValueError, match="covariance"):
+        facts.baseline_m(dataclasses.replace(calibration.rig, covariance=None))
+
+
+def test_parameters_without_uncertainty_have_no_correlation(calibration: Calibration) -> None:
+    covariance = facts.covariance_of(calibration.rig).copy()
+    covariance[8], covariance[:, 8] = 0.0, 0.0
+    found = facts.correlation(covariance)
+    assert np.isnan(found[8]).all()
+    np.testing.assert_allclose(np.delete(np.diagonal(found), 8), 1.0)
 
 
 @pytest.fixture(scope="module")
