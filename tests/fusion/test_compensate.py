@@ -23,8 +23,7 @@ from fusion.cli import main
 from fusion.sensor.compensate.evaluate import CompensateEvaluation, evaluate_compensation, white_noise
 from fusion.sensor.compensate.run import header_text, json_text, read_filters
 from fusion.sensor.compensate.source import Wish, read_sources
-from fusion.sensor.load.evaluate import model_text
-from fusion.sensor.models_file import MODELS_FILE, ModelEntry, ModelsFile, models_text, read_models
+from fusion.sensor.models_file import MODELS_FILE, ModelEntry, ModelsFile, model_text, models_text, read_models
 from shaker.compensation.filter import CompensationFilter
 from shaker.lti.system import ModalModel
 from shaker.release.load_model import LoadModel

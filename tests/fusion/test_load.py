@@ -16,17 +16,9 @@ from support import edit, rows
 from fusion.base import InputError
 from fusion.cli import main
 from fusion.recording.load import load_manifest
-from fusion.sensor.load.evaluate import (
-    MODEL_FILE,
-    MOVING,
-    LoadSettings,
-    evaluate_loads,
-    model_text,
-    read_load_models,
-    read_series,
-    read_table,
-)
+from fusion.sensor.load.evaluate import MOVING, LoadSettings, evaluate_loads, read_series, read_table
 from fusion.sensor.load.report import parameter_rows
+from fusion.sensor.models_file import model_text, read_load_models
 from fusion.simulate.preset import read_preset
 from fusion.simulate.releases import SeriesRig, load_change, true_model, write_loads
 from fusion.simulate.world import Draws
@@ -94,7 +86,7 @@ def test_models_come_back_to_the_last_bit(campaign):
     assert model.component == "Fy"
     assert model.load_masses == pytest.approx((0.0, 0.008, 0.048, 0.098, 0.198))
     written = model_text([model], "c", "s", "p")
-    assert json.loads(written)["models"] == json.loads((campaign / "load" / MODEL_FILE).read_text())["models"]
+    assert json.loads(written)["models"] == json.loads((campaign / "load" / LOAD_MODEL_FILE).read_text())["models"]
 
 
 def test_page_is_complete(campaign):
@@ -110,7 +102,7 @@ def test_one_load_gives_two_solutions(campaign, tmp_path, capsys):
     told = capsys.readouterr()
     assert "cannot tell 2 solutions apart" in told.err
     assert "solution 2 of 2" in told.out
-    first, second = read_load_models(tmp_path / "out" / MODEL_FILE)
+    first, second = read_load_models(tmp_path / "out" / LOAD_MODEL_FILE)
     assert (first.solutions, first.solution, second.solution) == (2, 1, 2)
     assert first.stiffness == pytest.approx(2.36e6, rel=2e-3)
     assert second.stiffness == pytest.approx(1.134e7, rel=2e-3)
@@ -268,12 +260,12 @@ def test_simulated_output_is_that_of_the_equations_of_motion():
     ],
 )
 def test_wrong_model_files(tmp_path, content, sentence):
-    (tmp_path / MODEL_FILE).write_text(content, encoding="utf-8")
+    (tmp_path / LOAD_MODEL_FILE).write_text(content, encoding="utf-8")
     with pytest.raises(InputError, match=re.escape(sentence)):
-        read_load_models(tmp_path / MODEL_FILE)
+        read_load_models(tmp_path / LOAD_MODEL_FILE)
 
 
 def test_a_model_without_uncertainty_comes_back(tmp_path):
     model = LoadModel("F", "", "", 0.24, 2.36e6, 0.0)
-    (tmp_path / MODEL_FILE).write_text(model_text([model], "table", "", ""), encoding="utf-8")
+    (tmp_path / LOAD_MODEL_FILE).write_text(model_text([model], "table", "", ""), encoding="utf-8")
     assert read_load_models(tmp_path) == (model,)

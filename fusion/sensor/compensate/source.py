@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from fusion.base import InputError
-from fusion.sensor.load.evaluate import MODEL_FILE, read_load_models
-from fusion.sensor.models_file import MODELS_FILE, ModelEntry, read_models
+from fusion.sensor.models_file import LOAD_MODEL_FILE, MODELS_FILE, ModelEntry, read_load_models, read_models
 from shaker.arrays import FloatArray, Notice
 from shaker.compensation.effects import target_for_bandwidth, target_for_frequency
 from shaker.compensation.filter import (
@@ -197,9 +196,9 @@ def _read(path: Path) -> Sources:
     """The subjects of one file or folder."""
     file = path
     if path.is_dir():
-        file = next((path / name for name in (MODEL_FILE, MODELS_FILE) if (path / name).is_file()), path)
+        file = next((path / name for name in (LOAD_MODEL_FILE, MODELS_FILE) if (path / name).is_file()), path)
         if file == path:
-            expected = f"{MODELS_FILE} of shakercal step or {MODEL_FILE} of shakercal load in it"
+            expected = f"{MODELS_FILE} of shakercal step or {LOAD_MODEL_FILE} of shakercal load in it"
             raise InputError(path, "", found="none of them", expected=expected)
     return _of_loads(file) if _holds_loads(file) else _of_steps(file)
 

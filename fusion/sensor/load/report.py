@@ -10,8 +10,9 @@ import numpy as np
 from fusion.base import DASH, rounded, typeset
 from fusion.report.numbers import capital, factor, measured
 from fusion.report.table import Column, Headline, Table, known, word
-from fusion.sensor.load.evaluate import ComponentLoads, LoadEvaluation, NamedLimit, Solution, parameter_units
+from fusion.sensor.load.evaluate import ComponentLoads, LoadEvaluation, NamedLimit, Solution
 from fusion.sensor.load.figures import GRAM, draw_characteristics, draw_spectra, small_unit
+from fusion.sensor.models_file import parameter_units
 from shaker.arrays import FloatArray
 from shaker.release.load_model import PARAMETERS, LoadCurve
 

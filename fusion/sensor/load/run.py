@@ -13,16 +13,15 @@ from fusion.report.h5 import write_fields, write_value
 from fusion.report.provenance import hash_files
 from fusion.report.table import columns_of, csv_text
 from fusion.sensor.load.evaluate import (
-    MODEL_FILE,
     ComponentLoads,
     LoadEvaluation,
     LoadSettings,
     evaluate_loads,
-    model_text,
     read_series,
     read_table,
 )
 from fusion.sensor.load.report import LOADS, ParameterRow, load_rows, page_context, parameter_rows, printed
+from fusion.sensor.models_file import LOAD_MODEL_FILE, model_text
 
 
 def _fill(file: h5py.File, evaluation: LoadEvaluation) -> None:
@@ -64,11 +63,11 @@ def _texts(evaluation: LoadEvaluation) -> dict[str, str | bytes]:
     return {
         "load.csv": csv_text(LOADS, load_rows(evaluation)),
         "parameters.csv": csv_text(columns_of(ParameterRow), parameter_rows(evaluation)),
-        MODEL_FILE: model_text(evaluation.models, evaluation.name, evaluation.sensor, program),
+        LOAD_MODEL_FILE: model_text(evaluation.models, evaluation.name, evaluation.sensor, program),
     }
 
 
-LOAD = Command("load", "load", ("load.csv", "parameters.csv", MODEL_FILE), _texts, _fill, page_context, printed)
+LOAD = Command("load", "load", ("load.csv", "parameters.csv", LOAD_MODEL_FILE), _texts, _fill, page_context, printed)
 
 
 def run_loads(
