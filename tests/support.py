@@ -40,9 +40,9 @@ def block(title: str = "", /, **keys: Any) -> str:
     return (f"[{title}]\n" if title else "") + "".join(f"{key} = {json.dumps(keys[key])}\n" for key in keys)
 
 
-def channel(name: str, quantity: str, **keys: Any) -> str:
-    """A channel of the DAQ block above."""
-    return block("[daq.channel]", name=name, quantity=quantity, **keys)
+def channel(name: str, quantity: str, at: str = "", **keys: Any) -> str:
+    """A channel of the DAQ block above; `at`: the block that this one is in, such as `take.`."""
+    return block(f"[{at}daq.channel]", name=name, quantity=quantity, **keys)
 
 
 def recording_head(name: str, frequency_hz: float = 106.25, **keys: Any) -> str:

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
+from support import block, channel, recording_head
 
 FREQUENCY_HZ = 106.2507
 RATE_HZ, SAMPLES = 4000.0, 6000
@@ -36,44 +38,25 @@ mass_uncertainty = 0.001
 centre_of_mass = [0.0, 0.0, 0.0]
 inertia = [[0.036, 0.0, 0.0], [0.0, 0.036, 0.0], [0.0, 0.0, 0.031]]
 """
-HEAD = """
-format = 1
-name = "takes"
-rig = "../rig.toml"
-[excitation]
-kind = "sine"
-direction = [0.0, 0.0, 1.0]
-frequencies = [106.25]
-harmonics = {harmonics}
-"""
-DAQ = '[[{at}daq]]\nname = "daq"\nfile = "{file}"\n'
-LASER = """[[{at}daq.channel]]
-name = "{name}"
-quantity = "velocity"
-body = "load"
-point = {point}
-direction = [0.0, 0.0, 1.0]
-scale = 0.125
-scale_uncertainty = 2.5e-4
-common = "laser"
-"""
-REFERENCE = """[[{at}daq.channel]]
-name = "{name}"
-quantity = "acceleration"
-body = "base"
-point = [0.0, 0.0, -0.1]
-direction = [0.0, 0.0, 1.0]
-scale = 98.1
-scale_uncertainty = 5e-3
-reference = {mark}
-"""
-OUTPUT = """[[{at}daq.channel]]
-name = "{name}"
-quantity = "output"
-channel = "Fz"
-scale = 1e-3
-scale_uncertainty = 1e-4
-"""
+
+
+def head(harmonics: Any = (1,)) -> str:
+    """The beginning of a recording.toml."""
+    return recording_head("takes", harmonics=harmonics).partition("[[daq]]")[0]
+
+
+def laser(name: str, point: Sequence[float], at: str = "") -> str:
+    place = {"body": "load", "point": list(point), "direction": [0.0, 0.0, 1.0]}
+    return channel(name, "velocity", at, **place, scale=LASER_V, scale_uncertainty=SCALE_U, common="laser")
+
+
+def reference(name: str, at: str = "", mark: bool = True) -> str:
+    place = {"body": "base", "point": [0.0, 0.0, -0.1], "direction": [0.0, 0.0, 1.0]}
+    return channel(name, "acceleration", at, **place, scale=ACCELEROMETER_V, scale_uncertainty=5e-3, reference=mark)
+
+
+def output(name: str, at: str = "") -> str:
+    return channel(name, "output", at, channel="Fz", scale=BRIDGE_V, scale_uncertainty=1e-4)
 
 
 @dataclass(frozen=True)
@@ -124,23 +107,23 @@ def write_shot(path: Path, values: Mapping[str, NDArray[np.float64]], rate_hz: f
             file[name] = samples
 
 
-def block(file: str, points: Sequence[Sequence[float]], at: str = "take.", mark: str = "true") -> str:
+def take(file: str, points: Sequence[Sequence[float]], at: str = "take.") -> str:
     """The DAQ block of one take."""
-    text = ("[[take]]\n" if at else "") + DAQ.format(at=at, file=file)
-    text += REFERENCE.format(at=at, name="drive", mark=mark) + OUTPUT.format(at=at, name="Fz")
-    return text + "".join(LASER.format(at=at, name=f"velocity_{n}", point=list(p)) for n, p in enumerate(points, 1))
+    text = (block("[take]") if at else "") + block(f"[{at}daq]", name="daq", file=file)
+    text += reference("drive", at) + output("Fz", at)
+    return text + "".join(laser(f"velocity_{n}", point, at) for n, point in enumerate(points, 1))
 
 
 def write_takes(
-    folder: Path, shots: Sequence[Shot], rng: np.random.Generator, harmonics: str = '"auto"', top: bool = False
+    folder: Path, shots: Sequence[Shot], rng: np.random.Generator, harmonics: Any = "auto", top: bool = False
 ) -> Path:
     """Write a recording of several takes, the first at the top level where `top`; return its folder."""
     recording = folder / "takes"
     recording.mkdir(parents=True)
     (folder / "rig.toml").write_text(RIG, encoding="utf-8")
-    text = HEAD.format(harmonics=harmonics)
+    text = head(harmonics)
     for number, shot in enumerate(shots, 1):
         write_shot(recording / f"{number}.h5", signals(shot, rng), shot.rate_hz)
-        text += block(f"{number}.h5", shot.points, "" if top and number == 1 else "take.")
+        text += take(f"{number}.h5", shot.points, "" if top and number == 1 else "take.")
     (recording / "recording.toml").write_text(text, encoding="utf-8")
     return recording

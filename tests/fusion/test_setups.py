@@ -8,21 +8,21 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support import edit, evaluated
+from support import block, edit, evaluated
 from take_factory import (
     FREQUENCY_HZ,
-    HEAD,
-    LASER,
     LOAD,
-    OUTPUT,
     POINTS,
     RATE_HZ,
-    REFERENCE,
     RIG,
     SENSITIVITY,
     Shot,
-    block,
+    head,
+    laser,
+    output,
+    reference,
     signals,
+    take,
     write_shot,
     write_takes,
 )
@@ -130,12 +130,11 @@ def test_takes_cut_from_one_recording_give_what_the_recording_gives(tmp_path):
     folder.mkdir()
     (tmp_path / "rig.toml").write_text(RIG)
     write_shot(folder / "all.h5", values)
-    head = HEAD.format(harmonics="[1]")
-    (folder / "recording.toml").write_text(head + block("all.h5", POINTS, at=""))
+    (folder / "recording.toml").write_text(head() + take("all.h5", POINTS, at=""))
     whole = evaluated(folder)
-    common, *lasers = block("all.h5", POINTS).split('[[take.daq.channel]]\nname = "velocity_')
+    common, *lasers = take("all.h5", POINTS).split('[[take.daq.channel]]\nname = "velocity_')
     text = "".join(f'{common}[[take.daq.channel]]\nname = "velocity_{laser}' for laser in lasers)
-    (folder / "recording.toml").write_text(head + text)
+    (folder / "recording.toml").write_text(head() + text)
     takes = evaluated(folder)
     assert len(takes.set_ups) == 8
     assert whole.set_ups == ()
@@ -153,7 +152,7 @@ def test_a_channel_in_every_take_is_one_reading_and_its_scatter_counts(tmp_path)
     """An output whose gain jumps from take to take says so, and its uncertainty grows with it."""
     rng = np.random.default_rng(11)
     shots = [Shot([point]) for point in POINTS[:5]]
-    folder = write_takes(tmp_path, shots, rng, harmonics="[1]")
+    folder = write_takes(tmp_path, shots, rng, harmonics=[1])
     gains = 1.0 + 0.01 * np.array([1.0, -1.2, 0.4, 0.9, -0.7])
     for number, (shot, gain) in enumerate(zip(shots, gains, strict=True), 1):
         values = signals(shot, rng)
@@ -168,7 +167,7 @@ def test_a_channel_in_every_take_is_one_reading_and_its_scatter_counts(tmp_path)
 def test_a_large_drift_and_another_frequency_are_warnings(tmp_path):
     rng = np.random.default_rng(3)
     shots = [Shot(POINTS[:1]), Shot(POINTS[1:2], 1.05), Shot(POINTS[2:3], frequency_hz=FREQUENCY_HZ * 1.0005)]
-    found = evaluated(write_takes(tmp_path, shots, rng, harmonics="[1]"))
+    found = evaluated(write_takes(tmp_path, shots, rng, harmonics=[1]))
     told = {notice.where: notice.text for notice in found.notices if notice.severity == "warning"}
     assert "take 2: the reference drive reads +5 %" in told["take 2"]
     assert "take 3: driven at 106.3038 Hz, in the first take at 106.251 Hz" in told["take 3"]
@@ -229,7 +228,7 @@ def test_reference_at_a_weak_harmonic_leaves_that_line_to_the_other_takes(tmp_pa
     """Where the reference does not stand out, a take says nothing at that line instead of noise."""
     rng = np.random.default_rng(4)
     strong, weak = Shot(POINTS[:1], harmonics={2: 1e-3}), Shot(POINTS[1:2], harmonics={2: 0.0})
-    found = evaluated(write_takes(tmp_path, [strong, weak], rng, harmonics="[2]"))
+    found = evaluated(write_takes(tmp_path, [strong, weak], rng, harmonics=[2]))
     referred = {channel.name: channel.phasors.value[:, 0] for channel in found.channels}
     assert np.isfinite(referred["take 1: velocity_1"]).all()
     assert np.isfinite(referred["take 2: velocity_1"]).tolist() == [True, False]
@@ -245,7 +244,7 @@ def test_a_harmonic_that_folds_in_one_take_is_left_out_of_all(tmp_path):
 
 def test_an_output_can_be_the_reference_and_its_noise_then_cancels_in_the_ratio(tmp_path):
     rng = np.random.default_rng(9)
-    folder = write_takes(tmp_path, [Shot([point]) for point in POINTS], rng, harmonics="[1]")
+    folder = write_takes(tmp_path, [Shot([point]) for point in POINTS], rng, harmonics=[1])
     edit(folder / "recording.toml", "reference = true", "reference = false")
     edit(folder / "recording.toml", 'channel = "Fz"', 'channel = "Fz"\nreference = true')
     found = evaluated(folder)
@@ -267,7 +266,7 @@ def test_an_output_can_be_the_reference_and_its_noise_then_cancels_in_the_ratio(
 
 
 ORIGIN = (0.0, 0.0, 0.05)  # of the file's coordinates in the sensor frame
-DAQ = '[[daq]]\nname = "scan"\nfile = "Scan_time.asc"\n'
+DAQ = {"name": "scan", "file": "Scan_time.asc"}
 SCANNED = POINTS[:4]
 BLOCKS = ("velocity_1", "drive", "Fz")
 
@@ -292,34 +291,33 @@ def _scan(folder: Path, rng: np.random.Generator, points: int = 4) -> Path:
 
 
 def _text(folder: Path, *channels: str) -> Path:
-    (folder / "recording.toml").write_text(HEAD.format(harmonics="[1]") + DAQ + "".join(channels))
+    (folder / "recording.toml").write_text(head() + block("[daq]", **DAQ) + "".join(channels))
     return folder
 
 
 def _short(folder: Path) -> Path:
     """Channels by their block: recorded at every point."""
-    laser = LASER.format(at="", name="1", point=list(ORIGIN))
-    return _text(folder, laser, REFERENCE.format(at="", name="2", mark="true"), OUTPUT.format(at="", name="3"))
+    return _text(folder, laser("1", ORIGIN), reference("2"), output("3"))
 
 
 def _long(folder: Path) -> Path:
     """Every channel by block and point, lasers with their own place."""
     channels = []
     for number, point in enumerate(SCANNED, 1):
-        channels.append(LASER.format(at="", name=f"1/{number}", point=list(point)))
-        channels.append(REFERENCE.format(at="", name=f"2/{number}", mark="true"))
-        channels.append(OUTPUT.format(at="", name=f"3/{number}"))
+        channels.append(laser(f"1/{number}", point))
+        channels.append(reference(f"2/{number}"))
+        channels.append(output(f"3/{number}"))
     return _text(folder, *channels)
 
 
 def _blocks(folder: Path) -> Path:
     """The same as blocks of takes."""
-    text = HEAD.format(harmonics="[1]")
+    text = head()
     for number, point in enumerate(SCANNED, 1):
-        text += "[[take]]\n" + DAQ.replace("[[daq]]", "[[take.daq]]")
-        text += LASER.format(at="take.", name=f"1/{number}", point=list(point))
-        text += REFERENCE.format(at="take.", name=f"2/{number}", mark="true")
-        text += OUTPUT.format(at="take.", name=f"3/{number}")
+        text += block("[take]") + block("[take.daq]", **DAQ)
+        text += laser(f"1/{number}", point, "take.")
+        text += reference(f"2/{number}", "take.")
+        text += output(f"3/{number}", "take.")
     (folder / "recording.toml").write_text(text)
     return folder
 
@@ -344,19 +342,18 @@ def test_points_are_placed_where_the_file_says(tmp_path):
 
 def test_a_scan_of_one_point_needs_no_reference(tmp_path):
     folder = _scan(tmp_path, np.random.default_rng(6), points=1)
-    laser = LASER.format(at="", name="1", point=list(SCANNED[0]))
-    found = evaluated(_text(folder, laser))
+    found = evaluated(_text(folder, laser("1", SCANNED[0])))
     assert found.set_ups == ()
 
 
 @pytest.mark.parametrize(
     ("channels", "sentence"),
     [
-        ([LASER.format(at="", name="1", point=list(ORIGIN))], "daq: expected one channel with reference = true"),
-        ([LASER.format(at="", name="1/9", point=list(ORIGIN))], "Scan_time.asc: 1/9: expected block/point of 3 blocks"),
-        ([LASER.format(at="", name="7", point=list(ORIGIN))], "Scan_time.asc: 7: expected block/point of 3 blocks and"),
+        ([laser("1", ORIGIN)], "daq: expected one channel with reference = true"),
+        ([laser("1/9", ORIGIN)], "Scan_time.asc: 1/9: expected block/point of 3 blocks"),
+        ([laser("7", ORIGIN)], "Scan_time.asc: 7: expected block/point of 3 blocks and"),
         (
-            [LASER.format(at="", name=name, point=list(ORIGIN)) for name in ("1", "1/2")],
+            [laser(name, ORIGIN) for name in ("1", "1/2")],
             "daq.scan.channel.1/2: expected each data set once, found 1 beside it",
         ),
     ],

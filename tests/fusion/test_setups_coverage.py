@@ -14,16 +14,16 @@ from take_factory import (
     BASE_Z,
     BRIDGE_V,
     FREQUENCY_HZ,
-    HEAD,
     LOAD,
     MASS_KG,
-    OUTPUT,
     POINTS,
     RATE_HZ,
-    REFERENCE,
     RIG,
     SENSITIVITY,
     at_point,
+    head,
+    output,
+    reference,
     write_shot,
 )
 
@@ -216,7 +216,7 @@ def _write(folder: Path) -> Path:
     recording.mkdir()
     pairs = PAIR.format(name="top", body="load") + PAIR.format(name="base", body="base")
     (folder / "rig.toml").write_text(RIG + pairs)
-    text = HEAD.format(harmonics="[1]")
+    text = head()
     for number, look in enumerate(LOOKS, 1):
         time_s = np.arange(SAMPLES) / RATE_HZ
         drive = _sine(look.level * BASE[2] / 98.1, time_s) + 1e-5 * rng.normal(size=SAMPLES)
@@ -227,9 +227,9 @@ def _write(folder: Path) -> Path:
         write_shot(recording / f"{number}b.h5", {"camera": _trigger(bridge_s), "Fz": force}, BRIDGE_RATE_HZ)
         _write_points(recording / f"{number}.csv", look, rng)
         text += f'[[take]]\n[[take.daq]]\nname = "daq"\nfile = "{number}.h5"\n{TRIGGER}'
-        text += REFERENCE.format(at="take.", name="drive", mark="true")
+        text += reference("drive", "take.")
         text += f'[[take.daq]]\nname = "bridge"\nfile = "{number}b.h5"\n{TRIGGER}'
-        text += OUTPUT.format(at="take.", name="Fz") + POINTS.format(name=look.pair, number=number)
+        text += output("Fz", "take.") + POINTS.format(name=look.pair, number=number)
     (recording / "recording.toml").write_text(text)
     return recording
 
