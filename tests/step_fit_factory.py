@@ -6,8 +6,9 @@ import numpy as np
 from scipy.signal import lsim
 
 from shaker.arrays import FloatArray
-from shaker.lti.system import LinearSystem
+from shaker.lti.system import LinearSystem, ModalModel
 from shaker.release.record import Reading, StepRecord
+from shaker.release.sim import StepFit
 
 RATE_HZ, AMPLITUDE = 100e3, 50.0
 SENSOR = ((1700.0, 0.015),), (6000.0,)
@@ -80,3 +81,10 @@ def rough(record: StepRecord, onset_s: float, release_s: float = 0.0, rise_s: fl
 def ring_rms(output: FloatArray, onset_s: float) -> float:
     """Return the rms of what rings about the new level of a unit load."""
     return float(np.sqrt(np.mean((output[int(onset_s * RATE_HZ) + 1 :] - 1.0) ** 2)))
+
+
+def model_of(fit: StepFit) -> tuple[ModalModel, FloatArray]:
+    """Return the model of a fit, and the standard uncertainties of its vector."""
+    assert fit.model is not None
+    assert fit.model.covariance is not None
+    return fit.model, np.sqrt(np.diag(fit.model.covariance))

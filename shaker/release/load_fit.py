@@ -85,7 +85,7 @@ FLOOR = 1e-8
 
 
 @dataclass(frozen=True)
-class Problem:
+class SeriesProblem:
     """A fit of ln f and ln ζ of the modes that were seen; a rigid load has first modes only.
 
     Unknown x (X,): logarithms of k and, unless `rigid`, k_L, then of c and c_L where a damping is known, then the named
@@ -275,7 +275,7 @@ def fit_resonances(measured: Resonances, masses: SeriesMasses, *, rigid: bool) -
     Scatter beyond what is stated is estimated as of random effects (Mandel & Paule 1970), of frequencies and dampings
     each by itself, where chance would explain it less than once in 1000, or where nothing is stated.
     """
-    problem = Problem(measured, masses, rigid)
+    problem = SeriesProblem(measured, masses, rigid)
     none = (0.0, 0.0)
     best = _minima(problem, none)[0][0]
     scatter = _scatter(problem, best)
@@ -284,7 +284,7 @@ def fit_resonances(measured: Resonances, masses: SeriesMasses, *, rigid: bool) -
 
 
 def refined(
-    problem: Problem, x: FloatArray, scatter: tuple[float, float], tolerance: float = 1e-10
+    problem: SeriesProblem, x: FloatArray, scatter: tuple[float, float], tolerance: float = 1e-10
 ) -> tuple[FloatArray, float]:
     """Return the unknowns (X,) at the minimum next to a start, and chi-squared there."""
     sigma = problem.sigma(scatter)
@@ -296,7 +296,7 @@ def refined(
     return end.parameters, end.loss
 
 
-def _minima(problem: Problem, scatter: tuple[float, float]) -> list[tuple[FloatArray, float]]:
+def _minima(problem: SeriesProblem, scatter: tuple[float, float]) -> list[tuple[FloatArray, float]]:
     """Minima that cannot be excluded, the best first, with chi-squared beyond the best."""
     ratios = STARTS[:1] if problem.rigid else STARTS
     coarse = _distinct(problem, [refined(problem, problem.start(ratio), COARSE, 1e-5) for ratio in ratios])
@@ -304,7 +304,7 @@ def _minima(problem: Problem, scatter: tuple[float, float]) -> list[tuple[FloatA
     return [(x, cost - found[0][1]) for x, cost in found if cost - found[0][1] <= INDISTINCT]
 
 
-def _distinct(problem: Problem, found: list[tuple[FloatArray, float]]) -> list[tuple[FloatArray, float]]:
+def _distinct(problem: SeriesProblem, found: list[tuple[FloatArray, float]]) -> list[tuple[FloatArray, float]]:
     """Minima that differ and mean something, the best first; the best at any rate."""
     ordered = sorted(found, key=lambda item: item[1])
     ratios = [1.0 if problem.rigid else float(np.divide(*problem.numbers(x)[2::-2])) for x, _ in ordered]
@@ -318,7 +318,7 @@ def _distinct(problem: Problem, found: list[tuple[FloatArray, float]]) -> list[t
     return kept
 
 
-def _scatter(problem: Problem, x: FloatArray) -> tuple[float, float]:
+def _scatter(problem: SeriesProblem, x: FloatArray) -> tuple[float, float]:
     """Relative scatter of frequencies and dampings beyond what is stated: where chi-squared equals its freedom."""
     from scipy.optimize import brentq
     from scipy.special import chdtrc
@@ -350,14 +350,14 @@ def _scatter(problem: Problem, x: FloatArray) -> tuple[float, float]:
     return scatter
 
 
-def _groups(problem: Problem, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _groups(problem: SeriesProblem, x: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Deviations of ln f and of ln ζ."""
     count = len(problem.stated()[0])
     told = problem.residual(x, np.ones(sum(len(u) for u in problem.stated())))[0]
     return told[:count], told[count : count + len(problem.stated()[1])]
 
 
-def _result(problem: Problem, x: FloatArray, scatter: tuple[float, float], excess: float) -> SeriesFit:
+def _result(problem: SeriesProblem, x: FloatArray, scatter: tuple[float, float], excess: float) -> SeriesFit:
     """The fit at its minimum."""
     _, slope = problem.residual(x, problem.sigma(scatter))
     (f, z), _ = problem.modes(x)
@@ -380,7 +380,7 @@ def _result(problem: Problem, x: FloatArray, scatter: tuple[float, float], exces
     )
 
 
-def number_covariance(problem: Problem, x: FloatArray, covariance: FloatArray) -> FloatArray:
+def number_covariance(problem: SeriesProblem, x: FloatArray, covariance: FloatArray) -> FloatArray:
     """Return the covariance (P + Q, P + Q) of numbers and named mass errors from that of the unknowns (X, X)."""
     rates, count = problem.number_rates(x), len(problem.deviates(x))
     turn = np.zeros((len(rates) + count, len(x)))
@@ -428,7 +428,7 @@ ALLOWED = 2.0
 """Excess over that of white noise that is taken for the noise's colour."""
 
 
-def fit_decays(decays: tuple[FreeDecay, ...], noise: FloatArray, problem: Problem, start: SeriesFit) -> SeriesFit:
+def fit_decays(decays: tuple[FreeDecay, ...], noise: FloatArray, problem: SeriesProblem, start: SeriesFit) -> SeriesFit:
     """Return the parameters that explain all records at once, from those that explain their resonances.
 
     Unknown are what all records share, k, c, k_L, c_L and the named masses; level and complex amplitude of every mode
@@ -473,7 +473,7 @@ def fit_decays(decays: tuple[FreeDecay, ...], noise: FloatArray, problem: Proble
     )
 
 
-def explains(decays: tuple[FreeDecay, ...], noise: FloatArray, problem: Problem, fit: SeriesFit) -> bool:
+def explains(decays: tuple[FreeDecay, ...], noise: FloatArray, problem: SeriesProblem, fit: SeriesFit) -> bool:
     """Return whether a model leaves no more of the records than modes of their own do, but for chance (1 in 1000).
 
     Σ |r|²/s² of the model less that of the free modes is a chi-squared with as many degrees of freedom as the model has
@@ -490,7 +490,7 @@ def explains(decays: tuple[FreeDecay, ...], noise: FloatArray, problem: Problem,
     return more <= ALLOWED * float(chdtri(max(sum(problem.dof), 1), CHANCE))
 
 
-def _poles(problem: Problem, x: FloatArray, record: int) -> tuple[ComplexArray, ComplexArray]:
+def _poles(problem: SeriesProblem, x: FloatArray, record: int) -> tuple[ComplexArray, ComplexArray]:
     """Upper poles (M,) of one record and their derivatives (M, X)."""
     masses = problem.masses
     moving, loads = masses.at(problem.deviates(x))
@@ -500,6 +500,6 @@ def _poles(problem: Problem, x: FloatArray, record: int) -> tuple[ComplexArray, 
     return poles, np.hstack([moved[:, :-2] @ problem.number_rates(x), by_mass])
 
 
-def _logarithms(problem: Problem, numbers: FloatArray) -> FloatArray:
+def _logarithms(problem: SeriesProblem, numbers: FloatArray) -> FloatArray:
     """Logarithms of stiffnesses, then of the dampings that are unknowns."""
     return np.asarray(np.log(np.concatenate([numbers[::2], numbers[1::2][: problem.dampers]])))

@@ -7,7 +7,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from shaker.arrays import FloatArray, Notice, Severity
-from shaker.release.load_fit import Problem, SeriesFit, SeriesMasses, belonging, explains, fit_decays, fit_resonances
+from shaker.release.load_fit import (
+    SeriesFit,
+    SeriesMasses,
+    SeriesProblem,
+    belonging,
+    explains,
+    fit_decays,
+    fit_resonances,
+)
 from shaker.release.load_model import LoadModel
 from shaker.release.load_modes import FreeDecay, Resonances
 
@@ -97,7 +105,7 @@ def identify_loads(
     chosen = elastic if supported else (rigid,)
     from_records = False
     if decays and noise is not None:
-        problem = Problem(measured, masses, rigid=not supported)
+        problem = SeriesProblem(measured, masses, rigid=not supported)
         joint = tuple(fit_decays(decays, noise, problem, fit) for fit in chosen)
         from_records = not any(chosen[0].scatter) or explains(decays, noise, problem, joint[0])
         chosen = tuple(replace(fit, scatter=(0.0, 0.0)) for fit in joint) if from_records else chosen

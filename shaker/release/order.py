@@ -11,7 +11,7 @@ import numpy as np
 
 from shaker.arrays import ComplexArray, FloatArray, Notice, Severity
 from shaker.lti.system import ModalModel
-from shaker.release.output_error import Problem, Solution, Spread, Structure, design, gain_by, solve, squares
+from shaker.release.output_error import FitSpread, Problem, Solution, Structure, design, gain_by, solve, squares
 from shaker.release.poles import instruments, peaks_hz, pencil, thinned, upper_poles
 from shaker.release.record import Reading, StepRecord
 from shaker.release.response import Load, Samples, block_length, in_blocks
@@ -281,7 +281,9 @@ _UNCLEAR = 0.25  # relative standard uncertainty of a real pole or of a damping 
 _MORE = 1.5  # residual's variance over that of the noise before the release that a right model would leave
 
 
-def remarks(record: StepRecord, reading: Reading, found: Found, model: ModalModel, known: Spread) -> tuple[Notice, ...]:
+def remarks(
+    record: StepRecord, reading: Reading, found: Found, model: ModalModel, known: FitSpread
+) -> tuple[Notice, ...]:
     """Return remarks on the poles, on the residual and on the release."""
     where = f"{record.name}, {reading.channel}"
     told = [*_poles(model, record.sample_rate_hz), *_residual(reading, known)]
@@ -311,7 +313,7 @@ def _poles(model: ModalModel, rate_hz: float) -> Iterator[tuple[Severity, str]]:
             )
 
 
-def _residual(reading: Reading, known: Spread) -> Iterator[tuple[Severity, str]]:
+def _residual(reading: Reading, known: FitSpread) -> Iterator[tuple[Severity, str]]:
     """Yield what the residual says of the model's order and of the noise."""
     ratio = float(np.std(known.residual)) / reading.noise if reading.noise > 0 else np.inf
     if ratio**2 > _MORE:
@@ -328,7 +330,7 @@ def _residual(reading: Reading, known: Spread) -> Iterator[tuple[Severity, str]]
         yield "warning", "the output ran into its limit: what was cut off bends the model"
 
 
-def _release(record: StepRecord, solution: Solution, known: Spread) -> Iterator[tuple[Severity, str]]:
+def _release(record: StepRecord, solution: Solution, known: FitSpread) -> Iterator[tuple[Severity, str]]:
     """Yield what the release leaves open."""
     load, samples = solution.problem.load, solution.problem.samples
     if not load.timed:

@@ -266,7 +266,7 @@ _WHITE = 73.4  # largest sum of N·r² over forty lags that white noise passes 9
 
 
 @dataclass(frozen=True)
-class Spread:
+class FitSpread:
     """Covariance (P, P) of a modal model's vector, without that of the load; standard uncertainties of the release.
 
     `fitted`, `residual` (N,): at every sample; `white`: whether the residual passes as white noise; `excess`: its
@@ -282,7 +282,7 @@ class Spread:
     excess: float
 
 
-def spread(solution: Solution, whole: Samples) -> Spread:
+def spread(solution: Solution, whole: Samples) -> FitSpread:
     """Return what is known of a fit's parameters, from the residual at every sample.
 
     Where the residual is not white, (JᵀJ)⁻¹JᵀRJ(JᵀJ)⁻¹ with R of its correlation through a Parzen window. A converter
@@ -321,7 +321,7 @@ def spread(solution: Solution, whole: Samples) -> Spread:
             rows[:, order + 1] = -0.5 * length, length
         u_onset_s, u_release_s = (float(u) for u in np.sqrt(np.diag(rows @ covariance @ rows.T)))
     slope = _model_slopes(problem.structure, solution.vector, solution.linear, problem.count)
-    return Spread(slope @ covariance @ slope.T, u_onset_s, u_release_s, fitted, residual, white, excess)
+    return FitSpread(slope @ covariance @ slope.T, u_onset_s, u_release_s, fitted, residual, white, excess)
 
 
 def modal_model(solution: Solution, covariance: FloatArray, u_amplitude: float) -> ModalModel:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from decoupling_factory import DAMPING, FREQUENCY_HZ, LAG_HZ, LOADS, true_residues, true_response
+from decoupling_factory import SENSOR
 
 from shaker.decoupling.responses import ResponseFit, Responses, fit_responses
 
@@ -12,12 +12,12 @@ LINES_HZ = np.linspace(20.0, 900.0, 220)
 def _measured(seed: int, share: float = 0.01) -> Responses:
     """Responses with noise of a share of the largest static gain of each output, correlated between Re and Im."""
     rng = np.random.default_rng(seed)
-    value = true_response(LINES_HZ)
-    spread = share * np.abs(true_response(np.zeros(1))[0]).max(axis=1)[None, :, None] * np.ones(value.shape)
+    value = SENSOR.response(LINES_HZ)
+    spread = share * np.abs(SENSOR.response(np.zeros(1))[0]).max(axis=1)[None, :, None] * np.ones(value.shape)
     form = np.array([[1.0, 0.5], [0.5, 0.7]])
     pairs = rng.standard_normal((*value.shape, 2)) @ np.linalg.cholesky(form).T * spread[..., None]
     covariance = spread[..., None, None] ** 2 * form
-    return Responses(LOADS, LOADS, "V", LINES_HZ, value + pairs[..., 0] + 1j * pairs[..., 1], covariance)
+    return Responses(SENSOR.loads, SENSOR.loads, "V", LINES_HZ, value + pairs[..., 0] + 1j * pairs[..., 1], covariance)
 
 
 @pytest.fixture(scope="module")
@@ -28,16 +28,16 @@ def fit() -> ResponseFit:
 def test_poles_are_those_of_the_sensor_within_their_uncertainty(fit: ResponseFit) -> None:
     order, u = np.argsort(fit.model.frequency_hz), fit.model.u
     assert len(order) == 3
-    assert np.all(np.abs(fit.model.frequency_hz[order] - FREQUENCY_HZ) < 3.5 * u.frequency_hz[order])
-    assert np.all(np.abs(fit.model.damping_ratio[order] - DAMPING) < 3.5 * u.damping_ratio[order])
-    assert np.min(np.abs(fit.model.real_hz - LAG_HZ) / u.real_hz) < 3.5
+    assert np.all(np.abs(fit.model.frequency_hz[order] - SENSOR.frequency_hz) < 3.5 * u.frequency_hz[order])
+    assert np.all(np.abs(fit.model.damping_ratio[order] - SENSOR.damping) < 3.5 * u.damping_ratio[order])
+    assert np.min(np.abs(fit.model.real_hz - SENSOR.lag_hz) / u.real_hz) < 3.5
     assert fit.chi_squared / fit.dof == pytest.approx(1.0, abs=0.08)
     assert fit.notices == ()
 
 
 def test_residues_lie_in_their_intervals(fit: ResponseFit) -> None:
     order, u = np.argsort(fit.model.frequency_hz), fit.model.u.residue
-    difference = fit.model.residue[order] - true_residues()[0]
+    difference = fit.model.residue[order] - SENSOR.residues
     score = np.concatenate([(difference.real / u[order].real).ravel(), (difference.imag / u[order].imag).ravel()])
     assert 0.7 < np.sqrt(np.mean(score**2)) < 1.4
 
@@ -58,6 +58,6 @@ def test_slopes_of_the_response_are_difference_quotients(fit: ResponseFit) -> No
 def test_responses_that_no_sum_of_modes_explains_are_told() -> None:
     measured = _measured(2)
     late = measured.value * np.exp(-2j * np.pi * LINES_HZ[:, None, None] * np.array([0.0, 3e-3, 7e-3]))
-    found = fit_responses(Responses(LOADS, LOADS, "V", LINES_HZ, late, measured.covariance), 4)
+    found = fit_responses(Responses(SENSOR.loads, SENSOR.loads, "V", LINES_HZ, late, measured.covariance), 4)
     assert found.chi_squared > 2.0 * found.dof
     assert "times what the covariance" in found.notices[0].text

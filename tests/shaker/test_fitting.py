@@ -25,7 +25,7 @@ def _decays(rates: FloatArray, data: FloatArray) -> Separable:
 
 def _data() -> FloatArray:
     waves = np.exp(-TIME[:, None] * np.array([0.7, 3.0])) @ np.array([[1.0, -0.4], [0.5, 2.0]])
-    return waves + 0.3 + 1e-2 * np.random.default_rng(1).standard_normal((60, 2))
+    return np.asarray(waves + 0.3 + 1e-2 * np.random.default_rng(1).standard_normal((60, 2)))
 
 
 def test_a_narrow_valley_is_followed_to_its_end() -> None:
