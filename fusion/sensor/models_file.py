@@ -1,4 +1,4 @@
-"""models.json and load.json: models of outputs, and of a sensor over its load, written and read back to the last bit."""
+"""models.json and load.json: models of outputs, and of a sensor over its load, written and read to the last bit."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from fusion.cli import main
 from fusion.recording.load import load_manifest
 from fusion.sensor.load.evaluate import MOVING, LoadSettings, evaluate_loads, read_series, read_table
 from fusion.sensor.load.report import parameter_rows
-from fusion.sensor.models_file import model_text, read_load_models
+from fusion.sensor.models_file import LOAD_MODEL_FILE, model_text, read_load_models
 from fusion.simulate.preset import read_preset
 from fusion.simulate.releases import SeriesRig, load_change, true_model, write_loads
 from fusion.simulate.world import Draws
