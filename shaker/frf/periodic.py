@@ -81,7 +81,14 @@ def _period_error(spectrum: ComplexArray, samples: float) -> tuple[float, float]
     """
     count, lines = spectrum.shape
     harmonic = np.arange(1.0, lines + 1.0)
-    coarse = _coarse_error(np.sum(spectrum[1:] * spectrum[:-1].conj(), axis=0), samples)
+    # The delay between periods: of the highest peaks of their correlation the one nearest zero.
+    cross = np.sum(spectrum[1:] * spectrum[:-1].conj(), axis=0)
+    points = 2 * (lines + 1)
+    correlation = np.fft.irfft(np.concatenate([[0.0], cross]), n=points)
+    lag = np.fft.fftfreq(points, 1.0 / points)
+    inside = np.abs(lag) <= max(2.0, 1.5 * _TOLERANCE * points)
+    place = lag[inside & (correlation >= 0.98 * correlation[inside].max())]
+    coarse = float(place[np.argmin(np.abs(place))] * samples / points)
     turn = np.exp(2j * np.pi * np.multiply.outer(np.arange(count), harmonic) * coarse / samples)
     aligned = spectrum * turn
     mean = aligned.mean(axis=0)
@@ -94,17 +101,6 @@ def _period_error(spectrum: ComplexArray, samples: float) -> tuple[float, float]
     u_delay = scale * np.sqrt(0.5 * np.sum(harmonic**2 * np.abs(mean) ** 2 * scatter))
     middle = np.arange(count) - 0.5 * (count - 1)
     return coarse + float(middle @ delay / (middle @ middle)), float(u_delay / np.sqrt(middle @ middle))
-
-
-def _coarse_error(cross: ComplexArray, samples: float) -> float:
-    """Return the delay between periods in samples: of the highest peaks of their correlation the one nearest zero."""
-    points = 2 * (len(cross) + 1)
-    correlation = np.fft.irfft(np.concatenate([[0.0], cross]), n=points)
-    lag = np.fft.fftfreq(points, 1.0 / points)
-    inside = np.abs(lag) <= max(2.0, 1.5 * _TOLERANCE * points)
-    high = inside & (correlation >= 0.98 * correlation[inside].max())
-    place = lag[high][np.argmin(np.abs(lag[high]))]
-    return float(place * samples / points)
 
 
 def period_phasors(data: FloatArray, period: Period, share: tuple[float, float], rounds: int = 5) -> Periods:

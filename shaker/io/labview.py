@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -139,20 +139,16 @@ def _read_segment(path: Path, segment: _Segment, wanted: Sequence[str]) -> dict[
     needed = sorted({*own.values(), *(i for places in before.values() for i in places)})
     read = read_columns(segment.layout, segment.start, segment.stop, segment.line, needed)
     columns = dict(zip(needed, read, strict=True))
-    numbers = list(channels)
-    return {name: _part(segment, columns, own[name], before[name], numbers.index(name)) for name in wanted}
-
-
-def _part(
-    segment: _Segment, columns: Mapping[int, FloatArray], column: int, before: Sequence[int], index: int
-) -> _Part:
-    """Put a channel of a segment together; columns shorter than others (X_Columns Multi) end where the header says."""
-    samples = columns[column]
-    stated = int(_value(segment, "Samples", index, len(samples)))
-    if 0 < stated < len(samples) and np.isnan(samples[stated:]).all():
-        samples = samples[:stated]
-    times = [columns[i][: len(samples)] for i in before if np.isfinite(columns[i][: len(samples)]).all()]
-    return _Part(samples, times[-1] if times else None, segment, index)
+    parts = {}
+    for name in wanted:
+        samples, index = columns[own[name]], list(channels).index(name)
+        stated = int(_value(segment, "Samples", index, len(samples)))
+        if 0 < stated < len(samples) and np.isnan(samples[stated:]).all():
+            samples = samples[:stated]  # columns shorter than others (X_Columns Multi) end where the header says
+        near = (columns[i][: len(samples)] for i in before[name])
+        times = [time for time in near if np.isfinite(time).all()]
+        parts[name] = _Part(samples, times[-1] if times else None, segment, index)
+    return parts
 
 
 def _joined(path: Path, parts: Sequence[_Part], sample_rate_hz: float | None) -> RawChannel:

@@ -338,7 +338,13 @@ def _shape(path: Path, line: int, lines: list[bytes]) -> UniversalShape:
     place = 7 + (2 + counts[0] - 1) // 8  # eight whole numbers a line, its two counts among them
     real_lines = max(1, -(-counts[1] // 6))
     reals = _reals(path, line, lines[place : place + real_lines])
-    node, value = _nodes(path, line, lines[place + real_lines :], components * (2 if data_type == _COMPLEX else 1))
+    values = components * (2 if data_type == _COMPLEX else 1)
+    rows, each = [text for text in lines[place + real_lines :] if text.strip()], 1 + max(1, -(-values // 6))
+    if not rows or len(rows) % each:
+        raise ValueError(f"{path}: line {line}: expected {each} lines for every node, found {len(rows)} in all")
+    node = np.array([_integers(text, 1)[0] for text in rows[::each]], dtype=np.int64)
+    cells = [text for i, text in enumerate(rows) if i % each]
+    value = _reals(path, line, cells, len(node) * values).reshape(len(node), values)
     complex_value = value[:, ::2] + 1j * value[:, 1::2] if data_type == _COMPLEX else value.astype(complex)
     frequency, damping, time = _abscissa(analysis, reals)
     titles = tuple(text.decode("latin-1").strip() for text in lines[:5])
@@ -366,17 +372,6 @@ def _abscissa(analysis: int, reals: np.ndarray) -> tuple[float, float, float]:
         size = abs(eigenvalue)
         return size / (2.0 * np.pi), -eigenvalue.real / size if size else np.nan, np.nan
     return np.nan, np.nan, float(reals[0]) if analysis == _TRANSIENT else np.nan
-
-
-def _nodes(path: Path, line: int, lines: list[bytes], values: int) -> tuple[IntArray, np.ndarray]:
-    """Return node numbers (N,) and their numbers (N, values)."""
-    lines = [text for text in lines if text.strip()]
-    each = 1 + max(1, -(-values // 6))
-    if not lines or len(lines) % each:
-        raise ValueError(f"{path}: line {line}: expected {each} lines for every node, found {len(lines)} in all")
-    node = np.array([_integers(text, 1)[0] for text in lines[::each]], dtype=np.int64)
-    data = [text for i, text in enumerate(lines) if i % each]
-    return node, _reals(path, line, data, len(node) * values).reshape(len(node), values)
 
 
 def _integers(text: bytes, count: int) -> list[int]:

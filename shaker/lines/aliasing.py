@@ -12,6 +12,7 @@ from shaker.arrays import BoolArray, FloatArray, IntArray, Notice, check_shape
 # What sampling does to a line: aliases, lines that fold onto each other, loss by exposure.
 
 
+CAPTURE = 5e-3  # relative: how far a fundamental may lie from its nominal frequency, besides two bins
 GRID_TOLERANCE = 1e-2  # of a sampling interval: times this close to a grid are treated as being on it
 
 
@@ -51,6 +52,13 @@ def alias_frequency(frequency_hz: FloatArray | float, rate_hz: float) -> FloatAr
     """Return where lines appear between zero and the Nyquist frequency: |f - rate·round(f / rate)|."""
     f = np.asarray(frequency_hz, dtype=np.float64)
     return np.asarray(np.abs(f - rate_hz * np.round(f / rate_hz)))
+
+
+def unfolded(seen_hz: FloatArray, nominal_hz: FloatArray, rate_hz: float) -> FloatArray:
+    """Return the frequencies near nominal ones that appear at `seen_hz`; one folded downwards moves the other way."""
+    off = seen_hz - alias_frequency(nominal_hz, rate_hz)
+    downwards = nominal_hz - rate_hz * np.floor(nominal_hz / rate_hz) > rate_hz / 2.0
+    return np.asarray(nominal_hz + np.where(downwards, -off, off))
 
 
 def exposure_gain(frequency_hz: FloatArray, exposure_s: float) -> FloatArray:

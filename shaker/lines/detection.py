@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from shaker.arrays import BoolArray, FloatArray, Notice, check_shape
-from shaker.lines.aliasing import alias_frequency
+from shaker.lines.aliasing import CAPTURE, alias_frequency, unfolded
 from shaker.lines.spectrum import MOST_LINES, Peaks, find_peaks
 
 # What a line most likely is: fundamental, multiple or part of one, combination, mains, side band, or unexplained.
@@ -295,7 +295,6 @@ FALSE_ALARM = 1e-3  # probability that noise alone adds any line to the list
 _SAME_BINS = 0.75  # lines of two channels closer than this are one
 _EXPECTED_MULTIPLE = 20
 _EXPECTED_MAINS = 7
-_CAPTURE = 5e-3  # relative: how far a fundamental may lie from its nominal frequency, besides two bins
 _FEWEST = 32  # samples
 _MOST_COMBINED = 6  # fundamentals whose sums and differences are expected
 _FLOOR_POINTS = 400
@@ -475,12 +474,11 @@ def _nominal(
     strength = relative_strength(survey.amplitude) if len(survey.frequency_hz) else np.empty(0)
     for nominal in sorted(set(nominal_hz)):
         alias = float(alias_frequency(nominal, rate_hz))
-        capture = _CAPTURE * nominal + 2.0 * rate_hz / samples
+        capture = CAPTURE * nominal + 2.0 * rate_hz / samples
         near = np.flatnonzero(np.abs(survey.frequency_hz - alias) <= capture)
         if len(near):
-            seen = float(survey.frequency_hz[near[np.argmax(strength[near])]])
-            downwards = nominal - rate_hz * np.floor(nominal / rate_hz) > rate_hz / 2.0
-            found.append(nominal + (alias - seen if downwards else seen - alias))
+            seen = survey.frequency_hz[near[np.argmax(strength[near])]]
+            found.append(float(unfolded(seen, np.asarray(nominal), rate_hz)))
         else:
             text = f"no line stands out of the noise within {capture:.3g} Hz of the nominal {nominal:.6g} Hz"
             notices.append(Notice("warning", text, f"{nominal:.6g} Hz"))

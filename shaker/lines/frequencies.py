@@ -9,7 +9,15 @@ from typing import Literal
 import numpy as np
 
 from shaker.arrays import BoolArray, FloatArray, IntArray, Notice, check_shape
-from shaker.lines.aliasing import SamplingGrid, alias_frequency, folded_harmonics, sampling_grid, usable_lines
+from shaker.lines.aliasing import (
+    CAPTURE,
+    SamplingGrid,
+    alias_frequency,
+    folded_harmonics,
+    sampling_grid,
+    unfolded,
+    usable_lines,
+)
 from shaker.lines.detection import (
     FALSE_ALARM,
     LineList,
@@ -25,7 +33,6 @@ from shaker.sine.fit import fit_sines
 from shaker.sine.solve import SineFit, SineModel
 
 MAX_MULTIPLE = 20  # harmonics looked for
-_CAPTURE = 5e-3  # relative: how far a fundamental may lie from its nominal frequency, besides two bins
 _PROMINENT = 36.0  # times the noise power that a fundamental must reach; exp(-36) by chance in one bin
 _NYQUIST_SHARE = 0.98  # of the Nyquist frequency up to which harmonics are looked for
 _SMALLEST = 1e-9  # of the strongest line: below it, rounding looks like lines
@@ -168,7 +175,7 @@ class _Record:
         """Return the frequencies of the peaks nearest to nominal ones (at their aliases), or raise `ValueError`."""
         alias = self.alias(nominal)
         apart = np.abs(np.subtract.outer(alias, alias)) + np.where(np.eye(len(alias)) > 0.0, np.inf, 0.0)
-        capture = np.minimum(_CAPTURE * nominal + 2.0 * self.resolution_hz, apart.min(axis=1) / 2.0)
+        capture = np.minimum(CAPTURE * nominal + 2.0 * self.resolution_hz, apart.min(axis=1) / 2.0)
         capture = np.maximum(capture, self.resolution_hz)
         intervals = np.stack([alias - capture, alias + capture], axis=1) / self.resolution_hz
         filled = self.grid.filled(self.data - self.data.mean(axis=0))
@@ -180,9 +187,8 @@ class _Record:
                 f"{np.sqrt(_PROMINENT):g} times the noise within {capture[q]:.3g} Hz"
             )
         best = np.argmax(height, axis=1)
-        folded = np.array([found[c][1][q] for q, c in enumerate(best)]) * self.resolution_hz
-        downwards = nominal - self.grid.rate_hz * np.floor(nominal / self.grid.rate_hz) > self.grid.rate_hz / 2.0
-        return np.asarray(nominal + np.where(downwards, alias - folded, folded - alias))
+        seen = np.array([found[c][1][q] for q, c in enumerate(best)]) * self.resolution_hz
+        return unfolded(seen, nominal, self.grid.rate_hz)
 
     def fit(self, chosen: _Chosen) -> _Fitted:
         """Refine the fundamentals jointly with their harmonics, nuisances free beside them."""

@@ -58,28 +58,23 @@ def line_posterior(
     for _ in range(_ROUNDS):
         points = mean + normal @ (_WIDER * np.linalg.cholesky(covariance)).T
         log_weight = _log_likelihood(points, limits, place, lower, upper) + 0.5 * np.sum(normal**2, axis=1)
-        weight, tempered = _weights(log_weight)
+        power = 1.0
+        while True:  # flattened until at least a twentieth of the points counts
+            weight = np.exp(power * (log_weight - log_weight.max()))
+            weight /= weight.sum()
+            if 1.0 / np.sum(weight**2) >= len(weight) / 20.0:
+                break
+            power *= 0.7
         mean = weight @ points
         centred = points - mean
         old, covariance = covariance, (weight[:, None] * centred).T @ centred
         if len(normal) == _LAST_POINTS:
             break
         change = np.sqrt(np.diagonal(covariance) / np.diagonal(old)) - 1.0
-        if not tempered and np.max(np.abs(change)) < _SETTLED:
+        if power == 1.0 and np.max(np.abs(change)) < _SETTLED:
             normal = all_points
     jitter = float(weight @ np.exp(points[:, -1]))
     return Posterior(mean[:-1], covariance[:-1, :-1], jitter)
-
-
-def _weights(log_weight: FloatArray) -> tuple[FloatArray, bool]:
-    """Return weights that sum to one, flattened until at least a twentieth of the points counts, and whether so."""
-    power = 1.0
-    while True:
-        weight = np.exp(power * (log_weight - log_weight.max()))
-        weight /= weight.sum()
-        if 1.0 / np.sum(weight**2) >= len(weight) / 20.0:
-            return weight, power < 1.0
-        power *= 0.7
 
 
 def _log_likelihood(

@@ -131,8 +131,3 @@ def test_lvm_of_hammer_records_with_decimal_comma(data_dir: Path, name: str) -> 
     np.testing.assert_array_equal(np.stack([acceleration.samples, force.samples], axis=1), table)
     assert (acceleration.unit, force.unit, len(table)) == ("g", "Newtons", 50_030)
     assert acceleration.sample_rate_hz == pytest.approx(50_000.0, rel=1e-12)
-    frequency = np.fft.rfftfreq(len(table), 1.0 / acceleration.sample_rate_hz)
-    spectrum = np.abs(np.fft.rfft(acceleration.samples))
-    for mode_hz in (695.6, 1897.9):  # published modes of the beam
-        near = np.abs(frequency - mode_hz) < 50.0
-        assert frequency[near][spectrum[near].argmax()] == pytest.approx(mode_hz, abs=1.0)

@@ -1,31 +1,49 @@
-"""Sine approximation against analytic truth, the Cramér-Rao bound and coverage."""
+"""Sine approximation: analytic truth, IEEE 1057, Fisher information, coverage; long records, weights, spikes."""
 
 from __future__ import annotations
+
+from fractions import Fraction
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import curve_fit
 from scipy.stats import f as f_distribution
 
 from shaker.sine.fit import fit_sines
+from shaker.sine.noise import neighbour_bins
+from shaker.sine.normal_equations import LONG, Demodulator, UniformTimes, timeline
 from shaker.sine.solve import SineFit, SineModel
 
 CAMERA_HZ = 52.874
+RATE_HZ = 51_200.0
+LINES_HZ = np.array([106.2495, 212.499, 1020.3])
+PLAIN, FREE, DRIFT = SineModel(), SineModel(free=(0,)), SineModel(drift=True)
 
 
-def _series(time: np.ndarray, frequency: np.ndarray, value: np.ndarray, offset: float = 0.0) -> np.ndarray:
-    """Sum of Re{X exp(jωt)} written out with cosines: amplitude and phase, not the fit's own columns."""
-    total = np.full((len(time), value.shape[1]), offset)
+def _fit(
+    time: np.ndarray | UniformTimes,
+    values: np.ndarray,
+    frequency: np.ndarray,
+    model: SineModel = PLAIN,
+    **options: object,
+) -> SineFit:
+    names = [str(c) for c in range(values.shape[1])]
+    return fit_sines(time, values, frequency, names, names, model=model, **options)  # type: ignore[arg-type]
+
+
+def _damped(time: np.ndarray, frequency: np.ndarray, value: np.ndarray, decay: np.ndarray) -> np.ndarray:
+    """Sum of Re{X exp((jω - δ)t)} written out with cosines: amplitude and phase, not the fit's own columns."""
+    total = np.zeros((len(time), value.shape[1]))
     for k, f in enumerate(frequency):
-        for c in range(value.shape[1]):
-            total[:, c] += np.abs(value[k, c]) * np.cos(2 * np.pi * f * time + np.angle(value[k, c]))
+        angle = 2 * np.pi * f * time[:, None] + np.angle(value[k])
+        total += np.abs(value[k]) * np.exp(-decay[k] * time)[:, None] * np.cos(angle)
     return total
 
 
-def _fit(time: np.ndarray, values: np.ndarray, frequency: np.ndarray, drift: bool = False) -> SineFit:
-    names = [str(i) for i in range(values.shape[1])]
-    return fit_sines(time, values, frequency, names, ["m"] * len(names), model=SineModel(drift=drift))
+def _series(time: np.ndarray, frequency: np.ndarray, value: np.ndarray, offset: float = 0.0) -> np.ndarray:
+    return offset + _damped(time, frequency, value, np.zeros(len(frequency)))
 
 
 @pytest.mark.parametrize("rate", [5000.0, CAMERA_HZ])
@@ -53,7 +71,7 @@ def test_drift_is_separated_from_the_lines() -> None:
     time = np.arange(211) / CAMERA_HZ
     value = np.array([[1.0 + 1.0j]])
     values = _series(time, np.array([106.25]), value) + 0.7 * (time - time.mean())[:, None]
-    fit = _fit(time, values, np.array([106.25]), drift=True)
+    fit = _fit(time, values, np.array([106.25]), DRIFT)
     assert fit.drift_per_s[0] == pytest.approx(0.7)
     np.testing.assert_allclose(fit.phasors.value, value, atol=1e-11)
     np.testing.assert_allclose(fit.model(time), values, atol=1e-11)
@@ -172,3 +190,372 @@ def test_folded_lines_are_refused_with_the_remedy() -> None:
         _fit(time[:3], np.ones((3, 1)), np.array([30.0]))
     with pytest.raises(ValueError, match="unit: expected 1 units"):
         fit_sines(time, np.ones((300, 1)), np.array([30.0]), ["a"], [])
+
+
+def ieee_1057(time: np.ndarray, y: np.ndarray, frequency: float, steps: int = 12) -> tuple[float, complex]:
+    """The four-parameter algorithm as the standard's annex writes it: D = [cos, sin, 1, t·(b·cos - a·sin)]."""
+    a = b = 0.0
+    for step in range(steps):
+        angle = 2 * np.pi * frequency * time
+        columns = [np.cos(angle), np.sin(angle), np.ones_like(time)]
+        if step:
+            columns.append(time * (b * np.cos(angle) - a * np.sin(angle)))
+        found = np.linalg.lstsq(np.column_stack(columns), y, rcond=None)[0]
+        a, b = found[:2]
+        frequency += found[3] / (2 * np.pi) if step else 0.0
+    return frequency, complex(a, -b)
+
+
+@pytest.mark.parametrize(("rate", "samples"), [(1000.0, 300), (CAMERA_HZ, 211)])
+def test_four_parameters_are_those_of_ieee_1057(rate: float, samples: int) -> None:
+    rng = np.random.default_rng(0)
+    time = 0.4 + np.arange(samples) / rate
+    y = 2.0 * np.cos(2 * np.pi * 106.25 * time + 0.7) + 0.2 * rng.normal(size=samples) + 3.0
+    fit = _fit(time, y[:, None], np.array([106.25 + 0.1 * rate / samples]), FREE)
+    frequency, value = ieee_1057(time, y, 106.25 + 0.1 * rate / samples)
+    assert fit.phasors.frequency_hz[0] == pytest.approx(frequency, rel=1e-9)
+    assert fit.phasors.value[0, 0] == pytest.approx(value, rel=1e-6)
+
+
+def test_exact_frequencies_and_decays_come_back() -> None:
+    time = np.arange(1500) / 1000.0
+    frequency, decay = np.array([53.7, 106.25, 170.1]), np.array([0.5, 2.0, 0.0])
+    value = np.array([[1.0 + 1.0j, 2.0], [0.3j, -1.0], [0.5, 0.1j]])
+    model = SineModel(drift=True, free=(0, 1, 1), decay="each")
+    data = _damped(time, frequency, value, decay) + 4.0 - 0.3 * time[:, None]
+    fit = _fit(time, data, frequency * np.array([1.001, 0.9995, 0.9995]), model)
+    np.testing.assert_allclose(fit.phasors.frequency_hz, frequency, rtol=1e-12)
+    np.testing.assert_allclose(fit.decay_per_s, decay, atol=1e-11)
+    np.testing.assert_allclose(fit.phasors.value, value, atol=1e-11)
+    np.testing.assert_allclose(fit.drift_per_s, -0.3, atol=1e-11)
+    np.testing.assert_allclose(fit.model(time), data, atol=1e-11)
+
+
+def _fisher(time: np.ndarray, frequency: float, value: complex, sigma: float, decay: bool) -> np.ndarray:
+    """Inverse Fisher matrix of (Re X, Im X, offset, f[, δ]) by central differences of the curve."""
+
+    def curve(p: np.ndarray) -> np.ndarray:
+        damping = p[4] if decay else 0.0
+        wave = (p[0] + 1j * p[1]) * np.exp((2j * np.pi * p[3] - damping) * time)
+        return np.asarray(wave.real + p[2])
+
+    start = np.array([value.real, value.imag, 0.0, frequency, 0.0][: 5 if decay else 4])
+    steps = np.diag([1e-4, 1e-4, 1e-4, 1e-5, 1e-5][: len(start)])
+    jacobian = np.column_stack([(curve(start + s) - curve(start - s)) / (2 * s.sum()) for s in steps])
+    return np.asarray(sigma**2 * np.linalg.inv(jacobian.T @ jacobian))
+
+
+@pytest.mark.parametrize("decay", [False, True])
+@pytest.mark.parametrize("start", [0.0, -1.0, 5.0])
+def test_stated_covariance_is_the_inverse_fisher_information(start: float, decay: bool) -> None:
+    # Far from time zero nearly all of the phase's uncertainty is the frequency's.
+    rng = np.random.default_rng(1)
+    time, value, sigma = start + np.arange(4000) / 2000.0, 1.5 - 0.5j, 0.05
+    y = (value * np.exp(2j * np.pi * 106.25 * time)).real + sigma * rng.normal(size=4000)
+    fit = _fit(time, y[:, None], np.array([106.25]), SineModel(free=(0,), decay="common" if decay else "none"))
+    bound = _fisher(time, 106.25, value, sigma, decay)
+    scale = np.trace(fit.phasors.covariance[0]) / np.trace(bound[:2, :2])
+    assert scale == pytest.approx(1.0, abs=0.5)  # the noise is read from 48 ordinates
+    np.testing.assert_allclose(
+        fit.phasors.covariance[0] / scale, bound[:2, :2], rtol=0.1, atol=0.05 * bound[:2, :2].max()
+    )
+    assert fit.u_frequency_hz[0] ** 2 / scale == pytest.approx(bound[3, 3], rel=0.1)
+    if decay:
+        assert fit.u_decay_per_s[0] ** 2 / scale == pytest.approx(bound[4, 4], rel=0.1)
+
+
+def test_frequency_bound_in_closed_form() -> None:
+    # Rife and Boorstyn 1974: var f = 6 σ² / (π² a² T² S); phase in the middle of the record 2 σ² / (a² S).
+    samples, rate, sigma = 20_000, 5000.0, 0.3
+    time = (np.arange(samples) - (samples - 1) / 2) / rate
+    y = 2.0 * np.cos(2 * np.pi * 106.25 * time) + sigma * np.random.default_rng(2).normal(size=samples)
+    known = _fit(time, y[:, None], np.array([106.25]), SineModel())
+    free = _fit(time, y[:, None], np.array([106.25]), FREE)
+    # Time zero is the middle here: not knowing the frequency costs nothing.
+    np.testing.assert_allclose(free.phasors.covariance, known.phasors.covariance, rtol=0.01, atol=1e-9)
+    expected = np.sqrt(6.0 / (np.pi**2 * 4.0 * samples)) * rate / samples
+    noise = np.sqrt(known.phasors.covariance[0, 0, 0] * samples / 2.0)
+    assert free.u_frequency_hz[0] == pytest.approx(expected * noise, rel=1e-2)
+
+
+def test_agrees_with_curve_fit() -> None:
+    rng = np.random.default_rng(3)
+    time = np.arange(800) / 1000.0
+
+    def curve(t: np.ndarray, a: float, b: float, f: float, d: float, c: float) -> np.ndarray:
+        return np.asarray(np.exp(-d * t) * (a * np.cos(2 * np.pi * f * t) + b * np.sin(2 * np.pi * f * t)) + c)
+
+    y = curve(time, 1.0, 0.5, 60.2, 1.5, 0.1) + 0.02 * rng.normal(size=800)
+    found, _ = curve_fit(curve, time, y, [1.0, 0.4, 60.2, 1.0, 0.0], xtol=1e-14, ftol=1e-14)
+    fit = _fit(time, y[:, None], np.array([60.1]), SineModel(free=(0,), decay="common"))
+    np.testing.assert_allclose(fit.phasors.value[0, 0], found[0] - 1j * found[1], rtol=1e-6)
+    assert fit.phasors.frequency_hz[0] == pytest.approx(found[2], rel=1e-9)
+    assert fit.decay_per_s[0] == pytest.approx(found[3], rel=1e-6)
+    assert fit.offset[0] == pytest.approx(found[4], abs=1e-8)
+
+
+def test_known_lines_stay_and_lines_of_a_label_move_together() -> None:
+    time = np.arange(2000) / 1000.0
+    true = np.array([50.0, 100.1, 200.2])
+    data = _series(time, true, np.ones((3, 1), dtype=complex))
+    fit = _fit(time, data, np.array([50.0, 100.0, 200.0]), SineModel(free=(-1, 4, 4)))
+    np.testing.assert_allclose(fit.phasors.frequency_hz, true, rtol=1e-9)
+    assert fit.u_frequency_hz[0] == 0.0
+    assert fit.phasors.frequency_hz[0] == 50.0
+
+
+def test_channels_weigh_by_their_noise() -> None:
+    # A channel of the same amplitude and a hundred times the noise must not spoil the frequency of the quiet one.
+    rng = np.random.default_rng(4)
+    time = np.arange(500) / 1000.0
+    wave = np.cos(2 * np.pi * 80.0 * time)
+    data = np.stack([wave + 1e-3 * rng.normal(size=500), wave + 0.1 * rng.normal(size=500)], axis=1)
+    alone, both = (_fit(time, part, np.array([80.02]), FREE) for part in (data[:, :1], data))
+    shift = abs(both.phasors.frequency_hz[0] - alone.phasors.frequency_hz[0])
+    assert shift < 0.1 * alone.u_frequency_hz[0]
+    assert both.u_frequency_hz[0] == pytest.approx(alone.u_frequency_hz[0], rel=0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rate", [1000.0, CAMERA_HZ])
+def test_common_frequency_covers_with_correlated_channels(rate: float) -> None:
+    rng = np.random.default_rng(5)
+    time, frequency, mix = np.arange(300) / rate, 106.25, np.array([[1.0, 0.0], [0.9, 0.5]])
+    value = np.array([[1.0 + 0.5j, 0.4j]])
+    clean = _series(time, np.array([frequency]), value)
+    inside, deviation = [], []
+    for _ in range(300):
+        fit = _fit(time, clean + 0.1 * rng.normal(size=(300, 2)) @ mix.T, np.array([frequency]), FREE)
+        error = np.concatenate([(fit.phasors.value - value)[0].real, (fit.phasors.value - value)[0].imag])
+        squares = error @ np.linalg.solve(fit.phasors.covariance[0], error) / 4.0
+        inside.append(squares < f_distribution.ppf(0.95, 4, fit.phasors.dof[0]))
+        deviation.append((fit.phasors.frequency_hz[0] - frequency) / fit.u_frequency_hz[0])
+    assert 0.90 < np.mean(inside) < 0.99
+    assert np.std(deviation) == pytest.approx(1.0, abs=0.15)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.floats(-2.0, 2.0), st.floats(0.01, 100.0), st.floats(0.5, 2.0), st.integers(0, 1000))
+def test_time_shift_scale_and_clock(shift: float, scale: float, clock: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    time = np.arange(300) / 1000.0
+    data = np.cos(2 * np.pi * 80.0 * time)[:, None] * np.array([1.0, 0.3]) + 0.05 * rng.normal(size=(300, 2))
+    model = SineModel(free=(0,), decay="common")
+    plain = _fit(time, data, np.array([80.1]), model)
+    moved = _fit((time + shift) * clock, scale * data[:, ::-1], np.array([80.1]) / clock, model)
+    frequency, decay = plain.phasors.frequency_hz, plain.decay_per_s
+    np.testing.assert_allclose(moved.phasors.frequency_hz * clock, frequency, rtol=1e-7)
+    np.testing.assert_allclose(moved.decay_per_s * clock, decay, atol=1e-4)
+    turned = scale * plain.phasors.value[:, ::-1] * np.exp((decay - 2j * np.pi * frequency) * shift)[:, None]
+    np.testing.assert_allclose(moved.phasors.value, turned, rtol=1e-3)
+    np.testing.assert_allclose(moved.u_frequency_hz * clock, plain.u_frequency_hz, rtol=1e-3)
+
+
+def test_frequency_far_off_is_refused() -> None:
+    time = np.arange(300) / 1000.0
+    with pytest.raises(ValueError, match="free: expected 1 labels, one per line, found 2"):
+        _fit(time, np.ones((300, 1)), np.array([80.0]), SineModel(free=(0, 1)))
+    with pytest.raises(ValueError, match="frequency_hz: expected lines whose frequencies and decays the record tells"):
+        _fit(time, np.zeros((300, 1)), np.array([80.0]), FREE)
+
+
+def _record(samples: int, channels: int, seed: int, noise: float = 0.1) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    time = np.arange(samples) / RATE_HZ
+    value = rng.normal(size=(3, channels)) + 1j * rng.normal(size=(3, channels))
+    clean = (np.exp(2j * np.pi * np.multiply.outer(time, LINES_HZ)) @ value).real
+    return time, clean + noise * rng.normal(size=clean.shape)
+
+
+def test_long_record_keeps_twelve_digits() -> None:
+    samples, step = 51_200 * 60, 1 << 12
+    value = np.array([1.0 - 2.0j, 0.3j, 1e-3])
+    data = np.empty((samples, 1))
+    for first in range(0, samples, step):
+        # Phases in whole fractions: exact where each block begins.
+        begin = [float(Fraction(float(f)) / Fraction(RATE_HZ) * first % 1) for f in LINES_HZ]
+        turns = np.array(begin) + np.multiply.outer(np.arange(step), LINES_HZ / RATE_HZ)
+        data[first : first + step, 0] = (np.exp(2j * np.pi * np.mod(turns, 1.0)) @ value).real
+    for time in (UniformTimes(0.0, RATE_HZ, samples), np.arange(samples) / RATE_HZ):
+        fit = _fit(time, data, LINES_HZ)
+        np.testing.assert_allclose(fit.phasors.value[:, 0], value, rtol=1e-12)
+        assert fit.residual_rms[0] < 1e-12
+    started = LINES_HZ * (1.0 + 1e-6)
+    free = _fit(UniformTimes(0.0, RATE_HZ, samples), data, started, model=SineModel(free=(0, 0, 0)))
+    np.testing.assert_allclose(free.phasors.frequency_hz, LINES_HZ, rtol=1e-15)
+    # The last digit of a frequency turns a line by 2·10⁻¹¹ rad from the middle of the record to its start.
+    np.testing.assert_allclose(free.phasors.value[:, 0], value, rtol=1e-10)
+
+
+def test_blocks_give_what_a_design_matrix_gives() -> None:
+    time, data = _record(LONG + 1234, 2, 1)
+    data[777, 0] = np.nan
+    fit = _fit(time, data, LINES_HZ, DRIFT)
+    kept = np.isfinite(data).all(axis=1)
+    angle = 2.0 * np.pi * np.multiply.outer(time, LINES_HZ)
+    columns = np.column_stack([np.cos(angle), np.sin(angle), np.ones_like(time), time - fit.middle_s])
+    found = np.linalg.lstsq(columns[kept], data[kept], rcond=None)[0]
+    np.testing.assert_allclose(fit.phasors.value, found[:3] - 1j * found[3:6], rtol=1e-9)
+    np.testing.assert_allclose(fit.offset, found[6], atol=1e-10)
+    np.testing.assert_allclose(fit.drift_per_s, found[7], atol=1e-9)
+    residual = data[kept] - columns[kept] @ found
+    np.testing.assert_allclose(fit.residual_rms, np.sqrt(np.mean(residual**2, axis=0)), rtol=1e-10)
+    np.testing.assert_allclose(fit.residual_of(time, data)[kept], residual, atol=1e-9)
+    assert fit.notices[0].text == f"1 of {len(time)} samples are missing"
+
+
+def test_long_and_short_ways_agree() -> None:
+    # A gap of one sample leaves the grid but not the fit; without it the record passes in uniform blocks.
+    time, data = _record(LONG + 4000, 2, 2)
+    whole, gapped = _fit(time, data, LINES_HZ), _fit(np.delete(time, 5), np.delete(data, 5, axis=0), LINES_HZ)
+    np.testing.assert_allclose(gapped.phasors.value, whole.phasors.value, atol=1e-4)
+    np.testing.assert_allclose(gapped.phasors.u_re, whole.phasors.u_re, rtol=0.02)
+
+
+def test_ordinates_of_blocks_are_those_of_the_transform_even_beside_mains() -> None:
+    samples = 2 * LONG + 77
+    data = np.random.default_rng(3).normal(size=(samples, 2))
+    data[:, 0] += 1e4 * np.cos(2.0 * np.pi * 50.0123 * np.arange(samples) / RATE_HZ)
+    bins = neighbour_bins(samples, LINES_HZ * samples / RATE_HZ)
+    assert bins is not None
+    times = timeline(UniformTimes(0.0, RATE_HZ, samples), None)
+    demodulator = Demodulator(times, bins)
+    columns = demodulator.columns()
+    blocks = [data[times.rows(b)] for b in range(len(times.centre_s))]
+    found = demodulator.transform(np.stack([columns[: len(block)].T @ block for block in blocks]))
+    expected = np.fft.rfft(data, axis=0)[bins]
+    # The noise is 1 in these units; what is left of 10⁴ times as much must not show.
+    np.testing.assert_allclose(found / np.sqrt(samples), expected / np.sqrt(samples), atol=1e-3)
+
+
+def test_uniform_times_written_out_are_the_same() -> None:
+    uniform = UniformTimes(-0.25, 1000.0, 700)
+    data = np.random.default_rng(4).normal(size=(700, 2))
+    first, second = _fit(uniform, data, LINES_HZ[:2]), _fit(uniform.array(), data, LINES_HZ[:2])
+    np.testing.assert_allclose(first.phasors.value, second.phasors.value, atol=1e-12)
+    np.testing.assert_allclose(first.phasors.covariance, second.phasors.covariance, rtol=1e-6, atol=1e-12)
+
+
+@pytest.mark.parametrize("each", [False, True])
+def test_weights_make_the_best_of_samples_of_unequal_noise(each: bool) -> None:
+    rng = np.random.default_rng(5)
+    time, frequency = np.arange(240) / 52.874, np.array([106.25, 212.5])
+    sigma = 0.1 * np.where(np.arange(240) % 3, 1.0, 5.0)
+    variance = np.stack([sigma**2, sigma[::-1] ** 2], axis=1) if each else sigma**2
+    spread = np.sqrt(variance if each else np.stack([variance] * 2, axis=1))
+    data = spread * rng.normal(size=(240, 2))
+    fit = _fit(time, data, frequency, variance=variance)
+    angle = 2.0 * np.pi * np.multiply.outer(time, frequency)
+    columns = np.column_stack([np.cos(angle), np.sin(angle), np.ones(240)])
+    for c in range(2):
+        rows = 1.0 / spread[:, c]
+        found = np.linalg.lstsq(columns * rows[:, None], data[:, c] * rows, rcond=None)[0]
+        np.testing.assert_allclose(fit.phasors.value[:, c], found[:2] - 1j * found[2:4], atol=1e-12)
+        exact = np.linalg.inv((columns * rows[:, None]).T @ (columns * rows[:, None]))
+        stated = np.sqrt(fit.phasors.covariance[:, c, c] / exact.diagonal()[:2])
+        np.testing.assert_allclose(stated, 1.0, atol=0.5)
+    with pytest.raises(ValueError, match=r"variance: expected an array of shape \(240,\) or \(240, 2\)"):
+        _fit(time, data, frequency, variance=np.ones(3))
+    with pytest.raises(ValueError, match="variance: expected positive numbers"):
+        _fit(time, data, frequency, variance=np.zeros(240))
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(60, 200), st.floats(0.2, 5.0), st.integers(0, 1000))
+def test_two_records_joined_are_their_weighted_mean(cut: int, ratio: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    time, frequency = np.arange(260) / 52.874, np.array([106.25])
+    variance = np.where(np.arange(260) < cut, 1.0, ratio**2)
+    data = np.sqrt(variance)[:, None] * rng.normal(size=(260, 1))
+    joint = _fit(time, data, frequency, variance=variance)
+    total, right = np.zeros((3, 3)), np.zeros(3)
+    for part in (slice(0, cut), slice(cut, 260)):
+        angle = 2.0 * np.pi * frequency[0] * time[part]
+        columns = np.column_stack([np.cos(angle), -np.sin(angle), np.ones(len(angle))])
+        alone = _fit(time[part], data[part], frequency)
+        own = np.array([alone.phasors.value[0, 0].real, alone.phasors.value[0, 0].imag, alone.offset[0]])
+        information = columns.T @ columns / variance[part][0]
+        total, right = total + information, right + information @ own
+    expected = np.linalg.solve(total, right)
+    assert joint.phasors.value[0, 0] == pytest.approx(expected[0] + 1j * expected[1], abs=1e-9)
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 1000), st.floats(0.1, 10.0))
+def test_weights_count_relative_to_each_other_and_in_any_order(seed: int, scale: float) -> None:
+    rng = np.random.default_rng(seed)
+    time, frequency = np.arange(150) / 52.874, np.array([106.25, 212.5])
+    data, variance = rng.normal(size=(150, 2)), rng.uniform(0.5, 2.0, size=(150, 2))
+    plain = _fit(time, data, frequency, variance=variance)
+    other = _fit(time, data[:, ::-1], frequency, variance=scale * variance[:, ::-1])
+    np.testing.assert_allclose(other.phasors.value[:, ::-1], plain.phasors.value, atol=1e-12)
+    np.testing.assert_allclose(other.phasors.u_re[:, ::-1], plain.phasors.u_re, rtol=1e-6)
+    mixed = rng.permutation(150)
+    free = SineModel(free=(0, 0))
+    first = _fit(time, data + np.cos(2 * np.pi * 106.25 * time)[:, None], frequency, model=free)
+    second = _fit(time[mixed], (data + np.cos(2 * np.pi * 106.25 * time)[:, None])[mixed], frequency, model=free)
+    np.testing.assert_allclose(second.phasors.frequency_hz, first.phasors.frequency_hz, rtol=1e-6)
+
+
+def test_spikes_are_left_out_and_named() -> None:
+    rng = np.random.default_rng(6)
+    time, frequency = np.arange(400) / 1000.0, np.array([80.0])
+    data = np.cos(2 * np.pi * 80.0 * time)[:, None] + 0.01 * rng.normal(size=(400, 2))
+    rows = np.array([3, 50, 51, 399])
+    spoiled = data.copy()
+    spoiled[rows, [0, 1, 0, 1]] += np.array([40.0, -3.0, 0.2, 1000.0])
+    fit = _fit(time, spoiled, frequency, robust=True)
+    assert fit.spikes.tolist() == rows.tolist()
+    expected = _fit(np.delete(time, rows), np.delete(data, rows, axis=0), frequency)
+    np.testing.assert_allclose(fit.phasors.value, expected.phasors.value, atol=1e-12)
+    np.testing.assert_allclose(fit.phasors.covariance, expected.phasors.covariance, rtol=1e-4, atol=1e-12)
+    assert fit.notices[0].severity == "warning"
+    assert fit.notices[0].text.startswith("4 of 400 samples stand out of the noise by more than 4.")
+    assert fit.notices[0].text.endswith("left out, the first at 0.003 s")
+
+
+def test_spikes_of_a_long_record() -> None:
+    time, data = _record(LONG + 999, 1, 7)
+    rows = np.arange(5, len(time), 997)
+    data[rows] += 50.0
+    fit = _fit(time, data, LINES_HZ, robust=True)
+    assert fit.spikes.tolist() == rows.tolist()
+    assert fit.residual_rms[0] == pytest.approx(0.1, rel=0.01)
+
+
+def test_what_is_no_spike_stays() -> None:
+    time, frequency = np.arange(600) / 1000.0, np.array([80.0])
+    exact = np.cos(2 * np.pi * 80.0 * time)[:, None] * np.array([1.0, 0.0])
+    assert len(_fit(time, exact, frequency, robust=True).spikes) == 0
+    late = np.where(time[:, None] < 0.18, 0.0, exact)  # a drive that starts late is no spike either
+    assert (
+        len(_fit(time, late + 1e-3 * np.random.default_rng(10).normal(size=(600, 2)), frequency, robust=True).spikes)
+        == 0
+    )
+
+
+def test_clean_records_lose_nothing() -> None:
+    rng = np.random.default_rng(8)
+    time, frequency, lost = np.arange(60) / 1000.0, np.array([80.0]), 0
+    for _ in range(100):
+        lost += len(_fit(time, rng.normal(size=(60, 2)), frequency, robust=True).spikes)
+    assert lost <= 5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("spikes", [0.0, 0.02])
+def test_robust_fit_is_as_good_as_its_good_samples(spikes: float) -> None:
+    rng = np.random.default_rng(9)
+    time, frequency = np.arange(300) / 1000.0, np.array([80.0])
+    squares, inside = [], []
+    for _ in range(300):
+        data = rng.normal(size=(300, 2))
+        data[rng.random(300) < spikes] += 40.0
+        phasors = _fit(time, data, frequency, robust=True).phasors
+        parts = np.concatenate([phasors.value[0].real, phasors.value[0].imag])
+        squares.append(parts**2)
+        quotient = parts @ np.linalg.solve(phasors.covariance[0], parts) / 4.0
+        inside.append(quotient < f_distribution.ppf(0.95, 4, phasors.dof[0]))
+    # 1200 squares scatter by 4 %.
+    assert np.mean(squares) * 300.0 * (1.0 - spikes) / 2.0 == pytest.approx(1.0, abs=0.13)
+    assert 0.91 < np.mean(inside) < 0.985
