@@ -94,7 +94,7 @@ def test_a_lag_that_slower_releases_hide_is_in_the_uncertainty() -> None:
         off = (model.response(lines_hz)[:, d, d] - truth[:, d, d]).imag
         u = np.sqrt(np.einsum("kp,pq,kq->k", slope[:, d].imag, covariance, slope[:, d].imag))
         assert np.all(np.abs(off) < 3.0 * u)
-        assert np.all(u < 0.2 * np.abs(truth[:, d, d]))
+        assert np.all(u < 0.4 * np.abs(truth[:, d, d]))  # a lag of at most the releases' standard deviation in time
 
 
 @pytest.mark.slow
