@@ -61,12 +61,13 @@ def read_drives(folder: Path) -> tuple[Drive, ...]:
     return read_recorded(folder).drives
 
 
-def read_recorded(folder: Path) -> Recorded:
+def read_recorded(folder: str | Path) -> Recorded:
     """Return what a campaign needs of the recording whose results lie in `folder`.
 
     >>> from fusion import read_recorded
     >>> recorded = read_recorded("sample_images/demo/Fz-0080/results")  # doctest: +SKIP
     """
+    folder = Path(folder)
     origin = read_provenance(folder)
     if origin is None:
         raise InputError(folder / RESULT_FILE, "", found="no results", expected="the results of a recording")
