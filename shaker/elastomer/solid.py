@@ -75,9 +75,9 @@ def solve_solid(beams: CrossBeams, block: SolidBlock, refinement: int = 2) -> So
     quarter = _Quarter(beams, block, refinement)
     frequency, stiffness, motion = {}, {}, {}
     for kind, names in NAMED.items():
-        found, shapes, rigid_stiffness = quarter.solve(kind)
+        hertz, shapes, rigid_stiffness = quarter.solve(kind)
         for place, name in enumerate(names):
-            frequency[name], motion[name], stiffness[name] = found[place], shapes[place], rigid_stiffness[place]
+            frequency[name], motion[name], stiffness[name] = hertz[place], shapes[place], rigid_stiffness[place]
     for name, like in (("Ty", "Tx"), ("Rx", "Ry")):
         frequency[name], stiffness[name] = frequency[like], stiffness[like]
         motion[name] = quarter.mirrored(motion[like]) * (1.0 if name == "Ty" else -1.0)
@@ -207,30 +207,30 @@ def _elastic(basis: Any, first: float, second: float) -> FloatArray:
     product = (flat * basis.dx[:, None, :]) @ flat.transpose(0, 2, 1)
     product = product.reshape(cells, functions, axes, functions, axes)
     dot = np.einsum("eiaja->eij", product)
-    found = first * product + second * product.transpose(0, 1, 4, 3, 2)
+    local = first * product + second * product.transpose(0, 1, 4, 3, 2)
     for axis in range(axes):
-        found[:, :, axis, :, axis] += second * dot
-    return np.asarray(found)
+        local[:, :, axis, :, axis] += second * dot
+    return np.asarray(local)
 
 
 def _inert(basis: Any) -> FloatArray:
     """Mass (C, L, 3, L, 3) of every cell at unit density: ∫ N_i N_j δ_ab dV."""
     value = np.stack([np.broadcast_to(np.asarray(field), basis.dx.shape) for (field,) in basis.basis], axis=1)
     product = (value * basis.dx[:, None, :]) @ value.transpose(0, 2, 1)
-    found = np.zeros((*product.shape[:2], 3, product.shape[2], 3))
+    local = np.zeros((*product.shape[:2], 3, product.shape[2], 3))
     for axis in range(3):
-        found[:, :, axis, :, axis] = product
-    return found
+        local[:, :, axis, :, axis] = product
+    return local
 
 
 def _apart(rigid: FloatArray, weigh: Callable[[FloatArray], FloatArray]) -> FloatArray:
     """Rigid motions (N, k) of mass 1, a turn being about the centre of mass instead of the origin."""
-    found = rigid.copy()
+    motions = rigid.copy()
     for place in range(rigid.shape[1]):
         for other in range(place):
-            found[:, place] -= found[:, other] * (found[:, other] @ weigh(rigid[:, place]))
-        found[:, place] /= np.sqrt(found[:, place] @ weigh(found[:, place]))
-    return found
+            motions[:, place] -= motions[:, other] * (motions[:, other] @ weigh(rigid[:, place]))
+        motions[:, place] /= np.sqrt(motions[:, place] @ weigh(motions[:, place]))
+    return motions
 
 
 def _check_mesh(beams: CrossBeams, block: SolidBlock) -> None:

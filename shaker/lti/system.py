@@ -13,15 +13,15 @@ from shaker.arrays import ComplexArray, FloatArray, check_shape
 
 def residues(zeros: ComplexArray, poles: ComplexArray, gain: float) -> ComplexArray:
     """Return r (P,) of gain·Π(x - zeros)/Π(x - poles) = direct + Σ r/(x - pole), infinite where poles coincide."""
-    found = np.full(len(poles), gain, dtype=np.complex128)
+    parts = np.full(len(poles), gain, dtype=np.complex128)
     with np.errstate(divide="ignore", invalid="ignore"):
         for i, pole in enumerate(poles):
             above = np.ones(len(poles), dtype=np.complex128)
             above[: len(zeros)] = pole - zeros
             below = pole - poles
             below[i] = 1.0
-            found[i] *= np.prod(above / below)
-    return np.asarray(np.where(np.isfinite(found), found, np.inf))
+            parts[i] *= np.prod(above / below)
+    return np.asarray(np.where(np.isfinite(parts), parts, np.inf))
 
 
 def zeros_and_gain(
@@ -123,8 +123,8 @@ class LinearSystem:
         above[:, : len(self.zeros)] = place - self.zeros
         below = place - self.poles
         hit = np.any(below == 0, axis=1)
-        found = self.gain * np.prod(above / np.where(below == 0, 1.0, below), axis=1)
-        return np.asarray(np.where(hit, np.inf + 0j, found))
+        value = self.gain * np.prod(above / np.where(below == 0, 1.0, below), axis=1)
+        return np.asarray(np.where(hit, np.inf + 0j, value))
 
     def response(self, frequency_hz: FloatArray) -> ComplexArray:
         """Return H (K,) at frequencies (K,) in Hz: at s = jω, or at z = exp(jω/fs)."""
@@ -142,13 +142,13 @@ class LinearSystem:
 
         if self.sample_rate_hz is None:
             raise ValueError("sample_rate_hz: expected that of a sampled system, found none")
-        found = np.asarray(zpk2sos(self.zeros, self.poles, self.gain))
+        rows = np.asarray(zpk2sos(self.zeros, self.poles, self.gain))
         late = len(self.poles) - len(self.zeros)
-        for row in found:  # zpk2sos fills up with zeros at z = 0, each of which makes the output a sample early
+        for row in rows:  # zpk2sos fills up with zeros at z = 0, each of which makes the output a sample early
             while late and row[2] == 0:
                 row[:3] = 0.0, row[0], row[1]
                 late -= 1
-        return found
+        return rows
 
     @property
     def direct(self) -> float:
@@ -212,11 +212,11 @@ class LinearSystem:
         if len(steps) < 2 or np.ptp(steps) > 1e-9 * np.max(np.abs(steps)):
             return np.asarray((expm(time_s[:, None, None] * state) @ drive @ output).real)
         now, onward = expm(time_s[0] * state) @ drive, expm(np.mean(steps) * state)
-        found = np.empty((len(time_s), len(now)), dtype=np.complex128)
-        for place in range(len(found)):
-            found[place] = now
+        states = np.empty((len(time_s), len(now)), dtype=np.complex128)
+        for place in range(len(states)):
+            states[place] = now
             now = onward @ now
-        return np.asarray((found @ output).real)
+        return np.asarray((states @ output).real)
 
     def _chain(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         """Return state (P, P), drive (P,) and output (P,) of factors 1 + (p - z)/(s - p) and 1/(s - p) in a row."""
