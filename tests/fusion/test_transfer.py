@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 import pytest
 from page_outline import self_contained
-from support import DOCS, edit, rows
+from support import AT_ORIGIN, DOCS, block, channel, edit, rows
 
 from fusion.base import InputError
 from fusion.cli import main
@@ -53,8 +53,8 @@ def _joint_chi2(result: ReferenceResult, true: np.ndarray) -> tuple[float, np.nd
     """χ² of all lines together with the common errors as unknowns of unit variance, and those unknowns."""
     ratio = result.transfer.ratio
     rows, columns = [], []
-    for k, block in enumerate(result.random_covariance):
-        whiten = np.linalg.inv(np.linalg.cholesky(block))
+    for k, spread in enumerate(result.random_covariance):
+        whiten = np.linalg.inv(np.linalg.cholesky(spread))
         deviation = ratio.value[k, 0] - true[k]
         rows.append(whiten @ [deviation.real, deviation.imag])
         effects = true[k] * np.array([error.relative[k, 0] for error in result.errors])
@@ -226,30 +226,11 @@ def _blow_recording(folder: Path, rate: float, force: np.ndarray, top: np.ndarra
             file[name] = values + noise * rng.standard_normal(len(values))
             file[name].attrs["sample_rate"] = rate
     (folder / "rig.toml").write_text('format = 1\nname = "mass on a spring"\n')
-    (folder / "recording.toml").write_text("""
-format = 1
-name = "blows"
-rig = "rig.toml"
-[excitation]
-kind = "impact"
-direction = [0, 0, 1]
-band = [100.0, 1500.0]
-reference = ["hammer"]
-[[daq]]
-name = "daq"
-file = "daq.h5"
-[[daq.channel]]
-name = "hammer"
-quantity = "force"
-scale_uncertainty = 1e-3
-[[daq.channel]]
-name = "top"
-quantity = "acceleration"
-body = "load"
-point = [0, 0, 0]
-direction = [0, 0, 1]
-scale_uncertainty = 1e-3
-""")
+    impact = {"kind": "impact", "direction": [0, 0, 1], "band": [100.0, 1500.0], "reference": ["hammer"]}
+    text = block(format=1, name="blows", rig="rig.toml") + block("excitation", **impact)
+    text += block("[daq]", name="daq", file="daq.h5") + channel("hammer", "force", scale_uncertainty=1e-3)
+    text += channel("top", "acceleration", body="load", **AT_ORIGIN, scale_uncertainty=1e-3)
+    (folder / "recording.toml").write_text(text)
     return folder
 
 
@@ -272,15 +253,15 @@ def _two_clocks(folder: Path, rates: tuple[float, float]) -> Path:
         last = np.clip(np.searchsorted(pulses, time, side="right") - 1, 0, None)
         trigger = np.where((time >= pulses[last]) & (time < pulses[last] + 5e-3), 5.0, 0.0)
         with h5py.File(folder / f"{name}.h5", "w") as file:
-            for channel, values in ((name, signal + 0.02 * rng.standard_normal(len(time))), ("pulses", trigger)):
-                file[channel] = values
-                file[channel].attrs["sample_rate"] = rate
-        place = 'quantity = "acceleration"\nbody = "load"\npoint = [0, 0, 0]\ndirection = [0, 0, 1]'
-        blocks += f'[[daq]]\nname = "{name} box"\nfile = "{name}.h5"\n[[daq.channel]]\nname = "{name}"\n{place}\n'
-        blocks += 'scale_uncertainty = 1e-4\n[[daq.channel]]\nname = "pulses"\nquantity = "trigger"\n'
+            file.attrs["sample_rate"] = rate
+            file[name] = signal + 0.02 * rng.standard_normal(len(time))
+            file["pulses"] = trigger
+        blocks += block("[daq]", name=f"{name} box", file=f"{name}.h5")
+        blocks += channel(name, "acceleration", body="load", **AT_ORIGIN, scale_uncertainty=1e-4)
+        blocks += channel("pulses", "trigger")
     (folder / "rig.toml").write_text('format = 1\nname = "two clocks"\n')
-    excitation = f'kind = "multisine"\ndirection = [0, 0, 1]\nband = [100.0, 800.0]\nperiod = {period}\n'
-    head = f'format = 1\nname = "two"\nrig = "rig.toml"\n[excitation]\n{excitation}reference = ["base"]\n'
+    multisine = {"kind": "multisine", "direction": [0, 0, 1], "band": [100.0, 800.0], "period": period}
+    head = block(format=1, name="two", rig="rig.toml") + block("excitation", **multisine, reference=["base"])
     (folder / "recording.toml").write_text(head + blocks)
     return folder
 
