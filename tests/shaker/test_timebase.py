@@ -1,0 +1,555 @@
+"""Trigger edges, the periodic model, pulses and clock ties against simulated instants.
+
+First clean signals, then what makes ties hard: jitter, filters, damage, locked sampling.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from shaker.timebase.edges import Edges, find_edges
+from shaker.timebase.tie import ClockTie, decide_shift, edge_instants, tie_clocks
+from shaker.timebase.trigger import Posterior, TriggerFit, fit_trigger, line_posterior, pulse_width
+
+PERIOD_S = 1.0 / 52.874
+EDGES, FEW = 211, 80
+RATE_HZ = 51_200.0
+OTHER_HZ = 50_000.0
+PPM = 17e-6
+LATER_S = 0.03
+
+Rise = Callable[[np.ndarray], np.ndarray]
+
+
+def _latched(instants: np.ndarray, rate: float, length_s: float = 2.0) -> Edges:
+    """Edges as an input without any rise gives them: the next sample is the first that is high."""
+    upper = np.ceil(instants * rate) / rate
+    return Edges(upper - 1.0 / rate, upper, upper - 0.5 / rate, "sampled", 0.0, length_s, 0.5)
+
+
+def _pulses(
+    instants: np.ndarray, rate: float, length_s: float, width_s: float = 5e-3, noise: float = 0.0
+) -> np.ndarray:
+    """Rectangular pulses as a multiplexed or latched input sees them: no sample on the rise."""
+    signal = np.zeros(int(length_s * rate))
+    for instant in instants:
+        signal[max(0, int(np.ceil(instant * rate))) : max(0, int(np.ceil((instant + width_s) * rate)))] = 5.0
+    return signal + noise * np.random.default_rng(0).normal(size=len(signal))
+
+
+def _band_limited(instants: np.ndarray, rate: float, length_s: float, width_s: float = 5e-3) -> np.ndarray:
+    """The same pulses through an ideal low-pass at 0.45 of the rate: the integral of sinc, from its closed form."""
+    from scipy.special import sici
+
+    time = np.arange(int(length_s * rate)) / rate
+    signal = np.zeros(len(time))
+    cutoff = 2.0 * np.pi * 0.45 * rate
+    for instant in instants:
+        signal += (sici(cutoff * (time - instant))[0] - sici(cutoff * (time - instant - width_s))[0]) / np.pi
+    return 5.0 * signal
+
+
+def _two_clocks(rng: np.random.Generator, jitter_s: float = 0.0) -> tuple[TriggerFit, TriggerFit, float, float, float]:
+    """Return fits of both DAQs, the true rate, and the middle edge on the other and on the base clock."""
+    ppm = 17e-6
+    first, begin = 0.1 + rng.uniform(0.0, PERIOD_S), rng.uniform(0.0, 0.05)
+    instants = first + PERIOD_S * np.arange(EDGES) + jitter_s * rng.normal(size=EDGES)
+    base = fit_trigger(_latched(instants, 51_200.0, 4.3))
+    other = fit_trigger(_latched((instants - begin) * (1.0 + ppm), 50_000.0, 4.2))
+    middle = first + PERIOD_S * (EDGES // 2)
+    return base, other, 1.0 / (1.0 + ppm), (middle - begin) * (1.0 + ppm), middle
+
+
+def test_edge_lies_between_the_samples_that_see_it() -> None:
+    rng = np.random.default_rng(1)
+    instants = 0.05 + PERIOD_S * np.arange(20) + rng.uniform(0.0, 1e-3)
+    edges = find_edges(_pulses(instants, 51_200.0, 0.5, noise=0.05), 51_200.0)
+    assert edges.kind == "sampled"
+    assert len(edges.lower_s) == 20
+    assert np.all(edges.lower_s < instants)
+    assert np.all(instants <= edges.upper_s)
+    np.testing.assert_allclose(edges.upper_s - edges.lower_s, 1.0 / 51_200.0)
+    ends = find_edges(_pulses(instants, 51_200.0, 0.5), 51_200.0, edge="falling")
+    assert np.all((ends.lower_s < instants + 5e-3) & (instants + 5e-3 <= ends.upper_s + 1e-12))
+
+
+@pytest.mark.parametrize("width_s", [2e-4, 5e-3, 1.8e-2])
+def test_default_threshold_copes_with_any_duty(width_s: float) -> None:
+    # 1 %, 26 % and 95 % of the period; the 5 % and 95 % quantiles coincide for the first and the last.
+    instants = 0.05 + PERIOD_S * np.arange(20)
+    edges = find_edges(_pulses(instants, 51_200.0, 0.45, width_s, noise=0.02), 51_200.0)
+    assert len(edges.lower_s) == 20
+    assert edges.threshold == pytest.approx(2.5, abs=0.2)
+
+
+def test_noise_at_the_threshold_counts_once() -> None:
+    rng = np.random.default_rng(2)
+    ramp = np.clip(np.sin(2 * np.pi * 10.0 * np.arange(20_000) / 20_000.0) * 3.0, -1.0, 1.0)
+    edges = find_edges(ramp + 0.03 * rng.normal(size=len(ramp)), 20_000.0)
+    assert len(edges.estimate_s) == 9  # the one at the very start has no low sample before it
+
+
+def test_threshold_out_of_reach_is_refused() -> None:
+    with pytest.raises(ValueError, match="threshold: expected a level that the signal crosses, found 7"):
+        find_edges(_pulses(np.array([0.1, 0.2]), 1e4, 0.3), 1e4, threshold=7.0)
+    with pytest.raises(ValueError, match="samples: expected numbers, found 1 NaN"):
+        find_edges(np.array([0.0, np.nan, 1.0]), 1e4)
+
+
+def test_band_limited_edges_have_no_bias() -> None:
+    rng = np.random.default_rng(3)
+    deviations = []
+    for _ in range(2):
+        first = 0.05 + rng.uniform(0.0, 1e-3)
+        instants = first + PERIOD_S * np.arange(60)
+        edges = find_edges(_band_limited(instants, 51_200.0, 1.3), 51_200.0)
+        assert edges.kind == "resolved"
+        fit = fit_trigger(edges)
+        deviations.append(fit.time_s(np.array(30)) - instants[30])
+    # A sample is 19.5 us; half of it is the bias of the naive reading.
+    assert np.max(np.abs(deviations)) < 0.1e-6
+
+
+def test_start_period_and_numbers_are_found() -> None:
+    rng = np.random.default_rng(4)
+    first = 0.1 + rng.uniform(0.0, PERIOD_S)
+    fit = fit_trigger(find_edges(_pulses(first + PERIOD_S * np.arange(EDGES), 51_200.0, 4.3), 51_200.0))
+    assert fit.edges == EDGES
+    assert fit.start_s == pytest.approx(first, abs=1e-6)
+    assert fit.period_s == pytest.approx(PERIOD_S, abs=5e-9)
+    assert fit.idle_before
+    assert fit.idle_after
+    assert not fit.missing
+    assert not fit.spurious
+    assert fit.jitter_s < 1e-6
+    assert not fit.notices
+
+
+def test_missing_doubled_and_stray_edges_are_survived() -> None:
+    rng = np.random.default_rng(5)
+    errors = []
+    for _ in range(5):
+        instants = 0.1 + rng.uniform(0.0, PERIOD_S) + PERIOD_S * np.arange(EDGES)
+        keep = rng.uniform(size=EDGES) > 0.1
+        keep[[0, -1]] = True
+        doubled = instants[rng.uniform(size=EDGES) < 0.05] + 0.5e-3
+        stray = rng.uniform(instants[0], instants[-1], 10)
+        all_edges = np.sort(np.concatenate([instants[keep], doubled, stray]))
+        fit = fit_trigger(find_edges(_pulses(all_edges, 51_200.0, 4.3, 2e-4), 51_200.0))
+        assert fit.edges == EDGES
+        assert set(fit.missing) == set(np.flatnonzero(~keep))
+        assert fit.spurious > 0
+        assert any("missing" in n.text for n in fit.notices)
+        assert fit.doubled == 0 or any(n.text == f"{fit.doubled} doubled edges were dropped" for n in fit.notices)
+        errors.append(fit.time_s(np.array(105)) - instants[105])
+    assert np.sqrt(np.mean(np.square(errors))) < 0.2e-6
+
+
+def test_jitter_is_measured() -> None:
+    rng = np.random.default_rng(6)
+    for jitter in (2e-6, 100e-6):
+        found = []
+        for _ in range(6):
+            instants = 0.1 + PERIOD_S * np.arange(EDGES) + jitter * rng.normal(size=EDGES)
+            found.append(fit_trigger(_latched(instants, 51_200.0, 4.3)).jitter_s)
+        assert np.mean(found) == pytest.approx(jitter, rel=0.3)
+
+
+@pytest.mark.parametrize(
+    ("seed", "cases", "bias", "scatter"),
+    [(7, 5, 0.06e-6, 0.13e-6), pytest.param(17, 30, 0.038e-6, 0.125e-6, marks=pytest.mark.slow)],
+)
+def test_clock_offset_and_rate_without_jitter(seed: int, cases: int, bias: float, scatter: float) -> None:
+    rng = np.random.default_rng(seed)
+    found = []
+    for _ in range(cases):
+        base, other, true_rate, there, here = _two_clocks(rng)
+        tie = tie_clocks(base, other)
+        error = float(tie.to_base_s(np.array(there))) - here
+        found.append((error, tie.rate - true_rate, error / float(tie.u_to_base_s(np.array(there)))))
+        assert tie.shift == 0
+    offset, rate, normalised = np.array(found).T
+    assert np.sqrt(np.mean(offset**2)) < 0.10e-6
+    assert abs(np.mean(offset)) < bias
+    assert np.sqrt(np.mean(rate**2)) < scatter
+    assert np.max(np.abs(normalised)) < 4.0
+
+
+def test_roles_of_the_clocks_can_be_exchanged() -> None:
+    base, other, _, there, _ = _two_clocks(np.random.default_rng(8))
+    forward, backward = tie_clocks(base, other), tie_clocks(other, base)
+    assert forward.rate * backward.rate == pytest.approx(1.0, abs=1e-12)
+    back = backward.to_base_s(forward.to_base_s(np.array(there)))
+    assert float(back) == pytest.approx(there, abs=1e-11)
+    u = float(forward.u_to_base_s(np.array(there)))
+    assert float(backward.u_to_base_s(forward.to_base_s(np.array(there)))) == pytest.approx(u, rel=1e-3)
+
+
+def _fit(first: float, edges: int, *, before: bool, after: bool, missing: tuple[int, ...] = ()) -> TriggerFit:
+    number = np.setdiff1d(np.arange(edges), missing)
+    return TriggerFit(
+        start_s=first,
+        period_s=0.02,
+        number=number,
+        lower_s=first + 0.02 * number - 1e-5,
+        upper_s=first + 0.02 * number + 1e-5,
+        edge_s=first + 0.02 * number,
+        correction_s=np.zeros(len(number)),
+        kind="sampled",
+        covariance=np.diag([1e-14, 1e-20]),
+        jitter_s=0.0,
+        missing=missing,
+        doubled=0,
+        spurious=0,
+        idle_before=before,
+        idle_after=after,
+        resolution_s=2e-5,
+        open_s=0.0,
+        notices=(),
+    )
+
+
+@pytest.mark.parametrize(
+    ("base", "other", "shift"),
+    [
+        # both saw the burst begin; the other stopped early
+        (_fit(0.1, 100, before=True, after=True), _fit(0.3, 60, before=True, after=False), 0),
+        # the other began late and both saw the end
+        (_fit(0.1, 100, before=True, after=True), _fit(0.01, 60, before=False, after=True), 40),
+        # equal numbers within a burst that the base saw whole
+        (_fit(0.1, 100, before=True, after=True), _fit(0.01, 100, before=False, after=False), 0),
+        # neither saw an end, but both saw the same pause
+        (
+            _fit(0.01, 100, before=False, after=False, missing=(50, 51)),
+            _fit(0.01, 90, before=False, after=False, missing=(43, 44)),
+            7,
+        ),
+    ],
+)
+def test_whole_period_shift_is_decided(base: TriggerFit, other: TriggerFit, shift: int) -> None:
+    tie = tie_clocks(base, other)
+    assert tie.shift == shift
+    middle = other.edges // 2
+    deviation = tie.to_base_s(other.time_s(np.array(middle))) - base.time_s(np.array(middle + shift))
+    assert abs(deviation) < 0.1 * tie.u_to_base_s(other.time_s(np.array(middle)))
+    assert tie_clocks(other, base).shift == -shift
+
+
+def test_undecided_shift_is_refused_and_start_times_decide_it() -> None:
+    base = _fit(0.010, 100, before=False, after=False)
+    other = _fit(0.004, 90, before=False, after=False)
+    with pytest.raises(ValueError, match=r"shift: expected .*189 whole-period shifts from -89 to 99"):
+        tie_clocks(base, other)
+    assert tie_clocks(base, other, start_difference_s=0.126).shift == 6
+    assert tie_clocks(base, other, shift=3).shift == 3
+    with pytest.raises(ValueError, match="whole-period shifts"):
+        tie_clocks(base, other, start_difference_s=0.117)
+
+
+def test_another_period_is_no_partner() -> None:
+    base = _fit(0.1, 100, before=True, after=True)
+    other = fit_trigger(find_edges(_pulses(0.1 + 0.03 * np.arange(20), 1e4, 0.8), 1e4))
+    with pytest.raises(ValueError, match=r"other: expected the trigger period of the base clock, 0\.02 s, found 0\.0"):
+        tie_clocks(base, other)
+
+
+@pytest.mark.parametrize(
+    ("instants", "found"),
+    [
+        ([0.1, 0.2], "edges: expected at least 3 edges, found 2"),
+        ([0.05, 0.1, 0.73], "edges: expected at least 3 edges of one period and half of all, found 2 of 3"),
+    ],
+)
+def test_edges_without_a_period_are_refused(instants: list[float], found: str) -> None:
+    with pytest.raises(ValueError, match=found):
+        fit_trigger(find_edges(_pulses(np.array(instants), 1e4, 1.0), 1e4))
+
+
+@settings(max_examples=15, deadline=None)
+@example(first=0.19, period=0.005, count=5)
+@example(first=0.1, period=0.02, count=60)
+@given(st.floats(0.02, 0.2), st.floats(5e-3, 0.05), st.integers(5, 60))
+def test_noise_free_trigger_lies_within_one_sample(first: float, period: float, count: int) -> None:
+    instants = first + period * np.arange(count)
+    length = first + period * (count + 1)
+    fit = fit_trigger(find_edges(_pulses(instants, 20_000.0, length, 0.4 * period), 20_000.0))
+    assert fit.edges == count
+    np.testing.assert_allclose(fit.time_s(np.arange(count)), instants, atol=1.0 / 20_000.0)
+
+
+def _ramp(x: np.ndarray) -> np.ndarray:
+    """A linear rise over three samples."""
+    return np.clip(x / 3.0 + 0.5, 0.0, 1.0)
+
+
+def _charging(x: np.ndarray) -> np.ndarray:
+    """An RC input, time constant two samples, half way at 0."""
+    return 1.0 - np.exp(-np.maximum(x / 2.0 + np.log(2.0), 0.0))
+
+
+def _half_band(x: np.ndarray) -> np.ndarray:
+    """A delta-sigma converter's decimation filter: half amplitude at half the sampling rate."""
+    place = np.arange(-24 * 64, 24 * 64 + 1) / 64.0
+    taps = np.sinc(place) * np.kaiser(len(place), 8.0)
+    return np.interp(x - 0.5 / 64.0, place, np.cumsum(taps) / taps.sum(), left=0.0, right=1.0)
+
+
+def _filtered(rise: Rise, instants: np.ndarray, rate: float, noise: float, rng: np.random.Generator) -> Edges:
+    """Edges found in pulses of 2 ms with that rise."""
+    signal = noise * rng.normal(size=int((instants[-1] + 0.05) * rate))
+    near = np.arange(-40, int(2e-3 * rate) + 40)
+    for instant in instants:
+        index = int(instant * rate) + near
+        signal[index] += rise(index - instant * rate) - rise(index - (instant + 2e-3) * rate)
+    return find_edges(signal, rate, threshold=0.5)
+
+
+def _instants(rng: np.random.Generator, jitter_s: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Instants with jitter on the first clock, and the same on the second."""
+    true = 0.1 + rng.uniform(0.0, PERIOD_S) + PERIOD_S * np.arange(FEW) + jitter_s * rng.normal(size=FEW)
+    return true, (true - LATER_S) * (1.0 + PPM)
+
+
+def _deviation(tie: ClockTie) -> tuple[float, float]:
+    """Error in the middle of the common edges, and over its stated uncertainty."""
+    there = np.array(tie.middle_s)
+    error = float(tie.to_base_s(there)) - (tie.middle_s / (1.0 + PPM) + LATER_S)
+    return error, error / float(tie.u_to_base_s(there))
+
+
+def test_posterior_is_that_of_direct_integration() -> None:
+    place, centre = np.array([-1.0, -0.3, 0.4, 1.0]), np.array([0.3, -0.2, 0.1, 0.35])
+    lower, upper = centre - 0.5, centre + 0.5
+    # Without jitter the posterior is uniform over the polygon of all lines that pass through every interval.
+    m, h = np.meshgrid(np.linspace(-1, 1, 601), np.linspace(-1, 1, 601), indexing="ij")
+    line = m[..., None] + h[..., None] * place
+    inside = np.all((line > lower) & (line <= upper), axis=-1)
+    corner = np.stack([m[inside], h[inside]])
+    start = Posterior(np.zeros(2), 0.3 * np.eye(2), 1e-4)
+    found = line_posterior(place, lower[None], upper[None], start, 1e-4)
+    scale = np.sqrt(np.diag(np.cov(corner)))
+    # The jitter is unknown, so that the posterior may be a little wider.
+    np.testing.assert_allclose(found.mean, corner.mean(axis=1), atol=0.25 * scale.min())
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), scale, rtol=0.35)
+
+
+@pytest.mark.parametrize("rise", [_ramp, _charging, _half_band])
+def test_observed_rise_is_followed(rise: Rise) -> None:
+    rng = np.random.default_rng(21)
+    first, second = _instants(rng)
+    base = fit_trigger(_filtered(rise, first, RATE_HZ, 1e-3, rng))
+    other = fit_trigger(_filtered(rise, second, OTHER_HZ, 1e-3, rng))
+    assert base.kind == other.kind == "resolved"
+    assert abs(base.time_s(np.array(40)) - first[40]) < 0.15e-6  # a sample is 19.5 us
+    error, normalised = _deviation(tie_clocks(base, other))
+    assert abs(error) < 0.15e-6
+    assert abs(normalised) < 4.0
+
+
+def test_common_jitter_cancels_between_intervals() -> None:
+    rng = np.random.default_rng(22)
+    errors, normalised = [], []
+    for _ in range(3):
+        first, second = _instants(rng, jitter_s=100e-6)
+        tie = tie_clocks(fit_trigger(_latched(first, RATE_HZ)), fit_trigger(_latched(second, OTHER_HZ)))
+        error, ratio = _deviation(tie)
+        errors.append(error)
+        normalised.append(ratio)
+    # Two models one by one would err by 100 us·sqrt(2 / 80) = 16 us; two roundings by 5.7 us·sqrt(2 / 80) = 0.9 us.
+    assert np.sqrt(np.mean(np.square(errors))) < 1.3e-6
+    assert np.max(np.abs(normalised)) < 3.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("jitter_s", [2e-6, 20e-6])
+def test_stated_uncertainty_is_calibrated_under_jitter(jitter_s: float) -> None:
+    rng = np.random.default_rng(23)
+    normalised = []
+    for _ in range(40):
+        first, second = _instants(rng, jitter_s)
+        tie = tie_clocks(fit_trigger(_latched(first, RATE_HZ)), fit_trigger(_latched(second, OTHER_HZ)))
+        normalised.append(_deviation(tie)[1])
+    # 40 draws: the standard deviation scatters by 11 %.
+    assert 0.65 < np.sqrt(np.mean(np.square(normalised))) < 1.4
+
+
+def test_resolved_edges_stand_for_the_period_of_the_others() -> None:
+    rng = np.random.default_rng(24)
+    first, second = _instants(rng, jitter_s=20e-6)
+    base = fit_trigger(_latched(first, RATE_HZ))
+    other = fit_trigger(_filtered(_half_band, second, OTHER_HZ, 1e-3, rng))
+    assert (base.kind, other.kind) == ("sampled", "resolved")
+    tie = tie_clocks(base, other)
+    error, normalised = _deviation(tie)
+    assert abs(error) < 0.6e-6
+    assert abs(normalised) < 3.5
+    assert tie.pairs == FEW
+    assert tie.decided_by == "burst start and end"
+
+
+def test_locked_sampling_is_covered_and_told() -> None:
+    period = 968.0 / RATE_HZ
+    for place in (0.02, 0.5, 0.97):
+        instants = (5000.0 + place) / RATE_HZ + period * np.arange(FEW)
+        fit = fit_trigger(_latched(instants, RATE_HZ))
+        deviation = float(fit.time_s(np.array(40))) - instants[40]
+        assert abs(deviation) < 2.0 * float(fit.u_time_s(np.array(40)))
+        assert float(fit.u_time_s(np.array(40))) > 5e-6
+        assert any("same places between two samples" in notice.text for notice in fit.notices)
+
+
+def test_jitter_decides_what_nothing_else_does() -> None:
+    rng = np.random.default_rng(26)
+    first, _ = _instants(rng, jitter_s=30e-6)
+    base = fit_trigger(_latched((first - first[0] + 0.5 * PERIOD_S)[:70], RATE_HZ, 69.6 * PERIOD_S))
+    later = first - first[9] + 0.4 * PERIOD_S
+    other = fit_trigger(_latched(later[9:79], OTHER_HZ, 69.7 * PERIOD_S))
+    assert not any((base.idle_before, base.idle_after, other.idle_before, other.idle_after))
+    assert decide_shift(base, other).edges == 9
+    assert decide_shift(base, other).decided_by == "jitter"
+    assert decide_shift(other, base).edges == -9
+
+
+def test_contradicting_ends_are_refused_by_name() -> None:
+    first, second = _instants(np.random.default_rng(27))
+    base = fit_trigger(_latched(first, RATE_HZ))
+    other = fit_trigger(_latched(second[2:], OTHER_HZ))  # two edges lost at its start, though it was recording
+    with pytest.raises(
+        ValueError, match=r"shift: .*80 and 78 edges whose ends of the burst say 2 and 0; give first_edge"
+    ):
+        tie_clocks(base, other)
+    tie = tie_clocks(base, other, start_difference_s=LATER_S)
+    assert (tie.shift, tie.decided_by) == (2, "start times")
+    assert not tie.notices
+    told = tie_clocks(base, other, shift=0, start_difference_s=LATER_S).notices
+    assert "start times put edge 0 at edge 2 of the first clock, first_edge at 0" in told[0].text
+
+
+def test_single_gaps_that_coincide_by_chance_decide_nothing() -> None:
+    first, _ = _instants(np.random.default_rng(28))
+    place = first - first[0] + 0.5 * PERIOD_S
+    base = fit_trigger(_latched(np.delete(place[:70], [20, 41, 60]), RATE_HZ, 69.6 * PERIOD_S))
+    other = fit_trigger(_latched(np.delete(place[:70], [9, 15, 33]), OTHER_HZ, 69.6 * PERIOD_S))
+    with pytest.raises(ValueError, match="whole-period shifts"):
+        decide_shift(base, other)
+
+
+def _jump(x: np.ndarray) -> np.ndarray:
+    """A latched input."""
+    return np.where(x >= 0.0, 1.0, 0.0)
+
+
+def _brick_wall(x: np.ndarray) -> np.ndarray:
+    """An ideal low-pass at half the sampling rate, which rings for hundreds of samples."""
+    place = np.arange(-400 * 16, 400 * 16 + 1) / 16.0
+    taps = np.sinc(place)
+    return np.interp(x - 0.5 / 16.0, place, np.cumsum(taps) / taps.sum(), left=0.0, right=1.0)
+
+
+def _shaped(rise: Rise, first: np.ndarray, width: float, rng: np.random.Generator) -> np.ndarray:
+    """Pulses of a width in s with that rise on a little noise."""
+    signal = 1e-3 * rng.normal(size=int((first[-1] + 0.05) * RATE_HZ))
+    near = np.arange(-60, int(width * RATE_HZ) + 60)
+    for instant in first:
+        index = int(instant * RATE_HZ) + near
+        signal[index] += rise(index - instant * RATE_HZ) - rise(index - (instant + width) * RATE_HZ)
+    return signal
+
+
+@pytest.mark.parametrize(
+    ("rise", "samples"),
+    [
+        (_jump, (1.7, 2.3, 6.3)),
+        (_half_band, (5.3, 8.2, 12.3)),
+        (_brick_wall, (5.3, 24.3, 51.0)),
+        (_ramp, (16.6, 51.0)),  # 51 of 968 samples: the 95 % quantile lies on the rise
+        (_charging, (24.3,)),
+    ],
+)
+def test_short_pulses_are_as_uncertain_as_stated(rise: Rise, samples: tuple[float, ...]) -> None:
+    rng = np.random.default_rng(32)
+    for long in samples:
+        found = pulse_width(_shaped(rise, _instants(rng)[0], long / RATE_HZ, rng), RATE_HZ)
+        assert abs(found.width_s * RATE_HZ - long) < 2.5 * found.u_width_s * RATE_HZ
+        assert found.u_width_s * RATE_HZ < max(0.02, 0.3 / long)
+
+
+@pytest.mark.parametrize(("rise", "samples"), [(_jump, 0.8), (_half_band, 2.0), (_ramp, 4.4), (_charging, 8.2)])
+def test_pulses_that_do_not_settle_are_refused(rise: Rise, samples: float) -> None:
+    rng = np.random.default_rng(33)
+    signal = _shaped(rise, _instants(rng)[0], samples / RATE_HZ, rng)
+    with pytest.raises(ValueError, match=r"samples: expected pulses of at least [\d.]+ samples, .* found some of"):
+        pulse_width(signal, RATE_HZ)
+
+
+@pytest.mark.parametrize("rise", [_jump, _half_band])
+def test_pulse_width(rise: Rise) -> None:
+    rng = np.random.default_rng(29)
+    first, _ = _instants(rng)
+    width = 2e-3
+    signal = _shaped(rise, first, width, rng)
+    found = pulse_width(signal, RATE_HZ)
+    assert found.pulses == FEW
+    assert found.width_s == pytest.approx(width, abs=0.5e-6)
+    assert abs(found.width_s - width) < 4.0 * found.u_width_s
+    # The pauses of the inverted signal are the same pulses.
+    assert pulse_width(-signal, RATE_HZ, edge="falling").width_s == pytest.approx(found.width_s, abs=1e-9)
+    pause = pulse_width(signal, RATE_HZ, edge="falling")
+    assert pause.width_s == pytest.approx(PERIOD_S - width, abs=1e-6)
+
+
+def test_instants_follow_edges_that_jitter() -> None:
+    rng = np.random.default_rng(30)
+    first, second = _instants(rng, jitter_s=20e-6)
+    base = fit_trigger(_latched(first, RATE_HZ))
+    other = fit_trigger(_filtered(_half_band, second, OTHER_HZ, 1e-3, rng))
+    number = np.arange(FEW)
+    model = base.time_s(number) - first
+    alone = edge_instants(base, number)
+    both = edge_instants(base, number, [(other, tie_clocks(base, other))])
+    assert np.std(model) > 15e-6
+    assert np.std(alone.time_s - first) < 6.5e-6  # 19.5 us / sqrt(12) = 5.6 us
+    assert np.std(both.time_s - first) < 0.3e-6
+    assert 0.7 < np.std((alone.time_s - first) / alone.u_time_s) < 1.4
+    assert np.max(np.abs(both.time_s - first) / both.u_time_s) < 4.0
+    assert np.all(both.u_time_s < 1e-6)
+
+
+def test_instants_follow_the_model_without_jitter() -> None:
+    first, _ = _instants(np.random.default_rng(31))
+    fit = fit_trigger(_latched(first, RATE_HZ))
+    found = edge_instants(fit, np.arange(FEW))
+    np.testing.assert_allclose(found.time_s, fit.time_s(np.arange(FEW)), atol=0.2e-6)
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.floats(-100.0, 100.0).filter(lambda x: abs(x) > 1e-3), st.floats(-50.0, 50.0), st.integers(0, 1000))
+def test_edges_do_not_depend_on_scale_level_and_sign(scale: float, level: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    instants = 0.01 + 0.004 * np.arange(6) + rng.uniform(0.0, 1e-4)
+    signal = np.zeros(800)
+    for instant in instants:
+        near = np.arange(800) - instant * 2e4
+        signal += _ramp(near) - _ramp(near - 30.0)
+    plain = find_edges(signal, 2e4)
+    other = find_edges(level + scale * signal, 2e4, edge="rising" if scale > 0.0 else "falling")
+    np.testing.assert_allclose(other.estimate_s, plain.estimate_s, atol=1e-9)
+    np.testing.assert_array_equal(other.upper_s, plain.upper_s)
+
+
+@settings(max_examples=3, deadline=None)
+@given(st.floats(0.0, 100.0), st.floats(0.0, 100.0))
+def test_later_records_move_the_offset_alone(base_lag_s: float, other_lag_s: float) -> None:
+    first, second = _instants(np.random.default_rng(32))
+    base, other = fit_trigger(_latched(first, RATE_HZ)), fit_trigger(_latched(second, OTHER_HZ))
+    tie, moved = tie_clocks(base, other), tie_clocks(base.later_by(base_lag_s), other.later_by(other_lag_s))
+    there = tie.middle_s
+    u = float(tie.u_to_base_s(np.array(there)))
+    deviation = moved.to_base_s(np.array(there + other_lag_s)) - base_lag_s - tie.to_base_s(np.array(there))
+    assert abs(float(deviation)) < 0.1 * u
+    assert float(moved.u_to_base_s(np.array(there + other_lag_s))) == pytest.approx(u, rel=0.1)
