@@ -67,3 +67,13 @@ class Truth:
         rows = np.atleast_2d(samples)
         names = ("Fz", "Mx", "My")[: len(rows)]
         return StepRecord("release", names, "V", rows, self.rate_hz, "Fz", self.amplitude, **more)  # type: ignore[arg-type]
+
+
+def two_masses(moving: float, load: float, numbers: FloatArray) -> FloatArray:
+    """State matrix of [x_E, x_L, v_E, v_L]: the sensor's mass on k, c, and on it the load's on k_L, c_L."""
+    k, c, kl, cl = numbers
+    matrix = np.zeros((4, 4))
+    matrix[:2, 2:] = np.eye(2)
+    matrix[2] = np.array([-(k + kl), kl, -(c + cl), cl]) / moving
+    matrix[3] = np.array([kl, -kl, cl, -cl]) / load
+    return matrix

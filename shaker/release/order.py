@@ -299,33 +299,25 @@ def _poles(model: ModalModel, rate_hz: float) -> Iterator[tuple[Severity, str]]:
         if zeta < 0:
             yield "warning", f"the mode at {hz:.5g} Hz grows, ζ = {zeta:.3g}: the model is unstable"
         elif u[modes + place] > _UNCLEAR * zeta or zeta > 0.6:
-            yield (
-                "warning",
-                f"the mode at {hz:.5g} Hz, ζ = {zeta:.2g} ± {u[modes + place]:.1g}, may be none of the sensor's",
-            )
+            text = f"the mode at {hz:.5g} Hz, ζ = {zeta:.2g} ± {u[modes + place]:.1g}, may be none of the sensor's"
+            yield "warning", text
         if hz > 0.4 * rate_hz:
             yield "warning", f"the mode at {hz:.5g} Hz lies near half the sampling rate of {rate_hz:.6g} Hz"
     for place, hz in enumerate(model.real_hz):
         if hz > 0.5 * rate_hz or u[4 * modes + place] > _UNCLEAR * abs(hz):
-            yield (
-                "warning",
-                f"the real pole at {hz:.3g} ± {u[4 * modes + place]:.1g} Hz is hardly told by the record",
-            )
+            text = f"the real pole at {hz:.3g} ± {u[4 * modes + place]:.1g} Hz is hardly told by the record"
+            yield "warning", text
 
 
 def _residual(reading: Reading, known: FitSpread) -> Iterator[tuple[Severity, str]]:
     """Yield what the residual says of the model's order and of the noise."""
     ratio = float(np.std(known.residual)) / reading.noise if reading.noise > 0 else np.inf
     if ratio**2 > _MORE:
-        yield (
-            "warning",
-            f"the residual is {ratio:.3g} times the noise before the release: the model's order is doubtful",
-        )
+        text = f"the residual is {ratio:.3g} times the noise before the release: the model's order is doubtful"
+        yield "warning", text
     elif not known.white:
-        yield (
-            "info",
-            f"the noise is coloured: the uncertainty of the poles is {np.sqrt(known.excess):.2g} times as large",
-        )
+        text = f"the noise is coloured: the uncertainty of the poles is {np.sqrt(known.excess):.2g} times as large"
+        yield "info", text
     if reading.clipped:
         yield "warning", "the output ran into its limit: what was cut off bends the model"
 

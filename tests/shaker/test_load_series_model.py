@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from release_factory import two_masses
 
 from shaker.release.load_fit import SeriesMasses, fit_resonances, stated_masses
 from shaker.release.load_model import (
@@ -52,13 +53,8 @@ def total(model: LoadModel) -> np.ndarray:
 
 
 def state_poles(m: float, ml: float, numbers: np.ndarray) -> np.ndarray:
-    """Poles as eigenvalues of the two equations of motion, [x_E, x_L, v_E, v_L]."""
-    k, c, kl, cl = numbers
-    matrix = np.zeros((4, 4))
-    matrix[:2, 2:] = np.eye(2)
-    matrix[2] = np.array([-(k + kl), kl, -(c + cl), cl]) / m
-    matrix[3] = np.array([kl, -kl, cl, -cl]) / ml
-    poles = np.linalg.eigvals(matrix)
+    """Poles as eigenvalues of the two equations of motion."""
+    poles = np.linalg.eigvals(two_masses(m, ml, numbers))
     return poles[np.argsort(np.abs(poles))]
 
 
@@ -94,14 +90,9 @@ def test_the_second_solution_has_the_same_poles(
 
 def shares(m: float, ml: float, numbers: np.ndarray) -> np.ndarray:
     """Residues of x_E over a force on the load times the static stiffness, by the left and right eigenvectors."""
-    k, c, kl, cl = numbers
-    matrix = np.zeros((4, 4))
-    matrix[:2, 2:] = np.eye(2)
-    matrix[2] = np.array([-(k + kl), kl, -(c + cl), cl]) / m
-    matrix[3] = np.array([kl, -kl, cl, -cl]) / ml
-    poles, right = np.linalg.eig(matrix)
+    poles, right = np.linalg.eig(two_masses(m, ml, numbers))
     left = np.linalg.inv(right)
-    found = right[0] * (left @ np.array([0.0, 0.0, 0.0, 1.0 / ml])) * k
+    found = right[0] * (left @ np.array([0.0, 0.0, 0.0, 1.0 / ml])) * numbers[0]
     return np.asarray(found[np.argsort(np.abs(poles) + 1e-6 * poles.imag)])
 
 

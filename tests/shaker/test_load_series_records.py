@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 from contracts import coverage_contract
+from release_factory import two_masses
 from scipy.signal import StateSpace, lsim
 
 from shaker.release.load_fit import stated_masses
@@ -24,18 +25,10 @@ LEVEL = 4.0
 @cache
 def clean(load: float, smooth: bool = False) -> np.ndarray:
     """Output in V while a force vanishes from the load: 4 V before, 0 V at the end."""
-    k, c, kl, cl = TRUE
-    if load == 0.0:
-        a = np.array([[0.0, 1.0], [-k / MOVING, -c / MOVING]])
-        b = np.array([[0.0], [1.0 / MOVING]])
-        row = np.array([[1.0, 0.0]])
-    else:
-        a = np.zeros((4, 4))
-        a[:2, 2:] = np.eye(2)
-        a[2] = np.array([-(k + kl), kl, -(c + cl), cl]) / MOVING
-        a[3] = np.array([kl, -kl, cl, -cl]) / load
-        b = np.array([[0.0], [0.0], [0.0], [1.0 / load]])
-        row = np.array([[1.0, 0.0, 0.0, 0.0]])
+    k, c = TRUE[:2]
+    a = two_masses(MOVING, load, TRUE) if load else np.array([[0.0, 1.0], [-k / MOVING, -c / MOVING]])
+    b, row = np.zeros((len(a), 1)), np.eye(1, len(a))
+    b[-1] = 1.0 / (load or MOVING)
     t = np.arange(round(RATE * DURATION)) / RATE
     done = np.clip((t - ONSET) / RELEASE, 0.0, 1.0)
     gone = 0.5 - 0.5 * np.cos(np.pi * done) if smooth else done
