@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from pydantic.dataclasses import dataclass
@@ -34,13 +34,7 @@ from shaker.static_rotation.harmonics import air_density_at, gravity_at
 TABLE_FILE = "readings.csv"
 BARE, LOADED = "without-load", "with-load"
 SIDES = ("left", "right")
-BOARD = Board(Target("charuco", 9e-3, (11, 8), "DICT_4X4_100"))
 GEOMETRY_FILE = "elastomer.toml"
-_SIZE_PX = np.array([800, 640])
-_FIELD_M = 0.15
-_VIEWS = 10
-_SENSOR = ImageSensor(bit_depth=8, electrons_per_grey=40.0, read_noise_grey=0.6)
-_BLUR_PX = 0.8
 
 
 @dataclass(frozen=True, config=CHECKED)
@@ -176,21 +170,45 @@ def _rotation_truth(rig: RotationRig, name: str, draws: Draws) -> dict[str, Any]
     }
 
 
+@dataclass(frozen=True, config=CHECKED)
+class SessionPreset:
+    """A target as `Target` has it, pictures of `size_px` that show about `field_m` of it, and their image sensor."""
+
+    kind: Literal["charuco"]
+    spacing_m: float
+    size: tuple[int, int]
+    dictionary: str
+    size_px: tuple[int, int]
+    field_m: float
+    views: int
+    bit_depth: int
+    electrons_per_grey: float
+    read_noise_grey: float
+    blur_px: float
+
+    @property
+    def board(self) -> Board:
+        """The target as it is printed."""
+        return Board(Target(self.kind, self.spacing_m, self.size, self.dictionary))
+
+
 def write_session(folder: Path, seed: int, progress: ProgressCallback) -> None:
     """Write `left/00.png` …, `right/00.png` … and the true calibration `truth.json` of a random pair into a folder."""
     import cv2
 
-    rng = np.random.default_rng(seed)
-    rig = random_rig(rng, _SIZE_PX, _FIELD_M)
-    poses = random_poses(rng, rig, BOARD, _VIEWS)
+    preset, rng = read_preset(SessionPreset, "targets"), np.random.default_rng(seed)
+    sensor = ImageSensor(preset.bit_depth, preset.electrons_per_grey, preset.read_noise_grey)
+    rig = random_rig(rng, np.array(preset.size_px), preset.field_m)
+    poses = random_poses(rng, rig, preset.board, preset.views)
     relatives = (RigidTransform.identity(), rig.right_from_left)
     for side, camera, relative in zip(SIDES, (rig.left, rig.right), relatives, strict=True):
         (folder / side).mkdir()
         for number, pose in enumerate(poses):
-            picture = _SENSOR.digitise(render_board(camera, relative @ pose, BOARD, _BLUR_PX, slant=0.1), rng)
+            seen = render_board(camera, relative @ pose, preset.board, preset.blur_px, slant=0.1)
+            picture = sensor.digitise(seen, rng)
             _, text = cv2.imencode(".png", picture.astype(np.uint8))
             (folder / side / f"{number:02d}.png").write_bytes(text.tobytes())
-            progress("render", SIDES.index(side) * _VIEWS + number + 1, 2 * _VIEWS)
+            progress("render", SIDES.index(side) * preset.views + number + 1, 2 * preset.views)
     write_calibration(folder / TRUTH_FILE, rig)
 
 

@@ -13,11 +13,13 @@ from support import Refused, refusals
 
 from fusion.cli import main
 from fusion.commands.options import EXIT_DONE
-from fusion.simulate.statics import BOARD
+from fusion.simulate.preset import read_preset
+from fusion.simulate.statics import SessionPreset
 from photogram.calibration.file import read_calibration
 from photogram.geometry import RigidTransform, vector_from_rotation
 from photogram.synthetic.board import random_poses, random_rig, render_board
 
+BOARD = read_preset(SessionPreset, "targets").board
 SIZE = np.array([480, 384])
 MATRIX = np.array([[3200.0, 0, 640], [0, 3200, 512], [0, 0, 1]])
 TARGET = ["--target", "charuco", "--size", "11x8", "--spacing", "9e-3"]
