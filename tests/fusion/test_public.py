@@ -6,12 +6,15 @@ import doctest
 import subprocess
 import sys
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
 
 import fusion
 from fusion.base import brief
+from fusion.cli import COMMANDS
+from fusion.recording.excitation import KINDS, Excitation, Kind
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ("Acceleration", "Evaluation", "LoadResult", "Sensitivity")
@@ -77,3 +80,11 @@ def test_the_example_of_the_readme():
     evaluation = evaluate_recording(load_manifest(recording))
     assert np.isfinite(evaluation.sensitivity.value[:, 2, 2]).any()
     assert evaluation.input_hashes == {}
+
+
+def test_every_kind_of_excitation_is_evaluated_by_commands_that_exist():
+    assert set(KINDS) == set(get_args(Kind))
+    commands = {command.name for command in COMMANDS}
+    for kind in KINDS.values():
+        assert kind.commands and set(kind.commands) <= commands
+        assert {*kind.required, *kind.allowed} <= set(Excitation.model_fields) - {"kind"}
