@@ -86,5 +86,6 @@ def test_every_kind_of_excitation_is_evaluated_by_commands_that_exist():
     assert set(KINDS) == set(get_args(Kind))
     commands = {command.name for command in COMMANDS}
     for kind in KINDS.values():
-        assert kind.commands and set(kind.commands) <= commands
+        assert kind.commands
+        assert set(kind.commands) <= commands
         assert {*kind.required, *kind.allowed} <= set(Excitation.model_fields) - {"kind"}
