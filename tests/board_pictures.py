@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -44,10 +45,15 @@ def pose_of(
     return RigidTransform(turned, place - turned @ np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.0]))
 
 
+@lru_cache(maxsize=16)
+def _rendered(camera: Camera, pose: RigidTransform, board: Board, blur_px: float) -> FloatArray:
+    return render_board(camera, pose, board, blur_px, slant=0.3)
+
+
 def picture(
     camera: Camera, pose: RigidTransform, board: Board, seed: int = 0, blur_px: float = 0.7, gain: float = 1.0
 ) -> NDArray[Any]:
-    image = render_board(camera, pose, board, blur_px, slant=0.3)
+    image = _rendered(camera, pose, board, blur_px)
     return SENSOR.digitise(gain * image, np.random.default_rng(seed))
 
 

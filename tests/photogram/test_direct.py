@@ -117,6 +117,7 @@ def test_a_motion_is_found_without_noise_from_a_pixel_away(scene: Scene) -> None
     assert np.max(np.abs(error[3:])) < 1e-3 * PIXEL_M / 0.017
 
 
+@pytest.mark.slow
 def test_scatter_is_the_stated_one_and_close_to_the_bound(scene: Scene) -> None:
     rng = np.random.default_rng(11)
     views = body_views(scene, rng, model())

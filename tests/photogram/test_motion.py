@@ -393,6 +393,7 @@ def test_wrong_calls_are_named() -> None:
 # Noise that overlapping subsets share, by registration of noisy images and by Monte Carlo of the rigid fit.
 
 
+@pytest.mark.slow
 def test_correlation_of_registered_subsets_is_their_shared_area(make_texture) -> None:
     """Subsets 7 px apart, 21 px wide: pairs by displacement, pooled over places and 120 noisy images."""
     rng, radius, step = np.random.default_rng(1), 10, 7
@@ -420,6 +421,7 @@ def test_correlation_of_registered_subsets_is_their_shared_area(make_texture) ->
         assert np.ptp(expected[pairs]) < 1e-12
 
 
+@pytest.mark.slow
 def test_scatter_of_a_rigid_fit_is_stated_with_the_correlation_and_not_without() -> None:
     """White noise of the pixels averaged over the subsets moves the points; three times overlap in both directions."""
     rng, radius, step, pixel = np.random.default_rng(2), 10, 7, 1e-4

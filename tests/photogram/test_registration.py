@@ -222,6 +222,7 @@ def test_translation_keeps_the_gradients_of_its_start(make_texture) -> None:
     np.testing.assert_array_equal(found.warp[0, [1, 2, 4, 5]], gradients)
 
 
+@pytest.mark.slow
 def test_noise_grows_with_the_order_and_is_stated(make_texture) -> None:
     """Monte Carlo against the stated covariance, and the bound σ²(Σ JᵀJ)⁻¹ of each order made without the program."""
     texture, rng, noise = make_texture(seed=63, s=1.5), np.random.default_rng(63), 8.0

@@ -140,6 +140,7 @@ def test_speckle_depends_on_its_seed_alone_and_covers_half() -> None:
     assert 0.35 < first.coefficients.mean() < 0.65
 
 
+@pytest.mark.slow
 def test_bound_of_the_motion_agrees_with_monte_carlo() -> None:
     texture = speckle_texture((0.04, 0.04), 4.5 * PIXEL_M, PIXEL_M / 4, 0.6 * PIXEL_M, np.random.default_rng(1))
     face, sensor = _face(texture), ImageSensor()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -37,8 +37,13 @@ def pose(board: Board, turn: float = 0.0, tilt: float = 0.0, distance_m: float =
     return RigidTransform(rotation, np.array([0, 0, distance_m]) - rotation @ middle)
 
 
+@cache
+def clean(board: Board, pose: tuple[float, ...], blur_px: float) -> np.ndarray:
+    return render_board(CAMERA, RigidTransform.from_pose(np.array(pose)), board, blur_px=blur_px)
+
+
 def picture(board: Board, where: RigidTransform, noise: float = 1.0, blur_px: float = 0.8) -> np.ndarray:
-    grey = 255 * render_board(CAMERA, where, board, blur_px=blur_px)
+    grey = 255 * clean(board, tuple(where.pose), blur_px)
     return np.clip(np.rint(grey + np.random.default_rng(0).normal(0, noise, grey.shape)), 0, 255).astype(np.uint8)
 
 

@@ -332,7 +332,10 @@ def test_frames_follow_every_hundredth_sample(data_dir: Path) -> None:
 COUNT = 300
 
 
-@pytest.mark.parametrize(("image", "column", "bound_px"), [("0000_1", "r2", 0.05), ("0273_0", "t1", 0.02)])
+@pytest.mark.parametrize(
+    ("image", "column", "bound_px"),
+    [pytest.param("0000_1", "r2", 0.05, marks=pytest.mark.slow), ("0273_0", "t1", 0.02)],
+)
 def test_positions_are_those_of_the_peer(data_dir: Path, image: str, column: str, bound_px: float) -> None:
     folder = data_dir / "gt4_stereo"
     table = np.genfromtxt(folder / "GT4-0273_0_epipolar_sift_r16.csv", delimiter=",", names=True)
