@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.signal import lsim
 
-from shaker.arrays import FloatArray
+from shaker.arrays import ComplexArray
 from shaker.release.record import Shape
 from shaker.release.response import (
     Load,
@@ -87,7 +87,7 @@ def test_answers_to_a_measured_force_are_those_of_an_integration() -> None:
 @pytest.mark.parametrize("blocks", BLOCKS, ids=["samples", "mixed", "fours"])
 @pytest.mark.parametrize("load", LOADS, ids=lambda load: load.shape)
 def test_blocks_are_means_of_samples_and_derivatives_those_of_differences(load: Load, blocks: Samples) -> None:
-    def value(poles: FloatArray = POLES, middle_s: float = MIDDLE_S, length_s: float = LENGTH_S) -> FloatArray:
+    def value(poles: ComplexArray = POLES, middle_s: float = MIDDLE_S, length_s: float = LENGTH_S) -> ComplexArray:
         return answers(load, poles, blocks, middle_s, length_s).value
 
     whole = answers(load, POLES, blocks, MIDDLE_S, LENGTH_S)
