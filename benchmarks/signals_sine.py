@@ -14,7 +14,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -134,7 +134,7 @@ def statistics(case: Case, trials: int, seed: int) -> tuple[float, float, float,
         hit = rng.random(len(data)) < case.spikes
         data[hit] += SPIKE * SIGMA * rng.choice([-1.0, 1.0], size=(int(hit.sum()), CHANNELS))
         begin = time.perf_counter()
-        fit = fit_sines(case.time_s, data, start, names, names, model=case.model, robust=case.robust)
+        fit = fit_sines(case.time_s, data, start, names, names, model=replace(case.model, robust=case.robust))
         spent += time.perf_counter() - begin
         delta = fit.phasors.value - value
         errors.append(np.stack([delta.real, delta.imag], axis=-1))
@@ -240,7 +240,7 @@ def large(way: str, seconds: float) -> None:
         model = SineModel(free=(0,) * 5) if way == "unknown" else SineModel()
         start = frequency * (1.0 + (START_BINS / seconds / frequency[-1] if way == "unknown" else 0.0))
         times = written_out if way == "array of times" else time_s
-        fit_sines(times, values, start, names, names, model=model, robust=way == "robust")
+        fit_sines(times, values, start, names, names, model=replace(model, robust=way == "robust"))
     spent, worked = time.perf_counter() - begin, time.process_time() - worked
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024.0 / values.nbytes
     name = {"known": "frequencies known", "unknown": "frequencies unknown", "lstsq": "numpy.linalg.lstsq"}.get(way, way)

@@ -15,13 +15,13 @@ from fusion.instruments.channel import ChainUncertainty, Reading
 from fusion.phasors.timing import TimeBase
 from fusion.recording.response import read_response
 from shaker.arrays import FloatArray, Notice
-from shaker.lines.aliasing import alias_frequency
 from shaker.lines.detection import relative_strength, survey_lines
 from shaker.lines.frequencies import Lines, find_lines
 from shaker.lines.spectrum import amplitude_spectrum
+from shaker.sine.aliasing import alias_frequency
 from shaker.sine.fit import Stationarity, fit_sines, stationarity
 from shaker.sine.phasor import Phasors
-from shaker.sine.solve import SineFit
+from shaker.sine.solve import SineFit, SineModel
 
 if TYPE_CHECKING:
     from fusion.recording.files import DaqRecord
@@ -208,7 +208,7 @@ def _fit_group(
     beside = lines.nuisance_hz[clear & (lines.nuisance_hz < rate_hz / 2.0)]
     frequency_hz = np.concatenate([lines.frequency_hz[seen], beside])
     with as_input_error(record.entry.file, names[0]):
-        fit = fit_sines(time_s, values, frequency_hz, names, units, robust=True)
+        fit = fit_sines(time_s, values, frequency_hz, names, units, model=SineModel(robust=True))
     wanted = spread_lines(fit.phasors.at_lines(np.arange(np.count_nonzero(seen))), seen, lines.frequency_hz)
     whole = values
     if len(fit.spikes):

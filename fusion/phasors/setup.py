@@ -35,8 +35,8 @@ from fusion.phasors.timing import ClockResult, TimeBase, tie_daqs
 from fusion.recording.files import read_set_ups, told_in
 from fusion.recording.load import Manifest
 from shaker.arrays import Notice
-from shaker.lines.aliasing import alias_frequency
 from shaker.lines.frequencies import Lines
+from shaker.sine.aliasing import alias_frequency
 from shaker.sine.fit import Stationarity
 
 Key = tuple[float, int]

@@ -44,8 +44,8 @@ from photogram.point_tables import read_point_tables
 from photogram.subsets.texture import SubsetQuality, suggested_radius_px
 from photogram.subsets.track import StereoTracks, TrackSettings, resolve_device
 from shaker.arrays import FloatArray
-from shaker.lines.aliasing import usable_lines
 from shaker.lines.frequencies import Lines, find_lines
+from shaker.sine.aliasing import usable_lines
 
 BodyInputs = tuple[tuple[ImageSequence, ImageSequence], StereoRig, RigidTransform, TrackSettings]
 

@@ -25,12 +25,12 @@ from photogram.subsets.reference import TrackStatus
 from photogram.subsets.track import StereoTracks
 from shaker.arrays import ComplexArray, FloatArray, Notice
 from shaker.labels import MOTION_COMPONENTS, component_units
-from shaker.lines.aliasing import exposure_gain, sine_columns, usable_lines
 from shaker.lines.frequencies import Lines
+from shaker.sine.aliasing import exposure_gain, sine_columns, usable_lines
 from shaker.sine.fit import Stationarity, fit_sines, stationarity
 from shaker.sine.normal_equations import sine_amplitudes, solve_sines
 from shaker.sine.phasor import Phasors
-from shaker.sine.solve import SineFit
+from shaker.sine.solve import SineFit, SineModel
 
 MIN_SUBSETS = 6
 PERIODIC_SHARE = 0.4  # standard uncertainty of a line over the amplitude of an error periodic in the pixel
@@ -204,10 +204,22 @@ def _fit_about_mean(name: str, measured: StereoMotion, frequency_hz: FloatArray)
     try:
         for _ in range(2):
             fit = fit_sines(
-                measured.time_s, motion.pose, frequency_hz, MOTION_COMPONENTS, component_units(0), robust=True
+                measured.time_s,
+                motion.pose,
+                frequency_hz,
+                MOTION_COMPONENTS,
+                component_units(0),
+                model=SineModel(robust=True),
             )
             motion = relative_to(motion, fit.offset)
-        fit = fit_sines(measured.time_s, motion.pose, frequency_hz, MOTION_COMPONENTS, component_units(0), robust=True)
+        fit = fit_sines(
+            measured.time_s,
+            motion.pose,
+            frequency_hz,
+            MOTION_COMPONENTS,
+            component_units(0),
+            model=SineModel(robust=True),
+        )
         return motion, fit
     except ValueError as error:
         raise ComputeError(f"stereo pair {name}: the lines cannot be fitted to its motion ({error})") from error

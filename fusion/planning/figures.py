@@ -28,9 +28,9 @@ from fusion.report.style import (
     thin_out,
 )
 from shaker.arrays import FloatArray
-from shaker.lines.aliasing import MAX_CONDITION
 from shaker.lines.rate_planner import condition_over_rate, scan_rates
 from shaker.lines.spectrum import FIRST_BIN
+from shaker.sine.aliasing import MAX_CONDITION
 
 COLUMNS = 420  # of a panel; each shows the largest condition of the rates in it
 RATES_PER_COLUMN = 6

@@ -18,10 +18,10 @@ from fusion.recording.load import Manifest
 from shaker.arrays import FloatArray
 from shaker.io import read_channels
 from shaker.io.channel import RawChannel
-from shaker.lines.aliasing import alias_frequency
 from shaker.lines.detection import Survey, decibel, survey_lines
 from shaker.lines.frequencies import Lines
 from shaker.lines.spectrum import amplitude_spectrum
+from shaker.sine.aliasing import alias_frequency
 from shaker.sine.fit import fit_sines
 
 COLUMNS = ("channel", "frequency_hz", "u_frequency_hz", "amplitude", "u_amplitude", "unit", "floor_db", "what", "use")

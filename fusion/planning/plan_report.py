@@ -10,8 +10,8 @@ import numpy as np
 from fusion.base import DASH, prefix, stdout_console
 from fusion.planning.plan import Plan, Point, Size
 from shaker.arrays import FloatArray
-from shaker.lines.aliasing import CLEAR_BINS
 from shaker.lines.rate_planner import PREFERRED, RatePlan
+from shaker.sine.aliasing import CLEAR_BINS
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -38,7 +38,7 @@ from fusion.report.style import (
 from fusion.sensitivity.analyse import Evaluation
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import AXES, MOTION_COMPONENTS, component_units
-from shaker.lines.aliasing import alias_frequency
+from shaker.sine.aliasing import alias_frequency
 
 # Figure of one stereo pair: how its body bends at a line, out of its plane and in it.
 

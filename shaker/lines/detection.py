@@ -11,8 +11,8 @@ from typing import Any, Literal
 import numpy as np
 
 from shaker.arrays import BoolArray, FloatArray, Notice, check_shape
-from shaker.lines.aliasing import CAPTURE, alias_frequency, unfolded
 from shaker.lines.spectrum import MOST_LINES, Peaks, find_peaks
+from shaker.sine.aliasing import CAPTURE, alias_frequency, unfolded
 
 # What a line most likely is: fundamental, multiple or part of one, combination, mains, side band, or unexplained.
 

@@ -9,15 +9,6 @@ from typing import Literal
 import numpy as np
 
 from shaker.arrays import BoolArray, FloatArray, IntArray, Notice, check_shape
-from shaker.lines.aliasing import (
-    CAPTURE,
-    SamplingGrid,
-    alias_frequency,
-    folded_harmonics,
-    sampling_grid,
-    unfolded,
-    usable_lines,
-)
 from shaker.lines.detection import (
     FALSE_ALARM,
     LineList,
@@ -29,6 +20,15 @@ from shaker.lines.detection import (
     relative_strength,
 )
 from shaker.lines.spectrum import excess_power
+from shaker.sine.aliasing import (
+    CAPTURE,
+    SamplingGrid,
+    alias_frequency,
+    folded_harmonics,
+    sampling_grid,
+    unfolded,
+    usable_lines,
+)
 from shaker.sine.fit import fit_sines
 from shaker.sine.solve import SineFit, SineModel
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from shaker.arrays import BoolArray, FloatArray, IntArray, check_shape
-from shaker.lines.aliasing import (
+from shaker.sine.aliasing import (
     CLEAR_BINS,
     Fold,
     alias_frequency,

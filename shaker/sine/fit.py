@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, check_shape
-from shaker.lines.aliasing import MAX_CONDITION, alias_frequency, sampling_grid, separation_bins, sine_columns
+from shaker.sine.aliasing import MAX_CONDITION, alias_frequency, sampling_grid, separation_bins, sine_columns
 from shaker.sine.noise import LineNoise, line_noise
 from shaker.sine.normal_equations import (
     Columns,
@@ -54,15 +54,13 @@ def fit_sines(
     *,
     model: SineModel = _PLAIN,
     variance: FloatArray | None = None,
-    robust: bool = False,
 ) -> SineFit:
     """Fit offset, lines (K,) and what `model` adds to `values` (S, C) at `time_s` (S,) by least squares.
 
     The three-parameter fit of IEEE 1057 and method 3 of ISO 16063-11 for any number of lines and channels at once,
     above or below the Nyquist rate alike; with free frequencies the four-parameter fit, its frequencies common to all
     channels. Rows with a NaN in any channel are dropped. `variance` (S,) or (S, C): noise variances of the samples, up
-    to a common factor for each channel. `robust` leaves out rows whose residual stands out of the noise so far that
-    Gaussian noise loses none in 99 of 100 records, and names them.
+    to a common factor for each channel.
 
     The covariance of a line is (XᵀX)⁻¹ ⊗ Σ with the residuals' covariance Σ = F·Fᵀ (C, C), plus what frequency and
     decay add. Where the times lie on a grid and the record is long enough, Σ = F·diag(S)·Fᵀ instead, S the spectral
@@ -92,7 +90,7 @@ def fit_sines(
         notices = (Notice("info", f"{missing} of {len(time_s)} samples are missing", where),)
     parameters = 2 * len(frequency_hz) + (2 if model.drift else 1) + int(model.exponents(frequency_hz).shape[1])
     check_samples(samples.count, parameters)
-    if not robust:
+    if not model.robust:
         return _fitted(time_s, samples, frequency_hz, model, names, notices)
     spikes, limit = find_spikes(samples, frequency_hz, model)
     if spikes.any():

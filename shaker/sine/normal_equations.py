@@ -18,7 +18,7 @@ from math import factorial
 import numpy as np
 
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, check_shape
-from shaker.lines.aliasing import condition_number, sine_columns
+from shaker.sine.aliasing import condition_number, sine_columns
 
 # Sampling times of a record, cut into blocks whose phases are exact however long the record is.
 

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Notice, check_shape
-from shaker.lines.aliasing import alias_frequency, condition_number, sampling_grid
+from shaker.sine.aliasing import alias_frequency, condition_number, sampling_grid
 from shaker.sine.noise import LineNoise, line_noise, neighbour_bins, noise_of_ordinates
 from shaker.sine.normal_equations import (
     LONG,
@@ -41,16 +41,18 @@ class SineModel:
 
     `drift`: a linear drift. `free`: a label per line; the frequencies of lines with the same label share one relative
     change, as harmonics do and everything made by one generator; -1 for a known frequency, None for all known.
-    `decay`: lines decay as exp(-δt), all at one rate or each at its own.
+    `decay`: lines decay as exp(-δt), all at one rate or each at its own. `robust`: rows whose residual stands out of
+    the noise so far that Gaussian noise loses none in 99 of 100 records are left out, and named.
 
     >>> from shaker import SineModel
     >>> SineModel(drift=True, free=(0, 0))  # a fundamental and its harmonic at an unknown frequency
-    SineModel(drift=True, free=(0, 0), decay='none')
+    SineModel(drift=True, free=(0, 0), decay='none', robust=False)
     """
 
     drift: bool = False
     free: tuple[int, ...] | None = None
     decay: Literal["none", "common", "each"] = "none"
+    robust: bool = False
 
     def exponents(self, frequency_hz: FloatArray) -> ComplexArray:
         """Return the derivative (K, Q) of the exponents s = -δ + jω by the Q unknowns: relative frequencies, then δ."""

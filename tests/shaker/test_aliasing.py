@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shaker.lines.aliasing import (
+from shaker.sine.aliasing import (
     CLEAR_BINS,
     alias_frequency,
     beat_phase,

@@ -154,5 +154,5 @@ def coverage(trials: int, seed: int, corner_hz: float) -> tuple[float, float]:
 )
 def test_regions_of_a_slow_beat_cover(corner_hz: float, trials: int) -> None:
     stated, white = coverage(trials, 6 if trials == 300 else 7, corner_hz)
-    assert 0.92 < stated < 0.986  # 92 to 98 %; coverages of 97 % scatter by 1 % in 300 trials
+    assert 0.92 < stated < (0.985 if trials == 300 else 0.986)  # 97 % scatter by 1 % in 300 trials
     assert white < 0.6 or corner_hz < 5.0

@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import sici
 
-from shaker.lines.aliasing import CLEAR_BINS, alias_frequency, separation_bins, sine_columns
 from shaker.lines.rate_planner import (
     PREFERRED,
     Sampling,
@@ -25,6 +24,7 @@ from shaker.lines.rate_planner import (
     rms_uncertainty,
     scan_rates,
 )
+from shaker.sine.aliasing import CLEAR_BINS, alias_frequency, separation_bins, sine_columns
 from shaker.sine.fit import fit_sines
 
 CAMERA_HZ = 52.874

@@ -10,8 +10,8 @@ import pytest
 
 from shaker.io import read_channels
 from shaker.io.channel import RawChannel
-from shaker.lines.aliasing import folded_harmonics
 from shaker.lines.frequencies import find_lines
+from shaker.sine.aliasing import folded_harmonics
 from shaker.sine.fit import fit_sines
 
 TONES_HZ = [100.0, 120.0, 150.0]

@@ -504,7 +504,7 @@ def test_spikes_are_left_out_and_named() -> None:
     rows = np.array([3, 50, 51, 399])
     spoiled = data.copy()
     spoiled[rows, [0, 1, 0, 1]] += np.array([40.0, -3.0, 0.2, 1000.0])
-    fit = _fit(time, spoiled, frequency, robust=True)
+    fit = _fit(time, spoiled, frequency, SineModel(robust=True))
     assert fit.spikes.tolist() == rows.tolist()
     expected = _fit(np.delete(time, rows), np.delete(data, rows, axis=0), frequency)
     np.testing.assert_allclose(fit.phasors.value, expected.phasors.value, atol=1e-12)
@@ -518,7 +518,7 @@ def test_spikes_of_a_long_record() -> None:
     time, data = _record(LONG + 999, 1, 7)
     rows = np.arange(5, len(time), 997)
     data[rows] += 50.0
-    fit = _fit(time, data, LINES_HZ, robust=True)
+    fit = _fit(time, data, LINES_HZ, SineModel(robust=True))
     assert fit.spikes.tolist() == rows.tolist()
     assert fit.residual_rms[0] == pytest.approx(0.1, rel=0.01)
 
@@ -526,10 +526,14 @@ def test_spikes_of_a_long_record() -> None:
 def test_what_is_no_spike_stays() -> None:
     time, frequency = np.arange(600) / 1000.0, np.array([80.0])
     exact = np.cos(2 * np.pi * 80.0 * time)[:, None] * np.array([1.0, 0.0])
-    assert len(_fit(time, exact, frequency, robust=True).spikes) == 0
+    assert len(_fit(time, exact, frequency, SineModel(robust=True)).spikes) == 0
     late = np.where(time[:, None] < 0.18, 0.0, exact)  # a drive that starts late is no spike either
     assert (
-        len(_fit(time, late + 1e-3 * np.random.default_rng(10).normal(size=(600, 2)), frequency, robust=True).spikes)
+        len(
+            _fit(
+                time, late + 1e-3 * np.random.default_rng(10).normal(size=(600, 2)), frequency, SineModel(robust=True)
+            ).spikes
+        )
         == 0
     )
 
@@ -538,7 +542,7 @@ def test_clean_records_lose_nothing() -> None:
     rng = np.random.default_rng(8)
     time, frequency, lost = np.arange(60) / 1000.0, np.array([80.0]), 0
     for _ in range(100):
-        lost += len(_fit(time, rng.normal(size=(60, 2)), frequency, robust=True).spikes)
+        lost += len(_fit(time, rng.normal(size=(60, 2)), frequency, SineModel(robust=True)).spikes)
     assert lost <= 5
 
 
@@ -551,7 +555,7 @@ def test_robust_fit_is_as_good_as_its_good_samples(spikes: float) -> None:
     for _ in range(300):
         data = rng.normal(size=(300, 2))
         data[rng.random(300) < spikes] += 40.0
-        phasors = _fit(time, data, frequency, robust=True).phasors
+        phasors = _fit(time, data, frequency, SineModel(robust=True)).phasors
         parts = np.concatenate([phasors.value[0].real, phasors.value[0].imag])
         squares.append(parts**2)
         quotient = parts @ np.linalg.solve(phasors.covariance[0], parts) / 4.0
