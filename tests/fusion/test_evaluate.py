@@ -301,7 +301,7 @@ def test_regions_hold_the_truth_as_often_as_they_claim(place):
 
     def estimate(trial: int) -> tuple[list[float], np.ndarray]:
         known, truth = simulate_phasors(setup, Draws(trial + 1, True))
-        found = analyse(known.inputs)
+        found = analyse(known)
         fused, load, ratio = found.accelerations[0], found.load, found.sensitivity
         errors.append((fused.phasors.value[0, driven] / truth.acceleration[0, driven] - 1.0).real)
         off = [

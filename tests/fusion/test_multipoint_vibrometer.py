@@ -21,8 +21,7 @@ from fusion.instruments.channel import ChainUncertainty, Reading, observe_channe
 from fusion.instruments.output import Outputs, output_phasors
 from fusion.instruments.vibrometer import PointRatios, PointSpread, axis_name, point_spreads
 from fusion.report.more_tables import point_tables
-from fusion.report.recording import write_h5
-from fusion.report.recording import render_report
+from fusion.report.recording import render_report, write_h5
 from fusion.report.signal_figures import draw_points, point_pictures
 from fusion.report.style import Picture
 from fusion.sensitivity.analyse import Evaluation

@@ -22,7 +22,7 @@ from fusion.cli import main
 from fusion.recording.load import load_manifest
 from fusion.sensor.models_file import read_models
 from fusion.sensor.step.evaluate import measured_response
-from fusion.sensor.step.records import read_step, read_step_record
+from fusion.sensor.step.records import read_step
 from fusion.sensor.step.releases import read_recording
 
 FloatArray = NDArray[np.float64]
@@ -377,7 +377,7 @@ def test_what_does_not_oscillate_or_settle_has_no_model_and_status_1(folder, ref
 
 def test_a_record_has_its_outputs_on_one_time_base(tmp_path):
     folder = StepFolder(tmp_path / "campaign").start().add("one", SHORT, force=True)
-    record = read_step_record(load_manifest(folder))
+    record = read_step(load_manifest(folder)).record
     assert (record.name, record.channels, record.unit) == ("one", ("Fx", "Fz"), "V/V")
     assert (record.component, record.amplitude, record.release) == ("Fz", -100.0, "fishing line")
     assert record.force[:100].mean() == pytest.approx(100.0, rel=1e-3)
@@ -391,7 +391,7 @@ def test_delays_of_channels_are_taken_off(tmp_path):
     late = 3.4 / 50_000.0
     text = path.read_text(encoding="utf-8").replace('channel = "Fz"\n', f'channel = "Fz"\ndelay = {late}\n')
     path.write_text(text, encoding="utf-8")
-    record = read_step_record(load_manifest(folder))
+    record = read_step(load_manifest(folder)).record
     shifted = np.interp(record.time_s + late, record.time_s, record.samples[0])
     inside = slice(600, -100)
     assert record.samples[1][inside] == pytest.approx(shifted[inside], abs=2e-6)

@@ -118,6 +118,7 @@ def test_the_uncertainty_of_a_resonance_covers(tmp_path):
     """Noise, scales, delays, corner and clock drawn anew: deviations over their standard uncertainties."""
     deviations = []
     for seed in range(60):
+        (tmp_path / f"{seed}").mkdir()
         (found,) = _evaluated(write_chirp(tmp_path / f"{seed}", seed, RIG)).resonances
         error = found.fit.frequency_hz - RIG.frequency_hz, found.fit.damping_ratio - RIG.damping_ratio
         deviations.append(np.divide(error, (found.u_frequency_hz, found.u_damping_ratio)))
