@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import importlib.metadata
 import math
 import os
+import platform
 import re
 import shutil
 import socket
@@ -374,3 +377,37 @@ def brief(result: Any) -> str:
             text = repr(value) if len(repr(value)) <= LONGEST_SHOWN else type(value).__name__
         shown.append(f"{field.name}={text}")
     return f"{type(result).__name__}({', '.join(shown)})"
+
+
+# The program and the libraries that compute with it.
+
+
+PROGRAM = "shakercal"
+LIBRARIES = {
+    "numpy": "numpy",
+    "scipy": "scipy",
+    "cv2": "opencv-contrib-python-headless",
+    "skimage": "scikit-image",
+    "torch": "torch",
+    "kornia": "kornia",
+    "numba": "numba",
+    "pydantic": "pydantic",
+    "h5py": "h5py",
+    "tifffile": "tifffile",
+    "nptdms": "npTDMS",
+    "matplotlib": "matplotlib",
+    "jinja2": "jinja2",
+    "skfem": "scikit-fem",
+}
+
+
+def versions() -> dict[str, str]:
+    """Versions of this program, of Python, of the system, and of the libraries that have been imported."""
+    found = {PROGRAM: importlib.metadata.version(PROGRAM), "python": platform.python_version()}
+    for module, distribution in LIBRARIES.items():
+        if module not in sys.modules:
+            continue
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            found[distribution] = importlib.metadata.version(distribution)
+    found["platform"] = f"{platform.system()} {platform.machine()}"
+    return found

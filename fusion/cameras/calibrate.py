@@ -17,11 +17,11 @@ from typing import Literal
 
 import numpy as np
 
-from fusion.base import InputError, ProgressCallback, check_new_file, no_progress, rounded, write_whole
+from fusion.base import InputError, ProgressCallback, check_new_file, no_progress, rounded, versions, write_whole
 from fusion.cameras.facts import axes_angle_rad, baseline_m
 from fusion.cameras.report import render_camera_report
 from fusion.recording.values import natural_key
-from fusion.report.provenance import Provenance, hash_files, versions
+from fusion.report.provenance import Provenance, hash_files
 from photogram.calibration.bundle import ShapeKind
 from photogram.calibration.file import write_calibration
 from photogram.calibration.foreign import LengthUnit

@@ -25,8 +25,7 @@ from queue import PriorityQueue
 from typing import TYPE_CHECKING, Any, cast
 from urllib.parse import urlsplit
 
-from fusion.base import ComputeError, InputError
-from fusion.report.provenance import PROGRAM
+from fusion.base import PROGRAM, ComputeError, InputError
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -16,16 +16,9 @@ import h5py
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from fusion.base import AnyNotice, temporary_beside, warnings_first
+from fusion.base import PROGRAM, AnyNotice, temporary_beside, warnings_first
 from fusion.recording.load import Manifest
-from fusion.report.provenance import (
-    PROGRAM,
-    Provenance,
-    check_folder,
-    hash_files,
-    read_provenance,
-    write_provenance,
-)
+from fusion.report.provenance import Provenance, check_folder, hash_files, read_provenance, write_provenance
 from fusion.report.table import Table
 from shaker.arrays import Notice
 

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import importlib.metadata
 import os
-import platform
-import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,27 +12,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from fusion.base import InputError
+from fusion.base import PROGRAM, InputError
 
 RESULT_FILE, RESULT_FORMAT = "result.h5", 2
 BLOCK_BYTES = 1 << 20
-PROGRAM = "shakercal"
-LIBRARIES = {
-    "numpy": "numpy",
-    "scipy": "scipy",
-    "cv2": "opencv-contrib-python-headless",
-    "skimage": "scikit-image",
-    "torch": "torch",
-    "kornia": "kornia",
-    "numba": "numba",
-    "pydantic": "pydantic",
-    "h5py": "h5py",
-    "tifffile": "tifffile",
-    "nptdms": "npTDMS",
-    "matplotlib": "matplotlib",
-    "jinja2": "jinja2",
-    "skfem": "scikit-fem",
-}
 Setting = str | float | int
 
 
@@ -64,18 +44,6 @@ def sha256(path: Path) -> str:
 def hash_files(files: Iterable[Path], root: Path) -> dict[str, str]:
     """SHA-256 of every file, keyed by its path relative to `root` (absolute where it lies elsewhere), sorted."""
     return dict(sorted((_key(path, root), sha256(path)) for path in set(files)))
-
-
-def versions() -> dict[str, str]:
-    """Versions of this program, of Python, of the system, and of the libraries that have been imported."""
-    found = {PROGRAM: importlib.metadata.version(PROGRAM), "python": platform.python_version()}
-    for module, distribution in LIBRARIES.items():
-        if module not in sys.modules:
-            continue
-        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
-            found[distribution] = importlib.metadata.version(distribution)
-    found["platform"] = f"{platform.system()} {platform.machine()}"
-    return found
 
 
 def is_current(folder: Path, hashes: Mapping[str, str], settings: Mapping[str, Setting]) -> bool:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 
-from fusion.base import Executor, ProgressCallback, Settings, no_progress
+from fusion.base import Executor, ProgressCallback, Settings, no_progress, versions
 from fusion.instruments.vibrometer import point_spreads
 from fusion.phasors.setup import measure_set_up, open_set_ups
 from fusion.phasors.setups import join_set_ups
 from fusion.phasors.stereo_phasors import unseen_fundamentals
 from fusion.recording.load import Manifest
-from fusion.report.provenance import versions
 from fusion.sensitivity.analyse import Evaluation, Inputs, analyse
 from fusion.sensitivity.monte_carlo import propagate
 from fusion.sensitivity.ratio import with_ratios

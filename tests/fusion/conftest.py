@@ -13,10 +13,9 @@ from evaluation_factory import Choice, make_evaluation
 from recordings import once
 from support import Refused, refusals, without_pages
 
-from fusion.base import Settings
+from fusion.base import Settings, versions
 from fusion.campaign.executor import one_blas_thread
 from fusion.recording.load import Manifest, find_recordings, load_manifest
-from fusion.report.provenance import versions
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.evaluate import evaluate_recording
 

@@ -9,10 +9,9 @@ from time import process_time
 
 import numpy as np
 
-from fusion.base import InputError
+from fusion.base import InputError, versions
 from fusion.recording.files import read_daqs
 from fusion.recording.load import Manifest, find_recordings, load_manifest
-from fusion.report.provenance import versions
 from fusion.sensor.compensate.source import (
     COMMAND,
     CompensatedChannel,

@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.base import ComputeError, InputError
+from fusion.base import ComputeError, InputError, versions
 from fusion.recording.load import Manifest
-from fusion.report.provenance import versions
 from fusion.sensor.step.records import StepInput, read_step
 from shaker.arrays import FloatArray, Notice
 from shaker.decoupling.filter import (

@@ -9,8 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fusion.base import InputError, ProgressCallback, no_progress
-from fusion.report.provenance import versions
+from fusion.base import InputError, ProgressCallback, no_progress, versions
 from fusion.sensor.elastomer.definition import Definition
 from fusion.sensor.models_file import read_models
 from shaker.arrays import FloatArray, Notice

@@ -9,14 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from fusion.base import ARGUMENT
+from fusion.base import ARGUMENT, versions
 from fusion.campaign.recorded import Recorded, SensorFacts, read_recorded
 from fusion.campaign.repeats import Drive, drive_ratio, over_lines
-from fusion.estimation.uncertainty import Uncertainty
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import Sensor
 from fusion.report.csv_files import sensitivity_unit
-from fusion.report.provenance import versions
 from fusion.sensitivity.ratio import driven_component
 from fusion.sensor.identify.fit import (
     JointFit,
@@ -44,7 +42,7 @@ INTERNAL_MASS = "internal mass: mass"
 
 
 @dataclass(frozen=True)
-class Referral:
+class FoundMass:
     """The internal mass found in place of the one stated: what is found, `mass_kg` with `u_mass_kg`, and by recording
     `stated_kg` and `load_kg`, the mass along the component of what is mounted on the sensor.
     """
@@ -64,42 +62,24 @@ class Referral:
         return -self.u_mass_kg / (self.load_kg[recording] + self.mass_kg)
 
 
-@dataclass(frozen=True)
-class SineRecording:
-    """Results of one sine recording: `recorded` as it stands there under a name of its own."""
-
-    item: EvaluatedSines
-    recorded: Recorded
-
-
-def read_sines(item: EvaluatedSines, name: str) -> SineRecording:
-    """Read the results of a sine recording by the `name` that tells it from the others."""
-    recorded = read_recorded(item.results)
-    drives = tuple(replace(drive, recording=name) for drive in recorded.drives)
-    return SineRecording(item, replace(recorded, name=name, drives=drives))
-
-
-def sensitivities(
-    recordings: Sequence[SineRecording], referrals: Mapping[int, Referral]
-) -> tuple[MeasuredSensitivity, ...]:
+def sensitivities(recordings: Sequence[Recorded], masses: Mapping[int, FoundMass]) -> tuple[MeasuredSensitivity, ...]:
     """Return the sensitivity of the output of every driven component over frequency, all recordings together.
 
-    `referrals`: for the load components whose internal mass was found, with which the loads are taken anew.
+    `masses`: for the load components whose internal mass was found, with which the loads are taken anew.
     """
-    sensor = next((item.recorded.sensor for item in recordings if item.recorded.sensor is not None), None)
-    drives = [drive for item in recordings for drive in item.recorded.drives]
-    if sensor is None or not drives:
+    sensor = next((recorded.sensor for recorded in recordings if recorded.sensor is not None), None)
+    if sensor is None:
         return ()
     capacity = None if sensor.capacity is None else sensor.capacity.tolist()
     groups: dict[int, list[Drive]] = {}
-    for drive in drives:
+    for drive in (drive for recorded in recordings for drive in recorded.drives):
         groups.setdefault(driven_component(drive.direction, capacity), []).append(drive)
-    found = [_sensitivity(sensor, j, group, referrals.get(j)) for j, group in sorted(groups.items())]
+    found = [_sensitivity(sensor, j, group, masses.get(j)) for j, group in sorted(groups.items())]
     return tuple(item for item in found if item is not None)
 
 
 def _sensitivity(
-    sensor: SensorFacts, component: int, drives: Sequence[Drive], referral: Referral | None
+    sensor: SensorFacts, component: int, drives: Sequence[Drive], mass: FoundMass | None
 ) -> MeasuredSensitivity | None:
     """Return output over load of one component at every driven line, ascending in frequency."""
     channel = main_output(sensor, component, drives)
@@ -110,13 +90,13 @@ def _sensitivity(
     parts = [drive_ratio(drive, component, [channel]) for drive in usable]
     value, whole = np.array([ratio[0] for ratio, _ in parts]), over_lines([part for _, part in parts])
     errors: tuple[RelativeError, ...] = ()
-    if referral is not None:
-        factor = np.array([referral.factor(drive.recording) for drive in usable], dtype=np.complex128)
-        value, whole = value * factor, _without_internal_mass(whole).scaled(factor[:, None])
-        own = np.array([[referral.relative(drive.recording)] for drive in usable], dtype=np.complex128)
+    if mass is not None:
+        factor = np.array([mass.factor(drive.recording) for drive in usable], dtype=np.complex128)
+        kept = tuple(influence for influence in whole.influences if influence.label != INTERNAL_MASS)
+        value, whole = value * factor, replace(whole, influences=kept).scaled(factor[:, None])
+        own = np.array([[mass.relative(drive.recording)] for drive in usable], dtype=np.complex128)
         errors = (RelativeError(INTERNAL_MASS, own),)
-    place = sensor.channels.index(channel)
-    static = None if sensor.static is None else float(sensor.static[place, component])
+    static = 0.0 if sensor.static is None else float(sensor.static[sensor.channels.index(channel), component])
     return MeasuredSensitivity(
         channel=channel,
         component=LOAD_COMPONENTS[component],
@@ -126,7 +106,7 @@ def _sensitivity(
         unit=sensitivity_unit(sensor.unit, LOAD_COMPONENTS[component]),
         errors=(*relative_errors(whole, value[:, None]), *errors),
         static=static or None,
-        u_static=abs(static or 0.0) * sensor.u_static,
+        u_static=abs(static) * sensor.u_static,
     )
 
 
@@ -140,12 +120,6 @@ def main_output(sensor: SensorFacts, component: int, drives: Sequence[Drive]) ->
         return channels[int(np.argmax(np.abs(sensor.static[rows, component])))]
     size = np.nansum([np.abs(drive.outputs) / np.abs(drive.load[component]) for drive in drives], axis=0)
     return channels[int(np.argmax(size))]
-
-
-def _without_internal_mass(uncertainty: Uncertainty) -> Uncertainty:
-    """An uncertainty without that of the internal mass stated."""
-    kept = tuple(influence for influence in uncertainty.influences if influence.label != INTERNAL_MASS)
-    return replace(uncertainty, influences=kept)
 
 
 # What every method reads from the resonance of every curve, side by side with the joint fit.
@@ -189,26 +163,34 @@ class Reading:
 
 
 def read_curves(fit: JointFit, internal_mass: float) -> tuple[tuple[Reading, ...], tuple[Notice, ...]]:
-    """Return all readings of all curves of a joint fit, and why some could not be read."""
+    """Return all readings of all curves of a joint fit, and why some could not be read.
+
+    Stiffness and damping by equations 9 and 10 of Nitsche et al. 2018 with the mass that moves.
+    """
     found: list[Reading] = []
     notices: list[Notice] = []
     for item in fit.prepared:
         if len(item.measured.ratio.frequency_hz) < FEWEST_LINES:
             continue
+        moved = item.load_kg + internal_mass
         for response in item.measured.ratio.channels:
-            moved = item.load_kg + internal_mass
             try:
-                found += [_reading(item, response, reading, moved) for reading in _readings(item, response)]
+                peaks = list(_peak_readings(fit, item, response))
             except ValueError as error:
                 where = f"{item.measured.name}: {response}"
                 notices.append(Notice("info", f"no peak was read ({ARGUMENT.sub('', str(error))})", where))
                 continue
-            found += _joint(fit, item, response, moved)
+            for peak in peaks:
+                k = required_stiffness(peak.frequency_hz, moved)
+                b = 2.0 * peak.damping_ratio * float(np.sqrt(k * moved))
+                found.append(
+                    Reading(**vars(peak), recording=item.measured.name, response=response, stiffness=k, damping=b)
+                )
     return tuple(found), tuple(notices)
 
 
-def _readings(item: Prepared, response: str) -> Iterator[PeakReading]:
-    """What the methods that look at one curve read."""
+def _peak_readings(fit: JointFit, item: Prepared, response: str) -> Iterator[PeakReading]:
+    """What the methods that look at one curve read, then what the joint fit says of the modes of its recording."""
     measured = item.measured
     ratio = measured.ratio.select([response])
     correlation = measured.line_correlation
@@ -218,41 +200,19 @@ def _readings(item: Prepared, response: str) -> Iterator[PeakReading]:
     own = [found for found in item.resonances if found.response == response]
     if own:
         highest = max(own, key=lambda found: abs(found.fit.model(np.array([found.fit.frequency_hz]))[0]))
-        f0, zeta = highest.fit.frequency_hz, highest.fit.damping_ratio
-        u_zeta = highest.u_damping_ratio
-        width = 2.0 * zeta * f0
         departs = float(np.sqrt(highest.fit.chi_squared / highest.fit.dof))
         note = f"departs from one oscillator by {departs:.2g} times the noise" if departs > _DEPARTS else ""
-        yield PeakReading("oscillator", f0, highest.u_frequency_hz, width, 2.0 * u_zeta * f0, zeta, u_zeta, note)
-
-
-def _joint(fit: JointFit, item: Prepared, response: str, moved: float) -> Iterator[Reading]:
-    """What the joint fit says of the modes of one recording."""
+        f0, u_f0 = highest.fit.frequency_hz, highest.u_frequency_hz
+        yield _mode_reading("oscillator", f0, u_f0, highest.fit.damping_ratio, highest.u_damping_ratio, note)
     for mode in fit.identification.modes:
-        if mode.record == item.measured.name:
-            f0, zeta = mode.frequency_hz, mode.damping_ratio
-            width, u_width = 2.0 * zeta * f0, 2.0 * mode.u_damping_ratio * f0
-            own = PeakReading("joint", f0, mode.u_frequency_hz, width, u_width, zeta, mode.u_damping_ratio)
-            yield _reading(item, response, own, moved)
+        if mode.record == measured.name:
+            f0, u_f0 = mode.frequency_hz, mode.u_frequency_hz
+            yield _mode_reading("joint", f0, u_f0, mode.damping_ratio, mode.u_damping_ratio)
 
 
-def _reading(item: Prepared, response: str, reading: PeakReading, moved: float) -> Reading:
-    """A reading as a row: equations 9 and 10 of Nitsche et al. 2018 with the mass that moves."""
-    k = required_stiffness(reading.frequency_hz, moved)
-    return Reading(
-        recording=item.measured.name,
-        response=response,
-        method=reading.method,
-        frequency_hz=reading.frequency_hz,
-        u_frequency_hz=reading.u_frequency_hz,
-        width_hz=reading.width_hz,
-        u_width_hz=reading.u_width_hz,
-        damping_ratio=reading.damping_ratio,
-        u_damping_ratio=reading.u_damping_ratio,
-        stiffness=k,
-        damping=2.0 * reading.damping_ratio * float(np.sqrt(k * moved)),
-        note=reading.note,
-    )
+def _mode_reading(method: str, f0: float, u_f0: float, zeta: float, u_zeta: float, note: str = "") -> PeakReading:
+    """Frequency f₀ (Hz) and damping ratio of a mode as a reading, whose width is 2ζf₀."""
+    return PeakReading(method, f0, u_f0, 2.0 * zeta * f0, 2.0 * u_zeta * f0, zeta, u_zeta, note)
 
 
 def of_curve(readings: Sequence[Reading], recording: str, response: str) -> list[Reading]:
@@ -315,22 +275,30 @@ def evaluate_identification(campaign: Campaign, settings: IdentifySettings) -> I
     >>> evaluation = evaluate_identification(read_campaign("masses"), IdentifySettings())  # doctest: +SKIP
     """
     started = time.monotonic()
-    names = _names([*campaign.transfers, *(item.manifest for item in campaign.sines)])
-    prepared, notices = _prepared(campaign, names, settings)
-    sines = [read_sines(item, names[item.manifest.path]) for item in campaign.sines]
+    manifests = [*campaign.transfers, *(item.manifest for item in campaign.sines)]
+    names, notices = _names(manifests), list(campaign.notices)
+    prepared: list[Prepared] = []
+    for manifest in campaign.transfers:
+        item, told = prepare(manifest, names[manifest.path], settings.band_hz)
+        prepared.append(item)
+        notices += told
+    recorded = [_recorded(sine, names[sine.manifest.path]) for sine in campaign.sines]
     driven = {item.component for item in prepared}
     added = sine_transfers(campaign.sines, names, settings.band_hz)
     fits = joint_fits([*prepared, *(item for item in added if item.component in driven)], settings)
-    referrals = {fit.component: _referral(fit, sines) for fit in fits if fit.mass_is_free}
-    measured = {item.component: item for item in sensitivities(sines, referrals)}
-    sensor = _sensor([*campaign.transfers, *(item.manifest for item in campaign.sines)])
-    components = [_component(fit, measured.get(LOAD_COMPONENTS[fit.component]), sensor, settings) for fit in fits]
-    told = [notice for _, own in components for notice in own]
+    masses = {fit.component: _found_mass(fit, campaign.sines, names) for fit in fits if fit.mass_is_free}
+    measured = {item.component: item for item in sensitivities(recorded, masses)}
+    sensor = next((manifest.rig.sensor for manifest in manifests if manifest.rig.sensor is not None), None)
+    components = []
+    for fit in fits:
+        component, told = _component(fit, measured.get(LOAD_COMPONENTS[fit.component]), sensor, settings)
+        components.append(component)
+        notices += told
     return IdentifyEvaluation(
         name=campaign.name,
         sensor=sensor,
-        components=tuple(component for component, _ in components),
-        notices=tuple(dict.fromkeys([*campaign.notices, *notices, *told])),
+        components=tuple(components),
+        notices=tuple(dict.fromkeys(notices)),
         settings=settings.as_dict(),
         versions=versions(),
         input_hashes=campaign.input_hashes,
@@ -347,53 +315,36 @@ def _names(manifests: Sequence[Manifest]) -> dict[Path, str]:
     }
 
 
-def _prepared(
-    campaign: Campaign, names: Mapping[Path, str], settings: IdentifySettings
-) -> tuple[list[Prepared], list[Notice]]:
-    """Evaluate every recording with transfer functions."""
-    prepared: list[Prepared] = []
-    notices: list[Notice] = []
-    for manifest in campaign.transfers:
-        item, told = prepare(manifest, names[manifest.path], settings.band_hz)
-        prepared.append(item)
-        notices += told
-    return prepared, notices
+def _recorded(sine: EvaluatedSines, name: str) -> Recorded:
+    """Read the results of a sine recording by the `name` that tells it from the others."""
+    recorded = read_recorded(sine.results)
+    return replace(recorded, name=name, drives=tuple(replace(drive, recording=name) for drive in recorded.drives))
 
 
-def _sensor(manifests: Sequence[Manifest]) -> Sensor | None:
-    """Return the sensor that the rigs state."""
-    return next((manifest.rig.sensor for manifest in manifests if manifest.rig.sensor is not None), None)
-
-
-def _referral(fit: JointFit, sines: Sequence[SineRecording]) -> Referral:
+def _found_mass(fit: JointFit, sines: Sequence[EvaluatedSines], names: Mapping[Path, str]) -> FoundMass:
     """Return the internal mass found, with the masses of the sine recordings."""
     found = fit.identification[mass_name(fit.component)]
     stated, loads = {}, {}
-    for item in sines:
-        manifest = item.item.manifest
+    for manifest in (sine.manifest for sine in sines):
         if manifest.rig.sensor is not None and manifest.rig.load is not None:
-            loads[item.recorded.name] = load_along(manifest, fit.component)
-            stated[item.recorded.name] = stated_mass(manifest.rig.sensor, fit.component)[0]
-    return Referral(found.value, found.u, stated, loads)
+            name = names[manifest.path]
+            loads[name] = load_along(manifest, fit.component)
+            stated[name] = stated_mass(manifest.rig.sensor, fit.component)[0]
+    return FoundMass(found.value, found.u, stated, loads)
 
 
 def _component(
     fit: JointFit, measured: MeasuredSensitivity | None, sensor: Sensor | None, settings: IdentifySettings
-) -> tuple[ComponentResult, tuple[Notice, ...]]:
+) -> tuple[ComponentResult, list[Notice]]:
     """Return everything of one component, and what is to be said of it."""
     mass = fit.identification[mass_name(fit.component)]
     readings, unread = read_curves(fit, mass.value)
     found = modelled(fit, measured, sensor)
+    notices = [*fit.notices, *unread, *found.notices]
     loads = settings.load_masses_kg or tuple(sorted(dict.fromkeys(item.load_kg for item in fit.prepared)))
-    loads = () if fit.model == "pitching" else loads
+    if fit.model == "pitching":
+        text = "no usable band is given: that of a load that pitches depends on where the force acts, not on its mass"
+        notices.append(Notice("info", f"{text} alone", fit.axis))
+        loads = ()
     bands = tuple(usable_band(found.model, Load(kg, "force"), settings.permitted) for kg in loads)
-    result = ComponentResult(fit, mass, readings, found.sensitivity, found.model, found.range_hz, loads, bands)
-    return result, (*fit.notices, *unread, *found.notices, *_no_band(fit))
-
-
-def _no_band(fit: JointFit) -> tuple[Notice, ...]:
-    """Say why a load that pitches has no usable band."""
-    if fit.model != "pitching":
-        return ()
-    text = "no usable band is given: that of a load that pitches depends on where the force acts, not on its mass alone"
-    return (Notice("info", text, fit.axis),)
+    return ComponentResult(fit, mass, readings, found.sensitivity, found.model, found.range_hz, loads, bands), notices

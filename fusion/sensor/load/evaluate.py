@@ -10,10 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from fusion.base import ComputeError, InputError
+from fusion.base import ComputeError, InputError, versions
 from fusion.estimation.uncertainty import coverage_factor
 from fusion.recording.load import Manifest
-from fusion.report.provenance import versions
 from fusion.sensitivity.body import inertia_errors, rigid_load
 from fusion.sensor.step.releases import Release, read_recording
 from shaker.arrays import FloatArray, Notice

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fusion.base import InputError, rounded
+from fusion.base import InputError, rounded, versions
 from fusion.recording.load import Manifest
-from fusion.report.provenance import versions
 from fusion.sensor.rotate.masses import Campaign, quantities, repeats
 from fusion.sensor.rotate.readings import (
     Quantity,

@@ -3,134 +3,124 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from fusion.base import ComputeError, InputError
+from fusion.base import ComputeError, InputError, versions
 from fusion.recording.load import Manifest
 from fusion.report.csv_files import sensitivity_unit
-from fusion.report.provenance import versions
 from fusion.sensor.models_file import ModelEntry
-from fusion.sensor.step.records import Pooled, StepSettings, check_kind, index_figures, parameter_figures, pool_models
+from fusion.sensor.step.records import StepSettings, index_quantities, parameter_quantities, pool_models
 from fusion.sensor.step.releases import (
     ComponentResult,
-    Fitted,
     Release,
     StepEvaluation,
     compare_methods,
     fit_component,
+    method_row,
     read_recording,
-    ropes,
-    rows_of,
+    ropes_of,
     scale_uncertainty,
     stated_gain,
     static_gains,
 )
 from shaker.arrays import ComplexArray, FloatArray, Notice
 from shaker.labels import LOAD_COMPONENTS
+from shaker.lti.system import ModalModel
 
 # One load component: its releases become a model with indices, its ropes and methods are compared.
 
 
-def evaluate_component(fitted: Fitted, settings: StepSettings) -> tuple[ComponentResult, tuple[Notice, ...]]:
-    """Return what the fitted releases of one component say of it; all drive the same output."""
-    first, used = fitted.releases[0], fitted.chosen
-    component, channel, manifest = first.input.record.component, first.driven, first.input.manifest
-    unit = sensitivity_unit(first.input.record.unit, component)
+def evaluate_component(
+    releases: Sequence[Release], settings: StepSettings
+) -> tuple[ComponentResult, tuple[Notice, ...]]:
+    """Return what the releases of one component, which all drive the same output, say of it."""
+    first, fitted = releases[0], fit_component(releases, settings)
+    component, channel, manifest = first.record.component, first.driven, first.input.manifest
+    unit, used, notices = sensitivity_unit(first.record.unit, component), fitted.chosen, [*fitted.notices]
     stated, _ = stated_gain(manifest, channel, component)
-    pooled = _pooled(used, scale_uncertainty(manifest, channel)) if used else None
-    rate_hz = first.input.record.sample_rate_hz
-    found = None if pooled is None else index_figures(pooled, stated, unit, rate_hz)
-    rows = rows_of(fitted.releases)
-    of_methods: tuple[Notice, ...] = ()
-    if settings.method == "all" and used:
-        rows, of_methods = compare_methods(used[0], settings)
+    names = tuple(release.name for release in used)
     result = ComponentResult(
         component=component,
         channel=channel,
         unit=unit,
         releases=fitted.releases,
-        used=fitted.used,
+        used=names,
         reason=fitted.reason,
+        pooled=None,
+        parameters=(),
+        figures=(),
+        gains=tuple(static_gains(fitted.releases, unit)),
+        ropes=ropes_of(fitted.releases, names),
+        methods=tuple(method_row(release.fit, release.name) for release in fitted.releases if release.fit is not None),
+        entry=None,
+    )
+    if not used:
+        notices.append(Notice("warning", f"no model of {channel}: {fitted.reason}", component))
+        return result, tuple(notices)
+    fits = [(release, release.fit) for release in used if release.fit is not None]
+    models = [fit.model for _, fit in fits if fit.model is not None]
+    mountings = [release.input.manifest.mounting for release in used]
+    pooled = pool_models(models, mountings, scale_uncertainty(manifest, channel))
+    figures, of_indices = index_quantities(pooled, stated, unit, first.record.sample_rate_hz)
+    notices += [Notice(n.severity, f"{r.driven}: {n.text}", r.name) for r, fit in fits for n in fit.notices]
+    result = replace(
+        result,
         pooled=pooled,
-        parameters=() if pooled is None else parameter_figures(pooled, unit),
-        indices=None if found is None else found[0],
-        figures=() if found is None else found[1],
-        gains=tuple(static_gains(fitted.releases)),
-        ropes=ropes(fitted.releases, fitted.used),
-        methods=rows,
-        entry=None if pooled is None else _entry(pooled, used),
+        parameters=parameter_quantities(pooled, unit),
+        figures=figures,
+        entry=ModelEntry(
+            channel=channel,
+            component=component,
+            unit=used[0].record.unit,
+            method=fits[0][1].method,
+            model=pooled.model,
+            sample_rate_hz=used[0].record.sample_rate_hz,
+            noise=float(np.median([release.reading.noise for release in used])),
+            recording=", ".join(names),
+            dof=float(pooled.scattered) if pooled.scattered else float(np.inf),
+        ),
     )
-    return result, (*fitted.notices, *_of_fits(used), *of_methods, *_of_result(result, stated))
+    if settings.method == "all":
+        rows, of_methods = compare_methods(used[0], settings)
+        result, notices = replace(result, methods=rows), [*notices, *of_methods]
+    return result, (*notices, *_remarks(result, pooled.model, of_indices, stated))
 
 
-def _of_fits(releases: Sequence[Release]) -> list[Notice]:
-    """What the fits of the model's releases remark."""
-    return [
-        Notice(notice.severity, f"{release.driven}: {notice.text}", release.name)
-        for release in releases
-        if release.fit is not None
-        for notice in release.fit.notices
-    ]
-
-
-def _pooled(releases: Sequence[Release], u_scale: float) -> Pooled:
-    """One model from those of the releases."""
-    models = [release.fit.model for release in releases if release.fit is not None]
-    mountings = [release.input.manifest.mounting for release in releases]
-    return pool_models([model for model in models if model is not None], mountings, u_scale)
-
-
-def _entry(pooled: Pooled, releases: Sequence[Release]) -> ModelEntry:
-    """What models.json holds of a component."""
-    record, first = releases[0].input.record, releases[0]
-    return ModelEntry(
-        channel=first.driven,
-        component=record.component,
-        unit=record.unit,
-        method="" if first.fit is None else first.fit.method,
-        model=pooled.model,
-        sample_rate_hz=record.sample_rate_hz,
-        noise=float(np.median([release.reading.noise for release in releases])),
-        recording=", ".join(release.name for release in releases),
-        dof=float(pooled.scattered) if pooled.scattered else float(np.inf),
-    )
-
-
-def _of_result(result: ComponentResult, stated: float | None) -> list[Notice]:
+def _remarks(
+    result: ComponentResult, model: ModalModel, of_indices: Sequence[Notice], stated: float | None
+) -> Iterator[Notice]:
     """Which releases made the model, what its U lacks, and how it compares with what is stated."""
-    where, found = result.component, []
-    if result.pooled is None:
-        return [Notice("warning", f"no model of {result.channel}: {result.reason}", where)]
+    where, channel = result.component, result.channel
     if len(result.ropes) > 1:
-        found.append(Notice("info", f"the model of {result.channel} rests on {result.reason}", where))
-    mountings = {release.input.manifest.mounting for release in result.chosen}
+        yield Notice("info", f"the model of {channel} rests on {result.reason}", where)
     if len(result.used) == 1:
-        found.append(Notice("info", "one release only: what releases scatter by is not in U", where))
-    elif len(mountings) == 1:
+        yield Notice("info", "one release only: what releases scatter by is not in U", where)
+    elif len({release.input.manifest.mounting for release in result.chosen}) == 1:
         text = "all releases of a component are of one mounting: what mounting anew changes is not in U"
-        found.append(Notice("info", text, "releases"))
-    if result.indices is not None:
-        found += [Notice(n.severity, n.text, f"{where}, {n.where}") for n in result.indices.notices]
-    if not len(result.pooled.model.real_hz):
+        yield Notice("info", text, "releases")
+    for notice in of_indices:
+        yield Notice(notice.severity, notice.text, f"{where}, {notice.where}")
+    if not len(model.real_hz):
         text = (
-            f"no release shows a real pole beside the modes of {result.channel}: a lag of amplifier or filter, which "
+            f"no release shows a real pole beside the modes of {channel}: a lag of amplifier or filter, which "
             "looks like a later onset, would move the bands by more than their U; --real-poles 1 lets it in"
         )
-        found.append(Notice("info", text, where))
+        yield Notice("info", text, where)
     if stated is None:
         text = "rig.toml states no static_sensitivity for it: bands against the static gain of the model only"
-        found.append(Notice("info", text, where))
-    driven = result.gains[0]
-    if driven.normalised is not None and abs(driven.normalised) > 1.0:
+        yield Notice("info", text, where)
+    over = result.gains[0].normalised
+    if over is not None and abs(over) > 1.0:
         text = (
-            f"static gain of {result.channel} and the stated static sensitivity differ by {abs(driven.normalised):.2f} "
-            "times the U of their difference"
+            f"static gain of {channel} and the stated static sensitivity differ by {abs(over):.2f} times the U of "
+            "their difference"
         )
-        found.append(Notice("warning", text, where))
-    return found
+        yield Notice("warning", text, where)
 
 
 # From recordings of releases to models of a sensor's components.
@@ -148,14 +138,13 @@ def evaluate_steps(
     >>> evaluation = evaluate_steps("steps", releases, StepSettings(), {})  # doctest: +SKIP
     """
     started = time.monotonic()
-    _check_together(manifests)
-    releases, notices = _read(manifests)
-    _check_forces(releases, settings)
+    by_component, notices = _read(manifests, settings)
     components: list[ComponentResult] = []
-    for fitted in _fit(releases, settings):
-        result, told = evaluate_component(fitted, settings)
-        components.append(result)
-        notices += told
+    for component in LOAD_COMPONENTS:
+        if component in by_component:
+            result, told = evaluate_component(by_component[component], settings)
+            components.append(result)
+            notices += told
     if all(result.pooled is None for result in components):
         why = next(notice for notice in notices if notice.severity == "warning")
         raise ComputeError(f"no model was found of any output ({why.where}: {why.text}); see docs/steps.md, limits")
@@ -173,44 +162,27 @@ def evaluate_steps(
     )
 
 
-def _check_together(manifests: Sequence[Manifest]) -> None:
-    """Recordings that are compared share a rig."""
+def _read(manifests: Sequence[Manifest], settings: StepSettings) -> tuple[dict[str, list[Release]], list[Notice]]:
+    """Releases of one rig by component; those of one component must drive the same output."""
+    first_rig, releases, notices = manifests[0].rig_path, defaultdict[str, list[Release]](list), list[Notice]()
     for manifest in manifests:
-        check_kind(manifest)
-        if manifest.rig_path.resolve() != manifests[0].rig_path.resolve():
-            expected = f"{manifests[0].rig_path}, the rig of {manifests[0].folder.name}"
+        manifest.check_command("step")
+        if manifest.rig_path.resolve() != first_rig.resolve():
+            expected = f"{first_rig}, the rig of {manifests[0].folder.name}"
             raise InputError(manifest.path, "rig", found=str(manifest.rig_path), expected=expected)
-
-
-def _read(manifests: Sequence[Manifest]) -> tuple[list[Release], list[Notice]]:
-    """All releases; those of one component must drive the same output."""
-    releases: list[Release] = []
-    notices: list[Notice] = []
     for manifest in manifests:
         release, told = read_recording(manifest)
         notices += told
-        component = release.input.record.component
-        first = next((one for one in releases if one.input.record.component == component), release)
+        component = release.record.component
+        releases[component].append(release)
+        first = releases[component][0]
         if first.driven != release.driven:
             expected = f"{first.driven}, the output that {component} drives in {first.name}"
             raise InputError(manifest.path, "daq.channel", found=release.driven, expected=expected)
-        releases.append(release)
-    return releases, notices
-
-
-def _fit(releases: Sequence[Release], settings: StepSettings) -> list[Fitted]:
-    """The releases of every component fitted."""
-    components = {release.input.record.component for release in releases}
-    own = [[r for r in releases if r.input.record.component == c] for c in LOAD_COMPONENTS if c in components]
-    return [fit_component(found, settings) for found in own]
-
-
-def _check_forces(releases: Sequence[Release], settings: StepSettings) -> None:
-    """A load that is to be taken as measured must have been measured."""
-    for release in releases:
-        if settings.release == "measured" and release.input.record.force is None:
+        if settings.release == "measured" and release.record.force is None:
             expected = "the name of the force channel, for --release measured"
-            raise InputError(release.input.manifest.path, "excitation.force", found="nothing", expected=expected)
+            raise InputError(manifest.path, "excitation.force", found="nothing", expected=expected)
+    return releases, notices
 
 
 # The response over frequency that a release shows by itself, without a model.
@@ -239,7 +211,7 @@ def measured_response(release: Release) -> Measured:
     its samples. Frequencies at which the release drives less than a fifth of what a step would are left out. From the
     onset on; before it nothing happens.
     """
-    record = release.input.record
+    record = release.record
     step = 1.0 / record.sample_rate_hz
     onset = release.reading.onset_s if release.fit is None else release.fit.onset_s
     first = max(0, int((onset - record.start_s) / step) - 3)

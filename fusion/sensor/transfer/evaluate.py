@@ -8,12 +8,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fusion.base import ARGUMENT, InputError
+from fusion.base import ARGUMENT, InputError, versions
 from fusion.instruments import TRANSDUCERS
 from fusion.recording.excitation import kinds_of
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry
-from fusion.report.provenance import versions
 from fusion.sensor.transfer.records import (
     ChannelChain,
     CommonError,
