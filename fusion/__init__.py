@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from fusion.campaign.recorded import read_recorded
     from fusion.campaign.run import run_path
     from fusion.estimation.fuse import Acceleration
+    from fusion.planning.check import CheckReport, check
     from fusion.planning.plan import Request, make_plan
-    from fusion.recording.check import CheckReport, check
     from fusion.recording.load import Manifest, find_recordings, load_for_command, load_manifest
     from fusion.sensitivity.analyse import Evaluation
     from fusion.sensitivity.evaluate import evaluate_recording
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 _MODULES = {
     "Acceleration": "fusion.estimation.fuse",
-    "CheckReport": "fusion.recording.check",
+    "CheckReport": "fusion.planning.check",
     "ComputeError": "fusion.base",
     "DecoupleSettings": "fusion.sensor.decouple.evaluate",
     "Evaluation": "fusion.sensitivity.analyse",
@@ -54,7 +54,7 @@ _MODULES = {
     "Settings": "fusion.base",
     "StepSettings": "fusion.sensor.step.records",
     "TransferSettings": "fusion.sensor.transfer.records",
-    "check": "fusion.recording.check",
+    "check": "fusion.planning.check",
     "evaluate_compensation": "fusion.sensor.compensate.evaluate",
     "evaluate_decoupling": "fusion.sensor.decouple.evaluate",
     "evaluate_element": "fusion.sensor.elastomer.evaluate",

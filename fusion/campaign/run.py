@@ -108,8 +108,7 @@ def run_path(
     *,
     force: bool = False,
     allow_outside: bool = False,
-    workers: int = 1,
-    scheduler: str | None = None,
+    workers: int | str = 1,
     progress: ProgressCallback = no_progress,
 ) -> tuple[Outcome, ...]:
     """Evaluate a recording, or every recording of a campaign folder, and write the result files.
@@ -117,8 +116,8 @@ def run_path(
     A recording writes to `output` (default RECORDING/results). A campaign writes one folder per recording below
     `output` (default CAMPAIGN/results) and what they tell together at its top; recordings of kinds that are not
     evaluated here, such as chirps, are left out, and one that fails does not stop the others. A single recording's
-    failure is raised. More than one of `workers` are processes of this machine, `scheduler` is the address of a Dask
-    cluster's: recordings are shared among them, or, where there are too few recordings for that, stereo pairs and
+    failure is raised. `workers`: a number of processes of this machine, or the address of the scheduler of a Dask
+    cluster. Recordings are shared among them, or, where there are too few recordings for that, stereo pairs and
     blocks of frames. Where it is computed changes no digit of a result.
 
     >>> from fusion import Settings, run_path
@@ -141,7 +140,7 @@ def run_path(
     above = top.parent if alone else top
     remove_abandoned(above)
     try:
-        with _executor(workers, scheduler) as executor:
+        with _executor(workers) as executor:
             if alone:
                 return (_run_one(jobs[0], executor, progress),)
             if executor is None or SHARED_FRAMES * len(jobs) <= executor.size:
@@ -171,10 +170,10 @@ def exit_status(outcomes: Sequence[Outcome]) -> int:
     return 1 if errors else 0
 
 
-def _executor(workers: int, scheduler: str | None) -> AbstractContextManager[Executor | None]:
+def _executor(workers: int | str) -> AbstractContextManager[Executor | None]:
     """Return those who compute; None is this process."""
-    if scheduler is not None:
-        return connected(scheduler)
+    if isinstance(workers, str):
+        return connected(workers)
     return Workers(workers) if workers > 1 else nullcontext()
 
 

@@ -244,7 +244,7 @@ def _check_options(parser: Parser) -> None:
 def check(options: argparse.Namespace) -> int:
     """Say what a recording holds; compute nothing."""
     from fusion.base import InputError
-    from fusion.recording.check import check
+    from fusion.planning.check import check
     from fusion.recording.load import find_recordings, load_manifest
 
     status = EXIT_DONE
@@ -352,8 +352,7 @@ def run(options: argparse.Namespace) -> int:
             settings,
             force=options.force,
             allow_outside=options.allow_outside,
-            workers=options.workers,
-            scheduler=options.scheduler,
+            workers=options.scheduler or options.workers,
             progress=progress,
         )
     (print_campaign if is_campaign(options.recording) else print_outcomes)(outcomes)

@@ -1,1 +1,1 @@
-"""Before the measurement: camera rates, lines."""
+"""Before the evaluation: camera rates, what a recording holds and can observe, its lines."""

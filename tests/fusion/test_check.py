@@ -18,7 +18,7 @@ from support import AT_ORIGIN, DOCS, block, channel, recording_head
 from fusion.base import InputError
 from fusion.instruments import TRANSDUCERS
 from fusion.instruments.transducer import placed_at, unit_direction
-from fusion.recording.check import check, observable
+from fusion.planning.check import check, observable
 from fusion.recording.load import load_manifest
 from fusion.recording.manifest import ChannelEntry
 from fusion.recording.response import Element, read_chain, read_response

@@ -21,7 +21,7 @@ from fusion.recording.excitation import kinds_of
 from fusion.recording.load import find_recordings, for_kinds
 from fusion.sensor.identify.evaluate import ComponentResult, IdentifyEvaluation, evaluate_identification
 from fusion.sensor.identify.measured import Campaign, IdentifySettings, read_campaign
-from fusion.sensor.identify.run import IDENTIFY, read_model
+from fusion.sensor.identify.report import IDENTIFY, read_model
 from fusion.sensor.transfer.evaluate import KINDS as TRANSFER_KINDS
 from fusion.simulate.chirp import write_masses
 from fusion.simulate.world import Draws, true_part
@@ -259,7 +259,7 @@ def test_a_model_with_an_unknown_chain_is_refused(results, tmp_path):
 
 @pytest.mark.usefixtures("no_pages")
 def test_the_command_prints_and_keeps_to_the_rules_of_folders(campaign, evaluation, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("fusion.sensor.identify.run.evaluate_identification", lambda *_: evaluation)
+    monkeypatch.setattr("fusion.sensor.identify.report.evaluate_identification", lambda *_: evaluation)
     run, out = ["identify", str(campaign), "-o", str(tmp_path / "out")], tmp_path / "out"
     assert main(run) == 0
     told = capsys.readouterr()

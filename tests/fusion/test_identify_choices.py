@@ -22,7 +22,7 @@ from fusion.report.provenance import Provenance, write_provenance
 from fusion.sensor.identify.evaluate import evaluate_identification
 from fusion.sensor.identify.fit import JointFit, joint_fits, mechanics, modelled
 from fusion.sensor.identify.measured import IdentifySettings, Prepared, placement_errors, prepare, read_campaign, sight
-from fusion.sensor.identify.run import read_model
+from fusion.sensor.identify.report import read_model
 from fusion.simulate.chirp import (
     Chirp,
     Suspension,

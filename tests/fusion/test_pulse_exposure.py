@@ -14,7 +14,7 @@ from fusion.base import InputError
 from fusion.cli import main
 from fusion.instruments.stereo import PulseExposure
 from fusion.phasors.timing import Exposure, exposure_middles, exposure_of, tie_daqs
-from fusion.recording.check import check
+from fusion.planning.check import check
 from fusion.recording.files import read_daqs
 from fusion.recording.load import load_manifest
 from fusion.report.more_tables import clocks_table

@@ -16,7 +16,7 @@ from scipy.signal import lsim
 from support import state
 
 from fusion.recording.load import load_manifest
-from fusion.sensor.step.records import read_step_record
+from fusion.sensor.step.records import read_step
 from fusion.simulate import simulate
 from fusion.simulate.chirp import Chirp, Suspension, mass_matrix, sine_run, write_chirps, write_masses, write_pitching
 from fusion.simulate.preset import read_preset
@@ -296,7 +296,7 @@ def test_every_component_is_released_and_one_by_three_ropes(steps: Path) -> None
 def test_outputs_are_what_the_poles_and_residues_answer(steps: Path, name: str) -> None:
     """Integrated by scipy: the transfer functions of truth.json under the load that it states, for 20 ms."""
     whole, truth = _truth(steps), _truth(steps / name)
-    record = read_step_record(load_manifest(steps / name))
+    record = read_step(load_manifest(steps / name)).record
     fine, count = 5, 2000
     time = np.arange(count * fine) / (record.sample_rate_hz * fine)
     share = np.clip((time - truth["onset_s"]) / truth["release_s"], 0.0, 1.0)
@@ -351,7 +351,7 @@ def test_readings_of_the_campaign_hold_the_truth_and_rank_the_ropes(steps: Path)
     readings, deviations = [], []
     for release in releases(RIG):
         truth = _truth(steps / release.name)
-        record = read_step_record(load_manifest(steps / release.name))
+        record = read_step(load_manifest(steps / release.name)).record
         reading = read_release(record, release.component)
         place = record.channels.index(release.component)
         deviations += [

@@ -201,7 +201,7 @@ def test_shared_frames_give_the_tables_of_the_serial_run(demo_recording, serial_
 @pytest.mark.slow
 @pytest.mark.parametrize("who", ["two processes", "a cluster"])
 def test_others_share_the_frames_of_one_recording(who, demo_recording, serial_demo, cluster, tmp_path):
-    where = {"workers": 2} if who == "two processes" else {"scheduler": cluster.address}
+    where = {"workers": 2} if who == "two processes" else {"workers": cluster.address}
     assert _demo_tables(demo_recording, tmp_path, **where) == serial_demo
 
 
@@ -307,7 +307,7 @@ def test_a_cluster_gives_the_same_tables_and_a_killed_worker_loses_nothing(sweep
             os.kill(killed[0], signal.SIGKILL)
 
     try:
-        _run(sweep, sweep.with_name("dask"), tasks.slow_job, scheduler=cluster.address, progress=kill_the_first)
+        _run(sweep, sweep.with_name("dask"), tasks.slow_job, workers=cluster.address, progress=kill_the_first)
         assert killed[0] in [worker.pid for worker in cluster.workers]
         assert _tables(sweep.with_name("dask")) == serial
         assert _hidden(sweep.with_name("dask")) == []
