@@ -54,7 +54,7 @@ def identify(options: argparse.Namespace) -> None:
     """Stiffness, damping and internal mass of the sensor from a whole campaign."""
     from fusion.base import InputError
     from fusion.sensor.identify.measured import IdentifySettings
-    from fusion.sensor.identify.run import run_identify
+    from fusion.sensor.identify.report import run_identify
 
     band = None if options.band is None else (options.band[0], options.band[1])
     if band is not None and band[0] >= band[1]:
@@ -86,7 +86,7 @@ def _step_options(parser: Parser) -> None:
 def step(options: argparse.Namespace) -> None:
     """Models of the sensor's outputs from releases of a load: modes, bands, settling."""
     from fusion.sensor.step.records import StepSettings
-    from fusion.sensor.step.run import run_step
+    from fusion.sensor.step.report import run_step
 
     settings = StepSettings(options.method, options.modes, options.real_poles, options.release)
     run_step(options.recordings, options.output, settings, force=options.force, allow_outside=options.allow_outside)

@@ -150,9 +150,12 @@ def test_a_second_peak_calls_for_pitching(tmp_path):
     fit = _fit(found)
     assert fit.model == "pitching"
     assert fit.reason.startswith("the curves have peaks at 1190.")
-    for name, true in zip(("stiffness_x", "stiffness_ry"), stand.stiffness, strict=True):
-        assert fit.identification.value(name) == pytest.approx(true, rel=2e-3)
+    names = ("stiffness_x", "stiffness_ry", "damping_x", "damping_ry")
+    for name, true in zip(names, (*stand.stiffness, *stand.damping), strict=True):
         assert abs(fit.identification.value(name) - true) < 3.3 * fit.identification.u(name)
+        assert "damping" in name or fit.identification.value(name) == pytest.approx(true, rel=2e-3)
+    drawn = np.hypot(fit.identification.u("internal_mass"), stand.internal.mass_uncertainty)
+    assert abs(fit.identification.value("internal_mass") - stand.internal.mass) < 3.3 * drawn
     near = [replace(item, measured=_lines(item.measured, 1100.0, 1300.0)) for item in found[:1]]
     alone = _fit(near, model="translation")
     assert any("--model adapter or pitching" in notice.text for notice in alone.notices)

@@ -291,9 +291,9 @@ def evaluate_identification(campaign: Campaign, settings: IdentifySettings) -> I
     sensor = next((manifest.rig.sensor for manifest in manifests if manifest.rig.sensor is not None), None)
     components = []
     for fit in fits:
-        component, told = _component(fit, measured.get(LOAD_COMPONENTS[fit.component]), sensor, settings)
+        component, own = _component(fit, measured.get(LOAD_COMPONENTS[fit.component]), sensor, settings)
         components.append(component)
-        notices += told
+        notices += own
     return IdentifyEvaluation(
         name=campaign.name,
         sensor=sensor,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fusion.base import ARGUMENT, ComputeError, InputError
 from fusion.campaign.repeats import between_recordings
-from fusion.estimation.uncertainty import Uncertainty, real_design
+from fusion.estimation.uncertainty import Uncertainty
 from fusion.recording.manifest import Sensor
 from fusion.report.csv_files import sensitivity_unit
 from fusion.report.h5 import read_uncertainty
@@ -56,7 +56,6 @@ class JointFit:
     component: int
     model: str
     reason: str
-    structure: Structure
     mass_is_free: bool
     identification: Identification
     prepared: tuple[Prepared, ...]
@@ -80,34 +79,43 @@ def joint_fits(prepared: Sequence[Prepared], settings: IdentifySettings) -> tupl
 
 
 def _joint_fit(component: int, group: Sequence[Prepared], settings: IdentifySettings) -> JointFit:
-    """Fit one component."""
-    free = _mass_is_free(component, group, settings)
-    model, reason, found = _chosen(component, group, settings, free=free)
-    structure = _structure(model, component, group)
-    notices = (*found.notices, *_misfit(component, group, found, model))
-    return JointFit(component, model, reason, structure, free, found, tuple(group), notices)
-
-
-def _chosen(
-    component: int, group: Sequence[Prepared], settings: IdentifySettings, *, free: bool
-) -> tuple[str, str, Identification]:
-    """Return the model, why it was taken, and its fit: translation, unless a second peak asks for pitching.
+    """Fit one component by the model wanted: "auto" is translation, unless a second peak asks for pitching.
 
     Two peaks that pitching explains need no other fit; what it does not explain is compared with one translation.
     """
-    if settings.model != "auto":
-        return settings.model, "as wanted", _fitted(settings.model, component, group, settings, free=free)
-    coupled = component in _PITCHES_WITH and len(_most_peaks(group)) > 1
-    pitching = _fitted("pitching", component, group, settings, free=free) if coupled else None
-    if pitching is not None and departure(pitching) < _MISFIT:
-        return "pitching", _pitches(group, pitching), pitching
-    alone = _fitted("translation", component, group, settings, free=free)
-    if pitching is not None and pitching.chi_squared / pitching.dof < _BETTER * alone.chi_squared / alone.dof:
-        return "pitching", f"{_pitches(group, pitching)}, one translation {departure(alone):.3g}", pitching
+    free = _mass_is_free(component, group, settings)
+    peaks = max((item.peaks_hz(name) for item in group for name in item.measured.ratio.channels), key=len)
+
+    def fitted(model: str) -> Identification:
+        return _fitted(model, component, group, settings, free=free)
+
+    def chosen() -> tuple[str, str, Identification]:
+        if settings.model != "auto":
+            return settings.model, "as wanted", fitted(settings.model)
+        pitching = fitted("pitching") if component in _PITCHES_WITH and len(peaks) > 1 else None
+        reason = "" if pitching is None else _why_pitching(peaks, pitching)
+        if pitching is not None and departure(pitching) < _MISFIT:
+            return "pitching", reason, pitching
+        alone = fitted("translation")
+        if pitching is not None and pitching.chi_squared / pitching.dof < _BETTER * alone.chi_squared / alone.dof:
+            return "pitching", f"{reason}, one translation {departure(alone):.3g}", pitching
+        reason = f"one spring and damper leave residuals of {departure(alone):.3g} times their uncertainty"
+        return "translation", reason, alone
+
+    model, reason, found = chosen()
+    notices = found.notices
+    if model == "translation" and len(peaks) > 1 and departure(found) >= _MISFIT:
+        text = "one translation does not explain the second peak; --model adapter or pitching, or --band, may"
+        notices = (*notices, Notice("warning", text, f"model {MOTION_COMPONENTS[component]}"))
+    return JointFit(component, model, reason, free, found, tuple(group), notices)
+
+
+def _why_pitching(peaks_hz: Sequence[float], found: Identification) -> str:
+    """Why pitching was taken."""
+    listed = " and ".join(f"{peak:.6g} Hz" for peak in peaks_hz[:2])
     return (
-        "translation",
-        f"one spring and damper leave residuals of {departure(alone):.3g} times their uncertainty",
-        alone,
+        f"the curves have peaks at {listed}, of which one translation makes one; translation and pitching together "
+        f"leave residuals of {departure(found):.3g} times their uncertainty"
     )
 
 
@@ -150,12 +158,10 @@ def _mass_is_free(component: int, group: Sequence[Prepared], settings: IdentifyS
     loads = [item.load_kg for item in group]
     differ = max(loads) > (1.0 + _DIFFERENT) * min(loads)
     if settings.internal_mass == "free" and not differ:
-        unit = mass_unit(component)
+        listed = f"{loads[0]:.6g} {mass_unit(component)}"
+        listed += f" in all {len(loads)} recordings" if len(loads) > 1 else ""
         expected = (
             "load masses that differ where the internal mass is to be fitted (--internal-mass stated takes sensor's)"
-        )
-        listed = (
-            f"{loads[0]:.6g} {unit}" if len(loads) == 1 else f"{loads[0]:.6g} {unit} in all {len(loads)} recordings"
         )
         raise InputError(group[0].manifest.rig_path, "load.mass", found=listed, expected=expected)
     return differ if settings.internal_mass == "auto" else settings.internal_mass == "free"
@@ -188,32 +194,9 @@ def departure(found: Identification) -> float:
     return float(np.sqrt(found.chi_squared / found.dof))
 
 
-def _most_peaks(group: Sequence[Prepared]) -> tuple[float, ...]:
-    """Return the resonances (Hz) of the response that has most of them."""
-    return max((item.peaks_hz(name) for item in group for name in item.measured.ratio.channels), key=len)
-
-
-def _pitches(group: Sequence[Prepared], found: Identification) -> str:
-    """Why pitching was taken."""
-    listed = " and ".join(f"{peak:.6g} Hz" for peak in _most_peaks(group)[:2])
-    return (
-        f"the curves have peaks at {listed}, of which one translation makes one; translation and pitching together "
-        f"leave residuals of {departure(found):.3g} times their uncertainty"
-    )
-
-
-def _misfit(component: int, group: Sequence[Prepared], found: Identification, model: str) -> tuple[Notice, ...]:
-    """Say what else could explain a second peak that the model leaves over."""
-    if departure(found) < _MISFIT or model != "translation" or len(_most_peaks(group)) < 2:
-        return ()
-    text = "one translation does not explain the second peak; --model adapter or pitching, or --band, may"
-    return (Notice("warning", text, f"model {MOTION_COMPONENTS[component]}"),)
-
-
 # From the results of sine recordings to load over base acceleration: further points of the transfer functions.
 
 
-_ORIGIN_OF_MOTION = "fused"
 AXES = np.eye(3)
 """Unit vectors of the translations; of a rig that is turned, sines add no points."""
 
@@ -231,41 +214,33 @@ def sine_transfers(
         if found is not None:
             key = (found.mass_matrix.tobytes(), found.drive.tobytes(), item.manifest.mounting, found.clock)
             groups.setdefault(key, []).append(Prepared(item.manifest, found))
-    joined = [_joined(group) for group in groups.values()]
-    several = len({item.measured.name for item in joined}) < len(joined)
-    return tuple(_by_mounting(item) if several else item for item in joined)
+    joined = [(group[0].manifest, _joined(group)) for group in groups.values()]
+    if len({measured.name for _, measured in joined}) < len(joined):
+        joined = [(own, replace(one, name=f"{one.name}, mounting {own.mounting}")) for own, one in joined]
+    return tuple(Prepared(manifest, measured) for manifest, measured in joined)
 
 
-def _joined(group: Sequence[Prepared]) -> Prepared:
+def _joined(group: Sequence[Prepared]) -> MeasuredTransfer:
     """Return the lines of several recordings as one curve, ascending in frequency; equal names are one unknown."""
     records = [item.measured for item in group]
-    first = records[0]
-    frequency = np.concatenate([record.ratio.frequency_hz for record in records])
+    ratios = [record.ratio for record in records]
+    frequency = np.concatenate([ratio.frequency_hz for ratio in ratios])
     order = np.argsort(frequency, kind="stable")
-    ratio = Phasors(
+    ratio = replace(
+        ratios[0],
         frequency_hz=frequency[order],
-        value=np.concatenate([record.ratio.value for record in records])[order],
-        covariance=np.concatenate([record.ratio.covariance for record in records])[order],
-        channels=first.ratio.channels,
-        unit=first.ratio.unit,
-        dof=np.concatenate([record.ratio.dof for record in records])[order],
+        value=np.concatenate([ratio.value for ratio in ratios])[order],
+        covariance=np.concatenate([ratio.covariance for ratio in ratios])[order],
+        dof=np.concatenate([ratio.dof for ratio in ratios])[order],
     )
-    names = dict.fromkeys(error.name for record in records for error in record.errors)
-    errors = tuple(RelativeError(name, np.concatenate([_error(r, name) for r in records])[order]) for name in names)
+    errors: dict[str, list[ComplexArray]] = {error.name: [] for record in records for error in record.errors}
+    for record in records:
+        known = {error.name: error.relative for error in record.errors}
+        for name, parts in errors.items():
+            parts.append(known.get(name, np.zeros(record.ratio.value.shape, dtype=np.complex128)))
+    joined = tuple(RelativeError(name, np.concatenate(parts)[order]) for name, parts in errors.items())
     steps = f"{len(order)} steps of sines, {group[0].manifest.rig.name}"
-    return Prepared(group[0].manifest, replace(first, name=steps, ratio=ratio, errors=errors))
-
-
-def _by_mounting(item: Prepared) -> Prepared:
-    """Curve with the mounting in its name."""
-    name = f"{item.measured.name}, mounting {item.manifest.mounting}"
-    return replace(item, measured=replace(item.measured, name=name))
-
-
-def _error(record: MeasuredTransfer, name: str) -> ComplexArray:
-    """Return what a cause does to the lines of one recording, nothing where it does not know it."""
-    found = (error.relative for error in record.errors if error.name == name)
-    return next(found, np.zeros(record.ratio.value.shape, dtype=np.complex128))
+    return replace(records[0], name=steps, ratio=ratio, errors=joined)
 
 
 def relative_errors(uncertainty: Uncertainty, value: ComplexArray) -> tuple[RelativeError, ...]:
@@ -286,7 +261,7 @@ def _transfer(item: EvaluatedSines, name: str, band_hz: tuple[float, float] | No
     if manifest.rig.load is None or component >= len(AXES):
         return None
     with h5py.File(item.results / RESULT_FILE, "r") as file:
-        groups = [f"accelerations/{body}-{_ORIGIN_OF_MOTION}" for body in ("load", "base")]
+        groups = ["accelerations/load-fused", "accelerations/base-fused"]
         if any(group not in file for group in groups):
             return None
         frequency = file["lines/frequency_hz"][()]
@@ -298,7 +273,12 @@ def _transfer(item: EvaluatedSines, name: str, band_hz: tuple[float, float] | No
         chosen &= (frequency >= band_hz[0]) & (frequency <= band_hz[1])
     if not np.any(chosen):
         return None
-    ratio, whole = _quotient([value[chosen] for value in values], [_at_lines(part, chosen) for part in parts])
+    # what load and base share acts on both
+    base = values[1][chosen]
+    ratio = values[0][chosen] / base
+    below = _at_lines(parts[1], chosen).scaled((-ratio / base)[:, None])
+    relabelled = tuple(replace(part, label=f"base: {part.label}") for part in below.random)
+    whole = _at_lines(parts[0], chosen).scaled((1.0 / base)[:, None]).plus(replace(below, random=relabelled))
     whole = between_recordings(whole, name, manifest.mounting)
     body = rigid_load(manifest)
     along = Placement(np.zeros(3), AXES[component])
@@ -331,16 +311,6 @@ def _at_lines(uncertainty: Uncertainty, chosen: NDArray[np.bool_]) -> Uncertaint
         for part in uncertainty.random
     )
     return Uncertainty(random, tuple(i.acting(i.effect[chosen]) for i in uncertainty.influences))
-
-
-def _quotient(values: Sequence[ComplexArray], parts: Sequence[Uncertainty]) -> tuple[ComplexArray, Uncertainty]:
-    """Return the first values (K,) over the second and the uncertainty of that; what both share acts on both."""
-    top, base = values
-    ratio = top / base
-    above = parts[0].transformed(real_design((1.0 / base)[:, None, None]))
-    below = parts[1].transformed(real_design((-ratio / base)[:, None, None]))
-    relabelled = tuple(replace(part, label=f"base: {part.label}") for part in below.random)
-    return ratio, above.plus(replace(below, random=relabelled))
 
 
 # The sensor of one component as a correction needs it: spring and damper of the joint fit, chain of S(f).
@@ -382,19 +352,14 @@ def modelled(fit: JointFit, measured: MeasuredSensitivity | None, sensor: Sensor
         reason = ARGUMENT.sub("", str(error))
         text = f"the sensitivity of {measured.channel} over frequency was not explained ({reason})"
         bare = _without_sensitivity(fit, found, covariance, sensor)
-        return Modelled(bare.model, bare.range_hz, None, (*bare.notices, Notice("warning", text, measured.channel)))
+        return replace(bare, notices=(*bare.notices, Notice("warning", text, measured.channel)))
     range_hz = (float(measured.frequency_hz[0]), float(measured.frequency_hz[-1]))
-    notices = _verdicts(comparison, f"sensitivity {measured.component}")
+    told: list[tuple[Severity, str]] = [("info", comparison.text)]
+    if comparison.damping is not None:
+        told.append(("warning" if comparison.damping.contradicts else "info", comparison.damping.text))
+    clauses = [(severity, text[:1].lower() + text[1:].removesuffix(".")) for severity, text in told]
+    notices = tuple(Notice(severity, text, f"sensitivity {measured.component}") for severity, text in clauses)
     return Modelled(model, range_hz, SensitivityResult(measured, comparison), notices)
-
-
-def _verdicts(comparison: SensitivityComparison, where: str) -> tuple[Notice, ...]:
-    """Say which explanation the data support, and whether the damping found contradicts the resonance."""
-    supported = Notice("info", _clause(comparison.text), where)
-    if comparison.damping is None:
-        return (supported,)
-    severity: Severity = "warning" if comparison.damping.contradicts else "info"
-    return supported, Notice(severity, _clause(comparison.damping.text), where)
 
 
 def mechanics(fit: JointFit) -> tuple[FloatArray, FloatArray]:
@@ -444,8 +409,3 @@ def _static(fit: JointFit, sensor: Sensor | None) -> tuple[float, float, str, st
             u = abs(float(column[place])) * sensor.static_sensitivity_uncertainty
             return float(column[place]), u, sensitivity_unit(sensor.unit, component), "the static sensitivity stated"
     return 1.0, 0.0, sensitivity_unit("1", component), "an output of one per force"
-
-
-def _clause(text: str) -> str:
-    """A sentence as the text of a notice."""
-    return text[:1].lower() + text[1:].removesuffix(".")
