@@ -27,8 +27,11 @@ from fusion.campaign.repeats import (
 from fusion.estimation.uncertainty import (
     Contribution,
     Influence,
+    Polar,
     Uncertainty,
     as_complex,
+    element_covariance,
+    polar,
     real_design,
     real_stack,
     region,
@@ -421,3 +424,60 @@ def _averaged(part: Contribution, weight: FloatArray, size: FloatArray) -> Contr
     total, weighted = share.sum(axis=1), np.sum(share**2 / np.maximum(part.dof, 1.0), axis=1)
     dof = np.divide(total**2, weighted, out=np.full(len(total), np.inf), where=weighted > 0.0)
     return replace(part, covariance=covariance, dof=dof)
+
+
+# The points of a curve: magnitude and phase of every element at every frequency, and of single recordings.
+
+
+@dataclass(frozen=True)
+class CurvePoint:
+    """One element of the sensitivity at one frequency.
+
+    `channel` and `component` by name; `element`: the value; `relative`: over its static sensitivity, None where that
+    is not stated; `recordings` and `mountings` behind it; `kind`: ratio or matrix.
+    """
+
+    frequency_hz: float
+    channel: str
+    component: str
+    unit: str
+    element: Polar
+    relative: Polar | None
+    recordings: int
+    mountings: int
+    kind: str
+
+
+def single_points(curve: Curve, element: int, drives: Iterable[Drive]) -> list[tuple[float, str, Polar]]:
+    """Return frequency, mounting and ratio of every recording behind one element of a curve of ratios."""
+    c, component = curve.elements[element]
+    channel = curve.channels[c]
+    behind = {(name, k) for k, names in enumerate(curve.recordings) for name in names}
+    found = []
+    for drive in drives:
+        line = int(np.argmin(np.abs(curve.frequency_hz - drive.frequency_hz)))
+        if (drive.recording, line) in behind and channel in drive.channels:
+            value, uncertainty = drive_ratio(drive, component, [channel])
+            point = _elements(value[None], uncertainty)[0][0]
+            if point is not None:
+                found.append((drive.frequency_hz, drive.mounting, point))
+    return found
+
+
+def curve_elements(curve: Curve) -> list[list[Polar | None]]:
+    """Return every element (K lines of E) with magnitude and phase, None where there is no value."""
+    return _elements(curve.value, curve.uncertainty)
+
+
+def _elements(value: ComplexArray, uncertainty: Uncertainty) -> list[list[Polar | None]]:
+    """Return complex values (K, C) with magnitude and phase, None where there is no value."""
+    covariance, dof = uncertainty.covariance, uncertainty.dof()
+    return [
+        [
+            polar(complex(entry), element_covariance(covariance[k], c), float(dof[k, c]))
+            if np.isfinite(entry)
+            else None
+            for c, entry in enumerate(row)
+        ]
+        for k, row in enumerate(value)
+    ]

@@ -9,12 +9,13 @@ from typing import TypeVar
 import numpy as np
 from markupsafe import Markup
 
+from fusion.base import DASH
 from fusion.campaign.curve import (
-    LEAST_POINTS,
     Curve,
+    CurvePoint,
     Linearity,
+    curve_elements,
     find_linearity,
-    interpolate,
     matrix_curve,
     ratio_curves,
     relative_curve,
@@ -22,20 +23,12 @@ from fusion.campaign.curve import (
 from fusion.campaign.matrix import CrossTalk, MatrixFit, cross_talk, fit_matrix
 from fusion.campaign.matrix_solve import MissingExcitationError
 from fusion.campaign.recorded import Recorded, SensorFacts
-from fusion.campaign.repeats import Drive, Repeats, drive_ratio, find_repeats, group_by_frequency
-from fusion.estimation.uncertainty import Polar, Uncertainty, element_covariance, polar
-from fusion.report.campaign_figures import (
-    CurveDrawing,
-    OutputsDrawing,
-    Points,
-    draw_campaign_curve,
-    draw_campaign_outputs,
-)
+from fusion.campaign.repeats import Drive, Repeats, find_repeats, group_by_frequency
+from fusion.estimation.uncertainty import Polar
 from fusion.report.csv_files import sensitivity_unit
 from fusion.report.numbers import common_exponent, fixed, measured, polar_cells, small, times_ten
-from fusion.report.style import Picture
-from fusion.report.table import Headline, Table
-from shaker.arrays import ComplexArray, Notice, Severity
+from fusion.report.table import Column, Headline, Table, on_page, table
+from shaker.arrays import Notice, Severity
 from shaker.labels import LOAD_COMPONENTS
 
 # What the recordings of a campaign say together: matrices, cross-talk, repeats, linearity, one curve per element.
@@ -192,25 +185,6 @@ def _fit_matrices(drives: Sequence[Drive], channels: Sequence[str]) -> tuple[tup
 # The curves of a campaign as points: magnitude and phase of every element at every frequency, and of recordings.
 
 
-@dataclass(frozen=True)
-class CurvePoint:
-    """One element of the sensitivity at one frequency.
-
-    `channel` and `component` by name; `element`: the value; `relative`: over its static sensitivity, None where that
-    is not stated; `recordings` and `mountings` behind it; `kind`: ratio or matrix.
-    """
-
-    frequency_hz: float
-    channel: str
-    component: str
-    unit: str
-    element: Polar
-    relative: Polar | None
-    recordings: int
-    mountings: int
-    kind: str
-
-
 def curve_points(evaluation: CampaignEvaluation) -> tuple[CurvePoint, ...]:
     """Return all points of all curves: curve by curve, frequencies ascending."""
     mounting = {entry.name: entry.mounting for entry in evaluation.recorded}
@@ -240,46 +214,9 @@ def curve_points(evaluation: CampaignEvaluation) -> tuple[CurvePoint, ...]:
     return tuple(points)
 
 
-def single_points(evaluation: CampaignEvaluation, curve: Curve, element: int) -> list[tuple[float, str, Polar]]:
-    """Return frequency, mounting and ratio of every recording behind one element of a curve of ratios."""
-    c, component = curve.elements[element]
-    channel = curve.channels[c]
-    behind = {(name, k) for k, names in enumerate(curve.recordings) for name in names}
-    found = []
-    for drive in evaluation.drives:
-        line = int(np.argmin(np.abs(curve.frequency_hz - drive.frequency_hz)))
-        if (drive.recording, line) in behind and channel in drive.channels:
-            value, uncertainty = drive_ratio(drive, component, [channel])
-            point = elements(value[None], uncertainty)[0][0]
-            if point is not None:
-                found.append((drive.frequency_hz, drive.mounting, point))
-    return found
+# The curves of a campaign on its page: headlines and tables.
 
 
-def curve_elements(curve: Curve) -> list[list[Polar | None]]:
-    """Return every element (K lines of E) with magnitude and phase, None where there is no value."""
-    return elements(curve.value, curve.uncertainty)
-
-
-def elements(value: ComplexArray, uncertainty: Uncertainty) -> list[list[Polar | None]]:
-    """Return complex values (K, C) with magnitude and phase, None where there is no value."""
-    covariance, dof = uncertainty.covariance, uncertainty.dof()
-    return [
-        [
-            polar(complex(entry), element_covariance(covariance[k], c), float(dof[k, c]))
-            if np.isfinite(entry)
-            else None
-            for c, entry in enumerate(row)
-        ]
-        for k, row in enumerate(value)
-    ]
-
-
-# The curves of a campaign on its page: headlines, table, figures.
-
-
-BETWEEN_POINTS = 121
-"""Number of places at which the interpolated curve is drawn."""
 FULL_HEADLINES = 2
 """Number of driven components up to which the end of the curve has a headline, too."""
 
@@ -329,31 +266,29 @@ def curve_tables(mains: dict[str, list[CurvePoint]]) -> list[Table]:
     for points in mains.values():
         first = points[0]
         exponent = common_exponent(np.array([complex(point.element.re, point.element.im) for point in points]))
-        rows: list[tuple[str, ...]] = []
-        for point in sorted(points, key=lambda point: (point.kind != "ratio", point.frequency_hz)):
-            size, turn, k = polar_cells(point.element, exponent)
-            static = point.relative
-            deviation = (
-                "–" if static is None else fixed(100.0 * (static.magnitude - 1.0), 100.0 * static.expanded_magnitude, 0)
-            )
-            cells = (point.kind, f"{point.recordings} ({point.mountings})")
-            rows.append((f"{point.frequency_hz:.4f}", size, turn, deviation, k, *cells))
-        magnitude = Markup("magnitude / {}").format(times_ten(exponent, first.unit))
-        head = ("frequency / Hz", magnitude, "phase / rad", "from static / %", "k", "kind", "recordings (mountings)")
+        columns = _curve_columns(exponent, Markup("magnitude / {}").format(times_ten(exponent, first.unit)))
+        ordered = sorted(points, key=lambda point: (point.kind != "ratio", point.frequency_hz))
         caption = f"Output {first.channel} per load {first.component} with U = k·u (95 %)"
-        tables.append(Table(caption, head, "rrrrrlr", tuple(rows)))
-    return tables
+        tables.append(table(caption, columns, ordered))
+    return [one for one in tables if one is not None]
 
 
-def curve_pictures(evaluation: CampaignEvaluation, mains: dict[str, list[CurvePoint]]) -> list[Picture]:
-    """One figure per main element, ratios and elements of matrices in the same."""
-    return [draw_campaign_curve(_curve_drawing(evaluation, points)) for points in mains.values()]
+def _curve_columns(exponent: int, magnitude: str) -> list[Column[CurvePoint]]:
+    """Columns of a table of points, magnitudes in units of a power of ten."""
 
+    def from_static(point: CurvePoint) -> str:
+        over = point.relative
+        return DASH if over is None else fixed(100.0 * (over.magnitude - 1.0), 100.0 * over.expanded_magnitude, 0)
 
-def output_pictures(evaluation: CampaignEvaluation) -> list[Picture]:
-    """All outputs under each load that was driven, relative to the output that belongs to it."""
-    ratios = [curve for curve in evaluation.curves if curve.kind == "ratio" and len(curve.channels) > 1]
-    return [draw_campaign_outputs(_outputs_drawing(evaluation, curve)) for curve in ratios]
+    return [
+        on_page("frequency / Hz", lambda point: f"{point.frequency_hz:.4f}"),
+        on_page(magnitude, lambda point: polar_cells(point.element, exponent)[0]),
+        on_page("phase / rad", lambda point: polar_cells(point.element, exponent)[1]),
+        on_page("from static / %", from_static),
+        on_page("k", lambda point: polar_cells(point.element, exponent)[2]),
+        on_page("kind", lambda point: point.kind, "l"),
+        on_page("recordings (mountings)", lambda point: f"{point.recordings} ({point.mountings})"),
+    ]
 
 
 def _scatter_headline(evaluation: CampaignEvaluation) -> list[Headline]:
@@ -390,71 +325,3 @@ def _crosstalk_headline(evaluation: CampaignEvaluation) -> list[Headline]:
 def _deviation(relative: Polar) -> str:
     """Deviation of a magnitude from static in per cent."""
     return measured(100.0 * (relative.magnitude - 1.0), 100.0 * relative.expanded_magnitude, "%").striptags()
-
-
-def _curve_drawing(evaluation: CampaignEvaluation, points: Sequence[CurvePoint]) -> CurveDrawing:
-    """One main element as the figure takes it."""
-    first = points[0]
-    singles, between = [], None
-    for curve in evaluation.curves:
-        names = [(curve.channels[c], LOAD_COMPONENTS[j]) for c, j in curve.elements]
-        if (first.channel, first.component) in names:
-            element = names.index((first.channel, first.component))
-            singles += single_points(evaluation, curve, element) if curve.kind == "ratio" else []
-            between = _between(curve, element) if between is None else between
-    static = [p.element.magnitude / p.relative.magnitude for p in points if p.relative is not None]
-    return CurveDrawing(
-        name=f"curve-{first.channel}-{first.component}",
-        label=f"output {first.channel} per load {first.component}",
-        unit=first.unit,
-        value=_points([(p.frequency_hz, p.element) for p in points]),
-        matrix=np.array([p.kind == "matrix" for p in points]),
-        static=static[0] if static else None,
-        single=_points([(frequency, element) for frequency, _, element in singles]),
-        mounting=np.array([mounting for _, mounting, _ in singles], dtype=np.str_),
-        between=between,
-    )
-
-
-def _between(curve: Curve, element: int) -> Points | None:
-    """The interpolated curve, None where there are too few points."""
-    usable = np.isfinite(curve.value[:, element])
-    if np.count_nonzero(usable) < LEAST_POINTS:
-        return None
-    frequency = curve.frequency_hz[usable]
-    alone = replace(
-        curve,
-        elements=(curve.elements[element],),
-        value=curve.value[:, [element]],
-        uncertainty=curve.uncertainty.at([element]),
-    )
-    fine = interpolate(alone, np.linspace(float(frequency.min()), float(frequency.max()), BETWEEN_POINTS))
-    found = [row[0] for row in curve_elements(fine)]
-    return _points([(f, p) for f, p in zip(fine.frequency_hz.tolist(), found, strict=True) if p is not None])
-
-
-def _points(items: Sequence[tuple[float, Polar]]) -> Points:
-    """Values over frequency as arrays."""
-    rows = [(frequency, p.magnitude, p.phase_rad, p.expanded_magnitude, p.expanded_phase_rad) for frequency, p in items]
-    columns = np.array(rows, dtype=np.float64).reshape(len(rows), 5).T
-    return Points(*columns)
-
-
-def _outputs_drawing(evaluation: CampaignEvaluation, curve: Curve) -> OutputsDrawing:
-    """All outputs under one load, relative to the one that belongs to it or to what is rated."""
-    component = curve.elements[0][1]
-    driven = main_channel(evaluation, curve.channels, component)
-    values = curve_elements(curve)
-    size = np.array([[np.nan if p is None else p.magnitude for p in row] for row in values])
-    expanded = np.array([[np.nan if p is None else p.expanded_magnitude for p in row] for row in values])
-    load = LOAD_COMPONENTS[component]
-    return OutputsDrawing(
-        name=f"outputs-{load}",
-        load=load,
-        reference=f"ratio to output {curve.channels[driven]}",
-        channels=curve.channels,
-        driven=driven,
-        frequency_hz=curve.frequency_hz,
-        share=100.0 * size / size[:, [driven]],
-        expanded=100.0 * expanded / size[:, [driven]],
-    )

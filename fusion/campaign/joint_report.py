@@ -6,7 +6,7 @@ import io
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 from urllib.parse import quote
 
 import h5py
@@ -14,33 +14,30 @@ import numpy as np
 from markupsafe import Markup
 
 from fusion.base import DASH, typeset, write_whole
-from fusion.campaign.curve import Linearity
+from fusion.campaign.curve import CurvePoint, Linearity
+from fusion.campaign.figures import draw_crosstalk, draw_curve, draw_excitation, draw_outputs
 from fusion.campaign.joint import (
     CampaignEvaluation,
-    CurvePoint,
-    curve_pictures,
     curve_points,
     curve_tables,
     evaluate_campaign,
     headlines,
     main_channel,
     main_points,
-    output_pictures,
 )
-from fusion.campaign.matrix import CrossTalk, MatrixFit
+from fusion.campaign.matrix import CrossTalk
 from fusion.campaign.matrix_solve import LEAST_SINGULAR
 from fusion.campaign.recorded import Recorded, read_recorded
 from fusion.campaign.repeats import Repeats
 from fusion.estimation.uncertainty import Polar, element_covariance, polar
-from fusion.report.campaign_figures import CrosstalkMap, ExcitationDrawing, draw_crosstalk, draw_excitation
 from fusion.report.csv_files import SENSITIVITY, SENSITIVITY_FILE, merge_tables, polar_columns, sensitivity_elements
 from fusion.report.folder import origin_frame, render_page
 from fusion.report.h5 import write_fields, write_value
-from fusion.report.numbers import fixed, number, small
+from fusion.report.numbers import capital, fixed, number, signed, small
 from fusion.report.provenance import RESULT_FORMAT, Provenance, write_provenance
 from fusion.report.recording import CAMPAIGN_FILE, CROSSTALK_FILE, CURVE_FILE, REPORT_FILE
-from fusion.report.style import Picture
-from fusion.report.table import Column, Table, csv_text, word
+from fusion.report.table import Column, Table, csv_text, on_page, table, word
+from shaker.arrays import FloatArray
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS
 
 
@@ -166,20 +163,28 @@ class RecordingRow:
     link: str
 
 
-def recording_rows(evaluation: CampaignEvaluation) -> list[RecordingRow]:
+def _recording_rows(evaluation: CampaignEvaluation) -> list[RecordingRow]:
     """Every recording that could be evaluated, then those that could not, with the reason."""
-    rows = [_recording_row(entry) for entry in evaluation.recorded]
+    rows = []
+    for entry in evaluation.recorded:
+        direction = ",\N{NO-BREAK SPACE}".join(f"{number:.4g}" for number in entry.direction)
+        row = RecordingRow(
+            name=entry.name,
+            folder=entry.folder,
+            mounting=entry.mounting,
+            excitation=f"{entry.kind}\N{NO-BREAK SPACE}({direction})" if direction else entry.kind,
+            frequency=", ".join(f"{drive.frequency_hz:.6g}" for drive in entry.drives) or DASH,
+            warnings=str(sum(notice.severity == "warning" for notice in entry.notices)),
+            result="evaluated" if entry.drives else "no load or no output",
+            link=f"{quote(entry.folder)}/{REPORT_FILE}",
+        )
+        rows.append(row)
     for folder, reason in evaluation.failed.items():
         rows.append(RecordingRow(folder, folder, DASH, DASH, DASH, DASH, f"failed: {reason}", ""))
     return rows
 
 
-def crosstalk_tables(evaluation: CampaignEvaluation) -> list[Table]:
-    """One table of cross-talk per frequency, in per cent, with the larger half axis of its 95 % region."""
-    return [_crosstalk_table(found) for found in evaluation.cross_talks]
-
-
-def agreement_table(evaluation: CampaignEvaluation) -> Table | None:
+def _agreement_table(evaluation: CampaignEvaluation) -> Table | None:
     """How every recording agrees with the matrix that all others give, one column per frequency."""
     fits = evaluation.matrices
     if not any(np.isfinite(item.normalised_deviation) for fit in fits for item in fit.agreement):
@@ -190,9 +195,7 @@ def agreement_table(evaluation: CampaignEvaluation) -> Table | None:
     for name in names:
         own = [cells.get((name, k)) for k in range(len(fits))]
         mounting = next(item.mounting for item in own if item is not None)
-        rows.append(
-            (name, mounting, *(DASH if item is None else _deviation(item.normalised_deviation) for item in own))
-        )
+        rows.append((name, mounting, *(DASH if item is None else signed(item.normalised_deviation) for item in own)))
     total = tuple(f"{fit.chi2:.1f} / {fit.dof}" for fit in fits)
     rows.append((Markup("<b>χ² / degrees of freedom</b>"), "", *total))
     head = ("recording", "mounting", *(f"{fit.frequency_hz:.6g} Hz" for fit in fits))
@@ -200,180 +203,128 @@ def agreement_table(evaluation: CampaignEvaluation) -> Table | None:
     return Table(caption, head, "ll" + "r" * len(fits), tuple(rows))
 
 
-def rank_sentences(evaluation: CampaignEvaluation) -> list[str]:
-    """What the excitations determine, or what is missing."""
-    told = [_determined(evaluation.matrices)] if evaluation.matrices else []
-    return told + [_sentence(notice.text) for notice in evaluation.refused]
+def _rank_sentences(evaluation: CampaignEvaluation) -> list[str]:
+    """What the excitations determine where they tell the six columns apart least, or what is missing."""
+    sentences, fits = [], evaluation.matrices
+    if fits:
+        least = min(fits, key=lambda fit: float(fit.excitation.singular[-1]))
+        where, count = [fit.frequency_hz for fit in fits], len(fits)
+        places = f"At {count} frequencies from {min(where):.6g} Hz to {max(where):.6g} Hz"
+        sentences.append(
+            f"{places if count > 1 else f'At {where[0]:.6g} Hz'} the recordings excite six independent loads. The "
+            f"weakest of them is {number(float(least.excitation.singular[-1]))} times its standard uncertainty at "
+            f"{least.frequency_hz:.6g} Hz; a matrix needs {LEAST_SINGULAR:g}."
+        )
+    return sentences + [f"{capital(notice.text)}." for notice in evaluation.refused]
 
 
 def repeats_table(evaluation: CampaignEvaluation) -> Table | None:
     """What recordings and mountings of one excitation scatter by, for the output that belongs to the load."""
-    rows = tuple(_repeats_row(evaluation, found) for found in evaluation.repeats)
-    head = ("frequency / Hz", "load", "amplitude", "recordings", "mountings", "within / %", "between / %", "U / %", "k")
+
+    def expanded(found: Repeats) -> tuple[str, str]:
+        """U of the mean in per cent, and its factor."""
+        channel = main_channel(evaluation, found.channels, found.component)
+        covariance = element_covariance(found.uncertainty.covariance[0], channel)
+        element = polar(complex(found.value[channel]), covariance, float(found.uncertainty.dof()[0, channel]))
+        return small(100.0 * element.expanded_magnitude / element.magnitude), f"{element.k:.2f}"
+
+    def percent(found: Repeats, share: FloatArray) -> str:
+        """A standard deviation: a dash where nothing tells it, zero where nothing is left."""
+        own = share[main_channel(evaluation, found.channels, found.component)]
+        return DASH if not np.isfinite(own) else small(100.0 * own) if own > 0.0 else "0"
+
+    columns: list[Column[Repeats]] = [
+        on_page("frequency / Hz", lambda found: f"{found.frequency_hz:.4f}"),
+        on_page("load", lambda found: LOAD_COMPONENTS[found.component], "l"),
+        on_page("amplitude", lambda found: f"{found.amplitude:.4g} {typeset(LOAD_UNITS[found.component])}"),
+        on_page("recordings", lambda found: str(len(found.recordings))),
+        on_page("mountings", lambda found: str(len(set(found.mountings)))),
+        on_page("within / %", lambda found: percent(found, found.within)),
+        on_page("between / %", lambda found: percent(found, found.between)),
+        on_page("U / %", lambda found: expanded(found)[0]),
+        on_page("k", lambda found: expanded(found)[1]),
+    ]
     caption = (
         "Repeats: relative standard deviation of a recording (within) and of a mounting (between) beyond what is "
         "stated for them, and U of the mean"
     )
-    return Table(caption, head, "rlrrrrrrr", rows) if rows else None
+    return table(caption, columns, evaluation.repeats)
 
 
 def linearity_table(evaluation: CampaignEvaluation) -> Table | None:
     """How the sensitivity changes with amplitude, for the output that belongs to the load."""
-    rows = tuple(_linearity_row(evaluation, found) for found in evaluation.linearity)
-    head = (
-        "frequency / Hz",
-        "load",
-        "amplitudes",
-        "recordings",
-        "change of magnitude / %",
-        "of phase / mrad",
-        "verdict",
-    )
+
+    def change(found: Linearity) -> tuple[str, str, str]:
+        """Change of magnitude and phase with U, and the verdict."""
+        channel = main_channel(evaluation, found.channels, found.component)
+        size, u = complex(found.change[channel]), polar(1.0 + 0.0j, found.covariance[channel], found.dof)
+        magnitude = fixed(100.0 * size.real, 100.0 * u.expanded_magnitude, 0)
+        turn = fixed(1e3 * size.imag, 1e3 * u.expanded_phase_rad, 0)
+        return magnitude, turn, "linear within U" if found.linear[channel] else "not linear"
+
+    def amplitudes(found: Linearity) -> str:
+        low, high = float(np.min(found.amplitude)), float(np.max(found.amplitude))
+        return f"{low:.4g} to {high:.4g} {typeset(LOAD_UNITS[found.component])}"
+
+    columns: list[Column[Linearity]] = [
+        on_page("frequency / Hz", lambda found: f"{found.frequency_hz:.4f}"),
+        on_page("load", lambda found: LOAD_COMPONENTS[found.component], "l"),
+        on_page("amplitudes", amplitudes),
+        on_page("recordings", lambda found: str(len(found.recordings))),
+        on_page("change of magnitude / %", lambda found: change(found)[0]),
+        on_page("of phase / mrad", lambda found: change(found)[1]),
+        on_page("verdict", lambda found: change(found)[2], "l"),
+    ]
     caption = "Linearity: change of the sensitivity from the smallest to the largest amplitude, with U"
-    return Table(caption, head, "rlrrrrl", rows) if rows else None
-
-
-def _repeats_row(evaluation: CampaignEvaluation, found: Repeats) -> tuple[str, ...]:
-    """One excitation that was recorded more than once."""
-    channel = main_channel(evaluation, found.channels, found.component)
-    covariance = element_covariance(found.uncertainty.covariance[0], channel)
-    element = polar(complex(found.value[channel]), covariance, float(found.uncertainty.dof()[0, channel]))
-    return (
-        f"{found.frequency_hz:.4f}",
-        LOAD_COMPONENTS[found.component],
-        f"{found.amplitude:.4g} {typeset(LOAD_UNITS[found.component])}",
-        str(len(found.recordings)),
-        str(len(set(found.mountings))),
-        _percent(found.within[channel]),
-        _percent(found.between[channel]),
-        small(100.0 * element.expanded_magnitude / element.magnitude),
-        f"{element.k:.2f}",
-    )
-
-
-def _linearity_row(evaluation: CampaignEvaluation, found: Linearity) -> tuple[str, ...]:
-    """One series of amplitudes."""
-    channel = main_channel(evaluation, found.channels, found.component)
-    change = complex(found.change[channel])
-    expanded = polar(1.0 + 0.0j, found.covariance[channel], found.dof)
-    low, high = float(np.min(found.amplitude)), float(np.max(found.amplitude))
-    return (
-        f"{found.frequency_hz:.4f}",
-        LOAD_COMPONENTS[found.component],
-        f"{low:.4g} to {high:.4g} {typeset(LOAD_UNITS[found.component])}",
-        str(len(found.recordings)),
-        fixed(100.0 * change.real, 100.0 * expanded.expanded_magnitude, 0),
-        fixed(1e3 * change.imag, 1e3 * expanded.expanded_phase_rad, 0),
-        "linear within U" if found.linear[channel] else "not linear",
-    )
-
-
-def _percent(share: float) -> str:
-    """A relative standard deviation in per cent: a dash where nothing tells it, zero where nothing is left."""
-    if not np.isfinite(share):
-        return DASH
-    return small(100.0 * share) if share > 0.0 else "0"
-
-
-def _recording_row(entry: Recorded) -> RecordingRow:
-    """One recording that was evaluated."""
-    direction = ",\N{NO-BREAK SPACE}".join(f"{number:.4g}" for number in entry.direction)
-    return RecordingRow(
-        name=entry.name,
-        folder=entry.folder,
-        mounting=entry.mounting,
-        excitation=f"{entry.kind}\N{NO-BREAK SPACE}({direction})" if direction else entry.kind,
-        frequency=", ".join(f"{drive.frequency_hz:.6g}" for drive in entry.drives) or DASH,
-        warnings=str(sum(notice.severity == "warning" for notice in entry.notices)),
-        result="evaluated" if entry.drives else "no load or no output",
-        link=f"{quote(entry.folder)}/{REPORT_FILE}",
-    )
+    return table(caption, columns, evaluation.linearity)
 
 
 def _crosstalk_table(found: CrossTalk) -> Table:
-    """Cross-talk at one frequency: outputs down, loads across."""
+    """Cross-talk at one frequency in per cent: outputs down, loads across; an upper bound where a region holds zero."""
     rows = []
     for c, channel in enumerate(found.channels):
-        cells = [_crosstalk_cell(found, c, j) for j in range(len(found.components))]
-        rows.append((f"output {channel}", *cells))
+        cells: list[str] = [f"output {channel}"]
+        for j in range(len(found.components)):
+            size, half_axis = 100.0 * float(abs(found.value[c, j])), 100.0 * float(found.half_axis[c, j])
+            if found.main[c] == j:
+                cells.append("1")
+            elif found.holds_zero[c, j]:
+                cells.append(Markup("&lt; {}").format(f"{size + half_axis:.2g}"))
+            else:
+                cells.append(fixed(size, half_axis, 0))
+        rows.append(tuple(cells))
     caption = (
         f"Cross-talk at {found.frequency_hz:.6g} Hz in per cent of the rated output, ± half axis of its 95 % region"
     )
     return Table(caption, ("", *found.components), "l" + "r" * len(found.components), tuple(rows))
 
 
-def _crosstalk_cell(found: CrossTalk, channel: int, component: int) -> Markup:
-    """Magnitude with the half axis, or an upper bound where the region holds zero."""
-    if found.main[channel] == component:
-        return Markup("1")
-    size = 100.0 * float(abs(found.value[channel, component]))
-    half_axis = 100.0 * float(found.half_axis[channel, component])
-    if found.holds_zero[channel, component]:
-        return Markup("&lt; {}").format(f"{size + half_axis:.2g}")
-    return fixed(size, half_axis, 0)
-
-
-def _deviation(value: float) -> str:
-    """A normalised deviation, a dash where nothing tests it."""
-    return f"{value:.2f}" if np.isfinite(value) else DASH
-
-
-def _determined(fits: Sequence[MatrixFit]) -> str:
-    """How well the excitations tell the six columns apart, where they do so least."""
-    least = min(fits, key=lambda fit: float(fit.excitation.singular[-1]))
-    size = float(least.excitation.singular[-1])
-    return (
-        f"{places_text([fit.frequency_hz for fit in fits])} the recordings excite six independent loads. The weakest "
-        f"of them is {number(size)} times its standard uncertainty at {least.frequency_hz:.6g} Hz; a matrix needs "
-        f"{LEAST_SINGULAR:g}."
-    )
-
-
-def places_text(frequency_hz: Sequence[float]) -> str:
-    """One or several frequencies in words."""
-    if len(frequency_hz) == 1:
-        return f"At {frequency_hz[0]:.6g} Hz"
-    return f"At {len(frequency_hz)} frequencies from {min(frequency_hz):.6g} Hz to {max(frequency_hz):.6g} Hz"
-
-
-def _sentence(text: str) -> str:
-    """A notice as a sentence."""
-    return f"{text[:1].upper()}{text[1:]}."
-
-
 # report.html of a campaign: one self-contained page with what its recordings say together.
-
-
-LARGEST_MAPS = 6
-"""Number of frequencies whose cross-talk is drawn: those spread evenly over all."""
 
 
 def render_campaign(evaluation: CampaignEvaluation) -> str:
     """HTML text of the page; style and figures are inside, nothing is fetched from elsewhere."""
-    return render_page("campaign.html", _context(evaluation))
-
-
-def _context(evaluation: CampaignEvaluation) -> dict[str, Any]:
-    """Everything the template shows."""
     origin = campaign_origin(evaluation.recorded, ())
     mains = main_points(evaluation, curve_points(evaluation))
-    return {
+    ratios = [curve for curve in evaluation.curves if curve.kind == "ratio" and len(curve.channels) > 1]
+    context = {
         "name": evaluation.name,
         "subject": _subject(evaluation),
         "headlines": headlines(evaluation, mains),
-        "curves": curve_pictures(evaluation, mains),
+        "curves": [draw_curve(points, evaluation.curves, evaluation.drives) for points in mains.values()],
         "curve_tables": curve_tables(mains),
-        "outputs": output_pictures(evaluation),
-        "maps": crosstalk_pictures(evaluation),
-        "crosstalk": crosstalk_tables(evaluation),
-        "rank": rank_sentences(evaluation),
-        "excitations": excitation_pictures(evaluation),
-        "agreement": agreement_table(evaluation),
+        "outputs": [draw_outputs(c, main_channel(evaluation, c.channels, c.elements[0][1])) for c in ratios],
+        "maps": [picture for picture in [draw_crosstalk(evaluation.cross_talks)] if picture],
+        "crosstalk": [_crosstalk_table(found) for found in evaluation.cross_talks],
+        "rank": _rank_sentences(evaluation),
+        "excitations": [picture for picture in [draw_excitation(evaluation.matrices)] if picture],
+        "agreement": _agreement_table(evaluation),
         "repeats": repeats_table(evaluation),
         "linearity": linearity_table(evaluation),
-        "recordings": recording_rows(evaluation),
+        "recordings": _recording_rows(evaluation),
         **origin_frame(origin, evaluation.notices),
     }
+    return render_page("campaign.html", context)
 
 
 def _subject(evaluation: CampaignEvaluation) -> list[tuple[str, str]]:
@@ -389,35 +340,6 @@ def _subject(evaluation: CampaignEvaluation) -> list[tuple[str, str]]:
     if frequency:
         facts.append(("Frequencies", f"{min(frequency):.6g} Hz to {max(frequency):.6g} Hz"))
     return facts
-
-
-def crosstalk_pictures(evaluation: CampaignEvaluation) -> list[Picture]:
-    """Maps of cross-talk, none where no matrix or no rated loads are known."""
-    found = evaluation.cross_talks
-    if not found:
-        return []
-    chosen = np.unique(np.linspace(0, len(found) - 1, min(len(found), LARGEST_MAPS)).round().astype(int))
-    return [draw_crosstalk([_map(found[place]) for place in chosen])]
-
-
-def excitation_pictures(evaluation: CampaignEvaluation) -> list[Picture]:
-    """Strength of the independent excitations where there are matrices."""
-    fits = evaluation.matrices
-    items = [ExcitationDrawing(fit.frequency_hz, fit.excitation.singular, LEAST_SINGULAR) for fit in fits]
-    return [draw_excitation(items)] if items else []
-
-
-def _map(found: CrossTalk) -> CrosstalkMap:
-    """Cross-talk at one frequency as the figure takes it."""
-    return CrosstalkMap(
-        frequency_hz=found.frequency_hz,
-        channels=found.channels,
-        components=found.components,
-        size=100.0 * np.abs(found.value),
-        half_axis=100.0 * found.half_axis,
-        holds_zero=found.holds_zero,
-        main=found.main,
-    )
 
 
 # The joint files of a campaign: tables, curves, cross-talk, everything with its correlations, and the page.

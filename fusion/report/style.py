@@ -13,8 +13,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
+from fusion.estimation.uncertainty import Polar
 from shaker.arrays import ComplexArray, FloatArray
 
 WIDTH_IN = 8.4
@@ -142,6 +143,11 @@ class Sheet:
         lay_out(self.figure, self.panels, **{"top": 0.24, "left": 0.78, "label": 0.58, **layout})
         return finish(self.figure, self.name, title, caption)
 
+    def file(self, kind: str, **layout: Any) -> bytes:
+        """Lay the panels out (`lay_out`) and turn the figure into a png, svg or pdf file without a date."""
+        lay_out(self.figure, self.panels, **layout)
+        return as_file(self.figure, kind)
+
 
 @contextmanager
 def sheet(
@@ -238,6 +244,41 @@ def draw_response(
         lower.fill_between(frequency_hz, phase - turn, phase + turn, **band)
     upper.set_yscale("log")
     lower.set_ylabel("phase / °")
+
+
+def power_of_ten(values: FloatArray) -> tuple[float, str]:
+    """Return a factor to take off values, and its text before their unit: none where they are readable as they are."""
+    largest = float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0))
+    power = int(np.floor(np.log10(largest))) if largest > 0.0 else 0
+    return (1.0, "") if -2 <= power < 4 else (10.0**power, f"{power_text(power)} ")
+
+
+def polar_bars(values: Sequence[Polar], factor: float) -> tuple[FloatArray, FloatArray]:
+    """Return magnitude over `factor` and phase in rad of values as rows (2, N), and their expanded uncertainties."""
+    rows = [(v.magnitude / factor, v.phase_rad, v.expanded_magnitude / factor, v.expanded_phase_rad) for v in values]
+    level, half = np.asarray(rows, dtype=np.float64).reshape(len(rows), 2, 2).transpose(1, 2, 0)
+    return level, half
+
+
+def frame_bars(
+    upper: Axes, lower: Axes, bars: tuple[FloatArray, FloatArray], magnitude: str, static: tuple[float, str] | None
+) -> None:
+    """Label `polar_bars` over frequency, in limits that hold all of them and what they are compared with.
+
+    `magnitude`: unit of the magnitude; `static`: value at rest, with what it is called in the legend.
+    """
+    references = [] if static is None else [static[0]], [0.0]
+    for axes, level, half, reference in zip((upper, lower), *bars, references, strict=True):
+        ends = np.concatenate([level - half, level + half, reference])
+        known = ends[np.isfinite(ends)]
+        if len(known):
+            axes.set_ylim(padded(float(known.min()), float(known.max())))
+        axes.yaxis.set_major_locator(MaxNLocator(6))
+    upper.set_ylabel(f"magnitude / {magnitude}")
+    lower.set_ylabel("phase / rad")
+    lower.axhline(0.0, color=GREY, linewidth=0.8)
+    if static is not None:
+        static_axis(upper, *static)
 
 
 def panel_label(axes: Axes, text: str) -> None:
