@@ -31,6 +31,34 @@ def coverage_factor(dof: float) -> float:
     return float(stdtrit(dof, upper)) if dof > 1e-3 else np.inf
 
 
+@dataclass(frozen=True)
+class Quantity:
+    """A real number with its standard uncertainty, NaN where that is not known, and the degrees of freedom of that."""
+
+    value: float
+    u: float
+    dof: float
+    unit: str
+
+    @property
+    def k(self) -> float:
+        """Return the coverage factor for 95 %."""
+        return coverage_factor(self.dof)
+
+    @property
+    def expanded(self) -> float:
+        """Return U = k·u."""
+        return self.k * self.u
+
+
+@dataclass(frozen=True)
+class NamedQuantity(Quantity):
+    """A quantity with its `name` in files and its `label` for readers."""
+
+    name: str
+    label: str
+
+
 def region_factor(dof: float) -> float:
     """Return k₂, so that the ellipse z^T V⁻¹ z ≤ k₂² holds a complex value 95 times in 100.
 

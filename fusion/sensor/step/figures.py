@@ -63,7 +63,7 @@ def component_pictures(component: ComponentResult) -> Iterator[Picture]:
 
 def draw_release(name: str, release: Release) -> Picture:
     """The whole record left, the release right; below what the fit leaves, over the change of the output."""
-    record, reading, fit = release.input.record, release.reading, release.fit
+    record, reading, fit = release.record, release.reading, release.fit
     if fit is None:
         raise ValueError("release: expected one with a model, found none")
     measured, change, period = fit.fitted + fit.residual, abs(reading.steady - reading.baseline), _period_s(fit.model)
@@ -119,7 +119,7 @@ def draw_devices(name: str, component: ComponentResult) -> Picture:
         (axes,) = drawn.panels
         for place, rope in enumerate(component.ropes):
             release = next(release for release in component.releases if release.name in rope.releases)
-            record, reading = release.input.record, release.reading
+            record, reading = release.record, release.reading
             time = record.time_s - (reading.onset_s if release.fit is None else release.fit.onset_s)
             shown = (time >= -0.1 * span) & (time <= span)
             level = record.samples[record.channels.index(release.driven)][shown]
@@ -145,7 +145,7 @@ def draw_model(name: str, component: ComponentResult, pooled: Pooled) -> Picture
     """The pooled model over its static gain with its bands, phase, and what its releases show by themselves."""
     model, static = pooled.model, pooled.model.static_gain
     responses = [measured_response(release) for release in component.chosen[:SHOWN_RELEASES]]
-    rate_hz = min(release.input.record.sample_rate_hz for release in component.chosen)
+    rate_hz = min(release.record.sample_rate_hz for release in component.chosen)
     top_hz = min(0.4 * rate_hz, HIGHEST * float(np.max(_modes_hz(model))))
     low_hz = min(float(one.frequency_hz.min()) for one in responses)
     frequency = _around(model, np.geomspace(low_hz, top_hz, POINTS))
@@ -163,7 +163,7 @@ def draw_model(name: str, component: ComponentResult, pooled: Pooled) -> Picture
     with sheet(name, 6.0, 3, heights=(2.0, 1.3, 1.1)) as drawn:
         upper, middle, lower = drawn.panels
         for index, colour, label in (("band_5_hz", GREEN, "±5 %"), ("band_10_hz", ORANGE, "±10 %")):
-            end = component.figure(index)
+            end = component.find(index)
             if end is not None and np.isfinite(end.value):
                 upper.axvline(
                     end.value, color=colour, linewidth=1.0, zorder=1.5, label=f"{label} up to {end.value:.4g} Hz"

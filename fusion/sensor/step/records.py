@@ -9,13 +9,13 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from fusion.base import InputError
-from fusion.estimation.uncertainty import coverage_factor
+from fusion.estimation.uncertainty import NamedQuantity
 from fusion.recording.files import read_daqs
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry
 from fusion.sensor.transfer.records import Aligned, align
 from shaker.arrays import ComplexArray, FloatArray, Notice
-from shaker.lti.indices import LABELS, SETTLING, Indices, indices, moving_figures, settling_u, unit_of
+from shaker.lti.indices import LABELS, SETTLING, indices, moving_figures, settling_u, unit_of
 from shaker.lti.system import ModalModel
 from shaker.release.record import StepRecord
 from shaker.timebase.edges import kernel_reach, resampled
@@ -46,17 +46,12 @@ class StepSettings:
 
     def as_settings(self) -> dict[str, str | float | int]:
         """Return what was chosen, for the results."""
-        found: dict[str, str | float | int] = {"method": self.method, "release": self.release}
-        for name in ("modes", "real_poles"):
-            value = getattr(self, name)
-            found[name] = "by rule" if value is None else value
-        return found
+        structure = {"modes": self.modes, "real_poles": self.real_poles}
+        by_rule = {name: "by rule" if number is None else number for name, number in structure.items()}
+        return {"method": self.method, "release": self.release, **by_rule}
 
 
 # The record of a release from a recording: outputs and force on one time base, in their units.
-
-
-KIND = "step"
 
 
 @dataclass(frozen=True)
@@ -68,104 +63,87 @@ class StepInput:
     notices: tuple[Notice, ...]
 
 
-def read_step_record(manifest: Manifest) -> StepRecord:
-    """Return every output channel of a recording of kind step on one time base, and its force where it names one.
-
-    Time is counted on the first block's clock from its earliest sample. Raises `InputError`.
-    """
-    return read_step(manifest).record
+def output_entries(manifest: Manifest) -> dict[str, tuple[str, ChannelEntry]]:
+    """Return block and entry of every output of the sensor by the output's name; raises `InputError` without any."""
+    outputs: dict[str, tuple[str, ChannelEntry]] = {}
+    for daq in manifest.daq:
+        for entry in daq.channel:
+            if entry.quantity == "output":
+                name = entry.channel or entry.name
+                if name in outputs:
+                    expected = "one record of every output of the sensor"
+                    raise InputError(manifest.path, "daq.channel", found=f'output "{name}" twice', expected=expected)
+                outputs[name] = daq.name, entry
+    if not outputs:
+        raise InputError(manifest.path, "daq.channel", found="none", expected='a channel with quantity = "output"')
+    return outputs
 
 
 def read_step(manifest: Manifest) -> StepInput:
-    """Return the record of a recording of kind step, and what had to be done to read it; raises `InputError`."""
-    check_kind(manifest)
-    outputs, force = _outputs(manifest), _force(manifest)
-    wanted = outputs if force is None else [*outputs, force]
-    found = _without_delays(align(manifest, read_daqs(manifest), wanted, "daq"))
-    excitation = manifest.excitation
+    """Return every output of a recording of kind step on one time base, and its force where it names one.
+
+    Time is counted on the first block's clock from its earliest sample. Raises `InputError`.
+    """
+    manifest.check_command("step")
+    excitation, outputs = manifest.excitation, output_entries(manifest)
+    wanted = [*outputs.values(), *_force(manifest)]
+    aligned = _without_delays(align(manifest, read_daqs(manifest), wanted, "daq"))
     if excitation.component is None or excitation.step_amplitude is None:
         raise InputError(manifest.path, "excitation.component", found="nothing", expected="the load of the step")
     record = StepRecord(
         name=manifest.folder.name,
-        channels=tuple(entry.channel or entry.name for _, entry in outputs),
-        unit=manifest.rig.unit_of(outputs[0][1]),
-        samples=np.stack(found.values[: len(outputs)]),
-        sample_rate_hz=found.rate_hz,
+        channels=tuple(outputs),
+        unit=manifest.rig.unit_of(next(iter(outputs.values()))[1]),
+        samples=np.stack(aligned.values[: len(outputs)]),
+        sample_rate_hz=aligned.rate_hz,
         component=excitation.component,
         amplitude=excitation.step_amplitude,
         u_amplitude=excitation.step_uncertainty,
-        start_s=found.start_s,
-        force=None if force is None else found.values[-1],
+        start_s=aligned.start_s,
+        force=aligned.values[-1] if len(wanted) > len(outputs) else None,
         onset_s=excitation.onset,
         release=excitation.release or "",
     )
-    _check_onset(manifest, record)
-    return StepInput(manifest, record, (*found.notices, *_of_chains(found, record)))
+    last = record.start_s + (record.samples.shape[1] - 1) / record.sample_rate_hz
+    if record.onset_s is not None and not record.start_s < record.onset_s < last:
+        expected = f"a time within the record, {record.start_s:.6g} s to {last:.6g} s"
+        raise InputError(manifest.path, "excitation.onset", found=f"{record.onset_s:g} s", expected=expected)
+    notices = [*aligned.notices]
+    if chained := [channel.entry.name for channel in aligned.channels if channel.entry.response is not None]:
+        names = ", ".join(chained)
+        text = f"the stated response of {names} is not taken off: the model is that of sensor and chain together"
+        notices.append(Notice("warning", text, record.name))
+    return StepInput(manifest, record, tuple(notices))
 
 
-def check_kind(manifest: Manifest) -> None:
-    """Refuse recordings that are no step responses, and several takes in one recording."""
-    manifest.check_command("step")
-
-
-def _outputs(manifest: Manifest) -> list[tuple[str, ChannelEntry]]:
-    """Blocks and entries of the sensor's output channels."""
-    found = [(daq.name, entry) for daq in manifest.daq for entry in daq.channel if entry.quantity == "output"]
-    if not found:
-        raise InputError(manifest.path, "daq.channel", found="none", expected='a channel with quantity = "output"')
-    names = [entry.channel or entry.name for _, entry in found]
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None:
-        expected = "one record of every output of the sensor"
-        raise InputError(manifest.path, "daq.channel", found=f'output "{twice}" twice', expected=expected)
-    return found
-
-
-def _force(manifest: Manifest) -> tuple[str, ChannelEntry] | None:
-    """Block and entry of the channel that measured the load along, None where the recording names none."""
+def _force(manifest: Manifest) -> list[tuple[str, ChannelEntry]]:
+    """Block and entry of the channel that measured the load along, none where the recording names none."""
     name = manifest.excitation.force
     if name is None:
-        return None
-    found = [(daq.name, entry) for daq in manifest.daq for entry in daq.channel if entry.name == name]
-    if len(found) != 1 or found[0][1].quantity != "force":
-        told = f'"{name}", of quantity {found[0][1].quantity}' if len(found) == 1 else f'"{name}" {len(found)} times'
+        return []
+    named = [(daq.name, entry) for daq in manifest.daq for entry in daq.channel if entry.name == name]
+    if len(named) != 1 or named[0][1].quantity != "force":
+        told = f'"{name}", of quantity {named[0][1].quantity}' if len(named) == 1 else f'"{name}" {len(named)} times'
         expected = 'the name of one channel with quantity = "force"'
         raise InputError(manifest.path, "excitation.force", found=told, expected=expected)
-    return found[0]
+    return named
 
 
-def _without_delays(found: Aligned) -> Aligned:
+def _without_delays(aligned: Aligned) -> Aligned:
     """Take the stated delays off: what all channels share moves the time, what they do not is resampled."""
-    delays = np.array([channel.entry.delay for channel in found.channels])
-    start_s, shift = found.start_s - float(delays[0]), (delays - delays[0]) * found.rate_hz
+    delays = np.array([channel.entry.delay for channel in aligned.channels])
+    start_s, shift = aligned.start_s - float(delays[0]), (delays - delays[0]) * aligned.rate_hz
     if not shift.any():
-        return replace(found, start_s=start_s)
-    reach = kernel_reach(1.0)
+        return replace(aligned, start_s=start_s)
+    reach, count = kernel_reach(1.0), len(aligned.values[0])
     low = int(np.ceil(max(0.0, reach - shift.min())))
-    high = int(np.floor(min(len(found.values[0]), len(found.values[0]) - reach - shift.max())))
+    high = int(np.floor(min(count, count - reach - shift.max())))
     kept = np.arange(low, high, dtype=np.float64)
     values = tuple(
         resampled(value, kept + by, 1.0) if by else value[low:high]
-        for value, by in zip(found.values, shift, strict=True)
+        for value, by in zip(aligned.values, shift, strict=True)
     )
-    return replace(found, values=values, start_s=start_s + low / found.rate_hz)
-
-
-def _check_onset(manifest: Manifest, record: StepRecord) -> None:
-    """Refuse a stated onset outside the record."""
-    onset, last = record.onset_s, record.start_s + (record.samples.shape[1] - 1) / record.sample_rate_hz
-    if onset is not None and not record.start_s < onset < last:
-        expected = f"a time within the record, {record.start_s:.6g} s to {last:.6g} s"
-        raise InputError(manifest.path, "excitation.onset", found=f"{onset:g} s", expected=expected)
-
-
-def _of_chains(found: Aligned, record: StepRecord) -> Sequence[Notice]:
-    """Say of channels with a stated response that the models hold it."""
-    named = [channel.entry.name for channel in found.channels if channel.entry.response is not None]
-    if not named:
-        return ()
-    text = f"the stated response of {', '.join(named)} is not taken off: the model is that of sensor and chain together"
-    return (Notice("warning", text, record.name),)
+    return replace(aligned, values=values, start_s=start_s + low / aligned.rate_hz)
 
 
 # Coordinates in which models of several releases can be averaged: what a record tells well is linear in them.
@@ -179,11 +157,8 @@ def to_coordinates(model: ModalModel, scale: float) -> FloatArray:
     hardly shows, has a lag about zero, while its frequency may be anything.
     """
     poles, residues = _all(model)
-    found = np.zeros(len(poles), dtype=np.complex128)
-    for place in range(len(poles)):
-        others = np.delete(poles, place)
-        found += residues[place] * np.poly(others / scale)[::-1] / scale
-    numerator = found / np.prod(-poles / scale)
+    parts = [r * np.poly(np.delete(poles, place) / scale)[::-1] / scale for place, r in enumerate(residues)]
+    numerator = np.sum(parts, axis=0) / np.prod(-poles / scale)
     return np.concatenate([model.frequency_hz, model.damping_ratio, 1.0 / model.real_hz, numerator.real])
 
 
@@ -192,22 +167,24 @@ def from_coordinates(coordinates: FloatArray, modes: int, reals: int, scale: flo
     order = 2 * modes + reals
     frequency, damping, lag, numerator = np.split(coordinates, [modes, 2 * modes, order])
     frame = ModalModel(frequency, damping, np.zeros(modes, dtype=np.complex128), 1.0 / lag, np.zeros(reals))
-    poles, _ = _all(frame)
-    upper, real = poles[:modes], poles[2 * modes :]
-    residues = [_residue(place, poles / scale, numerator) for place in (*range(modes), *range(2 * modes, order))]
-    found = np.array(residues, dtype=np.complex128) * scale
-    of_modes, of_reals = found[: len(upper)], found[len(upper) :].real
-    return np.concatenate([frequency, damping, of_modes.real, of_modes.imag, -real.real / (2 * np.pi), of_reals])
+    unscaled, _ = _all(frame)
+    poles, real_hz = unscaled / scale, -unscaled[2 * modes :].real / (2 * np.pi)
+    # residues over the scale of Σ n_k x^k/Π(1 - x/p)
+    kept = [*range(modes), *range(2 * modes, order)]
+    top = -poles * np.polyval(numerator[::-1], poles)
+    residues = scale * np.array([top[place] / np.prod(1.0 - poles[place] / np.delete(poles, place)) for place in kept])
+    of_modes, of_reals = np.split(residues.astype(np.complex128), [modes])
+    return np.concatenate([frequency, damping, of_modes.real, of_modes.imag, real_hz, of_reals.real])
 
 
 def sizes(coordinates: FloatArray, reals: int) -> FloatArray:
     """Return how large coordinates (2P,) are: themselves, those of the numerator the largest of these."""
     half = len(coordinates) // 2
-    found = np.abs(coordinates)
+    found: FloatArray = np.abs(coordinates)
     found[half:] = found[half:].max()
     lags = slice(half - reals, half)
     found[lags] = found[lags].max(initial=0.0)
-    return np.asarray(found)
+    return found
 
 
 def scale_of(model: ModalModel) -> float:
@@ -220,14 +197,6 @@ def _all(model: ModalModel) -> tuple[ComplexArray, ComplexArray]:
     upper, real = np.split(model.poles, [len(model.frequency_hz)])
     residues = (model.residue, model.residue.conj(), model.real_residue + 0j)
     return np.concatenate([upper, upper.conj(), real]), np.concatenate(residues)
-
-
-def _residue(place: int, poles: ComplexArray, numerator: FloatArray) -> complex:
-    """Residue at one of the poles (P,), over the scale, of Σ n_k x^k/Π(1 - x/p)."""
-    pole = poles[place]
-    top = np.polyval(numerator[::-1], pole)
-    others = np.delete(poles, place)
-    return complex(-pole * top / np.prod(1.0 - pole / others))
 
 
 # Models of several releases become one: a weighted mean, with what releases or mountings scatter by.
@@ -322,10 +291,10 @@ def pool_models(models: Sequence[ModalModel], mountings: Sequence[str], u_scale:
     for group, own, share in zip(groups, within, mean.weight if len(groups) > 1 else [1.0], strict=True):
         shares[group] = share * own.weight
     value, back = _back(ordered[0], mean, scale)
-    common = u_scale * _residues(ordered[0], value)
-    model = replace(
-        ordered[0].with_vector(value), covariance=back @ mean.covariance @ back.T + np.outer(common, common)
-    )
+    counts = [len(part) for part in (ordered[0].frequency_hz, ordered[0].real_hz)]
+    common = u_scale * np.repeat([0.0, 1.0, 0.0, 1.0], [2 * counts[0], 2 * counts[0], counts[1], counts[1]]) * value
+    covariance = back @ mean.covariance @ back.T + np.outer(common, common)
+    model = replace(ordered[0].with_vector(value), covariance=covariance)
     spread = value + (vectors - mean.value) @ back.T
     return Pooled(model, spread, back @ covariances @ back.T, mean.weight, common, shares)
 
@@ -334,11 +303,11 @@ def _in_coordinates(models: Sequence[ModalModel], scale: float) -> tuple[FloatAr
     """Coordinates (N, P) of models and their covariances (N, P, P), none where it is of rounding alone."""
     vectors, covariances = [], []
     for model in models:
-        known = model if model.covariance is not None else replace(model, covariance=_covariance(model))
-        found, slope = known.jacobian(lambda at: to_coordinates(at, scale))
-        covariance = slope @ _covariance(known) @ slope.T
-        told = np.sqrt(np.maximum(np.diag(covariance), 0.0)) > ROUNDING * sizes(found, len(model.real_hz))
-        vectors.append(found)
+        stated = np.zeros((len(model.vector),) * 2) if model.covariance is None else model.covariance
+        coordinates, slope = replace(model, covariance=stated).jacobian(lambda at: to_coordinates(at, scale))
+        covariance = slope @ stated @ slope.T
+        told = np.sqrt(np.maximum(np.diag(covariance), 0.0)) > ROUNDING * sizes(coordinates, len(model.real_hz))
+        vectors.append(coordinates)
         covariances.append(covariance * np.outer(told, told))
     return np.stack(vectors), np.stack(covariances)
 
@@ -389,88 +358,48 @@ def sorted_modes(model: ModalModel) -> ModalModel:
     return replace(model, covariance=covariance).with_vector(model.vector[order])
 
 
-def _covariance(model: ModalModel) -> FloatArray:
-    """The covariance of a model, nothing where it is not known."""
-    return np.zeros((len(model.vector),) * 2) if model.covariance is None else model.covariance
-
-
-def _residues(model: ModalModel, vector: FloatArray) -> FloatArray:
-    """The residues' part of a vector (P,), zero elsewhere: how it moves with the scale of the output."""
-    modes, reals = len(model.frequency_hz), len(model.real_hz)
-    mask = np.repeat([0.0, 0.0, 1.0, 1.0, 0.0, 1.0], [modes, modes, modes, modes, reals, reals])
-    return np.asarray(mask * vector)
-
-
 # Numbers of a pooled model with uncertainty: its parameters and its indices.
 
 
-@dataclass(frozen=True)
-class Figure:
-    """A number with its standard uncertainty and the degrees of freedom behind that; `name` for files.
-
-    `u` is NaN where it is not known.
-    """
-
-    name: str
-    label: str
-    value: float
-    u: float
-    dof: float
-    unit: str
-
-    @property
-    def k(self) -> float:
-        """Return the coverage factor for 95 %."""
-        return coverage_factor(self.dof)
-
-    @property
-    def expanded(self) -> float:
-        """Return U = k·u."""
-        return self.k * self.u
+PARAMETERS = {
+    "frequency_hz": "natural frequency of mode",
+    "damping_ratio": "damping ratio of mode",
+    "residue_re": "residue, real part, of mode",
+    "residue_im": "residue, imaginary part, of mode",
+    "real_hz": "real pole",
+    "real_residue": "residue of real pole",
+}
 
 
-def parameter_figures(pooled: Pooled, unit: str) -> tuple[Figure, ...]:
+def parameter_quantities(pooled: Pooled, unit: str) -> tuple[NamedQuantity, ...]:
     """Return the parameters of a pooled model, its residues in `unit` per second."""
     model = pooled.model
-    u, dof = pooled.spread(np.eye(len(model.vector)))
-    found = []
-    for name, value, spread, freedom in zip(model.names, model.vector.tolist(), u, dof, strict=True):
+    u, dof = (part.tolist() for part in pooled.spread(np.eye(len(model.vector))))
+    quantities = []
+    for place, (name, value) in enumerate(zip(model.names, model.vector.tolist(), strict=True)):
+        kind, _, number = name.rpartition("_")
         own = "Hz" if "_hz_" in name else f"{unit}/s" if "residue" in name else "1"
-        found.append(Figure(name, _label(name), value, float(spread), float(freedom), own))
-    return tuple(found)
+        quantities.append(NamedQuantity(value, u[place], dof[place], own, name, f"{PARAMETERS[kind]} {number}"))
+    return tuple(quantities)
 
 
-def index_figures(
+def index_quantities(
     pooled: Pooled, nominal: float | None, unit: str, sample_rate_hz: float
-) -> tuple[Indices, tuple[Figure, ...]]:
-    """Return the indices of a pooled model, and those that it has as figures with uncertainty.
+) -> tuple[tuple[NamedQuantity, ...], tuple[Notice, ...]]:
+    """Return the indices that a pooled model has with uncertainty, and what is remarked of them.
 
     `nominal`: the gain that the sensor should have, None where nobody states it: then no band against it. Settling
     times jump by half periods: their uncertainty is `settling_u`'s, with the degrees of freedom of the damping.
     """
     found = indices(pooled.model.system, nominal or 1.0, sample_rate_hz)
     names, moving = moving_figures(pooled.model, found)
-    spread = zip(names, *(part.tolist() for part in pooled.spread(pooled.model.jacobian(moving)[1])), strict=True)
-    known = {name: (u, dof) for name, u, dof in spread}
+    u, dof = (part.tolist() for part in pooled.spread(pooled.model.jacobian(moving)[1]))
+    known = dict(zip(names, zip(u, dof, strict=True), strict=True))
     of_damping = known.get("damping_ratio", (0.0, np.inf))[1]
     known |= {name: (settling_u(pooled.model, tolerance), of_damping) for name, tolerance in SETTLING.items()}
-    figures = []
+    quantities = []
     for name, value in found.figures().items():
         if value is not None and np.isfinite(value) and (nominal is not None or "nominal" not in name):
             own = unit if name == "static_gain" else unit_of(name) or "1"
-            figures.append(Figure(name, LABELS[name], value, *known.get(name, (np.nan, np.inf)), own))
-    return found, tuple(figures)
-
-
-def _label(name: str) -> str:
-    """Words for a parameter."""
-    kind, _, number = name.rpartition("_")
-    words = {
-        "frequency_hz": "natural frequency of mode",
-        "damping_ratio": "damping ratio of mode",
-        "residue_re": "residue, real part, of mode",
-        "residue_im": "residue, imaginary part, of mode",
-        "real_hz": "real pole",
-        "real_residue": "residue of real pole",
-    }
-    return f"{words[kind]} {number}"
+            quantities.append(NamedQuantity(value, *known.get(name, (np.nan, np.inf)), own, name, LABELS[name]))
+    return tuple(quantities), found.notices

@@ -1,35 +1,35 @@
-"""Tables of step responses."""
+"""What step responses leave: tables, models, HDF5 file, page, lines of the terminal; the command."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple
+from operator import attrgetter
+from pathlib import Path
+from typing import Any, NamedTuple
 
+import h5py
 import numpy as np
 from markupsafe import Markup
 
 from fusion.base import DASH, rounded, typeset
-from fusion.estimation.uncertainty import coverage_factor
-from fusion.report.numbers import degrees_of_freedom, factor, measured, number, short
-from fusion.report.table import Column, Headline, Table, word
-from fusion.sensor.step.records import Figure
-from fusion.sensor.step.releases import LABELS, ComponentResult, MethodRow, Release, StaticGain, StepEvaluation
+from fusion.campaign.executor import one_blas_thread
+from fusion.estimation.uncertainty import NamedQuantity, Quantity, coverage_factor
+from fusion.recording.load import load_for_command
+from fusion.report.folder import Command
+from fusion.report.h5 import write_fields, write_value
+from fusion.report.numbers import capital, degrees_of_freedom, factor, measured, number, plain, short, signed
+from fusion.report.style import power_text
+from fusion.report.table import Column, Headline, Table, csv_text, on_page, table, word
+from fusion.sensor.models_file import MODELS_FILE, ModelsFile, models_text
+from fusion.sensor.step.evaluate import evaluate_steps
+from fusion.sensor.step.figures import component_pictures
+from fusion.sensor.step.records import StepSettings
+from fusion.sensor.step.releases import LABELS, ComponentResult, MethodRow, Release, Rope, StaticGain, StepEvaluation
 from shaker.release.reading import Spread
 from shaker.release.record import Reading, SpectrumPeak
 from shaker.release.sim import StepFit
 
-
-def residual_rms(fit: StepFit) -> float:
-    """Root mean square of what a fit leaves, in output units."""
-    return float(np.sqrt(np.mean(fit.residual**2)))
-
-
-def _lowest_mode(fit: StepFit) -> tuple[float, float]:
-    """Natural frequency and damping ratio of the lowest mode of a model."""
-    if fit.model is None or not len(fit.model.frequency_hz):
-        return np.nan, np.nan
-    place = int(np.argmin(fit.model.frequency_hz))
-    return float(fit.model.frequency_hz[place]), float(fit.model.damping_ratio[place])
+# Tables in files
 
 
 class Output(NamedTuple):
@@ -45,6 +45,11 @@ class Output(NamedTuple):
         return self.reading.channel == self.release.driven
 
     @property
+    def used(self) -> bool:
+        """Return whether the model rests on it."""
+        return self.driven and self.release.name in self.component.used
+
+    @property
     def fit(self) -> StepFit | None:
         """Return the model of the driven output."""
         return self.release.fit if self.driven else None
@@ -54,9 +59,39 @@ class Output(NamedTuple):
         return float(getattr(self.reading.peaks[place], name)) if len(self.reading.peaks) > place else np.nan
 
 
-def _of_reading(name: str) -> Column[Output]:
-    """Column of what was read."""
-    return Column(name, lambda output: getattr(output.reading, name))
+class Mode(NamedTuple):
+    """The lowest mode of a fit's model with standard uncertainties, NaN without one."""
+
+    hz: float = np.nan
+    u_hz: float = np.nan
+    damping: float = np.nan
+    u_damping: float = np.nan
+
+
+def lowest_mode(fit: StepFit) -> Mode:
+    """Return the lowest mode of a fit's model."""
+    model = fit.model
+    if model is None or not len(model.frequency_hz):
+        return Mode()
+    place, count = int(np.argmin(model.frequency_hz)), len(model.frequency_hz)
+    u = np.zeros(len(model.vector)) if model.covariance is None else np.sqrt(np.diag(model.covariance))
+    f, zeta = float(model.frequency_hz[place]), float(model.damping_ratio[place])
+    return Mode(f, float(u[place]), zeta, float(u[count + place]))
+
+
+def residual_rms(fit: StepFit) -> float:
+    """Root mean square of what a fit leaves, in output units."""
+    return float(np.sqrt(np.mean(fit.residual**2)))
+
+
+def yes_or_no(is_so: object) -> str:
+    """Return the word for a truth value."""
+    return "yes" if is_so else "no"
+
+
+def _of_reading(*names: str) -> list[Column[Output]]:
+    """Columns of what was read."""
+    return [Column(name, attrgetter(f"reading.{name}")) for name in names]
 
 
 def _of_peak(name: str, place: int, of_peak: str) -> Column[Output]:
@@ -72,44 +107,47 @@ def _of_fit(name: str, value: Callable[[StepFit], float]) -> Column[Output]:
 RELEASES: list[Column[Output]] = [
     word("recording", lambda output: output.release.name),
     word("component", lambda output: output.component.component),
-    word("release", lambda output: output.release.input.record.release),
+    word("release", lambda output: output.release.record.release),
     word("mounting", lambda output: output.release.input.manifest.mounting),
     word("channel", lambda output: output.reading.channel),
-    word("driven", lambda output: "yes" if output.driven else "no"),
-    word("used", lambda output: "yes" if output.driven and output.release.name in output.component.used else "no"),
-    Column("step_amplitude", lambda output: output.release.input.record.amplitude),
-    *map(_of_reading, ("onset_s", "u_onset_s", "sign", "baseline", "u_baseline", "steady", "u_steady", "unit")),
-    *map(_of_reading, ("rise_s", "u_rise_s", "shape", "release_s", "u_release_s", "static_gain", "u_static_gain")),
-    _of_reading("noise"),
+    word("driven", lambda output: yes_or_no(output.driven)),
+    word("used", lambda output: yes_or_no(output.used)),
+    Column("step_amplitude", lambda output: output.release.record.amplitude),
+    *_of_reading("onset_s", "u_onset_s", "sign", "baseline", "u_baseline", "steady", "u_steady", "unit"),
+    *_of_reading("rise_s", "u_rise_s", "shape", "release_s", "u_release_s", "static_gain", "u_static_gain", "noise"),
     _of_peak("peak_1_hz", 0, "frequency_hz"),
     _of_peak("u_peak_1_hz", 0, "u_frequency_hz"),
     _of_peak("peak_2_hz", 1, "frequency_hz"),
     _of_peak("u_peak_2_hz", 1, "u_frequency_hz"),
     _of_peak("peak_2_share", 1, "share"),
-    _of_fit("fit_onset_s", lambda fit: fit.onset_s),
-    _of_fit("fit_u_onset_s", lambda fit: fit.u_onset_s),
-    _of_fit("fit_release_s", lambda fit: fit.release_s),
-    _of_fit("fit_u_release_s", lambda fit: fit.u_release_s),
-    _of_fit("fit_frequency_hz", lambda fit: _lowest_mode(fit)[0]),
-    _of_fit("fit_damping_ratio", lambda fit: _lowest_mode(fit)[1]),
+    *(_of_fit(f"fit_{name}", attrgetter(name)) for name in ("onset_s", "u_onset_s", "release_s", "u_release_s")),
+    _of_fit("fit_frequency_hz", lambda fit: lowest_mode(fit).hz),
+    _of_fit("fit_damping_ratio", lambda fit: lowest_mode(fit).damping),
     _of_fit("fit_residual", residual_rms),
     _of_fit("fit_variance_accounted", lambda fit: fit.variance_accounted),
 ]
 
 
-class NumberRow(NamedTuple):
+class Number(NamedTuple):
     """One parameter or index of a component's model, or a static gain as it was read, over its recordings."""
 
     component: str
     channel: str
     name: str
-    value: float
-    u: float
-    U: float
-    k: float
-    unit: str
-    dof: float
-    recordings: str
+    quantity: Quantity
+    recordings: Sequence[str]
+
+
+NUMBERS: list[Column[Number]] = [
+    *(word(name, attrgetter(name)) for name in ("component", "channel", "name")),
+    Column("value", lambda row: row.quantity.value),
+    Column("u", lambda row: row.quantity.u),
+    Column("U", lambda row: row.quantity.expanded),
+    Column("k", lambda row: row.quantity.k),
+    word("unit", lambda row: row.quantity.unit),
+    Column("dof", lambda row: row.quantity.dof),
+    word("recordings", lambda row: ", ".join(row.recordings)),
+]
 
 
 class ByMethod(NamedTuple):
@@ -118,15 +156,15 @@ class ByMethod(NamedTuple):
     component: ComponentResult
     row: MethodRow
 
+    def figure(self, name: str) -> float:
+        """Return an index of the method's system, NaN where it has none."""
+        value = None if self.row.indices is None else self.row.indices.figures()[name]
+        return np.nan if value is None else float(value)
+
 
 def _of_method(name: str) -> Column[ByMethod]:
-    """Column of an index of a method's system, `nan` where it has none."""
-
-    def value(by: ByMethod) -> float:
-        found = None if by.row.indices is None else by.row.indices.figures()[name]
-        return np.nan if found is None else float(found)
-
-    return Column(name, value)
+    """Column of an index of a method's system."""
+    return Column(name, lambda by: by.figure(name))
 
 
 BY_METHOD: list[Column[ByMethod]] = [
@@ -136,7 +174,7 @@ BY_METHOD: list[Column[ByMethod]] = [
     word("method", lambda by: by.row.fit.method),
     Column("sample_rate_hz", lambda by: by.row.fit.sample_rate_hz),
     Column("order", lambda by: by.row.fit.order),
-    word("stable", lambda by: "yes" if by.row.fit.system.stable else "no"),
+    word("stable", lambda by: yes_or_no(by.row.fit.system.stable)),
     *map(_of_method, ("natural_hz", "damping_ratio", "static_gain")),
     word("unit", lambda by: by.component.unit),
     *map(_of_method, ("band_5_hz", "band_10_hz", "overshoot", "settling_2_s")),
@@ -146,264 +184,316 @@ BY_METHOD: list[Column[ByMethod]] = [
 ]
 
 
-def outputs(evaluation: StepEvaluation) -> Iterator[Output]:
-    """Every output of every recording, the driven output first."""
+def texts(evaluation: StepEvaluation) -> dict[str, str | bytes]:
+    """Return tables and models; of every output the driven one first, and after the indices static gains as read."""
+    components = evaluation.components
+    outputs = (
+        Output(c, release, reading) for c in components for release in c.releases for reading in release.readings
+    )
+    parameters: list[Number] = []
+    indices: list[Number] = []
+    for c in components:
+        names = [release.name for release in c.releases]
+        parameters += [Number(c.component, c.channel, one.name, one, c.used) for one in c.parameters]
+        indices += [Number(c.component, c.channel, one.name, one, c.used) for one in c.figures]
+        indices += [Number(c.component, gain.channel, "read_static_gain", gain, names) for gain in c.gains]
+    sensor = ("", "") if evaluation.sensor is None else (evaluation.sensor.name, evaluation.sensor.serial)
+    entries = tuple(component.entry for component in components if component.entry is not None)
+    return {
+        "releases.csv": csv_text(RELEASES, outputs),
+        "models.csv": csv_text(NUMBERS, parameters),
+        "indices.csv": csv_text(NUMBERS, indices),
+        "methods.csv": csv_text(BY_METHOD, (ByMethod(c, row) for c in components for row in c.methods)),
+        MODELS_FILE: models_text(ModelsFile(evaluation.name, *sensor, entries)),
+    }
+
+
+# HDF5 file
+
+FIT_FIELDS = (
+    "method",
+    "model",
+    "sample_rate_hz",
+    "decimation",
+    "order",
+    "variance_accounted",
+    "convergence",
+    "duration_s",
+    "onset_s",
+    "u_onset_s",
+    "release_s",
+    "u_release_s",
+    "time_s",
+    "fitted",
+    "residual",
+)
+
+
+def fill(file: h5py.File, evaluation: StepEvaluation) -> None:
+    """Fill the HDF5 file: of every component its releases, the pooled model, its numbers, what is compared."""
+    file.attrs["name"] = evaluation.name
+    file.attrs["models"] = "H(s) = sum r/(s - p) + conj. + sum r/(s - p), p in rad/s, output over load; k = 1"
+    write_value(file, "notices", evaluation.notices)
     for component in evaluation.components:
+        group = file.create_group(component.component, track_order=True)
+        for name in ("channel", "unit", "used", "reason", "pooled", "parameters", "figures", "gains", "ropes"):
+            write_value(group, name, getattr(component, name))
+        releases = group.create_group("releases", track_order=True)
         for release in component.releases:
+            own = releases.create_group(release.name, track_order=True)
+            for name in ("component", "amplitude", "sample_rate_hz", "start_s", "release"):
+                write_value(own, name, getattr(release.record, name))
+            readings = own.create_group("readings", track_order=True)
             for reading in release.readings:
-                yield Output(component, release, reading)
+                write_fields(readings.create_group(reading.channel, track_order=True), reading)
+            if release.fit is not None:
+                _write_fit(own.create_group("fit", track_order=True), release.fit)
+        if component.methods:
+            methods = group.create_group("methods", track_order=True)
+            for row in component.methods:
+                _write_fit(methods.create_group(f"{row.recording} {row.fit.method}", track_order=True), row.fit)
 
 
-def number_rows(component: ComponentResult, figures: Sequence[Figure]) -> Iterator[NumberRow]:
-    """One row per number of a component's model."""
-    names = ", ".join(component.used)
-    for figure in figures:
-        numbers = (figure.value, figure.u, figure.expanded, figure.k, figure.unit, figure.dof)
-        yield NumberRow(component.component, component.channel, figure.name, *numbers, names)
+def _write_fit(group: h5py.Group, fit: StepFit) -> None:
+    """Write a fit with its curves."""
+    for name in FIT_FIELDS:
+        write_value(group, name, getattr(fit, name))
+    for name in ("zeros", "poles", "gain"):
+        write_value(group, name, getattr(fit.system, name))
 
 
-def index_rows(evaluation: StepEvaluation) -> Iterator[NumberRow]:
-    """One row per index of every model; then the static gain of every output as it was read, over all releases."""
-    for component in evaluation.components:
-        yield from number_rows(component, component.figures)
-        names = ", ".join(release.name for release in component.releases)
-        for gain in component.gains:
-            numbers = (gain.value, gain.u, gain.expanded, gain.k, component.unit, gain.dof)
-            yield NumberRow(component.component, gain.channel, "read_static_gain", *numbers, names)
-
+# Page and terminal
 
 K2 = 2.0
 MILLI, PERCENT = 1e3, 100.0
-SUMMARY = ("natural_hz", "damping_ratio", "band_5_hz", "band_10_hz", "overshoot", "settling_2_s")
-SCALED = {"s": (MILLI, "ms")}
 SHARES = ("damping_ratio", "overshoot")
-"""Figures that are shares, told in %."""
+"""Quantities that are shares, told in %."""
 MANY_HEADLINES = 6
 NATURAL = Markup("f<sub>n</sub> / Hz")
+SUMMARY = {
+    "natural_hz": NATURAL,
+    "damping_ratio": "ζ / %",
+    "band_5_hz": "±5 % to / Hz",
+    "band_10_hz": "±10 % to / Hz",
+    "overshoot": "overshoot / %",
+    "settling_2_s": "2 % settling / ms",
+}
+PRINTED = {
+    "natural_hz": "f_n",
+    "damping_ratio": "damping ratio",
+    "band_5_hz": "±5 % up to",
+    "settling_2_s": "2 % settling",
+}
+
+
+def page_context(evaluation: StepEvaluation) -> dict[str, Any]:
+    """Return what the page shows; methods where more than one was asked for."""
+    compared, components, sensor = evaluation.settings["method"] == "all", evaluation.components, evaluation.sensor
+    count, names = sum(len(c.releases) for c in components), ", ".join(c.component for c in components)
+    named = [] if sensor is None else [("Sensor", f"{sensor.name} {sensor.serial}".strip())]
+    return {
+        "subject": [("Rig", evaluation.rig), *named, ("Recordings", f"{count} of {names}")],
+        "headlines": headlines(evaluation),
+        "summary": summary_table(evaluation),
+        "components": [
+            {
+                "name": component.component,
+                "channel": component.channel,
+                "reason": component.reason,
+                "indices": quantities_table("Indices of the model, with U", "index", component.figures),
+                "parameters": quantities_table("Parameters of the model, with U", "parameter", component.parameters),
+                "releases": releases_table(component),
+                "ropes": ropes_table(component),
+                "gains": gains_table(component),
+                "methods": methods_table(component) if compared else None,
+                "pictures": list(component_pictures(component)),
+            }
+            for component in components
+        ],
+    }
 
 
 def headlines(evaluation: StepEvaluation) -> list[Headline]:
     """Natural frequency and damping ratio of every driven output."""
-    found: list[Headline] = []
+    lines: list[Headline] = []
     for component in evaluation.components:
-        frequency, damping = component.figure("natural_hz"), component.figure("damping_ratio")
-        if frequency is not None and damping is not None and len(found) < MANY_HEADLINES:
+        frequency, damping = component.find("natural_hz"), component.find("damping_ratio")
+        if frequency is not None and damping is not None:
             releases = "1 release" if len(component.used) == 1 else f"{len(component.used)} releases"
-            remark = f"ζ = {_scaled(damping)}; {releases}"
-            found.append(Headline(f"{component.channel}: natural frequency", _scaled(frequency), remark))
-    return found
+            remark = f"ζ = {measured(*_shown(damping))}; {releases}"
+            lines.append(Headline(f"{component.channel}: natural frequency", measured(*_shown(frequency)), remark))
+    return lines[:MANY_HEADLINES]
 
 
 def summary_table(evaluation: StepEvaluation) -> Table | None:
     """The main indices of every component, one below the other."""
-    rows = []
-    for component in evaluation.components:
-        found = [component.figure(name) for name in SUMMARY]
-        cells = (DASH if figure is None else _scaled(figure, with_unit=False) for figure in found)
+
+    def load(component: ComponentResult) -> str:
         own = component.component == component.channel
-        rows.append((component.component if own else f"{component.component} → {component.channel}", *cells))
-    head = ("load", NATURAL, "ζ / %", "±5 % to / Hz", "±10 % to / Hz", "overshoot / %", "2 % settling / ms")
-    return Table("Models of the driven outputs, with U", head, "lrrrrrr", tuple(rows)) if rows else None
+        return component.component if own else f"{component.component} → {component.channel}"
+
+    def index(name: str, head: str) -> Column[ComponentResult]:
+        def shown(component: ComponentResult) -> str:
+            quantity = component.find(name)
+            return DASH if quantity is None else measured(*_shown(quantity)[:2])
+
+        return on_page(head, shown)
+
+    columns = [on_page("load", load, "l"), *(index(name, head) for name, head in SUMMARY.items())]
+    return table("Models of the driven outputs, with U", columns, evaluation.components)
 
 
-def releases_table(component: ComponentResult) -> Table:
+def quantities_table(caption: str, head: str, quantities: Sequence[NamedQuantity]) -> Table | None:
+    """Parameters of a model, or its indices."""
+
+    def where_known(text: Callable[[NamedQuantity], str]) -> Callable[[NamedQuantity], str]:
+        return lambda one: text(one) if np.isfinite(one.u) and one.u > 0.0 else DASH
+
+    columns: list[Column[NamedQuantity]] = [
+        on_page(head, lambda one: capital(one.label), "l"),
+        on_page("value", lambda one: measured(*_shown(one))),
+        on_page("k", where_known(lambda one: factor(one.k))),
+        on_page("dof", where_known(lambda one: degrees_of_freedom(one.dof))),
+    ]
+    return table(caption, columns, quantities)
+
+
+def releases_table(component: ComponentResult) -> Table | None:
     """What the driven output of every release shows, and its model."""
-    rows = []
-    for release in component.releases:
-        reading, fit = release.reading, release.fit
-        gain = _ratio(reading.static_gain, K2 * reading.u_static_gain, component)
-        rows.append(
-            (
-                release.name,
-                release.input.record.release or DASH,
-                measured(MILLI * reading.rise_s, K2 * MILLI * reading.u_rise_s),
-                DASH if fit is None else measured(MILLI * fit.release_s, K2 * MILLI * fit.u_release_s),
-                gain,
-                *_mode_cells(release),
-                DASH if fit is None else f"{PERCENT * fit.variance_accounted:.3f}",
-                "yes" if release.name in component.used else "no",
-            )
-        )
-    head = (
-        "recording",
-        "let go",
-        "rise / ms",
-        "release / ms",
-        f"static gain / {_gain_unit(component)}",
-        NATURAL,
-        "ζ / %",
-        "fit / %",
-        "in the model",
-    )
-    return Table(f"Releases: output {component.channel}, with U (k = 2)", head, "llrrrrrrl", tuple(rows))
+
+    def of_fit(head: str, shown: Callable[[StepFit], str]) -> Column[Release]:
+        return on_page(head, lambda release: DASH if release.fit is None else shown(release.fit))
+
+    def mode(fit: StepFit) -> tuple[str, str]:
+        own = lowest_mode(fit)
+        return measured(own.hz, K2 * own.u_hz), measured(PERCENT * own.damping, K2 * PERCENT * own.u_damping)
+
+    scale, unit = _gain_scale(component)
+    columns: list[Column[Release]] = [
+        on_page("recording", lambda release: release.name, "l"),
+        on_page("let go", lambda release: release.record.release or DASH, "l"),
+        on_page("rise / ms", lambda r: measured(MILLI * r.reading.rise_s, K2 * MILLI * r.reading.u_rise_s)),
+        of_fit("release / ms", lambda fit: measured(MILLI * fit.release_s, K2 * MILLI * fit.u_release_s)),
+        on_page(
+            f"static gain / {unit}",
+            lambda r: plain(scale * r.reading.static_gain, K2 * scale * r.reading.u_static_gain),
+        ),
+        of_fit(NATURAL, lambda fit: mode(fit)[0]),
+        of_fit("ζ / %", lambda fit: mode(fit)[1]),
+        of_fit("fit / %", lambda fit: f"{PERCENT * fit.variance_accounted:.3f}"),
+        on_page("in the model", lambda release: yes_or_no(release.name in component.used), "l"),
+    ]
+    return table(f"Releases: output {component.channel}, with U (k = 2)", columns, component.releases)
 
 
 def ropes_table(component: ComponentResult) -> Table | None:
-    """What lets go how fast, and how well it repeats."""
-    if len(component.releases) < 2:
-        return None
-    rows = []
-    for rope in component.ropes:
-        kind = rope.kind
-        cells = [cell for spread in (kind.rise, kind.length) for cell in _spread_cells(spread)]
-        faster = DASH if np.isnan(kind.faster) else f"{PERCENT * kind.faster:.1f}"
-        rows.append((rope.name, f"{kind.count}", *cells, faster, "yes" if rope.used else "no"))
-    head = (
-        "let go",
-        "releases",
-        "rise / ms",
-        "s / ms",
-        "release / ms",
-        "s / ms",
-        "faster than the next / %",
-        "in the model",
-    )
+    """What lets go how fast, and how well it repeats; None of a single release."""
+
+    def mean(of: Callable[[Rope], Spread]) -> Callable[[Rope], str]:
+        return lambda rope: measured(*_mean_ms(of(rope)))
+
+    def scatter(of: Callable[[Rope], Spread]) -> Callable[[Rope], str]:
+        return lambda rope: short(MILLI * of(rope).repeatability)
+
+    columns: list[Column[Rope]] = [
+        on_page("let go", lambda rope: rope.name, "l"),
+        on_page("releases", lambda rope: f"{rope.kind.count}"),
+        on_page("rise / ms", mean(lambda rope: rope.kind.rise)),
+        on_page("s / ms", scatter(lambda rope: rope.kind.rise)),
+        on_page("release / ms", mean(lambda rope: rope.kind.length)),
+        on_page("s / ms", scatter(lambda rope: rope.kind.length)),
+        on_page("faster than the next / %", lambda rope: signed(PERCENT * rope.kind.faster, ".1f")),
+        on_page("in the model", lambda rope: yes_or_no(rope.used), "l"),
+    ]
     caption = "What let go: rise of the output and duration of the release, means with U, scatter s of one release"
-    return Table(caption, head, "lrrrrrrl", tuple(rows))
+    return table(caption, columns, component.ropes) if len(component.releases) > 1 else None
 
 
-def parameters_table(component: ComponentResult) -> Table | None:
-    """Poles and residues of the model."""
-    if not component.parameters:
-        return None
-    rows = tuple(_figure_row(figure) for figure in component.parameters)
-    return Table("Parameters of the model, with U", ("parameter", "value", "k", "dof"), "lrrr", rows)
-
-
-def indices_table(component: ComponentResult) -> Table | None:
-    """Resonance, bands, overshoot, rise and settling."""
-    if not component.figures:
-        return None
-    rows = tuple(_figure_row(figure) for figure in component.figures)
-    return Table("Indices of the model, with U", ("index", "value", "k", "dof"), "lrrr", rows)
-
-
-def gains_table(component: ComponentResult) -> Table:
+def gains_table(component: ComponentResult) -> Table | None:
     """Static gain of every output for the load, with the peaks of its spectrum."""
-    driven, rows = component.gains[0], []
-    for gain in component.gains:
-        share = DASH if gain is driven else f"{PERCENT * gain.value / driven.value:.3f}".replace("-", "\N{MINUS SIGN}")
-        stated = DASH if gain.stated is None else _ratio(gain.stated, K2 * gain.u_stated, component)
-        over = DASH if gain.normalised is None else f"{gain.normalised:.2f}".replace("-", "\N{MINUS SIGN}")
-        cells = (_ratio(gain.value, gain.expanded, component), factor(gain.k), share, stated, over)
-        rows.append((gain.channel, *cells, *_peak_cells(component, gain.channel)))
-    unit = _gain_unit(component)
-    head = (
-        "output",
-        f"static gain / {unit}",
-        "k",
-        f"of {driven.channel} / %",
-        f"stated / {unit}",
-        "difference over its U",
-        "first peak / Hz",
-        "second peak / Hz",
-        "its share / %",
-    )
+    driven, (scale, unit) = component.gains[0], _gain_scale(component)
+
+    def stated(gain: StaticGain) -> str:
+        return DASH if gain.stated is None else plain(scale * gain.stated, K2 * scale * gain.u_stated)
+
+    def peak(head: str, place: int) -> Column[StaticGain]:
+        return on_page(head, lambda gain: _peaks(component, gain.channel)[place])
+
+    columns: list[Column[StaticGain]] = [
+        on_page("output", lambda gain: gain.channel, "l"),
+        on_page(f"static gain / {unit}", lambda gain: plain(scale * gain.value, scale * gain.expanded)),
+        on_page("k", lambda gain: factor(gain.k)),
+        on_page(
+            f"of {driven.channel} / %",
+            lambda gain: DASH if gain is driven else signed(PERCENT * gain.value / driven.value, ".3f"),
+        ),
+        on_page(f"stated / {unit}", stated),
+        on_page("difference over its U", lambda gain: DASH if gain.normalised is None else signed(gain.normalised)),
+        peak("first peak / Hz", 0),
+        peak("second peak / Hz", 1),
+        peak("its share / %", 2),
+    ]
     mean = "one release" if driven.releases == 1 else f"mean of {driven.releases} releases"
-    caption = f"Every output for the load {component.component}: {mean}, with U"
-    return Table(caption, head, "lrrrrrrrr", tuple(rows))
+    return table(f"Every output for the load {component.component}: {mean}, with U", columns, component.gains)
 
 
 def methods_table(component: ComponentResult) -> Table | None:
     """What every method made of a release."""
-    rows = []
-    for row in component.methods:
-        fit = row.fit
-        rows.append(
-            (
-                LABELS[fit.method],
-                row.recording,
-                f"{fit.order}",
-                _index(row, "natural_hz", "{:.2f}"),
-                _index(row, "damping_ratio", "{:.4f}", PERCENT),
-                _index(row, "band_5_hz", "{:.1f}"),
-                "yes" if fit.system.stable else "no",
-                f"{PERCENT * fit.variance_accounted:.3f}".replace("-", "\N{MINUS SIGN}"),
-                short(residual_rms(row.fit)),
-                number(fit.duration_s),
-            )
-        )
-    head = (
-        "method",
-        "recording",
-        "poles",
-        NATURAL,
-        "ζ / %",
-        "±5 % to / Hz",
-        "stable",
-        "fit / %",
-        f"residual, r.m.s. / ({typeset(component.releases[0].input.record.unit)})",
-        "time / s",
-    )
-    return Table("Methods", head, "llrrrrlrrr", tuple(rows)) if rows else None
+
+    def index(head: str, name: str, form: str, scale: float = 1.0) -> Column[ByMethod]:
+        return on_page(head, lambda by: signed(scale * by.figure(name), form))
+
+    columns: list[Column[ByMethod]] = [
+        on_page("method", lambda by: LABELS[by.row.fit.method], "l"),
+        on_page("recording", lambda by: by.row.recording, "l"),
+        on_page("poles", lambda by: f"{by.row.fit.order}"),
+        index(NATURAL, "natural_hz", ".2f"),
+        index("ζ / %", "damping_ratio", ".4f", PERCENT),
+        index("±5 % to / Hz", "band_5_hz", ".1f"),
+        on_page("stable", lambda by: yes_or_no(by.row.fit.system.stable), "l"),
+        on_page("fit / %", lambda by: signed(PERCENT * by.row.fit.variance_accounted, ".3f")),
+        on_page(
+            f"residual, r.m.s. / ({typeset(component.releases[0].record.unit)})",
+            lambda by: short(residual_rms(by.row.fit)),
+        ),
+        on_page("time / s", lambda by: number(by.row.fit.duration_s)),
+    ]
+    return table("Methods", columns, (ByMethod(component, row) for row in component.methods))
 
 
 def printed(evaluation: StepEvaluation) -> Iterator[str]:
     """Yield the lines that the command prints."""
     for component in evaluation.components:
         told = f"{component.component}: {len(component.used)} of {len(component.releases)} releases in the model"
-        found = [component.figure(name) for name in ("natural_hz", "damping_ratio", "band_5_hz", "settling_2_s")]
-        words = ("f_n", "damping ratio", "±5 % up to", "2 % settling")
-        parts = [f"{word} {_plain(figure)}" for word, figure in zip(words, found, strict=True) if figure is not None]
-        yield "; ".join([told, ", ".join(parts)] if parts else [told, "no model"])
+        indices = [(label, component.find(name)) for name, label in PRINTED.items()]
+        parts = [f"{label} {plain(*_shown(index))}" for label, index in indices if index is not None]
+        yield f"{told}; {', '.join(parts) or 'no model'}"
         for rope in component.ropes if len(component.ropes) > 1 else ():
-            length = rope.kind.length
-            text = rounded(MILLI * length.mean, MILLI * coverage_factor(length.dof) * length.u_mean, 0)
-            yield f"  {rope.name}: {len(rope.releases)} releases of ({text.value} ± {text.expanded}) ms"
+            yield f"  {rope.name}: {len(rope.releases)} releases of {plain(*_mean_ms(rope.kind.length), 'ms')}"
 
 
-def _figure_row(figure: Figure) -> tuple[str, ...]:
-    """A number with U and its coverage factor."""
-    known = np.isfinite(figure.u) and figure.u > 0.0
-    label = figure.label[:1].upper() + figure.label[1:]
-    return (
-        label,
-        _scaled(figure),
-        factor(figure.k) if known else DASH,
-        degrees_of_freedom(figure.dof) if known else DASH,
-    )
+def _shown(quantity: NamedQuantity) -> tuple[float, float, str]:
+    """Value, U and unit in which they are told: times in ms, shares in %."""
+    unit = quantity.unit
+    if quantity.name.startswith(SHARES):
+        scale, unit = PERCENT, "%"
+    else:
+        scale, unit = (MILLI, "ms") if unit == "s" else (1.0, "" if unit == "1" else unit)
+    return scale * quantity.value, scale * quantity.expanded, unit
 
 
-def _scaled(figure: Figure, *, with_unit: bool = True) -> str:
-    """Value with U: times in ms, shares in %."""
-    scale, unit = (PERCENT, "%") if figure.name.startswith(SHARES) else SCALED.get(figure.unit, (1.0, figure.unit))
-    own = "" if unit == "1" or not with_unit else unit
-    return measured(scale * figure.value, scale * figure.expanded, own)
+def _mean_ms(spread: Spread) -> tuple[float, float]:
+    """A mean with U, in ms."""
+    return MILLI * spread.mean, MILLI * coverage_factor(spread.dof) * spread.u_mean
 
 
-def _plain(figure: Figure) -> str:
-    """Value with U for the terminal."""
-    scale, unit = (PERCENT, "%") if figure.name.startswith(SHARES) else SCALED.get(figure.unit, (1.0, figure.unit))
-    text = rounded(scale * figure.value, scale * figure.expanded, 0)
-    return f"{text.value} {unit}" if text.expanded == DASH else f"({text.value} ± {text.expanded}) {unit}"
-
-
-def _mode_cells(release: Release) -> tuple[str, str]:
-    """Frequency and damping ratio of the lowest mode of a release's model, with U (k = 2)."""
-    model = None if release.fit is None else release.fit.model
-    if model is None or not len(model.frequency_hz):
-        return DASH, DASH
-    place = int(np.argmin(model.frequency_hz))
-    u = np.zeros(len(model.vector)) if model.covariance is None else np.sqrt(np.diag(model.covariance))
-    f, z = float(model.frequency_hz[place]), float(model.damping_ratio[place])
-    u_f, u_z = float(u[place]), float(u[len(model.frequency_hz) + place])
-    return measured(f, K2 * u_f), measured(PERCENT * z, K2 * PERCENT * u_z)
-
-
-def _spread_cells(spread: Spread) -> tuple[str, str]:
-    """Mean with U, and the scatter of one release, in ms."""
-    expanded = coverage_factor(spread.dof) * spread.u_mean
-    scatter = DASH if np.isnan(spread.repeatability) else short(MILLI * spread.repeatability)
-    return measured(MILLI * spread.mean, MILLI * expanded), scatter
-
-
-def _peak_cells(component: ComponentResult, channel: str) -> tuple[str, str, str]:
+def _peaks(component: ComponentResult, channel: str) -> tuple[str, str, str]:
     """First and second peak of an output's spectrum: mean over the releases of the model, or of all without one."""
     releases = component.chosen or component.releases
-    found = [reading.peaks for r in releases for reading in r.readings if reading.channel == channel]
-    first = _mean_peak([peaks[0] for peaks in found if peaks])
-    seconds = [peaks[1] for peaks in found if len(peaks) > 1]
-    if 2 * len(seconds) < len(found) or not seconds:
+    peaks = [reading.peaks for r in releases for reading in r.readings if reading.channel == channel]
+    first = _mean_peak([own[0] for own in peaks if own])
+    seconds = [own[1] for own in peaks if len(own) > 1]
+    if 2 * len(seconds) < len(peaks) or not seconds:
         return first, DASH, DASH
     return first, _mean_peak(seconds), number(PERCENT * float(np.mean([peak.share for peak in seconds])))
 
@@ -419,32 +509,37 @@ def _mean_peak(peaks: Sequence[SpectrumPeak]) -> str:
     return measured(float(value.mean()), k * max(own, spread) / len(peaks) ** 0.5)
 
 
-def _exponent(component: ComponentResult) -> int:
-    """Power of ten in which the gains of a component stand."""
-    return rounded(_largest(component.gains), 0.0).exponent
+def _gain_scale(component: ComponentResult) -> tuple[float, str]:
+    """Factor and unit in which all gains of a component are told, by the power of ten of the largest."""
+    power, unit = rounded(max(abs(gain.value) for gain in component.gains), 0.0).exponent, typeset(component.unit)
+    return 10.0**-power, f"({power_text(power)} {unit})" if power else f"({unit})"
 
 
-def _largest(gains: Sequence[StaticGain]) -> float:
-    """The largest gain."""
-    return max(abs(gain.value) for gain in gains)
+# The command
+
+FILES = ("releases.csv", "models.csv", "indices.csv", "methods.csv", MODELS_FILE)
+STEP = Command("step", "step", FILES, texts, fill, page_context, printed)
 
 
-def _ratio(value: float, expanded: float, component: ComponentResult) -> str:
-    """A gain with U in the component's power of ten."""
-    scale = 10.0 ** -_exponent(component)
-    text = rounded(scale * value, scale * expanded, 0)
-    return text.value if text.expanded == DASH else f"{text.value} ± {text.expanded}"
+def run_step(
+    paths: Sequence[Path],
+    output: Path | None,
+    settings: StepSettings,
+    *,
+    force: bool = False,
+    allow_outside: bool = False,
+) -> None:
+    """Evaluate the step recordings at some paths together, write the results and print the summary.
 
+    Of a campaign folder those of kind step are taken. Results stand in its folder `step`, or in that of the only
+    recording, or, of several paths, beside rig.toml; or in `output`. A place that cannot take them is refused before
+    anything is computed.
+    """
+    manifests = load_for_command(paths, STEP.name, allow_outside=allow_outside)
+    name = manifests[0].name if len(manifests) == 1 else manifests[0].rig.name
 
-def _gain_unit(component: ComponentResult) -> str:
-    """Unit of the gains with their power of ten."""
-    power = _exponent(component)
-    superscript = str(power).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
-    unit = typeset(component.unit)
-    return f"(10{superscript} {unit})" if power else f"({unit})"
+    def evaluate(hashes: dict[str, str]) -> StepEvaluation:
+        with one_blas_thread():
+            return evaluate_steps(name, manifests, settings, hashes)
 
-
-def _index(row: MethodRow, name: str, form: str, scale: float = 1.0) -> str:
-    """One index of a method's system."""
-    value = None if row.indices is None else row.indices.figures()[name]
-    return DASH if value is None or not np.isfinite(value) else form.format(scale * value)
+    STEP.run_recordings(paths, manifests, output, evaluate, force=force)
