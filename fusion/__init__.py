@@ -29,10 +29,13 @@ if TYPE_CHECKING:
     from fusion.sensitivity.load import LoadResult
     from fusion.sensitivity.ratio import Sensitivity
     from fusion.sensor.compensate.evaluate import evaluate_compensation
-    from fusion.sensor.decouple.evaluate import DecoupleSettings, evaluate_decoupling
+    from fusion.sensor.compensate.run import read_compensation_filters
+    from fusion.sensor.decouple.evaluate import DecoupleSettings, evaluate_decoupling, read_decoupling_filter
     from fusion.sensor.elastomer.evaluate import evaluate_element
     from fusion.sensor.identify.evaluate import evaluate_identification
+    from fusion.sensor.identify.report import read_sensor_models
     from fusion.sensor.load.evaluate import evaluate_loads
+    from fusion.sensor.models_file import read_load_models
     from fusion.sensor.rotate.evaluate import evaluate_rotation
     from fusion.sensor.step.evaluate import evaluate_steps
     from fusion.sensor.step.records import StepSettings
@@ -68,7 +71,11 @@ _MODULES = {
     "load_for_command": "fusion.recording.load",
     "load_manifest": "fusion.recording.load",
     "make_plan": "fusion.planning.plan",
+    "read_compensation_filters": "fusion.sensor.compensate.run",
+    "read_decoupling_filter": "fusion.sensor.decouple.evaluate",
+    "read_load_models": "fusion.sensor.models_file",
     "read_recorded": "fusion.campaign.recorded",
+    "read_sensor_models": "fusion.sensor.identify.report",
     "run_path": "fusion.campaign.run",
     "simulate_preset": "fusion.simulate",
 }
@@ -106,7 +113,11 @@ __all__ = [
     "load_for_command",
     "load_manifest",
     "make_plan",
+    "read_compensation_filters",
+    "read_decoupling_filter",
+    "read_load_models",
     "read_recorded",
+    "read_sensor_models",
     "run_path",
     "simulate_preset",
 ]

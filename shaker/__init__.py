@@ -11,15 +11,19 @@ if TYPE_CHECKING:
     from shaker.compensation.filter import Compensation, CompensationFilter
     from shaker.decoupling.filter import design_decoupling
     from shaker.decoupling.fit import fit_steps
+    from shaker.decoupling.responses import fit_responses
     from shaker.elastomer.frame import solve_frame
     from shaker.frf.chain import ChainResponse
     from shaker.frf.impact import transfer_impact
     from shaker.frf.periodic import transfer_periodic
     from shaker.frf.random import transfer_random
     from shaker.frf.result import TransferRecord
+    from shaker.identification.measured import MeasuredCurve
     from shaker.identification.oscillator import fit_resonance
+    from shaker.identification.sensor import Load, correct_record
     from shaker.io import read_channels
     from shaker.io.channel import RawChannel
+    from shaker.io.universal import read_universal_functions, read_universal_shapes
     from shaker.lines.detection import survey_lines
     from shaker.lines.rate_planner import Sampling, lines_of, plan_at
     from shaker.lti.indices import indices
@@ -42,16 +46,20 @@ _MODULES = {
     "Compensation": "shaker.compensation.filter",
     "CompensationFilter": "shaker.compensation.filter",
     "LinearSystem": "shaker.lti.system",
+    "Load": "shaker.identification.sensor",
     "MassChain": "shaker.mechanics",
+    "MeasuredCurve": "shaker.identification.measured",
     "Phasors": "shaker.sine.phasor",
     "RawChannel": "shaker.io.channel",
     "Sampling": "shaker.lines.rate_planner",
     "SineModel": "shaker.sine.solve",
     "StepRecord": "shaker.release.record",
     "TransferRecord": "shaker.frf.result",
+    "correct_record": "shaker.identification.sensor",
     "design_decoupling": "shaker.decoupling.filter",
     "find_edges": "shaker.timebase.edges",
     "fit_resonance": "shaker.identification.oscillator",
+    "fit_responses": "shaker.decoupling.responses",
     "fit_sines": "shaker.sine.fit",
     "fit_step": "shaker.release.fit",
     "fit_steps": "shaker.decoupling.fit",
@@ -63,6 +71,8 @@ _MODULES = {
     "plan_at": "shaker.lines.rate_planner",
     "read_channels": "shaker.io",
     "read_release": "shaker.release.reading",
+    "read_universal_functions": "shaker.io.universal",
+    "read_universal_shapes": "shaker.io.universal",
     "solve_frame": "shaker.elastomer.frame",
     "survey_lines": "shaker.lines.detection",
     "tie_clocks": "shaker.timebase.tie",
@@ -77,7 +87,9 @@ __all__ = [
     "Compensation",
     "CompensationFilter",
     "LinearSystem",
+    "Load",
     "MassChain",
+    "MeasuredCurve",
     "Phasors",
     "RawChannel",
     "Sampling",
@@ -85,9 +97,11 @@ __all__ = [
     "StepRecord",
     "TransferRecord",
     "__version__",
+    "correct_record",
     "design_decoupling",
     "find_edges",
     "fit_resonance",
+    "fit_responses",
     "fit_sines",
     "fit_step",
     "fit_steps",
@@ -99,6 +113,8 @@ __all__ = [
     "plan_at",
     "read_channels",
     "read_release",
+    "read_universal_functions",
+    "read_universal_shapes",
     "solve_frame",
     "survey_lines",
     "tie_clocks",

@@ -175,12 +175,15 @@ def model_text(models: Sequence[LoadModel], campaign: str, sensor: str, program:
     return json.dumps(content, indent=2, ensure_ascii=False) + "\n"
 
 
-def read_load_models(path: Path) -> tuple[LoadModel, ...]:
+def read_load_models(path: str | Path) -> tuple[LoadModel, ...]:
     """Read load.json, or the one in a folder of results; `InputError` names what cannot be read.
 
     Where one load cannot tell two solutions apart both are there, with `solutions` = 2.
+
+    >>> from fusion import read_load_models
+    >>> models = read_load_models("my-loads/load")  # doctest: +SKIP
     """
-    file = path / LOAD_MODEL_FILE if path.is_dir() else path
+    file = Path(path) / LOAD_MODEL_FILE if Path(path).is_dir() else Path(path)
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
         if content["format"] != FORMAT:

@@ -64,6 +64,9 @@ def fit_responses(measured: Responses, most_modes: int = 12) -> ResponseFit:
     the least χ² + ln(N)·P, of P parameters. Levenberg and Marquardt's steps lead to the weighted least squares, with
     the residues projected out, and poles that are not needed then are left out. Where χ² exceeds its degrees of freedom
     the covariance grows with it. Loads that the outputs do not tell apart are refused with their names.
+
+    >>> from shaker import fit_responses
+    >>> model = fit_responses(responses).model  # doctest: +SKIP
     """
     if most_modes < 1:
         raise ValueError(f"most_modes: expected at least 1, found {most_modes}")

@@ -184,6 +184,12 @@ class MeasuredCurve:
     `line_correlation` (D,): correlation of the errors of lines 0, 1, 2 … apart, as in `TransferFunction`;
     `added_decay_per_s`: the a of an exponential window, s = a + jω. `dof` (K,): degrees of freedom behind the
     covariance where it was estimated, None where it is known.
+
+    >>> import numpy as np
+    >>> from shaker import MeasuredCurve
+    >>> hertz = np.array([100.0, 200.0])
+    >>> MeasuredCurve(hertz, 1.0 / (1.0 + 1j * hertz / 300.0), np.tile(1e-6 * np.eye(2), (2, 1, 1))).dof is None
+    True
     """
 
     frequency_hz: FloatArray

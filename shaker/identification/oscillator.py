@@ -93,8 +93,7 @@ def fit_resonance(curve: MeasuredCurve, kind: Kind, *, delay: bool = False, resi
     `seen_noise`). Correlation between lines enters the covariance of the result.
 
     >>> import numpy as np
-    >>> from shaker import fit_resonance
-    >>> from shaker.identification.measured import MeasuredCurve
+    >>> from shaker import MeasuredCurve, fit_resonance
     >>> hertz = np.arange(250.0, 350.0, 2.0)
     >>> p = 1j * hertz / 300.0
     >>> curve = MeasuredCurve(hertz, (1 + 0.04 * p) / (1 + 0.04 * p + p**2), np.tile(1e-6 * np.eye(2), (50, 1, 1)))

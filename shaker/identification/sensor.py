@@ -124,6 +124,10 @@ class Load:
     """A mass on the sensor and how it is driven: `base` moves under the sensor, or a `force` acts on the load.
 
     `mass` ± `u_mass` in kg; of a rotation the moment of inertia in kg·m².
+
+    >>> from shaker import Load
+    >>> Load(mass=4.236, drive="force", u_mass=3e-4)
+    Load(mass=4.236, drive='force', u_mass=0.0003)
     """
 
     mass: float
@@ -365,6 +369,10 @@ def correct_record(
     (1 + `TRANSITION`)·`band_hz`, the response of a symmetric Kaiser-window filter of 2h + 1 taps. The record is
     continued by its odd reflection over h samples (and the chain's delay) at both ends, so that no end sees the other.
     `u_noise`: standard deviation of white noise of one sample. The model's covariance is carried by derivatives.
+
+    >>> from shaker import Load, correct_record
+    >>> load = Load(mass=4.236, drive="force")
+    >>> force = correct_record(output, 20e3, sensor, load, band_hz=900.0).force  # doctest: +SKIP
     """
     check_shape("output", output, (None,))
     from scipy import fft

@@ -318,8 +318,13 @@ class UniversalShape:
         check_shape("value", self.value, (len(self.node), None))
 
 
-def read_universal_shapes(path: Path) -> tuple[UniversalShape, ...]:
-    """Read all shapes of a universal file, in its order; data sets of other kinds are passed over."""
+def read_universal_shapes(path: str | Path) -> tuple[UniversalShape, ...]:
+    """Read all shapes of a universal file, in its order; data sets of other kinds are passed over.
+
+    >>> from shaker import read_universal_shapes
+    >>> entries = read_universal_shapes("modes.unv")  # doctest: +SKIP
+    """
+    path = Path(path)
     shapes = []
     with reading(path), path.open("rb") as stream:
         for data in list(data_sets(path, stream)):
@@ -448,8 +453,13 @@ def read_universal(path: Path, names: Sequence[str] | None, sample_rate_hz: floa
     return result
 
 
-def read_universal_functions(path: Path) -> tuple[UniversalFunction, ...]:
-    """Read all functions of data set 58 of a universal file: frequency responses, spectra, and time responses."""
+def read_universal_functions(path: str | Path) -> tuple[UniversalFunction, ...]:
+    """Read all functions of data set 58 of a universal file: frequency responses, spectra, and time responses.
+
+    >>> from shaker import read_universal_functions
+    >>> entries = read_universal_functions("modes.unv")  # doctest: +SKIP
+    """
+    path = Path(path)
     with reading(path):
         headers = _headers(path)
         with path.open("rb") as stream:

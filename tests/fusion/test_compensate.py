@@ -21,7 +21,7 @@ from support import rows
 from fusion.base import InputError
 from fusion.cli import main
 from fusion.sensor.compensate.evaluate import CompensateEvaluation, evaluate_compensation, white_noise
-from fusion.sensor.compensate.run import header_text, json_text, read_filters
+from fusion.sensor.compensate.run import header_text, json_text, read_compensation_filters
 from fusion.sensor.compensate.source import Wish, read_sources
 from fusion.sensor.models_file import MODELS_FILE, ModelEntry, ModelsFile, model_text, models_text, read_models
 from shaker.compensation.filter import CompensationFilter
@@ -119,7 +119,7 @@ def test_models_of_a_step_campaign(tmp_path):
     out = tmp_path / "out"
     models = _write_models(tmp_path / "step")
     assert main(["compensate", str(models.parent), "--bandwidth", "1200", "--calibrated", "-o", str(out)]) == 0
-    filters = {(one.channel, one.component): one for one in read_filters(out)}
+    filters = {(one.channel, one.component): one for one in read_compensation_filters(out)}
     assert list(filters) == [("Fz", "Fz"), ("Mx", "Mx")]
     found = filters["Fz", "Fz"].sections
     assert found.sample_rate_hz == RATE
@@ -139,7 +139,7 @@ def test_a_filter_for_every_load_of_one_target(tmp_path, capsys):
     out, loads = tmp_path / "out", _write_loads(tmp_path / "load", known=True)
     wish = ["--frequency", "1000", "--damping", "0.5", "--modes", "2", "--load-mass", "0", "0.198"]
     assert main(["compensate", str(loads), *wish, "-o", str(out)]) == 0
-    found = read_filters(out)
+    found = read_compensation_filters(out)
     assert [one.load_mass for one in found] == [0.0, 0.198]
     assert {len(one.sections.sos) for one in found} == {2}
     assert "Fy, load 198 g" in capsys.readouterr().out
@@ -182,7 +182,7 @@ def test_a_recording_is_filtered_for_the_load_of_its_rig(tmp_path):
     out = tmp_path / "out"
     wish = ["--frequency", "1000", "--damping", "0.6", "--calibrated", "--apply", str(tmp_path / "release")]
     assert main(["compensate", str(folder), *wish, "-o", str(out)]) == 0
-    assert read_filters(out)[0].load_mass == 0.048
+    assert read_compensation_filters(out)[0].load_mass == 0.048
     table = np.genfromtxt(out / "compensated.csv", delimiter=",", names=True)
     aim = 0.3 / GAIN - 40.0 * _second_order(table["time_s"] - 0.02, 1000.0, 0.6)
     late = np.abs(table["time_s"] - 0.02) > 1.5e-4
@@ -245,7 +245,7 @@ def test_the_c_header_gives_the_same_bits(tmp_path):
     text = "\n".join(value.hex() for value in data.tolist())
     told = subprocess.run([str(out / "run")], input=text, capture_output=True, text=True, check=True).stdout
     in_c = np.array([float.fromhex(line) for line in told.split()])
-    first, second = (one.sections for one in read_filters(out))
+    first, second = (one.sections for one in read_compensation_filters(out))
     stream = CompensationFilter(first, level=None)
     before = stream(data[None, :300])
     stream.switch(second)
@@ -293,7 +293,7 @@ def test_bad_files_are_one_sentence(tmp_path, refused):
     ):
         assert told in refused("compensate", path, "--frequency", "900", *more)
     with pytest.raises(InputError, match="filters as shakercal compensate writes them"):
-        read_filters(broken)
+        read_compensation_filters(broken)
 
 
 def test_other_results_are_not_overwritten(tmp_path, refused):

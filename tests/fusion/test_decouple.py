@@ -12,7 +12,7 @@ from support import rows as read_rows
 
 from fusion.base import InputError
 from fusion.cli import main
-from fusion.sensor.decouple.evaluate import read_filter
+from fusion.sensor.decouple.evaluate import read_decoupling_filter
 from fusion.simulate.preset import read_preset
 from fusion.simulate.releases import StepRig, sensor_model, write_steps
 from fusion.simulate.world import Draws
@@ -64,7 +64,7 @@ def test_modes_are_the_simulated_ones(results):
 
 
 def test_filter_decouples_the_simulated_sensor(results):
-    decoupler = read_filter(results / "decoupling.json")
+    decoupler = read_decoupling_filter(results / "decoupling.json")
     model, capacity = sensor_model(RIG, Draws(4, True)), np.array(RIG.capacity)
     frequency_hz = np.array([1.0, 20.0, 90.0, 170.0, 181.0])
     truth = np.array([[one.response(frequency_hz) for one in row] for row in model]).transpose(2, 0, 1)
@@ -90,16 +90,16 @@ def test_crosstalk_table_holds_every_stage(results):
 
 def test_filter_file_reads_back_to_the_last_bit(results, tmp_path):
     content = json.loads((results / "decoupling.json").read_text(encoding="utf-8"))
-    decoupler = read_filter(results / "decoupling.json")
+    decoupler = read_decoupling_filter(results / "decoupling.json")
     assert content["delay_samples"] == decoupler.delay
     assert decoupler.poles.real.tolist() == [pair[0] for pair in content["poles"]]
     broken = tmp_path / "decoupling.json"
     broken.write_text(json.dumps({**content, "kind": "other"}), encoding="utf-8")
     with pytest.raises(InputError, match="kind"):
-        read_filter(broken)
+        read_decoupling_filter(broken)
     broken.write_text("{", encoding="utf-8")
     with pytest.raises(InputError, match="written by shakercal decouple"):
-        read_filter(broken)
+        read_decoupling_filter(broken)
 
 
 def test_missing_load_is_refused_by_name(campaign, tmp_path, refused):

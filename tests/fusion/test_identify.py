@@ -21,7 +21,7 @@ from fusion.recording.excitation import kinds_of
 from fusion.recording.load import find_recordings, for_kinds
 from fusion.sensor.identify.evaluate import ComponentResult, IdentifyEvaluation, evaluate_identification
 from fusion.sensor.identify.measured import Campaign, IdentifySettings, read_campaign
-from fusion.sensor.identify.report import IDENTIFY, read_model
+from fusion.sensor.identify.report import IDENTIFY, read_sensor_models
 from fusion.sensor.transfer.evaluate import KINDS as TRANSFER_KINDS
 from fusion.simulate.chirp import write_masses
 from fusion.simulate.world import Draws, true_part
@@ -181,7 +181,7 @@ def test_the_page_is_whole_and_fetches_nothing(results):
 
 
 def test_the_model_is_read_back_to_the_last_bit(results, component):
-    file = read_model(results)
+    file = read_sensor_models(results)
     found, model = file["Fz"], component.model
     assert (file.name, file.campaign) == ("six-component transducer", "campaign")
     assert (found.channel, found.structure, found.sensitivity_measured) == ("Fz", "translation", True)
@@ -196,7 +196,7 @@ def test_the_model_is_read_back_to_the_last_bit(results, component):
 
 
 def test_a_correction_with_the_model_gives_the_force(results):
-    sensor, frequency, load_kg = read_model(results)["Fz"].sensor, np.array([300.0, 900.0]), 5.0
+    sensor, frequency, load_kg = read_sensor_models(results)["Fz"].sensor, np.array([300.0, 900.0]), 5.0
     s = 2j * np.pi * frequency
     spring = STIFFNESS + s * DAMPING + s * s * (load_kg + _internal_mass())
     output = 3.0 * SENSITIVITY * STIFFNESS / spring / (1.0 + s * LAG_S)  # of 3 N on the load, the base at rest
@@ -246,7 +246,7 @@ def test_the_guide_shows_the_keys_of_the_model(results):
 def test_a_file_that_is_no_model_is_refused(tmp_path, text, words):
     (tmp_path / "model.json").write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=words):
-        read_model(tmp_path)
+        read_sensor_models(tmp_path)
 
 
 def test_a_model_with_an_unknown_chain_is_refused(results, tmp_path):
@@ -254,7 +254,7 @@ def test_a_model_with_an_unknown_chain_is_refused(results, tmp_path):
     content["components"][0]["chain"] = "rope"
     (tmp_path / "model.json").write_text(json.dumps(content), encoding="utf-8")
     with pytest.raises(InputError, match="expected a chain of none, delay"):
-        read_model(tmp_path / "model.json")
+        read_sensor_models(tmp_path / "model.json")
 
 
 @pytest.mark.usefixtures("no_pages")

@@ -22,7 +22,7 @@ from fusion.report.provenance import Provenance, write_provenance
 from fusion.sensor.identify.evaluate import evaluate_identification
 from fusion.sensor.identify.fit import JointFit, joint_fits, mechanics, modelled
 from fusion.sensor.identify.measured import IdentifySettings, Prepared, placement_errors, prepare, read_campaign, sight
-from fusion.sensor.identify.report import read_model
+from fusion.sensor.identify.report import read_sensor_models
 from fusion.simulate.chirp import (
     Chirp,
     Suspension,
@@ -328,7 +328,7 @@ def test_files_and_page_have_the_units_of_a_rotation(tmp_path):
     units = {row["name"]: row["unit"] for row in rows(tmp_path / "out" / "parameters.csv")}
     assert (units["stiffness_ry"], units["damping_ry"]) == ("N.m/rad", "N.m.s/rad")
     assert (units["internal_inertia_ry"], units["lag_ry"]) == ("kg.m^2", "s")
-    sensor = read_model(tmp_path / "out")["My"].sensor
+    sensor = read_sensor_models(tmp_path / "out")["My"].sensor
     assert sensor.stiffness == pytest.approx(K_RY, rel=5e-3)
     assert sensor.unit == "(V/V)/(N.m)"
     page = (tmp_path / "out" / "identify.html").read_text(encoding="utf-8")

@@ -69,9 +69,13 @@ def json_text(evaluation: CompensateEvaluation) -> str:
     return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def read_filters(path: Path) -> tuple[StoredFilter, ...]:
-    """Read compensation.json, or the one in a folder, to the last bit; `InputError` names what cannot be read."""
-    file = path / JSON_FILE if path.is_dir() else path
+def read_compensation_filters(path: str | Path) -> tuple[StoredFilter, ...]:
+    """Read compensation.json, or the one in a folder, to the last bit; `InputError` names what cannot be read.
+
+    >>> from fusion import read_compensation_filters
+    >>> filters = read_compensation_filters("my-steps/step/compensate")  # doctest: +SKIP
+    """
+    file = Path(path) / JSON_FILE if Path(path).is_dir() else Path(path)
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
         if content["format"] != FORMAT:

@@ -301,8 +301,13 @@ def filter_text(decoupler: DecouplingFilter, model: MultiModel) -> str:
     return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
 
 
-def read_filter(path: Path) -> DecouplingFilter:
-    """Return the filter of a decoupling.json, to the last bit; raises `InputError`."""
+def read_decoupling_filter(path: str | Path) -> DecouplingFilter:
+    """Return the filter of a decoupling.json, to the last bit; raises `InputError`.
+
+    >>> from fusion import read_decoupling_filter
+    >>> decoupler = read_decoupling_filter("my-steps/decouple/decoupling.json")  # doctest: +SKIP
+    """
+    path = Path(path)
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         if content.get("kind") != KIND or content.get("format") != FORMAT:
