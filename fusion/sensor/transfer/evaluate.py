@@ -15,9 +15,7 @@ from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry
 from fusion.sensor.transfer.records import (
     ChannelChain,
-    CommonError,
     FoundResonance,
-    Located,
     Quantity,
     ReferenceResult,
     Together,
@@ -33,7 +31,7 @@ from shaker.frf.impact import transfer_impact
 from shaker.frf.periodic import transfer_periodic
 from shaker.frf.random import transfer_random
 from shaker.frf.result import TransferFunction, TransferRecord
-from shaker.identification.measured import MeasuredCurve
+from shaker.identification.measured import MeasuredCurve, RelativeError
 from shaker.identification.oscillator import Kind, Resonance, fit_resonance
 from shaker.labels import MOTION_UNITS
 
@@ -68,7 +66,7 @@ def estimated(manifest: Manifest, together: Together, settings: TransferSettings
     try:
         if periodic and excitation.period is not None:
             return transfer_periodic(record, excitation.period, settle_periods=excitation.settle_periods, band_hz=band)
-        found = _averaged(_settled(manifest, record), settings, band, blows=excitation.kind == "impact")
+        found = _averaged(manifest, record, settings, band)
     except ValueError as error:
         argument = str(error).partition(":")[0]
         if periodic and argument == "record":
@@ -76,12 +74,18 @@ def estimated(manifest: Manifest, together: Together, settings: TransferSettings
             expected = "the period with which the excitation repeats"
             raise InputError(manifest.path, "excitation.period", found=found_text, expected=expected) from error
         raise InputError.told_by(error, manifest.path, _KEYS.get(argument, "excitation")) from error
-    return replace(found, notices=(*found.notices, *_single_sweep(manifest)))
+    if excitation.kind != "chirp" or excitation.period is not None:
+        return found
+    text = (
+        "no period is stated, so the chirp is taken like noise, which leaves its uncertainty to neighbouring lines; of "
+        "a chirp that repeats, state the period"
+    )
+    return replace(found, notices=(*found.notices, Notice("warning", text, "excitation.period")))
 
 
 def _band(manifest: Manifest, together: Together) -> tuple[float, float] | None:
     """Return the band to evaluate: the excitation's, and no more than the samples allow."""
-    band, highest = manifest.excitation.band, together.highest_hz
+    band, highest = manifest.excitation.band, together.aligned.highest_hz
     if highest is None:
         return band
     if band is not None and band[0] >= highest:
@@ -90,36 +94,20 @@ def _band(manifest: Manifest, together: Together) -> tuple[float, float] | None:
     return (0.0, highest) if band is None else (band[0], min(band[1], highest))
 
 
-def _settled(manifest: Manifest, record: TransferRecord) -> TransferRecord:
-    """Return a record without the periods in which it settles."""
-    excitation = manifest.excitation
-    left_out = round(excitation.settle_periods * (excitation.period or 0.0) * record.sample_rate_hz)
-    return replace(record, reference=record.reference[left_out:], responses=record.responses[left_out:])
-
-
 def _averaged(
-    record: TransferRecord, settings: TransferSettings, band_hz: tuple[float, float] | None, *, blows: bool
+    manifest: Manifest, record: TransferRecord, settings: TransferSettings, band_hz: tuple[float, float] | None
 ) -> TransferFunction:
-    """Return the transfer functions from averaged spectra, of blows or of segments."""
-    estimator = "auto" if settings.estimator == "periodic" else settings.estimator
+    """Return the transfer functions from averaged spectra, of blows or of segments, behind what settles."""
+    excitation, estimator = manifest.excitation, "auto" if settings.estimator == "periodic" else settings.estimator
+    left_out = round(excitation.settle_periods * (excitation.period or 0.0) * record.sample_rate_hz)
+    record = replace(record, reference=record.reference[left_out:], responses=record.responses[left_out:])
     length_s = len(record.reference) / record.sample_rate_hz
-    if blows:
+    if excitation.kind == "impact":
         window_s = min(_BLOW_S, 0.5 * length_s) if settings.resolution_hz is None else 1.0 / settings.resolution_hz
         advised = "auto" if estimator == "local" else estimator
         return transfer_impact(record, window_s, estimator=advised, band_hz=band_hz)
     resolution_hz = settings.resolution_hz or _SEGMENTS / length_s
     return transfer_random(record, resolution_hz, estimator=estimator, band_hz=band_hz)
-
-
-def _single_sweep(manifest: Manifest) -> tuple[Notice, ...]:
-    """Say what a chirp without a period loses."""
-    if manifest.excitation.kind != "chirp" or manifest.excitation.period is not None:
-        return ()
-    text = (
-        "no period is stated, so the chirp is taken like noise, which leaves its uncertainty to neighbouring lines; of "
-        "a chirp that repeats, state the period"
-    )
-    return (Notice("warning", text, "excitation.period"),)
 
 
 # Resonances in a measured transfer function: where the peaks are, and an oscillator fitted to each.
@@ -147,9 +135,21 @@ class _Curve:
     errors: dict[str, ComplexArray]
     kind: Kind
 
+    def fit(self, lines: slice, value: ComplexArray, *, residual_terms: bool) -> Resonance:
+        """Fit one oscillator to values (L,) at some lines."""
+        curve = MeasuredCurve(
+            self.transfer.ratio.frequency_hz[lines],
+            value,
+            self.covariance[lines],
+            line_correlation=self.transfer.line_correlation,
+            added_decay_per_s=self.transfer.added_decay_per_s,
+            dof=self.transfer.ratio.dof[lines],
+        )
+        return fit_resonance(curve, self.kind, residual_terms=residual_terms)
+
 
 def find_resonances(
-    transfer: TransferFunction, errors: Sequence[CommonError], kinds: Sequence[Kind], u_clock: float
+    transfer: TransferFunction, errors: Sequence[RelativeError], kinds: Sequence[Kind], u_clock: float
 ) -> tuple[tuple[FoundResonance, ...], tuple[Notice, ...]]:
     """Return the resonances of every response and what is to be said of peaks that no oscillator fits.
 
@@ -161,11 +161,17 @@ def find_resonances(
     for c, (name, kind) in enumerate(zip(transfer.ratio.channels, kinds, strict=True)):
         own = {error.name: error.relative[:, c] for error in errors if np.any(error.relative[:, c] != 0.0)}
         curve = _Curve(name, transfer, transfer.ratio.value[:, c], transfer.channel_covariance(name), own, kind)
-        peaks = _peaks(curve)
-        for (peak, lines), one in zip(peaks, _separated(curve, [lines for _, lines in peaks]), strict=True):
-            if isinstance(one, _Mode):
-                found.append(_with_budget(curve, lines, one, u_clock))
-            notices += _remarks(one, float(transfer.ratio.frequency_hz[peak]), f"{name}/{transfer.reference}")
+        peaks, where = _peaks(curve), f"{name}/{transfer.reference}"
+        for (peak, lines), mode in zip(peaks, _separated(curve, [lines for _, lines in peaks]), strict=True):
+            at = f"the peak at {transfer.ratio.frequency_hz[peak]:.6g} Hz"
+            if isinstance(mode, str):
+                notices.append(Notice("info", f"no oscillator was fitted to {at} ({mode})", where))
+                continue
+            found.append(_with_budget(curve, lines, mode, u_clock))
+            departs = np.sqrt(mode.fit.chi_squared / mode.fit.dof)
+            if departs >= _DEPARTS:
+                text = f"{at} departs from one oscillator by {departs:.2g} times the noise; its frequency and damping"
+                notices.append(Notice("warning", f"{text} depend on the lines that are fitted", where))
     return tuple(found), tuple(notices)
 
 
@@ -175,20 +181,6 @@ class _Mode:
 
     fit: Resonance
     value: ComplexArray
-
-
-def _remarks(one: _Mode | str, peak_hz: float, where: str) -> list[Notice]:
-    """Say of a peak that no oscillator was fitted, or that one does not explain it."""
-    if isinstance(one, str):
-        return [Notice("info", f"no oscillator was fitted to the peak at {peak_hz:.6g} Hz ({one})", where)]
-    departs = np.sqrt(one.fit.chi_squared / one.fit.dof)
-    if departs < _DEPARTS:
-        return []
-    text = (
-        f"the peak at {peak_hz:.6g} Hz departs from one oscillator by {departs:.2g} times the noise; its frequency and "
-        "damping depend on the lines that are fitted"
-    )
-    return [Notice("warning", text, where)]
 
 
 def _separated(curve: _Curve, windows: Sequence[slice]) -> list[_Mode | str]:
@@ -235,9 +227,9 @@ def _peaks(curve: _Curve) -> list[tuple[int, slice]]:
 def _best(curve: _Curve, lines: slice, value: ComplexArray) -> Resonance:
     """Fit one oscillator to values (L,) of some lines, with the rest of all other modes where that explains more."""
     frequency = curve.transfer.ratio.frequency_hz[lines]
-    fit = _fit(curve, lines, value, residual_terms=False)
+    fit = curve.fit(lines, value, residual_terms=False)
     if fit.chi_squared > _POOR_FIT * fit.dof and len(frequency) >= 2 * _FEWEST_LINES:
-        richer = _fit(curve, lines, value, residual_terms=True)
+        richer = curve.fit(lines, value, residual_terms=True)
         fit = richer if richer.chi_squared / richer.dof < 0.5 * fit.chi_squared / fit.dof else fit
     if not frequency[0] <= fit.frequency_hz <= frequency[-1]:
         raise ValueError(f"its frequency would be {fit.frequency_hz:.6g} Hz")
@@ -252,43 +244,20 @@ def _with_budget(curve: _Curve, lines: slice, mode: _Mode, u_clock: float) -> Fo
     residual_terms = "constant_re" in fit.parameters
     budget = {"noise": (fit.u("frequency_hz"), fit.u("damping_ratio"))}
     for name, relative in curve.errors.items():
-        moved = _fit(curve, lines, mode.value * (1.0 + relative[lines]), residual_terms=residual_terms)
+        moved = curve.fit(lines, mode.value * (1.0 + relative[lines]), residual_terms=residual_terms)
         budget[name] = (moved.frequency_hz - fit.frequency_hz, moved.damping_ratio - fit.damping_ratio)
     if u_clock > 0.0:
         budget["rate of the clock"] = (u_clock * fit.frequency_hz, 0.0)
     u_frequency, u_damping = np.sqrt(np.sum(np.square(list(budget.values())), axis=0))
-    return FoundResonance(
-        curve.name,
-        curve.transfer.reference,
-        fit,
-        (float(frequency[0]), float(frequency[-1])),
-        float(u_frequency),
-        float(u_damping),
-        budget,
-    )
-
-
-def _fit(curve: _Curve, lines: slice, value: ComplexArray, *, residual_terms: bool) -> Resonance:
-    """Fit one oscillator to values at some lines of a curve."""
-    return fit_resonance(
-        MeasuredCurve(
-            curve.transfer.ratio.frequency_hz[lines],
-            value,
-            curve.covariance[lines],
-            line_correlation=curve.transfer.line_correlation,
-            added_decay_per_s=curve.transfer.added_decay_per_s,
-            dof=curve.transfer.ratio.dof[lines],
-        ),
-        curve.kind,
-        residual_terms=residual_terms,
-    )
+    where, band_hz = (curve.name, curve.transfer.reference), (float(frequency[0]), float(frequency[-1]))
+    return FoundResonance(*where, fit, band_hz, float(u_frequency), float(u_damping), budget)
 
 
 # From a recording of a chirp, a multisine, noise or impacts to its transfer functions.
 
 
 KINDS = kinds_of("transfer")
-_FORCED_KIND: dict[int, Kind] = {0: "receptance", 1: "mobility", 2: "accelerance"}
+_FORCED_KINDS: tuple[Kind, ...] = ("receptance", "mobility", "accelerance")
 
 
 def evaluate_transfer(
@@ -302,10 +271,10 @@ def evaluate_transfer(
     >>> evaluation = evaluate_transfer(load_manifest("chirp/chirp"), TransferSettings(), {})  # doctest: +SKIP
     """
     started = time.monotonic()
-    check_kind(manifest)
+    manifest.check_command("transfer")
     read = read_together(manifest)
     found = [_evaluated(manifest, together, settings) for together in read]
-    base = next((together.base for together in read if together.base is not None), None)
+    base = next((together.aligned.base for together in read if together.aligned.base is not None), None)
     notices = [notice for _, told in found for notice in told]
     return TransferEvaluation(
         manifest=manifest,
@@ -319,36 +288,29 @@ def evaluate_transfer(
     )
 
 
-def check_kind(manifest: Manifest) -> None:
-    """Refuse recordings that this command does not evaluate."""
-    manifest.check_command("transfer")
-
-
 def _evaluated(
     manifest: Manifest, together: Together, settings: TransferSettings
 ) -> tuple[ReferenceResult, list[Notice]]:
     """Return the transfer functions over one reference with what is to be said of them."""
     raw = estimated(manifest, together, settings)
-    reference = _chain(together.reference, raw)
-    responses = [_chain(item, raw) for item in together.responses]
+    reference, *responses = (channel_chain(channel, raw.ratio.frequency_hz) for channel in together.aligned.channels)
     errors = ratio_errors(reference, responses)
     factor = np.stack([chain.correction / reference.correction for chain in responses], axis=1)
     corrected = _converted(raw, factor, together, settings.quantity)
     kinds = [_kind(reference.entry, chain.entry, settings.quantity) for chain in responses]
     resonances, told = find_resonances(corrected, errors, kinds, together.u_clock)
+    ratio = corrected.ratio
+    if errors:
+        common = common_covariance(ratio.value, np.stack([error.relative for error in errors]))
+        ratio = replace(ratio, covariance=ratio.covariance + common)
     result = ReferenceResult(
         name=reference.entry.name,
-        transfer=_with_errors(corrected, errors),
+        transfer=replace(corrected, ratio=ratio),
         random_covariance=corrected.ratio.covariance,
         errors=errors,
         resonances=resonances,
     )
-    return result, [*together.notices, *raw.notices, *told, *_silent([reference, *responses])]
-
-
-def _chain(channel: Located, raw: TransferFunction) -> ChannelChain:
-    """Return a channel's chain at the lines found."""
-    return channel_chain(channel.entry, raw.ratio.frequency_hz, channel.record.entry.name, channel.u_clock_s)
+    return result, [*together.aligned.notices, *raw.notices, *told, *_silent([reference, *responses])]
 
 
 def _converted(
@@ -359,10 +321,11 @@ def _converted(
     Behind an exponential window a ratio is H(s) at s = a + jω, and a derivative multiplies it by s.
     """
     s = raw.added_decay_per_s + 2j * np.pi * raw.ratio.frequency_hz
-    below, unit_below = _as_wanted(together.reference.entry, together.samples.reference_unit, quantity)
+    reference, *responses = (channel.entry for channel in together.aligned.channels)
+    below, unit_below = _as_wanted(reference, together.samples.reference_unit, quantity)
     factors, units = factor.copy(), []
-    for c, (item, unit) in enumerate(zip(together.responses, together.samples.unit, strict=True)):
-        above, unit_above = _as_wanted(item.entry, unit, quantity)
+    for c, (entry, unit) in enumerate(zip(responses, together.samples.unit, strict=True)):
+        above, unit_above = _as_wanted(entry, unit, quantity)
         factors[:, c] *= s ** (above - below)
         units.append(ratio_unit(unit_above, unit_below))
     return replace(raw, ratio=raw.ratio.scaled(factors, units))
@@ -383,16 +346,7 @@ def _kind(reference: ChannelEntry, response: ChannelEntry, quantity: Quantity | 
         return "transmissibility"
     if response.quantity not in QUANTITIES:
         return "receptance"
-    return _FORCED_KIND[QUANTITIES.index(quantity or response.quantity)]
-
-
-def _with_errors(transfer: TransferFunction, errors: Sequence[CommonError]) -> TransferFunction:
-    """Return a transfer function with the covariance of noise and common errors together."""
-    if not errors:
-        return transfer
-    ratio = transfer.ratio
-    common = common_covariance(ratio.value, np.stack([error.relative for error in errors]))
-    return replace(transfer, ratio=replace(ratio, covariance=ratio.covariance + common))
+    return _FORCED_KINDS[QUANTITIES.index(quantity or response.quantity)]
 
 
 def _silent(chains: Sequence[ChannelChain]) -> list[Notice]:

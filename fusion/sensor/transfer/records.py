@@ -17,6 +17,7 @@ from fusion.recording.response import read_response
 from shaker.arrays import ComplexArray, FloatArray, Notice
 from shaker.frf.chain import ChainResponse
 from shaker.frf.result import TransferFunction, TransferRecord
+from shaker.identification.measured import RelativeError
 from shaker.identification.oscillator import Resonance
 from shaker.timebase.edges import PASS_BAND, kernel_reach, resampled
 
@@ -59,17 +60,6 @@ class TransferSettings:
 
 
 @dataclass(frozen=True)
-class CommonError:
-    """One cause of error that acts on all lines at once.
-
-    `relative` (K, C): complex relative deviation of every transfer function for one standard deviation of the cause.
-    """
-
-    name: str
-    relative: ComplexArray
-
-
-@dataclass(frozen=True)
 class FoundResonance:
     """A resonance of one `response` over its reference, fitted over the lines between `band_hz`.
 
@@ -98,7 +88,7 @@ class ReferenceResult:
     name: str
     transfer: TransferFunction
     random_covariance: FloatArray
-    errors: tuple[CommonError, ...]
+    errors: tuple[RelativeError, ...]
     resonances: tuple[FoundResonance, ...]
 
 
@@ -161,23 +151,23 @@ class ChannelChain:
         return found
 
 
-def channel_chain(entry: ChannelEntry, frequency_hz: FloatArray, clock: str, u_clock_s: float) -> ChannelChain:
+def channel_chain(channel: Located, frequency_hz: FloatArray) -> ChannelChain:
     """Return a channel with its response file read at frequencies (K,)."""
+    entry = channel.entry
     response = None if entry.response is None else read_response(entry.response, frequency_hz)
-    return ChannelChain(entry, frequency_hz, response, clock, u_clock_s)
+    return ChannelChain(entry, frequency_hz, response, channel.record.entry.name, channel.u_clock_s)
 
 
-def ratio_errors(reference: ChannelChain, responses: Sequence[ChannelChain]) -> tuple[CommonError, ...]:
+def ratio_errors(reference: ChannelChain, responses: Sequence[ChannelChain]) -> tuple[RelativeError, ...]:
     """Return the common errors of the ratios (K, C) responses over reference; what both share cancels."""
     below, above = reference.errors, [chain.errors for chain in responses]
     zero = np.zeros(len(reference.frequency_hz), dtype=np.complex128)
     names = dict.fromkeys([*below, *(name for errors in above for name in errors)])
-    found = []
-    for name in names:
-        relative = np.stack([errors.get(name, zero) - below.get(name, zero) for errors in above], axis=1)
-        if np.any(relative != 0.0):
-            found.append(CommonError(name, relative))
-    return tuple(found)
+    found = [
+        RelativeError(name, np.stack([errors.get(name, zero) - below.get(name, zero) for errors in above], axis=1))
+        for name in names
+    ]
+    return tuple(error for error in found if np.any(error.relative != 0.0))
 
 
 # Reference and responses of a recording on one clock and at one rate.
@@ -196,22 +186,28 @@ class Located:
         """Sampling rate on the block's own clock."""
         return self.record.raw[self.entry.name].sample_rate_hz
 
+    @property
+    def length(self) -> int:
+        """Number of samples."""
+        return len(self.record.raw[self.entry.name].samples)
+
+    def position(self, base: TimeBase | None, time_s: FloatArray) -> FloatArray:
+        """Return where times of the first clock lie in the channel's record, in samples from its first one."""
+        tie = None if base is None else base.ties[self.record.entry.name]
+        own = time_s if tie is None else (time_s - tie.offset_s) / tie.rate
+        return np.asarray((own - self.record.lag_s(self.entry.name)) * self.rate_hz)
+
 
 @dataclass(frozen=True)
 class Together:
-    """One reference and its responses with their samples on one grid.
+    """One reference and its responses, `aligned` in this order, with their `samples` on one grid.
 
-    `highest_hz`: up to where the samples may be used, None where they are those of the file. `base`: the clocks, where
-    they had to be tied. `u_clock`: relative standard uncertainty of the clock that counts the time.
+    `u_clock`: relative standard uncertainty of the clock that counts the time.
     """
 
-    reference: Located
-    responses: tuple[Located, ...]
+    aligned: Aligned
     samples: TransferRecord
     u_clock: float
-    highest_hz: float | None
-    base: TimeBase | None
-    notices: tuple[Notice, ...]
 
 
 def read_together(manifest: Manifest) -> tuple[Together, ...]:
@@ -223,63 +219,44 @@ def read_together(manifest: Manifest) -> tuple[Together, ...]:
     if not excitation.reference:
         expected = "the name of the channel over which the others are taken, such as the force or the base acceleration"
         raise InputError(manifest.path, "excitation.reference", found="nothing", expected=expected)
-    places = _places(manifest)
+    places: dict[str, list[tuple[str, ChannelEntry]]] = {}
+    for daq in manifest.daq:
+        for entry in daq.channel:
+            if entry.quantity != "trigger":
+                places.setdefault(entry.name, []).append((daq.name, entry))
     named = excitation.response or [name for name in places if name not in excitation.reference]
     if not named:
         expected = "a channel beside the reference"
         raise InputError(manifest.path, "excitation.response", found="none", expected=expected)
-    for key, names in (("reference", excitation.reference), ("response", named)):
-        for name in names:
-            _check_named(manifest, key, name, places)
+    for key, name in [*(("reference", name) for name in excitation.reference), *(("response", name) for name in named)]:
+        where = places.get(name, [])
+        if len(where) != 1:
+            blocks = " and ".join(block for block, _ in where)
+            found = f'"{name}", which is in the blocks {blocks}' if where else f'"{name}", a trigger'
+            raise InputError(manifest.path, f"excitation.{key}", found=found, expected="a name that one channel has")
+        if key == "response" and name in excitation.reference:
+            expected = "other channels than the references"
+            raise InputError(manifest.path, "excitation.response", found=f'"{name}"', expected=expected)
     records = read_daqs(manifest)
-    return tuple(_together(manifest, records, places, [name, *named]) for name in excitation.reference)
+    wanted = [places[name][0] for name in named]
+    return tuple(_together(manifest, records, [places[name][0], *wanted]) for name in excitation.reference)
 
 
-def _places(manifest: Manifest) -> dict[str, list[tuple[str, ChannelEntry]]]:
-    """Return where a name is found: blocks and entries of the channels that are no triggers."""
-    found: dict[str, list[tuple[str, ChannelEntry]]] = {}
-    for daq in manifest.daq:
-        for entry in daq.channel:
-            if entry.quantity != "trigger":
-                found.setdefault(entry.name, []).append((daq.name, entry))
-    return found
-
-
-def _check_named(manifest: Manifest, key: str, name: str, places: dict[str, list[tuple[str, ChannelEntry]]]) -> None:
-    """Refuse a name that is a trigger's, that two blocks have, or that is reference and response at once."""
-    where = places.get(name, [])
-    if len(where) != 1:
-        blocks = " and ".join(block for block, _ in where)
-        found = f'"{name}", which is in the blocks {blocks}' if where else f'"{name}", a trigger'
-        raise InputError(manifest.path, f"excitation.{key}", found=found, expected="a name that one channel has")
-    if key == "response" and name in manifest.excitation.reference:
-        expected = "other channels than the references"
-        raise InputError(manifest.path, "excitation.response", found=f'"{name}"', expected=expected)
-
-
-def _together(
-    manifest: Manifest,
-    records: Sequence[DaqRecord],
-    places: dict[str, list[tuple[str, ChannelEntry]]],
-    names: Sequence[str],
-) -> Together:
+def _together(manifest: Manifest, records: Sequence[DaqRecord], wanted: Sequence[tuple[str, ChannelEntry]]) -> Together:
     """Return channels, the reference first, as they were sampled together or else on a common grid."""
-    found = align(manifest, records, [places[name][0] for name in names], "excitation.response")
-    units = [manifest.rig.unit_of(channel.entry) for channel in found.channels]
+    aligned = align(manifest, records, wanted, "excitation.response")
+    names, units = zip(*((entry.name, manifest.rig.unit_of(entry)) for _, entry in wanted), strict=True)
     samples = TransferRecord(
-        reference=found.values[0],
-        responses=np.stack(found.values[1:], axis=1),
-        sample_rate_hz=found.rate_hz,
+        reference=aligned.values[0],
+        responses=np.stack(aligned.values[1:], axis=1),
+        sample_rate_hz=aligned.rate_hz,
         reference_name=names[0],
         reference_unit=units[0],
-        channels=tuple(names[1:]),
-        unit=tuple(units[1:]),
+        channels=names[1:],
+        unit=units[1:],
     )
-    clock = records[0] if found.base is not None else found.channels[0].record
-    highest_hz, u_clock = found.highest_hz, clock.entry.clock_uncertainty
-    return Together(
-        found.channels[0], tuple(found.channels[1:]), samples, u_clock, highest_hz, found.base, found.notices
-    )
+    clock = records[0] if aligned.base is not None else aligned.channels[0].record
+    return Together(aligned, samples, clock.entry.clock_uncertainty)
 
 
 @dataclass(frozen=True)
@@ -311,72 +288,46 @@ def align(
     base = None
     if len(used) > 1:
         base = tie_daqs(manifest, [record for record in records if record is records[0] or record.entry.name in used])
-    channels = tuple(Located(entry, blocks[name], _u_clock_s(base, blocks[name], entry.name)) for name, entry in wanted)
-    alike = {(c.record.entry.name, c.rate_hz, c.record.lag_s(c.entry.name), _length(c)) for c in channels}
+    channels = tuple(_located(entry, blocks[name], base) for name, entry in wanted)
+    alike = {(c.record.entry.name, c.rate_hz, c.record.lag_s(c.entry.name), c.length) for c in channels}
+    recorded = tuple(c.record.values(c.entry) for c in channels)
     if len(alike) == 1:
-        values = tuple(c.record.values(c.entry) for c in channels)
         start_s = channels[0].record.lag_s(channels[0].entry.name)
-        return Aligned(channels, values, channels[0].rate_hz, start_s, None, base, ())
-    grid = _common_grid(manifest, channels, base, key)
-    values = tuple(grid.read(c, base) for c in channels)
-    highest_hz = PASS_BAND * grid.rate_hz
-    return Aligned(channels, values, grid.rate_hz, float(grid.time_s[0]), highest_hz, base, (grid.notice(),))
-
-
-def _length(channel: Located) -> int:
-    """Return the number of samples of a channel."""
-    return len(channel.record.raw[channel.entry.name].samples)
-
-
-def _u_clock_s(base: TimeBase | None, record: DaqRecord, name: str) -> float:
-    """Return the standard uncertainty of a block's tie in the middle of a channel's record."""
-    tie = None if base is None else base.ties[record.entry.name]
-    return 0.0 if tie is None else float(tie.u_to_base_s(np.asarray(record.time_s(name).mean())))
-
-
-@dataclass(frozen=True)
-class _Grid:
-    """Times (T,) on the first clock at which all channels are read: those of the slowest one."""
-
-    time_s: FloatArray
-    rate_hz: float
-    slowest: str
-
-    def read(self, channel: Located, base: TimeBase | None) -> FloatArray:
-        """Return the samples (T,) of a channel at the times of the grid."""
-        values = channel.record.values(channel.entry)
-        return resampled(values, _position(channel, base, self.time_s), min(1.0, self.rate_hz / channel.rate_hz))
-
-    def notice(self) -> Notice:
-        """Say what was done."""
-        text = (
-            f"channels of different clocks or rates are read at the times of {self.slowest}, {self.rate_hz:.9g} Hz of "
-            f"the first clock, and used up to {PASS_BAND * self.rate_hz:.6g} Hz"
-        )
-        return Notice("info", text, self.slowest)
-
-
-def _position(channel: Located, base: TimeBase | None, time_s: FloatArray) -> FloatArray:
-    """Return where times of the first clock lie in a channel's record, in samples from its first one."""
-    tie = None if base is None else base.ties[channel.record.entry.name]
-    own = time_s if tie is None else (time_s - tie.offset_s) / tie.rate
-    return np.asarray((own - channel.record.lag_s(channel.entry.name)) * channel.rate_hz)
-
-
-def _common_grid(manifest: Manifest, channels: Sequence[Located], base: TimeBase | None, key: str) -> _Grid:
-    """Return the times of the slowest channel that lie well inside the records of all."""
+        return Aligned(channels, recorded, channels[0].rate_hz, start_s, None, base, ())
     slowest = min(channels, key=lambda channel: channel.rate_hz)
-    own = slowest.record.time_s(slowest.entry.name)
+    time_s, rate_hz = _common_times(channels, slowest, base)
+    if len(time_s) < 2 * len(channels):
+        expected = "channels that were recorded at the same time"
+        raise InputError(manifest.path, key, found="records that do not overlap", expected=expected)
+    values = tuple(
+        resampled(samples, c.position(base, time_s), min(1.0, rate_hz / c.rate_hz))
+        for c, samples in zip(channels, recorded, strict=True)
+    )
+    name, highest_hz = slowest.entry.name, PASS_BAND * rate_hz
+    text = (
+        f"channels of different clocks or rates are read at the times of {name}, {rate_hz:.9g} Hz of the first clock, "
+        f"and used up to {highest_hz:.6g} Hz"
+    )
+    return Aligned(channels, values, rate_hz, float(time_s[0]), highest_hz, base, (Notice("info", text, name),))
+
+
+def _located(entry: ChannelEntry, record: DaqRecord, base: TimeBase | None) -> Located:
+    """Return a channel with the uncertainty of its block's tie in the middle of its record."""
+    tie = None if base is None else base.ties[record.entry.name]
+    middle_s = np.asarray(record.time_s(entry.name).mean())
+    return Located(entry, record, 0.0 if tie is None else float(tie.u_to_base_s(middle_s)))
+
+
+def _common_times(channels: Sequence[Located], slowest: Located, base: TimeBase | None) -> tuple[FloatArray, float]:
+    """Return times (T,) of the slowest channel on the first clock, well inside the records of all, and their rate."""
     name = slowest.record.entry.name
+    own = slowest.record.time_s(slowest.entry.name)
     time_s = own if base is None else base.to_base_s(name, own)
     tie = None if base is None else base.ties[name]
     rate_hz = slowest.rate_hz if tie is None else slowest.rate_hz / tie.rate
     inside = np.ones(len(time_s), dtype=np.bool_)
     for channel in channels:
-        position = _position(channel, base, time_s)
+        position = channel.position(base, time_s)
         reach = kernel_reach(min(1.0, rate_hz / channel.rate_hz))
-        inside &= (position >= reach) & (position <= _length(channel) - 1 - reach)
-    if np.count_nonzero(inside) < 2 * len(channels):
-        expected = "channels that were recorded at the same time"
-        raise InputError(manifest.path, key, found="records that do not overlap", expected=expected)
-    return _Grid(time_s[inside], rate_hz, slowest.entry.name)
+        inside &= (position >= reach) & (position <= channel.length - 1 - reach)
+    return time_s[inside], rate_hz

@@ -10,17 +10,19 @@ from typing import Any, NamedTuple
 import h5py
 import numpy as np
 
-from fusion.base import rounded, typeset
+from fusion.base import typeset
 from fusion.estimation.uncertainty import Polar, element_covariance, polar
 from fusion.recording.load import load_for_command
+from fusion.recording.manifest import ChannelEntry
 from fusion.report.csv_files import polar_columns
 from fusion.report.folder import Command
 from fusion.report.h5 import write_fields
-from fusion.report.numbers import measured, small
-from fusion.report.table import Column, Headline, Table, csv_text, word
+from fusion.report.numbers import measured, plain, small
+from fusion.report.table import Column, Headline, Table, csv_text, on_page, table, word
 from fusion.sensor.transfer.evaluate import evaluate_transfer
 from fusion.sensor.transfer.figures import draw_transfer, uncertainty
-from fusion.sensor.transfer.records import FoundResonance, ReferenceResult, TransferEvaluation, TransferSettings
+from fusion.sensor.transfer.records import FoundResonance, TransferEvaluation, TransferSettings
+from shaker.frf.result import TransferFunction
 
 
 class Line(NamedTuple):
@@ -59,46 +61,44 @@ def transfer_lines(evaluation: TransferEvaluation) -> Iterator[Line]:
                 yield Line(frequency, *head, value, float(coherence[k, c]), *tail)
 
 
-def curves_table(evaluation: TransferEvaluation) -> Table:
-    """What was estimated: one row per response and reference."""
-    rows = []
+class Curve(NamedTuple):
+    """One response over its reference; `u_relative`, `u_phase_rad`: medians over the lines of u(|H|)/|H|, u(arg H)."""
+
+    name: str
+    unit: str
+    transfer: TransferFunction
+    u_relative: float
+    u_phase_rad: float
+    coherence: float
+
+    @property
+    def band(self) -> str:
+        """First and last line, Hz."""
+        return f"{self.transfer.ratio.frequency_hz[0]:.6g} to {self.transfer.ratio.frequency_hz[-1]:.6g}"
+
+
+def curves(evaluation: TransferEvaluation) -> Iterator[Curve]:
+    """Every response of every reference."""
     for result in evaluation.references:
         transfer = result.transfer
-        frequency = transfer.ratio.frequency_hz
         for c, name in enumerate(transfer.ratio.channels):
-            relative, turn = typical_uncertainty(result, c)
-            rows.append(
-                (
-                    f"{name} / {result.name}",
-                    typeset(transfer.ratio.unit[c]),
-                    transfer.estimator,
-                    f"{len(frequency)}",
-                    f"{frequency[0]:.6g} to {frequency[-1]:.6g}",
-                    f"{transfer.line_spacing_hz:.6g}",
-                    small(200.0 * relative),
-                    small(2e3 * turn),
-                    f"{float(np.min(transfer.coherence[:, c])):.4f}",
-                )
-            )
-    head = (
-        "curve",
-        "unit",
-        "estimator",
-        "lines",
-        "band / Hz",
-        "spacing / Hz",
-        "U(|H|) / %, median",
-        "U(phase) / mrad, median",
-        "smallest coherence",
-    )
-    return Table("Transfer functions, U: k = 2", head, "lllrrrrrr", tuple(rows))
+            ratio = transfer.ratio.select([name])
+            u_relative, u_phase_rad = (float(np.median(u)) for u in uncertainty(ratio.value[:, 0], ratio.covariance))
+            lowest = float(np.min(transfer.coherence[:, c]))
+            yield Curve(f"{name} / {result.name}", ratio.unit[0], transfer, u_relative, u_phase_rad, lowest)
 
 
-def typical_uncertainty(result: ReferenceResult, channel: int) -> tuple[float, float]:
-    """Return the median over the lines of u(|H|)/|H| and of u(arg H) in rad."""
-    ratio = result.transfer.ratio.select([result.transfer.ratio.channels[channel]])
-    relative, turn = uncertainty(ratio.value[:, 0], ratio.covariance)
-    return float(np.median(relative)), float(np.median(turn))
+CURVES: list[Column[Curve]] = [
+    on_page("curve", lambda curve: curve.name, "l"),
+    on_page("unit", lambda curve: typeset(curve.unit), "l"),
+    on_page("estimator", lambda curve: curve.transfer.estimator, "l"),
+    on_page("lines", lambda curve: f"{len(curve.transfer.ratio.frequency_hz)}"),
+    on_page("band / Hz", lambda curve: curve.band),
+    on_page("spacing / Hz", lambda curve: f"{curve.transfer.line_spacing_hz:.6g}"),
+    on_page("U(|H|) / %, median", lambda curve: small(200.0 * curve.u_relative)),
+    on_page("U(phase) / mrad, median", lambda curve: small(2e3 * curve.u_phase_rad)),
+    on_page("smallest coherence", lambda curve: f"{curve.coherence:.4f}"),
+]
 
 
 def resonances(evaluation: TransferEvaluation) -> list[FoundResonance]:
@@ -106,39 +106,31 @@ def resonances(evaluation: TransferEvaluation) -> list[FoundResonance]:
     return [found for result in evaluation.references for found in result.resonances]
 
 
-def resonances_table(evaluation: TransferEvaluation) -> Table | None:
-    """Frequency, damping and quality of every resonance found."""
-    rows = []
-    for found in resonances(evaluation):
-        fit = found.fit
-        zeta = measured(100.0 * fit.damping_ratio, 200.0 * found.u_damping_ratio)
-        u_quality = fit.quality * found.u_damping_ratio / fit.damping_ratio
-        rows.append(
-            (
-                f"{found.response} / {found.reference}",
-                measured(fit.frequency_hz, 2.0 * found.u_frequency_hz),
-                zeta,
-                measured(fit.quality, 2.0 * u_quality),
-                fit.kind,
-                f"{found.band_hz[0]:.6g} to {found.band_hz[1]:.6g}",
-                f"{fit.chi_squared / fit.dof:.2f}",
-            )
-        )
-    head = (
-        "curve",
-        "f₀ / Hz",
-        "damping ratio ζ / %",
-        "quality Q",
-        "fitted as",
-        "lines / Hz",
-        "χ² per dof",
-    )
-    return Table("Resonances with U (k = 2)", head, "lrrrlrr", tuple(rows)) if rows else None
+def _over(found: FoundResonance) -> str:
+    """Response over reference."""
+    return f"{found.response} / {found.reference}"
 
 
-def budget_tables(evaluation: TransferEvaluation) -> list[Table]:
-    """What contributes to the uncertainty of every resonance, largest first for its frequency."""
-    return [_budget_table(found) for found in resonances(evaluation)]
+def _damping(found: FoundResonance, unit: str = "") -> str:
+    """Damping ratio in per cent with U (k = 2)."""
+    return measured(100.0 * found.fit.damping_ratio, 200.0 * found.u_damping_ratio, unit)
+
+
+def _quality(found: FoundResonance) -> str:
+    """Quality factor with U (k = 2)."""
+    u_quality = found.fit.quality * found.u_damping_ratio / found.fit.damping_ratio
+    return measured(found.fit.quality, 2.0 * u_quality)
+
+
+RESONANCES: list[Column[FoundResonance]] = [
+    on_page("curve", _over, "l"),
+    on_page("f₀ / Hz", lambda found: measured(found.fit.frequency_hz, 2.0 * found.u_frequency_hz)),
+    on_page("damping ratio ζ / %", _damping),
+    on_page("quality Q", _quality),
+    on_page("fitted as", lambda found: found.fit.kind, "l"),
+    on_page("lines / Hz", lambda found: f"{found.band_hz[0]:.6g} to {found.band_hz[1]:.6g}"),
+    on_page("χ² per dof", lambda found: f"{found.fit.chi_squared / found.fit.dof:.2f}"),
+]
 
 
 def headlines(evaluation: TransferEvaluation) -> list[Headline]:
@@ -146,37 +138,26 @@ def headlines(evaluation: TransferEvaluation) -> list[Headline]:
     told = []
     for found in resonances(evaluation)[:3]:
         fit = found.fit
-        where = f"{found.response} / {found.reference}"
         value = measured(fit.frequency_hz, 2.0 * found.u_frequency_hz, "Hz")
         u_frequency = 200.0 * found.u_frequency_hz / fit.frequency_hz
-        told.append(Headline(f"Resonance of {where}", value, f"U (k = 2) = {u_frequency:.2g} %"))
+        told.append(Headline(f"Resonance of {_over(found)}", value, f"U (k = 2) = {u_frequency:.2g} %"))
         share = 200.0 * found.u_damping_ratio / fit.damping_ratio
-        damping = measured(100.0 * fit.damping_ratio, 200.0 * found.u_damping_ratio, "%")
-        told.append(Headline("Damping ratio ζ", damping, f"Q = {fit.quality:.5g}; U (k = 2) = {share:.2g} %"))
+        remark = f"Q = {fit.quality:.5g}; U (k = 2) = {share:.2g} %"
+        told.append(Headline("Damping ratio ζ", _damping(found, "%"), remark))
     return told
 
 
 def printed(evaluation: TransferEvaluation) -> Iterator[str]:
     """Lines for the terminal: curves, then resonances, U at k = 2."""
-    for result in evaluation.references:
-        transfer = result.transfer
-        frequency = transfer.ratio.frequency_hz
-        for c, name in enumerate(transfer.ratio.channels):
-            relative, turn = typical_uncertainty(result, c)
-            yield (
-                f"{name} / {result.name} [{transfer.ratio.unit[c]}]: {transfer.estimator}, {len(frequency)} lines from "
-                f"{frequency[0]:.6g} to {frequency[-1]:.6g} Hz, median U {200.0 * relative:.2g} % and "
-                f"{2e3 * turn:.2g} mrad (k = 2)"
-            )
+    for curve in curves(evaluation):
+        lines = f"{curve.transfer.estimator}, {len(curve.transfer.ratio.frequency_hz)} lines from {curve.band} Hz"
+        median = f"{200.0 * curve.u_relative:.2g} % and {2e3 * curve.u_phase_rad:.2g} mrad (k = 2)"
+        yield f"{curve.name} [{curve.unit}]: {lines}, median U {median}"
     for found in resonances(evaluation):
         fit = found.fit
-        frequency_text = rounded(fit.frequency_hz, 2.0 * found.u_frequency_hz, 0)
-        damping = rounded(100.0 * fit.damping_ratio, 200.0 * found.u_damping_ratio, 0)
-        yield (
-            f"  resonance of {found.response} / {found.reference}: "
-            f"{frequency_text.value} ± {frequency_text.expanded} Hz, "
-            f"damping ratio {damping.value} ± {damping.expanded} %, Q {fit.quality:.4g}"
-        )
+        frequency = plain(fit.frequency_hz, 2.0 * found.u_frequency_hz)
+        damping = plain(100.0 * fit.damping_ratio, 200.0 * found.u_damping_ratio)
+        yield f"  resonance of {_over(found)}: {frequency} Hz, damping ratio {damping} %, Q {fit.quality:.4g}"
 
 
 def _budget_table(found: FoundResonance) -> Table:
@@ -188,60 +169,50 @@ def _budget_table(found: FoundResonance) -> Table:
     ]
     total = (1e6 * found.u_frequency_hz / fit.frequency_hz, 100.0 * found.u_damping_ratio / fit.damping_ratio)
     rows.append(("combined, k = 1", *map(small, total)))
-    caption = f"Budget of the resonance of {found.response} / {found.reference} at {fit.frequency_hz:.6g} Hz"
+    caption = f"Budget of the resonance of {_over(found)} at {fit.frequency_hz:.6g} Hz"
     return Table(caption, ("contribution", "u(f₀) / 10⁻⁶ f₀", "u(ζ) / % of ζ"), "lrr", tuple(rows))
 
 
 def _context(evaluation: TransferEvaluation) -> dict[str, Any]:
     """Everything the template shows."""
+    excitation = evaluation.manifest.excitation
+    excited: list[str] = [excitation.kind]
+    if excitation.band is not None:
+        excited.append(f"{excitation.band[0]:g} to {excitation.band[1]:g} Hz")
+    if excitation.period is not None:
+        excited.append(f"period {excitation.period:g} s, {excitation.settle_periods} left out to settle")
+    used = {result.name for result in evaluation.references}
+    used |= {name for result in evaluation.references for name in result.transfer.ratio.channels}
+    channels = [
+        (daq.name, entry)
+        for daq in evaluation.manifest.daq
+        for entry in daq.channel
+        if entry.name in used and entry.quantity != "trigger"
+    ]
     return {
-        "subject": _subject(evaluation),
+        "subject": [("Rig", evaluation.manifest.rig.name), ("Excitation", ", ".join(excited))],
         "headlines": headlines(evaluation),
         "pictures": [
             draw_transfer(result, channel)
             for result in evaluation.references
             for channel in range(len(result.transfer.ratio.channels))
         ],
-        "curves": curves_table(evaluation),
-        "resonances": resonances_table(evaluation),
-        "budgets": budget_tables(evaluation),
-        "channels": _channels(evaluation),
+        "curves": table("Transfer functions, U: k = 2", CURVES, curves(evaluation)),
+        "resonances": table("Resonances with U (k = 2)", RESONANCES, resonances(evaluation)),
+        "budgets": [_budget_table(found) for found in resonances(evaluation)],
+        "channels": table("Channels and their chains as stated", CHANNELS, channels),
     }
 
 
-def _subject(evaluation: TransferEvaluation) -> list[tuple[str, str]]:
-    """What was measured: rig, excitation."""
-    excitation = evaluation.manifest.excitation
-    facts = [("Rig", evaluation.manifest.rig.name)]
-    told: list[str] = [excitation.kind]
-    if excitation.band is not None:
-        told.append(f"{excitation.band[0]:g} to {excitation.band[1]:g} Hz")
-    if excitation.period is not None:
-        told.append(f"period {excitation.period:g} s, {excitation.settle_periods} left out to settle")
-    facts.append(("Excitation", ", ".join(told)))
-    return facts
-
-
-def _channels(evaluation: TransferEvaluation) -> Table:
-    """The channels used, with what was stated of their chains."""
-    used = {result.name for result in evaluation.references}
-    used |= {name for result in evaluation.references for name in result.transfer.ratio.channels}
-    rows = tuple(
-        (
-            entry.name,
-            daq.name,
-            entry.quantity,
-            f"{entry.scale:g}",
-            f"{100.0 * entry.scale_uncertainty:g}",
-            f"{1e6 * entry.delay:g} ± {1e6 * entry.delay_uncertainty:g}",
-            entry.response.name if entry.response is not None else "none stated",
-        )
-        for daq in evaluation.manifest.daq
-        for entry in daq.channel
-        if entry.name in used and entry.quantity != "trigger"
-    )
-    head = ("channel", "DAQ", "quantity", "scale", "u(scale) / %", "delay ± u / µs", "response taken off")
-    return Table("Channels and their chains as stated", head, "lllrrrl", rows)
+CHANNELS: list[Column[tuple[str, ChannelEntry]]] = [
+    on_page("channel", lambda row: row[1].name, "l"),
+    on_page("DAQ", lambda row: row[0], "l"),
+    on_page("quantity", lambda row: row[1].quantity, "l"),
+    on_page("scale", lambda row: f"{row[1].scale:g}"),
+    on_page("u(scale) / %", lambda row: f"{100.0 * row[1].scale_uncertainty:g}"),
+    on_page("delay ± u / µs", lambda row: f"{1e6 * row[1].delay:g} ± {1e6 * row[1].delay_uncertainty:g}"),
+    on_page("response taken off", lambda row: "none stated" if row[1].response is None else row[1].response.name, "l"),
+]
 
 
 def _fill(file: h5py.File, evaluation: TransferEvaluation) -> None:
@@ -252,12 +223,15 @@ def _fill(file: h5py.File, evaluation: TransferEvaluation) -> None:
     write_fields(file, evaluation)
 
 
-def _texts(evaluation: TransferEvaluation) -> dict[str, str | bytes]:
-    """Every line of every curve."""
-    return {"transfer.csv": csv_text(LINES, transfer_lines(evaluation))}
-
-
-TRANSFER = Command("transfer", "transfer", ("transfer.csv",), _texts, _fill, _context, printed)
+TRANSFER: Command[TransferEvaluation] = Command(
+    "transfer",
+    "transfer",
+    ("transfer.csv",),
+    lambda evaluation: {"transfer.csv": csv_text(LINES, transfer_lines(evaluation))},
+    _fill,
+    _context,
+    printed,
+)
 
 
 def run_transfer(
