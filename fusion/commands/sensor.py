@@ -114,7 +114,7 @@ def _load_options(parser: Parser) -> None:
 def load(options: argparse.Namespace) -> None:
     """Stiffness, resonance over load mass and load limits from releases with loads."""
     from fusion.sensor.load.evaluate import LoadSettings
-    from fusion.sensor.load.run import run_loads, run_table
+    from fusion.sensor.load.report import run_loads, run_table
 
     table = options.frequencies is not None
     if table == bool(options.recordings):

@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import csv
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from fusion.base import ComputeError, InputError, versions
-from fusion.estimation.uncertainty import coverage_factor
+from fusion.estimation.uncertainty import NamedQuantity, coverage_factor
 from fusion.recording.load import Manifest
 from fusion.sensitivity.body import inertia_errors, rigid_load
+from fusion.sensor.models_file import parameter_units
 from fusion.sensor.step.releases import Release, read_recording
 from shaker.arrays import FloatArray, Notice
 from shaker.labels import LOAD_COMPONENTS
 from shaker.release.load_fit import SeriesMasses, stated_masses
 from shaker.release.load_model import (
     LoadCurve,
-    LoadLimit,
     LoadModel,
     change_limit,
     formula_limit,
@@ -30,6 +31,7 @@ from shaker.release.load_model import (
 )
 from shaker.release.load_modes import FreeDecay, Resonances, as_resonances, free_decay, record_modes, stated_resonances
 from shaker.release.load_series import LoadIdentification, Output, identify_loads
+from shaker.release.record import Reading
 
 # What a user of `shakercal load` may choose.
 
@@ -53,14 +55,13 @@ class LoadSettings:
 
     def as_settings(self) -> dict[str, str | float | int]:
         """Return the choices by name."""
-        found: dict[str, str | float | int] = {
+        moving = zip(("moving_mass_kg", "u_moving_mass_kg"), self.moving_mass or (), strict=False)
+        return {
             "permitted": self.permitted,
             "wanted_hz": " ".join(f"{value:.9g}" for value in self.wanted_hz),
             "predicted_load_masses": " ".join(f"{value:.9g}" for value in self.predicted),
+            **dict(moving),
         }
-        if self.moving_mass is not None:
-            found |= dict(zip(("moving_mass_kg", "u_moving_mass_kg"), self.moving_mass, strict=True))
-        return found
 
 
 # What a series of loads consists of before any model: records with their masses, or a table of resonances.
@@ -90,63 +91,88 @@ def read_series(manifests: Sequence[Manifest]) -> tuple[tuple[LoadSeries, ...], 
 
     Raises `InputError` for what the user can mend in the files.
     """
-    releases: list[tuple[Manifest, Release]] = []
+    releases: list[Release] = []
     notices: list[Notice] = []
     for manifest in manifests:
         release, told = read_recording(manifest)
-        releases.append((manifest, release))
+        releases.append(release)
         notices += told
-    found = []
+    series: list[LoadSeries] = []
     refused: list[InputError] = []
     for place, component in enumerate(LOAD_COMPONENTS):
-        own = [pair for pair in releases if pair[1].reading.component == component]
-        if own and (missing := _missing_mass(own[0][0], place)) is not None:
-            refused.append(missing)
-            notices.append(
-                Notice("warning", f"left out: {missing.key} is 0, so that stiffness cannot be told", component)
-            )
+        own = [release for release in releases if release.record.component == component]
+        moving = [_moving(release.input.manifest, place) for release in own]
+        if own and moving[0].value > 0.0:
+            series.append(_series(own, moving, place))
         elif own:
-            found.append(_series(own, place))
-    if not found and refused:
+            expected = "what of the sensor moves with its spring, above 0: only ratios of masses show in a resonance"
+            refused.append(InputError(own[0].input.manifest.rig_path, moving[0].key, found="0", expected=expected))
+            text = f"left out: {moving[0].key} is 0, so that stiffness cannot be told"
+            notices.append(Notice("warning", text, component))
+    if not series and refused:
         raise refused[0]
-    return tuple(found), tuple(notices)
+    return tuple(series), tuple(notices)
 
 
-def _series(releases: list[tuple[Manifest, Release]], component: int) -> LoadSeries:
-    """The records of one component with their masses, the lightest load first."""
-    masses = [_load(manifest, component) for manifest, _ in releases]
+class Moving(NamedTuple):
+    """What of a sensor moves with its spring: mass, or moment of inertia, its standard uncertainty, its key."""
+
+    value: float
+    u: float
+    key: str
+
+
+def _moving(manifest: Manifest, component: int) -> Moving:
+    """What a rig states of it for a load component."""
+    sensor = manifest.rig.sensor
+    if sensor is None:
+        raise InputError(manifest.rig_path, "sensor", found="nothing", expected="[sensor] with internal_mass")
+    if component < FORCES:
+        return Moving(sensor.internal_mass, sensor.internal_mass_uncertainty, "sensor.internal_mass")
+    axis = component - FORCES
+    u = float(sensor.internal_inertia_uncertainty[axis][axis])
+    return Moving(float(sensor.internal_inertia[axis][axis]), u, "sensor.internal_inertia")
+
+
+def _series(releases: Sequence[Release], moving: Sequence[Moving], component: int) -> LoadSeries:
+    """The records of one component with their masses, the lightest load first; all drive the same output."""
+    masses = [_load(release.input.manifest, component) for release in releases]
     order = sorted(range(len(releases)), key=lambda place: masses[place][0])
     releases, masses = [releases[place] for place in order], [masses[place] for place in order]
+    moving = [moving[place] for place in order]
     decays, modes = [], []
-    for manifest, release in releases:
+    for release in releases:
         try:
-            decays.append(free_decay(release.input.record, release.driven, release.reading))
+            decays.append(free_decay(release.record, release.driven, release.reading))
             modes.append(record_modes(decays[-1]))
         except ValueError as error:
-            raise InputError.told_by(error, manifest.path, f"daq.channel.{release.driven}") from error
+            raise InputError.told_by(error, release.input.manifest.path, f"daq.channel.{release.driven}") from error
+    first = releases[0]
+    for release, own in zip(releases, moving, strict=True):
+        manifest = release.input.manifest
+        if release.driven != first.driven:
+            expected = f"{first.driven}, the output that is driven in {first.name}"
+            raise InputError(manifest.path, "daq.channel", found=release.driven, expected=expected)
+        if own != moving[0]:
+            expected = f"{moving[0].value:g} as in {first.input.manifest.rig_path.name}"
+            raise InputError(manifest.rig_path, own.key, found=f"{own.value:g}", expected=expected)
     return LoadSeries(
-        output=_output(releases),
-        names=tuple(release.name for _, release in releases),
+        output=_output([release.reading for release in releases]),
+        names=tuple(release.name for release in releases),
         measured=as_resonances(modes),
-        masses=_masses([manifest for manifest, _ in releases], masses, component),
+        masses=_masses(moving[0], masses),
         decays=tuple(decays),
         noise=np.array([item.noise for item in modes]),
     )
 
 
-def _output(releases: Sequence[tuple[Manifest, Release]]) -> Output:
-    """Driven output and its static sensitivity: the mean of all releases, which must agree on the channel."""
-    first = releases[0][1]
-    for manifest, release in releases:
-        if release.driven != first.driven:
-            expected = f"{first.driven}, the output that is driven in {first.name}"
-            raise InputError(manifest.path, "daq.channel", found=release.driven, expected=expected)
-    gains = np.array([release.reading.static_gain for _, release in releases])
-    u = np.array([release.reading.u_static_gain for _, release in releases])
+def _output(readings: Sequence[Reading]) -> Output:
+    """The driven output with its static sensitivity, the mean of all releases."""
+    gains = np.array([reading.static_gain for reading in readings])
+    u = np.array([reading.u_static_gain for reading in readings])
     between = float(np.std(gains, ddof=1) / np.sqrt(len(gains))) if len(gains) > 1 else 0.0
     spread = max(between, float(np.sqrt(np.sum(u**2))) / len(u))
-    reading = first.reading
-    return Output(reading.component, reading.channel, reading.unit, float(np.mean(gains)), spread)
+    return Output(readings[0].component, readings[0].channel, readings[0].unit, float(np.mean(gains)), spread)
 
 
 def _load(manifest: Manifest, component: int) -> tuple[float, dict[str, float]]:
@@ -162,52 +188,14 @@ def _load(manifest: Manifest, component: int) -> tuple[float, dict[str, float]]:
     return float(body.mass_matrix[component, component]), {name: value for name, value in changes.items() if value}
 
 
-def _masses(
-    manifests: Sequence[Manifest], loads: Sequence[tuple[float, dict[str, float]]], component: int
-) -> SeriesMasses:
+def _masses(moving: Moving, loads: Sequence[tuple[float, dict[str, float]]]) -> SeriesMasses:
     """All masses; an error that several recordings name alike is one unknown."""
-    moving, u_moving = _moving(manifests, component)
-    names = list(dict.fromkeys(name for _, changes in loads for name in changes))
-    own = [MOVING] if u_moving > 0.0 else []
-    effect = np.array([[changes.get(name, 0.0) for name in [*own, *names]] for _, changes in loads])
-    moved = np.array([u_moving] * len(own) + [0.0] * len(names))
+    own = [MOVING] if moving.u > 0.0 else []
+    names = [*own, *dict.fromkeys(name for _, changes in loads for name in changes)]
+    effect = np.array([[changes.get(name, 0.0) for name in names] for _, changes in loads])
+    moved = np.array([moving.u if name in own else 0.0 for name in names])
     mass = np.array([load for load, _ in loads])
-    return SeriesMasses(moving, mass, (*own, *names), moved, effect.reshape(len(loads), len(moved)))
-
-
-def _moving(manifests: Sequence[Manifest], component: int) -> tuple[float, float]:
-    """Moving mass, or moment of inertia, of the sensor, which all rigs must state alike."""
-    first = _stated(manifests[0], component)
-    for manifest in manifests[1:]:
-        own = _stated(manifest, component)
-        if own != first:
-            expected = f"{first[0]:g} as in {manifests[0].rig_path.name}"
-            raise InputError(manifest.rig_path, _mass_key(component), found=f"{own[0]:g}", expected=expected)
-    return first
-
-
-def _stated(manifest: Manifest, component: int) -> tuple[float, float]:
-    """What a rig states of the moving mass or moment of inertia, with its standard uncertainty."""
-    sensor = manifest.rig.sensor
-    if sensor is None:
-        raise InputError(manifest.rig_path, "sensor", found="nothing", expected="[sensor] with internal_mass")
-    if component < FORCES:
-        return sensor.internal_mass, sensor.internal_mass_uncertainty
-    axis = component - FORCES
-    return float(sensor.internal_inertia[axis][axis]), float(sensor.internal_inertia_uncertainty[axis][axis])
-
-
-def _missing_mass(manifest: Manifest, component: int) -> InputError | None:
-    """The refusal of a rig that does not state what moves with the spring."""
-    if _stated(manifest, component)[0] > 0.0:
-        return None
-    expected = "what of the sensor moves with its spring, above 0: only ratios of masses show in a resonance"
-    return InputError(manifest.rig_path, _mass_key(component), found="0", expected=expected)
-
-
-def _mass_key(component: int) -> str:
-    """Key of the moving mass or moment of inertia."""
-    return "sensor.internal_mass" if component < FORCES else "sensor.internal_inertia"
+    return SeriesMasses(moving.value, mass, tuple(names), moved, effect.reshape(len(loads), len(names)))
 
 
 # A table of resonance frequencies of several loads, such as publications and spectrum analysers give.
@@ -276,21 +264,12 @@ def _number(path: Path, row: dict[str, str], column: str, place: int) -> float:
 
 
 @dataclass(frozen=True)
-class NamedLimit:
-    """A load that is permitted: `name` for files, `label` for readers, NaN where there is no limit; u, k = 1."""
-
-    name: str
-    label: str
-    load_mass: float
-    u: float
-
-
-@dataclass(frozen=True)
 class Solution:
     """One model that the data support, and what follows from it.
 
     Curves of both modes: `recorded` at the loads (R,), `predicted` at those asked for (P,), `drawn` over a grid (G,);
     `bands` (R, 2) and `predicted_bands` (P, 2): up to where the gain is within 5 and 10 % of that at rest, Hz.
+    `limits`: loads that are permitted, NaN where there is no limit.
     """
 
     model: LoadModel
@@ -299,20 +278,22 @@ class Solution:
     drawn: LoadCurve
     bands: FloatArray
     predicted_bands: FloatArray
-    limits: tuple[NamedLimit, ...]
+    limits: tuple[NamedQuantity, ...]
 
 
 @dataclass(frozen=True)
 class ComponentLoads:
     """The load characteristics of one component.
 
-    `formula_hz` (R,): √(k/(m_E + m_L))/2π with k from the lightest load alone, what a rigid load would have.
+    `formula_hz` (R,): √(k/(m_E + m_L))/2π with k from the lightest load alone, what a rigid load would have. `dof`:
+    degrees of freedom of U, those of the scatter about the model where that makes it.
     """
 
     series: LoadSeries
     identification: LoadIdentification
     formula_hz: FloatArray
     solutions: tuple[Solution, ...]
+    dof: float
 
     @property
     def name(self) -> str:
@@ -321,9 +302,8 @@ class ComponentLoads:
 
     @property
     def k(self) -> float:
-        """Coverage factor for 95 %: by the degrees of freedom where the scatter about the model makes U."""
-        fit = self.identification.chosen[0]
-        return coverage_factor(fit.dof[0] if fit.scatter[0] > 0.0 else np.inf)
+        """Coverage factor for 95 %."""
+        return coverage_factor(self.dof)
 
     @property
     def covers(self) -> bool:
@@ -381,7 +361,11 @@ def evaluate_loads(
     components = tuple(_component(own, settings) for own in series)
     told = [*notices]
     for component in components:
-        told += [*component.identification.notices, *_of_range(component, settings)]
+        told += component.identification.notices
+        largest, unit = float(np.max(component.series.masses.load)), component.series.output.mass_unit
+        if beyond := ", ".join(f"{mass:g}" for mass in settings.predicted if mass > largest):
+            text = f"{beyond} {unit} lies beyond the largest load recorded, {largest:.4g} {unit}"
+            told.append(Notice("warning", f"{text}: the model is extrapolated", component.name))
     sensor = None if manifest is None else manifest.rig.sensor
     return LoadEvaluation(
         name=name,
@@ -407,11 +391,13 @@ def _component(series: LoadSeries, settings: LoadSettings) -> ComponentLoads:
     loads, moving = series.masses.load, series.masses.moving
     lightest = int(np.argmin(loads))
     scale = np.sqrt((moving + loads[lightest]) / (moving + loads))
-    solutions = tuple(_solution(model, series, settings) for model in found.models)
-    return ComponentLoads(series, found, series.measured.frequency_hz[lightest, 0] * scale, solutions)
+    fit = found.chosen[0]
+    dof = float(fit.dof[0]) if fit.scatter[0] > 0.0 else float(np.inf)
+    solutions = tuple(_solution(model, dof, series, settings) for model in found.models)
+    return ComponentLoads(series, found, series.measured.frequency_hz[lightest, 0] * scale, solutions, dof)
 
 
-def _solution(model: LoadModel, series: LoadSeries, settings: LoadSettings) -> Solution:
+def _solution(model: LoadModel, dof: float, series: LoadSeries, settings: LoadSettings) -> Solution:
     """What follows from one model."""
     loads = series.masses.load
     asked = np.array(settings.predicted, dtype=np.float64)
@@ -423,31 +409,20 @@ def _solution(model: LoadModel, series: LoadSeries, settings: LoadSettings) -> S
         drawn=load_curve(model, np.linspace(0.0, BEYOND * largest, GRID)),
         bands=np.array([working_bands(model, float(load)) for load in loads]).reshape(-1, 2),
         predicted_bands=np.array([working_bands(model, float(load)) for load in asked]).reshape(-1, 2),
-        limits=_limits(model, settings),
+        limits=tuple(_limits(model, dof, settings)),
     )
 
 
-def _limits(model: LoadModel, settings: LoadSettings) -> tuple[NamedLimit, ...]:
+def _limits(model: LoadModel, dof: float, settings: LoadSettings) -> Iterator[NamedQuantity]:
     """Loads that are permitted."""
-    share = settings.permitted
+    share, unit = settings.permitted, parameter_units(model.component)["moving_mass"]
     percent = f"{100.0 * share:g} %"
-    found = [
+    limits = [
         ("formula_limit", f"two-mass formula within {percent} of the resonance", formula_limit(model, share)),
         ("change_limit", f"resonance within {percent} of that without load", change_limit(model, share)),
     ]
     for wanted in settings.wanted_hz:
-        found.append(("frequency_limit", f"resonance of at least {wanted:g} Hz", frequency_limit(model, wanted)))
-    none = LoadLimit(float("nan"), float("nan"))
-    return tuple(NamedLimit(name, label, *(limit or none)) for name, label, limit in found)
-
-
-def _of_range(component: ComponentLoads, settings: LoadSettings) -> list[Notice]:
-    """Say which predictions lie beyond the loads that were recorded."""
-    largest = float(np.max(component.series.masses.load))
-    unit = component.series.output.mass_unit
-    beyond = [mass for mass in settings.predicted if mass > largest]
-    if not beyond:
-        return []
-    told = ", ".join(f"{mass:g}" for mass in beyond)
-    text = f"{told} {unit} lies beyond the largest load recorded, {largest:.4g} {unit}: the model is extrapolated"
-    return [Notice("warning", text, component.name)]
+        limits.append(("frequency_limit", f"resonance of at least {wanted:g} Hz", frequency_limit(model, wanted)))
+    for name, label, limit in limits:
+        value, u = limit or (float("nan"), float("nan"))
+        yield NamedQuantity(value, u, dof, unit, name, label)

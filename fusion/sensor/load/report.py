@@ -1,22 +1,47 @@
-"""The page of load characteristics."""
+"""What load characteristics leave: tables, load.json, HDF5 file, page, lines of the terminal; the command."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
+import h5py
 import numpy as np
 
 from fusion.base import DASH, rounded, typeset
-from fusion.report.numbers import capital, factor, measured
-from fusion.report.table import Column, Headline, Table, known, word
-from fusion.sensor.load.evaluate import ComponentLoads, LoadEvaluation, NamedLimit, Solution
+from fusion.estimation.uncertainty import NamedQuantity
+from fusion.recording.load import load_for_command
+from fusion.report.folder import Command
+from fusion.report.h5 import write_fields, write_value
+from fusion.report.numbers import capital, factor, measured, signed
+from fusion.report.provenance import hash_files
+from fusion.report.table import Column, Headline, Table, columns_of, csv_text, known, on_page, table, word
+from fusion.sensor.load.evaluate import (
+    ComponentLoads,
+    LoadEvaluation,
+    LoadSettings,
+    Solution,
+    evaluate_loads,
+    read_series,
+    read_table,
+)
 from fusion.sensor.load.figures import GRAM, draw_characteristics, draw_spectra, small_unit
-from fusion.sensor.models_file import parameter_units
+from fusion.sensor.models_file import LOAD_MODEL_FILE, model_text, parameter_units
 from shaker.arrays import FloatArray
 from shaker.release.load_model import PARAMETERS, LoadCurve
 
 RECORDED, PREDICTED, DRAWN = "recorded", "predicted", "curve"
+LABELS = {
+    "stiffness": "stiffness k",
+    "damping": "damping c",
+    "coupling_stiffness": "stiffness of the coupling k_L",
+    "coupling_damping": "damping of the coupling c_L",
+    "moving_mass": "moving mass m_E",
+}
+NO_LIMIT = "no limit, or never met"
+
+# Tables in files
 
 
 class LoadRow(NamedTuple):
@@ -41,6 +66,23 @@ class LoadRow(NamedTuple):
         """Return whether the model tells damping."""
         ratio = self.curve.damping_ratio
         return bool(np.any(ratio[np.isfinite(ratio)] > 1e-9))
+
+    @property
+    def mass_text(self) -> str:
+        """Return the load in g or g·m²."""
+        return f"{GRAM * self.curve.load_mass[self.place]:.6g}"
+
+    def model_hz(self, mode: int) -> tuple[float, float]:
+        """Return a resonance of the model with U."""
+        return self._resonance(self.curve.frequency_hz, self.curve.u_frequency_hz, mode)
+
+    def measured_hz(self, mode: int) -> tuple[float, float]:
+        """Return a resonance of the record with U."""
+        seen = self.component.series.measured
+        return self._resonance(seen.frequency_hz, seen.u_frequency_hz, mode)
+
+    def _resonance(self, value: FloatArray, u: FloatArray, mode: int) -> tuple[float, float]:
+        return float(value[self.place, mode]), self.component.k * float(u[self.place, mode])
 
 
 def _of_curve(name: str, of: str, mode: int, *, expanded: bool = False) -> Column[LoadRow]:
@@ -71,7 +113,7 @@ LOADS: list[Column[LoadRow]] = [
     word("recording", lambda row: row.recording),
     Column("load_mass", lambda row: float(row.curve.load_mass[row.place])),
     Column("u_load_mass", lambda row: row.u_mass),
-    word("mass_unit", lambda row: "kg.m^2" if row.component.name.startswith("M") else "kg"),
+    word("mass_unit", lambda row: parameter_units(row.component.name)["moving_mass"]),
     _of_curve("first_hz", "frequency_hz", 0),
     _of_curve("u_first_hz", "u_frequency_hz", 0),
     _of_curve("U_first_hz", "u_frequency_hz", 0, expanded=True),
@@ -95,8 +137,41 @@ LOADS: list[Column[LoadRow]] = [
 ]
 
 
+def load_rows(component: ComponentLoads, solution: Solution) -> Iterator[LoadRow]:
+    """One row per load: those recorded, those asked for, and a grid."""
+    u_mass = component.series.masses.u_load
+    for place, name in enumerate(component.series.names):
+        u, bands = float(u_mass[place]), solution.bands[place]
+        yield LoadRow(component, solution, RECORDED, name, solution.recorded, place, u, bands)
+    for place, bands in enumerate(solution.predicted_bands):
+        yield LoadRow(component, solution, PREDICTED, "", solution.predicted, place, 0.0, bands)
+    for place in range(len(solution.drawn.load_mass)):
+        yield LoadRow(component, solution, DRAWN, "", solution.drawn, place, 0.0, np.full(2, np.nan))
+
+
+class Parameter(NamedTuple):
+    """One number of a model; `u_given_masses`: its standard uncertainty without what the masses add, NaN if unknown."""
+
+    solution: int
+    quantity: NamedQuantity
+    u_given_masses: float
+
+
+def parameters(component: ComponentLoads, solution: Solution) -> Iterator[Parameter]:
+    """Stiffnesses, dampings where they are known, and moving mass of a model."""
+    model, units = solution.model, parameter_units(component.name)
+    size, total = len(model.vector), model.total_covariance
+    u = np.full(size + 1, np.nan) if total is None else np.sqrt(np.diag(total))
+    given = np.full(size, np.nan) if model.covariance is None else np.sqrt(np.diag(model.covariance))
+    names, values = [*PARAMETERS[:size], "moving_mass"], [*model.vector, model.moving_mass]
+    for name, value, spread, own in zip(names, values, u, [*given, 0.0], strict=True):
+        if "damping" not in name or model.damping:
+            quantity = NamedQuantity(float(value), float(spread), component.dof, units[name], name, LABELS[name])
+            yield Parameter(model.solution, quantity, own)
+
+
 class ParameterRow(NamedTuple):
-    """One number of a model in parameters.csv; `u_given_masses`: without what the masses add."""
+    """One number of a model in parameters.csv."""
 
     component: str
     channel: str
@@ -110,198 +185,234 @@ class ParameterRow(NamedTuple):
     u_given_masses: float | None = None
 
 
-def load_rows(evaluation: LoadEvaluation) -> Iterator[LoadRow]:
-    """One row per load: those recorded, those asked for, and a grid."""
-    for component in evaluation.components:
-        names, u_mass = component.series.names, component.series.masses.u_load
-        for solution in component.solutions:
-            for place, name in enumerate(names):
-                curve, u, bands = solution.recorded, float(u_mass[place]), solution.bands[place]
-                yield LoadRow(component, solution, RECORDED, name, curve, place, u, bands)
-            for place, bands in enumerate(solution.predicted_bands):
-                yield LoadRow(component, solution, PREDICTED, "", solution.predicted, place, 0.0, bands)
-            for place in range(len(solution.drawn.load_mass)):
-                yield LoadRow(component, solution, DRAWN, "", solution.drawn, place, 0.0, np.full(2, np.nan))
-
-
 def parameter_rows(evaluation: LoadEvaluation) -> Iterator[ParameterRow]:
     """One row per number of a model, per permitted load, and per named mass error, in its standard uncertainties."""
     for component in evaluation.components:
-        k, units = component.k, parameter_units(component.name)
         for solution in component.solutions:
             model = solution.model
-            head = (component.name, model.channel, model.solution)
-            size, total = len(model.vector), model.total_covariance
-            u = np.full(size + 1, np.nan) if total is None else np.sqrt(np.diag(total))
-            own = np.full(size, np.nan) if model.covariance is None else np.sqrt(np.diag(model.covariance))
-            names = [*PARAMETERS[:size], "moving_mass"]
-            values = [*model.vector, model.moving_mass]
-            for name, value, spread, given in zip(names, values, u, [*own, 0.0], strict=True):
-                if "damping" not in name or model.damping:
-                    yield ParameterRow(
-                        *head, name, value, known(spread), known(k * spread), k, units[name], known(given)
-                    )
+            rows = list(parameters(component, solution))
             if model.unit:
-                unit = f"{model.unit}/{'(N.m)' if component.name.startswith('M') else 'N'}"
-                spread = model.u_sensitivity
-                yield ParameterRow(*head, "sensitivity", model.sensitivity, known(spread), known(k * spread), k, unit)
-            for limit in solution.limits:
-                name, unit = f"{limit.name}: {limit.label}", units["moving_mass"]
-                yield ParameterRow(*head, name, known(limit.load_mass), known(limit.u), known(k * limit.u), k, unit)
+                unit, name = f"{model.unit}/{'(N.m)' if component.name.startswith('M') else 'N'}", "sensitivity"
+                sensitivity = NamedQuantity(model.sensitivity, model.u_sensitivity, component.dof, unit, name, name)
+                rows.append(Parameter(model.solution, sensitivity, np.nan))
+            for one in solution.limits:
+                limit = NamedQuantity(one.value, one.u, one.dof, one.unit, f"{one.name}: {one.label}", one.label)
+                rows.append(Parameter(model.solution, limit, np.nan))
+            for number, one, given in rows:
+                numbers = known(one.value), known(one.u), known(one.expanded), one.k, one.unit, known(given)
+                yield ParameterRow(component.name, model.channel, number, one.name, *numbers)
         fit = component.identification.chosen[0]
         for name, value in zip(component.series.masses.names, fit.deviates, strict=True):
             yield ParameterRow(component.name, component.series.output.channel, 1, f"error of {name}", value)
 
 
-LABELS = {
-    "stiffness": "stiffness k",
-    "damping": "damping c",
-    "coupling_stiffness": "stiffness of the coupling k_L",
-    "coupling_damping": "damping of the coupling c_L",
-    "moving_mass": "moving mass m_E",
-}
+def texts(evaluation: LoadEvaluation) -> dict[str, str | bytes]:
+    """Return tables and models."""
+    program, components = evaluation.versions.get("shakercal", ""), evaluation.components
+    rows = (
+        row for component in components for solution in component.solutions for row in load_rows(component, solution)
+    )
+    return {
+        "load.csv": csv_text(LOADS, rows),
+        "parameters.csv": csv_text(columns_of(ParameterRow), parameter_rows(evaluation)),
+        LOAD_MODEL_FILE: model_text(evaluation.models, evaluation.name, evaluation.sensor, program),
+    }
+
+
+def fill(file: h5py.File, evaluation: LoadEvaluation) -> None:
+    """Fill the HDF5 file: what was measured, every fit, every solution and, of records, the decays that were fitted."""
+    file.attrs["name"] = evaluation.name
+    components = file.create_group("components", track_order=True)
+    for component in evaluation.components:
+        group = components.create_group(component.name, track_order=True)
+        series, identification = component.series, component.identification
+        group.attrs["reason"] = identification.reason
+        group.attrs["from_records"] = identification.from_records
+        group.attrs["k"] = component.k
+        write_value(group, "recordings", series.names)
+        write_value(group, "formula_hz", component.formula_hz)
+        write_fields(group.create_group("output"), series.output)
+        write_fields(group.create_group("measured"), series.measured)
+        write_fields(group.create_group("masses"), series.masses)
+        write_fields(group.create_group("two_masses"), identification.rigid)
+        for number, fit in enumerate(identification.elastic, 1):
+            write_fields(group.create_group(f"three_masses_{number}"), fit)
+        for solution in component.solutions:
+            own = group.create_group(f"solution_{solution.model.solution}", track_order=True)
+            for name in ("model", "recorded", "predicted", "drawn"):
+                write_fields(own.create_group(name), getattr(solution, name))
+            write_value(own, "bands_hz", solution.bands)
+        decays = group.create_group("decays", track_order=True)
+        for decay in series.decays:
+            write_fields(decays.create_group(decay.name), decay)
+
+
+# Page and terminal
+
+
+def page_context(evaluation: LoadEvaluation) -> dict[str, Any]:
+    """Return everything the template shows."""
+    named = [("Rig", evaluation.rig), ("Sensor", evaluation.sensor)]
+    loads = "; ".join(f"{component.name}: {', '.join(component.series.names)}" for component in evaluation.components)
+    permitted = evaluation.chosen.permitted
+    return {
+        "subject": [*((head, text) for head, text in named if text), ("Loads", loads)],
+        "components": [
+            {
+                "name": component.name,
+                "reason": component.identification.reason,
+                "structure": capital(_structure(component.solutions[0])),
+                "headlines": headlines(component),
+                "parameters": parameters_table(component),
+                "loads": [loads_table(component, solution) for solution in component.solutions],
+                "bands": [bands_table(component, solution) for solution in component.solutions],
+                "limits": limits_table(component),
+                "masses": masses_table(component),
+                "characteristics": [draw_characteristics(component, permitted)],
+                "spectra": [picture for picture in [draw_spectra(component)] if picture is not None],
+                "from_records": component.identification.from_records,
+            }
+            for component in evaluation.components
+        ],
+    }
 
 
 def headlines(component: ComponentLoads) -> list[Headline]:
     """Stiffnesses, resonance without load, and the first limit, of the first solution."""
     solution = component.solutions[0]
-    found = []
-    for name, value, u in _numbers(component, solution):
-        if name.endswith("stiffness"):
-            unit = parameter_units(component.name)[name]
-            remark = f"U: k = {factor(component.k)}" if component.covers else "without U"
-            remark += _which(solution)
-            found.append(Headline(capital(LABELS[name]), measured(value, component.k * u, unit_text(unit)), remark))
-    bare = solution.drawn
-    value, u = float(bare.frequency_hz[0, 0]), float(bare.u_frequency_hz[0, 0])
-    found.append(Headline("Resonance without load", measured(value, component.k * u, "Hz"), "by the model"))
-    for limit in solution.limits[:1]:
-        if np.isfinite(limit.load_mass):
-            found.append(Headline("Two-mass formula holds to", _mass(component, limit), limit.label))
-    return found
+    remark = (f"U: k = {factor(component.k)}" if component.covers else "without U") + _which(solution)
+    told = [
+        Headline(capital(one.label), measured(one.value, one.expanded, unit_text(one.unit)), remark)
+        for _, one, _ in parameters(component, solution)
+        if one.name.endswith("stiffness")
+    ]
+    bare = next(row for row in load_rows(component, solution) if row.kind == DRAWN)
+    told.append(Headline("Resonance without load", measured(*bare.model_hz(0), "Hz"), "by the model"))
+    limit = solution.limits[0]
+    if np.isfinite(limit.value):
+        told.append(Headline("Two-mass formula holds to", _limit(component, limit), limit.label))
+    return told
 
 
-def parameters_table(component: ComponentLoads) -> Table:
+def parameters_table(component: ComponentLoads) -> Table | None:
     """Every number of the model, of each solution."""
-    units = parameter_units(component.name)
-    rows = []
-    for solution in component.solutions:
-        model = solution.model
-        own = () if model.covariance is None else np.sqrt(np.diag(model.covariance)).tolist()
-        given = dict(zip(PARAMETERS, own, strict=False))
-        for name, value, u in _numbers(component, solution):
-            alone = measured(value, component.k * given[name]) if given.get(name) else DASH
-            relative = f"{100.0 * component.k * u / value:.2g}" if u > 0.0 and value else DASH
-            told = measured(value, component.k * u)
-            rows.append((f"{model.solution}", capital(LABELS[name]), told, unit_text(units[name]), relative, alone))
-    head = ("solution", "quantity", "value", "unit", "U relative / %", "for the stated masses")
+
+    def relative(row: Parameter) -> str:
+        one = row.quantity
+        return f"{100.0 * one.expanded / one.value:.2g}" if one.u > 0.0 and one.value else DASH
+
+    def alone(row: Parameter) -> str:
+        one, given = row.quantity, row.u_given_masses
+        return measured(one.value, one.k * given) if given > 0.0 else DASH
+
+    columns: list[Column[Parameter]] = [
+        on_page("solution", lambda row: f"{row.solution}", "l"),
+        on_page("quantity", lambda row: capital(row.quantity.label), "l"),
+        on_page("value", lambda row: measured(row.quantity.value, row.quantity.expanded)),
+        on_page("unit", lambda row: unit_text(row.quantity.unit), "l"),
+        on_page("U relative / %", relative),
+        on_page("for the stated masses", alone),
+    ]
+    several, solutions = len(component.solutions) > 1, component.solutions
+    rows = (row for solution in solutions for row in parameters(component, solution))
     caption = f"Parameters with U = k·u, k = {factor(component.k)} (95 %)"
-    return _without_first(component, Table(caption, head, "llrlrr", tuple(rows)))
+    return table(caption, columns if several else columns[1:], rows)
 
 
-def loads_table(component: ComponentLoads, solution: Solution) -> Table:
+def loads_table(component: ComponentLoads, solution: Solution) -> Table | None:
     """Every recorded load: what was measured, what the model says, what the two-mass formula says."""
-    seen, rows = component.series.measured, []
-    for place, name in enumerate(component.series.names):
-        first, second = (
-            measured(float(seen.frequency_hz[place, m]), component.k * float(seen.u_frequency_hz[place, m]))
-            if np.isfinite(seen.frequency_hz[place, m])
-            else DASH
-            for m in range(2)
-        )
-        known = float(seen.frequency_hz[place, 0])
-        model, formula = float(solution.recorded.frequency_hz[place, 0]), float(component.formula_hz[place])
-        rigid = float(component.identification.rigid.frequency_hz[place, 0])
-        cells = (_percent(model / known - 1.0), _percent(formula / known - 1.0), _percent(rigid / known - 1.0))
-        mass = f"{GRAM * component.series.masses.load[place]:.6g}"
-        rows.append((name, mass, first, second, *cells))
-    head = (
-        "recording",
-        f"load / {small_unit(component)}",
-        "first / Hz",
-        "second / Hz",
-        "model / %",
-        "formula / %",
-        "two masses / %",
-    )
+    rigid = component.identification.rigid
+
+    def less_measured(head: str, model_hz: Callable[[LoadRow], float]) -> Column[LoadRow]:
+        return on_page(head, lambda row: _percent(model_hz(row) / row.measured_hz(0)[0] - 1.0))
+
+    columns: list[Column[LoadRow]] = [
+        on_page("recording", lambda row: row.recording, "l"),
+        on_page(f"load / {small_unit(component)}", lambda row: row.mass_text),
+        on_page("first / Hz", lambda row: measured(*row.measured_hz(0))),
+        on_page("second / Hz", lambda row: measured(*row.measured_hz(1))),
+        less_measured("model / %", lambda row: row.model_hz(0)[0]),
+        less_measured("formula / %", lambda row: float(component.formula_hz[row.place])),
+        less_measured("two masses / %", lambda row: float(rigid.frequency_hz[row.place, 0])),
+    ]
     caption = f"Resonances with U; first ones of the models less measured{_which(solution)}"
-    return Table(caption, head, "lrrrrrr", tuple(rows))
+    return table(caption, columns, (row for row in load_rows(component, solution) if row.is_recorded))
 
 
-def bands_table(component: ComponentLoads, solution: Solution) -> Table:
+def bands_table(component: ComponentLoads, solution: Solution) -> Table | None:
     """Damping and working bands of every load, recorded or asked for."""
-    rows = []
-    groups = (
-        (solution.recorded, solution.bands, component.series.names),
-        (solution.predicted, solution.predicted_bands, ("predicted",) * len(solution.predicted.load_mass)),
-    )
-    for curve, bands, names in groups:
-        for place, name in enumerate(names):
-            zeta, u = float(curve.damping_ratio[place, 0]), float(curve.u_damping_ratio[place, 0])
-            damping = measured(100.0 * zeta, 100.0 * component.k * u) if solution.model.damping else DASH
-            five, ten = (f"{edge:.4g}" if np.isfinite(edge) else DASH for edge in bands[place])
-            first, second = _curve_cells(component, curve, place)
-            rows.append((name, f"{GRAM * curve.load_mass[place]:.6g}", first, second, damping, five, ten))
-    head = (
-        "load",
-        f"mass / {small_unit(component)}",
-        "first / Hz",
-        "second / Hz",
-        "damping ratio / %",
-        "±5 % to / Hz",
-        "±10 % to / Hz",
-    )
+
+    def damping(row: LoadRow) -> str:
+        zeta, u = (float(of[row.place, 0]) for of in (row.curve.damping_ratio, row.curve.u_damping_ratio))
+        return measured(100.0 * zeta, 100.0 * component.k * u) if solution.model.damping else DASH
+
+    columns: list[Column[LoadRow]] = [
+        on_page("load", lambda row: row.recording or row.kind, "l"),
+        on_page(f"mass / {small_unit(component)}", lambda row: row.mass_text),
+        on_page("first / Hz", lambda row: measured(*row.model_hz(0))),
+        on_page("second / Hz", lambda row: measured(*row.model_hz(1))),
+        on_page("damping ratio / %", damping),
+        on_page("±5 % to / Hz", lambda row: signed(row.bands[0], ".4g")),
+        on_page("±10 % to / Hz", lambda row: signed(row.bands[1], ".4g")),
+    ]
     caption = f"Mounted resonances, damping and bands in which the gain is that at rest{_which(solution)}"
-    return Table(caption, head, "lrrrrrr", tuple(rows))
+    return table(caption, columns, (row for row in load_rows(component, solution) if row.kind != DRAWN))
 
 
-def limits_table(component: ComponentLoads) -> Table:
+def limits_table(component: ComponentLoads) -> Table | None:
     """Loads that are permitted."""
-    rows = []
-    for solution in component.solutions:
-        for limit in solution.limits:
-            told = _mass(component, limit) if np.isfinite(limit.load_mass) else "no limit, or never met"
-            rows.append((f"{solution.model.solution}", capital(limit.label), told))
-    head = ("solution", "requirement", "largest load")
-    return _without_first(component, Table("Load limits with U", head, "llr", tuple(rows)))
+    columns: list[Column[tuple[int, NamedQuantity]]] = [
+        on_page("solution", lambda row: f"{row[0]}", "l"),
+        on_page("requirement", lambda row: capital(row[1].label), "l"),
+        on_page("largest load", lambda row: _limit(component, row[1]) if np.isfinite(row[1].value) else NO_LIMIT),
+    ]
+    several, solutions = len(component.solutions) > 1, component.solutions
+    rows = ((solution.model.solution, limit) for solution in solutions for limit in solution.limits)
+    return table("Load limits with U", columns if several else columns[1:], rows)
 
 
 def masses_table(component: ComponentLoads) -> Table | None:
     """The named errors of the masses, and where the resonances move them."""
     masses, fit = component.series.masses, component.identification.chosen[0]
-    if not masses.names or fit.covariance is None:
+    if fit.covariance is None:
         return None
-    size = len(fit.numbers)
-    rows = []
-    for q, name in enumerate(masses.names):
-        stated = float(max(abs(masses.moving_effect[q]), np.max(np.abs(masses.load_effect[:, q]), initial=0.0)))
-        left = float(np.sqrt(fit.covariance[size + q, size + q]))
-        shift = f"{fit.deviates[q]:+.2f}".replace("-", "\N{MINUS SIGN}")
-        rows.append((name, f"{GRAM * stated:.3g}", shift, f"{left:.2f}"))
-    head = ("mass error", f"stated u / {small_unit(component)}", "found / stated u", "u left / stated u")
-    return Table("Masses as unknowns: what the resonances say of them", head, "lrrr", tuple(rows))
+    largest = np.maximum(np.abs(masses.moving_effect), np.max(np.abs(masses.load_effect), axis=0, initial=0.0))
+    u_left = np.sqrt(np.diag(fit.covariance)[len(fit.numbers) :])
+    columns: list[Column[int]] = [
+        on_page("mass error", lambda place: masses.names[place], "l"),
+        on_page(f"stated u / {small_unit(component)}", lambda place: f"{GRAM * largest[place]:.3g}"),
+        on_page("found / stated u", lambda place: signed(float(fit.deviates[place]), "+.2f")),
+        on_page("u left / stated u", lambda place: f"{u_left[place]:.2f}"),
+    ]
+    return table("Masses as unknowns: what the resonances say of them", columns, range(len(masses.names)))
 
 
 def printed(evaluation: LoadEvaluation) -> Iterator[str]:
     """Lines for the terminal, U at 95 %."""
     for component in evaluation.components:
+        small = small_unit(component)
         for solution in component.solutions:
-            structure = "two masses" if solution.model.is_rigid else "three masses"
-            told = ", ".join(_plain(component, *number) for number in _numbers(component, solution))
-            yield f"{component.name} ({structure}{_which(solution)}): {told}"
-            for curve, names in (
-                (solution.recorded, component.series.names),
-                (solution.predicted, ("predicted",) * len(solution.predicted.load_mass)),
-            ):
-                for place, name in enumerate(names):
-                    first, u = float(curve.frequency_hz[place, 0]), float(curve.u_frequency_hz[place, 0])
-                    mass = f"{GRAM * curve.load_mass[place]:.6g} {small_unit(component)}"
-                    left = _left(component, solution, place, name)
-                    yield f"  {name}: load {mass}, resonance {_value(first, component.k * u, 'Hz')}{left}"
+            told = ", ".join(
+                f"{one.label.rpartition(' ')[2]} = {_plain(one.value, one.expanded, unit_text(one.unit))}"
+                for _, one, _ in parameters(component, solution)
+            )
+            yield f"{component.name} ({_structure(solution)}{_which(solution)}): {told}"
+            for row in load_rows(component, solution):
+                if row.kind != DRAWN:
+                    model, mass = row.model_hz(0), f"{row.mass_text} {small}"
+                    line = f"  {row.recording or row.kind}: load {mass}, resonance {_plain(*model, 'Hz')}"
+                    if row.is_recorded:
+                        seen, _ = row.measured_hz(0)
+                        line += f", measured {seen:.6g} Hz ({_percent(model[0] / seen - 1.0)} %)"
+                    yield line
             for limit in solution.limits:
-                known = np.isfinite(limit.load_mass)
-                told = _value(GRAM * limit.load_mass, GRAM * component.k * limit.u, small_unit(component))
-                yield f"  {limit.label}: {'load up to ' + told if known else 'no limit, or never met'}"
+                mass = _plain(GRAM * limit.value, GRAM * limit.expanded, small)
+                yield f"  {limit.label}: {f'load up to {mass}' if np.isfinite(limit.value) else NO_LIMIT}"
+
+
+def _structure(solution: Solution) -> str:
+    """The model in words."""
+    return "two masses" if solution.model.is_rigid else "three masses"
 
 
 def _which(solution: Solution) -> str:
@@ -310,46 +421,9 @@ def _which(solution: Solution) -> str:
     return f", solution {model.solution} of {model.solutions}" if model.solutions > 1 else ""
 
 
-def _left(component: ComponentLoads, solution: Solution, place: int, name: str) -> str:
-    """How far the model is from what was measured."""
-    if name == "predicted":
-        return ""
-    known = float(component.series.measured.frequency_hz[place, 0])
-    return f", measured {known:.6g} Hz ({_percent(float(solution.recorded.frequency_hz[place, 0]) / known - 1.0)} %)"
-
-
-def _numbers(component: ComponentLoads, solution: Solution) -> list[tuple[str, float, float]]:
-    """Name, value and standard uncertainty of every number of a model that is known; NaN without uncertainty."""
-    model = solution.model
-    total = model.total_covariance
-    values = [*model.vector, model.moving_mass]
-    u = [float("nan")] * len(values) if total is None else np.sqrt(np.diag(total)).tolist()
-    names = [*PARAMETERS[: len(model.vector)], "moving_mass"]
-    every = zip(names, (float(v) for v in values), u, strict=True)
-    return [(name, value, spread) for name, value, spread in every if "damping" not in name or model.damping]
-
-
-def _curve_cells(component: ComponentLoads, curve: LoadCurve, place: int) -> tuple[str, str]:
-    """First and second resonance of a model with U."""
-    first, second = (
-        measured(float(curve.frequency_hz[place, m]), component.k * float(curve.u_frequency_hz[place, m]))
-        if np.isfinite(curve.frequency_hz[place, m])
-        else DASH
-        for m in range(2)
-    )
-    return first, second
-
-
-def _without_first(component: ComponentLoads, table: Table) -> Table:
-    """The table without the number of the solution where there is one only."""
-    if len(component.solutions) > 1:
-        return table
-    return Table(table.caption, table.head[1:], table.align[1:], tuple(row[1:] for row in table.rows))
-
-
-def _mass(component: ComponentLoads, limit: NamedLimit) -> str:
-    """A permitted load in g with U."""
-    return measured(GRAM * limit.load_mass, GRAM * component.k * limit.u, small_unit(component))
+def _limit(component: ComponentLoads, limit: NamedQuantity) -> str:
+    """A permitted load in g or g·m² with U."""
+    return measured(GRAM * limit.value, GRAM * limit.expanded, small_unit(component))
 
 
 def unit_text(unit: str) -> str:
@@ -357,60 +431,60 @@ def unit_text(unit: str) -> str:
     return typeset(unit).replace(".", "·")
 
 
-def _plain(component: ComponentLoads, name: str, value: float, u: float) -> str:
-    """A number with U for the terminal."""
-    unit = unit_text(parameter_units(component.name)[name])
-    symbol = LABELS[name].rpartition(" ")[2]
-    return f"{symbol} = {_value(value, component.k * u, unit)}"
-
-
-def _value(value: float, expanded: float, unit: str) -> str:
-    """A value with U and unit as plain text."""
+def _plain(value: float, expanded: float, unit: str) -> str:
+    """A value with U and unit as plain text, with a power of ten where that is shorter."""
     text = rounded(value, expanded)
     power = f"e{text.exponent}" if text.exponent else ""
-    if text.expanded == DASH:
-        return f"{text.value}{power} {unit}"
-    return f"({text.value} ± {text.expanded}){power} {unit}"
+    body = text.value if text.expanded == DASH else f"({text.value} ± {text.expanded})"
+    return f"{body}{power} {unit}"
 
 
 def _percent(share: float) -> str:
-    """A deviation in % with a sign."""
+    """A deviation in % with a sign, to three places where it is below 1 %."""
     percent = 100.0 * share
-    text = f"{percent:+.2f}" if abs(percent) >= 1.0 else f"{percent:+.3f}" if abs(percent) >= 5e-4 else "0.000"
-    return text.replace("-", "\N{MINUS SIGN}")
+    return "0.000" if abs(percent) < 5e-4 else signed(percent, "+.2f" if abs(percent) >= 1.0 else "+.3f")
 
 
-def page_context(evaluation: LoadEvaluation) -> dict[str, Any]:
-    """Everything the template shows."""
-    return {
-        "subject": _subject(evaluation),
-        "components": [_component(component, evaluation) for component in evaluation.components],
-    }
+# The command
+
+LOAD = Command("load", "load", ("load.csv", "parameters.csv", LOAD_MODEL_FILE), texts, fill, page_context, printed)
 
 
-def _subject(evaluation: LoadEvaluation) -> list[tuple[str, str]]:
-    """What was released: rig, sensor, recordings."""
-    facts = [("Rig", evaluation.rig)] if evaluation.rig else []
-    if evaluation.sensor:
-        facts.append(("Sensor", evaluation.sensor))
-    told = [f"{c.name}: {', '.join(c.series.names)}" for c in evaluation.components]
-    return [*facts, ("Loads", "; ".join(told))]
+def run_loads(
+    paths: Sequence[Path],
+    output: Path | None,
+    settings: LoadSettings,
+    *,
+    force: bool = False,
+    allow_outside: bool = False,
+) -> None:
+    """Evaluate the step recordings at some paths together, write the results and print the summary.
+
+    Results stand in folder `load` of the campaign or of the only recording, or, of several paths, beside the first
+    recording's rig; or in `output`.
+    """
+    manifests = load_for_command(paths, LOAD.name, allow_outside=allow_outside)
+
+    def evaluate(hashes: dict[str, str]) -> LoadEvaluation:
+        series, notices = read_series(manifests)
+        campaign = paths[0] if len(paths) == 1 else manifests[0].root
+        name = manifests[0].name if len(manifests) == 1 else f"loads of {campaign.absolute().name}"
+        return evaluate_loads(name, series, notices, settings, hashes, manifests[0])
+
+    LOAD.run_recordings(paths, manifests, output, evaluate, force=force)
 
 
-def _component(component: ComponentLoads, evaluation: LoadEvaluation) -> dict[str, Any]:
-    """Tables and figures of one component."""
-    first = component.solutions[0]
-    return {
-        "name": component.name,
-        "reason": component.identification.reason,
-        "structure": "Two masses" if first.model.is_rigid else "Three masses",
-        "headlines": headlines(component),
-        "parameters": parameters_table(component),
-        "loads": [loads_table(component, solution) for solution in component.solutions],
-        "bands": [bands_table(component, solution) for solution in component.solutions],
-        "limits": limits_table(component),
-        "masses": masses_table(component),
-        "characteristics": [draw_characteristics(component, evaluation.chosen.permitted)],
-        "spectra": [picture for picture in [draw_spectra(component)] if picture is not None],
-        "from_records": component.identification.from_records,
-    }
+def run_table(path: Path, output: Path | None, settings: LoadSettings, *, force: bool = False) -> None:
+    """Evaluate a table of resonances, for which the settings hold the moving mass; write and print as `run_loads`.
+
+    Results stand in `output`, or in folder `load` beside the table.
+    """
+    if settings.moving_mass is None:
+        raise ValueError("settings: expected the moving mass that the table's resonances belong to, found none")
+    series = read_table(path, *settings.moving_mass)
+    folder = path.parent / LOAD.name if output is None else output
+
+    def evaluate(hashes: dict[str, str]) -> LoadEvaluation:
+        return evaluate_loads(path.stem, (series,), (), settings, hashes)
+
+    LOAD.run(hash_files([path], path.absolute().parent), folder, evaluate, force=force)
