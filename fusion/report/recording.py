@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import h5py
-import numpy as np
 
 from fusion.base import InputError
 from fusion.recording.load import Manifest
@@ -30,7 +29,7 @@ from fusion.report.more_tables import (
     point_tables,
 )
 from fusion.report.motion_figures import motion_pictures, subset_pictures
-from fusion.report.numbers import driven_channel, driven_component, driven_element, main_line, measured
+from fusion.report.numbers import measured
 from fusion.report.provenance import (
     RESULT_FILE,
     RESULT_FORMAT,
@@ -43,7 +42,6 @@ from fusion.report.signal_figures import channel_pictures, point_pictures, trigg
 from fusion.report.style import Picture
 from fusion.report.tables import takes_table
 from fusion.sensitivity.analyse import Evaluation
-from shaker.labels import LOAD_COMPONENTS
 
 # Which figures the report of one recording holds.
 
@@ -54,30 +52,12 @@ def draw_all(evaluation: Evaluation) -> dict[str, list[Picture]]:
         "sensitivity": sensitivity_pictures(evaluation),
         "acceleration": acceleration_pictures(evaluation),
         "points": point_pictures(evaluation),
-        "budget": budget_pictures(evaluation),
+        "budget": [picture for picture in [draw_budget(evaluation)] if picture],
         "motion": [picture for stereo in evaluation.stereo for picture in motion_pictures(stereo)],
         "subsets": subset_pictures(evaluation),
         "channels": channel_pictures(evaluation),
         "trigger": trigger_pictures(evaluation),
     }
-
-
-def budget_pictures(evaluation: Evaluation) -> list[Picture]:
-    """The budget of the driven sensitivity at the strongest line, where there is one."""
-    found = evaluation.sensitivity
-    if found is None:
-        return []
-    line, channel, component = main_line(evaluation), driven_channel(evaluation), driven_component(evaluation)
-    element = driven_element(evaluation)
-    u_relative = np.array([entry.u_relative[line, element] for entry in found.budget])
-    if not np.isfinite(u_relative).all() or not u_relative.any():
-        return []
-    frequency = found.frequency_hz[line]
-    what = (
-        f"the magnitude of output {found.channels[channel]} per load {LOAD_COMPONENTS[component]}, {frequency:.4f} Hz"
-    )
-    labels, types = [entry.label for entry in found.budget], [entry.type for entry in found.budget]
-    return [draw_budget(labels, types, u_relative, what)]
 
 
 # report.html: one self-contained page with results, figures and origin of one recording.
