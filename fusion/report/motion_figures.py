@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,11 +28,9 @@ from fusion.report.style import (
     RED,
     WIDTH_IN,
     Picture,
-    drawing,
-    finish,
-    lay_out,
-    new_figure,
     panel_label,
+    sheet,
+    square_corners,
 )
 from fusion.sensitivity.analyse import Evaluation
 from shaker.arrays import ComplexArray, FloatArray
@@ -69,10 +66,7 @@ class _View:
     @property
     def side_mm(self) -> float:
         """Distance of neighbouring points."""
-        sample = self.plan_mm[:: max(1, len(self.plan_mm) // 200)]
-        distance = np.abs(sample[:, None, :] - self.plan_mm[None, :, :]).max(axis=2)
-        distance[distance < 1e-6] = np.inf
-        return float(np.median(distance.min(axis=1)))
+        return neighbour_distance(self.plan_mm, 1e-6)
 
     @property
     def limits_mm(self) -> tuple[FloatArray, FloatArray]:
@@ -100,17 +94,19 @@ def draw_deflection(shape: DeflectionShape, line: int, rigid: ComplexArray, name
     view = _view(shape.reference_m[known], shape.value[line][known], shape.u[line][known])
     leader = int(np.argmax(np.abs(rigid[:3])))
     above = np.abs(view.out) > view.out_level
-    identifier = f"deflection-{name}"
-    with drawing(identifier):
-        figure = new_figure(view.height_in + BELOW_IN + ABOVE_IN)
-        panels = figure.subplots(1, 3)
+    with sheet(f"deflection-{name}", view.height_in + BELOW_IN + ABOVE_IN, 1, 3) as drawn:
+        panels = drawn.panels
         _draw_amplitude(panels[0], view)
         _draw_phase(panels[1], view, above, (float(np.angle(rigid[leader])), AXES[leader]))
         _draw_in_plane(panels[2], view)
+        low, high = view.limits_mm
         for axes in panels:
-            _frame(axes, view)
+            axes.set_xlim(low[0], high[0])
+            axes.set_ylim(low[1], high[1])
+            axes.set_aspect("equal")
+            axes.set_xlabel(f"{AXES[view.across[0]]} / mm")
+            axes.grid(visible=False)
         panels[0].set_ylabel(f"{AXES[view.across[1]]} / mm")
-        lay_out(figure, panels, left=0.6, bottom=BELOW_IN, top=ABOVE_IN, gap=(0.5, 0.1), label=0.42)
         caption = (
             f"What the {body} does beside its rigid motion at {shape.frequency_hz[line]:.4f} Hz, seen by stereo pair "
             f"“{name}” (peak values). Left: amplitude along {AXES[view.normal]}, out of the plane of the points; "
@@ -119,7 +115,8 @@ def draw_deflection(shape: DeflectionShape, line: int, rigid: ComplexArray, name
             "is below that level. Right: deflection in the plane at the instant of its largest extent, grey below "
             "the noise level. Bending appears smaller by the rigid motion that fits it best."
         )
-        return finish(figure, identifier, f"Operating deflection shape seen by {name}", caption)
+        layout: dict[str, Any] = {"left": 0.6, "bottom": BELOW_IN, "top": ABOVE_IN, "gap": (0.5, 0.1), "label": 0.42}
+        return drawn.picture(f"Operating deflection shape seen by {name}", caption, **layout)
 
 
 def _view(reference_m: FloatArray, value: ComplexArray, u: FloatArray) -> _View:
@@ -204,8 +201,8 @@ def _draw_in_plane(axes: Axes, view: _View) -> None:
 
 def _squares(view: _View, values: FloatArray, colours: Colormap, limits: tuple[float, float]) -> PolyCollection:
     """Squares about the points, coloured by values (N,), light grey where they are NaN."""
-    corner = 0.47 * view.side_mm * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    squares = PolyCollection(list(view.plan_mm[:, None, :] + corner), linewidth=0.0, edgecolor="none")
+    corners = square_corners(view.plan_mm, 0.94 * view.side_mm)
+    squares = PolyCollection(list(corners), linewidth=0.0, edgecolor="none")
     squares.set_array(np.ma.masked_invalid(values))
     squares.set_cmap(colours.with_extremes(bad=LIGHT))
     squares.set_clim(*limits)
@@ -220,16 +217,6 @@ def _colour_bar(axes: Axes, view: _View, squares: PolyCollection, label: str) ->
     place.set_xlabel(label)
     place.grid(visible=False)
     return place
-
-
-def _frame(axes: Axes, view: _View) -> None:
-    """Equal scales and the whole body."""
-    low, high = view.limits_mm
-    axes.set_xlim(low[0], high[0])
-    axes.set_ylim(low[1], high[1])
-    axes.set_aspect("equal")
-    axes.set_xlabel(f"{AXES[view.across[0]]} / mm")
-    axes.grid(visible=False)
 
 
 # Figures of one stereo pair: motion over time and folded, what the fit leaves, and the image it was seen in.
@@ -248,41 +235,39 @@ def motion_pictures(stereo: StereoResult) -> list[Picture]:
         pictures.append(draw_residual_spectrum(stereo))
     if stereo.epipolar is not None:
         pictures.append(draw_epipolar(stereo.epipolar, stereo.time_s, stereo.name))
-    bent = _deflection_picture(stereo)
-    return pictures if bent is None else [*pictures, bent]
-
-
-def _deflection_picture(stereo: StereoResult) -> Picture | None:
-    """The operating deflection shape at the line of the largest motion, where there are points."""
-    if stereo.deflection is None or len(stereo.fit.phasors.frequency_hz) == 0:
-        return None
     rigid = stereo.fit.phasors.value
-    line = int(np.argmax(np.linalg.norm(rigid[:, :3], axis=1)))
-    return draw_deflection(stereo.deflection, line, rigid[line], stereo.name, stereo.body)
-
-
-def subset_pictures(evaluation: Evaluation) -> list[Picture]:
-    """The reference images with their subsets, where there are images."""
-    seen = [item for item in evaluation.stereo if item.reference_image is not None and item.subsets_px is not None]
-    return [draw_subsets(seen)] if seen else []
+    if stereo.deflection is None or len(rigid) == 0:
+        return pictures
+    line = int(np.argmax(np.linalg.norm(rigid[:, :3], axis=1)))  # that of the largest motion
+    bent = draw_deflection(stereo.deflection, line, rigid[line], stereo.name, stereo.body)
+    return pictures if bent is None else [*pictures, bent]
 
 
 def draw_motion(stereo: StereoResult) -> Picture:
     """Six components over time with the fitted lines as this camera rate sees them, and folded over one period."""
-    name = f"motion-{stereo.name}"
-    frequency = main_frequency(stereo)
-    rate = camera_rate_hz(stereo)
-    with drawing(name):
-        figure = new_figure(8.4)
-        panels = figure.subplots(6, 2, sharex="col", gridspec_kw={"width_ratios": [1.9, 1.0]})
-        for component, (over_time, folded) in enumerate(panels):
-            factor = _draw_component(over_time, stereo, component)
-            _draw_folded(folded, stereo, component, frequency, factor)
-        panels[0, 0].set_title("at the exposure times")
-        panels[0, 1].set_title("folded over one period")
-        panels[-1, 0].set_xlabel("time / s")
-        panels[-1, 1].set_xlabel(f"phase of {frequency:.4f} Hz / periods")
-        lay_out(figure, panels.flat, top=0.25, gap=(0.5, 0.14))
+    frequency, rate = main_frequency(stereo), camera_rate_hz(stereo)
+    start, end = stereo.time_s[0], stereo.time_s[-1]
+    phase = np.mod(stereo.time_s * frequency, 1.0)
+    look = {**POINT, "color": BLUE, "rasterized": len(stereo.time_s) > RASTER_ABOVE}
+    fitted: dict[str, Any] = {"color": RED, "linewidth": 1.1, "zorder": 3}
+    fine, fine_phase = np.linspace(start, end, CURVE_POINTS), np.linspace(0.0, 1.0, 241)
+    # Folded: other lines, offset and drift taken off.
+    folded = folded_curve(stereo, frequency, phase) + stereo.residual
+    curve, folded_fit = beat_curve(stereo, fine), folded_curve(stereo, frequency, fine_phase)
+    with sheet(f"motion-{stereo.name}", 8.4, 6, 2, widths=(1.9, 1.0)) as drawn:
+        for component, (left, right) in enumerate(zip(drawn.panels[::2], drawn.panels[1::2], strict=True)):
+            pose = stereo.motion_from_mean.pose[:, component]
+            factor, letter = prefix(pose)
+            left.plot(fine, curve[:, component] / factor, **fitted)
+            left.plot(stereo.time_s, pose / factor, **look)
+            left.set_ylabel(f"{MOTION_COMPONENTS[component]} / {letter}{component_units(0)[component]}")
+            right.plot(phase, folded[:, component] / factor, **look)
+            right.plot(fine_phase, folded_fit[:, component] / factor, **fitted)
+            right.set_xlim(0.0, 1.0)
+        drawn.panels[0].set_title("at the exposure times")
+        drawn.panels[1].set_title("folded over one period")
+        drawn.panels[-2].set_xlabel("time / s")
+        drawn.panels[-1].set_xlabel(f"phase of {frequency:.4f} Hz / periods")
         beat = float(alias_frequency(frequency, rate))
         caption = (
             f"Motion of the {stereo.body} seen by stereo pair “{stereo.name}”, about its mean pose: "
@@ -290,42 +275,38 @@ def draw_motion(stereo: StereoResult) -> Picture:
             f"curve is drawn at the beat frequency of {beat:.4f} Hz, to which this camera rate folds "
             f"{frequency:.4f} Hz; it passes through the fit at every frame. Right, the frames are ordered by phase."
         )
-        return finish(figure, name, f"Motion seen by {stereo.name}", caption)
+        title = f"Motion seen by {stereo.name}"
+        return drawn.picture(title, caption, left=0.72, top=0.25, gap=(0.5, 0.14), label=0.52)
 
 
 def draw_residuals(stereo: StereoResult) -> Picture:
     """What the sine approximation leaves of each component, over time and as a histogram."""
-    name = f"residuals-{stereo.name}"
-    with drawing(name):
-        figure = new_figure(6.4)
-        panels = figure.subplots(6, 2, sharey="row", sharex="col", gridspec_kw={"width_ratios": [3.4, 1.0]})
-        residual = stereo.residual
-        for component, (over_time, histogram) in enumerate(panels):
+    residual = stereo.residual
+    with sheet(f"residuals-{stereo.name}", 6.4, 6, 2, widths=(3.4, 1.0), sharey="row") as drawn:
+        for component, (over_time, histogram) in enumerate(zip(drawn.panels[::2], drawn.panels[1::2], strict=True)):
             factor, letter = prefix(residual[:, :3] if component < 3 else residual[:, 3:])
             scaled = residual[:, component] / factor
             over_time.plot(stereo.time_s, scaled, color=BLUE, rasterized=len(stereo.time_s) > RASTER_ABOVE, **POINT)
             over_time.axhline(0.0, color=BLACK, linewidth=0.6)
             over_time.set_ylabel(f"{MOTION_COMPONENTS[component]} / {letter}{component_units(0)[component]}")
             _draw_histogram(histogram, scaled[np.isfinite(scaled)])
-        panels[-1, 0].set_xlabel("time / s")
-        panels[-1, 1].set_xlabel("frames")
-        lay_out(figure, panels.flat, gap=(0.12, 0.14))
+        drawn.panels[-2].set_xlabel("time / s")
+        drawn.panels[-1].set_xlabel("frames")
         caption = (
             "Measured motion minus sine approximation, frame by frame, and its distribution beside the normal "
             "distribution of the same standard deviation s."
         )
-        return finish(figure, name, f"Residuals of {stereo.name}", caption)
+        title = f"Residuals of {stereo.name}"
+        return drawn.picture(title, caption, left=0.72, top=0.12, gap=(0.12, 0.14), label=0.52)
 
 
 def draw_residual_spectrum(stereo: StereoResult) -> Picture:
     """Amplitude spectrum of the residuals up to half the camera rate, with the places to which the lines fold."""
-    name = f"residual-spectrum-{stereo.name}"
     rate = camera_rate_hz(stereo)
     spectrum_hz, amplitude = residual_spectrum(stereo)
-    with drawing(name):
-        figure = new_figure(3.1)
-        panels = figure.subplots(1, 2, sharex=True)
-        for axes, components, unit in zip(panels, ((0, 1, 2), (3, 4, 5)), ("m", "rad"), strict=True):
+    alias = alias_frequency(stereo.fit.phasors.frequency_hz, rate)
+    with sheet(f"residual-spectrum-{stereo.name}", 3.1, 1, 2, sharex=True) as drawn:
+        for axes, components, unit in zip(drawn.panels, ((0, 1, 2), (3, 4, 5)), ("m", "rad"), strict=True):
             factor, letter = prefix(amplitude[1:, components], coarse=True)
             for component, colour in zip(components, COMPONENT_COLOURS, strict=True):
                 line = amplitude[1:, component] / factor
@@ -334,33 +315,42 @@ def draw_residual_spectrum(stereo: StereoResult) -> Picture:
             axes.set_xlim(0.0, rate / 2.0)
             axes.set_xlabel("frequency at the camera / Hz")
             axes.set_ylabel(f"amplitude / {letter}{unit}")
-            _mark_lines(axes, stereo, rate)
+            look: dict[str, Any] = {"marker": "^", "linestyle": "none", "color": BLACK, "markersize": 4.5}
+            axes.plot(alias, np.zeros_like(alias), clip_on=False, **look)
             axes.legend(ncols=3, loc="upper right")
-        lay_out(figure, panels.flat, gap=(0.75, 0.14))
         caption = (
             "Amplitude spectrum of the residuals over the frequency at which the camera sees them. Triangles: where "
             "the fitted lines fold to. White noise alone gives a level spectrum; a peak elsewhere is a disturbance "
             "or a line that was not fitted."
         )
-        return finish(figure, name, f"Residual spectrum of {stereo.name}", caption)
+        title = f"Residual spectrum of {stereo.name}"
+        return drawn.picture(title, caption, left=0.72, top=0.12, gap=(0.75, 0.14), label=0.52)
 
 
-def draw_subsets(stereo: Sequence[StereoResult]) -> Picture:
-    """First left image of every stereo pair with the subsets that were tracked in it."""
-    with drawing("subsets"):
-        columns = max(2, len(stereo))
-        figure = new_figure(
-            0.75 + (WIDTH_IN - 1.2) / columns * max(_shape(item)[0] / _shape(item)[1] for item in stereo)
-        )
-        panels = figure.subplots(1, columns, squeeze=False)[0]
-        for axes, item in zip(panels, stereo, strict=False):
-            _draw_image(axes, item)
-        for axes in panels[len(stereo) :]:
+def subset_pictures(evaluation: Evaluation) -> list[Picture]:
+    """First left image of every stereo pair with the subsets that were tracked in it, where there are images."""
+    seen = [
+        (item.name, item.reference_image, item.subsets_px)
+        for item in evaluation.stereo
+        if item.reference_image is not None and item.subsets_px is not None
+    ]
+    if not seen:
+        return []
+    columns = max(2, len(seen))
+    tallest = max(image.shape[0] / image.shape[1] for _, image, _ in seen)
+    with sheet("subsets", 0.75 + (WIDTH_IN - 1.2) / columns * tallest, 1, columns) as drawn:
+        for axes, (name, image, points) in zip(drawn.panels, seen, strict=False):
+            _draw_image(axes, image)
+            squares = square_corners(points, 0.92 * (21.0 if len(points) < 2 else neighbour_distance(points, 0.5)))
+            axes.add_collection(PolyCollection(list(squares), facecolor="none", edgecolor=ORANGE, linewidth=0.5))
+            axes.set_xlabel("x / px")
+            axes.grid(visible=False)
+            panel_label(axes, f"{name}: {len(points)} subsets")
+        for axes in drawn.panels[len(seen) :]:
             axes.set_axis_off()
-        panels[0].set_ylabel("y / px")
-        lay_out(figure, panels, left=0.6, top=0.25, gap=(0.45, 0.1), label=0.45)
+        drawn.panels[0].set_ylabel("y / px")
         caption = "First left images, contrast stretched, with the subsets tracked in them."
-        return finish(figure, "subsets", "Subsets", caption)
+        return [drawn.picture("Subsets", caption, left=0.6, top=0.25, gap=(0.45, 0.1), label=0.45)]
 
 
 def main_frequency(stereo: StereoResult) -> float:
@@ -409,27 +399,6 @@ def residual_spectrum(stereo: StereoResult) -> tuple[FloatArray, FloatArray]:
     return np.asarray(frequency, dtype=np.float64), np.abs(np.fft.rfft(filled, axis=0)) * 2.0 / max(present, 1)
 
 
-def _draw_component(axes: Axes, stereo: StereoResult, component: int) -> float:
-    """One component over time; returns the unit's factor."""
-    pose = stereo.motion_from_mean.pose[:, component]
-    factor, letter = prefix(pose)
-    fine = np.linspace(stereo.time_s[0], stereo.time_s[-1], CURVE_POINTS)
-    axes.plot(fine, beat_curve(stereo, fine)[:, component] / factor, color=RED, linewidth=1.1, zorder=3)
-    axes.plot(stereo.time_s, pose / factor, color=BLUE, rasterized=len(stereo.time_s) > RASTER_ABOVE, **POINT)
-    axes.set_ylabel(f"{MOTION_COMPONENTS[component]} / {letter}{component_units(0)[component]}")
-    return factor
-
-
-def _draw_folded(axes: Axes, stereo: StereoResult, component: int, frequency: float, factor: float) -> None:
-    """One component over the phase of the main line, other lines, offset and drift taken off."""
-    phase = np.mod(stereo.time_s * frequency, 1.0)
-    fine = np.linspace(0.0, 1.0, 241)
-    measured = folded_curve(stereo, frequency, phase)[:, component] + stereo.residual[:, component]
-    axes.plot(phase, measured / factor, color=BLUE, rasterized=len(stereo.time_s) > RASTER_ABOVE, **POINT)
-    axes.plot(fine, folded_curve(stereo, frequency, fine)[:, component] / factor, color=RED, linewidth=1.1, zorder=3)
-    axes.set_xlim(0.0, 1.0)
-
-
 def _draw_histogram(axes: Axes, values: FloatArray) -> None:
     """Horizontal histogram with the normal distribution of the same standard deviation."""
     if len(values) < 3:
@@ -447,24 +416,8 @@ def _draw_histogram(axes: Axes, values: FloatArray) -> None:
     )
 
 
-def _mark_lines(axes: Axes, stereo: StereoResult, rate: float) -> None:
-    """Triangles on the frequency axis where the fitted lines fold to."""
-    alias = alias_frequency(stereo.fit.phasors.frequency_hz, rate)
-    axes.plot(alias, np.zeros_like(alias), marker="^", linestyle="none", color=BLACK, markersize=4.5, clip_on=False)
-
-
-def _shape(stereo: StereoResult) -> tuple[int, int]:
-    """Height and width of the reference image."""
-    if stereo.reference_image is None:
-        raise ValueError(f"stereo: expected images of pair {stereo.name}, found points of another program")
-    return stereo.reference_image.shape
-
-
-def _draw_image(axes: Axes, stereo: StereoResult) -> None:
-    """One reference image, reduced to the size at which it is shown, with its subsets."""
-    image, points = stereo.reference_image, stereo.subsets_px
-    if image is None or points is None:
-        return
+def _draw_image(axes: Axes, image: NDArray[Any]) -> None:
+    """One reference image, reduced to the size at which it is shown."""
     height, width = image.shape
     low, high = np.percentile(image, (0.5, 99.5))
     grey = np.clip((image - low) / max(float(high - low), 1.0), 0.0, 1.0).astype(np.float32)
@@ -472,24 +425,11 @@ def _draw_image(axes: Axes, stereo: StereoResult) -> None:
     shown = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     extent = (-0.5, width - 0.5, height - 0.5, -0.5)
     axes.imshow(shown, cmap="gray", vmin=0.0, vmax=1.0, extent=extent, interpolation="none")
-    squares = _motion_squares(points, _subset_size(points))
-    axes.add_collection(PolyCollection(list(squares), facecolor="none", edgecolor=ORANGE, linewidth=0.5))
-    axes.set_xlabel("x / px")
-    axes.grid(visible=False)
-    panel_label(axes, f"{stereo.name}: {len(points)} subsets")
 
 
-def _subset_size(points: FloatArray) -> float:
-    """Side of the squares drawn: the distance of neighbours on the grid."""
-    if len(points) < 2:
-        return 21.0
+def neighbour_distance(points: FloatArray, least: float) -> float:
+    """Median distance of neighbours on a grid of points (N, 2); what is closer than `least` is the same point."""
     sample = points[:: max(1, len(points) // 200)]
     distance = np.abs(sample[:, None, :] - points[None, :, :]).max(axis=2)
-    distance[distance < 0.5] = np.inf
+    distance[distance < least] = np.inf
     return float(np.median(distance.min(axis=1)))
-
-
-def _motion_squares(points: FloatArray, side: float) -> FloatArray:
-    """Corners (N, 4, 2) of squares about the points."""
-    corner = 0.46 * side * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    return np.asarray(points[:, None, :] + corner)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -23,12 +24,11 @@ from fusion.report.style import (
     RED,
     Picture,
     decades,
-    drawing,
     finish,
     lay_out,
-    new_figure,
     panel_label,
     power_text,
+    sheet,
     thin_out,
 )
 from fusion.sensitivity.analyse import Evaluation
@@ -59,51 +59,48 @@ def trigger_pictures(evaluation: Evaluation) -> list[Picture]:
 def draw_channels(channels: Sequence[ChannelResult], evaluation: Evaluation) -> Picture:
     """An excerpt of every channel with its fit and the exposures, and its amplitude spectrum with the lines found."""
     exposures = evaluation.stereo[0].time_s if evaluation.stereo and not evaluation.set_ups else np.empty(0)
-    lines = evaluation.lines.frequency_hz
-    with drawing("channels"):
-        figure = new_figure(0.7 + 1.2 * len(channels))
-        panels = figure.subplots(
-            len(channels), 2, squeeze=False, gridspec_kw={"width_ratios": [1.15, 1.0]}, sharex="col"
-        )
-        for (excerpt, spectrum), channel in zip(panels, channels, strict=True):
-            _draw_excerpt(excerpt, channel, exposures)
-            _draw_spectrum(spectrum, channel, lines)
-        panels[-1, 0].set_xlabel("time / s")
-        panels[-1, 1].set_xlabel("frequency / Hz")
-        lay_out(figure, panels.flat, top=0.22, gap=(0.7, 0.28), label=0.5)
+    with sheet("channels", 0.7 + 1.2 * len(channels), len(channels), 2, widths=(1.15, 1.0)) as drawn:
+        for place, channel in enumerate(channels):
+            _draw_excerpt(drawn.panels[2 * place], channel, exposures)
+            _draw_spectrum(drawn.panels[2 * place + 1], channel, evaluation.lines.frequency_hz)
+        drawn.panels[-2].set_xlabel("time / s")
+        drawn.panels[-1].set_xlabel("frequency / Hz")
         marks = " Vertical lines: middles of the camera exposures." if len(exposures) else ""
         more = len(evaluation.channels) - len(channels)
         caption = f"Left: samples (points) and fitted lines (curve).{marks} Right: triangles mark the lines fitted."
         caption += f" {more} more channels are not drawn." if more else ""
-        return finish(figure, "channels", "Channels", caption)
+        return drawn.picture("Channels", caption, left=0.72, top=0.22, gap=(0.7, 0.28), label=0.5)
 
 
 def draw_trigger(clocks: Sequence[ClockResult]) -> Picture:
     """Deviation of every trigger edge from the periodic model, for each DAQ block."""
-    with drawing("trigger"):
-        figure = new_figure(0.55 + 1.35 * len(clocks))
-        panels = figure.subplots(len(clocks), 1, squeeze=False, sharex=True)[:, 0]
-        for axes, clock in zip(panels, clocks, strict=True):
+    with sheet("trigger", 0.55 + 1.35 * len(clocks), len(clocks)) as drawn:
+        for axes, clock in zip(drawn.panels, clocks, strict=True):
             trigger = clock.trigger
             if trigger is None:
                 continue
             deviation = trigger.edge_s - trigger.time_s(trigger.number)
             factor, letter = prefix(np.append(deviation, trigger.resolution_s / 2.0), coarse=True)
-            axes.axhspan(*_half(trigger.resolution_s / factor), color=ORANGE, alpha=0.18, linewidth=0)
+            half = trigger.resolution_s / factor / 2.0
+            axes.axhspan(-half, half, color=ORANGE, alpha=0.18, linewidth=0)
             axes.plot(trigger.number, deviation / factor, "o", color=BLUE, markersize=2.6, markeredgewidth=0)
             axes.axhline(0.0, color=BLACK, linewidth=0.6)
             axes.set_ylabel(f"deviation / {letter}s")
             panel_label(axes, clock.daq)
-        panels[-1].set_xlabel("number of the edge")
-        lay_out(figure, panels, top=0.22, gap=(0.5, 0.28))
+        drawn.panels[-1].set_xlabel("number of the edge")
         caption = "Camera trigger edges minus the fitted periodic model. Band: the interval that sampling leaves open."
-        return finish(figure, "trigger", "Trigger", caption)
+        return drawn.picture("Trigger", caption, left=0.72, top=0.22, gap=(0.5, 0.28), label=0.52)
 
 
 def _draw_excerpt(axes: Axes, channel: ChannelResult, exposures: FloatArray) -> None:
     """Samples and fit over a short stretch of time."""
     time, chosen = channel.excerpt_s, slice(0, EXCERPT_POINTS)
-    factor, letter = prefix(channel.excerpt) if channel.unit in PREFIXED else _power(channel.excerpt)
+    if channel.unit in PREFIXED:
+        factor, letter = prefix(channel.excerpt)
+    else:  # a power of a thousand for units that take no prefix
+        largest = float(np.nanmax(np.abs(channel.excerpt))) if channel.excerpt.size else 1.0
+        power = 3 * int(np.floor(np.log10(largest) / 3.0)) if largest > 0.0 else 0
+        factor, letter = (1.0, "") if power == 0 else (10.0**power, f"{power_text(power)} ")
     if len(time):
         last = time[chosen][-1]
         for instant in exposures[(exposures >= time[0]) & (exposures <= last)]:
@@ -134,18 +131,6 @@ def _draw_spectrum(axes: Axes, channel: ChannelResult, lines: FloatArray) -> Non
     panel_label(axes, f"{channel.name}: amplitude spectrum")
 
 
-def _power(values: FloatArray) -> tuple[float, str]:
-    """Factor for units that take no prefix."""
-    largest = float(np.nanmax(np.abs(values))) if values.size else 1.0
-    power = 3 * int(np.floor(np.log10(largest) / 3.0)) if largest > 0.0 else 0
-    return (1.0, "") if power == 0 else (10.0**power, f"{power_text(power)} ")
-
-
-def _half(width: float) -> tuple[float, float]:
-    """Interval of a width about zero."""
-    return -width / 2.0, width / 2.0
-
-
 # Figure of parallel vibrometer points: where they are, how far from their mean, and what a rigid plane explains.
 
 
@@ -161,10 +146,9 @@ def point_pictures(evaluation: Evaluation) -> list[Picture]:
 
 def draw_points(spread: PointSpread, line: int, place: int) -> Picture:
     """Map of the points, and deviations of their amplitude and phase from the mean with the best plane's."""
-    name = f"points-{place}"
-    with drawing(name):
-        figure = new_figure(max(2.9, 0.8 + 0.24 * len(spread.channels)))
-        chart, amplitude, phase = figure.subplots(1, 3, gridspec_kw={"width_ratios": [1.15, 1.0, 1.0]})
+    height = max(2.9, 0.8 + 0.24 * len(spread.channels))
+    with sheet(f"points-{place}", height, 1, 3, widths=(1.15, 1.0, 1.0)) as drawn:
+        chart, amplitude, phase = drawn.panels
         _draw_map(chart, spread, line)
         along, across, u_along, u_across = _deviations(spread, line)
         planned = (spread.value[line] - spread.residual[line]) / spread.mean[line]
@@ -175,23 +159,18 @@ def draw_points(spread: PointSpread, line: int, place: int) -> Picture:
         phase.set_yticks(range(len(names)), [])
         amplitude.set_xlabel("amplitude from the mean / %")
         phase.set_xlabel("phase from the mean / mrad")
-        lay_out(figure, [chart, amplitude, phase], gap=(0.75, 0.2), top=0.35, right=0.15)
-        _make_room(amplitude, figure.get_size_inches()[0])
+        lay_out(drawn.figure, drawn.panels, gap=(0.75, 0.2), top=0.35, right=0.15)
+        # Names are longer than numbers: the left side of their panel moves to the right.
+        box, shift = amplitude.get_position(), 0.55 / drawn.figure.get_size_inches()[0]
+        amplitude.set_position((box.x0 + shift, box.y0, box.width - shift, box.height))
         handles, labels = amplitude.get_legend_handles_labels()
-        figure.legend(handles, labels, loc="upper right", ncols=2)
+        drawn.figure.legend(handles, labels, loc="upper right", ncols=2)
         caption = (
             f"Vibrometer points along {axis_name(spread.direction)} on the {spread.body} at "
             f"{spread.frequency_hz[line]:.4f} Hz: where they are (red: amplitude above the mean, blue: below), and "
             f"deviation from the mean; bars: U of the deviation; open: the best rigid plane, mean and rocking, there."
         )
-        return finish(figure, name, "Vibrometer points and rocking", caption)
-
-
-def _make_room(axes: Axes, width_in: float) -> None:
-    """Move the left side of a panel to the right, for names that are longer than numbers."""
-    box = axes.get_position()
-    shift = 0.55 / width_in
-    axes.set_position((box.x0 + shift, box.y0, box.width - shift, box.height))
+        return finish(drawn.figure, drawn.name, "Vibrometer points and rocking", caption)
 
 
 def _deviations(spread: PointSpread, line: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -243,13 +222,9 @@ COLOURS = "RdBu_r"
 
 def draw_epipolar(check: EpipolarCheck, time_s: FloatArray, name: str) -> Picture:
     """Mean epipolar residual over time with what the calibration explains, and its mean over time over the picture."""
-    title = f"epipolar-{name}"
-    with drawing(title):
-        figure = new_figure(2.7)
-        course, picture = figure.subplots(1, 2, gridspec_kw={"width_ratios": [1.5, 1.0]})
-        _draw_course(course, check, time_s)
-        _draw_residuals(picture, check)
-        lay_out(figure, (course, picture), right=0.75, gap=(0.75, 0.14))
+    with sheet(f"epipolar-{name}", 2.7, 1, 2, widths=(1.5, 1.0)) as drawn:
+        _draw_course(drawn.panels[0], check, time_s)
+        _draw_residuals(drawn.panels[1], check)
         explained = (
             "Grey band: what calibration and matching explain, k = 2. "
             if check.pattern_covariance is not None
@@ -260,7 +235,8 @@ def draw_epipolar(check: EpipolarCheck, time_s: FloatArray, name: str) -> Pictur
             f"the points, frame by frame, bars: image noise, k = 2. {explained}A camera that moves makes a step or a "
             "drift. Right: mean over the frames, over the left picture."
         )
-        return finish(figure, title, f"Epipolar residuals of {name}", caption)
+        layout: dict[str, Any] = {"left": 0.72, "right": 0.75, "top": 0.12, "gap": (0.75, 0.14), "label": 0.52}
+        return drawn.picture(f"Epipolar residuals of {name}", caption, **layout)
 
 
 def _draw_course(axes: Axes, check: EpipolarCheck, time_s: FloatArray) -> None:
@@ -269,17 +245,14 @@ def _draw_course(axes: Axes, check: EpipolarCheck, time_s: FloatArray) -> None:
         explained = MPX * COVERAGE * float(np.sqrt(check.pattern_covariance[0, 0]))
         axes.axhspan(-explained, explained, color=LIGHT, linewidth=0)
     axes.axhline(0.0, color=BLACK, linewidth=0.6)
-    axes.errorbar(
-        time_s,
-        MPX * check.mean_px,
-        yerr=MPX * COVERAGE * check.u_course_px[:, 0],
-        color=BLUE,
-        fmt="o",
-        markersize=2.6,
-        elinewidth=0.7,
-        capsize=0.0,
-        rasterized=len(time_s) > RASTER_ABOVE,
-    )
+    look: dict[str, Any] = {
+        "markersize": 2.6,
+        "elinewidth": 0.7,
+        "capsize": 0.0,
+        "rasterized": len(time_s) > RASTER_ABOVE,
+    }
+    half = MPX * COVERAGE * check.u_course_px[:, 0]
+    axes.errorbar(time_s, MPX * check.mean_px, yerr=half, color=BLUE, fmt="o", **look)
     axes.set_xlabel("time / s")
     axes.set_ylabel("mean residual / mpx")
 

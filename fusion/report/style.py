@@ -157,12 +157,13 @@ def sheet(
     columns: int = 1,
     *,
     heights: Sequence[float] | None = None,
+    widths: Sequence[float] | None = None,
     **shared: Any,
 ) -> Iterator[Sheet]:
     """Give a figure of the page's width with panels that share their horizontal axis down a column."""
     with drawing(name):
         figure = new_figure(height_in)
-        ratios = {"height_ratios": list(heights or [1.0] * rows)}
+        ratios = {"height_ratios": list(heights or [1.0] * rows), "width_ratios": list(widths or [1.0] * columns)}
         options = {"sharex": "col", **shared, "squeeze": False, "gridspec_kw": ratios}
         yield Sheet(name, figure, tuple(figure.subplots(rows, columns, **options).ravel()))
 
@@ -244,6 +245,12 @@ def draw_response(
         lower.fill_between(frequency_hz, phase - turn, phase + turn, **band)
     upper.set_yscale("log")
     lower.set_ylabel("phase / °")
+
+
+def square_corners(points: FloatArray, side: float) -> FloatArray:
+    """Corners (N, 4, 2) of squares about points (N, 2)."""
+    corner = 0.5 * side * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    return np.asarray(points[:, None, :] + corner)
 
 
 def power_of_ten(values: FloatArray) -> tuple[float, str]:
