@@ -15,8 +15,7 @@ from fusion.campaign.repeats import BETWEEN, WITHIN, nested
 from fusion.cli import main
 from fusion.estimation.uncertainty import coverage_factor
 from fusion.recording.load import load_manifest
-from fusion.sensor.rotate.evaluate import evaluate_rotation
-from fusion.sensor.rotate.masses import MEAN_ROWS, Campaign, quantities
+from fusion.sensor.rotate.evaluate import MEAN_ROWS, Campaign, evaluate_rotation, quantities
 from fusion.sensor.rotate.readings import (
     JOINT,
     Carried,

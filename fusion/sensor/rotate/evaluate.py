@@ -1,30 +1,53 @@
-"""A rotation test: recordings of a sensor on an indexing head to masses."""
+"""From recordings of a sensor on an indexing head to masses and centres of mass: tables → harmonics → weights → masses.
+
+Gravity, air and weighed masses enter with their uncertainties by name, each cause of error with its effect on all.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from fusion.base import InputError, rounded, versions
+from fusion.estimation.uncertainty import coverage_factor
 from fusion.recording.load import Manifest
-from fusion.sensor.rotate.masses import Campaign, quantities, repeats
 from fusion.sensor.rotate.readings import (
+    JOINT,
+    Carried,
     Quantity,
     Repeats,
     RotationEvaluation,
     RotationRecording,
+    Weighed,
     air_density,
+    components,
     load_bodies,
     local_gravity,
+    own_bodies,
     read_rotation,
     table_path,
     turned,
+    unknown_volume,
 )
-from shaker.arrays import Notice
+from shaker.arrays import FloatArray, Notice
+from shaker.labels import AXES, LOAD_COMPONENTS
 from shaker.static_rotation.harmonics import Known
-from shaker.static_rotation.masses import ROWS, SensorOutputs, Turned, WeightFit, fit_weights
+from shaker.static_rotation.masses import (
+    FORCES,
+    OWN,
+    ROWS,
+    SensorOutputs,
+    Source,
+    Turned,
+    WeightFit,
+    fit_weights,
+    mass_of_weight,
+)
 
 TURNED_AWAY_RAD, TILTED_RAD = np.radians(10.0), np.radians(1.0)
 """Zero angle and tilt of the axis above which the user is told."""
@@ -44,7 +67,11 @@ def evaluate_rotation(name: str, manifests: Sequence[Manifest], input_hashes: di
     ('turned', 2)
     """
     started = time.monotonic()
-    _check_together(manifests)
+    for manifest in manifests:
+        manifest.check_command("rotate")
+        if manifest.rig_path.resolve() != manifests[0].rig_path.resolve():
+            expected = f"{manifests[0].rig_path}, the rig of {manifests[0].folder.name}"
+            raise InputError(manifest.path, "rig", found=str(manifest.rig_path), expected=expected)
     gravity, air = local_gravity(manifests[0]), air_density(manifests[0])
     recordings, outputs, notices = _read(manifests)
     records = tuple(turned(recording) for recording in recordings)
@@ -52,8 +79,8 @@ def evaluate_rotation(name: str, manifests: Sequence[Manifest], input_hashes: di
     weights = fit_weights(records, outputs, u_angle)
     campaign = Campaign(recordings, records, weights, gravity, air)
     found, again = quantities(campaign), repeats(campaign)
-    notices += [*_of_surroundings(manifests[0], gravity, outputs), *_of_mounting(recordings)]
-    notices += [*_of_repeats(again), *_of_fit(weights, records), *_of_result(found)]
+    notices += [*_of_surroundings(manifests[0], gravity, outputs), *_of_mounting(recordings, again)]
+    notices += [*_of_fit(weights, records), *_of_load(found)]
     return RotationEvaluation(
         name=name,
         recordings=recordings,
@@ -71,15 +98,6 @@ def evaluate_rotation(name: str, manifests: Sequence[Manifest], input_hashes: di
     )
 
 
-def _check_together(manifests: Sequence[Manifest]) -> None:
-    """Recordings that are compared share a rig."""
-    for manifest in manifests:
-        manifest.check_command("rotate")
-        if manifest.rig_path.resolve() != manifests[0].rig_path.resolve():
-            expected = f"{manifests[0].rig_path}, the rig of {manifests[0].folder.name}"
-            raise InputError(manifest.path, "rig", found=str(manifest.rig_path), expected=expected)
-
-
 def _read(
     manifests: Sequence[Manifest],
 ) -> tuple[tuple[RotationRecording, ...], SensorOutputs, list[Notice]]:
@@ -88,104 +106,383 @@ def _read(
     first, outputs, _ = read[0]
     for recording, _, _ in read[1:]:
         if recording.fit.channels != first.fit.channels or recording.unit != first.unit:
-            told = [
+            own, expected = (
                 ", ".join(f"{c} {u}".strip() for c, u in zip(r.fit.channels, r.unit, strict=True))
                 for r in (recording, first)
-            ]
-            raise InputError(
-                table_path(recording.manifest), "", found=told[0], expected=f"{told[1]}, the channels of {first.name}"
             )
+            expected = f"{expected}, the channels of {first.name}"
+            raise InputError(table_path(recording.manifest), "", found=own, expected=expected)
     return tuple(item[0] for item in read), outputs, [notice for *_, told in read for notice in told]
 
 
-def _of_surroundings(manifest: Manifest, gravity: Known, outputs: SensorOutputs) -> list[Notice]:
+def _of_surroundings(manifest: Manifest, gravity: Known, outputs: SensorOutputs) -> Iterator[Notice]:
     """What of gravity, air and calibration had to be assumed."""
-    found = []
-    value = rounded(gravity.value, 2.0 * gravity.u)
-    environment = manifest.rig.environment
+    value, environment = rounded(gravity.value, 2.0 * gravity.u), manifest.rig.environment
     if environment is None or environment.gravity is None:
         text = f"local gravity is not stated: ({value.value} ± {value.expanded}) m/s² (k = 2), {gravity.source}"
-        found.append(Notice("info", text, "gravity"))
+        yield Notice("info", text, "gravity")
     elif gravity.u == 0.0:
-        found.append(Notice("info", "gravity counts as exact, since gravity_uncertainty is not stated", "gravity"))
+        yield Notice("info", "gravity counts as exact, since gravity_uncertainty is not stated", "gravity")
     if not outputs.u.any():
         text = (
             "no uncertainty of the calibration matrix is stated (static_sensitivity_uncertainty): U contains the "
             "scatter of the readings, but not the scale of the sensor"
         )
-        found.append(Notice("warning", text, "sensor"))
+        yield Notice("warning", text, "sensor")
     for body in load_bodies(manifest):
         if body.u_volume_m3kg > 0.0:
             text = f"density of {body.name} not stated: its buoyancy is that of something between aluminium and steel"
-            found.append(Notice("info", text, "load"))
-    return found
+            yield Notice("info", text, "load")
 
 
-def _of_mounting(recordings: Sequence[RotationRecording]) -> list[Notice]:
-    """What a missing recording leaves open."""
+def _of_mounting(recordings: Sequence[RotationRecording], again: Sequence[Repeats]) -> Iterator[Notice]:
+    """What a missing recording leaves open, and where repeats tell nothing of mounting anew."""
     kinds = {recording.with_load for recording in recordings}
     stated = bool(load_bodies(recordings[0].manifest))
     if kinds == {False}:
-        return [Notice("info", "no recording with load: internal mass only", "recordings")]
-    if kinds == {True} and stated:
+        yield Notice("info", "no recording with load: internal mass only", "recordings")
+    elif kinds == {True} and stated:
         text = "no recording without load: the internal mass is what the weighed load leaves of the weight"
-        return [Notice("info", text, "recordings")]
-    if kinds == {True}:
+        yield Notice("info", text, "recordings")
+    elif kinds == {True}:
         text = "neither a recording without load nor a weighed load: weights only, which hold load and internal mass"
-        return [Notice("warning", text, "recordings")]
-    return [] if stated else [Notice("info", "no [load] in rig.toml: nothing to compare the load mass with", "load")]
+        yield Notice("warning", text, "recordings")
+    elif not stated:
+        yield Notice("info", "no [load] in rig.toml: nothing to compare the load mass with", "load")
+    for state in again:
+        if not state.between_dof:
+            text = f"{len(state.recordings)} recordings {state.state} are of one mounting: what mounting anew changes"
+            yield Notice("info", f"{text} is not in U", "repeats")
 
 
-def _of_repeats(again: Sequence[Repeats]) -> list[Notice]:
-    """Where repeats tell nothing of mounting anew."""
-    return [
-        Notice(
-            "info",
-            f"{len(state.recordings)} recordings {state.state} are of one mounting: what mounting anew changes is not "
-            "in U",
-            "repeats",
-        )
-        for state in again
-        if not state.between_dof
-    ]
-
-
-def _of_fit(weights: WeightFit, records: Sequence[Turned]) -> list[Notice]:
+def _of_fit(weights: WeightFit, records: Sequence[Turned]) -> Iterator[Notice]:
     """What the fit says of the head and of the channels."""
-    found = []
     for r, record in enumerate(records):
         row = weights.value[ROWS * r : ROWS * (r + 1)]
         zero, tilt = float(row[4]), float(np.hypot(row[5], row[6]))
+        away = f"gravity at angle 0 lies {np.degrees(zero):.1f}° from its stated direction"
         if abs(zero) > np.pi / 2.0:
             text = (
-                f"gravity at angle 0 lies {np.degrees(zero):.1f}° from its stated direction: sense of the sensor or "
-                "zero_gravity may be the wrong way round; masses and centres do not depend on it"
+                f"{away}: sense of the sensor or zero_gravity may be the wrong way round; masses and centres do not "
+                "depend on it"
             )
-            found.append(Notice("warning", text, record.name))
+            yield Notice("warning", text, record.name)
         elif abs(zero) > TURNED_AWAY_RAD:
-            text = f"gravity at angle 0 lies {np.degrees(zero):.1f}° from its stated direction, which is taken off"
-            found.append(Notice("info", text, record.name))
+            yield Notice("info", f"{away}, which is taken off", record.name)
         if tilt > TILTED_RAD and tilt > 3.0 * float(np.sqrt(weights.covariance[ROWS * r + 5, ROWS * r + 5])):
             text = f"the force along the axis turns with the head as if that were {np.degrees(tilt):.2f}° from the axis"
-            found.append(Notice("info", f"{text} stated, or by cross-talk of the sensor", record.name))
+            yield Notice("info", f"{text} stated, or by cross-talk of the sensor", record.name)
     if weights.departure > 0.0:
         text = (
             "a weight turned about the axis does not explain all channels within their noise and the stated "
             f"calibration: every first harmonic is taken to be uncertain by {100.0 * weights.departure:.2g} % of the "
             "weight more, by which they disagree"
         )
-        found.append(Notice("warning", text, "channels"))
-    return found
+        yield Notice("warning", text, "channels")
 
 
-def _of_result(found: Sequence[Quantity]) -> list[Notice]:
+def _of_load(found: Sequence[Quantity]) -> Iterator[Notice]:
     """Whether the load weighs what was weighed."""
-    told = []
     for quantity in found:
         if quantity.name == "load_mass_normalised_deviation" and abs(quantity.value) > 1.0:
-            text = (
-                f"the load mass by {quantity.component} and the weighed mass differ by {abs(quantity.value):.2f} "
-                "times the U of their difference"
-            )
-            told.append(Notice("warning", text, "load"))
-    return told
+            by, times = quantity.component, f"{abs(quantity.value):.2f} times the U of their difference"
+            yield Notice("warning", f"the load mass by {by} and the weighed mass differ by {times}", "load")
+
+
+# From weights to masses and centres of mass.
+
+
+UNTOLD = "what no channel tells"
+LARGEST_UNTOLD = 0.1
+"""Share of that in the uncertainty of a number above which the recordings do not tell it."""
+PERCENT = 100.0
+MEAN_ROWS = np.array([0, *range(OWN, OWN + FORCES), 1, 2, 3])
+"""Places of weights and first moment among the numbers of a recording."""
+
+
+class Head(NamedTuple):
+    """What a number is: name for files, label, component, unit, recording."""
+
+    name: str
+    label: str
+    component: str
+    unit: str
+    recording: str = ""
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """Everything that masses follow from: the weights, and in which recordings which bodies were mounted."""
+
+    recordings: tuple[RotationRecording, ...]
+    records: tuple[Turned, ...]
+    weights: WeightFit
+    gravity: Known
+    air: Known
+
+    @cached_property
+    def load(self) -> tuple[Weighed, ...]:
+        """Return the bodies that make up the load."""
+        return load_bodies(self.recordings[0].manifest)
+
+    @cached_property
+    def own(self) -> tuple[tuple[Weighed, ...], ...]:
+        """Return the bodies that each recording carries beside that."""
+        return tuple(own_bodies(recording.manifest) for recording in self.recordings)
+
+    @cached_property
+    def bodies(self) -> tuple[Weighed, ...]:
+        """Return all bodies, those of the load first, each of them once by its name."""
+        return tuple({body.name: body for group in (self.load, *self.own) for body in group}.values())
+
+    def places(self, with_load: bool) -> list[int]:
+        """Return which recordings are with, or without, load."""
+        return [r for r, recording in enumerate(self.recordings) if recording.with_load == with_load]
+
+    @cached_property
+    def alone(self) -> list[list[tuple[int, str]]]:
+        """Return the forces that tell the weight alone, as (column of `Mean.weight`, name), of every recording."""
+        finite = np.isfinite(self.weights.value.reshape(-1, ROWS)[:, OWN:])
+        return [[(1 + i, name) for i, name in enumerate(LOAD_COMPONENTS[:3]) if row[i]] for row in finite]
+
+
+class Mean(NamedTuple):
+    """What recordings carry less what is known of it: weights N (4, B) joint, Fx, Fy, Fz; first moment N·m (3, B)."""
+
+    weight: FloatArray
+    moment: FloatArray
+
+    def less(self, weight: FloatArray, moment: FloatArray) -> Mean:
+        """Return what remains."""
+        return Mean(self.weight - weight, self.moment - moment)
+
+
+class _Inputs:
+    """Numbers that masses follow from, in B variants at once, by name; every number is an array (B,).
+
+    First as they are, then one standard uncertainty up, then down, each that is uncertain by itself. N numbers: those
+    of the fit, gravity, air, volume of the sensor's part, then mass, volume, centre of every body. `sources`: every
+    cause of error with its effect on them.
+    """
+
+    def __init__(self, campaign: Campaign) -> None:
+        fit, (volume, u_volume) = campaign.weights, unknown_volume()
+        extra = [
+            (campaign.gravity.value, campaign.gravity.u, "local gravity"),
+            (campaign.air.value, campaign.air.u, "air density"),
+            (volume, u_volume, "density of the sensor's moving part"),
+        ]
+        for body in campaign.bodies:
+            extra.append((body.mass_kg, body.u_mass_kg, "weighed mass"))
+            extra.append((body.volume_m3kg, body.u_volume_m3kg, f"density of {body.name}"))
+            centre = zip(body.centre_m, body.u_centre_m, strict=True)
+            extra += [(float(value), float(u), "stated centre of mass") for value, u in centre]
+        value = np.concatenate([np.nan_to_num(fit.value), [item[0] for item in extra]])
+        self.sources = []
+        for source in fit.sources:
+            wide = np.vstack([np.nan_to_num(source.effect), np.zeros((len(extra), source.effect.shape[1]))])
+            self.sources.append(source._replace(effect=wide))
+        for place, (_, u, name) in enumerate(extra, len(fit.value)):
+            if u > 0.0:
+                self.sources.append(Source(name, "B", np.inf, u * np.eye(len(value))[:, place : place + 1]))
+        self.u = np.sqrt(sum(np.sum(source.effect**2, axis=1) for source in self.sources))
+        self.uncertain = np.flatnonzero(self.u > 0.0)
+        steps = np.diag(self.u)[:, self.uncertain]
+        variants = value[:, None] + np.hstack([0.0 * steps[:, :1], steps, -steps])
+        start, self.campaign = ROWS * len(campaign.recordings), campaign
+        self.fit = variants[:start].reshape(-1, ROWS, variants.shape[1])
+        self.gravity, self.air, self.volume = variants[start : start + 3]
+        self.body = {body.name: variants[start + 3 + 5 * i :][:5] for i, body in enumerate(campaign.bodies)}
+
+    def gradient(self, values: FloatArray) -> FloatArray:
+        """Derivatives (Q, N) of numbers (Q, B)."""
+        high, low = np.split(values[:, 1:], 2, axis=1)
+        gradient = np.zeros((len(values), len(self.u)))
+        gradient[:, self.uncertain] = (high - low) / (2.0 * self.u[self.uncertain])
+        return gradient
+
+    def carried(self, bodies: Sequence[Weighed]) -> tuple[FloatArray, FloatArray]:
+        """Weight in air N and first moment N·m (3, B) of bodies."""
+        weight, moment = np.zeros_like(self.gravity), np.zeros((3, len(self.gravity)))
+        for row in (self.body[body.name] for body in bodies):
+            own = self.gravity * row[0] * (1.0 - self.air * row[1])
+            weight, moment = weight + own, moment + own * row[2:]
+        return weight, moment
+
+    def stated(self, bodies: Sequence[Weighed]) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Mass kg, volume per mass m³/kg and centre of mass m (3, B) of bodies together."""
+        rows = np.array([self.body[body.name] for body in bodies])
+        mass = rows[:, 0].sum(axis=0)
+        volume = np.sum(rows[:, 0] * rows[:, 1], axis=0) / mass
+        return mass, volume, np.sum(rows[:, :1] * rows[:, 2:], axis=0) / mass
+
+    def net(self, r: int) -> Mean:
+        """What a recording carries beside the bodies that only it has, in the order of `MEAN_ROWS`."""
+        row = self.fit[r, MEAN_ROWS]
+        return Mean(row[:-3], row[-3:]).less(*self.carried(self.campaign.own[r]))
+
+    def mean(self, with_load: bool) -> Mean | None:
+        """Mean over the recordings with, or without, load; None where there are none."""
+        found = [self.net(r) for r in self.campaign.places(with_load)]
+        return Mean(*(np.mean(parts, axis=0) for parts in zip(*found, strict=True))) if found else None
+
+
+def quantities(campaign: Campaign) -> tuple[Quantity, ...]:
+    """Return every number that the recordings tell, each with its uncertainty by cause.
+
+    Derivatives are central differences over one standard uncertainty of every input.
+    """
+    inputs = _Inputs(campaign)
+    told = list(_derived(inputs))
+    gradient = inputs.gradient(np.array([value for _, value in told]))
+    parts = []
+    for source in inputs.sources:
+        variance = np.sum((gradient @ source.effect) ** 2, axis=1)
+        parts.append(_Part(source.name, variance, variance, np.full(len(told), source.dof)))
+    on_all = np.array([not head.recording for head, _ in told])
+    for carried, places in _states(inputs):
+        rows = ROWS * np.array(places)[:, None] + MEAN_ROWS
+        for name, component in components(carried, gradient[:, rows].sum(axis=1)):
+            in_mean, wide = (np.where(on_all, variance, 0.0) for variance in (component.in_mean, component.wide))
+            parts.append(_Part(f"{name} {carried.state}", in_mean, wide, component.dof))
+    names = [part.name for part in parts]
+    numbers = np.array([part[1:] for part in parts]).T.tolist()
+    found = [_quantity(head, float(value[0]), names, *own) for (head, value), own in zip(told, numbers, strict=True)]
+    kept = [q for q in found if q.budget.get(UNTOLD, 0.0) <= LARGEST_UNTOLD * q.u]
+    return tuple(_with_normalised(kept))
+
+
+def repeats(campaign: Campaign) -> tuple[Repeats, ...]:
+    """Return how much the weights of states that were recorded repeatedly scatter beyond what is stated."""
+    weight = np.eye(len(MEAN_ROWS))[0]
+    return tuple(carried.repeats(weight) for carried, _ in _states(_Inputs(campaign)))
+
+
+class _Part(NamedTuple):
+    """One contribution to Q numbers: variances (Q,), and those that tell effective degrees of freedom."""
+
+    name: str
+    variance: FloatArray
+    wide: FloatArray
+    dof: FloatArray
+
+
+def _states(inputs: _Inputs) -> Iterator[tuple[Carried, list[int]]]:
+    """What every state that was recorded repeatedly carries beside its own bodies, and which recordings those are."""
+    for with_load in (False, True):
+        places = inputs.campaign.places(with_load)
+        if len(places) < 2:
+            continue
+        found = np.array([np.vstack(inputs.net(r)) for r in places])
+        gradient = inputs.gradient(found.reshape(-1, found.shape[2]))
+        effects = tuple((gradient @ source.effect).reshape(*found.shape[:2], -1) for source in inputs.sources)
+        recordings = [inputs.campaign.recordings[r] for r in places]
+        names, mountings = tuple(r.name for r in recordings), tuple(r.manifest.mounting for r in recordings)
+        yield Carried(recordings[0].state, names, mountings, found[:, :, 0], effects), places
+
+
+def _quantity(
+    head: Head,
+    value: float,
+    names: Sequence[str],
+    variances: Sequence[float],
+    wide: Sequence[float],
+    dof: Sequence[float],
+) -> Quantity:
+    """One number with its budget; effective degrees of freedom by Welch and Satterthwaite (JCGM 100, G.4)."""
+    by_name: dict[str, float] = {}
+    for name, variance in zip(names, variances, strict=True):
+        by_name[name] = by_name.get(name, 0.0) + variance
+    fourth = sum(variance**2 / own for variance, own in zip(wide, dof, strict=True) if variance > 0.0)
+    effective = sum(wide) ** 2 / fourth if fourth > 0.0 else np.inf
+    budget = {name: float(np.sqrt(variance)) for name, variance in by_name.items() if variance > 0.0}
+    u = float(np.sqrt(sum(variances)))
+    return Quantity(head.name, head.label, head.component, value, u, effective, head.unit, head.recording, budget)
+
+
+def _with_normalised(found: Sequence[Quantity]) -> Iterator[Quantity]:
+    """All numbers, and behind the load's deviation in kg that over its U: within ±1 the two masses agree."""
+    for quantity in found:
+        yield quantity
+        if quantity.name == "load_mass_deviation" and quantity.u > 0.0:
+            value, k = quantity.value / quantity.expanded, coverage_factor(quantity.dof)
+            label = "deviation over its U"
+            name = "load_mass_normalised_deviation"
+            yield Quantity(name, label, quantity.component, value, 1.0 / k, quantity.dof, "1", "", {})
+
+
+Told = Iterator[tuple[Head, FloatArray]]
+
+
+def _derived(inputs: _Inputs) -> Told:
+    """Every number of the result, in the order of the files."""
+    campaign = inputs.campaign
+    bare, loaded = (inputs.mean(with_load) for with_load in (False, True))
+    # the joint weight, and forces that tell it alone in every recording
+    seen = [(0, JOINT), *(own for own in campaign.alone[0] if all(own in others for others in campaign.alone))]
+    internal = bare
+    if internal is None and loaded is not None and campaign.load:
+        internal = loaded.less(*inputs.carried(campaign.load))
+    if internal is not None:
+        share = inputs.air * inputs.volume
+        masses = {name: mass_of_weight(internal.weight[i], inputs.gravity, share) for i, name in seen}
+        yield from _by_component("internal_mass", "internal mass", masses)
+        yield from _centre("internal_centre_of_mass", "centre of the internal mass", internal)
+    if bare is not None and loaded is not None:
+        yield from _load(inputs, loaded.less(*bare), seen)
+    for r, recording in enumerate(campaign.recordings):
+        name, row, net = recording.name, inputs.fit[r], inputs.net(r)
+        yield Head("weight", "weight in air", JOINT, "N", name), row[0]
+        for i, component in campaign.alone[r]:
+            yield Head("weight", "weight in air", component, "N", name), row[OWN + i - 1]
+        yield Head("zero_angle", "gravity at angle 0 ahead of its stated direction", "", "rad", name), row[4]
+        _, along, across = campaign.records[r].frame
+        tilt = np.outer(along, row[5]) + np.outer(across, row[6])
+        for i, axis in enumerate(AXES):
+            if abs(along[i]) + abs(across[i]) > 0.5:
+                yield Head("axis_tilt", "true axis less stated axis", axis, "rad", name), tilt[i]
+        mean = loaded if recording.with_load else bare
+        if mean is not None and len(campaign.places(recording.with_load)) > 1:
+            for i, component in seen:
+                head = Head("weight_deviation", "weight less mean of repeats", component, "N", name)
+                yield head, net.weight[i] - mean.weight[i]
+    yield Head("gravity", "local gravity", "", "m/s^2"), inputs.gravity
+    yield Head("air_density", "density of the air", "", "kg/m^3"), inputs.air
+
+
+def _load(inputs: _Inputs, mean: Mean, seen: Sequence[tuple[int, str]]) -> Told:
+    """Load mass as the difference of the recordings, its centre, and what was weighed."""
+    load = inputs.campaign.load
+    weighed, volume, centre = inputs.stated(load) if load else (inputs.air, inputs.volume, mean.moment)
+    masses = {name: mass_of_weight(mean.weight[i], inputs.gravity, inputs.air * volume) for i, name in seen}
+    yield from _by_component("load_mass", "load mass", masses)
+    yield from _centre("load_centre_of_mass", "centre of the load", mean)
+    if not load:
+        return
+    yield Head("weighed_mass", "weighed mass of the load", "stated", "kg"), weighed
+    for name, mass in masses.items():
+        yield Head("load_mass_deviation", "load mass less weighed mass", name, "kg"), mass - weighed
+        relative = PERCENT * (mass / weighed - 1.0)
+        yield Head("load_mass_relative_deviation", "load mass less weighed mass", name, "%"), relative
+    for i, axis in enumerate(AXES):
+        head = Head("load_centre_of_mass_deviation", "centre of the load less stated centre", axis, "m")
+        yield head, mean.moment[i] / mean.weight[0] - centre[i]
+
+
+def _by_component(name: str, label: str, masses: dict[str, FloatArray]) -> Told:
+    """A mass by all forces and by each alone, and how far those are apart."""
+    for component, mass in masses.items():
+        yield Head(name, label, component, "kg"), mass
+    alone = [component for component in masses if component != JOINT]
+    if len(alone) == 2:
+        first, second = alone
+        between = f"{first}-{second}"
+        yield Head(f"{name}_difference", f"{label}, axis to axis", between, "kg"), masses[first] - masses[second]
+        relative = PERCENT * (masses[first] - masses[second]) / masses[JOINT]
+        yield Head(f"{name}_relative_difference", f"{label}, axis to axis", between, "%"), relative
+
+
+def _centre(name: str, label: str, mean: Mean) -> Told:
+    """Centre of mass from first moment and weight."""
+    for i, axis in enumerate(AXES):
+        yield Head(name, label, axis, "m"), mean.moment[i] / mean.weight[0]

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fusion.base import InputError
+from fusion.base import InputError, as_input_error
 from fusion.campaign.repeats import BETWEEN, WITHIN, nested
 from fusion.estimation.uncertainty import coverage_factor
 from fusion.recording.load import Manifest
@@ -193,7 +193,7 @@ JOINT = "joint"
 """Component of a mass that all force channels tell together."""
 
 
-class Column(NamedTuple):
+class TableColumn(NamedTuple):
     """One column of a recording's table that is used: the sensor's channel, its unit as written, load or output."""
 
     channel: str
@@ -294,13 +294,17 @@ SPELT = (("·", "."), ("*", "."), (" ", ""), ("Nm", "N.m"))
 
 
 def read_rotation(manifest: Manifest) -> tuple[RotationRecording, SensorOutputs, list[Notice]]:
-    """Return one recording with its fit, how its channels answer loads, and what the user should know of it."""
-    sensor = _sensor(manifest)
+    """Return one recording with its fit, how its channels answer loads, and what the user should know of it.
+
+    Readings that cannot be those of a weight turned as stated are refused.
+    """
+    sensor, where = manifest.rig.sensor, manifest.folder.name
+    if sensor is None:
+        raise InputError(manifest.rig_path, "sensor", "nothing", "the [sensor] whose readings stand in the table")
     columns = _columns(manifest, sensor)
     angle, values = _numbers(manifest, sensor, columns)
     changing = np.ptp(values, axis=0) > 0.0
     still = [column.channel for column, moves in zip(columns, changing, strict=True) if not moves]
-    where = manifest.folder.name
     notices = [Notice("warning", f"{', '.join(still)}: every reading is the same, left out", where)] if still else []
     missing = [name for name in sensor.channels if name not in [column.channel for column in columns]]
     if missing:
@@ -310,11 +314,8 @@ def read_rotation(manifest: Manifest) -> tuple[RotationRecording, SensorOutputs,
     if not columns:
         raise InputError(table_path(manifest), "", "readings that do not change with the angle", "the sensor's outputs")
     outputs = _outputs(sensor, columns)
-    try:
+    with as_input_error(table_path(manifest)):
         fit = fit_angles(tuple(column.channel for column in columns), angle, values[:, changing])
-    except ValueError as error:
-        raise InputError.told_by(error, table_path(manifest)) from error
-    load = np.where(outputs.determined, fit.reading @ outputs.inverse.T, np.nan)
     recording = RotationRecording(
         name=where,
         manifest=manifest,
@@ -322,9 +323,14 @@ def read_rotation(manifest: Manifest) -> tuple[RotationRecording, SensorOutputs,
         unit=tuple(column.unit if column.is_load else sensor.unit for column in columns),
         fit=fit,
         inverse=outputs.inverse,
-        load=load,
+        load=np.where(outputs.determined, fit.reading @ outputs.inverse.T, np.nan),
     )
-    _check_start(recording, outputs)
+    try:
+        start_values(turned(recording), outputs)
+    except ValueError as error:
+        keys = {"axis": (manifest.path, "excitation.axis"), "sensitivity": (manifest.rig_path, "sensor.channels")}
+        file, key = keys.get(str(error).partition(":")[0], (table_path(manifest), ""))
+        raise InputError.told_by(error, file, key) from error
     return recording, outputs, notices
 
 
@@ -342,20 +348,14 @@ def table_path(manifest: Manifest) -> Path:
     return manifest.excitation.file
 
 
-def _sensor(manifest: Manifest) -> Sensor:
-    """The sensor on the head."""
-    if manifest.rig.sensor is None:
-        raise InputError(manifest.rig_path, "sensor", "nothing", "the [sensor] whose readings stand in the table")
-    return manifest.rig.sensor
+def _columns(manifest: Manifest, sensor: Sensor) -> list[TableColumn]:
+    """Which columns are the sensor's channels, and whether they are outputs or loads.
 
-
-def _columns(manifest: Manifest, sensor: Sensor) -> list[Column]:
-    """Which columns are the sensor's channels, and whether they are outputs or loads."""
+    A column without a unit holds a load where the sensor's outputs are loads, without sensitivities.
+    """
     path = table_path(manifest)
-    try:
+    with as_input_error(path):
         units = table_units(path)
-    except (OSError, ValueError) as error:
-        raise InputError.told_by(error, path) from error
     if ANGLE not in units:
         raise InputError(path, ANGLE, f"the columns {', '.join(units)}", "a column of this name")
     stated, written = manifest.excitation.angle_unit, ANGLE_UNITS.get(units[ANGLE].strip().lower())
@@ -366,19 +366,26 @@ def _columns(manifest: Manifest, sensor: Sensor) -> list[Column]:
     if not present:
         expected = f"columns of the sensor's channels {', '.join(sensor.channels)}"
         raise InputError(path, "", found=", ".join(units), expected=expected)
-    plain = {name: _spelt(units[name]) for name in present}
-    loads = [name for name in present if plain[name] in LOAD_UNITS or _is_bare_load(sensor, plain[name])]
-    if loads and len(loads) < len(present):
-        other = next(name for name in present if name not in loads)
-        raise InputError(path, other, f'the unit "{units[other]}"', f"N or N.m as of {loads[0]}, or outputs throughout")
-    if loads:
-        return [_load_column(manifest, sensor, name, plain[name]) for name in present]
-    if sensor.static_sensitivity is None:
-        expected = (
-            "the sensitivities that turn outputs into loads (the inverse of a calibration matrix), or columns in N"
-        )
-        raise InputError(manifest.rig_path, "sensor.static_sensitivity", found="nothing", expected=expected)
-    return [Column(name, plain[name], is_load=False) for name in present]
+    spelt = {name: _spelt(units[name]) for name in present}
+    bare_is_load = sensor.static_sensitivity is None and _spelt(sensor.unit) in LOAD_UNITS
+    loads = [name for name in present if spelt[name] in LOAD_UNITS or (bare_is_load and not spelt[name])]
+    if not loads:
+        if sensor.static_sensitivity is None:
+            expected = "the sensitivities that turn outputs into loads (the inverse of a calibration matrix)"
+            raise InputError(manifest.rig_path, "sensor.static_sensitivity", "nothing", f"{expected}, or columns in N")
+        return [TableColumn(name, spelt[name], is_load=False) for name in present]
+    for name in present:
+        if name not in loads:
+            expected = f"N or N.m as of {loads[0]}, or outputs throughout"
+            raise InputError(path, name, f'the unit "{units[name]}"', expected)
+    right = dict(zip(LOAD_COMPONENTS, LOAD_UNITS, strict=True))
+    for name in present:
+        if name not in right:
+            expected = f"one of {', '.join(LOAD_COMPONENTS)}, since columns in N and N.m are loads"
+            raise InputError(manifest.rig_path, "sensor.channels", found=f'"{name}"', expected=expected)
+        if spelt[name] not in ("", right[name]):
+            raise InputError(path, name, found=f'the unit "{spelt[name]}"', expected=right[name])
+    return [TableColumn(name, right[name], is_load=True) for name in present]
 
 
 def _spelt(unit: str) -> str:
@@ -389,52 +396,32 @@ def _spelt(unit: str) -> str:
     return text
 
 
-def _is_bare_load(sensor: Sensor, unit: str) -> bool:
-    """Whether a column without a unit holds a load: of a sensor whose outputs are loads, without sensitivities."""
-    return not unit and sensor.static_sensitivity is None and _spelt(sensor.unit) in LOAD_UNITS
-
-
-def _load_column(manifest: Manifest, sensor: Sensor, name: str, unit: str) -> Column:
-    """A column that holds a load component."""
-    if name not in LOAD_COMPONENTS:
-        expected = f"one of {', '.join(LOAD_COMPONENTS)}, since columns in N and N.m are loads"
-        raise InputError(manifest.rig_path, "sensor.channels", found=f'"{name}"', expected=expected)
-    right = LOAD_UNITS[LOAD_COMPONENTS.index(name)]
-    if unit not in ("", right):
-        raise InputError(table_path(manifest), name, found=f'the unit "{unit}"', expected=right)
-    return Column(name, right, is_load=True)
-
-
-def _numbers(manifest: Manifest, sensor: Sensor, columns: Sequence[Column]) -> tuple[FloatArray, FloatArray]:
-    """Angles in rad (N,) and readings (N, C) in the unit of each column."""
-    path = table_path(manifest)
-    try:
+def _numbers(manifest: Manifest, sensor: Sensor, columns: Sequence[TableColumn]) -> tuple[FloatArray, FloatArray]:
+    """Angles in rad (N,) and readings (N, C), of outputs in the sensor's unit, of loads in N and N·m."""
+    path, excitation = table_path(manifest), manifest.excitation
+    with as_input_error(path):
         table = read_table_columns(path, [ANGLE, *(column.channel for column in columns)])
-    except (OSError, ValueError) as error:
-        raise InputError.told_by(error, path) from error
     if not np.isfinite(table).all():
         row, place = (int(i) for i in np.argwhere(~np.isfinite(table))[0])
         name = ANGLE if place == 0 else columns[place - 1].channel
         raise InputError(path, name, found=f"none in row {row + 1}", expected="a number in every row")
-    angle = np.radians(table[:, 0]) if manifest.excitation.angle_unit == "deg" else table[:, 0]
-    return angle, table[:, 1:] * np.array([_factor(manifest, sensor, column) for column in columns])
+    scale, own = np.ones(len(columns)), _spelt(sensor.unit)
+    for c, column in enumerate(columns):
+        if column.is_load:
+            continue
+        if "scale" in excitation.model_fields_set or not column.unit:
+            scale[c] = excitation.scale
+            continue
+        factors = [factor for prefix, factor in PREFIXES.items() if column.unit == prefix + own]
+        if not factors:
+            expected = f'"{sensor.unit}", the same with m or µ before it, N and N.m, or the key scale in recording.toml'
+            raise InputError(path, column.channel, found=f'the unit "{column.unit}"', expected=expected)
+        scale[c] = factors[0]
+    angle = np.radians(table[:, 0]) if excitation.angle_unit == "deg" else table[:, 0]
+    return angle, table[:, 1:] * scale
 
 
-def _factor(manifest: Manifest, sensor: Sensor, column: Column) -> float:
-    """What turns a column into the sensor's unit, or leaves a load as it is."""
-    if column.is_load:
-        return 1.0
-    if "scale" in manifest.excitation.model_fields_set or not column.unit:
-        return manifest.excitation.scale
-    own = _spelt(sensor.unit)
-    for prefix, factor in PREFIXES.items():
-        if column.unit == prefix + own:
-            return factor
-    expected = f'"{sensor.unit}", the same with m or µ before it, N and N.m, or the key scale in recording.toml'
-    raise InputError(table_path(manifest), column.channel, found=f'the unit "{column.unit}"', expected=expected)
-
-
-def _outputs(sensor: Sensor, columns: Sequence[Column]) -> SensorOutputs:
+def _outputs(sensor: Sensor, columns: Sequence[TableColumn]) -> SensorOutputs:
     """How the channels answer the load: rows of the sensitivity, or of the identity where they are loads already."""
     if columns[0].is_load:
         matrix = np.eye(6)[[LOAD_COMPONENTS.index(column.channel) for column in columns]]
@@ -442,15 +429,3 @@ def _outputs(sensor: Sensor, columns: Sequence[Column]) -> SensorOutputs:
         matrix = np.array(sensor.static_sensitivity)[[sensor.channels.index(column.channel) for column in columns]]
     u = sensor.static_sensitivity_uncertainty * np.abs(matrix)
     return SensorOutputs(matrix, u, 1 if sensor.sense == "on_sensor" else -1)
-
-
-def _check_start(recording: RotationRecording, outputs: SensorOutputs) -> None:
-    """Refuse readings that cannot be those of a weight turned as stated."""
-    manifest = recording.manifest
-    try:
-        start_values(turned(recording), outputs)
-    except ValueError as error:
-        argument = str(error).partition(":")[0]
-        where = {"axis": (manifest.path, "excitation.axis"), "sensitivity": (manifest.rig_path, "sensor.channels")}
-        file, key = where.get(argument, (table_path(manifest), ""))
-        raise InputError.told_by(error, file, key) from error

@@ -16,11 +16,11 @@ from fusion.report.folder import Command
 from fusion.report.h5 import write_fields, write_value
 from fusion.report.numbers import capital, degrees_of_freedom, factor, measured, plain, short, signed, small, subject_of
 from fusion.report.table import Column, Headline, Table, csv_text, on_page, table, word
-from fusion.sensor.rotate.evaluate import evaluate_rotation
+from fusion.sensor.rotate.evaluate import UNTOLD, evaluate_rotation
 from fusion.sensor.rotate.figures import draw_deviations, draw_readings
-from fusion.sensor.rotate.masses import UNTOLD
-from fusion.sensor.rotate.readings import JOINT, Quantity, RotationEvaluation, RotationRecording
-from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS
+from fusion.sensor.rotate.readings import JOINT, Quantity, Repeats, RotationEvaluation, RotationRecording
+from shaker.labels import AXES, LOAD_COMPONENTS, LOAD_UNITS
+from shaker.static_rotation.harmonics import Known
 from shaker.static_rotation.masses import FORCES
 
 NONE, ALL = "-", "all"
@@ -101,44 +101,49 @@ def differences_table(evaluation: RotationEvaluation) -> Table | None:
 
 def centres_table(evaluation: RotationEvaluation) -> Table | None:
     """Centres of mass in sensor axes, in mm."""
-    rows = [{q.component: q for q in _named(evaluation, (name,))} for name in CENTRES]
 
     def coordinate(axis: str) -> Column[dict[str, Quantity]]:
         return on_page(axis, lambda places: _in_small_unit(places[axis]) if axis in places else DASH)
 
-    place: Column[dict[str, Quantity]] = on_page(
-        "place", lambda places: f"{capital(next(iter(places.values())).label)} / mm", "l"
-    )
-    caption = "Centres of mass, sensor axes, with U"
-    return table(caption, [place, *map(coordinate, ("x", "y", "z"))], filter(None, rows))
-
-
-def recordings_table(evaluation: RotationEvaluation) -> Table:
-    """Each recording: what was read, what it weighs, how the head stood."""
-    by = [
-        name
-        for name in (JOINT, *LOAD_COMPONENTS[:3])
-        if any(q.component == name for q in _named(evaluation, ("weight",)))
+    columns: list[Column[dict[str, Quantity]]] = [
+        on_page("place", lambda places: f"{capital(next(iter(places.values())).label)} / mm", "l"),
+        *map(coordinate, AXES),
     ]
-    rows = []
-    for recording in evaluation.recordings:
-        fit = recording.fit
-        weights = [evaluation.find("weight", name, recording.name) for name in by]
-        state = "load mounted" if recording.with_load else "without load"
-        cells = (DASH if q is None else measured(q.value, q.expanded) for q in weights)
-        more = ", ".join(dict.fromkeys(_term_name(name) for name in fit.terms[3:]))
-        rows.append((recording.name, state, f"{len(fit.angle_rad)}", *cells, more or "none"))
-    heads = ["weight / N" if name == JOINT else f"by {name} / N" for name in by]
-    head = ("recording", "state", "readings", *heads, "further terms")
-    align = "llr" + "r" * len(by) + "l"
-    return Table("Recordings: weight in air with U, terms that the readings show", head, align, tuple(rows))
+    rows = [{q.component: q for q in _named(evaluation, (name,))} for name in CENTRES]
+    return table("Centres of mass, sensor axes, with U", columns, filter(None, rows))
+
+
+def recordings_table(evaluation: RotationEvaluation) -> Table | None:
+    """Each recording: what was read, what it weighs, how the head stood."""
+
+    def weight(by: str) -> Column[RotationRecording]:
+        def cell(recording: RotationRecording) -> str:
+            q = evaluation.find("weight", by, recording.name)
+            return DASH if q is None else measured(q.value, q.expanded)
+
+        return on_page("weight / N" if by == JOINT else f"by {by} / N", cell)
+
+    known = {q.component for q in _named(evaluation, ("weight",))}
+    columns: list[Column[RotationRecording]] = [
+        on_page("recording", lambda recording: recording.name, "l"),
+        on_page("state", lambda recording: "load mounted" if recording.with_load else "without load", "l"),
+        on_page("readings", lambda recording: f"{len(recording.fit.angle_rad)}"),
+        *(weight(name) for name in (JOINT, *LOAD_COMPONENTS[:3]) if name in known),
+        on_page("further terms", lambda recording: ", ".join(_further_terms(recording)) or "none", "l"),
+    ]
+    return table("Recordings: weight in air with U, terms that the readings show", columns, evaluation.recordings)
+
+
+def _further_terms(recording: RotationRecording) -> list[str]:
+    """Names of the terms beside offset and first harmonic."""
+    return list(dict.fromkeys(_term_name(name) for name in recording.fit.terms[3:]))
 
 
 def repeats_tables(evaluation: RotationEvaluation) -> list[Table]:
     """Recordings of a state that was recorded repeatedly, and what they scatter by beyond what is stated of each."""
     if not evaluation.repeats:
         return []
-    rows, scatter = [], []
+    rows = []
     for again in evaluation.repeats:
         for name, mounting in zip(again.recordings, again.mountings, strict=True):
             weight, off = (evaluation.find(key, JOINT, name) for key in ("weight", "weight_deviation"))
@@ -146,67 +151,74 @@ def repeats_tables(evaluation: RotationEvaluation) -> list[Table]:
                 deviation = measured(MILLI * off.value, MILLI * off.expanded)
                 over = signed(off.value / off.expanded) if off.u > 0.0 else DASH
                 rows.append((again.state, mounting, name, measured(weight.value, weight.expanded), deviation, over))
-        within, between = ((again.within, again.within_dof), (again.between, again.between_dof))
-        cells = [cell for s, dof in (within, between) for cell in (small(MILLI * s) if dof else DASH, f"{dof}")]
-        counts = (f"{len(again.recordings)}", f"{len(set(again.mountings))}")
-        scatter.append((again.state, *counts, *cells))
     caption = "Repeats: weight in air with U, deviation from the mean"
     head = ("state", "mounting", "recording", "weight / N", "less mean / mN", "over its U")
-    beyond = "Scatter of the weight beyond noise and what is stated, of one recording and of one mounting"
-    kinds = ("state", "recordings", "mountings", f"{WITHIN} s / mN", "dof", f"{BETWEEN} s / mN", "dof")
-    return [Table(caption, head, "lllrrr", tuple(rows)), Table(beyond, kinds, "lrrrrrr", tuple(scatter))]
+    scatter = table(
+        "Scatter of the weight beyond noise and what is stated, of one recording and of one mounting",
+        SCATTER,
+        evaluation.repeats,
+    )
+    return [Table(caption, head, "lllrrr", tuple(rows)), *([] if scatter is None else [scatter])]
+
+
+SCATTER: list[Column[Repeats]] = [
+    on_page("state", lambda again: again.state, "l"),
+    on_page("recordings", lambda again: f"{len(again.recordings)}"),
+    on_page("mountings", lambda again: f"{len(set(again.mountings))}"),
+    on_page(f"{WITHIN} s / mN", lambda again: small(MILLI * again.within) if again.within_dof else DASH),
+    on_page("dof", lambda again: f"{again.within_dof}"),
+    on_page(f"{BETWEEN} s / mN", lambda again: small(MILLI * again.between) if again.between_dof else DASH),
+    on_page("dof", lambda again: f"{again.between_dof}"),
+]
 
 
 def harmonics_tables(recording: RotationRecording) -> list[Table]:
     """Offset, harmonics and further terms of forces and moments of a recording, and what turning back changes."""
-    groups = [[i for i in recording.told if i < FORCES], [i for i in recording.told if i >= FORCES]]
-    return [_harmonics_table(recording, places) for places in groups if places]
+    return [_harmonics_table(recording, places) for _, places in _groups(recording)]
 
 
-def axis_table(evaluation: RotationEvaluation) -> Table | None:
-    """How the head stood in every recording."""
-    rows = []
-    for recording in evaluation.recordings:
-        for q in evaluation.quantities:
-            if q.recording == recording.name and q.name in STANDING:
-                rows.append((recording.name, capital(q.label), q.component, _in_small_unit(q), factor(q.k)))
-    head = ("recording", "quantity", "component", "value / mrad", "k")
-    return Table("The head as estimated, with U", head, "lllrr", tuple(rows)) if rows else None
+def _groups(recording: RotationRecording) -> list[tuple[str, list[int]]]:
+    """Load components that the channels tell, forces and moments apart."""
+    groups = [("forces", [i for i in recording.told if i < FORCES])]
+    groups.append(("moments", [i for i in recording.told if i >= FORCES]))
+    return [(kind, places) for kind, places in groups if places]
 
 
-def surroundings_table(evaluation: RotationEvaluation) -> Table:
-    """Gravity and air, and where they come from."""
-    rows = (
-        (
-            "Local gravity / (m/s²)",
-            measured(evaluation.gravity.value, 2.0 * evaluation.gravity.u),
-            evaluation.gravity.source,
-        ),
-        ("Density of the air / (kg/m³)", measured(evaluation.air.value, 2.0 * evaluation.air.u), evaluation.air.source),
-    )
-    return Table("Surroundings, U: k = 2", ("quantity", "value", "source"), "lrl", rows)
+AXIS: list[Column[Quantity]] = [
+    on_page("recording", lambda q: q.recording, "l"),
+    on_page("quantity", lambda q: capital(q.label), "l"),
+    on_page("component", lambda q: q.component, "l"),
+    on_page("value / mrad", _in_small_unit),
+    on_page("k", lambda q: factor(q.k)),
+]
+
+
+SURROUNDINGS: list[Column[tuple[str, Known]]] = [
+    on_page("quantity", lambda row: row[0], "l"),
+    on_page("value", lambda row: measured(row[1].value, 2.0 * row[1].u)),
+    on_page("source", lambda row: row[1].source, "l"),
+]
 
 
 def budget_tables(evaluation: RotationEvaluation) -> list[Table]:
     """What contributes to internal mass, load mass and the load's deviation."""
     wanted = ("internal_mass", "load_mass", "load_mass_deviation")
-    found = [q for q in _named(evaluation, wanted) if q.component == JOINT]
+    masses = [q for q in _named(evaluation, wanted) if q.component == JOINT]
     centres = _named(evaluation, CENTRES[:2])
-    tables = [_budget("Budgets of the masses, standard uncertainties in g", found)] if found else []
-    return tables + (
-        [_budget("Budgets of the centres of mass, standard uncertainties in mm", centres)] if centres else []
-    )
+    groups = [
+        ("Budgets of the masses, standard uncertainties in g", masses),
+        ("Budgets of the centres of mass, standard uncertainties in mm", centres),
+    ]
+    return [_budget(caption, found) for caption, found in groups if found]
 
 
 def printed(evaluation: RotationEvaluation) -> Iterator[str]:
     """Lines for the terminal, U at the coverage factor of each."""
     for recording in evaluation.recordings:
-        fit = recording.fit
-        names = dict.fromkeys(_term_name(name) for name in fit.terms[3:])
-        more = f", also {', '.join(names)}" if names else ""
+        more = ", ".join(_further_terms(recording))
         weights = [q for q in evaluation.quantities if q.name == "weight" and q.recording == recording.name]
         told = ", ".join(f"{q.component} {_printed(q)}" for q in weights)
-        read = f"{len(fit.angle_rad)} readings, offset and first harmonic{more}"
+        read = f"{len(recording.fit.angle_rad)} readings, offset and first harmonic{f', also {more}' if more else ''}"
         yield f"{recording.name} ({recording.state}): {read}; weight {told}"
     told_by_label: dict[str, list[str]] = {}
     for q in _named(evaluation, (*MASSES, *DIFFERENCES, *CENTRES)):
@@ -220,22 +232,25 @@ def printed(evaluation: RotationEvaluation) -> Iterator[str]:
 
 
 def _harmonics_table(recording: RotationRecording, places: Sequence[int]) -> Table:
-    """Terms of some load components."""
+    """Terms of some load components, with U; of an amplitude that may be zero its bound only."""
     fit, components = recording.fit, [LOAD_COMPONENTS[i] for i in places]
-    terms = [q for q in _terms(recording) if q.component in components]
-    rows = []
-    for name, label in dict.fromkeys((q.name, q.label) for q in terms):
-        rows.append((capital(label), *(_term(q) for q in terms if q.name == name)))
+    rows: dict[str, list[str]] = {}
+    for q in _terms(recording):
+        if q.component in components:
+            bound_only = q.label.startswith("harmonic") and q.value < CLEAR * q.u
+            cell = f"< {short(q.expanded)}" if bound_only else measured(q.value, q.expanded)
+            rows.setdefault(capital(q.label), []).append(cell)
     calibration = recording.inverse[places]
     scatter = np.sqrt(np.diag(calibration @ fit.noise @ calibration.T))
-    rows.append(("Scatter s of a reading", *(short(float(s)) for s in scatter)))
+    rows["Scatter s of a reading"] = [short(float(s)) for s in scatter]
     back = np.abs(fit.reversal().difference @ calibration.T)
     if len(back):
-        rows.append(("Largest difference forward less back", *(short(float(value)) for value in back.max(axis=0))))
+        rows["Largest difference forward less back"] = [short(float(value)) for value in back.max(axis=0)]
     unit = typeset(LOAD_UNITS[places[0]])
     heads = [f"{component} / {unit if '·' not in unit else f'({unit})'}" for component in components]
     caption = f"{recording.name}: readings over the angle, U of the noise alone (dof {fit.dof:.0f})"
-    return Table(caption, ("term", *heads), "l" + "r" * len(heads), tuple(rows))
+    cells = tuple((label, *row) for label, row in rows.items())
+    return Table(caption, ("term", *heads), "l" + "r" * len(heads), cells)
 
 
 def _named(evaluation: RotationEvaluation, names: Sequence[str]) -> list[Quantity]:
@@ -283,13 +298,6 @@ def _printed(q: Quantity) -> str:
     return plain(scale * q.value, scale * q.expanded, unit)
 
 
-def _term(q: Quantity) -> str:
-    """A term with U; of an amplitude that may be zero its bound only."""
-    if q.label.startswith("harmonic") and q.value < CLEAR * q.u:
-        return f"< {short(q.expanded)}"
-    return measured(q.value, q.expanded)
-
-
 def _budget(caption: str, found: Sequence[Quantity]) -> Table:
     """Contributions to some quantities, largest first for the last of them."""
     names = sorted(
@@ -307,6 +315,9 @@ def _context(evaluation: RotationEvaluation) -> dict[str, Any]:
     """What the page shows."""
     recordings = evaluation.recordings
     told = [f"{recording.name} ({recording.manifest.name})" for recording in recordings]
+    standing = [q for q in evaluation.quantities if q.name in STANDING]
+    stood = [q for recording in recordings for q in standing if q.recording == recording.name]
+    around = [("Local gravity / (m/s²)", evaluation.gravity), ("Density of the air / (kg/m³)", evaluation.air)]
     return {
         "subject": [*subject_of(recordings[0].manifest.rig), ("Recordings", ", ".join(told))],
         "headlines": headlines(evaluation),
@@ -317,70 +328,45 @@ def _context(evaluation: RotationEvaluation) -> dict[str, Any]:
         "recordings": recordings_table(evaluation),
         "repeats": repeats_tables(evaluation),
         "readings": [
-            draw_readings(recording, places, kind)
-            for recording in recordings
-            for kind, low in (("forces", 0), ("moments", FORCES))
-            if (places := [place for place in recording.told if low <= place < low + FORCES])
+            draw_readings(recording, places, kind) for recording in recordings for kind, places in _groups(recording)
         ],
         "harmonics": [shown for recording in recordings for shown in harmonics_tables(recording)],
-        "axis": axis_table(evaluation),
+        "axis": table("The head as estimated, with U", AXIS, stood),
         "budgets": budget_tables(evaluation),
-        "surroundings": surroundings_table(evaluation),
+        "surroundings": table("Surroundings, U: k = 2", SURROUNDINGS, around),
     }
 
 
 def _fill(file: h5py.File, evaluation: RotationEvaluation) -> None:
-    """Fill the HDF5 file."""
+    """Fill the HDF5 file: surroundings, recordings, the fit of weights with each cause of error, scatter, numbers."""
     file.attrs["name"] = evaluation.name
     file.attrs["harmonics"] = "reading = design . coefficient; A exp(+j angle), A = cos - j sin; k = 1"
     for key in ("gravity", "air"):
-        known = getattr(evaluation, key)
-        write_value(file.create_group(key), "value", known.value)
-        write_value(file[key], "u", known.u)
-        write_value(file[key], "source", known.source)
-    _write_recordings(file.create_group("recordings", track_order=True), evaluation)
-    _write_weights(file.create_group("weights", track_order=True), evaluation)
-    _write_repeats(file, evaluation)
-    _write_quantities(file.create_group("quantities", track_order=True), evaluation)
-
-
-def _write_recordings(group: h5py.Group, evaluation: RotationEvaluation) -> None:
-    """Readings, loads and the fit of every recording."""
+        known, group = getattr(evaluation, key), file.create_group(key)
+        for name in ("value", "u", "source"):
+            write_value(group, name, getattr(known, name))
+    group = file.create_group("recordings", track_order=True)
     for recording in evaluation.recordings:
         own = group.create_group(recording.name, track_order=True)
         own.attrs["with_load"] = recording.with_load
         write_value(own, "unit", recording.unit)
         write_value(own, "load", recording.load)
         write_fields(own, recording.fit)
-
-
-def _write_weights(group: h5py.Group, evaluation: RotationEvaluation) -> None:
-    """Value and covariance of the fit of weights, and each cause of error with its effect."""
-    weights = evaluation.weights
-    for name in ("names", "value", "covariance", "load"):
+    weights, group = evaluation.weights, file.create_group("weights", track_order=True)
+    for name in ("names", "value", "covariance", "load", "chi_squared", "dof", "departure"):
         write_value(group, name, getattr(weights, name))
-    for name in ("chi_squared", "dof", "departure"):
-        group.attrs[name] = getattr(weights, name)
     sources = group.create_group("sources", track_order=True)
     for source in weights.sources:
         own = sources.create_group(source.name)
         own.attrs["type"], own.attrs["dof"] = source.kind, source.dof
         own["effect"] = source.effect
-
-
-def _write_repeats(file: h5py.File, evaluation: RotationEvaluation) -> None:
-    """What states that were recorded repeatedly scatter by."""
     for again in evaluation.repeats:
         write_fields(file.require_group("repeats").create_group(again.state), again)
-
-
-def _write_quantities(group: h5py.Group, evaluation: RotationEvaluation) -> None:
-    """Every number with its budget."""
+    group = file.create_group("quantities", track_order=True)
     for quantity in evaluation.quantities:
-        name = " ".join(filter(None, (quantity.name, quantity.component, quantity.recording)))
-        own = group.create_group(name)
-        for key in ("value", "u", "dof", "unit"):
-            own.attrs[key] = getattr(quantity, key)
+        own = group.create_group(" ".join(filter(None, (quantity.name, quantity.component, quantity.recording))))
+        for name in ("value", "u", "dof", "unit"):
+            own.attrs[name] = getattr(quantity, name)
         own.create_group("budget").attrs.update(quantity.budget)
 
 
