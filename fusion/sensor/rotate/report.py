@@ -58,6 +58,12 @@ CLEAR = 2.0
 """Amplitude over its standard uncertainty from which a harmonic is given a value of its own."""
 
 
+def _in_small_unit(q: Quantity, *, with_unit: bool = False) -> str:
+    """Value with U in g, mm or mrad."""
+    scale, unit = SCALED.get(q.unit, (1.0, q.unit))
+    return measured(scale * q.value, scale * q.expanded, unit if with_unit else "")
+
+
 def headlines(evaluation: RotationEvaluation) -> list[Headline]:
     """Masses by all force channels together, and the load's deviation from the weighed mass."""
     told = []
@@ -283,12 +289,6 @@ def _term_name(name: str) -> str:
     """Name of a term, of cosine and sine together."""
     kind, _, rest = name.partition(" ")
     return f"harmonic {rest}" if kind in ("cos", "sin") else name
-
-
-def _in_small_unit(q: Quantity, *, with_unit: bool = False) -> str:
-    """Value with U in g, mm or mrad."""
-    scale, unit = SCALED.get(q.unit, (1.0, q.unit))
-    return measured(scale * q.value, scale * q.expanded, unit if with_unit else "")
 
 
 def _printed(q: Quantity) -> str:
